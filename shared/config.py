@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One YAML a robot, read into strict models. A service gets its own section and the robot's geometry, nothing else."""
+
+import difflib
+from math import hypot, pi
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap
+from ruamel.yaml.error import YAMLError
+
+CONFIG_DIR = Path(__file__).resolve().parent.parent / "config"
+
+
+class UserError(Exception):
+    """Something that the user can mend: shown as one line and a `hint:`, never as a traceback."""
+
+    def __init__(self, what: str, mend: str) -> None:
+        super().__init__(what)
+        self.what, self.mend = what, mend
+
+
+class Section(BaseModel):
+    """Base of every configuration model: unknown keys are errors, values never change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Mount(Section):
+    """Where a sensor sits on the robot: `base_from_sensor`."""
+
+    x: float = Field(0.0, ge=-5, le=5, description="m ahead of the wheel axis")
+    y: float = Field(0.0, ge=-5, le=5, description="m to the left of the centre line")
+    yaw: float = Field(0.0, ge=-2 * pi, le=2 * pi, description="rad, counter-clockwise")
+
+
+class Drive(Section):
+    """The differential drive."""
+
+    wheel_radius: float = Field(gt=0, le=1, description="m")
+    wheel_distance: float = Field(
+        gt=0, le=3, description="m between the wheels' contact points, as it acts when turning"
+    )
+    counts_per_turn: int = Field(gt=0, description="encoder counts a turn of the wheel")
+    encoder_wrap: int = Field(gt=0, description="encoder counts at which the counter returns to 0")
+    motor_direction: int = Field(1, ge=-1, le=1, description="+1 or -1: sign of both motors, the document's motorDir")
+    max_speed: float = Field(gt=0, le=10, description="m/s forward")
+    max_reverse_speed: float = Field(0.0, ge=0, le=10, description="m/s backward; 0 forbids reversing")
+    max_turn_rate: float = Field(gt=0, le=20, description="rad/s")
+    max_acceleration: float = Field(gt=0, le=20, description="m/s^2")
+    max_braking: float = Field(gt=0, le=20, description="m/s^2 that the base really reaches")
+    max_turn_acceleration: float = Field(gt=0, le=100, description="rad/s^2")
+
+    @model_validator(mode="after")
+    def _direction(self) -> "Drive":
+        if self.motor_direction == 0:
+            raise ValueError("motor_direction is +1 or -1")
+        return self
+
+
+class Laser(Section):
+    """The laser: its mount and its sweep, in its own frame."""
+
+    mount: Mount = Mount()
+    angle_min: float = Field(ge=-2 * pi, le=2 * pi, description="rad, first beam")
+    angle_increment: float = Field(ge=-pi, le=pi, description="rad between beams; negative: clockwise")
+    n_beams: int = Field(ge=2, le=20000, description="beams a sweep")
+    scan_time: float = Field(ge=0, le=2, description="s from the first to the last beam")
+    rate: float = Field(gt=0, le=200, description="sweeps a second")
+    range_min: float = Field(ge=0, description="m; nearer is no measurement")
+    range_max: float = Field(gt=0, le=250, description="m; farther is no echo")
+
+
+class RangeSensor(Section):
+    """One ultrasonic or infrared sensor."""
+
+    kind: str = Field(pattern="^(ultrasonic|infrared)$", description="ultrasonic or infrared")
+    mount: Mount
+    field_of_view: float = Field(gt=0, le=2 * pi, description="rad, whole cone")
+    range_min: float = Field(ge=0, description="m")
+    range_max: float = Field(gt=0, description="m")
+
+
+class Robot(Section):
+    """The robot as its hardware is: what every service may know."""
+
+    name: str = Field(pattern="^[a-z][a-z0-9_]*$", description="first part of every key")
+    footprint: tuple[tuple[float, float], ...] = Field(
+        min_length=3, description="m, corners in `base`, counter-clockwise"
+    )
+    drive: Drive
+    laser: Laser
+    ranges: tuple[RangeSensor, ...] = Field((), description="ultrasonic and infrared sensors, in the board's order")
+
+    @model_validator(mode="after")
+    def _around_the_origin(self) -> "Robot":
+        corners = self.corners
+        x, y = corners[:, 0], corners[:, 1]
+        if 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) <= 0:
+            raise ValueError("footprint: corners must run counter-clockwise and enclose an area")
+        if self.inscribed_radius <= 0:
+            raise ValueError("footprint: the origin of `base` must lie inside")
+        return self
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """(n, 2) m, in `base`, counter-clockwise."""
+        return np.array(self.footprint, float)
+
+    @property
+    def inscribed_radius(self) -> float:
+        """m: the largest circle about `base` inside the footprint (negative when base lies outside)."""
+        a = self.corners
+        edge = np.roll(a, -1, axis=0) - a
+        return float(np.min((a[:, 0] * edge[:, 1] - a[:, 1] * edge[:, 0]) / np.hypot(edge[:, 0], edge[:, 1])))
+
+    @property
+    def circumscribed_radius(self) -> float:
+        """m: the smallest circle about `base` around the footprint."""
+        return max(hypot(x, y) for x, y in self.footprint)
+
+
+T = TypeVar("T", bound=Section)
+
+
+class RobotFile:
+    """A robot's YAML, parsed once; sections are taken out of it by name and type."""
+
+    def __init__(self, path: Path, tree: CommentedMap) -> None:
+        self.path, self.tree = path, tree
+
+    def section(self, name: str, model: type[T]) -> T:
+        """The section `name` as `model`; a missing section is the model's defaults. Raises UserError on the first fault."""
+        values = self.tree.get(name)
+        if values is None:
+            values = CommentedMap()
+        if not isinstance(values, dict):
+            raise UserError(
+                f"{self.place((name,))}: {name} is not a section", f"write `{name}:` and its settings below"
+            )
+        try:
+            return model.model_validate(_plain(values))
+        except ValidationError as errors:
+            raise self._told(name, model, errors) from None
+
+    @property
+    def robot(self) -> Robot:
+        """The `robot` section."""
+        return self.section("robot", Robot)
+
+    def unknown_sections(self, known: tuple[str, ...]) -> None:
+        """Raises UserError where the file has a section that nobody reads."""
+        for name in self.tree:
+            if name not in known:
+                raise UserError(f"{self.place((name,))}: {name} is not a section", nearest(str(name), known))
+
+    def place(self, location: tuple[Any, ...]) -> str:
+        """`file:line` of a key given as its path in the tree."""
+        node, line = self.tree, 0
+        for key in location:
+            try:
+                line = node.lc.key(key)[0] if isinstance(node, CommentedMap) else node.lc.item(key)[0]
+                node = node[key]
+            except (KeyError, IndexError, AttributeError, TypeError):
+                break
+        return f"{_short(self.path)}:{line + 1}"
+
+    def _told(self, name: str, model: type[Section], errors: ValidationError) -> UserError:
+        error = errors.errors()[0]
+        location = (name, *error["loc"])
+        key = ".".join(str(part) for part in location)
+        if error["type"] == "extra_forbidden":
+            fields = _fields_at(model, error["loc"][:-1])
+            return UserError(f"{self.place(location)}: {key} is not a setting", nearest(str(error["loc"][-1]), fields))
+        wrong = "" if error["type"] == "missing" else f" (it is {error['input']!r})"
+        hint = _description_at(model, error["loc"]) or "see docs/configuration.md"
+        return UserError(f"{self.place(location)}: {key}: {error['msg'][:1].lower()}{error['msg'][1:]}{wrong}", hint)
+
+
+def robot_path(robot: str) -> Path:
+    """The file of a robot given by name (`x80sv`) or as a path. Raises UserError where there is none."""
+    path = Path(robot) if robot.endswith((".yaml", ".yml")) else CONFIG_DIR / f"{robot}.yaml"
+    if not path.is_file():
+        known = tuple(p.stem for p in sorted(CONFIG_DIR.glob("*.yaml")))
+        raise UserError(f"there is no robot file {_short(path)}", nearest(robot, known))
+    return path
+
+
+def load_robot(robot: str) -> RobotFile:
+    """A robot's file, by name or path. Raises UserError where it is missing or no YAML."""
+    path = robot_path(robot)
+    return RobotFile(path, load_yaml(path))
+
+
+def load_yaml(path: Path) -> CommentedMap:
+    """A YAML file whose top level is a mapping. Raises UserError where it cannot be read."""
+    try:
+        tree = YAML(typ="rt").load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UserError(f"cannot read {_short(path)}: {error.strerror}", "check the path and its permissions") from None
+    except (YAMLError, UnicodeDecodeError) as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f":{mark.line + 1}" if mark else ""
+        raise UserError(
+            f"{_short(path)}{line}: not valid YAML", getattr(error, "problem", None) or "check this line"
+        ) from None
+    if not isinstance(tree, CommentedMap):
+        raise UserError(f"{_short(path)}: the top level is not a mapping", "write `key: value` lines")
+    return tree
+
+
+def nearest(wrong: str, known: tuple[str, ...]) -> str:
+    """A hint that names the valid word nearest to a wrong one."""
+    close = difflib.get_close_matches(wrong, known, n=1, cutoff=0.5)
+    return f"did you mean `{close[0]}`?" if close else f"known: {', '.join(known) or 'nothing'}"
+
+
+def _plain(node: Any) -> Any:
+    if isinstance(node, dict):
+        return {str(key): _plain(value) for key, value in node.items()}
+    return [_plain(value) for value in node] if isinstance(node, list) else node
+
+
+def _short(path: Path) -> str:
+    try:
+        return str(path.resolve().relative_to(Path.cwd()))
+    except ValueError:
+        return str(path)
+
+
+def _fields_at(model: Any, location: tuple[Any, ...]) -> tuple[str, ...]:
+    for part in location:
+        field = getattr(model, "model_fields", {}).get(part)
+        if field is not None:
+            model = field.annotation
+    return tuple(getattr(model, "model_fields", {}))
+
+
+def _description_at(model: Any, location: tuple[Any, ...]) -> str:
+    text = ""
+    for part in location:
+        field = getattr(model, "model_fields", {}).get(part)
+        if field is None:
+            continue
+        text, model = field.description or "", field.annotation
+    return text

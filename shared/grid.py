@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The occupancy grid as its readers and its writer see it: dense, grown by whole tiles, row 0 at the lowest y."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.messages import TILE_CELLS, MapUpdate
+
+Int8s = NDArray[np.int8]
+Int64s = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Float64s = NDArray[np.float64]
+
+UNKNOWN = -1
+OCCUPIED_FROM = 65  # percent: ROS map_server's occupied_thresh 0.65
+FREE_UP_TO = 25  # percent: ROS map_server's free_thresh 0.25
+
+
+class OccupancyGrid:
+    """Cells in percent (int8, -1 unknown) over a rectangle of whole tiles that grows as tiles come.
+
+    `cells[row, column]` is the square whose lower left corner is `(x0 + column * resolution, y0 + row * resolution)` in
+    `map`, m. `cells` is replaced, never written in place, when an update comes: a reference is a snapshot.
+    """
+
+    def __init__(self, resolution: float = 0.05, map_id: int = 0) -> None:
+        self.resolution = resolution
+        self.map_id = map_id
+        self.version = 0
+        self.first_row = self.first_column = 0  # of the lower left tile, in tiles
+        self.cells: Int8s = np.full((0, 0), UNKNOWN, np.int8)
+
+    @property
+    def x0(self) -> float:
+        return self.first_column * TILE_CELLS * self.resolution
+
+    @property
+    def y0(self) -> float:
+        return self.first_row * TILE_CELLS * self.resolution
+
+    @property
+    def empty(self) -> bool:
+        return self.cells.size == 0
+
+    def apply(self, update: MapUpdate) -> Bools:
+        """Takes the update's tiles; returns (h, w) bool, which cells of the new `cells` differ from before.
+
+        An update with another map_id or resolution starts a new map.
+        """
+        if update.map_id != self.map_id or update.resolution != self.resolution:
+            self.__init__(update.resolution, update.map_id)  # type: ignore[misc]  # a new map: nothing of the old one stays
+        self.version = update.version
+        if not len(update.rows):
+            return np.zeros(self.cells.shape, bool)
+        before, row0, column0 = self.cells, self.first_row, self.first_column
+        cells = self._grown(update).copy()
+        old = np.full(cells.shape, UNKNOWN, np.int8)
+        dr, dc = (row0 - self.first_row) * TILE_CELLS, (column0 - self.first_column) * TILE_CELLS
+        old[dr : dr + before.shape[0], dc : dc + before.shape[1]] = before
+        for row, column, tile in zip(update.rows, update.columns, update.cells, strict=True):
+            r, c = (row - self.first_row) * TILE_CELLS, (column - self.first_column) * TILE_CELLS
+            cells[r : r + TILE_CELLS, c : c + TILE_CELLS] = tile.reshape(TILE_CELLS, TILE_CELLS)
+        self.cells = cells
+        return cells != old
+
+    def _grown(self, update: MapUpdate) -> Int8s:
+        """The cells on a rectangle that holds the present tiles and the update's."""
+        h, w = self.cells.shape[0] // TILE_CELLS, self.cells.shape[1] // TILE_CELLS
+        low_row, low_column = int(update.rows.min()), int(update.columns.min())
+        high_row, high_column = int(update.rows.max()) + 1, int(update.columns.max()) + 1
+        if h and w:
+            low_row, low_column = min(low_row, self.first_row), min(low_column, self.first_column)
+            high_row, high_column = max(high_row, self.first_row + h), max(high_column, self.first_column + w)
+        shape = (high_row - low_row) * TILE_CELLS, (high_column - low_column) * TILE_CELLS
+        if shape == self.cells.shape:
+            return self.cells
+        grown = np.full(shape, UNKNOWN, np.int8)
+        if h and w:
+            r, c = (self.first_row - low_row) * TILE_CELLS, (self.first_column - low_column) * TILE_CELLS
+            grown[r : r + h * TILE_CELLS, c : c + w * TILE_CELLS] = self.cells
+        self.first_row, self.first_column = low_row, low_column
+        return grown
+
+    def update_of(self, changed: Bools, stamp: int) -> MapUpdate:
+        """The message that carries every tile in which a cell of `changed` (h, w) is set."""
+        h, w = self.cells.shape[0] // TILE_CELLS, self.cells.shape[1] // TILE_CELLS
+        blocks = changed.reshape(h, TILE_CELLS, w, TILE_CELLS).any(axis=(1, 3))
+        rows, columns = np.nonzero(blocks)
+        tiles = self.cells.reshape(h, TILE_CELLS, w, TILE_CELLS).swapaxes(1, 2)[rows, columns]
+        return MapUpdate(
+            stamp,
+            self.map_id,
+            self.version,
+            self.resolution,
+            (rows + self.first_row).astype(np.int32),
+            (columns + self.first_column).astype(np.int32),
+            np.ascontiguousarray(tiles.reshape(len(rows), TILE_CELLS * TILE_CELLS)),
+        )
+
+    def cell(self, x: float, y: float) -> tuple[int, int]:
+        """(row, column) of the cell that holds a point of `map`; may lie outside the grid."""
+        return int((y - self.y0) // self.resolution), int((x - self.x0) // self.resolution)
+
+    def cells_of(self, points: Float64s) -> Int64s:
+        """(n, 2) int64 rows and columns of points (n, 2) m in `map`; may lie outside the grid."""
+        indices = np.floor((points - (self.x0, self.y0)) / self.resolution).astype(np.int64)
+        return indices[:, ::-1]
+
+    def centre(self, row: int, column: int) -> tuple[float, float]:
+        """(x, y) m in `map` of a cell's centre."""
+        return self.x0 + (column + 0.5) * self.resolution, self.y0 + (row + 0.5) * self.resolution
+
+    def holds(self, row: int, column: int) -> bool:
+        return 0 <= row < self.cells.shape[0] and 0 <= column < self.cells.shape[1]
+
+    @property
+    def occupied(self) -> Bools:
+        """(h, w) bool."""
+        return self.cells >= OCCUPIED_FROM
+
+    @property
+    def free(self) -> Bools:
+        """(h, w) bool."""
+        return (self.cells >= 0) & (self.cells <= FREE_UP_TO)
+
+    @property
+    def unknown(self) -> Bools:
+        """(h, w) bool: never seen, or seen too little to tell."""
+        return ~(self.occupied | self.free)

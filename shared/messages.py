@@ -1,0 +1,419 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every message. `stamp` is when it was true, ns on the stack's clock; when it was sent is the codec's envelope.
+
+Each field declares its unit, shape and bounds once; validation, documentation and the fuzzing strategies read them
+from here. Numbers are finite unless `Within(..., nan=True)`. Arrays arrive read-only.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from math import pi
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.geometry import Pose2
+
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
+Int8s = NDArray[np.int8]
+Int32s = NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """The field's unit, as people read it; "1" where it has none."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Within:
+    """Bounds, both inclusive, in the field's unit; nan: NaN is allowed and means 'nothing measured'."""
+
+    low: float
+    high: float
+    nan: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """Names or numbers of the axes: "n", "n 2", "k 256". Equal names in one message are equal lengths."""
+
+    axes: str
+
+
+@dataclass(frozen=True, slots=True)
+class NonZero:
+    """The number is not 0."""
+
+
+Metres = Annotated[float, Unit("m"), Within(-1e6, 1e6)]
+Radians = Annotated[float, Unit("rad"), Within(-1e6, 1e6)]
+Seconds = Annotated[float, Unit("s"), Within(0, 1e7)]
+Speed = Annotated[float, Unit("m/s"), Within(-20, 20)]
+TurnRate = Annotated[float, Unit("rad/s"), Within(-50, 50)]
+Count = Annotated[int, Unit("1"), Within(0, 2**62)]
+Stamp = Annotated[int, Unit("ns"), Within(0, 2**62)]
+Text = Annotated[str, Unit("1")]
+Flag = Annotated[bool, Unit("1")]
+Pose = Annotated[Pose2, Unit("m, m, rad")]
+Covariance = Annotated[Float64s, Unit("m, m, rad squared, row by row"), Shape("9"), Within(-1e12, 1e12)]
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """Base of all messages."""
+
+    stamp: Stamp
+
+    def problem(self) -> str | None:
+        """What is wrong between fields, or None. Called at the boundary, after each field was checked alone."""
+        return None
+
+
+# --- hardware -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class BoardReport(Message):
+    """What the motion board measures. The left encoder counts down when the X80SV drives forward."""
+
+    left_counts: Annotated[int, Unit("encoder counts, wrapping"), Within(0, 2**31)]
+    right_counts: Annotated[int, Unit("encoder counts, wrapping"), Within(0, 2**31)]
+    left_speed: Annotated[float, Unit("counts/s"), Within(-1e6, 1e6)]
+    right_speed: Annotated[float, Unit("counts/s"), Within(-1e6, 1e6)]
+    ultrasonic: Annotated[Float32s, Unit("m"), Shape("u"), Within(0, 20, nan=True)]
+    infrared: Annotated[Float32s, Unit("m"), Shape("i"), Within(0, 20, nan=True)]
+    battery: Annotated[float, Unit("V"), Within(0, 100)]
+    currents: Annotated[Float32s, Unit("A"), Shape("2"), Within(-200, 200)]
+
+
+@dataclass(frozen=True, slots=True)
+class MotorCommand(Message):
+    """Wheel speeds for the board, in encoder counts a second with the board's signs. It stands until the next."""
+
+    left: Annotated[float, Unit("counts/s"), Within(-1e6, 1e6)]
+    right: Annotated[float, Unit("counts/s"), Within(-1e6, 1e6)]
+
+
+# --- base -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class WheelState(Message):
+    """Both wheels, positive when the robot drives forward. Angles are unwrapped since the driver's start (`epoch`)."""
+
+    epoch: Stamp
+    left: Radians
+    right: Radians
+    left_speed: Annotated[float, Unit("rad/s"), Within(-1000, 1000)]
+    right_speed: Annotated[float, Unit("rad/s"), Within(-1000, 1000)]
+
+
+@dataclass(frozen=True, slots=True)
+class RangeReadings(Message):
+    """Ultrasonic and infrared cones in `base`: where each sensor sits, looks, and what it sees. No echo is NaN."""
+
+    x: Annotated[Float32s, Unit("m"), Shape("n"), Within(-10, 10)]
+    y: Annotated[Float32s, Unit("m"), Shape("n"), Within(-10, 10)]
+    yaw: Annotated[Float32s, Unit("rad"), Shape("n"), Within(-2 * pi, 2 * pi)]
+    field_of_view: Annotated[Float32s, Unit("rad"), Shape("n"), Within(0, 2 * pi)]
+    ranges: Annotated[Float32s, Unit("m"), Shape("n"), Within(0, 20, nan=True)]
+
+
+@dataclass(frozen=True, slots=True)
+class BaseStatus(Message):
+    """State of the base for people and for the guard. `fault` is a reason's code, empty when there is none."""
+
+    battery: Annotated[float, Unit("V"), Within(0, 100)]
+    left_current: Annotated[float, Unit("A"), Within(-200, 200)]
+    right_current: Annotated[float, Unit("A"), Within(-200, 200)]
+    link: Flag
+    fault: Text
+    detail: Text
+
+
+@dataclass(frozen=True, slots=True)
+class LaserScan(Message):
+    """One sweep in `laser`; beams run counter-clockwise when the increment is positive. No echo is NaN.
+
+    `stamp` is the first beam's; the last beam was taken `scan_time` later. Any field of view, symmetric or not.
+    """
+
+    angle_min: Annotated[float, Unit("rad"), Within(-2 * pi, 2 * pi)]
+    angle_increment: Annotated[float, Unit("rad"), NonZero(), Within(-pi, pi)]
+    scan_time: Annotated[float, Unit("s"), Within(0, 2)]
+    range_min: Annotated[float, Unit("m"), Within(0, 250)]
+    range_max: Annotated[float, Unit("m"), Within(0, 250)]
+    ranges: Annotated[Float32s, Unit("m"), Shape("n"), Within(0, 250, nan=True)]
+
+    def problem(self) -> str | None:
+        if len(self.ranges) < 2:
+            return "fewer than 2 beams"
+        if abs(self.angle_increment) * (len(self.ranges) - 1) > 2 * pi + 1e-3:
+            return "the beams cover more than a full turn"
+        return "range_min is not under range_max" if self.range_min >= self.range_max else None
+
+
+# --- estimation -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry(Message):
+    """Dead reckoning: continuous, drifts. Covariance of the pose grows with travel."""
+
+    odom_from_base: Pose
+    v: Speed
+    w: TurnRate
+    covariance: Covariance
+
+
+class Localization(StrEnum):
+    """How far the pose can be trusted."""
+
+    STARTING = "starting"
+    GOOD = "good"
+    POOR = "poor"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True)
+class PoseEstimate(Message):
+    """Where the robot is on the map, as of a scan. `quality` is the share of beams that agree with the map."""
+
+    map_from_base: Pose
+    map_from_odom: Pose
+    covariance: Covariance
+    quality: Annotated[float, Unit("1"), Within(0, 1)]
+    state: Annotated[Localization, Unit("1")]
+
+
+TILE_CELLS = 64  # a tile's side, in cells; 64 x 64 int8 is 4 kB on the wire
+
+
+@dataclass(frozen=True, slots=True)
+class MapUpdate(Message):
+    """Changed tiles of the occupancy grid. Cell (row, column) of tile (i, j) is the square whose lower left corner lies
+    at ((j * 64 + column) * resolution, (i * 64 + row) * resolution) in `map`. Values: -1 unknown, 0 free .. 100 occupied.
+    """
+
+    map_id: Stamp
+    version: Count
+    resolution: Annotated[float, Unit("m/cell"), Within(0.005, 1)]
+    rows: Annotated[Int32s, Unit("tiles"), Shape("k"), Within(-30000, 30000)]
+    columns: Annotated[Int32s, Unit("tiles"), Shape("k"), Within(-30000, 30000)]
+    cells: Annotated[Int8s, Unit("percent, -1 unknown"), Shape("k 4096"), Within(-1, 100)]
+
+    def merged(self, later: "MapUpdate") -> "MapUpdate":
+        """The whole map after `later` came: its tiles replace ours; another map_id starts anew."""
+        if later.map_id != self.map_id or later.resolution != self.resolution:
+            return later
+        tiles = {(int(r), int(c)): cells for u in (self, later) for r, c, cells in zip(u.rows, u.columns, u.cells)}
+        places = sorted(tiles)
+        return MapUpdate(
+            later.stamp,
+            later.map_id,
+            later.version,
+            later.resolution,
+            np.array([r for r, _ in places], np.int32),
+            np.array([c for _, c in places], np.int32),
+            np.array([tiles[p] for p in places], np.int8).reshape(len(places), TILE_CELLS * TILE_CELLS),
+        )
+
+
+# --- navigation -----------------------------------------------------------------------------------------------------
+
+
+class GoalKind(StrEnum):
+    """What the navigator wants of planner and local control."""
+
+    NONE = "none"  # stand
+    DRIVE = "drive"  # plan to the pose and follow
+    BACK_UP = "back_up"  # straight back by `amount` m
+    TURN = "turn"  # on the spot by `amount` rad
+    WAIT = "wait"  # stand for `amount` s
+
+
+@dataclass(frozen=True, slots=True)
+class Goal(Message):
+    """The present task of planner and local control. A higher `id` pre-empts; `clear_costmap` forgets local obstacles."""
+
+    id: Count
+    kind: Annotated[GoalKind, Unit("1")]
+    map_from_goal: Pose
+    tolerance: Annotated[float, Unit("m"), Within(0.01, 5)]
+    yaw_tolerance: Annotated[float, Unit("rad; over pi: any heading"), Within(0.01, 10)]
+    amount: Annotated[float, Unit("m, rad or s by kind"), Within(-100, 100)]
+    clear_costmap: Flag
+
+
+@dataclass(frozen=True, slots=True)
+class Path(Message):
+    """The way to the goal in `map`, or none and why. `reason` is a code of reasons.py, empty when there is a path.
+
+    The last pose is where the robot will stop: the goal, or the nearest reachable pose within tolerance.
+    """
+
+    goal_id: Count
+    map_version: Count
+    reason: Text
+    xs: Annotated[Float64s, Unit("m"), Shape("n"), Within(-1e6, 1e6)]
+    ys: Annotated[Float64s, Unit("m"), Shape("n"), Within(-1e6, 1e6)]
+    yaws: Annotated[Float64s, Unit("rad"), Shape("n"), Within(-10, 10)]
+    length: Annotated[float, Unit("m"), Within(0, 1e6)]
+    cost: Annotated[float, Unit("m, weighted"), Within(0, 1e9)]
+
+
+class FollowState(StrEnum):
+    """What local control is doing."""
+
+    IDLE = "idle"
+    FOLLOWING = "following"
+    BLOCKED = "blocked"
+    ARRIVED = "arrived"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class FollowStatus(Message):
+    """Local control's progress on the goal with this id. `reason` is a code of reasons.py while it does not move."""
+
+    goal_id: Count
+    state: Annotated[FollowState, Unit("1")]
+    reason: Text
+    distance_left: Metres
+    solve_time: Seconds
+
+
+class NavState(StrEnum):
+    """What the navigator is doing, as people see it."""
+
+    IDLE = "idle"
+    NAVIGATING = "navigating"
+    EXPLORING = "exploring"
+    RECOVERING = "recovering"
+    PAUSED = "paused"
+    REACHED = "reached"
+    FAILED = "failed"
+    CANCELED = "canceled"
+
+
+@dataclass(frozen=True, slots=True)
+class NavStatus(Message):
+    """The task, how far it is, and why the robot stands when it stands. `task_id` counts the requests it accepted."""
+
+    task_id: Count
+    state: Annotated[NavState, Unit("1")]
+    recovery: Text
+    reason: Text
+    detail: Text
+    goal: Pose
+    distance_left: Metres
+    time_left: Seconds
+    waypoint: Count
+    n_waypoints: Count
+    n_recoveries: Count
+
+
+@dataclass(frozen=True, slots=True)
+class Velocity(Message):
+    """A velocity in `base`. `reason` says why it is zero or slowed, empty when it is neither."""
+
+    v: Speed
+    w: TurnRate
+    reason: Text
+
+
+@dataclass(frozen=True, slots=True)
+class EmergencyStop(Message):
+    """STOP, latched: it holds until an operator releases it; releasing never moves the robot."""
+
+    pressed: Flag
+    by: Text
+
+
+class GuardState(StrEnum):
+    """Who moves the robot, or why nobody does."""
+
+    IDLE = "idle"
+    ACTIVE = "active"
+    HOLD = "hold"
+    STOPPED = "stopped"
+    FAULT = "fault"
+
+
+@dataclass(frozen=True, slots=True)
+class GuardStatus(Message):
+    """The guard's verdict. `source` is the command source in charge ("nav", "teleop" or empty)."""
+
+    state: Annotated[GuardState, Unit("1")]
+    source: Text
+    reason: Text
+    detail: Text
+    speed_limit: Speed
+
+
+# --- stack ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Health(Message):
+    """One service's second: from its own work loop, so a hung service falls silent. `inputs` is "key=Hz/age_ms" lines."""
+
+    name: Text
+    pid: Count
+    state: Text
+    events: Count
+    bad_messages: Count
+    dropped: Count
+    intruders: Count
+    last_error: Text
+    cpu: Annotated[float, Unit("share of a core over the last second"), Within(0, 1000)]
+    memory: Annotated[float, Unit("MB"), Within(0, 1e7)]
+    handler_ms: Annotated[float, Unit("ms, slowest handler of the last second"), Within(0, 1e9)]
+    rates: Annotated[tuple[tuple[str, float, float], ...], Unit("topic, Hz, age in s when handled (largest)")]
+
+
+@dataclass(frozen=True, slots=True)
+class LogLine(Message):
+    """One line of a service's log. Levels as in Python's logging: DEBUG, INFO, WARNING, ERROR."""
+
+    level: Text
+    text: Text
+
+
+@dataclass(frozen=True, slots=True)
+class Journal(Message):
+    """The events that a service took since its last journal, in order: see shared/runners/journal.py for `events`."""
+
+    session: Text
+    first: Count
+    events: Annotated[bytes, Unit("msgpack")]
+
+
+@dataclass(frozen=True, slots=True)
+class Clock(Message):
+    """The simulator's time; `rate` is how many simulated seconds pass in a real one."""
+
+    rate: Annotated[float, Unit("1"), Within(0, 1e6)]
+
+
+@dataclass(frozen=True, slots=True)
+class Truth(Message):
+    """What only the simulator knows. Never read by a service that a robot would run. `start` is `world_from_map`."""
+
+    world_from_base: Pose
+    start: Pose
+    v: Speed
+    w: TurnRate
+    contact: Flag
+    n_contacts: Count
+    distance: Metres
+    people_x: Annotated[Float32s, Unit("m"), Shape("p"), Within(-1e6, 1e6)]
+    people_y: Annotated[Float32s, Unit("m"), Shape("p"), Within(-1e6, 1e6)]
+
+
+Merge = Callable[[Message, Message], Message]

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Why a robot stands: one row a reason, with the words that the user reads and what mends it.
+
+Messages carry the `code`; `REASONS[code]` gives the rest. Guard, planner, local control and navigator cannot stop
+without one. Add rows here, never texts elsewhere.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """severity: info (part of normal driving), hold (clears by itself), stop (needs a person), fault (hardware)."""
+
+    code: str
+    text: str
+    mend: str
+    severity: Literal["info", "hold", "stop", "fault"]
+
+
+# fmt: off
+ESTOP           = Reason("estop", "STOP is pressed", "release it: zenav estop --release", "stop")
+FAULT           = Reason("base_fault", "the base reports a fault", "see base/status; mend it, then: zenav estop --release", "fault")
+WHEEL_STUCK     = Reason("wheel_stuck", "a wheel is commanded but does not turn", "free the wheel or check its encoder and motor; then: zenav estop --release", "fault")
+BASE_SILENT     = Reason("base_silent", "the base driver is silent", "is base_driver running? zenav doctor", "hold")
+BOARD_SILENT    = Reason("board_silent", "the motion board does not answer", "check its cable and power", "fault")
+ODOM_OLD        = Reason("odom_old", "odometry is missing or old", "is odometry running? zenav topic hz odom", "hold")
+SCAN_OLD        = Reason("scan_old", "the laser scan is missing or old", "is the laser turning? zenav topic hz scan", "hold")
+POSE_OLD        = Reason("pose_old", "the pose on the map is missing or old", "is the mapper running? zenav topic hz pose", "hold")
+POSE_LOST       = Reason("pose_lost", "the robot does not know where it is", "drive it by hand to a place it knows", "stop")
+POSE_JUMPED     = Reason("pose_jumped", "the pose jumped by over 0.5 m", "the goal is planned anew; nothing to do", "hold")
+COMMAND_OLD     = Reason("command_old", "the command source fell silent", "is local_ctrl running? zenav topic hz cmd/nav", "hold")
+NO_COMMAND      = Reason("no_command", "nobody commands the robot", "send a goal: zenav goto X Y", "info")
+OBSTACLE        = Reason("obstacle", "something is inside the protective field", "clear the way, or drive away by hand", "hold")
+OBSTACLE_SLOW   = Reason("obstacle_slow", "slowed: something is near", "nothing to do", "info")
+ESTOP_RELEASED  = Reason("estop_released", "STOP was released", "send a new goal: releasing never moves the robot", "info")
+PLAN_OLD        = Reason("plan_old", "the plan is over 2 s old", "is the planner running? zenav topic hz plan", "hold")
+NO_PLAN         = Reason("no_plan", "there is no plan yet", "wait for the planner", "hold")
+NO_MAP          = Reason("no_map", "there is no map yet", "is the mapper running? zenav topic hz map", "hold")
+GOAL_OUTSIDE    = Reason("goal_outside", "the goal lies outside the map", "choose a goal on the map", "info")
+GOAL_BLOCKED    = Reason("goal_blocked", "the goal lies in or beside an obstacle", "choose a goal with room for the robot", "info")
+GOAL_UNKNOWN    = Reason("goal_unknown", "the goal lies in space that nobody has seen", "explore first: zenav explore", "info")
+START_BLOCKED   = Reason("start_blocked", "the robot stands in an obstacle of the map", "drive it free by hand", "hold")
+UNREACHABLE     = Reason("unreachable", "no way leads to the goal", "open a way or choose another goal", "info")
+BLOCKED         = Reason("blocked", "no safe way forward right now", "the navigator tries its recoveries", "hold")
+NO_PROGRESS     = Reason("no_progress", "the robot has not come closer for a while", "the navigator tries its recoveries", "hold")
+RECOVERIES_USED = Reason("recoveries_used", "every recovery was tried", "look at the robot and its way", "stop")
+NO_FRONTIER     = Reason("no_frontier", "nothing reachable is left to explore", "nothing to do: the map is complete", "info")
+CANCELED        = Reason("canceled", "the task was canceled", "send a new goal", "info")
+PAUSED          = Reason("paused", "the task is paused", "go on: zenav route --resume", "info")
+BUSY            = Reason("busy", "the service has another request to finish", "try again in a moment", "info")
+NOT_RUNNING     = Reason("not_running", "no service answers", "start the stack: zenav up", "stop")
+BAD_REQUEST     = Reason("bad_request", "the request is not valid", "see the detail", "info")
+NO_SUCH_MAP     = Reason("no_such_map", "there is no saved map of that name", "list them: zenav map load --help", "info")
+STARTING        = Reason("starting", "the stack is starting", "wait a moment", "info")
+SERVICE_DIED    = Reason("service_died", "a service died and is being restarted", "see its log", "hold")
+# fmt: on
+
+REASONS: dict[str, Reason] = {r.code: r for r in list(globals().values()) if isinstance(r, Reason)}
+
+
+def told(code: str) -> str:
+    """The words for a code, for people; the code itself where it is not in the table."""
+    return REASONS[code].text if code in REASONS else code

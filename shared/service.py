@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A service is an object with handlers; a runner calls it. Four kinds of event enter: message, tick, job done, request.
+
+    class OdometryService(Service):
+        config_type = OdometryConfig
+
+        @on(topics.WHEELS)
+        def wheels(self, wheels: WheelState) -> Out:
+            yield topics.ODOM(...)
+
+        @every(hz=2)
+        def report(self) -> Out: ...
+
+        @answer(requests.SAVE_MAP)
+        def save(self, request: SaveMap) -> Answer[Reply]:
+            yield topics.MAP(...)
+            return Reply(...)
+
+Handlers read nothing but their arguments, their state and `self.now`; they open nothing, sleep never, and publish by
+yielding. Slow work is yielded as a `Job`: a pure function of a snapshot whose result comes back as an event.
+"""
+
+from collections.abc import Callable, Generator, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar, TypeVar
+
+from shared.config import Robot, Section
+from shared.messages import Message
+from shared.requests import Request
+from shared.topics import Publication, Topic
+
+M = TypeVar("M", bound=Message)
+Q = TypeVar("Q", bound=Message)
+R = TypeVar("R", bound=Message)
+S = TypeVar("S", bound="Service")
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """Work off the event path: `function(*arguments)` is pure; its result calls the method named `done`.
+
+    takes: s, the duration that lockstep gives it. One job of a `done` name runs at a time; a newer one waits.
+    """
+
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    done: str
+    takes: float
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """A line for people, by way of the runner. level: "INFO", "WARNING" or "ERROR"."""
+
+    level: str
+    text: str
+
+
+Out = Iterable[Publication | Job | Log]
+Answer = Generator[Publication | Job | Log, None, R]
+
+
+class Service:
+    """Base of all services. The runner sets `now` (ns, the stack's clock) before each event."""
+
+    config_type: ClassVar[type[Section]] = Section
+    now: int = 0
+
+    def __init__(self, config: Any, robot: Robot) -> None:
+        self.config = config
+        self.robot = robot
+
+    def warm(self) -> None:
+        """Compile and touch everything that the first events need; changes no state. Called before the first event."""
+
+    def state(self) -> str:
+        """A few words for the health message: what the service is doing."""
+        return "running"
+
+
+def on(topic: Topic[M]) -> Callable[[Callable[[S, M], Out]], Callable[[S, M], Out]]:
+    """Marks the handler of a topic's messages."""
+
+    def mark(handler: Callable[[S, M], Out]) -> Callable[[S, M], Out]:
+        handler.event = ("on", topic)  # type: ignore[attr-defined]  # functions carry their registration
+        return handler
+
+    return mark
+
+
+def every(hz: float) -> Callable[[Callable[[S], Out]], Callable[[S], Out]]:
+    """Marks a handler called at a fixed rate on the stack's clock; a missed tick is skipped, never made up for."""
+
+    def mark(handler: Callable[[S], Out]) -> Callable[[S], Out]:
+        handler.event = ("every", hz)  # type: ignore[attr-defined]  # functions carry their registration
+        return handler
+
+    return mark
+
+
+def answer(request: Request[Q, R]) -> Callable[[Callable[[S, Q], Answer[R]]], Callable[[S, Q], Answer[R]]]:
+    """Marks the handler that answers a request; the reply is the generator's return value."""
+
+    def mark(handler: Callable[[S, Q], Answer[R]]) -> Callable[[S, Q], Answer[R]]:
+        handler.event = ("answer", request)  # type: ignore[attr-defined]  # functions carry their registration
+        return handler
+
+    return mark
+
+
+@dataclass(frozen=True, slots=True)
+class Handlers:
+    """What a service class listens to, in the order of its source."""
+
+    topics: dict[str, tuple[Topic[Message], str]]  # topic key -> topic, method
+    ticks: tuple[tuple[float, str], ...]  # Hz, method
+    requests: dict[str, tuple[Request[Message, Message], str]]  # request key -> request, method
+
+
+def handlers(service: type[Service]) -> Handlers:
+    """The handlers of a service class, read from its marks."""
+    found: dict[str, Any] = {}
+    for base in reversed(service.__mro__):
+        found.update({name: f.event for name, f in vars(base).items() if hasattr(f, "event")})
+    marks = [(kind, what, name) for name, (kind, what) in found.items()]
+    return Handlers(
+        {what.key: (what, name) for kind, what, name in marks if kind == "on"},
+        tuple((what, name) for kind, what, name in marks if kind == "every"),
+        {what.key: (what, name) for kind, what, name in marks if kind == "answer"},
+    )
+
+
+def outputs(result: Out | None) -> Iterator[Publication | Job | Log]:
+    """What a handler produced, one by one; a handler that returns nothing produced nothing."""
+    return iter(result or ())

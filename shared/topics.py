@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""THE list: every key, what it carries, who publishes it, how often, what may be lost, and how late it may be.
+
+From it come subscriptions, recording channels, health limits, lockstep delays, docs, completion and the diagram.
+"""
+
+from dataclasses import dataclass
+from typing import Generic, Literal, TypeVar
+
+from shared import messages as m
+
+M = TypeVar("M", bound=m.Message)
+
+SERVICES = (
+    "sim",
+    "base_driver",
+    "lidar_driver",
+    "odometry",
+    "mapper",
+    "planner",
+    "local_ctrl",
+    "guard",
+    "navigator",
+    "recorder",
+    "dashboard",
+)
+"""Fixed order: a service's place is its port offset, and the tie-break of the lockstep runner."""
+
+
+@dataclass(frozen=True, slots=True)
+class Publication:
+    """What a handler yields: a message for a topic. `key` is the topic's, with the name filled in for families."""
+
+    topic: "Topic[m.Message]"
+    message: m.Message
+
+
+@dataclass(frozen=True, slots=True)
+class Topic(Generic[M]):
+    """One row of the registry.
+
+    by: names of the services that may publish, space separated; "operator" is a person's tool, "*" any service (a
+        family: the key ends in the publisher's name).
+    hz: expected rate, 0 for events.   keep: "latest" (an unread older one is worth nothing) or "all" (bounded).
+    within: s, the latency promise; health watches it live, lockstep inserts it.
+    latched: a late joiner gets the last value at once (the merged one, where the message says how).
+    people: has no reader among the services, on purpose.
+    """
+
+    key: str
+    type: type[M]
+    by: str
+    hz: float
+    keep: Literal["latest", "all"]
+    within: float
+    latched: bool = False
+    people: bool = False
+
+    @property
+    def publishers(self) -> tuple[str, ...]:
+        return SERVICES if self.by == "*" else tuple(self.by.split())
+
+    def __call__(self, message: M) -> Publication:
+        """A publication of this message on this topic, for a handler to yield."""
+        return Publication(self, message)  # type: ignore[arg-type]  # Topic is invariant in M; a publication only reads
+
+
+# fmt: off
+BOARD    = Topic("hardware/board",  m.BoardReport,   by="sim",                    hz=50, keep="all",    within=0.002)
+MOTORS   = Topic("hardware/motors", m.MotorCommand,  by="base_driver",            hz=50, keep="latest", within=0.002)
+WHEELS   = Topic("base/wheels",     m.WheelState,    by="base_driver",            hz=50, keep="all",    within=0.002)
+RANGES   = Topic("base/ranges",     m.RangeReadings, by="base_driver",            hz=10, keep="latest", within=0.003)
+BASE     = Topic("base/status",     m.BaseStatus,    by="base_driver",            hz=2,  keep="latest", within=0.010)
+SCAN     = Topic("scan",            m.LaserScan,     by="lidar_driver sim",       hz=10, keep="latest", within=0.005)
+ODOM     = Topic("odom",            m.Odometry,      by="odometry",               hz=50, keep="all",    within=0.003)
+POSE     = Topic("pose",            m.PoseEstimate,  by="mapper",                 hz=10, keep="latest", within=0.025)
+MAP      = Topic("map",             m.MapUpdate,     by="mapper",                 hz=2,  keep="all",    within=0.050, latched=True)
+GOAL     = Topic("goal",            m.Goal,          by="navigator",              hz=0,  keep="all",    within=0.005, latched=True)
+PLAN     = Topic("plan",            m.Path,          by="planner",                hz=2,  keep="latest", within=0.100, latched=True)
+FOLLOW   = Topic("follow/status",   m.FollowStatus,  by="local_ctrl",             hz=20, keep="latest", within=0.005)
+NAV      = Topic("nav/status",      m.NavStatus,     by="navigator",              hz=5,  keep="latest", within=0.010, latched=True, people=True)
+CMD_NAV  = Topic("cmd/nav",         m.Velocity,      by="local_ctrl",             hz=20, keep="latest", within=0.030)
+TELEOP   = Topic("cmd/teleop",      m.Velocity,      by="operator dashboard",     hz=20, keep="latest", within=0.005)
+ESTOP    = Topic("estop",           m.EmergencyStop, by="operator dashboard",     hz=0,  keep="all",    within=0.005, latched=True)
+GUARD    = Topic("guard/status",    m.GuardStatus,   by="guard",                  hz=10, keep="latest", within=0.005)
+CMD_VEL  = Topic("cmd/vel",         m.Velocity,      by="guard",                  hz=20, keep="latest", within=0.003)
+HEALTH   = Topic("health",          m.Health,        by="*",                      hz=1,  keep="latest", within=0.100, people=True)
+LOG      = Topic("log",             m.LogLine,       by="*",                      hz=0,  keep="all",    within=0.100, people=True)
+JOURNAL  = Topic("journal",         m.Journal,       by="*",                      hz=1,  keep="all",    within=0.100, people=True)
+CLOCK    = Topic("sim/clock",       m.Clock,         by="sim",                    hz=50, keep="latest", within=0.002, people=True)
+TRUTH    = Topic("sim/truth",       m.Truth,         by="sim",                    hz=50, keep="all",    within=0.002, people=True)
+# fmt: on
+
+TOPICS: tuple[Topic[m.Message], ...] = tuple(t for t in list(globals().values()) if isinstance(t, Topic))
+BY_KEY = {topic.key: topic for topic in TOPICS}
+
+
+def key_of(topic: Topic[M], publisher: str) -> str:
+    """The key without the robot's name: `health/mapper` for a family, else the topic's own."""
+    return f"{topic.key}/{publisher}" if topic.by == "*" else topic.key
+
+
+def topic_of(key: str) -> "Topic[m.Message] | None":
+    """The registry's row for a key without the robot's name, or None."""
+    return BY_KEY.get(key) or BY_KEY.get(key.partition("/")[0] if key.count("/") == 1 else key)
