@@ -134,7 +134,7 @@ class RobotFile:
         self.path, self.tree = path, tree
 
     def section(self, name: str, model: type[T]) -> T:
-        """The section `name` as `model`; a missing section is the model's defaults. Raises UserError on the first fault."""
+        """The section `name` as `model`; a missing one is the model's defaults. Raises UserError on the first fault."""
         values = self.tree.get(name)
         if values is None:
             values = CommentedMap()

@@ -62,7 +62,7 @@ class Pose2:
 
 
 def arc(forward: float, turn: float) -> Pose2:
-    """The motion along a circular arc of length `forward` (m) that turns by `turn` (rad): exact, also for small turns."""
+    """The motion along a circular arc of length `forward` (m) that turns by `turn` (rad); exact for any turn."""
     half = turn / 2
     chord = forward * (sin(half) / half if abs(half) > 1e-9 else 1.0)
     return Pose2(chord * cos(half), chord * sin(half), wrapped(turn))

@@ -61,7 +61,7 @@ class OccupancyGrid:
             r, c = (row - self.first_row) * TILE_CELLS, (column - self.first_column) * TILE_CELLS
             cells[r : r + TILE_CELLS, c : c + TILE_CELLS] = tile.reshape(TILE_CELLS, TILE_CELLS)
         self.cells = cells
-        return cells != old
+        return np.not_equal(cells, old)
 
     def _grown(self, update: MapUpdate) -> Int8s:
         """The cells on a rectangle that holds the present tiles and the update's."""
@@ -111,19 +111,19 @@ class OccupancyGrid:
         return self.x0 + (column + 0.5) * self.resolution, self.y0 + (row + 0.5) * self.resolution
 
     def holds(self, row: int, column: int) -> bool:
-        return 0 <= row < self.cells.shape[0] and 0 <= column < self.cells.shape[1]
+        return bool(0 <= row < self.cells.shape[0] and 0 <= column < self.cells.shape[1])
 
     @property
     def occupied(self) -> Bools:
         """(h, w) bool."""
-        return self.cells >= OCCUPIED_FROM
+        return np.asarray(self.cells >= OCCUPIED_FROM)
 
     @property
     def free(self) -> Bools:
         """(h, w) bool."""
-        return (self.cells >= 0) & (self.cells <= FREE_UP_TO)
+        return np.asarray((self.cells >= 0) & (self.cells <= FREE_UP_TO))
 
     @property
     def unknown(self) -> Bools:
         """(h, w) bool: never seen, or seen too little to tell."""
-        return ~(self.occupied | self.free)
+        return np.asarray(~(self.occupied | self.free))

@@ -5,7 +5,6 @@ Each field declares its unit, shape and bounds once; validation, documentation a
 from here. Numbers are finite unless `Within(..., nan=True)`. Arrays arrive read-only.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from math import pi
@@ -196,8 +195,8 @@ TILE_CELLS = 64  # a tile's side, in cells; 64 x 64 int8 is 4 kB on the wire
 
 @dataclass(frozen=True, slots=True)
 class MapUpdate(Message):
-    """Changed tiles of the occupancy grid. Cell (row, column) of tile (i, j) is the square whose lower left corner lies
-    at ((j * 64 + column) * resolution, (i * 64 + row) * resolution) in `map`. Values: -1 unknown, 0 free .. 100 occupied.
+    """Changed tiles of the occupancy grid. Cell (row, column) of tile (i, j) is a square whose lower left corner lies
+    at ((j * 64 + column) * resolution, (i * 64 + row) * resolution) in `map`. -1 unknown, 0 free .. 100 occupied.
     """
 
     map_id: Stamp
@@ -239,7 +238,7 @@ class GoalKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Goal(Message):
-    """The present task of planner and local control. A higher `id` pre-empts; `clear_costmap` forgets local obstacles."""
+    """The present task of planner and local control. A higher `id` pre-empts; `clear_costmap` forgets obstacles."""
 
     id: Count
     kind: Annotated[GoalKind, Unit("1")]
@@ -361,7 +360,7 @@ class GuardStatus(Message):
 
 @dataclass(frozen=True, slots=True)
 class Health(Message):
-    """One service's second: from its own work loop, so a hung service falls silent. `inputs` is "key=Hz/age_ms" lines."""
+    """One service's second, from its own work loop: a hung service falls silent."""
 
     name: Text
     pid: Count
@@ -414,6 +413,3 @@ class Truth(Message):
     distance: Metres
     people_x: Annotated[Float32s, Unit("m"), Shape("p"), Within(-1e6, 1e6)]
     people_y: Annotated[Float32s, Unit("m"), Shape("p"), Within(-1e6, 1e6)]
-
-
-Merge = Callable[[Message, Message], Message]

@@ -71,7 +71,7 @@ class Request(Generic[Q, R]):
     """One row: `by` is the service that answers."""
 
     key: str
-    type: type[Q]
+    request: type[Q]
     reply: type[R]
     by: str
 
