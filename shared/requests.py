@@ -52,17 +52,10 @@ class Pause(Message):
 
 
 @dataclass(frozen=True, slots=True)
-class SaveMap(Message):
-    """Write the map (map.pgm, map.yaml, map.png) into the maps folder under this name."""
-
-    name: Text
-
-
-@dataclass(frozen=True, slots=True)
 class LoadMap(Message):
-    """Read a saved map and take it as the map; the robot's pose starts at `map_from_base`."""
+    """Take this map (its tool read the file; saving is the tool's too, from the latched `map`) and start on it."""
 
-    name: Text
+    map: Annotated[m.MapUpdate, Unit("tiles")]
     map_from_base: Pose
 
 
@@ -80,7 +73,6 @@ NAVIGATE = Request("request/navigate", Navigate, Reply, by="navigator")
 EXPLORE = Request("request/explore", Explore, Reply, by="navigator")
 CANCEL = Request("request/cancel", Cancel, Reply, by="navigator")
 PAUSE = Request("request/pause", Pause, Reply, by="navigator")
-SAVE_MAP = Request("request/save_map", SaveMap, Reply, by="mapper")
 LOAD_MAP = Request("request/load_map", LoadMap, Reply, by="mapper")
 
 REQUESTS: tuple[Request[Message, Message], ...] = tuple(r for r in list(globals().values()) if isinstance(r, Request))

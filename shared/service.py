@@ -11,8 +11,8 @@
         @every(hz=2)
         def report(self) -> Out: ...
 
-        @answer(requests.SAVE_MAP)
-        def save(self, request: SaveMap) -> Answer[Reply]:
+        @answer(requests.LOAD_MAP)
+        def load(self, request: LoadMap) -> Answer[Reply]:
             yield topics.MAP(...)
             return Reply(...)
 
