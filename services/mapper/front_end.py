@@ -110,6 +110,7 @@ class FrontEnd:
         origins, ends: (n, 2) m in `base`, NaN without an echo.  step: odometry's motion since the last sweep; doubt
         widens its standard deviation.  grid: what is known to be free.
         """
+        measured, step = step, self.odometry_error.corrected(step)
         normals = sweep_normals(origins, ends)
         valid = ~np.isnan(ends[:, 0])
         sweep = Sweep(origins[valid], np.ascontiguousarray(ends[valid]), np.ascontiguousarray(normals[valid]))
@@ -122,7 +123,7 @@ class FrontEnd:
             placed = self._placed(sweep, step, doubt, grid)
         self._believe(placed.match, step, doubt)
         self.motion = self.map_from_base.inverse() @ placed.match.map_from_base
-        self.odometry_error.learn(step, self.motion, placed.match.information)
+        self.odometry_error.learn(measured, self.motion, placed.match.information)
         self.map_from_base = placed.match.map_from_base
         n_told = placed.n_agree + placed.n_against + n_moving
         quality = placed.n_agree / max(n_told, LEAST_BEAMS)

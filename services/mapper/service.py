@@ -186,7 +186,9 @@ class MapperService(Service):
 
     def _motion(self, scan: LaserScan, end: int) -> tuple[Float64s, Float64s]:
         if not self.blind:
-            return self.track.during(scan.stamp, end)
+            times, motion = self.track.during(scan.stamp, end)
+            error = self.front_end.odometry_error
+            return times, motion * (error.forward.gain, error.forward.gain, error.turn.gain)
         back = _scaled(self.velocity, scan.scan_time).inverse()
         return np.array((-scan.scan_time, 0.0)), np.array(((back.x, back.y, back.yaw), (0.0, 0.0, 0.0)))
 
