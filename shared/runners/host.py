@@ -146,6 +146,6 @@ def request_of(key: str) -> Request[Message, Message] | None:
 
 
 def merged(before: Message | None, message: Message) -> Message:
-    """What a late joiner of a latched topic gets: the message, merged into what came before where its class says how."""
+    """What a late joiner of a latched topic gets: the message, merged into the earlier ones where its class can."""
     merge = getattr(before, "merged", None)
     return message if merge is None else cast(Message, merge(message))

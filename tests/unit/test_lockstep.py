@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lockstep runner's laws, on two toy services."""
 
+import pytest
+
 from shared import topics
 from shared.config import Robot, Section, load_robot
 from shared.messages import EmergencyStop, Velocity, WheelState
@@ -59,7 +61,7 @@ def test_a_killed_service_hears_and_says_nothing_and_its_successor_starts_anew()
     lockstep.run(0.2)
     lockstep.start("odometry", Counter(Section(), ROBOT))
     lockstep.run(0.1)
-    assert len(lockstep.service("odometry").seen) in (5, 6)
+    assert len(lockstep.service("odometry").seen) == 4
 
 
 def test_a_filter_loses_and_delays():
@@ -97,12 +99,8 @@ def test_nobody_publishes_what_is_not_theirs():
             yield topics.CMD_VEL(Velocity(self.now, 0.0, 0.0, ""))
 
     lockstep = Lockstep({"odometry": Forger(Section(), ROBOT)})
-    try:
+    with pytest.raises(TypeError, match="cmd/vel"):
         lockstep.run(1.0)
-    except TypeError as error:
-        assert "cmd/vel" in str(error)
-    else:
-        raise AssertionError("odometry commanded the base")
 
 
 def test_two_runs_give_the_same_bytes():
