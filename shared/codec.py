@@ -114,13 +114,23 @@ def encode(message: Message, envelope: Envelope) -> bytes:
 
 def decode(type_: type[M], payload: bytes) -> tuple[M, Envelope]:
     """The message and its envelope. Raises CodecError, never anything else, whatever the bytes."""
+    tree = _tree(payload)
+    return _checked(type_, tree), _envelope(tree.pop("@", None))
+
+
+def envelope_of(payload: bytes) -> Envelope:
+    """The envelope alone, of a message of any type. Raises CodecError."""
+    return _envelope(_tree(payload).get("@"))
+
+
+def _tree(payload: bytes) -> dict[str, Any]:
     try:
         tree = msgpack.unpackb(payload, raw=False, strict_map_key=True, use_list=True)
     except Exception as error:  # msgpack raises a dozen kinds on foreign bytes: all mean the same here
         raise CodecError(f"not msgpack: {type(error).__name__}") from None
     if type(tree) is not dict:
         raise CodecError("not a map")
-    return _checked(type_, tree), _envelope(tree.pop("@", None))
+    return tree
 
 
 def _envelope(value: Any) -> Envelope:

@@ -147,6 +147,23 @@ class RobotFile:
         except ValidationError as errors:
             raise self._told(name, model, errors) from None
 
+    def override(self, assignment: str) -> None:
+        """Sets one value from `section.key=value`, the value as YAML. Raises UserError where it does not read so."""
+        path, equals, text = assignment.partition("=")
+        keys = path.strip().split(".")
+        if not equals or len(keys) < 2 or not all(keys):
+            raise UserError(f"{assignment!r} sets nothing", "write section.key=value, like sim.world=office")
+        try:
+            value = YAML(typ="safe").load(text)
+        except YAMLError:
+            raise UserError(f"{assignment!r}: the value is not valid YAML", "quote it") from None
+        node = self.tree
+        for key in keys[:-1]:
+            node = node.setdefault(key, CommentedMap())
+            if not isinstance(node, dict):
+                raise UserError(f"{path}: {key} is not a section", "name a setting: zenav config show")
+        node[keys[-1]] = value
+
     @property
     def robot(self) -> Robot:
         """The `robot` section."""
