@@ -61,6 +61,12 @@ class Drive(Section):
             raise ValueError("motor_direction is +1 or -1")
         return self
 
+    def clamped(self, v: float, w: float) -> tuple[float, float]:
+        """The velocity (m/s, rad/s) scaled down, on its own arc, until it is within the limits."""
+        limit = self.max_speed if v >= 0 else self.max_reverse_speed
+        share = min(1.0, limit / abs(v) if v else 1.0, self.max_turn_rate / abs(w) if w else 1.0)
+        return v * share, w * share
+
 
 class Laser(Section):
     """The laser: its mount and its sweep, in its own frame."""
