@@ -48,7 +48,7 @@ class People(NamedTuple):
 def started(walks: tuple[Walk, ...], reacts: bool, seed: int, robot: tuple[float, float]) -> People:
     """People somewhere on their routes, each a little faster or slower than written, all by the seed.
 
-    robot: m, where it starts; nobody starts near it, except on a route that lies there wholly: at its farthest waypoint.
+    robot: m, where it starts; nobody starts near it; on a route wholly near it, at its farthest waypoint.
     """
     rng = np.random.default_rng([seed, 2])
     p, k = len(walks), max((len(w.route) for w in walks), default=1)
