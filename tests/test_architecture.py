@@ -213,9 +213,7 @@ def test_only_the_transport_and_zenav_speak_zenoh():
     for path in files():
         if not short(path).startswith(ZENOH):
             speaks = [name for name in imported(path) if name.split(".")[0] == "zenoh"]
-            assert not speaks, (
-                f"{short(path)} imports zenoh\nmend: publish by yielding; the live runner sends it"
-            )
+            assert not speaks, f"{short(path)} imports zenoh\nmend: publish by yielding; the live runner sends it"
 
 
 def test_only_the_files_that_own_it_open_files():
