@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-import numba
+from numba.core import config as numba_config
 
 from shared.config import load_robot
 from zenav.classes import built, made
@@ -33,7 +33,7 @@ def main() -> None:
 
 def cache_root() -> Path:
     """Where numba keeps what it compiled: one folder for all, or `__pycache__` beside each file."""
-    return Path(numba.config.CACHE_DIR) if numba.config.CACHE_DIR else ROOT
+    return Path(numba_config.CACHE_DIR) if numba_config.CACHE_DIR else ROOT
 
 
 def clear_stale(cache: Path) -> bool:
