@@ -12,6 +12,7 @@ Float64s = NDArray[np.float64]
 
 SPACING = 0.05  # m between the resampled points
 LEAP = 3.0  # m along the path within which the robot is looked for: it never skips a loop of the path
+SAME_PLACE = 0.2  # m
 
 
 class Ahead(NamedTuple):
@@ -30,11 +31,18 @@ class LocalPlan:
         """xs, ys: (n,) m in `map`, n > 0.  yaw: rad, heading at the end."""
         self.points = resampled(np.column_stack((xs, ys)))
         self.end = Pose2(float(xs[-1]), float(ys[-1]), yaw)
-        self.i_nearest = 0
+        self.i_nearest: int | None = None
+
+    def same_as(self, other: "LocalPlan") -> bool:
+        return self.end == other.end and np.array_equal(self.points, other.points)
 
     def ahead(self, odom_from_map: Pose2, here: Pose2, reach: float) -> Ahead:
         """The path from the point nearest to `here` (in `odom`) until it first is over `reach` m (by axis) away."""
         at = odom_from_map.inverse() @ here
+        if self.i_nearest is None:
+            # the plan may be older than the robot's place on it; of several legs that pass here, the first counts
+            away = np.hypot(self.points[:, 0] - at.x, self.points[:, 1] - at.y)
+            self.i_nearest = int(np.argmax(away <= away.min() + SAME_PLACE))
         near = self.points[self.i_nearest : self.i_nearest + int(LEAP / SPACING)]
         self.i_nearest += int(np.argmin((near[:, 0] - at.x) ** 2 + (near[:, 1] - at.y) ** 2))
         rest = odom_from_map @ self.points[self.i_nearest :]

@@ -157,7 +157,9 @@ class LocalCtrlService(Service):
     def _take_plan(self) -> Out:
         path = self.path
         if path is not None and self.goal is not None and path.goal_id == self.goal.id and len(path.xs):
-            self.plan = LocalPlan(path.xs, path.ys, float(path.yaws[-1]))
+            plan = LocalPlan(path.xs, path.ys, float(path.yaws[-1]))
+            if self.plan is None or not plan.same_as(self.plan):
+                self.plan = plan
         return ()
 
     @every(hz=20)
