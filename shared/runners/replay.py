@@ -5,9 +5,8 @@ Several services are replayed as a chain: what one publishes now is what the nex
 journal says so. The promise of equal bytes ends at the first `Gap`; the replay goes on behind it as well as it can.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import reduce
 from typing import Any, TypeVar
 
 from shared import topics
@@ -79,7 +78,7 @@ def replay(
         if name not in lives:
             raise UserError(f"{recording.path} has no journal of {name}", nearest(name, tuple(lives)))
     chosen = [life for name in names for life in lives[name]]
-    traffic = _Traffic(recording, chosen)
+    traffic = _Traffic(recording, chosen, [life for of_name in lives.values() for life in of_name])
     runs = [_Run(life, build(life.name), traffic) for life in chosen]
     waiting = [run for run in runs if run.life.events]
     while waiting:
@@ -101,12 +100,16 @@ class _Traffic:
     ended: the replayed sessions that will publish no more, and the time of their last event.
     """
 
-    def __init__(self, recording: Recording, lives: list[Life]) -> None:
+    def __init__(self, recording: Recording, lives: list[Life], all_lives: list[Life]) -> None:
         self.sessions = {life.session for life in lives}
         self.ended = {life.session: 0 for life in lives if not life.events}
         self.recorded: dict[tuple[str, str], dict[int, bytes]] = {}
         self._payloads: dict[tuple[str, str], dict[int, bytes]] = {}
+        self._taken_up = dict(_taken_up(all_lives))
         taken = {(e.key, e.session) for life in lives for e in life.events if e.kind in (MESSAGE, LATCHED)}
+        for source, event in self._taken_up.items():
+            if source in taken:
+                taken.add((event.key, event.session))
         for entry in recording.entries():
             try:
                 envelope = envelope_of(entry.payload)
@@ -135,6 +138,28 @@ class _Traffic:
         if found is None:
             raise _MissingError(key, session, sequence)
         return found
+
+    def latched(self, topic: Topic[Message], key: str, session: str, sequence: int) -> Message:
+        """The value kept for late joiners when this message was sent: all of its session's up to there, merged.
+
+        What a restarted publisher took up from its predecessor is part of it.
+        """
+        before = self._taken_up.get((key, session))
+        kept = None if before is None else self.latched(topic, key, before.session, before.number)
+        for number in range(sequence + 1):
+            kept = merged(kept, _valid(topic.type, self.payload(key, session, number)))
+        if kept is None:
+            raise _MissingError(key, session, sequence)
+        return kept
+
+
+def _taken_up(lives: list[Life]) -> Iterator[tuple[tuple[str, str], Event]]:
+    """By (key, session): the event in which a restarted service got its own latched value back."""
+    for life in lives:
+        for event in life.events:
+            topic = topics.topic_of(event.key) if event.kind == LATCHED else None
+            if topic is not None and life.name in topic.publishers:
+                yield (event.key, life.session), event
 
 
 class _MissingError(Exception):
@@ -217,14 +242,11 @@ class _Run:
             self._gap(f"{event.number} entries of the journal are missing")
 
     def _message(self, topic: Topic[Message], event: Event) -> tuple[Message, Envelope]:
-        """What arrived. A latched value is all that its source had sent, merged where its class can."""
         payload = self._traffic.payload(event.key, event.session, event.number)
-        message, envelope = _valid(topic.type, payload), envelope_of(payload)
         if event.kind == LATCHED and hasattr(topic.type, "merged"):
-            sequences = range(event.number + 1)
-            payloads = [self._traffic.payload(event.key, event.session, sequence) for sequence in sequences]
-            message = reduce(merged, (_valid(topic.type, payload) for payload in payloads))
-        return message, envelope
+            message = self._traffic.latched(topic, event.key, event.session, event.number)
+            return message, envelope_of(payload)
+        return _valid(topic.type, payload), envelope_of(payload)
 
     def _apply(self, effects: list[Effect]) -> None:
         for effect in effects:
