@@ -2,6 +2,7 @@
 """One YAML a robot, read into strict models. A service gets its own section and the robot's geometry, nothing else."""
 
 import difflib
+from io import StringIO
 from math import hypot, pi
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -178,6 +179,13 @@ class RobotFile:
             if not isinstance(node, dict):
                 raise UserError(f"{path}: {key} is not a section", "name a setting: zenav config show")
         node[keys[-1]] = value
+
+    @property
+    def text(self) -> str:
+        """The file as YAML, with what was overridden."""
+        stream = StringIO()
+        YAML(typ="rt").dump(self.tree, stream)
+        return stream.getvalue()
 
     @property
     def robot(self) -> Robot:

@@ -442,7 +442,10 @@ def _serve(
     file = configured(options.robot, options.set)
     config, robot = file.section(name, service_class.config_type), file.robot
     where, clock = transport.where_from(options.stack), clock_from(options.clock)
-    service = service_class(config, robot, **{key: sink(config) for key, sink in sinks.items()})
+    opened = {key: sink(config) for key, sink in sinks.items()}
+    service = service_class(config, robot, **opened)
+    if hasattr(service, "robot_file"):
+        service.robot_file = file.text
     service.warm()
     if name in VELOCITY_PATH and not transport.asks_for_realtime():
         log.info("no real-time priority (SCHED_RR) here: latency depends on other load")
@@ -456,6 +459,9 @@ def _serve(
             signal.signal(number, lambda *_: live.stop())
         log.info("started")
         live.run()
+    for sink in opened.values():
+        if hasattr(sink, "close"):
+            sink.close()
     log.info("stopped")
 
 
