@@ -108,6 +108,8 @@ class Robot(Section):
         x, y = corners[:, 0], corners[:, 1]
         if 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) <= 0:
             raise ValueError("footprint: corners must run counter-clockwise and enclose an area")
+        if not np.all(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T) > 1e-6):
+            raise ValueError("footprint: a corner repeats its neighbour; the outline closes by itself")
         if self.inscribed_radius <= 0:
             raise ValueError("footprint: the origin of `base` must lie inside")
         return self

@@ -21,6 +21,8 @@ PERSONAL_SPACE = 0.5  # m: nearer than this ahead, a person stops for the robot
 SQUEEZE = 0.12  # m: what a person leaves when walking around a robot that stands in the way
 WAITS = 1.5  # s before walking around
 TURNS_BACK = 6.0  # s of standing in front of something before turning back
+N_PLACES = 20  # tried for the start of a person
+APART = 2.0  # m from the robot's start to a person's
 ACCELERATION = 2.0  # m/s^2
 STRAYS = 0.9  # m off the way at most, when walking around
 
@@ -43,8 +45,11 @@ class People(NamedTuple):
     reacts: bool
 
 
-def started(walks: tuple[Walk, ...], reacts: bool, seed: int) -> People:
-    """People somewhere on their routes, each a little faster or slower than written, all by the seed."""
+def started(walks: tuple[Walk, ...], reacts: bool, seed: int, robot: tuple[float, float]) -> People:
+    """People somewhere on their routes, each a little faster or slower than written, all by the seed.
+
+    robot: m, where it starts; nobody starts near it; on a route wholly near it, at its farthest waypoint.
+    """
     rng = np.random.default_rng([seed, 2])
     p, k = len(walks), max((len(w.route) for w in walks), default=1)
     people = People(
@@ -59,9 +64,13 @@ def started(walks: tuple[Walk, ...], reacts: bool, seed: int) -> People:
     for i, walk in enumerate(walks):
         n = len(walk.route)
         people.routes[i, :n] = walk.route
-        target = int(rng.integers(n))
-        a, b = walk.route[target - 1], walk.route[target]
-        x, y = a + rng.uniform() * (b - a)
+        target = int(np.argmax(np.hypot(*(walk.route - robot).T)))
+        x, y = walk.route[target]
+        for leg, share in zip(rng.integers(n, size=N_PLACES), rng.uniform(size=N_PLACES)):
+            there = walk.route[leg - 1] + share * (walk.route[leg] - walk.route[leg - 1])
+            if np.hypot(*(there - robot)) > APART:
+                target, (x, y) = int(leg), there
+                break
         people.state[i] = x, y, walk.radius, 0.0, 0.0, 0.0, target, 1.0
     return people
 

@@ -64,10 +64,10 @@ class SimService(Service):
         start = Pose2(config.start.x, config.start.y, config.start.yaw) if config.start else None
         self.world: World = load(config.world, config.seed, config.clutter_jitter, config.barn_file, start)
         self.cells = self.world.cells
-        self.people = crowd.started(self.world.people, config.people_react, config.seed)
         corners = robot.corners
         self.body = dyn.Body(corners, grown(corners, dyn.TOUCH), grown(corners, dyn.RELEASE))
         pose = self.world.start
+        self.people = self._people()
         middle = np.array([[pose.x, pose.y]])
         if self.world.solid_at(middle)[0] or touches_world(placed(corners, pose.x, pose.y, pose.yaw), self.cells):
             raise UserError(
@@ -98,13 +98,16 @@ class SimService(Service):
 
     def warm(self) -> None:
         """Compiles the kernels on copies."""
-        people = crowd.started(self.world.people, self.config.people_react, self.config.seed)
         dyn.advance(
-            0, 1, self.state_now.copy(), self.targets, 1, np.zeros((1, 2)), self.wheels, self.body, self.cells, people,
-            self.history.copy(),
+            0, 1, self.state_now.copy(), self.targets, 1, np.zeros((1, 2)), self.wheels, self.body, self.cells,
+            self._people(), self.history.copy(),
         )  # fmt: skip
         self._true_sweep(0)
         cones(self.cells, self.history[0], self.cone_table, self.config.ranges.n_rays)
+
+    def _people(self) -> crowd.People:
+        start = self.world.start
+        return crowd.started(self.world.people, self.config.people_react, self.config.seed, (start.x, start.y))
 
     def state(self) -> str:
         return f"{self.world.name}, {int(self.state_now[dyn.N_CONTACTS])} contacts"
