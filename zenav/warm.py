@@ -33,7 +33,8 @@ def main() -> None:
 
 def cache_root() -> Path:
     """Where numba keeps what it compiled: one folder for all, or `__pycache__` beside each file."""
-    return Path(numba_config.CACHE_DIR) if numba_config.CACHE_DIR else ROOT
+    folder: str = numba_config.CACHE_DIR  # type: ignore[attr-defined]  # numba sets it from the environment
+    return Path(folder) if folder else ROOT
 
 
 def clear_stale(cache: Path) -> bool:
