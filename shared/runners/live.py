@@ -15,6 +15,7 @@ import traceback
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 from typing import Any, cast
 
 import msgpack
@@ -37,6 +38,7 @@ SECOND = 1_000_000_000
 VELOCITY_PATH = ("base_driver", "odometry", "local_ctrl", "guard")
 MAX_REQUESTS = 8
 RAW_CAPACITY = 200_000
+REMEMBERED = 30 * SECOND  # an older memory is of another drive: the robot may have been carried meanwhile
 
 log = logging.getLogger("zenav")
 
@@ -83,11 +85,47 @@ class Traffic:
         self.slowest, self.counts, self.ages = 0.0, {}, {}
 
 
+class Memory:
+    """What a service published last on its latched topics, kept on disk for its successor after a crash."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self._folder, self._name = folder, name
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def write(self, key: str, value: Callable[[], bytes]) -> None:
+        """Replaces the kept value, whole or not at all."""
+        path = self._path(key)
+        part = path.with_suffix(".part")
+        try:
+            part.write_bytes(value())
+            part.replace(path)
+        except OSError as error:
+            log.warning("%s cannot be kept for a restart: %s", key, error)
+
+    def read(self, key: str) -> bytes | None:
+        """The kept value, or None."""
+        try:
+            return self._path(key).read_bytes()
+        except FileNotFoundError:
+            return None
+
+    def _path(self, key: str) -> Path:
+        return self._folder / f"{self._name}-{key.replace('/', '-')}.msgpack"
+
+
 class Live:
     """One service on one session. `run` returns when `stop` was called."""
 
-    def __init__(self, service: Service, name: str, robot: str, session: zenoh.Session, clock: Clock) -> None:
-        self.clock, self.session = clock, session
+    def __init__(
+        self,
+        service: Service,
+        name: str,
+        robot: str,
+        session: zenoh.Session,
+        clock: Clock,
+        memory: Memory | None = None,
+    ) -> None:
+        self.clock, self.session, self.memory = clock, session, memory
         self.name, self.robot = name, robot
         self.host = Host(service, name, f"{time.time_ns():x}-{os.getpid():x}")
         self.inbox = Inbox()
@@ -104,6 +142,7 @@ class Live:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._latched: dict[str, transport.LatchedPublisher] = {}
         self._kept: dict[str, Message] = {}
+        self._unsaved: dict[str, Callable[[], bytes]] = {}
         self._declared: list[Any] = []
         self._declare()
 
@@ -118,6 +157,7 @@ class Live:
         now = self.clock.now()
         due = [now for _ in periods]
         report = now
+        self._restore(now)
         while not self._stopping:
             now = self.clock.now()
             if now >= report:
@@ -139,6 +179,26 @@ class Live:
         if journal is not None:
             self._publish(journal)
 
+    def _restore(self, now: int) -> None:
+        """Gives the service what it published last before a restart, on the latched topics that it listens to."""
+        for key in self._own_latched():
+            payload = self.memory.read(key) if self.memory is not None else None
+            if payload is None:
+                continue
+            try:
+                message, envelope = decode(topics.BY_KEY[key].type, payload)
+            except CodecError as error:
+                self.traffic.wrong(f"{key}: what was kept from before the restart is damaged: {error}", now)
+                continue
+            if 0 <= now - envelope.sent <= REMEMBERED:
+                log.info("taking up %s from before the restart", key)
+                self._kept[key] = message
+                self._apply(self.host.message(key, message, envelope, now, latched=True))
+
+    def _own_latched(self) -> list[str]:
+        listened = self.host.handlers.topics.values()
+        return [topic.key for topic, _ in listened if topic.latched and self.name in topic.publishers]
+
     def _declare(self) -> None:
         for topic in TOPICS:
             if self.name in topic.publishers:
@@ -148,7 +208,8 @@ class Live:
             self._places.append(place)
             self._declared.append(self.session.declare_subscriber(f"{self.robot}/**", partial(self._file_raw, place)))
         for topic, _ in self.host.handlers.topics.values():
-            self._declare_subscriber(topic)
+            if self.name not in topic.publishers:
+                self._declare_subscriber(topic)
         for request, _ in self.host.handlers.requests.values():
             self._declared.append(
                 self.session.declare_queryable(f"{self.robot}/{request.key}", partial(self._file_request, request))
@@ -279,13 +340,18 @@ class Live:
             log.log(logging.getLevelNamesMapping().get(line.level, logging.INFO), line.text)
         if sent.topic.latched:
             whole = self._kept[sent.key] = merged(self._kept.get(sent.key), sent.message)
-            self._latched[sent.key].keep(partial(encode, whole, sent.envelope))
+            value = partial(encode, whole, sent.envelope)
+            self._latched[sent.key].keep(value)
+            self._unsaved[sent.key] = value
         self._publishers[sent.key].put(sent.payload)
 
     def _report(self, now: int) -> None:
         journal = self.host.journal(now)
         if journal is not None:
             self._publish(journal)
+        if self.memory is not None:
+            for key in set(self._own_latched()) & set(self._unsaved):
+                self._workers.submit(self.memory.write, key, self._unsaved.pop(key))
         cpu, wall = time.process_time(), time.monotonic()
         share = (cpu - self._cpu_before[0]) / max(wall - self._cpu_before[1], 1e-3)
         seconds = max(wall - self._cpu_before[1], 1e-3)
@@ -329,6 +395,7 @@ def arguments(name: str) -> argparse.ArgumentParser:
     parser.add_argument("--stack", default="0", help="number of the stack on this host, or a router: tcp/router:7447")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="override a setting")
     parser.add_argument("--clock", default="", metavar="EPOCH:SPEED", help="simulated time: ns, times as fast as real")
+    parser.add_argument("--memory", default="", metavar="FOLDER", help="keep what a restart must not lose, as the map")
     parser.add_argument("--log", default="INFO", choices=["DEBUG", "INFO", "WARNING", "ERROR"], help="log level")
     return parser
 
@@ -375,7 +442,10 @@ def _serve(
     file = configured(options.robot, options.set)
     config, robot = file.section(name, service_class.config_type), file.robot
     where, clock = transport.where_from(options.stack), clock_from(options.clock)
-    service = service_class(config, robot, **{key: sink(config) for key, sink in sinks.items()})
+    opened = {key: sink(config) for key, sink in sinks.items()}
+    service = service_class(config, robot, **opened)
+    if hasattr(service, "robot_file"):
+        service.robot_file = file.text
     service.warm()
     if name in VELOCITY_PATH and not transport.asks_for_realtime():
         log.info("no real-time priority (SCHED_RR) here: latency depends on other load")
@@ -383,11 +453,15 @@ def _serve(
     gc.freeze()
     sys.setswitchinterval(0.0005)
     with transport.opened(where, name) as session:
-        live = Live(service, name, robot.name, session, clock)
+        memory = Memory(Path(options.memory), name) if options.memory else None
+        live = Live(service, name, robot.name, session, clock, memory)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: live.stop())
         log.info("started")
         live.run()
+    for sink in opened.values():
+        if hasattr(sink, "close"):
+            sink.close()
     log.info("stopped")
 
 
