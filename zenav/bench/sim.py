@@ -22,7 +22,7 @@ SIDE = 0.05  # m a cell
 
 
 def run(seconds: float = 10.0, repeats: int = 5) -> dict[str, Any]:
-    """Medians of `repeats` runs of `seconds` simulated seconds each: simulated seconds a CPU second, by world and laser.
+    """Medians of `repeats` runs of `seconds` simulated seconds: simulated seconds a CPU second, by world and laser.
 
     `summary.ratio` is the figure that the project promises: 720 beams, 40 Hz, a map of 1000 x 1000 cells.
     """
@@ -88,7 +88,7 @@ def _ratio(config: SimConfig, robot: Robot, world: str, seconds: float, repeats:
 
 
 def driven(service: SimService, drive: Drive, seconds: float) -> int:
-    """Drives circles for some simulated seconds, with a command before each tick as a base driver sends; counts scans."""
+    """Drives circles for some simulated seconds, with a command before each tick as from a base driver; counts scans."""
     per_second = drive.counts_per_turn / (2 * pi * drive.wheel_radius)  # counts/s of a wheel at 1 m/s
     n_scans = 0
     for _ in range(round(seconds * 1e9 / TICK_NS)):
