@@ -35,7 +35,7 @@ class Critics(Section):
     overspeed: float = Field(4.0, ge=0, le=1000, description="s/m: squared speed above what the clearance allows")
     headway: float = Field(20.0, ge=0, le=1000, description="1/(m s): squared braking distance that is not free ahead")
     reverse: float = Field(3.0, ge=0, le=100, description="1: a metre driven backward")
-    twirl: float = Field(0.03, ge=0, le=100, description="m s/rad^2: squared turn rate")
+    twirl: float = Field(0.15, ge=0, le=100, description="m s/rad^2: squared turn rate")
     smooth: float = Field(
         0.01, ge=0, le=100, description="m: squared change of command, as a share of what is possible"
     )
@@ -48,11 +48,11 @@ class MppiConfig(Section):
     rollouts: int = Field(1200, ge=64, le=20000, description="1: rollouts a tick, half to explore and half to polish")
     steps: int = Field(50, ge=10, le=200, description="1: steps of 1/20 s; 50 are 2.5 s")
     temperature: float = Field(
-        0.1, ge=0.001, le=100, description="m: cost difference that makes a rollout count e times less"
+        0.03, ge=0.001, le=100, description="m: cost difference that makes a rollout count e times less"
     )
     speed_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation, as a share of the top speed")
     turn_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation, as a share of the top turn rate")
-    polish: float = Field(0.25, ge=0, le=1, description="1: share of the noise around what exploring has found")
+    polish: float = Field(0.1, ge=0, le=1, description="1: share of the noise around what exploring has found")
     seed: int = Field(1, ge=0, description="1: of the noise, which is drawn once")
     clearance: float = Field(0.3, ge=0.02, le=3, description="m beyond the outline at which obstacles cost nothing")
     critical_clearance: float = Field(
