@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command line: what can be asked for, with units and examples. Only parsing; work is imported when it is due."""
 
+import shared.repeatable  # noqa: F401  # before numpy
+
+# isort: split
 import os
 import re
 import sys
