@@ -28,12 +28,12 @@ RUN .venv/bin/pip install --no-deps --no-build-isolation --disable-pip-version-c
 FROM python:3.11-slim-bookworm
 
 RUN useradd --uid 1000 --create-home zenav \
- && install -d -o zenav -g zenav /maps /recordings
+ && install -d -o zenav -g zenav /home/zenav/maps /home/zenav/recordings
 COPY --from=build --chown=zenav:zenav /opt/zenav /opt/zenav
 ENV PATH=/opt/zenav/.venv/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     NUMBA_CACHE_DIR=/opt/zenav/kernels
 USER zenav
 WORKDIR /home/zenav
-VOLUME ["/maps", "/recordings"]
+VOLUME ["/home/zenav/maps", "/home/zenav/recordings"]
 CMD ["zenav", "--help"]
