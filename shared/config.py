@@ -2,9 +2,10 @@
 """One YAML a robot, read into strict models. A service gets its own section and the robot's geometry, nothing else."""
 
 import difflib
+from io import StringIO
 from math import hypot, pi
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,7 +154,38 @@ class RobotFile:
         try:
             return model.model_validate(_plain(values))
         except ValidationError as errors:
-            raise self._told(name, model, errors) from None
+            raise self._told((name,), model, errors) from None
+
+    def whole(self, model: type[T]) -> T:
+        """The whole file as one `model`, for files without sections. Raises UserError on the first fault."""
+        try:
+            return model.model_validate(_plain(self.tree))
+        except ValidationError as errors:
+            raise self._told((), model, errors) from None
+
+    def override(self, assignment: str) -> None:
+        """Sets one value from `section.key=value`, the value as YAML. Raises UserError where it does not read so."""
+        path, equals, text = assignment.partition("=")
+        keys = path.strip().split(".")
+        if not equals or len(keys) < 2 or not all(keys):
+            raise UserError(f"{assignment!r} sets nothing", "write section.key=value, like sim.world=office")
+        try:
+            value = YAML(typ="safe").load(text)
+        except YAMLError:
+            raise UserError(f"{assignment!r}: the value is not valid YAML", "quote it") from None
+        node = self.tree
+        for key in keys[:-1]:
+            node = node.setdefault(key, CommentedMap())
+            if not isinstance(node, dict):
+                raise UserError(f"{path}: {key} is not a section", "name a setting: zenav config show")
+        node[keys[-1]] = value
+
+    @property
+    def text(self) -> str:
+        """The file as YAML, with what was overridden."""
+        stream = StringIO()
+        YAML(typ="rt").dump(self.tree, stream)
+        return stream.getvalue()
 
     @property
     def robot(self) -> Robot:
@@ -177,9 +209,9 @@ class RobotFile:
                 break
         return f"{_short(self.path)}:{line + 1}"
 
-    def _told(self, name: str, model: type[Section], errors: ValidationError) -> UserError:
+    def _told(self, above: tuple[str, ...], model: type[Section], errors: ValidationError) -> UserError:
         error = errors.errors()[0]
-        location = (name, *error["loc"])
+        location = (*above, *error["loc"])
         key = ".".join(str(part) for part in location)
         if error["type"] == "extra_forbidden":
             fields = _fields_at(model, error["loc"][:-1])
@@ -244,7 +276,7 @@ def _fields_at(model: Any, location: tuple[Any, ...]) -> tuple[str, ...]:
     for part in location:
         field = getattr(model, "model_fields", {}).get(part)
         if field is not None:
-            model = field.annotation
+            model = _item_type(field.annotation)
     return tuple(getattr(model, "model_fields", {}))
 
 
@@ -254,5 +286,10 @@ def _description_at(model: Any, location: tuple[Any, ...]) -> str:
         field = getattr(model, "model_fields", {}).get(part)
         if field is None:
             continue
-        text, model = field.description or "", field.annotation
+        text, model = field.description or "", _item_type(field.annotation)
     return text
+
+
+def _item_type(annotation: Any) -> Any:
+    """The model inside `tuple[Model, ...]` or `Model | None`; the annotation itself where there is none inside."""
+    return next((a for a in get_args(annotation) if hasattr(a, "model_fields")), annotation)

@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The occupancy grid: log-odds in tiles, carved free along the beams, clamped so that it forgets."""
+
+from math import log
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import Field
+
+from shared.config import Section
+from shared.grid import FREE_UP_TO
+from shared.messages import TILE_CELLS, MapUpdate
+
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
+Int8s = NDArray[np.int8]
+Int32s = NDArray[np.int32]
+Bools = NDArray[np.bool_]
+
+
+class OccupancyConfig(Section):
+    """The occupancy grid."""
+
+    resolution: float = Field(0.05, ge=0.005, le=1, description="m a cell")
+    hit: float = Field(0.7, gt=0.5, lt=1, description="probability of a cell in which a beam ended once")
+    miss: float = Field(0.36, gt=0, lt=0.5, description="probability of a cell that a beam crossed once")
+    surest_occupied: float = Field(0.96, gt=0.5, lt=1, description="probability over which a cell never rises")
+    surest_free: float = Field(0.06, gt=0, lt=0.5, description="probability under which a cell never falls")
+    range_max: float = Field(40.0, gt=0, le=250, description="m; what lies farther is not drawn")
+    no_echo_free: float = Field(
+        0.0, ge=0, le=1, description="share of range_max that a beam without an echo carves; 0: it says nothing"
+    )
+
+
+class Occupancy:
+    """Tiles of log-odds, made where beams go. `integrate` draws a scan; `update` gives the tiles that changed."""
+
+    def __init__(self, config: OccupancyConfig, map_id: int) -> None:
+        self.config = config
+        self.resolution = config.resolution
+        self.map_id = map_id
+        self.version = 0
+        self.n_scans = 0
+        self.places: dict[tuple[int, int], int] = {}  # tile row, column -> index into the arrays below
+        self.odds: Float32s = np.zeros((16, TILE_CELLS, TILE_CELLS), np.float32)
+        self.seen: Int32s = np.zeros((16, TILE_CELLS, TILE_CELLS), np.int32)  # the last scan that drew it; 0: none
+        self.dirty: Bools = np.zeros(16, np.bool_)
+        self.known: Int8s = np.zeros((16, TILE_CELLS * TILE_CELLS), np.int8)  # as published, plus 1: 0 is unknown
+        self._window: tuple[int, int, Int32s] = (0, 0, np.full((1, 1), -1, np.int32))
+
+    def integrate(self, origins: Float64s, ends: Float64s, silent: Float64s) -> None:
+        """Draws a scan: beams from origins (n, 2) to ends (n, 2), m in `map`, that hit (NaN: no measurement).
+
+        silent: (n, 2) ends up to which a beam without an echo is free, NaN elsewhere.  Each cell is drawn once a
+        scan, and a hit wins over free.
+        """
+        ends = _within(origins, ends, self.config.range_max)
+        corners = np.concatenate((origins, ends, silent))
+        corners = corners[~np.isnan(corners[:, 0])]
+        if not len(corners):
+            return
+        row0, column0, directory = self._directory(corners)
+        self._grow(int((directory < 0).sum()))
+        n_before = len(self.places)
+        self.n_scans += 1
+        c = self.config
+        n = _draw(
+            origins, ends, silent, self.resolution, directory, row0, column0, n_before, self.n_scans,
+            _logit(c.hit), _logit(c.miss), _logit(c.surest_free), _logit(c.surest_occupied),
+            self.odds, self.seen, self.dirty,
+        )  # fmt: skip
+        if n > n_before:
+            for i, j in np.argwhere(directory >= n_before):
+                self.places[int(i) + row0, int(j) + column0] = int(directory[i, j])
+
+    def update(self, stamp: int) -> MapUpdate | None:
+        """The tiles whose percentages changed since the last update, in the order of their place; None without any."""
+        changed = []
+        for place in sorted(place for place, i in self.places.items() if self.dirty[i]):
+            i = self.places[place]
+            self.dirty[i] = False
+            cells = percent(self.odds[i], self.seen[i]).reshape(-1) + np.int8(1)
+            if not np.array_equal(cells, self.known[i]):
+                self.known[i] = cells
+                changed.append(place)
+        if not changed:
+            return None
+        self.version += 1
+        return self._message(stamp, changed)
+
+    def whole(self, stamp: int) -> MapUpdate:
+        """All tiles as last published."""
+        return self._message(stamp, sorted(p for p, i in self.places.items() if self.known[i].any()))
+
+    def load(self, update: MapUpdate) -> None:
+        """Starts from a saved map, before the first scan; its tiles count as changed."""
+        self.resolution = update.resolution
+        for row, column, cells in zip(update.rows, update.columns, update.cells, strict=True):
+            self._grow(1)
+            i = self.places.setdefault((int(row), int(column)), len(self.places))
+            known = cells.reshape(TILE_CELLS, TILE_CELLS) >= 0
+            share = np.clip(
+                cells.reshape(TILE_CELLS, TILE_CELLS) / 100, self.config.surest_free, self.config.surest_occupied
+            )
+            self.odds[i] = np.where(known, np.log(share / (1 - share)), 0)
+            self.seen[i] = known
+            self.dirty[i] = True
+        self.n_scans = 1
+
+    def contradicted(self, points: Float64s) -> Bools:
+        """(n,) bool: which points (n, 2) m in `map` lie in cells known to be free, with free cells all around."""
+        if not len(points):
+            return np.zeros(0, np.bool_)
+        row0, column0, directory = self._directory(points)
+        free = _free(points, self.resolution, directory, row0, column0, _logit(FREE_UP_TO / 100), self.odds)
+        return np.asarray(free, bool)
+
+    def _message(self, stamp: int, places: list[tuple[int, int]]) -> MapUpdate:
+        return MapUpdate(
+            stamp,
+            self.map_id,
+            self.version,
+            self.resolution,
+            np.array([row for row, _ in places], np.int32),
+            np.array([column for _, column in places], np.int32),
+            (self.known[[self.places[p] for p in places]] - np.int8(1)).reshape(len(places), TILE_CELLS**2),
+        )
+
+    def _directory(self, points: Float64s) -> tuple[int, int, Int32s]:
+        """A window of tiles around points (n, 2) m: first row and column, and indices (-1: no tile)."""
+        side = TILE_CELLS * self.resolution
+        column0, row0 = (int(v) for v in np.floor(points.min(axis=0) / side - 0.1))
+        column1, row1 = (int(v) for v in np.floor(points.max(axis=0) / side + 0.1))
+        first_row, first_column, directory = self._window
+        last_row, last_column = first_row + directory.shape[0] - 1, first_column + directory.shape[1] - 1
+        if first_row <= row0 and first_column <= column0 and row1 <= last_row and column1 <= last_column:
+            return self._window
+        # wider than asked, so that it lasts for some scans
+        row0, column0, row1, column1 = row0 - 3, column0 - 3, row1 + 3, column1 + 3
+        directory = np.full((row1 - row0 + 1, column1 - column0 + 1), -1, np.int32)
+        for (i, j), index in self.places.items():
+            if row0 <= i <= row1 and column0 <= j <= column1:
+                directory[i - row0, j - column0] = index
+        self._window = row0, column0, directory
+        return self._window
+
+    def _grow(self, room: int) -> None:
+        """Makes room for new tiles. Zeros cost nothing until they are written, so that a wide window is cheap."""
+        n, capacity = len(self.places), len(self.odds)
+        while n + room > capacity:
+            capacity *= 2
+        if capacity > len(self.odds):
+            for name in ("odds", "seen", "dirty", "known"):
+                old = getattr(self, name)
+                new = np.zeros((capacity, *old.shape[1:]), old.dtype)
+                new[:n] = old[:n]
+                setattr(self, name, new)
+
+
+def percent(odds: Float32s, seen: Int32s) -> Int8s:
+    """Log-odds to 0..100, -1 where no scan drew the cell."""
+    share = 100 / (1 + np.exp(-odds.astype(np.float64)))
+    return np.where(seen > 0, np.round(share), -1).astype(np.int8)
+
+
+def _logit(probability: float) -> float:
+    return log(probability / (1 - probability))
+
+
+def _within(origins: Float64s, ends: Float64s, range_max: float) -> Float64s:
+    far = np.hypot(*(ends - origins).T) > range_max
+    if not far.any():
+        return ends
+    ends = ends.copy()
+    ends[far] = np.nan
+    return ends
+
+
+@njit(cache=True, nogil=True)
+def _draw(  # type: ignore[no-untyped-def]
+    origins,
+    ends,
+    silent,
+    resolution,
+    directory,
+    row0,
+    column0,
+    n_tiles,
+    scan,
+    hit,
+    miss,
+    lowest,
+    highest,
+    odds,
+    seen,
+    dirty,
+):
+    for k in range(len(ends)):
+        if np.isnan(ends[k, 0]):
+            continue
+        column, row = int(np.floor(ends[k, 0] / resolution)), int(np.floor(ends[k, 1] / resolution))
+        n_tiles = _add(row, column, hit, directory, row0, column0, n_tiles, scan, lowest, highest, odds, seen, dirty)
+    for k in range(len(ends)):
+        ex, ey = ends[k, 0], ends[k, 1]
+        if np.isnan(ex):
+            ex, ey = silent[k, 0], silent[k, 1]
+            if np.isnan(ex):
+                continue
+        # Amanatides & Woo 1987: every cell that the beam crosses, in order, without the one in which it ends
+        x, y = origins[k, 0] / resolution, origins[k, 1] / resolution
+        dx, dy = ex / resolution - x, ey / resolution - y
+        column, row = int(np.floor(x)), int(np.floor(y))
+        last_column, last_row = int(np.floor(ex / resolution)), int(np.floor(ey / resolution))
+        step_c, step_r = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
+        next_c = ((column + (dx > 0)) - x) / dx if dx != 0 else np.inf
+        next_r = ((row + (dy > 0)) - y) / dy if dy != 0 else np.inf
+        each_c = abs(1 / dx) if dx != 0 else np.inf
+        each_r = abs(1 / dy) if dy != 0 else np.inf
+        left = abs(last_column - column) + abs(last_row - row)
+        while left > 0:
+            n_tiles = _add(
+                row, column, miss, directory, row0, column0, n_tiles, scan, lowest, highest, odds, seen, dirty
+            )
+            if next_c < next_r:
+                column += step_c
+                next_c += each_c
+            else:
+                row += step_r
+                next_r += each_r
+            left -= 1
+    return n_tiles
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _add(  # type: ignore[no-untyped-def]
+    row, column, amount, directory, row0, column0, n_tiles, scan, lowest, highest, odds, seen, dirty
+):
+    i, j = (row >> 6) - row0, (column >> 6) - column0
+    if i < 0 or j < 0 or i >= directory.shape[0] or j >= directory.shape[1]:
+        return n_tiles
+    tile = directory[i, j]
+    if tile < 0:
+        tile = n_tiles
+        directory[i, j] = tile
+        n_tiles += 1
+    r, c = row & 63, column & 63
+    if seen[tile, r, c] != scan:
+        seen[tile, r, c] = scan
+        odds[tile, r, c] = min(max(odds[tile, r, c] + amount, lowest), highest)
+        dirty[tile] = True
+    return n_tiles
+
+
+@njit(cache=True, nogil=True)
+def _free(points, resolution, directory, row0, column0, limit, odds):  # type: ignore[no-untyped-def]
+    free = np.zeros(len(points), np.bool_)
+    for k in range(len(points)):
+        column, row = int(np.floor(points[k, 0] / resolution)), int(np.floor(points[k, 1] / resolution))
+        all_free = True
+        for r in range(row - 1, row + 2):
+            for c in range(column - 1, column + 2):
+                tile = directory[(r >> 6) - row0, (c >> 6) - column0]
+                if tile < 0 or odds[tile, r & 63, c & 63] > limit:
+                    all_free = False
+        free[k] = all_free
+    return free

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a scan is aligned with the map: one interface, two registrars.
+
+Both follow KISS-ICP (Vizzo et al., RA-L 2023): robust ICP against a thinned map of points from a motion prior. `line`
+minimises the distance to the surfaces (Censi, ICRA 2008) where the map knows their direction; `kiss` is the package.
+"""
+
+from dataclasses import dataclass
+from math import cos, hypot, pi, sin
+from typing import Literal
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import Field
+
+from services.mapper.point_map import PointMap, nearest
+from shared.config import Section
+from shared.geometry import Pose2
+
+Float64s = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+class RegistrationConfig(Section):
+    """Alignment of a scan with the map."""
+
+    registrar: Literal["line", "kiss"] = Field("line", description="line (point to line, ours) or kiss (the package)")
+    kernel: float = Field(0.2, ge=0.02, le=2, description="m, scale of the Geman-McClure kernel")
+    gate: float = Field(0.6, ge=0.05, le=3, description="m, farthest match at the start")
+    final_gate: float = Field(0.5, ge=0.05, le=3, description="m, farthest match at the end")
+    noise: float = Field(0.05, ge=0.005, le=1, description="m, one match's standard deviation")
+    prior: float = Field(0.03, ge=0.001, le=1, description="m, standard deviation of a step of odometry at least")
+    prior_share: float = Field(0.1, ge=0, le=1, description="m a metre of the step, added to `prior`")
+    prior_turn: float = Field(0.01, ge=0.0005, le=1, description="rad, of a step's turn at least")
+    prior_turn_share: float = Field(0.1, ge=0, le=1, description="rad a radian of the turn, added to `prior_turn`")
+    iterations: int = Field(30, ge=3, le=200, description="Gauss-Newton steps at most")
+    spacing: float = Field(0.05, ge=0.01, le=0.5, description="m between the map's points")
+    agrees: float = Field(0.1, ge=0.01, le=1, description="m from the map's surface up to which a beam agrees with it")
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """A scan's place on the map. information: (3, 3) of (x, y, yaw) in `map` about the pose, from the beams alone.
+
+    agree: (n,) bool, which points lie on the map's surfaces.  share: of them, 0..1.
+    """
+
+    map_from_base: Pose2
+    information: Float64s
+    agree: Bools
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """Where odometry says that the robot is, with the standard deviations of the step that led there (m, rad)."""
+
+    map_from_base: Pose2
+    sigma: float
+    sigma_turn: float
+
+
+class LineRegistrar:
+    """Point to line where a map point has a normal, point to point elsewhere, with a weak prior."""
+
+    def __init__(self, config: RegistrationConfig, range_max: float) -> None:
+        self.config = config
+        self.range_max = range_max
+        self.map = PointMap(config.spacing)
+
+    def clear(self) -> None:
+        """Forgets the map."""
+        self.map.clear()
+
+    def extend(self, points: Float64s, normals: Float64s) -> None:
+        """Adds surface points (n, 2) m with normals (n, 2), in `map`."""
+        self.map.insert(points, normals)
+
+    def register(self, points: Float64s, normals: Float64s, start: Pose2, prior: Prior) -> Match:
+        """Aligns points (n, 2) m in `base`, with normals, beginning at `start`."""
+        c = self.config
+        pose = _aligned(
+            points, normals, _row(start), _row(prior.map_from_base), prior.sigma, prior.sigma_turn,
+            c.gate, c.final_gate, c.kernel, c.noise, c.iterations, *self.map.index,
+        )  # fmt: skip
+        return self.measured(points, normals, Pose2(float(pose[0]), float(pose[1]), float(pose[2])))
+
+    def measured(self, points: Float64s, normals: Float64s, pose: Pose2) -> Match:
+        """How well the points fit the map at a pose, without moving it."""
+        c = self.config
+        agree, information = _measured(
+            points, normals, _row(pose), c.final_gate, c.kernel, c.noise, c.agrees, *self.map.index
+        )
+        return Match(pose, information, agree, float(agree.mean()) if len(agree) else 0.0)
+
+
+class KissRegistrar(LineRegistrar):
+    """The kiss-icp package's voxel map, registration and adaptive threshold; agreement is measured as for `line`."""
+
+    def __init__(self, config: RegistrationConfig, range_max: float) -> None:
+        super().__init__(config, range_max)
+        from kiss_icp.config import KISSConfig
+        from kiss_icp.mapping import get_voxel_hash_map
+        from kiss_icp.registration import get_registration
+        from kiss_icp.threshold import get_threshold_estimator
+
+        settings = KISSConfig()
+        settings.data.max_range = max(range_max, 1.0)
+        settings.mapping.voxel_size = 0.5
+        settings.registration.max_num_threads = 1
+        settings.adaptive_threshold.initial_threshold = 0.5
+        self._settings = settings
+        self._voxels = get_voxel_hash_map(settings)
+        self._registration = get_registration(settings)
+        self._new_threshold = get_threshold_estimator
+        self._threshold = get_threshold_estimator(settings)
+
+    def clear(self) -> None:
+        super().clear()
+        self._voxels.clear()
+        self._threshold = self._new_threshold(self._settings)
+
+    def extend(self, points: Float64s, normals: Float64s) -> None:
+        super().extend(points, normals)
+        self._voxels.add_points(_solid(points))
+
+    def register(self, points: Float64s, normals: Float64s, start: Pose2, prior: Prior) -> Match:
+        sigma = self._threshold.get_threshold()
+        guess = _matrix(start)
+        moved = self._registration.align_points_to_map(
+            points=_solid(points), voxel_map=self._voxels, initial_guess=guess,
+            max_correspondance_distance=3 * sigma, kernel=sigma,
+        )  # fmt: skip
+        self._threshold.update_model_deviation(np.linalg.inv(guess) @ moved)
+        pose = Pose2(float(moved[0, 3]), float(moved[1, 3]), float(np.arctan2(moved[1, 0], moved[0, 0])))
+        return self.measured(points, normals, pose)
+
+
+REGISTRARS: dict[str, type[LineRegistrar]] = {"line": LineRegistrar, "kiss": KissRegistrar}
+
+
+def step_prior(config: RegistrationConfig, before: Pose2, step: Pose2, doubt: float = 1.0) -> Prior:
+    """The prior after a step of odometry from a matched pose; `doubt` widens it."""
+    return Prior(
+        before @ step,
+        doubt * (config.prior + config.prior_share * hypot(step.x, step.y)),
+        doubt * (config.prior_turn + config.prior_turn_share * abs(step.yaw)),
+    )
+
+
+def _row(pose: Pose2) -> Float64s:
+    return np.array((pose.x, pose.y, pose.yaw))
+
+
+def _solid(points: Float64s) -> Float64s:
+    return np.column_stack((points, np.zeros(len(points))))
+
+
+def _matrix(pose: Pose2) -> Float64s:
+    matrix = np.eye(4)
+    matrix[:2, :2] = (cos(pose.yaw), -sin(pose.yaw)), (sin(pose.yaw), cos(pose.yaw))
+    matrix[:2, 3] = pose.x, pose.y
+    return matrix
+
+
+@njit(cache=True, nogil=True)
+def _normal_equations(  # type: ignore[no-untyped-def]
+    source, directions, pose, gate, kernel, agrees, agree, hessian, gradient, points, following, keys, heads
+):
+    """Sums J'wJ and J'wr over all matches at a pose, unscaled; marks the points that agree.
+
+    The increment is (dx, dy, dyaw) in `map`, turning about the robot: J of a moved point is [1 0 -ry; 0 1 rx].
+    """
+    hessian[:] = 0.0
+    gradient[:] = 0.0
+    c, s = cos(pose[2]), sin(pose[2])
+    for k in range(len(source)):
+        rx = c * source[k, 0] - s * source[k, 1]
+        ry = s * source[k, 0] + c * source[k, 1]
+        nx = c * directions[k, 0] - s * directions[k, 1]
+        ny = s * directions[k, 0] + c * directions[k, 1]
+        i, _ = nearest(pose[0] + rx, pose[1] + ry, nx, ny, gate, points, following, keys, heads)
+        agree[k] = False
+        if i < 0:
+            continue
+        dx, dy = pose[0] + rx - points[i, 0], pose[1] + ry - points[i, 1]
+        mx, my = points[i, 2], points[i, 3]
+        if mx != 0.0 or my != 0.0:
+            r = dx * mx + dy * my
+            w = 1.0 / (1.0 + (r / kernel) ** 2) ** 2
+            turn = mx * -ry + my * rx
+            hessian[0, 0] += w * mx * mx
+            hessian[0, 1] += w * mx * my
+            hessian[1, 1] += w * my * my
+            hessian[0, 2] += w * mx * turn
+            hessian[1, 2] += w * my * turn
+            hessian[2, 2] += w * turn * turn
+            gradient[0] += w * r * mx
+            gradient[1] += w * r * my
+            gradient[2] += w * r * turn
+            # beside the end of a wall the line goes on where the wall does not
+            agree[k] = abs(r) < agrees and dx * dx + dy * dy < 9.0 * agrees * agrees
+        else:
+            d = dx * dx + dy * dy
+            w = 1.0 / (1.0 + d / kernel**2) ** 2
+            hessian[0, 0] += w
+            hessian[1, 1] += w
+            hessian[0, 2] -= w * ry
+            hessian[1, 2] += w * rx
+            hessian[2, 2] += w * (rx * rx + ry * ry)
+            gradient[0] += w * dx
+            gradient[1] += w * dy
+            gradient[2] += w * (rx * dy - ry * dx)
+            agree[k] = d < agrees * agrees
+    hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
+
+
+@njit(cache=True, nogil=True)
+def _aligned(  # type: ignore[no-untyped-def]
+    source, directions, start, prior, sigma, sigma_turn, gate, final_gate, kernel, noise, iterations,
+    points, following, keys, heads,
+):  # fmt: skip
+    pose = start.copy()
+    hessian, gradient = np.zeros((3, 3)), np.zeros(3)
+    agree = np.zeros(len(source), np.bool_)
+    scale = 1.0 / noise**2
+    for n in range(iterations):
+        reach = max(final_gate, gate - 0.02 * n)
+        _normal_equations(
+            source, directions, pose, reach, kernel, 0.0, agree, hessian, gradient, points, following, keys, heads
+        )
+        hessian *= scale
+        gradient *= scale
+        hessian[0, 0] += 1.0 / sigma**2
+        hessian[1, 1] += 1.0 / sigma**2
+        hessian[2, 2] += 1.0 / sigma_turn**2
+        gradient[0] += (pose[0] - prior[0]) / sigma**2
+        gradient[1] += (pose[1] - prior[1]) / sigma**2
+        gradient[2] += ((pose[2] - prior[2] + pi) % (2 * pi) - pi) / sigma_turn**2
+        step = _solved(hessian, gradient)
+        pose -= step
+        if hypot(step[0], step[1]) < 1e-4 and abs(step[2]) < 1e-5:
+            break
+    pose[2] = (pose[2] + pi) % (2 * pi) - pi
+    return pose
+
+
+@njit(cache=True, nogil=True)
+def _measured(  # type: ignore[no-untyped-def]
+    source, directions, pose, gate, kernel, noise, agrees, points, following, keys, heads
+):
+    hessian, gradient = np.zeros((3, 3)), np.zeros(3)
+    agree = np.zeros(len(source), np.bool_)
+    _normal_equations(
+        source, directions, pose, gate, kernel, agrees, agree, hessian, gradient, points, following, keys, heads
+    )
+    return agree, hessian / noise**2
+
+
+@njit(cache=True, nogil=True)
+def _solved(a, b):  # type: ignore[no-untyped-def]  # (3, 3) symmetric positive definite, (3,) -> (3,), by Cramer's rule
+    c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
+    c01 = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
+    c02 = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
+    det = a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02
+    out = np.empty(3)
+    out[0] = (
+        b[0] * c00 + a[0, 1] * (a[1, 2] * b[2] - b[1] * a[2, 2]) + a[0, 2] * (b[1] * a[2, 1] - a[1, 1] * b[2])
+    ) / det
+    out[1] = (
+        a[0, 0] * (b[1] * a[2, 2] - a[1, 2] * b[2]) + b[0] * c01 + a[0, 2] * (a[1, 0] * b[2] - b[1] * a[2, 0])
+    ) / det
+    out[2] = (
+        a[0, 0] * (a[1, 1] * b[2] - b[1] * a[2, 1]) + a[0, 1] * (b[1] * a[2, 0] - a[1, 0] * b[2]) + b[0] * c02
+    ) / det
+    return out

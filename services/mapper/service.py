@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The mapper: scans and odometry in, the robot's pose and the map out."""
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from services.mapper.correlative_match import SearchConfig
+from services.mapper.deskew import deskewed
+from services.mapper.front_end import FrontEnd, FrontEndConfig, Tracked
+from services.mapper.occupancy import Occupancy, OccupancyConfig
+from services.mapper.odometry_track import OdometryConfig, OdometryTrack
+from services.mapper.registration import RegistrationConfig
+from shared import requests, topics
+from shared.config import Robot, Section
+from shared.geometry import Pose2, interpolated
+from shared.grid import OccupancyGrid
+from shared.messages import LaserScan, Localization, Odometry, PoseEstimate
+from shared.requests import LoadMap, Reply
+from shared.service import Answer, Log, Out, Service, answer, every, on
+
+Float64s = NDArray[np.float64]
+
+SECOND = 1_000_000_000
+OLDEST = SECOND  # a scan that is older when it arrives says where the robot was, not where it is
+FUTURE = SECOND // 2  # a stamp that is farther ahead is another clock's
+
+
+class MapperConfig(Section):
+    """The mapper."""
+
+    registration: RegistrationConfig = RegistrationConfig()
+    search: SearchConfig = SearchConfig()
+    front_end: FrontEndConfig = FrontEndConfig()
+    odometry: OdometryConfig = OdometryConfig()
+    occupancy: OccupancyConfig = OccupancyConfig()
+    blind_doubt: float = Field(
+        5.0, ge=1, le=100, description="how much wider the prior is when speed alone is known, without odometry"
+    )
+
+
+class MapperService(Service):
+    """SLAM's front end and its map. A scan waits until odometry covers its end, but not for long."""
+
+    config_type = MapperConfig
+
+    def __init__(self, config: MapperConfig, robot: Robot) -> None:
+        super().__init__(config, robot)
+        self.config: MapperConfig = config
+        self.track = OdometryTrack(config.odometry, robot.drive)
+        self.front_end = FrontEnd(config.front_end, config.registration, config.search, robot.laser.range_max)
+        self.grid = Occupancy(config.occupancy, 0)
+        self.pending: tuple[int, LaserScan] | None = None  # when it came, and the scan
+        self.last_end = -1  # ns, end of the last scan that was placed
+        self.velocity = Pose2()  # motion a second between the last two scans
+        self.blind = False  # the last scan was placed without odometry
+        self.tracked: Tracked | None = None
+        self.n_dropped = {"old": 0, "late": 0, "ahead": 0}
+
+    def warm(self) -> None:
+        """Runs a copy of the whole path on a made-up room."""
+        other = type(self)(self.config, self.robot)
+        laser = self.robot.laser
+        angles = laser.angle_min + laser.angle_increment * np.arange(laser.n_beams)
+        for i in range(4):
+            ranges = np.minimum(2.0 + 0.01 * i, 1.0 / np.maximum(np.abs(np.cos(angles)), 0.2)).astype(np.float32)
+            stamp = (i + 1) * SECOND
+            other.now = stamp + SECOND
+            list(other.odometry(Odometry(stamp, Pose2(0.3 * i, 0, 0), 0.3, 0.0, np.zeros(9))))
+            scan = LaserScan(
+                stamp, laser.angle_min, laser.angle_increment, 0.0, laser.range_min, laser.range_max, ranges
+            )
+            list(other.scan(scan))
+            other.front_end.searches_next = True
+        list(other.publish_map())
+        load = LoadMap(other.now, other.grid.whole(other.now), Pose2())
+        list(other.load_map(load))
+
+    def state(self) -> str:
+        if self.tracked is None:
+            return "waiting for a scan"
+        words = f"{self.tracked.state}, {len(self.grid.places)} tiles"
+        dropped = sum(self.n_dropped.values())
+        words += f", {dropped} scans dropped" if dropped else ""
+        return words + (", no odometry: scan matching alone" if self.blind else "")
+
+    @on(topics.ODOM)
+    def odometry(self, odometry: Odometry) -> Out:
+        if odometry.stamp > self.now + FUTURE:
+            return
+        if odometry.stamp < self.track.newest - SECOND and odometry.stamp > self.now - SECOND:
+            self.track.clear()  # the clock was set back
+            self.blind = True
+        jumps = self.track.n_jumps
+        if self.track.add(odometry, broken=self.blind and self.track.newest <= self.last_end):
+            if self.track.n_jumps > jumps:
+                yield Log("WARNING", "odometry jumped farther than the robot can drive: the pose on the map stays")
+            if self.pending and odometry.stamp >= _end(self.pending[1]):
+                yield from self._place_pending()
+
+    @on(topics.SCAN)
+    def scan(self, scan: LaserScan) -> Out:
+        end = _end(scan)
+        if self.now < self.last_end - SECOND:
+            yield Log("WARNING", "the clock was set back: going on from here")
+            self.last_end = -1
+            self.pending = None
+        if self.pending:
+            yield from self._place_pending()
+        if end <= self.last_end:
+            yield from self._drop("old")
+        elif end > self.now + FUTURE:
+            yield from self._drop("ahead")
+        elif end < self.now - OLDEST:
+            yield from self._drop("late")
+        else:
+            self.pending = self.now, scan
+            if self.track.newest >= end or self._odometry_is_silent(end):
+                yield from self._place_pending()
+
+    @every(hz=20)
+    def release(self) -> Out:
+        """A scan does not wait for odometry for ever."""
+        if self.pending and self.now - self.pending[0] >= self.config.odometry.late * SECOND:
+            yield from self._place_pending()
+
+    @every(hz=2)
+    def publish_map(self) -> Out:
+        update = self.grid.update(self.now)
+        if update is not None:
+            yield topics.MAP(update)
+
+    @answer(requests.LOAD_MAP)
+    def load_map(self, request: LoadMap) -> Answer[Reply]:
+        grid = OccupancyGrid(request.map.resolution, request.map.map_id)
+        if len(request.map.rows):
+            grid.apply(request.map)
+        if not grid.occupied.any():
+            return Reply(self.now, False, "bad_request", "the map holds no occupied cell: nothing to find the robot by")
+        self.grid = Occupancy(self.config.occupancy, max(self.now, self.grid.map_id + 1))
+        self.grid.load(request.map)
+        self.front_end.load(grid, request.map_from_base)
+        self.pending = None
+        self.velocity = Pose2()
+        update = self.grid.update(self.now)
+        if update is not None:
+            yield topics.MAP(update)
+        return Reply(self.now, True, "", f"{len(request.map.rows)} tiles")
+
+    def _drop(self, why: str) -> Out:
+        self.n_dropped[why] += 1
+        if self.n_dropped[why] == 1 or self.n_dropped[why] % 100 == 0:
+            yield Log("WARNING", f"scan dropped: its stamp is {why} ({self.n_dropped[why]} so far)")
+
+    def _odometry_is_silent(self, end: int) -> bool:
+        return not self.track.samples or self.track.newest < end - self.config.odometry.timeout * SECOND
+
+    def _place_pending(self) -> Out:
+        assert self.pending is not None
+        scan, self.pending = self.pending[1], None
+        end = _end(scan)
+        self.blind = self._odometry_is_silent(end)
+        seconds = (end - self.last_end) * 1e-9 if self.last_end >= 0 else 0.0
+        step = self._step(end, seconds)
+        times, motion = self._motion(scan, end)
+        origins, ends = deskewed(scan, self.robot.laser.mount, times, motion)
+        if self.tracked is None and not self.grid.places:
+            self.grid = Occupancy(self.config.occupancy, max(self.now, 1))
+        before = self.front_end.map_from_base
+        tracked = self.front_end.track(origins, ends, step, self.config.blind_doubt if self.blind else 1.0, self.grid)
+        moved = before.inverse() @ tracked.map_from_base
+        self.velocity = _scaled(moved, 1 / seconds) if 0.02 <= seconds <= 1 else Pose2()
+        if tracked.state is not Localization.LOST:
+            pose = tracked.map_from_base
+            self.grid.integrate(pose @ origins, pose @ ends, self._silent(scan, origins, ends))
+        self.last_end, self.tracked = end, tracked
+        yield topics.POSE(self._estimate(end, tracked))
+
+    def _step(self, end: int, seconds: float) -> Pose2:
+        """The motion since the last placed scan: by odometry, or at the last known speed."""
+        if self.last_end < 0:
+            return Pose2()
+        if self.blind:
+            return _scaled(self.velocity, min(seconds, 1.0))
+        return self.track.at(self.last_end).inverse() @ self.track.at(end)
+
+    def _motion(self, scan: LaserScan, end: int) -> tuple[Float64s, Float64s]:
+        if not self.blind:
+            return self.track.during(scan.stamp, end)
+        back = _scaled(self.velocity, scan.scan_time).inverse()
+        return np.array((-scan.scan_time, 0.0)), np.array(((back.x, back.y, back.yaw), (0.0, 0.0, 0.0)))
+
+    def _silent(self, scan: LaserScan, origins: Float64s, ends: Float64s) -> Float64s:
+        """Where beams without an echo were free, in `map`; NaN where they say nothing, which is the default."""
+        out = np.full_like(ends, np.nan)
+        share = self.config.occupancy.no_echo_free
+        if share > 0:
+            none = np.isnan(scan.ranges) | (scan.ranges >= scan.range_max)
+            angles = self.robot.laser.mount.yaw + scan.angle_min + scan.angle_increment * np.flatnonzero(none)
+            reach = share * min(scan.range_max, self.config.occupancy.range_max)
+            tips = origins[none] + reach * np.column_stack((np.cos(angles), np.sin(angles)))
+            out[none] = self.front_end.map_from_base @ tips
+        return out
+
+    def _estimate(self, end: int, tracked: Tracked) -> PoseEstimate:
+        if self.track.samples:
+            odom_from_base = self.track.odom_from_start(end) @ self.track.at(end)
+        else:
+            odom_from_base = Pose2()
+        return PoseEstimate(
+            end,
+            tracked.map_from_base,
+            tracked.map_from_base @ odom_from_base.inverse(),
+            np.clip(tracked.covariance, -1e12, 1e12).reshape(9),
+            tracked.quality,
+            tracked.state,
+        )
+
+
+def _end(scan: LaserScan) -> int:
+    return scan.stamp + round(scan.scan_time * SECOND)
+
+
+def _scaled(motion: Pose2, factor: float) -> Pose2:
+    return interpolated(Pose2(), motion, factor)

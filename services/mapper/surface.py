@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which way surfaces face: normals along a sweep, and surface points out of an occupancy grid."""
+
+from math import hypot, isnan, sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Float64s = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+NEIGHBOURS = 3  # beams to each side that a normal is fitted to
+LEAST = 4  # points for a fit
+FLAT = 0.04  # m, largest rms distance from the fitted line
+
+
+@njit(cache=True, nogil=True)
+def sweep_normals(origins, ends):  # type: ignore[no-untyped-def]  # (n, 2), (n, 2) -> (n, 2) float64
+    """Unit normals towards the laser, (0, 0) where no line fits: total least squares over +-3 beams without a gap.
+
+    origins, ends: (n, 2) m, ends NaN without an echo. A gap is a step longer than a surface that is seen at 75 degrees
+    from its normal would make at this spacing of the beams, and than 6 cm.
+    """
+    n = len(ends)
+    normals = np.zeros((n, 2))
+    linked = np.zeros(n, np.bool_)  # i to i + 1
+    for i in range(n - 1):
+        if isnan(ends[i, 0]) or isnan(ends[i + 1, 0]):
+            continue
+        ax, ay = ends[i, 0] - origins[i, 0], ends[i, 1] - origins[i, 1]
+        bx, by = ends[i + 1, 0] - origins[i + 1, 0], ends[i + 1, 1] - origins[i + 1, 1]
+        across = abs(ax * by - ay * bx) / max(hypot(ax, ay), 1e-9)
+        step = hypot(ends[i + 1, 0] - ends[i, 0], ends[i + 1, 1] - ends[i, 1])
+        linked[i] = step < max(4.0 * across, 0.06) and step < 1.0
+    for i in range(n):
+        if isnan(ends[i, 0]):
+            continue
+        low = high = i
+        while low > 0 and i - low < NEIGHBOURS and linked[low - 1]:
+            low -= 1
+        while high < n - 1 and high - i < NEIGHBOURS and linked[high]:
+            high += 1
+        if high - low + 1 < LEAST:
+            continue
+        nx, ny, rms = _line(ends[low : high + 1])
+        if rms > FLAT:
+            continue
+        towards = nx * (origins[i, 0] - ends[i, 0]) + ny * (origins[i, 1] - ends[i, 1])
+        sign = 1.0 if towards >= 0 else -1.0
+        normals[i, 0], normals[i, 1] = sign * nx, sign * ny
+    return normals
+
+
+@njit(cache=True, nogil=True)
+def _line(points):  # type: ignore[no-untyped-def]  # (n, 2) -> nx, ny, rms
+    n = len(points)
+    mx = my = 0.0
+    for i in range(n):
+        mx += points[i, 0]
+        my += points[i, 1]
+    mx /= n
+    my /= n
+    xx = xy = yy = 0.0
+    for i in range(n):
+        dx, dy = points[i, 0] - mx, points[i, 1] - my
+        xx += dx * dx
+        xy += dx * dy
+        yy += dy * dy
+    # the eigenvector of the smaller eigenvalue of [[xx, xy], [xy, yy]]
+    half = 0.5 * (xx - yy)
+    root = sqrt(half * half + xy * xy)
+    smaller = 0.5 * (xx + yy) - root
+    if root < 1e-12:
+        return 1.0, 0.0, 1e9
+    if half > 0:
+        nx, ny = -xy, half + root
+    else:
+        nx, ny = root - half, -xy
+    length = hypot(nx, ny)
+    return nx / length, ny / length, sqrt(max(smaller, 0.0) / n)
+
+
+@njit(cache=True, nogil=True)
+def grid_surface(occupied, free, x0, y0, resolution):  # type: ignore[no-untyped-def]
+    """Points and normals of the surfaces of a grid: (n, 2) m and (n, 2), normals towards free space or (0, 0).
+
+    occupied, free: (h, w) bool, row 0 at y0.  A surface cell is occupied and touches a free one. Its point is moved
+    onto the line through the surface cells within two cells, so that steps of one cell do not read as bumps.
+    """
+    h, w = occupied.shape
+    surface = np.zeros((h, w), np.bool_)
+    count = 0
+    for r in range(h):
+        for c in range(w):
+            if occupied[r, c] and (
+                (r > 0 and free[r - 1, c])
+                or (r < h - 1 and free[r + 1, c])
+                or (c > 0 and free[r, c - 1])
+                or (c < w - 1 and free[r, c + 1])
+            ):
+                surface[r, c] = True
+                count += 1
+    points, normals = np.zeros((count, 2)), np.zeros((count, 2))
+    near = np.empty((25, 2))
+    i = 0
+    for r in range(h):
+        for c in range(w):
+            if not surface[r, c]:
+                continue
+            k = 0
+            fx = fy = 0.0  # from occupied towards free
+            for rr in range(max(r - 2, 0), min(r + 3, h)):
+                for cc in range(max(c - 2, 0), min(c + 3, w)):
+                    if surface[rr, cc]:
+                        near[k, 0], near[k, 1] = cc - c, rr - r
+                        k += 1
+                    if free[rr, cc]:
+                        fx += cc - c
+                        fy += rr - r
+            px = py = 0.0
+            if k >= LEAST:
+                nx, ny, rms = _line(near[:k])
+                if rms < 0.8:
+                    along = nx * fx + ny * fy
+                    sign = 1.0 if along >= 0 else -1.0
+                    normals[i, 0], normals[i, 1] = sign * nx, sign * ny
+                    away = 0.0
+                    for j in range(k):
+                        away += nx * near[j, 0] + ny * near[j, 1]
+                    px, py = nx * away / k, ny * away / k
+            points[i, 0] = x0 + (c + 0.5 + px) * resolution
+            points[i, 1] = y0 + (r + 0.5 + py) * resolution
+            i += 1
+    return points, normals

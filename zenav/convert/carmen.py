@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CARMEN logs: text, one message a line, gzipped or not. Source: CARMEN's logger_io."""
+
+import gzip
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import isfinite, pi, radians
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.config import UserError
+from shared.geometry import Pose2
+
+Float32s = NDArray[np.float32]
+
+BOUND = 1e6  # m, rad, s: farther is a damaged number (stamps: 1e11 s)
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedPose:
+    """An ODOM line: raw wheel odometry."""
+
+    stamp: float  # s, the log's clock
+    odom_from_base: Pose2
+    v: float
+    w: float
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedScan:
+    """A FLASER or ROBOTLASER1 line, with the odometry at it. range_max: m, 0 where the line does not tell."""
+
+    stamp: float
+    odom_from_base: Pose2
+    odom_from_laser: Pose2
+    angle_min: float
+    angle_increment: float
+    range_max: float
+    ranges: Float32s
+
+
+@dataclass(slots=True)
+class Log:
+    """A log's records in the order of their lines, and what was wrong with it."""
+
+    records: list[LoggedPose | LoggedScan]
+    n_bad: int = 0
+    truncated: bool = False
+
+
+def read_carmen(path: Path) -> Log:
+    """Reads ODOM, FLASER and ROBOTLASER1 lines; others are skipped, and damaged ones are counted.
+
+    Raises UserError where the file cannot be read at all.
+    """
+    log = Log([])
+    try:
+        for line in _lines(path, log):
+            kind, _, rest = line.partition(" ")
+            reader = READERS.get(kind)
+            if reader is None:
+                continue
+            try:
+                log.records.append(reader(rest.split()))
+            except (ValueError, IndexError):
+                log.n_bad += 1
+    except OSError as error:
+        raise UserError(
+            f"cannot read {path}: {error.strerror or error}", "check the path and its permissions"
+        ) from None
+    return log
+
+
+def _lines(path: Path, log: Log) -> Iterator[str]:
+    with path.open("rb") as raw:
+        zipped = raw.read(2) == b"\x1f\x8b"
+    with gzip.open(path, "rb") if zipped else path.open("rb") as file:
+        try:
+            for line in file:
+                yield line.decode("ascii", "replace").strip()
+        except (EOFError, zlib.error, gzip.BadGzipFile):
+            log.truncated = True
+
+
+def _odom(words: list[str]) -> LoggedPose:
+    x, y, yaw, v, w = _numbers(words[:5], 5)
+    return LoggedPose(_stamp(words[6]), Pose2(x, y, yaw), v, w)
+
+
+def _flaser(words: list[str]) -> LoggedScan:
+    n = _count(words[0])
+    ranges = _ranges(words[1 : 1 + n], n)
+    x, y, yaw, base_x, base_y, base_yaw = _numbers(words[1 + n : 7 + n], 6)
+    # 181 and 361 beams hold both ends of the half circle, 180 and 360 leave out the last
+    increment = radians(1.0) if n < 270 else radians(0.5)
+    if n not in (180, 181, 360, 361):
+        increment = pi / (n - 1)
+    return LoggedScan(
+        _stamp(words[7 + n]), Pose2(base_x, base_y, base_yaw), Pose2(x, y, yaw), -pi / 2, increment, 0.0, ranges
+    )
+
+
+def _robotlaser(words: list[str]) -> LoggedScan:
+    start, _, increment, range_max = _numbers(words[1:5], 4)
+    n = _count(words[7])
+    ranges = _ranges(words[8 : 8 + n], n)
+    rest = words[9 + n + _count(words[8 + n], least=0) :]
+    x, y, yaw, base_x, base_y, base_yaw = _numbers(rest[:6], 6)
+    if increment == 0 or abs(increment) * (n - 1) > 2 * pi + 1e-3 or not 0 < range_max <= 250:
+        raise ValueError("a scan of no angles")
+    return LoggedScan(
+        _stamp(rest[11]), Pose2(base_x, base_y, base_yaw), Pose2(x, y, yaw), start, increment, range_max, ranges
+    )
+
+
+READERS: dict[str, Callable[[list[str]], LoggedPose | LoggedScan]] = {
+    "ODOM": _odom,
+    "FLASER": _flaser,
+    "ROBOTLASER1": _robotlaser,
+}
+
+
+def _numbers(words: list[str], n: int) -> list[float]:
+    numbers = [float(word) for word in words]
+    if len(numbers) != n or not all(isfinite(v) and abs(v) <= BOUND for v in numbers):
+        raise ValueError("a number is missing or out of bounds")
+    return numbers
+
+
+def _stamp(word: str) -> float:
+    stamp = float(word)
+    if not 0 <= stamp < 1e11:
+        raise ValueError("a stamp out of bounds")
+    return stamp
+
+
+def _count(word: str, least: int = 2) -> int:
+    n = int(word)
+    if not least <= n <= 20000:
+        raise ValueError("a count out of bounds")
+    return n
+
+
+def _ranges(words: list[str], n: int) -> Float32s:
+    ranges = np.array(words, np.float64)
+    if len(ranges) != n:
+        raise ValueError("fewer ranges than the line says")
+    # a range that is no number is a beam without a measurement, not a reason to lose the others
+    return np.where(np.isfinite(ranges) & (ranges >= 0), np.minimum(ranges, 250.0), np.nan).astype(np.float32)

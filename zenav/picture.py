@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A map with the driven way, as a picture for people."""
+
+from io import BytesIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.grid import OccupancyGrid
+
+Float64s = NDArray[np.float64]
+
+WALL, FREE, UNKNOWN = (25, 28, 36), (250, 250, 248), (188, 192, 198)
+WAY, START, END = (214, 62, 48), (30, 140, 60), (30, 90, 200)
+LONGEST = 2400  # pixels
+
+
+def map_picture(grid: OccupancyGrid, poses: Float64s) -> bytes:
+    """A PNG of the known map with the way (n, 3) on it, its start green and its end blue, and a scale bar."""
+    from PIL import Image, ImageDraw
+
+    rows, columns = np.nonzero(grid.cells >= 0)
+    if not len(rows):
+        rows = columns = np.array([0])
+    margin = 20
+    r0, r1 = int(rows.min()) - margin, int(rows.max()) + margin + 1
+    c0, c1 = int(columns.min()) - margin, int(columns.max()) + margin + 1
+    cells = np.full((r1 - r0, c1 - c0), -1, np.int8)
+    inner = grid.cells[max(r0, 0) : r1, max(c0, 0) : c1]
+    cells[max(-r0, 0) : max(-r0, 0) + inner.shape[0], max(-c0, 0) : max(-c0, 0) + inner.shape[1]] = inner
+    share = np.clip(cells[:, :, None] / 100.0, 0, 1)
+    colours = np.where(cells[:, :, None] < 0, UNKNOWN, np.array(FREE) + share * (np.array(WALL) - np.array(FREE)))
+    scale = max(1, min(4, LONGEST // max(cells.shape)))
+    image = Image.fromarray(colours[::-1].astype(np.uint8)).resize(
+        (cells.shape[1] * scale, cells.shape[0] * scale), Image.Resampling.NEAREST
+    )
+    if max(image.size) > LONGEST:
+        image.thumbnail((LONGEST, LONGEST), Image.Resampling.BOX)
+    pixel = image.size[0] / cells.shape[1]
+    draw = ImageDraw.Draw(image)
+    x = ((poses[:, 0] - grid.x0) / grid.resolution - c0) * pixel
+    y = image.size[1] - ((poses[:, 1] - grid.y0) / grid.resolution - r0) * pixel
+    way = [(float(a), float(b)) for a, b in zip(x, y)]
+    if len(way) > 1:
+        draw.line(way, fill=WAY, width=max(1, round(pixel / 2)), joint="curve")
+    for (a, b), colour in ((way[0], START), (way[-1], END)) if way else ():
+        draw.ellipse((a - 5, b - 5, a + 5, b + 5), fill=colour)
+    metre = pixel / grid.resolution
+    bar = next((m for m in (10, 5, 2, 1) if m * metre < image.size[0] / 3), 1)
+    draw.line((12, image.size[1] - 12, 12 + bar * metre, image.size[1] - 12), fill=WALL, width=3)
+    draw.text((12, image.size[1] - 28), f"{bar} m", fill=WALL)
+    stream = BytesIO()
+    image.save(stream, "PNG")
+    return stream.getvalue()

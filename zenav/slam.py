@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav slam`: the mapper's own code over a CARMEN log, as fast as it goes."""
+
+import json
+from bisect import bisect_right
+from collections.abc import Callable
+from math import cos, sin
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.mapper.service import MapperConfig, MapperService
+from shared.config import Drive, Laser, Mount, Robot, UserError
+from shared.geometry import interpolated
+from shared.grid import OccupancyGrid
+from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
+from shared.ros_map import replace_file, write_ros_map
+from shared.service import Out
+from shared.topics import Publication
+from zenav.convert.carmen import LoggedPose, LoggedScan, read_carmen
+
+Float64s = NDArray[np.float64]
+
+SECOND = 1_000_000_000
+NO_RETURN = 0.98  # of the largest range in the log: the scanner's way to say that nothing came back
+MAP_EVERY = 500  # scans between looks at the map: a log has no one who waits for it
+
+
+class Run:
+    """A mapper, fed; what it published, kept."""
+
+    def __init__(self, config: MapperConfig, robot: Robot) -> None:
+        self.mapper = MapperService(config, robot)
+        self.grid = OccupancyGrid()
+        self.estimates: list[PoseEstimate] = []
+        self.logs: list[str] = []
+
+    def take(self, out: Out | None) -> None:
+        for item in out or ():
+            if not isinstance(item, Publication):
+                self.logs.append(getattr(item, "text", ""))
+            elif isinstance(item.message, PoseEstimate):
+                self.estimates.append(item.message)
+            elif isinstance(item.message, MapUpdate):
+                self.grid.apply(item.message)
+
+
+def slam(
+    log: Path,
+    out: Path,
+    progress: Callable[[float], None] = lambda share: None,
+    config: MapperConfig | None = None,
+) -> dict[str, Any]:
+    """Runs the mapper over a log and writes trajectory.tum, map.pgm, map.yaml, map.png and report.json into `out`.
+
+    progress is called with the share that is done, 0..1. Returns the report. Raises UserError where the log cannot be
+    read or holds no scan, or `out` cannot be written.
+    """
+    read = read_carmen(log)
+    scans = [record for record in read.records if isinstance(record, LoggedScan)]
+    if not scans:
+        raise UserError(f"{log}: no FLASER or ROBOTLASER1 line that can be read", "give a CARMEN log of a 2D laser")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot write to {out}: {error.strerror}", "choose another folder for --out") from None
+    run = Run(config or MapperConfig(), robot_of(scans))
+    run.mapper.warm()
+    first = min(record.stamp for record in read.records)
+    times = _feed(run, read.records, first, progress)
+    stamps, poses = trajectory(read.records, run.estimates, first)
+    replace_file(out / "trajectory.tum", tum(stamps, poses).encode())
+    write_ros_map(out, run.grid.cells, run.grid.resolution, run.grid.x0, run.grid.y0)
+    from zenav.picture import map_picture
+
+    replace_file(out / "map.png", map_picture(run.grid, poses))
+    report = _report(log, read.n_bad, read.truncated, scans, run, poses, times)
+    replace_file(out / "report.json", (json.dumps(report, indent=2) + "\n").encode())
+    progress(1.0)
+    return report
+
+
+def robot_of(scans: list[LoggedScan]) -> Robot:
+    """The log's robot, as far as the log tells: its laser; a drive that can do whatever was driven."""
+    first = scans[0]
+    return Robot(
+        name="log",
+        footprint=((0.3, -0.3), (0.3, 0.3), (-0.3, 0.3), (-0.3, -0.3)),
+        drive=Drive(
+            wheel_radius=0.1, wheel_distance=0.4, counts_per_turn=1000, encoder_wrap=65536, motor_direction=1,
+            max_speed=3.0, max_reverse_speed=3.0, max_turn_rate=4.0, max_acceleration=3.0, max_braking=3.0,
+            max_turn_acceleration=10.0,
+        ),
+        laser=Laser(
+            mount=_mount(scans), angle_min=first.angle_min, angle_increment=first.angle_increment,
+            n_beams=len(first.ranges), scan_time=0.0, rate=5.0, range_min=0.05, range_max=_range_max(scans),
+        ),
+    )  # fmt: skip
+
+
+def _mount(scans: list[LoggedScan]) -> Mount:
+    """base_from_laser, where it is the same at every scan; corrected logs have another thing in its place."""
+    rows = np.array(
+        [(p.x, p.y, p.yaw) for p in (scan.odom_from_base.inverse() @ scan.odom_from_laser for scan in scans)]
+    )
+    middle = np.median(rows, axis=0)
+    if np.abs(rows - middle).max() > 0.01 or np.abs(middle[:2]).max() > 2:
+        return Mount()
+    return Mount(x=float(middle[0]), y=float(middle[1]), yaw=float(middle[2]))
+
+
+def _range_max(scans: list[LoggedScan]) -> float:
+    told = max(scan.range_max for scan in scans)
+    largest = max(float(np.nanmax(scan.ranges, initial=0.0)) for scan in scans)
+    return max(min(told or 250.0, NO_RETURN * largest), 0.1)
+
+
+def _feed(
+    run: Run, records: list[LoggedPose | LoggedScan], first: float, progress: Callable[[float], None]
+) -> list[float]:
+    """The records as messages, in the log's order; CPU seconds of each scan."""
+    times: list[float] = []
+    laser = run.mapper.robot.laser
+    for i, record in enumerate(records):
+        stamp = nanoseconds(record.stamp, first)
+        run.mapper.now = max(run.mapper.now, stamp)
+        v, w = (record.v, record.w) if isinstance(record, LoggedPose) else (0.0, 0.0)
+        run.take(run.mapper.odometry(Odometry(stamp, record.odom_from_base, v, w, np.zeros(9))))
+        if isinstance(record, LoggedScan):
+            begun = process_time()
+            run.take(
+                run.mapper.scan(
+                    LaserScan(
+                        stamp, record.angle_min, record.angle_increment, 0.0, laser.range_min, laser.range_max,
+                        record.ranges,
+                    )
+                )
+            )  # fmt: skip
+            times.append(process_time() - begun)
+            if len(times) % MAP_EVERY == 0:
+                run.take(run.mapper.publish_map())
+        if i % 200 == 0:
+            progress(i / len(records))
+    run.mapper.now += SECOND
+    run.take(run.mapper.release())
+    run.take(run.mapper.publish_map())
+    return times
+
+
+def nanoseconds(stamp: float, first: float) -> int:
+    """A log's time as the mapper's: ns since a second before the first record."""
+    return round((stamp - first + 1.0) * 1e9)
+
+
+def trajectory(
+    records: list[LoggedPose | LoggedScan], estimates: list[PoseEstimate], first: float
+) -> tuple[Float64s, Float64s]:
+    """The base's pose at every record: (n,) s on the log's clock, and (n, 3).
+
+    At scans it is the mapper's; between two scans odometry fills in, corrected by what it got wrong between them.
+    """
+    places = [estimate.stamp for estimate in estimates]
+    rows, stamps = [], []
+    for record in records:
+        stamp = nanoseconds(record.stamp, first)
+        i = bisect_right(places, stamp) - 1
+        if i >= 0 and places[i] == stamp:
+            pose = estimates[i].map_from_base
+        elif i < 0 or i + 1 == len(places):
+            pose = estimates[max(i, 0)].map_from_odom @ record.odom_from_base
+        else:
+            a, b = estimates[i], estimates[i + 1]
+            share = (stamp - a.stamp) / (b.stamp - a.stamp)
+            early = a.map_from_odom @ record.odom_from_base
+            late = b.map_from_odom @ record.odom_from_base
+            pose = interpolated(early, late, share)
+        stamps.append(record.stamp)
+        rows.append((pose.x, pose.y, pose.yaw))
+    return np.array(stamps), np.array(rows)
+
+
+def tum(stamps: Float64s, poses: Float64s) -> str:
+    """TUM format: `stamp x y z qx qy qz qw` a line."""
+    return "".join(
+        f"{t:.6f} {x:.6f} {y:.6f} 0 0 0 {sin(yaw / 2):.9f} {cos(yaw / 2):.9f}\n"
+        for t, (x, y, yaw) in zip(stamps, poses)
+    )
+
+
+def _report(
+    log: Path, n_bad: int, truncated: bool, scans: list[LoggedScan], run: Run, poses: Float64s, times: list[float]
+) -> dict[str, Any]:
+    quality = np.array([estimate.quality for estimate in run.estimates] or [0.0])
+    states = [str(estimate.state) for estimate in run.estimates]
+    return {
+        "log": log.name,
+        "scans": len(scans),
+        "scans_placed": len(run.estimates),
+        "scans_dropped": dict(run.mapper.n_dropped),
+        "bad_lines": n_bad,
+        "truncated": truncated,
+        "odometry_jumps": run.mapper.track.n_jumps,
+        "seconds": round(scans[-1].stamp - scans[0].stamp, 3),
+        "length_m": round(float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()), 2),
+        "cpu_s": round(sum(times), 3),
+        "cpu_ms_per_scan": {
+            "median": round(float(np.median(times)) * 1e3, 3),
+            "p99": round(float(np.percentile(times, 99)) * 1e3, 3),
+        },
+        "quality": {
+            "mean": round(float(quality.mean()), 4),
+            "p01": round(float(np.percentile(quality, 1)), 4),
+        },
+        "states": {state: states.count(state) for state in sorted(set(states))},
+        "tiles": len(run.mapper.grid.places),
+        "log_lines": run.logs[:20],
+    }
