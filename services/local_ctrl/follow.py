@@ -5,7 +5,7 @@ from math import atan2, copysign, hypot, pi
 
 from pydantic import Field
 
-from services.local_ctrl.distance_to_go import DistanceToGoConfig, carrot, distance_to_go
+from services.local_ctrl.distance_to_go import DistanceToGoConfig, carrot, distance_to_go, way_closed
 from services.local_ctrl.footprint import Footprint
 from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.local_plan import Ahead, LocalPlan
@@ -67,7 +67,8 @@ class Follower:
         if (outcome := self._turned_to_way(scene, costmap, motion, left)) is not None:
             return outcome
         solution = self.mppi.solve(scene, self.footprint, n_elapsed)
-        stalls = solution.gain < 0.1 and abs(solution.velocities[0, 0]) < 0.05
+        closed = way_closed(scene.to_go, scene.field, scene.x, scene.y, scene.resolution, self.footprint.inscribed)
+        stalls = closed or (solution.gain < 0.1 and abs(solution.velocities[0, 0]) < 0.05)
         self.n_stalled = self.n_stalled + 1 if stalls else 0
         if solution.collides or self.n_stalled * DT >= self.config.stalled_after:
             return braking(motion, self.limits, FollowState.BLOCKED, reasons.BLOCKED.code, left)

@@ -35,7 +35,7 @@ class Critics(Section):
     overspeed: float = Field(4.0, ge=0, le=1000, description="s/m: squared speed above what the clearance allows")
     headway: float = Field(20.0, ge=0, le=1000, description="1/(m s): squared braking distance that is not free ahead")
     reverse: float = Field(3.0, ge=0, le=100, description="1: a metre driven backward")
-    twirl: float = Field(0.03, ge=0, le=100, description="m s/rad^2: squared turn rate")
+    twirl: float = Field(0.15, ge=0, le=100, description="m s/rad^2: squared turn rate")
     smooth: float = Field(
         0.01, ge=0, le=100, description="m: squared change of command, as a share of what is possible"
     )
@@ -45,13 +45,14 @@ class Critics(Section):
 class MppiConfig(Section):
     """Model predictive path integral control."""
 
-    rollouts: int = Field(1200, ge=64, le=20000, description="1: rollouts a tick")
+    rollouts: int = Field(1200, ge=64, le=20000, description="1: rollouts a tick, half to explore and half to polish")
     steps: int = Field(50, ge=10, le=200, description="1: steps of 1/20 s; 50 are 2.5 s")
     temperature: float = Field(
-        0.1, ge=0.001, le=100, description="m: cost difference that makes a rollout count e times less"
+        0.03, ge=0.001, le=100, description="m: cost difference that makes a rollout count e times less"
     )
     speed_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation, as a share of the top speed")
     turn_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation, as a share of the top turn rate")
+    polish: float = Field(0.1, ge=0, le=1, description="1: share of the noise around what exploring has found")
     seed: int = Field(1, ge=0, description="1: of the noise, which is drawn once")
     clearance: float = Field(0.3, ge=0.02, le=3, description="m beyond the outline at which obstacles cost nothing")
     critical_clearance: float = Field(
@@ -120,10 +121,10 @@ class Mppi:
         rest = {k: getattr(config, k) for k in Weights._fields if k not in critics}
         self.weights = Weights(**critics, **rest)
         self.noise = _noise(config, limits)
-        self.targets = np.zeros((config.rollouts, config.steps, 2), np.float32)
+        n = config.rollouts // 2
+        self.targets = np.zeros((n, config.steps, 2), np.float32)
         self.executed = np.zeros_like(self.targets)
-        self.costs = np.zeros(config.rollouts)
-        self.gains = np.zeros(config.rollouts)
+        self.costs, self.gains = np.zeros(n), np.zeros(n)
         self.reset()
 
     def reset(self) -> None:
@@ -138,15 +139,22 @@ class Mppi:
         self.n_solved += 1
         # a step that shares no factor with the pool's size visits every start before it repeats
         start = (self.n_solved * 7919) % len(self.noise)
-        _sample(self.mean, self.noise, start, scene, self.limits, self.targets)
+        _explore(self.mean, self.noise, start, scene, self.limits, self.targets)
+        coarse = self._best(scene, footprint)
+        _polish(coarse.velocities, self.noise, start + len(self.targets), self.config.polish, self.targets)
+        fine = self._best(scene, footprint)
+        self.mean = fine.velocities
+        return fine
+
+    def _best(self, scene: Scene, footprint: Footprint) -> Solution:
+        """The weighted average of `targets`, or the best of them where two ways around an obstacle average into it."""
         _evaluate(self.targets, scene, footprint, self.limits, self.weights, self.executed, self.costs, self.gains)
         best = int(np.argmin(self.costs))
         velocities = _average(self.executed, self.costs, self.config.temperature)
-        mean, cost, gain = self._scored(velocities, scene, footprint)
-        if cost > self.costs[best]:  # an average of two ways around an obstacle may lead into it
-            mean, cost, gain = self.executed[best].astype(float), float(self.costs[best]), float(self.gains[best])
-        self.mean = mean
-        return Solution(mean, cost, cost >= 0.4 * self.weights.collision, gain)
+        velocities, cost, gain = self._scored(velocities, scene, footprint)
+        if cost > self.costs[best]:
+            velocities, cost, gain = self.executed[best].astype(float), float(self.costs[best]), float(self.gains[best])
+        return Solution(velocities, cost, cost >= 0.4 * self.weights.collision, gain)
 
     def _scored(self, velocities: Float64s, scene: Scene, footprint: Footprint) -> tuple[Float64s, float, float]:
         executed = np.empty((1, *velocities.shape), np.float32)
@@ -165,15 +173,13 @@ def _noise(config: MppiConfig, limits: Limits) -> Float32s:
     share = (place - low)[None, :, None]
     knots = rng.standard_normal((n, n_knots, 2))
     wave = knots[:, low] * (1 - share) + knots[:, low + 1] * share
-    # small and large noise: some rollouts polish the last solution, some look elsewhere
-    size = np.where(rng.random(n) < 0.5, 0.3, 1.0)[:, None, None]
     scale = (config.speed_noise * limits.v_max, config.turn_noise * limits.w_max)
-    noise = (wave + 0.7 * rng.standard_normal((n, 1, 2))) * size * scale
+    noise = (wave + 0.7 * rng.standard_normal((n, 1, 2))) * scale
     return np.ascontiguousarray(noise, np.float32)
 
 
 @njit(cache=True, nogil=True)
-def _sample(mean: Float64s, noise: Float32s, start: int, scene: Scene, limits: Limits, targets: Float32s) -> None:
+def _explore(mean: Float64s, noise: Float32s, start: int, scene: Scene, limits: Limits, targets: Float32s) -> None:
     n, steps, _ = targets.shape
     targets[0] = mean
     targets[1] = 0.0
@@ -194,6 +200,13 @@ def _sample(mean: Float64s, noise: Float32s, start: int, scene: Scene, limits: L
             for t in range(steps):
                 targets[k, t, 0] = guess[t, 0] + 0.5 * row[t, 0]
                 targets[k, t, 1] = guess[t, 1] + 0.5 * row[t, 1]
+
+
+@njit(cache=True, nogil=True)
+def _polish(mean: Float64s, noise: Float32s, start: int, share: float, targets: Float32s) -> None:
+    targets[0] = mean
+    for k in range(1, len(targets)):
+        targets[k] = mean + share * noise[(start + k) % len(noise)]
 
 
 @njit(cache=True, nogil=True)
