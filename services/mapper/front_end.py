@@ -105,9 +105,7 @@ class FrontEnd:
             match = self._better(match, points, normals, guesses, unsure)
         return match
 
-    def _better(
-        self, match: Match, points: Float64s, normals: Float64s, guesses: list[Pose2], prior: Prior
-    ) -> Match:
+    def _better(self, match: Match, points: Float64s, normals: Float64s, guesses: list[Pose2], prior: Prior) -> Match:
         """The match, or one from another guess that clearly more beams agree with."""
         for guess in guesses:
             other = self.registrar.register(points, normals, guess, prior)
