@@ -10,7 +10,7 @@ from pydantic import Field
 
 from services.mapper.correlative_match import SearchConfig, candidates
 from services.mapper.occupancy import Occupancy
-from services.mapper.registration import REGISTRARS, Match, RegistrationConfig, step_prior
+from services.mapper.registration import REGISTRARS, Match, Prior, RegistrationConfig, step_prior
 from services.mapper.surface import grid_surface, sweep_normals
 from shared.config import Section
 from shared.geometry import Pose2
@@ -60,6 +60,7 @@ class FrontEnd:
         self.keyframe: Pose2 | None = None  # of the last scan that joined the map
         self.covariance: Float64s = np.zeros((3, 3))
         self.state = Localization.STARTING
+        self.motion = Pose2()  # between the last two sweeps
         self.n_bad = 0
         self.searches_next = False
 
@@ -80,6 +81,7 @@ class FrontEnd:
         points, normals = np.ascontiguousarray(ends[valid]), np.ascontiguousarray(normals[valid])
         match = self._matched(points, normals, step, doubt)
         self._believe(match, step, doubt)
+        self.motion = self.map_from_base.inverse() @ match.map_from_base
         self.map_from_base = match.map_from_base
         quality, told = self._judged(match, points, grid)
         self._grade(quality, told, len(points))
@@ -94,10 +96,19 @@ class FrontEnd:
         match = self.registrar.register(points, normals, prior.map_from_base, prior)
         if match.share >= self.search.below and not self.searches_next:
             return match
-        self.searches_next = False
+        # odometry may lie: a slipping wheel, a stall, a wrong direction. The motion before this step is another guess
         unsure = step_prior(self.registration, self.map_from_base, step, 10 * doubt)
-        for pose in candidates(points, self.registrar.map, prior.map_from_base, self.search):
-            other = self.registrar.register(points, normals, pose, unsure)
+        match = self._better(match, points, normals, [self.map_from_base @ self.motion], unsure)
+        if match.share < self.search.below or self.searches_next:
+            self.searches_next = False
+            guesses = candidates(points, self.registrar.map, prior.map_from_base, self.search)
+            match = self._better(match, points, normals, guesses, unsure)
+        return match
+
+    def _better(self, match: Match, points: Float64s, normals: Float64s, guesses: list[Pose2], prior: Prior) -> Match:
+        """The match, or one from another guess that clearly more beams agree with."""
+        for guess in guesses:
+            other = self.registrar.register(points, normals, guess, prior)
             if other.share > match.share + self.search.gain:
                 match = other
         return match

@@ -22,10 +22,11 @@ import msgpack
 import psutil
 import zenoh
 
-from shared import topics
+from shared import reasons, topics
 from shared.codec import CodecError, Envelope, decode, encode, envelope_of
 from shared.config import RobotFile, UserError, load_robot
 from shared.messages import Health, LogLine, Message
+from shared.reasons import Reason
 from shared.requests import Request
 from shared.runners import transport
 from shared.runners.admission import Admission, Verdict
@@ -252,7 +253,7 @@ class Live:
 
     def _file_request(self, request: Request[Message, Message], query: zenoh.Query) -> None:
         if len(self._requests.items) >= MAX_REQUESTS:
-            _refuse(query, "busy", "")
+            _refuse(query, reasons.BUSY, "")
         else:
             self.inbox.file(self._requests, (request, query))
 
@@ -315,7 +316,7 @@ class Live:
         except CodecError as error:
             self.traffic.bad += 1
             self.traffic.wrong(f"{request.key}: a bad request was refused: {error}", now)
-            _refuse(query, "bad_request", str(error))
+            _refuse(query, reasons.BAD_REQUEST, str(error))
             return
         effects, reply = self.host.request(request.key, message, payload, now)
         with query:
@@ -383,9 +384,9 @@ def _next_tick(due: int, period: int, now: int) -> int:
     return upcoming if upcoming > now else now + period - (now - due) % period
 
 
-def _refuse(query: zenoh.Query, code: str, text: str) -> None:
+def _refuse(query: zenoh.Query, reason: Reason, text: str) -> None:
     with query:
-        query.reply_err(msgpack.packb({"code": code, "text": text}))
+        query.reply_err(msgpack.packb({"code": reason.code, "text": text}))
 
 
 def arguments(name: str) -> argparse.ArgumentParser:
