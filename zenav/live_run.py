@@ -10,7 +10,7 @@ from typing import Any
 import psutil
 
 from shared import topics
-from shared.messages import Health, Message, NavStatus
+from shared.messages import Health, Message
 from shared.topics import Topic
 from zenav.client import Client
 from zenav.launch import Launcher, free_stack, service_command
@@ -19,7 +19,7 @@ from zenav.scene import Outcome, Scene
 from zenav.score import Track
 
 PERIOD = 0.1  # s between two looks of the pilot
-START_LIMIT = 120.0  # s for the navigator's first status: a first start may compile kernels
+START_LIMIT = 120.0  # s for the first word of every service: a first start may compile kernels
 
 
 class Processes:
@@ -93,7 +93,7 @@ def run(
         }
         launcher = Launcher(commands, folder, view.tell)
         with launcher, Client(scene.file.robot.name, claim.where) as client:
-            client.follow(topics.NAV, topics.GUARD, topics.FOLLOW)
+            client.follow(topics.NAV, topics.GUARD, topics.POSE, topics.MAP)
             for topic in tracked:
                 client.listen(topic, lambda message, envelope: take(message, envelope.sent))
 
@@ -105,7 +105,7 @@ def run(
             view.start(scene, launcher, processes)
             try:
                 launcher.start_all(lambda name: name in processes.latest)
-                trouble = _steer(client, launcher, pilot, stop, begun + seconds, view)
+                trouble = _steer(client, launcher, processes, pilot, stop, begun + seconds, view)
             finally:
                 view.end()
     with lock:
@@ -117,9 +117,17 @@ def run(
     return outcome
 
 
-def _steer(client: Client, launcher: Launcher, pilot: Pilot, stop: threading.Event, limit: float, view: View) -> str:
+def _steer(
+    client: Client,
+    launcher: Launcher,
+    heard: Processes,
+    pilot: Pilot,
+    stop: threading.Event,
+    limit: float,
+    view: View,
+) -> str:
     """Steps launcher, pilot and view until the pilot is done; returns why it ended before, or nothing."""
-    begun = time.monotonic()
+    begun, ready = time.monotonic(), False
     while pilot.leg is not None:
         if stop.wait(PERIOD):
             return "interrupted"
@@ -127,10 +135,13 @@ def _steer(client: Client, launcher: Launcher, pilot: Pilot, stop: threading.Eve
         if now > limit:
             return "out of time"
         launcher.step()
-        nav: NavStatus | None = client.latest(topics.NAV)
-        if nav is None and now - begun > START_LIMIT:
-            return f"the navigator said nothing for {START_LIMIT:g} s"
-        if nav is not None:
-            pilot.step(client.now() / 1e9, nav)
+        if not ready:
+            missing = [name for name in launcher.children if name not in heard.latest]
+            missing += [topic.key for topic in (topics.NAV, topics.POSE, topics.MAP) if client.latest(topic) is None]
+            ready = not missing
+            if missing and now - begun > START_LIMIT:
+                return f"after {START_LIMIT:g} s still nothing from {', '.join(missing)}"
+        if ready:
+            pilot.step(client.now() / 1e9, client.latest(topics.NAV))
         view.look(client, pilot, now - begun)
     return ""

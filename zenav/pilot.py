@@ -20,7 +20,7 @@ RETRIED = {
     reason.code
     for reason in (
         reasons.BUSY, reasons.STARTING, reasons.NO_MAP, reasons.NO_PLAN, reasons.SCAN_OLD, reasons.POSE_OLD,
-        reasons.ODOM_OLD, reasons.BASE_SILENT, reasons.NOT_RUNNING,
+        reasons.ODOM_OLD, reasons.BASE_SILENT, reasons.BOARD_SILENT, reasons.NOT_RUNNING,
     )
 }  # fmt: skip
 MAX_REFUSED = 30.0  # s that a leg is asked for again while the stack is not ready
