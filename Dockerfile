@@ -1,7 +1,7 @@
 # One image for the router, every service and the command line; the container's command says which.
 #
-# Kernels are compiled for the processor that builds the image: build it where it runs, or the first start on another
-# one compiles them again (the cache is the user's own, so it can).
+# Kernels are compiled for any x86-64 processor with AVX2 (shared/repeatable.py), or for the ARM that builds the image. On
+# another one the first start compiles them again: the cache is the user's own, so it can.
 FROM python:3.11-slim-bookworm AS build
 
 # a package mirror, where one is needed: given at build time, kept nowhere
@@ -28,12 +28,12 @@ RUN .venv/bin/pip install --no-deps --no-build-isolation --disable-pip-version-c
 FROM python:3.11-slim-bookworm
 
 RUN useradd --uid 1000 --create-home zenav \
- && install -d -o zenav -g zenav /maps /recordings
+ && install -d -o zenav -g zenav /home/zenav/maps /home/zenav/recordings
 COPY --from=build --chown=zenav:zenav /opt/zenav /opt/zenav
 ENV PATH=/opt/zenav/.venv/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     NUMBA_CACHE_DIR=/opt/zenav/kernels
 USER zenav
 WORKDIR /home/zenav
-VOLUME ["/maps", "/recordings"]
+VOLUME ["/home/zenav/maps", "/home/zenav/recordings"]
 CMD ["zenav", "--help"]

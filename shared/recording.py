@@ -10,6 +10,7 @@ import struct
 import subprocess
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from io import BytesIO
@@ -190,7 +191,8 @@ class _File:
     def cut(self) -> None:
         """Gives up: nothing stays that was not flushed."""
         if not self._raw.closed:
-            self._raw.truncate(self.kept)
+            with suppress(OSError):  # the first error is the one to tell
+                self._raw.truncate(self.kept)
             self._raw.close()
 
     def close(self) -> None:

@@ -68,11 +68,16 @@ class Tiles(Service):
         self.bonus += bonus
         yield Log("INFO", f"bonus {self.bonus}")
 
+    @on(topics.MAP)
+    def take_up(self, kept: MapUpdate) -> Out:
+        self.map_id, self.version = kept.map_id, kept.version + len(kept.rows)
+        return ()
+
     @every(hz=2)
     def draw(self) -> Out:
         self.map_id = self.map_id or self.now
         self.version += 1
-        row = np.array([self.version % 3], np.int32)
+        row = np.array([self.version % 5], np.int32)
         cells = tile(self.version, self.bonus)
         yield topics.MAP(MapUpdate(self.now, self.map_id, self.version, 0.05, row, row, cells))
 
@@ -121,19 +126,24 @@ def build(name: str) -> Service:
     return TOYS[name](DEFAULTS, ROBOT)
 
 
-def eventful(record: Sink, seconds: float = 3.0) -> Lockstep:
-    """A run in which a planner joins late, a mapper gets a map from outside, odometry is killed and comes back."""
+def eventful(record: Sink) -> Lockstep:
+    """A run of 3.3 s: a planner joins late, a mapper gets a map from outside, services are killed and come back."""
     lockstep = Lockstep({name: build(name) for name in ("base_driver", "odometry", "mapper")}, record)
-    lockstep.run(seconds / 3)
+    lockstep.run(1.0)
     lockstep.start("planner", build("planner"))
+    lockstep.run(0.5)
     row = np.array([5], np.int32)
-    lockstep.run(seconds / 6)
     given = MapUpdate(lockstep.now, 7, 1, 0.05, row, row, tile(5, 5))
     assert lockstep.ask(requests.LOAD_MAP, LoadMap(lockstep.now, given, Pose2(0.0, 0.0, 0.0))).accepted
-    lockstep.run(seconds / 6)
+    lockstep.run(0.5)
     lockstep.kill("odometry")
-    lockstep.run(seconds / 12)
+    lockstep.kill("planner")
+    lockstep.run(0.1)
+    lockstep.kill("mapper")
+    lockstep.start("mapper", build("mapper"))
     lockstep.start("odometry", build("odometry"))
-    lockstep.run(seconds / 4)
+    lockstep.run(0.7)
+    lockstep.start("planner", build("planner"))
+    lockstep.run(0.5)
     lockstep.flush()
     return lockstep

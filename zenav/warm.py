@@ -5,6 +5,9 @@ numba notices a change of a kernel's own file, not of a kernel that it calls in 
 caller would go on running the old one. So any change of a file with kernels clears the whole cache first.
 """
 
+import shared.repeatable  # noqa: F401  # before numpy; numba compiles for the machine that it names
+
+# isort: split
 import hashlib
 import sys
 import time

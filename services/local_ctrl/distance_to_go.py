@@ -189,3 +189,20 @@ def carrot(to_go: Float32s, x: float, y: float, look: float, resolution: float) 
             break
         x, y = x + dx / length * step, y + dy / length * step
     return x, y
+
+
+@njit(cache=True, nogil=True)
+def way_closed(
+    to_go: Float32s, field: Float32s, x: float, y: float, resolution: float, inscribed: float, look: float = 0.5
+) -> bool:
+    """Whether the best way from (x, y) soon leads through a place where the robot does not fit: within `look` m."""
+    step = COARSE * resolution
+    fits = False
+    for _ in range(int(look / step) + 1):
+        # a cell less than the outline: the field's coarse cells cut corners by so much
+        room = sampled(field, x / resolution, y / resolution) - inscribed + resolution
+        if room <= 0.0 and fits:
+            return True
+        fits = fits or room > 0.0
+        x, y = carrot(to_go, x, y, 0.0, resolution)
+    return False

@@ -5,7 +5,7 @@ from math import atan2, copysign, hypot, pi
 
 from pydantic import Field
 
-from services.local_ctrl.distance_to_go import DistanceToGoConfig, carrot, distance_to_go
+from services.local_ctrl.distance_to_go import DistanceToGoConfig, carrot, distance_to_go, way_closed
 from services.local_ctrl.footprint import Footprint
 from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.local_plan import Ahead, LocalPlan
@@ -17,6 +17,8 @@ from shared.config import Section
 from shared.geometry import Pose2, wrapped
 from shared.messages import FollowState, Goal
 
+SLOW = 0.05  # m/s
+BRAKING_ROOM = 0.3  # m
 RIM = 0.25  # m of the window that the path keeps off: the field around its end needs room
 
 
@@ -67,7 +69,8 @@ class Follower:
         if (outcome := self._turned_to_way(scene, costmap, motion, left)) is not None:
             return outcome
         solution = self.mppi.solve(scene, self.footprint, n_elapsed)
-        stalls = solution.gain < 0.1 and abs(solution.velocities[0, 0]) < 0.05
+        closed = way_closed(scene.to_go, scene.field, scene.x, scene.y, scene.resolution, self.footprint.inscribed)
+        stalls = closed or (solution.gain < 0.1 and abs(solution.velocities[0, 0]) < 0.05)
         self.n_stalled = self.n_stalled + 1 if stalls else 0
         if solution.collides or self.n_stalled * DT >= self.config.stalled_after:
             return braking(motion, self.limits, FollowState.BLOCKED, reasons.BLOCKED.code, left)
@@ -105,11 +108,11 @@ class Follower:
         # the plan may end beside the goal, as far as the tolerance allows: what is left of it is ours
         near = max(0.03, goal.tolerance - plan.end.distance(goal.map_from_goal))
         if self.at_end:
-            self.at_end = away < 1.5 * near + 0.05
+            # stopping may carry it out again; then it comes back
+            self.at_end = away < (near if abs(motion.v) < SLOW else near + BRAKING_ROOM)
         elif ahead.ends:
-            bearing = wrapped(motion.pose.bearing(ahead.end) - motion.pose.yaw)
-            passed = abs(bearing) > 0.5 * pi
-            self.at_end = away < 0.3 * near or (away < near and (passed or abs(motion.v) < 0.05))
+            passed = abs(wrapped(motion.pose.bearing(ahead.end) - motion.pose.yaw)) > 0.5 * pi
+            self.at_end = away < 0.2 * near or (away < near and (passed or abs(motion.v) < SLOW))
         return self.at_end
 
     def _turned_to_goal(self, yaw: float, goal: Goal, costmap: LocalCostmap, motion: Motion) -> Outcome:

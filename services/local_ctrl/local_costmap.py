@@ -81,6 +81,7 @@ class LocalCostmap:
         self.free_at = _shifted(self.free_at, up, right, 0)
         self.echo_at = _shifted(self.echo_at, up, right, 0)
         self.static = _shifted(self.static, up, right, -1)
+        self.occupied = _shifted(self.occupied, up, right, False)
 
     def forget(self) -> None:
         """Drops everything that scan and ranges have left here."""

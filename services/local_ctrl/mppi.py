@@ -6,7 +6,7 @@ the drive's limits, scored by the critics, and averaged with weights exp(-cost /
 velocities as the drive would run them: its limits are convex, so the average obeys them too.
 """
 
-from math import atan2, cos, hypot, sin
+from math import atan2, cos, hypot, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -32,10 +32,12 @@ class Critics(Section):
     goal: float = Field(2.0, ge=0, le=100, description="1: a metre from the end, averaged, within half a metre of it")
     obstacle: float = Field(1.0, ge=0, le=1000, description="m/s: driving with no clearance left; 0 at `clearance`")
     critical: float = Field(20.0, ge=0, le=1000, description="m/s: being without clearance; 0 at `critical_clearance`")
-    overspeed: float = Field(4.0, ge=0, le=1000, description="s/m: squared speed above what the clearance allows")
+    overspeed: float = Field(
+        4.0, ge=0, le=1000, description="s/m: squared speed above what the clearance, or stopping at the goal, allows"
+    )
     headway: float = Field(20.0, ge=0, le=1000, description="1/(m s): squared braking distance that is not free ahead")
     reverse: float = Field(3.0, ge=0, le=100, description="1: a metre driven backward")
-    twirl: float = Field(0.03, ge=0, le=100, description="m s/rad^2: squared turn rate")
+    twirl: float = Field(0.15, ge=0, le=100, description="m s/rad^2: squared turn rate")
     smooth: float = Field(
         0.01, ge=0, le=100, description="m: squared change of command, as a share of what is possible"
     )
@@ -45,13 +47,14 @@ class Critics(Section):
 class MppiConfig(Section):
     """Model predictive path integral control."""
 
-    rollouts: int = Field(1200, ge=64, le=20000, description="1: rollouts a tick")
+    rollouts: int = Field(1200, ge=64, le=20000, description="1: rollouts a tick, half to explore and half to polish")
     steps: int = Field(50, ge=10, le=200, description="1: steps of 1/20 s; 50 are 2.5 s")
     temperature: float = Field(
-        0.1, ge=0.001, le=100, description="m: cost difference that makes a rollout count e times less"
+        0.03, ge=0.001, le=100, description="m: cost difference that makes a rollout count e times less"
     )
     speed_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation, as a share of the top speed")
     turn_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation, as a share of the top turn rate")
+    polish: float = Field(0.1, ge=0, le=1, description="1: share of the noise around what exploring has found")
     seed: int = Field(1, ge=0, description="1: of the noise, which is drawn once")
     clearance: float = Field(0.3, ge=0.02, le=3, description="m beyond the outline at which obstacles cost nothing")
     critical_clearance: float = Field(
@@ -108,6 +111,7 @@ class Solution(NamedTuple):
     gain: float
 
 
+APPROACH = 0.5  # share of the drive's braking that stopping at the goal counts on: the rest is for delay
 N_GUESSES = 9  # rollouts that are not noise: the last solution, standing still, seven that go downhill
 
 
@@ -120,10 +124,10 @@ class Mppi:
         rest = {k: getattr(config, k) for k in Weights._fields if k not in critics}
         self.weights = Weights(**critics, **rest)
         self.noise = _noise(config, limits)
-        self.targets = np.zeros((config.rollouts, config.steps, 2), np.float32)
+        n = config.rollouts // 2
+        self.targets = np.zeros((n, config.steps, 2), np.float32)
         self.executed = np.zeros_like(self.targets)
-        self.costs = np.zeros(config.rollouts)
-        self.gains = np.zeros(config.rollouts)
+        self.costs, self.gains = np.zeros(n), np.zeros(n)
         self.reset()
 
     def reset(self) -> None:
@@ -138,15 +142,22 @@ class Mppi:
         self.n_solved += 1
         # a step that shares no factor with the pool's size visits every start before it repeats
         start = (self.n_solved * 7919) % len(self.noise)
-        _sample(self.mean, self.noise, start, scene, self.limits, self.targets)
+        _explore(self.mean, self.noise, start, scene, self.limits, self.targets)
+        coarse = self._best(scene, footprint)
+        _polish(coarse.velocities, self.noise, start + len(self.targets), self.config.polish, self.targets)
+        fine = self._best(scene, footprint)
+        self.mean = fine.velocities
+        return fine
+
+    def _best(self, scene: Scene, footprint: Footprint) -> Solution:
+        """The weighted average of `targets`, or the best of them where two ways around an obstacle average into it."""
         _evaluate(self.targets, scene, footprint, self.limits, self.weights, self.executed, self.costs, self.gains)
         best = int(np.argmin(self.costs))
         velocities = _average(self.executed, self.costs, self.config.temperature)
-        mean, cost, gain = self._scored(velocities, scene, footprint)
-        if cost > self.costs[best]:  # an average of two ways around an obstacle may lead into it
-            mean, cost, gain = self.executed[best].astype(float), float(self.costs[best]), float(self.gains[best])
-        self.mean = mean
-        return Solution(mean, cost, cost >= 0.4 * self.weights.collision, gain)
+        velocities, cost, gain = self._scored(velocities, scene, footprint)
+        if cost > self.costs[best]:
+            velocities, cost, gain = self.executed[best].astype(float), float(self.costs[best]), float(self.gains[best])
+        return Solution(velocities, cost, cost >= 0.4 * self.weights.collision, gain)
 
     def _scored(self, velocities: Float64s, scene: Scene, footprint: Footprint) -> tuple[Float64s, float, float]:
         executed = np.empty((1, *velocities.shape), np.float32)
@@ -165,15 +176,13 @@ def _noise(config: MppiConfig, limits: Limits) -> Float32s:
     share = (place - low)[None, :, None]
     knots = rng.standard_normal((n, n_knots, 2))
     wave = knots[:, low] * (1 - share) + knots[:, low + 1] * share
-    # small and large noise: some rollouts polish the last solution, some look elsewhere
-    size = np.where(rng.random(n) < 0.5, 0.3, 1.0)[:, None, None]
     scale = (config.speed_noise * limits.v_max, config.turn_noise * limits.w_max)
-    noise = (wave + 0.7 * rng.standard_normal((n, 1, 2))) * size * scale
+    noise = (wave + 0.7 * rng.standard_normal((n, 1, 2))) * scale
     return np.ascontiguousarray(noise, np.float32)
 
 
 @njit(cache=True, nogil=True)
-def _sample(mean: Float64s, noise: Float32s, start: int, scene: Scene, limits: Limits, targets: Float32s) -> None:
+def _explore(mean: Float64s, noise: Float32s, start: int, scene: Scene, limits: Limits, targets: Float32s) -> None:
     n, steps, _ = targets.shape
     targets[0] = mean
     targets[1] = 0.0
@@ -197,6 +206,13 @@ def _sample(mean: Float64s, noise: Float32s, start: int, scene: Scene, limits: L
 
 
 @njit(cache=True, nogil=True)
+def _polish(mean: Float64s, noise: Float32s, start: int, share: float, targets: Float32s) -> None:
+    targets[0] = mean
+    for k in range(1, len(targets)):
+        targets[k] = mean + share * noise[(start + k) % len(noise)]
+
+
+@njit(cache=True, nogil=True)
 def _downhill(speed: float, look: float, scene: Scene, limits: Limits, targets: Float32s) -> None:
     """Commands that steer `look` m down the distance to go at `speed` (negative: back) and turn before they drive."""
     x, y, c, s = scene.x, scene.y, cos(scene.yaw), sin(scene.yaw)
@@ -212,7 +228,7 @@ def _downhill(speed: float, look: float, scene: Scene, limits: Limits, targets: 
         target_v = speed * max(0.0, 1.0 - abs(error) / 0.9)
         if scene.ends:
             rest = hypot(scene.end_x - x, scene.end_y - y)
-            most = (2.0 * 0.5 * limits.braking * rest) ** 0.5
+            most = sqrt(2.0 * APPROACH * limits.braking * rest)
             target_v = min(max(target_v, -most), most)
         targets[t, 0], targets[t, 1] = target_v, target_w
         v, w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
@@ -273,7 +289,8 @@ def _evaluate(
             mean_to_go += to_go
             if scene.ends:
                 away = hypot(scene.end_x - x, scene.end_y - y)
-                cost += weights.goal * min(away, 0.5) / steps
+                over = max(0.0, abs(v) - sqrt(2.0 * APPROACH * limits.braking * away))
+                cost += weights.goal * min(away, 0.5) / steps + DT * weights.overspeed * over * over
         costs[k] = cost + weights.progress * to_go + weights.haste * mean_to_go / steps
         gains[k] = first - to_go
 

@@ -6,6 +6,7 @@ from collections import deque
 import numpy as np
 from pydantic import Field
 
+from services.local_ctrl import rehearsal
 from services.local_ctrl.distance_to_go import DistanceToGoConfig
 from services.local_ctrl.follow import FollowConfig, Follower
 from services.local_ctrl.footprint import footprint_of
@@ -220,6 +221,24 @@ class LocalCtrlService(Service):
         self.costmap.recentre(here.x, here.y)
         self.costmap.lay(self.grid, self.inputs.odom_from_map)
         self.costmap.refresh(self.now, here, self.footprint)
+
+    def warm(self) -> None:
+        """Drives another instance through everything once: the kernels are compiled for all."""
+        other = LocalCtrlService(self.config, self.robot)
+        other.now = rehearsal.NOW
+        list(other.odometry(rehearsal.odometry(rehearsal.NOW - S // 10)))
+        list(other.odometry(rehearsal.odometry(rehearsal.NOW)))
+        list(other.scan(rehearsal.scan(self.robot.laser)))
+        list(other.ranges(rehearsal.readings(len(self.robot.ranges))))
+        list(other.pose(rehearsal.pose()))
+        list(other.map(rehearsal.map_update()))
+        for goal_id, x in enumerate((1.0, -1.0)):  # ahead: follow; behind: turn on the spot
+            list(other.new_goal(rehearsal.goal(goal_id, GoalKind.DRIVE)))
+            list(other.new_plan(rehearsal.path(goal_id, x)))
+            list(other.tick())
+        for kind in (GoalKind.BACK_UP, GoalKind.TURN):
+            list(other.new_goal(rehearsal.goal(2, kind, amount=0.3)))
+            list(other.tick())
 
     def state(self) -> str:
         return "idle" if self.goal is None else str(self.goal.kind)

@@ -6,7 +6,7 @@ journal says so. The promise of equal bytes ends at the first `Gap`; the replay 
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from shared import topics
@@ -52,7 +52,7 @@ class Replayed:
     """What came out: per service, the publications of its handlers in order.
 
     recorded: what the replayed sessions had published, by (key, session) and sequence.
-    until: by session, the time (ns) of the last event that its journal tells: later messages are not replayed.
+    until: by session, the time (ns) of the last event that its journal tells: what was sent later is not replayed.
     journalled: False where the recording has no journals and was fed in the order of the stamps.
     """
 
@@ -77,7 +77,8 @@ def replay(
     for name in names:
         if name not in lives:
             raise UserError(f"{recording.path} has no journal of {name}", nearest(name, tuple(lives)))
-    chosen = [life for name in names for life in lives[name]]
+    began = next((entry.log_time for entry in recording.entries()), 0)
+    chosen = [_heard(life, began) for name in names for life in lives[name]]
     traffic = _Traffic(recording, chosen, [life for of_name in lives.values() for life in of_name])
     runs = [_Run(life, build(life.name), traffic) for life in chosen]
     waiting = [run for run in runs if run.life.events]
@@ -92,6 +93,16 @@ def replay(
         traffic.recorded,
         traffic.ended,
     )
+
+
+def _heard(life: Life, began: int) -> Life:
+    """Of a session that is older than the recording, what happened since the recording began (ns)."""
+    hole = life.events[0] if life.events else None
+    if hole is None or hole.kind != HOLE:
+        return life
+    later = [event for event in life.events[1:] if event.now >= began]
+    n_unheard = hole.number + len(life.events) - 1 - len(later)
+    return replace(life, events=[Event(HOLE, began, n_unheard), *later])
 
 
 class _Traffic:
@@ -133,7 +144,7 @@ class _Traffic:
         found = self._payloads.get(source, {}).get(sequence)
         if found is None and session in self.ended:
             found = self.recorded.get(source, {}).get(sequence)
-            if found is not None and envelope_of(found).sent <= self.ended[session]:
+            if found is not None and envelope_of(found).sent < self.ended[session]:
                 found = None
         if found is None:
             raise _MissingError(key, session, sequence)

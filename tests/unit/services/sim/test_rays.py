@@ -7,6 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from services.sim.contact import point_to_segment
 from services.sim.rays import SOLID, cast, filled, indexed
 from services.sim.world import Raster, World
 from shared.geometry import Pose2
@@ -38,12 +39,13 @@ def brute_force(lines, discs, ox, oy, angle):
 
 
 def grazes(lines, discs, ox, oy, angle):
-    """Whether the ray passes within 0.1 mm of an end of a segment or along a surface: either answer is right."""
+    """Whether the ray starts on a surface, or passes within 0.1 mm of an end or along one: either answer is right."""
     c, s = cos(angle), sin(angle)
     points = [p for ax, ay, bx, by in lines for p in ((ax, ay), (bx, by))]
     off = [abs((x - ox) * s - (y - oy) * c) for x, y in points]
     along = [abs(abs((x - ox) * s - (y - oy) * c) - r) for x, y, r in discs]
     touching = [abs(hypot(x - ox, y - oy) - r) for x, y, r in discs]
+    touching += [point_to_segment(ox, oy, *line) for line in lines]
     return min([*off, *along, *touching, inf]) < 1e-4
 
 
