@@ -138,7 +138,7 @@ class Mppi:
     def solve(self, scene: Scene, footprint: Footprint, n_elapsed: int) -> Solution:
         """The velocities from now on. n_elapsed: steps since the last call. Same calls, same bytes."""
         shift = min(max(n_elapsed, 0), self.config.steps)
-        self.mean[: self.config.steps - shift] = self.mean[shift:].copy()
+        self.mean = np.concatenate((self.mean[shift:], np.repeat(self.mean[-1:], shift, axis=0)))
         self.n_solved += 1
         # a step that shares no factor with the pool's size visits every start before it repeats
         start = (self.n_solved * 7919) % len(self.noise)
