@@ -2,6 +2,7 @@
 """One YAML a robot, read into strict models. A service gets its own section and the robot's geometry, nothing else."""
 
 import difflib
+from io import StringIO
 from math import hypot, pi
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -108,6 +109,8 @@ class Robot(Section):
         x, y = corners[:, 0], corners[:, 1]
         if 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) <= 0:
             raise ValueError("footprint: corners must run counter-clockwise and enclose an area")
+        if not np.all(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T) > 1e-6):
+            raise ValueError("footprint: a corner repeats its neighbour; the outline closes by itself")
         if self.inscribed_radius <= 0:
             raise ValueError("footprint: the origin of `base` must lie inside")
         return self
@@ -178,6 +181,13 @@ class RobotFile:
         node[keys[-1]] = value
 
     @property
+    def text(self) -> str:
+        """The file as YAML, with what was overridden."""
+        stream = StringIO()
+        YAML(typ="rt").dump(self.tree, stream)
+        return stream.getvalue()
+
+    @property
     def robot(self) -> Robot:
         """The `robot` section."""
         return self.section("robot", Robot)
@@ -224,6 +234,14 @@ def load_robot(robot: str) -> RobotFile:
     """A robot's file, by name or path. Raises UserError where it is missing or no YAML."""
     path = robot_path(robot)
     return RobotFile(path, load_yaml(path))
+
+
+def configured(robot: str, overrides: list[str]) -> RobotFile:
+    """A robot's file with overrides (`section.key=value`) applied."""
+    file = load_robot(robot)
+    for assignment in overrides:
+        file.override(assignment)
+    return file
 
 
 def load_yaml(path: Path) -> CommentedMap:

@@ -5,12 +5,15 @@ numba notices a change of a kernel's own file, not of a kernel that it calls in 
 caller would go on running the old one. So any change of a file with kernels clears the whole cache first.
 """
 
+import shared.repeatable  # noqa: F401  # before numpy; numba compiles for the machine that it names
+
+# isort: split
 import hashlib
 import sys
 import time
 from pathlib import Path
 
-import numba
+from numba.core import config as numba_config
 
 from shared.config import load_robot
 from zenav.classes import built, made
@@ -33,7 +36,8 @@ def main() -> None:
 
 def cache_root() -> Path:
     """Where numba keeps what it compiled: one folder for all, or `__pycache__` beside each file."""
-    return Path(numba.config.CACHE_DIR) if numba.config.CACHE_DIR else ROOT
+    folder: str = numba_config.CACHE_DIR  # type: ignore[attr-defined]  # numba sets it from the environment
+    return Path(folder) if folder else ROOT
 
 
 def clear_stale(cache: Path) -> bool:

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import shared.repeatable  # noqa: F401  # before numpy
 from services.base_driver.service import BaseDriverService
 from shared.runners import live
 

@@ -37,7 +37,7 @@ class Watchdog:
 
     def offer(self, command: Velocity, now: int) -> bool:
         """Takes a command, or refuses it and says why in `refused`."""
-        if self._last > now + FUTURE:  # our clock was set back: what we accepted before it says nothing
+        if self._quiet_since > now + FUTURE:  # our clock was set back: what we accepted before it says nothing
             self._last = self._quiet_since = 0
         if now - command.stamp > self._age:
             self.refused = f"commands are refused: {(now - command.stamp) * 1e-9:.1f} s old"

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import shared.repeatable  # noqa: F401  # before numpy
 from services.local_ctrl.service import LocalCtrlService
 from shared.runners import live
 

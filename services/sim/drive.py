@@ -93,9 +93,9 @@ def wheel_targets(left: float, right: float, drive: Drive) -> tuple[float, float
     return -left * scale, right * scale
 
 
-def encoder_counts(angle: float, first: int, sign: int, drive: Drive) -> int:
-    """The wrapped counter of a wheel that has turned by `angle` rad since it stood at `first`."""
-    return (first + sign * floor(angle * drive.counts_per_turn / (2 * pi))) % drive.encoder_wrap
+def encoder_counts(angle: float, first: int, drive: Drive) -> int:
+    """The wrapped counter of an encoder that has turned by `angle` rad since it stood at `first`."""
+    return (first + floor(angle * drive.counts_per_turn / (2 * pi))) % drive.encoder_wrap
 
 
 def motor_currents(speeds: Float64s, targets: Float64s, limit: float, stuck: bool) -> Float32s:

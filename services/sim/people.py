@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """People who walk their routes round and round, stop before the robot, walk around it or turn back."""
 
-from math import cos, hypot, pi, sin
+from math import cos, hypot, inf, pi, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -20,17 +20,19 @@ LOOK = 0.6  # m: how far ahead on the way a person heads for, and looks
 PERSONAL_SPACE = 0.5  # m: nearer than this ahead, a person stops for the robot
 SQUEEZE = 0.12  # m: what a person leaves when walking around a robot that stands in the way
 WAITS = 1.5  # s before walking around
-TURNS_BACK = 6.0  # s of standing in front of something before turning back
+TURNS_BACK = 6.0  # s without coming closer to the waypoint before turning back
+PROGRESS = 0.1  # m that count as coming closer
 N_PLACES = 20  # tried for the start of a person
 APART = 2.0  # m from the robot's start to a person's
 ACCELERATION = 2.0  # m/s^2
 STRAYS = 0.9  # m off the way at most, when walking around
 
-X, Y, RADIUS, SPEED, PAUSE, BLOCKED, TARGET, WAY = range(8)  # columns of People.state
+X, Y, RADIUS, SPEED, PAUSE, BLOCKED, TARGET, WAY, NEAREST, STALLED = range(10)  # columns of People.state
 
 
 class People(NamedTuple):
-    """All people. state: (p, 8) x, y, radius m, speed m/s, pause left s, blocked for s, target waypoint, way +-1.
+    """All people. state: (p, 10) x, y, radius m, speed m/s, pause left s, blocked for s, target waypoint, way +-1,
+    nearest to the target so far m, not nearer since s.
 
     routes: (p, k, 2) m, padded.  lengths: (p,) waypoints.  speeds: (p,) m/s.  pauses: (p, N_PAUSES) s.
     n_pauses: (p,) taken so far.  reacts: whether they heed the robot.
@@ -53,7 +55,7 @@ def started(walks: tuple[Walk, ...], reacts: bool, seed: int, robot: tuple[float
     rng = np.random.default_rng([seed, 2])
     p, k = len(walks), max((len(w.route) for w in walks), default=1)
     people = People(
-        np.zeros((p, 8)),
+        np.zeros((p, 10)),
         np.zeros((p, k, 2)),
         np.array([len(w.route) for w in walks], np.int64),
         np.array([w.speed * rng.uniform(0.9, 1.1) for w in walks], float),
@@ -71,7 +73,7 @@ def started(walks: tuple[Walk, ...], reacts: bool, seed: int, robot: tuple[float
             if np.hypot(*(there - robot)) > APART:
                 target, (x, y) = int(leg), there
                 break
-        people.state[i] = x, y, walk.radius, 0.0, 0.0, 0.0, target, 1.0
+        people.state[i] = x, y, walk.radius, 0.0, 0.0, 0.0, target, 1.0, np.inf, 0.0
     return people
 
 
@@ -144,6 +146,14 @@ def _heading(people: People, i: int, robot: Float64s, cells: Cells) -> tuple[flo
 
 
 @njit(cache=True, nogil=True)
+def _head_on(people: People, i: int) -> None:
+    """Sends person i to the next waypoint of their way."""
+    state = people.state[i]
+    state[TARGET] = (int(state[TARGET]) + int(state[WAY])) % people.lengths[i]
+    state[NEAREST], state[STALLED], state[BLOCKED] = inf, 0.0, 0.0
+
+
+@njit(cache=True, nogil=True)
 def walk(people: People, robot: Float64s, cells: Cells, dt: float) -> bool:
     """Moves everybody by `dt` s; returns whether somebody ran into the robot, whose corners (k, 2) are given.
 
@@ -158,8 +168,7 @@ def walk(people: People, robot: Float64s, cells: Cells, dt: float) -> bool:
             continue
         _, _, left, _, _ = _on_the_way(people, i)
         if left < 0.1:
-            n = people.lengths[i]
-            state[TARGET] = (int(state[TARGET]) + int(state[WAY])) % n
+            _head_on(people, i)
             state[PAUSE] = people.pauses[i, people.n_pauses[i] % N_PAUSES]
             people.n_pauses[i] += 1
             continue
@@ -176,8 +185,10 @@ def walk(people: People, robot: Float64s, cells: Cells, dt: float) -> bool:
         else:
             state[SPEED] = 0.0
         state[BLOCKED] = max(0.0, state[BLOCKED] - dt) if moves and share > 0.9 else state[BLOCKED] + (not moves) * dt
-        if state[BLOCKED] > TURNS_BACK:
+        state[STALLED] += dt
+        if left < state[NEAREST] - PROGRESS:
+            state[NEAREST], state[STALLED] = left, 0.0
+        if state[STALLED] > TURNS_BACK:
             state[WAY] = -state[WAY]
-            state[TARGET] = (int(state[TARGET]) + int(state[WAY])) % people.lengths[i]
-            state[BLOCKED] = 0.0
+            _head_on(people, i)
     return hit

@@ -34,8 +34,8 @@ CATCH_UP_STEPS = 100  # 0.5 s: after a longer gap without ticks, the world has s
 class StartPose(Section):
     """A pose in the world."""
 
-    x: float = Field(description="m")
-    y: float = Field(description="m")
+    x: float = Field(ge=-1e4, le=1e4, description="m")
+    y: float = Field(ge=-1e4, le=1e4, description="m")
     yaw: float = Field(0.0, ge=-2 * pi, le=2 * pi, description="rad")
 
 
@@ -193,13 +193,14 @@ class SimService(Service):
         reach = self.cone_table[:, 4]
         ranges = measured(true, self.config.ranges, 0.0, reach, self.range_rng)
         currents = self._currents()
+        left, right = -drive.motor_direction, drive.motor_direction  # signs of the board's encoders
         per_radian = drive.counts_per_turn / (2 * pi)
         return BoardReport(
             self.time,
-            encoder_counts(s[dyn.LEFT_ANGLE], self.first_counts[0], -1, drive),
-            encoder_counts(s[dyn.RIGHT_ANGLE], self.first_counts[1], 1, drive),
-            float(np.rint(-s[dyn.LEFT_SPEED] * per_radian)),
-            float(np.rint(s[dyn.RIGHT_SPEED] * per_radian)),
+            encoder_counts(left * s[dyn.LEFT_ANGLE], self.first_counts[0], drive),
+            encoder_counts(right * s[dyn.RIGHT_ANGLE], self.first_counts[1], drive),
+            float(np.rint(left * s[dyn.LEFT_SPEED] * per_radian)),
+            float(np.rint(right * s[dyn.RIGHT_SPEED] * per_radian)),
             ranges[: self.n_ultrasonic],
             ranges[self.n_ultrasonic :],
             battery_voltage(self.config.battery, self.used, float(currents.sum()) + self.config.battery.idle_current),

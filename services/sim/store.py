@@ -5,11 +5,9 @@ import gzip
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
 from pydantic import ConfigDict, Field, ValidationError
 from scipy.ndimage import distance_transform_edt
 
@@ -17,21 +15,10 @@ from services.sim.world import Raster, World
 from services.sim.world_file import built
 from shared.config import CONFIG_DIR, RobotFile, Section, UserError, load_yaml, nearest
 from shared.geometry import Pose2
+from shared.grid import FREE_UP_TO
+from shared.ros_map import read_ros_map
 
-Bools = NDArray[np.bool_]
 WORLDS = CONFIG_DIR / "worlds"
-
-
-class RosMap(Section):
-    """A map_server YAML."""
-
-    image: str = Field(description="path of the image, from this file's folder")
-    resolution: float = Field(gt=0, le=10, description="m a cell")
-    origin: tuple[float, float, float] = Field(description="m, m, rad: lower left corner of the image")
-    negate: int = Field(0, ge=0, le=1, description="1: white is occupied")
-    occupied_thresh: float = Field(0.65, ge=0, le=1, description="share of black from which a cell is occupied")
-    free_thresh: float = Field(0.196, ge=0, le=1, description="share of black up to which a cell is free")
-    mode: Literal["trinary", "scale", "raw"] = Field("trinary", description="how the image is read")
 
 
 class CylinderWorld(Section):
@@ -62,16 +49,14 @@ def load(world: str, seed: int = 0, jitter: float = 0.0, barn_file: str = "", st
     else:
         path = _path(world)
         tree = load_yaml(path)
-        file = RobotFile(path, tree)
         if "image" in tree:
-            raster = _raster(file)
+            raster = _raster(path)
             h, w = raster.solid.shape
             high = raster.x0 + w * raster.resolution, raster.y0 + h * raster.resolution
             found = World(path.stem, (raster.x0, raster.y0, *high), Pose2(), raster=raster)
         else:
-            map_path = path.parent / str(tree["map"]) if tree.get("map") else None
-            mapped = _raster(RobotFile(map_path, load_yaml(map_path))) if map_path else None
-            found = built(path.stem, file, mapped, seed, jitter)
+            mapped = _raster(path.parent / str(tree["map"])) if tree.get("map") else None
+            found = built(path.stem, RobotFile(path, tree), mapped, seed, jitter)
         has_start = "start" in tree
     if start is None and not has_start:
         start = _freest(found)
@@ -86,25 +71,10 @@ def _path(world: str) -> Path:
     return path
 
 
-def _raster(file: RobotFile) -> Raster:
-    """The solid cells of a ROS map: occupied by map_server's rule, and unknown ones, so that nothing leaves the map."""
-    settings = file.whole(RosMap)
-    if settings.origin[2] != 0:
-        raise UserError(f"{file.place(('origin',))}: the map is turned", "only maps with a yaw of 0 can be driven in")
-    path = file.path.parent / settings.image
-    try:
-        with Image.open(path) as image:
-            shade = np.asarray(image.convert("L"), np.float64)
-    except (OSError, UnidentifiedImageError, Image.DecompressionBombError) as error:
-        what = "is no image" if isinstance(error, UnidentifiedImageError) else "cannot be read"
-        raise UserError(
-            f"{file.place(('image',))}: {settings.image} {what}", f"the path counts from {file.path.parent}"
-        ) from None
-    if settings.mode == "raw":
-        free = shade <= 100 * settings.free_thresh
-    else:
-        free = (shade if settings.negate else 255.0 - shade) / 255.0 <= settings.free_thresh
-    return Raster(np.ascontiguousarray(~free[::-1]), settings.origin[0], settings.origin[1], settings.resolution)
+def _raster(path: Path) -> Raster:
+    """The solid cells of a ROS map: all that are not free. Nothing drives or sees into what nobody has mapped."""
+    cells, resolution, x0, y0 = read_ros_map(path)
+    return Raster((cells < 0) | (cells > FREE_UP_TO), x0, y0, resolution)
 
 
 def _cylinders(world: str, barn_file: str) -> World:

@@ -227,8 +227,9 @@ def _check_routes(world: World, source: WorldFile, file: RobotFile) -> None:
         route = world.people[i].route
         for k, (a, b) in enumerate(zip(route, np.roll(route, -1, axis=0))):
             n = max(2, int(np.hypot(*(b - a)) / 0.02) + 1)
-            for x, y in np.linspace(a, b, n):
-                if disc_touches_world(x, y, person.radius, world.cells) or world.solid_at(np.array([[x, y]]))[0]:
+            way = np.linspace(a, b, n)
+            for (x, y), solid in zip(way, world.solid_at(way)):
+                if solid or disc_touches_world(x, y, person.radius, world.cells):
                     leg = min(k, len(person.route) - 1)
                     raise UserError(
                         f"{file.place(('people', i, 'route', leg))}: the way from ({a[0]:g}, {a[1]:g}) to ({b[0]:g}, "

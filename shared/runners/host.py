@@ -2,7 +2,7 @@
 """What all runners share: one service, fed one event at a time, its publications encoded, its events journalled.
 
 The journal is a list of entries, in the order in which the service took them; `now` is ns, a pair (key, session) is
-named once by a small number:
+named by a small number, anew in each journal message, so that each can be read alone:
 
     [0, now, source, sequence]   a message      [1, now, tick]         a tick, by its place among the handlers
     [2, now, job]                a job's result  [3, now, key, bytes]   a request, as its bytes
@@ -49,13 +49,16 @@ Effect = Sent | JobOrder
 
 
 class Host:
-    """Feeds one service. Every event sets `service.now`, is journalled, and returns its effects in order."""
+    """Feeds one service. Every event sets `service.now`, is journalled, and returns its effects in order.
 
-    def __init__(self, service: Service, name: str, session: str) -> None:
+    sequences: by key, where counting goes on, for the replay of a session whose beginning is not known.
+    """
+
+    def __init__(self, service: Service, name: str, session: str, sequences: dict[str, int] | None = None) -> None:
         self.service, self.name, self.session = service, name, session
         self.handlers = handlers(type(service))
         self.n_events = 0
-        self._sequences: dict[str, int] = {}
+        self._sequences = dict(sequences or {})
         self._n_jobs = 0
         self._sources: dict[tuple[str, str], int] = {}
         self._entries: list[tuple[Any, ...]] = []
@@ -110,6 +113,7 @@ class Host:
         journal = Journal(now, self.session, self._first, events)
         self._first += len(self._entries)
         self._entries = []
+        self._sources = {}
         return self.publish(topics.JOURNAL(journal), now)
 
     def _note(self, entry: tuple[Any, ...], now: int) -> None:

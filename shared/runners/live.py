@@ -15,25 +15,28 @@ import traceback
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 from typing import Any, cast
 
 import msgpack
-import psutil
 import zenoh
 
-from shared import topics
+from shared import reasons, topics
 from shared.codec import CodecError, Envelope, decode, encode, envelope_of
-from shared.config import RobotFile, UserError, load_robot
-from shared.messages import Health, LogLine, Message
+from shared.config import UserError, configured
+from shared.messages import LogLine, Message
+from shared.reasons import Reason
 from shared.requests import Request
 from shared.runners import transport
 from shared.runners.admission import Admission, Verdict
+from shared.runners.clock import SECOND, Clock, clock_from
 from shared.runners.host import Effect, Host, JobOrder, Sent, merged
 from shared.runners.inbox import Inbox, Place
+from shared.runners.memory import REMEMBERED, Memory
+from shared.runners.traffic import Traffic
 from shared.service import Service
 from shared.topics import TOPICS, Topic, key_of
 
-SECOND = 1_000_000_000
 VELOCITY_PATH = ("base_driver", "odometry", "local_ctrl", "guard")
 MAX_REQUESTS = 8
 RAW_CAPACITY = 200_000
@@ -41,53 +44,19 @@ RAW_CAPACITY = 200_000
 log = logging.getLogger("zenav")
 
 
-class Clock:
-    """The stack's clock, ns: the wall's, or one that left the wall's at `epoch` and runs `speed` times as fast."""
-
-    def __init__(self, epoch: int = 0, speed: float = 1.0) -> None:
-        self.epoch, self.speed = epoch, speed
-
-    def now(self) -> int:
-        wall = time.time_ns()
-        return wall if self.speed == 1.0 else self.epoch + round((wall - self.epoch) * self.speed)
-
-    def seconds(self, duration: int) -> float:
-        """Real seconds that this many ns of the stack's clock take."""
-        return duration / SECOND / self.speed
-
-
-class Traffic:
-    """What came in and went wrong since the last health message."""
-
-    def __init__(self) -> None:
-        self.bad = self.intruders = self.old = 0
-        self.last_error = ""
-        self.slowest = 0.0
-        self.counts: dict[str, int] = {}
-        self.ages: dict[str, float] = {}
-        self._last_told = 0
-
-    def took(self, key: str, age: float, spent: float) -> None:
-        self.counts[key] = self.counts.get(key, 0) + 1
-        self.ages[key] = max(self.ages.get(key, 0.0), age)
-        self.slowest = max(self.slowest, spent)
-
-    def wrong(self, what: str, now: int) -> None:
-        """Remembers a fault and tells it, once a second at most."""
-        self.last_error = what[:200]
-        if now - self._last_told > SECOND or now < self._last_told:
-            self._last_told = now
-            log.warning(what)
-
-    def fresh(self) -> None:
-        self.slowest, self.counts, self.ages = 0.0, {}, {}
-
-
 class Live:
     """One service on one session. `run` returns when `stop` was called."""
 
-    def __init__(self, service: Service, name: str, robot: str, session: zenoh.Session, clock: Clock) -> None:
-        self.clock, self.session = clock, session
+    def __init__(
+        self,
+        service: Service,
+        name: str,
+        robot: str,
+        session: zenoh.Session,
+        clock: Clock,
+        memory: Memory | None = None,
+    ) -> None:
+        self.clock, self.session, self.memory = clock, session, memory
         self.name, self.robot = name, robot
         self.host = Host(service, name, f"{time.time_ns():x}-{os.getpid():x}")
         self.inbox = Inbox()
@@ -99,11 +68,10 @@ class Live:
         self._latched_readers: dict[str, transport.LatchedReader] = {}
         self._places: list[Place] = [self._requests]
         self._workers = ThreadPoolExecutor(1, thread_name_prefix="job")
-        self._process = psutil.Process()
-        self._cpu_before = (time.process_time(), time.monotonic())
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._latched: dict[str, transport.LatchedPublisher] = {}
         self._kept: dict[str, Message] = {}
+        self._unsaved: dict[str, Callable[[], bytes]] = {}
         self._declared: list[Any] = []
         self._declare()
 
@@ -118,6 +86,7 @@ class Live:
         now = self.clock.now()
         due = [now for _ in periods]
         report = now
+        self._restore(now)
         while not self._stopping:
             now = self.clock.now()
             if now >= report:
@@ -139,6 +108,26 @@ class Live:
         if journal is not None:
             self._publish(journal)
 
+    def _restore(self, now: int) -> None:
+        """Gives the service what it published last before a restart, on the latched topics that it listens to."""
+        for key in self._own_latched():
+            payload = self.memory.read(key) if self.memory is not None else None
+            if payload is None:
+                continue
+            try:
+                message, envelope = decode(topics.BY_KEY[key].type, payload)
+            except CodecError as error:
+                self.traffic.wrong(f"{key}: what was kept from before the restart is damaged: {error}", now)
+                continue
+            if 0 <= now - envelope.sent <= REMEMBERED:
+                log.info("taking up %s from before the restart", key)
+                self._kept[key] = message
+                self._apply(self.host.message(key, message, envelope, now, latched=True))
+
+    def _own_latched(self) -> list[str]:
+        listened = self.host.handlers.topics.values()
+        return [topic.key for topic, _ in listened if topic.latched and self.name in topic.publishers]
+
     def _declare(self) -> None:
         for topic in TOPICS:
             if self.name in topic.publishers:
@@ -148,7 +137,8 @@ class Live:
             self._places.append(place)
             self._declared.append(self.session.declare_subscriber(f"{self.robot}/**", partial(self._file_raw, place)))
         for topic, _ in self.host.handlers.topics.values():
-            self._declare_subscriber(topic)
+            if self.name not in topic.publishers:
+                self._declare_subscriber(topic)
         for request, _ in self.host.handlers.requests.values():
             self._declared.append(
                 self.session.declare_queryable(f"{self.robot}/{request.key}", partial(self._file_request, request))
@@ -191,7 +181,7 @@ class Live:
 
     def _file_request(self, request: Request[Message, Message], query: zenoh.Query) -> None:
         if len(self._requests.items) >= MAX_REQUESTS:
-            _refuse(query, "busy", "")
+            _refuse(query, reasons.BUSY, "")
         else:
             self.inbox.file(self._requests, (request, query))
 
@@ -254,7 +244,7 @@ class Live:
         except CodecError as error:
             self.traffic.bad += 1
             self.traffic.wrong(f"{request.key}: a bad request was refused: {error}", now)
-            _refuse(query, "bad_request", str(error))
+            _refuse(query, reasons.BAD_REQUEST, str(error))
             return
         effects, reply = self.host.request(request.key, message, payload, now)
         with query:
@@ -279,35 +269,20 @@ class Live:
             log.log(logging.getLevelNamesMapping().get(line.level, logging.INFO), line.text)
         if sent.topic.latched:
             whole = self._kept[sent.key] = merged(self._kept.get(sent.key), sent.message)
-            self._latched[sent.key].keep(partial(encode, whole, sent.envelope))
+            value = partial(encode, whole, sent.envelope)
+            self._latched[sent.key].keep(value)
+            self._unsaved[sent.key] = value
         self._publishers[sent.key].put(sent.payload)
 
     def _report(self, now: int) -> None:
         journal = self.host.journal(now)
         if journal is not None:
             self._publish(journal)
-        cpu, wall = time.process_time(), time.monotonic()
-        share = (cpu - self._cpu_before[0]) / max(wall - self._cpu_before[1], 1e-3)
-        seconds = max(wall - self._cpu_before[1], 1e-3)
-        self._cpu_before = (cpu, wall)
-        traffic = self.traffic
-        rates = tuple((key, n / seconds, traffic.ages[key]) for key, n in sorted(traffic.counts.items()))
-        health = Health(
-            now,
-            self.name,
-            os.getpid(),
-            self.host.service.state(),
-            self.host.n_events,
-            traffic.bad,
-            sum(place.dropped for place in self._places if place.keep == "all"),
-            traffic.intruders,
-            traffic.last_error,
-            max(share, 0.0),
-            self._process.memory_info().rss / 1e6,
-            traffic.slowest * 1e3,
-            rates,
-        )
-        traffic.fresh()
+        if self.memory is not None:
+            for key in set(self._own_latched()) & set(self._unsaved):
+                self._workers.submit(self.memory.write, key, self._unsaved.pop(key))
+        dropped = sum(place.dropped for place in self._places if place.keep == "all")
+        health = self.traffic.health(self.name, self.host.service.state(), self.host.n_events, dropped, now)
         self._publish(self.host.publish(topics.HEALTH(health), now))
 
 
@@ -317,9 +292,9 @@ def _next_tick(due: int, period: int, now: int) -> int:
     return upcoming if upcoming > now else now + period - (now - due) % period
 
 
-def _refuse(query: zenoh.Query, code: str, text: str) -> None:
+def _refuse(query: zenoh.Query, reason: Reason, text: str) -> None:
     with query:
-        query.reply_err(msgpack.packb({"code": code, "text": text}))
+        query.reply_err(msgpack.packb({"code": reason.code, "text": text}))
 
 
 def arguments(name: str) -> argparse.ArgumentParser:
@@ -329,22 +304,9 @@ def arguments(name: str) -> argparse.ArgumentParser:
     parser.add_argument("--stack", default="0", help="number of the stack on this host, or a router: tcp/router:7447")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="override a setting")
     parser.add_argument("--clock", default="", metavar="EPOCH:SPEED", help="simulated time: ns, times as fast as real")
+    parser.add_argument("--memory", default="", metavar="FOLDER", help="keep what a restart must not lose, as the map")
     parser.add_argument("--log", default="INFO", choices=["DEBUG", "INFO", "WARNING", "ERROR"], help="log level")
     return parser
-
-
-def clock_from(text: str) -> Clock:
-    """The clock given as EPOCH:SPEED; the wall clock where it is empty. Raises UserError."""
-    if not text:
-        return Clock()
-    epoch, _, speed = text.partition(":")
-    try:
-        clock = Clock(int(epoch), float(speed))
-    except ValueError:
-        raise UserError(f"{text!r} is no clock", "write EPOCH:SPEED, like 1700000000000000000:4") from None
-    if not 0.01 <= clock.speed <= 100:
-        raise UserError(f"a speed of {clock.speed} cannot be run", "choose 0.01 to 100")
-    return clock
 
 
 def main(service_class: type[Service], **sinks: Callable[[Any], Any]) -> None:
@@ -375,7 +337,10 @@ def _serve(
     file = configured(options.robot, options.set)
     config, robot = file.section(name, service_class.config_type), file.robot
     where, clock = transport.where_from(options.stack), clock_from(options.clock)
-    service = service_class(config, robot, **{key: sink(config) for key, sink in sinks.items()})
+    opened = {key: sink(config) for key, sink in sinks.items()}
+    service = service_class(config, robot, **opened)
+    if hasattr(service, "robot_file"):
+        service.robot_file = file.text
     service.warm()
     if name in VELOCITY_PATH and not transport.asks_for_realtime():
         log.info("no real-time priority (SCHED_RR) here: latency depends on other load")
@@ -383,17 +348,13 @@ def _serve(
     gc.freeze()
     sys.setswitchinterval(0.0005)
     with transport.opened(where, name) as session:
-        live = Live(service, name, robot.name, session, clock)
+        memory = Memory(Path(options.memory), name) if options.memory else None
+        live = Live(service, name, robot.name, session, clock, memory)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: live.stop())
         log.info("started")
         live.run()
+    for sink in opened.values():
+        if hasattr(sink, "close"):
+            sink.close()
     log.info("stopped")
-
-
-def configured(robot: str, overrides: list[str]) -> RobotFile:
-    """A robot's file with overrides (`section.key=value`) applied."""
-    file = load_robot(robot)
-    for assignment in overrides:
-        file.override(assignment)
-    return file

@@ -168,7 +168,7 @@ class Lockstep:
         for watcher in self._watchers.get(sent.key, ()):
             watcher(message)
         for name in self._hosts:
-            if sent.topic.key in self._hosts[name].handlers.topics:
+            if name != sent.envelope.publisher:
                 self._deliver(sent, name)
 
     def _deliver(self, sent: Sent, name: str, latched: bool = False) -> None:
