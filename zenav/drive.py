@@ -145,10 +145,17 @@ def _connected(robot: str, stack: str) -> Client:
 
 def _accepted(reply: Reply) -> Reply:
     if not reply.accepted:
-        reason = REASONS.get(reply.reason)
-        what = (reason.text if reason else reply.reason) + (f": {reply.detail}" if reply.detail else "")
-        raise UserError(what, reason.mend if reason else "see nav/status")
+        raise refusal(reply)
     return reply
+
+
+def refusal(reply: Reply) -> UserError:
+    """What a refusing reply says, with its mend."""
+    reason = REASONS.get(reply.reason)
+    if reason is None:
+        return UserError(reply.detail or reply.reason or "refused", "see nav/status")
+    told_already = reply.detail.startswith(reason.text)
+    return UserError(reason.text + (f": {reply.detail}" if reply.detail and not told_already else ""), reason.mend)
 
 
 def _task(robot: str, stack: str, start: Callable[[Client], Reply]) -> int:

@@ -51,7 +51,8 @@ class Exploration:
     def __init__(self, config: ExplorationConfig) -> None:
         self.config = config
         self.target: Target | None = None
-        self.looking: float | None = None  # s at the target
+        self.looking: float | None = None  # s at the target, once there
+        self._near = 0.0  # s close to the target
         self.without = 0.0  # s without a frontier
         self._given_up: set[Cell] = set()
         self._failed: set[Cell] = set()
@@ -75,7 +76,7 @@ class Exploration:
             else:
                 self._give_up(same, self.target, resolution, self._given_up)
                 ranked.remove(same)
-        self.target = self.looking = None
+        self.target, self.looking, self._near = None, None, 0.0
         for frontier in ranked:
             target = _targeted(frontier, resolution)
             spot = round(target.x / _LATTICE), round(target.y / _LATTICE)
@@ -86,12 +87,23 @@ class Exploration:
             self._give_up(frontier, target, resolution, self._given_up)
         return self.target
 
+    def passed(self, seconds: float, pose: Pose2) -> None:
+        """Time passed with the robot at pose."""
+        if self.looking is not None:
+            self.looking += seconds
+        if self.target is not None and pose.distance(Pose2(self.target.x, self.target.y)) <= _AROUND:
+            self._near += seconds
+
+    def arrived(self) -> None:
+        """The robot is where the target is seen from; having come close to it counts for half of the look."""
+        self.looking = min(self._near, self.config.look_time / 2)
+
     def failed(self, resolution: float) -> None:
         """The target cannot be reached now; it is tried once more when nothing else is left."""
         if self.target is not None:
             into = self._given_up if self._last_try else self._failed
             self._give_up(self.target.frontier, self.target, resolution, into)
-        self.target = self.looking = None
+        self.target, self.looking, self._near = None, None, 0.0
 
     def retried(self) -> bool:
         """Whether there is something to try once more; from now on it counts again."""

@@ -98,23 +98,24 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     n_min, n_max = config.min_size / resolution, max(int(config.max_size / resolution), 1)
     pieces, ends = _pieces(border & (seen_from >= 0), n_min, n_max)
     _, unreachable_ends = _pieces(border & (seen_from < 0), n_min, n_max)
+    unknown = np.pad((cells < 0) | ((cells > FREE_UP_TO) & (cells < OCCUPIED_FROM)), 1, constant_values=True)
     found = tuple(
-        _frontier(pieces[begin:end], snapshot, seen_from, travelled) for begin, end in zip((0, *ends[:-1]), ends)
+        _frontier(pieces[begin:end], snapshot, unknown, seen_from, travelled)
+        for begin, end in zip((0, *ends[:-1]), ends)
     )
     return Frontiers(found, len(unreachable_ends), enclosed)
 
 
-def _frontier(piece: Int32s, snapshot: Snapshot, seen_from: Int32s, travelled: Int32s) -> Frontier:
-    cells, resolution = snapshot.cells, snapshot.resolution
-    row0, column0 = snapshot.first_row, snapshot.first_column
-    h, w = cells.shape
+def _frontier(piece: Int32s, snapshot: Snapshot, unknown: Bools, seen_from: Int32s, travelled: Int32s) -> Frontier:
+    """unknown: (h + 2, w + 2) bool, with what lies outside."""
+    resolution, row0, column0 = snapshot.resolution, snapshot.first_row, snapshot.first_column
+    w = snapshot.cells.shape[1]
     rows, columns = np.divmod(piece.astype(np.int64), w)
     middle = int(piece[int(np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2))])
     goal_row, goal_column = divmod(int(seen_from.reshape(-1)[middle]), w)
     up = across = 0
     for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-        r, c = np.clip(rows + dr, 0, h - 1), np.clip(columns + dc, 0, w - 1)
-        n = int(np.count_nonzero(_unknown(cells[r, c])))
+        n = int(np.count_nonzero(unknown[rows + 1 + dr, columns + 1 + dc]))
         up, across = up + dr * n, across + dc * n
     return Frontier(
         (column0 + goal_column + 0.5) * resolution,
@@ -124,10 +125,6 @@ def _frontier(piece: Int32s, snapshot: Snapshot, seen_from: Int32s, travelled: I
         float(travelled[goal_row, goal_column]) / _STRAIGHT * resolution,
         np.column_stack((rows + row0, columns + column0)),
     )
-
-
-def _unknown(cells: Int8s) -> Bools:
-    return np.asarray((cells < 0) | ((cells > FREE_UP_TO) & (cells < OCCUPIED_FROM)))
 
 
 @njit(cache=True, nogil=True)

@@ -231,7 +231,8 @@ class Navigation:
     def _arrived(self, now: int) -> Out:
         self.leg, self.recovery = None, ""
         if isinstance(self.task, Exploration):
-            self.task.looking, self.searched = 0.0, inf
+            self.task.arrived()
+            self.searched = inf
         elif isinstance(self.task, Route) and self.task.dwell > 0:
             self.dwell = self.task.dwell
             yield self._goal(now, GoalKind.NONE)
@@ -275,11 +276,11 @@ class Navigation:
     # exploring
 
     def _explore(self, exploration: Exploration, seconds: float, now: int) -> Out:
-        if exploration.looking is not None:
-            exploration.looking += seconds
+        pose, grid = self.where.map_from_base, self.grid
+        if pose is not None:
+            exploration.passed(seconds, pose)
         if self.leg is None:
             exploration.without += seconds
-        pose, grid = self.where.map_from_base, self.grid
         if pose is None or grid.empty:
             if exploration.without > self.config.leg.start_time:
                 yield from self.end(now, NavState.FAILED, reasons.NO_MAP if grid.empty else reasons.POSE_OLD)

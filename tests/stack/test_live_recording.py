@@ -11,8 +11,10 @@ from services.recorder.store import RecorderConfig, RecordingStore
 from shared.codec import Envelope
 from shared.recording import Recording
 from shared.runners import transport
+from shared.runners.clock import Clock
 from shared.runners.host import LATCHED
-from shared.runners.live import Clock, Live, Memory
+from shared.runners.live import Live
+from shared.runners.memory import Memory
 from shared.service import Service
 from tests.stack.test_live import free_stack
 from tests.toys import ROBOT, build
