@@ -200,7 +200,8 @@ class Navigation:
             yield from self._give_up(reason, now, whole=held is not None)
 
     def _recover(self, leg: Leg, reason: Reason, now: int) -> Out:
-        if isinstance(self.task, Exploration) and leg.n_recoveries >= _FRONTIER_RECOVERIES:
+        others = reason is reasons.UNREACHABLE or leg.n_recoveries >= _FRONTIER_RECOVERIES
+        if isinstance(self.task, Exploration) and others:
             yield from self._give_up(reason, now, whole=False)
             return
         pose = self.where.map_from_base
@@ -303,7 +304,7 @@ class Navigation:
 
     def _without_frontier(self, exploration: Exploration, found: Frontiers, now: int) -> Out:
         config = self.config.exploration
-        uncertain = found.n_unreachable > 0 or found.enclosed
+        uncertain = found.enclosed or bool(found.unreachable)
         if exploration.without < (config.blocked_time if uncertain else config.settle_time):
             return
         if exploration.retried():

@@ -236,7 +236,7 @@ def frontier_at(x, y, distance, size=1.0):
 
 
 def found(*frontiers):
-    return Frontiers(frontiers, 0, False)
+    return Frontiers(frontiers, (), False)
 
 
 HERE = Pose2()
@@ -258,7 +258,24 @@ def test_a_target_is_kept_until_another_is_notably_better():
     exploration = Exploration(ExplorationConfig())
     far = exploration.taken(found(FAR), HERE, R)
     assert exploration.taken(found(FAR, frontier_at(0.0, 5.0, 6.5)), HERE, R) is far
-    assert exploration.taken(found(FAR, NEAR), HERE, R).frontier is NEAR
+    after = [exploration.taken(found(FAR, NEAR), HERE, R) for _ in range(ExplorationConfig().switch_after)]
+    assert all(target is far for target in after[:-1])
+    assert after[-1].frontier is NEAR
+
+
+def test_a_better_frontier_that_is_gone_again_at_once_changes_nothing():
+    exploration = Exploration(ExplorationConfig())
+    far = exploration.taken(found(FAR), HERE, R)
+    for _ in range(10):
+        assert exploration.taken(found(FAR, NEAR), HERE, R) is far
+        assert exploration.taken(found(FAR), HERE, R) is far
+
+
+def test_a_target_that_no_way_leads_to_right_now_is_kept_and_one_that_was_seen_is_not():
+    exploration = Exploration(ExplorationConfig())
+    far = exploration.taken(found(FAR), HERE, R)
+    assert exploration.taken(Frontiers((NEAR,), (FAR.cells,), False), HERE, R) is far
+    assert exploration.taken(Frontiers((NEAR,), (), False), HERE, R).frontier is NEAR
 
 
 @settings(max_examples=20, deadline=None)

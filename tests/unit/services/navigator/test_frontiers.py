@@ -51,7 +51,7 @@ def test_what_lies_behind_a_gap_too_narrow_is_unreachable():
     cells[10:18, 60:64] = cells[22:30, 60:64] = 100  # leaves 0.2 m
     found = look(cells, 2.0, 1.0)
     assert [round(f.x) for f in found.frontiers] == [0]
-    assert found.n_unreachable == 1
+    assert [round(cells[:, 1].mean()) for cells in found.unreachable] == [89]
 
 
 def test_small_gaps_in_the_map_are_no_frontiers():
@@ -61,6 +61,15 @@ def test_small_gaps_in_the_map_are_no_frontiers():
     assert look(cells, 2.0, 2.0).frontiers == ()
     cells[60:72, 60:72] = -1
     assert len(look(cells, 2.0, 2.0).frontiers) == 1
+
+
+def test_a_sliver_beside_a_wall_is_no_frontier():
+    cells = np.full((100, 100), 0, np.int8)
+    cells[[0, -1]] = cells[:, [0, -1]] = 100
+    cells[40, 20:60] = 100
+    cells[41:43, 20:60] = -1  # the wall seen twice, 10 cm apart
+    cells[43, 20:59:2] = 100
+    assert look(cells, 2.5, 3.5).frontiers == ()
 
 
 def test_a_dropped_frontier_is_none():
