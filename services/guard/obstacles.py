@@ -16,7 +16,7 @@ Float64s = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 EXPLAINED = 0.08  # m by which a range reading and a laser echo may differ and still mean the same thing
-MOST_POINTS = 2000  # kept of one scan, the nearest; an X80SV has 360 beams, a Jackal 720
+MOST_BEAMS = 1440  # of one scan; of a finer one every second, third ... is enough: 0.25 degrees of a full turn
 MOST_HIDDEN = 500  # remembered, the nearest
 NONE = np.empty((0, 2))
 
@@ -53,14 +53,11 @@ class Obstacles:
 
     def take_scan(self, scan: LaserScan, track: Track) -> None:
         """Replaces what the laser saw by a newer scan; what it no longer looks at is remembered."""
-        ends = self._ends(scan, track)
-        near = np.isfinite(ends[:, 0])
-        solid = near & supported(ends, self._seen, self._radius(scan), self.config.min_points)
+        stride = -(-len(scan.ranges) // MOST_BEAMS)
+        ends, radius = self._ends(scan, track, stride)
+        solid = supported(ends, self._seen, radius, self.config.min_points)
         self._remember(scan, track)
-        self._seen, self._solid = ends[near], ends[solid]
-        if len(self._seen) > MOST_POINTS:
-            self._seen = self._nearest(self._seen, track.odom_from_base, MOST_POINTS)
-            self._solid = self._nearest(self._solid, track.odom_from_base, MOST_POINTS)
+        self._seen, self._solid = ends[np.isfinite(ends[:, 0])], ends[solid]
 
     def take_ranges(self, readings: RangeReadings, track: Track) -> None:
         """Replaces the range sensors' echoes.
@@ -83,24 +80,22 @@ class Obstacles:
                 echo = echo[distance <= least + EXPLAINED]
             self._echoes[i] = echo, readings.stamp
 
-    def _ends(self, scan: LaserScan, track: Track) -> Float64s:
-        """(n, 2) m in `odom`: each beam's end, seen from where the robot was at that beam; NaN without one near."""
-        n = len(scan.ranges)
-        ranges = scan.ranges.astype(float)
-        ranges[~((ranges >= scan.range_min) & (ranges <= scan.range_max))] = np.nan
-        angles = scan.angle_min + scan.angle_increment * np.arange(n)
-        in_laser = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
-        in_base = self.base_from_laser @ in_laser
-        in_base[~(np.hypot(in_base[:, 0], in_base[:, 1]) <= self.reach)] = np.nan
-        poses = track.poses(np.linspace(0.0, scan.scan_time, n), scan.stamp)
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        x, y = in_base[:, 0], in_base[:, 1]
-        return np.column_stack((poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y))
+    def _ends(self, scan: LaserScan, track: Track, stride: int) -> tuple[Float64s, Float64s]:
+        """(n, 2) m in `odom`: each beam's end, seen from where the robot was at that beam; NaN without one near.
 
-    def _radius(self, scan: LaserScan) -> Float64s:
-        """(n,) m within which beams support each other: wider where they spread."""
-        spread = 3 * abs(scan.angle_increment) * np.minimum(scan.ranges, self.reach)
-        return np.asarray(self.config.support_radius + spread, float)
+        And (n,) m within which the ends of neighbouring beams support each other: wider where beams spread.
+        """
+        beams = np.arange(0, len(scan.ranges), stride)
+        ranges = scan.ranges[::stride].astype(float)
+        ranges[~((ranges >= scan.range_min) & (ranges <= scan.range_max))] = np.nan
+        angles = scan.angle_min + scan.angle_increment * beams
+        in_base = self.base_from_laser @ np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
+        x, y = in_base[:, 0], in_base[:, 1]
+        x[~(np.hypot(x, y) <= self.reach)] = np.nan
+        poses = track.poses(scan.scan_time * beams / (len(scan.ranges) - 1), scan.stamp)
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        ends = np.column_stack((poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y))
+        return ends, self.config.support_radius + 3 * stride * abs(scan.angle_increment) * ranges
 
     def _remember(self, scan: LaserScan, track: Track) -> None:
         """Keeps, of the last scan and of what was hidden before, what this scan could not see."""
@@ -123,11 +118,6 @@ class Obstacles:
                 np.argsort(np.hypot(*(self._hidden[first] - (here.x, here.y)).T), kind="stable")[:MOST_HIDDEN]
             ]
             self._hidden, self._hidden_seen = self._hidden[order], self._hidden_seen[order]
-
-    @staticmethod
-    def _nearest(points: Float64s, here: Pose2, most: int) -> Float64s:
-        distance = np.hypot(points[:, 0] - here.x, points[:, 1] - here.y)
-        return points[np.argsort(distance, kind="stable")[:most]]
 
 
 def supported(ends: Float64s, earlier: Float64s, radius: Float64s, least: int) -> Bools:
@@ -158,9 +148,7 @@ def looks_at(scan: LaserScan, bearings: Float64s) -> Bools:
 
 def _arc(reach: float, cone: float) -> Float64s:
     """(k, 2) m in the sensor's frame: where a cone's echo may come from, no more than 0.1 m apart."""
-    angles = np.linspace(-cone / 2, cone / 2, 1 + int(np.ceil(reach * cone / 0.1)))
-    if len(angles) == 1:
-        angles = np.zeros(1)
+    angles = np.linspace(-cone / 2, cone / 2, 2 + int(reach * cone / 0.1))
     return np.column_stack((reach * np.cos(angles), reach * np.sin(angles)))
 
 

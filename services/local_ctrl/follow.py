@@ -17,6 +17,8 @@ from shared.config import Section
 from shared.geometry import Pose2, wrapped
 from shared.messages import FollowState, Goal
 
+SLOW = 0.05  # m/s
+BRAKING_ROOM = 0.3  # m
 RIM = 0.25  # m of the window that the path keeps off: the field around its end needs room
 
 
@@ -106,11 +108,11 @@ class Follower:
         # the plan may end beside the goal, as far as the tolerance allows: what is left of it is ours
         near = max(0.03, goal.tolerance - plan.end.distance(goal.map_from_goal))
         if self.at_end:
-            self.at_end = away < 1.5 * near + 0.05
+            # stopping may carry it out again; then it comes back
+            self.at_end = away < (near if abs(motion.v) < SLOW else near + BRAKING_ROOM)
         elif ahead.ends:
-            bearing = wrapped(motion.pose.bearing(ahead.end) - motion.pose.yaw)
-            passed = abs(bearing) > 0.5 * pi
-            self.at_end = away < 0.3 * near or (away < near and (passed or abs(motion.v) < 0.05))
+            passed = abs(wrapped(motion.pose.bearing(ahead.end) - motion.pose.yaw)) > 0.5 * pi
+            self.at_end = away < 0.2 * near or (away < near and (passed or abs(motion.v) < SLOW))
         return self.at_end
 
     def _turned_to_goal(self, yaw: float, goal: Goal, costmap: LocalCostmap, motion: Motion) -> Outcome:

@@ -29,6 +29,8 @@ class FrontEndConfig(Section):
     keyframe_turn: float = Field(0.15, ge=0.01, le=3, description="rad turned until a scan joins the map")
     good: float = Field(0.6, ge=0, le=1, description="quality from which the pose is good")
     lost: float = Field(0.3, ge=0, le=1, description="quality under which the pose may be lost")
+    clear_cells: int = Field(2, ge=0, le=20, description="free cells to each side that make an echo a moving thing's")
+    most_moving: float = Field(0.4, ge=0, le=1, description="share of beams on moving things that is still believed")
     lost_after: int = Field(5, ge=1, le=1000, description="scans in a row under `lost` until the pose is lost")
 
 
@@ -80,10 +82,15 @@ class FrontEnd:
         valid = ~np.isnan(ends[:, 0])
         points, normals = np.ascontiguousarray(ends[valid]), np.ascontiguousarray(normals[valid])
         match = self._matched(points, normals, step, doubt)
+        moving = grid.clear_at(match.map_from_base @ points, self.config.clear_cells)
+        if 0 < moving.sum() < self.config.most_moving * len(points):
+            # who walks through known free space would pull the robot along, most of all in a bare corridor
+            points, normals = points[~moving], normals[~moving]
+            match = self._matched(points, normals, step, doubt)
         self._believe(match, step, doubt)
         self.motion = self.map_from_base.inverse() @ match.map_from_base
         self.map_from_base = match.map_from_base
-        quality, told = self._judged(match, points, grid)
+        quality, told = self._judged(match, points, grid, int(moving.sum()))
         self._grade(quality, told, len(points))
         if self.state is not Localization.LOST and self._moved_on() and len(points):
             self._extend(points, normals)
@@ -105,9 +112,7 @@ class FrontEnd:
             match = self._better(match, points, normals, guesses, unsure)
         return match
 
-    def _better(
-        self, match: Match, points: Float64s, normals: Float64s, guesses: list[Pose2], prior: Prior
-    ) -> Match:
+    def _better(self, match: Match, points: Float64s, normals: Float64s, guesses: list[Pose2], prior: Prior) -> Match:
         """The match, or one from another guess that clearly more beams agree with."""
         for guess in guesses:
             other = self.registrar.register(points, normals, guess, prior)
@@ -124,10 +129,10 @@ class FrontEnd:
         covariance = np.linalg.inv(np.linalg.inv(grown) + match.information)
         self.covariance = (covariance + covariance.T) / 2
 
-    def _judged(self, match: Match, points: Float64s, grid: Occupancy) -> tuple[float, bool]:
+    def _judged(self, match: Match, points: Float64s, grid: Occupancy, n_moving: int) -> tuple[float, bool]:
         """The share that agrees of the beams that tell anything; a beam into the unknown tells nothing."""
         n_agree = int(match.agree.sum())
-        n_against = int(grid.contradicted(match.map_from_base @ points[~match.agree]).sum())
+        n_against = int(grid.clear_at(match.map_from_base @ points[~match.agree], 1).sum()) + n_moving
         return n_agree / max(n_agree + n_against, LEAST_BEAMS), n_agree + n_against >= LEAST_BEAMS
 
     def _grade(self, quality: float, told: bool, n: int) -> None:

@@ -108,12 +108,12 @@ class Occupancy:
             self.dirty[i] = True
         self.n_scans = 1
 
-    def contradicted(self, points: Float64s) -> Bools:
-        """(n,) bool: which points (n, 2) m in `map` lie in cells known to be free, with free cells all around."""
+    def clear_at(self, points: Float64s, around: int) -> Bools:
+        """(n,) bool: which points (n, 2) m in `map` lie in free cells, with `around` free cells to each side."""
         if not len(points):
             return np.zeros(0, np.bool_)
         row0, column0, directory = self._directory(points)
-        free = _free(points, self.resolution, directory, row0, column0, _logit(FREE_UP_TO / 100), self.odds)
+        free = _free(points, self.resolution, directory, row0, column0, _logit(FREE_UP_TO / 100), around, self.odds)
         return np.asarray(free, bool)
 
     def _message(self, stamp: int, places: list[tuple[int, int]]) -> MapUpdate:
@@ -253,14 +253,16 @@ def _add(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _free(points, resolution, directory, row0, column0, limit, odds):  # type: ignore[no-untyped-def]
+def _free(points, resolution, directory, row0, column0, limit, around, odds):  # type: ignore[no-untyped-def]
     free = np.zeros(len(points), np.bool_)
     for k in range(len(points)):
         column, row = int(np.floor(points[k, 0] / resolution)), int(np.floor(points[k, 1] / resolution))
         all_free = True
-        for r in range(row - 1, row + 2):
-            for c in range(column - 1, column + 2):
-                tile = directory[(r >> 6) - row0, (c >> 6) - column0]
+        for r in range(row - around, row + around + 1):
+            for c in range(column - around, column + around + 1):
+                i, j = (r >> 6) - row0, (c >> 6) - column0
+                inside = 0 <= i < directory.shape[0] and 0 <= j < directory.shape[1]
+                tile = directory[i, j] if inside else -1
                 if tile < 0 or odds[tile, r & 63, c & 63] > limit:
                     all_free = False
         free[k] = all_free

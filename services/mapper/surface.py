@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which way surfaces face: normals along a sweep, and surface points out of an occupancy grid."""
 
-from math import hypot, isnan, sqrt
+from math import hypot, inf, isnan, sqrt
 
 import numpy as np
 from numba import njit
@@ -12,6 +12,8 @@ Bools = NDArray[np.bool_]
 
 NEIGHBOURS = 3  # beams to each side that a normal is fitted to
 LEAST = 4  # points for a fit
+STEEPEST = 12.0  # m along a surface a metre across the beams
+LONGEST = 1.0  # m between neighbours of one surface
 FLAT = 0.04  # m, largest rms distance from the fitted line
 
 
@@ -19,12 +21,12 @@ FLAT = 0.04  # m, largest rms distance from the fitted line
 def sweep_normals(origins, ends):  # type: ignore[no-untyped-def]  # (n, 2), (n, 2) -> (n, 2) float64
     """Unit normals towards the laser, (0, 0) where no line fits: total least squares over +-3 beams without a gap.
 
-    origins, ends: (n, 2) m, ends NaN without an echo. A gap is a step longer than a surface that is seen at 75 degrees
-    from its normal would make at this spacing of the beams, and than 6 cm.
+    origins, ends: (n, 2) m, ends NaN without an echo. A gap is a step that is longer than a surface seen at 85 degrees
+    from its normal makes, or that is out of proportion to the step beside it: two clusters always lie on a line.
     """
     n = len(ends)
     normals = np.zeros((n, 2))
-    linked = np.zeros(n, np.bool_)  # i to i + 1
+    steps = np.full(n, inf)  # m from i to i + 1
     for i in range(n - 1):
         if isnan(ends[i, 0]) or isnan(ends[i + 1, 0]):
             continue
@@ -32,14 +34,17 @@ def sweep_normals(origins, ends):  # type: ignore[no-untyped-def]  # (n, 2), (n,
         bx, by = ends[i + 1, 0] - origins[i + 1, 0], ends[i + 1, 1] - origins[i + 1, 1]
         across = abs(ax * by - ay * bx) / max(hypot(ax, ay), 1e-9)
         step = hypot(ends[i + 1, 0] - ends[i, 0], ends[i + 1, 1] - ends[i, 1])
-        linked[i] = step < max(4.0 * across, 0.06) and step < 1.0
+        steps[i] = step if step < max(STEEPEST * across, 0.06) and step < LONGEST else inf
     for i in range(n):
         if isnan(ends[i, 0]):
             continue
         low = high = i
-        while low > 0 and i - low < NEIGHBOURS and linked[low - 1]:
+        before = after = min(steps[i - 1] if i > 0 else inf, steps[i])
+        while low > 0 and i - low < NEIGHBOURS and _even(steps[low - 1], before):
             low -= 1
-        while high < n - 1 and high - i < NEIGHBOURS and linked[high]:
+            before = steps[low]
+        while high < n - 1 and high - i < NEIGHBOURS and _even(steps[high], after):
+            after = steps[high]
             high += 1
         if high - low + 1 < LEAST:
             continue
@@ -50,6 +55,11 @@ def sweep_normals(origins, ends):  # type: ignore[no-untyped-def]  # (n, 2), (n,
         sign = 1.0 if towards >= 0 else -1.0
         normals[i, 0], normals[i, 1] = sign * nx, sign * ny
     return normals
+
+
+@njit(cache=True, nogil=True)
+def _even(step, beside):  # type: ignore[no-untyped-def]  # m, m -> bool
+    return step < inf and step <= 3.0 * beside + 0.03 and beside <= 3.0 * step + 0.03
 
 
 @njit(cache=True, nogil=True)

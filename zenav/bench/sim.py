@@ -88,7 +88,7 @@ def _ratio(config: SimConfig, robot: Robot, world: str, seconds: float, repeats:
 
 
 def driven(service: SimService, drive: Drive, seconds: float) -> int:
-    """Drives circles for some simulated seconds, with a command before each tick as from a base driver; counts scans."""
+    """Drives circles for some simulated seconds, commanded before each tick as by a base driver; counts scans."""
     per_second = drive.counts_per_turn / (2 * pi * drive.wheel_radius)  # counts/s of a wheel at 1 m/s
     n_scans = 0
     for _ in range(round(seconds * 1e9 / TICK_NS)):

@@ -64,7 +64,7 @@ class World:
 
 @njit(cache=True)
 def cast(occupied: Bools, cell: float, poses: Float64s, angles: Float64s, range_max: float) -> Float32s:
-    """Ranges of beams from poses (n, 2) m in directions (n,), by steps of a third of a cell; NaN where nothing is hit."""
+    """Ranges of beams from poses (n, 2) m in directions (n,), by steps of a third of a cell; NaN: no hit."""
     out = np.full(len(angles), np.nan, np.float32)
     for i in range(len(angles)):
         dx, dy = cos(angles[i]), sin(angles[i])
