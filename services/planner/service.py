@@ -145,7 +145,7 @@ class PlannerService(Service):
         self.blocked_since = self.now if self.blocked_since is None else self.blocked_since
         # a wall just discovered stays; what came into space that was seen free may go again
         came = self.known is not None and bool(self.known[stands.blocked])
-        waits = came and self.now - self.blocked_since <= upkeep.patience * 1e9
+        waits = came and 0 <= self.now - self.blocked_since <= upkeep.patience * 1e9
         rest = remaining(old, stands.index)
         return old if waits and worth_waiting(rest, self.cost_left, stands.ahead, new, upkeep) else self._taken(new)
 

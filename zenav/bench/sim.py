@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from services.sim.service import SimConfig, SimService
 from shared.config import Drive, Laser, Robot, load_robot
 from shared.messages import MotorCommand
+from shared.ros_map import write_ros_map
 
 TICK_NS = 20_000_000
 N_CELLS = 1000
-SIDE = 0.05  # m a cell
+CELL = 0.05  # m
 
 
 def run(seconds: float = 10.0, repeats: int = 5) -> dict[str, Any]:
@@ -39,7 +39,8 @@ def run(seconds: float = 10.0, repeats: int = 5) -> dict[str, Any]:
     fast = robot.robot.model_copy(update={"laser": laser_720})
     config = robot.section("sim", SimConfig)
     with tempfile.TemporaryDirectory() as folder:
-        grid = str(written_map(Path(folder)))
+        cells = np.where(building(N_CELLS), 100, 0).astype(np.int8)
+        grid = str(write_ros_map(Path(folder), cells, CELL, 0.0, 0.0, "building"))
         rows = {
             "map of 1000 x 1000 cells, 720 beams at 40 Hz": _ratio(config, fast, grid, seconds, repeats),
             "office, 720 beams at 40 Hz": _ratio(config, fast, "office", seconds, repeats),
@@ -65,14 +66,6 @@ def building(n: int) -> NDArray[np.bool_]:
         solid[row : row + h, column : column + w] = True
     solid[n // 2 + 8 : n // 2 + 108, n // 2 + 8 : n // 2 + 108] = False
     return solid
-
-
-def written_map(folder: Path) -> Path:
-    """The building as a ROS map in `folder`; returns the path of its YAML."""
-    Image.fromarray(np.where(building(N_CELLS), 0, 254).astype(np.uint8)).save(folder / "building.pgm")
-    path = folder / "building.yaml"
-    path.write_text(f"image: building.pgm\nresolution: {SIDE}\norigin: [0, 0, 0]\nnegate: 0\n", encoding="utf-8")
-    return path
 
 
 def _ratio(config: SimConfig, robot: Robot, world: str, seconds: float, repeats: int) -> dict[str, float]:
