@@ -164,6 +164,7 @@ def test_a_taken_port_is_told_with_its_holder():
     with free_stack() as claim:
         domain, port = claim.where.domain, claim.where.port("mapper")
     with socket.socket() as holder:
+        holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what an earlier stack left in TIME_WAIT is free
         holder.bind(("127.0.0.1", port))
         holder.listen()
         with pytest.raises(UserError, match=f"port {port} .*pid {os.getpid()}"):
