@@ -18,6 +18,8 @@ from zenav.pilot import Pilot
 from zenav.scene import Outcome, Scene
 from zenav.score import Track
 
+NEEDED: tuple[Topic[Any], ...] = (topics.NAV, topics.POSE, topics.MAP)
+"""What must have come before the pilot asks for anything."""
 PERIOD = 0.1  # s between two looks of the pilot
 START_LIMIT = 120.0  # s for the first word of every service: a first start may compile kernels
 
@@ -93,7 +95,7 @@ def run(
         }
         launcher = Launcher(commands, folder, view.tell)
         with launcher, Client(scene.file.robot.name, claim.where) as client:
-            client.follow(topics.NAV, topics.GUARD, topics.POSE, topics.MAP)
+            client.follow(topics.GUARD, *NEEDED)
             for topic in tracked:
                 client.listen(topic, lambda message, envelope: take(message, envelope.sent))
 
@@ -137,7 +139,7 @@ def _steer(
         launcher.step()
         if not ready:
             missing = [name for name in launcher.children if name not in heard.latest]
-            missing += [topic.key for topic in (topics.NAV, topics.POSE, topics.MAP) if client.latest(topic) is None]
+            missing += [topic.key for topic in NEEDED if client.latest(topic) is None]
             ready = not missing
             if missing and now - begun > START_LIMIT:
                 return f"after {START_LIMIT:g} s still nothing from {', '.join(missing)}"

@@ -29,9 +29,15 @@ def stack(scene: Scene) -> dict[str, Service]:
 
 def run(scene: Scene, seconds: float, record: Path | None, tell: Tell = lambda at, pilot, nav: True) -> Outcome:
     """Runs the scenario for at most `seconds` of virtual time."""
-    writer = Writer(record, about(scene.file.robot.name), {CONFIG: scene.file.text.encode()}) if record else None
+    services = stack(scene)
+    if record is None:
+        return _run(scene, Lockstep(services), seconds, tell)
+    with Writer(record, about(scene.file.robot.name), {CONFIG: scene.file.text.encode()}) as writer:
+        return _run(scene, Lockstep(services, record=sink(writer)), seconds, tell)
+
+
+def _run(scene: Scene, lockstep: Lockstep, seconds: float, tell: Tell) -> Outcome:
     begun, cpu = time.monotonic(), time.process_time()
-    lockstep = Lockstep(stack(scene), record=sink(writer) if writer else None)
     track, newest = Track(), list[NavStatus]()
 
     def heard(message: NavStatus) -> None:
@@ -48,8 +54,6 @@ def run(scene: Scene, seconds: float, record: Path | None, tell: Tell = lambda a
         pilot.step(lockstep.now / 1e9, nav)
         goes_on = tell((lockstep.now - START) / 1e9, pilot, nav)
     lockstep.flush()
-    if writer is not None:
-        writer.close()
     wall = time.monotonic() - begun
     outcome = Outcome(scene, track, pilot, wall)
     outcome.processes["lockstep"] = {"cpu": round((time.process_time() - cpu) / wall, 3), "memory_mb": memory()}

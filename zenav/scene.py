@@ -8,9 +8,8 @@ from typing import Any
 from services.sim.service import SimConfig
 from services.sim.store import load
 from services.sim.world import World
-from shared.config import RobotFile, UserError
+from shared.config import RobotFile, UserError, configured
 from shared.geometry import Pose2
-from shared.runners.live import configured
 from zenav.pilot import Pilot
 from zenav.score import Track, summary
 from zenav.settings import checked

@@ -212,16 +212,16 @@ class Live:
             self.traffic.bad += 1
             self.traffic.wrong(f"{key}: a bad message was dropped: {error}", now)
             return
-        verdict = self._admissions[key].judge(envelope, now)
+        verdict = self._admissions[key].judge(envelope, now, latched)
         if verdict is Verdict.INTRUDER:
             self.traffic.intruders += 1
             self.traffic.wrong(f"{key}: a second publisher ({envelope.publisher} {envelope.session}) is ignored", now)
             return
+        if topic.latched and not self._admissions[key].complete:
+            self._latched_readers[key].refresh()
         if verdict is Verdict.OLD:
             self.traffic.old += not latched
             return
-        if verdict is Verdict.GAP and topic.latched and not latched:
-            self._latched_readers[key].refresh()
         self._apply(self.host.message(key, message, envelope, now, latched))
         self.traffic.took(key, (now - message.stamp) / SECOND, time.perf_counter() - begun)
 
