@@ -1,7 +1,7 @@
 # One image for the router, every service and the command line; the container's command says which.
 #
-# Kernels are compiled for the processor that builds the image: build it where it runs, or the first start on another
-# one compiles them again (the cache is the user's own, so it can).
+# Kernels are compiled for any x86-64 processor with AVX2 (shared/repeatable.py), or for the ARM that builds the image. On
+# another one the first start compiles them again: the cache is the user's own, so it can.
 FROM python:3.11-slim-bookworm AS build
 
 # a package mirror, where one is needed: given at build time, kept nowhere

@@ -236,6 +236,14 @@ def load_robot(robot: str) -> RobotFile:
     return RobotFile(path, load_yaml(path))
 
 
+def configured(robot: str, overrides: list[str]) -> RobotFile:
+    """A robot's file with overrides (`section.key=value`) applied."""
+    file = load_robot(robot)
+    for assignment in overrides:
+        file.override(assignment)
+    return file
+
+
 def load_yaml(path: Path) -> CommentedMap:
     """A YAML file whose top level is a mapping. Raises UserError where it cannot be read."""
     try:

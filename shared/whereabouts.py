@@ -5,7 +5,9 @@ from shared.geometry import Pose2
 from shared.messages import Localization, Odometry, PoseEstimate
 
 TELEPORT = 0.5
-"""m between two odometry messages, or between two corrections, that no driving explains."""
+"""m between two corrections that no driving explains."""
+TOP_SPEED = 5.0
+"""m/s between two odometry messages, beyond TELEPORT, that no driving explains."""
 
 
 class Whereabouts:
@@ -36,9 +38,8 @@ class Whereabouts:
     def moved(self, odometry: Odometry) -> None:
         """Takes dead reckoning. Where it restarts elsewhere, the robot stays where it was until the mapper speaks."""
         last = self._odometry
-        leapt = last is not None and last.odom_from_base.distance(odometry.odom_from_base) > TELEPORT
-        if leapt and self._estimate is not None and self.map_from_base is not None:
-            stays = self.map_from_base
+        stays = self.map_from_base
+        if last is not None and self._estimate is not None and stays is not None and _leapt(last, odometry):
             self._estimate = PoseEstimate(
                 self._estimate.stamp,
                 stays,
@@ -48,3 +49,8 @@ class Whereabouts:
                 self._estimate.state,
             )
         self._odometry = odometry
+
+
+def _leapt(before: Odometry, after: Odometry) -> bool:
+    elapsed = abs(after.stamp - before.stamp) * 1e-9
+    return before.odom_from_base.distance(after.odom_from_base) > TELEPORT + TOP_SPEED * min(elapsed, 1.0)

@@ -46,7 +46,10 @@ def doctor(stack: str) -> int:
         colour = colours[finding.verdict]
         table.add_row(finding.name, f"[{colour}]{finding.verdict}[/]", finding.found, finding.mend)
         worst = BAD if BAD in (worst, finding.verdict) else finding.verdict if worst == OK else worst
-    Console().print(table)
+    console = Console()
+    if not console.is_terminal:
+        console.width = 160  # a log's lines do not wrap
+    console.print(table)
     return 1 if worst == BAD else 0
 
 
@@ -75,7 +78,7 @@ def packages() -> Iterator[Finding]:
         wanted = [line for line in requires("zenav") or [] if "extra ==" not in line]
     except PackageNotFoundError:
         yield Finding("packages", WARNING, "zenav is not installed here, it runs from its folder", "make venv")
-        wanted = []
+        return
     missing = []
     for line in wanted:
         name = next(part for part in line.replace("=", " ").replace(">", " ").replace("<", " ").split())

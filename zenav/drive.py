@@ -4,7 +4,7 @@
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import degrees, radians
 
 from shared import requests, topics
@@ -51,20 +51,21 @@ def poses_from(texts: list[str]) -> list[Target]:
     return found
 
 
-def navigate(client: Client, targets: list[Target], dwell: float, loops: int) -> Navigate:
-    """The request for a route; its headings count where every target has one."""
+def navigate(targets: list[Target], dwell: float, loops: int) -> Navigate:
+    """The request for a route, not yet stamped; its headings count where every target has one. Raises UserError."""
     if any(abs(n) > 1e6 or n != n for x, y, yaw in targets for n in (x, y, yaw or 0.0)):
         raise UserError("a pose is farther out than any map", "give m, m, degrees")
     mixed = len({yaw is None for _, _, yaw in targets}) > 1
     if mixed:
         raise UserError("some poses have a heading and some have none", "give all of them one, or none")
     poses = tuple(Pose2(x, y, wrapped(radians(yaw or 0.0))) for x, y, yaw in targets)
-    return Navigate(client.now(), poses, dwell, loops, targets[0][2] is None)
+    return Navigate(0, poses, dwell, loops, targets[0][2] is None)
 
 
 def drive(robot: str, stack: str, targets: list[Target], dwell: float = 0.0, loops: int = 1) -> int:
     """Drives through the targets; 0 when the last was reached."""
-    return _task(robot, stack, lambda c: c.ask(requests.NAVIGATE, navigate(c, targets, dwell, loops)))
+    request = navigate(targets, dwell, loops)
+    return _task(robot, stack, lambda c: c.ask(requests.NAVIGATE, replace(request, stamp=c.now())))
 
 
 def explore(robot: str, stack: str) -> int:
@@ -145,10 +146,17 @@ def _connected(robot: str, stack: str) -> Client:
 
 def _accepted(reply: Reply) -> Reply:
     if not reply.accepted:
-        reason = REASONS.get(reply.reason)
-        what = (reason.text if reason else reply.reason) + (f": {reply.detail}" if reply.detail else "")
-        raise UserError(what, reason.mend if reason else "see nav/status")
+        raise refusal(reply)
     return reply
+
+
+def refusal(reply: Reply) -> UserError:
+    """What a refusing reply says, with its mend."""
+    reason = REASONS.get(reply.reason)
+    if reason is None:
+        return UserError(reply.detail or reply.reason or "refused", "see nav/status")
+    told_already = reply.detail.startswith(reason.text)
+    return UserError(reason.text + (f": {reply.detail}" if reply.detail and not told_already else ""), reason.mend)
 
 
 def _task(robot: str, stack: str, start: Callable[[Client], Reply]) -> int:

@@ -46,10 +46,9 @@ def replay(recording: Path, names: list[str], out: Path) -> int:
     from shared.recording import Recording
     from zenav.replay import replay_file, robot_file
 
-    with Recording(recording) as opened:
-        file = robot_file(opened) or load_robot("x80sv")
+    file = robot_file(Recording(recording)) or load_robot("x80sv")
     with progress_bar(recording.name) as progress:
-        report = replay_file(recording, names, out, builder(file), progress)
+        report = replay_file(recording, names, out, builder(file), lambda done, of: progress(done / max(of, 1)))
     for topic in report.topics:
         sys.stdout.write(f"{topic.key:<16} {topic.n_equal:>8} equal {topic.n_different:>8} different {topic.first}\n")
     for note in report.notes:

@@ -53,7 +53,7 @@ class Child:
 def service_command(
     name: str, robot: str, stack: str, settings: list[str], clock: str = "", memory: Path | None = None
 ) -> list[str]:
-    """The command line of a service's process that dies with this one. memory: folder for what a restart must not lose."""
+    """The command line of a process that dies with this one. memory: folder for what a restart must not lose."""
     command = [sys.executable, "-P", "-m", "zenav.child", str(os.getpid()), f"services.{name}"]
     command += ["--robot", robot, "--stack", stack]
     for setting in settings:

@@ -12,11 +12,12 @@ from shared.config import UserError, load_robot, nearest
 from shared.geometry import Pose2, wrapped
 from shared.grid import OccupancyGrid
 from shared.messages import TILE_CELLS, MapUpdate
-from shared.reasons import NO_MAP, NO_SUCH_MAP, REASONS
+from shared.reasons import NO_MAP, NO_SUCH_MAP
 from shared.requests import LoadMap
 from shared.ros_map import read_ros_map, replace_file, write_ros_map
 from shared.runners.transport import where_from
 from zenav.client import Client
+from zenav.drive import refusal
 from zenav.picture import map_picture
 
 FOLDER = Path("maps")
@@ -45,11 +46,7 @@ def load(robot: str, stack: str, place: str, at: tuple[float, float, float]) -> 
         client.answers(requests.LOAD_MAP, 3.0)
         reply = client.ask(requests.LOAD_MAP, LoadMap(client.now(), update, pose), timeout=20.0)
     if not reply.accepted:
-        reason = REASONS.get(reply.reason)
-        words = reason.text if reason else reply.reason
-        raise UserError(
-            f"the mapper refuses the map: {words}: {reply.detail}", reason.mend if reason else "see its log"
-        )
+        raise refusal(reply)
     sys.stdout.write(f"{reply.detail}\n")
     return 0
 

@@ -150,20 +150,19 @@ def write(out: Path, recording: Recording, replayed: Replayed) -> None:
         for sent in of_name
     }
     known = {(*source, sequence) for source, payloads in replayed.recorded.items() for sequence in payloads}
-    extra = sorted((sent for at, sent in anew.items() if at not in known), key=lambda sent: sent.envelope.sent)
-    extra.reverse()
+    extra = sorted((sent for at, sent in anew.items() if at not in known), key=lambda sent: -sent.envelope.sent)
     about = {**recording.about, "replayed": ",".join(replayed.sent)}
     with Writer(out, about, recording.attachments) as writer:
         for entry in recording.entries():
             while extra and extra[-1].envelope.sent <= entry.log_time:
-                _add(writer, extra.pop(), None)
+                _add(writer, extra.pop())
             try:
                 envelope = envelope_of(entry.payload)
             except CodecError:
                 writer.copy(entry)
                 continue
             at = (entry.key, envelope.session, envelope.sequence)
-            if at in anew:
+            if at in known and at in anew:
                 _add(writer, anew[at], entry.log_time)
             elif at in known:
                 if envelope.sent >= replayed.until[envelope.session]:
@@ -171,9 +170,9 @@ def write(out: Path, recording: Recording, replayed: Replayed) -> None:
             elif replayed.journalled or envelope.publisher not in replayed.sent:
                 writer.copy(entry)
         while extra:
-            _add(writer, extra.pop(), None)
+            _add(writer, extra.pop())
 
 
-def _add(writer: Writer, sent: Sent, log_time: int | None) -> None:
+def _add(writer: Writer, sent: Sent, log_time: int | None = None) -> None:
     at = sent.envelope.sent if log_time is None else log_time
     writer.write(sent.key, sent.topic.type, sent.payload, at, sent.envelope.sent, sent.envelope.sequence)

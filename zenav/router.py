@@ -7,7 +7,6 @@ It holds nothing: when it ends, all traffic stops and guard and base driver hold
 import os
 import signal
 import sys
-import threading
 
 import zenoh
 
@@ -18,15 +17,14 @@ LISTEN = "tcp/127.0.0.1:7447"
 
 def main() -> None:
     """Routes until SIGTERM or SIGINT."""
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    ends = {signal.SIGINT, signal.SIGTERM}
+    signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # before Zenoh's threads start: they inherit it
     endpoint = sys.argv[1] if len(sys.argv) > 1 else LISTEN
     zenoh.init_log_from_env_or("error")
     try:
         with zenoh.open(router_configuration(endpoint)):
             sys.stderr.write(f"router: listening on {endpoint}\n")
-            stop.wait()
+            signal.sigwait(ends)
     except zenoh.ZError as error:
         sys.stderr.write(f"router: cannot listen on {endpoint}: {error}\nhint: is the port taken? see: ss -tlnp\n")
         os._exit(2)

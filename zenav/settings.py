@@ -5,8 +5,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-from shared.config import Robot, RobotFile, Section, UserError, nearest
-from shared.runners.live import configured
+from shared.config import Robot, RobotFile, Section, UserError, configured, nearest
 from shared.topics import SERVICES
 
 

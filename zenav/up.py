@@ -8,9 +8,9 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from shared import topics
-from shared.config import UserError, nearest
+from shared.config import UserError, configured, nearest
 from shared.messages import Health
-from shared.runners.live import clock_from, configured
+from shared.runners.clock import clock_from
 from shared.runners.transport import where_from
 from shared.topics import SERVICES
 from zenav.classes import built

@@ -6,7 +6,7 @@ the drive's limits, scored by the critics, and averaged with weights exp(-cost /
 velocities as the drive would run them: its limits are convex, so the average obeys them too.
 """
 
-from math import atan2, cos, hypot, sin
+from math import atan2, cos, hypot, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +32,9 @@ class Critics(Section):
     goal: float = Field(2.0, ge=0, le=100, description="1: a metre from the end, averaged, within half a metre of it")
     obstacle: float = Field(1.0, ge=0, le=1000, description="m/s: driving with no clearance left; 0 at `clearance`")
     critical: float = Field(20.0, ge=0, le=1000, description="m/s: being without clearance; 0 at `critical_clearance`")
-    overspeed: float = Field(4.0, ge=0, le=1000, description="s/m: squared speed above what the clearance allows")
+    overspeed: float = Field(
+        4.0, ge=0, le=1000, description="s/m: squared speed above what the clearance, or stopping at the goal, allows"
+    )
     headway: float = Field(20.0, ge=0, le=1000, description="1/(m s): squared braking distance that is not free ahead")
     reverse: float = Field(3.0, ge=0, le=100, description="1: a metre driven backward")
     twirl: float = Field(0.15, ge=0, le=100, description="m s/rad^2: squared turn rate")
@@ -109,6 +111,8 @@ class Solution(NamedTuple):
     gain: float
 
 
+APPROACH = 0.5  # share of the drive's braking that stopping at the goal counts on: the rest is for delay
+REACTION = 0.2  # s that a guard counts on between a command and the wheels' answer
 N_GUESSES = 9  # rollouts that are not noise: the last solution, standing still, seven that go downhill
 
 
@@ -135,7 +139,7 @@ class Mppi:
     def solve(self, scene: Scene, footprint: Footprint, n_elapsed: int) -> Solution:
         """The velocities from now on. n_elapsed: steps since the last call. Same calls, same bytes."""
         shift = min(max(n_elapsed, 0), self.config.steps)
-        self.mean[: self.config.steps - shift] = self.mean[shift:].copy()
+        self.mean = np.concatenate((self.mean[shift:], np.repeat(self.mean[-1:], shift, axis=0)))
         self.n_solved += 1
         # a step that shares no factor with the pool's size visits every start before it repeats
         start = (self.n_solved * 7919) % len(self.noise)
@@ -225,7 +229,7 @@ def _downhill(speed: float, look: float, scene: Scene, limits: Limits, targets: 
         target_v = speed * max(0.0, 1.0 - abs(error) / 0.9)
         if scene.ends:
             rest = hypot(scene.end_x - x, scene.end_y - y)
-            most = (2.0 * 0.5 * limits.braking * rest) ** 0.5
+            most = sqrt(2.0 * APPROACH * limits.braking * rest)
             target_v = min(max(target_v, -most), most)
         targets[t, 0], targets[t, 1] = target_v, target_w
         v, w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
@@ -286,7 +290,8 @@ def _evaluate(
             mean_to_go += to_go
             if scene.ends:
                 away = hypot(scene.end_x - x, scene.end_y - y)
-                cost += weights.goal * min(away, 0.5) / steps
+                over = max(0.0, abs(v) - sqrt(2.0 * APPROACH * limits.braking * away))
+                cost += weights.goal * min(away, 0.5) / steps + DT * weights.overspeed * over * over
         costs[k] = cost + weights.progress * to_go + weights.haste * mean_to_go / steps
         gains[k] = first - to_go
 
@@ -318,7 +323,7 @@ def _near(
         over = max(0.0, speed - share * limits.v_max)
         cost += weights.overspeed * over * over
     # the guard stops for what lies within the braking distance straight ahead: leave it room
-    stopping = speed * 0.1 + v * v / (2.0 * limits.braking) + weights.critical_clearance
+    stopping = speed * REACTION + v * v / (2.0 * limits.braking) + weights.critical_clearance
     if room < stopping + footprint.circumscribed:
         ahead = stopping if v >= 0.0 else -stopping
         free = sampled(scene.field, (x + c * ahead) / scene.resolution, (y + s * ahead) / scene.resolution)

@@ -29,6 +29,8 @@ class FrontEndConfig(Section):
     keyframe_turn: float = Field(0.15, ge=0.01, le=3, description="rad turned until a scan joins the map")
     good: float = Field(0.6, ge=0, le=1, description="quality from which the pose is good")
     lost: float = Field(0.3, ge=0, le=1, description="quality under which the pose may be lost")
+    clear_cells: int = Field(2, ge=0, le=20, description="free cells to each side that make an echo a moving thing's")
+    most_moving: float = Field(0.4, ge=0, le=1, description="share of beams on moving things that is still believed")
     lost_after: int = Field(5, ge=1, le=1000, description="scans in a row under `lost` until the pose is lost")
 
 
@@ -41,6 +43,37 @@ class Tracked:
     quality: float
     state: Localization
     match: Match
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """The beams of a sweep that measured something: origins, points and normals (n, 2) in `base`."""
+
+    origins: Float64s
+    points: Float64s
+    normals: Float64s
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A match, and how many of its beams contradict the map. A beam into the unknown says nothing."""
+
+    match: Match
+    n_against: int
+
+    @property
+    def n_agree(self) -> int:
+        return int(self.match.agree.sum())
+
+    @property
+    def quality(self) -> float:
+        """Of the beams that say anything, the share that agrees."""
+        return self.n_agree / max(self.n_agree + self.n_against, LEAST_BEAMS)
+
+    @property
+    def balance(self) -> float:
+        """Beams for the place less those against it, as a share of all."""
+        return (self.n_agree - self.n_against) / max(len(self.match.agree), 1)
 
 
 class FrontEnd:
@@ -78,42 +111,55 @@ class FrontEnd:
         """
         normals = sweep_normals(origins, ends)
         valid = ~np.isnan(ends[:, 0])
-        points, normals = np.ascontiguousarray(ends[valid]), np.ascontiguousarray(normals[valid])
-        match = self._matched(points, normals, step, doubt)
-        self._believe(match, step, doubt)
-        self.motion = self.map_from_base.inverse() @ match.map_from_base
-        self.map_from_base = match.map_from_base
-        quality, told = self._judged(match, points, grid)
-        self._grade(quality, told, len(points))
-        if self.state is not Localization.LOST and self._moved_on() and len(points):
-            self._extend(points, normals)
-        return Tracked(self.map_from_base, self.covariance, quality, self.state, match)
+        sweep = Sweep(origins[valid], np.ascontiguousarray(ends[valid]), np.ascontiguousarray(normals[valid]))
+        placed = self._placed(sweep, step, doubt, grid)
+        moving = grid.clear_at(placed.match.map_from_base @ sweep.points, self.config.clear_cells)
+        n_moving = int(moving.sum())
+        if 0 < n_moving < self.config.most_moving * len(moving):
+            # who walks through known free space would pull the robot along, most of all in a bare corridor
+            sweep = Sweep(sweep.origins[~moving], sweep.points[~moving], sweep.normals[~moving])
+            placed = self._placed(sweep, step, doubt, grid)
+        self._believe(placed.match, step, doubt)
+        self.motion = self.map_from_base.inverse() @ placed.match.map_from_base
+        self.map_from_base = placed.match.map_from_base
+        n_told = placed.n_agree + placed.n_against + n_moving
+        quality = placed.n_agree / max(n_told, LEAST_BEAMS)
+        self._grade(quality, n_told >= LEAST_BEAMS, len(valid))
+        if self.state is not Localization.LOST and self._moved_on() and len(sweep.points):
+            self._extend(sweep.points, sweep.normals)
+        return Tracked(self.map_from_base, self.covariance, quality, self.state, placed.match)
 
-    def _matched(self, points: Float64s, normals: Float64s, step: Pose2, doubt: float) -> Match:
+    def _placed(self, sweep: Sweep, step: Pose2, doubt: float, grid: Occupancy) -> Placed:
+        """The sweep aligned from odometry's guess, or from a better one where too many beams contradict the map."""
         prior = step_prior(self.registration, self.map_from_base, step, doubt)
-        if self.registrar.map.n == 0 or not len(points):
-            return self.registrar.measured(points, normals, prior.map_from_base)
-        match = self.registrar.register(points, normals, prior.map_from_base, prior)
-        if match.share >= self.search.below and not self.searches_next:
-            return match
+        if self.registrar.map.n == 0 or not len(sweep.points):
+            return Placed(self.registrar.measured(sweep.points, sweep.normals, prior.map_from_base), 0)
+        best = self._aligned(sweep, prior.map_from_base, prior, grid)
+        if best.quality >= self.search.below and not self.searches_next:
+            return best
         # odometry may lie: a slipping wheel, a stall, a wrong direction. The motion before this step is another guess
         unsure = step_prior(self.registration, self.map_from_base, step, 10 * doubt)
-        match = self._better(match, points, normals, [self.map_from_base @ self.motion], unsure)
-        if match.share < self.search.below or self.searches_next:
+        best = self._better(best, sweep, [self.map_from_base @ self.motion], unsure, grid)
+        if best.quality < self.search.below or self.searches_next:
             self.searches_next = False
-            guesses = candidates(points, self.registrar.map, prior.map_from_base, self.search)
-            match = self._better(match, points, normals, guesses, unsure)
-        return match
+            guesses = candidates(sweep.points, self.registrar.map, prior.map_from_base, self.search)
+            best = self._better(best, sweep, guesses, unsure, grid)
+        return best
 
-    def _better(
-        self, match: Match, points: Float64s, normals: Float64s, guesses: list[Pose2], prior: Prior
-    ) -> Match:
-        """The match, or one from another guess that clearly more beams agree with."""
+    def _better(self, best: Placed, sweep: Sweep, guesses: list[Pose2], prior: Prior, grid: Occupancy) -> Placed:
+        """The place, or one found from another guess that the beams clearly speak for."""
         for guess in guesses:
-            other = self.registrar.register(points, normals, guess, prior)
-            if other.share > match.share + self.search.gain:
-                match = other
-        return match
+            other = self._aligned(sweep, guess, prior, grid)
+            if other.balance > best.balance + self.search.gain:
+                best = other
+        return best
+
+    def _aligned(self, sweep: Sweep, guess: Pose2, prior: Prior, grid: Occupancy) -> Placed:
+        match = self.registrar.register(sweep.points, sweep.normals, guess, prior)
+        other = ~match.agree
+        pose = match.map_from_base
+        against = grid.contradicts(pose @ sweep.origins[other], pose @ sweep.points[other])
+        return Placed(match, int(against.sum()))
 
     def _believe(self, match: Match, step: Pose2, doubt: float) -> None:
         """The covariance: grown by the step's uncertainty, shrunk by what the beams tell (information filter)."""
@@ -123,12 +169,6 @@ class FrontEnd:
         grown = turned @ self.covariance @ turned.T + np.diag((prior.sigma**2, prior.sigma**2, prior.sigma_turn**2))
         covariance = np.linalg.inv(np.linalg.inv(grown) + match.information)
         self.covariance = (covariance + covariance.T) / 2
-
-    def _judged(self, match: Match, points: Float64s, grid: Occupancy) -> tuple[float, bool]:
-        """The share that agrees of the beams that tell anything; a beam into the unknown tells nothing."""
-        n_agree = int(match.agree.sum())
-        n_against = int(grid.contradicted(match.map_from_base @ points[~match.agree]).sum())
-        return n_agree / max(n_agree + n_against, LEAST_BEAMS), n_agree + n_against >= LEAST_BEAMS
 
     def _grade(self, quality: float, told: bool, n: int) -> None:
         if self.state is Localization.STARTING and (n == 0 or self.registrar.map.n == 0):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from shared.config import Section
-from shared.grid import FREE_UP_TO
+from shared.grid import FREE_UP_TO, OCCUPIED_FROM
 from shared.messages import TILE_CELLS, MapUpdate
 
 Float32s = NDArray[np.float32]
@@ -108,13 +108,26 @@ class Occupancy:
             self.dirty[i] = True
         self.n_scans = 1
 
-    def contradicted(self, points: Float64s) -> Bools:
-        """(n,) bool: which points (n, 2) m in `map` lie in cells known to be free, with free cells all around."""
+    def clear_at(self, points: Float64s, around: int) -> Bools:
+        """(n,) bool: which points (n, 2) m in `map` lie in free cells, with `around` free cells to each side."""
         if not len(points):
             return np.zeros(0, np.bool_)
         row0, column0, directory = self._directory(points)
-        free = _free(points, self.resolution, directory, row0, column0, _logit(FREE_UP_TO / 100), self.odds)
+        free = _free(points, self.resolution, directory, row0, column0, _logit(FREE_UP_TO / 100), around, self.odds)
         return np.asarray(free, bool)
+
+    def contradicts(self, origins: Float64s, ends: Float64s) -> Bools:
+        """(n,) bool: which beams from origins (n, 2) to ends (n, 2), m in `map`, cannot be with this map.
+
+        They end in a cell known to be free, with free cells all around, or go on over 0.3 m behind an occupied cell.
+        """
+        if not len(ends):
+            return np.zeros(0, np.bool_)
+        row0, column0, directory = self._directory(np.concatenate((origins, ends)))
+        free, occupied = _logit(FREE_UP_TO / 100), _logit(OCCUPIED_FROM / 100)
+        clear = _free(ends, self.resolution, directory, row0, column0, free, 1, self.odds)
+        crossing = _crossing(origins, ends, self.resolution, directory, row0, column0, occupied, self.odds)
+        return np.asarray(clear | crossing, bool)
 
     def _message(self, stamp: int, places: list[tuple[int, int]]) -> MapUpdate:
         return MapUpdate(
@@ -253,15 +266,37 @@ def _add(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _free(points, resolution, directory, row0, column0, limit, odds):  # type: ignore[no-untyped-def]
+def _free(points, resolution, directory, row0, column0, limit, around, odds):  # type: ignore[no-untyped-def]
     free = np.zeros(len(points), np.bool_)
     for k in range(len(points)):
         column, row = int(np.floor(points[k, 0] / resolution)), int(np.floor(points[k, 1] / resolution))
         all_free = True
-        for r in range(row - 1, row + 2):
-            for c in range(column - 1, column + 2):
-                tile = directory[(r >> 6) - row0, (c >> 6) - column0]
+        for r in range(row - around, row + around + 1):
+            for c in range(column - around, column + around + 1):
+                i, j = (r >> 6) - row0, (c >> 6) - column0
+                inside = 0 <= i < directory.shape[0] and 0 <= j < directory.shape[1]
+                tile = directory[i, j] if inside else -1
                 if tile < 0 or odds[tile, r & 63, c & 63] > limit:
                     all_free = False
         free[k] = all_free
     return free
+
+
+@njit(cache=True, nogil=True)
+def _crossing(origins, ends, resolution, directory, row0, column0, limit, odds):  # type: ignore[no-untyped-def]
+    crossing = np.zeros(len(ends), np.bool_)
+    for k in range(len(ends)):
+        dx, dy = ends[k, 0] - origins[k, 0], ends[k, 1] - origins[k, 1]
+        length = np.hypot(dx, dy)
+        n = int((length - 0.3) / (0.7 * resolution))
+        for m in range(1, n):
+            share = m * 0.7 * resolution / length
+            column = int(np.floor((origins[k, 0] + share * dx) / resolution))
+            row = int(np.floor((origins[k, 1] + share * dy) / resolution))
+            i, j = (row >> 6) - row0, (column >> 6) - column0
+            if 0 <= i < directory.shape[0] and 0 <= j < directory.shape[1]:
+                tile = directory[i, j]
+                if tile >= 0 and odds[tile, row & 63, column & 63] > limit:
+                    crossing[k] = True
+                    break
+    return crossing

@@ -186,6 +186,8 @@ def _normal_equations(  # type: ignore[no-untyped-def]
             continue
         dx, dy = pose[0] + rx - points[i, 0], pose[1] + ry - points[i, 1]
         mx, my = points[i, 2], points[i, 3]
+        if mx == 0.0 and my == 0.0:
+            mx, my = nx, ny
         if mx != 0.0 or my != 0.0:
             r = dx * mx + dy * my
             w = 1.0 / (1.0 + (r / kernel) ** 2) ** 2

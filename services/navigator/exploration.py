@@ -24,9 +24,10 @@ class ExplorationConfig(Section):
     """How frontiers are chosen and given up."""
 
     frontier: FrontierConfig = FrontierConfig()
-    size_weight: float = Field(0.5, ge=0, le=20, description="m of driving that a metre of border is worth")
+    size_weight: float = Field(1.0, ge=0, le=20, description="m of driving that a metre of border is worth")
     turn_weight: float = Field(0.5, ge=0, le=20, description="m of driving that a radian of turning costs")
     switch_gain: float = Field(2.0, ge=0, le=50, description="m (weighted) that another frontier must be better by")
+    switch_after: int = Field(3, ge=1, le=20, description="searches, one after the other, that must find it so")
     look_time: float = Field(2.0, ge=0.2, le=30, description="s at a frontier that stays, until it is given up")
     max_visits: int = Field(4, ge=1, le=100, description="times that one spot is chosen, at most")
     settle_time: float = Field(3.0, ge=0, le=60, description="s without a frontier until exploring ends")
@@ -51,7 +52,9 @@ class Exploration:
     def __init__(self, config: ExplorationConfig) -> None:
         self.config = config
         self.target: Target | None = None
-        self.looking: float | None = None  # s at the target
+        self.looking: float | None = None  # s at the target, once there
+        self._near = 0.0  # s close to the target
+        self._n_better = 0  # searches in a row that found a better one than the target
         self.without = 0.0  # s without a frontier
         self._given_up: set[Cell] = set()
         self._failed: set[Cell] = set()
@@ -66,16 +69,22 @@ class Exploration:
     def taken(self, found: Frontiers, pose: Pose2, resolution: float) -> Target | None:
         """The target by what was found: the same object while it stays, another where it is gone or worse."""
         ranked = sorted(found.frontiers, key=lambda f: self._cost(f, pose))
-        if self.target is not None and (same := self._again(found, self.target, resolution)):
-            if self.looking is None:
-                if self._cost(same, pose) - self._cost(ranked[0], pose) <= self.config.switch_gain:
+        if self.target is not None:
+            same = _again(found, self.target, resolution)
+            if same is None:
+                if self.looking is None and _cut_off(found, self.target, resolution):
+                    return self.target  # planner and local control will find out whether it can be reached
+            elif self.looking is None:
+                gain = self._cost(same, pose) - self._cost(ranked[0], pose)
+                self._n_better = self._n_better + 1 if gain > self.config.switch_gain else 0
+                if self._n_better < self.config.switch_after:
                     return self.target
             elif self.looking < self.config.look_time:
                 return self.target
             else:
                 self._give_up(same, self.target, resolution, self._given_up)
                 ranked.remove(same)
-        self.target = self.looking = None
+        self._forget()
         for frontier in ranked:
             target = _targeted(frontier, resolution)
             spot = round(target.x / _LATTICE), round(target.y / _LATTICE)
@@ -86,12 +95,23 @@ class Exploration:
             self._give_up(frontier, target, resolution, self._given_up)
         return self.target
 
+    def passed(self, seconds: float, pose: Pose2) -> None:
+        """Time passed with the robot at pose."""
+        if self.looking is not None:
+            self.looking += seconds
+        if self.target is not None and pose.distance(Pose2(self.target.x, self.target.y)) <= _AROUND:
+            self._near += seconds
+
+    def arrived(self) -> None:
+        """The robot is where the target is seen from; having come close to it counts for half of the look."""
+        self.looking = min(self._near, self.config.look_time / 2)
+
     def failed(self, resolution: float) -> None:
         """The target cannot be reached now; it is tried once more when nothing else is left."""
         if self.target is not None:
             into = self._given_up if self._last_try else self._failed
             self._give_up(self.target.frontier, self.target, resolution, into)
-        self.target = self.looking = None
+        self._forget()
 
     def retried(self) -> bool:
         """Whether there is something to try once more; from now on it counts again."""
@@ -106,30 +126,40 @@ class Exploration:
         size = min(frontier.size, self.config.frontier.max_size)
         return frontier.distance + self.config.turn_weight * turn - self.config.size_weight * size
 
-    def _again(self, found: Frontiers, target: Target, resolution: float) -> Frontier | None:
-        """The frontier of today's map at the target's place."""
-        nearest, least = None, _SAME
-        for frontier in found.frontiers:
-            xs, ys = _centres(frontier, resolution)
-            away = float(np.hypot(xs - target.x, ys - target.y).min())
-            if away <= least:
-                nearest, least = frontier, away
-        return nearest
+    def _forget(self) -> None:
+        self.target, self.looking, self._near, self._n_better = None, None, 0.0, 0
 
     def _give_up(self, frontier: Frontier, target: Target, resolution: float, into: set[Cell]) -> None:
         """Drops the frontier's cells around the target, and at least the nearest."""
-        xs, ys = _centres(frontier, resolution)
-        away = np.hypot(xs - target.x, ys - target.y)
+        away = _away(frontier.cells, target, resolution)
         near = frontier.cells[away <= max(_AROUND, float(away.min()))]
         into.update((int(row), int(column)) for row, column in near)
 
 
+def _again(found: Frontiers, target: Target, resolution: float) -> Frontier | None:
+    """The frontier of today's map at the target's place."""
+    near = [(float(_away(f.cells, target, resolution).min()), i) for i, f in enumerate(found.frontiers)]
+    least, nearest = min(near, default=(_SAME + 1, 0))
+    return found.frontiers[nearest] if least <= _SAME else None
+
+
+def _cut_off(found: Frontiers, target: Target, resolution: float) -> bool:
+    """Whether the target is still there, but no way leads to it."""
+    return any(_away(cells, target, resolution).min() <= _SAME for cells in found.unreachable)
+
+
 def _targeted(frontier: Frontier, resolution: float) -> Target:
-    xs, ys = _centres(frontier, resolution)
+    xs, ys = _centres(frontier.cells, resolution)
     middle = int(np.argmin(np.hypot(xs - xs.mean(), ys - ys.mean())))
     return Target(frontier, float(xs[middle]), float(ys[middle]))
 
 
-def _centres(frontier: Frontier, resolution: float) -> tuple[Float64s, Float64s]:
-    rows, columns = frontier.cells.astype(np.float64).T
+def _away(cells: Int64s, target: Target, resolution: float) -> Float64s:
+    """(n,) m from the target's place."""
+    xs, ys = _centres(cells, resolution)
+    return np.asarray(np.hypot(xs - target.x, ys - target.y))
+
+
+def _centres(cells: Int64s, resolution: float) -> tuple[Float64s, Float64s]:
+    rows, columns = cells.astype(np.float64).T
     return (columns + 0.5) * resolution, (rows + 0.5) * resolution

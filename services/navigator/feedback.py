@@ -70,4 +70,6 @@ def _why(navigation: Navigation, now: int) -> str:
         return reasons.POSE_LOST.code
     if navigation.jumped:
         return reasons.POSE_JUMPED.code
-    return navigation.hearing.why(navigation.goal if navigation.leg and not navigation.action else None, now)
+    driving = navigation.goal if navigation.leg and not navigation.action else None
+    recovering_from = navigation.ladder.last.code if navigation.recovery else ""
+    return navigation.hearing.why(driving, now) or recovering_from

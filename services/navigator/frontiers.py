@@ -49,10 +49,11 @@ class Frontier:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frontiers:
-    """What a search found. n_unreachable: borders of size that no way leads to; enclosed: the robot fits nowhere."""
+    """What a search found. unreachable: the cells, as a frontier's, of borders that no way leads to; enclosed: there is
+    nowhere that the robot fits."""
 
     frontiers: tuple[Frontier, ...]
-    n_unreachable: int
+    unreachable: tuple[Int64s, ...]
     enclosed: bool
 
 
@@ -83,7 +84,7 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     column, row = snapshot.x / resolution - snapshot.first_column, snapshot.y / resolution - snapshot.first_row
     h, w = cells.shape
     if not (0 <= row < h and 0 <= column < w):
-        return Frontiers((), 0, True)
+        return Frontiers((), (), True)
     free = _free(cells, row, column, snapshot.robot_radius / resolution)
     passable = free & (distance >= clearance - 1e-6)
     travelled = _wave(passable, distance, int(row), int(column), _ESCAPE / resolution)
@@ -96,25 +97,34 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
         for dc in (-1, 0, 1):
             border[np.clip(dropped[:, 0] + dr, 0, h - 1), np.clip(dropped[:, 1] + dc, 0, w - 1)] = False
     n_min, n_max = config.min_size / resolution, max(int(config.max_size / resolution), 1)
-    pieces, ends = _pieces(border & (seen_from >= 0), n_min, n_max)
-    _, unreachable_ends = _pieces(border & (seen_from < 0), n_min, n_max)
+    deep = distance >= snapshot.robot_radius
+    pieces, ends = _pieces(border & (seen_from >= 0), deep, n_min, n_max)
+    others, other_ends = _pieces(border & (seen_from < 0), deep, n_min, n_max)
+    unknown = np.pad((cells < 0) | ((cells > FREE_UP_TO) & (cells < OCCUPIED_FROM)), 1, constant_values=True)
     found = tuple(
-        _frontier(pieces[begin:end], snapshot, seen_from, travelled) for begin, end in zip((0, *ends[:-1]), ends)
+        _frontier(pieces[begin:end], snapshot, unknown, seen_from, travelled)
+        for begin, end in zip((0, *ends[:-1]), ends)
     )
-    return Frontiers(found, len(unreachable_ends), enclosed)
+    unreachable = tuple(_in_map(others[begin:end], snapshot) for begin, end in zip((0, *other_ends[:-1]), other_ends))
+    return Frontiers(found, unreachable, enclosed)
 
 
-def _frontier(piece: Int32s, snapshot: Snapshot, seen_from: Int32s, travelled: Int32s) -> Frontier:
-    cells, resolution = snapshot.cells, snapshot.resolution
-    row0, column0 = snapshot.first_row, snapshot.first_column
-    h, w = cells.shape
+def _in_map(piece: Int32s, snapshot: Snapshot) -> Int64s:
+    """(n, 2) int64: rows and columns of `map`."""
+    rows, columns = np.divmod(piece.astype(np.int64), snapshot.cells.shape[1])
+    return np.column_stack((rows + snapshot.first_row, columns + snapshot.first_column))
+
+
+def _frontier(piece: Int32s, snapshot: Snapshot, unknown: Bools, seen_from: Int32s, travelled: Int32s) -> Frontier:
+    """unknown: (h + 2, w + 2) bool, with what lies outside."""
+    resolution, row0, column0 = snapshot.resolution, snapshot.first_row, snapshot.first_column
+    w = snapshot.cells.shape[1]
     rows, columns = np.divmod(piece.astype(np.int64), w)
     middle = int(piece[int(np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2))])
     goal_row, goal_column = divmod(int(seen_from.reshape(-1)[middle]), w)
     up = across = 0
     for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-        r, c = np.clip(rows + dr, 0, h - 1), np.clip(columns + dc, 0, w - 1)
-        n = int(np.count_nonzero(_unknown(cells[r, c])))
+        n = int(np.count_nonzero(unknown[rows + 1 + dr, columns + 1 + dc]))
         up, across = up + dr * n, across + dc * n
     return Frontier(
         (column0 + goal_column + 0.5) * resolution,
@@ -122,12 +132,8 @@ def _frontier(piece: Int32s, snapshot: Snapshot, seen_from: Int32s, travelled: I
         atan2(up, across),
         len(piece) * resolution,
         float(travelled[goal_row, goal_column]) / _STRAIGHT * resolution,
-        np.column_stack((rows + row0, columns + column0)),
+        _in_map(piece, snapshot),
     )
-
-
-def _unknown(cells: Int8s) -> Bools:
-    return np.asarray((cells < 0) | ((cells > FREE_UP_TO) & (cells < OCCUPIED_FROM)))
 
 
 @njit(cache=True, nogil=True)
@@ -228,10 +234,11 @@ def _seen_from(free: Bools, passable: Bools, travelled: Int32s, n_steps: int) ->
 
 
 @njit(cache=True, nogil=True)
-def _pieces(border: Bools, n_min: float, n_max: int) -> tuple[Int32s, list[int]]:
+def _pieces(border: Bools, deep: Bools, n_min: float, n_max: int) -> tuple[Int32s, list[int]]:
     """8-connected pieces of the border: their cells one after the other, and where each ends.
 
-    A border less than n_min cells across is left out; one of over n_max cells is cut into pieces of at most that.
+    A border less than n_min cells across, or without a deep cell, is left out: the robot could not drive through it.
+    One of over n_max cells is cut into pieces of at most that.
     """
     h, w = border.shape
     todo = border.copy()
@@ -245,6 +252,11 @@ def _pieces(border: Bools, n_min: float, n_max: int) -> tuple[Int32s, list[int]]
         n = _flood(todo, start, whole, len(whole))
         rows, columns = whole[:n] // w, whole[:n] % w
         if max(rows.max() - rows.min(), columns.max() - columns.min()) + 1 < n_min:
+            continue
+        n_deep = 0
+        for cell in whole[:n]:
+            n_deep += deep[cell // w, cell % w]
+        if not n_deep:
             continue
         for i in range(n):
             todo[whole[i] // w, whole[i] % w] = True

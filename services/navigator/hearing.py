@@ -7,6 +7,7 @@ from shared.reasons import REASONS, Reason
 
 _GUARD_NS = 1_500_000_000
 _FOLLOW_NS = 2_000_000_000
+_ANSWER_NS = 1_000_000_000  # that planner and local control have to answer a new goal
 _PLAN_NS = 2_000_000_000  # local control lets go of a plan at this age
 
 _MISSING = {
@@ -26,7 +27,10 @@ _MISSING = {
 
 
 class Hearing:
-    """The last word of planner, local control and guard, with the time when it was heard, ns."""
+    """The last word of planner, local control and guard, with the time when it was heard, ns.
+
+    What was heard in the future is as old as what was heard in the past: the clock was set back.
+    """
 
     def __init__(self) -> None:
         self._plan: tuple[Path, int] | None = None
@@ -44,13 +48,13 @@ class Hearing:
 
     def plan_for(self, goal: Goal, now: int) -> Path | None:
         """The planner's word about this goal."""
-        if self._plan is None or self._plan[0].goal_id != goal.id or now - self._plan[1] > _PLAN_NS:
+        if self._plan is None or self._plan[0].goal_id != goal.id or abs(now - self._plan[1]) > _PLAN_NS:
             return None
         return self._plan[0]
 
     def follow_for(self, goal: Goal, now: int) -> FollowStatus | None:
         """Local control's word about this goal."""
-        if self._follow is None or self._follow[0].goal_id != goal.id or now - self._follow[1] > _FOLLOW_NS:
+        if self._follow is None or self._follow[0].goal_id != goal.id or abs(now - self._follow[1]) > _FOLLOW_NS:
             return None
         return self._follow[0]
 
@@ -80,18 +84,20 @@ class Hearing:
         if guard is not None and guard.state is GuardState.HOLD and guard.reason != reasons.NO_COMMAND.code:
             return guard.reason
         plan, follow = self.plan_for(goal, now), self.follow_for(goal, now)
+        if plan is None and now - goal.stamp < _ANSWER_NS:
+            return ""
         if plan is None:
             stale = self._plan is not None and self._plan[0].goal_id == goal.id
             return reasons.PLAN_OLD.code if stale else reasons.NO_PLAN.code
         if plan.reason:
             return plan.reason
-        if follow is None:
+        if follow is None and now - goal.stamp >= _ANSWER_NS:
             return reasons.COMMAND_OLD.code
-        if follow.state in (FollowState.BLOCKED, FollowState.FAILED):
+        if follow is not None and follow.state in (FollowState.BLOCKED, FollowState.FAILED):
             return follow.reason or reasons.BLOCKED.code
         return guard.reason if guard is not None and guard.state is GuardState.ACTIVE else ""
 
     def _present_guard(self, now: int) -> GuardStatus | None:
-        if self._guard is None or now - self._guard[1] > _GUARD_NS:
+        if self._guard is None or abs(now - self._guard[1]) > _GUARD_NS:
             return None
         return self._guard[0]

@@ -200,7 +200,8 @@ class Navigation:
             yield from self._give_up(reason, now, whole=held is not None)
 
     def _recover(self, leg: Leg, reason: Reason, now: int) -> Out:
-        if isinstance(self.task, Exploration) and leg.n_recoveries >= _FRONTIER_RECOVERIES:
+        others = reason is reasons.UNREACHABLE or leg.n_recoveries >= _FRONTIER_RECOVERIES
+        if isinstance(self.task, Exploration) and others:
             yield from self._give_up(reason, now, whole=False)
             return
         pose = self.where.map_from_base
@@ -231,7 +232,8 @@ class Navigation:
     def _arrived(self, now: int) -> Out:
         self.leg, self.recovery = None, ""
         if isinstance(self.task, Exploration):
-            self.task.looking, self.searched = 0.0, inf
+            self.task.arrived()
+            self.searched = inf
         elif isinstance(self.task, Route) and self.task.dwell > 0:
             self.dwell = self.task.dwell
             yield self._goal(now, GoalKind.NONE)
@@ -275,11 +277,11 @@ class Navigation:
     # exploring
 
     def _explore(self, exploration: Exploration, seconds: float, now: int) -> Out:
-        if exploration.looking is not None:
-            exploration.looking += seconds
+        pose, grid = self.where.map_from_base, self.grid
+        if pose is not None:
+            exploration.passed(seconds, pose)
         if self.leg is None:
             exploration.without += seconds
-        pose, grid = self.where.map_from_base, self.grid
         if pose is None or grid.empty:
             if exploration.without > self.config.leg.start_time:
                 yield from self.end(now, NavState.FAILED, reasons.NO_MAP if grid.empty else reasons.POSE_OLD)
@@ -302,7 +304,7 @@ class Navigation:
 
     def _without_frontier(self, exploration: Exploration, found: Frontiers, now: int) -> Out:
         config = self.config.exploration
-        uncertain = found.n_unreachable > 0 or found.enclosed
+        uncertain = found.enclosed or bool(found.unreachable)
         if exploration.without < (config.blocked_time if uncertain else config.settle_time):
             return
         if exploration.retried():

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from services.planner.planning import Plan, PlanningConfig, no_plan, planned
 from services.planner.search import Search
 from services.planner.traversal_cost import CostConfig, Terrain
-from services.planner.upkeep import UpkeepConfig, length, remaining, standing, worth_switching
+from services.planner.upkeep import UpkeepConfig, length, remaining, standing, worth_switching, worth_waiting
 from shared import reasons, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2
@@ -45,6 +45,8 @@ class PlannerService(Service):
         self.goal: Goal | None = None
         self.plan: Plan | None = None
         self.index = 0  # of the plan's pose that the robot is at
+        self.cost_left = 0.0  # m, weighted, from there
+        self.known: Bools | None = None  # which of the plan's poses lay in space seen free when it was last free
         self.blocked_since: int | None = None
         self.changed: Bools | None = None  # since the terrain's update; None: everything
         self.fresh = True  # the terrain holds the whole map
@@ -122,9 +124,9 @@ class PlannerService(Service):
         """The plan that holds now."""
         pose = self.where.map_from_base
         if self.grid.empty:
-            return no_plan(reasons.NO_MAP)
+            return self._taken(no_plan(reasons.NO_MAP))
         if pose is None:
-            return no_plan(reasons.POSE_OLD)
+            return self._taken(no_plan(reasons.POSE_OLD))
         old = self.plan if self.plan is not None and self.plan.reason is None else None
         if old and self.where.lost:
             return old
@@ -137,20 +139,22 @@ class PlannerService(Service):
         upkeep = self.config.upkeep
         if stands.off > upkeep.off_plan:
             return self._taken(new)
-        if stands.blocked_at == float("inf"):
-            self.blocked_since = None
-            cheaper = new.reason is None and worth_switching(remaining(old, stands.index), stands.cost, new, upkeep)
-            return self._taken(new) if cheaper else old
+        if stands.blocked < 0:
+            self.blocked_since, self.cost_left, self.known = None, stands.cost, terrain.known_free(old.points)
+            return self._taken(new) if worth_switching(remaining(old, stands.index), stands.cost, new, upkeep) else old
         self.blocked_since = self.now if self.blocked_since is None else self.blocked_since
-        detour = new.reason is not None or new.cost > (1 + upkeep.switch_gain) * old.cost + upkeep.switch_least
-        waited = self.now - self.blocked_since > upkeep.patience * 1e9
-        return old if stands.blocked_at > upkeep.far_ahead and detour and not waited else self._taken(new)
+        # a wall just discovered stays; what came into space that was seen free may go again
+        came = self.known is not None and bool(self.known[stands.blocked])
+        waits = came and 0 <= self.now - self.blocked_since <= upkeep.patience * 1e9
+        rest = remaining(old, stands.index)
+        return old if waits and worth_waiting(rest, self.cost_left, stands.ahead, new, upkeep) else self._taken(new)
 
     def _new(self, terrain: Terrain, pose: Pose2, goal: Goal) -> Plan:
         return self._taken(planned(terrain, self.search, pose, goal.map_from_goal, goal.tolerance, self.config.path))
 
     def _taken(self, plan: Plan) -> Plan:
-        self.index, self.blocked_since = 0, None
+        self.index, self.blocked_since, self.cost_left = 0, None, plan.cost
+        self.known = self.terrain.known_free(plan.points) if self.terrain else None
         return plan
 
     def _terrain(self) -> Terrain:
@@ -175,8 +179,6 @@ class PlannerService(Service):
 
     def _message(self, goal: Goal, plan: Plan) -> Path:
         points, yaws = plan.points[self.index :], plan.yaws[self.index :]
-        if plan.reason:
-            points, yaws = plan.points, plan.yaws
         return Path(
             self.now,
             goal.id,
@@ -186,5 +188,5 @@ class PlannerService(Service):
             np.ascontiguousarray(points[:, 1]),
             yaws,
             length(points),
-            plan.cost,
+            self.cost_left,
         )

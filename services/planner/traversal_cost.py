@@ -18,6 +18,7 @@ Bools = NDArray[np.bool_]
 Int8s = NDArray[np.int8]
 Int32s = NDArray[np.int32]
 Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
 UInt16s = NDArray[np.uint16]
 
 UNIT = 50
@@ -74,6 +75,7 @@ class Terrain:
         self.costs: UInt16s = np.zeros((2, 2), np.uint16)
         self.regions: Int32s = np.zeros((2, 2), np.int32)
         self.origin = (0.0, 0.0)  # m, lower left corner of costs[0, 0] in `map`
+        self.cells: Int8s = np.zeros((0, 0), np.int8)  # the map's, percent
         self.highest = UNIT
 
     def update(self, grid: OccupancyGrid, changed: Bools | None) -> None:
@@ -89,7 +91,7 @@ class Terrain:
         if pad > 1:
             costs[1:-1, 1:-1] = UNIT + self.unknown_cost
         _fill_costs(grid.cells, self.distance, self.by_distance, self.unknown_cost, costs[pad : pad + h, pad : pad + w])
-        self.costs = costs
+        self.costs, self.cells = costs, grid.cells
         # diagonal steps need both straight neighbours free, so what hangs together does so by straight steps
         self.regions = ndimage.label(costs, output=np.int32)[0]
         self.highest = max(int(costs.max()), UNIT)
@@ -117,6 +119,14 @@ class Terrain:
     def crowded(self, row: int, column: int) -> bool:
         """Whether an obstacle is nearer to the cell of `costs` than the robot's body allows."""
         return bool(self._distance(row, column) * self.resolution < self.blocked_under)
+
+    def known_free(self, points: Float64s) -> Bools:
+        """(n,) bool: which points (n, 2) m of `map` the map knows to be free."""
+        h, w = self.cells.shape
+        columns, rows = np.floor((points - self.origin) / self.resolution).astype(np.int64).T - self.pad
+        inside = (rows >= 0) & (columns >= 0) & (rows < h) & (columns < w)
+        percent = self.cells[np.clip(rows, 0, h - 1), np.clip(columns, 0, w - 1)]
+        return np.asarray(inside & (percent >= 0) & (percent <= FREE_UP_TO))
 
     def _distance(self, row: int, column: int) -> float:
         row, column = row - self.pad, column - self.pad

@@ -28,19 +28,26 @@ class UpkeepConfig(Section):
     switch_least: float = Field(0.5, ge=0, le=20, description="m (weighted) that it must save as well")
     same_way: float = Field(0.6, ge=0, le=5, description="m between two plans that count as the same way, at most")
     patience: float = Field(
-        2.5, ge=0, le=60, description="s that a plan blocked far ahead is kept if the detour is long: people walk on"
+        2.5, ge=0, le=60, description="s that a plan is kept where something stands on it that was not there: people"
     )
-    far_ahead: float = Field(2.5, ge=0, le=50, description="m along the plan from which a block is far ahead")
+    far_ahead: float = Field(
+        2.5, ge=0, le=50, description="m ahead; nearer, a plan that costs little more is taken without patience"
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """Where the robot stands on a plan. index: of the nearest pose; off: m to it; blocked_at: m along, inf if free."""
+    """Where the robot stands on a plan.
+
+    index: of the nearest pose; off: m to it; cost: m, weighted, from there. blocked: index of the first blocked pose,
+    -1 where all are free; ahead: m to that along the plan.
+    """
 
     index: int
     off: float
     cost: float
-    blocked_at: float
+    blocked: int = -1
+    ahead: float = 0.0
 
 
 def standing(terrain: Terrain, plan: Plan, index: int, x: float, y: float) -> Standing:
@@ -54,19 +61,30 @@ def standing(terrain: Terrain, plan: Plan, index: int, x: float, y: float) -> St
     ahead = (points[nearest:] - terrain.origin) / terrain.resolution
     cost = path_cost(terrain.costs, ahead)
     if cost >= 0:
-        return Standing(nearest, float(away.min()), cost * terrain.resolution / UNIT, float("inf"))
+        return Standing(nearest, float(away.min()), cost * terrain.resolution / UNIT)
     cells = np.clip(ahead.astype(np.int64), 0, np.array(terrain.costs.shape[::-1]) - 1)
     hits = np.flatnonzero(terrain.costs[cells[:, 1], cells[:, 0]] == 0)
     first = nearest + (int(hits[0]) if len(hits) else 0)
-    return Standing(nearest, float(away.min()), 0.0, float(along[first] - along[nearest]))
+    return Standing(nearest, float(away.min()), 0.0, first, float(along[first] - along[nearest]))
 
 
 def worth_switching(old: Plan, old_cost: float, new: Plan, config: UpkeepConfig) -> bool:
-    """Whether the new plan saves enough against what is left of the old one."""
+    """Whether the new plan saves enough against what is left of the old one, where both are free."""
+    if new.reason is not None:
+        return False
     saved = old_cost - new.cost
-    if _same_way(old, new, config.same_way):
+    if same_way(old, new, config.same_way):
         return saved > config.refine_gain * old_cost
     return saved > config.switch_gain * old_cost and saved > config.switch_least
+
+
+def worth_waiting(old: Plan, old_cost: float, ahead: float, new: Plan, config: UpkeepConfig) -> bool:
+    """Whether it is better to wait that the old plan gets free again, ahead m from the robot, than to take the new."""
+    if new.reason is not None:
+        return True
+    if same_way(old, new, config.same_way):
+        return False
+    return ahead > config.far_ahead or new.cost > (1 + config.switch_gain) * old_cost + config.switch_least
 
 
 def remaining(plan: Plan, index: int) -> Plan:
@@ -79,7 +97,8 @@ def length(points: Float64s) -> float:
     return float(_along(points)[-1]) if len(points) else 0.0
 
 
-def _same_way(old: Plan, new: Plan, within: float) -> bool:
+def same_way(old: Plan, new: Plan, within: float) -> bool:
+    """Whether the new plan is nowhere farther than `within` m from the old one."""
     some = new.points[:: max(len(new.points) // 50, 1)]
     away = np.hypot(some[:, None, 0] - old.points[:, 0], some[:, None, 1] - old.points[:, 1])
     return bool(away.min(axis=1).max() <= within)

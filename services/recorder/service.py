@@ -63,7 +63,7 @@ class RecorderService(Service):
 
     def _begin(self, now: int) -> None:
         if not self._begun:
-            self._store.open(now, self.robot.name, {CONFIG: self.robot_file.encode()} if self.robot_file else {})
+            self._store.begin(now, self.robot.name, {CONFIG: self.robot_file.encode()} if self.robot_file else {})
             self._begun = True
             self._untold.append(Log("INFO", f"recording to {self.config.file or self.config.folder}"))
 

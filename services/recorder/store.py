@@ -33,7 +33,7 @@ class RecordingStore:
             raise UserError(f"cannot make {folder}: {error.strerror}", "set recorder.folder") from None
         self._folder = folder
 
-    def open(self, now: int, robot: str, attachments: Mapping[str, bytes]) -> None:
+    def begin(self, now: int, robot: str, attachments: Mapping[str, bytes]) -> None:
         """Begins the recording that starts at `now` (ns). Raises OSError."""
         name = Path(self._config.file).name or f"{robot}-{datetime.fromtimestamp(now / 1e9, UTC):%Y%m%d-%H%M%S}.mcap"
         path, about = self._folder / name, recording.about(robot)

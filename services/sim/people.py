@@ -16,8 +16,9 @@ Float64s = NDArray[np.float64]
 Int64s = NDArray[np.int64]
 
 N_PAUSES = 64  # drawn ahead a person; then they repeat
-LOOK = 0.6  # m: how far ahead on the way a person heads for, and looks
-PERSONAL_SPACE = 0.5  # m: nearer than this ahead, a person stops for the robot
+LOOK = 0.6  # m: how far ahead on the way a person heads for
+STEP = 0.3  # m: how far ahead a person checks the ground
+PERSONAL_SPACE = 0.4  # m that a person keeps to the robot a STEP ahead
 SQUEEZE = 0.12  # m: what a person leaves when walking around a robot that stands in the way
 WAITS = 1.5  # s before walking around
 TURNS_BACK = 6.0  # s without coming closer to the waypoint before turning back
@@ -124,12 +125,12 @@ def _heading(people: People, i: int, robot: Float64s, cells: Cells) -> tuple[flo
     if not people.reacts:
         return ux, uy, 1.0
     now = gap(robot, state[X], state[Y]) - state[RADIUS]
-    look = min(LOOK, left)
+    step = min(STEP, left)
     if now > PERSONAL_SPACE + LOOK:
-        open_ahead = _is_free(people, i, state[X] + 0.3 * ux, state[Y] + 0.3 * uy, robot, cells, 0.0, now)
+        open_ahead = _is_free(people, i, state[X] + STEP * ux, state[Y] + STEP * uy, robot, cells, 0.0, now)
         if open_ahead or state[BLOCKED] < WAITS:
             return ux, uy, 1.0 if open_ahead else 0.0
-    elif _is_free(people, i, state[X] + look * ux, state[Y] + look * uy, robot, cells, PERSONAL_SPACE, now):
+    elif _is_free(people, i, state[X] + step * ux, state[Y] + step * uy, robot, cells, PERSONAL_SPACE, now):
         return ux, uy, min(1.0, 0.4 + now)
     if state[BLOCKED] < WAITS:
         return 0.0, 0.0, 0.0
@@ -137,7 +138,7 @@ def _heading(people: People, i: int, robot: Float64s, cells: Cells) -> tuple[flo
         for side in (-1.0, 1.0):
             turn = side * k * pi / 8
             vx, vy = cos(turn) * ux - sin(turn) * uy, sin(turn) * ux + cos(turn) * uy
-            x, y = state[X] + 0.3 * vx, state[Y] + 0.3 * vy
+            x, y = state[X] + STEP * vx, state[Y] + STEP * vy
             length = hypot(hx - ax, hy - ay)
             off = abs((x - ax) * (hy - ay) - (y - ay) * (hx - ax)) / length if length > 1e-6 else 0.0
             if off < STRAYS and _is_free(people, i, x, y, robot, cells, SQUEEZE, now):

@@ -34,8 +34,8 @@ CATCH_UP_STEPS = 100  # 0.5 s: after a longer gap without ticks, the world has s
 class StartPose(Section):
     """A pose in the world."""
 
-    x: float = Field(description="m")
-    y: float = Field(description="m")
+    x: float = Field(ge=-1e4, le=1e4, description="m")
+    y: float = Field(ge=-1e4, le=1e4, description="m")
     yaw: float = Field(0.0, ge=-2 * pi, le=2 * pi, description="rad")
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationError
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, label
 
 from services.sim.world import Raster, World
 from services.sim.world_file import built
@@ -19,6 +19,8 @@ from shared.grid import FREE_UP_TO
 from shared.ros_map import read_ros_map
 
 WORLDS = CONFIG_DIR / "worlds"
+ROOM = 1.0  # m about a start that nobody chose: free, and still in sight of something
+PASSAGE = 0.35  # m: floors joined by less are two floors
 
 
 class CylinderWorld(Section):
@@ -51,9 +53,7 @@ def load(world: str, seed: int = 0, jitter: float = 0.0, barn_file: str = "", st
         tree = load_yaml(path)
         if "image" in tree:
             raster = _raster(path)
-            h, w = raster.solid.shape
-            high = raster.x0 + w * raster.resolution, raster.y0 + h * raster.resolution
-            found = World(path.stem, (raster.x0, raster.y0, *high), Pose2(), raster=raster)
+            found = World(path.stem, raster.bounds, Pose2(), raster=raster)
         else:
             mapped = _raster(path.parent / str(tree["map"])) if tree.get("map") else None
             found = built(path.stem, RobotFile(path, tree), mapped, seed, jitter)
@@ -103,9 +103,12 @@ def _cylinders(world: str, barn_file: str) -> World:
 
 
 def _freest(world: World) -> Pose2:
-    """The free place farthest from everything."""
+    """A place on the largest floor with ROOM to everything, or with the most that there is."""
     resolution = world.raster.resolution if world.raster else 0.1
     occupied, x0, y0 = world.occupied(resolution)
-    room = distance_transform_edt(np.pad(~occupied, 1))[1:-1, 1:-1]
+    room = np.minimum(distance_transform_edt(np.pad(~occupied, 1))[1:-1, 1:-1] * resolution, ROOM)
+    floors, n_floors = label(room > min(PASSAGE, room.max() / 2))
+    if n_floors:
+        room[floors != 1 + np.argmax(np.bincount(floors.ravel())[1:])] = 0.0
     row, column = np.unravel_index(int(np.argmax(room)), room.shape)
     return Pose2(x0 + (float(column) + 0.5) * resolution, y0 + (float(row) + 0.5) * resolution, 0.0)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A world: what stands still, who walks where, where the robot starts and what it is sent to. Metres, world frame."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from math import ceil, pi
 
 import numpy as np
@@ -14,6 +15,7 @@ from shared.geometry import Pose2, inside
 
 Bools = NDArray[np.bool_]
 Float64s = NDArray[np.float64]
+Box = tuple[float, float, float, float]  # low x, low y, high x, high y
 
 SHAPE_CELL = 0.1  # m: side of an index cell in worlds of shapes; short rays dominate, and walls are about as thick
 
@@ -27,6 +29,20 @@ class Raster:
     y0: float
     resolution: float
 
+    @property
+    def bounds(self) -> Box:
+        h, w = self.solid.shape
+        return self.x0, self.y0, self.x0 + w * self.resolution, self.y0 + h * self.resolution
+
+    def holds(self, points: Float64s) -> Bools:
+        """Which points (n, 2) lie in solid cells: (n,) bool."""
+        h, w = self.solid.shape
+        place = np.floor((points - (self.x0, self.y0)) / self.resolution).astype(np.int64)
+        known = ((place >= 0) & (place < (w, h))).all(axis=1)
+        out = np.zeros(len(points), bool)
+        out[known] = self.solid[place[known, 1], place[known, 0]]
+        return out
+
 
 @dataclass(frozen=True, slots=True)
 class Walk:
@@ -38,6 +54,10 @@ class Walk:
     radius: float
 
 
+def _in_circle(x: float, y: float, r: float, points: Float64s) -> Bools:
+    return np.asarray(np.hypot(points[:, 0] - x, points[:, 1] - y) <= r)
+
+
 def _no_circles() -> Float64s:
     return np.zeros((0, 3))
 
@@ -47,7 +67,7 @@ class World:
     """polygons: solid, each (k, 2).  circles: (m, 3) x, y, radius, solid.  bounds: low x, low y, high x, high y."""
 
     name: str
-    bounds: tuple[float, float, float, float]
+    bounds: Box
     start: Pose2
     polygons: tuple[Float64s, ...] = ()
     circles: Float64s = field(default_factory=_no_circles)
@@ -78,20 +98,21 @@ class World:
         x0, y0 = r.x0 - before[0] * r.resolution, r.y0 - before[1] * r.resolution
         return filled(self.segments, self.circles, solid, x0, y0, r.resolution)
 
+    def _solids(self) -> Iterator[tuple[Box, Callable[[Float64s], Bools]]]:
+        """Everything solid: the box around it, and which points (n, 2) it holds."""
+        for polygon in self.polygons:
+            yield (*polygon.min(axis=0), *polygon.max(axis=0)), partial(inside, polygon)
+        for x, y, r in self.circles:
+            yield (x - r, y - r, x + r, y + r), partial(_in_circle, x, y, r)
+        if self.raster is not None:
+            yield self.raster.bounds, self.raster.holds
+
     def solid_at(self, points: Float64s) -> Bools:
         """Which points (n, 2) lie in something solid: (n,) bool."""
         hit = np.zeros(len(points), bool)
-        for polygon in self.polygons:
-            low, high = polygon.min(axis=0), polygon.max(axis=0)
-            near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
-            hit[near[inside(polygon, points[near])]] = True
-        for x, y, r in self.circles:
-            hit |= np.hypot(points[:, 0] - x, points[:, 1] - y) <= r
-        if self.raster is not None:
-            h, w = self.raster.solid.shape
-            place = np.floor((points - (self.raster.x0, self.raster.y0)) / self.raster.resolution).astype(np.int64)
-            known = np.flatnonzero((place >= 0).all(axis=1) & (place < (w, h)).all(axis=1))
-            hit[known] |= self.raster.solid[place[known, 1], place[known, 0]]
+        for (low_x, low_y, high_x, high_y), holds in self._solids():
+            near = ((points >= (low_x, low_y)) & (points <= (high_x, high_y))).all(axis=1)
+            hit[near] |= holds(points[near])
         return hit
 
     def occupied(self, resolution: float) -> tuple[Bools, float, float]:
@@ -106,9 +127,14 @@ class World:
         h = int(np.ceil(high_y / resolution - 1e-6)) - row0
         x0, y0 = column0 * resolution, row0 * resolution
         first, _ = listed(self.segments, self.circles, x0, y0, resolution, h, w, -1e-6 * resolution)
-        columns, rows = np.meshgrid(np.arange(w), np.arange(h))
-        centres = np.column_stack((x0 + (columns.ravel() + 0.5) * resolution, y0 + (rows.ravel() + 0.5) * resolution))
-        return (self.solid_at(centres) | (np.diff(first) > 0)).reshape(h, w), x0, y0
+        occupied = (np.diff(first) > 0).reshape(h, w)
+        x, y = x0 + (np.arange(w) + 0.5) * resolution, y0 + (np.arange(h) + 0.5) * resolution
+        for (left, low, right, high), holds in self._solids():
+            columns = slice(int(np.searchsorted(x, left)), int(np.searchsorted(x, right)))
+            rows = slice(int(np.searchsorted(y, low)), int(np.searchsorted(y, high)))
+            block = np.stack(np.meshgrid(x[columns], y[rows]), axis=-1)
+            occupied[rows, columns] |= holds(block.reshape(-1, 2)).reshape(block.shape[:2])
+        return occupied, x0, y0
 
     def reachable(self, resolution: float, radius: float) -> tuple[Bools, float, float]:
         """The floor that a disc of `radius` m covers on its ways from the start: a grid as from `occupied`."""

@@ -227,8 +227,8 @@ def _check_routes(world: World, source: WorldFile, file: RobotFile) -> None:
         route = world.people[i].route
         for k, (a, b) in enumerate(zip(route, np.roll(route, -1, axis=0))):
             n = max(2, int(np.hypot(*(b - a)) / 0.02) + 1)
-            way = np.linspace(a, b, n)
-            for (x, y), solid in zip(way, world.solid_at(way)):
+            points = np.linspace(a, b, n)
+            for (x, y), solid in zip(points, world.solid_at(points)):
                 if solid or disc_touches_world(x, y, person.radius, world.cells):
                     leg = min(k, len(person.route) - 1)
                     raise UserError(
@@ -244,9 +244,7 @@ def _bounds(
     """The box around everything; 5 m about the start where there is nothing."""
     corners = [*polygons, circles[:, :2] - circles[:, 2:], circles[:, :2] + circles[:, 2:]]
     if raster is not None:
-        h, w = raster.solid.shape
-        low = np.array([raster.x0, raster.y0])
-        corners.append(np.array([low, low + np.array([w, h]) * raster.resolution]))
+        corners.append(np.array(raster.bounds).reshape(2, 2))
     points = np.concatenate(corners)
     if not len(points):
         x, y = (start.x, start.y) if start else (0.0, 0.0)

@@ -33,15 +33,23 @@ class Admission:
         self._sequence = -1
         self._sent = 0
         self._heard = 0
+        self.complete = True
+        """Nothing of the publisher's session is missing: heard from its first message on, or from a kept value on."""
 
-    def judge(self, envelope: Envelope, now: int) -> Verdict:
-        """The verdict on a message that is handled at `now` (ns, the stack's clock)."""
+    def judge(self, envelope: Envelope, now: int, kept: bool = False) -> Verdict:
+        """The verdict on a message that is handled at `now` (ns, the stack's clock).
+
+        kept: it is what the publisher keeps for late joiners, so it holds all that was sent up to its sequence. It is
+        taken also where its last part was heard already, if what came before that is missing.
+        """
         if envelope.publisher not in self._topic.publishers:
             return Verdict.INTRUDER
         if envelope.session == self._session:
-            if envelope.sequence <= self._sequence:
+            heard = envelope.sequence == self._sequence and (self.complete or not kept)
+            if envelope.sequence < self._sequence or heard:
                 return Verdict.OLD
             gap = envelope.sequence > self._sequence + 1
+            self.complete = kept or (self.complete and not gap)
         elif self._topic.hz == 0:  # events: any publisher's, in the order in which they were sent
             if envelope.sent < self._sent:
                 return Verdict.OLD
@@ -52,5 +60,7 @@ class Admission:
             if envelope.sent < self._sent:
                 return Verdict.OLD
             gap = False
+        if envelope.session != self._session:
+            self.complete = kept or envelope.sequence == 0
         self._session, self._sequence, self._sent, self._heard = envelope.session, envelope.sequence, envelope.sent, now
         return Verdict.GAP if gap else Verdict.TAKE

@@ -19,98 +19,29 @@ from pathlib import Path
 from typing import Any, cast
 
 import msgpack
-import psutil
 import zenoh
 
-from shared import topics
+from shared import reasons, topics
 from shared.codec import CodecError, Envelope, decode, encode, envelope_of
-from shared.config import RobotFile, UserError, load_robot
-from shared.messages import Health, LogLine, Message
+from shared.config import UserError, configured
+from shared.messages import LogLine, Message
+from shared.reasons import Reason
 from shared.requests import Request
 from shared.runners import transport
 from shared.runners.admission import Admission, Verdict
+from shared.runners.clock import SECOND, Clock, clock_from
 from shared.runners.host import Effect, Host, JobOrder, Sent, merged
 from shared.runners.inbox import Inbox, Place
+from shared.runners.memory import REMEMBERED, Memory
+from shared.runners.traffic import Traffic
 from shared.service import Service
 from shared.topics import TOPICS, Topic, key_of
 
-SECOND = 1_000_000_000
 VELOCITY_PATH = ("base_driver", "odometry", "local_ctrl", "guard")
 MAX_REQUESTS = 8
 RAW_CAPACITY = 200_000
-REMEMBERED = 30 * SECOND  # an older memory is of another drive: the robot may have been carried meanwhile
 
 log = logging.getLogger("zenav")
-
-
-class Clock:
-    """The stack's clock, ns: the wall's, or one that left the wall's at `epoch` and runs `speed` times as fast."""
-
-    def __init__(self, epoch: int = 0, speed: float = 1.0) -> None:
-        self.epoch, self.speed = epoch, speed
-
-    def now(self) -> int:
-        wall = time.time_ns()
-        return wall if self.speed == 1.0 else self.epoch + round((wall - self.epoch) * self.speed)
-
-    def seconds(self, duration: int) -> float:
-        """Real seconds that this many ns of the stack's clock take."""
-        return duration / SECOND / self.speed
-
-
-class Traffic:
-    """What came in and went wrong since the last health message."""
-
-    def __init__(self) -> None:
-        self.bad = self.intruders = self.old = 0
-        self.last_error = ""
-        self.slowest = 0.0
-        self.counts: dict[str, int] = {}
-        self.ages: dict[str, float] = {}
-        self._last_told = 0
-
-    def took(self, key: str, age: float, spent: float) -> None:
-        self.counts[key] = self.counts.get(key, 0) + 1
-        self.ages[key] = max(self.ages.get(key, 0.0), age)
-        self.slowest = max(self.slowest, spent)
-
-    def wrong(self, what: str, now: int) -> None:
-        """Remembers a fault and tells it, once a second at most."""
-        self.last_error = what[:200]
-        if now - self._last_told > SECOND or now < self._last_told:
-            self._last_told = now
-            log.warning(what)
-
-    def fresh(self) -> None:
-        self.slowest, self.counts, self.ages = 0.0, {}, {}
-
-
-class Memory:
-    """What a service published last on its latched topics, kept on disk for its successor after a crash."""
-
-    def __init__(self, folder: Path, name: str) -> None:
-        self._folder, self._name = folder, name
-        folder.mkdir(parents=True, exist_ok=True)
-
-    def write(self, key: str, value: Callable[[], bytes]) -> None:
-        """Replaces the kept value, whole or not at all."""
-        path = self._path(key)
-        part = path.with_suffix(".part")
-        try:
-            part.write_bytes(value())
-            part.replace(path)
-        except OSError as error:
-            log.warning("%s cannot be kept for a restart: %s", key, error)
-
-    def read(self, key: str) -> bytes | None:
-        """The kept value, or None."""
-        try:
-            return self._path(key).read_bytes()
-        except FileNotFoundError:
-            return None
-
-    def _path(self, key: str) -> Path:
-        return self._folder / f"{self._name}-{key.replace('/', '-')}.msgpack"
 
 
 class Live:
@@ -137,8 +68,6 @@ class Live:
         self._latched_readers: dict[str, transport.LatchedReader] = {}
         self._places: list[Place] = [self._requests]
         self._workers = ThreadPoolExecutor(1, thread_name_prefix="job")
-        self._process = psutil.Process()
-        self._cpu_before = (time.process_time(), time.monotonic())
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._latched: dict[str, transport.LatchedPublisher] = {}
         self._kept: dict[str, Message] = {}
@@ -252,7 +181,7 @@ class Live:
 
     def _file_request(self, request: Request[Message, Message], query: zenoh.Query) -> None:
         if len(self._requests.items) >= MAX_REQUESTS:
-            _refuse(query, "busy", "")
+            _refuse(query, reasons.BUSY, "")
         else:
             self.inbox.file(self._requests, (request, query))
 
@@ -283,16 +212,16 @@ class Live:
             self.traffic.bad += 1
             self.traffic.wrong(f"{key}: a bad message was dropped: {error}", now)
             return
-        verdict = self._admissions[key].judge(envelope, now)
+        verdict = self._admissions[key].judge(envelope, now, latched)
         if verdict is Verdict.INTRUDER:
             self.traffic.intruders += 1
             self.traffic.wrong(f"{key}: a second publisher ({envelope.publisher} {envelope.session}) is ignored", now)
             return
+        if topic.latched and not self._admissions[key].complete:
+            self._latched_readers[key].refresh()
         if verdict is Verdict.OLD:
             self.traffic.old += not latched
             return
-        if verdict is Verdict.GAP and topic.latched and not latched:
-            self._latched_readers[key].refresh()
         self._apply(self.host.message(key, message, envelope, now, latched))
         self.traffic.took(key, (now - message.stamp) / SECOND, time.perf_counter() - begun)
 
@@ -315,7 +244,7 @@ class Live:
         except CodecError as error:
             self.traffic.bad += 1
             self.traffic.wrong(f"{request.key}: a bad request was refused: {error}", now)
-            _refuse(query, "bad_request", str(error))
+            _refuse(query, reasons.BAD_REQUEST, str(error))
             return
         effects, reply = self.host.request(request.key, message, payload, now)
         with query:
@@ -352,28 +281,8 @@ class Live:
         if self.memory is not None:
             for key in set(self._own_latched()) & set(self._unsaved):
                 self._workers.submit(self.memory.write, key, self._unsaved.pop(key))
-        cpu, wall = time.process_time(), time.monotonic()
-        share = (cpu - self._cpu_before[0]) / max(wall - self._cpu_before[1], 1e-3)
-        seconds = max(wall - self._cpu_before[1], 1e-3)
-        self._cpu_before = (cpu, wall)
-        traffic = self.traffic
-        rates = tuple((key, n / seconds, traffic.ages[key]) for key, n in sorted(traffic.counts.items()))
-        health = Health(
-            now,
-            self.name,
-            os.getpid(),
-            self.host.service.state(),
-            self.host.n_events,
-            traffic.bad,
-            sum(place.dropped for place in self._places if place.keep == "all"),
-            traffic.intruders,
-            traffic.last_error,
-            max(share, 0.0),
-            self._process.memory_info().rss / 1e6,
-            traffic.slowest * 1e3,
-            rates,
-        )
-        traffic.fresh()
+        dropped = sum(place.dropped for place in self._places if place.keep == "all")
+        health = self.traffic.health(self.name, self.host.service.state(), self.host.n_events, dropped, now)
         self._publish(self.host.publish(topics.HEALTH(health), now))
 
 
@@ -383,9 +292,9 @@ def _next_tick(due: int, period: int, now: int) -> int:
     return upcoming if upcoming > now else now + period - (now - due) % period
 
 
-def _refuse(query: zenoh.Query, code: str, text: str) -> None:
+def _refuse(query: zenoh.Query, reason: Reason, text: str) -> None:
     with query:
-        query.reply_err(msgpack.packb({"code": code, "text": text}))
+        query.reply_err(msgpack.packb({"code": reason.code, "text": text}))
 
 
 def arguments(name: str) -> argparse.ArgumentParser:
@@ -398,20 +307,6 @@ def arguments(name: str) -> argparse.ArgumentParser:
     parser.add_argument("--memory", default="", metavar="FOLDER", help="keep what a restart must not lose, as the map")
     parser.add_argument("--log", default="INFO", choices=["DEBUG", "INFO", "WARNING", "ERROR"], help="log level")
     return parser
-
-
-def clock_from(text: str) -> Clock:
-    """The clock given as EPOCH:SPEED; the wall clock where it is empty. Raises UserError."""
-    if not text:
-        return Clock()
-    epoch, _, speed = text.partition(":")
-    try:
-        clock = Clock(int(epoch), float(speed))
-    except ValueError:
-        raise UserError(f"{text!r} is no clock", "write EPOCH:SPEED, like 1700000000000000000:4") from None
-    if not 0.01 <= clock.speed <= 100:
-        raise UserError(f"a speed of {clock.speed} cannot be run", "choose 0.01 to 100")
-    return clock
 
 
 def main(service_class: type[Service], **sinks: Callable[[Any], Any]) -> None:
@@ -463,11 +358,3 @@ def _serve(
         if hasattr(sink, "close"):
             sink.close()
     log.info("stopped")
-
-
-def configured(robot: str, overrides: list[str]) -> RobotFile:
-    """A robot's file with overrides (`section.key=value`) applied."""
-    file = load_robot(robot)
-    for assignment in overrides:
-        file.override(assignment)
-    return file

@@ -20,6 +20,7 @@ from shared.topics import SERVICES
 BASE_PORT = 17400
 PORTS_A_STACK = 40
 MAX_DOMAIN = 200
+LOG = "error,zenoh::api::session=off"  # goes to stdout, where tools write data; the session complains while it closes
 MAX_MESSAGE = 4 * 2**20  # bytes; a whole map of 1000 tiles
 
 
@@ -85,7 +86,7 @@ def opened(where: Where, name: str = "") -> zenoh.Session:
     """An open session. Raises UserError when the service's port is taken or the router does not answer."""
     if name and name not in SERVICES:
         raise UserError(f"{name} is not a service", nearest(name, SERVICES))
-    zenoh.init_log_from_env_or("error")
+    zenoh.init_log_from_env_or(LOG)
     try:
         return zenoh.open(configuration(where, name))
     except zenoh.ZError as error:

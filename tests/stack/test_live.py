@@ -16,7 +16,8 @@ from shared.geometry import Pose2
 from shared.messages import Goal, GoalKind, WheelState
 from shared.requests import Cancel, Reply
 from shared.runners import transport
-from shared.runners.live import Clock, Live
+from shared.runners.clock import Clock
+from shared.runners.live import Live
 from shared.service import Answer, Job, Out, Service, answer, every, on
 
 ROBOT = load_robot("x80sv").robot

@@ -56,3 +56,30 @@ def test_events_are_taken_from_any_operator_in_the_order_of_sending():
     assert admission.judge(at(0, 10, "a", "operator"), 10) is Verdict.TAKE
     assert admission.judge(at(0, 20, "b", "operator"), 20) is Verdict.TAKE
     assert admission.judge(at(1, 15, "a", "operator"), 30) is Verdict.OLD
+
+
+def test_what_is_kept_is_taken_where_its_last_part_was_overheard():
+    admission = Admission(topics.MAP)
+    mapper = [at(n, n, publisher="mapper") for n in range(10)]
+    assert admission.judge(mapper[6], 6) is Verdict.TAKE
+    assert not admission.complete
+    assert admission.judge(mapper[5], 7, kept=True) is Verdict.OLD
+    assert not admission.complete
+    assert admission.judge(mapper[6], 7, kept=True) is Verdict.TAKE
+    assert admission.complete
+    assert admission.judge(mapper[6], 8, kept=True) is Verdict.OLD
+    assert admission.judge(mapper[7], 8) is Verdict.TAKE
+    assert admission.judge(mapper[9], 9) is Verdict.GAP
+    assert not admission.complete
+    assert admission.judge(mapper[9], 9, kept=True) is Verdict.TAKE
+    assert admission.complete
+
+
+@given(st.lists(st.tuples(st.integers(0, 12), st.booleans()), max_size=30))
+def test_complete_means_that_nothing_is_missing(arrivals):
+    admission, have = Admission(topics.MAP), set[int]()
+    for now, (sequence, kept) in enumerate(arrivals):
+        if admission.judge(at(sequence, sequence, publisher="mapper"), now, kept) in (Verdict.TAKE, Verdict.GAP):
+            have |= set(range(sequence + 1)) if kept else {sequence}
+        if have:
+            assert admission.complete == (have == set(range(max(have) + 1)))

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from services.sim.service import SimConfig, SimService
 from shared.config import Drive, Laser, Robot, load_robot
 from shared.messages import MotorCommand
+from shared.ros_map import write_ros_map
 
 TICK_NS = 20_000_000
 N_CELLS = 1000
-SIDE = 0.05  # m a cell
+CELL = 0.05  # m
 
 
 def run(seconds: float = 10.0, repeats: int = 5) -> dict[str, Any]:
@@ -39,7 +39,8 @@ def run(seconds: float = 10.0, repeats: int = 5) -> dict[str, Any]:
     fast = robot.robot.model_copy(update={"laser": laser_720})
     config = robot.section("sim", SimConfig)
     with tempfile.TemporaryDirectory() as folder:
-        grid = str(written_map(Path(folder)))
+        cells = np.where(building(N_CELLS), 100, 0).astype(np.int8)
+        grid = str(write_ros_map(Path(folder), cells, CELL, 0.0, 0.0, "building"))
         rows = {
             "map of 1000 x 1000 cells, 720 beams at 40 Hz": _ratio(config, fast, grid, seconds, repeats),
             "office, 720 beams at 40 Hz": _ratio(config, fast, "office", seconds, repeats),
@@ -67,14 +68,6 @@ def building(n: int) -> NDArray[np.bool_]:
     return solid
 
 
-def written_map(folder: Path) -> Path:
-    """The building as a ROS map in `folder`; returns the path of its YAML."""
-    Image.fromarray(np.where(building(N_CELLS), 0, 254).astype(np.uint8)).save(folder / "building.pgm")
-    path = folder / "building.yaml"
-    path.write_text(f"image: building.pgm\nresolution: {SIDE}\norigin: [0, 0, 0]\nnegate: 0\n", encoding="utf-8")
-    return path
-
-
 def _ratio(config: SimConfig, robot: Robot, world: str, seconds: float, repeats: int) -> dict[str, float]:
     costs = []
     for seed in range(repeats):
@@ -88,7 +81,7 @@ def _ratio(config: SimConfig, robot: Robot, world: str, seconds: float, repeats:
 
 
 def driven(service: SimService, drive: Drive, seconds: float) -> int:
-    """Drives circles for some simulated seconds, with a command before each tick as from a base driver; counts scans."""
+    """Drives circles for some simulated seconds, commanded before each tick as by a base driver; counts scans."""
     per_second = drive.counts_per_turn / (2 * pi * drive.wheel_radius)  # counts/s of a wheel at 1 m/s
     n_scans = 0
     for _ in range(round(seconds * 1e9 / TICK_NS)):
