@@ -26,8 +26,7 @@ def _towards(now: float, wanted: float, elapsed: float, acceleration: float, bra
         return -_towards(-now, -wanted, elapsed, acceleration, braking)
     if wanted >= now:
         return min(wanted, now + acceleration * elapsed)
-    slowest = max(wanted, 0.0)
-    braked = now - braking * elapsed
-    if braked >= slowest or wanted >= 0:
-        return max(braked, slowest)
-    return max(wanted, -acceleration * (elapsed - now / braking))
+    standing = now / braking  # s until it stands
+    if wanted >= 0 or elapsed <= standing:
+        return max(wanted, now - braking * elapsed)
+    return max(wanted, -acceleration * (elapsed - standing))

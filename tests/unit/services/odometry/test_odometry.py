@@ -94,6 +94,31 @@ def test_after_the_clock_was_set_back_a_driver_s_smaller_epoch_counts():
     assert fed(odometry, wheels(10, 0.0, 0.0, epoch=5 * MS)) is not None
 
 
+@pytest.mark.parametrize(("ahead_ms", "ignored"), [(0, True), (100, True), (101, False)])
+def test_an_epoch_ahead_of_the_clock_is_no_reason_to_ignore_a_smaller_one(ahead_ms, ignored):
+    odometry = service()
+    odometry.now = 1_000 * MS
+    fed(odometry, wheels(900, 1.0, 1.0, epoch=(1_000 + ahead_ms) * MS))
+    assert (fed(odometry, wheels(910, 9.0, 9.0, epoch=500)) is None) is ignored
+
+
+@pytest.mark.parametrize(("roll", "taken"), [(99.9, True), (100.1, False), (-99.9, True), (-100.1, False)])
+def test_a_hundred_metres_at_once_is_no_motion(roll, taken):
+    odometry = service()
+    fed(odometry, wheels(0, 0.0, 0.0))
+    *_, publication = odometry.wheels(wheels(20, roll / 0.085, roll / 0.085))
+    assert (publication.message.odom_from_base.x != 0) is taken
+
+
+def test_covariance_stays_within_the_message_s_bounds_for_ever():
+    odometry = service(wheel_variance=1.0)
+    odometry.covariance = np.diag([9.9e10, 9.9e10, 9.9e10])
+    for k in range(60):
+        out = fed(odometry, wheels(20 * k, 900.0 * k, 900.0 * k))
+    assert out.covariance.max() < 1e12
+    assert out.odom_from_base.x > 1000
+
+
 def test_a_jump_of_the_wheels_is_no_motion():
     odometry = service()
     fed(odometry, wheels(0, 0.0, 0.0))
