@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.local_ctrl.mppi import MppiConfig
 from services.local_ctrl.service import LocalCtrlConfig
 from shared import reasons
 from shared.config import load_robot
 from shared.geometry import Pose2
-from tests.unit.services.local_ctrl.tiny_world import Loop, Run, World, drive_goal, off, planned
+from tests.unit.services.local_ctrl.tiny_world import QUICK, Loop, Run, World, drive_goal, off, planned
 
 X80 = load_robot("x80sv").robot
 JACKAL = load_robot("jackal").robot
@@ -23,10 +22,14 @@ DATA = os.environ.get("ZENAV_DATA")  # noqa: TID251  # tests are told by the env
 
 
 def driven(
-    world: World, start: Pose2, goal: Pose2, known: World | None = None, rollouts: int = 1200, seconds: float = 30.0
+    world: World,
+    start: Pose2,
+    goal: Pose2,
+    known: World | None = None,
+    config: LocalCtrlConfig = QUICK,
+    seconds: float = 30.0,
 ) -> tuple[Loop, Run]:
     """Drives the plan made on `known`, by default the world as it is."""
-    config = LocalCtrlConfig(mppi=MppiConfig(rollouts=rollouts))
     loop = Loop(X80, world, start, config).give(drive_goal(goal), planned(known or world, start, goal, 0.28))
     return loop, loop.drive(seconds)
 
@@ -43,7 +46,7 @@ def arrived(loop: Loop, run: Run, goal: Pose2) -> None:
 def test_it_drives_through_a_door_without_swinging(start: Pose2) -> None:
     world = World(10, 4).box(4.9, 0, 5.1, 4).box(4.8, 1.6, 5.2, 2.4, full=False)
     goal = Pose2(8.0, 3.0, pi / 2)
-    loop, run = driven(world, start, goal)
+    loop, run = driven(world, start, goal, config=LocalCtrlConfig())
     arrived(loop, run, goal)
     assert run.least_clearance > 0.12
     assert run.seconds < 15
@@ -116,8 +119,7 @@ def cluttered(seed: int) -> World:
 @pytest.mark.parametrize("seed", range(20))
 def test_clutter_that_the_plan_ignores_is_not_touched(seed: int) -> None:
     start, goal = Pose2(0.6, 2.0, 0.0), Pose2(5.4, 2.0, 0.0)
-    # a third of the usual rollouts: twenty worlds in the time of seven, and none the easier
-    loop, run = driven(cluttered(seed), start, goal, known=World(6, 4), rollouts=400)
+    loop, run = driven(cluttered(seed), start, goal, known=World(6, 4))
     arrived(loop, run, goal)
     assert run.least_clearance > 0.03
 
@@ -155,7 +157,7 @@ def barn(world_id: str) -> tuple[World, Pose2, Pose2]:
 @pytest.mark.parametrize("world_id", ["101", "283"])
 def test_a_jackal_gets_through_a_barn_world_fast(world_id: str) -> None:
     world, start, goal = barn(world_id)
-    loop = Loop(JACKAL, world, start, delay=0.06)
+    loop = Loop(JACKAL, world, start, LocalCtrlConfig(), delay=0.06)
     loop.give(drive_goal(goal, tolerance=1.0, yaw_tolerance=10.0), planned(world, start, goal, 0.3))
     run = loop.drive(25)
     assert run.reached
