@@ -41,7 +41,7 @@ check: venv ## lint, format, types, architecture
 	run format $(BIN)/ruff format --check .
 	run types $(BIN)/mypy
 	run imports $(BIN)/lint-imports --no-cache
-	run architecture $(BIN)/python -m pytest --tb=line tests/test_architecture.py
+	run architecture $(BIN)/python -m pytest --tb=short -rN tests/test_architecture.py
 	exit $$status
 
 fix: venv ## repair what a tool can: lint, format, generated docs

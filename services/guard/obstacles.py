@@ -26,7 +26,7 @@ class ObstaclesConfig(Section):
 
     min_points: int = Field(2, ge=1, le=10, description="points near each other that make an obstacle; fewer are noise")
     support_radius: float = Field(0.1, gt=0, le=1, description="m within which points support each other")
-    memory: float = Field(5.0, ge=0, le=60, description="s that a thing is remembered where no sensor looks")
+    memory: float = Field(20.0, ge=0, le=120, description="s that a thing is remembered where no sensor looks")
 
 
 class Obstacles:

@@ -21,6 +21,7 @@ Bools = NDArray[np.bool_]
 
 TOUCHING = 0.005  # m: nearer than this the direction of motion decides, not the distance
 STRAIGHT = 1e-4  # 1/m: arcs flatter than this are lines; over 3 m they part by less than a millimetre
+STANDING = 1e-6  # m/s of the fastest point of the outline: no motion to judge
 
 
 class FieldConfig(Section):
@@ -58,12 +59,14 @@ def permitted(points: Float64s, corners: Float64s, v: float, w: float, drive: Dr
     """
     radius = float(np.hypot(corners[:, 0], corners[:, 1]).max())
     fastest = abs(v) + abs(w) * radius
-    if fastest == 0 or not len(points):
+    if fastest < STANDING or not len(points):
         return FREE
     braking_time = max(abs(v) / drive.max_braking, abs(w) / drive.max_turn_acceleration)
     # only what the outline can reach while the robot drives, brakes and keeps its margin can matter
     reach = radius + config.side_margin + config.stop_margin + abs(v) * (config.reaction + braking_time / 2)
     points = points[np.hypot(points[:, 0], points[:, 1]) <= reach + 0.01]
+    if not len(points):
+        return FREE
     contact = times_to_contact(points, corners, v, w, config.side_margin, config.self_mask)
     rim = np.maximum(np.hypot(v - w * points[:, 1], w * points[:, 0]), abs(v))
     met = np.isfinite(contact)
@@ -88,18 +91,25 @@ def times_to_contact(
     A point that is nearer than the margin already counts when the robot comes nearer still, so that driving away is
     always free. Points deeper inside the footprint than `self_mask` never count.
     """
+    times = np.full(len(points), inf)
+    straight = abs(w) <= STRAIGHT * abs(v)
+    lane, (low, high) = _lane_of_line(points, corners) if straight else _lane_of_arc(points, corners, v, w)
+    reach = max(margin, TOUCHING)
+    met = np.flatnonzero((lane >= low - reach) & (lane <= high + reach))
+    points = points[met]
     depth, outward = signed_distances(points, corners)
     offsets = np.clip(depth - TOUCHING, 0.0, margin)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        if abs(w) <= STRAIGHT * abs(v):
-            times = _straight(points, offsets, corners, v)
+    with np.errstate(all="ignore"):
+        if straight:
+            contact = _straight(points, offsets, corners, v)
         else:
-            times = _circular(points, offsets, corners, v, w)
+            contact = _circular(points, offsets, corners, v, w)
     velocity = np.column_stack((v - w * points[:, 1], w * points[:, 0]))
     approaching = (velocity * outward).sum(axis=1) > 1e-9
-    times[depth <= 1e-6] = inf  # what already touches leaves freely
-    times[(depth <= TOUCHING) & approaching] = 0.0
-    times[depth < -self_mask] = inf
+    contact[depth <= 1e-6] = inf  # what already touches leaves freely
+    contact[(depth <= TOUCHING) & approaching] = 0.0
+    contact[depth < -self_mask] = inf
+    times[met] = contact
     return times
 
 
@@ -109,10 +119,9 @@ def signed_distances(points: Float64s, corners: Float64s) -> tuple[Float64s, Flo
     away = points[:, None, :] - corners
     along = np.clip((away * edges).sum(axis=2) / (edges**2).sum(axis=1), 0.0, 1.0)
     away = away - along[:, :, None] * edges
-    distances = np.hypot(away[:, :, 0], away[:, :, 1])
-    nearest = distances.argmin(axis=1)
-    rows = np.arange(len(points))
-    distance, away = distances[rows, nearest], away[rows, nearest]
+    nearest = (away**2).sum(axis=2).argmin(axis=1)
+    away = away[np.arange(len(points)), nearest]
+    distance = np.hypot(away[:, 0], away[:, 1])
     normals = np.column_stack((edges[:, 1], -edges[:, 0])) / np.hypot(edges[:, 0], edges[:, 1])[:, None]
     within = inside(corners, points)
     sign = np.where(within, -1.0, 1.0)
@@ -120,6 +129,19 @@ def signed_distances(points: Float64s, corners: Float64s) -> tuple[Float64s, Flo
     far = distance > 1e-9
     outward = np.where(far[:, None], away / np.where(far, distance * sign, 1.0)[:, None], normals[nearest])
     return distance * sign, outward
+
+
+def _lane_of_line(points: Float64s, corners: Float64s) -> tuple[Float64s, tuple[float, float]]:
+    """What a line keeps of each point (n,), m to the left, and between which values it meets the outline."""
+    return points[:, 1], (float(corners[:, 1].min()), float(corners[:, 1].max()))
+
+
+def _lane_of_arc(points: Float64s, corners: Float64s, v: float, w: float) -> tuple[Float64s, tuple[float, float]]:
+    """What an arc keeps of each point (n,), m from its centre, and between which values it meets the outline."""
+    centre = np.array([[0.0, v / w]])
+    spokes, hubs = points - centre, corners - centre
+    nearest = max(float(signed_distances(centre, corners)[0][0]), 0.0)
+    return np.hypot(spokes[:, 0], spokes[:, 1]), (nearest, float(np.hypot(hubs[:, 0], hubs[:, 1]).max()))
 
 
 def _straight(points: Float64s, offsets: Float64s, corners: Float64s, v: float) -> Float64s:

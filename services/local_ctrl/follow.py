@@ -5,7 +5,7 @@ from math import atan2, copysign, hypot, pi
 
 from pydantic import Field
 
-from services.local_ctrl.distance_to_go import DistanceToGoConfig, carrot, distance_to_go, way_closed
+from services.local_ctrl.distance_to_go import DistanceToGoConfig, carrot, distance_to_go
 from services.local_ctrl.footprint import Footprint
 from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.local_plan import Ahead, LocalPlan
@@ -31,6 +31,9 @@ class FollowConfig(Section):
     turn_until: float = Field(0.3, ge=0.05, le=3, description="rad off the way at which it drives on")
     turn_rate: float = Field(1.5, ge=0.1, le=10, description="rad/s at most, turning on the spot")
     look: float = Field(0.4, ge=0.1, le=3, description="m down the way that is 'the way' for turning")
+    closed_within: float = Field(
+        0.25, ge=0.05, le=5, description="m before the place where every way is closed at which it is called blocked"
+    )
     stalled_after: float = Field(0.5, ge=0.05, le=10, description="s without a way forward until it is called blocked")
 
 
@@ -65,42 +68,45 @@ class Follower:
         left = ahead.left + hypot(ahead.points[0, 0] - motion.pose.x, ahead.points[0, 1] - motion.pose.y)
         if self._ended(ahead, goal, motion, odom_from_map, plan):
             return self._turned_to_goal(ahead.end.yaw, goal, costmap, motion)
-        scene = self._scene(ahead, costmap, motion)
-        if (outcome := self._turned_to_way(scene, costmap, motion, left)) is not None:
+        scene, closed = self._scene(ahead, costmap, motion)
+        if not closed and (outcome := self._turned_to_way(scene, costmap, motion, left)) is not None:
             return outcome
         solution = self.mppi.solve(scene, self.footprint, n_elapsed)
-        closed = way_closed(scene.to_go, scene.field, scene.x, scene.y, scene.resolution, self.footprint.inscribed)
-        stalls = closed or (solution.gain < 0.1 and abs(solution.velocities[0, 0]) < 0.05)
+        stalls = closed or (solution.gain < 0.1 and abs(solution.velocities[0, 0]) < SLOW)
         self.n_stalled = self.n_stalled + 1 if stalls else 0
         if solution.collides or self.n_stalled * DT >= self.config.stalled_after:
             return braking(motion, self.limits, FollowState.BLOCKED, reasons.BLOCKED.code, left)
         v, w = solution.velocities[0]
         return Outcome(float(v), float(w), FollowState.FOLLOWING, "", left)
 
-    def _scene(self, ahead: Ahead, costmap: LocalCostmap, motion: Motion) -> Scene:
-        origin = (costmap.x0, costmap.y0)
+    def _scene(self, ahead: Ahead, costmap: LocalCostmap, motion: Motion) -> tuple[Scene, bool]:
+        """What the rollouts meet, and whether the robot stands where every way is closed."""
+        points = ahead.points - (costmap.x0, costmap.y0)
+        x, y = motion.pose.x - costmap.x0, motion.pose.y - costmap.y0
         to_go = distance_to_go(
             costmap.field,
             costmap.unknown,
             costmap.resolution,
-            ahead.points - origin,
+            points,
+            (x, y),
             self.footprint.inscribed,
             self.to_go,
         )
-        return Scene(
+        scene = Scene(
             costmap.field,
             costmap.occupied,
             costmap.resolution,
-            to_go,
-            float(ahead.points[-1, 0] - costmap.x0),
-            float(ahead.points[-1, 1] - costmap.y0),
-            ahead.ends,
-            motion.pose.x - costmap.x0,
-            motion.pose.y - costmap.y0,
+            to_go.field,
+            float(points[to_go.i_end, 0]),
+            float(points[to_go.i_end, 1]),
+            ahead.ends or to_go.closed,
+            x,
+            y,
             motion.pose.yaw,
             motion.v,
             motion.w,
         )
+        return scene, to_go.closed and hypot(scene.end_x - x, scene.end_y - y) < self.config.closed_within
 
     def _ended(self, ahead: Ahead, goal: Goal, motion: Motion, odom_from_map: Pose2, plan: LocalPlan) -> bool:
         """Whether the robot is where the path ends; once there, until it is pushed out of the tolerance again."""

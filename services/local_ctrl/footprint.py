@@ -41,10 +41,14 @@ def footprint_of(robot: Robot, padding: float, overreach: float = 0.04) -> Footp
 
 def _tiles(corners: Float64s, overreach: float) -> list[tuple[float, float, float]]:
     low, high = corners.min(axis=0), corners.max(axis=0)
-    # the circle around a square of side a reaches a (sqrt 2 - 1) / 2 beyond it
+    # the circle around a square of side a reaches a (sqrt 2 - 1) / 2 beyond it; around other tiles it reaches further
     side = 2 * overreach / (sqrt(2) - 1)
-    nx, ny = (max(1, ceil(float(extent) / side)) for extent in high - low)
-    width, height = (high - low) / (nx, ny)
+    while True:
+        nx, ny = (max(1, ceil(float(extent) / side)) for extent in high - low)
+        width, height = (high - low) / (nx, ny)
+        if hypot(width, height) - min(width, height) <= 2 * overreach:
+            break
+        side *= 0.9
     fine = np.stack(np.meshgrid((np.arange(9) - 4) / 8, (np.arange(9) - 4) / 8), axis=-1).reshape(-1, 2)
     edges = np.concatenate([a + np.linspace(0, 1, 200)[:, None] * (b - a) for a, b in _sides(corners)])
     found = []

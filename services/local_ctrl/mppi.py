@@ -112,6 +112,7 @@ class Solution(NamedTuple):
 
 
 APPROACH = 0.5  # share of the drive's braking that stopping at the goal counts on: the rest is for delay
+REACTION = 0.2  # s that a guard counts on between a command and the wheels' answer
 N_GUESSES = 9  # rollouts that are not noise: the last solution, standing still, seven that go downhill
 
 
@@ -138,7 +139,7 @@ class Mppi:
     def solve(self, scene: Scene, footprint: Footprint, n_elapsed: int) -> Solution:
         """The velocities from now on. n_elapsed: steps since the last call. Same calls, same bytes."""
         shift = min(max(n_elapsed, 0), self.config.steps)
-        self.mean[: self.config.steps - shift] = self.mean[shift:].copy()
+        self.mean = np.concatenate((self.mean[shift:], np.repeat(self.mean[-1:], shift, axis=0)))
         self.n_solved += 1
         # a step that shares no factor with the pool's size visits every start before it repeats
         start = (self.n_solved * 7919) % len(self.noise)
@@ -322,7 +323,7 @@ def _near(
         over = max(0.0, speed - share * limits.v_max)
         cost += weights.overspeed * over * over
     # the guard stops for what lies within the braking distance straight ahead: leave it room
-    stopping = speed * 0.1 + v * v / (2.0 * limits.braking) + weights.critical_clearance
+    stopping = speed * REACTION + v * v / (2.0 * limits.braking) + weights.critical_clearance
     if room < stopping + footprint.circumscribed:
         ahead = stopping if v >= 0.0 else -stopping
         free = sampled(scene.field, (x + c * ahead) / scene.resolution, (y + s * ahead) / scene.resolution)

@@ -21,7 +21,7 @@ Float64s = NDArray[np.float64]
 class SearchConfig(Section):
     """The search around the prior where few beams agree with the map."""
 
-    below: float = Field(0.65, ge=0, le=1, description="share of agreeing beams under which to search; 0: never")
+    below: float = Field(0.85, ge=0, le=1, description="quality under which to search; 0: never")
     reach: float = Field(0.5, ge=0.05, le=5, description="m to each side")
     turn: float = Field(0.35, ge=0.01, le=pi, description="rad to each side")
     step: float = Field(0.1, ge=0.02, le=0.5, description="m between poses")

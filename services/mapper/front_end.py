@@ -10,7 +10,7 @@ from pydantic import Field
 
 from services.mapper.correlative_match import SearchConfig, candidates
 from services.mapper.occupancy import Occupancy
-from services.mapper.registration import REGISTRARS, Match, Prior, RegistrationConfig, step_prior
+from services.mapper.registration import REGISTRARS, Match, OdometryError, Prior, RegistrationConfig
 from services.mapper.surface import grid_surface, sweep_normals
 from shared.config import Section
 from shared.geometry import Pose2
@@ -25,8 +25,8 @@ LEAST_BEAMS = 15  # that must agree with the map or contradict it, to tell anyth
 class FrontEndConfig(Section):
     """Keyframes, and when the pose is called poor or lost."""
 
-    keyframe_distance: float = Field(0.15, ge=0.01, le=5, description="m driven until a scan joins the map")
-    keyframe_turn: float = Field(0.15, ge=0.01, le=3, description="rad turned until a scan joins the map")
+    keyframe_distance: float = Field(0.3, ge=0.01, le=5, description="m driven until a scan joins the map")
+    keyframe_turn: float = Field(0.3, ge=0.01, le=3, description="rad turned until a scan joins the map")
     good: float = Field(0.6, ge=0, le=1, description="quality from which the pose is good")
     lost: float = Field(0.3, ge=0, le=1, description="quality under which the pose may be lost")
     clear_cells: int = Field(2, ge=0, le=20, description="free cells to each side that make an echo a moving thing's")
@@ -83,6 +83,7 @@ class FrontEnd:
         self, config: FrontEndConfig, registration: RegistrationConfig, search: SearchConfig, range_max: float
     ) -> None:
         self.config, self.registration, self.search = config, registration, search
+        self.odometry_error = OdometryError()
         self.registrar = REGISTRARS[registration.registrar](registration, range_max)
         self.start(Pose2())
 
@@ -121,6 +122,7 @@ class FrontEnd:
             placed = self._placed(sweep, step, doubt, grid)
         self._believe(placed.match, step, doubt)
         self.motion = self.map_from_base.inverse() @ placed.match.map_from_base
+        self.odometry_error.learn(step, self.motion, placed.match.information)
         self.map_from_base = placed.match.map_from_base
         n_told = placed.n_agree + placed.n_against + n_moving
         quality = placed.n_agree / max(n_told, LEAST_BEAMS)
@@ -131,14 +133,14 @@ class FrontEnd:
 
     def _placed(self, sweep: Sweep, step: Pose2, doubt: float, grid: Occupancy) -> Placed:
         """The sweep aligned from odometry's guess, or from a better one where too many beams contradict the map."""
-        prior = step_prior(self.registration, self.map_from_base, step, doubt)
+        prior = self.odometry_error.prior(self.registration, self.map_from_base, step, doubt)
         if self.registrar.map.n == 0 or not len(sweep.points):
             return Placed(self.registrar.measured(sweep.points, sweep.normals, prior.map_from_base), 0)
         best = self._aligned(sweep, prior.map_from_base, prior, grid)
         if best.quality >= self.search.below and not self.searches_next:
             return best
         # odometry may lie: a slipping wheel, a stall, a wrong direction. The motion before this step is another guess
-        unsure = step_prior(self.registration, self.map_from_base, step, 10 * doubt)
+        unsure = self.odometry_error.prior(self.registration, self.map_from_base, step, 10 * doubt)
         best = self._better(best, sweep, [self.map_from_base @ self.motion], unsure, grid)
         if best.quality < self.search.below or self.searches_next:
             self.searches_next = False
@@ -163,7 +165,7 @@ class FrontEnd:
 
     def _believe(self, match: Match, step: Pose2, doubt: float) -> None:
         """The covariance: grown by the step's uncertainty, shrunk by what the beams tell (information filter)."""
-        prior = step_prior(self.registration, self.map_from_base, step, doubt)
+        prior = self.odometry_error.prior(self.registration, self.map_from_base, step, doubt)
         dx, dy = prior.map_from_base.x - self.map_from_base.x, prior.map_from_base.y - self.map_from_base.y
         turned = np.array(((1, 0, -dy), (0, 1, dx), (0, 0, 1)))
         grown = turned @ self.covariance @ turned.T + np.diag((prior.sigma**2, prior.sigma**2, prior.sigma_turn**2))

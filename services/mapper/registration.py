@@ -6,7 +6,7 @@ minimises the distance to the surfaces (Censi, ICRA 2008) where the map knows th
 """
 
 from dataclasses import dataclass
-from math import cos, hypot, pi, sin
+from math import cos, hypot, pi, sin, sqrt
 from typing import Literal
 
 import numpy as np
@@ -29,14 +29,19 @@ class RegistrationConfig(Section):
     kernel: float = Field(0.2, ge=0.02, le=2, description="m, scale of the Geman-McClure kernel")
     gate: float = Field(0.6, ge=0.05, le=3, description="m, farthest match at the start")
     final_gate: float = Field(0.5, ge=0.05, le=3, description="m, farthest match at the end")
-    noise: float = Field(0.05, ge=0.005, le=1, description="m, one match's standard deviation")
-    prior: float = Field(0.03, ge=0.001, le=1, description="m, standard deviation of a step of odometry at least")
-    prior_share: float = Field(0.1, ge=0, le=1, description="m a metre of the step, added to `prior`")
-    prior_turn: float = Field(0.01, ge=0.0005, le=1, description="rad, of a step's turn at least")
+    noise: float = Field(0.1, ge=0.005, le=1, description="m, one match's standard deviation")
+    prior: float = Field(0.005, ge=0.001, le=1, description="m, standard deviation of a step of odometry at least")
+    prior_share: float = Field(0.05, ge=0, le=1, description="m a metre of the step, added to `prior`")
+    prior_turn: float = Field(0.005, ge=0.0005, le=1, description="rad, of a step's turn at least")
     prior_turn_share: float = Field(0.1, ge=0, le=1, description="rad a radian of the turn, added to `prior_turn`")
+    trust: float = Field(2.0, ge=0, le=100, description="prior's standard deviation over odometry's errors of late")
     iterations: int = Field(30, ge=3, le=200, description="Gauss-Newton steps at most")
-    spacing: float = Field(0.05, ge=0.01, le=0.5, description="m between the map's points")
+    spacing: float = Field(0.1, ge=0.01, le=0.5, description="m between the map's points")
     agrees: float = Field(0.1, ge=0.01, le=1, description="m from the map's surface up to which a beam agrees with it")
+
+
+OBSERVED = 0.012  # m, standard deviation up to which the beams fix a direction
+LEARNING = 0.05  # weight of the newest step
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,13 +145,29 @@ class KissRegistrar(LineRegistrar):
 REGISTRARS: dict[str, type[LineRegistrar]] = {"line": LineRegistrar, "kiss": KissRegistrar}
 
 
-def step_prior(config: RegistrationConfig, before: Pose2, step: Pose2, doubt: float = 1.0) -> Prior:
-    """The prior after a step of odometry from a matched pose; `doubt` widens it."""
-    return Prior(
-        before @ step,
-        doubt * (config.prior + config.prior_share * hypot(step.x, step.y)),
-        doubt * (config.prior_turn + config.prior_turn_share * abs(step.yaw)),
-    )
+class OdometryError:
+    """How far odometry's steps have been off of late, as the matches that know better tell."""
+
+    def __init__(self) -> None:
+        self.squared, self.squared_turn = 0.03**2, 0.01**2  # m^2, rad^2: what a wheeled robot's is like
+
+    def learn(self, step: Pose2, moved: Pose2, information: Float64s) -> None:
+        """Takes a step by odometry and by a match, where the beams fix the pose in every direction."""
+        if float(np.linalg.eigvalsh(information[:2, :2])[0]) < 1 / OBSERVED**2:
+            return
+        off = step.inverse() @ moved
+        self.squared += LEARNING * (off.x**2 + off.y**2 - self.squared)
+        self.squared_turn += LEARNING * (off.yaw**2 - self.squared_turn)
+
+    def prior(self, config: RegistrationConfig, before: Pose2, step: Pose2, doubt: float = 1.0) -> Prior:
+        """The prior after a step of odometry from a matched pose; `doubt` widens it."""
+        least = config.prior + config.prior_share * hypot(step.x, step.y)
+        least_turn = config.prior_turn + config.prior_turn_share * abs(step.yaw)
+        return Prior(
+            before @ step,
+            doubt * max(least, config.trust * sqrt(self.squared)),
+            doubt * max(least_turn, config.trust * sqrt(self.squared_turn)),
+        )
 
 
 def _row(pose: Pose2) -> Float64s:

@@ -10,16 +10,19 @@ from numpy.typing import NDArray
 Float64s = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-NEIGHBOURS = 3  # beams to each side that a normal is fitted to
+NEIGHBOURS = 3  # beams to each side that a normal is fitted to, at least
 LEAST = 4  # points for a fit
 STEEPEST = 12.0  # m along a surface a metre across the beams
 LONGEST = 1.0  # m between neighbours of one surface
+REACH = 0.15  # m to each side that a normal is fitted to, where the surface is as flat
+MOST = 12  # beams to each side at most
+THIN = 0.35  # largest ratio of the rms across to the rms along: a leg is no wall
 FLAT = 0.04  # m, largest rms distance from the fitted line
 
 
 @njit(cache=True, nogil=True)
 def sweep_normals(origins, ends):  # type: ignore[no-untyped-def]  # (n, 2), (n, 2) -> (n, 2) float64
-    """Unit normals towards the laser, (0, 0) where no line fits: total least squares over +-3 beams without a gap.
+    """Unit normals towards the laser, (0, 0) where no line fits: total least squares over beams without a gap.
 
     origins, ends: (n, 2) m, ends NaN without an echo. A gap is a step that is longer than a surface seen at 85 degrees
     from its normal makes, or that is out of proportion to the step beside it: two clusters always lie on a line.
@@ -38,18 +41,17 @@ def sweep_normals(origins, ends):  # type: ignore[no-untyped-def]  # (n, 2), (n,
     for i in range(n):
         if isnan(ends[i, 0]):
             continue
-        low = high = i
-        before = after = min(steps[i - 1] if i > 0 else inf, steps[i])
-        while low > 0 and i - low < NEIGHBOURS and _even(steps[low - 1], before):
-            low -= 1
-            before = steps[low]
-        while high < n - 1 and high - i < NEIGHBOURS and _even(steps[high], after):
-            after = steps[high]
-            high += 1
-        if high - low + 1 < LEAST:
-            continue
-        nx, ny, rms = _line(ends[low : high + 1])
-        if rms > FLAT:
+        nx = ny = 0.0
+        # near surfaces need many beams, or noise turns the normals; where they bend within REACH, a few must do
+        for reach in (REACH, 0.0):
+            low, high = _neighbours(i, reach, ends, steps)
+            if high - low + 1 < LEAST:
+                break
+            nx, ny, rms, spread = _line(ends[low : high + 1])
+            if rms < FLAT and rms < THIN * spread:
+                break
+            nx = ny = 0.0
+        if nx == 0.0 and ny == 0.0:
             continue
         towards = nx * (origins[i, 0] - ends[i, 0]) + ny * (origins[i, 1] - ends[i, 1])
         sign = 1.0 if towards >= 0 else -1.0
@@ -58,12 +60,31 @@ def sweep_normals(origins, ends):  # type: ignore[no-untyped-def]  # (n, 2), (n,
 
 
 @njit(cache=True, nogil=True)
+def _neighbours(i, reach, ends, steps):  # type: ignore[no-untyped-def]  # -> first and last beam of the surface about i
+    low = high = i
+    before = after = min(steps[i - 1] if i > 0 else inf, steps[i])
+    while low > 0 and _even(steps[low - 1], before):
+        away = hypot(ends[low, 0] - ends[i, 0], ends[low, 1] - ends[i, 1])
+        if i - low >= MOST or (i - low >= NEIGHBOURS and away >= reach):
+            break
+        low -= 1
+        before = steps[low]
+    while high < len(ends) - 1 and _even(steps[high], after):
+        away = hypot(ends[high, 0] - ends[i, 0], ends[high, 1] - ends[i, 1])
+        if high - i >= MOST or (high - i >= NEIGHBOURS and away >= reach):
+            break
+        after = steps[high]
+        high += 1
+    return low, high
+
+
+@njit(cache=True, nogil=True)
 def _even(step, beside):  # type: ignore[no-untyped-def]  # m, m -> bool
     return step < inf and step <= 3.0 * beside + 0.03 and beside <= 3.0 * step + 0.03
 
 
 @njit(cache=True, nogil=True)
-def _line(points):  # type: ignore[no-untyped-def]  # (n, 2) -> nx, ny, rms
+def _line(points):  # type: ignore[no-untyped-def]  # (n, 2) -> nx, ny, rms across, rms along
     n = len(points)
     mx = my = 0.0
     for i in range(n):
@@ -82,13 +103,13 @@ def _line(points):  # type: ignore[no-untyped-def]  # (n, 2) -> nx, ny, rms
     root = sqrt(half * half + xy * xy)
     smaller = 0.5 * (xx + yy) - root
     if root < 1e-12:
-        return 1.0, 0.0, 1e9
+        return 1.0, 0.0, 1e9, 0.0
     if half > 0:
         nx, ny = -xy, half + root
     else:
         nx, ny = root - half, -xy
     length = hypot(nx, ny)
-    return nx / length, ny / length, sqrt(max(smaller, 0.0) / n)
+    return nx / length, ny / length, sqrt(max(smaller, 0.0) / n), sqrt((smaller + 2 * root) / n)
 
 
 @njit(cache=True, nogil=True)
@@ -130,7 +151,7 @@ def grid_surface(occupied, free, x0, y0, resolution):  # type: ignore[no-untyped
                         fy += rr - r
             px = py = 0.0
             if k >= LEAST:
-                nx, ny, rms = _line(near[:k])
+                nx, ny, rms, _ = _line(near[:k])
                 if rms < 0.8:
                     along = nx * fx + ny * fy
                     sign = 1.0 if along >= 0 else -1.0

@@ -584,27 +584,27 @@ posts = st.lists(st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5)), min_size
 @settings(max_examples=25, deadline=None)
 @given(courses, posts)
 def test_whatever_is_commanded_nothing_standing_is_touched(course, places):
-    """Each post is seen as three echoes a centimetre apart."""
-    centres = np.array([place for place in places if hypot(*place) > 0.35]).reshape(-1, 2)
-    cluster = np.concatenate([centres, centres + np.array([0.01, 0.0]), centres + np.array([0.0, 0.01])])
-    drive = Drive(obstacles=cluster)
-    # beams are a degree apart: what falls between two is not seen; here every post is
-    drive.scan = lambda: _exact_scan(drive, cluster)
+    centres = np.array([place for place in places if hypot(*place) > 0.4]).reshape(-1, 2)
+    around = np.linspace(0, 2 * pi, 24)
+    rim = 0.03 * np.column_stack((np.cos(around), np.sin(around)))
+    drive = Drive(obstacles=(centres[:, None, :] + rim).reshape(-1, 2))
+    drive.scan = lambda: _scan_of_posts(drive, centres, 0.03)
     for v, w, seconds in course:
         drive.nav = (v, w)
         drive.run(seconds)
     assert drive.closest > 0
 
 
-def _exact_scan(drive, points):
-    """A scan with a beam for every post: sorted by bearing, evenly numbered, exact to half a milliradian."""
-    in_laser = (drive.odom_from_base @ drive.guard.obstacles.base_from_laser).inverse() @ points
-    n = 6283
-    ranges = np.full(n, nan, np.float32)
-    beams = np.round(np.arctan2(in_laser[:, 1], in_laser[:, 0]) / 1e-3).astype(int) % n
-    ranges[beams] = np.hypot(*in_laser.T)
-    scan = LaserScan(drive.now, 0.0, 1e-3, 0.0, 0.02, 30.0, ranges)
-    return drive.call(drive.guard.laser(scan))
+def _scan_of_posts(drive, centres, radius):
+    """What a laser of half a degree sees of round posts."""
+    in_laser = (drive.odom_from_base @ drive.guard.obstacles.base_from_laser).inverse() @ centres
+    angles = np.arange(720) * pi / 360
+    along = np.outer(in_laser[:, 0], np.cos(angles)) + np.outer(in_laser[:, 1], np.sin(angles))
+    across = np.outer(in_laser[:, 1], np.cos(angles)) - np.outer(in_laser[:, 0], np.sin(angles))
+    hit = (np.abs(across) < radius) & (along > 0)
+    reach = np.where(hit, along - np.sqrt(np.maximum(radius**2 - across**2, 0)), np.inf).min(axis=0, initial=np.inf)
+    ranges = np.where(np.isinf(reach), nan, reach).astype(np.float32)
+    return drive.call(drive.guard.laser(LaserScan(drive.now, 0.0, pi / 360, 0.0, 0.02, 30.0, ranges)))
 
 
 # --- the table ------------------------------------------------------------------------------------------------------

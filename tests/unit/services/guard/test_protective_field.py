@@ -68,16 +68,14 @@ def test_contact_is_where_small_steps_find_it(points, corners, v, w, margin):
     start = signed_distances(points, corners)[0]
     limits = np.clip(start - TOUCHING, 0.0, margin)
     judged = start > TOUCHING  # of what touches, the direction decides: its own test
-    step = 0.004 / (abs(v) + abs(w) * 0.6)
-    clock = np.arange(0, min(2 * pi / max(abs(w), 0.1), 1.5), step)
+    clock = np.arange(0, min(2 * pi / max(abs(w), 0.1), 1.5), 0.004 / (abs(v) + abs(w) * 0.6))
     gaps = distances_at(points, corners, v, w, clock)
-    # never a contact that the exact solution does not know, but for a scratch under the step
-    deep = (gaps <= limits - 0.002) & (clock[:, None] < times)
-    assert not deep[:, judged].any()
-    close = gaps <= limits
-    seen = np.where(close.any(axis=0), clock[close.argmax(axis=0)], inf)
-    found = judged & np.isfinite(seen)
-    np.testing.assert_allclose(times[found], seen[found], atol=1.01 * step)
+    # before the contact nothing comes nearer than the limit, but for what a flat arc taken as a line leaves out
+    early = (gaps < limits - 0.0005) & (clock[:, None] < times)
+    assert not early[:, judged].any()
+    met = np.flatnonzero(judged & np.isfinite(times))
+    at_contact = [distances_at(points[[i]], corners, v, w, times[[i]])[0, 0] for i in met]
+    np.testing.assert_allclose(at_contact, limits[met], atol=0.0005)
 
 
 @settings(max_examples=150, deadline=None)

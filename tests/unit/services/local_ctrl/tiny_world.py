@@ -5,7 +5,7 @@ import heapq
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from math import ceil, cos, hypot, inf, pi, sin
+from math import cos, hypot, inf, pi, sin
 
 import numpy as np
 from numba import njit
@@ -53,18 +53,26 @@ class World:
 
     def clearance(self, robot: Robot, pose: Pose2) -> float:
         """m between the true footprint and the nearest occupied cell's centre within a metre; 0 is contact."""
-        reach = ceil(1.0 / self.cell)
-        row, column = int(pose.y / self.cell), int(pose.x / self.cell)
-        low_row, low_column = max(0, row - reach), max(0, column - reach)
-        rows, columns = np.nonzero(self.occupied[low_row : row + reach, low_column : column + reach])
-        points = (np.column_stack((columns + low_column, rows + low_row)) + 0.5) * self.cell
-        in_base = pose.inverse() @ points
-        return min((gap(robot.corners, x, y) for x, y in in_base), default=1.0)
+        return float(_clearance(self.occupied, self.cell, robot.corners, pose.x, pose.y, pose.yaw))
+
+
+@njit(cache=True)
+def _clearance(occupied: Bools, cell: float, corners: Float64s, x: float, y: float, yaw: float) -> float:
+    c, s = cos(yaw), sin(yaw)
+    least = 1.0
+    reach = int(1.0 / cell)
+    row, column = int(y / cell), int(x / cell)
+    for i in range(max(0, row - reach), min(len(occupied), row + reach)):
+        for j in range(max(0, column - reach), min(len(occupied[0]), column + reach)):
+            if occupied[i, j]:
+                dx, dy = (j + 0.5) * cell - x, (i + 0.5) * cell - y
+                least = min(least, gap(corners, c * dx + s * dy, c * dy - s * dx))
+    return least
 
 
 @njit(cache=True)
 def cast(occupied: Bools, cell: float, poses: Float64s, angles: Float64s, range_max: float) -> Float32s:
-    """Ranges of beams from poses (n, 2) m in directions (n,), by steps of a third of a cell; NaN: no hit."""
+    """Ranges of beams from poses (n, 2) m in directions (n,), by thirds of a cell; NaN where nothing is hit."""
     out = np.full(len(angles), np.nan, np.float32)
     for i in range(len(angles)):
         dx, dy = cos(angles[i]), sin(angles[i])
