@@ -450,6 +450,8 @@ def _status(arguments: list[str] | None) -> int:
         return 2
     except typer.Exit as end:
         return end.exit_code
+    except SystemExit as end:  # shell completion ends so
+        return end.code if isinstance(end.code, int) else 0
     except (typer.Abort, KeyboardInterrupt):
         return 130
     except BrokenPipeError:  # `zenav topic echo scan | head`: the reader has gone

@@ -96,6 +96,25 @@ def test_bad_input_is_one_line_and_a_hint(arguments, told, capsys, monkeypatch, 
     assert mend
 
 
+@pytest.mark.parametrize(
+    ("typed", "completed"),
+    [
+        ("zenav go", "goto"),
+        ("zenav topic echo cmd/", "cmd/vel"),
+        ("zenav topic hz health/ma", "health/mapper"),
+        ("zenav up --robot jac", "jackal"),
+        ("zenav demo --world off", "office"),
+        ("zenav run nav", "navigator"),
+    ],
+)
+def test_the_shell_completes(typed, completed, monkeypatch, capsys):
+    monkeypatch.setenv("_ZENAV_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", typed)
+    monkeypatch.setenv("COMP_CWORD", str(len(typed.split()) - 1))
+    assert _status([]) == 0
+    assert completed in capsys.readouterr().out.split()
+
+
 def test_nobody_answers_is_told_with_the_mend(capsys):
     from zenav.launch import free_stack
 
