@@ -2,9 +2,10 @@
 """One YAML a robot, read into strict models. A service gets its own section and the robot's geometry, nothing else."""
 
 import difflib
+from io import StringIO
 from math import hypot, pi
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,12 @@ class Drive(Section):
             raise ValueError("motor_direction is +1 or -1")
         return self
 
+    def clamped(self, v: float, w: float) -> tuple[float, float]:
+        """The velocity (m/s, rad/s) scaled down, on its own arc, until it is within the limits."""
+        limit = self.max_speed if v >= 0 else self.max_reverse_speed
+        share = min(1.0, limit / abs(v) if v else 1.0, self.max_turn_rate / abs(w) if w else 1.0)
+        return v * share, w * share
+
 
 class Laser(Section):
     """The laser: its mount and its sweep, in its own frame."""
@@ -102,6 +109,8 @@ class Robot(Section):
         x, y = corners[:, 0], corners[:, 1]
         if 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) <= 0:
             raise ValueError("footprint: corners must run counter-clockwise and enclose an area")
+        if not np.all(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T) > 1e-6):
+            raise ValueError("footprint: a corner repeats its neighbour; the outline closes by itself")
         if self.inscribed_radius <= 0:
             raise ValueError("footprint: the origin of `base` must lie inside")
         return self
@@ -145,7 +154,38 @@ class RobotFile:
         try:
             return model.model_validate(_plain(values))
         except ValidationError as errors:
-            raise self._told(name, model, errors) from None
+            raise self._told((name,), model, errors) from None
+
+    def whole(self, model: type[T]) -> T:
+        """The whole file as one `model`, for files without sections. Raises UserError on the first fault."""
+        try:
+            return model.model_validate(_plain(self.tree))
+        except ValidationError as errors:
+            raise self._told((), model, errors) from None
+
+    def override(self, assignment: str) -> None:
+        """Sets one value from `section.key=value`, the value as YAML. Raises UserError where it does not read so."""
+        path, equals, text = assignment.partition("=")
+        keys = path.strip().split(".")
+        if not equals or len(keys) < 2 or not all(keys):
+            raise UserError(f"{assignment!r} sets nothing", "write section.key=value, like sim.world=office")
+        try:
+            value = YAML(typ="safe").load(text)
+        except YAMLError:
+            raise UserError(f"{assignment!r}: the value is not valid YAML", "quote it") from None
+        node = self.tree
+        for key in keys[:-1]:
+            node = node.setdefault(key, CommentedMap())
+            if not isinstance(node, dict):
+                raise UserError(f"{path}: {key} is not a section", "name a setting: zenav config show")
+        node[keys[-1]] = value
+
+    @property
+    def text(self) -> str:
+        """The file as YAML, with what was overridden."""
+        stream = StringIO()
+        YAML(typ="rt").dump(self.tree, stream)
+        return stream.getvalue()
 
     @property
     def robot(self) -> Robot:
@@ -169,9 +209,9 @@ class RobotFile:
                 break
         return f"{_short(self.path)}:{line + 1}"
 
-    def _told(self, name: str, model: type[Section], errors: ValidationError) -> UserError:
+    def _told(self, above: tuple[str, ...], model: type[Section], errors: ValidationError) -> UserError:
         error = errors.errors()[0]
-        location = (name, *error["loc"])
+        location = (*above, *error["loc"])
         key = ".".join(str(part) for part in location)
         if error["type"] == "extra_forbidden":
             fields = _fields_at(model, error["loc"][:-1])
@@ -194,6 +234,14 @@ def load_robot(robot: str) -> RobotFile:
     """A robot's file, by name or path. Raises UserError where it is missing or no YAML."""
     path = robot_path(robot)
     return RobotFile(path, load_yaml(path))
+
+
+def configured(robot: str, overrides: list[str]) -> RobotFile:
+    """A robot's file with overrides (`section.key=value`) applied."""
+    file = load_robot(robot)
+    for assignment in overrides:
+        file.override(assignment)
+    return file
 
 
 def load_yaml(path: Path) -> CommentedMap:
@@ -236,7 +284,7 @@ def _fields_at(model: Any, location: tuple[Any, ...]) -> tuple[str, ...]:
     for part in location:
         field = getattr(model, "model_fields", {}).get(part)
         if field is not None:
-            model = field.annotation
+            model = _item_type(field.annotation)
     return tuple(getattr(model, "model_fields", {}))
 
 
@@ -246,5 +294,10 @@ def _description_at(model: Any, location: tuple[Any, ...]) -> str:
         field = getattr(model, "model_fields", {}).get(part)
         if field is None:
             continue
-        text, model = field.description or "", field.annotation
+        text, model = field.description or "", _item_type(field.annotation)
     return text
+
+
+def _item_type(annotation: Any) -> Any:
+    """The model inside `tuple[Model, ...]` or `Model | None`; the annotation itself where there is none inside."""
+    return next((a for a in get_args(annotation) if hasattr(a, "model_fields")), annotation)

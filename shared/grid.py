@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The occupancy grid as its readers and its writer see it: dense, grown by whole tiles, row 0 at the lowest y."""
 
+from math import floor
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -99,7 +101,7 @@ class OccupancyGrid:
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
         """(row, column) of the cell that holds a point of `map`; may lie outside the grid."""
-        return int((y - self.y0) // self.resolution), int((x - self.x0) // self.resolution)
+        return floor((y - self.y0) / self.resolution), floor((x - self.x0) / self.resolution)
 
     def cells_of(self, points: Float64s) -> Int64s:
         """(n, 2) int64 rows and columns of points (n, 2) m in `map`; may lie outside the grid."""

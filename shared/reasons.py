@@ -33,6 +33,7 @@ POSE_JUMPED     = Reason("pose_jumped", "the pose jumped by over 0.5 m", "the go
 COMMAND_OLD     = Reason("command_old", "the command source fell silent", "is local_ctrl running? zenav topic hz cmd/nav", "hold")
 NO_COMMAND      = Reason("no_command", "nobody commands the robot", "send a goal: zenav goto X Y", "info")
 OBSTACLE        = Reason("obstacle", "something is inside the protective field", "clear the way, or drive away by hand", "hold")
+NO_REVERSE      = Reason("no_reverse", "this robot may not drive backward", "set robot.drive.max_reverse_speed", "info")
 OBSTACLE_SLOW   = Reason("obstacle_slow", "slowed: something is near", "nothing to do", "info")
 ESTOP_RELEASED  = Reason("estop_released", "STOP was released", "send a new goal: releasing never moves the robot", "info")
 PLAN_OLD        = Reason("plan_old", "the plan is over 2 s old", "is the planner running? zenav topic hz plan", "hold")

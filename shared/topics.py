@@ -43,7 +43,8 @@ class Topic(Generic[M]):
         family: the key ends in the publisher's name).
     hz: expected rate, 0 for events.   keep: "latest" (an unread older one is worth nothing) or "all" (bounded).
     within: s, the latency promise; health watches it live, lockstep inserts it.
-    latched: a late joiner gets the last value at once (the merged one, where the message says how).
+    latched: a late joiner gets the last value at once (the merged one, where the message says how); a publisher that
+        listens to its own latched topic gets, after a restart, what it published last, and nothing else.
     people: has no reader among the services, on purpose.
     """
 
@@ -73,7 +74,7 @@ RANGES   = Topic("base/ranges",     m.RangeReadings, by="base_driver",          
 BASE     = Topic("base/status",     m.BaseStatus,    by="base_driver",            hz=2,  keep="latest", within=0.010)
 SCAN     = Topic("scan",            m.LaserScan,     by="lidar_driver sim",       hz=10, keep="latest", within=0.005)
 ODOM     = Topic("odom",            m.Odometry,      by="odometry",               hz=50, keep="all",    within=0.003)
-POSE     = Topic("pose",            m.PoseEstimate,  by="mapper",                 hz=10, keep="latest", within=0.025)
+POSE     = Topic("pose",            m.PoseEstimate,  by="mapper",                 hz=10, keep="latest", within=0.025, latched=True)
 MAP      = Topic("map",             m.MapUpdate,     by="mapper",                 hz=2,  keep="all",    within=0.050, latched=True)
 GOAL     = Topic("goal",            m.Goal,          by="navigator",              hz=0,  keep="all",    within=0.005, latched=True)
 PLAN     = Topic("plan",            m.Path,          by="planner",                hz=2,  keep="latest", within=0.100, latched=True)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+SHELL := /bin/bash
+.ONESHELL:
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.PHONY: help venv demo test test-docker check fix lock docs warm clean
+
+PYTHON ?=
+JOBS ?= 2
+BIN := .venv/bin
+KERNELS := $(shell find services shared -name '*.py')
+
+# real logs and benchmark worlds, for the tests that use them; they skip where there are none
+ZENAV_DATA ?= $(shell cd ../shared/data 2>/dev/null && pwd)
+ifneq ($(ZENAV_DATA),)
+export ZENAV_DATA
+endif
+
+help: ## this list
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | column -t -s $$'\t'
+
+venv: .venv/.warm ## .venv with everything pinned, and the kernels compiled
+
+demo: venv ## the whole stack explores an office and drives to its goals: make demo ARGS="--headless"
+	@$(BIN)/zenav demo $(ARGS)
+
+test: venv ## everything that needs no Docker: make test ARGS="-k planner"
+	@$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup --ignore tests/docker $(ARGS)
+
+test-docker: venv ## the Compose file on a real engine
+	@$(BIN)/python -m pytest tests/docker -rs $(ARGS)
+
+check: venv ## lint, format, types, architecture
+	@status=0
+	run() {
+	  local name=$$1 dots='................................' output; shift
+	  printf '%s' "$$name$${dots:$${#name}}"
+	  if output=$$("$$@" 2>&1); then echo '[ok]'; else echo '[failed]'; echo "$$output"; status=1; fi
+	}
+	run lint $(BIN)/ruff check .
+	run format $(BIN)/ruff format --check .
+	run types $(BIN)/mypy
+	run imports $(BIN)/lint-imports --no-cache
+	run architecture $(BIN)/python -m pytest --tb=short -rN tests/test_architecture.py
+	exit $$status
+
+fix: venv ## repair what a tool can: lint, format, generated docs
+	@$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+	$(BIN)/python -m zenav.docs
+
+docs: venv ## write docs/messages.md and docs/configuration.md from the code
+	@$(BIN)/python -m zenav.docs
+
+warm: ## compile the kernels anew where the code changed
+	@$(BIN)/python -m zenav.warm
+
+lock: ## write requirements*.txt anew from pyproject.toml, with the newest versions that it allows
+	@work=$$(mktemp -d); trap 'rm -rf "$$work"' EXIT
+	$(find_python)
+	"$$python" -m venv "$$work/venv"
+	"$$work/venv/bin/pip" install -q --upgrade pip setuptools
+	for extra in '' '[dev]'; do
+	  "$$work/venv/bin/pip" install -q ".$$extra"
+	  "$$work/venv/bin/pip" freeze --all --exclude zenav --exclude pip --exclude wheel > "$$work/lock$$extra"
+	done
+	setuptools=$$(grep '^setuptools==' "$$work/lock")
+	{ echo '# What runs the robot. Written by `make lock`; the pins hold for Python 3.11 to 3.13.'
+	  cat "$$work/lock"; } > requirements.txt
+	{ echo '# What tests and checks it, on top. Written by `make lock`.'; echo '-r requirements.txt'
+	  comm -13 <(sort "$$work/lock") <(sort "$$work/lock[dev]"); } > requirements-dev.txt
+	rm -rf build zenav.egg-info
+
+clean: ## remove all that was made, .venv too
+	@rm -rf .venv build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+define find_python
+	python='' without_venv=''
+	for candidate in $(if $(PYTHON),"$(PYTHON)",python3.13 python3.12 python3.11 python3); do
+	  "$$candidate" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null || continue
+	  if "$$candidate" -c 'import ensurepip, venv' 2>/dev/null; then python=$$candidate; break; fi
+	  without_venv=$${without_venv:-$$candidate}
+	done
+	if [[ -z $$python && -n $$without_venv ]]; then
+	  echo "$$without_venv cannot make virtual environments" >&2
+	  echo "hint: sudo apt install $${without_venv##*/}-venv" >&2; exit 1
+	elif [[ -z $$python ]]; then
+	  echo "no Python 3.11, 3.12 or 3.13 here (python3 is $$(python3 --version 2>/dev/null || echo missing))" >&2
+	  echo "hint: sudo apt install python3 python3-venv, or name one: make venv PYTHON=/path/to/python3.12" >&2; exit 1
+	fi
+endef
+
+.venv/.made: pyproject.toml requirements.txt requirements-dev.txt
+	@$(find_python)
+	if ! .venv/bin/python -m pip --version >/dev/null 2>&1; then
+	  echo "making .venv with $$("$$python" --version)"
+	  rm -rf .venv; "$$python" -m venv .venv
+	fi
+	.venv/bin/python -m pip install -q --disable-pip-version-check -r requirements-dev.txt
+	.venv/bin/python -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
+	touch $@
+
+.venv/.warm: .venv/.made $(KERNELS)
+	@$(BIN)/python -m zenav.warm
+	touch $@

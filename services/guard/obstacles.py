@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is near the robot? Scan and range readings as points in `odom`, and what was seen where no sensor looks now."""
+
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from services.guard.track import Track
+from shared.config import Robot, Section
+from shared.geometry import Pose2
+from shared.messages import LaserScan, RangeReadings
+
+Float64s = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+EXPLAINED = 0.08  # m by which a range reading and a laser echo may differ and still mean the same thing
+MOST_BEAMS = 1440  # of one scan; of a finer one every second, third ... is enough: 0.25 degrees of a full turn
+MOST_HIDDEN = 500  # remembered, the nearest
+NONE = np.empty((0, 2))
+
+
+class ObstaclesConfig(Section):
+    """What counts as an obstacle."""
+
+    min_points: int = Field(2, ge=1, le=10, description="points near each other that make an obstacle; fewer are noise")
+    support_radius: float = Field(0.1, gt=0, le=1, description="m within which points support each other")
+    memory: float = Field(20.0, ge=0, le=120, description="s that a thing is remembered where no sensor looks")
+
+
+class Obstacles:
+    """Points in `odom` that the protective field must keep clear of, within `reach` m of the robot."""
+
+    def __init__(self, config: ObstaclesConfig, robot: Robot, reach: float) -> None:
+        self.config, self.robot, self.reach = config, robot, reach
+        mount = robot.laser.mount
+        self.base_from_laser = Pose2(mount.x, mount.y, mount.yaw)
+        self.forget()
+
+    def forget(self) -> None:
+        """Drops everything: odometry began anew."""
+        self._seen = self._solid = NONE  # the last scan's points, and those of them that are not noise
+        self._hidden = NONE
+        self._hidden_seen = np.empty(0)  # s
+        self._echoes: dict[int, tuple[Float64s, int]] = {}  # sensor -> its points, ns of the reading
+
+    def points(self, odom_from_base: Pose2, now: int) -> Float64s:
+        """(n, 2) m in `base` at the given pose."""
+        age = self.config.memory * 1e9
+        echoes = [points for points, stamp in self._echoes.values() if now - stamp <= age]
+        return odom_from_base.inverse() @ np.concatenate([self._solid, self._hidden, *echoes])
+
+    def take_scan(self, scan: LaserScan, track: Track) -> None:
+        """Replaces what the laser saw by a newer scan; what it no longer looks at is remembered."""
+        stride = -(-len(scan.ranges) // MOST_BEAMS)
+        ends, radius = self._ends(scan, track, stride)
+        solid = supported(ends, self._seen, radius, self.config.min_points)
+        self._remember(scan, track)
+        self._seen, self._solid = ends[np.isfinite(ends[:, 0])], ends[solid]
+
+    def take_ranges(self, readings: RangeReadings, track: Track) -> None:
+        """Replaces the range sensors' echoes.
+
+        A reading that the laser explains is left to the laser, which sees it sharper. An echo that came nearer than its
+        sensor can measure stays where it was.
+        """
+        odom_from_base = _pose(track.poses(np.zeros(1), readings.stamp)[0])
+        columns = (readings.x, readings.y, readings.yaw, readings.field_of_view, readings.ranges)
+        for i, (x, y, yaw, cone, reach) in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
+            odom_from_sensor = odom_from_base @ Pose2(x, y, yaw)
+            if np.isfinite(reach):
+                distance, bearing = _polar(odom_from_sensor.inverse() @ self._solid)
+                sharper = (np.abs(bearing) <= cone / 2 + 0.1) & (distance <= reach + EXPLAINED)
+                echo = NONE if sharper.any() else odom_from_sensor @ _arc(reach, cone)
+            else:
+                echo = self._echoes.get(i, (NONE, 0))[0]
+                distance, bearing = _polar(odom_from_sensor.inverse() @ echo)
+                least = self.robot.ranges[i].range_min if i < len(self.robot.ranges) else 0.0
+                echo = echo[distance <= least + EXPLAINED]
+            self._echoes[i] = echo, readings.stamp
+
+    def _ends(self, scan: LaserScan, track: Track, stride: int) -> tuple[Float64s, Float64s]:
+        """(n, 2) m in `odom`: each beam's end, seen from where the robot was at that beam; NaN without one near.
+
+        And (n,) m within which the ends of neighbouring beams support each other: wider where beams spread.
+        """
+        beams = np.arange(0, len(scan.ranges), stride)
+        ranges = scan.ranges[::stride].astype(float)
+        ranges[~((ranges >= scan.range_min) & (ranges <= scan.range_max))] = np.nan
+        angles = scan.angle_min + scan.angle_increment * beams
+        in_base = self.base_from_laser @ np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
+        x, y = in_base[:, 0], in_base[:, 1]
+        x[~(np.hypot(x, y) <= self.reach)] = np.nan
+        poses = track.poses(scan.scan_time * beams / (len(scan.ranges) - 1), scan.stamp)
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        ends = np.column_stack((poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y))
+        return ends, self.config.support_radius + 3 * stride * abs(scan.angle_increment) * ranges
+
+    def _remember(self, scan: LaserScan, track: Track) -> None:
+        """Keeps, of the last scan and of what was hidden before, what this scan could not see."""
+        points = np.concatenate([self._solid, self._hidden])
+        seen = np.concatenate([np.full(len(self._solid), scan.stamp * 1e-9), self._hidden_seen])
+        odom_from_base = _pose(track.poses(np.array([scan.scan_time / 2]), scan.stamp)[0])
+        distance, bearing = _polar((odom_from_base @ self.base_from_laser).inverse() @ points)
+        looked = looks_at(scan, bearing)
+        too_near = looked & (distance < scan.range_min + 0.02)
+        young = scan.stamp * 1e-9 - seen <= self.config.memory
+        here = track.odom_from_base
+        close = np.hypot(points[:, 0] - here.x, points[:, 1] - here.y) <= self.reach
+        kept = close & (too_near | (~looked & young))
+        # a thing too near to be measured is still there as long as the robot stays; time does not move it
+        seen[too_near] = scan.stamp * 1e-9
+        self._hidden, self._hidden_seen = points[kept], seen[kept]
+        if len(self._hidden) > MOST_HIDDEN:
+            _, first = np.unique(np.round(self._hidden / 0.03), axis=0, return_index=True)
+            order = first[
+                np.argsort(np.hypot(*(self._hidden[first] - (here.x, here.y)).T), kind="stable")[:MOST_HIDDEN]
+            ]
+            self._hidden, self._hidden_seen = self._hidden[order], self._hidden_seen[order]
+
+
+def supported(ends: Float64s, earlier: Float64s, radius: Float64s, least: int) -> Bools:
+    """Which beams' ends (n, 2) belong to an obstacle: (n,) bool. Lone points are noise.
+
+    A point counts with itself, with the ends of neighbouring beams within its radius (n,), and with the points of the
+    scan before (k, 2): a thin leg is hit by one beam, but by each scan.
+    """
+    count = np.isfinite(ends[:, 0]).astype(int)
+    for shift in range(1, min(least + 1, len(ends) // 2 + 1)):
+        for neighbour in (np.roll(ends, shift, axis=0), np.roll(ends, -shift, axis=0)):
+            count += np.hypot(ends[:, 0] - neighbour[:, 0], ends[:, 1] - neighbour[:, 1]) <= radius
+    lone = np.flatnonzero((count > 0) & (count < least))
+    if len(lone) and len(earlier):
+        gaps = ends[lone, None, :] - earlier
+        count[lone] += (np.hypot(gaps[:, :, 0], gaps[:, :, 1]) <= radius[lone, None]).sum(axis=1)
+    return np.asarray(count >= least)
+
+
+def looks_at(scan: LaserScan, bearings: Float64s) -> Bools:
+    """Which directions in `laser` (n,) rad lie in the sweep."""
+    sweep = abs(scan.angle_increment) * (len(scan.ranges) - 1)
+    from_first = (bearings - scan.angle_min) * (1.0 if scan.angle_increment > 0 else -1.0)
+    # half a beam on either side: a full turn's last beam ends one step before its first
+    half = abs(scan.angle_increment) / 2
+    return np.asarray((from_first + half) % (2 * pi) <= sweep + 2 * half)
+
+
+def _arc(reach: float, cone: float) -> Float64s:
+    """(k, 2) m in the sensor's frame: where a cone's echo may come from, no more than 0.1 m apart."""
+    angles = np.linspace(-cone / 2, cone / 2, 2 + int(reach * cone / 0.1))
+    return np.column_stack((reach * np.cos(angles), reach * np.sin(angles)))
+
+
+def _polar(points: Float64s) -> tuple[Float64s, Float64s]:
+    return np.hypot(points[:, 0], points[:, 1]), np.arctan2(points[:, 1], points[:, 0])
+
+
+def _pose(row: Float64s) -> Pose2:
+    return Pose2(float(row[0]), float(row[1]), float(row[2]))

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The only way to cmd/vel: who may drive, how fast, and why the robot stands."""
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from services.guard.arbitration import ArbitrationConfig, Source, fresh, supersedes
+from services.guard.limits import ramped
+from services.guard.obstacles import Obstacles, ObstaclesConfig, looks_at
+from services.guard.protective_field import FREE, FieldConfig, Permit, permitted
+from services.guard.stops import Situation, StopsConfig, scan_end
+from services.guard.track import Track
+from shared import reasons, topics
+from shared.config import Robot, Section
+from shared.geometry import wrapped
+from shared.messages import (
+    BaseStatus,
+    EmergencyStop,
+    GuardState,
+    GuardStatus,
+    LaserScan,
+    Odometry,
+    PoseEstimate,
+    RangeReadings,
+    Velocity,
+)
+from shared.service import Out, Service, every, on
+
+LONGEST_RAMP = 0.1  # s of acceleration that one command may make up for
+RANGES_AGE = 1.0  # s after which range sensors no longer count as looking
+
+
+class GuardConfig(Section):
+    """The guard."""
+
+    stops: StopsConfig = StopsConfig()
+    arbitration: ArbitrationConfig = ArbitrationConfig()
+    field: FieldConfig = FieldConfig()
+    obstacles: ObstaclesConfig = ObstaclesConfig()
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What goes to the base now, and why."""
+
+    state: GuardState
+    reason: str
+    source: str = ""
+    v: float = 0.0
+    w: float = 0.0
+    speed_limit: float = 0.0
+    detail: str = ""
+
+    @property
+    def moves(self) -> bool:
+        return self.v != 0 or self.w != 0
+
+
+class GuardService(Service):
+    """Priority, staleness, acceleration and the protective field, in that order."""
+
+    config_type = GuardConfig
+    config: GuardConfig
+
+    def __init__(self, config: GuardConfig, robot: Robot) -> None:
+        super().__init__(config, robot)
+        drive = robot.drive
+        self.corners = robot.corners
+        self.situation = Situation(config.stops, config.arbitration)
+        self.track = Track(drive)
+        fastest = max(drive.max_speed, drive.max_reverse_speed)
+        stopping = fastest * (config.field.reaction + fastest / drive.max_braking)
+        self.obstacles = Obstacles(config.obstacles, robot, robot.circumscribed_radius + stopping + 0.5)
+        self.ranges_stamp: int | None = None
+        self.verdict = Verdict(GuardState.IDLE, reasons.STARTING.code)
+        self.sent_at = 0
+        self.told: tuple[GuardState, str, str] | None = None
+
+    def warm(self) -> None:
+        far = np.full((2, 2), 0.5 + self.robot.circumscribed_radius)
+        for w in (0.0, 0.1):
+            permitted(far, self.corners, 0.1, w, self.robot.drive, self.config.field)
+
+    def state(self) -> str:
+        return f"{self.verdict.state} {self.verdict.reason}".rstrip()
+
+    @on(topics.CMD_NAV)
+    def command_nav(self, command: Velocity) -> Out:
+        if self.situation.nav.take(command, self.now):
+            yield from self.drive()
+
+    @on(topics.TELEOP)
+    def command_teleop(self, command: Velocity) -> Out:
+        if self.situation.teleop.take(command, self.now):
+            yield from self.drive()
+
+    @on(topics.ESTOP)
+    def estop(self, stop: EmergencyStop) -> Out:
+        self.situation.now = self.now
+        self.situation.take_stop(stop)
+        yield from self.drive()
+
+    @on(topics.BASE)
+    def base_status(self, status: BaseStatus) -> Out:
+        if supersedes(status.stamp, self.situation.base_stamp, self.now):
+            self.situation.base = status
+            yield from self.watch()
+
+    @on(topics.ODOM)
+    def odometry(self, odometry: Odometry) -> Out:
+        if supersedes(odometry.stamp, self.situation.odom_stamp, self.now):
+            self.situation.odom_stamp = odometry.stamp
+            if not self.track.add(odometry):
+                self.obstacles.forget()
+                self.situation.scan = None
+        return ()
+
+    @on(topics.SCAN)
+    def laser(self, scan: LaserScan) -> Out:
+        young = fresh(scan_end(scan), self.now, self.config.stops.scan_age)
+        if not young or not supersedes(scan.stamp, self.situation.scan_stamp, self.now) or self.track.latest is None:
+            return
+        if np.count_nonzero(scan.ranges < scan.range_min) > len(scan.ranges) / 2:
+            return  # a covered or broken laser measures nothing: soon the last scan is too old to drive on
+        self.situation.scan = scan
+        self.obstacles.take_scan(scan, self.track)
+        if self.verdict.moves and self._judged().reason not in ("", self.verdict.reason):
+            yield from self.drive()
+
+    @on(topics.RANGES)
+    def range_readings(self, readings: RangeReadings) -> Out:
+        young = fresh(readings.stamp, self.now, self.config.stops.scan_age)
+        if young and self.track.latest is not None and supersedes(readings.stamp, self.ranges_stamp, self.now):
+            self.ranges_stamp = readings.stamp
+            self.obstacles.take_ranges(readings, self.track)
+        return ()
+
+    @on(topics.POSE)
+    def estimate(self, pose: PoseEstimate) -> Out:
+        self.situation.now = self.now
+        self.situation.take_pose(pose)
+        return ()
+
+    @every(hz=50)
+    def watch(self) -> Out:
+        """Stops at once, between the ticks that drive."""
+        self.situation.now = self.now
+        if self.verdict.moves and self.situation.stop() is not None:
+            yield from self.drive()
+
+    @every(hz=20)
+    def drive(self) -> Out:
+        self.verdict = self._judged()
+        self.sent_at = self.now
+        yield topics.CMD_VEL(Velocity(self.now, self.verdict.v, self.verdict.w, self.verdict.reason))
+        if self.told != (self.verdict.state, self.verdict.source, self.verdict.reason):
+            yield from self.tell()
+
+    @every(hz=10)
+    def tell(self) -> Out:
+        verdict = self.verdict
+        self.told = verdict.state, verdict.source, verdict.reason
+        yield topics.GUARD(GuardStatus(self.now, *self.told, detail=verdict.detail, speed_limit=verdict.speed_limit))
+
+    def _judged(self) -> Verdict:
+        """The velocity for now: the source's, if nothing speaks against it, within limits and field."""
+        situation = self.situation
+        situation.now = self.now
+        source = situation.source
+        name = source.name if situation.heard else ""
+        stop = situation.stop()
+        if stop is not None or source.command is None:
+            reason, state = stop or (reasons.NO_COMMAND, GuardState.IDLE)
+            told = situation.base.detail if situation.base and state is GuardState.FAULT else ""
+            return Verdict(state, reason.code, name, detail=told)
+        drive, field, command = self.robot.drive, self.config.field, source.command
+        wanted = self._seen_ahead(*drive.clamped(command.v, command.w))
+        points = self.obstacles.points(self.track.odom_from_base, self.now)
+        permit = permitted(points, self.corners, *wanted, drive, field)
+        target = wanted[0] * permit.share, wanted[1] * permit.share
+        elapsed = (self.now - self.sent_at) * 1e-9
+        elapsed = elapsed if 0 <= elapsed <= LONGEST_RAMP else LONGEST_RAMP
+        v, w = ramped((self.verdict.v, self.verdict.w), target, elapsed, drive)
+        # accelerating bends the arc: what goes out is judged too
+        check = FREE if (v, w) == target else permitted(points, self.corners, v, w, drive, field)
+        v, w = v * check.share, w * check.share
+        slowed = permit if permit.share < check.share else check
+        limit = abs(wanted[0]) * slowed.share if slowed.share < 1 else drive.max_speed
+        detail = f"contact after {slowed.travel:.2f} m" if slowed.share < 1 else ""
+        return Verdict(*_told(command, wanted, (v, w), permit, slowed), name, v, w, limit, detail)
+
+    def _seen_ahead(self, v: float, w: float) -> tuple[float, float]:
+        """The velocity, slow where the robot would drive in a direction that no sensor covers."""
+        blind, scan = self.config.field.blind_speed, self.situation.scan
+        if abs(v) <= blind or scan is None:
+            return v, w
+        ahead = 0.0 if v > 0 else pi
+        seen = looks_at(scan, np.array([ahead - self.robot.laser.mount.yaw])).all()
+        alive = self.ranges_stamp is not None and fresh(self.ranges_stamp, self.now, RANGES_AGE)
+        sensed = alive and any(abs(wrapped(s.mount.yaw - ahead)) <= pi / 4 for s in self.robot.ranges)
+        share = 1.0 if seen or sensed else blind / abs(v)
+        return v * share, w * share
+
+
+def _told(
+    command: Velocity, wanted: tuple[float, float], output: tuple[float, float], permit: Permit, slowed: Permit
+) -> tuple[GuardState, str]:
+    """State and reason where nothing stops the robot outright. wanted: the command within the robot's limits."""
+    stands = output == (0.0, 0.0)
+    if Source.wants_zero(command):
+        if stands:
+            return GuardState.IDLE, command.reason or reasons.NO_COMMAND.code
+        return GuardState.ACTIVE, command.reason
+    if wanted == (0.0, 0.0):
+        return GuardState.HOLD, reasons.NO_REVERSE.code
+    if permit.share == 0 or (stands and slowed.share == 0):
+        return GuardState.HOLD, reasons.OBSTACLE.code
+    return GuardState.ACTIVE, reasons.OBSTACLE_SLOW.code if slowed.share < 1 else ""

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Why must the robot stand, whatever is commanded? What each input last said, and a table of reasons over it."""
+
+from collections.abc import Callable
+
+from pydantic import Field
+
+from services.guard.arbitration import FUTURE, ArbitrationConfig, Source, fresh, in_charge, supersedes
+from shared import reasons
+from shared.config import Section
+from shared.messages import BaseStatus, EmergencyStop, GuardState, LaserScan, Localization, PoseEstimate
+from shared.reasons import Reason
+
+
+class StopsConfig(Section):
+    """When an input is too old to drive on."""
+
+    odom_age: float = Field(0.2, gt=0, le=1, description="s after which odometry is old")
+    scan_age: float = Field(0.3, gt=0, le=2, description="s after its last beam that a scan is old")
+    base_age: float = Field(2.0, gt=0, le=10, description="s after which the base driver is silent")
+    pose_age: float = Field(1.0, gt=0, le=10, description="s after which the pose is old; nav only")
+    lost_after: float = Field(2.0, ge=0, le=60, description="s of a lost pose that nav may still drive")
+    pose_jump: float = Field(0.5, gt=0, le=10, description="m that the pose may jump before nav must plan anew")
+    replan: float = Field(0.5, ge=0, le=10, description="s after a jump from which nav's commands count again")
+
+
+class Situation:
+    """What speaks for or against driving now. `now` is set before each question."""
+
+    def __init__(self, config: StopsConfig, arbitration: ArbitrationConfig) -> None:
+        self.config, self.arbitration = config, arbitration
+        self.now = 0
+        self.teleop, self.nav = Source("teleop", arbitration), Source("nav", arbitration)
+        self.pressed: EmergencyStop | None = None
+        self.base: BaseStatus | None = None
+        self.odom_stamp: int | None = None
+        self.scan: LaserScan | None = None
+        self.pose: PoseEstimate | None = None
+        self.lost_since: int | None = None
+        self.jumped_at: int | None = None
+
+    def take_stop(self, stop: EmergencyStop) -> None:
+        """STOP latches. A release (also of the base's fault) moves nothing: both sources must ask for zero first."""
+        if stop.pressed:
+            self.pressed = stop
+            return
+        if self.pressed is not None and stop.stamp < self.pressed.stamp <= self.now + FUTURE:
+            return  # an older release than this press
+        if self.pressed is not None or self.fault:
+            self.nav.disarm(self.now)
+            self.teleop.disarm(self.now)
+        self.pressed = None
+
+    def take_pose(self, pose: PoseEstimate) -> None:
+        """Notices a lost pose, and a jump: the robot's place on the map by the old map_from_odom and by the new one."""
+        last = self.pose
+        if not supersedes(pose.stamp, self.pose_stamp, self.now):
+            return
+        if last is None or last.stamp >= pose.stamp:  # the first, or the first after the clock was set back
+            self.jumped_at = self.lost_since = None
+        else:
+            stayed = last.map_from_odom @ pose.map_from_odom.inverse() @ pose.map_from_base
+            if stayed.distance(pose.map_from_base) > self.config.pose_jump:
+                self.jumped_at = self.now
+        if pose.state is not Localization.LOST:
+            self.lost_since = None
+        elif self.lost_since is None:
+            self.lost_since = self.now
+        self.pose = pose
+
+    @property
+    def source(self) -> Source:
+        """Whose commands count."""
+        return in_charge(self.teleop, self.nav, self.now)
+
+    @property
+    def heard(self) -> bool:
+        """Whether the source's last command still counts."""
+        return self.source.younger_than(self.arbitration.command_age, self.now)
+
+    @property
+    def navigating(self) -> bool:
+        """Whether the command needs to know where the robot is."""
+        return self.source is self.nav
+
+    @property
+    def fault(self) -> str:
+        """The base's fault, empty when it has none."""
+        return self.base.fault if self.base else ""
+
+    @property
+    def lost(self) -> bool:
+        """Whether the pose has been lost for too long."""
+        return self.lost_since is not None and self.now - self.lost_since > self.config.lost_after * 1e9
+
+    @property
+    def replanning(self) -> bool:
+        """Whether the pose jumped and nav still commands what it planned before."""
+        command = self.nav.command
+        if self.jumped_at is None or command is None:
+            return False
+        return command.stamp - self.jumped_at <= self.config.replan * 1e9
+
+    @property
+    def base_stamp(self) -> int | None:
+        return self.base.stamp if self.base else None
+
+    @property
+    def scan_stamp(self) -> int | None:
+        return self.scan.stamp if self.scan else None
+
+    @property
+    def scan_end(self) -> int | None:
+        return scan_end(self.scan) if self.scan else None
+
+    @property
+    def pose_stamp(self) -> int | None:
+        return self.pose.stamp if self.pose else None
+
+    def old(self, stamp: int | None, age: float) -> bool:
+        """Whether what was true at `stamp` is missing, over `age` s old, or from the future."""
+        return stamp is None or not fresh(stamp, self.now, age)
+
+    def stop(self) -> tuple[Reason, GuardState] | None:
+        """The highest reason to stand, or None."""
+        return next(((reason, state) for reason, state, holds in STOPS if holds(self)), None)
+
+
+def scan_end(scan: LaserScan) -> int:
+    """ns of the last beam."""
+    return scan.stamp + round(scan.scan_time * 1e9)
+
+
+# fmt: off
+STOPS: tuple[tuple[Reason, GuardState, Callable[[Situation], bool]], ...] = (  # highest rank first
+    (reasons.ESTOP,          GuardState.STOPPED, lambda s: s.pressed is not None),
+    (reasons.WHEEL_STUCK,    GuardState.FAULT,   lambda s: s.fault == reasons.WHEEL_STUCK.code),
+    (reasons.BOARD_SILENT,   GuardState.FAULT,   lambda s: s.fault == reasons.BOARD_SILENT.code),
+    (reasons.FAULT,          GuardState.FAULT,   lambda s: s.fault != ""),
+    (reasons.BASE_SILENT,    GuardState.HOLD,    lambda s: s.old(s.base_stamp, s.config.base_age)),
+    (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s: s.old(s.odom_stamp, s.config.odom_age)),
+    (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s: s.old(s.scan_end, s.config.scan_age)),
+    (reasons.COMMAND_OLD,    GuardState.HOLD,    lambda s: not s.heard and s.source.moving),
+    (reasons.NO_COMMAND,     GuardState.IDLE,    lambda s: not s.heard),
+    (reasons.ESTOP_RELEASED, GuardState.HOLD,    lambda s: not s.source.armed),
+    (reasons.POSE_LOST,      GuardState.HOLD,    lambda s: s.navigating and s.lost),
+    (reasons.POSE_JUMPED,    GuardState.HOLD,    lambda s: s.navigating and s.replanning),
+    (reasons.POSE_OLD,       GuardState.HOLD,    lambda s: s.navigating and s.old(s.pose_stamp, s.config.pose_age)),
+)
+# fmt: on

@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far is it from anywhere in the window to the end of the plan's visible part, around what stands in between.
+
+The plan says where to go, the costmap what it could not know. Distance to go is the least integral of slowness over all
+ways on which the robot fits: 1 on the plan, more beside it, near obstacles and in the unknown. So one field pulls along
+the plan where that is free, around a box that stands on it, and back to it from anywhere; where all ways are closed, it
+leads to where the plan runs into what is in the way.
+"""
+
+from math import floor, hypot, inf, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import Field
+
+from services.local_ctrl.footprint import sampled
+from shared.config import Section
+from shared.distance_field import distance_field_into
+
+Bools = NDArray[np.bool_]
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
+
+COARSE = 2  # cells of the costmap to one of the field, along each axis
+BEFORE = 3  # points of the path that the robot keeps off the place where it is blocked
+SWEEPS = 24  # at most; four settle every cell whose best way turns through less than a full circle
+
+
+class DistanceToGoConfig(Section):
+    """What makes a way longer than it is."""
+
+    beside_plan: float = Field(0.5, ge=0, le=10, description="1/m: slowness added a metre away from the plan")
+    beside_plan_at_most: float = Field(0.5, ge=0, le=10, description="1: slowness added far from the plan")
+    near_obstacles: float = Field(3.0, ge=0, le=100, description="1: slowness added where the robot just fits")
+    clearance: float = Field(0.3, ge=0.01, le=3, description="m beyond the outline at which obstacles no longer count")
+    unknown: float = Field(0.3, ge=0, le=100, description="1: slowness added where nobody has looked")
+    no_room: float = Field(40.0, ge=1, le=1000, description="1: slowness added where the robot does not fit")
+
+
+class ToGo(NamedTuple):
+    """(n / 2, n / 2) float32 m; cell (0, 0) is centred between the costmap's first two cells of both axes."""
+
+    field: Float32s
+    i_end: int  # of the path's point that it leads to
+    closed: bool  # nothing leads to the path's last point: i_end is where the path runs into what is in the way
+
+
+def distance_to_go(
+    field: Float32s,
+    unknown: Bools,
+    resolution: float,
+    path: Float64s,
+    robot: tuple[float, float],
+    inscribed: float,
+    config: DistanceToGoConfig,
+) -> ToGo:
+    """field, unknown: (n, n), n even, m and bool, of the costmap.  path: (k, 2) m; robot: m; both from the costmap's
+    lower left centre.  inscribed: m.
+
+    The eikonal equation by fast sweeping (Zhao 2005), started from the way along the plan, which bounds it from above.
+    """
+    to_go = np.empty((len(field) // COARSE, len(field) // COARSE), np.float32)
+    settings = (
+        config.beside_plan,
+        config.beside_plan_at_most,
+        config.near_obstacles,
+        config.clearance,
+        config.unknown,
+        config.no_room,
+    )
+    i_end, closed = _solve(field, unknown, resolution, path, robot, inscribed, settings, to_go)
+    return ToGo(to_go, i_end, closed)
+
+
+@njit(cache=True, nogil=True)
+def _solve(
+    field: Float32s,
+    unknown: Bools,
+    resolution: float,
+    path: Float64s,
+    robot: tuple[float, float],
+    inscribed: float,
+    settings: tuple[float, float, float, float, float, float],
+    to_go: Float32s,
+) -> tuple[int, bool]:
+    n = len(to_go)
+    size = COARSE * resolution
+    # positions in cells of the coarse field, whose first centre lies half a fine cell up and right
+    cells = (path - 0.5 * (COARSE - 1) * resolution) / size
+    column = int(min(max((robot[0] - 0.5 * (COARSE - 1) * resolution) / size + 0.5, 0.0), n - 1.0))
+    row = int(min(max((robot[1] - 0.5 * (COARSE - 1) * resolution) / size + 0.5, 0.0), n - 1.0))
+    on_path = np.zeros((n, n), np.bool_)
+    for k in range(len(cells)):
+        i, j = floor(cells[k, 1] + 0.5), floor(cells[k, 0] + 0.5)
+        if 0 <= i < n and 0 <= j < n:
+            on_path[i, j] = True
+    slowness = np.empty((n, n), np.float32)
+    distance_field_into(on_path, size, slowness)
+    fits = np.empty((n, n), np.bool_)
+    # who stands where it does not fit, does fit: it must find its way out
+    here = sampled(field, robot[0] / resolution, robot[1] / resolution)
+    _slow_down(field, unknown, resolution, inscribed, min(inscribed, here - size), settings, slowness, fits)
+    i_end, closed = len(cells) - 1, False
+    for _ in range(2):
+        to_go.fill(np.inf)
+        _start(cells[: i_end + 1], slowness, fits, size, to_go)
+        _sweeps(slowness, fits, size, to_go)
+        if to_go[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].min() < inf:
+            break
+        i_end, closed = max(0, _fitting(cells, fits) - 1 - BEFORE), True
+    np.logical_not(np.isfinite(to_go), fits)
+    _sweeps(slowness, fits, size, to_go)
+    return i_end, closed
+
+
+@njit(cache=True, nogil=True)
+def _fitting(cells: Float64s, fits: Bools) -> int:
+    """How many of the path's points come before the first one where the robot does not fit."""
+    n = len(fits)
+    for k in range(len(cells)):
+        i, j = floor(cells[k, 1] + 0.5), floor(cells[k, 0] + 0.5)
+        if not (0 <= i < n and 0 <= j < n and fits[i, j]):
+            return k
+    return len(cells)
+
+
+@njit(cache=True, nogil=True)
+def _slow_down(
+    field: Float32s,
+    unknown: Bools,
+    resolution: float,
+    inscribed: float,
+    needed: float,
+    settings: tuple[float, float, float, float, float, float],
+    slowness: Float32s,
+    fits: Bools,
+) -> None:
+    """Turns distances from the plan, m, into slowness; `fits` where the next obstacle is over `needed` m away."""
+    beside, beside_most, near, clearance, unknown_cost, no_room = settings
+    n = len(slowness)
+    for row in range(n):
+        for column in range(n):
+            i, j = COARSE * row, COARSE * column
+            away = 0.25 * (field[i, j] + field[i, j + 1] + field[i + 1, j] + field[i + 1, j + 1])
+            room = away - inscribed
+            slow = 1.0 + min(beside_most, beside * max(0.0, slowness[row, column] - resolution))
+            if room <= 0.0:
+                slow += no_room
+            elif room < clearance:
+                slow += near * (1.0 - room / clearance) ** 2
+            if unknown[i, j] and unknown[i + 1, j + 1]:
+                slow += unknown_cost
+            slowness[row, column] = slow
+            fits[row, column] = away > needed
+
+
+@njit(cache=True, nogil=True)
+def _start(cells: Float64s, slowness: Float32s, fits: Bools, size: float, to_go: Float32s) -> None:
+    """Exact distances about the path's end, and along the path the length of the way on it until it is blocked."""
+    n = len(to_go)
+    last = len(cells) - 1
+    along = 0.0
+    for k in range(last, -1, -1):
+        x, y = cells[k]
+        column, row = floor(x), floor(y)
+        if not (0 <= row < n - 1 and 0 <= column < n - 1):
+            continue
+        if k == last:
+            for i in range(max(0, row - 2), min(n, row + 4)):
+                for j in range(max(0, column - 2), min(n, column + 4)):
+                    to_go[i, j] = hypot(j - x, i - y) * size * slowness[i, j] if fits[i, j] else inf
+            continue
+        i, j = floor(y + 0.5), floor(x + 0.5)
+        if not fits[i, j]:
+            break
+        along += hypot(cells[k + 1, 0] - x, cells[k + 1, 1] - y) * size * slowness[i, j]
+        to_go[i, j] = min(to_go[i, j], along + hypot(j - x, i - y) * size * slowness[i, j])
+
+
+@njit(cache=True, nogil=True)
+def _sweeps(slowness: Float32s, wanted: Bools, size: float, to_go: Float32s) -> None:
+    for sweep in range(SWEEPS):
+        if _sweep(sweep % 4, slowness, wanted, size, to_go) < 0.01 and sweep >= 3:
+            break
+
+
+@njit(cache=True, nogil=True)
+def _sweep(corner: int, slowness: Float32s, wanted: Bools, size: float, to_go: Float32s) -> float:
+    """One Gauss-Seidel sweep away from one corner over the wanted cells; returns the largest improvement, m."""
+    n = len(to_go)
+    most = 0.0
+    for a in range(n):
+        row = a if corner < 2 else n - 1 - a
+        for b in range(n):
+            column = b if corner == 0 or corner == 3 else n - 1 - b
+            if not wanted[row, column]:
+                continue
+            low = min(to_go[row - 1, column] if row > 0 else inf, to_go[row + 1, column] if row < n - 1 else inf)
+            side = min(to_go[row, column - 1] if column > 0 else inf, to_go[row, column + 1] if column < n - 1 else inf)
+            first, second = min(low, side), max(low, side)
+            if first >= to_go[row, column]:
+                continue
+            step = slowness[row, column] * size
+            value = first + step
+            if second < value:
+                value = 0.5 * (first + second + sqrt(2.0 * step * step - (first - second) ** 2))
+            if value < to_go[row, column]:
+                most = max(most, to_go[row, column] - value)
+                to_go[row, column] = value
+    return most
+
+
+@njit(cache=True, nogil=True)
+def to_go_at(to_go: Float32s, x: float, y: float, resolution: float) -> float:
+    """The distance to go at (x, y), m from the costmap's lower left centre; m."""
+    size = COARSE * resolution
+    rim = 0.5 * (COARSE - 1) * resolution
+    return sampled(to_go, (x - rim) / size, (y - rim) / size)
+
+
+@njit(cache=True, nogil=True)
+def carrot(to_go: Float32s, x: float, y: float, look: float, resolution: float) -> tuple[float, float]:
+    """The point `look` m down the distance to go from (x, y); nearer where it ends."""
+    half, step = 0.5 * COARSE * resolution, COARSE * resolution
+    for _ in range(int(look / step) + 1):
+        dx = to_go_at(to_go, x - half, y, resolution) - to_go_at(to_go, x + half, y, resolution)
+        dy = to_go_at(to_go, x, y - half, resolution) - to_go_at(to_go, x, y + half, resolution)
+        length = hypot(dx, dy)
+        if length < 1e-6:
+            break
+        x, y = x + dx / length * step, y + dy / length * step
+    return x, y

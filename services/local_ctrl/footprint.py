@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Does the robot's outline touch an obstacle: circles over a distance field, the polygon where they are in doubt."""
+
+from math import ceil, hypot, inf, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from shared.config import Robot
+from shared.geometry import inside
+
+Bools = NDArray[np.bool_]
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
+
+
+class Footprint(NamedTuple):
+    """The outline in `base`. circles: (k, 3) x, y, radius m, cover the polygon; the first is about the origin."""
+
+    corners: Float64s  # (n, 2) m, counter-clockwise
+    circles: Float64s
+    inscribed: float
+    circumscribed: float
+    padding: float  # m around the polygon that counts as robot
+
+
+def footprint_of(robot: Robot, padding: float, overreach: float = 0.04) -> Footprint:
+    """The robot's outline, with circles that cover it and reach beyond its bounding box by at most `overreach` m.
+
+    One circle where the outline is nearly round; else a circle for each tile of the bounding box that it touches.
+    """
+    corners = robot.corners
+    inscribed, circumscribed = robot.inscribed_radius, robot.circumscribed_radius
+    circles = [(0.0, 0.0, circumscribed)]
+    if circumscribed - inscribed > overreach:
+        circles = [(0.0, 0.0, inscribed), *_tiles(corners, overreach)]
+    return Footprint(corners, np.array(circles, float), inscribed, circumscribed, padding)
+
+
+def _tiles(corners: Float64s, overreach: float) -> list[tuple[float, float, float]]:
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    # the circle around a square of side a reaches a (sqrt 2 - 1) / 2 beyond it; around other tiles it reaches further
+    side = 2 * overreach / (sqrt(2) - 1)
+    while True:
+        nx, ny = (max(1, ceil(float(extent) / side)) for extent in high - low)
+        width, height = (high - low) / (nx, ny)
+        if hypot(width, height) - min(width, height) <= 2 * overreach:
+            break
+        side *= 0.9
+    fine = np.stack(np.meshgrid((np.arange(9) - 4) / 8, (np.arange(9) - 4) / 8), axis=-1).reshape(-1, 2)
+    edges = np.concatenate([a + np.linspace(0, 1, 200)[:, None] * (b - a) for a, b in _sides(corners)])
+    found = []
+    for i in range(nx):
+        for j in range(ny):
+            centre = low + (np.array((i, j)) + 0.5) * (width, height)
+            touched = inside(corners, centre + fine * (width, height)).any()
+            crossed = (np.abs(edges - centre) <= np.array((width, height)) / 2 + 1e-9).all(axis=1).any()
+            if touched or crossed:
+                found.append((float(centre[0]), float(centre[1]), hypot(width, height) / 2))
+    return found
+
+
+def _sides(corners: Float64s) -> list[tuple[Float64s, Float64s]]:
+    return list(zip(corners, np.roll(corners, -1, axis=0), strict=True))
+
+
+@njit(cache=True, nogil=True)
+def sampled(field: Float32s, x: float, y: float) -> float:
+    """The field at (x, y) in cells from the centre of its lower left one: bilinear; beyond the rim, the rim's value."""
+    h, w = field.shape
+    x, y = min(max(x, 0.0), w - 1.001), min(max(y, 0.0), h - 1.001)
+    column, row = int(x), int(y)
+    u, t = x - column, y - row
+    low = field[row, column] * (1.0 - u) + field[row, column + 1] * u
+    high = field[row + 1, column] * (1.0 - u) + field[row + 1, column + 1] * u
+    value: float = low * (1.0 - t) + high * t
+    return value
+
+
+@njit(cache=True, nogil=True)
+def clearance(field: Float32s, resolution: float, x: float, y: float, c: float, s: float, shape: Footprint) -> float:
+    """At most the footprint's distance from the nearest occupied cell's centre, m; negative where they may overlap.
+
+    field: (h, w) float32 m.  x, y: m from the centre of its lower left cell.  c, s: cosine and sine of the heading.
+    Interpolating a distance overstates it by up to resolution^2 / (8 radius) at a circle's rim: taken off here.
+    """
+    scale = 1.0 / resolution
+    centre = sampled(field, x * scale, y * scale)
+    if centre > shape.circumscribed + FAR or len(shape.circles) == 1:
+        least: float = centre - shape.circumscribed - _overstated(resolution, shape.circumscribed)
+        return least
+    least = centre - shape.circles[0, 2] - _overstated(resolution, shape.circles[0, 2])
+    for i in range(1, len(shape.circles)):
+        a, b, radius = shape.circles[i]
+        away = sampled(field, (x + c * a - s * b) * scale, (y + s * a + c * b) * scale)
+        least = min(least, away - radius - _overstated(resolution, radius))
+    return least
+
+
+@njit(cache=True, nogil=True)
+def _overstated(resolution: float, radius: float) -> float:
+    return resolution * resolution / (8.0 * max(radius - resolution, 0.25 * resolution))
+
+
+@njit(cache=True, nogil=True)
+def touches(occupied: Bools, resolution: float, x: float, y: float, c: float, s: float, shape: Footprint) -> bool:
+    """Whether an occupied cell's centre lies in the padded polygon at (x, y), m from the lower left cell's centre."""
+    h, w = occupied.shape
+    reach = shape.circumscribed + shape.padding
+    first_row, last_row = max(0, ceil((y - reach) / resolution)), min(h - 1, int((y + reach) / resolution))
+    first_column, last_column = max(0, ceil((x - reach) / resolution)), min(w - 1, int((x + reach) / resolution))
+    for row in range(first_row, last_row + 1):
+        for column in range(first_column, last_column + 1):
+            if occupied[row, column]:
+                dx, dy = column * resolution - x, row * resolution - y
+                if gap(shape.corners, c * dx + s * dy, c * dy - s * dx) <= shape.padding:
+                    return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def gap(corners: Float64s, x: float, y: float) -> float:
+    """Distance of a point from the polygon, m; 0 inside (even-odd rule)."""
+    within = False
+    squared = inf
+    n = len(corners)
+    for i in range(n):
+        ax, ay = corners[i, 0], corners[i, 1]
+        bx, by = corners[(i + 1) % n, 0], corners[(i + 1) % n, 1]
+        ex, ey, px, py = bx - ax, by - ay, x - ax, y - ay
+        if (ay > y) != (by > y) and px < py * ex / ey:
+            within = not within
+        along = min(max((px * ex + py * ey) / (ex * ex + ey * ey), 0.0), 1.0)
+        gx, gy = px - along * ex, py - along * ey
+        squared = min(squared, gx * gx + gy * gy)
+    return 0.0 if within else sqrt(squared)
+
+
+@njit(cache=True, nogil=True)
+def collides(
+    field: Float32s, occupied: Bools, resolution: float, x: float, y: float, c: float, s: float, shape: Footprint
+) -> bool:
+    """Whether the padded footprint holds an occupied cell's centre; the polygon is asked where the circles doubt."""
+    if clearance(field, resolution, x, y, c, s, shape) > shape.padding:
+        return False
+    return touches(occupied, resolution, x, y, c, s, shape)
+
+
+FAR = 0.5  # m beyond the circumscribed circle at which the outline's shape no longer matters

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What local control knows now and whether to trust it: the newest inputs, their ages, the odometry's history."""
+
+from collections import deque
+from math import cos, sin
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from shared import reasons
+from shared.config import Section
+from shared.geometry import Pose2
+from shared.messages import LaserScan, Localization, Odometry, PoseEstimate
+from shared.reasons import Reason
+
+Float64s = NDArray[np.float64]
+S = 1_000_000_000  # ns
+
+
+class AgesConfig(Section):
+    """How old an input may be while the robot moves. A stamp as far in the future counts as old too."""
+
+    odometry: float = Field(0.2, ge=0.02, le=5, description="s")
+    scan: float = Field(0.3, ge=0.02, le=5, description="s since the sweep's end")
+    pose: float = Field(1.0, ge=0.1, le=10, description="s")
+    plan: float = Field(2.0, ge=0.1, le=60, description="s")
+    plan_for_new_goal: float = Field(1.0, ge=0, le=10, description="s that the old plan is followed after a new goal")
+    pose_jump: float = Field(0.5, ge=0.05, le=10, description="m that the pose may jump without a new plan")
+
+
+class Inputs:
+    """Newest odometry with its last second, scan, and pose."""
+
+    def __init__(self, ages: AgesConfig) -> None:
+        self.ages = ages
+        self.history: deque[Odometry] = deque(maxlen=256)
+        self.scan: LaserScan | None = None
+        self.pose: PoseEstimate | None = None
+        self.torn_at = 0  # ns: poses from before are for another odometry
+        self.jumped_at = 0  # ns: plans from before are for another place
+
+    def add_odometry(self, odometry: Odometry, top_speed: float) -> bool:
+        """Takes it unless it is out of order; True where it does not continue the one before: a restarted publisher."""
+        if not self.history:
+            self.history.append(odometry)
+            return False
+        last = self.history[-1]
+        elapsed = (odometry.stamp - last.stamp) / S
+        if -1.0 < elapsed <= 0.0:
+            return False
+        moved = last.odom_from_base.distance(odometry.odom_from_base)
+        torn = elapsed < 0.0 or moved > 0.2 + 2.0 * top_speed * elapsed
+        if torn:
+            self.history.clear()
+            self.scan, self.pose = None, None
+            self.torn_at = self.jumped_at = odometry.stamp
+        self.history.append(odometry)
+        while self.history[0].stamp < odometry.stamp - S:
+            self.history.popleft()
+        return torn
+
+    def add_scan(self, scan: LaserScan) -> Float64s | None:
+        """Takes it unless it is out of order; returns (n, 3) float64 x, y, yaw of the base at each beam where known."""
+        if self.scan is not None and -S < scan.stamp - self.scan.stamp <= 0:
+            return None
+        self.scan = scan
+        n = len(scan.ranges)
+        stamps = scan.stamp + np.linspace(0.0, scan.scan_time * S, n)
+        return self._odom_from_base_at(stamps) if self.history else None
+
+    def add_pose(self, pose: PoseEstimate) -> None:
+        """Takes it unless it is out of order, or from before the odometry tore."""
+        if pose.stamp < self.torn_at:
+            return
+        if self.pose is not None:
+            if -S < pose.stamp - self.pose.stamp <= 0:
+                return
+            if self.here_by(pose).distance(self.here_by(self.pose)) > self.ages.pose_jump:
+                self.jumped_at = pose.stamp
+        self.pose = pose
+
+    def here_by(self, pose: PoseEstimate) -> Pose2:
+        """Where `pose` puts the robot on the map now."""
+        return pose.map_from_odom @ (self.history[-1].odom_from_base if self.history else Pose2())
+
+    @property
+    def odom_from_map(self) -> Pose2:
+        return self.pose.map_from_odom.inverse() if self.pose is not None else Pose2()
+
+    def _odom_from_base_at(self, stamps: Float64s) -> Float64s | None:
+        """(n, 3) float64 x, y, yaw at stamps (n,), ns, rising; None where the odometry does not reach.
+
+        Past the newest odometry its twist goes on for 0.1 s.
+        """
+        last = self.history[-1]
+        if stamps[0] < self.history[0].stamp - S // 10 or stamps[-1] > last.stamp + S // 5:
+            return None
+        c, s = cos(last.odom_from_base.yaw), sin(last.odom_from_base.yaw)
+        poses = [(o.odom_from_base.x, o.odom_from_base.y, o.odom_from_base.yaw) for o in self.history]
+        x, y, yaw = poses[-1]
+        poses.append((x + 0.1 * last.v * c, y + 0.1 * last.v * s, yaw + 0.1 * last.w))
+        known = np.array([*(o.stamp for o in self.history), last.stamp + S // 10]) - last.stamp
+        columns = np.array(poses).T
+        columns[2] = np.unwrap(columns[2])
+        return np.column_stack([np.interp(stamps - last.stamp, known, column) for column in columns])
+
+    def missing(self, now: int) -> Reason | None:
+        """Why the robot may not move on what is known, or None."""
+        if not self.history or abs(now - self.history[-1].stamp) > self.ages.odometry * S:
+            return reasons.ODOM_OLD
+        if self.scan is None or abs(now - self.scan.stamp - self.scan.scan_time * S) > self.ages.scan * S:
+            return reasons.SCAN_OLD
+        return None
+
+    def lost(self, now: int) -> Reason | None:
+        """Why the robot does not know where it is on the map, or None."""
+        if self.pose is None or abs(now - self.pose.stamp) > self.ages.pose * S:
+            return reasons.POSE_OLD
+        return reasons.POSE_LOST if self.pose.state is Localization.LOST else None

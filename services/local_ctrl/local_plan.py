@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which part of the plan lies ahead, in `odom`: resampled, tracked as the robot advances, cut where the window ends."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.geometry import Pose2
+
+Float64s = NDArray[np.float64]
+
+SPACING = 0.05  # m between the resampled points
+LEAP = 3.0  # m along the path within which the robot is looked for: it never skips a loop of the path
+SAME_PLACE = 0.2  # m
+
+
+class Ahead(NamedTuple):
+    """The way from the robot's place on the path to the window's end, and what follows."""
+
+    points: Float64s  # (n, 2) m in `odom`, SPACING apart, at least one
+    left: float  # m from the first point to the path's end
+    ends: bool  # the path's end is the last point
+    end: Pose2  # where the path ends, in `odom`
+
+
+class LocalPlan:
+    """A plan and how far along it the robot is."""
+
+    def __init__(self, xs: Float64s, ys: Float64s, yaw: float) -> None:
+        """xs, ys: (n,) m in `map`, n > 0.  yaw: rad, heading at the end."""
+        self.points = resampled(np.column_stack((xs, ys)))
+        self.end = Pose2(float(xs[-1]), float(ys[-1]), yaw)
+        self.i_nearest: int | None = None
+
+    def same_as(self, other: "LocalPlan") -> bool:
+        return self.end == other.end and np.array_equal(self.points, other.points)
+
+    def ahead(self, odom_from_map: Pose2, here: Pose2, reach: float) -> Ahead:
+        """The path from the point nearest to `here` (in `odom`) until it first is over `reach` m (by axis) away."""
+        at = odom_from_map.inverse() @ here
+        if self.i_nearest is None:
+            # the plan may be older than the robot's place on it; of several legs that pass here, the first counts
+            away = np.hypot(self.points[:, 0] - at.x, self.points[:, 1] - at.y)
+            self.i_nearest = int(np.argmax(away <= away.min() + SAME_PLACE))
+        near = self.points[self.i_nearest : self.i_nearest + int(LEAP / SPACING)]
+        self.i_nearest += int(np.argmin((near[:, 0] - at.x) ** 2 + (near[:, 1] - at.y) ** 2))
+        rest = odom_from_map @ self.points[self.i_nearest :]
+        outside = np.abs(rest - (here.x, here.y)).max(axis=1) > reach
+        n = int(np.argmax(outside)) if outside.any() else len(rest)
+        return Ahead(rest[: max(1, n)], (len(rest) - 1) * SPACING, n == len(rest), odom_from_map @ self.end)
+
+
+def resampled(points: Float64s, spacing: float = SPACING) -> Float64s:
+    """The polyline (n, 2) as points (k, 2) about `spacing` m apart, from its first to its last."""
+    lengths = np.hypot(*np.diff(points, axis=0).T)
+    at = np.concatenate(([0.0], np.cumsum(lengths)))
+    n = max(2, round(float(at[-1]) / spacing) + 1) if at[-1] > 0 else 1
+    wanted = np.linspace(0.0, at[-1], n)
+    return np.column_stack((np.interp(wanted, at, points[:, 0]), np.interp(wanted, at, points[:, 1])))

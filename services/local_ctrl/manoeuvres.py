@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Straight back by so much, on the spot by so much: speeds that end there, and whether the way is free."""
+
+from math import copysign, cos, sin, sqrt
+from typing import NamedTuple
+
+from numba import njit
+from pydantic import Field
+
+from services.local_ctrl.footprint import Bools, Float32s, Footprint, collides
+from services.local_ctrl.local_costmap import LocalCostmap
+from services.local_ctrl.rollout import DT, Limits, Motion, speed_after, turn_rate_after
+from shared import reasons
+from shared.config import Section
+from shared.geometry import Pose2, wrapped
+from shared.messages import FollowState, Goal, GoalKind
+
+SHARE = 0.6  # of the drive's braking that the profile counts on: the rest is for delay
+LOOK_STEP = 0.02  # m along the rim between checked places
+TURN_LOOK = 0.5  # rad that must be free ahead while turning
+WAY_LOOK = 0.1  # m that must be free beyond the braking distance while backing up
+
+
+class ManoeuvreConfig(Section):
+    """The navigator's recoveries."""
+
+    back_up_speed: float = Field(0.12, ge=0.02, le=2, description="m/s")
+    turn_rate: float = Field(1.0, ge=0.1, le=10, description="rad/s")
+
+
+class Outcome(NamedTuple):
+    """The command, m/s and rad/s, and how the task stands. `reason`: a code of reasons.py, or empty."""
+
+    v: float
+    w: float
+    state: FollowState
+    reason: str = ""
+    left: float = 0.0
+
+
+def braking(motion: Motion, limits: Limits, state: FollowState, reason: str = "", left: float = 0.0) -> Outcome:
+    """To a stand as fast as the limits allow."""
+    v, w = speed_after(motion.v, 0.0, limits, DT), turn_rate_after(motion.w, 0.0, limits, DT)
+    return Outcome(v, w, state, reason, left)
+
+
+class Manoeuvre:
+    """One BACK_UP, TURN or WAIT from its first tick to its end; then it says ARRIVED for as long as it is asked."""
+
+    def __init__(self, goal: Goal, start: Pose2, now: int, config: ManoeuvreConfig) -> None:
+        self.goal, self.start, self.since, self.config = goal, start, now, config
+        self.turned, self.last_yaw = 0.0, start.yaw
+        self.done = False
+
+    def step(self, costmap: LocalCostmap, motion: Motion, limits: Limits, shape: Footprint, now: int) -> Outcome:
+        """One tick. motion: where the robot will be when the command acts, in `odom`."""
+        self.turned += wrapped(motion.pose.yaw - self.last_yaw)
+        self.last_yaw = motion.pose.yaw
+        if self.done:
+            return braking(motion, limits, FollowState.ARRIVED)
+        x, y, yaw = motion.pose.x - costmap.x0, motion.pose.y - costmap.y0, motion.pose.yaw
+        scene = costmap.field, costmap.occupied, costmap.resolution, x, y, yaw
+        if self.goal.kind is GoalKind.BACK_UP:
+            there = self.start.inverse() @ motion.pose
+            left = -self.goal.amount - there.x
+            look = copysign(min(abs(left), WAY_LOOK + motion.v**2 / (2 * SHARE * limits.braking)), left)
+            free = abs(free_way(*scene, look, shape)) >= 0.5 * abs(look) and limits.v_min < 0
+            speed = min(self.config.back_up_speed, -limits.v_min if left < 0 else limits.v_max)
+            v, w = straight_command(left, motion.v, limits, DT, speed), turn_rate_after(motion.w, 0.0, limits, DT)
+            self.done = abs(left) < 0.01
+        elif self.goal.kind is GoalKind.TURN:
+            left = self.goal.amount - self.turned
+            look = copysign(min(abs(left), TURN_LOOK), left)
+            free = abs(free_turn(*scene, look, shape)) >= 0.5 * abs(look)
+            v = speed_after(motion.v, 0.0, limits, DT)
+            w = turn_command(left, motion.w, limits, DT, min(self.config.turn_rate, limits.w_max))
+            self.done = abs(left) < 0.02
+        else:
+            left = self.goal.amount - (now - self.since) / 1e9
+            self.done = left <= 0.0
+            return braking(motion, limits, FollowState.ARRIVED if self.done else FollowState.FOLLOWING)
+        if self.done:
+            return braking(motion, limits, FollowState.ARRIVED)
+        if not free:
+            return braking(motion, limits, FollowState.BLOCKED, reasons.BLOCKED.code, abs(left))
+        return Outcome(v, w, FollowState.FOLLOWING, "", abs(left))
+
+
+def turn_command(left: float, w: float, limits: Limits, dt: float, most: float) -> float:
+    """The turn rate, rad/s, for `left` rad to go: as fast as `most` and stopping in time allow."""
+    return turn_rate_after(
+        w, copysign(_profile(abs(left), SHARE * limits.turn_acceleration, most, dt), left), limits, dt
+    )
+
+
+def straight_command(left: float, v: float, limits: Limits, dt: float, most: float) -> float:
+    """The speed, m/s, for `left` m to go; negative goes back."""
+    return speed_after(v, copysign(_profile(abs(left), SHARE * limits.braking, most, dt), left), limits, dt)
+
+
+def _profile(left: float, braking: float, most: float, dt: float) -> float:
+    return min(most, sqrt(2.0 * braking * left), left / (2.0 * dt))
+
+
+@njit(cache=True, nogil=True)
+def free_turn(
+    field: Float32s,
+    occupied: Bools,
+    resolution: float,
+    x: float,
+    y: float,
+    yaw: float,
+    angle: float,
+    shape: Footprint,
+) -> float:
+    """How much of `angle`, rad, the footprint can turn on the spot from (x, y, yaw) before it touches an occupied cell.
+
+    x, y: m from the centre of the lower left cell.
+    """
+    n = int(abs(angle) * shape.circumscribed / LOOK_STEP) + 1
+    for i in range(1, n + 1):
+        turned = yaw + angle * i / n
+        if collides(field, occupied, resolution, x, y, cos(turned), sin(turned), shape):
+            return angle * (i - 1) / n
+    return angle
+
+
+@njit(cache=True, nogil=True)
+def free_way(
+    field: Float32s,
+    occupied: Bools,
+    resolution: float,
+    x: float,
+    y: float,
+    yaw: float,
+    distance: float,
+    shape: Footprint,
+) -> float:
+    """How much of `distance`, m (negative: back), the footprint can drive before it touches an occupied cell."""
+    c, s = cos(yaw), sin(yaw)
+    n = int(abs(distance) / LOOK_STEP) + 1
+    for i in range(1, n + 1):
+        along = distance * i / n
+        if collides(field, occupied, resolution, x + c * along, y + s * along, c, s, shape):
+            return distance * (i - 1) / n
+    return distance

@@ -1,0 +1,351 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Model predictive path integral control (Williams et al. 2017, IT-MPC; the critics in the manner of Nav2's MPPI).
+
+Noise around the last solution, and a few ways that simply follow the distance to go downhill, are rolled out through
+the drive's limits, scored by the critics, and averaged with weights exp(-cost / temperature). What is averaged are the
+velocities as the drive would run them: its limits are convex, so the average obeys them too.
+"""
+
+from math import atan2, cos, hypot, sin, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import Field
+
+from services.local_ctrl.distance_to_go import carrot, to_go_at
+from services.local_ctrl.footprint import Footprint, clearance, sampled, touches
+from services.local_ctrl.rollout import DT, Limits, arc_step, speed_after, turn_rate_after
+from shared.config import Section
+
+Bools = NDArray[np.bool_]
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
+
+
+class Critics(Section):
+    """What a rollout costs, in metres of way: each weight is the price of what its description names."""
+
+    progress: float = Field(2.0, ge=0, le=100, description="1: a metre to go at the horizon's end")
+    haste: float = Field(2.0, ge=0, le=100, description="1: a metre to go, averaged over the horizon")
+    goal: float = Field(2.0, ge=0, le=100, description="1: a metre from the end, averaged, within half a metre of it")
+    obstacle: float = Field(1.0, ge=0, le=1000, description="m/s: driving with no clearance left; 0 at `clearance`")
+    critical: float = Field(20.0, ge=0, le=1000, description="m/s: being without clearance; 0 at `critical_clearance`")
+    overspeed: float = Field(
+        4.0, ge=0, le=1000, description="s/m: squared speed above what the clearance, or stopping at the goal, allows"
+    )
+    headway: float = Field(20.0, ge=0, le=1000, description="1/(m s): squared braking distance that is not free ahead")
+    reverse: float = Field(3.0, ge=0, le=100, description="1: a metre driven backward")
+    twirl: float = Field(0.15, ge=0, le=100, description="m s/rad^2: squared turn rate")
+    smooth: float = Field(
+        0.01, ge=0, le=100, description="m: squared change of command, as a share of what is possible"
+    )
+    collision: float = Field(1000.0, ge=10, le=1e6, description="m: a collision at once; less when it is later")
+
+
+class MppiConfig(Section):
+    """Model predictive path integral control."""
+
+    rollouts: int = Field(1200, ge=64, le=20000, description="1: rollouts a tick, half to explore and half to polish")
+    steps: int = Field(50, ge=10, le=200, description="1: steps of 1/20 s; 50 are 2.5 s")
+    temperature: float = Field(
+        0.03, ge=0.001, le=100, description="m: cost difference that makes a rollout count e times less"
+    )
+    speed_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation, as a share of the top speed")
+    turn_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation, as a share of the top turn rate")
+    polish: float = Field(0.1, ge=0, le=1, description="1: share of the noise around what exploring has found")
+    seed: int = Field(1, ge=0, description="1: of the noise, which is drawn once")
+    clearance: float = Field(0.3, ge=0.02, le=3, description="m beyond the outline at which obstacles cost nothing")
+    critical_clearance: float = Field(
+        0.1, ge=0.01, le=1, description="m beyond the outline that is always worth keeping"
+    )
+    full_speed_clearance: float = Field(0.3, ge=0.02, le=3, description="m beyond the outline that allows full speed")
+    least_speed: float = Field(0.25, ge=0.05, le=1, description="1: share of the top speed allowed at no clearance")
+    critics: Critics = Critics()
+
+
+class Weights(NamedTuple):
+    """`Critics` and the clearances, as the kernel takes them."""
+
+    progress: float
+    haste: float
+    goal: float
+    obstacle: float
+    critical: float
+    overspeed: float
+    headway: float
+    reverse: float
+    twirl: float
+    smooth: float
+    collision: float
+    clearance: float
+    critical_clearance: float
+    full_speed_clearance: float
+    least_speed: float
+
+
+class Scene(NamedTuple):
+    """What the rollouts meet. Positions are m from the centre of the costmap's lower left cell, as its start is."""
+
+    field: Float32s  # (n, n) m to the nearest occupied cell
+    occupied: Bools  # (n, n)
+    resolution: float
+    to_go: Float32s  # (n / 2, n / 2) m, see distance_to_go
+    end_x: float
+    end_y: float
+    ends: bool  # the path's end is in the window
+    x: float
+    y: float
+    yaw: float
+    v: float
+    w: float
+
+
+class Solution(NamedTuple):
+    """velocities: (steps, 2) float64 m/s and rad/s, from the first step on; cost m; how much nearer it comes, m."""
+
+    velocities: Float64s
+    cost: float
+    collides: bool
+    gain: float
+
+
+APPROACH = 0.5  # share of the drive's braking that stopping at the goal counts on: the rest is for delay
+REACTION = 0.2  # s that a guard counts on between a command and the wheels' answer
+N_GUESSES = 9  # rollouts that are not noise: the last solution, standing still, seven that go downhill
+
+
+class Mppi:
+    """Holds what outlives a tick: the noise, drawn once, and the last solution."""
+
+    def __init__(self, config: MppiConfig, limits: Limits) -> None:
+        self.config, self.limits = config, limits
+        critics = config.critics.model_dump()
+        rest = {k: getattr(config, k) for k in Weights._fields if k not in critics}
+        self.weights = Weights(**critics, **rest)
+        self.noise = _noise(config, limits)
+        n = config.rollouts // 2
+        self.targets = np.zeros((n, config.steps, 2), np.float32)
+        self.executed = np.zeros_like(self.targets)
+        self.costs, self.gains = np.zeros(n), np.zeros(n)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets the last solution."""
+        self.mean = np.zeros((self.config.steps, 2))
+        self.n_solved = 0
+
+    def solve(self, scene: Scene, footprint: Footprint, n_elapsed: int) -> Solution:
+        """The velocities from now on. n_elapsed: steps since the last call. Same calls, same bytes."""
+        shift = min(max(n_elapsed, 0), self.config.steps)
+        self.mean = np.concatenate((self.mean[shift:], np.repeat(self.mean[-1:], shift, axis=0)))
+        self.n_solved += 1
+        # a step that shares no factor with the pool's size visits every start before it repeats
+        start = (self.n_solved * 7919) % len(self.noise)
+        _explore(self.mean, self.noise, start, scene, self.limits, self.targets)
+        coarse = self._best(scene, footprint)
+        _polish(coarse.velocities, self.noise, start + len(self.targets), self.config.polish, self.targets)
+        fine = self._best(scene, footprint)
+        self.mean = fine.velocities
+        return fine
+
+    def _best(self, scene: Scene, footprint: Footprint) -> Solution:
+        """The weighted average of `targets`, or the best of them where two ways around an obstacle average into it."""
+        _evaluate(self.targets, scene, footprint, self.limits, self.weights, self.executed, self.costs, self.gains)
+        best = int(np.argmin(self.costs))
+        velocities = _average(self.executed, self.costs, self.config.temperature)
+        velocities, cost, gain = self._scored(velocities, scene, footprint)
+        if cost > self.costs[best]:
+            velocities, cost, gain = self.executed[best].astype(float), float(self.costs[best]), float(self.gains[best])
+        return Solution(velocities, cost, cost >= 0.4 * self.weights.collision, gain)
+
+    def _scored(self, velocities: Float64s, scene: Scene, footprint: Footprint) -> tuple[Float64s, float, float]:
+        executed = np.empty((1, *velocities.shape), np.float32)
+        cost, gain = np.empty(1), np.empty(1)
+        targets = velocities.astype(np.float32)[None]
+        _evaluate(targets, scene, footprint, self.limits, self.weights, executed, cost, gain)
+        return executed[0].astype(float), float(cost[0]), float(gain[0])
+
+
+def _noise(config: MppiConfig, limits: Limits) -> Float32s:
+    """(m, steps, 2): a constant and a random walk between knots, so that rollouts differ in where they go."""
+    rng = np.random.default_rng(config.seed)
+    n, n_knots = 2 * config.rollouts + 1, 6
+    place = np.linspace(0, n_knots - 1, config.steps)
+    low = np.minimum(place.astype(int), n_knots - 2)
+    share = (place - low)[None, :, None]
+    knots = rng.standard_normal((n, n_knots, 2))
+    wave = knots[:, low] * (1 - share) + knots[:, low + 1] * share
+    scale = (config.speed_noise * limits.v_max, config.turn_noise * limits.w_max)
+    noise = (wave + 0.7 * rng.standard_normal((n, 1, 2))) * scale
+    return np.ascontiguousarray(noise, np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _explore(mean: Float64s, noise: Float32s, start: int, scene: Scene, limits: Limits, targets: Float32s) -> None:
+    n, steps, _ = targets.shape
+    targets[0] = mean
+    targets[1] = 0.0
+    shares, looks = (1.0, 0.6, 0.3), (0.25, 0.5)
+    for i in range(3):
+        for j in range(2):
+            _downhill(shares[i] * limits.v_max, looks[j], scene, limits, targets[2 + 2 * i + j])
+    _downhill(-0.5 * limits.v_max, 0.3, scene, limits, targets[8])
+    for k in range(N_GUESSES, n):
+        row = noise[(start + k) % len(noise)]
+        # two in three around the last solution, the rest around a guess
+        if k % 3 < 2:
+            for t in range(steps):
+                targets[k, t, 0] = mean[t, 0] + row[t, 0]
+                targets[k, t, 1] = mean[t, 1] + row[t, 1]
+        else:
+            guess = targets[1 + (k // 3) % (N_GUESSES - 1)]
+            for t in range(steps):
+                targets[k, t, 0] = guess[t, 0] + 0.5 * row[t, 0]
+                targets[k, t, 1] = guess[t, 1] + 0.5 * row[t, 1]
+
+
+@njit(cache=True, nogil=True)
+def _polish(mean: Float64s, noise: Float32s, start: int, share: float, targets: Float32s) -> None:
+    targets[0] = mean
+    for k in range(1, len(targets)):
+        targets[k] = mean + share * noise[(start + k) % len(noise)]
+
+
+@njit(cache=True, nogil=True)
+def _downhill(speed: float, look: float, scene: Scene, limits: Limits, targets: Float32s) -> None:
+    """Commands that steer `look` m down the distance to go at `speed` (negative: back) and turn before they drive."""
+    x, y, c, s = scene.x, scene.y, cos(scene.yaw), sin(scene.yaw)
+    v, w = scene.v, scene.w
+    for t in range(len(targets)):
+        px, py = carrot(scene.to_go, x, y, look, scene.resolution)
+        ahead, aside = c * (px - x) + s * (py - y), c * (py - y) - s * (px - x)
+        away = hypot(px - x, py - y)
+        if speed < 0.0:
+            ahead, aside = -ahead, -aside
+        error = atan2(aside, ahead) if away > 1e-6 else 0.0
+        target_w = 2.5 * error
+        target_v = speed * max(0.0, 1.0 - abs(error) / 0.9)
+        if scene.ends:
+            rest = hypot(scene.end_x - x, scene.end_y - y)
+            most = sqrt(2.0 * APPROACH * limits.braking * rest)
+            target_v = min(max(target_v, -most), most)
+        targets[t, 0], targets[t, 1] = target_v, target_w
+        v, w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
+        chord, cosine, sine, _ = arc_step(v, w, DT)
+        c, s = c * cosine - s * sine, s * cosine + c * sine
+        x, y = x + chord * c, y + chord * s
+        c, s = c * cosine - s * sine, s * cosine + c * sine
+
+
+@njit(cache=True, nogil=True)
+def _evaluate(
+    targets: Float32s,
+    scene: Scene,
+    footprint: Footprint,
+    limits: Limits,
+    weights: Weights,
+    executed: Float32s,
+    costs: Float64s,
+    gains: Float64s,
+) -> None:
+    """Rolls out each (steps, 2) of targets (k, steps, 2): velocities as run, cost, and metres gained at the end."""
+    n, steps, _ = targets.shape
+    resolution = scene.resolution
+    first = to_go_at(scene.to_go, scene.x, scene.y, resolution)
+    c0, s0 = cos(scene.yaw), sin(scene.yaw)
+    least = clearance(scene.field, resolution, scene.x, scene.y, c0, s0, footprint)
+    # who stands too near already may leave, not come nearer
+    stuck = least <= footprint.padding and touches(scene.occupied, resolution, scene.x, scene.y, c0, s0, footprint)
+    for k in range(n):
+        x, y, c, s, v, w = scene.x, scene.y, c0, s0, scene.v, scene.w
+        cost, mean_to_go, to_go = 0.0, 0.0, first
+        for t in range(steps):
+            v_before, w_before = v, w
+            v, w = speed_after(v, targets[k, t, 0], limits, DT), turn_rate_after(w, targets[k, t, 1], limits, DT)
+            executed[k, t, 0], executed[k, t, 1] = v, w
+            chord, cosine, sine, _ = arc_step(v, w, DT)
+            c, s = c * cosine - s * sine, s * cosine + c * sine
+            x, y = x + chord * c, y + chord * s
+            c, s = c * cosine - s * sine, s * cosine + c * sine
+            room = clearance(scene.field, resolution, x, y, c, s, footprint)
+            if room <= footprint.padding:
+                if stuck:
+                    hit = room < least - 0.005
+                else:
+                    hit = touches(scene.occupied, resolution, x, y, c, s, footprint)
+                if hit:
+                    # half of it for when: the later, the better
+                    cost += weights.collision * (1.0 - 0.5 * t / steps)
+                    for rest in range(t + 1, steps):
+                        executed[k, rest, 0], executed[k, rest, 1] = 0.0, 0.0
+                    mean_to_go += to_go * (steps - t)
+                    break
+            cost += DT * _near(scene, footprint, limits, weights, x, y, c, s, v, room)
+            cost += DT * (weights.reverse * max(0.0, -v) + weights.twirl * w * w)
+            dv, dw = (v - v_before) / (limits.braking * DT), (w - w_before) / (limits.turn_acceleration * DT)
+            cost += weights.smooth * DT * (dv * dv + dw * dw)
+            to_go = to_go_at(scene.to_go, x, y, resolution)
+            mean_to_go += to_go
+            if scene.ends:
+                away = hypot(scene.end_x - x, scene.end_y - y)
+                over = max(0.0, abs(v) - sqrt(2.0 * APPROACH * limits.braking * away))
+                cost += weights.goal * min(away, 0.5) / steps + DT * weights.overspeed * over * over
+        costs[k] = cost + weights.progress * to_go + weights.haste * mean_to_go / steps
+        gains[k] = first - to_go
+
+
+@njit(cache=True, nogil=True)
+def _near(
+    scene: Scene,
+    footprint: Footprint,
+    limits: Limits,
+    weights: Weights,
+    x: float,
+    y: float,
+    c: float,
+    s: float,
+    v: float,
+    room: float,
+) -> float:
+    """What being this near to obstacles at this speed costs, m/s."""
+    cost = 0.0
+    speed = abs(v)
+    if room < weights.clearance:
+        share = 1.0 - max(room, 0.0) / weights.clearance
+        cost += weights.obstacle * speed * share * share
+    if room < weights.critical_clearance:
+        share = 1.0 - max(room, 0.0) / weights.critical_clearance
+        cost += weights.critical * share * share * (0.2 + speed)
+    if room < weights.full_speed_clearance:
+        share = weights.least_speed + (1.0 - weights.least_speed) * max(room, 0.0) / weights.full_speed_clearance
+        over = max(0.0, speed - share * limits.v_max)
+        cost += weights.overspeed * over * over
+    # the guard stops for what lies within the braking distance straight ahead: leave it room
+    stopping = speed * REACTION + v * v / (2.0 * limits.braking) + weights.critical_clearance
+    if room < stopping + footprint.circumscribed:
+        ahead = stopping if v >= 0.0 else -stopping
+        free = sampled(scene.field, (x + c * ahead) / scene.resolution, (y + s * ahead) / scene.resolution)
+        short = max(0.0, footprint.inscribed - free)
+        cost += weights.headway * short * short * speed
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def _average(executed: Float32s, costs: Float64s, temperature: float) -> Float64s:
+    """(steps, 2): the rollouts' velocities, weighted by exp(-(cost - least) / temperature)."""
+    n, steps, _ = executed.shape
+    least = costs.min()
+    total = 0.0
+    mean = np.zeros((steps, 2))
+    for k in range(n):
+        excess = (costs[k] - least) / temperature
+        if excess > 20.0:
+            continue
+        weight = np.exp(-excess)
+        total += weight
+        for t in range(steps):
+            mean[t, 0] += weight * executed[k, t, 0]
+            mean[t, 1] += weight * executed[k, t, 1]
+    return mean / total

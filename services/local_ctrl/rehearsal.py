@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One message of each kind, made up: what a service is warmed with, so that nothing compiles while the robot moves."""
+
+import numpy as np
+
+from shared import messages as m
+from shared.config import Laser
+from shared.geometry import Pose2
+from shared.messages import TILE_CELLS, GoalKind
+
+NOW = 10**10  # ns
+
+
+def odometry(stamp: int) -> m.Odometry:
+    """Standing at the origin."""
+    return m.Odometry(stamp, Pose2(), 0.0, 0.0, np.zeros(9))
+
+
+def pose() -> m.PoseEstimate:
+    """Standing at the origin, sure of it."""
+    return m.PoseEstimate(NOW, Pose2(), Pose2(), np.zeros(9), 1.0, m.Localization.GOOD)
+
+
+def scan(laser: Laser) -> m.LaserScan:
+    """The laser's own number of beams, all ending 2 m away."""
+    ranges = np.full(laser.n_beams, 2.0, np.float32)
+    stamp = NOW - round(laser.scan_time * 1e9)
+    return m.LaserScan(
+        stamp, laser.angle_min, laser.angle_increment, laser.scan_time, laser.range_min, laser.range_max, ranges
+    )
+
+
+def readings(n: int) -> m.RangeReadings:
+    """n sensors that look forward and see 0.5 m."""
+    return m.RangeReadings(NOW, *(np.full(n, value, np.float32) for value in (0.1, 0.0, 0.0, 0.5, 0.5)))
+
+
+def map_update() -> m.MapUpdate:
+    """One tile, free but for a wall."""
+    cells = np.zeros((1, TILE_CELLS, TILE_CELLS), np.int8)
+    cells[0, 40] = 100
+    zero = np.zeros(1, np.int32)
+    return m.MapUpdate(NOW, 1, 1, 0.05, zero, zero, cells.reshape(1, -1))
+
+
+def goal(goal_id: int, kind: GoalKind, amount: float = 0.0) -> m.Goal:
+    """Ahead by a metre."""
+    return m.Goal(NOW, goal_id, kind, Pose2(1.0), 0.1, 0.1, amount, False)
+
+
+def path(goal_id: int, x: float) -> m.Path:
+    """Straight to (x, 0)."""
+    xs = np.linspace(0.0, x, 5)
+    return m.Path(NOW, goal_id, 1, "", xs, np.zeros(5), np.zeros(5), abs(x), abs(x))

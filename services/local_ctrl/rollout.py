@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where does a differential drive go under a command: velocity and acceleration limits, exact arcs, actuation delay."""
+
+from math import cos, sin
+from typing import NamedTuple
+
+from numba import njit
+
+from shared.config import Drive
+from shared.geometry import Pose2, wrapped
+
+DT = 0.05  # s a step of a rollout: the tick of 20 Hz
+MAX_STEP = 20_000_000  # ns: accelerations are predicted this finely
+
+
+class Limits(NamedTuple):
+    """What the drive can do: m/s, rad/s, m/s^2, rad/s^2. `v_min` is not positive."""
+
+    v_min: float
+    v_max: float
+    w_max: float
+    acceleration: float
+    braking: float
+    turn_acceleration: float
+
+
+class Motion(NamedTuple):
+    """A pose in `odom` and the twist that the robot has there."""
+
+    pose: Pose2
+    v: float
+    w: float
+
+
+class Command(NamedTuple):
+    """A velocity command and when it was sent, ns."""
+
+    sent: int
+    v: float
+    w: float
+
+
+def limits_of(drive: Drive, max_speed: float, max_reverse_speed: float) -> Limits:
+    """The drive's limits, with the speeds that the configuration asks for where they are lower."""
+    return Limits(
+        -min(drive.max_reverse_speed, max_reverse_speed),
+        min(drive.max_speed, max_speed),
+        drive.max_turn_rate,
+        drive.max_acceleration,
+        drive.max_braking,
+        drive.max_turn_acceleration,
+    )
+
+
+@njit(cache=True, nogil=True)
+def speed_after(v: float, target: float, limits: Limits, dt: float) -> float:
+    """The forward speed after dt of heading for `target`; it passes through zero in no less than one step."""
+    target = min(max(target, limits.v_min), limits.v_max)
+    if v > 0.0:
+        if target >= v:
+            return min(target, v + limits.acceleration * dt)
+        return max(target, v - limits.braking * dt, 0.0 if target < 0.0 else target)
+    if v < 0.0:
+        if target <= v:
+            return max(target, v - limits.acceleration * dt)
+        return min(target, v + limits.braking * dt, 0.0 if target > 0.0 else target)
+    return min(max(target, -limits.acceleration * dt), limits.acceleration * dt)
+
+
+@njit(cache=True, nogil=True)
+def turn_rate_after(w: float, target: float, limits: Limits, dt: float) -> float:
+    """The turn rate after dt of heading for `target`."""
+    target = min(max(target, -limits.w_max), limits.w_max)
+    change = limits.turn_acceleration * dt
+    return min(max(target, w - change), w + change)
+
+
+@njit(cache=True, nogil=True)
+def arc_step(v: float, w: float, dt: float) -> tuple[float, float, float, float]:
+    """Motion along the exact arc for dt: chord (m), and its direction's cosine and sine; then the half turn, rad.
+
+    The chord points half the turn away from the first heading; the last heading is as far again.
+    """
+    half = 0.5 * w * dt
+    if abs(half) < 0.3:  # series to the 8th power: under 1e-11, a third of the time of sin and cos
+        q = half * half
+        sinc = 1.0 - q / 6.0 * (1.0 - q / 20.0 * (1.0 - q / 42.0))
+        cosine = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0 * (1.0 - q / 56.0)))
+        return v * dt * sinc, cosine, half * sinc, half
+    return v * dt * sin(half) / half, cos(half), sin(half), half
+
+
+def predicted(motion: Motion, limits: Limits, commands: list[Command], since: int, until: int, delay: int) -> Motion:
+    """Where the robot will be at `until` (ns), from what it did at `since`: the commands sent act `delay` ns later.
+
+    commands: oldest first. Before the first one that is known the robot keeps its twist.
+    """
+    x, y, yaw = motion.pose.x, motion.pose.y, motion.pose.yaw
+    v, w = motion.v, motion.w
+    changes = [c for c in commands if c.sent + delay < until]
+    n_before = sum(c.sent + delay <= since for c in changes)
+    active = changes[n_before - 1] if n_before else None
+    at = since
+    for following in (*changes[n_before:], None):
+        end = until if following is None else following.sent + delay
+        while at < end:
+            step = min(end - at, MAX_STEP)
+            dt = step / 1e9
+            if active is not None:
+                v, w = speed_after(v, active.v, limits, dt), turn_rate_after(w, active.w, limits, dt)
+            chord, cosine, sine, half = arc_step(v, w, dt)
+            c, s = cos(yaw), sin(yaw)
+            x, y, yaw = x + chord * (c * cosine - s * sine), y + chord * (s * cosine + c * sine), yaw + 2 * half
+            at += step
+        active = following
+    return Motion(Pose2(x, y, wrapped(yaw)), v, w)

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which frontier next: near and large before far and small, no turning back for little, none in vain for ever."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from services.navigator.frontiers import Frontier, FrontierConfig, Frontiers
+from shared.config import Section
+from shared.geometry import Pose2, wrapped
+
+Int64s = NDArray[np.int64]
+Float64s = NDArray[np.float64]
+Cell = tuple[int, int]
+
+_SAME = 0.5  # m between a frontier of today's map and the target, for them to be the same
+_AROUND = 1.0  # m around a target that is given up with it
+_LATTICE = 0.5  # m: visits are counted by squares of this side
+
+
+class ExplorationConfig(Section):
+    """How frontiers are chosen and given up."""
+
+    frontier: FrontierConfig = FrontierConfig()
+    size_weight: float = Field(1.0, ge=0, le=20, description="m of driving that a metre of border is worth")
+    turn_weight: float = Field(0.5, ge=0, le=20, description="m of driving that a radian of turning costs")
+    switch_gain: float = Field(2.0, ge=0, le=50, description="m (weighted) that another frontier must be better by")
+    switch_after: int = Field(3, ge=1, le=20, description="searches, one after the other, that must find it so")
+    look_time: float = Field(2.0, ge=0.2, le=30, description="s at a frontier that stays, until it is given up")
+    max_visits: int = Field(4, ge=1, le=100, description="times that one spot is chosen, at most")
+    settle_time: float = Field(3.0, ge=0, le=60, description="s without a frontier until exploring ends")
+    blocked_time: float = Field(
+        10.0, ge=0, le=300, description="the same, s, where a way to some may only be blocked for now"
+    )
+    tolerance: float = Field(0.3, ge=0.05, le=2, description="m to the place that a frontier is looked at from")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """The frontier being driven to, and the place of its border, m."""
+
+    frontier: Frontier
+    x: float
+    y: float
+
+
+class Exploration:
+    """One exploring task's memory."""
+
+    def __init__(self, config: ExplorationConfig) -> None:
+        self.config = config
+        self.target: Target | None = None
+        self.looking: float | None = None  # s at the target, once there
+        self._near = 0.0  # s close to the target
+        self._n_better = 0  # searches in a row that found a better one than the target
+        self.without = 0.0  # s without a frontier
+        self._given_up: set[Cell] = set()
+        self._failed: set[Cell] = set()
+        self._visits: dict[Cell, int] = {}
+        self._last_try = False
+
+    @property
+    def dropped(self) -> Int64s:
+        """(n, 2) int64 rows and columns of `map` that are no frontier any more."""
+        return np.array(sorted(self._given_up | self._failed), np.int64).reshape(-1, 2)
+
+    def taken(self, found: Frontiers, pose: Pose2, resolution: float) -> Target | None:
+        """The target by what was found: the same object while it stays, another where it is gone or worse."""
+        ranked = sorted(found.frontiers, key=lambda f: self._cost(f, pose))
+        if self.target is not None:
+            same = _again(found, self.target, resolution)
+            if same is None:
+                if self.looking is None and _cut_off(found, self.target, resolution):
+                    return self.target  # planner and local control will find out whether it can be reached
+            elif self.looking is None:
+                gain = self._cost(same, pose) - self._cost(ranked[0], pose)
+                self._n_better = self._n_better + 1 if gain > self.config.switch_gain else 0
+                if self._n_better < self.config.switch_after:
+                    return self.target
+            elif self.looking < self.config.look_time:
+                return self.target
+            else:
+                self._give_up(same, self.target, resolution, self._given_up)
+                ranked.remove(same)
+        self._forget()
+        for frontier in ranked:
+            target = _targeted(frontier, resolution)
+            spot = round(target.x / _LATTICE), round(target.y / _LATTICE)
+            self._visits[spot] = self._visits.get(spot, 0) + 1
+            if self._visits[spot] <= self.config.max_visits:
+                self.target = target
+                break
+            self._give_up(frontier, target, resolution, self._given_up)
+        return self.target
+
+    def passed(self, seconds: float, pose: Pose2) -> None:
+        """Time passed with the robot at pose."""
+        if self.looking is not None:
+            self.looking += seconds
+        if self.target is not None and pose.distance(Pose2(self.target.x, self.target.y)) <= _AROUND:
+            self._near += seconds
+
+    def arrived(self) -> None:
+        """The robot is where the target is seen from; having come close to it counts for half of the look."""
+        self.looking = min(self._near, self.config.look_time / 2)
+
+    def failed(self, resolution: float) -> None:
+        """The target cannot be reached now; it is tried once more when nothing else is left."""
+        if self.target is not None:
+            into = self._given_up if self._last_try else self._failed
+            self._give_up(self.target.frontier, self.target, resolution, into)
+        self._forget()
+
+    def retried(self) -> bool:
+        """Whether there is something to try once more; from now on it counts again."""
+        if self._last_try or not self._failed:
+            return False
+        self._failed.clear()
+        self._last_try = True
+        return True
+
+    def _cost(self, frontier: Frontier, pose: Pose2) -> float:
+        turn = abs(wrapped(pose.bearing(Pose2(frontier.x, frontier.y)) - pose.yaw))
+        size = min(frontier.size, self.config.frontier.max_size)
+        return frontier.distance + self.config.turn_weight * turn - self.config.size_weight * size
+
+    def _forget(self) -> None:
+        self.target, self.looking, self._near, self._n_better = None, None, 0.0, 0
+
+    def _give_up(self, frontier: Frontier, target: Target, resolution: float, into: set[Cell]) -> None:
+        """Drops the frontier's cells around the target, and at least the nearest."""
+        away = _away(frontier.cells, target, resolution)
+        near = frontier.cells[away <= max(_AROUND, float(away.min()))]
+        into.update((int(row), int(column)) for row, column in near)
+
+
+def _again(found: Frontiers, target: Target, resolution: float) -> Frontier | None:
+    """The frontier of today's map at the target's place."""
+    near = [(float(_away(f.cells, target, resolution).min()), i) for i, f in enumerate(found.frontiers)]
+    least, nearest = min(near, default=(_SAME + 1, 0))
+    return found.frontiers[nearest] if least <= _SAME else None
+
+
+def _cut_off(found: Frontiers, target: Target, resolution: float) -> bool:
+    """Whether the target is still there, but no way leads to it."""
+    return any(_away(cells, target, resolution).min() <= _SAME for cells in found.unreachable)
+
+
+def _targeted(frontier: Frontier, resolution: float) -> Target:
+    xs, ys = _centres(frontier.cells, resolution)
+    middle = int(np.argmin(np.hypot(xs - xs.mean(), ys - ys.mean())))
+    return Target(frontier, float(xs[middle]), float(ys[middle]))
+
+
+def _away(cells: Int64s, target: Target, resolution: float) -> Float64s:
+    """(n,) m from the target's place."""
+    xs, ys = _centres(cells, resolution)
+    return np.asarray(np.hypot(xs - target.x, ys - target.y))
+
+
+def _centres(cells: Int64s, resolution: float) -> tuple[Float64s, Float64s]:
+    rows, columns = cells.astype(np.float64).T
+    return (columns + 0.5) * resolution, (rows + 0.5) * resolution

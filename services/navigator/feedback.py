@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What people are told: how far it is, how long it takes, and why the robot stands when it stands."""
+
+from services.navigator.navigation import Navigation
+from services.navigator.route import Route
+from shared import reasons
+from shared.geometry import Pose2
+from shared.messages import NavState, NavStatus
+from shared.reasons import REASONS
+
+_SPEED_OVER = 10.0  # s over which the recent speed is averaged
+_STANDS = 0.02  # m/s
+_SLOWEST = 0.05  # m/s assumed for the time left
+
+
+class Speedometer:
+    """The recent speed while driving, m/s."""
+
+    def __init__(self, guess: float) -> None:
+        self.speed = guess
+
+    def passed(self, seconds: float, velocity: float) -> None:
+        if abs(velocity) > _STANDS:
+            self.speed += (abs(velocity) - self.speed) * min(seconds / _SPEED_OVER, 1.0)
+
+    def time_for(self, metres: float) -> float:
+        """s"""
+        return min(metres / max(self.speed, _SLOWEST), 1e7)
+
+
+def status(navigation: Navigation, speedometer: Speedometer, now: int) -> NavStatus:
+    """The message that says it all."""
+    task, leg = navigation.task, navigation.leg
+    route = task if isinstance(task, Route) else None
+    left = (navigation.left(leg, now) if leg else 0.0) + (route.beyond() if route else 0.0)
+    left = min(left, 1e6)
+    code = _why(navigation, now)
+    known = REASONS.get(code)
+    return NavStatus(
+        now,
+        navigation.task_id,
+        _state(navigation),
+        navigation.recovery,
+        code,
+        navigation.detail or (f"{known.text}: {known.mend}" if known else ""),
+        leg.target if leg else route.target if route else Pose2(),
+        left,
+        speedometer.time_for(left),
+        route.index if route else 0,
+        len(route.poses) if route else 0,
+        navigation.ladder.n_used,
+    )
+
+
+def _state(navigation: Navigation) -> NavState:
+    if navigation.task is None:
+        return navigation.state
+    if navigation.paused:
+        return NavState.PAUSED
+    return NavState.RECOVERING if navigation.recovery else navigation.state
+
+
+def _why(navigation: Navigation, now: int) -> str:
+    """The code of what keeps the task from going on, or of how the last one ended."""
+    if navigation.task is None:
+        return navigation.reason.code if navigation.reason else ""
+    if navigation.paused:
+        return reasons.PAUSED.code
+    if navigation.suspended:
+        return reasons.POSE_LOST.code
+    if navigation.jumped:
+        return reasons.POSE_JUMPED.code
+    driving = navigation.goal if navigation.leg and not navigation.action else None
+    recovering_from = navigation.ladder.last.code if navigation.recovery else ""
+    return navigation.hearing.why(driving, now) or recovering_from

@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where known free space borders on the unknown, and which of that the robot can get to (Yamauchi 1997)."""
+
+from dataclasses import dataclass
+from math import atan2, ceil
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import Field
+
+from shared.config import Section
+from shared.distance_field import distance_field
+from shared.grid import FREE_UP_TO, OCCUPIED_FROM
+
+Bools = NDArray[np.bool_]
+Int8s = NDArray[np.int8]
+Int32s = NDArray[np.int32]
+Int64s = NDArray[np.int64]
+Float32s = NDArray[np.float32]
+
+_STRAIGHT, _DIAGONAL = 70, 99  # of a step, in 1/70 cells
+_FAR = 2**30
+_ESCAPE = 0.6  # m through crowded or unseen space to where the robot fits: it may stand close to a wall, or unmapped
+
+
+class FrontierConfig(Section):
+    """What counts as a frontier."""
+
+    margin: float = Field(0.05, ge=0, le=1, description="m kept free around the footprint's inscribed circle")
+    min_size: float = Field(
+        0.4, gt=0, le=10, description="m across; smaller gaps in the map hide nothing that the robot could drive to"
+    )
+    max_size: float = Field(3.0, gt=0, le=50, description="m of border that make one goal; longer ones are cut")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frontier:
+    """A piece of border. x, y, yaw: where to see it from; cells: (n, 2) int64, row and column counted from the map's
+    origin; size: m of border; distance: m to drive."""
+
+    x: float
+    y: float
+    yaw: float
+    size: float
+    distance: float
+    cells: Int64s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frontiers:
+    """What a search found. unreachable: the cells, as a frontier's, of borders that no way leads to; enclosed: there is
+    nowhere that the robot fits."""
+
+    frontiers: tuple[Frontier, ...]
+    unreachable: tuple[Int64s, ...]
+    enclosed: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """What a search looks at.
+
+    cells: (h, w) int8, percent, -1 unknown; its lower left cell is (first_row, first_column) of `map`; resolution: m.
+    x, y: m, the robot; robot_radius: m, inscribed. dropped: (n, 2) int64 cells of `map` that are none, with their
+    neighbours.
+    """
+
+    cells: Int8s
+    first_row: int
+    first_column: int
+    resolution: float
+    x: float
+    y: float
+    robot_radius: float
+    dropped: Int64s
+
+
+def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
+    """The reachable frontiers of a map, in the order of their lowest cell."""
+    cells, resolution = snapshot.cells, snapshot.resolution
+    clearance = snapshot.robot_radius + config.margin
+    distance = distance_field(cells >= OCCUPIED_FROM, resolution)
+    column, row = snapshot.x / resolution - snapshot.first_column, snapshot.y / resolution - snapshot.first_row
+    h, w = cells.shape
+    if not (0 <= row < h and 0 <= column < w):
+        return Frontiers((), (), True)
+    free = _free(cells, row, column, snapshot.robot_radius / resolution)
+    passable = free & (distance >= clearance - 1e-6)
+    travelled = _wave(passable, distance, int(row), int(column), _ESCAPE / resolution)
+    enclosed = not bool((passable & (travelled < _FAR)).any())
+    seen_from = _seen_from(free, passable, travelled, ceil(clearance / resolution) + 3)
+    border = _border(free, cells)
+    dropped = snapshot.dropped - (snapshot.first_row, snapshot.first_column)
+    dropped = dropped[((dropped >= 0) & (dropped < (h, w))).all(axis=1)]
+    for dr in (-1, 0, 1):
+        for dc in (-1, 0, 1):
+            border[np.clip(dropped[:, 0] + dr, 0, h - 1), np.clip(dropped[:, 1] + dc, 0, w - 1)] = False
+    n_min, n_max = config.min_size / resolution, max(int(config.max_size / resolution), 1)
+    deep = distance >= snapshot.robot_radius
+    pieces, ends = _pieces(border & (seen_from >= 0), deep, n_min, n_max)
+    others, other_ends = _pieces(border & (seen_from < 0), deep, n_min, n_max)
+    unknown = np.pad((cells < 0) | ((cells > FREE_UP_TO) & (cells < OCCUPIED_FROM)), 1, constant_values=True)
+    found = tuple(
+        _frontier(pieces[begin:end], snapshot, unknown, seen_from, travelled)
+        for begin, end in zip((0, *ends[:-1]), ends)
+    )
+    unreachable = tuple(_in_map(others[begin:end], snapshot) for begin, end in zip((0, *other_ends[:-1]), other_ends))
+    return Frontiers(found, unreachable, enclosed)
+
+
+def _in_map(piece: Int32s, snapshot: Snapshot) -> Int64s:
+    """(n, 2) int64: rows and columns of `map`."""
+    rows, columns = np.divmod(piece.astype(np.int64), snapshot.cells.shape[1])
+    return np.column_stack((rows + snapshot.first_row, columns + snapshot.first_column))
+
+
+def _frontier(piece: Int32s, snapshot: Snapshot, unknown: Bools, seen_from: Int32s, travelled: Int32s) -> Frontier:
+    """unknown: (h + 2, w + 2) bool, with what lies outside."""
+    resolution, row0, column0 = snapshot.resolution, snapshot.first_row, snapshot.first_column
+    w = snapshot.cells.shape[1]
+    rows, columns = np.divmod(piece.astype(np.int64), w)
+    middle = int(piece[int(np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2))])
+    goal_row, goal_column = divmod(int(seen_from.reshape(-1)[middle]), w)
+    up = across = 0
+    for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+        n = int(np.count_nonzero(unknown[rows + 1 + dr, columns + 1 + dc]))
+        up, across = up + dr * n, across + dc * n
+    return Frontier(
+        (column0 + goal_column + 0.5) * resolution,
+        (row0 + goal_row + 0.5) * resolution,
+        atan2(up, across),
+        len(piece) * resolution,
+        float(travelled[goal_row, goal_column]) / _STRAIGHT * resolution,
+        _in_map(piece, snapshot),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _free(cells: Int8s, row: float, column: float, radius: float) -> Bools:
+    """Known to be free, by the map or because the robot stands there: row, column, radius in cells."""
+    h, w = cells.shape
+    free = np.empty((h, w), np.bool_)
+    for r in range(h):
+        for c in range(w):
+            under = (r + 0.5 - row) ** 2 + (c + 0.5 - column) ** 2 <= radius * radius
+            free[r, c] = 0 <= cells[r, c] <= FREE_UP_TO or (under and cells[r, c] < OCCUPIED_FROM)
+    return free
+
+
+@njit(cache=True, nogil=True)
+def _border(free: Bools, cells: Int8s) -> Bools:
+    """Free cells beside an unknown one; outside the grid everything is unknown."""
+    h, w = cells.shape
+    border = np.zeros((h, w), np.bool_)
+    for r in range(h):
+        for c in range(w):
+            if not free[r, c]:
+                continue
+            for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+                i, k = r + dr, c + dc
+                outside = i < 0 or k < 0 or i >= h or k >= w
+                if outside or (not free[i, k] and cells[i, k] < OCCUPIED_FROM):
+                    border[r, c] = True
+                    break
+    return border
+
+
+@njit(cache=True, nogil=True)
+def _wave(passable: Bools, distance: Float32s, row: int, column: int, escape: float) -> Int32s:
+    """Shortest travel from a cell over passable ones, in 1/70 cells; _FAR where it does not get.
+
+    Where the robot's own cell is not passable, up to `escape` cells of unoccupied ones lead out of there.
+    """
+    h, w = passable.shape
+    travelled = np.full((h, w), _FAR, np.int32)
+    queue = np.empty(h * w + 1, np.int32)  # a ring: each cell is in it at most once
+    queued = np.zeros((h, w), np.bool_)
+    travelled[row, column] = 0
+    queue[0] = row * w + column
+    first, n = 0, 1
+    while n:
+        cell = queue[first]
+        first = (first + 1) % len(queue)
+        n -= 1
+        r, c = cell // w, cell % w
+        queued[r, c] = False
+        for dr in range(-1, 2):
+            for dc in range(-1, 2):
+                i, k = r + dr, c + dc
+                if (dr == 0 and dc == 0) or i < 0 or k < 0 or i >= h or k >= w:
+                    continue
+                if passable[r, c]:
+                    if not (passable[i, k] and passable[r, k] and passable[i, c]):
+                        continue
+                elif distance[i, k] == 0 or (i - row) ** 2 + (k - column) ** 2 > escape * escape:
+                    continue
+                new = travelled[r, c] + (_DIAGONAL if dr and dc else _STRAIGHT)
+                if new < travelled[i, k]:
+                    travelled[i, k] = new
+                    if not queued[i, k]:
+                        queued[i, k] = True
+                        queue[(first + n) % len(queue)] = i * w + k
+                        n += 1
+    return travelled
+
+
+@njit(cache=True, nogil=True)
+def _seen_from(free: Bools, passable: Bools, travelled: Int32s, n_steps: int) -> Int32s:
+    """For each free cell within n_steps of where the robot gets: the nearest such cell's index, else -1."""
+    h, w = free.shape
+    source = np.full((h, w), -1, np.int32)
+    queue = np.empty(h * w, np.int32)
+    n = 0
+    for r in range(h):
+        for c in range(w):
+            if passable[r, c] and travelled[r, c] < _FAR:
+                source[r, c] = r * w + c
+                queue[n] = r * w + c
+                n += 1
+    begin = 0
+    for _ in range(n_steps):
+        end = n
+        for q in range(begin, end):
+            r, c = queue[q] // w, queue[q] % w
+            for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+                i, k = r + dr, c + dc
+                if 0 <= i < h and 0 <= k < w and free[i, k] and source[i, k] < 0:
+                    source[i, k] = source[r, c]
+                    queue[n] = i * w + k
+                    n += 1
+        begin = end
+    return source
+
+
+@njit(cache=True, nogil=True)
+def _pieces(border: Bools, deep: Bools, n_min: float, n_max: int) -> tuple[Int32s, list[int]]:
+    """8-connected pieces of the border: their cells one after the other, and where each ends.
+
+    A border less than n_min cells across, or without a deep cell, is left out: the robot could not drive through it.
+    One of over n_max cells is cut into pieces of at most that.
+    """
+    h, w = border.shape
+    todo = border.copy()
+    whole = np.empty(np.count_nonzero(border), np.int32)
+    cells = np.empty(len(whole), np.int32)
+    n_cells = 0
+    ends = [0 for _ in range(0)]
+    for start in range(h * w):
+        if not todo[start // w, start % w]:
+            continue
+        n = _flood(todo, start, whole, len(whole))
+        rows, columns = whole[:n] // w, whole[:n] % w
+        if max(rows.max() - rows.min(), columns.max() - columns.min()) + 1 < n_min:
+            continue
+        n_deep = 0
+        for cell in whole[:n]:
+            n_deep += deep[cell // w, cell % w]
+        if not n_deep:
+            continue
+        for i in range(n):
+            todo[whole[i] // w, whole[i] % w] = True
+        for i in range(n):
+            if todo[whole[i] // w, whole[i] % w]:
+                n_cells += _flood(todo, whole[i], cells[n_cells:], n_max)
+                ends.append(n_cells)
+    return cells, ends
+
+
+@njit(cache=True, nogil=True)
+def _flood(todo: Bools, start: int, cells: Int32s, n_max: int) -> int:
+    """Moves the cells that hang together with start, nearest first, n_max at most, from `todo` to `cells`; how many."""
+    h, w = todo.shape
+    todo[start // w, start % w] = False
+    cells[0] = start
+    n, q = 1, 0
+    while q < n:
+        r, c = cells[q] // w, cells[q] % w
+        q += 1
+        for i in range(max(r - 1, 0), min(r + 2, h)):
+            for k in range(max(c - 1, 0), min(c + 2, w)):
+                if todo[i, k] and n < n_max:
+                    todo[i, k] = False
+                    cells[n] = i * w + k
+                    n += 1
+    return n

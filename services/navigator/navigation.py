@@ -1,0 +1,329 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The task and what to do next for it. One task at a time; every state has a clock that ends it."""
+
+from math import inf
+
+import numpy as np
+from pydantic import Field
+
+from services.navigator.exploration import Exploration, ExplorationConfig
+from services.navigator.frontiers import FrontierConfig, Frontiers, Snapshot, find_frontiers
+from services.navigator.hearing import Hearing
+from services.navigator.leg import Leg, LegConfig, Verdict
+from services.navigator.recovery import Ladder, RecoveryConfig
+from services.navigator.route import Route
+from shared import reasons, topics
+from shared.config import Robot, Section
+from shared.geometry import Pose2
+from shared.grid import OccupancyGrid
+from shared.messages import TILE_CELLS, FollowState, FollowStatus, Goal, GoalKind, NavState
+from shared.reasons import Reason
+from shared.service import Job, Out
+from shared.whereabouts import Whereabouts
+
+_ANY_HEADING = 10.0  # rad of tolerance
+_JUMP_SHOWN = 2.0  # s
+_SEARCH_EVERY = 0.5  # s
+_SEARCH_LOST = 10.0  # s after which the answer of a search is not waited for any more
+_FRONTIER_RECOVERIES = 3  # for one frontier; then another one is tried
+
+
+class NavigatorConfig(Section):
+    """The navigator."""
+
+    tolerance: float = Field(0.15, ge=0.01, le=5, description="m to the goal at which it is reached")
+    yaw_tolerance: float = Field(0.25, ge=0.01, le=3.14, description="rad to the goal's heading at which it is reached")
+    lost_time: float = Field(2.0, ge=0, le=60, description="s that the pose may be lost until the robot is stopped")
+    leg: LegConfig = LegConfig()
+    recovery: RecoveryConfig = RecoveryConfig()
+    exploration: ExplorationConfig = ExplorationConfig()
+
+
+class Navigation:
+    """The state machine. Its methods yield what is to be published, or searched for."""
+
+    def __init__(self, config: NavigatorConfig, robot: Robot) -> None:
+        self.config, self.robot = config, robot
+        self.grid, self.where, self.hearing = OccupancyGrid(), Whereabouts(), Hearing()
+        self.task: Route | Exploration | None = None
+        self.task_id = 0
+        self.state = NavState.IDLE
+        self.reason: Reason | None = None  # how the last task ended
+        self.detail = ""
+        self.goal: Goal | None = None  # the last one published
+        self.leg: Leg | None = None
+        self.ladder = self._new_ladder()
+        self.recovery = ""  # the name of the one that runs or was just made
+        self.action = 0.0  # s left for it
+        self.dwell = 0.0  # s left at the pose
+        self.paused = False
+        self.suspended = False  # stopped because the pose is lost
+        self.lost = 0.0  # s
+        self.jumped = 0.0  # s that it is still shown
+        self.searching = inf  # s since a search for frontiers was asked for; inf: none is
+        self.searched = inf  # s since the last one
+
+    # tasks
+
+    def begin(self, task: Route | Exploration, now: int) -> Out:
+        """Takes a task in the place of the present one; a robot under way goes on to the new goal without a stop."""
+        self.task_id += 1
+        self.task, self.leg = task, None
+        self.reason, self.detail = None, ""
+        self.ladder = self._new_ladder()
+        self.recovery, self.action, self.paused, self.suspended = "", 0.0, False, False
+        if isinstance(task, Route):
+            self.state = NavState.NAVIGATING
+            yield from self._to_waypoint(task, now)
+        else:
+            self.state, self.searched = NavState.EXPLORING, inf
+            yield self._goal(now, GoalKind.NONE)
+
+    def end(self, now: int, state: NavState, reason: Reason | None, detail: str = "") -> Out:
+        """The task is over, and the robot stands."""
+        self.task = self.leg = None
+        self.state, self.reason, self.detail = state, reason, detail
+        self.recovery, self.action, self.paused, self.suspended = "", 0.0, False, False
+        yield self._goal(now, GoalKind.NONE)
+
+    def pause(self, now: int, paused: bool) -> Out:
+        """Stands and keeps the task, or goes on with it."""
+        if self.task is None or paused == self.paused:
+            return
+        self.paused, self.action, self.recovery = paused, 0.0, ""
+        if paused:
+            yield self._goal(now, GoalKind.NONE)
+        elif self.leg and not self.suspended:
+            self.leg.restarted()
+            yield from self._drive(now, self.leg)
+
+    # events
+
+    def followed(self, follow: FollowStatus, now: int) -> Out:
+        """Local control spoke: did it arrive?"""
+        if self.goal is None or follow.goal_id != self.goal.id or self.paused or self.leg is None:
+            return
+        if self.action and follow.state in (FollowState.ARRIVED, FollowState.FAILED):
+            yield from self._drive(now, self.leg)
+        elif not self.action and follow.state is FollowState.ARRIVED:
+            yield from self._arrived(now)
+
+    def leapt(self, now: int) -> Out:
+        """The pose jumped: the way is planned anew from where the robot really is."""
+        self.jumped = _JUMP_SHOWN
+        if self.leg and not (self.action or self.paused or self.suspended):
+            yield from self._drive(now, self.leg, clear_costmap=True)
+
+    def passed(self, seconds: float, now: int) -> Out:
+        """Time passed."""
+        if self.goal is None:  # whatever a navigator before this one asked for: nobody watches over it now
+            yield self._goal(now, GoalKind.NONE)
+        self.jumped = max(self.jumped - seconds, 0.0)
+        self.lost = self.lost + seconds if self.where.lost else 0.0
+        self.searching += seconds
+        self.searched += seconds
+        if self.task is None or self.paused:
+            return
+        yield from self._watch_pose(now)
+        if isinstance(self.task, Exploration):
+            yield from self._explore(self.task, seconds, now)
+        if self.leg and self.action:
+            self.action = max(self.action - seconds, 0.0)
+            if not self.action:
+                yield from self._drive(now, self.leg)
+        elif self.leg:
+            yield from self._watch_leg(self.leg, seconds, now)
+        elif isinstance(self.task, Route):
+            self.dwell -= seconds
+            if self.dwell <= 0:
+                yield from self._next_waypoint(self.task, now)
+
+    def frontiers_found(self, task_id: int, map_id: int, found: Frontiers, now: int) -> Out:
+        """A search is done."""
+        self.searching, self.searched = inf, 0.0
+        exploration, pose = self.task, self.where.map_from_base
+        if not isinstance(exploration, Exploration) or (task_id, map_id) != (self.task_id, self.grid.map_id):
+            return
+        if pose is None or self.paused or self.suspended or self.action:
+            return
+        before = exploration.target
+        target = exploration.taken(found, pose, self.grid.resolution)
+        if target is None:
+            if self.leg:
+                self.leg = None
+                yield self._goal(now, GoalKind.NONE)
+            yield from self._without_frontier(exploration, found, now)
+        elif target is not before:
+            exploration.without = 0.0
+            frontier = target.frontier
+            self.leg = Leg(Pose2(frontier.x, frontier.y, frontier.yaw), any_heading=True)
+            yield from self._drive(now, self.leg)
+
+    # driving
+
+    def left(self, leg: Leg, now: int) -> float:
+        """m to the leg's target: as local control says, else as the planner does, else straight."""
+        if self.goal is not None and self.goal.kind is GoalKind.DRIVE:
+            follow, plan = self.hearing.follow_for(self.goal, now), self.hearing.plan_for(self.goal, now)
+            if follow is not None and follow.state is FollowState.FOLLOWING:
+                return max(follow.distance_left, 0.0)
+            if plan is not None and not plan.reason:
+                return plan.length
+        pose = self.where.map_from_base
+        return pose.distance(leg.target) if pose else 0.0
+
+    def _watch_pose(self, now: int) -> Out:
+        if self.lost > self.config.lost_time and not self.suspended:
+            self.suspended, self.action = True, 0.0
+            yield self._goal(now, GoalKind.NONE)
+        elif self.suspended and not self.where.lost:
+            self.suspended = False
+            if self.leg:
+                yield from self._drive(now, self.leg, clear_costmap=True)
+
+    def _watch_leg(self, leg: Leg, seconds: float, now: int) -> Out:
+        assert self.goal is not None  # a leg has published one
+        plan, follow = self.hearing.plan_for(self.goal, now), self.hearing.follow_for(self.goal, now)
+        held = reasons.POSE_LOST if self.suspended else self.hearing.held(now)
+        if held:
+            leg.waited(seconds, held)
+        else:
+            leg.passed(seconds, self.left(leg, now), plan, follow, self.config.leg.progress)
+            if leg.moving:
+                self.recovery = ""
+            if pose := self.where.map_from_base:
+                self.ladder.progressed(pose, leg.gained)
+        verdict, reason = leg.verdict(plan, follow, self.config.leg)
+        if verdict is Verdict.RECOVER:
+            yield from self._recover(leg, reason, now)
+        elif verdict is Verdict.FAIL:
+            yield from self._give_up(reason, now, whole=held is not None)
+
+    def _recover(self, leg: Leg, reason: Reason, now: int) -> Out:
+        others = reason is reasons.UNREACHABLE or leg.n_recoveries >= _FRONTIER_RECOVERIES
+        if isinstance(self.task, Exploration) and others:
+            yield from self._give_up(reason, now, whole=False)
+            return
+        pose = self.where.map_from_base
+        step = self.ladder.next(reason, pose, move=reason not in (reasons.UNREACHABLE, reasons.NO_PLAN))
+        if step is None:
+            named = reason if reason in (reasons.UNREACHABLE, reasons.START_BLOCKED) else reasons.RECOVERIES_USED
+            yield from self.end(now, NavState.FAILED, named, f"{named.text}; the last cause: {reason.text}")
+            return
+        leg.n_recoveries += 1
+        leg.restarted()
+        self.recovery = step.name
+        if step.takes:
+            self.action = step.takes
+            yield self._goal(now, step.kind, pose or leg.target, amount=step.amount)
+        else:
+            yield from self._drive(now, leg, step.clear_costmap)
+
+    def _give_up(self, reason: Reason, now: int, whole: bool) -> Out:
+        """The leg is hopeless. whole: and so is the task, though it explores and there may be other frontiers."""
+        if isinstance(self.task, Exploration) and not whole:
+            self.task.failed(self.grid.resolution)
+            self.task.without = 0.0
+            self.leg, self.recovery = None, ""
+            yield self._goal(now, GoalKind.NONE)
+        else:
+            yield from self.end(now, NavState.FAILED, reason)
+
+    def _arrived(self, now: int) -> Out:
+        self.leg, self.recovery = None, ""
+        if isinstance(self.task, Exploration):
+            self.task.arrived()
+            self.searched = inf
+        elif isinstance(self.task, Route) and self.task.dwell > 0:
+            self.dwell = self.task.dwell
+            yield self._goal(now, GoalKind.NONE)
+        elif isinstance(self.task, Route):
+            yield from self._next_waypoint(self.task, now)
+
+    def _next_waypoint(self, route: Route, now: int) -> Out:
+        if route.advance():
+            yield from self._to_waypoint(route, now)
+        else:
+            yield from self.end(now, NavState.REACHED, None)
+
+    def _to_waypoint(self, route: Route, now: int) -> Out:
+        self.leg = Leg(route.target, route.any_heading)
+        yield from self._drive(now, self.leg)
+
+    def _drive(self, now: int, leg: Leg, clear_costmap: bool = False) -> Out:
+        self.action = 0.0
+        yield self._goal(now, GoalKind.DRIVE, leg.target, clear_costmap=clear_costmap)
+
+    def _goal(
+        self, now: int, kind: GoalKind, pose: Pose2 | None = None, amount: float = 0.0, clear_costmap: bool = False
+    ) -> topics.Publication:
+        """A new goal. Numbers from the clock are larger than those of a navigator before a restart."""
+        exploring = isinstance(self.task, Exploration)
+        self.goal = Goal(
+            now,
+            max(self.goal.id + 1 if self.goal else 1, now // 1_000_000),
+            kind,
+            pose or Pose2(),
+            self.config.exploration.tolerance if exploring else self.config.tolerance,
+            _ANY_HEADING if self.leg is None or self.leg.any_heading else self.config.yaw_tolerance,
+            amount,
+            clear_costmap,
+        )
+        return topics.GOAL(self.goal)
+
+    def _new_ladder(self) -> Ladder:
+        return Ladder(self.config.recovery, self.robot.drive.max_reverse_speed > 0)
+
+    # exploring
+
+    def _explore(self, exploration: Exploration, seconds: float, now: int) -> Out:
+        pose, grid = self.where.map_from_base, self.grid
+        if pose is not None:
+            exploration.passed(seconds, pose)
+        if self.leg is None:
+            exploration.without += seconds
+        if pose is None or grid.empty:
+            if exploration.without > self.config.leg.start_time:
+                yield from self.end(now, NavState.FAILED, reasons.NO_MAP if grid.empty else reasons.POSE_OLD)
+            return
+        due = self.searched >= _SEARCH_EVERY and self.searching >= _SEARCH_LOST
+        if due and not (self.action or self.suspended):
+            snapshot = Snapshot(
+                grid.cells,
+                grid.first_row * TILE_CELLS,
+                grid.first_column * TILE_CELLS,
+                grid.resolution,
+                pose.x,
+                pose.y,
+                self.robot.inscribed_radius,
+                exploration.dropped,
+            )
+            self.searching = 0.0
+            arguments = self.task_id, grid.map_id, snapshot, self.config.exploration.frontier
+            yield Job(search, arguments, done="frontiers_found", takes=0.05)
+
+    def _without_frontier(self, exploration: Exploration, found: Frontiers, now: int) -> Out:
+        config = self.config.exploration
+        uncertain = found.enclosed or bool(found.unreachable)
+        if exploration.without < (config.blocked_time if uncertain else config.settle_time):
+            return
+        if exploration.retried():
+            exploration.without = 0.0
+        elif found.enclosed:
+            yield from self.end(now, NavState.FAILED, reasons.START_BLOCKED)
+        else:
+            yield from self.end(now, NavState.REACHED, reasons.NO_FRONTIER)
+
+
+def search(task_id: int, map_id: int, snapshot: Snapshot, config: FrontierConfig) -> tuple[int, int, Frontiers]:
+    """A job: the frontiers, and for which task and map they were asked for."""
+    return task_id, map_id, find_frontiers(snapshot, config)
+
+
+def rehearse(config: NavigatorConfig) -> None:
+    """Compiles the search: one on a small map."""
+    cells = np.full((TILE_CELLS, TILE_CELLS), -1, np.int8)
+    cells[10:40, 10:40] = 0
+    cells[10:40, 40] = 100
+    snapshot = Snapshot(cells, 0, 0, 0.05, 1.0, 1.0, 0.2, np.zeros((1, 2), np.int64))
+    find_frontiers(snapshot, config.exploration.frontier)

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What to try when the robot does not come closer, in order, and when to start over."""
+
+from dataclasses import dataclass
+from math import inf
+
+from pydantic import Field
+
+from shared import reasons
+from shared.config import Section
+from shared.geometry import Pose2
+from shared.messages import GoalKind
+from shared.reasons import Reason
+
+
+class RecoveryConfig(Section):
+    """The recoveries, each tried once: replan, clear the costmap, back up, turn left, turn right, wait."""
+
+    back_up: float = Field(0.3, ge=0, le=2, description="m straight back; 0 leaves it out")
+    turn: float = Field(1.57, ge=0, le=6.28, description="rad on the spot, left and then right; 0 leaves it out")
+    wait: float = Field(5.0, ge=0, le=120, description="s of standing still; 0 leaves it out")
+    deadline: float = Field(8.0, gt=0, le=60, description="s that backing up or turning may take")
+    earned_by: float = Field(
+        0.7, gt=0, le=20, description="m that the robot must move and come closer for all recoveries to count anew"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One recovery. takes: s after which it is over in any case; 0 means that driving goes on at once."""
+
+    name: str
+    kind: GoalKind = GoalKind.DRIVE
+    amount: float = 0.0
+    clear_costmap: bool = False
+    takes: float = 0.0
+
+    @property
+    def moves(self) -> bool:
+        return self.kind in (GoalKind.BACK_UP, GoalKind.TURN)
+
+
+def steps(config: RecoveryConfig, reverse: bool) -> tuple[Step, ...]:
+    """The recoveries in order. reverse: the robot may drive backward."""
+    every = (
+        Step("replan"),
+        Step("clear_costmap", clear_costmap=True),
+        Step("back_up", GoalKind.BACK_UP, config.back_up, takes=config.deadline),
+        Step("turn_left", GoalKind.TURN, config.turn, takes=config.deadline),
+        Step("turn_right", GoalKind.TURN, -config.turn, takes=config.deadline),
+        Step("wait", GoalKind.WAIT, config.wait, takes=config.wait + 1),
+    )
+    return tuple(s for s in every if s.kind is GoalKind.DRIVE or (s.amount and (reverse or s.name != "back_up")))
+
+
+class Ladder:
+    """How far down the recoveries the robot is. It starts over only after real progress."""
+
+    def __init__(self, config: RecoveryConfig, reverse: bool) -> None:
+        self.config = config
+        self.steps = steps(config, reverse)
+        self.n_used = 0  # of the task
+        self.last: Reason = reasons.NO_PROGRESS  # why the last one was needed
+        self._next = 0
+        self._from: Pose2 | None = None
+
+    def next(self, reason: Reason, pose: Pose2 | None, move: bool) -> Step | None:
+        """The next recovery, or None where all were tried. move: such as move the robot make sense."""
+        self.last = reason
+        while self._next < len(self.steps) and not move and self.steps[self._next].moves:
+            self._next += 1
+        if self._next >= len(self.steps):
+            return None
+        step = self.steps[self._next]
+        self._next += 1
+        self.n_used += 1
+        self._from = pose
+        return step
+
+    def progressed(self, pose: Pose2, gained: float) -> None:
+        """The robot is at pose, `gained` m closer than at the last recovery."""
+        away = self._from.distance(pose) if self._from else inf
+        if self._next and min(away, gained) >= self.config.earned_by:
+            self._next = 0

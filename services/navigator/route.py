@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A route: poses one after the other, some rounds or for ever, with a stay at each."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+from shared.geometry import Pose2
+
+
+@dataclass(slots=True)
+class Route:
+    """Where a route stands. loops: rounds, 0 for ever; dwell: s at each pose."""
+
+    poses: tuple[Pose2, ...]
+    dwell: float
+    loops: int
+    any_heading: bool
+    index: int = 0
+    round: int = 0
+
+    @property
+    def target(self) -> Pose2:
+        return self.poses[self.index]
+
+    def advance(self) -> bool:
+        """Goes on to the next pose; False where there is none."""
+        if self.index + 1 < len(self.poses):
+            self.index += 1
+            return True
+        if self.loops and self.round + 1 >= self.loops:
+            return False
+        self.round += 1
+        self.index = 0
+        return True
+
+    def beyond(self) -> float:
+        """m, straight, from the present pose through the rest of this round."""
+        rest = self.poses[self.index :]
+        return sum(a.distance(b) for a, b in pairwise(rest))

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The navigator: goes to poses, follows routes, explores; recovers where it can and says why where it cannot."""
+
+from services.navigator.exploration import Exploration
+from services.navigator.feedback import Speedometer, status
+from services.navigator.frontiers import Frontiers
+from services.navigator.navigation import Navigation, NavigatorConfig, rehearse
+from services.navigator.route import Route
+from shared import reasons, requests, topics
+from shared.config import Robot
+from shared.messages import FollowStatus, GuardState, GuardStatus, MapUpdate, NavState, Odometry, Path, PoseEstimate
+from shared.requests import Cancel, Explore, Navigate, Pause, Reply
+from shared.service import Answer, Out, Service, answer, every, on
+from shared.topics import Publication
+
+_LONGEST_TICK = 1.0  # s: what a clock leaps beyond that did not pass for the robot
+_FIRST_TICK = 0.2  # s
+
+
+class NavigatorService(Service):
+    """One task at a time; a new one takes the place of the old."""
+
+    config_type = NavigatorConfig
+    config: NavigatorConfig
+
+    def __init__(self, config: NavigatorConfig, robot: Robot) -> None:
+        super().__init__(config, robot)
+        self.navigation = Navigation(config, robot)
+        self.speedometer = Speedometer(robot.drive.max_speed / 2)
+        self.velocity = 0.0  # m/s
+        self.ticked: int | None = None
+
+    def warm(self) -> None:
+        rehearse(self.config)
+
+    def state(self) -> str:
+        return str(self.navigation.state)
+
+    @on(topics.MAP)
+    def map(self, update: MapUpdate) -> Out:
+        self.navigation.grid.apply(update)
+        return ()
+
+    @on(topics.ODOM)
+    def odometry(self, odometry: Odometry) -> Out:
+        self.navigation.where.moved(odometry)
+        self.velocity = odometry.v
+        return ()
+
+    @on(topics.POSE)
+    def pose(self, estimate: PoseEstimate) -> Out:
+        if self.navigation.where.estimated(estimate):
+            yield from self.navigation.leapt(self.now)
+
+    @on(topics.PLAN)
+    def plan(self, plan: Path) -> Out:
+        self.navigation.hearing.plan(plan, self.now)
+        return ()
+
+    @on(topics.FOLLOW)
+    def follow(self, follow: FollowStatus) -> Out:
+        self.navigation.hearing.follow(follow, self.now)
+        yield from self.navigation.followed(follow, self.now)
+
+    @on(topics.GUARD)
+    def guard(self, guard: GuardStatus) -> Out:
+        self.navigation.hearing.guard(guard, self.now)
+        stopped = self.navigation.hearing.stopped(self.now)
+        if stopped and self.navigation.task:  # releasing STOP must not move the robot: nothing is left to go on with
+            state = NavState.CANCELED if guard.state is GuardState.STOPPED else NavState.FAILED
+            yield from self.navigation.end(self.now, state, stopped)
+
+    @every(hz=5)
+    def tick(self) -> Out:
+        since = _FIRST_TICK if self.ticked is None else (self.now - self.ticked) * 1e-9
+        seconds = min(max(since, 0.0), _LONGEST_TICK)
+        self.ticked = self.now
+        yield from self.navigation.passed(seconds, self.now)
+        self.speedometer.passed(seconds, self.velocity)
+        yield self._status()
+
+    def frontiers_found(self, result: tuple[int, int, Frontiers]) -> Out:
+        """A search is done: for which task, on which map, what."""
+        yield from self.navigation.frontiers_found(*result, self.now)
+
+    @answer(requests.NAVIGATE)
+    def navigate(self, request: Navigate) -> Answer[Reply]:
+        route = Route(request.poses, request.dwell, request.loops, request.any_heading)
+        return (yield from self._begin(route))
+
+    @answer(requests.EXPLORE)
+    def explore(self, request: Explore) -> Answer[Reply]:
+        return (yield from self._begin(Exploration(self.config.exploration)))
+
+    @answer(requests.CANCEL)
+    def cancel(self, request: Cancel) -> Answer[Reply]:
+        if self.navigation.task:
+            yield from self.navigation.end(self.now, NavState.CANCELED, reasons.CANCELED)
+            yield self._status()
+        return self._reply(None)
+
+    @answer(requests.PAUSE)
+    def pause(self, request: Pause) -> Answer[Reply]:
+        if self.navigation.task is None:
+            return self._reply(reasons.NO_COMMAND)
+        yield from self.navigation.pause(self.now, request.paused)
+        yield self._status()
+        return self._reply(None)
+
+    def _begin(self, task: Route | Exploration) -> Answer[Reply]:
+        if stopped := self.navigation.hearing.stopped(self.now):
+            return self._reply(stopped)
+        yield from self.navigation.begin(task, self.now)
+        yield self._status()
+        return self._reply(None)
+
+    def _reply(self, refused: reasons.Reason | None) -> Reply:
+        why = f"{refused.text}: {refused.mend}" if refused else ""
+        return Reply(self.now, refused is None, refused.code if refused else "", why, self.navigation.task_id)
+
+    def _status(self) -> Publication:
+        return topics.NAV(status(self.navigation, self.speedometer, self.now))

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a pose to a goal: where to start, where to end, the way between, or the reason why there is none."""
+
+import heapq
+from dataclasses import dataclass
+from math import ceil, hypot
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from services.planner.search import Search
+from services.planner.smoothing import path_cost, resampled, smoothed
+from services.planner.traversal_cost import UNIT, Terrain
+from shared import reasons
+from shared.config import Section
+from shared.geometry import Pose2, wrapped
+from shared.reasons import Reason
+
+Float64s = NDArray[np.float64]
+Cell = tuple[int, int]
+
+
+class PlanningConfig(Section):
+    """How a way is made into a path."""
+
+    spacing: float = Field(0.05, ge=0.01, le=1, description="m between the poses of a path, at most")
+    goal_reach: float = Field(
+        0.25, ge=0, le=5, description="m that a goal without room for the robot may be moved, if its tolerance is less"
+    )
+    escape_radius: float = Field(
+        0.6, ge=0, le=5, description="m that the robot may drive through inflated space to leave it"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """points: (n, 2) m in `map`; yaws: (n,) rad; cost: m, weighted. `reason` is set, and n = 0, where there is none."""
+
+    points: Float64s
+    yaws: Float64s
+    cost: float
+    reason: Reason | None = None
+
+
+def no_plan(reason: Reason) -> Plan:
+    """Nowhere to go, and why."""
+    return Plan(np.empty((0, 2)), np.empty(0), 0.0, reason)
+
+
+def planned(
+    terrain: Terrain, search: Search, start: Pose2, goal: Pose2, tolerance: float, config: PlanningConfig
+) -> Plan:
+    """The path from start to goal, or to the nearest place with room within the larger of tolerance and goal_reach."""
+    start_cell, goal_cell = terrain.cell(start.x, start.y), terrain.cell(goal.x, goal.y)
+    if not terrain.holds(*start_cell):
+        return no_plan(reasons.NO_MAP)
+    if not terrain.holds(*goal_cell):
+        return no_plan(reasons.GOAL_OUTSIDE)
+    escapes = _escapes(terrain, start, start_cell, config.escape_radius)
+    if not escapes:
+        return no_plan(reasons.START_BLOCKED)
+    end_cell = _with_room(terrain, goal, goal_cell, set(escapes), max(tolerance, config.goal_reach))
+    if end_cell is None:
+        if terrain.costs[goal_cell]:
+            return no_plan(reasons.UNREACHABLE)
+        return no_plan(reasons.GOAL_BLOCKED if terrain.crowded(*goal_cell) else reasons.GOAL_UNKNOWN)
+    escape = escapes[int(terrain.regions[end_cell])]
+    way = search.way(terrain.costs, escape[-1], end_cell, UNIT, terrain.highest)
+    here = _in_cells(terrain, start)
+    lead = np.array([here, *((column + 0.5, row + 0.5) for row, column in escape)])
+    points: Float64s = way[:, ::-1].astype(np.float64) + 0.5
+    points[0] = lead[-1] if len(escape) > 1 else here
+    end = _in_cells(terrain, goal) if end_cell == goal_cell else (end_cell[1] + 0.5, end_cell[0] + 0.5)
+    points = np.concatenate((points[:1], points[1:-1], np.array([end])))
+    spacing = config.spacing / terrain.resolution
+    path = smoothed(terrain.costs, points, spacing)
+    cost = path_cost(terrain.costs, path)
+    if len(escape) > 1:
+        path = np.concatenate((resampled(lead, spacing), path[1:]))
+    return Plan(terrain.origin + path * terrain.resolution, _headings(path, goal.yaw), cost * terrain.resolution / UNIT)
+
+
+def _escapes(terrain: Terrain, start: Pose2, start_cell: Cell, radius: float) -> dict[int, list[Cell]]:
+    """For each region that the robot can enter: the cells from its own to the region's nearest, both included.
+
+    That is its own cell where the robot stands in free space. Where it stands in inflated space, it may cross that, but
+    no obstacle; cells under the robot itself are no obstacles, whatever the map says.
+    """
+    if terrain.costs[start_cell]:
+        return {int(terrain.regions[start_cell]): [start_cell]}
+    found: dict[int, list[Cell]] = {}
+    parents: dict[Cell, Cell] = {start_cell: start_cell}
+    settled: set[Cell] = set()
+    queue: list[tuple[float, Cell]] = [(0.0, start_cell)]
+    while queue:
+        travelled, cell = heapq.heappop(queue)
+        if cell in settled:
+            continue
+        settled.add(cell)
+        region = int(terrain.regions[cell])
+        if region:
+            found.setdefault(region, _back(parents, cell))
+            continue
+        for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+            there = cell[0] + dr, cell[1] + dc
+            x, y = terrain.centre(*there)
+            away = hypot(x - start.x, y - start.y)
+            if there in settled or not terrain.holds(*there) or away > radius:
+                continue
+            if terrain.occupied(*there) and away > terrain.blocked_under:
+                continue
+            heapq.heappush(queue, (travelled + 1 + away, there))  # straight away rather than around
+            parents.setdefault(there, cell)
+    return found
+
+
+def _back(parents: dict[Cell, Cell], cell: Cell) -> list[Cell]:
+    cells = [cell]
+    while parents[cells[-1]] != cells[-1]:
+        cells.append(parents[cells[-1]])
+    return cells[::-1]
+
+
+def _with_room(terrain: Terrain, goal: Pose2, goal_cell: Cell, regions: set[int], radius: float) -> Cell | None:
+    """The goal's cell if it lies in one of the regions, else the nearest that does with its centre within radius."""
+    if int(terrain.regions[goal_cell]) in regions:
+        return goal_cell
+    n = ceil(radius / terrain.resolution) + 1
+    (row, column), (h, w) = goal_cell, terrain.costs.shape
+    r0, c0 = max(row - n, 0), max(column - n, 0)
+    window = np.isin(terrain.regions[r0 : min(row + n + 1, h), c0 : min(column + n + 1, w)], sorted(regions))
+    rows, columns = np.nonzero(window)
+    if not len(rows):
+        return None
+    rows, columns = rows + r0, columns + c0
+    x, y = _in_cells(terrain, goal)
+    away = np.hypot(columns + 0.5 - x, rows + 0.5 - y) * terrain.resolution
+    nearest = int(np.argmin(away))
+    return (int(rows[nearest]), int(columns[nearest])) if away[nearest] <= radius else None
+
+
+def _in_cells(terrain: Terrain, pose: Pose2) -> tuple[float, float]:
+    x0, y0 = terrain.origin
+    return (pose.x - x0) / terrain.resolution, (pose.y - y0) / terrain.resolution
+
+
+def _headings(path: Float64s, last: float) -> Float64s:
+    """Along the path, and `last` at its end: (n,) rad."""
+    ahead = np.diff(path, axis=0)
+    return np.append(np.arctan2(ahead[:, 1], ahead[:, 0]), wrapped(last))

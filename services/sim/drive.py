@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From motor commands to motion: motor lag, acceleration limits, slip, systematic errors, encoders, battery."""
+
+from math import cos, exp, floor, pi, sin, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import Field
+
+from shared.config import Drive, Section
+
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
+
+
+class DriveTruth(Section):
+    """How the real drive differs from `robot.drive`, which is what everybody else believes."""
+
+    motor_lag: float = Field(0.08, ge=0, le=2, description="s, time constant of a wheel's speed")
+    wheel_acceleration: float = Field(2.0, gt=0, le=50, description="m/s^2 at the rim that motor and floor can give")
+    radius_error: float = Field(
+        0.005, ge=-0.2, le=0.2, description="share by which the right wheel is larger than the left"
+    )
+    distance_error: float = Field(0.01, ge=-0.2, le=0.2, description="share by which the wheel distance is larger")
+    slip: float = Field(0.02, ge=0, le=0.5, description="standard deviation of the share of its way that a wheel slips")
+    slip_time: float = Field(0.2, gt=0, le=10, description="s over which the slip stays alike")
+    command_life: float | None = Field(
+        None, gt=0, le=60, description="s after which the board drops a command; none: it stands until the next"
+    )
+
+
+class Battery(Section):
+    """A battery and what drains it."""
+
+    full: float = Field(13.2, gt=0, le=60, description="V when full and idle")
+    empty: float = Field(10.8, gt=0, le=60, description="V when empty and idle")
+    capacity: float = Field(3.7, gt=0, le=1000, description="Ah")
+    resistance: float = Field(0.08, ge=0, le=5, description="ohm inside")
+    idle_current: float = Field(0.9, ge=0, le=50, description="A of computers and sensors")
+
+
+class Wheels(NamedTuple):
+    """The true drive in numbers: radii and distance m, lag s, limit rad/s^2, slip and how much of it a step keeps."""
+
+    left_radius: float
+    right_radius: float
+    distance: float
+    lag: float
+    limit: float
+    slip: float
+    kept: float
+
+
+def true_wheels(drive: Drive, truth: DriveTruth, dt: float) -> Wheels:
+    """The wheels as they are; `dt` is the step of the physics, s."""
+    return Wheels(
+        drive.wheel_radius * (1 - truth.radius_error / 2),
+        drive.wheel_radius * (1 + truth.radius_error / 2),
+        drive.wheel_distance * (1 + truth.distance_error),
+        truth.motor_lag,
+        truth.wheel_acceleration / drive.wheel_radius,
+        truth.slip,
+        exp(-dt / truth.slip_time),
+    )
+
+
+@njit(cache=True, nogil=True)
+def wheel_speed(speed: float, target: float, lag: float, limit: float, dt: float) -> float:
+    """A wheel's speed after `dt` s, rad/s: first order towards the target, no faster than `limit` rad/s^2."""
+    change = (target - speed) * (1.0 - exp(-dt / lag) if lag > 0.0 else 1.0)
+    return speed + min(max(change, -limit * dt), limit * dt)
+
+
+@njit(cache=True, nogil=True)
+def slip_after(slip: float, draw: float, wheels: Wheels) -> float:
+    """The slip share a step later: an Ornstein-Uhlenbeck process with standard deviation `wheels.slip`."""
+    return wheels.kept * slip + sqrt(1.0 - wheels.kept * wheels.kept) * wheels.slip * draw
+
+
+@njit(cache=True, nogil=True)
+def moved(x: float, y: float, yaw: float, forward: float, turn: float) -> tuple[float, float, float]:
+    """The pose after an arc of length `forward` m that turns by `turn` rad; yaw is not wrapped."""
+    half = turn / 2.0
+    chord = forward * (sin(half) / half if abs(half) > 1e-9 else 1.0)
+    return x + chord * cos(yaw + half), y + chord * sin(yaw + half), yaw + turn
+
+
+def wheel_targets(left: float, right: float, drive: Drive) -> tuple[float, float]:
+    """The board's counts/s as wheel speeds, rad/s, forward positive: the document's leftCmd and rightCmd inverted."""
+    scale = drive.motor_direction * 2 * pi / drive.counts_per_turn
+    return -left * scale, right * scale
+
+
+def encoder_counts(angle: float, first: int, drive: Drive) -> int:
+    """The wrapped counter of an encoder that has turned by `angle` rad since it stood at `first`."""
+    return (first + floor(angle * drive.counts_per_turn / (2 * pi))) % drive.encoder_wrap
+
+
+def motor_currents(speeds: Float64s, targets: Float64s, limit: float, stuck: bool) -> Float32s:
+    """(2,) A: friction with speed, torque with what is still missing to the target, more where something blocks.
+
+    speeds, targets: (2,) rad/s.  limit: rad/s^2, the acceleration that takes full torque.
+    """
+    torque = np.minimum(np.abs(targets - speeds) / (0.1 * limit), 1.0)
+    pushing = stuck * (np.abs(targets) > 0.1)
+    turning = np.abs(speeds) > 0.01
+    return (0.12 * turning + 0.04 * np.abs(speeds) + 0.8 * torque + 1.5 * pushing).astype(np.float32)
+
+
+def battery_voltage(battery: Battery, used: float, current: float) -> float:
+    """V at the terminals after `used` Ah while `current` A flow."""
+    left = max(0.0, 1.0 - used / battery.capacity)
+    return max(0.0, battery.empty + (battery.full - battery.empty) * left - battery.resistance * current)

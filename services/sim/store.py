@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Worlds on disk: YAML worlds, ROS maps (map_server), cylinder lists (BARN). The simulator's only reader of files."""
+
+import gzip
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ConfigDict, Field, ValidationError
+from scipy.ndimage import distance_transform_edt, label
+
+from services.sim.world import Raster, World
+from services.sim.world_file import built
+from shared.config import CONFIG_DIR, RobotFile, Section, UserError, load_yaml, nearest
+from shared.geometry import Pose2
+from shared.grid import FREE_UP_TO
+from shared.ros_map import read_ros_map
+
+WORLDS = CONFIG_DIR / "worlds"
+ROOM = 1.0  # m about a start that nobody chose: free, and still in sight of something
+PASSAGE = 0.35  # m: floors joined by less are two floors
+
+
+class CylinderWorld(Section):
+    """One world of a cylinder list."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+    cylinders: tuple[tuple[float, float], ...]
+
+
+class CylinderFile(Section):
+    """A list of worlds of cylinders, as the BARN data set is kept here."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+    cylinder_radius_m: float = Field(gt=0)
+    start: tuple[float, float, float]
+    goal: tuple[float, float]
+    worlds: dict[str, CylinderWorld]
+
+
+def load(world: str, seed: int = 0, jitter: float = 0.0, barn_file: str = "", start: Pose2 | None = None) -> World:
+    """A world by name (`office`), by path (a world's or a ROS map's YAML) or as `barn:N`, with its routes checked.
+
+    seed, jitter: where loose things stand, see `world_file.built`.  start: replaces the world's own.
+    Raises UserError, naming file and line, where something is missing or wrong.
+    """
+    if world.startswith("barn:"):
+        found, has_start = _cylinders(world, barn_file), True
+    else:
+        path = _path(world)
+        tree = load_yaml(path)
+        if "image" in tree:
+            raster = _raster(path)
+            found = World(path.stem, raster.bounds, Pose2(), raster=raster)
+        else:
+            mapped = _raster(path.parent / str(tree["map"])) if tree.get("map") else None
+            found = built(path.stem, RobotFile(path, tree), mapped, seed, jitter)
+        has_start = "start" in tree
+    if start is None and not has_start:
+        start = _freest(found)
+    return found if start is None else replace(found, start=start)
+
+
+def _path(world: str) -> Path:
+    path = Path(world) if world.endswith((".yaml", ".yml")) else WORLDS / f"{world}.yaml"
+    if not path.is_file():
+        known = (*(p.stem for p in sorted(WORLDS.glob("*.yaml"))), "barn:N")
+        raise UserError(f"there is no world {world}", nearest(world, known))
+    return path
+
+
+def _raster(path: Path) -> Raster:
+    """The solid cells of a ROS map: all that are not free. Nothing drives or sees into what nobody has mapped."""
+    cells, resolution, x0, y0 = read_ros_map(path)
+    return Raster((cells < 0) | (cells > FREE_UP_TO), x0, y0, resolution)
+
+
+def _cylinders(world: str, barn_file: str) -> World:
+    if not barn_file:
+        raise UserError(f"world {world}: there is no list of cylinders", "give its file: `barn_file:` in section `sim`")
+    path = Path(barn_file)
+    try:
+        text = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+        tree: Any = json.loads(text)
+        file = CylinderFile.model_validate(tree)
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror or 'no gzip file'}", "check `barn_file:`") from None
+    except (EOFError, ValueError, ValidationError) as error:
+        reason = str(error).splitlines()[0]
+        raise UserError(f"{path}: not a list of cylinders: {reason}", "see `CylinderFile` in its README") from None
+    number = world.partition(":")[2]
+    if number not in file.worlds:
+        raise UserError(f"{path}: there is no world {number}", nearest(number, tuple(file.worlds)[:12]))
+    places = np.array(file.worlds[number].cylinders, float).reshape(-1, 2)
+    circles = np.column_stack((places, np.full(len(places), file.cylinder_radius_m)))
+    around = np.concatenate((places, np.array([file.start[:2], file.goal]))) if len(places) else np.array([file.goal])
+    low, high = around.min(axis=0) - 1, around.max(axis=0) + 1
+    bounds = float(low[0]), float(low[1]), float(high[0]), float(high[1])
+    goal = Pose2(file.goal[0], file.goal[1], file.start[2])
+    return World(f"barn_{number}", bounds, Pose2(*file.start), circles=circles, goals={"goal": goal})
+
+
+def _freest(world: World) -> Pose2:
+    """A place on the largest floor with ROOM to everything, or with the most that there is."""
+    resolution = world.raster.resolution if world.raster else 0.1
+    occupied, x0, y0 = world.occupied(resolution)
+    room = np.minimum(distance_transform_edt(np.pad(~occupied, 1))[1:-1, 1:-1] * resolution, ROOM)
+    floors, n_floors = label(room > min(PASSAGE, room.max() / 2))
+    if n_floors:
+        room[floors != 1 + np.argmax(np.bincount(floors.ravel())[1:])] = 0.0
+    row, column = np.unravel_index(int(np.argmax(room)), room.shape)
+    return Pose2(x0 + (float(column) + 0.5) * resolution, y0 + (float(row) + 0.5) * resolution, 0.0)

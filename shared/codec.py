@@ -1,0 +1,388 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages to msgpack and back, validated from the annotations of messages.py at the boundary.
+
+On the wire: a msgpack map of the fields, and under "@" the envelope [publisher, session, sequence, sent]. An array is
+one bin: 16 bytes of header (dtype, axes, three lengths), then its little-endian bytes; it decodes to a read-only view.
+"""
+
+import hashlib
+import json
+import struct
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields
+from enum import StrEnum
+from functools import cache
+from math import isfinite, isnan
+from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
+
+import msgpack
+import numpy as np
+
+from shared.geometry import Pose2
+from shared.messages import Message, NonZero, Shape, Unit, Within
+
+M = TypeVar("M", bound=Message)
+F = TypeVar("F", bound=Callable[..., Any])
+
+_HEADER = struct.Struct("<BBxxIII")
+_DTYPES: dict[int, np.dtype[Any]] = {
+    0: np.dtype("<f4"),
+    1: np.dtype("<f8"),
+    2: np.dtype("i1"),
+    3: np.dtype("u1"),
+    4: np.dtype("<i4"),
+}
+_CODES = {dtype: code for code, dtype in _DTYPES.items()}
+_MAX_COORDINATE = 1e6  # m: a pose farther out is a fault of its sender, not a place
+
+
+class CodecError(ValueError):
+    """The bytes are not a valid message of this type; the text says which field and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Envelope:
+    """Who sent a message and when: `sent` ns on the stack's clock, `sequence` from 0 per key and session."""
+
+    publisher: str
+    session: str
+    sequence: int
+    sent: int
+
+
+Check = Callable[[Any], Any]
+
+
+def _once_per_class(function: F) -> F:
+    """functools.cache, whose own type does not take classes of dataclasses for hashable."""
+    return cast(F, cache(function))
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field as declared: its plain type and its marks."""
+
+    name: str
+    kind: Any
+    unit: str
+    within: Within | None
+    shape: Shape | None
+    nonzero: bool
+    default: Any
+
+    @property
+    def required(self) -> bool:
+        return self.default is MISSING
+
+
+@_once_per_class
+def fields_of(type_: type[Any]) -> tuple[Field, ...]:
+    """The declared fields of a message class, in order."""
+    hints = get_type_hints(type_, include_extras=True)
+    found = []
+    for field in fields(type_):
+        hint = hints[field.name]
+        marks: tuple[Any, ...] = getattr(hint, "__metadata__", ())
+        kind = get_args(hint)[0] if marks else hint
+
+        def mark(wanted: type[Any], marks: tuple[Any, ...] = marks) -> Any:
+            return next((m for m in reversed(marks) if isinstance(m, wanted)), None)
+
+        unit = mark(Unit)
+        found.append(
+            Field(
+                field.name,
+                kind,
+                unit.name if unit else "",
+                mark(Within),
+                mark(Shape),
+                mark(NonZero) is not None,
+                field.default,
+            )
+        )
+    return tuple(found)
+
+
+def encode(message: Message, envelope: Envelope) -> bytes:
+    """The message's bytes. The sender's own mistakes (a wrong type) raise TypeError or AttributeError."""
+    tree = {"@": (envelope.publisher, envelope.session, envelope.sequence, envelope.sent)}
+    for name, pack in _packers(type(message)):
+        value = getattr(message, name)
+        tree[name] = value if pack is None else pack(value)
+    return bytes(msgpack.packb(tree, use_bin_type=True))
+
+
+def decode(type_: type[M], payload: bytes) -> tuple[M, Envelope]:
+    """The message and its envelope. Raises CodecError, never anything else, whatever the bytes."""
+    tree = _tree(payload)
+    return _checked(type_, tree), _envelope(tree.pop("@", None))
+
+
+def envelope_of(payload: bytes) -> Envelope:
+    """The envelope alone, of a message of any type. Raises CodecError."""
+    return _envelope(_tree(payload).get("@"))
+
+
+def _tree(payload: bytes) -> dict[str, Any]:
+    try:
+        tree = msgpack.unpackb(payload, raw=False, strict_map_key=True, use_list=True)
+    except Exception as error:  # msgpack raises a dozen kinds on foreign bytes: all mean the same here
+        raise CodecError(f"not msgpack: {type(error).__name__}") from None
+    if type(tree) is not dict:
+        raise CodecError("not a map")
+    return tree
+
+
+def _envelope(value: Any) -> Envelope:
+    if type(value) is not list or len(value) != 4:
+        raise CodecError("no envelope")
+    publisher, session, sequence, sent = value
+    if not (type(publisher) is str and type(session) is str and type(sequence) is int and type(sent) is int):
+        raise CodecError("the envelope is not [publisher, session, sequence, sent]")
+    return Envelope(publisher, session, sequence, sent)
+
+
+def _checked(type_: type[M], tree: dict[str, Any]) -> M:
+    values = []
+    lengths: dict[str, int] = {}
+    n_known = 1 if "@" in tree else 0
+    for field, check in _checkers(type_):
+        if field.name not in tree:
+            if field.required:
+                raise CodecError(f"{field.name}: missing")
+            values.append(field.default)
+            continue
+        n_known += 1
+        try:
+            value = check(tree[field.name])
+        except CodecError as error:
+            raise CodecError(f"{field.name}: {error}") from None
+        if field.shape is not None:
+            _check_shape(field, value, lengths)
+        values.append(value)
+    if n_known != len(tree):
+        known = {field.name for field, _ in _checkers(type_)}
+        raise CodecError(f"unknown field {next(k for k in tree if k != '@' and k not in known)!r}")
+    message = type_(*values)
+    problem = message.problem()
+    if problem is not None:
+        raise CodecError(problem)
+    return message
+
+
+def _check_shape(field: Field, array: Any, lengths: dict[str, int]) -> None:
+    axes = field.shape.axes.split() if field.shape else []
+    if array.ndim != len(axes):
+        raise CodecError(f"{field.name}: {array.ndim} axes, not {len(axes)}")
+    for axis, length in zip(axes, array.shape):
+        expected = int(axis) if axis.isdigit() else lengths.setdefault(axis, length)
+        if length != expected:
+            raise CodecError(f"{field.name}: {length} long, not {expected}")
+
+
+@_once_per_class
+def _packers(type_: type[Message]) -> tuple[tuple[str, Callable[[Any], Any] | None], ...]:
+    return tuple((field.name, _packer(field.kind)) for field in fields_of(type_))
+
+
+def _packer(kind: Any) -> Callable[[Any], Any] | None:
+    """How a value goes into the msgpack tree; None: as it is."""
+    if get_origin(kind) is np.ndarray:
+        dtype = np.dtype(get_args(get_args(kind)[1])[0]).newbyteorder("<")
+        return lambda array: _packed_array(array, dtype)
+    if kind is Pose2:
+        return lambda pose: (float(pose.x), float(pose.y), float(pose.yaw))
+    if kind is float:
+        return float
+    if kind is int:
+        return int
+    if kind is bool:
+        return bool
+    if get_origin(kind) is tuple:
+        inner = get_args(kind)
+        if inner[-1] is Ellipsis:
+            pack = _packer(_plain(inner[0]))
+            return None if pack is None else lambda values: tuple(pack(v) for v in values)
+        packs = [_packer(_plain(k)) for k in inner]
+        return lambda values: tuple(v if p is None else p(v) for p, v in zip(packs, values, strict=True))
+    if isinstance(kind, type) and issubclass(kind, StrEnum):
+        return str
+    if isinstance(kind, type) and issubclass(kind, Message):
+        packers = _packers(kind)
+        return lambda m: {n: getattr(m, n) if p is None else p(getattr(m, n)) for n, p in packers}
+    return None
+
+
+def _packed_array(array: Any, dtype: np.dtype[Any]) -> bytes:
+    array = np.ascontiguousarray(array, dtype)
+    shape = (*array.shape, 0, 0, 0)[:3]
+    return bytes(_HEADER.pack(_CODES[dtype], array.ndim, *shape) + array.tobytes())
+
+
+@_once_per_class
+def _checkers(type_: type[Message]) -> tuple[tuple[Field, Check], ...]:
+    return tuple((field, _checker(field.kind, field.within, field.nonzero)) for field in fields_of(type_))
+
+
+def _plain(kind: Any) -> Any:
+    return get_args(kind)[0] if hasattr(kind, "__metadata__") else kind
+
+
+def _checker(kind: Any, within: Within | None, nonzero: bool) -> Check:
+    """Turns a decoded msgpack value into the field's value, or raises CodecError."""
+    if get_origin(kind) is np.ndarray:
+        dtype = np.dtype(get_args(get_args(kind)[1])[0]).newbyteorder("<")
+        return lambda value: _array(value, dtype, within)
+    if kind is Pose2:
+        return _pose
+    if kind is float:
+        return lambda value: _number(value, within, nonzero)
+    if kind is int:
+        return lambda value: _integer(value, within)
+    if get_origin(kind) is tuple:
+        return _tuple_checker(get_args(kind))
+    if isinstance(kind, type) and issubclass(kind, StrEnum):
+        return lambda value: _enum(kind, value)
+    if isinstance(kind, type) and issubclass(kind, Message):
+        return lambda value: _nested(kind, value)
+    return lambda value: _exactly(kind, value)
+
+
+def _nested(kind: type[Message], value: Any) -> Message:
+    if type(value) is not dict:
+        raise CodecError("not a map")
+    return _checked(kind, value)
+
+
+def _tuple_checker(inner: tuple[Any, ...]) -> Check:
+    if inner[-1] is Ellipsis:
+        item = _item_checker(inner[0])
+        return lambda value: tuple(item(v) for v in _list(value))
+    items = [_item_checker(k) for k in inner]
+
+    def fixed(value: Any) -> tuple[Any, ...]:
+        if len(_list(value)) != len(items):
+            raise CodecError(f"{len(value)} items, not {len(items)}")
+        return tuple(check(v) for check, v in zip(items, value))
+
+    return fixed
+
+
+def _item_checker(kind: Any) -> Check:
+    marks: tuple[Any, ...] = getattr(kind, "__metadata__", ())
+    return _checker(_plain(kind), next((m for m in marks if isinstance(m, Within)), None), False)
+
+
+def _list(value: Any) -> list[Any]:
+    if type(value) is not list:
+        raise CodecError("not a list")
+    return value
+
+
+def _exactly(kind: type[Any], value: Any) -> Any:
+    if type(value) is not kind:
+        raise CodecError(f"{type(value).__name__}, not {kind.__name__}")
+    return value
+
+
+def _enum(kind: type[StrEnum], value: Any) -> StrEnum:
+    try:
+        return kind(_exactly(str, value))
+    except ValueError:
+        raise CodecError(f"not one of {', '.join(kind)}") from None
+
+
+def _number(value: Any, within: Within | None, nonzero: bool) -> float:
+    if type(value) is not float and type(value) is not int:
+        raise CodecError(f"{type(value).__name__}, not a number")
+    number = float(value)
+    if isnan(number) and within is not None and within.nan:
+        return number
+    if not isfinite(number):
+        raise CodecError(f"{number} is not finite")
+    if within is not None and not within.low <= number <= within.high:
+        raise CodecError(f"{number:g} is not within {within.low:g} .. {within.high:g}")
+    if nonzero and number == 0:
+        raise CodecError("is zero")
+    return number
+
+
+def _integer(value: Any, within: Within | None) -> int:
+    if type(value) is not int:
+        raise CodecError(f"{type(value).__name__}, not an integer")
+    if within is not None and not within.low <= value <= within.high:
+        raise CodecError(f"{value} is not within {within.low:g} .. {within.high:g}")
+    return value
+
+
+def _pose(value: Any) -> Pose2:
+    if type(value) is not list or len(value) != 3:
+        raise CodecError("not [x, y, yaw]")
+    x, y, yaw = (_number(v, None, False) for v in value)
+    if abs(x) > _MAX_COORDINATE or abs(y) > _MAX_COORDINATE or abs(yaw) > 1000:
+        raise CodecError("farther out than any place")
+    return Pose2(x, y, yaw)
+
+
+def _array(value: Any, dtype: np.dtype[Any], within: Within | None) -> Any:
+    if type(value) is not bytes or len(value) < _HEADER.size:
+        raise CodecError("not an array")
+    code, n_axes, *lengths = _HEADER.unpack_from(value)
+    if _DTYPES.get(code) != dtype or not 1 <= n_axes <= 3:
+        raise CodecError(f"not a {dtype.name} array")
+    shape = tuple(lengths[:n_axes])
+    size = 1
+    for length in shape:
+        size *= length
+    if size * dtype.itemsize != len(value) - _HEADER.size:
+        raise CodecError("its bytes do not fit its shape")
+    array = np.frombuffer(value, dtype, offset=_HEADER.size).reshape(shape)
+    if size and (within is not None or dtype.kind == "f"):
+        _check_bounds(array, within)
+    return array
+
+
+def _check_bounds(array: Any, within: Within | None) -> None:
+    if within is not None and within.nan:
+        low, high = np.fmin.reduce(array, axis=None), np.fmax.reduce(array, axis=None)
+        if isnan(low):  # nothing but NaN
+            return
+    else:
+        low, high = array.min(), array.max()
+    if not isfinite(low) or not isfinite(high):
+        raise CodecError("holds values that are not finite")
+    if within is not None and not (within.low <= low and high <= within.high):
+        raise CodecError(f"holds {low:g} .. {high:g}, not within {within.low:g} .. {within.high:g}")
+
+
+@_once_per_class
+def schema(type_: type[Message]) -> bytes:
+    """JSON text that describes a message for other programs: MCAP schema data, docs, the page's types."""
+    rows = [
+        {
+            "name": field.name,
+            "type": _type_name(field.kind),
+            "unit": field.unit,
+            **({"within": [field.within.low, field.within.high]} if field.within else {}),
+            **({"nan": True} if field.within and field.within.nan else {}),
+            **({"shape": field.shape.axes} if field.shape else {}),
+        }
+        for field in fields_of(type_)
+    ]
+    doc = " ".join((type_.__doc__ or "").split())
+    return json.dumps({"name": type_.__name__, "doc": doc, "encoding": "zenav msgpack", "fields": rows}).encode()
+
+
+@_once_per_class
+def schema_id(type_: type[Message]) -> str:
+    """`LaserScan-1a2b3c4d`: the name and a hash of the fields; a field with a default is compatible and not hashed."""
+    rows = [(f.name, _type_name(f.kind)) for f in fields_of(type_) if f.required]
+    return f"{type_.__name__}-{hashlib.sha256(repr(rows).encode()).hexdigest()[:8]}"
+
+
+def _type_name(kind: Any) -> str:
+    if get_origin(kind) is np.ndarray:
+        return f"{np.dtype(get_args(get_args(kind)[1])[0]).name}[]"
+    if get_origin(kind) is tuple:
+        return f"[{', '.join('...' if k is Ellipsis else _type_name(_plain(k)) for k in get_args(kind))}]"
+    return str(getattr(kind, "__name__", kind))

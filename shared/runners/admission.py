@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which messages on a key are taken: in order, from its publisher, and from one at a time.
+
+Arrival proves nothing: after a partition heals, old messages come in a burst, and a forgotten process may publish
+beside the right one. Sender's session, sequence and stamp decide.
+"""
+
+from enum import Enum, auto
+
+from shared.codec import Envelope
+from shared.messages import Message
+from shared.topics import Topic
+
+SILENT_AFTER = 300_000_000
+"""ns without a message after which a stream's publisher counts as gone and another may take its place."""
+
+
+class Verdict(Enum):
+    """TAKE; GAP: take, but some before it were lost; OLD: out of order or twice; INTRUDER: not the publisher."""
+
+    TAKE = auto()
+    GAP = auto()
+    OLD = auto()
+    INTRUDER = auto()
+
+
+class Admission:
+    """Judges the messages of one key, one after the other."""
+
+    def __init__(self, topic: Topic[Message]) -> None:
+        self._topic = topic
+        self._session = ""
+        self._sequence = -1
+        self._sent = 0
+        self._heard = 0
+        self.complete = True
+        """Nothing of the publisher's session is missing: heard from its first message on, or from a kept value on."""
+
+    def judge(self, envelope: Envelope, now: int, kept: bool = False) -> Verdict:
+        """The verdict on a message that is handled at `now` (ns, the stack's clock).
+
+        kept: it is what the publisher keeps for late joiners, so it holds all that was sent up to its sequence. It is
+        taken also where its last part was heard already, if what came before that is missing.
+        """
+        if envelope.publisher not in self._topic.publishers:
+            return Verdict.INTRUDER
+        if envelope.session == self._session:
+            heard = envelope.sequence == self._sequence and (self.complete or not kept)
+            if envelope.sequence < self._sequence or heard:
+                return Verdict.OLD
+            gap = envelope.sequence > self._sequence + 1
+            self.complete = kept or (self.complete and not gap)
+        elif self._topic.hz == 0:  # events: any publisher's, in the order in which they were sent
+            if envelope.sent < self._sent:
+                return Verdict.OLD
+            gap = False
+        else:
+            if self._session and 0 <= now - self._heard < SILENT_AFTER:
+                return Verdict.INTRUDER
+            if envelope.sent < self._sent:
+                return Verdict.OLD
+            gap = False
+        if envelope.session != self._session:
+            self.complete = kept or envelope.sequence == 0
+        self._session, self._sequence, self._sent, self._heard = envelope.session, envelope.sequence, envelope.sent, now
+        return Verdict.GAP if gap else Verdict.TAKE

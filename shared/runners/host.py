@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all runners share: one service, fed one event at a time, its publications encoded, its events journalled.
+
+The journal is a list of entries, in the order in which the service took them; `now` is ns, a pair (key, session) is
+named by a small number, anew in each journal message, so that each can be read alone:
+
+    [0, now, source, sequence]   a message      [1, now, tick]         a tick, by its place among the handlers
+    [2, now, job]                a job's result  [3, now, key, bytes]   a request, as its bytes
+    [4, source, key, session]    names a source
+    [5, now, source, sequence]   a latched value, to a late joiner: all that the source sent up to there, merged
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, cast
+
+import msgpack
+
+from shared import topics
+from shared.codec import Envelope, encode
+from shared.messages import Journal, LogLine, Message
+from shared.requests import REQUESTS, Request
+from shared.service import Job, Log, Out, Service, handlers, outputs
+from shared.topics import Publication, Topic, key_of
+
+MESSAGE, TICK, DONE, REQUEST, SOURCE, LATCHED = range(6)
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A publication on its way out: the key without the robot's name, and the bytes as they go on the wire."""
+
+    topic: Topic[Message]
+    key: str
+    message: Message
+    envelope: Envelope
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class JobOrder:
+    """A job that a handler yielded; `index` counts them from 0 in the order of yielding."""
+
+    index: int
+    job: Job
+
+
+Effect = Sent | JobOrder
+
+
+class Host:
+    """Feeds one service. Every event sets `service.now`, is journalled, and returns its effects in order.
+
+    sequences: by key, where counting goes on, for the replay of a session whose beginning is not known.
+    """
+
+    def __init__(self, service: Service, name: str, session: str, sequences: dict[str, int] | None = None) -> None:
+        self.service, self.name, self.session = service, name, session
+        self.handlers = handlers(type(service))
+        self.n_events = 0
+        self._sequences = dict(sequences or {})
+        self._n_jobs = 0
+        self._sources: dict[tuple[str, str], int] = {}
+        self._entries: list[tuple[Any, ...]] = []
+        self._first = 0
+
+    def message(self, key: str, message: Message, envelope: Envelope, now: int, latched: bool = False) -> list[Effect]:
+        """A message arrived on a key (without the robot's name); `latched`: kept for us from before we listened."""
+        topic = topics.topic_of(key)
+        if topic is None:
+            raise KeyError(key)
+        source = self._source(key, envelope.session)
+        self._note((LATCHED if latched else MESSAGE, now, source, envelope.sequence), now)
+        return self._effects(getattr(self.service, self.handlers.topics[topic.key][1])(message))
+
+    def tick(self, index: int, now: int) -> list[Effect]:
+        """The tick at this place among the service's ticks is due."""
+        self._note((TICK, now, index), now)
+        return self._effects(getattr(self.service, self.handlers.ticks[index][1])())
+
+    def done(self, order: JobOrder, result: Any, now: int) -> list[Effect]:
+        """A job's result came back."""
+        self._note((DONE, now, order.index), now)
+        return self._effects(getattr(self.service, order.job.done)(result))
+
+    def request(self, key: str, request: Message, payload: bytes, now: int) -> tuple[list[Effect], Message]:
+        """A request wants its reply: the handler's effects and the reply."""
+        self._note((REQUEST, now, key, payload), now)
+        answering = getattr(self.service, self.handlers.requests[key][1])(request)
+        effects: list[Effect] = []
+        while True:
+            try:
+                effects += self._effects((next(answering),))
+            except StopIteration as end:
+                return effects, end.value
+
+    def publish(self, publication: Publication, now: int) -> Sent:
+        """Encodes a publication under this service's name: for the handlers' own, and for the runner's health."""
+        topic = publication.topic
+        if self.name not in topic.publishers:
+            raise TypeError(f"{self.name} may not publish {topic.key}: the registry says by={topic.by!r}")
+        key = key_of(topic, self.name)
+        sequence = self._sequences.get(key, 0)
+        self._sequences[key] = sequence + 1
+        envelope = Envelope(self.name, self.session, sequence, now)
+        return Sent(topic, key, publication.message, envelope, encode(publication.message, envelope))
+
+    def journal(self, now: int) -> Sent | None:
+        """The events since the last call, as a publication; None when there were none."""
+        if not self._entries:
+            return None
+        events = bytes(msgpack.packb(self._entries, use_bin_type=True))
+        journal = Journal(now, self.session, self._first, events)
+        self._first += len(self._entries)
+        self._entries = []
+        self._sources = {}
+        return self.publish(topics.JOURNAL(journal), now)
+
+    def _note(self, entry: tuple[Any, ...], now: int) -> None:
+        self.n_events += 1
+        self._entries.append(entry)
+        self.service.now = now
+
+    def _source(self, key: str, session: str) -> int:
+        known = self._sources.get((key, session))
+        if known is None:
+            known = self._sources[(key, session)] = len(self._sources)
+            self._entries.append((SOURCE, known, key, session))
+        return known
+
+    def _effects(self, result: Out | None) -> list[Effect]:
+        return list(self._each_effect(result))
+
+    def _each_effect(self, result: Out | None) -> Iterator[Effect]:
+        for output in outputs(result):
+            if isinstance(output, Publication):
+                yield self.publish(output, self.service.now)
+            elif isinstance(output, Job):
+                yield JobOrder(self._n_jobs, output)
+                self._n_jobs += 1
+            elif isinstance(output, Log):
+                yield self.publish(topics.LOG(LogLine(self.service.now, output.level, output.text)), self.service.now)
+            else:
+                raise TypeError(f"{self.name} yielded {output!r}: neither a publication, nor a Job, nor a Log")
+
+
+def request_of(key: str) -> Request[Message, Message] | None:
+    """The registry's row for a request key, or None."""
+    return next((row for row in REQUESTS if row.key == key), None)
+
+
+def merged(before: Message | None, message: Message) -> Message:
+    """What a late joiner of a latched topic gets: the message, merged into the earlier ones where its class can."""
+    merge = getattr(before, "merged", None)
+    return message if merge is None else cast(Message, merge(message))

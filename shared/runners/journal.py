@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Journals read back: the events that a service took, in its order. shared/runners/host.py writes them."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import msgpack
+
+from shared.messages import Journal
+from shared.runners.host import DONE, LATCHED, MESSAGE, REQUEST, SOURCE, TICK
+
+HOLE = -1
+"""The kind of an event that stands for journal entries that were lost: `number` of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """One event that a service took, see shared/runners/host.py. `number`: sequence, tick, job, or length of a hole."""
+
+    kind: int
+    now: int
+    number: int = 0
+    key: str = ""
+    session: str = ""
+    payload: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Life:
+    """One session of a service."""
+
+    name: str
+    session: str
+    events: list[Event]
+
+
+def events_of(journals: Iterable[Journal]) -> list[Event]:
+    """The events of one session's journals, in any order, with a hole where some are missing or make no sense."""
+    events: list[Event] = []
+    expected = 0
+    for journal in sorted(journals, key=lambda j: j.first):
+        if journal.first < expected:
+            continue  # recorded twice
+        try:
+            sources: dict[int, tuple[str, str]] = {}
+            read = [_event(entry, sources) for entry in msgpack.unpackb(journal.events, use_list=False)]
+        except Exception:  # msgpack raises a dozen kinds on foreign bytes: a hole, like a journal that is missing
+            continue
+        if journal.first > expected:
+            events.append(Event(HOLE, events[-1].now if events else 0, journal.first - expected))
+        events += [event for event in read if event is not None]
+        expected = journal.first + len(read)
+    return events
+
+
+def _event(entry: Any, sources: dict[int, tuple[str, str]]) -> Event | None:
+    """An entry of a journal as an event; None for one that names a source. Raises where it is neither."""
+    kind = entry[0]
+    if kind == SOURCE:
+        _, number, key, session = entry
+        sources[number] = (str(key), str(session))
+        return None
+    if kind in (MESSAGE, LATCHED):
+        _, now, source, sequence = entry
+        return Event(kind, int(now), int(sequence), *sources[source])
+    if kind in (TICK, DONE):
+        _, now, number = entry
+        return Event(kind, int(now), int(number))
+    if kind == REQUEST:
+        _, now, key, payload = entry
+        return Event(kind, int(now), key=str(key), payload=bytes(payload))
+    raise ValueError(f"unknown event {kind!r}")

@@ -1,0 +1,360 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs one service as a process over Zenoh: its callbacks only file bytes, its loop takes them one by one.
+
+The process ends on SIGINT and SIGTERM within milliseconds, on an exception with the traceback and status 1.
+"""
+
+import argparse
+import gc
+import logging
+import os
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+import msgpack
+import zenoh
+
+from shared import reasons, topics
+from shared.codec import CodecError, Envelope, decode, encode, envelope_of
+from shared.config import UserError, configured
+from shared.messages import LogLine, Message
+from shared.reasons import Reason
+from shared.requests import Request
+from shared.runners import transport
+from shared.runners.admission import Admission, Verdict
+from shared.runners.clock import SECOND, Clock, clock_from
+from shared.runners.host import Effect, Host, JobOrder, Sent, merged
+from shared.runners.inbox import Inbox, Place
+from shared.runners.memory import REMEMBERED, Memory
+from shared.runners.traffic import Traffic
+from shared.service import Service
+from shared.topics import TOPICS, Topic, key_of
+
+VELOCITY_PATH = ("base_driver", "odometry", "local_ctrl", "guard")
+MAX_REQUESTS = 8
+RAW_CAPACITY = 200_000
+
+log = logging.getLogger("zenav")
+
+
+class Live:
+    """One service on one session. `run` returns when `stop` was called."""
+
+    def __init__(
+        self,
+        service: Service,
+        name: str,
+        robot: str,
+        session: zenoh.Session,
+        clock: Clock,
+        memory: Memory | None = None,
+    ) -> None:
+        self.clock, self.session, self.memory = clock, session, memory
+        self.name, self.robot = name, robot
+        self.host = Host(service, name, f"{time.time_ns():x}-{os.getpid():x}")
+        self.inbox = Inbox()
+        self.traffic = Traffic()
+        self._stopping = False
+        self._requests = self.inbox.place("requests", "all", MAX_REQUESTS)
+        self._results = self.inbox.place("jobs", "all")
+        self._admissions: dict[str, Admission] = {}
+        self._latched_readers: dict[str, transport.LatchedReader] = {}
+        self._places: list[Place] = [self._requests]
+        self._workers = ThreadPoolExecutor(1, thread_name_prefix="job")
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._latched: dict[str, transport.LatchedPublisher] = {}
+        self._kept: dict[str, Message] = {}
+        self._unsaved: dict[str, Callable[[], bytes]] = {}
+        self._declared: list[Any] = []
+        self._declare()
+
+    def stop(self) -> None:
+        """Ends `run` after the present event."""
+        self._stopping = True
+        self.inbox.close()
+
+    def run(self) -> None:
+        """Feeds the service until `stop`."""
+        periods = [round(SECOND / hz) for hz, _ in self.host.handlers.ticks]
+        now = self.clock.now()
+        due = [now for _ in periods]
+        report = now
+        self._restore(now)
+        while not self._stopping:
+            now = self.clock.now()
+            if now >= report:
+                self._report(now)
+                report = now + SECOND
+            first = min(range(len(due)), key=due.__getitem__, default=-1)
+            if first >= 0 and due[first] <= now:
+                due[first] = _next_tick(due[first], periods[first], now)
+                begun = time.perf_counter()
+                self._apply(self.host.tick(first, now))
+                self.traffic.slowest = max(self.traffic.slowest, time.perf_counter() - begun)
+                continue
+            until = min([report, *due])
+            item = self.inbox.take(min(0.25, self.clock.seconds(until - now)))
+            if item is not None:
+                self._handle(*item)
+        self._workers.shutdown(wait=False, cancel_futures=True)
+        journal = self.host.journal(self.clock.now())
+        if journal is not None:
+            self._publish(journal)
+
+    def _restore(self, now: int) -> None:
+        """Gives the service what it published last before a restart, on the latched topics that it listens to."""
+        for key in self._own_latched():
+            payload = self.memory.read(key) if self.memory is not None else None
+            if payload is None:
+                continue
+            try:
+                message, envelope = decode(topics.BY_KEY[key].type, payload)
+            except CodecError as error:
+                self.traffic.wrong(f"{key}: what was kept from before the restart is damaged: {error}", now)
+                continue
+            if 0 <= now - envelope.sent <= REMEMBERED:
+                log.info("taking up %s from before the restart", key)
+                self._kept[key] = message
+                self._apply(self.host.message(key, message, envelope, now, latched=True))
+
+    def _own_latched(self) -> list[str]:
+        listened = self.host.handlers.topics.values()
+        return [topic.key for topic, _ in listened if topic.latched and self.name in topic.publishers]
+
+    def _declare(self) -> None:
+        for topic in TOPICS:
+            if self.name in topic.publishers:
+                self._declare_publisher(topic)
+        if getattr(self.host.service, "raw", None) is not None:
+            place = self.inbox.place("**", "all", RAW_CAPACITY)
+            self._places.append(place)
+            self._declared.append(self.session.declare_subscriber(f"{self.robot}/**", partial(self._file_raw, place)))
+        for topic, _ in self.host.handlers.topics.values():
+            if self.name not in topic.publishers:
+                self._declare_subscriber(topic)
+        for request, _ in self.host.handlers.requests.values():
+            self._declared.append(
+                self.session.declare_queryable(f"{self.robot}/{request.key}", partial(self._file_request, request))
+            )
+
+    def _declare_publisher(self, topic: Topic[Message]) -> None:
+        key = key_of(topic, self.name)
+        urgent = topic.key in ("cmd/vel", "cmd/nav", "hardware/motors", "estop")
+        self._publishers[key] = self.session.declare_publisher(
+            f"{self.robot}/{key}",
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.REAL_TIME if urgent else zenoh.Priority.DATA,
+            express=topic.hz >= 5,
+        )
+        if topic.latched:
+            self._latched[key] = transport.LatchedPublisher(self.session, f"{self.robot}/{key}")
+
+    def _declare_subscriber(self, topic: Topic[Message]) -> None:
+        keys = [topic.key] if topic.by != "*" else [f"{topic.key}/{name}" for name in topic.publishers]
+        for key in keys:
+            place = self.inbox.place(key, topic.keep)
+            self._places.append(place)
+            self._admissions[key] = Admission(topic)
+            self._declared.append(
+                self.session.declare_subscriber(f"{self.robot}/{key}", partial(self._file_sample, place))
+            )
+            if topic.latched:
+                kept = self.inbox.place(key, "latest")
+                reader = transport.LatchedReader(self.session, f"{self.robot}/{key}", partial(self._file_kept, kept))
+                self._latched_readers[key] = reader
+
+    def _file_sample(self, place: Place, sample: zenoh.Sample) -> None:
+        self.inbox.file(place, sample.payload.to_bytes())
+
+    def _file_kept(self, place: Place, payload: bytes) -> None:
+        self.inbox.file(place, (payload,))
+
+    def _file_raw(self, place: Place, sample: zenoh.Sample) -> None:
+        self.inbox.file(place, (str(sample.key_expr), sample.payload.to_bytes()))
+
+    def _file_request(self, request: Request[Message, Message], query: zenoh.Query) -> None:
+        if len(self._requests.items) >= MAX_REQUESTS:
+            _refuse(query, reasons.BUSY, "")
+        else:
+            self.inbox.file(self._requests, (request, query))
+
+    def _handle(self, place: Place, item: Any) -> None:
+        now = self.clock.now()
+        begun = time.perf_counter()
+        if place is self._requests:
+            request, query = item
+            self._answer(request, query, now)
+        elif place is self._results:
+            order, future = item
+            self._apply(self.host.done(order, future.result(), now))
+        elif place.key == "**":
+            full_key, payload = item
+            self._raw(full_key, payload, now)
+        elif isinstance(item, tuple):
+            self._message(place.key, item[0], now, begun, latched=True)
+        else:
+            self._message(place.key, item, now, begun, latched=False)
+
+    def _message(self, key: str, payload: bytes, now: int, begun: float, latched: bool) -> None:
+        topic = topics.topic_of(key)
+        if topic is None:
+            raise KeyError(key)
+        try:
+            message, envelope = decode(topic.type, payload)
+        except CodecError as error:
+            self.traffic.bad += 1
+            self.traffic.wrong(f"{key}: a bad message was dropped: {error}", now)
+            return
+        verdict = self._admissions[key].judge(envelope, now, latched)
+        if verdict is Verdict.INTRUDER:
+            self.traffic.intruders += 1
+            self.traffic.wrong(f"{key}: a second publisher ({envelope.publisher} {envelope.session}) is ignored", now)
+            return
+        if topic.latched and not self._admissions[key].complete:
+            self._latched_readers[key].refresh()
+        if verdict is Verdict.OLD:
+            self.traffic.old += not latched
+            return
+        self._apply(self.host.message(key, message, envelope, now, latched))
+        self.traffic.took(key, (now - message.stamp) / SECOND, time.perf_counter() - begun)
+
+    def _raw(self, full_key: str, payload: bytes, now: int) -> None:
+        key = full_key.removeprefix(f"{self.robot}/")
+        try:
+            envelope = envelope_of(payload)
+        except CodecError as error:
+            self.traffic.bad += 1
+            self.traffic.wrong(f"{key}: not a message: {error}", now)
+            return
+        self.host.service.now = now
+        self.host.n_events += 1
+        self.host.service.raw(key, payload, envelope, now)  # type: ignore[attr-defined]  # only asked where it is
+
+    def _answer(self, request: Request[Message, Message], query: zenoh.Query, now: int) -> None:
+        payload = query.payload.to_bytes() if query.payload is not None else b""
+        try:
+            message, _ = decode(request.request, payload)
+        except CodecError as error:
+            self.traffic.bad += 1
+            self.traffic.wrong(f"{request.key}: a bad request was refused: {error}", now)
+            _refuse(query, reasons.BAD_REQUEST, str(error))
+            return
+        effects, reply = self.host.request(request.key, message, payload, now)
+        with query:
+            query.reply(f"{self.robot}/{request.key}", encode(reply, Envelope(self.name, self.host.session, 0, now)))
+        self._apply(effects)
+
+    def _apply(self, effects: list[Effect]) -> None:
+        for effect in effects:
+            if isinstance(effect, Sent):
+                self._publish(effect)
+            else:
+                future = self._workers.submit(effect.job.function, *effect.job.arguments)
+                future.add_done_callback(partial(self._file_result, effect))
+
+    def _file_result(self, order: JobOrder, future: "Future[Any]") -> None:
+        if not future.cancelled():
+            self.inbox.file(self._results, (order, future))
+
+    def _publish(self, sent: Sent) -> None:
+        if sent.topic is topics.LOG:
+            line = cast(LogLine, sent.message)
+            log.log(logging.getLevelNamesMapping().get(line.level, logging.INFO), line.text)
+        if sent.topic.latched:
+            whole = self._kept[sent.key] = merged(self._kept.get(sent.key), sent.message)
+            value = partial(encode, whole, sent.envelope)
+            self._latched[sent.key].keep(value)
+            self._unsaved[sent.key] = value
+        self._publishers[sent.key].put(sent.payload)
+
+    def _report(self, now: int) -> None:
+        journal = self.host.journal(now)
+        if journal is not None:
+            self._publish(journal)
+        if self.memory is not None:
+            for key in set(self._own_latched()) & set(self._unsaved):
+                self._workers.submit(self.memory.write, key, self._unsaved.pop(key))
+        dropped = sum(place.dropped for place in self._places if place.keep == "all")
+        health = self.traffic.health(self.name, self.host.service.state(), self.host.n_events, dropped, now)
+        self._publish(self.host.publish(topics.HEALTH(health), now))
+
+
+def _next_tick(due: int, period: int, now: int) -> int:
+    """The next deadline on the grid: a missed tick is skipped, and a clock that jumped back is followed."""
+    upcoming = due + period
+    return upcoming if upcoming > now else now + period - (now - due) % period
+
+
+def _refuse(query: zenoh.Query, reason: Reason, text: str) -> None:
+    with query:
+        query.reply_err(msgpack.packb({"code": reason.code, "text": text}))
+
+
+def arguments(name: str) -> argparse.ArgumentParser:
+    """The options of every service's process."""
+    parser = argparse.ArgumentParser(prog=f"zenav run {name}", description=f"Runs {name} alone, in the foreground.")
+    parser.add_argument("--robot", default="x80sv", help="robot's name in config/, or a YAML file")
+    parser.add_argument("--stack", default="0", help="number of the stack on this host, or a router: tcp/router:7447")
+    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="override a setting")
+    parser.add_argument("--clock", default="", metavar="EPOCH:SPEED", help="simulated time: ns, times as fast as real")
+    parser.add_argument("--memory", default="", metavar="FOLDER", help="keep what a restart must not lose, as the map")
+    parser.add_argument("--log", default="INFO", choices=["DEBUG", "INFO", "WARNING", "ERROR"], help="log level")
+    return parser
+
+
+def main(service_class: type[Service], **sinks: Callable[[Any], Any]) -> None:
+    """The whole process of one service. A sink is made from the service's configuration and handed to it by name."""
+    name = service_class.__module__.split(".")[1]
+    options = arguments(name).parse_args()
+    logging.basicConfig(level=options.log, stream=sys.stderr, format=f"%(asctime)s {name} %(levelname)s %(message)s")
+    status = 1
+    try:
+        _serve(service_class, name, options, sinks)
+        status = 0
+    except UserError as error:
+        sys.stderr.write(f"{name}: {error.what}\nhint: {error.mend}\n")
+        status = 2
+    except KeyboardInterrupt:
+        status = 0
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)  # Zenoh's callback threads are not daemons: a plain return could hang
+
+
+def _serve(
+    service_class: type[Service], name: str, options: argparse.Namespace, sinks: dict[str, Callable[[Any], Any]]
+) -> None:
+    file = configured(options.robot, options.set)
+    config, robot = file.section(name, service_class.config_type), file.robot
+    where, clock = transport.where_from(options.stack), clock_from(options.clock)
+    opened = {key: sink(config) for key, sink in sinks.items()}
+    service = service_class(config, robot, **opened)
+    if hasattr(service, "robot_file"):
+        service.robot_file = file.text
+    service.warm()
+    if name in VELOCITY_PATH and not transport.asks_for_realtime():
+        log.info("no real-time priority (SCHED_RR) here: latency depends on other load")
+    gc.collect()
+    gc.freeze()
+    sys.setswitchinterval(0.0005)
+    with transport.opened(where, name) as session:
+        memory = Memory(Path(options.memory), name) if options.memory else None
+        live = Live(service, name, robot.name, session, clock, memory)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: live.stop())
+        log.info("started")
+        live.run()
+    for sink in opened.values():
+        if hasattr(sink, "close"):
+            sink.close()
+    log.info("stopped")

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All services in one process on a virtual clock, as fast as it goes: the same seed gives the same bytes.
+
+Events are ordered by (time, cause), a total order. A message arrives `topic.within` after it was published; a job's
+result comes `job.takes` after the job could start. Faults are injected at virtual times.
+"""
+
+import heapq
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from shared.codec import Envelope, decode, encode
+from shared.messages import Message, Stamp
+from shared.requests import Request
+from shared.runners.host import Effect, Host, JobOrder, Sent, merged
+from shared.service import Service
+from shared.topics import SERVICES, Publication, key_of
+
+Q = TypeVar("Q", bound=Message)
+R = TypeVar("R", bound=Message)
+
+START: Stamp = 1_000_000_000_000_000_000
+"""ns: where virtual time begins; a plausible wall clock, so that stamps look alike in every runner."""
+
+Sink = Callable[[Sent], None]
+Filter = Callable[[Sent, str], float | None]
+"""(publication, subscriber's name) -> extra delay in s, or None to lose it."""
+
+
+class Lockstep:
+    """Runs services on the virtual clock. `record` sees every publication, in order."""
+
+    def __init__(self, services: dict[str, Service], record: Sink | None = None) -> None:
+        self.now: int = START
+        self.filters: list[Filter] = []
+        self.latched: dict[str, Sent] = {}
+        self._record = record
+        self._hosts: dict[str, Host] = {}
+        self._lives: dict[str, int] = {}
+        self._busy_until: dict[str, int] = {}
+        self._watchers: dict[str, list[Callable[[Any], None]]] = {}
+        self._heap: list[tuple[int, int, Callable[[], None]]] = []
+        self._cause = 0
+        self._operator: dict[str, int] = {}
+        for name in sorted(services, key=SERVICES.index):
+            self.start(name, services[name])
+
+    def start(self, name: str, service: Service) -> None:
+        """Starts a service now, also in place of a killed one; it gets the latched values at once."""
+        life = self._lives[name] = self._lives.get(name, 0) + 1
+        host = self._hosts[name] = Host(service, name, f"{name}-{life}")
+        service.warm()
+        self._busy_until[name] = self.now
+        for index, (hz, _) in enumerate(host.handlers.ticks):
+            self._schedule_tick(name, life, index, self.now, round(1e9 / hz))
+        self._schedule_journal(name, life)
+        for sent in list(self.latched.values()):
+            self._deliver(sent, name, latched=True)
+
+    def kill(self, name: str) -> None:
+        """The service is gone: nothing that it ordered or waits for happens any more."""
+        self._lives[name] += 1
+        del self._hosts[name]
+
+    def service(self, name: str) -> Service:
+        """The running service object, for looking into it in tests."""
+        return self._hosts[name].service
+
+    def at(self, seconds: float, action: Callable[[], None]) -> None:
+        """Calls `action` this many seconds from now."""
+        self._push(self.now + round(seconds * 1e9), action)
+
+    def watch(self, key: str, watcher: Callable[[Any], None]) -> None:
+        """Calls `watcher` with every message published on a key (without the robot's name), when it is published."""
+        self._watchers.setdefault(key, []).append(watcher)
+
+    def publish(self, publication: Publication, publisher: str = "operator") -> None:
+        """Publishes from outside of the services: an operator's command, a test's fault."""
+        key = key_of(publication.topic, publisher)
+        sequence = self._operator[key] = self._operator.get(key, -1) + 1
+        envelope = Envelope(publisher, f"{publisher}-0", sequence, self.now)
+        self._send(Sent(publication.topic, key, publication.message, envelope, encode(publication.message, envelope)))
+
+    def ask(self, request: Request[Q, R], message: Q) -> R:
+        """The reply of the service that answers this request, now. KeyError when it does not run."""
+        host = self._hosts[request.by]
+        payload = encode(message, Envelope("operator", "operator-0", 0, self.now))
+        effects, reply = host.request(request.key, decode(request.request, payload)[0], payload, self.now)
+        self._take(host, effects)
+        if not isinstance(reply, request.reply):
+            raise TypeError(f"{request.key} replied with {type(reply).__name__}, not {request.reply.__name__}")
+        return reply
+
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Runs for this much virtual time, or until the condition holds after an event; says whether it held."""
+        end = self.now + round(seconds * 1e9)
+        while self._heap and self._heap[0][0] <= end:
+            self.now, _, event = heapq.heappop(self._heap)
+            event()
+            if until():
+                return True
+        self.now = end
+        return until()
+
+    def flush(self) -> None:
+        """Writes the journals of what happened since the last second: call before the recording is closed."""
+        for host in self._hosts.values():
+            journal = host.journal(self.now)
+            if journal is not None:
+                self._send(journal)
+
+    def _push(self, when: int, event: Callable[[], None]) -> None:
+        self._cause += 1
+        heapq.heappush(self._heap, (when, self._cause, event))
+
+    def _alive(self, name: str, life: int) -> Host | None:
+        return self._hosts.get(name) if self._lives.get(name) == life else None
+
+    def _schedule_tick(self, name: str, life: int, index: int, when: int, period: int) -> None:
+        def tick() -> None:
+            host = self._alive(name, life)
+            if host is not None:
+                self._schedule_tick(name, life, index, when + period, period)
+                self._take(host, host.tick(index, self.now))
+
+        self._push(when, tick)
+
+    def _schedule_journal(self, name: str, life: int) -> None:
+        def write() -> None:
+            host = self._alive(name, life)
+            if host is not None:
+                self._schedule_journal(name, life)
+                journal = host.journal(self.now)
+                if journal is not None:
+                    self._send(journal)
+
+        self._push(self.now + 1_000_000_000, write)
+
+    def _take(self, host: Host, effects: list[Effect]) -> None:
+        for effect in effects:
+            if isinstance(effect, Sent):
+                self._send(effect)
+            else:
+                self._run_job(host, effect)
+
+    def _run_job(self, host: Host, order: JobOrder) -> None:
+        name, life = host.name, self._lives[host.name]
+        result = order.job.function(*order.job.arguments)
+        begins = max(self.now, self._busy_until[name])
+        ends = self._busy_until[name] = begins + round(order.job.takes * 1e9)
+
+        def done() -> None:
+            host = self._alive(name, life)
+            if host is not None:
+                self._take(host, host.done(order, result, self.now))
+
+        self._push(ends, done)
+
+    def _send(self, sent: Sent) -> None:
+        if self._record is not None:
+            self._record(sent)
+        message, _ = decode(sent.topic.type, sent.payload)
+        sent = Sent(sent.topic, sent.key, message, sent.envelope, sent.payload)
+        if sent.topic.latched:
+            before = self.latched.get(sent.key)
+            whole = merged(before.message if before else None, message)
+            self.latched[sent.key] = Sent(sent.topic, sent.key, whole, sent.envelope, b"")
+        for watcher in self._watchers.get(sent.key, ()):
+            watcher(message)
+        for name in self._hosts:
+            if name != sent.envelope.publisher:
+                self._deliver(sent, name)
+
+    def _deliver(self, sent: Sent, name: str, latched: bool = False) -> None:
+        host, life = self._hosts[name], self._lives[name]
+        if sent.topic.key not in host.handlers.topics:
+            return
+        delay = sent.topic.within
+        for lost_or_late in self.filters:
+            extra = lost_or_late(sent, name)
+            if extra is None:
+                return
+            delay += extra
+
+        def arrive() -> None:
+            host = self._alive(name, life)
+            if host is not None:
+                self._take(host, host.message(sent.key, sent.message, sent.envelope, self.now, latched))
+
+        self._push(self.now + round(delay * 1e9), arrive)

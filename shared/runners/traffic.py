@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A live service's counters, and the health message that they become once a second."""
+
+import logging
+import os
+import time
+
+import psutil
+
+from shared.messages import Health
+from shared.runners.clock import SECOND
+
+log = logging.getLogger("zenav")
+
+
+class Traffic:
+    """What came in and went wrong since the last health message."""
+
+    def __init__(self) -> None:
+        self.bad = self.intruders = self.old = 0
+        self.last_error = ""
+        self.slowest = 0.0
+        self.counts: dict[str, int] = {}
+        self.ages: dict[str, float] = {}
+        self._last_told = 0
+        self._process = psutil.Process()
+        self._cpu, self._wall = time.process_time(), time.monotonic()
+
+    def took(self, key: str, age: float, spent: float) -> None:
+        self.counts[key] = self.counts.get(key, 0) + 1
+        self.ages[key] = max(self.ages.get(key, 0.0), age)
+        self.slowest = max(self.slowest, spent)
+
+    def wrong(self, what: str, now: int) -> None:
+        """Remembers a fault and tells it, once a second at most."""
+        self.last_error = what[:200]
+        if now - self._last_told > SECOND or now < self._last_told:
+            self._last_told = now
+            log.warning(what)
+
+    def health(self, name: str, state: str, n_events: int, dropped: int, now: int) -> Health:
+        """The health message of the time since the last one; counts of what went wrong go on."""
+        cpu, wall = time.process_time(), time.monotonic()
+        seconds = max(wall - self._wall, 1e-3)
+        share = max(cpu - self._cpu, 0.0) / seconds
+        self._cpu, self._wall = cpu, wall
+        rates = tuple((key, n / seconds, self.ages[key]) for key, n in sorted(self.counts.items()))
+        memory = self._process.memory_info().rss / 1e6
+        slowest_ms = self.slowest * 1e3
+        self.slowest, self.counts, self.ages = 0.0, {}, {}
+        return Health(
+            now, name, os.getpid(), state, n_events, self.bad, dropped, self.intruders, self.last_error, share, memory,
+            slowest_ms, rates,
+        )  # fmt: skip

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tools' session against toy services over Zenoh."""
+
+import json
+import threading
+
+import numpy as np
+import pytest
+
+from shared import requests, topics
+from shared.config import Section, UserError
+from shared.geometry import Pose2
+from shared.messages import (
+    EmergencyStop,
+    Goal,
+    GoalKind,
+    GuardState,
+    GuardStatus,
+    MapUpdate,
+    NavState,
+    NavStatus,
+)
+from shared.requests import Cancel, Navigate, Reply
+from shared.service import Answer, Out, Service, answer, every, on
+from tests.stack.test_live import ROBOT, running
+from zenav.__main__ import _status
+from zenav.client import Client
+from zenav.launch import free_stack
+
+
+class Navigator(Service):
+    """Reaches every goal after a few ticks, unless `slow`."""
+
+    slow = False
+
+    def __init__(self) -> None:
+        super().__init__(Section(), ROBOT)
+        self.task, self.left, self.state_now = 0, 0, NavState.IDLE
+        self.canceled = threading.Event()
+
+    @answer(requests.NAVIGATE)
+    def navigate(self, request: Navigate) -> Answer[Reply]:
+        if request.poses[0].x > 100:
+            return Reply(self.now, False, "goal_outside", "")
+        self.task, self.left, self.state_now = self.task + 1, 4, NavState.NAVIGATING
+        yield topics.GOAL(Goal(self.now, self.task, GoalKind.DRIVE, request.poses[0], 0.1, 0.1, 0.0, False))
+        return Reply(self.now, True, "", "", self.task)
+
+    @answer(requests.CANCEL)
+    def cancel(self, request: Cancel) -> Answer[Reply]:
+        self.state_now = NavState.CANCELED
+        self.canceled.set()
+        yield self.status()
+        return Reply(self.now, True, "", "", self.task)
+
+    @every(hz=20)
+    def tick(self) -> Out:
+        if self.state_now is NavState.NAVIGATING and not self.slow:
+            self.left -= 1
+            self.state_now = NavState.REACHED if self.left < 0 else self.state_now
+        yield self.status()
+
+    def status(self):  # type: ignore[no-untyped-def]
+        return topics.NAV(
+            NavStatus(self.now, self.task, self.state_now, "", "", "", Pose2(1, 2, 0), self.left, 1.0, 0, 1, 0)
+        )
+
+
+class Guard(Service):
+    """Obeys STOP."""
+
+    def __init__(self) -> None:
+        super().__init__(Section(), ROBOT)
+        self.pressed = False
+
+    @on(topics.ESTOP)
+    def estop(self, stop: EmergencyStop) -> Out:
+        self.pressed = stop.pressed
+        return ()
+
+    @every(hz=20)
+    def tick(self) -> Out:
+        state = GuardState.STOPPED if self.pressed else GuardState.IDLE
+        yield topics.GUARD(GuardStatus(self.now, state, "", "", "", 0.5))
+
+
+class Mapper(Service):
+    """A new tile each tick, three in all."""
+
+    def __init__(self) -> None:
+        super().__init__(Section(), ROBOT)
+        self.version = 0
+
+    @every(hz=20)
+    def tick(self) -> Out:
+        if self.version < 3:
+            self.version += 1
+            row = np.array([self.version], np.int32)
+            cells = np.full((1, 4096), self.version, np.int8)
+            yield topics.MAP(MapUpdate(self.now, 1, self.version, 0.05, row, row, cells))
+
+
+@pytest.fixture
+def where():
+    with free_stack() as claim:
+        yield claim.where
+
+
+def test_goto_succeeds_where_the_navigator_says_so(where, capsys):
+    with running(Navigator(), "navigator", where):
+        assert _status(["goto", "1", "-2", "--stack", str(where.domain)]) == 0
+        assert "(1.00, 2.00" in capsys.readouterr().out
+        assert _status(["goto", "101", "0", "--stack", str(where.domain)]) == 2
+        assert "outside the map" in capsys.readouterr().err
+
+
+def test_a_canceled_goto_is_no_success(where, capsys):
+    navigator = Navigator()
+    navigator.slow = True
+    with running(navigator, "navigator", where):
+        ends = threading.Timer(1.0, lambda: _cancel(where))
+        ends.start()
+        assert _status(["goto", "1", "2", "--stack", str(where.domain)]) == 1
+        ends.join()
+    assert navigator.canceled.is_set()
+
+
+def _cancel(where) -> None:  # type: ignore[no-untyped-def]
+    with Client(ROBOT.name, where) as client:
+        client.answers(requests.CANCEL, 5.0)
+        client.ask(requests.CANCEL, Cancel(client.now()))
+
+
+def test_stop_is_confirmed_and_released(where, capsys):
+    guard = Guard()
+    with running(guard, "guard", where):
+        assert _status(["estop", "--stack", str(where.domain)]) == 0
+        assert guard.pressed
+        assert _status(["estop", "--release", "--stack", str(where.domain)]) == 0
+        assert not guard.pressed
+
+
+def test_a_stop_that_nobody_confirms_is_an_error(where, capsys):
+    assert _status(["estop", "--stack", str(where.domain)]) == 2
+    assert "not confirmed" in capsys.readouterr().err
+
+
+def test_a_tool_that_comes_late_gets_the_whole_map(where):
+    with running(Mapper(), "mapper", where) as live:
+        with Client(ROBOT.name, where) as early:
+            early.follow(topics.MAP)
+            assert early.wait(topics.MAP, lambda m: m.version == 3, 10) is not None
+            assert early.wait(topics.MAP, lambda m: len(m.rows) == 3, 10) is not None
+        assert live.host.service.version == 3
+        with Client(ROBOT.name, where) as late:
+            late.follow(topics.MAP)
+            assert late.wait(topics.MAP, lambda m: len(m.rows) == 3, 10) is not None
+            assert len(late.kept(topics.MAP).rows) == 3
+
+
+def test_echo_and_hz_are_data(where, capsys):
+    with running(Guard(), "guard", where):
+        assert _status(["topic", "echo", "guard/status", "-n", "3", "--json", "--stack", str(where.domain)]) == 0
+        rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        assert [row["state"] for row in rows] == ["idle"] * 3
+        assert _status(["topic", "hz", "guard/status", "--seconds", "1", "--json", "--stack", str(where.domain)]) == 0
+        assert json.loads(capsys.readouterr().out)["hz"] > 1
+
+
+def test_a_request_that_nobody_answers_is_an_error_at_once(where):
+    with Client(ROBOT.name, where) as client, pytest.raises(UserError, match="navigator does not run"):
+        client.ask(requests.CANCEL, Cancel(client.now()))
+
+
+def test_two_stacks_do_not_hear_each_other(where):
+    with free_stack() as other, running(Guard(), "guard", where), Client(ROBOT.name, other.where) as client:
+        client.follow(topics.GUARD)
+        with Client(ROBOT.name, where) as same:
+            same.follow(topics.GUARD)
+            assert same.wait(topics.GUARD, lambda s: True, 10) is not None
+        assert client.latest(topics.GUARD) is None

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live runner over Zenoh: two services in threads, each with its own session, on loopback ports of their own."""
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+import zenoh
+
+from shared import requests, topics
+from shared.codec import Envelope, decode, encode
+from shared.config import Section, UserError, load_robot
+from shared.geometry import Pose2
+from shared.messages import Goal, GoalKind, WheelState
+from shared.requests import Cancel, Reply
+from shared.runners import transport
+from shared.runners.clock import Clock
+from shared.runners.live import Live
+from shared.service import Answer, Job, Out, Service, answer, every, on
+
+ROBOT = load_robot("x80sv").robot
+
+
+def free_stack() -> int:
+    for domain in range(transport.MAX_DOMAIN, 100, -1):
+        where = transport.Where(domain)
+        try:
+            for name in topics.SERVICES:
+                with socket.socket() as s:
+                    s.bind(("127.0.0.1", where.port(name)))
+        except OSError:
+            continue
+        return domain
+    raise RuntimeError("no free ports")
+
+
+class Base(Service):
+    @every(hz=50)
+    def tick(self) -> Out:
+        yield topics.WHEELS(WheelState(self.now, 0, 0.1, 0.2, 0.0, 0.0))
+
+
+class Odometry(Service):
+    def __init__(self) -> None:
+        super().__init__(Section(), ROBOT)
+        self.seen: list[WheelState] = []
+        self.enough = threading.Event()
+        self.totals: list[int] = []
+
+    @on(topics.WHEELS)
+    def wheels(self, wheels: WheelState) -> Out:
+        self.seen.append(wheels)
+        if len(self.seen) == 5:
+            yield Job(sum, ([1, 2, 3],), done="added", takes=0.1)
+
+    def added(self, total: int) -> Out:
+        self.totals.append(total)
+        self.enough.set()
+        return ()
+
+
+class Navigator(Service):
+    def __init__(self) -> None:
+        super().__init__(Section(), ROBOT)
+        self.cancelled = 0
+
+    @answer(requests.CANCEL)
+    def cancel(self, request: Cancel) -> Answer[Reply]:
+        self.cancelled += 1
+        yield topics.GOAL(Goal(self.now, self.cancelled, GoalKind.NONE, Pose2(1, 2, 0), 0.1, 0.1, 0.0, False))
+        return Reply(self.now, True, "", "stopped", 7)
+
+
+class Planner(Service):
+    def __init__(self) -> None:
+        super().__init__(Section(), ROBOT)
+        self.goals: list[int] = []
+        self.got = threading.Event()
+
+    @on(topics.GOAL)
+    def goal(self, goal: Goal) -> Out:
+        self.goals.append(goal.id)
+        self.got.set()
+        return ()
+
+
+@contextmanager
+def running(service: Service, name: str, where: transport.Where) -> Iterator[Live]:
+    with transport.opened(where, name) as session:
+        live = Live(service, name, ROBOT.name, session, Clock())
+        thread = threading.Thread(target=live.run)
+        thread.start()
+        try:
+            yield live
+        finally:
+            live.stop()
+            thread.join(5)
+            assert not thread.is_alive()
+
+
+@pytest.fixture
+def where() -> transport.Where:
+    return transport.Where(free_stack())
+
+
+def wait_for(condition: Callable[[], bool], event: threading.Event, seconds: float = 10.0) -> None:
+    assert event.wait(seconds)
+    assert condition()
+
+
+def test_messages_and_jobs_arrive_whoever_starts_first(where):
+    odometry = Odometry()
+    with running(odometry, "odometry", where), running(Base(Section(), ROBOT), "base_driver", where):
+        wait_for(lambda: odometry.totals == [6], odometry.enough)
+    stamps = [wheels.stamp for wheels in odometry.seen]
+    assert stamps == sorted(set(stamps))
+
+
+def test_random_bytes_and_intruders_are_counted_and_the_service_goes_on(where):
+    odometry = Odometry()
+    with running(odometry, "odometry", where) as live, transport.opened(where) as tool:
+        key = f"{ROBOT.name}/base/wheels"
+        good = WheelState(1, 0, 0.0, 0.0, 0.0, 0.0)
+        for junk in (b"", b"\xc1", b"\xff" * 4000, encode(good, Envelope("sim", "s", 0, 0)), b"\x81\xa5stamp\x01"):
+            tool.put(key, junk)
+        with running(Base(Section(), ROBOT), "base_driver", where):
+            wait_for(lambda: True, odometry.enough)
+        assert live.traffic.bad == 4
+        assert live.traffic.intruders == 1
+
+
+def test_a_late_joiner_has_the_goal_at_once_and_a_request_is_answered(where):
+    planner = Planner()
+    with running(Navigator(), "navigator", where), transport.opened(where) as tool:
+        payload = encode(Cancel(1), Envelope("operator", "o", 0, 1))
+        replies = [
+            decode(Reply, r.ok.payload.to_bytes())[0]
+            for r in tool.get(f"{ROBOT.name}/request/cancel", payload=payload, timeout=5.0)
+            if r.ok is not None
+        ]
+        assert [(r.accepted, r.task_id) for r in replies] == [(True, 7)]
+        refused = [r.err for r in tool.get(f"{ROBOT.name}/request/cancel", payload=b"\x00", timeout=5.0)]
+        assert b"bad_request" in refused[0].payload.to_bytes()
+        with running(planner, "planner", where):
+            wait_for(lambda: planner.goals == [1], planner.got)
+
+
+def test_a_second_instance_is_refused_with_the_port(where):
+    with running(Planner(), "planner", where), pytest.raises(UserError, match=str(where.port("planner"))):
+        transport.opened(where, "planner")
+
+
+def test_the_configuration_is_the_one_that_zenoh_keeps():
+    config = transport.configuration(transport.Where(3), "mapper")
+    assert config.get_json("transport/shared_memory/enabled") == "false"
+    assert config.get_json("scouting/multicast/enabled") == "false"
+    assert "127.0.0.1" in config.get_json("listen/endpoints")
+    assert config.get_json("transport/link/rx/max_message_size") == str(transport.MAX_MESSAGE)
+    assert isinstance(config, zenoh.Config)

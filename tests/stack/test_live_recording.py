@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ran over Zenoh replays to the byte: late joiners, a restart, background work, whatever order things came in."""
+
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from services.recorder.service import RecorderService
+from services.recorder.store import RecorderConfig, RecordingStore
+from shared.codec import Envelope
+from shared.recording import Recording
+from shared.runners import transport
+from shared.runners.clock import Clock
+from shared.runners.host import LATCHED
+from shared.runners.live import Live
+from shared.runners.memory import Memory
+from shared.service import Service
+from tests.stack.test_live import free_stack
+from tests.toys import ROBOT, build
+from zenav.replay import replay_file
+
+CHAIN = ["base_driver", "odometry", "mapper", "planner"]
+
+
+class Watched(RecorderService):
+    """Can be waited for: `hears` returns when each key came so often again."""
+
+    def __init__(self, config: RecorderConfig, store: RecordingStore) -> None:
+        super().__init__(config, ROBOT, store)
+        self.wanted: Counter[str] = Counter()
+        self.satisfied = threading.Event()
+
+    def raw(self, key: str, payload: bytes, envelope: Envelope, now: int) -> None:
+        super().raw(key, payload, envelope, now)
+        self.wanted.subtract([key])
+        if not +self.wanted:
+            self.satisfied.set()
+
+    def hears(self, **counts: int) -> bool:
+        self.wanted = Counter({key.replace("_", "/"): n for key, n in counts.items()})
+        self.satisfied.clear()
+        return self.satisfied.wait(20)
+
+
+@contextmanager
+def running(service: Service, name: str, where: transport.Where, memory: Memory | None = None) -> Iterator[Live]:
+    with transport.opened(where, name) as session:
+        live = Live(service, name, ROBOT.name, session, Clock(), memory)
+        thread = threading.Thread(target=live.run)
+        thread.start()
+        try:
+            yield live
+        finally:
+            live.stop()
+            thread.join(10)
+            assert not thread.is_alive()
+
+
+def test_a_live_run_replays_to_the_byte(tmp_path):
+    where, memory = transport.Where(free_stack()), Memory(tmp_path, "mapper")
+    config = RecorderConfig(file=str(tmp_path / "a.mcap"))
+    store = RecordingStore(config)
+    recorder = Watched(config, store)
+    with running(recorder, "recorder", where) as live:
+        with running(build("base_driver"), "base_driver", where), running(build("odometry"), "odometry", where):
+            with running(build("mapper"), "mapper", where, memory), running(build("planner"), "planner", where):
+                assert recorder.hears(plan=3, health_mapper=3)  # its memory is written between two healths
+            with running(build("mapper"), "mapper", where, memory):
+                assert recorder.hears(map=2)
+                with running(build("planner"), "planner", where):
+                    assert recorder.hears(plan=3)
+        assert live.traffic.bad == 0
+    store.close()
+
+    recording = Recording(tmp_path / "a.mcap")
+    lives = recording.lives()
+    assert {name: len(lives[name]) for name in CHAIN} == {"base_driver": 1, "odometry": 1, "mapper": 2, "planner": 2}
+    assert lives["mapper"][1].events[0].kind == LATCHED  # its own map
+    report = replay_file(tmp_path / "a.mcap", CHAIN, tmp_path / "out.mcap", build, lambda done, of: None)
+    assert report.notes == []
+    assert report.equal, report
+    counts = {topic.key: topic.n_equal for topic in report.topics}
+    assert min(counts[key] for key in ("base/wheels", "odom", "pose", "map", "plan")) >= 3
+    assert [e.payload for e in Recording(tmp_path / "out.mcap").entries()] == [e.payload for e in recording.entries()]

@@ -1,0 +1,476 @@
+# SPDX-License-Identifier: Apache-2.0
+from math import nan, pi
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.base_driver.kinematics import board_counts, body_velocity, wheel_angles, wheel_speeds
+from services.base_driver.service import BaseDriverConfig, BaseDriverService
+from shared import topics
+from shared.config import load_robot
+from shared.messages import BoardReport, EmergencyStop, Velocity
+
+ROBOT = load_robot("x80sv").robot
+JACKAL = load_robot("jackal").robot
+MS = 1_000_000
+T0 = 1_000_000 * MS
+
+
+class Bench:
+    """A base driver and a board that turns its wheels as commanded, 50 reports and ticks a second."""
+
+    def __init__(self, robot=ROBOT, left=100.0, right=200.0):
+        self.robot = robot
+        self.service = BaseDriverService(BaseDriverConfig(), robot)
+        self.service.now = T0
+        self.left, self.right = left, right  # counts, not wrapped
+        self.turns = {"left": True, "right": True}
+        self.out = []
+
+    def call(self, result):
+        new = [(publication.topic.key, publication.message) for publication in result]
+        self.out += new
+        return new
+
+    @property
+    def now(self):
+        return self.service.now
+
+    def report(self, **fields):
+        wrap = self.robot.drive.encoder_wrap
+        values = {
+            "stamp": self.now,
+            "left_counts": round(self.left) % wrap,
+            "right_counts": round(self.right) % wrap,
+            "left_speed": 0.0,
+            "right_speed": 0.0,
+            "ultrasonic": np.array([0.5, 0.6, 0.7], np.float32),
+            "infrared": np.full(7, 0.3, np.float32),
+            "battery": 7.4,
+            "currents": np.array([0.5, 0.25], np.float32),
+        }
+        return self.call(self.service.board(BoardReport(**(values | fields))))
+
+    def command(self, v, w=0.0, stamp=None):
+        return self.call(self.service.command(Velocity(self.now if stamp is None else stamp, v, w, "")))
+
+    def stop(self, pressed, stamp=None):
+        return self.call(self.service.estop(EmergencyStop(self.now if stamp is None else stamp, pressed, "test")))
+
+    def run(self, seconds, v=None, w=0.0, reports=True):
+        for _ in range(round(seconds * 50)):
+            if v is not None:
+                self.command(v, w)
+            self.call(self.service.drive())
+            self.service.now += 20 * MS
+            left, right = self.motors()
+            self.left += left * 0.02 * self.turns["left"]
+            self.right += right * 0.02 * self.turns["right"]
+            if reports:
+                self.report()
+        return self
+
+    def last(self, topic):
+        return next((message for key, message in reversed(self.out) if key == topic.key), None)
+
+    def motors(self):
+        message = self.last(topics.MOTORS)
+        return message.left, message.right
+
+    @property
+    def body(self):
+        return body_velocity(*wheel_angles(*self.motors(), self.robot.drive), self.robot.drive)
+
+
+def test_a_command_reaches_the_board_by_the_document_s_equations():
+    bench = Bench().run(0.1, 0.4, 0.5)
+    assert bench.motors() == pytest.approx(board_counts(*wheel_speeds(0.4, 0.5, ROBOT.drive), ROBOT.drive))
+
+
+def test_the_motors_stand_until_the_first_command():
+    bench = Bench().run(0.3)
+    assert all(m.left == m.right == 0 for key, m in bench.out if key == topics.MOTORS.key)
+    assert len([key for key, _ in bench.out if key == topics.MOTORS.key]) == 15
+
+
+def test_limits_scale_the_command_on_its_arc():
+    bench = Bench().run(0.1, 8.0, 1.0)
+    assert bench.body == pytest.approx((0.8, 0.1))
+    bench.run(0.1, -3.0, 0.0)
+    assert bench.body == pytest.approx((-0.3, 0.0))
+
+
+def test_a_zero_command_stops_at_once_and_not_at_the_tick():
+    bench = Bench().run(0.1, 0.4)
+    assert [key for key, _ in bench.command(0.3)] == []
+    bench.service.now += 1
+    assert [key for key, _ in bench.command(0.0)] == [topics.MOTORS.key]
+    assert bench.motors() == (0, 0)
+
+
+@pytest.mark.parametrize(("age_ms", "drives"), [(0, True), (199, True), (200, True), (201, False), (-100, True)])
+def test_a_command_older_than_200_ms_moves_nothing(age_ms, drives):
+    bench = Bench().run(0.1)
+    bench.command(0.4, stamp=bench.now - age_ms * MS)
+    bench.call(bench.service.drive())
+    assert (bench.body[0] > 0) is drives
+
+
+def test_a_command_from_the_future_is_refused_and_people_are_told():
+    bench = Bench().run(0.1)
+    bench.command(0.4, stamp=bench.now + 101 * MS)
+    bench.call(bench.service.drive())
+    assert bench.motors() == (0, 0)
+    bench.call(bench.service.tell())
+    assert "0.1 s ahead of this clock" in bench.last(topics.BASE).detail
+    bench.service.now += 1
+    bench.command(0.4)
+    bench.call(bench.service.tell())
+    assert bench.last(topics.BASE).detail == ""
+
+
+def test_a_skewed_commander_gains_no_time():
+    """A stamp 100 ms ahead ages from its arrival."""
+    bench = Bench().run(0.1)
+    bench.command(0.4, stamp=bench.now + 100 * MS)
+    bench.run(0.2)
+    assert bench.body[0] > 0
+    bench.run(0.04)
+    assert bench.motors() == (0, 0)
+
+
+def test_an_old_burst_after_a_partition_moves_nothing():
+    bench = Bench().run(0.2, 0.4)
+    left_off = bench.now
+    bench.run(3.0)
+    for k in range(60):
+        bench.command(0.4, stamp=left_off + k * 45 * MS)
+        bench.call(bench.service.drive())
+        assert bench.motors() == (0, 0)
+
+
+def test_commands_count_in_the_order_of_their_stamps():
+    bench = Bench().run(0.1)
+    bench.command(0.2)
+    bench.command(0.5, stamp=bench.now - 10 * MS)
+    bench.command(0.6, stamp=bench.now)
+    bench.call(bench.service.drive())
+    assert bench.body[0] == pytest.approx(0.2)
+
+
+def test_commands_count_after_the_clock_was_set_back():
+    bench = Bench().run(0.2, 0.4)
+    bench.service.now = 5 * MS
+    bench.report()
+    bench.run(0.1, 0.3)
+    assert bench.body[0] == pytest.approx(0.3)
+    assert bench.last(topics.WHEELS).stamp < T0
+
+
+arrivals = st.lists(
+    st.tuples(
+        st.integers(0, 400),  # ms until it comes
+        st.integers(-150, 600),  # ms old when it comes
+        st.sampled_from([0.0, 0.3, -0.2]),
+        st.sampled_from([0.0, 0.5]),
+    ),
+    max_size=25,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(arrivals)
+def test_the_motors_stand_250_ms_after_the_last_young_stamp(events):
+    bench = Bench().run(0.1)
+    pending = []
+    at = bench.now
+    for wait, age, v, w in events:
+        at += wait * MS
+        pending.append((at, max(at - age * MS, 0), v, w))
+    young = 0  # the newest moment up to which some command may be obeyed
+    end = at + 600 * MS
+    while bench.now < end:
+        while pending and pending[0][0] <= bench.now:
+            _, stamp, v, w = pending.pop(0)
+            if (v or w) and bench.now - stamp <= 200 * MS:
+                young = max(young, min(stamp, bench.now))
+            bench.command(v, w, stamp=stamp)
+        bench.call(bench.service.drive())
+        if bench.motors() != (0, 0):
+            assert bench.now - young <= 250 * MS
+        bench.service.now += 20 * MS
+        bench.left += bench.motors()[0] * 0.02
+        bench.right += bench.motors()[1] * 0.02
+        bench.report()
+
+
+# --- STOP -----------------------------------------------------------------------------------------------------------
+
+
+def test_stop_stands_at_once_and_whatever_is_commanded():
+    bench = Bench().run(0.2, 0.4)
+    assert [key for key, _ in bench.stop(True)] == [topics.MOTORS.key]
+    assert bench.motors() == (0, 0)
+    bench.run(0.5, 0.4)
+    assert bench.motors() == (0, 0)
+
+
+def test_releasing_stop_moves_nothing_until_zero_was_commanded():
+    bench = Bench().run(0.2, 0.4)
+    bench.stop(True)
+    bench.run(0.3, 0.4)
+    bench.stop(False)
+    bench.run(1.0, 0.4)
+    assert bench.motors() == (0, 0)
+    bench.run(0.1, 0.0)
+    assert bench.motors() == (0, 0)
+    bench.run(0.1, 0.4)
+    assert bench.body[0] == pytest.approx(0.4)
+
+
+def test_after_a_release_a_stream_that_begins_anew_counts():
+    bench = Bench().run(0.2, 0.4)
+    bench.stop(True)
+    bench.stop(False, stamp=bench.now + 1)
+    bench.run(0.46)
+    bench.run(0.02, 0.4)
+    assert bench.motors() == (0, 0)
+    bench.run(0.5)
+    bench.run(0.04, 0.4)
+    assert bench.body[0] == pytest.approx(0.4)
+
+
+def test_an_older_release_does_not_undo_a_press():
+    bench = Bench().run(0.2, 0.4)
+    bench.stop(True)
+    bench.stop(False, stamp=bench.now - 1)
+    bench.run(0.1, 0.0)
+    bench.run(0.3, 0.4)
+    assert bench.motors() == (0, 0)
+
+
+def test_a_release_without_a_press_stops_nothing():
+    bench = Bench().run(0.2, 0.4)
+    bench.stop(False)
+    bench.run(0.1, 0.4)
+    assert bench.body[0] == pytest.approx(0.4)
+
+
+# --- faults ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("wheel", ["left", "right"])
+def test_a_wheel_that_does_not_turn_for_a_second_is_a_latched_fault(wheel):
+    bench = Bench().run(0.5, 0.2)
+    bench.turns[wheel] = False
+    bench.run(0.88, 0.2)  # the last 2 cm may be 0.1 s old when the wheel stops
+    assert bench.service.fault == ""
+    bench.run(0.14, 0.2)
+    status = bench.last(topics.BASE)
+    assert status.fault == "wheel_stuck"
+    assert status.detail == f"the {wheel} wheel is commanded but does not turn"
+    assert status.link
+    assert bench.motors() == (0, 0)
+    bench.turns[wheel] = True
+    bench.run(2.0, 0.2)
+    assert bench.motors() == (0, 0)
+    bench.stop(False)
+    assert bench.last(topics.BASE).fault == ""
+    bench.run(0.5, 0.2)
+    assert bench.motors() == (0, 0), "releasing moves nothing"
+    bench.run(0.1, 0.0)
+    bench.run(0.1, 0.2)
+    assert bench.body[0] == pytest.approx(0.2)
+
+
+def test_a_release_from_before_the_fault_does_not_clear_it():
+    bench = Bench().run(0.5, 0.2)
+    before = bench.now
+    bench.turns["left"] = False
+    bench.run(1.2, 0.2)
+    bench.stop(False, stamp=before)
+    assert bench.service.fault == "wheel_stuck"
+
+
+def test_both_wheels_stuck_names_both():
+    bench = Bench().run(0.1)
+    bench.turns = {"left": False, "right": False}
+    bench.run(1.2, -0.2)
+    assert bench.last(topics.BASE).detail.startswith("the left and right wheel")
+
+
+def test_slow_commands_and_slow_wheels_are_not_stuck():
+    bench = Bench().run(0.1)
+    bench.turns = {"left": False, "right": False}
+    bench.run(3.0, 0.049)
+    assert bench.service.fault == ""
+    bench = Bench().run(0.1)
+    bench.turns = {"left": 0.12, "right": 0.12}  # 0.024 of 0.2 m/s
+    bench.run(3.0, 0.2)
+    assert bench.service.fault == ""
+    bench.turns = {"left": 0.09, "right": 0.12}  # 0.018 of 0.2 m/s
+    bench.run(2.2, 0.2)
+    assert bench.service.fault == "wheel_stuck"
+
+
+def test_a_change_of_direction_begins_the_second_anew():
+    bench = Bench().run(0.1)
+    bench.turns = {"left": False, "right": False}
+    for _ in range(4):
+        bench.run(0.8, 0.2)
+        bench.run(0.8, -0.2)
+    assert bench.service.fault == ""
+
+
+def test_a_silent_board_is_a_fault_and_its_return_moves_nothing():
+    bench = Bench().run(0.2, 0.4)
+    bench.run(0.48, 0.4, reports=False)
+    assert bench.body[0] == pytest.approx(0.4)
+    bench.run(0.08, 0.4, reports=False)
+    status = bench.last(topics.BASE)
+    assert (status.fault, status.link) == ("board_silent", False)
+    assert bench.motors() == (0, 0)
+    bench.report()
+    status = bench.last(topics.BASE)
+    assert (status.fault, status.link) == ("", True)
+    bench.run(0.5, 0.4)
+    assert bench.motors() == (0, 0)
+    bench.run(0.1, 0.0)
+    bench.run(0.1, 0.4)
+    assert bench.body[0] == pytest.approx(0.4)
+
+
+def test_without_any_board_the_link_is_missing_from_the_start():
+    bench = Bench().run(0.3, 0.4, reports=False)
+    bench.call(bench.service.tell())
+    assert (bench.last(topics.BASE).fault, bench.last(topics.BASE).link) == ("", False)
+    assert bench.motors() == (0, 0)
+    bench.run(0.5, reports=False)
+    assert bench.last(topics.BASE).fault == "board_silent"
+
+
+def test_reports_that_arrive_late_are_no_link():
+    bench = Bench().run(0.2, 0.4)
+    for _ in range(40):
+        bench.command(0.4)
+        bench.call(bench.service.drive())
+        bench.service.now += 20 * MS
+        bench.report(stamp=bench.now - 600 * MS)
+    assert bench.service.fault == "board_silent"
+
+
+def test_a_low_battery_is_told():
+    bench = Bench().run(0.1)
+    bench.report(battery=6.5, stamp=bench.now + 1)
+    bench.call(bench.service.tell())
+    assert bench.last(topics.BASE).detail == "battery low: 6.5 V"
+    assert bench.last(topics.BASE).battery == 6.5
+    assert (bench.last(topics.BASE).left_current, bench.last(topics.BASE).right_current) == (0.5, 0.25)
+
+
+# --- wheels ---------------------------------------------------------------------------------------------------------
+
+
+def test_wheel_angles_run_on_across_the_wrap():
+    bench = Bench(left=10.0, right=32760.0)
+    bench.report()
+    epoch = bench.last(topics.WHEELS).epoch
+    bench.service.now += 20 * MS
+    bench.left, bench.right = -20.0, 32790.0
+    bench.report(left_speed=-50.0, right_speed=60.0)
+    wheels = bench.last(topics.WHEELS)
+    assert (wheels.left, wheels.right) == pytest.approx((30 * 2 * pi / 756, 30 * 2 * pi / 756))
+    assert (wheels.left_speed, wheels.right_speed) == pytest.approx((50 * 2 * pi / 756, 60 * 2 * pi / 756))
+    assert wheels.epoch == epoch == T0
+    assert wheels.stamp == bench.now
+
+
+def test_each_report_gives_its_wheel_state_and_a_repeated_one_none():
+    bench = Bench()
+    assert topics.WHEELS.key in [key for key, _ in bench.report()]
+    assert bench.report() == []
+    assert bench.report(stamp=bench.now - 1) == []
+
+
+def test_a_restarted_board_turns_no_wheel():
+    bench = Bench(left=9000.0, right=12000.0).run(0.2, 0.4)
+    before = bench.last(topics.WHEELS)
+    bench.service.now += 20 * MS
+    bench.left = bench.right = 0.0
+    bench.report()
+    after = bench.last(topics.WHEELS)
+    assert (after.left, after.right, after.epoch) == (before.left, before.right, before.epoch)
+    bench.call(bench.service.tell())
+    assert "the encoders jumped 1 times" in bench.last(topics.BASE).detail
+    bench.run(0.1, 0.4)
+    assert bench.last(topics.WHEELS).left == pytest.approx(before.left + 0.1 * 0.4 / 0.085, abs=0.02)
+
+
+def test_a_board_that_restarts_during_a_long_silence_turns_no_wheel():
+    bench = Bench(left=9000.0, right=12000.0).run(0.2)
+    before = bench.last(topics.WHEELS)
+    bench.service.now += 30_000 * MS
+    bench.left = bench.right = 0.0
+    bench.report()
+    assert (bench.last(topics.WHEELS).left, bench.last(topics.WHEELS).right) == (before.left, before.right)
+
+
+def test_motion_within_a_lost_second_of_reports_is_kept():
+    bench = Bench().run(0.2)
+    before = bench.last(topics.WHEELS)
+    bench.service.now += 1000 * MS
+    bench.left, bench.right = bench.left - 1100, bench.right + 1100  # 0.78 m/s
+    bench.report()
+    assert bench.last(topics.WHEELS).left == pytest.approx(before.left + 1100 * 2 * pi / 756)
+
+
+def test_before_the_angle_s_bound_a_new_epoch_begins_and_loses_nothing():
+    bench = Bench().run(0.1)
+    encoders = bench.service.encoders
+    encoders.left = encoders.right = 899_999.999
+    epoch = encoders.epoch
+    bench.service.now += 20 * MS
+    bench.left, bench.right = bench.left - 2, bench.right + 2
+    first, second = (m for key, m in bench.report() if key == topics.WHEELS.key)
+    assert first.left == pytest.approx(899_999.999 + 2 * 2 * pi / 756)
+    assert (second.left, second.right, first.epoch) == (0, 0, epoch)
+    assert second.epoch > epoch
+    bench.run(0.02)
+    assert bench.last(topics.WHEELS).epoch == second.epoch
+
+
+# --- ranges ---------------------------------------------------------------------------------------------------------
+
+
+def test_ranges_carry_the_sensors_places_and_only_what_they_can_measure():
+    bench = Bench()
+    ultrasonic = np.array([0.05, 0.81, 0.9], np.float32)
+    infrared = np.array([0.1, 0.5, 0.51, 0.09, nan, 0.3, 0.4], np.float32)
+    bench.report(ultrasonic=ultrasonic, infrared=infrared)
+    ((key, readings),) = bench.call(bench.service.measure())
+    assert key == topics.RANGES.key
+    expected = np.array([nan, 0.81, nan, 0.1, 0.5, nan, nan, nan, 0.3, 0.4], np.float32)
+    np.testing.assert_array_equal(readings.ranges, expected)
+    assert readings.stamp == bench.now
+    mounts = [sensor.mount for sensor in ROBOT.ranges]
+    np.testing.assert_allclose(readings.x, [m.x for m in mounts], rtol=1e-6)
+    np.testing.assert_allclose(readings.y, [m.y for m in mounts], rtol=1e-6)
+    np.testing.assert_allclose(readings.yaw, [m.yaw for m in mounts], rtol=1e-6)
+    np.testing.assert_allclose(readings.field_of_view, [s.field_of_view for s in ROBOT.ranges], rtol=1e-6)
+    assert bench.call(bench.service.measure()) == [], "nothing new, nothing told"
+
+
+def test_a_board_with_fewer_or_more_sensors_is_survived():
+    bench = Bench()
+    bench.report(ultrasonic=np.full(1, 0.5, np.float32), infrared=np.full(20, 0.3, np.float32))
+    ((_, readings),) = bench.call(bench.service.measure())
+    np.testing.assert_array_equal(readings.ranges, np.array([0.5, nan, nan] + 7 * [0.3], np.float32))
+
+
+def test_a_robot_without_range_sensors_reports_none():
+    bench = Bench(JACKAL)
+    bench.report()
+    ((_, readings),) = bench.call(bench.service.measure())
+    assert len(readings.ranges) == len(readings.x) == 0

@@ -1,0 +1,339 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What local control commands and says, input by input and goal by goal."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+import pytest
+
+from services.local_ctrl.service import LocalCtrlConfig, LocalCtrlService
+from shared import messages as m
+from shared import reasons, topics
+from shared.config import load_robot
+from shared.geometry import Pose2
+from shared.messages import FollowState, GoalKind
+from shared.service import handlers
+from tests.unit.services.local_ctrl.tiny_world import Loop, World, drive_goal, off, path_message, planned, recovery
+
+ROBOT = load_robot("x80sv").robot
+START, GOAL = Pose2(1.0, 2.0, 0.0), Pose2(6.0, 2.0, 0.0)
+S = 1_000_000_000
+
+
+def moving(seconds: float = 2.0) -> Loop:
+    """In the open, at speed, on the way."""
+    world = World(8, 4)
+    loop = Loop(ROBOT, world, START).give(drive_goal(GOAL), planned(world, START, GOAL, 0.25))
+    loop.drive(seconds)
+    assert loop.run.commands[-1].v > 0.5
+    return loop
+
+
+def last(loop: Loop) -> tuple[m.Velocity, m.FollowStatus]:
+    return loop.run.commands[-1], loop.run.statuses[-1]
+
+
+def test_it_listens_and_ticks_as_the_registry_says() -> None:
+    found = handlers(LocalCtrlService)
+    assert set(found.topics) == {"scan", "base/ranges", "odom", "pose", "map", "plan", "goal"}
+    assert found.ticks == ((topics.CMD_NAV.hz, "tick"),)
+
+
+def test_without_a_goal_it_is_idle_and_stands() -> None:
+    loop = Loop(ROBOT, World(4, 4), Pose2(2, 2))
+    loop.drive(0.3)
+    command, status = last(loop)
+    assert (command.v, command.w, command.reason, status.state) == (0, 0, "", FollowState.IDLE)
+
+
+def test_the_goal_none_stops_at_once() -> None:
+    loop = moving()
+    loop.give(recovery(GoalKind.NONE, 0.0, goal_id=2))
+    loop.drive(0.1)
+    command, status = last(loop)
+    assert (command.v, command.w, status.state, status.goal_id) == (0, 0, FollowState.IDLE, 2)
+
+
+@pytest.mark.parametrize(
+    ("lost", "after", "reason"),
+    [
+        ("odometry", 0.2, reasons.ODOM_OLD),
+        ("scan", 0.5, reasons.SCAN_OLD),
+        ("pose", 1.2, reasons.POSE_OLD),
+        ("new_plan", 2.5, reasons.PLAN_OLD),
+    ],
+)
+def test_an_input_that_stops_coming_stops_the_robot_and_says_which(
+    lost: str, after: float, reason: reasons.Reason
+) -> None:
+    loop = moving()
+    loop.lost = {lost}
+    loop.drive(after + 0.15, until=lambda loop: loop.run.commands[-1].reason != "")
+    command, status = last(loop)
+    assert command.reason == status.reason == reason.code
+    assert status.state is FollowState.BLOCKED
+    loop.drive(0.9)
+    command, _ = last(loop)
+    assert (command.v, command.w, command.reason) == (0, 0, reason.code)
+    loop.lost = set()
+    loop.drive(1.5)
+    assert loop.run.commands[-1].v > 0.3
+
+
+@pytest.mark.parametrize("stamp", [1, 10**18])
+def test_an_input_from_another_clock_is_old(stamp: int) -> None:
+    loop = moving()
+    loop.lost = {"scan"}
+    scan = loop.service.inputs.scan
+    assert scan is not None
+    loop.service.now = loop.now
+    list(loop.service.scan(replace(scan, stamp=stamp)))
+    loop.drive(0.4)
+    assert loop.run.commands[-1].reason == reasons.SCAN_OLD.code
+
+
+def test_a_robot_that_does_not_know_where_it_is_stands() -> None:
+    loop = moving()
+    loop.lost = {"pose"}
+    pose = loop.service.inputs.pose
+    assert pose is not None
+    list(loop.service.pose(replace(pose, stamp=pose.stamp + 1, state=m.Localization.LOST)))
+    loop.drive(0.2)
+    assert loop.run.commands[-1].reason == reasons.POSE_LOST.code
+
+
+def test_a_pose_that_jumps_holds_the_robot_until_it_is_planned_anew() -> None:
+    loop = moving()
+    loop.lost = {"pose", "new_plan"}
+    pose = loop.service.inputs.pose
+    assert pose is not None
+    list(loop.service.pose(replace(pose, stamp=loop.now, map_from_odom=Pose2(1.0) @ pose.map_from_odom)))
+    loop.drive(0.3)
+    assert loop.run.commands[-1].reason == reasons.POSE_JUMPED.code
+    loop.lost = set()
+    loop.drive(1.5, until=lambda loop: loop.run.commands[-1].reason == "")
+    assert loop.run.commands[-1].reason == ""
+
+
+def test_a_plan_for_nothing_stops_with_the_planner_s_reason() -> None:
+    loop = moving()
+    loop.plan = None
+    none = np.zeros(0)
+    loop.send("new_plan", m.Path(loop.now, 1, 1, reasons.UNREACHABLE.code, none, none, none, 0.0, 0.0))
+    loop.drive(1.2)
+    command, status = last(loop)
+    assert (command.v, command.reason, status.state) == (0, reasons.UNREACHABLE.code, FollowState.BLOCKED)
+
+
+def test_without_any_plan_it_waits_for_one() -> None:
+    loop = Loop(ROBOT, World(4, 4), Pose2(2, 2)).give(drive_goal(Pose2(3, 2)))
+    loop.drive(0.6)
+    command, status = last(loop)
+    assert (command.v, command.w, command.reason, status.state) == (0, 0, reasons.NO_PLAN.code, FollowState.BLOCKED)
+
+
+def test_a_new_goal_ahead_is_taken_without_slowing_down() -> None:
+    loop = moving()
+    further = Pose2(7.0, 2.5, 0.0)
+    n_before = len(loop.run.commands)
+    loop.give(drive_goal(further, goal_id=2))
+    loop.drive(0.4)
+    loop.plan = planned(loop.world, loop.truth, further, 0.25)
+    loop.drive(12)
+    assert min(command.v for command in loop.run.commands[n_before : n_before + 30]) > 0.7
+    assert loop.run.statuses[-1].goal_id == 2
+    assert off(loop.truth, further)[0] < 0.15
+
+
+def test_the_old_plan_does_not_serve_a_new_goal_for_long() -> None:
+    loop = moving(1.5)
+    loop.give(drive_goal(Pose2(7.0, 2.5), goal_id=2))
+    loop.drive(1.5)
+    assert loop.run.commands[-1].reason == reasons.NO_PLAN.code
+
+
+def test_the_same_goal_told_again_changes_nothing() -> None:
+    loop = moving()
+    assert loop.goal is not None
+    before = loop.service.manoeuvre, loop.service.goal_since
+    loop.send("new_goal", loop.goal)
+    assert (loop.service.manoeuvre, loop.service.goal_since) == before
+
+
+def test_an_older_goal_that_comes_late_is_ignored_and_a_restarted_navigator_is_not() -> None:
+    loop = moving()
+    loop.send("new_goal", replace(drive_goal(GOAL, goal_id=0), stamp=S))
+    assert loop.service.goal is not None
+    assert loop.service.goal.id == 1
+    loop.send("new_goal", replace(drive_goal(GOAL, goal_id=0), stamp=loop.now))
+    assert loop.service.goal.id == 0
+
+
+def test_clearing_the_costmap_forgets_what_was_seen() -> None:
+    loop = moving()
+    assert loop.service.costmap.evidence.any()
+    loop.send("new_goal", replace(drive_goal(GOAL, goal_id=2), clear_costmap=True))
+    assert not loop.service.costmap.evidence.any()
+
+
+def test_odometry_that_starts_anew_forgets_the_costmap_and_waits_for_a_pose_in_it() -> None:
+    loop = moving()
+    loop.lost = {"pose"}
+    loop.send("odometry", m.Odometry(loop.now + 1, Pose2(30.0, 0.0, 0.0), 0.0, 0.0, np.zeros(9)))
+    assert not loop.service.costmap.evidence.any()
+    loop.service.now = loop.now + 2
+    list(loop.service.scan(replace(scan_of(loop), stamp=loop.now - S // 5)))
+    command = next(iter(loop.service.tick())).message
+    assert isinstance(command, m.Velocity)
+    assert (command.v, command.reason) == (0, reasons.POSE_OLD.code)
+
+
+def scan_of(loop: Loop) -> m.LaserScan:
+    laser = loop.robot.laser
+    ranges = np.full(laser.n_beams, 2.0, np.float32)
+    return m.LaserScan(loop.now, laser.angle_min, laser.angle_increment, laser.scan_time, 0.06, 5.0, ranges)
+
+
+@pytest.mark.parametrize("amount", [0.3, 0.1])
+def test_backing_up_goes_back_by_the_amount_slowly(amount: float) -> None:
+    start = Pose2(4, 2, 0.5)
+    loop = Loop(ROBOT, World(8, 4), start).give(recovery(GoalKind.BACK_UP, amount))
+    run = loop.drive(8)
+    moved = start.inverse() @ loop.truth
+    assert run.reached
+    assert moved.x == pytest.approx(-amount, abs=0.03)
+    assert abs(moved.y) < 0.02
+    assert min(run.v) >= -0.13
+
+
+def test_backing_up_stops_before_what_stands_behind() -> None:
+    loop = Loop(ROBOT, World(8, 4).box(3.2, 1.5, 3.3, 2.5), Pose2(3.9, 2, 0)).give(recovery(GoalKind.BACK_UP, 1.0))
+    run = loop.drive(6)
+    assert run.statuses[-1].reason == run.commands[-1].reason == reasons.BLOCKED.code
+    assert 0.02 < run.least_clearance < 0.15
+
+
+def test_a_robot_that_must_not_reverse_does_not_back_up() -> None:
+    robot = ROBOT.model_copy(update={"drive": ROBOT.drive.model_copy(update={"max_reverse_speed": 0.0})})
+    loop = Loop(robot, World(8, 4), Pose2(4, 2)).give(recovery(GoalKind.BACK_UP, 0.3))
+    run = loop.drive(1)
+    assert run.statuses[-1].reason == reasons.BLOCKED.code
+    assert set(run.v) == {0.0}
+
+
+@pytest.mark.parametrize("amount", [1.57, -2.5, 2 * pi, -0.2])
+def test_turning_goes_round_by_the_amount_on_the_spot(amount: float) -> None:
+    loop = Loop(ROBOT, World(8, 4), Pose2(4, 2, 3.0)).give(recovery(GoalKind.TURN, amount))
+    run = loop.drive(12)
+    turned = np.unwrap([pose.yaw for pose in [Pose2(4, 2, 3.0), *run.poses]])
+    assert run.reached
+    assert turned[-1] - turned[0] == pytest.approx(amount, abs=0.12)
+    assert loop.truth.distance(Pose2(4, 2)) < 0.02
+
+
+def test_waiting_takes_its_time_and_moves_nothing() -> None:
+    loop = Loop(ROBOT, World(8, 4), Pose2(4, 2)).give(recovery(GoalKind.WAIT, 1.0))
+    run = loop.drive(5)
+    assert run.reached
+    assert run.seconds == pytest.approx(1.3, abs=0.15)  # its first scan comes 0.2 s after the start
+    assert {(command.v, command.w) for command in run.commands} == {(0, 0)}
+
+
+def test_arrived_stays_arrived_until_the_next_goal() -> None:
+    loop = Loop(ROBOT, World(8, 4), Pose2(4, 2)).give(recovery(GoalKind.TURN, 0.3))
+    loop.drive(4)
+    loop.drive(1, until=lambda _: False)
+    assert loop.run.reached
+    loop.give(recovery(GoalKind.TURN, 0.3, goal_id=2))
+    loop.drive(0.2)
+    assert loop.run.statuses[-1].state is FollowState.FOLLOWING
+
+
+def test_scans_of_any_length_and_content_are_survived() -> None:
+    loop = moving()
+    for n, value in ((2, np.nan), (2000, 0.0), (7, 4.9), (360, 0.01)):
+        scan = replace(scan_of(loop), stamp=loop.now, ranges=np.full(n, value, np.float32), angle_increment=2 * pi / n)
+        loop.send("scan", scan)
+        loop.drive(0.06)
+    readings = m.RangeReadings(loop.now, *(np.full(3, 0.3, np.float32) for _ in range(5)))
+    loop.send("ranges", readings)
+    assert np.isfinite([command.v for command in loop.run.commands]).all()
+
+
+def test_a_robot_without_range_sensors_ignores_readings() -> None:
+    loop = Loop(load_robot("jackal").robot, World(4, 4), Pose2(2, 2))
+    loop.send("ranges", m.RangeReadings(loop.now, *(np.zeros(1, np.float32) for _ in range(5))))
+    loop.drive(0.1)
+    assert loop.run.statuses[-1].state is FollowState.IDLE
+
+
+def test_warming_changes_no_state() -> None:
+    loop = Loop(ROBOT, World(4, 4), Pose2(2, 2))
+    loop.service.warm()
+    assert loop.service.goal is None
+    assert not loop.service.inputs.history
+    assert loop.service.last_tick == 0
+
+
+AFTER_WARMING = """
+import shared.repeatable
+from numba.core import event
+from shared.config import load_robot
+from shared.geometry import Pose2
+from shared.messages import GoalKind
+from tests.unit.services.local_ctrl.tiny_world import Loop, World, drive_goal, planned, recovery
+
+class Compiled(event.Listener):
+    def on_start(self, e):
+        name = e.data["dispatcher"].py_func.__module__
+        if name.startswith(("services", "shared")):
+            raise SystemExit(f"compiled while driving: {e.data['dispatcher'].py_func}")
+    def on_end(self, e):
+        pass
+
+world, start, goal = World(6, 4), Pose2(1, 2, 2), Pose2(4, 2, 0)
+loop = Loop(load_robot("x80sv").robot, world, start)
+loop.service.warm()
+with event.install_listener("numba:compile", Compiled()):
+    loop.give(drive_goal(goal), planned(world, start, goal, 0.25)).drive(2)
+    loop.give(recovery(GoalKind.BACK_UP, 0.1, 2)).drive(0.5)
+    loop.give(recovery(GoalKind.TURN, 0.2, 3)).drive(0.5)
+"""
+
+
+def test_after_warming_nothing_is_compiled_while_the_robot_moves() -> None:
+    ended = subprocess.run([sys.executable, "-c", AFTER_WARMING], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
+def test_a_robot_walled_in_stands_and_says_blocked() -> None:
+    world = World(6, 4).box(1.5, 1.5, 2.5, 2.5).box(1.65, 1.65, 2.35, 2.35, full=False)
+    start = Pose2(2.0, 2.0, 0.0)
+    loop = Loop(ROBOT, world, start).give(drive_goal(GOAL), np.array([[2.0, 2.0], [6.0, 2.0]]))
+    run = loop.drive(3)
+    assert run.commands[-1].reason == reasons.BLOCKED.code
+    assert run.least_clearance > 0.03
+
+
+def test_the_same_events_give_the_same_bytes() -> None:
+    def commands() -> list[tuple[float, float]]:
+        world = World(8, 4).box(3.5, 1.8, 3.8, 2.2)
+        loop = Loop(ROBOT, world, START).give(drive_goal(GOAL), planned(World(8, 4), START, GOAL, 0.25))
+        return [(command.v, command.w) for command in loop.drive(4).commands]
+
+    assert commands() == commands()
+
+
+def test_the_path_of_another_goal_is_not_followed() -> None:
+    loop = Loop(ROBOT, World(8, 4), START).give(drive_goal(GOAL, goal_id=5))
+    other = drive_goal(GOAL, goal_id=4)
+    loop.send("new_plan", path_message(planned(loop.world, START, GOAL, 0.25), other, loop.now))
+    loop.drive(0.6)
+    assert loop.run.commands[-1].reason == reasons.NO_PLAN.code
+
+
+def test_the_configuration_may_be_absent() -> None:
+    assert load_robot("x80sv").section("local_ctrl", LocalCtrlConfig) == LocalCtrlConfig()

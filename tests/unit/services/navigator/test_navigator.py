@@ -1,0 +1,419 @@
+# SPDX-License-Identifier: Apache-2.0
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from services.navigator.navigation import NavigatorConfig
+from services.navigator.recovery import RecoveryConfig, steps
+from services.navigator.service import NavigatorService
+from shared import reasons
+from shared.geometry import Pose2
+from shared.messages import FollowState, FollowStatus, GoalKind, GuardState, Localization, NavState
+from shared.service import Job
+from tests.strategies import faults, publications
+from tests.unit.services.navigator.bench import X80, Bench, S, stopped
+
+ENDS = {NavState.REACHED, NavState.FAILED, NavState.CANCELED}
+FAR, NEAR = Pose2(5.0, 1.0, 1.0), Pose2(1.0, 0.0)
+LADDER = ["replan", "clear_costmap", "back_up", "turn_left", "turn_right", "wait"]
+
+
+def names(bench):
+    """The recoveries in the order in which they were seen."""
+    seen = [s.recovery for s in bench.statuses if s.recovery]
+    return [name for i, name in enumerate(seen) if i == 0 or seen[i - 1] != name]
+
+
+def test_a_fresh_navigator_stops_whatever_one_before_it_had_started():
+    bench = Bench()
+    bench.run(0.2)
+    assert bench.kinds == [GoalKind.NONE]
+    assert bench.status.state is NavState.IDLE
+
+
+def test_a_restarted_navigators_goals_have_larger_numbers():
+    bench = Bench()
+    bench.go(*[FAR, NEAR] * 20)
+    bench.run(10)
+    after = Bench()
+    after.now = bench.now
+    after.go(NEAR)
+    assert after.goal.id > bench.goal.id
+
+
+def test_it_goes_to_a_pose_and_says_so():
+    bench = Bench()
+    reply = bench.go(FAR)
+    assert (reply.accepted, reply.task_id) == (True, 1)
+    assert (bench.goal.kind, bench.goal.map_from_goal) == (GoalKind.DRIVE, FAR)
+    bench.run(3)
+    assert bench.status.state is NavState.NAVIGATING
+    assert bench.status.reason == ""
+    assert 2.0 < bench.status.distance_left < 5.1
+    assert bench.status.time_left == pytest.approx(bench.status.distance_left / 0.5, rel=0.3)
+    bench.run(20, until=ENDS)
+    assert (bench.status.state, bench.status.reason) == (NavState.REACHED, "")
+    assert stopped(bench)
+    bench.run(5)
+    assert bench.status.state is NavState.REACHED  # until the next task
+
+
+def test_feedback_comes_five_times_a_second():
+    bench = Bench()
+    bench.go(FAR)
+    n = len(bench.statuses)
+    bench.run(4)
+    assert len(bench.statuses) - n == 20
+
+
+def test_a_new_task_takes_the_place_of_the_old_without_a_stop():
+    bench = Bench()
+    bench.go(FAR)
+    bench.run(2)
+    assert bench.go(Pose2(-3.0, 0.0)).task_id == 2
+    assert bench.kinds == [GoalKind.DRIVE, GoalKind.DRIVE]
+    bench.run(30, until=ENDS)
+    assert bench.pose.x == pytest.approx(-3.0, abs=0.2)
+
+
+def test_arriving_at_a_former_goal_is_not_arriving():
+    bench = Bench()
+    bench.go(NEAR)
+    bench.run(1)
+    late = bench.goal.id
+    bench.go(FAR)
+    bench.run(0.1)
+    bench.call("follow", FollowStatus(bench.now, late, FollowState.ARRIVED, "", 0.0, 0.0))
+    assert bench.status.state is NavState.NAVIGATING
+    assert bench.goal.map_from_goal == FAR
+
+
+def test_a_route_is_followed_in_rounds_with_a_stay_at_each_pose():
+    bench = Bench()
+    poses = (Pose2(1.0, 0.0), Pose2(1.0, 1.0), Pose2(0.0, 1.0))
+    bench.go(*poses, dwell=2.0, loops=2)
+    bench.run(1)
+    assert (bench.status.waypoint, bench.status.n_waypoints) == (0, 3)
+    bench.run(60, until=ENDS)
+    assert bench.status.state is NavState.REACHED
+    driven = [goal.map_from_goal for goal in bench.goals if goal.kind is GoalKind.DRIVE]
+    assert driven == [*poses, *poses]
+    stays = [b.stamp - a.stamp for a, b in pairwise(bench.goals) if a.kind is GoalKind.NONE]
+    assert all(2.0 <= stay / S <= 2.4 for stay in stays)
+    assert len(stays) == 6
+
+
+def test_a_patrol_goes_on_until_it_is_canceled():
+    bench = Bench()
+    bench.go(Pose2(0.6, 0.0), Pose2(0.0, 0.6), loops=0)
+    bench.run(60)
+    assert bench.kinds.count(GoalKind.DRIVE) > 10
+    assert bench.status.state is NavState.NAVIGATING
+    assert bench.cancel().accepted
+    assert (bench.status.state, bench.status.reason) == (NavState.CANCELED, reasons.CANCELED.code)
+    assert stopped(bench)
+
+
+def test_a_pause_keeps_the_task_and_stops_the_clocks():
+    bench = Bench()
+    bench.go(FAR)
+    bench.run(2)
+    assert bench.pause().accepted
+    assert stopped(bench)
+    bench.run(200)
+    assert (bench.status.state, bench.status.reason) == (NavState.PAUSED, reasons.PAUSED.code)
+    x = bench.pose.x
+    bench.pause(False)
+    assert bench.goal.map_from_goal == FAR
+    bench.run(20, until=ENDS)
+    assert bench.status.state is NavState.REACHED
+    assert x < 4.0
+    assert bench.status.n_recoveries == 0
+
+
+def test_without_a_task_there_is_nothing_to_pause_and_cancel_is_granted():
+    bench = Bench()
+    assert not bench.pause().accepted
+    assert bench.cancel().accepted
+    assert not bench.goals
+
+
+@pytest.mark.parametrize("reason", [reasons.GOAL_OUTSIDE, reasons.GOAL_BLOCKED, reasons.GOAL_UNKNOWN])
+def test_a_goal_that_the_planner_refuses_fails_promptly_with_its_reason(reason):
+    bench = Bench()
+    bench.refusal = reason.code
+    bench.go(FAR)
+    assert bench.run(10, until=ENDS) < 2
+    assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reason.code)
+    assert reason.mend in bench.status.detail
+    assert stopped(bench)
+
+
+def test_an_unreachable_goal_fails_after_a_short_while():
+    bench = Bench()
+    bench.refusal = reasons.UNREACHABLE.code
+    bench.go(FAR)
+    assert 2 < bench.run(10, until=ENDS) < 5
+    assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reasons.UNREACHABLE.code)
+    assert bench.status.n_recoveries == 0
+
+
+def test_a_person_in_the_doorway_for_ten_seconds_does_not_end_the_task():
+    bench = Bench()
+    bench.go(FAR)
+    bench.run(2)
+    bench.refusal = reasons.UNREACHABLE.code
+    bench.run(10)
+    assert bench.status.reason == reasons.UNREACHABLE.code
+    bench.refusal = ""
+    bench.run(30, until=ENDS)
+    assert bench.status.state is NavState.REACHED
+    assert not {GoalKind.BACK_UP, GoalKind.TURN} & set(bench.kinds)
+
+
+def test_a_way_that_stays_closed_fails_with_the_planners_reason():
+    bench = Bench()
+    bench.go(FAR)
+    bench.run(2)
+    bench.refusal = reasons.UNREACHABLE.code
+    assert bench.run(60, until=ENDS) < 30
+    assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reasons.UNREACHABLE.code)
+
+
+def test_while_the_stack_starts_it_waits_with_the_reason_and_not_for_ever():
+    bench = Bench()
+    bench.refusal = reasons.NO_MAP.code
+    bench.go(FAR)
+    bench.run(15)
+    assert (bench.status.state, bench.status.reason) == (NavState.NAVIGATING, reasons.NO_MAP.code)
+    assert bench.run(30, until=ENDS) < 10
+    assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reasons.NO_MAP.code)
+
+
+def test_after_a_late_start_of_the_planner_no_recovery_is_needed():
+    bench = Bench()
+    bench.refusal = reasons.NO_MAP.code
+    bench.go(FAR)
+    bench.run(15)
+    bench.refusal = ""
+    bench.run(30, until=ENDS)
+    assert (bench.status.state, bench.status.n_recoveries) == (NavState.REACHED, 0)
+
+
+@pytest.mark.parametrize("state", [FollowState.FOLLOWING, FollowState.BLOCKED, FollowState.FAILED, FollowState.IDLE])
+def test_a_robot_that_never_comes_closer_tries_every_recovery_in_order_and_fails(state):
+    bench = Bench()
+    bench.follow_state = state
+    bench.go(FAR)
+    assert bench.run(300, until=ENDS) < 120
+    assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reasons.RECOVERIES_USED.code)
+    assert names(bench) == LADDER
+    assert bench.status.n_recoveries == len(LADDER)
+    assert stopped(bench)
+    actions = [(goal.kind, round(goal.amount, 2)) for goal in bench.goals if goal.amount]
+    assert actions == [
+        (GoalKind.BACK_UP, 0.3),
+        (GoalKind.TURN, 1.57),
+        (GoalKind.TURN, -1.57),
+        (GoalKind.WAIT, 5.0),
+    ]
+    assert [goal.clear_costmap for goal in bench.goals if goal.kind is GoalKind.DRIVE][:3] == [False, False, True]
+
+
+@pytest.mark.parametrize("silent", ["plan", "follow", "pose", "odom"])
+def test_whoever_falls_silent_the_task_ends(silent):
+    bench = Bench()
+    bench.follow_state = FollowState.FOLLOWING
+    bench.go(FAR)
+    bench.run(1)
+    bench.silent = {silent}
+    assert bench.run(400, until=ENDS) < 200
+    assert bench.status.state is NavState.FAILED
+    assert bench.status.reason
+
+
+def test_local_control_that_never_finishes_a_recovery_does_not_hold_it_up():
+    bench = Bench()
+    bench.follow_state = FollowState.BLOCKED
+    bench.act = lambda: FollowState.FOLLOWING
+    bench.go(FAR)
+    assert bench.run(300, until=ENDS) < 130
+    assert bench.status.reason == reasons.RECOVERIES_USED.code
+
+
+def test_only_real_progress_earns_the_recoveries_anew():
+    bench = Bench()
+    bench.go(Pose2(20.0, 0.0))
+    bench.run(2)
+    bench.follow_state = FollowState.BLOCKED
+    bench.run(12)
+    first = bench.status.n_recoveries
+    assert first >= 2
+    bench.follow_state = None
+    bench.run(0.6)  # less than 0.7 m
+    bench.follow_state = FollowState.BLOCKED
+    bench.run(5)
+    assert names(bench)[-1] == LADDER[first]  # goes on where it was
+    bench.follow_state = None
+    bench.run(6)
+    bench.follow_state = FollowState.BLOCKED
+    bench.run(5)
+    assert names(bench)[-1] == LADDER[0]
+
+
+def test_a_plan_that_swings_between_two_lengths_is_no_progress_for_ever():
+    bench = Bench()
+    bench.follow_state = FollowState.BLOCKED
+    straight = bench.path
+    bench.go(FAR)
+
+    def swinging():
+        path = straight()
+        longer = 3.0 if bench.now // (2 * S) % 2 else 0.0
+        return type(path)(path.stamp, path.goal_id, 1, "", path.xs, path.ys, path.yaws, path.length + longer, path.cost)
+
+    bench.path = swinging
+    bench.follow_state = FollowState.FOLLOWING
+    assert bench.run(600, until=ENDS) < 250
+    assert bench.status.state is NavState.FAILED
+
+
+def test_stop_ends_the_task_and_its_release_moves_nothing():
+    bench = Bench()
+    bench.go(FAR)
+    bench.run(2)
+    bench.guarded(GuardState.STOPPED, reasons.ESTOP.code)
+    bench.run(1)
+    assert (bench.status.state, bench.status.reason) == (NavState.CANCELED, reasons.ESTOP.code)
+    refused = bench.go(FAR)
+    assert (refused.accepted, refused.reason) == (False, reasons.ESTOP.code)
+    bench.guarded(GuardState.IDLE, reasons.ESTOP_RELEASED.code)
+    bench.run(5)
+    assert stopped(bench)
+    assert bench.go(FAR).accepted
+
+
+def test_a_fault_of_the_base_fails_the_task_with_the_fault():
+    bench = Bench()
+    bench.go(FAR)
+    bench.guarded(GuardState.FAULT, reasons.WHEEL_STUCK.code)
+    bench.run(1)
+    assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reasons.WHEEL_STUCK.code)
+
+
+def test_stop_also_ends_a_paused_task():
+    bench = Bench()
+    bench.go(FAR)
+    bench.pause()
+    bench.guarded(GuardState.STOPPED, reasons.ESTOP.code)
+    bench.run(1)
+    assert bench.status.state is NavState.CANCELED
+    assert not bench.pause(False).accepted
+
+
+def test_an_obstacle_that_the_guard_holds_for_is_shown_and_leads_to_recoveries():
+    bench = Bench()
+    bench.go(FAR)
+    bench.run(1)
+    bench.guarded(GuardState.HOLD, reasons.OBSTACLE.code)
+    bench.follow_state = FollowState.FOLLOWING
+    bench.run(5)
+    assert bench.status.reason == reasons.OBSTACLE.code
+    bench.run(10)
+    assert bench.status.state is NavState.RECOVERING
+
+
+@pytest.mark.parametrize("reason", [reasons.SCAN_OLD, reasons.ODOM_OLD, reasons.POSE_OLD, reasons.BASE_SILENT])
+def test_a_missing_input_is_waited_for_without_recoveries_and_not_for_ever(reason):
+    bench = Bench()
+    bench.go(FAR)
+    bench.run(1)
+    bench.guarded(GuardState.HOLD, reason.code)
+    bench.follow_state = FollowState.BLOCKED
+    bench.run(25)
+    assert (bench.status.state, bench.status.reason) == (NavState.NAVIGATING, reason.code)
+    assert bench.status.n_recoveries == 0
+    bench.run(30, until=ENDS)
+    assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reason.code)
+
+
+def test_a_pose_lost_for_two_seconds_stops_the_robot_and_found_again_it_goes_on():
+    bench = Bench()
+    bench.go(FAR)
+    bench.run(2)
+    bench.localization = Localization.LOST
+    bench.run(1.5)
+    assert not stopped(bench)
+    bench.run(1)
+    assert stopped(bench)
+    assert bench.status.reason == reasons.POSE_LOST.code
+    bench.localization = Localization.GOOD
+    bench.run(20, until=ENDS)
+    assert bench.status.state is NavState.REACHED
+
+
+def test_a_pose_lost_for_good_fails_the_task():
+    bench = Bench()
+    bench.go(FAR)
+    bench.run(2)
+    bench.localization = Localization.LOST
+    bench.run(60, until=ENDS)
+    assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reasons.POSE_LOST.code)
+
+
+def test_a_jump_of_the_pose_is_shown_and_planned_anew():
+    bench = Bench()
+    bench.go(FAR)
+    bench.run(2)
+    before = bench.goal.id
+    bench.jump(Pose2(0.0, 1.0))
+    bench.run(0.3)
+    assert bench.goal.id > before
+    assert bench.goal.clear_costmap
+    assert bench.status.reason == reasons.POSE_JUMPED.code
+    bench.run(20, until=ENDS)
+    assert bench.status.state is NavState.REACHED
+
+
+def test_a_clock_that_jumps_is_no_time_that_passed():
+    bench = Bench()
+    bench.go(FAR)
+    bench.run(2)
+    for leap in (3600, -4000):
+        bench.now += leap * S
+        bench.run(1)
+    assert (bench.status.state, bench.status.n_recoveries) == (NavState.NAVIGATING, 0)
+
+
+def test_what_makes_no_sense_for_a_robot_is_left_out():
+    assert [step.name for step in steps(RecoveryConfig(), reverse=False)] == [n for n in LADDER if n != "back_up"]
+    assert [step.name for step in steps(RecoveryConfig(turn=0, wait=0), reverse=True)] == LADDER[:3]
+
+
+def test_warming_up_changes_no_state():
+    navigator = NavigatorService(NavigatorConfig(), X80)
+    navigator.warm()
+    assert navigator.navigation.task is None
+    assert navigator.navigation.grid.empty
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.lists(publications(NavigatorService), max_size=30), st.integers(0, 2**32))
+def test_any_valid_messages_are_survived(events, seed):
+    rng = np.random.default_rng(seed)
+    navigator = NavigatorService(NavigatorConfig(), X80)
+    jobs = []
+    for method, event in events:
+        navigator.now += int(rng.integers(0, S))
+        effects = list(getattr(navigator, method)(*([event] if event else [])))
+        while jobs:
+            job = jobs.pop()
+            effects += list(getattr(navigator, job.done)(job.function(*job.arguments)))
+        for effect in effects:
+            if isinstance(effect, Job):
+                jobs.append(effect)
+            else:
+                assert not list(faults(effect.message))

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from services.planner.service import PlannerConfig, PlannerService
+from services.planner.traversal_cost import CostConfig
+from shared import reasons
+from shared.config import load_robot
+from shared.geometry import Pose2
+from shared.messages import Goal, GoalKind, Localization, Odometry, PoseEstimate
+from tests.strategies import faults, publications
+from tests.unit.services.maps import message, room
+
+S = 1_000_000_000
+X80 = load_robot("x80sv").robot
+COVARIANCE = np.zeros(9)
+
+
+AT = Pose2(1.0, 2.0)
+
+
+class Bench:
+    """A planner with a clock and a map that changes; the robot stands where it is put."""
+
+    def __init__(self, cells, pose=AT, **cost):
+        self.planner = PlannerService(PlannerConfig(cost=CostConfig(**cost)), X80)
+        self.cells, self.version, self.out = None, 0, []
+        self.planner.now = 100 * S
+        self.show(cells)
+        self.put(pose)
+
+    def take(self, effects):
+        paths = [effect.message for effect in effects]
+        for path in paths:
+            assert not list(faults(path))
+        self.out += paths
+        return paths
+
+    def show(self, cells):
+        self.version += 1
+        update = message(cells, version=self.version, since=self.cells)
+        self.cells = cells.copy()
+        return self.take(self.planner.map(update))
+
+    def put(self, pose, state=Localization.GOOD):
+        now = self.planner.now
+        return self.take(self.planner.pose(PoseEstimate(now, pose, pose, COVARIANCE, 1.0, state))) + self.take(
+            self.planner.odometry(Odometry(now, Pose2(), 0.0, 0.0, COVARIANCE))
+        )
+
+    def go(self, pose, number=1, kind=GoalKind.DRIVE):
+        now = self.planner.now
+        return self.take(self.planner.new_goal(Goal(now, number, kind, pose, 0.15, 0.25, 0.0, False)))
+
+    def pass_time(self, seconds):
+        """The confirmations of that time; the last one's path."""
+        for _ in range(round(seconds * 2)):
+            self.planner.now += S // 2
+            self.take(self.planner.confirm())
+        return self.out[-1]
+
+
+def two_ways(upper=True, lower=True):
+    """10 x 8 m with a block in the middle: a way over it and a way under it, each 1.5 m wide, or closed."""
+    cells = room(8, 10)
+    cells[32:132, 80:120] = 100
+    if not upper:
+        cells[132:, 90:95] = 100
+    if not lower:
+        cells[:32, 90:95] = 100
+    return cells
+
+
+def goes_above(path):
+    return bool(path.ys[np.argmin(np.abs(path.xs - 5.0))] > 4.0)
+
+
+def test_a_new_goal_is_answered_at_once_and_confirmed_twice_a_second():
+    bench = Bench(room(4, 8))
+    (path,) = bench.go(Pose2(6.0, 2.0, 1.0), number=7)
+    assert (path.goal_id, path.map_version, path.reason) == (7, 1, "")
+    assert path.length == pytest.approx(5.0, abs=0.02)
+    bench.pass_time(3.0)
+    assert len(bench.out) == 1 + 6
+    assert len({confirmed.stamp for confirmed in bench.out}) == 7
+    assert all((p.xs == path.xs).all() for p in bench.out)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in GoalKind if kind is not GoalKind.DRIVE])
+def test_for_any_other_kind_of_goal_it_says_nothing(kind):
+    bench = Bench(room(4, 8))
+    bench.go(Pose2(6.0, 2.0))
+    n = len(bench.out)
+    bench.go(Pose2(6.0, 2.0), number=2, kind=kind)
+    bench.pass_time(3.0)
+    bench.show(room(4, 9))
+    assert len(bench.out) == n
+
+
+def test_an_older_goal_that_arrives_late_is_not_taken():
+    bench = Bench(room(4, 8))
+    late = Goal(bench.planner.now - S, 1, GoalKind.DRIVE, Pose2(2.0, 2.0), 0.1, 0.1, 0.0, False)
+    bench.go(Pose2(6.0, 2.0), number=2)
+    assert not bench.take(bench.planner.new_goal(late))
+    assert bench.pass_time(0.5).goal_id == 2
+
+
+def test_the_path_begins_at_the_robot_as_it_drives():
+    bench = Bench(room(4, 8))
+    bench.go(Pose2(6.0, 2.0))
+    bench.put(Pose2(3.0, 2.1))
+    path = bench.pass_time(0.5)
+    assert path.xs[0] == pytest.approx(3.0, abs=0.06)
+    assert path.length == pytest.approx(3.0, abs=0.06)
+
+
+def test_odometry_carries_the_pose_on():
+    bench = Bench(room(4, 8), pose=Pose2(1.0, 2.0, np.pi / 2))
+    for step in range(1, 11):  # 2 m to the right, 0.4 m ahead
+        bench.planner.odometry(Odometry(bench.planner.now, Pose2(0.04 * step, -0.2 * step), 0.5, 0.0, COVARIANCE))
+    (path,) = bench.go(Pose2(6.0, 2.0))
+    assert (path.xs[0], path.ys[0]) == pytest.approx((3.0, 2.4))
+
+
+def test_without_map_or_pose_it_says_so():
+    planner = PlannerService(PlannerConfig(), X80)
+    goal = Goal(0, 1, GoalKind.DRIVE, Pose2(6.0, 2.0), 0.15, 0.25, 0.0, False)
+    assert [e.message.reason for e in planner.new_goal(goal)] == [reasons.NO_MAP.code]
+    assert [e.message.reason for e in planner.map(message(room(4, 8)))] == [reasons.POSE_OLD.code]
+    assert [e.message.reason for e in planner.confirm()] == [reasons.POSE_OLD.code]
+
+
+def test_a_robot_off_the_plan_gets_a_new_one_at_once():
+    bench = Bench(room(4, 8))
+    bench.go(Pose2(6.0, 2.0))
+    (path,) = bench.put(Pose2(2.0, 3.0))
+    assert (path.xs[0], path.ys[0]) == pytest.approx((2.0, 3.0))
+    assert not bench.put(Pose2(2.0, 3.05))
+
+
+def test_a_wall_that_is_discovered_on_the_way_changes_the_plan_at_once():
+    unseen, seen = two_ways(), two_ways(upper=False)
+    unseen[130:, 85:] = -1
+    bench = Bench(unseen, pose=Pose2(3.0, 7.0), unknown="allowed")
+    bench.go(Pose2(8.0, 7.0))
+    assert goes_above(bench.out[-1])
+    bench.planner.now += S
+    (path,) = bench.show(seen)
+    assert not goes_above(path)
+    assert path.map_version == 2
+
+
+def test_a_way_closed_in_space_that_was_seen_free_changes_the_plan_after_a_while():
+    bench = Bench(two_ways(), pose=Pose2(3.0, 7.0))
+    bench.go(Pose2(8.0, 7.0))
+    bench.show(two_ways(upper=False))
+    assert goes_above(bench.pass_time(2.0))
+    assert not goes_above(bench.pass_time(2.0))
+
+
+def test_a_map_that_shuts_the_goal_off_is_answered_with_the_reason_and_its_opening_with_a_path():
+    bench = Bench(two_ways(), pose=Pose2(3.0, 4.0))
+    bench.go(Pose2(8.0, 4.0))
+    bench.show(two_ways(upper=False, lower=False))
+    path = bench.pass_time(5.0)
+    assert (path.reason, len(path.xs), path.length) == (reasons.UNREACHABLE.code, 0, 0.0)
+    bench.show(two_ways())
+    assert bench.pass_time(0.5).reason == ""
+
+
+def test_a_slightly_shorter_other_side_does_not_change_the_plan():
+    bench = Bench(two_ways(), pose=Pose2(1.0, 4.3))
+    bench.go(Pose2(8.0, 4.1))
+    assert goes_above(bench.out[-1])
+    for y in (3.9, 4.2, 3.8, 4.3, 3.9):
+        bench.put(Pose2(1.0, y))
+        assert goes_above(bench.pass_time(0.5))
+
+
+def test_a_person_far_ahead_on_the_way_does_not_send_the_robot_around_the_house():
+    cells = room(8, 12)
+    cells[80:84, :200] = 100  # two long halves, joined at the far end only
+    cells[80:84, 60:80] = 0  # and by a door
+    bench = Bench(cells, pose=Pose2(1.0, 1.0))
+    bench.go(Pose2(1.5, 7.0))
+    direct = bench.out[-1].length
+    crossed = cells.copy()
+    crossed[80:84, 60:80] = 100
+    bench.show(crossed)
+    assert bench.pass_time(1.5).length == pytest.approx(direct, abs=0.1)
+    bench.show(cells)
+    assert bench.pass_time(1.0).length == pytest.approx(direct, abs=0.1)
+    bench.show(crossed)  # for good, this time
+    assert bench.pass_time(4.0).length > direct + 5
+
+
+def test_people_walking_through_do_not_make_the_plan_change_sides():
+    rng = np.random.default_rng(3)
+    bench = Bench(two_ways(), pose=Pose2(1.0, 4.3))
+    bench.go(Pose2(9.0, 4.1))
+    sides = []
+    for step in range(120):
+        cells = two_ways()
+        for walker in range(4):
+            row, column = 20 + 30 * walker + int(rng.integers(-5, 5)), (7 * step + 53 * walker) % 180 + 10
+            cells[row : row + 6, column : column + 6] = 100
+        cells[60:110, 4:40] = 0  # nobody walks into the robot
+        bench.show(cells)
+        path = bench.pass_time(0.5)
+        if not path.reason:
+            sides.append(goes_above(path))
+    assert len(sides) > 100
+    assert sum(a != b for a, b in pairwise(sides)) <= 4  # in one minute
+
+
+def test_while_the_pose_is_lost_the_plan_stays_what_it_was():
+    bench = Bench(room(4, 8))
+    (path,) = bench.go(Pose2(6.0, 2.0))
+    bench.put(Pose2(2.0, 3.5), Localization.LOST)
+    assert (bench.pass_time(1.0).ys == path.ys).all()
+
+
+def test_another_map_is_planned_on_from_scratch():
+    bench = Bench(room(4, 8))
+    bench.go(Pose2(6.0, 2.0))
+    bench.planner.now += S
+    (path,) = bench.take(bench.planner.map(message(room(3, 5), version=1, map_id=2)))
+    assert path.reason == reasons.UNREACHABLE.code  # the goal lies outside of the smaller room now
+
+
+@pytest.mark.parametrize("robot", ["x80sv", "jackal"])
+def test_warming_up_changes_no_state(robot):
+    planner = PlannerService(PlannerConfig(), load_robot(robot).robot)
+    planner.warm()
+    assert planner.grid.empty
+    assert planner.goal is planner.plan is planner.terrain is None
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.lists(publications(PlannerService), max_size=25))
+def test_any_valid_messages_are_survived(events):
+    planner = PlannerService(PlannerConfig(), X80)
+    for method, event in events:
+        planner.now += S // 3
+        for effect in list(getattr(planner, method)(*([event] if event else []))):
+            assert not list(faults(effect.message))

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.planner.planning import PlanningConfig, planned
+from services.planner.search import Search
+from services.planner.smoothing import path_cost
+from services.planner.traversal_cost import CostConfig, Terrain
+from shared import reasons
+from shared.config import load_robot
+from shared.geometry import Pose2
+from shared.ros_map import read_ros_map
+from tests.unit.services.maps import drawn, grid_of, message, planning_data, room
+
+X80 = load_robot("x80sv").robot
+SEARCH = Search()
+CONFIG = PlanningConfig()
+
+
+def terrain_of(cells, **settings_):
+    terrain = Terrain(CostConfig(**settings_), X80, 0.05)
+    terrain.update(grid_of(cells), None)
+    return terrain
+
+
+def way(terrain, start, goal, tolerance=0.15):
+    return planned(terrain, SEARCH, Pose2(*start), Pose2(*goal), tolerance, CONFIG)
+
+
+def clearance(terrain, plan):
+    """m from each of the plan's points to the centre of the nearest occupied cell (at most the inflation radius)."""
+    row_column = ((plan.points - terrain.origin) / terrain.resolution).astype(int)[:, ::-1] - terrain.pad
+    return terrain.distance[tuple(row_column.T)] * terrain.resolution
+
+
+def touches_nothing(terrain, plan):
+    return path_cost(terrain.costs, (plan.points - terrain.origin) / terrain.resolution) >= 0
+
+
+def wall_with_door(at, width=0.8):
+    """Two rooms of 4 x 4 m, a wall at x = 4 m with a door from y = at."""
+    cells = room(4, 8)
+    cells[:, 80:84] = 100
+    cells[round(at / 0.05) : round((at + width) / 0.05), 80:84] = 0
+    return cells
+
+
+def test_a_path_starts_at_the_robot_and_ends_in_the_goal_with_its_heading():
+    plan = way(terrain_of(wall_with_door(1.6)), (1.0, 1.0, 0.0), (7.0, 3.0, -2.0))
+    assert plan.reason is None
+    assert plan.points[0] == pytest.approx((1.0, 1.0))
+    assert plan.points[-1] == pytest.approx((7.0, 3.0))
+    assert plan.yaws[-1] == pytest.approx(-2.0)
+    assert (np.hypot(*np.diff(plan.points, axis=0).T) < 0.051).all()
+    ahead = np.diff(plan.points, axis=0)
+    assert plan.yaws[:-1] == pytest.approx(np.arctan2(ahead[:, 1], ahead[:, 0]))
+
+
+def test_the_path_keeps_clearance_where_there_is_room():
+    terrain = terrain_of(wall_with_door(1.6))
+    plan = way(terrain, (0.4, 1.0, 0.0), (7.6, 1.0, 0.0))
+    through = (plan.points[:, 0] > 3.6) & (plan.points[:, 0] < 4.6)
+    open_ = (plan.points[:, 0] > 1.0) & (plan.points[:, 0] < 3.2)
+    away = clearance(terrain, plan)
+    assert away[through].min() >= 0.35  # the middle of the door
+    assert away[open_].min() >= 0.6
+    assert touches_nothing(terrain, plan)
+
+
+def test_no_bend_is_sharp():
+    plan = way(terrain_of(wall_with_door(2.5)), (1.0, 1.0, 0.0), (7.0, 1.0, 0.0))
+    turns = np.abs(np.angle(np.exp(1j * np.diff(plan.yaws[:-1]))))
+    assert turns.max() < 0.35
+
+
+def test_a_goal_beside_a_wall_is_moved_to_the_nearest_place_with_room():
+    terrain = terrain_of(room(3, 3))
+    plan = way(terrain, (2.0, 2.0, 0.0), (0.2, 1.5, 1.0))
+    assert plan.reason is None
+    moved = np.hypot(plan.points[-1][0] - 0.2, plan.points[-1][1] - 1.5)
+    assert 0 < moved <= CONFIG.goal_reach
+    assert plan.yaws[-1] == pytest.approx(1.0)
+    rows, columns = np.nonzero(terrain.costs)
+    x0, y0 = terrain.origin
+    nearest = np.hypot(x0 + (columns + 0.5) * 0.05 - 0.2, y0 + (rows + 0.5) * 0.05 - 1.5).min()
+    assert moved == pytest.approx(nearest)
+
+
+@pytest.mark.parametrize(
+    ("goal", "tolerance", "reason"),
+    [
+        ((0.05, 1.5), 0.15, reasons.GOAL_BLOCKED),
+        ((-3.0, 1.5), 0.15, reasons.GOAL_OUTSIDE),
+        ((1e5, -1e5), 0.15, reasons.GOAL_OUTSIDE),
+        ((0.05, 1.5), 0.6, None),
+    ],
+)
+def test_a_goal_without_room_is_refused_with_the_reason(goal, tolerance, reason):
+    assert way(terrain_of(room(3, 3)), (2.0, 2.0, 0.0), (*goal, 0.0), tolerance).reason is reason
+
+
+def test_a_goal_in_unknown_space_is_refused_only_where_that_is_forbidden():
+    cells = drawn("..????", 20).repeat(2, axis=0)
+    for policy, reason in (("costly", None), ("allowed", None), ("forbidden", reasons.GOAL_UNKNOWN)):
+        assert way(terrain_of(cells, unknown=policy), (1.0, 1.0, 0), (5.0, 1.0, 0)).reason is reason
+
+
+def test_a_goal_behind_walls_is_unreachable():
+    assert way(terrain_of(wall_with_door(1, 0.0)), (1.0, 1.0, 0), (7.0, 1.0, 0)).reason is reasons.UNREACHABLE
+
+
+def test_a_robot_outside_of_the_map_has_no_map():
+    assert way(terrain_of(room(3, 3)), (-5.0, 1.0, 0), (1.0, 1.0, 0)).reason is reasons.NO_MAP
+
+
+def test_a_robot_close_to_a_wall_leaves_it_straight_away():
+    terrain = terrain_of(room(3, 3))
+    plan = way(terrain, (0.22, 1.5, 0.0), (2.5, 1.5, 0.0))
+    assert plan.reason is None
+    assert plan.points[0] == pytest.approx((0.22, 1.5))
+    assert plan.points[-1] == pytest.approx((2.5, 1.5))
+    assert (np.diff(clearance(terrain, plan)[:6]) >= 0).all()
+
+
+def test_a_robot_that_the_map_puts_into_a_wall_gets_out_on_its_own_side():
+    cells = wall_with_door(3.0)
+    plan = way(terrain_of(cells), (3.99, 1.0, 0.0), (1.0, 1.0, 0.0))
+    assert plan.reason is None
+    assert plan.points[:, 0].max() < 4.2
+
+
+def test_a_robot_walled_in_is_blocked():
+    cells = room(3, 3)
+    cells[:40, :40] = 100
+    cells[19:23, 19:23] = 0
+    assert way(terrain_of(cells), (1.05, 1.05, 0), (2.5, 2.5, 0)).reason is reasons.START_BLOCKED
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32))
+def test_in_any_clutter_the_path_touches_nothing_and_ends_within_reach_of_the_goal(seed):
+    rng = np.random.default_rng(seed)
+    cells = room(4, 6)
+    for row, column in rng.integers(4, (76, 116), (12, 2)):
+        cells[row : row + 4, column : column + 4] = 100
+    terrain = terrain_of(cells)
+    free = np.argwhere(terrain.costs)
+    for _ in range(4):
+        (r0, c0), (r1, c1) = free[rng.integers(len(free), size=2)]
+        start, goal = (*terrain.centre(int(r0), int(c0)), 0.0), (*terrain.centre(int(r1), int(c1)), 0.0)
+        plan = way(terrain, start, goal)
+        connected = terrain.regions[r0, c0] == terrain.regions[r1, c1]
+        if plan.reason is None:
+            assert touches_nothing(terrain, plan)
+            assert np.hypot(*(plan.points[-1] - goal[:2])) <= (1e-9 if connected else CONFIG.goal_reach)
+        else:
+            assert not connected
+            assert plan.reason is reasons.UNREACHABLE
+
+
+@pytest.mark.parametrize("name", ["depot", "willow_garage"])
+def test_in_real_buildings_every_reachable_goal_gets_a_path_with_clearance(name):
+    cells, resolution, _, _ = read_ros_map(planning_data() / "ros_maps" / f"{name}.yaml")
+    grid = grid_of(cells, resolution)
+    terrain = Terrain(CostConfig(), X80, resolution)
+    terrain.update(grid, None)
+    known = np.pad(grid.free, terrain.pad) & (terrain.costs > 0)
+    largest = np.bincount(terrain.regions[known]).argmax()
+    places = np.argwhere(known & (terrain.regions == largest))
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        start, goal = (
+            Pose2(*terrain.centre(*map(int, places[rng.integers(len(places))])), float(yaw))
+            for yaw in rng.uniform(-3, 3, 2)
+        )
+        plan = planned(terrain, SEARCH, start, goal, 0.15, CONFIG)
+        assert plan.reason is None
+        assert touches_nothing(terrain, plan)
+        assert clearance(terrain, plan).min() >= X80.inscribed_radius
+
+
+def test_where_the_goal_is_walled_off_by_an_update_it_becomes_unreachable():
+    cells = wall_with_door(1.6)
+    grid = grid_of(cells)
+    terrain = Terrain(CostConfig(), X80, 0.05)
+    terrain.update(grid, None)
+    assert way(terrain, (1.0, 1.0, 0), (7.0, 1.0, 0)).reason is None
+    closed = cells.copy()
+    closed[:, 80:84] = 100
+    terrain.update(grid, grid.apply(message(closed, version=2, since=cells)))
+    assert way(terrain, (1.0, 1.0, 0), (7.0, 1.0, 0)).reason is reasons.UNREACHABLE

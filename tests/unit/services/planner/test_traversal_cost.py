@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.planner.search import Search
+from services.planner.traversal_cost import UNIT, CostConfig, Terrain
+from shared.config import load_robot
+from tests.unit.services.maps import drawn, grid_of, message, room
+
+X80, JACKAL = load_robot("x80sv").robot, load_robot("jackal").robot
+
+
+def terrain_of(cells, robot=X80, resolution=0.05, **settings_):
+    terrain = Terrain(CostConfig(**settings_), robot, resolution)
+    terrain.update(grid_of(cells, resolution), None)
+    return terrain
+
+
+@pytest.mark.parametrize("robot", [X80, JACKAL])
+def test_cost_falls_with_the_distance_to_the_wall_and_ends_at_the_inflation_radius(robot):
+    terrain = terrain_of(room(3, 3), robot)
+    away = terrain.costs[terrain.pad + 2 : terrain.pad + 32, terrain.pad + 32].astype(int)  # from the wall inwards
+    n_blocked = np.count_nonzero(away == 0)
+    distance = (np.arange(30) + 1) * 0.05  # from the wall's last cell
+    assert (distance[:n_blocked] < robot.inscribed_radius + 0.03).all()
+    assert distance[n_blocked] >= robot.inscribed_radius + 0.03 - 1e-9
+    outer = away[n_blocked:]
+    assert (np.diff(outer) <= 0).all()
+    assert (outer[distance[n_blocked:] >= 1.0] == UNIT).all()
+    assert (outer[distance[n_blocked:] < 0.9] > UNIT).all()
+
+
+def test_where_the_robot_cannot_turn_it_costs_more():
+    plain, narrow = (terrain_of(room(3, 3), JACKAL, narrow_weight=w) for w in (0.0, 3.0))
+    dearer = (narrow.costs > plain.costs)[plain.pad :, plain.pad :][:60, 32]
+    distance = np.abs(np.arange(60) - 1) * 0.05
+    inscribed, circumscribed = JACKAL.inscribed_radius + 0.03, JACKAL.circumscribed_radius + 0.03
+    assert (dearer[:32] == ((distance >= inscribed) & (distance < circumscribed))[:32]).all()
+
+
+def test_unknown_space_is_by_policy():
+    cells = drawn("....????....", 10).repeat(10, axis=0)
+    known, unknown = (50, 20), (50, 60)
+    costs = {}
+    for policy in ("allowed", "costly", "forbidden"):
+        terrain = terrain_of(cells, unknown=policy)
+        costs[policy] = [
+            int(terrain.costs[row + terrain.pad, column + terrain.pad]) for row, column in (known, unknown)
+        ]
+    assert costs["allowed"] == [UNIT, UNIT]
+    assert costs["costly"] == [UNIT, 3 * UNIT]
+    assert costs["forbidden"] == [UNIT, 0]
+
+
+def test_cells_that_are_neither_free_nor_occupied_are_unknown():
+    cells = np.full((64, 64), 50, np.int8)
+    assert terrain_of(cells, unknown="forbidden").costs.max() == 0
+
+
+@pytest.mark.parametrize("beyond", [0.0, 1.0])
+def test_outside_of_the_map_is_unknown_space_as_far_as_configured(beyond):
+    terrain = terrain_of(room(2, 2), beyond_map=beyond)
+    assert terrain.holds(*terrain.cell(-0.01, 1.0)) == (beyond > 0)
+    assert not terrain.holds(*terrain.cell(-1.2, 1.0))
+    assert (terrain.costs[[0, -1]] == 0).all()
+    assert (terrain.costs[:, [0, -1]] == 0).all()
+
+
+@pytest.mark.parametrize("robot", [X80, JACKAL])
+def test_a_door_of_80_cm_lets_the_robot_through(robot):
+    cells = room(3, 5)
+    cells[:, 50:54] = 100
+    cells[30:46, 50:54] = 0
+    terrain = terrain_of(cells, robot)
+    west, east = (terrain.regions[terrain.cell(x, 1.5)] for x in (1.0, 4.0))
+    assert west == east != 0
+
+
+def test_a_slit_of_30_cm_does_not():
+    cells = room(3, 5)
+    cells[:, 50:54] = 100
+    cells[30:36, 50:54] = 0
+    terrain = terrain_of(cells)
+    assert terrain.regions[terrain.cell(1.0, 1.5)] != terrain.regions[terrain.cell(4.0, 1.5)]
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32), st.floats(0.0, 0.08))
+def test_regions_are_what_the_search_can_reach(seed, share):
+    rng = np.random.default_rng(seed)
+    cells = np.where(rng.random((24, 24)) < share, 100, 0).astype(np.int8)
+    terrain = terrain_of(cells, resolution=0.1, unknown="forbidden")
+    search, free = Search(), np.argwhere(terrain.costs)
+    for _ in range(10 if len(free) else 0):
+        a, b = (tuple(map(int, free[rng.integers(len(free))])) for _ in range(2))
+        way = search.way(terrain.costs, a, b, UNIT, terrain.highest)
+        assert (len(way) > 0) == (terrain.regions[a] == terrain.regions[b])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 127), st.integers(0, 127), st.sampled_from([100, 0, -1])), max_size=6))
+def test_updating_by_changes_equals_starting_anew(changes):
+    rng = np.random.default_rng(len(changes))
+    cells = np.where(rng.random((128, 128)) < 0.003, 100, 0).astype(np.int8)
+    grid = grid_of(cells)
+    terrain = Terrain(CostConfig(), X80, 0.05)
+    terrain.update(grid, None)
+    for version, (row, column, percent) in enumerate(changes):
+        before = cells.copy()
+        cells[row : row + 3, column : column + 3] = percent
+        terrain.update(grid, grid.apply(message(cells, version=version + 2, since=before)))
+    assert (terrain.costs == terrain_of(cells).costs).all()

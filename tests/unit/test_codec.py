@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bytes to messages and back: what is encoded decodes to the same, what is wrong is told, nothing else happens."""
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shared.codec import CodecError, Envelope, decode, encode, envelope_of, fields_of, schema, schema_id
+from shared.messages import LaserScan, MapUpdate, Message, Velocity
+from shared.requests import REQUESTS
+from shared.topics import TOPICS
+from tests.strategies import messages
+
+TYPES = sorted({t.type for t in TOPICS} | {r.request for r in REQUESTS} | {r.reply for r in REQUESTS}, key=str)
+envelopes = st.builds(Envelope, st.text(max_size=8), st.text(max_size=8), st.integers(0, 2**40), st.integers(0, 2**62))
+
+
+def changed(payload: bytes, **fields: object) -> bytes:
+    tree = msgpack.unpackb(payload)
+    tree.update(fields)
+    return msgpack.packb({k: v for k, v in tree.items() if v is not ...})
+
+
+@pytest.mark.parametrize("kind", TYPES)
+@given(data=st.data())
+def test_decoding_undoes_encoding(kind, data):
+    message, envelope = data.draw(messages(kind)), data.draw(envelopes)
+    payload = encode(message, envelope)
+    decoded, sender = decode(kind, payload)
+    assert sender == envelope == envelope_of(payload)
+    assert encode(decoded, sender) == payload
+    for field in fields_of(kind):
+        before, after = getattr(message, field.name), getattr(decoded, field.name)
+        if isinstance(before, np.ndarray):
+            np.testing.assert_array_equal(after, before)
+            assert not after.flags.writeable
+            assert after.flags.aligned
+        elif not isinstance(before, Message):
+            assert after == before
+
+
+@pytest.mark.parametrize("kind", TYPES)
+@given(junk=st.binary(max_size=80))
+def test_random_bytes_are_a_codec_error_and_nothing_else(kind, junk):
+    with pytest.raises(CodecError):
+        decode(kind, junk)
+
+
+@pytest.mark.parametrize("kind", [LaserScan, MapUpdate])
+@given(data=st.data())
+def test_a_damaged_message_decodes_to_a_valid_one_or_is_a_codec_error(kind, data):
+    payload = bytearray(encode(data.draw(messages(kind)), Envelope("sim", "s", 0, 0)))
+    at = data.draw(st.integers(0, len(payload) - 1))
+    payload[at] ^= data.draw(st.integers(1, 255))
+    try:
+        message, envelope = decode(kind, bytes(payload))
+    except CodecError:
+        return
+    assert encode(message, envelope)
+
+
+def scan(**fields: object) -> bytes:
+    ranges = np.array([1.0, np.nan, 2.0], np.float32)
+    good = encode(LaserScan(5, 0.0, 0.1, 0.1, 0.1, 10.0, ranges), Envelope("sim", "s", 0, 5))
+    return changed(good, **fields) if fields else good
+
+
+def array(values: object, dtype: type = np.float32) -> bytes:
+    from shared.codec import _packed_array
+
+    return _packed_array(np.array(values, dtype), np.dtype(dtype))
+
+
+def test_a_good_scan_is_good():
+    assert decode(LaserScan, scan())[0].stamp == 5
+
+
+@pytest.mark.parametrize(
+    ("fields", "told"),
+    [
+        ({"ranges": array([1, np.inf, 2])}, "not finite"),
+        ({"ranges": array([1, -1, 2])}, "not within"),
+        ({"ranges": array([1])}, "fewer than 2 beams"),
+        ({"ranges": array([])}, "fewer than 2 beams"),
+        ({"ranges": array([[1, 2]])}, "axes"),
+        ({"ranges": array([1, 2], np.float64)}, "not a float32 array"),
+        ({"ranges": array([1, 2])[:-1]}, "do not fit"),
+        ({"ranges": [1.0, 2.0]}, "not an array"),
+        ({"ranges": array(np.ones(64))}, "more than a full turn"),
+        ({"angle_increment": 0.0}, "zero"),
+        ({"angle_increment": float("nan")}, "not finite"),
+        ({"angle_min": "0"}, "not a number"),
+        ({"scan_time": -0.1}, "not within"),
+        ({"range_min": 20.0}, "range_min"),
+        ({"stamp": -1}, "not within"),
+        ({"stamp": 1.5}, "not an integer"),
+        ({"stamp": True}, "not an integer"),
+        ({"stamp": ...}, "missing"),
+        ({"colour": 1}, "unknown field 'colour'"),
+        ({"@": ...}, "envelope"),
+        ({"@": ["sim", "s", "0", 5]}, "envelope"),
+    ],
+)
+def test_each_fault_is_told(fields, told):
+    with pytest.raises(CodecError, match=told):
+        decode(LaserScan, scan(**fields))
+
+
+def test_all_echoes_missing_is_a_valid_scan():
+    ranges = decode(LaserScan, scan(ranges=array([np.nan, np.nan])))[0].ranges
+    assert np.isnan(ranges).all()
+
+
+def test_a_reason_is_plain_text_on_the_wire():
+    tree = msgpack.unpackb(encode(Velocity(1, 0.5, 0.0, "estop"), Envelope("guard", "s", 3, 2)))
+    assert tree == {"@": ["guard", "s", 3, 2], "stamp": 1, "v": 0.5, "w": 0.0, "reason": "estop"}
+
+
+def test_schemas_are_named_by_their_fields():
+    names = {schema_id(kind) for kind in TYPES}
+    assert len(names) == len(TYPES)
+    assert b'"unit": "rad"' in schema(LaserScan)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A configuration's fault is told with file, line, key and the nearest valid name."""
+
+from pathlib import Path
+
+import pytest
+from pydantic import Field
+
+from shared.config import Robot, Section, UserError, load_robot
+
+X80SV = Path(__file__).parents[2] / "config" / "x80sv.yaml"
+
+
+class Limits(Section):
+    stop_margin: float = Field(0.1, ge=0.02, le=1, description="m free in front")
+
+
+class Guard(Section):
+    limits: Limits = Limits()
+
+
+def robot_with(tmp_path: Path, old: str, new: str) -> Path:
+    text = X80SV.read_text()
+    assert old in text
+    path = tmp_path / "robot.yaml"
+    path.write_text(text.replace(old, new))
+    return path
+
+
+@pytest.mark.parametrize("name", ["x80sv", "jackal"])
+def test_the_shipped_robots_are_valid(name):
+    robot = load_robot(name).robot
+    assert 0 < robot.inscribed_radius <= robot.circumscribed_radius
+
+
+def test_a_typo_names_its_line_and_the_nearest_setting(tmp_path):
+    path = tmp_path / "robot.yaml"
+    path.write_text("guard:\n  limits:\n    stop_margn: 0.2\n")
+    with pytest.raises(UserError, match=r"robot\.yaml:3: guard\.limits\.stop_margn is not a setting") as error:
+        load_robot(str(path)).section("guard", Guard)
+    assert "stop_margin" in error.value.mend
+
+
+def test_a_negative_radius_is_an_error_with_its_line(tmp_path):
+    path = robot_with(tmp_path, "wheel_radius: 0.085", "wheel_radius: -0.085")
+    with pytest.raises(UserError, match=r"robot\.yaml:\d+: robot\.drive\.wheel_radius: .*greater than 0"):
+        _ = load_robot(str(path)).robot
+
+
+def test_a_clockwise_footprint_is_refused():
+    robot = load_robot("x80sv").robot
+    with pytest.raises(ValueError, match="counter-clockwise"):
+        Robot.model_validate({**robot.model_dump(), "footprint": robot.footprint[::-1]})
+
+
+def test_an_unknown_section_names_the_nearest(tmp_path):
+    path = tmp_path / "robot.yaml"
+    path.write_text("gaurd:\n  limits: {}\n")
+    with pytest.raises(UserError, match="gaurd") as error:
+        load_robot(str(path)).unknown_sections(("robot", "guard"))
+    assert "`guard`" in error.value.mend
+
+
+def test_overrides_are_checked_like_the_file():
+    file = load_robot("x80sv")
+    file.override("guard.limits.stop_margin=0.3")
+    assert file.section("guard", Guard).limits.stop_margin == 0.3
+    file.override("guard.limits.stop_margin=-1")
+    with pytest.raises(UserError, match="stop_margin"):
+        file.section("guard", Guard)
+
+
+@pytest.mark.parametrize("assignment", ["", "guard", "guard=1", "a.b", ".=1", "a.=2", "a.b=[", "robot.name.x=1"])
+def test_a_malformed_override_is_told(assignment):
+    with pytest.raises(UserError):
+        load_robot("x80sv").override(assignment)
+
+
+@pytest.mark.parametrize("text", ["a: [", "- 1\n- 2\n", "", "\x00", "a: 1\na: 2\n"])
+def test_a_file_that_is_no_configuration_is_told(tmp_path, text):
+    path = tmp_path / "robot.yaml"
+    path.write_text(text)
+    with pytest.raises(UserError):
+        _ = load_robot(str(path)).robot
+
+
+def test_a_robot_that_does_not_exist_names_the_nearest():
+    with pytest.raises(UserError) as error:
+        load_robot("x80s")
+    assert "x80sv" in error.value.mend

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The inbox never blocks its writers, never grows without bound, and keeps order."""
+
+import threading
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shared.runners.inbox import Inbox
+
+filed = st.lists(st.tuples(st.sampled_from(["scan", "odom"]), st.integers(0, 99)), max_size=60)
+
+
+def emptied(inbox: Inbox) -> list[tuple[str, int]]:
+    items = []
+    while (item := inbox.take(0)) is not None:
+        items.append((item[0].key, item[1]))
+    return items
+
+
+@given(filed)
+def test_all_keeps_everything_in_order_and_latest_the_last(items):
+    inbox = Inbox()
+    places = {"scan": inbox.place("scan", "latest"), "odom": inbox.place("odom", "all")}
+    for key, n in items:
+        inbox.file(places[key], n)
+    taken = emptied(inbox)
+    assert [n for key, n in taken if key == "odom"] == [n for key, n in items if key == "odom"]
+    assert [n for key, n in taken if key == "scan"] == [n for key, n in items if key == "scan"][-1:]
+
+
+@given(st.integers(1, 5), st.integers(0, 30))
+def test_a_full_place_drops_its_oldest_and_counts(capacity, n):
+    inbox = Inbox()
+    place = inbox.place("odom", "all", capacity)
+    for i in range(n):
+        assert inbox.file(place, i) == (i < capacity)
+    assert [i for _, i in emptied(inbox)] == list(range(n))[-capacity:]
+    assert place.dropped == max(0, n - capacity)
+
+
+def test_a_waiting_reader_wakes_when_something_is_filed():
+    inbox = Inbox()
+    place = inbox.place("odom", "all")
+    found: list[object] = []
+    reader = threading.Thread(target=lambda: found.append(inbox.take(10)))
+    reader.start()
+    inbox.file(place, 5)
+    reader.join(5)
+    assert found == [(place, 5)]

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lockstep runner's laws, on two toy services."""
+
+import pytest
+
+from shared import topics
+from shared.config import Robot, Section, load_robot
+from shared.messages import EmergencyStop, Velocity, WheelState
+from shared.runners.lockstep import START, Lockstep
+from shared.service import Job, Out, Service, every, on
+
+ROBOT = load_robot("x80sv").robot
+
+
+class Ticker(Service):
+    @every(hz=50)
+    def tick(self) -> Out:
+        yield topics.WHEELS(WheelState(self.now, 0, 0.1, 0.2, 0.0, 0.0))
+
+
+class Counter(Service):
+    def __init__(self, config: Section, robot: Robot) -> None:
+        super().__init__(config, robot)
+        self.seen: list[tuple[int, int]] = []
+        self.jobs: list[int] = []
+
+    @on(topics.WHEELS)
+    def wheels(self, wheels: WheelState) -> Out:
+        self.seen.append((wheels.stamp, self.now))
+        if len(self.seen) == 1:
+            yield Job(sum, ([1, 2],), done="added", takes=0.5)
+
+    def added(self, total: int) -> Out:
+        self.jobs.append(self.now)
+        assert total == 3
+        return ()
+
+
+def stack() -> dict[str, Service]:
+    return {"base_driver": Ticker(Section(), ROBOT), "odometry": Counter(Section(), ROBOT)}
+
+
+def test_messages_arrive_after_their_topics_latency():
+    lockstep = Lockstep(stack())
+    lockstep.run(1.0)
+    seen = lockstep.service("odometry").seen
+    assert len(seen) == 50
+    assert {now - stamp for stamp, now in seen} == {2_000_000}
+
+
+def test_a_job_is_done_after_its_modelled_duration():
+    lockstep = Lockstep(stack())
+    lockstep.run(1.0)
+    assert lockstep.service("odometry").jobs == [START + 2_000_000 + 500_000_000]
+
+
+def test_a_killed_service_hears_and_says_nothing_and_its_successor_starts_anew():
+    lockstep = Lockstep(stack())
+    lockstep.run(0.5)
+    lockstep.kill("odometry")
+    lockstep.run(0.2)
+    lockstep.start("odometry", Counter(Section(), ROBOT))
+    lockstep.run(0.1)
+    assert len(lockstep.service("odometry").seen) == 4
+
+
+def test_a_filter_loses_and_delays():
+    lockstep = Lockstep(stack())
+    lockstep.filters.append(lambda sent, to: None if sent.envelope.sequence % 2 else 0.1)
+    lockstep.run(1.0)
+    seen = lockstep.service("odometry").seen
+    assert {now - stamp for stamp, now in seen} == {102_000_000}
+    assert len(seen) == 23
+
+
+def test_a_late_joiner_gets_the_latched_value():
+    class Joiner(Service):
+        def __init__(self) -> None:
+            super().__init__(Section(), ROBOT)
+            self.pressed: list[bool] = []
+
+        @on(topics.ESTOP)
+        def estop(self, estop) -> Out:  # type: ignore[no-untyped-def]
+            self.pressed.append(estop.pressed)
+            return ()
+
+    lockstep = Lockstep({})
+    lockstep.publish(topics.ESTOP(EmergencyStop(START, True, "test")))
+    lockstep.run(1.0)
+    lockstep.start("guard", Joiner())
+    lockstep.run(0.1)
+    assert lockstep.service("guard").pressed == [True]
+
+
+def test_nobody_publishes_what_is_not_theirs():
+    class Forger(Service):
+        @every(hz=1)
+        def tick(self) -> Out:
+            yield topics.CMD_VEL(Velocity(self.now, 0.0, 0.0, ""))
+
+    lockstep = Lockstep({"odometry": Forger(Section(), ROBOT)})
+    with pytest.raises(TypeError, match="cmd/vel"):
+        lockstep.run(1.0)
+
+
+def test_two_runs_give_the_same_bytes():
+    def run() -> list[bytes]:
+        payloads: list[bytes] = []
+        lockstep = Lockstep(stack(), record=lambda sent: payloads.append(sent.payload))
+        lockstep.run(2.5)
+        lockstep.flush()
+        return payloads
+
+    assert run() == run()

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every command that README and guides show is one: it parses, its target or container exists, its links lead on."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import typer
+from ruamel.yaml import YAML
+
+from zenav.__main__ import app
+
+ROOT = Path(__file__).resolve().parents[2]
+GUIDES = [ROOT / "README.md", ROOT / "docs" / "new_service.md"]
+SHOWN = [
+    (page, command.strip())
+    for page in GUIDES
+    for found in re.finditer(r"^    (.+)$|`([^`\n]+)`", page.read_text(encoding="utf-8"), re.M)
+    for command in [(found[1] or found[2]).partition("#")[0]]
+]
+
+
+def shown(program: str) -> list[str]:
+    return sorted({command for _, command in SHOWN if command.startswith(f"{program} ")})
+
+
+@pytest.mark.parametrize("command", shown("zenav"))
+def test_a_zenav_command_parses(command):
+    arguments = shlex.split(command)[1:]
+    parsed = typer.main.get_command(app)
+    context = None
+    while hasattr(parsed, "resolve_command"):
+        context = parsed.make_context(parsed.name, list(arguments), parent=context)
+        _, parsed, arguments = parsed.resolve_command(context, list(arguments))
+    parsed.make_context(parsed.name, list(arguments), parent=context)
+
+
+@pytest.mark.parametrize("command", shown("make"))
+def test_a_make_target_exists(command):
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for word in shlex.split(command)[1:]:
+        assert "=" in word or re.search(rf"^{word}:.*## ", makefile, re.M)
+
+
+@pytest.mark.parametrize("command", shown("docker"))
+def test_a_container_exists(command):
+    services = YAML(typ="safe").load(ROOT / "docker-compose.yml")["services"]
+    _, compose, *words = shlex.split(command)
+    assert compose == "compose"
+    if "run" in words:
+        assert words[:3] == ["run", "--rm", "cli"]
+        test_a_zenav_command_parses(" ".join(["zenav", *words[3:]]))
+    else:
+        assert words[0] == "up"
+        assert set(words[1:]) <= set(services)
+
+
+@pytest.mark.parametrize("page", [*GUIDES, ROOT / "docs" / "architecture.md"], ids=lambda page: page.name)
+def test_a_link_leads_to_a_file(page):
+    for target in re.findall(r"(?<!!)\[[^\]]*\]\((?!http)([^)#]+)", page.read_text(encoding="utf-8")):
+        assert (page.parent / target).exists(), target

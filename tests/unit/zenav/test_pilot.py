@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The scenario's steps against a navigator made of answers."""
+
+from shared import requests
+from shared.config import UserError
+from shared.geometry import Pose2
+from shared.messages import NavState, NavStatus
+from shared.requests import Reply
+from zenav.pilot import AGAIN, MAX_FORGOTTEN, MAX_REFUSED, LegState, Pilot
+
+GOALS = [("kitchen", Pose2(1, 2, 3)), ("home", Pose2())]
+
+
+class Navigator:
+    """Takes what it is asked for, unless `refuses` names a reason."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+        self.refuses = ""
+        self.task = 0
+        self.now = 100.0
+
+    def ask(self, request: requests.Request, message: object) -> Reply:
+        self.asked.append(request.key)
+        if self.refuses == "nobody":
+            raise UserError("nobody", "")
+        self.task += not self.refuses
+        return Reply(0, not self.refuses, self.refuses, "", self.task)
+
+    def status(self, state: NavState, task: int | None = None, reason: str = "") -> NavStatus:
+        task = self.task if task is None else task
+        stamp = round(self.now * 1e9)
+        return NavStatus(stamp, task, state, "", reason, "", Pose2(), 0.0, 0.0, 0, 1, 0)
+
+    def step(self, pilot: Pilot, state: NavState, task: int | None = None, reason: str = "") -> None:
+        self.now += 1.1 * AGAIN
+        pilot.step(self.now, self.status(state, task, reason))
+
+
+def test_it_explores_and_drives_to_every_goal_in_order():
+    navigator = Navigator()
+    pilot = Pilot(GOALS, navigator.ask)
+    for _ in range(3):
+        navigator.step(pilot, NavState.IDLE)
+        navigator.step(pilot, NavState.NAVIGATING)
+        assert pilot.leg.state is LegState.UNDER_WAY
+        navigator.step(pilot, NavState.REACHED)
+    assert pilot.leg is None
+    assert navigator.asked == ["request/explore", "request/navigate", "request/navigate"]
+    assert (pilot.n_reached, pilot.n_goals, pilot.explored) == (2, 2, True)
+
+
+def test_a_status_from_before_the_request_ends_nothing():
+    navigator = Navigator()
+    pilot = Pilot(GOALS, navigator.ask, explores=False)
+    before = navigator.status(NavState.REACHED, 1)
+    navigator.step(pilot, NavState.IDLE)
+    pilot.step(navigator.now + 0.1, before)
+    assert pilot.leg.name == "kitchen"
+
+
+def test_a_stack_that_is_not_ready_is_asked_again_and_a_wrong_goal_is_not():
+    navigator = Navigator()
+    pilot = Pilot(GOALS, navigator.ask, explores=False)
+    for navigator.refuses in ("no_map", "nobody", "scan_old"):
+        navigator.step(pilot, NavState.IDLE)
+        assert pilot.leg.name == "kitchen"
+    navigator.refuses = "goal_outside"
+    navigator.step(pilot, NavState.IDLE)
+    assert pilot.legs[0].state is LegState.FAILED
+    assert pilot.legs[0].reason == "goal_outside"
+    assert pilot.leg.name == "home"
+
+
+def test_patience_with_a_stack_that_never_gets_ready_ends():
+    navigator = Navigator()
+    navigator.refuses = "no_map"
+    pilot = Pilot(GOALS, navigator.ask)
+    n = 0
+    while pilot.leg is not None:
+        navigator.step(pilot, NavState.IDLE)
+        n += 1
+        assert n < 10 * MAX_REFUSED / AGAIN
+    assert pilot.n_reached == 0
+
+
+def test_a_restarted_navigator_gets_the_leg_again_a_few_times():
+    navigator = Navigator()
+    pilot = Pilot(GOALS, navigator.ask, explores=False)
+    for n in range(MAX_FORGOTTEN):
+        navigator.task = 5
+        navigator.step(pilot, NavState.IDLE)
+        navigator.step(pilot, NavState.IDLE, task=0)
+        assert pilot.legs[0].state is LegState.WAITING
+        assert len(navigator.asked) == n + 1
+    navigator.step(pilot, NavState.IDLE)
+    navigator.step(pilot, NavState.IDLE, task=0)
+    assert pilot.legs[0].state is LegState.FAILED
+
+
+def test_a_failed_goal_does_not_keep_the_next_from_being_tried():
+    navigator = Navigator()
+    pilot = Pilot(GOALS, navigator.ask, explores=False)
+    navigator.step(pilot, NavState.IDLE)
+    navigator.step(pilot, NavState.FAILED, reason="unreachable")
+    navigator.step(pilot, NavState.FAILED)
+    navigator.step(pilot, NavState.REACHED)
+    assert [leg.state for leg in pilot.legs] == [LegState.FAILED, LegState.REACHED]
+
+
+def test_a_task_of_somebody_else_is_not_ours():
+    navigator = Navigator()
+    pilot = Pilot(GOALS, navigator.ask, explores=False)
+    navigator.step(pilot, NavState.IDLE)
+    navigator.step(pilot, NavState.REACHED, task=navigator.task + 1)
+    assert pilot.legs[0].state is LegState.FAILED

@@ -1,0 +1,489 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line: what can be asked for, with units and examples. Only parsing; work is imported when it is due."""
+
+import shared.repeatable  # noqa: F401  # before numpy
+
+# isort: split
+import os
+import re
+import sys
+from collections.abc import Callable
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+NEGATIVE = re.compile(r"-\.?\d")
+USAGE_ERROR: Any = typer.BadParameter.__base__  # typer's public names have only its descendants
+MAIN, DRIVE, LOOK, FILES = "Start", "Drive", "Look", "Logs, recordings, measurements"
+
+
+class Command(TyperCommand):
+    """A command that takes negative numbers for arguments, not for options."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        # a number may begin with a space, an option may not
+        return super().parse_args(ctx, [f" {a}" if NEGATIVE.match(a) else a for a in args])
+
+
+class Group(TyperGroup):
+    """Commands that take negative numbers, and a hint for a mistyped one."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
+            known = self.list_commands(ctx)
+            close = get_close_matches(args[0], known, n=1, cutoff=0.5)
+            hint = f"did you mean `{close[0]}`?" if close else f"known: {', '.join(known)}"
+            _complain(f"{args[0]} is not a command of {ctx.command_path}", hint)
+        return super().resolve_command(ctx, args)
+
+
+def _group(text: str) -> typer.Typer:
+    return typer.Typer(cls=Group, help=text, no_args_is_help=True, rich_markup_mode="rich")
+
+
+app = _group(
+    "A navigation stack for wheeled robots. Distances are in m, times in s, angles on this command line in degrees."
+)
+bench = _group("Measure: a table here, JSON in a file.")
+topic = _group("Look at what goes over the wire.")
+map_ = _group("Save, load and look at maps.")
+config = _group("Look at the configuration.")
+
+
+def _services() -> list[str]:
+    from shared.topics import SERVICES
+
+    return list(SERVICES)
+
+
+def _keys() -> list[str]:
+    from shared.topics import SERVICES, TOPICS
+
+    return [key for t in TOPICS for key in ([t.key] if t.by != "*" else [f"{t.key}/{name}" for name in SERVICES])]
+
+
+def _names_in(folder: str, but: str = "") -> Callable[[], list[str]]:
+    here = Path(__file__).resolve().parent.parent
+    return lambda: sorted(p.stem for p in (here / folder).glob("*.yaml") if p.stem != but)
+
+
+RobotName = Annotated[
+    str,
+    typer.Option(
+        "--robot", envvar="ZENAV_ROBOT", help="Name in config/, or a YAML file.", autocompletion=_names_in("config")
+    ),
+]
+Stack = Annotated[
+    str,
+    typer.Option(
+        "--stack", envvar="ZENAV_STACK", help="Number of the stack on this host, or a router: tcp/router:7447."
+    ),
+]
+World = Annotated[
+    str,
+    typer.Option(
+        help="Simulate this world: a name in config/worlds, a YAML file, or barn:N.",
+        autocompletion=_names_in("config/worlds"),
+    ),
+]
+Setting = Annotated[
+    list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Override a setting; may be repeated.")
+]
+Json = Annotated[bool, typer.Option("--json", help="JSON, one object a line.")]
+Key = Annotated[str, typer.Argument(help="Topic, like scan or health/mapper.", autocompletion=_keys)]
+Seconds = Annotated[float, typer.Option(min=0.1, help="s")]
+Out = Annotated[Path | None, typer.Option("--out", help="JSON file for the results.")]
+Seeds = Annotated[str, typer.Option(help="Like 3, 0-9 or 0,4,7-9.")]
+
+
+@app.command(cls=Command, rich_help_panel=MAIN)
+def demo(
+    headless: Annotated[bool, typer.Option("--headless", help="Plain lines instead of a live table.")] = False,
+    seconds: Annotated[float, typer.Option(min=5, help="s: give up after this long.")] = 1800.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of noise, slip, people and loose things.")] = 0,
+    record: Annotated[
+        Path | None, typer.Option(help="Recording; without it: in the run's folder.", metavar="FILE.mcap")
+    ] = None,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="In one process on the virtual clock, repeatable.")
+    ] = False,
+    robot: RobotName = "x80sv",
+    world: World = "office",
+    set_: Setting = None,
+) -> None:
+    """Explore an unknown office, then drive to five goals and back.
+
+    Example: zenav demo --headless --seed 3
+    """
+    from zenav.demo import demo
+
+    raise typer.Exit(demo(robot, world, seed, seconds, headless, record, lockstep, set_ or []))
+
+
+@app.command(cls=Command, rich_help_panel=MAIN)
+def up(
+    robot: RobotName = "x80sv",
+    world: World = "",
+    only: Annotated[str, typer.Option(help="Only these services: a,b", metavar="A,B")] = "",
+    speed: Annotated[float, typer.Option(min=0.01, max=100, help="Simulated seconds in a real one.")] = 1.0,
+    stack: Stack = "0",
+    set_: Setting = None,
+) -> None:
+    """Start the services as processes, and bring dead ones back, until Ctrl-C.
+
+    Example: zenav up --world office
+    """
+    from zenav.up import up
+
+    up(robot, world, [name for name in only.split(",") if name], speed, stack, set_ or [])
+
+
+@app.command(cls=Command, rich_help_panel=MAIN)
+def run(
+    service: Annotated[str, typer.Argument(help="Name of the service.", autocompletion=_services)],
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+    set_: Setting = None,
+    clock: Annotated[str, typer.Option(metavar="EPOCH:SPEED", help="Simulated time: ns, times as fast as real.")] = "",
+    log: Annotated[str, typer.Option(help="DEBUG, INFO, WARNING or ERROR.")] = "INFO",
+) -> None:
+    """Run one service alone in the foreground, against whatever else runs; also under a debugger.
+
+    Example: zenav run mapper --log DEBUG
+    """
+    from zenav.up import run
+
+    run(service, robot, stack, set_ or [], clock, log)
+
+
+@app.command(cls=Command, rich_help_panel=DRIVE)
+def goto(
+    x: Annotated[float, typer.Argument(help="m, on the map.")],
+    y: Annotated[float, typer.Argument(help="m, on the map.")],
+    yaw: Annotated[
+        float | None, typer.Argument(help="Degrees, counter-clockwise; without it any heading will do.")
+    ] = None,
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Drive to X Y on the map and stop. Ctrl-C cancels the goal.
+
+    Example: zenav goto 3.5 -1.2 90
+    """
+    from zenav.drive import drive
+
+    raise typer.Exit(drive(robot, stack, [(x, y, yaw)]))
+
+
+@app.command(cls=Command, rich_help_panel=DRIVE)
+def route(
+    poses: Annotated[list[str] | None, typer.Argument(metavar="X,Y[,YAW]...", help="m, m, degrees.")] = None,
+    loops: Annotated[int, typer.Option(min=0, help="Rounds; 0 is for ever.")] = 1,
+    dwell: Annotated[float, typer.Option(min=0, help="s to stand at each pose.")] = 0.0,
+    pause: Annotated[bool, typer.Option("--pause", help="Stand, and keep the present task.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a paused task.")] = False,
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Drive through poses in order. Ctrl-C cancels the route.
+
+    Example: zenav route 1,0 4,-2,90 0,0 --loops 3 --dwell 5
+    """
+    from zenav.drive import drive, paused, poses_from
+
+    if pause or resume:
+        raise typer.Exit(paused(robot, stack, pause and not resume))
+    raise typer.Exit(drive(robot, stack, poses_from(poses or []), dwell, loops))
+
+
+@app.command(cls=Command, rich_help_panel=DRIVE)
+def explore(robot: RobotName = "x80sv", stack: Stack = "0") -> None:
+    """Explore until no reachable frontier is left. Ctrl-C cancels."""
+    from zenav.drive import explore
+
+    raise typer.Exit(explore(robot, stack))
+
+
+@app.command(cls=Command, rich_help_panel=DRIVE)
+def cancel(robot: RobotName = "x80sv", stack: Stack = "0") -> None:
+    """Drop the present task: the robot stands."""
+    from zenav.drive import cancel
+
+    raise typer.Exit(cancel(robot, stack))
+
+
+@app.command(cls=Command, rich_help_panel=DRIVE)
+def teleop(
+    speed: Annotated[float, typer.Option(min=0.01, max=5, help="m/s")] = 0.3,
+    turn: Annotated[float, typer.Option(min=1, max=360, help="degrees/s")] = 45.0,
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Drive with the keyboard: w a s d or arrows, space stops, q quits."""
+    from zenav.teleop import teleop
+
+    teleop(robot, stack, speed, turn)
+
+
+@app.command(cls=Command, rich_help_panel=DRIVE)
+def estop(
+    release: Annotated[bool, typer.Option("--release", help="Release it; that never moves the robot.")] = False,
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Press STOP: the robot stands until somebody releases it."""
+    from zenav.drive import estop
+
+    raise typer.Exit(estop(robot, stack, not release))
+
+
+@topic.command("list", cls=Command)
+def topic_list(as_json: Json = False) -> None:
+    """Every topic: key, type, rate (Hz), who publishes it, what it carries."""
+    from zenav.topic import listed
+
+    listed(as_json)
+
+
+@topic.command(cls=Command)
+def echo(
+    key: Key,
+    once: Annotated[bool, typer.Option("--once", help="One message.")] = False,
+    number: Annotated[int, typer.Option("--number", "-n", min=0, help="Messages; 0 is until Ctrl-C.")] = 0,
+    as_json: Json = False,
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Show the messages on a topic.
+
+    Example: zenav topic echo pose --once
+    """
+    from zenav.topic import echo
+
+    raise typer.Exit(echo(robot, stack, key, 1 if once else number, as_json))
+
+
+@topic.command(cls=Command)
+def hz(key: Key, seconds: Seconds = 5.0, as_json: Json = False, robot: RobotName = "x80sv", stack: Stack = "0") -> None:
+    """Measure a topic: rate (Hz), jitter and age (ms), size.
+
+    Example: zenav topic hz scan --seconds 10
+    """
+    from zenav.topic import measured
+
+    raise typer.Exit(measured(robot, stack, key, seconds, as_json))
+
+
+@map_.command(cls=Command)
+def save(
+    place: Annotated[str, typer.Argument(help="Name below maps/, or a folder.")],
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Write the present map as map.pgm + map.yaml (ROS map_server) and map.png.
+
+    Example: zenav map save office
+    """
+    from zenav.maps import save
+
+    save(robot, stack, place)
+
+
+@map_.command(cls=Command)
+def load(
+    place: Annotated[str, typer.Argument(help="Name below maps/, a folder, or a map's YAML.")],
+    x: Annotated[float, typer.Option(help="m: where the robot stands on it.")] = 0.0,
+    y: Annotated[float, typer.Option(help="m")] = 0.0,
+    yaw: Annotated[float, typer.Option(help="Degrees, counter-clockwise.")] = 0.0,
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Give a map to the mapper, with the robot's place on it.
+
+    Example: zenav map load office --x 2 --y -1 --yaw 90
+    """
+    from zenav.maps import load
+
+    raise typer.Exit(load(robot, stack, place, (x, y, yaw)))
+
+
+@map_.command(cls=Command)
+def show(
+    place: Annotated[str, typer.Argument(help="Name, folder or YAML; without it: the map of the running stack.")] = "",
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Show a map in the terminal."""
+    from zenav.maps import show
+
+    show(robot, stack, place)
+
+
+@config.command("show", cls=Command)
+def config_show(
+    section: Annotated[str, typer.Argument(help="Only this section.")] = "",
+    origin: Annotated[bool, typer.Option("--origin", help="With the place that each value comes from.")] = False,
+    robot: RobotName = "x80sv",
+    set_: Setting = None,
+) -> None:
+    """Print the values that are in force, as YAML.
+
+    Example: zenav config show guard --origin
+    """
+    from zenav.settings import show
+
+    show(robot, set_ or [], section, origin)
+
+
+@config.command("check", cls=Command)
+def config_check(robot: RobotName = "x80sv", set_: Setting = None) -> None:
+    """Check a robot's file: every section and every value."""
+    from zenav.settings import check
+
+    check(robot, set_ or [])
+
+
+@app.command(cls=Command, rich_help_panel=LOOK)
+def doctor(stack: Stack = "0") -> None:
+    """What is wrong on this machine, and how to mend it."""
+    from zenav.doctor import doctor
+
+    raise typer.Exit(doctor(stack))
+
+
+@app.command(cls=Command, rich_help_panel=FILES)
+def slam(
+    log: Annotated[Path, typer.Argument(help="CARMEN log.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for trajectory, map and report.")],
+) -> None:
+    """Make a map of a logged drive.
+
+    Example: zenav slam intel.log --out out/intel
+    """
+    from zenav.files import slam
+
+    slam(log, out)
+
+
+@app.command(cls=Command, rich_help_panel=FILES)
+def replay(
+    recording: Annotated[Path, typer.Argument(help="Recording.", metavar="FILE.mcap")],
+    through: Annotated[str, typer.Option(help="Services, separated by commas.", metavar="A,B")],
+    out: Annotated[Path, typer.Option(help="Recording of what they published.", metavar="OUT.mcap")],
+) -> None:
+    """Feed a recording to services, and record what they say.
+
+    Example: zenav replay run.mcap --through odometry,mapper --out again.mcap
+    """
+    from zenav.files import replay
+
+    raise typer.Exit(replay(recording, [name for name in through.split(",") if name], out))
+
+
+@bench.command("office", cls=Command)
+def bench_office(
+    seeds: Seeds = "0-9",
+    jobs: Annotated[int, typer.Option(min=1, help="Runs at a time (not with --live).")] = 1,
+    out: Out = None,
+    live: Annotated[bool, typer.Option("--live", help="As processes over Zenoh, in real time.")] = False,
+    seconds: Annotated[float, typer.Option(min=5, help="s of the stack's time: give up after this long.")] = 2400.0,
+    robot: RobotName = "x80sv",
+    world: World = "office",
+    set_: Setting = None,
+) -> None:
+    """Explore and drive to goals in an office, once a seed.
+
+    Example: zenav bench office --seeds 0-9 --jobs 2 --out office.json
+    """
+    from zenav.bench.office import office
+
+    raise typer.Exit(office(robot, world, seeds, jobs, out, live, seconds, set_ or []))
+
+
+@bench.command("sim", cls=Command)
+def bench_sim(out: Out = None) -> None:
+    """How many times faster than real time the simulator runs on one core."""
+    from zenav.bench.table import sim
+
+    raise typer.Exit(sim(out))
+
+
+@bench.command("stack", cls=Command)
+def bench_stack(
+    seconds: Annotated[float, typer.Option(min=5, help="s of driving to measure.")] = 40.0,
+    out: Out = None,
+    robot: RobotName = "x80sv",
+    world: World = "office",
+    set_: Setting = None,
+) -> None:
+    """Latency from scan to cmd/vel across processes, CPU and memory of each, time to first motion."""
+    from zenav.bench.stack import stack
+
+    raise typer.Exit(stack(robot, world, seconds, out, set_ or []))
+
+
+app.add_typer(topic, name="topic", rich_help_panel=LOOK)
+app.add_typer(map_, name="map", rich_help_panel=LOOK)
+app.add_typer(config, name="config", rich_help_panel=LOOK)
+app.add_typer(bench, name="bench", rich_help_panel=FILES)
+
+
+def _complain(what: str, mend: str) -> NoReturn:
+    sys.stderr.write(f"{what}\nhint: {mend}\n")
+    raise typer.Exit(2)
+
+
+def _status(arguments: list[str] | None) -> int:
+    """Runs a command; errors that the user can mend become one line and a hint."""
+    try:
+        result = app(arguments, standalone_mode=False, prog_name="zenav")
+        return result if isinstance(result, int) else 0
+    except USAGE_ERROR as error:
+        if type(error).__name__ == "NoArgsIsHelpError":
+            error.show()
+            return 2
+        path = error.ctx.command_path if error.ctx else "zenav"
+        sys.stderr.write(f"{_one_line(error.format_message())}\nhint: see {path} --help\n")
+        return 2
+    except typer.Exit as end:
+        return end.exit_code
+    except SystemExit as end:  # shell completion ends so
+        return end.code if isinstance(end.code, int) else 0
+    except (typer.Abort, KeyboardInterrupt):
+        return 130
+    except BrokenPipeError:  # `zenav topic echo scan | head`: the reader has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        from shared.config import UserError
+
+        if not isinstance(error, UserError):
+            raise
+        sys.stderr.write(f"{_one_line(error.what)}\nhint: {_one_line(error.mend)}\n")
+        return 2
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """The console script."""
+    status = 1
+    try:
+        status = _status(arguments)
+    except Exception:
+        import traceback
+
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)  # Zenoh's threads are not daemons: a plain return could hang
+
+
+if __name__ == "__main__":
+    main()

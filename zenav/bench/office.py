@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav bench office`: explore and drive to goals, once a seed, on the virtual clock or live over Zenoh."""
+
+import multiprocessing
+import statistics
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from zenav.bench.table import seeds_from, table, write
+from zenav.scene import scene
+from zenav.stopping import stopping
+
+POSE_M, POSE_DEG, EXPLORED = 0.05, 1.0, 0.98
+"""What each run must keep: mean pose error in m and degrees; share of the reachable floor that is explored."""
+
+
+def office(
+    robot: str, world: str, seeds: str, jobs: int, out: Path | None, live: bool, seconds: float, settings: list[str]
+) -> int:
+    """Runs every seed, shows the table, writes the JSON; 0 when every run kept every promise."""
+    numbers = seeds_from(seeds)
+    one = partial(_live if live else _lockstep, robot, world, seconds=seconds, settings=settings)
+    runs: list[dict[str, Any]] = []
+    for report in _results(one, numbers, 1 if live else jobs):
+        runs.append(report)
+        s = report["summary"]
+        words = "good" if kept(report) else f"not good {report['trouble']}"
+        sys.stderr.write(f"seed {report['seed']}: {words}, {s['seconds']:.0f} s driven in {s['wall_seconds']:.0f} s\n")
+    runs.sort(key=lambda report: int(report["seed"]))
+    table(f"{world}, {'live' if live else 'lockstep'}", COLUMNS, [_row(report) for report in runs])
+    write(out, {"summary": summary(runs), "live": live, "runs": runs})
+    return 0 if len(runs) == len(numbers) and all(kept(report) for report in runs) else 1
+
+
+def kept(report: dict[str, Any]) -> bool:
+    """Whether a run kept every promise."""
+    s = report["summary"]
+    return bool(
+        s["good"]
+        and s["explored_share"] >= EXPLORED
+        and s["pose_error_mean_m"] is not None
+        and s["pose_error_mean_m"] < POSE_M
+        and s["pose_error_mean_deg"] < POSE_DEG
+    )
+
+
+def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """The figures over all runs: the worst of what is promised, the mean of the rest."""
+    rows = [report["summary"] for report in runs]
+
+    def of(key: str) -> list[float]:
+        return [row[key] for row in rows if row[key] is not None]
+
+    return {
+        "runs": len(runs),
+        "good": sum(kept(report) for report in runs),
+        "collisions": sum(of("collisions")),
+        "goals_reached": sum(of("goals_reached")),
+        "goals": sum(of("goals")),
+        "explored_share_min": min(of("explored_share"), default=None),
+        "pose_error_mean_m_worst": max(of("pose_error_mean_m"), default=None),
+        "pose_error_mean_deg_worst": max(of("pose_error_mean_deg"), default=None),
+        "pose_error_max_m_worst": max(of("pose_error_max_m"), default=None),
+        "map_within_5_cm_min": min(of("map_within_5_cm"), default=None),
+        "seconds_mean": round(statistics.fmean(of("seconds")), 1) if rows else None,
+        "distance_m_mean": round(statistics.fmean(of("distance_m")), 1) if rows else None,
+        "wall_seconds_mean": round(statistics.fmean(of("wall_seconds")), 1) if rows else None,
+    }
+
+
+COLUMNS = (
+    "seed", "goals", "contacts", "explored, %", "pose, cm", "max", "pose, deg", "max", "map in 5 cm, %", "driven, m",
+    "time, s", "wall, s", "recoveries", "",
+)  # fmt: skip
+
+
+def _row(report: dict[str, Any]) -> tuple[str, ...]:
+    s = report["summary"]
+
+    def number(key: str, scale: float, digits: int) -> str:
+        return "-" if s[key] is None else f"{s[key] * scale:.{digits}f}"
+
+    return (
+        str(report["seed"]), f"{s['goals_reached']}/{s['goals']}", str(s["collisions"]),
+        number("explored_share", 100, 1), number("pose_error_mean_m", 100, 1), number("pose_error_max_m", 100, 1),
+        number("pose_error_mean_deg", 1, 2), number("pose_error_max_deg", 1, 2), number("map_within_5_cm", 100, 1),
+        number("distance_m", 1, 0), number("seconds", 1, 0), number("wall_seconds", 1, 0),
+        str(sum(leg["recoveries"] for leg in report["legs"])),
+        "good" if kept(report) else report["trouble"] or "not good",
+    )  # fmt: skip
+
+
+def _results(one: "partial[dict[str, Any]]", seeds: list[int], jobs: int) -> Iterator[dict[str, Any]]:
+    """The reports as they come."""
+    if jobs == 1:
+        for seed in seeds:
+            yield one(seed)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(jobs, len(seeds)), mp_context=context) as pool:
+        for future in as_completed([pool.submit(one, seed) for seed in seeds]):
+            yield future.result()
+
+
+def _lockstep(robot: str, world: str, seed: int, seconds: float, settings: list[str]) -> dict[str, Any]:
+    import shared.repeatable  # noqa: F401  # a spawned process begins here
+    from zenav.lockstep_run import run
+
+    return run(scene(robot, world, seed, settings), seconds, None).report()
+
+
+def _live(robot: str, world: str, seed: int, seconds: float, settings: list[str]) -> dict[str, Any]:
+    from zenav.demo import left_behind
+    from zenav.live_run import View, run
+    from zenav.up import run_folder
+
+    folder = run_folder(f"office-{seed}")
+    with stopping() as stop:
+        outcome = run(scene(robot, world, seed, settings), seconds, folder, folder / "run.mcap", stop, View())
+        if stop.is_set():
+            raise KeyboardInterrupt
+    return left_behind(outcome, folder, folder / "run.mcap")

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the launcher starts a service: `python -P -m zenav.child LAUNCHER_PID MODULE ...` dies with its launcher.
+
+The child asks for it itself, before it imports anything: no code runs between fork and exec of a launcher with threads.
+"""
+
+import ctypes
+import os
+import runpy
+import signal
+import sys
+
+PR_SET_PDEATHSIG = 1
+
+
+def main() -> None:
+    launcher, module = int(sys.argv[1]), sys.argv[2]
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != launcher:
+        os._exit(1)  # it died meanwhile
+    sys.argv[:] = [module, *sys.argv[3:]]
+    runpy.run_module(module, run_name="__main__", alter_sys=True)
+
+
+if __name__ == "__main__":
+    main()

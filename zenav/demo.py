@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav demo`: the scenario, watched; then picture, map, recording and summary in the run's folder."""
+
+import json
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+from shared.config import UserError
+from shared.messages import NavStatus
+from shared.ros_map import replace_file
+from zenav import lockstep_run
+from zenav.floor_plan import floor_plan
+from zenav.maps import write
+from zenav.pilot import Pilot
+from zenav.scene import Outcome, Scene, scene
+from zenav.screen import Lines, Table
+from zenav.stopping import stopping
+from zenav.up import run_folder
+
+
+def demo(
+    robot: str,
+    world: str,
+    seed: int,
+    seconds: float,
+    headless: bool,
+    record: Path | None,
+    lockstep: bool,
+    settings: list[str],
+) -> int:
+    """Runs the scenario and writes what came of it; 0 only when every goal was reached without a collision."""
+    chosen = scene(robot, world, seed, settings)
+    folder = run_folder("demo")
+    record = record or folder / "run.mcap"
+    try:
+        record.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make {record.parent}: {error.strerror}", "choose another place for --record") from None
+    with stopping() as stop:
+        if lockstep:
+            outcome = _virtual(chosen, seconds, record, stop)
+        else:
+            from zenav.live_run import run
+
+            plain = headless or not sys.stderr.isatty()
+            outcome = run(chosen, seconds, folder, record, stop, Lines() if plain else Table())
+        if stop.is_set():
+            sys.stderr.write("interrupted\n")
+            return 130
+    report = left_behind(outcome, folder, record)
+    tell(report, folder)
+    return 0 if outcome.good else 1
+
+
+def _virtual(chosen: Scene, seconds: float, record: Path, stop: threading.Event) -> Outcome:
+    lines = Lines()
+
+    def tell(at: float, pilot: Pilot, nav: NavStatus | None) -> bool:
+        lines.line(pilot, nav, "", at)
+        return not stop.is_set()
+
+    return lockstep_run.run(chosen, seconds, record, tell)
+
+
+def left_behind(outcome: Outcome, folder: Path, record: Path) -> dict[str, Any]:
+    """Writes map, picture and summary.json into the folder; returns the report."""
+    report = outcome.report()
+    report["recording"] = str(record)
+    if not outcome.track.grid.empty:
+        write(outcome.track.grid, folder)
+    replace_file(folder / "picture.png", floor_plan(outcome.track, outcome.scene.world, outcome.pilot.legs))
+    replace_file(folder / "summary.json", (json.dumps(report, indent=2) + "\n").encode())
+    return report
+
+
+def tell(report: dict[str, Any], folder: Path) -> None:
+    """The summary for people."""
+    s = report["summary"]
+    lines = [
+        f"explored        {s['explored_share']:.1%} of the reachable floor",
+        f"map             {s['map_within_5_cm']:.1%} of its wall cells within 5 cm of a true wall",
+        f"pose error      mean {_cm(s['pose_error_mean_m'])}, {_degrees(s['pose_error_mean_deg'])}; "
+        f"max {_cm(s['pose_error_max_m'])}, {_degrees(s['pose_error_max_deg'])}",
+        f"goals           {s['goals_reached']} of {s['goals']} reached",
+        f"collisions      {s['collisions']}",
+        f"driven          {s['distance_m']:.1f} m in {s['seconds']:.0f} s",
+    ]
+    if "first_motion_s" in s:
+        lines.append(f"first motion    {s['first_motion_s']:.1f} s after the command")
+    lines += [f"  {leg['name']:<18} {leg['state']} {leg['seconds']:6.1f} s  {leg['reason']}" for leg in report["legs"]]
+    lines += [
+        f"  {name:<18} CPU {row['cpu'] * 100:5.1f} %  {row['memory_mb']:6.0f} MB"
+        for name, row in report["processes"].items()
+    ]
+    if report["restarts"]:
+        lines.append(f"restarted       {report['restarts']}")
+    if report["trouble"]:
+        lines.append(f"ended early     {report['trouble']}")
+    lines += [f"picture         {folder}/picture.png", f"map             {folder}/map.yaml"]
+    lines += [f"recording       {report['recording']}", f"summary         {folder}/summary.json"]
+    sys.stdout.write("\n".join(lines) + "\n")
+
+
+def _cm(metres: float | None) -> str:
+    return "unknown" if metres is None else f"{metres * 100:.1f} cm"
+
+
+def _degrees(angle: float | None) -> str:
+    return "unknown" if angle is None else f"{angle:.2f} degrees"

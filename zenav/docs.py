@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The reference pages that are made from the code: `python -m zenav.docs` writes them, a test holds them fresh."""
+
+import inspect
+import json
+import sys
+from collections.abc import Callable, Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+import annotated_types
+from pydantic.fields import FieldInfo
+
+from shared import messages, requests
+from shared.codec import fields_of, schema
+from shared.config import Robot, Section
+from shared.messages import Message
+from shared.reasons import REASONS
+from shared.requests import REQUESTS
+from shared.topics import TOPICS
+from zenav.classes import built, service_class
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+Rows = list[tuple[str, ...]]
+MADE = "<!-- made from the code by `make docs`; edit the code instead -->\n"
+
+
+def main() -> None:
+    """Writes every page."""
+    for name, page in PAGES.items():
+        (DOCS / name).write_text(page(), encoding="utf-8")
+        sys.stdout.write(f"docs/{name}\n")
+
+
+def messages_page() -> str:
+    """Topics, messages, requests and reasons."""
+    lines = ["# Messages\n", MADE]
+    lines += [
+        "Keys stand under the robot's name: `x80/scan`. A message is a msgpack map of its fields, and under `@` the",
+        "envelope `[publisher, session, sequence, sent]`; an array is one bin: 16 bytes of header (dtype u8, axes u8,",
+        "two bytes of padding, three lengths u32), then its little-endian values. Fields are checked where a message",
+        "arrives; one that does not hold is dropped and counted in `health`.\n",
+        "## Topics\n",
+    ]
+    rows: Rows = [
+        (
+            f"`{topic.key}/NAME`" if topic.by == "*" else f"`{topic.key}`",
+            f"[{topic.type.__name__}](#{topic.type.__name__.lower()})",
+            "each service" if topic.by == "*" else topic.by.replace(" ", ", "),
+            f"{topic.hz:g}" if topic.hz else "event",
+            topic.keep + (", latched" if topic.latched else ""),
+            f"{topic.within * 1e3:g}",
+        )
+        for topic in TOPICS
+    ]
+    lines += table(("key", "message", "published by", "Hz", "kept unread", "within, ms"), rows)
+    lines += ["", "`latched`: a late joiner gets the last value at once (of the map: all of it).\n"]
+    lines += ["## Requests\n"]
+    rows = [
+        (
+            f"`{row.key}`",
+            f"[{row.request.__name__}](#{row.request.__name__.lower()})",
+            f"[{row.reply.__name__}](#{row.reply.__name__.lower()})",
+            row.by,
+        )
+        for row in REQUESTS
+    ]
+    lines += table(("key", "request", "reply", "answered by"), rows)
+    lines += ["", "## Why the robot stands\n"]
+    rows = [(f"`{code}`", reason.text, reason.mend, reason.severity) for code, reason in REASONS.items()]
+    lines += table(("code", "what people read", "what mends it", "severity"), rows)
+    lines += ["", "## Every message\n", "Each begins with `stamp`: when it was true, ns on the stack's clock.\n"]
+    for class_ in (*classes(messages), *classes(requests)):
+        lines += message_section(class_)
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def classes(module: Any) -> list[type[Message]]:
+    """The message classes of a module, in the order of its source."""
+    return [
+        value
+        for value in vars(module).values()
+        if inspect.isclass(value)
+        and issubclass(value, Message)
+        and value.__module__ == module.__name__
+        and value is not Message
+    ]
+
+
+def message_section(class_: type[Message]) -> list[str]:
+    """One message: its words, then its fields."""
+    rows: Rows = []
+    types = {row["name"]: row["type"] for row in json.loads(schema(class_))["fields"]}
+    for field in fields_of(class_)[1:]:
+        bounds = f"{field.within.low:g} .. {field.within.high:g}" if field.within else ""
+        if field.within and field.within.nan:
+            bounds += ", or NaN"
+        if field.nonzero:
+            bounds += ", not 0"
+        if isinstance(field.kind, type) and issubclass(field.kind, StrEnum):
+            bounds = ", ".join(field.kind)
+        kind = types[field.name] + (f" ({field.shape.axes})" if field.shape else "")
+        rows.append((f"`{field.name}`", kind, "" if field.unit == "1" else field.unit, bounds))
+    head = [f"### {class_.__name__}\n", inspect.cleandoc(class_.__doc__ or ""), ""]
+    return head + ([*table(("field", "type", "unit", "bounds"), rows), ""] if rows else [])
+
+
+def configuration_page() -> str:
+    """Every setting of every section."""
+    lines = [
+        "# Configuration\n",
+        MADE,
+        "One YAML file a robot (`config/x80sv.yaml`): `robot` says what the hardware is, each other section is one",
+        "service's. A section or a setting that is left out has its default; a wrong name is an error that says which",
+        "name is meant. `zenav config show` prints what holds.\n",
+    ]
+    models: dict[str, type[Section]] = {"robot": Robot, **{name: service_class(name).config_type for name in built()}}
+    for name, model in models.items():
+        lines += [f"## {name}\n"]
+        if model.__doc__ and model is not Section:
+            lines += [inspect.cleandoc(model.__doc__), ""]
+        rows: Rows = [
+            (f"`{key}`", kind_of(field), default_of(field), bounds(field), field.description or "")
+            for key, field in settings(model)
+        ]
+        lines += table(("setting", "type", "default", "bounds", "what it is"), rows) if rows else ["No settings."]
+        lines += [""]
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def settings(model: type[Section], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    """Every setting of a section and of the sections inside it: (key, field); a list's items stand under `[]`."""
+    for name, field in model.model_fields.items():
+        inner = section_of(field)
+        if inner is None or inner is not field.annotation:
+            yield prefix + name, field
+        if inner is not None:
+            yield from settings(inner, f"{prefix}{name}[]." if is_list(field) else f"{prefix}{name}.")
+
+
+def section_of(field: FieldInfo) -> type[Section] | None:
+    """The section that a field is, may be, or holds a list of; None for plain values."""
+    for kind in (field.annotation, *get_args(field.annotation)):
+        if inspect.isclass(kind) and issubclass(kind, Section):
+            return kind
+    return None
+
+
+def is_list(field: FieldInfo) -> bool:
+    """Whether a field holds any number of values."""
+    return get_origin(field.annotation) in (tuple, list)
+
+
+def bounds(field: FieldInfo) -> str:
+    """`0 < .. <= 10`, from a field's constraints; empty where it has none."""
+    low = high = ""
+    for mark in field.metadata:
+        if isinstance(mark, annotated_types.Ge):
+            low = f"{mark.ge:g} <= "
+        elif isinstance(mark, annotated_types.Gt):
+            low = f"{mark.gt:g} < "
+        elif isinstance(mark, annotated_types.Le):
+            high = f" <= {mark.le:g}"
+        elif isinstance(mark, annotated_types.Lt):
+            high = f" < {mark.lt:g}"
+    return f"{low}..{high}" if low or high else ""
+
+
+def kind_of(field: FieldInfo) -> str:
+    """A field's type, as people read it."""
+    inner = section_of(field)
+    if inner is not None:
+        return f"list of {inner.__name__}" if is_list(field) else f"{inner.__name__} or none"
+    if get_origin(field.annotation) is Literal:
+        return ", ".join(get_args(field.annotation))
+    return inspect.formatannotation(field.annotation).removeprefix("shared.").replace(" | None", " or none")
+
+
+def default_of(field: FieldInfo) -> str:
+    """A field's default as YAML would have it; `required` where there is none."""
+    if field.is_required():
+        return "required"
+    value = field.get_default(call_default_factory=True)
+    if value in (None, ()):
+        return "none"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def table(head: tuple[str, ...], rows: Rows) -> list[str]:
+    """A Markdown table."""
+    lines = [head, tuple("---" for _ in head), *rows]
+    return ["| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in row) + " |" for row in lines]
+
+
+PAGES: dict[str, Callable[[], str]] = {"messages.md": messages_page, "configuration.md": configuration_page}
+
+if __name__ == "__main__":
+    main()

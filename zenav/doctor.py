@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav doctor`: what this machine gives the stack, what is wrong, and what mends it."""
+
+import os
+import platform
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+
+from shared.config import UserError
+from shared.runners import transport
+from shared.runners.transport import Where, where_from
+from shared.topics import SERVICES
+
+OK, WARNING, BAD = "ok", "warning", "bad"
+ROUND_TRIPS = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One row: what was looked at, `ok`, `warning` or `bad`, what was found, and how to mend it."""
+
+    name: str
+    verdict: str
+    found: str
+    mend: str = ""
+
+
+def doctor(stack: str) -> int:
+    """Shows every finding; 1 when one is bad."""
+    from rich.console import Console
+    from rich.table import Table
+
+    where = where_from(stack)
+    colours = {OK: "green", WARNING: "yellow", BAD: "bold red"}
+    table = Table(box=None, pad_edge=False)
+    for column in ("", "", "found", "how to mend it"):
+        table.add_column(column, overflow="fold")
+    worst = OK
+    for finding in findings(where):
+        colour = colours[finding.verdict]
+        table.add_row(finding.name, f"[{colour}]{finding.verdict}[/]", finding.found, finding.mend)
+        worst = BAD if BAD in (worst, finding.verdict) else finding.verdict if worst == OK else worst
+    console = Console()
+    if not console.is_terminal:
+        console.width = 160  # a log's lines do not wrap
+    console.print(table)
+    return 1 if worst == BAD else 0
+
+
+def findings(where: Where) -> Iterator[Finding]:
+    """Looks at everything, one after the other; a check that fails is itself a finding."""
+    checks: tuple[Callable[[], Iterator[Finding]], ...] = (
+        python, packages, processor, realtime, clock, lambda: ports(where), lambda: loopback(where), serial, disk, data,
+    )  # fmt: skip
+    for check in checks:
+        try:
+            yield from check()
+        except Exception as error:  # the doctor must not die of the illness
+            yield Finding(getattr(check, "__name__", "check"), WARNING, f"cannot be looked at: {error}")
+
+
+def python() -> Iterator[Finding]:
+    good = (3, 11) <= sys.version_info < (3, 14)
+    found = f"{platform.python_version()} at {sys.executable}"
+    yield Finding(
+        "Python", OK if good else BAD, found, "" if good else "install Python 3.11, 3.12 or 3.13; then: make venv"
+    )
+
+
+def packages() -> Iterator[Finding]:
+    try:
+        wanted = [line for line in requires("zenav") or [] if "extra ==" not in line]
+    except PackageNotFoundError:
+        yield Finding("packages", WARNING, "zenav is not installed here, it runs from its folder", "make venv")
+        return
+    missing = []
+    for line in wanted:
+        name = next(part for part in line.replace("=", " ").replace(">", " ").replace("<", " ").split())
+        try:
+            version(name)
+        except PackageNotFoundError:
+            missing.append(name)
+    found = f"missing: {', '.join(missing)}" if missing else f"all {len(wanted)} here; zenoh {version('eclipse-zenoh')}"
+    yield Finding("packages", BAD if missing else OK, found, "make venv" if missing else "")
+
+
+def processor() -> Iterator[Finding]:
+    n, load = os.cpu_count() or 1, os.getloadavg()[0]
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else n
+    if usable < 2:
+        yield Finding("CPU", WARNING, f"{usable} core", "the stack wants 2 cores")
+    elif load > usable:
+        yield Finding("CPU", WARNING, f"{usable} cores, load {load:.1f}", "other programs take the cores: see top")
+    else:
+        yield Finding("CPU", OK, f"{usable} cores, load {load:.1f}")
+
+
+def realtime() -> Iterator[Finding]:
+    try:
+        before, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(5))
+        os.sched_setscheduler(0, before, parameter)
+        yield Finding("real time", OK, "SCHED_RR is allowed: the velocity path does not wait for other load")
+    except (OSError, AttributeError):
+        mend = "echo '* - rtprio 10' | sudo tee /etc/security/limits.d/zenav.conf; then log in anew"
+        yield Finding("real time", WARNING, "SCHED_RR is not allowed: latency depends on other load", mend)
+
+
+def clock() -> Iterator[Finding]:
+    wall, steady = time.time_ns(), time.monotonic_ns()
+    threading.Event().wait(0.3)
+    drift = abs((time.time_ns() - wall) - (time.monotonic_ns() - steady)) / 1e6
+    year = time.gmtime().tm_year
+    if year < 2025:
+        yield Finding("clock", BAD, f"it shows the year {year}", "set it: sudo timedatectl set-ntp true")
+    elif drift > 5:
+        yield Finding(
+            "clock", WARNING, f"it jumped by {drift:.0f} ms in 0.3 s", "let it settle: timedatectl timesync-status"
+        )
+    else:
+        yield Finding("clock", OK, f"{time.strftime('%Y-%m-%d %H:%M:%S %Z')}, steady")
+
+
+def ports(where: Where) -> Iterator[Finding]:
+    from zenav.launch import holder, taken
+
+    if where.router:
+        return
+    held = taken(where)
+    low, high = where.port(SERVICES[0]), where.port(SERVICES[-1])
+    if not held:
+        yield Finding("ports", OK, f"{low} to {high} of stack {where.domain} are free")
+    foreign = []
+    for port in held:
+        who, service = holder(port), SERVICES[port - low]
+        if f"services.{service}" not in who and "zenav" not in who:
+            foreign.append(
+                Finding("ports", BAD, f"{port} ({service}) is taken by {who}", "end it, or use another: --stack 1")
+            )
+    yield from foreign
+    if held and not foreign:
+        names = ", ".join(SERVICES[port - low] for port in held)
+        yield Finding("ports", OK, f"stack {where.domain} runs: {names}")
+
+
+def loopback(where: Where) -> Iterator[Finding]:
+    """A query there and back, between two sessions as a service and a tool have them."""
+    import zenoh
+
+    from zenav.launch import free_stack
+
+    if where.router:
+        try:
+            transport.opened(where).close()  # type: ignore[no-untyped-call]  # zenoh's own
+            yield Finding("Zenoh", OK, f"the router at {where.router} answers")
+        except UserError as error:
+            yield Finding("Zenoh", BAD, error.what, error.mend)
+        return
+    with free_stack() as claim, transport.opened(claim.where, "sim") as a, transport.opened(claim.where) as b:
+
+        def echo(query: zenoh.Query) -> None:
+            with query:
+                query.reply("doctor/echo", b"here")
+
+        kept = a.declare_queryable("doctor/echo", echo)
+        limit = time.monotonic() + 3.0
+        while not any(reply.ok for reply in b.get("doctor/echo", timeout=1.0)):
+            if time.monotonic() > limit:
+                mend = "does a firewall or a container keep processes from 127.0.0.1?"
+                yield Finding("Zenoh", BAD, "two sessions on loopback do not find each other in 3 s", mend)
+                return
+        times = []
+        for _ in range(ROUND_TRIPS):
+            begun = time.perf_counter()
+            list(b.get("doctor/echo", timeout=1.0))
+            times.append((time.perf_counter() - begun) * 1e3)
+        del kept
+    times.sort()
+    slow = times[-2] > 20
+    found = f"round trip on loopback {times[len(times) // 2]:.2f} ms, slow ones {times[-2]:.1f} ms"
+    yield Finding("Zenoh", WARNING if slow else OK, found, "the cores are busy: see CPU and real time" if slow else "")
+
+
+def serial() -> Iterator[Finding]:
+    from serial.tools import list_ports
+
+    found = [p.device for p in list_ports.comports() if p.device.startswith(("/dev/ttyUSB", "/dev/ttyACM", "/dev/cu."))]
+    if not found:
+        yield Finding("serial", OK, "no board is plugged in (not needed in simulation)")
+        return
+    closed = [device for device in found if not os.access(device, os.R_OK | os.W_OK)]
+    if closed:
+        mend = "sudo usermod -aG dialout $USER; then log in anew"
+        yield Finding("serial", BAD, f"{', '.join(closed)}: no right to read and write", mend)
+    else:
+        yield Finding("serial", OK, ", ".join(found))
+
+
+def disk() -> Iterator[Finding]:
+    free = shutil.disk_usage(Path.cwd()).free / 1e9
+    if not os.access(Path.cwd(), os.W_OK):
+        yield Finding("disk", BAD, f"{Path.cwd()} cannot be written", "work in a folder of yours")
+    elif free < 1:
+        yield Finding("disk", WARNING, f"{free:.1f} GB free here", "recordings take about 0.3 GB an hour: make room")
+    else:
+        yield Finding("disk", OK, f"{free:.0f} GB free here")
+
+
+def data() -> Iterator[Finding]:
+    place = os.environ.get("ZENAV_DATA", "")  # noqa: TID251
+    if not place:
+        yield Finding("ZENAV_DATA", OK, "not set: tests on real logs are skipped")
+    elif not Path(place).is_dir():
+        yield Finding("ZENAV_DATA", WARNING, f"{place} is no folder", "unset it, or name the folder with the logs")
+    else:
+        yield Finding("ZENAV_DATA", OK, place)

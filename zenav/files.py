@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav slam` and `zenav replay`: files in, files out, with progress for people."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from shared.config import Robot, RobotFile, UserError, load_robot
+from shared.service import Service
+
+
+@contextmanager
+def progress_bar(text: str) -> Iterator[Callable[[float], None]]:
+    """A function that shows the share that is done, 0..1, on a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = TextColumn(text), BarColumn(), TaskProgressColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        task = progress.add_task(text, total=1.0)
+        yield lambda share: progress.update(task, completed=share)
+
+
+def slam(log: Path, out: Path) -> None:
+    """The mapper over a CARMEN log; writes into `out` and says what came of it."""
+    if not log.is_file():
+        raise UserError(f"there is no log {log}", "give a CARMEN log's path")
+    from zenav.slam import slam as run
+
+    with progress_bar(log.name) as progress:
+        report = run(log, out, progress)
+    sys.stdout.write(
+        f"{out}/map.png: {report['scans_placed']} of {report['scans']} scans, {report['length_m']:.1f} m, "
+        f"{report['cpu_s']:.1f} s of CPU\n"
+    )
+
+
+def replay(recording: Path, names: list[str], out: Path) -> int:
+    """A recording through services; 0 when what they say is what they said."""
+    if not recording.is_file():
+        raise UserError(f"there is no recording {recording}", "give the path of an .mcap file")
+    if not names:
+        raise UserError("through no service", "name some: --through odometry,mapper")
+    from shared.recording import Recording
+    from zenav.replay import replay_file, robot_file
+
+    file = robot_file(Recording(recording)) or load_robot("x80sv")
+    with progress_bar(recording.name) as progress:
+        report = replay_file(recording, names, out, builder(file), lambda done, of: progress(done / max(of, 1)))
+    for topic in report.topics:
+        sys.stdout.write(f"{topic.key:<16} {topic.n_equal:>8} equal {topic.n_different:>8} different {topic.first}\n")
+    for note in report.notes:
+        sys.stderr.write(f"{note}\n")
+    return 0 if report.equal else 1
+
+
+def builder(file: RobotFile) -> Callable[[str], Service]:
+    """Makes services by name from a robot's file."""
+    from zenav.classes import made
+
+    robot: Robot = file.robot
+    return lambda name: made(name, file, robot)

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run's robot, world and goals, and what is known when it is over: what demo and benchmark share."""
+
+import json
+from dataclasses import dataclass, field
+from typing import Any
+
+from services.sim.service import SimConfig
+from services.sim.store import load
+from services.sim.world import World
+from shared.config import RobotFile, UserError, configured
+from shared.geometry import Pose2
+from zenav.pilot import Pilot
+from zenav.score import Track, summary
+from zenav.settings import checked
+from zenav.up import chosen
+
+HOME = "back at the start"
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """goals: in `map`, whose origin is the robot's start; the last is the start itself. settings: as for `--set`."""
+
+    robot: str
+    settings: list[str]
+    file: RobotFile
+    world: World
+    goals: list[tuple[str, Pose2]]
+    names: list[str]
+    seed: int
+
+    @property
+    def radius(self) -> float:
+        """m: of the circle around the footprint."""
+        return self.file.robot.circumscribed_radius
+
+
+def scene(robot: str, world: str, seed: int, settings: list[str]) -> Scene:
+    """Reads robot and world. Raises UserError where they are wrong, or the world names no goals."""
+    settings = [f"sim.world={json.dumps(world)}", f"sim.seed={seed}", *settings]
+    file = configured(robot, settings)
+    checked(file)
+    config = file.section("sim", SimConfig)
+    start = Pose2(config.start.x, config.start.y, config.start.yaw) if config.start else None
+    built = load(config.world, config.seed, config.clutter_jitter, config.barn_file, start)
+    if not built.goals:
+        raise UserError(f"world {world} names no goals", "add some under `goals:`, or take --world office")
+    goals = [(name, built.start.inverse() @ pose) for name, pose in built.goals.items()]
+    return Scene(robot, settings, file, built, [*goals, (HOME, Pose2())], chosen([], simulated=True), config.seed)
+
+
+@dataclass
+class Outcome:
+    """A run that is over. `processes`: CPU (share of a core) and memory (MB) by name."""
+
+    scene: Scene
+    track: Track
+    pilot: Pilot
+    wall_seconds: float
+    first_motion: float | None = None  # real s since the command was given
+    processes: dict[str, dict[str, float]] = field(default_factory=dict)
+    restarts: dict[str, int] = field(default_factory=dict)
+    trouble: str = ""  # why it ended before its time, if it did
+
+    @property
+    def good(self) -> bool:
+        """Every goal reached, everything explored, and nothing touched."""
+        contacts = self.track.truth.n_contacts if self.track.truth is not None else 0
+        return self.pilot.explored and self.pilot.n_reached == self.pilot.n_goals > 0 and contacts == 0
+
+    def report(self) -> dict[str, Any]:
+        """Everything that is known of the run, with `summary`."""
+        told = {
+            "good": self.good,
+            "goals_reached": self.pilot.n_reached,
+            "goals": self.pilot.n_goals,
+            "explored": self.pilot.explored,
+            **summary(self.track, self.scene.world, self.scene.radius),
+            "wall_seconds": round(self.wall_seconds, 1),
+        }
+        if self.first_motion is not None:
+            told["first_motion_s"] = round(self.first_motion, 2)
+        return {
+            "summary": told,
+            "robot": self.scene.robot,
+            "world": self.scene.world.name,
+            "seed": self.scene.seed,
+            "trouble": self.trouble,
+            "legs": [
+                {
+                    "name": leg.name,
+                    "state": str(leg.state),
+                    "reason": leg.reason,
+                    "seconds": round(leg.seconds, 1),
+                    "recoveries": leg.n_recoveries,
+                }
+                for leg in self.pilot.legs
+            ],
+            "processes": self.processes,
+            "restarts": self.restarts,
+        }

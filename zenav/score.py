@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well a run went, against what only the simulator knows: pose, map, floor, contacts."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from services.sim.world import World
+from shared.geometry import Pose2, wrapped_all
+from shared.grid import OccupancyGrid
+from shared.messages import MapUpdate, Message, Odometry, PoseEstimate, Truth
+
+Float64s = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+KEYS = ("sim/truth", "odom", "pose", "map")
+"""The topics that a score needs."""
+
+FLOOR_CELL = 0.05  # m: side of the cells in which the floor is counted
+OUTLINE_STEP = 0.01  # m between the points that stand for the true outline
+NEAR = 0.05  # m: a wall that is drawn this near to a true one is where it should be
+MOVING = 0.02  # m/s, or rad/s times a tenth: faster than that is motion
+
+
+@dataclass
+class Track:
+    """What was heard during a run. `take` is fast enough for a transport's thread."""
+
+    truths: list[tuple[int, float, float, float]] = field(default_factory=list)  # stamp, world_from_base
+    odoms: list[tuple[int, int, float, float, float]] = field(default_factory=list)  # sent, stamp, odom_from_base
+    poses: list[tuple[int, int, Pose2, Pose2]] = field(default_factory=list)  # sent, stamp, from_base, from_odom
+    grid: OccupancyGrid = field(default_factory=OccupancyGrid)
+    truth: Truth | None = None
+    first_motion: int | None = None  # ns on the stack's clock
+
+    def take(self, message: Message, sent: int) -> None:
+        """Takes a message of one of KEYS; `sent` ns on the stack's clock."""
+        if isinstance(message, Truth):
+            self.truth, at = message, message.world_from_base
+            self.truths.append((message.stamp, at.x, at.y, at.yaw))
+            if self.first_motion is None and abs(message.v) + 0.1 * abs(message.w) > MOVING:
+                self.first_motion = message.stamp
+        elif isinstance(message, Odometry):
+            at = message.odom_from_base
+            self.odoms.append((sent, message.stamp, at.x, at.y, at.yaw))
+        elif isinstance(message, PoseEstimate):
+            self.poses.append((sent, message.stamp, message.map_from_base, message.map_from_odom))
+        elif isinstance(message, MapUpdate):
+            self.grid.apply(message)
+
+    @property
+    def world_from_map(self) -> Pose2:
+        return self.truth.start if self.truth is not None else Pose2()
+
+    @property
+    def true_way(self) -> Float64s:
+        """(n, 3) world_from_base."""
+        return np.array([row[1:] for row in self.truths]).reshape(-1, 3)
+
+    @property
+    def estimated_way(self) -> Float64s:
+        """(n, 3) the mapper's poses, in the world."""
+        poses = (self.world_from_map @ pose for _, _, pose, _ in self.poses)
+        return np.array([(p.x, p.y, p.yaw) for p in poses]).reshape(-1, 3)
+
+
+def pose_errors(track: Track) -> tuple[Float64s, Float64s]:
+    """(n,) m and (n,) rad: the pose that control drives by (newest map_from_odom @ odom_from_base) against the truth.
+
+    One value an odometry message, at its stamp; the truth is interpolated there.
+    """
+    if not track.poses or not track.odoms or len(track.truths) < 2:
+        return np.zeros(0), np.zeros(0)
+    truth, odom = np.array(track.truths), np.array(track.odoms)
+    epoch = track.truths[0][0]
+    true_stamps = np.array([row[0] - epoch for row in track.truths], float)
+    stamps = np.array([row[1] - epoch for row in track.odoms], float)
+    known = np.searchsorted([row[0] for row in track.poses], [row[0] for row in track.odoms], side="right") - 1
+    used = (known >= 0) & (stamps >= true_stamps[0]) & (stamps <= true_stamps[-1])
+    corrections = [track.world_from_map @ row[3] for row in track.poses]
+    world_from_odom = np.array([(p.x, p.y, p.yaw) for p in corrections])[known[used]]
+    c, s = np.cos(world_from_odom[:, 2]), np.sin(world_from_odom[:, 2])
+    x = world_from_odom[:, 0] + c * odom[used, 2] - s * odom[used, 3]
+    y = world_from_odom[:, 1] + s * odom[used, 2] + c * odom[used, 3]
+    yaw = world_from_odom[:, 2] + odom[used, 4]
+    at = stamps[used]
+    true_x, true_y = (np.interp(at, true_stamps, truth[:, i]) for i in (1, 2))
+    true_yaw = np.interp(at, true_stamps, np.unwrap(truth[:, 3]))
+    return np.hypot(x - true_x, y - true_y), np.abs(wrapped_all(yaw - true_yaw))
+
+
+def explored_share(grid: OccupancyGrid, world: World, world_from_map: Pose2, radius: float) -> float:
+    """Share of the floor that a disc of `radius` m can cover from the start, whose cells the map knows."""
+    floor, x0, y0 = world.reachable(FLOOR_CELL, radius)
+    rows, columns = np.nonzero(floor)
+    if not len(rows) or grid.empty:
+        return 0.0
+    in_world = np.column_stack((x0 + (columns + 0.5) * FLOOR_CELL, y0 + (rows + 0.5) * FLOOR_CELL))
+    cells = grid.cells_of(world_from_map.inverse() @ in_world)
+    h, w = grid.cells.shape
+    held = (cells >= 0).all(axis=1) & (cells[:, 0] < h) & (cells[:, 1] < w)
+    known = np.zeros(len(cells), bool)
+    known[held] = grid.cells[cells[held, 0], cells[held, 1]] >= 0
+    return float(known.mean())
+
+
+def map_errors(grid: OccupancyGrid, world: World, world_from_map: Pose2) -> Float64s:
+    """(n,) m: from the middle of each occupied cell of the map to the nearest true surface."""
+    rows, columns = np.nonzero(grid.occupied)
+    outline = _points_on(world.outline())
+    if not len(rows) or not len(outline):
+        return np.zeros(0)
+    middle = (columns + 0.5) * grid.resolution + grid.x0, (rows + 0.5) * grid.resolution + grid.y0
+    return np.asarray(cKDTree(outline).query(world_from_map @ np.column_stack(middle))[0], float)
+
+
+def _points_on(segments: Float64s) -> Float64s:
+    """Points along segments (n, 4), at most OUTLINE_STEP m apart: (m, 2)."""
+    lengths = np.hypot(segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1])
+    counts = np.ceil(lengths / OUTLINE_STEP).astype(int) + 1
+    owner = np.repeat(np.arange(len(segments)), counts)
+    nth = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+    share = (nth / np.maximum(counts[owner] - 1, 1))[:, None]
+    return np.asarray(segments[owner, :2] * (1 - share) + segments[owner, 2:] * share)
+
+
+def summary(track: Track, world: World, radius: float) -> dict[str, Any]:
+    """The figures of a run. radius: m, of the circle around the footprint."""
+    metres, radians = pose_errors(track)
+    walls = map_errors(track.grid, world, track.world_from_map)
+    truth = track.truth
+    seconds = (track.truths[-1][0] - track.truths[0][0]) / 1e9 if track.truths else 0.0
+    return {
+        "explored_share": round(explored_share(track.grid, world, track.world_from_map, radius), 4),
+        "map_within_5_cm": round(float((walls <= NEAR).mean()), 4) if len(walls) else 0.0,
+        "map_error_mean_m": round(float(walls.mean()), 4) if len(walls) else None,
+        "pose_error_mean_m": round(float(metres.mean()), 4) if len(metres) else None,
+        "pose_error_max_m": round(float(metres.max()), 4) if len(metres) else None,
+        "pose_error_mean_deg": round(float(np.degrees(radians.mean())), 3) if len(radians) else None,
+        "pose_error_max_deg": round(float(np.degrees(radians.max())), 3) if len(radians) else None,
+        "collisions": truth.n_contacts if truth is not None else 0,
+        "distance_m": round(truth.distance, 2) if truth is not None else 0.0,
+        "seconds": round(seconds, 1),
+    }

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav teleop`: keys to velocities, 20 times a second, while the terminal is in raw mode."""
+
+import os
+import select
+import sys
+import termios
+import time
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import radians
+
+from shared import topics
+from shared.config import UserError, load_robot
+from shared.messages import Velocity
+from shared.runners.transport import where_from
+from zenav.client import Client
+from zenav.drive import why_standing
+from zenav.stopping import stopping
+
+PERIOD = 0.05  # s
+HOLD = 0.6  # s that a key counts as held: longer than a terminal waits before it repeats
+KEYS = {
+    "w": (1, 0), "s": (-1, 0), "a": (0, 1), "d": (0, -1), "q": None, "\x03": None, "\x04": None,
+    "\x1b[A": (1, 0), "\x1b[B": (-1, 0), "\x1b[D": (0, 1), "\x1b[C": (0, -1),
+    "\x1bOA": (1, 0), "\x1bOB": (-1, 0), "\x1bOD": (0, 1), "\x1bOC": (0, -1),
+}  # fmt: skip
+
+
+class Keys:
+    """Which way the held keys point. Forward and turn are held apart, so that w and a together drive a curve."""
+
+    def __init__(self) -> None:
+        self._forward = self._turn = (0, float("-inf"))
+        self.ended = False
+
+    def pressed(self, text: str, now: float) -> None:
+        """Takes what the terminal sent, at `now` s."""
+        while text:
+            key = next((k for k in KEYS if text.startswith(k)), text[0])
+            text = text[len(key) :]
+            way = KEYS.get(key, (0, 0))
+            if way is None:
+                self.ended = True
+            elif way == (0, 0):  # space, or any other key: stand
+                self._forward = self._turn = (0, now)
+            elif way[0]:
+                self._forward = way[0], now
+            else:
+                self._turn = way[1], now
+
+    def way(self, now: float) -> tuple[int, int]:
+        """(forward, turn), each -1, 0 or 1, at `now` s; a key that is no longer held counts for nothing."""
+        return tuple(way if now - at < HOLD else 0 for way, at in (self._forward, self._turn))  # type: ignore[return-value]  # two in, two out
+
+
+@contextmanager
+def raw_terminal() -> Iterator[int]:
+    """The terminal gives each key at once, without showing it, until the block ends. Raises UserError without one."""
+    if not sys.stdin.isatty():
+        raise UserError("teleop needs a keyboard: its input is no terminal", "run it in a terminal; over ssh: ssh -t")
+    descriptor = sys.stdin.fileno()
+    before = termios.tcgetattr(descriptor)
+    try:
+        tty.setcbreak(descriptor)
+        yield descriptor
+    finally:
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+
+def teleop(robot: str, stack: str, speed: float, turn: float) -> None:
+    """Drives by keys until q; speed in m/s, turn in degrees/s. While it runs, it has the robot: no key is to stand."""
+    keys = Keys()
+    with (
+        raw_terminal() as terminal,
+        stopping() as stop,
+        Client(load_robot(robot).robot.name, where_from(stack)) as client,
+    ):
+        client.follow(topics.GUARD, topics.ODOM)
+        sys.stderr.write("w a s d or arrows drive, space stops, q quits\n")
+        due = time.monotonic()
+        while not (stop.is_set() or keys.ended):
+            readable, _, _ = select.select([terminal], [], [], max(0.0, due - time.monotonic()))
+            if readable:
+                keys.pressed(os.read(terminal, 256).decode(errors="replace") or "q", time.monotonic())
+                continue
+            due += PERIOD
+            forward, turning = keys.way(time.monotonic())
+            client.publish(topics.TELEOP(Velocity(client.now(), forward * speed, turning * radians(turn), "")))
+            _show(client)
+        client.publish(topics.TELEOP(Velocity(client.now(), 0.0, 0.0, "")))
+    sys.stderr.write("\n")
+
+
+def _show(client: Client) -> None:
+    odom, guard = client.latest(topics.ODOM), client.latest(topics.GUARD)
+    if guard is None or client.age(topics.GUARD) > 1.0:
+        line = "the guard does not answer: start the stack: zenav up"
+    else:
+        driven = f"{odom.v:+.2f} m/s {odom.w:+.2f} rad/s" if odom else "no odometry"
+        line = f"{driven}  {guard.state}  {why_standing(None, guard)}"
+    sys.stderr.write(f"\r\033[K{line[:100]}")
+    sys.stderr.flush()

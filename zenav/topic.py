@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav topic`: what goes over the wire, as text."""
+
+import json
+import sys
+import threading
+import time
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from shared.codec import CodecError, Envelope, decode
+from shared.config import UserError, load_robot, nearest
+from shared.geometry import Pose2
+from shared.messages import Message
+from shared.runners.transport import LatchedReader, where_from
+from shared.topics import SERVICES, TOPICS, Topic, topic_of
+from zenav.client import Client
+from zenav.stopping import stopping
+
+FEW = 8  # array values that people see
+PATIENCE = 5.0  # s of silence after which a person is told that nothing comes
+
+
+def listed(as_json: bool) -> None:
+    """Writes the registry."""
+    rows = [
+        {
+            "key": f"{topic.key}/SERVICE" if topic.by == "*" else topic.key,
+            "type": topic.type.__name__,
+            "hz": topic.hz,
+            "by": "every service" if topic.by == "*" else topic.by,
+            "doc": (topic.type.__doc__ or "").strip().splitlines()[0],
+        }
+        for topic in TOPICS
+    ]
+    if as_json:
+        for row in rows:
+            sys.stdout.write(json.dumps(row) + "\n")
+        return
+    for row in rows:
+        rate = f"{row['hz']:g}" if row["hz"] else "event"
+        sys.stdout.write(f"{row['key']:<16} {row['type']:<14} {rate:>5}  {row['by']:<22} {row['doc']}\n")
+
+
+def named(key: str) -> tuple[str, Topic[Message]]:
+    """The key and its topic. Raises UserError with the nearest key where there is none."""
+    known = tuple(k for t in TOPICS for k in ([t.key] if t.by != "*" else [f"{t.key}/{name}" for name in SERVICES]))
+    topic = topic_of(key)
+    if topic is None or key not in known:
+        raise UserError(f"{key} is not a topic", nearest(key, known))
+    return key, topic
+
+
+def echo(robot: str, stack: str, key: str, number: int, as_json: bool) -> int:
+    """Writes messages as they come, `number` of them or until Ctrl-C; 1 where none came."""
+    key, topic = named(key)
+    n_shown, ready, waiting = 0, threading.Condition(), list[bytes]()
+
+    def file(payload: bytes) -> None:
+        with ready:
+            waiting.append(payload)
+            del waiting[:-100]  # a terminal slower than the topic sees the newest
+            ready.notify()
+
+    with stopping() as stop, Client(load_robot(robot).robot.name, where_from(stack)) as client:
+        client.listen_raw(key, lambda _, payload: file(payload))
+        kept = LatchedReader(client.session, f"{client.robot}/{key}", file) if topic.latched else None
+        last = time.monotonic()
+        while not stop.is_set() and (number == 0 or n_shown < number):
+            with ready:
+                ready.wait_for(lambda: waiting, 0.1)
+                payloads, waiting[:] = list(waiting), []
+            if not payloads and time.monotonic() - last > PATIENCE and topic.hz:
+                if number:
+                    break
+                sys.stderr.write(f"nothing on {key} for {PATIENCE:g} s\n")
+                last = time.monotonic()
+            for payload in payloads[: number - n_shown if number else None]:
+                n_shown, last = n_shown + 1, time.monotonic()
+                _write(topic, payload, as_json)
+        del kept
+    if not n_shown and number:
+        raise UserError(f"nothing came on {key}", _does_it_run(key, topic))
+    return 0
+
+
+def measured(robot: str, stack: str, key: str, seconds: float, as_json: bool) -> int:
+    """Listens for a while, then writes rate, jitter, age and size; 1 where fewer than two messages came."""
+    key, topic = named(key)
+    arrivals: list[float] = []
+    ages: list[float] = []
+    sizes: list[int] = []
+    with stopping() as stop, Client(load_robot(robot).robot.name, where_from(stack)) as client:
+
+        def file(payload: bytes) -> None:
+            arrivals.append(time.monotonic())
+            sizes.append(len(payload))
+            try:
+                ages.append((client.now() - decode(topic.type, payload)[0].stamp) / 1e9)
+            except CodecError:
+                return
+
+        client.listen_raw(key, lambda _, payload: file(payload))
+        stop.wait(seconds)
+    if len(arrivals) < 2:
+        raise UserError(
+            f"{len(arrivals)} message{'s' if len(arrivals) != 1 else ''} on {key} in {seconds:g} s",
+            f"expected {topic.hz:g} a second; {_does_it_run(key, topic)}",
+        )
+    row = rates(np.array(arrivals), np.array(ages), np.array(sizes))
+    if as_json:
+        sys.stdout.write(json.dumps({"key": key, **row}) + "\n")
+    else:
+        sys.stdout.write(
+            f"{key}: {row['hz']:.2f} Hz (expected {topic.hz:g}), jitter {row['jitter_ms']:.1f} ms, longest gap "
+            f"{row['longest_gap_ms']:.1f} ms, age {row['age_ms']:.1f} ms (largest {row['largest_age_ms']:.1f}), "
+            f"{row['bytes']:.0f} bytes\n"
+        )
+    return 0
+
+
+def _does_it_run(key: str, topic: Topic[Message]) -> str:
+    return f"does {topic.by if topic.by != '*' else key.partition('/')[2]} run? zenav doctor"
+
+
+def rates(arrivals: Any, ages: Any, sizes: Any) -> dict[str, float]:
+    """Figures of a topic. arrivals: (n >= 2,) s; ages: (m,) s since the stamp; sizes: (n,) bytes."""
+    gaps = np.diff(arrivals)
+    return {
+        "n": len(arrivals),
+        "hz": float(len(gaps) / max(arrivals[-1] - arrivals[0], 1e-9)),
+        "jitter_ms": float(gaps.std() * 1e3),
+        "longest_gap_ms": float(gaps.max() * 1e3),
+        "age_ms": float(np.median(ages) * 1e3) if len(ages) else 0.0,
+        "largest_age_ms": float(np.max(ages) * 1e3) if len(ages) else 0.0,
+        "bytes": float(np.mean(sizes)),
+    }
+
+
+def plain(value: Any, few: int | None = None) -> Any:
+    """A message's value as JSON knows it; NaN is null. Arrays and lists longer than `few` become a few values' text."""
+    if isinstance(value, Pose2):
+        return [round(value.x, 4), round(value.y, 4), round(value.yaw, 4)]
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name), few) for field in fields(value)}
+    if isinstance(value, np.ndarray):
+        flat = value.ravel()
+        if few is not None and len(flat) > few:
+            head = ", ".join(
+                "-" if isinstance(v, float) and not isfinite(v) else f"{v:.4g}" for v in flat[:few].tolist()
+            )
+            return f"[{head}, ...] {'x'.join(map(str, value.shape))}"
+        return [plain(v, few) for v in value.tolist()]
+    if isinstance(value, bytes):
+        return f"{len(value)} bytes" if few is not None else value.hex()
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, float):
+        return (round(value, 6) if few is not None else value) if isfinite(value) else None
+    if isinstance(value, (tuple, list)):
+        return [plain(v, few) for v in value]
+    return value
+
+
+def text_of(message: Message, envelope: Envelope) -> str:
+    """A message for people: a line a field."""
+    lines = [f"{name}: {_shown(value)}" for name, value in plain(message, FEW).items()]
+    late = (envelope.sent - message.stamp) / 1e6
+    lines.append(
+        f"# {type(message).__name__} {envelope.sequence} by {envelope.publisher}, sent {late:.1f} ms after its stamp"
+    )
+    return "\n".join(lines)
+
+
+def _shown(value: Any) -> str:
+    return "-" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _write(topic: Topic[Message], payload: bytes, as_json: bool) -> None:
+    try:
+        message, envelope = decode(topic.type, payload)
+    except CodecError as error:
+        sys.stderr.write(f"{len(payload)} bytes that are no {topic.type.__name__}: {error}\n")
+        return
+    if as_json:
+        about = {"publisher": envelope.publisher, "sequence": envelope.sequence, "sent": envelope.sent}
+        sys.stdout.write(json.dumps({**plain(message), "@": about}) + "\n")
+    else:
+        sys.stdout.write(text_of(message, envelope) + "\n---\n")
+    sys.stdout.flush()

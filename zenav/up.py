@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav up`: the services as processes, until Ctrl-C. `zenav run`: one of them, in this process."""
+
+import runpy
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+from shared import topics
+from shared.config import UserError, configured, nearest
+from shared.messages import Health
+from shared.runners.clock import clock_from
+from shared.runners.transport import where_from
+from shared.topics import SERVICES
+from zenav.classes import built
+from zenav.client import Client
+from zenav.launch import Launcher, claimed, service_command
+from zenav.settings import checked
+from zenav.stopping import stopping
+
+SIMULATED = ("sim",)
+HARDWARE = ("lidar_driver",)
+
+
+def run(service: str, robot: str, stack: str, settings: list[str], clock: str, log: str) -> None:
+    """One service in this process, as `python -m services.NAME` runs it. Does not return."""
+    names = tuple(built())
+    if service not in names:
+        raise UserError(f"{service} is not a service", nearest(service, names))
+    sys.argv[:] = [service, "--robot", robot, "--stack", stack, "--log", log, "--clock", clock]
+    for setting in settings:
+        sys.argv += ["--set", setting]
+    runpy.run_module(f"services.{service}", run_name="__main__", alter_sys=True)
+
+
+def chosen(only: list[str], simulated: bool) -> list[str]:
+    """The services to start, in the registry's order. Raises UserError on a name that is none."""
+    names = tuple(built())
+    for name in only:
+        if name not in names:
+            raise UserError(f"{name} is not a service", nearest(name, names))
+    left_out = HARDWARE if simulated else SIMULATED
+    return [name for name in names if (name in only if only else name not in left_out)]
+
+
+def run_folder(kind: str) -> Path:
+    """A new folder out/KIND-DATE-TIME for what a run leaves behind. Raises UserError where it cannot be made."""
+    base = Path("out") / f"{kind}-{time.strftime('%Y%m%d-%H%M%S')}"
+    for i in range(100):
+        folder = base if i == 0 else base.with_name(f"{base.name}-{i}")
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise UserError(f"cannot write to {folder}: {error.strerror}", "run it from a folder of yours") from None
+        return folder
+    raise UserError(f"{base} exists 100 times", "wait a second")
+
+
+def up(robot: str, world: str, only: list[str], speed: float, stack: str, settings: list[str]) -> None:
+    """Runs the services until Ctrl-C."""
+    if speed != 1.0 and not world:
+        raise UserError("--speed needs the simulator's time", "name a world: --world office")
+    settings = [*settings, *([f"sim.world={world}"] if world else [])]
+    names = chosen(only, bool(world))
+    file = configured(robot, settings)
+    checked(file)
+    where = where_from(stack)
+    clock = "" if speed == 1.0 else f"{time.time_ns()}:{speed:g}"
+    clock_from(clock)
+    folder = run_folder("up")
+    commands = {name: service_command(name, robot, stack, settings, clock, folder / "memory") for name in names}
+    _tell("zenav", f"{', '.join(names)}; logs in {folder}; Ctrl-C ends them")
+    if not world and not only:
+        _tell("zenav", "no world: expects the robot's hardware; simulate with --world office")
+    with stopping() as stop, ExitStack() as open_things:
+        if not where.router:
+            open_things.enter_context(claimed(where.domain))
+        launcher = open_things.enter_context(Launcher(commands, folder, _tell, 1 / speed))
+        client = open_things.enter_context(Client(file.robot.name, where))
+        ready: set[str] = set()
+
+        def hear(health: Health) -> None:
+            launcher.hear(health)
+            if health.name not in ready and health.name in commands:
+                ready.add(health.name)
+                if len(ready) == len(commands):
+                    _tell("zenav", "every service runs")
+
+        client.listen(topics.HEALTH, lambda health, _: hear(health))
+        launcher.start_all(lambda name: name in ready)
+        while not stop.wait(0.1):
+            launcher.step()
+        _tell("zenav", "ending")
+
+
+def _tell(name: str, line: str) -> None:
+    colour = 31 + (SERVICES.index(name) + 1) % 6 if name in SERVICES else 1
+    prefix = f"{name:<12}"
+    sys.stderr.write(f"\033[{colour}m{prefix}\033[0m {line}\n" if sys.stderr.isatty() else f"{prefix} {line}\n")
+    sys.stderr.flush()
