@@ -22,6 +22,7 @@ PORTS_A_STACK = 40
 MAX_DOMAIN = 200
 LOG = "error,zenoh::api::session=off"  # goes to stdout, where tools write data; the session complains while it closes
 MAX_MESSAGE = 4 * 2**20  # bytes; a whole map of 1000 tiles
+DATA_QUEUE = 16  # batches of 64 kB a link: two, the default, overflow when a busy machine lets a process wait for 40 ms
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +57,7 @@ def configuration(where: Where, name: str = "") -> zenoh.Config:
     put("scouting/multicast/enabled", False)
     put("transport/shared_memory/enabled", False)
     put("transport/link/rx/max_message_size", MAX_MESSAGE)
+    put("transport/link/tx/queue/size/data", DATA_QUEUE)
     put("connect/exit_on_failure", False)
     put("connect/retry", retry)
     if where.router:

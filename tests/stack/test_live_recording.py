@@ -5,6 +5,9 @@ import threading
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
+
+import zenoh
 
 from services.recorder.service import RecorderService
 from services.recorder.store import RecorderConfig, RecordingStore
@@ -43,10 +46,20 @@ class Watched(RecorderService):
         return self.satisfied.wait(20)
 
 
+def recorded(session: zenoh.Session, name: str) -> bool:
+    """Returns when the recorder hears this service: on a busy machine its first journal could go by before that."""
+    publisher, found = session.declare_publisher(f"{ROBOT.name}/journal/{name}"), threading.Event()
+    publisher.declare_matching_listener(lambda status: found.set() if status.matching else None)
+    there: Any = publisher.matching_status  # its stub says bool, it is an object
+    return there.matching or found.wait(20)
+
+
 @contextmanager
 def running(service: Service, name: str, where: transport.Where, memory: Memory | None = None) -> Iterator[Live]:
     with transport.opened(where, name) as session:
         live = Live(service, name, ROBOT.name, session, Clock(), memory)
+        if not isinstance(service, RecorderService):
+            assert recorded(session, name)
         thread = threading.Thread(target=live.run)
         thread.start()
         try:
