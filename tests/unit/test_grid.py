@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shared.codec import CodecError, Envelope, decode, encode
@@ -83,6 +83,7 @@ far_places = st.lists(
 )
 
 
+@settings(max_examples=30)
 @given(st.lists(far_places.filter(lambda places: update(places, 1).problem() is None), min_size=2, max_size=4))
 def test_a_map_never_spans_more_than_it_may_and_keeps_what_it_had(updates):
     for transposed in (False, True):
