@@ -16,6 +16,7 @@ from shared.config import Robot, Section
 from shared.geometry import Pose2, interpolated
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, Localization, Odometry, PoseEstimate
+from shared.reasons import BAD_REQUEST
 from shared.requests import LoadMap, Reply
 from shared.service import Answer, Log, Out, Service, answer, every, on
 
@@ -23,6 +24,7 @@ Float64s = NDArray[np.float64]
 
 SECOND = 1_000_000_000
 OLDEST = SECOND  # a scan that is older when it arrives says where the robot was, not where it is
+MOST_TILES = 20_000  # of a saved map, 80 MB of cells: a square of 450 m at 0.05 m a cell
 FUTURE = SECOND // 2  # a stamp that is farther ahead is another clock's
 
 
@@ -72,6 +74,11 @@ class MapperService(Service):
             )
             list(other.scan(scan))
             other.front_end.searches_next = True
+        beams = np.zeros((laser.n_beams, 2))
+        other.grid.contradicts(beams, beams)
+        other.front_end.registrar.extend(
+            np.ascontiguousarray(0.3 * np.argwhere(np.ones((60, 60)))), np.zeros((3600, 2))
+        )  # until it grows
         list(other.publish_map())
         load = LoadMap(other.now, other.grid.whole(other.now), Pose2())
         list(other.load_map(load))
@@ -132,11 +139,13 @@ class MapperService(Service):
 
     @answer(requests.LOAD_MAP)
     def load_map(self, request: LoadMap) -> Answer[Reply]:
+        rows, columns = request.map.rows, request.map.columns
+        if len(rows) and (int(np.ptp(rows)) + 1) * (int(np.ptp(columns)) + 1) > MOST_TILES:
+            return Reply(self.now, False, BAD_REQUEST.code, "the map's tiles lie too far apart to be one building")
         grid = OccupancyGrid(request.map.resolution, request.map.map_id)
-        if len(request.map.rows):
-            grid.apply(request.map)
+        grid.apply(request.map)
         if not grid.occupied.any():
-            return Reply(self.now, False, "bad_request", "the map holds no occupied cell: nothing to find the robot by")
+            return Reply(self.now, False, BAD_REQUEST.code, "the map holds no occupied cell to find the robot by")
         self.grid = Occupancy(self.config.occupancy, max(self.now, self.grid.map_id + 1))
         self.grid.load(request.map)
         self.front_end.load(grid, request.map_from_base)
