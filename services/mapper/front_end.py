@@ -97,6 +97,7 @@ class FrontEnd:
         self.motion = Pose2()  # between the last two sweeps
         self.n_bad = 0
         self.searches_next = False
+        self.other_starts: list[Pose2] = []  # that the next search looks around too
 
     def load(self, grid: OccupancyGrid, map_from_base: Pose2) -> None:
         """Starts on a saved map, near a pose."""
@@ -144,8 +145,9 @@ class FrontEnd:
         unsure = self.odometry_error.prior(self.registration, self.map_from_base, step, 10 * doubt)
         best = self._better(best, sweep, [self.map_from_base @ self.motion], unsure, grid)
         if best.quality < self.search.below or self.searches_next:
-            self.searches_next = False
-            guesses = candidates(sweep.points, self.registrar.map, prior.map_from_base, self.search)
+            starts = [prior.map_from_base, *self.other_starts]
+            self.searches_next, self.other_starts = False, []
+            guesses = [g for s in starts for g in candidates(sweep.points, self.registrar.map, s, self.search)]
             best = self._better(best, sweep, guesses, unsure, grid)
         return best
 

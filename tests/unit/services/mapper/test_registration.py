@@ -13,6 +13,8 @@ from tests.unit.services.mapper.rooms import CORRIDOR, ROOM, sweep
 
 WEAK = {"sigma": 1.0, "sigma_turn": 1.0}
 
+ORIGIN = Pose2()
+
 
 def points_at(segments, pose, **arguments):
     origins, ends = sweep(segments, pose, **arguments)
@@ -21,7 +23,7 @@ def points_at(segments, pose, **arguments):
     return ends[seen], normals[seen]
 
 
-def mapped(segments, kind="line", poses=(Pose2(),)):
+def mapped(segments, kind="line", poses=(ORIGIN,)):
     registrar = REGISTRARS[kind](RegistrationConfig(), 8.0)
     for pose in poses:
         points, normals = points_at(segments, pose)
