@@ -38,7 +38,9 @@ def cast(segments: Float64s, origins: Float64s, angles: Float64s) -> Float64s:
     return np.min(np.where((t > 0) & (u >= 0) & (u <= 1), t, np.inf), axis=1)
 
 
-def sweep(segments: Float64s, pose: Pose2, n: int = 360, noise: float = 0.0, seed: int = 0) -> tuple[Float64s, Float64s]:
+def sweep(
+    segments: Float64s, pose: Pose2, n: int = 360, noise: float = 0.0, seed: int = 0
+) -> tuple[Float64s, Float64s]:
     """Origins and ends (n, 2) in `base` of an instant full turn at a pose, laser at the base."""
     angles = np.arange(n) * 2 * pi / n
     ranges = cast(segments, np.tile((pose.x, pose.y), (n, 1)), pose.yaw + angles)
@@ -88,7 +90,9 @@ class Driven:
         """Moves by `motion` within 0.2 s, the second half of it during a sweep; the sweep comes at its end."""
         begin, start = self.now, self.true
         parts = 20
-        moved = [start @ Pose2(motion.x * k / parts, motion.y * k / parts, motion.yaw * k / parts) for k in range(parts + 1)]
+        moved = [
+            start @ Pose2(motion.x * k / parts, motion.y * k / parts, motion.yaw * k / parts) for k in range(parts + 1)
+        ]
         for k in range(1, parts + 1):
             self.now = begin + k * SECOND // 100
             if with_odometry:

@@ -39,9 +39,7 @@ def test_a_beam_lands_where_the_moving_laser_saw_it(x, y, yaw, dx, dy, turn, clo
 
 def test_a_robot_at_rest_sees_the_plain_polar_picture():
     ranges = np.full(360, 2.0)
-    _, ends = deskewed(
-        scan_of(ranges, 0.0, 2 * pi / 360), Mount(), np.array((-0.2, -0.1, 0.0)), np.zeros((3, 3))
-    )
+    _, ends = deskewed(scan_of(ranges, 0.0, 2 * pi / 360), Mount(), np.array((-0.2, -0.1, 0.0)), np.zeros((3, 3)))
     assert_allclose(np.hypot(*ends.T), 2.0)
     assert_allclose(ends[90], (0, 2), atol=1e-12)
 
