@@ -11,7 +11,7 @@ from pydantic import Field
 from services.mapper.correlative_match import SearchConfig, candidates
 from services.mapper.occupancy import Occupancy
 from services.mapper.registration import REGISTRARS, Match, OdometryError, Prior, RegistrationConfig
-from services.mapper.surface import grid_surface, sweep_normals
+from services.mapper.surface import grid_surface, sweep_normals, sweep_usable
 from shared.config import Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
@@ -113,7 +113,7 @@ class FrontEnd:
         """
         measured, step = step, self.odometry_error.corrected(step)
         normals = sweep_normals(origins, ends)
-        valid = ~np.isnan(ends[:, 0])
+        valid = sweep_usable(origins, ends) | normals.any(axis=1)
         sweep = Sweep(origins[valid], np.ascontiguousarray(ends[valid]), np.ascontiguousarray(normals[valid]))
         placed = self._placed(sweep, step, doubt, grid)
         moving = grid.clear_at(placed.match.map_from_base @ sweep.points, self.config.clear_cells)

@@ -168,7 +168,7 @@ class OdometryError:
     """What odometry has got wrong of late, as the matches that know better tell: its scale, and what is left."""
 
     def __init__(self) -> None:
-        self.squared, self.squared_turn = 0.03**2, 0.01**2  # m^2, rad^2: what a wheeled robot's is like
+        self.squared, self.squared_turn = 0.015**2, 0.01**2  # m^2, rad^2: what a wheeled robot's is like
         self.forward, self.turn = Scale(0.05), Scale(0.004)
 
     def corrected(self, step: Pose2) -> Pose2:
