@@ -49,7 +49,7 @@ def sweep(
     return np.zeros((n, 2)), ranges[:, None] * np.column_stack((np.cos(angles), np.sin(angles)))
 
 
-ROBOT = load_robot("x80sv").robot.model_copy(
+ROBOT = load_robot("x80sv_xv11").robot.model_copy(
     update={
         "laser": Laser(
             mount=Mount(x=0.1, y=-0.02, yaw=0.3), angle_min=-3.0, angle_increment=2 * pi / 240, n_beams=240,
