@@ -36,13 +36,17 @@ class FrontEndConfig(Section):
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """A scan's place: the pose, its covariance (3, 3) in `map`, the share of beams that agree, and the state."""
+    """A scan's place: the pose, its covariance (3, 3) in `map`, the share of beams that agree, and the state.
+
+    trusted: the map may be drawn from it.
+    """
 
     map_from_base: Pose2
     covariance: Float64s
     quality: float
     state: Localization
     match: Match
+    trusted: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,20 +133,21 @@ class FrontEnd:
         n_told = placed.n_agree + placed.n_against + n_moving
         quality = placed.n_agree / max(n_told, LEAST_BEAMS)
         self._grade(quality, n_told >= LEAST_BEAMS, len(valid))
-        if self.state is not Localization.LOST and self._moved_on() and len(sweep.points):
+        trusted = self.n_bad == 0  # a map drawn from a wrong place soon agrees with it
+        if trusted and self._moved_on() and len(sweep.points):
             self._extend(sweep.points, sweep.normals)
-        return Tracked(self.map_from_base, self.covariance, quality, self.state, placed.match)
+        return Tracked(self.map_from_base, self.covariance, quality, self.state, placed.match, trusted)
 
     def _placed(self, sweep: Sweep, step: Pose2, doubt: float, grid: Occupancy) -> Placed:
         """The sweep aligned from odometry's guess, or from a better one where too many beams contradict the map."""
         prior = self.odometry_error.prior(self.registration, self.map_from_base, step, doubt)
         if self.registrar.map.n == 0 or not len(sweep.points):
             return Placed(self.registrar.measured(sweep.points, sweep.normals, prior.map_from_base), 0)
-        best = self._aligned(sweep, prior.map_from_base, prior, grid)
+        unsure = self.odometry_error.prior(self.registration, self.map_from_base, step, 10 * doubt)
+        best = self._aligned(sweep, prior.map_from_base, unsure if self.searches_next else prior, grid)
         if best.quality >= self.search.below and not self.searches_next:
             return best
         # odometry may lie: a slipping wheel, a stall, a wrong direction. The motion before this step is another guess
-        unsure = self.odometry_error.prior(self.registration, self.map_from_base, step, 10 * doubt)
         best = self._better(best, sweep, [self.map_from_base @ self.motion], unsure, grid)
         if best.quality < self.search.below or self.searches_next:
             starts = [prior.map_from_base, *self.other_starts]

@@ -15,7 +15,7 @@ from shared import requests, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2, interpolated
 from shared.grid import OccupancyGrid
-from shared.messages import LaserScan, Localization, MapUpdate, Odometry, PoseEstimate
+from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
 from shared.reasons import BAD_REQUEST
 from shared.requests import LoadMap, Reply
 from shared.service import Answer, Log, Out, Service, answer, every, on
@@ -220,7 +220,7 @@ class MapperService(Service):
         tracked = self.front_end.track(origins, ends, step, self.config.blind_doubt if self.blind else 1.0, self.grid)
         moved = before.inverse() @ tracked.map_from_base
         self.velocity = _scaled(moved, 1 / seconds) if 0.02 <= seconds <= 1 else Pose2()
-        if tracked.state is not Localization.LOST:
+        if tracked.trusted:
             pose = tracked.map_from_base
             self.grid.integrate(pose @ origins, pose @ ends, self._silent(scan, origins, ends))
         self.last_end, self.tracked = end, tracked

@@ -99,7 +99,7 @@ class Driven:
                 self.odometry(self.now, moved[k])
         self.true = moved[-1]
         self.mapper.now = self.now
-        self.take(self.mapper.scan(self.scan(list(moved[parts // 2 :]), self.now - SECOND // 10)))
+        self.take(self.mapper.scan(self.scan(moved[parts // 2 :], self.now - SECOND // 10)))
         if len(self.poses) == 1 and not self.maps:
             self.first = self.true
 

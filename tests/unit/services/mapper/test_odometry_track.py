@@ -28,7 +28,7 @@ def close(a, b, tolerance=1e-9):
 
 @given(st.lists(st.tuples(st.floats(0, 0.006), st.floats(-0.03, 0.03)), min_size=2, max_size=60), st.integers(0, 58))
 def test_a_restarted_odometry_moves_nothing(steps, restart):
-    """The same drive with and without a publisher that starts again at 0 in its middle: the same motion but for a step."""
+    """A drive with and without a publisher that starts again at 0 in its middle: the same motion but for a step."""
     whole, broken = track(), track()
     pose, again = Pose2(40, -30, 1), Pose2(40, -30, 1)
     lost = Pose2()

@@ -11,9 +11,8 @@ from services.mapper.surface import sweep_normals
 from shared.geometry import Pose2, wrapped
 from tests.unit.services.mapper.rooms import CORRIDOR, ROOM, sweep
 
+START = Pose2()
 WEAK = {"sigma": 1.0, "sigma_turn": 1.0}
-
-ORIGIN = Pose2()
 
 
 def points_at(segments, pose, **arguments):
@@ -23,7 +22,7 @@ def points_at(segments, pose, **arguments):
     return ends[seen], normals[seen]
 
 
-def mapped(segments, kind="line", poses=(ORIGIN,)):
+def mapped(segments, kind="line", poses=(START,)):
     registrar = REGISTRARS[kind](RegistrationConfig(), 8.0)
     for pose in poses:
         points, normals = points_at(segments, pose)
