@@ -14,6 +14,8 @@ from shared.messages import BaseStatus, BoardReport, EmergencyStop, Float32s, Mo
 from shared.service import Out, Service, every, on
 from shared.topics import Publication
 
+SEPARATOR = "; "  # between the parts of a status's detail; what is stuck comes first
+
 
 class BaseDriverConfig(Section):
     """The base driver."""
@@ -77,6 +79,13 @@ class BaseDriverService(Service):
                 self.stuck = ""
         yield self._motors()
         yield from self._changed_status()
+
+    @on(topics.BASE)
+    def before_the_restart(self, status: BaseStatus) -> Out:
+        """A wheel's fault outlives this process: only a release later than our last word ends it."""
+        if status.fault == reasons.WHEEL_STUCK.code:
+            self.stuck, self.stuck_at = status.detail.split(SEPARATOR)[0], status.stamp
+            yield self._status()
 
     @on(topics.BOARD)
     def board(self, report: BoardReport) -> Out:
@@ -150,7 +159,7 @@ class BaseDriverService(Service):
             f"the encoders jumped {jumps} times" if jumps else "",
             self.watchdog.refused,
         )
-        detail = "; ".join(text for text in details if text)
+        detail = SEPARATOR.join(text for text in details if text)
         return topics.BASE(BaseStatus(self.now, battery, left_current, right_current, self.link, self.fault, detail))
 
     def _ranges(self, report: BoardReport) -> RangeReadings:

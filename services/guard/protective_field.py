@@ -34,6 +34,8 @@ class FieldConfig(Section):
         0.03, ge=0, le=1, description="m: points deeper inside the footprint are the robot's own body"
     )
     slowest: float = Field(0.02, ge=0, le=0.2, description="m/s under which a slowed robot stands")
+    creep_speed: float = Field(0.15, ge=0, le=0.5, description="m/s up to which `side_margin` need not be free")
+    creep_turn_rate: float = Field(0.5, ge=0, le=2, description="rad/s up to which `side_margin` need not be free")
     blind_speed: float = Field(
         0.15, gt=0, le=2, description="m/s in a direction that neither the laser nor a range sensor covers"
     )
@@ -54,6 +56,21 @@ def permitted(points: Float64s, corners: Float64s, v: float, w: float, drive: Dr
     """The greatest share of the velocity (v m/s, w rad/s) from which the robot stops before contact.
 
     points: (n, 2) m, obstacles in `base`.  corners: (k, 2) m, footprint.
+    At a creep, `side_margin` is kept free in front only: a robot with something close beside it gets away.
+    """
+    permit = _stopping(points, corners, v, w, drive, config)
+    creep = min(config.creep_speed / max(abs(v), STANDING), config.creep_turn_rate / max(abs(w), STANDING), 1.0)
+    if permit.share >= creep or creep * (abs(v) + abs(w)) < STANDING:
+        return permit
+    in_front = config.stop_margin + config.side_margin
+    narrow = config.model_copy(update={"side_margin": 0.0, "stop_margin": in_front})
+    creeping = _stopping(points, corners, v * creep, w * creep, drive, narrow)
+    return Permit(creeping.share * creep, creeping.travel) if creeping.share * creep > permit.share else permit
+
+
+def _stopping(points: Float64s, corners: Float64s, v: float, w: float, drive: Drive, config: FieldConfig) -> Permit:
+    """`permitted` with one side margin at all speeds.
+
     At a share s the robot runs on for `reaction` and then brakes on its arc: s reaction + s^2 T / 2 seconds' worth of
     the command, T the longer of |v| / braking and |w| / turning deceleration; `stop_margin` stays free beyond.
     """

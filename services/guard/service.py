@@ -102,6 +102,13 @@ class GuardService(Service):
         self.situation.take_stop(stop)
         yield from self.drive()
 
+    @on(topics.GUARD)
+    def before_the_restart(self, status: GuardStatus) -> Out:
+        """STOP outlives the guard, and who pressed it: only a release later than our last word ends it."""
+        if status.state is GuardState.STOPPED:
+            self.situation.take_stop(EmergencyStop(status.stamp, True, "from before a restart"))
+            yield from self.drive()
+
     @on(topics.BASE)
     def base_status(self, status: BaseStatus) -> Out:
         if supersedes(status.stamp, self.situation.base_stamp, self.now):

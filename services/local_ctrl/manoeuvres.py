@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Straight back by so much, on the spot by so much: speeds that end there, and whether the way is free."""
 
-from math import copysign, cos, sin, sqrt
+from math import copysign, cos, inf, sin, sqrt
 from typing import NamedTuple
 
 from numba import njit
 from pydantic import Field
 
-from services.local_ctrl.footprint import Bools, Float32s, Footprint, collides
+from services.local_ctrl.footprint import Bools, Float32s, Footprint, clearance, collides
 from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.rollout import DT, Limits, Motion, speed_after, turn_rate_after
 from shared import reasons
@@ -18,6 +18,7 @@ from shared.messages import FollowState, Goal, GoalKind
 SHARE = 0.6  # of the drive's braking that the profile counts on: the rest is for delay
 LOOK_STEP = 0.02  # m along the rim between checked places
 TURN_LOOK = 0.5  # rad that must be free ahead while turning
+NEARER = 0.005  # m of clearance that who stands too near may lose on the way out: what a cell's grid adds
 WAY_LOOK = 0.1  # m that must be free beyond the braking distance while backing up
 
 
@@ -103,6 +104,34 @@ def _profile(left: float, braking: float, most: float, dt: float) -> float:
 
 
 @njit(cache=True, nogil=True)
+def _least(
+    field: Float32s, occupied: Bools, resolution: float, x: float, y: float, c: float, s: float, shape: Footprint
+) -> float:
+    """The clearance, m, that must be kept from here on: who stands too near already may leave, not come nearer."""
+    if collides(field, occupied, resolution, x, y, c, s, shape):
+        return clearance(field, resolution, x, y, c, s, shape) - NEARER
+    return inf
+
+
+@njit(cache=True, nogil=True)
+def _hits(
+    field: Float32s,
+    occupied: Bools,
+    resolution: float,
+    x: float,
+    y: float,
+    c: float,
+    s: float,
+    shape: Footprint,
+    least: float,
+) -> bool:
+    """Whether the footprint touches an occupied cell here with less clearance than `least`."""
+    if clearance(field, resolution, x, y, c, s, shape) >= least:
+        return False
+    return collides(field, occupied, resolution, x, y, c, s, shape)
+
+
+@njit(cache=True, nogil=True)
 def free_turn(
     field: Float32s,
     occupied: Bools,
@@ -117,10 +146,11 @@ def free_turn(
 
     x, y: m from the centre of the lower left cell.
     """
+    least = _least(field, occupied, resolution, x, y, cos(yaw), sin(yaw), shape)
     n = int(abs(angle) * shape.circumscribed / LOOK_STEP) + 1
     for i in range(1, n + 1):
         turned = yaw + angle * i / n
-        if collides(field, occupied, resolution, x, y, cos(turned), sin(turned), shape):
+        if _hits(field, occupied, resolution, x, y, cos(turned), sin(turned), shape, least):
             return angle * (i - 1) / n
     return angle
 
@@ -138,9 +168,10 @@ def free_way(
 ) -> float:
     """How much of `distance`, m (negative: back), the footprint can drive before it touches an occupied cell."""
     c, s = cos(yaw), sin(yaw)
+    least = _least(field, occupied, resolution, x, y, c, s, shape)
     n = int(abs(distance) / LOOK_STEP) + 1
     for i in range(1, n + 1):
         along = distance * i / n
-        if collides(field, occupied, resolution, x + c * along, y + s * along, c, s, shape):
+        if _hits(field, occupied, resolution, x + c * along, y + s * along, c, s, shape, least):
             return distance * (i - 1) / n
     return distance

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""People who walk their routes round and round, stop before the robot, walk around it or turn back."""
+"""People who walk their routes round and round, stop before the robot, walk around it, step or turn back."""
 
-from math import cos, hypot, inf, pi, sin
+from math import atan2, cos, hypot, inf, pi, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ LOOK = 0.6  # m: how far ahead on the way a person heads for
 STEP = 0.3  # m: how far ahead a person checks the ground
 PERSONAL_SPACE = 0.4  # m that a person keeps to the robot a STEP ahead
 SQUEEZE = 0.12  # m: what a person leaves when walking around a robot that stands in the way
+TOO_CLOSE = 0.1  # m to the robot: a person who is nearer steps back
 WAITS = 1.5  # s before walking around
 TURNS_BACK = 6.0  # s without coming closer to the waypoint before turning back
 PROGRESS = 0.1  # m that count as coming closer
@@ -114,17 +115,29 @@ def _is_free(
 
 
 @njit(cache=True, nogil=True)
+def _back(people: People, i: int, robot: Float64s, cells: Cells, now: float) -> tuple[float, float, float]:
+    """As `_heading`, for a person `now` m from the robot: straight away from it, or aside where that is not free."""
+    state = people.state[i]
+    away = atan2(state[Y] - robot[:, 1].mean(), state[X] - robot[:, 0].mean())
+    for turn in (0.0, pi / 4, -pi / 4, pi / 2, -pi / 2):
+        ux, uy = cos(away + turn), sin(away + turn)
+        if _is_free(people, i, state[X] + TOO_CLOSE * ux, state[Y] + TOO_CLOSE * uy, robot, cells, TOO_CLOSE, now):
+            return ux, uy, 0.6
+    return 0.0, 0.0, 0.0
+
+
+@njit(cache=True, nogil=True)
 def _heading(people: People, i: int, robot: Float64s, cells: Cells) -> tuple[float, float, float]:
     """The direction (x, y) that person i takes and the share of their speed, 0 where nothing is open."""
     state = people.state[i]
     hx, hy, left, ax, ay = _on_the_way(people, i)
-    to_target = hypot(hx - state[X], hy - state[Y])
-    if to_target < 1e-6:
-        return 0.0, 0.0, 0.0
+    to_target = max(hypot(hx - state[X], hy - state[Y]), 1e-6)
     ux, uy = (hx - state[X]) / to_target, (hy - state[Y]) / to_target
     if not people.reacts:
         return ux, uy, 1.0
     now = gap(robot, state[X], state[Y]) - state[RADIUS]
+    if now < TOO_CLOSE:
+        return _back(people, i, robot, cells, now)
     step = min(STEP, left)
     if now > PERSONAL_SPACE + LOOK:
         open_ahead = _is_free(people, i, state[X] + STEP * ux, state[Y] + STEP * uy, robot, cells, 0.0, now)
@@ -163,12 +176,13 @@ def walk(people: People, robot: Float64s, cells: Cells, dt: float) -> bool:
     hit = False
     for i in range(len(people.state)):
         state = people.state[i]
-        if state[PAUSE] > 0.0:
+        steps_back = people.reacts and gap(robot, state[X], state[Y]) - state[RADIUS] < TOO_CLOSE
+        if state[PAUSE] > 0.0 and not steps_back:
             state[PAUSE] -= dt
             state[SPEED] = 0.0
             continue
         _, _, left, _, _ = _on_the_way(people, i)
-        if left < 0.1:
+        if left < 0.1 and not steps_back:
             _head_on(people, i)
             state[PAUSE] = people.pauses[i, people.n_pauses[i] % N_PAUSES]
             people.n_pauses[i] += 1

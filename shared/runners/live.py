@@ -14,6 +14,7 @@ import time
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -268,22 +269,34 @@ class Live:
             line = cast(LogLine, sent.message)
             log.log(logging.getLevelNamesMapping().get(line.level, logging.INFO), line.text)
         if sent.topic.latched:
-            whole = self._kept[sent.key] = merged(self._kept.get(sent.key), sent.message)
+            before = self._kept.get(sent.key)
+            whole = self._kept[sent.key] = merged(before, sent.message)
             value = partial(encode, whole, sent.envelope)
             self._latched[sent.key].keep(value)
             self._unsaved[sent.key] = value
+            if not hasattr(sent.message, "merged") and not _same(before, whole):
+                self._save()  # what is small and new, as a pressed STOP, does not wait: the next event may be the last
         self._publishers[sent.key].put(sent.payload)
 
     def _report(self, now: int) -> None:
         journal = self.host.journal(now)
         if journal is not None:
             self._publish(journal)
-        if self.memory is not None:
-            for key in set(self._own_latched()) & set(self._unsaved):
-                self._workers.submit(self.memory.write, key, self._unsaved.pop(key))
+        self._save()
         dropped = sum(place.dropped for place in self._places if place.keep == "all")
         health = self.traffic.health(self.name, self.host.service.state(), self.host.n_events, dropped, now)
         self._publish(self.host.publish(topics.HEALTH(health), now))
+
+    def _save(self) -> None:
+        if self.memory is not None:
+            for key in set(self._own_latched()) & set(self._unsaved):
+                self._workers.submit(self.memory.write, key, self._unsaved.pop(key))
+
+
+def _same(before: Message | None, message: Message) -> bool:
+    """Whether two messages say the same, at whatever time."""
+    nobody = Envelope("", "", 0, 0)
+    return before is not None and encode(replace(before, stamp=message.stamp), nobody) == encode(message, nobody)
 
 
 def _next_tick(due: int, period: int, now: int) -> int:

@@ -46,16 +46,22 @@ class Lockstep:
             self.start(name, services[name])
 
     def start(self, name: str, service: Service) -> None:
-        """Starts a service now, also in place of a killed one; it gets the latched values at once."""
+        """Starts a service now, also in place of a killed one: first it gets back what it had latched itself, at once,
+        then the latched values of the others."""
         life = self._lives[name] = self._lives.get(name, 0) + 1
         host = self._hosts[name] = Host(service, name, f"{name}-{life}")
         service.warm()
         self._busy_until[name] = self.now
+        before = list(self.latched.values())
+        for sent in before:
+            if sent.envelope.publisher == name and sent.topic.key in host.handlers.topics:
+                self._take(host, host.message(sent.key, sent.message, sent.envelope, self.now, latched=True))
         for index, (hz, _) in enumerate(host.handlers.ticks):
             self._schedule_tick(name, life, index, self.now, round(1e9 / hz))
         self._schedule_journal(name, life)
-        for sent in list(self.latched.values()):
-            self._deliver(sent, name, latched=True)
+        for sent in before:
+            if sent.envelope.publisher != name:
+                self._deliver(sent, name, latched=True)
 
     def kill(self, name: str) -> None:
         """The service is gone: nothing that it ordered or waits for happens any more."""

@@ -5,10 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from shared import requests
+from shared import requests, topics
 from shared.config import RobotFile, load_robot
+from shared.messages import EmergencyStop
 from shared.recording import CONFIG, Recording, Writer, sink
 from shared.requests import Explore
+from shared.runners.host import LATCHED
 from shared.runners.lockstep import Lockstep
 from shared.service import Service
 from zenav.classes import made
@@ -25,7 +27,7 @@ def service(name: str, file: RobotFile) -> Service:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eight seconds of exploring, in which the mapper dies and comes back."""
+    """Eight seconds of exploring, in which the mapper dies and comes back; under STOP, guard and base driver do."""
     path, file = tmp_path_factory.mktemp("run") / "run.mcap", load_robot("x80sv")
     with Writer(path, {"robot": file.robot.name}, {CONFIG: file.text.encode()}) as writer:
         lockstep = Lockstep({name: service(name, file) for name in STACK}, sink(writer))
@@ -35,7 +37,14 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         lockstep.kill("mapper")
         lockstep.run(0.5)
         lockstep.start("mapper", service("mapper", file))
-        lockstep.run(2.8)
+        lockstep.run(1.8)
+        lockstep.publish(topics.ESTOP(EmergencyStop(lockstep.now, True, "test")))
+        lockstep.run(0.33)
+        for name in ("guard", "base_driver"):
+            lockstep.kill(name)
+            lockstep.run(0.21)
+            lockstep.start(name, service(name, file))
+        lockstep.run(0.5)
         lockstep.flush()
     return path
 
@@ -52,6 +61,13 @@ def test_each_service_gives_what_it_gave(run, name):
     assert report.notes == []
     assert report.equal, report.topics
     assert sum(topic.n_equal for topic in report.topics) >= 4
+
+
+@pytest.mark.parametrize(("name", "key"), [("guard", "guard/status"), ("base_driver", "base/status")])
+def test_a_restarted_service_hears_first_what_it_had_latched_itself(run, name, key):
+    before, after = Recording(run).lives()[name]
+    first = after.events[0]
+    assert (first.kind, first.key, first.session) == (LATCHED, key, before.session)
 
 
 def test_the_whole_stack_gives_the_recording_again(run, tmp_path):

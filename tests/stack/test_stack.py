@@ -15,11 +15,12 @@ import pytest
 from shared import topics
 from shared.codec import Envelope, encode
 from shared.config import UserError
-from shared.messages import GuardState, Velocity
+from shared.messages import EmergencyStop, GuardState, Velocity
 from shared.requests import REQUESTS
 from shared.runners import transport
 from shared.topics import SERVICES, TOPICS
 from tests.stack.processes import ALL, ROBOT, Stack, running, wait
+from zenav.client import Client
 from zenav.launch import ROOT, Launcher, free_stack, service_command
 
 
@@ -46,7 +47,6 @@ def test_services_that_start_in_any_order_drive_to_a_goal(tmp_path, order):
     assert not any(psutil.pid_exists(pid) for pid in pids)
 
 
-@pytest.mark.xfail(reason="the mapper does not listen to `map` yet: it starts anew", strict=True)
 def test_a_killed_mapper_comes_back_with_its_map_and_the_robot_goes_on(tmp_path):
     with running(tmp_path) as stack:
         stack.until(stack.reached(stack.go()))
@@ -73,6 +73,27 @@ def test_a_stopped_local_ctrl_is_noticed_the_robot_stands_and_it_is_replaced(tmp
         assert not psutil.pid_exists(before)
         assert any(name == "local_ctrl" and "hung" in line for name, line in stack.told)
         stack.until(stack.reached(task), 60)
+
+
+def test_a_guard_that_is_killed_under_stop_comes_back_stopped(tmp_path):
+    with running(tmp_path, ("sim", "base_driver", "odometry", "guard")) as stack:
+
+        def stop(pressed: bool) -> None:
+            # as `zenav estop` does: its process ends, and what it had latched with it
+            with Client(ROBOT.name, stack.where) as operator:
+                operator.publish(topics.ESTOP(EmergencyStop(operator.now(), pressed, "test")))
+                stack.until(lambda: (stack.client.latest(topics.GUARD).state is GuardState.STOPPED) == pressed)
+
+        stack.until(lambda: stack.client.latest(topics.GUARD) is not None)
+        stop(True)
+        before = stack.pid("guard")
+        os.kill(before, signal.SIGKILL)
+        killed = stack.client.now()
+        stack.until(lambda: stack.client.latest(topics.GUARD).stamp > killed + 1_000_000_000)
+        assert stack.pid("guard") != before
+        status = stack.client.latest(topics.GUARD)
+        assert (status.state, status.reason) == (GuardState.STOPPED, "estop")
+        stop(False)
 
 
 def test_random_bytes_on_every_key_are_counted_and_change_nothing(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 
 from shared import topics
 from shared.config import Robot, Section, load_robot
-from shared.messages import EmergencyStop, Velocity, WheelState
+from shared.messages import EmergencyStop, GuardState, GuardStatus, Velocity, WheelState
 from shared.runners.lockstep import START, Lockstep
 from shared.service import Job, Out, Service, every, on
 
@@ -90,6 +90,32 @@ def test_a_late_joiner_gets_the_latched_value():
     lockstep.start("guard", Joiner())
     lockstep.run(0.1)
     assert lockstep.service("guard").pressed == [True]
+
+
+def test_a_restarted_publisher_hears_first_and_at_once_what_it_had_latched_itself():
+    class Stopping(Service):
+        def __init__(self) -> None:
+            super().__init__(Section(), ROBOT)
+            self.heard: list[tuple[str, int]] = []
+
+        @on(topics.GUARD)
+        def itself(self, status: GuardStatus) -> Out:
+            self.heard.append(("itself", self.now))
+            return ()
+
+        @every(hz=1)
+        def tell(self) -> Out:
+            self.heard.append(("tick", self.now))
+            yield topics.GUARD(GuardStatus(self.now, GuardState.IDLE, "", "", "", 0.0))
+
+    lockstep = Lockstep({"guard": Stopping()})
+    lockstep.run(0.5)
+    assert lockstep.service("guard").heard == [("tick", START)]
+    lockstep.kill("guard")
+    lockstep.start("guard", Stopping())
+    lockstep.run(0.1)
+    restarted = START + 500_000_000
+    assert lockstep.service("guard").heard == [("itself", restarted), ("tick", restarted)]
 
 
 def test_nobody_publishes_what_is_not_theirs():

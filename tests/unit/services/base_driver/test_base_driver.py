@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
 from math import nan, pi
 
 import numpy as np
@@ -10,7 +11,7 @@ from services.base_driver.kinematics import board_counts, body_velocity, wheel_a
 from services.base_driver.service import BaseDriverConfig, BaseDriverService
 from shared import topics
 from shared.config import load_robot
-from shared.messages import BoardReport, EmergencyStop, Velocity
+from shared.messages import BaseStatus, BoardReport, EmergencyStop, Velocity
 
 ROBOT = load_robot("x80sv").robot
 JACKAL = load_robot("jackal").robot
@@ -283,6 +284,31 @@ def test_a_wheel_that_does_not_turn_for_a_second_is_a_latched_fault(wheel):
     bench.run(0.1, 0.0)
     bench.run(0.1, 0.2)
     assert bench.body[0] == pytest.approx(0.2)
+
+
+def test_a_stuck_wheel_outlives_this_process_until_a_later_release():
+    before = Bench().run(0.5, 0.2)
+    before.turns["left"] = False
+    before.run(1.2, 0.2)
+    told = replace(before.last(topics.BASE), detail="the left wheel is commanded but does not turn; battery low: 6.0 V")
+    bench = Bench()
+    bench.call(bench.service.before_the_restart(replace(told, stamp=bench.now)))
+    bench.stop(False, stamp=bench.now - MS)
+    bench.run(1.0, 0.2)
+    assert bench.motors() == (0, 0)
+    status = bench.last(topics.BASE)
+    assert status.fault == "wheel_stuck"
+    assert status.detail == "the left wheel is commanded but does not turn"
+    bench.stop(False)
+    assert bench.last(topics.BASE).fault == ""
+
+
+def test_a_fault_that_clears_by_itself_is_not_kept_over_a_restart():
+    bench = Bench()
+    silent = BaseStatus(bench.now, 7.4, 0.0, 0.0, False, "board_silent", "")
+    bench.call(bench.service.before_the_restart(silent))
+    bench.run(0.2, 0.4)
+    assert bench.body[0] == pytest.approx(0.4)
 
 
 def test_a_release_from_before_the_fault_does_not_clear_it():

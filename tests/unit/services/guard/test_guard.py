@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
 from math import hypot, nan, pi
 
 import numpy as np
@@ -240,6 +241,37 @@ def test_teleop_goes_before_nav_and_gives_back_when_it_falls_silent():
     drive.run(0.4)
     assert drive.velocity == (0, 0), "within half a second nav does not take over"
     assert drive.verdict == (GuardState.HOLD, "command_old")
+    drive.run(1.0)
+    assert drive.velocity == pytest.approx((0.5, 0.0))
+
+
+def test_stop_outlives_the_guard_until_a_later_release():
+    before = driving()
+    before.stop(True)
+    drive = Drive()
+    drive.guard.now += 100_000 * MS
+    released = EmergencyStop(drive.now - MS, False, "before our last word")
+    drive.call(drive.guard.before_the_restart(replace(before.status, stamp=drive.now)))
+    assert drive.verdict == (GuardState.STOPPED, "estop")
+    drive.nav = (0.5, 0.0)
+    drive.call(drive.guard.estop(released))
+    drive.run(1.0)
+    assert drive.verdict == (GuardState.STOPPED, "estop")
+    drive.stop(False)
+    drive.run(1.0)
+    assert drive.velocity == (0, 0), "releasing never moves the robot"
+    assert drive.verdict == (GuardState.HOLD, "estop_released")
+    drive.nav = (0.0, 0.0)
+    drive.run(0.2)
+    drive.nav = (0.5, 0.0)
+    drive.run(1.0)
+    assert drive.velocity == pytest.approx((0.5, 0.0))
+
+
+def test_a_guard_that_was_not_stopped_starts_anew():
+    drive = Drive()
+    drive.call(drive.guard.before_the_restart(driving().status))
+    drive.nav = (0.5, 0.0)
     drive.run(1.0)
     assert drive.velocity == pytest.approx((0.5, 0.0))
 

@@ -87,7 +87,8 @@ def test_braking_from_the_permitted_speed_the_outline_reaches_no_point(points, c
     if share == 0 or not len(points):
         return
     start = signed_distances(points, corners)[0]
-    kept = np.minimum(start - TOUCHING, FIELD.side_margin)
+    creeps = share * abs(v) <= FIELD.creep_speed + 1e-9 and share * abs(w) <= FIELD.creep_turn_rate + 1e-9
+    kept = np.minimum(start - TOUCHING, 0.0 if creeps else FIELD.side_margin)
     braking = share * max(abs(v) / DRIVE.max_braking, abs(w) / DRIVE.max_turn_acceleration)
     clock = np.linspace(0, FIELD.reaction + braking, 60)
     slowing = np.maximum(clock - FIELD.reaction, 0)
@@ -101,7 +102,7 @@ def test_braking_from_the_permitted_speed_the_outline_reaches_no_point(points, c
 def test_the_permitted_speed_is_the_greatest(points, corners, v, w):
     """A little more, and the margin beyond the stopping distance would not be free."""
     points = outside(points, corners)
-    config = FIELD.model_copy(update={"slowest": 0.0})
+    config = FIELD.model_copy(update={"slowest": 0.0, "creep_speed": 0.0})
     share = permitted(points, corners, v, w, DRIVE, config).share
     if share == 1:
         return
@@ -171,6 +172,24 @@ def test_out_of_a_shallow_overlap_is_free_and_deeper_is_not(depth):
     overlap = front(-depth)
     assert permitted(overlap, X80.corners, 0.1, 0.0, DRIVE, FIELD).share == 0
     assert permitted(overlap, X80.corners, -0.1, 0.0, DRIVE, FIELD).share == 1
+
+
+def test_beside_something_close_the_robot_creeps_along_and_never_fast():
+    """What stands out by less than the side margin into the lane is passed slowly; what stands in the way is not."""
+    beside = np.array([[0.15, X80.corners[:, 1].max() + 0.01]])
+    for v in (0.8, 0.1, -0.3):
+        points = beside if v > 0 else -beside
+        share = permitted(points, X80.corners, v, 0.0, DRIVE, FIELD).share
+        assert abs(v) * share == pytest.approx(min(abs(v), FIELD.creep_speed))
+    in_the_way = beside - (0.0, 0.02)
+    assert permitted(in_the_way, X80.corners, 0.8, 0.0, DRIVE, FIELD).share == 0
+
+
+def test_turning_beside_something_close_is_for_whom_it_does_not_come_nearer():
+    circle = 0.2 * np.column_stack((np.cos(np.arange(64) * pi / 32), np.sin(np.arange(64) * pi / 32)))
+    beside = np.array([[0.0, 0.21]])
+    assert permitted(beside, circle, 0.0, 0.5, DRIVE, FIELD).share == 1
+    assert permitted(beside, X80.corners, 0.0, 0.5, DRIVE, FIELD).share == 0, "its corners reach 0.217 m"
 
 
 def test_the_robot_s_own_body_is_no_obstacle():

@@ -101,3 +101,14 @@ def test_nobody_starts_beside_the_robot_and_seeds_differ(seed):
     assert not np.array_equal(people.state, other.state)
     assert np.array_equal(people.state, started(OFFICE.people, True, seed, start).state)
     assert (people.state[:, RADIUS] == 0.25).all()
+
+
+@pytest.mark.parametrize("pause", [0.0, 30.0])
+@pytest.mark.parametrize("bearing", [0.0, 1.6, 3.0])
+def test_who_touches_the_robot_steps_back(bearing, pause):
+    people, robot, cells = corridor_walker(reacts=True)
+    people.state[0, :2] = 5.0 + 0.47 * np.cos(bearing), 1.3 + 0.47 * np.sin(bearing)
+    people.state[0, 4] = pause
+    _, hit = walked(people, robot, cells, 1.0)
+    assert not hit
+    assert gap(robot, *people.state[0, :2]) - 0.25 >= 0.09
