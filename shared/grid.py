@@ -6,9 +6,10 @@ from math import floor
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.messages import TILE_CELLS, MapUpdate
+from shared.messages import TILE_CELLS, MapUpdate, fitting
 
 Int8s = NDArray[np.int8]
+Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Float64s = NDArray[np.float64]
@@ -47,29 +48,41 @@ class OccupancyGrid:
     def apply(self, update: MapUpdate) -> Bools:
         """Takes the update's tiles; returns (h, w) bool, which cells of the new `cells` differ from before.
 
-        An update with another map_id or resolution starts a new map.
+        An update with another map_id or resolution starts a new map. Tiles with which it would span more than a map
+        may are left out.
         """
         if update.map_id != self.map_id or update.resolution != self.resolution:
             self.__init__(update.resolution, update.map_id)  # type: ignore[misc]  # a new map: nothing of the old one stays
         self.version = update.version
-        if not len(update.rows):
+        fit = self._fitting(update)
+        rows, columns = update.rows[fit], update.columns[fit]
+        if not len(rows):
             return np.zeros(self.cells.shape, bool)
         before, row0, column0 = self.cells, self.first_row, self.first_column
-        cells = self._grown(update).copy()
+        cells = self._grown(rows, columns).copy()
         old = np.full(cells.shape, UNKNOWN, np.int8)
         dr, dc = (row0 - self.first_row) * TILE_CELLS, (column0 - self.first_column) * TILE_CELLS
         old[dr : dr + before.shape[0], dc : dc + before.shape[1]] = before
-        for row, column, tile in zip(update.rows, update.columns, update.cells, strict=True):
+        for row, column, tile in zip(rows, columns, update.cells[fit], strict=True):
             r, c = (row - self.first_row) * TILE_CELLS, (column - self.first_column) * TILE_CELLS
             cells[r : r + TILE_CELLS, c : c + TILE_CELLS] = tile.reshape(TILE_CELLS, TILE_CELLS)
         self.cells = cells
         return np.not_equal(cells, old)
 
-    def _grown(self, update: MapUpdate) -> Int8s:
-        """The cells on a rectangle that holds the present tiles and the update's."""
+    def _fitting(self, update: MapUpdate) -> Bools:
+        """(k,) bool: the update's tiles that this map has room for."""
+        if self.empty:
+            return np.ones(len(update.rows), bool)
         h, w = self.cells.shape[0] // TILE_CELLS, self.cells.shape[1] // TILE_CELLS
-        low_row, low_column = int(update.rows.min()), int(update.columns.min())
-        high_row, high_column = int(update.rows.max()) + 1, int(update.columns.max()) + 1
+        return fitting(update.rows, self.first_row, self.first_row + h - 1) & fitting(
+            update.columns, self.first_column, self.first_column + w - 1
+        )
+
+    def _grown(self, rows: Int32s, columns: Int32s) -> Int8s:
+        """The cells on a rectangle that holds the present tiles and those at rows, columns (k,), k >= 1."""
+        h, w = self.cells.shape[0] // TILE_CELLS, self.cells.shape[1] // TILE_CELLS
+        low_row, low_column = int(rows.min()), int(columns.min())
+        high_row, high_column = int(rows.max()) + 1, int(columns.max()) + 1
         if h and w:
             low_row, low_column = min(low_row, self.first_row), min(low_column, self.first_column)
             high_row, high_column = max(high_row, self.first_row + h), max(high_column, self.first_column + w)

@@ -191,12 +191,14 @@ class PoseEstimate(Message):
 
 
 TILE_CELLS = 64  # a tile's side, in cells; 64 x 64 int8 is 4 kB on the wire
+MAX_SPAN = 256  # tiles that a map is long and wide at most, 819 m at 0.05 m/cell: readers hold it dense
 
 
 @dataclass(frozen=True, slots=True)
 class MapUpdate(Message):
     """Changed tiles of the occupancy grid. Cell (row, column) of tile (i, j) is a square whose lower left corner lies
-    at ((j * 64 + column) * resolution, (i * 64 + row) * resolution) in `map`. -1 unknown, 0 free .. 100 occupied.
+    at ((j * 64 + column) * resolution, (i * 64 + row) * resolution) in `map`. -1 unknown, 0 free .. 100 occupied. A map
+    spans at most 256 tiles each way; tiles that would make it span more are no part of it.
     """
 
     map_id: Stamp
@@ -206,11 +208,20 @@ class MapUpdate(Message):
     columns: Annotated[Int32s, Unit("tiles"), Shape("k"), Within(-30000, 30000)]
     cells: Annotated[Int8s, Unit("percent, -1 unknown"), Shape("k 4096"), Within(-1, 100)]
 
+    def problem(self) -> str | None:
+        spans = (int(places.max()) - int(places.min()) + 1 for places in (self.rows, self.columns) if len(places))
+        return f"the tiles span more than {MAX_SPAN}" if max(spans, default=0) > MAX_SPAN else None
+
     def merged(self, later: "MapUpdate") -> "MapUpdate":
         """The whole map after `later` came: its tiles replace ours; another map_id starts anew."""
         if later.map_id != self.map_id or later.resolution != self.resolution:
             return later
-        tiles = {(int(r), int(c)): cells for u in (self, later) for r, c, cells in zip(u.rows, u.columns, u.cells)}
+        fit = np.ones(len(later.rows), bool)
+        if len(self.rows):
+            fit &= fitting(later.rows, int(self.rows.min()), int(self.rows.max()))
+            fit &= fitting(later.columns, int(self.columns.min()), int(self.columns.max()))
+        tiles = {(int(r), int(c)): cells for r, c, cells in zip(self.rows, self.columns, self.cells)}
+        tiles |= {(int(r), int(c)): cells for r, c, cells in zip(later.rows[fit], later.columns[fit], later.cells[fit])}
         places = sorted(tiles)
         return MapUpdate(
             later.stamp,
@@ -221,6 +232,14 @@ class MapUpdate(Message):
             np.array([c for _, c in places], np.int32),
             np.array([tiles[p] for p in places], np.int8).reshape(len(places), TILE_CELLS * TILE_CELLS),
         )
+
+
+def fitting(places: Int32s, first: int, last: int) -> NDArray[np.bool_]:
+    """(k,) bool: with which of the rows (or columns) a map from `first` to `last` spans at most MAX_SPAN.
+
+    All of them together fit too, where they span no more than that themselves.
+    """
+    return np.asarray((places > last - MAX_SPAN) & (places < first + MAX_SPAN))
 
 
 # --- navigation -----------------------------------------------------------------------------------------------------
@@ -284,7 +303,6 @@ class FollowStatus(Message):
     state: Annotated[FollowState, Unit("1")]
     reason: Text
     distance_left: Metres
-    solve_time: Seconds
 
 
 class NavState(StrEnum):

@@ -3,7 +3,6 @@
 
 import json
 import sys
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from zenav.maps import write
 from zenav.pilot import Pilot
 from zenav.scene import Outcome, Scene, scene
 from zenav.screen import Lines, Table
-from zenav.stopping import stopping
+from zenav.stopping import Stop, stopping
 from zenav.up import run_folder
 
 
@@ -54,7 +53,7 @@ def demo(
     return 0 if outcome.good else 1
 
 
-def _virtual(chosen: Scene, seconds: float, record: Path, stop: threading.Event) -> Outcome:
+def _virtual(chosen: Scene, seconds: float, record: Path, stop: Stop) -> Outcome:
     lines = Lines()
 
     def tell(at: float, pilot: Pilot, nav: NavStatus | None) -> bool:

@@ -5,7 +5,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import degrees, radians
+from math import radians
 
 from shared import requests, topics
 from shared.config import UserError, load_robot
@@ -65,7 +65,13 @@ def navigate(targets: list[Target], dwell: float, loops: int) -> Navigate:
 def drive(robot: str, stack: str, targets: list[Target], dwell: float = 0.0, loops: int = 1) -> int:
     """Drives through the targets; 0 when the last was reached."""
     request = navigate(targets, dwell, loops)
-    return _task(robot, stack, lambda c: c.ask(requests.NAVIGATE, replace(request, stamp=c.now())))
+    return _task(robot, stack, lambda c: c.ask(requests.NAVIGATE, replace(request, stamp=c.now())), place(targets[-1]))
+
+
+def place(target: Target) -> str:
+    """A target for people."""
+    x, y, yaw = target
+    return f"({x:.2f}, {y:.2f})" if yaw is None else f"({x:.2f}, {y:.2f}, {yaw:.0f} degrees)"
 
 
 def explore(robot: str, stack: str) -> int:
@@ -159,7 +165,8 @@ def refusal(reply: Reply) -> UserError:
     return UserError(reason.text + (f": {reply.detail}" if reply.detail and not told_already else ""), reason.mend)
 
 
-def _task(robot: str, stack: str, start: Callable[[Client], Reply]) -> int:
+def _task(robot: str, stack: str, start: Callable[[Client], Reply], where: str = "") -> int:
+    """Starts a task and shows its progress to its end; `where` is told when it is reached."""
     with stopping() as stop, _connected(robot, stack) as client:
         client.follow(topics.NAV, topics.GUARD)
         client.answers(requests.NAVIGATE, WAIT_FOR_STACK)
@@ -181,11 +188,10 @@ def _task(robot: str, stack: str, start: Callable[[Client], Reply]) -> int:
         if end is None:
             _accepted(client.ask(requests.CANCEL, Cancel(client.now())))
             end = Ending(False, "canceled")
-        nav = client.latest(topics.NAV)
     if not end.good:
         sys.stderr.write(f"{end.text}\n" + (f"hint: {end.mend}\n" if end.mend else ""))
         return 130 if stop.is_set() else 1
-    at = f" ({nav.goal.x:.2f}, {nav.goal.y:.2f}, {degrees(nav.goal.yaw):.0f} degrees)" if nav is not None else ""
+    at = f" {where}" if where else ""
     sys.stdout.write(f"{end.text}{at} after {time.monotonic() - begun:.1f} s\n")
     return 0
 

@@ -5,9 +5,13 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from shared.config import Robot, RobotFile, UserError, load_robot
 from shared.service import Service
+
+if TYPE_CHECKING:
+    from zenav.replay import TopicReport
 
 
 @contextmanager
@@ -50,10 +54,16 @@ def replay(recording: Path, names: list[str], out: Path) -> int:
     with progress_bar(recording.name) as progress:
         report = replay_file(recording, names, out, builder(file), lambda done, of: progress(done / max(of, 1)))
     for topic in report.topics:
-        sys.stdout.write(f"{topic.key:<16} {topic.n_equal:>8} equal {topic.n_different:>8} different {topic.first}\n")
+        sys.stdout.write(f"{told(topic)}\n")
     for note in report.notes:
         sys.stderr.write(f"{note}\n")
     return 0 if report.equal else 1
+
+
+def told(topic: "TopicReport") -> str:
+    """A topic's row: how many messages are as recorded, and what is not."""
+    counts = {"equal": topic.n_equal, "different": topic.n_different, "lacking": topic.n_lacking, "new": topic.n_new}
+    return f"{topic.key:<16}" + "".join(f" {n:>8} {word}" for word, n in counts.items()) + f" {topic.first}".rstrip()
 
 
 def builder(file: RobotFile) -> Callable[[str], Service]:

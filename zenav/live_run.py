@@ -17,6 +17,7 @@ from zenav.launch import Launcher, free_stack, service_command
 from zenav.pilot import Pilot
 from zenav.scene import Outcome, Scene
 from zenav.score import Track
+from zenav.stopping import Stop
 
 NEEDED: tuple[Topic[Any], ...] = (topics.NAV, topics.POSE, topics.MAP)
 """What must have come before the pilot asks for anything."""
@@ -73,7 +74,7 @@ class View:
 
 
 def run(
-    scene: Scene, seconds: float, folder: Path, record: Path, stop: threading.Event, view: View, explores: bool = True
+    scene: Scene, seconds: float, folder: Path, record: Path, stop: Stop, view: View, explores: bool = True
 ) -> Outcome:
     """Runs the scenario for at most `seconds`, or until `stop`; logs go into `folder`. No process outlives it."""
     begun = time.monotonic()
@@ -124,7 +125,7 @@ def _steer(
     launcher: Launcher,
     heard: Processes,
     pilot: Pilot,
-    stop: threading.Event,
+    stop: Stop,
     limit: float,
     view: View,
 ) -> str:

@@ -1,16 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ctrl-C and SIGTERM as an event that loops wait on, so that everything is closed in order."""
+"""Ctrl-C and SIGTERM as a flag that loops wait on, so that everything is closed in order."""
 
 import signal
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from queue import Empty, SimpleQueue
+
+
+class Stop:
+    """Set once, and for good. `set` may come from a signal handler that interrupts `wait`.
+
+    A threading.Event may not: its lock is not reentrant, so a handler that sets it can wait for itself for ever.
+    SimpleQueue's `put` is made for handlers.
+    """
+
+    def __init__(self) -> None:
+        self._asked = False
+        self._wake: SimpleQueue[None] = SimpleQueue()
+
+    def set(self) -> None:
+        """Ends this and every later wait."""
+        self._asked = True
+        self._wake.put(None)
+
+    def is_set(self) -> bool:
+        return self._asked
+
+    def wait(self, seconds: float) -> bool:
+        """Whether it is set, as soon as it is, or after so many seconds. For one waiting thread."""
+        if not self._asked:
+            with suppress(Empty):
+                self._wake.get(timeout=seconds)
+        return self._asked
 
 
 @contextmanager
-def stopping() -> Iterator[threading.Event]:
-    """The event is set by SIGINT and SIGTERM inside the block; the handlers of before come back after it."""
-    stop = threading.Event()
+def stopping() -> Iterator[Stop]:
+    """It is set by SIGINT and SIGTERM inside the block; the handlers of before come back after it."""
+    stop = Stop()
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, lambda *_: stop.set()) for number in numbers}
     try:

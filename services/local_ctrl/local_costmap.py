@@ -169,9 +169,7 @@ def _trace(
     ranges: Float32s,
     limits: tuple[float, float, float],
 ) -> None:
-    """Sets each cell to the strongest of: Cells = TypeVar("Cells", Int8s, Int64s)
-
-    HIT, SEEN_THROUGH, NO_ECHO_THROUGH, 0 (Amanatides & Woo 1987)."""
+    """Sets each cell to the strongest of HIT, SEEN_THROUGH, NO_ECHO_THROUGH, 0 (Amanatides & Woo 1987)."""
     x0, y0, resolution = window
     mount_x, mount_y, first, increment = beams
     range_min, range_max, no_echo_clears = limits

@@ -171,7 +171,7 @@ class LocalCtrlService(Service):
         self.commands.append(Command(self.now, outcome.v, outcome.w))
         yield topics.CMD_NAV(Velocity(self.now, outcome.v, outcome.w, outcome.reason))
         goal_id = self.goal.id if self.goal is not None else 0
-        yield topics.FOLLOW(FollowStatus(self.now, goal_id, outcome.state, outcome.reason, outcome.left, 0.0))
+        yield topics.FOLLOW(FollowStatus(self.now, goal_id, outcome.state, outcome.reason, outcome.left))
 
     def _outcome(self, n_elapsed: int) -> Outcome:
         goal = self.goal

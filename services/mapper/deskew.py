@@ -20,7 +20,7 @@ def deskewed(scan: LaserScan, mount: Mount, times: Float64s, end_from_base: Floa
     Between them the motion is linear. A range at or over range_max, under range_min or NaN is no measurement.
     """
     origins, ends = _deskewed(
-        scan.ranges,
+        scan.ranges.astype(np.float64),  # a message's array is read-only, which is another type to the compiler
         scan.angle_min,
         scan.angle_increment,
         scan.scan_time,

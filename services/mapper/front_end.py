@@ -11,7 +11,7 @@ from pydantic import Field
 from services.mapper.correlative_match import SearchConfig, candidates
 from services.mapper.occupancy import Occupancy
 from services.mapper.registration import REGISTRARS, Match, OdometryError, Prior, RegistrationConfig
-from services.mapper.surface import grid_surface, sweep_normals
+from services.mapper.surface import grid_surface, sweep_normals, sweep_usable
 from shared.config import Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
@@ -36,13 +36,17 @@ class FrontEndConfig(Section):
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """A scan's place: the pose, its covariance (3, 3) in `map`, the share of beams that agree, and the state."""
+    """A scan's place: the pose, its covariance (3, 3) in `map`, the share of beams that agree, and the state.
+
+    trusted: the map may be drawn from it.
+    """
 
     map_from_base: Pose2
     covariance: Float64s
     quality: float
     state: Localization
     match: Match
+    trusted: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +101,7 @@ class FrontEnd:
         self.motion = Pose2()  # between the last two sweeps
         self.n_bad = 0
         self.searches_next = False
+        self.other_starts: list[Pose2] = []  # that the next search looks around too
 
     def load(self, grid: OccupancyGrid, map_from_base: Pose2) -> None:
         """Starts on a saved map, near a pose."""
@@ -112,7 +117,7 @@ class FrontEnd:
         """
         measured, step = step, self.odometry_error.corrected(step)
         normals = sweep_normals(origins, ends)
-        valid = ~np.isnan(ends[:, 0])
+        valid = sweep_usable(origins, ends) | normals.any(axis=1)
         sweep = Sweep(origins[valid], np.ascontiguousarray(ends[valid]), np.ascontiguousarray(normals[valid]))
         placed = self._placed(sweep, step, doubt, grid)
         moving = grid.clear_at(placed.match.map_from_base @ sweep.points, self.config.clear_cells)
@@ -128,24 +133,26 @@ class FrontEnd:
         n_told = placed.n_agree + placed.n_against + n_moving
         quality = placed.n_agree / max(n_told, LEAST_BEAMS)
         self._grade(quality, n_told >= LEAST_BEAMS, len(valid))
-        if self.state is not Localization.LOST and self._moved_on() and len(sweep.points):
+        trusted = self.n_bad == 0  # a map drawn from a wrong place soon agrees with it
+        if trusted and self._moved_on() and len(sweep.points):
             self._extend(sweep.points, sweep.normals)
-        return Tracked(self.map_from_base, self.covariance, quality, self.state, placed.match)
+        return Tracked(self.map_from_base, self.covariance, quality, self.state, placed.match, trusted)
 
     def _placed(self, sweep: Sweep, step: Pose2, doubt: float, grid: Occupancy) -> Placed:
         """The sweep aligned from odometry's guess, or from a better one where too many beams contradict the map."""
         prior = self.odometry_error.prior(self.registration, self.map_from_base, step, doubt)
         if self.registrar.map.n == 0 or not len(sweep.points):
             return Placed(self.registrar.measured(sweep.points, sweep.normals, prior.map_from_base), 0)
-        best = self._aligned(sweep, prior.map_from_base, prior, grid)
+        unsure = self.odometry_error.prior(self.registration, self.map_from_base, step, 10 * doubt)
+        best = self._aligned(sweep, prior.map_from_base, unsure if self.searches_next else prior, grid)
         if best.quality >= self.search.below and not self.searches_next:
             return best
         # odometry may lie: a slipping wheel, a stall, a wrong direction. The motion before this step is another guess
-        unsure = self.odometry_error.prior(self.registration, self.map_from_base, step, 10 * doubt)
         best = self._better(best, sweep, [self.map_from_base @ self.motion], unsure, grid)
         if best.quality < self.search.below or self.searches_next:
-            self.searches_next = False
-            guesses = candidates(sweep.points, self.registrar.map, prior.map_from_base, self.search)
+            starts = [prior.map_from_base, *self.other_starts]
+            self.searches_next, self.other_starts = False, []
+            guesses = [g for s in starts for g in candidates(sweep.points, self.registrar.map, s, self.search)]
             best = self._better(best, sweep, guesses, unsure, grid)
         return best
 

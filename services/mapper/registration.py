@@ -29,7 +29,7 @@ class RegistrationConfig(Section):
     kernel: float = Field(0.2, ge=0.02, le=2, description="m, scale of the Geman-McClure kernel")
     gate: float = Field(0.6, ge=0.05, le=3, description="m, farthest match at the start")
     final_gate: float = Field(0.5, ge=0.05, le=3, description="m, farthest match at the end")
-    noise: float = Field(0.1, ge=0.005, le=1, description="m, one match's standard deviation")
+    noise: float = Field(0.05, ge=0.005, le=1, description="m, one match's standard deviation")
     prior: float = Field(0.005, ge=0.001, le=1, description="m, standard deviation of a step of odometry at least")
     prior_share: float = Field(0.05, ge=0, le=1, description="m a metre of the step, added to `prior`")
     prior_turn: float = Field(0.005, ge=0.0005, le=1, description="rad, of a step's turn at least")
@@ -168,7 +168,7 @@ class OdometryError:
     """What odometry has got wrong of late, as the matches that know better tell: its scale, and what is left."""
 
     def __init__(self) -> None:
-        self.squared, self.squared_turn = 0.03**2, 0.01**2  # m^2, rad^2: what a wheeled robot's is like
+        self.squared, self.squared_turn = 0.015**2, 0.01**2  # m^2, rad^2: what a wheeled robot's is like
         self.forward, self.turn = Scale(0.05), Scale(0.004)
 
     def corrected(self, step: Pose2) -> Pose2:

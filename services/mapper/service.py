@@ -15,7 +15,8 @@ from shared import requests, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2, interpolated
 from shared.grid import OccupancyGrid
-from shared.messages import LaserScan, Localization, Odometry, PoseEstimate
+from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
+from shared.reasons import BAD_REQUEST
 from shared.requests import LoadMap, Reply
 from shared.service import Answer, Log, Out, Service, answer, every, on
 
@@ -23,6 +24,7 @@ Float64s = NDArray[np.float64]
 
 SECOND = 1_000_000_000
 OLDEST = SECOND  # a scan that is older when it arrives says where the robot was, not where it is
+MOST_TILES = 20_000  # of a saved map, 80 MB of cells: a square of 450 m at 0.05 m a cell
 FUTURE = SECOND // 2  # a stamp that is farther ahead is another clock's
 
 
@@ -56,6 +58,8 @@ class MapperService(Service):
         self.blind = False  # the last scan was placed without odometry
         self.tracked: Tracked | None = None
         self.n_dropped = {"old": 0, "late": 0, "ahead": 0}
+        self.map_before: MapUpdate | None = None  # what was published last before a restart
+        self.pose_before: PoseEstimate | None = None
 
     def warm(self) -> None:
         """Runs a copy of the whole path on a made-up room."""
@@ -72,6 +76,11 @@ class MapperService(Service):
             )
             list(other.scan(scan))
             other.front_end.searches_next = True
+        beams = np.zeros((laser.n_beams, 2))
+        other.grid.contradicts(beams, beams)
+        other.front_end.registrar.extend(
+            np.ascontiguousarray(0.3 * np.argwhere(np.ones((60, 60)))), np.zeros((3600, 2))
+        )  # until it grows
         list(other.publish_map())
         load = LoadMap(other.now, other.grid.whole(other.now), Pose2())
         list(other.load_map(load))
@@ -118,6 +127,18 @@ class MapperService(Service):
             if self.track.newest >= end or self._odometry_is_silent(end):
                 yield from self._place_pending()
 
+    @on(topics.MAP)
+    def remember_map(self, update: MapUpdate) -> Out:
+        """Our own map from before a restart."""
+        self.map_before = update
+        yield from self._take_up()
+
+    @on(topics.POSE)
+    def remember_pose(self, estimate: PoseEstimate) -> Out:
+        """Our own pose from before a restart."""
+        self.pose_before = estimate
+        yield from self._take_up()
+
     @every(hz=20)
     def release(self) -> Out:
         """A scan does not wait for odometry for ever."""
@@ -132,11 +153,13 @@ class MapperService(Service):
 
     @answer(requests.LOAD_MAP)
     def load_map(self, request: LoadMap) -> Answer[Reply]:
+        rows, columns = request.map.rows, request.map.columns
+        if len(rows) and (int(np.ptp(rows)) + 1) * (int(np.ptp(columns)) + 1) > MOST_TILES:
+            return Reply(self.now, False, BAD_REQUEST.code, "the map's tiles lie too far apart to be one building")
         grid = OccupancyGrid(request.map.resolution, request.map.map_id)
-        if len(request.map.rows):
-            grid.apply(request.map)
+        grid.apply(request.map)
         if not grid.occupied.any():
-            return Reply(self.now, False, "bad_request", "the map holds no occupied cell: nothing to find the robot by")
+            return Reply(self.now, False, BAD_REQUEST.code, "the map holds no occupied cell to find the robot by")
         self.grid = Occupancy(self.config.occupancy, max(self.now, self.grid.map_id + 1))
         self.grid.load(request.map)
         self.front_end.load(grid, request.map_from_base)
@@ -146,6 +169,32 @@ class MapperService(Service):
         if update is not None:
             yield topics.MAP(update)
         return Reply(self.now, True, "", f"{len(request.map.rows)} tiles")
+
+    def _take_up(self) -> Out:
+        """Goes on with the map of before the restart, where odometry says that the robot is on it by now."""
+        update, estimate = self.map_before, self.pose_before
+        if update is None or estimate is None:
+            return
+        grid = OccupancyGrid(update.resolution, update.map_id)
+        grid.apply(update)
+        if grid.occupied.any():
+            self.grid = Occupancy(self.config.occupancy, update.map_id)
+            self.grid.load(update)
+            self.grid.version = update.version
+            self.front_end.load(grid, estimate.map_from_base)
+            self.tracked, self.last_end, self.velocity = None, -1, Pose2()
+            yield Log("INFO", f"going on with the map from before the restart: {len(update.rows)} tiles")
+
+    def _moved_meanwhile(self, end: int) -> None:
+        """Where the robot is after a restart: odometry went on meanwhile, unless it was restarted too."""
+        before, self.pose_before = self.pose_before, None
+        if before is None or self.map_before is None or not self.track.samples:
+            return
+        guess = before.map_from_odom @ self.track.odom_from_start(end) @ self.track.at(end)
+        farthest = self.robot.drive.max_speed * max(end - before.stamp, 0) / SECOND + 0.5
+        if guess.distance(before.map_from_base) <= farthest:
+            self.front_end.map_from_base = guess
+            self.front_end.other_starts = [before.map_from_base]
 
     def _drop(self, why: str) -> Out:
         self.n_dropped[why] += 1
@@ -161,6 +210,7 @@ class MapperService(Service):
         end = _end(scan)
         self.blind = self._odometry_is_silent(end)
         seconds = (end - self.last_end) * 1e-9 if self.last_end >= 0 else 0.0
+        self._moved_meanwhile(end)
         step = self._step(end, seconds)
         times, motion = self._motion(scan, end)
         origins, ends = deskewed(scan, self.robot.laser.mount, times, motion)
@@ -170,7 +220,7 @@ class MapperService(Service):
         tracked = self.front_end.track(origins, ends, step, self.config.blind_doubt if self.blind else 1.0, self.grid)
         moved = before.inverse() @ tracked.map_from_base
         self.velocity = _scaled(moved, 1 / seconds) if 0.02 <= seconds <= 1 else Pose2()
-        if tracked.state is not Localization.LOST:
+        if tracked.trusted:
             pose = tracked.map_from_base
             self.grid.integrate(pose @ origins, pose @ ends, self._silent(scan, origins, ends))
         self.last_end, self.tracked = end, tracked

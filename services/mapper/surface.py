@@ -17,7 +17,39 @@ LONGEST = 1.0  # m between neighbours of one surface
 REACH = 0.15  # m to each side that a normal is fitted to, where the surface is as flat
 MOST = 12  # beams to each side at most
 THIN = 0.35  # largest ratio of the rms across to the rms along: a leg is no wall
+LONE = 0.15  # m to the neighbours from which a point without a direction is lone
 FLAT = 0.04  # m, largest rms distance from the fitted line
+
+
+@njit(cache=True, nogil=True)
+def sweep_usable(origins, ends):  # type: ignore[no-untyped-def]  # (n, 2), (n, 2) -> (n,) bool
+    """Which beams measured a point that can be found again: not those that graze a surface, far from their neighbours.
+
+    Down a corridor they fall on other spots of its walls each time; taken for points, they would hold the robot back.
+    """
+    n = len(ends)
+    usable = np.zeros(n, np.bool_)
+    for i in range(n):
+        if isnan(ends[i, 0]):
+            continue
+        r = hypot(ends[i, 0] - origins[i, 0], ends[i, 1] - origins[i, 1])
+        slope = 0
+        usable[i] = False
+        n_beside = 0
+        for j in (i - 1, i + 1):
+            if j < 0 or j >= n or isnan(ends[j, 0]):
+                continue
+            n_beside += 1
+            ax, ay = ends[i, 0] - origins[i, 0], ends[i, 1] - origins[i, 1]
+            bx, by = ends[j, 0] - origins[j, 0], ends[j, 1] - origins[j, 1]
+            across = abs(ax * by - ay * bx) / max(hypot(bx, by), 1e-9)
+            step = hypot(ends[j, 0] - ends[i, 0], ends[j, 1] - ends[i, 1])
+            if step <= max(LONE, 3.0 * across):
+                usable[i] = True
+            slope += (1 if hypot(bx, by) > r else -1) * (j - i)
+        # nearer, or farther, than both neighbours: a pole, or a gap between two
+        usable[i] = usable[i] or n_beside == 0 or (n_beside == 2 and slope == 0)
+    return usable
 
 
 @njit(cache=True, nogil=True)

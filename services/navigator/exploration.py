@@ -24,12 +24,16 @@ class ExplorationConfig(Section):
     """How frontiers are chosen and given up."""
 
     frontier: FrontierConfig = FrontierConfig()
-    size_weight: float = Field(1.0, ge=0, le=20, description="m of driving that a metre of border is worth")
+    size_weight: float = Field(0.3, ge=0, le=20, description="m of driving that a metre of border is worth")
     turn_weight: float = Field(0.5, ge=0, le=20, description="m of driving that a radian of turning costs")
     switch_gain: float = Field(2.0, ge=0, le=50, description="m (weighted) that another frontier must be better by")
     switch_after: int = Field(3, ge=1, le=20, description="searches, one after the other, that must find it so")
-    look_time: float = Field(2.0, ge=0.2, le=30, description="s at a frontier that stays, until it is given up")
+    look_time: float = Field(0.8, ge=0.2, le=30, description="s at a frontier that stays, until it is given up")
     max_visits: int = Field(4, ge=1, le=100, description="times that one spot is chosen, at most")
+    patience: float = Field(
+        0.5, ge=0.05, le=1, description="share of a leg's blocked, unreachable and progress times that a frontier gets"
+    )
+    max_recoveries: int = Field(2, ge=0, le=10, description="recoveries for one frontier, until another is tried")
     settle_time: float = Field(3.0, ge=0, le=60, description="s without a frontier until exploring ends")
     blocked_time: float = Field(
         10.0, ge=0, le=300, description="the same, s, where a way to some may only be blocked for now"
@@ -56,6 +60,8 @@ class Exploration:
         self._near = 0.0  # s close to the target
         self._n_better = 0  # searches in a row that found a better one than the target
         self.without = 0.0  # s without a frontier
+        self.moved = 0.0  # m away from where it began, at most
+        self._start: Pose2 | None = None
         self._given_up: set[Cell] = set()
         self._failed: set[Cell] = set()
         self._visits: dict[Cell, int] = {}
@@ -87,9 +93,7 @@ class Exploration:
         self._forget()
         for frontier in ranked:
             target = _targeted(frontier, resolution)
-            spot = round(target.x / _LATTICE), round(target.y / _LATTICE)
-            self._visits[spot] = self._visits.get(spot, 0) + 1
-            if self._visits[spot] <= self.config.max_visits:
+            if self._visits.get(_spot(target), 0) < self.config.max_visits:
                 self.target = target
                 break
             self._give_up(frontier, target, resolution, self._given_up)
@@ -97,6 +101,8 @@ class Exploration:
 
     def passed(self, seconds: float, pose: Pose2) -> None:
         """Time passed with the robot at pose."""
+        self._start = self._start or pose
+        self.moved = max(self.moved, pose.distance(self._start))
         if self.looking is not None:
             self.looking += seconds
         if self.target is not None and pose.distance(Pose2(self.target.x, self.target.y)) <= _AROUND:
@@ -127,6 +133,9 @@ class Exploration:
         return frontier.distance + self.config.turn_weight * turn - self.config.size_weight * size
 
     def _forget(self) -> None:
+        if self.target is not None:
+            spot = _spot(self.target)
+            self._visits[spot] = self._visits.get(spot, 0) + 1
         self.target, self.looking, self._near, self._n_better = None, None, 0.0, 0
 
     def _give_up(self, frontier: Frontier, target: Target, resolution: float, into: set[Cell]) -> None:
@@ -134,6 +143,10 @@ class Exploration:
         away = _away(frontier.cells, target, resolution)
         near = frontier.cells[away <= max(_AROUND, float(away.min()))]
         into.update((int(row), int(column)) for row, column in near)
+
+
+def _spot(target: Target) -> Cell:
+    return round(target.x / _LATTICE), round(target.y / _LATTICE)
 
 
 def _again(found: Frontiers, target: Target, resolution: float) -> Frontier | None:

@@ -28,8 +28,11 @@ class FrontierConfig(Section):
     """What counts as a frontier."""
 
     margin: float = Field(0.05, ge=0, le=1, description="m kept free around the footprint's inscribed circle")
+    goal_margin: float = Field(
+        0.1, ge=0, le=1, description="m around it that must be known and free where a frontier is looked at from"
+    )
     min_size: float = Field(
-        0.4, gt=0, le=10, description="m across; smaller gaps in the map hide nothing that the robot could drive to"
+        0.5, gt=0, le=10, description="m across; smaller gaps in the map hide nothing that the robot could drive to"
     )
     max_size: float = Field(3.0, gt=0, le=50, description="m of border that make one goal; longer ones are cut")
 
@@ -49,8 +52,8 @@ class Frontier:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frontiers:
-    """What a search found. unreachable: the cells, as a frontier's, of borders that no way leads to; enclosed: there is
-    nowhere that the robot fits."""
+    """What a search found. unreachable: the cells, as a frontier's, of borders of places where the robot fits, but that
+    no way leads to; enclosed: there is nowhere that the robot fits."""
 
     frontiers: tuple[Frontier, ...]
     unreachable: tuple[Int64s, ...]
@@ -89,7 +92,13 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     passable = free & (distance >= clearance - 1e-6)
     travelled = _wave(passable, distance, int(row), int(column), _ESCAPE / resolution)
     enclosed = not bool((passable & (travelled < _FAR)).any())
-    seen_from = _seen_from(free, passable, travelled, ceil(clearance / resolution) + 3)
+    # a desk seen along its edge leaves few hits: what borders on the unknown is as narrow as if that were occupied
+    room = np.minimum(distance, distance_field(_deep_unknown(free, cells), resolution) - resolution)
+    room_wanted = max(clearance, snapshot.robot_radius + config.goal_margin)
+    places = passable & (room >= room_wanted - 1e-6)
+    n_steps = ceil(room_wanted / resolution) + 3
+    seen_from = _seen_from(free, places & (travelled < _FAR), n_steps)
+    cut_off_from = _seen_from(free, places & (travelled == _FAR), n_steps)
     border = _border(free, cells)
     dropped = snapshot.dropped - (snapshot.first_row, snapshot.first_column)
     dropped = dropped[((dropped >= 0) & (dropped < (h, w))).all(axis=1)]
@@ -99,7 +108,7 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     n_min, n_max = config.min_size / resolution, max(int(config.max_size / resolution), 1)
     deep = distance >= snapshot.robot_radius
     pieces, ends = _pieces(border & (seen_from >= 0), deep, n_min, n_max)
-    others, other_ends = _pieces(border & (seen_from < 0), deep, n_min, n_max)
+    others, other_ends = _pieces(border & (seen_from < 0) & (cut_off_from >= 0), deep, n_min, n_max)
     unknown = np.pad((cells < 0) | ((cells > FREE_UP_TO) & (cells < OCCUPIED_FROM)), 1, constant_values=True)
     found = tuple(
         _frontier(pieces[begin:end], snapshot, unknown, seen_from, travelled)
@@ -146,6 +155,21 @@ def _free(cells: Int8s, row: float, column: float, radius: float) -> Bools:
             under = (r + 0.5 - row) ** 2 + (c + 0.5 - column) ** 2 <= radius * radius
             free[r, c] = 0 <= cells[r, c] <= FREE_UP_TO or (under and cells[r, c] < OCCUPIED_FROM)
     return free
+
+
+@njit(cache=True, nogil=True)
+def _deep_unknown(free: Bools, cells: Int8s) -> Bools:
+    """Unknown cells among nothing but unknown ones: no gaps between beams. What lies outside the grid is left out."""
+    h, w = free.shape
+    deep = np.zeros((h, w), np.bool_)
+    for r in range(1, h - 1):
+        for c in range(1, w - 1):
+            unknown = True
+            for i in range(r - 1, r + 2):
+                for k in range(c - 1, c + 2):
+                    unknown = unknown and not free[i, k] and cells[i, k] < OCCUPIED_FROM
+            deep[r, c] = unknown
+    return deep
 
 
 @njit(cache=True, nogil=True)
@@ -206,15 +230,15 @@ def _wave(passable: Bools, distance: Float32s, row: int, column: int, escape: fl
 
 
 @njit(cache=True, nogil=True)
-def _seen_from(free: Bools, passable: Bools, travelled: Int32s, n_steps: int) -> Int32s:
-    """For each free cell within n_steps of where the robot gets: the nearest such cell's index, else -1."""
+def _seen_from(free: Bools, places: Bools, n_steps: int) -> Int32s:
+    """For each free cell within n_steps of one of the places: the nearest such place's index, else -1."""
     h, w = free.shape
     source = np.full((h, w), -1, np.int32)
     queue = np.empty(h * w, np.int32)
     n = 0
     for r in range(h):
         for c in range(w):
-            if passable[r, c] and travelled[r, c] < _FAR:
+            if places[r, c]:
                 source[r, c] = r * w + c
                 queue[n] = r * w + c
                 n += 1

@@ -35,6 +35,11 @@ class LegConfig(Section):
         0.1, gt=0, le=5, description="m/s: a drive may take base_time and its longest plan at this speed"
     )
 
+    def hurried(self, share: float) -> "LegConfig":
+        """The same with that share of the times which a hopeless goal costs."""
+        shortened = ("progress_time", "blocked_time", "unreachable_time")
+        return self.model_copy(update={name: share * getattr(self, name) for name in shortened})
+
 
 class Verdict(StrEnum):
     """What a leg needs."""

@@ -25,7 +25,6 @@ _ANY_HEADING = 10.0  # rad of tolerance
 _JUMP_SHOWN = 2.0  # s
 _SEARCH_EVERY = 0.5  # s
 _SEARCH_LOST = 10.0  # s after which the answer of a search is not waited for any more
-_FRONTIER_RECOVERIES = 3  # for one frontier; then another one is tried
 
 
 class NavigatorConfig(Section):
@@ -53,6 +52,7 @@ class Navigation:
         self.goal: Goal | None = None  # the last one published
         self.leg: Leg | None = None
         self.ladder = self._new_ladder()
+        self.leg_config = config.leg  # of the present task
         self.recovery = ""  # the name of the one that runs or was just made
         self.action = 0.0  # s left for it
         self.dwell = 0.0  # s left at the pose
@@ -72,6 +72,8 @@ class Navigation:
         self.reason, self.detail = None, ""
         self.ladder = self._new_ladder()
         self.recovery, self.action, self.paused, self.suspended = "", 0.0, False, False
+        explores = isinstance(task, Exploration)
+        self.leg_config = self.config.leg.hurried(self.config.exploration.patience) if explores else self.config.leg
         if isinstance(task, Route):
             self.state = NavState.NAVIGATING
             yield from self._to_waypoint(task, now)
@@ -188,24 +190,27 @@ class Navigation:
         if held:
             leg.waited(seconds, held)
         else:
-            leg.passed(seconds, self.left(leg, now), plan, follow, self.config.leg.progress)
+            leg.passed(seconds, self.left(leg, now), plan, follow, self.leg_config.progress)
             if leg.moving:
                 self.recovery = ""
             if pose := self.where.map_from_base:
                 self.ladder.progressed(pose, leg.gained)
-        verdict, reason = leg.verdict(plan, follow, self.config.leg)
+        verdict, reason = leg.verdict(plan, follow, self.leg_config)
         if verdict is Verdict.RECOVER:
             yield from self._recover(leg, reason, now)
         elif verdict is Verdict.FAIL:
             yield from self._give_up(reason, now, whole=held is not None)
 
     def _recover(self, leg: Leg, reason: Reason, now: int) -> Out:
-        others = reason is reasons.UNREACHABLE or leg.n_recoveries >= _FRONTIER_RECOVERIES
-        if isinstance(self.task, Exploration) and others:
+        explores = isinstance(self.task, Exploration)
+        if explores and (reason is reasons.UNREACHABLE or leg.n_recoveries >= self.config.exploration.max_recoveries):
             yield from self._give_up(reason, now, whole=False)
             return
         pose = self.where.map_from_base
         step = self.ladder.next(reason, pose, move=reason not in (reasons.UNREACHABLE, reasons.NO_PLAN))
+        if step is None and explores:
+            yield from self._give_up(reason, now, whole=False)
+            return
         if step is None:
             named = reason if reason in (reasons.UNREACHABLE, reasons.START_BLOCKED) else reasons.RECOVERIES_USED
             yield from self.end(now, NavState.FAILED, named, f"{named.text}; the last cause: {reason.text}")
@@ -311,6 +316,9 @@ class Navigation:
             exploration.without = 0.0
         elif found.enclosed:
             yield from self.end(now, NavState.FAILED, reasons.START_BLOCKED)
+        elif self.ladder.used_up and exploration.moved < self.config.recovery.earned_by:
+            cause = f"{reasons.RECOVERIES_USED.text}; the last cause: {self.ladder.last.text}"
+            yield from self.end(now, NavState.FAILED, reasons.RECOVERIES_USED, cause)
         else:
             yield from self.end(now, NavState.REACHED, reasons.NO_FRONTIER)
 

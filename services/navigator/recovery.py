@@ -64,12 +64,17 @@ class Ladder:
         self._next = 0
         self._from: Pose2 | None = None
 
+    @property
+    def used_up(self) -> bool:
+        """All were tried since the last real progress."""
+        return self._next >= len(self.steps)
+
     def next(self, reason: Reason, pose: Pose2 | None, move: bool) -> Step | None:
         """The next recovery, or None where all were tried. move: such as move the robot make sense."""
         self.last = reason
         while self._next < len(self.steps) and not move and self.steps[self._next].moves:
             self._next += 1
-        if self._next >= len(self.steps):
+        if self.used_up:
             return None
         step = self.steps[self._next]
         self._next += 1

@@ -21,7 +21,8 @@ BLOCKED = -1.0
 _RELAX_STEPS = (4.0, 2.0, 1.0, 0.5)  # cells that a corner is moved, coarse to fine
 _RELAX_SWEEPS = 4
 _ROUND_SWEEPS = 12
-_ROUND_COST = 1.25  # how much dearer than the corner a rounded point may lie
+_ROUND_COST = 1.25  # how much dearer than before a moved point may lie
+_ROUND_SHARE = 0.02  # of the path's cost: what rounding may add to it
 
 
 def smoothed(costs: UInt16s, points: Float64s, spacing: float) -> Float64s:
@@ -171,11 +172,20 @@ def _two_lines(costs: UInt16s, points: Float64s, i: int, x: float, y: float) -> 
 
 @njit(cache=True, nogil=True)
 def _round(costs: UInt16s, path: Float64s) -> None:
-    """Moves inner points towards the middle of their neighbours, in place, where that is free and not much dearer."""
+    """Moves inner points towards the middle of their neighbours, in place, where that is free and not much dearer.
+
+    A point in a cell of no great cost says little about the lines to it, so the path as a whole has its limit too.
+    """
+    spare = _ROUND_SHARE * path_cost(costs, path)
     for _ in range(_ROUND_SWEEPS):
         for i in range(1, len(path) - 1):
             x = (path[i - 1, 0] + 2 * path[i, 0] + path[i + 1, 0]) / 4
             y = (path[i - 1, 1] + 2 * path[i, 1] + path[i + 1, 1]) / 4
             limit = _ROUND_COST * costs[int(path[i, 1]), int(path[i, 0])]
-            if costs[int(y), int(x)] <= limit and _two_lines(costs, path, i, x, y) >= 0:
+            if costs[int(y), int(x)] > limit:
+                continue
+            cost = _two_lines(costs, path, i, x, y)
+            added = cost - _two_lines(costs, path, i, path[i, 0], path[i, 1])
+            if cost >= 0 and added <= spare:
                 path[i, 0], path[i, 1] = x, y
+                spare -= added

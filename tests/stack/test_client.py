@@ -61,9 +61,7 @@ class Navigator(Service):
         yield self.status()
 
     def status(self):  # type: ignore[no-untyped-def]
-        return topics.NAV(
-            NavStatus(self.now, self.task, self.state_now, "", "", "", Pose2(1, 2, 0), self.left, 1.0, 0, 1, 0)
-        )
+        return topics.NAV(NavStatus(self.now, self.task, self.state_now, "", "", "", Pose2(), self.left, 1.0, 0, 1, 0))
 
 
 class Guard(Service):
@@ -109,7 +107,7 @@ def where():
 def test_goto_succeeds_where_the_navigator_says_so(where, capsys):
     with running(Navigator(), "navigator", where):
         assert _status(["goto", "1", "-2", "--stack", str(where.domain)]) == 0
-        assert "(1.00, 2.00" in capsys.readouterr().out
+        assert "(1.00, -2.00)" in capsys.readouterr().out
         assert _status(["goto", "101", "0", "--stack", str(where.domain)]) == 2
         assert "outside the map" in capsys.readouterr().err
 

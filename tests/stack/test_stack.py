@@ -47,7 +47,6 @@ def test_services_that_start_in_any_order_drive_to_a_goal(tmp_path, order):
     assert not any(psutil.pid_exists(pid) for pid in pids)
 
 
-@pytest.mark.xfail(reason="the mapper does not listen to `map` yet: it starts anew", strict=True)
 def test_a_killed_mapper_comes_back_with_its_map_and_the_robot_goes_on(tmp_path):
     with running(tmp_path) as stack:
         stack.until(stack.reached(stack.go()))

@@ -3,6 +3,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -175,4 +176,6 @@ def test_each_value_has_its_origin(capsys):
     origins = {text.partition(":")[0]: place.strip() for text, place in rows.items()}
     assert origins["guard.field.stop_margin"] == "--set"
     assert origins["guard.field.reaction"] == "default"
-    assert origins["robot.drive.wheel_radius"].endswith("x80sv.yaml:7")
+    file, _, line = origins["robot.drive.wheel_radius"].rpartition(":")
+    assert file.endswith("x80sv.yaml")
+    assert "wheel_radius:" in Path(file).read_text(encoding="utf-8").splitlines()[int(line) - 1]

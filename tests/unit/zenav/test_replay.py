@@ -10,6 +10,7 @@ from shared.config import UserError, load_robot
 from shared.recording import CONFIG, Recording, Writer, sink
 from shared.runners.host import Sent
 from tests.toys import Dead, build, eventful
+from zenav.files import told
 from zenav.replay import Report, TopicReport, replay_file, robot_file
 
 CHAIN = ["base_driver", "odometry", "mapper", "planner"]
@@ -86,6 +87,11 @@ def test_what_the_recorder_dropped_comes_in_where_it_was_sent(file, tmp_path):
     assert report.equal
     assert row(report, "odom").n_new == 2  # one a session
     assert list(Recording(tmp_path / "out.mcap").entries(["odom"])) == list(Recording(file).entries(["odom"]))
+
+
+def test_people_see_how_many_are_equal_different_lacking_and_new():
+    words = told(TopicReport("odom", 40, 3, 2, 1, 0, "#7: v is 1.0, was 2.0")).split(maxsplit=9)
+    assert words == ["odom", "40", "equal", "3", "different", "2", "lacking", "1", "new", "#7: v is 1.0, was 2.0"]
 
 
 def test_what_no_journal_tells_is_kept_and_counted(tmp_path):

@@ -18,7 +18,7 @@ from shared.topics import TOPICS
 from tests.strategies import messages
 from zenav.bench.table import seeds_from
 from zenav.client import CLOCK_AGE, Timekeeper, refused
-from zenav.drive import ending, poses_from, why_standing
+from zenav.drive import ending, place, poses_from, why_standing
 from zenav.maps import coarse, update_of, write
 from zenav.screen import row
 from zenav.teleop import HOLD, Keys
@@ -147,6 +147,13 @@ def test_what_are_no_seeds(text):
 
 def test_poses_may_carry_a_heading():
     assert poses_from(["1,2", " -3,4,-90"]) == [(1.0, 2.0, None), (-3.0, 4.0, -90.0)]
+
+
+def test_a_pose_is_told_as_it_was_given():
+    assert [place(target) for target in poses_from(["1,2", "-3,4,-90"])] == [
+        "(1.00, 2.00)",
+        "(-3.00, 4.00, -90 degrees)",
+    ]
 
 
 def test_a_refusal_tells_its_reason_and_mend():

@@ -12,7 +12,7 @@ from shared.config import load_robot
 from shared.geometry import Pose2
 from shared.messages import LaserScan, Odometry, RangeReadings
 
-X80, JACKAL = (load_robot(name).robot for name in ("x80sv", "jackal"))
+X80, JACKAL = (load_robot(name).robot for name in ("x80sv_xv11", "jackal"))  # a beam each degree, 0.06 to 5 m
 MS = 1_000_000
 REACH = 2.0
 

@@ -172,6 +172,7 @@ class Loop:
         self.robot, self.world, self.truth, self.delay = robot, world, start, round(delay * S)
         self.service = LocalCtrlService(config or QUICK, robot)
         self.now, self.v, self.w = START, 0.0, 0.0
+        self.next_sweep = START
         self.trace: deque[tuple[int, Pose2]] = deque(maxlen=64)
         self.sent: deque[tuple[int, float, float]] = deque([(0, 0.0, 0.0)])
         self.rng = np.random.default_rng(7)
@@ -198,14 +199,12 @@ class Loop:
 
     def drive(self, seconds: float, until: Callable[["Loop"], bool] | None = None) -> Run:
         """Runs on for so long, or until the service says ARRIVED or the condition holds."""
-        laser = self.robot.laser
-        period = round(S / laser.rate)
         for _ in range(round(seconds * 100)):
             since_start = self.now - START
             if since_start % (S // 50) == 0:
                 odom_from_base = MAP_FROM_ODOM.inverse() @ self.truth
                 self.send("odometry", m.Odometry(self.now, odom_from_base, self.v, self.w, np.zeros(9)))
-            if since_start % period == round(laser.scan_time * S) % period and since_start >= laser.scan_time * S:
+            if self.now >= self.next_sweep + round(self.robot.laser.scan_time * S):
                 self._scan()
             if since_start % (S // 2) == 0:
                 self._publish_plan()
@@ -217,8 +216,8 @@ class Loop:
         return self.run
 
     def _scan(self) -> None:
-        laser = self.robot.laser
-        first = self.now - round(laser.scan_time * S)
+        laser, first = self.robot.laser, self.next_sweep
+        self.next_sweep += round(S / laser.rate)
         share = np.linspace(0, 1, laser.n_beams)
         stamps = first + share * laser.scan_time * S
         times = np.array([t for t, _ in self.trace] + [self.now], float)

@@ -170,7 +170,7 @@ class Bench:
                 else:
                     state, left = self.follow_state, path.length
             if "follow" not in self.silent:
-                self.call("follow", FollowStatus(self.now, self.goal.id, state, self.follow_reason, left, 0.0))
+                self.call("follow", FollowStatus(self.now, self.goal.id, state, self.follow_reason, left))
         if self.n_steps % 4 == 0:
             self.call("tick")
 

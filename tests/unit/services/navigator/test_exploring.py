@@ -171,6 +171,37 @@ def test_a_robot_that_cannot_move_at_all_fails():
     assert (robot.status.state, robot.status.reason) == (NavState.FAILED, reasons.RECOVERIES_USED.code)
 
 
+def test_frontiers_that_local_control_cannot_get_to_do_not_end_exploring():
+    robot = Explorer(OFFICE, 1.2, 3.3)
+    path, barred = robot.path, []
+
+    def in_the_way():
+        x = robot.goal.map_from_goal.x if robot.goal is not None else 0.0
+        barred.append(x > 9.0)  # everything in the east is behind something that only local control sees
+        robot.follow_state = FollowState.BLOCKED if barred[-1] else None
+        return path()
+
+    robot.path = in_the_way
+    robot.explore()
+    robot.run(600, until=ENDS)
+    assert (robot.status.state, robot.status.reason) == (NavState.REACHED, reasons.NO_FRONTIER.code)
+    assert any(barred)
+    assert robot.status.n_recoveries > 0
+
+
+def test_a_blocked_frontier_costs_two_recoveries_and_a_few_seconds():
+    robot = Explorer(OFFICE, 1.2, 3.3)
+    robot.follow_state = FollowState.BLOCKED
+    robot.explore()
+    robot.run(1.5)
+    first = robot.goal.map_from_goal
+    n = round(robot.run(60, until={NavState.FAILED, NavState.REACHED}))
+    others = [g for g in robot.goals if g.kind is GoalKind.DRIVE and g.map_from_goal != first]
+    assert n
+    assert robot.status.n_recoveries >= 2
+    assert (others[0].stamp - robot.goals[0].stamp) / 1e9 < 10
+
+
 def test_without_a_map_it_waits_and_then_fails():
     robot = Explorer(OFFICE, 1.2, 3.3)
     robot.see = lambda: None

@@ -54,6 +54,20 @@ def test_what_lies_behind_a_gap_too_narrow_is_unreachable():
     assert [round(cells[:, 1].mean()) for cells in found.unreachable] == [89]
 
 
+def test_a_gap_beside_a_desk_seen_along_its_edge_is_as_narrow_as_if_the_edge_were_mapped():
+    cells = np.full((100, 100), 0, np.int8)
+    cells[[0, -1]] = cells[:, [0, -1]] = 100
+    cells[10:, 40:] = cells[:, 80:] = -1  # the desk, of which few beams came back; 0.45 m from the wall
+    cells[10::8, 40] = cells[10, 40:80:6] = 100
+    assert look(cells, 1.0, 3.0).frontiers == ()
+
+
+def test_gaps_between_beams_do_not_bar_the_way():
+    cells = CORRIDOR.copy()
+    cells[10:30:4, 30:90] = -1
+    assert any(f.cells[:, 1].max() == 89 for f in look(cells, 1.0, 1.0).frontiers)
+
+
 def test_small_gaps_in_the_map_are_no_frontiers():
     cells = np.full((100, 100), 0, np.int8)
     cells[[0, -1]] = cells[:, [0, -1]] = 100
@@ -131,6 +145,14 @@ def reachable(cells, row, column, clearance):
     return seen
 
 
+def has_room(cells, row, column):
+    """Whether a goal may be there: away from obstacles, and from the middles of 3 x 3 unknown cells less one cell."""
+    unknown = np.lib.stride_tricks.sliding_window_view(cells < 0, (3, 3)).all(axis=(2, 3))
+    away = (RADIUS + CONFIG.goal_margin) / 0.05 - 1e-6
+    near = [(np.argwhere(cells >= 65), away), (np.argwhere(unknown) + 1, away + 1)]
+    return all(not len(them) or np.hypot(*(them - (row, column)).T).min() >= least for them, least in near)
+
+
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32))
 def test_goals_are_reachable_and_cells_border_on_the_unknown(seed):
@@ -148,12 +170,15 @@ def test_goals_are_reachable_and_cells_border_on_the_unknown(seed):
     assert not found.enclosed
     padded = np.pad(cells, 1, constant_values=-1)
     for frontier in found.frontiers:
-        assert (int(frontier.y / 0.05), int(frontier.x / 0.05)) in area
+        goal = int(frontier.y / 0.05), int(frontier.x / 0.05)
+        assert goal in area
+        assert has_room(cells, *goal)
         assert frontier.distance >= np.hypot(frontier.x - (column + 0.5) * 0.05, frontier.y - (row + 0.5) * 0.05) - 1e-6
         for r, c in frontier.cells:
             assert 0 <= cells[r, c] <= 25
             assert -1 in (padded[r, c + 1], padded[r + 2, c + 1], padded[r + 1, c], padded[r + 1, c + 2])
     mine = {tuple(cell) for f in found.frontiers for cell in f.cells}
-    for r, c in area:  # where the robot itself gets to the border, the border was found
-        if -1 in (padded[r, c + 1], padded[r + 2, c + 1], padded[r + 1, c], padded[r + 1, c + 2]):
+    for r, c in area:  # where the robot itself gets to the border and has room, the border was found
+        around = padded[r, c + 1], padded[r + 2, c + 1], padded[r + 1, c], padded[r + 1, c + 2]
+        if has_room(cells, r, c) and -1 in around:
             assert (r, c) in mine

@@ -86,7 +86,7 @@ def test_arriving_at_a_former_goal_is_not_arriving():
     late = bench.goal.id
     bench.go(FAR)
     bench.run(0.1)
-    bench.call("follow", FollowStatus(bench.now, late, FollowState.ARRIVED, "", 0.0, 0.0))
+    bench.call("follow", FollowStatus(bench.now, late, FollowState.ARRIVED, "", 0.0))
     assert bench.status.state is NavState.NAVIGATING
     assert bench.goal.map_from_goal == FAR
 

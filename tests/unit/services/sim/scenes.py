@@ -14,6 +14,7 @@ from shared.topics import Publication
 TICK = 20_000_000  # ns
 START = 1_000_000_000_000
 X80SV = load_robot("x80sv").robot
+XV11 = load_robot("x80sv_xv11").robot  # a beam each degree
 JACKAL = load_robot("jackal").robot
 
 PERFECT: dict[str, Any] = {

@@ -11,7 +11,7 @@ from services.sim.rays import cast
 from services.sim.sensors import LaserNoise, RangeNoise, cast_all, cones, measured, sweep
 from services.sim.store import load
 from shared.geometry import Pose2
-from tests.unit.services.sim.scenes import PERFECT, START, X80SV, drive, laser, simulator, told, written
+from tests.unit.services.sim.scenes import PERFECT, START, X80SV, XV11, drive, laser, simulator, told, written
 
 ROOM = load("room")
 
@@ -71,9 +71,9 @@ def test_a_scan_shows_the_room_whatever_the_field_of_view(angle_min, increment, 
         assert_allclose(scan.ranges[i], ray, atol=1e-4)
 
 
-def test_the_x80svs_beam_at_90_degrees_looks_ahead_from_0_13_m_before_the_axis(tmp_path):
+def test_the_xv11s_beam_at_90_degrees_looks_ahead_from_0_13_m_before_the_axis(tmp_path):
     wall = "start: {x: 0, y: 0}\nboxes: [{x: 2.05, y: 0, size: [0.1, 0.2]}]\n"
-    service = simulator(written(tmp_path, wall), **PERFECT)
+    service = simulator(written(tmp_path, wall), XV11, **PERFECT)
     scan = told(drive(service, 0.3, 0.0, 0.0), "scan")[0]
     assert_allclose(scan.ranges[90], 2.0 - 0.13, atol=1e-6)
     assert np.isnan(scan.ranges[[0, 180, 270]]).all()
@@ -85,9 +85,10 @@ def test_a_scan_is_stamped_with_its_first_beam_and_comes_after_its_last():
     for publication in drive(service, 2.0, 0.3, 0.5):
         if publication.topic.key == "scan":
             sent.append((service.now, publication.message))
-    assert [scan.stamp for _, scan in sent] == [START + k * 200_000_000 for k in range(len(sent))]
-    assert len(sent) == 10
-    assert all(0 <= now - scan.stamp - 200_000_000 < 20_000_000 for now, scan in sent)
+    sweep = round(X80SV.laser.scan_time * 1e9)
+    assert [scan.stamp for _, scan in sent] == [START + k * 100_000_000 for k in range(len(sent))]
+    assert len(sent) == 20
+    assert all(0 <= now - scan.stamp - sweep < 20_000_000 for now, scan in sent)
 
 
 def test_noise_grows_with_range_and_readings_come_in_steps():

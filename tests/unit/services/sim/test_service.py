@@ -24,7 +24,7 @@ def payloads(publications):
 
 def test_topics_come_at_their_rates():
     sent = list(drive(simulator("room"), 10.0, 0.0, 0.3))
-    for key, rate in (("hardware/board", 50), ("sim/truth", 50), ("sim/clock", 50), ("scan", 5)):
+    for key, rate in (("hardware/board", 50), ("sim/truth", 50), ("sim/clock", 50), ("scan", 10)):
         messages = told(sent, key)
         assert abs(len(messages) - 10 * rate) <= 1
         assert all(after.stamp > before.stamp for before, after in pairwise(messages))
@@ -85,7 +85,7 @@ def test_motor_commands_without_ticks_are_survived_and_no_scan_is_made_up():
         service.now += TICK
         list(service.motors(MotorCommand(service.now, -100.0, 120.0)))
     scans = told(list(service.tick()), "scan")
-    assert 1 <= len(scans) <= 4
+    assert 1 <= len(scans) <= 0.8 * X80SV.laser.rate
     assert all(scan.stamp > service.now - 1_000_000_000 for scan in scans)
 
 

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+from math import pi
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from services.mapper.deskew import deskewed
+from shared.config import Mount
+from shared.geometry import Pose2
+from shared.messages import LaserScan
+
+angles = st.floats(-3, 3)
+small = st.floats(-0.5, 0.5)
+
+
+def scan_of(ranges, angle_min=-1.0, increment=0.02, scan_time=0.2):
+    return LaserScan(0, angle_min, increment, scan_time, 0.1, 20.0, np.array(ranges, np.float32))
+
+
+@given(small, small, angles, st.floats(-1, 1), st.floats(-1, 1), st.floats(-2, 2), st.booleans())
+def test_a_beam_lands_where_the_moving_laser_saw_it(x, y, yaw, dx, dy, turn, clockwise):
+    """The chain by hand, beam by beam: end_from_base(t) @ base_from_laser @ the point on the beam."""
+    n, mount = 30, Mount(x=x, y=y, yaw=yaw)
+    increment = -0.05 if clockwise else 0.05
+    ranges = np.linspace(1, 5, n, dtype=np.float32)
+    times, poses = np.array((-0.2, 0.0)), np.array(((-dx, -dy, -turn), (0.0, 0.0, 0.0)))
+    origins, ends = deskewed(scan_of(ranges, -1.0, increment), mount, times, poses)
+    for i in range(n):
+        back = 1 - i / (n - 1)
+        laser = Pose2(-dx * back, -dy * back, -turn * back) @ Pose2(x, y, yaw)
+        beam = -1.0 + i * increment
+        point = ranges[i] * np.array([[np.cos(beam), np.sin(beam)]])
+        assert_allclose(origins[i], (laser.x, laser.y), atol=1e-9)
+        assert_allclose(ends[i], (laser @ point.astype(float))[0], atol=1e-6)
+
+
+def test_a_robot_at_rest_sees_the_plain_polar_picture():
+    ranges = np.full(360, 2.0)
+    _, ends = deskewed(scan_of(ranges, 0.0, 2 * pi / 360), Mount(), np.array((-0.2, -0.1, 0.0)), np.zeros((3, 3)))
+    assert_allclose(np.hypot(*ends.T), 2.0)
+    assert_allclose(ends[90], (0, 2), atol=1e-12)
+
+
+@pytest.mark.parametrize("r", [np.nan, 0.0, 0.05, 20.0, 25.0])
+def test_what_is_no_measurement_has_no_end(r):
+    _, ends = deskewed(scan_of([1.0, r, 2.0]), Mount(), np.array((-0.2, 0.0)), np.zeros((2, 3)))
+    assert np.isnan(ends[1]).all()
+    assert not np.isnan(ends[[0, 2]]).any()

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+from itertools import pairwise
+from math import floor
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+from services.mapper.occupancy import Occupancy, OccupancyConfig
+from shared.grid import OccupancyGrid
+
+CONFIG = OccupancyConfig()
+NONE = np.full((1, 2), np.nan)
+xs = st.floats(-6, 6).map(lambda v: round(v, 3) + 0.00037)  # off the cells' borders, and off their corners
+ys = st.floats(-6, 6).map(lambda v: round(v, 3) + 0.00071)
+
+
+def draw(grid, beams, silent=None):
+    """Draws beams [(ox, oy, ex, ey)] as one scan."""
+    rows = np.array(beams, float).reshape(-1, 4)
+    ends = np.ascontiguousarray(rows[:, 2:])
+    grid.integrate(np.ascontiguousarray(rows[:, :2]), ends, np.full_like(ends, np.nan) if silent is None else silent)
+
+
+def cells_of(grid):
+    """{(row, column): percent} of the known cells, as readers get them."""
+    grid.update(0)
+    reader = OccupancyGrid()
+    reader.apply(grid.whole(0))
+    rows, columns = np.nonzero(reader.cells >= 0)
+    row0, column0 = reader.first_row * 64, reader.first_column * 64
+    return {(int(r) + row0, int(c) + column0): int(reader.cells[r, c]) for r, c in zip(rows, columns)}
+
+
+def crossed(ox, oy, ex, ey, resolution=0.05):
+    """The cells that a beam passes, by brute force: every interval between two borders has its cell."""
+    shares = {0.0, 1.0}
+    for o, e in ((ox, ex), (oy, ey)):
+        low, high = sorted((o, e))
+        for k in range(floor(low / resolution), floor(high / resolution) + 2):
+            if e != o and 0 < (k * resolution - o) / (e - o) < 1:
+                shares.add((k * resolution - o) / (e - o))
+    ordered = sorted(shares)
+    middles = [(a + b) / 2 for a, b in pairwise(ordered) if b - a > 1e-9]
+    passed = {(floor((oy + m * (ey - oy)) / resolution), floor((ox + m * (ex - ox)) / resolution)) for m in middles}
+    return passed - {(floor(ey / resolution), floor(ex / resolution))}
+
+
+@settings(max_examples=60)
+@given(st.lists(st.tuples(xs, ys, xs, ys), min_size=1, max_size=12))
+def test_a_scan_is_the_brute_force_carve(beams):
+    grid = Occupancy(CONFIG, 1)
+    draw(grid, beams)
+    hits = {(floor(ey / 0.05), floor(ex / 0.05)) for _, _, ex, ey in beams}
+    free = set().union(*(crossed(*beam) for beam in beams)) - hits
+    assert cells_of(grid) == dict.fromkeys(hits, 70) | dict.fromkeys(free, 36)
+
+
+def test_a_hit_wins_over_the_beams_that_cross_it_in_the_same_scan():
+    grid = Occupancy(CONFIG, 1)
+    draw(grid, [(0, 0.02, 3, 0.02)] * 20 + [(0, 0.02, 1.52, 0.02)])
+    assert cells_of(grid)[0, 30] == 70
+
+
+def test_a_thing_that_left_fades_within_seconds_however_long_it_stood():
+    grid = Occupancy(CONFIG, 1)
+    for _ in range(500):
+        draw(grid, [(0, 0.02, 1.52, 0.02)])
+    assert cells_of(grid)[0, 30] == 96
+    for _ in range(10):
+        draw(grid, [(0, 0.02, 3, 0.02)])
+    assert cells_of(grid)[0, 30] <= 25
+
+
+def test_a_beam_without_an_echo_says_nothing_unless_its_reach_is_given():
+    grid = Occupancy(CONFIG, 1)
+    draw(grid, [(0, 0.02, np.nan, np.nan)])
+    assert cells_of(grid) == {}
+    draw(grid, [(0, 0.02, np.nan, np.nan)], silent=np.array([(2.0, 0.02)]))
+    assert set(cells_of(grid).values()) == {36}
+    assert len(cells_of(grid)) == 40
+
+
+def test_what_lies_beyond_the_range_is_not_drawn():
+    grid = Occupancy(OccupancyConfig(range_max=2.0), 1)
+    draw(grid, [(0, 0.02, 3, 0.02)])
+    assert cells_of(grid) == {}
+
+
+scans = st.lists(st.tuples(st.integers(0, 10**6), st.floats(-40, 40), st.floats(-40, 40), st.booleans()), max_size=8)
+
+
+@settings(max_examples=30)
+@given(scans)
+def test_a_readers_grid_equals_the_mappers_after_any_updates(drawn):
+    grid, reader = Occupancy(CONFIG, 7), OccupancyGrid()
+    versions = []
+    for seed, x, y, published in drawn:
+        rng = np.random.default_rng(seed)
+        origin = np.array((x, y)) + rng.normal(size=2)
+        draw(grid, np.column_stack((np.tile(origin, (20, 1)), origin + rng.normal(scale=6, size=(20, 2)))))
+        if published and (update := grid.update(0)) is not None:
+            reader.apply(update)
+            versions.append(update.version)
+    if (last := grid.update(0)) is not None:
+        reader.apply(last)
+        versions.append(last.version)
+    late = OccupancyGrid()
+    late.apply(grid.whole(0))
+    assert versions == sorted(set(versions))
+    assert_array_equal(reader.cells, late.cells)
+    assert (reader.x0, reader.y0, reader.version) == (late.x0, late.y0, late.version)
+
+
+def test_nothing_is_published_when_nothing_changed():
+    grid = Occupancy(CONFIG, 1)
+    assert grid.update(0) is None
+    draw(grid, [(0, 0.02, 1, 0.02)])
+    assert grid.update(0) is not None
+    assert grid.update(0) is None
+    for _ in range(30):
+        draw(grid, [(0, 0.02, 1, 0.02)])
+    grid.update(0)
+    draw(grid, [(0, 0.02, 1, 0.02)])  # as sure as it can be: drawn, and the same
+    assert grid.update(0) is None
+
+
+def test_only_changed_tiles_are_sent():
+    grid = Occupancy(CONFIG, 1)
+    draw(grid, [(0.1, 0.1, 30, 0.1)])
+    assert len(grid.update(0).rows) == 10
+    draw(grid, [(0.1, 0.1, 1, 0.1)])
+    assert len(grid.update(0).rows) == 1
+
+
+def test_a_saved_map_is_published_as_it_was_saved():
+    grid = Occupancy(CONFIG, 1)
+    for k in range(6):
+        draw(grid, [(0, 0.1 * k, 4, 0.3 * k), (0, 0, -5, 1 - k)])
+    grid.update(0)
+    saved = grid.whole(0)
+    again = Occupancy(CONFIG, 2)
+    again.load(saved)
+    loaded = again.update(0)
+    assert loaded.map_id == 2
+    assert_array_equal(loaded.rows, saved.rows)
+    assert_array_equal(loaded.columns, saved.columns)
+    assert_array_equal(loaded.cells, saved.cells)
+
+
+def test_a_beam_contradicts_the_map_in_known_free_space_and_behind_a_wall():
+    grid = Occupancy(CONFIG, 1)
+    fan = [(0.02, 0.02, 3.02, 0.05 * k + 0.02) for k in range(-30, 31)]
+    for _ in range(5):
+        draw(grid, fan)
+    ends = np.array(((1.5, 0.02), (3.02, 0.02), (3.6, 0.02), (-2.0, 0.02), (3.1, 0.02)))
+    assert_array_equal(grid.contradicts(np.full((5, 2), 0.02), ends), (True, False, True, False, False))
+    assert_array_equal(grid.clear_at(ends, 1), (True, False, False, False, False))
+
+
+def test_the_grid_grows_in_every_direction():
+    grid = Occupancy(CONFIG, 1)
+    for x, y in ((50, 50), (-50, 50), (-50, -50), (50, -50)):
+        draw(grid, [(x, y, x + 3, y + 1)])
+    reader = OccupancyGrid()
+    reader.apply(grid.update(0))
+    for x, y in ((51.5, 50.5), (-48.5, 50.5), (-48.5, -49.5), (51.5, -49.5)):
+        assert reader.cells[reader.cell(x, y)] == 36

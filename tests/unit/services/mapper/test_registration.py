@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+from math import hypot
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.mapper.registration import REGISTRARS, OdometryError, Prior, RegistrationConfig, Scale
+from services.mapper.surface import sweep_normals
+from shared.geometry import Pose2, wrapped
+from tests.unit.services.mapper.rooms import CORRIDOR, ROOM, sweep
+
+START = Pose2()
+WEAK = {"sigma": 1.0, "sigma_turn": 1.0}
+
+
+def points_at(segments, pose, **arguments):
+    origins, ends = sweep(segments, pose, **arguments)
+    normals = sweep_normals(origins, ends)
+    seen = ~np.isnan(ends[:, 0])
+    return ends[seen], normals[seen]
+
+
+def mapped(segments, kind="line", poses=(START,)):
+    registrar = REGISTRARS[kind](RegistrationConfig(), 8.0)
+    for pose in poses:
+        points, normals = points_at(segments, pose)
+        registrar.extend(pose @ points, Pose2(0, 0, pose.yaw) @ normals)
+    return registrar
+
+
+@pytest.fixture(scope="module")
+def room():
+    return mapped(ROOM, poses=(Pose2(), Pose2(1, 0, 0), Pose2(-1, 1, 0), Pose2(0, -1, 0)))
+
+
+@settings(max_examples=60)
+@given(st.floats(-0.25, 0.25), st.floats(-0.25, 0.25), st.floats(-0.25, 0.25), st.integers(0, 1000))
+def test_a_known_motion_is_recovered(room, x, y, yaw, seed):
+    points, normals = points_at(ROOM, Pose2(x, y, yaw), noise=0.01, seed=seed)
+    match = room.register(points, normals, Pose2(), Prior(Pose2(), **WEAK))
+    assert hypot(match.map_from_base.x - x, match.map_from_base.y - y) < 0.02
+    assert abs(wrapped(match.map_from_base.yaw - yaw)) < 0.01
+    assert match.share > 0.9
+
+
+def test_people_in_the_room_do_not_move_the_pose(room):
+    points, normals = points_at(ROOM, Pose2(0.1, 0.05, 0.05), noise=0.01)
+    points, normals = points.copy(), normals.copy()
+    points[60:90] *= 0.5  # somebody stands in a twelfth of the beams
+    normals[60:90] = 0
+    match = room.register(points, normals, Pose2(), Prior(Pose2(), **WEAK))
+    assert match.map_from_base.distance(Pose2(0.1, 0.05, 0)) < 0.03
+    assert not match.agree[62:88].any()
+
+
+def test_in_a_corridor_the_prior_decides_along_and_the_beams_across():
+    registrar = mapped(CORRIDOR)
+    points, normals = points_at(CORRIDOR, Pose2(0.3, 0.05, 0.02), noise=0.01)
+    prior = Prior(Pose2(0.3, 0.0, 0.0), 0.03, 0.02)
+    match = registrar.register(points, normals, prior.map_from_base, prior)
+    assert abs(match.map_from_base.x - 0.3) < 0.03
+    assert abs(match.map_from_base.y - 0.05) < 0.01
+    assert abs(match.map_from_base.yaw - 0.02) < 0.01
+
+
+def test_the_information_shows_the_direction_that_a_corridor_hides():
+    points, normals = points_at(CORRIDOR, Pose2(), noise=0.01)
+    along, across = np.sort(np.linalg.eigvalsh(mapped(CORRIDOR).measured(points, normals, Pose2()).information[:2, :2]))
+    assert across > 50 * along
+    room_points = points_at(ROOM, Pose2())
+    low, high = np.linalg.eigvalsh(mapped(ROOM).measured(*room_points, Pose2()).information[:2, :2])
+    assert high < 5 * low
+
+
+def test_no_points_leave_the_pose_to_the_prior(room):
+    prior = Prior(Pose2(0.4, 0.1, 0.2), 0.1, 0.1)
+    match = room.register(np.zeros((0, 2)), np.zeros((0, 2)), prior.map_from_base, prior)
+    assert match.map_from_base.distance(prior.map_from_base) < 1e-9
+    assert match.share == 0
+
+
+@pytest.mark.parametrize("kind", ["line", "kiss"])
+def test_the_same_input_gives_the_same_bytes_twice(kind):
+    def run():
+        registrar = mapped(ROOM, kind)
+        out = []
+        for k in range(6):
+            points, normals = points_at(ROOM, Pose2(0.03 * k, 0.01 * k, 0.02 * k), noise=0.01, seed=k)
+            match = registrar.register(points, normals, Pose2(0.03 * k, 0, 0), Prior(Pose2(0.03 * k, 0, 0), 0.05, 0.05))
+            out.append((match.map_from_base, match.information.tobytes(), match.agree.tobytes()))
+            registrar.extend(match.map_from_base @ points, Pose2(0, 0, match.map_from_base.yaw) @ normals)
+        return out
+
+    first = run()
+    assert first == run()
+    assert first[-1][0].distance(Pose2(0.15, 0.05, 0)) < 0.05
+
+
+@given(st.floats(0.85, 1.15), st.integers(0, 1000))
+def test_a_wrong_scale_is_learnt_and_slips_are_not(gain, seed):
+    rng = np.random.default_rng(seed)
+    scale = Scale(0.05)
+    for _ in range(300):
+        measured = rng.uniform(0.05, 0.3)
+        scale.learn(measured, -measured if rng.random() < 0.1 else gain * measured + 0.002 * rng.normal())
+    assert abs(scale.gain - gain) < 0.02
+
+
+def test_a_scale_that_nothing_was_learnt_about_is_one():
+    assert Scale(0.05).gain == 1.0
+
+
+def test_the_prior_widens_when_odometry_lies_and_narrows_when_it_tells_the_truth():
+    config, sure = RegistrationConfig(), np.eye(3) * 1e5
+    step = Pose2(0.1, 0, 0)
+
+    def sigma(off):
+        error = OdometryError()
+        for _ in range(60):
+            error.learn(step, Pose2(0.1, off, 0), sure)
+        return error.prior(config, Pose2(), step).sigma
+
+    assert sigma(0.0) < OdometryError().prior(config, Pose2(), step).sigma < sigma(0.2)
+
+
+def test_what_a_corridor_hides_teaches_nothing_about_odometry():
+    error = OdometryError()
+    before = error.squared
+    error.learn(Pose2(0.1, 0, 0), Pose2(0.5, 0, 0), np.diag((1.0, 1e5, 1e5)))
+    assert error.squared == before

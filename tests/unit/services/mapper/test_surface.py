@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+from math import pi
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from services.mapper.surface import grid_surface, sweep_normals
+from shared.geometry import Pose2
+from tests.unit.services.mapper.rooms import CORRIDOR, ROOM, box, sweep
+
+
+@given(st.floats(-pi, pi))
+def test_normals_of_a_square_room_point_at_the_laser_along_the_axes(yaw):
+    pose = Pose2(0.3, 0.2, yaw)
+    origins, ends = sweep(np.array(box(-2, -2, 2, 2)), pose)
+    normals = Pose2(0, 0, yaw) @ sweep_normals(origins, ends)
+    points = pose @ ends
+    directed = np.hypot(*normals.T) > 0
+    on_one_wall = np.min(2.2 - np.abs(points), axis=1) < 0.5  # away from the corners
+    assert directed[on_one_wall].mean() > 0.9
+    assert_allclose(np.hypot(*normals[directed].T), 1, atol=1e-9)
+    wall = (np.abs(points[:, 0]) > 1.999) & (np.abs(points[:, 1]) < 1.5) & directed
+    assert_allclose(normals[wall, 0], -np.sign(points[wall, 0]), atol=1e-6)
+
+
+def test_a_gap_ends_a_surface_and_a_lone_pole_has_no_direction():
+    ends = np.array([(2.0, y) for y in np.linspace(-0.5, 0.5, 12)])
+    pole = np.array([(1.0, 0.6), (1.0, 0.63)])
+    normals = sweep_normals(np.zeros((14, 2)), np.concatenate((ends, pole)))
+    assert_allclose(normals[:12], np.tile((-1.0, 0.0), (12, 1)), atol=1e-9)
+    assert not normals[12:].any()
+
+
+def test_a_wall_at_a_grazing_angle_keeps_its_direction_to_the_far_end():
+    """Beams 1 degree apart land 0.4 m apart at 5 m down a corridor: points without a direction would hold the robot."""
+    origins, ends = sweep(CORRIDOR, Pose2(), noise=0.002)
+    ends[np.hypot(*ends.T) > 5] = np.nan
+    normals = sweep_normals(origins, ends)
+    seen = ~np.isnan(ends[:, 0])
+    assert (np.abs(normals[seen, 1]) > 0.95).mean() > 0.95
+
+
+def test_beams_without_an_echo_have_no_normal():
+    origins, ends = sweep(ROOM, Pose2())
+    ends[40:60] = np.nan
+    assert not sweep_normals(origins, ends)[40:60].any()
+
+
+def test_the_surface_of_a_drawn_wall_lies_on_it_and_faces_free_space():
+    occupied, free = np.zeros((40, 60), bool), np.zeros((40, 60), bool)
+    occupied[10, 5:50] = True
+    free[11:35, 5:50] = True
+    points, normals = grid_surface(occupied, free, -1.0, 2.0, 0.05)
+    assert len(points) == 45
+    assert_allclose(points[:, 1], 2.0 + 10.5 * 0.05, atol=1e-9)
+    inner = normals[3:-3]
+    assert_allclose(inner, np.tile((0.0, 1.0), (len(inner), 1)), atol=1e-9)
+
+
+def test_a_slanted_wall_of_steps_reads_as_a_line():
+    occupied, free = np.zeros((60, 60), bool), np.zeros((60, 60), bool)
+    for column in range(5, 55):
+        row = 10 + column // 3
+        occupied[row, column] = True
+        free[row + 1 : row + 15, column] = True
+    points, normals = grid_surface(occupied, free, 0.0, 0.0, 0.05)
+    slope = np.arctan2(1, 3)
+    middle = (points[:, 0] > 0.5) & (points[:, 0] < 2.5)
+    tilt = np.arctan2(-normals[middle, 0], normals[middle, 1])
+    assert np.abs(tilt - slope).max() < 0.25
+    off = points[middle] @ np.array((-np.sin(slope), np.cos(slope)))
+    assert off.std() < 0.012
+
+
+def test_a_grid_without_walls_has_no_surface():
+    points, normals = grid_surface(np.zeros((5, 5), bool), np.ones((5, 5), bool), 0.0, 0.0, 0.05)
+    assert points.shape == normals.shape == (0, 2)

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+import gzip
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from shared.config import UserError
+from shared.geometry import Pose2
+from shared.ros_map import read_ros_map
+from tests.unit.services.mapper.rooms import ROOM, cast
+from zenav.slam import slam
+
+DATA = os.environ.get("ZENAV_DATA")  # noqa: TID251  # where the machine keeps its logs
+
+
+def lines(n=40, mount=Pose2(0.2, 0.0, 0.0), first=100.0):  # noqa: B008  # a pose is a value
+    """A CARMEN log of a robot that circles in a made-up room; its odometry's wheels are 3 % too small."""
+    angles = np.radians(np.arange(-90, 90))
+    true, odom = Pose2(), Pose2()
+    for k in range(n):
+        step = Pose2(0.06, 0, 0.1)
+        true, odom = true @ step, odom @ Pose2(0.062, 0, 0.1)
+        stamp = first + 0.2 * k
+        laser, seen = true @ mount, odom @ mount
+        ranges = cast(ROOM, np.tile((laser.x, laser.y), (180, 1)), laser.yaw + angles)
+        ranges[ranges > 30] = 81.83
+        yield f"ODOM {odom.x:.6f} {odom.y:.6f} {odom.yaw:.6f} 0 0 0 {stamp - 0.1:.6f} host 0"
+        yield (
+            "FLASER 180 " + " ".join(f"{r:.2f}" for r in ranges)
+            + f" {seen.x:.6f} {seen.y:.6f} {seen.yaw:.6f} {odom.x:.6f} {odom.y:.6f} {odom.yaw:.6f} {stamp:.6f} host 0"
+        )  # fmt: skip
+
+
+@pytest.fixture
+def log(tmp_path):
+    path = tmp_path / "room.log"
+    path.write_text("\n".join(lines()) + "\n")
+    return path
+
+
+def poses_of(folder):
+    rows = np.loadtxt(folder / "trajectory.tum")
+    return rows[:, 0], np.column_stack((rows[:, 1], rows[:, 2], 2 * np.arctan2(rows[:, 6], rows[:, 7])))
+
+
+def test_a_log_becomes_a_trajectory_a_map_a_picture_and_a_report(log, tmp_path):
+    shares = []
+    report = slam(log, tmp_path / "out", shares.append)
+    stamps, poses = poses_of(tmp_path / "out")
+    assert len(stamps) == 80
+    assert stamps[0] == pytest.approx(99.9)
+    assert shares[-1] == 1.0
+    assert shares == sorted(shares)
+    cells, resolution, _, _ = read_ros_map(tmp_path / "out" / "map.yaml")
+    assert resolution == 0.05
+    assert (cells == 100).sum() > 200
+    assert (cells == 0).sum() > 5000
+    with Image.open(tmp_path / "out" / "map.png") as picture:
+        assert min(picture.size) > 100
+    assert report == json.loads((tmp_path / "out" / "report.json").read_text())
+    assert (report["scans"], report["scans_placed"], report["bad_lines"]) == (40, 40, 0)
+
+    true = [Pose2()]
+    for _ in range(39):
+        true.append(true[-1] @ Pose2(0.06, 0, 0.1))
+    found = [Pose2(*row) for row in poses[stamps > 99.95][::2]]  # at the scans
+    error = [(found[0].inverse() @ b).distance(true[0].inverse() @ a) for a, b in zip(true, found)]
+    assert max(error) < 0.03
+
+
+def test_the_same_log_gives_the_same_bytes_twice(log, tmp_path):
+    for name in ("a", "b"):
+        slam(log, tmp_path / name)
+    for name in ("trajectory.tum", "map.pgm", "map.yaml", "map.png"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_damaged_lines_are_skipped_and_told(log, tmp_path):
+    whole = log.read_text().splitlines()
+    log.write_text("\n".join([*whole[:20], "FLASER 180 1 2", "ODOM x", *whole[20:], whole[-1][:300]]))
+    report = slam(log, tmp_path / "out")
+    assert report["bad_lines"] == 3
+    assert report["scans_placed"] == 40
+
+
+def test_a_cut_archive_gives_the_map_up_to_there(log, tmp_path):
+    whole = gzip.compress(log.read_bytes())
+    cut = tmp_path / "cut.log.gz"
+    cut.write_bytes(whole[: len(whole) // 2])
+    report = slam(cut, tmp_path / "out")
+    assert report["truncated"]
+    assert 5 < report["scans_placed"] < 40
+
+
+@pytest.mark.parametrize("text", ["", "ODOM 1 2 0 0 0 0 1 host 1\n", "FLASER 180 1 2 3\n"])
+def test_a_log_without_scans_is_refused_with_a_mend(tmp_path, text):
+    path = tmp_path / "bare.log"
+    path.write_text(text)
+    with pytest.raises(UserError, match="no FLASER") as error:
+        slam(path, tmp_path / "out")
+    assert error.value.mend
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_place_that_cannot_be_written_is_refused(log, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="cannot write"):
+        slam(log, tmp_path / "file")
+
+
+@pytest.mark.skipif(DATA is None, reason="ZENAV_DATA is not set: the real logs are not on this machine")
+def test_a_slice_of_a_real_log_agrees_with_its_reference(tmp_path):
+    """The first minutes of the Intel log against the hand-checked displacements in them (noise: 0.014 m)."""
+    folder = Path(str(DATA)) / "slam"
+    with gzip.open(folder / "intel.log.gz", "rt") as whole:
+        head = [line for _, line in zip(range(4500), whole)]
+    (tmp_path / "slice.log").write_text("".join(head))
+    report = slam(tmp_path / "slice.log", tmp_path / "out")
+    assert report["states"].get("lost", 0) == 0
+    stamps, poses = poses_of(tmp_path / "out")
+    pairs = np.loadtxt(folder / "intel.relations")
+    pairs = pairs[(pairs[:, :2] > stamps[0]).all(axis=1) & (pairs[:, :2] < stamps[-1]).all(axis=1)]
+    assert len(pairs) > 30
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    at = np.column_stack([np.interp(pairs[:, :2].ravel(), stamps, column) for column in poses.T])
+    errors = [
+        (Pose2(*a).inverse() @ Pose2(*b)).distance(Pose2(*relation[2:5]))
+        for a, b, relation in zip(at[::2], at[1::2], pairs)
+    ]
+    assert np.median(errors) < 0.03
