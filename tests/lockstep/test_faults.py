@@ -57,6 +57,16 @@ def test_without_a_guard_the_base_stops_and_with_it_back_the_robot_goes_on(drivi
     assert driving.old == []
 
 
+def test_without_a_base_driver_the_boards_own_time_limit_stops_the_wheels(driving):
+    driving.lockstep.kill("base_driver")
+    driving.until(lambda: abs(driving.truth.v) < 0.02, 1.2)  # 0.2 s of limit, then the wheels roll out
+    driving.lockstep.run(1.0)
+    assert abs(driving.truth.v) < 0.02
+    driving.start("base_driver")
+    driving.until(driving.ended, 40.0)
+    assert driving.truth.n_contacts == 0
+
+
 def test_without_scans_the_robot_stands_until_they_come_again(driving):
     laser = driving.file.robot.laser
     lost_from = driving.now
