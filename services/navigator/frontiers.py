@@ -27,7 +27,7 @@ _ESCAPE = 0.6  # m through crowded or unseen space to where the robot fits: it m
 class FrontierConfig(Section):
     """What counts as a frontier."""
 
-    margin: float = Field(0.05, ge=0, le=1, description="m kept free around the footprint's inscribed circle")
+    margin: float = Field(0.07, ge=0, le=1, description="m kept free around the footprint's inscribed circle")
     goal_margin: float = Field(
         0.1, ge=0, le=1, description="m around it that must be known and free where a frontier is looked at from"
     )

@@ -28,7 +28,7 @@ UNIT = 50
 class CostConfig(Section):
     """How obstacles and unknown space lengthen a way."""
 
-    margin: float = Field(0.03, ge=0, le=1, description="m kept free around the footprint's inscribed circle")
+    margin: float = Field(0.07, ge=0, le=1, description="m kept free around the footprint's inscribed circle")
     inflation_radius: float = Field(
         1.0, gt=0, le=5, description="m from an obstacle at which it stops to matter for the plan"
     )
