@@ -3,7 +3,7 @@
 
 import heapq
 from dataclasses import dataclass
-from math import ceil, hypot
+from math import ceil, hypot, nextafter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,11 +67,11 @@ def planned(
         return no_plan(reasons.GOAL_BLOCKED if terrain.crowded(*goal_cell) else reasons.GOAL_UNKNOWN)
     escape = escapes[int(terrain.regions[end_cell])]
     way = search.way(terrain.costs, escape[-1], end_cell, UNIT, terrain.highest)
-    here = _in_cells(terrain, start)
+    here = _in_cells(terrain, start, start_cell)
     lead = np.array([here, *((column + 0.5, row + 0.5) for row, column in escape)])
     points: Float64s = way[:, ::-1].astype(np.float64) + 0.5
     points[0] = lead[-1] if len(escape) > 1 else here
-    end = _in_cells(terrain, goal) if end_cell == goal_cell else (end_cell[1] + 0.5, end_cell[0] + 0.5)
+    end = _in_cells(terrain, goal, goal_cell) if end_cell == goal_cell else (end_cell[1] + 0.5, end_cell[0] + 0.5)
     points = np.concatenate((points[:1], points[1:-1], np.array([end])))
     spacing = config.spacing / terrain.resolution
     path = smoothed(terrain.costs, points, spacing)
@@ -134,15 +134,20 @@ def _with_room(terrain: Terrain, goal: Pose2, goal_cell: Cell, regions: set[int]
     if not len(rows):
         return None
     rows, columns = rows + r0, columns + c0
-    x, y = _in_cells(terrain, goal)
+    x, y = _in_cells(terrain, goal, goal_cell)
     away = np.hypot(columns + 0.5 - x, rows + 0.5 - y) * terrain.resolution
     nearest = int(np.argmin(away))
     return (int(rows[nearest]), int(columns[nearest])) if away[nearest] <= radius else None
 
 
-def _in_cells(terrain: Terrain, pose: Pose2) -> tuple[float, float]:
+def _in_cells(terrain: Terrain, pose: Pose2, cell: Cell) -> tuple[float, float]:
+    """The pose's (x, y) in cells, inside its own cell also where rounding puts it a hair beside the edge."""
     x0, y0 = terrain.origin
-    return (pose.x - x0) / terrain.resolution, (pose.y - y0) / terrain.resolution
+    row, column = cell
+    return (
+        min(max((pose.x - x0) / terrain.resolution, column), nextafter(column + 1, column)),
+        min(max((pose.y - y0) / terrain.resolution, row), nextafter(row + 1, row)),
+    )
 
 
 def _headings(path: Float64s, last: float) -> Float64s:

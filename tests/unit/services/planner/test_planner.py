@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from services.planner.traversal_cost import CostConfig
 from shared import reasons
 from shared.config import load_robot
 from shared.geometry import Pose2
-from shared.messages import Goal, GoalKind, Localization, Odometry, PoseEstimate
+from shared.messages import TILE_CELLS, Goal, GoalKind, Localization, MapUpdate, Odometry, PoseEstimate
 from tests.strategies import faults, publications
 from tests.unit.services.maps import message, room
 
@@ -248,3 +248,17 @@ def test_any_valid_messages_are_survived(events):
         planner.now += S // 3
         for effect in list(getattr(planner, method)(*([event] if event else []))):
             assert not list(faults(effect.message))
+
+
+@pytest.mark.parametrize("resolution", [0.5979310939815127, 0.3, 0.1, 0.07])
+def test_a_robot_on_the_edge_of_its_cell_has_a_path_of_no_negative_cost(resolution):
+    """The edge lies beside the cell or in it by a rounding: with other cells blocked, the path would be too."""
+    for name, column in product(("x80sv", "jackal"), range(-3, 1)):
+        planner = PlannerService(PlannerConfig(), load_robot(name).robot)
+        planner.now = S
+        cells = np.full((2, TILE_CELLS**2), 100, np.int8)
+        places = np.array([0, 0], np.int32), np.array([0, column], np.int32)
+        list(planner.map(MapUpdate(0, 0, 0, resolution, *places, cells)))
+        list(planner.pose(PoseEstimate(0, Pose2(), Pose2(), np.zeros(9), 0.0, Localization.STARTING)))
+        sent = list(planner.new_goal(Goal(0, 0, GoalKind.DRIVE, Pose2(), 3.93, 4.0, 0.0, False)))
+        assert [fault for publication in sent for fault in faults(publication.message)] == []
