@@ -83,7 +83,7 @@ def run(
     tracked: tuple[Topic[Any], ...] = (topics.TRUTH, topics.ODOM, topics.POSE, topics.MAP)
     record.unlink(missing_ok=True)
     settings = [*scene.settings, f"recorder.file={json.dumps(str(record.resolve()))}"]
-    pilot = Pilot(scene.goals, lambda request, message: client.ask(request, message, timeout=2.0), explores)
+    pilot = Pilot(scene.goals, lambda request, message: client.ask(request, message, timeout=2.0), explores, seconds)
 
     def take(message: Message, sent: int) -> None:
         with lock:

@@ -46,7 +46,7 @@ def _run(scene: Scene, lockstep: Lockstep, seconds: float, tell: Tell) -> Outcom
     for key in KEYS:
         lockstep.watch(key, lambda message: track.take(message, lockstep.now))
     lockstep.watch("nav/status", heard)
-    pilot = Pilot(scene.goals, lockstep.ask)
+    pilot = Pilot(scene.goals, lockstep.ask, seconds=seconds)
     goes_on = True
     while goes_on and pilot.leg is not None and lockstep.now - START < seconds * 1e9:
         lockstep.run(STEP)

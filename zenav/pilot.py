@@ -26,6 +26,7 @@ RETRIED = {
 MAX_REFUSED = 30.0  # s that a leg is asked for again while the stack is not ready
 MAX_FORGOTTEN = 3  # times that a leg is given again to a navigator that was restarted
 AGAIN = 1.0  # s between two requests for the same leg
+A_GOAL = 30.0  # s that are kept for each goal when the time for all is bounded
 
 
 class LegState(StrEnum):
@@ -35,6 +36,7 @@ class LegState(StrEnum):
     UNDER_WAY = "under way"
     REACHED = "reached"
     FAILED = "failed"
+    CUT = "ended for time"  # exploring, so that the goals have theirs
 
 
 @dataclass(slots=True)
@@ -52,7 +54,12 @@ class Leg:
 class Pilot:
     """`step` is called a few times a second of the stack's time, with the newest status."""
 
-    def __init__(self, goals: list[tuple[str, Pose2]], ask: Ask, explores: bool = True) -> None:
+    def __init__(
+        self, goals: list[tuple[str, Pose2]], ask: Ask, explores: bool = True, seconds: float = float("inf")
+    ) -> None:
+        """seconds: for all legs; exploring ends in time for the goals, unless that would take half of it."""
+        left = seconds - A_GOAL * len(goals)
+        self._explores_for = left if left > seconds / 2 else float("inf")
         self.legs = [Leg("explore")] if explores else []
         self.legs += [Leg(name, pose) for name, pose in goals]
         self._ask = ask
@@ -78,8 +85,8 @@ class Pilot:
 
     @property
     def explored(self) -> bool:
-        """Exploring, where it was asked for, ended because nothing reachable was left."""
-        return all(leg.state is LegState.REACHED for leg in self.legs if leg.pose is None)
+        """Exploring, where it was asked for, ended because nothing reachable was left, or nothing of its time."""
+        return all(leg.state in (LegState.REACHED, LegState.CUT) for leg in self.legs if leg.pose is None)
 
     def step(self, now: float, nav: NavStatus | None) -> None:
         """now: s on the stack's clock."""
@@ -102,6 +109,8 @@ class Pilot:
             reached = nav.state is NavState.REACHED
             words = nav.reason + (f": {nav.detail}" if nav.detail else "")
             self._over(leg, LegState.REACHED if reached else LegState.FAILED, words)
+        elif leg.pose is None and leg.seconds > self._explores_for:
+            self._over(leg, LegState.CUT, "")  # the next leg's request takes its place
 
     def _request(self, leg: Leg, now: float) -> None:
         stamp = round(now * 1e9)

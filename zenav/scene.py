@@ -65,7 +65,7 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Every goal reached, everything explored, and nothing touched."""
+        """Every goal reached, exploring ended well or for time, and nothing touched."""
         contacts = self.track.truth.n_contacts if self.track.truth is not None else 0
         return self.pilot.explored and self.pilot.n_reached == self.pilot.n_goals > 0 and contacts == 0
 

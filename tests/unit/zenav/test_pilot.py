@@ -6,7 +6,7 @@ from shared.config import UserError
 from shared.geometry import Pose2
 from shared.messages import NavState, NavStatus
 from shared.requests import Reply
-from zenav.pilot import AGAIN, MAX_FORGOTTEN, MAX_REFUSED, LegState, Pilot
+from zenav.pilot import A_GOAL, AGAIN, MAX_FORGOTTEN, MAX_REFUSED, LegState, Pilot
 
 GOALS = [("kitchen", Pose2(1, 2, 3)), ("home", Pose2())]
 
@@ -114,3 +114,26 @@ def test_a_task_of_somebody_else_is_not_ours():
     navigator.step(pilot, NavState.IDLE)
     navigator.step(pilot, NavState.REACHED, task=navigator.task + 1)
     assert pilot.legs[0].state is LegState.FAILED
+
+
+def test_exploring_ends_in_time_for_the_goals_where_the_whole_is_bounded():
+    navigator = Navigator()
+    pilot = Pilot(GOALS, navigator.ask, seconds=2 * A_GOAL * len(GOALS) + 10)
+    navigator.step(pilot, NavState.IDLE)
+    begun = navigator.now
+    while pilot.legs[0].state is LegState.UNDER_WAY:
+        navigator.step(pilot, NavState.EXPLORING)
+        assert navigator.now - begun < A_GOAL * len(GOALS) + 20
+    assert pilot.legs[0].state is LegState.CUT
+    navigator.step(pilot, NavState.EXPLORING)
+    assert navigator.asked == ["request/explore", "request/navigate"]
+    assert pilot.explored
+
+
+def test_a_run_too_short_for_goals_is_all_exploring():
+    navigator = Navigator()
+    pilot = Pilot(GOALS, navigator.ask, seconds=1.5 * A_GOAL * len(GOALS))
+    navigator.step(pilot, NavState.IDLE)
+    for _ in range(100):
+        navigator.step(pilot, NavState.EXPLORING)
+    assert pilot.legs[0].state is LegState.UNDER_WAY

@@ -11,6 +11,8 @@ from tests.unit.services.maps import drawn, grid_of, message, room
 
 X80, JACKAL = load_robot("x80sv").robot, load_robot("jackal").robot
 
+MARGIN = CostConfig().margin  # m
+
 
 def terrain_of(cells, robot=X80, resolution=0.05, **settings_):
     terrain = Terrain(CostConfig(**settings_), robot, resolution)
@@ -24,8 +26,8 @@ def test_cost_falls_with_the_distance_to_the_wall_and_ends_at_the_inflation_radi
     away = terrain.costs[terrain.pad + 2 : terrain.pad + 32, terrain.pad + 32].astype(int)  # from the wall inwards
     n_blocked = np.count_nonzero(away == 0)
     distance = (np.arange(30) + 1) * 0.05  # from the wall's last cell
-    assert (distance[:n_blocked] < robot.inscribed_radius + 0.03).all()
-    assert distance[n_blocked] >= robot.inscribed_radius + 0.03 - 1e-9
+    assert (distance[:n_blocked] < robot.inscribed_radius + MARGIN).all()
+    assert distance[n_blocked] >= robot.inscribed_radius + MARGIN - 1e-9
     outer = away[n_blocked:]
     assert (np.diff(outer) <= 0).all()
     assert (outer[distance[n_blocked:] >= 1.0] == UNIT).all()
@@ -36,7 +38,7 @@ def test_where_the_robot_cannot_turn_it_costs_more():
     plain, narrow = (terrain_of(room(3, 3), JACKAL, narrow_weight=w) for w in (0.0, 3.0))
     dearer = (narrow.costs > plain.costs)[plain.pad :, plain.pad :][:60, 32]
     distance = np.abs(np.arange(60) - 1) * 0.05
-    inscribed, circumscribed = JACKAL.inscribed_radius + 0.03, JACKAL.circumscribed_radius + 0.03
+    inscribed, circumscribed = JACKAL.inscribed_radius + MARGIN, JACKAL.circumscribed_radius + MARGIN
     assert (dearer[:32] == ((distance >= inscribed) & (distance < circumscribed))[:32]).all()
 
 
