@@ -107,7 +107,7 @@ def run(
             client.listen(topics.HEALTH, lambda health, _: hear(health))
             view.start(scene, launcher, processes)
             try:
-                launcher.start_all(lambda name: name in processes.latest)
+                launcher.start_all(lambda name: name in processes.latest, stop.is_set)
                 trouble = _steer(client, launcher, processes, pilot, stop, begun + seconds, view)
             finally:
                 view.end()
