@@ -21,11 +21,21 @@ MAIN, DRIVE, LOOK, FILES = "Start", "Drive", "Look", "Logs, recordings, measurem
 
 
 class Command(TyperCommand):
-    """A command that takes negative numbers for arguments, not for options."""
+    """A command that takes negative numbers for arguments, not for options, and whose reader may leave."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         # a number may begin with a space, an option may not
         return super().parse_args(ctx, [f" {a}" if NEGATIVE.match(a) else a for a in args])
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            try:
+                return super().invoke(ctx)
+            finally:
+                sys.stdout.flush()
+        except BrokenPipeError:  # `zenav topic echo scan | head`: the reader has gone; typer would make it status 1
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
 
 
 class Group(TyperGroup):
@@ -485,9 +495,6 @@ def _status(arguments: list[str] | None) -> int:
         return end.code if isinstance(end.code, int) else 0
     except (typer.Abort, KeyboardInterrupt):
         return 130
-    except BrokenPipeError:  # `zenav topic echo scan | head`: the reader has gone
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except Exception as error:
         from shared.config import UserError
 

@@ -81,7 +81,6 @@ def run(
     given = psutil.Process().create_time()
     track, processes, lock = Track(), Processes(), threading.Lock()
     tracked: tuple[Topic[Any], ...] = (topics.TRUTH, topics.ODOM, topics.POSE, topics.MAP)
-    record.unlink(missing_ok=True)
     settings = [*scene.settings, f"recorder.file={json.dumps(str(record.resolve()))}"]
     pilot = Pilot(scene.goals, lambda request, message: client.ask(request, message, timeout=2.0), explores, seconds)
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command line: what is asked wrongly is told in one line with a hint; help is quick because it imports little."""
 
+import os
 import shlex
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import typer
 
 from zenav import __main__ as command_line
 from zenav.__main__ import _status
+from zenav.launch import ROOT
 
 COMMANDS = [
     "demo", "up", "run", "goto", "route", "explore", "cancel", "teleop", "estop", "topic list", "topic echo",
@@ -105,6 +107,8 @@ def test_a_mistyped_command_is_guessed(typed, meant, capsys):
         ("bench sim --out /dev/null/a.json", "/dev/null/a.json"),
         ("bench stack --out /dev/null/a.json", "/dev/null/a.json"),
         ("demo --lockstep --world nowhere", "nowhere"),
+        ("demo --record notes.txt", "notes.txt"),
+        ("demo --record /dev/null/run.mcap", "/dev/null/run.mcap"),
         ("demo --lockstep --set sim.start={x: 0, y: 0}", "does not fit"),
         ("teleop", "terminal"),
     ],
@@ -171,6 +175,23 @@ def test_a_bug_is_a_traceback_and_status_1(monkeypatch, capsys):
     command_line.main(["topic", "list"])
     assert ended == [1]
     assert "KeyError" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["topic list", "config show"])
+def test_a_reader_that_has_gone_is_no_error(command):
+    reading, writing = os.pipe()
+    os.close(reading)
+    environment = dict(os.environ, PYTHONPATH=str(ROOT))  # noqa: TID251
+    done = subprocess.run(
+        [sys.executable, "-m", "zenav", *command.split()],
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=60,
+        env=environment,
+    )
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_the_topics_are_data_on_stdout(capsys):
