@@ -31,6 +31,7 @@ from shared import topics
 from shared.codec import CodecError, decode, schema, schema_id
 from shared.config import UserError
 from shared.messages import Journal, Message
+from shared.repeatable import processor
 from shared.runners.host import Sent
 from shared.runners.journal import Life, events_of
 from shared.topics import SERVICES, key_of
@@ -221,7 +222,7 @@ def about(robot: str) -> dict[str, str]:
 def arithmetic() -> dict[str, str]:
     """What the last bits of a computation depend on here: processor, C library, numpy, numba."""
     libc = " ".join(platform.libc_ver())
-    return {"machine": platform.machine(), "libc": libc, "numpy": version("numpy"), "numba": version("numba")}
+    return {"processor": processor(), "libc": libc, "numpy": version("numpy"), "numba": version("numba")}
 
 
 def _commit() -> dict[str, str]:
