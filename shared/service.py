@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A service is an object with handlers; a runner calls it. Four kinds of event enter: message, tick, job done, request.
+"""A service is an object with handlers; a runner calls it. Four kinds of event enter: message, tick, job done, request;
+and a farewell at the end.
 
     class OdometryService(Service):
         config_type = OdometryConfig
@@ -26,6 +27,7 @@ from typing import Any, ClassVar, TypeVar
 
 from shared.config import Robot, Section
 from shared.messages import Message
+from shared.ports import PortConfig
 from shared.requests import Request
 from shared.topics import Publication, Topic
 
@@ -73,6 +75,15 @@ class Service:
     def warm(self) -> None:
         """Compile and touch everything that the first events need; changes no state. Called before the first event."""
 
+    @property
+    def ports(self) -> dict[str, PortConfig]:
+        """Its ports by name. It hears them on topics.RX and topics.PORT and speaks to them on topics.TX."""
+        return {}
+
+    def farewell(self) -> Out:
+        """The last words, when the process is asked to end: an event like the others."""
+        return ()
+
     def state(self) -> str:
         """A few words for the health message: what the service is doing."""
         return "running"
@@ -88,11 +99,14 @@ def on(topic: Topic[M]) -> Callable[[Callable[[S, M], Out]], Callable[[S, M], Ou
     return mark
 
 
-def every(hz: float) -> Callable[[Callable[[S], Out]], Callable[[S], Out]]:
-    """Marks a handler called at a fixed rate on the stack's clock; a missed tick is skipped, never made up for."""
+def every(hz: float, after: "Topic[Any] | None" = None) -> Callable[[Callable[[S], Out]], Callable[[S], Out]]:
+    """Marks a handler called at a fixed rate on the stack's clock; a missed tick is skipped, never made up for.
+
+    after: a topic that the service listens to; the ticks keep in step with it, one right after each message.
+    """
 
     def mark(handler: Callable[[S], Out]) -> Callable[[S], Out]:
-        handler.event = ("every", hz)  # type: ignore[attr-defined]  # functions carry their registration
+        handler.event = ("every", (hz, after.key if after else ""))  # type: ignore[attr-defined]  # functions carry their registration
         return handler
 
     return mark
@@ -113,7 +127,7 @@ class Handlers:
     """What a service class listens to, in the order of its source."""
 
     topics: dict[str, tuple[Topic[Message], str]]  # topic key -> topic, method
-    ticks: tuple[tuple[float, str], ...]  # Hz, method
+    ticks: tuple[tuple[float, str, str], ...]  # Hz, method, key of the topic that it keeps in step with
     requests: dict[str, tuple[Request[Message, Message], str]]  # request key -> request, method
 
 
@@ -125,7 +139,7 @@ def handlers(service: type[Service]) -> Handlers:
     marks = [(kind, what, name) for name, (kind, what) in found.items()]
     return Handlers(
         {what.key: (what, name) for kind, what, name in marks if kind == "on"},
-        tuple((what, name) for kind, what, name in marks if kind == "every"),
+        tuple((what[0], name, what[1]) for kind, what, name in marks if kind == "every"),
         {what.key: (what, name) for kind, what, name in marks if kind == "answer"},
     )
 

@@ -7,12 +7,15 @@ result comes `job.takes` after the job could start. Faults are injected at virtu
 
 import heapq
 from collections.abc import Callable
-from typing import Any, TypeVar
+from dataclasses import replace
+from typing import Any, TypeVar, cast
 
+from shared import topics
 from shared.codec import Envelope, decode, encode
-from shared.messages import Message, Stamp
+from shared.messages import Message, PortState, SerialData, Stamp
 from shared.requests import Request
 from shared.runners.host import Effect, Host, JobOrder, Sent, merged
+from shared.runners.metronome import Metronome
 from shared.service import Service
 from shared.topics import SERVICES, Publication, key_of
 
@@ -25,23 +28,33 @@ START: Stamp = 1_000_000_000_000_000_000
 Sink = Callable[[Sent], None]
 Filter = Callable[[Sent, str], float | None]
 """(publication, subscriber's name) -> extra delay in s, or None to lose it."""
+Port = tuple[str, str]
+"""(service, its port's name)"""
 
 
 class Lockstep:
-    """Runs services on the virtual clock. `record` sees every publication, in order."""
+    """Runs services on the virtual clock. `record` sees every publication, in order.
 
-    def __init__(self, services: dict[str, Service], record: Sink | None = None) -> None:
+    wires: pairs of ports; what a service says to one end comes out of the other, `topics.RX.within` later.
+    """
+
+    def __init__(
+        self, services: dict[str, Service], record: Sink | None = None, wires: tuple[tuple[Port, Port], ...] = ()
+    ) -> None:
         self.now: int = START
         self.filters: list[Filter] = []
         self.latched: dict[str, Sent] = {}
         self._record = record
         self._hosts: dict[str, Host] = {}
         self._lives: dict[str, int] = {}
+        self._metronomes: dict[str, list[Metronome]] = {}
         self._busy_until: dict[str, int] = {}
         self._watchers: dict[str, list[Callable[[Any], None]]] = {}
         self._heap: list[tuple[int, int, Callable[[], None]]] = []
         self._cause = 0
         self._operator: dict[str, int] = {}
+        self._wires = {end: other for a, b in wires for end, other in ((a, b), (b, a))}
+        self._unplugged: set[Port] = set()
         for name in sorted(services, key=SERVICES.index):
             self.start(name, services[name])
 
@@ -56,12 +69,17 @@ class Lockstep:
         for sent in before:
             if sent.envelope.publisher == name and sent.topic.key in host.handlers.topics:
                 self._take(host, host.message(sent.key, sent.message, sent.envelope, self.now, latched=True))
-        for index, (hz, _) in enumerate(host.handlers.ticks):
-            self._schedule_tick(name, life, index, self.now, round(1e9 / hz))
+        metronomes = [Metronome(hz, follows, self.now) for hz, _, follows in host.handlers.ticks]
+        self._metronomes[name] = metronomes
+        for index, metronome in enumerate(metronomes):
+            self._schedule_tick(name, life, index, metronome)
         self._schedule_journal(name, life)
         for sent in before:
             if sent.envelope.publisher != name:
                 self._deliver(sent, name, latched=True)
+        for end in self._wires:
+            if end[0] == name and not {end, self._wires[end]} & self._unplugged:
+                self._from_port(end, topics.PORT(PortState(self.now, end[1], True, "")))
 
     def kill(self, name: str) -> None:
         """The service is gone: nothing that it ordered or waits for happens any more."""
@@ -122,14 +140,23 @@ class Lockstep:
     def _alive(self, name: str, life: int) -> Host | None:
         return self._hosts.get(name) if self._lives.get(name) == life else None
 
-    def _schedule_tick(self, name: str, life: int, index: int, when: int, period: int) -> None:
+    def _schedule_tick(self, name: str, life: int, index: int, metronome: Metronome) -> None:
         def tick() -> None:
             host = self._alive(name, life)
-            if host is not None:
-                self._schedule_tick(name, life, index, when + period, period)
+            if host is not None and metronome.due == self.now:  # else it was called earlier meanwhile
+                metronome.ticked(self.now)
+                self._schedule_tick(name, life, index, metronome)
                 self._take(host, host.tick(index, self.now))
 
-        self._push(when, tick)
+        self._push(metronome.due, tick)
+
+    def _keep_step(self, name: str, life: int, key: str) -> None:
+        """The ticks that follow a topic are due now that the service took a message of it."""
+        for index, metronome in enumerate(self._metronomes[name]):
+            due = metronome.due
+            metronome.heard(key, self.now)
+            if metronome.due != due:
+                self._schedule_tick(name, life, index, metronome)
 
     def _schedule_journal(self, name: str, life: int) -> None:
         def write() -> None:
@@ -173,9 +200,37 @@ class Lockstep:
             self.latched[sent.key] = Sent(sent.topic, sent.key, whole, sent.envelope, b"")
         for watcher in self._watchers.get(sent.key, ()):
             watcher(message)
+        if sent.topic is topics.TX or sent.topic is topics.PLUG:
+            self._to_port(sent.envelope.publisher, cast("SerialData | PortState", message))
+        if sent.topic.by == "*":
+            return  # for people, or for the service's own ports
         for name in self._hosts:
             if name != sent.envelope.publisher:
                 self._deliver(sent, name)
+
+    def _to_port(self, name: str, message: SerialData | PortState) -> None:
+        """Through the wire, where the port has one."""
+        end = name, message.port
+        other = self._wires.get(end)
+        if other is None:
+            return
+        if isinstance(message, PortState):
+            (self._unplugged.discard if message.open else self._unplugged.add)(end)
+            detail = "" if message.open else "unplugged"
+            self._from_port(other, topics.PORT(PortState(self.now, other[1], message.open, detail)))
+        elif not {end, other} & self._unplugged:
+            self._from_port(other, topics.RX(SerialData(self.now, other[1], message.data)))
+
+    def _from_port(self, end: Port, publication: Publication) -> None:
+        name, life = end[0], self._lives.get(end[0], 0)
+
+        def arrive() -> None:
+            host = self._alive(name, life)
+            if host is not None:
+                message = replace(publication.message, stamp=self.now)
+                self._take(host, host.from_port(Publication(publication.topic, message), self.now))
+
+        self._push(self.now + round(publication.topic.within * 1e9), arrive)
 
     def _deliver(self, sent: Sent, name: str, latched: bool = False) -> None:
         host, life = self._hosts[name], self._lives[name]
@@ -192,5 +247,6 @@ class Lockstep:
             host = self._alive(name, life)
             if host is not None:
                 self._take(host, host.message(sent.key, sent.message, sent.envelope, self.now, latched))
+                self._keep_step(name, life, sent.topic.key)
 
         self._push(self.now + round(delay * 1e9), arrive)
