@@ -86,7 +86,7 @@ class BoardReport(Message):
     right_speed: Annotated[float, Unit("counts/s"), Within(-1e6, 1e6)]
     ultrasonic: Annotated[Float32s, Unit("m"), Shape("u"), Within(0, 20, nan=True)]
     infrared: Annotated[Float32s, Unit("m"), Shape("i"), Within(0, 20, nan=True)]
-    battery: Annotated[float, Unit("V"), Within(0, 100)]
+    battery: Annotated[float, Unit("V"), Within(0, 100, nan=True)]
     currents: Annotated[Float32s, Unit("A"), Shape("2"), Within(-200, 200)]
 
 
@@ -144,12 +144,33 @@ class RangeReadings(Message):
 class BaseStatus(Message):
     """State of the base for people and for the guard. `fault` is a reason's code, empty when there is none."""
 
-    battery: Annotated[float, Unit("V"), Within(0, 100)]
+    battery: Annotated[float, Unit("V"), Within(0, 100, nan=True)]
     left_current: Annotated[float, Unit("A"), Within(-200, 200)]
     right_current: Annotated[float, Unit("A"), Within(-200, 200)]
     link: Flag
     fault: Text
     detail: Text
+
+
+@dataclass(frozen=True, slots=True)
+class BoardStatus(Message):
+    """How the line to the motion board is doing, and what else the board measures; NaN before it was measured.
+
+    `rate` is of the packets with the encoders. `last_heard` is the age of the last good packet.
+    """
+
+    good: Annotated[Count, Unit("packets")]
+    bad_crc: Annotated[Count, Unit("packets")]
+    resyncs: Annotated[Count, Unit("times that bytes were no packet")]
+    skipped: Annotated[Count, Unit("bytes")]
+    last_heard: Annotated[float, Unit("s"), Within(0, 1e10, nan=True)]
+    rate: Annotated[float, Unit("Hz"), Within(0, 1e6)]
+    board_supply: Annotated[float, Unit("V"), Within(0, 200, nan=True)]
+    motor_supply: Annotated[float, Unit("V"), Within(0, 400, nan=True)]
+    servo_supply: Annotated[float, Unit("V"), Within(0, 200, nan=True)]
+    left_temperature: Annotated[float, Unit("degrees C, motor driver"), Within(-1e4, 1e4, nan=True)]
+    right_temperature: Annotated[float, Unit("degrees C, motor driver"), Within(-1e4, 1e4, nan=True)]
+    temperature: Annotated[float, Unit("degrees C"), Within(-1e4, 1e4, nan=True)]
 
 
 @dataclass(frozen=True, slots=True)
