@@ -26,6 +26,7 @@ class BatteryWatch:
     def take(self, stamp: int, volts: float) -> None:
         """A report's stamp (ns) and voltage, NaN where none has been measured."""
         if self.is_empty:
+            self._under_since = None
             self.is_empty = not volts >= self.config.empty + self.config.recovered
         elif volts < self.config.empty:
             since = self._under_since = stamp if self._under_since is None else min(stamp, self._under_since)

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole stack on an emulated board, from its bytes up: it drives, and whatever breaks stops it in time."""
+
+import numpy as np
+import pytest
+
+from shared import requests, topics
+from shared.messages import GuardState
+from shared.requests import Break
+from tests.lockstep.stack import MS, Stack
+
+pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
+
+EMULATED = ("sim.hardware=emulated", "sim.emulation.laser_model=''", "base_driver.port.device=wired")
+
+STOPS = {
+    "garbage": ("board_silent", "bytes arrive, none make sense: wrong baud rate?"),
+    "half_packets": ("board_silent", "bytes arrive, none make sense: wrong baud rate?"),
+    "bad_crc": ("board_silent", "packets arrive, but their checksums are wrong"),
+    "stalled": ("board_silent", "no byte arrives"),
+    "unplugged": ("port_closed", "unplugged"),
+    "stuck_encoder": ("wheel_stuck", "the left wheel is commanded but does not turn"),
+    "dead_sonar": ("sensor_dead", "ultrasonic 1 does not answer"),
+    "swapped_motor": ("wheel_astray", "the left wheel turns at"),
+    "low_battery": ("battery_empty", "battery low: 5.5 V"),
+}
+"""Fault, what the base says of it, and how its words begin."""
+
+LATCHED = ("wheel_stuck", "wheel_astray")
+
+
+@pytest.fixture
+def driving(tmp_path):
+    """At full speed towards a goal six metres ahead."""
+    stack = Stack(tmp_path, settings=EMULATED)
+    stack.go(6.5)
+    stack.drives()
+    return stack
+
+
+def breaks(stack: Stack, fault: str, seconds: float = 0.0) -> None:
+    assert stack.lockstep.ask(requests.FAULT, Break(stack.now, fault, seconds, False)).accepted
+
+
+def mended(stack: Stack) -> None:
+    reply = stack.lockstep.ask(requests.FAULT, Break(stack.now, "", 0.0, True))
+    assert (reply.accepted, reply.detail) == (True, "nothing is broken")
+
+
+@pytest.mark.parametrize("fault", STOPS)
+def test_a_broken_board_stops_the_robot_in_300_ms_says_why_and_drives_on_when_it_is_mended(driving, fault):
+    reason, words = STOPS[fault]
+    breaks(driving, fault)
+    assert driving.until(lambda: not driving.commanded, 1.0) <= 300 * MS
+    driving.until(lambda: driving.newest["base/status"].fault == reason, 0.5)
+    driving.lockstep.run(0.3)
+    status, guard = driving.newest["base/status"], driving.guard
+    assert status.fault == guard.reason == reason
+    assert guard.state is GuardState.FAULT
+    assert status.detail.startswith(words)
+    assert guard.detail == status.detail
+    driving.until(lambda: abs(driving.truth.v) < 0.01, 1.0)
+    driving.stands_for(1.0)
+    mended(driving)
+    driving.lockstep.run(1.0)
+    if reason in LATCHED:
+        assert driving.guard.reason == reason
+        driving.stands_for(0.5)
+        driving.stop(False)
+    driving.until(lambda: driving.newest["base/status"].fault == "", 0.5)
+    driving.stands_for(0.3)
+    driving.go(5.0)
+    driving.until(driving.reached, 40.0)
+    assert driving.truth.n_contacts == 0
+    assert driving.newest["base/status"].fault == ""
