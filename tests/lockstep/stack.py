@@ -20,7 +20,19 @@ STACK = ("sim", "base_driver", "odometry", "mapper", "planner", "local_ctrl", "g
 DRIVERS = {"board": "base_driver", "laser": "lidar_driver"}
 """Who speaks with which of the simulated robot's ports."""
 MS = 1_000_000
-KEPT = (topics.BASE, topics.WHEELS, topics.BOARD_IS, topics.TRUTH, topics.GUARD, topics.MOTORS, topics.NAV, topics.CMD_VEL, topics.ODOM, topics.SCAN, topics.POSE)
+KEPT = (
+    topics.BASE,
+    topics.WHEELS,
+    topics.BOARD_IS,
+    topics.TRUTH,
+    topics.GUARD,
+    topics.MOTORS,
+    topics.NAV,
+    topics.CMD_VEL,
+    topics.ODOM,
+    topics.SCAN,
+    topics.POSE,
+)
 OLDEST = {"odom": 250, "scan": 100 + 350, "cmd/vel": 250}
 """ms after its stamp that each input may still move the robot; a scan's stamp is its first beam's, 100 ms earlier."""
 HALL = """

@@ -4,7 +4,8 @@
 import numpy as np
 import pytest
 
-from shared import requests, topics
+from services.sim.dynamics import LEFT_ANGLE, RIGHT_ANGLE
+from shared import requests
 from shared.messages import GuardState
 from shared.requests import Break
 from tests.lockstep.stack import MS, Stack
@@ -27,6 +28,34 @@ STOPS = {
 """Fault, what the base says of it, and how its words begin."""
 
 LATCHED = ("wheel_stuck", "wheel_astray")
+
+
+def wheels_agree(stack: Stack) -> None:
+    """What the driver counts is what the wheels have turned, but for the encoders' steps."""
+    told, true = stack.newest["base/wheels"], stack.lockstep.service("sim").state_now[LEFT_ANGLE : RIGHT_ANGLE + 1]
+    step = 2 * np.pi / stack.file.robot.drive.counts_per_turn
+    assert abs(told.left - true[0]) <= step
+    assert abs(told.right - true[1]) <= step
+
+
+@pytest.mark.parametrize("hardware", [EMULATED, ()], ids=["bytes", "messages"])
+def test_the_robot_reaches_its_goal_and_its_wheels_are_counted_right(tmp_path, hardware):
+    stack = Stack(tmp_path, settings=hardware)
+    stack.go(6.5, 0.5)
+    stack.until(stack.reached, 30.0)
+    stack.lockstep.run(1.0)
+    assert stack.truth.n_contacts == 0
+    assert stack.truth.distance > 5.5
+    wheels_agree(stack)
+    if hardware:
+        status = stack.newest["base/board"]
+        assert (status.bad_crc, status.resyncs, status.skipped) == (0, 0, 0)
+        assert status.rate == pytest.approx(50, abs=2)
+        emulated = stack.lockstep.service("sim").emulation.board
+        assert {channel: (g.kp, g.kd, g.ki) for channel, g in emulated.gains.items()} == dict.fromkeys(
+            (0, 1), (15, 0, 0)
+        )
+        assert emulated.n_acknowledged >= 5
 
 
 @pytest.fixture
@@ -73,3 +102,38 @@ def test_a_broken_board_stops_the_robot_in_300_ms_says_why_and_drives_on_when_it
     driving.until(driving.reached, 40.0)
     assert driving.truth.n_contacts == 0
     assert driving.newest["base/status"].fault == ""
+
+
+def test_a_fault_of_a_moment_stops_nothing(driving):
+    for fault in ("garbage", "half_packets", "bad_crc", "stalled"):
+        breaks(driving, fault, seconds=0.1)
+        driving.lockstep.run(0.3)
+        assert driving.newest["base/status"].fault == ""
+    driving.until(driving.reached, 30.0)
+    assert driving.newest["base/board"].bad_crc > 0
+    assert driving.newest["base/board"].resyncs > 0
+    wheels_agree(driving)
+
+
+def test_when_the_driver_dies_the_board_s_time_limit_stops_the_wheels_and_a_new_one_drives(driving):
+    driving.lockstep.kill("base_driver")
+    driving.until(lambda: abs(driving.truth.v) < 0.02, 1.2)  # 0.2 s of limit, then the wheels roll out
+    driving.lockstep.run(1.0)
+    driving.start("base_driver")
+    driving.until(driving.ended, 40.0)
+    assert driving.truth.n_contacts == 0
+
+
+def test_the_same_seed_and_faults_give_the_same_bytes(tmp_path):
+    def run() -> list[bytes]:
+        said: list[bytes] = []
+        stack = Stack(tmp_path, settings=EMULATED)
+        for key in ("port/tx/sim", "port/tx/base_driver"):
+            stack.lockstep.watch(key, lambda message: said.append(message.data))
+        stack.go(3.0)
+        stack.lockstep.run(1.0)
+        breaks(stack, "garbage", seconds=0.3)
+        stack.lockstep.run(1.0)
+        return said
+
+    assert run() == run()

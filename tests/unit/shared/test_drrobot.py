@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The board's framing against its published examples, and against whatever may come over a line."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -28,7 +30,7 @@ noise = st.binary(max_size=400) | st.lists(
 
 def pieces(data, cuts):
     at = sorted({min(cut, len(data)) for cut in cuts} | {0, len(data)})
-    return [data[a:b] for a, b in zip(at, at[1:])]
+    return [data[a:b] for a, b in pairwise(at)]
 
 
 def crc_bit_by_bit(data):

@@ -13,7 +13,7 @@ from services.base_driver.kinematics import wheel_speeds
 from shared.config import load_robot
 
 RADIUS = 0.1
-DATA = os.environ.get("ZENAV_DATA")
+DATA = os.environ.get("ZENAV_DATA")  # noqa: TID251  # where recordings are, for tests alone
 needs_data = pytest.mark.skipif(DATA is None, reason="ZENAV_DATA is not set: the folder of recordings")
 
 

@@ -72,7 +72,9 @@ def test_an_infrared_sensor_that_sees_nothing_reads_nothing(metres, read):
 def test_motor_packets_come_with_each_report_the_others_at_their_rates():
     board = emulator()
     sent = [word for k in range(100) for word in words(board.reported(report(), T0 + k * 20 * MS))]
-    counts = {kind: sum(isinstance(word, kind) for word in sent) for kind in (MotorSensor, StandardSensor, CustomSensor)}
+    counts = {
+        kind: sum(isinstance(word, kind) for word in sent) for kind in (MotorSensor, StandardSensor, CustomSensor)
+    }
     assert counts == {MotorSensor: 100, StandardSensor: 20, CustomSensor: 20}
     assert [word.code for word in sent if isinstance(word, System)] == [0, 0]
 
