@@ -98,6 +98,23 @@ class MotorCommand(Message):
     right: Annotated[float, Unit("counts/s"), Within(-1e6, 1e6)]
 
 
+@dataclass(frozen=True, slots=True)
+class SerialData(Message):
+    """Bytes of one of a service's ports, in their order. `stamp`: when they were read, or ordered to be written."""
+
+    port: Text
+    data: Annotated[bytes, Unit("bytes")]
+
+
+@dataclass(frozen=True, slots=True)
+class PortState(Message):
+    """Whether a service's port is open; where it is not, `detail` says why and what mends it."""
+
+    port: Text
+    open: Flag
+    detail: Text
+
+
 # --- base -----------------------------------------------------------------------------------------------------------
 
 

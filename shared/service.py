@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A service is an object with handlers; a runner calls it. Four kinds of event enter: message, tick, job done, request.
+"""A service is an object with handlers; a runner calls it. Four kinds of event enter: message, tick, job done, request;
+and a farewell at the end.
 
     class OdometryService(Service):
         config_type = OdometryConfig
@@ -26,6 +27,7 @@ from typing import Any, ClassVar, TypeVar
 
 from shared.config import Robot, Section
 from shared.messages import Message
+from shared.ports import PortConfig
 from shared.requests import Request
 from shared.topics import Publication, Topic
 
@@ -72,6 +74,15 @@ class Service:
 
     def warm(self) -> None:
         """Compile and touch everything that the first events need; changes no state. Called before the first event."""
+
+    @property
+    def ports(self) -> dict[str, PortConfig]:
+        """Its ports by name. It hears them on topics.RX and topics.PORT and speaks to them on topics.TX."""
+        return {}
+
+    def farewell(self) -> Out:
+        """The last words, when the process is asked to end: an event like the others."""
+        return ()
 
     def state(self) -> str:
         """A few words for the health message: what the service is doing."""

@@ -46,6 +46,8 @@ class Topic(Generic[M]):
     latched: a late joiner gets the last value at once (the merged one, where the message says how); a publisher that
         listens to its own latched topic gets, after a restart, what it published last, and nothing else.
     people: has no reader among the services, on purpose.
+    RX and PORT are what a service's own ports say (shared/ports.py): its runner publishes them and gives them to it,
+    and to nobody else; TX and PLUG are what it says to them.
     """
 
     key: str
@@ -69,6 +71,10 @@ class Topic(Generic[M]):
 # fmt: off
 BOARD    = Topic("hardware/board",  m.BoardReport,   by="sim",                    hz=50, keep="all",    within=0.002)
 MOTORS   = Topic("hardware/motors", m.MotorCommand,  by="base_driver",            hz=50, keep="latest", within=0.002)
+RX       = Topic("port/rx",         m.SerialData,    by="*",                      hz=0,  keep="all",    within=0.001, people=True)
+TX       = Topic("port/tx",         m.SerialData,    by="*",                      hz=0,  keep="all",    within=0.001, people=True)
+PORT     = Topic("port/state",      m.PortState,     by="*",                      hz=0,  keep="all",    within=0.001, people=True)
+PLUG     = Topic("port/plug",       m.PortState,     by="*",                      hz=0,  keep="all",    within=0.001, people=True)
 WHEELS   = Topic("base/wheels",     m.WheelState,    by="base_driver",            hz=50, keep="all",    within=0.002)
 RANGES   = Topic("base/ranges",     m.RangeReadings, by="base_driver",            hz=10, keep="latest", within=0.003)
 BASE     = Topic("base/status",     m.BaseStatus,    by="base_driver",            hz=2,  keep="latest", within=0.010, latched=True)
@@ -103,4 +109,4 @@ def key_of(topic: Topic[M], publisher: str) -> str:
 
 def topic_of(key: str) -> "Topic[m.Message] | None":
     """The registry's row for a key without the robot's name, or None."""
-    return BY_KEY.get(key) or BY_KEY.get(key.partition("/")[0] if key.count("/") == 1 else key)
+    return BY_KEY.get(key) or BY_KEY.get(key.rpartition("/")[0])

@@ -99,7 +99,7 @@ def edges() -> set[tuple[str, str]]:
         for reader in BUILT
         for topic, _ in handlers(service_class(reader)).topics.values()
         for publisher in topic.publishers
-        if publisher in BUILT and publisher != reader
+        if publisher in BUILT and publisher != reader and topic.by != "*"  # a family is for people, or a service's own
     }
 
 

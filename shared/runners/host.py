@@ -8,6 +8,9 @@ named by a small number, anew in each journal message, so that each can be read 
     [2, now, job]                a job's result  [3, now, key, bytes]   a request, as its bytes
     [4, source, key, session]    names a source
     [5, now, source, sequence]   a latched value, to a late joiner: all that the source sent up to there, merged
+    [6, now]                     the farewell
+
+What a service's ports say is published for the recorder, in a session of its own: a replay takes it as recorded.
 """
 
 from collections.abc import Iterator
@@ -23,7 +26,7 @@ from shared.requests import REQUESTS, Request
 from shared.service import Job, Log, Out, Service, handlers, outputs
 from shared.topics import Publication, Topic, key_of
 
-MESSAGE, TICK, DONE, REQUEST, SOURCE, LATCHED = range(6)
+MESSAGE, TICK, DONE, REQUEST, SOURCE, LATCHED, FAREWELL = range(7)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,15 +97,30 @@ class Host:
             except StopIteration as end:
                 return effects, end.value
 
+    def farewell(self, now: int) -> list[Effect]:
+        """The process is asked to end."""
+        self._note((FAREWELL, now), now)
+        return self._effects(self.service.farewell())
+
+    def from_port(self, publication: Publication, now: int) -> list[Effect]:
+        """One of the service's ports spoke (topics.RX, topics.PORT): that, and what the service makes of it."""
+        sent = self._sent(publication, f"{self.session}-port", now)
+        if sent.topic.key not in self.handlers.topics:
+            return [sent]
+        return [sent, *self.message(sent.key, sent.message, sent.envelope, now)]
+
     def publish(self, publication: Publication, now: int) -> Sent:
         """Encodes a publication under this service's name: for the handlers' own, and for the runner's health."""
+        return self._sent(publication, self.session, now)
+
+    def _sent(self, publication: Publication, session: str, now: int) -> Sent:
         topic = publication.topic
         if self.name not in topic.publishers:
             raise TypeError(f"{self.name} may not publish {topic.key}: the registry says by={topic.by!r}")
         key = key_of(topic, self.name)
         sequence = self._sequences.get(key, 0)
         self._sequences[key] = sequence + 1
-        envelope = Envelope(self.name, self.session, sequence, now)
+        envelope = Envelope(self.name, session, sequence, now)
         return Sent(topic, key, publication.message, envelope, encode(publication.message, envelope))
 
     def journal(self, now: int) -> Sent | None:

@@ -8,7 +8,7 @@ from typing import Any
 import msgpack
 
 from shared.messages import Journal
-from shared.runners.host import DONE, LATCHED, MESSAGE, REQUEST, SOURCE, TICK
+from shared.runners.host import DONE, FAREWELL, LATCHED, MESSAGE, REQUEST, SOURCE, TICK
 
 HOLE = -1
 """The kind of an event that stands for journal entries that were lost: `number` of them."""
@@ -70,4 +70,6 @@ def _event(entry: Any, sources: dict[int, tuple[str, str]]) -> Event | None:
     if kind == REQUEST:
         _, now, key, payload = entry
         return Event(kind, int(now), key=str(key), payload=bytes(payload))
+    if kind == FAREWELL:
+        return Event(kind, int(entry[1]))
     raise ValueError(f"unknown event {kind!r}")

@@ -25,7 +25,7 @@ import zenoh
 from shared import reasons, topics
 from shared.codec import CodecError, Envelope, decode, encode, envelope_of
 from shared.config import UserError, configured
-from shared.messages import LogLine, Message
+from shared.messages import LogLine, Message, PortState, SerialData
 from shared.reasons import Reason
 from shared.requests import Request
 from shared.runners import transport
@@ -34,6 +34,7 @@ from shared.runners.clock import SECOND, Clock, clock_from
 from shared.runners.host import Effect, Host, JobOrder, Sent, merged
 from shared.runners.inbox import Inbox, Place
 from shared.runners.memory import REMEMBERED, Memory
+from shared.runners.port import Port
 from shared.runners.traffic import Traffic
 from shared.service import Service
 from shared.topics import TOPICS, Topic, key_of
@@ -67,12 +68,18 @@ class Live:
         self._results = self.inbox.place("jobs", "all")
         self._admissions: dict[str, Admission] = {}
         self._latched_readers: dict[str, transport.LatchedReader] = {}
-        self._places: list[Place] = [self._requests]
+        self._from_ports = self.inbox.place("ports", "all")
+        self._places: list[Place] = [self._requests, self._from_ports]
         self._workers = ThreadPoolExecutor(1, thread_name_prefix="job")
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._latched: dict[str, transport.LatchedPublisher] = {}
         self._kept: dict[str, Message] = {}
         self._unsaved: dict[str, Callable[[], bytes]] = {}
+        self._ports = {
+            port: Port(port, config, clock, partial(self.inbox.file, self._from_ports))
+            for port, config in service.ports.items()
+            if config.device or config.serial_number
+        }
         self._declared: list[Any] = []
         self._declare()
 
@@ -88,6 +95,8 @@ class Live:
         due = [now for _ in periods]
         report = now
         self._restore(now)
+        for port in self._ports.values():
+            port.start()
         while not self._stopping:
             now = self.clock.now()
             if now >= report:
@@ -105,6 +114,9 @@ class Live:
             if item is not None:
                 self._handle(*item)
         self._workers.shutdown(wait=False, cancel_futures=True)
+        self._apply([effect for effect in self.host.farewell(self.clock.now()) if isinstance(effect, Sent)])
+        for port in self._ports.values():
+            port.close()
         journal = self.host.journal(self.clock.now())
         if journal is not None:
             self._publish(journal)
@@ -195,6 +207,8 @@ class Live:
         elif place is self._results:
             order, future = item
             self._apply(self.host.done(order, future.result(), now))
+        elif place is self._from_ports:
+            self._apply(self.host.from_port(item, now))
         elif place.key == "**":
             full_key, payload = item
             self._raw(full_key, payload, now)
@@ -268,6 +282,14 @@ class Live:
         if sent.topic is topics.LOG:
             line = cast(LogLine, sent.message)
             log.log(logging.getLevelNamesMapping().get(line.level, logging.INFO), line.text)
+        elif sent.topic is topics.TX:
+            data = cast(SerialData, sent.message)
+            if data.port in self._ports:
+                self._ports[data.port].write(data.data)
+        elif sent.topic is topics.PLUG:
+            order = cast(PortState, sent.message)
+            if order.port in self._ports:
+                self._ports[order.port].plug(order.open)
         if sent.topic.latched:
             before = self._kept.get(sent.key)
             whole = self._kept[sent.key] = merged(before, sent.message)

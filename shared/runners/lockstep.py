@@ -7,10 +7,12 @@ result comes `job.takes` after the job could start. Faults are injected at virtu
 
 import heapq
 from collections.abc import Callable
-from typing import Any, TypeVar
+from dataclasses import replace
+from typing import Any, TypeVar, cast
 
+from shared import topics
 from shared.codec import Envelope, decode, encode
-from shared.messages import Message, Stamp
+from shared.messages import Message, PortState, SerialData, Stamp
 from shared.requests import Request
 from shared.runners.host import Effect, Host, JobOrder, Sent, merged
 from shared.service import Service
@@ -25,12 +27,19 @@ START: Stamp = 1_000_000_000_000_000_000
 Sink = Callable[[Sent], None]
 Filter = Callable[[Sent, str], float | None]
 """(publication, subscriber's name) -> extra delay in s, or None to lose it."""
+Port = tuple[str, str]
+"""(service, its port's name)"""
 
 
 class Lockstep:
-    """Runs services on the virtual clock. `record` sees every publication, in order."""
+    """Runs services on the virtual clock. `record` sees every publication, in order.
 
-    def __init__(self, services: dict[str, Service], record: Sink | None = None) -> None:
+    wires: pairs of ports; what a service says to one end comes out of the other, `topics.RX.within` later.
+    """
+
+    def __init__(
+        self, services: dict[str, Service], record: Sink | None = None, wires: tuple[tuple[Port, Port], ...] = ()
+    ) -> None:
         self.now: int = START
         self.filters: list[Filter] = []
         self.latched: dict[str, Sent] = {}
@@ -42,6 +51,8 @@ class Lockstep:
         self._heap: list[tuple[int, int, Callable[[], None]]] = []
         self._cause = 0
         self._operator: dict[str, int] = {}
+        self._wires = {end: other for a, b in wires for end, other in ((a, b), (b, a))}
+        self._unplugged: set[Port] = set()
         for name in sorted(services, key=SERVICES.index):
             self.start(name, services[name])
 
@@ -62,6 +73,9 @@ class Lockstep:
         for sent in before:
             if sent.envelope.publisher != name:
                 self._deliver(sent, name, latched=True)
+        for end in self._wires:
+            if end[0] == name and not {end, self._wires[end]} & self._unplugged:
+                self._from_port(end, topics.PORT(PortState(self.now, end[1], True, "")))
 
     def kill(self, name: str) -> None:
         """The service is gone: nothing that it ordered or waits for happens any more."""
@@ -173,9 +187,37 @@ class Lockstep:
             self.latched[sent.key] = Sent(sent.topic, sent.key, whole, sent.envelope, b"")
         for watcher in self._watchers.get(sent.key, ()):
             watcher(message)
+        if sent.topic is topics.TX or sent.topic is topics.PLUG:
+            self._to_port(sent.envelope.publisher, cast("SerialData | PortState", message))
+        if sent.topic.by == "*":
+            return  # for people, or for the service's own ports
         for name in self._hosts:
             if name != sent.envelope.publisher:
                 self._deliver(sent, name)
+
+    def _to_port(self, name: str, message: SerialData | PortState) -> None:
+        """Through the wire, where the port has one."""
+        end = name, message.port
+        other = self._wires.get(end)
+        if other is None:
+            return
+        if isinstance(message, PortState):
+            (self._unplugged.discard if message.open else self._unplugged.add)(end)
+            detail = "" if message.open else "unplugged"
+            self._from_port(other, topics.PORT(PortState(self.now, other[1], message.open, detail)))
+        elif not {end, other} & self._unplugged:
+            self._from_port(other, topics.RX(SerialData(self.now, other[1], message.data)))
+
+    def _from_port(self, end: Port, publication: Publication) -> None:
+        name, life = end[0], self._lives.get(end[0], 0)
+
+        def arrive() -> None:
+            host = self._alive(name, life)
+            if host is not None:
+                message = replace(publication.message, stamp=self.now)
+                self._take(host, host.from_port(Publication(publication.topic, message), self.now))
+
+        self._push(self.now + round(publication.topic.within * 1e9), arrive)
 
     def _deliver(self, sent: Sent, name: str, latched: bool = False) -> None:
         host, life = self._hosts[name], self._lives[name]

@@ -14,7 +14,20 @@ from shared.codec import CodecError, Envelope, decode, envelope_of
 from shared.config import UserError, nearest
 from shared.messages import Message
 from shared.recording import Recording
-from shared.runners.host import DONE, LATCHED, MESSAGE, REQUEST, TICK, Effect, Host, JobOrder, Sent, merged, request_of
+from shared.runners.host import (
+    DONE,
+    FAREWELL,
+    LATCHED,
+    MESSAGE,
+    REQUEST,
+    TICK,
+    Effect,
+    Host,
+    JobOrder,
+    Sent,
+    merged,
+    request_of,
+)
 from shared.runners.journal import HOLE, Event, Life
 from shared.runners.lockstep import Lockstep
 from shared.service import Service, handlers
@@ -249,6 +262,8 @@ class _Run:
             self._apply(host.done(order, result, event.now))
         elif event.kind == DONE:
             self._gap(f"job {event.number} is done but was not ordered")
+        elif event.kind == FAREWELL:
+            self._apply(host.farewell(event.now))
         elif event.kind == HOLE:
             self._gap(f"{event.number} entries of the journal are missing")
 

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ports of a live service: one thread reads, one writes; a device that went away is looked for until it is back.
+
+Nothing here knows what the bytes mean, and nothing blocks the service: what could not be written within LIFE is thrown
+away, because an old command must not reach a robot.
+"""
+
+import errno
+import os
+import pty
+import select
+import socket
+import termios
+import threading
+import time
+import tty
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Protocol
+
+import serial
+from serial.tools import list_ports
+
+from shared import topics
+from shared.messages import PortState, SerialData
+from shared.ports import PortConfig
+from shared.runners.clock import Clock
+from shared.topics import Publication
+
+LIFE = 0.1  # s from an order to write until it is void
+AGAIN = 0.25  # s between two tries to open
+PATIENCE = 0.1  # s that a read waits, so that closing is noticed
+CHUNK = 4096  # bytes read at once, at most
+
+
+class Line(Protocol):
+    """An open device."""
+
+    def read(self) -> bytes:
+        """What arrived, waiting at most PATIENCE s for the first byte. Raises OSError when the device is gone."""
+
+    def write(self, data: bytes) -> None:
+        """Writes all, or nothing more after LIFE s. Raises OSError when the device is gone."""
+
+    def close(self) -> None: ...
+
+
+class Port:
+    """One port of a service. `tell` files topics.RX and topics.PORT for the service's loop."""
+
+    def __init__(self, name: str, config: PortConfig, clock: Clock, tell: Callable[[Publication], object]) -> None:
+        self.name, self.config, self._clock, self._tell = name, config, clock, tell
+        self._line: Line | None = None
+        self._waiting: deque[tuple[float, bytes]] = deque()
+        self._changed = threading.Condition()
+        self._plugged, self._closing = True, False
+        self._told: tuple[bool, str] | None = None
+        self._threads = [
+            threading.Thread(target=work, name=f"{name} {work.__name__.strip('_')}", daemon=True)
+            for work in (self._read, self._write)
+        ]
+
+    def start(self) -> None:
+        for thread in self._threads:
+            thread.start()
+
+    def write(self, data: bytes) -> None:
+        """Writes soon, in order; thrown away where the device is not there, or does not take it in time."""
+        with self._changed:
+            self._waiting.append((time.monotonic() + LIFE, data))
+            self._changed.notify_all()
+
+    def plug(self, plugged: bool) -> None:
+        """Takes the device away, or brings it back: what an emulator does to its pseudo-terminal."""
+        with self._changed:
+            self._plugged = plugged
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Writes what waits, then closes."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join(LIFE + PATIENCE + 1)
+
+    def _read(self) -> None:
+        while not self._closing:
+            if not self._plugged:
+                self._say(False, "unplugged")
+                self._pause()
+                continue
+            try:
+                line = opened(self.config)
+            except OSError as error:
+                self._say(False, trouble(self.config, error))
+                self._pause()
+                continue
+            with self._changed:
+                self._waiting.clear()
+                self._line = line
+            self._say(True, "")
+            try:
+                while self._wanted():
+                    data = line.read()
+                    if data:
+                        self._tell(topics.RX(SerialData(self._clock.now(), self.name, data)))
+            except OSError as error:
+                self._say(False, trouble(self.config, error))
+            finally:
+                with self._changed:
+                    self._line = None
+                line.close()
+
+    def _wanted(self) -> bool:
+        """Whether the device stays open: until the last order is written."""
+        return self._plugged and (not self._closing or self._threads[1].is_alive())
+
+    def _write(self) -> None:
+        while True:
+            with self._changed:
+                while not self._waiting:
+                    if self._closing:
+                        return
+                    self._changed.wait(PATIENCE)
+                until, data = self._waiting.popleft()
+                line = self._line
+            if line is not None and time.monotonic() < until:
+                with suppress(OSError):  # the reader finds out too, and opens anew
+                    line.write(data)
+
+    def _pause(self) -> None:
+        with self._changed:
+            if not self._closing:
+                self._changed.wait(AGAIN)
+
+    def _say(self, open_: bool, detail: str) -> None:
+        if self._told != (open_, detail):
+            self._told = open_, detail
+            self._tell(topics.PORT(PortState(self._clock.now(), self.name, open_, detail)))
+
+
+# --- devices --------------------------------------------------------------------------------------------------------
+
+
+def opened(config: PortConfig) -> Line:
+    """The device of a configuration, open. Raises OSError (serial.SerialException is one)."""
+    device = found(config)
+    if device.startswith("pty:"):
+        return PseudoTerminal(Path(device.removeprefix("pty:")))
+    if device.startswith("udp://"):
+        host, _, port = device.removeprefix("udp://").rpartition(":")
+        return Datagrams(host, int(port)) if port.isdecimal() else _refuse(f"{device!r} is no udp://HOST:PORT")
+    return SerialLine(device, config.baud)
+
+
+def found(config: PortConfig) -> str:
+    """The device's name today: by its USB serial number where that is given."""
+    if not config.serial_number:
+        return config.device
+    for candidate in list_ports.comports():
+        if candidate.serial_number == config.serial_number:
+            return str(candidate.device)
+    raise FileNotFoundError(errno.ENOENT, f"no USB adapter with serial number {config.serial_number}")
+
+
+class SerialLine:
+    """A serial device, or a terminal server (`socket://`), by pyserial."""
+
+    def __init__(self, device: str, baud: int) -> None:
+        try:
+            self._port = serial.serial_for_url(device, baud, timeout=PATIENCE, write_timeout=LIFE, exclusive=True)
+        except ValueError as error:
+            _refuse(str(error))
+
+    def read(self) -> bytes:
+        first: bytes = self._port.read(1)
+        return first + self._port.read(min(self._port.in_waiting, CHUNK)) if first else b""
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._port.write(data)
+        except serial.SerialTimeoutException:
+            self._port.reset_output_buffer()  # the line stalls: an old command must not come out later
+
+    def close(self) -> None:
+        with suppress(OSError, termios.error):
+            self._port.close()
+
+
+class Datagrams:
+    """A board behind UDP: what comes from its address."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.settimeout(PATIENCE)
+        self._socket.connect((host, port))
+
+    def read(self) -> bytes:
+        try:
+            return self._socket.recv(65536)
+        except (TimeoutError, ConnectionRefusedError):
+            return b""  # nobody there yet
+
+    def write(self, data: bytes) -> None:
+        with suppress(ConnectionRefusedError):
+            self._socket.send(data)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class PseudoTerminal:
+    """The far end of a serial line of our own: others open `link` as their device."""
+
+    def __init__(self, link: Path) -> None:
+        self._link = link
+        self._master, self._slave = pty.openpty()  # our own slave end keeps it alive while nobody else has it open
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        with suppress(FileNotFoundError):
+            link.unlink()
+        link.symlink_to(os.ttyname(self._slave))
+
+    def read(self) -> bytes:
+        ready, _, _ = select.select([self._master], [], [], PATIENCE)
+        return os.read(self._master, CHUNK) if ready else b""
+
+    def write(self, data: bytes) -> None:
+        with suppress(BlockingIOError):  # nobody reads: as on a real line, it is lost
+            os.write(self._master, data)
+
+    def close(self) -> None:
+        with suppress(OSError):
+            self._link.unlink()
+        os.close(self._master)
+        os.close(self._slave)
+
+
+# --- what is wrong --------------------------------------------------------------------------------------------------
+
+
+def trouble(config: PortConfig, error: OSError) -> str:
+    """Why a port cannot be used and what mends it, in one line."""
+    device = config.device or f"the adapter {config.serial_number}"
+    number = error.errno if error.errno is not None else _number_in(error)
+    if number == errno.ENOENT:
+        return f"{device} is not there: plug it in, or name another device"
+    if number == errno.EACCES:
+        return f"no permission for {device}: sudo usermod -aG dialout $USER, then log in again"
+    if number in (errno.EBUSY, errno.EAGAIN):
+        return f"{device} is in use{_by_whom(config.device)}: end that, or name another device"
+    if number in (errno.EIO, errno.ENXIO, errno.ENODEV, errno.EBADF) or "disconnected" in str(error):
+        return f"{device} went away: plug it in again"
+    return f"{device}: {error.strerror or error}"
+
+
+def _number_in(error: OSError) -> int:
+    """pyserial tells errors of a lock only as text."""
+    return errno.EBUSY if "exclusively lock" in str(error) else 0
+
+
+def _by_whom(device: str) -> str:
+    """` by NAME (PID)`, of the process that has the device open, where that can be seen."""
+    target = os.path.realpath(device)
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        with suppress(OSError):
+            if os.readlink(link) == target and link.parts[2] != str(os.getpid()):
+                return f" by {(link.parent.parent / 'comm').read_text().strip()} ({link.parts[2]})"
+    return ""
+
+
+def _refuse(what: str) -> "Line":
+    raise OSError(errno.EINVAL, what)

@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ports on real pseudo-terminals and sockets: bytes pass in order, devices come back, errors say the mend."""
+
+import errno
+import os
+import pty
+import queue
+import socket
+import threading
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from shared.messages import PortState, SerialData
+from shared.ports import PortConfig
+from shared.runners import port as ports
+from shared.runners.clock import Clock
+from shared.runners.port import Port, opened, trouble
+
+SOON = 10.0  # s that a busy machine may take
+
+
+class Heard:
+    """What a port told, one by one."""
+
+    def __init__(self) -> None:
+        self.messages: queue.Queue[SerialData | PortState] = queue.Queue()
+        self.file = lambda publication: self.messages.put(publication.message)
+
+    def state(self) -> PortState:
+        """The next state, whatever bytes come before it."""
+        while True:
+            message = self.messages.get(timeout=SOON)
+            if isinstance(message, PortState):
+                return message
+
+    def data(self, n: int) -> bytes:
+        """The next n bytes."""
+        data = b""
+        while len(data) < n:
+            message = self.messages.get(timeout=SOON)
+            assert isinstance(message, SerialData)
+            data += message.data
+        return data
+
+
+@contextmanager
+def running(device: str, serial_number: str = "") -> Iterator[tuple[Port, Heard]]:
+    heard = Heard()
+    port = Port("board", PortConfig(device=device, serial_number=serial_number), Clock(), heard.file)
+    port.start()
+    try:
+        yield port, heard
+    finally:
+        port.close()
+
+
+def test_bytes_pass_both_ways_in_order_and_unchanged(tmp_path):
+    every_byte = bytes(range(256)) * 3
+    with running(f"pty:{tmp_path}/robot") as (far, at_far):
+        assert at_far.state().open
+        with running(f"{tmp_path}/robot") as (near, at_near):
+            assert at_near.state().open
+            far.write(every_byte)
+            assert at_near.data(len(every_byte)) == every_byte
+            near.write(every_byte)
+            assert at_far.data(len(every_byte)) == every_byte
+
+
+def test_what_was_ordered_before_closing_is_still_written(tmp_path):
+    with running(f"pty:{tmp_path}/robot") as (_, at_far):
+        assert at_far.state().open
+        with running(f"{tmp_path}/robot") as (near, at_near):
+            assert at_near.state().open
+            near.write(b"motors off")
+        assert at_far.data(10) == b"motors off"
+
+
+def test_an_unplugged_adapter_is_named_and_found_again(tmp_path):
+    with running(f"pty:{tmp_path}/robot") as (far, at_far), running(f"{tmp_path}/robot") as (near, at_near):
+        while not at_near.state().open:
+            pass
+        far.plug(False)
+        gone = at_near.state()
+        assert not gone.open
+        assert "plug it in" in gone.detail
+        near.write(b"an old command")  # nobody must ever get it
+        assert at_far.state().open
+        assert not at_far.state().open
+        far.plug(True)
+        assert at_far.state().open
+        while not at_near.state().open:
+            pass
+        near.write(b"new")
+        assert at_far.data(3) == b"new"
+
+
+def test_an_adapter_is_found_by_its_serial_number_under_another_name(tmp_path, monkeypatch):
+    candidates = [SimpleNamespace(serial_number="7", device=f"{tmp_path}/one")]
+    monkeypatch.setattr(ports.list_ports, "comports", lambda: candidates)
+    with running(f"pty:{tmp_path}/one") as (far, _), running("", "7") as (_, at_near):
+        while not at_near.state().open:
+            pass
+        far.plug(False)
+        assert not at_near.state().open
+        candidates[:] = [SimpleNamespace(serial_number="7", device=f"{tmp_path}/two")]
+        with running(f"pty:{tmp_path}/two") as (other, _):
+            while not at_near.state().open:
+                pass
+            other.write(b"here")
+            assert at_near.data(4) == b"here"
+
+
+def test_a_line_that_nobody_reads_holds_up_neither_the_service_nor_later_bytes(tmp_path):
+    master, slave = pty.openpty()  # a real line whose far end stalls
+    tty.setraw(slave)
+    with running(os.ttyname(slave)) as (near, at_near):
+        assert at_near.state().open
+        for _ in range(300):
+            near.write(bytes(1000))  # far more than any buffer: must return at once
+        assert threading.active_count() < 20
+        os.write(master, b"still heard")
+        assert at_near.data(11) == b"still heard"
+    os.close(slave)
+    os.close(master)
+
+
+def test_a_device_that_is_not_there_is_named_with_the_mend(tmp_path):
+    with running(f"{tmp_path}/nothing") as (_, heard):
+        state = heard.state()
+    assert not state.open
+    assert state.detail == f"{tmp_path}/nothing is not there: plug it in, or name another device"
+
+
+def test_a_device_in_use_names_who_holds_it(tmp_path):
+    with running(f"pty:{tmp_path}/robot") as (_, at_far):
+        assert at_far.state().open
+        config = PortConfig(device=f"{tmp_path}/robot")
+        holder = opened(config)
+        with pytest.raises(OSError) as refused:
+            opened(config)
+        assert "is in use" in trouble(config, refused.value)
+        holder.close()
+
+
+@pytest.mark.parametrize(
+    ("number", "mend"), [(errno.EACCES, "usermod -aG dialout"), (errno.EIO, "plug it in again"), (errno.ENOSPC, "left")]
+)
+def test_each_error_of_a_device_is_one_line(number, mend):
+    text = trouble(PortConfig(device="/dev/ttyUSB0"), OSError(number, os.strerror(number)))
+    assert mend in text
+    assert "/dev/ttyUSB0" in text
+    assert "\n" not in text
+
+
+@pytest.mark.parametrize("device", ["udp://nowhere", "gopher://x", "socket://nobody"])
+def test_a_device_that_is_no_address_is_an_error_that_names_it(device):
+    config = PortConfig(device=device)
+    with pytest.raises(OSError) as refused:
+        opened(config)
+    assert device.partition("/")[0].rstrip(":") in trouble(config, refused.value)
+
+
+def test_a_board_behind_udp_speaks_too():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
+        board.bind(("127.0.0.1", 0))
+        with running(f"udp://127.0.0.1:{board.getsockname()[1]}") as (port, heard):
+            assert heard.state().open
+            port.write(b"ping")
+            data, address = board.recvfrom(100)
+            assert data == b"ping"
+            board.sendto(b"pong", address)
+            assert heard.data(4) == b"pong"
+
+
+def test_a_board_behind_a_terminal_server_speaks_too():
+    server = socket.create_server(("127.0.0.1", 0))
+    with server, running(f"socket://127.0.0.1:{server.getsockname()[1]}") as (port, heard):
+        connection, _ = server.accept()
+        assert heard.state().open
+        port.write(b"ping")
+        assert connection.recv(100) == b"ping"
+        connection.sendall(b"pong")
+        assert heard.data(4) == b"pong"
+        connection.close()
+        assert not heard.state().open
+
+
+def test_a_link_left_behind_by_a_killed_emulator_is_replaced(tmp_path):
+    (tmp_path / "robot").symlink_to("/dev/pts/nothing")
+    with running(f"pty:{tmp_path}/robot") as (_, heard):
+        assert heard.state().open
+        assert Path(f"{tmp_path}/robot").resolve().exists()
+    assert not Path(f"{tmp_path}/robot").is_symlink()
