@@ -47,12 +47,16 @@ class Device(Protocol):
 
     clockwise: how it turns, seen from its top.  speed: turns/s as it tells or as it is set; 0 stopped, None unknown.
     trouble: what it says is wrong with it, for people; empty when nothing is.  scanning: its start sequence is through.
+    met: where it tells its clock on request: s on that, and between which two times of the stack's (ns) it was so.
     """
 
     clockwise: bool
     counts: Counts
     speed: float | None
     trouble: str
+
+    @property
+    def met(self) -> tuple[float, int, int] | None: ...
 
     @property
     def scanning(self) -> bool: ...
@@ -70,11 +74,11 @@ class Device(Protocol):
         """What stops it."""
 
 
-def since(ticks: Int64s, last: int | None, wrap: int) -> tuple[Int64s, bool]:
+def since(ticks: Int64s, last: int | None, wrap: int, most_back: int) -> tuple[Int64s, bool]:
     """How far each tick of a wrapping counter lies after `last` (or the first tick), and whether the counter went back.
 
-    ticks: (p,).  A step of over half of `wrap` is a step back: the device started anew.
+    ticks: (p,).  A step back by over `most_back`: the device started anew.
     """
-    steps = np.diff(ticks, prepend=ticks[0] if last is None else last) % wrap
-    back = steps > wrap // 2
+    steps = (np.diff(ticks, prepend=ticks[0] if last is None else last) + wrap // 2) % wrap - wrap // 2
+    back = steps < -most_back
     return np.cumsum(np.where(back, 0, steps)), bool(back.any())

@@ -15,6 +15,9 @@ from services.lidar_driver.device import Float64s
 from shared.config import Section
 
 N_SLOTS = 20  # of the window; each keeps its earliest arrival
+MET_FOR = 3.0  # s after a meeting of the clocks in which it is compared to arrivals; later they have drifted apart
+LONGEST_DELAY = 0.5  # s
+LONGEST_REPLY = 2_000_000  # ns that a reply of a few characters takes; the rest of a question's time was before it
 SETTLED = 0.2  # share of the window that must be seen before a drift is believed
 
 
@@ -45,6 +48,12 @@ class DeviceClock:
         self.slots: dict[int, tuple[float, float]] = {}  # slot -> device's s, offset s
         self.drift, self.pivot, self.offset = 0.0, 0.0, 0.0
         self.near_at = 0  # ns, when an arrival was last near the line
+        self.met: tuple[float, int] | None = None  # s on the device's clock, ns on the stack's at that time
+        self.delay = 0.0  # s that even the earliest bytes take, where that can be known
+
+    def meet(self, device: float, after: int, before: int) -> None:
+        """The device's clock stood at `device` s between these two times, ns: what tells the bytes' own delay."""
+        self.met = device, before - min((before - after) // 2, LONGEST_REPLY)
 
     def observe(self, stamp: int, sent: Float64s, ages: Float64s) -> None:
         """sent: (p,) s on the device's clock.  They arrived `ages` (p,) s before `stamp` (ns, the stack's clock)."""
@@ -64,10 +73,14 @@ class DeviceClock:
             self.observe(stamp, sent, ages)
             return
         self._keep(float(sent[best]), float(offsets[best]), lowest)
+        if self.met is not None and float(sent[best]) - self.met[0] < MET_FOR:
+            at, stack = self.met
+            earliest = float(self._line(at)) + at - (stack - self.zero) * 1e-9
+            self.delay = min(max(earliest, 0.0), LONGEST_DELAY)
 
     def stack_time(self, device: float) -> int:
         """ns on the stack's clock at `device` s on the device's."""
-        return (self.zero or 0) + round((device + float(self._line(device))) * 1e9)
+        return (self.zero or 0) + round((device + float(self._line(device)) - self.delay) * 1e9)
 
     def _line(self, device: Float64s | float) -> Float64s | float:
         return self.offset + self.drift * (device - self.pivot)

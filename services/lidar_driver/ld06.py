@@ -5,6 +5,8 @@ Packet (LD19 development manual, section 3.2), 47 bytes, little-endian: 54 2C, s
 degree, 12 x (distance u16 mm, intensity u8), last angle u16, time u16 ms (0 to 29999), CRC-8 with polynomial 0x4D.
 """
 
+from typing import cast
+
 import numpy as np
 
 from services.lidar_driver.device import Bools, Counts, Returns, Uint8s, since
@@ -37,12 +39,12 @@ PLACES = np.arange(LENGTH - 1)
 
 def sums(packets: Uint8s) -> Bools:
     """(p, 47) -> (p,): whether the sum is right."""
-    return np.array(np.bitwise_xor.reduce(TABLES[PLACES, packets[:, :-1]], axis=1) == packets[:, -1], np.bool_)
+    return cast(Bools, np.bitwise_xor.reduce(TABLES[PLACES, packets[:, :-1]], axis=1) == packets[:, -1])
 
 
 def begins(first: Uint8s, second: Uint8s) -> Bools:
     """Header, and version with 12 beams."""
-    return (first == 0x54) & (second == 0x2C)
+    return cast(Bools, (first == 0x54) & (second == 0x2C))
 
 
 class Ld06:
@@ -55,6 +57,7 @@ class Ld06:
         self.byte_time = 10.0 / baud  # s
         self.trouble = ""
         self.scanning = True  # by itself
+        self.met = None
         self.opened(0)
 
     def opened(self, now: int) -> bytes:
@@ -79,7 +82,7 @@ class Ld06:
         self.speed = float(speed[-1]) / 360.0
         steps = (last - first) % 36000 / (N_BEAMS - 1)
         turning = (speed > 0) & (steps > 0) & (steps < LONGEST_STEP)
-        elapsed, restarted = since(ticks, self.last_tick, TIME_WRAP)
+        elapsed, restarted = since(ticks, self.last_tick, TIME_WRAP, most_back=0)
         times = self.time + elapsed * TICK
         self.last_tick, self.time = int(ticks[-1]), float(times[-1])
         if not turning.any():

@@ -6,6 +6,8 @@ payload, xor of all]; an answer is a descriptor A5 5A, u32 (30 bits length, 2 bi
 that length. It has no clock, but samples at a constant speed: the number of samples is the clock.
 """
 
+from typing import cast
+
 import numpy as np
 
 from services.lidar_driver.device import Bools, Counts, Float64s, Int64s, Returns, Uint8s
@@ -37,14 +39,13 @@ SPEED_TIME = 0.2  # s of samples from which the speed is found
 
 def begins(first: Uint8s, second: Uint8s) -> Bools:
     """A capsule's two sync nibbles."""
-    return (first >> 4 == 0xA) & (second >> 4 == 0x5)
+    return cast(Bools, (first >> 4 == 0xA) & (second >> 4 == 0x5))
 
 
 def sums(packets: Uint8s) -> Bools:
     """(p, 84) -> (p,): whether the xor of all after the first two bytes is in their low nibbles."""
-    return np.array(
-        np.bitwise_xor.reduce(packets[:, 2:], axis=1) == (packets[:, 0] & 0xF | (packets[:, 1] & 0xF) << 4), np.bool_
-    )
+    total = np.bitwise_xor.reduce(packets[:, 2:], axis=1)
+    return cast(Bools, total == (packets[:, 0] & 0xF | (packets[:, 1] & 0xF) << 4))
 
 
 class Rplidar:
@@ -57,6 +58,7 @@ class Rplidar:
         self.byte_time = 10.0 / baud  # s
         self.express = express
         self.trouble = ""
+        self.met = None
         self.opened(0)
 
     def opened(self, now: int) -> bytes:

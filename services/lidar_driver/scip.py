@@ -17,11 +17,13 @@ from shared.config import Laser
 MS = 1_000_000
 TIME_WRAP = 1 << 24  # ticks
 TICK = 1e-3  # s
+MOST_BACK = 500  # ticks: a sweep that began before its clock was asked
 LONGEST = 1 << 16  # bytes of an answer; over three times that of the longest one known
 ERRORS_BELOW = 20  # mm: lower distances are codes of errors
 BLOCK = 64
 PATIENCE = 700 * MS  # for an answer
 FIRST = ("SCIP2.0", "QT", "PP")  # QT ends what an earlier driver left running
+TIME = ("TM0", "TM1", "TM2")  # its clock can be asked while the laser is off
 HARDWARE = range(50, 98)  # status of a fault of laser or motor
 
 
@@ -49,6 +51,13 @@ def payload(lines: bytes) -> Uint8s | None:
     return np.concatenate([blocks[:, :BLOCK].ravel(), rest[:-2]])
 
 
+def clock_of(line: bytes) -> int | None:
+    """The ticks of a line with 4 characters and their sum; None where it is not one."""
+    if len(line) != 5 or line[4] != sum_of(line[:4]):
+        return None
+    return int(decoded(np.frombuffer(line[:4], np.uint8), 4)[0])
+
+
 class Scip:
     """A Hokuyo that speaks SCIP 2.0."""
 
@@ -69,6 +78,8 @@ class Scip:
         self.until = now
         self.parameters: dict[str, int] = {}
         self.scanning = False
+        self.met: tuple[float, int, int] | None = None
+        self.asked_at = now
         self.begun = now  # when the first byte of the answer under way came
         self.last_tick: int | None = None
         self.time = 0.0  # s on the device's clock, unwrapped, of the last sweep
@@ -83,7 +94,7 @@ class Scip:
         if not self.waiting:
             return self.opened(now)
         self.asked = self.waiting.pop(0)
-        self.until = now + PATIENCE
+        self.asked_at, self.until = now, now + PATIENCE
         return self.asked.encode() + b"\n"
 
     def received(self, data: bytes, now: int) -> list[Returns]:
@@ -129,6 +140,11 @@ class Scip:
             self.parameters = {key.decode(): int(value) for key, value in found}
             if not self._request():
                 return
+        if self.asked == "TM1" and status == "00":
+            tick = clock_of(rest.split(b"\n")[0])
+            if tick is not None:
+                self.last_tick, self.time = tick, 0.0
+                self.met = TICK / 2, self.asked_at, self.begun
         if kind in (b"MD", b"BM"):
             broken = status.isdecimal() and int(status) in HARDWARE
             self.trouble = f"the laser reports a fault of its hardware, status {status}" if broken else ""
@@ -157,20 +173,20 @@ class Scip:
         self.n = (last - first) // self.cluster + 1
         self.speed = rpm / 60
         self.period = 60 / max(rpm, 1)
-        self.waiting = ["BM", f"MD{first:04d}{last:04d}{self.cluster:02d}000"]
+        self.waiting = [*TIME, "BM", f"MD{first:04d}{last:04d}{self.cluster:02d}000"]
         return True
 
     def _sweep(self, rest: bytes, now: int) -> list[Returns]:
         clock, _, blocks = rest.partition(b"\n")
         characters = payload(blocks)
-        if len(clock) != 5 or clock[4] != sum_of(clock[:4]) or characters is None or len(characters) != 3 * self.n:
+        tick = clock_of(clock)
+        if tick is None or characters is None or len(characters) != 3 * self.n:
             self.counts.n_bad += 1
             return []
         self.counts.n_good += 1
         self.scanning, self.trouble = True, ""
-        tick = decoded(np.frombuffer(clock[:4], np.uint8), 4)
-        elapsed, restarted = since(tick, self.last_tick, TIME_WRAP)
-        self.last_tick = int(tick[0])
+        elapsed, restarted = since(np.array([tick]), self.last_tick, TIME_WRAP, MOST_BACK)
+        self.last_tick = tick
         self.time += float(elapsed[0]) * TICK
         mm = decoded(characters, 3)
         ranges: Float32s = np.where(mm >= ERRORS_BELOW, mm * 1e-3, np.nan).astype(np.float32)

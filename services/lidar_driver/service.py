@@ -123,7 +123,11 @@ class LidarDriverService(Service):
         if not self.open:
             self.open, self.opened_at = True, self.now
         self.heard_at = self.now
-        for returns in self.device.received(data.data, data.stamp):
+        met = self.device.met
+        found = self.device.received(data.data, data.stamp)
+        if self.device.met is not None and self.device.met != met:
+            self.clock.meet(*self.device.met)
+        for returns in found:
             if returns.restarted:
                 self.clock.restart()
             self.clock.observe(data.stamp, returns.sent, returns.ages)

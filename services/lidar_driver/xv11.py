@@ -5,6 +5,8 @@ Packet, 22 bytes, little-endian: FA, index A0..F9 (four degrees each), speed u16
 bit 14 weak, bit 15 invalid; strength u16), sum u16. It has no clock: its turning is the clock.
 """
 
+from typing import cast
+
 import numpy as np
 
 from services.lidar_driver.device import Bools, Counts, Returns, Uint8s
@@ -19,14 +21,14 @@ SHIFTS = np.arange(9, -1, -1)
 
 def begins(first: Uint8s, second: Uint8s) -> Bools:
     """Start byte, and an index that exists."""
-    return (first == 0xFA) & (second >= 0xA0) & (second < 0xA0 + N_PACKETS)
+    return cast(Bools, (first == 0xFA) & (second >= 0xA0) & (second < 0xA0 + N_PACKETS))
 
 
 def sums(packets: Uint8s) -> Bools:
     """(p, 22) -> (p,): whether the sum over the ten words before it is right."""
     words = packets[:, 0::2].astype(np.int64) | packets[:, 1::2].astype(np.int64) << 8
     total = (words[:, :10] << SHIFTS).sum(axis=1)
-    return np.array(((total & 0x7FFF) + (total >> 15)) & 0x7FFF == words[:, 10], np.bool_)
+    return cast(Bools, ((total & 0x7FFF) + (total >> 15)) & 0x7FFF == words[:, 10])
 
 
 class Xv11:
@@ -39,6 +41,7 @@ class Xv11:
         self.byte_time = 10.0 / baud  # s
         self.trouble = ""
         self.scanning = True  # by itself
+        self.met = None
         self.opened(0)
 
     def opened(self, now: int) -> bytes:

@@ -48,9 +48,9 @@ class Scip:
     def received(self, data: bytes, now: int) -> bytes:
         *commands, self.asked = (self.asked + data).replace(b"\r", b"\n").split(b"\n")
         self.asked = self.asked[-32:]
-        return b"".join(self._answer(command) for command in commands if command)
+        return b"".join(self._answer(command, now) for command in commands if command)
 
-    def _answer(self, command: bytes) -> bytes:
+    def _answer(self, command: bytes, now: int) -> bytes:
         kind = command[:2]
         if command == b"SCIP2.0":
             return answer(command, b"0E", [])  # it speaks that already
@@ -71,6 +71,8 @@ class Scip:
         if kind in (b"QT", b"RS"):
             self.scanning = b""
             return answer(command, b"00", [])
+        if kind == b"TM":
+            return answer(command, b"00", [encoded(now // MS % (1 << 24), 4)] if command == b"TM1" else [])
         if kind == b"BM":
             return answer(command, b"00" if self.turning else MOTOR_FAULT, [])
         if kind == b"MD" and len(command) == 15 and command[2:].isdigit():
