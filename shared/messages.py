@@ -5,7 +5,7 @@ Each field declares its unit, shape and bounds once; validation, documentation a
 from here. Numbers are finite unless `Within(..., nan=True)`. Arrays arrive read-only.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from math import pi
 from typing import Annotated
@@ -178,6 +178,7 @@ class LaserScan(Message):
     """One sweep in `laser`; beams run counter-clockwise when the increment is positive. No echo is NaN.
 
     `stamp` is the first beam's; the last beam was taken `scan_time` later. Any field of view, symmetric or not.
+    Intensities are one a beam in the device's own scale, 0 where nothing came back, or none at all.
     """
 
     angle_min: Annotated[float, Unit("rad"), Within(-2 * pi, 2 * pi)]
@@ -186,6 +187,9 @@ class LaserScan(Message):
     range_min: Annotated[float, Unit("m"), Within(0, 250)]
     range_max: Annotated[float, Unit("m"), Within(0, 250)]
     ranges: Annotated[Float32s, Unit("m"), Shape("n"), Within(0, 250, nan=True)]
+    intensities: Annotated[Float32s, Unit("1"), Shape("k"), Within(0, 65535)] = field(
+        default_factory=lambda: np.empty(0, np.float32)
+    )
 
     def problem(self) -> str | None:
         if len(self.ranges) < 2:

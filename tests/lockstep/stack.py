@@ -50,12 +50,17 @@ class Stack:
     """All services in a world. Poses are in `map`, whose origin is the robot's start."""
 
     def __init__(
-        self, folder: Path, world: str = HALL, sim: type[SimService] = SimService, settings: tuple[str, ...] = ()
+        self,
+        folder: Path,
+        world: str = HALL,
+        sim: type[SimService] = SimService,
+        settings: tuple[str, ...] = (),
+        names: tuple[str, ...] = STACK,
     ) -> None:
         path = folder / "world.yaml"
         path.write_text(world)
         self.file = configured("x80sv", [f"sim.world={path}", "sim.clutter_jitter=0", *settings])
-        services = {name: made(name, self.file, self.file.robot) for name in STACK if name != "sim"}
+        services = {name: made(name, self.file, self.file.robot) for name in names if name != "sim"}
         services |= {"sim": sim(self.file.section("sim", SimConfig), self.file.robot)}
         wires = tuple(((name, port), ("sim", port)) for port, name in DRIVERS.items() if port in services["sim"].ports)
         self.lockstep = Lockstep(services, wires=wires)

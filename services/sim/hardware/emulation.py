@@ -54,11 +54,12 @@ class Emulation:
 
     def swept(self, scans: list[LaserScan], now: int) -> Out:
         """What the laser says by now, and of these sweeps soon; the scans themselves where it speaks in messages."""
-        for scan in scans if Fault.LASER_STOPPED not in self.faults else []:
-            if self.laser is None:
-                yield topics.SCAN(scan)
-            else:
-                self._leaving += self.laser.swept(scan, now)
+        turning = Fault.LASER_STOPPED not in self.faults
+        if self.laser is not None:
+            self.laser.turning = turning
+            self._leaving += [chunk for scan in scans for chunk in self.laser.swept(scan, now)]
+        elif turning:
+            yield from (topics.SCAN(scan) for scan in scans)
         due = [data for when, data in self._leaving if when <= now]
         self._leaving = [(when, data) for when, data in self._leaving if now < when <= now + 1_000_000_000]
         yield from _said(LASER, b"".join(due), now)
