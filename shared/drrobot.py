@@ -89,9 +89,11 @@ def _judged(data: UInt8s, i: int, dest: int) -> tuple[int, int]:
     n = len(data)
     if data[i] != 0x5E or (i + 1 < n and data[i + 1] != 0x02) or (i + 2 < n and data[i + 2] != dest):
         return WRONG, 0
-    if i + 5 >= n or i + data[i + 5] + OVERHEAD > n:
+    if i + 5 >= n:
         return INCOMPLETE, 0
     length = int(data[i + 5]) + OVERHEAD
+    if i + length > n:
+        return INCOMPLETE, 0
     if data[i + length - 2] != 0x5E or data[i + length - 1] != 0x0D:
         return WRONG, 0
     return GOOD if _crc(data[i + 2 : i + length - 3]) == data[i + length - 3] else BAD_CRC, length

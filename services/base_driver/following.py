@@ -17,7 +17,7 @@ class FollowingConfig(Section):
     lag: float = Field(0.3, ge=0, le=5, description="s, time constant of the slowest wheel that still counts as sound")
     margin: float = Field(0.05, ge=0, le=1, description="m/s that a sound wheel may be slower than that")
     share: float = Field(0.2, ge=0, le=1, description="of the command that a sound wheel may be slower, besides")
-    behind: float = Field(0.01, gt=0, le=1, description="m that a wheel may fall behind all this")
+    behind: float = Field(0.008, gt=0, le=1, description="m that a wheel may fall behind all this")
     longer_than: float = Field(0.06, ge=0, le=5, description="s that it must last")
     longest_step: float = Field(0.25, gt=0, le=5, description="s between reports over which nothing can be judged")
 
