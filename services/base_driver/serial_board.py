@@ -70,7 +70,7 @@ class SerialBoard:
         self._note("bytes", now)
         if self.deframer.n_bad_crc > n_bad:
             self._note("crc", now)
-        report: BoardReport | None = None
+        motors: MotorSensor | None = None
         answer = b""
         for packet in packets:
             self._note("packet", now)
@@ -82,10 +82,10 @@ class SerialBoard:
                     answer = self._greeting() + answer
                 self._note("MotorSensor", now)
                 self._n_reports += 1
-                report = self._report(word, max(data.stamp - round(self.config.latency * 1e9), 0), now)
+                motors = word
             else:
                 self._keep(word, now)
-        return report, answer
+        return self._report(motors, data.stamp, now) if motors is not None else None, answer
 
     def command(self, left: float, right: float) -> bytes:
         """The wheels' speeds, counts/s with the board's signs, for `command_life`."""
@@ -157,7 +157,7 @@ class SerialBoard:
         ultrasonic = np.where(centimetres < CENTIMETRES_OF_NO_ECHO, centimetres / 100, np.nan).astype(np.float32)
         infrared = (standard.infrared if standard else nan, *(custom.infrared if custom else (nan,) * 6))
         return BoardReport(
-            stamp,
+            max(stamp - round(self.config.latency * 1e9), 0),
             motors.counts[LEFT],
             motors.counts[RIGHT],
             float(motors.speeds[LEFT]),
