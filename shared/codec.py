@@ -89,6 +89,7 @@ def fields_of(type_: type[Any]) -> tuple[Field, ...]:
             return next((m for m in reversed(marks) if isinstance(m, wanted)), None)
 
         unit = mark(Unit)
+        default = field.default if field.default_factory is MISSING else field.default_factory()
         found.append(
             Field(
                 field.name,
@@ -97,7 +98,7 @@ def fields_of(type_: type[Any]) -> tuple[Field, ...]:
                 mark(Within),
                 mark(Shape),
                 mark(NonZero) is not None,
-                field.default,
+                default,
             )
         )
     return tuple(found)
@@ -106,9 +107,10 @@ def fields_of(type_: type[Any]) -> tuple[Field, ...]:
 def encode(message: Message, envelope: Envelope) -> bytes:
     """The message's bytes. The sender's own mistakes (a wrong type) raise TypeError or AttributeError."""
     tree = {"@": (envelope.publisher, envelope.session, envelope.sequence, envelope.sent)}
-    for name, pack in _packers(type(message)):
+    for name, pack, optional in _packers(type(message)):
         value = getattr(message, name)
-        tree[name] = value if pack is None else pack(value)
+        if not (optional and len(value) == 0):
+            tree[name] = value if pack is None else pack(value)
     return bytes(msgpack.packb(tree, use_bin_type=True))
 
 
@@ -181,8 +183,11 @@ def _check_shape(field: Field, array: Any, lengths: dict[str, int]) -> None:
 
 
 @_once_per_class
-def _packers(type_: type[Message]) -> tuple[tuple[str, Callable[[Any], Any] | None], ...]:
-    return tuple((field.name, _packer(field.kind)) for field in fields_of(type_))
+def _packers(type_: type[Message]) -> tuple[tuple[str, Callable[[Any], Any] | None, bool], ...]:
+    """Name, packer, and whether it may be left out: an array with a default is not sent while it is empty."""
+    return tuple(
+        (f.name, _packer(f.kind), get_origin(f.kind) is np.ndarray and not f.required) for f in fields_of(type_)
+    )
 
 
 def _packer(kind: Any) -> Callable[[Any], Any] | None:
@@ -209,7 +214,7 @@ def _packer(kind: Any) -> Callable[[Any], Any] | None:
         return str
     if isinstance(kind, type) and issubclass(kind, Message):
         packers = _packers(kind)
-        return lambda m: {n: getattr(m, n) if p is None else p(getattr(m, n)) for n, p in packers}
+        return lambda m: {n: getattr(m, n) if p is None else p(getattr(m, n)) for n, p, _ in packers}
     return None
 
 

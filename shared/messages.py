@@ -5,7 +5,7 @@ Each field declares its unit, shape and bounds once; validation, documentation a
 from here. Numbers are finite unless `Within(..., nan=True)`. Arrays arrive read-only.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from math import pi
 from typing import Annotated
@@ -86,7 +86,7 @@ class BoardReport(Message):
     right_speed: Annotated[float, Unit("counts/s"), Within(-1e6, 1e6)]
     ultrasonic: Annotated[Float32s, Unit("m"), Shape("u"), Within(0, 20, nan=True)]
     infrared: Annotated[Float32s, Unit("m"), Shape("i"), Within(0, 20, nan=True)]
-    battery: Annotated[float, Unit("V"), Within(0, 100)]
+    battery: Annotated[float, Unit("V"), Within(0, 100, nan=True)]
     currents: Annotated[Float32s, Unit("A"), Shape("2"), Within(-200, 200)]
 
 
@@ -144,7 +144,7 @@ class RangeReadings(Message):
 class BaseStatus(Message):
     """State of the base for people and for the guard. `fault` is a reason's code, empty when there is none."""
 
-    battery: Annotated[float, Unit("V"), Within(0, 100)]
+    battery: Annotated[float, Unit("V"), Within(0, 100, nan=True)]
     left_current: Annotated[float, Unit("A"), Within(-200, 200)]
     right_current: Annotated[float, Unit("A"), Within(-200, 200)]
     link: Flag
@@ -153,10 +153,32 @@ class BaseStatus(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class BoardStatus(Message):
+    """How the line to the motion board is doing, and what else the board measures; NaN before it was measured.
+
+    `rate` is of the packets with the encoders. `last_heard` is the age of the last good packet.
+    """
+
+    good: Annotated[Count, Unit("packets")]
+    bad_crc: Annotated[Count, Unit("packets")]
+    resyncs: Annotated[Count, Unit("times that bytes were no packet")]
+    skipped: Annotated[Count, Unit("bytes")]
+    last_heard: Annotated[float, Unit("s"), Within(0, 1e10, nan=True)]
+    rate: Annotated[float, Unit("Hz"), Within(0, 1e6)]
+    board_supply: Annotated[float, Unit("V"), Within(0, 200, nan=True)]
+    motor_supply: Annotated[float, Unit("V"), Within(0, 400, nan=True)]
+    servo_supply: Annotated[float, Unit("V"), Within(0, 200, nan=True)]
+    left_temperature: Annotated[float, Unit("degrees C, motor driver"), Within(-1e4, 1e4, nan=True)]
+    right_temperature: Annotated[float, Unit("degrees C, motor driver"), Within(-1e4, 1e4, nan=True)]
+    temperature: Annotated[float, Unit("degrees C"), Within(-1e4, 1e4, nan=True)]
+
+
+@dataclass(frozen=True, slots=True)
 class LaserScan(Message):
     """One sweep in `laser`; beams run counter-clockwise when the increment is positive. No echo is NaN.
 
     `stamp` is the first beam's; the last beam was taken `scan_time` later. Any field of view, symmetric or not.
+    Intensities are one a beam in the device's own scale, 0 where nothing came back, or none at all.
     """
 
     angle_min: Annotated[float, Unit("rad"), Within(-2 * pi, 2 * pi)]
@@ -165,6 +187,9 @@ class LaserScan(Message):
     range_min: Annotated[float, Unit("m"), Within(0, 250)]
     range_max: Annotated[float, Unit("m"), Within(0, 250)]
     ranges: Annotated[Float32s, Unit("m"), Shape("n"), Within(0, 250, nan=True)]
+    intensities: Annotated[Float32s, Unit("1"), Shape("k"), Within(0, 65535)] = field(
+        default_factory=lambda: np.empty(0, np.float32)
+    )
 
     def problem(self) -> str | None:
         if len(self.ranges) < 2:

@@ -60,6 +60,18 @@ class LoadMap(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class Break(Message):
+    """Let this fault of the emulated hardware begin, for so many seconds (0: until it is mended), or end it (`mended`).
+
+    `fault` is a name of services/sim/hardware/faults.py; to mend, it may be empty: all of them.
+    """
+
+    fault: Text
+    seconds: m.Seconds
+    mended: Flag
+
+
+@dataclass(frozen=True, slots=True)
 class Request(Generic[Q, R]):
     """One row: `by` is the service that answers."""
 
@@ -74,5 +86,6 @@ EXPLORE = Request("request/explore", Explore, Reply, by="navigator")
 CANCEL = Request("request/cancel", Cancel, Reply, by="navigator")
 PAUSE = Request("request/pause", Pause, Reply, by="navigator")
 LOAD_MAP = Request("request/load_map", LoadMap, Reply, by="mapper")
+FAULT = Request("request/fault", Break, Reply, by="sim")
 
 REQUESTS: tuple[Request[Message, Message], ...] = tuple(r for r in list(globals().values()) if isinstance(r, Request))

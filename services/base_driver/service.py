@@ -1,30 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
 """Between cmd/vel and the board: the document's equations, the last watchdog, and what the board reports."""
 
+from math import nan
+
 import numpy as np
 from pydantic import Field
 
+from services.base_driver.battery import BatteryConfig, BatteryWatch
 from services.base_driver.encoders import EncoderConfig, Encoders
+from services.base_driver.following import FollowingConfig
 from services.base_driver.kinematics import board_counts, wheel_speeds
-from services.base_driver.stuck import StuckConfig, StuckWatch
+from services.base_driver.serial_board import SerialBoard, SerialBoardConfig
+from services.base_driver.stuck import StuckConfig
 from services.base_driver.watchdog import FUTURE, Watchdog, WatchdogConfig
+from services.base_driver.wheel_faults import WheelFaults
 from shared import reasons, topics
 from shared.config import Robot, Section
-from shared.messages import BaseStatus, BoardReport, EmergencyStop, Float32s, MotorCommand, RangeReadings, Velocity
+from shared.messages import (
+    BaseStatus,
+    BoardReport,
+    EmergencyStop,
+    Float32s,
+    MotorCommand,
+    PortState,
+    RangeReadings,
+    SerialData,
+    Velocity,
+)
+from shared.ports import PortConfig
 from shared.service import Out, Service, every, on
 from shared.topics import Publication
 
-SEPARATOR = "; "  # between the parts of a status's detail; what is stuck comes first
+SEPARATOR = "; "  # between the parts of a status's detail; the fault's words come first
+PORT = "board"
+LATCHED = (reasons.WHEEL_STUCK.code, reasons.WHEEL_ASTRAY.code)
+"""Faults that a person must look at."""
 
 
 class BaseDriverConfig(Section):
     """The base driver."""
 
+    port: PortConfig = Field(PortConfig(), description="of the motion board; no device: `hardware/board` and `motors`")
+    board: SerialBoardConfig = SerialBoardConfig()
     board_silent: float = Field(0.5, gt=0.05, le=5, description="s without a report after which the link is lost")
-    battery_low: float = Field(6.6, ge=0, le=100, description="V under which the status says so; 0 never")
+    battery: BatteryConfig = BatteryConfig()
     watchdog: WatchdogConfig = WatchdogConfig()
     encoders: EncoderConfig = EncoderConfig()
     stuck: StuckConfig = StuckConfig()
+    following: FollowingConfig = FollowingConfig()
 
 
 class BaseDriverService(Service):
@@ -35,28 +58,42 @@ class BaseDriverService(Service):
 
     def __init__(self, config: BaseDriverConfig, robot: Robot) -> None:
         super().__init__(config, robot)
+        self.serial = SerialBoard(config.board, robot, config.board_silent) if config.port.device else None
         self.watchdog = Watchdog(config.watchdog)
         self.encoders = Encoders(config.encoders, robot.drive)
-        self.left_watch, self.right_watch = StuckWatch(config.stuck), StuckWatch(config.stuck)
+        self.wheel_faults = WheelFaults(config.stuck, config.following, robot.drive.wheel_radius)
+        self.battery = BatteryWatch(config.battery)
         self.report: BoardReport | None = None
         self.started: int | None = None
         self.link = False
-        self.stuck = ""  # what is stuck; latched
-        self.stuck_at = 0
         self.pressed: EmergencyStop | None = None
         self.wheels = (0.0, 0.0)  # rad/s, as last sent to the board
         self.told: tuple[str, bool] | None = None
         self.ranges_told = 0
         self.sensors = _sensor_columns(robot)
 
+    def warm(self) -> None:
+        if self.serial is not None:
+            self.serial.warm()
+
+    @property
+    def ports(self) -> dict[str, PortConfig]:
+        return {PORT: self.config.port}
+
     @property
     def fault(self) -> str:
         """A reason's code, empty when there is none."""
-        if self.stuck:
-            return reasons.WHEEL_STUCK.code
+        if self.wheel_faults.code:
+            return self.wheel_faults.code
         started = self.now if self.started is None else self.started
         waited = self.now - started > self.config.board_silent * 1e9
-        return reasons.BOARD_SILENT.code if waited and not self.link else ""
+        if self.serial is not None and not self.serial.open and (waited or self.report is not None):
+            return reasons.PORT_CLOSED.code
+        if waited and not self.link:
+            return reasons.BOARD_SILENT.code
+        if self.battery.is_empty:
+            return reasons.BATTERY_EMPTY.code
+        return reasons.SENSOR_DEAD.code if self.serial and self.serial.dead_sensors(self.now) else ""
 
     def state(self) -> str:
         return self.fault or ("driving" if any(self.wheels) else "standing")
@@ -64,7 +101,7 @@ class BaseDriverService(Service):
     @on(topics.CMD_VEL)
     def command(self, command: Velocity) -> Out:
         if self.watchdog.offer(command, self.now) and not (command.v or command.w):
-            yield self._motors()  # stopping does not wait for the tick
+            yield from self._motors()  # stopping does not wait for the tick
 
     @on(topics.ESTOP)
     def estop(self, stop: EmergencyStop) -> Out:
@@ -72,23 +109,52 @@ class BaseDriverService(Service):
         if stop.pressed:
             self.pressed = stop
         elif self.pressed is None or stop.stamp >= self.pressed.stamp:
-            if self.pressed is not None or self.stuck:
+            if self.pressed is not None or self.wheel_faults.code:
                 self.watchdog.disarm(self.now)
             self.pressed = None
-            if stop.stamp > self.stuck_at:
-                self.stuck = ""
-        yield self._motors()
+            if stop.stamp > self.wheel_faults.at:
+                self.wheel_faults.release()
+        yield from self._motors()
         yield from self._changed_status()
 
     @on(topics.BASE)
     def before_the_restart(self, status: BaseStatus) -> Out:
         """A wheel's fault outlives this process: only a release later than our last word ends it."""
-        if status.fault == reasons.WHEEL_STUCK.code:
-            self.stuck, self.stuck_at = status.detail.split(SEPARATOR)[0], status.stamp
+        if status.fault in LATCHED:
+            self.wheel_faults.latch(status.fault, status.detail.split(SEPARATOR)[0], status.stamp)
             yield self._status()
+
+    @on(topics.PORT)
+    def port(self, state: PortState) -> Out:
+        """The board's port was opened or went away; whichever, nothing moves until it is commanded anew."""
+        if self.serial is None or state.port != PORT:
+            return
+        greeting = self.serial.port(state)
+        self.watchdog.disarm(self.now)
+        if greeting:
+            yield topics.TX(SerialData(self.now, PORT, greeting))
+        yield from self._motors()
+        yield from self._changed_status()
+
+    @on(topics.RX)
+    def bytes_came(self, data: SerialData) -> Out:
+        """What the board says over its port."""
+        if self.serial is None or data.port != PORT:
+            return
+        report, answer = self.serial.heard(data, self.now)
+        if answer:
+            yield topics.TX(SerialData(self.now, PORT, answer))
+        if report is not None:
+            yield topics.BOARD(report)
+            yield from self._take(report)
 
     @on(topics.BOARD)
     def board(self, report: BoardReport) -> Out:
+        """What a board says that speaks in messages."""
+        if self.serial is None:
+            yield from self._take(report)
+
+    def _take(self, report: BoardReport) -> Out:
         last = self.report
         if last is not None and report.stamp <= last.stamp:
             if last.stamp <= self.now + FUTURE:
@@ -97,7 +163,8 @@ class BaseDriverService(Service):
         self.report = report
         for state in self.encoders.turned(report, self.now):
             yield topics.WHEELS(state)
-        self._look_for_stuck_wheels(report.stamp)
+        self.wheel_faults.look(report.stamp, self.encoders, self.wheels, self.now)
+        self.battery.take(report.stamp, report.battery)
         self._look_at_link()
         yield from self._changed_status()
 
@@ -105,8 +172,8 @@ class BaseDriverService(Service):
     def drive(self) -> Out:
         self.started = self.now if self.started is None else min(self.started, self.now)
         self._look_at_link()
-        yield self._motors()
         yield from self._changed_status()
+        yield from self._motors()
 
     @every(hz=10)
     def measure(self) -> Out:
@@ -117,50 +184,55 @@ class BaseDriverService(Service):
     @every(hz=2)
     def tell(self) -> Out:
         yield self._status()
+        if self.serial is not None:
+            yield topics.BOARD_IS(self.serial.status(self.now))
 
-    def _motors(self) -> Publication:
+    def farewell(self) -> Out:
+        """Whatever comes next, it finds motors that stand, and on a serial board without power."""
+        self.wheels = 0.0, 0.0
+        yield topics.MOTORS(MotorCommand(self.now, 0.0, 0.0))
+        if self.serial is not None:
+            yield topics.TX(SerialData(self.now, PORT, self.serial.farewell()))
+
+    def _motors(self) -> Out:
         stands = self.pressed is not None or bool(self.fault) or not self.link
         v, w = (0.0, 0.0) if stands else self.robot.drive.clamped(*self.watchdog.velocity(self.now))
         self.wheels = wheel_speeds(v, w, self.robot.drive)
-        return topics.MOTORS(MotorCommand(self.now, *board_counts(*self.wheels, self.robot.drive)))
+        command = MotorCommand(self.now, *board_counts(*self.wheels, self.robot.drive))
+        yield topics.MOTORS(command)
+        if self.serial is not None and self.serial.open:
+            yield topics.TX(SerialData(self.now, PORT, self.serial.command(command.left, command.right)))
 
     def _look_at_link(self) -> None:
         silent = round(self.config.board_silent * 1e9)
-        link = self.report is not None and -FUTURE <= self.now - self.report.stamp <= silent
-        if link and not self.link and self.fault:
-            self.watchdog.disarm(self.now)  # the first command after a lost link is zero
-        self.link = link
-
-    def _look_for_stuck_wheels(self, stamp: int) -> None:
-        radius = self.robot.drive.wheel_radius
-        left = self.left_watch.stuck(stamp, self.encoders.left, self.wheels[0], radius)
-        right = self.right_watch.stuck(stamp, self.encoders.right, self.wheels[1], radius)
-        if (left or right) and not self.stuck:
-            wheels = " and ".join(name for name, holds in (("left", left), ("right", right)) if holds)
-            self.stuck = f"the {wheels} wheel is commanded but does not turn"
-            self.stuck_at = self.now
+        self.link = self.report is not None and -FUTURE <= self.now - self.report.stamp <= silent
 
     def _changed_status(self) -> Out:
-        if self.told != (self.fault, self.link):
+        fault = self.fault
+        if self.told is not None and self.told[0] and not fault:
+            self.watchdog.disarm(self.now)  # the first command after a fault is zero
+        if self.told != (fault, self.link):
             yield self._status()
-        if self.fault and any(self.wheels):
-            yield self._motors()
+        if fault and any(self.wheels):
+            yield from self._motors()
 
     def _status(self) -> Publication:
-        self.told = self.fault, self.link
-        report = self.report
-        battery = report.battery if report else 0.0
+        fault, report = self.fault, self.report
+        self.told = fault, self.link
+        battery = report.battery if report else nan
         left_current, right_current = (float(a) for a in report.currents) if report else (0.0, 0.0)
-        low = report is not None and battery < self.config.battery_low
+        serial = self.serial
         jumps = self.encoders.n_jumps
         details = (
-            self.stuck,
-            f"battery low: {battery:.1f} V" if low else "",
+            self.wheel_faults.words,
+            serial.silence(self.now) if serial and (not serial.open or not self.link) else "",
+            f"battery low: {battery:.1f} V" if self.battery.is_low(battery) else "",
+            serial.dead_sensors(self.now) if serial else "",
             f"the encoders jumped {jumps} times" if jumps else "",
             self.watchdog.refused,
         )
         detail = SEPARATOR.join(text for text in details if text)
-        return topics.BASE(BaseStatus(self.now, battery, left_current, right_current, self.link, self.fault, detail))
+        return topics.BASE(BaseStatus(self.now, battery, left_current, right_current, self.link, fault, detail))
 
     def _ranges(self, report: BoardReport) -> RangeReadings:
         """The board's ranges in the robot's order of sensors; outside a sensor's own limits is no measurement."""

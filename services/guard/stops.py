@@ -135,7 +135,11 @@ def scan_end(scan: LaserScan) -> int:
 STOPS: tuple[tuple[Reason, GuardState, Callable[[Situation], bool]], ...] = (  # highest rank first
     (reasons.ESTOP,          GuardState.STOPPED, lambda s: s.pressed is not None),
     (reasons.WHEEL_STUCK,    GuardState.FAULT,   lambda s: s.fault == reasons.WHEEL_STUCK.code),
+    (reasons.WHEEL_ASTRAY,   GuardState.FAULT,   lambda s: s.fault == reasons.WHEEL_ASTRAY.code),
+    (reasons.PORT_CLOSED,    GuardState.FAULT,   lambda s: s.fault == reasons.PORT_CLOSED.code),
     (reasons.BOARD_SILENT,   GuardState.FAULT,   lambda s: s.fault == reasons.BOARD_SILENT.code),
+    (reasons.BATTERY_EMPTY,  GuardState.FAULT,   lambda s: s.fault == reasons.BATTERY_EMPTY.code),
+    (reasons.SENSOR_DEAD,    GuardState.FAULT,   lambda s: s.fault == reasons.SENSOR_DEAD.code),
     (reasons.FAULT,          GuardState.FAULT,   lambda s: s.fault != ""),
     (reasons.BASE_SILENT,    GuardState.HOLD,    lambda s: s.old(s.base_stamp, s.config.base_age)),
     (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s: s.old(s.odom_stamp, s.config.odom_age)),

@@ -2,6 +2,7 @@
 """The hardware's stand-in: takes `hardware/motors`, gives `hardware/board`, `scan`, the truth and the clock."""
 
 from math import ceil, pi
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +20,17 @@ from services.sim.drive import (
     true_wheels,
     wheel_targets,
 )
+from services.sim.hardware.emulation import Emulation, EmulationConfig
 from services.sim.sensors import LaserNoise, RangeNoise, cones, measured, sweep
 from services.sim.store import load
 from services.sim.world import World
-from shared import topics
+from shared import reasons, requests, topics
 from shared.config import Robot, Section, UserError
 from shared.geometry import Pose2, wrapped
-from shared.messages import BoardReport, Clock, LaserScan, MotorCommand, Truth
-from shared.service import Out, Service, every, on
+from shared.messages import BoardReport, Clock, LaserScan, MotorCommand, SerialData, Truth
+from shared.ports import PortConfig
+from shared.requests import Break, Reply
+from shared.service import Answer, Out, Service, answer, every, on
 
 CATCH_UP_STEPS = 100  # 0.5 s: after a longer gap without ticks, the world has stood still meanwhile
 
@@ -48,6 +52,10 @@ class SimConfig(Section):
     start: StartPose | None = Field(None, description="where the robot starts; none: where the world says")
     clutter_jitter: float = Field(0.1, ge=0, le=1, description="m by which loose things move from seed to seed")
     people_react: bool = Field(True, description="whether people stop for the robot and walk around it")
+    hardware: Literal["messages", "emulated"] = Field(
+        "messages", description="messages: board and scan as such; emulated: byte streams on ports, as the robot's"
+    )
+    emulation: EmulationConfig = EmulationConfig()
     drive: DriveTruth = Field(DriveTruth(), description="the drive as it really is")
     battery: Battery = Field(Battery(), description="the battery")
     laser: LaserNoise = Field(LaserNoise(), description="errors of the laser")
@@ -83,6 +91,8 @@ class SimService(Service):
         self.state_now[:3] = pose.x, pose.y, pose.yaw
         self.targets = np.zeros(2)
         self.life = 0  # steps that the command has left
+        emulated = config.hardware == "emulated"
+        self.emulation = Emulation(config.emulation, robot, config.seed) if emulated else None
         self.used = 0.0  # Ah
         steps_back = ceil(robot.laser.scan_time / dyn.DT) + CATCH_UP_STEPS + 4
         self.history = np.zeros((steps_back, 3 + 3 * len(self.world.people)))
@@ -117,8 +127,32 @@ class SimService(Service):
         """ns: until when the physics has run."""
         return (self.epoch or 0) + self.step * dyn.DT_NS
 
+    @property
+    def ports(self) -> dict[str, PortConfig]:
+        return self.emulation.ports if self.emulation is not None else {}
+
+    @on(topics.RX)
+    def bytes_came(self, data: SerialData) -> Out:
+        """A driver wrote to the emulated hardware."""
+        if self.emulation is not None:
+            self._catch_up()
+            yield from self.emulation.received(data, self.now)
+            self._obey_board(self.emulation)
+
+    @answer(requests.FAULT)
+    def broken(self, order: Break) -> Answer[Reply]:
+        """`zenav fault`: something of the emulated hardware breaks, or is mended."""
+        if self.emulation is None:
+            mend = "the hardware is not emulated: zenav up --hardware emulated"
+            return Reply(self.now, False, reasons.BAD_REQUEST.code, mend)
+        reply = self.emulation.broken(order, self.now)
+        yield from self.emulation.plugs(self.now)
+        return reply
+
     @on(topics.MOTORS)
     def motors(self, command: MotorCommand) -> Out:
+        if self.emulation is not None:
+            return ()
         self._catch_up()
         self.targets[:] = wheel_targets(command.left, command.right, self.robot.drive)
         life = self.config.drive.command_life
@@ -128,10 +162,22 @@ class SimService(Service):
     @every(hz=50)
     def tick(self) -> Out:
         self._catch_up()
-        yield from (topics.SCAN(scan) for scan in self._due_scans())
-        yield topics.BOARD(self._board())
+        if self.emulation is None:
+            yield from (topics.SCAN(scan) for scan in self._due_scans())
+            yield topics.BOARD(self._board())
+        else:
+            yield from self.emulation.plugs(self.now)
+            self._obey_board(self.emulation)
+            yield from self.emulation.swept(self._due_scans(), self.now)
+            yield from self.emulation.measured(self._board(), self.now)
         yield topics.TRUTH(self._truth())
         yield topics.CLOCK(Clock(self.now, 1.0))
+
+    def _obey_board(self, emulation: Emulation) -> None:
+        """The wheels turn as the emulated board drives its motors, for as long as its command holds."""
+        left, right, life = emulation.board.motors(self.now)
+        self.targets[:] = wheel_targets(left, right, self.robot.drive)
+        self.life = 2**62 if life is None else ceil(life / dyn.DT_NS)
 
     def _catch_up(self) -> None:
         """Runs the physics up to now; starts anew on its grid where the clock jumped."""

@@ -17,8 +17,22 @@ from shared.runners.lockstep import Lockstep
 from zenav.classes import made
 
 STACK = ("sim", "base_driver", "odometry", "mapper", "planner", "local_ctrl", "guard", "navigator")
+DRIVERS = {"board": "base_driver", "laser": "lidar_driver"}
+"""Who speaks with which of the simulated robot's ports."""
 MS = 1_000_000
-KEPT = (topics.TRUTH, topics.GUARD, topics.MOTORS, topics.NAV, topics.CMD_VEL, topics.ODOM, topics.SCAN, topics.POSE)
+KEPT = (
+    topics.BASE,
+    topics.WHEELS,
+    topics.BOARD_IS,
+    topics.TRUTH,
+    topics.GUARD,
+    topics.MOTORS,
+    topics.NAV,
+    topics.CMD_VEL,
+    topics.ODOM,
+    topics.SCAN,
+    topics.POSE,
+)
 OLDEST = {"odom": 250, "scan": 100 + 350, "cmd/vel": 250}
 """ms after its stamp that each input may still move the robot; a scan's stamp is its first beam's, 100 ms earlier."""
 HALL = """
@@ -35,12 +49,21 @@ boxes:
 class Stack:
     """All services in a world. Poses are in `map`, whose origin is the robot's start."""
 
-    def __init__(self, folder: Path, world: str = HALL, sim: type[SimService] = SimService) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        world: str = HALL,
+        sim: type[SimService] = SimService,
+        settings: tuple[str, ...] = (),
+        names: tuple[str, ...] = STACK,
+    ) -> None:
         path = folder / "world.yaml"
         path.write_text(world)
-        self.file = configured("x80sv", [f"sim.world={path}", "sim.clutter_jitter=0"])
-        services = {name: made(name, self.file, self.file.robot) for name in STACK if name != "sim"}
-        self.lockstep = Lockstep({"sim": sim(self.file.section("sim", SimConfig), self.file.robot), **services})
+        self.file = configured("x80sv", [f"sim.world={path}", "sim.clutter_jitter=0", *settings])
+        services = {name: made(name, self.file, self.file.robot) for name in names if name != "sim"}
+        services |= {"sim": sim(self.file.section("sim", SimConfig), self.file.robot)}
+        wires = tuple(((name, port), ("sim", port)) for port, name in DRIVERS.items() if port in services["sim"].ports)
+        self.lockstep = Lockstep(services, wires=wires)
         self.newest: dict[str, Any] = {}
         self.lost: dict[str, Callable[[int], bool]] = {}  # key -> whether a message sent at this ns is lost
         self.lockstep.filters.append(self._filtered)

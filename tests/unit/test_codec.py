@@ -122,3 +122,12 @@ def test_schemas_are_named_by_their_fields():
     names = {schema_id(kind) for kind in TYPES}
     assert len(names) == len(TYPES)
     assert b'"unit": "rad"' in schema(LaserScan)
+
+
+def test_an_empty_optional_array_costs_nothing_on_the_wire_and_a_full_one_arrives():
+    ranges = np.ones(360, np.float32)
+    plain, rich = (LaserScan(5, 0.0, 0.01, 0.1, 0.1, 10.0, ranges, *more) for more in ((), (ranges * 7,)))
+    envelope = Envelope("sim", "s", 0, 5)
+    assert b"intensities" not in encode(plain, envelope)
+    assert len(decode(LaserScan, encode(plain, envelope))[0].intensities) == 0
+    np.testing.assert_array_equal(decode(LaserScan, encode(rich, envelope))[0].intensities, ranges * 7)

@@ -78,6 +78,8 @@ def test_a_step_is_recovered_across_the_wrap(wrap, data):
 def test_the_wrap_itself():
     assert counted(32767, 0, 32768) == 1
     assert counted(0, 32767, 32768) == -1
+    assert counted(0, 16384, 32768) == 16384, "half way round counts up"
+    assert counted(0, 16385, 32768) == -16383
 
 
 @given(speeds, speeds, drives)

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the DrRobot board's packets say, and what is said to it. Little-endian; conversions as its driver has them."""
+
+from dataclasses import dataclass
+from struct import Struct
+from typing import Literal
+
+from shared.drrobot import ADC_FULL, BOARD, Packet, Type, framed
+
+LEAVE_ALONE = -32768
+"""In a command to all channels: this channel keeps what it was told."""
+
+N_CHANNELS = 6
+INFRARED_NOTHING = 0.81  # m: what the driver reports where the sensor sees nothing
+
+_MOTOR_SENSOR = Struct("<6H6H4HB")
+_CUSTOM_SENSOR = Struct("<8HB")
+_STANDARD_SENSOR = Struct("<6B4H2H2HHH4x5H")
+
+
+@dataclass(frozen=True, slots=True)
+class System:
+    """A word between the computers: 1 acknowledge, 0 ping, 2 urgent data, 3 a packet was skipped."""
+
+    code: int
+
+
+@dataclass(frozen=True, slots=True)
+class MotorSensor:
+    """Six potentiometers (A/D), six motor currents (A), two encoders: position (counts), signed speed (counts/s)."""
+
+    potentiometers: tuple[int, ...]
+    currents: tuple[float, ...]
+    counts: tuple[int, int]
+    speeds: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class CustomSensor:
+    """Eight A/D channels, of which 2 to 7 are the infrared sensors 1 to 6 (m), and the digital inputs' bits."""
+
+    channels: tuple[int, ...]
+    infrared: tuple[float, ...]
+    inputs: int
+
+
+@dataclass(frozen=True, slots=True)
+class StandardSensor:
+    """Six ultrasonic ranges (cm), human, tilt (A/D), temperatures (degrees C), infrared 0 (m), supplies (V)."""
+
+    ultrasonic: tuple[int, ...]
+    human: tuple[int, ...]
+    tilt: tuple[int, ...]
+    motor_temperatures: tuple[float, float]
+    temperature: float
+    infrared: float
+    board_supply: float
+    motor_supply: float
+    servo_supply: float
+    reference: float
+    potentiometer_supply: float
+
+
+Said = System | MotorSensor | CustomSensor | StandardSensor
+
+
+def said(packet: Packet) -> Said | None:
+    """What a packet of the board says; None where its type is not known or its data is too short for it."""
+    kind, data = packet
+    if kind == Type.MOTOR_SENSOR and len(data) >= _MOTOR_SENSOR.size:
+        values = _MOTOR_SENSOR.unpack_from(data)
+        left, left_speed, right, right_speed, directions = values[12:]
+        speeds = _signed(left_speed, directions & 1), _signed(right_speed, directions & 2)
+        return MotorSensor(values[:6], tuple(value / 728 for value in values[6:12]), (left, right), speeds)
+    if kind == Type.CUSTOM_SENSOR and len(data) >= _CUSTOM_SENSOR.size:
+        values = _CUSTOM_SENSOR.unpack_from(data)
+        return CustomSensor(values[:8], tuple(infrared_metres(value) for value in values[2:8]), values[8])
+    if kind == Type.STANDARD_SENSOR and len(data) >= _STANDARD_SENSOR.size:
+        values = _STANDARD_SENSOR.unpack_from(data)
+        volts = (value * full / ADC_FULL for value, full in zip(values[16:], (9, 24, 9, 6, 6)))
+        motors = motor_degrees(values[12]), motor_degrees(values[13])
+        ambient = ambient_degrees(values[14])
+        return StandardSensor(
+            values[:6], values[6:10], values[10:12], motors, ambient, infrared_metres(values[15]), *volts
+        )
+    if kind == Type.SYSTEM and data:
+        return System(data[0])
+    return None
+
+
+def _signed(speed: int, forward: int) -> int:
+    return speed if forward else -speed
+
+
+def infrared_metres(reading: int) -> float:
+    """The distance that an infrared sensor's A/D reading means; INFRARED_NOTHING where it sees nothing."""
+    volts_above = reading * 3 / 4096 - 0.17
+    centimetres = 21.6 / volts_above if volts_above > 0 else 1e9
+    if centimetres > 80:
+        return INFRARED_NOTHING
+    return 0.09 if centimetres < 10 else centimetres / 100
+
+
+def motor_degrees(reading: int) -> float:
+    """Degrees C of a motor driver's temperature sensor: T = 100 - (reading - 980) / 11.6, PMS5005 SDK reference."""
+    return 100 - (reading - 980) / 11.6
+
+
+def ambient_degrees(reading: int) -> float:
+    """Degrees C of the DA5280 ambient temperature sensor: T = (reading - 1256) / 34.8, PMS5005 SDK reference."""
+    return (reading - 1256) / 34.8
+
+
+def acknowledgement() -> bytes:
+    """The answer to every word of the board's."""
+    return framed(BOARD, Type.SYSTEM, b"\x01")
+
+
+def command_all(kind: Type, left: float, right: float, milliseconds: int | None = None) -> bytes:
+    """A command (VELOCITY_ALL in counts/s, PWM_ALL, POSITION_ALL) to both wheels' channels, the others left alone.
+
+    milliseconds: after which the board drops it; None: it stands until the next.
+    """
+    channels = _int16(left), _int16(right), *(LEAVE_ALONE,) * (N_CHANNELS - 2)
+    limit = () if milliseconds is None else (milliseconds,)
+    return framed(BOARD, kind, Struct(f"<6h{len(limit)}H").pack(*channels, *limit))
+
+
+def command_one(kind: Type, channel: int, command: float, milliseconds: int | None = None) -> bytes:
+    """A command (VELOCITY_ONE in counts/s, PWM_ONE, POSITION_ONE) to one channel; `milliseconds` as above."""
+    data = Struct("<Bh").pack(channel, _int16(command))
+    limit = b"" if milliseconds is None else Struct("<BH").pack(0x1C, milliseconds)
+    return framed(BOARD, kind, data + limit)
+
+
+def gains(control: Literal["velocity", "position"], channel: int, kp: int, kd: int, ki: int) -> bytes:
+    """The controller's gains of one channel."""
+    code = {"velocity": 0x08, "position": 0x07}[control]
+    return framed(BOARD, Type.GAINS, Struct("<BBBhBhBh").pack(code, channel, 1, kp, 2, kd, 3, ki))
+
+
+def disabled(channel: int) -> bytes:
+    """Takes the power off a motor."""
+    return framed(BOARD, Type.DISABLE, bytes((0, channel)))
+
+
+def _int16(command: float) -> int:
+    """The nearest command that the board can take; LEAVE_ALONE is none."""
+    return min(max(round(command), LEAVE_ALONE + 1), -LEAVE_ALONE - 1)

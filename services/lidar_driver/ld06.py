@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""LDROBOT LD06 and LD19: streams by itself, clockwise, 12 beams a packet, with a clock of its own.
+
+Packet (LD19 development manual, section 3.2), 47 bytes, little-endian: 54 2C, speed u16 deg/s, first angle u16 0.01
+degree, 12 x (distance u16 mm, intensity u8), last angle u16, time u16 ms (0 to 29999), CRC-8 with polynomial 0x4D.
+"""
+
+from typing import cast
+
+import numpy as np
+
+from services.lidar_driver.device import Bools, Counts, Returns, Uint8s, since
+from services.lidar_driver.framing import Framing
+
+LENGTH = 47
+N_BEAMS = 12
+TIME_WRAP = 30000  # ticks
+TICK = 1e-3  # s; a time is cut to whole ticks, so half of one is missing on average
+LONGEST_STEP = 900  # 0.01 degree between two beams; more is no turning laser's packet
+
+
+def _tables() -> Uint8s:
+    """(46, 256): what a byte at each place contributes to the sum; the sum is linear, so contributions are xored."""
+    one = np.zeros(256, np.uint8)
+    for value in range(256):
+        crc = value
+        for _ in range(8):
+            crc = (crc << 1 ^ (0x4D if crc & 0x80 else 0)) & 0xFF
+        one[value] = crc
+    rows = [one]
+    for _ in range(LENGTH - 2):
+        rows.append(one[rows[-1]])
+    return np.array(rows[::-1])
+
+
+TABLES = _tables()
+PLACES = np.arange(LENGTH - 1)
+
+
+def sums(packets: Uint8s) -> Bools:
+    """(p, 47) -> (p,): whether the sum is right."""
+    return cast(Bools, np.bitwise_xor.reduce(TABLES[PLACES, packets[:, :-1]], axis=1) == packets[:, -1])
+
+
+def begins(first: Uint8s, second: Uint8s) -> Bools:
+    """Header, and version with 12 beams."""
+    return cast(Bools, (first == 0x54) & (second == 0x2C))
+
+
+class Ld06:
+    """An LD06 or LD19 on a serial line."""
+
+    clockwise = True
+
+    def __init__(self, baud: int) -> None:
+        self.counts = Counts()
+        self.byte_time = 10.0 / baud  # s
+        self.trouble = ""
+        self.scanning = True  # by itself
+        self.met = None
+        self.opened(0)
+
+    def opened(self, now: int) -> bytes:
+        self.framing = Framing(LENGTH, begins, sums, self.counts)
+        self.speed: float | None = None
+        self.last_tick: int | None = None
+        self.time = 0.0  # s on the device's clock, unwrapped, of the last packet
+        return b""
+
+    def due(self, now: int) -> bytes:
+        return b""
+
+    def farewell(self) -> bytes:
+        return b""
+
+    def received(self, data: bytes, now: int) -> list[Returns]:
+        packets, after = self.framing.cut(data)
+        if not len(packets):
+            return []
+        words = packets[:, [2, 4, 42, 44]].astype(np.int64) | packets[:, [3, 5, 43, 45]].astype(np.int64) << 8
+        speed, first, last, ticks = words.T
+        self.speed = float(speed[-1]) / 360.0
+        steps = (last - first) % 36000 / (N_BEAMS - 1)
+        turning = (speed > 0) & (steps > 0) & (steps < LONGEST_STEP)
+        elapsed, restarted = since(ticks, self.last_tick, TIME_WRAP, most_back=0)
+        times = self.time + elapsed * TICK
+        self.last_tick, self.time = int(ticks[-1]), float(times[-1])
+        if not turning.any():
+            return []
+        after, times, first, steps, speed = (a[turning] for a in (after, times, first, steps, speed))
+        beams = packets[turning, 6:42].reshape(-1, N_BEAMS, 3).astype(np.int64)
+        degrees = (first[:, None] + steps[:, None] * np.arange(N_BEAMS)) * 0.01
+        to_last = np.arange(1 - N_BEAMS, 1) * (steps / 100 / speed)[:, None]  # s; the packet's time is its last beam's
+        mm = (beams[:, :, 0] | beams[:, :, 1] << 8).ravel()
+        returns = Returns(
+            angles=-np.radians(degrees).ravel(),
+            ranges=np.where(mm > 0, mm * 1e-3, np.nan).astype(np.float32),
+            intensities=beams[:, :, 2].ravel().astype(np.float32),
+            times=(times[:, None] + TICK / 2 + to_last).ravel(),
+            sent=times,
+            ages=np.asarray((after + LENGTH) * self.byte_time, np.float64),
+            restarted=restarted,
+        )
+        return [returns]

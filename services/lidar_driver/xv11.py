@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Neato XV-11, firmware 2.x: streams by itself while its motor turns, counter-clockwise, four beams a packet.
+
+Packet, 22 bytes, little-endian: FA, index A0..F9 (four degrees each), speed u16 (rpm * 64), 4 x (distance 14 bits mm,
+bit 14 weak, bit 15 invalid; strength u16), sum u16. It has no clock: its turning is the clock.
+"""
+
+from typing import cast
+
+import numpy as np
+
+from services.lidar_driver.device import Bools, Counts, Returns, Uint8s
+from services.lidar_driver.framing import Framing
+
+LENGTH = 22
+N_PACKETS = 90  # a turn
+N_BEAMS = 4
+LEAST_RPM = 180.0  # under this its firmware measures nothing
+SHIFTS = np.arange(9, -1, -1)
+
+
+def begins(first: Uint8s, second: Uint8s) -> Bools:
+    """Start byte, and an index that exists."""
+    return cast(Bools, (first == 0xFA) & (second >= 0xA0) & (second < 0xA0 + N_PACKETS))
+
+
+def sums(packets: Uint8s) -> Bools:
+    """(p, 22) -> (p,): whether the sum over the ten words before it is right."""
+    words = packets[:, 0::2].astype(np.int64) | packets[:, 1::2].astype(np.int64) << 8
+    total = (words[:, :10] << SHIFTS).sum(axis=1)
+    return cast(Bools, ((total & 0x7FFF) + (total >> 15)) & 0x7FFF == words[:, 10])
+
+
+class Xv11:
+    """An XV-11 on a serial line."""
+
+    clockwise = False
+
+    def __init__(self, baud: int) -> None:
+        self.counts = Counts()
+        self.byte_time = 10.0 / baud  # s
+        self.trouble = ""
+        self.scanning = True  # by itself
+        self.met = None
+        self.opened(0)
+
+    def opened(self, now: int) -> bytes:
+        self.framing = Framing(LENGTH, begins, sums, self.counts)
+        self.speed: float | None = None
+        self.last_index: int | None = None
+        self.time = 0.0  # s on the clock that its turning is, at the end of the last packet
+        return b""
+
+    def due(self, now: int) -> bytes:
+        return b""
+
+    def farewell(self) -> bytes:
+        return b""
+
+    def received(self, data: bytes, now: int) -> list[Returns]:
+        packets, after = self.framing.cut(data)
+        if not len(packets):
+            return []
+        index = packets[:, 1].astype(np.int64) - 0xA0
+        rpm = (packets[:, 2].astype(np.int64) | packets[:, 3].astype(np.int64) << 8) / 64
+        self.speed = float(rpm[-1]) / 60
+        slow = rpm[-1] < LEAST_RPM
+        self.trouble = f"the laser turns too slowly: {rpm[-1]:.0f} rpm, it needs {LEAST_RPM:.0f}" if slow else ""
+        durations = 60 / N_PACKETS / np.maximum(rpm, LEAST_RPM / 6)
+        since_last = np.diff(index, prepend=index[0] - 1 if self.last_index is None else self.last_index)
+        ends = self.time + np.cumsum(((since_last - 1) % N_PACKETS + 1) * durations)
+        self.last_index, self.time = int(index[-1]), float(ends[-1])
+        beams = packets[:, 4:20].reshape(-1, N_BEAMS, 4).astype(np.int64)
+        mm = (beams[:, :, 0] | (beams[:, :, 1] & 0x3F) << 8).ravel()
+        invalid = (beams[:, :, 1] & 0x80).ravel() > 0
+        returns = Returns(
+            angles=np.radians((index[:, None] * N_BEAMS + np.arange(N_BEAMS)).ravel()),
+            ranges=np.where(invalid | (mm == 0), np.nan, mm * 1e-3).astype(np.float32),
+            intensities=np.where(invalid, 0, (beams[:, :, 2] | beams[:, :, 3] << 8).ravel()).astype(np.float32),
+            times=(ends[:, None] + durations[:, None] * (np.arange(1 - N_BEAMS, 1) / N_BEAMS)).ravel(),
+            sent=ends,
+            ages=np.asarray((after + LENGTH) * self.byte_time, np.float64),
+        )
+        return [returns]

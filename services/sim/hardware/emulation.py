@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated robot's electronics behind their ports: a motion board, a laser, and whatever is broken of them."""
+
+from pydantic import Field
+
+from services.sim.hardware.board import BoardEmulator
+from services.sim.hardware.faults import UNPLUGS, WORDS, Fault, Faults
+from services.sim.hardware.lasers import LaserEmulator, emulator
+from shared import reasons, topics
+from shared.config import Robot, Section, nearest
+from shared.messages import BoardReport, LaserScan, PortState, SerialData
+from shared.ports import PortConfig
+from shared.requests import Break, Reply
+from shared.service import Out
+
+BOARD, LASER = "board", "laser"
+"""The ports' names."""
+
+
+class EmulationConfig(Section):
+    """The emulated hardware's ports."""
+
+    board: PortConfig = Field(PortConfig(device="pty:/tmp/zenav-board"), description="where the board is plugged in")
+    laser: PortConfig = Field(PortConfig(device="pty:/tmp/zenav-laser"), description="where the laser is plugged in")
+    laser_model: str = Field("", description="whose bytes the laser speaks; empty: the scan stays a message")
+
+
+class Emulation:
+    """Bytes in and out of both devices. `board` holds what the motors were told."""
+
+    def __init__(self, config: EmulationConfig, robot: Robot, seed: int) -> None:
+        self.config = config
+        self.faults = Faults()
+        self.board = BoardEmulator(self.faults, seed)
+        self.laser: LaserEmulator | None = emulator(config.laser_model, robot.laser) if config.laser_model else None
+        self._leaving: list[tuple[int, bytes]] = []  # what the laser will say, ns when
+        self._away: set[str] = set()  # ports that are pulled out
+
+    @property
+    def ports(self) -> dict[str, PortConfig]:
+        """The robot's side of the ports."""
+        return {BOARD: self.config.board, **({LASER: self.config.laser} if self.laser is not None else {})}
+
+    def received(self, data: SerialData, now: int) -> Out:
+        """What a driver wrote, and the device's answer."""
+        if data.port == BOARD:
+            yield from _said(BOARD, self.board.received(data.data, now), now)
+        elif data.port == LASER and self.laser is not None:
+            yield from _said(LASER, self.laser.received(data.data, now), now)
+
+    def measured(self, report: BoardReport, now: int) -> Out:
+        """What the board says of a report."""
+        yield from _said(BOARD, self.board.reported(report, now), now)
+
+    def swept(self, scans: list[LaserScan], now: int) -> Out:
+        """What the laser says by now, and of these sweeps soon; the scans themselves where it speaks in messages."""
+        turning = Fault.LASER_STOPPED not in self.faults
+        if self.laser is not None:
+            self.laser.turning = turning
+            self._leaving += [chunk for scan in scans for chunk in self.laser.swept(scan, now)]
+        elif turning:
+            yield from (topics.SCAN(scan) for scan in scans)
+        due = [data for when, data in self._leaving if when <= now]
+        self._leaving = [(when, data) for when, data in self._leaving if now < when <= now + 1_000_000_000]
+        yield from _said(LASER, b"".join(due), now)
+
+    def plugs(self, now: int) -> Out:
+        """Faults end when their time is over; adapters are pulled out and plugged in."""
+        self.faults.pass_to(now)
+        away = {port for fault, port in UNPLUGS.items() if fault in self.faults and port in self.ports}
+        for port in sorted(away ^ self._away):
+            yield topics.PLUG(PortState(now, port, port not in away, ""))
+        self._away = away
+
+    def broken(self, order: Break, now: int) -> Reply:
+        """Lets a fault begin or end; the reply."""
+        names = tuple(Fault)
+        if order.fault not in names and not (order.mended and not order.fault):
+            return Reply(
+                now, False, reasons.BAD_REQUEST.code, f"no fault {order.fault!r}: {nearest(order.fault, names)}"
+            )
+        if order.mended:
+            self.faults.clear(Fault(order.fault) if order.fault else None)
+            return Reply(now, True, "", f"broken now: {self.faults}" if str(self.faults) else "nothing is broken")
+        fault = Fault(order.fault)
+        self.faults.begin(fault, now + round(order.seconds * 1e9) if order.seconds else None)
+        return Reply(now, True, "", WORDS[fault])
+
+
+def _said(port: str, data: bytes, now: int) -> Out:
+    if data:
+        yield topics.TX(SerialData(now, port, data))

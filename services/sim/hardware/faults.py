@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can break on demand: the table of faults, and which of them hold now."""
+
+from enum import StrEnum
+
+
+class Fault(StrEnum):
+    """What breaks. Those of the line take effect on the board's bytes, the others on what it measures or does."""
+
+    GARBAGE = "garbage"  # the board's bytes arrive as noise, as at a wrong baud rate
+    HALF_PACKETS = "half_packets"  # the second half of every packet of the board is lost
+    BAD_CRC = "bad_crc"  # a bit flips in every packet of the board
+    STALLED = "stalled"  # the board's line carries nothing, either way
+    UNPLUGGED = "unplugged"  # the board's adapter is pulled out
+    STUCK_ENCODER = "stuck_encoder"  # the left encoder's counter stands
+    DEAD_SONAR = "dead_sonar"  # ultrasonic 1, the one ahead, reads 0
+    SWAPPED_MOTOR = "swapped_motor"  # the left motor turns the other way
+    LOW_BATTERY = "low_battery"  # the battery collapses
+    LASER_STOPPED = "laser_stopped"  # the laser stops turning
+    LASER_UNPLUGGED = "laser_unplugged"  # the laser's adapter is pulled out
+
+
+WORDS: dict[Fault, str] = {
+    Fault.GARBAGE: "the board's bytes arrive as noise",
+    Fault.HALF_PACKETS: "half of every packet of the board is lost",
+    Fault.BAD_CRC: "every packet of the board has a flipped bit",
+    Fault.STALLED: "the board's line carries nothing",
+    Fault.UNPLUGGED: "the board's adapter is pulled out",
+    Fault.STUCK_ENCODER: "the left encoder's counter stands still",
+    Fault.DEAD_SONAR: "the sonar that looks ahead reads nothing",
+    Fault.SWAPPED_MOTOR: "the left motor turns the other way",
+    Fault.LOW_BATTERY: "the battery's voltage collapses",
+    Fault.LASER_STOPPED: "the laser stops turning",
+    Fault.LASER_UNPLUGGED: "the laser's adapter is pulled out",
+}
+"""What each does, for people."""
+
+UNPLUGS = {Fault.UNPLUGGED: "board", Fault.LASER_UNPLUGGED: "laser"}
+"""The port that a fault takes away."""
+
+
+class Faults:
+    """The faults that hold, each until its time is over or it is cleared."""
+
+    def __init__(self) -> None:
+        self._until: dict[Fault, int | None] = {}
+
+    def begin(self, fault: Fault, until: int | None) -> None:
+        """It holds until this time, ns; None: until cleared. A second one of its kind replaces the first."""
+        self._until[fault] = until
+
+    def clear(self, fault: Fault | None) -> None:
+        """Ends it, or all."""
+        for ended in [fault] if fault is not None else list(self._until):
+            self._until.pop(ended, None)
+
+    def pass_to(self, now: int) -> None:
+        """Ends those whose time is over."""
+        self._until = {fault: until for fault, until in self._until.items() if until is None or now < until}
+
+    def __contains__(self, fault: Fault) -> bool:
+        return fault in self._until
+
+    def __str__(self) -> str:
+        return ", ".join(self._until)

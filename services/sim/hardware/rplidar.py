@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A SLAMTEC RPLIDAR: answers what it is asked, then streams standard nodes or express capsules, clockwise.
+
+While it does not turn it streams nothing, and reports its health as failed.
+"""
+
+import struct
+from functools import reduce
+from math import degrees
+from operator import xor
+
+import numpy as np
+
+from services.sim.hardware.seen import first_angle, left, millimetres, moments
+from shared.config import Laser
+from shared.messages import LaserScan
+
+BAUD = 115200
+MODE_STREAM = 1 << 30
+NO_MOTOR = 0x8001  # a code of ours
+N_CABINS = 16
+REQUESTS = {0x25: 0, 0x40: 0, 0x20: 0, 0x21: 0, 0x50: 0, 0x52: 0, 0x59: 0, 0x82: 1, 0xF0: 1}  # 1: has a payload
+
+
+def descriptor(length: int, kind: int) -> bytes:
+    """What comes before an answer, or before a stream of packets of this length."""
+    return struct.pack("<BBIB", 0xA5, 0x5A, length, kind)
+
+
+def node(first: bool, degrees_: float, mm: float) -> bytes:
+    """One standard node: 1/64 degree, 1/4 mm."""
+    quality = 47 if mm else 0
+    angle = round(degrees_ * 64) % (360 * 64)
+    return struct.pack("<BHH", quality << 2 | (1 if first else 2), angle << 1 | 1, min(round(mm * 4), 0xFFFF))
+
+
+def capsule(degrees_: float, mm: list[int], anew: bool) -> bytes:
+    """32 beams from an angle on, evenly up to the next capsule's, in whole mm."""
+    body = struct.pack("<H", round(degrees_ * 64) % (360 * 64) | (0x8000 if anew else 0))
+    for a, b in zip(mm[::2], mm[1::2]):
+        body += struct.pack("<HHB", a << 2, b << 2, 0)
+    total = reduce(xor, body)
+    return bytes([0xA0 | total & 0xF, 0x50 | total >> 4]) + body
+
+
+class Rplidar:
+    """model: 0x18 an A1, 0x28 an A2."""
+
+    def __init__(self, laser: Laser, model: int) -> None:
+        self.laser, self.model = laser, model
+        self.turning = True
+        self.n = round(2 * np.pi / abs(laser.angle_increment))  # samples a turn
+        self.mode = 0  # the request of the scan under way; 0: none
+        self.asked = b""
+        self.beams: list[tuple[float, int]] = []  # degrees, mm: what a capsule waits for
+        self.anew = True
+
+    def received(self, data: bytes, now: int) -> bytes:
+        self.asked = (self.asked + data)[-64:]
+        answer = b""
+        while (at := self.asked.find(0xA5)) >= 0:
+            request = self.asked[at:]
+            has_payload = len(request) > 1 and REQUESTS.get(request[1]) == 1
+            length = 2 if not has_payload else 4 + request[2] if len(request) > 2 else 3
+            if len(request) < length:
+                break
+            self.asked = request[length:]
+            if not has_payload or reduce(xor, request[:length]) == 0:
+                answer += self._answer(request[1])
+        return answer
+
+    def _answer(self, request: int) -> bytes:
+        if request in (0x25, 0x40):
+            self.mode = 0
+        elif request == 0x50:
+            return descriptor(20, 0x04) + bytes([self.model, 29, 1, 7]) + bytes(range(16))
+        elif request == 0x52:
+            return descriptor(3, 0x06) + (struct.pack("<BH", 0, 0) if self.turning else struct.pack("<BH", 2, NO_MOTOR))
+        elif request == 0x59:
+            sample_time = round(1e6 / (self.laser.rate * self.n))
+            return descriptor(4, 0x15) + struct.pack("<HH", sample_time, sample_time)
+        elif request in (0x20, 0x21):
+            self.mode = 0x20
+            return descriptor(5 | MODE_STREAM, 0x81)
+        elif request == 0x82:
+            self.mode, self.beams, self.anew = 0x82, [], True
+            return descriptor(84 | MODE_STREAM, 0x82)
+        return b""
+
+    def swept(self, scan: LaserScan, now: int) -> list[tuple[int, bytes]]:
+        if not self.turning or not self.mode:
+            return []
+        angles = -degrees(first_angle(scan, -1)) + 360 / self.n * np.arange(self.n)
+        mm = millimetres(scan, np.radians(-angles))
+        times = moments(scan, self.laser, np.arange(1, self.n + 1) / self.n)
+        angles %= 360
+        if self.mode == 0x20:
+            first = int(np.argmin(angles))
+            return [
+                left(at, node(i == first, angle, d), BAUD)
+                for i, (at, angle, d) in enumerate(zip(times, angles.tolist(), mm.tolist()))
+            ]
+        chunks = []
+        for at, angle, d in zip(times, angles.tolist(), np.rint(mm).astype(int).tolist()):
+            self.beams.append((angle, min(d, 0x3FFF)))
+            if len(self.beams) == 2 * N_CABINS:
+                data = capsule(self.beams[0][0], [d for _, d in self.beams], self.anew)
+                chunks.append(left(at, data, BAUD))
+                self.beams, self.anew = [], False
+        return chunks

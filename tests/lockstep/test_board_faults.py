@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole stack on an emulated board, from its bytes up: it drives, and whatever breaks stops it in time."""
+
+import numpy as np
+import pytest
+
+from services.sim.dynamics import LEFT_ANGLE, RIGHT_ANGLE
+from shared import requests
+from shared.messages import GuardState
+from shared.requests import Break
+from tests.lockstep.stack import MS, Stack
+
+pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
+
+EMULATED = ("sim.hardware=emulated", "sim.emulation.laser_model=''", "base_driver.port.device=wired")
+
+STOPS = {
+    "garbage": ("board_silent", "bytes arrive, none make sense: wrong baud rate?"),
+    "half_packets": ("board_silent", "bytes arrive, none make sense: wrong baud rate?"),
+    "bad_crc": ("board_silent", "packets arrive, but their checksums are wrong"),
+    "stalled": ("board_silent", "no byte arrives"),
+    "unplugged": ("port_closed", "unplugged"),
+    "stuck_encoder": ("wheel_stuck", "the left wheel is commanded but does not turn"),
+    "dead_sonar": ("sensor_dead", "ultrasonic 1 does not answer"),
+    "swapped_motor": ("wheel_astray", "the left wheel turns at"),
+    "low_battery": ("battery_empty", "battery low: 5.5 V"),
+}
+"""Fault, what the base says of it, and how its words begin."""
+
+LATCHED = ("wheel_stuck", "wheel_astray")
+
+
+def wheels_agree(stack: Stack) -> None:
+    """What the driver counts is what the wheels have turned, but for the encoders' steps."""
+    told, true = stack.newest["base/wheels"], stack.lockstep.service("sim").state_now[LEFT_ANGLE : RIGHT_ANGLE + 1]
+    step = 2 * np.pi / stack.file.robot.drive.counts_per_turn
+    assert abs(told.left - true[0]) <= step
+    assert abs(told.right - true[1]) <= step
+
+
+@pytest.mark.parametrize("hardware", [EMULATED, ()], ids=["bytes", "messages"])
+def test_the_robot_reaches_its_goal_and_its_wheels_are_counted_right(tmp_path, hardware):
+    stack = Stack(tmp_path, settings=hardware)
+    stack.go(6.5, 0.5)
+    stack.until(stack.reached, 30.0)
+    stack.lockstep.run(1.0)
+    assert stack.truth.n_contacts == 0
+    assert stack.truth.distance > 5.5
+    wheels_agree(stack)
+    if hardware:
+        status = stack.newest["base/board"]
+        assert (status.bad_crc, status.resyncs, status.skipped) == (0, 0, 0)
+        assert status.rate == pytest.approx(50, abs=2)
+        emulated = stack.lockstep.service("sim").emulation.board
+        assert {channel: (g.kp, g.kd, g.ki) for channel, g in emulated.gains.items()} == dict.fromkeys(
+            (0, 1), (15, 0, 0)
+        )
+        assert emulated.n_acknowledged >= 5
+
+
+@pytest.fixture
+def driving(tmp_path):
+    """At full speed towards a goal six metres ahead."""
+    stack = Stack(tmp_path, settings=EMULATED)
+    stack.go(6.5)
+    stack.drives()
+    return stack
+
+
+def breaks(stack: Stack, fault: str, seconds: float = 0.0) -> None:
+    assert stack.lockstep.ask(requests.FAULT, Break(stack.now, fault, seconds, False)).accepted
+
+
+def mended(stack: Stack) -> None:
+    reply = stack.lockstep.ask(requests.FAULT, Break(stack.now, "", 0.0, True))
+    assert (reply.accepted, reply.detail) == (True, "nothing is broken")
+
+
+@pytest.mark.parametrize("fault", STOPS)
+def test_a_broken_board_stops_the_robot_in_300_ms_says_why_and_drives_on_when_it_is_mended(driving, fault):
+    reason, words = STOPS[fault]
+    breaks(driving, fault)
+    assert driving.until(lambda: not driving.commanded, 1.0) <= 300 * MS
+    driving.until(lambda: driving.newest["base/status"].fault == reason, 0.5)
+    driving.lockstep.run(0.3)
+    status, guard = driving.newest["base/status"], driving.guard
+    assert status.fault == guard.reason == reason
+    assert guard.state is GuardState.FAULT
+    assert status.detail.startswith(words)
+    assert guard.detail == status.detail
+    driving.until(lambda: abs(driving.truth.v) < 0.01, 1.0)
+    driving.stands_for(1.0)
+    mended(driving)
+    driving.lockstep.run(1.0)
+    if reason in LATCHED:
+        assert driving.guard.reason == reason
+        driving.stands_for(0.5)
+        driving.stop(False)
+    driving.until(lambda: driving.newest["base/status"].fault == "", 0.5)
+    driving.stands_for(0.3)
+    driving.go(5.0)
+    driving.until(driving.reached, 40.0)
+    assert driving.truth.n_contacts == 0
+    assert driving.newest["base/status"].fault == ""
+
+
+def test_a_fault_of_a_moment_stops_nothing(driving):
+    for fault in ("garbage", "half_packets", "bad_crc", "stalled"):
+        breaks(driving, fault, seconds=0.1)
+        driving.lockstep.run(0.3)
+        assert driving.newest["base/status"].fault == ""
+    driving.until(driving.reached, 30.0)
+    assert driving.newest["base/board"].bad_crc > 0
+    assert driving.newest["base/board"].resyncs > 0
+    wheels_agree(driving)
+
+
+def test_when_the_driver_dies_the_board_s_time_limit_stops_the_wheels_and_a_new_one_drives(driving):
+    driving.lockstep.kill("base_driver")
+    driving.until(lambda: abs(driving.truth.v) < 0.02, 1.2)  # 0.2 s of limit, then the wheels roll out
+    driving.lockstep.run(1.0)
+    driving.start("base_driver")
+    driving.until(driving.ended, 40.0)
+    assert driving.truth.n_contacts == 0
+
+
+def test_the_same_seed_and_faults_give_the_same_bytes(tmp_path):
+    def run() -> list[bytes]:
+        said: list[bytes] = []
+        stack = Stack(tmp_path, settings=EMULATED)
+        for key in ("port/tx/sim", "port/tx/base_driver"):
+            stack.lockstep.watch(key, lambda message: said.append(message.data))
+        stack.go(3.0)
+        stack.lockstep.run(1.0)
+        breaks(stack, "garbage", seconds=0.3)
+        stack.lockstep.run(1.0)
+        return said
+
+    assert run() == run()

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A driver at the end of an emulated laser's line, without a runner."""
+
+from collections.abc import Callable
+from math import pi
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.lidar_driver.service import LidarDriverConfig, LidarDriverService
+from services.sim.hardware.lasers import LaserEmulator, emulator
+from shared import topics
+from shared.config import Laser, Robot, load_robot
+from shared.messages import LaserScan, PortState, SerialData
+from shared.service import Log, Out
+
+SECOND = 1_000_000_000
+MS = 1_000_000
+START = 1_700_000_000 * SECOND
+TICK = 20 * MS
+
+SWEEPS: dict[str, dict[str, Any]] = {
+    "ld06": {"angle_min": 0.0, "angle_increment": -2 * pi / 450, "n_beams": 450, "rate": 10.0},
+    "xv11": {"angle_min": 0.0, "angle_increment": pi / 180, "n_beams": 360, "rate": 5.0},
+    "scip": {"angle_min": -340 * 2 * pi / 1024, "angle_increment": 2 * pi / 1024, "n_beams": 682, "rate": 10.0},
+    "rplidar": {"angle_min": 0.0, "angle_increment": -2 * pi / 360, "n_beams": 360, "rate": 5.0},
+    "rplidar_a2": {"angle_min": -pi, "angle_increment": -2 * pi / 400, "n_beams": 400, "rate": 10.0},
+}
+"""Emulated model -> its sweep."""
+MODELS = tuple(SWEEPS)
+BAUD = {"ld06": 230400}
+
+
+def laser_of(model: str) -> Laser:
+    sweep = SWEEPS[model]
+    share = (sweep["n_beams"] - 1) * abs(sweep["angle_increment"]) / (2 * pi)
+    return Laser(range_min=0.05, range_max=12.0, scan_time=share / sweep["rate"], **sweep)
+
+
+def robot_with(laser: Laser) -> Robot:
+    return load_robot("x80sv").robot.model_copy(update={"laser": laser})
+
+
+def made_driver(model: str, laser: Laser | None = None, **settings: Any) -> LidarDriverService:
+    spoken = model.removesuffix("_a2")
+    values = {"model": spoken, "port": {"device": "there", "baud": BAUD.get(model, 115200)}, "mask_footprint": False}
+    config = LidarDriverConfig.model_validate(values | settings)
+    driver = LidarDriverService(config, robot_with(laser or laser_of(model)))
+    driver.now = START
+    return driver
+
+
+class Line:
+    """Laser and driver, the stack's clock, and all that either says."""
+
+    def __init__(self, driver: LidarDriverService, laser: LaserEmulator) -> None:
+        self.driver, self.laser = driver, laser
+        self.now = START
+        self.written: list[bytes] = []
+        self.scans: list[LaserScan] = []
+        self.lines: list[str] = []
+        self.leaving: list[tuple[int, bytes]] = []
+        self.passes: Callable[[bytes], bytes] = lambda data: data  # what the line does to bytes
+        self.delay: Callable[[], int] = lambda: 0  # ns more until the port has read
+        self.stack_time: Callable[[int], int] = lambda true: true  # the stack's clock at a true time
+        self.take(driver.plugged(PortState(START, "laser", True, "")))
+
+    def take(self, out: Out) -> None:
+        for said in out:
+            if isinstance(said, Log):
+                self.lines.append(said.text)
+            elif said.topic is topics.TX:  # type: ignore[union-attr]
+                self.written.append(said.message.data)  # type: ignore[union-attr]
+            else:
+                assert said.topic is topics.SCAN  # type: ignore[union-attr]
+                self.scans.append(said.message)  # type: ignore[union-attr]
+
+    def hear(self, data: bytes) -> None:
+        data = self.passes(data)
+        if data:
+            self.take(self.driver.received(SerialData(self.driver.now, "laser", data)))
+
+    def step(self, sweeps: list[LaserScan]) -> None:
+        """20 ms of true time, and the sweeps that ended in it."""
+        self.now += TICK
+        orders, self.written = self.written, []
+        answer = b"".join(self.laser.received(order, self.now) for order in orders)
+        for sweep in sweeps:
+            self.leaving += self.laser.swept(sweep, self.now)
+        due = [(when, data) for when, data in self.leaving if when <= self.now]
+        self.leaving = [(when, data) for when, data in self.leaving if when > self.now]
+        self.driver.now = self.stack_time(self.now + self.delay())
+        self.hear(answer + b"".join(data for _, data in due))
+        self.take(self.driver.watch())
+
+    def run(self, sweeps: list[LaserScan], seconds: float) -> None:
+        end = self.now + round(seconds * SECOND)
+        while self.now < end:
+            ended = [s for s in sweeps if self.now < s.stamp + round(s.scan_time * SECOND) <= self.now + TICK]
+            self.step(ended)
+
+
+def line_of(model: str, **settings: Any) -> Line:
+    return Line(made_driver(model, **settings), emulator(model, laser_of(model)))
+
+
+def sweep_of(laser: Laser, stamp: int, ranges: NDArray[Any]) -> LaserScan:
+    return LaserScan(
+        stamp, laser.angle_min, laser.angle_increment, laser.scan_time, laser.range_min, laser.range_max,
+        np.asarray(ranges, np.float32),
+    )  # fmt: skip
+
+
+def random_sweeps(laser: Laser, seconds: float, seed: int = 0, start: int = START) -> list[LaserScan]:
+    """Sweeps of random ranges in whole mm, 2 % of them empty, at the laser's rate."""
+    rng = np.random.default_rng(seed)
+    sweeps = []
+    for k in range(int(seconds * laser.rate)):
+        ranges = np.round(rng.uniform(0.1, 11.9, laser.n_beams), 3)
+        ranges[rng.random(laser.n_beams) < 0.02] = np.nan
+        sweeps.append(sweep_of(laser, start + round(k * SECOND / laser.rate), ranges))
+    return sweeps
+
+
+def truth_of(scan: LaserScan, sweeps: list[LaserScan]) -> LaserScan:
+    """The sweep that a scan tells: the one nearest in time."""
+    return min(sweeps, key=lambda sweep: abs(sweep.stamp - scan.stamp))
