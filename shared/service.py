@@ -99,11 +99,14 @@ def on(topic: Topic[M]) -> Callable[[Callable[[S, M], Out]], Callable[[S, M], Ou
     return mark
 
 
-def every(hz: float) -> Callable[[Callable[[S], Out]], Callable[[S], Out]]:
-    """Marks a handler called at a fixed rate on the stack's clock; a missed tick is skipped, never made up for."""
+def every(hz: float, after: "Topic[Any] | None" = None) -> Callable[[Callable[[S], Out]], Callable[[S], Out]]:
+    """Marks a handler called at a fixed rate on the stack's clock; a missed tick is skipped, never made up for.
+
+    after: a topic that the service listens to; the ticks keep in step with it, one right after each message.
+    """
 
     def mark(handler: Callable[[S], Out]) -> Callable[[S], Out]:
-        handler.event = ("every", hz)  # type: ignore[attr-defined]  # functions carry their registration
+        handler.event = ("every", (hz, after.key if after else ""))  # type: ignore[attr-defined]  # functions carry their registration
         return handler
 
     return mark
@@ -124,7 +127,7 @@ class Handlers:
     """What a service class listens to, in the order of its source."""
 
     topics: dict[str, tuple[Topic[Message], str]]  # topic key -> topic, method
-    ticks: tuple[tuple[float, str], ...]  # Hz, method
+    ticks: tuple[tuple[float, str, str], ...]  # Hz, method, key of the topic that it keeps in step with
     requests: dict[str, tuple[Request[Message, Message], str]]  # request key -> request, method
 
 
@@ -136,7 +139,7 @@ def handlers(service: type[Service]) -> Handlers:
     marks = [(kind, what, name) for name, (kind, what) in found.items()]
     return Handlers(
         {what.key: (what, name) for kind, what, name in marks if kind == "on"},
-        tuple((what, name) for kind, what, name in marks if kind == "every"),
+        tuple((what[0], name, what[1]) for kind, what, name in marks if kind == "every"),
         {what.key: (what, name) for kind, what, name in marks if kind == "answer"},
     )
 

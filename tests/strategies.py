@@ -38,7 +38,7 @@ def publications(service: Any) -> st.SearchStrategy[tuple[str, Message | None]]:
     """Events for a service: a topic's method with a valid message, or a tick's method with None."""
     marks = handlers(type(service) if not isinstance(service, type) else service)
     heard = [st.tuples(st.just(method), _narrowed(topic.type).map(_frozen)) for topic, method in marks.topics.values()]
-    ticks = [st.tuples(st.just(method), st.none()) for _, method in marks.ticks]
+    ticks = [st.tuples(st.just(method), st.none()) for _, method, _ in marks.ticks]
     asked = [
         st.tuples(st.just(method), messages(request.request).map(_frozen))
         for request, method in marks.requests.values()

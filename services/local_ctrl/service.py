@@ -163,7 +163,7 @@ class LocalCtrlService(Service):
                 self.plan = plan
         return ()
 
-    @every(hz=20)
+    @every(hz=20, after=topics.SCAN)
     def tick(self) -> Out:
         n_elapsed = round((self.now - self.last_tick) / (DT * S)) if self.last_tick else 0
         self.last_tick = self.now

@@ -21,6 +21,7 @@ Float32s = NDArray[np.float32]
 
 _STRAIGHT, _DIAGONAL = 70, 99  # of a step, in 1/70 cells
 _FAR = 2**30
+_ENCLOSED = 4.0  # m^2: a robot that can reach less than that looks for a tighter way out
 _ESCAPE = 0.6  # m through crowded or unseen space to where the robot fits: it may stand close to a wall, or unmapped
 
 
@@ -28,6 +29,9 @@ class FrontierConfig(Section):
     """What counts as a frontier."""
 
     margin: float = Field(0.07, ge=0, le=1, description="m kept free around the footprint's inscribed circle")
+    least_margin: float = Field(
+        0.03, ge=0, le=1, description="m kept free around it on the way out of a place that is enclosed else"
+    )
     goal_margin: float = Field(
         0.1, ge=0, le=1, description="m around it that must be known and free where a frontier is looked at from"
     )
@@ -91,6 +95,9 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     free = _free(cells, row, column, snapshot.robot_radius / resolution)
     passable = free & (distance >= clearance - 1e-6)
     travelled = _wave(passable, distance, int(row), int(column), _ESCAPE / resolution)
+    if np.count_nonzero(travelled < _FAR) * resolution**2 < _ENCLOSED:  # a gap that narrowed since it drove in?
+        tight = free & (distance >= snapshot.robot_radius + min(config.least_margin, config.margin) - 1e-6)
+        travelled = _wave(tight, distance, int(row), int(column), _ESCAPE / resolution)
     enclosed = not bool((passable & (travelled < _FAR)).any())
     # a desk seen along its edge leaves few hits: what borders on the unknown is as narrow as if that were occupied
     room = np.minimum(distance, distance_field(_deep_unknown(free, cells), resolution) - resolution)

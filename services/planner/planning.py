@@ -51,7 +51,20 @@ def no_plan(reason: Reason) -> Plan:
 def planned(
     terrain: Terrain, search: Search, start: Pose2, goal: Pose2, tolerance: float, config: PlanningConfig
 ) -> Plan:
-    """The path from start to goal, or to the nearest place with room within the larger of tolerance and goal_reach."""
+    """The path from start to goal, or to the nearest place with room within the larger of tolerance and goal_reach.
+
+    It keeps the margin; where no way at all does, the least margin: the robot must get out of a gap that has become a
+    cell narrower since it drove in.
+    """
+    plan = _with_margin(terrain, search, start, goal, tolerance, config)
+    if plan.reason is not reasons.UNREACHABLE:
+        return plan
+    return _with_margin(terrain.eased(), search, start, goal, tolerance, config)
+
+
+def _with_margin(
+    terrain: Terrain, search: Search, start: Pose2, goal: Pose2, tolerance: float, config: PlanningConfig
+) -> Plan:
     start_cell, goal_cell = terrain.cell(start.x, start.y), terrain.cell(goal.x, goal.y)
     if not terrain.holds(*start_cell):
         return no_plan(reasons.NO_MAP)

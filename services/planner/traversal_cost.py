@@ -29,6 +29,7 @@ class CostConfig(Section):
     """How obstacles and unknown space lengthen a way."""
 
     margin: float = Field(0.07, ge=0, le=1, description="m kept free around the footprint's inscribed circle")
+    least_margin: float = Field(0.03, ge=0, le=1, description="m kept free around it where there is no other way")
     inflation_radius: float = Field(
         1.0, gt=0, le=5, description="m from an obstacle at which it stops to matter for the plan"
     )
@@ -58,7 +59,7 @@ class Terrain:
     """
 
     def __init__(self, config: CostConfig, robot: Robot, resolution: float) -> None:
-        self.config = config
+        self.config, self.robot = config, robot
         self.resolution = resolution
         self.blocked_under = robot.inscribed_radius + config.margin
         radius = max(config.inflation_radius, self.blocked_under, robot.circumscribed_radius + config.margin)
@@ -85,17 +86,36 @@ class Terrain:
             self.distance = np.minimum(distance_field(occupied, 1.0), np.float32(self.reach_cells))
         elif changed.any():
             self._redistance(occupied, changed)
-        h, w = occupied.shape
+        self.cells = grid.cells
+        self.origin = (grid.x0 - self.pad * self.resolution, grid.y0 - self.pad * self.resolution)
+        self._fill()
+
+    def eased(self) -> "Terrain":
+        """The same map for a robot that keeps only the least margin: its way where there is no other."""
+        margin = min(self.config.least_margin, self.config.margin)
+        eased = Terrain(self.config.model_copy(update={"margin": margin}), self.robot, self.resolution)
+        eased.distance, eased.cells, eased.origin, eased.reach_cells = (
+            self.distance,
+            self.cells,
+            self.origin,
+            self.reach_cells,
+        )
+        eased.by_distance = cost_by_distance(eased.config, self.robot, self.resolution, self.reach_cells)
+        eased._fill()
+        return eased
+
+    def _fill(self) -> None:
+        """The costs by distance and what is known, and the regions."""
+        h, w = self.cells.shape
         pad = self.pad
         costs = np.full((h + 2 * pad, w + 2 * pad), 0, np.uint16)
         if pad > 1:
             costs[1:-1, 1:-1] = UNIT + self.unknown_cost
-        _fill_costs(grid.cells, self.distance, self.by_distance, self.unknown_cost, costs[pad : pad + h, pad : pad + w])
-        self.costs, self.cells = costs, grid.cells
+        _fill_costs(self.cells, self.distance, self.by_distance, self.unknown_cost, costs[pad : pad + h, pad : pad + w])
+        self.costs = costs
         # diagonal steps need both straight neighbours free, so what hangs together does so by straight steps
         self.regions = ndimage.label(costs, output=np.int32)[0]
         self.highest = max(int(costs.max()), UNIT)
-        self.origin = (grid.x0 - pad * self.resolution, grid.y0 - pad * self.resolution)
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
         """(row, column) in `costs` of a point of `map`; may lie outside."""

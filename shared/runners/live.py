@@ -16,6 +16,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, cast
 
@@ -34,6 +35,7 @@ from shared.runners.clock import SECOND, Clock, clock_from
 from shared.runners.host import Effect, Host, JobOrder, Sent, merged
 from shared.runners.inbox import Inbox, Place
 from shared.runners.memory import REMEMBERED, Memory
+from shared.runners.metronome import Metronome
 from shared.runners.port import Port
 from shared.runners.traffic import Traffic
 from shared.service import Service
@@ -73,6 +75,7 @@ class Live:
         self._workers = ThreadPoolExecutor(1, thread_name_prefix="job")
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._latched: dict[str, transport.LatchedPublisher] = {}
+        self._metronomes: list[Metronome] = []
         self._kept: dict[str, Message] = {}
         self._unsaved: dict[str, Callable[[], bytes]] = {}
         self._ports = {
@@ -90,10 +93,8 @@ class Live:
 
     def run(self) -> None:
         """Feeds the service until `stop`."""
-        periods = [round(SECOND / hz) for hz, _ in self.host.handlers.ticks]
-        now = self.clock.now()
-        due = [now for _ in periods]
-        report = now
+        now = report = self.clock.now()
+        self._metronomes = [Metronome(hz, follows, now) for hz, _, follows in self.host.handlers.ticks]
         self._restore(now)
         for port in self._ports.values():
             port.start()
@@ -102,14 +103,14 @@ class Live:
             if now >= report:
                 self._report(now)
                 report = now + SECOND
-            first = min(range(len(due)), key=due.__getitem__, default=-1)
-            if first >= 0 and due[first] <= now:
-                due[first] = _next_tick(due[first], periods[first], now)
+            first = min(self._metronomes, key=attrgetter("due"), default=None)
+            if first is not None and first.is_due(now):
+                first.ticked(now)
                 begun = time.perf_counter()
-                self._apply(self.host.tick(first, now))
+                self._apply(self.host.tick(self._metronomes.index(first), now))
                 self.traffic.slowest = max(self.traffic.slowest, time.perf_counter() - begun)
                 continue
-            until = min([report, *due])
+            until = report if first is None else min(report, first.due)
             item = self.inbox.take(min(0.25, self.clock.seconds(until - now)))
             if item is not None:
                 self._handle(*item)
@@ -238,6 +239,8 @@ class Live:
             self.traffic.old += not latched
             return
         self._apply(self.host.message(key, message, envelope, now, latched))
+        for metronome in self._metronomes:
+            metronome.heard(topic.key, now)
         self.traffic.took(key, (now - message.stamp) / SECOND, time.perf_counter() - begun)
 
     def _raw(self, full_key: str, payload: bytes, now: int) -> None:
@@ -319,12 +322,6 @@ def _same(before: Message | None, message: Message) -> bool:
     """Whether two messages say the same, at whatever time."""
     nobody = Envelope("", "", 0, 0)
     return before is not None and encode(replace(before, stamp=message.stamp), nobody) == encode(message, nobody)
-
-
-def _next_tick(due: int, period: int, now: int) -> int:
-    """The next deadline on the grid: a missed tick is skipped, and a clock that jumped back is followed."""
-    upcoming = due + period
-    return upcoming if upcoming > now else now + period - (now - due) % period
 
 
 def _refuse(query: zenoh.Query, reason: Reason, text: str) -> None:

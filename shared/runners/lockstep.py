@@ -15,6 +15,7 @@ from shared.codec import Envelope, decode, encode
 from shared.messages import Message, PortState, SerialData, Stamp
 from shared.requests import Request
 from shared.runners.host import Effect, Host, JobOrder, Sent, merged
+from shared.runners.metronome import Metronome
 from shared.service import Service
 from shared.topics import SERVICES, Publication, key_of
 
@@ -46,6 +47,7 @@ class Lockstep:
         self._record = record
         self._hosts: dict[str, Host] = {}
         self._lives: dict[str, int] = {}
+        self._metronomes: dict[str, list[Metronome]] = {}
         self._busy_until: dict[str, int] = {}
         self._watchers: dict[str, list[Callable[[Any], None]]] = {}
         self._heap: list[tuple[int, int, Callable[[], None]]] = []
@@ -67,8 +69,10 @@ class Lockstep:
         for sent in before:
             if sent.envelope.publisher == name and sent.topic.key in host.handlers.topics:
                 self._take(host, host.message(sent.key, sent.message, sent.envelope, self.now, latched=True))
-        for index, (hz, _) in enumerate(host.handlers.ticks):
-            self._schedule_tick(name, life, index, self.now, round(1e9 / hz))
+        metronomes = [Metronome(hz, follows, self.now) for hz, _, follows in host.handlers.ticks]
+        self._metronomes[name] = metronomes
+        for index, metronome in enumerate(metronomes):
+            self._schedule_tick(name, life, index, metronome)
         self._schedule_journal(name, life)
         for sent in before:
             if sent.envelope.publisher != name:
@@ -136,14 +140,23 @@ class Lockstep:
     def _alive(self, name: str, life: int) -> Host | None:
         return self._hosts.get(name) if self._lives.get(name) == life else None
 
-    def _schedule_tick(self, name: str, life: int, index: int, when: int, period: int) -> None:
+    def _schedule_tick(self, name: str, life: int, index: int, metronome: Metronome) -> None:
         def tick() -> None:
             host = self._alive(name, life)
-            if host is not None:
-                self._schedule_tick(name, life, index, when + period, period)
+            if host is not None and metronome.due == self.now:  # else it was called earlier meanwhile
+                metronome.ticked(self.now)
+                self._schedule_tick(name, life, index, metronome)
                 self._take(host, host.tick(index, self.now))
 
-        self._push(when, tick)
+        self._push(metronome.due, tick)
+
+    def _keep_step(self, name: str, life: int, key: str) -> None:
+        """The ticks that follow a topic are due now that the service took a message of it."""
+        for index, metronome in enumerate(self._metronomes[name]):
+            due = metronome.due
+            metronome.heard(key, self.now)
+            if metronome.due != due:
+                self._schedule_tick(name, life, index, metronome)
 
     def _schedule_journal(self, name: str, life: int) -> None:
         def write() -> None:
@@ -234,5 +247,6 @@ class Lockstep:
             host = self._alive(name, life)
             if host is not None:
                 self._take(host, host.message(sent.key, sent.message, sent.envelope, self.now, latched))
+                self._keep_step(name, life, sent.topic.key)
 
         self._push(self.now + round(delay * 1e9), arrive)

@@ -55,6 +55,7 @@ class Port:
         self._line: Line | None = None
         self._waiting: deque[tuple[float, bytes]] = deque()
         self._changed = threading.Condition()
+        self._writing = threading.Lock()  # nothing is written to a line that is being closed
         self._plugged, self._closing = True, False
         self._told: tuple[bool, str] | None = None
         self._threads = [
@@ -111,9 +112,9 @@ class Port:
             except OSError as error:
                 self._say(False, trouble(self.config, error))
             finally:
-                with self._changed:
+                with self._writing:
                     self._line = None
-                line.close()
+                    line.close()
 
     def _wanted(self) -> bool:
         """Whether the device stays open: until the last order is written."""
@@ -128,8 +129,8 @@ class Port:
                     self._changed.wait(PATIENCE)
                 until, data = self._waiting.popleft()
                 line = self._line
-            if line is not None and time.monotonic() < until:
-                with suppress(OSError):  # the reader finds out too, and opens anew
+            with self._writing, suppress(OSError):  # the reader finds out too, and opens anew
+                if line is not None and line is self._line and time.monotonic() < until:
                     line.write(data)
 
     def _pause(self) -> None:

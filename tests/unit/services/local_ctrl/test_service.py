@@ -39,7 +39,7 @@ def last(loop: Loop) -> tuple[m.Velocity, m.FollowStatus]:
 def test_it_listens_and_ticks_as_the_registry_says() -> None:
     found = handlers(LocalCtrlService)
     assert set(found.topics) == {"scan", "base/ranges", "odom", "pose", "map", "plan", "goal"}
-    assert found.ticks == ((topics.CMD_NAV.hz, "tick"),)
+    assert found.ticks == ((topics.CMD_NAV.hz, "tick", "scan"),)
 
 
 def test_without_a_goal_it_is_idle_and_stands() -> None:

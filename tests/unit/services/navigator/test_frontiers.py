@@ -54,6 +54,18 @@ def test_what_lies_behind_a_gap_too_narrow_is_unreachable():
     assert [round(cells[:, 1].mean()) for cells in found.unreachable] == [89]
 
 
+def test_a_robot_in_a_place_that_became_enclosed_finds_its_way_out_through_the_gap_it_came_by():
+    cells = CORRIDOR.copy()
+    cells[10:15, 60:64] = cells[25:30, 60:64] = 100  # leaves 0.5 m: less than is wanted, more than the robot
+    cells[:, 88:] = 100
+    inside = look(cells, 4.0, 1.0)
+    assert [round(f.x) for f in inside.frontiers] == [0]
+    outside = look(cells, 2.0, 1.0)
+    assert [round(f.x) for f in outside.frontiers] == [0]
+    cells[15:17, 60:64] = cells[23:25, 60:64] = 100  # 0.3 m
+    assert not look(cells, 4.0, 1.0).frontiers
+
+
 def test_a_gap_beside_a_desk_seen_along_its_edge_is_as_narrow_as_if_the_edge_were_mapped():
     cells = np.full((100, 100), 0, np.int8)
     cells[[0, -1]] = cells[:, [0, -1]] = 100

@@ -47,6 +47,22 @@ def wall_with_door(at, width=0.8):
     return cells
 
 
+def test_a_gap_within_the_margin_is_driven_only_where_there_is_no_other_way():
+    """0.5 m for a robot that is 0.4 m wide and wants 0.54 m."""
+    cells = wall_with_door(0.4, 0.5)
+    alone = way(terrain_of(cells), (1.0, 0.7, 0.0), (7.0, 0.7, 0.0))
+    assert alone.reason is None
+    assert clearance(terrain_of(cells), alone).min() >= 0.2 + 0.03 - 1e-6
+    cells[60:76, 80:84] = 0  # a wide door, 4 m around
+    around = way(terrain_of(cells), (1.0, 0.7, 0.0), (7.0, 0.7, 0.0))
+    assert around.points[:, 1].max() > 3.0
+    assert clearance(terrain_of(cells), around).min() >= 0.2 + 0.07 - 1e-6
+
+
+def test_a_gap_in_which_the_robot_hardly_fits_is_no_way():
+    assert way(terrain_of(wall_with_door(0.4, 0.4)), (1.0, 0.6, 0), (7.0, 0.6, 0)).reason is reasons.UNREACHABLE
+
+
 def test_a_path_starts_at_the_robot_and_ends_in_the_goal_with_its_heading():
     plan = way(terrain_of(wall_with_door(1.6)), (1.0, 1.0, 0.0), (7.0, 3.0, -2.0))
     assert plan.reason is None
