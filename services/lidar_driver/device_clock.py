@@ -40,16 +40,20 @@ class DeviceClock:
     def __init__(self, config: DeviceClockConfig) -> None:
         self.config = config
         self.n_restarts = 0
+        self.begin()
+
+    def begin(self) -> None:
+        """Forgets all: another device may be there."""
+        self.delay = 0.0  # s that even the earliest bytes take, where that can be known
         self.restart()
 
     def restart(self) -> None:
-        """Forgets: the device or the stack's clock started anew."""
+        """Forgets the clocks: the device's or the stack's started anew."""
         self.zero: int | None = None  # ns on the stack's clock; offsets count from here
         self.slots: dict[int, tuple[float, float]] = {}  # slot -> device's s, offset s
         self.drift, self.pivot, self.offset = 0.0, 0.0, 0.0
         self.near_at = 0  # ns, when an arrival was last near the line
         self.met: tuple[float, int] | None = None  # s on the device's clock, ns on the stack's at that time
-        self.delay = 0.0  # s that even the earliest bytes take, where that can be known
 
     def meet(self, device: float, after: int, before: int) -> None:
         """The device's clock stood at `device` s between these two times, ns: what tells the bytes' own delay."""

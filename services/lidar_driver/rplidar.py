@@ -10,7 +10,7 @@ from typing import cast
 
 import numpy as np
 
-from services.lidar_driver.device import Bools, Counts, Float64s, Int64s, Returns, Uint8s
+from services.lidar_driver.device import Bools, Counts, Int64s, Returns, Uint8s
 from services.lidar_driver.framing import Framing
 from services.lidar_driver.rplidar_nodes import Nodes
 
@@ -33,8 +33,9 @@ UNHEALTHY = 2
 CAPSULE = 84
 N_CAPSULE_BEAMS = 32
 WIDEST_CAPSULE = 120.0  # degrees: 32 samples of a laser that turns
-LEAST_JUMP = 5.0  # degrees from sample to sample that may be a jump
 SPEED_TIME = 0.2  # s of samples from which the speed is found
+MOST_RECENT = 15  # capsules from which the speed is found
+BACK = 40.0  # degrees by which the first beam after lost ones may lie behind the last one before
 
 
 def begins(first: Uint8s, second: Uint8s) -> Bools:
@@ -73,7 +74,8 @@ class Rplidar:
         self.before: Uint8s | None = None  # the last capsule; its angles are known when the next one begins
         self.time = 0.0  # s on the clock that its sampling is
         self.degrees: float | None = None  # of the last beam
-        self.turned, self.turned_since = 0.0, 0.0  # turns, and s that they took, since the speed was last found
+        self.turned, self.turned_in = 0.0, 0.0  # turns, and s that they took, since the speed was last found
+        self.recent: list[float] = []  # degrees from capsule to capsule
         return STOP
 
     def farewell(self) -> bytes:
@@ -144,13 +146,24 @@ class Rplidar:
         self.answered, self.rest = True, b""
         return answer
 
-    def _from_nodes(self, nodes: Uint8s, after: Int64s) -> list[Returns]:
+    def _from_nodes(self, nodes: Uint8s, after: Int64s, anew: Bools) -> list[Returns]:
         if not len(nodes):
             return []
         words = nodes[:, 1::2].astype(np.int64) | nodes[:, 2::2].astype(np.int64) << 8
         degrees = (words[:, 0] >> 1) / 64
         steps = np.diff(degrees, prepend=degrees[0] if self.degrees is None else self.degrees)
-        times = self._elapsed((steps + 180) % 360 - 180, self.sample_times[0])
+        turned = np.where(anew, (steps + BACK) % 360 - BACK, (steps + 180) % 360 - 180)
+        sample_time = self.sample_times[0]
+        n_samples = np.ones(len(nodes))
+        if self.speed:  # as many were lost as it turned meanwhile
+            n_samples = np.where(anew, np.maximum(np.rint(turned / 360 / self.speed / sample_time), 1), 1)
+        times = self.time + np.cumsum(n_samples * sample_time)
+        self.time = float(times[-1])
+        self.turned += float(turned[~anew].sum()) / 360
+        self.turned_in += float(np.count_nonzero(~anew)) * sample_time
+        if self.turned_in >= SPEED_TIME:
+            self.speed = max(self.turned / self.turned_in, 0.0)
+            self.turned, self.turned_in = 0.0, 0.0
         self.degrees = float(degrees[-1])
         returns = Returns(
             angles=-np.radians(degrees),
@@ -172,11 +185,16 @@ class Rplidar:
         starts, anew = (words & 0x7FFF) / 64, words >> 15 > 0
         sample_time = self.sample_times[1]
         turned = np.diff(starts) % 360
-        ends = self._elapsed(
-            np.concatenate([np.zeros(len(capsules) - len(turned)), turned]), sample_time, N_CAPSULE_BEAMS
-        )
-        nominal = 360 * N_CAPSULE_BEAMS * sample_time * (self.speed or 0)
-        whole = ~anew[1:] & (turned < (1.5 * nominal if nominal else WIDEST_CAPSULE)) & (turned > 0)
+        self.recent = (self.recent + turned.tolist())[-MOST_RECENT:]
+        nominal = float(np.median(self.recent)) if len(self.recent) > MOST_RECENT // 2 else 0.0
+        self.speed = nominal / 360 / (N_CAPSULE_BEAMS * sample_time) if nominal else self.speed
+        passed = np.ones(len(turned))  # capsules from each to the next
+        if nominal:
+            passed = np.maximum(np.rint(turned / nominal), 1)
+        n_capsules = np.concatenate([np.ones(len(capsules) - len(turned)), passed])
+        ends = self.time + np.cumsum(n_capsules) * N_CAPSULE_BEAMS * sample_time
+        self.time = float(ends[-1])
+        whole = ~anew[1:] & (passed == 1) & (turned < WIDEST_CAPSULE) & (turned > 0)
         if not whole.any():
             return []
         cabins = joined[:-1][whole, 4:].reshape(-1, 16, 5).astype(np.int64)
@@ -196,22 +214,3 @@ class Rplidar:
             ages=np.asarray((after + CAPSULE) * self.byte_time, np.float64),
         )
         return [returns]
-
-    def _elapsed(self, turned: Float64s, sample_time: float, n_samples: int = 1) -> Float64s:
-        """(p,) s on the sampling's clock at the end of packets that each turned so many degrees since the one before.
-
-        A packet that turned much further than the speed allows follows lost ones: as many samples were lost.
-        """
-        own = n_samples * sample_time
-        steps = np.full(len(turned), own)
-        if self.speed:
-            lost = turned > max(2.5 * 360 * self.speed * own, LEAST_JUMP)
-            steps[lost] = turned[lost] / 360 / self.speed
-        times: Float64s = self.time + np.cumsum(steps)
-        self.time = float(times[-1])
-        self.turned += float(turned.sum()) / 360
-        self.turned_since += float(steps.sum())
-        if self.turned_since >= SPEED_TIME:
-            self.speed = max(self.turned / self.turned_since, 0.0)
-            self.turned, self.turned_since = 0.0, 0.0
-        return times

@@ -10,7 +10,7 @@ from services.lidar_driver.device import Bools, Counts, Int64s, Uint8s
 
 LENGTH = 5
 IN_A_ROW = 8  # nodes that make sense one after the other, before the first of them is believed
-FURTHEST = 40 * 64  # 1/64 degree that the next beam may lie ahead; lost nodes are found anew
+FURTHEST = 12 * 64  # 1/64 degree that the next beam may lie ahead; lost nodes are found anew
 BACK = 8 * 64  # 1/64 degree that it may lie behind: angles are corrected beam by beam
 TURN = 360 * 64
 
@@ -23,12 +23,13 @@ class Nodes:
         self.rest = b""
         self.last_angle: int | None = None  # 1/64 degree; None while out of step
 
-    def cut(self, data: bytes) -> tuple[Uint8s, Int64s]:
-        """The nodes, (p, 5), and how many bytes came after each, (p,)."""
+    def cut(self, data: bytes) -> tuple[Uint8s, Int64s, Bools]:
+        """The nodes, (p, 5), how many bytes came after each, (p,), and which follow lost ones, (p,)."""
         self.rest += data
-        found, after = [], []
+        found, after, first = [], [], []
         while True:
-            if self.last_angle is None and not self._found_step():
+            anew = self.last_angle is None
+            if anew and not self._found_step():
                 break
             stream = np.frombuffer(self.rest, np.uint8)
             nodes = stream[: len(stream) // LENGTH * LENGTH].reshape(-1, LENGTH)
@@ -38,6 +39,7 @@ class Nodes:
             n = len(nodes) if plausible.all() else int(np.argmin(plausible))
             found.append(nodes[:n])
             after.append(len(stream) - LENGTH * np.arange(1, n + 1))
+            first.append(anew & (np.arange(n) == 0))
             self.counts.n_good += n
             self.rest = self.rest[n * LENGTH :]
             if n == len(nodes):
@@ -47,8 +49,8 @@ class Nodes:
             self.counts.n_bad += 1
             self.counts.n_resyncs += 1
         if not found:
-            return np.empty((0, LENGTH), np.uint8), np.empty(0, np.int64)
-        return np.concatenate(found), np.concatenate(after)
+            return np.empty((0, LENGTH), np.uint8), np.empty(0, np.int64), np.empty(0, bool)
+        return np.concatenate(found), np.concatenate(after), np.concatenate(first)
 
     def _found_step(self) -> bool:
         """Drops bytes up to the first node of a row that makes sense; False where there is none yet."""

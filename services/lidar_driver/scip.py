@@ -126,7 +126,7 @@ class Scip:
         _, _, rest = answer[at:].partition(b"\n")
         status, _, rest = rest.partition(b"\n")
         if kind == b"MD" and status == b"99b":
-            return self._sweep(rest, now)
+            return self._sweep(rest, 0 if at > 0 else now - self.begun)
         if len(status) == 3 and status[2] != sum_of(status[:2]):
             self.counts.n_bad += 1
         else:
@@ -176,7 +176,8 @@ class Scip:
         self.waiting = [*TIME, "BM", f"MD{first:04d}{last:04d}{self.cluster:02d}000"]
         return True
 
-    def _sweep(self, rest: bytes, now: int) -> list[Returns]:
+    def _sweep(self, rest: bytes, age: int) -> list[Returns]:
+        """age: ns since its first byte came; 0 where other bytes came before it, so that nobody knows."""
         clock, _, blocks = rest.partition(b"\n")
         characters = payload(blocks)
         tick = clock_of(clock)
@@ -193,5 +194,4 @@ class Scip:
         middle = self.first + np.arange(self.n) * self.cluster + (self.cluster - 1) / 2
         angles = ((middle - self.front) * self.step).astype(np.float64)
         times = (self.time + TICK / 2 + (angles + pi) / (2 * pi) * self.period).astype(np.float64)
-        age = (now - self.begun) * 1e-9
-        return [Returns(angles, ranges, None, times, times[-1:] - TICK / 2, np.array([age]), restarted)]
+        return [Returns(angles, ranges, None, times, times[-1:] - TICK / 2, np.array([age * 1e-9]), restarted)]

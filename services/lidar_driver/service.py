@@ -154,7 +154,7 @@ class LidarDriverService(Service):
 
     def _start(self) -> Out:
         self.started_at = self.now
-        self.clock.restart()
+        self.clock.begin()
         self.sweeps.restart()
         yield from self._say(self.device.opened(self.now))
 

@@ -115,7 +115,7 @@ class Sweeps:
         self, phases: Float64s, times: Float64s, ranges: Float32s, intensities: Float32s | None
     ) -> Sweep | None:
         """The sweep of these beams: phases from its first angle; None where too little of it was heard."""
-        places = np.rint(phases).astype(np.int64)
+        places = np.floor(phases + 0.5).astype(np.int64)
         inside = (places >= 0) & (places < self.n)
         heard = np.sort(phases[inside])
         gaps = np.diff(heard, prepend=-0.5, append=self.n - 0.5)

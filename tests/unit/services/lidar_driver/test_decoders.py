@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every decoder on documented bytes, on any bytes, and on good packets with anything between them."""
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from services.lidar_driver import ld06, rplidar, scip, xv11
+from services.lidar_driver.device import Counts, Device, Returns
+from services.lidar_driver.framing import Framing
+from services.sim.hardware import ld06 as said_by_ld06
+from services.sim.hardware import rplidar as said_by_rplidar
+from services.sim.hardware import xv11 as said_by_xv11
+from tests.unit.services.lidar_driver.bench import MODELS, line_of, made_driver, random_sweeps
+
+LD19_MANUAL = bytes.fromhex(
+    "54 2C 68 08 AB 7E E0 00 E4 DC 00 E2 D9 00 E5 D5 00 E3 D3 00 E4 D0 00 E9 CD 00 E4 CA 00 E2 C7 00 E9 C5 00 E5"
+    "C2 00 E5 C0 00 E5 BE 82 3A 1A 50"
+)
+"""The packet that the LD19's development manual explains."""
+LD06_HEARD = bytes.fromhex(
+    "54 2C 74 08 B0 86 00 00 D4 00 00 D4 00 00 D4 00 00 D4 00 00 D4 00 00 D5 00 00 D5 00 00 49 00 00 5F 00 00 B0"
+    "00 00 D2 00 00 D4 02 89 1E 09 1F"
+)
+"""One that somebody published from a real LD06: nothing but empty beams."""
+URG_PARAMETERS = (
+    b"PP\n00P\nMODL:URG-04LX(Hokuyo Automatic Co., Ltd.);n\nDMIN:20;4\nDMAX:5600;_\nARES:1024;\\\nAMIN:44;7\n"
+    b"AMAX:725;o\nAFRT:384;6\nSCAN:600;e\n\n"
+)
+"""An URG-04LX, from the protocol's specification (its ARES and MODL lines are printed there with other sums)."""
+
+
+def decoder(model: str) -> Device:
+    return made_driver(model).device
+
+
+def single(returns: list[Returns]) -> Returns:
+    assert len(returns) == 1
+    return returns[0]
+
+
+# --- documented bytes -----------------------------------------------------------------------------------------------
+
+
+def test_an_ld19s_documented_packet_reads_as_its_manual_says():
+    device = ld06.Ld06(230400)
+    heard = single(device.received(LD19_MANUAL, 0))
+    assert device.speed == pytest.approx(2152 / 360)
+    assert_allclose(heard.ranges[:3], [0.224, 0.220, 0.217], atol=1e-6)
+    assert heard.intensities is not None
+    assert heard.intensities[0] == 228
+    assert_allclose(np.degrees(-heard.angles[[0, 11]]), [324.27, 334.70], atol=1e-9)
+    assert_allclose(heard.times[-1] - heard.times[0], (334.70 - 324.27) / 2152, rtol=1e-9)
+    assert heard.ages[0] == pytest.approx(47 * 10 / 230400)
+
+
+def test_an_ld06s_published_packet_of_empty_beams_is_whole_and_measures_nothing():
+    heard = single(ld06.Ld06(230400).received(LD06_HEARD, 0))
+    assert np.isnan(heard.ranges).all()
+
+
+def test_an_xv11s_packet_reads_as_its_reference_says():
+    # 300 rpm, degrees 8 to 11: 1000 mm, an invalid reading with code 0x35, 2000 mm weak, 16383 mm; sum by hand
+    body = "FA A2 00 4B  E8 03 C8 00  35 80 00 00  D0 47 10 00  FF 3F 01 00"
+    words = np.frombuffer(bytes.fromhex(body), "<u2").astype(int).tolist()
+    total = sum(word << 9 - i for i, word in enumerate(words))
+    check = (total % 32768 + total // 32768) % 32768
+    device = xv11.Xv11(115200)
+    heard = single(device.received(bytes.fromhex(body) + check.to_bytes(2, "little"), 0))
+    assert device.speed == pytest.approx(5.0)
+    assert_allclose(np.degrees(heard.angles), [8, 9, 10, 11])
+    assert_allclose(heard.ranges, [1.0, np.nan, 2.0, 16.383], rtol=1e-6)
+    assert_allclose(heard.times[-1] - heard.times[0], 3 / 360 / 5)
+
+
+def test_scip_sums_are_those_of_the_specification():
+    for line in (b"DMIN:20;4", b"DMAX:5600;_", b"AMIN:44;7", b"SCAN:600;e"):
+        assert scip.sum_of(line[:-2]) == line[-1]
+    assert scip.sum_of(b"00") == ord("P")
+    assert scip.sum_of(b"99") == ord("b")
+
+
+def test_scip_characters_are_the_specifications():
+    # section 6: 1234 is `CB`, 5432 is `1Dh`, 16000000 is `m2@0`
+    for text, value in ((b"CB", 1234), (b"1Dh", 5432), (b"m2@0", 16_000_000)):
+        assert scip.decoded(np.frombuffer(text, np.uint8), len(text)).tolist() == [value]
+
+
+def test_a_hokuyo_is_ordered_the_steps_that_the_grid_asks_of_it():
+    device = decoder("scip")
+    assert isinstance(device, scip.Scip)
+    said = [device.due(0)]
+    for answer in (b"SCIP2.0\n0Ee\n\n", b"QT\n00P\n\n", URG_PARAMETERS, b"TM0\n00P\n\n", b"TM1\n00P\n00003\n\n"):
+        device.received(answer, 0)
+        said.append(device.due(0))
+    for answer in (b"TM2\n00P\n\n", b"BM\n00P\n\n"):
+        device.received(answer, 0)
+        said.append(device.due(0))
+    assert said == [b"SCIP2.0\n", b"QT\n", b"PP\n", b"TM0\n", b"TM1\n", b"TM2\n", b"BM\n", b"MD0044072501000\n"]
+    device.received(b"MD0044072501000\n00P\n\n", 0)
+    assert device.scanning
+    assert device.speed == 10
+
+
+def test_rplidar_requests_are_slamtecs():
+    for request in (rplidar.EXPRESS, rplidar.MOTOR, rplidar.MOTOR_OFF):
+        assert np.bitwise_xor.reduce(np.frombuffer(request, np.uint8)) == 0
+        assert request[2] == len(request) - 4
+
+
+def test_an_rplidar_is_asked_in_order_and_its_answers_are_taken_in_any_pieces():
+    device = rplidar.Rplidar(115200, None)
+    now = 1_000_000_000
+    assert device.opened(now) == b"\xa5\x25"
+    assert device.due(now) == b""
+    now += 200_000_000
+    dialogue = [
+        (b"\xa5\x50", "a5 5a 14 00 00 00 04 18 18 01 00" + "00" * 16),
+        (b"\xa5\x52", "a5 5a 03 00 00 00 06 00 00 00"),
+        (b"\xa5\x59", "a5 5a 04 00 00 00 15 f8 01 fc 00"),
+        (b"\xa5\x20", "a5 5a 05 00 00 40 81"),
+    ]
+    for request, answer in dialogue:
+        assert device.due(now) == request
+        for byte in bytes.fromhex("00 ff" + answer):
+            assert device.due(now) == b""
+            device.received(bytes([byte]), now)
+    assert device.scanning
+    assert device.sample_times == pytest.approx((504e-6, 252e-6))
+
+
+def test_an_rplidar_that_reports_ill_health_is_reset_and_its_code_told():
+    device = rplidar.Rplidar(115200, None)
+    device.opened(0)
+    now = 200_000_000
+    device.due(now)
+    device.received(bytes.fromhex("a5 5a 14 00 00 00 04 18") + bytes(19), now)
+    assert device.due(now) == b"\xa5\x52"
+    device.received(bytes.fromhex("a5 5a 03 00 00 00 06 02 2a 01"), now)
+    assert device.due(now) == b"\xa5\x40"
+    assert "298" in device.trouble
+
+
+def test_a_standard_node_reads_as_the_protocol_says():
+    # quality 15, not first; 90 degrees; 1 m, in quarters of a mm
+    node = bytes([15 << 2 | 2]) + (90 * 64 << 1 | 1).to_bytes(2, "little") + (4000).to_bytes(2, "little")
+    device = scanning_rplidar(0x20)
+    heard = single(device.received(node * 8, 0))
+    assert_allclose(np.degrees(heard.angles), -90)
+    assert_allclose(heard.ranges, 1.0)
+    assert heard.intensities is not None
+    assert (heard.intensities == 15).all()
+
+
+def test_a_capsule_is_read_between_its_angle_and_the_next_ones():
+    # SLAMTEC's own driver: angle_q6 = start + i (next - start) / 32 - offset_q3 / 8; distance in mm above two bits
+    cabins = b"".join(
+        ((500 + i) << 2 | 1).to_bytes(2, "little") + ((700 + i) << 2).to_bytes(2, "little") + bytes([0x21])
+        for i in range(16)
+    )
+    capsules = b""
+    for start in (350.0, 350.0 + 32):
+        body = (round(start % 360 * 64)).to_bytes(2, "little") + cabins
+        total = int(np.bitwise_xor.reduce(np.frombuffer(body, np.uint8)))
+        capsules += bytes([0xA0 | total & 15, 0x50 | total >> 4]) + body
+    heard = single(scanning_rplidar(0x82).received(capsules, 0))
+    assert len(heard.ranges) == 32
+    assert_allclose(heard.ranges[:4], [0.5, 0.7, 0.501, 0.701], atol=1e-6)
+    offsets = np.tile([(0x1 | 1 << 4) / 8, 0x2 / 8], 16)
+    assert_allclose(-np.degrees(heard.angles), 350 + np.arange(32) - offsets, atol=1e-9)
+
+
+def scanning_rplidar(mode: int) -> rplidar.Rplidar:
+    device = rplidar.Rplidar(115200, mode == 0x82)
+    device.opened(0)
+    device.asked = rplidar.EXPRESS if mode == 0x82 else rplidar.SCAN
+    device.received(rplidar.ANSWERS[device.asked][0], 0)
+    assert device.scanning
+    return device
+
+
+# --- any bytes ------------------------------------------------------------------------------------------------------
+
+LEADS = st.sampled_from(
+    [b"\x54\x2c", b"\xfa\xa0", b"\xa5\x5a", b"\xa1\x5b", b"MD0044072501000\n99b\n", b"\n\n", b"PP\n00P\nARES:9999999;"]
+)
+NOISE = st.lists(st.binary(max_size=90) | LEADS, max_size=12)
+MOST_KEPT = 1 << 17
+
+
+def kept(device: Device) -> int:
+    """Bytes that a decoder holds back."""
+    parts = [device, *(getattr(device, name, None) for name in ("framing", "nodes", "capsules"))]
+    return sum(len(getattr(part, "rest", b"")) for part in parts if part is not None)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@settings(max_examples=40)
+@given(noise=NOISE, scans=st.booleans())
+def test_any_bytes_are_survived_and_none_are_hoarded(model, noise, scans):
+    line = line_of(model)
+    if scans:
+        line.run(random_sweeps(line.driver.robot.laser, 0.5), 0.7)
+    for i, piece in enumerate(noise):
+        line.driver.now += i * 7_000_000
+        line.hear(piece)
+        line.take(line.driver.watch())
+    assert kept(line.driver.device) < MOST_KEPT
+    for scan in line.scans:
+        assert scan.problem() is None
+        assert 0 < scan.scan_time <= 2
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_megabyte_of_noise_leaves_no_megabyte_behind(model):
+    device = decoder(model)
+    rng = np.random.default_rng(0)
+    device.due(10**9)
+    for _ in range(250):
+        device.received(rng.bytes(4096), 10**9)
+        assert kept(device) < MOST_KEPT
+
+
+# --- good packets among others --------------------------------------------------------------------------------------
+
+
+def ld06_packets(n: int, rng: np.random.Generator) -> list[bytes]:
+    first = np.cumsum(rng.uniform(5, 12, n + 1)) % 360
+    return [
+        said_by_ld06.packet(3600, first[i], first[i + 1], rng.integers(0, 65536, 12).tolist(), 3 * i) for i in range(n)
+    ]
+
+
+def xv11_packets(n: int, rng: np.random.Generator) -> list[bytes]:
+    return [said_by_xv11.packet(i % 90, 300.0, rng.integers(0, 16384, 4).tolist()) for i in range(n)]
+
+
+def capsules(n: int, rng: np.random.Generator) -> list[bytes]:
+    return [said_by_rplidar.capsule(i * 20 % 360, rng.integers(0, 16384, 32).tolist(), False) for i in range(n)]
+
+
+PACKETS: dict[str, tuple[Callable[[int, np.random.Generator], list[bytes]], Callable[[], Framing]]] = {
+    "ld06": (ld06_packets, lambda: Framing(47, ld06.begins, ld06.sums, Counts())),
+    "xv11": (xv11_packets, lambda: Framing(22, xv11.begins, xv11.sums, Counts())),
+    "rplidar_a2": (capsules, lambda: Framing(84, rplidar.begins, rplidar.sums, Counts())),
+}
+
+
+@pytest.mark.parametrize("model", PACKETS)
+@given(
+    seed=st.integers(0, 10**6),
+    between=st.lists(st.binary(max_size=30), min_size=6, max_size=6),
+    cuts=st.lists(st.integers(0, 700), max_size=10),
+)
+def test_every_good_packet_is_found_whatever_lies_between_and_however_it_is_cut(model, seed, between, cuts):
+    make, made = PACKETS[model]
+    packets = make(6, np.random.default_rng(seed))
+    stream = b"".join(noise + packet for noise, packet in zip(between, packets))
+    whole = made()
+    alone, _ = whole.cut(stream)
+    found = [row.tobytes() for row in alone]
+    # noise may hold a packet of its own by accident, and swallow one: then the sum must be right there
+    assert all(packet in found for packet in packets) or len(found) >= len(packets)
+    pieces = made()
+    edges = [0, *sorted(cut % (len(stream) + 1) for cut in cuts), len(stream)]
+    in_pieces = [row.tobytes() for a, b in pairwise(edges) for row in pieces.cut(stream[a:b])[0]]
+    assert in_pieces == found
+    assert pieces.counts.n_good == whole.counts.n_good == len(found)
+    assert len(pieces.rest) < pieces.length
+
+
+@pytest.mark.parametrize("model", PACKETS)
+def test_resyncs_and_bad_sums_are_counted_once_each(model):
+    make, made = PACKETS[model]
+    first, second, third, fourth = make(4, np.random.default_rng(3))
+    spoiled = third[:-1] + bytes([third[-1] ^ 4])
+    framing = made()
+    for piece in (first, b"\x00\x01", second, spoiled[:10], spoiled[10:], fourth):
+        framing.cut(piece)
+    assert (framing.counts.n_good, framing.counts.n_bad, framing.counts.n_resyncs) == (3, 1, 2)
+
+
+@pytest.mark.parametrize("model", PACKETS)
+@given(n=st.integers(1, 30))
+def test_bytes_after_a_packet_are_counted_to_the_newest_byte(model, n):
+    make, made = PACKETS[model]
+    packets = make(n, np.random.default_rng(n))
+    framing = made()
+    _, after = framing.cut(b"".join(packets) + b"\x01\x02")
+    assert_allclose(after, (n - 1 - np.arange(n)) * len(packets[0]) + 2)
+
+
+@given(noise=st.binary(max_size=60), seed=st.integers(0, 1000), cuts=st.lists(st.integers(0, 600), max_size=8))
+def test_nodes_are_found_again_after_noise_and_never_invented_from_it(noise, seed, cuts):
+    rng = np.random.default_rng(seed)
+    angles = (np.arange(120) * 0.9 + rng.uniform(0, 0.5, 120)) % 360
+    nodes = [said_by_rplidar.node(False, angle, mm) for angle, mm in zip(angles, rng.integers(1, 10000, 120))]
+    stream = b"".join(nodes[:60]) + noise + b"".join(nodes[60:])
+    device = scanning_rplidar(0x20)
+    edges = [0, *sorted(cut % (len(stream) + 1) for cut in cuts), len(stream)]
+    found = [r for a, b in pairwise(edges) for r in device.received(stream[a:b], 0)]
+    degrees = -np.degrees(np.concatenate([r.angles for r in found]))
+    quantised = np.round(angles * 64) / 64
+    hits = np.isclose(degrees[:, None], quantised[None, :], atol=1e-6).any(axis=0)
+    assert hits[:60].all()
+    assert hits[-30:].all()
+    assert len(degrees) <= 120 + len(noise) // 5 + 8
+
+
+@settings(max_examples=40)
+@given(noise=st.binary(max_size=60), seed=st.integers(0, 1000), cut=st.integers(0, 4000))
+def test_a_hokuyos_next_sweep_is_found_after_half_a_one_and_noise(noise, seed, cut):
+    line = line_of("scip")
+    laser = line.driver.robot.laser
+    line.run(random_sweeps(laser, 0.6), 0.6)
+    before = len(line.scans)
+    sweeps = random_sweeps(laser, 0.2, seed, line.now)
+    (_, first), (_, second) = (line.laser.swept(sweep, line.now)[0] for sweep in sweeps)
+    line.driver.now = line.now + 200_000_000
+    for piece in (first[: cut % len(first)], noise, second[:1000], second[1000:]):
+        line.hear(piece)
+    assert len(line.scans) > before
+    assert_allclose(line.scans[-1].ranges, sweeps[-1].ranges, atol=6e-4)

@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The driver at an emulated laser's line: the scan is the simulated one, and what is wrong is named."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from services.lidar_driver.service import NO_BYTES, NO_SENSE, STOPPED
+from services.sim.hardware.lasers import Faulty, LineFaults, emulator
+from services.sim.hardware.xv11 import packet
+from shared import topics
+from shared.config import UserError
+from shared.messages import LaserScan, PortState, SerialData
+from tests.unit.services.lidar_driver.bench import (
+    BAUD,
+    MODELS,
+    MS,
+    SECOND,
+    START,
+    Line,
+    laser_of,
+    line_of,
+    made_driver,
+    random_sweeps,
+    truth_of,
+)
+
+RESOLUTION = {"ld06": 5e-4, "xv11": 5e-4, "scip": 5e-4, "rplidar": 1.3e-4, "rplidar_a2": 5e-4}  # m, half a step
+STARTUP = {"scip": 0.4, "rplidar": 0.6, "rplidar_a2": 0.6}  # s
+
+
+def close(scan: LaserScan, true: LaserScan, resolution: float) -> None:
+    np.testing.assert_array_equal(np.isnan(scan.ranges), np.isnan(true.ranges))
+    assert_allclose(scan.ranges, true.ranges, atol=resolution + 1e-6)
+    assert (scan.angle_min, scan.angle_increment) == pytest.approx((true.angle_min, true.angle_increment))
+    assert scan.scan_time == pytest.approx(true.scan_time, rel=2e-3)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_what_comes_out_is_what_was_measured(model):
+    line, sweeps = line_of(model), random_sweeps(laser_of(model), 4)
+    line.run(sweeps, 4.5)
+    assert len(line.scans) >= len(sweeps) - 2 - STARTUP.get(model, 0) * laser_of(model).rate
+    told = [truth_of(scan, sweeps) for scan in line.scans]
+    assert len({scan.stamp for scan in told}) == len(told)  # none twice
+    for scan, true in zip(line.scans, told):
+        close(scan, true, RESOLUTION[model])
+    assert line.lines == []
+    assert "scanning" in line.driver.state()
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("drift", [0.0, 2e-4, -2e-4])
+def test_stamps_are_the_first_beams_while_clocks_drift_and_the_port_dawdles(model, drift):
+    """Chunks are read as they leave, up to some ms late; the stack's clock runs off the device's."""
+    line, sweeps = line_of(model), random_sweeps(laser_of(model), 14)
+    rng = np.random.default_rng(3)
+    line.run(sweeps[:0], 1.0)  # the start sequence
+    chunks = sorted((chunk for sweep in sweeps for chunk in line.laser.swept(sweep, line.now)), key=lambda c: c[0])
+    clock = lambda true: START + round((true - START) * (1 + drift))  # noqa: E731  # one formula, used twice
+    newest = 0
+    for i in range(0, len(chunks), 3):
+        some = chunks[i : i + 3]
+        newest = max(newest, clock(some[-1][0] + round(rng.exponential(1.5) * MS)))
+        line.driver.now = newest
+        line.hear(b"".join(data for _, data in some))
+    late = [scan for scan in line.scans if scan.stamp > START + 6 * SECOND]
+    assert len(late) > 20
+    stamps = [clock(sweep.stamp) for sweep in sweeps]
+    errors = [min((scan.stamp - stamp for stamp in stamps), key=abs) for scan in late]
+    assert np.abs(errors).max() < 3 * MS  # a Hokuyo's clock was asked over the 20 ms of a step
+    assert np.std(errors) < 0.6 * MS
+
+
+@pytest.mark.parametrize("model", ["ld06", "scip"])
+def test_a_clock_that_wraps_is_not_noticed(model):
+    wrap = {"ld06": 30_000, "scip": 1 << 24}[model] * MS
+    start = START // wrap * wrap + wrap - 1500 * MS
+    laser = laser_of(model)
+    line = Line(made_driver(model), emulator(model, laser))
+    line.now = start
+    line.driver.now = start
+    line.take(line.driver.plugged(PortState(start, "laser", True, "")))
+    sweeps = random_sweeps(laser, 4, start=start)
+    line.run(sweeps, 4)
+    assert len(line.scans) >= 34
+    for scan in line.scans:
+        close(scan, truth_of(scan, sweeps), RESOLUTION[model])
+        assert abs(scan.stamp - truth_of(scan, sweeps).stamp) < 5 * MS
+    assert line.driver.clock.n_restarts == 0
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("jump", [3600.0, -3600.0])
+def test_scans_go_on_when_the_stacks_clock_jumps(model, jump):
+    line, sweeps = line_of(model), random_sweeps(laser_of(model), 8)
+    line.run(sweeps, 3)
+    line.stack_time = lambda true: true + round(jump * SECOND)
+    line.run(sweeps, 5)
+    moved = [scan.stamp - round(jump * SECOND) for scan in line.scans[-5:]]
+    for stamp in moved:
+        assert min(abs(stamp - sweep.stamp) for sweep in sweeps) < 5 * MS
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("faults", [{"garbage": 0.2}, {"half": 0.1}, {"bad_sum": 0.1}, {"garbage": 0.1, "half": 0.1}])
+def test_a_bad_line_costs_beams_and_invents_none(model, faults):
+    laser = laser_of(model)
+    if model == "rplidar":  # a chunk is a node there
+        faults = {name: share / 5 for name, share in faults.items()}
+    line = Line(made_driver(model), Faulty(emulator(model, laser), LineFaults(**faults), seed=1))
+    sweeps = random_sweeps(laser, 6)
+    line.run(sweeps, 6)
+    wrong = heard = 0
+    for scan in line.scans:
+        true = truth_of(scan, sweeps)
+        both = ~np.isnan(scan.ranges)
+        heard += int(both.sum())
+        wrong += int((~(np.abs(scan.ranges - true.ranges) < RESOLUTION[model] + 1e-6) & both).sum())
+    assert heard > 0.2 * len(sweeps) * laser.n_beams
+    allowed = {"rplidar": 0.03}.get(model, 0.002)  # its nodes carry no sum
+    assert wrong <= allowed * heard, wrong / heard
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_masked_angle_is_empty_and_no_other(model):
+    line = line_of(model, masks=((0.5, 1.0),))
+    sweeps = random_sweeps(laser_of(model), 2)
+    line.run(sweeps, 2.2)
+    scan = line.scans[-1]
+    true = truth_of(scan, sweeps)
+    angles = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
+    masked = (angles - 0.5) % (2 * np.pi) <= 0.5
+    assert np.isnan(scan.ranges[masked]).all()
+    assert masked.sum() > 10
+    np.testing.assert_array_equal(np.isnan(scan.ranges[~masked]), np.isnan(true.ranges[~masked]))
+
+
+def test_beams_that_end_in_the_footprint_are_empty():
+    line = line_of("ld06", mask_footprint=True, footprint_margin=0.02)
+    laser = laser_of("ld06")
+    near = random_sweeps(laser, 1)
+    for sweep in near:
+        sweep.ranges[:] = 0.05
+    line.run(near, 1)
+    assert line.scans
+    assert np.isnan(line.scans[-1].ranges).mean() > 0.3
+
+
+@pytest.mark.parametrize("model", ["ld06", "xv11", "rplidar"])
+def test_a_laser_upside_down_gives_its_beams_mirrored_in_the_order_of_time(model):
+    upright, hanging = line_of(model), line_of(model, inverted=True)
+    sweeps = random_sweeps(laser_of(model), 2)
+    for line in (upright, hanging):
+        line.run(sweeps, 2.2)
+    a, b = upright.scans[-1], hanging.scans[-2]
+    assert b.angle_increment == pytest.approx(-a.angle_increment)
+    angle = lambda scan: scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))  # noqa: E731
+    by_angle = {round(float(np.degrees(x)) % 360, 2) % 360: float(r) for x, r in zip(angle(a), a.ranges)}
+    turned = random_sweeps(laser_of(model), 2)
+    candidates = [turned[-3], turned[-2], turned[-1]]
+    mirrored = {round(float(np.degrees(-x)) % 360, 2) % 360: float(r) for x, r in zip(angle(b), b.ranges)}
+    assert by_angle.keys() == mirrored.keys()
+    told = np.array([mirrored[key] for key in by_angle])
+    assert any(
+        np.mean(np.isclose(told, sweep.ranges, atol=6e-4) | np.isnan(sweep.ranges)) > 0.97 for sweep in candidates
+    )
+
+
+def test_a_hokuyo_upside_down_is_mirrored():
+    line, sweeps = line_of("scip", inverted=True), random_sweeps(laser_of("scip"), 2)
+    line.run(sweeps, 2.2)
+    scan = line.scans[-1]
+    true = truth_of(scan, sweeps)
+    assert scan.angle_increment < 0
+    mine = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
+    theirs = -(true.angle_min + true.angle_increment * np.arange(len(true.ranges)))
+    both = np.isin(np.round(mine, 5), np.round(theirs, 5))
+    assert both.sum() > 670
+    index = {round(float(x), 5): i for i, x in enumerate(theirs)}
+    expected = np.array([true.ranges[index[round(float(x), 5)]] for x in mine[both]])
+    assert_allclose(scan.ranges[both], expected, atol=6e-4)
+
+
+def test_intensities_come_where_the_laser_has_them_and_can_be_left_out():
+    for model, has in (("ld06", True), ("xv11", True), ("rplidar", True), ("rplidar_a2", False), ("scip", False)):
+        for wanted in (True, False):
+            line = line_of(model, intensities=wanted)
+            line.run(random_sweeps(laser_of(model), 2), 2.2)
+            scan = line.scans[-1]
+            assert len(scan.intensities) == (len(scan.ranges) if has and wanted else 0)
+            if len(scan.intensities):
+                np.testing.assert_array_equal(scan.intensities > 0, ~np.isnan(scan.ranges))
+
+
+# --- what is wrong --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_silence_is_named_and_the_laser_started_anew(model):
+    line = line_of(model)
+    line.run(random_sweeps(laser_of(model), 3), 3.5)
+    n, line.written = len(line.scans), []
+    said: list[bytes] = []
+    for _ in range(100):
+        line.step([])
+        said += line.written
+        line.written = []
+    assert line.driver.state() == NO_BYTES
+    assert line.lines[-1].endswith(NO_BYTES)
+    if model not in ("ld06", "xv11"):
+        assert said  # it was asked again
+    later = random_sweeps(laser_of(model), 4, start=line.now)
+    line.run(later, 4.2)
+    assert len(line.scans) > n + 8
+    assert line.lines[-1] == "laser: in order again"
+
+
+def test_bytes_without_sense_are_named():
+    for model in MODELS:
+        line = line_of(model)
+        rng = np.random.default_rng(2)
+        for _ in range(200):
+            line.now += 20 * MS
+            line.driver.now = line.now
+            line.hear(rng.bytes(200))
+            line.take(line.driver.watch())
+        assert line.driver.state() == NO_SENSE, model
+        assert line.scans == []
+
+
+@pytest.mark.parametrize(
+    ("model", "named"),
+    [("ld06", STOPPED), ("xv11", NO_BYTES), ("rplidar", "health error"), ("scip", "fault of its hardware")],
+)
+def test_a_laser_that_stops_turning_is_named_and_recovers(model, named):
+    line = line_of(model)
+    sweeps = random_sweeps(laser_of(model), 16)
+    line.run(sweeps, 3)
+    line.laser.turning = False
+    line.run(sweeps, 5)
+    n = len(line.scans)
+    assert named in line.driver.state()
+    assert any(named in text for text in line.lines)
+    line.laser.turning = True
+    line.run(sweeps, 7)
+    assert len(line.scans) > n + 10
+    assert "scanning" in line.driver.state()
+
+
+def test_an_xv11_that_turns_too_slowly_is_named():
+    line = line_of("xv11")
+    line.hear(b"".join(packet(i, 120.0, [1000] * 4) for i in range(90)))
+    assert "too slowly: 120 rpm" in line.driver.state()
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_closed_port_is_named_and_scans_return_with_it(model):
+    line, sweeps = line_of(model), random_sweeps(laser_of(model), 8)
+    line.run(sweeps, 2)
+    line.take(line.driver.plugged(PortState(line.now, "laser", False, "/dev/laser went away: plug it in again")))
+    assert line.driver.state() == "/dev/laser went away: plug it in again"
+    assert "plug it in again" in line.lines[-1]
+    line.now += SECOND
+    line.driver.now = line.now
+    assert [out for out in line.driver.watch() if getattr(out, "topic", None) is topics.TX] == []
+    line.take(line.driver.plugged(PortState(line.now, "laser", True, "")))
+    n = len(line.scans)
+    line.run(sweeps, 4)
+    assert len(line.scans) > n + 8
+
+
+def test_the_laser_is_stopped_at_the_end():
+    stops = {"scip": b"QT\n", "rplidar": b"\xa5\x25", "rplidar_a2": b"\xa5\x25" + bytes.fromhex("a5 f0 02 00 00 57")}
+    for model in MODELS:
+        line = line_of(model)
+        line.run(random_sweeps(laser_of(model), 1.5), 2)
+        line.written = []
+        line.take(line.driver.farewell())
+        assert b"".join(line.written) == stops.get(model, b"")
+
+
+def test_a_port_of_another_name_is_not_the_lasers():
+    driver = made_driver("ld06")
+    assert list(driver.received(SerialData(START, "other", b"\x54\x2c"))) == []
+    assert list(driver.plugged(PortState(START, "other", True, ""))) == []
+    assert not driver.open
+    assert driver.ports["laser"].baud == BAUD["ld06"]
+
+
+def test_a_scan_is_never_from_the_future():
+    line, sweeps = line_of("ld06"), random_sweeps(laser_of("ld06"), 4)
+    ends = []
+    for sweep in sweeps:
+        before = len(line.scans)
+        line.run([sweep], 0.1)
+        ends += [line.driver.now - scan.stamp - round(scan.scan_time * SECOND) for scan in line.scans[before:]]
+    assert ends
+    assert min(ends) >= 0
+
+
+def test_the_latency_sets_the_stamps_back():
+    latency = 0.0123
+    sweeps = random_sweeps(laser_of("xv11"), 1)
+    plain, back = line_of("xv11"), line_of("xv11", latency=latency)
+    for line in (plain, back):
+        line.run(sweeps, 1.2)
+    assert back.scans[-1].stamp == plain.scans[-1].stamp - round(latency * SECOND)
+
+
+def test_an_unknown_model_is_refused_with_the_nearest_name():
+    with pytest.raises(UserError) as refused:
+        emulator("ld66", laser_of("ld06"))
+    assert "ld06" in refused.value.mend
