@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -70,6 +70,12 @@ def _services() -> list[str]:
     return list(SERVICES)
 
 
+def _faults() -> list[str]:
+    from services.sim.hardware.faults import Fault
+
+    return list(Fault)
+
+
 def _keys() -> list[str]:
     from shared.topics import SERVICES, TOPICS
 
@@ -93,6 +99,7 @@ Stack = Annotated[
         "--stack", envvar="ZENAV_STACK", help="Number of the stack on this host, or a router: tcp/router:7447."
     ),
 ]
+Simulated = Literal["messages", "emulated"]
 World = Annotated[
     str,
     typer.Option(
@@ -121,6 +128,9 @@ def demo(
     lockstep: Annotated[
         bool, typer.Option("--lockstep", help="In one process on the virtual clock, repeatable.")
     ] = False,
+    hardware: Annotated[
+        Simulated, typer.Option(help="What the simulator stands behind: its messages, or ports that speak bytes.")
+    ] = "messages",
     robot: RobotName = "x80sv",
     world: World = "office",
     set_: Setting = None,
@@ -130,14 +140,20 @@ def demo(
     Example: zenav demo --headless --seed 3
     """
     from zenav.demo import demo
+    from zenav.hardware import Hardware
 
-    raise typer.Exit(demo(robot, world, seed, seconds, headless, record, lockstep, set_ or []))
+    chosen = Hardware(hardware)
+    raise typer.Exit(demo(robot, world, seed, seconds, headless, record, lockstep, set_ or [], chosen))
 
 
 @app.command(cls=Command, rich_help_panel=MAIN)
 def up(
     robot: RobotName = "x80sv",
     world: World = "",
+    hardware: Annotated[
+        Simulated | None,
+        typer.Option(help="What the simulator stands behind: its messages (default), or ports that speak bytes."),
+    ] = None,
     only: Annotated[str, typer.Option(help="Only these services: a,b", metavar="A,B")] = "",
     speed: Annotated[float, typer.Option(min=0.01, max=100, help="Simulated seconds in a real one.")] = 1.0,
     stack: Stack = "0",
@@ -147,9 +163,18 @@ def up(
 
     Example: zenav up --world office
     """
+    from zenav.hardware import Hardware
     from zenav.up import up
 
-    up(robot, world, [name for name in only.split(",") if name], speed, stack, set_ or [])
+    up(
+        robot,
+        world,
+        Hardware(hardware) if hardware else None,
+        [name for name in only.split(",") if name],
+        speed,
+        stack,
+        set_ or [],
+    )
 
 
 @app.command(cls=Command, rich_help_panel=MAIN)
@@ -230,6 +255,23 @@ def cancel(robot: RobotName = "x80sv", stack: Stack = "0") -> None:
     from zenav.drive import cancel
 
     raise typer.Exit(cancel(robot, stack))
+
+
+@app.command(cls=Command, rich_help_panel=DRIVE)
+def fault(
+    name: Annotated[str, typer.Argument(help="What breaks; without it: what can.", autocompletion=_faults)] = "",
+    seconds: Annotated[float, typer.Option(min=0, help="s until it is mended; 0: until --mend.")] = 0.0,
+    mend: Annotated[bool, typer.Option("--mend", help="Mend it; without a name: all.")] = False,
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Break something of the emulated hardware (zenav up --hardware emulated).
+
+    Example: zenav fault unplugged --seconds 5
+    """
+    from zenav.fault import fault
+
+    raise typer.Exit(fault(robot, stack, name, seconds, mend))
 
 
 @app.command(cls=Command, rich_help_panel=DRIVE)

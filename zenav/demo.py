@@ -11,6 +11,7 @@ from shared.messages import NavStatus
 from shared.ros_map import replace_file
 from zenav import lockstep_run
 from zenav.floor_plan import floor_plan
+from zenav.hardware import Hardware
 from zenav.maps import write
 from zenav.pilot import Pilot
 from zenav.scene import Outcome, Scene, scene
@@ -28,9 +29,10 @@ def demo(
     record: Path | None,
     lockstep: bool,
     settings: list[str],
+    hardware: Hardware,
 ) -> int:
     """Runs the scenario and writes what came of it; 0 only when every goal was reached without a collision."""
-    chosen = scene(robot, world, seed, settings)
+    chosen = scene(robot, world, seed, settings, hardware)
     if record is not None and record.suffix != ".mcap":  # what stands there is written over
         raise UserError(f"{record} is no name for a recording", f"end it in .mcap: --record {record}.mcap")
     folder = run_folder("demo")

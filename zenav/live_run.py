@@ -13,6 +13,7 @@ from shared import topics
 from shared.messages import Health, Message
 from shared.topics import Topic
 from zenav.client import Client
+from zenav.hardware import settings_for
 from zenav.launch import Launcher, free_stack, service_command
 from zenav.pilot import Pilot
 from zenav.scene import Outcome, Scene
@@ -81,7 +82,8 @@ def run(
     given = psutil.Process().create_time()
     track, processes, lock = Track(), Processes(), threading.Lock()
     tracked: tuple[Topic[Any], ...] = (topics.TRUTH, topics.ODOM, topics.POSE, topics.MAP)
-    settings = [*scene.settings, f"recorder.file={json.dumps(str(record.resolve()))}"]
+    ports = settings_for(scene.hardware, scene.file, folder)
+    settings = [*scene.settings, *ports, f"recorder.file={json.dumps(str(record.resolve()))}"]
     pilot = Pilot(scene.goals, lambda request, message: client.ask(request, message, timeout=2.0), explores, seconds)
 
     def take(message: Message, sent: int) -> None:

@@ -10,6 +10,7 @@ from shared.recording import CONFIG, Writer, about, sink
 from shared.runners.lockstep import START, Lockstep
 from shared.service import Service
 from zenav.classes import made
+from zenav.hardware import wires
 from zenav.pilot import Pilot
 from zenav.scene import Outcome, Scene
 from zenav.score import KEYS, Track
@@ -29,11 +30,11 @@ def stack(scene: Scene) -> dict[str, Service]:
 
 def run(scene: Scene, seconds: float, record: Path | None, tell: Tell = lambda at, pilot, nav: True) -> Outcome:
     """Runs the scenario for at most `seconds` of virtual time."""
-    services = stack(scene)
+    services, joined = stack(scene), wires(scene.hardware, scene.file)
     if record is None:
-        return _run(scene, Lockstep(services), seconds, tell)
+        return _run(scene, Lockstep(services, wires=joined), seconds, tell)
     with Writer(record, about(scene.file.robot.name), {CONFIG: scene.file.text.encode()}) as writer:
-        return _run(scene, Lockstep(services, record=sink(writer)), seconds, tell)
+        return _run(scene, Lockstep(services, sink(writer), joined), seconds, tell)
 
 
 def _run(scene: Scene, lockstep: Lockstep, seconds: float, tell: Tell) -> Outcome:

@@ -10,10 +10,10 @@ from services.sim.store import load
 from services.sim.world import World
 from shared.config import RobotFile, UserError, configured
 from shared.geometry import Pose2
+from zenav.hardware import Hardware, services_for, settings_for
 from zenav.pilot import Pilot
 from zenav.score import Track, summary
 from zenav.settings import checked
-from zenav.up import chosen
 
 HOME = "back at the start"
 
@@ -29,6 +29,7 @@ class Scene:
     goals: list[tuple[str, Pose2]]
     names: list[str]
     seed: int
+    hardware: Hardware
 
     @property
     def radius(self) -> float:
@@ -36,9 +37,11 @@ class Scene:
         return self.file.robot.circumscribed_radius
 
 
-def scene(robot: str, world: str, seed: int, settings: list[str]) -> Scene:
+def scene(robot: str, world: str, seed: int, settings: list[str], hardware: Hardware = Hardware.MESSAGES) -> Scene:
     """Reads robot and world. Raises UserError where they are wrong, or the world names no goals."""
     settings = [f"sim.world={json.dumps(world)}", f"sim.seed={seed}", *settings]
+    file = configured(robot, settings)
+    settings += settings_for(hardware, file, None)
     file = configured(robot, settings)
     checked(file)
     config = file.section("sim", SimConfig)
@@ -47,7 +50,8 @@ def scene(robot: str, world: str, seed: int, settings: list[str]) -> Scene:
     if not built.goals:
         raise UserError(f"world {world} names no goals", "add some under `goals:`, or take --world office")
     goals = [(name, built.start.inverse() @ pose) for name, pose in built.goals.items()]
-    return Scene(robot, settings, file, built, [*goals, (HOME, Pose2())], chosen([], simulated=True), config.seed)
+    names = services_for(hardware, file)
+    return Scene(robot, settings, file, built, [*goals, (HOME, Pose2())], names, config.seed, hardware)
 
 
 @dataclass

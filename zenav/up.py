@@ -15,12 +15,10 @@ from shared.runners.transport import where_from
 from shared.topics import SERVICES
 from zenav.classes import built
 from zenav.client import Client
+from zenav.hardware import Hardware, emulated_ports, services_for, settings_for
 from zenav.launch import Launcher, claimed, service_command
 from zenav.settings import checked
 from zenav.stopping import stopping
-
-SIMULATED = ("sim",)
-HARDWARE = ("lidar_driver",)
 
 
 def run(service: str, robot: str, stack: str, settings: list[str], clock: str, log: str) -> None:
@@ -34,14 +32,13 @@ def run(service: str, robot: str, stack: str, settings: list[str], clock: str, l
     runpy.run_module(f"services.{service}", run_name="__main__", alter_sys=True)
 
 
-def chosen(only: list[str], simulated: bool) -> list[str]:
+def chosen(only: list[str], whole: list[str]) -> list[str]:
     """The services to start, in the registry's order. Raises UserError on a name that is none."""
     names = tuple(built())
     for name in only:
         if name not in names:
             raise UserError(f"{name} is not a service", nearest(name, names))
-    left_out = HARDWARE if simulated else SIMULATED
-    return [name for name in names if (name in only if only else name not in left_out)]
+    return [name for name in names if name in (only or whole)]
 
 
 def run_folder(kind: str) -> Path:
@@ -59,14 +56,20 @@ def run_folder(kind: str) -> Path:
     raise UserError(f"{base} exists 100 times", "wait a second")
 
 
-def up(robot: str, world: str, only: list[str], speed: float, stack: str, settings: list[str]) -> None:
-    """Runs the services until Ctrl-C."""
+def up(
+    robot: str, world: str, hardware: Hardware | None, only: list[str], speed: float, stack: str, settings: list[str]
+) -> None:
+    """Runs the services until Ctrl-C. hardware: None is the simulator's messages with a world, else the real robot."""
+    hardware = hardware or (Hardware.MESSAGES if world else Hardware.REAL)
+    if (hardware is Hardware.REAL) == bool(world):
+        mend = "leave out --world" if world else "name one: --world office"
+        raise UserError(f"{hardware} hardware is {'not ' if world else ''}in a simulated world", mend)
     if speed != 1.0 and not world:
         raise UserError("--speed needs the simulator's time", "name a world: --world office")
     settings = [*settings, *([f"sim.world={world}"] if world else [])]
-    names = chosen(only, bool(world))
     file = configured(robot, settings)
     checked(file)
+    names = chosen(only, services_for(hardware, file))
     where = where_from(stack)
     clock = "" if speed == 1.0 else f"{time.time_ns()}:{speed:g}"
     clock_from(clock)
@@ -74,10 +77,14 @@ def up(robot: str, world: str, only: list[str], speed: float, stack: str, settin
         if not where.router:
             open_things.enter_context(claimed(where.domain))
         folder = run_folder("up")
+        settings += settings_for(hardware, file, folder)
         commands = {name: service_command(name, robot, stack, settings, clock, folder / "memory") for name in names}
         _tell("zenav", f"{', '.join(names)}; logs in {folder}; Ctrl-C ends them")
         if not world and not only:
             _tell("zenav", "no world: expects the robot's hardware; simulate with --world office")
+        if hardware is Hardware.EMULATED:
+            ports = ", ".join(str(folder / port) for port in emulated_ports(file))
+            _tell("zenav", f"ports: {ports}; zenav fault breaks them")
         launcher = open_things.enter_context(Launcher(commands, folder, _tell, 1 / speed))
         client = open_things.enter_context(Client(file.robot.name, where))
         ready: set[str] = set()

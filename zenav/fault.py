@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav fault`: something of the emulated hardware breaks, or is mended."""
+
+import sys
+
+from services.sim.hardware.faults import WORDS, Fault
+from shared import requests
+from shared.config import UserError, load_robot, nearest
+from shared.requests import Break
+from shared.runners.transport import where_from
+from zenav.client import Client
+
+
+def fault(robot: str, stack: str, name: str, seconds: float, mend: bool) -> int:
+    """Breaks or mends; without either, lists what can break. Raises UserError where the simulator refuses."""
+    if name and name not in tuple(Fault):
+        raise UserError(f"no fault {name}", nearest(name, tuple(Fault)))
+    if not name and not mend:
+        sys.stdout.write("".join(f"{one:<16} {WORDS[one]}\n" for one in Fault))
+        return 0
+    with Client(load_robot(robot).robot.name, where_from(stack)) as client:
+        reply = client.ask(requests.FAULT, Break(client.now(), name, seconds, mend))
+    if not reply.accepted:
+        raise UserError(f"the simulator breaks nothing: {reply.detail}", "zenav up --world office --hardware emulated")
+    sys.stdout.write(f"{reply.detail}\n")
+    return 0
