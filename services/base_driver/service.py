@@ -132,9 +132,9 @@ class BaseDriverService(Service):
         self.link = link
 
     def _look_for_stuck_wheels(self, stamp: int) -> None:
-        radius = self.robot.drive.wheel_radius
-        left = self.left_watch.stuck(stamp, self.encoders.left, self.wheels[0], radius)
-        right = self.right_watch.stuck(stamp, self.encoders.right, self.wheels[1], radius)
+        drive = self.robot.drive
+        left = self.left_watch.stuck(stamp, self.encoders.left, self.wheels[0], drive.left_radius)
+        right = self.right_watch.stuck(stamp, self.encoders.right, self.wheels[1], drive.right_radius)
         if (left or right) and not self.stuck:
             wheels = " and ".join(name for name, holds in (("left", left), ("right", right)) if holds)
             self.stuck = f"the {wheels} wheel is commanded but does not turn"
