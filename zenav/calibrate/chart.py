@@ -17,6 +17,7 @@ BEFORE, AFTER, TRUE, OTHER = (214, 62, 48), (30, 90, 200), (30, 140, 60), (150, 
 WIDTH, HEIGHT = 660, 560
 LEFT, RIGHT, TOP, BOTTOM = 72, 18, 40, 56
 SIZE = 14
+MANY = 500  # points from which they are drawn small
 
 
 @dataclass
@@ -62,9 +63,10 @@ class Chart:
         for xs, ys, colour, _, as_dots in self._marks:
             points = [(x0 + (a - low_x) * px, y1 - (b - low_y) * py) for a, b in zip(xs.tolist(), ys.tolist())]
             if as_dots:
+                r = 3 if len(points) <= MANY else 1
                 for a, b in points:
                     if a == a and b == b:
-                        draw.ellipse((a - 3, b - 3, a + 3, b + 3), fill=colour)
+                        draw.ellipse((a - r, b - r, a + r, b + r), fill=colour)
                 continue
             for part in _parts(points):
                 draw.line(part, fill=colour, width=2, joint="curve")

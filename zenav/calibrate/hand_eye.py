@@ -76,7 +76,7 @@ class Solution:
     @property
     def sigmas(self) -> Float64s:
         """(6,) standard deviations."""
-        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
     @property
     def sigma_radius(self) -> float:
@@ -105,7 +105,7 @@ def intervals(rolled: Rolled, track: ScanTrack) -> Intervals:
             begin = None
             continue
         if begin is not None:
-            dx, dy, dyaw = track.poses[i] - track.poses[i - 1]
+            dx, dy, dyaw = (float(v) for v in track.poses[i] - track.poses[i - 1])
             travel, turn = travel + hypot(dx, dy), turn + abs(dyaw)
             late = track.stamps[i] - track.stamps[begin] > LONGEST * 1e9
             if travel < STEP and turn < STEP_TURN and not late:
@@ -214,7 +214,7 @@ def solved(pieces: Intervals, wheels: Wheels, mount: Float64s) -> Solution:
         covariances = _scatter(pieces, Wheels(*starts[0][:3]), starts[0][3:])
         whitening = np.linalg.inv(np.linalg.cholesky(match * covariances[0] + slip * covariances[1]))
         fits = [least_squares(cost, p, loss="soft_l1", f_scale=ROBUST, x_scale=x_scale) for p in starts]
-        best = min(fits, key=lambda fit: fit.cost)
+        best = min(fits, key=lambda fit: float(fit.cost))
         starts = [best.x]
         match, slip = _noise(residuals(pieces, Wheels(*best.x[:3]), best.x[3:]), *covariances, match, slip)
     x = best.x
@@ -299,5 +299,3 @@ def doubts(found: Solution) -> list[str]:
 def turned_by(mount: Float64s, other: Float64s) -> tuple[float, float]:
     """m and rad between two mounts (3,)."""
     return hypot(mount[0] - other[0], mount[1] - other[1]), abs(wrapped(float(mount[2] - other[2])))
-
-

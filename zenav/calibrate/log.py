@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a drive left behind, in a recording or heard live: wheels, scans, poses, commands, each in order of its stamp."""
+"""What a drive left behind, in a recording or heard live: wheels, scans, poses, commands, in order of their stamps."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -62,8 +62,12 @@ class Log:
 
     def during(self, begin: int, end: int) -> "Log":
         """The part of the log from `begin` to `end` (ns), both included."""
-        lists = (self.wheels, self.scans, self.poses, self.truth, self.commands, self.motors)
-        return Log(*([m for m in messages if begin <= m.stamp <= end] for messages in lists))  # type: ignore[attr-defined]
+        part = Log()
+        for messages in (self.wheels, self.scans, self.poses, self.truth, self.commands, self.motors):
+            for message in messages:
+                if begin <= message.stamp <= end:
+                    part.take(message)
+        return part
 
 
 def read(path: Path, robot: Robot) -> Log:

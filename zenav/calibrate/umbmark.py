@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """UMBmark: what do squares, driven both ways round, tell about the wheels?
 
-Borenstein & Feng 1996, "Measurement and correction of systematic odometry errors in mobile robots", IEEE Transactions on
-Robotics and Automation 12 (6). x points along the first side, y to its left; an error is where the robot really ended
-less where odometry says that it ended. Equation numbers are the paper's.
+Borenstein & Feng 1996, "Measurement and correction of systematic odometry errors in mobile robots", IEEE Transactions
+on Robotics and Automation 12 (6). x points along the first side, y to its left; an error is where the robot really
+ended less where odometry says that it ended. Equation numbers are the paper's.
 """
 
 from collections.abc import Sequence
@@ -18,8 +18,8 @@ from zenav.calibrate.rolling import Int64s, Rolled, Wheels, between
 
 Float64s = NDArray[np.float64]
 
-STANDS = 0.8  # s without motion that part one run from the next; at corners the robot stands for less
-MOVES = 0.02  # m at a wheel's rim within that time that count as motion
+STANDS = 1.0  # s without motion that part one run from the next; at corners the robot stands for less
+MOVES = 0.002  # m at a wheel's rim within that time that count as motion
 LEAST_SIDE = 0.5  # m
 ROUND = 0.6  # rad by which a run's whole turn may differ from a full one
 OPEN = 0.25  # share of its length by which a run's end may lie off its start
@@ -49,9 +49,13 @@ class Umbmark:
     beta: float  # rad by which each side bends to the left, both ways round: unequal wheels
 
     @property
-    def largest(self) -> float:
-        """m: E_max,syst, the farther of the two centres of gravity (5)."""
-        return largest_error(self.clockwise, self.counterclockwise)
+    def sigmas(self) -> tuple[float, float] | None:
+        """Standard deviations of ratio and wheel distance (m) by the runs' scatter; None where a way has one run."""
+        if min(len(self.clockwise), len(self.counterclockwise)) < 2:
+            return None
+        means = sum(off.var(axis=0, ddof=1).sum() / len(off) for off in (self.clockwise, self.counterclockwise))
+        angle = float(np.sqrt(means)) / (8 * self.side)
+        return angle * self.wheels.distance / self.side, angle * self.wheels.distance / (pi / 2)
 
 
 def largest_error(clockwise: Float64s, counterclockwise: Float64s) -> float:
@@ -74,7 +78,7 @@ def runs(rolled: Rolled, wheels: Wheels) -> list[Run]:
         turn = float(way[-1, 2] - way[0, 2])
         off = float(np.hypot(*(way[-1, :2] - way[0, :2])))
         if side >= LEAST_SIDE and abs(abs(turn) - 2 * pi) < ROUND and off < OPEN * 4 * side:
-            found.append(Run(begin, end, side, turn < 0))
+            found.append(Run(int(begin), int(end), side, turn < 0))
     return found
 
 
@@ -90,7 +94,7 @@ def moving(rolled: Rolled, radius: float) -> list[tuple[int, int]]:
     starts = [int(i) for i in edges if still[i]]
     ends = [int(i) + 1 for i in edges if not still[i]]
     ends = [e for e in ends if not starts or e > starts[0]]
-    return list(zip(starts, ends))
+    return list(zip(starts, ends))  # a drive that ends while it moves has a start without an end
 
 
 def errors(true: Float64s, rolled: Rolled, found: Sequence[Run], wheels: Wheels) -> Float64s:
