@@ -6,7 +6,7 @@ its closed form is the start, robust least squares with each motion's own uncert
 """
 
 from dataclasses import dataclass
-from math import hypot, pi, radians
+from math import hypot, pi, radians, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +90,7 @@ class Solution:
         return self._sigma(np.array((-w.ratio / w.left_radius, 1 / w.left_radius, 0, 0, 0, 0)))
 
     def _sigma(self, gradient: Float64s) -> float:
-        return float(np.sqrt(max(gradient @ self.covariance @ gradient, 0.0)))
+        return sqrt(max(float(gradient @ self.covariance @ gradient), 0.0))
 
 
 def intervals(rolled: Rolled, track: ScanTrack) -> Intervals:
@@ -217,13 +217,17 @@ def solved(pieces: Intervals, wheels: Wheels, mount: Float64s) -> Solution:
         best = min(fits, key=lambda fit: float(fit.cost))
         starts = [best.x]
         match, slip = _noise(residuals(pieces, Wheels(*best.x[:3]), best.x[3:]), *covariances, match, slip)
-    x = best.x
     information = best.jac.T @ best.jac
     _observed(information, x_scale)
+    # all lengths negative, and the laser turned about: the same motion. Distances are positive
+    mirror = np.array((-1.0, -1.0, -1.0, -1.0, -1.0, 1.0)) if best.x[2] < 0 else np.ones(6)
+    x = best.x * mirror
     n = 3 * len(pieces.begin)
-    found, place = Wheels(*(float(v) for v in x[:3])), np.array((x[3], x[4], wrapped(float(x[5]))))
+    covariance = np.linalg.inv(information) * np.outer(mirror, mirror) * n / (n - 6)
+    yaw = wrapped(float(x[5]) + (pi if best.x[2] < 0 else 0.0))
+    found, place = Wheels(*(float(v) for v in x[:3])), np.array((x[3], x[4], yaw))
     _forward(found)
-    return Solution(found, place, np.linalg.inv(information) * n / (n - 6), residuals(pieces, found, place), slip)
+    return Solution(found, place, covariance, residuals(pieces, found, place), slip)
 
 
 def _noise(off: Float64s, scans: Float64s, wheels: Float64s, match: float, slip: float) -> tuple[float, float]:
