@@ -117,7 +117,8 @@ def text_of(value: float) -> str:
 def _span(values: Float64s) -> tuple[float, float]:
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
-    margin = 0.06 * (high - low) or 0.5 * abs(low) or 0.5
+    alike = high - low <= 1e-9 * max(abs(low), abs(high))
+    margin = (0.5 * abs(low) or 0.5) if alike else 0.06 * (high - low)
     return low - margin, high + margin
 
 

@@ -77,7 +77,7 @@ class Operator:
         while True:
             self._send(ask)
             due = max(due + 1 / HZ, time.monotonic())
-            if stop.wait(due - time.monotonic()):
+            if stop.wait(max(0.0, due - time.monotonic())):
                 raise KeyboardInterrupt
             if self._others:
                 raise UserError("somebody pressed STOP", "look at the robot; then: zenav estop --release")
