@@ -19,8 +19,8 @@ from zenav.calibrate.scan_track import ScanTrack
 Float64s = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-STEP = 0.2  # m driven that make an interval
-STEP_TURN = 0.35  # rad turned that make one
+STEP = 0.3  # m driven that make an interval: slips of one spell fall into one interval, not into two
+STEP_TURN = 0.5  # rad turned that make one
 LONGEST = 3.0  # s of an interval: a wheel that creeps slips unseen
 MATCH_SIGMA, MATCH_SIGMA_TURN = 0.003, 0.0015  # m, rad: of the motion between two scans, until it is measured
 SLIP = 4e-5  # m^2 of variance for each m that a wheel rolls, until it is measured

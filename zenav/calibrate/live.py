@@ -69,6 +69,9 @@ class Operator:
         with stopping() as stop:
             try:
                 return self._performed(manoeuvre, stop)
+            except KeyboardInterrupt:
+                sys.stderr.write("interrupted: the robot is told to stand\n")
+                raise
             finally:
                 self._stand()
 

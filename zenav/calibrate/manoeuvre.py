@@ -104,18 +104,16 @@ def turn_to(yaw: float, rate: float, drive: Drive, start: Pose2) -> Manoeuvre[No
     seen = yield Ask()
     while True:
         patience.check(seen)
-        assert seen.odom is not None or seen.guard is not None
-        if seen.odom is not None:
-            here = start.inverse() @ seen.odom.odom_from_base
-            left = wrapped(yaw - here.yaw)
-            ahead = left - seen.odom.w * BEHIND
-            if abs(left) < NEAR_TURN and abs(seen.odom.w) < CREEP_TURN / 2:
-                return
-            w = min(rate, sqrt(2 * GENTLE * drive.max_turn_acceleration * abs(ahead)), 2.5 * abs(ahead))
-            w = max(w, CREEP_TURN) if abs(left) >= NEAR_TURN else 0.0
-            seen = yield Ask(0.0, copysign(w, ahead))
-        else:
+        if seen.odom is None:
             seen = yield Ask()
+            continue
+        left = wrapped(yaw - (start.inverse() @ seen.odom.odom_from_base).yaw)
+        ahead = left - seen.odom.w * BEHIND
+        if abs(left) < NEAR_TURN and abs(seen.odom.w) < CREEP_TURN / 2:
+            return
+        w = min(rate, sqrt(2 * GENTLE * drive.max_turn_acceleration * abs(ahead)), 2.5 * abs(ahead))
+        w = max(w, CREEP_TURN) if abs(left) >= NEAR_TURN else 0.0
+        seen = yield Ask(0.0, copysign(w, ahead))
 
 
 def line_to(a: Pose2, length: float, speed: float, drive: Drive, start: Pose2) -> Manoeuvre[None]:

@@ -3,6 +3,7 @@
 
 from math import pi
 
+import numpy as np
 import pytest
 
 from shared.config import UserError
@@ -70,43 +71,46 @@ def test_a_wall_in_the_way_ends_it_with_its_reason(tmp_path):
     assert bench.newest["sim/truth"].n_contacts == 0
 
 
+IDLE, STOPPED = ((GuardState.IDLE, ""), (GuardState.STOPPED, "estop"))
+
+
 @pytest.mark.parametrize(
-    ("seen", "told"),
+    ("odom_age", "guard", "told"),
     [
-        (lambda now: Seen(now), "the guard does not answer"),
-        (lambda now: Seen(now, guard=GuardStatus(now, GuardState.IDLE, "", "", "", 0.0)), "odometry is silent"),
-        (
-            lambda now: Seen(now, Odometry(1, Pose2(), 0, 0, None), None, GuardStatus(now, GuardState.IDLE, "", "", "", 0.0)),
-            "odometry is silent",
-        ),
-        (
-            lambda now: Seen(
-                now, Odometry(now, Pose2(), 0, 0, None), None,
-                GuardStatus(now, GuardState.STOPPED, "", "estop", "", 0.0),
-            ),
-            "STOP is pressed",
-        ),
+        (None, None, "the guard does not answer"),
+        (None, IDLE, "odometry is silent"),
+        (1.0, IDLE, "odometry is silent"),
+        (0.0, STOPPED, "STOP is pressed"),
     ],
-)  # fmt: skip
-def test_what_does_not_answer_is_named_after_a_few_seconds(seen, told):
+)
+def test_what_does_not_answer_is_named_after_a_few_seconds(odom_age, guard, told):
     manoeuvre = turn_to(pi, 1.0, Bench().robot.drive, Pose2())
     next(manoeuvre)
-    now, begun = 10**18, 10**18
-    with pytest.raises(UserError, match=told):
+    now = 10**18
+
+    def send_until_it_gives_up() -> None:
+        nonlocal now
         for _ in range(1000):
-            manoeuvre.send(seen(now))
+            odom = None if odom_age is None else Odometry(now - round(odom_age * 1e9), Pose2(), 0.0, 0.0, np.zeros(9))
+            status = None if guard is None else GuardStatus(now, guard[0], "", guard[1], "", 0.0)
+            manoeuvre.send(Seen(now, odom, None, status))
             now += 50_000_000
-    assert PATIENCE <= (now - begun) * 1e-9 <= PATIENCE + 1
+
+    with pytest.raises(UserError, match=told):
+        send_until_it_gives_up()
+    assert PATIENCE <= (now - 10**18) * 1e-9 <= PATIENCE + 1
 
 
-def test_standing_asks_for_nothing():
-    manoeuvre = stand(1.0)
-    asked = [next(manoeuvre)]
-    try:
-        for i in range(100):
-            asked.append(manoeuvre.send(Seen(i * 50_000_000)))
-    except StopIteration as end:
-        assert end.value.now == pytest.approx(1_000_000_000, abs=60_000_000)
+def test_standing_asks_for_nothing_and_ends():
+    manoeuvre, asked, now = stand(1.0), [], 0
+    asked.append(next(manoeuvre))
+    while True:
+        try:
+            asked.append(manoeuvre.send(Seen(now)))
+        except StopIteration:
+            break
+        now += 50_000_000
+    assert now == pytest.approx(1_000_000_000, abs=60_000_000)
     assert not any(ask.v or ask.w or ask.stop for ask in asked)
 
 
