@@ -109,7 +109,7 @@ def calibrate_motors(robot: str, stack: str, blocks: bool, speed: float | None, 
     if not blocks:
         found = motors.by_motion(found, log, phases, known_robot)
     elif sys.stdin.isatty():
-        found = motors.looked(found, [_asked(t) for t in found])
+        found = motors.looked(found, [asked(t) for t in found])
     answers = motor_response.lags(log, phases, drive)
     stops = motor_response.brakings(log, phases, drive)
     values: dict[str, float | int] = {}
@@ -156,7 +156,7 @@ def _driven_squares(
             operator.perform(stand(1.5, f"square {i + 1} of {2 * n_runs}"))
             operator.perform(square(side, i % 2 == 0, speed, rate, drive))
             operator.perform(stand(1.5))
-            ends.append(_typed_end())
+            ends.append(typed_end())
         operator.perform(ready())
         return operator.log, np.array(ends)
 
@@ -195,7 +195,7 @@ def _ended(robot: str, before: Robot, values: Values, charts: list[Chart], name:
     return 0
 
 
-def _asked(turned: motor_response.Turned) -> str:
+def asked(turned: motor_response.Turned) -> str:
     """What people saw turn, as a key of motors.KEYS, or nothing."""
     way = "forward" if turned.asked > 0 else "backward"
     while True:
@@ -207,7 +207,7 @@ def _asked(turned: motor_response.Turned) -> str:
             return told
 
 
-def _typed_end() -> tuple[float, float]:
+def typed_end() -> tuple[float, float]:
     """Where the robot ended, as measured with a tape."""
     while True:
         told = _line("Where is it now, from the mark? X Y in m, X along the first side, Y to its left: ").split()

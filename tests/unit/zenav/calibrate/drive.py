@@ -17,7 +17,7 @@ SERVICES = ("base_driver", "odometry", "guard")
 
 
 class Bench:
-    """The stack without navigation. truth: what the laser's mount is, where it is not what the file says."""
+    """The stack without navigation. truth: of the laser's mount; motor_direction: of the motors; the file may err."""
 
     def __init__(
         self,
@@ -27,12 +27,16 @@ class Bench:
         services: tuple[str, ...] = SERVICES,
         robot: str = "x80sv",
         record: Any = None,
+        motor_direction: int = 1,
     ) -> None:
         self.file: RobotFile = configured(robot, [f"sim.world={world}", "sim.clutter_jitter=0", *settings])
         self.robot = self.file.robot
         mount = self.robot.laser.mount.model_copy(update=truth or {})
         laser = self.robot.laser.model_copy(update={"mount": mount})
-        sim = SimService(self.file.section("sim", SimConfig), self.robot.model_copy(update={"laser": laser}))
+        drive = self.robot.drive.model_copy(update={"motor_direction": motor_direction})
+        sim = SimService(
+            self.file.section("sim", SimConfig), self.robot.model_copy(update={"laser": laser, "drive": drive})
+        )
         built = {name: made(name, self.file, self.robot) for name in services}
         self.lockstep = Lockstep({"sim": sim, **built}, record=record)
         self.log = Log()

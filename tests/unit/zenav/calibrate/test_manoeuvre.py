@@ -11,7 +11,9 @@ from shared.geometry import Pose2, wrapped
 from shared.messages import GuardState, GuardStatus, Odometry
 from tests.unit.zenav.calibrate.drive import Bench
 from zenav.calibrate.manoeuvre import PATIENCE, Seen, back_to, ready, square, stand, turn_to
+from zenav.calibrate.motor_response import directions, reversed_motors, turned
 from zenav.calibrate.motor_test import Kind, motor_drive, room
+from zenav.calibrate.motors import by_motion
 
 WALL = """
 bounds: [-3, -3, 3, 3]
@@ -121,6 +123,18 @@ def test_on_blocks_nothing_but_wheels_turns_and_stop_is_never_pressed():
     phases = bench.perform(motor_drive(bench.robot.drive, True, 0.5))
     assert [p.kind for p in phases] == [Kind.ALONE] * 4 + [Kind.STAIRS] * 2 + [Kind.STEP] * 4
     assert presses == []
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_the_scans_tell_which_way_the_robot_really_drives(direction):
+    bench = Bench(world="room", motor_direction=direction)
+    drive = bench.robot.drive
+    phases = bench.perform(motor_drive(drive, True, 0.5))
+    found = by_motion(turned(bench.log, phases, drive), bench.log, phases, bench.robot)
+    assert [t.counted for t in found] == [t.commanded for t in found]
+    assert [t.seen for t in found] == [(t.wheel, direction * t.commanded[1]) for t in found]
+    assert reversed_motors(found) == (direction == -1)
+    assert len(directions(found, drive)) == (direction == -1)
 
 
 def test_the_stop_needs_no_more_room_than_it_says():
