@@ -79,9 +79,9 @@ def calibrate_laser(robot: str, recording: Path, writes: bool) -> int:
     report.laser_told(known_robot, solution, pieces)
     x, y, yaw = (float(v) for v in solution.mount)
     values = {
-        "robot.laser.mount.x": round(x, 4),
-        "robot.laser.mount.y": round(y, 4),
-        "robot.laser.mount.yaw": round(yaw, 5),
+        "robot.laser.mount.x": round(x, 4) + 0.0,  # no -0.0
+        "robot.laser.mount.y": round(y, 4) + 0.0,
+        "robot.laser.mount.yaw": round(yaw, 5) + 0.0,
     }
     picture = laser_.charts(log, known_robot, solution, pieces)
     return _ended(robot, known_robot, values, picture, "laser", writes)
