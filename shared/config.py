@@ -42,7 +42,8 @@ class Mount(Section):
 class Drive(Section):
     """The differential drive."""
 
-    wheel_radius: float = Field(gt=0, le=1, description="m")
+    wheel_radius: float = Field(gt=0, le=1, description="m, mean of both")
+    wheel_radius_ratio: float = Field(1.0, ge=0.8, le=1.25, description="right wheel's radius over the left one's")
     wheel_distance: float = Field(
         gt=0, le=3, description="m between the wheels' contact points, as it acts when turning"
     )
@@ -61,6 +62,16 @@ class Drive(Section):
         if self.motor_direction == 0:
             raise ValueError("motor_direction is +1 or -1")
         return self
+
+    @property
+    def left_radius(self) -> float:
+        """m; the two have `wheel_radius` as their mean: Borenstein and Feng 1996, equations 13 and 14."""
+        return 2 * self.wheel_radius / (1 + self.wheel_radius_ratio)
+
+    @property
+    def right_radius(self) -> float:
+        """m"""
+        return self.left_radius * self.wheel_radius_ratio
 
     def clamped(self, v: float, w: float) -> tuple[float, float]:
         """The velocity (m/s, rad/s) scaled down, on its own arc, until it is within the limits."""

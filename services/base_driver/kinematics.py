@@ -11,14 +11,15 @@ from shared.config import Drive
 
 
 def wheel_speeds(v: float, w: float, drive: Drive) -> tuple[float, float]:
-    """Left and right wheel, rad/s: v_left = (2 v - w d) / (2 r), v_right = (2 v + w d) / (2 r)."""
+    """Left and right wheel, rad/s: v_left = (2 v - w d) / (2 r), v_right = (2 v + w d) / (2 r), each by its radius."""
     turning = w * drive.wheel_distance
-    return (2 * v - turning) / (2 * drive.wheel_radius), (2 * v + turning) / (2 * drive.wheel_radius)
+    return (2 * v - turning) / (2 * drive.left_radius), (2 * v + turning) / (2 * drive.right_radius)
 
 
 def body_velocity(left: float, right: float, drive: Drive) -> tuple[float, float]:
     """v, w from the wheels' rad/s: the inverse of `wheel_speeds`."""
-    return drive.wheel_radius * (left + right) / 2, drive.wheel_radius * (right - left) / drive.wheel_distance
+    left_rim, right_rim = drive.left_radius * left, drive.right_radius * right
+    return (left_rim + right_rim) / 2, (right_rim - left_rim) / drive.wheel_distance
 
 
 def board_counts(left: float, right: float, drive: Drive) -> tuple[float, float]:
@@ -44,4 +45,5 @@ def counted(before: int, after: int, wrap: int) -> int:
 
 def fastest_wheel(drive: Drive) -> float:
     """rad/s that a wheel reaches within the robot's limits."""
-    return (drive.max_speed + drive.max_turn_rate * drive.wheel_distance / 2) / drive.wheel_radius
+    smaller = min(drive.left_radius, drive.right_radius)
+    return (drive.max_speed + drive.max_turn_rate * drive.wheel_distance / 2) / smaller

@@ -61,7 +61,7 @@ class BaseDriverService(Service):
         self.serial = SerialBoard(config.board, robot, config.board_silent) if config.port.device else None
         self.watchdog = Watchdog(config.watchdog)
         self.encoders = Encoders(config.encoders, robot.drive)
-        self.wheel_faults = WheelFaults(config.stuck, config.following, robot.drive.wheel_radius)
+        self.wheel_faults = WheelFaults(config.stuck, config.following, robot.drive)
         self.battery = BatteryWatch(config.battery)
         self.report: BoardReport | None = None
         self.started: int | None = None

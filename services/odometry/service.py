@@ -41,12 +41,13 @@ class OdometryService(Service):
         yield topics.ODOM(self._odometry(wheels))
 
     def _roll(self, before: WheelState, after: WheelState) -> Out:
-        radius = self.robot.drive.wheel_radius
-        left, right = (after.left - before.left) * radius, (after.right - before.right) * radius
+        drive = self.robot.drive
+        left = (after.left - before.left) * drive.left_radius
+        right = (after.right - before.right) * drive.right_radius
         if max(abs(left), abs(right)) > LONGEST_ROLL:
             yield Log("WARNING", f"the wheels jumped by {left:.0f} and {right:.0f} m: not taken as motion")
             return
-        motion, jacobian = self.integrate(left, right, self.robot.drive.wheel_distance)
+        motion, jacobian = self.integrate(left, right, drive.wheel_distance)
         heading = self.odom_from_base.yaw
         variance = self.config.wheel_variance
         covariance = grown(self.covariance, heading, motion, jacobian, (left, right), variance)
@@ -55,8 +56,8 @@ class OdometryService(Service):
 
     def _odometry(self, wheels: WheelState) -> Odometry:
         drive = self.robot.drive
-        v = drive.wheel_radius * (wheels.left_speed + wheels.right_speed) / 2
-        w = drive.wheel_radius * (wheels.right_speed - wheels.left_speed) / drive.wheel_distance
+        left, right = drive.left_radius * wheels.left_speed, drive.right_radius * wheels.right_speed
+        v, w = (left + right) / 2, (right - left) / drive.wheel_distance
         # a board may report any speed; the message's bounds are what a robot can do
         v, w = min(max(v, -20.0), 20.0), min(max(w, -50.0), 50.0)
         return Odometry(wheels.stamp, self.odom_from_base, v, w, self.covariance.ravel())

@@ -16,7 +16,8 @@ from zenav.launch import ROOT
 
 COMMANDS = [
     "demo", "up", "run", "goto", "route", "explore", "cancel", "teleop", "estop", "topic list", "topic echo",
-    "topic hz", "map save", "map load", "map show", "config show", "config check", "doctor", "slam", "replay",
+    "topic hz", "map save", "map load", "map show", "calibrate odometry",
+    "calibrate laser", "calibrate motors", "config show", "config check", "doctor", "slam", "replay",
     "bench office", "bench sim", "bench stack",
 ]  # fmt: skip
 

@@ -18,15 +18,17 @@ from shared.config import Drive, load_robot
 X80 = load_robot("x80sv").robot.drive
 speeds = st.floats(-3, 3)
 drives = st.builds(
-    lambda radius, distance, counts, direction: X80.model_copy(
+    lambda radius, ratio, distance, counts, direction: X80.model_copy(
         update={
             "wheel_radius": radius,
+            "wheel_radius_ratio": ratio,
             "wheel_distance": distance,
             "counts_per_turn": counts,
             "motor_direction": direction,
         }
     ),
     st.floats(0.02, 0.5),
+    st.floats(0.8, 1.25),
     st.floats(0.1, 1.5),
     st.integers(16, 100_000),
     st.sampled_from([-1, 1]),
@@ -55,6 +57,16 @@ def test_a_left_turn_runs_the_right_wheel_faster():
 @given(speeds, speeds, drives)
 def test_wheel_speeds_and_body_velocity_are_inverse(v, w, drive: Drive):
     assert body_velocity(*wheel_speeds(v, w, drive), drive) == pytest.approx((v, w), abs=1e-9)
+
+
+@given(drives)
+def test_the_radii_have_their_mean_and_their_ratio(drive: Drive):
+    assert (drive.left_radius + drive.right_radius) / 2 == pytest.approx(drive.wheel_radius)
+    assert drive.right_radius / drive.left_radius == pytest.approx(drive.wheel_radius_ratio)
+
+
+def test_equal_wheels_have_exactly_the_radius():
+    assert (X80.left_radius, X80.right_radius) == (0.085, 0.085)
 
 
 @given(speeds, speeds, drives)
@@ -86,7 +98,8 @@ def test_the_wrap_itself():
 def test_no_wheel_turns_faster_than_the_fastest_within_the_limits(v, w, drive: Drive):
     left, right = wheel_speeds(*drive.clamped(v, w), drive)
     assert max(abs(left), abs(right)) <= fastest_wheel(drive) * (1 + 1e-12)
-    assert fastest_wheel(drive) == max(wheel_speeds(drive.max_speed, drive.max_turn_rate, drive))
+    either_way = [wheel_speeds(drive.max_speed, w, drive) for w in (drive.max_turn_rate, -drive.max_turn_rate)]
+    assert fastest_wheel(drive) == pytest.approx(max(max(wheels) for wheels in either_way), rel=1e-12)
 
 
 @given(speeds, speeds)

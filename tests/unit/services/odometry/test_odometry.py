@@ -51,6 +51,15 @@ def test_straight_on():
     assert moved.stamp == 20 * MS
 
 
+def test_unequal_wheels_roll_as_far_as_their_radii_say():
+    drive = ROBOT.drive.model_copy(update={"wheel_radius_ratio": 1.05})
+    odometry = OdometryService(OdometryConfig(), ROBOT.model_copy(update={"drive": drive}))
+    straight = (1 / drive.left_radius, 1 / drive.right_radius)  # rad for a metre on each rim
+    moved = fed(odometry, wheels(0, 0.0, 0.0), wheels(1000, *straight, 1, *straight))
+    same(moved.odom_from_base, 1.0, 0.0, 0.0)
+    assert (moved.v, moved.w) == pytest.approx((1.0, 0.0), abs=1e-12)
+
+
 def test_the_twist_is_the_wheels_speeds():
     moved = fed(service(), wheels(0, 0.0, 0.0, left_speed=2.0, right_speed=4.0))
     assert (moved.v, moved.w) == pytest.approx((0.085 * 3, 0.085 * 2 / 0.283))

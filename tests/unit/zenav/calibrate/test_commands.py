@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The commands, on a minute's recording of a simulated robot that is not what its file says."""
+
+from pathlib import Path
+
+import pytest
+from PIL import Image
+from ruamel.yaml import YAML
+
+from shared.config import CONFIG_DIR, UserError, load_robot
+from shared.recording import Recording, Writer, about, sink
+from tests.unit.zenav.calibrate.drive import Bench
+from zenav.__main__ import _status
+from zenav.calibrate.log import KEPT, Log, read
+from zenav.calibrate.manoeuvre import square, stand, turn_to
+from zenav.calibrate.odometry import by_squares, drift, truth
+from zenav.calibrate.rolling import Wheels
+
+HALL = """
+start: {x: 3.0, y: 3.0}
+walls:
+  - {points: [[0, 0], [6, 0], [6, 6], [0, 6]], closed: true}
+boxes:
+  - {x: 5.6, y: 5.2, size: [0.6, 1.0]}
+  - {x: 0.4, y: 0.9, size: [0.5, 1.2]}
+  - {x: 1.3, y: 5.7, size: [1.5, 0.4]}
+"""
+RATIO, DISTANCE = 1.02 / 0.98, 0.283 * 1.05
+MOUNT = {"x": 0.10, "y": 0.03, "yaw": -1.48}
+ERRORS = ("sim.drive.radius_error=0.04", "sim.drive.distance_error=0.05", "sim.drive.slip=0.005")
+
+
+@pytest.fixture(scope="module")
+def drive_of_squares(tmp_path_factory) -> Path:
+    """A square each way round, in a hall."""
+    folder = tmp_path_factory.mktemp("calibrate")
+    (folder / "hall.yaml").write_text(HALL)
+    path = folder / "squares.mcap"
+    with Writer(path, about("x80")) as writer:
+        bench = Bench(*ERRORS, world=str(folder / "hall.yaml"), truth=MOUNT, record=sink(writer))
+        for clockwise in (True, False):
+            bench.perform(stand(1.5))
+            bench.perform(square(1.2, clockwise, 0.4, 1.2, bench.robot.drive))
+            bench.perform(stand(1.5))
+    return path
+
+
+@pytest.fixture
+def robot(tmp_path, monkeypatch) -> Path:
+    """A copy of the robot's file, in a folder of its own where plots may land."""
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "mine.yaml"
+    path.write_text((CONFIG_DIR / "x80sv.yaml").read_text())
+    return path
+
+
+def told(capsys, *arguments: object) -> tuple[str, dict]:
+    """The report and the YAML of a command that ends well."""
+    assert _status(["calibrate", *map(str, arguments)]) == 0
+    out = capsys.readouterr().out
+    return out, YAML(typ="safe").load(out)
+
+
+def complaint(capsys, *arguments: object) -> list[str]:
+    assert _status(["calibrate", *map(str, arguments)]) == 2
+    out, err = capsys.readouterr()
+    lines = err.splitlines()
+    assert len(lines) == 2, err
+    assert lines[1].startswith("hint: ")
+    assert out == ""
+    return lines
+
+
+def plotted(folder: Path, name: str) -> None:
+    (plot,) = folder.glob(f"out/calibrate-*/{name}.png")
+    with Image.open(plot) as image:
+        assert len(image.getcolors(1 << 20) or ()) > 10
+
+
+def test_the_wheels_are_found_and_written(drive_of_squares, robot, capsys, tmp_path):
+    report, _ = told(capsys, "odometry", "--recording", drive_of_squares, "--robot", robot, "--write")
+    drive = load_robot(str(robot)).robot.drive
+    assert drive.wheel_radius_ratio == pytest.approx(RATIO, abs=0.005)
+    assert drive.wheel_distance == pytest.approx(DISTANCE, rel=0.005)
+    assert drive.wheel_radius == pytest.approx(0.085, rel=0.005)
+    assert "1 squares clockwise, 1 counter-clockwise" in report
+    plotted(tmp_path, "odometry")
+
+
+def test_umbmark_alone_leaves_the_mean_radius(drive_of_squares, robot, capsys):
+    _, tree = told(
+        capsys, "odometry", "--recording", drive_of_squares, "--robot", robot, "--method", "umbmark", "--truth", "sim"
+    )
+    assert set(tree["robot"]["drive"]) == {"wheel_radius_ratio", "wheel_distance"}
+    assert tree["robot"]["drive"]["wheel_radius_ratio"] == pytest.approx(RATIO, abs=0.006)
+    assert tree["robot"]["drive"]["wheel_distance"] == pytest.approx(DISTANCE, rel=0.01)
+    assert load_robot(str(robot)).robot.drive.wheel_radius_ratio == 1.0
+
+
+def test_the_error_that_is_left_is_a_fraction_of_the_first_one(drive_of_squares, robot):
+    configured = load_robot(str(robot)).robot
+    log = read(drive_of_squares, configured)
+    known = truth(log, configured, "sim", None)
+    squares = by_squares(log, configured, known)
+    before, after = (drift(log.rolled, known, w) for w in (Wheels.of(configured.drive), squares.result.wheels))
+    assert before is not None
+    assert after is not None
+    assert after[1] < before[1] / 3
+
+
+def test_ends_that_were_measured_with_a_tape_tell_the_same(drive_of_squares, robot):
+    configured = load_robot(str(robot)).robot
+    log = read(drive_of_squares, configured)
+    by_truth = by_squares(log, configured, truth(log, configured, "sim", None))
+    by_tape = by_squares(log, configured, None, by_truth.true[:, :2].round(3))
+    assert tuple(by_tape.result.wheels) == pytest.approx(tuple(by_truth.result.wheels), rel=1e-3)
+    with pytest.raises(UserError, match="2 squares were driven, 1 measured"):
+        by_squares(log, configured, None, by_truth.true[:1, :2])
+
+
+def test_the_laser_s_mount_is_found_and_written(drive_of_squares, robot, capsys, tmp_path):
+    told(capsys, "laser", drive_of_squares, "--robot", robot, "--write")
+    mount = load_robot(str(robot)).robot.laser.mount
+    assert (mount.x, mount.y) == pytest.approx((MOUNT["x"], MOUNT["y"]), abs=0.005)
+    assert mount.yaw == pytest.approx(MOUNT["yaw"], abs=0.01)
+    plotted(tmp_path, "laser")
+
+
+def part_of(recording: Path, to: Path, keys: tuple[str, ...], seconds: float, robot: str = "x80") -> Path:
+    """The first seconds of some topics of a recording."""
+    with Writer(to, about(robot)) as writer:
+        first = None
+        for entry in Recording(recording).entries(keys):
+            first = entry.sent if first is None else first
+            if entry.sent - first < seconds * 1e9:
+                writer.copy(entry)
+    return to
+
+
+EVERY = tuple(topic.key for topic in KEPT)
+
+
+@pytest.mark.parametrize(
+    ("keys", "seconds", "name", "what"),
+    [
+        (EVERY, 6.0, "x80", "the drive turns by"),
+        (EVERY, 1.5, "x80", "there are 1"),
+        (("base/wheels",), 100.0, "x80", "there are 0 scans"),
+        (("scan",), 100.0, "x80", "there are no wheel states"),
+        (("cmd/vel",), 100.0, "x80", "neither base/wheels nor scan"),
+        (EVERY, 6.0, "jackal", "is a recording of jackal, not of x80"),
+    ],
+)
+def test_a_recording_that_cannot_tell_is_refused_in_one_line(
+    drive_of_squares, robot, tmp_path, capsys, keys, seconds, name, what
+):
+    path = part_of(drive_of_squares, tmp_path / "part.mcap", keys, seconds, name)
+    assert what in complaint(capsys, "laser", path, "--robot", robot)[0]
+    assert what in complaint(capsys, "odometry", "--recording", path, "--method", "scans", "--robot", robot)[0]
+
+
+def test_a_drive_without_squares_is_refused_by_umbmark(drive_of_squares, robot, tmp_path, capsys):
+    path = part_of(drive_of_squares, tmp_path / "part.mcap", EVERY, 12.0)
+    lines = complaint(capsys, "odometry", "--recording", path, "--method", "umbmark", "--robot", robot)
+    assert "there is no square in this drive" in lines[0]
+
+
+def test_another_laser_s_scans_are_refused(drive_of_squares, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert "another laser" in complaint(capsys, "laser", drive_of_squares, "--robot", "x80sv_xv11")[0]
+
+
+@pytest.mark.parametrize("content", [b"", b"no recording"])
+def test_what_is_no_recording_is_refused(content, tmp_path, capsys):
+    path = tmp_path / "bad.mcap"
+    path.write_bytes(content)
+    assert str(path) in complaint(capsys, "laser", path)[0]
+
+
+def test_turning_on_the_spot_alone_does_not_tell_the_laser_s_heading(robot, tmp_path, capsys):
+    (tmp_path / "hall.yaml").write_text(HALL)
+    path = tmp_path / "spin.mcap"
+    with Writer(path, about("x80")) as writer:
+        bench = Bench(*ERRORS, world=str(tmp_path / "hall.yaml"), record=sink(writer))
+        for yaw in (2.0, -2.0) * 4:
+            bench.perform(turn_to(yaw, 1.5, bench.robot.drive, bench.newest["odom"].odom_from_base))
+    what, mend = complaint(capsys, "laser", path, "--robot", robot)
+    assert "straight on for 0" in what
+    assert "metres straight on" in mend
+
+
+def test_late_and_repeated_messages_are_left_out(drive_of_squares, robot):
+    log = read(drive_of_squares, load_robot(str(robot)).robot)
+    again = Log()
+    for message in [*log.scans[:3], log.scans[1], *log.wheels[:5], log.wheels[0]]:
+        again.take(message)
+    assert (len(again.scans), len(again.wheels), again.n_late) == (3, 5, 2)

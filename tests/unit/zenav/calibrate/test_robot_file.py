@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+import difflib
+from pathlib import Path
+
+import pytest
+
+from shared.config import CONFIG_DIR, UserError, load_robot
+from zenav.calibrate.robot_file import to_paste, write
+
+VALUES = {
+    "robot.drive.wheel_radius": 0.0851,
+    "robot.drive.wheel_radius_ratio": 1.0052,
+    "robot.drive.wheel_distance": 0.28572,
+    "robot.laser.mount.yaw": -1.5701,
+}
+ROBOTS = sorted(path.stem for path in CONFIG_DIR.glob("*.yaml"))
+
+
+def copied(folder: Path, robot: str) -> Path:
+    path = folder / f"{robot}.yaml"
+    path.write_text((CONFIG_DIR / f"{robot}.yaml").read_text())
+    return path
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_only_the_lines_of_the_settings_change_and_comments_stay(robot, tmp_path):
+    path = copied(tmp_path, robot)
+    before = path.read_text().splitlines()
+    write(str(path), VALUES)
+    after = path.read_text().splitlines()
+    new = [line[2:].split("#")[0].strip() for line in difflib.ndiff(before, after) if line.startswith("+ ")]
+    assert len(new) == 4
+    assert new[:3] == ["wheel_radius: 0.0851", "wheel_radius_ratio: 1.0052", "wheel_distance: 0.28572"]
+    assert "yaw: -1.5701" in new[3]
+    assert [line for line in before if "#" in line and "wheel" not in line.split("#")[0]] == [
+        line for line in after if "#" in line and "wheel" not in line.split("#")[0]
+    ]
+    drive = load_robot(str(path)).robot.drive
+    assert (drive.wheel_radius, drive.wheel_radius_ratio, drive.wheel_distance) == (0.0851, 1.0052, 0.28572)
+
+
+def test_what_is_pasted_reads_as_what_is_written(tmp_path):
+    from ruamel.yaml import YAML
+
+    robot = load_robot("x80sv").robot
+    text = to_paste(VALUES, robot)
+    assert YAML(typ="safe").load(text) == {
+        "robot": {
+            "drive": {"wheel_radius": 0.0851, "wheel_radius_ratio": 1.0052, "wheel_distance": 0.28572},
+            "laser": {"mount": {"yaw": -1.5701}},
+        }
+    }
+    assert "wheel_distance: 0.28572  # was 0.283\n" in text
+
+
+def test_a_section_that_is_missing_is_made(tmp_path):
+    path = copied(tmp_path, "x80sv")
+    path.write_text(path.read_text().replace("    mount: {x: 0.13, y: 0.0, yaw: -1.5707963267948966}\n", ""))
+    write(str(path), {"robot.laser.mount.x": 0.2})
+    assert load_robot(str(path)).robot.laser.mount.x == 0.2
+
+
+def test_a_value_out_of_bounds_is_refused_and_the_file_stays(tmp_path):
+    path = copied(tmp_path, "x80sv")
+    before = path.read_bytes()
+    with pytest.raises(UserError, match="wheel_radius_ratio"):
+        write(str(path), {"robot.drive.wheel_radius_ratio": 3.0})
+    assert path.read_bytes() == before
+
+
+def test_a_disk_that_takes_nothing_leaves_the_file_as_it_was(tmp_path, monkeypatch):
+    path = copied(tmp_path, "x80sv")
+    before = path.read_bytes()
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(UserError, match="No space left"):
+        write(str(path), VALUES)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_link_to_the_file_stays_a_link(tmp_path):
+    path = copied(tmp_path, "x80sv")
+    link = tmp_path / "mine.yaml"
+    link.symlink_to(path)
+    write(str(link), VALUES)
+    assert link.is_symlink()
+    assert load_robot(str(path)).robot.drive.wheel_radius == 0.0851

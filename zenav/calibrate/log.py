@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a drive left behind, in a recording or heard live: wheels, scans, poses, commands, in order of their stamps."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared import topics
+from shared.codec import CodecError, decode
+from shared.config import Laser, Robot, UserError
+from shared.geometry import Pose2
+from shared.messages import LaserScan, Message, MotorCommand, PoseEstimate, Truth, Velocity, WheelState
+from shared.recording import Recording
+from shared.topics import Topic
+from zenav.calibrate.rolling import Rolled
+
+Float64s = NDArray[np.float64]
+
+KEPT: tuple[Topic[Any], ...] = (
+    topics.WHEELS, topics.SCAN, topics.POSE, topics.TRUTH, topics.CMD_VEL, topics.MOTORS,
+)  # fmt: skip
+SECOND = 1_000_000_000
+SET_BACK = SECOND  # ns that a stamp may lie before the last one's until it is another run of the clock
+
+
+@dataclass
+class Log:
+    """The messages of one drive. `take` files one; whatever comes late or twice is left out."""
+
+    wheels: list[WheelState] = field(default_factory=list)
+    scans: list[LaserScan] = field(default_factory=list)
+    poses: list[PoseEstimate] = field(default_factory=list)
+    truth: list[Truth] = field(default_factory=list)
+    commands: list[Velocity] = field(default_factory=list)
+    motors: list[MotorCommand] = field(default_factory=list)
+    n_late: int = 0
+
+    def take(self, message: Message) -> None:
+        """Files a message of one of the KEPT topics."""
+        place = self._place(message)
+        if place and message.stamp <= place[-1].stamp:
+            self.n_late += 1
+        else:
+            place.append(message)
+
+    def _place(self, message: Message) -> list[Any]:
+        places: dict[type[Message], list[Any]] = {
+            WheelState: self.wheels, LaserScan: self.scans, PoseEstimate: self.poses, Truth: self.truth,
+            Velocity: self.commands, MotorCommand: self.motors,
+        }  # fmt: skip
+        return places[type(message)]
+
+    @property
+    def rolled(self) -> Rolled:
+        """How the wheels turned. Raises UserError where there is nothing."""
+        if len(self.wheels) < 2:
+            raise UserError("there are no wheel states", "record base/wheels: is base_driver running?")
+        return Rolled.of(self.wheels)
+
+    def during(self, begin: int, end: int) -> "Log":
+        """The part of the log from `begin` to `end` (ns), both included."""
+        part = Log()
+        for messages in (self.wheels, self.scans, self.poses, self.truth, self.commands, self.motors):
+            for message in messages:
+                if begin <= message.stamp <= end:
+                    part.take(message)
+        return part
+
+
+def read(path: Path, robot: Robot) -> Log:
+    """The log in a recording of this robot. Raises UserError where it is damaged beyond use, or another robot's."""
+    recording = Recording(path)
+    name = recording.about.get("robot", "")
+    if name and name != robot.name:
+        raise UserError(f"{path} is a recording of {name}, not of {robot.name}", "name its robot: --robot")
+    log = Log()
+    for entry in recording.entries([topic.key for topic in KEPT]):
+        topic = topics.BY_KEY[entry.key]
+        try:
+            log.take(decode(topic.type, entry.payload)[0])
+        except CodecError:
+            continue  # a message of another version, or damaged: the others count
+    if not log.wheels and not log.scans:
+        raise UserError(
+            f"{path} holds neither base/wheels nor scan of this version",
+            "record a drive: zenav up records into recordings/",
+        )
+    same_laser(log.scans, robot.laser)
+    return log
+
+
+def same_laser(scans: list[LaserScan], laser: Laser) -> None:
+    """Raises UserError where the scans are of another laser than the configured one."""
+    if not scans:
+        return
+    scan = scans[len(scans) // 2]
+    if abs(scan.angle_increment - laser.angle_increment) > 1e-3 or abs(scan.angle_min - laser.angle_min) > 1e-2:
+        told = f"first beam {scan.angle_min:.3f}, step {scan.angle_increment:.5f} rad"
+        raise UserError(
+            f"the scans are of another laser ({told}) than robot.laser says",
+            "name the robot that recorded: --robot, or correct robot.laser",
+        )
+
+
+def true_poses(log: Log) -> tuple[list[int], list[Pose2]]:
+    """Stamps and poses by the simulator, in the frame of the first one."""
+    start = log.truth[0].world_from_base.inverse() if log.truth else Pose2()
+    return [t.stamp for t in log.truth], [start @ t.world_from_base for t in log.truth]

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a calibration drives: manoeuvres as generators that are told what is seen, and yield what they ask for.
+
+They know no transport and no clock, so that a running stack and the virtual clock drive the same ones.
+"""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from math import copysign, hypot, pi, sqrt
+from typing import TypeVar
+
+from shared.config import Drive, UserError
+from shared.geometry import Pose2, wrapped
+from shared.messages import GuardState, GuardStatus, Odometry, PoseEstimate
+from shared.reasons import REASONS
+
+T = TypeVar("T")
+
+HZ = 20
+FRESH = 0.5  # s after its stamp that a message still tells how things are
+PATIENCE = 4.0  # s that the guard may hold the robot, or an input be missing, before the manoeuvre gives up
+GENTLE = 0.5  # of the drive's accelerations: a wheel that slips measures nothing
+NEAR, NEAR_TURN = 0.004, 0.004  # m, rad: arrived
+CREEP, CREEP_TURN = 0.03, 0.06  # m/s, rad/s: the last of the way
+BEHIND = 0.15  # s from a command to the wheels' answer
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What is known at a step: ns on the stack's clock, and the newest of each message."""
+
+    now: int
+    odom: Odometry | None = None
+    pose: PoseEstimate | None = None
+    guard: GuardStatus | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """A velocity (m/s, rad/s), whether STOP is to be pressed, and what the operator is told, if anything."""
+
+    v: float = 0.0
+    w: float = 0.0
+    stop: bool = False
+    say: str = ""
+
+
+Manoeuvre = Generator[Ask, Seen, T]
+
+
+class Patience:
+    """Raises UserError where the guard holds the robot, or odometry is silent, for too long."""
+
+    def __init__(self, seconds: float = float("inf")) -> None:
+        self._good: int | None = None
+        self._begun: int | None = None
+        self._seconds = seconds
+
+    def check(self, seen: Seen) -> None:
+        """Once a step. After `seconds` in all, the manoeuvre has failed."""
+        self._begun = seen.now if self._begun is None else self._begun
+        silent = seen.odom is None or seen.now - seen.odom.stamp > FRESH * 1e9
+        guard = seen.guard
+        held = guard is None or guard.state in (GuardState.HOLD, GuardState.STOPPED, GuardState.FAULT)
+        if not silent and not held:
+            self._good = seen.now
+        stuck = seen.now - (self._begun if self._good is None else self._good) > PATIENCE * 1e9
+        over = seen.now - self._begun > self._seconds * 1e9
+        if not stuck and not over:
+            return
+        if guard is None:
+            raise UserError("the guard does not answer", "start the stack: zenav up")
+        if silent:
+            raise UserError("odometry is silent", "is odometry running? zenav topic hz odom")
+        reason = REASONS.get(guard.reason)
+        why = f": {reason.text}" if reason else ""
+        mend = reason.mend if reason else "see guard/status: zenav topic echo guard/status"
+        raise UserError(f"the robot does not get where it should{why}", mend)
+
+
+def stand(seconds: float, say: str = "") -> Manoeuvre[Seen]:
+    """Stands for so long; returns what is seen at the end."""
+    seen = yield Ask(say=say)
+    end = seen.now + round(seconds * 1e9)
+    while seen.now < end:
+        seen = yield Ask()
+    return seen
+
+
+def ready() -> Manoeuvre[Seen]:
+    """Stands until odometry and guard answer."""
+    patience = Patience()
+    seen = yield from stand(0.3)
+    while seen.odom is None or seen.guard is None:
+        patience.check(seen)
+        seen = yield Ask()
+    patience.check(seen)
+    return seen
+
+
+def turn_to(yaw: float, rate: float, drive: Drive, start: Pose2) -> Manoeuvre[None]:
+    """Turns on the spot to a heading by odometry, seen from `start` (odom_from_start), the short way round."""
+    patience = Patience(3 * pi / rate + 10)
+    seen = yield Ask()
+    while True:
+        patience.check(seen)
+        if seen.odom is None:
+            seen = yield Ask()
+            continue
+        left = wrapped(yaw - (start.inverse() @ seen.odom.odom_from_base).yaw)
+        ahead = left - seen.odom.w * BEHIND
+        if abs(left) < NEAR_TURN and abs(seen.odom.w) < CREEP_TURN / 2:
+            return
+        w = min(rate, sqrt(2 * GENTLE * drive.max_turn_acceleration * abs(ahead)), 2.5 * abs(ahead))
+        w = max(w, CREEP_TURN) if abs(left) >= NEAR_TURN else 0.0
+        seen = yield Ask(0.0, copysign(w, ahead))
+
+
+def line_to(a: Pose2, length: float, speed: float, drive: Drive, start: Pose2) -> Manoeuvre[None]:
+    """Drives along a line by odometry: from `a` (start_from_a), ahead by `length` m."""
+    patience = Patience(3 * length / speed + 10)
+    seen = yield Ask()
+    while True:
+        patience.check(seen)
+        if seen.odom is None:
+            seen = yield Ask()
+            continue
+        here = (start @ a).inverse() @ seen.odom.odom_from_base
+        left = length - here.x - seen.odom.v * BEHIND
+        if left < NEAR:
+            return
+        v = max(min(speed, sqrt(2 * GENTLE * drive.max_braking * left), 2.5 * left), CREEP)
+        # to the line, within half a metre of way: a slow S, no corner
+        w = -v * (here.y * 8.0 + wrapped(here.yaw) * 4.0)
+        seen = yield Ask(v, max(-0.5, min(0.5, w)))
+
+
+def square(side: float, clockwise: bool, speed: float, rate: float, drive: Drive) -> Manoeuvre[None]:
+    """Once round a square by odometry, from here, the first side ahead; ends where odometry says that it began."""
+    seen = yield from ready()
+    assert seen.odom is not None
+    start = seen.odom.odom_from_base
+    corner, turn = Pose2(), -pi / 2 if clockwise else pi / 2
+    for _ in range(4):
+        yield from line_to(corner, side, speed, drive, start)
+        yield from stand(0.2)
+        corner = corner @ Pose2(side, 0.0, turn)
+        yield from turn_to(corner.yaw, rate, drive, start)
+        yield from stand(0.2)
+
+
+def back_to(map_from_place: Pose2, speed: float, rate: float, drive: Drive) -> Manoeuvre[None]:
+    """Drives to a pose on the map, by odometry from where the mapper sees the robot now."""
+    seen = yield from ready()
+    if seen.pose is None or seen.odom is None:
+        raise UserError("the mapper gives no pose", "is it running? zenav topic hz pose; or use --measured")
+    start = seen.odom.odom_from_base
+    goal = start.inverse() @ seen.pose.map_from_odom.inverse() @ map_from_place
+    far = hypot(goal.x, goal.y)
+    if far > 0.02:
+        heading = Pose2().bearing(goal)
+        yield from turn_to(heading, rate, drive, start)
+        yield from line_to(Pose2(0.0, 0.0, heading), far, speed, drive, start)
+    yield from turn_to(goal.yaw, rate, drive, start)
+
+
+def umbmark_drive(side: float, n_runs: int, speed: float, rate: float, drive: Drive, again: bool) -> Manoeuvre[None]:
+    """Squares both ways by turns, `n_runs` each; between two the robot drives back to its start by the map (again).
+
+    It stands for 1.5 s before and after each.
+    """
+    seen = yield from ready()
+    home = seen.pose.map_from_base if seen.pose is not None else None
+    for i in range(2 * n_runs):
+        if i and again and home is not None:
+            yield from back_to(home, speed, rate, drive)
+        way = "clockwise" if i % 2 == 0 else "counter-clockwise"
+        yield from stand(1.5, f"square {i + 1} of {2 * n_runs}, {way}")
+        yield from square(side, i % 2 == 0, speed, rate, drive)
+        yield from stand(1.5)

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav calibrate motors`: who really turned, how hard the base brakes, and the curves of it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import floor
+
+import numpy as np
+
+from shared.config import Robot, UserError
+from zenav.calibrate.chart import AFTER, BEFORE, OTHER, TRUE, Chart
+from zenav.calibrate.log import Log
+from zenav.calibrate.motor_response import (
+    GRID,
+    Braking,
+    Lag,
+    Turned,
+    Wheel,
+    first_order,
+    rim_speeds,
+    rims_asked,
+    wheel_of_motion,
+)
+from zenav.calibrate.motor_test import Kind, Phase
+from zenav.calibrate.odometry import truth
+from zenav.calibrate.rolling import between
+
+KEYS: dict[str, Wheel | None] = {"lf": (0, 1), "lb": (0, -1), "rf": (1, 1), "rb": (1, -1), "-": None}
+FINEST = 0.05  # m/s^2 to which the braking is rounded, downward
+
+
+def by_motion(found: Sequence[Turned], log: Log, phases: Sequence[Phase], robot: Robot) -> list[Turned]:
+    """With the wheel that must have turned to move the robot as its scans saw; unchanged where they do not tell."""
+    alone = [p for p in phases if p.kind is Kind.ALONE]
+    if not alone:
+        return list(found)
+    part = log.during(alone[0].begin - 1_000_000_000, alone[-1].end + 1_000_000_000)
+    # the wheels may lie, that is what is asked: the scans are placed as if nothing had been told
+    still = [replace(state, left=0.0, right=0.0) for state in part.wheels]
+    try:
+        known = truth(replace(part, wheels=still), robot, "scans", None)
+    except UserError:
+        return list(found)
+    told = []
+    for turned, phase in zip(found, alone):
+        i, j = np.searchsorted(known.stamps, (phase.begin, phase.end))
+        if i >= len(known.stamps) or j >= len(known.stamps):
+            told.append(turned)
+            continue
+        forward, _, turn = between(known.poses[i : i + 1], known.poses[j : j + 1])[0]
+        # along the arc, not its chord
+        way = float(forward / np.sinc(turn / np.pi)) if abs(turn) < 2 else float(forward)
+        distance = robot.drive.wheel_distance
+        told.append(replace(turned, seen=wheel_of_motion(way, float(turn), turned.asked, distance)))
+    return told
+
+
+def looked(found: Sequence[Turned], answers: Sequence[str]) -> list[Turned]:
+    """With what people saw: `lf`, `lb`, `rf`, `rb`, `-`, or nothing for: as asked."""
+    return [replace(t, seen=KEYS[a] if a else t.commanded) for t, a in zip(found, answers)]
+
+
+def reached(stops: Sequence[Braking]) -> float | None:
+    """m/s^2 that the base reached in every stop, rounded down; None where none was measured."""
+    if not stops:
+        return None
+    return max(round(floor(min(s.deceleration for s in stops) / FINEST) * FINEST, 2), FINEST)
+
+
+def charts(log: Log, phases: Sequence[Phase], robot: Robot, answers: Sequence[Lag]) -> list[Chart]:
+    """The steps with the fitted answer; and the stops, or the dead band's stairs where there are none."""
+    rolled, drive = log.rolled, robot.drive
+    step = Chart("Steps, on the spot: the right wheel", "s", "m/s at the rim")
+    begin = 0.0
+    for phase in (p for p in phases if p.kind is Kind.STEP):
+        times = np.arange(phase.begin - 200_000_000, phase.end + 500_000_000, round(GRID * 1e9))
+        seconds = begin + (times - times[0]) * 1e-9
+        asked = rims_asked(log.motors, times, drive)[:, 1]
+        step.line(seconds, asked, OTHER, "asked")
+        step.line(seconds, rim_speeds(rolled, times, drive)[:, 1], AFTER, "measured")
+        if answers:
+            fit = answers[1]
+            step.line(seconds, first_order(asked, fit.gain, fit.delay, fit.lag), TRUE, "fitted")
+        begin = float(seconds[-1]) + 0.3
+    stops = [p for p in phases if p.kind is Kind.STOP]
+    if stops:
+        brake = Chart("Stops by STOP", "s since STOP", "m/s")
+        for phase in stops:
+            times = np.arange(phase.begin - 300_000_000, phase.end, 10_000_000)
+            seconds = (times - phase.begin) * 1e-9
+            brake.line(seconds, rims_asked(log.motors, times, drive).mean(axis=1), OTHER, "asked")
+            brake.line(seconds, rim_speeds(rolled, times, drive).mean(axis=1), BEFORE, "measured")
+        return [step, brake]
+    stairs = Chart("Slower than any wheel turns, then faster: the right wheel", "s", "m/s at the rim")
+    for phase in (p for p in phases if p.kind is Kind.STAIRS):
+        times = np.arange(phase.begin, phase.end, 20_000_000)
+        seconds = (times - phase.begin) * 1e-9
+        stairs.line(seconds, rims_asked(log.motors, times, drive)[:, 1], OTHER, "asked")
+        stairs.line(seconds, rim_speeds(rolled, times, drive, 0.2)[:, 1], AFTER, "measured")
+    return [step, stairs]

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav calibrate odometry`: from a drive to wheel radii and wheel distance, by UMBmark and by the scans."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.config import Robot, UserError
+from shared.geometry import Pose2
+from zenav.calibrate.chart import AFTER, BEFORE, OTHER, TRUE, Chart
+from zenav.calibrate.hand_eye import Intervals, Solution, intervals, solved
+from zenav.calibrate.log import Log, true_poses
+from zenav.calibrate.rolling import Float64s, Int64s, Rolled, Wheels, between, composed
+from zenav.calibrate.scan_track import ScanTrack, scan_track
+from zenav.calibrate.umbmark import Run, Umbmark, ends_at, errors, largest_error, runs, umbmark
+
+WINDOW = 2.0  # m that drift is measured over
+PASSES = 2  # scans are placed again with what the first pass found
+
+
+@dataclass(frozen=True, slots=True)
+class BasePoses:
+    """A truth to compare odometry with: the base's poses (n, 3), yaw unwrapped, at stamps (n,) ns."""
+
+    stamps: Int64s
+    poses: Float64s
+
+
+@dataclass(frozen=True, slots=True)
+class Squares:
+    """UMBmark's runs, with each one's true motion (k, 3), and what it found."""
+
+    runs: Sequence[Run]
+    true: Float64s
+    result: Umbmark
+
+
+def by_scans(log: Log, robot: Robot) -> tuple[Solution, Intervals, ScanTrack]:
+    """Wheels and laser mount that make the wheels' motion and the scans' one. Raises UserError where it cannot."""
+    rolled, mount = log.rolled, mount_of(robot)
+    wheels = Wheels.of(robot.drive)
+    for _ in range(PASSES):
+        track = scan_track(log.scans, rolled, robot, wheels, mount)
+        pieces = intervals(rolled, track)
+        solution = solved(pieces, wheels, mount)
+        wheels, mount = solution.wheels, solution.mount
+    return solution, pieces, track
+
+
+def mount_of(robot: Robot) -> Float64s:
+    """(3,) base_from_laser, as configured."""
+    mount = robot.laser.mount
+    return np.array((mount.x, mount.y, mount.yaw))
+
+
+def truth(log: Log, robot: Robot, source: str, track: ScanTrack | None, mount: Float64s | None = None) -> BasePoses:
+    """The base's poses by the `scans` (track, where they are placed already), the mapper's `pose`, or the `sim`.
+
+    mount: (3,) base_from_laser, if it is known better than configured.
+    """
+    if source == "scans":
+        mount = mount_of(robot) if mount is None else mount
+        track = track or scan_track(log.scans, log.rolled, robot, Wheels.of(robot.drive), mount)
+        back = Pose2(*(float(v) for v in mount)).inverse()
+        return BasePoses(track.stamps, composed(track.poses, np.array((back.x, back.y, back.yaw))))
+    if source == "pose":
+        stamps, poses = [e.stamp for e in log.poses], [e.map_from_base for e in log.poses]
+    else:
+        stamps, poses = true_poses(log)
+    if len(stamps) < 2:
+        key = "pose" if source == "pose" else "sim/truth"
+        raise UserError(f"there is no {key} in this drive", "take --truth scans")
+    rows = np.array([(p.x, p.y, p.yaw) for p in poses])
+    rows[:, 2] = np.unwrap(rows[:, 2])
+    return BasePoses(np.array(stamps, np.int64), rows)
+
+
+def by_squares(log: Log, robot: Robot, known: BasePoses | None, measured: Float64s | None = None) -> Squares:
+    """UMBmark over the squares in a drive; their ends by `known`, or as `measured` (k, 2) m with a tape.
+
+    Raises UserError where there are none, or not both ways round.
+    """
+    rolled, wheels = log.rolled, Wheels.of(robot.drive)
+    found = runs(rolled, wheels)
+    if not found:
+        raise UserError(
+            "there is no square in this drive",
+            "UMBmark wants squares both ways round, the robot standing for 1.5 s between two; or take --method scans",
+        )
+    if measured is not None:
+        if len(measured) != len(found):
+            raise UserError(
+                f"{len(found)} squares were driven, {len(measured)} measured", "do not move the robot while it drives"
+            )
+        true = np.column_stack((measured, np.zeros(len(measured))))
+    else:
+        assert known is not None
+        true = ends_at(known.stamps, known.poses, rolled, found)
+    return Squares(found, true, umbmark(true, rolled, found, wheels))
+
+
+def square_error(squares: Squares, rolled: Rolled, wheels: Wheels) -> float:
+    """m: E_max,syst of these squares, had the robot had these wheels."""
+    off = errors(squares.true, rolled, squares.runs, wheels)
+    clockwise = np.array([run.clockwise for run in squares.runs], bool)
+    return largest_error(off[clockwise], off[~clockwise])
+
+
+def drift(rolled: Rolled, known: BasePoses, wheels: Wheels) -> tuple[float, float] | None:
+    """Odometry's error with these wheels: m a metre and rad a metre, over WINDOW m, rms; None in a shorter drive."""
+    path = rolled.with_samples(known.stamps)
+    inside = (known.stamps >= rolled.stamps[0]) & (known.stamps <= rolled.stamps[-1])
+    rows = np.flatnonzero(inside)
+    way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(known.poses[rows, :2], axis=0).T))))
+    marks = rows[np.searchsorted(way, np.arange(0.0, way[-1] if len(way) else 0.0, WINDOW))]
+    if len(marks) < 2:
+        return None
+    begin, end = marks[:-1], marks[1:]
+    whole = rolled.known(known.stamps[begin], known.stamps[end])
+    begin, end = begin[whole], end[whole]
+    poses, index = path.poses(wheels), np.searchsorted(path.stamps, known.stamps)
+    off = between(known.poses[begin], known.poses[end]) - between(poses[index[begin]], poses[index[end]])
+    if not len(off):
+        return None
+    return float(np.sqrt(np.mean(off[:, 0] ** 2 + off[:, 1] ** 2))) / WINDOW, float(
+        np.sqrt(np.mean(off[:, 2] ** 2))
+    ) / WINDOW
+
+
+def charts(log: Log, robot: Robot, known: BasePoses | None, squares: Squares | None, after: Wheels) -> list[Chart]:
+    """Where the squares ended, and the way by odometry before and after."""
+    rolled, before = log.rolled, Wheels.of(robot.drive)
+    made = []
+    if squares is not None:
+        ends = Chart("End of each square less odometry's (UMBmark)", "m along the first side", "m to its left", True)
+        clockwise = np.array([run.clockwise for run in squares.runs], bool)
+        for wheels, name, colours in ((before, "before", (BEFORE, OTHER)), (after, "after", (AFTER, TRUE))):
+            off = errors(squares.true, rolled, squares.runs, wheels)
+            ends.dots(off[clockwise, 0], off[clockwise, 1], colours[0], f"clockwise, {name}")
+            ends.dots(off[~clockwise, 0], off[~clockwise, 1], colours[1], f"counter-clockwise, {name}")
+        ends.dots([0], [0], (0, 0, 0))
+        made.append(ends)
+    way = Chart("The way, all begun alike", "x, m", "y, m", True)
+    if known is not None:
+        inside = np.flatnonzero((known.stamps >= rolled.stamps[0]) & (known.stamps <= rolled.stamps[-1]))
+        if len(inside):
+            path = rolled.with_samples(known.stamps)
+            index = np.searchsorted(path.stamps, known.stamps[inside])
+            for wheels, colour, name in ((before, BEFORE, "odometry before"), (after, AFTER, "odometry after")):
+                poses = from_start(path.poses(wheels)[index])
+                way.line(poses[:, 0], poses[:, 1], colour, name)
+            true = from_start(known.poses[inside])
+            way.line(true[:, 0], true[:, 1], TRUE, "truth")
+    else:
+        for wheels, colour, name in ((before, BEFORE, "odometry before"), (after, AFTER, "odometry after")):
+            poses = rolled.poses(wheels)
+            way.line(poses[:, 0], poses[:, 1], colour, name)
+    return [*made, way]
+
+
+def from_start(poses: Float64s) -> Float64s:
+    """(n, 3) poses seen from the first one."""
+    return between(np.broadcast_to(poses[0], poses.shape), poses)

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was found, into the robot's YAML: as text to paste, or written in place with its comments and its layout."""
+
+from collections.abc import Mapping
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap
+
+from shared.config import Robot, RobotFile, UserError, load_robot
+from shared.ros_map import replace_file
+
+Values = Mapping[str, float | int]
+"""Setting -> value: {"robot.drive.wheel_distance": 0.2857}."""
+
+INDENTS = ((4, 2), (2, 0))
+"""(spaces to a list's items, of which before the dash), as people write them."""
+
+
+def value_of(robot: Robot, key: str) -> Any:
+    """The value in force of a setting like `robot.drive.wheel_radius`."""
+    node: Any = robot
+    for part in key.split(".")[1:]:
+        node = getattr(node, part)
+    return node
+
+
+def to_paste(values: Values, robot: Robot) -> str:
+    """The settings as YAML, each with what it was."""
+    lines: list[str] = []
+    open_: list[str] = []
+    for key, value in values.items():
+        *sections, name = key.split(".")
+        n_same = next((i for i, (a, b) in enumerate(zip(open_, sections)) if a != b), min(len(open_), len(sections)))
+        for depth in range(n_same, len(sections)):
+            lines.append(f"{'  ' * depth}{sections[depth]}:")
+        open_ = sections
+        lines.append(f"{'  ' * len(sections)}{name}: {value}  # was {value_of(robot, key):.6g}")
+    return "".join(f"{line}\n" for line in lines)
+
+
+def write(robot: str, values: Values) -> Path:
+    """Puts the settings into the robot's file, which is replaced whole or not at all, and returns its path.
+
+    Raises UserError where the values are not valid, or the file cannot be written or rewritten without a loss.
+    """
+    file = load_robot(robot)
+    before = file.path.read_text(encoding="utf-8")
+    yaml = layout(before, file.tree)
+    for key, value in values.items():
+        _put(file.tree, key.split("."), value)
+    file.section("robot", Robot)  # raises where it is not valid
+    text = dumped(yaml, file.tree)
+    again = RobotFile(file.path, YAML(typ="rt").load(text))
+    if again.tree != file.tree:
+        raise UserError(f"{file.path} cannot be rewritten without a loss", "paste the lines above into it by hand")
+    try:
+        replace_file(file.path.resolve(), text.encode())
+    except OSError as error:
+        raise UserError(f"cannot write {file.path}: {error.strerror}", "paste the lines above into it") from None
+    return file.path
+
+
+def layout(text: str, tree: CommentedMap) -> YAML:
+    """The writer that gives back this file as it is, or the nearest to it."""
+    writers = []
+    for sequence, offset in INDENTS:
+        yaml = YAML(typ="rt")
+        yaml.width, yaml.preserve_quotes = 100_000, True
+        yaml.indent(mapping=2, sequence=sequence, offset=offset)
+        writers.append(yaml)
+    return next((yaml for yaml in writers if dumped(yaml, tree) == text), writers[0])
+
+
+def dumped(yaml: YAML, tree: CommentedMap) -> str:
+    """The tree as text."""
+    stream = StringIO()
+    yaml.dump(tree, stream)
+    return stream.getvalue()
+
+
+def _put(tree: CommentedMap, path: list[str], value: float | int) -> None:
+    *sections, name = path
+    for section in sections:
+        if not isinstance(tree.get(section), CommentedMap):
+            tree[section] = CommentedMap()
+        tree = tree[section]
+    if name in tree or not len(tree):
+        tree[name] = value
+    else:  # beside its kin, not behind the comments that may follow the last key
+        kin = max(range(len(tree)), key=lambda i: _alike(name, str(list(tree)[i])))
+        tree.insert(kin + 1, name, value)
+
+
+def _alike(a: str, b: str) -> int:
+    return next((i for i, (x, y) in enumerate(zip(a, b)) if x != y), min(len(a), len(b)))
