@@ -13,7 +13,7 @@ class PortConfig(Section):
 
     device: str = Field(
         "",
-        description="/dev/ttyUSB0, socket://HOST:PORT, udp://HOST:PORT, or pty:LINK for a pseudo-terminal of our own; "
+        description="/dev/ttyUSB0, socket://HOST:PORT, udp://HOST:PORT; of an emulator: pty:LINK, listen://HOST:PORT; "
         "empty: none",
     )
     baud: int = Field(115200, ge=300, le=4_000_000, description="baud, 8N1")

@@ -152,9 +152,12 @@ def opened(config: PortConfig) -> Line:
     device = found(config)
     if device.startswith("pty:"):
         return PseudoTerminal(Path(device.removeprefix("pty:")))
-    if device.startswith("udp://"):
-        host, _, port = device.removeprefix("udp://").rpartition(":")
-        return Datagrams(host, int(port)) if port.isdecimal() else _refuse(f"{device!r} is no udp://HOST:PORT")
+    kind, _, address = device.partition("://")
+    if kind in ("udp", "listen"):
+        host, _, port = address.rpartition(":")
+        if not port.isdecimal():
+            raise OSError(errno.EINVAL, f"{device!r} is no {kind}://HOST:PORT")
+        return Datagrams(host, int(port)) if kind == "udp" else Listener(host, int(port))
     return SerialLine(device, config.baud)
 
 
@@ -175,7 +178,7 @@ class SerialLine:
         try:
             self._port = serial.serial_for_url(device, baud, timeout=PATIENCE, write_timeout=LIFE, exclusive=True)
         except ValueError as error:
-            _refuse(str(error))
+            raise OSError(errno.EINVAL, str(error)) from None
 
     def read(self) -> bytes:
         first: bytes = self._port.read(1)
@@ -212,6 +215,44 @@ class Datagrams:
 
     def close(self) -> None:
         self._socket.close()
+
+
+class Listener:
+    """The far end of a `socket://`: one driver at a time, the newest."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._server = socket.create_server((host, port))
+        self._client: socket.socket | None = None
+
+    def read(self) -> bytes:
+        watched = [self._server, *([self._client] if self._client is not None else [])]
+        ready, _, _ = select.select(watched, [], [], PATIENCE)
+        if self._server in ready:
+            self._hang_up()
+            self._client, _ = self._server.accept()
+            self._client.setblocking(False)
+        if self._client is None or self._client not in ready:
+            return b""
+        with suppress(ConnectionError):
+            data = self._client.recv(CHUNK)
+            if data:
+                return data
+        self._hang_up()
+        return b""
+
+    def write(self, data: bytes) -> None:
+        if self._client is not None:
+            with suppress(BlockingIOError, ConnectionError):  # nobody reads: as on a real line, it is lost
+                self._client.send(data)
+
+    def close(self) -> None:
+        self._hang_up()
+        self._server.close()
+
+    def _hang_up(self) -> None:
+        if self._client is not None:
+            self._client.close()
+            self._client = None
 
 
 class PseudoTerminal:
@@ -272,7 +313,3 @@ def _by_whom(device: str) -> str:
             if os.readlink(link) == target and link.parts[2] != str(os.getpid()):
                 return f" by {(link.parent.parent / 'comm').read_text().strip()} ({link.parts[2]})"
     return ""
-
-
-def _refuse(what: str) -> "Line":
-    raise OSError(errno.EINVAL, what)

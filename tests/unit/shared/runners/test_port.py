@@ -9,7 +9,7 @@ import socket
 import threading
 import tty
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -157,7 +157,7 @@ def test_each_error_of_a_device_is_one_line(number, mend):
     assert "\n" not in text
 
 
-@pytest.mark.parametrize("device", ["udp://nowhere", "gopher://x", "socket://nobody"])
+@pytest.mark.parametrize("device", ["udp://nowhere", "listen://here", "gopher://x", "socket://nobody"])
 def test_a_device_that_is_no_address_is_an_error_that_names_it(device):
     config = PortConfig(device=device)
     with pytest.raises(OSError) as refused:
@@ -188,6 +188,34 @@ def test_a_board_behind_a_terminal_server_speaks_too():
         assert heard.data(4) == b"pong"
         connection.close()
         assert not heard.state().open
+
+
+def test_an_emulator_that_listens_serves_the_newest_driver_and_can_be_unplugged():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        number = taken.getsockname()[1]
+    with (
+        running(f"listen://127.0.0.1:{number}") as (far, at_far),
+        running(f"socket://127.0.0.1:{number}") as (near, at),
+    ):
+        assert at_far.state().open
+        while not at.state().open:
+            pass
+        near.write(b"ping")
+        assert at_far.data(4) == b"ping"
+        far.write(b"pong")
+        assert at.data(4) == b"pong"
+        far.plug(False)
+        assert not at.state().open
+        far.plug(True)
+        while not at_far.state().open:
+            pass
+        for _ in range(100):  # what is written while it connects may be lost
+            near.write(b"b")
+            with suppress(queue.Empty):
+                assert at_far.messages.get(timeout=0.1).data.startswith(b"b")
+                break
+        else:
+            pytest.fail("it never came back")
 
 
 def test_a_link_left_behind_by_a_killed_emulator_is_replaced(tmp_path):
