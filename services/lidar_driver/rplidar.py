@@ -10,7 +10,7 @@ from typing import cast
 
 import numpy as np
 
-from services.lidar_driver.device import Bools, Counts, Int64s, Returns, Uint8s
+from services.lidar_driver.device import Bools, Counts, Int64s, Returns, Uint8s, steps_of
 from services.lidar_driver.framing import Framing
 from services.lidar_driver.rplidar_nodes import Nodes
 
@@ -151,7 +151,7 @@ class Rplidar:
             return []
         words = nodes[:, 1::2].astype(np.int64) | nodes[:, 2::2].astype(np.int64) << 8
         degrees = (words[:, 0] >> 1) / 64
-        steps = np.diff(degrees, prepend=degrees[0] if self.degrees is None else self.degrees)
+        steps = steps_of(degrees, float(degrees[0]) if self.degrees is None else self.degrees)
         turned = np.where(anew, (steps + BACK) % 360 - BACK, (steps + 180) % 360 - 180)
         sample_time = self.sample_times[0]
         n_samples = np.ones(len(nodes))

@@ -6,7 +6,7 @@ from math import pi
 
 import numpy as np
 
-from services.lidar_driver.device import Float32s, Float64s, Returns
+from services.lidar_driver.device import Float32s, Float64s, Returns, steps_of
 from shared.config import Laser
 
 GAP = pi / 15  # rad without a beam that count as lost, not as sparse
@@ -87,7 +87,7 @@ class Sweeps:
         return found
 
     def _goes_on(self, times: Float64s) -> bool:
-        steps = np.diff(times, prepend=self.time)
+        steps = steps_of(times, self.time)
         return bool(steps.min() > -BACK and steps.max() < LONGEST_PAUSE)
 
     def _unwrapped(self, returns: Returns) -> Float64s:
@@ -98,8 +98,8 @@ class Sweeps:
             self.raw, self.time = float(raw[0]), float(returns.times[0])
             self.phase = (self.raw + 0.5) % self.turn - 0.5
             self.current = 0
-        expected = self.rate * np.diff(returns.times, prepend=self.time)
-        steps = np.diff(raw, prepend=self.raw) - expected
+        expected = self.rate * steps_of(returns.times, self.time)
+        steps = steps_of(raw, self.raw) - expected
         steps -= self.turn * np.rint(steps / self.turn)
         phases: Float64s = self.phase + np.cumsum(steps + expected)
         self.raw, self.phase, self.time = float(raw[-1]), float(phases[-1]), float(returns.times[-1])
