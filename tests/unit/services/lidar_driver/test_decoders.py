@@ -15,8 +15,9 @@ from services.lidar_driver.device import Counts, Device, Returns
 from services.lidar_driver.framing import Framing
 from services.sim.hardware import ld06 as said_by_ld06
 from services.sim.hardware import rplidar as said_by_rplidar
+from services.sim.hardware import scip as said_by_scip
 from services.sim.hardware import xv11 as said_by_xv11
-from tests.unit.services.lidar_driver.bench import MODELS, line_of, made_driver, random_sweeps
+from tests.unit.services.lidar_driver.bench import MODELS, laser_of, line_of, made_driver, random_sweeps
 
 LD19_MANUAL = bytes.fromhex(
     "54 2C 68 08 AB 7E E0 00 E4 DC 00 E2 D9 00 E5 D5 00 E3 D3 00 E4 D0 00 E9 CD 00 E4 CA 00 E2 C7 00 E9 C5 00 E5"
@@ -92,8 +93,7 @@ def test_scip_characters_are_the_specifications():
 
 
 def test_a_hokuyo_is_ordered_the_steps_that_the_grid_asks_of_it():
-    device = decoder("scip")
-    assert isinstance(device, scip.Scip)
+    device = scip.Scip(laser_of("scip"), False, False)
     said = [device.due(0)]
     for answer in (b"SCIP2.0\n0Ee\n\n", b"QT\n00P\n\n", URG_PARAMETERS, b"TM0\n00P\n\n", b"TM1\n00P\n00003\n\n"):
         device.received(answer, 0)
@@ -105,6 +105,37 @@ def test_a_hokuyo_is_ordered_the_steps_that_the_grid_asks_of_it():
     device.received(b"MD0044072501000\n00P\n\n", 0)
     assert device.scanning
     assert device.speed == 10
+
+
+def ordered(device: scip.Scip) -> bytes:
+    """Through the start sequence, up to the order to scan."""
+    said = device.due(0)
+    while said[:2] not in (b"ME", b"MD"):
+        device.received(URG_PARAMETERS if said == b"PP\n" else said + b"00P\n\n", 0)
+        said = device.due(0)
+    return said
+
+
+def test_a_hokuyo_that_knows_no_intensities_is_asked_for_distances():
+    device = scip.Scip(laser_of("scip"), False, True)
+    order = ordered(device)
+    assert order == b"ME0044072501000\n"
+    device.received(order + b"0Ee\n\n", 0)
+    assert device.due(0) == b"MD0044072501000\n"
+    assert device.trouble == ""
+
+
+def test_a_hokuyos_intensities_follow_each_distance():
+    device = scip.Scip(laser_of("scip"), False, True)
+    order = ordered(device)
+    device.received(order + b"00P\n\n", 0)
+    text = b"".join(said_by_scip.encoded(1000 + i, 3) + said_by_scip.encoded(2000 + i, 3) for i in range(682))
+    blocks = [said_by_scip.encoded(5, 4), *(text[i : i + 64] for i in range(0, len(text), 64))]
+    heard = single(device.received(said_by_scip.answer(order[:-1], b"99", blocks), 0))
+    assert_allclose(heard.ranges, 1 + 1e-3 * np.arange(682), atol=1e-6)
+    assert heard.intensities is not None
+    assert_allclose(heard.intensities, 2000 + np.arange(682))
+    assert_allclose(heard.angles[[0, 340]], [-340 * 2 * np.pi / 1024, 0], atol=1e-12)
 
 
 def test_rplidar_requests_are_slamtecs():
