@@ -25,6 +25,7 @@ from shared.service import Log, Out, Service, every, on
 PORT = "laser"
 SPEED_SHARE = 0.15  # of the rate, by which the speed may be off before it is worth a word
 STANDS = 0.1  # turns/s: slower is standing still
+NO_PORT = "no port: set lidar_driver.port.device"
 NO_BYTES = "no bytes: is the laser powered, and does it turn?"
 NO_SENSE = "bytes arrive, none make sense: wrong baud rate or model?"
 STOPPED = "the laser stopped turning"
@@ -72,7 +73,7 @@ class LidarDriverService(Service):
         self.angles: Float64s = self.sweeps.angle_min + self.sweeps.increment * beams
         self.masked = masked_angles(self.angles, config.masks)
         self.open = False
-        self.why_closed = "waiting for its port"
+        self.why_closed = "" if config.port.device or config.port.serial_number else NO_PORT
         self.heard_at, self.understood_at, self.opened_at, self.started_at = 0, 0, 0, 0  # ns
         self.n_good = 0
         self.n_scans = 0
@@ -80,7 +81,10 @@ class LidarDriverService(Service):
 
     @property
     def ports(self) -> dict[str, PortConfig]:
-        return {PORT: self.config.port}
+        port = self.config.port
+        if self.config.model == "rplidar":
+            port = port.model_copy(update={"dtr": False})  # high, it holds an A1's motor
+        return {PORT: port}
 
     def state(self) -> str:
         if trouble := self.trouble() or self.told:

@@ -11,6 +11,7 @@ from shared.config import Laser
 
 GAP = pi / 15  # rad without a beam that count as lost, not as sparse
 LEAST_HEARD = 0.5  # share of a sweep's angle; a sweep with less is the rest of one, and is not told
+LAST = 1.25  # steps before the end of the grid at which a beam is the last one; an earlier one in its place is not yet
 LONGEST_PAUSE = 1.0  # s between two beams after which the turning must be learned anew
 BACK = 0.05  # s by which the device's times may go back inside a packet's corrections
 MOST_BEAMS = 100_000  # kept for a sweep; a device that never comes round must not fill the memory
@@ -68,12 +69,12 @@ class Sweeps:
         self.n_kept += len(phases)
         found = []
         reached = float(phases.max())
-        if reached >= self.current * self.turn + self.n - 1.5:
+        if reached >= self.current * self.turn + self.n - LAST:
             phases, times, ranges, intensities = self._joined()
             numbers = np.floor((phases + 0.5) / self.turn).astype(np.int64)
             newest = int(numbers.max())
             for number in np.unique(numbers[numbers >= self.current]).tolist():
-                if number < newest or reached >= number * self.turn + self.n - 1.5:
+                if number < newest or reached >= number * self.turn + self.n - LAST:
                     own = numbers == number
                     mine = intensities[own] if intensities is not None else None
                     sweep = self._finished(phases[own] - number * self.turn, times[own], ranges[own], mine)

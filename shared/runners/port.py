@@ -155,7 +155,7 @@ def opened(config: PortConfig) -> Line:
     if device.startswith("udp://"):
         host, _, port = device.removeprefix("udp://").rpartition(":")
         return Datagrams(host, int(port)) if port.isdecimal() else _refuse(f"{device!r} is no udp://HOST:PORT")
-    return SerialLine(device, config.baud)
+    return SerialLine(device, config.baud, config.dtr)
 
 
 def found(config: PortConfig) -> str:
@@ -171,9 +171,13 @@ def found(config: PortConfig) -> str:
 class SerialLine:
     """A serial device, or a terminal server (`socket://`), by pyserial."""
 
-    def __init__(self, device: str, baud: int) -> None:
+    def __init__(self, device: str, baud: int, dtr: bool) -> None:
         try:
-            self._port = serial.serial_for_url(device, baud, timeout=PATIENCE, write_timeout=LIFE, exclusive=True)
+            self._port = serial.serial_for_url(
+                device, baud, timeout=PATIENCE, write_timeout=LIFE, exclusive=True, do_not_open=True
+            )
+            self._port.dtr = dtr  # as it shall be from the first moment on
+            self._port.open()
         except ValueError as error:
             _refuse(str(error))
 
