@@ -52,8 +52,10 @@ class Device(Protocol):
 
     clockwise: bool
     counts: Counts
-    speed: float | None
     trouble: str
+
+    @property
+    def speed(self) -> float | None: ...
 
     @property
     def met(self) -> tuple[float, int, int] | None: ...

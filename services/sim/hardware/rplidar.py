@@ -19,7 +19,18 @@ BAUD = 115200
 MODE_STREAM = 1 << 30
 NO_MOTOR = 0x8001  # a code of ours
 N_CABINS = 16
-REQUESTS = {0x25: 0, 0x40: 0, 0x20: 0, 0x21: 0, 0x50: 0, 0x52: 0, 0x59: 0, 0x82: 1, 0xF0: 1}  # 1: has a payload
+REQUESTS = {
+    0x25: 0,
+    0x40: 0,
+    0x20: 0,
+    0x21: 0,
+    0x50: 0,
+    0x52: 0,
+    0x59: 0,
+    0x82: 1,
+    0x84: 1,
+    0xF0: 1,
+}  # 1: has a payload
 
 
 def descriptor(length: int, kind: int) -> bytes:
