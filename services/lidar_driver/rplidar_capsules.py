@@ -3,7 +3,8 @@
 
 SLAMTEC, 'RPLIDAR interface protocol', rev. 2.1, section 'express scan', and its public driver. Each begins with two
 sync nibbles and the xor of all that follows, then the first beam's angle (1/64 degree) under a bit that marks the first
-one of a scan. A capsule's beams lie evenly between its angle and the next one's, less an offset for the laser's own parallax.
+one of a scan. A capsule's beams lie evenly between its angle and the next one's, less an offset for the laser's own
+parallax.
 """
 
 from collections.abc import Callable

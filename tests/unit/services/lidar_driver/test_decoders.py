@@ -211,7 +211,7 @@ def test_a_dense_capsule_is_read_evenly():
 
 
 def test_an_extended_capsules_distances_are_predicted_from_both_sides():
-    # major 1000 mm: over 512, steps of 2 mm, code 512 + (1000 - 512) / 2 = 756; the next major 3000: code 1280 + 952 / 4
+    # major 1000 mm: over 512, steps of 2 mm, code 512 + (1000 - 512) / 2 = 756; next major 3000: code 1280 + 952 / 4
     majors = [756, 1280 + 238] * 16
     words = [major | (5 & 0x3FF) << 12 | (-7 & 0x3FF) << 22 for major in majors]
     words[2] = majors[2] | 0x1FF << 12 | 0x200 << 22  # no prediction, either way
