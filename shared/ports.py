@@ -17,6 +17,7 @@ class PortConfig(Section):
         "empty: none",
     )
     baud: int = Field(115200, ge=300, le=4_000_000, description="baud, 8N1")
+    dtr: bool = Field(True, description="level of the line DTR; an RPLIDAR A1 wants false for its motor")
     serial_number: str = Field(
         "", description="of the USB adapter: it is found by this under whatever name it comes back"
     )

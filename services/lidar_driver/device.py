@@ -2,7 +2,7 @@
 """What every laser gives, whatever it speaks: returns in the order of measuring, on the device's own clock."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,8 +52,10 @@ class Device(Protocol):
 
     clockwise: bool
     counts: Counts
-    speed: float | None
     trouble: str
+
+    @property
+    def speed(self) -> float | None: ...
 
     @property
     def met(self) -> tuple[float, int, int] | None: ...
@@ -74,11 +76,22 @@ class Device(Protocol):
         """What stops it."""
 
 
+N = TypeVar("N", np.int64, np.float64)
+
+
+def steps_of(values: NDArray[N], before: float) -> NDArray[N]:
+    """(n,) -> (n,): how far each lies after the one before it; np.diff with `prepend` takes ten times as long."""
+    steps = values.copy()
+    steps[1:] -= values[:-1]
+    steps[0] -= before
+    return steps
+
+
 def since(ticks: Int64s, last: int | None, wrap: int, most_back: int) -> tuple[Int64s, bool]:
     """How far each tick of a wrapping counter lies after `last` (or the first tick), and whether the counter went back.
 
     ticks: (p,).  A step back by over `most_back`: the device started anew.
     """
-    steps = (np.diff(ticks, prepend=ticks[0] if last is None else last) + wrap // 2) % wrap - wrap // 2
+    steps = (steps_of(ticks, int(ticks[0]) if last is None else last) + wrap // 2) % wrap - wrap // 2
     back = steps < -most_back
     return np.cumsum(np.where(back, 0, steps)), bool(back.any())

@@ -51,7 +51,7 @@ class Framing:
         inside = (before >= 0) & (bad < chosen[before] + self.length) if len(chosen) else np.zeros(len(bad), bool)
         counts.n_bad += int(np.count_nonzero(~inside))
         if len(chosen):
-            gaps = np.diff(chosen, prepend=chosen[0]) > self.length
+            gaps = np.diff(chosen) > self.length
             first = counts.n_good > 0 and (not self.in_step or chosen[0] > 0)
             counts.n_resyncs += int(np.count_nonzero(gaps)) + first
             counts.n_good += len(chosen)

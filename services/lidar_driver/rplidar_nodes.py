@@ -6,7 +6,7 @@ Node: quality << 2 | not start << 1 | start; angle (1/64 degree) << 1 | 1, u16; 
 
 import numpy as np
 
-from services.lidar_driver.device import Bools, Counts, Int64s, Uint8s
+from services.lidar_driver.device import Bools, Counts, Int64s, Uint8s, steps_of
 
 LENGTH = 5
 IN_A_ROW = 8  # nodes that make sense one after the other, before the first of them is believed
@@ -75,6 +75,6 @@ def sensible(nodes: Uint8s, last_angle: int | None) -> tuple[Bools, Int64s]:
     """Whether each node, (p, 5), can follow the one before (or `last_angle`), and the angles, 1/64 degree."""
     flags = nodes[:, 0] & 3
     angles = (nodes[:, 1].astype(np.int64) | nodes[:, 2].astype(np.int64) << 8) >> 1
-    steps = (np.diff(angles, prepend=angles[0] if last_angle is None else last_angle) + BACK) % TURN
+    steps = (steps_of(angles, int(angles[0]) if last_angle is None else last_angle) + BACK) % TURN
     fits = (flags == 1) | (flags == 2)
     return fits & (nodes[:, 1] & 1 == 1) & (angles < TURN) & (steps <= BACK + FURTHEST), angles

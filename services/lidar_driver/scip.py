@@ -24,6 +24,8 @@ BLOCK = 64
 PATIENCE = 700 * MS  # for an answer
 FIRST = ("SCIP2.0", "QT", "PP")  # QT ends what an earlier driver left running
 TIME = ("TM0", "TM1", "TM2")  # its clock can be asked while the laser is off
+CHARACTERS = {b"MD": 3, b"ME": 6}  # of a step
+SCANS = tuple(CHARACTERS)
 HARDWARE = range(50, 98)  # status of a fault of laser or motor
 
 
@@ -63,8 +65,9 @@ class Scip:
 
     clockwise = False
 
-    def __init__(self, laser: Laser, inverted: bool) -> None:
+    def __init__(self, laser: Laser, inverted: bool, intensities: bool) -> None:
         self.laser = laser
+        self.orders = ("ME", "MD") if intensities else ("MD",)  # with intensities, which an URG does not know; without
         self.ahead = -1.0 if inverted else 1.0
         self.counts = Counts()
         self.trouble = ""
@@ -115,7 +118,7 @@ class Scip:
         answer = answer.replace(b"\r", b"").lstrip(b"\n")
         echo = self.asked.encode()
         kind = echo[:2]
-        if kind == b"MD":
+        if kind in SCANS:
             at = answer.rfind(echo[:13])  # long enough to be told from data; what is left of a scan is not repeated
         else:
             at = 0 if echo and answer.startswith(echo + b"\n") else answer.rfind(b"\n" + echo + b"\n") + 1 or -1
@@ -125,8 +128,8 @@ class Scip:
         self.counts.n_resyncs += at > 0
         _, _, rest = answer[at:].partition(b"\n")
         status, _, rest = rest.partition(b"\n")
-        if kind == b"MD" and status == b"99b":
-            return self._sweep(rest, 0 if at > 0 else now - self.begun)
+        if kind in SCANS and status == b"99b":
+            return self._sweep(kind, rest, 0 if at > 0 else now - self.begun)
         if len(status) == 3 and status[2] != sum_of(status[:2]):
             self.counts.n_bad += 1
         else:
@@ -145,13 +148,16 @@ class Scip:
             if tick is not None:
                 self.last_tick, self.time = tick, 0.0
                 self.met = TICK / 2, self.asked_at, self.begun
-        if kind in (b"MD", b"BM"):
+        if kind in SCANS or kind == b"BM":
             broken = status.isdecimal() and int(status) in HARDWARE
             self.trouble = f"the laser reports a fault of its hardware, status {status}" if broken else ""
-            if kind == b"MD" and status != "00":
+            if kind in SCANS and status != "00":
+                if self.waiting:
+                    self.until = 0  # the next order is one that it may know
+                    return
                 self.trouble = self.trouble or f"the laser refuses to scan, status {status}"
                 return  # asked anew when patience ends
-            self.scanning = kind == b"MD"
+            self.scanning = kind in SCANS
         self.until = 0  # the next question need not wait
 
     def _request(self) -> bool:
@@ -173,15 +179,16 @@ class Scip:
         self.n = (last - first) // self.cluster + 1
         self.speed = rpm / 60
         self.period = 60 / max(rpm, 1)
-        self.waiting = [*TIME, "BM", f"MD{first:04d}{last:04d}{self.cluster:02d}000"]
+        steps = f"{first:04d}{last:04d}{self.cluster:02d}000"
+        self.waiting = [*TIME, "BM", *(order + steps for order in self.orders)]
         return True
 
-    def _sweep(self, rest: bytes, age: int) -> list[Returns]:
+    def _sweep(self, kind: bytes, rest: bytes, age: int) -> list[Returns]:
         """age: ns since its first byte came; 0 where other bytes came before it, so that nobody knows."""
         clock, _, blocks = rest.partition(b"\n")
         characters = payload(blocks)
         tick = clock_of(clock)
-        if tick is None or characters is None or len(characters) != 3 * self.n:
+        if tick is None or characters is None or len(characters) != CHARACTERS[kind] * self.n:
             self.counts.n_bad += 1
             return []
         self.counts.n_good += 1
@@ -189,9 +196,11 @@ class Scip:
         elapsed, restarted = since(np.array([tick]), self.last_tick, TIME_WRAP, MOST_BACK)
         self.last_tick = tick
         self.time += float(elapsed[0]) * TICK
-        mm = decoded(characters, 3)
+        values = decoded(characters, 3).reshape(self.n, -1)  # a distance, with ME an intensity, too
+        mm = values[:, 0]
+        bright = values[:, 1].clip(0, 65535).astype(np.float32) if values.shape[1] == 2 else None
         ranges: Float32s = np.where(mm >= ERRORS_BELOW, mm * 1e-3, np.nan).astype(np.float32)
         middle = self.first + np.arange(self.n) * self.cluster + (self.cluster - 1) / 2
         angles = ((middle - self.front) * self.step).astype(np.float64)
         times = (self.time + TICK / 2 + (angles + pi) / (2 * pi) * self.period).astype(np.float64)
-        return [Returns(angles, ranges, None, times, times[-1:] - TICK / 2, np.array([age * 1e-9]), restarted)]
+        return [Returns(angles, ranges, bright, times, times[-1:] - TICK / 2, np.array([age * 1e-9]), restarted)]

@@ -23,7 +23,9 @@ from shared.ports import PortConfig
 from shared.service import Log, Out, Service, every, on
 
 PORT = "laser"
+SPEED_SHARE = 0.15  # of the rate, by which the speed may be off before it is worth a word
 STANDS = 0.1  # turns/s: slower is standing still
+NO_PORT = "no port: set lidar_driver.port.device"
 NO_BYTES = "no bytes: is the laser powered, and does it turn?"
 NO_SENSE = "bytes arrive, none make sense: wrong baud rate or model?"
 STOPPED = "the laser stopped turning"
@@ -71,25 +73,29 @@ class LidarDriverService(Service):
         self.angles: Float64s = self.sweeps.angle_min + self.sweeps.increment * beams
         self.masked = masked_angles(self.angles, config.masks)
         self.open = False
-        self.why_closed = "waiting for its port"
+        self.why_closed = "" if config.port.device or config.port.serial_number else NO_PORT
         self.heard_at, self.understood_at, self.opened_at, self.started_at = 0, 0, 0, 0  # ns
         self.n_good = 0
         self.n_scans = 0
-        self.told = ""
+        self.told, self.n_scans_then = "", 0  # what people were told is wrong, and n_scans at that time
 
     @property
     def ports(self) -> dict[str, PortConfig]:
-        return {PORT: self.config.port}
+        port = self.config.port
+        if self.config.model == "rplidar":
+            port = port.model_copy(update={"dtr": False})  # high, it holds an A1's motor
+        return {PORT: port}
 
     def state(self) -> str:
-        if trouble := self.trouble():
+        if trouble := self.trouble() or self.told:
             return trouble
         if not self.n_scans:
             return "starting the laser"
-        speed, counts = self.device.speed or 0.0, self.device.counts
+        speed, rate, counts = self.device.speed or 0.0, self.robot.laser.rate, self.device.counts
+        expected = f", {rate:g} expected" if abs(speed - rate) > SPEED_SHARE * rate else ""
         return (
-            f"scanning, {speed:.1f} turns/s; {counts.n_good} packets, {counts.n_bad} bad, {counts.n_resyncs} resyncs, "
-            f"{self.sweeps.n_lost} sweeps lost"
+            f"scanning, {speed:.1f} turns/s{expected}; {counts.n_good} packets, {counts.n_bad} bad, "
+            f"{counts.n_resyncs} resyncs, {self.sweeps.n_lost} sweeps lost"
         )
 
     def trouble(self) -> str:
@@ -163,11 +169,14 @@ class LidarDriverService(Service):
             yield topics.TX(SerialData(self.now, PORT, data))
 
     def _tell(self) -> Out:
-        """One line for each change of what is wrong."""
+        """One line for each change of what is wrong. It is over when scans come, not when the laser answers."""
         trouble = self.trouble()
-        if trouble != self.told:
-            yield Log("WARNING", f"laser: {trouble}") if trouble else Log("INFO", "laser: in order again")
-            self.told = trouble
+        if trouble and trouble != self.told:
+            yield Log("WARNING", f"laser: {trouble}")
+            self.told, self.n_scans_then = trouble, self.n_scans
+        elif self.told and not trouble and self.n_scans > self.n_scans_then:
+            yield Log("INFO", "laser: in order again")
+            self.told = ""
 
     def _scan(self, sweep: Sweep) -> LaserScan | None:
         laser = self.robot.laser
@@ -191,6 +200,6 @@ class LidarDriverService(Service):
 DEVICES: dict[str, Callable[[LidarDriverConfig, Laser], Device]] = {
     "ld06": lambda config, laser: Ld06(config.port.baud),
     "rplidar": lambda config, laser: Rplidar(config.port.baud, config.express),
-    "scip": lambda config, laser: Scip(laser, config.inverted),
+    "scip": lambda config, laser: Scip(laser, config.inverted, config.intensities),
     "xv11": lambda config, laser: Xv11(config.port.baud),
 }

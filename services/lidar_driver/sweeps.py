@@ -6,11 +6,12 @@ from math import pi
 
 import numpy as np
 
-from services.lidar_driver.device import Float32s, Float64s, Returns
+from services.lidar_driver.device import Float32s, Float64s, Returns, steps_of
 from shared.config import Laser
 
 GAP = pi / 15  # rad without a beam that count as lost, not as sparse
 LEAST_HEARD = 0.5  # share of a sweep's angle; a sweep with less is the rest of one, and is not told
+LAST = 1.25  # steps before the end of the grid at which a beam is the last one; an earlier one in its place is not yet
 LONGEST_PAUSE = 1.0  # s between two beams after which the turning must be learned anew
 BACK = 0.05  # s by which the device's times may go back inside a packet's corrections
 MOST_BEAMS = 100_000  # kept for a sweep; a device that never comes round must not fill the memory
@@ -68,12 +69,12 @@ class Sweeps:
         self.n_kept += len(phases)
         found = []
         reached = float(phases.max())
-        if reached >= self.current * self.turn + self.n - 1.5:
+        if reached >= self.current * self.turn + self.n - LAST:
             phases, times, ranges, intensities = self._joined()
             numbers = np.floor((phases + 0.5) / self.turn).astype(np.int64)
             newest = int(numbers.max())
             for number in np.unique(numbers[numbers >= self.current]).tolist():
-                if number < newest or reached >= number * self.turn + self.n - 1.5:
+                if number < newest or reached >= number * self.turn + self.n - LAST:
                     own = numbers == number
                     mine = intensities[own] if intensities is not None else None
                     sweep = self._finished(phases[own] - number * self.turn, times[own], ranges[own], mine)
@@ -87,7 +88,7 @@ class Sweeps:
         return found
 
     def _goes_on(self, times: Float64s) -> bool:
-        steps = np.diff(times, prepend=self.time)
+        steps = steps_of(times, self.time)
         return bool(steps.min() > -BACK and steps.max() < LONGEST_PAUSE)
 
     def _unwrapped(self, returns: Returns) -> Float64s:
@@ -98,8 +99,8 @@ class Sweeps:
             self.raw, self.time = float(raw[0]), float(returns.times[0])
             self.phase = (self.raw + 0.5) % self.turn - 0.5
             self.current = 0
-        expected = self.rate * np.diff(returns.times, prepend=self.time)
-        steps = np.diff(raw, prepend=self.raw) - expected
+        expected = self.rate * steps_of(returns.times, self.time)
+        steps = steps_of(raw, self.raw) - expected
         steps -= self.turn * np.rint(steps / self.turn)
         phases: Float64s = self.phase + np.cumsum(steps + expected)
         self.raw, self.phase, self.time = float(raw[-1]), float(phases[-1]), float(returns.times[-1])

@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from services.lidar_driver.device import Bools, Counts, Returns, Uint8s
+from services.lidar_driver.device import Bools, Counts, Returns, Uint8s, steps_of
 from services.lidar_driver.framing import Framing
 
 LENGTH = 22
@@ -67,7 +67,7 @@ class Xv11:
         slow = rpm[-1] < LEAST_RPM
         self.trouble = f"the laser turns too slowly: {rpm[-1]:.0f} rpm, it needs {LEAST_RPM:.0f}" if slow else ""
         durations = 60 / N_PACKETS / np.maximum(rpm, LEAST_RPM / 6)
-        since_last = np.diff(index, prepend=index[0] - 1 if self.last_index is None else self.last_index)
+        since_last = steps_of(index, int(index[0]) - 1 if self.last_index is None else self.last_index)
         ends = self.time + np.cumsum(((since_last - 1) % N_PACKETS + 1) * durations)
         self.last_index, self.time = int(index[-1]), float(ends[-1])
         beams = packets[:, 4:20].reshape(-1, N_BEAMS, 4).astype(np.int64)

@@ -158,7 +158,7 @@ def opened(config: PortConfig) -> Line:
         if not port.isdecimal():
             raise OSError(errno.EINVAL, f"{device!r} is no {kind}://HOST:PORT")
         return Datagrams(host, int(port)) if kind == "udp" else Listener(host, int(port))
-    return SerialLine(device, config.baud)
+    return SerialLine(device, config.baud, config.dtr)
 
 
 def found(config: PortConfig) -> str:
@@ -174,9 +174,13 @@ def found(config: PortConfig) -> str:
 class SerialLine:
     """A serial device, or a terminal server (`socket://`), by pyserial."""
 
-    def __init__(self, device: str, baud: int) -> None:
+    def __init__(self, device: str, baud: int, dtr: bool) -> None:
         try:
-            self._port = serial.serial_for_url(device, baud, timeout=PATIENCE, write_timeout=LIFE, exclusive=True)
+            self._port = serial.serial_for_url(
+                device, baud, timeout=PATIENCE, write_timeout=LIFE, exclusive=True, do_not_open=True
+            )
+            self._port.dtr = dtr  # as it shall be from the first moment on
+            self._port.open()
         except ValueError as error:
             raise OSError(errno.EINVAL, str(error)) from None
 

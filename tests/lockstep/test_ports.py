@@ -98,9 +98,9 @@ class Kept:
 
     path = Path("kept.mcap")
 
-    def __init__(self, recorded: list[Sent]) -> None:
-        journals = [s.message for s in recorded if s.key == "journal/base_driver"]
-        self._lives = {"base_driver": [Life("base_driver", journals[0].session, events_of(journals))]}
+    def __init__(self, recorded: list[Sent], name: str = "base_driver") -> None:
+        journals = [s.message for s in recorded if s.key == f"journal/{name}"]
+        self._lives = {name: [Life(name, journals[0].session, events_of(journals))]}
         self._entries = [
             Entry(Channel(s.key, "", "", "", b""), s.envelope.sent, s.envelope.sent, s.envelope.sequence, s.payload)
             for s in recorded

@@ -19,7 +19,7 @@ BAUD = 115200
 MODE_STREAM = 1 << 30
 NO_MOTOR = 0x8001  # a code of ours
 N_CABINS = 16
-REQUESTS = {0x25: 0, 0x40: 0, 0x20: 0, 0x21: 0, 0x50: 0, 0x52: 0, 0x59: 0, 0x82: 1, 0xF0: 1}  # 1: has a payload
+WITH_PAYLOAD = {0x82, 0x84, 0xF0}
 
 
 def descriptor(length: int, kind: int) -> bytes:
@@ -60,7 +60,7 @@ class Rplidar:
         answer = b""
         while (at := self.asked.find(0xA5)) >= 0:
             request = self.asked[at:]
-            has_payload = len(request) > 1 and REQUESTS.get(request[1]) == 1
+            has_payload = len(request) > 1 and request[1] in WITH_PAYLOAD
             length = 2 if not has_payload else 4 + request[2] if len(request) > 2 else 3
             if len(request) < length:
                 break

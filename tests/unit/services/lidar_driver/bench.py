@@ -70,11 +70,11 @@ class Line:
         for said in out:
             if isinstance(said, Log):
                 self.lines.append(said.text)
-            elif said.topic is topics.TX:  # type: ignore[union-attr]
-                self.written.append(said.message.data)  # type: ignore[union-attr]
+            elif said.topic is topics.TX:
+                self.written.append(said.message.data)
             else:
-                assert said.topic is topics.SCAN  # type: ignore[union-attr]
-                self.scans.append(said.message)  # type: ignore[union-attr]
+                assert said.topic is topics.SCAN
+                self.scans.append(said.message)
 
     def hear(self, data: bytes) -> None:
         data = self.passes(data)

@@ -10,13 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from services.lidar_driver import ld06, rplidar, scip, xv11
+from services.lidar_driver import ld06, rplidar, rplidar_capsules, scip, xv11
 from services.lidar_driver.device import Counts, Device, Returns
 from services.lidar_driver.framing import Framing
 from services.sim.hardware import ld06 as said_by_ld06
 from services.sim.hardware import rplidar as said_by_rplidar
+from services.sim.hardware import scip as said_by_scip
 from services.sim.hardware import xv11 as said_by_xv11
-from tests.unit.services.lidar_driver.bench import MODELS, line_of, made_driver, random_sweeps
+from tests.unit.services.lidar_driver.bench import MODELS, laser_of, line_of, made_driver, random_sweeps
 
 LD19_MANUAL = bytes.fromhex(
     "54 2C 68 08 AB 7E E0 00 E4 DC 00 E2 D9 00 E5 D5 00 E3 D3 00 E4 D0 00 E9 CD 00 E4 CA 00 E2 C7 00 E9 C5 00 E5"
@@ -92,8 +93,7 @@ def test_scip_characters_are_the_specifications():
 
 
 def test_a_hokuyo_is_ordered_the_steps_that_the_grid_asks_of_it():
-    device = decoder("scip")
-    assert isinstance(device, scip.Scip)
+    device = scip.Scip(laser_of("scip"), False, False)
     said = [device.due(0)]
     for answer in (b"SCIP2.0\n0Ee\n\n", b"QT\n00P\n\n", URG_PARAMETERS, b"TM0\n00P\n\n", b"TM1\n00P\n00003\n\n"):
         device.received(answer, 0)
@@ -107,10 +107,40 @@ def test_a_hokuyo_is_ordered_the_steps_that_the_grid_asks_of_it():
     assert device.speed == 10
 
 
-def test_rplidar_requests_are_slamtecs():
-    for request in (rplidar.EXPRESS, rplidar.MOTOR, rplidar.MOTOR_OFF):
-        assert np.bitwise_xor.reduce(np.frombuffer(request, np.uint8)) == 0
-        assert request[2] == len(request) - 4
+def ordered(device: scip.Scip) -> bytes:
+    """Through the start sequence, up to the order to scan."""
+    said = device.due(0)
+    while said[:2] not in (b"ME", b"MD"):
+        device.received(URG_PARAMETERS if said == b"PP\n" else said + b"00P\n\n", 0)
+        said = device.due(0)
+    return said
+
+
+def test_a_hokuyo_that_knows_no_intensities_is_asked_for_distances():
+    device = scip.Scip(laser_of("scip"), False, True)
+    order = ordered(device)
+    assert order == b"ME0044072501000\n"
+    device.received(order + b"0Ee\n\n", 0)
+    assert device.due(0) == b"MD0044072501000\n"
+    assert device.trouble == ""
+
+
+def test_a_hokuyos_intensities_follow_each_distance():
+    device = scip.Scip(laser_of("scip"), False, True)
+    order = ordered(device)
+    device.received(order + b"00P\n\n", 0)
+    text = b"".join(said_by_scip.encoded(1000 + i, 3) + said_by_scip.encoded(2000 + i, 3) for i in range(682))
+    blocks = [said_by_scip.encoded(5, 4), *(text[i : i + 64] for i in range(0, len(text), 64))]
+    heard = single(device.received(said_by_scip.answer(order[:-1], b"99", blocks), 0))
+    assert_allclose(heard.ranges, 1 + 1e-3 * np.arange(682), atol=1e-6)
+    assert heard.intensities is not None
+    assert_allclose(heard.intensities, 2000 + np.arange(682))
+    assert_allclose(heard.angles[[0, 340]], [-340 * 2 * np.pi / 1024, 0], atol=1e-12)
+
+
+def test_rplidar_requests_with_a_payload_are_slamtecs():
+    assert rplidar.with_payload(0x82, bytes(5)).hex(" ") == "a5 82 05 00 00 00 00 00 22"
+    assert rplidar.with_payload(0xF0, b"\x94\x02").hex(" ") == "a5 f0 02 94 02 c1"
 
 
 def test_an_rplidar_is_asked_in_order_and_its_answers_are_taken_in_any_pieces():
@@ -149,7 +179,7 @@ def test_an_rplidar_that_reports_ill_health_is_reset_and_its_code_told():
 def test_a_standard_node_reads_as_the_protocol_says():
     # quality 15, not first; 90 degrees; 1 m, in quarters of a mm
     node = bytes([15 << 2 | 2]) + (90 * 64 << 1 | 1).to_bytes(2, "little") + (4000).to_bytes(2, "little")
-    device = scanning_rplidar(0x20)
+    device = scanning_rplidar(0x81)
     heard = single(device.received(node * 8, 0))
     assert_allclose(np.degrees(heard.angles), -90)
     assert_allclose(heard.ranges, 1.0)
@@ -163,11 +193,7 @@ def test_a_capsule_is_read_between_its_angle_and_the_next_ones():
         ((500 + i) << 2 | 1).to_bytes(2, "little") + ((700 + i) << 2).to_bytes(2, "little") + bytes([0x21])
         for i in range(16)
     )
-    capsules = b""
-    for start in (350.0, 350.0 + 32):
-        body = (round(start % 360 * 64)).to_bytes(2, "little") + cabins
-        total = int(np.bitwise_xor.reduce(np.frombuffer(body, np.uint8)))
-        capsules += bytes([0xA0 | total & 15, 0x50 | total >> 4]) + body
+    capsules = capsule_of(350, cabins) + capsule_of(350 + 32, cabins)
     heard = single(scanning_rplidar(0x82).received(capsules, 0))
     assert len(heard.ranges) == 32
     assert_allclose(heard.ranges[:4], [0.5, 0.7, 0.501, 0.701], atol=1e-6)
@@ -175,11 +201,76 @@ def test_a_capsule_is_read_between_its_angle_and_the_next_ones():
     assert_allclose(-np.degrees(heard.angles), 350 + np.arange(32) - offsets, atol=1e-9)
 
 
-def scanning_rplidar(mode: int) -> rplidar.Rplidar:
-    device = rplidar.Rplidar(115200, mode == 0x82)
+def test_a_dense_capsule_is_read_evenly():
+    capsules = b"".join(
+        capsule_of(start, b"".join((1000 + i).to_bytes(2, "little") for i in range(40))) for start in (0, 36)
+    )
+    heard = single(scanning_rplidar(0x85).received(capsules, 0))
+    assert_allclose(heard.ranges, 1 + 1e-3 * np.arange(40), atol=1e-6)
+    assert_allclose(-np.degrees(heard.angles), 0.9 * np.arange(40), atol=1e-9)
+
+
+def test_an_extended_capsules_distances_are_predicted_from_both_sides():
+    # major 1000 mm: over 512, steps of 2 mm, code 512 + (1000 - 512) / 2 = 756; next major 3000: code 1280 + 952 / 4
+    majors = [756, 1280 + 238] * 16
+    words = [major | (5 & 0x3FF) << 12 | (-7 & 0x3FF) << 22 for major in majors]
+    words[2] = majors[2] | 0x1FF << 12 | 0x200 << 22  # no prediction, either way
+    words[4] = 0 | 3 << 12 | 4 << 22  # nothing seen first: both from the next
+    body = b"".join(word.to_bytes(4, "little") for word in words)
+    heard = single(scanning_rplidar(0x84).received(capsule_of(10, body) + capsule_of(82, body), 0))
+    mm = heard.ranges.reshape(32, 3) * 1000
+    assert_allclose(mm[0], [1000, 1000 + 5 * 2, 3000 - 7 * 4], atol=1e-3)
+    assert_allclose(mm[1], [3000, 3000 + 5 * 4, 1000 - 7 * 2], atol=1e-3)
+    assert_allclose(mm[2], [1000, np.nan, np.nan], atol=1e-3)
+    assert_allclose(mm[4], [np.nan, 3000 + 3 * 4, 3000 + 4 * 4], atol=1e-3)
+    assert_allclose(mm[31, 2], 1000 - 7 * 2, atol=1e-3)  # from the first of the following capsule
+    degrees = -np.degrees(heard.angles)
+    k = 98361 // 4000
+    parallax = 8 - np.degrees((k * 64 + k**3 // 98304) / 65536)
+    assert_allclose(degrees[0], 10 - parallax, atol=1e-9)
+    assert_allclose(degrees[14], 10 + 14 * 0.75 - 7.5, atol=0.3)
+
+
+def test_scaled_distances_rise_without_a_gap():
+    mm, levels = rplidar_capsules.scaled(np.arange(4096))
+    steps = np.diff(mm)
+    assert (steps == 2 ** levels[:-1]).all()
+    assert mm[0] == 0
+    assert [int(mm[code]) for code in (512, 1280, 1792, 3328)] == [512, 2048, 4096, 16384]
+
+
+def test_an_a3_is_asked_for_the_mode_that_it_is_made_for():
+    device = rplidar.Rplidar(256000, None)
     device.opened(0)
-    device.asked = rplidar.EXPRESS if mode == 0x82 else rplidar.SCAN
-    device.received(rplidar.ANSWERS[device.asked][0], 0)
+    now = 200_000_000
+    dialogue = [
+        ("a5 50", "a5 5a 14 00 00 00 04 31" + "00" * 19),
+        ("a5 52", "a5 5a 03 00 00 00 06 00 00 00"),
+        ("a5 59", "a5 5a 04 00 00 00 15 fc 00 7d 00"),
+        ("a5 84 04 7c 00 00 00", "a5 5a 06 00 00 00 20 7c 00 00 00 03 00"),
+        ("a5 84 06 71 00 00 00 03 00", "a5 5a 08 00 00 00 20 71 00 00 00 80 3e 00 00"),
+        ("a5 f0 02 94 02 c1 a5 82 05 03 00 00 00 00", "a5 5a 84 00 00 40 84"),
+    ]
+    for request, answer in dialogue:
+        assert device.due(now).startswith(bytes.fromhex(request))
+        device.received(bytes.fromhex(answer), now)
+    assert device.scanning
+    assert device.sample_times[1] == pytest.approx(62.5e-6)
+
+
+def capsule_of(degrees: float, cabins: bytes) -> bytes:
+    body = round(degrees % 360 * 64).to_bytes(2, "little") + cabins
+    total = int(np.bitwise_xor.reduce(np.frombuffer(body, np.uint8)))
+    return bytes([0xA0 | total & 15, 0x50 | total >> 4]) + body
+
+
+def scanning_rplidar(kind: int) -> rplidar.Rplidar:
+    """One whose scan of a type of answers has begun."""
+    device = rplidar.Rplidar(115200, kind != 0x81)
+    device.opened(0)
+    device.asked = rplidar.SCAN if kind == 0x81 else rplidar.with_payload(rplidar.EXPRESS, bytes(5))
+    length = 5 if kind == 0x81 else rplidar_capsules.FORMATS[kind].length
+    device.received(said_by_rplidar.descriptor(length | 1 << 30, kind), 0)
     assert device.scanning
     return device
 
@@ -195,7 +286,8 @@ MOST_KEPT = 1 << 17
 
 def kept(device: Device) -> int:
     """Bytes that a decoder holds back."""
-    parts = [device, *(getattr(device, name, None) for name in ("framing", "nodes", "capsules"))]
+    scan = getattr(device, "scan", None)
+    parts = [device, *(getattr(owner, name, None) for owner in (device, scan) for name in ("framing", "nodes"))]
     return sum(len(getattr(part, "rest", b"")) for part in parts if part is not None)
 
 
@@ -247,7 +339,7 @@ def capsules(n: int, rng: np.random.Generator) -> list[bytes]:
 PACKETS: dict[str, tuple[Callable[[int, np.random.Generator], list[bytes]], Callable[[], Framing]]] = {
     "ld06": (ld06_packets, lambda: Framing(47, ld06.begins, ld06.sums, Counts())),
     "xv11": (xv11_packets, lambda: Framing(22, xv11.begins, xv11.sums, Counts())),
-    "rplidar_a2": (capsules, lambda: Framing(84, rplidar.begins, rplidar.sums, Counts())),
+    "rplidar_a2": (capsules, lambda: Framing(84, rplidar_capsules.begins, rplidar_capsules.sums, Counts())),
 }
 
 
@@ -301,7 +393,7 @@ def test_nodes_are_found_again_after_noise_and_never_invented_from_it(noise, see
     angles = (np.arange(120) * 0.9 + rng.uniform(0, 0.5, 120)) % 360
     nodes = [said_by_rplidar.node(False, angle, mm) for angle, mm in zip(angles, rng.integers(1, 10000, 120))]
     stream = b"".join(nodes[:60]) + noise + b"".join(nodes[60:])
-    device = scanning_rplidar(0x20)
+    device = scanning_rplidar(0x81)
     edges = [0, *sorted(cut % (len(stream) + 1) for cut in cuts), len(stream)]
     found = [r for a, b in pairwise(edges) for r in device.received(stream[a:b], 0)]
     degrees = -np.degrees(np.concatenate([r.angles for r in found]))

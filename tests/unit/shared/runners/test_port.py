@@ -224,3 +224,15 @@ def test_a_link_left_behind_by_a_killed_emulator_is_replaced(tmp_path):
         assert heard.state().open
         assert Path(f"{tmp_path}/robot").resolve().exists()
     assert not Path(f"{tmp_path}/robot").is_symlink()
+
+
+@pytest.mark.parametrize("dtr", [True, False])
+def test_dtr_has_its_level_before_the_device_opens(dtr, monkeypatch):
+    class Device:
+        def open(self) -> None:
+            opened_with.append(self.dtr)
+
+    opened_with: list[bool] = []
+    monkeypatch.setattr(ports.serial, "serial_for_url", lambda *_, do_not_open, **__: Device())
+    opened(PortConfig(device="/dev/ttyUSB0", dtr=dtr))
+    assert opened_with == [dtr]

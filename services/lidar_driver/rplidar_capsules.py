@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Express scan packets of an RPLIDAR: legacy (A1, A2), extended (A3) and dense (S1) capsules.
+
+SLAMTEC, 'RPLIDAR interface protocol', rev. 2.1, section 'express scan', and its public driver. Each begins with two
+sync nibbles and the xor of all that follows, then the first beam's angle (1/64 degree) under a bit that marks the first
+one of a scan. A capsule's beams lie evenly between its angle and the next one's, less an offset for the laser's own
+parallax.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import pi
+from typing import cast
+
+import numpy as np
+
+from services.lidar_driver.device import Bools, Float64s, Int64s, Uint8s
+
+SCALES = ((3328, 1 << 14, 4), (1792, 1 << 12, 3), (1280, 1 << 11, 2), (512, 1 << 9, 1), (0, 0, 0))
+"""Extended distances: from this code on, this many mm, and steps of 2 ** level mm."""
+NO_PREDICTION = (-512, 511)
+NEAR = 200  # 1/4 mm under which the offset does not depend on the distance
+
+
+def begins(first: Uint8s, second: Uint8s) -> Bools:
+    """The two sync nibbles."""
+    return cast(Bools, (first >> 4 == 0xA) & (second >> 4 == 0x5))
+
+
+def sums(packets: Uint8s) -> Bools:
+    """(p, n) -> (p,): whether the xor of all after the first two bytes is in their low nibbles."""
+    total = np.bitwise_xor.reduce(packets[:, 2:], axis=1)
+    return cast(Bools, total == (packets[:, 0] & 0xF | (packets[:, 1] & 0xF) << 4))
+
+
+def legacy(capsules: Uint8s, _: Uint8s) -> tuple[Int64s, Float64s]:
+    """16 cabins of 5 bytes: two distances of 14 bits, mm, over two bits of offset, then both offsets' low nibbles."""
+    cabins = capsules[:, 4:].reshape(-1, 16, 5).astype(np.int64)
+    pairs = np.stack([cabins[:, :, 0] | cabins[:, :, 1] << 8, cabins[:, :, 2] | cabins[:, :, 3] << 8], axis=2)
+    offsets = np.stack([cabins[:, :, 4] & 0xF, cabins[:, :, 4] >> 4], axis=2) | (pairs & 3) << 4
+    return (pairs >> 2).reshape(-1, 32), (offsets / 8).reshape(-1, 32)
+
+
+def dense(capsules: Uint8s, _: Uint8s) -> tuple[Int64s, Float64s]:
+    """40 distances, u16 mm."""
+    mm = capsules[:, 4::2].astype(np.int64) | capsules[:, 5::2].astype(np.int64) << 8
+    return mm, np.zeros(mm.shape)
+
+
+def extended(capsules: Uint8s, following: Uint8s) -> tuple[Int64s, Float64s]:
+    """32 words of 32 bits: a scaled distance of 12, and two signed differences of 10 to it and to the next word's."""
+    words, after = (_words(c) for c in (capsules, following))
+    majors, levels = scaled(words & 0xFFF)
+    last, last_level = scaled(after[:, :1] & 0xFFF)
+    next_majors, next_levels = np.hstack([majors[:, 1:], last]), np.hstack([levels[:, 1:], last_level])
+    from_next = (majors == 0) & (next_majors != 0)
+    bases = np.where(from_next, next_majors, majors), next_majors
+    scales = np.where(from_next, next_levels, levels), next_levels
+    mm = [majors]
+    for shift, base, level in zip((12, 22), bases, scales):
+        difference = (words >> shift & 0x3FF ^ 0x200) - 0x200
+        mm.append(np.where(np.isin(difference, NO_PREDICTION), 0, np.maximum(base + (difference << level), 0)))
+    distances = np.stack(mm, axis=2).reshape(-1, 96)
+    quarters = np.maximum(distances * 4, 1)
+    k = 98361 // quarters
+    offset = np.where(quarters >= NEAR, 8 - ((k << 6) + k**3 // 98304) / (pi / 180 * 65536), 7.5)
+    return distances, offset
+
+
+def scaled(codes: Int64s) -> tuple[Int64s, Int64s]:
+    """Codes of 12 bits -> mm, and the level of their scale."""
+    mm, levels = np.zeros_like(codes), np.zeros_like(codes)
+    for begin, base, level in reversed(SCALES):
+        mm = np.where(codes >= begin, base + (codes - begin << level), mm)
+        levels = np.where(codes >= begin, level, levels)
+    return mm, levels
+
+
+def _words(capsules: Uint8s) -> Int64s:
+    """(p, 132) -> (p, 32)."""
+    parts = capsules[:, 4:].reshape(-1, 32, 4).astype(np.int64)
+    return cast(Int64s, (parts << np.array([0, 8, 16, 24])).sum(axis=2))
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A kind of capsule: bytes, beams, and beams of capsules and of those that follow them -> mm, degrees of offset."""
+
+    length: int
+    n_beams: int
+    beams: Callable[[Uint8s, Uint8s], tuple[Int64s, Float64s]]
+
+
+FORMATS = {0x82: Format(84, 32, legacy), 0x84: Format(132, 96, extended), 0x85: Format(84, 40, dense)}
+"""By the type of the answer."""
