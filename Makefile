@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-docker check fix lock docs warm clean
+.PHONY: help venv demo test test-docker check fix lock docs recording warm clean
 
 PYTHON ?=
 JOBS ?= 2
@@ -51,6 +51,9 @@ fix: venv ## repair what a tool can: lint, format, generated docs
 
 docs: venv ## write docs/messages.md and docs/configuration.md from the code
 	@$(BIN)/python -m zenav.docs
+
+recording: venv ## drive anew for the recording that the replay tests compare with
+	@$(BIN)/python -m tests.replay.record
 
 warm: ## compile the kernels anew where the code changed
 	@$(BIN)/python -m zenav.warm

@@ -141,6 +141,7 @@ class RobotFile:
 
     def __init__(self, path: Path, tree: CommentedMap) -> None:
         self.path, self.tree = path, tree
+        self.overridden: list[tuple[str, ...]] = []
 
     def section(self, name: str, model: type[T]) -> T:
         """The section `name` as `model`; a missing one is the model's defaults. Raises UserError on the first fault."""
@@ -179,6 +180,7 @@ class RobotFile:
             if not isinstance(node, dict):
                 raise UserError(f"{path}: {key} is not a section", "name a setting: zenav config show")
         node[keys[-1]] = value
+        self.overridden.append(tuple(keys))
 
     @property
     def text(self) -> str:
@@ -199,7 +201,9 @@ class RobotFile:
                 raise UserError(f"{self.place((name,))}: {name} is not a section", nearest(str(name), known))
 
     def place(self, location: tuple[Any, ...]) -> str:
-        """`file:line` of a key given as its path in the tree."""
+        """`file:line` of a key given as its path in the tree; `--set` where it was overridden."""
+        if any(location[: len(path)] == path for path in self.overridden):
+            return "--set"
         node, line = self.tree, 0
         for key in location:
             try:
@@ -210,7 +214,8 @@ class RobotFile:
         return f"{_short(self.path)}:{line + 1}"
 
     def _told(self, above: tuple[str, ...], model: type[Section], errors: ValidationError) -> UserError:
-        error = errors.errors()[0]
+        # a mistyped name of a setting that must be there is two errors: the name is the one that helps
+        error = min(errors.errors(), key=lambda e: e["type"] != "extra_forbidden")
         location = (*above, *error["loc"])
         key = ".".join(str(part) for part in location)
         if error["type"] == "extra_forbidden":

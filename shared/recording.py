@@ -6,6 +6,7 @@ the recorder took a message, `publish_time` when it was sent. What was written u
 whatever happens to the writer; the same input gives the same file.
 """
 
+import platform
 import struct
 import subprocess
 import zlib
@@ -30,6 +31,7 @@ from shared import topics
 from shared.codec import CodecError, decode, schema, schema_id
 from shared.config import UserError
 from shared.messages import Journal, Message
+from shared.repeatable import processor
 from shared.runners.host import Sent
 from shared.runners.journal import Life, events_of
 from shared.topics import SERVICES, key_of
@@ -210,8 +212,17 @@ def sink(writer: Writer) -> Callable[[Sent], None]:
 
 
 def about(robot: str) -> dict[str, str]:
-    """Metadata of a recording that is made here and now: robot, versions, git commit where there is one."""
-    return {"robot": robot, **{name: version(name) for name in ("numpy", "numba", "msgpack", "mcap")}, **_commit()}
+    """Metadata of a recording that is made here and now: robot, versions, machine, git commit where there is one.
+
+    Where `arithmetic()` is the same, the last bits of a replay are.
+    """
+    return {"robot": robot, **{name: version(name) for name in ("msgpack", "mcap")}, **arithmetic(), **_commit()}
+
+
+def arithmetic() -> dict[str, str]:
+    """What the last bits of a computation depend on here: processor, C library, numpy, numba."""
+    libc = " ".join(platform.libc_ver())
+    return {"processor": processor(), "libc": libc, "numpy": version("numpy"), "numba": version("numba")}
 
 
 def _commit() -> dict[str, str]:

@@ -47,6 +47,11 @@ def _cpu_flags() -> frozenset[str]:
     return frozenset(next((line for line in lines if line.startswith("flags")), "").partition(":")[2].split())
 
 
+def processor() -> str:
+    """What this process's kernels are compiled for, like `x86_64 x86-64-v3`; where that is equal, so are last bits."""
+    return f"{platform.machine()} {os.environ.get('NUMBA_CPU_NAME', 'as it is')}"  # noqa: TID251
+
+
 def _set() -> None:
     major, minor = (int(part) for part in version("numpy").split(".")[:2])
     before = dict(os.environ)  # noqa: TID251  # here the environment is the subject

@@ -21,11 +21,21 @@ MAIN, DRIVE, LOOK, FILES = "Start", "Drive", "Look", "Logs, recordings, measurem
 
 
 class Command(TyperCommand):
-    """A command that takes negative numbers for arguments, not for options."""
+    """A command that takes negative numbers for arguments, not for options, and whose reader may leave."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         # a number may begin with a space, an option may not
         return super().parse_args(ctx, [f" {a}" if NEGATIVE.match(a) else a for a in args])
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            try:
+                return super().invoke(ctx)
+            finally:
+                sys.stdout.flush()
+        except BrokenPipeError:  # `zenav topic echo scan | head`: the reader has gone; typer would make it status 1
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
 
 
 class Group(TyperGroup):
@@ -45,7 +55,8 @@ def _group(text: str) -> typer.Typer:
 
 
 app = _group(
-    "A navigation stack for wheeled robots. Distances are in m, times in s, angles on this command line in degrees."
+    "A navigation stack for wheeled robots. Distances are in m, times in s, angles on this command line in degrees.\n\n"
+    "Examples: zenav demo; zenav up --world office; zenav goto 3.5 -1.2 90; zenav topic echo pose"
 )
 bench = _group("Measure: a table here, JSON in a file.")
 topic = _group("Look at what goes over the wire.")
@@ -201,7 +212,10 @@ def route(
 
 @app.command(cls=Command, rich_help_panel=DRIVE)
 def explore(robot: RobotName = "x80sv", stack: Stack = "0") -> None:
-    """Explore until no reachable frontier is left. Ctrl-C cancels."""
+    """Explore until no reachable frontier is left. Ctrl-C cancels.
+
+    Example: zenav explore
+    """
     from zenav.drive import explore
 
     raise typer.Exit(explore(robot, stack))
@@ -209,7 +223,10 @@ def explore(robot: RobotName = "x80sv", stack: Stack = "0") -> None:
 
 @app.command(cls=Command, rich_help_panel=DRIVE)
 def cancel(robot: RobotName = "x80sv", stack: Stack = "0") -> None:
-    """Drop the present task: the robot stands."""
+    """Drop the present task: the robot stands.
+
+    Example: zenav cancel
+    """
     from zenav.drive import cancel
 
     raise typer.Exit(cancel(robot, stack))
@@ -222,7 +239,10 @@ def teleop(
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:
-    """Drive with the keyboard: w a s d or arrows, space stops, q quits."""
+    """Drive with the keyboard: w a s d or arrows, space stops, q quits.
+
+    Example: zenav teleop --speed 0.2
+    """
     from zenav.teleop import teleop
 
     teleop(robot, stack, speed, turn)
@@ -234,7 +254,10 @@ def estop(
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:
-    """Press STOP: the robot stands until somebody releases it."""
+    """Press STOP: the robot stands until somebody releases it.
+
+    Example: zenav estop --release
+    """
     from zenav.drive import estop
 
     raise typer.Exit(estop(robot, stack, not release))
@@ -242,7 +265,10 @@ def estop(
 
 @topic.command("list", cls=Command)
 def topic_list(as_json: Json = False) -> None:
-    """Every topic: key, type, rate (Hz), who publishes it, what it carries."""
+    """Every topic: key, type, rate (Hz), who publishes it, what it carries.
+
+    Example: zenav topic list --json
+    """
     from zenav.topic import listed
 
     listed(as_json)
@@ -316,7 +342,10 @@ def show(
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:
-    """Show a map in the terminal."""
+    """Show a map in the terminal.
+
+    Example: zenav map show office
+    """
     from zenav.maps import show
 
     show(robot, stack, place)
@@ -340,7 +369,10 @@ def config_show(
 
 @config.command("check", cls=Command)
 def config_check(robot: RobotName = "x80sv", set_: Setting = None) -> None:
-    """Check a robot's file: every section and every value."""
+    """Check a robot's file: every section and every value.
+
+    Example: zenav config check --robot jackal
+    """
     from zenav.settings import check
 
     check(robot, set_ or [])
@@ -348,7 +380,10 @@ def config_check(robot: RobotName = "x80sv", set_: Setting = None) -> None:
 
 @app.command(cls=Command, rich_help_panel=LOOK)
 def doctor(stack: Stack = "0") -> None:
-    """What is wrong on this machine, and how to mend it."""
+    """What is wrong on this machine, and how to mend it.
+
+    Example: zenav doctor
+    """
     from zenav.doctor import doctor
 
     raise typer.Exit(doctor(stack))
@@ -405,7 +440,10 @@ def bench_office(
 
 @bench.command("sim", cls=Command)
 def bench_sim(out: Out = None) -> None:
-    """How many times faster than real time the simulator runs on one core."""
+    """How many times faster than real time the simulator runs on one core.
+
+    Example: zenav bench sim --out sim.json
+    """
     from zenav.bench.table import sim
 
     raise typer.Exit(sim(out))
@@ -419,7 +457,10 @@ def bench_stack(
     world: World = "office",
     set_: Setting = None,
 ) -> None:
-    """Latency from scan to cmd/vel across processes, CPU and memory of each, time to first motion."""
+    """Latency from scan to cmd/vel across processes, CPU and memory of each, time to first motion.
+
+    Example: zenav bench stack --out stack.json
+    """
     from zenav.bench.stack import stack
 
     raise typer.Exit(stack(robot, world, seconds, out, set_ or []))
@@ -454,9 +495,6 @@ def _status(arguments: list[str] | None) -> int:
         return end.code if isinstance(end.code, int) else 0
     except (typer.Abort, KeyboardInterrupt):
         return 130
-    except BrokenPipeError:  # `zenav topic echo scan | head`: the reader has gone
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except Exception as error:
         from shared.config import UserError
 

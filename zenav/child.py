@@ -13,12 +13,17 @@ import sys
 PR_SET_PDEATHSIG = 1
 
 
-def main() -> None:
-    launcher, module = int(sys.argv[1]), sys.argv[2]
+def die_with_parent(parent: int) -> None:
+    """From now on this process is killed when its parent, whose number was `parent`, is gone."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != launcher:
+    if os.getppid() != parent:
         os._exit(1)  # it died meanwhile
+
+
+def main() -> None:
+    launcher, module = int(sys.argv[1]), sys.argv[2]
+    die_with_parent(launcher)
     sys.argv[:] = [module, *sys.argv[3:]]
     runpy.run_module(module, run_name="__main__", alter_sys=True)
 

@@ -31,12 +31,15 @@ def demo(
 ) -> int:
     """Runs the scenario and writes what came of it; 0 only when every goal was reached without a collision."""
     chosen = scene(robot, world, seed, settings)
+    if record is not None and record.suffix != ".mcap":  # what stands there is written over
+        raise UserError(f"{record} is no name for a recording", f"end it in .mcap: --record {record}.mcap")
     folder = run_folder("demo")
     record = record or folder / "run.mcap"
     try:
         record.parent.mkdir(parents=True, exist_ok=True)
+        record.unlink(missing_ok=True)
     except OSError as error:
-        raise UserError(f"cannot make {record.parent}: {error.strerror}", "choose another place for --record") from None
+        raise UserError(f"cannot write {record}: {error.strerror}", "choose another place for --record") from None
     with stopping() as stop:
         if lockstep:
             outcome = _virtual(chosen, seconds, record, stop)

@@ -139,7 +139,7 @@ def ports(where: Where) -> Iterator[Finding]:
     foreign = []
     for port in held:
         who, service = holder(port), SERVICES[port - low]
-        if f"services.{service}" not in who and "zenav" not in who:
+        if f"services.{service}" not in who and "zenav run" not in who:
             foreign.append(
                 Finding("ports", BAD, f"{port} ({service}) is taken by {who}", "end it, or use another: --stack 1")
             )

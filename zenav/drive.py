@@ -140,7 +140,9 @@ def ending(nav: NavStatus, task_id: int) -> Ending | None:
     if nav.state not in ENDED:
         return None
     reason = REASONS.get(nav.reason)
-    words = (reason.text if reason else nav.reason) + (f" ({nav.detail})" if nav.detail else "")
+    words = reason.text if reason else nav.reason
+    if nav.detail and not (reason and nav.detail.startswith(reason.text)):  # a detail that only repeats it
+        words += f" ({nav.detail})"
     if nav.state is NavState.REACHED:
         return Ending(True, words or "reached")
     return Ending(False, words or str(nav.state), reason.mend if reason else "")

@@ -39,6 +39,10 @@ def slam(log: Path, out: Path) -> None:
         f"{out}/map.png: {report['scans_placed']} of {report['scans']} scans, {report['length_m']:.1f} m, "
         f"{report['cpu_s']:.1f} s of CPU\n"
     )
+    if report["truncated"]:
+        sys.stderr.write(f"{log} ends early: its rest is missing, the map is of what came before\n")
+    if report["bad_lines"]:
+        sys.stderr.write(f"{log}: {report['bad_lines']} lines could not be read and were left out\n")
 
 
 def replay(recording: Path, names: list[str], out: Path) -> int:

@@ -100,18 +100,20 @@ class Launcher:
         with self._lock:
             child.started, child.heard, child.due = time.monotonic(), 0.0, 0.0
 
-    def start_all(self, ready: Callable[[str], bool] = lambda name: False) -> None:
+    def start_all(
+        self, ready: Callable[[str], bool] = lambda name: False, given_up: Callable[[], bool] = lambda: False
+    ) -> None:
         """Starts every service, the recorder first; the others wait until `ready("recorder")`, for a while.
 
-        Raises UserError with the recorder's own words where it cannot start.
+        Ends at once when `given_up()`: whoever interrupts a start does not wait for its end.
         """
         if "recorder" in self.children:
             self.start("recorder")
             recorder, limit = self.children["recorder"], time.monotonic() + RECORDER_LIMIT
-            while recorder.running and not ready("recorder") and time.monotonic() < limit:
+            while recorder.running and not ready("recorder") and not given_up() and time.monotonic() < limit:
                 threading.Event().wait(0.02)
         for name in self.children:
-            if name != "recorder":
+            if name != "recorder" and not given_up():
                 self.start(name)
 
     def hear(self, health: Health) -> None:

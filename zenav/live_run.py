@@ -81,7 +81,6 @@ def run(
     given = psutil.Process().create_time()
     track, processes, lock = Track(), Processes(), threading.Lock()
     tracked: tuple[Topic[Any], ...] = (topics.TRUTH, topics.ODOM, topics.POSE, topics.MAP)
-    record.unlink(missing_ok=True)
     settings = [*scene.settings, f"recorder.file={json.dumps(str(record.resolve()))}"]
     pilot = Pilot(scene.goals, lambda request, message: client.ask(request, message, timeout=2.0), explores, seconds)
 
@@ -107,7 +106,7 @@ def run(
             client.listen(topics.HEALTH, lambda health, _: hear(health))
             view.start(scene, launcher, processes)
             try:
-                launcher.start_all(lambda name: name in processes.latest)
+                launcher.start_all(lambda name: name in processes.latest, stop.is_set)
                 trouble = _steer(client, launcher, processes, pilot, stop, begun + seconds, view)
             finally:
                 view.end()

@@ -40,7 +40,7 @@ def show(robot: str, settings: list[str], only: str, origin: bool) -> None:
     if not origin:
         sys.stdout.write(yaml_of({name: section.model_dump(mode="json") for name, section in sections.items()}))
         return
-    rows = [(f"{'.'.join(path)}: {value}", origin_of(file, path, settings)) for path, value in leaves(sections)]
+    rows = [(f"{'.'.join(path)}: {value}", origin_of(file, path)) for path, value in leaves(sections)]
     width = min(max(len(text) for text, _ in rows), 64)
     for text, place in rows:
         sys.stdout.write(f"{text:<{width}}  # {place}\n")
@@ -60,13 +60,8 @@ def leaves(sections: dict[str, Section]) -> Iterator[tuple[tuple[str, ...], Any]
         yield from inside((name,), section.model_dump(mode="json"))
 
 
-def origin_of(file: RobotFile, path: tuple[str, ...], settings: list[str]) -> str:
+def origin_of(file: RobotFile, path: tuple[str, ...]) -> str:
     """Where a value comes from: `--set`, a line of the robot's file, or the default."""
-    key = ".".join(path)
-    for setting in settings:
-        told = setting.partition("=")[0].strip()
-        if key == told or key.startswith(f"{told}."):
-            return "--set"
     node: Any = file.tree
     for part in path:
         if not isinstance(node, dict) or part not in node:

@@ -109,14 +109,15 @@ def measured(robot: str, stack: str, key: str, seconds: float, as_json: bool) ->
     if len(arrivals) < 2:
         raise UserError(
             f"{len(arrivals)} message{'s' if len(arrivals) != 1 else ''} on {key} in {seconds:g} s",
-            f"expected {topic.hz:g} a second; {_does_it_run(key, topic)}",
+            (f"expected {topic.hz:g} a second; " if topic.hz else "") + _does_it_run(key, topic),
         )
     row = rates(np.array(arrivals), np.array(ages), np.array(sizes))
+    expected = f"expected {topic.hz:g}" if topic.hz else "an event"
     if as_json:
         sys.stdout.write(json.dumps({"key": key, **row}) + "\n")
     else:
         sys.stdout.write(
-            f"{key}: {row['hz']:.2f} Hz (expected {topic.hz:g}), jitter {row['jitter_ms']:.1f} ms, longest gap "
+            f"{key}: {row['hz']:.2f} Hz ({expected}), jitter {row['jitter_ms']:.1f} ms, longest gap "
             f"{row['longest_gap_ms']:.1f} ms, age {row['age_ms']:.1f} ms (largest {row['largest_age_ms']:.1f}), "
             f"{row['bytes']:.0f} bytes\n"
         )
@@ -124,7 +125,9 @@ def measured(robot: str, stack: str, key: str, seconds: float, as_json: bool) ->
 
 
 def _does_it_run(key: str, topic: Topic[Message]) -> str:
-    return f"does {topic.by if topic.by != '*' else key.partition('/')[2]} run? zenav doctor"
+    if not topic.hz:
+        return "it comes only when something happens"
+    return f"does {topic.by.replace(' ', ' or ') if topic.by != '*' else key.partition('/')[2]} run? zenav doctor"
 
 
 def rates(arrivals: Any, ages: Any, sizes: Any) -> dict[str, float]:

@@ -70,14 +70,14 @@ def up(robot: str, world: str, only: list[str], speed: float, stack: str, settin
     where = where_from(stack)
     clock = "" if speed == 1.0 else f"{time.time_ns()}:{speed:g}"
     clock_from(clock)
-    folder = run_folder("up")
-    commands = {name: service_command(name, robot, stack, settings, clock, folder / "memory") for name in names}
-    _tell("zenav", f"{', '.join(names)}; logs in {folder}; Ctrl-C ends them")
-    if not world and not only:
-        _tell("zenav", "no world: expects the robot's hardware; simulate with --world office")
     with stopping() as stop, ExitStack() as open_things:
         if not where.router:
             open_things.enter_context(claimed(where.domain))
+        folder = run_folder("up")
+        commands = {name: service_command(name, robot, stack, settings, clock, folder / "memory") for name in names}
+        _tell("zenav", f"{', '.join(names)}; logs in {folder}; Ctrl-C ends them")
+        if not world and not only:
+            _tell("zenav", "no world: expects the robot's hardware; simulate with --world office")
         launcher = open_things.enter_context(Launcher(commands, folder, _tell, 1 / speed))
         client = open_things.enter_context(Client(file.robot.name, where))
         ready: set[str] = set()
@@ -90,7 +90,7 @@ def up(robot: str, world: str, only: list[str], speed: float, stack: str, settin
                     _tell("zenav", "every service runs")
 
         client.listen(topics.HEALTH, lambda health, _: hear(health))
-        launcher.start_all(lambda name: name in ready)
+        launcher.start_all(lambda name: name in ready, stop.is_set)
         while not stop.wait(0.1):
             launcher.step()
         _tell("zenav", "ending")

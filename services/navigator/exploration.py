@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which frontier next: near and large before far and small, no turning back for little, none in vain for ever."""
+"""Which frontier next: the first of the shortest tour, no turning back for little, none in vain for ever."""
 
 from dataclasses import dataclass
 
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from services.navigator.frontiers import Frontier, FrontierConfig, Frontiers
+from services.navigator.tour import tours
 from shared.config import Section
 from shared.geometry import Pose2, wrapped
 
@@ -17,6 +18,7 @@ Cell = tuple[int, int]
 
 _SAME = 0.5  # m between a frontier of today's map and the target, for them to be the same
 _AROUND = 1.0  # m around a target that is given up with it
+_LAST = 1e6  # m that a frontier costs more which is farther than those that the tour is made of
 _LATTICE = 0.5  # m: visits are counted by squares of this side
 
 
@@ -74,14 +76,15 @@ class Exploration:
 
     def taken(self, found: Frontiers, pose: Pose2, resolution: float) -> Target | None:
         """The target by what was found: the same object while it stays, another where it is gone or worse."""
-        ranked = sorted(found.frontiers, key=lambda f: self._cost(f, pose))
+        costs = self._costs(found, pose)
+        ranked = sorted(found.frontiers, key=lambda f: costs[id(f)])
         if self.target is not None:
             same = _again(found, self.target, resolution)
             if same is None:
                 if self.looking is None and _cut_off(found, self.target, resolution):
                     return self.target  # planner and local control will find out whether it can be reached
             elif self.looking is None:
-                gain = self._cost(same, pose) - self._cost(ranked[0], pose)
+                gain = costs[id(same)] - costs[id(ranked[0])]
                 self._n_better = self._n_better + 1 if gain > self.config.switch_gain else 0
                 if self._n_better < self.config.switch_after:
                     return self.target
@@ -126,6 +129,14 @@ class Exploration:
         self._failed.clear()
         self._last_try = True
         return True
+
+    def _costs(self, found: Frontiers, pose: Pose2) -> dict[int, float]:
+        """By id: m of a tour through all frontiers that begins with this one, weighted. A small corner that is left
+        behind costs the way back to it, so it is seen while the robot is near."""
+        first = np.array([self._cost(f, pose) for f in found.frontiers])
+        k = len(found.between)
+        lengths = np.concatenate((tours(first[:k], found.between), first[k:] + _LAST))
+        return {id(f): float(length) for f, length in zip(found.frontiers, lengths)}
 
     def _cost(self, frontier: Frontier, pose: Pose2) -> float:
         turn = abs(wrapped(pose.bearing(Pose2(frontier.x, frontier.y)) - pose.yaw))

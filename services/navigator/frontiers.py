@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass
 from math import atan2, ceil
+from operator import attrgetter
 
 import numpy as np
 from numba import njit
@@ -18,9 +19,12 @@ Int8s = NDArray[np.int8]
 Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
 Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
 
 _STRAIGHT, _DIAGONAL = 70, 99  # of a step, in 1/70 cells
 _FAR = 2**30
+_TOURED = 20  # frontiers between which the ways are measured
+_COARSE = 3  # cells by cells that are one there
 _ENCLOSED = 4.0  # m^2: a robot that can reach less than that looks for a tighter way out
 _ESCAPE = 0.6  # m through crowded or unseen space to where the robot fits: it may stand close to a wall, or unmapped
 
@@ -56,12 +60,17 @@ class Frontier:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frontiers:
-    """What a search found. unreachable: the cells, as a frontier's, of borders of places where the robot fits, but that
-    no way leads to; enclosed: there is nowhere that the robot fits."""
+    """What a search found, the nearest first.
+
+    unreachable: the cells, as a frontier's, of borders of places where the robot fits, but that no way leads to;
+    enclosed: there is nowhere that the robot fits. between: (k, k) m to drive between the first k = min(n, 20), by a
+    grid three times as coarse.
+    """
 
     frontiers: tuple[Frontier, ...]
     unreachable: tuple[Int64s, ...]
     enclosed: bool
+    between: Float64s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,14 +93,14 @@ class Snapshot:
 
 
 def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
-    """The reachable frontiers of a map, in the order of their lowest cell."""
+    """The reachable frontiers of a map, the nearest first."""
     cells, resolution = snapshot.cells, snapshot.resolution
     clearance = snapshot.robot_radius + config.margin
     distance = distance_field(cells >= OCCUPIED_FROM, resolution)
     column, row = snapshot.x / resolution - snapshot.first_column, snapshot.y / resolution - snapshot.first_row
     h, w = cells.shape
     if not (0 <= row < h and 0 <= column < w):
-        return Frontiers((), (), True)
+        return Frontiers((), (), True, np.zeros((0, 0)))
     free = _free(cells, row, column, snapshot.robot_radius / resolution)
     passable = free & (distance >= clearance - 1e-6)
     travelled = _wave(passable, distance, int(row), int(column), _ESCAPE / resolution)
@@ -117,12 +126,34 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     pieces, ends = _pieces(border & (seen_from >= 0), deep, n_min, n_max)
     others, other_ends = _pieces(border & (seen_from < 0) & (cut_off_from >= 0), deep, n_min, n_max)
     unknown = np.pad((cells < 0) | ((cells > FREE_UP_TO) & (cells < OCCUPIED_FROM)), 1, constant_values=True)
-    found = tuple(
-        _frontier(pieces[begin:end], snapshot, unknown, seen_from, travelled)
-        for begin, end in zip((0, *ends[:-1]), ends)
+    found = sorted(
+        (
+            _frontier(pieces[begin:end], snapshot, unknown, seen_from, travelled)
+            for begin, end in zip((0, *ends[:-1]), ends)
+        ),
+        key=attrgetter("distance"),
     )
     unreachable = tuple(_in_map(others[begin:end], snapshot) for begin, end in zip((0, *other_ends[:-1]), other_ends))
-    return Frontiers(found, unreachable, enclosed)
+    return Frontiers(
+        tuple(found), unreachable, enclosed, _between(np.asarray(travelled < _FAR), snapshot, found[:_TOURED])
+    )
+
+
+def _between(reached: Bools, snapshot: Snapshot, frontiers: list[Frontier]) -> Float64s:
+    """(k, k) m to drive between the frontiers, over what was reached from the robot."""
+    h, w = (-(-n // _COARSE) * _COARSE for n in reached.shape)
+    padded = np.zeros((h, w), np.bool_)
+    padded[: reached.shape[0], : reached.shape[1]] = reached
+    coarse: Bools = np.asarray(padded.reshape(h // _COARSE, _COARSE, w // _COARSE, _COARSE).any(axis=(1, 3)))
+    nowhere = np.zeros(coarse.shape, np.float32)  # nothing to escape from: frontiers are seen from where the robot fits
+    side = snapshot.resolution * _COARSE
+    x0, y0 = snapshot.first_column * snapshot.resolution, snapshot.first_row * snapshot.resolution
+    rows = [int((f.y - y0) / side) for f in frontiers]
+    columns = [int((f.x - x0) / side) for f in frontiers]
+    between = np.zeros((len(frontiers), len(frontiers)))
+    for i, (row, column) in enumerate(zip(rows, columns)):
+        between[i] = _wave(coarse, nowhere, row, column, 0.0)[rows, columns] / _STRAIGHT * side
+    return np.asarray(np.maximum(between, between.T))
 
 
 def _in_map(piece: Int32s, snapshot: Snapshot) -> Int64s:

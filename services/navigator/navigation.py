@@ -12,6 +12,7 @@ from services.navigator.hearing import Hearing
 from services.navigator.leg import Leg, LegConfig, Verdict
 from services.navigator.recovery import Ladder, RecoveryConfig
 from services.navigator.route import Route
+from services.navigator.tour import tours
 from shared import reasons, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2
@@ -334,4 +335,5 @@ def rehearse(config: NavigatorConfig) -> None:
     cells[10:40, 10:40] = 0
     cells[10:40, 40] = 100
     snapshot = Snapshot(cells, 0, 0, 0.05, 1.0, 1.0, 0.2, np.zeros((1, 2), np.int64))
-    find_frontiers(snapshot, config.exploration.frontier)
+    found = find_frontiers(snapshot, config.exploration.frontier)
+    tours(np.array([f.distance for f in found.frontiers]), found.between)

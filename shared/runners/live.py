@@ -98,6 +98,19 @@ class Live:
         self._restore(now)
         for port in self._ports.values():
             port.start()
+        try:
+            self._feed(report)
+            self._apply([effect for effect in self.host.farewell(self.clock.now()) if isinstance(effect, Sent)])
+        finally:  # also when a handler raised: its last events tell why
+            self._workers.shutdown(wait=False, cancel_futures=True)
+            for port in self._ports.values():
+                port.close()
+            journal = self.host.journal(self.clock.now())
+            if journal is not None:
+                self._publish(journal)
+
+    def _feed(self, report: int) -> None:
+        """Event by event; `report`: when the first health message is due."""
         while not self._stopping:
             now = self.clock.now()
             if now >= report:
@@ -114,13 +127,6 @@ class Live:
             item = self.inbox.take(min(0.25, self.clock.seconds(until - now)))
             if item is not None:
                 self._handle(*item)
-        self._workers.shutdown(wait=False, cancel_futures=True)
-        self._apply([effect for effect in self.host.farewell(self.clock.now()) if isinstance(effect, Sent)])
-        for port in self._ports.values():
-            port.close()
-        journal = self.host.journal(self.clock.now())
-        if journal is not None:
-            self._publish(journal)
 
     def _restore(self, now: int) -> None:
         """Gives the service what it published last before a restart, on the latched topics that it listens to."""

@@ -9,6 +9,7 @@ import json
 import os
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -145,7 +146,8 @@ class LatchedReader:
 
     def _changed(self, status: zenoh.MatchingStatus) -> None:
         if status.matching:
-            self.refresh()
+            with suppress(zenoh.ZError):  # the session is being closed
+                self.refresh()
 
     def _reply(self, reply: zenoh.Reply) -> None:
         if reply.ok is not None:

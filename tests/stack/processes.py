@@ -75,13 +75,15 @@ class Stack:
 
 
 @contextmanager
-def running(folder: Path, names: tuple[str, ...] = ALL, world: str = "room", order: int = 0) -> Iterator[Stack]:
+def running(
+    folder: Path, names: tuple[str, ...] = ALL, world: str = "room", order: int = 0, settings: tuple[str, ...] = ()
+) -> Iterator[Stack]:
     """Starts the services in an order drawn from the seed `order`, and waits until they are up."""
     told: list[tuple[str, str]] = []
     with free_stack() as claim:
         commands = {
             name: service_command(
-                name, "x80sv", str(claim.where.domain), [f"sim.world={world}"], memory=folder / "memory"
+                name, "x80sv", str(claim.where.domain), [f"sim.world={world}", *settings], memory=folder / "memory"
             )
             for name in np.random.default_rng(order).permutation(names).tolist()
         }
@@ -90,7 +92,7 @@ def running(folder: Path, names: tuple[str, ...] = ALL, world: str = "room", ord
             stack = Stack(launcher, client, claim.where, told)
             client.listen(topics.HEALTH, lambda health, _: stack.hear(health))
             client.follow(topics.NAV, topics.POSE, topics.MAP, topics.GUARD, topics.TRUTH)
-            launcher.start_all()
+            launcher.start_all(lambda name: name in stack.healths)
             stack.until(stack.up, 90)
             yield stack
 

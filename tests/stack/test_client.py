@@ -2,6 +2,9 @@
 """The tools' session against toy services over Zenoh."""
 
 import json
+import os
+import signal
+import sys
 import threading
 
 import numpy as np
@@ -19,8 +22,9 @@ from shared.messages import (
     MapUpdate,
     NavState,
     NavStatus,
+    Velocity,
 )
-from shared.requests import Cancel, Navigate, Reply
+from shared.requests import Cancel, Explore, LoadMap, Navigate, Pause, Reply
 from shared.service import Answer, Out, Service, answer, every, on
 from tests.stack.test_live import ROBOT, running
 from zenav.__main__ import _status
@@ -37,11 +41,26 @@ class Navigator(Service):
         super().__init__(Section(), ROBOT)
         self.task, self.left, self.state_now = 0, 0, NavState.IDLE
         self.canceled = threading.Event()
+        self.asked: list[Navigate | Pause | Explore] = []
+
+    @answer(requests.EXPLORE)
+    def explore(self, request: Explore) -> Answer[Reply]:
+        self.asked.append(request)
+        self.task, self.left, self.state_now = self.task + 1, 4, NavState.EXPLORING
+        yield self.status()
+        return Reply(self.now, True, "", "", self.task)
+
+    @answer(requests.PAUSE)
+    def pause(self, request: Pause) -> Answer[Reply]:
+        self.asked.append(request)
+        yield self.status()
+        return Reply(self.now, True, "", "", self.task)
 
     @answer(requests.NAVIGATE)
     def navigate(self, request: Navigate) -> Answer[Reply]:
         if request.poses[0].x > 100:
             return Reply(self.now, False, "goal_outside", "")
+        self.asked.append(request)
         self.task, self.left, self.state_now = self.task + 1, 4, NavState.NAVIGATING
         yield topics.GOAL(Goal(self.now, self.task, GoalKind.DRIVE, request.poses[0], 0.1, 0.1, 0.0, False))
         return Reply(self.now, True, "", "", self.task)
@@ -55,7 +74,7 @@ class Navigator(Service):
 
     @every(hz=20)
     def tick(self) -> Out:
-        if self.state_now is NavState.NAVIGATING and not self.slow:
+        if self.state_now in (NavState.NAVIGATING, NavState.EXPLORING) and not self.slow:
             self.left -= 1
             self.state_now = NavState.REACHED if self.left < 0 else self.state_now
         yield self.status()
@@ -70,6 +89,12 @@ class Guard(Service):
     def __init__(self) -> None:
         super().__init__(Section(), ROBOT)
         self.pressed = False
+        self.driven: list[tuple[float, float]] = []
+
+    @on(topics.TELEOP)
+    def teleop(self, velocity: Velocity) -> Out:
+        self.driven.append((velocity.v, velocity.w))
+        return ()
 
     @on(topics.ESTOP)
     def estop(self, stop: EmergencyStop) -> Out:
@@ -88,13 +113,20 @@ class Mapper(Service):
     def __init__(self) -> None:
         super().__init__(Section(), ROBOT)
         self.version = 0
+        self.loaded: list[LoadMap] = []
+
+    @answer(requests.LOAD_MAP)
+    def load(self, request: LoadMap) -> Answer[Reply]:
+        self.loaded.append(request)
+        yield from ()
+        return Reply(self.now, len(self.loaded) < 2, "busy", "3 tiles")
 
     @every(hz=20)
     def tick(self) -> Out:
         if self.version < 3:
             self.version += 1
             row = np.array([self.version], np.int32)
-            cells = np.full((1, 4096), self.version, np.int8)
+            cells = np.full((1, 4096), 100 * (self.version % 2), np.int8)
             yield topics.MAP(MapUpdate(self.now, 1, self.version, 0.05, row, row, cells))
 
 
@@ -110,6 +142,70 @@ def test_goto_succeeds_where_the_navigator_says_so(where, capsys):
         assert "(1.00, -2.00)" in capsys.readouterr().out
         assert _status(["goto", "101", "0", "--stack", str(where.domain)]) == 2
         assert "outside the map" in capsys.readouterr().err
+
+
+def test_a_route_is_driven_paused_and_gone_on_with(where, capsys):
+    navigator, stack = Navigator(), ["--stack", str(where.domain)]
+    with running(navigator, "navigator", where):
+        assert _status(["route", "1,-2,90", "3,4,-90", "--loops", "2", "--dwell", "1.5", *stack]) == 0
+        assert _status(["route", "--pause", *stack]) == 0
+        assert _status(["route", "--resume", *stack]) == 0
+    route, pause, resume = navigator.asked
+    assert [(p.x, p.y, round(p.yaw, 4)) for p in route.poses] == [(1, -2, 1.5708), (3, 4, -1.5708)]
+    assert (route.loops, route.dwell, route.any_heading) == (2, 1.5, False)
+    assert (pause.paused, resume.paused) == (True, False)
+    assert "paused\ngoing on\n" in capsys.readouterr().out
+
+
+def test_explore_waits_for_its_end(where, capsys):
+    navigator = Navigator()
+    with running(navigator, "navigator", where):
+        assert _status(["explore", "--stack", str(where.domain)]) == 0
+    assert [type(request) for request in navigator.asked] == [Explore]
+
+
+def test_ctrl_c_cancels_the_goal_and_says_so(where, capsys):
+    navigator = Navigator()
+    navigator.slow = True
+    with running(navigator, "navigator", where):
+        threading.Timer(1.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+        assert _status(["goto", "1", "2", "--stack", str(where.domain)]) == 130
+    assert navigator.canceled.is_set()
+    assert "canceled" in capsys.readouterr().err
+
+
+def test_keys_drive_and_their_end_stands(where, capsys, monkeypatch):
+    guard = Guard()
+    terminal, keyboard = os.openpty()
+    typed = [(0.6, b"w"), (0.8, b"\x1b[D"), (2.0, b"q")]
+    with running(guard, "guard", where), os.fdopen(keyboard) as keys:
+        monkeypatch.setattr(sys, "stdin", keys)
+        for after, key in typed:
+            threading.Timer(after, os.write, (terminal, key)).start()
+        assert _status(["teleop", "--speed", "0.2", "--turn", "90", "--stack", str(where.domain)]) == 0
+    os.close(terminal)
+    ways = list(dict.fromkeys((round(v, 2), round(w, 2)) for v, w in guard.driven))
+    assert {(0.2, 0.0), (0.2, 1.57)} <= set(ways)
+    assert guard.driven[-1] == (0.0, 0.0)
+
+
+def test_a_map_is_saved_shown_and_given_back(where, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    mapper, stack = Mapper(), ["--stack", str(where.domain)]
+    with running(mapper, "mapper", where):
+        with Client(ROBOT.name, where) as client:
+            client.follow(topics.MAP)
+            assert client.wait(topics.MAP, lambda m: len(m.rows) == 3, 10) is not None
+        assert _status(["map", "show", *stack]) == 0
+        assert "###" in capsys.readouterr().out
+        assert _status(["map", "save", "room", *stack]) == 0
+        assert {path.name for path in (tmp_path / "maps" / "room").iterdir()} == {"map.pgm", "map.yaml", "map.png"}
+        assert _status(["map", "load", "room", "--x", "2", "--y", "-1", "--yaw", "90", *stack]) == 0
+        assert _status(["map", "load", "room", *stack]) == 2
+    (loaded, _) = mapper.loaded
+    assert (loaded.map_from_base.x, loaded.map_from_base.y, round(loaded.map_from_base.yaw, 4)) == (2, -1, 1.5708)
+    saved = [tuple(tile) for tile in zip(loaded.map.rows, loaded.map.columns, loaded.map.cells[:, 0])]
+    assert saved == [(1, 1, 100), (2, 2, 0), (3, 3, 100)]
 
 
 def test_a_canceled_goto_is_no_success(where, capsys):

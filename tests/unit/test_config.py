@@ -41,6 +41,13 @@ def test_a_typo_names_its_line_and_the_nearest_setting(tmp_path):
     assert "stop_margin" in error.value.mend
 
 
+def test_a_typo_in_a_setting_that_must_be_there_is_told_as_a_typo(tmp_path):
+    path = robot_with(tmp_path, "wheel_radius: 0.085", "wheel_raduis: 0.085")
+    with pytest.raises(UserError, match=r"robot\.yaml:\d+: robot\.drive\.wheel_raduis is not a setting") as error:
+        _ = load_robot(str(path)).robot
+    assert "wheel_radius" in error.value.mend
+
+
 def test_a_negative_radius_is_an_error_with_its_line(tmp_path):
     path = robot_with(tmp_path, "wheel_radius: 0.085", "wheel_radius: -0.085")
     with pytest.raises(UserError, match=r"robot\.yaml:\d+: robot\.drive\.wheel_radius: .*greater than 0"):
@@ -66,7 +73,7 @@ def test_overrides_are_checked_like_the_file():
     file.override("guard.limits.stop_margin=0.3")
     assert file.section("guard", Guard).limits.stop_margin == 0.3
     file.override("guard.limits.stop_margin=-1")
-    with pytest.raises(UserError, match="stop_margin"):
+    with pytest.raises(UserError, match=r"^--set: guard\.limits\.stop_margin"):
         file.section("guard", Guard)
 
 

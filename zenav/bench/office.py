@@ -2,6 +2,7 @@
 """`zenav bench office`: explore and drive to goals, once a seed, on the virtual clock or live over Zenoh."""
 
 import multiprocessing
+import os
 import statistics
 import sys
 from collections.abc import Iterator
@@ -10,7 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from zenav.bench.table import seeds_from, table, write
+from zenav.bench.table import seeds_from, table, writable, write
+from zenav.child import die_with_parent
 from zenav.scene import scene
 from zenav.stopping import stopping
 
@@ -23,6 +25,7 @@ def office(
 ) -> int:
     """Runs every seed, shows the table, writes the JSON; 0 when every run kept every promise."""
     numbers = seeds_from(seeds)
+    writable(out)
     one = partial(_live if live else _lockstep, robot, world, seconds=seconds, settings=settings)
     runs: list[dict[str, Any]] = []
     for report in _results(one, numbers, 1 if live else jobs):
@@ -101,9 +104,14 @@ def _results(one: "partial[dict[str, Any]]", seeds: list[int], jobs: int) -> Ite
             yield one(seed)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(seeds)), mp_context=context) as pool:
+    pool = ProcessPoolExecutor(min(jobs, len(seeds)), context, die_with_parent, (os.getpid(),))
+    try:
         for future in as_completed([pool.submit(one, seed) for seed in seeds]):
             yield future.result()
+    finally:  # interrupted: a seed takes minutes, and nobody waits for it any more
+        for process in multiprocessing.active_children():
+            process.kill()
+        pool.shutdown(cancel_futures=True)
 
 
 def _lockstep(robot: str, world: str, seed: int, seconds: float, settings: list[str]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from shared.config import UserError
 from zenav.bench.chain import Chain, chain
-from zenav.bench.table import table, write
+from zenav.bench.table import table, writable, write
 from zenav.scene import scene
 from zenav.stopping import stopping
 from zenav.up import run_folder
@@ -25,6 +25,7 @@ def stack(robot: str, world: str, seconds: float, out: Path | None, settings: li
     """Drives for `seconds`, shows and writes the figures; 0 when nothing was touched and the aims are met."""
     from zenav.live_run import View, run
 
+    writable(out)
     folder = run_folder("stack")
     recording = folder / "run.mcap"
     with stopping() as stop:

@@ -41,12 +41,26 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> 
     console.print(shown)
 
 
+def writable(out: Path | None) -> None:
+    """Looks, before hours of measuring, whether the report can be written. Raises UserError where it cannot."""
+    if out is None:
+        return
+    there = out.exists()
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with out.open("a"):
+            pass
+        if not there:
+            out.unlink()
+    except OSError as error:
+        raise UserError(f"cannot write {out}: {error.strerror}", "choose another --out") from None
+
+
 def write(out: Path | None, report: dict[str, Any]) -> None:
     """Writes the report as JSON. Raises UserError where the file refuses."""
     if out is None:
         return
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(json.dumps(report, indent=2) + "\n")
     except OSError as error:
         raise UserError(f"cannot write {out}: {error.strerror}", "choose another --out") from None
@@ -57,6 +71,7 @@ def sim(out: Path | None) -> int:
     """`zenav bench sim`; 0 when the simulator is as fast as promised."""
     from zenav.bench.sim import run
 
+    writable(out)
     report = run()
     rows = [
         (name, f"{row['ratio']:.0f}", f"{row['cpu_ms_a_second']:.2f}", f"{row['scans_a_second']:.0f}")

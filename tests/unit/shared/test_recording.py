@@ -20,7 +20,7 @@ from shared import topics
 from shared.codec import Envelope, decode, encode, schema, schema_id
 from shared.config import UserError
 from shared.messages import Clock, EmergencyStop, LogLine
-from shared.recording import CONFIG, Entry, Recording, Writer, about, sink
+from shared.recording import CONFIG, Entry, Recording, Writer, about, arithmetic, sink
 from tests.toys import eventful
 
 fast = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -323,3 +323,5 @@ def test_two_types_on_one_key_keep_their_schemas(tmp_path):
 def test_metadata_names_the_robot_and_the_versions():
     assert about("x80")["robot"] == "x80"
     assert about("x80")["mcap"]
+    assert about("x80").items() >= arithmetic().items()
+    assert all(arithmetic().values())

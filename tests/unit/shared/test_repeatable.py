@@ -8,9 +8,16 @@ import sys
 
 import pytest
 
-from shared.repeatable import THREADS, settings
+from shared.repeatable import THREADS, processor, settings
 
 V3 = frozenset({"avx2", "fma", "bmi2"})
+
+
+def test_recordings_name_the_processor_that_kernels_are_compiled_for(monkeypatch):
+    monkeypatch.setenv("NUMBA_CPU_NAME", "x86-64-v3")
+    assert processor().endswith(" x86-64-v3")
+    monkeypatch.delenv("NUMBA_CPU_NAME")
+    assert processor().endswith(" as it is")
 
 
 def test_an_old_processor_is_not_told_to_be_a_newer_one():

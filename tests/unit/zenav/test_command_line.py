@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command line: what is asked wrongly is told in one line with a hint; help is quick because it imports little."""
 
+import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import typer
 
 from zenav import __main__ as command_line
 from zenav.__main__ import _status
+from zenav.launch import ROOT
 
 COMMANDS = [
     "demo", "up", "run", "goto", "route", "explore", "cancel", "teleop", "estop", "topic list", "topic echo",
@@ -31,7 +35,22 @@ def complaint(capsys, *arguments: str) -> tuple[str, str]:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_has_help(command, capsys):
     assert _status([*command.split(), "--help"]) == 0
-    assert f"Usage: zenav {command}" in " ".join(capsys.readouterr().out.split())
+    shown = " ".join(capsys.readouterr().out.split())
+    assert f"Usage: zenav {command}" in shown
+    assert f"Example: zenav {command}" in shown
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_an_example_in_the_help_can_be_copied(command, capsys):
+    assert _status([*command.split(), "--help"]) == 0
+    example = next(line for line in capsys.readouterr().out.splitlines() if "Example: " in line)
+    arguments = shlex.split(example.partition("Example: zenav ")[2])
+    parsed = typer.main.get_command(command_line.app)
+    context = None
+    while hasattr(parsed, "resolve_command"):
+        context = parsed.make_context(parsed.name, list(arguments), parent=context)
+        _, parsed, arguments = parsed.resolve_command(context, list(arguments))
+    parsed.make_context(parsed.name, list(arguments), parent=context)
 
 
 def test_help_imports_nothing_heavy():
@@ -84,7 +103,12 @@ def test_a_mistyped_command_is_guessed(typed, meant, capsys):
         ("replay nowhere.mcap --through mapper --out /tmp/x.mcap", "nowhere.mcap"),
         ("bench office --seeds 3-1", "3-1"),
         ("bench office --seeds a", "'a'"),
+        ("bench office --out /dev/null/a.json", "/dev/null/a.json"),
+        ("bench sim --out /dev/null/a.json", "/dev/null/a.json"),
+        ("bench stack --out /dev/null/a.json", "/dev/null/a.json"),
         ("demo --lockstep --world nowhere", "nowhere"),
+        ("demo --record notes.txt", "notes.txt"),
+        ("demo --record /dev/null/run.mcap", "/dev/null/run.mcap"),
         ("demo --lockstep --set sim.start={x: 0, y: 0}", "does not fit"),
         ("teleop", "terminal"),
     ],
@@ -151,6 +175,23 @@ def test_a_bug_is_a_traceback_and_status_1(monkeypatch, capsys):
     command_line.main(["topic", "list"])
     assert ended == [1]
     assert "KeyError" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["topic list", "config show"])
+def test_a_reader_that_has_gone_is_no_error(command):
+    reading, writing = os.pipe()
+    os.close(reading)
+    environment = dict(os.environ, PYTHONPATH=str(ROOT))  # noqa: TID251
+    done = subprocess.run(
+        [sys.executable, "-m", "zenav", *command.split()],
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=60,
+        env=environment,
+    )
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_the_topics_are_data_on_stdout(capsys):

@@ -133,6 +133,19 @@ def test_the_recorder_is_up_before_the_others_and_ends_after_them(tmp_path):
     assert order.read_text().splitlines() == ["recorder starts", "sim starts", "sim ends", "recorder ends"]
 
 
+def test_who_gives_up_during_the_start_does_not_wait_for_the_recorder(tmp_path):
+    with Launcher({"sim": code(IDLE), "recorder": code(IDLE)}, tmp_path) as launcher:
+        asked: list[bool] = []
+
+        def given_up() -> bool:
+            asked.append(True)
+            return len(asked) > 2
+
+        launcher.start_all(lambda name: False, given_up)
+        assert launcher.children["recorder"].process is not None
+        assert launcher.children["sim"].process is None
+
+
 def test_services_die_with_a_launcher_that_is_killed(tmp_path):
     script = (
         "import os, sys; from pathlib import Path; from zenav.launch import Launcher\n"

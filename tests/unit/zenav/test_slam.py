@@ -12,6 +12,7 @@ from shared.config import UserError
 from shared.geometry import Pose2
 from shared.ros_map import read_ros_map
 from tests.unit.services.mapper.rooms import ROOM, cast
+from zenav.__main__ import _status
 from zenav.slam import slam
 
 DATA = os.environ.get("ZENAV_DATA")  # noqa: TID251  # where the machine keeps its logs
@@ -94,6 +95,19 @@ def test_a_cut_archive_gives_the_map_up_to_there(log, tmp_path):
     report = slam(cut, tmp_path / "out")
     assert report["truncated"]
     assert 5 < report["scans_placed"] < 40
+
+
+def test_what_a_log_lacks_is_told_to_the_one_who_asked(log, tmp_path, capsys):
+    text = log.read_text() + "FLASER 180 1 2\n"
+    cut = tmp_path / "cut.log.gz"
+    cut.write_bytes(gzip.compress(text.encode())[:-10])
+    assert _status(["slam", str(cut), "--out", str(tmp_path / "out")]) == 0
+    out, err = capsys.readouterr()
+    assert "scans" in out
+    assert "cut.log.gz ends early" in err
+    log.write_text(text)
+    assert _status(["slam", str(log), "--out", str(tmp_path / "out")]) == 0
+    assert "1 lines could not be read" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("text", ["", "ODOM 1 2 0 0 0 0 1 host 1\n", "FLASER 180 1 2 3\n"])

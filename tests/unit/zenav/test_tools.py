@@ -173,6 +173,10 @@ def test_a_task_ends_as_its_status_says():
     failed = ending(replace(NAV, state=NavState.FAILED, reason="unreachable"), 4)
     assert not failed.good
     assert failed.text == "no way leads to the goal"
+    repeated = "no way leads to the goal: choose another"
+    assert ending(replace(NAV, state=NavState.FAILED, reason="unreachable", detail=repeated), 4) == failed
+    detailed = ending(replace(NAV, state=NavState.FAILED, reason="unreachable", detail="0.4 m short"), 4)
+    assert detailed.text == "no way leads to the goal (0.4 m short)"
     assert "another task" in ending(NAV, 3).text
     assert "started again" in ending(NAV, 5).text
 

@@ -266,8 +266,10 @@ def frontier_at(x, y, distance, size=1.0):
     return Frontier(x, y, 0.0, size, distance, cells)
 
 
-def found(*frontiers):
-    return Frontiers(frontiers, (), False)
+def found(*frontiers, unreachable=()):
+    places = np.array([(f.x, f.y) for f in frontiers]).reshape(-1, 2)
+    between = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
+    return Frontiers(frontiers, unreachable, False, between)
 
 
 HERE = Pose2()
@@ -283,6 +285,14 @@ def test_near_before_far_large_before_small_ahead_before_behind():
         target = Exploration(ExplorationConfig()).taken(found(worse, better), HERE, R)
         assert target is not None
         assert target.frontier is better
+
+
+def test_a_small_corner_is_seen_before_a_long_way_off_that_would_lead_back_to_it():
+    corner, rooms = frontier_at(-1.5, 0.0, 1.5, size=0.5), frontier_at(2.0, 0.0, 2.0, size=3.0)
+    beyond = frontier_at(9.0, 0.0, 9.0)
+    alone = Exploration(ExplorationConfig()).taken(found(rooms, corner), HERE, R)
+    assert alone.frontier is rooms
+    assert Exploration(ExplorationConfig()).taken(found(rooms, corner, beyond), HERE, R).frontier is corner
 
 
 def test_a_target_is_kept_until_another_is_notably_better():
@@ -305,8 +315,8 @@ def test_a_better_frontier_that_is_gone_again_at_once_changes_nothing():
 def test_a_target_that_no_way_leads_to_right_now_is_kept_and_one_that_was_seen_is_not():
     exploration = Exploration(ExplorationConfig())
     far = exploration.taken(found(FAR), HERE, R)
-    assert exploration.taken(Frontiers((NEAR,), (FAR.cells,), False), HERE, R) is far
-    assert exploration.taken(Frontiers((NEAR,), (), False), HERE, R).frontier is NEAR
+    assert exploration.taken(found(NEAR, unreachable=(FAR.cells,)), HERE, R) is far
+    assert exploration.taken(found(NEAR), HERE, R).frontier is NEAR
 
 
 @settings(max_examples=20, deadline=None)
