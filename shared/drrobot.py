@@ -24,7 +24,6 @@ ADC_FULL = 4095
 """What an A/D channel reads at its full scale."""
 
 OVERHEAD = 9  # bytes of a packet around its DATA
-LONGEST = 255 + OVERHEAD  # bytes of a packet
 
 
 class Type(IntEnum):

@@ -8,7 +8,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from shared.drrobot import BOARD, LONGEST, PC, Deframer, Packet, framed
+from shared.drrobot import ADC_FULL, BOARD, PC, Deframer, Packet, Type, framed
+
+LONGEST = 264  # bytes of a packet
 
 EXAMPLES = {
     "acknowledge": "5e 02 01 00 ff 01 01 85 5e 0d",
@@ -51,6 +53,21 @@ def test_the_published_examples_are_framed_and_found(name):
     assert packet == Packet(data[4], data[6:-3])
     assert framed(data[2], *packet) == data
     assert Deframer(1 - data[2]).packets(data) == []
+
+
+def test_the_numbers_of_the_ends_and_the_converter_s_full_scale():
+    assert framed(BOARD, 0xFF, b"\x01") == bytes.fromhex(EXAMPLES["acknowledge"])
+    assert framed(PC, 0x7B, bytes(33))[2] == 0
+    assert ADC_FULL == 4095
+
+
+def test_every_type_has_the_number_of_the_protocol():
+    by_number = "03 04 05 06 07 16 1a 1b 1c 1d 1e 1f 7b 7c 7d ff"
+    names = (
+        "POSITION_ONE POSITION_ALL PWM_ONE PWM_ALL GAINS OUTPUTS VELOCITY_ONE VELOCITY_ALL SERVO_ONE SERVO_ALL DISABLE "
+        "FRICTION MOTOR_SENSOR CUSTOM_SENSOR STANDARD_SENSOR SYSTEM"
+    )
+    assert {kind.name: kind.value for kind in Type} == dict(zip(names.split(), bytes.fromhex(by_number)))
 
 
 @given(packets)

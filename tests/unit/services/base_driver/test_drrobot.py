@@ -95,6 +95,16 @@ def test_every_byte_of_a_standard_sensor_packet_has_its_meaning():
     assert (standard.reference, standard.potentiometer_supply) == pytest.approx((6.0, 2.0))
 
 
+def test_words_are_unsigned():
+    motors, custom, standard = (said(Packet(kind, b"\xff" * 40)) for kind in (0x7B, 0x7C, 0x7D))
+    assert motors == MotorSensor((65535,) * 6, (65535 / 728,) * 6, (65535, 65535), (65535, 65535))
+    assert (custom.channels, custom.inputs) == ((65535,) * 8, 255)
+    assert (standard.ultrasonic, standard.human, standard.tilt) == ((255,) * 6, (65535,) * 4, (65535,) * 2)
+    assert standard.motor_temperatures[0] == standard.motor_temperatures[1] == 100 - (65535 - 980) / 11.6
+    assert standard.temperature == (65535 - 1256) / 34.8
+    assert standard.motor_supply == pytest.approx(24 * 65535 / 4095)
+
+
 def test_temperatures():
     assert drrobot.motor_degrees(980) == 100
     assert drrobot.motor_degrees(980 + 116) == 90
