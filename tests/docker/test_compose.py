@@ -95,7 +95,8 @@ def image() -> Iterator[None]:
 @pytest.fixture
 def down() -> Iterator[None]:
     yield
-    compose("--profile", "sim", "--profile", "cli", "down", "--volumes", "--timeout", "5")
+    profiles = [word for name in ("sim", "cli", "hardware", "emulated") for word in ("--profile", name)]
+    compose(*profiles, "down", "--volumes", "--timeout", "5")
 
 
 def test_the_image_runs_as_nobody_special_and_holds_its_kernels():
@@ -131,7 +132,17 @@ def test_single_services_bring_the_router_and_nothing_else(down):
     assert set(compose("ps", "--services", "--filter", "status=running").split()) == {"router", "sim", "mapper"}
 
 
+def test_the_hardware_profile_drives_a_robot_behind_emulated_ports(down, monkeypatch):
+    monkeypatch.setenv("ZENAV_BOARD", "socket://emulator:4001")
+    monkeypatch.setenv("ZENAV_LASER", "socket://emulator:4002")
+    on_robot = (SERVICES - {"sim", "base_driver"}) | {"emulator", "base_driver_serial", "lidar_driver"}
+    with events("health_status", 180) as heard:
+        compose("--profile", "hardware", "--profile", "emulated", "up", "--detach")
+        assert healthy(on_robot, heard) == on_robot
+    assert "reached" in compose("run", "--rm", "-T", "cli", "goto", "1.5", "0").lower()
+
+
 def test_the_hardware_profile_is_the_stack_without_the_simulator():
     services = set(compose("--profile", "hardware", "config", "--services").split())
-    assert services >= SERVICES - {"sim"}
+    assert services >= SERVICES - {"sim", "base_driver"} | {"base_driver_serial", "lidar_driver"}
     assert '"sim"' not in services
