@@ -162,7 +162,17 @@ def test_half_a_packet_is_forgotten_when_its_line_was_cut():
     assert deframer.n_kept == 0
     assert deframer.n_skipped == 30
     assert deframer.packets(good[30:]) == []
+    assert deframer.n_resyncs == 1
     assert len(deframer.packets(good)) == 1
+
+
+@pytest.mark.parametrize(
+    ("data", "kept"), [("5e", 1), ("5e02", 2), ("5e0200", 3), ("5e04", 0), ("5e0201", 0), ("5e025e", 1)]
+)
+def test_only_what_may_become_a_packet_waits(data, kept):
+    deframer = Deframer(PC)
+    deframer.packets(bytes.fromhex(data))
+    assert deframer.n_kept == kept
 
 
 def test_noise_in_megabytes_leaves_nothing_behind():
