@@ -69,7 +69,7 @@ class Topic(Generic[M]):
 
 
 # fmt: off
-BOARD    = Topic("hardware/board",  m.BoardReport,   by="sim base_driver",        hz=50, keep="all",    within=0.002)
+BOARD    = Topic("hardware/board",  m.BoardReport,   by="sim",                    hz=50, keep="all",    within=0.002)
 MOTORS   = Topic("hardware/motors", m.MotorCommand,  by="base_driver",            hz=50, keep="latest", within=0.002)
 RX       = Topic("port/rx",         m.SerialData,    by="*",                      hz=0,  keep="all",    within=0.001, people=True)
 TX       = Topic("port/tx",         m.SerialData,    by="*",                      hz=0,  keep="all",    within=0.001, people=True)
@@ -78,6 +78,7 @@ PLUG     = Topic("port/plug",       m.PortState,     by="*",                    
 WHEELS   = Topic("base/wheels",     m.WheelState,    by="base_driver",            hz=50, keep="all",    within=0.002)
 RANGES   = Topic("base/ranges",     m.RangeReadings, by="base_driver",            hz=10, keep="latest", within=0.003)
 BASE     = Topic("base/status",     m.BaseStatus,    by="base_driver",            hz=2,  keep="latest", within=0.010, latched=True)
+REPORT   = Topic("base/report",     m.BoardReport,   by="base_driver",            hz=50, keep="all",    within=0.002, people=True)
 BOARD_IS = Topic("base/board",      m.BoardStatus,   by="base_driver",            hz=2,  keep="latest", within=0.010, latched=True, people=True)
 SCAN     = Topic("scan",            m.LaserScan,     by="lidar_driver sim",       hz=10, keep="latest", within=0.005)
 ODOM     = Topic("odom",            m.Odometry,      by="odometry",               hz=50, keep="all",    within=0.003)

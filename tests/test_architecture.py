@@ -123,6 +123,15 @@ def test_services_never_import_each_other_and_shared_imports_neither_them_nor_ze
                 )
 
 
+def test_no_service_listens_to_a_stream_that_it_may_publish_itself():
+    for name in BUILT:
+        for topic, _ in handlers(service_class(name)).topics.values():
+            deaf = name in topic.publishers and topic.by != "*" and not topic.latched
+            rule(
+                not deaf, f"{name} listens to {topic.key} and may publish it: live, it hears nobody", "take two topics"
+            )
+
+
 def circle_in(graph: set[tuple[str, str]]) -> str:
     """A circle of (publisher, reader) edges, as words; empty where there is none."""
     readers: dict[str, set[str]] = {name: set() for name in BUILT}

@@ -145,7 +145,7 @@ class BaseDriverService(Service):
         if answer:
             yield topics.TX(SerialData(self.now, PORT, answer))
         if report is not None:
-            yield topics.BOARD(report)
+            yield topics.REPORT(report)
             yield from self._take(report)
 
     @on(topics.BOARD)

@@ -85,7 +85,7 @@ class Wired:
 def test_a_report_holds_what_the_packets_said():
     wired = Wired().port()
     wired.says(wired.sensors(), wired.motors())
-    report = wired.last(topics.BOARD)
+    report = wired.last(topics.REPORT)
     assert (report.left_counts, report.right_counts) == (1000, 32000)
     np.testing.assert_allclose(report.ultrasonic, [0.5, 0.6, 0.7], rtol=1e-6)
     np.testing.assert_allclose(report.infrared, [0.3, *[0.2] * 5, 0.81], rtol=0.01)
@@ -100,7 +100,7 @@ def test_speeds_carry_the_board_s_signs():
     wired = Wired().port()
     wired.speeds = (-50, 60)
     wired.says(wired.motors())
-    report = wired.last(topics.BOARD)
+    report = wired.last(topics.REPORT)
     assert (report.left_speed, report.right_speed) == (-50.0, 60.0)
     assert wired.last(topics.WHEELS).left_speed > 0
 
@@ -108,7 +108,7 @@ def test_speeds_carry_the_board_s_signs():
 def test_what_has_not_been_measured_is_not_made_up():
     wired = Wired().port()
     wired.says(wired.motors())
-    report = wired.last(topics.BOARD)
+    report = wired.last(topics.REPORT)
     assert np.isnan(report.ultrasonic).all()
     assert np.isnan(report.infrared).all()
     assert isnan(report.battery)
@@ -118,9 +118,9 @@ def test_what_has_not_been_measured_is_not_made_up():
 
 def test_old_ranges_are_forgotten():
     wired = Wired().port().run(0.5)
-    assert not np.isnan(wired.last(topics.BOARD).ultrasonic).any()
+    assert not np.isnan(wired.last(topics.REPORT).ultrasonic).any()
     wired.run(0.56, says=lambda wired, k: (wired.motors(),))
-    report = wired.last(topics.BOARD)
+    report = wired.last(topics.REPORT)
     assert np.isnan(report.ultrasonic).all()
     assert np.isnan(report.infrared).all()
 
@@ -129,15 +129,15 @@ def test_the_latency_is_taken_off_the_stamp():
     config = CONFIG.model_copy(update={"board": CONFIG.board.model_copy(update={"latency": 0.004})})
     wired = Wired(config).port()
     wired.says(wired.motors())
-    assert wired.last(topics.BOARD).stamp == T0 - 4 * MS
+    assert wired.last(topics.REPORT).stamp == T0 - 4 * MS
     wired.says(wired.motors(), stamp=0)
-    assert wired.last(topics.BOARD).stamp == 0
+    assert wired.last(topics.REPORT).stamp == 0
 
 
 def test_of_several_reports_at_once_the_last_counts():
     wired = Wired().port()
     wired.says(board.motor_sensor((7, 7), (0, 0), (0, 0)), board.motor_sensor((9, 9), (0, 0), (0, 0)))
-    assert [m.left_counts for key, m in wired.out if key == topics.BOARD.key] == [9]
+    assert [m.left_counts for key, m in wired.out if key == topics.REPORT.key] == [9]
 
 
 def test_a_command_goes_to_the_board_with_its_time_limit_and_as_a_message():
@@ -302,7 +302,7 @@ def test_a_half_packet_of_before_the_unplugging_is_forgotten():
     wired.port()
     wired.out.clear()
     wired.says(wired.motors())
-    assert wired.last(topics.BOARD).left_counts == 1000
+    assert wired.last(topics.REPORT).left_counts == 1000
 
 
 @pytest.mark.parametrize("sonar", [0, 2])
@@ -395,5 +395,5 @@ def test_any_bytes_at_any_time_are_survived_and_the_next_report_counts(sequence)
     wired.service.now += 10**9
     wired.out.clear()
     wired.says(board.motor_sensor((4711, 4712), (0, 0), (0, 0)))
-    assert wired.last(topics.BOARD).left_counts == 4711
+    assert wired.last(topics.REPORT).left_counts == 4711
     assert wired.service.serial.deframer.n_kept < 264
