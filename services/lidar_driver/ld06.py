@@ -90,7 +90,7 @@ class Ld06:
         steps = (last - first) % 36000 / (N_BEAMS - 1)
         turning = (speed > 0) & (steps > 0) & (steps < LONGEST_STEP)
         elapsed, restarted = since(ticks, self.last_tick, TIME_WRAP, most_back=0)
-        times: Float64s = self.time + elapsed * TICK
+        times: Float64s = np.asarray(self.time + elapsed * TICK, np.float64)
         self.last_tick, self.time = int(ticks[-1]), float(times[-1])
         if not turning.all():
             after, times, fields = after[turning], times[turning], fields[turning]
