@@ -276,6 +276,9 @@ class Live:
         self._apply(effects)
 
     def _apply(self, effects: list[Effect]) -> None:
+        for effect in effects:  # the devices first: they do not wait until everybody has been told
+            if isinstance(effect, Sent):
+                self._to_port(effect)
         for effect in effects:
             if isinstance(effect, Sent):
                 self._publish(effect)
@@ -287,11 +290,8 @@ class Live:
         if not future.cancelled():
             self.inbox.file(self._results, (order, future))
 
-    def _publish(self, sent: Sent) -> None:
-        if sent.topic is topics.LOG:
-            line = cast(LogLine, sent.message)
-            log.log(logging.getLevelNamesMapping().get(line.level, logging.INFO), line.text)
-        elif sent.topic is topics.TX:
+    def _to_port(self, sent: Sent) -> None:
+        if sent.topic is topics.TX:
             data = cast(SerialData, sent.message)
             if data.port in self._ports:
                 self._ports[data.port].write(data.data)
@@ -299,6 +299,11 @@ class Live:
             order = cast(PortState, sent.message)
             if order.port in self._ports:
                 self._ports[order.port].plug(order.open)
+
+    def _publish(self, sent: Sent) -> None:
+        if sent.topic is topics.LOG:
+            line = cast(LogLine, sent.message)
+            log.log(logging.getLevelNamesMapping().get(line.level, logging.INFO), line.text)
         if sent.topic.latched:
             before = self._kept.get(sent.key)
             whole = self._kept[sent.key] = merged(before, sent.message)
