@@ -575,6 +575,20 @@ def bench_stack(
     raise typer.Exit(stack(robot, world, seconds, out, set_ or []))
 
 
+@bench.command("serial", cls=Command)
+def bench_serial(
+    seconds: Annotated[float, typer.Option(min=1, help="s to measure.")] = 20.0,
+    out: Out = None,
+) -> None:
+    """Delays of base_driver between its serial line and the stack, and how fast the hardware decoders are.
+
+    Example: zenav bench serial --seconds 30 --out serial.json
+    """
+    from zenav.bench.serial import serial
+
+    raise typer.Exit(serial(seconds, out))
+
+
 app.add_typer(topic, name="topic", rich_help_panel=LOOK)
 app.add_typer(map_, name="map", rich_help_panel=LOOK)
 app.add_typer(config, name="config", rich_help_panel=LOOK)

@@ -100,8 +100,8 @@ class BaseDriverService(Service):
 
     @on(topics.CMD_VEL)
     def command(self, command: Velocity) -> Out:
-        if self.watchdog.offer(command, self.now) and not (command.v or command.w):
-            yield from self._motors()  # stopping does not wait for the tick
+        if self.watchdog.offer(command, self.now):
+            yield from self._motors()  # no command waits for the tick
 
     @on(topics.ESTOP)
     def estop(self, stop: EmergencyStop) -> Out:

@@ -94,4 +94,7 @@ def since(ticks: Int64s, last: int | None, wrap: int, most_back: int) -> tuple[I
     """
     steps = (steps_of(ticks, int(ticks[0]) if last is None else last) + wrap // 2) % wrap - wrap // 2
     back = steps < -most_back
-    return np.cumsum(np.where(back, 0, steps)), bool(back.any())
+    restarted = bool(back.any())
+    if restarted:
+        steps[back] = 0
+    return steps.cumsum(), restarted

@@ -9,13 +9,19 @@ from typing import cast
 
 import numpy as np
 
-from services.lidar_driver.device import Bools, Counts, Returns, Uint8s, since
+from services.lidar_driver.device import Bools, Counts, Float64s, Returns, Uint8s, since
 from services.lidar_driver.framing import Framing
 
 LENGTH = 47
 N_BEAMS = 12
 TIME_WRAP = 30000  # ticks
 TICK = 1e-3  # s; a time is cut to whole ticks, so half of one is missing on average
+PACKET = np.dtype(
+    [
+        ("header", "<u2"), ("speed", "<u2"), ("first", "<u2"), ("beams", [("mm", "<u2"), ("intensity", "u1")], N_BEAMS),
+        ("last", "<u2"), ("time", "<u2"), ("sum", "u1"),
+    ]
+)  # fmt: skip
 LONGEST_STEP = 900  # 0.01 degree between two beams; more is no turning laser's packet
 
 
@@ -35,6 +41,7 @@ def _tables() -> Uint8s:
 
 TABLES = _tables()
 PLACES = np.arange(LENGTH - 1)
+FROM_FIRST, TO_LAST = np.arange(N_BEAMS), np.arange(1 - N_BEAMS, 1)  # beams
 
 
 def sums(packets: Uint8s) -> Bools:
@@ -77,25 +84,27 @@ class Ld06:
         packets, after = self.framing.cut(data)
         if not len(packets):
             return []
-        words = packets[:, [2, 4, 42, 44]].astype(np.int64) | packets[:, [3, 5, 43, 45]].astype(np.int64) << 8
-        speed, first, last, ticks = words.T
+        fields = packets.view(PACKET)[:, 0]
+        speed, first, last, ticks = (fields[key].astype(np.int64) for key in ("speed", "first", "last", "time"))
         self.speed = float(speed[-1]) / 360.0
         steps = (last - first) % 36000 / (N_BEAMS - 1)
         turning = (speed > 0) & (steps > 0) & (steps < LONGEST_STEP)
         elapsed, restarted = since(ticks, self.last_tick, TIME_WRAP, most_back=0)
-        times = self.time + elapsed * TICK
+        times: Float64s = np.asarray(self.time + elapsed * TICK, np.float64)
         self.last_tick, self.time = int(ticks[-1]), float(times[-1])
-        if not turning.any():
+        if not turning.all():
+            after, times, fields = after[turning], times[turning], fields[turning]
+            speed, first, steps = speed[turning], first[turning], steps[turning]
+        if not len(fields):
             return []
-        after, times, first, steps, speed = (a[turning] for a in (after, times, first, steps, speed))
-        beams = packets[turning, 6:42].reshape(-1, N_BEAMS, 3).astype(np.int64)
-        degrees = (first[:, None] + steps[:, None] * np.arange(N_BEAMS)) * 0.01
-        to_last = np.arange(1 - N_BEAMS, 1) * (steps / 100 / speed)[:, None]  # s; the packet's time is its last beam's
-        mm = (beams[:, :, 0] | beams[:, :, 1] << 8).ravel()
+        degrees = (first[:, None] + steps[:, None] * FROM_FIRST) * 0.01
+        to_last = TO_LAST * (steps / 100 / speed)[:, None]  # s; the packet's time is its last beam's
+        beams = fields["beams"].ravel()
+        mm = beams["mm"]
         returns = Returns(
             angles=-np.radians(degrees).ravel(),
             ranges=np.where(mm > 0, mm * 1e-3, np.nan).astype(np.float32),
-            intensities=beams[:, :, 2].ravel().astype(np.float32),
+            intensities=beams["intensity"].astype(np.float32),
             times=(times[:, None] + TICK / 2 + to_last).ravel(),
             sent=times,
             ages=np.asarray((after + LENGTH) * self.byte_time, np.float64),

@@ -18,6 +18,8 @@ from services.lidar_driver.device import Bools, Float64s, Int64s, Uint8s
 
 SCALES = ((3328, 1 << 14, 4), (1792, 1 << 12, 3), (1280, 1 << 11, 2), (512, 1 << 9, 1), (0, 0, 0))
 """Extended distances: from this code on, this many mm, and steps of 2 ** level mm."""
+CABIN = np.dtype([("mm", "<u2", 2), ("offsets", "u1")])
+NIBBLES = np.array([0, 4])
 NO_PREDICTION = (-512, 511)
 NEAR = 200  # 1/4 mm under which the offset does not depend on the distance
 
@@ -35,9 +37,9 @@ def sums(packets: Uint8s) -> Bools:
 
 def legacy(capsules: Uint8s, _: Uint8s) -> tuple[Int64s, Float64s]:
     """16 cabins of 5 bytes: two distances of 14 bits, mm, over two bits of offset, then both offsets' low nibbles."""
-    cabins = capsules[:, 4:].reshape(-1, 16, 5).astype(np.int64)
-    pairs = np.stack([cabins[:, :, 0] | cabins[:, :, 1] << 8, cabins[:, :, 2] | cabins[:, :, 3] << 8], axis=2)
-    offsets = np.stack([cabins[:, :, 4] & 0xF, cabins[:, :, 4] >> 4], axis=2) | (pairs & 3) << 4
+    cabins = capsules[:, 4:].view(CABIN)
+    pairs = cabins["mm"].astype(np.int64)
+    offsets = cabins["offsets"][:, :, None] >> NIBBLES & 0xF | (pairs & 3) << 4
     return (pairs >> 2).reshape(-1, 32), (offsets / 8).reshape(-1, 32)
 
 

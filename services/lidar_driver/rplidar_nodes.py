@@ -50,6 +50,8 @@ class Nodes:
             self.counts.n_resyncs += 1
         if not found:
             return np.empty((0, LENGTH), np.uint8), np.empty(0, np.int64), np.empty(0, bool)
+        if len(found) == 1:
+            return found[0], after[0], first[0]
         return np.concatenate(found), np.concatenate(after), np.concatenate(first)
 
     def _found_step(self) -> bool:
@@ -74,7 +76,7 @@ class Nodes:
 def sensible(nodes: Uint8s, last_angle: int | None) -> tuple[Bools, Int64s]:
     """Whether each node, (p, 5), can follow the one before (or `last_angle`), and the angles, 1/64 degree."""
     flags = nodes[:, 0] & 3
-    angles = (nodes[:, 1].astype(np.int64) | nodes[:, 2].astype(np.int64) << 8) >> 1
+    angles = (nodes[:, 1:3].view("<u2")[:, 0] >> 1).astype(np.int64)
     steps = (steps_of(angles, int(angles[0]) if last_angle is None else last_angle) + BACK) % TURN
     fits = (flags == 1) | (flags == 2)
     return fits & (nodes[:, 1] & 1 == 1) & (angles < TURN) & (steps <= BACK + FURTHEST), angles

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """An RPLIDAR's streams as returns. It has no clock, but samples at a constant speed: their number is the clock."""
 
+from statistics import median
 from typing import Protocol
 
 import numpy as np
@@ -40,14 +41,14 @@ class NodeScan:
         nodes, after, anew = self.nodes.cut(data)
         if not len(nodes):
             return []
-        words = nodes[:, 1::2].astype(np.int64) | nodes[:, 2::2].astype(np.int64) << 8
-        degrees = (words[:, 0] >> 1) / 64
+        words = nodes[:, 1:].view("<u2")
+        degrees, quarters = (words[:, 0] >> 1) / 64, words[:, 1]
         steps = steps_of(degrees, float(degrees[0]) if self.degrees is None else self.degrees)
         turned = np.where(anew, (steps + BACK) % 360 - BACK, (steps + 180) % 360 - 180)
         n_samples = np.ones(len(nodes))
         if self.speed:  # as many were lost as it turned meanwhile
             n_samples = np.where(anew, np.maximum(np.rint(turned / 360 / self.speed / self.sample_time), 1), 1)
-        times = self.time + np.cumsum(n_samples * self.sample_time)
+        times = self.time + (n_samples * self.sample_time).cumsum()
         self.time, self.degrees = float(times[-1]), float(degrees[-1])
         self.turned += float(turned[~anew].sum()) / 360
         self.turned_in += float(np.count_nonzero(~anew)) * self.sample_time
@@ -56,7 +57,7 @@ class NodeScan:
             self.turned, self.turned_in = 0.0, 0.0
         returns = Returns(
             angles=-np.radians(degrees),
-            ranges=np.where(words[:, 1] > 0, words[:, 1] * 0.25e-3, np.nan).astype(np.float32),
+            ranges=np.where(quarters > 0, quarters * 0.25e-3, np.nan).astype(np.float32),
             intensities=(nodes[:, 0] >> 2).astype(np.float32),
             times=times,
             sent=times,
@@ -84,13 +85,13 @@ class CapsuleScan:
             return []
         joined = capsules if self.before is None else np.concatenate([self.before, capsules])
         self.before = capsules[-1:]
-        words = joined[:, 2].astype(np.int64) | joined[:, 3].astype(np.int64) << 8
+        words = joined[:, 2:4].view("<u2")[:, 0]
         starts, anew = (words & 0x7FFF) / 64, words >> 15 > 0
-        turned = np.diff(starts) % 360
+        turned = (starts[1:] - starts[:-1]) % 360
         passed = self._passed(turned)
         n, duration = self.format.n_beams, self.format.n_beams * self.sample_time
-        n_capsules = np.concatenate([np.ones(len(capsules) - len(turned)), passed])
-        ends = self.time + np.cumsum(n_capsules) * duration
+        n_capsules = passed if len(passed) == len(capsules) else np.concatenate([np.ones(1), passed])
+        ends = self.time + n_capsules.cumsum() * duration
         self.time = float(ends[-1])
         whole = ~anew[1:] & (passed == 1) & (turned < WIDEST) & (turned > 0)
         if not whole.any():
@@ -112,7 +113,7 @@ class CapsuleScan:
     def _passed(self, turned: Float64s) -> Float64s:
         """Capsules from each to the next, over one where some were lost; finds the speed from the last ones' median."""
         self.recent = (self.recent + turned.tolist())[-MOST_RECENT:]
-        nominal = float(np.median(self.recent)) if len(self.recent) > MOST_RECENT // 2 else 0.0
+        nominal = median(self.recent) if len(self.recent) > MOST_RECENT // 2 else 0.0
         if not nominal:
             return np.ones(len(turned))
         self.speed = nominal / 360 / (self.format.n_beams * self.sample_time)

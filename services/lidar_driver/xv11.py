@@ -16,6 +16,14 @@ LENGTH = 22
 N_PACKETS = 90  # a turn
 N_BEAMS = 4
 LEAST_RPM = 180.0  # under this its firmware measures nothing
+PACKET = np.dtype(
+    [
+        ("start", "u1"), ("index", "u1"), ("speed", "<u2"), ("beams", [("mm", "<u2"), ("strength", "<u2")], N_BEAMS),
+        ("sum", "<u2"),
+    ]
+)  # fmt: skip
+FROM_FIRST, TO_LAST = np.arange(N_BEAMS), np.arange(1 - N_BEAMS, 1) / N_BEAMS  # beams; packets
+INVALID = 0x8000
 SHIFTS = np.arange(9, -1, -1)
 
 
@@ -26,7 +34,7 @@ def begins(first: Uint8s, second: Uint8s) -> Bools:
 
 def sums(packets: Uint8s) -> Bools:
     """(p, 22) -> (p,): whether the sum over the ten words before it is right."""
-    words = packets[:, 0::2].astype(np.int64) | packets[:, 1::2].astype(np.int64) << 8
+    words = packets.view("<u2").astype(np.int64)
     total = (words[:, :10] << SHIFTS).sum(axis=1)
     return cast(Bools, ((total & 0x7FFF) + (total >> 15)) & 0x7FFF == words[:, 10])
 
@@ -61,8 +69,9 @@ class Xv11:
         packets, after = self.framing.cut(data)
         if not len(packets):
             return []
-        index = packets[:, 1].astype(np.int64) - 0xA0
-        rpm = (packets[:, 2].astype(np.int64) | packets[:, 3].astype(np.int64) << 8) / 64
+        fields = packets.view(PACKET)[:, 0]
+        index = fields["index"].astype(np.int64) - 0xA0
+        rpm = fields["speed"] / 64
         self.speed = float(rpm[-1]) / 60
         slow = rpm[-1] < LEAST_RPM
         self.trouble = f"the laser turns too slowly: {rpm[-1]:.0f} rpm, it needs {LEAST_RPM:.0f}" if slow else ""
@@ -70,14 +79,15 @@ class Xv11:
         since_last = steps_of(index, int(index[0]) - 1 if self.last_index is None else self.last_index)
         ends = self.time + np.cumsum(((since_last - 1) % N_PACKETS + 1) * durations)
         self.last_index, self.time = int(index[-1]), float(ends[-1])
-        beams = packets[:, 4:20].reshape(-1, N_BEAMS, 4).astype(np.int64)
-        mm = (beams[:, :, 0] | (beams[:, :, 1] & 0x3F) << 8).ravel()
-        invalid = (beams[:, :, 1] & 0x80).ravel() > 0
+        beams = fields["beams"].ravel()
+        words = beams["mm"]
+        mm = words & 0x3FFF
+        invalid = words & INVALID > 0
         returns = Returns(
-            angles=np.radians((index[:, None] * N_BEAMS + np.arange(N_BEAMS)).ravel()),
+            angles=np.radians((index[:, None] * N_BEAMS + FROM_FIRST).ravel()),
             ranges=np.where(invalid | (mm == 0), np.nan, mm * 1e-3).astype(np.float32),
-            intensities=np.where(invalid, 0, (beams[:, :, 2] | beams[:, :, 3] << 8).ravel()).astype(np.float32),
-            times=(ends[:, None] + durations[:, None] * (np.arange(1 - N_BEAMS, 1) / N_BEAMS)).ravel(),
+            intensities=np.where(invalid, 0, beams["strength"]).astype(np.float32),
+            times=(ends[:, None] + durations[:, None] * TO_LAST).ravel(),
             sent=ends,
             ages=np.asarray((after + LENGTH) * self.byte_time, np.float64),
         )

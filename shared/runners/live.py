@@ -26,7 +26,7 @@ import zenoh
 from shared import reasons, topics
 from shared.codec import CodecError, Envelope, decode, encode, envelope_of
 from shared.config import UserError, configured
-from shared.messages import LogLine, Message, PortState, SerialData
+from shared.messages import LogLine, Message
 from shared.reasons import Reason
 from shared.requests import Request
 from shared.runners import transport
@@ -276,6 +276,9 @@ class Live:
         self._apply(effects)
 
     def _apply(self, effects: list[Effect]) -> None:
+        for effect in effects:  # the devices first: they do not wait until everybody has been told
+            if isinstance(effect, Sent):
+                self._to_port(effect)
         for effect in effects:
             if isinstance(effect, Sent):
                 self._publish(effect)
@@ -287,18 +290,17 @@ class Live:
         if not future.cancelled():
             self.inbox.file(self._results, (order, future))
 
+    def _to_port(self, sent: Sent) -> None:
+        order = cast(Any, sent.message)
+        if sent.topic is topics.TX and order.port in self._ports:
+            self._ports[order.port].write(order.data)
+        elif sent.topic is topics.PLUG and order.port in self._ports:
+            self._ports[order.port].plug(order.open)
+
     def _publish(self, sent: Sent) -> None:
         if sent.topic is topics.LOG:
             line = cast(LogLine, sent.message)
             log.log(logging.getLevelNamesMapping().get(line.level, logging.INFO), line.text)
-        elif sent.topic is topics.TX:
-            data = cast(SerialData, sent.message)
-            if data.port in self._ports:
-                self._ports[data.port].write(data.data)
-        elif sent.topic is topics.PLUG:
-            order = cast(PortState, sent.message)
-            if order.port in self._ports:
-                self._ports[order.port].plug(order.open)
         if sent.topic.latched:
             before = self._kept.get(sent.key)
             whole = self._kept[sent.key] = merged(before, sent.message)

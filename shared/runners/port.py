@@ -185,8 +185,15 @@ class SerialLine:
             raise OSError(errno.EINVAL, str(error)) from None
 
     def read(self) -> bytes:
-        first: bytes = self._port.read(1)
-        return first + self._port.read(min(self._port.in_waiting, CHUNK)) if first else b""
+        """All that is there in one call: pyserial reads a socket byte by byte, and a device in two steps."""
+        descriptor: int = self._port.fileno()
+        ready, _, _ = select.select([descriptor], [], [], PATIENCE)
+        if not ready:
+            return b""
+        data = os.read(descriptor, CHUNK)
+        if not data:
+            raise OSError(errno.EIO, "the other end hung up")
+        return data
 
     def write(self, data: bytes) -> None:
         try:

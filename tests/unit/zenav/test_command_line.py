@@ -18,7 +18,7 @@ COMMANDS = [
     "demo", "up", "run", "goto", "route", "explore", "cancel", "teleop", "estop", "topic list", "topic echo",
     "topic hz", "map save", "map load", "map show", "calibrate odometry",
     "calibrate laser", "calibrate motors", "config show", "config check", "doctor", "slam", "replay",
-    "bench office", "bench sim", "bench stack",
+    "bench office", "bench sim", "bench stack", "bench serial",
 ]  # fmt: skip
 
 
@@ -107,6 +107,7 @@ def test_a_mistyped_command_is_guessed(typed, meant, capsys):
         ("bench office --out /dev/null/a.json", "/dev/null/a.json"),
         ("bench sim --out /dev/null/a.json", "/dev/null/a.json"),
         ("bench stack --out /dev/null/a.json", "/dev/null/a.json"),
+        ("bench serial --out /dev/null/a.json", "/dev/null/a.json"),
         ("demo --lockstep --world nowhere", "nowhere"),
         ("demo --record notes.txt", "notes.txt"),
         ("demo --record /dev/null/run.mcap", "/dev/null/run.mcap"),

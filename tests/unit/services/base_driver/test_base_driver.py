@@ -103,9 +103,10 @@ def test_limits_scale_the_command_on_its_arc():
     assert bench.body == pytest.approx((-0.3, 0.0))
 
 
-def test_a_zero_command_stops_at_once_and_not_at_the_tick():
+def test_a_command_reaches_the_motors_at_once_and_not_at_the_tick():
     bench = Bench().run(0.1, 0.4)
-    assert [key for key, _ in bench.command(0.3)] == []
+    assert [key for key, _ in bench.command(0.3)] == [topics.MOTORS.key]
+    assert bench.body[0] == pytest.approx(0.3)
     bench.service.now += 1
     assert [key for key, _ in bench.command(0.0)] == [topics.MOTORS.key]
     assert bench.motors() == (0, 0)

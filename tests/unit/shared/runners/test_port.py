@@ -190,6 +190,16 @@ def test_a_board_behind_a_terminal_server_speaks_too():
         assert not heard.state().open
 
 
+def test_bytes_of_a_terminal_server_are_not_read_one_by_one():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        line = opened(PortConfig(device=f"socket://127.0.0.1:{server.getsockname()[1]}"))
+        connection, _ = server.accept()
+        with connection:
+            connection.sendall(bytes(1000))
+            assert line.read() == bytes(1000)
+        line.close()
+
+
 def test_an_emulator_that_listens_serves_the_newest_driver_and_can_be_unplugged():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         number = taken.getsockname()[1]
