@@ -49,6 +49,7 @@ GOAL_UNKNOWN    = Reason("goal_unknown", "the goal lies in space that nobody has
 START_BLOCKED   = Reason("start_blocked", "the robot stands in an obstacle of the map", "drive it free by hand", "hold")
 UNREACHABLE     = Reason("unreachable", "no way leads to the goal", "open a way or choose another goal", "info")
 BLOCKED         = Reason("blocked", "no safe way forward right now", "the navigator tries its recoveries", "hold")
+NO_WAY_THROUGH  = Reason("no_way_through", "the way turns out to be closed, again and again", "open it wider, or choose another goal", "hold")
 NO_PROGRESS     = Reason("no_progress", "the robot has not come closer for a while", "the navigator tries its recoveries", "hold")
 RECOVERIES_USED = Reason("recoveries_used", "every recovery was tried", "look at the robot and its way", "stop")
 NO_FRONTIER     = Reason("no_frontier", "nothing reachable is left to explore", "nothing to do: the map is complete", "info")

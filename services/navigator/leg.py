@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
-from math import inf
+from math import ceil, inf
 
 from pydantic import Field
 
@@ -30,6 +30,12 @@ class LegConfig(Section):
     hold_time: float = Field(
         30.0, gt=0, le=3600, description="s that the guard holds for a missing input until the task fails"
     )
+    detours: int = Field(
+        4,
+        ge=1,
+        le=100,
+        description="times that the way turns out longer, as by a gap that comes and goes",
+    )
     base_time: float = Field(60.0, gt=0, le=3600, description="s that any drive may take at least")
     least_speed: float = Field(
         0.1, gt=0, le=5, description="m/s: a drive may take base_time and its longest plan at this speed"
@@ -38,7 +44,8 @@ class LegConfig(Section):
     def hurried(self, share: float) -> "LegConfig":
         """The same with that share of the times which a hopeless goal costs."""
         shortened = ("progress_time", "blocked_time", "unreachable_time")
-        return self.model_copy(update={name: share * getattr(self, name) for name in shortened})
+        times = {name: share * getattr(self, name) for name in shortened}
+        return self.model_copy(update={**times, "detours": ceil(share * self.detours)})
 
 
 class Verdict(StrEnum):
@@ -68,6 +75,7 @@ class Leg:
     holding: Reason = reasons.NO_PROGRESS  # why it was held
     age: float = 0.0  # s
     longest: float = 0.0  # m, plan
+    n_detours: int = 0  # since the last recovery
     planned: bool = False
     moving: bool = False  # came closer since the last recovery
     n_recoveries: int = 0
@@ -75,7 +83,7 @@ class Leg:
     def restarted(self) -> None:
         """A recovery was made: its clocks start anew, what was learnt of the goal stays."""
         self.idle = self.blocked = self.refused = self.held = self.gained = 0.0
-        self.best, self.moving = inf, False
+        self.best, self.moving, self.n_detours = inf, False, 0
 
     def waited(self, seconds: float, reason: Reason) -> None:
         """Time passed in which something else than the way held the robot."""
@@ -102,6 +110,7 @@ class Leg:
             self.best, self.idle = left, 0.0
         elif left > self.best + 1.0:  # another, longer way: measured from here on
             self.best = left
+            self.n_detours += 1
 
     def verdict(self, plan: Path | None, follow: FollowStatus | None, config: LegConfig) -> tuple[Verdict, Reason]:
         """What is needed now, and why."""
@@ -115,6 +124,8 @@ class Leg:
             return Verdict.RECOVER, REASONS.get(follow.reason, reasons.BLOCKED)
         if follow is not None and self.blocked >= config.blocked_time:
             return Verdict.RECOVER, REASONS.get(follow.reason, reasons.BLOCKED)
+        if self.n_detours >= config.detours:
+            return Verdict.RECOVER, reasons.NO_WAY_THROUGH
         if self.idle >= config.progress_time:
             return Verdict.RECOVER, reasons.NO_PROGRESS if plan is not None else reasons.NO_PLAN
         return Verdict.GO_ON, reasons.NO_PROGRESS

@@ -204,7 +204,8 @@ class Navigation:
 
     def _recover(self, leg: Leg, reason: Reason, now: int) -> Out:
         explores = isinstance(self.task, Exploration)
-        if explores and (reason is reasons.UNREACHABLE or leg.n_recoveries >= self.config.exploration.max_recoveries):
+        hopeless = reason in (reasons.UNREACHABLE, reasons.NO_WAY_THROUGH)
+        if explores and (hopeless or leg.n_recoveries >= self.config.exploration.max_recoveries):
             yield from self._give_up(reason, now, whole=False)
             return
         pose = self.where.map_from_base

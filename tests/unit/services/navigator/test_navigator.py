@@ -281,6 +281,25 @@ def test_a_plan_that_swings_between_two_lengths_is_no_progress_for_ever():
     assert bench.status.state is NavState.FAILED
 
 
+def test_a_gap_that_is_open_from_afar_and_closed_from_near_is_found_out():
+    """The planner sends the robot through and, when it is there, a long way around; half way, through again."""
+    bench = Bench()
+    straight, turns = bench.path, []
+    bench.go(FAR)
+
+    def fickle():
+        path = straight()
+        around = 20.0 if bench.now // (6 * S) % 2 else 0.0
+        turns.append(around)
+        left = max(path.length - (bench.now / S * 0.2) % 1.2, 0.5)  # it always comes closer
+        return type(path)(path.stamp, path.goal_id, 1, "", path.xs, path.ys, path.yaws, left + around, path.cost)
+
+    bench.path, bench.follow_state = fickle, FollowState.BLOCKED
+    bench.follow_state, bench.speed = FollowState.FOLLOWING, 0.0
+    bench.run(120, until=lambda: bench.status.recovery != "")
+    assert sum(b > a for a, b in pairwise(turns)) <= NavigatorConfig().leg.detours + 1
+
+
 def test_stop_ends_the_task_and_its_release_moves_nothing():
     bench = Bench()
     bench.go(FAR)
