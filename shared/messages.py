@@ -142,7 +142,10 @@ class RangeReadings(Message):
 
 @dataclass(frozen=True, slots=True)
 class BaseStatus(Message):
-    """State of the base for people and for the guard. `fault` is a reason's code, empty when there is none."""
+    """State of the base for people and for the guard. `fault` is a reason's code, empty when there is none.
+
+    `waits`: it stands until zero is commanded: after a fault, a stop or a new connection.
+    """
 
     battery: Annotated[float, Unit("V"), Within(0, 100, nan=True)]
     left_current: Annotated[float, Unit("A"), Within(-200, 200)]
@@ -150,6 +153,7 @@ class BaseStatus(Message):
     link: Flag
     fault: Text
     detail: Text
+    waits: Flag = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,7 +68,7 @@ class BaseDriverService(Service):
         self.link = False
         self.pressed: EmergencyStop | None = None
         self.wheels = (0.0, 0.0)  # rad/s, as last sent to the board
-        self.told: tuple[str, bool] | None = None
+        self.told: tuple[str, bool, bool] | None = None  # fault, link, waits
         self.ranges_told = 0
         self.sensors = _sensor_columns(robot)
 
@@ -211,14 +211,15 @@ class BaseDriverService(Service):
         fault = self.fault
         if self.told is not None and self.told[0] and not fault:
             self.watchdog.disarm(self.now)  # the first command after a fault is zero
-        if self.told != (fault, self.link):
+        if self.told != (fault, self.link, not self.watchdog.armed):
             yield self._status()
         if fault and any(self.wheels):
             yield from self._motors()
 
     def _status(self) -> Publication:
         fault, report = self.fault, self.report
-        self.told = fault, self.link
+        waits = not self.watchdog.armed
+        self.told = fault, self.link, waits
         battery = report.battery if report else nan
         left_current, right_current = (float(a) for a in report.currents) if report else (0.0, 0.0)
         serial = self.serial
@@ -232,7 +233,7 @@ class BaseDriverService(Service):
             self.watchdog.refused,
         )
         detail = SEPARATOR.join(text for text in details if text)
-        return topics.BASE(BaseStatus(self.now, battery, left_current, right_current, self.link, fault, detail))
+        return topics.BASE(BaseStatus(self.now, battery, left_current, right_current, self.link, fault, detail, waits))
 
     def _ranges(self, report: BoardReport) -> RangeReadings:
         """The board's ranges in the robot's order of sensors; outside a sensor's own limits is no measurement."""

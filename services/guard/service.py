@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The only way to cmd/vel: who may drive, how fast, and why the robot stands."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 
 import numpy as np
@@ -114,6 +114,9 @@ class GuardService(Service):
         if supersedes(status.stamp, self.situation.base_stamp, self.now):
             self.situation.base = status
             yield from self.watch()
+            if status.waits:  # for a zero newer than its fault; ours was perhaps older. Then on, from standing
+                self.verdict, self.sent_at = replace(self.verdict, v=0.0, w=0.0), self.now
+                yield topics.CMD_VEL(Velocity(self.now, 0.0, 0.0, self.verdict.reason))
 
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:

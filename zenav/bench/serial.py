@@ -7,6 +7,7 @@
 Both are measured in this process, by one clock, with Zenoh's hop between the processes in them.
 """
 
+import os
 import sys
 import threading
 import time
@@ -223,6 +224,7 @@ def figures(delays: dict[str, list[float]], rates: dict[str, dict[str, float]]) 
         "n": len(delays["command"]),
         "n_lost": sum(value >= LOST for key in ("command", "wheels") for value in delays[key]),
         **{f"{key}_p{p}_ms": rows[names[key]][f"p{p}"] for key in ("command", "wheels") for p in (50, 99)},
+        "load_per_core": round(os.getloadavg()[0] / (os.cpu_count() or 1), 2),  # over 1, others took the processor
         "decoding_slowest_mb_s": min(rate for row in rates.values() for rate in row.values()),
     }
     return {"summary": summary, "limits": LIMITS, "delays": rows, "decoding_mb_s": rates}
@@ -237,5 +239,6 @@ def show(report: dict[str, Any]) -> None:
     rates = [(name, *(f"{row[size]:.1f}" for size in sizes)) for name, row in report["decoding_mb_s"].items()]
     table("decoders on one core", ("MB/s", *(f"in readings of {size} bytes" for size in sizes)), rates)
     sys.stdout.write(
-        f"aims: p99 under {AIM_COMMAND:g} ms to the line and {AIM_WHEELS:g} ms from it, {AIM_DECODING:g} MB/s decoded\n"
+        f"aims: p99 under {AIM_COMMAND:g} ms to the line and {AIM_WHEELS:g} ms from it, {AIM_DECODING:g} MB/s decoded; "
+        f"the machine's load is {s['load_per_core']:.1f} a core\n"
     )

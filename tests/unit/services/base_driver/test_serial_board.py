@@ -167,6 +167,14 @@ def test_gains_and_zero_are_the_first_words_after_each_connection():
     assert wired.speeds[1] > 0
 
 
+def test_it_says_that_it_waits_for_zero_until_it_has_it():
+    wired = Wired().run(0.1).port().run(0.1, 0.4)
+    assert wired.last(topics.BASE).waits
+    assert wired.last(topics.BASE).fault == ""
+    wired.run(0.1, 0.0)
+    assert not wired.last(topics.BASE).waits
+
+
 def test_a_board_that_comes_back_from_silence_gets_its_gains_again():
     wired = Wired().port().run(1.0)
     wired.run(0.6, says=lambda wired, k: ())

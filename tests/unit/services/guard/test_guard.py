@@ -468,6 +468,20 @@ def test_after_a_fault_was_released_nav_must_ask_for_zero():
     assert drive.verdict == (GuardState.HOLD, "estop_released")
 
 
+def test_a_base_that_waits_for_zero_gets_it_although_nav_goes_on_and_then_starts_from_standing():
+    """A fault may come and go between two of our ticks: then our stream never held a zero."""
+    drive = driving()
+    before, _ = drive.velocity
+    assert before > 0
+    waiting = BaseStatus(drive.now, 7.4, 0.0, 0.0, True, "", "", waits=True)
+    drive.call(drive.guard.base_status(waiting))
+    assert drive.velocity == (0, 0)
+    drive.run(0.1)
+    assert 0 < drive.velocity[0] <= 0.2 * drive.robot.drive.max_acceleration
+    drive.run(2.0)
+    assert drive.velocity[0] == pytest.approx(before)
+
+
 # --- pose -----------------------------------------------------------------------------------------------------------
 
 
