@@ -32,6 +32,10 @@ LONGEST_RAMP = 0.1  # s of acceleration that one command may make up for
 RANGES_AGE = 1.0  # s after which range sensors no longer count as looking
 
 
+LEAST_VIEW = 0.3
+"""Share of the laser's field of view that a scan must cover to count as one."""
+
+
 class GuardConfig(Section):
     """The guard."""
 
@@ -132,7 +136,10 @@ class GuardService(Service):
         young = fresh(scan_end(scan), self.now, self.config.stops.scan_age)
         if not young or not supersedes(scan.stamp, self.situation.scan_stamp, self.now) or self.track.latest is None:
             return
-        if np.count_nonzero(scan.ranges < scan.range_min) > len(scan.ranges) / 2:
+        laser = self.robot.laser
+        seen = abs(scan.angle_increment) * (len(scan.ranges) - 1)
+        narrow = seen < LEAST_VIEW * abs(laser.angle_increment) * (laser.n_beams - 1)
+        if narrow or np.count_nonzero(scan.ranges < scan.range_min) > len(scan.ranges) / 2:
             return  # a covered or broken laser measures nothing: soon the last scan is too old to drive on
         self.situation.scan = scan
         self.obstacles.take_scan(scan, self.track)

@@ -16,7 +16,7 @@ class StopsConfig(Section):
     """When an input is too old to drive on."""
 
     odom_age: float = Field(0.2, gt=0, le=1, description="s after which odometry is old")
-    scan_age: float = Field(0.3, gt=0, le=2, description="s after its last beam that a scan is old")
+    scan_age: float = Field(0.27, gt=0, le=2, description="s after its last beam that a scan is old")
     base_age: float = Field(2.0, gt=0, le=10, description="s after which the base driver is silent")
     pose_age: float = Field(1.0, gt=0, le=10, description="s after which the pose is old; nav only")
     lost_after: float = Field(2.0, ge=0, le=60, description="s of a lost pose that nav may still drive")

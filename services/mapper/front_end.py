@@ -141,7 +141,7 @@ class FrontEnd:
     def _placed(self, sweep: Sweep, step: Pose2, doubt: float, grid: Occupancy) -> Placed:
         """The sweep aligned from odometry's guess, or from a better one where too many beams contradict the map."""
         prior = self.odometry_error.prior(self.registration, self.map_from_base, step, doubt)
-        if self.registrar.map.n == 0 or not len(sweep.points):
+        if self.registrar.map.n == 0 or len(sweep.points) < LEAST_BEAMS:  # a few beams agree anywhere
             return Placed(self.registrar.measured(sweep.points, sweep.normals, prior.map_from_base), 0)
         unsure = self.odometry_error.prior(self.registration, self.map_from_base, step, 10 * doubt)
         best = self._aligned(sweep, prior.map_from_base, unsure if self.searches_next else prior, grid)

@@ -32,7 +32,7 @@ def test_without_the_laser_the_robot_stands_until_it_is_back(tmp_path, fault):
     stack.go(6.5)
     stack.drives()
     assert stack.lockstep.ask(requests.FAULT, Break(stack.now, fault, 3.0, False)).accepted
-    assert stack.until(lambda: not stack.commanded, 1.0) <= 350 * MS
+    assert stack.until(lambda: not stack.commanded, 1.0) <= 300 * MS
     stack.lockstep.run(0.2)
     assert stack.guard.reason == "scan_old"
     stack.until(stack.reached, 40.0)

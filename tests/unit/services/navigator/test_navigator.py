@@ -6,12 +6,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from services.navigator.leg import Leg, LegConfig, Verdict
 from services.navigator.navigation import NavigatorConfig
 from services.navigator.recovery import RecoveryConfig, steps
 from services.navigator.service import NavigatorService
 from shared import reasons
 from shared.geometry import Pose2
-from shared.messages import FollowState, FollowStatus, GoalKind, GuardState, Localization, NavState
+from shared.messages import FollowState, FollowStatus, GoalKind, GuardState, Localization, NavState, Path
 from shared.service import Job
 from tests.strategies import faults, publications
 from tests.unit.services.navigator.bench import X80, Bench, S, stopped
@@ -282,22 +283,26 @@ def test_a_plan_that_swings_between_two_lengths_is_no_progress_for_ever():
 
 
 def test_a_gap_that_is_open_from_afar_and_closed_from_near_is_found_out():
-    """The planner sends the robot through and, when it is there, a long way around; half way, through again."""
-    bench = Bench()
-    straight, turns = bench.path, []
-    bench.go(FAR)
+    """It always comes closer to the gap, and then the way around is 20 m: that is no progress."""
+    config = LegConfig()
+    leg, n_turns = Leg(Pose2(9.0, 0.0), any_heading=True), 0
+    for step in range(1000):
+        left = 20.0 if step % 10 == 9 else 2.0 - 0.2 * (step % 10)
+        n_turns += left == 20.0
+        leg.passed(0.1, left, path_of(left), None, config.progress)
+        if leg.verdict(None, None, config)[0] is not Verdict.GO_ON:
+            break
+    assert leg.verdict(None, None, config) == (Verdict.RECOVER, reasons.NO_WAY_THROUGH)
+    assert n_turns == config.detours
+    assert config.hurried(0.5).detours == 2
+    leg.restarted()
+    assert leg.verdict(None, None, config)[0] is Verdict.GO_ON
 
-    def fickle():
-        path = straight()
-        around = 20.0 if bench.now // (6 * S) % 2 else 0.0
-        turns.append(around)
-        left = max(path.length - (bench.now / S * 0.2) % 1.2, 0.5)  # it always comes closer
-        return type(path)(path.stamp, path.goal_id, 1, "", path.xs, path.ys, path.yaws, left + around, path.cost)
 
-    bench.path, bench.follow_state = fickle, FollowState.BLOCKED
-    bench.follow_state, bench.speed = FollowState.FOLLOWING, 0.0
-    bench.run(120, until=lambda: bench.status.recovery != "")
-    assert sum(b > a for a, b in pairwise(turns)) <= NavigatorConfig().leg.detours + 1
+def path_of(length):
+    """A plan of this length, m."""
+    line = np.array([0.0, length])
+    return Path(0, 1, 1, "", line, np.zeros(2), np.zeros(2), length, length)
 
 
 def test_stop_ends_the_task_and_its_release_moves_nothing():
