@@ -25,6 +25,7 @@ _STRAIGHT, _DIAGONAL = 70, 99  # of a step, in 1/70 cells
 _FAR = 2**30
 _TOURED = 20  # frontiers between which the ways are measured
 _COARSE = 3  # cells by cells that are one there
+_ENCLOSED = 4.0  # m^2: a robot that can reach less than that looks for a tighter way out
 _ESCAPE = 0.6  # m through crowded or unseen space to where the robot fits: it may stand close to a wall, or unmapped
 
 
@@ -33,7 +34,7 @@ class FrontierConfig(Section):
 
     margin: float = Field(0.07, ge=0, le=1, description="m kept free around the footprint's inscribed circle")
     least_margin: float = Field(
-        0.03, ge=0, le=1, description="m kept free around it on ways to frontiers that are left when no other is"
+        0.03, ge=0, le=1, description="m kept free around it on the way out of a place that is enclosed else"
     )
     goal_margin: float = Field(
         0.1, ge=0, le=1, description="m around it that must be known and free where a frontier is looked at from"
@@ -92,16 +93,9 @@ class Snapshot:
 
 
 def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
-    """The reachable frontiers of a map, the nearest first: those with room to spare on the way, then the others."""
-    found = _frontiers(snapshot, config, config.margin)
-    if found.frontiers or config.least_margin >= config.margin:
-        return found
-    return _frontiers(snapshot, config, config.least_margin)
-
-
-def _frontiers(snapshot: Snapshot, config: FrontierConfig, margin: float) -> Frontiers:
+    """The reachable frontiers of a map, the nearest first."""
     cells, resolution = snapshot.cells, snapshot.resolution
-    clearance = snapshot.robot_radius + margin
+    clearance = snapshot.robot_radius + config.margin
     distance = distance_field(cells >= OCCUPIED_FROM, resolution)
     column, row = snapshot.x / resolution - snapshot.first_column, snapshot.y / resolution - snapshot.first_row
     h, w = cells.shape
@@ -110,6 +104,9 @@ def _frontiers(snapshot: Snapshot, config: FrontierConfig, margin: float) -> Fro
     free = _free(cells, row, column, snapshot.robot_radius / resolution)
     passable = free & (distance >= clearance - 1e-6)
     travelled = _wave(passable, distance, int(row), int(column), _ESCAPE / resolution)
+    if np.count_nonzero(travelled < _FAR) * resolution**2 < _ENCLOSED:  # a gap that narrowed since it drove in?
+        tight = free & (distance >= snapshot.robot_radius + min(config.least_margin, config.margin) - 1e-6)
+        travelled = _wave(tight, distance, int(row), int(column), _ESCAPE / resolution)
     enclosed = not bool((passable & (travelled < _FAR)).any())
     # a desk seen along its edge leaves few hits: what borders on the unknown is as narrow as if that were occupied
     room = np.minimum(distance, distance_field(_deep_unknown(free, cells), resolution) - resolution)
