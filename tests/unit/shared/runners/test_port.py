@@ -21,7 +21,7 @@ from shared.runners import port as ports
 from shared.runners.clock import Clock
 from shared.runners.port import Port, opened, trouble
 
-SOON = 10.0  # s that a busy machine may take
+SOON = 30.0  # s that a busy machine may take
 
 
 class Heard:
@@ -108,7 +108,8 @@ def test_an_adapter_is_found_by_its_serial_number_under_another_name(tmp_path, m
         far.plug(False)
         assert not at_near.state().open
         candidates[:] = [SimpleNamespace(serial_number="7", device=f"{tmp_path}/two")]
-        with running(f"pty:{tmp_path}/two") as (other, _):
+        with running(f"pty:{tmp_path}/two") as (other, at_other):
+            assert at_other.state().open
             while not at_near.state().open:
                 pass
             other.write(b"here")
