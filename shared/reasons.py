@@ -25,6 +25,7 @@ FAULT           = Reason("base_fault", "the base reports a fault", "see base/sta
 WHEEL_STUCK     = Reason("wheel_stuck", "a wheel is commanded but does not turn", "free the wheel or check its encoder and motor; then: zenav estop --release", "fault")
 BASE_SILENT     = Reason("base_silent", "the base driver is silent", "is base_driver running? zenav doctor", "hold")
 WHEEL_ASTRAY    = Reason("wheel_astray", "a wheel does not turn as it is told", "is it blocked, or its motor's direction swapped? zenav calibrate motors; then: zenav estop --release", "fault")
+NOT_OBEYED      = Reason("not_obeyed", "both wheels fall behind their commands", "is this computer or the board's line overloaded, or the robot against a wall? it tries again", "hold")
 PORT_CLOSED     = Reason("port_closed", "the motion board's port is away", "plug its adapter in, or see base/status for what is wrong", "fault")
 BATTERY_EMPTY   = Reason("battery_empty", "the battery is empty", "charge it", "fault")
 SENSOR_DEAD     = Reason("sensor_dead", "a range sensor does not answer", "check its cable, or take it out of robot.ranges", "fault")

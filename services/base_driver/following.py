@@ -38,6 +38,11 @@ class FollowWatch:
         self._commands: deque[tuple[int, float]] = deque()  # ns, m/s: what may still be on its way to the motor
         self._angle = self._sluggish = self._behind = self._since = 0.0
 
+    @property
+    def behind(self) -> bool:
+        """Whether the wheel is on its way to being astray."""
+        return self._behind > 0
+
     def astray(self, stamp: int, angle: float, commanded: float, radius: float) -> float:
         """After a report: stamp (ns), the wheel's angle (rad), commanded speed (rad/s), the wheel's radius (m).
 

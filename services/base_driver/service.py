@@ -85,6 +85,8 @@ class BaseDriverService(Service):
         """A reason's code, empty when there is none."""
         if self.wheel_faults.code:
             return self.wheel_faults.code
+        if self.now < self.wheel_faults.stands_until:
+            return reasons.NOT_OBEYED.code
         started = self.now if self.started is None else self.started
         waited = self.now - started > self.config.board_silent * 1e9
         if self.serial is not None and not self.serial.open and (waited or self.report is not None):
@@ -225,7 +227,7 @@ class BaseDriverService(Service):
         serial = self.serial
         jumps = self.encoders.n_jumps
         details = (
-            self.wheel_faults.words,
+            self.wheel_faults.told(self.now),
             serial.silence(self.now) if serial and (not serial.open or not self.link) else "",
             f"battery low: {battery:.1f} V" if self.battery.is_low(battery) else "",
             serial.dead_sensors(self.now) if serial else "",

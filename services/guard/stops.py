@@ -136,6 +136,7 @@ STOPS: tuple[tuple[Reason, GuardState, Callable[[Situation], bool]], ...] = (  #
     (reasons.ESTOP,          GuardState.STOPPED, lambda s: s.pressed is not None),
     (reasons.WHEEL_STUCK,    GuardState.FAULT,   lambda s: s.fault == reasons.WHEEL_STUCK.code),
     (reasons.WHEEL_ASTRAY,   GuardState.FAULT,   lambda s: s.fault == reasons.WHEEL_ASTRAY.code),
+    (reasons.NOT_OBEYED,     GuardState.HOLD,    lambda s: s.fault == reasons.NOT_OBEYED.code),
     (reasons.PORT_CLOSED,    GuardState.FAULT,   lambda s: s.fault == reasons.PORT_CLOSED.code),
     (reasons.BOARD_SILENT,   GuardState.FAULT,   lambda s: s.fault == reasons.BOARD_SILENT.code),
     (reasons.BATTERY_EMPTY,  GuardState.FAULT,   lambda s: s.fault == reasons.BATTERY_EMPTY.code),

@@ -194,3 +194,14 @@ def test_a_wheel_that_does_not_turn_is_named_and_stays_a_fault_over_a_restart(tm
     stack.stop(False)
     stack.stands_for(1.0)
     assert stack.guard.state is not GuardState.FAULT
+
+
+def test_commands_that_do_not_reach_the_board_for_a_moment_are_no_broken_wheel(driving):
+    begun = driving.lockstep.now
+    driving.lost["hardware/motors"] = lambda sent: sent < begun + 600 * MS
+    seen: set[str] = set()
+    driving.lockstep.watch("base/status", lambda status: seen.add(status.fault))
+    driving.until(driving.ended, 40.0)
+    assert driving.reached()
+    assert seen == {"", "not_obeyed"}
+    assert driving.truth.n_contacts == 0

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+import pytest
+
+from services.base_driver.encoders import EncoderConfig, Encoders
+from services.base_driver.following import FollowingConfig
+from services.base_driver.stuck import StuckConfig
+from services.base_driver.wheel_faults import PARDONED_FOR, PARDONS, PAUSE, WheelFaults
+from shared import reasons
+from shared.config import load_robot
+
+DRIVE = load_robot("x80sv").robot.drive
+S = 1_000_000_000
+TOLD = 0.6 / DRIVE.wheel_radius  # rad/s
+
+
+class Wheels:
+    """Two wheels that are told TOLD, turn as they are made to, and are reported at 50 Hz."""
+
+    def __init__(self):
+        self.faults = WheelFaults(StuckConfig(), FollowingConfig(), DRIVE)
+        self.encoders = Encoders(EncoderConfig(), DRIVE)
+        self.now = 100 * S
+
+    def run(self, seconds, left, right):
+        """Turns the wheels by these shares of what is told; stands where it is commanded to."""
+        for _ in range(round(seconds * 50)):
+            self.now += S // 50
+            stands = self.now < self.faults.stands_until or bool(self.faults.code)
+            told = 0.0 if stands else TOLD
+            self.encoders.left += left * told / 50
+            self.encoders.right += right * told / 50
+            self.faults.look(self.now, self.encoders, (told, told), self.now)
+        return self.faults.code
+
+
+def test_one_wheel_that_stands_is_broken_at_once():
+    wheels = Wheels()
+    assert wheels.run(1.0, 1.0, 1.0) == ""
+    assert wheels.run(0.3, 0.0, 1.0) == reasons.WHEEL_STUCK.code
+    assert wheels.faults.words.startswith("the left wheel")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_both_wheels_that_fall_behind_once_make_the_robot_stand_and_try_again(share):
+    wheels = Wheels()
+    wheels.run(1.0, 1.0, 1.0)
+    assert wheels.run(0.3, share, share) == ""
+    assert 0 < wheels.faults.stands_until - wheels.now <= PAUSE
+    assert wheels.run(3.0, 1.0, 1.0) == ""
+    assert wheels.faults.stands_until < wheels.now
+
+
+def test_both_wheels_that_fall_behind_again_and_again_are_a_fault_that_stays():
+    wheels = Wheels()
+    for _ in range(PARDONS + 1):
+        assert wheels.faults.code == ""
+        wheels.run(1.5, 1.0, 1.0)
+        wheels.run(0.5, 0.0, 0.0)
+    assert wheels.faults.code == reasons.WHEEL_STUCK.code
+    wheels.faults.release()
+    assert wheels.run(1.0, 1.0, 1.0) == ""
+
+
+def test_what_happened_long_ago_counts_no_more():
+    wheels = Wheels()
+    for _ in range(2 * PARDONS):
+        wheels.run(1.5, 1.0, 1.0)
+        assert wheels.run(0.5, 0.0, 0.0) == ""
+        wheels.run(PARDONED_FOR / S, 1.0, 1.0)
