@@ -109,6 +109,8 @@ class Port:
                     data = line.read()
                     if data:
                         self._tell(topics.RX(SerialData(self._clock.now(), self.name, data)))
+                if not self._closing:  # said before it closes, or one plugged in again at once was never away
+                    self._say(False, "unplugged")
             except OSError as error:
                 self._say(False, trouble(self.config, error))
             finally:

@@ -229,6 +229,20 @@ def test_an_emulator_that_listens_serves_the_newest_driver_and_can_be_unplugged(
             pytest.fail("it never came back")
 
 
+def test_what_is_plugged_in_again_while_it_still_closes_was_away(monkeypatch):
+    with running("listen://127.0.0.1:0") as (far, at_far):
+        assert at_far.state().open
+        closed = ports.Listener.close
+
+        def in_the_meantime(line: ports.Listener) -> None:
+            closed(line)
+            far.plug(True)
+
+        monkeypatch.setattr(ports.Listener, "close", in_the_meantime)
+        far.plug(False)
+        assert [at_far.state().open, at_far.state().open] == [False, True]
+
+
 def test_a_link_left_behind_by_a_killed_emulator_is_replaced(tmp_path):
     (tmp_path / "robot").symlink_to("/dev/pts/nothing")
     with running(f"pty:{tmp_path}/robot") as (_, heard):
