@@ -15,8 +15,8 @@ pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are com
 EMULATED = ("sim.hardware=emulated", "sim.emulation.laser_model=''", "base_driver.port.device=wired")
 
 STOPS = {
-    "garbage": ("board_silent", "bytes arrive, none make sense: wrong baud rate?"),
-    "half_packets": ("board_silent", "bytes arrive, none make sense: wrong baud rate?"),
+    "garbage": ("board_silent", "bytes arrive, none make sense: check base_driver.port.baud and .device"),
+    "half_packets": ("board_silent", "bytes arrive, none make sense: check base_driver.port.baud and .device"),
     "bad_crc": ("board_silent", "packets arrive, but their checksums are wrong"),
     "stalled": ("board_silent", "no byte arrives"),
     "unplugged": ("port_closed", "unplugged"),

@@ -30,7 +30,7 @@ def test_on_emulated_hardware_the_robot_reaches_its_goal(tmp_path):
 
 LASER_STOPS = {
     "laser_stopped": ("the laser stopped turning", 0.5),
-    "laser_garbage": ("bytes arrive, none make sense: wrong baud rate or model?", 2.5),
+    "laser_garbage": ("bytes arrive, none make sense: check lidar_driver.model and .port.baud", 2.5),
     "laser_stalled": ("no bytes: is the laser powered, and does it turn?", 1.5),
     "laser_unplugged": ("unplugged", 0.5),
 }
