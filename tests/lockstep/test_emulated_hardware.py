@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Board and laser both as bytes on wires: the drivers meet what they meet on the robot."""
 
+import json
 from pathlib import Path
 
 import pytest
 
 from services.sim.hardware.faults import Fault
 from shared import requests
+from shared.recording import Recording
 from shared.requests import Break
 from tests.lockstep.stack import MS, STACK, Stack
 from tests.lockstep.test_board_faults import STOPS
+from zenav.__main__ import _status
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 
@@ -26,6 +29,20 @@ def test_on_emulated_hardware_the_robot_reaches_its_goal(tmp_path):
     stack.until(stack.reached, 30.0)
     assert stack.truth.n_contacts == 0
     assert stack.truth.distance > 5.5
+
+
+@pytest.mark.slow
+def test_the_demo_explores_and_drives_its_goals_on_emulated_hardware(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    command = "demo --lockstep --headless --hardware emulated --world room"
+    assert _status([*command.split(), "--record", "run.mcap"]) == 0
+    (told,) = tmp_path.glob("out/demo-*/summary.json")
+    summary = json.loads(told.read_text())["summary"]
+    assert (summary["goals_reached"], summary["collisions"]) == (summary["goals"], 0)
+    assert summary["explored_share"] > 0.99
+    spoken = {entry.channel.key for entry in Recording(tmp_path / "run.mcap").entries()}
+    assert {f"port/rx/{name}" for name in ("sim", "base_driver", "lidar_driver")} <= spoken
+    assert not {"hardware/board"} & spoken
 
 
 LASER_STOPS = {
