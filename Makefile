@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-docker check fix lock docs recording warm clean
+.PHONY: help venv demo test mutants test-docker check fix lock docs recording warm clean
 
 PYTHON ?=
 JOBS ?= 2
@@ -26,6 +26,9 @@ demo: venv ## the whole stack explores an office and drives to its goals: make d
 
 test: venv ## everything that needs no Docker: make test ARGS="-k planner"
 	@$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup --ignore tests/docker $(ARGS)
+
+mutants: venv ## small changes of kinematics and codec, each of which a test must notice; some minutes
+	@$(BIN)/python -m tests.mutants $(ARGS)
 
 test-docker: venv ## the Compose file on a real engine
 	@$(BIN)/python -m pytest tests/docker -rs $(ARGS)
