@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The reference pages that are made from the code: `python -m zenav.docs` writes them, a test holds them fresh."""
 
+import shared.repeatable  # noqa: F401  # before numpy
+
+# isort: split
 import inspect
 import json
 import sys
