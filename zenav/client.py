@@ -178,7 +178,7 @@ class Client:
         querier = self.session.declare_querier(f"{self.robot}/{request.key}")
         found = threading.Event()
         querier.declare_matching_listener(lambda status: found.set() if status.matching else None)
-        there: Any = querier.matching_status  # its stub says bool, it is an object
+        there: Any = querier.matching_status  # zenoh calls it a bool; it is a MatchingStatus
         return there.matching or found.wait(timeout)
 
     def _listen_key(self, key: str, topic: Topic[M], callback: Callback[M]) -> None:

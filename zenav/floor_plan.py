@@ -84,9 +84,9 @@ def _legend(draw: "ImageDraw", font: object, top: int, scale: float, legs: list[
     for colour, text in rows:
         draw.rectangle((x, top + 12, x + 22, top + 26), fill=colour)
         draw.text((x + 30, top + 19), text, fill="black", font=font, anchor="lm")  # type: ignore[arg-type]  # Pillow's own
-        x += 30 + draw.textlength(text, font=font) + 26  # type: ignore[arg-type]
+        x += 30 + draw.textlength(text, font=font) + 26  # type: ignore[arg-type]  # as above
     draw.line((x, top + 19, x + scale, top + 19), fill="black", width=3)
-    draw.text((x + scale + 8, top + 19), "1 m", fill="black", font=font, anchor="lm")  # type: ignore[arg-type]
+    draw.text((x + scale + 8, top + 19), "1 m", fill="black", font=font, anchor="lm")  # type: ignore[arg-type]  # as above
     goals = (leg.name for leg in legs if leg.pose is not None)
     names = "   ".join(f"{number} {name}" for number, name in enumerate(goals, 1))
-    draw.text((20, top + 47), names, fill="black", font=font, anchor="lm")  # type: ignore[arg-type]
+    draw.text((20, top + 47), names, fill="black", font=font, anchor="lm")  # type: ignore[arg-type]  # as above

@@ -182,7 +182,7 @@ class GuardService(Service):
         yield topics.GUARD(GuardStatus(self.now, *self.told, detail=verdict.detail, speed_limit=verdict.speed_limit))
 
     def _judged(self) -> Verdict:
-        """The velocity for now: the source's, if nothing speaks against it, within limits and field."""
+        """The velocity of this tick: the source's, if nothing speaks against it, within limits and field."""
         situation = self.situation
         situation.now = self.now
         source = situation.source

@@ -9,8 +9,8 @@ from typing import cast
 
 import numpy as np
 
-from services.lidar_driver.device import Bools, Counts, Float64s, Returns, Uint8s, since
-from services.lidar_driver.framing import Framing
+from services.lidar_driver.device import Bools, Float64s, Returns, Uint8s, since
+from services.lidar_driver.streaming import Streaming
 
 LENGTH = 47
 N_BEAMS = 12
@@ -54,31 +54,13 @@ def begins(first: Uint8s, second: Uint8s) -> Bools:
     return cast(Bools, (first == 0x54) & (second == 0x2C))
 
 
-class Ld06:
+class Ld06(Streaming):
     """An LD06 or LD19 on a serial line."""
 
     clockwise = True
 
     def __init__(self, baud: int) -> None:
-        self.counts = Counts()
-        self.byte_time = 10.0 / baud  # s
-        self.trouble = ""
-        self.scanning = True  # by itself
-        self.met = None
-        self.opened(0)
-
-    def opened(self, now: int) -> bytes:
-        self.framing = Framing(LENGTH, begins, sums, self.counts)
-        self.speed: float | None = None
-        self.last_tick: int | None = None
-        self.time = 0.0  # s on the device's clock, unwrapped, of the last packet
-        return b""
-
-    def due(self, now: int) -> bytes:
-        return b""
-
-    def farewell(self) -> bytes:
-        return b""
+        super().__init__(baud, LENGTH, begins, sums)
 
     def received(self, data: bytes, now: int) -> list[Returns]:
         packets, after = self.framing.cut(data)
@@ -89,9 +71,9 @@ class Ld06:
         self.speed = float(speed[-1]) / 360.0
         steps = (last - first) % 36000 / (N_BEAMS - 1)
         turning = (speed > 0) & (steps > 0) & (steps < LONGEST_STEP)
-        elapsed, restarted = since(ticks, self.last_tick, TIME_WRAP, most_back=0)
+        elapsed, restarted = since(ticks, self.last, TIME_WRAP, most_back=0)
         times: Float64s = np.asarray(self.time + elapsed * TICK, np.float64)
-        self.last_tick, self.time = int(ticks[-1]), float(times[-1])
+        self.last, self.time = int(ticks[-1]), float(times[-1])
         if not turning.all():
             after, times, fields = after[turning], times[turning], fields[turning]
             speed, first, steps = speed[turning], first[turning], steps[turning]

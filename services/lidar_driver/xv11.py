@@ -9,8 +9,8 @@ from typing import cast
 
 import numpy as np
 
-from services.lidar_driver.device import Bools, Counts, Returns, Uint8s, steps_of
-from services.lidar_driver.framing import Framing
+from services.lidar_driver.device import Bools, Returns, Uint8s, steps_of
+from services.lidar_driver.streaming import Streaming
 
 LENGTH = 22
 N_PACKETS = 90  # a turn
@@ -39,31 +39,13 @@ def sums(packets: Uint8s) -> Bools:
     return cast(Bools, ((total & 0x7FFF) + (total >> 15)) & 0x7FFF == words[:, 10])
 
 
-class Xv11:
+class Xv11(Streaming):
     """An XV-11 on a serial line."""
 
     clockwise = False
 
     def __init__(self, baud: int) -> None:
-        self.counts = Counts()
-        self.byte_time = 10.0 / baud  # s
-        self.trouble = ""
-        self.scanning = True  # by itself
-        self.met = None
-        self.opened(0)
-
-    def opened(self, now: int) -> bytes:
-        self.framing = Framing(LENGTH, begins, sums, self.counts)
-        self.speed: float | None = None
-        self.last_index: int | None = None
-        self.time = 0.0  # s on the clock that its turning is, at the end of the last packet
-        return b""
-
-    def due(self, now: int) -> bytes:
-        return b""
-
-    def farewell(self) -> bytes:
-        return b""
+        super().__init__(baud, LENGTH, begins, sums)
 
     def received(self, data: bytes, now: int) -> list[Returns]:
         packets, after = self.framing.cut(data)
@@ -76,9 +58,9 @@ class Xv11:
         slow = rpm[-1] < LEAST_RPM
         self.trouble = f"the laser turns too slowly: {rpm[-1]:.0f} rpm, it needs {LEAST_RPM:.0f}" if slow else ""
         durations = 60 / N_PACKETS / np.maximum(rpm, LEAST_RPM / 6)
-        since_last = steps_of(index, int(index[0]) - 1 if self.last_index is None else self.last_index)
+        since_last = steps_of(index, int(index[0]) - 1 if self.last is None else self.last)
         ends = self.time + np.cumsum(((since_last - 1) % N_PACKETS + 1) * durations)
-        self.last_index, self.time = int(index[-1]), float(ends[-1])
+        self.last, self.time = int(index[-1]), float(ends[-1])
         beams = fields["beams"].ravel()
         words = beams["mm"]
         mm = words & 0x3FFF

@@ -50,7 +50,7 @@ def candidates(points: Float64s, map_: PointMap, centre: Pose2, config: SearchCo
 
 
 @njit(cache=True, nogil=True)
-def window_scores(  # type: ignore[no-untyped-def]
+def window_scores(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     source, centre, n_steps, n_turns, step, turn_step, points, following, keys, heads
 ):
     """(2 n_steps + 1, 2 n_steps + 1, 2 n_turns + 1) float64: mean over beams of 1 at a map point .. 0 at 2 steps."""

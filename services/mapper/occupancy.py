@@ -191,7 +191,7 @@ def _within(origins: Float64s, ends: Float64s, range_max: float) -> Float64s:
 
 
 @njit(cache=True, nogil=True)
-def _draw(  # type: ignore[no-untyped-def]
+def _draw(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     origins,
     ends,
     silent,
@@ -246,7 +246,7 @@ def _draw(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _add(  # type: ignore[no-untyped-def]
+def _add(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     row, column, amount, directory, row0, column0, n_tiles, scan, lowest, highest, odds, seen, dirty
 ):
     i, j = (row >> 6) - row0, (column >> 6) - column0
@@ -266,7 +266,7 @@ def _add(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _free(points, resolution, directory, row0, column0, limit, around, odds):  # type: ignore[no-untyped-def]
+def _free(points, resolution, directory, row0, column0, limit, around, odds):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     free = np.zeros(len(points), np.bool_)
     for k in range(len(points)):
         column, row = int(np.floor(points[k, 0] / resolution)), int(np.floor(points[k, 1] / resolution))
@@ -283,7 +283,7 @@ def _free(points, resolution, directory, row0, column0, limit, around, odds):  #
 
 
 @njit(cache=True, nogil=True)
-def _crossing(origins, ends, resolution, directory, row0, column0, limit, odds):  # type: ignore[no-untyped-def]
+def _crossing(origins, ends, resolution, directory, row0, column0, limit, odds):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     crossing = np.zeros(len(ends), np.bool_)
     for k in range(len(ends)):
         dx, dy = ends[k, 0] - origins[k, 0], ends[k, 1] - origins[k, 1]

@@ -54,7 +54,7 @@ class PointMap:
 
 
 @njit(cache=True, nogil=True)
-def slot_of(keys, ix, iy):  # type: ignore[no-untyped-def]  # -> index of the cell in keys, or of the place where it would be
+def slot_of(keys, ix, iy):  # type: ignore[no-untyped-def]  # compiled; -> index of the cell in keys, or of the place where it would be
     """Linear probing; the mask works because the length is a power of two."""
     key = (np.int64(ix) << 32) ^ (np.int64(iy) & np.int64(0xFFFFFFFF))
     mask = np.int64(len(keys) - 1)
@@ -66,7 +66,7 @@ def slot_of(keys, ix, iy):  # type: ignore[no-untyped-def]  # -> index of the ce
 
 
 @njit(cache=True, nogil=True)
-def _rehash(keys, heads, new_keys, new_heads):  # type: ignore[no-untyped-def]
+def _rehash(keys, heads, new_keys, new_heads):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     for i in range(len(keys)):
         if keys[i] != EMPTY:
             low = keys[i] & np.int64(0xFFFFFFFF)
@@ -77,7 +77,7 @@ def _rehash(keys, heads, new_keys, new_heads):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def nearest(x, y, nx, ny, gate, points, following, keys, heads):  # type: ignore[no-untyped-def]
+def nearest(x, y, nx, ny, gate, points, following, keys, heads):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     """Index of the nearest point within `gate` (m) whose normal does not contradict, and its squared distance; or -1.
 
     Looks ring by ring, and stops when no farther ring can hold a nearer one.
@@ -110,7 +110,7 @@ def nearest(x, y, nx, ny, gate, points, following, keys, heads):  # type: ignore
 
 
 @njit(cache=True, nogil=True)
-def _insert(  # type: ignore[no-untyped-def]
+def _insert(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     new, normals, spacing, points, weights, following, keys, heads, n, n_cells
 ):
     for k in range(len(new)):

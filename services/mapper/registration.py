@@ -212,7 +212,7 @@ def _matrix(pose: Pose2) -> Float64s:
 
 
 @njit(cache=True, nogil=True)
-def _normal_equations(  # type: ignore[no-untyped-def]
+def _normal_equations(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     source, directions, pose, gate, kernel, agrees, agree, hessian, gradient, points, following, keys, heads
 ):
     """Sums J'wJ and J'wr over all matches at a pose, unscaled; marks the points that agree.
@@ -266,7 +266,7 @@ def _normal_equations(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _aligned(  # type: ignore[no-untyped-def]
+def _aligned(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     source, directions, start, prior, sigma, sigma_turn, gate, final_gate, kernel, noise, iterations,
     points, following, keys, heads,
 ):  # fmt: skip
@@ -296,7 +296,7 @@ def _aligned(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _measured(  # type: ignore[no-untyped-def]
+def _measured(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     source, directions, pose, gate, kernel, noise, agrees, points, following, keys, heads
 ):
     hessian, gradient = np.zeros((3, 3)), np.zeros(3)
@@ -308,7 +308,7 @@ def _measured(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _solved(a, b):  # type: ignore[no-untyped-def]  # (3, 3) symmetric positive definite, (3,) -> (3,), by Cramer's rule
+def _solved(a, b):  # type: ignore[no-untyped-def]  # compiled; (3, 3) symmetric positive definite, (3,) -> (3,), by Cramer's rule
     c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
     c01 = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
     c02 = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]

@@ -22,7 +22,7 @@ FLAT = 0.04  # m, largest rms distance from the fitted line
 
 
 @njit(cache=True, nogil=True)
-def sweep_usable(origins, ends):  # type: ignore[no-untyped-def]  # (n, 2), (n, 2) -> (n,) bool
+def sweep_usable(origins, ends):  # type: ignore[no-untyped-def]  # compiled; (n, 2), (n, 2) -> (n,) bool
     """Which beams measured a point that can be found again: not those that graze a surface, far from their neighbours.
 
     Down a corridor they fall on other spots of its walls each time; taken for points, they would hold the robot back.
@@ -53,7 +53,7 @@ def sweep_usable(origins, ends):  # type: ignore[no-untyped-def]  # (n, 2), (n, 
 
 
 @njit(cache=True, nogil=True)
-def sweep_normals(origins, ends):  # type: ignore[no-untyped-def]  # (n, 2), (n, 2) -> (n, 2) float64
+def sweep_normals(origins, ends):  # type: ignore[no-untyped-def]  # compiled; (n, 2), (n, 2) -> (n, 2) float64
     """Unit normals towards the laser, (0, 0) where no line fits: total least squares over beams without a gap.
 
     origins, ends: (n, 2) m, ends NaN without an echo. A gap is a step that is longer than a surface seen at 85 degrees
@@ -92,7 +92,7 @@ def sweep_normals(origins, ends):  # type: ignore[no-untyped-def]  # (n, 2), (n,
 
 
 @njit(cache=True, nogil=True)
-def _neighbours(i, reach, ends, steps):  # type: ignore[no-untyped-def]  # -> first and last beam of the surface about i
+def _neighbours(i, reach, ends, steps):  # type: ignore[no-untyped-def]  # compiled; -> first and last beam of the surface about i
     low = high = i
     before = after = min(steps[i - 1] if i > 0 else inf, steps[i])
     while low > 0 and _even(steps[low - 1], before):
@@ -111,12 +111,12 @@ def _neighbours(i, reach, ends, steps):  # type: ignore[no-untyped-def]  # -> fi
 
 
 @njit(cache=True, nogil=True)
-def _even(step, beside):  # type: ignore[no-untyped-def]  # m, m -> bool
+def _even(step, beside):  # type: ignore[no-untyped-def]  # compiled; m, m -> bool
     return step < inf and step <= 3.0 * beside + 0.03 and beside <= 3.0 * step + 0.03
 
 
 @njit(cache=True, nogil=True)
-def _line(points):  # type: ignore[no-untyped-def]  # (n, 2) -> nx, ny, rms across, rms along
+def _line(points):  # type: ignore[no-untyped-def]  # compiled; (n, 2) -> nx, ny, rms across, rms along
     n = len(points)
     mx = my = 0.0
     for i in range(n):
@@ -145,7 +145,7 @@ def _line(points):  # type: ignore[no-untyped-def]  # (n, 2) -> nx, ny, rms acro
 
 
 @njit(cache=True, nogil=True)
-def grid_surface(occupied, free, x0, y0, resolution):  # type: ignore[no-untyped-def]
+def grid_surface(occupied, free, x0, y0, resolution):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     """Points and normals of the surfaces of a grid: (n, 2) m and (n, 2), normals towards free space or (0, 0).
 
     occupied, free: (h, w) bool, row 0 at y0.  A surface cell is occupied and touches a free one. Its point is moved

@@ -38,7 +38,7 @@ class ExplorationConfig(Section):
     max_recoveries: int = Field(2, ge=0, le=10, description="recoveries for one frontier, until another is tried")
     settle_time: float = Field(3.0, ge=0, le=60, description="s without a frontier until exploring ends")
     blocked_time: float = Field(
-        10.0, ge=0, le=300, description="the same, s, where a way to some may only be blocked for now"
+        10.0, ge=0, le=300, description="the same, s, where a way to some may be blocked by what moves"
     )
     tolerance: float = Field(0.3, ge=0.05, le=2, description="m to the place that a frontier is looked at from")
 

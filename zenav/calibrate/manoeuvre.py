@@ -98,41 +98,45 @@ def ready() -> Manoeuvre[Seen]:
     return seen
 
 
+def asked(ask: Ask, patience: Patience) -> Manoeuvre[Odometry]:
+    """Asks it once, then stands until there is odometry, and returns that."""
+    seen = yield ask
+    patience.check(seen)
+    while seen.odom is None:
+        seen = yield Ask()
+        patience.check(seen)
+    return seen.odom
+
+
 def turn_to(yaw: float, rate: float, drive: Drive, start: Pose2) -> Manoeuvre[None]:
     """Turns on the spot to a heading by odometry, seen from `start` (odom_from_start), the short way round."""
     patience = Patience(3 * pi / rate + 10)
-    seen = yield Ask()
+    ask = Ask()
     while True:
-        patience.check(seen)
-        if seen.odom is None:
-            seen = yield Ask()
-            continue
-        left = wrapped(yaw - (start.inverse() @ seen.odom.odom_from_base).yaw)
-        ahead = left - seen.odom.w * BEHIND
-        if abs(left) < NEAR_TURN and abs(seen.odom.w) < CREEP_TURN / 2:
+        odom = yield from asked(ask, patience)
+        left = wrapped(yaw - (start.inverse() @ odom.odom_from_base).yaw)
+        ahead = left - odom.w * BEHIND
+        if abs(left) < NEAR_TURN and abs(odom.w) < CREEP_TURN / 2:
             return
         w = min(rate, sqrt(2 * GENTLE * drive.max_turn_acceleration * abs(ahead)), 2.5 * abs(ahead))
         w = max(w, CREEP_TURN) if abs(left) >= NEAR_TURN else 0.0
-        seen = yield Ask(0.0, copysign(w, ahead))
+        ask = Ask(0.0, copysign(w, ahead))
 
 
 def line_to(a: Pose2, length: float, speed: float, drive: Drive, start: Pose2) -> Manoeuvre[None]:
     """Drives along a line by odometry: from `a` (start_from_a), ahead by `length` m."""
     patience = Patience(3 * length / speed + 10)
-    seen = yield Ask()
+    ask = Ask()
     while True:
-        patience.check(seen)
-        if seen.odom is None:
-            seen = yield Ask()
-            continue
-        here = (start @ a).inverse() @ seen.odom.odom_from_base
-        left = length - here.x - seen.odom.v * BEHIND
+        odom = yield from asked(ask, patience)
+        here = (start @ a).inverse() @ odom.odom_from_base
+        left = length - here.x - odom.v * BEHIND
         if left < NEAR:
             return
         v = max(min(speed, sqrt(2 * GENTLE * drive.max_braking * left), 2.5 * left), CREEP)
         # to the line, within half a metre of way: a slow S, no corner
         w = -v * (here.y * 8.0 + wrapped(here.yaw) * 4.0)
-        seen = yield Ask(v, max(-0.5, min(0.5, w)))
+        ask = Ask(v, max(-0.5, min(0.5, w)))
 
 
 def square(side: float, clockwise: bool, speed: float, rate: float, drive: Drive) -> Manoeuvre[None]:
