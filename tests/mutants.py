@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Does a test fail for every small change of the code that decides where wheels turn and bytes go? `make mutants`.
+
+cosmic-ray makes the mutants; each is imported in place of its module by a process of its own, that runs the module's
+unit tests. Nothing is written: the checkout stays as it is. A mutant is killed when a test fails or time runs out.
+Those that change nothing that anybody could see are listed in mutants.toml, each with its reason; a listed one that
+is killed, or that is none any more, is as much a failure as one that survives.
+
+    make mutants ARGS="codec odometry"      only files with these words in their path
+"""
+
+import difflib
+import importlib.util
+import multiprocessing
+import os
+import resource
+import sys
+import tomllib
+import warnings
+from collections.abc import Iterator, Sequence
+from importlib.machinery import ModuleSpec, SourceFileLoader
+from pathlib import Path
+from time import monotonic
+from types import CodeType
+from typing import Any, NamedTuple
+
+import shared.repeatable  # noqa: F401  # before numpy
+
+# isort: split
+# what every mutant's process needs is imported once, here; nothing of the code under test
+import hypothesis.extra.numpy
+import msgpack  # noqa: F401
+import numba
+import pydantic  # noqa: F401
+import pytest
+from cosmic_ray.ast import Visitor, ast_nodes, get_ast
+from cosmic_ray.operators.provider import OperatorProvider
+
+numba.config.DISABLE_JIT = True  # a kernel is mutated as the Python that it is
+
+ROOT = Path(__file__).resolve().parent.parent
+LISTED = Path(__file__).with_suffix(".toml")
+DRIVER, ODOMETRY = "tests/unit/services/base_driver", "tests/unit/services/odometry"
+TESTS: dict[str, Sequence[str]] = {
+    "services/base_driver/kinematics.py": [f"{DRIVER}/test_kinematics.py"],
+    "services/base_driver/encoders.py": [f"{DRIVER}/test_encoders.py"],
+    "services/base_driver/drrobot.py": [f"{DRIVER}/test_drrobot.py"],
+    "services/odometry/dead_reckoning.py": [f"{ODOMETRY}/test_dead_reckoning.py"],
+    "shared/drrobot.py": ["tests/unit/shared/test_drrobot.py"],
+    "shared/codec.py": ["tests/unit/test_codec.py"],
+}
+LEAST_SECONDS = 5.0  # that a mutant's tests may take; twice what the unchanged code's take, where that is more
+LARGEST_MEMORY = 4 << 30
+
+
+class Change(NamedTuple):
+    """A mutant by what differs: the lines as they were and as they are, without indentation."""
+
+    file: str
+    was: str
+    now: str
+
+
+class Mutation(Visitor):
+    """Applies an operator where it applies for the n-th time."""
+
+    def __init__(self, operator: Any, n: int) -> None:
+        self.operator, self.n = operator, n
+
+    def visit(self, node: Any) -> Any:
+        for i, _ in enumerate(self.operator.mutation_positions(node)):
+            self.n -= 1
+            if self.n == -1:
+                return self.operator.mutate(node, i)
+        return node
+
+
+def mutants(file: str, source: str) -> Iterator[tuple[Change, str]]:
+    """Every mutant that cosmic-ray's operators make, and its whole source."""
+    provider = OperatorProvider()
+    for kind in [provider[name] for name in provider]:
+        if kind.arguments():  # one that has to be told which variables to mix up
+            continue
+        operator, nodes = kind(), ast_nodes(get_ast(source))
+        for n in range(sum(len(list(operator.mutation_positions(node))) for node in nodes)):
+            mutated = Mutation(operator, n).walk(get_ast(source)).get_code()
+            lines = list(difflib.ndiff(source.splitlines(), mutated.splitlines()))
+            was, now = ("\n".join(line[2:].strip() for line in lines if line[0] == sign) for sign in "-+")
+            yield Change(file, was, now), mutated
+
+
+class InPlace(SourceFileLoader):
+    """Finds and loads one module from a text instead of its file."""
+
+    def __init__(self, file: str, source: str) -> None:
+        super().__init__(file.removesuffix(".py").replace("/", "."), str(ROOT / file))
+        self.source = source
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        return importlib.util.spec_from_file_location(name, self.path, loader=self) if name == self.name else None
+
+    def get_code(self, fullname: str) -> CodeType:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # `is` beside a text is a mutant for the tests, not for the compiler
+            return compile(self.source, self.path, "exec")
+
+
+def tested(file: str, source: str) -> None:
+    """In a process of its own: the file's tests, with this source in place of the file's; its status is theirs."""
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, 1)
+    os.dup2(nothing, 2)
+    resource.setrlimit(resource.RLIMIT_AS, (LARGEST_MEMORY, LARGEST_MEMORY))
+    sys.meta_path.insert(0, InPlace(file, source))  # type: ignore[arg-type]  # it finds, and it loads
+    options = "-x -p no:cacheprovider -p no:xdist -W ignore::pytest.PytestAssertRewriteWarning".split()
+    os._exit(pytest.main([*options, *TESTS[file]]))
+
+
+def passes(file: str, source: str, seconds: float | None = None) -> bool:
+    """Whether the file's tests pass with this source, within so many seconds."""
+    process = multiprocessing.get_context("fork").Process(target=tested, args=(file, source))
+    process.start()
+    process.join(seconds)
+    process.kill()
+    process.join()
+    return process.exitcode == 0
+
+
+def judged(file: str, listed: dict[Change, str]) -> bool:
+    """Whether each of the file's mutants is killed, or listed; prints those that are not."""
+    source, begun = (ROOT / file).read_text(encoding="utf-8"), monotonic()
+    if not passes(file, source):
+        print(f"{file}: its tests fail without any change: {' '.join(TESTS[file])}")
+        return False
+    limit = max(LEAST_SECONDS, 2 * (monotonic() - begun))
+    alive, killed, n = set(), set(), 0
+    for change, mutated in mutants(file, source):
+        n += 1
+        if not passes(file, mutated, limit):
+            killed.add(change)
+            continue
+        alive.add(change)
+        if change not in listed:
+            print(f"{file}: survives\n    - {change.was}\n    + {change.now}", flush=True)
+    stale = [change for change in listed if change.file == file and (change in killed or change not in alive)]
+    for change in stale:
+        print(f"{file}: listed, and {'killed' if change in killed else 'no mutant'}\n    + {change.now}")
+    print(f"{file}: {n} mutants, {len(alive - set(listed))} survive, {monotonic() - begun:.0f} s", flush=True)
+    return alive <= set(listed) and not stale
+
+
+def main(words: list[str]) -> int:
+    rows = tomllib.loads(LISTED.read_text(encoding="utf-8"))["equivalent"]
+    listed = {Change(row["file"], row["was"], row["now"]): row["why"] for row in rows}
+    files = [file for file in TESTS if not words or any(word in file for word in words)]
+    return 0 if all([judged(file, listed) for file in files]) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
