@@ -95,9 +95,9 @@ def _signed(speed: int, forward: int) -> int:
 def infrared_metres(reading: int) -> float:
     """The distance that an infrared sensor's A/D reading means; INFRARED_NOTHING where it sees nothing."""
     volts_above = reading * 3 / 4096 - 0.17
-    centimetres = 21.6 / volts_above if volts_above > 0 else 1e9
-    if centimetres > 80:
+    if 80 * volts_above < 21.6:  # farther than 80 cm
         return INFRARED_NOTHING
+    centimetres = 21.6 / volts_above
     return 0.09 if centimetres < 10 else centimetres / 100
 
 
