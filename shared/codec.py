@@ -9,11 +9,11 @@ import hashlib
 import json
 import struct
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, fields
 from enum import StrEnum
 from functools import cache
 from math import isfinite, isnan
-from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
+from typing import Any, NamedTuple, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import msgpack
 import numpy as np
@@ -40,8 +40,7 @@ class CodecError(ValueError):
     """The bytes are not a valid message of this type; the text says which field and why."""
 
 
-@dataclass(frozen=True, slots=True)
-class Envelope:
+class Envelope(NamedTuple):
     """Who sent a message and when: `sent` ns on the stack's clock, `sequence` from 0 per key and session."""
 
     publisher: str
@@ -58,8 +57,7 @@ def _once_per_class(function: F) -> F:
     return cast(F, cache(function))
 
 
-@dataclass(frozen=True, slots=True)
-class Field:
+class Field(NamedTuple):
     """One field as declared: its plain type and its marks."""
 
     name: str

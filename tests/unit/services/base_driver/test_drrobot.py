@@ -154,6 +154,7 @@ def test_any_packet_is_survived_and_more_bytes_than_expected_change_nothing(kind
 )
 def test_a_packet_that_is_too_short_says_nothing(kind, least, what):
     assert isinstance(said(Packet(kind, bytes(least))), what)
+    assert said(Packet(kind, bytes(least + 1))) == said(Packet(kind, bytes(least)))
     assert said(Packet(kind, bytes(least - 1))) is None
     assert said(Packet(0x42, bytes(200))) is None
 
