@@ -293,6 +293,8 @@ def test_valid_to_the_last_value(changes):
         ({"ranges": b""}, "ranges: not an array"),
         ({"ranges": "a" * 24}, "ranges: not an array"),
         ({"ranges": array(1, [1], bytes(8))}, "ranges: not a float32 array"),
+        ({"ranges": array(2, [8], bytes(8))}, "ranges: not a float32 array"),
+        ({"ranges": array(4, [2], bytes(8))}, "ranges: not a float32 array"),
         ({"ranges": array(5, [2], bytes(8))}, "ranges: not a float32 array"),
         ({"points": array(1, [4], bytes(32))}, "points: 1 axes, not 2"),
         ({"points": array(1, [2, 1], bytes(16))}, "points: 1 long, not 2"),
