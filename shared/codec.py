@@ -205,8 +205,6 @@ def _packer(kind: Any) -> Callable[[Any], Any] | None:
             return None if pack is None else lambda values: tuple(pack(v) for v in values)
         packs = [_packer(_plain(k)) for k in inner]
         return lambda values: tuple(v if p is None else p(v) for p, v in zip(packs, values, strict=True))
-    if isinstance(kind, type) and issubclass(kind, StrEnum):
-        return str
     if isinstance(kind, type) and issubclass(kind, Message):
         packers = _packers(kind)
         return lambda m: {n: getattr(m, n) if p is None else p(getattr(m, n)) for n, p, _ in packers}

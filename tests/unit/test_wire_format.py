@@ -56,6 +56,19 @@ class Everything(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class Label(Message):
+    at: Pose2
+    text: str
+    words: tuple[str]
+    corners: tuple[Annotated[float, Within(0, 1)], str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Labelled(Message):
+    label: Label
+
+
+@dataclass(frozen=True, slots=True)
 class Refined(Message):
     speed: Annotated[Annotated[float, Unit("m/s"), Within(-9, 9)], Within(-1, 1)]
 
@@ -144,6 +157,17 @@ def test_the_bytes_that_are_described_are_the_message():
             np.testing.assert_array_equal(value, expected)
         else:
             assert value == expected
+
+
+def test_what_is_in_a_message_s_message_goes_there_and_back():
+    message = Labelled(1, Label(2, Pose2(1.0, 2.0, 3.0), "a", ("b",), (0.5, "c", 7.0)))
+    payload = encode(message, ENVELOPE)
+    inner = {"stamp": 2, "at": [1.0, 2.0, 3.0], "text": "a", "words": ["b"], "corners": [0.5, "c", 7.0]}
+    assert msgpack.unpackb(payload) == {"@": TREE["@"], "stamp": 1, "label": inner}
+    assert decode(Labelled, payload) == (message, ENVELOPE)
+    for wrong in ({"words": []}, {"words": ["b", "c"]}, {"corners": [0.5, "c"]}, {"corners": [0.5, 7.0, "c"]}):
+        with pytest.raises(CodecError):
+            decode(Labelled, msgpack.packb({"@": TREE["@"], "stamp": 1, "label": {**inner, **wrong}}))
 
 
 def test_what_has_a_default_may_be_missing():
