@@ -188,7 +188,7 @@ def _packers(type_: type[Message]) -> tuple[tuple[str, Callable[[Any], Any] | No
 def _packer(kind: Any) -> Callable[[Any], Any] | None:
     """How a value goes into the msgpack tree; None: as it is."""
     if get_origin(kind) is np.ndarray:
-        dtype = np.dtype(get_args(get_args(kind)[1])[0]).newbyteorder("<")
+        dtype = _dtype(kind)
         return lambda array: _packed_array(array, dtype)
     if kind is Pose2:
         return lambda pose: (float(pose.x), float(pose.y), float(pose.yaw))
@@ -209,6 +209,13 @@ def _packer(kind: Any) -> Callable[[Any], Any] | None:
         packers = _packers(kind)
         return lambda m: {n: getattr(m, n) if p is None else p(getattr(m, n)) for n, p, _ in packers}
     return None
+
+
+def _dtype(kind: Any) -> np.dtype[Any]:
+    """Of an NDArray[...], as it is sent."""
+    _, dtype = get_args(kind)
+    (scalar,) = get_args(dtype)
+    return cast(np.dtype[Any], np.dtype(scalar).newbyteorder("<"))
 
 
 def _packed_array(array: Any, dtype: np.dtype[Any]) -> bytes:
@@ -234,7 +241,7 @@ def _plain(kind: Any) -> Any:
 def _checker(kind: Any, within: Within | None, nonzero: bool) -> Check:
     """Turns a decoded msgpack value into the field's value, or raises CodecError."""
     if get_origin(kind) is np.ndarray:
-        dtype = np.dtype(get_args(get_args(kind)[1])[0]).newbyteorder("<")
+        dtype = _dtype(kind)
         return lambda value: _array(value, dtype, within)
     if kind is Pose2:
         return _pose
@@ -385,7 +392,7 @@ def schema_id(type_: type[Message]) -> str:
 
 def _type_name(kind: Any) -> str:
     if get_origin(kind) is np.ndarray:
-        return f"{np.dtype(get_args(get_args(kind)[1])[0]).name}[]"
+        return f"{_dtype(kind).name}[]"
     if get_origin(kind) is tuple:
         return f"[{', '.join('...' if k is Ellipsis else _type_name(_plain(k)) for k in get_args(kind))}]"
     return str(getattr(kind, "__name__", kind))

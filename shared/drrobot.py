@@ -148,7 +148,7 @@ class Deframer:
         """The packets that are whole with these bytes."""
         self.n_bytes += len(data)
         data = self._kept + data
-        starts = np.empty(len(data) // OVERHEAD, np.int64)
+        starts = np.empty(len(data), np.int64)  # more than there can be
         n, used, n_bad, n_resyncs, self._lost = _packets_in(
             np.frombuffer(data, np.uint8), self._dest, self._lost, starts
         )

@@ -94,7 +94,7 @@ def mutants(file: str, source: str) -> Iterator[tuple[Change, str]]:
         for n in range(sum(len(list(operator.mutation_positions(node))) for node in nodes)):
             mutated = Mutation(operator, n).walk(get_ast(source)).get_code()
             lines = list(difflib.ndiff(source.splitlines(), mutated.splitlines()))
-            was, now = ("\n".join(line[2:].strip() for line in lines if line[0] == sign) for sign in "-+")
+            was, now = ("\n".join(line[2:].strip() for line in lines if line[0] == sign).strip() for sign in "-+")
             yield Change(file, was, now), mutated
 
 

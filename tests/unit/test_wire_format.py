@@ -174,6 +174,7 @@ def test_what_has_a_default_may_be_missing():
     message = decoded(late=...)
     assert message.late == 4
     assert (message.extra.dtype, message.extra.shape) == (np.float32, (0,))
+    assert decoded(late=..., extra=f4(0.5)).extra == [0.5], "what comes after it is read"
 
 
 @pytest.mark.parametrize("n", [1, 2])
