@@ -50,7 +50,9 @@ class MapperService(Service):
         super().__init__(config, robot)
         self.config: MapperConfig = config
         self.track = OdometryTrack(config.odometry, robot.drive)
-        self.front_end = FrontEnd(config.front_end, config.registration, config.search, robot.laser.range_max)
+        self.front_end = FrontEnd(
+            config.front_end, config.registration, config.search, config.occupancy, robot.laser.range_max
+        )
         self.grid = Occupancy(config.occupancy, 0)
         self.pending: tuple[int, LaserScan] | None = None  # when it came, and the scan
         self.last_end = -1  # ns, end of the last scan that was placed
@@ -78,7 +80,7 @@ class MapperService(Service):
             other.front_end.searches_next = True
         beams = np.zeros((laser.n_beams, 2))
         other.grid.contradicts(beams, beams)
-        other.front_end.registrar.extend(
+        other.front_end.window.active.registrar.extend(
             np.ascontiguousarray(0.3 * np.argwhere(np.ones((60, 60)))), np.zeros((3600, 2))
         )  # until it grows
         list(other.publish_map())
@@ -162,7 +164,7 @@ class MapperService(Service):
             return Reply(self.now, False, BAD_REQUEST.code, "the map holds no occupied cell to find the robot by")
         self.grid = Occupancy(self.config.occupancy, max(self.now, self.grid.map_id + 1))
         self.grid.load(request.map)
-        self.front_end.load(grid, request.map_from_base)
+        self.front_end.load(grid, request.map, request.map_from_base)
         self.pending = None
         self.velocity = Pose2()
         update = self.grid.update(self.now)
@@ -181,7 +183,7 @@ class MapperService(Service):
             self.grid = Occupancy(self.config.occupancy, update.map_id)
             self.grid.load(update)
             self.grid.version = update.version
-            self.front_end.load(grid, estimate.map_from_base)
+            self.front_end.load(grid, update, estimate.map_from_base)
             self.tracked, self.last_end, self.velocity = None, -1, Pose2()
             yield Log("INFO", f"going on with the map from before the restart: {len(update.rows)} tiles")
 
@@ -193,7 +195,7 @@ class MapperService(Service):
         guess = before.map_from_odom @ self.track.odom_from_start(end) @ self.track.at(end)
         farthest = self.robot.drive.max_speed * max(end - before.stamp, 0) / SECOND + 0.5
         if guess.distance(before.map_from_base) <= farthest:
-            self.front_end.map_from_base = guess
+            self.front_end.local_from_base = guess
             self.front_end.other_starts = [before.map_from_base]
 
     def _drop(self, why: str) -> Out:
@@ -216,12 +218,12 @@ class MapperService(Service):
         origins, ends = deskewed(scan, self.robot.laser.mount, times, motion)
         if self.tracked is None and not self.grid.places:
             self.grid = Occupancy(self.config.occupancy, max(self.now, 1))
-        before = self.front_end.map_from_base
-        tracked = self.front_end.track(origins, ends, step, self.config.blind_doubt if self.blind else 1.0, self.grid)
-        moved = before.inverse() @ tracked.map_from_base
+        before = self.front_end.local_from_base
+        tracked = self.front_end.track(origins, ends, step, self.config.blind_doubt if self.blind else 1.0)
+        moved = before.inverse() @ tracked.local_from_base
         self.velocity = _scaled(moved, 1 / seconds) if 0.02 <= seconds <= 1 else Pose2()
         if tracked.trusted:
-            pose = tracked.map_from_base
+            pose = tracked.local_from_base
             self.grid.integrate(pose @ origins, pose @ ends, self._silent(scan, origins, ends))
         self.last_end, self.tracked = end, tracked
         yield topics.POSE(self._estimate(end, tracked))
@@ -251,7 +253,7 @@ class MapperService(Service):
             angles = self.robot.laser.mount.yaw + scan.angle_min + scan.angle_increment * np.flatnonzero(none)
             reach = share * min(scan.range_max, self.config.occupancy.range_max)
             tips = origins[none] + reach * np.column_stack((np.cos(angles), np.sin(angles)))
-            out[none] = self.front_end.map_from_base @ tips
+            out[none] = self.front_end.local_from_base @ tips
         return out
 
     def _estimate(self, end: int, tracked: Tracked) -> PoseEstimate:
@@ -261,8 +263,8 @@ class MapperService(Service):
             odom_from_base = Pose2()
         return PoseEstimate(
             end,
-            tracked.map_from_base,
-            tracked.map_from_base @ odom_from_base.inverse(),
+            tracked.local_from_base,
+            tracked.local_from_base @ odom_from_base.inverse(),
             np.clip(tracked.covariance, -1e12, 1e12).reshape(9),
             tracked.quality,
             tracked.state,
