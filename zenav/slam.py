@@ -4,6 +4,7 @@
 import json
 from bisect import bisect_right
 from collections.abc import Callable
+from dataclasses import replace
 from math import cos, sin
 from pathlib import Path
 from time import process_time
@@ -14,11 +15,11 @@ from numpy.typing import NDArray
 
 from services.mapper.service import MapperConfig, MapperService
 from shared.config import Drive, Laser, Mount, Robot, UserError
-from shared.geometry import interpolated
+from shared.geometry import Pose2, interpolated
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
 from shared.ros_map import replace_file, write_ros_map
-from shared.service import Out
+from shared.service import Job, Out
 from shared.topics import Publication
 from zenav.convert.carmen import LoggedPose, LoggedScan, read_carmen
 
@@ -36,16 +37,36 @@ class Run:
         self.mapper = MapperService(config, robot)
         self.grid = OccupancyGrid()
         self.estimates: list[PoseEstimate] = []
+        self.places: list[Pose2] = []  # of the estimates, in the front end's frame
         self.logs: list[str] = []
 
     def take(self, out: Out | None) -> None:
         for item in out or ():
-            if not isinstance(item, Publication):
+            if isinstance(item, Job):
+                self.take(getattr(self.mapper, item.done)(item.function(*item.arguments)))
+            elif not isinstance(item, Publication):
                 self.logs.append(getattr(item, "text", ""))
             elif isinstance(item.message, PoseEstimate):
                 self.estimates.append(item.message)
+                self.places.append(self.mapper.front_end.local_from_base)
             elif isinstance(item.message, MapUpdate):
                 self.grid.apply(item.message)
+
+    def corrected(self) -> list[PoseEstimate]:
+        """The estimates, by what is known at the end."""
+        corrections = self.mapper.back_end.corrections()
+        if not corrections:
+            return self.estimates
+        stamps = [keyframe.stamp for keyframe in self.mapper.back_end.keyframes]
+        found = []
+        for estimate, place in zip(self.estimates, self.places):
+            k = min(max(bisect_right(stamps, estimate.stamp) - 1, 0), len(stamps) - 1)
+            after = min(k + 1, len(stamps) - 1)
+            share = (estimate.stamp - stamps[k]) / max(stamps[after] - stamps[k], 1)
+            pose = interpolated(corrections[k] @ place, corrections[after] @ place, min(max(share, 0.0), 1.0))
+            odom_from_base = estimate.map_from_odom.inverse() @ estimate.map_from_base
+            found.append(replace(estimate, map_from_base=pose, map_from_odom=pose @ odom_from_base.inverse()))
+        return found
 
 
 def slam(
@@ -71,7 +92,7 @@ def slam(
     run.mapper.warm()
     first = min(record.stamp for record in read.records)
     times = _feed(run, read.records, first, progress)
-    stamps, poses = trajectory(read.records, run.estimates, first)
+    stamps, poses = trajectory(read.records, run.corrected(), first)
     replace_file(out / "trajectory.tum", tum(stamps, poses).encode())
     write_ros_map(out, run.grid.cells, run.grid.resolution, run.grid.x0, run.grid.y0)
     from zenav.picture import map_picture

@@ -167,7 +167,9 @@ class FrontEnd:
         if best.quality < self.search.below or self.searches_next:
             starts = [prior.map_from_base, *self.other_starts]
             self.searches_next, self.other_starts = False, []
-            guesses = [g for s in starts for g in candidates(sweep.points, self.window.active.registrar.map, s, self.search)]
+            guesses = [
+                g for s in starts for g in candidates(sweep.points, self.window.active.registrar.map, s, self.search)
+            ]
             best = self._better(best, sweep, guesses, unsure)
         return best
 

@@ -108,6 +108,19 @@ class Occupancy:
             self.dirty[i] = True
         self.n_scans = 1
 
+    def become(self, other: "Occupancy") -> None:
+        """Takes another drawing of the same place; the next update tells what is different."""
+        for place in other.places:
+            self._grow(1)
+            self.places.setdefault(place, len(self.places))
+        for place, i in self.places.items():
+            k = other.places.get(place)
+            self.odds[i] = 0.0 if k is None else other.odds[k]
+            self.seen[i] = 0 if k is None else other.seen[k]
+        self.dirty[: len(self.places)] = True
+        self.n_scans = other.n_scans
+        self._window = (0, 0, np.full((1, 1), -1, np.int32))
+
     def clear_at(self, points: Float64s, around: int) -> Bools:
         """(n,) bool: which points (n, 2) m in `map` lie in free cells, with `around` free cells to each side."""
         if not len(points):

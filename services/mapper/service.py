@@ -1,15 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mapper: scans and odometry in, the robot's pose and the map out."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from services.mapper.back_end import BackEnd, BackEndConfig, drawn
 from services.mapper.correlative_match import SearchConfig
 from services.mapper.deskew import deskewed
 from services.mapper.front_end import FrontEnd, FrontEndConfig, Tracked
+from services.mapper.keyframe import Keyframe
+from services.mapper.loop_closure import Loop, LoopConfig, loops_of
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.odometry_track import OdometryConfig, OdometryTrack
+from services.mapper.optimisation import PoseGraphConfig, optimised
+from services.mapper.pose_graph import Optimised
 from services.mapper.registration import RegistrationConfig
 from shared import requests, topics
 from shared.config import Robot, Section
@@ -18,9 +27,10 @@ from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
 from shared.reasons import BAD_REQUEST
 from shared.requests import LoadMap, Reply
-from shared.service import Answer, Log, Out, Service, answer, every, on
+from shared.service import Answer, Job, Log, Out, Service, answer, every, on
 
 Float64s = NDArray[np.float64]
+T = TypeVar("T")
 
 SECOND = 1_000_000_000
 OLDEST = SECOND  # a scan that is older when it arrives says where the robot was, not where it is
@@ -36,6 +46,9 @@ class MapperConfig(Section):
     front_end: FrontEndConfig = FrontEndConfig()
     odometry: OdometryConfig = OdometryConfig()
     occupancy: OccupancyConfig = OccupancyConfig()
+    back_end: BackEndConfig = BackEndConfig()
+    loops: LoopConfig = LoopConfig()
+    pose_graph: PoseGraphConfig = PoseGraphConfig()
     blind_doubt: float = Field(
         5.0, ge=1, le=100, description="how much wider the prior is when speed alone is known, without odometry"
     )
@@ -53,6 +66,11 @@ class MapperService(Service):
         self.front_end = FrontEnd(
             config.front_end, config.registration, config.search, config.occupancy, robot.laser.range_max
         )
+        self.back_end = BackEnd(
+            config.back_end, config.loops, config.pose_graph, config.registration, config.occupancy,
+            robot.laser.range_max,
+        )  # fmt: skip
+        self.jobs = Jobs()
         self.grid = Occupancy(config.occupancy, 0)
         self.pending: tuple[int, LaserScan] | None = None  # when it came, and the scan
         self.last_end = -1  # ns, end of the last scan that was placed
@@ -153,6 +171,41 @@ class MapperService(Service):
         if update is not None:
             yield topics.MAP(update)
 
+    def looked(self, result: tuple[int, list[Loop]]) -> Out:
+        """Closures were found, or none."""
+        epoch, loops = result
+        self.jobs.looking = False
+        if epoch == self.jobs.epoch and self.back_end.close(loops) and not self.jobs.optimising:
+            self.jobs.optimising = True
+            yield Job(_at, (epoch, optimised, self.back_end.optimise()), done="corrected", takes=0.2)
+
+    def corrected(self, result: tuple[int, Optimised]) -> Out:
+        """The graph has its optimum: the pose on the map moves now, the map when it is drawn."""
+        epoch, optimum = result
+        self.jobs.optimising = False
+        if epoch == self.jobs.epoch and self.back_end.take(optimum):
+            self.jobs.outdated = True
+            yield from self._redraw()
+
+    def redrawn(self, result: tuple[int, tuple[int, Occupancy]]) -> Out:
+        """The map is drawn anew; what came meanwhile is added."""
+        epoch, (n, grid) = result
+        self.jobs.drawing = False
+        if epoch != self.jobs.epoch:
+            return
+        for keyframe, correction in zip(self.back_end.keyframes[n:], self.back_end.corrections()[n:]):
+            pose = correction @ keyframe.local_from_base
+            origins, ends = keyframe.beams()
+            grid.integrate(pose @ origins, pose @ ends, np.full_like(ends, np.nan))
+        self.grid.become(grid)
+        yield from self._redraw()
+
+    def _redraw(self) -> Out:
+        if self.jobs.outdated and not self.jobs.drawing:
+            self.jobs.outdated, self.jobs.drawing = False, True
+            arguments = tuple(self.back_end.keyframes), self.back_end.graph.poses.copy(), self.config.occupancy
+            yield Job(_at, (self.jobs.epoch, drawn, arguments), done="redrawn", takes=0.5)
+
     @answer(requests.LOAD_MAP)
     def load_map(self, request: LoadMap) -> Answer[Reply]:
         rows, columns = request.map.rows, request.map.columns
@@ -165,6 +218,7 @@ class MapperService(Service):
         self.grid = Occupancy(self.config.occupancy, max(self.now, self.grid.map_id + 1))
         self.grid.load(request.map)
         self.front_end.load(grid, request.map, request.map_from_base)
+        self._forget()
         self.pending = None
         self.velocity = Pose2()
         update = self.grid.update(self.now)
@@ -184,8 +238,14 @@ class MapperService(Service):
             self.grid.load(update)
             self.grid.version = update.version
             self.front_end.load(grid, update, estimate.map_from_base)
+            self._forget()
             self.tracked, self.last_end, self.velocity = None, -1, Pose2()
             yield Log("INFO", f"going on with the map from before the restart: {len(update.rows)} tiles")
+
+    def _forget(self) -> None:
+        """What was to be found for another map counts no more."""
+        self.back_end.start()
+        self.jobs = Jobs(self.jobs.epoch + 1)
 
     def _moved_meanwhile(self, end: int) -> None:
         """Where the robot is after a restart: odometry went on meanwhile, unless it was restarted too."""
@@ -223,10 +283,24 @@ class MapperService(Service):
         moved = before.inverse() @ tracked.local_from_base
         self.velocity = _scaled(moved, 1 / seconds) if 0.02 <= seconds <= 1 else Pose2()
         if tracked.trusted:
-            pose = tracked.local_from_base
+            pose = self.map_from_base
             self.grid.integrate(pose @ origins, pose @ ends, self._silent(scan, origins, ends))
         self.last_end, self.tracked = end, tracked
         yield topics.POSE(self._estimate(end, tracked))
+        if tracked.keyframe is not None and self.front_end.window.moves:
+            yield from self._keep(Keyframe.of(end, tracked.local_from_base, origins, ends, tracked.keyframe))
+
+    @property
+    def map_from_base(self) -> Pose2:
+        return self.back_end.map_from_local @ self.front_end.local_from_base
+
+    def _keep(self, keyframe: Keyframe) -> Out:
+        """A keyframe joins the graph; now and then, loops are looked for from it."""
+        assert self.tracked is not None
+        self.back_end.add(keyframe, self.tracked.match, self.front_end.odometry_error)
+        if self.back_end.due and not self.jobs.looking:
+            self.jobs.looking = True
+            yield Job(_at, (self.jobs.epoch, loops_of, self.back_end.look()), done="looked", takes=0.05)
 
     def _step(self, end: int, seconds: float) -> Pose2:
         """The motion since the last placed scan: by odometry, or at the last known speed."""
@@ -253,7 +327,7 @@ class MapperService(Service):
             angles = self.robot.laser.mount.yaw + scan.angle_min + scan.angle_increment * np.flatnonzero(none)
             reach = share * min(scan.range_max, self.config.occupancy.range_max)
             tips = origins[none] + reach * np.column_stack((np.cos(angles), np.sin(angles)))
-            out[none] = self.front_end.local_from_base @ tips
+            out[none] = self.map_from_base @ tips
         return out
 
     def _estimate(self, end: int, tracked: Tracked) -> PoseEstimate:
@@ -263,12 +337,35 @@ class MapperService(Service):
             odom_from_base = Pose2()
         return PoseEstimate(
             end,
-            tracked.local_from_base,
-            tracked.local_from_base @ odom_from_base.inverse(),
-            np.clip(tracked.covariance, -1e12, 1e12).reshape(9),
+            self.map_from_base,
+            self.map_from_base @ odom_from_base.inverse(),
+            np.clip(_turned(tracked.covariance, self.back_end.map_from_local.yaw), -1e12, 1e12).reshape(9),
             tracked.quality,
             tracked.state,
         )
+
+
+@dataclass(slots=True)
+class Jobs:
+    """What is under way. epoch: counts the maps; what was begun for another one is thrown away."""
+
+    epoch: int = 0
+    looking: bool = False
+    optimising: bool = False
+    drawing: bool = False
+    outdated: bool = False  # the map's drawing is older than the graph
+
+
+def _at(epoch: int, function: Callable[..., T], arguments: tuple[Any, ...]) -> tuple[int, T]:
+    """A Job's result with the epoch that it was begun in."""
+    return epoch, function(*arguments)
+
+
+def _turned(covariance: Float64s, yaw: float) -> Float64s:
+    """A covariance (3, 3) of a pose, in axes turned by -yaw."""
+    rotation = np.eye(3)
+    rotation[:2, :2] = (Pose2(0, 0, yaw) @ np.eye(2)).T
+    return np.asarray(rotation @ covariance @ rotation.T)
 
 
 def _end(scan: LaserScan) -> int:

@@ -56,9 +56,9 @@ class Window:
         self.active.n = -1
 
     @property
-    def anchored(self) -> bool:
-        """Whether a saved map is matched with."""
-        return self.active.n < 0
+    def moves(self) -> bool:
+        """Whether it leaves behind what is old: neither a saved map, nor one that grows for ever."""
+        return self.size > 0 and self.active.n >= 0
 
     def draw(self, origins: Float64s, ends: Float64s) -> None:
         """Draws beams, (n, 2) m in the window's frame, that are trusted."""
@@ -69,7 +69,7 @@ class Window:
 
     def extend(self, pose: Pose2, points: Float64s, normals: Float64s) -> None:
         """Adds a keyframe: surface points (n, 2) m in `base` with normals."""
-        if self.anchored or not self.size:
+        if not self.moves:
             self.active.registrar.extend(pose @ points, Pose2(0, 0, pose.yaw) @ normals)
             return
         if self.active.n >= self.size and self.young is not None:

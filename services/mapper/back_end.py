@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From keyframes to a consistent map: the graph of their poses, what closes loops in it, and the map drawn anew."""
+
+from collections.abc import Sequence
+from math import hypot
+
+import numpy as np
+from pydantic import Field
+
+from services.mapper.keyframe import Keyframe
+from services.mapper.loop_closure import Blocks, Loop, LoopConfig, in_own_frame
+from services.mapper.occupancy import Occupancy, OccupancyConfig
+from services.mapper.optimisation import PoseGraphConfig
+from services.mapper.pose_graph import Graph, Optimised, PoseGraph
+from services.mapper.registration import Match, OdometryError, RegistrationConfig
+from shared.config import Section
+from shared.geometry import Float64s, Pose2
+
+SEEN = 0.02  # m, a correction that shows on the map
+
+
+class BackEndConfig(Section):
+    """The pose graph's edges between keyframes."""
+
+    noise: float = Field(0.01, ge=0.001, le=1, description="m, standard deviation from a keyframe to the next at least")
+    noise_turn: float = Field(0.003, ge=0.0003, le=1, description="rad, of its turn")
+    off: float = Field(
+        0.05, ge=0, le=10, description="m that a closure may be off until the graph is optimised at once"
+    )
+    off_turn: float = Field(0.02, ge=0, le=3, description="rad, the same for its turn")
+    patience: int = Field(20, ge=1, le=10_000, description="closures that agree, until it is optimised all the same")
+
+
+class BackEnd:
+    """Keyframes and their graph. `map_from_local` is where the front end's frame is by now."""
+
+    def __init__(
+        self,
+        config: BackEndConfig,
+        loops: LoopConfig,
+        graph: PoseGraphConfig,
+        registration: RegistrationConfig,
+        occupancy: OccupancyConfig,
+        range_max: float,
+    ) -> None:
+        self.config, self.loops, self.graph_config = config, loops, graph
+        self._settings = registration, occupancy, range_max
+        self.start()
+
+    def start(self) -> None:
+        """Forgets everything."""
+        self.graph = PoseGraph()
+        self.keyframes: list[Keyframe] = []
+        self.driven: list[float] = []
+        self.map_from_local = Pose2()
+        self.looked_at = 0.0  # m driven when loops were looked for
+        self.n_loops = 0
+        self.n_agreeing = 0  # closures since the last optimisation
+        self.blocks = Blocks(*self._settings, self.loops.around)
+
+    def add(self, keyframe: Keyframe, match: Match, odometry: OdometryError) -> None:
+        """A new keyframe, where the beams say that it is; where they say nothing, odometry does."""
+        if not self.keyframes:
+            self.graph.add(self.map_from_local @ keyframe.local_from_base)
+            self.driven.append(0.0)
+        else:
+            before = self.keyframes[-1].local_from_base
+            step = before.inverse() @ keyframe.local_from_base
+            node = self.graph.add(self.map_from_local @ keyframe.local_from_base)
+            prior = odometry.prior(self._settings[0], before, step)
+            known = np.diag((prior.sigma**-2, prior.sigma**-2, prior.sigma_turn**-2))
+            information = in_own_frame(
+                match.information, keyframe.local_from_base.yaw, known, self.config.noise, self.config.noise_turn
+            )
+            self.graph.connect(node - 1, node, step, information, loop=False)
+            self.driven.append(self.driven[-1] + hypot(step.x, step.y))
+        self.keyframes.append(keyframe)
+
+    @property
+    def due(self) -> bool:
+        """Whether to look for closures at the newest keyframe."""
+        return len(self.keyframes) > 1 and self.driven[-1] - self.looked_at >= self.loops.every
+
+    def look(self) -> tuple[Graph, tuple[Keyframe, ...], Float64s, Blocks, LoopConfig]:
+        """The arguments of `loops_of`, for the newest keyframe."""
+        self.looked_at = self.driven[-1]
+        return self.graph.snapshot(), tuple(self.keyframes), np.array(self.driven), self.blocks, self.loops
+
+    def close(self, loops: Sequence[Loop]) -> bool:
+        """Takes closures; True where it is time to optimise."""
+        off = False
+        for loop in loops:
+            rest = (self.graph.pose(loop.i).inverse() @ self.graph.pose(loop.j)).inverse() @ loop.i_from_j
+            off |= hypot(rest.x, rest.y) > self.config.off or abs(rest.yaw) > self.config.off_turn
+            self.graph.connect(loop.i, loop.j, loop.i_from_j, loop.information, loop=True)
+        self.n_loops += len(loops)
+        self.n_agreeing += len(loops)
+        return off or self.n_agreeing >= self.config.patience
+
+    def optimise(self) -> tuple[Graph, PoseGraphConfig]:
+        """The arguments of `optimised`."""
+        self.n_agreeing = 0
+        return self.graph.snapshot(), self.graph_config
+
+    def take(self, optimum: Optimised) -> bool:
+        """Takes an optimum; True where the map is to be drawn anew."""
+        before = self.graph.poses.copy()
+        self.graph.take(optimum)
+        last = self.keyframes[-1].local_from_base
+        row = self.graph.poses[-1]
+        self.map_from_local = Pose2(float(row[0]), float(row[1]), float(row[2])) @ last.inverse()
+        return bool(np.hypot(*(self.graph.poses - before)[:, :2].T).max() > SEEN)
+
+    def corrections(self) -> list[Pose2]:
+        """map_from_local at each keyframe."""
+        return [
+            Pose2(*row) @ keyframe.local_from_base.inverse()
+            for row, keyframe in zip(self.graph.poses.tolist(), self.keyframes)
+        ]
+
+
+def drawn(keyframes: Sequence[Keyframe], poses: Float64s, config: OccupancyConfig) -> tuple[int, Occupancy]:
+    """The map that n keyframes at poses (n, 3) in `map` make, and n."""
+    grid = Occupancy(config, 0)
+    for keyframe, row in zip(keyframes, poses.tolist()):
+        pose = Pose2(*row)
+        origins, ends = keyframe.beams()
+        grid.integrate(pose @ origins, pose @ ends, np.full_like(ends, np.nan))
+    return len(keyframes), grid
