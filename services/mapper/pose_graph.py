@@ -332,7 +332,7 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 def _definite(matrices: Float64s) -> Bools:
     """Which of the matrices (k, 3, 3) are finite, symmetric and positive definite (Sylvester's criterion)."""
-    finite = np.isfinite(matrices).all(axis=(1, 2))
+    finite: Bools = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
     a = np.where(finite[:, None, None], matrices, 0.0)
     minor = a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] ** 2
     positive = (a[:, 0, 0] > 0) & (minor > 0) & (np.linalg.det(a) > 0)
