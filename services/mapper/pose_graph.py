@@ -2,7 +2,8 @@
 """Where all keyframes are, by all that was measured between them: graph-based SLAM (Grisetti et al., 2010).
 
 An edge is the pose of one node in another's frame with its information. Its residual is the (x, y, yaw) of
-measured^-1 @ (i_from_map @ map_from_j), in the frame of j; chi2 is its squared Mahalanobis length.
+measured^-1 @ (i_from_map @ map_from_j), in the frame of j; chi2 is its squared Mahalanobis length. (gtsam 4.3 takes the
+logarithm of that: the same to first order.)
 """
 
 from dataclasses import dataclass, fields
