@@ -5,11 +5,11 @@ import numpy as np
 from numba import njit
 from pydantic import Field
 
+from services.mapper.least_squares import settled
 from services.mapper.pose_graph import Graph, Int64s, Optimised, edge_chi2
 from shared.config import Section
-from shared.geometry import Bools, Float64s, Pose2, wrapped_all
+from shared.geometry import Bools, Float64s, Pose2
 
-ANCHOR = 1e-7  # m and rad, standard deviation of a node that is held: far under what matters, far over rounding
 NEGLIGIBLE = 1e-9  # of chi2, for a whole graph: what is left is rounding
 NARROWING = 4  # of the squared kernel's width, a round
 ROUGH = 3  # steps in a round whose optimum is only the next one's start
@@ -26,7 +26,7 @@ class PoseGraphConfig(Section):
 
 
 def optimised(graph: Graph, config: PoseGraphConfig) -> Optimised:
-    """The poses that agree best with all edges, by gtsam's Levenberg-Marquardt; wrong closures are switched off.
+    """The poses that agree best with all edges, by Levenberg-Marquardt; wrong closures are switched off.
 
     Closures have a Geman-McClure kernel as wide as the gate. Where one lies outside, which a first closure after a long
     way does too, the kernel begins as wide as the largest residual and is narrowed step by step: graduated
@@ -64,54 +64,27 @@ def optimised(graph: Graph, config: PoseGraphConfig) -> Optimised:
 
 
 class _Solver:
-    """gtsam's factors of a graph, and Levenberg-Marquardt over those that are wanted."""
+    """Levenberg-Marquardt over those edges of a graph that are wanted."""
 
     def __init__(self, graph: Graph, config: PoseGraphConfig) -> None:
-        import gtsam  # 0.2 s and 41 MB, which only who optimises is to pay
-
-        self.gtsam, self.graph, self.config = gtsam, graph, config
+        self.graph, self.config = graph, config
         self.i, self.j = graph.rows()
         self.useful = ~(graph.fixed[self.i] & graph.fixed[self.j])
-        self.measured = [gtsam.Pose2(*row) for row in graph.relative.tolist()]
-        self.models = [gtsam.noiseModel.Gaussian.Information(block, False) for block in graph.information]
         self.iterations = 0
 
     def solved(self, poses: Float64s, on: Bools, gate: float, rough: bool = False) -> Float64s:
         """The poses (n, 3) at the optimum of the edges that are on, found from `poses`."""
-        gtsam, used = self.gtsam, np.flatnonzero(on & self.useful)
-        if not len(used):
+        used = on & self.useful
+        if not used.any() or float(edge_chi2(self.graph, poses)[used].sum()) < NEGLIGIBLE:
             return poses
-        factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        noise = gtsam.noiseModel
-        kernel = noise.mEstimator.GemanMcClure(float(np.sqrt(gate)))
-        for k, i, j, loop in zip(
-            used.tolist(), self.i[used].tolist(), self.j[used].tolist(), self.graph.loop[used].tolist()
-        ):
-            model = noise.Robust.Create(kernel, self.models[k]) if loop else self.models[k]
-            factors.add(gtsam.BetweenFactorPose2(i, j, self.measured[k], model))
-        rows = np.unique(np.concatenate((self.i[used], self.j[used])))
-        anchored = self.graph.fixed | _held(len(poses), self.i[used], self.j[used], self.graph.fixed)
-        anchor = noise.Isotropic.Sigma(3, ANCHOR)
-        for row, pose, held in zip(rows.tolist(), poses[rows].tolist(), anchored[rows].tolist()):
-            values.insert(row, gtsam.Pose2(*pose))
-            if held:
-                factors.add(gtsam.PriorFactorPose2(row, gtsam.Pose2(*pose), anchor))
-        before = factors.error(values)
-        if before < NEGLIGIBLE:
-            return poses
-        parameters = gtsam.LevenbergMarquardtParams()
-        parameters.setRelativeErrorTol(1e-5 if rough else 1e-8)
-        parameters.setMaxIterations(ROUGH if rough else self.config.iterations)
-        optimizer = gtsam.LevenbergMarquardtOptimizer(factors, values, parameters)
-        found = optimizer.optimize()
-        self.iterations += optimizer.iterations()
-        if not factors.error(found) < before:
-            return poses
-        out = poses.copy()
-        free = ~anchored[rows]
-        out[rows[free]] = gtsam.utilities.extractPose2(found)[free]
-        out[rows[free], 2] = wrapped_all(out[rows[free], 2])
-        return out
+        i, j = self.i[used], self.j[used]
+        held = self.graph.fixed | _held(len(poses), i, j, self.graph.fixed)
+        found, steps = settled(
+            poses.copy(), held, i, j, self.graph.relative[used], self.graph.information[used], self.graph.loop[used],
+            gate, ROUGH if rough else self.config.iterations, 1e-5 if rough else 1e-8,
+        )  # fmt: skip
+        self.iterations += steps
+        return np.asarray(found)
 
 
 def _width(chi2: Float64s, gate: float) -> float:

@@ -2,7 +2,8 @@
 """Where all keyframes are, by all that was measured between them: graph-based SLAM (Grisetti et al., 2010).
 
 An edge is the pose of one node in another's frame with its information. Its residual is the (x, y, yaw) of
-measured^-1 @ (i_from_map @ map_from_j), in the frame of j, as gtsam's; chi2 is its squared Mahalanobis length.
+measured^-1 @ (i_from_map @ map_from_j), in the frame of j; chi2 is its squared Mahalanobis length. (gtsam 4.3 takes the
+logarithm of that: the same to first order.)
 """
 
 from dataclasses import dataclass, fields
@@ -332,7 +333,7 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 def _definite(matrices: Float64s) -> Bools:
     """Which of the matrices (k, 3, 3) are finite, symmetric and positive definite (Sylvester's criterion)."""
-    finite = np.isfinite(matrices).all(axis=(1, 2))
+    finite: Bools = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
     a = np.where(finite[:, None, None], matrices, 0.0)
     minor = a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] ** 2
     positive = (a[:, 0, 0] > 0) & (minor > 0) & (np.linalg.det(a) > 0)

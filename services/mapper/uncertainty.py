@@ -15,10 +15,11 @@ def uncertainty_from(graph: Graph, node: int) -> Float64s:
     """Covariances (n, 3, 3) of the nodes' (x, y, yaw) in the axes of `map`, where `node`'s pose is taken as exact.
 
     Each is composed to first order along one way through the graph, that of the smallest determinant (Dijkstra
-    projection: Bosse et al. 2004, section 3.2; Olson 2008, section 3.4): never less than the true marginal's, which
+    projection: Bosse et al., Atlas, 2004; Olson 2008): never less than the true marginal's, which
     all ways together make smaller, but without solving for it. The determinant is what a rigid motion leaves as it is
-    (a trace would grow and shrink with the lever arm), and no edge makes it smaller (Minkowski). Closures that are off
-    count for nothing. Infinite on the diagonal where no way leads.
+    (a trace would grow and shrink with the lever arm), and no edge makes it smaller (Minkowski). The way is chosen
+    greedily: an edge more may, rarely, make a later node's larger. Closures that are off count for
+    nothing. Infinite on the diagonal where no way leads.
     """
     i, j = graph.rows()
     start = int(np.searchsorted(graph.nodes, node))
