@@ -21,3 +21,18 @@ class PortConfig(Section):
     serial_number: str = Field(
         "", description="of the USB adapter: it is found by this under whatever name it comes back"
     )
+
+    @property
+    def given(self) -> bool:
+        """Whether there is a device at all."""
+        return bool(self.device or self.serial_number)
+
+    @property
+    def by_number(self) -> bool:
+        """Whether the device is found by its adapter's number. Behind an address or a wire there is no adapter."""
+        return bool(self.serial_number) and (not self.device or self.device.startswith("/"))
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return f"the adapter {self.serial_number}" if self.by_number else self.device

@@ -190,14 +190,16 @@ def loopback(where: Where) -> Iterator[Finding]:
 def serial() -> Iterator[Finding]:
     from serial.tools import list_ports
 
+    from shared.runners.port import admission
+
     found = [p.device for p in list_ports.comports() if p.device.startswith(("/dev/ttyUSB", "/dev/ttyACM", "/dev/cu."))]
     if not found:
         yield Finding("serial", OK, "no board is plugged in (not needed in simulation)")
         return
     closed = [device for device in found if not os.access(device, os.R_OK | os.W_OK)]
     if closed:
-        mend = "sudo usermod -aG dialout $USER; then log in anew"
-        yield Finding("serial", BAD, f"{', '.join(closed)}: no right to read and write", mend)
+        mends = ", or: ".join(sorted({admission(device) for device in closed}))
+        yield Finding("serial", BAD, f"{', '.join(closed)}: no right to read and write", mends)
     else:
         yield Finding("serial", OK, ", ".join(found))
 

@@ -5,6 +5,7 @@ import json
 from enum import StrEnum
 from pathlib import Path
 
+from services.lidar_driver.service import LidarDriverConfig
 from services.sim.service import SimConfig
 from shared.config import RobotFile
 from shared.runners.lockstep import Port
@@ -38,7 +39,7 @@ def services_for(hardware: Hardware, file: RobotFile) -> list[str]:
         wanted.add("sim")
     if hardware is Hardware.EMULATED:
         wanted |= {DRIVERS[port] for port in emulated_ports(file)}
-    elif hardware is Hardware.REAL and (file.tree.get("lidar_driver") or {}).get("port", {}).get("device"):
+    elif hardware is Hardware.REAL and file.section("lidar_driver", LidarDriverConfig).port.given:
         wanted.add("lidar_driver")
     return [name for name in SERVICES if name in wanted]
 
@@ -48,7 +49,10 @@ def settings_for(hardware: Hardware, file: RobotFile, links: Path | None) -> lis
     if hardware is Hardware.REAL:
         return []
     if hardware is Hardware.MESSAGES:
-        return ["sim.hardware=messages", "base_driver.port.device=''", "lidar_driver.port.device=''"]
+        settings = ["sim.hardware=messages"]
+        for driver in DRIVERS.values():
+            settings += [f"{driver}.port.device=''", f"{driver}.port.serial_number=''"]
+        return settings
     settings = ["sim.hardware=emulated"]
     for port in emulated_ports(file):
         far, near = (f"pty:{links.resolve()}/{port}", f"{links.resolve()}/{port}") if links else (WIRED, WIRED)

@@ -121,7 +121,7 @@ class SerialBoard:
             return "packets arrive, but none of the motors"
         if self._young("crc", now):
             return "packets arrive, but their checksums are wrong"
-        return "bytes arrive, none make sense: wrong baud rate?"
+        return "bytes arrive, none make sense: check base_driver.port.baud and .device"
 
     def status(self, now: int) -> BoardStatus:
         """Counters, rate since the last call, supplies and temperatures."""

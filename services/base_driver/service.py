@@ -58,7 +58,7 @@ class BaseDriverService(Service):
 
     def __init__(self, config: BaseDriverConfig, robot: Robot) -> None:
         super().__init__(config, robot)
-        self.serial = SerialBoard(config.board, robot, config.board_silent) if config.port.device else None
+        self.serial = SerialBoard(config.board, robot, config.board_silent) if config.port.given else None
         self.watchdog = Watchdog(config.watchdog)
         self.encoders = Encoders(config.encoders, robot.drive)
         self.wheel_faults = WheelFaults(config.stuck, config.following, robot.drive)

@@ -27,7 +27,7 @@ SPEED_SHARE = 0.15  # of the rate, by which the speed may be off before it is wo
 STANDS = 0.1  # turns/s: slower is standing still
 NO_PORT = "no port: set lidar_driver.port.device"
 NO_BYTES = "no bytes: is the laser powered, and does it turn?"
-NO_SENSE = "bytes arrive, none make sense: wrong baud rate or model?"
+NO_SENSE = "bytes arrive, none make sense: check lidar_driver.model and .port.baud"
 STOPPED = "the laser stopped turning"
 
 Angle = Annotated[float, Field(ge=-2 * pi, le=2 * pi)]
@@ -73,7 +73,7 @@ class LidarDriverService(Service):
         self.angles: Float64s = self.sweeps.angle_min + self.sweeps.increment * beams
         self.masked = masked_angles(self.angles, config.masks)
         self.open = False
-        self.why_closed = "" if config.port.device or config.port.serial_number else NO_PORT
+        self.why_closed = "" if config.port.given else NO_PORT
         self.heard_at, self.understood_at, self.opened_at, self.started_at = 0, 0, 0, 0  # ns
         self.n_good = 0
         self.n_scans = 0

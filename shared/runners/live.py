@@ -81,7 +81,7 @@ class Live:
         self._ports = {
             port: Port(port, config, clock, partial(self.inbox.file, self._from_ports))
             for port, config in service.ports.items()
-            if config.device or config.serial_number
+            if config.given
         }
         self._declared: list[Any] = []
         self._declare()

@@ -6,10 +6,12 @@ away, because an old command must not reach a robot.
 """
 
 import errno
+import grp
 import os
 import pty
 import select
 import socket
+import stat
 import termios
 import threading
 import time
@@ -33,6 +35,7 @@ LIFE = 0.1  # s from an order to write until it is void
 AGAIN = 0.25  # s between two tries to open
 PATIENCE = 0.1  # s that a read waits, so that closing is noticed
 CHUNK = 4096  # bytes read at once, at most
+GROUP_MAY = stat.S_IRGRP | stat.S_IWGRP
 
 
 class Line(Protocol):
@@ -165,7 +168,7 @@ def opened(config: PortConfig) -> Line:
 
 def found(config: PortConfig) -> str:
     """The device's name today: by its USB serial number where that is given."""
-    if not config.serial_number:
+    if not config.by_number:
         return config.device
     for candidate in list_ports.comports():
         if candidate.serial_number == config.serial_number:
@@ -300,14 +303,14 @@ class PseudoTerminal:
 
 def trouble(config: PortConfig, error: OSError) -> str:
     """Why a port cannot be used and what mends it, in one line."""
-    device = config.device or f"the adapter {config.serial_number}"
+    device = config.name
     number = error.errno if error.errno is not None else _number_in(error)
     if number == errno.ENOENT:
         return f"{device} is not there: plug it in, or name another device"
     if number == errno.EACCES:
-        return f"no permission for {device}: sudo usermod -aG dialout $USER, then log in again"
+        return f"no permission for {device}: {admission(_path(config))}"
     if number in (errno.EBUSY, errno.EAGAIN):
-        return f"{device} is in use{_by_whom(config.device)}: end that, or name another device"
+        return f"{device} is in use{_by_whom(_path(config))}: end that, or name another device"
     if number in (errno.EIO, errno.ENXIO, errno.ENODEV, errno.EBADF) or "disconnected" in str(error):
         return f"{device} went away: plug it in again"
     return f"{device}: {error.strerror or error}"
@@ -318,11 +321,31 @@ def _number_in(error: OSError) -> int:
     return errno.EBUSY if "exclusively lock" in str(error) else 0
 
 
+def admission(device: str) -> str:
+    """What lets this account use a serial device, as a command or where it is described."""
+    try:
+        state = os.stat(device)
+        group = grp.getgrgid(state.st_gid).gr_name
+    except (OSError, KeyError):
+        return "sudo usermod -aG dialout $USER, then log in again"
+    if group == "root" or state.st_mode & GROUP_MAY != GROUP_MAY:
+        return "give it to a group by a udev rule, as docs/hardware.md says"
+    return f"sudo usermod -aG {group} $USER, then log in again"
+
+
+def _path(config: PortConfig) -> str:
+    """Where the device is now; empty where it cannot be found."""
+    try:
+        return os.path.realpath(found(config))
+    except OSError:
+        return ""
+
+
 def _by_whom(device: str) -> str:
-    """` by NAME (PID)`, of the process that has the device open, where that can be seen."""
-    target = os.path.realpath(device)
+    """` by NAME (PID)` of each other process that has the device open, as far as that can be seen."""
+    holders = set()
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         with suppress(OSError):
-            if os.readlink(link) == target and link.parts[2] != str(os.getpid()):
-                return f" by {(link.parent.parent / 'comm').read_text().strip()} ({link.parts[2]})"
-    return ""
+            if os.readlink(link) == device and link.parts[2] != str(os.getpid()):
+                holders.add(f"{(link.parent.parent / 'comm').read_text().strip()} ({link.parts[2]})")
+    return f" by {', '.join(sorted(holders))}" if holders else ""

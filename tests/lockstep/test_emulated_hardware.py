@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Board and laser both as bytes on wires: the drivers meet what they meet on the robot."""
 
+import json
 from pathlib import Path
 
 import pytest
 
+from services.sim.hardware.faults import Fault
 from shared import requests
+from shared.recording import Recording
 from shared.requests import Break
 from tests.lockstep.stack import MS, STACK, Stack
+from tests.lockstep.test_board_faults import STOPS
+from zenav.__main__ import _status
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 
@@ -26,14 +31,47 @@ def test_on_emulated_hardware_the_robot_reaches_its_goal(tmp_path):
     assert stack.truth.distance > 5.5
 
 
-@pytest.mark.parametrize("fault", ["laser_stopped", "laser_unplugged"])
-def test_without_the_laser_the_robot_stands_until_it_is_back(tmp_path, fault):
+@pytest.mark.slow
+def test_the_demo_explores_and_drives_its_goals_on_emulated_hardware(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    command = "demo --lockstep --headless --hardware emulated --world room"
+    assert _status([*command.split(), "--record", "run.mcap"]) == 0
+    (told,) = tmp_path.glob("out/demo-*/summary.json")
+    summary = json.loads(told.read_text())["summary"]
+    assert (summary["goals_reached"], summary["collisions"]) == (summary["goals"], 0)
+    assert summary["explored_share"] > 0.99
+    spoken = {entry.channel.key for entry in Recording(tmp_path / "run.mcap").entries()}
+    assert {f"port/rx/{name}" for name in ("sim", "base_driver", "lidar_driver")} <= spoken
+    assert not {"hardware/board"} & spoken
+
+
+LASER_STOPS = {
+    "laser_stopped": ("the laser stopped turning", 0.5),
+    "laser_garbage": ("bytes arrive, none make sense: check lidar_driver.model and .port.baud", 2.5),
+    "laser_stalled": ("no bytes: is the laser powered, and does it turn?", 1.5),
+    "laser_unplugged": ("unplugged", 0.5),
+}
+"""Fault, what the laser's driver says of it, and s by which it has."""
+
+
+@pytest.mark.parametrize("fault", LASER_STOPS)
+def test_without_the_laser_the_robot_stands_is_told_why_and_drives_on_when_it_is_back(tmp_path, fault):
+    words, told_after = LASER_STOPS[fault]
     stack = wired(tmp_path)
+    lines: list[str] = []
+    stack.lockstep.watch("log/lidar_driver", lambda line: lines.append(line.text))
     stack.go(6.5)
     stack.drives()
     assert stack.lockstep.ask(requests.FAULT, Break(stack.now, fault, 3.0, False)).accepted
     assert stack.until(lambda: not stack.commanded, 1.0) <= 300 * MS
     stack.lockstep.run(0.2)
     assert stack.guard.reason == "scan_old"
+    stack.lockstep.run(told_after - 0.3)
+    assert lines == [f"laser: {words}"]
     stack.until(stack.reached, 40.0)
+    assert lines[-1] == "laser: in order again"
     assert stack.truth.n_contacts == 0
+
+
+def test_every_fault_that_can_be_asked_for_is_one_that_is_known_to_stop_the_robot():
+    assert {*STOPS, *LASER_STOPS} == set(Fault)

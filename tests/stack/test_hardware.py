@@ -14,7 +14,9 @@ from pathlib import Path
 import pytest
 
 from services.base_driver.drrobot import disabled
+from services.sim.hardware.drrobot import Gains, Velocity, meant
 from shared import reasons, requests, topics
+from shared.drrobot import BOARD, Deframer
 from shared.geometry import Pose2
 from shared.messages import BaseStatus, Health, SerialData, Truth
 from shared.requests import Navigate
@@ -143,8 +145,14 @@ def test_an_unplugged_board_stands_is_named_and_comes_back(up, capsys):
     named = next(status for status in up.statuses[n_statuses:] if status.fault)
     assert "/board " in named.detail
     up.until(lambda: any(truth.v == pytest.approx(0, abs=0.005) for truth in up.truths[n_truths:]))
+    up.at_the_board = b""
     up.until(up.in_order)
     assert up.arrives(*BACK)
+    orders = [order for packet in Deframer(BOARD).packets(up.at_the_board) if (order := meant(packet))]
+    assert [type(order) for order in orders[:3]] == [Gains, Gains, Velocity]
+    speeds = [tuple(order.channels[wheel] for wheel in (0, 1)) for order in orders if isinstance(order, Velocity)]
+    assert speeds[0] == (0, 0), "the first command after the reconnection is zero"
+    assert any(speed != (0, 0) for speed in speeds)
 
 
 def test_a_fault_that_is_none_is_one_line_and_a_hint(up, capsys):

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated robot's electronics behind their ports: a motion board, a laser, and whatever is broken of them."""
 
+import numpy as np
 from pydantic import Field
 
 from services.sim.hardware.board import BoardEmulator
-from services.sim.hardware.faults import UNPLUGS, WORDS, Fault, Faults
+from services.sim.hardware.faults import OF_LASER, UNPLUGS, WORDS, Fault, Faults
 from services.sim.hardware.lasers import LaserEmulator, emulator
 from shared import reasons, topics
 from shared.config import Robot, Section, nearest
@@ -33,6 +34,7 @@ class Emulation:
         self.faults = Faults()
         self.board = BoardEmulator(self.faults, seed)
         self.laser: LaserEmulator | None = emulator(config.laser_model, robot.laser) if config.laser_model else None
+        self._noise = np.random.default_rng([seed, 8])  # on the laser's line
         self._leaving: list[tuple[int, bytes]] = []  # what the laser will say, ns when
         self._away: set[str] = set()  # ports that are pulled out
 
@@ -46,7 +48,8 @@ class Emulation:
         if data.port == BOARD:
             yield from _said(BOARD, self.board.received(data.data, now), now)
         elif data.port == LASER and self.laser is not None:
-            yield from _said(LASER, self.laser.received(data.data, now), now)
+            heard = b"" if Fault.LASER_STALLED in self.faults else data.data
+            yield from _said(LASER, self._on_the_lasers_line(self.laser.received(heard, now)), now)
 
     def measured(self, report: BoardReport, now: int) -> Out:
         """What the board says of a report."""
@@ -54,15 +57,15 @@ class Emulation:
 
     def swept(self, scans: list[LaserScan], now: int) -> Out:
         """What the laser says by now, and of these sweeps soon; the scans themselves where it speaks in messages."""
-        turning = Fault.LASER_STOPPED not in self.faults
-        if self.laser is not None:
-            self.laser.turning = turning
-            self._leaving += [chunk for scan in scans for chunk in self.laser.swept(scan, now)]
-        elif turning:
-            yield from (topics.SCAN(scan) for scan in scans)
+        if self.laser is None:
+            if not any(fault in self.faults for fault in OF_LASER):
+                yield from (topics.SCAN(scan) for scan in scans)
+            return
+        self.laser.turning = Fault.LASER_STOPPED not in self.faults
+        self._leaving += [chunk for scan in scans for chunk in self.laser.swept(scan, now)]
         due = [data for when, data in self._leaving if when <= now]
         self._leaving = [(when, data) for when, data in self._leaving if now < when <= now + 1_000_000_000]
-        yield from _said(LASER, b"".join(due), now)
+        yield from _said(LASER, self._on_the_lasers_line(b"".join(due)), now)
 
     def plugs(self, now: int) -> Out:
         """Faults end when their time is over; adapters are pulled out and plugged in."""
@@ -85,6 +88,12 @@ class Emulation:
         fault = Fault(order.fault)
         self.faults.begin(fault, now + round(order.seconds * 1e9) if order.seconds else None)
         return Reply(now, True, "", WORDS[fault])
+
+    def _on_the_lasers_line(self, data: bytes) -> bytes:
+        """What arrives of what the laser says."""
+        if Fault.LASER_STALLED in self.faults:
+            return b""
+        return self._noise.bytes(len(data)) if Fault.LASER_GARBAGE in self.faults else data
 
 
 def _said(port: str, data: bytes, now: int) -> Out:

@@ -5,7 +5,7 @@ from enum import StrEnum
 
 
 class Fault(StrEnum):
-    """What breaks. Those of the line take effect on the board's bytes, the others on what it measures or does."""
+    """What breaks. Those of a line take effect on its bytes, the others on what board and laser measure or do."""
 
     GARBAGE = "garbage"  # the board's bytes arrive as noise, as at a wrong baud rate
     HALF_PACKETS = "half_packets"  # the second half of every packet of the board is lost
@@ -17,6 +17,8 @@ class Fault(StrEnum):
     SWAPPED_MOTOR = "swapped_motor"  # the left motor turns the other way
     LOW_BATTERY = "low_battery"  # the battery collapses
     LASER_STOPPED = "laser_stopped"  # the laser stops turning
+    LASER_GARBAGE = "laser_garbage"  # the laser's bytes arrive as noise
+    LASER_STALLED = "laser_stalled"  # the laser's line carries nothing, either way
     LASER_UNPLUGGED = "laser_unplugged"  # the laser's adapter is pulled out
 
 
@@ -31,9 +33,13 @@ WORDS: dict[Fault, str] = {
     Fault.SWAPPED_MOTOR: "the left motor turns the other way",
     Fault.LOW_BATTERY: "the battery's voltage collapses",
     Fault.LASER_STOPPED: "the laser stops turning",
+    Fault.LASER_GARBAGE: "the laser's bytes arrive as noise",
+    Fault.LASER_STALLED: "the laser's line carries nothing",
     Fault.LASER_UNPLUGGED: "the laser's adapter is pulled out",
 }
 """What each does, for people."""
+
+OF_LASER = (Fault.LASER_STOPPED, Fault.LASER_GARBAGE, Fault.LASER_STALLED, Fault.LASER_UNPLUGGED)
 
 UNPLUGS = {Fault.UNPLUGGED: "board", Fault.LASER_UNPLUGGED: "laser"}
 """The port that a fault takes away."""

@@ -4,14 +4,11 @@
 from collections.abc import Callable
 from typing import Protocol
 
-import numpy as np
-from pydantic import Field
-
 from services.sim.hardware.ld06 import Ld06
 from services.sim.hardware.rplidar import Rplidar
 from services.sim.hardware.scip import Scip
 from services.sim.hardware.xv11 import Xv11
-from shared.config import Laser, Section, UserError, nearest
+from shared.config import Laser, UserError, nearest
 from shared.messages import LaserScan
 
 Chunks = list[tuple[int, bytes]]
@@ -28,48 +25,6 @@ class LaserEmulator(Protocol):
 
     def swept(self, scan: LaserScan, now: int) -> Chunks:
         """The stream of one sweep, in order. Times lie within the sweep: what is already past leaves at once."""
-
-
-class LineFaults(Section):
-    """What goes wrong on a line, as shares of the chunks (a packet or an answer each)."""
-
-    garbage: float = Field(0.0, ge=0, le=1, description="share before which random bytes come")
-    half: float = Field(0.0, ge=0, le=1, description="share that breaks off in the middle")
-    bad_sum: float = Field(0.0, ge=0, le=1, description="share with one wrong bit")
-
-
-class Faulty:
-    """A laser behind a bad line."""
-
-    def __init__(self, laser: LaserEmulator, faults: LineFaults, seed: int) -> None:
-        self.laser, self.faults = laser, faults
-        self.rng = np.random.default_rng(seed)
-
-    @property
-    def turning(self) -> bool:
-        return self.laser.turning
-
-    @turning.setter
-    def turning(self, turning: bool) -> None:
-        self.laser.turning = turning
-
-    def received(self, data: bytes, now: int) -> bytes:
-        return self.laser.received(data, now)
-
-    def swept(self, scan: LaserScan, now: int) -> Chunks:
-        return [(at, self._spoiled(data)) for at, data in self.laser.swept(scan, now)]
-
-    def _spoiled(self, data: bytes) -> bytes:
-        faults, draws = self.faults, self.rng.random(3)
-        if draws[0] < faults.half:
-            data = data[: len(data) // 2]
-        if draws[1] < faults.bad_sum and data:
-            wrong = bytearray(data)
-            wrong[int(self.rng.integers(len(data)))] ^= 1 << int(self.rng.integers(8))
-            data = bytes(wrong)
-        if draws[2] < faults.garbage:
-            data = self.rng.bytes(int(self.rng.integers(1, 60))) + data
-        return data
 
 
 def emulator(model: str, laser: Laser) -> LaserEmulator:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The doctor finds each illness, names its cure, and does not die of it."""
 
+import grp
 import os
 import socket
 import time
@@ -9,6 +10,7 @@ from types import SimpleNamespace
 import pytest
 from serial.tools import list_ports
 
+from shared.runners import port as ports
 from shared.runners.transport import Where
 from zenav import doctor
 from zenav.__main__ import _status
@@ -55,6 +57,21 @@ def test_a_board_without_rights_is_bad(monkeypatch):
     assert (finding.verdict, "dialout" in finding.mend, "ttyUSB0" in finding.found) == (BAD, True, True)
     monkeypatch.setattr(doctor.os, "access", lambda path, mode: True)
     assert one(doctor.serial) == doctor.Finding("serial", OK, "/dev/ttyUSB0")
+
+
+def test_boards_of_several_groups_are_told_each_its_mend(monkeypatch, tmp_path):
+    boards = {name: tmp_path / name for name in ("ttyUSB0", "ttyUSB1")}
+    for board, mode in zip(boards.values(), (0o660, 0o600)):
+        board.touch()
+        board.chmod(mode)
+    monkeypatch.setattr(grp, "getgrgid", lambda number: SimpleNamespace(gr_name="uucp"))
+    listed = [SimpleNamespace(device=f"/dev/{name}") for name in boards]
+    monkeypatch.setattr(list_ports, "comports", lambda: listed)
+    monkeypatch.setattr(doctor.os, "access", lambda path, mode: False)
+    stat = os.stat
+    monkeypatch.setattr(ports.os, "stat", lambda path: stat(boards.get(str(path).removeprefix("/dev/"), path)))
+    assert "usermod -aG uucp" in one(doctor.serial).mend
+    assert "udev rule" in one(doctor.serial).mend
 
 
 def test_a_clock_that_was_never_set_is_bad_and_one_that_jumps_is_told(monkeypatch):

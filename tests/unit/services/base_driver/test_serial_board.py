@@ -266,7 +266,10 @@ def silent(wired, says):
     ("says", "words"),
     [
         (lambda wired, k: (), "no byte arrives"),
-        (lambda wired, k: (b"\x55\xaa" * 20,), "bytes arrive, none make sense: wrong baud rate?"),
+        (
+            lambda wired, k: (b"\x55\xaa" * 20,),
+            "bytes arrive, none make sense: check base_driver.port.baud and .device",
+        ),
         (lambda wired, k: (wired.motors()[:-3] + b"\x99\x5e\x0d",), "packets arrive, but their checksums are wrong"),
         (lambda wired, k: (wired.sensors(),), "packets arrive, but none of the motors"),
     ],

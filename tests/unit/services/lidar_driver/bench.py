@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.lidar_driver.service import LidarDriverConfig, LidarDriverService
-from services.sim.hardware.lasers import LaserEmulator, emulator
+from services.sim.hardware.lasers import Chunks, LaserEmulator, emulator
 from shared import topics
 from shared.config import Laser, Robot, load_robot
 from shared.messages import LaserScan, PortState, SerialData
@@ -49,6 +49,35 @@ def made_driver(model: str, laser: Laser | None = None, **settings: Any) -> Lida
     driver = LidarDriverService(config, robot_with(laser or laser_of(model)))
     driver.now = START
     return driver
+
+
+class Faulty:
+    """A laser behind a bad line: shares of its chunks come after random bytes, break off, or have a wrong bit."""
+
+    def __init__(
+        self, laser: LaserEmulator, seed: int, garbage: float = 0.0, half: float = 0.0, bad_sum: float = 0.0
+    ) -> None:
+        self.laser, self.garbage, self.half, self.bad_sum = laser, garbage, half, bad_sum
+        self.rng = np.random.default_rng(seed)
+        self.turning = True
+
+    def received(self, data: bytes, now: int) -> bytes:
+        return self.laser.received(data, now)
+
+    def swept(self, scan: LaserScan, now: int) -> Chunks:
+        return [(at, self._spoiled(data)) for at, data in self.laser.swept(scan, now)]
+
+    def _spoiled(self, data: bytes) -> bytes:
+        half, bad_sum, garbage = self.rng.random(3) < (self.half, self.bad_sum, self.garbage)
+        if half:
+            data = data[: len(data) // 2]
+        if bad_sum and data:
+            wrong = bytearray(data)
+            wrong[int(self.rng.integers(len(data)))] ^= 1 << int(self.rng.integers(8))
+            data = bytes(wrong)
+        if garbage:
+            data = self.rng.bytes(int(self.rng.integers(1, 60))) + data
+        return data
 
 
 class Line:

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from services.lidar_driver.service import NO_BYTES, NO_SENSE, STOPPED
-from services.sim.hardware.lasers import Faulty, LineFaults, emulator
+from services.sim.hardware.lasers import emulator
 from services.sim.hardware.xv11 import packet
 from shared import topics
 from shared.config import UserError
@@ -19,6 +19,7 @@ from tests.unit.services.lidar_driver.bench import (
     MS,
     SECOND,
     START,
+    Faulty,
     Line,
     laser_of,
     line_of,
@@ -113,7 +114,7 @@ def test_a_bad_line_costs_beams_and_invents_none(model, faults):
     laser = laser_of(model)
     if model == "rplidar":  # a chunk is a node there
         faults = {name: share / 5 for name, share in faults.items()}
-    line = Line(made_driver(model), Faulty(emulator(model, laser), LineFaults(**faults), seed=1))
+    line = Line(made_driver(model), Faulty(emulator(model, laser), seed=1, **faults))
     sweeps = random_sweeps(laser, 6)
     line.run(sweeps, 6)
     wrong = heard = 0

@@ -6,6 +6,8 @@ import os
 import pty
 import queue
 import socket
+import subprocess
+import sys
 import threading
 import tty
 from collections.abc import Iterator
@@ -144,8 +146,58 @@ def test_a_device_in_use_names_who_holds_it(tmp_path):
         holder = opened(config)
         with pytest.raises(OSError) as refused:
             opened(config)
-        assert "is in use" in trouble(config, refused.value)
+        assert trouble(config, refused.value) == f"{config.device} is in use: end that, or name another device"
         holder.close()
+
+
+HOLDS = "import serial, sys; port = serial.Serial(sys.argv[1], exclusive=True); print(flush=True); sys.stdin.read()"
+
+
+@pytest.mark.parametrize("number", ["", "7"], ids=["by its name", "by its serial number"])
+def test_a_device_in_use_by_another_process_names_it(tmp_path, monkeypatch, number):
+    link = f"{tmp_path}/robot"
+    monkeypatch.setattr(ports.list_ports, "comports", lambda: [SimpleNamespace(serial_number="7", device=link)])
+    with running(f"pty:{link}") as (_, at_far):
+        assert at_far.state().open
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        with subprocess.Popen([sys.executable, "-c", HOLDS, link], **pipes) as holder:
+            assert holder.stdout.readline()
+            with running("" if number else link, number) as (_, at_near):
+                state = at_near.state()
+            name = Path(f"/proc/{holder.pid}/comm").read_text().strip()
+            holder.stdin.close()
+    assert not state.open
+    assert f"is in use by {name} ({holder.pid}): end that" in state.detail
+
+
+@pytest.mark.parametrize(
+    ("group", "mode", "mend"),
+    [
+        ("dialout", 0o660, "sudo usermod -aG dialout $USER, then log in again"),
+        ("uucp", 0o660, "sudo usermod -aG uucp $USER, then log in again"),
+        ("dialout", 0o600, "udev rule"),
+        ("root", 0o660, "udev rule"),
+    ],
+)
+def test_who_may_not_open_a_device_is_told_its_own_group_or_that_it_needs_one(tmp_path, monkeypatch, group, mode, mend):
+    device = tmp_path / "ttyUSB0"
+    device.touch()
+    device.chmod(mode)
+    monkeypatch.setattr(ports.grp, "getgrgid", lambda number: SimpleNamespace(gr_name=group))
+    text = trouble(PortConfig(device=str(device)), PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
+    assert text.startswith(f"no permission for {device}: ")
+    assert mend in text
+
+
+def test_an_adapter_that_is_away_is_named_by_its_number_and_a_name_beside_it_is_not_taken(tmp_path, monkeypatch):
+    monkeypatch.setattr(ports.list_ports, "comports", list)
+    with running(f"{tmp_path}/somebody", "7") as (_, heard):
+        assert heard.state().detail == "the adapter 7 is not there: plug it in, or name another device"
+
+
+@pytest.mark.parametrize("device", ["wired", "socket://emulator:4001", "udp://10.0.0.2:10001", "pty:/tmp/board"])
+def test_what_is_no_adapter_is_not_looked_for_by_a_number(device):
+    assert ports.found(PortConfig(device=device, serial_number="7")) == device
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The commands, on a minute's recording of a simulated robot that is not what its file says."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -124,6 +125,32 @@ def test_the_laser_s_mount_is_found_and_written(drive_of_squares, robot, capsys,
     assert (mount.x, mount.y) == pytest.approx((MOUNT["x"], MOUNT["y"]), abs=0.005)
     assert mount.yaw == pytest.approx(MOUNT["yaw"], abs=0.01)
     plotted(tmp_path, "laser")
+
+
+class Driven(Bench):
+    """In the place of the operator at a running stack."""
+
+    def __init__(self, robot: object, stack: str) -> None:
+        super().__init__()
+
+    def __enter__(self) -> "Driven":
+        return self
+
+    def __exit__(self, *error: object) -> None: ...
+
+
+def test_the_motors_are_tried_and_what_they_did_is_told_plotted_and_written(robot, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("zenav.calibrate.live.Operator", Driven)
+    before = load_robot(str(robot)).robot.drive.max_braking
+    report, tree = told(capsys, "motors", "--robot", robot, "--yes", "--write")
+    braking = load_robot(str(robot)).robot.drive.max_braking
+    assert tree["robot"]["drive"] == {"max_braking": braking}
+    assert braking != before
+    for words in ("directions: each wheel turns as asked", "dead band: the right wheel", "steps: the left wheel"):
+        assert words in report
+    stood, by_file, by_result = map(float, re.findall(r"(\d\.\d{3}) m", report.partition("the longest stop")[2])[:3])
+    assert abs(by_result - stood) < 0.05 * stood < abs(by_file - stood)
+    plotted(tmp_path, "motors")
 
 
 def part_of(recording: Path, to: Path, keys: tuple[str, ...], seconds: float, robot: str = "x80") -> Path:

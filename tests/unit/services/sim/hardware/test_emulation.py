@@ -6,7 +6,10 @@ import pytest
 from services.base_driver import drrobot as driver
 from services.base_driver.drrobot import MotorSensor, said
 from services.base_driver.kinematics import board_counts, wheel_speeds
-from services.sim.hardware.faults import WORDS, Fault
+from services.lidar_driver import ld06
+from services.lidar_driver.device import Counts
+from services.lidar_driver.framing import Framing
+from services.sim.hardware.faults import OF_LASER, WORDS, Fault
 from shared import topics
 from shared.drrobot import PC, Deframer, Type
 from shared.messages import MotorCommand, SerialData
@@ -130,13 +133,37 @@ def test_an_adapter_is_pulled_out_at_once_and_comes_back_at_its_time():
     assert plugs(drive(sim, 0.5, b"")) == []
 
 
-def test_the_laser_of_messages_stops_and_its_adapter_is_none():
+@pytest.mark.parametrize("fault", OF_LASER)
+def test_a_laser_of_messages_falls_silent_by_each_of_its_faults_and_has_no_adapter(fault):
     sim = simulator("room", **EMULATED)
     drive(sim, 0.5, b"")
-    asked(sim, "laser_stopped", seconds=0.5)
+    assert plugs(asked(sim, fault.value, seconds=0.5)[1]) == []
     assert told(drive(sim, 0.48, b""), "scan") == []
     assert len(told(drive(sim, 0.5, b""), "scan")) >= 4
-    assert plugs(asked(sim, "laser_unplugged")[1]) == []
+
+
+def laser_bytes(sent):
+    return b"".join(data.data for data in told(sent, "port/tx") if data.port == "laser")
+
+
+@pytest.mark.parametrize("fault", [Fault.LASER_GARBAGE, Fault.LASER_STALLED])
+def test_of_a_lasers_broken_line_nothing_can_be_read_until_it_is_mended(fault):
+    sim = simulator("room", **EMULATED, emulation={"laser_model": "ld06"})
+    framing = Framing(ld06.LENGTH, ld06.begins, ld06.sums, Counts())
+    assert len(framing.cut(laser_bytes(drive(sim, 0.5, b"")))[0]) > 100
+    asked(sim, fault.value, seconds=0.5)
+    broken = laser_bytes(drive(sim, 0.48, b""))
+    assert bool(broken) is (fault is Fault.LASER_GARBAGE)
+    assert len(framing.cut(broken)[0]) == 0
+    assert len(framing.cut(laser_bytes(drive(sim, 0.5, b"")))[0]) > 100
+
+
+def test_a_lasers_stalled_line_carries_nothing_to_it_either():
+    sim = simulator("room", **EMULATED, emulation={"laser_model": "rplidar"})
+    info = SerialData(sim.now, "laser", b"\xa5\x50")
+    assert laser_bytes(sim.bytes_came(info))
+    asked(sim, "laser_stalled")
+    assert laser_bytes(sim.bytes_came(info)) == b""
 
 
 def test_the_same_seed_and_events_give_the_same_bytes():
