@@ -179,6 +179,10 @@ def _feed(
             progress(i / len(records))
     run.mapper.now += SECOND
     run.take(run.mapper.release())
+    run.take(run.mapper.settle())
+    run.work()
+    run.mapper.now += 3600 * SECOND  # the map may be drawn anew
+    run.take(run.mapper.publish_map())
     run.work()
     run.take(run.mapper.publish_map())
     return times

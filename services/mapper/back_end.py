@@ -14,7 +14,7 @@ from services.mapper.optimisation import PoseGraphConfig
 from services.mapper.pose_graph import Graph, Optimised, PoseGraph
 from services.mapper.registration import Match, OdometryError, RegistrationConfig
 from shared.config import Section
-from shared.geometry import Float64s, Pose2
+from shared.geometry import Float64s, Pose2, wrapped_all
 
 SEEN = 0.02  # m, a correction that shows on the map
 
@@ -29,6 +29,8 @@ class BackEndConfig(Section):
     )
     off_turn: float = Field(0.02, ge=0, le=3, description="rad, the same for its turn")
     patience: int = Field(20, ge=1, le=10_000, description="closures that agree, until it is optimised all the same")
+    crowd: int = Field(8, ge=2, le=1000, description="keyframes at one place, until the oldest of them is given up")
+    crowd_reach: float = Field(0.5, ge=0.05, le=5, description="m, and rad, that make it one place")
 
 
 class BackEnd:
@@ -75,6 +77,20 @@ class BackEnd:
             self.graph.connect(node - 1, node, step, information, loop=False)
             self.driven.append(self.driven[-1] + hypot(step.x, step.y))
         self.keyframes.append(keyframe)
+        self._thin()
+
+    def _thin(self) -> None:
+        """Where the robot drives again and again, the graph grows with the area, not with time."""
+        poses, driven = self.graph.poses, np.array(self.driven)
+        reach = self.config.crowd_reach
+        here = (np.abs(poses[:, :2] - poses[-1, :2]) < reach).all(axis=1)
+        here &= np.abs(wrapped_all(poses[:, 2] - poses[-1, 2])) < reach
+        old = np.flatnonzero(here & (driven[-1] - driven > self.loops.apart))
+        old = old[old > 0]  # the first one holds the map
+        if len(old) >= self.config.crowd:
+            row = int(old[0])
+            self.graph.remove(int(self.graph.nodes[row]))
+            del self.keyframes[row], self.driven[row]
 
     @property
     def due(self) -> bool:
@@ -89,6 +105,8 @@ class BackEnd:
     def close(self, loops: Sequence[Loop]) -> bool:
         """Takes closures; True where it is time to optimise."""
         off = False
+        nodes = set(self.graph.nodes.tolist())
+        loops = [loop for loop in loops if loop.i in nodes and loop.j in nodes]  # not given up meanwhile
         for loop in loops:
             rest = (self.graph.pose(loop.i).inverse() @ self.graph.pose(loop.j)).inverse() @ loop.i_from_j
             off |= hypot(rest.x, rest.y) > self.config.off or abs(rest.yaw) > self.config.off_turn
@@ -96,6 +114,11 @@ class BackEnd:
         self.n_loops += len(loops)
         self.n_agreeing += len(loops)
         return off or self.n_agreeing >= self.config.patience
+
+    @property
+    def settled(self) -> bool:
+        """Whether all closures are in the poses."""
+        return self.n_agreeing == 0
 
     def optimise(self) -> tuple[Graph, PoseGraphConfig]:
         """The arguments of `optimised`."""
@@ -119,11 +142,11 @@ class BackEnd:
         ]
 
 
-def drawn(keyframes: Sequence[Keyframe], poses: Float64s, config: OccupancyConfig) -> tuple[int, Occupancy]:
-    """The map that n keyframes at poses (n, 3) in `map` make, and n."""
+def drawn(keyframes: Sequence[Keyframe], poses: Float64s, config: OccupancyConfig) -> Occupancy:
+    """The map that keyframes at poses (n, 3) in `map` make."""
     grid = Occupancy(config, 0)
     for keyframe, row in zip(keyframes, poses.tolist()):
         pose = Pose2(*row)
         origins, ends = keyframe.beams()
         grid.integrate(pose @ origins, pose @ ends, np.full_like(ends, np.nan))
-    return len(keyframes), grid
+    return grid

@@ -16,8 +16,8 @@ Float32s = NDArray[np.float32]
 class Keyframe:
     """A sweep and where it was taken. Arrays are float32: thousands are kept.
 
-    stamp: ns, end of the sweep.  local_from_base: in the front end's frame, which no closure moves.  origins, ends: (n, 2) m in `base`,
-    ends NaN without an echo.  points, normals: (k, 2) m in `base`, what is matched.
+    stamp: ns, end of the sweep.  local_from_base: in the front end's frame, which no closure moves.  origins, ends:
+    (n, 2) m in `base`, ends NaN without an echo.  points, normals: (k, 2) m in `base`, what is matched.
     """
 
     stamp: int

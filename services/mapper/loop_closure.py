@@ -71,14 +71,16 @@ class Blocks:
         self._settings, self._around = (registration, occupancy, range_max), around
         self._made: dict[int, Submap] = {}
 
-    def about(self, keyframes: Sequence[Keyframe], row: int) -> Submap:
-        """The block that holds a keyframe in its middle third."""
-        block, around = row // self._around, self._around
+    def about(self, nodes: Int64s, keyframes: Sequence[Keyframe], row: int) -> Submap:
+        """The block that holds a node in its middle third. nodes: (n,) names, of the keyframes."""
+        around = self._around
+        block = int(nodes[row]) // around
+        begin, end = (int(np.searchsorted(nodes, (block + k) * around)) for k in (-1, 2))
+        whole = end < len(nodes)
         found = self._made.pop(block, None)
-        whole = (block + 2) * around <= len(keyframes)
         if found is None:
             found = Submap(*self._settings)
-            for keyframe in keyframes[max((block - 1) * around, 0) : (block + 2) * around]:
+            for keyframe in keyframes[begin:end]:
                 pose = keyframe.local_from_base
                 found.extend(pose, *keyframe.surface())
                 origins, ends = keyframe.beams()
@@ -93,7 +95,7 @@ class Blocks:
 def loops_of(
     graph: Graph, keyframes: Sequence[Keyframe], driven: Float64s, blocks: Blocks, config: LoopConfig
 ) -> list[Loop]:
-    """What closes at the newest keyframe. keyframes and driven (n,) m, the way up to each, go with the graph's nodes."""
+    """What closes at the newest keyframe. keyframes, and driven, (n,) m up to each, go with the graph's nodes."""
     last = len(graph.nodes) - 1
     covariances = uncertainty_from(graph, int(graph.nodes[last]))
     found = []
@@ -127,7 +129,7 @@ def _closed(
     blocks: Blocks,
     config: LoopConfig,
 ) -> Loop | None:
-    submap = blocks.about(keyframes, row)
+    submap = blocks.about(graph.nodes, keyframes, row)
     keyframe, place = keyframes[last], keyframes[row].local_from_base
     guess = place @ (_pose(graph.poses[row]).inverse() @ _pose(graph.poses[last]))
     sigma = sqrt(max(covariance[0, 0], covariance[1, 1]))

@@ -49,6 +49,7 @@ class MapperConfig(Section):
     back_end: BackEndConfig = BackEndConfig()
     loops: LoopConfig = LoopConfig()
     pose_graph: PoseGraphConfig = PoseGraphConfig()
+    redraw: float = Field(2.0, ge=0, le=3600, description="s between two drawings of the whole map at least")
     blind_doubt: float = Field(
         5.0, ge=1, le=100, description="how much wider the prior is when speed alone is known, without odometry"
     )
@@ -167,44 +168,52 @@ class MapperService(Service):
 
     @every(hz=2)
     def publish_map(self) -> Out:
+        """What changed; and where the graph has moved, the map is drawn anew now and then."""
         update = self.grid.update(self.now)
         if update is not None:
             yield topics.MAP(update)
+        jobs = self.jobs
+        if jobs.outdated and not jobs.drawing and self.now - jobs.drawn_at >= self.config.redraw * SECOND:
+            jobs.outdated, jobs.drawing, jobs.drawn_at = False, True, self.now
+            jobs.drawn_to = self.back_end.keyframes[-1].stamp
+            arguments = tuple(self.back_end.keyframes), self.back_end.graph.poses.copy(), self.config.occupancy
+            yield Job(_at, (jobs.epoch, drawn, arguments), done="redrawn", takes=0.5)
 
     def looked(self, result: tuple[int, list[Loop]]) -> Out:
         """Closures were found, or none."""
         epoch, loops = result
         self.jobs.looking = False
-        if epoch == self.jobs.epoch and self.back_end.close(loops) and not self.jobs.optimising:
+        if epoch == self.jobs.epoch and self.back_end.close(loops):
+            yield from self.settle()
+
+    def settle(self) -> Out:
+        """Optimises the graph where it holds closures that are not in the poses yet."""
+        if not self.back_end.settled and not self.jobs.optimising:
             self.jobs.optimising = True
-            yield Job(_at, (epoch, optimised, self.back_end.optimise()), done="corrected", takes=0.2)
+            yield Job(_at, (self.jobs.epoch, optimised, self.back_end.optimise()), done="corrected", takes=0.2)
 
     def corrected(self, result: tuple[int, Optimised]) -> Out:
         """The graph has its optimum: the pose on the map moves now, the map when it is drawn."""
         epoch, optimum = result
         self.jobs.optimising = False
-        if epoch == self.jobs.epoch and self.back_end.take(optimum):
-            self.jobs.outdated = True
-            yield from self._redraw()
+        if epoch == self.jobs.epoch:
+            self.jobs.outdated |= self.back_end.take(optimum)
+        return ()
 
-    def redrawn(self, result: tuple[int, tuple[int, Occupancy]]) -> Out:
+    def redrawn(self, result: tuple[int, Occupancy]) -> Out:
         """The map is drawn anew; what came meanwhile is added."""
-        epoch, (n, grid) = result
+        epoch, grid = result
         self.jobs.drawing = False
         if epoch != self.jobs.epoch:
-            return
-        for keyframe, correction in zip(self.back_end.keyframes[n:], self.back_end.corrections()[n:]):
+            return ()
+        for keyframe, correction in zip(reversed(self.back_end.keyframes), reversed(self.back_end.corrections())):
+            if keyframe.stamp <= self.jobs.drawn_to:
+                break
             pose = correction @ keyframe.local_from_base
             origins, ends = keyframe.beams()
             grid.integrate(pose @ origins, pose @ ends, np.full_like(ends, np.nan))
         self.grid.become(grid)
-        yield from self._redraw()
-
-    def _redraw(self) -> Out:
-        if self.jobs.outdated and not self.jobs.drawing:
-            self.jobs.outdated, self.jobs.drawing = False, True
-            arguments = tuple(self.back_end.keyframes), self.back_end.graph.poses.copy(), self.config.occupancy
-            yield Job(_at, (self.jobs.epoch, drawn, arguments), done="redrawn", takes=0.5)
+        return ()
 
     @answer(requests.LOAD_MAP)
     def load_map(self, request: LoadMap) -> Answer[Reply]:
@@ -354,6 +363,8 @@ class Jobs:
     optimising: bool = False
     drawing: bool = False
     outdated: bool = False  # the map's drawing is older than the graph
+    drawn_at: int = 0  # ns, when it was last begun
+    drawn_to: int = 0  # ns, stamp of the last keyframe in it
 
 
 def _at(epoch: int, function: Callable[..., T], arguments: tuple[Any, ...]) -> tuple[int, T]:
