@@ -58,7 +58,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Pyramid:
-    """Pictures of a map, of the same cells each: levels[k, r, c] is the largest value of 2^k x 2^k cells from (r, c) on.
+    """Pictures of a map on the same cells: levels[k, r, c] is the largest value of the 2^k x 2^k cells from (r, c) on.
 
     levels: (n, h, w) uint8, 255 on a surface; the outermost cells are 0 on every level, and so is all beyond.
     x0, y0: m, the lower left corner of cell (0, 0).  resolution: m a cell.
@@ -86,7 +86,8 @@ def drawn(points: Float64s, config: BranchAndBoundConfig) -> Pyramid:
         width, height = (int(n) for n in np.floor(high / resolution).astype(np.int64) + reach + 2 - first)
         if width * height <= config.most_cells or resolution > np.max(high - low):
             break
-        resolution, radius = 2 * resolution, max(radius, 4 * resolution)
+        resolution *= 2
+        radius = max(radius, 2 * resolution)  # narrower, a beam between two cells would miss the surface
     levels = np.zeros((config.levels, height, width), np.uint8)
     x0, y0 = (float(n) * resolution for n in first)
     _draw(points, levels[0], x0, y0, resolution, radius)
@@ -129,7 +130,7 @@ def search(
     rows, columns = _cells(points, centre.x - pyramid.x0, centre.y - pyramid.y0, centre.yaw + turns, pyramid.resolution)
     top = min((2 * k // ROOTS).bit_length(), len(pyramid.levels) - 1)
     levels = pyramid.levels[: top + 1]
-    roots = _roots(levels[top], top, rows, columns, k, least_sum)
+    roots = _roots(_phases(levels[top], 1 << top), top, rows, columns, k, least_sum)
 
     found: list[Candidate] = []
     near = np.zeros(len(turns), np.bool_)
@@ -151,13 +152,24 @@ def search(
     return found
 
 
+def _phases(level: UInt8s, side: int) -> UInt8s:
+    """(side, side, h / side, w / side) of a level (h, w): every side-th cell beside each other, 0 beyond.
+
+    What one beam adds to the bounds of all roots of a heading then lies in a few rows.
+    """
+    h, w = (-(-n // side) for n in level.shape)
+    whole = np.zeros((h * side, w * side), np.uint8)
+    whole[: level.shape[0], : level.shape[1]] = level
+    return np.ascontiguousarray(whole.reshape(h, side, w, side).transpose(1, 3, 0, 2))
+
+
 def headings(far: float, turn: float, resolution: float, finest: float) -> Float64s:
     """(n,) rad about 0, even, none twice: at most `resolution` m apart at `far` m, if `finest` rad allows it.
 
-    From -turn to turn; the whole circle, where turn is pi or more, is without its end.
+    From -turn to turn; where that leaves less than a step of the circle it is the whole, without its end.
     """
     step = min(max(resolution / max(far, resolution), finest), COARSEST_TURN)
-    if turn >= pi:
+    if turn + step / 2 >= pi:
         n = ceil(2 * pi / step)
         return np.arange(-(n // 2), n - n // 2, dtype=np.float64) * (2 * pi / n)
     k = ceil(turn / step)
@@ -262,24 +274,11 @@ def _sum(level, rows, columns, i, j, least):  # type: ignore[no-untyped-def]  # 
 
 
 @njit(cache=True, nogil=True)
-def _phases(level, side):  # type: ignore[no-untyped-def]  # compiled; (h, w) -> (side, side, h / side, w / side), rounded up
-    """Every side-th cell beside each other, 0 beyond: what one beam adds to all roots lies in a few rows."""
-    h, w = level.shape
-    phases = np.zeros((side, side, (h + side - 1) // side, (w + side - 1) // side), np.uint8)
-    for r in range(side):
-        for c in range(side):
-            cells = level[r::side, c::side]
-            phases[r, c, : cells.shape[0], : cells.shape[1]] = cells
-    return phases
-
-
-@njit(cache=True, nogil=True)
-def _roots(level, top, rows, columns, k, least):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
+def _roots(phases, top, rows, columns, k, least):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     """(n, 4) int32: bound, heading, i, j of the windows of the level `top` that may hold `least`, best first."""
     n_headings, n = rows.shape
     side = 1 << top
     m = (2 * k + side) >> top
-    phases = _phases(level, side)
     n_rows, n_columns = phases.shape[2], phases.shape[3]
     bounds = np.zeros((n_headings, m, m), np.uint16)
     starts = np.zeros(FULL * n + 2, np.int64)
@@ -287,7 +286,7 @@ def _roots(level, top, rows, columns, k, least):  # type: ignore[no-untyped-def]
         sums = bounds[h]
         for b in range(n):
             r, c = rows[h, b] - k, columns[h, b] - k
-            row, column = r >> top, c >> top
+            row, column = r >> top, c >> top  # of the first root, in the phase
             phase = phases[r & (side - 1), c & (side - 1)]
             low, high = max(-column, 0), min(n_columns - column, m)
             if low >= high:
@@ -300,7 +299,8 @@ def _roots(level, top, rows, columns, k, least):  # type: ignore[no-untyped-def]
             for i in range(m):
                 if sums[a, i] >= least:
                     starts[FULL * n - sums[a, i] + 1] += 1
-    starts = np.cumsum(starts)
+    for place in range(1, len(starts)):
+        starts[place] += starts[place - 1]
     roots = np.empty((starts[-1], 4), np.int32)
     for h in range(n_headings):
         for a in range(m):
