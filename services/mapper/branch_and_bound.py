@@ -28,7 +28,9 @@ GROWTH = 1.25  # of the voxels from one try to thin a scan to the next
 COARSEST_TURN = 0.1  # rad between headings at most, for scans of near points
 GOLDEN = 0.6180339887498949  # a stride of this share of a ring visits all of it evenly
 PARTS = 4  # of a cell in x and y that a point of the map is rounded to
-ROOTS = 32  # windows a side that a search begins with at most, as long as there are levels
+ROOTS = 32  # windows a side that a search begins with at most, where they are no wider than those of WIDE
+WIDE = 4  # level of windows (0.8 m) beyond which they bound so little in a building that more of these are faster
+MOST_ROOTS = 128  # windows a side from which a search begins with still wider ones
 BLOCK = 16  # beams summed between two looks at whether the rest can still help
 
 
@@ -37,7 +39,7 @@ class BranchAndBoundConfig(Section):
 
     resolution: float = Field(0.05, ge=0.01, le=0.5, description="m, side of a cell and step between poses")
     radius: float = Field(0.2, ge=0.02, le=2, description="m from the map's surface at which a beam scores nothing")
-    levels: int = Field(7, ge=1, le=10, description="pictures; the last one's windows are 2^(levels - 1) cells wide")
+    levels: int = Field(6, ge=1, le=10, description="pictures; the last one's windows are 2^(levels - 1) cells wide")
     most_cells: int = Field(
         8_000_000, ge=10_000, le=100_000_000, description="cells of a picture; a wider map has larger cells"
     )
@@ -115,9 +117,10 @@ def search(
 ) -> list[Candidate]:
     """The best pose of the window whose score is at least `least`, and its best rival, if there is one; [] if neither.
 
-    points: (n, 2) m in `base`.  centre: the window's, in the pyramid's frame; it reaches `reach` m to each side in x
-    and y, and `turn` rad; pi is all the way round.  The rival is the best pose `apart` m or `apart_turn` rad away from
-    the best. Of poses with equal scores the one nearest to the centre counts, in steps of the lattice.
+    points: (n, 2) m in `base`.  centre: the window's, in the pyramid's frame; it reaches `reach` m, rounded up to cells,
+    to each side in x and y, and `turn` rad; pi is all the way round.  The rival is the best pose `apart` m or
+    `apart_turn` rad away from the best. Of poses with equal scores the one nearest to the centre counts, in steps of
+    the lattice.
     """
     points = thinned(points, config.beams, pyramid.resolution)
     n, k = len(points), ceil(reach / pyramid.resolution - 1e-9)
@@ -128,7 +131,7 @@ def search(
     middle = len(turns) // 2
     least_sum = max(ceil(least * FULL * n), 1)
     rows, columns = _cells(points, centre.x - pyramid.x0, centre.y - pyramid.y0, centre.yaw + turns, pyramid.resolution)
-    top = min((2 * k // ROOTS).bit_length(), len(pyramid.levels) - 1)
+    top = min((2 * k // ROOTS).bit_length(), max(WIDE, (2 * k // MOST_ROOTS).bit_length()), len(pyramid.levels) - 1)
     levels = pyramid.levels[: top + 1]
     roots = _roots(_phases(levels[top], 1 << top), top, rows, columns, k, least_sum)
 

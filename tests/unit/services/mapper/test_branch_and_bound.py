@@ -144,6 +144,16 @@ def test_a_robot_that_was_carried_away_is_found(true):
     assert abs(wrapped(turned.pose.yaw - true.yaw - pi)) < 0.1
 
 
+@pytest.mark.parametrize("reach", [0.85, 1.7, 2.05, 3.5])
+def test_the_pose_just_beyond_the_window_is_not_found(reach):
+    """The last window of each level reaches beyond the search's: the robot stands a cell outside."""
+    pyramid = drawn(mapped(ROOM, Pose2()), CONFIG)
+    for true in (Pose2(reach + 0.05, 0, 0), Pose2(0, reach + 0.05, 0)):
+        points = true.inverse() @ mapped(ROOM, Pose2())
+        for found in search(points, pyramid, Pose2(), reach, 0.0, 0.0, EVERYWHERE):
+            assert max(abs(found.pose.x), abs(found.pose.y)) < reach + 1e-6
+
+
 def test_of_two_rooms_that_look_alike_each_is_the_others_rival():
     true = Pose2(0.5, -0.5, 0.4)
     pyramid = drawn(mapped(np.concatenate((ROOM, ROOM + ASIDE)), Pose2(), Pose2(20, 0, 0)), CONFIG)
