@@ -117,8 +117,8 @@ def search(
 ) -> list[Candidate]:
     """The best pose of the window whose score is at least `least`, and its best rival, if there is one; [] if neither.
 
-    points: (n, 2) m in `base`.  centre: the window's, in the pyramid's frame; it reaches `reach` m, rounded up to cells,
-    to each side in x and y, and `turn` rad; pi is all the way round.  The rival is the best pose `apart` m or
+    points: (n, 2) m in `base`.  centre: the window's, in the pyramid's frame; it reaches `reach` m to each side in x
+    and y, rounded up to cells, and `turn` rad; pi is all the way round.  The rival is the best pose `apart` m or
     `apart_turn` rad away from the best. Of poses with equal scores the one nearest to the centre counts, in steps of
     the lattice.
     """
