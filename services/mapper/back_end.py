@@ -8,11 +8,12 @@ import numpy as np
 from pydantic import Field
 
 from services.mapper.keyframe import Keyframe
-from services.mapper.loop_closure import Blocks, Loop, LoopConfig, in_own_frame
+from services.mapper.loop_closure import Blocks, Loop, LoopConfig, closed, in_own_frame
 from services.mapper.occupancy import Occupancy, OccupancyConfig
-from services.mapper.optimisation import PoseGraphConfig
+from services.mapper.optimisation import PoseGraphConfig, optimised
 from services.mapper.pose_graph import Graph, Optimised, PoseGraph
 from services.mapper.registration import Match, OdometryError, RegistrationConfig
+from services.mapper.uncertainty import uncertainty_from
 from shared.config import Section
 from shared.geometry import Float64s, Pose2, wrapped_all
 
@@ -29,6 +30,7 @@ class BackEndConfig(Section):
     )
     off_turn: float = Field(0.02, ge=0, le=3, description="rad, the same for its turn")
     patience: int = Field(20, ge=1, le=10_000, description="closures that agree, until it is optimised all the same")
+    redraw: float = Field(2.0, ge=0, le=3600, description="s between two drawings of the whole map at least")
     crowd: int = Field(8, ge=2, le=1000, description="keyframes at one place, until the oldest of them is given up")
     crowd_reach: float = Field(0.5, ge=0.05, le=5, description="m, and rad, that make it one place")
 
@@ -58,7 +60,7 @@ class BackEnd:
         self.looked_at = 0.0  # m driven when loops were looked for
         self.n_loops = 0
         self.n_agreeing = 0  # closures since the last optimisation
-        self.blocks = Blocks(*self._settings, self.loops.around)
+        self.blocks = Blocks(*self._settings, self.loops)
 
     def add(self, keyframe: Keyframe, match: Match, odometry: OdometryError) -> None:
         """A new keyframe, where the beams say that it is; where they say nothing, odometry does."""
@@ -133,6 +135,20 @@ class BackEnd:
         row = self.graph.poses[-1]
         self.map_from_local = Pose2(float(row[0]), float(row[1]), float(row[2])) @ last.inverse()
         return bool(np.hypot(*(self.graph.poses - before)[:, :2].T).max() > SEEN)
+
+    def draw(self) -> tuple[tuple[Keyframe, ...], Float64s, OccupancyConfig]:
+        """The arguments of `drawn`."""
+        return tuple(self.keyframes), self.graph.poses.copy(), self._settings[1]
+
+    def rehearse(self) -> None:
+        """Calls every kernel once, with two keyframes or more; it is of no use after that."""
+        graph, last = self.graph.snapshot(), len(self.keyframes) - 1
+        covariances = uncertainty_from(graph, int(graph.nodes[last]))
+        closed(graph, self.keyframes, 0, last, covariances[0], self.blocks, self.loops)
+        off = self.graph.pose(0).inverse() @ self.graph.pose(last) @ Pose2(0.5, 0.0, 0.1)
+        self.graph.connect(0, last, off, np.eye(3), loop=True)
+        self.take(optimised(*self.optimise()))
+        drawn(*self.draw())
 
     def corrections(self) -> list[Pose2]:
         """map_from_local at each keyframe."""

@@ -7,13 +7,13 @@ nothing, and could lie nowhere else. Whether a closure agrees with all others is
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import pi, sqrt
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.mapper.correlative_match import SearchConfig, candidates
+from services.mapper.branch_and_bound import BranchAndBoundConfig, Pyramid, drawn, search
 from services.mapper.keyframe import Keyframe
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.pose_graph import Graph
@@ -43,8 +43,10 @@ class LoopConfig(Section):
     share: float = Field(0.65, ge=0, le=1, description="of the beams that must agree")
     balance: float = Field(0.55, ge=0, le=1, description="agreeing beams less contradicting ones, as a share of all")
     unlike: float = Field(0.9, ge=0, le=1, description="the second best place may have this share of its balance")
+    score: float = Field(0.3, ge=0, le=1, description="of a pose of the window, from which it is tried")
     noise: float = Field(0.02, ge=0.001, le=1, description="m, standard deviation of a closure at least")
     noise_turn: float = Field(0.005, ge=0.0005, le=1, description="rad, of its turn")
+    search: BranchAndBoundConfig = BranchAndBoundConfig()
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,25 +68,27 @@ class Blocks:
     KEPT = 64
 
     def __init__(
-        self, registration: RegistrationConfig, occupancy: OccupancyConfig, range_max: float, around: int
+        self, registration: RegistrationConfig, occupancy: OccupancyConfig, range_max: float, config: LoopConfig
     ) -> None:
-        self._settings, self._around = (registration, occupancy, range_max), around
-        self._made: dict[int, Submap] = {}
+        self._settings, self._config = (registration, occupancy, range_max), config
+        self._made: dict[int, tuple[Submap, Pyramid]] = {}
 
-    def about(self, nodes: Int64s, keyframes: Sequence[Keyframe], row: int) -> Submap:
-        """The block that holds a node in its middle third. nodes: (n,) names, of the keyframes."""
-        around = self._around
+    def about(self, nodes: Int64s, keyframes: Sequence[Keyframe], row: int) -> tuple[Submap, Pyramid]:
+        """The block, and its pictures, that holds a node in its middle third. nodes: (n,) names, of the keyframes."""
+        around = self._config.around
         block = int(nodes[row]) // around
         begin, end = (int(np.searchsorted(nodes, (block + k) * around)) for k in (-1, 2))
         whole = end < len(nodes)
         found = self._made.pop(block, None)
         if found is None:
-            found = Submap(*self._settings)
+            submap = Submap(*self._settings)
             for keyframe in keyframes[begin:end]:
                 pose = keyframe.local_from_base
-                found.extend(pose, *keyframe.surface())
+                submap.extend(pose, *keyframe.surface())
                 origins, ends = keyframe.beams()
-                found.grid.integrate(pose @ origins, pose @ ends, np.full_like(ends, np.nan))
+                submap.grid.integrate(pose @ origins, pose @ ends, np.full_like(ends, np.nan))
+            points = submap.registrar.map.points[: submap.registrar.map.n, :2]
+            found = submap, drawn(np.ascontiguousarray(points), self._config.search)
         if whole:
             self._made[block] = found
             if len(self._made) > self.KEPT:
@@ -100,7 +104,7 @@ def loops_of(
     covariances = uncertainty_from(graph, int(graph.nodes[last]))
     found = []
     for row in earlier_visits(graph.poses, covariances, driven, config):
-        loop = _closed(graph, keyframes, row, last, covariances[row], blocks, config)
+        loop = closed(graph, keyframes, row, last, covariances[row], blocks, config)
         if loop is not None:
             found.append(loop)
     return found
@@ -120,7 +124,7 @@ def earlier_visits(poses: Float64s, covariances: Float64s, driven: Float64s, con
     return nearest[: config.passes]
 
 
-def _closed(
+def closed(
     graph: Graph,
     keyframes: Sequence[Keyframe],
     row: int,
@@ -129,7 +133,8 @@ def _closed(
     blocks: Blocks,
     config: LoopConfig,
 ) -> Loop | None:
-    submap = blocks.about(graph.nodes, keyframes, row)
+    """The closure between the nodes of two rows, if the beams of the last one find its place by the other."""
+    submap, pyramid = blocks.about(graph.nodes, keyframes, row)
     keyframe, place = keyframes[last], keyframes[row].local_from_base
     guess = place @ (_pose(graph.poses[row]).inverse() @ _pose(graph.poses[last]))
     sigma = sqrt(max(covariance[0, 0], covariance[1, 1]))
@@ -138,11 +143,11 @@ def _closed(
     reach = min(max(config.sigmas * sigma, 0.3), config.farthest)
     turn = min(max(config.sigmas * sigma_turn, 0.1), 0.5)
     points, normals = keyframe.surface()
-    window = SearchConfig(reach=reach, turn=min(turn, pi), step=0.1 if reach < 1 else 0.15)
+    candidates = search(points, pyramid, guess, reach, turn, config.score, config.search)
     origin = np.nanmean(keyframe.origins, axis=0, dtype=np.float64)
     best: tuple[float, Match] | None = None
     tried = []
-    for start in (guess, *candidates(points, submap.registrar.map, guess, window)):
+    for start in (guess, *(candidate.pose for candidate in candidates)):
         match = submap.registrar.register(points, normals, start, prior)
         pose, other = match.map_from_base, points[~match.agree]
         against = submap.grid.contradicts(pose @ np.broadcast_to(origin, other.shape), pose @ other)

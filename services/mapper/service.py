@@ -1,23 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mapper: scans and odometry in, the robot's pose and the map out."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, TypeVar
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.mapper.back_end import BackEnd, BackEndConfig, drawn
+from services.mapper.back_end import BackEnd, BackEndConfig
+from services.mapper.background import Background
 from services.mapper.correlative_match import SearchConfig
 from services.mapper.deskew import deskewed
 from services.mapper.front_end import FrontEnd, FrontEndConfig, Tracked
 from services.mapper.keyframe import Keyframe
-from services.mapper.loop_closure import Loop, LoopConfig, loops_of
+from services.mapper.loop_closure import Loop, LoopConfig
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.odometry_track import OdometryConfig, OdometryTrack
-from services.mapper.optimisation import PoseGraphConfig, optimised
+from services.mapper.optimisation import PoseGraphConfig
 from services.mapper.pose_graph import Optimised
 from services.mapper.registration import RegistrationConfig
 from shared import requests, topics
@@ -27,10 +24,9 @@ from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
 from shared.reasons import BAD_REQUEST
 from shared.requests import LoadMap, Reply
-from shared.service import Answer, Job, Log, Out, Service, answer, every, on
+from shared.service import Answer, Log, Out, Service, answer, every, on
 
 Float64s = NDArray[np.float64]
-T = TypeVar("T")
 
 SECOND = 1_000_000_000
 OLDEST = SECOND  # a scan that is older when it arrives says where the robot was, not where it is
@@ -49,7 +45,6 @@ class MapperConfig(Section):
     back_end: BackEndConfig = BackEndConfig()
     loops: LoopConfig = LoopConfig()
     pose_graph: PoseGraphConfig = PoseGraphConfig()
-    redraw: float = Field(2.0, ge=0, le=3600, description="s between two drawings of the whole map at least")
     blind_doubt: float = Field(
         5.0, ge=1, le=100, description="how much wider the prior is when speed alone is known, without odometry"
     )
@@ -71,7 +66,7 @@ class MapperService(Service):
             config.back_end, config.loops, config.pose_graph, config.registration, config.occupancy,
             robot.laser.range_max,
         )  # fmt: skip
-        self.jobs = Jobs()
+        self.loops = Background(self.back_end)
         self.grid = Occupancy(config.occupancy, 0)
         self.pending: tuple[int, LaserScan] | None = None  # when it came, and the scan
         self.last_end = -1  # ns, end of the last scan that was placed
@@ -102,6 +97,7 @@ class MapperService(Service):
         other.front_end.window.active.registrar.extend(
             np.ascontiguousarray(0.3 * np.argwhere(np.ones((60, 60)))), np.zeros((3600, 2))
         )  # until it grows
+        other.back_end.rehearse()
         list(other.publish_map())
         load = LoadMap(other.now, other.grid.whole(other.now), Pose2())
         list(other.load_map(load))
@@ -172,47 +168,26 @@ class MapperService(Service):
         update = self.grid.update(self.now)
         if update is not None:
             yield topics.MAP(update)
-        jobs = self.jobs
-        if jobs.outdated and not jobs.drawing and self.now - jobs.drawn_at >= self.config.redraw * SECOND:
-            jobs.outdated, jobs.drawing, jobs.drawn_at = False, True, self.now
-            jobs.drawn_to = self.back_end.keyframes[-1].stamp
-            arguments = tuple(self.back_end.keyframes), self.back_end.graph.poses.copy(), self.config.occupancy
-            yield Job(_at, (jobs.epoch, drawn, arguments), done="redrawn", takes=0.5)
+        yield from self.loops.redraw(self.now)
 
     def looked(self, result: tuple[int, list[Loop]]) -> Out:
         """Closures were found, or none."""
-        epoch, loops = result
-        self.jobs.looking = False
-        if epoch == self.jobs.epoch and self.back_end.close(loops):
-            yield from self.settle()
+        return self.loops.looked(result)
 
     def settle(self) -> Out:
         """Optimises the graph where it holds closures that are not in the poses yet."""
-        if not self.back_end.settled and not self.jobs.optimising:
-            self.jobs.optimising = True
-            yield Job(_at, (self.jobs.epoch, optimised, self.back_end.optimise()), done="corrected", takes=0.2)
+        return self.loops.settle()
 
     def corrected(self, result: tuple[int, Optimised]) -> Out:
         """The graph has its optimum: the pose on the map moves now, the map when it is drawn."""
-        epoch, optimum = result
-        self.jobs.optimising = False
-        if epoch == self.jobs.epoch:
-            self.jobs.outdated |= self.back_end.take(optimum)
+        self.loops.corrected(result)
         return ()
 
     def redrawn(self, result: tuple[int, Occupancy]) -> Out:
-        """The map is drawn anew; what came meanwhile is added."""
-        epoch, grid = result
-        self.jobs.drawing = False
-        if epoch != self.jobs.epoch:
-            return ()
-        for keyframe, correction in zip(reversed(self.back_end.keyframes), reversed(self.back_end.corrections())):
-            if keyframe.stamp <= self.jobs.drawn_to:
-                break
-            pose = correction @ keyframe.local_from_base
-            origins, ends = keyframe.beams()
-            grid.integrate(pose @ origins, pose @ ends, np.full_like(ends, np.nan))
-        self.grid.become(grid)
+        """The map is drawn anew."""
+        grid = self.loops.redrawn(result)
+        if grid is not None:
+            self.grid.become(grid)
         return ()
 
     @answer(requests.LOAD_MAP)
@@ -227,7 +202,7 @@ class MapperService(Service):
         self.grid = Occupancy(self.config.occupancy, max(self.now, self.grid.map_id + 1))
         self.grid.load(request.map)
         self.front_end.load(grid, request.map, request.map_from_base)
-        self._forget()
+        self.loops.start()
         self.pending = None
         self.velocity = Pose2()
         update = self.grid.update(self.now)
@@ -247,14 +222,9 @@ class MapperService(Service):
             self.grid.load(update)
             self.grid.version = update.version
             self.front_end.load(grid, update, estimate.map_from_base)
-            self._forget()
+            self.loops.start()
             self.tracked, self.last_end, self.velocity = None, -1, Pose2()
             yield Log("INFO", f"going on with the map from before the restart: {len(update.rows)} tiles")
-
-    def _forget(self) -> None:
-        """What was to be found for another map counts no more."""
-        self.back_end.start()
-        self.jobs = Jobs(self.jobs.epoch + 1)
 
     def _moved_meanwhile(self, end: int) -> None:
         """Where the robot is after a restart: odometry went on meanwhile, unless it was restarted too."""
@@ -297,19 +267,12 @@ class MapperService(Service):
         self.last_end, self.tracked = end, tracked
         yield topics.POSE(self._estimate(end, tracked))
         if tracked.keyframe is not None and self.front_end.window.moves:
-            yield from self._keep(Keyframe.of(end, tracked.local_from_base, origins, ends, tracked.keyframe))
+            keyframe = Keyframe.of(end, tracked.local_from_base, origins, ends, tracked.keyframe)
+            yield from self.loops.keep(keyframe, tracked.match, self.front_end.odometry_error)
 
     @property
     def map_from_base(self) -> Pose2:
         return self.back_end.map_from_local @ self.front_end.local_from_base
-
-    def _keep(self, keyframe: Keyframe) -> Out:
-        """A keyframe joins the graph; now and then, loops are looked for from it."""
-        assert self.tracked is not None
-        self.back_end.add(keyframe, self.tracked.match, self.front_end.odometry_error)
-        if self.back_end.due and not self.jobs.looking:
-            self.jobs.looking = True
-            yield Job(_at, (self.jobs.epoch, loops_of, self.back_end.look()), done="looked", takes=0.05)
 
     def _step(self, end: int, seconds: float) -> Pose2:
         """The motion since the last placed scan: by odometry, or at the last known speed."""
@@ -352,24 +315,6 @@ class MapperService(Service):
             tracked.quality,
             tracked.state,
         )
-
-
-@dataclass(slots=True)
-class Jobs:
-    """What is under way. epoch: counts the maps; what was begun for another one is thrown away."""
-
-    epoch: int = 0
-    looking: bool = False
-    optimising: bool = False
-    drawing: bool = False
-    outdated: bool = False  # the map's drawing is older than the graph
-    drawn_at: int = 0  # ns, when it was last begun
-    drawn_to: int = 0  # ns, stamp of the last keyframe in it
-
-
-def _at(epoch: int, function: Callable[..., T], arguments: tuple[Any, ...]) -> tuple[int, T]:
-    """A Job's result with the epoch that it was begun in."""
-    return epoch, function(*arguments)
 
 
 def _turned(covariance: Float64s, yaw: float) -> Float64s:

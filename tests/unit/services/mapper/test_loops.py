@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot whose front end drifts drives round a ring: its loop closes, and nothing closes that is none."""
+
+from itertools import islice
+from math import hypot, pi
+
+import numpy as np
+import pytest
+
+from services.mapper.back_end import BackEnd, BackEndConfig
+from services.mapper.background import Background
+from services.mapper.front_end import Sweep
+from services.mapper.keyframe import Keyframe
+from services.mapper.loop_closure import LoopConfig, earlier_visits, in_own_frame
+from services.mapper.occupancy import OccupancyConfig
+from services.mapper.optimisation import PoseGraphConfig
+from services.mapper.registration import Match, OdometryError, RegistrationConfig
+from services.mapper.surface import sweep_normals, sweep_usable
+from shared.geometry import Pose2
+from tests.unit.services.mapper.rooms import RING, SECOND, sweep
+
+CORNERS = ((1.1, 1.1), (14.9, 1.1), (14.9, 9.9), (1.1, 9.9))
+START = Pose2(*CORNERS[0], 0.0)
+STEP, TURN = 0.3, pi / 6
+SURE = np.diag((1e4, 1e4, 1e5))
+DRIFT = Pose2(0.003, 0.002, 0.0015)  # m, m, rad with every keyframe: after a lap, half a metre and more
+
+
+def laps():
+    """True motions from keyframe to keyframe, round and round."""
+    while True:
+        for k in range(4):
+            (x0, y0), (x1, y1) = CORNERS[k], CORNERS[(k + 1) % 4]
+            yield from [Pose2(STEP, 0, 0)] * round(hypot(x1 - x0, y1 - y0) / STEP)
+            yield from [Pose2(0, 0, TURN)] * round(pi / 2 / TURN)
+
+
+LAP = len([Pose2()] * sum(round(side / STEP) + 3 for side in (13.8, 8.8, 13.8, 8.8)))
+
+
+class Robot:
+    """A back end that is given keyframes at true places, told with drift. Jobs are done at once, unless `busy`."""
+
+    def __init__(self, drift=DRIFT, segments=RING, **back_end):
+        settings = RegistrationConfig(), OccupancyConfig(), 8.0
+        self.back_end = BackEnd(BackEndConfig(**back_end), LoopConfig(apart=8.0), PoseGraphConfig(), *settings)
+        self.background = Background(self.back_end)
+        self.drift, self.segments = drift, segments
+        self.true, self.local, self.now = START, Pose2(), 0
+        self.true_at: dict[int, Pose2] = {}  # by stamp
+        self.jobs, self.busy, self.drawings = [], False, []
+
+    def keyframe(self):
+        origins, ends = sweep(self.segments, self.true, noise=0.01, seed=self.now // SECOND)
+        normals = sweep_normals(origins, ends)
+        valid = sweep_usable(origins, ends) | normals.any(axis=1)
+        found = Sweep(origins[valid], ends[valid], normals[valid])
+        self.true_at[self.now] = self.true
+        return Keyframe.of(self.now, self.local, origins, ends, found)
+
+    def stands(self):
+        match = Match(self.local, SURE, np.ones(1, bool), 1.0)
+        self.take(self.background.keep(self.keyframe(), match, OdometryError()))
+
+    def drives(self, motions):
+        if not self.back_end.keyframes:
+            self.stands()
+        for motion in motions:
+            self.now += SECOND
+            self.true = self.true @ motion
+            self.local = self.local @ motion @ self.drift
+            self.stands()
+
+    def take(self, jobs):
+        self.jobs += list(jobs or ())
+        while self.jobs and not self.busy:
+            job = self.jobs.pop(0)
+            result = job.function(*job.arguments)
+            taken = getattr(self.background, job.done)(result)
+            if job.done == "redrawn":
+                self.drawings.append(taken)
+            else:
+                self.take(taken)
+
+    @property
+    def errors(self):
+        """(n, 3) what is left between keyframes and truth, on the map that begins at the first."""
+        rests = [
+            (START.inverse() @ self.true_at[keyframe.stamp]).inverse() @ Pose2(*row)
+            for keyframe, row in zip(self.back_end.keyframes, self.back_end.graph.poses.tolist())
+        ]
+        return np.array([(rest.x, rest.y, rest.yaw) for rest in rests])
+
+
+@pytest.fixture(scope="module")
+def round_once():
+    robot = Robot()
+    robot.drives(islice(laps(), LAP + 20))
+    return robot
+
+
+def test_a_loop_closes_and_takes_out_the_drift_of_the_whole_lap(round_once):
+    drifted = (START.inverse() @ round_once.true).inverse() @ round_once.local
+    assert hypot(drifted.x, drifted.y) > 1.0
+    assert round_once.back_end.n_loops > 5
+    errors = round_once.errors
+    assert np.hypot(errors[-1, 0], errors[-1, 1]) < 0.05
+    assert abs(errors[-1, 2]) < 0.01
+    assert np.hypot(errors[:, 0], errors[:, 1]).max() < 0.35
+
+
+def test_where_the_front_end_is_on_the_map_follows_the_newest_keyframe(round_once):
+    back_end = round_once.back_end
+    pose = back_end.map_from_local @ round_once.local
+    assert pose.distance(Pose2(*back_end.graph.poses[-1])) < 1e-9
+    assert back_end.corrections()[-1].distance(back_end.map_from_local) < 1e-9
+
+
+def test_the_map_is_drawn_anew_from_where_the_keyframes_are_now(round_once):
+    round_once.take(round_once.background.redraw(round_once.now + 10 * SECOND))
+    assert not list(round_once.background.redraw(round_once.now + 20 * SECOND)), "nothing has moved since"
+    grid = round_once.drawings[-1]
+    _, ends = sweep(RING, START)
+    near = START.inverse() @ (START @ ends[~np.isnan(ends[:, 0])])
+    inwards = near * (1 - 0.25 / np.hypot(*near.T))[:, None]
+    assert grid.clear_at(np.ascontiguousarray(inwards), 0).mean() > 0.95, "no second wall before the first"
+
+
+def test_without_drift_a_closure_moves_nothing_that_is_seen():
+    robot = Robot(drift=Pose2())
+    robot.drives(islice(laps(), LAP + 20))
+    assert robot.back_end.n_loops > 5
+    assert np.abs(robot.errors).max() < 0.02
+
+
+def test_in_a_corridor_that_looks_alike_everywhere_nothing_is_closed_at_another_place():
+    corridor = np.array([(-60.0, -1.0, 60.0, -1.0), (-60.0, 1.0, 60.0, 1.0)])
+    robot = Robot(drift=Pose2(), segments=corridor)
+    robot.true = Pose2(0.0, 0.0, 0.0)
+    robot.drives([Pose2(STEP, 0, 0)] * 40 + [Pose2(0, 0, pi / 6)] * 6 + [Pose2(STEP, 0, 0)] * 40)
+    places = np.array([(k.local_from_base.x, k.local_from_base.y) for k in robot.back_end.keyframes])
+    assert np.abs(robot.back_end.graph.poses[:, :2] - places).max() < 0.05
+
+
+def test_what_was_looked_for_on_another_map_counts_no_more():
+    robot = Robot()
+    robot.busy = True
+    robot.drives(islice(laps(), 10))
+    assert robot.jobs
+    robot.background.start()
+    robot.busy = False
+    robot.take(())
+    assert robot.back_end.n_loops == 0
+    assert not robot.background.looking
+
+
+def test_one_look_runs_at_a_time_and_what_comes_meanwhile_moves_along():
+    robot = Robot()
+    robot.drives(islice(laps(), LAP))
+    robot.busy = True
+    robot.drives(islice(laps(), 12))
+    assert [job.done for job in robot.jobs] == ["looked"]
+    robot.busy = False
+    robot.take(())
+    robot.drives([])
+    last, before = robot.back_end.graph.poses[-1], robot.back_end.graph.poses[-2]
+    step = Pose2(*before).inverse() @ Pose2(*last)
+    told = robot.back_end.keyframes[-2].local_from_base.inverse() @ robot.back_end.keyframes[-1].local_from_base
+    assert step.distance(told) < 0.02
+
+
+def test_who_drives_the_same_ring_for_ever_keeps_a_graph_of_one_size():
+    robot = Robot(crowd=3)
+    motions = laps()
+    sizes, edges = [], []
+    for _ in range(7):
+        robot.drives(islice(motions, LAP))
+        sizes.append(len(robot.back_end.keyframes))
+        edges.append(robot.back_end.graph.n_edges)
+    assert sizes[-1] <= sizes[-3] + 3
+    assert edges[-1] <= 1.2 * edges[-3]
+    assert len(robot.back_end.keyframes) == len(robot.back_end.graph.nodes) == len(robot.back_end.driven)
+    assert np.hypot(*robot.errors[:, :2].T).max() < 0.35
+
+
+def visited(poses, sigma=0.05, **config):
+    poses = np.array(poses, float)
+    covariances = np.tile(np.diag((sigma**2, sigma**2, 1e-4)), (len(poses), 1, 1))
+    driven = np.concatenate(([0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))))
+    return earlier_visits(poses, covariances, driven, LoopConfig(**config))
+
+
+def test_an_earlier_visit_is_one_near_place_a_pass_and_not_the_way_just_driven():
+    there_and_back = [(x, 0, 0) for x in range(20)] + [(x, 1, pi) for x in range(19, 4, -1)]
+    assert visited(there_and_back, apart=12.0, view=3.0) == [5]
+    assert visited(there_and_back, apart=100.0, view=3.0) == []
+    assert visited([(x, 0, 0) for x in range(20)], apart=12.0, view=3.0) == []
+
+
+def test_how_far_around_is_looked_grows_with_doubt():
+    ring = [(x, 0, 0) for x in range(20)] + [(x, 5, pi) for x in range(19, 4, -1)]
+    assert visited(ring, sigma=0.05, view=3.0) == []
+    assert visited(ring, sigma=1.5, view=3.0) == [5]
+
+
+def test_information_is_turned_into_the_pose_s_own_axes_and_never_surer_than_the_noise():
+    along = in_own_frame(np.diag((1e6, 1e-3, 1e6)), pi / 2, 1e-2 * np.eye(3), 0.02, 0.005)
+    covariance = np.linalg.inv(along)
+    assert covariance[0, 0] > 10, "along its own x, which is the map's y, nothing is known"
+    assert covariance[1, 1] == pytest.approx(0.02**2, rel=0.05)
+    assert covariance[2, 2] == pytest.approx(0.005**2, rel=0.1)
