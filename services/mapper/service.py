@@ -97,7 +97,9 @@ class MapperService(Service):
         other.front_end.window.active.registrar.extend(
             np.ascontiguousarray(0.3 * np.argwhere(np.ones((60, 60)))), np.zeros((3600, 2))
         )  # until it grows
-        other.back_end.rehearse()
+        if other.tracked is not None:
+            other.back_end.add(other.back_end.keyframes[0], other.tracked.match, other.front_end.odometry_error)
+            other.back_end.rehearse()
         list(other.publish_map())
         load = LoadMap(other.now, other.grid.whole(other.now), Pose2())
         list(other.load_map(load))

@@ -103,10 +103,14 @@ def test_a_loop_closes_and_takes_out_the_drift_of_the_whole_lap(round_once):
     drifted = (START.inverse() @ round_once.true).inverse() @ round_once.local
     assert hypot(drifted.x, drifted.y) > 1.0
     assert round_once.back_end.n_loops > 5
-    errors = round_once.errors
-    assert np.hypot(errors[-1, 0], errors[-1, 1]) < 0.05
-    assert abs(errors[-1, 2]) < 0.01
-    assert np.hypot(errors[:, 0], errors[:, 1]).max() < 0.35
+    assert np.hypot(*round_once.errors[:, :2].T).max() < 0.35
+    poses, keyframes = round_once.back_end.graph.poses, round_once.back_end.keyframes
+    now = round_once.true_at[keyframes[-1].stamp]
+    for row in range(10, 25):  # of the first lap, about where the robot is again
+        true = round_once.true_at[keyframes[row].stamp].inverse() @ now
+        rest = true.inverse() @ (Pose2(*poses[row]).inverse() @ Pose2(*poses[-1]))
+        assert hypot(rest.x, rest.y) < 0.05
+        assert abs(rest.yaw) < 0.025
 
 
 def test_where_the_front_end_is_on_the_map_follows_the_newest_keyframe(round_once):
@@ -172,13 +176,9 @@ def test_one_look_runs_at_a_time_and_what_comes_meanwhile_moves_along():
 def test_who_drives_the_same_ring_for_ever_keeps_a_graph_of_one_size():
     robot = Robot(crowd=3)
     motions = laps()
-    sizes, edges = [], []
-    for _ in range(7):
-        robot.drives(islice(motions, LAP))
-        sizes.append(len(robot.back_end.keyframes))
-        edges.append(robot.back_end.graph.n_edges)
-    assert sizes[-1] <= sizes[-3] + 3
-    assert edges[-1] <= 1.2 * edges[-3]
+    robot.drives(islice(motions, 7 * LAP))
+    assert len(robot.back_end.keyframes) < 2 * LAP
+    assert robot.back_end.graph.n_edges < 4 * LAP
     assert len(robot.back_end.keyframes) == len(robot.back_end.graph.nodes) == len(robot.back_end.driven)
     assert np.hypot(*robot.errors[:, :2].T).max() < 0.35
 
