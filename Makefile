@@ -3,12 +3,15 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-docker check fix lock docs recording warm clean
+.PHONY: help venv demo test test-docker mutants check fix lock docs recording warm clean
 
 PYTHON ?=
 JOBS ?= 2
 BIN := .venv/bin
 KERNELS := $(shell find services shared -name '*.py')
+
+# what makes mutants: the rest of cosmic-ray's 22 packages is for its own runner, which is not used
+MUTATORS := cosmic-ray==8.7.0 parso==0.8.7 attrs==26.1.0
 
 # real logs and benchmark worlds, for the tests that use them; they skip where there are none
 ZENAV_DATA ?= $(shell cd ../shared/data 2>/dev/null && pwd)
@@ -29,6 +32,11 @@ test: venv ## everything that needs no Docker: make test ARGS="-k planner"
 
 test-docker: venv ## the Compose file on a real engine
 	@$(BIN)/python -m pytest tests/docker -rs $(ARGS)
+
+mutants: venv ## a test fails for each small change of the wheels' equations and the codec: make mutants ARGS="codec"
+	@work=$$(mktemp -d); trap 'rm -rf "$$work"' EXIT
+	$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --target "$$work" $(MUTATORS)
+	PYTHONPATH="$$work" $(BIN)/python -m tests.mutants $(ARGS)
 
 check: venv ## lint, format, types, architecture
 	@status=0

@@ -9,11 +9,11 @@ import hashlib
 import json
 import struct
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, fields
 from enum import StrEnum
 from functools import cache
 from math import isfinite, isnan
-from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
+from typing import Any, NamedTuple, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import msgpack
 import numpy as np
@@ -40,8 +40,7 @@ class CodecError(ValueError):
     """The bytes are not a valid message of this type; the text says which field and why."""
 
 
-@dataclass(frozen=True, slots=True)
-class Envelope:
+class Envelope(NamedTuple):
     """Who sent a message and when: `sent` ns on the stack's clock, `sequence` from 0 per key and session."""
 
     publisher: str
@@ -58,8 +57,7 @@ def _once_per_class(function: F) -> F:
     return cast(F, cache(function))
 
 
-@dataclass(frozen=True, slots=True)
-class Field:
+class Field(NamedTuple):
     """One field as declared: its plain type and its marks."""
 
     name: str
@@ -105,13 +103,13 @@ def fields_of(type_: type[Any]) -> tuple[Field, ...]:
 
 
 def encode(message: Message, envelope: Envelope) -> bytes:
-    """The message's bytes. The sender's own mistakes (a wrong type) raise TypeError or AttributeError."""
+    """The message's bytes. The sender's own mistakes (a wrong type) raise TypeError, ValueError or AttributeError."""
     tree = {"@": (envelope.publisher, envelope.session, envelope.sequence, envelope.sent)}
     for name, pack, optional in _packers(type(message)):
         value = getattr(message, name)
-        if not (optional and len(value) == 0):
+        if not optional or len(value):
             tree[name] = value if pack is None else pack(value)
-    return bytes(msgpack.packb(tree, use_bin_type=True))
+    return bytes(msgpack.packb(tree))
 
 
 def decode(type_: type[M], payload: bytes) -> tuple[M, Envelope]:
@@ -127,7 +125,7 @@ def envelope_of(payload: bytes) -> Envelope:
 
 def _tree(payload: bytes) -> dict[str, Any]:
     try:
-        tree = msgpack.unpackb(payload, raw=False, strict_map_key=True, use_list=True)
+        tree = msgpack.unpackb(payload)
     except Exception as error:  # msgpack raises a dozen kinds on foreign bytes: all mean the same here
         raise CodecError(f"not msgpack: {type(error).__name__}") from None
     if type(tree) is not dict:
@@ -147,14 +145,12 @@ def _envelope(value: Any) -> Envelope:
 def _checked(type_: type[M], tree: dict[str, Any]) -> M:
     values = []
     lengths: dict[str, int] = {}
-    n_known = 1 if "@" in tree else 0
     for field, check in _checkers(type_):
         if field.name not in tree:
             if field.required:
                 raise CodecError(f"{field.name}: missing")
             values.append(field.default)
             continue
-        n_known += 1
         try:
             value = check(tree[field.name])
         except CodecError as error:
@@ -162,9 +158,8 @@ def _checked(type_: type[M], tree: dict[str, Any]) -> M:
         if field.shape is not None:
             _check_shape(field, value, lengths)
         values.append(value)
-    if n_known != len(tree):
-        known = {field.name for field, _ in _checkers(type_)}
-        raise CodecError(f"unknown field {next(k for k in tree if k != '@' and k not in known)!r}")
+    if not tree.keys() <= _known(type_):
+        raise CodecError(f"unknown field {next(k for k in tree if k not in _known(type_))!r}")
     message = type_(*values)
     problem = message.problem()
     if problem is not None:
@@ -193,7 +188,7 @@ def _packers(type_: type[Message]) -> tuple[tuple[str, Callable[[Any], Any] | No
 def _packer(kind: Any) -> Callable[[Any], Any] | None:
     """How a value goes into the msgpack tree; None: as it is."""
     if get_origin(kind) is np.ndarray:
-        dtype = np.dtype(get_args(get_args(kind)[1])[0]).newbyteorder("<")
+        dtype = _dtype(kind)
         return lambda array: _packed_array(array, dtype)
     if kind is Pose2:
         return lambda pose: (float(pose.x), float(pose.y), float(pose.yaw))
@@ -210,18 +205,28 @@ def _packer(kind: Any) -> Callable[[Any], Any] | None:
             return None if pack is None else lambda values: tuple(pack(v) for v in values)
         packs = [_packer(_plain(k)) for k in inner]
         return lambda values: tuple(v if p is None else p(v) for p, v in zip(packs, values, strict=True))
-    if isinstance(kind, type) and issubclass(kind, StrEnum):
-        return str
     if isinstance(kind, type) and issubclass(kind, Message):
         packers = _packers(kind)
         return lambda m: {n: getattr(m, n) if p is None else p(getattr(m, n)) for n, p, _ in packers}
     return None
 
 
+def _dtype(kind: Any) -> np.dtype[Any]:
+    """Of an NDArray[...], as it is sent."""
+    _, dtype = get_args(kind)
+    (scalar,) = get_args(dtype)
+    return cast(np.dtype[Any], np.dtype(scalar).newbyteorder("<"))
+
+
 def _packed_array(array: Any, dtype: np.dtype[Any]) -> bytes:
     array = np.ascontiguousarray(array, dtype)
-    shape = (*array.shape, 0, 0, 0)[:3]
+    shape = (*array.shape, 0, 0)[:3]
     return bytes(_HEADER.pack(_CODES[dtype], array.ndim, *shape) + array.tobytes())
+
+
+@_once_per_class
+def _known(type_: type[Message]) -> frozenset[str]:
+    return frozenset({"@", *(field.name for field in fields_of(type_))})
 
 
 @_once_per_class
@@ -236,7 +241,7 @@ def _plain(kind: Any) -> Any:
 def _checker(kind: Any, within: Within | None, nonzero: bool) -> Check:
     """Turns a decoded msgpack value into the field's value, or raises CodecError."""
     if get_origin(kind) is np.ndarray:
-        dtype = np.dtype(get_args(get_args(kind)[1])[0]).newbyteorder("<")
+        dtype = _dtype(kind)
         return lambda value: _array(value, dtype, within)
     if kind is Pose2:
         return _pose
@@ -292,7 +297,7 @@ def _exactly(kind: type[Any], value: Any) -> Any:
 
 def _enum(kind: type[StrEnum], value: Any) -> StrEnum:
     try:
-        return kind(_exactly(str, value))
+        return kind(value)
     except ValueError:
         raise CodecError(f"not one of {', '.join(kind)}") from None
 
@@ -342,7 +347,7 @@ def _array(value: Any, dtype: np.dtype[Any], within: Within | None) -> Any:
     if size * dtype.itemsize != len(value) - _HEADER.size:
         raise CodecError("its bytes do not fit its shape")
     array = np.frombuffer(value, dtype, offset=_HEADER.size).reshape(shape)
-    if size and (within is not None or dtype.kind == "f"):
+    if size:
         _check_bounds(array, within)
     return array
 
@@ -387,7 +392,7 @@ def schema_id(type_: type[Message]) -> str:
 
 def _type_name(kind: Any) -> str:
     if get_origin(kind) is np.ndarray:
-        return f"{np.dtype(get_args(get_args(kind)[1])[0]).name}[]"
+        return f"{_dtype(kind).name}[]"
     if get_origin(kind) is tuple:
         return f"[{', '.join('...' if k is Ellipsis else _type_name(_plain(k)) for k in get_args(kind))}]"
     return str(getattr(kind, "__name__", kind))

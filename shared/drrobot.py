@@ -83,19 +83,19 @@ GOOD, INCOMPLETE, WRONG, BAD_CRC = range(4)
 
 
 @njit(cache=True, nogil=True)
-def _judged(data: UInt8s, i: int, dest: int) -> tuple[int, int]:
-    """What begins at byte i, and its whole length: a packet, one whose end has not come yet, or none."""
+def _judged(data: UInt8s, i: int, dest: int) -> int:
+    """What begins at byte i: a packet, one whose end has not come yet, or none."""
     n = len(data)
     if data[i] != 0x5E or (i + 1 < n and data[i + 1] != 0x02) or (i + 2 < n and data[i + 2] != dest):
-        return WRONG, 0
-    if i + 5 >= n:
-        return INCOMPLETE, 0
+        return WRONG
+    if i + OVERHEAD > n:
+        return INCOMPLETE
     length = int(data[i + 5]) + OVERHEAD
     if i + length > n:
-        return INCOMPLETE, 0
+        return INCOMPLETE
     if data[i + length - 2] != 0x5E or data[i + length - 1] != 0x0D:
-        return WRONG, 0
-    return GOOD if _crc(data[i + 2 : i + length - 3]) == data[i + length - 3] else BAD_CRC, length
+        return WRONG
+    return GOOD if _crc(data[i + 2 : i + length - 3]) == data[i + length - 3] else BAD_CRC
 
 
 @njit(cache=True, nogil=True)
@@ -111,13 +111,13 @@ def _packets_in(data: UInt8s, dest: int, lost: bool, starts: Int64s) -> tuple[in
     n_good = n_bad = n_resyncs = i = 0
     waiting = -1
     while i < len(data):
-        verdict, length = _judged(data, i, dest)
+        verdict = _judged(data, i, dest)
         if verdict == GOOD:
             n_resyncs += waiting >= 0 and not lost
             lost, waiting = False, -1
             starts[n_good] = i
             n_good += 1
-            i += length
+            i += int(data[i + 5]) + OVERHEAD
             continue
         if waiting < 0:
             if verdict == INCOMPLETE:
@@ -148,7 +148,7 @@ class Deframer:
         """The packets that are whole with these bytes."""
         self.n_bytes += len(data)
         data = self._kept + data
-        starts = np.empty(len(data) // OVERHEAD, np.int64)
+        starts = np.empty(len(data), np.int64)  # more than there can be
         n, used, n_bad, n_resyncs, self._lost = _packets_in(
             np.frombuffer(data, np.uint8), self._dest, self._lost, starts
         )

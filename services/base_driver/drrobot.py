@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the DrRobot board's packets say, and what is said to it. Little-endian; conversions as its driver has them."""
 
-from dataclasses import dataclass
 from struct import Struct
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from shared.drrobot import ADC_FULL, BOARD, Packet, Type, framed
 
@@ -18,15 +17,13 @@ _CUSTOM_SENSOR = Struct("<8HB")
 _STANDARD_SENSOR = Struct("<6B4H2H2HHH4x5H")
 
 
-@dataclass(frozen=True, slots=True)
-class System:
+class System(NamedTuple):
     """A word between the computers: 1 acknowledge, 0 ping, 2 urgent data, 3 a packet was skipped."""
 
     code: int
 
 
-@dataclass(frozen=True, slots=True)
-class MotorSensor:
+class MotorSensor(NamedTuple):
     """Six potentiometers (A/D), six motor currents (A), two encoders: position (counts), signed speed (counts/s)."""
 
     potentiometers: tuple[int, ...]
@@ -35,8 +32,7 @@ class MotorSensor:
     speeds: tuple[int, int]
 
 
-@dataclass(frozen=True, slots=True)
-class CustomSensor:
+class CustomSensor(NamedTuple):
     """Eight A/D channels, of which 2 to 7 are the infrared sensors 1 to 6 (m), and the digital inputs' bits."""
 
     channels: tuple[int, ...]
@@ -44,8 +40,7 @@ class CustomSensor:
     inputs: int
 
 
-@dataclass(frozen=True, slots=True)
-class StandardSensor:
+class StandardSensor(NamedTuple):
     """Six ultrasonic ranges (cm), human, tilt (A/D), temperatures (degrees C), infrared 0 (m), supplies (V)."""
 
     ultrasonic: tuple[int, ...]
@@ -95,9 +90,9 @@ def _signed(speed: int, forward: int) -> int:
 def infrared_metres(reading: int) -> float:
     """The distance that an infrared sensor's A/D reading means; INFRARED_NOTHING where it sees nothing."""
     volts_above = reading * 3 / 4096 - 0.17
-    centimetres = 21.6 / volts_above if volts_above > 0 else 1e9
-    if centimetres > 80:
+    if 80 * volts_above < 21.6:  # farther than 80 cm
         return INFRARED_NOTHING
+    centimetres = 21.6 / volts_above
     return 0.09 if centimetres < 10 else centimetres / 100
 
 

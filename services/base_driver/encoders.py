@@ -42,10 +42,10 @@ class Encoders:
         if self._last is not None:
             self._add(self._last, report)
         self._last = report
-        states = [self._state(report)]
+        states = [self._state(self.epoch, report)]
         if max(abs(self.left), abs(self.right)) > LARGEST_ANGLE:
             self.epoch, self.left, self.right = max(now, self.epoch + 1), 0.0, 0.0
-            states.append(self._state(report))
+            states.append(self._state(self.epoch, report))
         return states
 
     def _add(self, before: BoardReport, after: BoardReport) -> None:
@@ -61,11 +61,9 @@ class Encoders:
         self.left += turned_left
         self.right += turned_right
 
-    def _state(self, report: BoardReport) -> WheelState:
+    def _state(self, epoch: int, report: BoardReport) -> WheelState:
         left_speed, right_speed = wheel_angles(report.left_speed, report.right_speed, self.drive)
-        return WheelState(
-            report.stamp, self.epoch or 0, self.left, self.right, _bounded(left_speed), _bounded(right_speed)
-        )
+        return WheelState(report.stamp, epoch, self.left, self.right, _bounded(left_speed), _bounded(right_speed))
 
 
 def _bounded(speed: float) -> float:

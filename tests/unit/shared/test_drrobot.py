@@ -147,6 +147,13 @@ def test_each_gap_between_packets_is_one_resync():
     assert deframer.n_skipped == 3 + 2 + 20
 
 
+def test_a_header_by_chance_between_packets_is_one_resync_too():
+    good = framed(PC, 0x7B, bytes(33))
+    deframer = Deframer(PC)
+    assert len(deframer.packets(good + b"\x5e\x02\x00\x00\x7b\xff" + good)) == 2
+    assert (deframer.n_resyncs, deframer.n_skipped, deframer.n_kept) == (1, 6, 0)
+
+
 def test_packets_for_the_other_end_and_unknown_types():
     deframer = Deframer(PC)
     assert deframer.packets(framed(BOARD, 0x7B, bytes(33))) == []
@@ -167,7 +174,8 @@ def test_half_a_packet_is_forgotten_when_its_line_was_cut():
 
 
 @pytest.mark.parametrize(
-    ("data", "kept"), [("5e", 1), ("5e02", 2), ("5e0200", 3), ("5e04", 0), ("5e0201", 0), ("5e025e", 1)]
+    ("data", "kept"),
+    [("5e", 1), ("5e02", 2), ("5e0200", 3), ("5e04", 0), ("5e01", 0), ("5e00", 0), ("5e0201", 0), ("5e025e", 1)],
 )
 def test_only_what_may_become_a_packet_waits(data, kept):
     deframer = Deframer(PC)

@@ -154,8 +154,13 @@ def test_any_packet_is_survived_and_more_bytes_than_expected_change_nothing(kind
 )
 def test_a_packet_that_is_too_short_says_nothing(kind, least, what):
     assert isinstance(said(Packet(kind, bytes(least))), what)
+    assert said(Packet(kind, bytes(least + 1))) == said(Packet(kind, bytes(least)))
     assert said(Packet(kind, bytes(least - 1))) is None
-    assert said(Packet(0x42, bytes(200))) is None
+
+
+def test_four_types_say_something_however_long_and_no_other():
+    told = {kind: type(word) for kind in range(256) if (word := said(Packet(kind, bytes(200)))) is not None}
+    assert told == {0x7B: MotorSensor, 0x7C: CustomSensor, 0x7D: StandardSensor, 0xFF: System}
 
 
 @given(st.tuples(u16, u16), st.tuples(st.integers(-65535, 65535), st.integers(-65535, 65535)), st.tuples(u16, u16))

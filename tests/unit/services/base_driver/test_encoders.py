@@ -65,10 +65,19 @@ def test_the_epoch_is_when_the_first_report_came_and_a_restart_begins_another():
     assert (state.epoch, state.left, state.right) == (500, 0, 0)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_epoch_ends_beyond_900_000_rad(sign):
+    encoders = turned(report(1, 0, 0))
+    encoders.left = sign * 900_000.0
+    assert len(encoders.turned(report(1.02, 0, 0), 10**10)) == 1
+    assert len(encoders.turned(report(1.04, -sign, 0), 10**10)) == 2
+    assert LARGEST_ANGLE == 900_000
+
+
 @pytest.mark.parametrize("now", [5, 10**12])
 def test_a_new_epoch_is_later_than_the_old_one(now):
     encoders = turned(report(1, 0, 0))
     encoders.right = -LARGEST_ANGLE
     old, new = encoders.turned(report(1.02, 0, -1), now)
-    assert new.epoch > old.epoch
+    assert new.epoch == max(now, old.epoch + 1)
     assert (new.left, new.right, new.stamp) == (0, 0, old.stamp)

@@ -76,6 +76,17 @@ def test_the_jacobian_is_the_difference_quotient(name, left, right):
         np.testing.assert_allclose(jacobian[:, column], np.array(quotient) / (2 * step), atol=1e-6)
 
 
+@given(st.floats(-1, 1), st.floats(-1.9e-4, 1.9e-4))
+def test_nearly_straight_on_the_jacobian_is_the_arc_s_series(forward, turn):
+    """x = f (1 - t^2/6 ..), y = f (t/2 - t^3/24 ..): here a quotient of small differences would lose its digits."""
+    left, right = forward - turn * D / 2, forward + turn * D / 2
+    f, t = (left + right) / 2, (right - left) / D
+    by_travel = np.array([1 - t**2 / 6, t / 2 - t**3 / 24, 0])
+    by_turn = np.array([-f * t / 3, f * (1 / 2 - t**2 / 8), 1])
+    expected = np.column_stack((by_travel / 2 - by_turn / D, by_travel / 2 + by_turn / D))
+    np.testing.assert_allclose(exact(left, right, D)[1], expected, rtol=0, atol=1e-12)
+
+
 @given(rolls, rolls, st.floats(-pi, pi))
 def test_covariance_only_grows(left, right, heading):
     before = np.diag([0.01, 0.02, 0.001])
@@ -84,6 +95,27 @@ def test_covariance_only_grows(left, right, heading):
     assert np.array_equal(after, after.T)
     assert after[2, 2] >= before[2, 2]
     assert np.linalg.det(after) >= np.linalg.det(before) * (1 - 1e-9)
+
+
+@given(rolls, rolls, st.floats(-pi, pi))
+def test_covariance_is_carried_by_the_motion_s_derivatives(left, right, heading):
+    """J P J' with J the difference quotients of the pose after, by the pose before and by each wheel's travel."""
+    start, variance, step = np.array([0.3, -0.2, heading]), 1e-2, 1e-6
+
+    def after(values):
+        end = Pose2(*values[:3]) @ exact(*values[3:], D)[0]
+        return np.array([end.x, end.y, end.yaw])
+
+    at = np.array([*start, left, right])
+    quotients = np.empty((3, 5))
+    for i, ahead in enumerate(step * np.eye(5)):
+        x, y, yaw = after(at + ahead) - after(at - ahead)
+        quotients[:, i] = np.array([x, y, wrapped(yaw)]) / (2 * step)
+    before = np.zeros((5, 5))
+    before[:3, :3] = [[0.04, 0.01, 0.02], [0.01, 0.09, -0.03], [0.02, -0.03, 0.05]]
+    before[3, 3], before[4, 4] = variance * abs(left), variance * abs(right)
+    covariance = grown(before[:3, :3], heading, *exact(left, right, D), (left, right), variance)
+    np.testing.assert_allclose(covariance, quotients @ before @ quotients.T, atol=1e-6)
 
 
 def test_covariance_is_what_many_noisy_robots_show():
