@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from services.mapper.front_end import FrontEndConfig
 from services.mapper.service import MapperConfig, MapperService
 from shared.config import Drive, Laser, Mount, Robot, UserError
 from shared.geometry import Pose2, interpolated
@@ -29,6 +30,8 @@ Float64s = NDArray[np.float64]
 
 SECOND = 1_000_000_000
 NO_RETURN = 0.98  # of the largest range in the log: the scanner's way to say that nothing came back
+LOGS = MapperConfig(front_end=FrontEndConfig(window=40))
+"""What maps a building from a log: loops are closed."""
 MAP_EVERY = 500  # scans between looks at the map: a log has no one who waits for it
 
 
@@ -100,7 +103,7 @@ def slam(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot write to {out}: {error.strerror}", "choose another folder for --out") from None
-    run = Run(config or MapperConfig(), robot_of(scans))
+    run = Run(config or LOGS, robot_of(scans))
     run.mapper.warm()
     first = min(record.stamp for record in read.records)
     times = _feed(run, read.records, first, progress)

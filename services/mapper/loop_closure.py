@@ -65,7 +65,7 @@ class Blocks:
     It is a memory of what can be computed again, so a Job that uses it stays pure.
     """
 
-    KEPT = 64
+    KEPT = 16
 
     def __init__(
         self, registration: RegistrationConfig, occupancy: OccupancyConfig, range_max: float, config: LoopConfig
