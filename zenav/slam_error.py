@@ -77,9 +77,7 @@ def pairs_of(reference: Path) -> dict[str, Pairs]:
         return {"relations": Pairs(rows[:, 0], rows[:, 1], rows[:, 2:5])}
     stamps, poses = read_tum(reference)
     chosen = {"neighbours": neighbours(len(stamps)), "loops": loops(poses)}
-    return {
-        kind: Pairs(stamps[i], stamps[j], between(poses[i], poses[j])) for kind, (i, j) in chosen.items() if len(i)
-    }
+    return {kind: Pairs(stamps[i], stamps[j], between(poses[i], poses[j])) for kind, (i, j) in chosen.items() if len(i)}
 
 
 def neighbours(n: int) -> tuple[Int64s, Int64s]:

@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import resource
 import sys
+import traceback
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -21,6 +22,7 @@ from zenav.up import run_folder
 
 LOGS = ".log.gz", ".log"
 REFERENCES = ".relations", ".ref.tum"
+TRAJECTORY = "trajectory.tum"
 KINDS = "relations", "loops", "neighbours"  # of pairs; what systems are compared by comes first
 COLUMNS = (
     "log, pairs", "n", "mean, m", "std", "median", "max", "rotation, deg", "CPU, s", "of jobs", "scan median, ms",
@@ -83,13 +85,11 @@ def chosen(directory: Path, names: Sequence[str] = ()) -> list[Logged]:
 
 
 def alone(logged: Logged, folder: Path) -> dict[str, Any]:
-    """`measured` in a process of its own; `trouble` says what was wrong where it failed."""
+    """`measured` in a process of its own; its `trouble` is told also where the process dies."""
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(1, context, die_with_parent, (os.getpid(),))
     try:
         return pool.submit(measured, logged, folder).result()
-    except UserError as error:
-        return {"trouble": error.what}
     except BrokenProcessPool:
         return {"trouble": "its process died"}
     finally:  # interrupted: a log takes a minute, and nobody waits for it any more
@@ -99,18 +99,25 @@ def alone(logged: Logged, folder: Path) -> dict[str, Any]:
 
 
 def measured(logged: Logged, folder: Path) -> dict[str, Any]:
-    """Maps one log into a folder: the report of `zenav slam`, the `errors` by kind of pair, peak `memory_mb`."""
+    """Maps one log into a folder: the report of `zenav slam`, the `errors` by kind of pair, peak `memory_mb`.
+
+    Only `trouble`, what was wrong, where that failed: the other logs are to be measured all the same.
+    """
     import shared.repeatable  # noqa: F401  # a spawned process begins here
     from zenav.slam import slam as mapped
     from zenav.slam_error import score
 
-    report = mapped(logged.log, folder)
-    report["memory_mb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1)  # the mapper's, not ours
-    found = {kind: row for path in logged.references for kind, row in score(folder / "trajectory.tum", path).items()}
-    report["errors"] = {
-        kind: {key: round(value, 5) for key, value in found[kind].items()} for kind in KINDS if kind in found
-    }
-    return report
+    try:
+        report = mapped(logged.log, folder)
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # before scoring takes some
+        found = {kind: row for path in logged.references for kind, row in score(folder / TRAJECTORY, path).items()}
+    except UserError as error:
+        return {"trouble": error.what}
+    except Exception as error:
+        traceback.print_exc()
+        return {"trouble": repr(error)}
+    errors = {kind: {key: round(value, 5) for key, value in found[kind].items()} for kind in KINDS if kind in found}
+    return report | {"memory_mb": round(memory, 1), "errors": errors}
 
 
 def summary(run: dict[str, Any]) -> dict[str, Any]:
