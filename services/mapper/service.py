@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.mapper.back_end import BackEnd, BackEndConfig
+from services.mapper.back_end import BackEnd, BackEndConfig, Drawing
 from services.mapper.background import Background
 from services.mapper.correlative_match import SearchConfig
 from services.mapper.deskew import deskewed
@@ -97,7 +97,7 @@ class MapperService(Service):
         other.front_end.window.active.registrar.extend(
             np.ascontiguousarray(0.3 * np.argwhere(np.ones((60, 60)))), np.zeros((3600, 2))
         )  # until it grows
-        if other.tracked is not None:
+        if other.tracked is not None and other.back_end.keyframes:
             other.back_end.add(other.back_end.keyframes[0], other.tracked.match, other.front_end.odometry_error)
             other.back_end.rehearse()
         list(other.publish_map())
@@ -182,15 +182,13 @@ class MapperService(Service):
 
     def corrected(self, result: tuple[int, Optimised]) -> Out:
         """The graph has its optimum: the pose on the map moves now, the map when it is drawn."""
-        self.loops.corrected(result)
-        return ()
+        return self.loops.corrected(result)
 
-    def redrawn(self, result: tuple[int, Occupancy]) -> Out:
-        """The map is drawn anew."""
-        grid = self.loops.redrawn(result)
+    def redrawn(self, result: tuple[int, Drawing]) -> Out:
+        """The map, or a part of it, is drawn anew."""
+        grid = yield from self.loops.redrawn(result, self.now)
         if grid is not None:
             self.grid.become(grid)
-        return ()
 
     @answer(requests.LOAD_MAP)
     def load_map(self, request: LoadMap) -> Answer[Reply]:

@@ -6,14 +6,16 @@ from math import hypot, pi
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
-from services.mapper.back_end import BackEnd, BackEndConfig
+from services.mapper.back_end import SLICE, BackEnd, BackEndConfig
 from services.mapper.background import Background
 from services.mapper.front_end import Sweep
 from services.mapper.keyframe import Keyframe
-from services.mapper.loop_closure import LoopConfig, earlier_visits, in_own_frame
-from services.mapper.occupancy import OccupancyConfig
+from services.mapper.loop_closure import Loop, LoopConfig, earlier_visits, in_own_frame
+from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.optimisation import PoseGraphConfig
+from services.mapper.pose_graph import Optimised
 from services.mapper.registration import Match, OdometryError, RegistrationConfig
 from services.mapper.surface import sweep_normals, sweep_usable
 from shared.geometry import Pose2
@@ -76,11 +78,15 @@ class Robot:
         while self.jobs and not self.busy:
             job = self.jobs.pop(0)
             result = job.function(*job.arguments)
-            taken = getattr(self.background, job.done)(result)
             if job.done == "redrawn":
-                self.drawings.append(taken)
+                self.take(self.redrawn(result))
             else:
-                self.take(taken)
+                self.take(getattr(self.background, job.done)(result))
+
+    def redrawn(self, result):
+        grid = yield from self.background.redrawn(result, self.now)
+        if grid is not None:
+            self.drawings.append(grid)
 
     @property
     def errors(self):
@@ -171,6 +177,79 @@ def test_one_look_runs_at_a_time_and_what_comes_meanwhile_moves_along():
     step = Pose2(*before).inverse() @ Pose2(*last)
     told = robot.back_end.keyframes[-2].local_from_base.inverse() @ robot.back_end.keyframes[-1].local_from_base
     assert step.distance(told) < 0.02
+
+
+def test_a_closure_found_while_the_graph_is_optimised_is_optimised_after_it():
+    robot = Robot(off=0.0, off_turn=0.0)
+    robot.drives(islice(laps(), LAP + 12))
+    robot.back_end.off = True
+    robot.back_end.n_agreeing = 1
+    (first,) = robot.background.settle()
+    far = Pose2(*robot.back_end.graph.poses[0]).inverse() @ Pose2(*robot.back_end.graph.poses[-1])
+    found = Loop(0, int(robot.back_end.graph.nodes[-1]), far @ Pose2(0.02, 0, 0), SURE)
+    assert not list(robot.background.looked((robot.background.epoch, [found]))), "one runs at a time"
+    (second,) = robot.background.corrected(first.function(*first.arguments))
+    assert second.done == "corrected"
+    assert not list(robot.background.corrected(second.function(*second.arguments))), "nothing is left to do"
+    assert robot.back_end.settled
+
+
+def test_a_closure_of_a_keyframe_that_was_given_up_meanwhile_is_left_out():
+    robot = Robot()
+    robot.drives(islice(laps(), 12))
+    edges = robot.back_end.graph.n_edges
+    robot.back_end.close([Loop(5, 99, Pose2(), SURE)])
+    assert robot.back_end.graph.n_edges == edges
+    assert robot.back_end.settled
+
+
+def test_small_corrections_add_up_until_the_map_is_drawn_anew():
+    robot = Robot()
+    robot.drives(islice(laps(), 12))
+    for n in range(3):
+        assert not robot.back_end.outdated, n
+        graph = robot.back_end.graph.snapshot()
+        moved = graph.poses + np.array((0.008, 0, 0))
+        on = np.ones(len(graph.edges))
+        robot.back_end.take(Optimised(graph.nodes, moved, graph.edges, on, on, 0, 0, 1, Pose2(0.008, 0, 0)))
+    assert robot.back_end.outdated
+    robot.back_end.draw()
+    assert not robot.back_end.outdated
+
+
+def test_the_map_is_drawn_in_slices_that_let_others_by_and_shows_what_one_drawing_shows():
+    robot = Robot(drift=Pose2())
+    robot.drives(islice(laps(), LAP + 60))
+    assert len(robot.back_end.keyframes) > 2 * SLICE
+    robot.back_end.moved, robot.busy = 1.0, True
+    robot.jobs = list(robot.background.redraw(100 * SECOND))
+    n_slices = 0
+    while not robot.drawings:
+        (job,) = (job for job in robot.jobs if job.done == "redrawn")
+        n_slices += 1
+        robot.jobs = list(robot.redrawn(job.function(*job.arguments)))
+        if n_slices == 1:
+            robot.drives(islice(laps(), 5))  # meanwhile
+    assert n_slices >= 4
+    once = Occupancy(OccupancyConfig(), 0)
+    for keyframe, correction in zip(robot.back_end.keyframes, robot.back_end.corrections()):
+        origins, ends = ((correction @ keyframe.local_from_base) @ beams for beams in keyframe.beams())
+        once.integrate(origins, ends, np.full_like(ends, np.nan))
+    grid = robot.drawings[-1]
+    assert grid.places == once.places
+    assert_array_equal(grid.odds[: len(grid.places)], once.odds[: len(grid.places)])
+
+
+def test_a_clock_that_is_set_back_does_not_keep_the_map_from_being_drawn():
+    robot = Robot(drift=Pose2())
+    robot.drives(islice(laps(), 5))
+    for now in (1000 * SECOND, 10 * SECOND):
+        robot.back_end.moved, robot.now = 1.0, now
+        robot.take(robot.background.redraw(now))
+        assert not robot.background.drawing
+    assert len(robot.drawings) == 2
+    robot.back_end.moved = 1.0
+    assert not list(robot.background.redraw(11 * SECOND)), "it rests between two drawings"
 
 
 def test_who_drives_the_same_ring_for_ever_keeps_a_graph_of_one_size():
