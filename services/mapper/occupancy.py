@@ -19,6 +19,9 @@ Int32s = NDArray[np.int32]
 Bools = NDArray[np.bool_]
 
 
+TILE_ARRAYS = ("odds", "seen", "dirty", "known", "unsent")
+
+
 class OccupancyConfig(Section):
     """The occupancy grid."""
 
@@ -151,6 +154,11 @@ class Occupancy:
         crossing = _crossing(origins, ends, self.resolution, directory, row0, column0, occupied, self.odds)
         return np.asarray(clear | crossing, bool)
 
+    def trim(self) -> None:
+        """Gives back the memory that was meant for more tiles."""
+        for name in TILE_ARRAYS:
+            setattr(self, name, getattr(self, name)[: max(len(self.places), 1)].copy())
+
     def _message(self, stamp: int, places: list[tuple[int, int]]) -> MapUpdate:
         return MapUpdate(
             stamp,
@@ -186,7 +194,7 @@ class Occupancy:
         while n + room > capacity:
             capacity *= 2
         if capacity > len(self.odds):
-            for name in ("odds", "seen", "dirty", "known", "unsent"):
+            for name in TILE_ARRAYS:
                 old = getattr(self, name)
                 new = np.zeros((capacity, *old.shape[1:]), old.dtype)
                 new[:n] = old[:n]

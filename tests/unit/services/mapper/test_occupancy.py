@@ -192,3 +192,16 @@ def test_after_another_drawing_took_its_place_readers_see_that_and_get_only_what
     assert grid.update(2) is None
     draw(grid, [(0, 0.02, 9.0, 9.0)])
     assert grid.update(3) is not None, "it is drawn on"
+
+
+def test_a_trimmed_grid_is_the_same_and_grows_again():
+    for beams in ([], [(0, 0.02, 1.52, 0.02), (0, 0.02, -20.0, 7.0)]):
+        grid, same = Occupancy(CONFIG, 1), Occupancy(CONFIG, 1)
+        draw(grid, beams)
+        draw(same, beams)
+        grid.trim()
+        assert len(grid.odds) == max(len(grid.places), 1)
+        assert cells_of(grid) == cells_of(same)
+        for each in (grid, same):
+            draw(each, [(0, 0.02, 30.0, 7.0), (0, 0.02, 1.0, 1.0)])
+        assert cells_of(grid) == cells_of(same)
