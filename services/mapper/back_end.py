@@ -19,6 +19,7 @@ from shared.config import Section
 from shared.geometry import Float64s, Pose2, wrapped_all
 
 SEEN = 0.02  # m, a correction that shows on the map
+LONG_AGO = 10  # crowds of keyframes after which one is no longer of this visit, also where the robot only turns
 SLICE = 100  # keyframes that one job draws: 0.2 s, looks for closures go on in between
 
 
@@ -79,8 +80,11 @@ class BackEnd:
         self.moved = 0.0  # m, at most, of any keyframe since the map was drawn
         self.blocks = Blocks(*self._settings, self.loops)
 
-    def add(self, keyframe: Keyframe, match: Match, odometry: OdometryError) -> None:
-        """A new keyframe, where the beams say that it is; where they say nothing, odometry does."""
+    def add(self, keyframe: Keyframe, match: Match, odometry: OdometryError, doubt: float = 1.0) -> None:
+        """A new keyframe, where the beams say that it is; where they say nothing, odometry does.
+
+        doubt: how much wider odometry's standard deviations are, on the worst of the steps since the last keyframe.
+        """
         if not self.keyframes:
             self.graph.add(self.map_from_local @ keyframe.local_from_base)
             self.driven.append(0.0)
@@ -88,7 +92,7 @@ class BackEnd:
             before = self.keyframes[-1].local_from_base
             step = before.inverse() @ keyframe.local_from_base
             node = self.graph.add(self.map_from_local @ keyframe.local_from_base)
-            prior = odometry.prior(self._settings[0], before, step)
+            prior = odometry.prior(self._settings[0], before, step, doubt)
             known = np.diag((prior.sigma**-2, prior.sigma**-2, prior.sigma_turn**-2))
             information = in_own_frame(
                 match.information, keyframe.local_from_base.yaw, known, self.config.noise, self.config.noise_turn
@@ -104,7 +108,9 @@ class BackEnd:
         reach = self.config.crowd_reach
         here = (np.abs(poses[:, :2] - poses[-1, :2]) < reach).all(axis=1)
         here &= np.abs(wrapped_all(poses[:, 2] - poses[-1, 2])) < reach
-        old = np.flatnonzero(here & (driven[-1] - driven > self.loops.apart))
+        nodes = self.graph.nodes
+        gone = (driven[-1] - driven > self.loops.apart) | (nodes[-1] - nodes > LONG_AGO * self.config.crowd)
+        old = np.flatnonzero(here & gone)
         old = old[old > 0]  # the first one holds the map
         if len(old) >= self.config.crowd:
             row = int(old[0])

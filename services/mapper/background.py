@@ -37,9 +37,9 @@ class Background:
         self.looking = self.optimising = self.drawing = False
         self.begun = self.drawn_at = 0  # ns, when the last drawing began and ended
 
-    def keep(self, keyframe: Keyframe, match: Match, odometry: OdometryError) -> Out:
-        """A keyframe joins the graph; now and then, closures are looked for from it."""
-        self.back_end.add(keyframe, match, odometry)
+    def keep(self, keyframe: Keyframe, match: Match, odometry: OdometryError, doubt: float = 1.0) -> Out:
+        """A keyframe joins the graph, as `BackEnd.add` says; now and then, closures are looked for from it."""
+        self.back_end.add(keyframe, match, odometry, doubt)
         if self.back_end.due and not self.looking:
             self.looking = True
             yield self._job(loops_of, self.back_end.look(), "looked", 0.05)

@@ -72,6 +72,7 @@ class MapperService(Service):
         self.last_end = -1  # ns, end of the last scan that was placed
         self.velocity = Pose2()  # motion a second between the last two scans
         self.blind = False  # the last scan was placed without odometry
+        self.doubt = 1.0  # the largest since the last keyframe
         self.tracked: Tracked | None = None
         self.n_dropped = {"old": 0, "late": 0, "ahead": 0}
         self.map_before: MapUpdate | None = None  # what was published last before a restart
@@ -258,7 +259,9 @@ class MapperService(Service):
         if self.tracked is None and not self.grid.places:
             self.grid = Occupancy(self.config.occupancy, max(self.now, 1))
         before = self.front_end.local_from_base
-        tracked = self.front_end.track(origins, ends, step, self.config.blind_doubt if self.blind else 1.0)
+        doubt = self.config.blind_doubt if self.blind else 1.0
+        self.doubt = max(self.doubt, doubt)
+        tracked = self.front_end.track(origins, ends, step, doubt)
         moved = before.inverse() @ tracked.local_from_base
         self.velocity = _scaled(moved, 1 / seconds) if 0.02 <= seconds <= 1 else Pose2()
         if tracked.trusted:
@@ -268,7 +271,8 @@ class MapperService(Service):
         yield topics.POSE(self._estimate(end, tracked))
         if tracked.keyframe is not None and self.front_end.window.moves:
             keyframe = Keyframe.of(end, tracked.local_from_base, origins, ends, tracked.keyframe)
-            yield from self.loops.keep(keyframe, tracked.match, self.front_end.odometry_error)
+            yield from self.loops.keep(keyframe, tracked.match, self.front_end.odometry_error, self.doubt)
+            self.doubt = 1.0
 
     @property
     def map_from_base(self) -> Pose2:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot whose front end drifts drives round a ring: its loop closes, and nothing closes that is none."""
 
+from dataclasses import replace
 from itertools import islice
 from math import hypot, pi
 
@@ -12,7 +13,7 @@ from services.mapper.back_end import SLICE, BackEnd, BackEndConfig
 from services.mapper.background import Background
 from services.mapper.front_end import Sweep
 from services.mapper.keyframe import Keyframe
-from services.mapper.loop_closure import Loop, LoopConfig, earlier_visits, in_own_frame
+from services.mapper.loop_closure import Blocks, Loop, LoopConfig, earlier_visits, in_own_frame, loops_of
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.optimisation import PoseGraphConfig
 from services.mapper.pose_graph import Optimised
@@ -201,6 +202,79 @@ def test_a_closure_of_a_keyframe_that_was_given_up_meanwhile_is_left_out():
     robot.back_end.close([Loop(5, 99, Pose2(), SURE)])
     assert robot.back_end.graph.n_edges == edges
     assert robot.back_end.settled
+
+
+def test_a_keyframe_of_a_few_beams_fits_anywhere_and_closes_nothing():
+    def closures(n):
+        robot = Robot(drift=Pose2())
+        robot.drives(islice(laps(), LAP + 4))
+        graph, keyframes, driven, blocks, config = robot.back_end.look()
+        last = keyframes[-1]
+        few = replace(
+            last, points=last.points[:: len(last.points) // n][:n], normals=last.normals[:: len(last.points) // n][:n]
+        )
+        return loops_of(graph, (*keyframes[:-1], few), driven, blocks, config)
+
+    assert closures(14) == []
+    assert closures(40)
+
+
+def test_blocks_are_kept_within_their_memory_and_are_the_same_when_made_again(monkeypatch):
+    robot = Robot(drift=Pose2())
+    robot.drives(islice(laps(), LAP))
+    graph, keyframes, _, blocks, _ = robot.back_end.look()
+    rows = range(5, 120, 10)
+    kept = [blocks.about(graph.nodes, keyframes, row) for row in rows]
+    monkeypatch.setattr(Blocks, "MOST_BYTES", blocks.n_bytes // 3)
+    for row, (submap, pyramid) in zip(rows, kept):
+        again, drawn_again = blocks.about(graph.nodes, keyframes, row)
+        assert_array_equal(again.registrar.map.points, submap.registrar.map.points)
+        assert_array_equal(drawn_again.levels, pyramid.levels)
+        assert blocks.n_bytes <= Blocks.MOST_BYTES
+    assert blocks.n_bytes > 0
+
+
+def test_who_turns_on_the_spot_for_ever_keeps_a_graph_of_one_size():
+    robot = Robot(drift=Pose2())
+    robot.drives([Pose2(0, 0, TURN)] * 300)
+    n = len(robot.back_end.keyframes)
+    robot.drives([Pose2(0, 0, TURN)] * 50)
+    assert len(robot.back_end.keyframes) <= n < 200
+    assert len(robot.back_end.keyframes) == len(robot.back_end.graph.nodes) == len(robot.back_end.driven)
+
+
+def test_without_odometry_an_edge_is_as_unsure_as_the_beams_are():
+    sure = []
+    for doubt in (1.0, 5.0):
+        robot = Robot()
+        robot.stands()
+        robot.local = Pose2(STEP, 0, 0)
+        seen_across = Match(robot.local, np.diag((0.0, 1e4, 1e5)), np.ones(1, bool), 1.0)
+        robot.back_end.add(robot.keyframe(), seen_across, OdometryError(), doubt)
+        sure.append(np.linalg.inv(robot.back_end.graph.snapshot().information[0]))
+    assert sure[1][0, 0] > 15 * sure[0][0, 0]
+    assert sure[1][1, 1] < 2 * sure[0][1, 1]
+
+
+@pytest.mark.parametrize("kind", ["looked", "corrected", "redrawn"])
+def test_what_a_job_finds_for_another_map_is_thrown_away(kind):
+    robot = Robot()
+    robot.drives(islice(laps(), 12))
+    robot.back_end.n_agreeing, robot.back_end.moved = 1, 1.0
+    orders = {
+        "looked": lambda: [robot.background._job(loops_of, robot.back_end.look(), "looked", 0.1)],
+        "corrected": robot.background.settle,
+        "redrawn": lambda: robot.background.redraw(robot.now),
+    }
+    (job,) = orders[kind]()
+    robot.background.start()
+    robot.drives(islice(laps(), 3))
+    before = robot.back_end.graph.snapshot()
+    robot.jobs = [job]
+    robot.take(())
+    assert not robot.drawings
+    assert_array_equal(robot.back_end.graph.poses, before.poses)
+    assert robot.back_end.graph.n_edges == len(before.edges)
 
 
 def test_small_corrections_add_up_until_the_map_is_drawn_anew():

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from services.mapper import correlative_match, deskew, occupancy, point_map, registration, surface
+from services.mapper.front_end import FrontEndConfig
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.service import MapperConfig, MapperService
 from shared.geometry import Pose2, arc, wrapped
@@ -140,6 +141,23 @@ def test_in_a_corridor_the_covariance_grows_along_it_alone():
     room = driven().poses[-1].covariance.reshape(3, 3)
     assert covariance[0, 0] > 10 * room[0, 0]
     assert np.linalg.eigvalsh(room)[0] > 0
+
+
+def test_in_a_corridor_without_odometry_the_graph_is_unsure_along_it():
+    along = []
+    for with_odometry in (True, False):
+        robot = driven([arc(0.1, 0.0)] * 12, with_odometry=with_odometry, segments=CORRIDOR)
+        edge = np.linalg.inv(robot.mapper.back_end.graph.snapshot().information[-1])
+        along.append(edge[0, 0])
+    assert along[1] > 15 * along[0]
+
+
+def test_a_mapper_that_matches_with_everything_warms_up_and_keeps_no_graph():
+    config = MapperConfig(front_end=FrontEndConfig(window=0))
+    MapperService(config, ROBOT).warm()
+    robot = driven(config=config)
+    assert small(robot.error)
+    assert not robot.mapper.back_end.keyframes
 
 
 def test_a_scan_waits_for_odometry_to_cover_its_end_but_not_for_ever():
