@@ -20,25 +20,10 @@ from services.mapper.pose_graph import Optimised
 from services.mapper.registration import Match, OdometryError, RegistrationConfig
 from services.mapper.surface import sweep_normals, sweep_usable
 from shared.geometry import Pose2
-from tests.unit.services.mapper.rooms import RING, SECOND, sweep
+from tests.unit.services.mapper.rooms import LAP, RING, SECOND, START, STEP, TURN, laps, sweep
 
-CORNERS = ((1.1, 1.1), (14.9, 1.1), (14.9, 9.9), (1.1, 9.9))
-START = Pose2(*CORNERS[0], 0.0)
-STEP, TURN = 0.3, pi / 6
 SURE = np.diag((1e4, 1e4, 1e5))
 DRIFT = Pose2(0.003, 0.002, 0.0015)  # m, m, rad with every keyframe: after a lap, half a metre and more
-
-
-def laps():
-    """True motions from keyframe to keyframe, round and round."""
-    while True:
-        for k in range(4):
-            (x0, y0), (x1, y1) = CORNERS[k], CORNERS[(k + 1) % 4]
-            yield from [Pose2(STEP, 0, 0)] * round(hypot(x1 - x0, y1 - y0) / STEP)
-            yield from [Pose2(0, 0, TURN)] * round(pi / 2 / TURN)
-
-
-LAP = len([Pose2()] * sum(round(side / STEP) + 3 for side in (13.8, 8.8, 13.8, 8.8)))
 
 
 class Robot:
