@@ -201,7 +201,7 @@ def drawn(drawing: Drawing) -> Drawing:
     for keyframe, row in zip(drawing.keyframes[:SLICE], drawing.poses[:SLICE].tolist()):
         pose = Pose2(*row)
         origins, ends = keyframe.beams()
-        drawing.grid.integrate(pose @ origins, pose @ ends, np.full_like(ends, np.nan))
+        drawing.grid.integrate(pose @ origins, pose @ ends, pose @ keyframe.silence())
     if len(drawing.keyframes) <= SLICE:
         drawing.grid.settle()
     return Drawing(drawing.grid, drawing.keyframes[SLICE:], drawing.poses[SLICE:], drawing.node)

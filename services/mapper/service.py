@@ -264,13 +264,14 @@ class MapperService(Service):
         tracked = self.front_end.track(origins, ends, step, doubt)
         moved = before.inverse() @ tracked.local_from_base
         self.velocity = _scaled(moved, 1 / seconds) if 0.02 <= seconds <= 1 else Pose2()
+        silent = self._silent(scan, origins, ends)
         if tracked.trusted:
             pose = self.map_from_base
-            self.grid.integrate(pose @ origins, pose @ ends, self._silent(scan, origins, ends))
+            self.grid.integrate(pose @ origins, pose @ ends, pose @ silent)
         self.last_end, self.tracked = end, tracked
         yield topics.POSE(self._estimate(end, tracked))
         if tracked.keyframe is not None and self.front_end.window.moves:
-            keyframe = Keyframe.of(end, tracked.local_from_base, origins, ends, tracked.keyframe)
+            keyframe = Keyframe.of(end, tracked.local_from_base, origins, ends, silent, tracked.keyframe)
             yield from self.loops.keep(keyframe, tracked.match, self.front_end.odometry_error, self.doubt)
             self.doubt = 1.0
 
@@ -295,15 +296,14 @@ class MapperService(Service):
         return np.array((-scan.scan_time, 0.0)), np.array(((back.x, back.y, back.yaw), (0.0, 0.0, 0.0)))
 
     def _silent(self, scan: LaserScan, origins: Float64s, ends: Float64s) -> Float64s:
-        """Where beams without an echo were free, in `map`; NaN where they say nothing, which is the default."""
+        """Where beams without an echo were free, in `base`; NaN where they say nothing, which is the default."""
         out = np.full_like(ends, np.nan)
         share = self.config.occupancy.no_echo_free
         if share > 0:
             none = np.isnan(scan.ranges) | (scan.ranges >= scan.range_max)
             angles = self.robot.laser.mount.yaw + scan.angle_min + scan.angle_increment * np.flatnonzero(none)
             reach = share * min(scan.range_max, self.config.occupancy.range_max)
-            tips = origins[none] + reach * np.column_stack((np.cos(angles), np.sin(angles)))
-            out[none] = self.map_from_base @ tips
+            out[none] = origins[none] + reach * np.column_stack((np.cos(angles), np.sin(angles)))
         return out
 
     def _estimate(self, end: int, tracked: Tracked) -> PoseEstimate:

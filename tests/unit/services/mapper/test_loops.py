@@ -44,7 +44,7 @@ class Robot:
         valid = sweep_usable(origins, ends) | normals.any(axis=1)
         found = Sweep(origins[valid], ends[valid], normals[valid])
         self.true_at[self.now] = self.true
-        return Keyframe.of(self.now, self.local, origins, ends, found)
+        return Keyframe.of(self.now, self.local, origins, ends, np.full_like(ends, np.nan), found)
 
     def stands(self):
         match = Match(self.local, SURE, np.ones(1, bool), 1.0)
