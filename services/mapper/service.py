@@ -51,7 +51,7 @@ class MapperConfig(Section):
 
 
 class MapperService(Service):
-    """SLAM's front end and its map. A scan waits until odometry covers its end, but not for long."""
+    """SLAM: front end, back end and the map. A scan waits until odometry covers its end, but not for long."""
 
     config_type = MapperConfig
 
