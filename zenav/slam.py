@@ -3,7 +3,9 @@
 
 import json
 from bisect import bisect_right
+from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from math import cos, sin
 from pathlib import Path
 from time import process_time
@@ -12,20 +14,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from services.mapper.front_end import FrontEndConfig
 from services.mapper.service import MapperConfig, MapperService
 from shared.config import Drive, Laser, Mount, Robot, UserError
-from shared.geometry import interpolated
+from shared.geometry import Pose2, interpolated
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
 from shared.ros_map import replace_file, write_ros_map
-from shared.service import Out
+from shared.service import Job, Out
 from shared.topics import Publication
 from zenav.convert.carmen import LoggedPose, LoggedScan, read_carmen
+from zenav.odometry_lag import odometry_lag
 
 Float64s = NDArray[np.float64]
 
 SECOND = 1_000_000_000
 NO_RETURN = 0.98  # of the largest range in the log: the scanner's way to say that nothing came back
+LOGS = MapperConfig(front_end=FrontEndConfig(window=40))
+"""What maps a building from a log: loops are closed."""
 MAP_EVERY = 500  # scans between looks at the map: a log has no one who waits for it
 
 
@@ -36,16 +42,46 @@ class Run:
         self.mapper = MapperService(config, robot)
         self.grid = OccupancyGrid()
         self.estimates: list[PoseEstimate] = []
+        self.places: list[Pose2] = []  # of the estimates, in the front end's frame
         self.logs: list[str] = []
+        self.job_seconds = 0.0  # of CPU
+        self._jobs: deque[Job] = deque()
 
     def take(self, out: Out | None) -> None:
         for item in out or ():
-            if not isinstance(item, Publication):
+            if isinstance(item, Job):
+                self._jobs.append(item)
+            elif not isinstance(item, Publication):
                 self.logs.append(getattr(item, "text", ""))
             elif isinstance(item.message, PoseEstimate):
                 self.estimates.append(item.message)
+                self.places.append(self.mapper.front_end.local_from_base)
             elif isinstance(item.message, MapUpdate):
                 self.grid.apply(item.message)
+
+    def work(self) -> None:
+        """Runs what was to be done beside the scans."""
+        begun = process_time()
+        while self._jobs:
+            job = self._jobs.popleft()
+            self.take(getattr(self.mapper, job.done)(job.function(*job.arguments)))
+        self.job_seconds += process_time() - begun
+
+    def corrected(self) -> list[PoseEstimate]:
+        """The estimates, by what is known at the end."""
+        corrections = self.mapper.back_end.corrections()
+        if not corrections:
+            return self.estimates
+        stamps = [keyframe.stamp for keyframe in self.mapper.back_end.keyframes]
+        found = []
+        for estimate, place in zip(self.estimates, self.places):
+            k = min(max(bisect_right(stamps, estimate.stamp) - 1, 0), len(stamps) - 1)
+            after = min(k + 1, len(stamps) - 1)
+            share = (estimate.stamp - stamps[k]) / max(stamps[after] - stamps[k], 1)
+            pose = interpolated(corrections[k] @ place, corrections[after] @ place, min(max(share, 0.0), 1.0))
+            odom_from_base = estimate.map_from_odom.inverse() @ estimate.map_from_base
+            found.append(replace(estimate, map_from_base=pose, map_from_odom=pose @ odom_from_base.inverse()))
+        return found
 
 
 def slam(
@@ -67,17 +103,17 @@ def slam(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot write to {out}: {error.strerror}", "choose another folder for --out") from None
-    run = Run(config or MapperConfig(), robot_of(scans))
+    run = Run(config or LOGS, robot_of(scans))
     run.mapper.warm()
     first = min(record.stamp for record in read.records)
     times = _feed(run, read.records, first, progress)
-    stamps, poses = trajectory(read.records, run.estimates, first)
+    stamps, poses = trajectory(read.records, run.corrected(), first)
     replace_file(out / "trajectory.tum", tum(stamps, poses).encode())
     write_ros_map(out, run.grid.cells, run.grid.resolution, run.grid.x0, run.grid.y0)
     from zenav.picture import map_picture
 
     replace_file(out / "map.png", map_picture(run.grid, poses))
-    report = _report(log, read.n_bad, read.truncated, scans, run, poses, times)
+    report = _report(log, read.n_bad, read.truncated, read.records, scans, run, poses, times)
     replace_file(out / "report.json", (json.dumps(report, indent=2) + "\n").encode())
     progress(1.0)
     return report
@@ -140,12 +176,18 @@ def _feed(
                 )
             )  # fmt: skip
             times.append(process_time() - begun)
+            run.work()
             if len(times) % MAP_EVERY == 0:
                 run.take(run.mapper.publish_map())
         if i % 200 == 0:
             progress(i / len(records))
     run.mapper.now += SECOND
     run.take(run.mapper.release())
+    run.take(run.mapper.settle())
+    run.work()
+    run.mapper.now += 3600 * SECOND  # the map may be drawn anew
+    run.take(run.mapper.publish_map())
+    run.work()
     run.take(run.mapper.publish_map())
     return times
 
@@ -190,9 +232,29 @@ def tum(stamps: Float64s, poses: Float64s) -> str:
     )
 
 
+def _turns(records: list[LoggedPose | LoggedScan], first: float) -> Float64s:
+    """(n, 2) s on the mapper's clock and rad, odometry's headings as they were logged, in time."""
+    rows = {nanoseconds(record.stamp, first) * 1e-9: record.odom_from_base.yaw for record in records}
+    return np.array(sorted(rows.items()))
+
+
+def _placed(run: Run) -> Float64s:
+    """(m, 2) s on the mapper's clock and rad, the scans' headings in the front end's frame, in time."""
+    rows = {estimate.stamp * 1e-9: place.yaw for estimate, place in zip(run.estimates, run.places)}
+    return np.array(sorted(rows.items())).reshape(-1, 2)
+
+
 def _report(
-    log: Path, n_bad: int, truncated: bool, scans: list[LoggedScan], run: Run, poses: Float64s, times: list[float]
+    log: Path,
+    n_bad: int,
+    truncated: bool,
+    records: list[LoggedPose | LoggedScan],
+    scans: list[LoggedScan],
+    run: Run,
+    poses: Float64s,
+    times: list[float],
 ) -> dict[str, Any]:
+    first = min(record.stamp for record in records)
     quality = np.array([estimate.quality for estimate in run.estimates] or [0.0])
     states = [str(estimate.state) for estimate in run.estimates]
     return {
@@ -203,9 +265,11 @@ def _report(
         "bad_lines": n_bad,
         "truncated": truncated,
         "odometry_jumps": run.mapper.track.n_jumps,
+        "odometry_lag_s": odometry_lag(_turns(records, first), _placed(run)),
         "seconds": round(scans[-1].stamp - scans[0].stamp, 3),
         "length_m": round(float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()), 2),
-        "cpu_s": round(sum(times), 3),
+        "cpu_s": round(sum(times) + run.job_seconds, 3),
+        "cpu_s_of_jobs": round(run.job_seconds, 3),
         "cpu_ms_per_scan": {
             "median": round(float(np.median(times)) * 1e3, 3),
             "p99": round(float(np.percentile(times, 99)) * 1e3, 3),
@@ -215,6 +279,9 @@ def _report(
             "p01": round(float(np.percentile(quality, 1)), 4),
         },
         "states": {state: states.count(state) for state in sorted(set(states))},
+        "keyframes": len(run.mapper.back_end.keyframes),
+        "loops": run.mapper.back_end.n_loops,
+        "loops_refused": int((~run.mapper.back_end.graph.snapshot().on).sum()),
         "tiles": len(run.mapper.grid.places),
         "log_lines": run.logs[:20],
     }

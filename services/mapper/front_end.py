@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from services.mapper.correlative_match import SearchConfig, candidates
-from services.mapper.occupancy import Occupancy
-from services.mapper.registration import REGISTRARS, Match, OdometryError, Prior, RegistrationConfig
-from services.mapper.surface import grid_surface, sweep_normals, sweep_usable
+from services.mapper.occupancy import OccupancyConfig
+from services.mapper.registration import Match, OdometryError, Prior, RegistrationConfig
+from services.mapper.submap import Window
+from services.mapper.surface import sweep_normals, sweep_usable
 from shared.config import Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import Localization
+from shared.messages import Localization, MapUpdate
 
 Float64s = NDArray[np.float64]
 
@@ -27,26 +28,14 @@ class FrontEndConfig(Section):
 
     keyframe_distance: float = Field(0.3, ge=0.01, le=5, description="m driven until a scan joins the map")
     keyframe_turn: float = Field(0.3, ge=0.01, le=3, description="rad turned until a scan joins the map")
+    window: int = Field(
+        0, ge=0, le=10_000, description="keyframes that a scan is matched with, at most; 0: all, and no loop is closed"
+    )
     good: float = Field(0.6, ge=0, le=1, description="quality from which the pose is good")
     lost: float = Field(0.3, ge=0, le=1, description="quality under which the pose may be lost")
     clear_cells: int = Field(2, ge=0, le=20, description="free cells to each side that make an echo a moving thing's")
     most_moving: float = Field(0.4, ge=0, le=1, description="share of beams on moving things that is still believed")
     lost_after: int = Field(5, ge=1, le=1000, description="scans in a row under `lost` until the pose is lost")
-
-
-@dataclass(frozen=True, slots=True)
-class Tracked:
-    """A scan's place: the pose, its covariance (3, 3) in `map`, the share of beams that agree, and the state.
-
-    trusted: the map may be drawn from it.
-    """
-
-    map_from_base: Pose2
-    covariance: Float64s
-    quality: float
-    state: Localization
-    match: Match
-    trusted: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +45,22 @@ class Sweep:
     origins: Float64s
     points: Float64s
     normals: Float64s
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """A scan's place: the pose, its covariance (3, 3) in `local`, the share of beams that agree, and the state.
+
+    trusted: the map may be drawn from it.  keyframe: what joined the window, where the robot has moved on.
+    """
+
+    local_from_base: Pose2
+    covariance: Float64s
+    quality: float
+    state: Localization
+    match: Match
+    trusted: bool
+    keyframe: Sweep | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,21 +86,26 @@ class Placed:
 
 
 class FrontEnd:
-    """Follows the robot through the map that it extends. The map's frame is the robot's first pose."""
+    """Follows the robot through the window that it extends. `local`: the frame of that, continuous for ever."""
 
     def __init__(
-        self, config: FrontEndConfig, registration: RegistrationConfig, search: SearchConfig, range_max: float
+        self,
+        config: FrontEndConfig,
+        registration: RegistrationConfig,
+        search: SearchConfig,
+        occupancy: OccupancyConfig,
+        range_max: float,
     ) -> None:
         self.config, self.registration, self.search = config, registration, search
         self.odometry_error = OdometryError()
-        self.registrar = REGISTRARS[registration.registrar](registration, range_max)
+        self.window = Window(registration, occupancy, range_max, config.window)
         self.start(Pose2())
 
-    def start(self, map_from_base: Pose2) -> None:
-        """Forgets the map; the next scan is taken at this pose."""
-        self.registrar.clear()
-        self.map_from_base = map_from_base
-        self.keyframe: Pose2 | None = None  # of the last scan that joined the map
+    def start(self, local_from_base: Pose2) -> None:
+        """Forgets the window; the next scan is taken at this pose."""
+        self.window.start()
+        self.local_from_base = local_from_base
+        self.keyframe: Pose2 | None = None  # of the last scan that joined the window
         self.covariance: Float64s = np.zeros((3, 3))
         self.state = Localization.STARTING
         self.motion = Pose2()  # between the last two sweeps
@@ -103,85 +113,92 @@ class FrontEnd:
         self.searches_next = False
         self.other_starts: list[Pose2] = []  # that the next search looks around too
 
-    def load(self, grid: OccupancyGrid, map_from_base: Pose2) -> None:
-        """Starts on a saved map, near a pose."""
+    def load(self, grid: OccupancyGrid, update: MapUpdate, map_from_base: Pose2) -> None:
+        """Starts on a saved map, near a pose: `local` is its frame."""
         self.start(map_from_base)
-        self.registrar.extend(*grid_surface(grid.occupied, grid.free, grid.x0, grid.y0, grid.resolution))
+        self.window.load(grid, update)
         self.searches_next = True
 
-    def track(self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float, grid: Occupancy) -> Tracked:
-        """Places a sweep, and extends the map where the robot has moved on.
+    def track(self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float) -> Tracked:
+        """Places a sweep, and extends the window where the robot has moved on.
 
         origins, ends: (n, 2) m in `base`, NaN without an echo.  step: odometry's motion since the last sweep; doubt
-        widens its standard deviation.  grid: what is known to be free.
+        widens its standard deviation.
         """
         measured, step = step, self.odometry_error.corrected(step)
         normals = sweep_normals(origins, ends)
         valid = sweep_usable(origins, ends) | normals.any(axis=1)
         sweep = Sweep(origins[valid], np.ascontiguousarray(ends[valid]), np.ascontiguousarray(normals[valid]))
-        placed = self._placed(sweep, step, doubt, grid)
-        moving = grid.clear_at(placed.match.map_from_base @ sweep.points, self.config.clear_cells)
+        placed = self._placed(sweep, step, doubt)
+        moving = self.window.active.grid.clear_at(placed.match.map_from_base @ sweep.points, self.config.clear_cells)
         n_moving = int(moving.sum())
         if 0 < n_moving < self.config.most_moving * len(moving):
             # who walks through known free space would pull the robot along, most of all in a bare corridor
             sweep = Sweep(sweep.origins[~moving], sweep.points[~moving], sweep.normals[~moving])
-            placed = self._placed(sweep, step, doubt, grid)
+            placed = self._placed(sweep, step, doubt)
         self._believe(placed.match, step, doubt)
-        self.motion = self.map_from_base.inverse() @ placed.match.map_from_base
+        self.motion = self.local_from_base.inverse() @ placed.match.map_from_base
         self.odometry_error.learn(measured, self.motion, placed.match.information)
-        self.map_from_base = placed.match.map_from_base
+        self.local_from_base = placed.match.map_from_base
         n_told = placed.n_agree + placed.n_against + n_moving
         quality = placed.n_agree / max(n_told, LEAST_BEAMS)
         self._grade(quality, n_told >= LEAST_BEAMS, len(valid))
         trusted = self.n_bad == 0  # a map drawn from a wrong place soon agrees with it
-        if trusted and self._moved_on() and len(sweep.points):
-            self._extend(sweep.points, sweep.normals)
-        return Tracked(self.map_from_base, self.covariance, quality, self.state, placed.match, trusted)
+        joins = trusted and self._moved_on() and len(sweep.points) > 0
+        if joins:
+            self.keyframe = self.local_from_base
+            self.window.extend(self.local_from_base, sweep.points, sweep.normals)
+        if trusted:
+            self.window.draw(self.local_from_base @ origins, self.local_from_base @ ends)
+        keyframe = sweep if joins else None
+        return Tracked(self.local_from_base, self.covariance, quality, self.state, placed.match, trusted, keyframe)
 
-    def _placed(self, sweep: Sweep, step: Pose2, doubt: float, grid: Occupancy) -> Placed:
+    def _placed(self, sweep: Sweep, step: Pose2, doubt: float) -> Placed:
         """The sweep aligned from odometry's guess, or from a better one where too many beams contradict the map."""
-        prior = self.odometry_error.prior(self.registration, self.map_from_base, step, doubt)
-        if self.registrar.map.n == 0 or len(sweep.points) < LEAST_BEAMS:  # a few beams agree anywhere
-            return Placed(self.registrar.measured(sweep.points, sweep.normals, prior.map_from_base), 0)
-        unsure = self.odometry_error.prior(self.registration, self.map_from_base, step, 10 * doubt)
-        best = self._aligned(sweep, prior.map_from_base, unsure if self.searches_next else prior, grid)
+        prior = self.odometry_error.prior(self.registration, self.local_from_base, step, doubt)
+        if self.window.active.registrar.map.n == 0 or len(sweep.points) < LEAST_BEAMS:  # a few beams agree anywhere
+            return Placed(self.window.active.registrar.measured(sweep.points, sweep.normals, prior.map_from_base), 0)
+        unsure = self.odometry_error.prior(self.registration, self.local_from_base, step, 10 * doubt)
+        best = self._aligned(sweep, prior.map_from_base, unsure if self.searches_next else prior)
         if best.quality >= self.search.below and not self.searches_next:
             return best
         # odometry may lie: a slipping wheel, a stall, a wrong direction. The motion before this step is another guess
-        best = self._better(best, sweep, [self.map_from_base @ self.motion], unsure, grid)
+        best = self._better(best, sweep, [self.local_from_base @ self.motion], unsure)
         if best.quality < self.search.below or self.searches_next:
             starts = [prior.map_from_base, *self.other_starts]
             self.searches_next, self.other_starts = False, []
-            guesses = [g for s in starts for g in candidates(sweep.points, self.registrar.map, s, self.search)]
-            best = self._better(best, sweep, guesses, unsure, grid)
+            guesses = [
+                g for s in starts for g in candidates(sweep.points, self.window.active.registrar.map, s, self.search)
+            ]
+            best = self._better(best, sweep, guesses, unsure)
         return best
 
-    def _better(self, best: Placed, sweep: Sweep, guesses: list[Pose2], prior: Prior, grid: Occupancy) -> Placed:
+    def _better(self, best: Placed, sweep: Sweep, guesses: list[Pose2], prior: Prior) -> Placed:
         """The place, or one found from another guess that the beams clearly speak for."""
         for guess in guesses:
-            other = self._aligned(sweep, guess, prior, grid)
+            other = self._aligned(sweep, guess, prior)
             if other.balance > best.balance + self.search.gain:
                 best = other
         return best
 
-    def _aligned(self, sweep: Sweep, guess: Pose2, prior: Prior, grid: Occupancy) -> Placed:
-        match = self.registrar.register(sweep.points, sweep.normals, guess, prior)
+    def _aligned(self, sweep: Sweep, guess: Pose2, prior: Prior) -> Placed:
+        match = self.window.active.registrar.register(sweep.points, sweep.normals, guess, prior)
         other = ~match.agree
         pose = match.map_from_base
-        against = grid.contradicts(pose @ sweep.origins[other], pose @ sweep.points[other])
+        against = self.window.active.grid.contradicts(pose @ sweep.origins[other], pose @ sweep.points[other])
         return Placed(match, int(against.sum()))
 
     def _believe(self, match: Match, step: Pose2, doubt: float) -> None:
         """The covariance: grown by the step's uncertainty, shrunk by what the beams tell (information filter)."""
-        prior = self.odometry_error.prior(self.registration, self.map_from_base, step, doubt)
-        dx, dy = prior.map_from_base.x - self.map_from_base.x, prior.map_from_base.y - self.map_from_base.y
+        prior = self.odometry_error.prior(self.registration, self.local_from_base, step, doubt)
+        dx, dy = prior.map_from_base.x - self.local_from_base.x, prior.map_from_base.y - self.local_from_base.y
         turned = np.array(((1, 0, -dy), (0, 1, dx), (0, 0, 1)))
         grown = turned @ self.covariance @ turned.T + np.diag((prior.sigma**2, prior.sigma**2, prior.sigma_turn**2))
         covariance = np.linalg.inv(np.linalg.inv(grown) + match.information)
         self.covariance = (covariance + covariance.T) / 2
 
     def _grade(self, quality: float, told: bool, n: int) -> None:
-        if self.state is Localization.STARTING and (n == 0 or self.registrar.map.n == 0):
+        if self.state is Localization.STARTING and (n == 0 or self.window.active.registrar.map.n == 0):
             return
         if told and quality < self.config.lost:
             self.n_bad += 1
@@ -195,10 +212,5 @@ class FrontEnd:
     def _moved_on(self) -> bool:
         if self.keyframe is None:
             return True
-        moved = self.keyframe.inverse() @ self.map_from_base
+        moved = self.keyframe.inverse() @ self.local_from_base
         return hypot(moved.x, moved.y) >= self.config.keyframe_distance or abs(moved.yaw) >= self.config.keyframe_turn
-
-    def _extend(self, points: Float64s, normals: Float64s) -> None:
-        pose = self.map_from_base
-        self.registrar.extend(pose @ points, Pose2(0, 0, pose.yaw) @ normals)
-        self.keyframe = pose

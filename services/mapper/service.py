@@ -5,11 +5,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from services.mapper.back_end import BackEnd, BackEndConfig, Drawing
+from services.mapper.background import Background
 from services.mapper.correlative_match import SearchConfig
 from services.mapper.deskew import deskewed
 from services.mapper.front_end import FrontEnd, FrontEndConfig, Tracked
+from services.mapper.keyframe import Keyframe
+from services.mapper.loop_closure import Loop, LoopConfig
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.odometry_track import OdometryConfig, OdometryTrack
+from services.mapper.optimisation import PoseGraphConfig
+from services.mapper.pose_graph import Optimised
 from services.mapper.registration import RegistrationConfig
 from shared import requests, topics
 from shared.config import Robot, Section
@@ -36,13 +42,16 @@ class MapperConfig(Section):
     front_end: FrontEndConfig = FrontEndConfig()
     odometry: OdometryConfig = OdometryConfig()
     occupancy: OccupancyConfig = OccupancyConfig()
+    back_end: BackEndConfig = BackEndConfig()
+    loops: LoopConfig = LoopConfig()
+    pose_graph: PoseGraphConfig = PoseGraphConfig()
     blind_doubt: float = Field(
         5.0, ge=1, le=100, description="how much wider the prior is when speed alone is known, without odometry"
     )
 
 
 class MapperService(Service):
-    """SLAM's front end and its map. A scan waits until odometry covers its end, but not for long."""
+    """SLAM: front end, back end and the map. A scan waits until odometry covers its end, but not for long."""
 
     config_type = MapperConfig
 
@@ -50,12 +59,20 @@ class MapperService(Service):
         super().__init__(config, robot)
         self.config: MapperConfig = config
         self.track = OdometryTrack(config.odometry, robot.drive)
-        self.front_end = FrontEnd(config.front_end, config.registration, config.search, robot.laser.range_max)
+        self.front_end = FrontEnd(
+            config.front_end, config.registration, config.search, config.occupancy, robot.laser.range_max
+        )
+        self.back_end = BackEnd(
+            config.back_end, config.loops, config.pose_graph, config.registration, config.occupancy,
+            robot.laser.range_max,
+        )  # fmt: skip
+        self.loops = Background(self.back_end)
         self.grid = Occupancy(config.occupancy, 0)
         self.pending: tuple[int, LaserScan] | None = None  # when it came, and the scan
         self.last_end = -1  # ns, end of the last scan that was placed
         self.velocity = Pose2()  # motion a second between the last two scans
         self.blind = False  # the last scan was placed without odometry
+        self.doubt = 1.0  # the largest since the last keyframe
         self.tracked: Tracked | None = None
         self.n_dropped = {"old": 0, "late": 0, "ahead": 0}
         self.map_before: MapUpdate | None = None  # what was published last before a restart
@@ -78,9 +95,12 @@ class MapperService(Service):
             other.front_end.searches_next = True
         beams = np.zeros((laser.n_beams, 2))
         other.grid.contradicts(beams, beams)
-        other.front_end.registrar.extend(
+        other.front_end.window.active.registrar.extend(
             np.ascontiguousarray(0.3 * np.argwhere(np.ones((60, 60)))), np.zeros((3600, 2))
         )  # until it grows
+        if other.tracked is not None and other.back_end.keyframes:
+            other.back_end.add(other.back_end.keyframes[0], other.tracked.match, other.front_end.odometry_error)
+            other.back_end.rehearse()
         list(other.publish_map())
         load = LoadMap(other.now, other.grid.whole(other.now), Pose2())
         list(other.load_map(load))
@@ -147,9 +167,29 @@ class MapperService(Service):
 
     @every(hz=2)
     def publish_map(self) -> Out:
+        """What changed; and where the graph has moved, the map is drawn anew now and then."""
         update = self.grid.update(self.now)
         if update is not None:
             yield topics.MAP(update)
+        yield from self.loops.redraw(self.now)
+
+    def looked(self, result: tuple[int, list[Loop]]) -> Out:
+        """Closures were found, or none."""
+        return self.loops.looked(result)
+
+    def settle(self) -> Out:
+        """Optimises the graph where it holds closures that are not in the poses yet."""
+        return self.loops.settle()
+
+    def corrected(self, result: tuple[int, Optimised]) -> Out:
+        """The graph has its optimum: the pose on the map moves now, the map when it is drawn."""
+        return self.loops.corrected(result)
+
+    def redrawn(self, result: tuple[int, Drawing]) -> Out:
+        """The map, or a part of it, is drawn anew."""
+        grid = yield from self.loops.redrawn(result, self.now)
+        if grid is not None:
+            self.grid.become(grid)
 
     @answer(requests.LOAD_MAP)
     def load_map(self, request: LoadMap) -> Answer[Reply]:
@@ -162,7 +202,8 @@ class MapperService(Service):
             return Reply(self.now, False, BAD_REQUEST.code, "the map holds no occupied cell to find the robot by")
         self.grid = Occupancy(self.config.occupancy, max(self.now, self.grid.map_id + 1))
         self.grid.load(request.map)
-        self.front_end.load(grid, request.map_from_base)
+        self.front_end.load(grid, request.map, request.map_from_base)
+        self.loops.start()
         self.pending = None
         self.velocity = Pose2()
         update = self.grid.update(self.now)
@@ -181,7 +222,8 @@ class MapperService(Service):
             self.grid = Occupancy(self.config.occupancy, update.map_id)
             self.grid.load(update)
             self.grid.version = update.version
-            self.front_end.load(grid, estimate.map_from_base)
+            self.front_end.load(grid, update, estimate.map_from_base)
+            self.loops.start()
             self.tracked, self.last_end, self.velocity = None, -1, Pose2()
             yield Log("INFO", f"going on with the map from before the restart: {len(update.rows)} tiles")
 
@@ -193,7 +235,7 @@ class MapperService(Service):
         guess = before.map_from_odom @ self.track.odom_from_start(end) @ self.track.at(end)
         farthest = self.robot.drive.max_speed * max(end - before.stamp, 0) / SECOND + 0.5
         if guess.distance(before.map_from_base) <= farthest:
-            self.front_end.map_from_base = guess
+            self.front_end.local_from_base = guess
             self.front_end.other_starts = [before.map_from_base]
 
     def _drop(self, why: str) -> Out:
@@ -216,15 +258,26 @@ class MapperService(Service):
         origins, ends = deskewed(scan, self.robot.laser.mount, times, motion)
         if self.tracked is None and not self.grid.places:
             self.grid = Occupancy(self.config.occupancy, max(self.now, 1))
-        before = self.front_end.map_from_base
-        tracked = self.front_end.track(origins, ends, step, self.config.blind_doubt if self.blind else 1.0, self.grid)
-        moved = before.inverse() @ tracked.map_from_base
+        before = self.front_end.local_from_base
+        doubt = self.config.blind_doubt if self.blind else 1.0
+        self.doubt = max(self.doubt, doubt)
+        tracked = self.front_end.track(origins, ends, step, doubt)
+        moved = before.inverse() @ tracked.local_from_base
         self.velocity = _scaled(moved, 1 / seconds) if 0.02 <= seconds <= 1 else Pose2()
+        silent = self._silent(scan, origins, ends)
         if tracked.trusted:
-            pose = tracked.map_from_base
-            self.grid.integrate(pose @ origins, pose @ ends, self._silent(scan, origins, ends))
+            pose = self.map_from_base
+            self.grid.integrate(pose @ origins, pose @ ends, pose @ silent)
         self.last_end, self.tracked = end, tracked
         yield topics.POSE(self._estimate(end, tracked))
+        if tracked.keyframe is not None and self.front_end.window.moves:
+            keyframe = Keyframe.of(end, tracked.local_from_base, origins, ends, silent, tracked.keyframe)
+            yield from self.loops.keep(keyframe, tracked.match, self.front_end.odometry_error, self.doubt)
+            self.doubt = 1.0
+
+    @property
+    def map_from_base(self) -> Pose2:
+        return self.back_end.map_from_local @ self.front_end.local_from_base
 
     def _step(self, end: int, seconds: float) -> Pose2:
         """The motion since the last placed scan: by odometry, or at the last known speed."""
@@ -243,15 +296,14 @@ class MapperService(Service):
         return np.array((-scan.scan_time, 0.0)), np.array(((back.x, back.y, back.yaw), (0.0, 0.0, 0.0)))
 
     def _silent(self, scan: LaserScan, origins: Float64s, ends: Float64s) -> Float64s:
-        """Where beams without an echo were free, in `map`; NaN where they say nothing, which is the default."""
+        """Where beams without an echo were free, in `base`; NaN where they say nothing, which is the default."""
         out = np.full_like(ends, np.nan)
         share = self.config.occupancy.no_echo_free
         if share > 0:
             none = np.isnan(scan.ranges) | (scan.ranges >= scan.range_max)
             angles = self.robot.laser.mount.yaw + scan.angle_min + scan.angle_increment * np.flatnonzero(none)
             reach = share * min(scan.range_max, self.config.occupancy.range_max)
-            tips = origins[none] + reach * np.column_stack((np.cos(angles), np.sin(angles)))
-            out[none] = self.front_end.map_from_base @ tips
+            out[none] = origins[none] + reach * np.column_stack((np.cos(angles), np.sin(angles)))
         return out
 
     def _estimate(self, end: int, tracked: Tracked) -> PoseEstimate:
@@ -261,12 +313,19 @@ class MapperService(Service):
             odom_from_base = Pose2()
         return PoseEstimate(
             end,
-            tracked.map_from_base,
-            tracked.map_from_base @ odom_from_base.inverse(),
-            np.clip(tracked.covariance, -1e12, 1e12).reshape(9),
+            self.map_from_base,
+            self.map_from_base @ odom_from_base.inverse(),
+            np.clip(_turned(tracked.covariance, self.back_end.map_from_local.yaw), -1e12, 1e12).reshape(9),
             tracked.quality,
             tracked.state,
         )
+
+
+def _turned(covariance: Float64s, yaw: float) -> Float64s:
+    """A covariance (3, 3) of a pose, in axes turned by -yaw."""
+    rotation = np.eye(3)
+    rotation[:2, :2] = (Pose2(0, 0, yaw) @ np.eye(2)).T
+    return np.asarray(rotation @ covariance @ rotation.T)
 
 
 def _end(scan: LaserScan) -> int:

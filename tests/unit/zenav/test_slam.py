@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import gzip
 import json
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,35 +9,15 @@ from PIL import Image
 from shared.config import UserError
 from shared.geometry import Pose2
 from shared.ros_map import read_ros_map
-from tests.unit.services.mapper.rooms import ROOM, cast
+from tests.unit.zenav.logs import room_log
 from zenav.__main__ import _status
 from zenav.slam import slam
-
-DATA = os.environ.get("ZENAV_DATA")  # noqa: TID251  # where the machine keeps its logs
-
-
-def lines(n=40, mount=Pose2(0.2, 0.0, 0.0), first=100.0):  # noqa: B008  # a pose is a value
-    """A CARMEN log of a robot that circles in a made-up room; its odometry's wheels are 3 % too small."""
-    angles = np.radians(np.arange(-90, 90))
-    true, odom = Pose2(), Pose2()
-    for k in range(n):
-        step = Pose2(0.06, 0, 0.1)
-        true, odom = true @ step, odom @ Pose2(0.062, 0, 0.1)
-        stamp = first + 0.2 * k
-        laser, seen = true @ mount, odom @ mount
-        ranges = cast(ROOM, np.tile((laser.x, laser.y), (180, 1)), laser.yaw + angles)
-        ranges[ranges > 30] = 81.83
-        yield f"ODOM {odom.x:.6f} {odom.y:.6f} {odom.yaw:.6f} 0 0 0 {stamp - 0.1:.6f} host 0"
-        yield (
-            "FLASER 180 " + " ".join(f"{r:.2f}" for r in ranges)
-            + f" {seen.x:.6f} {seen.y:.6f} {seen.yaw:.6f} {odom.x:.6f} {odom.y:.6f} {odom.yaw:.6f} {stamp:.6f} host 0"
-        )  # fmt: skip
 
 
 @pytest.fixture
 def log(tmp_path):
     path = tmp_path / "room.log"
-    path.write_text("\n".join(lines()) + "\n")
+    path.write_text("\n".join(room_log()) + "\n")
     return path
 
 
@@ -124,25 +102,3 @@ def test_a_place_that_cannot_be_written_is_refused(log, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match="cannot write"):
         slam(log, tmp_path / "file")
-
-
-@pytest.mark.skipif(DATA is None, reason="ZENAV_DATA is not set: the real logs are not on this machine")
-def test_a_slice_of_a_real_log_agrees_with_its_reference(tmp_path):
-    """The first minutes of the Intel log against the hand-checked displacements in them (noise: 0.014 m)."""
-    folder = Path(str(DATA)) / "slam"
-    with gzip.open(folder / "intel.log.gz", "rt") as whole:
-        head = [line for _, line in zip(range(4500), whole)]
-    (tmp_path / "slice.log").write_text("".join(head))
-    report = slam(tmp_path / "slice.log", tmp_path / "out")
-    assert report["states"].get("lost", 0) == 0
-    stamps, poses = poses_of(tmp_path / "out")
-    pairs = np.loadtxt(folder / "intel.relations")
-    pairs = pairs[(pairs[:, :2] > stamps[0]).all(axis=1) & (pairs[:, :2] < stamps[-1]).all(axis=1)]
-    assert len(pairs) > 30
-    poses[:, 2] = np.unwrap(poses[:, 2])
-    at = np.column_stack([np.interp(pairs[:, :2].ravel(), stamps, column) for column in poses.T])
-    errors = [
-        (Pose2(*a).inverse() @ Pose2(*b)).distance(Pose2(*relation[2:5]))
-        for a, b, relation in zip(at[::2], at[1::2], pairs)
-    ]
-    assert np.median(errors) < 0.03

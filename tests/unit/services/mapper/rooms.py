@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Made-up rooms of line segments, what a laser sees in them, and a mapper that drives through."""
 
-from math import pi
+from collections.abc import Iterator
+from math import hypot, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from shared.config import Laser, Mount, load_robot
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
-from shared.service import Log
+from shared.service import Job, Log
 from shared.topics import Publication
 
 Float64s = NDArray[np.float64]
@@ -23,7 +24,27 @@ def box(x0: float, y0: float, x1: float, y1: float) -> list[tuple[float, float, 
 
 
 ROOM = np.array([*box(-3, -2, 4, 3), *box(2.2, 1.2, 3.1, 2.0), *box(-2.0, -1.4, -1.5, -0.3), (0.5, 3.0, 1.2, 2.2)])
+RING = np.array(
+    [*box(0, 0, 16, 11), *box(2.2, 2.2, 13.8, 8.8), *box(5.0, -0.4, 5.9, 0.5), *box(10.5, 0, 11.1, 0.4),
+     *box(15.3, 4.0, 16.2, 4.7), *box(13.8, 6.0, 14.3, 7.1), *box(8.0, 10.2, 8.6, 11.2), *box(3.1, 8.8, 4.4, 9.2),
+     *box(-0.2, 6.1, 0.6, 6.8), *box(1.8, 3.0, 2.2, 3.7)]
+)  # fmt: skip
+CORNERS = ((1.1, 1.1), (14.9, 1.1), (14.9, 9.9), (1.1, 9.9))
+START = Pose2(*CORNERS[0], 0.0)
+STEP, TURN = 0.3, pi / 6
 CORRIDOR = np.array([(-50.0, -1.0, 50.0, -1.0), (-50.0, 1.0, 50.0, 1.0)])
+
+
+def laps() -> Iterator[Pose2]:
+    """Motions from START round the ring, on and on: STEP m straight, TURN rad at the corners."""
+    while True:
+        for k in range(4):
+            (x0, y0), (x1, y1) = CORNERS[k], CORNERS[(k + 1) % 4]
+            yield from [Pose2(STEP, 0, 0)] * round(hypot(x1 - x0, y1 - y0) / STEP)
+            yield from [Pose2(0, 0, TURN)] * round(pi / 2 / TURN)
+
+
+LAP = sum(round(side / STEP) + 3 for side in (13.8, 8.8, 13.8, 8.8))  # motions
 
 
 def cast(segments: Float64s, origins: Float64s, angles: Float64s) -> Float64s:
@@ -72,15 +93,28 @@ class Driven:
         self.poses: list[PoseEstimate] = []
         self.maps: list[MapUpdate] = []
         self.logs: list[str] = []
+        self.jobs: list[Job] = []
+        self.busy = False  # jobs wait until `work`
 
     def take(self, out: object) -> None:
         for item in out or ():  # type: ignore[attr-defined]
-            if isinstance(item, Log):
+            if isinstance(item, Job):
+                self.jobs.append(item)
+                if not self.busy:
+                    self.work()
+            elif isinstance(item, Log):
                 self.logs.append(item.text)
             elif isinstance(item, Publication) and isinstance(item.message, PoseEstimate):
                 self.poses.append(item.message)
             elif isinstance(item, Publication) and isinstance(item.message, MapUpdate):
                 self.maps.append(item.message)
+
+    def work(self) -> None:
+        """Does what is to be done beside the scans."""
+        while self.jobs:
+            job = self.jobs.pop(0)
+            self.mapper.now = self.now
+            self.take(getattr(self.mapper, job.done)(job.function(*job.arguments)))
 
     def odometry(self, stamp: int, pose: Pose2, v: float = 0.0, w: float = 0.0) -> None:
         self.mapper.now = self.now

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From keyframes to a consistent map: the graph of their poses, what closes loops in it, and the map drawn anew."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import hypot
+
+import numpy as np
+from pydantic import Field
+
+from services.mapper.keyframe import Keyframe
+from services.mapper.loop_closure import Blocks, Loop, LoopConfig, closed, in_own_frame
+from services.mapper.occupancy import Occupancy, OccupancyConfig
+from services.mapper.optimisation import PoseGraphConfig, optimised
+from services.mapper.pose_graph import Graph, Optimised, PoseGraph
+from services.mapper.registration import Match, OdometryError, RegistrationConfig
+from services.mapper.uncertainty import uncertainty_from
+from shared.config import Section
+from shared.geometry import Float64s, Pose2, wrapped_all
+
+SEEN = 0.02  # m, a correction that shows on the map
+LONG_AGO = 10  # crowds of keyframes after which one is no longer of this visit, also where the robot only turns
+SLICE = 100  # keyframes that one job draws: 0.2 s, looks for closures go on in between
+
+
+class BackEndConfig(Section):
+    """The pose graph's edges between keyframes."""
+
+    noise: float = Field(0.01, ge=0.001, le=1, description="m, standard deviation from a keyframe to the next at least")
+    noise_turn: float = Field(0.003, ge=0.0003, le=1, description="rad, of its turn")
+    off: float = Field(
+        0.05, ge=0, le=10, description="m that a closure may be off until the graph is optimised at once"
+    )
+    off_turn: float = Field(0.02, ge=0, le=3, description="rad, the same for its turn")
+    patience: int = Field(20, ge=1, le=10_000, description="closures that agree, until it is optimised all the same")
+    redraw: float = Field(2.0, ge=0, le=3600, description="s between two drawings of the whole map at least")
+    crowd: int = Field(8, ge=2, le=1000, description="keyframes at one place, until the oldest of them is given up")
+    crowd_reach: float = Field(0.5, ge=0.05, le=5, description="m, and rad, that make it one place")
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """The map as far as it is drawn anew, and the keyframes, at poses (n, 3) in `map`, that are still to be drawn.
+
+    node: the newest that is in the grid or among them.
+    """
+
+    grid: Occupancy
+    keyframes: tuple[Keyframe, ...]
+    poses: Float64s
+    node: int
+
+
+class BackEnd:
+    """Keyframes and their graph. `map_from_local` is where the front end's frame is by now."""
+
+    def __init__(
+        self,
+        config: BackEndConfig,
+        loops: LoopConfig,
+        graph: PoseGraphConfig,
+        registration: RegistrationConfig,
+        occupancy: OccupancyConfig,
+        range_max: float,
+    ) -> None:
+        self.config, self.loops, self.graph_config = config, loops, graph
+        self._settings = registration, occupancy, range_max
+        self.start()
+
+    def start(self) -> None:
+        """Forgets everything."""
+        self.graph = PoseGraph()
+        self.keyframes: list[Keyframe] = []
+        self.driven: list[float] = []
+        self.map_from_local = Pose2()
+        self.looked_at = 0.0  # m driven when loops were looked for
+        self.n_loops = 0
+        self.n_agreeing = 0  # closures since the last optimisation
+        self.off = False  # one of them moves what is known
+        self.moved = 0.0  # m, at most, of any keyframe since the map was drawn
+        self.blocks = Blocks(*self._settings, self.loops)
+
+    def add(self, keyframe: Keyframe, match: Match, odometry: OdometryError, doubt: float = 1.0) -> None:
+        """A new keyframe, where the beams say that it is; where they say nothing, odometry does.
+
+        doubt: how much wider odometry's standard deviations are, on the worst of the steps since the last keyframe.
+        """
+        if not self.keyframes:
+            self.graph.add(self.map_from_local @ keyframe.local_from_base)
+            self.driven.append(0.0)
+        else:
+            before = self.keyframes[-1].local_from_base
+            step = before.inverse() @ keyframe.local_from_base
+            node = self.graph.add(self.map_from_local @ keyframe.local_from_base)
+            prior = odometry.prior(self._settings[0], before, step, doubt)
+            known = np.diag((prior.sigma**-2, prior.sigma**-2, prior.sigma_turn**-2))
+            information = in_own_frame(
+                match.information, keyframe.local_from_base.yaw, known, self.config.noise, self.config.noise_turn
+            )
+            self.graph.connect(node - 1, node, step, information, loop=False)
+            self.driven.append(self.driven[-1] + hypot(step.x, step.y))
+        self.keyframes.append(keyframe)
+        self._thin()
+
+    def _thin(self) -> None:
+        """Where the robot drives again and again, the graph grows with the area, not with time."""
+        poses, driven = self.graph.poses, np.array(self.driven)
+        reach = self.config.crowd_reach
+        here = (np.abs(poses[:, :2] - poses[-1, :2]) < reach).all(axis=1)
+        here &= np.abs(wrapped_all(poses[:, 2] - poses[-1, 2])) < reach
+        nodes = self.graph.nodes
+        gone = (driven[-1] - driven > self.loops.apart) | (nodes[-1] - nodes > LONG_AGO * self.config.crowd)
+        old = np.flatnonzero(here & gone)
+        old = old[old > 0]  # the first one holds the map
+        if len(old) >= self.config.crowd:
+            row = int(old[0])
+            self.graph.remove(int(self.graph.nodes[row]))
+            del self.keyframes[row], self.driven[row]
+
+    @property
+    def due(self) -> bool:
+        """Whether to look for closures at the newest keyframe."""
+        return len(self.keyframes) > 1 and self.driven[-1] - self.looked_at >= self.loops.every
+
+    def look(self) -> tuple[Graph, tuple[Keyframe, ...], Float64s, Blocks, LoopConfig]:
+        """The arguments of `loops_of`, for the newest keyframe."""
+        self.looked_at = self.driven[-1]
+        return self.graph.snapshot(), tuple(self.keyframes), np.array(self.driven), self.blocks, self.loops
+
+    def close(self, loops: Sequence[Loop]) -> None:
+        """Takes closures."""
+        nodes = set(self.graph.nodes.tolist())
+        loops = [loop for loop in loops if loop.i in nodes and loop.j in nodes]  # not given up meanwhile
+        for loop in loops:
+            rest = (self.graph.pose(loop.i).inverse() @ self.graph.pose(loop.j)).inverse() @ loop.i_from_j
+            self.off |= hypot(rest.x, rest.y) > self.config.off or abs(rest.yaw) > self.config.off_turn
+            self.graph.connect(loop.i, loop.j, loop.i_from_j, loop.information, loop=True)
+        self.n_loops += len(loops)
+        self.n_agreeing += len(loops)
+
+    @property
+    def urgent(self) -> bool:
+        """Whether it is time to optimise."""
+        return self.off or self.n_agreeing >= self.config.patience
+
+    @property
+    def settled(self) -> bool:
+        """Whether all closures are in the poses."""
+        return self.n_agreeing == 0
+
+    def optimise(self) -> tuple[Graph, PoseGraphConfig]:
+        """The arguments of `optimised`."""
+        self.n_agreeing, self.off = 0, False
+        return self.graph.snapshot(), self.graph_config
+
+    def take(self, optimum: Optimised) -> None:
+        """Takes an optimum."""
+        before = self.graph.poses.copy()
+        self.graph.take(optimum)
+        last = self.keyframes[-1].local_from_base
+        row = self.graph.poses[-1]
+        self.map_from_local = Pose2(float(row[0]), float(row[1]), float(row[2])) @ last.inverse()
+        self.moved += float(np.hypot(*(self.graph.poses - before)[:, :2].T).max())
+
+    @property
+    def outdated(self) -> bool:
+        """Whether the map is to be drawn anew. Small corrections add up, too."""
+        return self.moved > SEEN
+
+    def draw(self) -> Drawing:
+        """A map to draw anew, from all keyframes."""
+        self.moved = 0.0
+        return self.newer(Drawing(Occupancy(self._settings[1], 0), (), np.zeros((0, 3)), -1))
+
+    def newer(self, drawing: Drawing) -> Drawing:
+        """A finished drawing, to go on with the keyframes that came meanwhile."""
+        first = int(np.searchsorted(self.graph.nodes, drawing.node, side="right"))
+        newest = int(self.graph.nodes[-1])
+        return Drawing(drawing.grid, tuple(self.keyframes[first:]), self.graph.poses[first:].copy(), newest)
+
+    def rehearse(self) -> None:
+        """Calls every kernel once, with two keyframes or more; it is of no use after that."""
+        graph, last = self.graph.snapshot(), len(self.keyframes) - 1
+        covariances = uncertainty_from(graph, int(graph.nodes[last]))
+        closed(graph, self.keyframes, 0, last, covariances[0], self.blocks, self.loops)
+        off = self.graph.pose(0).inverse() @ self.graph.pose(last) @ Pose2(0.5, 0.0, 0.1)
+        self.graph.connect(0, last, off, np.eye(3), loop=True)
+        self.take(optimised(*self.optimise()))
+        drawn(self.draw())
+
+    def corrections(self) -> list[Pose2]:
+        """map_from_local at each keyframe."""
+        return [
+            Pose2(*row) @ keyframe.local_from_base.inverse()
+            for row, keyframe in zip(self.graph.poses.tolist(), self.keyframes)
+        ]
+
+
+def drawn(drawing: Drawing) -> Drawing:
+    """The drawing with the next slice of its keyframes in it. Its grid is handed on: who ordered it looks no more."""
+    for keyframe, row in zip(drawing.keyframes[:SLICE], drawing.poses[:SLICE].tolist()):
+        pose = Pose2(*row)
+        origins, ends = keyframe.beams()
+        drawing.grid.integrate(pose @ origins, pose @ ends, pose @ keyframe.silence())
+    if len(drawing.keyframes) <= SLICE:
+        drawing.grid.settle()
+    return Drawing(drawing.grid, drawing.keyframes[SLICE:], drawing.poses[SLICE:], drawing.node)
