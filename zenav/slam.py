@@ -14,15 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from services.mapper.saved_map import SavedMap
 from services.mapper.service import MapperConfig, MapperService
 from shared.config import Drive, Laser, Mount, Robot, UserError
 from shared.geometry import Pose2, interpolated
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
-from shared.ros_map import replace_file, write_ros_map
 from shared.service import Job, Out
 from shared.topics import Publication
 from zenav.convert.carmen import LoggedPose, LoggedScan, read_carmen
+from zenav.saved_map import map_files
+from zenav.store import replace_together
 
 Float64s = NDArray[np.float64]
 
@@ -63,6 +65,12 @@ class Run:
             self.take(getattr(self.mapper, job.done)(job.function(*job.arguments)))
         self.job_seconds += process_time() - begun
 
+    def saved(self) -> SavedMap:
+        """What another run can go on with."""
+        back_end = self.mapper.back_end
+        whole = self.mapper.grid.whole(0)
+        return SavedMap(back_end.graph.snapshot(), tuple(back_end.keyframes), np.array(back_end.driven), whole)
+
     def corrected(self) -> list[PoseEstimate]:
         """The estimates, by what is known at the end."""
         corrections = self.mapper.back_end.corrections()
@@ -86,7 +94,7 @@ def slam(
     progress: Callable[[float], None] = lambda share: None,
     config: MapperConfig | None = None,
 ) -> dict[str, Any]:
-    """Runs the mapper over a log and writes trajectory.tum, map.pgm, map.yaml, map.png and report.json into `out`.
+    """Runs the mapper over a log and writes its map (see saved_map.py), trajectory.tum and report.json into `out`.
 
     progress is called with the share that is done, 0..1. Returns the report. Raises UserError where the log cannot be
     read or holds no scan, or `out` cannot be written.
@@ -104,13 +112,12 @@ def slam(
     first = min(record.stamp for record in read.records)
     times = _feed(run, read.records, first, progress)
     stamps, poses = trajectory(read.records, run.corrected(), first)
-    replace_file(out / "trajectory.tum", tum(stamps, poses).encode())
-    write_ros_map(out, run.grid.cells, run.grid.resolution, run.grid.x0, run.grid.y0)
-    from zenav.picture import map_picture
-
-    replace_file(out / "map.png", map_picture(run.grid, poses))
     report = _report(log, read.n_bad, read.truncated, scans, run, poses, times)
-    replace_file(out / "report.json", (json.dumps(report, indent=2) + "\n").encode())
+    results = {
+        "trajectory.tum": tum(stamps, poses).encode(),
+        "report.json": (json.dumps(report, indent=2) + "\n").encode(),
+    }
+    replace_together(out, map_files(run.saved(), poses) | results)
     progress(1.0)
     return report
 
