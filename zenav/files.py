@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from zenav.replay import TopicReport
 
 
+NOTICED = 0.05  # s between odometry and laser, from which it is told
+
+
 @contextmanager
 def progress_bar(text: str) -> Iterator[Callable[[float], None]]:
     """A function that shows the share that is done, 0..1, on a terminal."""
@@ -37,8 +40,11 @@ def slam(log: Path, out: Path) -> None:
         report = run(log, out, progress)
     sys.stdout.write(
         f"{out}/map.png: {report['scans_placed']} of {report['scans']} scans, {report['length_m']:.1f} m, "
-        f"{report['cpu_s']:.1f} s of CPU\n"
+        f"{report['loops']} loops closed, {report['cpu_s']:.1f} s of CPU\n"
     )
+    lag = report["odometry_lag_s"]
+    if lag is not None and abs(lag) >= NOTICED:
+        sys.stdout.write(f"odometry tells {abs(lag):.2f} s {'later' if lag > 0 else 'sooner'} than the laser\n")
     if report["truncated"]:
         sys.stderr.write(f"{log} ends early: its rest is missing, the map is of what came before\n")
     if report["bad_lines"]:

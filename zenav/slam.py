@@ -23,6 +23,7 @@ from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
 from shared.service import Job, Out
 from shared.topics import Publication
 from zenav.convert.carmen import LoggedPose, LoggedScan, read_carmen
+from zenav.odometry_lag import odometry_lag
 from zenav.saved_map import map_files
 from zenav.store import replace_together
 
@@ -112,7 +113,7 @@ def slam(
     first = min(record.stamp for record in read.records)
     times = _feed(run, read.records, first, progress)
     stamps, poses = trajectory(read.records, run.corrected(), first)
-    report = _report(log, read.n_bad, read.truncated, scans, run, poses, times)
+    report = _report(log, read.n_bad, read.truncated, read.records, scans, run, poses, times)
     results = {
         "trajectory.tum": tum(stamps, poses).encode(),
         "report.json": (json.dumps(report, indent=2) + "\n").encode(),
@@ -235,9 +236,29 @@ def tum(stamps: Float64s, poses: Float64s) -> str:
     )
 
 
+def _turns(records: list[LoggedPose | LoggedScan], first: float) -> Float64s:
+    """(n, 2) s on the mapper's clock and rad, odometry's headings as they were logged, in time."""
+    rows = {nanoseconds(record.stamp, first) * 1e-9: record.odom_from_base.yaw for record in records}
+    return np.array(sorted(rows.items()))
+
+
+def _placed(run: Run) -> Float64s:
+    """(m, 2) s on the mapper's clock and rad, the scans' headings in the front end's frame, in time."""
+    rows = {estimate.stamp * 1e-9: place.yaw for estimate, place in zip(run.estimates, run.places)}
+    return np.array(sorted(rows.items())).reshape(-1, 2)
+
+
 def _report(
-    log: Path, n_bad: int, truncated: bool, scans: list[LoggedScan], run: Run, poses: Float64s, times: list[float]
+    log: Path,
+    n_bad: int,
+    truncated: bool,
+    records: list[LoggedPose | LoggedScan],
+    scans: list[LoggedScan],
+    run: Run,
+    poses: Float64s,
+    times: list[float],
 ) -> dict[str, Any]:
+    first = min(record.stamp for record in records)
     quality = np.array([estimate.quality for estimate in run.estimates] or [0.0])
     states = [str(estimate.state) for estimate in run.estimates]
     return {
@@ -248,6 +269,7 @@ def _report(
         "bad_lines": n_bad,
         "truncated": truncated,
         "odometry_jumps": run.mapper.track.n_jumps,
+        "odometry_lag_s": odometry_lag(_turns(records, first), _placed(run)),
         "seconds": round(scans[-1].stamp - scans[0].stamp, 3),
         "length_m": round(float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()), 2),
         "cpu_s": round(sum(times) + run.job_seconds, 3),
