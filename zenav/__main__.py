@@ -594,6 +594,23 @@ def bench_serial(
     raise typer.Exit(serial(seconds, out))
 
 
+@bench.command("slam", cls=Command)
+def bench_slam(
+    directory: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder with NAME.log.gz and NAME.relations or NAME.ref.tum.")
+    ],
+    out: Out = None,
+    logs: Annotated[str, typer.Option(help="Only these, separated by commas.", metavar="A,B")] = "",
+) -> None:
+    """Map every log of a folder that has a reference: errors, CPU time and memory; a Markdown table beside the JSON.
+
+    Example: zenav bench slam logs --out slam.json
+    """
+    from zenav.bench.slam import slam
+
+    raise typer.Exit(slam(directory, [name for name in logs.split(",") if name], out))
+
+
 app.add_typer(topic, name="topic", rich_help_panel=LOOK)
 app.add_typer(map_, name="map", rich_help_panel=LOOK)
 app.add_typer(config, name="config", rich_help_panel=LOOK)

@@ -28,10 +28,10 @@ def map_picture(grid: OccupancyGrid, poses: Float64s) -> bytes:
     cells = np.full((r1 - r0, c1 - c0), -1, np.int8)
     inner = grid.cells[max(r0, 0) : r1, max(c0, 0) : c1]
     cells[max(-r0, 0) : max(-r0, 0) + inner.shape[0], max(-c0, 0) : max(-c0, 0) + inner.shape[1]] = inner
-    share = np.clip(cells[:, :, None] / 100.0, 0, 1)
-    colours = np.where(cells[:, :, None] < 0, UNKNOWN, np.array(FREE) + share * (np.array(WALL) - np.array(FREE)))
+    shades = np.array(FREE) + np.linspace(0, 1, 101)[:, None] * (np.array(WALL) - np.array(FREE))
+    colours = np.vstack((UNKNOWN, shades)).astype(np.uint8)[cells + 1]
     scale = max(1, min(4, LONGEST // max(cells.shape)))
-    image = Image.fromarray(colours[::-1].astype(np.uint8)).resize(
+    image = Image.fromarray(colours[::-1]).resize(
         (cells.shape[1] * scale, cells.shape[0] * scale), Image.Resampling.NEAREST
     )
     if max(image.size) > LONGEST:

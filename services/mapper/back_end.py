@@ -2,6 +2,7 @@
 """From keyframes to a consistent map: the graph of their poses, what closes loops in it, and the map drawn anew."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import hypot
 
 import numpy as np
@@ -22,6 +23,8 @@ SEEN = 0.02  # m, a correction that shows on the map
 HELD = np.diag((0.1**-2, 0.1**-2, 0.03**-2))
 """Information of the place at which the robot was found on a saved map: closures will know it better."""
 EXACT = 1e8 * np.eye(3)
+LONG_AGO = 10  # crowds of keyframes after which one is no longer of this visit, also where the robot only turns
+SLICE = 100  # keyframes that one job draws: 0.2 s, looks for closures go on in between
 
 
 class BackEndConfig(Section):
@@ -40,6 +43,23 @@ class BackEndConfig(Section):
     recent: int = Field(
         60, ge=2, le=10_000, description="keyframes that are placed together on a saved map that does not change"
     )
+
+
+Waiting = tuple[Keyframe, Match, float]
+"""What `BackEnd.add` is given."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """The map as far as it is drawn anew, and the keyframes, at poses (n, 3) in `map`, that are still to be drawn.
+
+    node: the newest that is in the grid or among them.
+    """
+
+    grid: Occupancy
+    keyframes: tuple[Keyframe, ...]
+    poses: Float64s
+    node: int
 
 
 class BackEnd:
@@ -71,6 +91,8 @@ class BackEnd:
         self.first = 0  # name of the first node of this session: what is before it lies in another `local`
         self.begun = 0  # name of the first node that is not a saved map's
         self.held_at = 0.0  # m driven at the last closure
+        self.off = False  # one of them moves what is known
+        self.moved = 0.0  # m, at most, of any keyframe since the map was drawn
         self.blocks = Blocks(*self._settings, self.loops)
 
     def load(self, saved: SavedMap, fixed: bool) -> None:
@@ -94,11 +116,11 @@ class BackEnd:
             self._give_up(self.session)
         self._begin()
 
-    def found(self, map_from_local: Pose2, waiting: Sequence[tuple[Keyframe, Match]], odometry: OdometryError) -> None:
+    def found(self, map_from_local: Pose2, waiting: Sequence[Waiting], odometry: OdometryError) -> None:
         """A session begins at a place that was found on the map, with the keyframes up to there."""
         self.map_from_local = map_from_local
-        for keyframe, match in waiting:
-            self.add(keyframe, match, odometry)
+        for keyframe, match, doubt in waiting:
+            self.add(keyframe, match, odometry, doubt)
         self.held_at = self.driven[-1]
         node = int(self.graph.nodes[-1])
         pose = self.graph.pose(node)
@@ -116,8 +138,11 @@ class BackEnd:
         """The row of its first keyframe."""
         return int(np.searchsorted(self.graph.nodes, self.first))
 
-    def add(self, keyframe: Keyframe, match: Match, odometry: OdometryError) -> None:
-        """A new keyframe, where the beams say that it is; where they say nothing, odometry does."""
+    def add(self, keyframe: Keyframe, match: Match, odometry: OdometryError, doubt: float = 1.0) -> None:
+        """A new keyframe, where the beams say that it is; where they say nothing, odometry does.
+
+        doubt: how much wider odometry's standard deviations are, on the worst of the steps since the last keyframe.
+        """
         if self.session == len(self.keyframes):
             self.graph.add(self.map_from_local @ keyframe.local_from_base)
             self.driven.append(self.driven[-1] + self.loops.apart + 2 * self.loops.view if self.driven else 0.0)
@@ -125,7 +150,7 @@ class BackEnd:
             before = self.keyframes[-1].local_from_base
             step = before.inverse() @ keyframe.local_from_base
             node = self.graph.add(self.map_from_local @ keyframe.local_from_base)
-            prior = odometry.prior(self._settings[0], before, step)
+            prior = odometry.prior(self._settings[0], before, step, doubt)
             known = np.diag((prior.sigma**-2, prior.sigma**-2, prior.sigma_turn**-2))
             information = in_own_frame(
                 match.information, keyframe.local_from_base.yaw, known, self.config.noise, self.config.noise_turn
@@ -145,7 +170,9 @@ class BackEnd:
         reach = self.config.crowd_reach
         here = (np.abs(poses[:, :2] - poses[-1, :2]) < reach).all(axis=1)
         here &= np.abs(wrapped_all(poses[:, 2] - poses[-1, 2])) < reach
-        old = np.flatnonzero(here & (driven[-1] - driven > self.loops.apart))
+        nodes = self.graph.nodes
+        gone = (driven[-1] - driven > self.loops.apart) | (nodes[-1] - nodes > LONG_AGO * self.config.crowd)
+        old = np.flatnonzero(here & gone)
         old = old[old > 0]  # the first one holds the map
         if len(old) >= self.config.crowd:
             self._give_up(int(old[0]))
@@ -164,14 +191,13 @@ class BackEnd:
         self.looked_at = self.driven[-1]
         return self.graph.snapshot(), tuple(self.keyframes), np.array(self.driven), self.blocks, self.loops
 
-    def close(self, loops: Sequence[Loop]) -> bool:
-        """Takes closures; True where it is time to optimise."""
-        off = False
+    def close(self, loops: Sequence[Loop]) -> None:
+        """Takes closures."""
         nodes = set(self.graph.nodes.tolist())
         loops = [loop for loop in loops if loop.i in nodes and loop.j in nodes]  # not given up meanwhile
         for loop in loops:
             rest = (self.graph.pose(loop.i).inverse() @ self.graph.pose(loop.j)).inverse() @ loop.i_from_j
-            off |= hypot(rest.x, rest.y) > self.config.off or abs(rest.yaw) > self.config.off_turn
+            self.off |= hypot(rest.x, rest.y) > self.config.off or abs(rest.yaw) > self.config.off_turn
             i, i_from_j = loop.i, loop.i_from_j
             if self.fixed and i < self.first:  # all that stands still is one
                 origin = int(self.graph.nodes[0])
@@ -180,7 +206,11 @@ class BackEnd:
             self.held_at = self.driven[-1]
         self.n_loops += len(loops)
         self.n_agreeing += len(loops)
-        return off or self.n_agreeing >= self.config.patience
+
+    @property
+    def urgent(self) -> bool:
+        """Whether it is time to optimise."""
+        return self.off or self.n_agreeing >= self.config.patience
 
     @property
     def settled(self) -> bool:
@@ -189,21 +219,34 @@ class BackEnd:
 
     def optimise(self) -> tuple[Graph, PoseGraphConfig]:
         """The arguments of `optimised`."""
-        self.n_agreeing = 0
+        self.n_agreeing, self.off = 0, False
         return self.graph.snapshot(), self.graph_config
 
-    def take(self, optimum: Optimised) -> bool:
-        """Takes an optimum; True where the map is to be drawn anew."""
+    def take(self, optimum: Optimised) -> None:
+        """Takes an optimum."""
         before = self.graph.poses.copy()
         self.graph.take(optimum)
         last = self.keyframes[-1].local_from_base
         row = self.graph.poses[-1]
         self.map_from_local = Pose2(float(row[0]), float(row[1]), float(row[2])) @ last.inverse()
-        return not self.fixed and bool(np.hypot(*(self.graph.poses - before)[:, :2].T).max() > SEEN)
+        if not self.fixed:
+            self.moved += float(np.hypot(*(self.graph.poses - before)[:, :2].T).max())
 
-    def draw(self) -> tuple[tuple[Keyframe, ...], Float64s, OccupancyConfig]:
-        """The arguments of `drawn`."""
-        return tuple(self.keyframes), self.graph.poses.copy(), self._settings[1]
+    @property
+    def outdated(self) -> bool:
+        """Whether the map is to be drawn anew. Small corrections add up, too."""
+        return self.moved > SEEN
+
+    def draw(self) -> Drawing:
+        """A map to draw anew, from all keyframes."""
+        self.moved = 0.0
+        return self.newer(Drawing(Occupancy(self._settings[1], 0), (), np.zeros((0, 3)), -1))
+
+    def newer(self, drawing: Drawing) -> Drawing:
+        """A finished drawing, to go on with the keyframes that came meanwhile."""
+        first = int(np.searchsorted(self.graph.nodes, drawing.node, side="right"))
+        newest = int(self.graph.nodes[-1])
+        return Drawing(drawing.grid, tuple(self.keyframes[first:]), self.graph.poses[first:].copy(), newest)
 
     def rehearse(self) -> None:
         """Calls every kernel once, with two keyframes or more; it is of no use after that."""
@@ -213,7 +256,7 @@ class BackEnd:
         off = self.graph.pose(0).inverse() @ self.graph.pose(last) @ Pose2(0.5, 0.0, 0.1)
         self.graph.connect(0, last, off, np.eye(3), loop=True)
         self.take(optimised(*self.optimise()))
-        drawn(*self.draw())
+        drawn(self.draw())
 
     def corrections(self) -> list[Pose2]:
         """map_from_local at each keyframe that is not a saved map's."""
@@ -235,11 +278,12 @@ def _still(graph: Graph) -> Graph:
     )  # fmt: skip
 
 
-def drawn(keyframes: Sequence[Keyframe], poses: Float64s, config: OccupancyConfig) -> Occupancy:
-    """The map that keyframes at poses (n, 3) in `map` make."""
-    grid = Occupancy(config, 0)
-    for keyframe, row in zip(keyframes, poses.tolist()):
+def drawn(drawing: Drawing) -> Drawing:
+    """The drawing with the next slice of its keyframes in it. Its grid is handed on: who ordered it looks no more."""
+    for keyframe, row in zip(drawing.keyframes[:SLICE], drawing.poses[:SLICE].tolist()):
         pose = Pose2(*row)
         origins, ends = keyframe.beams()
-        grid.integrate(pose @ origins, pose @ ends, np.full_like(ends, np.nan))
-    return grid
+        drawing.grid.integrate(pose @ origins, pose @ ends, pose @ keyframe.silence())
+    if len(drawing.keyframes) <= SLICE:
+        drawing.grid.settle()
+    return Drawing(drawing.grid, drawing.keyframes[SLICE:], drawing.poses[SLICE:], drawing.node)

@@ -4,12 +4,10 @@
 One of a kind runs at a time. What one finds may come when the map is another one by then: it is thrown away.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from typing import Any, TypeVar
 
-import numpy as np
-
-from services.mapper.back_end import BackEnd, drawn
+from services.mapper.back_end import BackEnd, Drawing, drawn
 from services.mapper.keyframe import Keyframe
 from services.mapper.loop_closure import Loop, loops_of
 from services.mapper.occupancy import Occupancy
@@ -21,6 +19,7 @@ from shared.service import Job, Out
 T = TypeVar("T")
 
 SECOND = 1_000_000_000
+FEW = 2  # keyframes that came while the map was drawn, and are drawn at once at the end
 
 
 class Background:
@@ -36,13 +35,11 @@ class Background:
         self.epoch += 1
         self.back_end.start()
         self.looking = self.optimising = self.drawing = False
-        self.outdated = False  # the map's drawing is older than the graph
-        self.drawn_at = 0  # ns, when it was last begun
-        self.drawn_to = 0  # ns, stamp of the last keyframe in it
+        self.begun = self.drawn_at = 0  # ns, when the last drawing began and ended
 
-    def keep(self, keyframe: Keyframe, match: Match, odometry: OdometryError) -> Out:
-        """A keyframe joins the graph; now and then, closures are looked for from it."""
-        self.back_end.add(keyframe, match, odometry)
+    def keep(self, keyframe: Keyframe, match: Match, odometry: OdometryError, doubt: float = 1.0) -> Out:
+        """A keyframe joins the graph, as `BackEnd.add` says; now and then, closures are looked for from it."""
+        self.back_end.add(keyframe, match, odometry, doubt)
         if self.back_end.due and not self.looking:
             self.looking = True
             yield self._job(loops_of, self.back_end.look(), "looked", 0.05)
@@ -52,7 +49,8 @@ class Background:
         epoch, loops = result
         if epoch == self.epoch:
             self.looking = False
-            if self.back_end.close(loops):
+            self.back_end.close(loops)
+            if self.back_end.urgent:
                 yield from self.settle()
 
     def settle(self) -> Out:
@@ -61,33 +59,38 @@ class Background:
             self.optimising = True
             yield self._job(optimised, self.back_end.optimise(), "corrected", 0.2)
 
-    def corrected(self, result: tuple[int, Optimised]) -> None:
-        """The graph has its optimum."""
+    def corrected(self, result: tuple[int, Optimised]) -> Out:
+        """The graph has its optimum; what was found meanwhile may ask for the next one."""
         epoch, optimum = result
         if epoch == self.epoch:
             self.optimising = False
-            self.outdated |= self.back_end.take(optimum)
+            self.back_end.take(optimum)
+            if self.back_end.urgent:
+                yield from self.settle()
 
     def redraw(self, now: int) -> Out:
-        """Draws the map anew where the graph has moved, now and then."""
-        if self.outdated and not self.drawing and now - self.drawn_at >= self.back_end.config.redraw * SECOND:
-            self.outdated, self.drawing, self.drawn_at = False, True, now
-            self.drawn_to = self.back_end.keyframes[-1].stamp
-            yield self._job(drawn, self.back_end.draw(), "redrawn", 0.5)
+        """Draws the map anew where the graph has moved, now and then: of a large one at most half of the time."""
+        pause = max(self.back_end.config.redraw * SECOND, self.drawn_at - self.begun)
+        rests = 0 <= now - self.drawn_at < pause  # a clock that was set back is no rest
+        if self.back_end.outdated and not self.drawing and not rests:
+            self.drawing, self.begun = True, now
+            yield self._job(drawn, (self.back_end.draw(),), "redrawn", 0.2)
 
-    def redrawn(self, result: tuple[int, Occupancy]) -> Occupancy | None:
-        """The map drawn anew, with the keyframes that came meanwhile; None where it is another one by now."""
-        epoch, grid = result
+    def redrawn(self, result: tuple[int, Drawing], now: int) -> Generator[Job, None, Occupancy | None]:
+        """A slice of the map is drawn anew: goes on with the next, and with the keyframes that came meanwhile.
+
+        Returns the map when all is in it, until then None, and always where it is another one by now.
+        """
+        epoch, drawing = result
         if epoch != self.epoch:
             return None
-        self.drawing = False
-        for keyframe, correction in zip(reversed(self.back_end.keyframes), reversed(self.back_end.corrections())):
-            if keyframe.stamp <= self.drawn_to:
-                break
-            pose = correction @ keyframe.local_from_base
-            origins, ends = keyframe.beams()
-            grid.integrate(pose @ origins, pose @ ends, np.full_like(ends, np.nan))
-        return grid
+        if not drawing.keyframes:
+            drawing = self.back_end.newer(drawing)
+            if len(drawing.keyframes) <= FEW:
+                self.drawing, self.drawn_at = False, now
+                return drawn(drawing).grid
+        yield self._job(drawn, (drawing,), "redrawn", 0.2)
+        return None
 
     def _job(self, function: Callable[..., T], arguments: tuple[Any, ...], done: str, takes: float) -> Job:
         return Job(_at, (self.epoch, function, arguments), done, takes)

@@ -175,22 +175,22 @@ class Finder:
         self.epoch += 1
         self.searching = self.surface is not None
         self.looking = False
-        self.waiting: list[tuple[Keyframe, Match]] = []
+        self.waiting: list[tuple[Keyframe, Match, float]] = []
         self.driven = 0.0  # m
         self.looked_at = -inf  # m driven, at the last look
         self.guesses: tuple[Pose2, ...] = ()
         self.agreed: tuple[Pose2, float, int] | None = None  # a place, m driven when first found, looks that found it
 
-    def keep(self, keyframe: Keyframe, match: Match) -> Out:
-        """A new keyframe; now and then, all that is known is looked for on the map."""
+    def keep(self, keyframe: Keyframe, match: Match, doubt: float) -> Out:
+        """A new keyframe, as `BackEnd.add` takes it; now and then, all that is known is looked for on the map."""
         if self.waiting:
             step = self.waiting[-1][0].local_from_base.inverse() @ keyframe.local_from_base
             self.driven += hypot(step.x, step.y)
-        self.waiting.append((keyframe, match))
+        self.waiting.append((keyframe, match, doubt))
         del self.waiting[: -self.config.kept]
         if self.surface is not None and not self.looking and self.driven - self.looked_at >= self.config.every:
             self.looked_at, self.looking = self.driven, True
-            newest = tuple(kept for kept, _ in self.waiting[-self.config.keyframes :])
+            newest = tuple(kept for kept, _, _ in self.waiting[-self.config.keyframes :])
             yield Job(_looked, (self.epoch, self.surface, newest, self.guesses, self.config), "found", 0.5)
 
     def take(self, result: tuple[int, list[Place]]) -> Pose2 | None:

@@ -29,7 +29,7 @@ class FrontEndConfig(Section):
     keyframe_distance: float = Field(0.3, ge=0.01, le=5, description="m driven until a scan joins the map")
     keyframe_turn: float = Field(0.3, ge=0.01, le=3, description="rad turned until a scan joins the map")
     window: int = Field(
-        40, ge=0, le=10_000, description="keyframes that a scan is matched with, at most; 0: all, and no loop is closed"
+        0, ge=0, le=10_000, description="keyframes that a scan is matched with, at most; 0: all, and no loop is closed"
     )
     good: float = Field(0.6, ge=0, le=1, description="quality from which the pose is good")
     lost: float = Field(0.3, ge=0, le=1, description="quality under which the pose may be lost")

@@ -18,6 +18,7 @@ class Keyframe:
 
     stamp: ns, end of the sweep.  local_from_base: in the front end's frame, which no closure moves.  origins, ends:
     (n, 2) m in `base`, ends NaN without an echo.  points, normals: (k, 2) m in `base`, what is matched.
+    silent: (n, 2) m in `base`, up to where a beam without an echo is free, NaN elsewhere; or (0, 2): they say nothing.
     """
 
     stamp: int
@@ -26,15 +27,23 @@ class Keyframe:
     ends: Float32s
     points: Float32s
     normals: Float32s
+    silent: Float32s
 
     @classmethod
-    def of(cls, stamp: int, local_from_base: Pose2, origins: Float64s, ends: Float64s, sweep: Sweep) -> "Keyframe":
-        arrays = (array.astype(np.float32) for array in (origins, ends, sweep.points, sweep.normals))
+    def of(
+        cls, stamp: int, local_from_base: Pose2, origins: Float64s, ends: Float64s, silent: Float64s, sweep: Sweep
+    ) -> "Keyframe":
+        told = silent if not np.isnan(silent).all() else silent[:0]
+        arrays = (array.astype(np.float32) for array in (origins, ends, sweep.points, sweep.normals, told))
         return cls(stamp, local_from_base, *arrays)
 
     def beams(self) -> tuple[Float64s, Float64s]:
         """Origins and ends (n, 2), as the kernels take them."""
         return self.origins.astype(np.float64), self.ends.astype(np.float64)
+
+    def silence(self) -> Float64s:
+        """Ends (n, 2) of the free way of beams without an echo, as the kernels take them."""
+        return self.silent.astype(np.float64) if len(self.silent) else np.full(self.ends.shape, np.nan)
 
     def surface(self) -> tuple[Float64s, Float64s]:
         """Points and normals (k, 2), as the kernels take them."""

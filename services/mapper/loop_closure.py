@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from services.mapper.branch_and_bound import BranchAndBoundConfig, Pyramid, drawn, search
+from services.mapper.front_end import LEAST_BEAMS
 from services.mapper.keyframe import Keyframe
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.pose_graph import Graph
@@ -62,10 +63,11 @@ class Loop:
 class Blocks:
     """Submaps of the keyframes around a place, in `local`, made when first asked for and kept while they are used.
 
-    It is a memory of what can be computed again, so a Job that uses it stays pure.
+    Only Jobs touch it, and Jobs run one by one in the order in which they were ordered, live as in a replay: so what a
+    block holds, made before or after a keyframe in it was given up, is the same there.
     """
 
-    KEPT = 64
+    MOST_BYTES = 150_000_000  # kept: some 70 blocks of a room's range, 10 of a hall's
 
     def __init__(
         self, registration: RegistrationConfig, occupancy: OccupancyConfig, range_max: float, config: LoopConfig
@@ -87,13 +89,19 @@ class Blocks:
                 submap.extend(pose, *keyframe.surface())
                 origins, ends = keyframe.beams()
                 submap.grid.integrate(pose @ origins, pose @ ends, np.full_like(ends, np.nan))
+            submap.grid.trim()
             points = submap.registrar.map.points[: submap.registrar.map.n, :2]
             found = submap, drawn(np.ascontiguousarray(points), self._config.search)
         if whole:
             self._made[block] = found
-            if len(self._made) > self.KEPT:
+            while len(self._made) > 1 and self.n_bytes > self.MOST_BYTES:
                 del self._made[next(iter(self._made))]
         return found
+
+    @property
+    def n_bytes(self) -> int:
+        """What is kept takes so much memory."""
+        return sum(submap.n_bytes + pyramid.levels.nbytes for submap, pyramid in self._made.values())
 
 
 def loops_of(
@@ -134,6 +142,8 @@ def closed(
     config: LoopConfig,
 ) -> Loop | None:
     """The closure between the nodes of two rows, if the beams of the last one find its place by the other."""
+    if len(keyframes[last].points) < LEAST_BEAMS:
+        return None
     submap, pyramid = blocks.about(graph.nodes, keyframes, row)
     keyframe, place = keyframes[last], keyframes[row].local_from_base
     guess = place @ (_pose(graph.poses[row]).inverse() @ _pose(graph.poses[last]))

@@ -19,6 +19,9 @@ Int32s = NDArray[np.int32]
 Bools = NDArray[np.bool_]
 
 
+TILE_ARRAYS = ("odds", "seen", "dirty", "known", "unsent")
+
+
 class OccupancyConfig(Section):
     """The occupancy grid."""
 
@@ -45,8 +48,9 @@ class Occupancy:
         self.places: dict[tuple[int, int], int] = {}  # tile row, column -> index into the arrays below
         self.odds: Float32s = np.zeros((16, TILE_CELLS, TILE_CELLS), np.float32)
         self.seen: Int32s = np.zeros((16, TILE_CELLS, TILE_CELLS), np.int32)  # the last scan that drew it; 0: none
-        self.dirty: Bools = np.zeros(16, np.bool_)
-        self.known: Int8s = np.zeros((16, TILE_CELLS * TILE_CELLS), np.int8)  # as published, plus 1: 0 is unknown
+        self.dirty: Bools = np.zeros(16, np.bool_)  # drawn into since `known`
+        self.known: Int8s = np.zeros((16, TILE_CELLS * TILE_CELLS), np.int8)  # percent plus 1: 0 is unknown
+        self.unsent: Bools = np.zeros(16, np.bool_)  # tiles whose `known` is newer than what was published
         self._window: tuple[int, int, Int32s] = (0, 0, np.full((1, 1), -1, np.int32))
 
     def integrate(self, origins: Float64s, ends: Float64s, silent: Float64s) -> None:
@@ -76,18 +80,22 @@ class Occupancy:
 
     def update(self, stamp: int) -> MapUpdate | None:
         """The tiles whose percentages changed since the last update, in the order of their place; None without any."""
-        changed = []
-        for place in sorted(place for place, i in self.places.items() if self.dirty[i]):
-            i = self.places[place]
+        self.settle()
+        changed = sorted(place for place, i in self.places.items() if self.unsent[i])
+        if not changed:
+            return None
+        self.unsent[:] = False
+        self.version += 1
+        return self._message(stamp, changed)
+
+    def settle(self) -> None:
+        """Turns what was drawn into percentages, most of what `update` costs."""
+        for i in np.flatnonzero(self.dirty):
             self.dirty[i] = False
             cells = percent(self.odds[i], self.seen[i]).reshape(-1) + np.int8(1)
             if not np.array_equal(cells, self.known[i]):
                 self.known[i] = cells
-                changed.append(place)
-        if not changed:
-            return None
-        self.version += 1
-        return self._message(stamp, changed)
+                self.unsent[i] = True
 
     def whole(self, stamp: int) -> MapUpdate:
         """All tiles as last published."""
@@ -109,16 +117,20 @@ class Occupancy:
         self.n_scans = 1
 
     def become(self, other: "Occupancy") -> None:
-        """Takes another drawing of the same place; the next update tells what is different."""
-        for place in other.places:
-            self._grow(1)
-            self.places.setdefault(place, len(self.places))
-        for place, i in self.places.items():
-            k = other.places.get(place)
-            self.odds[i] = 0.0 if k is None else other.odds[k]
-            self.seen[i] = 0 if k is None else other.seen[k]
-        self.dirty[: len(self.places)] = True
-        self.n_scans = other.n_scans
+        """Takes over another drawing of the same place, best a settled one; the next update tells what is different.
+
+        The other's arrays are taken, not copied: it is of no use after that.
+        """
+        for place in self.places:
+            other._grow(1)
+            other.places.setdefault(place, len(other.places))
+        here = list(self.places.values())
+        there = [other.places[place] for place in self.places]
+        before, unsent = np.zeros_like(other.known), np.zeros_like(other.unsent)
+        before[there], unsent[there] = self.known[here], self.unsent[here]
+        self.places, self.n_scans = other.places, other.n_scans
+        self.odds, self.seen, self.dirty, self.known = other.odds, other.seen, other.dirty, other.known
+        self.unsent = unsent | (self.known != before).any(axis=1)
         self._window = (0, 0, np.full((1, 1), -1, np.int32))
 
     def clear_at(self, points: Float64s, around: int) -> Bools:
@@ -141,6 +153,11 @@ class Occupancy:
         clear = _free(ends, self.resolution, directory, row0, column0, free, 1, self.odds)
         crossing = _crossing(origins, ends, self.resolution, directory, row0, column0, occupied, self.odds)
         return np.asarray(clear | crossing, bool)
+
+    def trim(self) -> None:
+        """Gives back the memory that was meant for more tiles."""
+        for name in TILE_ARRAYS:
+            setattr(self, name, getattr(self, name)[: max(len(self.places), 1)].copy())
 
     def _message(self, stamp: int, places: list[tuple[int, int]]) -> MapUpdate:
         return MapUpdate(
@@ -177,7 +194,7 @@ class Occupancy:
         while n + room > capacity:
             capacity *= 2
         if capacity > len(self.odds):
-            for name in ("odds", "seen", "dirty", "known"):
+            for name in TILE_ARRAYS:
                 old = getattr(self, name)
                 new = np.zeros((capacity, *old.shape[1:]), old.dtype)
                 new[:n] = old[:n]

@@ -40,6 +40,10 @@ class Graph:
     on: Bools
 
     def __post_init__(self) -> None:
+        for field in fields(self):
+            getattr(self, field.name).flags.writeable = False
+
+    def check(self) -> None:
         """ValueError says which array is not what it must be: a graph may come from a damaged file."""
         n, m = len(self.nodes), len(self.edges)
         shapes: dict[str, tuple[tuple[int, ...], Any]] = {
@@ -61,8 +65,6 @@ class Graph:
             raise ValueError("an edge does not join two of the nodes")
         if not _definite(self.information).all():
             raise ValueError("an edge's information is not symmetric and positive definite")
-        for field in fields(self):
-            getattr(self, field.name).flags.writeable = False
 
     def rows(self) -> tuple[Int64s, Int64s]:
         """Where `nodes` holds each edge's i and j: two (m,)."""
@@ -136,7 +138,8 @@ class PoseGraph:
 
     @classmethod
     def of(cls, graph: Graph) -> "PoseGraph":
-        """Goes on with a snapshot, such as a saved one."""
+        """Goes on with a snapshot, such as a saved one. ValueError where it is damaged."""
+        graph.check()
         self = cls()
         self._set(graph)
         return self

@@ -36,9 +36,10 @@ ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "nodes": ("<i8", ("n",)), "poses": ("<f8", ("n", 3)), "fixed": ("|b1", ("n",)),
     "edges": ("<i8", ("m",)), "i": ("<i8", ("m",)), "j": ("<i8", ("m",)), "relative": ("<f8", ("m", 3)),
     "information": ("<f8", ("m", 3, 3)), "loop": ("|b1", ("m",)), "on": ("|b1", ("m",)),
-    # the keyframes', one after the other: beams[k] of the rows of origins and ends, surfaces[k] of points and normals
+    # the keyframes', one after the other: beams[k] of the rows of origins and ends, and so on
     "stamps": ("<i8", ("n",)), "local_from_base": ("<f8", ("n", 3)), "driven": ("<f8", ("n",)),
     "beams": ("<i8", ("n",)), "origins": ("<f4", ("b", 2)), "ends": ("<f4", ("b", 2)),
+    "silences": ("<i8", ("n",)), "silent": ("<f4", ("q", 2)),
     "surfaces": ("<i8", ("n",)), "points": ("<f4", ("s", 2)), "normals": ("<f4", ("s", 2)),
     # the tiles': see messages.MapUpdate
     "resolution": ("<f8", ()), "rows": ("<i4", ("t",)), "columns": ("<i4", ("t",)),
@@ -46,11 +47,17 @@ ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
 }  # fmt: skip
 """What the body holds: dtype and shape, in which a letter is the same length wherever it stands."""
 
+SWEEP = ("origins", "ends", "points", "normals", "silent")
+"""A keyframe's arrays, in its order."""
+COUNTS = {"beams": ("origins", "ends"), "silences": ("silent",), "surfaces": ("points", "normals")}
+"""What holds the numbers of each keyframe's rows."""
+
 BOUNDS: dict[str, tuple[float, float]] = {
     "nodes": (0, MOST_NAMES), "edges": (0, MOST_NAMES), "poses": (-FARTHEST, FARTHEST),
     "relative": (-FARTHEST, FARTHEST), "stamps": (0, 2**62), "local_from_base": (-FARTHEST, FARTHEST),
     "driven": (0, 1e9), "beams": (0, 1e6), "surfaces": (0, 1e6), "origins": (-MOST_RANGE, MOST_RANGE),
-    "ends": (-MOST_RANGE, MOST_RANGE), "points": (-MOST_RANGE, MOST_RANGE), "normals": (-1.01, 1.01),
+    "ends": (-MOST_RANGE, MOST_RANGE), "silences": (0, 1e6), "silent": (-MOST_RANGE, MOST_RANGE),
+    "points": (-MOST_RANGE, MOST_RANGE), "normals": (-1.01, 1.01),
     "resolution": (0.005, 1), "rows": (-MOST_TILE, MOST_TILE), "columns": (-MOST_TILE, MOST_TILE), "cells": (-1, 100),
 }  # fmt: skip
 
@@ -75,10 +82,11 @@ def packed(saved: SavedMap) -> bytes:
         "local_from_base": [(k.local_from_base.x, k.local_from_base.y, k.local_from_base.yaw) for k in keyframes],
         "driven": saved.driven,
         "beams": [len(k.ends) for k in keyframes],
+        "silences": [len(k.silent) for k in keyframes],
         "surfaces": [len(k.points) for k in keyframes],
         "resolution": tiles.resolution, "rows": tiles.rows, "columns": tiles.columns, "cells": tiles.cells,
     }  # fmt: skip
-    for name in ("origins", "ends", "points", "normals"):
+    for name in SWEEP:
         values[name] = np.concatenate([np.zeros((0, 2), np.float32), *(getattr(k, name) for k in keyframes)])
     body = {}
     for name, (dtype, axes) in ARRAYS.items():
@@ -126,7 +134,7 @@ def _arrays(body: Any) -> dict[str, NDArray[Any]]:
             raise ValueError(f"{name} is {told} {shape}, not {dtype} {list(axes)}")
         array = np.frombuffer(content, dtype).reshape(shape)
         low, high = BOUNDS.get(name, (-np.inf, np.inf))
-        holes = name == "ends"  # a beam without an echo
+        holes = name in ("ends", "silent")  # a beam without an echo, or with one
         outside = ~((array >= low) & (array <= high) | (np.isnan(array) if holes else False))
         if outside.any():
             raise ValueError(f"{name} holds {array[outside].flat[0]}, not {low:g} .. {high:g}")
@@ -143,15 +151,18 @@ def _saved(arrays: dict[str, NDArray[Any]]) -> SavedMap:
     if (problem := tiles.problem()) is not None:
         raise ValueError(problem)
     parts = {}
-    for count, names in (("beams", ("origins", "ends")), ("surfaces", ("points", "normals"))):
+    if ((arrays["silences"] != 0) & (arrays["silences"] != arrays["beams"])).any():
+        raise ValueError("a sweep tells of some of its silent beams only")
+    for count, names in COUNTS.items():
         ends = np.cumsum(arrays[count])
         for name in names:
             if (ends[-1] if len(ends) else 0) != len(arrays[name]):
                 raise ValueError(f"{name} are not as many as {count} says")
             parts[name] = np.split(arrays[name], ends[:-1])
     keyframes = tuple(
-        Keyframe(stamp, Pose2(*row), *(parts[name][k] for name in ("origins", "ends", "points", "normals")))
+        Keyframe(stamp, Pose2(*row), *(parts[name][k] for name in SWEEP))
         for k, (stamp, row) in enumerate(zip(arrays["stamps"].tolist(), arrays["local_from_base"].tolist()))
     )
     graph = Graph(*(arrays[name] for name in Graph.__dataclass_fields__))
+    graph.check()
     return SavedMap(graph, keyframes, arrays["driven"], tiles)

@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.mapper.back_end import BackEnd, BackEndConfig
+from services.mapper.back_end import BackEnd, BackEndConfig, Drawing
 from services.mapper.background import Background
 from services.mapper.correlative_match import SearchConfig
 from services.mapper.deskew import deskewed
@@ -59,7 +59,7 @@ class MapperConfig(Section):
 
 
 class MapperService(Service):
-    """SLAM's front end and its map. A scan waits until odometry covers its end, but not for long."""
+    """SLAM: front end, back end and the map. A scan waits until odometry covers its end, but not for long."""
 
     config_type = MapperConfig
 
@@ -81,6 +81,7 @@ class MapperService(Service):
         self.last_end = -1  # ns, end of the last scan that was placed
         self.velocity = Pose2()  # motion a second between the last two scans
         self.blind = False  # the last scan was placed without odometry
+        self.doubt = 1.0  # the largest since the last keyframe
         self.tracked: Tracked | None = None
         self.n_dropped = {"old": 0, "late": 0, "ahead": 0}
         self.map_before: MapUpdate | None = None  # what was published last before a restart
@@ -106,7 +107,7 @@ class MapperService(Service):
         other.front_end.window.active.registrar.extend(
             np.ascontiguousarray(0.3 * np.argwhere(np.ones((60, 60)))), np.zeros((3600, 2))
         )  # until it grows
-        if other.tracked is not None:
+        if other.tracked is not None and other.back_end.keyframes:
             other.back_end.add(other.back_end.keyframes[0], other.tracked.match, other.front_end.odometry_error)
             other.back_end.rehearse()
         list(other.publish_map())
@@ -192,25 +193,23 @@ class MapperService(Service):
 
     def corrected(self, result: tuple[int, Optimised]) -> Out:
         """The graph has its optimum: the pose on the map moves now, the map when it is drawn."""
-        self.loops.corrected(result)
-        return ()
+        return self.loops.corrected(result)
 
-    def redrawn(self, result: tuple[int, Occupancy]) -> Out:
-        """The map is drawn anew."""
-        grid = self.loops.redrawn(result)
+    def redrawn(self, result: tuple[int, Drawing]) -> Out:
+        """The map, or a part of it, is drawn anew."""
+        grid = yield from self.loops.redrawn(result, self.now)
         if grid is not None:
             self.grid.become(grid)
-        return ()
 
     def found(self, result: tuple[int, list[Place]]) -> Out:
         """The robot was looked for on the saved map."""
         map_from_local = self.finder.take(result)
         if map_from_local is not None:
             self.back_end.found(map_from_local, self.finder.waiting, self.front_end.odometry_error)
-            for keyframe, _ in self.finder.waiting if not self.back_end.fixed else ():
+            for keyframe, _, _ in self.finder.waiting if not self.back_end.fixed else ():
                 pose = map_from_local @ keyframe.local_from_base
                 origins, ends = keyframe.beams()
-                self.grid.integrate(pose @ origins, pose @ ends, np.full_like(ends, np.nan))
+                self.grid.integrate(pose @ origins, pose @ ends, pose @ keyframe.silence())
             self.finder.waiting = []
             yield Log("INFO", f"found on the map after {self.finder.driven:.1f} m")
 
@@ -302,20 +301,24 @@ class MapperService(Service):
         if self.tracked is None and not self.grid.places:
             self.grid = Occupancy(self.config.occupancy, max(self.now, 1))
         before = self.front_end.local_from_base
-        tracked = self.front_end.track(origins, ends, step, self.config.blind_doubt if self.blind else 1.0)
+        doubt = self.config.blind_doubt if self.blind else 1.0
+        self.doubt = max(self.doubt, doubt)
+        tracked = self.front_end.track(origins, ends, step, doubt)
         moved = before.inverse() @ tracked.local_from_base
         self.velocity = _scaled(moved, 1 / seconds) if 0.02 <= seconds <= 1 else Pose2()
+        silent = self._silent(scan, origins, ends)
         if tracked.trusted and not self.finder.searching and not self.back_end.fixed:
             pose = self.map_from_base
-            self.grid.integrate(pose @ origins, pose @ ends, self._silent(scan, origins, ends))
+            self.grid.integrate(pose @ origins, pose @ ends, pose @ silent)
         self.last_end, self.tracked = end, tracked
         yield topics.POSE(self._estimate(end, tracked))
         if tracked.keyframe is not None and self.front_end.window.moves:
-            keyframe = Keyframe.of(end, tracked.local_from_base, origins, ends, tracked.keyframe)
+            keyframe = Keyframe.of(end, tracked.local_from_base, origins, ends, silent, tracked.keyframe)
             if self.finder.searching:
-                yield from self.finder.keep(keyframe, tracked.match)
+                yield from self.finder.keep(keyframe, tracked.match, self.doubt)
             else:
-                yield from self.loops.keep(keyframe, tracked.match, self.front_end.odometry_error)
+                yield from self.loops.keep(keyframe, tracked.match, self.front_end.odometry_error, self.doubt)
+            self.doubt = 1.0
         if tracked.state is Localization.LOST and self.finder.surface is not None:
             yield from self._carried_away()
 
@@ -340,15 +343,14 @@ class MapperService(Service):
         return np.array((-scan.scan_time, 0.0)), np.array(((back.x, back.y, back.yaw), (0.0, 0.0, 0.0)))
 
     def _silent(self, scan: LaserScan, origins: Float64s, ends: Float64s) -> Float64s:
-        """Where beams without an echo were free, in `map`; NaN where they say nothing, which is the default."""
+        """Where beams without an echo were free, in `base`; NaN where they say nothing, which is the default."""
         out = np.full_like(ends, np.nan)
         share = self.config.occupancy.no_echo_free
         if share > 0:
             none = np.isnan(scan.ranges) | (scan.ranges >= scan.range_max)
             angles = self.robot.laser.mount.yaw + scan.angle_min + scan.angle_increment * np.flatnonzero(none)
             reach = share * min(scan.range_max, self.config.occupancy.range_max)
-            tips = origins[none] + reach * np.column_stack((np.cos(angles), np.sin(angles)))
-            out[none] = self.map_from_base @ tips
+            out[none] = origins[none] + reach * np.column_stack((np.cos(angles), np.sin(angles)))
         return out
 
     def _estimate(self, end: int, tracked: Tracked) -> PoseEstimate:

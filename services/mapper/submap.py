@@ -9,7 +9,7 @@ somewhere else: how that lies to this is for the pose graph to say.
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.occupancy import Occupancy, OccupancyConfig
+from services.mapper.occupancy import TILE_ARRAYS, Occupancy, OccupancyConfig
 from services.mapper.registration import REGISTRARS, RegistrationConfig
 from services.mapper.surface import grid_surface
 from shared.geometry import Pose2
@@ -31,6 +31,12 @@ class Submap:
         """Adds a keyframe: surface points (n, 2) m in `base` with normals."""
         self.registrar.extend(pose @ points, Pose2(0, 0, pose.yaw) @ normals)
         self.n += 1
+
+    @property
+    def n_bytes(self) -> int:
+        """What it takes of memory."""
+        arrays = (getattr(self.grid, name) for name in TILE_ARRAYS)
+        return sum(array.nbytes for array in (*arrays, *self.registrar.map.index))
 
 
 class Window:

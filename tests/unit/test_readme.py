@@ -12,7 +12,8 @@ from ruamel.yaml import YAML
 from zenav.__main__ import app
 
 ROOT = Path(__file__).resolve().parents[2]
-GUIDES = [ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in ("new_service", "hardware", "calibration"))]
+NAMES = "new_service", "hardware", "calibration", "benchmarks"
+GUIDES = [ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in NAMES)]
 SHOWN = [
     (page, command.strip())
     for page in GUIDES

@@ -18,7 +18,7 @@ COMMANDS = [
     "demo", "up", "run", "goto", "route", "explore", "cancel", "teleop", "estop", "topic list", "topic echo",
     "topic hz", "map save", "map load", "map show", "calibrate odometry",
     "calibrate laser", "calibrate motors", "config show", "config check", "doctor", "slam", "replay",
-    "bench office", "bench sim", "bench stack", "bench serial",
+    "bench office", "bench sim", "bench stack", "bench serial", "bench slam",
 ]  # fmt: skip
 
 
@@ -108,6 +108,8 @@ def test_a_mistyped_command_is_guessed(typed, meant, capsys):
         ("bench sim --out /dev/null/a.json", "/dev/null/a.json"),
         ("bench stack --out /dev/null/a.json", "/dev/null/a.json"),
         ("bench serial --out /dev/null/a.json", "/dev/null/a.json"),
+        ("bench slam nowhere", "nowhere"),
+        ("bench slam .", "no log with a reference"),
         ("demo --lockstep --world nowhere", "nowhere"),
         ("demo --record notes.txt", "notes.txt"),
         ("demo --record /dev/null/run.mcap", "/dev/null/run.mcap"),

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Made-up rooms of line segments, what a laser sees in them, and a mapper that drives through."""
 
-from math import pi
+from collections.abc import Iterator
+from math import hypot, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,22 @@ RING = np.array(
      *box(15.3, 4.0, 16.2, 4.7), *box(13.8, 6.0, 14.3, 7.1), *box(8.0, 10.2, 8.6, 11.2), *box(3.1, 8.8, 4.4, 9.2),
      *box(-0.2, 6.1, 0.6, 6.8), *box(1.8, 3.0, 2.2, 3.7)]
 )  # fmt: skip
+CORNERS = ((1.1, 1.1), (14.9, 1.1), (14.9, 9.9), (1.1, 9.9))
+START = Pose2(*CORNERS[0], 0.0)
+STEP, TURN = 0.3, pi / 6
 CORRIDOR = np.array([(-50.0, -1.0, 50.0, -1.0), (-50.0, 1.0, 50.0, 1.0)])
+
+
+def laps() -> Iterator[Pose2]:
+    """Motions from START round the ring, on and on: STEP m straight, TURN rad at the corners."""
+    while True:
+        for k in range(4):
+            (x0, y0), (x1, y1) = CORNERS[k], CORNERS[(k + 1) % 4]
+            yield from [Pose2(STEP, 0, 0)] * round(hypot(x1 - x0, y1 - y0) / STEP)
+            yield from [Pose2(0, 0, TURN)] * round(pi / 2 / TURN)
+
+
+LAP = sum(round(side / STEP) + 3 for side in (13.8, 8.8, 13.8, 8.8))  # motions
 
 
 def cast(segments: Float64s, origins: Float64s, angles: Float64s) -> Float64s:

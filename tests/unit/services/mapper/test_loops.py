@@ -1,41 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot whose front end drifts drives round a ring: its loop closes, and nothing closes that is none."""
 
+from dataclasses import replace
 from itertools import islice
 from math import hypot, pi
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
-from services.mapper.back_end import BackEnd, BackEndConfig
+from services.mapper.back_end import SLICE, BackEnd, BackEndConfig
 from services.mapper.background import Background
 from services.mapper.front_end import Sweep
 from services.mapper.keyframe import Keyframe
-from services.mapper.loop_closure import LoopConfig, earlier_visits, in_own_frame
-from services.mapper.occupancy import OccupancyConfig
+from services.mapper.loop_closure import Blocks, Loop, LoopConfig, earlier_visits, in_own_frame, loops_of
+from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.optimisation import PoseGraphConfig
+from services.mapper.pose_graph import Optimised
 from services.mapper.registration import Match, OdometryError, RegistrationConfig
 from services.mapper.surface import sweep_normals, sweep_usable
 from shared.geometry import Pose2
-from tests.unit.services.mapper.rooms import RING, SECOND, sweep
+from tests.unit.services.mapper.rooms import LAP, RING, SECOND, START, STEP, TURN, laps, sweep
 
-CORNERS = ((1.1, 1.1), (14.9, 1.1), (14.9, 9.9), (1.1, 9.9))
-START = Pose2(*CORNERS[0], 0.0)
-STEP, TURN = 0.3, pi / 6
 SURE = np.diag((1e4, 1e4, 1e5))
 DRIFT = Pose2(0.003, 0.002, 0.0015)  # m, m, rad with every keyframe: after a lap, half a metre and more
-
-
-def laps():
-    """True motions from keyframe to keyframe, round and round."""
-    while True:
-        for k in range(4):
-            (x0, y0), (x1, y1) = CORNERS[k], CORNERS[(k + 1) % 4]
-            yield from [Pose2(STEP, 0, 0)] * round(hypot(x1 - x0, y1 - y0) / STEP)
-            yield from [Pose2(0, 0, TURN)] * round(pi / 2 / TURN)
-
-
-LAP = len([Pose2()] * sum(round(side / STEP) + 3 for side in (13.8, 8.8, 13.8, 8.8)))
 
 
 class Robot:
@@ -56,7 +44,7 @@ class Robot:
         valid = sweep_usable(origins, ends) | normals.any(axis=1)
         found = Sweep(origins[valid], ends[valid], normals[valid])
         self.true_at[self.now] = self.true
-        return Keyframe.of(self.now, self.local, origins, ends, found)
+        return Keyframe.of(self.now, self.local, origins, ends, np.full_like(ends, np.nan), found)
 
     def stands(self):
         match = Match(self.local, SURE, np.ones(1, bool), 1.0)
@@ -76,11 +64,15 @@ class Robot:
         while self.jobs and not self.busy:
             job = self.jobs.pop(0)
             result = job.function(*job.arguments)
-            taken = getattr(self.background, job.done)(result)
             if job.done == "redrawn":
-                self.drawings.append(taken)
+                self.take(self.redrawn(result))
             else:
-                self.take(taken)
+                self.take(getattr(self.background, job.done)(result))
+
+    def redrawn(self, result):
+        grid = yield from self.background.redrawn(result, self.now)
+        if grid is not None:
+            self.drawings.append(grid)
 
     @property
     def errors(self):
@@ -171,6 +163,152 @@ def test_one_look_runs_at_a_time_and_what_comes_meanwhile_moves_along():
     step = Pose2(*before).inverse() @ Pose2(*last)
     told = robot.back_end.keyframes[-2].local_from_base.inverse() @ robot.back_end.keyframes[-1].local_from_base
     assert step.distance(told) < 0.02
+
+
+def test_a_closure_found_while_the_graph_is_optimised_is_optimised_after_it():
+    robot = Robot(off=0.0, off_turn=0.0)
+    robot.drives(islice(laps(), LAP + 12))
+    robot.back_end.off = True
+    robot.back_end.n_agreeing = 1
+    (first,) = robot.background.settle()
+    far = Pose2(*robot.back_end.graph.poses[0]).inverse() @ Pose2(*robot.back_end.graph.poses[-1])
+    found = Loop(0, int(robot.back_end.graph.nodes[-1]), far @ Pose2(0.02, 0, 0), SURE)
+    assert not list(robot.background.looked((robot.background.epoch, [found]))), "one runs at a time"
+    (second,) = robot.background.corrected(first.function(*first.arguments))
+    assert second.done == "corrected"
+    assert not list(robot.background.corrected(second.function(*second.arguments))), "nothing is left to do"
+    assert robot.back_end.settled
+
+
+def test_a_closure_of_a_keyframe_that_was_given_up_meanwhile_is_left_out():
+    robot = Robot()
+    robot.drives(islice(laps(), 12))
+    edges = robot.back_end.graph.n_edges
+    robot.back_end.close([Loop(5, 99, Pose2(), SURE)])
+    assert robot.back_end.graph.n_edges == edges
+    assert robot.back_end.settled
+
+
+def test_a_keyframe_of_a_few_beams_fits_anywhere_and_closes_nothing():
+    def closures(n):
+        robot = Robot(drift=Pose2())
+        robot.drives(islice(laps(), LAP + 4))
+        graph, keyframes, driven, blocks, config = robot.back_end.look()
+        last = keyframes[-1]
+        few = replace(
+            last, points=last.points[:: len(last.points) // n][:n], normals=last.normals[:: len(last.points) // n][:n]
+        )
+        return loops_of(graph, (*keyframes[:-1], few), driven, blocks, config)
+
+    assert closures(14) == []
+    assert closures(40)
+
+
+def test_blocks_are_kept_within_their_memory_and_are_the_same_when_made_again(monkeypatch):
+    robot = Robot(drift=Pose2())
+    robot.drives(islice(laps(), LAP))
+    graph, keyframes, _, blocks, _ = robot.back_end.look()
+    rows = range(5, 120, 10)
+    kept = [blocks.about(graph.nodes, keyframes, row) for row in rows]
+    monkeypatch.setattr(Blocks, "MOST_BYTES", blocks.n_bytes // 3)
+    for row, (submap, pyramid) in zip(rows, kept):
+        again, drawn_again = blocks.about(graph.nodes, keyframes, row)
+        assert_array_equal(again.registrar.map.points, submap.registrar.map.points)
+        assert_array_equal(drawn_again.levels, pyramid.levels)
+        assert blocks.n_bytes <= Blocks.MOST_BYTES
+    assert blocks.n_bytes > 0
+
+
+def test_who_turns_on_the_spot_for_ever_keeps_a_graph_of_one_size():
+    robot = Robot(drift=Pose2())
+    robot.drives([Pose2(0, 0, TURN)] * 300)
+    n = len(robot.back_end.keyframes)
+    robot.drives([Pose2(0, 0, TURN)] * 50)
+    assert len(robot.back_end.keyframes) <= n < 200
+    assert len(robot.back_end.keyframes) == len(robot.back_end.graph.nodes) == len(robot.back_end.driven)
+
+
+def test_without_odometry_an_edge_is_as_unsure_as_the_beams_are():
+    sure = []
+    for doubt in (1.0, 5.0):
+        robot = Robot()
+        robot.stands()
+        robot.local = Pose2(STEP, 0, 0)
+        seen_across = Match(robot.local, np.diag((0.0, 1e4, 1e5)), np.ones(1, bool), 1.0)
+        robot.back_end.add(robot.keyframe(), seen_across, OdometryError(), doubt)
+        sure.append(np.linalg.inv(robot.back_end.graph.snapshot().information[0]))
+    assert sure[1][0, 0] > 15 * sure[0][0, 0]
+    assert sure[1][1, 1] < 2 * sure[0][1, 1]
+
+
+@pytest.mark.parametrize("kind", ["looked", "corrected", "redrawn"])
+def test_what_a_job_finds_for_another_map_is_thrown_away(kind):
+    robot = Robot()
+    robot.drives(islice(laps(), 12))
+    robot.back_end.n_agreeing, robot.back_end.moved = 1, 1.0
+    orders = {
+        "looked": lambda: [robot.background._job(loops_of, robot.back_end.look(), "looked", 0.1)],
+        "corrected": robot.background.settle,
+        "redrawn": lambda: robot.background.redraw(robot.now),
+    }
+    (job,) = orders[kind]()
+    robot.background.start()
+    robot.drives(islice(laps(), 3))
+    before = robot.back_end.graph.snapshot()
+    robot.jobs = [job]
+    robot.take(())
+    assert not robot.drawings
+    assert_array_equal(robot.back_end.graph.poses, before.poses)
+    assert robot.back_end.graph.n_edges == len(before.edges)
+
+
+def test_small_corrections_add_up_until_the_map_is_drawn_anew():
+    robot = Robot()
+    robot.drives(islice(laps(), 12))
+    for n in range(3):
+        assert not robot.back_end.outdated, n
+        graph = robot.back_end.graph.snapshot()
+        moved = graph.poses + np.array((0.008, 0, 0))
+        on = np.ones(len(graph.edges))
+        robot.back_end.take(Optimised(graph.nodes, moved, graph.edges, on, on, 0, 0, 1, Pose2(0.008, 0, 0)))
+    assert robot.back_end.outdated
+    robot.back_end.draw()
+    assert not robot.back_end.outdated
+
+
+def test_the_map_is_drawn_in_slices_that_let_others_by_and_shows_what_one_drawing_shows():
+    robot = Robot(drift=Pose2())
+    robot.drives(islice(laps(), LAP + 60))
+    assert len(robot.back_end.keyframes) > 2 * SLICE
+    robot.back_end.moved, robot.busy = 1.0, True
+    robot.jobs = list(robot.background.redraw(100 * SECOND))
+    n_slices = 0
+    while not robot.drawings:
+        (job,) = (job for job in robot.jobs if job.done == "redrawn")
+        n_slices += 1
+        robot.jobs = list(robot.redrawn(job.function(*job.arguments)))
+        if n_slices == 1:
+            robot.drives(islice(laps(), 5))  # meanwhile
+    assert n_slices >= 4
+    once = Occupancy(OccupancyConfig(), 0)
+    for keyframe, correction in zip(robot.back_end.keyframes, robot.back_end.corrections()):
+        origins, ends = ((correction @ keyframe.local_from_base) @ beams for beams in keyframe.beams())
+        once.integrate(origins, ends, np.full_like(ends, np.nan))
+    grid = robot.drawings[-1]
+    assert grid.places == once.places
+    assert_array_equal(grid.odds[: len(grid.places)], once.odds[: len(grid.places)])
+
+
+def test_a_clock_that_is_set_back_does_not_keep_the_map_from_being_drawn():
+    robot = Robot(drift=Pose2())
+    robot.drives(islice(laps(), 5))
+    for now in (1000 * SECOND, 10 * SECOND):
+        robot.back_end.moved, robot.now = 1.0, now
+        robot.take(robot.background.redraw(now))
+        assert not robot.background.drawing
+    assert len(robot.drawings) == 2
+    robot.back_end.moved = 1.0
+    assert not list(robot.background.redraw(11 * SECOND)), "it rests between two drawings"
 
 
 def test_who_drives_the_same_ring_for_ever_keeps_a_graph_of_one_size():

@@ -1,18 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 from dataclasses import replace
+from importlib import import_module
+from itertools import islice
 from math import cos, hypot, sin
+from pkgutil import iter_modules
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from services.mapper import correlative_match, deskew, occupancy, point_map, registration, surface
+import services.mapper
+from services.mapper.back_end import BackEndConfig
+from services.mapper.front_end import FrontEndConfig
+from services.mapper.loop_closure import LoopConfig
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.service import MapperConfig, MapperService
 from shared.geometry import Pose2, arc, wrapped
 from shared.messages import Localization, Odometry
 from shared.requests import LoadMap
-from tests.unit.services.mapper.rooms import CORRIDOR, ROBOT, ROOM, SECOND, Driven
+from tests.unit.services.mapper.rooms import CORRIDOR, LAP, RING, ROBOT, ROOM, SECOND, START, Driven, laps
 
 ROUND = [arc(0.06, 0.12 + 0.08 * sin(k / 3)) for k in range(40)]
 
@@ -29,7 +35,8 @@ def small(error, metres=0.03, radians=0.015):
 
 
 def kernels():
-    modules = (correlative_match, deskew, occupancy, point_map, registration, surface)
+    """All that is compiled in the mapper, by name."""
+    modules = [import_module(f"services.mapper.{module.name}") for module in iter_modules(services.mapper.__path__)]
     return {
         f"{module.__name__}.{name}": kernel
         for module in modules
@@ -68,11 +75,17 @@ def test_the_same_events_give_the_same_bytes_twice():
 def test_nothing_is_compiled_after_warming_up():
     MapperService(MapperConfig(), ROBOT).warm()
     before = {name: list(kernel.signatures) for name, kernel in kernels().items()}
-    assert sum(map(bool, before.values())) >= 10
+    assert len(before) >= 30
     robot = driven(ROUND[:15], with_odometry=True)
     for _ in range(5):
         robot.step(arc(0.05, 0.1), with_odometry=False)
     robot.publish_map()
+    lap = Driven(RING, MapperConfig(loops=LoopConfig(apart=8.0), back_end=BackEndConfig(off=0.0, redraw=0.0)))
+    lap.true = START
+    for motion in islice(laps(), LAP + 10):
+        lap.step(motion)
+        lap.publish_map()
+    assert lap.mapper.back_end.n_loops > 0
     assert {name: list(kernel.signatures) for name, kernel in kernels().items()} == before
 
 
@@ -140,6 +153,23 @@ def test_in_a_corridor_the_covariance_grows_along_it_alone():
     room = driven().poses[-1].covariance.reshape(3, 3)
     assert covariance[0, 0] > 10 * room[0, 0]
     assert np.linalg.eigvalsh(room)[0] > 0
+
+
+def test_in_a_corridor_without_odometry_the_graph_is_unsure_along_it():
+    along = []
+    for with_odometry in (True, False):
+        robot = driven([arc(0.1, 0.0)] * 12, with_odometry=with_odometry, segments=CORRIDOR)
+        edge = np.linalg.inv(robot.mapper.back_end.graph.snapshot().information[-1])
+        along.append(edge[0, 0])
+    assert along[1] > 15 * along[0]
+
+
+def test_a_mapper_that_matches_with_everything_warms_up_and_keeps_no_graph():
+    config = MapperConfig(front_end=FrontEndConfig(window=0))
+    MapperService(config, ROBOT).warm()
+    robot = driven(config=config)
+    assert small(robot.error)
+    assert not robot.mapper.back_end.keyframes
 
 
 def test_a_scan_waits_for_odometry_to_cover_its_end_but_not_for_ever():
@@ -301,6 +331,13 @@ def test_a_laser_that_knows_no_echo_may_carve_free_space():
     laser = 0.1, -0.02
     ahead = laser[0] + 4 * cos(0.1), laser[1] + 4 * sin(0.1)
     assert not silent.grid.holds(*silent.grid.cell(*ahead)) or silent.grid.unknown[silent.grid.cell(*ahead)]
+    assert carving.grid.free[carving.grid.cell(*ahead)]
+    for _ in range(8):
+        carving.step(Pose2(0.15, 0.0, 0.0))
+    carving.mapper.back_end.moved = 1.0  # drawn anew, from five keyframes, it says the same
+    carving.publish_map()
+    carving.publish_map()
+    assert not carving.mapper.back_end.outdated
     assert carving.grid.free[carving.grid.cell(*ahead)]
 
 

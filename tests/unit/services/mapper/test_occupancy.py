@@ -167,3 +167,41 @@ def test_the_grid_grows_in_every_direction():
     reader.apply(grid.update(0))
     for x, y in ((51.5, 50.5), (-48.5, 50.5), (-48.5, -49.5), (51.5, -49.5)):
         assert reader.cells[reader.cell(x, y)] == 36
+
+
+def test_after_another_drawing_took_its_place_readers_see_that_and_get_only_what_differs():
+    grid, other, reader = Occupancy(CONFIG, 1), Occupancy(CONFIG, 0), OccupancyGrid()
+    draw(grid, [(0, 0.02, 1.52, 0.02), (0, 0.02, -20.0, 7.0)])
+    reader.apply(grid.update(0))
+    draw(grid, [(0, 0.02, 0.5, 2.0)])  # not published: nobody has to be told that it is gone
+    draw(other, [(0, 0.02, 1.52, 0.02), (0, 0.02, 9.0, 9.0)])
+    expected = OccupancyGrid()
+    expected.apply(other.update(0))
+    grid.become(other)
+    update = grid.update(1)
+    assert (update.map_id, update.version) == (1, 2)
+    reader.apply(update)
+    rows, columns = np.nonzero(reader.cells >= 0)
+    shown = reader.cells[rows, columns]
+    r, c = np.nonzero(expected.cells >= 0)
+    assert_array_equal(shown, expected.cells[r, c])
+    same = Occupancy(CONFIG, 0)
+    draw(same, [(0, 0.02, 1.52, 0.02), (0, 0.02, 9.0, 9.0)])
+    same.settle()
+    grid.become(same)
+    assert grid.update(2) is None
+    draw(grid, [(0, 0.02, 9.0, 9.0)])
+    assert grid.update(3) is not None, "it is drawn on"
+
+
+def test_a_trimmed_grid_is_the_same_and_grows_again():
+    for beams in ([], [(0, 0.02, 1.52, 0.02), (0, 0.02, -20.0, 7.0)]):
+        grid, same = Occupancy(CONFIG, 1), Occupancy(CONFIG, 1)
+        draw(grid, beams)
+        draw(same, beams)
+        grid.trim()
+        assert len(grid.odds) == max(len(grid.places), 1)
+        assert cells_of(grid) == cells_of(same)
+        for each in (grid, same):
+            draw(each, [(0, 0.02, 30.0, 7.0), (0, 0.02, 1.0, 1.0)])
+        assert cells_of(grid) == cells_of(same)

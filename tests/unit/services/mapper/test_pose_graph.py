@@ -111,7 +111,7 @@ def test_a_damaged_graph_is_an_error_that_names_the_array():
     ):
         field = "i" if name == "edge" else name
         with pytest.raises(ValueError, match=name):
-            replace(graph, **{field: array})
+            PoseGraph.of(replace(graph, **{field: array}))
 
 
 def test_what_was_added_meanwhile_moves_rigidly_with_the_snapshots_last_node():

@@ -32,7 +32,8 @@ def made(seed, n, n_loops=0, n_tiles=1, removed=()):
         ends[rng.random(beams) < 0.2] = np.nan
         points = rng.normal(size=(surface, 2)).astype(np.float32)
         normals = rng.uniform(-0.7, 0.7, (surface, 2)).astype(np.float32)
-        keyframes.append(Keyframe(int(rng.integers(2**60)), pose, np.zeros_like(ends), ends, points, normals))
+        silent = np.where(np.isnan(ends), np.float32(2), np.float32(np.nan))[: beams * rng.integers(2)]
+        keyframes.append(Keyframe(int(rng.integers(2**60)), pose, np.zeros_like(ends), ends, points, normals, silent))
     for _ in range(n_loops if n > 2 else 0):
         i, j = rng.choice(n, 2, replace=False)
         graph.connect(int(i), int(j), Pose2(*rng.normal(size=3)), np.eye(3), loop=True)
@@ -74,7 +75,7 @@ def test_what_was_loaded_is_saved_to_the_same_bytes(seed, n, n_loops, n_tiles, r
     assert len(loaded.keyframes) == len(saved.keyframes) == len(loaded.graph.nodes)
     for mine, theirs in zip(saved.keyframes, loaded.keyframes):
         assert (mine.stamp, mine.local_from_base) == (theirs.stamp, theirs.local_from_base)
-        for name in ("origins", "ends", "points", "normals"):
+        for name in ("origins", "ends", "points", "normals", "silent"):
             np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
     for name in ("rows", "columns", "cells"):
         np.testing.assert_array_equal(getattr(saved.tiles, name), getattr(loaded.tiles, name))
@@ -130,7 +131,7 @@ def test_content_that_makes_no_sense_is_refused_though_its_checksum_is_right(nam
         body[name] = data.draw(st.sampled_from((None, 3, [], "text", {}, [dtype, None, content])))
     elif dtype in ("<f4", "<f8"):
         array = np.frombuffer(content, dtype).copy()
-        holes = name == "ends" and kind == "nan"
+        holes = name in ("ends", "silent") and kind == "nan"
         array[-1:] = np.inf if kind == "huge" or holes else np.nan
         body[name] = (dtype, shape, array.tobytes())
     else:

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pieces of real logs, short enough for every run of the tests; `zenav bench slam` takes them whole."""
+
+import gzip
+import os
+from dataclasses import replace
+from itertools import takewhile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from zenav.slam import slam
+from zenav.slam_error import errors, pairs_of, read_tum, score
+
+DATA = os.environ.get("ZENAV_DATA")  # noqa: TID251  # where the machine keeps its logs
+LOGS = Path(str(DATA)) / "slam"
+
+pytestmark = pytest.mark.skipif(DATA is None, reason="ZENAV_DATA is not set: the real logs are not on this machine")
+
+
+def beginning(name, seconds, folder):
+    """The first seconds of a log, as a log."""
+    with gzip.open(LOGS / f"{name}.log.gz", "rt") as whole:
+        lines = [line for line in whole if line.startswith(("ODOM ", "FLASER "))]
+    first = stamp_of(lines[0])
+    path = folder / f"{name}.log"
+    path.write_text("".join(takewhile(lambda line: stamp_of(line) < first + seconds, lines)))
+    return path
+
+
+def stamp_of(line):
+    return float(line.split()[-3])
+
+
+def figures_inside(trajectory, name):
+    """The figures of the relations that lie within a trajectory's time."""
+    stamps, poses = read_tum(trajectory)
+    pairs = pairs_of(LOGS / f"{name}.relations")["relations"]
+    inside = (np.minimum(pairs.early, pairs.late) >= stamps[0]) & (np.maximum(pairs.early, pairs.late) <= stamps[-1])
+    pairs = replace(
+        pairs, early=pairs.early[inside], late=pairs.late[inside], early_from_late=pairs.early_from_late[inside]
+    )
+    return errors(stamps, poses, pairs).figures()
+
+
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory):
+    """A name's beginning of a log, its report, and the folder of its map; made once a name."""
+    made = {}
+
+    def of(name, seconds):
+        if name not in made:
+            folder = tmp_path_factory.mktemp(name)
+            log = beginning(name, seconds, folder)
+            made[name] = log, slam(log, folder / "out"), folder / "out"
+        return made[name]
+
+    return of
+
+
+@pytest.mark.parametrize(("name", "seconds", "mean"), [("intel", 150, 0.025), ("fr079-raw", 100, 0.035)])
+def test_the_beginning_of_a_log_agrees_with_its_relations(name, seconds, mean, mapped):
+    _, report, folder = mapped(name, seconds)
+    assert report["scans_placed"] == report["scans"] > 400
+    assert report["states"].get("lost", 0) == 0
+    figures = figures_inside(folder / "trajectory.tum", name)
+    assert figures["n"] > 60
+    assert figures["trans_mean_m"] < mean
+    assert figures["trans_max_m"] < 0.2
+
+
+def test_the_same_log_gives_the_same_bytes_twice_also_where_loops_close(mapped, tmp_path):
+    log, report, folder = mapped("fr079-raw", 100)
+    assert report["loops"] > 0
+    slam(log, tmp_path)
+    for name in ("trajectory.tum", "map.pgm", "map.yaml", "map.png"):
+        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_laps_through_a_building_lie_on_each_other_with_a_scan_every_metre(tmp_path):
+    """Without closures these laps are 0.66 m apart in the mean."""
+    report = slam(LOGS / "intel-sparse.log.gz", tmp_path)
+    assert report["loops"] > 50
+    figures = score(tmp_path / "trajectory.tum", LOGS / "intel-sparse.ref.tum")["loops"]
+    assert figures["trans_mean_m"] < 0.065

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav bench slam`: the mapper over every log of a folder that has a reference beside it, each in a new process."""
+
+import multiprocessing
+import os
+import resource
+import sys
+import traceback
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from shared.config import UserError, nearest
+from zenav.bench.table import table, writable, write
+from zenav.child import die_with_parent
+from zenav.up import run_folder
+
+# What maps and scores is imported in each log's own process: Linux counts a child's peak memory from its parent's.
+
+LOGS = ".log.gz", ".log"
+REFERENCES = ".relations", ".ref.tum"
+TRAJECTORY = "trajectory.tum"
+KINDS = "relations", "loops", "neighbours"  # of pairs; what systems are compared by comes first
+COLUMNS = (
+    "log, pairs", "n", "mean, m", "std", "median", "max", "rotation, deg", "CPU, s", "of jobs", "scan median, ms",
+    "p99", "memory, MB", "keyframes", "loops",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Logged:
+    """A log and what it is scored against."""
+
+    name: str
+    log: Path
+    references: tuple[Path, ...]
+
+
+def slam(directory: Path, names: Sequence[str], out: Path | None) -> int:
+    """Maps the logs of a folder, shows the figures, writes JSON and Markdown; 0 when all were mapped and scored."""
+    logs = chosen(directory, names)
+    markdown = out and out.with_suffix(".md")
+    if out is not None and out == markdown:
+        raise UserError(f"{out} is where the Markdown table goes", "call the JSON file F.json")
+    writable(out)
+    writable(markdown)
+    folder = run_folder("bench-slam")
+    runs: dict[str, dict[str, Any]] = {}
+    for logged in logs:
+        runs[logged.name] = run = alone(logged, folder / logged.name)
+        sys.stderr.write(f"{logged.name}: {run.get('trouble', 'done')}; {folder / logged.name}\n")
+    figures = {name: summary(run) for name, run in runs.items() if "trouble" not in run}
+    rows = [row for name, figure in figures.items() for row in rows_of(name, figure)]
+    table(f"{directory}, pictures in {folder}", COLUMNS, rows)
+    write(out, {"summary": figures, "runs": runs})
+    write_markdown(markdown, rows)
+    return 0 if len(figures) == len(logs) else 1
+
+
+def chosen(directory: Path, names: Sequence[str] = ()) -> list[Logged]:
+    """The folder's logs that have a reference, by name; only `names`, where there are any.
+
+    Raises UserError where there is none, or a name is not among them.
+    """
+    if not directory.is_dir():
+        raise UserError(f"there is no folder {directory}", "give the folder that holds the logs")
+    found: dict[str, Logged] = {}
+    for suffix in LOGS:
+        for log in directory.glob(f"*{suffix}"):
+            name = log.name.removesuffix(suffix)
+            references = tuple(path for end in REFERENCES if (path := directory / f"{name}{end}").is_file())
+            if references:
+                found.setdefault(name, Logged(name, log, references))
+    if not found:
+        raise UserError(
+            f"{directory} holds no log with a reference", "NAME.log.gz or NAME.log, and NAME.relations or NAME.ref.tum"
+        )
+    for name in names:
+        if name not in found:
+            raise UserError(f"{directory} holds no log {name} with a reference", nearest(name, tuple(sorted(found))))
+    return [found[name] for name in sorted(found) if name in (names or found)]
+
+
+def alone(logged: Logged, folder: Path) -> dict[str, Any]:
+    """`measured` in a process of its own; its `trouble` is told also where the process dies."""
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(1, context, die_with_parent, (os.getpid(),))
+    try:
+        return pool.submit(measured, logged, folder).result()
+    except BrokenProcessPool:
+        return {"trouble": "its process died"}
+    finally:  # interrupted: a log takes a minute, and nobody waits for it any more
+        for process in multiprocessing.active_children():
+            process.kill()
+        pool.shutdown(cancel_futures=True)
+
+
+def measured(logged: Logged, folder: Path) -> dict[str, Any]:
+    """Maps one log into a folder: the report of `zenav slam`, the `errors` by kind of pair, peak `memory_mb`.
+
+    Only `trouble`, what was wrong, where that failed: the other logs are to be measured all the same.
+    """
+    import shared.repeatable  # noqa: F401  # a spawned process begins here
+    from zenav.slam import slam as mapped
+    from zenav.slam_error import score
+
+    try:
+        report = mapped(logged.log, folder)
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # before scoring takes some
+        found = {kind: row for path in logged.references for kind, row in score(folder / TRAJECTORY, path).items()}
+    except UserError as error:
+        return {"trouble": error.what}
+    except Exception as error:
+        traceback.print_exc()
+        return {"trouble": repr(error)}
+    errors = {kind: {key: round(value, 5) for key, value in found[kind].items()} for kind in KINDS if kind in found}
+    return report | {"memory_mb": round(memory, 1), "errors": errors}
+
+
+def summary(run: dict[str, Any]) -> dict[str, Any]:
+    """The figures of one log."""
+    return {
+        "errors": run["errors"],
+        "scans": run["scans"],
+        "length_m": run["length_m"],
+        "cpu_s": run["cpu_s"],
+        "cpu_s_of_jobs": run["cpu_s_of_jobs"],
+        "scan_ms_median": run["cpu_ms_per_scan"]["median"],
+        "scan_ms_p99": run["cpu_ms_per_scan"]["p99"],
+        "memory_mb": run["memory_mb"],
+        "keyframes": run["keyframes"],
+        "loops": run["loops"],
+    }
+
+
+def rows_of(name: str, figures: dict[str, Any]) -> Iterable[tuple[str, ...]]:
+    """The table's rows of one log: one for each kind of pair, what the run cost in the first."""
+    cost = (
+        f"{figures['cpu_s']:.1f}", f"{figures['cpu_s_of_jobs']:.1f}", f"{figures['scan_ms_median']:.2f}",
+        f"{figures['scan_ms_p99']:.2f}", f"{figures['memory_mb']:.0f}", str(figures["keyframes"]),
+        str(figures["loops"]),
+    )  # fmt: skip
+    for i, (kind, row) in enumerate(figures["errors"].items()):
+        metres = (f"{row[f'trans_{key}_m']:.4f}" for key in ("mean", "std", "median", "max"))
+        yield f"{name}, {kind}", str(row["n"]), *metres, f"{row['rot_mean_deg']:.3f}", *(cost if not i else [""] * 7)
+
+
+def write_markdown(out: Path | None, rows: list[tuple[str, ...]]) -> None:
+    """Writes the table as Markdown. Raises UserError where the file refuses."""
+    if out is None:
+        return
+    from zenav.docs import table as lines_of
+
+    try:
+        out.write_text("\n".join(lines_of(COLUMNS, rows)) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write {out}: {error.strerror}", "choose another --out") from None
+    sys.stderr.write(f"{out}\n")
