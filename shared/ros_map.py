@@ -55,27 +55,36 @@ def read_ros_map(path: Path) -> tuple[Int8s, float, float, float]:
 
 
 def write_ros_map(folder: Path, cells: Int8s, resolution: float, x0: float, y0: float, name: str = "map") -> Path:
-    """Writes NAME.pgm and NAME.yaml and returns the YAML's path. cells: (h, w) int8 percent, -1 unknown, row 0 lowest.
+    """Writes NAME.pgm and NAME.yaml and returns the YAML's path. Each is replaced whole, the picture first.
 
-    Cells between the thresholds become unknown, as map_saver does. Each file is replaced whole, the picture first.
     Raises UserError where the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, content in ros_map_files(cells, resolution, x0, y0, name).items():
+            replace_file(folder / file, content)
+    except OSError as error:
+        raise UserError(f"cannot write the map to {folder}: {error.strerror}", "check the path and the disk") from None
+    return folder / f"{name}.yaml"
+
+
+def ros_map_files(cells: Int8s, resolution: float, x0: float, y0: float, name: str = "map") -> dict[str, bytes]:
+    """The content of NAME.pgm and NAME.yaml. cells: (h, w) int8 percent, -1 unknown, row 0 lowest; m a cell; m, m.
+
+    Cells between the thresholds become unknown, as map_saver does.
     """
     grey = np.full(cells.shape, UNKNOWN_GREY, np.uint8)
     grey[(cells != UNKNOWN) & (cells <= FREE_UP_TO)] = FREE_GREY
     grey[cells >= OCCUPIED_FROM] = OCCUPIED_GREY
     height, width = cells.shape
-    picture = f"P5\n{width} {height}\n255\n".encode() + grey[::-1].tobytes()
     settings = (
         f"image: {name}.pgm\nmode: trinary\nresolution: {resolution:.9g}\norigin: [{x0:.9g}, {y0:.9g}, 0]\n"
         f"negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
     )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        replace_file(folder / f"{name}.pgm", picture)
-        replace_file(folder / f"{name}.yaml", settings.encode())
-    except OSError as error:
-        raise UserError(f"cannot write the map to {folder}: {error.strerror}", "check the path and the disk") from None
-    return folder / f"{name}.yaml"
+    return {
+        f"{name}.pgm": f"P5\n{width} {height}\n255\n".encode() + grey[::-1].tobytes(),
+        f"{name}.yaml": settings.encode(),
+    }
 
 
 def replace_file(path: Path, content: bytes) -> None:

@@ -502,14 +502,19 @@ def doctor(stack: Stack = "0") -> None:
 def slam(
     log: Annotated[Path, typer.Argument(help="CARMEN log.")],
     out: Annotated[Path, typer.Option("--out", help="Folder for trajectory, map and report.")],
+    mode: Annotated[
+        Literal["map", "localise", "continue"],
+        typer.Option(help="A new map; the robot found on a saved one, which stays; a saved one that goes on."),
+    ] = "map",
+    saved_map: Annotated[Path | None, typer.Option("--map", help="Folder of the saved map.", metavar="DIR")] = None,
 ) -> None:
-    """Make a map of a logged drive.
+    """Make a map of a logged drive, or find the robot on a saved one.
 
     Example: zenav slam intel.log --out out/intel
     """
     from zenav.files import slam
 
-    slam(log, out)
+    slam(log, out, mode, saved_map)
 
 
 @app.command(cls=Command, rich_help_panel=FILES)

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from shared.config import Robot, RobotFile, UserError, load_robot
 from shared.service import Service
@@ -30,14 +30,14 @@ def progress_bar(text: str) -> Iterator[Callable[[float], None]]:
         yield lambda share: progress.update(task, completed=share)
 
 
-def slam(log: Path, out: Path) -> None:
+def slam(log: Path, out: Path, mode: Literal["map", "localise", "continue"], saved_map: Path | None) -> None:
     """The mapper over a CARMEN log; writes into `out` and says what came of it."""
     if not log.is_file():
         raise UserError(f"there is no log {log}", "give a CARMEN log's path")
     from zenav.slam import slam as run
 
     with progress_bar(log.name) as progress:
-        report = run(log, out, progress)
+        report = run(log, out, progress, mode=mode, saved_map=saved_map)
     sys.stdout.write(
         f"{out}/map.png: {report['scans_placed']} of {report['scans']} scans, {report['length_m']:.1f} m, "
         f"{report['loops']} loops closed, {report['cpu_s']:.1f} s of CPU\n"

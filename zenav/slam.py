@@ -9,24 +9,29 @@ from dataclasses import replace
 from math import cos, sin
 from pathlib import Path
 from time import process_time
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.mapper.front_end import FrontEndConfig
+from services.mapper.saved_map import SavedMap
 from services.mapper.service import MapperConfig, MapperService
 from shared.config import Drive, Laser, Mount, Robot, UserError
 from shared.geometry import Pose2, interpolated
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
-from shared.ros_map import replace_file, write_ros_map
 from shared.service import Job, Out
 from shared.topics import Publication
 from zenav.convert.carmen import LoggedPose, LoggedScan, read_carmen
 from zenav.odometry_lag import odometry_lag
+from zenav.saved_map import map_files, read_saved_map
+from zenav.store import replace_together
 
 Float64s = NDArray[np.float64]
+
+Mode = Literal["map", "localise", "continue"]
+"""A new map; the robot found in a saved one, which stays as it is; a saved one that goes on."""
 
 SECOND = 1_000_000_000
 NO_RETURN = 0.98  # of the largest range in the log: the scanner's way to say that nothing came back
@@ -38,14 +43,19 @@ MAP_EVERY = 500  # scans between looks at the map: a log has no one who waits fo
 class Run:
     """A mapper, fed; what it published, kept."""
 
-    def __init__(self, config: MapperConfig, robot: Robot) -> None:
+    def __init__(self, config: MapperConfig, robot: Robot, saved: SavedMap | None = None, mode: Mode = "map") -> None:
         self.mapper = MapperService(config, robot)
+        self.loaded, self.mode = saved, mode
         self.grid = OccupancyGrid()
         self.estimates: list[PoseEstimate] = []
         self.places: list[Pose2] = []  # of the estimates, in the front end's frame
+        self.maps_from_local: list[Pose2 | None] = []  # at the estimates, None where the robot was not found yet
         self.logs: list[str] = []
         self.job_seconds = 0.0  # of CPU
         self._jobs: deque[Job] = deque()
+        self.mapper.warm()
+        if saved is not None:
+            self.take(self.mapper.go_on(saved, fixed=mode == "localise"))
 
     def take(self, out: Out | None) -> None:
         for item in out or ():
@@ -56,6 +66,8 @@ class Run:
             elif isinstance(item.message, PoseEstimate):
                 self.estimates.append(item.message)
                 self.places.append(self.mapper.front_end.local_from_base)
+                searching = self.mapper.finder.searching
+                self.maps_from_local.append(None if searching else self.mapper.back_end.map_from_local)
             elif isinstance(item.message, MapUpdate):
                 self.grid.apply(item.message)
 
@@ -67,21 +79,51 @@ class Run:
             self.take(getattr(self.mapper, job.done)(job.function(*job.arguments)))
         self.job_seconds += process_time() - begun
 
+    def saved(self) -> SavedMap:
+        """What another run can go on with; that which was loaded, where it was not to change."""
+        if self.loaded is not None and self.mode == "localise":
+            return self.loaded
+        back_end = self.mapper.back_end
+        whole = self.mapper.grid.whole(0)
+        return SavedMap(back_end.graph.snapshot(), tuple(back_end.keyframes), np.array(back_end.driven), whole)
+
+    @property
+    def found(self) -> bool:
+        """Whether the robot was ever found on the map."""
+        return any(correction is not None for correction in self.maps_from_local)
+
     def corrected(self) -> list[PoseEstimate]:
-        """The estimates, by what is known at the end."""
+        """The estimates, by what is known at the end; or in a map that does not change, when the robot was found."""
+        if self.mode == "localise":
+            return self._located()
         corrections = self.mapper.back_end.corrections()
         if not corrections:
             return self.estimates
-        stamps = [keyframe.stamp for keyframe in self.mapper.back_end.keyframes]
+        stamps = [keyframe.stamp for keyframe in self.mapper.back_end.keyframes[-len(corrections) :]]
         found = []
         for estimate, place in zip(self.estimates, self.places):
             k = min(max(bisect_right(stamps, estimate.stamp) - 1, 0), len(stamps) - 1)
             after = min(k + 1, len(stamps) - 1)
             share = (estimate.stamp - stamps[k]) / max(stamps[after] - stamps[k], 1)
             pose = interpolated(corrections[k] @ place, corrections[after] @ place, min(max(share, 0.0), 1.0))
-            odom_from_base = estimate.map_from_odom.inverse() @ estimate.map_from_base
-            found.append(replace(estimate, map_from_base=pose, map_from_odom=pose @ odom_from_base.inverse()))
+            found.append(_moved(estimate, pose))
         return found
+
+    def _located(self) -> list[PoseEstimate]:
+        found: list[PoseEstimate] = []
+        correction: Pose2 | None = None  # the first one later on
+        rows = zip(reversed(self.estimates), reversed(self.places), reversed(self.maps_from_local))
+        for estimate, place, known in rows:
+            correction = known or correction
+            if correction is not None:
+                found.append(_moved(estimate, correction @ place))
+        return found[::-1]
+
+
+def _moved(estimate: PoseEstimate, pose: Pose2) -> PoseEstimate:
+    """The estimate, had it been this pose."""
+    odom_from_base = estimate.map_from_odom.inverse() @ estimate.map_from_base
+    return replace(estimate, map_from_base=pose, map_from_odom=pose @ odom_from_base.inverse())
 
 
 def slam(
@@ -89,12 +131,17 @@ def slam(
     out: Path,
     progress: Callable[[float], None] = lambda share: None,
     config: MapperConfig | None = None,
+    mode: Mode = "map",
+    saved_map: Path | None = None,
 ) -> dict[str, Any]:
-    """Runs the mapper over a log and writes trajectory.tum, map.pgm, map.yaml, map.png and report.json into `out`.
+    """Runs the mapper over a log and writes its map (see saved_map.py), trajectory.tum and report.json into `out`.
 
-    progress is called with the share that is done, 0..1. Returns the report. Raises UserError where the log cannot be
-    read or holds no scan, or `out` cannot be written.
+    progress is called with the share that is done, 0..1.  saved_map: the folder in which the robot is localised, or
+    which is continued. Returns the report. Raises UserError where the log cannot be read or holds no scan, the robot is
+    not found on the saved map, or `out` cannot be written.
     """
+    config = config or LOGS
+    saved = _loaded(mode, saved_map, config)
     read = read_carmen(log)
     scans = [record for record in read.records if isinstance(record, LoggedScan)]
     if not scans:
@@ -103,20 +150,44 @@ def slam(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot write to {out}: {error.strerror}", "choose another folder for --out") from None
-    run = Run(config or LOGS, robot_of(scans))
-    run.mapper.warm()
+    run = Run(config, robot_of(scans), saved, mode)
     first = min(record.stamp for record in read.records)
     times = _feed(run, read.records, first, progress)
+    if not run.found:
+        raise UserError(
+            f"{log}: the robot was not found on the map of {saved_map}",
+            "is it of that building? A longer drive through what the map shows helps",
+        )
     stamps, poses = trajectory(read.records, run.corrected(), first)
-    replace_file(out / "trajectory.tum", tum(stamps, poses).encode())
-    write_ros_map(out, run.grid.cells, run.grid.resolution, run.grid.x0, run.grid.y0)
-    from zenav.picture import map_picture
-
-    replace_file(out / "map.png", map_picture(run.grid, poses))
     report = _report(log, read.n_bad, read.truncated, read.records, scans, run, poses, times)
-    replace_file(out / "report.json", (json.dumps(report, indent=2) + "\n").encode())
+    results = {
+        "trajectory.tum": tum(stamps, poses).encode(),
+        "report.json": (json.dumps(report, indent=2) + "\n").encode(),
+    }
+    replace_together(out, map_files(run.saved(), poses) | results)
     progress(1.0)
     return report
+
+
+def _loaded(mode: Mode, folder: Path | None, config: MapperConfig) -> SavedMap | None:
+    """The map that a mode begins with."""
+    if (folder is None) != (mode == "map"):
+        raise UserError(
+            f"mode {mode} {'needs a map' if folder is None else 'takes no map'}", "--mode localise --map DIR"
+        )
+    if folder is None:
+        return None
+    saved = read_saved_map(folder)
+    if not saved.keyframes:
+        raise UserError(f"{folder}: the map holds no keyframes", "make one: zenav slam LOG --out DIR")
+    if config.front_end.window == 0:
+        raise UserError("a mapper without a window finds no saved map", "set mapper.front_end.window to 40")
+    if mode == "continue" and saved.tiles.resolution != config.occupancy.resolution:
+        raise UserError(
+            f"{folder}: the map has cells of {saved.tiles.resolution} m, the mapper of {config.occupancy.resolution} m",
+            "set mapper.occupancy.resolution to the map's",
+        )
+    return saved
 
 
 def robot_of(scans: list[LoggedScan]) -> Robot:
@@ -278,6 +349,7 @@ def _report(
             "mean": round(float(quality.mean()), 4),
             "p01": round(float(np.percentile(quality, 1)), 4),
         },
+        "mode": run.mode,
         "states": {state: states.count(state) for state in sorted(set(states))},
         "keyframes": len(run.mapper.back_end.keyframes),
         "loops": run.mapper.back_end.n_loops,

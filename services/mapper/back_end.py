@@ -12,13 +12,17 @@ from services.mapper.keyframe import Keyframe
 from services.mapper.loop_closure import Blocks, Loop, LoopConfig, closed, in_own_frame
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.optimisation import PoseGraphConfig, optimised
-from services.mapper.pose_graph import Graph, Optimised, PoseGraph
+from services.mapper.pose_graph import Graph, Optimised, PoseGraph, between
 from services.mapper.registration import Match, OdometryError, RegistrationConfig
+from services.mapper.saved_map import SavedMap
 from services.mapper.uncertainty import uncertainty_from
 from shared.config import Section
 from shared.geometry import Float64s, Pose2, wrapped_all
 
 SEEN = 0.02  # m, a correction that shows on the map
+HELD = np.diag((0.1**-2, 0.1**-2, 0.03**-2))
+"""Information of the place at which the robot was found on a saved map: closures will know it better."""
+EXACT = 1e8 * np.eye(3)
 LONG_AGO = 10  # crowds of keyframes after which one is no longer of this visit, also where the robot only turns
 SLICE = 100  # keyframes that one job draws: 0.2 s, looks for closures go on in between
 
@@ -36,6 +40,13 @@ class BackEndConfig(Section):
     redraw: float = Field(2.0, ge=0, le=3600, description="s between two drawings of the whole map at least")
     crowd: int = Field(8, ge=2, le=1000, description="keyframes at one place, until the oldest of them is given up")
     crowd_reach: float = Field(0.5, ge=0.05, le=5, description="m, and rad, that make it one place")
+    recent: int = Field(
+        60, ge=2, le=10_000, description="keyframes that are placed together on a saved map that does not change"
+    )
+
+
+Waiting = tuple[Keyframe, Match, float]
+"""What `BackEnd.add` is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,18 +87,65 @@ class BackEnd:
         self.looked_at = 0.0  # m driven when loops were looked for
         self.n_loops = 0
         self.n_agreeing = 0  # closures since the last optimisation
+        self.fixed = False  # the map does not change
+        self.first = 0  # name of the first node of this session: what is before it lies in another `local`
+        self.begun = 0  # name of the first node that is not a saved map's
+        self.held_at = 0.0  # m driven at the last closure
         self.off = False  # one of them moves what is known
         self.moved = 0.0  # m, at most, of any keyframe since the map was drawn
         self.blocks = Blocks(*self._settings, self.loops)
+
+    def load(self, saved: SavedMap, fixed: bool) -> None:
+        """Goes on with a saved map, or places the robot on it; then it does not change."""
+        self.start()
+        self.graph = PoseGraph.of(_still(saved.graph) if fixed else saved.graph)
+        self.keyframes, self.driven = list(saved.keyframes), saved.driven.tolist()
+        self.fixed = fixed
+        self._begin()
+        self.begun = self.first
+
+    def _begin(self) -> None:
+        """A session's nodes have names of their own blocks: its `local` is another one."""
+        blocks = int(self.graph.nodes[-1]) // self.loops.around if len(self.graph.nodes) else 0
+        self.first = (blocks + 4) * self.loops.around
+        self.graph.leave_names(self.first)
+
+    def part(self) -> None:
+        """The robot was carried away: what comes next is a session of its own."""
+        while self.fixed and self.session < len(self.keyframes):
+            self._give_up(self.session)
+        self._begin()
+
+    def found(self, map_from_local: Pose2, waiting: Sequence[Waiting], odometry: OdometryError) -> None:
+        """A session begins at a place that was found on the map, with the keyframes up to there."""
+        self.map_from_local = map_from_local
+        for keyframe, match, doubt in waiting:
+            self.add(keyframe, match, odometry, doubt)
+        self.held_at = self.driven[-1]
+        node = int(self.graph.nodes[-1])
+        pose = self.graph.pose(node)
+        away = np.hypot(*(self.graph.poses[: self.session, :2] - (pose.x, pose.y)).T)
+        anchor = int(self.graph.nodes[0 if self.fixed else int(np.argmin(away))])
+        self.graph.connect(anchor, node, self.graph.pose(anchor).inverse() @ pose, HELD, loop=False)
+
+    @property
+    def unheld(self) -> float:
+        """m driven since the last closure."""
+        return self.driven[-1] - self.held_at if self.driven else 0.0
+
+    @property
+    def session(self) -> int:
+        """The row of its first keyframe."""
+        return int(np.searchsorted(self.graph.nodes, self.first))
 
     def add(self, keyframe: Keyframe, match: Match, odometry: OdometryError, doubt: float = 1.0) -> None:
         """A new keyframe, where the beams say that it is; where they say nothing, odometry does.
 
         doubt: how much wider odometry's standard deviations are, on the worst of the steps since the last keyframe.
         """
-        if not self.keyframes:
+        if self.session == len(self.keyframes):
             self.graph.add(self.map_from_local @ keyframe.local_from_base)
-            self.driven.append(0.0)
+            self.driven.append(self.driven[-1] + self.loops.apart + 2 * self.loops.view if self.driven else 0.0)
         else:
             before = self.keyframes[-1].local_from_base
             step = before.inverse() @ keyframe.local_from_base
@@ -104,6 +162,10 @@ class BackEnd:
 
     def _thin(self) -> None:
         """Where the robot drives again and again, the graph grows with the area, not with time."""
+        if self.fixed:
+            while len(self.keyframes) - self.session > self.config.recent:
+                self._give_up(self.session)
+            return
         poses, driven = self.graph.poses, np.array(self.driven)
         reach = self.config.crowd_reach
         here = (np.abs(poses[:, :2] - poses[-1, :2]) < reach).all(axis=1)
@@ -113,9 +175,11 @@ class BackEnd:
         old = np.flatnonzero(here & gone)
         old = old[old > 0]  # the first one holds the map
         if len(old) >= self.config.crowd:
-            row = int(old[0])
-            self.graph.remove(int(self.graph.nodes[row]))
-            del self.keyframes[row], self.driven[row]
+            self._give_up(int(old[0]))
+
+    def _give_up(self, row: int) -> None:
+        self.graph.remove(int(self.graph.nodes[row]))
+        del self.keyframes[row], self.driven[row]
 
     @property
     def due(self) -> bool:
@@ -134,7 +198,12 @@ class BackEnd:
         for loop in loops:
             rest = (self.graph.pose(loop.i).inverse() @ self.graph.pose(loop.j)).inverse() @ loop.i_from_j
             self.off |= hypot(rest.x, rest.y) > self.config.off or abs(rest.yaw) > self.config.off_turn
-            self.graph.connect(loop.i, loop.j, loop.i_from_j, loop.information, loop=True)
+            i, i_from_j = loop.i, loop.i_from_j
+            if self.fixed and i < self.first:  # all that stands still is one
+                origin = int(self.graph.nodes[0])
+                i, i_from_j = origin, self.graph.pose(origin).inverse() @ self.graph.pose(i) @ i_from_j
+            self.graph.connect(i, loop.j, i_from_j, loop.information, loop=True)
+            self.held_at = self.driven[-1]
         self.n_loops += len(loops)
         self.n_agreeing += len(loops)
 
@@ -160,7 +229,8 @@ class BackEnd:
         last = self.keyframes[-1].local_from_base
         row = self.graph.poses[-1]
         self.map_from_local = Pose2(float(row[0]), float(row[1]), float(row[2])) @ last.inverse()
-        self.moved += float(np.hypot(*(self.graph.poses - before)[:, :2].T).max())
+        if not self.fixed:
+            self.moved += float(np.hypot(*(self.graph.poses - before)[:, :2].T).max())
 
     @property
     def outdated(self) -> bool:
@@ -189,11 +259,23 @@ class BackEnd:
         drawn(self.draw())
 
     def corrections(self) -> list[Pose2]:
-        """map_from_local at each keyframe."""
+        """map_from_local at each keyframe that is not a saved map's."""
+        begun = int(np.searchsorted(self.graph.nodes, self.begun))
         return [
             Pose2(*row) @ keyframe.local_from_base.inverse()
-            for row, keyframe in zip(self.graph.poses.tolist(), self.keyframes)
+            for row, keyframe in zip(self.graph.poses[begun:].tolist(), self.keyframes[begun:])
         ]
+
+
+def _still(graph: Graph) -> Graph:
+    """A graph whose nodes stay where they are, each known exactly from the first."""
+    n = len(graph.nodes)
+    loops = np.zeros(max(n - 1, 0), np.bool_)
+    first, others = graph.nodes[:1], graph.nodes[1:]
+    return Graph(
+        graph.nodes, graph.poses, np.ones(n, np.bool_), np.arange(len(others)), np.repeat(first, len(others)),
+        others.copy(), between(graph.poses[:1], graph.poses[1:]), np.tile(EXACT, (len(others), 1, 1)), loops, ~loops,
+    )  # fmt: skip
 
 
 def drawn(drawing: Drawing) -> Drawing:

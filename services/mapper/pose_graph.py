@@ -171,6 +171,10 @@ class PoseGraph:
         """map_from_base of a node."""
         return _pose(self._nodes["pose"][self._row(node)])
 
+    def leave_names(self, until: int) -> None:
+        """The next node's name is this at least."""
+        self._next_node = max(self._next_node, until)
+
     def add(self, map_from_base: Pose2, fixed: bool = False) -> int:
         """A new node's name."""
         name = self._next_node

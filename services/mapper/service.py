@@ -9,6 +9,7 @@ from services.mapper.back_end import BackEnd, BackEndConfig, Drawing
 from services.mapper.background import Background
 from services.mapper.correlative_match import SearchConfig
 from services.mapper.deskew import deskewed
+from services.mapper.finding import Finder, FindingConfig, Place
 from services.mapper.front_end import FrontEnd, FrontEndConfig, Tracked
 from services.mapper.keyframe import Keyframe
 from services.mapper.loop_closure import Loop, LoopConfig
@@ -17,11 +18,12 @@ from services.mapper.odometry_track import OdometryConfig, OdometryTrack
 from services.mapper.optimisation import PoseGraphConfig
 from services.mapper.pose_graph import Optimised
 from services.mapper.registration import RegistrationConfig
+from services.mapper.saved_map import SavedMap
 from shared import requests, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2, interpolated
 from shared.grid import OccupancyGrid
-from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
+from shared.messages import LaserScan, Localization, MapUpdate, Odometry, PoseEstimate
 from shared.reasons import BAD_REQUEST
 from shared.requests import LoadMap, Reply
 from shared.service import Answer, Log, Out, Service, answer, every, on
@@ -32,6 +34,8 @@ SECOND = 1_000_000_000
 OLDEST = SECOND  # a scan that is older when it arrives says where the robot was, not where it is
 MOST_TILES = 20_000  # of a saved map, 80 MB of cells: a square of 450 m at 0.05 m a cell
 FUTURE = SECOND // 2  # a stamp that is farther ahead is another clock's
+ANYWHERE = np.diag((1e6, 1e6, 10.0))
+"""Covariance (m^2, rad^2) of a robot that was not found on its map yet."""
 
 
 class MapperConfig(Section):
@@ -45,6 +49,10 @@ class MapperConfig(Section):
     back_end: BackEndConfig = BackEndConfig()
     loops: LoopConfig = LoopConfig()
     pose_graph: PoseGraphConfig = PoseGraphConfig()
+    finding: FindingConfig = FindingConfig()
+    unheld: float = Field(
+        15.0, ge=1, le=10_000, description="m driven on a saved map without a closure, until the pose is poor"
+    )
     blind_doubt: float = Field(
         5.0, ge=1, le=100, description="how much wider the prior is when speed alone is known, without odometry"
     )
@@ -67,6 +75,7 @@ class MapperService(Service):
             robot.laser.range_max,
         )  # fmt: skip
         self.loops = Background(self.back_end)
+        self.finder = Finder(config.finding, config.registration, config.occupancy, robot.laser.range_max)
         self.grid = Occupancy(config.occupancy, 0)
         self.pending: tuple[int, LaserScan] | None = None  # when it came, and the scan
         self.last_end = -1  # ns, end of the last scan that was placed
@@ -108,7 +117,8 @@ class MapperService(Service):
     def state(self) -> str:
         if self.tracked is None:
             return "waiting for a scan"
-        words = f"{self.tracked.state}, {len(self.grid.places)} tiles"
+        found = "looking for the robot on the map" if self.finder.searching else str(self.tracked.state)
+        words = f"{found}, {len(self.grid.places)} tiles"
         dropped = sum(self.n_dropped.values())
         words += f", {dropped} scans dropped" if dropped else ""
         return words + (", no odometry: scan matching alone" if self.blind else "")
@@ -191,6 +201,36 @@ class MapperService(Service):
         if grid is not None:
             self.grid.become(grid)
 
+    def found(self, result: tuple[int, list[Place]]) -> Out:
+        """The robot was looked for on the saved map."""
+        map_from_local = self.finder.take(result)
+        if map_from_local is not None:
+            self.back_end.found(map_from_local, self.finder.waiting, self.front_end.odometry_error)
+            for keyframe, _, _ in self.finder.waiting if not self.back_end.fixed else ():
+                pose = map_from_local @ keyframe.local_from_base
+                origins, ends = keyframe.beams()
+                self.grid.integrate(pose @ origins, pose @ ends, pose @ keyframe.silence())
+            self.finder.waiting = []
+            yield Log("INFO", f"found on the map after {self.finder.driven:.1f} m")
+
+    def go_on(self, saved: SavedMap, fixed: bool) -> Out:
+        """Goes on with a saved map, wherever on it the robot is; `fixed`: it only localises, and the map stays."""
+        self.grid = Occupancy(self.config.occupancy, max(self.now, self.grid.map_id + 1))
+        self.grid.load(saved.tiles)
+        self.front_end.start(Pose2())
+        self.loops.start()
+        self.back_end.load(saved, fixed)
+        self.finder.load(saved)
+        self.pending, self.velocity, self.tracked = None, Pose2(), None
+        return self.publish_map()
+
+    def _carried_away(self) -> Out:
+        """The robot is lost on a saved map: it may be anywhere."""
+        self.front_end.start(self.front_end.local_from_base)
+        self.back_end.part()
+        self.finder.start()
+        yield Log("WARNING", "lost: looking for the robot on the whole map")
+
     @answer(requests.LOAD_MAP)
     def load_map(self, request: LoadMap) -> Answer[Reply]:
         rows, columns = request.map.rows, request.map.columns
@@ -204,6 +244,7 @@ class MapperService(Service):
         self.grid.load(request.map)
         self.front_end.load(grid, request.map, request.map_from_base)
         self.loops.start()
+        self.finder.load(None)
         self.pending = None
         self.velocity = Pose2()
         update = self.grid.update(self.now)
@@ -224,6 +265,7 @@ class MapperService(Service):
             self.grid.version = update.version
             self.front_end.load(grid, update, estimate.map_from_base)
             self.loops.start()
+            self.finder.load(None)
             self.tracked, self.last_end, self.velocity = None, -1, Pose2()
             yield Log("INFO", f"going on with the map from before the restart: {len(update.rows)} tiles")
 
@@ -265,15 +307,20 @@ class MapperService(Service):
         moved = before.inverse() @ tracked.local_from_base
         self.velocity = _scaled(moved, 1 / seconds) if 0.02 <= seconds <= 1 else Pose2()
         silent = self._silent(scan, origins, ends)
-        if tracked.trusted:
+        if tracked.trusted and not self.finder.searching and not self.back_end.fixed:
             pose = self.map_from_base
             self.grid.integrate(pose @ origins, pose @ ends, pose @ silent)
         self.last_end, self.tracked = end, tracked
         yield topics.POSE(self._estimate(end, tracked))
         if tracked.keyframe is not None and self.front_end.window.moves:
             keyframe = Keyframe.of(end, tracked.local_from_base, origins, ends, silent, tracked.keyframe)
-            yield from self.loops.keep(keyframe, tracked.match, self.front_end.odometry_error, self.doubt)
+            if self.finder.searching:
+                yield from self.finder.keep(keyframe, tracked.match, self.doubt)
+            else:
+                yield from self.loops.keep(keyframe, tracked.match, self.front_end.odometry_error, self.doubt)
             self.doubt = 1.0
+        if tracked.state is Localization.LOST and self.finder.surface is not None:
+            yield from self._carried_away()
 
     @property
     def map_from_base(self) -> Pose2:
@@ -311,13 +358,18 @@ class MapperService(Service):
             odom_from_base = self.track.odom_from_start(end) @ self.track.at(end)
         else:
             odom_from_base = Pose2()
+        covariance, state = _turned(tracked.covariance, self.back_end.map_from_local.yaw), tracked.state
+        if self.finder.searching:
+            covariance, state = ANYWHERE, Localization.STARTING
+        elif self.back_end.fixed and self.back_end.unheld > self.config.unheld and state is Localization.GOOD:
+            state = Localization.POOR
         return PoseEstimate(
             end,
             self.map_from_base,
             self.map_from_base @ odom_from_base.inverse(),
-            np.clip(_turned(tracked.covariance, self.back_end.map_from_local.yaw), -1e12, 1e12).reshape(9),
+            np.clip(covariance, -1e12, 1e12).reshape(9),
             tracked.quality,
-            tracked.state,
+            state,
         )
 
 

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from services.mapper.service import MapperConfig
 from shared.config import UserError
 from shared.geometry import Pose2
 from shared.ros_map import read_ros_map
 from tests.unit.zenav.logs import room_log
 from zenav.__main__ import _status
+from zenav.saved_map import read_saved_map, write_saved_map
 from zenav.slam import slam
 
 
@@ -54,8 +56,26 @@ def test_a_log_becomes_a_trajectory_a_map_a_picture_and_a_report(log, tmp_path):
 def test_the_same_log_gives_the_same_bytes_twice(log, tmp_path):
     for name in ("a", "b"):
         slam(log, tmp_path / name)
-    for name in ("trajectory.tum", "map.pgm", "map.yaml", "map.png"):
+    for name in ("trajectory.tum", "map.pgm", "map.yaml", "map.png", "graph.msgpack"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_its_map_loads_and_is_saved_again_to_the_same_bytes(log, tmp_path):
+    report = slam(log, tmp_path / "out")
+    saved = read_saved_map(tmp_path / "out")
+    assert len(saved.keyframes) == report["keyframes"] > 3
+    write_saved_map(tmp_path / "again", saved)
+    write_saved_map(tmp_path / "third", read_saved_map(tmp_path / "again"))
+    for name in ("map.pgm", "map.yaml", "graph.msgpack"):
+        content = (tmp_path / "out" / name).read_bytes()
+        assert content == (tmp_path / "again" / name).read_bytes() == (tmp_path / "third" / name).read_bytes()
+
+
+@pytest.mark.parametrize("name", ["", "nowhere"])
+def test_a_folder_without_a_saved_map_is_an_error_with_a_mend(tmp_path, name):
+    with pytest.raises(UserError, match="cannot read") as error:
+        read_saved_map(tmp_path / name)
+    assert error.value.mend
 
 
 def test_damaged_lines_are_skipped_and_told(log, tmp_path):
@@ -102,3 +122,17 @@ def test_a_place_that_cannot_be_written_is_refused(log, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match="cannot write"):
         slam(log, tmp_path / "file")
+
+
+@pytest.mark.parametrize(("mode", "folder"), [("localise", None), ("continue", None), ("map", "somewhere")])
+def test_a_mode_says_which_map_it_lacks_or_does_not_take(log, tmp_path, mode, folder):
+    with pytest.raises(UserError, match="map") as error:
+        slam(log, tmp_path / "out", mode=mode, saved_map=folder and tmp_path / folder)
+    assert "--map" in error.value.mend
+
+
+def test_a_map_of_other_cells_is_not_continued(log, tmp_path):
+    slam(log, tmp_path / "out")
+    config = MapperConfig.model_validate({"front_end": {"window": 40}, "occupancy": {"resolution": 0.1}})
+    with pytest.raises(UserError, match=r"cells of 0.05 m"):
+        slam(log, tmp_path / "more", config=config, mode="continue", saved_map=tmp_path / "out")
