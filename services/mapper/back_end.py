@@ -12,7 +12,7 @@ from services.mapper.keyframe import Keyframe
 from services.mapper.loop_closure import Blocks, Loop, LoopConfig, closed, in_own_frame
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.optimisation import PoseGraphConfig, optimised
-from services.mapper.pose_graph import Graph, Optimised, PoseGraph, between
+from services.mapper.pose_graph import Graph, Optimised, PoseGraph, between, pose_of
 from services.mapper.registration import Match, OdometryError, RegistrationConfig
 from services.mapper.saved_map import SavedMap
 from services.mapper.uncertainty import uncertainty_from
@@ -227,8 +227,7 @@ class BackEnd:
         before = self.graph.poses.copy()
         self.graph.take(optimum)
         last = self.keyframes[-1].local_from_base
-        row = self.graph.poses[-1]
-        self.map_from_local = Pose2(float(row[0]), float(row[1]), float(row[2])) @ last.inverse()
+        self.map_from_local = pose_of(self.graph.poses[-1]) @ last.inverse()
         if not self.fixed:
             self.moved += float(np.hypot(*(self.graph.poses - before)[:, :2].T).max())
 
@@ -281,9 +280,7 @@ def _still(graph: Graph) -> Graph:
 def drawn(drawing: Drawing) -> Drawing:
     """The drawing with the next slice of its keyframes in it. Its grid is handed on: who ordered it looks no more."""
     for keyframe, row in zip(drawing.keyframes[:SLICE], drawing.poses[:SLICE].tolist()):
-        pose = Pose2(*row)
-        origins, ends = keyframe.beams()
-        drawing.grid.integrate(pose @ origins, pose @ ends, pose @ keyframe.silence())
+        keyframe.draw(drawing.grid, Pose2(*row))
     if len(drawing.keyframes) <= SLICE:
         drawing.grid.settle()
     return Drawing(drawing.grid, drawing.keyframes[SLICE:], drawing.poses[SLICE:], drawing.node)

@@ -127,12 +127,8 @@ def _place(
     for keyframe, back, (points, normals) in zip(keyframes, backs, surfaces):
         if len(points) < LEAST_POINTS:
             continue
-        pose = match.map_from_base @ back
-        measured = submap.registrar.measured(points, normals, pose)
-        other = points[~measured.agree]
-        origin = np.nanmean(keyframe.origins, axis=0, dtype=np.float64)
-        against = submap.grid.contradicts(pose @ np.broadcast_to(origin, other.shape), pose @ other)
-        balances.append(float(measured.agree.sum() - against.sum()) / len(points))
+        measured = submap.registrar.measured(points, normals, match.map_from_base @ back)
+        balances.append(submap.balance(measured, keyframe.origin, points))
         shares.append(measured.share)
     map_from_local = match.map_from_base @ newest.inverse()
     if not balances:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.mapper.front_end import Sweep
+from services.mapper.occupancy import Occupancy
 from shared.geometry import Float64s, Pose2
 
 Float32s = NDArray[np.float32]
@@ -37,13 +38,16 @@ class Keyframe:
         arrays = (array.astype(np.float32) for array in (origins, ends, sweep.points, sweep.normals, told))
         return cls(stamp, local_from_base, *arrays)
 
-    def beams(self) -> tuple[Float64s, Float64s]:
-        """Origins and ends (n, 2), as the kernels take them."""
-        return self.origins.astype(np.float64), self.ends.astype(np.float64)
+    @property
+    def origin(self) -> Float64s:
+        """(2,) m in `base`, where its beams begin in the mean."""
+        return np.asarray(np.nanmean(self.origins, axis=0, dtype=np.float64))
 
-    def silence(self) -> Float64s:
-        """Ends (n, 2) of the free way of beams without an echo, as the kernels take them."""
-        return self.silent.astype(np.float64) if len(self.silent) else np.full(self.ends.shape, np.nan)
+    def draw(self, grid: Occupancy, pose: Pose2) -> None:
+        """Draws all its beams into a grid, with `base` at a pose in that one's frame."""
+        origins, ends = self.origins.astype(np.float64), self.ends.astype(np.float64)
+        silent = pose @ self.silent.astype(np.float64) if len(self.silent) else np.full_like(ends, np.nan)
+        grid.integrate(pose @ origins, pose @ ends, silent)
 
     def surface(self) -> tuple[Float64s, Float64s]:
         """Points and normals (k, 2), as the kernels take them."""

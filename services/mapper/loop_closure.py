@@ -17,7 +17,7 @@ from services.mapper.branch_and_bound import BranchAndBoundConfig, Pyramid, draw
 from services.mapper.front_end import LEAST_BEAMS
 from services.mapper.keyframe import Keyframe
 from services.mapper.occupancy import OccupancyConfig
-from services.mapper.pose_graph import Graph
+from services.mapper.pose_graph import Graph, pose_of, turned
 from services.mapper.registration import Match, Prior, RegistrationConfig
 from services.mapper.submap import Submap
 from services.mapper.uncertainty import uncertainty_from
@@ -87,8 +87,7 @@ class Blocks:
             for keyframe in keyframes[begin:end]:
                 pose = keyframe.local_from_base
                 submap.extend(pose, *keyframe.surface())
-                origins, ends = keyframe.beams()
-                submap.grid.integrate(pose @ origins, pose @ ends, np.full_like(ends, np.nan))
+                keyframe.draw(submap.grid, pose)
             submap.grid.trim()
             points = submap.registrar.map.points[: submap.registrar.map.n, :2]
             found = submap, drawn(np.ascontiguousarray(points), self._config.search)
@@ -146,7 +145,7 @@ def closed(
         return None
     submap, pyramid = blocks.about(graph.nodes, keyframes, row)
     keyframe, place = keyframes[last], keyframes[row].local_from_base
-    guess = place @ (_pose(graph.poses[row]).inverse() @ _pose(graph.poses[last]))
+    guess = place @ (pose_of(graph.poses[row]).inverse() @ pose_of(graph.poses[last]))
     sigma = sqrt(max(covariance[0, 0], covariance[1, 1]))
     sigma_turn = sqrt(covariance[2, 2])
     prior = Prior(guess, max(sigma, 0.05), max(sigma_turn, 0.03))
@@ -154,15 +153,12 @@ def closed(
     turn = min(max(config.sigmas * sigma_turn, 0.1), 0.5)
     points, normals = keyframe.surface()
     candidates = search(points, pyramid, guess, reach, turn, config.score, config.search)
-    origin = np.nanmean(keyframe.origins, axis=0, dtype=np.float64)
     best: tuple[float, Match] | None = None
     tried = []
     for start in (guess, *(candidate.pose for candidate in candidates)):
         match = submap.registrar.register(points, normals, start, prior)
-        pose, other = match.map_from_base, points[~match.agree]
-        against = submap.grid.contradicts(pose @ np.broadcast_to(origin, other.shape), pose @ other)
-        balance = float(match.agree.sum() - against.sum()) / max(len(points), 1)
-        tried.append((balance, pose))
+        balance = submap.balance(match, keyframe.origin, points)
+        tried.append((balance, match.map_from_base))
         if best is None or balance > best[0]:
             best = balance, match
     if best is None or best[1].share < config.share or best[0] < config.balance:
@@ -182,14 +178,7 @@ def in_own_frame(information: Float64s, yaw: float, known: Float64s, noise: floa
 
     known: (3, 3) in its own axes.  noise, noise_turn: m and rad, standard deviations.
     """
-    turned = Pose2(0, 0, -yaw)
-    rotation = np.eye(3)
-    rotation[:2, :2] = (turned @ np.eye(2)).T
-    own = rotation @ information @ rotation.T + known
+    own = turned(information, -yaw) + known
     covariance = np.linalg.inv(own) + np.diag((noise**2, noise**2, noise_turn**2))
     out = np.linalg.inv(covariance)
     return np.asarray((out + out.T) / 2)
-
-
-def _pose(row: Float64s) -> Pose2:
-    return Pose2(float(row[0]), float(row[1]), float(row[2]))

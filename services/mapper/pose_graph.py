@@ -169,7 +169,7 @@ class PoseGraph:
 
     def pose(self, node: int) -> Pose2:
         """map_from_base of a node."""
-        return _pose(self._nodes["pose"][self._row(node)])
+        return pose_of(self._nodes["pose"][self._row(node)])
 
     def leave_names(self, until: int) -> None:
         """The next node's name is this at least."""
@@ -281,7 +281,7 @@ class _Spoke:
 
     @classmethod
     def of(cls, edges: _Columns, k: int, hub: int) -> "_Spoke":
-        i, j, i_from_j = int(edges["i"][k]), int(edges["j"][k]), _pose(edges["relative"][k])
+        i, j, i_from_j = int(edges["i"][k]), int(edges["j"][k]), pose_of(edges["relative"][k])
         covariance, loop = np.linalg.inv(edges["information"][k]), bool(edges["loop"][k])
         if i == hub:
             return cls(j, i_from_j, covariance, loop)
@@ -328,7 +328,15 @@ def carried(b_from_c: Pose2, covariance: Float64s) -> Float64s:
     return np.asarray(adjoint @ covariance @ adjoint.T)
 
 
-def _pose(row: Float64s) -> Pose2:
+def turned(matrix: Float64s, yaw: float) -> Float64s:
+    """A covariance or an information (3, 3) of (x, y, yaw), in axes turned by -yaw."""
+    rotation = np.eye(3)
+    rotation[:2, :2] = (Pose2(0, 0, yaw) @ np.eye(2)).T
+    return np.asarray(rotation @ matrix @ rotation.T)
+
+
+def pose_of(row: Float64s) -> Pose2:
+    """A row (3,) of poses."""
     return Pose2(float(row[0]), float(row[1]), float(row[2]))
 
 

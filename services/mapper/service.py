@@ -16,7 +16,7 @@ from services.mapper.loop_closure import Loop, LoopConfig
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.odometry_track import OdometryConfig, OdometryTrack
 from services.mapper.optimisation import PoseGraphConfig
-from services.mapper.pose_graph import Optimised
+from services.mapper.pose_graph import Optimised, turned
 from services.mapper.registration import RegistrationConfig
 from services.mapper.saved_map import SavedMap
 from shared import requests, topics
@@ -207,9 +207,7 @@ class MapperService(Service):
         if map_from_local is not None:
             self.back_end.found(map_from_local, self.finder.waiting, self.front_end.odometry_error)
             for keyframe, _, _ in self.finder.waiting if not self.back_end.fixed else ():
-                pose = map_from_local @ keyframe.local_from_base
-                origins, ends = keyframe.beams()
-                self.grid.integrate(pose @ origins, pose @ ends, pose @ keyframe.silence())
+                keyframe.draw(self.grid, map_from_local @ keyframe.local_from_base)
             self.finder.waiting = []
             yield Log("INFO", f"found on the map after {self.finder.driven:.1f} m")
 
@@ -358,7 +356,7 @@ class MapperService(Service):
             odom_from_base = self.track.odom_from_start(end) @ self.track.at(end)
         else:
             odom_from_base = Pose2()
-        covariance, state = _turned(tracked.covariance, self.back_end.map_from_local.yaw), tracked.state
+        covariance, state = turned(tracked.covariance, self.back_end.map_from_local.yaw), tracked.state
         if self.finder.searching:
             covariance, state = ANYWHERE, Localization.STARTING
         elif self.back_end.fixed and self.back_end.unheld > self.config.unheld and state is Localization.GOOD:
@@ -371,13 +369,6 @@ class MapperService(Service):
             tracked.quality,
             state,
         )
-
-
-def _turned(covariance: Float64s, yaw: float) -> Float64s:
-    """A covariance (3, 3) of a pose, in axes turned by -yaw."""
-    rotation = np.eye(3)
-    rotation[:2, :2] = (Pose2(0, 0, yaw) @ np.eye(2)).T
-    return np.asarray(rotation @ covariance @ rotation.T)
 
 
 def _end(scan: LaserScan) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.mapper.occupancy import TILE_ARRAYS, Occupancy, OccupancyConfig
-from services.mapper.registration import REGISTRARS, RegistrationConfig
+from services.mapper.registration import REGISTRARS, Match, RegistrationConfig
 from services.mapper.surface import grid_surface
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
@@ -31,6 +31,12 @@ class Submap:
         """Adds a keyframe: surface points (n, 2) m in `base` with normals."""
         self.registrar.extend(pose @ points, Pose2(0, 0, pose.yaw) @ normals)
         self.n += 1
+
+    def balance(self, match: Match, origin: Float64s, points: Float64s) -> float:
+        """Share of points (n, 2) m in `base`, seen from origin (2,), that agree in a match, less those against it."""
+        pose, other = match.map_from_base, points[~match.agree]
+        against = self.grid.contradicts(pose @ np.broadcast_to(origin, other.shape), pose @ other)
+        return float(match.agree.sum() - against.sum()) / max(len(points), 1)
 
     @property
     def n_bytes(self) -> int:

@@ -292,8 +292,7 @@ def test_the_map_is_drawn_in_slices_that_let_others_by_and_shows_what_one_drawin
     assert n_slices >= 4
     once = Occupancy(OccupancyConfig(), 0)
     for keyframe, correction in zip(robot.back_end.keyframes, robot.back_end.corrections()):
-        origins, ends = ((correction @ keyframe.local_from_base) @ beams for beams in keyframe.beams())
-        once.integrate(origins, ends, np.full_like(ends, np.nan))
+        keyframe.draw(once, correction @ keyframe.local_from_base)
     grid = robot.drawings[-1]
     assert grid.places == once.places
     assert_array_equal(grid.odds[: len(grid.places)], once.odds[: len(grid.places)])
