@@ -44,14 +44,21 @@ def scene(robot: str, world: str, seed: int, settings: list[str], hardware: Hard
     settings += settings_for(hardware, file, None)
     file = configured(robot, settings)
     checked(file)
-    config = file.section("sim", SimConfig)
-    start = Pose2(config.start.x, config.start.y, config.start.yaw) if config.start else None
-    built = load(config.world, config.seed, config.clutter_jitter, config.barn_file, start)
+    built = world_of(file)
     if not built.goals:
         raise UserError(f"world {world} names no goals", "add some under `goals:`, or take --world office")
     goals = [(name, built.start.inverse() @ pose) for name, pose in built.goals.items()]
     names = services_for(hardware, file)
-    return Scene(robot, settings, file, built, [*goals, (HOME, Pose2())], names, config.seed, hardware)
+    return Scene(
+        robot, settings, file, built, [*goals, (HOME, Pose2())], names, file.section("sim", SimConfig).seed, hardware
+    )
+
+
+def world_of(file: RobotFile) -> World:
+    """The world that a robot's file names. Raises UserError where there is none, or it is wrong."""
+    config = file.section("sim", SimConfig)
+    start = Pose2(config.start.x, config.start.y, config.start.yaw) if config.start else None
+    return load(config.world, config.seed, config.clutter_jitter, config.barn_file, start)
 
 
 @dataclass

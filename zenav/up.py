@@ -17,6 +17,7 @@ from zenav.classes import built
 from zenav.client import Client
 from zenav.hardware import Hardware, emulated_ports, services_for, settings_for
 from zenav.launch import Launcher, claimed, service_command
+from zenav.scene import world_of
 from zenav.settings import checked
 from zenav.stopping import stopping
 
@@ -70,6 +71,8 @@ def up(
     file = configured(robot, settings)
     checked(file)
     names = chosen(only, services_for(hardware, file))
+    if "sim" in names:
+        world_of(file)  # one that is wrong is told before anything starts
     where = where_from(stack)
     clock = "" if speed == 1.0 else f"{time.time_ns()}:{speed:g}"
     clock_from(clock)

@@ -90,6 +90,7 @@ def test_a_mistyped_command_is_guessed(typed, meant, capsys):
         ("cancel --stack seven", "'seven'"),
         ("cancel --stack 9999", "'9999'"),
         ("up --only simm", "simm"),
+        ("up --world nowhere", "nowhere"),
         ("up --only sim --speed 3", "--speed"),
         ("run mapr", "mapr"),
         ("topic echo scn", "scn"),
