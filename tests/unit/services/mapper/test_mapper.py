@@ -96,7 +96,7 @@ def test_warming_up_changes_nothing():
     warm.warm()
     assert warm.state() == cold.state()
     assert not warm.grid.places
-    assert not warm.track.samples
+    assert not warm.arrivals.track.samples
 
 
 def test_a_restarted_odometry_does_not_move_the_pose_on_the_map():
@@ -204,7 +204,7 @@ def test_scans_from_another_time_are_dropped_and_counted(shift, why):
     stamp = robot.poses[-1].stamp - SECOND // 10
     robot.take(robot.mapper.scan(robot.scan([robot.true, robot.true], stamp + shift)))
     assert len(robot.poses) == n
-    assert robot.mapper.n_dropped[why] == 1
+    assert robot.mapper.arrivals.n_dropped[why] == 1
     assert any("dropped" in line for line in robot.logs)
 
 
@@ -213,7 +213,7 @@ def test_a_burst_of_stale_scans_is_dropped():
     robot.now += 10 * SECOND
     robot.mapper.now = robot.now
     robot.take(robot.mapper.scan(robot.scan([robot.true, robot.true], robot.now - 5 * SECOND)))
-    assert robot.mapper.n_dropped["late"] == 1
+    assert robot.mapper.arrivals.n_dropped["late"] == 1
 
 
 def test_a_clock_that_is_set_back_stops_nothing():
