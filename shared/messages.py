@@ -225,15 +225,27 @@ class Localization(StrEnum):
     LOST = "lost"
 
 
+class MapMode(StrEnum):
+    """What the mapper does with its map."""
+
+    MAP = "map"  # begins a new, empty one
+    LOCALISE = "localise"  # finds the robot on it, and leaves it as it is
+    CONTINUE = "continue"  # finds the robot on it, and goes on mapping
+
+
 @dataclass(frozen=True, slots=True)
 class PoseEstimate(Message):
-    """Where the robot is on the map, as of a scan. `quality` is the share of beams that agree with the map."""
+    """Where the robot is on the map, as of a scan. `quality` is the share of beams that agree with the map.
+
+    `mode`: what the mapper does with its map. While the robot is looked for, `state` is lost.
+    """
 
     map_from_base: Pose
     map_from_odom: Pose
     covariance: Covariance
     quality: Annotated[float, Unit("1"), Within(0, 1)]
     state: Annotated[Localization, Unit("1")]
+    mode: Annotated[MapMode, Unit("1")] = MapMode.MAP
 
 
 TILE_CELLS = 64  # a tile's side, in cells; 64 x 64 int8 is 4 kB on the wire

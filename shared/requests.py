@@ -59,6 +59,65 @@ class LoadMap(Message):
     map_from_base: Pose
 
 
+MAP_PART = 2**20
+"""bytes of a saved map that one message carries at most."""
+MOST_PARTS = 512
+"""of one map: 512 MiB, some 30 000 keyframes of 450 beams."""
+
+
+@dataclass(frozen=True, slots=True)
+class FetchMap(Message):
+    """A part of the present map as the file graph.msgpack; `copy` names the copy that is being fetched, 0: make one."""
+
+    copy: Count
+    part: Count
+
+
+@dataclass(frozen=True, slots=True)
+class MapPart(Message):
+    """The part; or a refusal, of which `busy` is one to ask again after. `parts` is 0 while the copy is made."""
+
+    accepted: Flag
+    reason: Text
+    detail: Text
+    copy: Count = 0
+    parts: Count = 0
+    data: Annotated[bytes, Unit("bytes")] = b""
+
+
+@dataclass(frozen=True, slots=True)
+class GiveMap(Message):
+    """A part of a file graph.msgpack for the mapper, from the first to the last; `transfer` is the giver's number."""
+
+    transfer: Count
+    part: Annotated[int, Unit("1"), m.Within(0, MOST_PARTS - 1)]
+    parts: Annotated[int, Unit("1"), m.Within(1, MOST_PARTS)]
+    data: Annotated[bytes, Unit("bytes")]
+
+    def problem(self) -> str | None:
+        if len(self.data) > MAP_PART:
+            return f"a part of over {MAP_PART} bytes"
+        return None if self.part < self.parts else "a part beyond the last one"
+
+
+@dataclass(frozen=True, slots=True)
+class StartMap(Message):
+    """Go on in a mode: on the map of a transfer, or on the present one (`transfer` 0).
+
+    at: where the robot is on it, which is checked against the scan; or none: wherever it is, and on the present map,
+    where it is by now. A new map starts where the robot stands.
+    """
+
+    mode: Annotated[m.MapMode, Unit("1")]
+    transfer: Count
+    at: Annotated[tuple[Pose, ...], Unit("m, m, rad")] = ()
+
+    def problem(self) -> str | None:
+        if len(self.at) > 1:
+            return "more than one pose"
+        return "a new map has no place yet" if self.mode is m.MapMode.MAP and (self.transfer or self.at) else None
+
+
 @dataclass(frozen=True, slots=True)
 class Break(Message):
     """Let this fault of the emulated hardware begin, for so many seconds (0: until it is mended), or end it (`mended`).
@@ -86,6 +145,9 @@ EXPLORE = Request("request/explore", Explore, Reply, by="navigator")
 CANCEL = Request("request/cancel", Cancel, Reply, by="navigator")
 PAUSE = Request("request/pause", Pause, Reply, by="navigator")
 LOAD_MAP = Request("request/load_map", LoadMap, Reply, by="mapper")
+FETCH_MAP = Request("request/fetch_map", FetchMap, MapPart, by="mapper")
+GIVE_MAP = Request("request/give_map", GiveMap, Reply, by="mapper")
+START_MAP = Request("request/start_map", StartMap, Reply, by="mapper")
 FAULT = Request("request/fault", Break, Reply, by="sim")
 
 REQUESTS: tuple[Request[Message, Message], ...] = tuple(r for r in list(globals().values()) if isinstance(r, Request))

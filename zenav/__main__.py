@@ -115,6 +115,13 @@ Json = Annotated[bool, typer.Option("--json", help="JSON, one object a line.")]
 Key = Annotated[str, typer.Argument(help="Topic, like scan or health/mapper.", autocompletion=_keys)]
 Seconds = Annotated[float, typer.Option(min=0.1, help="s")]
 Out = Annotated[Path | None, typer.Option("--out", help="JSON file for the results.")]
+At = Annotated[
+    tuple[float, float, float] | None,
+    typer.Option(metavar="X Y DEG", help="Where the robot stands on the map, roughly; without it: found by driving."),
+]
+SavedMapMode = Annotated[
+    Literal["localise", "continue"], typer.Option(help="Leave the map as it is, or go on mapping.")
+]
 Write = Annotated[bool, typer.Option("--write", help="Put the result into the robot's file.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Do not ask before the robot moves.")]
 Seeds = Annotated[str, typer.Option(help="Like 3, 0-9 or 0,4,7-9.")]
@@ -354,11 +361,11 @@ def save(
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:
-    """Write the present map as map.pgm + map.yaml (ROS map_server) and map.png.
+    """Write the present map: map.pgm + map.yaml (ROS map_server), graph.msgpack to go on from, and map.png.
 
     Example: zenav map save office
     """
-    from zenav.maps import save
+    from zenav.map_modes import save
 
     save(robot, stack, place)
 
@@ -366,19 +373,48 @@ def save(
 @map_.command(cls=Command)
 def load(
     place: Annotated[str, typer.Argument(help="Name below maps/, a folder, or a map's YAML.")],
-    x: Annotated[float, typer.Option(help="m: where the robot stands on it.")] = 0.0,
-    y: Annotated[float, typer.Option(help="m")] = 0.0,
-    yaw: Annotated[float, typer.Option(help="Degrees, counter-clockwise.")] = 0.0,
+    at: At = None,
+    mode: SavedMapMode = "localise",
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:
-    """Give a map to the mapper, with the robot's place on it.
+    """Give a saved map to the mapper, which finds the robot on it.
 
-    Example: zenav map load office --x 2 --y -1 --yaw 90
+    Example: zenav map load office --at 2 -1 90
     """
-    from zenav.maps import load
+    from shared.messages import MapMode
+    from zenav.map_modes import load
 
-    raise typer.Exit(load(robot, stack, place, (x, y, yaw)))
+    raise typer.Exit(load(robot, stack, place, MapMode(mode), at))
+
+
+@map_.command(cls=Command)
+def new(robot: RobotName = "x80sv", stack: Stack = "0") -> None:
+    """Begin a new, empty map where the robot is.
+
+    Example: zenav map new
+    """
+    from shared.messages import MapMode
+    from zenav.map_modes import change
+
+    raise typer.Exit(change(robot, stack, MapMode.MAP, None))
+
+
+@map_.command(cls=Command)
+def mode(
+    mode: Annotated[Literal["map", "localise"], typer.Argument(help="Go on mapping, or leave the map as it is.")],
+    at: At = None,
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Go on with the present map in another mode.
+
+    Example: zenav map mode localise
+    """
+    from shared.messages import MapMode
+    from zenav.map_modes import change
+
+    raise typer.Exit(change(robot, stack, MapMode.CONTINUE if mode == "map" else MapMode.LOCALISE, at))
 
 
 @map_.command(cls=Command)

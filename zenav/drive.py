@@ -12,7 +12,7 @@ from shared.config import UserError, load_robot
 from shared.geometry import Pose2, wrapped
 from shared.messages import EmergencyStop, GuardState, GuardStatus, NavState, NavStatus
 from shared.reasons import REASONS, told
-from shared.requests import Cancel, Explore, Navigate, Pause, Reply
+from shared.requests import Cancel, Explore, MapPart, Navigate, Pause, Reply
 from shared.runners.transport import where_from
 from zenav.client import Client
 from zenav.stopping import stopping
@@ -158,13 +158,22 @@ def _accepted(reply: Reply) -> Reply:
     return reply
 
 
-def refusal(reply: Reply) -> UserError:
+class RefusedError(UserError):
+    """A service refused a request; `code` is the reason's."""
+
+    def __init__(self, code: str, what: str, mend: str) -> None:
+        super().__init__(what, mend)
+        self.code = code
+
+
+def refusal(reply: Reply | MapPart) -> RefusedError:
     """What a refusing reply says, with its mend."""
     reason = REASONS.get(reply.reason)
     if reason is None:
-        return UserError(reply.detail or reply.reason or "refused", "see nav/status")
+        return RefusedError(reply.reason, reply.detail or reply.reason or "refused", "see nav/status")
     told_already = reply.detail.startswith(reason.text)
-    return UserError(reason.text + (f": {reply.detail}" if reply.detail and not told_already else ""), reason.mend)
+    what = reason.text + (f": {reply.detail}" if reply.detail and not told_already else "")
+    return RefusedError(reply.reason, what, reason.mend)
 
 
 def _task(robot: str, stack: str, start: Callable[[Client], Reply], where: str = "") -> int:

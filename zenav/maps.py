@@ -1,59 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav map`: the running stack's map to files, files to the mapper, and either to the terminal."""
+"""Maps as files, and in the terminal."""
 
 import sys
-from math import radians
 from pathlib import Path
 
 import numpy as np
 
-from shared import requests, topics
+from shared import topics
 from shared.config import UserError, load_robot, nearest
-from shared.geometry import Pose2, wrapped
 from shared.grid import OccupancyGrid
 from shared.messages import TILE_CELLS, MapUpdate
 from shared.reasons import NO_MAP, NO_SUCH_MAP
-from shared.requests import LoadMap
-from shared.ros_map import read_ros_map, replace_file, write_ros_map
+from shared.ros_map import read_ros_map, ros_map_files
 from shared.runners.transport import where_from
 from zenav.client import Client
-from zenav.drive import refusal
 from zenav.picture import map_picture
+from zenav.saved_map import GRAPH
+from zenav.store import replace_together
 
 FOLDER = Path("maps")
 WIDEST = 100  # characters of a map in the terminal
 
 
-def save(robot: str, stack: str, place: str) -> None:
-    """Writes the present map into a folder."""
-    folder = FOLDER / place if place.replace("_", "").replace("-", "").isalnum() else Path(place)
-    written = write(present(robot, stack), folder)
-    sys.stdout.write(f"{written}\n")
+def picture_files(grid: OccupancyGrid) -> dict[str, bytes]:
+    """The files of a map without a pose graph, for zenav.store; one that lies there is of another map."""
+    drawn = ros_map_files(grid.cells, grid.resolution, grid.x0, grid.y0)
+    return drawn | {"map.png": map_picture(grid, np.zeros((0, 3))), GRAPH: b""}
 
 
 def write(grid: OccupancyGrid, folder: Path) -> Path:
-    """Writes map.pgm, map.yaml and map.png; returns the YAML's path. Raises UserError where the folder refuses."""
-    yaml = write_ros_map(folder, grid.cells, grid.resolution, grid.x0, grid.y0)
-    replace_file(folder / "map.png", map_picture(grid, np.zeros((0, 3))))
-    return yaml
-
-
-def load(robot: str, stack: str, place: str, at: tuple[float, float, float]) -> int:
-    """Gives a saved map to the mapper; `at` is where the robot stands on it: m, m, degrees."""
-    update = update_of(found(place))
-    pose = Pose2(at[0], at[1], wrapped(radians(at[2])))
-    with Client(load_robot(robot).robot.name, where_from(stack)) as client:
-        client.answers(requests.LOAD_MAP, 3.0)
-        reply = client.ask(requests.LOAD_MAP, LoadMap(client.now(), update, pose), timeout=20.0)
-    if not reply.accepted:
-        raise refusal(reply)
-    sys.stdout.write(f"{reply.detail}\n")
-    return 0
+    """Writes a map without a pose graph; returns the YAML's path. Raises UserError where the folder refuses."""
+    replace_together(folder, picture_files(grid))
+    return folder / "map.yaml"
 
 
 def show(robot: str, stack: str, place: str) -> None:
     """Draws a map with half blocks: two cells above each other are one character."""
-    grid = grid_of(found(place)) if place else present(robot, stack)
+    if place:
+        grid = grid_of(found(place))
+    else:
+        with Client(load_robot(robot).robot.name, where_from(stack)) as client:
+            grid = present(client)
     rows, columns = np.nonzero(grid.cells >= 0)
     if not len(rows):
         raise UserError("the map is empty", "nothing was seen yet")
@@ -68,12 +55,11 @@ def show(robot: str, stack: str, place: str) -> None:
     sys.stdout.write(f"{size[0]:.1f} x {size[1]:.1f} m, a character is {step * grid.resolution:.2f} m wide\n")
 
 
-def present(robot: str, stack: str) -> OccupancyGrid:
+def present(client: Client) -> OccupancyGrid:
     """The running stack's map. Raises UserError where there is none."""
-    with Client(load_robot(robot).robot.name, where_from(stack)) as client:
-        client.follow(topics.MAP)
-        update = client.wait(topics.MAP, lambda u: len(u.rows) > 0, 5.0)
-        whole = client.kept(topics.MAP) or update
+    client.follow(topics.MAP)
+    update = client.wait(topics.MAP, lambda u: len(u.rows) > 0, 5.0)
+    whole = client.kept(topics.MAP) or update
     if whole is None:
         raise UserError(NO_MAP.text, NO_MAP.mend)
     return grown(whole)

@@ -41,6 +41,9 @@ class FindingConfig(Section):
         0.01, ge=0, le=1, description="least share of what the beams tell of one direction in what they tell of another"
     )
     wide: float = Field(3.0, ge=0.5, le=100, description="m from the best place beyond which a further one is sought")
+    near: float = Field(1.5, ge=0.1, le=20, description="m that a given pose may be off")
+    near_turn: float = Field(0.6, ge=0.05, le=3.1, description="rad that its heading may be off")
+    near_looks: int = Field(3, ge=1, le=100, description="in vain near a given pose, until it is looked for everywhere")
     kept: int = Field(200, ge=10, le=100_000, description="keyframes at most that wait until the robot is found")
     search: BranchAndBoundConfig = BranchAndBoundConfig(rival=0.7)
 
@@ -80,9 +83,16 @@ class Surface:
 
 
 def places_of(
-    surface: Surface, keyframes: Sequence[Keyframe], guesses: Sequence[Pose2], config: FindingConfig
+    surface: Surface,
+    keyframes: Sequence[Keyframe],
+    guesses: Sequence[Pose2],
+    config: FindingConfig,
+    near: Pose2 | None = None,
 ) -> list[Place]:
-    """Where `local` may lie on the map, by the keyframes together, best first; guesses: map_from_local, tried too."""
+    """Where `local` may lie on the map, by the keyframes together, best first; guesses: map_from_local, tried too.
+
+    near: a given map_from_local; it is looked for around that alone.
+    """
     submap, pyramid = surface.made(config.search)
     newest = keyframes[-1].local_from_base
     backs = [newest.inverse() @ keyframe.local_from_base for keyframe in keyframes]
@@ -95,11 +105,13 @@ def places_of(
     some, some_normals = np.ascontiguousarray(points[::stride]), np.ascontiguousarray(normals[::stride])
     height, width = pyramid.levels[0].shape
     across = Pose2(width * pyramid.resolution / 2 + pyramid.x0, height * pyramid.resolution / 2 + pyramid.y0)
-    reach = max(width, height) * pyramid.resolution / 2
+    reach, turn = max(width, height) * pyramid.resolution / 2, pi
+    if near is not None:
+        across, reach, turn = near @ newest, config.near, config.near_turn
     starts = [guess @ newest for guess in guesses]
     for apart in (config.search.apart, config.wide):
         found = search(
-            points, pyramid, across, reach, pi, config.score, config.search.model_copy(update={"apart": apart})
+            points, pyramid, across, reach, turn, config.score, config.search.model_copy(update={"apart": apart})
         )
         starts += [candidate.pose for candidate in found if candidate.pose not in starts]
         if len(found) < 2:  # no rival near the best, so none farther off
@@ -166,8 +178,8 @@ class Finder:
         self.surface = Surface(saved, *self._settings) if saved is not None else None
         self.start()
 
-    def start(self) -> None:
-        """The robot may be anywhere on the map."""
+    def start(self, near: Pose2 | None = None) -> None:
+        """The robot may be anywhere on the map; or near a given map_from_local, where one good look is enough."""
         self.epoch += 1
         self.searching = self.surface is not None
         self.looking = False
@@ -175,6 +187,7 @@ class Finder:
         self.driven = 0.0  # m
         self.looked_at = -inf  # m driven, at the last look
         self.guesses: tuple[Pose2, ...] = ()
+        self.near, self.n_near = near, 0  # and looks there in vain
         self.agreed: tuple[Pose2, float, int] | None = None  # a place, m driven when first found, looks that found it
 
     def keep(self, keyframe: Keyframe, match: Match, doubt: float) -> Out:
@@ -187,7 +200,7 @@ class Finder:
         if self.surface is not None and not self.looking and self.driven - self.looked_at >= self.config.every:
             self.looked_at, self.looking = self.driven, True
             newest = tuple(kept for kept, _, _ in self.waiting[-self.config.keyframes :])
-            yield Job(_looked, (self.epoch, self.surface, newest, self.guesses, self.config), "found", 0.5)
+            yield Job(_looked, (self.epoch, self.surface, newest, self.guesses, self.config, self.near), "found", 0.5)
 
     def take(self, result: tuple[int, list[Place]]) -> Pose2 | None:
         """What a look found; map_from_local where the robot's place is sure now."""
@@ -199,19 +212,27 @@ class Finder:
         rival = places[1].balance if len(places) > 1 else 0.0
         if not places or not places[0].sure or rival > self.config.unlike * places[0].balance:
             self.agreed = None
+            self.n_near += 1
+            if self.n_near >= self.config.near_looks:
+                self.near = None
             return None
         found = places[0].map_from_local
         if self.agreed is None or not one(found, self.agreed[0], self.waiting[-1][0].local_from_base):
             self.agreed = found, self.looked_at, 0
         _, since, looks = self.agreed
         self.agreed = found, since, looks + 1
-        if looks + 1 < self.config.looks or self.looked_at - since < self.config.way:
+        if self.near is None and (looks + 1 < self.config.looks or self.looked_at - since < self.config.way):
             return None
         self.searching = False
         return found
 
 
 def _looked(
-    epoch: int, surface: Surface, keyframes: Sequence[Keyframe], guesses: Sequence[Pose2], config: FindingConfig
+    epoch: int,
+    surface: Surface,
+    keyframes: Sequence[Keyframe],
+    guesses: Sequence[Pose2],
+    config: FindingConfig,
+    near: Pose2 | None,
 ) -> tuple[int, list[Place]]:
-    return epoch, places_of(surface, keyframes, guesses, config)
+    return epoch, places_of(surface, keyframes, guesses, config, near)

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The map and the robot on it: each scan is placed by the front end, and joins the map that the back end holds
-together; on a saved map, the robot is looked for until it is found.
+together, unless the mode is to leave the map as it is. Where the robot is lost, it is looked for until it is found.
 """
+
+from math import hypot
 
 import numpy as np
 
@@ -17,11 +19,13 @@ from services.mapper.saved_map import SavedMap
 from shared import topics
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import Localization, MapUpdate, PoseEstimate
+from shared.messages import Localization, MapMode, MapUpdate, PoseEstimate
 from shared.service import Log, Out
 
 ANYWHERE = np.diag((1e6, 1e6, 10.0))
 """Covariance (m^2, rad^2) of a robot that was not found on its map yet."""
+ASTRAY = 0.3
+"""m driven while lost until the robot is looked for everywhere: a laser that was covered may see again at its place."""
 
 
 class Mapping:
@@ -39,6 +43,15 @@ class Mapping:
         self.grid = Occupancy(occupancy, 0)
         self.tracked: Tracked | None = None
         self.doubt = 1.0  # the largest since the last keyframe
+        self.mode = MapMode.MAP
+        self.saved: SavedMap | None = None  # what is left as it is
+        self.known: Pose2 | None = None  # map_from_local of the next keyframe, which begins a session
+        self.astray = 0.0  # m driven since the robot was lost
+
+    @property
+    def changes(self) -> bool:
+        """Whether the map does."""
+        return self.mode is not MapMode.LOCALISE
 
     @property
     def map_from_base(self) -> Pose2:
@@ -50,7 +63,7 @@ class Mapping:
             self.grid = Occupancy(self.occupancy, max(now, 1))
         self.doubt = max(self.doubt, arrival.doubt)
         self.tracked = self.front_end.track(arrival.origins, arrival.ends, arrival.step, arrival.doubt)
-        if self.tracked.trusted and not self.finder.searching and not self.back_end.fixed:
+        if self.tracked.trusted and not self.finder.searching and self.changes:
             pose = self.map_from_base
             self.grid.integrate(pose @ arrival.origins, pose @ arrival.ends, pose @ arrival.silent)
         return self.tracked
@@ -63,17 +76,24 @@ class Mapping:
             )
             if self.finder.searching:
                 yield from self.finder.keep(keyframe, tracked.match, self.doubt)
+            elif self.known is not None:
+                waiting = [(keyframe, tracked.match, self.doubt)]
+                self.back_end.found(self.known, waiting, self.front_end.odometry_error)
+                self.known = None
             else:
                 yield from self.loops.keep(keyframe, tracked.match, self.front_end.odometry_error, self.doubt)
             self.doubt = 1.0
-        if tracked.state is Localization.LOST and self.finder.surface is not None:
+        self.astray += hypot(arrival.step.x, arrival.step.y)
+        if tracked.state is not Localization.LOST or self.finder.searching:
+            self.astray = 0.0
+        elif self.astray >= ASTRAY and self.has_graph:
             yield from self._carried_away()
 
     def estimate(self, arrival: Arrival, tracked: Tracked) -> PoseEstimate:
         """Where the robot is, as of a placed scan."""
         covariance, state = turned(tracked.covariance, self.back_end.map_from_local.yaw), tracked.state
         if self.finder.searching:
-            covariance, state = ANYWHERE, Localization.STARTING
+            covariance, state = ANYWHERE, Localization.LOST
         elif self.back_end.fixed and self.back_end.unheld > self.unheld and state is Localization.GOOD:
             state = Localization.POOR
         return PoseEstimate(
@@ -83,6 +103,7 @@ class Mapping:
             np.clip(covariance, -1e12, 1e12).reshape(9),
             tracked.quality,
             state,
+            self.mode,
         )
 
     def publish(self, now: int) -> Out:
@@ -91,38 +112,102 @@ class Mapping:
         if update is not None:
             yield topics.MAP(update)
 
-    def go_on(self, saved: SavedMap, fixed: bool, now: int) -> None:
-        """Goes on with a saved map, wherever on it the robot is; `fixed`: it only localises, and the map stays."""
-        self._anew(max(now, self.grid.map_id + 1), saved.tiles)
+    @property
+    def has_graph(self) -> bool:
+        """Whether there are keyframes to save, to localise by and to look for the robot with."""
+        return self.front_end.window.moves and bool(self.back_end.keyframes)
+
+    @property
+    def drawing(self) -> bool:
+        """Whether the map is not yet what the graph says."""
+        return self.loops.drawing or self.back_end.outdated
+
+    def snapshot(self) -> SavedMap:
+        """The present map; one that is left as it is, as it was loaded."""
+        if self.saved is not None:
+            return self.saved
+        back_end = self.back_end
+        whole = self.grid.whole(0)
+        return SavedMap(back_end.graph.snapshot(), tuple(back_end.keyframes), np.array(back_end.driven), whole)
+
+    def begin(self, now: int) -> None:
+        """A new, empty map, that begins where the robot is."""
+        self._anew(max(now, self.grid.map_id + 1), None, MapMode.MAP)
         self.front_end.start(Pose2())
-        self.back_end.load(saved, fixed)
-        self.finder.load(saved)
+        self.finder.load(None)
         self.tracked = None
 
-    def load(self, tiles: MapUpdate, grid: OccupancyGrid, map_id: int, map_from_base: Pose2) -> None:
+    def go_on(self, saved: SavedMap, mode: MapMode, now: int, at: Pose2 | None = None) -> None:
+        """Goes on with a saved map, near a pose, or wherever on it the robot is."""
+        self._anew(max(now, self.grid.map_id + 1), saved.tiles, mode)
+        self.front_end.start(at or Pose2())
+        self._take(saved)
+        self.finder.load(saved)
+        if at is not None:
+            self.finder.start(near=Pose2())
+        self.tracked = None
+
+    def switch(self, mode: MapMode) -> None:
+        """Goes on with the present map in another mode, and with the robot where it is."""
+        if self.changes == (mode is not MapMode.LOCALISE):
+            return
+        saved = self.snapshot() if self.has_graph else None
+        self.mode = mode
+        if saved is None:
+            return
+        if self.finder.searching:
+            near = self.finder.near
+            self.loops.start()
+            self._take(saved)
+            self.finder.load(saved)
+            self.front_end.start(self.front_end.local_from_base)
+            self.finder.start(near)
+            return
+        map_from_local = self.known or self.back_end.map_from_local
+        self.loops.start()
+        self._take(saved)
+        self.back_end.map_from_local = self.known = map_from_local
+        self.finder.load(saved if not self.changes else None)
+        self.finder.searching = False
+
+    def _take(self, saved: SavedMap) -> None:
+        self.back_end.load(saved, fixed=not self.changes)
+        self.saved = saved if not self.changes else None
+
+    def load(self, tiles: MapUpdate, grid: OccupancyGrid, map_id: int, map_from_base: Pose2, mode: MapMode) -> None:
         """Goes on with a map that has no graph, from near a pose; grid: the tiles'."""
-        self._anew(map_id, tiles)
+        self._anew(map_id, tiles, mode)
         self.front_end.load(grid, tiles, map_from_base)
         self.finder.load(None)
 
     def found(self, result: tuple[int, list[Place]]) -> Out:
-        """The robot was looked for on the saved map."""
+        """The robot was looked for on the map."""
+        near = self.finder.near
         map_from_local = self.finder.take(result)
         if map_from_local is not None:
             self.back_end.found(map_from_local, self.finder.waiting, self.front_end.odometry_error)
-            for keyframe, _, _ in self.finder.waiting if not self.back_end.fixed else ():
+            for keyframe, _, _ in self.finder.waiting if self.changes else ():
                 keyframe.draw(self.grid, map_from_local @ keyframe.local_from_base)
-            self.finder.waiting = []
             yield Log("INFO", f"found on the map after {self.finder.driven:.1f} m")
+            self.finder.waiting = []
+            if self.changes:  # it will be another map when the robot is lost again
+                self.finder.surface = None
+        elif near is not None and self.finder.near is None:
+            yield Log("WARNING", "the robot is not near the given pose: looking for it on the whole map")
 
-    def _anew(self, map_id: int, tiles: MapUpdate) -> None:
+    def _anew(self, map_id: int, tiles: MapUpdate | None, mode: MapMode) -> None:
         self.grid = Occupancy(self.occupancy, map_id)
-        self.grid.load(tiles)
+        if tiles is not None:
+            self.grid.load(tiles)
         self.loops.start()
+        self.mode, self.saved, self.known, self.astray = mode, None, None, 0.0
 
     def _carried_away(self) -> Out:
-        """The robot is lost on a saved map: it may be anywhere."""
+        """The robot is lost: it may be anywhere."""
+        if self.finder.surface is None:
+            self.finder.load(self.snapshot())
         self.front_end.start(self.front_end.local_from_base)
         self.back_end.part()
+        self.known = None
         self.finder.start()
         yield Log("WARNING", "lost: looking for the robot on the whole map")

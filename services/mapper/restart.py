@@ -16,13 +16,13 @@ class Before:
         self.map: MapUpdate | None = None
         self.pose: PoseEstimate | None = None
 
-    def known(self) -> tuple[MapUpdate, OccupancyGrid, Pose2] | None:
-        """The map, its grid and where the robot was on it; None until all are known and the map tells anything."""
+    def known(self) -> tuple[MapUpdate, OccupancyGrid, PoseEstimate] | None:
+        """The map, its grid and how the robot was on it; None until all are known and the map tells anything."""
         if self.map is None or self.pose is None:
             return None
         grid = OccupancyGrid(self.map.resolution, self.map.map_id)
         grid.apply(self.map)
-        return (self.map, grid, self.pose.map_from_base) if grid.occupied.any() else None
+        return (self.map, grid, self.pose) if grid.occupied.any() else None
 
     def whereabouts(self, track: OdometryTrack, end: int, max_speed: float) -> tuple[Pose2, Pose2] | None:
         """Where the robot is by odometry, which went on meanwhile, and where it was; asked once, at the first scan.

@@ -18,13 +18,14 @@ from services.mapper.pose_graph import Optimised
 from services.mapper.registration import RegistrationConfig
 from services.mapper.restart import Before
 from services.mapper.saved_map import SavedMap
+from services.mapper.transfer import Incoming, Outgoing
 from shared import requests, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
-from shared.reasons import BAD_REQUEST
-from shared.requests import LoadMap, Reply
+from shared.messages import LaserScan, MapMode, MapUpdate, Odometry, PoseEstimate
+from shared.reasons import BAD_REQUEST, BUSY, NO_GRAPH
+from shared.requests import FetchMap, GiveMap, LoadMap, MapPart, Reply, StartMap
 from shared.service import Answer, Log, Out, Service, answer, every, on
 
 SECOND = 1_000_000_000
@@ -68,6 +69,7 @@ class MapperService(Service):
         self.finder = Finder(config.finding, config.registration, config.occupancy, range_max)
         self.mapping = Mapping(self.front_end, self.back_end, self.finder, config.occupancy, config.unheld)
         self.before = Before()
+        self.outgoing, self.incoming = Outgoing(), Incoming()
 
     def warm(self) -> None:
         """Runs a copy of the whole path on a made-up room."""
@@ -105,7 +107,7 @@ class MapperService(Service):
         if self.mapping.tracked is None:
             return "waiting for a scan"
         found = "looking for the robot on the map" if self.finder.searching else str(self.mapping.tracked.state)
-        words = f"{found}, {len(self.grid.places)} tiles"
+        words = f"{self.mapping.mode}: {found}, {len(self.grid.places)} tiles"
         dropped = sum(self.arrivals.n_dropped.values())
         words += f", {dropped} scans dropped" if dropped else ""
         return words + (", no odometry: scan matching alone" if self.arrivals.blind else "")
@@ -148,6 +150,8 @@ class MapperService(Service):
         """What changed; and where the graph has moved, the map is drawn anew now and then."""
         yield from self.mapping.publish(self.now)
         yield from self.mapping.loops.redraw(self.now)
+        self.outgoing.tick(self.now)
+        self.incoming.tick(self.now)
 
     def looked(self, result: tuple[int, list[Loop]]) -> Out:
         """Closures were found, or none."""
@@ -171,32 +175,77 @@ class MapperService(Service):
         """The robot was looked for on the saved map."""
         return self.mapping.found(result)
 
-    def go_on(self, saved: SavedMap, fixed: bool) -> Out:
-        """Goes on with a saved map, wherever on it the robot is; `fixed`: it only localises, and the map stays."""
-        self.mapping.go_on(saved, fixed, self.now)
+    def copied(self, result: tuple[int, bytes]) -> Out:
+        """A copy of the map is ready to be fetched."""
+        self.outgoing.take(result)
+        return ()
+
+    def checked(self, result: tuple[int, SavedMap | str]) -> Out:
+        """A map that was given is whole, or not."""
+        self.incoming.take(result)
+        return ()
+
+    def go_on(self, saved: SavedMap, fixed: bool, at: Pose2 | None = None) -> Out:
+        """Goes on with a saved map, near a pose, or wherever on it the robot is; `fixed`: the map stays as it is."""
+        self.mapping.go_on(saved, MapMode.LOCALISE if fixed else MapMode.CONTINUE, self.now, at)
         self.arrivals.start()
         return self.publish_map()
 
+    @answer(requests.FETCH_MAP)
+    def fetch_map(self, request: FetchMap) -> Answer[MapPart]:
+        return self.outgoing.answer(request, self.mapping, self.now)
+
+    @answer(requests.GIVE_MAP)
+    def give_map(self, request: GiveMap) -> Answer[Reply]:
+        if not self.config.front_end.window:
+            return Reply(self.now, False, NO_GRAPH.code, "")
+        return (yield from self.incoming.add(request, self.now))
+
+    @answer(requests.START_MAP)
+    def start_map(self, request: StartMap) -> Answer[Reply]:
+        saved = self.incoming.given(request.transfer, self.now) if request.transfer else None
+        if isinstance(saved, Reply):
+            return saved
+        if saved is None and self.mapping.drawing:
+            return Reply(self.now, False, BUSY.code, "the map is being drawn anew")
+        at = request.at[0] if request.at else None
+        if request.mode is MapMode.MAP:
+            self.mapping.begin(self.now)
+            self.arrivals.start()
+        elif saved is None and at is None:
+            self.mapping.switch(request.mode)
+        elif saved is None and not self.mapping.has_graph:
+            whole = self.grid.whole(self.now)
+            return (yield from self._load(whole, at or Pose2(), request.mode))
+        else:
+            yield from self.go_on(saved or self.mapping.snapshot(), request.mode is MapMode.LOCALISE, at)
+        return Reply(self.now, True, "", f"{self.mapping.mode}: {len(self.back_end.keyframes)} keyframes")
+
     @answer(requests.LOAD_MAP)
     def load_map(self, request: LoadMap) -> Answer[Reply]:
-        rows, columns = request.map.rows, request.map.columns
+        return self._load(request.map, request.map_from_base, MapMode.CONTINUE)
+
+    def _load(self, tiles: MapUpdate, at: Pose2, mode: MapMode) -> Answer[Reply]:
+        """Goes on with a map that has no graph, from near a pose."""
+        rows, columns = tiles.rows, tiles.columns
         if len(rows) and (int(np.ptp(rows)) + 1) * (int(np.ptp(columns)) + 1) > MOST_TILES:
             return Reply(self.now, False, BAD_REQUEST.code, "the map's tiles lie too far apart to be one building")
-        grid = OccupancyGrid(request.map.resolution, request.map.map_id)
-        grid.apply(request.map)
+        grid = OccupancyGrid(tiles.resolution, tiles.map_id)
+        grid.apply(tiles)
         if not grid.occupied.any():
             return Reply(self.now, False, BAD_REQUEST.code, "the map holds no occupied cell to find the robot by")
-        self.mapping.load(request.map, grid, max(self.now, self.grid.map_id + 1), request.map_from_base)
+        self.mapping.load(tiles, grid, max(self.now, self.grid.map_id + 1), at, mode)
         self.arrivals.start()
         yield from self.mapping.publish(self.now)
-        return Reply(self.now, True, "", f"{len(request.map.rows)} tiles")
+        return Reply(self.now, True, "", f"{len(rows)} tiles")
 
     def _take_up(self) -> Out:
         """Goes on with the map of before the restart, where odometry says that the robot is on it by now."""
         known = self.before.known()
         if known is not None:
-            update, grid, map_from_base = known
-            self.mapping.load(update, grid, update.map_id, map_from_base)
+            update, grid, estimate = known
+            mode = MapMode.LOCALISE if estimate.mode is MapMode.LOCALISE else MapMode.CONTINUE
+            self.mapping.load(update, grid, update.map_id, estimate.map_from_base, mode)
             self.grid.version = update.version
             self.mapping.tracked, self.arrivals.last_end, self.arrivals.velocity = None, -1, Pose2()
             yield Log("INFO", f"going on with the map from before the restart: {len(update.rows)} tiles")

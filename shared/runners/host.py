@@ -26,6 +26,9 @@ from shared.requests import REQUESTS, Request
 from shared.service import Job, Log, Out, Service, handlers, outputs
 from shared.topics import Publication, Topic, key_of
 
+JOURNAL_FULL = 2**20
+"""bytes of requests from which a journal goes on in a further message: the wire carries 4 MiB in one."""
+
 MESSAGE, TICK, DONE, REQUEST, SOURCE, LATCHED, FAREWELL = range(7)
 
 
@@ -65,6 +68,8 @@ class Host:
         self._n_jobs = 0
         self._sources: dict[tuple[str, str], int] = {}
         self._entries: list[tuple[Any, ...]] = []
+        self._n_bytes = 0  # of requests among them
+        self._full: list[Journal] = []
         self._first = 0
 
     def message(self, key: str, message: Message, envelope: Envelope, now: int, latched: bool = False) -> list[Effect]:
@@ -88,6 +93,9 @@ class Host:
 
     def request(self, key: str, request: Message, payload: bytes, now: int) -> tuple[list[Effect], Message]:
         """A request wants its reply: the handler's effects and the reply."""
+        if self._n_bytes + len(payload) > JOURNAL_FULL:
+            self._end_journal(now)
+        self._n_bytes += len(payload)
         self._note((REQUEST, now, key, payload), now)
         answering = getattr(self.service, self.handlers.requests[key][1])(request)
         effects: list[Effect] = []
@@ -124,15 +132,19 @@ class Host:
         return Sent(topic, key, publication.message, envelope, encode(publication.message, envelope))
 
     def journal(self, now: int) -> Sent | None:
-        """The events since the last call, as a publication; None when there were none."""
+        """The events since the last call, as a publication; None when there are none. To be called until then."""
+        self._end_journal(now)
+        return self.publish(topics.JOURNAL(self._full.pop(0)), now) if self._full else None
+
+    def _end_journal(self, now: int) -> None:
         if not self._entries:
-            return None
+            return
         events = bytes(msgpack.packb(self._entries, use_bin_type=True))
-        journal = Journal(now, self.session, self._first, events)
+        self._full.append(Journal(now, self.session, self._first, events))
         self._first += len(self._entries)
         self._entries = []
         self._sources = {}
-        return self.publish(topics.JOURNAL(journal), now)
+        self._n_bytes = 0
 
     def _note(self, entry: tuple[Any, ...], now: int) -> None:
         self.n_events += 1

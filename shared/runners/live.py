@@ -105,9 +105,7 @@ class Live:
             self._workers.shutdown(wait=False, cancel_futures=True)
             for port in self._ports.values():
                 port.close()
-            journal = self.host.journal(self.clock.now())
-            if journal is not None:
-                self._publish(journal)
+            self._publish_journals(self.clock.now())
 
     def _feed(self, report: int) -> None:
         """Event by event; `report`: when the first health message is due."""
@@ -312,13 +310,15 @@ class Live:
         self._publishers[sent.key].put(sent.payload)
 
     def _report(self, now: int) -> None:
-        journal = self.host.journal(now)
-        if journal is not None:
-            self._publish(journal)
+        self._publish_journals(now)
         self._save()
         dropped = sum(place.dropped for place in self._places if place.keep == "all")
         health = self.traffic.health(self.name, self.host.service.state(), self.host.n_events, dropped, now)
         self._publish(self.host.publish(topics.HEALTH(health), now))
+
+    def _publish_journals(self, now: int) -> None:
+        while (journal := self.host.journal(now)) is not None:
+            self._publish(journal)
 
     def _save(self) -> None:
         if self.memory is not None:

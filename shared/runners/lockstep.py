@@ -129,9 +129,11 @@ class Lockstep:
     def flush(self) -> None:
         """Writes the journals of what happened since the last second: call before the recording is closed."""
         for host in self._hosts.values():
-            journal = host.journal(self.now)
-            if journal is not None:
-                self._send(journal)
+            self._send_journals(host)
+
+    def _send_journals(self, host: Host) -> None:
+        while (journal := host.journal(self.now)) is not None:
+            self._send(journal)
 
     def _push(self, when: int, event: Callable[[], None]) -> None:
         self._cause += 1
@@ -163,9 +165,7 @@ class Lockstep:
             host = self._alive(name, life)
             if host is not None:
                 self._schedule_journal(name, life)
-                journal = host.journal(self.now)
-                if journal is not None:
-                    self._send(journal)
+                self._send_journals(host)
 
         self._push(self.now + 1_000_000_000, write)
 

@@ -12,7 +12,7 @@ from services.mapper.front_end import FrontEndConfig
 from services.mapper.saved_map import SavedMap
 from services.mapper.service import MapperConfig
 from shared.geometry import Pose2, wrapped
-from tests.unit.services.mapper.rooms import Driven
+from tests.unit.services.mapper.rooms import Driven, box
 
 CELL, CLEAR = 0.25, 0.45  # m; m to the nearest wall that a way keeps
 STEP, TURN = 0.2, 0.35  # m, rad between scans
@@ -20,6 +20,17 @@ STEP, TURN = 0.2, 0.35  # m, rad between scans
 
 LOOPS = MapperConfig(front_end=FrontEndConfig(window=40))
 """What closes loops, as a log is mapped."""
+
+
+def room(x: float) -> list[tuple[float, float, float, float]]:
+    """With a door to the north, and furniture that is the same in each."""
+    walls = [(x, 0, x + 6, 0), (x, 0, x, 5), (x + 6, 0, x + 6, 5), (x, 5, x + 2.4, 5), (x + 3.6, 5, x + 6, 5)]
+    return [*walls, *box(x + 1, 1, x + 2, 1.6), (x + 4, 3.6, x + 5, 4.2)]
+
+
+CORRIDOR = [(-1, 7, 14, 7), (-1, 5, -1, 7), (-1, 5, 0, 5), (6, 5, 7, 5), (13, 5, 14, 5), (14, 5, 14, 7)]
+ALIKE = np.array([*room(0), *room(7), *CORRIDOR, *box(11, 6.6, 12, 7)], float)
+"""Two rooms that look alike at a corridor that does not."""
 
 
 class Building:

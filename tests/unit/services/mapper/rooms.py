@@ -3,6 +3,7 @@
 
 from collections.abc import Iterator
 from math import hypot, pi
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from shared.config import Laser, Mount, load_robot
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
-from shared.service import Job, Log
+from shared.service import Job, Log, handlers
 from shared.topics import Publication
 
 Float64s = NDArray[np.float64]
@@ -172,3 +173,28 @@ class Driven:
         for update in self.maps:
             grid.apply(update)
         return grid
+
+
+class Asker:
+    """A tool that talks to a mapper directly."""
+
+    def __init__(self, driven: Driven) -> None:
+        self.driven = driven
+
+    def now(self) -> int:
+        return self.driven.now
+
+    def ask(self, request: Any, message: Any) -> Any:
+        mapper = self.driven.mapper
+        mapper.now = self.driven.now
+        answering = getattr(mapper, handlers(type(mapper)).requests[request.key][1])(message)
+        while True:
+            try:
+                self.driven.take([next(answering)])
+            except StopIteration as end:
+                return end.value
+
+    def wait(self, seconds: float) -> None:
+        self.driven.now += round(seconds * SECOND)
+        self.driven.publish_map()
+        self.driven.work()

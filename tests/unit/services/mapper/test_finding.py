@@ -11,20 +11,12 @@ from services.mapper.saved_map import packed
 from services.mapper.service import MapperConfig
 from shared.geometry import Pose2
 from shared.messages import Localization
-from tests.unit.services.mapper.buildings import LOOPS, Building, drives, saved_by
-from tests.unit.services.mapper.rooms import ROOM, Driven, box
+from tests.unit.services.mapper.buildings import ALIKE, LOOPS, Building, drives, saved_by
+from tests.unit.services.mapper.rooms import ROOM, Driven
 
 METRES = 10
 
 
-def room(x):
-    """With a door to the north, and furniture that is the same in each."""
-    walls = [(x, 0, x + 6, 0), (x, 0, x, 5), (x + 6, 0, x + 6, 5), (x, 5, x + 2.4, 5), (x + 3.6, 5, x + 6, 5)]
-    return [*walls, *box(x + 1, 1, x + 2, 1.6), (x + 4, 3.6, x + 5, 4.2)]
-
-
-CORRIDOR = [(-1, 7, 14, 7), (-1, 5, -1, 7), (-1, 5, 0, 5), (6, 5, 7, 5), (13, 5, 14, 5), (14, 5, 14, 7)]
-ALIKE = np.array([*room(0), *room(7), *CORRIDOR, *box(11, 6.6, 12, 7)], float)
 SHUT = np.array([*ALIKE, (2.0, 5, 4.0, 5), (9.0, 5, 11, 5)])
 START = Pose2(6.5, 6.0, 0.0)
 
@@ -80,7 +72,7 @@ def test_nothing_is_claimed_on_the_first_scans(building):
     driven = put(ALIKE, saved, alike.anywhere(rng))
     for metres in drives(driven, alike, 1.0, rng):
         assert metres < 1.2
-    assert {estimate.state for estimate in driven.poses} == {Localization.STARTING}
+    assert {estimate.state for estimate in driven.poses} == {Localization.LOST}
     assert driven.poses[-1].covariance[0] >= 1e4
 
 
@@ -91,7 +83,7 @@ def test_shut_in_a_room_that_has_a_double_it_is_never_sure(building, seed):
     rng = np.random.default_rng(seed)
     driven = put(ALIKE, saved, shut.anywhere(rng))
     for _ in drives(driven, shut, 6, rng):
-        assert driven.poses[-1].state is Localization.STARTING
+        assert driven.poses[-1].state is Localization.LOST
 
 
 def test_in_another_building_it_is_never_found(building):
@@ -100,7 +92,7 @@ def test_in_another_building_it_is_never_found(building):
     rng = np.random.default_rng(5)
     driven = put(ROOM, saved, other.anywhere(rng))
     for _ in drives(driven, other, 5, rng):
-        assert driven.poses[-1].state is Localization.STARTING
+        assert driven.poses[-1].state is Localization.LOST
     assert not any("found" in line for line in driven.logs)
 
 
@@ -136,7 +128,7 @@ def test_where_the_robot_goes_on_nothing_jumps_but_once_when_it_is_found(buildin
     jumps = [
         a.map_from_odom.distance(b.map_from_odom)
         for a, b in pairwise(driven.poses)
-        if Localization.STARTING not in (a.state, b.state)
+        if Localization.LOST not in (a.state, b.state)
     ]
     assert max(jumps) < 0.3, "odometry's own drift, and small corrections"
 
@@ -164,7 +156,7 @@ def test_who_is_carried_away_is_found_again(building):
     n = len(driven.poses)
     for _ in drives(driven, alike, 12, rng):
         pass
-    assert any(estimate.state is Localization.STARTING for estimate in driven.poses[n : n + 15])
+    assert any(estimate.state is Localization.LOST for estimate in driven.poses[n : n + 15])
     assert driven.poses[-1].state is Localization.GOOD
     assert off(driven, first)[0] < 0.15
 

@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The mapper's modes while the robot drives: what stays, what goes on, and what a robot that is lost does."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from services.mapper.saved_map import packed, unpacked
+from shared.geometry import Pose2, wrapped
+from shared.messages import Localization, MapMode
+from tests.unit.services.mapper.buildings import ALIKE, LOOPS, Building, drives
+from tests.unit.services.mapper.rooms import LAP, RING, START, Asker, Driven, box, laps
+from zenav.map_transfer import fetched, given, started
+
+LOST, GOOD = Localization.LOST, Localization.GOOD
+
+
+class Lap:
+    """A robot that drives round the ring, and can be put anywhere on its way."""
+
+    def __init__(self):
+        self.driven = Driven(RING, LOOPS, noise=0.01)
+        self.driven.true = START
+        self.asker = Asker(self.driven)
+        self.at = 0
+
+    def go(self, n):
+        for motion in [m for m, _ in zip(laps(), range(self.at + n))][self.at :]:
+            self.driven.step(motion)
+            self.driven.publish_map()
+        self.at += n
+
+    def carry(self, n):
+        """To where n motions more would lead; its wheels do not turn."""
+        there = self.driven.true
+        for motion in [m for m, _ in zip(laps(), range(self.at + n))][self.at :]:
+            there = there @ motion
+        self.driven.odom_from_start = self.driven.odom_from_start @ self.driven.true @ there.inverse()
+        self.driven.true = there
+        self.at += n
+
+    def start(self, mode, content=b"", at=None):
+        transfer = given(self.asker, self.asker.wait, content) if content else 0
+        return started(self.asker, self.asker.wait, mode, transfer, at)
+
+    def fetched(self):
+        return fetched(self.asker, self.asker.wait)
+
+    @property
+    def state(self):
+        return self.driven.poses[-1].state
+
+    def off(self, first=None):
+        """m and rad between the pose and the truth, on a map that begins at `first`, or where it began to map."""
+        true = (first or self.driven.first).inverse() @ self.driven.true
+        told = self.driven.poses[-1].map_from_base
+        return true.distance(told), abs(wrapped(true.yaw - told.yaw))
+
+
+@pytest.fixture(scope="module")
+def mapped():
+    """The ring, mapped once round."""
+    lap = Lap()
+    lap.go(LAP + 20)
+    return lap.fetched(), lap.driven.first
+
+
+def drawn(lap):
+    return lap.driven.mapper.grid.whole(0)
+
+
+def test_near_a_given_pose_the_robot_is_found_without_driving(mapped):
+    content, first = mapped
+    lap = Lap()
+    lap.carry(30)
+    lap.start(MapMode.LOCALISE, content, first.inverse() @ lap.driven.true @ Pose2(0.5, -0.4, 0.3))
+    for _ in range(3):
+        lap.driven.step(Pose2())
+    assert lap.state is GOOD
+    assert lap.driven.poses[-1].mode is MapMode.LOCALISE
+    assert lap.off(first)[0] < 0.06
+    assert lap.off(first)[1] < 0.03
+
+
+def test_a_wrong_pose_is_not_believed_and_the_robot_is_found_elsewhere_by_driving(mapped):
+    content, first = mapped
+    lap = Lap()
+    lap.carry(30)
+    lap.start(MapMode.LOCALISE, content, Pose2(13.0, 8.0, 1.5))
+    for _ in range(5):
+        lap.driven.step(Pose2())
+    assert lap.state is LOST
+    assert "looking for the robot" in lap.driven.mapper.state()
+    lap.go(30)
+    assert any("not near the given pose" in line for line in lap.driven.logs)
+    assert lap.state is GOOD
+    assert lap.off(first)[0] < 0.1
+
+
+def test_what_was_just_mapped_can_be_left_as_it_is_and_the_pose_goes_on(mapped):
+    lap = Lap()
+    lap.go(LAP + 20)
+    lap.start(MapMode.LOCALISE)
+    content, cells, map_id = lap.fetched(), drawn(lap).cells, lap.driven.maps[-1].map_id
+    n, n_maps = len(lap.driven.poses), len(lap.driven.maps)
+    lap.go(60)
+    assert LOST not in {pose.state for pose in lap.driven.poses[n:]}
+    jumps = [a.map_from_odom.distance(b.map_from_odom) for a, b in pairwise(lap.driven.poses[n - 1 :])]
+    assert max(jumps) < 0.1
+    assert lap.driven.mapper.back_end.n_loops > 5, "the map holds the pose"
+    assert lap.off()[0] < 0.08
+    assert lap.fetched() == content, "to the byte"
+    np.testing.assert_array_equal(drawn(lap).cells, cells)
+    assert len(lap.driven.maps) == n_maps
+
+    lap.start(MapMode.CONTINUE)
+    lap.go(60)
+    again = unpacked(lap.fetched(), "again")
+    assert len(again.keyframes) > len(unpacked(content, "before").keyframes)
+    assert lap.off()[0] < 0.08
+    assert lap.state is GOOD
+    assert lap.driven.maps[-1].map_id == map_id, "it is one map"
+    assert lap.driven.mapper.back_end.n_loops > 5
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_who_is_carried_away_while_mapping_is_found_on_the_own_map(seed):
+    rooms = Building(ALIKE, (6.5, 6.0))
+    rng = np.random.default_rng(seed)
+    driven = Driven(ALIKE, LOOPS, noise=0.01)
+    driven.true = Pose2(6.5, 6.0, 0.0)
+    for _ in drives(driven, rooms, 60, rng):
+        driven.publish_map()
+    there = rooms.anywhere(rng)
+    driven.odom_from_start = driven.odom_from_start @ driven.true @ there.inverse()  # its wheels do not turn
+    driven.true = there
+    n, cells = len(driven.poses), None
+    for _ in drives(driven, rooms, 10, rng):
+        driven.publish_map()
+        if driven.mapper.finder.searching:
+            now = driven.mapper.grid.whole(0).cells
+            assert cells is None or np.array_equal(now, cells), "nothing is drawn from a wrong place"
+            cells = now
+    states = [pose.state for pose in driven.poses[n:]]
+    assert LOST in states[:10]
+    assert cells is not None
+    assert states[-1] is GOOD
+    assert (driven.first.inverse() @ driven.true).distance(driven.poses[-1].map_from_base) < 0.1
+    asker = Asker(driven)
+    saved = unpacked(fetched(asker, asker.wait), "own")
+    assert len(saved.keyframes) == len(saved.graph.nodes)
+
+
+def test_a_laser_that_was_covered_sees_again_at_its_place():
+    lap = Lap()
+    lap.go(40)
+    ring = lap.driven.segments
+    x, y = lap.driven.true.x, lap.driven.true.y
+    lap.driven.segments = np.array(box(x - 0.35, y - 0.3, x + 0.5, y + 0.4))
+    for _ in range(12):
+        lap.driven.step(Pose2())
+    assert lap.state is LOST
+    lap.driven.segments = ring
+    for _ in range(3):
+        lap.driven.step(Pose2())
+    assert lap.state is GOOD
+    assert lap.off()[0] < 0.06
+
+
+def test_a_new_map_begins_where_the_robot_is():
+    lap = Lap()
+    lap.go(30)
+    before = lap.driven.maps[-1].map_id
+    lap.start(MapMode.MAP)
+    first = lap.driven.true
+    lap.go(20)
+    assert lap.driven.maps[-1].map_id > before
+    assert lap.off(first)[0] < 0.1
+    assert lap.driven.poses[-1].mode is MapMode.MAP
+    assert len(unpacked(lap.fetched(), "new").keyframes) < 25
+
+
+def test_a_restarted_mapper_still_leaves_the_map_as_it_is(mapped):
+    content, first = mapped
+    lap = Lap()
+    lap.start(MapMode.LOCALISE, content, Pose2())
+    lap.go(10)
+    assert lap.state is GOOD
+    cells, pose = drawn(lap), lap.driven.poses[-1]
+    again = Lap()
+    again.driven.now, again.driven.true, again.at = lap.driven.now, lap.driven.true, lap.at
+    again.driven.odom_from_start = lap.driven.odom_from_start
+    again.driven.take(again.driven.mapper.remember_map(cells))
+    again.driven.take(again.driven.mapper.remember_pose(pose))
+    again.go(20)
+    assert again.state is GOOD
+    assert again.off(first)[0] < 0.1
+    assert again.driven.poses[-1].mode is MapMode.LOCALISE
+    np.testing.assert_array_equal(drawn(again).cells, cells.cells)
+
+
+def test_tiles_alone_are_left_as_they_are_and_gone_on_with():
+    lap = Lap()
+    lap.go(20)
+    tiles = drawn(lap)
+    other = Lap()
+    list(other.driven.mapper._load(tiles, Pose2(), MapMode.CONTINUE))
+    other.driven.mapper.now = other.driven.now
+    assert other.start(MapMode.LOCALISE).accepted
+    other.go(10)
+    assert other.state is GOOD
+    np.testing.assert_array_equal(drawn(other).cells, tiles.cells)
+    assert other.start(MapMode.CONTINUE).accepted
+    other.go(30)
+    assert (drawn(other).cells != -1).sum() > (tiles.cells != -1).sum()
+
+
+def test_what_is_saved_of_a_map_that_stays_is_what_was_loaded(mapped):
+    content, _ = mapped
+    lap = Lap()
+    lap.start(MapMode.LOCALISE, content)
+    lap.go(40)
+    assert lap.fetched() == content
+    assert packed(lap.driven.mapper.mapping.snapshot()) == content

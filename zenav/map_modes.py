@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav map save|load|new|mode`: what the running mapper's map is, and what it does with it."""
+
+import sys
+from math import degrees, radians
+from pathlib import Path
+from threading import Event
+
+from services.mapper.saved_map import SavedMap, packed, unpacked
+from shared import requests, topics
+from shared.config import load_robot
+from shared.geometry import Pose2, wrapped
+from shared.messages import Localization, MapMode, MapUpdate
+from shared.reasons import NO_GRAPH, POSE_LOST
+from shared.requests import LoadMap
+from shared.runners.transport import where_from
+from zenav.client import Client
+from zenav.drive import RefusedError, refusal
+from zenav.map_transfer import Wait, fetched, given, started
+from zenav.maps import FOLDER, found, picture_files, present, update_of
+from zenav.saved_map import GRAPH, map_files, read_saved_map
+from zenav.store import replace_together
+
+At = tuple[float, float, float]
+"""Where the robot stands on a map: m, m, degrees."""
+FOUND = 6.0  # s within which a robot is found near a given pose, or where the map is known well
+
+
+def save(robot: str, stack: str, place: str) -> None:
+    """Writes the present map into a folder: see saved_map.py; without a pose graph, where the mapper keeps none."""
+    folder = FOLDER / place if place.replace("_", "").replace("-", "").isalnum() else Path(place)
+    told = ""
+    with _connected(robot, stack) as client:
+        try:
+            saved = unpacked(fetched(client, Event().wait), "the mapper's map")
+            files, told = map_files(saved, saved.graph.poses), f" ({len(saved.keyframes)} keyframes)"
+        except RefusedError as refused:
+            if refused.code != NO_GRAPH.code:
+                raise
+            sys.stderr.write(f"{refused.what}: only its picture is saved\nhint: {refused.mend}\n")
+            files = picture_files(present(client))
+    replace_together(folder, files)
+    sys.stdout.write(f"{folder / 'map.yaml'}{told}\n")
+
+
+def load(robot: str, stack: str, place: str, mode: MapMode, at: At | None) -> int:
+    """Gives a saved map to the mapper, which finds the robot on it: near `at`, or wherever it is."""
+    folder = found(place).parent
+    with _connected(robot, stack) as client:
+        if (folder / GRAPH).is_file() and not place.endswith(".yaml"):
+            try:
+                give(client, Event().wait, read_saved_map(folder), mode, at)
+                return _tell_place(client, mode)
+            except RefusedError as refused:
+                if refused.code != NO_GRAPH.code:
+                    raise
+                sys.stderr.write(f"{refused.what}: only the map's picture is loaded\nhint: {refused.mend}\n")
+        _give_tiles(client, update_of(found(place)), mode, at)
+        return _tell_place(client, mode)
+
+
+def give(client: Client, wait: Wait, saved: SavedMap, mode: MapMode, at: At | None) -> None:
+    """Lets the mapper go on with a saved map."""
+    started(client, wait, mode, given(client, wait, packed(saved)), _pose(at))
+
+
+def change(robot: str, stack: str, mode: MapMode, at: At | None) -> int:
+    """Lets the mapper go on with the present map in another mode, or begin a new one."""
+    with _connected(robot, stack) as client:
+        started(client, Event().wait, mode, at=_pose(at))
+        return _tell_place(client, mode)
+
+
+def _give_tiles(client: Client, update: MapUpdate, mode: MapMode, at: At | None) -> None:
+    """A map without a graph, as another program made it: near a pose, by default its origin."""
+    reply = client.ask(
+        requests.LOAD_MAP, LoadMap(client.now(), update, _pose(at) or Pose2(0.0, 0.0, 0.0)), timeout=20.0
+    )
+    if not reply.accepted:
+        raise refusal(reply)
+    started(client, Event().wait, mode)
+
+
+def _tell_place(client: Client, mode: MapMode) -> int:
+    """Where the robot is on the map, as soon as the mapper knows; or what helps it."""
+    client.follow(topics.POSE)
+    begun = client.now()
+    estimate = client.wait(topics.POSE, lambda p: p.stamp >= begun and p.state is not Localization.LOST, FOUND)
+    if estimate is None:
+        sys.stdout.write(f"{mode}: the robot is looked for; {POSE_LOST.mend}\n")
+    else:
+        pose = estimate.map_from_base
+        sys.stdout.write(f"{mode}: the robot is at {pose.x:.2f} {pose.y:.2f} {degrees(pose.yaw):.0f}\n")
+    return 0
+
+
+def _pose(at: At | None) -> Pose2 | None:
+    return None if at is None else Pose2(at[0], at[1], wrapped(radians(at[2])))
+
+
+def _connected(robot: str, stack: str) -> Client:
+    return Client(load_robot(robot).robot.name, where_from(stack))
