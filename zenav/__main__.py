@@ -165,6 +165,11 @@ def up(
         typer.Option(help="What the simulator stands behind: its messages (default), or ports that speak bytes."),
     ] = None,
     only: Annotated[str, typer.Option(help="Only these services: a,b", metavar="A,B")] = "",
+    saved_map: Annotated[
+        str, typer.Option("--map", help="Begin on this saved map: a name below maps/, or a folder.", metavar="DIR")
+    ] = "",
+    mode: SavedMapMode = "localise",
+    at: At = None,
     speed: Annotated[float, typer.Option(min=0.01, max=100, help="Simulated seconds in a real one.")] = 1.0,
     stack: Stack = "0",
     set_: Setting = None,
@@ -173,7 +178,10 @@ def up(
 
     Example: zenav up --world office
     """
+    from shared.messages import MapMode
     from zenav.hardware import Hardware
+    from zenav.map_modes import OnMap
+    from zenav.maps import found
     from zenav.up import up
 
     up(
@@ -184,6 +192,7 @@ def up(
         speed,
         stack,
         set_ or [],
+        OnMap(found(saved_map).parent, MapMode(mode), at) if saved_map else None,
     )
 
 

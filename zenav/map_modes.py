@@ -2,11 +2,12 @@
 """`zenav map save|load|new|mode`: what the running mapper's map is, and what it does with it."""
 
 import sys
+from dataclasses import dataclass
 from math import degrees, radians
 from pathlib import Path
 from threading import Event
 
-from services.mapper.saved_map import SavedMap, packed, unpacked
+from services.mapper.saved_map import packed, unpacked
 from shared import requests, topics
 from shared.config import load_robot
 from shared.geometry import Pose2, wrapped
@@ -16,7 +17,7 @@ from shared.requests import LoadMap
 from shared.runners.transport import where_from
 from zenav.client import Client
 from zenav.drive import RefusedError, refusal
-from zenav.map_transfer import Wait, fetched, given, started
+from zenav.map_transfer import fetched, given, started
 from zenav.maps import FOLDER, found, picture_files, present, update_of
 from zenav.saved_map import GRAPH, map_files, read_saved_map
 from zenav.store import replace_together
@@ -24,6 +25,24 @@ from zenav.store import replace_together
 At = tuple[float, float, float]
 """Where the robot stands on a map: m, m, degrees."""
 FOUND = 6.0  # s within which a robot is found near a given pose, or where the map is known well
+
+
+@dataclass(frozen=True, slots=True)
+class OnMap:
+    """A saved map that the mapper is to take, the mode, and where the robot is on it, if anybody knows."""
+
+    folder: Path
+    mode: MapMode
+    at: At | None
+
+    def read(self) -> bytes:
+        """Its graph. Raises UserError where there is none, or it is damaged, foreign or a newer program's."""
+        return packed(read_saved_map(self.folder))
+
+    def give(self, client: Client, content: bytes) -> None:
+        """Lets the mapper go on with it. Raises UserError where it refuses."""
+        wait = Event().wait
+        started(client, wait, self.mode, given(client, wait, content), _pose(self.at))
 
 
 def save(robot: str, stack: str, place: str) -> None:
@@ -47,9 +66,10 @@ def load(robot: str, stack: str, place: str, mode: MapMode, at: At | None) -> in
     """Gives a saved map to the mapper, which finds the robot on it: near `at`, or wherever it is."""
     folder = found(place).parent
     with _connected(robot, stack) as client:
+        on_map = OnMap(folder, mode, at)
         if (folder / GRAPH).is_file() and not place.endswith(".yaml"):
             try:
-                give(client, Event().wait, read_saved_map(folder), mode, at)
+                on_map.give(client, on_map.read())
                 return _tell_place(client, mode)
             except RefusedError as refused:
                 if refused.code != NO_GRAPH.code:
@@ -57,11 +77,6 @@ def load(robot: str, stack: str, place: str, mode: MapMode, at: At | None) -> in
                 sys.stderr.write(f"{refused.what}: only the map's picture is loaded\nhint: {refused.mend}\n")
         _give_tiles(client, update_of(found(place)), mode, at)
         return _tell_place(client, mode)
-
-
-def give(client: Client, wait: Wait, saved: SavedMap, mode: MapMode, at: At | None) -> None:
-    """Lets the mapper go on with a saved map."""
-    started(client, wait, mode, given(client, wait, packed(saved)), _pose(at))
 
 
 def change(robot: str, stack: str, mode: MapMode, at: At | None) -> int:

@@ -7,7 +7,7 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-from shared import topics
+from shared import requests, topics
 from shared.config import UserError, configured, nearest
 from shared.messages import Health
 from shared.runners.clock import clock_from
@@ -17,6 +17,7 @@ from zenav.classes import built
 from zenav.client import Client
 from zenav.hardware import Hardware, emulated_ports, services_for, settings_for
 from zenav.launch import Launcher, claimed, service_command
+from zenav.map_modes import OnMap
 from zenav.scene import world_of
 from zenav.settings import checked
 from zenav.stopping import stopping
@@ -58,9 +59,19 @@ def run_folder(kind: str) -> Path:
 
 
 def up(
-    robot: str, world: str, hardware: Hardware | None, only: list[str], speed: float, stack: str, settings: list[str]
+    robot: str,
+    world: str,
+    hardware: Hardware | None,
+    only: list[str],
+    speed: float,
+    stack: str,
+    settings: list[str],
+    on_map: OnMap | None,
 ) -> None:
-    """Runs the services until Ctrl-C. hardware: None is the simulator's messages with a world, else the real robot."""
+    """Runs the services until Ctrl-C. hardware: None is the simulator's messages with a world, else the real robot.
+
+    on_map: what the mapper begins with; a new map without it.
+    """
     hardware = hardware or (Hardware.MESSAGES if world else Hardware.REAL)
     if (hardware is Hardware.REAL) == bool(world):
         mend = "leave out --world" if world else "name one: --world office"
@@ -73,6 +84,7 @@ def up(
     names = chosen(only, services_for(hardware, file))
     if "sim" in names:
         world_of(file)  # one that is wrong is told before anything starts
+    saved = None if on_map is None else on_map.read()  # what is damaged too
     where = where_from(stack)
     clock = "" if speed == 1.0 else f"{time.time_ns()}:{speed:g}"
     clock_from(clock)
@@ -101,6 +113,10 @@ def up(
 
         client.listen(topics.HEALTH, lambda health, _: hear(health))
         launcher.start_all(lambda name: name in ready, stop.is_set)
+        if on_map is not None and saved is not None and not stop.is_set():
+            client.answers(requests.GIVE_MAP, 10.0)
+            on_map.give(client, saved)
+            _tell("zenav", f"the mapper has the map of {on_map.folder}: {on_map.mode}")
         while not stop.wait(0.1):
             launcher.step()
         _tell("zenav", "ending")

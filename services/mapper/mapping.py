@@ -127,6 +127,7 @@ class Mapping:
         if self.saved is not None:
             return self.saved
         back_end = self.back_end
+        self.grid.settle()  # what was drawn since it was published
         whole = self.grid.whole(0)
         return SavedMap(back_end.graph.snapshot(), tuple(back_end.keyframes), np.array(back_end.driven), whole)
 

@@ -24,7 +24,7 @@ from shared.config import Robot, Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapMode, MapUpdate, Odometry, PoseEstimate
-from shared.reasons import BAD_REQUEST, BUSY, NO_GRAPH
+from shared.reasons import BAD_REQUEST, BUSY, MAP_REFUSED, NO_GRAPH
 from shared.requests import FetchMap, GiveMap, LoadMap, MapPart, Reply, StartMap
 from shared.service import Answer, Log, Out, Service, answer, every, on
 
@@ -206,6 +206,9 @@ class MapperService(Service):
         saved = self.incoming.given(request.transfer, self.now) if request.transfer else None
         if isinstance(saved, Reply):
             return saved
+        if saved is not None and saved.tiles.resolution != self.config.occupancy.resolution:
+            told = f"it has {saved.tiles.resolution:g} m a cell; set mapper.occupancy.resolution to that"
+            return Reply(self.now, False, MAP_REFUSED.code, told)
         if saved is None and self.mapping.drawing:
             return Reply(self.now, False, BUSY.code, "the map is being drawn anew")
         at = request.at[0] if request.at else None

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A map that goes out in parts comes back to the same bytes; any other transfer is refused, and harms nothing."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import msgpack
@@ -8,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.mapper.saved_map import MAGIC, SavedMap, packed
+from services.mapper.saved_map import MAGIC, SavedMap, packed, unpacked
 from services.mapper.service import MapperConfig
 from services.mapper.transfer import Incoming
 from shared import reasons
@@ -107,6 +108,10 @@ def test_whatever_comes_in_whatever_order_only_a_whole_map_is_taken(steps):
             assert reasons.REASONS[got.reason].mend
 
 
+def coarse(saved):
+    return replace(saved, tiles=replace(saved.tiles, resolution=0.1))
+
+
 @pytest.mark.parametrize(
     ("content", "told"),
     [
@@ -115,6 +120,7 @@ def test_whatever_comes_in_whatever_order_only_a_whole_map_is_taken(steps):
         (lambda c: msgpack.packb((MAGIC, 2, b"?", b"")), "format 2"),
         (lambda c: b"P5 a picture", "not a saved map"),
         (lambda c: packed(made(0, 0)), "no scan"),
+        (lambda c: packed(coarse(unpacked(c, "it"))), "0.1 m a cell"),
     ],
 )
 def test_a_damaged_map_is_refused_in_one_line_and_the_running_one_is_untouched(lap, content, told):
