@@ -55,6 +55,7 @@ NO_PROGRESS     = Reason("no_progress", "the robot has not come closer for a whi
 RECOVERIES_USED = Reason("recoveries_used", "every recovery was tried", "look at the robot and its way", "stop")
 NO_FRONTIER     = Reason("no_frontier", "nothing reachable is left to explore", "nothing to do: the map is complete", "info")
 CANCELED        = Reason("canceled", "the task was canceled", "send a new goal", "info")
+OTHER_MAP       = Reason("other_map", "the map was changed: the task was on another one", "send a new goal", "info")
 PAUSED          = Reason("paused", "the task is paused", "go on: zenav route --resume", "info")
 BUSY            = Reason("busy", "the service has another request to finish", "try again in a moment", "info")
 NOT_RUNNING     = Reason("not_running", "no service answers", "start the stack: zenav up", "stop")

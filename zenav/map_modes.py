@@ -3,7 +3,7 @@
 
 import sys
 from dataclasses import dataclass
-from math import degrees, radians
+from math import radians
 from pathlib import Path
 from threading import Event
 
@@ -11,14 +11,14 @@ from services.mapper.saved_map import packed, unpacked
 from shared import requests, topics
 from shared.config import load_robot
 from shared.geometry import Pose2, wrapped
-from shared.messages import Localization, MapMode, MapUpdate
-from shared.reasons import NO_GRAPH, POSE_LOST
+from shared.messages import Localization, MapMode, MapUpdate, PoseEstimate
+from shared.reasons import NO_GRAPH, POSE_OLD
 from shared.requests import LoadMap
 from shared.runners.transport import where_from
 from zenav.client import Client
 from zenav.drive import RefusedError, refusal
 from zenav.map_transfer import fetched, given, started
-from zenav.maps import FOLDER, found, picture_files, present, update_of
+from zenav.maps import FOLDER, found, picture_files, present, update_of, whereabouts
 from zenav.saved_map import GRAPH, map_files, read_saved_map
 from zenav.store import replace_together
 
@@ -70,20 +70,20 @@ def load(robot: str, stack: str, place: str, mode: MapMode, at: At | None) -> in
         if (folder / GRAPH).is_file() and not place.endswith(".yaml"):
             try:
                 on_map.give(client, on_map.read())
-                return _tell_place(client, mode)
+                return _tell_place(client)
             except RefusedError as refused:
                 if refused.code != NO_GRAPH.code:
                     raise
                 sys.stderr.write(f"{refused.what}: only the map's picture is loaded\nhint: {refused.mend}\n")
         _give_tiles(client, update_of(found(place)), mode, at)
-        return _tell_place(client, mode)
+        return _tell_place(client)
 
 
 def change(robot: str, stack: str, mode: MapMode, at: At | None) -> int:
     """Lets the mapper go on with the present map in another mode, or begin a new one."""
     with _connected(robot, stack) as client:
         started(client, Event().wait, mode, at=_pose(at))
-        return _tell_place(client, mode)
+        return _tell_place(client)
 
 
 def _give_tiles(client: Client, update: MapUpdate, mode: MapMode, at: At | None) -> None:
@@ -96,16 +96,16 @@ def _give_tiles(client: Client, update: MapUpdate, mode: MapMode, at: At | None)
     started(client, Event().wait, mode)
 
 
-def _tell_place(client: Client, mode: MapMode) -> int:
+def _tell_place(client: Client) -> int:
     """Where the robot is on the map, as soon as the mapper knows; or what helps it."""
     client.follow(topics.POSE)
     begun = client.now()
-    estimate = client.wait(topics.POSE, lambda p: p.stamp >= begun and p.state is not Localization.LOST, FOUND)
-    if estimate is None:
-        sys.stdout.write(f"{mode}: the robot is looked for; {POSE_LOST.mend}\n")
-    else:
-        pose = estimate.map_from_base
-        sys.stdout.write(f"{mode}: the robot is at {pose.x:.2f} {pose.y:.2f} {degrees(pose.yaw):.0f}\n")
+
+    def told(estimate: PoseEstimate) -> bool:
+        return estimate.stamp >= begun and estimate.state is not Localization.LOST
+
+    estimate = client.wait(topics.POSE, told, FOUND) or client.latest(topics.POSE)
+    sys.stdout.write(f"{whereabouts(estimate) if estimate else POSE_OLD.text}\n")
     return 0
 
 

@@ -2,6 +2,7 @@
 """Maps as files, and in the terminal."""
 
 import sys
+from math import degrees
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,8 @@ import numpy as np
 from shared import topics
 from shared.config import UserError, load_robot, nearest
 from shared.grid import OccupancyGrid
-from shared.messages import TILE_CELLS, MapUpdate
-from shared.reasons import NO_MAP, NO_SUCH_MAP
+from shared.messages import TILE_CELLS, Localization, MapUpdate, PoseEstimate
+from shared.reasons import NO_MAP, NO_SUCH_MAP, POSE_LOST
 from shared.ros_map import read_ros_map, ros_map_files
 from shared.runners.transport import where_from
 from zenav.client import Client
@@ -36,11 +37,14 @@ def write(grid: OccupancyGrid, folder: Path) -> Path:
 
 def show(robot: str, stack: str, place: str) -> None:
     """Draws a map with half blocks: two cells above each other are one character."""
+    told = ""
     if place:
         grid = grid_of(found(place))
     else:
         with Client(load_robot(robot).robot.name, where_from(stack)) as client:
             grid = present(client)
+            estimate = client.kept(topics.POSE)
+            told = whereabouts(estimate) + "\n" if estimate is not None else ""
     rows, columns = np.nonzero(grid.cells >= 0)
     if not len(rows):
         raise UserError("the map is empty", "nothing was seen yet")
@@ -53,6 +57,15 @@ def show(robot: str, stack: str, place: str) -> None:
         sys.stdout.write(_coloured(*line) if colour else "".join(" .#"[_shade(v)] for v in np.maximum(*line)) + "\n")
     size = cells.shape[1] * grid.resolution, cells.shape[0] * grid.resolution
     sys.stdout.write(f"{size[0]:.1f} x {size[1]:.1f} m, a character is {step * grid.resolution:.2f} m wide\n")
+    sys.stdout.write(told)
+
+
+def whereabouts(estimate: PoseEstimate) -> str:
+    """The mapper's mode, and where the robot is, or what helps to find it."""
+    if estimate.state is Localization.LOST:
+        return f"{estimate.mode}: {POSE_LOST.text}; {POSE_LOST.mend}"
+    pose = estimate.map_from_base
+    return f"{estimate.mode}: the robot is at {pose.x:.2f} {pose.y:.2f} {degrees(pose.yaw):.0f}, {estimate.state}"
 
 
 def present(client: Client) -> OccupancyGrid:

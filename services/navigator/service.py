@@ -38,8 +38,10 @@ class NavigatorService(Service):
 
     @on(topics.MAP)
     def map(self, update: MapUpdate) -> Out:
+        another = self.navigation.grid.map_id not in (0, update.map_id)
         self.navigation.grid.apply(update)
-        return ()
+        if another and self.navigation.task:  # its places are on a map that is no more
+            yield from self.navigation.end(self.now, NavState.CANCELED, reasons.OTHER_MAP)
 
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:

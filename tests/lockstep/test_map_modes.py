@@ -5,7 +5,7 @@ import pytest
 
 from services.mapper.saved_map import unpacked
 from shared import reasons, topics
-from shared.messages import Localization, MapMode, Velocity
+from shared.messages import Localization, MapMode, NavState, Velocity
 from shared.recording import CONFIG, Writer, sink
 from shared.runners.lockstep import Lockstep
 from tests.lockstep.stack import HALL, Stack
@@ -68,7 +68,8 @@ def saved(tmp_path_factory) -> bytes:
 def test_on_a_loaded_map_nothing_drives_until_the_robot_was_driven_to_be_found(saved, tmp_path):
     stack = Stack(tmp_path, ELSEWHERE, settings=WINDOW)
     start(stack, MapMode.LOCALISE, saved)
-    stack.until(lambda: stack.newest["pose"].state is Localization.LOST, 2.0)
+    stack.lockstep.run(0.5)
+    assert stack.newest["pose"].state is Localization.LOST
     stack.go(2.0)
     stack.stands_for(5.0)
     assert stack.newest["nav/status"].reason == reasons.POSE_LOST.code
@@ -93,6 +94,21 @@ def test_a_map_that_is_refused_stops_nothing(saved, tmp_path):
         start(stack, MapMode.LOCALISE, saved[:-1] + b"?")
     assert stack.commanded
     stack.until(stack.reached, 30.0)
+
+
+def test_a_task_ends_with_its_map(tmp_path):
+    stack = Stack(tmp_path, settings=WINDOW)
+    stack.go(7.0)
+    stack.drives()
+    start(stack, MapMode.LOCALISE)
+    stack.drives()
+    assert stack.newest["nav/status"].state is NavState.NAVIGATING, "it is the same map"
+    start(stack, MapMode.MAP)
+    stack.until(lambda: not stack.commanded, 3.0)
+    stack.lockstep.run(0.5)
+    stack.stands_for(2.0)
+    assert stack.newest["nav/status"].state is NavState.CANCELED
+    assert stack.newest["nav/status"].reason == reasons.OTHER_MAP.code
 
 
 def test_a_run_in_which_maps_come_and_go_is_replayed_to_the_byte(saved, tmp_path):

@@ -16,7 +16,7 @@ from zenav.launch import ROOT
 
 COMMANDS = [
     "demo", "up", "run", "goto", "route", "explore", "cancel", "teleop", "estop", "topic list", "topic echo",
-    "topic hz", "map save", "map load", "map show", "calibrate odometry",
+    "topic hz", "map save", "map load", "map new", "map mode", "map show", "calibrate odometry",
     "calibrate laser", "calibrate motors", "config show", "config check", "doctor", "slam", "replay",
     "bench office", "bench sim", "bench stack", "bench serial", "bench slam",
 ]  # fmt: skip
@@ -101,6 +101,10 @@ def test_a_mistyped_command_is_guessed(typed, meant, capsys):
         ("config show gaurd", "gaurd"),
         ("map show nowhere", "nowhere"),
         ("map load nowhere", "nowhere"),
+        ("map load nowhere --at 1 x 2", "--at"),
+        ("map load nowhere --mode fly", "fly"),
+        ("map mode continue", "continue"),
+        ("up --world room --map nowhere", "nowhere"),
         ("slam nowhere.log --out /tmp/x", "nowhere.log"),
         ("replay nowhere.mcap --through mapper --out /tmp/x.mcap", "nowhere.mcap"),
         ("bench office --seeds 3-1", "3-1"),
