@@ -1,21 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
 """zenav map over Zenoh: a map is saved from a running mapper, given back, left as it is, and begun anew."""
 
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
 import pytest
 
 from shared import topics
 from shared.messages import Localization, MapMode
 from tests.stack.processes import running
+from tests.unit.services.mapper.test_saved_map import made
+from zenav.launch import free_stack
 from zenav.map_modes import GRAPH, change, load, save
+from zenav.saved_map import write_saved_map
 from zenav.store import SAVED, SAVING
 
+ROOT = Path(__file__).resolve().parents[2]
+WINDOW = "mapper.front_end.window=40"
 NAMES = ("sim", "base_driver", "odometry", "mapper", "guard")
 pytestmark = pytest.mark.timeout(300)
 
 
 def test_a_map_is_saved_loaded_and_begun_anew(tmp_path, capsys):
-    folder = tmp_path / "room"
-    with running(tmp_path, NAMES, settings=("mapper.front_end.window=40",)) as stack:
+    saved = tmp_path / "room"
+    with running(tmp_path, NAMES, settings=(WINDOW,)) as stack:
         where, client = str(stack.where.domain), stack.client
         client.follow(topics.POSE)
 
@@ -27,19 +39,38 @@ def test_a_map_is_saved_loaded_and_begun_anew(tmp_path, capsys):
             stack.until(holds)
 
         told(MapMode.MAP)
-        save("x80sv", where, str(folder))
-        content = (folder / GRAPH).read_bytes()
-        files = {path.name for path in folder.iterdir()}
+        save("x80sv", where, str(saved))
+        content = (saved / GRAPH).read_bytes()
+        files = {path.name for path in saved.iterdir()}
         assert {"map.pgm", "map.yaml", "map.png", GRAPH} <= files
         assert not {SAVED, SAVING} & files
-        load("x80sv", where, str(folder), MapMode.LOCALISE, (0.1, 0.0, 2.0))
+        load("x80sv", where, str(saved), MapMode.LOCALISE, (0.1, 0.0, 2.0))
         told(MapMode.LOCALISE)
-        save("x80sv", where, str(folder))
-        assert (folder / GRAPH).read_bytes() == content, "it was left as it is"
+        save("x80sv", where, str(saved))
+        assert (saved / GRAPH).read_bytes() == content, "it was left as it is"
         change("x80sv", where, MapMode.CONTINUE, None)
         told(MapMode.CONTINUE)
         change("x80sv", where, MapMode.MAP, None)
         told(MapMode.MAP)
-        load("x80sv", where, str(folder / "map.yaml"), MapMode.LOCALISE, None)
+        load("x80sv", where, str(saved / "map.yaml"), MapMode.LOCALISE, None)
         told(MapMode.LOCALISE)
     assert "localise: the robot is at" in capsys.readouterr().out
+
+
+def test_zenav_up_begins_on_a_saved_map(tmp_path):
+    saved = tmp_path / "office"
+    write_saved_map(saved, made(0, 5))
+    with free_stack() as claim:
+        domain = claim.where.domain
+    command = [sys.executable, "-m", "zenav", "up", "--world", "room", "--stack", str(domain), "--set", WINDOW]
+    command += ["--only", ",".join(NAMES), "--map", str(saved), "--at", "0", "0", "0"]
+    environment = dict(os.environ, PYTHONPATH=str(ROOT))  # noqa: TID251
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=environment) as up:
+        killer = threading.Timer(90, up.kill)
+        killer.start()
+        told = next((line for line in up.stderr if "the mapper has the map" in line), "")
+        up.send_signal(signal.SIGINT)
+        rest = up.stderr.read()
+        killer.cancel()
+    assert up.returncode == 0, rest
+    assert told.rstrip().endswith(f"{saved}: localise")

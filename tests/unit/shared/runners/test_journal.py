@@ -2,13 +2,16 @@
 """Journals come back as the events that were taken, and what is lost leaves a hole of its size."""
 
 import msgpack
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared import topics
-from shared.messages import Journal
-from shared.runners.host import Host, Sent
+from shared import requests, topics
+from shared.geometry import Pose2
+from shared.messages import Journal, MapUpdate
+from shared.requests import LoadMap
+from shared.runners.host import JOURNAL_FULL, REQUEST, Host, Sent
 from shared.runners.journal import HOLE, Event, events_of
 from tests.toys import build, eventful
 
@@ -67,3 +70,23 @@ def test_each_journal_can_be_read_alone():
         read.append(events_of([Journal(now, "s", 0, journal.message.events)]))
     key = topics.WHEELS.key
     assert read == [[Event(0, 10, 0, key, "b")], [Event(0, 20, 1, key, "b")]]
+
+
+def test_large_requests_are_told_in_several_journals_and_read_as_one():
+    host = Host(build("mapper"), "mapper", "s")
+    payloads = [bytes([k]) * (JOURNAL_FULL // 2) for k in range(5)]
+    none = np.zeros(0, np.int32)
+    load = LoadMap(0, MapUpdate(0, 1, 1, 0.05, none, none, np.zeros((0, 4096), np.int8)), Pose2())
+    for payload in payloads:
+        host.request(requests.LOAD_MAP.key, load, payload, 10)
+        host.tick(0, 10)
+    journals = []
+    while (journal := host.journal(20)) is not None:
+        assert isinstance(journal.message, Journal)
+        assert len(journal.payload) < 2 * JOURNAL_FULL
+        journals.append(journal.message)
+    assert len(journals) > 1
+    events = events_of(journals)
+    assert [event.payload for event in events if event.kind == REQUEST] == payloads
+    assert len(events) == 10
+    assert host.journal(30) is None
