@@ -3,7 +3,7 @@
 together, unless the mode is to leave the map as it is. Where the robot is lost, it is looked for until it is found.
 """
 
-from math import hypot
+from math import hypot, inf
 
 import numpy as np
 
@@ -187,12 +187,11 @@ class Mapping:
         map_from_local = self.finder.take(result)
         if map_from_local is not None:
             self.back_end.found(map_from_local, self.finder.waiting, self.front_end.odometry_error)
-            for keyframe, _, _ in self.finder.waiting if self.changes else ():
-                keyframe.draw(self.grid, map_from_local @ keyframe.local_from_base)
             yield Log("INFO", f"found on the map after {self.finder.driven:.1f} m")
             self.finder.waiting = []
-            if self.changes:  # it will be another map when the robot is lost again
-                self.finder.surface = None
+            if self.changes:
+                self.back_end.moved = inf  # drawn beside the scans: many keyframes may have waited
+                self.finder.surface = None  # it will be another map when the robot is lost again
         elif near is not None and self.finder.near is None:
             yield Log("WARNING", "the robot is not near the given pose: looking for it on the whole map")
 

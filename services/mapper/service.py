@@ -209,12 +209,12 @@ class MapperService(Service):
         if saved is not None and saved.tiles.resolution != self.config.occupancy.resolution:
             told = f"it has {saved.tiles.resolution:g} m a cell; set mapper.occupancy.resolution to that"
             return Reply(self.now, False, MAP_REFUSED.code, told)
-        if saved is None and self.mapping.drawing:
-            return Reply(self.now, False, BUSY.code, "the map is being drawn anew")
         at = request.at[0] if request.at else None
         if request.mode is MapMode.MAP:
             self.mapping.begin(self.now)
             self.arrivals.start()
+        elif saved is None and self.mapping.drawing:
+            return Reply(self.now, False, BUSY.code, "the map is being drawn anew")
         elif saved is None and at is None:
             self.mapping.switch(request.mode)
         elif saved is None and not self.mapping.has_graph:

@@ -98,6 +98,17 @@ def test_a_wrong_pose_is_not_believed_and_the_robot_is_found_elsewhere_by_drivin
     assert lap.off(first)[0] < 0.1
 
 
+@pytest.mark.parametrize("at", [Pose2(9e5, -9e5, 3.0), Pose2(0.0, 400.0, 0.0)])
+def test_a_pose_far_off_the_map_is_a_wrong_one(mapped, at):
+    content, first = mapped
+    lap = Lap()
+    lap.carry(30)
+    lap.start(MapMode.CONTINUE, content, at)
+    lap.go(40)
+    assert lap.state is GOOD
+    assert lap.off(first)[0] < 0.1
+
+
 def test_what_was_just_mapped_can_be_left_as_it_is_and_the_pose_goes_on(mapped):
     lap = Lap()
     lap.go(LAP + 20)
