@@ -68,14 +68,9 @@ def load(robot: str, stack: str, place: str, mode: MapMode, at: At | None) -> in
     with _connected(robot, stack) as client:
         on_map = OnMap(folder, mode, at)
         if (folder / GRAPH).is_file() and not place.endswith(".yaml"):
-            try:
-                on_map.give(client, on_map.read())
-                return _tell_place(client)
-            except RefusedError as refused:
-                if refused.code != NO_GRAPH.code:
-                    raise
-                sys.stderr.write(f"{refused.what}: only the map's picture is loaded\nhint: {refused.mend}\n")
-        _give_tiles(client, update_of(found(place)), mode, at)
+            on_map.give(client, on_map.read())
+        else:
+            _give_tiles(client, update_of(found(place)), mode, at)
         return _tell_place(client)
 
 

@@ -14,7 +14,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.front_end import FrontEndConfig
 from services.mapper.saved_map import SavedMap
 from services.mapper.service import MapperConfig, MapperService
 from shared.config import Drive, Laser, Mount, Robot, UserError
@@ -35,8 +34,6 @@ Mode = Literal["map", "localise", "continue"]
 
 SECOND = 1_000_000_000
 NO_RETURN = 0.98  # of the largest range in the log: the scanner's way to say that nothing came back
-LOGS = MapperConfig(front_end=FrontEndConfig(window=40))
-"""What maps a building from a log: loops are closed."""
 MAP_EVERY = 500  # scans between looks at the map: a log has no one who waits for it
 
 
@@ -140,7 +137,7 @@ def slam(
     which is continued. Returns the report. Raises UserError where the log cannot be read or holds no scan, the robot is
     not found on the saved map, or `out` cannot be written.
     """
-    config = config or LOGS
+    config = config or MapperConfig()
     saved = _loaded(mode, saved_map, config)
     read = read_carmen(log)
     scans = [record for record in read.records if isinstance(record, LoggedScan)]
@@ -180,8 +177,6 @@ def _loaded(mode: Mode, folder: Path | None, config: MapperConfig) -> SavedMap |
     saved = read_saved_map(folder)
     if not saved.keyframes:
         raise UserError(f"{folder}: the map holds no keyframes", "make one: zenav slam LOG --out DIR")
-    if config.front_end.window == 0:
-        raise UserError("a mapper without a window finds no saved map", "set mapper.front_end.window to 40")
     if mode == "continue" and saved.tiles.resolution != config.occupancy.resolution:
         raise UserError(
             f"{folder}: the map has cells of {saved.tiles.resolution} m, the mapper of {config.occupancy.resolution} m",

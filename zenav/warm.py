@@ -15,20 +15,15 @@ from pathlib import Path
 
 from numba.core import config as numba_config
 
-from services.mapper.service import MapperService
 from shared.config import load_robot
 from zenav.classes import built, made
-from zenav.slam import LOGS
 
 ROOT = Path(__file__).resolve().parent.parent
 ROBOTS = ("x80sv", "jackal")
 
 
 def main() -> None:
-    """Builds and warms every service with every robot, and the mapper as logs are mapped.
-
-    Whatever goes wrong there ends this with its traceback.
-    """
+    """Builds and warms every service with every robot; whatever goes wrong there ends this with its traceback."""
     clear_stale(cache_root())
     for name in built():
         begun = time.monotonic()
@@ -36,9 +31,6 @@ def main() -> None:
             file = load_robot(robot)
             made(name, file, file.robot).warm()
         tell(name, begun)
-    begun = time.monotonic()
-    MapperService(LOGS, load_robot(ROBOTS[0]).robot).warm()
-    tell("zenav slam", begun)
 
 
 def tell(name: str, begun: float) -> None:

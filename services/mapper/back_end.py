@@ -4,22 +4,26 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
 from services.mapper.keyframe import Keyframe
-from services.mapper.loop_closure import Blocks, Loop, LoopConfig, closed, in_own_frame
+from services.mapper.loop_closure import LITTLE, Blocks, Loop, LoopConfig, closed, in_own_frame
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.optimisation import PoseGraphConfig, optimised
 from services.mapper.pose_graph import Graph, Optimised, PoseGraph, between, pose_of
 from services.mapper.registration import Match, OdometryError, RegistrationConfig
 from services.mapper.saved_map import SavedMap
+from services.mapper.submap import Submap
+from services.mapper.surroundings import Surroundings, surroundings
 from services.mapper.uncertainty import uncertainty_from
 from shared.config import Section
 from shared.geometry import Float64s, Pose2, wrapped_all
 
 SEEN = 0.02  # m, a correction that shows on the map
+BETWEEN = 6.0  # m that the robot drives, about, until its surroundings are drawn anew
 HELD = np.diag((0.1**-2, 0.1**-2, 0.03**-2))
 """Information of the place at which the robot was found on a saved map: closures will know it better."""
 EXACT = 1e8 * np.eye(3)
@@ -40,6 +44,15 @@ class BackEndConfig(Section):
     redraw: float = Field(2.0, ge=0, le=3600, description="s between two drawings of the whole map at least")
     crowd: int = Field(8, ge=2, le=1000, description="keyframes at one place, until the oldest of them is given up")
     crowd_reach: float = Field(0.5, ge=0.05, le=5, description="m, and rad, that make it one place")
+    hub: float = Field(
+        5.0, ge=0.5, le=100, description="m between keyframes that later ones, up to twice as far on, are tied to, too"
+    )
+    hub_noise: float = Field(0.015, ge=0.001, le=1, description="m, standard deviation of such a tie at least")
+    hub_turn: float = Field(0.004, ge=0.0003, le=1, description="rad, of its turn")
+    sure: float = Field(
+        0.1, ge=0.01, le=10, description="m, standard deviation up to which a keyframe is matched with, from the newest"
+    )
+    renew: int = Field(20, ge=1, le=10_000, description="keyframes until what is matched with is gathered anew")
     recent: int = Field(
         60, ge=2, le=10_000, description="keyframes that are placed together on a saved map that does not change"
     )
@@ -93,7 +106,10 @@ class BackEnd:
         self.held_at = 0.0  # m driven at the last closure
         self.off = False  # one of them moves what is known
         self.moved = 0.0  # m, at most, of any keyframe since the map was drawn
+        self.shifted = 0.0  # m, at most, of any near keyframe as seen from the newest, since it was last gathered
+        self.n_new = 0  # keyframes since then
         self.blocks = Blocks(*self._settings, self.loops)
+        self.hubs: tuple[int, ...] = ()  # names of the last two
 
     def load(self, saved: SavedMap, fixed: bool) -> None:
         """Goes on with a saved map, or places the robot on it; then it does not change."""
@@ -106,6 +122,7 @@ class BackEnd:
 
     def _begin(self) -> None:
         """A session's nodes have names of their own blocks: its `local` is another one."""
+        self.hubs = ()
         blocks = int(self.graph.nodes[-1]) // self.loops.around if len(self.graph.nodes) else 0
         self.first = (blocks + 4) * self.loops.around
         self.graph.leave_names(self.first)
@@ -157,8 +174,26 @@ class BackEnd:
             )
             self.graph.connect(node - 1, node, step, information, loop=False)
             self.driven.append(self.driven[-1] + hypot(step.x, step.y))
+            self._tie(node, keyframe, match)
         self.keyframes.append(keyframe)
+        if not self.hubs or self.driven[-1] - self._driven(self.hubs[-1]) >= self.config.hub:
+            self.hubs = (*self.hubs[-1:], int(self.graph.nodes[-1]))
+        self.n_new += 1
         self._thin()
+
+    def _tie(self, node: int, keyframe: Keyframe, match: Match) -> None:
+        """Ties a keyframe to a hub some metres back: matched with one map, the way does not walk off step by step."""
+        row = int(np.searchsorted(self.graph.nodes, self.hubs[0]))
+        if self.hubs[0] < node - 1 and self.graph.nodes[row] == self.hubs[0]:
+            information = in_own_frame(
+                match.information, keyframe.local_from_base.yaw, LITTLE, self.config.hub_noise, self.config.hub_turn
+            )
+            step = self.keyframes[row].local_from_base.inverse() @ keyframe.local_from_base
+            self.graph.connect(self.hubs[0], node, step, information, loop=False)
+
+    def _driven(self, node: int) -> float:
+        """m up to a node, or to the next one where it was given up."""
+        return self.driven[int(np.searchsorted(self.graph.nodes, node))]
 
     def _thin(self) -> None:
         """Where the robot drives again and again, the graph grows with the area, not with time."""
@@ -224,12 +259,42 @@ class BackEnd:
 
     def take(self, optimum: Optimised) -> None:
         """Takes an optimum."""
-        before = self.graph.poses.copy()
+        before, last = self.graph.poses.copy(), self.keyframes[-1].local_from_base
         self.graph.take(optimum)
-        last = self.keyframes[-1].local_from_base
         self.map_from_local = pose_of(self.graph.poses[-1]) @ last.inverse()
+        near = np.hypot(*(before[:, :2] - before[-1, :2]).T) < self._reach
+        shift = between(self.graph.poses[-1:], self.graph.poses[near]) - between(before[-1:], before[near])
+        self.shifted += float(np.hypot(shift[:, 0], shift[:, 1]).max())
         if not self.fixed:
             self.moved += float(np.hypot(*(self.graph.poses - before)[:, :2].T).max())
+
+    @property
+    def _reach(self) -> float:
+        """m from the robot within which keyframes may see what it will see, until the surroundings are drawn anew."""
+        return self._settings[2] + BETWEEN
+
+    @property
+    def moved_on(self) -> bool:
+        """Whether the surroundings are to be drawn anew."""
+        placed = self.session < len(self.keyframes)
+        return placed and (self.n_new >= self.config.renew or self.shifted > SEEN)
+
+    def around(self) -> tuple[Any, ...]:
+        """The arguments of `surroundings`."""
+        self.n_new, self.shifted = 0, 0.0
+        local_from_map, first = self.map_from_local.inverse(), self.first
+        graph, keyframes = self.graph.snapshot(), tuple(self.keyframes)
+        return graph, keyframes, local_from_map, first, self.config.sure, self._reach, self._settings
+
+    def completed(self, drawn: Surroundings) -> Submap | None:
+        """The surroundings, with the keyframes that came meanwhile; None where the robot was carried away since."""
+        if drawn.session != self.first:
+            return None
+        first = int(np.searchsorted(self.graph.nodes, drawn.node, side="right"))
+        for keyframe in self.keyframes[first:]:
+            drawn.submap.extend(keyframe.local_from_base, *keyframe.surface())
+            keyframe.draw(drawn.submap.grid, keyframe.local_from_base)
+        return drawn.submap
 
     @property
     def outdated(self) -> bool:
@@ -256,6 +321,7 @@ class BackEnd:
         self.graph.connect(0, last, off, np.eye(3), loop=True)
         self.take(optimised(*self.optimise()))
         drawn(self.draw())
+        surroundings(*self.around())
 
     def corrections(self) -> list[Pose2]:
         """map_from_local at each keyframe that is not a saved map's."""

@@ -14,6 +14,8 @@ from services.mapper.occupancy import Occupancy
 from services.mapper.optimisation import optimised
 from services.mapper.pose_graph import Optimised
 from services.mapper.registration import Match, OdometryError
+from services.mapper.submap import Submap
+from services.mapper.surroundings import Surroundings, surroundings
 from shared.service import Job, Out
 
 T = TypeVar("T")
@@ -34,7 +36,7 @@ class Background:
         """Another map: nothing of the old one counts."""
         self.epoch += 1
         self.back_end.start()
-        self.looking = self.optimising = self.drawing = False
+        self.looking = self.optimising = self.drawing = self.renewing = False
         self.begun = self.drawn_at = 0  # ns, when the last drawing began and ended
 
     def keep(self, keyframe: Keyframe, match: Match, odometry: OdometryError, doubt: float = 1.0) -> Out:
@@ -43,6 +45,7 @@ class Background:
         if self.back_end.due and not self.looking:
             self.looking = True
             yield self._job(loops_of, self.back_end.look(), "looked", 0.05)
+        yield from self._renew()
 
     def looked(self, result: tuple[int, list[Loop]]) -> Out:
         """Closures were found, or none."""
@@ -65,8 +68,23 @@ class Background:
         if epoch == self.epoch:
             self.optimising = False
             self.back_end.take(optimum)
+            yield from self._renew()
             if self.back_end.urgent:
                 yield from self.settle()
+
+    def _renew(self) -> Out:
+        """Gathers what the next scans are matched with anew, where the robot or the graph has moved on."""
+        if self.back_end.moved_on and not self.renewing:
+            self.renewing = True
+            yield self._job(surroundings, self.back_end.around(), "renewed", 0.2)
+
+    def renewed(self, result: tuple[int, Surroundings]) -> Submap | None:
+        """What the next scans are matched with; None where the map or the robot is another one's by now."""
+        epoch, drawn = result
+        if epoch != self.epoch:
+            return None
+        self.renewing = False
+        return self.back_end.completed(drawn)
 
     def redraw(self, now: int) -> Out:
         """Draws the map anew where the graph has moved, now and then: of a large one at most half of the time."""

@@ -11,7 +11,7 @@ from pydantic import Field
 from services.mapper.correlative_match import SearchConfig, candidates
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.registration import Match, OdometryError, Prior, RegistrationConfig
-from services.mapper.submap import Window
+from services.mapper.submap import Submap
 from services.mapper.surface import sweep_normals, sweep_usable
 from shared.config import Section
 from shared.geometry import Pose2
@@ -28,9 +28,6 @@ class FrontEndConfig(Section):
 
     keyframe_distance: float = Field(0.3, ge=0.01, le=5, description="m driven until a scan joins the map")
     keyframe_turn: float = Field(0.3, ge=0.01, le=3, description="rad turned until a scan joins the map")
-    window: int = Field(
-        0, ge=0, le=10_000, description="keyframes that a scan is matched with, at most; 0: all, and no loop is closed"
-    )
     good: float = Field(0.6, ge=0, le=1, description="quality from which the pose is good")
     lost: float = Field(0.3, ge=0, le=1, description="quality under which the pose may be lost")
     clear_cells: int = Field(2, ge=0, le=20, description="free cells to each side that make an echo a moving thing's")
@@ -51,7 +48,7 @@ class Sweep:
 class Tracked:
     """A scan's place: the pose, its covariance (3, 3) in `local`, the share of beams that agree, and the state.
 
-    trusted: the map may be drawn from it.  keyframe: what joined the window, where the robot has moved on.
+    trusted: the map may be drawn from it.  keyframe: what joined the submap, where the robot has moved on.
     """
 
     local_from_base: Pose2
@@ -86,7 +83,10 @@ class Placed:
 
 
 class FrontEnd:
-    """Follows the robot through the window that it extends. `local`: the frame of that, continuous for ever."""
+    """Follows the robot through a submap that it extends. `local`: the frame of that, continuous for ever.
+
+    graphed: keyframes tell all that the submap holds, so that a newer one may take its place; a loaded grid has none.
+    """
 
     def __init__(
         self,
@@ -98,14 +98,14 @@ class FrontEnd:
     ) -> None:
         self.config, self.registration, self.search = config, registration, search
         self.odometry_error = OdometryError()
-        self.window = Window(registration, occupancy, range_max, config.window)
+        self._settings = registration, occupancy, range_max
         self.start(Pose2())
 
     def start(self, local_from_base: Pose2) -> None:
-        """Forgets the window; the next scan is taken at this pose."""
-        self.window.start()
+        """Forgets the submap; the next scan is taken at this pose."""
+        self.submap, self.graphed = Submap(*self._settings), True
         self.local_from_base = local_from_base
-        self.keyframe: Pose2 | None = None  # of the last scan that joined the window
+        self.keyframe: Pose2 | None = None  # of the last scan that joined the submap
         self.covariance: Float64s = np.zeros((3, 3))
         self.state = Localization.STARTING
         self.motion = Pose2()  # between the last two sweeps
@@ -116,11 +116,12 @@ class FrontEnd:
     def load(self, grid: OccupancyGrid, update: MapUpdate, map_from_base: Pose2) -> None:
         """Starts on a saved map, near a pose: `local` is its frame."""
         self.start(map_from_base)
-        self.window.load(grid, update)
+        self.submap.load(grid, update)
+        self.graphed = False
         self.searches_next = True
 
     def track(self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float) -> Tracked:
-        """Places a sweep, and extends the window where the robot has moved on.
+        """Places a sweep, and extends the submap where the robot has moved on.
 
         origins, ends: (n, 2) m in `base`, NaN without an echo.  step: odometry's motion since the last sweep; doubt
         widens its standard deviation.
@@ -130,7 +131,7 @@ class FrontEnd:
         valid = sweep_usable(origins, ends) | normals.any(axis=1)
         sweep = Sweep(origins[valid], np.ascontiguousarray(ends[valid]), np.ascontiguousarray(normals[valid]))
         placed = self._placed(sweep, step, doubt)
-        moving = self.window.active.grid.clear_at(placed.match.map_from_base @ sweep.points, self.config.clear_cells)
+        moving = self.submap.grid.clear_at(placed.match.map_from_base @ sweep.points, self.config.clear_cells)
         n_moving = int(moving.sum())
         if 0 < n_moving < self.config.most_moving * len(moving):
             # who walks through known free space would pull the robot along, most of all in a bare corridor
@@ -147,17 +148,17 @@ class FrontEnd:
         joins = trusted and self._moved_on() and len(sweep.points) > 0
         if joins:
             self.keyframe = self.local_from_base
-            self.window.extend(self.local_from_base, sweep.points, sweep.normals)
+            self.submap.extend(self.local_from_base, sweep.points, sweep.normals)
         if trusted:
-            self.window.draw(self.local_from_base @ origins, self.local_from_base @ ends)
+            self.submap.draw(self.local_from_base @ origins, self.local_from_base @ ends)
         keyframe = sweep if joins else None
         return Tracked(self.local_from_base, self.covariance, quality, self.state, placed.match, trusted, keyframe)
 
     def _placed(self, sweep: Sweep, step: Pose2, doubt: float) -> Placed:
         """The sweep aligned from odometry's guess, or from a better one where too many beams contradict the map."""
         prior = self.odometry_error.prior(self.registration, self.local_from_base, step, doubt)
-        if self.window.active.registrar.map.n == 0 or len(sweep.points) < LEAST_BEAMS:  # a few beams agree anywhere
-            return Placed(self.window.active.registrar.measured(sweep.points, sweep.normals, prior.map_from_base), 0)
+        if self.submap.registrar.map.n == 0 or len(sweep.points) < LEAST_BEAMS:  # a few beams agree anywhere
+            return Placed(self.submap.registrar.measured(sweep.points, sweep.normals, prior.map_from_base), 0)
         unsure = self.odometry_error.prior(self.registration, self.local_from_base, step, 10 * doubt)
         best = self._aligned(sweep, prior.map_from_base, unsure if self.searches_next else prior)
         if best.quality >= self.search.below and not self.searches_next:
@@ -167,9 +168,7 @@ class FrontEnd:
         if best.quality < self.search.below or self.searches_next:
             starts = [prior.map_from_base, *self.other_starts]
             self.searches_next, self.other_starts = False, []
-            guesses = [
-                g for s in starts for g in candidates(sweep.points, self.window.active.registrar.map, s, self.search)
-            ]
+            guesses = [g for s in starts for g in candidates(sweep.points, self.submap.registrar.map, s, self.search)]
             best = self._better(best, sweep, guesses, unsure)
         return best
 
@@ -182,10 +181,10 @@ class FrontEnd:
         return best
 
     def _aligned(self, sweep: Sweep, guess: Pose2, prior: Prior) -> Placed:
-        match = self.window.active.registrar.register(sweep.points, sweep.normals, guess, prior)
+        match = self.submap.registrar.register(sweep.points, sweep.normals, guess, prior)
         other = ~match.agree
         pose = match.map_from_base
-        against = self.window.active.grid.contradicts(pose @ sweep.origins[other], pose @ sweep.points[other])
+        against = self.submap.grid.contradicts(pose @ sweep.origins[other], pose @ sweep.points[other])
         return Placed(match, int(against.sum()))
 
     def _believe(self, match: Match, step: Pose2, doubt: float) -> None:
@@ -198,7 +197,7 @@ class FrontEnd:
         self.covariance = (covariance + covariance.T) / 2
 
     def _grade(self, quality: float, told: bool, n: int) -> None:
-        if self.state is Localization.STARTING and (n == 0 or self.window.active.registrar.map.n == 0):
+        if self.state is Localization.STARTING and (n == 0 or self.submap.registrar.map.n == 0):
             return
         if told and quality < self.config.lost:
             self.n_bad += 1

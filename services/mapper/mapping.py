@@ -70,7 +70,7 @@ class Mapping:
 
     def join(self, arrival: Arrival, tracked: Tracked) -> Out:
         """A placed scan joins the graph where the robot has moved on, or helps to find it."""
-        if tracked.keyframe is not None and self.front_end.window.moves:
+        if tracked.keyframe is not None and self.front_end.graphed:
             keyframe = Keyframe.of(
                 arrival.end, tracked.local_from_base, arrival.origins, arrival.ends, arrival.silent, tracked.keyframe
             )
@@ -115,7 +115,7 @@ class Mapping:
     @property
     def has_graph(self) -> bool:
         """Whether there are keyframes to save, to localise by and to look for the robot with."""
-        return self.front_end.window.moves and bool(self.back_end.keyframes)
+        return self.front_end.graphed and bool(self.back_end.keyframes)
 
     @property
     def drawing(self) -> bool:

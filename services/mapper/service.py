@@ -18,13 +18,14 @@ from services.mapper.pose_graph import Optimised
 from services.mapper.registration import RegistrationConfig
 from services.mapper.restart import Before
 from services.mapper.saved_map import SavedMap
+from services.mapper.surroundings import Surroundings
 from services.mapper.transfer import Incoming, Outgoing
 from shared import requests, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapMode, MapUpdate, Odometry, PoseEstimate
-from shared.reasons import BAD_REQUEST, BUSY, MAP_REFUSED, NO_GRAPH
+from shared.reasons import BAD_REQUEST, BUSY, MAP_REFUSED
 from shared.requests import FetchMap, GiveMap, LoadMap, MapPart, Reply, StartMap
 from shared.service import Answer, Log, Out, Service, answer, every, on
 
@@ -88,7 +89,7 @@ class MapperService(Service):
             other.front_end.searches_next = True
         beams = np.zeros((laser.n_beams, 2))
         other.grid.contradicts(beams, beams)
-        other.front_end.window.active.registrar.extend(
+        other.front_end.submap.registrar.extend(
             np.ascontiguousarray(0.3 * np.argwhere(np.ones((60, 60)))), np.zeros((3600, 2))
         )  # until it grows
         if other.mapping.tracked is not None and other.back_end.keyframes:
@@ -165,6 +166,13 @@ class MapperService(Service):
         """The graph has its optimum: the pose on the map moves now, the map when it is drawn."""
         return self.mapping.loops.corrected(result)
 
+    def renewed(self, result: tuple[int, Surroundings]) -> Out:
+        """What the next scans are matched with is gathered anew."""
+        submap = self.mapping.loops.renewed(result)
+        if submap is not None:
+            self.front_end.submap = submap
+        return ()
+
     def redrawn(self, result: tuple[int, Drawing]) -> Out:
         """The map, or a part of it, is drawn anew."""
         grid = yield from self.mapping.loops.redrawn(result, self.now)
@@ -197,9 +205,7 @@ class MapperService(Service):
 
     @answer(requests.GIVE_MAP)
     def give_map(self, request: GiveMap) -> Answer[Reply]:
-        if not self.config.front_end.window:
-            return Reply(self.now, False, NO_GRAPH.code, "")
-        return (yield from self.incoming.add(request, self.now))
+        return self.incoming.add(request, self.now)
 
     @answer(requests.START_MAP)
     def start_map(self, request: StartMap) -> Answer[Reply]:

@@ -14,7 +14,6 @@ from zenav.drive import RefusedError
 from zenav.map_transfer import fetched, given, started
 from zenav.replay import replay_file
 
-WINDOW = ("mapper.front_end.window=40",)
 ELSEWHERE = HALL.replace("start: {x: 1.0, y: 2.0}", "start: {x: 6.5, y: 1.6, yaw_deg: 115}")
 
 
@@ -52,7 +51,7 @@ def by_hand(stack: Stack, v: float, w: float, seconds: float) -> None:
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory) -> bytes:
     """A map of the hall, saved while the robot drives on."""
-    stack = Stack(tmp_path_factory.mktemp("saved"), settings=WINDOW)
+    stack = Stack(tmp_path_factory.mktemp("saved"))
     stack.go(7.0)
     stack.drives()
     early = unpacked(fetch(stack), "early")
@@ -66,7 +65,7 @@ def saved(tmp_path_factory) -> bytes:
 
 
 def test_on_a_loaded_map_nothing_drives_until_the_robot_was_driven_to_be_found(saved, tmp_path):
-    stack = Stack(tmp_path, ELSEWHERE, settings=WINDOW)
+    stack = Stack(tmp_path, ELSEWHERE)
     start(stack, MapMode.LOCALISE, saved)
     stack.lockstep.run(0.5)
     assert stack.newest["pose"].state is Localization.LOST
@@ -87,7 +86,7 @@ def test_on_a_loaded_map_nothing_drives_until_the_robot_was_driven_to_be_found(s
 
 
 def test_a_map_that_is_refused_stops_nothing(saved, tmp_path):
-    stack = Stack(tmp_path, settings=WINDOW)
+    stack = Stack(tmp_path)
     stack.go(4.0)
     stack.drives()
     with pytest.raises(RefusedError, match="checksum"):
@@ -97,7 +96,7 @@ def test_a_map_that_is_refused_stops_nothing(saved, tmp_path):
 
 
 def test_a_task_ends_with_its_map(tmp_path):
-    stack = Stack(tmp_path, settings=WINDOW)
+    stack = Stack(tmp_path)
     stack.go(7.0)
     stack.drives()
     start(stack, MapMode.LOCALISE)
@@ -115,7 +114,7 @@ def test_a_run_in_which_maps_come_and_go_is_replayed_to_the_byte(saved, tmp_path
     path, names = tmp_path / "run.mcap", ("sim", "base_driver", "odometry", "mapper")
     world = tmp_path / "world.yaml"
     world.write_text(HALL)
-    file = Stack(tmp_path, settings=WINDOW).file
+    file = Stack(tmp_path).file
     with Writer(path, {"robot": file.robot.name}, {CONFIG: file.text.encode()}) as writer:
         lockstep = Lockstep({name: made(name, file, file.robot) for name in names}, sink(writer))
         asker = Asker(lockstep)

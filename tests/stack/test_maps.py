@@ -20,14 +20,14 @@ from zenav.saved_map import write_saved_map
 from zenav.store import SAVED, SAVING
 
 ROOT = Path(__file__).resolve().parents[2]
-WINDOW = "mapper.front_end.window=40"
+
 NAMES = ("sim", "base_driver", "odometry", "mapper", "guard")
 pytestmark = pytest.mark.timeout(300)
 
 
 def test_a_map_is_saved_loaded_and_begun_anew(tmp_path, capsys):
     saved = tmp_path / "room"
-    with running(tmp_path, NAMES, settings=(WINDOW,)) as stack:
+    with running(tmp_path, NAMES) as stack:
         where, client = str(stack.where.domain), stack.client
         client.follow(topics.POSE)
 
@@ -62,7 +62,7 @@ def test_zenav_up_begins_on_a_saved_map(tmp_path):
     write_saved_map(saved, made(0, 5))
     with free_stack() as claim:
         domain = claim.where.domain
-    command = [sys.executable, "-m", "zenav", "up", "--world", "room", "--stack", str(domain), "--set", WINDOW]
+    command = [sys.executable, "-m", "zenav", "up", "--world", "room", "--stack", str(domain)]
     command += ["--only", ",".join(NAMES), "--map", str(saved), "--at", "0", "0", "0"]
     environment = dict(os.environ, PYTHONPATH=str(ROOT))  # noqa: TID251
     with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=environment) as up:

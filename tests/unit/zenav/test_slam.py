@@ -133,6 +133,6 @@ def test_a_mode_says_which_map_it_lacks_or_does_not_take(log, tmp_path, mode, fo
 
 def test_a_map_of_other_cells_is_not_continued(log, tmp_path):
     slam(log, tmp_path / "out")
-    config = MapperConfig.model_validate({"front_end": {"window": 40}, "occupancy": {"resolution": 0.1}})
+    config = MapperConfig.model_validate({"occupancy": {"resolution": 0.1}})
     with pytest.raises(UserError, match=r"cells of 0.05 m"):
         slam(log, tmp_path / "more", config=config, mode="continue", saved_map=tmp_path / "out")

@@ -8,18 +8,12 @@ from math import atan2, ceil, hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.front_end import FrontEndConfig
 from services.mapper.saved_map import SavedMap
-from services.mapper.service import MapperConfig
 from shared.geometry import Pose2, wrapped
 from tests.unit.services.mapper.rooms import Driven, box
 
 CELL, CLEAR = 0.25, 0.45  # m; m to the nearest wall that a way keeps
 STEP, TURN = 0.2, 0.35  # m, rad between scans
-
-
-LOOPS = MapperConfig(front_end=FrontEndConfig(window=40))
-"""What closes loops, as a log is mapped."""
 
 
 def room(x: float) -> list[tuple[float, float, float, float]]:

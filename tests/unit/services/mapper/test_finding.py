@@ -11,7 +11,7 @@ from services.mapper.saved_map import packed
 from services.mapper.service import MapperConfig
 from shared.geometry import Pose2
 from shared.messages import Localization
-from tests.unit.services.mapper.buildings import ALIKE, LOOPS, Building, drives, saved_by
+from tests.unit.services.mapper.buildings import ALIKE, Building, drives, saved_by
 from tests.unit.services.mapper.rooms import ROOM, Driven
 
 METRES = 10
@@ -25,7 +25,7 @@ START = Pose2(6.5, 6.0, 0.0)
 def building():
     """Two rooms that look alike at a corridor that does not, its map, and where that lies in it."""
     alike = Building(ALIKE, (START.x, START.y))
-    driven = Driven(ALIKE, LOOPS, noise=0.01)
+    driven = Driven(ALIKE, noise=0.01)
     driven.true = START
     for _ in drives(driven, alike, 60, np.random.default_rng(0)):
         pass
@@ -33,7 +33,7 @@ def building():
 
 
 def put(segments, saved, pose, fixed=True, **config):
-    driven = Driven(segments, MapperConfig.model_validate(LOOPS.model_dump() | config), noise=0.01)
+    driven = Driven(segments, MapperConfig.model_validate(config), noise=0.01)
     driven.true = pose
     driven.take(driven.mapper.go_on(saved, fixed))
     return driven

@@ -36,7 +36,7 @@ class Robot:
         self.drift, self.segments = drift, segments
         self.true, self.local, self.now = START, Pose2(), 0
         self.true_at: dict[int, Pose2] = {}  # by stamp
-        self.jobs, self.busy, self.drawings = [], False, []
+        self.jobs, self.busy, self.drawings, self.around = [], False, [], None
 
     def keyframe(self):
         origins, ends = sweep(self.segments, self.true, noise=0.01, seed=self.now // SECOND)
@@ -66,6 +66,8 @@ class Robot:
             result = job.function(*job.arguments)
             if job.done == "redrawn":
                 self.take(self.redrawn(result))
+            elif job.done == "renewed":
+                self.around = self.background.renewed(result)
             else:
                 self.take(getattr(self.background, job.done)(result))
 

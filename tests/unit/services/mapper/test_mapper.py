@@ -11,7 +11,6 @@ from numpy.testing import assert_array_equal
 
 import services.mapper
 from services.mapper.back_end import BackEndConfig
-from services.mapper.front_end import FrontEndConfig
 from services.mapper.loop_closure import LoopConfig
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.service import MapperConfig, MapperService
@@ -20,7 +19,6 @@ from shared.messages import Localization, Odometry
 from shared.requests import LoadMap
 from tests.unit.services.mapper.rooms import CORRIDOR, LAP, RING, ROBOT, ROOM, SECOND, START, Driven, laps
 
-LOOPS = FrontEndConfig(window=40)
 ROUND = [arc(0.06, 0.12 + 0.08 * sin(k / 3)) for k in range(40)]
 
 
@@ -74,7 +72,7 @@ def test_the_same_events_give_the_same_bytes_twice():
 
 
 def test_nothing_is_compiled_after_warming_up():
-    MapperService(MapperConfig(front_end=LOOPS), ROBOT).warm()
+    MapperService(MapperConfig(), ROBOT).warm()
     before = {name: list(kernel.signatures) for name, kernel in kernels().items()}
     assert len(before) >= 30
     robot = driven(ROUND[:15], with_odometry=True)
@@ -82,7 +80,7 @@ def test_nothing_is_compiled_after_warming_up():
         robot.step(arc(0.05, 0.1), with_odometry=False)
     robot.publish_map()
     often = BackEndConfig(off=0.0, redraw=0.0)
-    lap = Driven(RING, MapperConfig(front_end=LOOPS, loops=LoopConfig(apart=8.0), back_end=often))
+    lap = Driven(RING, MapperConfig(loops=LoopConfig(apart=8.0), back_end=often))
     lap.true = START
     for motion in islice(laps(), LAP + 10):
         lap.step(motion)
@@ -160,18 +158,10 @@ def test_in_a_corridor_the_covariance_grows_along_it_alone():
 def test_in_a_corridor_without_odometry_the_graph_is_unsure_along_it():
     along = []
     for with_odometry in (True, False):
-        robot = driven([arc(0.1, 0.0)] * 12, MapperConfig(front_end=LOOPS), 0.01, with_odometry, CORRIDOR)
+        robot = driven([arc(0.1, 0.0)] * 12, MapperConfig(), 0.01, with_odometry, CORRIDOR)
         edge = np.linalg.inv(robot.mapper.back_end.graph.snapshot().information[-1])
         along.append(edge[0, 0])
     assert along[1] > 15 * along[0]
-
-
-def test_a_mapper_that_matches_with_everything_warms_up_and_keeps_no_graph():
-    assert MapperConfig().front_end.window == 0
-    MapperService(MapperConfig(), ROBOT).warm()
-    robot = driven()
-    assert small(robot.error)
-    assert not robot.mapper.back_end.keyframes
 
 
 def test_a_scan_waits_for_odometry_to_cover_its_end_but_not_for_ever():
@@ -323,7 +313,7 @@ def test_a_map_that_cannot_be_used_is_refused_and_changes_nothing(what):
 
 
 def test_a_laser_that_knows_no_echo_may_carve_free_space():
-    config = MapperConfig(occupancy=OccupancyConfig(no_echo_free=0.9), front_end=LOOPS)
+    config = MapperConfig(occupancy=OccupancyConfig(no_echo_free=0.9))
     hall = np.array([(-1.0, -30.0, -1.0, 30.0)])
     silent, carving = Driven(hall, None), Driven(hall, config)
     for robot in (silent, carving):

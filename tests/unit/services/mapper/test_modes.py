@@ -9,7 +9,7 @@ import pytest
 from services.mapper.saved_map import packed, unpacked
 from shared.geometry import Pose2, wrapped
 from shared.messages import Localization, MapMode
-from tests.unit.services.mapper.buildings import ALIKE, LOOPS, Building, drives
+from tests.unit.services.mapper.buildings import ALIKE, Building, drives
 from tests.unit.services.mapper.rooms import LAP, RING, START, Asker, Driven, box, laps
 from zenav.map_transfer import fetched, given, started
 
@@ -20,7 +20,7 @@ class Lap:
     """A robot that drives round the ring, and can be put anywhere on its way."""
 
     def __init__(self):
-        self.driven = Driven(RING, LOOPS, noise=0.01)
+        self.driven = Driven(RING, noise=0.01)
         self.driven.true = START
         self.asker = Asker(self.driven)
         self.at = 0
@@ -139,7 +139,7 @@ def test_what_was_just_mapped_can_be_left_as_it_is_and_the_pose_goes_on(mapped):
 def test_who_is_carried_away_while_mapping_is_found_on_the_own_map(seed):
     rooms = Building(ALIKE, (6.5, 6.0))
     rng = np.random.default_rng(seed)
-    driven = Driven(ALIKE, LOOPS, noise=0.01)
+    driven = Driven(ALIKE, noise=0.01)
     driven.true = Pose2(6.5, 6.0, 0.0)
     for _ in drives(driven, rooms, 60, rng):
         driven.publish_map()

@@ -10,13 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.mapper.saved_map import MAGIC, SavedMap, packed, unpacked
-from services.mapper.service import MapperConfig
 from services.mapper.transfer import Incoming
-from shared import reasons
+from shared import reasons, requests
+from shared.geometry import Pose2
 from shared.messages import MapMode
-from shared.requests import MAP_PART, FetchMap, GiveMap, Reply, StartMap
+from shared.requests import MAP_PART, FetchMap, GiveMap, LoadMap, Reply, StartMap
 from shared.service import Job
-from tests.unit.services.mapper.buildings import LOOPS
 from tests.unit.services.mapper.rooms import LAP, RING, START, Asker, Driven, laps
 from tests.unit.services.mapper.test_saved_map import made
 from zenav.drive import RefusedError
@@ -27,7 +26,7 @@ SECOND = 1_000_000_000
 
 
 def ring(motions):
-    driven = Driven(RING, LOOPS, noise=0.01)
+    driven = Driven(RING, noise=0.01)
     driven.true = START
     for _, motion in zip(range(motions), laps()):
         driven.step(motion)
@@ -171,7 +170,7 @@ def test_a_copy_is_one_at_a_time_and_let_go_of():
 
 
 def test_a_mapper_without_a_graph_says_what_mends_that():
-    driven = Driven(RING, MapperConfig.model_validate({"front_end": {"window": 0}}))
+    driven = Driven(RING)
     driven.true = START
     asker = Asker(driven)
     with pytest.raises(RefusedError) as error:
@@ -180,10 +179,11 @@ def test_a_mapper_without_a_graph_says_what_mends_that():
     for _, motion in zip(range(3), laps()):
         driven.step(motion)
         driven.publish_map()
-    for refused in (lambda: fetched(asker, asker.wait), lambda: given_to(asker, asker.wait, b"x")):
-        with pytest.raises(RefusedError) as error:
-            refused()
-        assert error.value.code == reasons.NO_GRAPH.code
+    grid = driven.mapper.grid
+    assert asker.ask(requests.LOAD_MAP, LoadMap(driven.now, grid.whole(driven.now), Pose2())).accepted
+    with pytest.raises(RefusedError) as error:
+        fetched(asker, asker.wait)
+    assert error.value.code == reasons.NO_GRAPH.code
 
 
 def test_a_mapper_that_stays_busy_is_not_waited_for_for_ever():

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the next scans are matched with: all that the graph knows well from where the robot is now.
+
+Matched with the last metres alone, the pose walks off as odometry does, only slower; matched with the whole map, a
+robot that comes back from far snaps to walls that lie half a metre beside those it should see, and tears the map.
+Between the two: keyframes whose places are known, as seen from the newest one, better than a gate of some centimetres.
+What was left long ago drops out, and comes back when a closure ties it to the robot again.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from services.mapper.keyframe import Keyframe
+from services.mapper.occupancy import OccupancyConfig
+from services.mapper.pose_graph import Graph, pose_of
+from services.mapper.registration import RegistrationConfig
+from services.mapper.submap import Submap
+from services.mapper.uncertainty import uncertainty_from
+from shared.geometry import Pose2
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """A submap in `local`, and the newest node that is in it. session: the name of the first node in that `local`."""
+
+    submap: Submap
+    node: int
+    session: int
+
+
+def surroundings(
+    graph: Graph,
+    keyframes: Sequence[Keyframe],
+    local_from_map: Pose2,
+    session: int,
+    sure: float,
+    reach: float,
+    settings: tuple[RegistrationConfig, OccupancyConfig, float],
+) -> Surroundings:
+    """Draws them around the newest keyframe: what lies within `reach` m and is known better than `sure` m from there.
+
+    local_from_map: such that the newest keyframe keeps its place in `local`.
+    """
+    newest = int(graph.nodes[-1])
+    covariances = uncertainty_from(graph, newest)
+    sigma = np.sqrt(np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]))
+    away = np.hypot(*(graph.poses[:, :2] - graph.poses[-1, :2]).T)
+    submap = Submap(*settings)
+    for row in np.flatnonzero((sigma < sure) & (away < reach)).tolist():
+        keyframe, pose = keyframes[row], local_from_map @ pose_of(graph.poses[row])
+        submap.extend(pose, *keyframe.surface())
+        keyframe.draw(submap.grid, pose)
+    submap.grid.settle()
+    return Surroundings(submap, newest, session)
