@@ -193,6 +193,7 @@ class MapperService(Service):
 
     def corrected(self, result: tuple[int, Optimised]) -> Out:
         """The graph has its optimum: the pose on the map moves now, the map when it is drawn."""
+        self.front_end.settle()
         return self.loops.corrected(result)
 
     def redrawn(self, result: tuple[int, Drawing]) -> Out:
@@ -301,9 +302,12 @@ class MapperService(Service):
         before = self.front_end.local_from_base
         doubt = self.config.blind_doubt if self.blind else 1.0
         self.doubt = max(self.doubt, doubt)
-        tracked = self.front_end.track(origins, ends, step, doubt)
+        skew = min(scan.scan_time / seconds, 1.0) if seconds > 0 else 0.0
+        tracked = self.front_end.track(origins, ends, step, doubt, skew)
+        origins, ends = tracked.origins, tracked.ends
         moved = before.inverse() @ tracked.local_from_base
-        self.velocity = _scaled(moved, 1 / seconds) if 0.02 <= seconds <= 1 else Pose2()
+        drivable = 0.02 <= seconds <= 1 and self.track.plausible(moved, seconds)
+        self.velocity = _scaled(moved, 1 / seconds) if drivable else Pose2()
         silent = self._silent(scan, origins, ends)
         if tracked.trusted and not self.finder.searching and not self.back_end.fixed:
             pose = self.map_from_base
