@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from services.mapper.registration import Prior
 from shared.geometry import Pose2
 
+Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 
 
@@ -41,19 +42,23 @@ class Belief:
         yaw = prior.map_from_base.yaw
         drift = lever @ self.drift
         further = drift + ahead * np.array((np.cos(yaw), np.sin(yaw), 0.0))
-        carried = lever @ self.carried @ lever.T + np.outer(further, further) - np.outer(drift, drift)
+        before_it = lever @ self.carried @ lever.T
+        grown = np.outer(further, further) - np.outer(drift, drift)
         # in units of the step's uncertainty and along the axes of what is known, each axis is a matter of its own
         sigmas = np.array((prior.sigma, prior.sigma, prior.sigma_turn))
         told, axes = np.linalg.eigh(information * np.outer(sigmas, sigmas))
         open_ = 1 / (1 + np.maximum(told, 0))  # share of each axis that the step decides; the beams decide the rest
         by_step = sigmas[:, None] * (axes * np.sqrt(open_)) @ axes.T / sigmas
         by_beams = sigmas[:, None] * (axes * np.sqrt(1 - open_)) @ axes.T / sigmas
-        carried = by_step @ carried @ by_step.T + by_beams @ (carried if drawn is None else drawn) @ by_beams.T
+        # what the map shares with the pose counts once, what this step adds is the beams' to take away
+        carried = by_step @ before_it @ by_step.T + by_beams @ (before_it if drawn is None else drawn) @ by_beams.T
+        kept = by_step @ by_step
+        carried = _positive(carried + kept @ grown @ kept.T)
         modes = sigmas[:, None] * axes
         left_open = np.where(open_ > 0.5, open_, 0)
         self.covariance = carried + (modes * open_) @ modes.T
         self.carried = carried + (modes * left_open) @ modes.T
-        self.drift = by_step @ by_step @ further
+        self.drift = kept @ further
 
     @property
     def sigma(self) -> float:
@@ -61,12 +66,18 @@ class Belief:
         return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance[:2, :2])[-1], 0.0)))
 
 
+def _positive(covariance: Float64s) -> Float64s:
+    """The nearest that is one: who drives back takes away of a drift that the map may have taken away before."""
+    sizes, axes = np.linalg.eigh(covariance)
+    return np.asarray((axes * np.maximum(sizes, 0)) @ axes.T)
+
+
 def moved_by(dx: float, dy: float) -> Float64s:
     """(3, 3): what an error of (x, y, yaw) is of a place (dx, dy) m farther on, rigidly tied to it."""
     return np.array(((1.0, 0.0, -dy), (0.0, 1.0, dx), (0.0, 0.0, 1.0)))
 
 
-def mean_doubt(doubts: Float64s, places: Float64s, x: float, y: float) -> Float64s | None:
+def mean_doubt(doubts: Float32s, places: Float32s, x: float, y: float) -> Float64s | None:
     """(3, 3): the mean of doubts (n, 3, 3) of poses at places (n, 2), as errors of a pose at x, y; None without any."""
     if not len(doubts):
         return None

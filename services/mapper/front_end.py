@@ -145,7 +145,8 @@ class FrontEnd:
         sweep, placed, n_moving = self._matched(origins, ends, step, doubt)
         moved = self.local_from_base.inverse() @ placed.match.map_from_base
         off = step.inverse() @ moved
-        if skew * hypot(off.x, off.y) > BENT or skew * abs(off.yaw) > BENT_TURN:
+        bent = skew * hypot(off.x, off.y) > BENT or skew * abs(off.yaw) > BENT_TURN
+        if bent and placed.quality >= self.config.good:  # else it is the match that is wrong
             # odometry was wrong about this step, so the sweep was bent by what it told
             origins, ends = straightened(origins, step, moved, skew), straightened(ends, step, moved, skew)
             prior = self.odometry_error.prior(self.registration, self.local_from_base, step, doubt)
@@ -173,9 +174,7 @@ class FrontEnd:
             origins, ends,
         )  # fmt: skip
 
-    def _matched(
-        self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float
-    ) -> tuple[Sweep, Placed, int]:
+    def _matched(self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float) -> tuple[Sweep, Placed, int]:
         """The sweep without what moves, its place, and the number of beams that were on moving things."""
         normals = sweep_normals(origins, ends)
         valid = sweep_usable(origins, ends) | normals.any(axis=1)

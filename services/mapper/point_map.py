@@ -34,8 +34,8 @@ class PointMap:
         self.points: Float64s = np.zeros((1024, 4))
         self.weights: Int32s = np.zeros(1024, np.int32)
         self.following: Int32s = np.zeros(1024, np.int32)
-        self.doubts: Float32s = np.zeros((1024, 3, 3), np.float32)
-        self.places: Float32s = np.zeros((1024, 2), np.float32)
+        self.doubts: Float32s = np.zeros((0, 3, 3), np.float32)  # as long as `points` from the first `sign` on
+        self.places: Float32s = np.zeros((0, 2), np.float32)
         self.keys: Int64s = np.full(4096, EMPTY, np.int64)
         self.heads: Int32s = np.full(4096, -1, np.int32)
 
@@ -45,8 +45,6 @@ class PointMap:
             self.points = np.concatenate((self.points, np.zeros_like(self.points)))
             self.weights = np.concatenate((self.weights, np.zeros_like(self.weights)))
             self.following = np.concatenate((self.following, np.zeros_like(self.following)))
-            self.doubts = np.concatenate((self.doubts, np.zeros_like(self.doubts)))
-            self.places = np.concatenate((self.places, np.zeros_like(self.places)))
         while 2 * (self.n_cells + len(points)) > len(self.keys):
             keys, heads = np.full(2 * len(self.keys), EMPTY, np.int64), np.full(2 * len(self.keys), -1, np.int32)
             _rehash(self.keys, self.heads, keys, heads)
@@ -58,6 +56,10 @@ class PointMap:
 
     def sign(self, x: float, y: float, doubt: Float64s) -> None:
         """What is new since the last call was drawn from a pose at x, y m, with this covariance (3, 3)."""
+        more = len(self.points) - len(self.doubts)
+        if more:
+            self.doubts = np.concatenate((self.doubts, np.zeros((more, 3, 3), np.float32)))
+            self.places = np.concatenate((self.places, np.zeros((more, 2), np.float32)))
         self.doubts[self.n_signed : self.n] = doubt
         self.places[self.n_signed : self.n] = x, y
         self.n_signed = self.n

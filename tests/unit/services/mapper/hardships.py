@@ -6,7 +6,8 @@
 
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import islice, pairwise
 from math import atan2, ceil, hypot, pi
 
 import numpy as np
@@ -38,13 +39,16 @@ HOUSE = np.array(
 )  # fmt: skip
 ROUND = ((1.0, 5.5), (2.95, 5.4), (2.95, 2.6), (2.95, 5.4), (8.95, 5.5), (8.95, 2.5), (8.95, 5.5), (10.45, 5.6),
          (10.45, 8.4), (10.45, 5.5), (14.95, 5.5))  # fmt: skip
-INTO_THE_ROOM = ((-9.0, 0.0), (0.0, 0.0))
+BEGIN = Pose2(*ROUND[0], 0.0)
+DEAD_END = np.array(
+    [(-1.0, -1.0, 14.0, -1.0), (-1.0, 1.0, 14.0, 1.0), (-1.0, -1.0, -1.0, 1.0), (14.0, -1.0, 14.0, 1.0)]
+)
 
 
 def along(places: tuple[tuple[float, float], ...], step: float = 0.2, turn: float = 0.35) -> list[Pose2]:
     """Motions from the first place to the last, as even as may be: turns on the spot, and straight on."""
     motions, yaw = [], 0.0
-    for (x0, y0), (x1, y1) in zip(places, places[1:]):
+    for (x0, y0), (x1, y1) in pairwise(places):
         rotation = wrapped(atan2(y1 - y0, x1 - x0) - yaw)
         yaw += rotation
         n_turns, n_steps = ceil(abs(rotation) / turn - 1e-9), ceil(hypot(x1 - x0, y1 - y0) / step - 1e-9)
@@ -90,10 +94,12 @@ def stalling(k: int, motion: Pose2) -> Pose2:
 def clutter(k: int, _pose: Pose2) -> Float64s:
     """Boxes and bags that were not there before: every 15 scans another heap about where the robot is by then."""
     heaps = np.random.default_rng(k // 15)
-    pose = Pose2(*ROUND[0], 0.0)
+    pose = BEGIN
     for motion in along(ROUND)[: k // 15 * 15 + 8]:
         pose = pose @ motion
-    corners = pose @ np.column_stack((heaps.uniform(-2, 2, 12), heaps.choice((-1, 1), 12) * heaps.uniform(0.5, 0.9, 12)))
+    corners = pose @ np.column_stack(
+        (heaps.uniform(-2, 2, 12), heaps.choice((-1, 1), 12) * heaps.uniform(0.5, 0.9, 12))
+    )
     return np.concatenate([box(x, y, x + 0.2, y + 0.15) for x, y in corners])
 
 
@@ -103,14 +109,15 @@ class Hardship:
 
     laser: Laser = field(default_factory=laser)
     motions: tuple[Pose2, ...] = tuple(along(ROUND))
-    start: Pose2 = Pose2(*ROUND[0], 0.0)
+    start: Pose2 = BEGIN
     segments: Float64s = field(default_factory=lambda: HOUSE)
     told: Told = truly
     dropped: Callable[[int], bool] = lambda _k: False
     company: Callable[[int, Pose2], Float64s] | None = None
     noise: float = 0.01
     window: int = 0
-    far: float = 0.1  # m from the truth at most, where the beams tell
+    observed: bool = True  # whether the beams tell enough to be right
+    far: float = 0.1  # m from the truth at most, where they do
 
 
 @dataclass(frozen=True)
@@ -161,42 +168,51 @@ def course(row: Hardship) -> Course:
     return Course(*np.array(rows, float).T)
 
 
-def crossing(k: int, pose: Pose2) -> Float64s:
+def people(k: int, pose: Pose2) -> Float64s:
     """Three people about the robot: one who crosses, one who overtakes, one who comes towards it."""
     at = pose @ np.array([(1.2, 1.5 - 0.2 * (k % 16)), (-2.0 + 0.15 * (k % 30), 0.7), (4.0 - 0.3 * (k % 18), -0.6)])
     return np.concatenate([person(x, y) for x, y in at])
 
 
-ALONE = Hardship(told=lambda _k, _motion: None)
+def alone(_k: int, _motion: Pose2) -> None:
+    """No odometry at all."""
+
+
+LAPPED = tuple(islice(laps(), LAP))
+ON = (Pose2(0.2, 0, 0),) * 60
+BARE = Hardship(laser(range_max=5.0), ON, Pose2(), CORRIDOR, scaled(1.1, 1.0), observed=False)
+THERE_AND_BACK = Hardship(
+    laser(range_max=3.0),
+    (*(Pose2(0.2, 0, 0),) * 60, *(Pose2(0, 0, pi / 8),) * 8, *(Pose2(0.2, 0, 0),) * 60),
+    Pose2(),
+    DEAD_END,
+)
+"""From one end of a corridor, of which a laser of 3 m sees no end in the middle, to the other, and back."""
+
 ROWS: dict[str, Hardship] = {
     "nothing hard": Hardship(),
     "a scan every metre, 180 beams": Hardship(laser(180), tuple(along(ROUND, 1.0, 0.8))),
     "a scan every metre, 180 degrees": Hardship(laser(181, pi), tuple(along(ROUND, 1.0, 0.8))),
     "5 m of range": Hardship(laser(range_max=5.0)),
     "5 m of range, 180 degrees": Hardship(laser(181, pi, 5.0)),
-    "20 beams": Hardship(laser(20)),
     "noise of 3 cm": Hardship(noise=0.03),
     "clutter that is always new": Hardship(company=clutter),
-    "people": Hardship(company=crossing),
+    "people": Hardship(company=people),
     "a wheel that slips": Hardship(told=slipping),
     "odometry that stalls": Hardship(told=stalling),
     "every third scan is missing": Hardship(dropped=lambda k: k % 3 == 2),
     "six scans in a row are missing": Hardship(dropped=lambda k: k % 40 > 33),
     "odometry 10 % too far, turns 10 % short": Hardship(told=scaled(1.1, 0.9)),
     "odometry 10 % short, turns 10 % too far": Hardship(told=scaled(0.9, 1.1)),
-    "no odometry": ALONE,
-    "no odometry, 5 m, 180 degrees": Hardship(laser(181, pi, 5.0), told=ALONE.told),
-    "a corridor without an end": Hardship(
-        laser(range_max=5.0), (Pose2(0.2, 0, 0),) * 60, Pose2(), CORRIDOR, scaled(1.1, 1.0)
-    ),
-    "a corridor without an end, no odometry": Hardship(
-        laser(range_max=5.0), (Pose2(0.2, 0, 0),) * 60, Pose2(), CORRIDOR, ALONE.told
-    ),
-    "ring, 5 m, 180 degrees": Hardship(laser(181, pi, 5.0), tuple(m for m, _ in zip(laps(), range(LAP))), START, RING),
-    "ring, 20 beams": Hardship(laser(20), tuple(m for m, _ in zip(laps(), range(LAP))), START, RING),
-    "ring, 5 m, 180 degrees, no odometry": Hardship(
-        laser(181, pi, 5.0), tuple(m for m, _ in zip(laps(), range(LAP))), START, RING, ALONE.told
-    ),
+    "no odometry": Hardship(told=alone),
+    "ring, 0.3 m and 30 degrees a scan, 5 m, 180 degrees": Hardship(laser(181, pi, 5.0), LAPPED, START, RING),
+    "the same with a window of 40": Hardship(laser(181, pi, 5.0), LAPPED, START, RING, window=40),
+    "the same without odometry": Hardship(laser(181, pi, 5.0), LAPPED, START, RING, alone, observed=False),
+    "ring, 20 beams": Hardship(laser(20), LAPPED, START, RING, scaled(1.03, 1.0), observed=False),
+    "20 beams": Hardship(laser(20), observed=False),
+    "no odometry, 5 m, 180 degrees": Hardship(laser(181, pi, 5.0), told=alone, observed=False),
+    "a corridor without an end": BARE,
+    "a corridor without an end, no odometry": replace(BARE, told=alone),
 }
 
 
