@@ -17,7 +17,7 @@ from services.mapper.pose_graph import Graph, Optimised, PoseGraph, between, pos
 from services.mapper.registration import Match, OdometryError, RegistrationConfig
 from services.mapper.saved_map import SavedMap
 from services.mapper.submap import Submap
-from services.mapper.surroundings import Surroundings, surroundings
+from services.mapper.surroundings import SETTLED, Surroundings, surroundings
 from services.mapper.uncertainty import uncertainty_from
 from shared.config import Section
 from shared.geometry import Float64s, Pose2, wrapped_all
@@ -108,6 +108,7 @@ class BackEnd:
         self.moved = 0.0  # m, at most, of any keyframe since the map was drawn
         self.shifted = 0.0  # m, at most, of any near keyframe as seen from the newest, since it was last gathered
         self.n_new = 0  # keyframes since then
+        self.settled_to = -1  # name of the newest node at the last optimum
         self.blocks = Blocks(*self._settings, self.loops)
         self.hubs: tuple[int, ...] = ()  # names of the last two
 
@@ -261,6 +262,7 @@ class BackEnd:
         """Takes an optimum."""
         before, last = self.graph.poses.copy(), self.keyframes[-1].local_from_base
         self.graph.take(optimum)
+        self.settled_to = int(self.graph.nodes[-1])
         self.map_from_local = pose_of(self.graph.poses[-1]) @ last.inverse()
         near = np.hypot(*(before[:, :2] - before[-1, :2]).T) < self._reach
         shift = between(self.graph.poses[-1:], self.graph.poses[near]) - between(before[-1:], before[near])
@@ -282,18 +284,19 @@ class BackEnd:
     def around(self) -> tuple[Any, ...]:
         """The arguments of `surroundings`."""
         self.n_new, self.shifted = 0, 0.0
-        local_from_map, first = self.map_from_local.inverse(), self.first
-        graph, keyframes = self.graph.snapshot(), tuple(self.keyframes)
-        return graph, keyframes, local_from_map, first, self.config.sure, self._reach, self._settings
+        return (
+            self.graph.snapshot(), tuple(self.keyframes), self.map_from_local.inverse(), self.first, self.settled_to,
+            self.config.sure, self._reach, self._settings,
+        )  # fmt: skip
 
     def completed(self, drawn: Surroundings) -> Submap | None:
         """The surroundings, with the keyframes that came meanwhile; None where the robot was carried away since."""
         if drawn.session != self.first:
             return None
         first = int(np.searchsorted(self.graph.nodes, drawn.node, side="right"))
-        for keyframe in self.keyframes[first:]:
-            drawn.submap.extend(keyframe.local_from_base, *keyframe.surface())
-            keyframe.draw(drawn.submap.grid, keyframe.local_from_base)
+        for keyframe, node in zip(self.keyframes[first:], self.graph.nodes[first:].tolist()):
+            drawn.submap.take(keyframe, keyframe.local_from_base)
+            drawn.submap.sign(keyframe.local_from_base, keyframe.doubt if node > self.settled_to else SETTLED)
         return drawn.submap
 
     @property

@@ -8,7 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from services.mapper.belief import Belief, mean_doubt
 from services.mapper.correlative_match import SearchConfig, candidates
+from services.mapper.deskew import straightened
+from services.mapper.keyframe import Sweep
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.registration import Match, OdometryError, Prior, RegistrationConfig
 from services.mapper.submap import Submap
@@ -20,6 +23,8 @@ from shared.messages import Localization, MapUpdate
 
 Float64s = NDArray[np.float64]
 
+BENT, BENT_TURN = 0.02, 0.01  # m, rad, by which the first beam of a sweep may be off, to the last
+LIED = 10.0  # how much wider the prior is where odometry was wrong
 LEAST_BEAMS = 15  # that must agree with the map or contradict it, to tell anything
 
 
@@ -29,6 +34,7 @@ class FrontEndConfig(Section):
     keyframe_distance: float = Field(0.3, ge=0.01, le=5, description="m driven until a scan joins the map")
     keyframe_turn: float = Field(0.3, ge=0.01, le=3, description="rad turned until a scan joins the map")
     good: float = Field(0.6, ge=0, le=1, description="quality from which the pose is good")
+    sure: float = Field(0.25, ge=0.01, le=100, description="m, standard deviation up to which the pose is good")
     lost: float = Field(0.3, ge=0, le=1, description="quality under which the pose may be lost")
     clear_cells: int = Field(2, ge=0, le=20, description="free cells to each side that make an echo a moving thing's")
     most_moving: float = Field(0.4, ge=0, le=1, description="share of beams on moving things that is still believed")
@@ -36,19 +42,11 @@ class FrontEndConfig(Section):
 
 
 @dataclass(frozen=True, slots=True)
-class Sweep:
-    """The beams of a sweep that measured something: origins, points and normals (n, 2) in `base`."""
-
-    origins: Float64s
-    points: Float64s
-    normals: Float64s
-
-
-@dataclass(frozen=True, slots=True)
 class Tracked:
     """A scan's place: the pose, its covariance (3, 3) in `local`, the share of beams that agree, and the state.
 
     trusted: the map may be drawn from it.  keyframe: what joined the submap, where the robot has moved on.
+    origins, ends: (n, 2) m in `base`, the sweep as it is to be drawn.
     """
 
     local_from_base: Pose2
@@ -58,6 +56,8 @@ class Tracked:
     match: Match
     trusted: bool
     keyframe: Sweep | None
+    origins: Float64s
+    ends: Float64s
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,7 @@ class FrontEnd:
         self.submap, self.graphed = Submap(*self._settings), True
         self.local_from_base = local_from_base
         self.keyframe: Pose2 | None = None  # of the last scan that joined the submap
-        self.covariance: Float64s = np.zeros((3, 3))
+        self.belief = Belief()
         self.state = Localization.STARTING
         self.motion = Pose2()  # between the last two sweeps
         self.n_bad = 0
@@ -118,15 +118,55 @@ class FrontEnd:
         self.start(map_from_base)
         self.submap.load(grid, update)
         self.graphed = False
+        self.submap.sign(self.local_from_base, self.belief.carried)
         self.searches_next = True
 
-    def track(self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float) -> Tracked:
+    def settle(self) -> None:
+        """The pose graph knows by now how its keyframes lie: what was in doubt between them is no more."""
+        self.belief.start()
+        self.submap.registrar.map.doubts[:] = 0
+
+    def track(self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float, skew: float = 0.0) -> Tracked:
         """Places a sweep, and extends the submap where the robot has moved on.
 
         origins, ends: (n, 2) m in `base`, NaN without an echo.  step: odometry's motion since the last sweep; doubt
-        widens its standard deviation.
+        widens its standard deviation.  skew: share of that motion by which the beams were de-skewed.
         """
         measured, step = step, self.odometry_error.corrected(step)
+        sweep, placed, n_moving = self._matched(origins, ends, step, doubt)
+        moved = self.local_from_base.inverse() @ placed.match.map_from_base
+        off = step.inverse() @ moved
+        bent = skew * hypot(off.x, off.y) > BENT or skew * abs(off.yaw) > BENT_TURN
+        if bent and placed.quality >= self.config.good:  # else it is the match that is wrong
+            # odometry was wrong about this step, so the sweep was bent by what it told
+            origins, ends = straightened(origins, step, moved, skew), straightened(ends, step, moved, skew)
+            prior = self.odometry_error.prior(self.registration, self.local_from_base, step, doubt)
+            lied = hypot(off.x, off.y) > 3 * prior.sigma or abs(off.yaw) > 3 * prior.sigma_turn
+            sweep, placed, n_moving = self._matched(origins, ends, step, LIED * doubt if lied else doubt)
+        self._believe(sweep, placed.match, step, doubt)
+        self.motion = self.local_from_base.inverse() @ placed.match.map_from_base
+        if doubt <= 1:  # else it was no odometry
+            self.odometry_error.learn(measured, self.motion, placed.match.information)
+        self.local_from_base = placed.match.map_from_base
+        n_told = placed.n_agree + placed.n_against + n_moving
+        quality = placed.n_agree / max(n_told, LEAST_BEAMS)
+        self._grade(quality, n_told >= LEAST_BEAMS, len(origins))
+        trusted = self.n_bad == 0  # a map drawn from a wrong place soon agrees with it
+        joins = trusted and self._moved_on() and len(sweep.points) > 0
+        if joins:
+            self.keyframe = self.local_from_base
+            self.submap.extend(self.local_from_base, sweep.points, sweep.normals)
+            self.submap.sign(self.local_from_base, self.belief.carried)
+        if trusted:
+            self.submap.draw(self.local_from_base @ origins, self.local_from_base @ ends)
+        keyframe = sweep if joins else None
+        return Tracked(
+            self.local_from_base, self.belief.covariance, quality, self.state, placed.match, trusted, keyframe,
+            origins, ends,
+        )  # fmt: skip
+
+    def _matched(self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float) -> tuple[Sweep, Placed, int]:
+        """The sweep without what moves, its place, and the number of beams that were on moving things."""
         normals = sweep_normals(origins, ends)
         valid = sweep_usable(origins, ends) | normals.any(axis=1)
         sweep = Sweep(origins[valid], np.ascontiguousarray(ends[valid]), np.ascontiguousarray(normals[valid]))
@@ -137,29 +177,14 @@ class FrontEnd:
             # who walks through known free space would pull the robot along, most of all in a bare corridor
             sweep = Sweep(sweep.origins[~moving], sweep.points[~moving], sweep.normals[~moving])
             placed = self._placed(sweep, step, doubt)
-        self._believe(placed.match, step, doubt)
-        self.motion = self.local_from_base.inverse() @ placed.match.map_from_base
-        self.odometry_error.learn(measured, self.motion, placed.match.information)
-        self.local_from_base = placed.match.map_from_base
-        n_told = placed.n_agree + placed.n_against + n_moving
-        quality = placed.n_agree / max(n_told, LEAST_BEAMS)
-        self._grade(quality, n_told >= LEAST_BEAMS, len(valid))
-        trusted = self.n_bad == 0  # a map drawn from a wrong place soon agrees with it
-        joins = trusted and self._moved_on() and len(sweep.points) > 0
-        if joins:
-            self.keyframe = self.local_from_base
-            self.submap.extend(self.local_from_base, sweep.points, sweep.normals)
-        if trusted:
-            self.submap.draw(self.local_from_base @ origins, self.local_from_base @ ends)
-        keyframe = sweep if joins else None
-        return Tracked(self.local_from_base, self.covariance, quality, self.state, placed.match, trusted, keyframe)
+        return sweep, placed, n_moving
 
     def _placed(self, sweep: Sweep, step: Pose2, doubt: float) -> Placed:
         """The sweep aligned from odometry's guess, or from a better one where too many beams contradict the map."""
         prior = self.odometry_error.prior(self.registration, self.local_from_base, step, doubt)
         if self.submap.registrar.map.n == 0 or len(sweep.points) < LEAST_BEAMS:  # a few beams agree anywhere
             return Placed(self.submap.registrar.measured(sweep.points, sweep.normals, prior.map_from_base), 0)
-        unsure = self.odometry_error.prior(self.registration, self.local_from_base, step, 10 * doubt)
+        unsure = self.odometry_error.prior(self.registration, self.local_from_base, step, LIED * doubt)
         best = self._aligned(sweep, prior.map_from_base, unsure if self.searches_next else prior)
         if best.quality >= self.search.below and not self.searches_next:
             return best
@@ -187,14 +212,17 @@ class FrontEnd:
         against = self.submap.grid.contradicts(pose @ sweep.origins[other], pose @ sweep.points[other])
         return Placed(match, int(against.sum()))
 
-    def _believe(self, match: Match, step: Pose2, doubt: float) -> None:
-        """The covariance: grown by the step's uncertainty, shrunk by what the beams tell (information filter)."""
+    def _believe(self, sweep: Sweep, match: Match, step: Pose2, doubt: float) -> None:
         prior = self.odometry_error.prior(self.registration, self.local_from_base, step, doubt)
-        dx, dy = prior.map_from_base.x - self.local_from_base.x, prior.map_from_base.y - self.local_from_base.y
-        turned = np.array(((1, 0, -dy), (0, 1, dx), (0, 0, 1)))
-        grown = turned @ self.covariance @ turned.T + np.diag((prior.sigma**2, prior.sigma**2, prior.sigma_turn**2))
-        covariance = np.linalg.inv(np.linalg.inv(grown) + match.information)
-        self.covariance = (covariance + covariance.T) / 2
+        # where speed alone is known, it may be wrong for long
+        ahead = self.odometry_error.forward.sigma * hypot(step.x, step.y) if doubt <= 1 else prior.sigma
+        registrar = self.submap.registrar
+        if registrar.map.n == 0:
+            return  # here the map begins
+        found = registrar.found(sweep.points, sweep.normals, match)
+        at = match.map_from_base
+        drawn = mean_doubt(registrar.map.doubts[found], registrar.map.places[found], at.x, at.y)
+        self.belief.take(self.local_from_base, prior, ahead, match.information, drawn)
 
     def _grade(self, quality: float, told: bool, n: int) -> None:
         if self.state is Localization.STARTING and (n == 0 or self.submap.registrar.map.n == 0):
@@ -206,7 +234,8 @@ class FrontEnd:
         if self.n_bad >= self.config.lost_after:
             self.state = Localization.LOST
         else:
-            self.state = Localization.GOOD if quality >= self.config.good else Localization.POOR
+            sure = quality >= self.config.good and self.belief.sigma <= self.config.sure
+            self.state = Localization.GOOD if sure else Localization.POOR
 
     def _moved_on(self) -> bool:
         if self.keyframe is None:

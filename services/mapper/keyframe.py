@@ -1,16 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is kept of a scan that joined the map."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.front_end import Sweep
 from services.mapper.occupancy import Occupancy
 from shared.geometry import Float64s, Pose2
 
 Float32s = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """The beams of a sweep that measured something: origins, points and normals (n, 2) in `base`."""
+
+    origins: Float64s
+    points: Float64s
+    normals: Float64s
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +28,7 @@ class Keyframe:
     stamp: ns, end of the sweep.  local_from_base: in the front end's frame, which no closure moves.  origins, ends:
     (n, 2) m in `base`, ends NaN without an echo.  points, normals: (k, 2) m in `base`, what is matched.
     silent: (n, 2) m in `base`, up to where a beam without an echo is free, NaN elsewhere; or (0, 2): they say nothing.
+    doubt: (3, 3), how unsure a map is that was drawn from it, until the graph is optimised; see `Belief`.
     """
 
     stamp: int
@@ -29,13 +38,15 @@ class Keyframe:
     points: Float32s
     normals: Float32s
     silent: Float32s
+    doubt: Float32s = field(default_factory=lambda: np.zeros((3, 3), np.float32))
 
     @classmethod
     def of(
-        cls, stamp: int, local_from_base: Pose2, origins: Float64s, ends: Float64s, silent: Float64s, sweep: Sweep
-    ) -> "Keyframe":
+        cls, stamp: int, local_from_base: Pose2, origins: Float64s, ends: Float64s, silent: Float64s, sweep: Sweep,
+        doubt: Float64s,
+    ) -> "Keyframe":  # fmt: skip
         told = silent if not np.isnan(silent).all() else silent[:0]
-        arrays = (array.astype(np.float32) for array in (origins, ends, sweep.points, sweep.normals, told))
+        arrays = (array.astype(np.float32) for array in (origins, ends, sweep.points, sweep.normals, told, doubt))
         return cls(stamp, local_from_base, *arrays)
 
     @property

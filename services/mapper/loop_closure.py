@@ -40,6 +40,7 @@ class LoopConfig(Section):
     passes: int = Field(2, ge=1, le=20, description="earlier visits that a look tries")
     around: int = Field(10, ge=1, le=100, description="keyframes before and after a place that are matched with it")
     sigmas: float = Field(2.0, ge=0.5, le=6, description="standard deviations around the guess that are searched")
+    least: float = Field(1.5, ge=0.1, le=30, description="m around the guess that are searched at least")
     farthest: float = Field(3.0, ge=0.3, le=30, description="m around the guess that are searched at most")
     share: float = Field(0.65, ge=0, le=1, description="of the beams that must agree")
     balance: float = Field(0.55, ge=0, le=1, description="agreeing beams less contradicting ones, as a share of all")
@@ -85,9 +86,7 @@ class Blocks:
         if found is None:
             submap = Submap(*self._settings)
             for keyframe in keyframes[begin:end]:
-                pose = keyframe.local_from_base
-                submap.extend(pose, *keyframe.surface())
-                keyframe.draw(submap.grid, pose)
+                submap.take(keyframe, keyframe.local_from_base)
             submap.grid.trim()
             points = submap.registrar.map.points[: submap.registrar.map.n, :2]
             found = submap, drawn(np.ascontiguousarray(points), self._config.search)
@@ -146,10 +145,11 @@ def closed(
     submap, pyramid = blocks.about(graph.nodes, keyframes, row)
     keyframe, place = keyframes[last], keyframes[row].local_from_base
     guess = place @ (pose_of(graph.poses[row]).inverse() @ pose_of(graph.poses[last]))
-    sigma = sqrt(max(covariance[0, 0], covariance[1, 1]))
+    # a wrong closure makes the graph too sure: only who looks farther finds those that outvote it
+    sigma = max(sqrt(max(covariance[0, 0], covariance[1, 1])), config.least / config.sigmas)
     sigma_turn = sqrt(covariance[2, 2])
-    prior = Prior(guess, max(sigma, 0.05), max(sigma_turn, 0.03))
-    reach = min(max(config.sigmas * sigma, 0.3), config.farthest)
+    prior = Prior(guess, sigma, max(sigma_turn, 0.03))
+    reach = min(config.sigmas * sigma, config.farthest)
     turn = min(max(config.sigmas * sigma_turn, 0.1), 0.5)
     points, normals = keyframe.surface()
     candidates = search(points, pyramid, guess, reach, turn, config.score, config.search)

@@ -62,18 +62,20 @@ class Mapping:
         if self.tracked is None and not self.grid.places:
             self.grid = Occupancy(self.occupancy, max(now, 1))
         self.doubt = max(self.doubt, arrival.doubt)
-        self.tracked = self.front_end.track(arrival.origins, arrival.ends, arrival.step, arrival.doubt)
-        if self.tracked.trusted and not self.finder.searching and self.changes:
+        tracked = self.front_end.track(arrival.origins, arrival.ends, arrival.step, arrival.doubt, arrival.skew)
+        if tracked.trusted and not self.finder.searching and self.changes:
             pose = self.map_from_base
-            self.grid.integrate(pose @ arrival.origins, pose @ arrival.ends, pose @ arrival.silent)
-        return self.tracked
+            self.grid.integrate(pose @ tracked.origins, pose @ tracked.ends, pose @ arrival.silent)
+        self.tracked = tracked
+        return tracked
 
     def join(self, arrival: Arrival, tracked: Tracked) -> Out:
         """A placed scan joins the graph where the robot has moved on, or helps to find it."""
         if tracked.keyframe is not None and self.front_end.graphed:
             keyframe = Keyframe.of(
-                arrival.end, tracked.local_from_base, arrival.origins, arrival.ends, arrival.silent, tracked.keyframe
-            )
+                arrival.end, tracked.local_from_base, tracked.origins, tracked.ends, arrival.silent, tracked.keyframe,
+                self.front_end.belief.carried,
+            )  # fmt: skip
             if self.finder.searching:
                 yield from self.finder.keep(keyframe, tracked.match, self.doubt)
             elif self.known is not None:

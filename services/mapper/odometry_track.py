@@ -57,7 +57,7 @@ class OdometryTrack:
                 return False
             start_from_last = last.start_from_base
             motion = last.odom_from_base.inverse() @ odometry.odom_from_base
-            if broken or not self._plausible(motion, odometry.stamp - last.stamp):
+            if broken or not self.plausible(motion, (odometry.stamp - last.stamp) * 1e-9):
                 self.n_jumps += not broken
                 motion = Pose2()
             if odometry.stamp == last.stamp:
@@ -106,9 +106,10 @@ class OdometryTrack:
         rows[:, 2] -= 2 * pi * np.round(rows[-1, 2] / (2 * pi))
         return np.array([(stamp - end) * 1e-9 for stamp in stamps]), rows
 
-    def _plausible(self, motion: Pose2, elapsed: int) -> bool:
+    def plausible(self, motion: Pose2, seconds: float) -> bool:
+        """Whether the drive can do a motion."""
         # stamps come in bursts: what moved before a burst is told within milliseconds
-        seconds = max(elapsed * 1e-9, 0.2)
+        seconds = max(seconds, 0.2)
         far = self.drive.max_speed * seconds * 1.5 + self.config.jump
         turned = self.drive.max_turn_rate * seconds * 1.5 + self.config.jump_turn
         return hypot(motion.x, motion.y) <= far and abs(wrapped(motion.yaw)) <= turned

@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
@@ -17,7 +18,10 @@ AGREE = 0.7  # cosine between normals of one surface
 
 
 class PointMap:
-    """Points (x, y, nx, ny), float64; (nx, ny) is 0 where the surface has no direction. Cells are lists in a hash."""
+    """Points (x, y, nx, ny), float64; (nx, ny) is 0 where the surface has no direction. Cells are lists in a hash.
+
+    doubts, places: (n, 3, 3) and (n, 2), how unsure the pose was from which a point was drawn, and where that was.
+    """
 
     def __init__(self, spacing: float) -> None:
         self.spacing = spacing
@@ -26,9 +30,12 @@ class PointMap:
     def clear(self) -> None:
         self.n = 0
         self.n_cells = 0
+        self.n_signed = 0
         self.points: Float64s = np.zeros((1024, 4))
         self.weights: Int32s = np.zeros(1024, np.int32)
         self.following: Int32s = np.zeros(1024, np.int32)
+        self.doubts: Float32s = np.zeros((0, 3, 3), np.float32)  # as long as `points` from the first `sign` on
+        self.places: Float32s = np.zeros((0, 2), np.float32)
         self.keys: Int64s = np.full(4096, EMPTY, np.int64)
         self.heads: Int32s = np.full(4096, -1, np.int32)
 
@@ -46,6 +53,16 @@ class PointMap:
             points, normals, self.spacing, self.points, self.weights, self.following, self.keys, self.heads,
             self.n, self.n_cells,
         )  # fmt: skip
+
+    def sign(self, x: float, y: float, doubt: Float64s | Float32s) -> None:
+        """What is new since the last call was drawn from a pose at x, y m, with this covariance (3, 3)."""
+        more = len(self.points) - len(self.doubts)
+        if more:
+            self.doubts = np.concatenate((self.doubts, np.zeros((more, 3, 3), np.float32)))
+            self.places = np.concatenate((self.places, np.zeros((more, 2), np.float32)))
+        self.doubts[self.n_signed : self.n] = doubt
+        self.places[self.n_signed : self.n] = x, y
+        self.n_signed = self.n
 
     @property
     def index(self) -> tuple[Float64s, Int32s, Int64s, Int32s]:

@@ -6,7 +6,7 @@ minimises the distance to the surfaces (Censi, ICRA 2008) where the map knows th
 """
 
 from dataclasses import dataclass
-from math import cos, hypot, pi, sin, sqrt
+from math import atan2, cos, hypot, pi, sin, sqrt
 from typing import Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from shared.config import Section
 from shared.geometry import Pose2
 
 Float64s = NDArray[np.float64]
+Int64s = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 
@@ -40,7 +41,9 @@ class RegistrationConfig(Section):
     agrees: float = Field(0.1, ge=0.01, le=1, description="m from the map's surface up to which a beam agrees with it")
 
 
+SHARE = 0.06  # of the beams, under which they say little about a direction: noise of the normals, clutter
 OBSERVED = 0.012  # m, standard deviation up to which the beams fix a direction
+UNKNOWN = 0.1  # standard deviation of a scale that nothing was learnt about
 LEARNING = 0.05  # weight of the newest step in odometry's error
 FORGETTING = 0.005  # share of what is known of its scale that each step replaces
 
@@ -100,6 +103,13 @@ class LineRegistrar:
         )
         return Match(pose, information, agree, float(agree.mean()) if len(agree) else 0.0)
 
+    def found(self, points: Float64s, normals: Float64s, match: Match) -> Int64s:
+        """(k,): the map's points that those of a scan which agree were found to be."""
+        agree = match.agree
+        return np.asarray(
+            _found(points[agree], normals[agree], _row(match.map_from_base), self.config.final_gate, *self.map.index)
+        )
+
 
 class KissRegistrar(LineRegistrar):
     """The kiss-icp package's voxel map, registration and adaptive threshold; agreement is measured as for `line`."""
@@ -156,6 +166,11 @@ class Scale:
     @property
     def gain(self) -> float:
         return (self.products + self.stiffness) / (self.squares + self.stiffness)
+
+    @property
+    def sigma(self) -> float:
+        """What is left to doubt of the gain."""
+        return UNKNOWN * sqrt(self.stiffness / (self.squares + self.stiffness))
 
     def learn(self, measured: float, true: float) -> None:
         """Takes a motion, unless no scale explains it: a slip, a stall, a wrong sign."""
@@ -279,6 +294,7 @@ def _aligned(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
         _normal_equations(
             source, directions, pose, reach, kernel, 0.0, agree, hessian, gradient, points, following, keys, heads
         )
+        _temper(hessian, gradient)
         hessian *= scale
         gradient *= scale
         hessian[0, 0] += 1.0 / sigma**2
@@ -304,7 +320,48 @@ def _measured(  # type: ignore[no-untyped-def]  # compiled: numba finds the type
     _normal_equations(
         source, directions, pose, gate, kernel, agrees, agree, hessian, gradient, points, following, keys, heads
     )
+    _temper(hessian, gradient)
     return agree, hessian / noise**2
+
+
+@njit(cache=True, nogil=True)
+def _found(source, directions, pose, gate, points, following, keys, heads):  # type: ignore[no-untyped-def]  # compiled; -> (k,) int64
+    found = np.empty(len(source), np.int64)
+    c, s = cos(pose[2]), sin(pose[2])
+    for k in range(len(source)):
+        x, y = pose[0] + c * source[k, 0] - s * source[k, 1], pose[1] + s * source[k, 0] + c * source[k, 1]
+        nx, ny = c * directions[k, 0] - s * directions[k, 1], s * directions[k, 0] + c * directions[k, 1]
+        found[k], _ = nearest(x, y, nx, ny, gate, points, following, keys, heads)
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _temper(hessian, gradient):  # type: ignore[no-untyped-def]  # compiled; (3, 3), (3,) in place
+    """Takes its say from the direction of travel that hardly any beam speaks for, where the prior is to decide.
+
+    Zhang et al., "On degeneracy of optimization-based state estimation problems", ICRA 2016, softly: where the beams
+    place the robot along the weaker direction stays the same, how firmly they do falls off under a share of them.
+    """
+    if hessian[2, 2] <= 0.0:
+        return
+    # what is known of x and y where the heading follows (Schur complement), and its weaker direction
+    bx, by, d = hessian[0, 2], hessian[1, 2], hessian[2, 2]
+    xx, xy, yy = hessian[0, 0] - bx * bx / d, hessian[0, 1] - bx * by / d, hessian[1, 1] - by * by / d
+    half = 0.5 * (xx - yy)
+    weak = 0.5 * (xx + yy) - sqrt(half * half + xy * xy)
+    angle = 0.5 * atan2(2.0 * xy, xx - yy) + 0.5 * pi
+    vx, vy = cos(angle), sin(angle)
+    doubtful = SHARE * (hessian[0, 0] + hessian[1, 1])
+    if weak <= 0.0 or doubtful <= 0.0:
+        return
+    less = weak * doubtful**2 / (weak**2 + doubtful**2)
+    along = -(vx * (gradient[0] - bx * gradient[2] / d) + vy * (gradient[1] - by * gradient[2] / d)) / weak
+    hessian[0, 0] -= less * vx * vx
+    hessian[0, 1] -= less * vx * vy
+    hessian[1, 0] -= less * vx * vy
+    hessian[1, 1] -= less * vy * vy
+    gradient[0] += less * along * vx
+    gradient[1] += less * along * vy
 
 
 @njit(cache=True, nogil=True)

@@ -164,6 +164,7 @@ class MapperService(Service):
 
     def corrected(self, result: tuple[int, Optimised]) -> Out:
         """The graph has its optimum: the pose on the map moves now, the map when it is drawn."""
+        self.front_end.settle()
         return self.mapping.loops.corrected(result)
 
     def renewed(self, result: tuple[int, Surroundings]) -> Out:

@@ -4,6 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from services.mapper.keyframe import Float32s, Keyframe
 from services.mapper.occupancy import TILE_ARRAYS, Occupancy, OccupancyConfig
 from services.mapper.registration import REGISTRARS, Match, RegistrationConfig
 from services.mapper.surface import grid_surface
@@ -24,6 +25,15 @@ class Submap:
     def extend(self, pose: Pose2, points: Float64s, normals: Float64s) -> None:
         """Adds a keyframe: surface points (n, 2) m in `base` with normals."""
         self.registrar.extend(pose @ points, Pose2(0, 0, pose.yaw) @ normals)
+
+    def take(self, keyframe: Keyframe, pose: Pose2) -> None:
+        """Adds a keyframe at a pose, and draws it."""
+        self.extend(pose, *keyframe.surface())
+        keyframe.draw(self.grid, pose)
+
+    def sign(self, pose: Pose2, doubt: Float64s | Float32s) -> None:
+        """What is new since the last call was drawn from a pose with this covariance (3, 3)."""
+        self.registrar.map.sign(pose.x, pose.y, doubt)
 
     def draw(self, origins: Float64s, ends: Float64s) -> None:
         """Draws beams, (n, 2) m in its frame."""

@@ -18,6 +18,7 @@ REACH = 0.15  # m to each side that a normal is fitted to, where the surface is 
 MOST = 12  # beams to each side at most
 THIN = 0.35  # largest ratio of the rms across to the rms along: a leg is no wall
 LONE = 0.15  # m to the neighbours from which a point without a direction is lone
+SPARSE = 0.4  # m, at most: farther apart, the next sweep's point of the same surface is out of the kernel (0.2 m)
 FLAT = 0.04  # m, largest rms distance from the fitted line
 
 
@@ -44,7 +45,7 @@ def sweep_usable(origins, ends):  # type: ignore[no-untyped-def]  # compiled; (n
             bx, by = ends[j, 0] - origins[j, 0], ends[j, 1] - origins[j, 1]
             across = abs(ax * by - ay * bx) / max(hypot(bx, by), 1e-9)
             step = hypot(ends[j, 0] - ends[i, 0], ends[j, 1] - ends[i, 1])
-            if step <= max(LONE, 3.0 * across):
+            if step <= min(max(LONE, 3.0 * across), SPARSE):
                 usable[i] = True
             slope += (1 if hypot(bx, by) > r else -1) * (j - i)
         # nearer, or farther, than both neighbours: a pole, or a gap between two

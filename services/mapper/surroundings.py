@@ -20,6 +20,9 @@ from services.mapper.submap import Submap
 from services.mapper.uncertainty import uncertainty_from
 from shared.geometry import Pose2
 
+SETTLED = np.zeros((3, 3), np.float32)
+"""Doubt of what the graph was optimised with."""
+
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
@@ -35,13 +38,15 @@ def surroundings(
     keyframes: Sequence[Keyframe],
     local_from_map: Pose2,
     session: int,
+    settled: int,
     sure: float,
     reach: float,
     settings: tuple[RegistrationConfig, OccupancyConfig, float],
 ) -> Surroundings:
     """Draws them around the newest keyframe: what lies within `reach` m and is known better than `sure` m from there.
 
-    local_from_map: such that the newest keyframe keeps its place in `local`.
+    local_from_map: such that the newest keyframe keeps its place in `local`.  settled: name of the last node that was
+    optimised.
     """
     newest = int(graph.nodes[-1])
     covariances = uncertainty_from(graph, newest)
@@ -50,7 +55,7 @@ def surroundings(
     submap = Submap(*settings)
     for row in np.flatnonzero((sigma < sure) & (away < reach)).tolist():
         keyframe, pose = keyframes[row], local_from_map @ pose_of(graph.poses[row])
-        submap.extend(pose, *keyframe.surface())
-        keyframe.draw(submap.grid, pose)
+        submap.take(keyframe, pose)
+        submap.sign(pose, keyframe.doubt if graph.nodes[row] > settled else SETTLED)
     submap.grid.settle()
     return Surroundings(submap, newest, session)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.mapper.service import MapperConfig, MapperService
-from shared.config import Laser, Mount, load_robot
+from shared.config import Laser, Mount, Robot, load_robot
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
@@ -84,8 +84,10 @@ ROBOT = load_robot("x80sv_xv11").robot.model_copy(
 class Driven:
     """A mapper, told what a robot in a room measures; `true` is where it is, in the room."""
 
-    def __init__(self, segments: Float64s, config: MapperConfig | None = None, noise: float = 0.0) -> None:
-        self.mapper = MapperService(config or MapperConfig(), ROBOT)
+    def __init__(
+        self, segments: Float64s, config: MapperConfig | None = None, noise: float = 0.0, robot: Robot = ROBOT
+    ) -> None:
+        self.mapper = MapperService(config or MapperConfig(), robot)
         self.segments, self.noise = segments, noise
         self.rng = np.random.default_rng(1)
         self.now = 10 * SECOND
@@ -140,7 +142,7 @@ class Driven:
 
     def scan(self, poses: list[Pose2], stamp: int) -> LaserScan:
         """A sweep during which the robot passes `poses` at even times."""
-        laser = ROBOT.laser
+        laser = self.mapper.robot.laser
         shares = np.linspace(0, len(poses) - 1, laser.n_beams)
         rows = np.array([(p.x, p.y, p.yaw) for p in poses])
         rows[:, 2] = np.unwrap(rows[:, 2])

@@ -44,7 +44,7 @@ class Robot:
         valid = sweep_usable(origins, ends) | normals.any(axis=1)
         found = Sweep(origins[valid], ends[valid], normals[valid])
         self.true_at[self.now] = self.true
-        return Keyframe.of(self.now, self.local, origins, ends, np.full_like(ends, np.nan), found)
+        return Keyframe.of(self.now, self.local, origins, ends, np.full_like(ends, np.nan), found, np.zeros((3, 3)))
 
     def stands(self):
         match = Match(self.local, SURE, np.ones(1, bool), 1.0)
@@ -348,3 +348,18 @@ def test_information_is_turned_into_the_pose_s_own_axes_and_never_surer_than_the
     assert covariance[0, 0] > 10, "along its own x, which is the map's y, nothing is known"
     assert covariance[1, 1] == pytest.approx(0.02**2, rel=0.05)
     assert covariance[2, 2] == pytest.approx(0.005**2, rel=0.1)
+
+
+def test_a_wrong_closure_that_made_the_graph_sure_is_outvoted():
+    robot = Robot()
+    robot.drives(islice(laps(), LAP - 19))
+    assert robot.back_end.n_loops == 0
+    nodes = robot.back_end.graph.nodes
+    true = (START.inverse() @ robot.true_at[robot.back_end.keyframes[0].stamp]).inverse() @ START.inverse() @ robot.true
+    wrong = Pose2(true.x, true.y + 1.2, true.yaw)  # along the side of the ring that it comes down
+    robot.back_end.close([Loop(int(nodes[0]), int(nodes[-1]), wrong, np.diag((2500.0, 2500.0, 4e4)))])
+    robot.take(robot.background.settle())
+    assert np.hypot(*robot.errors[-1, :2]) > 0.8, "it took the wrong one"
+    robot.drives(islice(laps(), LAP - 19, LAP + 25))
+    robot.take(robot.background.settle())
+    assert np.hypot(*robot.errors[-20:, :2].T).max() < 0.35

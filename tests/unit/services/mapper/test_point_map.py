@@ -2,6 +2,7 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from services.mapper.point_map import AGREE, PointMap, nearest
 
@@ -63,3 +64,16 @@ def test_the_two_sides_of_a_thin_wall_are_two_surfaces():
     assert map_.n == 2 * len(x)
     i, _ = nearest(1.0, 0.0, 0.0, 1.0, 0.5, *map_.index)
     assert map_.points[i, 1] == 0.04
+
+
+def test_a_point_keeps_the_doubt_of_the_pose_that_first_saw_it():
+    map_ = PointMap(0.1)
+    walls = [np.array([(x, 0.0)]) for x in np.arange(0, 400, 0.25)]
+    for k, point in enumerate(walls):
+        map_.insert(point, np.array([(0.0, 1.0)]))
+        map_.sign(k, -1.0, k * np.eye(3))
+    map_.insert(walls[7], np.array([(0.0, 1.0)]))
+    map_.sign(99.0, 99.0, 99 * np.eye(3))
+    assert map_.n == len(walls)
+    assert_allclose(map_.doubts[: map_.n, 1, 1], np.arange(len(walls)))
+    assert_allclose(map_.places[7], (7.0, -1.0))

@@ -65,6 +65,19 @@ def test_in_a_corridor_the_prior_decides_along_and_the_beams_across():
     assert abs(match.map_from_base.yaw - 0.02) < 0.01
 
 
+def test_a_handful_of_beams_does_not_move_the_robot_along_a_corridor_that_all_others_leave_open():
+    registrar = mapped(CORRIDOR)
+    registrar.extend(np.column_stack((np.full(5, 3.0), np.linspace(-0.4, 0.4, 5))), np.zeros((5, 2)))
+    points, normals = points_at(CORRIDOR, Pose2(), noise=0.01)
+    others = np.column_stack((np.full(5, 2.8), np.linspace(-0.4, 0.4, 5)))  # bags, carried 0.2 m
+    points, normals = np.concatenate((points, others)), np.concatenate((normals, np.zeros((5, 2))))
+    match = registrar.register(points, normals, Pose2(), Prior(Pose2(), 0.03, 0.02))
+    assert abs(match.map_from_base.x) < 0.03
+    assert match.information[0, 0] < 200  # 0.07 m
+    wide = registrar.register(points, normals, Pose2(), Prior(Pose2(), 1.0, 0.5))
+    assert wide.map_from_base.x > 0.12, "where nothing else is known they are what there is"
+
+
 def test_the_information_shows_the_direction_that_a_corridor_hides():
     points, normals = points_at(CORRIDOR, Pose2(), noise=0.01)
     along, across = np.sort(np.linalg.eigvalsh(mapped(CORRIDOR).measured(points, normals, Pose2()).information[:2, :2]))
@@ -108,8 +121,13 @@ def test_a_wrong_scale_is_learnt_and_slips_are_not(gain, seed):
     assert abs(scale.gain - gain) < 0.02
 
 
-def test_a_scale_that_nothing_was_learnt_about_is_one():
-    assert Scale(0.05).gain == 1.0
+def test_a_scale_that_nothing_was_learnt_about_is_one_and_in_doubt():
+    scale = Scale(0.05)
+    assert scale.gain == 1.0
+    doubt = scale.sigma
+    for _ in range(100):
+        scale.learn(0.2, 0.21)
+    assert scale.sigma < doubt / 5
 
 
 def test_the_prior_widens_when_odometry_lies_and_narrows_when_it_tells_the_truth():

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from services.mapper.surface import grid_surface, sweep_normals
+from services.mapper.surface import grid_surface, sweep_normals, sweep_usable
 from shared.geometry import Pose2
 from tests.unit.services.mapper.rooms import CORRIDOR, ROOM, box, sweep
 
@@ -40,6 +40,13 @@ def test_a_wall_at_a_grazing_angle_keeps_its_direction_to_the_far_end():
     normals = sweep_normals(origins, ends)
     seen = ~np.isnan(ends[:, 0])
     assert (np.abs(normals[seen, 1]) > 0.95).mean() > 0.95
+
+
+def test_points_far_apart_are_not_found_again_however_squarely_they_were_hit():
+    room = np.array(box(-2, -2, 2, 2))
+    pose = Pose2(0.1, 0.2, 0.1)
+    assert sweep_usable(*sweep(room, pose, 180)).mean() > 0.9
+    assert sweep_usable(*sweep(room, pose, 16)).mean() < 0.5  # what is left are poles and gaps, by their looks
 
 
 def test_beams_without_an_echo_have_no_normal():

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What makes a mapper slip, one hardship a row, in a building with rooms, a corridor and doors.
+
+`python -m tests.unit.services.mapper.hardships` writes the table of how far from the truth each row ends.
+"""
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from itertools import islice, pairwise
+from math import atan2, ceil, hypot, pi
+
+import numpy as np
+
+from services.mapper.front_end import FrontEndConfig
+from services.mapper.service import MapperConfig
+from shared.config import Laser, Mount
+from shared.geometry import Pose2, wrapped
+from shared.messages import Localization
+from tests.unit.services.mapper.rooms import CORRIDOR, LAP, RING, ROBOT, SECOND, START, Driven, Float64s, box, laps
+
+WRONG = 0.3  # m from the truth, from where on the state may not be good
+STANDING = (Pose2(),) * 3  # no sweep is bent before the robot drives
+PARTS = 10  # odometry messages between two scans
+
+
+def wall(x0: float, x1: float, y: float, doors: tuple[float, ...]) -> list[tuple[float, float, float, float]]:
+    """A wall along x with doors 0.9 m wide, that begin at `doors`."""
+    ends = [x0, *(x for door in doors for x in (door, door + 0.9)), x1]
+    return [(ends[k], y, ends[k + 1], y) for k in range(0, len(ends), 2)]
+
+
+HOUSE = np.array(
+    [*box(0, 0, 18, 11), *wall(0, 18, 4.5, (2.5, 8.5, 14.5)), *wall(0, 18, 6.5, (3.0, 10.0, 15.0)),
+     (6, 0, 6, 4.5), (12, 0, 12, 4.5), (7, 6.5, 7, 11), (13, 6.5, 13, 11),
+     *box(0.5, 0.4, 1.3, 2.0), *box(4.6, 0.2, 5.8, 0.9), *box(7.0, 0.3, 8.2, 1.1), *box(10.9, 2.2, 11.8, 3.4),
+     *box(13.0, 0.3, 13.8, 1.9), *box(16.8, 1.0, 17.7, 2.2), *box(1.0, 9.4, 2.4, 10.3), *box(5.2, 8.0, 6.0, 8.8),
+     *box(8.0, 9.6, 9.5, 10.6), *box(12.0, 7.2, 12.8, 8.0), *box(14.0, 9.8, 15.6, 10.7)]
+)  # fmt: skip
+ROUND = ((1.0, 5.5), (2.95, 5.4), (2.95, 2.6), (2.95, 5.4), (8.95, 5.5), (8.95, 2.5), (8.95, 5.5), (10.45, 5.6),
+         (10.45, 8.4), (10.45, 5.5), (14.95, 5.5))  # fmt: skip
+BEGIN = Pose2(*ROUND[0], 0.0)
+DEAD_END = np.array(
+    [(-1.0, -1.0, 14.0, -1.0), (-1.0, 1.0, 14.0, 1.0), (-1.0, -1.0, -1.0, 1.0), (14.0, -1.0, 14.0, 1.0)]
+)
+
+
+def along(places: tuple[tuple[float, float], ...], step: float = 0.2, turn: float = 0.35) -> list[Pose2]:
+    """Motions from the first place to the last, as even as may be: turns on the spot, and straight on."""
+    motions, yaw = [], 0.0
+    for (x0, y0), (x1, y1) in pairwise(places):
+        rotation = wrapped(atan2(y1 - y0, x1 - x0) - yaw)
+        yaw += rotation
+        n_turns, n_steps = ceil(abs(rotation) / turn - 1e-9), ceil(hypot(x1 - x0, y1 - y0) / step - 1e-9)
+        motions += [Pose2(0, 0, rotation / max(n_turns, 1))] * n_turns
+        motions += [Pose2(hypot(x1 - x0, y1 - y0) / n_steps, 0, 0)] * n_steps
+    return motions
+
+
+def laser(n: int = 240, view: float = 2 * pi, range_max: float = 8.0) -> Laser:
+    return Laser(
+        mount=Mount(x=0.1, y=-0.02, yaw=0.0), angle_min=-view / 2, angle_increment=view / n, n_beams=n,
+        scan_time=0.1, rate=5, range_min=0.05, range_max=range_max,
+    )  # fmt: skip
+
+
+def person(x: float, y: float) -> Float64s:
+    """Two legs (8, 4), a step apart."""
+    return np.array([*box(x - 0.06, y - 0.2, x + 0.06, y - 0.08), *box(x + 0.04, y + 0.06, x + 0.16, y + 0.18)])
+
+
+Told = Callable[[int, Pose2], Pose2 | None]
+"""What odometry says of the k-th motion; None: nothing."""
+
+
+def truly(_k: int, motion: Pose2) -> Pose2:
+    return motion
+
+
+def scaled(forward: float, turn: float) -> Told:
+    return lambda _k, motion: Pose2(forward * motion.x, forward * motion.y, turn * motion.yaw)
+
+
+def slipping(k: int, motion: Pose2) -> Pose2:
+    """Every 23 scans one wheel spins for three: twice the way, and a turn that is none."""
+    return Pose2(2 * motion.x + 0.05, 0.0, motion.yaw + 0.25) if k % 23 > 19 else motion
+
+
+def stalling(k: int, motion: Pose2) -> Pose2:
+    """Every 19 scans odometry stands still for two."""
+    return Pose2() if k % 19 > 16 else motion
+
+
+def clutter(k: int, _pose: Pose2) -> Float64s:
+    """Boxes and bags that were not there before: every 15 scans another heap about where the robot is by then."""
+    heaps = np.random.default_rng(k // 15)
+    pose = BEGIN
+    for motion in along(ROUND)[: k // 15 * 15 + 8]:
+        pose = pose @ motion
+    corners = pose @ np.column_stack(
+        (heaps.uniform(-2, 2, 12), heaps.choice((-1, 1), 12) * heaps.uniform(0.5, 0.9, 12))
+    )
+    return np.concatenate([box(x, y, x + 0.2, y + 0.15) for x, y in corners])
+
+
+@dataclass(frozen=True)
+class Hardship:
+    """One row: where and how a robot drives, what it is told, and what it sees."""
+
+    laser: Laser = field(default_factory=laser)
+    motions: tuple[Pose2, ...] = tuple(along(ROUND))
+    start: Pose2 = BEGIN
+    segments: Float64s = field(default_factory=lambda: HOUSE)
+    told: Told = truly
+    dropped: Callable[[int], bool] = lambda _k: False
+    company: Callable[[int, Pose2], Float64s] | None = None
+    noise: float = 0.01
+    window: int = 0
+    observed: bool = True  # whether the beams tell enough to be right
+    far: float = 0.1  # m from the truth at most, where they do
+
+
+@dataclass(frozen=True)
+class Course:
+    """Of each scan: m and rad from the truth, whether the state was good, and m, the largest standard deviation."""
+
+    away: Float64s
+    turned: Float64s
+    good: Float64s
+    sigma: Float64s
+
+    @property
+    def n_confidently_wrong(self) -> int:
+        return int((self.good.astype(bool) & (self.away > WRONG)).sum())
+
+
+def course(row: Hardship) -> Course:
+    """Drives a row."""
+    robot = ROBOT.model_copy(update={"laser": row.laser})
+    driven = Driven(row.segments, MapperConfig(front_end=FrontEndConfig(window=row.window)), row.noise, robot)
+    driven.true = row.start
+    odom = Pose2()
+    rows = []
+    for k, motion in enumerate((*STANDING, *row.motions)):
+        begin, start, before = driven.now, driven.true, odom
+        told = row.told(k, motion)
+        for i in range(1, PARTS + 1):
+            driven.now = begin + i * SECOND // 5 // PARTS
+            if told is not None:
+                share = i / PARTS
+                odom = before @ Pose2(told.x * share, told.y * share, told.yaw * share)
+                driven.odometry(driven.now, odom)
+        driven.true = start @ motion
+        if row.dropped(k):
+            continue
+        if row.company is not None:
+            driven.segments = np.concatenate((row.segments, row.company(k, driven.true)))
+        half = start @ Pose2(motion.x / 2, motion.y / 2, motion.yaw / 2)
+        driven.mapper.now = driven.now
+        driven.take(driven.mapper.scan(driven.scan([half, driven.true], driven.now - SECOND // 10)))
+        if len(driven.poses) == 1:
+            driven.first = driven.true
+        covariance = driven.poses[-1].covariance.reshape(3, 3)
+        rows.append(
+            (hypot(driven.error.x, driven.error.y), abs(driven.error.yaw),
+             driven.poses[-1].state is Localization.GOOD, np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+        )  # fmt: skip
+    return Course(*np.array(rows, float).T)
+
+
+def people(k: int, pose: Pose2) -> Float64s:
+    """Three people about the robot: one who crosses, one who overtakes, one who comes towards it."""
+    at = pose @ np.array([(1.2, 1.5 - 0.2 * (k % 16)), (-2.0 + 0.15 * (k % 30), 0.7), (4.0 - 0.3 * (k % 18), -0.6)])
+    return np.concatenate([person(x, y) for x, y in at])
+
+
+def alone(_k: int, _motion: Pose2) -> None:
+    """No odometry at all."""
+
+
+LAPPED = tuple(islice(laps(), LAP))
+ON = (Pose2(0.2, 0, 0),) * 60
+BARE = Hardship(laser(range_max=5.0), ON, Pose2(), CORRIDOR, scaled(1.1, 1.0), observed=False)
+THERE_AND_BACK = Hardship(
+    laser(range_max=3.0),
+    (*(Pose2(0.2, 0, 0),) * 60, *(Pose2(0, 0, pi / 8),) * 8, *(Pose2(0.2, 0, 0),) * 60),
+    Pose2(),
+    DEAD_END,
+)
+"""From one end of a corridor, of which a laser of 3 m sees no end in the middle, to the other, and back."""
+
+ROWS: dict[str, Hardship] = {
+    "nothing hard": Hardship(),
+    "a scan every metre, 180 beams": Hardship(laser(180), tuple(along(ROUND, 1.0, 0.8))),
+    "a scan every metre, 180 degrees": Hardship(laser(181, pi), tuple(along(ROUND, 1.0, 0.8))),
+    "5 m of range": Hardship(laser(range_max=5.0)),
+    "5 m of range, 180 degrees": Hardship(laser(181, pi, 5.0)),
+    "noise of 3 cm": Hardship(noise=0.03),
+    "clutter that is always new": Hardship(company=clutter),
+    "people": Hardship(company=people),
+    "a wheel that slips": Hardship(told=slipping),
+    "odometry that stalls": Hardship(told=stalling),
+    "every third scan is missing": Hardship(dropped=lambda k: k % 3 == 2),
+    "six scans in a row are missing": Hardship(dropped=lambda k: k % 40 > 33),
+    "odometry 10 % too far, turns 10 % short": Hardship(told=scaled(1.1, 0.9)),
+    "odometry 10 % short, turns 10 % too far": Hardship(told=scaled(0.9, 1.1)),
+    "no odometry": Hardship(told=alone),
+    "ring, 0.3 m and 30 degrees a scan, 5 m, 180 degrees": Hardship(laser(181, pi, 5.0), LAPPED, START, RING),
+    "the same with a window of 40": Hardship(laser(181, pi, 5.0), LAPPED, START, RING, window=40),
+    "the same without odometry": Hardship(laser(181, pi, 5.0), LAPPED, START, RING, alone, observed=False),
+    "ring, 20 beams": Hardship(laser(20), LAPPED, START, RING, scaled(1.03, 1.0), observed=False),
+    "20 beams": Hardship(laser(20), observed=False),
+    "no odometry, 5 m, 180 degrees": Hardship(laser(181, pi, 5.0), told=alone, observed=False),
+    "a corridor without an end": BARE,
+    "a corridor without an end, no odometry": replace(BARE, told=alone),
+}
+
+
+def table() -> Iterator[str]:
+    """Markdown, a line at a time."""
+    yield "| hardship | mean, m | max, m | max, deg | good | good though 0.3 m off | sigma, m, at the worst |"
+    yield "| --- | --- | --- | --- | --- | --- | --- |"
+    for name, row in ROWS.items():
+        c = course(row)
+        worst = int(np.argmax(c.away))
+        yield (
+            f"| {name} | {c.away.mean():.3f} | {c.away.max():.3f} | {np.degrees(c.turned.max()):.1f} "
+            f"| {c.good.mean():.0%} | {c.n_confidently_wrong} | {c.sigma[worst]:.3f} |"
+        )
+
+
+if __name__ == "__main__":
+    for line in table():
+        sys.stdout.write(line + "\n")
+        sys.stdout.flush()

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each hardship against the truth: either the place is right, or the state is not good and the covariance says so."""
+
+import numpy as np
+import pytest
+
+from tests.unit.services.mapper.hardships import ROWS, WRONG, course
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_the_pose_is_right_or_says_that_it_is_not(name):
+    row = ROWS[name]
+    driven = course(row)
+    assert driven.n_confidently_wrong == 0
+    if row.observed:
+        assert driven.away.max() < row.far
+        assert driven.away.mean() < row.far / 2
+        assert driven.turned.max() < 0.06
+        assert driven.good[3:].mean() > 0.95
+    else:
+        wrong = driven.away > WRONG
+        assert wrong.any(), "there is nothing to say"
+        assert not driven.good[wrong].any()
+        assert (driven.sigma[wrong] > 0.25).all()
+
+
+@pytest.mark.parametrize("name", ["a corridor without an end", "a corridor without an end, no odometry"])
+def test_where_nothing_is_seen_of_the_way_the_covariance_covers_the_error(name):
+    driven = course(ROWS[name])
+    moving = slice(6, None)
+    assert (driven.away[moving] < 3 * driven.sigma[moving]).all()
+    assert driven.sigma[-1] > 2 * driven.sigma[20]
+
+
+def test_a_covariance_that_grew_stays_until_old_ground_is_seen_again():
+    from tests.unit.services.mapper.hardships import THERE_AND_BACK
+
+    driven = course(THERE_AND_BACK)
+    n = len(driven.sigma)
+    far, end = driven.sigma[n // 2 - 8 : n // 2 + 2].max(), driven.sigma[-1]
+    assert far > 0.2
+    assert end < far / 4
+    assert driven.away[-1] < 0.1
+    assert np.all(driven.sigma[n // 2 - 3 : n // 2] > 0.15), "a new wall is as unsure as the robot that saw it"
