@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.mapper.saved_map import SavedMap, packed, unpacked
+from services.mapper.service import MapperService
 from shared.grid import OccupancyGrid
 from shared.ros_map import ros_map_files
 from zenav.picture import map_picture
@@ -23,6 +24,13 @@ def map_files(saved: SavedMap, way: Float64s) -> dict[str, bytes]:
     grid.apply(saved.tiles)
     drawn = ros_map_files(grid.cells, grid.resolution, grid.x0, grid.y0)
     return drawn | {GRAPH: packed(saved), "map.png": map_picture(grid, way)}
+
+
+def saved_by(mapper: MapperService) -> SavedMap:
+    """What another run can go on with."""
+    back_end = mapper.back_end
+    whole = mapper.grid.whole(0)
+    return SavedMap(back_end.graph.snapshot(), tuple(back_end.keyframes), np.array(back_end.driven), whole)
 
 
 def write_saved_map(folder: Path, saved: SavedMap) -> None:

@@ -25,7 +25,7 @@ from shared.service import Job, Out
 from shared.topics import Publication
 from zenav.convert.carmen import LoggedPose, LoggedScan, read_carmen
 from zenav.odometry_lag import odometry_lag
-from zenav.saved_map import map_files, read_saved_map
+from zenav.saved_map import map_files, read_saved_map, saved_by
 from zenav.store import replace_together
 
 Float64s = NDArray[np.float64]
@@ -83,9 +83,7 @@ class Run:
         """What another run can go on with; that which was loaded, where it was not to change."""
         if self.loaded is not None and self.mode == "localise":
             return self.loaded
-        back_end = self.mapper.back_end
-        whole = self.mapper.grid.whole(0)
-        return SavedMap(back_end.graph.snapshot(), tuple(back_end.keyframes), np.array(back_end.driven), whole)
+        return saved_by(self.mapper)
 
     @property
     def found(self) -> bool:
