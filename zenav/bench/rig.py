@@ -24,6 +24,7 @@ from zenav.settings import checked
 
 SERVICES = "sim", "base_driver", "odometry", "mapper"
 PERIOD = 0.05  # s between two commands
+AT_FIRST = 1.0  # s that a robot stands when its stack has started
 
 
 def robot_file(robot: str, number: int, seed: int, start: Pose2 | None, settings: list[str]) -> RobotFile:
@@ -55,7 +56,7 @@ class Rig:
         self.track = Track()
         for key in KEYS:
             self.lockstep.watch(key, lambda message: self.track.take(message, self.lockstep.now))
-        self.lockstep.run(PERIOD)
+        self.stand(AT_FIRST)
 
     @property
     def truth(self) -> Truth:
