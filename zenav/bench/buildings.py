@@ -36,7 +36,7 @@ def buildings(robot: str, numbers: str, jobs: int, out: Path | None, settings: l
     writable(out)
     folder = run_folder("bench-buildings")
     runs: list[dict[str, Any]] = []
-    for run in results(partial(_toured, robot, folder, settings), chosen, jobs):
+    for run in results(partial(toured, robot, folder, settings), chosen, jobs):
         runs.append(run)
         sys.stderr.write(f"building {run['building']}: {run['trouble'] or 'done'}\n")
     runs.sort(key=lambda run: int(run["building"]))
@@ -81,7 +81,7 @@ def _row(run: dict[str, Any]) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def _toured(robot: str, folder: Path, settings: list[str], number: int) -> dict[str, Any]:
+def toured(robot: str, folder: Path, settings: list[str], number: int) -> dict[str, Any]:
     """The figures of one building; only `trouble` where it is wrong."""
     import shared.repeatable  # noqa: F401  # a spawned process begins here
     from zenav.bench.rig import Rig, robot_file
