@@ -147,6 +147,14 @@ class Occupancy:
         free = _free(points, self.resolution, directory, row0, column0, _logit(FREE_UP_TO / 100), around, self.odds)
         return np.asarray(free, bool)
 
+    def occupied_near(self, points: Float64s) -> Bools:
+        """(n,) bool: which points (n, 2) m in `map` lie in an occupied cell, or beside one."""
+        if not len(points):
+            return np.zeros(0, np.bool_)
+        row0, column0, directory = self._directory(points)
+        limit = _logit(OCCUPIED_FROM / 100)
+        return np.asarray(_occupied_near(points, self.resolution, directory, row0, column0, limit, self.odds), bool)
+
     def contradicts(self, origins: Float64s, ends: Float64s) -> Bools:
         """(n,) bool: which beams from origins (n, 2) to ends (n, 2), m in `map`, cannot be with this map.
 
@@ -342,6 +350,21 @@ def _free(points, resolution, directory, row0, column0, limit, around, odds):  #
                     all_free = False
         free[k] = all_free
     return free
+
+
+@njit(cache=True, nogil=True)
+def _occupied_near(points, resolution, directory, row0, column0, limit, odds):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
+    near = np.zeros(len(points), np.bool_)
+    for k in range(len(points)):
+        column, row = int(np.floor(points[k, 0] / resolution)), int(np.floor(points[k, 1] / resolution))
+        for r in range(row - 1, row + 2):
+            for c in range(column - 1, column + 2):
+                i, j = (r >> 6) - row0, (c >> 6) - column0
+                inside = 0 <= i < directory.shape[0] and 0 <= j < directory.shape[1]
+                tile = directory[i, j] if inside else -1
+                if tile >= 0 and odds[tile, r & 63, c & 63] > limit:
+                    near[k] = True
+    return near
 
 
 @njit(cache=True, nogil=True)

@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from services.mapper.astray import Astray, AstrayConfig
 from services.mapper.back_end import BackEnd, BackEndConfig, Drawing
 from services.mapper.background import Background
 from services.mapper.correlative_match import SearchConfig
@@ -50,6 +51,7 @@ class MapperConfig(Section):
     loops: LoopConfig = LoopConfig()
     pose_graph: PoseGraphConfig = PoseGraphConfig()
     finding: FindingConfig = FindingConfig()
+    astray: AstrayConfig = AstrayConfig()
     unheld: float = Field(
         15.0, ge=1, le=10_000, description="m driven on a saved map without a closure, until the pose is poor"
     )
@@ -76,6 +78,7 @@ class MapperService(Service):
         )  # fmt: skip
         self.loops = Background(self.back_end)
         self.finder = Finder(config.finding, config.registration, config.occupancy, robot.laser.range_max)
+        self.astray = Astray(config.astray)
         self.grid = Occupancy(config.occupancy, 0)
         self.pending: tuple[int, LaserScan] | None = None  # when it came, and the scan
         self.last_end = -1  # ns, end of the last scan that was placed
@@ -104,6 +107,7 @@ class MapperService(Service):
             other.front_end.searches_next = True
         beams = np.zeros((laser.n_beams, 2))
         other.grid.contradicts(beams, beams)
+        other.grid.occupied_near(beams)
         other.front_end.window.active.registrar.extend(
             np.ascontiguousarray(0.3 * np.argwhere(np.ones((60, 60)))), np.zeros((3600, 2))
         )  # until it grows
@@ -205,6 +209,7 @@ class MapperService(Service):
         """The robot was looked for on the saved map."""
         map_from_local = self.finder.take(result)
         if map_from_local is not None:
+            self.astray.start()
             self.back_end.found(map_from_local, self.finder.waiting, self.front_end.odometry_error)
             for keyframe, _, _ in self.finder.waiting if not self.back_end.fixed else ():
                 keyframe.draw(self.grid, map_from_local @ keyframe.local_from_base)
@@ -317,8 +322,15 @@ class MapperService(Service):
             else:
                 yield from self.loops.keep(keyframe, tracked.match, self.front_end.odometry_error, self.doubt)
             self.doubt = 1.0
-        if tracked.state is Localization.LOST and self.finder.surface is not None:
+        if self.finder.surface is not None and (tracked.state is Localization.LOST or self._astray(origins, ends)):
             yield from self._carried_away()
+
+    def _astray(self, origins: Float64s, ends: Float64s) -> bool:
+        """Whether the saved map says that the robot is somewhere else."""
+        if self.finder.searching or not self.back_end.fixed:
+            return False
+        pose = self.map_from_base
+        return self.astray.weigh(self.grid, pose @ origins, pose @ ends)
 
     @property
     def map_from_base(self) -> Pose2:
