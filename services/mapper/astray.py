@@ -36,7 +36,7 @@ class Astray:
         self.share = 1.0
 
     def weigh(self, grid: Occupancy, origins: Float64s, ends: Float64s) -> bool:
-        """Takes a scan, beams from origins (n, 2) to ends (n, 2) m in the map's frame; says whether it is lost by now."""
+        """Takes a scan, beams from origins (n, 2) to ends (n, 2) m in `map`; says whether the robot is lost by now."""
         hit = ~np.isnan(ends[:, 0])
         origins, ends = origins[hit], ends[hit]
         agree = grid.occupied_near(ends)

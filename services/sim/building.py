@@ -4,16 +4,16 @@ doors, furniture, people; as the tree of a world's YAML. The same number is the 
 """
 
 from dataclasses import dataclass
-from itertools import combinations
-from math import ceil
+from itertools import combinations, pairwise
+from math import ceil, copysign
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from services.sim.furniture import Rectangle, furnished, on_walls
+from shared.geometry import Float64s
 
-Float64s = NDArray[np.float64]
+Line = tuple[Float64s, float]  # a corridor's middle line, (2, 2) m, and half its width
 Gap = tuple[float, float, float]  # x, y of a door's middle, its width, m
 
 WIDTH, HEIGHT = (15.0, 40.0), (12.0, 25.0)  # m of the building, from the smallest to the largest
@@ -82,8 +82,8 @@ def building(number: int) -> dict[str, Any]:
     return tree
 
 
-def _rooms(width: float, height: float, rng: np.random.Generator) -> tuple[list[Room], list[Float64s]]:
-    """The parts of the floor, corridors first, without gap or overlap; and the corridors' middle lines, (2, 2) m each."""
+def _rooms(width: float, height: float, rng: np.random.Generator) -> tuple[list[Room], list[Line]]:
+    """The parts of the floor, corridors first, without gap or overlap; and the corridors' lines."""
     across = _strips(height, *((9.0, 14.0) if height < 17 else (7.0, 11.0)), rng)
     along = _strips(width, *BLOCK, rng)
     rooms, lines, blocks = [], [], []
@@ -91,7 +91,7 @@ def _rooms(width: float, height: float, rng: np.random.Generator) -> tuple[list[
         if corridor:
             rooms.append(Room((0.0, low, width, high), True))
             y = (low + high) / 2
-            lines.append(np.array([[0.8, y], [width - 0.8, y]]))
+            lines.append((np.array([[0.8, y], [width - 0.8, y]]), (high - low) / 2))
     for left, right, corridor in along:
         for low, high, crossing in across:
             if crossing:
@@ -100,7 +100,7 @@ def _rooms(width: float, height: float, rng: np.random.Generator) -> tuple[list[
                 rooms.append(Room((left, low, right, high), True))
                 x = (left + right) / 2
                 y0, y1 = (0.8 if low == 0 else low - 0.85), (height - 0.8 if high == height else high + 0.85)
-                lines.append(np.array([[x, y0], [x, y1]]))
+                lines.append((np.array([[x, y0], [x, y1]]), (right - left) / 2))
             else:
                 blocks.append((left, low, right, high))
     for k, block in enumerate(blocks):
@@ -127,14 +127,12 @@ def _strips(length: float, least: float, most: float, rng: np.random.Generator) 
 
 
 def _row(block: Rectangle, like: int, rng: np.random.Generator) -> list[Room]:
-    """Rooms of one size and one furniture side by side; in two rows, the back to each other, where they would be deep."""
+    """Rooms of one size and one furniture side by side; in two rows, back to back, where they would be deep."""
     left, low, right, high = block
     n = max(1, round((right - left) / float(rng.uniform(2.9, 4.0))))
     xs = np.round(np.linspace(left, right, n + 1), 2)
     ys = [low, high] if high - low < 6.5 else [low, round((low + high) / 2, 2), high]
-    return [
-        Room((float(x0), y0, float(x1), y1), like=like) for y0, y1 in zip(ys, ys[1:]) for x0, x1 in zip(xs, xs[1:])
-    ]
+    return [Room((x0, y0, x1, y1), like=like) for y0, y1 in pairwise(ys) for x0, x1 in pairwise(xs.tolist())]
 
 
 def _parted(block: Rectangle, rng: np.random.Generator) -> list[Rectangle]:
@@ -226,28 +224,29 @@ def _walls(edges: list[Shared], doors: dict[Shared, list[Gap]]) -> list[dict[str
     ]
 
 
-def _people(lines: list[Float64s], gaps: list[Gap], rng: np.random.Generator) -> list[dict[str, Any]]:
+def _people(lines: list[Line], gaps: list[Gap], rng: np.random.Generator) -> list[dict[str, Any]]:
     """One to three, each up and down a corridor, with a look through one of its doors where there is one."""
     found = []
     for i in rng.permutation(len(lines))[: int(rng.integers(1, 4))].tolist():
-        (x0, y0), (x1, y1) = lines[i]
+        line, half = lines[i]
+        (x0, y0), (x1, y1) = line.tolist()
         flat = y0 == y1
-        route = [[float(x0), float(y0)], [float(x1), float(y1)]]
-        beside = [(x, y) for x, y, _ in gaps if (abs(y - y0) if flat else abs(x - x0)) < 1.3]
+        route = [[x0, y0], [x1, y1]]
+        beside = [(x, y) for x, y, _ in gaps if abs((abs(y - y0) if flat else abs(x - x0)) - half) < 0.02]
         beside = [(x, y) for x, y in beside if (x0 < x < x1 if flat else y0 < y < y1)]
         if beside:
             x, y = beside[int(rng.integers(len(beside)))]
-            into = 0.45 * (np.sign(y - y0) if flat else np.sign(x - x0))
-            here, there = ([x, float(y0)], [x, y + into]) if flat else ([float(x0), y], [x + into, y])
+            into = copysign(0.45, y - y0 if flat else x - x0)
+            here, there = ([x, y0], [x, y + into]) if flat else ([x0, y], [x + into, y])
             route[1:1] = [here, there, here]
         speed, pause = float(rng.uniform(0.7, 1.2)), float(rng.uniform(1, 4))
         found.append({"route": route, "speed": round(speed, 2), "pause": round(pause, 1)})
     return found
 
 
-def _start(lines: list[Float64s], rng: np.random.Generator) -> dict[str, float]:
+def _start(lines: list[Line], rng: np.random.Generator) -> dict[str, float]:
     """Somewhere on a corridor's middle line."""
-    a, b = lines[int(rng.integers(len(lines)))]
+    (a, b), _ = lines[int(rng.integers(len(lines)))]
     x, y = a + float(rng.uniform(0.05, 0.95)) * (b - a)
     return {"x": round(float(x), 2), "y": round(float(y), 2), "yaw_deg": float(rng.integers(-180, 181))}
 

@@ -43,7 +43,7 @@ class CylinderFile(Section):
 
 
 def load(world: str, seed: int = 0, jitter: float = 0.0, barn_file: str = "", start: Pose2 | None = None) -> World:
-    """A world by name (`office`), by path (a world's or a ROS map's YAML), or as `barn:N` or `building:N`, with its routes checked.
+    """A world by name (`office`), by path (a world's or a ROS map's YAML), as `barn:N` or `building:N`, routes checked.
 
     seed, jitter: where loose things stand, see `world_file.built`.  start: replaces the world's own.
     Raises UserError, naming file and line, where something is missing or wrong.

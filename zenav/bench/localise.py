@@ -224,8 +224,8 @@ class Watch:
     def _take(self, estimate: PoseEstimate) -> None:
         truths = self.rig.track.truths[-100:]
         at = np.array([row[0] - estimate.stamp for row in truths], float)
-        poses = np.array([row[1:] for row in truths])
-        true = Pose2(*(float(np.interp(0.0, at, column)) for column in (poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2]))))
+        x, y, yaw = np.array([row[1:] for row in truths]).T
+        true = Pose2(*(float(np.interp(0.0, at, column)) for column in (x, y, np.unwrap(yaw))))
         left = true.inverse() @ self.world_from_map @ estimate.map_from_base
         self.error = hypot(left.x, left.y), abs(degrees(wrapped(left.yaw)))
         self.sure = estimate.state is Localization.GOOD

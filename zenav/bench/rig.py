@@ -8,21 +8,21 @@ from time import process_time
 import numpy as np
 
 from services.mapper.saved_map import SavedMap
-from services.mapper.service import MapperService
+from services.mapper.service import MapperConfig, MapperService
 from services.sim import dynamics
-from services.sim.service import SimService
+from services.sim.service import SimConfig, SimService
 from shared import topics
 from shared.config import RobotFile, configured
 from shared.geometry import Pose2
 from shared.messages import PoseEstimate, Truth, Velocity
 from shared.runners.lockstep import Lockstep
+from shared.service import Service
 from zenav.bench.chauffeur import Chauffeur, Ways
 from zenav.classes import made
 from zenav.hardware import Hardware, settings_for
 from zenav.score import KEYS, Track
 from zenav.settings import checked
 
-SERVICES = "sim", "base_driver", "odometry", "mapper"
 PERIOD = 0.05  # s between two commands
 AT_FIRST = 1.0  # s that a robot stands when its stack has started
 
@@ -42,14 +42,15 @@ class Rig:
     """A run. `saved`: the mapper only localises in it, from nowhere. `track` is what was heard."""
 
     def __init__(self, file: RobotFile, ways: Ways | None = None, saved: SavedMap | None = None) -> None:
-        made_here = {name: made(name, file, file.robot) for name in SERVICES}
-        mapper, sim = made_here["mapper"], made_here["sim"]
-        assert isinstance(mapper, MapperService) and isinstance(sim, SimService)
-        self.mapper, self.sim, self.world = mapper, sim, sim.world
-        for _ in mapper.go_on(saved, fixed=True) if saved is not None else ():
+        self.mapper = MapperService(file.section("mapper", MapperConfig), file.robot)
+        self.sim = SimService(file.section("sim", SimConfig), file.robot)
+        self.world = self.sim.world
+        for _ in self.mapper.go_on(saved, fixed=True) if saved is not None else ():
             pass  # nobody is there to hear of the map
+        services: dict[str, Service] = {"sim": self.sim, "mapper": self.mapper}
+        services |= {name: made(name, file, file.robot) for name in ("base_driver", "odometry")}
         begun = process_time()
-        self.lockstep = Lockstep(made_here)
+        self.lockstep = Lockstep(services)
         self.warming = process_time() - begun  # s of CPU
         self.ways = ways if ways is not None else Ways(self.world, file.robot)
         self.chauffeur = Chauffeur(self.ways)
