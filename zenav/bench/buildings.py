@@ -90,7 +90,7 @@ def toured(robot: str, folder: Path, settings: list[str], number: int) -> dict[s
 
     begun = process_time()
     try:
-        rig = Rig(robot_file(robot, number, number, None, settings))
+        rig = Rig(robot_file(robot, f"building:{number}", number, None, settings))
     except UserError as error:
         return {"building": number, "trouble": error.what}
     trouble = "" if tour(rig, np.random.default_rng(number)) else "no way to a room"

@@ -8,7 +8,7 @@ from one random place to the next; "right" is a pose within RIGHT of the truth, 
 import statistics
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from math import degrees, hypot, inf
 from pathlib import Path
@@ -47,8 +47,8 @@ class Trial:
     wrong_s: s for which it called a wrong pose good, but for those until it noticed that it was carried.
     """
 
-    building: int
-    trial: int
+    building: int = 0
+    trial: int = 0
     found_m: float | None = None
     found_error_m: float | None = None
     wrong_s: float = 0.0
@@ -138,21 +138,24 @@ def _tried(robot: str, folder: Path, shares: dict[int, int], settings: list[str]
     if not (place / GRAPH).exists():
         toured(robot, folder, settings, number)
     saved = read_saved_map(place)
-    return [trial(robot, number, i, saved, settings) for i in range(shares[number])]
+    return [
+        replace(trial(robot, f"building:{number}", 1000 * (i + 1) + number, saved, settings), building=number, trial=i)
+        for i in range(shares[number])
+    ]
 
 
-def trial(robot: str, number: int, i: int, saved: "SavedMap", settings: list[str]) -> Trial:
-    """Trial `i` in a building: found from nowhere, then carried elsewhere and found again."""
+def trial(robot: str, world_name: str, seed: int, saved: "SavedMap", settings: list[str]) -> Trial:
+    """Found from nowhere in a world with a saved map, then carried elsewhere and found again; all by the seed."""
     from zenav.bench.chauffeur import Ways
     from zenav.bench.rig import Rig, robot_file
     from zenav.scene import world_of
 
-    begun, seed = process_time(), 1000 * (i + 1) + number
-    file = robot_file(robot, number, seed, None, settings)
-    world, rng = world_of(file), np.random.default_rng([number, i])
+    begun, told = process_time(), Trial()
+    file = robot_file(robot, world_name, seed, None, settings)
+    world, rng = world_of(file), np.random.default_rng(seed)
     ways = Ways(world, file.robot)
-    rig = Rig(robot_file(robot, number, seed, ways.anywhere(rng), settings), ways, saved)
-    watch, told = Watch(rig, world.start), Trial(number, i)
+    rig = Rig(robot_file(robot, world_name, seed, ways.anywhere(rng), settings), ways, saved)
+    watch = Watch(rig, world.start)
     told.found_m = watch.driven_until_right(rng)
     if told.found_m is not None:
         told.found_error_m = round(watch.error[0], 3)
@@ -186,8 +189,8 @@ class Watch:
         self.wrong_s = 0.0
         self.noticed_s: float | None = None
         self._carried: int | None = None  # ns, when it was; until that was noticed
-        self._last = 0
-        rig.watch(self._take)
+        self.last = 0
+        rig.watch(self.take)
 
     @property
     def right(self) -> bool:
@@ -221,7 +224,8 @@ class Watch:
             if not self.rig.drive(self.rig.ways.anywhere(rng), until):
                 self.rig.stand(1.0)  # somebody is all around
 
-    def _take(self, estimate: PoseEstimate) -> None:
+    def take(self, estimate: PoseEstimate) -> None:
+        """One of the mapper's poses."""
         truths = self.rig.track.truths[-100:]
         at = np.array([row[0] - estimate.stamp for row in truths], float)
         x, y, yaw = np.array([row[1:] for row in truths]).T
@@ -232,6 +236,6 @@ class Watch:
         if self._carried is not None:
             if estimate.state in (Localization.LOST, Localization.STARTING):
                 self.noticed_s, self._carried = round((self.rig.lockstep.now - self._carried) * 1e-9, 2), None
-        elif self.sure and not self.right and self._last:
-            self.wrong_s += (estimate.stamp - self._last) * 1e-9
-        self._last = estimate.stamp
+        elif self.sure and not self.right and self.last:
+            self.wrong_s += (estimate.stamp - self.last) * 1e-9
+        self.last = estimate.stamp

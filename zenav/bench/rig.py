@@ -27,9 +27,9 @@ PERIOD = 0.05  # s between two commands
 AT_FIRST = 1.0  # s that a robot stands when its stack has started
 
 
-def robot_file(robot: str, number: int, seed: int, start: Pose2 | None, settings: list[str]) -> RobotFile:
-    """The robot in a made-up building; at `start`, if not where the building says."""
-    settings = [f"sim.world=building:{number}", f"sim.seed={seed}", *settings]
+def robot_file(robot: str, world: str, seed: int, start: Pose2 | None, settings: list[str]) -> RobotFile:
+    """The robot in a world; at `start`, if not where the world says."""
+    settings = [f"sim.world={json.dumps(world)}", f"sim.seed={seed}", *settings]
     if start is not None:
         settings.append(f"sim.start={json.dumps({'x': start.x, 'y': start.y, 'yaw': start.yaw})}")
     settings += settings_for(Hardware.MESSAGES, configured(robot, settings), None)
