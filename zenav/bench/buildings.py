@@ -26,7 +26,7 @@ POSE_M, WITHIN = 0.03, 0.97
 AGAIN = 0.35  # of the rooms are visited a second time, in another order
 COLUMNS = (
     "building", "size, m", "rooms", "pose, cm", "p99", "max", "deg", "keyframes, cm", "max", "map in 5 cm, %",
-    "map, cm", "driven, m", "time, s", "loops", "CPU, s", "",
+    "aligned, %", "map, cm", "driven, m", "time, s", "loops", "CPU, s", "",
 )  # fmt: skip
 
 
@@ -54,7 +54,13 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
     """The figures over all buildings: mean, median and worst."""
     rows = [run for run in runs if not run["trouble"]]
     told: dict[str, Any] = {"buildings": len(runs), "kept": sum(kept(run) for run in runs)}
-    worst = {"pose_error_mean_m": max, "pose_error_max_m": max, "keyframe_error_mean_m": max, "map_within_5_cm": min}
+    worst = {
+        "pose_error_mean_m": max,
+        "pose_error_max_m": max,
+        "keyframe_error_mean_m": max,
+        "map_within_5_cm": min,
+        "aligned_within_5_cm": min,
+    }
     for key in (*worst, "cpu_s", "distance_m", "seconds"):
         values = [row[key] for row in rows if row[key] is not None]
         if values:
@@ -75,7 +81,8 @@ def _row(run: dict[str, Any]) -> tuple[str, ...]:
         str(run["building"]), run["size"], str(run["rooms"]),
         number("pose_error_mean_m", 100, 2), number("pose_error_p99_m", 100, 1), number("pose_error_max_m", 100, 1),
         number("pose_error_mean_deg", 1, 2), number("keyframe_error_mean_m", 100, 2),
-        number("keyframe_error_max_m", 100, 1), number("map_within_5_cm", 100, 1), number("map_error_mean_m", 100, 2),
+        number("keyframe_error_max_m", 100, 1), number("map_within_5_cm", 100, 1),
+        number("aligned_within_5_cm", 100, 1), number("map_error_mean_m", 100, 2),
         number("distance_m", 1, 0), number("seconds", 1, 0), str(run["loops"]), number("cpu_s", 1, 1),
         "kept" if kept(run) else "not kept",
     )  # fmt: skip
@@ -127,11 +134,12 @@ def _length(way: Float64s) -> float:
 
 def figures(rig: "Rig") -> dict[str, Any]:
     """What is known of a run in a building."""
-    from zenav.score import pose_errors, summary
+    from zenav.score import NEAR, aligned_map_errors, pose_errors, summary
 
     track, world = rig.track, rig.world
     metres, _ = pose_errors(track)
     keyframes = keyframe_errors(rig)
+    aligned, shift = aligned_map_errors(track.grid, world, track.world_from_map)
     low_x, low_y, high_x, high_y = world.bounds
     told = summary(track, world, rig.ways.robot.circumscribed_radius)
     return told | {
@@ -140,6 +148,8 @@ def figures(rig: "Rig") -> dict[str, Any]:
         "pose_error_p99_m": round(float(np.percentile(metres, 99)), 4) if len(metres) else None,
         "keyframe_error_mean_m": round(float(keyframes.mean()), 4) if len(keyframes) else None,
         "keyframe_error_max_m": round(float(keyframes.max()), 4) if len(keyframes) else None,
+        "aligned_within_5_cm": round(float((aligned <= NEAR).mean()), 4) if len(aligned) else None,
+        "frame_off": [round(shift.x, 4), round(shift.y, 4), round(shift.yaw, 5)],
         "loops": rig.mapper.back_end.n_loops,
     }
 
