@@ -160,13 +160,15 @@ class Occupancy:
 
         They end in a cell known to be free, with free cells all around, or go on over 0.3 m behind an occupied cell.
         """
+        return np.asarray(self.clear_at(ends, 1) | self.crosses(origins, ends), bool)
+
+    def crosses(self, origins: Float64s, ends: Float64s) -> Bools:
+        """(n,) bool: which beams from origins (n, 2) to ends (n, 2) go on over 0.3 m behind an occupied cell."""
         if not len(ends):
             return np.zeros(0, np.bool_)
         row0, column0, directory = self._directory(np.concatenate((origins, ends)))
-        free, occupied = _logit(FREE_UP_TO / 100), _logit(OCCUPIED_FROM / 100)
-        clear = _free(ends, self.resolution, directory, row0, column0, free, 1, self.odds)
-        crossing = _crossing(origins, ends, self.resolution, directory, row0, column0, occupied, self.odds)
-        return np.asarray(clear | crossing, bool)
+        limit = _logit(OCCUPIED_FROM / 100)
+        return np.asarray(_crossing(origins, ends, self.resolution, directory, row0, column0, limit, self.odds), bool)
 
     def trim(self) -> None:
         """Gives back the memory that was meant for more tiles."""
