@@ -28,7 +28,8 @@ LOOK = 0.45  # m: how far down the way it heads for
 TURN_FROM, TURN_UNTIL = 0.9, 0.25  # rad off the way at which a robot turns on the spot
 TURN_RATE = 1.5  # rad/s at most, on the spot
 FULL_SPEED, LEAST_SPEED = 0.3, 0.25  # m of clearance that allow full speed; share of that at no clearance
-ACROSS = 2.0  # m/s^2 at most in a bend: v^2 times the curvature
+ACROSS, BRAKING = 2.0, 0.5  # m/s^2 at most in a bend: v^2 times the curvature; before the end of a way
+CREEP = 0.1  # m/s, from a stand and at the end
 AHEAD = 0.9  # m of the way that must be free of people
 PERSON = 0.25  # m, a person's radius
 PATIENCE, ENOUGH = 2.5, 25.0  # s that it stands before people until it drives around them; until it gives up
@@ -91,29 +92,29 @@ class Chauffeur:
     def __init__(self, ways: Ways) -> None:
         self.ways, self.drive = ways, ways.robot.drive
         self.goal = Pose2()
-        self._take(np.zeros((0, 2)))
+        self.waited = self.barred = 0.0  # s that it stands before people now; that it stood before, on this way
+        self._follow(np.zeros((0, 2)))
 
     def go(self, goal: Pose2, truth: Truth) -> bool:
         """Drives there from now on; says whether there is a way."""
         self.goal = goal
-        self._take(self.ways.way(truth.world_from_base, goal))
-        self.given_up = 0.0
+        self.waited = self.barred = 0.0
+        self._follow(self.ways.way(truth.world_from_base, goal))
         return len(self.points) > 0
 
-    def _take(self, way: Float64s) -> None:
+    def _follow(self, way: Float64s) -> None:
         self.points, self.at = way, 0
         self.turning = False
-        self.waited = self.given_up = 0.0  # s
 
     def command(self, truth: Truth, seconds: float) -> tuple[float, float] | None:
         """v m/s and w rad/s for the next `seconds`; None where the way has ended, or people bar it for too long."""
         pose = truth.world_from_base
         if self.waited > PATIENCE:
-            given_up = self.given_up + self.waited
+            self.barred, self.waited = self.barred + self.waited, 0.0
             around = self.ways.way(pose, self.goal, np.column_stack((truth.people_x, truth.people_y)))
-            self._take(around if len(around) else self.points)
-            self.given_up = given_up
-        if not len(self.points) or self.given_up > ENOUGH:
+            if len(around):
+                self._follow(around)
+        if not len(self.points) or self.barred > ENOUGH:
             return None
         ahead = self.points[self.at : self.at + 60]
         self.at += int(np.argmin(np.hypot(ahead[:, 0] - pose.x, ahead[:, 1] - pose.y)))
@@ -133,13 +134,9 @@ class Chauffeur:
         curvature = 2 * sin(off) / max(hypot(carrot[0] - pose.x, carrot[1] - pose.y), 0.2)
         room = min(self.ways.clear_at(pose.x, pose.y), self.ways.clear_at(*carrot.tolist()))
         v = self.drive.max_speed * min(max(room / FULL_SPEED, LEAST_SPEED), 1.0)
-        v = min(v, (ACROSS / max(abs(curvature), 1e-3)) ** 0.5, (0.1 + 2 * 0.5 * left) ** 0.5)
-        return self.drive.clamped(self._eased(truth.v, v, seconds), curvature * v)
-
-    def _eased(self, now: float, wanted: float, seconds: float) -> float:
-        """A speed that the drive's limits allow next."""
-        most = max(now, 0.05) + self.drive.max_acceleration * seconds * 1.5
-        return min(wanted, most)
+        v = min(v, (ACROSS / max(abs(curvature), 1e-3)) ** 0.5, (CREEP + 2 * BRAKING * left) ** 0.5)
+        v = min(v, max(truth.v, CREEP) + self.drive.max_acceleration * seconds * 1.5)  # more, as the motors lag
+        return self.drive.clamped(v, curvature * v)
 
     def _somebody_ahead(self, truth: Truth) -> bool:
         way = self.points[self.at : self.at + round(AHEAD / CELL) : 2]
