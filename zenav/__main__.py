@@ -597,6 +597,44 @@ def bench_office(
     raise typer.Exit(office(robot, world, seeds, jobs, out, live, seconds, set_ or []))
 
 
+@bench.command("buildings", cls=Command)
+def bench_buildings(
+    buildings: Annotated[str, typer.Option(help="Made-up buildings, by number.", metavar="0-19")] = "0-19",
+    jobs: Annotated[int, typer.Option(min=1, help="Buildings at a time.")] = 1,
+    out: Out = None,
+    robot: RobotName = "x80sv",
+    set_: Setting = None,
+) -> None:
+    """Tour made-up buildings: pose and map against the truth.
+
+    Example: zenav bench buildings --jobs 2 --out buildings.json
+    """
+    from zenav.bench.buildings import buildings as run
+
+    raise typer.Exit(run(robot, buildings, jobs, out, set_ or []))
+
+
+@bench.command("localise", cls=Command)
+def bench_localise(
+    buildings: Annotated[str, typer.Option(help="Made-up buildings, by number.", metavar="0-19")] = "0-19",
+    poses: Annotated[int, typer.Option(min=1, help="Random poses, shared among the buildings.")] = 100,
+    jobs: Annotated[int, typer.Option(min=1, help="Buildings at a time.")] = 1,
+    maps: Annotated[
+        Path | None, typer.Option(help="Folder of an earlier run, with the maps; none: each building is toured first.")
+    ] = None,
+    out: Out = None,
+    robot: RobotName = "x80sv",
+    set_: Setting = None,
+) -> None:
+    """Find the robot from nowhere on saved maps of made-up buildings; carry it away and find it again.
+
+    Example: zenav bench localise --poses 100 --jobs 2 --out localise.json
+    """
+    from zenav.bench.localise import localise as run
+
+    raise typer.Exit(run(robot, buildings, poses, jobs, maps, out, set_ or []))
+
+
 @bench.command("sim", cls=Command)
 def bench_sim(out: Out = None) -> None:
     """How many times faster than real time the simulator runs on one core.

@@ -11,7 +11,7 @@ from services.sim.world import World
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from zenav.pilot import Leg, LegState
-from zenav.score import Track
+from zenav.score import NEAR, Track, map_errors, occupied_middles
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
@@ -21,6 +21,7 @@ Float64s = NDArray[np.float64]
 WALL, FREE, UNKNOWN = (30, 33, 40), (252, 252, 250), (196, 200, 206)
 OUTLINE, TRUE_WAY, DRIVEN_WAY = (120, 60, 200), (40, 150, 70), (222, 74, 54)
 REACHED, FAILED = (24, 100, 210), (230, 130, 20)
+ASTRAY = (225, 30, 160)
 MARGIN, LEGEND = 0.6, 64  # m around the world; pixels below it
 WIDTH = 1800  # pixels, about
 
@@ -45,6 +46,10 @@ def floor_plan(track: Track, world: World, legs: list[Leg]) -> bytes:
     for way, colour, width in ((track.true_way, TRUE_WAY, 4), (track.estimated_way, DRIVEN_WAY, 2)):
         if len(way) > 1:
             draw.line(pixels(way), fill=colour, width=width, joint="curve")
+    errors, half = map_errors(track.grid, world, track.world_from_map), track.grid.resolution * scale / 2
+    middles = occupied_middles(track.grid, track.world_from_map)
+    for x, y in pixels(middles[errors > NEAR]) if len(errors) else ():
+        draw.rectangle((x - half, y - half, x + half, y + half), fill=ASTRAY)
     goals = [(leg, track.world_from_map @ leg.pose) for leg in legs if leg.pose is not None]
     for number, (leg, pose) in enumerate(goals, 1):
         ahead = pose @ Pose2(0.5)
@@ -78,8 +83,8 @@ def _map_pixels(
 def _legend(draw: "ImageDraw", font: object, top: int, scale: float, legs: list[Leg]) -> None:
     x = 20.0
     rows = (
-        (WALL, "mapped wall"), (UNKNOWN, "unknown"), (OUTLINE, "true outline"), (TRUE_WAY, "true way"),
-        (DRIVEN_WAY, "estimated way"), (REACHED, "goal reached"), (FAILED, "goal not reached"),
+        (WALL, "mapped wall"), (ASTRAY, "over 5 cm off"), (UNKNOWN, "unknown"), (OUTLINE, "true outline"),
+        (TRUE_WAY, "true way"), (DRIVEN_WAY, "estimated way"), (REACHED, "goal reached"), (FAILED, "goal not reached"),
     )  # fmt: skip
     for colour, text in rows:
         draw.rectangle((x, top + 12, x + 22, top + 26), fill=colour)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
 from services.sim.world import World
@@ -107,14 +108,40 @@ def explored_share(grid: OccupancyGrid, world: World, world_from_map: Pose2, rad
     return float(known.mean())
 
 
+def occupied_middles(grid: OccupancyGrid, world_from_map: Pose2) -> Float64s:
+    """(n, 2) m in the world: the middles of the map's occupied cells."""
+    rows, columns = np.nonzero(grid.occupied)
+    middle = (columns + 0.5) * grid.resolution + grid.x0, (rows + 0.5) * grid.resolution + grid.y0
+    return world_from_map @ np.column_stack(middle)
+
+
 def map_errors(grid: OccupancyGrid, world: World, world_from_map: Pose2) -> Float64s:
     """(n,) m: from the middle of each occupied cell of the map to the nearest true surface."""
-    rows, columns = np.nonzero(grid.occupied)
-    outline = _points_on(world.outline())
-    if not len(rows) or not len(outline):
+    middles, outline = occupied_middles(grid, world_from_map), _points_on(world.outline())
+    if not len(middles) or not len(outline):
         return np.zeros(0)
-    middle = (columns + 0.5) * grid.resolution + grid.x0, (rows + 0.5) * grid.resolution + grid.y0
-    return np.asarray(cKDTree(outline).query(world_from_map @ np.column_stack(middle))[0], float)
+    return np.asarray(cKDTree(outline).query(middles)[0], float)
+
+
+def aligned_map_errors(grid: OccupancyGrid, world: World, world_from_map: Pose2) -> tuple[Float64s, Pose2]:
+    """`map_errors` after the small rigid motion, in the world, that fits the map best; and that motion.
+
+    What is left of the errors then is the map's own; what went was its frame, which the first scan alone has placed.
+    """
+    middles, outline = occupied_middles(grid, world_from_map), _points_on(world.outline())
+    if not len(middles) or not len(outline):
+        return np.zeros(0), Pose2()
+    tree, centre = cKDTree(outline), middles.mean(axis=0)
+    apart = middles - centre
+
+    def about_centre(row: Float64s) -> Pose2:
+        return Pose2(float(row[0] + centre[0]), float(row[1] + centre[1]), float(row[2]))
+
+    def rest(row: Float64s) -> Float64s:
+        return np.asarray(np.minimum(tree.query(about_centre(row) @ apart)[0], 3 * NEAR), float)
+
+    best = about_centre(least_squares(rest, np.zeros(3), x_scale=(0.01, 0.01, 0.001), diff_step=0.01).x)
+    return np.asarray(tree.query(best @ apart)[0], float), best @ Pose2(-float(centre[0]), -float(centre[1]))
 
 
 def _points_on(segments: Float64s) -> Float64s:

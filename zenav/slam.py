@@ -78,11 +78,7 @@ class Run:
 
     def saved(self) -> SavedMap:
         """What another run can go on with; that which was loaded, where it was not to change."""
-        if self.loaded is not None and self.mode == "localise":
-            return self.loaded
-        back_end = self.mapper.back_end
-        whole = self.mapper.grid.whole(0)
-        return SavedMap(back_end.graph.snapshot(), tuple(back_end.keyframes), np.array(back_end.driven), whole)
+        return self.mapper.mapping.snapshot()
 
     @property
     def found(self) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from services.mapper.keyframe import Keyframe
+from services.mapper.keyframe import SETTLED, Keyframe
 from services.mapper.loop_closure import LITTLE, Blocks, Loop, LoopConfig, closed, in_own_frame
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.optimisation import PoseGraphConfig, optimised
@@ -17,12 +17,13 @@ from services.mapper.pose_graph import Graph, Optimised, PoseGraph, between, pos
 from services.mapper.registration import Match, OdometryError, RegistrationConfig
 from services.mapper.saved_map import SavedMap
 from services.mapper.submap import Submap
-from services.mapper.surroundings import SETTLED, Surroundings, surroundings
+from services.mapper.surroundings import Surroundings, surroundings
 from services.mapper.uncertainty import uncertainty_from
 from shared.config import Section
 from shared.geometry import Float64s, Pose2, wrapped_all
 
 SEEN = 0.02  # m, a correction that shows on the map
+CONFIRMING = 7  # closures since the last optimisation, that agree
 BETWEEN = 6.0  # m that the robot drives, about, until its surroundings are drawn anew
 HELD = np.diag((0.1**-2, 0.1**-2, 0.03**-2))
 """Information of the place at which the robot was found on a saved map: closures will know it better."""
@@ -50,7 +51,7 @@ class BackEndConfig(Section):
     hub_noise: float = Field(0.015, ge=0.001, le=1, description="m, standard deviation of such a tie at least")
     hub_turn: float = Field(0.004, ge=0.0003, le=1, description="rad, of its turn")
     sure: float = Field(
-        0.1, ge=0.01, le=10, description="m, standard deviation up to which a keyframe is matched with, from the newest"
+        0.2, ge=0.01, le=10, description="m, standard deviation up to which a keyframe is matched with, from the newest"
     )
     renew: int = Field(20, ge=1, le=10_000, description="keyframes until what is matched with is gathered anew")
     recent: int = Field(
@@ -105,6 +106,7 @@ class BackEnd:
         self.begun = 0  # name of the first node that is not a saved map's
         self.held_at = 0.0  # m driven at the last closure
         self.off = False  # one of them moves what is known
+        self.confirmed = False  # so many of them agree with what is believed that there is no more doubt of it
         self.moved = 0.0  # m, at most, of any keyframe since the map was drawn
         self.shifted = 0.0  # m, at most, of any near keyframe as seen from the newest, since it was last gathered
         self.n_new = 0  # keyframes since then
@@ -183,14 +185,15 @@ class BackEnd:
         self._thin()
 
     def _tie(self, node: int, keyframe: Keyframe, match: Match) -> None:
-        """Ties a keyframe to a hub some metres back: matched with one map, the way does not walk off step by step."""
+        """Ties a keyframe to a hub some metres back that saw the same walls: then nothing adds up step by step."""
         row = int(np.searchsorted(self.graph.nodes, self.hubs[0]))
-        if self.hubs[0] < node - 1 and self.graph.nodes[row] == self.hubs[0]:
+        there = self.hubs[0] < node - 1 and self.graph.nodes[row] == self.hubs[0]
+        if there and keyframe.since <= self.keyframes[row].stamp:
             information = in_own_frame(
                 match.information, keyframe.local_from_base.yaw, LITTLE, self.config.hub_noise, self.config.hub_turn
             )
             step = self.keyframes[row].local_from_base.inverse() @ keyframe.local_from_base
-            self.graph.connect(self.hubs[0], node, step, information, loop=False)
+            self.graph.connect(self.hubs[0], node, step, information, loop=True)
 
     def _driven(self, node: int) -> float:
         """m up to a node, or to the next one where it was given up."""
@@ -240,6 +243,7 @@ class BackEnd:
                 i, i_from_j = origin, self.graph.pose(origin).inverse() @ self.graph.pose(i) @ i_from_j
             self.graph.connect(i, loop.j, i_from_j, loop.information, loop=True)
             self.held_at = self.driven[-1]
+        self.confirmed = bool(loops) and not self.off and self.n_agreeing > CONFIRMING
         self.n_loops += len(loops)
         self.n_agreeing += len(loops)
 
@@ -296,7 +300,8 @@ class BackEnd:
         first = int(np.searchsorted(self.graph.nodes, drawn.node, side="right"))
         for keyframe, node in zip(self.keyframes[first:], self.graph.nodes[first:].tolist()):
             drawn.submap.take(keyframe, keyframe.local_from_base)
-            drawn.submap.sign(keyframe.local_from_base, keyframe.doubt if node > self.settled_to else SETTLED)
+            doubt = keyframe.doubt if node > self.settled_to else SETTLED
+            drawn.submap.sign(keyframe.local_from_base, doubt, keyframe.stamp)
         return drawn.submap
 
     @property

@@ -11,7 +11,7 @@ from pydantic import Field
 from services.mapper.belief import Belief, mean_doubt
 from services.mapper.correlative_match import SearchConfig, candidates
 from services.mapper.deskew import straightened
-from services.mapper.keyframe import Sweep
+from services.mapper.keyframe import NEVER, Sweep
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.registration import Match, OdometryError, Prior, RegistrationConfig
 from services.mapper.submap import Submap
@@ -25,6 +25,7 @@ Float64s = NDArray[np.float64]
 
 BENT, BENT_TURN = 0.02, 0.01  # m, rad, by which the first beam of a sweep may be off, to the last
 LIED = 10.0  # how much wider the prior is where odometry was wrong
+OLD = 0.25  # of the beams that agree: walls that so many of them meet place the scan by themselves
 LEAST_BEAMS = 15  # that must agree with the map or contradict it, to tell anything
 
 
@@ -107,6 +108,7 @@ class FrontEnd:
         self.local_from_base = local_from_base
         self.keyframe: Pose2 | None = None  # of the last scan that joined the submap
         self.belief = Belief()
+        self.since = NEVER  # ns, when a good part of what the last scan was matched with had been drawn
         self.state = Localization.STARTING
         self.motion = Pose2()  # between the last two sweeps
         self.n_bad = 0
@@ -118,7 +120,7 @@ class FrontEnd:
         self.start(map_from_base)
         self.submap.load(grid, update)
         self.graphed = False
-        self.submap.sign(self.local_from_base, self.belief.carried)
+        self.submap.sign(self.local_from_base, self.belief.carried, 0)
         self.searches_next = True
 
     def settle(self) -> None:
@@ -126,11 +128,14 @@ class FrontEnd:
         self.belief.start()
         self.submap.registrar.map.doubts[:] = 0
 
-    def track(self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float, skew: float = 0.0) -> Tracked:
+    def track(
+        self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float, skew: float = 0.0, stamp: int = 0
+    ) -> Tracked:
         """Places a sweep, and extends the submap where the robot has moved on.
 
         origins, ends: (n, 2) m in `base`, NaN without an echo.  step: odometry's motion since the last sweep; doubt
         widens its standard deviation.  skew: share of that motion by which the beams were de-skewed.
+        stamp: ns, of the sweep.
         """
         measured, step = step, self.odometry_error.corrected(step)
         sweep, placed, n_moving = self._matched(origins, ends, step, doubt)
@@ -156,7 +161,7 @@ class FrontEnd:
         if joins:
             self.keyframe = self.local_from_base
             self.submap.extend(self.local_from_base, sweep.points, sweep.normals)
-            self.submap.sign(self.local_from_base, self.belief.carried)
+            self.submap.sign(self.local_from_base, self.belief.carried, stamp)
         if trusted:
             self.submap.draw(self.local_from_base @ origins, self.local_from_base @ ends)
         keyframe = sweep if joins else None
@@ -221,6 +226,7 @@ class FrontEnd:
             return  # here the map begins
         found = registrar.found(sweep.points, sweep.normals, match)
         at = match.map_from_base
+        self.since = int(np.quantile(registrar.map.stamps[found], OLD, method="lower")) if len(found) else NEVER
         drawn = mean_doubt(registrar.map.doubts[found], registrar.map.places[found], at.x, at.y)
         self.belief.take(self.local_from_base, prior, ahead, match.information, drawn)
 

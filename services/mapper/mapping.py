@@ -8,6 +8,7 @@ from math import hypot, inf
 import numpy as np
 
 from services.mapper.arrivals import Arrival
+from services.mapper.astray import Astray
 from services.mapper.back_end import BackEnd
 from services.mapper.background import Background
 from services.mapper.finding import Finder, Place
@@ -24,7 +25,7 @@ from shared.service import Log, Out
 
 ANYWHERE = np.diag((1e6, 1e6, 10.0))
 """Covariance (m^2, rad^2) of a robot that was not found on its map yet."""
-ASTRAY = 0.3
+AWAY = 0.3
 """m driven while lost until the robot is looked for everywhere: a laser that was covered may see again at its place."""
 
 
@@ -35,9 +36,15 @@ class Mapping:
     """
 
     def __init__(
-        self, front_end: FrontEnd, back_end: BackEnd, finder: Finder, occupancy: OccupancyConfig, unheld: float
+        self,
+        front_end: FrontEnd,
+        back_end: BackEnd,
+        finder: Finder,
+        astray: Astray,
+        occupancy: OccupancyConfig,
+        unheld: float,
     ) -> None:
-        self.front_end, self.back_end, self.finder = front_end, back_end, finder
+        self.front_end, self.back_end, self.finder, self.astray = front_end, back_end, finder, astray
         self.loops = Background(back_end)
         self.occupancy, self.unheld = occupancy, unheld
         self.grid = Occupancy(occupancy, 0)
@@ -46,7 +53,7 @@ class Mapping:
         self.mode = MapMode.MAP
         self.saved: SavedMap | None = None  # what is left as it is
         self.known: Pose2 | None = None  # map_from_local of the next keyframe, which begins a session
-        self.astray = 0.0  # m driven since the robot was lost
+        self.lost_for = 0.0  # m driven since the robot was lost
 
     @property
     def changes(self) -> bool:
@@ -62,7 +69,9 @@ class Mapping:
         if self.tracked is None and not self.grid.places:
             self.grid = Occupancy(self.occupancy, max(now, 1))
         self.doubt = max(self.doubt, arrival.doubt)
-        tracked = self.front_end.track(arrival.origins, arrival.ends, arrival.step, arrival.doubt, arrival.skew)
+        tracked = self.front_end.track(
+            arrival.origins, arrival.ends, arrival.step, arrival.doubt, arrival.skew, arrival.end
+        )
         if tracked.trusted and not self.finder.searching and self.changes:
             pose = self.map_from_base
             self.grid.integrate(pose @ tracked.origins, pose @ tracked.ends, pose @ arrival.silent)
@@ -74,7 +83,7 @@ class Mapping:
         if tracked.keyframe is not None and self.front_end.graphed:
             keyframe = Keyframe.of(
                 arrival.end, tracked.local_from_base, tracked.origins, tracked.ends, arrival.silent, tracked.keyframe,
-                self.front_end.belief.carried,
+                self.front_end.belief.carried, self.front_end.since,
             )  # fmt: skip
             if self.finder.searching:
                 yield from self.finder.keep(keyframe, tracked.match, self.doubt)
@@ -85,11 +94,18 @@ class Mapping:
             else:
                 yield from self.loops.keep(keyframe, tracked.match, self.front_end.odometry_error, self.doubt)
             self.doubt = 1.0
-        self.astray += hypot(arrival.step.x, arrival.step.y)
+        self.lost_for += hypot(arrival.step.x, arrival.step.y)
         if tracked.state is not Localization.LOST or self.finder.searching:
-            self.astray = 0.0
-        elif self.astray >= ASTRAY and self.has_graph:
+            self.lost_for = 0.0
+        if (self.lost_for >= AWAY and self.has_graph) or self._is_astray(tracked):
             yield from self._carried_away()
+
+    def _is_astray(self, tracked: Tracked) -> bool:
+        """Whether a map that does not change says that the robot is somewhere else."""
+        if self.finder.searching or not self.back_end.fixed or self.known is not None:
+            return False
+        pose = self.map_from_base
+        return self.astray.weigh(self.grid, pose @ tracked.origins, pose @ tracked.ends)
 
     def estimate(self, arrival: Arrival, tracked: Tracked) -> PoseEstimate:
         """Where the robot is, as of a placed scan."""
@@ -175,6 +191,7 @@ class Mapping:
 
     def _take(self, saved: SavedMap) -> None:
         self.back_end.load(saved, fixed=not self.changes)
+        self.astray.start()
         self.saved = saved if not self.changes else None
 
     def load(self, tiles: MapUpdate, grid: OccupancyGrid, map_id: int, map_from_base: Pose2, mode: MapMode) -> None:
@@ -188,6 +205,7 @@ class Mapping:
         near = self.finder.near
         map_from_local = self.finder.take(result)
         if map_from_local is not None:
+            self.astray.start()
             self.back_end.found(map_from_local, self.finder.waiting, self.front_end.odometry_error)
             yield Log("INFO", f"found on the map after {self.finder.driven:.1f} m")
             self.finder.waiting = []
@@ -202,7 +220,7 @@ class Mapping:
         if tiles is not None:
             self.grid.load(tiles)
         self.loops.start()
-        self.mode, self.saved, self.known, self.astray = mode, None, None, 0.0
+        self.mode, self.saved, self.known, self.lost_for = mode, None, None, 0.0
 
     def _carried_away(self) -> Out:
         """The robot is lost: it may be anywhere."""

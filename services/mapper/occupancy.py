@@ -26,8 +26,11 @@ class OccupancyConfig(Section):
     """The occupancy grid."""
 
     resolution: float = Field(0.05, ge=0.005, le=1, description="m a cell")
-    hit: float = Field(0.7, gt=0.5, lt=1, description="probability of a cell in which a beam ended once")
-    miss: float = Field(0.36, gt=0, lt=0.5, description="probability of a cell that a beam crossed once")
+    hit: float = Field(0.64, gt=0.5, lt=1, description="probability of a cell in which a beam ended once")
+    miss: float = Field(0.4, gt=0, lt=0.5, description="probability of a cell that a beam crossed once")
+    behind: float = Field(
+        0.1, ge=0, le=1, description="m that a beam may end behind an occupied cell and still count as a hit of it"
+    )
     surest_occupied: float = Field(0.96, gt=0.5, lt=1, description="probability over which a cell never rises")
     surest_free: float = Field(0.06, gt=0, lt=0.5, description="probability under which a cell never falls")
     range_max: float = Field(40.0, gt=0, le=250, description="m; what lies farther is not drawn")
@@ -57,7 +60,7 @@ class Occupancy:
         """Draws a scan: beams from origins (n, 2) to ends (n, 2), m in `map`, that hit (NaN: no measurement).
 
         silent: (n, 2) ends up to which a beam without an echo is free, NaN elsewhere.  Each cell is drawn once a
-        scan, and a hit wins over free.
+        scan, and a hit wins over free.  What ends shortly behind a surface has hit that surface.
         """
         ends = _within(origins, ends, self.config.range_max)
         corners = np.concatenate((origins, ends, silent))
@@ -69,6 +72,9 @@ class Occupancy:
         n_before = len(self.places)
         self.n_scans += 1
         c = self.config
+        ends = _explained(
+            origins, ends, c.behind, self.resolution, directory, row0, column0, _logit(OCCUPIED_FROM / 100), self.odds
+        )
         n = _draw(
             origins, ends, silent, self.resolution, directory, row0, column0, n_before, self.n_scans,
             _logit(c.hit), _logit(c.miss), _logit(c.surest_free), _logit(c.surest_occupied),
@@ -141,18 +147,28 @@ class Occupancy:
         free = _free(points, self.resolution, directory, row0, column0, _logit(FREE_UP_TO / 100), around, self.odds)
         return np.asarray(free, bool)
 
+    def occupied_near(self, points: Float64s) -> Bools:
+        """(n,) bool: which points (n, 2) m in `map` lie in an occupied cell, or beside one."""
+        if not len(points):
+            return np.zeros(0, np.bool_)
+        row0, column0, directory = self._directory(points)
+        limit = _logit(OCCUPIED_FROM / 100)
+        return np.asarray(_occupied_near(points, self.resolution, directory, row0, column0, limit, self.odds), bool)
+
     def contradicts(self, origins: Float64s, ends: Float64s) -> Bools:
         """(n,) bool: which beams from origins (n, 2) to ends (n, 2), m in `map`, cannot be with this map.
 
         They end in a cell known to be free, with free cells all around, or go on over 0.3 m behind an occupied cell.
         """
+        return np.asarray(self.clear_at(ends, 1) | self.crosses(origins, ends), bool)
+
+    def crosses(self, origins: Float64s, ends: Float64s) -> Bools:
+        """(n,) bool: which beams from origins (n, 2) to ends (n, 2) go on over 0.3 m behind an occupied cell."""
         if not len(ends):
             return np.zeros(0, np.bool_)
         row0, column0, directory = self._directory(np.concatenate((origins, ends)))
-        free, occupied = _logit(FREE_UP_TO / 100), _logit(OCCUPIED_FROM / 100)
-        clear = _free(ends, self.resolution, directory, row0, column0, free, 1, self.odds)
-        crossing = _crossing(origins, ends, self.resolution, directory, row0, column0, occupied, self.odds)
-        return np.asarray(clear | crossing, bool)
+        limit = _logit(OCCUPIED_FROM / 100)
+        return np.asarray(_crossing(origins, ends, self.resolution, directory, row0, column0, limit, self.odds), bool)
 
     def trim(self) -> None:
         """Gives back the memory that was meant for more tiles."""
@@ -218,6 +234,32 @@ def _within(origins: Float64s, ends: Float64s, range_max: float) -> Float64s:
     ends = ends.copy()
     ends[far] = np.nan
     return ends
+
+
+@njit(cache=True, nogil=True)
+def _explained(origins, ends, behind, resolution, directory, row0, column0, limit, odds):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
+    """The ends, each moved back to the first occupied cell on the last `behind` m of its beam, where there is one.
+
+    Ranges are noisy, and nobody looks behind a wall: a cell there that was hit once would stay for ever, and walls grow
+    outwards. What a surface explains is no evidence of another one behind it.
+    """
+    out = ends.copy()
+    for k in range(len(ends)):
+        if np.isnan(ends[k, 0]):
+            continue
+        dx, dy = ends[k, 0] - origins[k, 0], ends[k, 1] - origins[k, 1]
+        length = np.hypot(dx, dy)
+        step = 0.5 * resolution
+        for m in range(int(min(behind, length) / step + 1e-6), 0, -1):
+            x, y = ends[k, 0] - m * step / length * dx, ends[k, 1] - m * step / length * dy
+            column, row = int(np.floor(x / resolution)), int(np.floor(y / resolution))
+            i, j = (row >> 6) - row0, (column >> 6) - column0
+            if 0 <= i < directory.shape[0] and 0 <= j < directory.shape[1]:
+                tile = directory[i, j]
+                if tile >= 0 and odds[tile, row & 63, column & 63] > limit:
+                    out[k, 0], out[k, 1] = x, y
+                    break
+    return out
 
 
 @njit(cache=True, nogil=True)
@@ -310,6 +352,21 @@ def _free(points, resolution, directory, row0, column0, limit, around, odds):  #
                     all_free = False
         free[k] = all_free
     return free
+
+
+@njit(cache=True, nogil=True)
+def _occupied_near(points, resolution, directory, row0, column0, limit, odds):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
+    near = np.zeros(len(points), np.bool_)
+    for k in range(len(points)):
+        column, row = int(np.floor(points[k, 0] / resolution)), int(np.floor(points[k, 1] / resolution))
+        for r in range(row - 1, row + 2):
+            for c in range(column - 1, column + 2):
+                i, j = (r >> 6) - row0, (c >> 6) - column0
+                inside = 0 <= i < directory.shape[0] and 0 <= j < directory.shape[1]
+                tile = directory[i, j] if inside else -1
+                if tile >= 0 and odds[tile, r & 63, c & 63] > limit:
+                    near[k] = True
+    return near
 
 
 @njit(cache=True, nogil=True)

@@ -21,6 +21,7 @@ class PointMap:
     """Points (x, y, nx, ny), float64; (nx, ny) is 0 where the surface has no direction. Cells are lists in a hash.
 
     doubts, places: (n, 3, 3) and (n, 2), how unsure the pose was from which a point was drawn, and where that was.
+    stamps: (n,) ns, when that was.
     """
 
     def __init__(self, spacing: float) -> None:
@@ -36,6 +37,7 @@ class PointMap:
         self.following: Int32s = np.zeros(1024, np.int32)
         self.doubts: Float32s = np.zeros((0, 3, 3), np.float32)  # as long as `points` from the first `sign` on
         self.places: Float32s = np.zeros((0, 2), np.float32)
+        self.stamps: Int64s = np.zeros(0, np.int64)
         self.keys: Int64s = np.full(4096, EMPTY, np.int64)
         self.heads: Int32s = np.full(4096, -1, np.int32)
 
@@ -54,14 +56,16 @@ class PointMap:
             self.n, self.n_cells,
         )  # fmt: skip
 
-    def sign(self, x: float, y: float, doubt: Float64s | Float32s) -> None:
-        """What is new since the last call was drawn from a pose at x, y m, with this covariance (3, 3)."""
+    def sign(self, x: float, y: float, doubt: Float64s | Float32s, stamp: int) -> None:
+        """What is new since the last call was drawn from a pose at x, y m, with this covariance (3, 3), at stamp ns."""
         more = len(self.points) - len(self.doubts)
         if more:
             self.doubts = np.concatenate((self.doubts, np.zeros((more, 3, 3), np.float32)))
             self.places = np.concatenate((self.places, np.zeros((more, 2), np.float32)))
+            self.stamps = np.concatenate((self.stamps, np.zeros(more, np.int64)))
         self.doubts[self.n_signed : self.n] = doubt
         self.places[self.n_signed : self.n] = x, y
+        self.stamps[self.n_signed : self.n] = stamp
         self.n_signed = self.n
 
     @property

@@ -5,6 +5,7 @@ import numpy as np
 from pydantic import Field
 
 from services.mapper.arrivals import Arrivals
+from services.mapper.astray import Astray, AstrayConfig
 from services.mapper.back_end import BackEnd, BackEndConfig, Drawing
 from services.mapper.correlative_match import SearchConfig
 from services.mapper.finding import Finder, FindingConfig, Place
@@ -45,6 +46,7 @@ class MapperConfig(Section):
     loops: LoopConfig = LoopConfig()
     pose_graph: PoseGraphConfig = PoseGraphConfig()
     finding: FindingConfig = FindingConfig()
+    astray: AstrayConfig = AstrayConfig()
     unheld: float = Field(
         15.0, ge=1, le=10_000, description="m driven on a saved map without a closure, until the pose is poor"
     )
@@ -68,7 +70,8 @@ class MapperService(Service):
             config.back_end, config.loops, config.pose_graph, config.registration, config.occupancy, range_max
         )
         self.finder = Finder(config.finding, config.registration, config.occupancy, range_max)
-        self.mapping = Mapping(self.front_end, self.back_end, self.finder, config.occupancy, config.unheld)
+        astray = Astray(config.astray)
+        self.mapping = Mapping(self.front_end, self.back_end, self.finder, astray, config.occupancy, config.unheld)
         self.before = Before()
         self.outgoing, self.incoming = Outgoing(), Incoming()
 
@@ -89,6 +92,7 @@ class MapperService(Service):
             other.front_end.searches_next = True
         beams = np.zeros((laser.n_beams, 2))
         other.grid.contradicts(beams, beams)
+        other.grid.occupied_near(beams)
         other.front_end.submap.registrar.extend(
             np.ascontiguousarray(0.3 * np.argwhere(np.ones((60, 60)))), np.zeros((3600, 2))
         )  # until it grows
@@ -156,7 +160,9 @@ class MapperService(Service):
 
     def looked(self, result: tuple[int, list[Loop]]) -> Out:
         """Closures were found, or none."""
-        return self.mapping.loops.looked(result)
+        yield from self.mapping.loops.looked(result)
+        if self.back_end.confirmed:
+            self.front_end.settle()
 
     def settle(self) -> Out:
         """Optimises the graph where it holds closures that are not in the poses yet."""

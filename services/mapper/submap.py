@@ -14,11 +14,15 @@ from shared.messages import MapUpdate
 
 Float64s = NDArray[np.float64]
 
+QUICK = {"hit": 0.7, "miss": 0.36, "behind": 0.0}
+"""Of `OccupancyConfig`: here few scans must tell enough, so one echo is a wall, and two crossings are free."""
+
 
 class Submap:
     """Surface points to match with, and what is known to be free between them, in one frame."""
 
     def __init__(self, registration: RegistrationConfig, occupancy: OccupancyConfig, range_max: float) -> None:
+        occupancy = occupancy.model_copy(update=QUICK)
         self.registrar = REGISTRARS[registration.registrar](registration, range_max)
         self.grid = Occupancy(occupancy, 0)
 
@@ -31,9 +35,9 @@ class Submap:
         self.extend(pose, *keyframe.surface())
         keyframe.draw(self.grid, pose)
 
-    def sign(self, pose: Pose2, doubt: Float64s | Float32s) -> None:
-        """What is new since the last call was drawn from a pose with this covariance (3, 3)."""
-        self.registrar.map.sign(pose.x, pose.y, doubt)
+    def sign(self, pose: Pose2, doubt: Float64s | Float32s, stamp: int) -> None:
+        """What is new since the last call was drawn from a pose with this covariance (3, 3), at stamp ns."""
+        self.registrar.map.sign(pose.x, pose.y, doubt, stamp)
 
     def draw(self, origins: Float64s, ends: Float64s) -> None:
         """Draws beams, (n, 2) m in its frame."""

@@ -12,16 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.mapper.keyframe import Keyframe
+from services.mapper.keyframe import SETTLED, Keyframe
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.pose_graph import Graph, pose_of
 from services.mapper.registration import RegistrationConfig
 from services.mapper.submap import Submap
 from services.mapper.uncertainty import uncertainty_from
 from shared.geometry import Pose2
-
-SETTLED = np.zeros((3, 3), np.float32)
-"""Doubt of what the graph was optimised with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +53,6 @@ def surroundings(
     for row in np.flatnonzero((sigma < sure) & (away < reach)).tolist():
         keyframe, pose = keyframes[row], local_from_map @ pose_of(graph.poses[row])
         submap.take(keyframe, pose)
-        submap.sign(pose, keyframe.doubt if graph.nodes[row] > settled else SETTLED)
+        submap.sign(pose, keyframe.doubt if graph.nodes[row] > settled else SETTLED, keyframe.stamp)
     submap.grid.settle()
     return Surroundings(submap, newest, session)

@@ -46,7 +46,9 @@ class StartPose(Section):
 class SimConfig(Section):
     """The simulator."""
 
-    world: str = Field("office", description="a name in config/worlds, the path of a world or of a ROS map, or barn:N")
+    world: str = Field(
+        "office", description="a name in config/worlds, the path of a world or of a ROS map, barn:N or building:N"
+    )
     barn_file: str = Field("", description="path of the list of cylinders for `world: barn:N`")
     seed: int = Field(0, ge=0, le=2**31, description="of noise, slip, people and loose things")
     start: StartPose | None = Field(None, description="where the robot starts; none: where the world says")

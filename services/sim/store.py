@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationError
+from ruamel.yaml.comments import CommentedMap
 from scipy.ndimage import distance_transform_edt, label
 
+from services.sim.building import building
 from services.sim.world import Raster, World
 from services.sim.world_file import built
 from shared.config import CONFIG_DIR, RobotFile, Section, UserError, load_yaml, nearest
@@ -41,13 +43,15 @@ class CylinderFile(Section):
 
 
 def load(world: str, seed: int = 0, jitter: float = 0.0, barn_file: str = "", start: Pose2 | None = None) -> World:
-    """A world by name (`office`), by path (a world's or a ROS map's YAML) or as `barn:N`, with its routes checked.
+    """A world by name (`office`), by path (a world's or a ROS map's YAML), as `barn:N` or `building:N`, routes checked.
 
     seed, jitter: where loose things stand, see `world_file.built`.  start: replaces the world's own.
     Raises UserError, naming file and line, where something is missing or wrong.
     """
     if world.startswith("barn:"):
         found, has_start = _cylinders(world, barn_file), True
+    elif world.startswith("building:"):
+        found, has_start = _building(world, seed, jitter), True
     else:
         path = _path(world)
         tree = load_yaml(path)
@@ -66,9 +70,16 @@ def load(world: str, seed: int = 0, jitter: float = 0.0, barn_file: str = "", st
 def _path(world: str) -> Path:
     path = Path(world) if world.endswith((".yaml", ".yml")) else WORLDS / f"{world}.yaml"
     if not path.is_file():
-        known = (*(p.stem for p in sorted(WORLDS.glob("*.yaml"))), "barn:N")
+        known = (*(p.stem for p in sorted(WORLDS.glob("*.yaml"))), "barn:N", "building:N")
         raise UserError(f"there is no world {world}", nearest(world, known))
     return path
+
+
+def _building(world: str, seed: int, jitter: float) -> World:
+    number = world.partition(":")[2]
+    if not (number.isascii() and number.isdigit() and len(number) < 10):
+        raise UserError(f"there is no world {world}", "a number makes a building, like building:3")
+    return built(world, RobotFile(Path(world), CommentedMap(building(int(number)))), None, seed, jitter)
 
 
 def _raster(path: Path) -> Raster:

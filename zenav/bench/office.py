@@ -1,18 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """`zenav bench office`: explore and drive to goals, once a seed, on the virtual clock or live over Zenoh."""
 
-import multiprocessing
-import os
 import statistics
 import sys
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from zenav.bench.each import results
 from zenav.bench.table import seeds_from, table, writable, write
-from zenav.child import die_with_parent
 from zenav.scene import scene
 from zenav.stopping import stopping
 
@@ -28,7 +24,7 @@ def office(
     writable(out)
     one = partial(_live if live else _lockstep, robot, world, seconds=seconds, settings=settings)
     runs: list[dict[str, Any]] = []
-    for report in _results(one, numbers, 1 if live else jobs):
+    for report in results(one, numbers, 1 if live else jobs):
         runs.append(report)
         s = report["summary"]
         words = "good" if kept(report) else f"not good {report['trouble']}"
@@ -95,23 +91,6 @@ def _row(report: dict[str, Any]) -> tuple[str, ...]:
         str(sum(leg["recoveries"] for leg in report["legs"])),
         "good" if kept(report) else report["trouble"] or "not good",
     )  # fmt: skip
-
-
-def _results(one: "partial[dict[str, Any]]", seeds: list[int], jobs: int) -> Iterator[dict[str, Any]]:
-    """The reports as they come."""
-    if jobs == 1:
-        for seed in seeds:
-            yield one(seed)
-        return
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(jobs, len(seeds)), context, die_with_parent, (os.getpid(),))
-    try:
-        for future in as_completed([pool.submit(one, seed) for seed in seeds]):
-            yield future.result()
-    finally:  # interrupted: a seed takes minutes, and nobody waits for it any more
-        for process in multiprocessing.active_children():
-            process.kill()
-        pool.shutdown(cancel_futures=True)
 
 
 def _lockstep(robot: str, world: str, seed: int, seconds: float, settings: list[str]) -> dict[str, Any]:

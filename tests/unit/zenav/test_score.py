@@ -13,7 +13,7 @@ from shared.grid import OccupancyGrid
 from shared.messages import Localization, MapUpdate, Odometry, PoseEstimate, Truth
 from zenav.floor_plan import floor_plan
 from zenav.pilot import Leg
-from zenav.score import Track, explored_share, map_errors, pose_errors, summary
+from zenav.score import Track, aligned_map_errors, explored_share, map_errors, occupied_middles, pose_errors, summary
 
 WORLD = load("room")
 START = WORLD.start
@@ -134,3 +134,18 @@ def test_the_picture_is_one():
     image = Image.open(BytesIO(floor_plan(track, WORLD, [Leg("explore"), Leg("there", Pose2(1, 0, 0))])))
     assert image.size[0] == 1800
     assert len(image.getcolors(1 << 20)) > 5
+
+
+def test_aligned_what_is_wrong_with_the_frame_alone_goes_and_is_told():
+    grid, off = true_map(START), Pose2(0.06, -0.03, 0.004)
+    middles = occupied_middles(grid, START)
+    inner = WORLD.solid_at(middles) & (map_errors(grid, WORLD, START) > 0.04)
+    cells = grid.cells.copy()
+    cells[tuple(np.argwhere(grid.occupied)[inner].T)] = -1  # what no laser sees
+    grid.cells = cells
+    before, (after, found) = map_errors(grid, WORLD, off @ START), aligned_map_errors(grid, WORLD, off @ START)
+    assert (before <= 0.05).mean() < 0.9
+    assert (after <= 0.05).mean() > 0.97
+    back = found @ off
+    assert hypot(back.x, back.y) < 0.02
+    assert abs(back.yaw) < 0.004

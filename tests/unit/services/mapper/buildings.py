@@ -108,6 +108,4 @@ def saved_by(driven: Driven) -> SavedMap:
     driven.take(driven.mapper.settle())
     driven.publish_map()
     driven.publish_map()
-    back_end = driven.mapper.back_end
-    graph = back_end.graph.snapshot()
-    return SavedMap(graph, tuple(back_end.keyframes), np.array(back_end.driven), driven.mapper.grid.whole(0))
+    return driven.mapper.mapping.snapshot()

@@ -12,7 +12,6 @@ from math import atan2, ceil, hypot, pi
 
 import numpy as np
 
-from services.mapper.front_end import FrontEndConfig
 from services.mapper.service import MapperConfig
 from shared.config import Laser, Mount
 from shared.geometry import Pose2, wrapped
@@ -115,7 +114,6 @@ class Hardship:
     dropped: Callable[[int], bool] = lambda _k: False
     company: Callable[[int, Pose2], Float64s] | None = None
     noise: float = 0.01
-    window: int = 0
     observed: bool = True  # whether the beams tell enough to be right
     far: float = 0.1  # m from the truth at most, where they do
 
@@ -137,7 +135,7 @@ class Course:
 def course(row: Hardship) -> Course:
     """Drives a row."""
     robot = ROBOT.model_copy(update={"laser": row.laser})
-    driven = Driven(row.segments, MapperConfig(front_end=FrontEndConfig(window=row.window)), row.noise, robot)
+    driven = Driven(row.segments, MapperConfig(), row.noise, robot)
     driven.true = row.start
     odom = Pose2()
     rows = []
@@ -206,7 +204,6 @@ ROWS: dict[str, Hardship] = {
     "odometry 10 % short, turns 10 % too far": Hardship(told=scaled(0.9, 1.1)),
     "no odometry": Hardship(told=alone),
     "ring, 0.3 m and 30 degrees a scan, 5 m, 180 degrees": Hardship(laser(181, pi, 5.0), LAPPED, START, RING),
-    "the same with a window of 40": Hardship(laser(181, pi, 5.0), LAPPED, START, RING, window=40),
     "the same without odometry": Hardship(laser(181, pi, 5.0), LAPPED, START, RING, alone, observed=False),
     "ring, 20 beams": Hardship(laser(20), LAPPED, START, RING, scaled(1.03, 1.0), observed=False),
     "20 beams": Hardship(laser(20), observed=False),

@@ -11,8 +11,7 @@ from numpy.testing import assert_array_equal
 
 from services.mapper.back_end import SLICE, BackEnd, BackEndConfig
 from services.mapper.background import Background
-from services.mapper.front_end import Sweep
-from services.mapper.keyframe import Keyframe
+from services.mapper.keyframe import NEVER, Keyframe, Sweep
 from services.mapper.loop_closure import Blocks, Loop, LoopConfig, earlier_visits, in_own_frame, loops_of
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.optimisation import PoseGraphConfig
@@ -44,7 +43,9 @@ class Robot:
         valid = sweep_usable(origins, ends) | normals.any(axis=1)
         found = Sweep(origins[valid], ends[valid], normals[valid])
         self.true_at[self.now] = self.true
-        return Keyframe.of(self.now, self.local, origins, ends, np.full_like(ends, np.nan), found, np.zeros((3, 3)))
+        return Keyframe.of(
+            self.now, self.local, origins, ends, np.full_like(ends, np.nan), found, np.zeros((3, 3)), NEVER
+        )
 
     def stands(self):
         match = Match(self.local, SURE, np.ones(1, bool), 1.0)

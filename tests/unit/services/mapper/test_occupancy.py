@@ -8,9 +8,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from services.mapper.occupancy import Occupancy, OccupancyConfig
-from shared.grid import OccupancyGrid
+from shared.grid import OCCUPIED_FROM, OccupancyGrid
 
 CONFIG = OccupancyConfig()
+HIT, MISS = round(100 * CONFIG.hit), round(100 * CONFIG.miss)
 NONE = np.full((1, 2), np.nan)
 xs = st.floats(-6, 6).map(lambda v: round(v, 3) + 0.00037)  # off the cells' borders, and off their corners
 ys = st.floats(-6, 6).map(lambda v: round(v, 3) + 0.00071)
@@ -54,13 +55,13 @@ def test_a_scan_is_the_brute_force_carve(beams):
     draw(grid, beams)
     hits = {(floor(ey / 0.05), floor(ex / 0.05)) for _, _, ex, ey in beams}
     free = set().union(*(crossed(*beam) for beam in beams)) - hits
-    assert cells_of(grid) == dict.fromkeys(hits, 70) | dict.fromkeys(free, 36)
+    assert cells_of(grid) == dict.fromkeys(hits, HIT) | dict.fromkeys(free, MISS)
 
 
 def test_a_hit_wins_over_the_beams_that_cross_it_in_the_same_scan():
     grid = Occupancy(CONFIG, 1)
     draw(grid, [(0, 0.02, 3, 0.02)] * 20 + [(0, 0.02, 1.52, 0.02)])
-    assert cells_of(grid)[0, 30] == 70
+    assert cells_of(grid)[0, 30] == HIT
 
 
 def test_a_thing_that_left_fades_within_seconds_however_long_it_stood():
@@ -68,9 +69,46 @@ def test_a_thing_that_left_fades_within_seconds_however_long_it_stood():
     for _ in range(500):
         draw(grid, [(0, 0.02, 1.52, 0.02)])
     assert cells_of(grid)[0, 30] == 96
-    for _ in range(10):
+    for _ in range(11):
         draw(grid, [(0, 0.02, 3, 0.02)])
     assert cells_of(grid)[0, 30] <= 25
+
+
+def test_one_echo_is_no_wall_yet_but_two_are():
+    grid = Occupancy(CONFIG, 1)
+    for percent_of in (lambda p: p < OCCUPIED_FROM, lambda p: p >= OCCUPIED_FROM):
+        draw(grid, [(0, 0.02, 1.52, 0.02)])
+        assert percent_of(cells_of(grid)[0, 30])
+
+
+@given(st.integers(0, 100))
+def test_however_noisy_its_ranges_a_wall_is_as_thick_as_the_cells_it_lies_in(seed):
+    """A wall at 2.01 m, near its cell's border, by ranges with a standard deviation of 2 cm."""
+    grid = Occupancy(CONFIG, 1)
+    rng = np.random.default_rng(seed)
+    for _ in range(300):
+        draw(grid, [(0, 0.02, 2.01 + min(max(rng.normal(0, 0.02), -0.08), 0.08), 0.02)])
+    occupied = [column for (_, column), share in cells_of(grid).items() if share >= OCCUPIED_FROM]
+    assert 40 in occupied or 39 in occupied
+    assert set(occupied) <= {39, 40, 41}
+    assert len(occupied) <= 2
+
+
+def test_what_is_behind_a_wall_by_more_than_its_noise_is_drawn():
+    grid = Occupancy(CONFIG, 1)
+    for _ in range(3):
+        draw(grid, [(0, 0.02, 2.01, 0.02)])
+        draw(grid, [(0, 0.02, 2.01 + CONFIG.behind + 0.05, 0.02)])
+    assert cells_of(grid)[0, 43] >= OCCUPIED_FROM
+
+
+def test_a_wall_that_was_drawn_too_near_gives_way_to_where_it_is():
+    grid = Occupancy(CONFIG, 1)
+    for _ in range(5):
+        draw(grid, [(0, 0.02, 1.8, 0.02)])
+    for _ in range(20):
+        draw(grid, [(0, 0.02, 2.01, 0.02)])
+    assert [c for (_, c), share in cells_of(grid).items() if share >= OCCUPIED_FROM] == [40]
 
 
 def test_a_beam_without_an_echo_says_nothing_unless_its_reach_is_given():
@@ -78,7 +116,7 @@ def test_a_beam_without_an_echo_says_nothing_unless_its_reach_is_given():
     draw(grid, [(0, 0.02, np.nan, np.nan)])
     assert cells_of(grid) == {}
     draw(grid, [(0, 0.02, np.nan, np.nan)], silent=np.array([(2.0, 0.02)]))
-    assert set(cells_of(grid).values()) == {36}
+    assert set(cells_of(grid).values()) == {MISS}
     assert len(cells_of(grid)) == 40
 
 
@@ -166,7 +204,7 @@ def test_the_grid_grows_in_every_direction():
     reader = OccupancyGrid()
     reader.apply(grid.update(0))
     for x, y in ((51.5, 50.5), (-48.5, 50.5), (-48.5, -49.5), (51.5, -49.5)):
-        assert reader.cells[reader.cell(x, y)] == 36
+        assert reader.cells[reader.cell(x, y)] == MISS
 
 
 def test_after_another_drawing_took_its_place_readers_see_that_and_get_only_what_differs():

@@ -71,9 +71,10 @@ def test_a_point_keeps_the_doubt_of_the_pose_that_first_saw_it():
     walls = [np.array([(x, 0.0)]) for x in np.arange(0, 400, 0.25)]
     for k, point in enumerate(walls):
         map_.insert(point, np.array([(0.0, 1.0)]))
-        map_.sign(k, -1.0, k * np.eye(3))
+        map_.sign(k, -1.0, k * np.eye(3), k)
     map_.insert(walls[7], np.array([(0.0, 1.0)]))
-    map_.sign(99.0, 99.0, 99 * np.eye(3))
+    map_.sign(99.0, 99.0, 99 * np.eye(3), 99)
     assert map_.n == len(walls)
     assert_allclose(map_.doubts[: map_.n, 1, 1], np.arange(len(walls)))
     assert_allclose(map_.places[7], (7.0, -1.0))
+    assert map_.stamps[7] == 7

@@ -115,7 +115,7 @@ def coarse(saved):
     ("content", "told"),
     [
         (lambda c: c[:-1], "damaged"),
-        (lambda c: c[: len(c) // 2] + b"?" + c[len(c) // 2 + 1 :], "checksum"),
+        (lambda c: c[: len(c) // 2] + bytes((c[len(c) // 2] ^ 1,)) + c[len(c) // 2 + 1 :], "checksum"),
         (lambda c: msgpack.packb((MAGIC, 2, b"?", b"")), "format 2"),
         (lambda c: b"P5 a picture", "not a saved map"),
         (lambda c: packed(made(0, 0)), "no scan"),

@@ -15,9 +15,9 @@ from zenav.launch import ROOT
 TWO_AT_A_TIME = """
 import time
 from functools import partial
-from zenav.bench.office import _results
+from zenav.bench.each import results
 if __name__ == "__main__":
-    list(_results(partial(time.sleep), [1000, 1001], 2))
+    list(results(partial(time.sleep), [1000, 1001], 2))
 """
 
 

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav bench buildings`: made-up buildings, each toured once; pose and map against the truth."""
+
+import statistics
+import sys
+from functools import partial
+from math import hypot
+from pathlib import Path
+from time import process_time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from shared.config import UserError
+from shared.geometry import Float64s, Pose2
+from zenav.bench.each import results
+from zenav.bench.table import seeds_from, table, writable, write
+from zenav.up import run_folder
+
+if TYPE_CHECKING:
+    from zenav.bench.rig import Rig
+
+POSE_M, WITHIN = 0.03, 0.97
+"""What each building must keep: mean pose error, m; share of the map's occupied cells within 5 cm of a true surface."""
+
+AGAIN = 0.35  # of the rooms are visited a second time, in another order
+COLUMNS = (
+    "building", "size, m", "rooms", "pose, cm", "p99", "max", "deg", "keyframes, cm", "max", "map in 5 cm, %",
+    "aligned, %", "map, cm", "driven, m", "time, s", "loops", "CPU, s", "",
+)  # fmt: skip
+
+
+def buildings(robot: str, numbers: str, jobs: int, out: Path | None, settings: list[str]) -> int:
+    """Tours every building, shows the table, writes the JSON; 0 when every building kept every promise."""
+    chosen = seeds_from(numbers)
+    writable(out)
+    folder = run_folder("bench-buildings")
+    runs: list[dict[str, Any]] = []
+    for run in results(partial(toured, robot, folder, settings), chosen, jobs):
+        runs.append(run)
+        sys.stderr.write(f"building {run['building']}: {run['trouble'] or 'done'}\n")
+    runs.sort(key=lambda run: int(run["building"]))
+    table(f"buildings, pictures and maps in {folder}", COLUMNS, [_row(run) for run in runs])
+    write(out, {"summary": summary(runs), "runs": runs})
+    return 0 if all(kept(run) for run in runs) else 1
+
+
+def kept(run: dict[str, Any]) -> bool:
+    """Whether a building kept every promise."""
+    return bool(not run["trouble"] and run["pose_error_mean_m"] < POSE_M and run["map_within_5_cm"] > WITHIN)
+
+
+def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """The figures over all buildings: mean, median and worst."""
+    rows = [run for run in runs if not run["trouble"]]
+    told: dict[str, Any] = {"buildings": len(runs), "kept": sum(kept(run) for run in runs)}
+    worst = {
+        "pose_error_mean_m": max,
+        "pose_error_max_m": max,
+        "keyframe_error_mean_m": max,
+        "map_within_5_cm": min,
+        "aligned_within_5_cm": min,
+    }
+    for key in (*worst, "cpu_s", "distance_m", "seconds"):
+        values = [row[key] for row in rows if row[key] is not None]
+        if values:
+            told[key] = {"mean": round(statistics.fmean(values), 4), "median": round(statistics.median(values), 4)}
+            if key in worst:
+                told[key]["worst"] = worst[key](values)
+    return told
+
+
+def _row(run: dict[str, Any]) -> tuple[str, ...]:
+    if run["trouble"]:
+        return (str(run["building"]), *[""] * (len(COLUMNS) - 2), run["trouble"])
+
+    def number(key: str, scale: float, digits: int) -> str:
+        return "-" if run[key] is None else f"{run[key] * scale:.{digits}f}"
+
+    return (
+        str(run["building"]), run["size"], str(run["rooms"]),
+        number("pose_error_mean_m", 100, 2), number("pose_error_p99_m", 100, 1), number("pose_error_max_m", 100, 1),
+        number("pose_error_mean_deg", 1, 2), number("keyframe_error_mean_m", 100, 2),
+        number("keyframe_error_max_m", 100, 1), number("map_within_5_cm", 100, 1),
+        number("aligned_within_5_cm", 100, 1), number("map_error_mean_m", 100, 2),
+        number("distance_m", 1, 0), number("seconds", 1, 0), str(run["loops"]), number("cpu_s", 1, 1),
+        "kept" if kept(run) else "not kept",
+    )  # fmt: skip
+
+
+def toured(robot: str, folder: Path, settings: list[str], number: int) -> dict[str, Any]:
+    """The figures of one building; only `trouble` where it is wrong."""
+    import shared.repeatable  # noqa: F401  # a spawned process begins here
+    from zenav.bench.rig import Rig, robot_file
+    from zenav.floor_plan import floor_plan
+    from zenav.saved_map import write_saved_map
+
+    begun = process_time()
+    try:
+        rig = Rig(robot_file(robot, f"building:{number}", number, None, settings))
+    except UserError as error:
+        return {"building": number, "trouble": error.what}
+    trouble = "" if tour(rig, np.random.default_rng(number)) else "no way to a room"
+    cpu = process_time() - begun - rig.warming
+    place = folder / f"building-{number}"
+    if rig.mapper.back_end.keyframes:
+        write_saved_map(place, rig.mapper.mapping.snapshot())
+    place.mkdir(exist_ok=True)
+    (place / "picture.png").write_bytes(floor_plan(rig.track, rig.world, []))
+    return {"building": number, "trouble": trouble, **figures(rig), "cpu_s": round(cpu, 1)}
+
+
+def tour(rig: "Rig", rng: np.random.Generator) -> bool:
+    """Drives through all rooms, the nearest first, then through some again in any order, and back to the start.
+
+    Says whether there was a way to each.
+    """
+    left, here, good = dict(rig.world.goals), rig.world.start, True
+    order: list[Pose2] = []
+    while left:
+        name = min(left, key=lambda name: _length(rig.ways.way(here, left[name])))
+        here = left.pop(name)
+        order.append(here)
+    again = rng.permutation(len(order))[: round(AGAIN * len(order))].tolist()
+    for goal in (*order, *(order[i] for i in again), rig.world.start):
+        good &= rig.drive(goal)
+    rig.stand(4.0)
+    return good
+
+
+def _length(way: Float64s) -> float:
+    return float(np.hypot(*np.diff(way, axis=0).T).sum()) if len(way) else float("inf")
+
+
+def figures(rig: "Rig") -> dict[str, Any]:
+    """What is known of a run in a building."""
+    from zenav.score import NEAR, aligned_map_errors, pose_errors, summary
+
+    track, world = rig.track, rig.world
+    metres, _ = pose_errors(track)
+    keyframes = keyframe_errors(rig)
+    aligned, shift = aligned_map_errors(track.grid, world, track.world_from_map)
+    low_x, low_y, high_x, high_y = world.bounds
+    told = summary(track, world, rig.ways.robot.circumscribed_radius)
+    return told | {
+        "size": f"{high_x - low_x:.0f} x {high_y - low_y:.0f}",
+        "rooms": len(world.goals),
+        "pose_error_p99_m": round(float(np.percentile(metres, 99)), 4) if len(metres) else None,
+        "keyframe_error_mean_m": round(float(keyframes.mean()), 4) if len(keyframes) else None,
+        "keyframe_error_max_m": round(float(keyframes.max()), 4) if len(keyframes) else None,
+        "aligned_within_5_cm": round(float((aligned <= NEAR).mean()), 4) if len(aligned) else None,
+        "frame_off": [round(shift.x, 4), round(shift.y, 4), round(shift.yaw, 5)],
+        "loops": rig.mapper.back_end.n_loops,
+    }
+
+
+def keyframe_errors(rig: "Rig") -> Float64s:
+    """(n,) m: the keyframes of the pose graph, as it is at the end, against the truth of their time."""
+    back_end, track = rig.mapper.back_end, rig.track
+    if not back_end.keyframes:
+        return np.zeros(0)
+    truths = np.array(track.truths)
+    stamps = np.array([keyframe.stamp for keyframe in back_end.keyframes], float)
+    x, y = (np.interp(stamps, truths[:, 0].astype(float), truths[:, column]) for column in (1, 2))
+    poses = [track.world_from_map @ Pose2(*row) for row in back_end.graph.poses.tolist()]
+    return np.array([hypot(pose.x - a, pose.y - b) for pose, a, b in zip(poses, x, y)])

@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav bench localise`: found from nowhere on the saved maps of made-up buildings, then carried away and found again.
+
+The building is the one of the map, but for what is loose in it and who walks there. From a random pose the robot drives
+from one random place to the next; "right" is a pose within RIGHT of the truth, and stays that.
+"""
+
+import statistics
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from math import degrees, hypot, inf
+from pathlib import Path
+from time import process_time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from shared.geometry import Pose2, wrapped
+from shared.messages import Localization, PoseEstimate
+from zenav.bench.each import results
+from zenav.bench.table import seeds_from, table, writable, write
+from zenav.up import run_folder
+
+if TYPE_CHECKING:
+    from services.mapper.saved_map import SavedMap
+    from zenav.bench.rig import Rig
+
+RIGHT, RIGHT_DEG = 0.3, 5.0  # m, degrees
+FOUND_WITHIN, FOUND_SHARE = 10.0, 0.95  # m of driving; of the poses
+NOTICED_WITHIN = 3.0  # s
+GIVES_UP = 25.0  # m of driving
+AFTERWARDS = 3.0  # m that are driven on, found, to see whether it stays right
+STANDS = 1.0  # s before and after being carried
+AWAY = 3.0  # m that it is carried at least
+COLUMNS = (
+    "building", "poses", "found in 10 m", "median, m", "p95", "wrongly sure", "carried", "noticed in 3 s", "median, s",
+    "back in 10 m", "median, m", "CPU, s",
+)  # fmt: skip
+
+
+@dataclass
+class Trial:
+    """One random pose. Metres of driving until found and right, s until noticed; None: never.
+
+    wrong_s: s for which it called a wrong pose good, but for those until it noticed that it was carried.
+    """
+
+    building: int = 0
+    trial: int = 0
+    found_m: float | None = None
+    found_error_m: float | None = None
+    wrong_s: float = 0.0
+    noticed_s: float | None = None
+    back_m: float | None = None
+    carried: bool = False
+    cpu_s: float = 0.0
+
+
+def localise(
+    robot: str, numbers: str, poses: int, jobs: int, maps: Path | None, out: Path | None, settings: list[str]
+) -> int:
+    """Runs `poses` trials, shared among the buildings; 0 when every promise was kept.
+
+    maps: the folder of an earlier `zenav bench buildings` or `localise`; without it, every building is toured first.
+    """
+    chosen = seeds_from(numbers)
+    writable(out)
+    folder = run_folder("bench-localise") if maps is None else maps
+    shares = {number: poses // len(chosen) + (i < poses % len(chosen)) for i, number in enumerate(chosen)}
+    trials: list[Trial] = []
+    for found in results(partial(_tried, robot, folder, shares, settings), [n for n in chosen if shares[n]], jobs):
+        trials += found
+        sys.stderr.write(f"building {found[0].building}: {sum(t.found_m is not None for t in found)} found\n")
+    trials.sort(key=lambda trial: (trial.building, trial.trial))
+    rows = [_row(str(n), [t for t in trials if t.building == n]) for n in chosen if shares[n]]
+    table(f"global localisation, maps in {folder}", COLUMNS, [*rows, _row("all", trials)])
+    told = summary(trials)
+    write(out, {"summary": told, "trials": [asdict(trial) for trial in trials]})
+    return 0 if kept(told) else 1
+
+
+def kept(told: dict[str, Any]) -> bool:
+    """Whether the summary keeps every promise."""
+    return bool(
+        told["found_share"] >= FOUND_SHARE
+        and not told["wrongly_sure"]
+        and told["noticed"] == told["back"] == told["carried"]
+    )
+
+
+def summary(trials: list[Trial]) -> dict[str, Any]:
+    """Shares, medians and counts over all trials."""
+    found = [t.found_m for t in trials if t.found_m is not None]
+    carried = [t for t in trials if t.carried]
+    noticed = [t.noticed_s for t in carried if t.noticed_s is not None]
+    back = [t.back_m for t in carried if t.back_m is not None]
+    return {
+        "poses": len(trials),
+        "found_share": round(sum(m <= FOUND_WITHIN for m in found) / max(len(trials), 1), 4),
+        "found_m_median": _median(found),
+        "found_m_p95": round(float(np.percentile(found, 95)), 2) if found else None,
+        "wrongly_sure": sum(t.wrong_s > 0 for t in trials),
+        "carried": len(carried),
+        "noticed": sum(s <= NOTICED_WITHIN for s in noticed),
+        "noticed_s_median": _median(noticed),
+        "back": sum(m <= FOUND_WITHIN for m in back),
+        "back_m_median": _median(back),
+        "cpu_s": round(sum(t.cpu_s for t in trials), 1),
+    }
+
+
+def _median(values: list[float]) -> float | None:
+    return round(statistics.median(values), 2) if values else None
+
+
+def _row(name: str, trials: list[Trial]) -> tuple[str, ...]:
+    s = summary(trials)
+
+    def number(key: str) -> str:
+        return "-" if s[key] is None else f"{s[key]:.1f}"
+
+    return (
+        name, str(s["poses"]), f"{s['found_share']:.0%}", number("found_m_median"), number("found_m_p95"),
+        str(s["wrongly_sure"]), str(s["carried"]), str(s["noticed"]), number("noticed_s_median"), str(s["back"]),
+        number("back_m_median"), number("cpu_s"),
+    )  # fmt: skip
+
+
+def _tried(robot: str, folder: Path, shares: dict[int, int], settings: list[str], number: int) -> list[Trial]:
+    """All trials of one building."""
+    import shared.repeatable  # noqa: F401  # a spawned process begins here
+    from zenav.bench.buildings import toured
+    from zenav.saved_map import GRAPH, read_saved_map
+
+    place = folder / f"building-{number}"
+    if not (place / GRAPH).exists():
+        toured(robot, folder, settings, number)
+    saved = read_saved_map(place)
+    return [
+        replace(trial(robot, f"building:{number}", 1000 * (i + 1) + number, saved, settings), building=number, trial=i)
+        for i in range(shares[number])
+    ]
+
+
+def trial(robot: str, world_name: str, seed: int, saved: "SavedMap", settings: list[str]) -> Trial:
+    """Found from nowhere in a world with a saved map, then carried elsewhere and found again; all by the seed."""
+    from zenav.bench.chauffeur import Ways
+    from zenav.bench.rig import Rig, robot_file
+    from zenav.scene import world_of
+
+    begun, told = process_time(), Trial()
+    file = robot_file(robot, world_name, seed, None, settings)
+    world, rng = world_of(file), np.random.default_rng(seed)
+    ways = Ways(world, file.robot)
+    rig = Rig(robot_file(robot, world_name, seed, ways.anywhere(rng), settings), ways, saved)
+    watch = Watch(rig, world.start)
+    told.found_m = watch.driven_until_right(rng)
+    if told.found_m is not None:
+        told.found_error_m = round(watch.error[0], 3)
+        told.carried = True
+        told.noticed_s, told.back_m = _carried(rig, watch, rng)
+    told.wrong_s = round(watch.wrong_s, 2)
+    told.cpu_s = round(process_time() - begun, 1)
+    return told
+
+
+def _carried(rig: "Rig", watch: "Watch", rng: np.random.Generator) -> tuple[float | None, float | None]:
+    """Sets the robot down elsewhere: s until it noticed, m until it was right again."""
+    rig.stand(STANDS)
+    here = rig.truth.world_from_base
+    while (there := rig.ways.anywhere(rng)).distance(here) < AWAY or not rig.free_of_people(there, 1.0):
+        pass
+    rig.carry(there)
+    watch.carried()
+    rig.stand(STANDS)
+    back = watch.driven_until_right(rng)
+    return watch.noticed_s, back
+
+
+class Watch:
+    """Compares each of the mapper's poses with the truth. error: m and degrees, of the last one."""
+
+    def __init__(self, rig: "Rig", world_from_map: Pose2) -> None:
+        self.rig, self.world_from_map = rig, world_from_map
+        self.error = inf, inf
+        self.sure = False  # it calls its pose good
+        self.wrong_s = 0.0
+        self.noticed_s: float | None = None
+        self._carried: int | None = None  # ns, when it was; until that was noticed
+        self.last = 0
+        rig.watch(self.take)
+
+    @property
+    def right(self) -> bool:
+        """Whether the last pose was called good, and is."""
+        return self.sure and self._carried is None and self.error[0] <= RIGHT and self.error[1] <= RIGHT_DEG
+
+    def carried(self) -> None:
+        """The robot stands elsewhere from now on."""
+        self._carried, self.noticed_s = self.rig.lockstep.now, None
+
+    def driven_until_right(self, rng: np.random.Generator) -> float | None:
+        """Drives from one random place to the next until the pose is right, and then a little further; m until then.
+
+        None where it never was.
+        """
+        begun = self.rig.truth.distance
+
+        def driven() -> float:
+            return self.rig.truth.distance - begun
+
+        self._drive(rng, lambda: self.right or driven() > GIVES_UP)
+        if not self.right:
+            return None
+        found, error = driven(), self.error
+        self._drive(rng, lambda: driven() > found + AFTERWARDS)
+        self.error = error
+        return round(found, 2)
+
+    def _drive(self, rng: np.random.Generator, until: Callable[[], bool]) -> None:
+        while not until():
+            if not self.rig.drive(self.rig.ways.anywhere(rng), until):
+                self.rig.stand(1.0)  # somebody is all around
+
+    def take(self, estimate: PoseEstimate) -> None:
+        """One of the mapper's poses."""
+        truths = self.rig.track.truths[-100:]
+        at = np.array([row[0] - estimate.stamp for row in truths], float)
+        x, y, yaw = np.array([row[1:] for row in truths]).T
+        true = Pose2(*(float(np.interp(0.0, at, column)) for column in (x, y, np.unwrap(yaw))))
+        left = true.inverse() @ self.world_from_map @ estimate.map_from_base
+        self.error = hypot(left.x, left.y), abs(degrees(wrapped(left.yaw)))
+        self.sure = estimate.state is Localization.GOOD
+        if self._carried is not None:
+            if estimate.state in (Localization.LOST, Localization.STARTING):
+                self.noticed_s, self._carried = round((self.rig.lockstep.now - self._carried) * 1e-9, 2), None
+        elif self.sure and not self.right and self.last:
+            self.wrong_s += (estimate.stamp - self.last) * 1e-9
+        self.last = estimate.stamp

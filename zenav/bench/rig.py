@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulator, base driver, odometry and mapper on the virtual clock, driven by the chauffeur through a world."""
+
+import json
+from collections.abc import Callable
+from time import process_time
+
+import numpy as np
+
+from services.mapper.saved_map import SavedMap
+from services.mapper.service import MapperConfig, MapperService
+from services.sim import dynamics
+from services.sim.service import SimConfig, SimService
+from shared import topics
+from shared.config import RobotFile, configured
+from shared.geometry import Pose2
+from shared.messages import PoseEstimate, Truth, Velocity
+from shared.runners.lockstep import Lockstep
+from shared.service import Service
+from zenav.bench.chauffeur import Chauffeur, Ways
+from zenav.classes import made
+from zenav.hardware import Hardware, settings_for
+from zenav.score import KEYS, Track
+from zenav.settings import checked
+
+PERIOD = 0.05  # s between two commands
+AT_FIRST = 1.0  # s that a robot stands when its stack has started
+
+
+def robot_file(robot: str, world: str, seed: int, start: Pose2 | None, settings: list[str]) -> RobotFile:
+    """The robot in a world; at `start`, if not where the world says."""
+    settings = [f"sim.world={json.dumps(world)}", f"sim.seed={seed}", *settings]
+    if start is not None:
+        settings.append(f"sim.start={json.dumps({'x': start.x, 'y': start.y, 'yaw': start.yaw})}")
+    settings += settings_for(Hardware.MESSAGES, configured(robot, settings), None)
+    file = configured(robot, settings)
+    checked(file)
+    return file
+
+
+class Rig:
+    """A run. `saved`: the mapper only localises in it, from nowhere. `track` is what was heard."""
+
+    def __init__(self, file: RobotFile, ways: Ways | None = None, saved: SavedMap | None = None) -> None:
+        self.mapper = MapperService(file.section("mapper", MapperConfig), file.robot)
+        self.sim = SimService(file.section("sim", SimConfig), file.robot)
+        self.world = self.sim.world
+        for _ in self.mapper.go_on(saved, fixed=True) if saved is not None else ():
+            pass  # nobody is there to hear of the map
+        services: dict[str, Service] = {"sim": self.sim, "mapper": self.mapper}
+        services |= {name: made(name, file, file.robot) for name in ("base_driver", "odometry")}
+        begun = process_time()
+        self.lockstep = Lockstep(services)
+        self.warming = process_time() - begun  # s of CPU
+        self.ways = ways if ways is not None else Ways(self.world, file.robot)
+        self.chauffeur = Chauffeur(self.ways)
+        self.track = Track()
+        for key in KEYS:
+            self.lockstep.watch(key, lambda message: self.track.take(message, self.lockstep.now))
+        self.stand(AT_FIRST)
+
+    @property
+    def truth(self) -> Truth:
+        assert self.track.truth is not None
+        return self.track.truth
+
+    def watch(self, watcher: Callable[[PoseEstimate], None]) -> None:
+        """Calls `watcher` with each of the mapper's poses."""
+        self.lockstep.watch(topics.POSE.key, watcher)
+
+    def drive(self, goal: Pose2, until: Callable[[], bool] = lambda: False) -> bool:
+        """Drives to a place, or until the condition holds; says whether there was a way."""
+        if not self.chauffeur.go(goal, self.truth):
+            return False
+        while not until() and (command := self.chauffeur.command(self.truth, PERIOD)) is not None:
+            self._command(*command)
+        return True
+
+    def stand(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+        """Stands for this long, or until the condition holds."""
+        for _ in range(round(seconds / PERIOD)):
+            if until():
+                break
+            self._command(0.0, 0.0)
+
+    def _command(self, v: float, w: float) -> None:
+        self.lockstep.publish(topics.CMD_VEL(Velocity(self.lockstep.now, v, w, "")), "guard")
+        self.lockstep.run(PERIOD)
+
+    def carry(self, pose: Pose2) -> None:
+        """Somebody lifts the standing robot and sets it down at another pose, in no time; its wheels do not turn."""
+        sim = self.sim
+        for column, value in zip((dynamics.X, dynamics.Y, dynamics.YAW), (pose.x, pose.y, pose.yaw)):
+            sim.state_now[column] = value
+        sim.history[:, :3] = pose.x, pose.y, pose.yaw
+
+    def free_of_people(self, pose: Pose2, away: float) -> bool:
+        """Whether nobody is within `away` m of a pose."""
+        distances = np.hypot(self.truth.people_x - pose.x, self.truth.people_y - pose.y)
+        return bool((distances > away).all())
