@@ -19,12 +19,14 @@ from shared.messages import (
     GoalKind,
     GuardState,
     GuardStatus,
+    MapMode,
     MapUpdate,
     NavState,
     NavStatus,
     Velocity,
 )
-from shared.requests import Cancel, Explore, LoadMap, Navigate, Pause, Reply
+from shared.reasons import NO_GRAPH
+from shared.requests import Cancel, Explore, FetchMap, LoadMap, MapPart, Navigate, Pause, Reply, StartMap
 from shared.service import Answer, Out, Service, answer, every, on
 from tests.stack.test_live import ROBOT, running
 from zenav.__main__ import _status
@@ -108,12 +110,23 @@ class Guard(Service):
 
 
 class Mapper(Service):
-    """A new tile each tick, three in all."""
+    """A new tile each tick, three in all, and no pose graph."""
 
     def __init__(self) -> None:
         super().__init__(Section(), ROBOT)
         self.version = 0
         self.loaded: list[LoadMap] = []
+
+    @answer(requests.FETCH_MAP)
+    def fetch(self, request: FetchMap) -> Answer[MapPart]:
+        yield from ()
+        return MapPart(self.now, False, NO_GRAPH.code, "")
+
+    @answer(requests.START_MAP)
+    def start(self, request: StartMap) -> Answer[Reply]:
+        assert request.mode is MapMode.LOCALISE
+        yield from ()
+        return Reply(self.now, True, "", "")
 
     @answer(requests.LOAD_MAP)
     def load(self, request: LoadMap) -> Answer[Reply]:
@@ -200,7 +213,7 @@ def test_a_map_is_saved_shown_and_given_back(where, capsys, monkeypatch, tmp_pat
         assert "###" in capsys.readouterr().out
         assert _status(["map", "save", "room", *stack]) == 0
         assert {path.name for path in (tmp_path / "maps" / "room").iterdir()} == {"map.pgm", "map.yaml", "map.png"}
-        assert _status(["map", "load", "room", "--x", "2", "--y", "-1", "--yaw", "90", *stack]) == 0
+        assert _status(["map", "load", "room", "--at", "2", "-1", "90", *stack]) == 0
         assert _status(["map", "load", "room", *stack]) == 2
     (loaded, _) = mapper.loaded
     assert (loaded.map_from_base.x, loaded.map_from_base.y, round(loaded.map_from_base.yaw, 4)) == (2, -1, 1.5708)
