@@ -27,7 +27,7 @@ class Arrival:
     """A scan to be placed.
 
     end: ns, of the sweep.  seconds: since the last one's, 0 for the first.  step: the motion since then, and its
-    doubt: how much wider the prior is.  odom_from_base: at the end,
+    doubt: how much wider the prior is.  skew: the share of the step that the sweep took.  odom_from_base: at the end,
     as odometry publishes it.  origins, ends: (n, 2) m in `base` at the end, ends NaN without an echo.  silent: (n, 2) m
     in `base`, up to where a beam without an echo is free; NaN where it says nothing.
     """
@@ -36,6 +36,7 @@ class Arrival:
     seconds: float
     step: Pose2
     doubt: float
+    skew: float
     odom_from_base: Pose2
     origins: Float64s
     ends: Float64s
@@ -116,7 +117,8 @@ class Arrivals:
         self.last_end = end
         doubt = self.blind_doubt if self.blind else 1.0
         free = self._free(scan, origins, ends)
-        return Arrival(end, seconds, step, doubt, self._odom_from_base(end), origins, ends, free)
+        skew = min(scan.scan_time / seconds, 1.0) if seconds > 0 else 0.0
+        return Arrival(end, seconds, step, doubt, skew, self._odom_from_base(end), origins, ends, free)
 
     def moved(self, motion: Pose2, seconds: float) -> None:
         """How the robot turned out to have moved since the last scan."""

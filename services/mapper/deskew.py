@@ -8,6 +8,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from shared.config import Mount
+from shared.geometry import Pose2
 from shared.messages import LaserScan
 
 Float64s = NDArray[np.float64]
@@ -31,6 +32,19 @@ def deskewed(scan: LaserScan, mount: Mount, times: Float64s, end_from_base: Floa
         end_from_base,
     )
     return origins, ends
+
+
+def straightened(points: Float64s, taken: Pose2, moved: Pose2, share: float) -> Float64s:
+    """Points (n, 2) m in `base`, de-skewed with a motion that was not, as they are with the one that was.
+
+    taken, moved: the motion since the sweep before.  share: of it, that the sweep took. NaN stays NaN.
+    """
+    back = share * np.linspace(1, 0, len(points))
+    rows = [np.outer(back, (p.x, p.y, p.yaw)) for p in (taken.inverse(), moved.inverse())]
+    (x, y, yaw), (x1, y1, yaw1) = rows[0].T, rows[1].T
+    dx, dy = points[:, 0] - x, points[:, 1] - y
+    c, s = np.cos(yaw1 - yaw), np.sin(yaw1 - yaw)
+    return np.column_stack((x1 + c * dx - s * dy, y1 + s * dx + c * dy))
 
 
 @njit(cache=True, nogil=True)

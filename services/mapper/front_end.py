@@ -10,6 +10,7 @@ from pydantic import Field
 
 from services.mapper.belief import Belief, mean_doubt
 from services.mapper.correlative_match import SearchConfig, candidates
+from services.mapper.deskew import straightened
 from services.mapper.keyframe import NEVER, Sweep
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.registration import Match, OdometryError, Prior, RegistrationConfig
@@ -22,6 +23,7 @@ from shared.messages import Localization, MapUpdate
 
 Float64s = NDArray[np.float64]
 
+BENT, BENT_TURN = 0.02, 0.01  # m, rad, by which the first beam of a sweep may be off, to the last
 LIED = 10.0  # how much wider the prior is where odometry was wrong
 OLD = 0.25  # of the beams that agree: walls that so many of them meet place the scan by themselves
 LEAST_BEAMS = 15  # that must agree with the map or contradict it, to tell anything
@@ -45,6 +47,7 @@ class Tracked:
     """A scan's place: the pose, its covariance (3, 3) in `local`, the share of beams that agree, and the state.
 
     trusted: the map may be drawn from it.  keyframe: what joined the submap, where the robot has moved on.
+    origins, ends: (n, 2) m in `base`, the sweep as it is to be drawn.
     """
 
     local_from_base: Pose2
@@ -54,6 +57,8 @@ class Tracked:
     match: Match
     trusted: bool
     keyframe: Sweep | None
+    origins: Float64s
+    ends: Float64s
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,14 +128,25 @@ class FrontEnd:
         self.belief.start()
         self.submap.registrar.map.doubts[:] = 0
 
-    def track(self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float, stamp: int = 0) -> Tracked:
+    def track(
+        self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float, skew: float = 0.0, stamp: int = 0
+    ) -> Tracked:
         """Places a sweep, and extends the submap where the robot has moved on.
 
         origins, ends: (n, 2) m in `base`, NaN without an echo.  step: odometry's motion since the last sweep; doubt
-        widens its standard deviation.  stamp: ns, of the sweep.
+        widens its standard deviation.  skew: share of that motion by which the beams were de-skewed.
+        stamp: ns, of the sweep.
         """
         measured, step = step, self.odometry_error.corrected(step)
         sweep, placed, n_moving = self._matched(origins, ends, step, doubt)
+        moved = self.local_from_base.inverse() @ placed.match.map_from_base
+        off = step.inverse() @ moved
+        bent = skew * hypot(off.x, off.y) > BENT or skew * abs(off.yaw) > BENT_TURN
+        if doubt > 1 and bent and placed.quality >= self.config.good:  # else it is the match that is wrong
+            # without odometry the motion was a guess, and so was the shape of the sweep. With it, a sweep bent by its
+            # own match bends the next one's: the pose slides along a corridor while nine beams of ten agree
+            origins, ends = straightened(origins, step, moved, skew), straightened(ends, step, moved, skew)
+            sweep, placed, n_moving = self._matched(origins, ends, step, LIED * doubt)
         self._believe(sweep, placed.match, step, doubt)
         self.motion = self.local_from_base.inverse() @ placed.match.map_from_base
         if doubt <= 1:  # else it was no odometry
@@ -149,8 +165,9 @@ class FrontEnd:
             self.submap.draw(self.local_from_base @ origins, self.local_from_base @ ends)
         keyframe = sweep if joins else None
         return Tracked(
-            self.local_from_base, self.belief.covariance, quality, self.state, placed.match, trusted, keyframe
-        )
+            self.local_from_base, self.belief.covariance, quality, self.state, placed.match, trusted, keyframe,
+            origins, ends,
+        )  # fmt: skip
 
     def _matched(self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float) -> tuple[Sweep, Placed, int]:
         """The sweep without what moves, its place, and the number of beams that were on moving things."""

@@ -69,10 +69,12 @@ class Mapping:
         if self.tracked is None and not self.grid.places:
             self.grid = Occupancy(self.occupancy, max(now, 1))
         self.doubt = max(self.doubt, arrival.doubt)
-        tracked = self.front_end.track(arrival.origins, arrival.ends, arrival.step, arrival.doubt, arrival.end)
+        tracked = self.front_end.track(
+            arrival.origins, arrival.ends, arrival.step, arrival.doubt, arrival.skew, arrival.end
+        )
         if tracked.trusted and not self.finder.searching and self.changes:
             pose = self.map_from_base
-            self.grid.integrate(pose @ arrival.origins, pose @ arrival.ends, pose @ arrival.silent)
+            self.grid.integrate(pose @ tracked.origins, pose @ tracked.ends, pose @ arrival.silent)
         self.tracked = tracked
         return tracked
 
@@ -80,7 +82,7 @@ class Mapping:
         """A placed scan joins the graph where the robot has moved on, or helps to find it."""
         if tracked.keyframe is not None and self.front_end.graphed:
             keyframe = Keyframe.of(
-                arrival.end, tracked.local_from_base, arrival.origins, arrival.ends, arrival.silent, tracked.keyframe,
+                arrival.end, tracked.local_from_base, tracked.origins, tracked.ends, arrival.silent, tracked.keyframe,
                 self.front_end.belief.carried, self.front_end.since,
             )  # fmt: skip
             if self.finder.searching:
@@ -95,15 +97,15 @@ class Mapping:
         self.lost_for += hypot(arrival.step.x, arrival.step.y)
         if tracked.state is not Localization.LOST or self.finder.searching:
             self.lost_for = 0.0
-        if (self.lost_for >= AWAY and self.has_graph) or self._is_astray(arrival):
+        if (self.lost_for >= AWAY and self.has_graph) or self._is_astray(tracked):
             yield from self._carried_away()
 
-    def _is_astray(self, arrival: Arrival) -> bool:
+    def _is_astray(self, tracked: Tracked) -> bool:
         """Whether a map that does not change says that the robot is somewhere else."""
         if self.finder.searching or not self.back_end.fixed or self.known is not None:
             return False
         pose = self.map_from_base
-        return self.astray.weigh(self.grid, pose @ arrival.origins, pose @ arrival.ends)
+        return self.astray.weigh(self.grid, pose @ tracked.origins, pose @ tracked.ends)
 
     def estimate(self, arrival: Arrival, tracked: Tracked) -> PoseEstimate:
         """Where the robot is, as of a placed scan."""

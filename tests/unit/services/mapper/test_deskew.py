@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from services.mapper.deskew import deskewed
+from services.mapper.deskew import deskewed, straightened
 from shared.config import Mount
-from shared.geometry import Pose2
+from shared.geometry import Pose2, interpolated
 from shared.messages import LaserScan
 
 angles = st.floats(-3, 3)
@@ -49,3 +49,16 @@ def test_what_is_no_measurement_has_no_end(r):
     _, ends = deskewed(scan_of([1.0, r, 2.0]), Mount(), np.array((-0.2, 0.0)), np.zeros((2, 3)))
     assert np.isnan(ends[1]).all()
     assert not np.isnan(ends[[0, 2]]).any()
+
+
+def test_a_sweep_bent_by_a_motion_that_was_not_is_straightened_by_the_one_that_was():
+    scan = LaserScan(0, -3.0, 0.02, 0.1, 0.05, 8.0, np.linspace(1, 3, 300).astype(np.float32))
+    told, true, share = Pose2(0.3, 0.0, 0.2), Pose2(0.1, 0.02, -0.1), 0.5
+
+    def taken_at(motion):
+        back = [interpolated(Pose2(), motion.inverse(), share * k / 20) for k in range(20, -1, -1)]
+        poses = np.array([(p.x, p.y, p.yaw) for p in back])
+        return deskewed(scan, Mount(x=0.1, y=0.0, yaw=0.2), np.linspace(-0.1, 0, 21), poses)
+
+    for bent, straight in zip(taken_at(told), taken_at(true)):
+        assert_allclose(straightened(bent, told, true, share), straight, atol=1e-9)
