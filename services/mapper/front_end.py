@@ -140,11 +140,12 @@ class FrontEnd:
         measured, step = step, self.odometry_error.corrected(step)
         sweep, placed, n_moving = self._matched(origins, ends, step, doubt)
         moved = self.local_from_base.inverse() @ placed.match.map_from_base
+        if doubt <= 1:  # how far it drove is odometry's to say: along a corridor each sweep would bend the next
+            moved = Pose2(step.x, step.y, moved.yaw)
         off = step.inverse() @ moved
         bent = skew * hypot(off.x, off.y) > BENT or skew * abs(off.yaw) > BENT_TURN
-        if doubt > 1 and bent and placed.quality >= self.config.good:  # else it is the match that is wrong
-            # without odometry the motion was a guess, and so was the shape of the sweep. With it, a sweep bent by its
-            # own match bends the next one's: the pose slides along a corridor while nine beams of ten agree
+        if bent and placed.quality >= self.config.good:  # else it is the match that is wrong
+            # the motion was wrong, and so is the shape of the sweep
             origins, ends = straightened(origins, step, moved, skew), straightened(ends, step, moved, skew)
             sweep, placed, n_moving = self._matched(origins, ends, step, LIED * doubt)
         self._believe(sweep, placed.match, step, doubt)

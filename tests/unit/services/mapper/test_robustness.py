@@ -15,7 +15,7 @@ def test_the_pose_is_right_or_says_that_it_is_not(name):
     if row.observed:
         assert driven.away.max() < row.far
         assert driven.away.mean() < row.far / 2
-        assert driven.turned.max() < 0.6 * row.far
+        assert driven.turned.max() < 0.06
         assert driven.good[3:].mean() > 0.95
     else:
         wrong = driven.away > WRONG
