@@ -27,7 +27,7 @@ class OccupancyConfig(Section):
 
     resolution: float = Field(0.05, ge=0.005, le=1, description="m a cell")
     hit: float = Field(0.64, gt=0.5, lt=1, description="probability of a cell in which a beam ended once")
-    miss: float = Field(0.4, gt=0, lt=0.5, description="probability of a cell that a beam crossed once")
+    miss: float = Field(0.39, gt=0, lt=0.5, description="probability of a cell that a beam crossed once")
     behind: float = Field(
         0.1, ge=0, le=1, description="m that a beam may end behind an occupied cell and still count as a hit of it"
     )

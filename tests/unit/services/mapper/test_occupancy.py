@@ -69,7 +69,7 @@ def test_a_thing_that_left_fades_within_seconds_however_long_it_stood():
     for _ in range(500):
         draw(grid, [(0, 0.02, 1.52, 0.02)])
     assert cells_of(grid)[0, 30] == 96
-    for _ in range(11):
+    for _ in range(10):
         draw(grid, [(0, 0.02, 3, 0.02)])
     assert cells_of(grid)[0, 30] <= 25
 
