@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from services.mapper.deskew import deskewed
 from services.mapper.occupancy import OccupancyConfig
+from services.mapper.odometry_error import OdometryError
 from services.mapper.odometry_track import OdometryConfig, OdometryTrack
-from services.mapper.registration import OdometryError
 from shared.config import Robot
 from shared.geometry import Pose2, interpolated
 from shared.messages import LaserScan, Odometry

@@ -12,12 +12,13 @@ from pydantic import Field
 from services.mapper.keyframe import SETTLED, Keyframe
 from services.mapper.loop_closure import LITTLE, Blocks, Loop, LoopConfig, closed, in_own_frame
 from services.mapper.occupancy import Occupancy, OccupancyConfig
+from services.mapper.odometry_error import OdometryError
 from services.mapper.optimisation import PoseGraphConfig, optimised
 from services.mapper.pose_graph import Graph, Optimised, PoseGraph, between, pose_of
-from services.mapper.registration import Match, OdometryError, RegistrationConfig
+from services.mapper.registration import Match, RegistrationConfig
 from services.mapper.saved_map import SavedMap
 from services.mapper.submap import Submap
-from services.mapper.surroundings import Surroundings, surroundings
+from services.mapper.surroundings import Held, Surroundings, surroundings
 from services.mapper.uncertainty import uncertainty_from
 from shared.config import Section
 from shared.geometry import Float64s, Pose2, wrapped_all
@@ -110,6 +111,7 @@ class BackEnd:
         self.moved = 0.0  # m, at most, of any keyframe since the map was drawn
         self.shifted = 0.0  # m, at most, of any near keyframe as seen from the newest, since it was last gathered
         self.n_new = 0  # keyframes since then
+        self.held: Held | None = None  # what the front end's submap holds, where it was gathered from here
         self.settled_to = -1  # name of the newest node at the last optimum
         self.blocks = Blocks(*self._settings, self.loops)
         self.hubs: tuple[int, ...] = ()  # names of the last two
@@ -125,6 +127,7 @@ class BackEnd:
 
     def _begin(self) -> None:
         """A session's nodes have names of their own blocks: its `local` is another one."""
+        self.held = None
         self.hubs = ()
         blocks = int(self.graph.nodes[-1]) // self.loops.around if len(self.graph.nodes) else 0
         self.first = (blocks + 4) * self.loops.around
@@ -287,15 +290,20 @@ class BackEnd:
 
     def around(self) -> tuple[Any, ...]:
         """The arguments of `surroundings`."""
+        held = self.held if self.shifted <= SEEN else None
         self.n_new, self.shifted = 0, 0.0
         return (
             self.graph.snapshot(), tuple(self.keyframes), self.map_from_local.inverse(), self.first, self.settled_to,
-            self.config.sure, self._reach, self._settings,
+            self.config.sure, self._reach, held, self._settings,
         )  # fmt: skip
 
     def completed(self, drawn: Surroundings) -> Submap | None:
-        """The surroundings, with the keyframes that came meanwhile; None where the robot was carried away since."""
+        """The surroundings, with the keyframes that came meanwhile; None where those at hand will do, or the robot was
+        carried away since."""
         if drawn.session != self.first:
+            return None
+        self.held = Held(drawn.nodes, drawn.node, self._reach - BETWEEN)
+        if drawn.submap is None:
             return None
         first = int(np.searchsorted(self.graph.nodes, drawn.node, side="right"))
         for keyframe, node in zip(self.keyframes[first:], self.graph.nodes[first:].tolist()):

@@ -11,9 +11,10 @@ from services.mapper.back_end import BackEnd, Drawing, drawn
 from services.mapper.keyframe import Keyframe
 from services.mapper.loop_closure import Loop, loops_of
 from services.mapper.occupancy import Occupancy
+from services.mapper.odometry_error import OdometryError
 from services.mapper.optimisation import optimised
 from services.mapper.pose_graph import Optimised
-from services.mapper.registration import Match, OdometryError
+from services.mapper.registration import Match
 from services.mapper.submap import Submap
 from services.mapper.surroundings import Surroundings, surroundings
 from shared.service import Job, Out

@@ -47,6 +47,17 @@ def straightened(points: Float64s, taken: Pose2, moved: Pose2, share: float) -> 
     return np.column_stack((x1 + c * dx - s * dy, y1 + s * dx + c * dy))
 
 
+def turned_back(points: Float64s, back: Float64s, twist: float) -> Float64s:
+    """Points, or normals, (n, 2) in `base` of a sweep that was twisted by `twist` rad more than it was de-skewed with.
+
+    back: (n,), share of the sweep from each to its end, where the robot is.
+    """
+    if twist == 0:
+        return points
+    c, s = np.cos(back * twist), np.sin(back * twist)
+    return np.column_stack((c * points[:, 0] + s * points[:, 1], c * points[:, 1] - s * points[:, 0]))
+
+
 @njit(cache=True, nogil=True)
 def _deskewed(  # type: ignore[no-untyped-def]  # compiled; `deskewed` is the typed door
     ranges, angle_min, angle_increment, scan_time, range_min, range_max, mount, times, poses

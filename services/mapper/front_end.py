@@ -10,14 +10,15 @@ from pydantic import Field
 
 from services.mapper.belief import Belief, mean_doubt
 from services.mapper.correlative_match import SearchConfig, candidates
-from services.mapper.deskew import straightened
+from services.mapper.deskew import straightened, turned_back
 from services.mapper.keyframe import NEVER, Sweep
 from services.mapper.occupancy import OccupancyConfig
-from services.mapper.registration import Match, OdometryError, Prior, RegistrationConfig
+from services.mapper.odometry_error import OdometryError
+from services.mapper.registration import Match, Prior, RegistrationConfig
 from services.mapper.submap import Submap
-from services.mapper.surface import sweep_normals, sweep_usable
+from services.mapper.surface import sweep_lone, sweep_normals, sweep_usable
 from shared.config import Section
-from shared.geometry import Pose2
+from shared.geometry import Bools, Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import Localization, MapUpdate
 
@@ -26,6 +27,9 @@ Float64s = NDArray[np.float64]
 BENT, BENT_TURN = 0.02, 0.01  # m, rad, by which the first beam of a sweep may be off, to the last
 LIED = 10.0  # how much wider the prior is where odometry was wrong
 OLD = 0.25  # of the beams that agree: walls that so many of them meet place the scan by themselves
+STOOD = 3_000_000_000  # ns that a thing stands free until it is none that walks; or until the robot
+BESIDE = 0.25  # m is elsewhere, and sees it there still
+STRAYED = 0.3  # m that one who did not fit may be off odometry where he fits again: rooms look alike
 LEAST_BEAMS = 15  # that must agree with the map or contradict it, to tell anything
 
 
@@ -112,6 +116,7 @@ class FrontEnd:
         self.state = Localization.STARTING
         self.motion = Pose2()  # between the last two sweeps
         self.n_bad = 0
+        self.reckoned = local_from_base  # where it would be by odometry alone since the last scan that fitted
         self.searches_next = False
         self.other_starts: list[Pose2] = []  # that the next search looks around too
 
@@ -138,28 +143,36 @@ class FrontEnd:
         stamp: ns, of the sweep.
         """
         measured, step = step, self.odometry_error.corrected(step)
-        sweep, placed, n_moving = self._matched(origins, ends, step, doubt)
-        moved = self.local_from_base.inverse() @ placed.match.map_from_base
-        if doubt <= 1:  # how far it drove is odometry's to say: along a corridor each sweep would bend the next
-            moved = Pose2(step.x, step.y, moved.yaw)
-        off = step.inverse() @ moved
-        bent = skew * hypot(off.x, off.y) > BENT or skew * abs(off.yaw) > BENT_TURN
-        if bent and placed.quality >= self.config.good:  # else it is the match that is wrong
-            # the motion was wrong, and so is the shape of the sweep
-            origins, ends = straightened(origins, step, moved, skew), straightened(ends, step, moved, skew)
-            sweep, placed, n_moving = self._matched(origins, ends, step, LIED * doubt)
-        self._believe(sweep, placed.match, step, doubt)
+        measures = doubt <= 1  # else it is no odometry
+        sweep, told, placed, n_moving = self._matched(origins, ends, step, doubt, skew if measures else 0.0, stamp)
+        if measures:  # how far it drove is odometry's to say: along a corridor each sweep would bend the next
+            twist = placed.match.twist
+            back = _back(len(ends))
+            origins, ends = turned_back(origins, back, twist), turned_back(ends, back, twist)
+            sweep, told = sweep.turned_back(twist), told.turned_back(twist)
+        else:
+            moved = self.local_from_base.inverse() @ placed.match.map_from_base
+            off = step.inverse() @ moved
+            bent = skew * hypot(off.x, off.y) > BENT or skew * abs(off.yaw) > BENT_TURN
+            if bent and placed.quality >= self.config.good:  # else it is the match that is wrong
+                origins, ends = straightened(origins, step, moved, skew), straightened(ends, step, moved, skew)
+                sweep, told, placed, n_moving = self._matched(origins, ends, step, LIED * doubt, 0.0, stamp)
+        self._believe(told, placed.match, step, doubt)
         self.motion = self.local_from_base.inverse() @ placed.match.map_from_base
-        if doubt <= 1:  # else it was no odometry
+        if measures:
             self.odometry_error.learn(measured, self.motion, placed.match.information)
         self.local_from_base = placed.match.map_from_base
+        self.reckoned = self.reckoned @ step if measures else self.local_from_base
         n_told = placed.n_agree + placed.n_against + n_moving
         quality = placed.n_agree / max(n_told, LEAST_BEAMS)
         self._grade(quality, n_told >= LEAST_BEAMS, len(origins))
         trusted = self.n_bad == 0  # a map drawn from a wrong place soon agrees with it
+        if trusted:
+            self.reckoned = self.local_from_base
         joins = trusted and self._moved_on() and len(sweep.points) > 0
         if joins:
             self.keyframe = self.local_from_base
+            self.submap.forget()
             self.submap.extend(self.local_from_base, sweep.points, sweep.normals)
             self.submap.sign(self.local_from_base, self.belief.carried, stamp)
         if trusted:
@@ -170,26 +183,49 @@ class FrontEnd:
             origins, ends,
         )  # fmt: skip
 
-    def _matched(self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float) -> tuple[Sweep, Placed, int]:
-        """The sweep without what moves, its place, and the number of beams that were on moving things."""
+    def _matched(
+        self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float, skew: float, stamp: int
+    ) -> tuple[Sweep, Sweep, Placed, int]:
+        """The sweep without what moves, what of it was matched, its place, and the number of beams on moving things."""
         normals = sweep_normals(origins, ends)
         valid = sweep_usable(origins, ends) | normals.any(axis=1)
-        sweep = Sweep(origins[valid], np.ascontiguousarray(ends[valid]), np.ascontiguousarray(normals[valid]))
-        placed = self._placed(sweep, step, doubt)
+        sweep = Sweep(origins, ends, normals, _back(len(ends))).only(valid)
+        walking = np.zeros(len(sweep.points), np.bool_)
+        if doubt <= 1:  # who has no odometry has nothing better to hold on to
+            walking = self._may_walk(sweep, sweep_lone(origins, ends)[valid], self.local_from_base @ step, stamp)
+        placed = self._placed(sweep.only(~walking), step, doubt, skew)
         moving = self.submap.grid.clear_at(placed.match.map_from_base @ sweep.points, self.config.clear_cells)
         n_moving = int(moving.sum())
         if 0 < n_moving < self.config.most_moving * len(moving):
             # who walks through known free space would pull the robot along, most of all in a bare corridor
-            sweep = Sweep(sweep.origins[~moving], sweep.points[~moving], sweep.normals[~moving])
-            placed = self._placed(sweep, step, doubt)
-        return sweep, placed, n_moving
+            again = bool((moving & ~walking).any())
+            sweep, walking = sweep.only(~moving), walking[~moving]
+            if again:
+                placed = self._placed(sweep.only(~walking), step, doubt, skew)
+        return sweep, sweep.only(~walking), placed, n_moving
 
-    def _placed(self, sweep: Sweep, step: Pose2, doubt: float) -> Placed:
+    def _may_walk(self, sweep: Sweep, lone: Bools, guess: Pose2, stamp: int) -> Bools:
+        """(n,) beams on things that stand free, have not stood there for long, and are not much of the sweep.
+
+        Who walks down a corridor before the robot is always where the map was drawn a moment ago, and never seen past.
+        """
+        registrar = self.submap.registrar
+        walking = np.zeros_like(lone)
+        if lone.any() and registrar.map.n > 0:
+            match = registrar.measured(sweep.points[lone], sweep.normals[lone], guess)
+            stands = match.agree.copy()
+            found = registrar.found(sweep.points[lone], sweep.normals[lone], match)
+            away = np.hypot(*(registrar.map.places[found] - (guess.x, guess.y)).T)
+            stands[match.agree] = (registrar.map.stamps[found] <= stamp - STOOD) | (away >= BESIDE)
+            walking[lone] = ~stands
+        return walking if walking.sum() < self.config.most_moving * len(lone) else np.zeros_like(lone)
+
+    def _placed(self, sweep: Sweep, step: Pose2, doubt: float, skew: float) -> Placed:
         """The sweep aligned from odometry's guess, or from a better one where too many beams contradict the map."""
-        prior = self.odometry_error.prior(self.registration, self.local_from_base, step, doubt)
+        prior = self.odometry_error.prior(self.registration, self.local_from_base, step, doubt, skew)
         if self.submap.registrar.map.n == 0 or len(sweep.points) < LEAST_BEAMS:  # a few beams agree anywhere
             return Placed(self.submap.registrar.measured(sweep.points, sweep.normals, prior.map_from_base), 0)
-        unsure = self.odometry_error.prior(self.registration, self.local_from_base, step, LIED * doubt)
+        unsure = self.odometry_error.prior(self.registration, self.local_from_base, step, LIED * doubt, skew)
         best = self._aligned(sweep, prior.map_from_base, unsure if self.searches_next else prior)
         if best.quality >= self.search.below and not self.searches_next:
             return best
@@ -206,15 +242,15 @@ class FrontEnd:
         """The place, or one found from another guess that the beams clearly speak for."""
         for guess in guesses:
             other = self._aligned(sweep, guess, prior)
-            if other.balance > best.balance + self.search.gain:
+            tells = other.n_agree + other.n_against >= LEAST_BEAMS  # out in the unknown nothing speaks against a place
+            if tells and other.balance > best.balance + self.search.gain:
                 best = other
         return best
 
     def _aligned(self, sweep: Sweep, guess: Pose2, prior: Prior) -> Placed:
-        match = self.submap.registrar.register(sweep.points, sweep.normals, guess, prior)
-        other = ~match.agree
-        pose = match.map_from_base
-        against = self.submap.grid.contradicts(pose @ sweep.origins[other], pose @ sweep.points[other])
+        match = self.submap.registrar.register(sweep.points, sweep.normals, guess, prior, sweep.back)
+        other, pose = sweep.only(~match.agree).turned_back(match.twist), match.map_from_base
+        against = self.submap.grid.contradicts(pose @ other.origins, pose @ other.points)
         return Placed(match, int(against.sum()))
 
     def _believe(self, sweep: Sweep, match: Match, step: Pose2, doubt: float) -> None:
@@ -233,10 +269,11 @@ class FrontEnd:
     def _grade(self, quality: float, told: bool, n: int) -> None:
         if self.state is Localization.STARTING and (n == 0 or self.submap.registrar.map.n == 0):
             return
-        if told and quality < self.config.lost:
-            self.n_bad += 1
-        elif quality >= self.config.good or self.state is not Localization.LOST:
+        strayed = self.n_bad > 0 and self.local_from_base.distance(self.reckoned) > STRAYED
+        if quality >= self.config.good and not strayed:
             self.n_bad = 0
+        elif self.n_bad > 0 or (told and quality < self.config.lost):
+            self.n_bad += 1  # what once did not fit at all is not to be believed until it fits well
         if self.n_bad >= self.config.lost_after:
             self.state = Localization.LOST
         else:
@@ -248,3 +285,8 @@ class FrontEnd:
             return True
         moved = self.keyframe.inverse() @ self.local_from_base
         return hypot(moved.x, moved.y) >= self.config.keyframe_distance or abs(moved.yaw) >= self.config.keyframe_turn
+
+
+def _back(n: int) -> Float64s:
+    """(n,) share of a sweep from each of its beams to its end."""
+    return np.linspace(1, 0, n)

@@ -6,19 +6,35 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from services.mapper.deskew import turned_back
 from services.mapper.occupancy import Occupancy
-from shared.geometry import Float64s, Pose2
+from shared.geometry import Bools, Float64s, Pose2
 
 Float32s = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """The beams of a sweep that measured something: origins, points and normals (n, 2) in `base`."""
+    """The beams of a sweep that measured something: origins, points and normals (n, 2) in `base`.
+
+    back: (n,), share of the sweep from each to its end.
+    """
 
     origins: Float64s
     points: Float64s
     normals: Float64s
+    back: Float64s
+
+    def only(self, which: Bools) -> "Sweep":
+        """Those beams (n,)."""
+        return Sweep(self.origins[which], self.points[which], self.normals[which], self.back[which])
+
+    def turned_back(self, twist: float) -> "Sweep":
+        """As it is when the robot turned by `twist` rad more during it."""
+        origins, points, normals = (
+            turned_back(array, self.back, twist) for array in (self.origins, self.points, self.normals)
+        )
+        return Sweep(origins, points, normals, self.back)
 
 
 NEVER = 2**63 - 1  # ns

@@ -87,8 +87,10 @@ class Blocks:
             submap = Submap(*self._settings)
             for keyframe in keyframes[begin:end]:
                 submap.take(keyframe, keyframe.local_from_base)
+            submap.forget()
             submap.grid.trim()
             points = submap.registrar.map.points[: submap.registrar.map.n, :2]
+            points = points[np.isfinite(points[:, 0])]
             found = submap, drawn(np.ascontiguousarray(points), self._config.search)
         if whole:
             self._made[block] = found

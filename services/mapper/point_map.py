@@ -11,6 +11,7 @@ Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 CELL = 0.25  # m: a search within 0.5 m looks at 25 cells
 EMPTY = np.int64(-(2**63))
@@ -67,6 +68,10 @@ class PointMap:
         self.places[self.n_signed : self.n] = x, y
         self.stamps[self.n_signed : self.n] = stamp
         self.n_signed = self.n
+
+    def forget(self, gone: Bools) -> None:
+        """Points (n,) that are there no more: nothing is matched with them again."""
+        self.points[: self.n][gone, :2] = np.inf
 
     @property
     def index(self) -> tuple[Float64s, Int32s, Int64s, Int32s]:

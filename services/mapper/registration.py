@@ -5,7 +5,7 @@ Both follow KISS-ICP (Vizzo et al., RA-L 2023): robust ICP against a thinned map
 minimises the distance to the surfaces (Censi, ICRA 2008) where the map knows their direction; `kiss` is the package.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import atan2, cos, hypot, pi, sin, sqrt
 from typing import Literal
 
@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
+from services.mapper.deskew import turned_back
 from services.mapper.point_map import PointMap, nearest
 from shared.config import Section
 from shared.geometry import Pose2
@@ -42,32 +43,35 @@ class RegistrationConfig(Section):
 
 
 SHARE = 0.06  # of the beams, under which they say little about a direction: noise of the normals, clutter
-OBSERVED = 0.012  # m, standard deviation up to which the beams fix a direction
-UNKNOWN = 0.1  # standard deviation of a scale that nothing was learnt about
-LEARNING = 0.05  # weight of the newest step in odometry's error
-FORGETTING = 0.005  # share of what is known of its scale that each step replaces
+TWIST = 0.006  # rad, standard deviation of a sweep's twist about its share of the turn between two sweeps
 
 
 @dataclass(frozen=True, slots=True)
 class Match:
     """A scan's place on the map. information: (3, 3) of (x, y, yaw) in `map` about the pose, from the beams alone.
 
-    agree: (n,) bool, which points lie on the map's surfaces.  share: of them, 0..1.
+    agree: (n,) bool, which points lie on the map's surfaces.  share: of them, 0..1.  twist: rad that the robot turned
+    during the sweep beyond what it was de-skewed with.
     """
 
     map_from_base: Pose2
     information: Float64s
     agree: Bools
     share: float
+    twist: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Where odometry says that the robot is, with the standard deviations of the step that led there (m, rad)."""
+    """Where odometry says that the robot is, with the standard deviations of the step that led there (m, rad).
+
+    skew: share of the step that the sweep took and was de-skewed by; 0 where no more is to be learnt of it.
+    """
 
     map_from_base: Pose2
     sigma: float
     sigma_turn: float
+    skew: float = 0.0
 
 
 class LineRegistrar:
@@ -86,14 +90,23 @@ class LineRegistrar:
         """Adds surface points (n, 2) m with normals (n, 2), in `map`."""
         self.map.insert(points, normals)
 
-    def register(self, points: Float64s, normals: Float64s, start: Pose2, prior: Prior) -> Match:
-        """Aligns points (n, 2) m in `base`, with normals, beginning at `start`."""
+    def register(
+        self, points: Float64s, normals: Float64s, start: Pose2, prior: Prior, back: Float64s | None = None
+    ) -> Match:
+        """Aligns points (n, 2) m in `base`, with normals, beginning at `start`.
+
+        back: (n,), share of the sweep from a point to its end; with the prior's skew, the sweep's twist is found too.
+        """
         c = self.config
-        pose = _aligned(
-            points, normals, _row(start), _row(prior.map_from_base), prior.sigma, prior.sigma_turn,
+        pose, twist = _aligned(
+            points, normals, np.zeros(len(points)) if back is None else back, _row(start), _row(prior.map_from_base),
+            prior.sigma, prior.sigma_turn, 0.0 if back is None else prior.skew,
             c.gate, c.final_gate, c.kernel, c.noise, c.iterations, *self.map.index,
         )  # fmt: skip
-        return self.measured(points, normals, Pose2(float(pose[0]), float(pose[1]), float(pose[2])))
+        if back is not None:
+            points, normals = turned_back(points, back, twist), turned_back(normals, back, twist)
+        match = self.measured(points, normals, Pose2(float(pose[0]), float(pose[1]), float(pose[2])))
+        return replace(match, twist=float(twist))
 
     def measured(self, points: Float64s, normals: Float64s, pose: Pose2) -> Match:
         """How well the points fit the map at a pose, without moving it."""
@@ -141,7 +154,9 @@ class KissRegistrar(LineRegistrar):
         super().extend(points, normals)
         self._voxels.add_points(_solid(points))
 
-    def register(self, points: Float64s, normals: Float64s, start: Pose2, prior: Prior) -> Match:
+    def register(
+        self, points: Float64s, normals: Float64s, start: Pose2, prior: Prior, back: Float64s | None = None
+    ) -> Match:
         sigma = self._threshold.get_threshold()
         guess = _matrix(start)
         moved = self._registration.align_points_to_map(
@@ -154,61 +169,6 @@ class KissRegistrar(LineRegistrar):
 
 
 REGISTRARS: dict[str, type[LineRegistrar]] = {"line": LineRegistrar, "kiss": KissRegistrar}
-
-
-class Scale:
-    """The ratio of true to measured motion: least squares with forgetting, drawn to 1 by `stiffness` (m^2 or rad^2)."""
-
-    def __init__(self, stiffness: float) -> None:
-        self.stiffness = stiffness
-        self.squares = self.products = 0.0
-
-    @property
-    def gain(self) -> float:
-        return (self.products + self.stiffness) / (self.squares + self.stiffness)
-
-    @property
-    def sigma(self) -> float:
-        """What is left to doubt of the gain."""
-        return UNKNOWN * sqrt(self.stiffness / (self.squares + self.stiffness))
-
-    def learn(self, measured: float, true: float) -> None:
-        """Takes a motion, unless no scale explains it: a slip, a stall, a wrong sign."""
-        if abs(true - measured) <= 0.2 * abs(measured):
-            self.squares += measured * measured - FORGETTING * self.squares
-            self.products += measured * true - FORGETTING * self.products
-
-
-class OdometryError:
-    """What odometry has got wrong of late, as the matches that know better tell: its scale, and what is left."""
-
-    def __init__(self) -> None:
-        self.squared, self.squared_turn = 0.015**2, 0.01**2  # m^2, rad^2: what a wheeled robot's is like
-        self.forward, self.turn = Scale(0.05), Scale(0.004)
-
-    def corrected(self, step: Pose2) -> Pose2:
-        """A motion by odometry, at its true scale: a tyre's radius and the distance of the wheels are never right."""
-        return Pose2(self.forward.gain * step.x, self.forward.gain * step.y, self.turn.gain * step.yaw)
-
-    def learn(self, step: Pose2, moved: Pose2, information: Float64s) -> None:
-        """Takes a motion by odometry and by a match, where the beams fix the pose in every direction."""
-        if float(np.linalg.eigvalsh(information[:2, :2])[0]) < 1 / OBSERVED**2:
-            return
-        off = self.corrected(step).inverse() @ moved
-        self.squared += LEARNING * (off.x**2 + off.y**2 - self.squared)
-        self.squared_turn += LEARNING * (off.yaw**2 - self.squared_turn)
-        self.forward.learn(step.x, moved.x)
-        self.turn.learn(step.yaw, moved.yaw)
-
-    def prior(self, config: RegistrationConfig, before: Pose2, step: Pose2, doubt: float = 1.0) -> Prior:
-        """The prior after a corrected step from a matched pose; `doubt` widens it."""
-        least = config.prior + config.prior_share * hypot(step.x, step.y)
-        least_turn = config.prior_turn + config.prior_turn_share * abs(step.yaw)
-        return Prior(
-            before @ step,
-            doubt * max(least, config.trust * sqrt(self.squared)),
-            doubt * max(least_turn, config.trust * sqrt(self.squared_turn)),
-        )
 
 
 def _row(pose: Pose2) -> Float64s:
@@ -228,16 +188,20 @@ def _matrix(pose: Pose2) -> Float64s:
 
 @njit(cache=True, nogil=True)
 def _normal_equations(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
-    source, directions, pose, gate, kernel, agrees, agree, hessian, gradient, points, following, keys, heads
-):
+    source, directions, back, twist, pose, gate, kernel, agrees, agree, hessian, gradient, points, following, keys,
+    heads,
+):  # fmt: skip
     """Sums J'wJ and J'wr over all matches at a pose, unscaled; marks the points that agree.
 
-    The increment is (dx, dy, dyaw) in `map`, turning about the robot: J of a moved point is [1 0 -ry; 0 1 rx].
+    The increment is (dx, dy, dyaw, dtwist) in `map`, turning about the robot: J of a moved point is [1 0 -ry; 0 1 rx],
+    and that of the twist is the turn's, -`back` times.
     """
     hessian[:] = 0.0
     gradient[:] = 0.0
     c, s = cos(pose[2]), sin(pose[2])
     for k in range(len(source)):
+        if twist != 0.0:
+            c, s = cos(pose[2] - back[k] * twist), sin(pose[2] - back[k] * twist)
         rx = c * source[k, 0] - s * source[k, 1]
         ry = s * source[k, 0] + c * source[k, 1]
         nx = c * directions[k, 0] - s * directions[k, 1]
@@ -263,6 +227,13 @@ def _normal_equations(  # type: ignore[no-untyped-def]  # compiled: numba finds 
             gradient[0] += w * r * mx
             gradient[1] += w * r * my
             gradient[2] += w * r * turn
+            if back[k] != 0.0:
+                early = -back[k] * turn
+                hessian[0, 3] += w * mx * early
+                hessian[1, 3] += w * my * early
+                hessian[2, 3] += w * turn * early
+                hessian[3, 3] += w * early * early
+                gradient[3] += w * r * early
             # beside the end of a wall the line goes on where the wall does not
             agree[k] = abs(r) < agrees and dx * dx + dy * dy < 9.0 * agrees * agrees
         else:
@@ -276,24 +247,34 @@ def _normal_equations(  # type: ignore[no-untyped-def]  # compiled: numba finds 
             gradient[0] += w * dx
             gradient[1] += w * dy
             gradient[2] += w * (rx * dy - ry * dx)
+            if back[k] != 0.0:
+                hessian[0, 3] += w * ry * back[k]
+                hessian[1, 3] -= w * rx * back[k]
+                hessian[2, 3] -= w * (rx * rx + ry * ry) * back[k]
+                hessian[3, 3] += w * (rx * rx + ry * ry) * back[k] * back[k]
+                gradient[3] -= w * (rx * dy - ry * dx) * back[k]
             agree[k] = d < agrees * agrees
     hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
 
 
 @njit(cache=True, nogil=True)
-def _aligned(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
-    source, directions, start, prior, sigma, sigma_turn, gate, final_gate, kernel, noise, iterations,
+def _aligned(  # type: ignore[no-untyped-def]  # compiled: numba finds the types; -> pose (3,), twist
+    source, directions, back, start, prior, sigma, sigma_turn, skew, gate, final_gate, kernel, noise, iterations,
     points, following, keys, heads,
 ):  # fmt: skip
-    pose = start.copy()
-    hessian, gradient = np.zeros((3, 3)), np.zeros(3)
+    pose, twist = start.copy(), 0.0
+    hessian, gradient = np.zeros((4, 4)), np.zeros(4)
     agree = np.zeros(len(source), np.bool_)
     scale = 1.0 / noise**2
     for n in range(iterations):
         reach = max(final_gate, gate - 0.02 * n)
         _normal_equations(
-            source, directions, pose, reach, kernel, 0.0, agree, hessian, gradient, points, following, keys, heads
-        )
+            source, directions, back, twist, pose, reach, kernel, 0.0, agree, hessian, gradient, points, following,
+            keys, heads,
+        )  # fmt: skip
+        turned = (pose[2] - prior[2] + pi) % (2 * pi) - pi
+        if skew > 0.0:
+            _couple(hessian, gradient, skew, skew * turned - twist, 1.0 / (TWIST**2 * scale))
         _temper(hessian, gradient)
         hessian *= scale
         gradient *= scale
@@ -302,26 +283,49 @@ def _aligned(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
         hessian[2, 2] += 1.0 / sigma_turn**2
         gradient[0] += (pose[0] - prior[0]) / sigma**2
         gradient[1] += (pose[1] - prior[1]) / sigma**2
-        gradient[2] += ((pose[2] - prior[2] + pi) % (2 * pi) - pi) / sigma_turn**2
+        gradient[2] += turned / sigma_turn**2
         step = _solved(hessian, gradient)
         pose -= step
+        if skew > 0.0:
+            twist -= (
+                gradient[3] - hessian[0, 3] * step[0] - hessian[1, 3] * step[1] - hessian[2, 3] * step[2]
+            ) / hessian[3, 3]
         if hypot(step[0], step[1]) < 1e-4 and abs(step[2]) < 1e-5:
             break
     pose[2] = (pose[2] + pi) % (2 * pi) - pi
-    return pose
+    return pose, twist
+
+
+@njit(cache=True, nogil=True)
+def _couple(hessian, gradient, skew, off, weight):  # type: ignore[no-untyped-def]  # compiled; (4, 4), (4,) in place
+    """Ties the twist to the turn since the last sweep, less odometry's, and takes it out of the others' equations.
+
+    off: rad, what it should be less what it is.  What is left of its own row gives the twist's step from the others'.
+    """
+    hessian[2, 2] += weight * skew * skew
+    hessian[2, 3] -= weight * skew
+    hessian[3, 3] += weight
+    gradient[2] += weight * skew * off
+    gradient[3] -= weight * off
+    own = hessian[3, 3]
+    for a in range(3):
+        for b in range(3):
+            hessian[a, b] -= hessian[a, 3] * hessian[b, 3] / own
+        gradient[a] -= hessian[a, 3] * gradient[3] / own
 
 
 @njit(cache=True, nogil=True)
 def _measured(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     source, directions, pose, gate, kernel, noise, agrees, points, following, keys, heads
 ):
-    hessian, gradient = np.zeros((3, 3)), np.zeros(3)
+    hessian, gradient = np.zeros((4, 4)), np.zeros(4)
     agree = np.zeros(len(source), np.bool_)
     _normal_equations(
-        source, directions, pose, gate, kernel, agrees, agree, hessian, gradient, points, following, keys, heads
-    )
+        source, directions, np.zeros(len(source)), 0.0, pose, gate, kernel, agrees, agree, hessian, gradient, points,
+        following, keys, heads,
+    )  # fmt: skip
     _temper(hessian, gradient)
-    return agree, hessian / noise**2
+    return agree, hessian[:3, :3] / noise**2
 
 
 @njit(cache=True, nogil=True)

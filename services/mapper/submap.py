@@ -39,6 +39,14 @@ class Submap:
         """What is new since the last call was drawn from a pose with this covariance (3, 3), at stamp ns."""
         self.registrar.map.sign(pose.x, pose.y, doubt, stamp)
 
+    def forget(self) -> None:
+        """Forgets points where beams have gone through since: who walked there would hold the robot back."""
+        points = self.registrar.map.points[: self.registrar.map.n, :2]
+        there = np.isfinite(points[:, 0])
+        gone = np.zeros(len(points), np.bool_)
+        gone[there] = self.grid.clear_at(points[there], 1)
+        self.registrar.map.forget(gone)
+
     def draw(self, origins: Float64s, ends: Float64s) -> None:
         """Draws beams, (n, 2) m in its frame."""
         self.grid.integrate(origins, ends, np.full_like(ends, np.nan))

@@ -14,7 +14,7 @@ import numpy as np
 
 from services.mapper.keyframe import SETTLED, Keyframe
 from services.mapper.occupancy import OccupancyConfig
-from services.mapper.pose_graph import Graph, pose_of
+from services.mapper.pose_graph import Graph, Int64s, pose_of
 from services.mapper.registration import RegistrationConfig
 from services.mapper.submap import Submap
 from services.mapper.uncertainty import uncertainty_from
@@ -22,10 +22,25 @@ from shared.geometry import Pose2
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
-    """A submap in `local`, and the newest node that is in it. session: the name of the first node in that `local`."""
+class Held:
+    """Names (k,) of the nodes in the submap at hand, besides all that are newer than `node`; those up to `reach` m away
+    are what matters."""
 
-    submap: Submap
+    nodes: Int64s
+    node: int
+    reach: float
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """A submap in `local`; None where the one at hand still holds what it must, and nothing that it must not.
+
+    nodes: (k,) names of the nodes in it.  node: the newest that was known then.  session: the name of the first node in
+    that `local`.
+    """
+
+    submap: Submap | None
+    nodes: Int64s
     node: int
     session: int
 
@@ -38,21 +53,29 @@ def surroundings(
     settled: int,
     sure: float,
     reach: float,
+    held: Held | None,
     settings: tuple[RegistrationConfig, OccupancyConfig, float],
 ) -> Surroundings:
     """Draws them around the newest keyframe: what lies within `reach` m and is known better than `sure` m from there.
 
     local_from_map: such that the newest keyframe keeps its place in `local`.  settled: name of the last node that was
-    optimised.
+    optimised.  held: what the submap at hand holds, where that lies as it should.
     """
     newest = int(graph.nodes[-1])
     covariances = uncertainty_from(graph, newest)
     sigma = np.sqrt(np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]))
     away = np.hypot(*(graph.poses[:, :2] - graph.poses[-1, :2]).T)
+    known, nodes = sigma < sure, graph.nodes
+    wanted = known & (away < reach)
+    if held is not None:
+        there = np.isin(nodes, held.nodes) | (nodes > held.node)
+        if not ((there != known) & (away < held.reach)).any():
+            return Surroundings(None, nodes[there], newest, session)
     submap = Submap(*settings)
-    for row in np.flatnonzero((sigma < sure) & (away < reach)).tolist():
+    for row in np.flatnonzero(wanted).tolist():
         keyframe, pose = keyframes[row], local_from_map @ pose_of(graph.poses[row])
         submap.take(keyframe, pose)
         submap.sign(pose, keyframe.doubt if graph.nodes[row] > settled else SETTLED, keyframe.stamp)
+    submap.forget()
     submap.grid.settle()
-    return Surroundings(submap, newest, session)
+    return Surroundings(submap, nodes[wanted], newest, session)

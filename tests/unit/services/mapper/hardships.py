@@ -172,6 +172,12 @@ def people(k: int, pose: Pose2) -> Float64s:
     return np.concatenate([person(x, y) for x, y in at])
 
 
+def leader(_k: int, pose: Pose2) -> Float64s:
+    """Somebody who walks a metre before the robot, as fast as it drives."""
+    ((x, y),) = (pose @ np.array(((1.0, 0.1),))).tolist()
+    return np.array(box(x - 0.2, y - 0.25, x + 0.2, y + 0.25))
+
+
 def alone(_k: int, _motion: Pose2) -> None:
     """No odometry at all."""
 
@@ -186,6 +192,9 @@ THERE_AND_BACK = Hardship(
     DEAD_END,
 )
 """From one end of a corridor, of which a laser of 3 m sees no end in the middle, to the other, and back."""
+
+LED = Hardship(laser(450, range_max=5.0), (Pose2(0.08, 0, 0),) * 200, Pose2(), CORRIDOR, company=leader, observed=False)
+"""Down a bare corridor behind somebody: only his beams speak of the way, and they say that there is none."""
 
 ROWS: dict[str, Hardship] = {
     "nothing hard": Hardship(),
@@ -206,7 +215,7 @@ ROWS: dict[str, Hardship] = {
     "ring, 0.3 m and 30 degrees a scan, 5 m, 180 degrees": Hardship(laser(181, pi, 5.0), LAPPED, START, RING),
     "the same without odometry": Hardship(laser(181, pi, 5.0), LAPPED, START, RING, alone, observed=False),
     "ring, 20 beams": Hardship(laser(20), LAPPED, START, RING, scaled(1.03, 1.0), observed=False),
-    "20 beams": Hardship(laser(20), observed=False),
+    "20 beams, odometry 5 % too far": Hardship(laser(20), told=scaled(1.05, 1.0), observed=False),
     "no odometry, 5 m, 180 degrees": Hardship(laser(181, pi, 5.0), told=alone, observed=False),
     "a corridor without an end": BARE,
     "a corridor without an end, no odometry": replace(BARE, told=alone),

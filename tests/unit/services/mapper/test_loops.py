@@ -9,15 +9,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from services.mapper.back_end import SLICE, BackEnd, BackEndConfig
+from services.mapper.back_end import BETWEEN, SLICE, BackEnd, BackEndConfig
 from services.mapper.background import Background
 from services.mapper.keyframe import NEVER, Keyframe, Sweep
 from services.mapper.loop_closure import Blocks, Loop, LoopConfig, earlier_visits, in_own_frame, loops_of
 from services.mapper.occupancy import Occupancy, OccupancyConfig
+from services.mapper.odometry_error import OdometryError
 from services.mapper.optimisation import PoseGraphConfig
 from services.mapper.pose_graph import Optimised
-from services.mapper.registration import Match, OdometryError, RegistrationConfig
+from services.mapper.registration import Match, RegistrationConfig
 from services.mapper.surface import sweep_normals, sweep_usable
+from services.mapper.surroundings import surroundings
+from services.mapper.uncertainty import uncertainty_from
 from shared.geometry import Pose2
 from tests.unit.services.mapper.rooms import LAP, RING, SECOND, START, STEP, TURN, laps, sweep
 
@@ -41,7 +44,7 @@ class Robot:
         origins, ends = sweep(self.segments, self.true, noise=0.01, seed=self.now // SECOND)
         normals = sweep_normals(origins, ends)
         valid = sweep_usable(origins, ends) | normals.any(axis=1)
-        found = Sweep(origins[valid], ends[valid], normals[valid])
+        found = Sweep(origins, ends, normals, np.zeros(len(ends))).only(valid)
         self.true_at[self.now] = self.true
         return Keyframe.of(
             self.now, self.local, origins, ends, np.full_like(ends, np.nan), found, np.zeros((3, 3)), NEVER
@@ -328,6 +331,28 @@ def visited(poses, sigma=0.05, **config):
     covariances = np.tile(np.diag((sigma**2, sigma**2, 1e-4)), (len(poses), 1, 1))
     driven = np.concatenate(([0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))))
     return earlier_visits(poses, covariances, driven, LoopConfig(**config))
+
+
+def test_what_is_matched_with_holds_all_that_is_well_known_within_reach_however_seldom_it_is_drawn():
+    """And nothing that is not: after each gathering, drawn or not, by the graph as it was then."""
+    robot = Robot()
+    drawn, kept = [], []
+
+    def gathered(graph, *arguments):
+        found = surroundings(graph, *arguments)
+        (drawn if found.submap is not None else kept).append(found)
+        sigma = np.sqrt(uncertainty_from(graph, int(graph.nodes[-1]))[:, (0, 1), (0, 1)].max(axis=1))
+        away = np.hypot(*(graph.poses[:, :2] - graph.poses[-1, :2]).T)
+        near = away < robot.back_end._reach - BETWEEN
+        known = robot.back_end.config.sure > sigma
+        assert (np.isin(graph.nodes, found.nodes) == known)[near].all()
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("services.mapper.background.surroundings", gathered)
+        robot.drives(islice(laps(), 2 * LAP))
+    assert len(drawn) > 2
+    assert len(kept) > 2
 
 
 def test_an_earlier_visit_is_one_near_place_a_pass_and_not_the_way_just_driven():

@@ -6,7 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.mapper.registration import REGISTRARS, OdometryError, Prior, RegistrationConfig, Scale
+from services.mapper.deskew import turned_back
+from services.mapper.odometry_error import OdometryError, Scale
+from services.mapper.registration import REGISTRARS, Prior, RegistrationConfig
 from services.mapper.surface import sweep_normals
 from shared.geometry import Pose2, wrapped
 from tests.unit.services.mapper.rooms import CORRIDOR, ROOM, sweep
@@ -43,6 +45,25 @@ def test_a_known_motion_is_recovered(room, x, y, yaw, seed):
     assert hypot(match.map_from_base.x - x, match.map_from_base.y - y) < 0.02
     assert abs(wrapped(match.map_from_base.yaw - yaw)) < 0.01
     assert match.share > 0.9
+
+
+@settings(max_examples=40)
+@given(st.floats(-0.05, 0.05), st.floats(-0.1, 0.1), st.integers(0, 1000))
+def test_a_turn_that_odometry_missed_is_found_in_the_shape_of_the_sweep(room, twist, yaw, seed):
+    """De-skewed as if the robot had turned by `twist` rad less during the sweep: its first beams are off the most."""
+    origins, ends = sweep(ROOM, Pose2(0.1, -0.05, yaw), noise=0.01, seed=seed)
+    back = np.linspace(1, 0, len(ends))
+    ends = turned_back(ends, back, -twist)
+    normals = sweep_normals(origins, ends)
+    seen = ~np.isnan(ends[:, 0])
+    prior = Prior(Pose2(0.1, -0.05, yaw - twist), 0.05, 0.1, skew=1.0)
+    straight = room.register(ends[seen], normals[seen], prior.map_from_base, prior, back[seen])
+    bent = room.register(ends[seen], normals[seen], prior.map_from_base, prior)
+    assert abs(straight.twist - twist) < 0.008
+    assert abs(wrapped(straight.map_from_base.yaw - yaw)) < 0.008
+    if abs(twist) > 0.02:
+        assert abs(wrapped(bent.map_from_base.yaw - yaw)) > 2 * abs(wrapped(straight.map_from_base.yaw - yaw))
+    assert bent.twist == 0
 
 
 def test_people_in_the_room_do_not_move_the_pose(room):

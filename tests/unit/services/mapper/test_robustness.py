@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from tests.unit.services.mapper.hardships import ROWS, WRONG, course
+from tests.unit.services.mapper.hardships import LED, ROWS, WRONG, course
 
 
 @pytest.mark.parametrize("name", ROWS)
@@ -30,6 +30,10 @@ def test_where_nothing_is_seen_of_the_way_the_covariance_covers_the_error(name):
     moving = slice(6, None)
     assert (driven.away[moving] < 3 * driven.sigma[moving]).all()
     assert driven.sigma[-1] > 2 * driven.sigma[20]
+
+
+def test_who_walks_down_a_corridor_before_the_robot_does_not_hold_it_back():
+    assert course(LED).away.max() < 0.1
 
 
 def test_a_covariance_that_grew_stays_until_old_ground_is_seen_again():

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from services.mapper.surface import grid_surface, sweep_normals, sweep_usable
+from services.mapper.surface import grid_surface, sweep_lone, sweep_normals, sweep_usable
 from shared.geometry import Pose2
 from tests.unit.services.mapper.rooms import CORRIDOR, ROOM, box, sweep
 
@@ -47,6 +47,25 @@ def test_points_far_apart_are_not_found_again_however_squarely_they_were_hit():
     pose = Pose2(0.1, 0.2, 0.1)
     assert sweep_usable(*sweep(room, pose, 180)).mean() > 0.9
     assert sweep_usable(*sweep(room, pose, 16)).mean() < 0.5  # what is left are poles and gaps, by their looks
+
+
+@given(st.floats(-pi, pi), st.floats(0.8, 2.2), st.floats(0.2, 0.5), st.integers(0, 9))
+def test_what_stands_free_before_the_walls_is_lone_and_no_wall_is(bearing, away, width, dropped):
+    empty, pose = np.array(box(-4, -4, 4, 4)), Pose2()
+    at = (Pose2(0, 0, bearing) @ np.array([(away, 0.0)]))[0]
+    somebody = np.array(box(at[0] - width / 2, at[1] - width / 2, at[0] + width / 2, at[1] + width / 2))
+    origins, ends = sweep(np.concatenate((empty, somebody)), pose)
+    ends[dropped::10] = np.nan
+    inside = np.hypot(*(ends - at).T) < width
+    assert inside.any()
+    assert (sweep_lone(origins, ends) != inside).sum() <= 1  # a beam that grazes its side may fall far behind
+    assert not sweep_lone(*sweep(empty, pose)).any()
+
+
+def test_what_is_wider_than_a_person_or_stands_at_a_wall_is_not_lone():
+    room = box(-4, -4, 4, 4)
+    for thing in (box(2.0, -0.7, 2.4, 0.7), box(3.75, -0.3, 4.0, 0.3)):
+        assert not sweep_lone(*sweep(np.array([*room, *thing]), Pose2())).any()
 
 
 def test_beams_without_an_echo_have_no_normal():
