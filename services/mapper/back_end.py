@@ -54,6 +54,7 @@ class BackEndConfig(Section):
     sure: float = Field(
         0.2, ge=0.01, le=10, description="m, standard deviation up to which a keyframe is matched with, from the newest"
     )
+    near: float = Field(10.0, ge=1, le=250, description="m from the robot up to which keyframes are matched with")
     renew: int = Field(20, ge=1, le=10_000, description="keyframes until what is matched with is gathered anew")
     recent: int = Field(
         60, ge=2, le=10_000, description="keyframes that are placed together on a saved map that does not change"
@@ -279,8 +280,8 @@ class BackEnd:
 
     @property
     def _reach(self) -> float:
-        """m from the robot within which keyframes may see what it will see, until the surroundings are drawn anew."""
-        return self._settings[2] + BETWEEN
+        """m from the robot within which keyframes saw what it will see, until the surroundings are drawn anew."""
+        return min(self._settings[2], self.config.near) + BETWEEN
 
     @property
     def moved_on(self) -> bool:

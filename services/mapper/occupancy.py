@@ -303,10 +303,21 @@ def _draw(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
         each_c = abs(1 / dx) if dx != 0 else np.inf
         each_r = abs(1 / dy) if dy != 0 else np.inf
         left = abs(last_column - column) + abs(last_row - row)
+        tile_r, tile_c, tile = row0 - 1, column0 - 1, -1  # none yet
         while left > 0:
-            n_tiles = _add(
-                row, column, miss, directory, row0, column0, n_tiles, scan, lowest, highest, odds, seen, dirty
-            )
+            if row >> 6 != tile_r or column >> 6 != tile_c:
+                tile_r, tile_c = row >> 6, column >> 6
+                tile = directory[tile_r - row0, tile_c - column0]  # it covers all origins and ends
+                if tile < 0:
+                    tile = n_tiles
+                    directory[tile_r - row0, tile_c - column0] = tile
+                    n_tiles += 1
+                dirty[tile] = True
+                seen_here, odds_here = seen[tile], odds[tile]
+            r, c = np.uint64(row & 63), np.uint64(column & 63)
+            if seen_here[r, c] != scan:
+                seen_here[r, c] = scan
+                odds_here[r, c] = max(odds_here[r, c] + miss, lowest)
             if next_c < next_r:
                 column += step_c
                 next_c += each_c

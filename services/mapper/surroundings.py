@@ -9,6 +9,7 @@ What was left long ago drops out, and comes back when a closure ties it to the r
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import pi
 
 import numpy as np
 
@@ -18,7 +19,10 @@ from services.mapper.pose_graph import Graph, Int64s, pose_of
 from services.mapper.registration import RegistrationConfig
 from services.mapper.submap import Submap
 from services.mapper.uncertainty import uncertainty_from
-from shared.geometry import Pose2
+from shared.geometry import Bools, Float64s, Pose2
+
+PLACE, HEADING = 0.5, pi / 4  # m and rad that make one place
+FEW = 2  # keyframes of a place whose beams are drawn
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +76,25 @@ def surroundings(
         if not ((there != known) & (away < held.reach)).any():
             return Surroundings(None, nodes[there], newest, session)
     submap = Submap(*settings)
-    for row in np.flatnonzero(wanted).tolist():
+    rows = np.flatnonzero(wanted)
+    for row, newest_here in zip(rows.tolist(), _newest_of_places(graph.poses[rows]).tolist()):
         keyframe, pose = keyframes[row], local_from_map @ pose_of(graph.poses[row])
-        submap.take(keyframe, pose)
+        submap.extend(pose, *keyframe.surface())
+        if newest_here:
+            keyframe.draw(submap.grid, pose)
         submap.sign(pose, keyframe.doubt if graph.nodes[row] > settled else SETTLED, keyframe.stamp)
     submap.forget()
     submap.grid.settle()
     return Surroundings(submap, nodes[wanted], newest, session)
+
+
+def _newest_of_places(poses: Float64s) -> Bools:
+    """(n,): the last few of the poses (n, 3) at each place and heading: what is free from there, these have seen."""
+    places = np.floor(poses / (PLACE, PLACE, HEADING)).astype(np.int64)
+    _, place = np.unique(places, axis=0, return_inverse=True)
+    place = place.ravel()
+    order = np.lexsort((-np.arange(len(poses)), place))  # place by place, the newest first
+    begins = np.searchsorted(place[order], place[order])
+    newest = np.empty(len(poses), np.bool_)
+    newest[order] = np.arange(len(poses)) - begins < FEW
+    return newest
