@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """From scan to pose: prior, registration, the search where that fails, keyframes, and how sure all this is."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot
 
@@ -29,6 +30,7 @@ LIED = 10.0  # how much wider the prior is where odometry was wrong
 OLD = 0.25  # of the beams that agree: walls that so many of them meet place the scan by themselves
 STOOD = 3_000_000_000  # ns that a thing stands free until it is none that walks; or until the robot
 BESIDE = 0.25  # m is elsewhere, and sees it there still
+PATIENCE = 10  # scans that fit, but not well, until they are drawn all the same
 STRAYED = 0.3  # m that one who did not fit may be off odometry where he fits again: rooms look alike
 LEAST_BEAMS = 15  # that must agree with the map or contradict it, to tell anything
 
@@ -115,7 +117,8 @@ class FrontEnd:
         self.since = NEVER  # ns, when a good part of what the last scan was matched with had been drawn
         self.state = Localization.STARTING
         self.motion = Pose2()  # between the last two sweeps
-        self.n_bad = 0
+        self.n_bad = 0  # scans that did not fit, since one fitted well
+        self.n_poor = 0  # scans in a row that did not fit well
         self.reckoned = local_from_base  # where it would be by odometry alone since the last scan that fitted
         self.searches_next = False
         self.other_starts: list[Pose2] = []  # that the next search looks around too
@@ -166,7 +169,8 @@ class FrontEnd:
         n_told = placed.n_agree + placed.n_against + n_moving
         quality = placed.n_agree / max(n_told, LEAST_BEAMS)
         self._grade(quality, n_told >= LEAST_BEAMS, len(origins))
-        trusted = self.n_bad == 0  # a map drawn from a wrong place soon agrees with it
+        # a map drawn from a wrong place soon agrees with it; but where much has changed, nothing fits well for long
+        trusted = self.n_bad == 0 and (self.n_poor == 0 or self.n_poor > PATIENCE)
         if trusted:
             self.reckoned = self.local_from_base
         joins = trusted and self._moved_on() and len(sweep.points) > 0
@@ -201,7 +205,7 @@ class FrontEnd:
             again = bool((moving & ~walking).any())
             sweep, walking = sweep.only(~moving), walking[~moving]
             if again:
-                placed = self._placed(sweep.only(~walking), step, doubt, skew)
+                placed = self._placed(sweep.only(~walking), step, doubt, skew, [placed.match.map_from_base])
         return sweep, sweep.only(~walking), placed, n_moving
 
     def _may_walk(self, sweep: Sweep, lone: Bools, guess: Pose2, stamp: int) -> Bools:
@@ -220,8 +224,11 @@ class FrontEnd:
             walking[lone] = ~stands
         return walking if walking.sum() < self.config.most_moving * len(lone) else np.zeros_like(lone)
 
-    def _placed(self, sweep: Sweep, step: Pose2, doubt: float, skew: float) -> Placed:
-        """The sweep aligned from odometry's guess, or from a better one where too many beams contradict the map."""
+    def _placed(self, sweep: Sweep, step: Pose2, doubt: float, skew: float, found: Sequence[Pose2] = ()) -> Placed:
+        """The sweep aligned from odometry's guess, or from a better one where too many beams contradict the map.
+
+        found: where more of its beams were placed.
+        """
         prior = self.odometry_error.prior(self.registration, self.local_from_base, step, doubt, skew)
         if self.submap.registrar.map.n == 0 or len(sweep.points) < LEAST_BEAMS:  # a few beams agree anywhere
             return Placed(self.submap.registrar.measured(sweep.points, sweep.normals, prior.map_from_base), 0)
@@ -230,7 +237,7 @@ class FrontEnd:
         if best.quality >= self.search.below and not self.searches_next:
             return best
         # odometry may lie: a slipping wheel, a stall, a wrong direction. The motion before this step is another guess
-        best = self._better(best, sweep, [self.local_from_base @ self.motion], unsure)
+        best = self._better(best, sweep, [self.local_from_base @ self.motion, *found], unsure)
         if best.quality < self.search.below or self.searches_next:
             starts = [prior.map_from_base, *self.other_starts]
             self.searches_next, self.other_starts = False, []
@@ -270,6 +277,7 @@ class FrontEnd:
         if self.state is Localization.STARTING and (n == 0 or self.submap.registrar.map.n == 0):
             return
         strayed = self.n_bad > 0 and self.local_from_base.distance(self.reckoned) > STRAYED
+        self.n_poor = self.n_poor + 1 if told and quality < self.config.good else 0
         if quality >= self.config.good and not strayed:
             self.n_bad = 0
         elif self.n_bad > 0 or (told and quality < self.config.lost):

@@ -9,7 +9,6 @@ What was left long ago drops out, and comes back when a closure ties it to the r
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import pi
 
 import numpy as np
 
@@ -19,16 +18,13 @@ from services.mapper.pose_graph import Graph, Int64s, pose_of
 from services.mapper.registration import RegistrationConfig
 from services.mapper.submap import Submap
 from services.mapper.uncertainty import uncertainty_from
-from shared.geometry import Bools, Float64s, Pose2
-
-PLACE, HEADING = 0.5, pi / 4  # m and rad that make one place
-FEW = 2  # keyframes of a place whose beams are drawn
+from shared.geometry import Pose2
 
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """Names (k,) of the nodes in the submap at hand, besides all that are newer than `node`; those up to `reach` m away
-    are what matters."""
+    """Names (k,) of the nodes in the submap at hand, besides all that are newer than `node`; up to `reach` m away none
+    may be missing."""
 
     nodes: Int64s
     node: int
@@ -73,28 +69,14 @@ def surroundings(
     wanted = known & (away < reach)
     if held is not None:
         there = np.isin(nodes, held.nodes) | (nodes > held.node)
-        if not ((there != known) & (away < held.reach)).any():
+        lacks, holds_wrong = known & ~there & (away < held.reach), there & ~known & (away < reach)
+        if not (lacks | holds_wrong).any():
             return Surroundings(None, nodes[there], newest, session)
     submap = Submap(*settings)
-    rows = np.flatnonzero(wanted)
-    for row, newest_here in zip(rows.tolist(), _newest_of_places(graph.poses[rows]).tolist()):
+    for row in np.flatnonzero(wanted).tolist():
         keyframe, pose = keyframes[row], local_from_map @ pose_of(graph.poses[row])
-        submap.extend(pose, *keyframe.surface())
-        if newest_here:
-            keyframe.draw(submap.grid, pose)
+        submap.take(keyframe, pose)
         submap.sign(pose, keyframe.doubt if graph.nodes[row] > settled else SETTLED, keyframe.stamp)
     submap.forget()
     submap.grid.settle()
     return Surroundings(submap, nodes[wanted], newest, session)
-
-
-def _newest_of_places(poses: Float64s) -> Bools:
-    """(n,): the last few of the poses (n, 3) at each place and heading: what is free from there, these have seen."""
-    places = np.floor(poses / (PLACE, PLACE, HEADING)).astype(np.int64)
-    _, place = np.unique(places, axis=0, return_inverse=True)
-    place = place.ravel()
-    order = np.lexsort((-np.arange(len(poses)), place))  # place by place, the newest first
-    begins = np.searchsorted(place[order], place[order])
-    newest = np.empty(len(poses), np.bool_)
-    newest[order] = np.arange(len(poses)) - begins < FEW
-    return newest
