@@ -68,7 +68,7 @@ class Blocks:
     block holds, made before or after a keyframe in it was given up, is the same there.
     """
 
-    MOST_BYTES = 150_000_000  # kept: some 70 blocks of a room's range, 10 of a hall's
+    MOST_BYTES = 60_000_000  # kept: some 60 blocks of a room's range, 8 of a hall's
 
     def __init__(
         self, registration: RegistrationConfig, occupancy: OccupancyConfig, range_max: float, config: LoopConfig

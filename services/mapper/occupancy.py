@@ -171,9 +171,10 @@ class Occupancy:
         return np.asarray(_crossing(origins, ends, self.resolution, directory, row0, column0, limit, self.odds), bool)
 
     def trim(self) -> None:
-        """Gives back the memory that was meant for more tiles."""
-        for name in TILE_ARRAYS:
-            setattr(self, name, getattr(self, name)[: max(len(self.places), 1)].copy())
+        """Gives back the memory that was meant for more tiles and for drawing: from now on it is only asked."""
+        self.odds = self.odds[: max(len(self.places), 1)].copy()
+        for name in TILE_ARRAYS[1:]:
+            setattr(self, name, getattr(self, name)[:0].copy())
 
     def _message(self, stamp: int, places: list[tuple[int, int]]) -> MapUpdate:
         return MapUpdate(
