@@ -265,23 +265,9 @@ def _explained(origins, ends, behind, resolution, directory, row0, column0, limi
 
 @njit(cache=True, nogil=True)
 def _draw(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
-    origins,
-    ends,
-    silent,
-    resolution,
-    directory,
-    row0,
-    column0,
-    n_tiles,
-    scan,
-    hit,
-    miss,
-    lowest,
-    highest,
-    odds,
-    seen,
-    dirty,
-):
+    origins, ends, silent, resolution, directory, row0, column0, n_tiles, scan, hit, miss, lowest, highest,
+    odds, seen, dirty,
+):  # fmt: skip
     for k in range(len(ends)):
         if np.isnan(ends[k, 0]):
             continue
