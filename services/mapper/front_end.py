@@ -277,6 +277,7 @@ class FrontEnd:
         if self.state is Localization.STARTING and (n == 0 or self.submap.registrar.map.n == 0):
             return
         strayed = self.n_bad > 0 and self.local_from_base.distance(self.reckoned) > STRAYED
+        strayed &= self.graphed  # else there is nobody to look for it elsewhere
         self.n_poor = self.n_poor + 1 if told and quality < self.config.good else 0
         if quality >= self.config.good and not strayed:
             self.n_bad = 0
