@@ -18,14 +18,13 @@ from services.mapper.pose_graph import Graph, Optimised, PoseGraph, between, pos
 from services.mapper.registration import Match, RegistrationConfig
 from services.mapper.saved_map import SavedMap
 from services.mapper.submap import Submap
-from services.mapper.surroundings import Held, Surroundings, surroundings
+from services.mapper.surroundings import BETWEEN, Held, Surroundings, surroundings
 from services.mapper.uncertainty import uncertainty_from
 from shared.config import Section
 from shared.geometry import Float64s, Pose2, wrapped_all
 
 SEEN = 0.02  # m, a correction that shows on the map
 CONFIRMING = 7  # closures since the last optimisation, that agree
-BETWEEN = 6.0  # m that the robot drives, about, until its surroundings are drawn anew
 HELD = np.diag((0.1**-2, 0.1**-2, 0.03**-2))
 """Information of the place at which the robot was found on a saved map: closures will know it better."""
 EXACT = 1e8 * np.eye(3)
@@ -55,7 +54,12 @@ class BackEndConfig(Section):
         0.2, ge=0.01, le=10, description="m, standard deviation up to which a keyframe is matched with, from the newest"
     )
     near: float = Field(10.0, ge=1, le=250, description="m from the robot up to which keyframes are matched with")
-    renew: int = Field(20, ge=1, le=10_000, description="keyframes until what is matched with is gathered anew")
+    renew: int = Field(
+        20,
+        ge=1,
+        le=10_000,
+        description="keyframes between two looks at what is matched with",
+    )
     recent: int = Field(
         60, ge=2, le=10_000, description="keyframes that are placed together on a saved map that does not change"
     )
@@ -272,16 +276,16 @@ class BackEnd:
         self.graph.take(optimum)
         self.settled_to = int(self.graph.nodes[-1])
         self.map_from_local = pose_of(self.graph.poses[-1]) @ last.inverse()
-        near = np.hypot(*(before[:, :2] - before[-1, :2]).T) < self._reach
+        near = np.hypot(*(before[:, :2] - before[-1, :2]).T) < self._near + BETWEEN
         shift = between(self.graph.poses[-1:], self.graph.poses[near]) - between(before[-1:], before[near])
         self.shifted += float(np.hypot(shift[:, 0], shift[:, 1]).max())
         if not self.fixed:
             self.moved += float(np.hypot(*(self.graph.poses - before)[:, :2].T).max())
 
     @property
-    def _reach(self) -> float:
-        """m from the robot within which keyframes saw what it will see, until the surroundings are drawn anew."""
-        return min(self._settings[2], self.config.near) + BETWEEN
+    def _near(self) -> float:
+        """m from the robot within which keyframes saw what it sees."""
+        return min(self._settings[2], self.config.near)
 
     @property
     def moved_on(self) -> bool:
@@ -295,7 +299,7 @@ class BackEnd:
         self.n_new, self.shifted = 0, 0.0
         return (
             self.graph.snapshot(), tuple(self.keyframes), self.map_from_local.inverse(), self.first, self.settled_to,
-            self.config.sure, self._reach, held, self._settings,
+            self.config.sure, self._near, held, self._settings,
         )  # fmt: skip
 
     def completed(self, drawn: Surroundings) -> Submap | None:
@@ -303,10 +307,10 @@ class BackEnd:
         carried away since."""
         if drawn.session != self.first:
             return None
-        self.held = Held(drawn.nodes, drawn.node, self._reach - BETWEEN)
+        self.held = drawn.held
         if drawn.submap is None:
             return None
-        first = int(np.searchsorted(self.graph.nodes, drawn.node, side="right"))
+        first = int(np.searchsorted(self.graph.nodes, drawn.held.node, side="right"))
         for keyframe, node in zip(self.keyframes[first:], self.graph.nodes[first:].tolist()):
             drawn.submap.take(keyframe, keyframe.local_from_base)
             doubt = keyframe.doubt if node > self.settled_to else SETTLED

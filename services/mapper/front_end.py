@@ -45,7 +45,7 @@ class FrontEndConfig(Section):
     lost: float = Field(0.3, ge=0, le=1, description="quality under which the pose may be lost")
     clear_cells: int = Field(2, ge=0, le=20, description="free cells to each side that make an echo a moving thing's")
     most_moving: float = Field(0.4, ge=0, le=1, description="share of beams on moving things that is still believed")
-    lost_after: int = Field(5, ge=1, le=1000, description="scans in a row under `lost` until the pose is lost")
+    lost_after: int = Field(5, ge=1, le=1000, description="scans, from one under `lost`, until the pose is lost")
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,6 +62,8 @@ class Occupancy:
         silent: (n, 2) ends up to which a beam without an echo is free, NaN elsewhere.  Each cell is drawn once a
         scan, and a hit wins over free.  What ends shortly behind a surface has hit that surface.
         """
+        if len(self.seen) < len(self.odds):
+            raise RuntimeError("a trimmed grid is only asked, not drawn into")
         ends = _within(origins, ends, self.config.range_max)
         corners = np.concatenate((origins, ends, silent))
         corners = corners[~np.isnan(corners[:, 0])]
@@ -294,10 +296,13 @@ def _draw(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
         while left > 0:
             if row >> 6 != tile_r or column >> 6 != tile_c:
                 tile_r, tile_c = row >> 6, column >> 6
-                tile = directory[tile_r - row0, tile_c - column0]  # it covers all origins and ends
+                i, j = tile_r - row0, tile_c - column0
+                if i < 0 or j < 0 or i >= directory.shape[0] or j >= directory.shape[1]:
+                    break  # it covers all origins and ends: a beam that leaves it is none
+                tile = directory[i, j]
                 if tile < 0:
                     tile = n_tiles
-                    directory[tile_r - row0, tile_c - column0] = tile
+                    directory[i, j] = tile
                     n_tiles += 1
                 dirty[tile] = True
                 seen_here, odds_here = seen[tile], odds[tile]

@@ -20,28 +20,27 @@ from services.mapper.submap import Submap
 from services.mapper.uncertainty import uncertainty_from
 from shared.geometry import Pose2
 
+BETWEEN = 6.0  # m that the robot drives, about, until they are gathered anew
+
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """Names (k,) of the nodes in the submap at hand, besides all that are newer than `node`; up to `reach` m away none
-    may be missing."""
+    """What a submap is drawn from: the nodes of these names (k,), and all that are newer than `node`."""
 
     nodes: Int64s
     node: int
-    reach: float
 
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
     """A submap in `local`; None where the one at hand still holds what it must, and nothing that it must not.
 
-    nodes: (k,) names of the nodes in it.  node: the newest that was known then.  session: the name of the first node in
-    that `local`.
+    held: what it holds, `node` being the newest that was known then.  session: the name of the first node in that
+    `local`.
     """
 
     submap: Submap | None
-    nodes: Int64s
-    node: int
+    held: Held
     session: int
 
 
@@ -52,12 +51,13 @@ def surroundings(
     session: int,
     settled: int,
     sure: float,
-    reach: float,
+    near: float,
     held: Held | None,
     settings: tuple[RegistrationConfig, OccupancyConfig, float],
 ) -> Surroundings:
-    """Draws them around the newest keyframe: what lies within `reach` m and is known better than `sure` m from there.
+    """Draws them around the newest keyframe: what is known better than `sure` m from there.
 
+    near: m, up to where nothing may be missing; where they are drawn, they reach BETWEEN farther.
     local_from_map: such that the newest keyframe keeps its place in `local`.  settled: name of the last node that was
     optimised.  held: what the submap at hand holds, where that lies as it should.
     """
@@ -66,17 +66,16 @@ def surroundings(
     sigma = np.sqrt(np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]))
     away = np.hypot(*(graph.poses[:, :2] - graph.poses[-1, :2]).T)
     known, nodes = sigma < sure, graph.nodes
-    wanted = known & (away < reach)
+    wanted = known & (away < near + BETWEEN)
     if held is not None:
         there = np.isin(nodes, held.nodes) | (nodes > held.node)
-        lacks, holds_wrong = known & ~there & (away < held.reach), there & ~known & (away < reach)
+        lacks, holds_wrong = wanted & ~there & (away < near), there & ~known & (away < near + BETWEEN)
         if not (lacks | holds_wrong).any():
-            return Surroundings(None, nodes[there], newest, session)
+            return Surroundings(None, Held(nodes[there], newest), session)
     submap = Submap(*settings)
     for row in np.flatnonzero(wanted).tolist():
         keyframe, pose = keyframes[row], local_from_map @ pose_of(graph.poses[row])
         submap.take(keyframe, pose)
         submap.sign(pose, keyframe.doubt if graph.nodes[row] > settled else SETTLED, keyframe.stamp)
     submap.forget()
-    submap.grid.settle()
-    return Surroundings(submap, nodes[wanted], newest, session)
+    return Surroundings(submap, Held(nodes[wanted], newest), session)

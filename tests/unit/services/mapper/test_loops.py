@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from services.mapper.back_end import BETWEEN, SLICE, BackEnd, BackEndConfig
+from services.mapper.back_end import SLICE, BackEnd, BackEndConfig
 from services.mapper.background import Background
 from services.mapper.keyframe import NEVER, Keyframe, Sweep
 from services.mapper.loop_closure import Blocks, Loop, LoopConfig, earlier_visits, in_own_frame, loops_of
@@ -19,7 +19,7 @@ from services.mapper.optimisation import PoseGraphConfig
 from services.mapper.pose_graph import Optimised
 from services.mapper.registration import Match, RegistrationConfig
 from services.mapper.surface import sweep_normals, sweep_usable
-from services.mapper.surroundings import surroundings
+from services.mapper.surroundings import BETWEEN, surroundings
 from services.mapper.uncertainty import uncertainty_from
 from shared.geometry import Pose2
 from tests.unit.services.mapper.rooms import LAP, RING, SECOND, START, STEP, TURN, laps, sweep
@@ -343,9 +343,9 @@ def test_what_is_matched_with_holds_all_that_is_well_known_within_reach_and_noth
         found = surroundings(graph, *arguments)
         sigma = np.sqrt(uncertainty_from(graph, int(graph.nodes[-1]))[:, (0, 1), (0, 1)].max(axis=1))
         away = np.hypot(*(graph.poses[:, :2] - graph.poses[-1, :2]).T)
-        known, held = sigma < robot.back_end.config.sure, np.isin(graph.nodes, found.nodes)
-        assert held[known & (away < robot.back_end._reach - BETWEEN)].all()
-        assert known[held & (away < robot.back_end._reach)].all()
+        known, held = sigma < robot.back_end.config.sure, np.isin(graph.nodes, found.held.nodes)
+        assert held[known & (away < robot.back_end._near)].all()
+        assert known[held & (away < robot.back_end._near + BETWEEN)].all()
         drawn.append(found.submap is not None)
         return found
 

@@ -3,6 +3,7 @@ from itertools import pairwise
 from math import floor
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
@@ -248,3 +249,5 @@ def test_a_trimmed_grid_answers_as_before_and_takes_less_than_half():
         assert_array_equal(grid.clear_at(ends, 1), same.clear_at(ends, 1))
         assert_array_equal(grid.occupied_near(ends), same.occupied_near(ends))
     assert grid.contradicts(origins, ends).any()
+    with pytest.raises(RuntimeError, match="trimmed"):
+        draw(grid, [(0, 0.02, 1.0, 1.0)])

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from tests.unit.services.mapper.hardships import LED, ROWS, WRONG, course
+from tests.unit.services.mapper.hardships import LED, ROWS, WRONG, Hardship, course, laser
 
 
 @pytest.mark.parametrize("name", ROWS)
@@ -30,6 +30,12 @@ def test_where_nothing_is_seen_of_the_way_the_covariance_covers_the_error(name):
     moving = slice(6, None)
     assert (driven.away[moving] < 3 * driven.sigma[moving]).all()
     assert driven.sigma[-1] > 2 * driven.sigma[20]
+
+
+def test_twenty_beams_place_a_robot_with_true_odometry():
+    driven = course(Hardship(laser(20)))
+    assert driven.n_confidently_wrong == 0
+    assert driven.away.max() < WRONG
 
 
 def test_who_walks_down_a_corridor_before_the_robot_does_not_hold_it_back():
