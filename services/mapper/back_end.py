@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from services.mapper.keyframe import SETTLED, Keyframe
-from services.mapper.loop_closure import LITTLE, Blocks, Loop, LoopConfig, closed, in_own_frame
+from services.mapper.loop_closure import Blocks, Loop, LoopConfig, closed, in_own_frame
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.odometry_error import OdometryError
 from services.mapper.optimisation import PoseGraphConfig, optimised
@@ -19,6 +19,7 @@ from services.mapper.registration import Match, RegistrationConfig
 from services.mapper.saved_map import SavedMap
 from services.mapper.submap import Submap
 from services.mapper.surroundings import BETWEEN, Held, Surroundings, surroundings
+from services.mapper.ties import TieConfig
 from services.mapper.uncertainty import uncertainty_from
 from shared.config import Section
 from shared.geometry import Float64s, Pose2, wrapped_all
@@ -42,27 +43,19 @@ class BackEndConfig(Section):
     )
     off_turn: float = Field(0.02, ge=0, le=3, description="rad, the same for its turn")
     patience: int = Field(20, ge=1, le=10_000, description="closures that agree, until it is optimised all the same")
+    tied: int = Field(120, ge=1, le=10_000, description="ties until it is optimised")
     redraw: float = Field(2.0, ge=0, le=3600, description="s between two drawings of the whole map at least")
     crowd: int = Field(8, ge=2, le=1000, description="keyframes at one place, until the oldest of them is given up")
     crowd_reach: float = Field(0.5, ge=0.05, le=5, description="m, and rad, that make it one place")
-    hub: float = Field(
-        5.0, ge=0.5, le=100, description="m between keyframes that later ones, up to twice as far on, are tied to, too"
-    )
-    hub_noise: float = Field(0.015, ge=0.001, le=1, description="m, standard deviation of such a tie at least")
-    hub_turn: float = Field(0.004, ge=0.0003, le=1, description="rad, of its turn")
     sure: float = Field(
         0.2, ge=0.01, le=10, description="m, standard deviation up to which a keyframe is matched with, from the newest"
     )
     near: float = Field(10.0, ge=1, le=250, description="m from the robot up to which keyframes are matched with")
-    renew: int = Field(
-        20,
-        ge=1,
-        le=10_000,
-        description="keyframes between two looks at what is matched with",
-    )
+    renew: int = Field(20, ge=1, le=10_000, description="keyframes between two looks at what is matched with")
     recent: int = Field(
         60, ge=2, le=10_000, description="keyframes that are placed together on a saved map that does not change"
     )
+    ties: TieConfig = TieConfig()
 
 
 Waiting = tuple[Keyframe, Match, float]
@@ -107,6 +100,7 @@ class BackEnd:
         self.looked_at = 0.0  # m driven when loops were looked for
         self.n_loops = 0
         self.n_agreeing = 0  # closures since the last optimisation
+        self.n_tied = 0  # ties since then
         self.fixed = False  # the map does not change
         self.first = 0  # name of the first node of this session: what is before it lies in another `local`
         self.begun = 0  # name of the first node that is not a saved map's
@@ -117,9 +111,10 @@ class BackEnd:
         self.shifted = 0.0  # m, at most, of any near keyframe as seen from the newest, since it was last gathered
         self.n_new = 0  # keyframes since then
         self.held: Held | None = None  # what the front end's submap holds, where it was gathered from here
-        self.settled_to = -1  # name of the newest node at the last optimum
+        self.tied_to = -1  # name of the newest node whose ties were looked for
+        self.closing = False  # there are closures among what is being optimised
+        self.settled_to = -1  # name of the newest node at the last optimum that held new closures
         self.blocks = Blocks(*self._settings, self.loops)
-        self.hubs: tuple[int, ...] = ()  # names of the last two
 
     def load(self, saved: SavedMap, fixed: bool) -> None:
         """Goes on with a saved map, or places the robot on it; then it does not change."""
@@ -133,7 +128,6 @@ class BackEnd:
     def _begin(self) -> None:
         """A session's nodes have names of their own blocks: its `local` is another one."""
         self.held = None
-        self.hubs = ()
         blocks = int(self.graph.nodes[-1]) // self.loops.around if len(self.graph.nodes) else 0
         self.first = (blocks + 4) * self.loops.around
         self.graph.leave_names(self.first)
@@ -185,27 +179,9 @@ class BackEnd:
             )
             self.graph.connect(node - 1, node, step, information, loop=False)
             self.driven.append(self.driven[-1] + hypot(step.x, step.y))
-            self._tie(node, keyframe, match)
         self.keyframes.append(keyframe)
-        if not self.hubs or self.driven[-1] - self._driven(self.hubs[-1]) >= self.config.hub:
-            self.hubs = (*self.hubs[-1:], int(self.graph.nodes[-1]))
         self.n_new += 1
         self._thin()
-
-    def _tie(self, node: int, keyframe: Keyframe, match: Match) -> None:
-        """Ties a keyframe to a hub some metres back that saw the same walls: then nothing adds up step by step."""
-        row = int(np.searchsorted(self.graph.nodes, self.hubs[0]))
-        there = self.hubs[0] < node - 1 and self.graph.nodes[row] == self.hubs[0]
-        if there and keyframe.since <= self.keyframes[row].stamp:
-            information = in_own_frame(
-                match.information, keyframe.local_from_base.yaw, LITTLE, self.config.hub_noise, self.config.hub_turn
-            )
-            step = self.keyframes[row].local_from_base.inverse() @ keyframe.local_from_base
-            self.graph.connect(self.hubs[0], node, step, information, loop=True)
-
-    def _driven(self, node: int) -> float:
-        """m up to a node, or to the next one where it was given up."""
-        return self.driven[int(np.searchsorted(self.graph.nodes, node))]
 
     def _thin(self) -> None:
         """Where the robot drives again and again, the graph grows with the area, not with time."""
@@ -233,15 +209,19 @@ class BackEnd:
         """Whether to look for closures at the newest keyframe."""
         return len(self.keyframes) > 1 and self.driven[-1] - self.looked_at >= self.loops.every
 
-    def look(self) -> tuple[Graph, tuple[Keyframe, ...], Float64s, Blocks, LoopConfig]:
-        """The arguments of `loops_of`, for the newest keyframe."""
+    def look(self) -> tuple[Any, ...]:
+        """The arguments of `looked`, for the keyframes since the last call."""
         self.looked_at = self.driven[-1]
-        return self.graph.snapshot(), tuple(self.keyframes), np.array(self.driven), self.blocks, self.loops
+        newest = int(self.graph.nodes[-1])
+        tied_to, self.tied_to = newest if self.fixed else max(self.tied_to, self.first - 1), newest
+        return (
+            self.graph.snapshot(), tuple(self.keyframes), np.array(self.driven), self.blocks, self.loops, tied_to,
+            self._settings[0], self.config.ties,
+        )  # fmt: skip
 
     def close(self, loops: Sequence[Loop]) -> None:
         """Takes closures."""
-        nodes = set(self.graph.nodes.tolist())
-        loops = [loop for loop in loops if loop.i in nodes and loop.j in nodes]  # not given up meanwhile
+        loops = self._present(loops)
         for loop in loops:
             rest = (self.graph.pose(loop.i).inverse() @ self.graph.pose(loop.j)).inverse() @ loop.i_from_j
             self.off |= hypot(rest.x, rest.y) > self.config.off or abs(rest.yaw) > self.config.off_turn
@@ -255,26 +235,41 @@ class BackEnd:
         self.n_loops += len(loops)
         self.n_agreeing += len(loops)
 
+    def tie(self, ties: Sequence[Loop]) -> None:
+        """Takes ties: small corrections, for the next optimisation."""
+        ties = self._present(ties)
+        self.n_tied += len(ties)
+        for tie in ties:
+            self.graph.connect(tie.i, tie.j, tie.i_from_j, tie.information, loop=True)
+
+    def _present(self, loops: Sequence[Loop]) -> list[Loop]:
+        """Those between keyframes that were not given up meanwhile."""
+        nodes = set(self.graph.nodes.tolist())
+        return [loop for loop in loops if loop.i in nodes and loop.j in nodes]
+
     @property
     def urgent(self) -> bool:
         """Whether it is time to optimise."""
-        return self.off or self.n_agreeing >= self.config.patience
+        many = self.n_agreeing >= self.config.patience or self.n_tied >= self.config.tied
+        return self.off or many
 
     @property
     def settled(self) -> bool:
-        """Whether all closures are in the poses."""
-        return self.n_agreeing == 0
+        """Whether all closures and ties are in the poses."""
+        return self.n_agreeing == 0 and self.n_tied == 0
 
     def optimise(self) -> tuple[Graph, PoseGraphConfig]:
         """The arguments of `optimised`."""
-        self.n_agreeing, self.off = 0, False
+        self.closing |= self.n_agreeing > 0 and not self.off  # one that moves all is not to make it sure
+        self.n_agreeing, self.n_tied, self.off = 0, 0, False
         return self.graph.snapshot(), self.graph_config
 
     def take(self, optimum: Optimised) -> None:
         """Takes an optimum."""
         before, last = self.graph.poses.copy(), self.keyframes[-1].local_from_base
         self.graph.take(optimum)
-        self.settled_to = int(self.graph.nodes[-1])
+        if self.closing:
+            self.settled_to, self.closing = int(self.graph.nodes[-1]), False
         self.map_from_local = pose_of(self.graph.poses[-1]) @ last.inverse()
         near = np.hypot(*(before[:, :2] - before[-1, :2]).T) < self._near + BETWEEN
         shift = between(self.graph.poses[-1:], self.graph.poses[near]) - between(before[-1:], before[near])

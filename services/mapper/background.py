@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from services.mapper.back_end import BackEnd, Drawing, drawn
 from services.mapper.keyframe import Keyframe
-from services.mapper.loop_closure import Loop, loops_of
+from services.mapper.looks import Looked, looked
 from services.mapper.occupancy import Occupancy
 from services.mapper.odometry_error import OdometryError
 from services.mapper.optimisation import optimised
@@ -45,15 +45,16 @@ class Background:
         self.back_end.add(keyframe, match, odometry, doubt)
         if self.back_end.due and not self.looking:
             self.looking = True
-            yield self._job(loops_of, self.back_end.look(), "looked", 0.05)
+            yield self._job(looked, self.back_end.look(), "looked", 0.05)
         yield from self._renew()
 
-    def looked(self, result: tuple[int, list[Loop]]) -> Out:
+    def looked(self, result: tuple[int, Looked]) -> Out:
         """Closures were found, or none."""
-        epoch, loops = result
+        epoch, found = result
         if epoch == self.epoch:
             self.looking = False
-            self.back_end.close(loops)
+            self.back_end.close(found.loops)
+            self.back_end.tie(found.ties)
             if self.back_end.urgent:
                 yield from self.settle()
 

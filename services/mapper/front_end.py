@@ -12,7 +12,7 @@ from pydantic import Field
 from services.mapper.belief import Belief, mean_doubt
 from services.mapper.correlative_match import SearchConfig, candidates
 from services.mapper.deskew import straightened, turned_back
-from services.mapper.keyframe import NEVER, Sweep
+from services.mapper.keyframe import Sweep
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.odometry_error import OdometryError
 from services.mapper.registration import Match, Prior, RegistrationConfig
@@ -27,7 +27,6 @@ Float64s = NDArray[np.float64]
 
 BENT, BENT_TURN = 0.02, 0.01  # m, rad, by which the first beam of a sweep may be off, to the last
 LIED = 10.0  # how much wider the prior is where odometry was wrong
-OLD = 0.25  # of the beams that agree: walls that so many of them meet place the scan by themselves
 STOOD = 3_000_000_000  # ns that a thing stands free until it is none that walks; or until the robot
 BESIDE = 0.25  # m is elsewhere, and sees it there still
 PATIENCE = 10  # scans that fit, but not well, until they are drawn all the same
@@ -114,7 +113,6 @@ class FrontEnd:
         self.local_from_base = local_from_base
         self.keyframe: Pose2 | None = None  # of the last scan that joined the submap
         self.belief = Belief()
-        self.since = NEVER  # ns, when a good part of what the last scan was matched with had been drawn
         self.state = Localization.STARTING
         self.motion = Pose2()  # between the last two sweeps
         self.n_bad = 0  # scans that did not fit, since one fitted well
@@ -269,7 +267,6 @@ class FrontEnd:
             return  # here the map begins
         found = registrar.found(sweep.points, sweep.normals, match)
         at = match.map_from_base
-        self.since = int(np.quantile(registrar.map.stamps[found], OLD, method="lower")) if len(found) else NEVER
         drawn = mean_doubt(registrar.map.doubts[found], registrar.map.places[found], at.x, at.y)
         self.belief.take(self.local_from_base, prior, ahead, match.information, drawn)
 

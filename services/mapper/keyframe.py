@@ -37,7 +37,6 @@ class Sweep:
         return Sweep(origins, points, normals, self.back)
 
 
-NEVER = 2**63 - 1  # ns
 SETTLED = np.zeros((3, 3), np.float32)
 """Doubt of what the graph was optimised with."""
 
@@ -50,7 +49,6 @@ class Keyframe:
     (n, 2) m in `base`, ends NaN without an echo.  points, normals: (k, 2) m in `base`, what is matched.
     silent: (n, 2) m in `base`, up to where a beam without an echo is free, NaN elsewhere; or (0, 2): they say nothing.
     doubt: (3, 3), how unsure a map is that was drawn from it, until the graph is optimised; see `Belief`.
-    since: ns, when a good part of the walls that it was matched with had been drawn; see `FrontEnd`.
     """
 
     stamp: int
@@ -61,16 +59,15 @@ class Keyframe:
     normals: Float32s
     silent: Float32s
     doubt: Float32s = field(default_factory=lambda: SETTLED, kw_only=True)
-    since: int = field(default=NEVER, kw_only=True)
 
     @classmethod
     def of(
         cls, stamp: int, local_from_base: Pose2, origins: Float64s, ends: Float64s, silent: Float64s, sweep: Sweep,
-        doubt: Float64s, since: int,
+        doubt: Float64s,
     ) -> "Keyframe":  # fmt: skip
         told = silent if not np.isnan(silent).all() else silent[:0]
         seen = (array.astype(np.float32) for array in (origins, ends, sweep.points, sweep.normals, told))
-        return cls(stamp, local_from_base, *seen, doubt=doubt.astype(np.float32), since=since)
+        return cls(stamp, local_from_base, *seen, doubt=doubt.astype(np.float32))
 
     @property
     def origin(self) -> Float64s:

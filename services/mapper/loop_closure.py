@@ -20,7 +20,6 @@ from services.mapper.occupancy import OccupancyConfig
 from services.mapper.pose_graph import Graph, pose_of, turned
 from services.mapper.registration import Match, Prior, RegistrationConfig
 from services.mapper.submap import Submap
-from services.mapper.uncertainty import uncertainty_from
 from shared.config import Section
 from shared.geometry import Float64s, Pose2, wrapped
 
@@ -46,8 +45,8 @@ class LoopConfig(Section):
     balance: float = Field(0.55, ge=0, le=1, description="agreeing beams less contradicting ones, as a share of all")
     unlike: float = Field(0.9, ge=0, le=1, description="the second best place may have this share of its balance")
     score: float = Field(0.3, ge=0, le=1, description="of a pose of the window, from which it is tried")
-    noise: float = Field(0.02, ge=0.001, le=1, description="m, standard deviation of a closure at least")
-    noise_turn: float = Field(0.005, ge=0.0005, le=1, description="rad, of its turn")
+    noise: float = Field(0.04, ge=0.001, le=1, description="m, standard deviation of a closure at least")
+    noise_turn: float = Field(0.01, ge=0.0005, le=1, description="rad, of its turn")
     search: BranchAndBoundConfig = BranchAndBoundConfig()
 
 
@@ -105,11 +104,18 @@ class Blocks:
 
 
 def loops_of(
-    graph: Graph, keyframes: Sequence[Keyframe], driven: Float64s, blocks: Blocks, config: LoopConfig
+    graph: Graph,
+    covariances: Float64s,
+    keyframes: Sequence[Keyframe],
+    driven: Float64s,
+    blocks: Blocks,
+    config: LoopConfig,
 ) -> list[Loop]:
-    """What closes at the newest keyframe. keyframes, and driven, (n,) m up to each, go with the graph's nodes."""
+    """What closes at the newest keyframe. keyframes, and driven, (n,) m up to each, go with the graph's nodes.
+
+    covariances: (n, 3, 3) of the nodes as seen from the newest.
+    """
     last = len(graph.nodes) - 1
-    covariances = uncertainty_from(graph, int(graph.nodes[last]))
     found = []
     for row in earlier_visits(graph.poses, covariances, driven, config):
         loop = closed(graph, keyframes, row, last, covariances[row], blocks, config)

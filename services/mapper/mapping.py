@@ -83,7 +83,7 @@ class Mapping:
         if tracked.keyframe is not None and self.front_end.graphed:
             keyframe = Keyframe.of(
                 arrival.end, tracked.local_from_base, tracked.origins, tracked.ends, arrival.silent, tracked.keyframe,
-                self.front_end.belief.carried, self.front_end.since,
+                self.front_end.belief.carried,
             )  # fmt: skip
             if self.finder.searching:
                 yield from self.finder.keep(keyframe, tracked.match, self.doubt)

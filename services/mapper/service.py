@@ -10,7 +10,8 @@ from services.mapper.back_end import BackEnd, BackEndConfig, Drawing
 from services.mapper.correlative_match import SearchConfig
 from services.mapper.finding import Finder, FindingConfig, Place
 from services.mapper.front_end import FrontEnd, FrontEndConfig
-from services.mapper.loop_closure import Loop, LoopConfig
+from services.mapper.looks import Looked
+from services.mapper.loop_closure import LoopConfig
 from services.mapper.mapping import Mapping
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.odometry_track import OdometryConfig
@@ -158,7 +159,7 @@ class MapperService(Service):
         self.outgoing.tick(self.now)
         self.incoming.tick(self.now)
 
-    def looked(self, result: tuple[int, list[Loop]]) -> Out:
+    def looked(self, result: tuple[int, Looked]) -> Out:
         """Closures were found, or none."""
         yield from self.mapping.loops.looked(result)
         if self.back_end.confirmed:

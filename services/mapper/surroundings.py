@@ -18,8 +18,9 @@ from services.mapper.pose_graph import Graph, Int64s, pose_of
 from services.mapper.registration import RegistrationConfig
 from services.mapper.submap import Submap
 from services.mapper.uncertainty import uncertainty_from
-from shared.geometry import Pose2
+from shared.geometry import Float64s, Pose2
 
+SAME = 0.5  # m, and rad: of two keyframes so near, one tells enough
 BETWEEN = 6.0  # m that the robot drives, about, until they are gathered anew
 
 
@@ -55,7 +56,7 @@ def surroundings(
     held: Held | None,
     settings: tuple[RegistrationConfig, OccupancyConfig, float],
 ) -> Surroundings:
-    """Draws them around the newest keyframe: what is known better than `sure` m from there.
+    """Draws them around the newest keyframe: what is known better than `sure` m from there, from each place once.
 
     near: m, up to where nothing may be missing; where they are drawn, they reach BETWEEN farther.
     local_from_map: such that the newest keyframe keeps its place in `local`.  settled: name of the last node that was
@@ -67,15 +68,25 @@ def surroundings(
     away = np.hypot(*(graph.poses[:, :2] - graph.poses[-1, :2]).T)
     known, nodes = sigma < sure, graph.nodes
     wanted = known & (away < near + BETWEEN)
+    places = places_of(graph.poses)
     if held is not None:
         there = np.isin(nodes, held.nodes) | (nodes > held.node)
-        lacks, holds_wrong = wanted & ~there & (away < near), there & ~known & (away < near + BETWEEN)
+        lacks = wanted & ~np.isin(places, places[there]) & (away < near)
+        holds_wrong = there & ~known & (away < near + BETWEEN)
         if not (lacks | holds_wrong).any():
             return Surroundings(None, Held(nodes[there], newest), session)
+    first = np.unique(places[wanted], return_index=True)[1]
+    wanted = np.sort(np.flatnonzero(wanted)[first])
     submap = Submap(*settings)
-    for row in np.flatnonzero(wanted).tolist():
+    for row in wanted.tolist():
         keyframe, pose = keyframes[row], local_from_map @ pose_of(graph.poses[row])
         submap.take(keyframe, pose)
         submap.sign(pose, keyframe.doubt if graph.nodes[row] > settled else SETTLED, keyframe.stamp)
     submap.forget()
     return Surroundings(submap, Held(nodes[wanted], newest), session)
+
+
+def places_of(poses: Float64s) -> Int64s:
+    """(n,) numbers of the places where poses (n, 3) are."""
+    _, places = np.unique(np.floor(poses / SAME), axis=0, return_inverse=True)
+    return np.asarray(places, np.int64)
