@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from shared import requests, topics
-from shared.config import Section, UserError
+from shared.config import Section
 from shared.geometry import Pose2
 from shared.messages import MapMode, NavState, Odometry, Velocity
 from shared.requests import Reply, StartMap
@@ -26,7 +26,9 @@ from tests.stack.processes import running as stack_of
 from tests.stack.processes import wait
 from tests.stack.test_client import Guard, Navigator
 from tests.stack.test_live import ROBOT, running
+from tests.unit.zenav.foxglove.test_layout import named_topics
 from tests.unit.zenav.foxglove.test_schemas import cell_at
+from zenav.__main__ import _status
 from zenav.client import Client
 from zenav.foxglove.server import live
 from zenav.launch import free_stack
@@ -279,9 +281,14 @@ def test_a_client_that_does_not_read_holds_nobody_up(where):
     assert stamps == sorted(set(stamps))
 
 
-def test_a_taken_port_is_an_error_of_one_line(where):
-    with served(where) as port, pytest.raises(UserError, match=f"cannot listen on 127.0.0.1:{port}"):
-        opened_on(where, port)
+def test_a_taken_port_is_an_error_of_one_line(where, capsys):
+    with served(where) as port:
+        assert _status(["foxglove", "--stack", str(where.domain), "--port", str(port)]) == 2
+    told = [line for line in capsys.readouterr().err.splitlines() if "listen" in line or "hint" in line]
+    assert told == [
+        f"cannot listen on 127.0.0.1:{port}: Address already in use (os error 98)",
+        "hint: another `zenav foxglove`? choose --port",
+    ]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -342,8 +349,5 @@ def test_the_app_sees_a_simulated_robot_and_sends_it_to_a_goal(tmp_path):
 
 
 def test_the_layout_names_what_is_there(capsys):
-    from tests.unit.zenav.foxglove.test_layout import named_topics
-    from zenav.__main__ import _status
-
     assert _status(["foxglove", "--layout"]) == 0
     assert named_topics(json.loads(capsys.readouterr().out))

@@ -151,6 +151,8 @@ class LiveView:
 
     def _file(self, key: str, payload: bytes) -> None:
         """On Zenoh's thread: files, and returns."""
+        if key == topics.TELEOP.key and self._is_anothers(payload):  # here: filed, our own next one would hide it
+            self._app.commander.elsewhere(time.monotonic())
         place = self._places.get(key)
         if place is None:
             topic = topic_of(key)
@@ -163,8 +165,6 @@ class LiveView:
         family = key.rpartition("/")
         if family[0] == topics.HEALTH.key:
             self._health[family[2]] = time.monotonic()
-        elif key == topics.TELEOP.key and self._is_anothers(payload):
-            self._app.commander.elsewhere(time.monotonic())
         self._channels.show(key, payload)
 
     def _is_anothers(self, payload: bytes) -> bool:
