@@ -431,6 +431,31 @@ class GuardStatus(Message):
     speed_limit: Speed
 
 
+# --- what people may watch ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Costmap(Message):
+    """What local control steers by, in `odom`, while somebody watches. Row 0 is lowest, (x, y) its lower left corner.
+
+    100 occupied, 99 nearer to it than the robot is wide, less with distance; 0 free, -1 unknown.
+    """
+
+    x: Metres
+    y: Metres
+    resolution: Annotated[float, Unit("m/cell"), Within(0.005, 1)]
+    cells: Annotated[Int8s, Unit("percent, -1 unknown"), Shape("r c"), Within(-1, 100)]
+
+
+@dataclass(frozen=True, slots=True)
+class Rollouts(Message):
+    """Ways that local control weighed up in a tick, in `odom`, while somebody watches; the first is the one it took."""
+
+    xs: Annotated[Float32s, Unit("m"), Shape("k n"), Within(-1e6, 1e6)]
+    ys: Annotated[Float32s, Unit("m"), Shape("k n"), Within(-1e6, 1e6)]
+    costs: Annotated[Float32s, Unit("1"), Shape("k"), Within(0, 1e12)]
+
+
 # --- stack ----------------------------------------------------------------------------------------------------------
 
 

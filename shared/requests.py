@@ -52,6 +52,13 @@ class Pause(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class Watch(Message):
+    """Publish `debug/costmap` and `debug/rollouts` for so long from now on; 0: stop. A viewer asks again and again."""
+
+    seconds: Annotated[float, Unit("s"), m.Within(0, 60)]
+
+
+@dataclass(frozen=True, slots=True)
 class LoadMap(Message):
     """Take this map (its tool read the file; saving is the tool's too, from the latched `map`) and start on it."""
 
@@ -144,6 +151,7 @@ NAVIGATE = Request("request/navigate", Navigate, Reply, by="navigator")
 EXPLORE = Request("request/explore", Explore, Reply, by="navigator")
 CANCEL = Request("request/cancel", Cancel, Reply, by="navigator")
 PAUSE = Request("request/pause", Pause, Reply, by="navigator")
+WATCH = Request("request/watch", Watch, Reply, by="local_ctrl")
 LOAD_MAP = Request("request/load_map", LoadMap, Reply, by="mapper")
 FETCH_MAP = Request("request/fetch_map", FetchMap, MapPart, by="mapper")
 GIVE_MAP = Request("request/give_map", GiveMap, Reply, by="mapper")

@@ -91,6 +91,8 @@ NAV      = Topic("nav/status",      m.NavStatus,     by="navigator",            
 CMD_NAV  = Topic("cmd/nav",         m.Velocity,      by="local_ctrl",             hz=20, keep="latest", within=0.030)
 TELEOP   = Topic("cmd/teleop",      m.Velocity,      by="operator dashboard",     hz=20, keep="latest", within=0.005)
 ESTOP    = Topic("estop",           m.EmergencyStop, by="operator dashboard",     hz=0,  keep="all",    within=0.005, latched=True)
+COSTMAP  = Topic("debug/costmap",   m.Costmap,       by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
+ROLLOUTS = Topic("debug/rollouts",  m.Rollouts,      by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
 GUARD    = Topic("guard/status",    m.GuardStatus,   by="guard",                  hz=10, keep="latest", within=0.005, latched=True)
 CMD_VEL  = Topic("cmd/vel",         m.Velocity,      by="guard",                  hz=20, keep="latest", within=0.003)
 HEALTH   = Topic("health",          m.Health,        by="*",                      hz=1,  keep="latest", within=0.100, people=True)

@@ -543,6 +543,28 @@ def doctor(stack: Stack = "0") -> None:
     raise typer.Exit(doctor(stack))
 
 
+@app.command(cls=Command, rich_help_panel=LOOK)
+def foxglove(
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0: any free one.")] = 8765,
+    host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0: every network.")] = "127.0.0.1",
+    layout: Annotated[bool, typer.Option("--layout", help="Write the layout for the app to stdout, and end.")] = False,
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Show the running stack in Foxglove or Lichtblick, and take goals and driving from there, until Ctrl-C.
+
+    Example: zenav foxglove --layout > layout.json; zenav foxglove
+    """
+    if layout:
+        from zenav.foxglove.layout import layout as text
+
+        sys.stdout.write(text())
+        return
+    from zenav.foxglove.server import serve
+
+    serve(robot, stack, host, port)
+
+
 @app.command(cls=Command, rich_help_panel=FILES)
 def slam(
     log: Annotated[Path, typer.Argument(help="CARMEN log.")],

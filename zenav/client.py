@@ -70,7 +70,7 @@ class Client:
         self._sequences: dict[str, int] = {}
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._declared: list[Any] = []
-        self._session_name = f"{time.time_ns():x}-{os.getpid():x}"
+        self.session_name = f"{time.time_ns():x}-{os.getpid():x}"
 
     def __enter__(self) -> "Client":
         self.session = transport.opened(self.where)
@@ -95,7 +95,7 @@ class Client:
                 express=True,
             )
         sequence = self._sequences[key] = self._sequences.get(key, -1) + 1
-        envelope = Envelope("operator", self._session_name, sequence, self.now())
+        envelope = Envelope("operator", self.session_name, sequence, self.now())
         self._publishers[key].put(encode(publication.message, envelope))
 
     def listen(self, topic: Topic[M], callback: Callback[M]) -> None:
@@ -158,7 +158,7 @@ class Client:
 
     def ask(self, request: Request[Q, R], message: Q, timeout: float = 5.0) -> R:
         """The reply to a request. Raises UserError where nobody answers in time, or refuses the request's form."""
-        envelope = Envelope("operator", self._session_name, 0, self.now())
+        envelope = Envelope("operator", self.session_name, 0, self.now())
         key = f"{self.robot}/{request.key}"
         refusal = b""
         for reply in self.session.get(key, payload=encode(message, envelope), timeout=timeout):

@@ -96,20 +96,29 @@ def paused(robot: str, stack: str, pause: bool) -> int:
 
 
 def estop(robot: str, stack: str, press: bool) -> int:
-    """Presses or releases STOP, again and again until the guard confirms; 1 when it does not within 3 s."""
+    """Presses or releases STOP. Raises UserError where the guard does not confirm."""
     with Client(load_robot(robot).robot.name, where_from(stack)) as client:
         client.follow(topics.GUARD)
+        confirm_stop(client, press, "zenav estop")
+    sys.stdout.write("STOP is pressed\n" if press else "STOP is released; the robot waits for a new goal\n")
+    return 0
 
-        def confirmed(status: GuardStatus) -> bool:
-            return (status.state is GuardState.STOPPED) == press
 
-        limit = time.monotonic() + 3.0
-        while time.monotonic() < limit:
-            client.publish(topics.ESTOP(EmergencyStop(client.now(), press, "zenav estop")))
-            if client.wait(topics.GUARD, lambda s: client.age(topics.GUARD) < 1 and confirmed(s), 0.1) is not None:
-                sys.stdout.write("STOP is pressed\n" if press else "STOP is released; the robot waits for a new goal\n")
-                return 0
-        status = client.latest(topics.GUARD)
+def confirm_stop(client: Client, press: bool, by: str) -> None:
+    """Presses or releases STOP, again and again until the guard confirms. The client follows topics.GUARD.
+
+    Raises UserError where the guard does not confirm within 3 s.
+    """
+
+    def confirmed(status: GuardStatus) -> bool:
+        return (status.state is GuardState.STOPPED) == press
+
+    limit = time.monotonic() + 3.0
+    while time.monotonic() < limit:
+        client.publish(topics.ESTOP(EmergencyStop(client.now(), press, by)))
+        if client.wait(topics.GUARD, lambda s: client.age(topics.GUARD) < 1 and confirmed(s), 0.1) is not None:
+            return
+    status = client.latest(topics.GUARD)
     if status is None:
         raise UserError(
             "the guard does not answer: STOP is not confirmed", "is it running? switch the robot off by hand"

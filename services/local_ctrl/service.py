@@ -2,6 +2,7 @@
 """Local control: where to drive in the next 50 ms, so that the plan is followed and nothing is touched."""
 
 from collections import deque
+from copy import deepcopy
 
 import numpy as np
 from pydantic import Field
@@ -16,7 +17,8 @@ from services.local_ctrl.local_plan import LocalPlan
 from services.local_ctrl.manoeuvres import Manoeuvre, ManoeuvreConfig, Outcome, braking
 from services.local_ctrl.mppi import MppiConfig
 from services.local_ctrl.rollout import DT, Command, Motion, limits_of, predicted
-from shared import reasons, topics
+from services.local_ctrl.view import View
+from shared import reasons, requests, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
@@ -33,7 +35,8 @@ from shared.messages import (
     RangeReadings,
     Velocity,
 )
-from shared.service import Out, Service, every, on
+from shared.requests import Reply, Watch
+from shared.service import Answer, Out, Service, answer, every, on
 
 RIM = 1.0  # m of the costmap beyond where the longest rollout ends
 
@@ -75,9 +78,10 @@ class LocalCtrlService(Service):
         self.manoeuvre: Manoeuvre | None = None
         self.path: Path | None = None
         self.plan: LocalPlan | None = None
-        self.motion = Motion(Pose2(), 0.0, 0.0)
+        self.motion = self.acting = Motion(Pose2(), 0.0, 0.0)
         self.commands: deque[Command] = deque(maxlen=64)
         self.last_tick = 0  # ns
+        self.view = View()
         kinds = {"ultrasonic": config.costmap.ultrasonic, "infrared": config.costmap.infrared}
         self.ranges_wanted = np.array([kinds[sensor.kind] for sensor in robot.ranges], bool)
         self.ranges_limits = np.array([(s.range_min, s.range_max) for s in robot.ranges], float).reshape(-1, 2)
@@ -172,6 +176,19 @@ class LocalCtrlService(Service):
         yield topics.CMD_NAV(Velocity(self.now, outcome.v, outcome.w, outcome.reason))
         goal_id = self.goal.id if self.goal is not None else 0
         yield topics.FOLLOW(FollowStatus(self.now, goal_id, outcome.state, outcome.reason, outcome.left))
+        if self.view.due(self.now) and self.inputs.history:
+            seen = deepcopy(self.costmap)  # looking at it changes it, and being watched must not change the drive
+            self._look_around(seen)
+            yield topics.COSTMAP(self.view.costmap(self.now, seen, self.footprint))
+            rollouts = self.view.rollouts(self.now, self.follower.mppi, self.acting)
+            if rollouts is not None:
+                yield topics.ROLLOUTS(rollouts)
+
+    @answer(requests.WATCH)
+    def watch(self, request: Watch) -> Answer[Reply]:
+        self.view.watch(self.now, request.seconds)
+        yield from ()
+        return Reply(self.now, True, "", "")
 
     def _outcome(self, n_elapsed: int) -> Outcome:
         goal = self.goal
@@ -183,8 +200,8 @@ class LocalCtrlService(Service):
         if stop is not None:
             self.follower.reset()
             return Outcome(0.0, 0.0, FollowState.BLOCKED, stop.code)
-        motion = self._motion_when_acting()
-        self._look_around()
+        motion = self.acting = self._motion_when_acting()
+        self._look_around(self.costmap)
         if goal.kind is not GoalKind.DRIVE:
             if self.manoeuvre is None:
                 self.manoeuvre = Manoeuvre(goal, motion.pose, self.now, self.config.manoeuvres)
@@ -216,11 +233,11 @@ class LocalCtrlService(Service):
         since = self.inputs.history[-1].stamp
         return predicted(self.motion, self.limits, list(self.commands), since, self.now + latency, latency)
 
-    def _look_around(self) -> None:
+    def _look_around(self, costmap: LocalCostmap) -> None:
         here = self.inputs.history[-1].odom_from_base
-        self.costmap.recentre(here.x, here.y)
-        self.costmap.lay(self.grid, self.inputs.odom_from_map)
-        self.costmap.refresh(self.now, here, self.footprint)
+        costmap.recentre(here.x, here.y)
+        costmap.lay(self.grid, self.inputs.odom_from_map)
+        costmap.refresh(self.now, here, self.footprint)
 
     def warm(self) -> None:
         """Drives another instance through everything once: the kernels are compiled for all."""

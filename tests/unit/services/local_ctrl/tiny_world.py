@@ -250,7 +250,7 @@ class Loop:
 
     def _tick(self) -> None:
         self.service.now = self.now
-        command, status = (publication.message for publication in self.service.tick())
+        command, status, *_ = (publication.message for publication in self.service.tick())
         assert isinstance(command, m.Velocity)
         assert isinstance(status, m.FollowStatus)
         self.sent.append((self.now + self.delay, command.v, command.w))

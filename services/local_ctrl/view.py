@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What local control sees and weighs up, as messages for people: made only while somebody watches."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.local_ctrl.footprint import Footprint
+from services.local_ctrl.local_costmap import LocalCostmap
+from services.local_ctrl.mppi import Mppi
+from services.local_ctrl.rollout import DT, Motion
+from shared.messages import Costmap, Rollouts
+
+Float32s = NDArray[np.float32]
+
+PERIOD = 200_000_000  # ns between two pictures
+SHOWN = 24  # rollouts of the some hundred
+FADES = 0.5  # m beyond the robot's width over which a cell's cost falls to nothing
+OCCUPIED, TOUCHING, UNKNOWN = 100, 99, -1
+
+
+class View:
+    """Until when somebody watches, and what was shown last."""
+
+    def __init__(self) -> None:
+        self._until = self._next = 0  # ns
+        self._n_solved = 0
+
+    def watch(self, now: int, seconds: float) -> None:
+        """Somebody watches for so long from `now` (ns) on."""
+        self._until = now + round(seconds * 1e9)
+        self._next = min(self._next, now)
+
+    def due(self, now: int) -> bool:
+        """Whether a picture is to be made at `now` (ns)."""
+        if now >= self._until or now < self._next:
+            return False
+        self._next = now + PERIOD
+        return True
+
+    def costmap(self, now: int, costmap: LocalCostmap, footprint: Footprint) -> Costmap:
+        """The window that local control steers in, each cell's cost by its distance to the nearest obstacle."""
+        off = (costmap.field - footprint.inscribed) / FADES
+        cells = np.where(off <= 0, TOUCHING, np.maximum(0.0, TOUCHING * (1 - off))).astype(np.int8)
+        cells[costmap.occupied] = OCCUPIED
+        cells[costmap.unknown & ~costmap.occupied] = UNKNOWN
+        half = 0.5 * costmap.resolution  # its x0, y0 are the centre of the first cell
+        return Costmap(now, costmap.x0 - half, costmap.y0 - half, costmap.resolution, cells)
+
+    def rollouts(self, now: int, mppi: Mppi, start: Motion) -> Rollouts | None:
+        """What was weighed up since the last call, from `start` in `odom`; None where nothing was."""
+        if mppi.n_solved in (0, self._n_solved):
+            return None
+        self._n_solved = mppi.n_solved
+        chosen = np.linspace(0, len(mppi.costs) - 1, SHOWN).astype(int)
+        velocities = np.concatenate((mppi.mean[None], mppi.executed[chosen]))
+        costs = np.append(mppi.costs.min(), mppi.costs[chosen])
+        xs, ys = _ways(velocities, start)
+        return Rollouts(now, xs, ys, np.clip(costs, 0, 1e12).astype(np.float32))
+
+
+def _ways(velocities: NDArray[np.floating], start: Motion) -> tuple[Float32s, Float32s]:
+    """(k, n + 1) m in `odom` of velocities (k, n, 2) m/s, rad/s: chords of arcs, DT each."""
+    v, w = velocities[:, :, 0], velocities[:, :, 1]
+    half = 0.5 * w * DT
+    headings = start.pose.yaw + np.cumsum(w * DT, axis=1) - half
+    chords = v * DT * np.sinc(half / np.pi)
+    ends = [np.cumsum(chords * trig(headings), axis=1) for trig in (np.cos, np.sin)]
+    xs, ys = (np.pad(end, ((0, 0), (1, 0))) for end in ends)
+    return (start.pose.x + xs).astype(np.float32), (start.pose.y + ys).astype(np.float32)

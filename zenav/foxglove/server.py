@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav foxglove`: the running stack on a Foxglove WebSocket, until Ctrl-C.
+
+One loop shows what comes, publishes what the Commander says, and notices who falls silent. It only reads the stack, but
+for what app.py lets through. A slow client loses messages, oldest first: the SDK keeps a bounded queue for each.
+"""
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+
+import foxglove
+from foxglove import StatusLevel
+from foxglove.websocket import Capability, WebSocketServer
+
+from shared import topics
+from shared.codec import CodecError, envelope_of
+from shared.config import Robot, UserError, load_robot
+from shared.messages import MapUpdate, Velocity
+from shared.runners.inbox import Inbox, Place
+from shared.runners.transport import LatchedReader, where_from
+from shared.topics import TOPICS, topic_of
+from zenav.client import Client
+from zenav.foxglove.app import App
+from zenav.foxglove.channels import Channels
+from zenav.foxglove.diagnostics import silent
+from zenav.foxglove.schemas import MAP_ROW, STATE, MapPicture, rows_of
+from zenav.stopping import Stop, stopping
+
+HERE = ("127.0.0.1", "localhost", "::1")
+PERIOD = 0.05  # s between two commands, and two ticks of the clock
+SILENT = 3.0  # s without health after which a service counts as silent: three are missing
+ENDING = 2.0  # s within which a stack's services end one after the other
+FIRST_WORD = 3.0  # s that a stack has to be heard in before its absence is told
+BACKLOG = 128  # messages that wait for a slow client: under half a second of everything
+WAITING = 64  # messages of a key that may wait for this loop
+WATCH_EVERY, WATCH_FOR = 2.0, 10.0  # s: how often local control is asked to show what it sees, and for how long
+WATCHED = (topics.COSTMAP, topics.ROLLOUTS)
+EXPECTED = (topics.SCAN, topics.ODOM, topics.POSE, topics.PLAN, topics.GOAL, topics.NAV, topics.GUARD, topics.LOG)
+"""What clients may listen to before anything of it has come."""
+
+
+def serve(robot: str, stack: str, host: str, port: int) -> None:
+    """Serves until SIGINT or SIGTERM. Raises UserError where the port is taken, or the stack is named wrongly."""
+    described = load_robot(robot).robot
+    with (
+        stopping() as stop,
+        Client(described.name, where_from(stack)) as client,
+        live(client, described, host, port) as view,
+    ):
+        sys.stderr.write(f"{described.name} is at ws://{host}:{view.port}: in Foxglove, open a Foxglove WebSocket\n")
+        if host not in HERE:
+            sys.stderr.write("whoever reaches this port can drive the robot: mind the network\n")
+        view.run(stop)
+
+
+@contextmanager
+def live(client: Client, robot: Robot, host: str, port: int) -> Iterator["LiveView"]:
+    """A server on a port (0: any free one) that shows an open client's stack; `run` feeds it. Raises UserError."""
+    view = LiveView(client, robot)
+    try:
+        view.open(host, port)
+        yield view
+    finally:
+        view.close()
+
+
+class LiveView:
+    """See `live`."""
+
+    def __init__(self, client: Client, robot: Robot) -> None:
+        self.client = client
+        self._context = foxglove.Context()
+        self._channels = Channels(self._context, robot)
+        self._app = App(client, self._say, self._channels.ask)
+        self._server: WebSocketServer | None = None
+        self._inbox = Inbox()
+        self._places: dict[str, Place] = {}
+        self._picture = MapPicture()
+        self._map: MapUpdate | None = None
+        self._health: dict[str, float] = {}  # monotonic s, by service
+        self._missing: set[str] = set()
+        self._there: bool | None = None
+        self._begun = time.monotonic()
+        self._watched = float("-inf")
+        self._driving = False
+
+    @property
+    def port(self) -> int:
+        return self._server.port if self._server is not None else 0
+
+    def open(self, host: str, port: int) -> None:
+        """Takes the port and listens to the stack. Raises UserError where the port cannot be had."""
+        for row in (row for topic in (*EXPECTED, *WATCHED) for row in rows_of(topic.key)):
+            self._channels.declare(row)
+        self._channels.declare(MAP_ROW, lambda: self._picture.whole() if self._look() else None)
+        try:
+            self._server = foxglove.start_server(
+                name=f"zenav {self.client.robot}",
+                host=host,
+                port=port,
+                context=self._context,
+                capabilities=[Capability.ClientPublish, Capability.Services, Capability.Time],
+                supported_encodings=["json"],
+                server_listener=self._app,
+                services=self._app.services(),
+                message_backlog_size=BACKLOG,
+            )
+        except (RuntimeError, OverflowError, ValueError) as error:
+            why = str(error).rpartition(": ")[2]
+            raise UserError(
+                f"cannot listen on {host}:{port}: {why}", "another `zenav foxglove`? choose --port"
+            ) from None
+        self.client.follow(topics.MAP, topics.GUARD, topics.POSE)
+        self.client.listen_raw("**", self._file)
+        self._readers = [
+            LatchedReader(self.client.session, f"{self.client.robot}/{topic.key}", partial(self._file, topic.key))
+            for topic in TOPICS
+            if topic.latched and topic is not topics.MAP
+        ]
+
+    def close(self) -> None:
+        """Ends the server; a robot that is driven from it stands."""
+        self._app.close()
+        try:
+            if self._driving:
+                self.client.publish(topics.TELEOP(Velocity(self.client.now(), 0.0, 0.0, "")))
+        finally:
+            if self._server is not None:
+                self._server.stop()
+
+    def run(self, stop: Stop) -> None:
+        """Serves until `stop` is set."""
+        due = second = time.monotonic()
+        while not stop.is_set():
+            taken = self._inbox.take(max(0.0, min(due - time.monotonic(), PERIOD)))
+            if taken is not None:
+                place, payload = taken
+                self._take(place.key, payload)
+            now = time.monotonic()
+            if now >= due:
+                due = max(due + PERIOD, now)
+                self._tick(now)
+            if now >= second:
+                second = now + 1.0
+                self._look_around(now)
+
+    # --- in -----------------------------------------------------------------------------------------------------------
+
+    def _file(self, key: str, payload: bytes) -> None:
+        """On Zenoh's thread: files, and returns."""
+        if key == topics.TELEOP.key and self._is_anothers(payload):  # here: filed, our own next one would hide it
+            self._app.commander.elsewhere(time.monotonic())
+        place = self._places.get(key)
+        if place is None:
+            topic = topic_of(key)
+            if topic is None or topic in (topics.MAP, topics.JOURNAL):
+                return
+            place = self._places[key] = self._inbox.place(key, topic.keep, WAITING)
+        self._inbox.file(place, payload)
+
+    def _take(self, key: str, payload: bytes) -> None:
+        family = key.rpartition("/")
+        if family[0] == topics.HEALTH.key:
+            self._health[family[2]] = time.monotonic()
+        self._channels.show(key, payload)
+
+    def _is_anothers(self, payload: bytes) -> bool:
+        try:
+            return envelope_of(payload).session != self.client.session_name
+        except CodecError:
+            return False
+
+    # --- each tick, and each second -----------------------------------------------------------------------------------
+
+    def _tick(self, now: float) -> None:
+        command = self._app.commander.command(now)
+        self._driving = command is not None and command != (0.0, 0.0)
+        if command is not None:
+            self.client.publish(topics.TELEOP(Velocity(self.client.now(), *command, "")))
+        at = self.client.now()
+        if self._server is not None:
+            self._server.broadcast_time(at)
+        if self._channels.wanted(MAP_ROW.topic) and self._look():
+            self._channels.send(MAP_ROW, self._picture.due(time.monotonic_ns()), at)
+        self._channels.answer(at)
+        watched = any(self._channels.wanted(row.topic) for topic in WATCHED for row in rows_of(topic.key))
+        if watched and now - self._watched >= WATCH_EVERY:
+            self._watched = now
+            self._app.watch(WATCH_FOR)
+
+    def _look(self) -> bool:
+        """Takes the newest map into the picture; whether there is one."""
+        newest = self.client.latest(topics.MAP)
+        if newest is not None and newest is not self._map:
+            self._map = newest
+            self._picture.take(newest)
+        return newest is not None
+
+    def _look_around(self, now: float) -> None:
+        """Who has fallen silent, and whether there is a stack at all."""
+        quiet = {name: now - heard for name, heard in self._health.items() if now - heard > SILENT}
+        at = self.client.now()
+        for name, seconds in quiet.items():
+            self._channels.send(STATE, silent(name, at, seconds), at)
+        there = len(quiet) < len(self._health)
+        # a stack that ends falls silent within a second or two: that is one line, not one a service
+        missing = {name for name, seconds in quiet.items() if seconds > SILENT + ENDING} if there else set()
+        for name in missing - self._missing:
+            self._say(f"{name} is silent", True)
+        for name in self._missing - missing if there else ():
+            self._say(f"{name} is back", False)
+        self._missing = missing
+        if there != self._there and (there or now - self._begun >= FIRST_WORD):
+            self._there = there
+            words = "the stack is there" if there else "no stack answers: waiting for it (start one: zenav up)"
+            self._say(words, not there)
+
+    def _say(self, text: str, trouble: bool) -> None:
+        """A line for who started this, and for every client."""
+        sys.stderr.write(f"{text}\n")
+        sys.stderr.flush()
+        if self._server is not None:
+            self._server.publish_status(text, StatusLevel.Warning if trouble else StatusLevel.Info)
