@@ -13,8 +13,8 @@ from shared.config import UserError
 from shared.messages import Odometry, PoseEstimate
 from shared.recording import Recording, arithmetic
 from tests.replay.record import CHAIN, FILE, keys
-from zenav.files import builder
 from zenav.replay import Report, replay_file, robot_file
+from zenav.replaying import builder
 
 MEND = "services say something else than when the recording was made. If a change is meant to do that: make recording"
 NEAR, NEAR_ANGLE = 0.01, 0.01  # m, rad: of poses that were computed elsewhere

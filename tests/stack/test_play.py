@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav replay FILE` over Zenoh: what listeners hear, what live services take, what a person's keys do."""
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from shared import topics
+from shared.codec import decode
+from shared.config import UserError
+from shared.messages import Message
+from shared.recording import Recording, Writer, sink
+from shared.runners import transport
+from tests.stack.test_live import free_stack, running
+from tests.toys import ROBOT, build, eventful
+from zenav import play as player
+from zenav.client import Client
+from zenav.play import play
+from zenav.playback import Wish
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("run") / "a.mcap"
+    with Writer(path, {"robot": ROBOT.name}) as writer:
+        eventful(sink(writer))
+    return path
+
+
+@pytest.fixture
+def where() -> transport.Where:
+    return transport.Where(free_stack())
+
+
+class Ear:
+    """Hears everything on the robot's keys."""
+
+    def __init__(self, where: transport.Where) -> None:
+        self.heard: dict[str, list[bytes]] = {}
+        self.changed = threading.Condition()
+        self.client = Client(ROBOT.name, where)
+
+    def hear(self, key: str, payload: bytes) -> None:
+        with self.changed:
+            self.heard.setdefault(key, []).append(payload)
+            self.changed.notify_all()
+
+    def until(self, holds: Callable[[], object], seconds: float = 20.0) -> None:
+        with self.changed:
+            assert self.changed.wait_for(holds, seconds), {key: len(them) for key, them in self.heard.items()}
+
+
+@contextmanager
+def ear(where: transport.Where) -> Iterator[Ear]:
+    listening = Ear(where)
+    with listening.client as client:
+        client.listen_raw("**", listening.hear)
+        yield listening
+
+
+def recorded(file: Path, key: str) -> list[bytes]:
+    return [entry.payload for entry in Recording(file).entries([key])]
+
+
+def test_everything_but_commands_comes_as_it_was_recorded_to_the_byte(file, where, capsys):
+    with ear(where) as listening:
+        assert play(file, "", str(where.domain), Wish(rate=5.0)) == 0
+        keys = {entry.key for entry in Recording(file).entries()}
+        listening.until(lambda: all(len(listening.heard.get(k, ())) >= len(recorded(file, k)) for k in keys))
+        for key in keys:
+            assert listening.heard[key] == recorded(file, key), key
+        assert "sim/clock" in listening.heard
+    assert f"played {len(list(Recording(file).entries()))} messages" in capsys.readouterr().out
+
+
+def test_with_now_live_services_take_it_and_a_second_pass_too(file, where):
+    with running(build("odometry"), "odometry", where) as live, ear(where) as listening:
+        wish = Wish("base/wheels", now=True, rate=10.0, end=1.0)
+        for n in (1, 2):
+            play(file, "", str(where.domain), wish)
+            listening.until(lambda n=n: len(listening.heard.get("odom", ())) >= 45 * n)
+        assert live.traffic.old == live.traffic.intruders == live.traffic.bad == 0
+        newest, envelope = decode(topics.ODOM.type, listening.heard["odom"][-1])
+        assert 0 <= (envelope.sent - newest.stamp) / 1e9 < 5
+
+
+def test_with_recorded_stamps_tools_know_the_recorded_time(file, where):
+    with ear(where) as listening:
+        asked: list[float] = []
+
+        def keys(seconds: float) -> str:
+            asked.append(listening.client.now() / 1e9)
+            return ""
+
+        play_with(keys, file, where, Wish("odom", rate=3.0))
+        first = next(Recording(file).entries()).log_time / 1e9
+        assert first + 2.0 < max(asked) < first + 5.0
+
+
+def play_with(keys: Callable[[float], str], file: Path, where: transport.Where, wish: Wish) -> None:
+    """Plays with a person's keys: `keys` is asked 20 times a second."""
+    hidden = player.untyped
+    player.untyped = lambda stop, seconds: (stop.wait(seconds), keys(seconds))[1] if seconds > 0 else ""
+    try:
+        play(file, "", str(where.domain), wish)
+    finally:
+        player.untyped = hidden
+
+
+def test_a_person_pauses_steps_goes_on_and_ends(file, where):
+    script = iter(["n", "", "n", "\x1b[C", "", " "])
+    with ear(where) as listening:
+        counts: list[int] = []
+
+        def keys(seconds: float) -> str:
+            counts.append(len(listening.heard.get("base/wheels", ())))
+            key = next(script, None)
+            return key if key is not None else "q" if counts[-1] >= 30 else ""
+
+        play_with(keys, file, where, Wish("base/wheels", paused=True))
+        assert 30 <= len(listening.heard["base/wheels"]) < len(recorded(file, "base/wheels"))
+        assert listening.heard["base/wheels"] == recorded(file, "base/wheels")[: len(listening.heard["base/wheels"])]
+        assert counts[:2] == [0, 0] or counts[0] == 0  # nothing before the first step
+        assert max(counts[:6]) <= 3  # each step is one message
+
+
+def test_a_late_joiner_gets_the_whole_map_also_from_before_the_start(file, where):
+    got: list[Message] = []
+    arrived = threading.Event()
+
+    def keys(seconds: float) -> str:
+        if got:
+            return "q"
+        kept = asker.kept(topics.MAP, timeout=1.0)
+        if kept is not None:
+            got.append(kept)
+            arrived.set()
+        return ""
+
+    with Client(ROBOT.name, where) as asker:
+        play_with(keys, file, where, Wish("map", start=3.0, paused=True))
+    first = next(Recording(file).entries()).log_time
+    whole = None
+    for entry in Recording(file).entries(["map"]):
+        if entry.log_time - first < 3e9:
+            update, _ = decode(topics.MAP.type, entry.payload)
+            whole = update if whole is None else whole.merged(update)
+    assert arrived.is_set()
+    assert (got[0].version, got[0].cells.tolist()) == (whole.version, whole.cells.tolist())
+
+
+def test_what_a_running_service_says_is_left_out_and_told(file, where, capsys):
+    with running(build("odometry"), "odometry", where):
+        play(file, "", str(where.domain), Wish(end=0.2))
+        assert "odom: odometry runs" in capsys.readouterr().err.replace("health/odometry, ", "")
+        with pytest.raises(UserError, match="odom is not played: odometry runs"):
+            play(file, "", str(where.domain), Wish("odom"))
+
+
+def test_a_renamed_topic_comes_under_its_other_name(file, where):
+    with ear(where) as listening:
+        play(file, "", str(where.domain), Wish("odom", remap=("odom=old/odom",), rate=20.0))
+        listening.until(lambda: len(listening.heard.get("old/odom", ())) == len(recorded(file, "odom")))
+        assert "odom" not in listening.heard
+
+
+@pytest.mark.parametrize(
+    ("wish", "told"),
+    [(Wish(start=100.0), "nothing lies between"), (Wish(start=2.0, end=1.0), "nothing lies between"),
+     (Wish("odm"), "no topic odm")],
+)  # fmt: skip
+def test_what_cannot_be_played_is_one_line_and_a_hint(file, wish, told):
+    with pytest.raises(UserError, match=told):
+        play(file, "", "0", wish)
