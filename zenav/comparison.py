@@ -176,7 +176,7 @@ def _off_array(name: str, before: Any, now: Any) -> Iterator[Off]:
     first = tuple(int(i) for i in places[0])
     with np.errstate(invalid="ignore"):
         by = float(np.abs(now[unlike].astype(float) - before[unlike].astype(float)).max())
-    words = f"{list(first)} is {now[first]!r}, was {before[first]!r} ({len(places)} of {now.size} differ)"
+    words = f"{list(first)} is {now[first].item()!r}, was {before[first].item()!r} ({len(places)} of {now.size} differ)"
     yield Off(name, inf if isnan(by) else by, words)
 
 

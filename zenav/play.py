@@ -20,7 +20,7 @@ from pathlib import Path
 import zenoh
 
 from shared import topics
-from shared.codec import CodecError, Envelope, encode
+from shared.codec import CodecError, Envelope, encode, envelope_of
 from shared.config import UserError
 from shared.messages import Clock
 from shared.recording import Recording
@@ -182,6 +182,9 @@ class Player:
         self._publishers = {key: self._publisher(topics.topic_of(key), key) for key in playing.values()}
         self._clock = None if wish.now else self._publisher(topics.CLOCK, topics.CLOCK.key)
         self._clock_due = self._n_clocks = 0
+        self._sessions: set[str] = set()  # under which health is played: who else tells of it has come to life
+        self._came: set[str] = set()
+        client.listen(topics.HEALTH, lambda health, envelope: self._hear(envelope))
 
     def run(self) -> None:
         """Returns when the recording, or a person, ends it."""
@@ -197,6 +200,18 @@ class Player:
     @property
     def _over(self) -> bool:
         return self._ended or self._stop.is_set()
+
+    def _hear(self, envelope: Envelope) -> None:
+        if envelope.session not in self._sessions:
+            self._came.add(envelope.publisher)
+
+    def _give_way(self) -> None:
+        """What a service that came to life says itself is played no more."""
+        came = set(self._came)
+        for key in [key for key in self._publishers if owners_of(key) & came]:
+            self.notes.append(f"{key} is played no more since {' and '.join(owners_of(key) & came)} runs")
+            del self._publishers[key]
+            self._latched.pop(key, None)
 
     def _publisher(self, topic: Topic | None, key: str) -> zenoh.Publisher:  # type: ignore[type-arg]  # of any message
         every = topic is None or topic.keep == "all"
@@ -257,6 +272,8 @@ class Player:
         """Keys that were typed, the clock, the display: 20 times a second, however fast it plays."""
         self._clock_due = now + round(LOOK * 1e9)
         self._act(self._keys(0.0))
+        if self._came:
+            self._give_way()
         place, head = self._head.place(now), self._head
         if self._clock is not None:
             stamp = self._recorded + place
@@ -290,15 +307,23 @@ class Player:
         return partial(playback.anew, later=later, life=f"{self._life}-{self.n_passes}")
 
     def _keep(self, latched: Latched, key: str, place: int) -> None:
+        if key not in self._latched:
+            return
         value, wire = Latched({key: latched.values[key]}), self._wire(place)
         self._latched[key].keep(lambda: wire(value.payload(key)))
 
     def _put(self, key: str, payload: bytes, place: int) -> None:
+        if key not in self._publishers:
+            return
         try:
-            self._publishers[key].put(self._wire(place)(payload))
-            self.n_played += 1
+            on_wire = self._wire(place)(payload)
+            if key.startswith(f"{topics.HEALTH.key}/"):
+                self._sessions.add(envelope_of(on_wire).session)
         except CodecError:
             self.n_bad += 1
+            return
+        self._publishers[key].put(on_wire)
+        self.n_played += 1
 
 
 def typed(terminal: int, seconds: float) -> str:

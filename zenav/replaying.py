@@ -91,12 +91,9 @@ def _through(path: Path, rerun: Rerun) -> int:
             raise
         except Exception as error:
             return crashed(error, recording, names, rerun.pdb)
-        for topic in report.topics:
-            sys.stdout.write(f"{told(topic)}\n")
-        if rerun.compare:
-            for line in table(report.topics, report.began):
-                sys.stdout.write(f"{line}\n")
-        for line in jobs(report):
+        lines = [] if rerun.against else [told(topic) for topic in report.topics]
+        lines += table(report.topics, report.began) if rerun.compare and not rerun.against else []
+        for line in [*lines, *jobs(report)]:
             sys.stdout.write(f"{line}\n")
         seconds = (report.ended - report.began) / 1e9
         sys.stderr.write(f"{seconds:.1f} s replayed in {time.monotonic() - begun:.1f} s\n")

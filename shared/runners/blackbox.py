@@ -114,7 +114,8 @@ class BlackBox:
             self._writer.write(key, type_, payload, now, envelope.sent, envelope.sequence)
 
     def _begun(self) -> Writer:
-        return Writer(self._part, {**about(self._robot), "life": self.name}, {CONFIG: self._config.encode()})
+        config = {CONFIG: self._config.encode()} if self._config else {}
+        return Writer(self._part, {**about(self._robot), "life": self.name}, config)
 
     def _ended(self, crashed: int | None) -> Path | None:
         if self._writer is None:

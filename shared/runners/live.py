@@ -106,8 +106,10 @@ class Live:
             self._apply([effect for effect in self.host.farewell(self.clock.now()) if isinstance(effect, Sent)])
         except Exception as error:
             crashed = self.host.service.now
-            line = LogLine(crashed, "ERROR", crash_line(error, crashed))
-            self._publish(self.host.publish(topics.LOG(line), crashed))
+            line = topics.LOG(LogLine(crashed, "ERROR", crash_line(error, crashed)))
+            told = self.host.publish(line, crashed)
+            self._publish(told)
+            self._boxed(told.key, told.payload, told.envelope, crashed)
             raise
         finally:  # also when a handler raised: its last events tell why
             self._workers.shutdown(wait=False, cancel_futures=True)

@@ -3,7 +3,7 @@
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -158,6 +158,33 @@ def test_what_a_running_service_says_is_left_out_and_told(file, where, capsys):
         assert "odom: odometry runs" in capsys.readouterr().err.replace("health/odometry, ", "")
         with pytest.raises(UserError, match="odom is not played: odometry runs"):
             play(file, "", str(where.domain), Wish("odom"))
+
+
+def test_what_a_service_says_that_comes_to_life_is_played_no_more(file, where, capsys):
+    with ExitStack() as later, ear(where) as listening:
+        started: list[object] = []
+
+        def keys(seconds: float) -> str:
+            if len(listening.heard.get("odom", ())) > 10 and not started:
+                started.append(later.enter_context(running(build("odometry"), "odometry", where)))
+            return ""
+
+        play_with(keys, file, where, Wish("odom,base/wheels", loop=False))
+    assert started
+    assert "odom is played no more since odometry runs" in capsys.readouterr().err
+
+
+def test_passes_follow_each_other_until_somebody_ends_them(file, where):
+    with running(build("odometry"), "odometry", where) as live, ear(where) as listening:
+
+        def keys(seconds: float) -> str:
+            return "q" if len(listening.heard.get("base/wheels", ())) > 60 else ""
+
+        play_with(keys, file, where, Wish("base/wheels", now=True, rate=5.0, end=0.5, loop=True))
+        sessions = [decode(topics.WHEELS.type, p)[1].session for p in listening.heard["base/wheels"]]
+        assert len(set(sessions)) >= 3
+        assert sessions == sorted(sessions)
+        assert live.traffic.old == live.traffic.intruders == 0
 
 
 def test_a_renamed_topic_comes_under_its_other_name(file, where):
