@@ -2,6 +2,8 @@
 """A live service that dies by an exception leaves a recording that raises the same one in the same event."""
 
 import io
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -26,6 +28,8 @@ from shared.service import Answer, Job, Out, Service, answer, every, on
 from tests.stack.test_live import free_stack, running
 from tests.toys import DEFAULTS, ROBOT, Plan, Tiles, build, tile
 from zenav import replaying
+from zenav.launch import ROOT
+from zenav.replay import robot_file
 from zenav.replaying import crashed
 
 
@@ -187,3 +191,38 @@ def test_the_debugger_opens_where_it_was_raised(tmp_path, where, monkeypatch, ca
     rerun = replaying.Rerun("planner", pdb=True)
     assert replaying._through(path, rerun) == 1
     assert "(Pdb) 5" in capsys.readouterr().out
+
+
+PROCESS = """
+import shared.repeatable
+from shared import topics
+from shared.runners import live
+from shared.service import Service, every
+
+class Dies(Service):
+    n = 0
+
+    @every(hz=50)
+    def tick(self):
+        self.n += 1
+        if self.n == 20:
+            raise ZeroDivisionError("twenty")
+        return ()
+
+Dies.__module__ = "services.odometry.service"
+live.main(Dies)
+"""
+
+
+def test_a_process_that_dies_tells_its_traceback_its_recording_and_ends(tmp_path, where):
+    arguments = ["--stack", str(where.domain), "--crashes", str(tmp_path)]
+    done = subprocess.run(
+        [sys.executable, "-c", PROCESS, *arguments], cwd=ROOT, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 1
+    recording = crash(tmp_path, "odometry")
+    assert f"zenav replay {recording.path} --through odometry" in done.stderr
+    assert 'raise ZeroDivisionError("twenty")' in done.stderr or "ZeroDivisionError: twenty" in done.stderr
+    assert crash_in(recording, "odometry").endswith("ZeroDivisionError: twenty")
+    assert len(recording.lives()["odometry"][0].events) == 20
+    assert robot_file(recording) is not None
