@@ -15,8 +15,10 @@ from shared.codec import CodecError, envelope_of
 from shared.config import RobotFile, UserError, nearest
 from shared.recording import CONFIG, Recording, Writer
 from shared.runners.host import Sent
-from shared.runners.replay import Build, JobRun, Progress, Replayed, replay
+from shared.runners.replay import Build, Gap, JobRun, Progress, Replayed, replay
 from zenav.comparison import Tolerances, TopicReport
+
+MOST_GAPS = 20  # that are told one by one
 
 
 @dataclass(slots=True)
@@ -75,16 +77,25 @@ def replay_file(
             write(out, recording, replayed, {CONFIG: config.encode()} if config else {})
         except OSError as error:
             raise UserError(f"cannot write {out}: {error.strerror}", "choose another --out") from None
-    report = compare(replayed, tolerances)
+    times = [entry.log_time for entry in recording.entries()]
+    report = compare(replayed, tolerances, min(times, default=0))
     report.notes += recording.problems
-    for entry in recording.entries():
-        report.began = report.began or entry.log_time
-        report.ended = max(report.ended, entry.log_time)
+    report.ended = max(times, default=0)
     return report
 
 
-def compare(replayed: Replayed, tolerances: Tolerances = MappingProxyType({})) -> Report:
-    """Recorded against published anew, topic by topic, and by sequence within each session."""
+def gap_notes(gaps: list[Gap], began: int) -> list[str]:
+    """What is missing, in words; the first of each service is where its equal bytes end. began: the recording, ns."""
+    notes, told = [], set[str]()
+    for gap in gaps[:MOST_GAPS]:
+        where = "equal bytes are not promised from here on: " if gap.name not in told else ""
+        told.add(gap.name)
+        notes.append(f"{where}+{(gap.now - began) / 1e9:.3f} s {gap}")
+    return [*notes, *([f"and {len(gaps) - MOST_GAPS} gaps more"] if len(gaps) > MOST_GAPS else [])]
+
+
+def compare(replayed: Replayed, tolerances: Tolerances = MappingProxyType({}), began: int = 0) -> Report:
+    """Recorded against published anew, by topic, and by sequence within each session. began: the recording, ns."""
     found: dict[str, TopicReport] = {}
     pending = {source: dict(payloads) for source, payloads in replayed.recorded.items()}
     for sent in (sent for of_name in replayed.sent.values() for sent in of_name):
@@ -102,11 +113,10 @@ def compare(replayed: Replayed, tolerances: Tolerances = MappingProxyType({})) -
             else:
                 topic.n_lacking += 1
                 topic.first = topic.first or f"#{sequence}: not published any more"
-    notes = [f"equal bytes are promised up to here: {gap}" for gap in replayed.gaps[:1]]
-    notes += [str(gap) for gap in replayed.gaps[1:]]
+    notes = gap_notes(replayed.gaps, began)
     if not replayed.journalled:
         notes.append("there are no journals: fed in the order of the stamps, so nothing is promised or compared")
-    return Report([found[key] for key in sorted(found)], notes, replayed.jobs)
+    return Report([found[key] for key in sorted(found)], notes, replayed.jobs, began)
 
 
 def compare_files(

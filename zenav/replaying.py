@@ -195,6 +195,7 @@ def told(topic: "TopicReport") -> str:
     """A topic's row: how many messages are as recorded, and what is not."""
     counts = {"equal": topic.n_equal, "different": topic.n_different, "lacking": topic.n_lacking, "new": topic.n_new}
     counts |= {"within tolerance": topic.n_within} if topic.n_within else {}
+    counts |= {"after the last journal": topic.n_beyond} if topic.n_beyond else {}
     return f"{topic.key:<16}" + "".join(f" {n:>8} {word}" for word, n in counts.items()) + f" {topic.first}".rstrip()
 
 
