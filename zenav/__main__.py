@@ -580,7 +580,12 @@ def replay(
         bool, typer.Option("--now", help="Stamps as if it happened now, so that live services take it.")
     ] = False,
     commands: Annotated[bool, typer.Option("--commands", help="Play what robots obey (cmd, goal, estop) too.")] = False,
-    robot: Annotated[str, typer.Option("--robot", help="Name to play under; without it, the recorded robot's.")] = "",
+    robot: Annotated[
+        str,
+        typer.Option(
+            "--robot", help="Name to play under; with --through: whose configuration to take. Else the recorded."
+        ),
+    ] = "",
     stack: Stack = "0",
     through: Annotated[
         str, typer.Option(help="Not onto Zenoh: through these services, here, at full speed.", metavar="A,B")

@@ -42,7 +42,7 @@ def replay(path: Path, robot: str, stack: str, wish: "Wish", rerun: Rerun) -> in
             raise UserError(f"there is no recording {file}", "give the path of an .mcap file")
     _check(wish, robot, rerun)
     if rerun.through:
-        return _through(path, rerun)
+        return _through(path, robot, rerun)
     if rerun.against is not None:
         return _against(path, rerun.against, rerun, None)
     from zenav.play import play
@@ -60,11 +60,11 @@ def _check(wish: "Wish", robot: str, rerun: Rerun) -> None:
         raise UserError("--tolerance is for a comparison", "--through services, or --against another recording")
     if rerun.picture and not rerun.against:
         raise UserError("--picture shows two runs", "name the other: --against other.mcap")
-    if (rerun.through or rerun.against) and (wish != type(wish)() or robot):
+    if (rerun.through or rerun.against) and (wish != type(wish)() or (robot and not rerun.through)):
         raise UserError("that is an option of playing onto Zenoh", "leave out --through and --against, or that")
 
 
-def _through(path: Path, rerun: Rerun) -> int:
+def _through(path: Path, robot: str, rerun: Rerun) -> int:
     from shared.recording import Recording
     from zenav.comparison import table, tolerances_from
     from zenav.files import progress_bar
@@ -72,7 +72,7 @@ def _through(path: Path, rerun: Rerun) -> int:
 
     recording = Recording(path)
     names = list(dict.fromkeys(name for name in rerun.through.split(",") if name))
-    file, tolerances = configured(recording, names, rerun.settings), tolerances_from(rerun.tolerances)
+    file, tolerances = configured(recording, names, robot, rerun.settings), tolerances_from(rerun.tolerances)
     begun = time.monotonic()
     with TemporaryDirectory() as folder:
         out = rerun.out or (Path(folder) / "out.mcap" if rerun.against else None)
@@ -85,7 +85,7 @@ def _through(path: Path, rerun: Rerun) -> int:
                     builder(file),
                     lambda done, of: progress(done / max(of, 1)),
                     tolerances,
-                    file.text if rerun.settings else "",
+                    file.text if rerun.settings or robot else "",
                 )
         except UserError:
             raise
@@ -155,15 +155,20 @@ def _against(path: Path, other: Path, rerun: Rerun, names: list[str] | None) -> 
     return 0 if report.equal else 1
 
 
-def configured(recording: "Recording", names: list[str], settings: tuple[str, ...]) -> RobotFile:
-    """The recorded configuration with what was set otherwise. Raises UserError where that is no setting of theirs."""
+def configured(recording: "Recording", names: list[str], robot: str, settings: tuple[str, ...]) -> RobotFile:
+    """The recorded configuration, or that of `robot`, with what was set otherwise.
+
+    Raises UserError where there is none, or where a setting is none of these services.
+    """
     from zenav.replay import robot_file
     from zenav.settings import checked
 
     for name in names:
         if name not in SERVICES:
             raise UserError(f"{name} is not a service", nearest(name, SERVICES))
-    file = robot_file(recording) or load_robot("x80sv")
+    file = load_robot(robot) if robot else robot_file(recording)
+    if file is None:
+        raise UserError(f"{recording.path} holds no configuration", "name the robot: --robot x80sv")
     for assignment in settings:
         section = assignment.partition(".")[0].strip()
         if section in SERVICES and section not in names:
@@ -171,7 +176,7 @@ def configured(recording: "Recording", names: list[str], settings: tuple[str, ..
                 f"--set {assignment}: {section} is not replayed", f"--through {','.join([*names, section])}"
             )
         file.override(assignment)
-    if settings:
+    if settings or robot:
         checked(file, tuple(names))
     return file
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from shared.recording import CONFIG, Recording
+from shared.recording import CONFIG, Recording, Writer
 from tests.replay.record import path_of
 from zenav.__main__ import _status
 from zenav.figures import apart, figures, heard, side_by_side
@@ -63,6 +63,30 @@ def test_figures_of_a_run_against_itself_do_not_differ():
     assert apart(a, a)["pose apart most, m"] == apart(a, a)["map differs, cells"] == 0
     assert side_by_side(figures(a), figures(a), ("a", "b"), only_changed=True)[1:] == []
     assert figures(a)["truly driven, m"] == pytest.approx(figures(a)["pose path, m"], rel=0.05)
+
+
+def test_another_robot_s_configuration_can_be_taken_and_must_be_where_there_is_none(tmp_path, capsys):
+    bare = tmp_path / "bare.mcap"
+    with Writer(bare) as writer:
+        for entry in Recording(FILE).entries():
+            writer.copy(entry)
+    assert _status(["replay", str(bare), "--through", "odometry"]) == 2
+    assert "holds no configuration\nhint: name the robot" in capsys.readouterr().err
+    assert _status(["replay", str(bare), "--through", "odometry", "--robot", "x80sv"]) == 0
+    assert _status(["replay", str(FILE), "--through", "odometry", "--robot", "jackal"]) == 1
+
+
+def test_a_foreign_recording_without_journals_goes_in_the_order_of_its_stamps_and_says_so(tmp_path, capsys):
+    foreign = tmp_path / "foreign.mcap"
+    with Writer(foreign) as writer:
+        for entry in Recording(FILE).entries(["scan", "odom"]):
+            writer.copy(entry)
+    for name in "ab":
+        out = tmp_path / f"{name}.mcap"
+        assert _status(["replay", str(foreign), "--through", "mapper", "--robot", "x80sv", "--out", str(out)]) == 0
+    assert "no journals: fed in the order of the stamps" in capsys.readouterr().err
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    assert apart(heard(Recording(FILE).entries()), heard(Recording(out).entries()))["pose apart most, m"] < 0.1
 
 
 OTHERS = {

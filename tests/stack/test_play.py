@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """`zenav replay FILE` over Zenoh: what listeners hear, what live services take, what a person's keys do."""
 
+import os
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 
 import pytest
@@ -11,15 +12,22 @@ import pytest
 from shared import topics
 from shared.codec import decode
 from shared.config import UserError
-from shared.messages import Message
+from shared.geometry import Pose2
+from shared.messages import Localization, Message
 from shared.recording import Recording, Writer, sink
 from shared.runners import transport
+from tests.replay.record import path_of
+from tests.stack import processes
 from tests.stack.test_live import free_stack, running
 from tests.toys import ROBOT, build, eventful
 from zenav import play as player
 from zenav.client import Client
-from zenav.play import play
+from zenav.play import play, typed
 from zenav.playback import Wish
+from zenav.stopping import Stop
+
+ENDED = Pose2(3.098, 0.620, -0.145)
+"""Where the drive of driving.mcap ends: see its figures."""
 
 
 @pytest.fixture(scope="module")
@@ -150,6 +158,37 @@ def test_a_late_joiner_gets_the_whole_map_also_from_before_the_start(file, where
             whole = update if whole is None else whole.merged(update)
     assert arrived.is_set()
     assert (got[0].version, got[0].cells.tolist()) == (whole.version, whole.cells.tolist())
+
+
+def test_real_services_take_a_drive_that_is_played_as_if_it_were_now(tmp_path):
+    with processes.running(tmp_path, ("odometry", "mapper", "guard")) as stack:
+        reasons: list[str] = []
+        stack.client.listen(topics.GUARD, lambda status, _: reasons.append(status.reason))
+        thread = threading.Thread(
+            target=play, args=(path_of("driving"), "", str(stack.where.domain), Wish(now=True, start=1.0))
+        )
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("zenav.play.stopping", lambda: nullcontext(Stop()))  # no signals off the main thread
+            thread.start()
+            stack.until(lambda: (pose := stack.client.latest(topics.POSE)) and pose.map_from_base.x > 1.0)
+            del reasons[:]
+            stack.until(lambda: not thread.is_alive())
+            thread.join()
+        pose = stack.client.latest(topics.POSE)
+        assert pose.state is Localization.GOOD
+        assert pose.map_from_base.distance(ENDED) < 0.15
+        assert not {"scan_old", "odom_old"} & set(reasons[:-5])
+        assert sum(health.intruders + health.bad_messages for health in stack.healths.values()) == 0
+
+
+def test_keys_are_read_from_a_terminal_as_they_come():
+    reader, writer = os.pipe()
+    assert typed(reader, 0.0) == ""
+    os.write(writer, b" n")
+    assert typed(reader, 5.0) == " n"
+    os.close(writer)
+    assert typed(reader, 5.0) == "q"
+    os.close(reader)
 
 
 def test_what_a_running_service_says_is_left_out_and_told(file, where, capsys):
