@@ -133,9 +133,12 @@ def _against(path: Path, other: Path, rerun: Rerun, names: list[str] | None) -> 
     first, second = Recording(path), Recording(other)
     a, b = heard(first.entries()), heard(second.entries())
     lives = [[life for of_name in recording.lives().values() for life in of_name] for recording in (first, second)]
-    labels = ("this", other.stem[:14])
-    for line in side_by_side(figures(b, lives[1]), figures(a, lives[0]), labels[::-1]):
+    was, is_ = figures(b, lives[1]), figures(a, lives[0])
+    for line in side_by_side(was, is_, (other.stem[:14], "this"), only_changed=not rerun.compare):
         sys.stdout.write(f"{line}\n")
+    if not rerun.compare:
+        n_same = sum(was.get(name) == is_.get(name) for name in {*was, *is_})
+        sys.stdout.write(f"{n_same} figures are the same (--compare shows them)\n")
     for name, value in apart(a, b).items():
         sys.stdout.write(f"{name}: {value:.6g}\n")
     report = compare_files(second, first, names, tolerances_from(rerun.tolerances))
@@ -148,6 +151,8 @@ def _against(path: Path, other: Path, rerun: Rerun, names: list[str] | None) -> 
     for note in report.notes:
         sys.stderr.write(f"{note}\n")
     if rerun.picture is not None:
+        if a.grid.empty or b.grid.empty or a.grid.resolution != b.grid.resolution:
+            raise UserError("there are no two maps of one resolution to draw", "leave out --picture")
         try:
             rerun.picture.write_bytes(two_runs(b.grid, b.way, a.grid, a.way))
         except OSError as error:

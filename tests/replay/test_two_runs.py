@@ -89,6 +89,15 @@ def test_a_foreign_recording_without_journals_goes_in_the_order_of_its_stamps_an
     assert apart(heard(Recording(FILE).entries()), heard(Recording(out).entries()))["pose apart most, m"] < 0.1
 
 
+def test_two_runs_without_maps_are_no_picture(tmp_path, capsys):
+    bare = tmp_path / "bare.mcap"
+    with Writer(bare) as writer:
+        for entry in Recording(FILE).entries(["odom"]):
+            writer.copy(entry)
+    assert _status(["replay", str(bare), "--against", str(bare), "--picture", str(tmp_path / "a.png")]) == 2
+    assert "no two maps" in capsys.readouterr().err
+
+
 OTHERS = {
     "numpy without AVX2": ({"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR"}, ()),
     "numpy with all that is there": ({"NPY_DISABLE_CPU_FEATURES": ""}, ("odom.covariance=1e-12", "pose=1e-9")),
