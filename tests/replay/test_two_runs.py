@@ -28,15 +28,20 @@ def run(*arguments: object) -> int:
     return _status(["replay", str(FILE), *map(str, arguments)])
 
 
+def row(lines: list[str], name: str) -> list[str]:
+    """What follows a name in the line that begins with it."""
+    return next(line for line in lines if line.startswith(name)).removeprefix(name).split()
+
+
 def test_another_setting_is_compared_in_figures_message_by_message_and_as_a_picture(tmp_path, capsys):
     again, noisy, picture = tmp_path / "again.mcap", tmp_path / "noisy.mcap", tmp_path / "a.png"
     assert run("--through", "mapper", "--out", again) == 0
     assert run("--through", "mapper", "--out", noisy, "--set", NOISE, "--against", again, "--picture", picture) == 1
     told = capsys.readouterr().out.splitlines()
-    shown = {line[:36].strip(): line for line in told}
-    assert shown["pose path, m"].split()[-1] != shown["pose path, m"].split()[-2]
-    apart_most = float(next(line for line in told if line.startswith("pose apart most, m")).split()[-1])
-    assert 0 < apart_most < 0.1
+    before, now, change = map(float, row(told, "pose path, m "))
+    assert now - before == pytest.approx(change, rel=0.01)
+    assert change
+    assert 0 < float(row(told, "pose apart most, m:")[0]) < 0.1
     assert any(line.startswith("mapper looked: ") for line in told)
     image = np.asarray(Image.open(io.BytesIO(picture.read_bytes())))
     assert (image == (240, 150, 30)).all(axis=-1).sum() > 20  # cells that differ
