@@ -17,6 +17,7 @@ from shared.recording import CONFIG, Recording, Writer
 from shared.runners.host import Sent
 from shared.runners.replay import Build, Gap, JobRun, Progress, Replayed, replay
 from zenav.comparison import Tolerances, TopicReport
+from zenav.playback import contents
 
 MOST_GAPS = 20  # that are told one by one
 
@@ -77,10 +78,10 @@ def replay_file(
             write(out, recording, replayed, {CONFIG: config.encode()} if config else {})
         except OSError as error:
             raise UserError(f"cannot write {out}: {error.strerror}", "choose another --out") from None
-    times = [entry.log_time for entry in recording.entries()]
-    report = compare(replayed, tolerances, min(times, default=0))
+    there = contents(recording)
+    report = compare(replayed, tolerances, there.first)
     report.notes += recording.problems
-    report.ended = max(times, default=0)
+    report.ended = there.last
     return report
 
 

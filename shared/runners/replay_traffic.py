@@ -12,7 +12,7 @@ from shared.recording import Recording
 from shared.runners.blackbox import KEPT
 from shared.runners.host import LATCHED, MESSAGE, Sent, merged
 from shared.runners.journal import Event, Life
-from shared.topics import Topic
+from shared.topics import TOPICS, Topic, key_of
 
 M = TypeVar("M", bound=Message)
 
@@ -34,7 +34,9 @@ class ReplayTraffic:
         for source, event in self._taken_up.items():
             if source in taken:
                 taken.add((event.key, event.session))
-        for entry in recording.entries():
+        said = {key_of(t, life.name) for life in lives for t in TOPICS if life.name in t.publishers}
+        keys = said | {key for key, _ in taken}
+        for entry in recording.entries([*keys, *(f"{KEPT}{key}" for key in keys)]):
             try:
                 envelope = envelope_of(entry.payload)
             except CodecError:

@@ -29,6 +29,7 @@ from tests.stack.test_live import free_stack, running
 from tests.toys import DEFAULTS, ROBOT, Plan, Tiles, build, tile
 from zenav import replaying
 from zenav.launch import ROOT
+from zenav.playback import Wish
 from zenav.replay import robot_file
 from zenav.replaying import crashed
 
@@ -188,8 +189,7 @@ def test_the_debugger_opens_where_it_was_raised(tmp_path, where, monkeypatch, ca
     path = crash(tmp_path, "planner").path
     monkeypatch.setattr(replaying, "builder", lambda file: lambda name: DyingPlan())
     monkeypatch.setattr("sys.stdin", io.StringIO("p self.n_plans\nq\n"))
-    rerun = replaying.Rerun("planner", pdb=True)
-    assert replaying._through(path, rerun) == 1
+    assert replaying.replay(path, "x80sv", "0", Wish(), replaying.Rerun("planner", pdb=True)) == 1
     assert "(Pdb) 5" in capsys.readouterr().out
 
 
