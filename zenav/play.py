@@ -67,6 +67,8 @@ def play(path: Path, robot: str, stack: str, wish: Wish) -> int:
         playing, left_out = allowed(keys, names, wish, runs)
         for why, them in left_out.items():
             sys.stderr.write(f"left out: {', '.join(them)}: {why}\n")
+        if wish.now and wish.rate != 1.0:
+            sys.stderr.write(f"at --rate {wish.rate:g} the robot moves otherwise than its odometry says\n")
         if not playing:
             raise UserError("nothing is left to be played", "choose other topics: --topics scan,odom")
         client = screen.enter_context(Client(name, where, "" if where.router else part(playing, runs)))

@@ -33,6 +33,7 @@ RESERVE = 500_000_000  # bytes that stay free on the disk
 CRASHES = 5  # recordings that are kept of one service: it may die again and again
 LATEST = 30  # lists that wait for a slow disk; what comes after is thrown away, and said to be missing
 PATIENCE = 3.0  # s that a dying process waits for its disk
+SHORT = 0.3  # s that one waits that ends in order
 
 _EVENT = re.compile(r"event \d+ at (\d+) ns")
 
@@ -60,7 +61,7 @@ class BlackBox:
         self._part = folder / f"life-{name}-{os.getpid()}.part"
         self._before = self._part.with_suffix(".before")
         self._writer: Writer | None = None
-        self._broken = False
+        self._broken = self._unwanted = False
         self._thread = threading.Thread(target=self._write_all, name="blackbox", daemon=True)
         self._thread.start()
 
@@ -77,10 +78,11 @@ class BlackBox:
     def close(self, crashed: int | None) -> Path | None:
         """Ends the life; `crashed`: when (ns), if by an exception. Returns the crash's recording, if there is one."""
         self.hand_over()
+        self._unwanted = crashed is None
         self._waiting.put(None)
-        self._thread.join(PATIENCE)
+        self._thread.join(PATIENCE if crashed is not None else SHORT)
         if self._thread.is_alive():
-            log.warning("the disk is too slow for a recording of the crash")
+            log.warning("the disk hangs: nothing is left of this life")
             return None
         try:
             return self._ended(crashed)
@@ -92,7 +94,7 @@ class BlackBox:
         with suppress(OSError, AttributeError):  # its place in the velocity path is not for writing files
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         while (taken := self._waiting.get()) is not None:
-            if self._broken or not taken:
+            if self._broken or self._unwanted or not taken:
                 continue
             try:
                 self._write(taken)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from services.recorder.store import RecorderConfig, RecordingStore
 from shared import requests, topics
 from shared.codec import Envelope, encode
 from shared.geometry import Pose2
@@ -26,6 +27,7 @@ from shared.runners.memory import Memory
 from shared.runners.replay import replay
 from shared.service import Answer, Job, Out, Service, answer, every, on
 from tests.stack.test_live import free_stack, running
+from tests.stack.test_live_recording import Watched
 from tests.toys import DEFAULTS, ROBOT, Plan, Tiles, build, tile
 from zenav import replaying
 from zenav.launch import ROOT
@@ -158,6 +160,22 @@ def tile_row():  # type: ignore[no-untyped-def]
     import numpy as np
 
     return np.array([5], np.int32)
+
+
+def test_a_recorder_that_ran_from_the_start_has_the_crash_too(tmp_path, where):
+    config = RecorderConfig(file=str(tmp_path / "run.mcap"))
+    store = RecordingStore(config)
+    recorder = Watched(config, store)
+    with running(recorder, "recorder", where), running(build("mapper"), "mapper", where):
+        assert recorder.hears(map=1)
+        with dying(DyingPlan(), "planner", where, tmp_path) as thread:
+            thread.join(20)
+        assert recorder.hears(map=2)  # what the planner said last has come too
+    store.close()
+    recording = Recording(tmp_path / "run.mcap")
+    with pytest.raises(ZeroDivisionError) as raised:
+        replay(recording, ["planner"], lambda name: DyingPlan())
+    assert crash_of(raised.value) == crash_in(recording, "planner") == crash_in(crash(tmp_path, "planner"), "planner")
 
 
 def test_what_a_restarted_service_got_back_is_in_its_black_box(tmp_path, where):

@@ -43,7 +43,9 @@ def test_what_was_taken_last_is_in_the_crash(tmp_path):
 
 
 def test_an_end_in_order_leaves_nothing(tmp_path):
-    assert filled(tmp_path).close(None) is None
+    box = filled(tmp_path, slowly=True)
+    assert list(tmp_path.glob("life-odometry-*.part"))
+    assert box.close(None) is None
     assert list(tmp_path.iterdir()) == []
 
 
@@ -70,7 +72,7 @@ def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_stay
     (tmp_path / "life-odometry-999999999.part").write_bytes(b"x")
     (tmp_path / "life-odometry-1.part").write_bytes(b"x")
     (tmp_path / "life-mapper-999999999.part").write_bytes(b"x")
-    filled(tmp_path).close(None)
+    filled(tmp_path, slowly=True).close(None)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["life-mapper-999999999.part", "life-odometry-1.part"]
 
 
