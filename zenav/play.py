@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
+from math import inf
 from pathlib import Path
 
 import zenoh
@@ -227,7 +228,7 @@ class Player:
         )
 
     def _pass(self, paused: bool) -> None:
-        start, end = round(self._wish.start * 1e9), round((self._wish.end or self._there.seconds) * 1e9)
+        start, end = self._wish.start * 1e9, (self._wish.end or inf) * 1e9
         latched, begun = Latched(), False
         entries = self._recording.entries(list(self._playing))
         for place, entry in playback.timed(entries, self._there.first, self.notes):
@@ -238,10 +239,10 @@ class Player:
             self._recorded = entry.log_time - place
             if not begun:
                 begun = True
-                self._head = Playhead(time.monotonic_ns(), self._wish.rate, paused, start)
+                self._head = Playhead(time.monotonic_ns(), self._wish.rate, paused, round(start))
                 for kept in latched.values:
-                    self._keep(latched, kept, start)
-                    self._put(kept, latched.payload(kept), start)
+                    self._keep(latched, kept, round(start))
+                    self._put(kept, latched.payload(kept), round(start))
             if place > end or not self._reach(place):
                 return
             if latched.take(key, entry.payload):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a recording says on the wire again, and when: which keys, under which names, at which pace, by which clock."""
 
+import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from math import inf
@@ -67,8 +68,8 @@ def contents(recording: Recording) -> Contents:
 def _indexed(path: Path) -> Contents | None:
     try:
         with path.open("rb") as file:
-            summary = make_reader(file).get_summary()
-    except (McapError, OSError, ValueError, OverflowError, MemoryError):
+            summary = make_reader(file, validate_crcs=True).get_summary()
+    except (McapError, OSError, ValueError, OverflowError, MemoryError, struct.error, KeyError):  # damage
         return None
     told = summary.statistics if summary is not None else None
     if summary is None or told is None or not told.message_count:

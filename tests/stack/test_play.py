@@ -233,6 +233,15 @@ def test_a_renamed_topic_comes_under_its_other_name(file, where):
         assert "odom" not in listening.heard
 
 
+def test_a_recording_that_breaks_off_is_played_up_to_there_and_that_is_told(file, where, tmp_path, capsys):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    assert play(cut, "", str(where.domain), Wish(rate=50.0)) == 0
+    out, err = capsys.readouterr()
+    assert 10 < int(out.split()[1]) < len(list(Recording(file).entries()))
+    assert "was not closed" in err
+
+
 @pytest.mark.parametrize(
     ("wish", "told"),
     [(Wish(start=100.0), "nothing lies between"), (Wish(start=2.0, end=1.0), "nothing lies between"),

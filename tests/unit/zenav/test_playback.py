@@ -16,9 +16,10 @@ from shared.config import UserError
 from shared.messages import EmergencyStop, Goal, MotorCommand, Velocity
 from shared.recording import Channel, Entry, Recording, Writer, sink
 from shared.runners.admission import Admission, Verdict
+from shared.runners.lockstep import Lockstep
 from shared.topics import TOPICS
 from tests.strategies import messages
-from tests.toys import eventful
+from tests.toys import build, eventful
 from zenav.play import refusal
 from zenav.playback import (
     COMMANDS,
@@ -126,6 +127,32 @@ def test_contents_are_the_same_with_and_without_an_index(file, tmp_path):
     Writer(tmp_path / "none.mcap").close()
     with pytest.raises(UserError, match="holds no messages"):
         contents(Recording(tmp_path / "none.mcap"))
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("small") / "a.mcap"
+    with Writer(path, {"robot": "x80"}) as writer:
+        lockstep = Lockstep({"base_driver": build("base_driver")}, sink(writer))
+        lockstep.run(0.1)
+    return path
+
+
+@given(st.data())
+def test_whatever_is_cut_or_flipped_is_read_or_told(small, data):
+    whole = bytearray(small.read_bytes())
+    at = data.draw(st.integers(0, len(whole) - 1))
+    if data.draw(st.booleans()):
+        del whole[at:]
+    else:
+        whole[at] ^= data.draw(st.integers(1, 255))
+    path = small.with_name("damaged.mcap")
+    path.write_bytes(whole)
+    try:
+        there = contents(Recording(path))
+    except UserError:
+        return
+    assert there.keys
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.key)
