@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-docker mutants check fix lock docs recording warm clean
+.PHONY: help venv demo test test-docker mutants check fix lock docs record-references warm clean
 
 PYTHON ?=
 JOBS ?= 2
@@ -60,8 +60,8 @@ fix: venv ## repair what a tool can: lint, format, generated docs
 docs: venv ## write docs/messages.md and docs/configuration.md from the code
 	@$(BIN)/python -m zenav.docs
 
-recording: venv ## drive anew for the recording that the replay tests compare with
-	@$(BIN)/python -m tests.replay.record
+record-references: venv ## run the stack anew for the recordings that the replay tests compare with
+	@$(BIN)/python -m tests.replay.record $(ARGS)
 
 warm: ## compile the kernels anew where the code changed
 	@$(BIN)/python -m zenav.warm

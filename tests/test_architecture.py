@@ -48,6 +48,7 @@ FILES = (
     "shared/config.py",
     "shared/ros_map.py",
     "shared/runners/memory.py",  # what a restart must not lose
+    "shared/runners/blackbox.py",  # what a crash must not lose
     "zenav/",
 )
 OPENING = {"open", "read_text", "read_bytes", "write_text", "write_bytes", "mkdir", "unlink", "rename", "touch"}

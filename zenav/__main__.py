@@ -587,16 +587,61 @@ def slam(
 @app.command(cls=Command, rich_help_panel=FILES)
 def replay(
     recording: Annotated[Path, typer.Argument(help="Recording.", metavar="FILE.mcap")],
-    through: Annotated[str, typer.Option(help="Services, separated by commas.", metavar="A,B")],
-    out: Annotated[Path, typer.Option(help="Recording of what they published.", metavar="OUT.mcap")],
+    topics: Annotated[
+        str, typer.Option("--topics", help="Play only these; a family (health) is all of its keys.", metavar="A,B")
+    ] = "",
+    remap: Annotated[
+        list[str] | None, typer.Option("--remap", help="Play a topic under another key.", metavar="OLD=NEW")
+    ] = None,
+    rate: Annotated[float, typer.Option(min=0.01, max=100, help="Recorded seconds in a real one.")] = 1.0,
+    start: Annotated[float, typer.Option(min=0, help="s from the recording's beginning.")] = 0.0,
+    end: Annotated[float, typer.Option(min=0, help="s from the recording's beginning; 0: its end.")] = 0.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Again and again.")] = False,
+    paused: Annotated[bool, typer.Option("--paused", help="Begin paused; space goes on, n steps.")] = False,
+    now: Annotated[
+        bool, typer.Option("--now", help="Stamps as if it happened now, so that live services take it.")
+    ] = False,
+    commands: Annotated[bool, typer.Option("--commands", help="Play what robots obey (cmd, goal, estop) too.")] = False,
+    robot: Annotated[
+        str,
+        typer.Option(
+            "--robot", help="Name to play under; with --through: whose configuration to take. Else the recorded."
+        ),
+    ] = "",
+    stack: Stack = "0",
+    through: Annotated[
+        str, typer.Option(help="Not onto Zenoh: through these services, here, at full speed.", metavar="A,B")
+    ] = "",
+    out: Annotated[
+        Path | None, typer.Option(help="With --through: recording of what they publish now.", metavar="OUT.mcap")
+    ] = None,
+    set_: Setting = None,
+    compare: Annotated[
+        bool, typer.Option("--compare", help="Field by field: the first difference and the largest.")
+    ] = False,
+    tolerance: Annotated[
+        list[str] | None,
+        typer.Option(help="How far a number may be off to count as equal.", metavar="TOPIC[.FIELD]=VALUE"),
+    ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(help="Compare with this recording, as a table of figures.", metavar="OTHER.mcap"),
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="With --against: both ways and maps, as a picture.", metavar="PNG")
+    ] = None,
+    pdb: Annotated[bool, typer.Option("--pdb", help="Where a service raises, open the debugger.")] = False,
 ) -> None:
-    """Feed a recording to services, and record what they say.
+    """Play a recording onto Zenoh, or feed it to services and compare what they say.
 
     Example: zenav replay run.mcap --through odometry,mapper --out again.mcap
     """
-    from zenav.files import replay
+    from zenav.playback import Wish
+    from zenav.replaying import Rerun, replay
 
-    raise typer.Exit(replay(recording, [name for name in through.split(",") if name], out))
+    wish = Wish(topics, tuple(remap or ()), rate, start, end, loop, paused, now, commands)
+    rerun = Rerun(through, out, tuple(set_ or ()), compare, tuple(tolerance or ()), against, picture, pdb)
+    raise typer.Exit(replay(recording, robot, stack, wish, rerun))
 
 
 @bench.command("office", cls=Command)

@@ -59,10 +59,13 @@ class Timekeeper:
 
 
 class Client:
-    """A tool's session. Everything is closed when its `with` block ends."""
+    """A tool's session. Everything is closed when its `with` block ends.
 
-    def __init__(self, robot: str, where: Where) -> None:
-        self.robot, self.where = robot, where
+    instead_of: a service whose port it takes, and with it the place where all others look for that service.
+    """
+
+    def __init__(self, robot: str, where: Where, instead_of: str = "") -> None:
+        self.robot, self.where, self._instead_of = robot, where, instead_of
         self.changed = threading.Condition()
         self.n_bad = 0
         self._time = Timekeeper()
@@ -73,7 +76,7 @@ class Client:
         self.session_name = f"{time.time_ns():x}-{os.getpid():x}"
 
     def __enter__(self) -> "Client":
-        self.session = transport.opened(self.where)
+        self.session = transport.opened(self.where, self._instead_of)
         self.listen(topics.CLOCK, lambda clock, _: self._hear_clock(clock))
         return self
 

@@ -1,18 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav slam` and `zenav replay`: files in, files out, with progress for people."""
+"""`zenav slam`: files in, files out, with progress for people."""
 
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-from shared.config import Robot, RobotFile, UserError, load_robot
-from shared.service import Service
-
-if TYPE_CHECKING:
-    from zenav.replay import TopicReport
-
+from shared.config import UserError
 
 NOTICED = 0.05  # s between odometry and laser, from which it is told
 
@@ -49,36 +44,3 @@ def slam(log: Path, out: Path, mode: Literal["map", "localise", "continue"], sav
         sys.stderr.write(f"{log} ends early: its rest is missing, the map is of what came before\n")
     if report["bad_lines"]:
         sys.stderr.write(f"{log}: {report['bad_lines']} lines could not be read and were left out\n")
-
-
-def replay(recording: Path, names: list[str], out: Path) -> int:
-    """A recording through services; 0 when what they say is what they said."""
-    if not recording.is_file():
-        raise UserError(f"there is no recording {recording}", "give the path of an .mcap file")
-    if not names:
-        raise UserError("through no service", "name some: --through odometry,mapper")
-    from shared.recording import Recording
-    from zenav.replay import replay_file, robot_file
-
-    file = robot_file(Recording(recording)) or load_robot("x80sv")
-    with progress_bar(recording.name) as progress:
-        report = replay_file(recording, names, out, builder(file), lambda done, of: progress(done / max(of, 1)))
-    for topic in report.topics:
-        sys.stdout.write(f"{told(topic)}\n")
-    for note in report.notes:
-        sys.stderr.write(f"{note}\n")
-    return 0 if report.equal else 1
-
-
-def told(topic: "TopicReport") -> str:
-    """A topic's row: how many messages are as recorded, and what is not."""
-    counts = {"equal": topic.n_equal, "different": topic.n_different, "lacking": topic.n_lacking, "new": topic.n_new}
-    return f"{topic.key:<16}" + "".join(f" {n:>8} {word}" for word, n in counts.items()) + f" {topic.first}".rstrip()
-
-
-def builder(file: RobotFile) -> Callable[[str], Service]:
-    """Makes services by name from a robot's file."""
-    from zenav.classes import made
-
-    robot: Robot = file.robot
-    return lambda name: made(name, file, robot)

@@ -53,12 +53,13 @@ class Child:
 def service_command(
     name: str, robot: str, stack: str, settings: list[str], clock: str = "", memory: Path | None = None
 ) -> list[str]:
-    """The command line of a process that dies with this one. memory: folder for what a restart must not lose."""
+    """The command line of a process that dies with this one. memory: folder for what a restart must not lose,
+    in that of the run, where recordings of crashes go."""
     command = [sys.executable, "-P", "-m", "zenav.child", str(os.getpid()), f"services.{name}"]
     command += ["--robot", robot, "--stack", stack]
     for setting in settings:
         command += ["--set", setting]
-    command += ["--memory", str(memory)] if memory else []
+    command += ["--memory", str(memory), "--crashes", str(memory.parent)] if memory else []
     return [*command, "--clock", clock] if clock else command
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.grid import OccupancyGrid
+from shared.messages import TILE_CELLS
 
 Float64s = NDArray[np.float64]
 
@@ -49,6 +50,38 @@ def map_picture(grid: OccupancyGrid, poses: Float64s) -> bytes:
     bar = next((m for m in (10, 5, 2, 1) if m * metre < image.size[0] / 3), 1)
     draw.line((12, image.size[1] - 12, 12 + bar * metre, image.size[1] - 12), fill=WALL, width=3)
     draw.text((12, image.size[1] - 28), f"{bar} m", fill=WALL)
+    stream = BytesIO()
+    image.save(stream, "PNG")
+    return stream.getvalue()
+
+
+DIFFERS, OTHER_WAY = (240, 150, 30), (40, 100, 220)
+
+
+def two_runs(grid: OccupancyGrid, way: Float64s, other_grid: OccupancyGrid, other_way: Float64s) -> bytes:
+    """A PNG of two runs: what both maps agree on, in orange the cells that differ; one way red, the other blue.
+
+    way, other_way: (n, 3) map_from_base.
+    """
+    from PIL import Image, ImageDraw
+
+    from zenav.figures import classes, on_one_window
+
+    cells, others, (row, column) = on_one_window(grid, other_grid)
+    colours = np.array((UNKNOWN, FREE, UNKNOWN, WALL), np.uint8)[classes(cells)]
+    colours[classes(cells) != classes(others)] = DIFFERS
+    rows, columns = np.nonzero((cells >= 0) | (others >= 0))
+    r0, r1, c0, c1 = (int(v) for v in (rows.min(), rows.max() + 1, columns.min(), columns.max() + 1))
+    scale = max(1, min(4, LONGEST // max(r1 - r0, c1 - c0)))
+    image = Image.fromarray(colours[r0:r1, c0:c1][::-1])
+    image = image.resize((image.size[0] * scale, image.size[1] * scale), Image.Resampling.NEAREST)
+    draw, cell = ImageDraw.Draw(image), grid.resolution
+    for path, colour in ((way, WAY), (other_way, OTHER_WAY)):
+        x = (path[:, 0] / cell - column * TILE_CELLS - c0) * scale
+        y = image.size[1] - (path[:, 1] / cell - row * TILE_CELLS - r0) * scale
+        points = [(float(a), float(b)) for a, b in zip(x, y)]
+        if len(points) > 1:
+            draw.line(points, fill=colour, width=max(1, scale // 2), joint="curve")
     stream = BytesIO()
     image.save(stream, "PNG")
     return stream.getvalue()

@@ -1,50 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
 """Behind `zenav replay FILE --through NAMES --out OUT`: where do today's services leave what they once published?"""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
 
-import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.error import YAMLError
 
 from shared import topics
-from shared.codec import CodecError, decode, envelope_of, fields_of
+from shared.codec import CodecError, envelope_of
 from shared.config import RobotFile, UserError, nearest
 from shared.recording import CONFIG, Recording, Writer
 from shared.runners.host import Sent
-from shared.runners.replay import Build, Progress, Replayed, replay
+from shared.runners.replay import Build, Gap, JobRun, Progress, Replayed, replay
+from zenav.comparison import Tolerances, TopicReport
+from zenav.playback import contents
 
-
-@dataclass(slots=True)
-class TopicReport:
-    """One key, recorded against published anew.
-
-    n_lacking: recorded but not published anew.   n_new: published anew but not recorded.   n_beyond: recorded after the
-    last journal of its service, so not replayed.   first: the first difference, in words; empty where there is none.
-    """
-
-    key: str
-    n_equal: int = 0
-    n_different: int = 0
-    n_lacking: int = 0
-    n_new: int = 0
-    n_beyond: int = 0
-    first: str = ""
+MOST_GAPS = 20  # that are told one by one
 
 
 @dataclass(slots=True)
 class Report:
-    """What a replay showed. `equal`: nothing differs and nothing lacks."""
+    """What a replay showed. `equal`: nothing differs and nothing lacks. began, ended: of the recording, ns."""
 
     topics: list[TopicReport]
     notes: list[str] = field(default_factory=list)
+    jobs: list[JobRun] = field(default_factory=list)
+    began: int = 0
+    ended: int = 0
 
     @property
     def equal(self) -> bool:
-        return not any(topic.n_different or topic.n_lacking for topic in self.topics)
+        return all(topic.alike for topic in self.topics)
 
 
 def robot_file(recording: Recording) -> RobotFile | None:
@@ -61,11 +51,20 @@ def robot_file(recording: Recording) -> RobotFile | None:
     return RobotFile(recording.path / CONFIG, tree)
 
 
-def replay_file(path: Path, names: list[str], out: Path | None, build: Build, progress: Progress) -> Report:
+def replay_file(
+    path: Path,
+    names: list[str],
+    out: Path | None,
+    build: Build,
+    progress: Progress,
+    tolerances: Tolerances = MappingProxyType({}),
+    config: str = "",
+) -> Report:
     """Replays services of a recording, writes what comes out of it, and compares.
 
-    `out` is the recording with the named services' messages in place of the recorded ones, all else as it was. Raises
-    UserError where the file or the names are wrong.
+    `out` is the recording with the named services' messages in place of the recorded ones, all else as it was; config:
+    the configuration that it is made with, where that is another than the recorded one. Raises UserError where the file
+    or the names are wrong; what a service raises passes.
     """
     for name in names:
         if name not in topics.SERVICES:
@@ -76,16 +75,28 @@ def replay_file(path: Path, names: list[str], out: Path | None, build: Build, pr
     replayed = replay(recording, list(dict.fromkeys(names)), build, progress)
     if out is not None:
         try:
-            write(out, recording, replayed)
+            write(out, recording, replayed, {CONFIG: config.encode()} if config else {})
         except OSError as error:
             raise UserError(f"cannot write {out}: {error.strerror}", "choose another --out") from None
-    report = compare(replayed)
+    there = contents(recording)
+    report = compare(replayed, tolerances, there.first)
     report.notes += recording.problems
+    report.ended = there.last
     return report
 
 
-def compare(replayed: Replayed) -> Report:
-    """Recorded against published anew, topic by topic, and by sequence within each session."""
+def gap_notes(gaps: list[Gap], began: int) -> list[str]:
+    """What is missing, in words; the first of each service is where its equal bytes end. began: the recording, ns."""
+    notes, told = [], set[str]()
+    for gap in gaps[:MOST_GAPS]:
+        where = "equal bytes are not promised from here on: " if gap.name not in told else ""
+        told.add(gap.name)
+        notes.append(f"{where}+{(gap.now - began) / 1e9:.3f} s {gap}")
+    return [*notes, *([f"and {len(gaps) - MOST_GAPS} gaps more"] if len(gaps) > MOST_GAPS else [])]
+
+
+def compare(replayed: Replayed, tolerances: Tolerances = MappingProxyType({}), began: int = 0) -> Report:
+    """Recorded against published anew, by topic, and by sequence within each session. began: the recording, ns."""
     found: dict[str, TopicReport] = {}
     pending = {source: dict(payloads) for source, payloads in replayed.recorded.items()}
     for sent in (sent for of_name in replayed.sent.values() for sent in of_name):
@@ -93,11 +104,8 @@ def compare(replayed: Replayed) -> Report:
         recorded = pending.get((sent.key, sent.envelope.session), {}).pop(sent.envelope.sequence, None)
         if recorded is None:
             topic.n_new += 1
-        elif recorded == sent.payload:
-            topic.n_equal += 1
         else:
-            topic.n_different += 1
-            topic.first = topic.first or f"#{sent.envelope.sequence}: {difference(sent, recorded)}"
+            topic.take(recorded, sent.payload, tolerances)
     for (key, session), payloads in pending.items():
         topic = found.setdefault(key, TopicReport(key))
         for sequence, payload in payloads.items():
@@ -106,43 +114,57 @@ def compare(replayed: Replayed) -> Report:
             else:
                 topic.n_lacking += 1
                 topic.first = topic.first or f"#{sequence}: not published any more"
-    notes = [str(gap) for gap in replayed.gaps]
+    notes = gap_notes(replayed.gaps, began)
     if not replayed.journalled:
         notes.append("there are no journals: fed in the order of the stamps, so nothing is promised or compared")
-    return Report([found[key] for key in sorted(found)], notes)
+    return Report([found[key] for key in sorted(found)], notes, replayed.jobs, began)
 
 
-def difference(sent: Sent, recorded: bytes) -> str:
-    """The first field in which a message differs from its recorded bytes."""
-    try:
-        before, envelope = decode(sent.topic.type, recorded)
-        now, _ = decode(sent.topic.type, sent.payload)
-    except CodecError as error:
-        return f"what was recorded is not valid in this version: {error}"
-    for name in (row.name for row in fields_of(sent.topic.type)):
-        words = _words(getattr(before, name), getattr(now, name))
-        if words:
-            return f"{name} {words}"
-    return f"sent at {sent.envelope.sent} ns, recorded {envelope.sent} ns"
+def compare_files(
+    before: Recording, now: Recording, names: list[str] | None = None, tolerances: Tolerances = MappingProxyType({})
+) -> Report:
+    """Two recordings message by message: by session and sequence, or in their order where they share no session.
+
+    names: of the services whose messages count; None is all. Health and journals do not count.
+    """
+    was, is_ = _by_key(before, names), _by_key(now, names)
+    reports, notes = [], []
+    for key in sorted({*was, *is_}):
+        report = TopicReport(key)
+        old, new = was.get(key, {}), is_.get(key, {})
+        if old and new and not {session for session, _ in old} & {session for session, _ in new}:
+            notes.append(f"{key}: other sessions, so compared in the order of sending")
+            old, new = ({("", i): payload for i, payload in enumerate(of.values())} for of in (old, new))
+        for at, payload in old.items():
+            if at in new:
+                report.take(payload, new[at], tolerances)
+            else:
+                report.n_lacking += 1
+                report.first = report.first or f"#{at[1]}: not there any more"
+        report.n_new = len(new.keys() - old.keys())
+        reports.append(report)
+    began = next((entry.log_time for entry in now.entries()), 0)
+    return Report(reports, [*notes, *before.problems, *now.problems], began=began)
 
 
-def _words(before: Any, now: Any) -> str:
-    """How two values of a field differ; empty where they do not."""
-    if not isinstance(now, np.ndarray):
-        return "" if repr(before) == repr(now) else f"is {now!r}, was {before!r}"
-    if before.shape != now.shape:
-        return f"has shape {now.shape}, had {before.shape}"
-    places = np.argwhere(~((before == now) | ((before != before) & (now != now))))
-    if not len(places):
-        return ""
-    first = tuple(int(i) for i in places[0])
-    return f"{list(first)} is {now[first]!r}, was {before[first]!r} ({len(places)} of {now.size} differ)"
+def _by_key(recording: Recording, names: list[str] | None) -> dict[str, dict[tuple[str, int], bytes]]:
+    found: dict[str, dict[tuple[str, int], bytes]] = {}
+    for entry in recording.entries():
+        if topics.topic_of(entry.key) in (topics.HEALTH, topics.JOURNAL):
+            continue
+        try:
+            envelope = envelope_of(entry.payload)
+        except CodecError:
+            continue
+        if names is None or envelope.publisher in names:
+            found.setdefault(entry.key, {})[(envelope.session, envelope.sequence)] = entry.payload
+    return found
 
 
-def write(out: Path, recording: Recording, replayed: Replayed) -> None:
+def write(out: Path, recording: Recording, replayed: Replayed, attachments: Mapping[str, bytes]) -> None:
     """The recording, with what the replayed sessions published anew where their own messages lay. Raises OSError.
 
-    What was not recorded comes in where it was sent.
+    What was not recorded comes in where it was sent. attachments: those that are others than the recording's.
     """
     anew = {
         (sent.key, sent.envelope.session, sent.envelope.sequence): sent
@@ -152,7 +174,7 @@ def write(out: Path, recording: Recording, replayed: Replayed) -> None:
     known = {(*source, sequence) for source, payloads in replayed.recorded.items() for sequence in payloads}
     extra = sorted((sent for at, sent in anew.items() if at not in known), key=lambda sent: -sent.envelope.sent)
     about = {**recording.about, "replayed": ",".join(replayed.sent)}
-    with Writer(out, about, recording.attachments) as writer:
+    with Writer(out, about, {**recording.attachments, **attachments}) as writer:
         for entry in recording.entries():
             while extra and extra[-1].envelope.sent <= entry.log_time:
                 _add(writer, extra.pop())

@@ -13,7 +13,7 @@ named by a small number, anew in each journal message, so that each can be read 
 What a service's ports say is published for the recorder, in a session of its own: a replay takes it as recorded.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -64,6 +64,8 @@ class Host:
         self.service, self.name, self.session = service, name, session
         self.handlers = handlers(type(service))
         self.n_events = 0
+        self.before_port: Callable[[Sent], None] = lambda sent: None
+        """Is called with what a port says before the service takes it."""
         self._sequences = dict(sequences or {})
         self._n_jobs = 0
         self._sources: dict[tuple[str, str], int] = {}
@@ -91,6 +93,10 @@ class Host:
         self._note((DONE, now, order.index), now)
         return self._effects(getattr(self.service, order.job.done)(result))
 
+    def failed(self, order: JobOrder, now: int) -> None:
+        """A job raised: that is where its result would have come, and the last event of this life."""
+        self._note((DONE, now, order.index), now)
+
     def request(self, key: str, request: Message, payload: bytes, now: int) -> tuple[list[Effect], Message]:
         """A request wants its reply: the handler's effects and the reply."""
         if self._n_bytes + len(payload) > JOURNAL_FULL:
@@ -115,6 +121,7 @@ class Host:
         sent = self._sent(publication, f"{self.session}-port", now)
         if sent.topic.key not in self.handlers.topics:
             return [sent]
+        self.before_port(sent)
         return [sent, *self.message(sent.key, sent.message, sent.envelope, now)]
 
     def publish(self, publication: Publication, now: int) -> Sent:

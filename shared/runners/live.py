@@ -14,7 +14,6 @@ import time
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
@@ -31,10 +30,12 @@ from shared.reasons import Reason
 from shared.requests import Request
 from shared.runners import transport
 from shared.runners.admission import Admission, Verdict
+from shared.runners.blackbox import KEPT, BlackBox, crash_line
 from shared.runners.clock import SECOND, Clock, clock_from
-from shared.runners.host import Effect, Host, JobOrder, Sent, merged
+from shared.runners.host import Effect, Host, JobOrder, Sent
 from shared.runners.inbox import Inbox, Place
-from shared.runners.memory import REMEMBERED, Memory
+from shared.runners.kept import Kept
+from shared.runners.memory import Memory
 from shared.runners.metronome import Metronome
 from shared.runners.port import Port
 from shared.runners.traffic import Traffic
@@ -59,13 +60,16 @@ class Live:
         session: zenoh.Session,
         clock: Clock,
         memory: Memory | None = None,
+        box: BlackBox | None = None,
     ) -> None:
-        self.clock, self.session, self.memory = clock, session, memory
+        self.clock, self.session = clock, session
         self.name, self.robot = name, robot
         self.host = Host(service, name, f"{time.time_ns():x}-{os.getpid():x}")
         self.inbox = Inbox()
         self.traffic = Traffic()
         self._stopping = False
+        self._box = box
+        self.host.before_port = lambda sent: self._boxed(sent.key, sent.payload, sent.envelope, sent.envelope.sent)
         self._requests = self.inbox.place("requests", "all", MAX_REQUESTS)
         self._results = self.inbox.place("jobs", "all")
         self._admissions: dict[str, Admission] = {}
@@ -73,11 +77,9 @@ class Live:
         self._from_ports = self.inbox.place("ports", "all")
         self._places: list[Place] = [self._requests, self._from_ports]
         self._workers = ThreadPoolExecutor(1, thread_name_prefix="job")
+        self._kept = Kept(memory, self._own_latched(), self._workers)
         self._publishers: dict[str, zenoh.Publisher] = {}
-        self._latched: dict[str, transport.LatchedPublisher] = {}
         self._metronomes: list[Metronome] = []
-        self._kept: dict[str, Message] = {}
-        self._unsaved: dict[str, Callable[[], bytes]] = {}
         self._ports = {
             port: Port(port, config, clock, partial(self.inbox.file, self._from_ports))
             for port, config in service.ports.items()
@@ -93,6 +95,7 @@ class Live:
 
     def run(self) -> None:
         """Feeds the service until `stop`."""
+        crashed: int | None = None
         now = report = self.clock.now()
         self._metronomes = [Metronome(hz, follows, now) for hz, _, follows in self.host.handlers.ticks]
         self._restore(now)
@@ -101,11 +104,20 @@ class Live:
         try:
             self._feed(report)
             self._apply([effect for effect in self.host.farewell(self.clock.now()) if isinstance(effect, Sent)])
+        except Exception as error:
+            crashed = self.host.service.now
+            line = topics.LOG(LogLine(crashed, "ERROR", crash_line(error, crashed)))
+            told = self.host.publish(line, crashed)
+            self._publish(told)
+            self._boxed(told.key, told.payload, told.envelope, crashed)
+            raise
         finally:  # also when a handler raised: its last events tell why
             self._workers.shutdown(wait=False, cancel_futures=True)
             for port in self._ports.values():
                 port.close()
             self._publish_journals(self.clock.now())
+            if self._box is not None and (path := self._box.close(crashed)) is not None:
+                log.error("%s replays the crash: zenav replay %s --through %s", path, path, self.name)
 
     def _feed(self, report: int) -> None:
         """Event by event; `report`: when the first health message is due."""
@@ -128,19 +140,9 @@ class Live:
 
     def _restore(self, now: int) -> None:
         """Gives the service what it published last before a restart, on the latched topics that it listens to."""
-        for key in self._own_latched():
-            payload = self.memory.read(key) if self.memory is not None else None
-            if payload is None:
-                continue
-            try:
-                message, envelope = decode(topics.BY_KEY[key].type, payload)
-            except CodecError as error:
-                self.traffic.wrong(f"{key}: what was kept from before the restart is damaged: {error}", now)
-                continue
-            if 0 <= now - envelope.sent <= REMEMBERED:
-                log.info("taking up %s from before the restart", key)
-                self._kept[key] = message
-                self._apply(self.host.message(key, message, envelope, now, latched=True))
+        for key, message, envelope in self._kept.restored(now, self.traffic.wrong):
+            self._boxed(key, encode(message, envelope), envelope, now, kept=True)
+            self._apply(self.host.message(key, message, envelope, now, latched=True))
 
     def _own_latched(self) -> list[str]:
         listened = self.host.handlers.topics.values()
@@ -172,7 +174,7 @@ class Live:
             express=topic.hz >= 5,
         )
         if topic.latched:
-            self._latched[key] = transport.LatchedPublisher(self.session, f"{self.robot}/{key}")
+            self._kept.publishers[key] = transport.LatchedPublisher(self.session, f"{self.robot}/{key}")
 
     def _declare_subscriber(self, topic: Topic[Message]) -> None:
         keys = [topic.key] if topic.by != "*" else [f"{topic.key}/{name}" for name in topic.publishers]
@@ -211,6 +213,8 @@ class Live:
             self._answer(request, query, now)
         elif place is self._results:
             order, future = item
+            if future.exception() is not None:
+                self.host.failed(order, now)
             self._apply(self.host.done(order, future.result(), now))
         elif place is self._from_ports:
             self._apply(self.host.from_port(item, now))
@@ -242,6 +246,7 @@ class Live:
         if verdict is Verdict.OLD:
             self.traffic.old += not latched
             return
+        self._boxed(key, payload, envelope, now, latched)
         self._apply(self.host.message(key, message, envelope, now, latched))
         for metronome in self._metronomes:
             metronome.heard(topic.key, now)
@@ -300,18 +305,14 @@ class Live:
             line = cast(LogLine, sent.message)
             log.log(logging.getLevelNamesMapping().get(line.level, logging.INFO), line.text)
         if sent.topic.latched:
-            before = self._kept.get(sent.key)
-            whole = self._kept[sent.key] = merged(before, sent.message)
-            value = partial(encode, whole, sent.envelope)
-            self._latched[sent.key].keep(value)
-            self._unsaved[sent.key] = value
-            if not hasattr(sent.message, "merged") and not _same(before, whole):
-                self._save()  # what is small and new, as a pressed STOP, does not wait: the next event may be the last
+            self._kept.publish(sent)
         self._publishers[sent.key].put(sent.payload)
 
     def _report(self, now: int) -> None:
         self._publish_journals(now)
-        self._save()
+        if self._box is not None:
+            self._box.hand_over()
+        self._kept.save()
         dropped = sum(place.dropped for place in self._places if place.keep == "all")
         health = self.traffic.health(self.name, self.host.service.state(), self.host.n_events, dropped, now)
         self._publish(self.host.publish(topics.HEALTH(health), now))
@@ -319,17 +320,12 @@ class Live:
     def _publish_journals(self, now: int) -> None:
         while (journal := self.host.journal(now)) is not None:
             self._publish(journal)
+            self._boxed(journal.key, journal.payload, journal.envelope, now)
 
-    def _save(self) -> None:
-        if self.memory is not None:
-            for key in set(self._own_latched()) & set(self._unsaved):
-                self._workers.submit(self.memory.write, key, self._unsaved.pop(key))
-
-
-def _same(before: Message | None, message: Message) -> bool:
-    """Whether two messages say the same, at whatever time."""
-    nobody = Envelope("", "", 0, 0)
-    return before is not None and encode(replace(before, stamp=message.stamp), nobody) == encode(message, nobody)
+    def _boxed(self, key: str, payload: bytes, envelope: Envelope, now: int, kept: bool = False) -> None:
+        topic = topics.topic_of(key)
+        if self._box is not None and topic is not None:
+            self._box.take(f"{KEPT}{key}" if kept else key, topic.type, payload, envelope, now)
 
 
 def _refuse(query: zenoh.Query, reason: Reason, text: str) -> None:
@@ -345,6 +341,7 @@ def arguments(name: str) -> argparse.ArgumentParser:
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="override a setting")
     parser.add_argument("--clock", default="", metavar="EPOCH:SPEED", help="simulated time: ns, times as fast as real")
     parser.add_argument("--memory", default="", metavar="FOLDER", help="keep what a restart must not lose, as the map")
+    parser.add_argument("--crashes", default="recordings", metavar="FOLDER", help="where crash-NAME-STAMP.mcap goes")
     parser.add_argument("--log", default="INFO", choices=["DEBUG", "INFO", "WARNING", "ERROR"], help="log level")
     return parser
 
@@ -389,7 +386,8 @@ def _serve(
     sys.setswitchinterval(0.0005)
     with transport.opened(where, name) as session:
         memory = Memory(Path(options.memory), name) if options.memory else None
-        live = Live(service, name, robot.name, session, clock, memory)
+        box = None if hasattr(service, "raw") else BlackBox(Path(options.crashes), name, robot.name, file.text)
+        live = Live(service, name, robot.name, session, clock, memory, box)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: live.stop())
         log.info("started")

@@ -5,7 +5,8 @@ Several services are replayed as a chain: what one publishes now is what the nex
 journal says so. The promise of equal bytes ends at the first `Gap`; the replay goes on behind it as well as it can.
 """
 
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
@@ -25,15 +26,14 @@ from shared.runners.host import (
     Host,
     JobOrder,
     Sent,
-    merged,
     request_of,
 )
 from shared.runners.journal import HOLE, Event, Life
 from shared.runners.lockstep import Lockstep
+from shared.runners.replay_traffic import MissingError, ReplayTraffic, valid
 from shared.service import Service, handlers
 from shared.topics import Publication, Topic
 
-M = TypeVar("M", bound=Message)
 T = TypeVar("T")
 
 DAY = 86_400_000_000_000
@@ -60,6 +60,17 @@ class Gap:
         return f"{self.name} ({self.session}), event {self.event}: {self.what}"
 
 
+@dataclass(frozen=True, slots=True)
+class JobRun:
+    """A job of a service: by its handler's name, when (ns) it was ordered and ended, and how long (s) it took here."""
+
+    name: str
+    done: str
+    ordered: int
+    ended: int
+    spent: float
+
+
 @dataclass(slots=True)
 class Replayed:
     """What came out: per service, the publications of its handlers in order.
@@ -67,6 +78,7 @@ class Replayed:
     recorded: what the replayed sessions had published, by (key, session) and sequence.
     until: by session, the time (ns) of the last event that its journal tells: what was sent later is not replayed.
     journalled: False where the recording has no journals and was fed in the order of the stamps.
+    jobs: those that ended, where there are journals.
     """
 
     sent: dict[str, list[Sent]]
@@ -74,6 +86,7 @@ class Replayed:
     recorded: dict[tuple[str, str], dict[int, bytes]] = field(default_factory=dict)
     until: dict[str, int] = field(default_factory=dict)
     journalled: bool = True
+    jobs: list[JobRun] = field(default_factory=list)
 
 
 def replay(
@@ -92,7 +105,7 @@ def replay(
             raise UserError(f"{recording.path} has no journal of {name}", nearest(name, tuple(lives)))
     began = next((entry.log_time for entry in recording.entries()), 0)
     chosen = [_heard(life, began) for name in names for life in lives[name]]
-    traffic = _Traffic(recording, chosen, [life for of_name in lives.values() for life in of_name])
+    traffic = ReplayTraffic(recording, chosen, [life for of_name in lives.values() for life in of_name])
     runs = [_Run(life, build(life.name), traffic) for life in chosen]
     waiting = [run for run in runs if run.life.events]
     while waiting:
@@ -105,6 +118,7 @@ def replay(
         [gap for run in runs for gap in run.gaps],
         traffic.recorded,
         traffic.ended,
+        jobs=[job for run in runs for job in run.jobs],
     )
 
 
@@ -118,92 +132,29 @@ def _heard(life: Life, began: int) -> Life:
     return replace(life, events=[Event(HOLE, began, n_unheard), *later])
 
 
-class _Traffic:
-    """Who takes what: messages by (key, session) and sequence, recorded or published anew.
+@dataclass(frozen=True, slots=True)
+class _Computed:
+    """A job that has been run: its result, or what it raised; when it is over off the recorded course; s it took."""
 
-    ended: the replayed sessions that will publish no more, and the time of their last event.
-    """
-
-    def __init__(self, recording: Recording, lives: list[Life], all_lives: list[Life]) -> None:
-        self.sessions = {life.session for life in lives}
-        self.ended = {life.session: 0 for life in lives if not life.events}
-        self.recorded: dict[tuple[str, str], dict[int, bytes]] = {}
-        self._payloads: dict[tuple[str, str], dict[int, bytes]] = {}
-        self._taken_up = dict(_taken_up(all_lives))
-        taken = {(e.key, e.session) for life in lives for e in life.events if e.kind in (MESSAGE, LATCHED)}
-        for source, event in self._taken_up.items():
-            if source in taken:
-                taken.add((event.key, event.session))
-        for entry in recording.entries():
-            try:
-                envelope = envelope_of(entry.payload)
-            except CodecError:
-                continue  # nobody took it
-            source = (entry.key, envelope.session)
-            if envelope.session in self.sessions and topics.topic_of(entry.key) not in (topics.HEALTH, topics.JOURNAL):
-                self.recorded.setdefault(source, {})[envelope.sequence] = entry.payload
-            elif source in taken:
-                self._payloads.setdefault(source, {})[envelope.sequence] = entry.payload
-
-    def publish(self, sent: Sent) -> bool:
-        """Takes a message that was published anew; False where it is not what was recorded."""
-        source, sequence = (sent.key, sent.envelope.session), sent.envelope.sequence
-        self._payloads.setdefault(source, {})[sequence] = sent.payload
-        return self.recorded.get(source, {}).get(sequence, sent.payload) == sent.payload
-
-    def payload(self, key: str, session: str, sequence: int) -> bytes:
-        """The bytes of a message. What a killed service sent after its last journal is taken as recorded."""
-        source = (key, session)
-        found = self._payloads.get(source, {}).get(sequence)
-        if found is None and session in self.ended:
-            found = self.recorded.get(source, {}).get(sequence)
-            if found is not None and envelope_of(found).sent < self.ended[session]:
-                found = None
-        if found is None:
-            raise _MissingError(key, session, sequence)
-        return found
-
-    def latched(self, topic: Topic[Message], key: str, session: str, sequence: int) -> Message:
-        """The value kept for late joiners when this message was sent: all of its session's up to there, merged.
-
-        What a restarted publisher took up from its predecessor is part of it.
-        """
-        before = self._taken_up.get((key, session))
-        kept = None if before is None else self.latched(topic, key, before.session, before.number)
-        for number in range(sequence + 1):
-            kept = merged(kept, _valid(topic.type, self.payload(key, session, number)))
-        if kept is None:
-            raise _MissingError(key, session, sequence)
-        return kept
-
-
-def _taken_up(lives: list[Life]) -> Iterator[tuple[tuple[str, str], Event]]:
-    """By (key, session): the event in which a restarted service got its own latched value back."""
-    for life in lives:
-        for event in life.events:
-            topic = topics.topic_of(event.key) if event.kind == LATCHED else None
-            if topic is not None and life.name in topic.publishers:
-                yield (event.key, life.session), event
-
-
-class _MissingError(Exception):
-    """A message that is not in the recording, or not yet published."""
-
-    def __init__(self, key: str, session: str, sequence: int) -> None:
-        super().__init__(f"{key} #{sequence} of {session} is missing")
-        self.session = session
+    order: JobOrder
+    ordered: int
+    due: int
+    spent: float
+    result: Any = None
+    error: Exception | None = None
 
 
 class _Run:
     """One session on its way through its journal."""
 
-    def __init__(self, life: Life, service: Service, traffic: _Traffic) -> None:
+    def __init__(self, life: Life, service: Service, traffic: ReplayTraffic) -> None:
         self.life, self.at = life, 0
         self.sent: list[Sent] = []
         self.gaps: list[Gap] = []
         self._traffic = traffic
         self._astray = False
-        self._jobs: dict[int, tuple[JobOrder, Any, int]] = {}
+        self.jobs: list[JobRun] = []
+        self._jobs: dict[int, _Computed] = {}
         self._ending = {event.number for event in life.events if event.kind == DONE}
         self._host = Host(service, life.name, life.session, self._first_sequences())
         service.warm()
@@ -226,7 +177,7 @@ class _Run:
             event = self.next
             try:
                 self._take(event)
-            except _MissingError as missing:
+            except MissingError as missing:
                 if patient and missing.session in self._traffic.sessions - {*self._traffic.ended, self.life.session}:
                     return self.at > begun
                 self._gap(str(missing))
@@ -255,11 +206,10 @@ class _Run:
             self._gap(f"{self.life.name} has no tick {event.number} any more")
         elif event.kind == REQUEST:
             request = _known(request_of(event.key), event.key)
-            effects, _ = host.request(event.key, _valid(request.request, event.payload), event.payload, event.now)
+            effects, _ = host.request(event.key, valid(request.request, event.payload), event.payload, event.now)
             self._apply(effects)
         elif event.kind == DONE and event.number in self._jobs:
-            order, result, _ = self._jobs.pop(event.number)
-            self._apply(host.done(order, result, event.now))
+            self._done(self._jobs.pop(event.number), event.now)
         elif event.kind == DONE:
             self._gap(f"job {event.number} is done but was not ordered")
         elif event.kind == FAREWELL:
@@ -268,11 +218,14 @@ class _Run:
             self._gap(f"{event.number} entries of the journal are missing")
 
     def _message(self, topic: Topic[Message], event: Event) -> tuple[Message, Envelope]:
+        kept = self._traffic.kept(event.key, event.session, event.number) if event.kind == LATCHED else None
+        if kept is not None:
+            return valid(topic.type, kept), envelope_of(kept)
         payload = self._traffic.payload(event.key, event.session, event.number)
         if event.kind == LATCHED and hasattr(topic.type, "merged"):
             message = self._traffic.latched(topic, event.key, event.session, event.number)
             return message, envelope_of(payload)
-        return _valid(topic.type, payload), envelope_of(payload)
+        return valid(topic.type, payload), envelope_of(payload)
 
     def _apply(self, effects: list[Effect]) -> None:
         for effect in effects:
@@ -280,15 +233,19 @@ class _Run:
                 self.sent.append(effect)
                 self._astray |= not self._traffic.publish(effect)
             else:
-                due = self._host.service.now + round(effect.job.takes * 1e9)
-                self._jobs[effect.index] = (effect, effect.job.function(*effect.job.arguments), due)
+                self._jobs[effect.index] = _computed(effect, self._host.service.now)
 
     def _end_strays(self, now: int) -> None:
         """Off the recorded course, jobs that the journal does not end are done when their time is over."""
-        for index, (order, result, due) in sorted(self._jobs.items()):
-            if index not in self._ending and due <= now:
-                del self._jobs[index]
-                self._apply(self._host.done(order, result, now))
+        for index, job in sorted(self._jobs.items()):
+            if index not in self._ending and job.due <= now:
+                self._done(self._jobs.pop(index), now)
+
+    def _done(self, job: _Computed, now: int) -> None:
+        if job.error is not None:  # as live: it is raised where its result would have come
+            raise job.error
+        self.jobs.append(JobRun(self.life.name, job.order.job.done, job.ordered, now, job.spent))
+        self._apply(self._host.done(job.order, job.result, now))
 
     def _gap(self, what: str) -> None:
         self._astray = True
@@ -307,18 +264,19 @@ class _Run:
         return counts
 
 
+def _computed(order: JobOrder, now: int) -> _Computed:
+    due, begun = now + round(order.job.takes * 1e9), time.perf_counter()
+    try:
+        result = order.job.function(*order.job.arguments)
+    except Exception as error:
+        return _Computed(order, now, due, 0.0, error=error)
+    return _Computed(order, now, due, time.perf_counter() - begun, result)
+
+
 def _known(row: T | None, key: str) -> T:
     if row is None:
         raise UserError(f"this version knows no {key}", "replay with the version that recorded it")
     return row
-
-
-def _valid(type_: type[M], payload: bytes) -> M:
-    try:
-        return decode(type_, payload)[0]
-    except CodecError as error:
-        what = f"a recorded {type_.__name__} is not valid in this version: {error}"
-        raise UserError(what, "replay with the version that recorded it") from None
 
 
 # --- without journals -----------------------------------------------------------------------------------------------

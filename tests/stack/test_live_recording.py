@@ -7,11 +7,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import pytest
 import zenoh
 
 from services.recorder.service import RecorderService
 from services.recorder.store import RecorderConfig, RecordingStore
 from shared.codec import Envelope
+from shared.geometry import Pose2
 from shared.recording import Recording
 from shared.runners import transport
 from shared.runners.clock import Clock
@@ -19,9 +21,12 @@ from shared.runners.host import LATCHED
 from shared.runners.live import Live
 from shared.runners.memory import Memory
 from shared.service import Service
+from tests.stack import processes
+from tests.stack.processes import ALL
 from tests.stack.test_live import free_stack
 from tests.toys import ROBOT, build
-from zenav.replay import replay_file
+from zenav.replay import replay_file, robot_file
+from zenav.replaying import builder
 
 CHAIN = ["base_driver", "odometry", "mapper", "planner"]
 
@@ -96,3 +101,19 @@ def test_a_live_run_replays_to_the_byte(tmp_path):
     counts = {topic.key: topic.n_equal for topic in report.topics}
     assert min(counts[key] for key in ("base/wheels", "odom", "pose", "map", "plan")) >= 3
     assert [e.payload for e in Recording(tmp_path / "out.mcap").entries()] == [e.payload for e in recording.entries()]
+
+
+@pytest.mark.timeout(300)
+def test_the_real_stack_driving_replays_to_the_byte_service_by_service_and_as_a_chain(tmp_path):
+    path = tmp_path / "drive.mcap"
+    with processes.running(tmp_path / "logs", ("recorder", *ALL), settings=(f"recorder.file={path}",)) as stack:
+        stack.until(stack.reached(stack.go(Pose2(1.0, 0.2, 0.0))))
+    recording = Recording(path)
+    file = robot_file(recording)
+    assert file is not None
+    for names in (*([name] for name in ALL), list(ALL)):
+        report = replay_file(path, names, None, builder(file), lambda done, of: None)
+        assert report.notes == [], names
+        assert report.equal, [topic for topic in report.topics if not topic.alike]
+        assert sum(topic.n_equal for topic in report.topics) > 4
+    assert sum(topic.n_equal for topic in report.topics) > 500

@@ -10,8 +10,9 @@ from shared.config import UserError, load_robot
 from shared.recording import CONFIG, Recording, Writer, sink
 from shared.runners.host import Sent
 from tests.toys import Dead, build, eventful
-from zenav.files import told
-from zenav.replay import Report, TopicReport, replay_file, robot_file
+from zenav.comparison import TopicReport
+from zenav.replay import Report, replay_file, robot_file
+from zenav.replaying import told
 
 CHAIN = ["base_driver", "odometry", "mapper", "planner"]
 
@@ -58,7 +59,7 @@ def test_a_changed_service_is_told_by_its_first_difference(file, tmp_path):
     assert not report.equal
     odom = row(report, "odom")
     assert odom.n_different > 100
-    assert odom.first.startswith("#0: odom_from_base is Pose2(x=0.004")
+    assert odom.first.startswith("#0: odom_from_base.x is 0.004")
     out, recorded = Recording(tmp_path / "out.mcap"), Recording(file)
     assert [e.key for e in out.entries()] == [e.key for e in recorded.entries()]
     assert list(out.entries(["pose", "map"])) == list(recorded.entries(["pose", "map"]))
@@ -89,9 +90,34 @@ def test_what_the_recorder_dropped_comes_in_where_it_was_sent(file, tmp_path):
     assert list(Recording(tmp_path / "out.mcap").entries(["odom"])) == list(Recording(file).entries(["odom"]))
 
 
+def test_where_equal_bytes_end_is_told_with_its_time_and_then_the_rest(tmp_path):
+    path = record(
+        tmp_path / "a.mcap", lambda s: (s.key, s.envelope.sequence) not in {("base/wheels", 30), ("odom", 40)}
+    )
+    notes = replay_file(path, ["odometry", "mapper"], None, build, nothing).notes
+    assert notes[0].startswith("equal bytes are not promised from here on: +0.6")
+    assert "odometry (odometry-1), event 30: base/wheels #30 of base_driver-1 is missing" in notes[0]
+
+
+def test_a_lost_journal_is_told_as_the_end_of_equal_bytes(tmp_path):
+    path = record(tmp_path / "a.mcap", lambda s: (s.key, s.envelope.sequence) != ("journal/base_driver", 1))
+    (note, *_) = replay_file(path, ["base_driver"], None, build, nothing).notes
+    assert note.startswith("equal bytes are not promised from here on: +")
+    assert "entries of the journal are missing" in note
+
+
+def test_hundreds_of_gaps_are_told_as_a_few_and_a_number(tmp_path):
+    path = record(tmp_path / "a.mcap", lambda s: s.key != "base/wheels")
+    notes = replay_file(path, ["odometry"], None, build, nothing).notes
+    assert len(notes) == 21
+    assert notes[-1].endswith("gaps more")
+
+
 def test_people_see_how_many_are_equal_different_lacking_and_new():
     words = told(TopicReport("odom", 40, 3, 2, 1, 0, "#7: v is 1.0, was 2.0")).split(maxsplit=9)
     assert words == ["odom", "40", "equal", "3", "different", "2", "lacking", "1", "new", "#7: v is 1.0, was 2.0"]
+    assert "5 after the last journal" in told(TopicReport("odom", 40, n_beyond=5))
+    assert "7 within tolerance" in told(TopicReport("odom", 40, n_within=7))
 
 
 def test_what_no_journal_tells_is_kept_and_counted(tmp_path):

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who takes what in a replay: the recorded payloads, and in their place what the replayed services publish anew."""
+
+from collections.abc import Iterator
+from typing import TypeVar
+
+from shared import topics
+from shared.codec import CodecError, decode, envelope_of
+from shared.config import UserError
+from shared.messages import Message
+from shared.recording import Recording
+from shared.runners.blackbox import KEPT
+from shared.runners.host import LATCHED, MESSAGE, Sent, merged
+from shared.runners.journal import Event, Life
+from shared.topics import TOPICS, Topic, key_of
+
+M = TypeVar("M", bound=Message)
+
+
+class ReplayTraffic:
+    """Who takes what: messages by (key, session) and sequence, recorded or published anew.
+
+    ended: the replayed sessions that will publish no more, and the time of their last event.
+    """
+
+    def __init__(self, recording: Recording, lives: list[Life], all_lives: list[Life]) -> None:
+        self.sessions = {life.session for life in lives}
+        self.ended = {life.session: 0 for life in lives if not life.events}
+        self.recorded: dict[tuple[str, str], dict[int, bytes]] = {}
+        self._payloads: dict[tuple[str, str], dict[int, bytes]] = {}
+        self._kept: dict[tuple[str, str, int], bytes] = {}
+        self._taken_up = dict(_taken_up(all_lives))
+        taken = {(e.key, e.session) for life in lives for e in life.events if e.kind in (MESSAGE, LATCHED)}
+        for source, event in self._taken_up.items():
+            if source in taken:
+                taken.add((event.key, event.session))
+        said = {key_of(t, life.name) for life in lives for t in TOPICS if life.name in t.publishers}
+        keys = said | {key for key, _ in taken}
+        for entry in recording.entries([*keys, *(f"{KEPT}{key}" for key in keys)]):
+            try:
+                envelope = envelope_of(entry.payload)
+            except CodecError:
+                continue  # nobody took it
+            if entry.key.startswith(KEPT):
+                self._kept[(entry.key.removeprefix(KEPT), envelope.session, envelope.sequence)] = entry.payload
+                continue
+            source = (entry.key, envelope.session)
+            if envelope.session in self.sessions and topics.topic_of(entry.key) not in (topics.HEALTH, topics.JOURNAL):
+                self.recorded.setdefault(source, {})[envelope.sequence] = entry.payload
+            elif source in taken:
+                self._payloads.setdefault(source, {})[envelope.sequence] = entry.payload
+
+    def publish(self, sent: Sent) -> bool:
+        """Takes a message that was published anew; False where it is not what was recorded."""
+        source, sequence = (sent.key, sent.envelope.session), sent.envelope.sequence
+        self._payloads.setdefault(source, {})[sequence] = sent.payload
+        return self.recorded.get(source, {}).get(sequence, sent.payload) == sent.payload
+
+    def payload(self, key: str, session: str, sequence: int) -> bytes:
+        """The bytes of a message. What a killed service sent after its last journal is taken as recorded."""
+        source = (key, session)
+        found = self._payloads.get(source, {}).get(sequence)
+        if found is None and session in self.ended:
+            found = self.recorded.get(source, {}).get(sequence)
+            if found is not None and envelope_of(found).sent < self.ended[session]:
+                found = None
+        if found is None:
+            raise MissingError(key, session, sequence)
+        return found
+
+    def kept(self, key: str, session: str, sequence: int) -> bytes | None:
+        """A latched value as a black box has it: whole, as the service was given it."""
+        return self._kept.get((key, session, sequence))
+
+    def latched(self, topic: Topic[Message], key: str, session: str, sequence: int) -> Message:
+        """The value kept for late joiners when this message was sent: all of its session's up to there, merged.
+
+        What a restarted publisher took up from its predecessor is part of it.
+        """
+        before = self._taken_up.get((key, session))
+        kept = None if before is None else self.latched(topic, key, before.session, before.number)
+        for number in range(sequence + 1):
+            kept = merged(kept, valid(topic.type, self.payload(key, session, number)))
+        if kept is None:
+            raise MissingError(key, session, sequence)
+        return kept
+
+
+def _taken_up(lives: list[Life]) -> Iterator[tuple[tuple[str, str], Event]]:
+    """By (key, session): the event in which a restarted service got its own latched value back."""
+    for life in lives:
+        for event in life.events:
+            topic = topics.topic_of(event.key) if event.kind == LATCHED else None
+            if topic is not None and life.name in topic.publishers:
+                yield (event.key, life.session), event
+
+
+class MissingError(Exception):
+    """A message that is not in the recording, or not yet published."""
+
+    def __init__(self, key: str, session: str, sequence: int) -> None:
+        super().__init__(f"{key} #{sequence} of {session} is missing")
+        self.session = session
+
+
+def valid(type_: type[M], payload: bytes) -> M:
+    """A recorded message. Raises UserError where this version does not take it."""
+    try:
+        return decode(type_, payload)[0]
+    except CodecError as error:
+        what = f"a recorded {type_.__name__} is not valid in this version: {error}"
+        raise UserError(what, "replay with the version that recorded it") from None
