@@ -217,13 +217,13 @@ def _range_max(scans: list[LoggedScan]) -> float:
 
 
 def _feed(
-    run: Run, records: list[LoggedPose | LoggedScan], first: float, progress: Callable[[float], None]
+    run: Run, records: list[LoggedPose | LoggedScan], first: int, progress: Callable[[float], None]
 ) -> list[float]:
     """The records as messages, in the log's order; CPU seconds of each scan."""
     times: list[float] = []
     laser = run.mapper.robot.laser
     for i, record in enumerate(records):
-        stamp = nanoseconds(record.stamp, first)
+        stamp = since(first, record.stamp)
         run.mapper.now = max(run.mapper.now, stamp)
         v, w = (record.v, record.w) if isinstance(record, LoggedPose) else (0.0, 0.0)
         run.take(run.mapper.odometry(Odometry(stamp, record.odom_from_base, v, w, np.zeros(9))))
@@ -254,13 +254,13 @@ def _feed(
     return times
 
 
-def nanoseconds(stamp: float, first: float) -> int:
+def since(first: int, stamp: int) -> int:
     """A log's time as the mapper's: ns since a second before the first record."""
-    return round((stamp - first + 1.0) * 1e9)
+    return stamp - first + SECOND
 
 
 def trajectory(
-    records: list[LoggedPose | LoggedScan], estimates: list[PoseEstimate], first: float
+    records: list[LoggedPose | LoggedScan], estimates: list[PoseEstimate], first: int
 ) -> tuple[Float64s, Float64s]:
     """The base's pose at every record: (n,) s on the log's clock, and (n, 3).
 
@@ -269,7 +269,7 @@ def trajectory(
     places = [estimate.stamp for estimate in estimates]
     rows, stamps = [], []
     for record in records:
-        stamp = nanoseconds(record.stamp, first)
+        stamp = since(first, record.stamp)
         i = bisect_right(places, stamp) - 1
         if i >= 0 and places[i] == stamp:
             pose = estimates[i].map_from_base
@@ -281,7 +281,7 @@ def trajectory(
             early = a.map_from_odom @ record.odom_from_base
             late = b.map_from_odom @ record.odom_from_base
             pose = interpolated(early, late, share)
-        stamps.append(record.stamp)
+        stamps.append(record.stamp * 1e-9)
         rows.append((pose.x, pose.y, pose.yaw))
     return np.array(stamps), np.array(rows)
 
@@ -294,9 +294,9 @@ def tum(stamps: Float64s, poses: Float64s) -> str:
     )
 
 
-def _turns(records: list[LoggedPose | LoggedScan], first: float) -> Float64s:
+def _turns(records: list[LoggedPose | LoggedScan], first: int) -> Float64s:
     """(n, 2) s on the mapper's clock and rad, odometry's headings as they were logged, in time."""
-    rows = {nanoseconds(record.stamp, first) * 1e-9: record.odom_from_base.yaw for record in records}
+    rows = {since(first, record.stamp) * 1e-9: record.odom_from_base.yaw for record in records}
     return np.array(sorted(rows.items()))
 
 
@@ -328,7 +328,7 @@ def _report(
         "truncated": truncated,
         "odometry_jumps": run.mapper.arrivals.track.n_jumps,
         "odometry_lag_s": odometry_lag(_turns(records, first), _placed(run)),
-        "seconds": round(scans[-1].stamp - scans[0].stamp, 3),
+        "seconds": round((scans[-1].stamp - scans[0].stamp) * 1e-9, 3),
         "length_m": round(float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()), 2),
         "cpu_s": round(sum(times) + run.job_seconds, 3),
         "cpu_s_of_jobs": round(run.job_seconds, 3),

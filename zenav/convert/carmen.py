@@ -4,51 +4,16 @@
 import gzip
 import zlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from math import isfinite, pi, radians
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shared.config import UserError
 from shared.geometry import Pose2
+from zenav.convert.records import Float32s, Log, LoggedPose, LoggedScan
 
-Float32s = NDArray[np.float32]
-
-BOUND = 1e6  # m, rad, s: farther is a damaged number (stamps: 1e11 s)
-
-
-@dataclass(frozen=True, slots=True)
-class LoggedPose:
-    """An ODOM line: raw wheel odometry."""
-
-    stamp: float  # s, the log's clock
-    odom_from_base: Pose2
-    v: float
-    w: float
-
-
-@dataclass(frozen=True, slots=True)
-class LoggedScan:
-    """A FLASER or ROBOTLASER1 line, with the odometry at it. range_max: m, 0 where the line does not tell."""
-
-    stamp: float
-    odom_from_base: Pose2
-    odom_from_laser: Pose2
-    angle_min: float
-    angle_increment: float
-    range_max: float
-    ranges: Float32s
-
-
-@dataclass(slots=True)
-class Log:
-    """A log's records in the order of their lines, and what was wrong with it."""
-
-    records: list[LoggedPose | LoggedScan]
-    n_bad: int = 0
-    truncated: bool = False
+BOUND = 1e6  # m, rad, s: farther is a damaged number (stamps: 1e10 s, the year 2286)
 
 
 def read_carmen(path: Path) -> Log:
@@ -130,11 +95,12 @@ def _numbers(words: list[str], n: int) -> list[float]:
     return numbers
 
 
-def _stamp(word: str) -> float:
+def _stamp(word: str) -> int:
+    """ns, of the whole microseconds that a line tells: a float's last bits are none."""
     stamp = float(word)
-    if not 0 <= stamp < 1e11:
+    if not 0 <= stamp < 1e10:
         raise ValueError("a stamp out of bounds")
-    return stamp
+    return round(stamp * 1e6) * 1000
 
 
 def _count(word: str, least: int = 2) -> int:

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files that ROS records: ROS 1 bags, rosbag2 folders, bare .mcap and .db3. Told apart by content, never by name.
+
+The `rosbags` package reads them. What it refuses (no index, a damaged or truncated file, no metadata.yaml) is read from
+its beginning instead, message by message, and what is lost is told.
+"""
+
+import sqlite3
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import zstandard
+from rosbags.rosbag1 import Reader as Reader1
+from rosbags.rosbag2 import Reader as Reader2
+from rosbags.rosbag2.storage_mcap import McapReader
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+from shared.config import UserError
+from shared.recording import Recording
+from zenav.convert.ros1_rescue import rescued
+
+MAGICS = {
+    b"#ROSBAG V": "ROS 1 bag",
+    b"SQLite format 3\x00": "ROS 2 bag (sqlite3)",
+    b"\x89MCAP0\r\n": "MCAP",
+    b"\x28\xb5\x2f\xfd": "zstd",
+}
+ZSTD = b"\x28\xb5\x2f\xfd"
+SLICE = 1 << 20  # bytes
+MOST_HOLES = 200  # places at which a damaged database is tried again
+
+
+class Raw(NamedTuple):
+    """A message as it lies in a bag. received: ns, when the recorder took it."""
+
+    topic: str
+    type: str
+    received: int
+    data: bytes
+    ros1: bool
+
+
+@dataclass(slots=True)
+class Bag:
+    """What was read: messages of the wanted types; every topic with its type and count; what people must know."""
+
+    messages: list[Raw] = field(default_factory=list)
+    topics: dict[str, tuple[str, int]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def add(self, other: "Bag") -> None:
+        """Takes in what another file of the same bag holds."""
+        self.messages += other.messages
+        self.notes += other.notes
+        for topic, (type_, n) in other.topics.items():
+            self.topics[topic] = type_, n + self.topics.get(topic, ("", 0))[1]
+
+
+def kind_of(path: Path) -> str:
+    """The file's format by its first bytes, or "" where they are none of MAGICS. Raises UserError."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror}", "check the path and its permissions") from None
+    if not head:
+        raise UserError(f"{path} is empty", "its recorder was stopped before it wrote anything, or the copy failed")
+    return next((kind for magic, kind in MAGICS.items() if head.startswith(magic)), "")
+
+
+def read_bag(path: Path, wanted: frozenset[str]) -> Bag:
+    """Everything of some types (`sensor_msgs/msg/LaserScan`) in a file or a folder. Raises UserError where that is nothing
+    that ROS records, or nothing in it can be read."""
+    return _folder(path, wanted) if path.is_dir() else _file(path, wanted)
+
+
+def _folder(path: Path, wanted: frozenset[str]) -> Bag:
+    if (path / "metadata.yaml").is_file():
+        try:
+            return _by_rosbags(Reader2(path), wanted, ros1=False)
+        except Exception as error:  # whatever the reader stumbles over: the files themselves may be sound
+            bag = Bag(notes=[f"{path.name}/metadata.yaml was not used ({_short(error)}): the files were read one by one"])
+    else:
+        bag = Bag(notes=[f"{path.name} has no metadata.yaml: its files were read one by one"])
+    files = [file for file in sorted(path.iterdir()) if file.is_file() and file.stat().st_size and kind_of(file)]
+    if not files:
+        raise UserError(f"{path}: a folder without a bag in it", "give the folder that holds metadata.yaml and the bag's files")
+    for file in files:
+        bag.add(_file(file, wanted))
+    return bag
+
+
+def _file(path: Path, wanted: frozenset[str]) -> Bag:
+    kind = kind_of(path)
+    if kind == "ROS 1 bag":
+        return _read(lambda: Reader1(path), lambda: _rescued_ros1(path), path, wanted, ros1=True)
+    if kind == "ROS 2 bag (sqlite3)":
+        return _read(lambda: Sqlite3Reader(path), lambda: _rescued_sqlite(path), path, wanted, ros1=False)
+    if kind == "MCAP":
+        return _read(lambda: McapReader(path), lambda: _rescued_mcap(path), path, wanted, ros1=False)
+    if kind == "zstd":
+        return _unpacked(path, wanted)
+    raise UserError(
+        f"{path} is no bag: it begins with none of their marks", "give a ROS 1 bag, a rosbag2 folder, or a .mcap or .db3 file"
+    )
+
+
+Rescued = tuple[Iterable[Raw], list[str]]
+"""Messages one by one, and what was lost, complete when they are through."""
+
+
+def _read(
+    reader: Callable[[], Any], rescue: Callable[[], Rescued], path: Path, wanted: frozenset[str], ros1: bool
+) -> Bag:
+    try:
+        return _by_rosbags(reader(), wanted, ros1)
+    except Exception as error:  # rosbags raises two dozen kinds on damage, from AssertionError to zlib.error
+        cause = _short(error)
+    messages, lost = rescue()
+    bag = Bag()
+    counts: Counter[tuple[str, str]] = Counter()
+    for raw in messages:
+        counts[raw.topic, raw.type] += 1
+        if raw.type in wanted:
+            bag.messages.append(raw)
+    bag.topics = {topic: (type_, n) for (topic, type_), n in counts.items()}
+    if not counts:
+        raise UserError(f"{path}: nothing in it can be read: {'; '.join([cause, *lost])}", MEND)
+    told = "; ".join(lost) or "nothing is missing"
+    bag.notes.append(f"{path.name} is damaged or was not closed ({cause}): read from its beginning, {sum(counts.values())} messages; {told}")
+    return bag
+
+
+MEND = "record it again, or copy it again from where it came"
+
+
+def _by_rosbags(reader: Any, wanted: frozenset[str], ros1: bool) -> Bag:
+    """Raises whatever rosbags raises."""
+    reader.open()
+    try:
+        topics = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
+        chosen = [c for c in reader.connections if c.msgtype in wanted]
+        found = [Raw(c.topic, c.msgtype, t, _plain(bytes(data)), ros1) for c, t, data in reader.messages(chosen)] if chosen else []
+    finally:
+        with suppress(Exception):
+            reader.close()
+    return Bag(found, topics)
+
+
+def _short(error: Exception) -> str:
+    text = " ".join(str(error).split()).rstrip(".")
+    return text[:120] if text else f"its index makes no sense ({type(error).__name__})"
+
+
+def _plain(data: bytes) -> bytes:
+    """A message that was compressed by itself (rosbag2's mode `message`), unpacked; no CDR begins so."""
+    if not data.startswith(ZSTD):
+        return data
+    with suppress(zstandard.ZstdError, MemoryError):
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=1 << 26)
+    return data
+
+
+def _unpacked(path: Path, wanted: frozenset[str]) -> Bag:
+    """A file that was compressed as a whole (rosbag2's mode `file`), read as far as it unpacks."""
+    with tempfile.TemporaryDirectory() as folder:
+        plain = Path(folder) / path.stem
+        with path.open("rb") as source, plain.open("wb") as target, suppress(zstandard.ZstdError):
+            for piece in zstandard.ZstdDecompressor().read_to_iter(source, read_size=SLICE):
+                target.write(piece)
+        if plain.stat().st_size == 0 or kind_of(plain) in ("", "zstd"):
+            raise UserError(f"{path}: what is compressed in it is no bag", MEND)
+        return _file(plain, wanted)
+
+
+def _rescued_ros1(path: Path) -> Rescued:
+    messages, lost = rescued(path)
+    return (Raw(topic, _normal(type_), received, data, True) for topic, type_, received, data in messages), lost
+
+
+def _rescued_mcap(path: Path) -> Rescued:
+    recording = Recording(path)
+    lost: list[str] = []
+
+    def messages() -> Iterator[Raw]:
+        for entry in recording.entries():
+            if entry.channel.encoding in ("cdr", "ros1"):
+                type_ = _normal(entry.channel.schema_name)
+                yield Raw(entry.key, type_, entry.log_time, _plain(entry.payload), entry.channel.encoding == "ros1")
+        lost.extend(recording.problems)
+
+    return messages(), lost
+
+
+def _normal(type_: str) -> str:
+    package, _, name = type_.partition("/")
+    return type_ if "/" in name or not name else f"{package}/msg/{name}"
+
+
+def _rescued_sqlite(path: Path) -> Rescued:
+    """Rows in their order; where a page is damaged, those behind it."""
+    lost: list[str] = []
+
+    def messages() -> Iterator[Raw]:
+        # what was not brought into the file yet stands beside it, where the recorder was killed
+        immutable = "" if path.with_name(path.name + "-wal").exists() else "&immutable=1"
+        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro{immutable}", uri=True)) as database:
+            database.text_factory = lambda b: b.decode(errors="replace")
+            try:
+                topics = {id_: (str(name), str(type_)) for id_, name, type_ in database.execute("SELECT id, name, type FROM topics")}
+            except sqlite3.Error as error:
+                lost.append(f"its list of topics cannot be read: {error}")
+                return
+            last, step, n_holes = -1, 1, 0
+            while n_holes <= MOST_HOLES:
+                try:
+                    for id_, topic, received, data in database.execute(
+                        "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id", (last,)
+                    ):
+                        last, step = id_, 1
+                        if topic in topics and isinstance(data, bytes) and isinstance(received, int):
+                            yield Raw(*topics[topic], received, _plain(data), False)
+                    break
+                except (sqlite3.Error, OverflowError):
+                    n_holes += 1
+                    last, step = last + step, min(step * 2, 1 << 40)
+            if n_holes:
+                lost.append("pages of the database are damaged or missing: rows are lost")
+
+    return messages(), lost
