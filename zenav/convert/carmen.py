@@ -81,6 +81,35 @@ def _robotlaser(words: list[str]) -> LoggedScan:
     )
 
 
+def carmen_lines(log: Log) -> Iterator[str]:
+    """A log as ODOM and ROBOTLASER1 lines. A beam without an echo is at the largest range, as CARMEN has it.
+
+    What the format has no place for: how long a sweep took.
+    """
+    yield "# CARMEN Logfile\n# message_name [message contents] ipc_timestamp ipc_hostname logger_timestamp\n"
+    first = min((record.stamp for record in log.records), default=0)
+    for record in log.records:
+        base, end = record.odom_from_base, f"{_seconds(record.stamp)} zenav {_seconds(record.stamp - first)}\n"
+        if isinstance(record, LoggedPose):
+            yield f"ODOM {_row(base)} {record.v:.9g} {record.w:.9g} 0 {end}"
+            continue
+        n, far = len(record.ranges), record.range_max or float(np.nanmax(record.ranges, initial=1.0))
+        ranges = np.where(np.isnan(record.ranges), far, record.ranges)
+        yield (
+            f"ROBOTLASER1 0 {record.angle_min:.9g} {record.angle_increment * (n - 1):.9g} {record.angle_increment:.9g} "
+            f"{far:.9g} 0 0 {n} {' '.join(f'{r:.9g}' for r in ranges)} 0 {_row(record.odom_from_laser)} {_row(base)} "
+            f"0 0 0 0 0 {end}"
+        )
+
+
+def _row(pose: Pose2) -> str:
+    return f"{pose.x:.9f} {pose.y:.9f} {pose.yaw:.9f}"
+
+
+def _seconds(stamp: int) -> str:
+    return f"{stamp // 10**9}.{stamp % 10**9 // 1000:06d}"
+
+
 READERS: dict[str, Callable[[list[str]], LoggedPose | LoggedScan]] = {
     "ODOM": _odom,
     "FLASER": _flaser,

@@ -58,7 +58,7 @@ class Frames:
         return np.unique([stamp for stamp, _ in self._edges[child][parent]]) if parent else np.empty(0, np.int64)
 
     def find(self, target: str, source: str, stamps: Int64s) -> Float64s | None:
-        """`target_from_source` at stamps (n,) ns: (n, 4, 4), interpolated; None where no chain of frames leads there."""
+        """`target_from_source` at stamps (n,) ns: (n, 4, 4), interpolated; None where no frames lead there."""
         up, down = self.ancestors(source), self.ancestors(target)
         common = next((frame for frame in up if frame in down), None)
         if common is None:

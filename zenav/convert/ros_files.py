@@ -74,8 +74,10 @@ def kind_of(path: Path) -> str:
 
 
 def read_bag(path: Path, wanted: frozenset[str]) -> Bag:
-    """Everything of some types (`sensor_msgs/msg/LaserScan`) in a file or a folder. Raises UserError where that is nothing
-    that ROS records, or nothing in it can be read."""
+    """Everything of some types (`sensor_msgs/msg/LaserScan`) in a file or a folder.
+
+    Raises UserError where that is nothing that ROS records, or nothing in it can be read.
+    """
     return _folder(path, wanted) if path.is_dir() else _file(path, wanted)
 
 
@@ -84,12 +86,16 @@ def _folder(path: Path, wanted: frozenset[str]) -> Bag:
         try:
             return _by_rosbags(Reader2(path), wanted, ros1=False)
         except Exception as error:  # whatever the reader stumbles over: the files themselves may be sound
-            bag = Bag(notes=[f"{path.name}/metadata.yaml was not used ({_short(error)}): the files were read one by one"])
+            bag = Bag(
+                notes=[f"{path.name}/metadata.yaml was not used ({_short(error)}): the files were read one by one"]
+            )
     else:
         bag = Bag(notes=[f"{path.name} has no metadata.yaml: its files were read one by one"])
     files = [file for file in sorted(path.iterdir()) if file.is_file() and file.stat().st_size and kind_of(file)]
     if not files:
-        raise UserError(f"{path}: a folder without a bag in it", "give the folder that holds metadata.yaml and the bag's files")
+        raise UserError(
+            f"{path}: a folder without a bag in it", "give the folder that holds metadata.yaml and the bag's files"
+        )
     for file in files:
         bag.add(_file(file, wanted))
     return bag
@@ -106,7 +112,8 @@ def _file(path: Path, wanted: frozenset[str]) -> Bag:
     if kind == "zstd":
         return _unpacked(path, wanted)
     raise UserError(
-        f"{path} is no bag: it begins with none of their marks", "give a ROS 1 bag, a rosbag2 folder, or a .mcap or .db3 file"
+        f"{path} is no bag: it begins with none of their marks",
+        "give a ROS 1 bag, a rosbag2 folder, or a .mcap or .db3 file",
     )
 
 
@@ -131,8 +138,8 @@ def _read(
     bag.topics = {topic: (type_, n) for (topic, type_), n in counts.items()}
     if not counts:
         raise UserError(f"{path}: nothing in it can be read: {'; '.join([cause, *lost])}", MEND)
-    told = "; ".join(lost) or "nothing is missing"
-    bag.notes.append(f"{path.name} is damaged or was not closed ({cause}): read from its beginning, {sum(counts.values())} messages; {told}")
+    n, told = sum(counts.values()), "; ".join(lost) or "nothing is missing"
+    bag.notes.append(f"{path.name}: {cause}; read from its beginning instead: {n} messages; {told}")
     return bag
 
 
@@ -145,7 +152,11 @@ def _by_rosbags(reader: Any, wanted: frozenset[str], ros1: bool) -> Bag:
     try:
         topics = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
         chosen = [c for c in reader.connections if c.msgtype in wanted]
-        found = [Raw(c.topic, c.msgtype, t, _plain(bytes(data)), ros1) for c, t, data in reader.messages(chosen)] if chosen else []
+        found = (
+            [Raw(c.topic, c.msgtype, t, _plain(bytes(data)), ros1) for c, t, data in reader.messages(chosen)]
+            if chosen
+            else []
+        )
     finally:
         with suppress(Exception):
             reader.close()
@@ -188,10 +199,15 @@ def _rescued_mcap(path: Path) -> Rescued:
     lost: list[str] = []
 
     def messages() -> Iterator[Raw]:
+        foreign: Counter[str] = Counter()
         for entry in recording.entries():
-            if entry.channel.encoding in ("cdr", "ros1"):
+            encoding = entry.channel.encoding
+            if encoding in ("cdr", "ros1"):
                 type_ = _normal(entry.channel.schema_name)
-                yield Raw(entry.key, type_, entry.log_time, _plain(entry.payload), entry.channel.encoding == "ros1")
+                yield Raw(entry.key, type_, entry.log_time, _plain(entry.payload), encoding == "ros1")
+            else:
+                foreign[encoding] += 1
+        lost.extend(f"{n} messages are {encoding or 'of no encoding'}, not ROS's" for encoding, n in foreign.items())
         lost.extend(recording.problems)
 
     return messages(), lost
@@ -212,7 +228,10 @@ def _rescued_sqlite(path: Path) -> Rescued:
         with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro{immutable}", uri=True)) as database:
             database.text_factory = lambda b: b.decode(errors="replace")
             try:
-                topics = {id_: (str(name), str(type_)) for id_, name, type_ in database.execute("SELECT id, name, type FROM topics")}
+                topics = {
+                    id_: (str(name), str(type_))
+                    for id_, name, type_ in database.execute("SELECT id, name, type FROM topics")
+                }
             except sqlite3.Error as error:
                 lost.append(f"its list of topics cannot be read: {error}")
                 return

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from shared.geometry import Pose2
 from shared.messages import LaserScan, Odometry
@@ -25,13 +25,17 @@ POSE, POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/Pose
 WANTED = frozenset({SCAN, ECHOES, ODOM, TF, OLD_TF, POSE, POSE_COVARIANCE})
 
 FARTHEST = 250.0  # m, of a range in a LaserScan of the stack
+MOST_BEAMS = 20_000
 PLANE = np.array((0, 1, 5))  # x, y, yaw of the six that ROS's covariances have
 
 
 @cache
 def typestore(ros1: bool) -> Any:
     """rosbags' knowledge of the standard messages; their layouts are the same in every ROS 2."""
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if ros1:
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+    return store
 
 
 def read(raw: Raw) -> Any:
@@ -63,7 +67,7 @@ def laser_scan(message: Any, stamp: int, mirrored: bool) -> LaserScan:
     ranges = _ranges(message)
     increment, first, step = float(message.angle_increment), float(message.angle_min), float(message.time_increment)
     n = len(ranges)
-    if n < 2 or not all(isfinite(v) for v in (increment, first, step)):
+    if not 2 <= n <= MOST_BEAMS or not all(isfinite(v) for v in (increment, first, step)):
         raise ValueError("a scan without beams, or without angles")
     low, high = float(message.range_min), float(message.range_max)
     largest = float(np.nanmax(ranges, initial=0.0))
@@ -72,16 +76,18 @@ def laser_scan(message: Any, stamp: int, mirrored: bool) -> LaserScan:
     if not 0 <= low < high:
         low = 0.0
     ranges = np.where(ranges <= np.float32(high), ranges, np.nan).astype(np.float32)
+    intensities = _intensities(message, n)
     taken = step * (n - 1)
     if step < 0:
-        ranges, first, increment = ranges[::-1].copy(), first + increment * (n - 1), -increment
+        ranges, intensities = ranges[::-1].copy(), intensities[::-1].copy()
+        first, increment = first + increment * (n - 1), -increment
         stamp, taken = stamp + round(taken * 1e9), -taken
     if taken > 2:  # s: no sweep takes that long
         taken = 0.0
     if mirrored:
         first, increment = -first, -increment
     turns = round(first / (2 * pi))
-    scan = LaserScan(max(stamp, 0), first - 2 * pi * turns, increment, taken, low, high, ranges)
+    scan = LaserScan(max(stamp, 0), first - 2 * pi * turns, increment, taken, low, high, ranges, intensities)
     if not abs(increment) <= pi or increment == 0 or (problem := scan.problem()):
         raise ValueError("the angles are none" if increment == 0 or abs(increment) > pi else problem)
     return scan
@@ -95,6 +101,14 @@ def _ranges(message: Any) -> NDArray[np.float32]:
         values = np.asarray(message.ranges, np.float32)
     with np.errstate(invalid="ignore"):
         return np.where(np.isfinite(values) & (values > 0), values, np.float32(np.nan))
+
+
+def _intensities(message: Any, n: int) -> NDArray[np.float32]:
+    """(n,) or (0,): the device's own scale, as far as it is one."""
+    values = message.intensities
+    if len(values) != n or hasattr(values[0], "echoes"):
+        return np.empty(0, np.float32)
+    return np.clip(np.nan_to_num(np.asarray(values, np.float32)), 0, 65535)
 
 
 def odometry(message: Any, stamp: int) -> Odometry:

@@ -33,9 +33,18 @@ def test_each_line_is_read_as_carmen_wrote_it(tmp_path):
     assert (found.n_bad, found.truncated) == (0, False)
     assert pose == LoggedPose(12_500_000_000, Pose2(1, 2, 0.5), 0.3, -0.1)
     assert isinstance(scan, LoggedScan)
-    assert (scan.stamp, scan.odom_from_base, scan.odom_from_laser) == (13_500_000_000, Pose2(1, 2, 0.5), Pose2(1.1, 2, 0.5))
+    assert (scan.stamp, scan.odom_from_base, scan.odom_from_laser) == (
+        13_500_000_000,
+        Pose2(1, 2, 0.5),
+        Pose2(1.1, 2, 0.5),
+    )
     assert (scan.angle_min, scan.angle_increment, len(scan.ranges)) == (-pi / 2, radians(1), 180)
-    assert (other.stamp, other.angle_min, other.angle_increment, other.range_max) == (14_500_000_000, -1.5707, 0.0174533, 20.0)
+    assert (other.stamp, other.angle_min, other.angle_increment, other.range_max) == (
+        14_500_000_000,
+        -1.5707,
+        0.0174533,
+        20.0,
+    )
     assert_allclose(other.ranges, (1, 2, 3, 4))
     assert other.odom_from_base == Pose2(1, 2, 0.5)
 
