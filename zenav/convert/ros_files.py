@@ -5,11 +5,10 @@ The `rosbags` package reads them. What it refuses (no index, a damaged or trunca
 its beginning instead, message by message, and what is lost is told.
 """
 
-import sqlite3
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,7 +21,7 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from shared.config import UserError
 from shared.recording import Recording
-from zenav.convert.ros1_rescue import rescued
+from zenav.convert import ros1_rescue, sqlite_rescue
 
 MAGICS = {
     b"#ROSBAG V": "ROS 1 bag",
@@ -32,7 +31,6 @@ MAGICS = {
 }
 ZSTD = b"\x28\xb5\x2f\xfd"
 SLICE = 1 << 20  # bytes
-MOST_HOLES = 200  # places at which a damaged database is tried again
 
 
 class Raw(NamedTuple):
@@ -103,12 +101,8 @@ def _folder(path: Path, wanted: frozenset[str]) -> Bag:
 
 def _file(path: Path, wanted: frozenset[str]) -> Bag:
     kind = kind_of(path)
-    if kind == "ROS 1 bag":
-        return _read(lambda: Reader1(path), lambda: _rescued_ros1(path), path, wanted, ros1=True)
-    if kind == "ROS 2 bag (sqlite3)":
-        return _read(lambda: Sqlite3Reader(path), lambda: _rescued_sqlite(path), path, wanted, ros1=False)
-    if kind == "MCAP":
-        return _read(lambda: McapReader(path), lambda: _rescued_mcap(path), path, wanted, ros1=False)
+    if kind in READERS:
+        return _read(path, kind, wanted)
     if kind == "zstd":
         return _unpacked(path, wanted)
     raise UserError(
@@ -121,14 +115,12 @@ Rescued = tuple[Iterable[Raw], list[str]]
 """Messages one by one, and what was lost, complete when they are through."""
 
 
-def _read(
-    reader: Callable[[], Any], rescue: Callable[[], Rescued], path: Path, wanted: frozenset[str], ros1: bool
-) -> Bag:
+def _read(path: Path, kind: str, wanted: frozenset[str]) -> Bag:
     try:
-        return _by_rosbags(reader(), wanted, ros1)
+        return _by_rosbags(READERS[kind](path), wanted, ros1=kind == "ROS 1 bag")
     except Exception as error:  # rosbags raises two dozen kinds on damage, from AssertionError to zlib.error
         cause = _short(error)
-    messages, lost = rescue()
+    messages, lost = RESCUES[kind](path)
     bag = Bag()
     counts: Counter[tuple[str, str]] = Counter()
     for raw in messages:
@@ -190,7 +182,7 @@ def _unpacked(path: Path, wanted: frozenset[str]) -> Bag:
 
 
 def _rescued_ros1(path: Path) -> Rescued:
-    messages, lost = rescued(path)
+    messages, lost = ros1_rescue.rescued(path)
     return (Raw(topic, _normal(type_), received, data, True) for topic, type_, received, data in messages), lost
 
 
@@ -219,36 +211,25 @@ def _normal(type_: str) -> str:
 
 
 def _rescued_sqlite(path: Path) -> Rescued:
-    """Rows in their order; where a page is damaged, those behind it."""
-    lost: list[str] = []
+    messages, lost = sqlite_rescue.rescued(path)
+    return (
+        Raw(topic, _normal(type_), received, _plain(data), False) for topic, type_, received, data in messages
+    ), lost
 
-    def messages() -> Iterator[Raw]:
-        # what was not brought into the file yet stands beside it, where the recorder was killed
-        immutable = "" if path.with_name(path.name + "-wal").exists() else "&immutable=1"
-        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro{immutable}", uri=True)) as database:
-            database.text_factory = lambda b: b.decode(errors="replace")
-            try:
-                topics = {
-                    id_: (str(name), str(type_))
-                    for id_, name, type_ in database.execute("SELECT id, name, type FROM topics")
-                }
-            except sqlite3.Error as error:
-                lost.append(f"its list of topics cannot be read: {error}")
-                return
-            last, step, n_holes = -1, 1, 0
-            while n_holes <= MOST_HOLES:
-                try:
-                    for id_, topic, received, data in database.execute(
-                        "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id", (last,)
-                    ):
-                        last, step = id_, 1
-                        if topic in topics and isinstance(data, bytes) and isinstance(received, int):
-                            yield Raw(*topics[topic], received, _plain(data), False)
-                    break
-                except (sqlite3.Error, OverflowError):
-                    n_holes += 1
-                    last, step = last + step, min(step * 2, 1 << 40)
-            if n_holes:
-                lost.append("pages of the database are damaged or missing: rows are lost")
 
-    return messages(), lost
+def _sqlite_reader(path: Path) -> Sqlite3Reader:
+    sqlite_rescue.check(path)
+    return Sqlite3Reader(path)
+
+
+READERS: dict[str, Callable[[Path], Any]] = {
+    "ROS 1 bag": Reader1,
+    "ROS 2 bag (sqlite3)": _sqlite_reader,
+    "MCAP": McapReader,
+}
+RESCUES: dict[str, Callable[[Path], Rescued]] = {
+    "ROS 1 bag": _rescued_ros1,
+    "ROS 2 bag (sqlite3)": _rescued_sqlite,
+    "MCAP": _rescued_mcap,
+}
+"""By kind: what reads a file from its beginning where its reader refuses."""

@@ -26,6 +26,8 @@ WANTED = frozenset({SCAN, ECHOES, ODOM, TF, OLD_TF, POSE, POSE_COVARIANCE})
 
 FARTHEST = 250.0  # m, of a range in a LaserScan of the stack
 MOST_BEAMS = 20_000
+LONGEST_SWEEP = 2.0  # s
+MOST_TURNS = 10  # of the first beam's angle
 PLANE = np.array((0, 1, 5))  # x, y, yaw of the six that ROS's covariances have
 
 
@@ -67,7 +69,7 @@ def laser_scan(message: Any, stamp: int, mirrored: bool) -> LaserScan:
     ranges = _ranges(message)
     increment, first, step = float(message.angle_increment), float(message.angle_min), float(message.time_increment)
     n = len(ranges)
-    if not 2 <= n <= MOST_BEAMS or not all(isfinite(v) for v in (increment, first, step)):
+    if not 2 <= n <= MOST_BEAMS or not isfinite(increment) or not abs(first) <= 2 * pi * MOST_TURNS:
         raise ValueError("a scan without beams, or without angles")
     low, high = float(message.range_min), float(message.range_max)
     largest = float(np.nanmax(ranges, initial=0.0))
@@ -78,12 +80,12 @@ def laser_scan(message: Any, stamp: int, mirrored: bool) -> LaserScan:
     ranges = np.where(ranges <= np.float32(high), ranges, np.nan).astype(np.float32)
     intensities = _intensities(message, n)
     taken = step * (n - 1)
+    if not abs(taken) <= LONGEST_SWEEP:
+        step = taken = 0.0
     if step < 0:
         ranges, intensities = ranges[::-1].copy(), intensities[::-1].copy()
         first, increment = first + increment * (n - 1), -increment
         stamp, taken = stamp + round(taken * 1e9), -taken
-    if taken > 2:  # s: no sweep takes that long
-        taken = 0.0
     if mirrored:
         first, increment = -first, -increment
     turns = round(first / (2 * pi))
