@@ -149,6 +149,8 @@ def _by_rosbags(reader: Any, wanted: frozenset[str], ros1: bool) -> Bag:
             if chosen
             else []
         )
+        if not all(isinstance(raw.received, int) for raw in found):
+            raise ValueError("a message without its time")
     finally:
         with suppress(Exception):
             reader.close()
