@@ -451,6 +451,25 @@ def show(
     show(robot, stack, place)
 
 
+@map_.command("convert", cls=Command)
+def map_convert(
+    place: Annotated[str, typer.Argument(help="Name below maps/, a folder, or the YAML of a ROS map_server map.")],
+    out: Annotated[Path, typer.Argument(help="Folder for map.yaml and its picture.")],
+    mode: Annotated[
+        Literal["trinary", "scale", "raw"], typer.Option(help="Free, occupied, unknown; or every percent, in two ways.")
+    ] = "trinary",
+    negate: Annotated[bool, typer.Option("--negate", help="White is occupied.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a map that is there.")] = False,
+) -> None:
+    """Bring a map of ROS map_server into a folder that `zenav map load` takes, or the stack's to map_server.
+
+    Example: zenav map convert ros/office.yaml maps/office
+    """
+    from zenav.map_convert import convert
+
+    convert(place, out, mode, negate, force)
+
+
 @config.command("show", cls=Command)
 def config_show(
     section: Annotated[str, typer.Argument(help="Only this section.")] = "",

@@ -6,6 +6,7 @@ from math import degrees
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from shared import topics
 from shared.config import UserError, load_robot, nearest
@@ -18,6 +19,8 @@ from zenav.client import Client
 from zenav.picture import map_picture
 from zenav.saved_map import GRAPH
 from zenav.store import replace_together
+
+Int8s = NDArray[np.int8]
 
 FOLDER = Path("maps")
 WIDEST = 100  # characters of a map in the terminal
@@ -102,8 +105,13 @@ def grid_of(path: Path) -> OccupancyGrid:
 
 
 def update_of(path: Path) -> MapUpdate:
-    """A saved map as the message that carries it; the corner is moved by up to half a cell onto the tiles' cells."""
-    cells, resolution, x0, y0 = read_ros_map(path)
+    """A saved map as the message that carries it: see update_of_cells."""
+    return update_of_cells(*read_ros_map(path))
+
+
+def update_of_cells(cells: Int8s, resolution: float, x0: float, y0: float) -> MapUpdate:
+    """Cells (h, w), row 0 lowest, as the message that carries them; the corner is moved by up to half a cell onto the
+    tiles' cells."""
     row, column = round(y0 / resolution), round(x0 / resolution)
     first_row, first_column = row // TILE_CELLS, column // TILE_CELLS
     top, right = row - first_row * TILE_CELLS, column - first_column * TILE_CELLS
@@ -119,9 +127,7 @@ def update_of(path: Path) -> MapUpdate:
     )  # fmt: skip
 
 
-def coarse(
-    cells: "np.ndarray[tuple[int, ...], np.dtype[np.int8]]", step: int
-) -> "np.ndarray[tuple[int, ...], np.dtype[np.int8]]":
+def coarse(cells: Int8s, step: int) -> Int8s:
     """(h, w) int8 -> one cell for step x step: the most occupied of them, so that walls stay."""
     h, w = -(-cells.shape[0] // step), -(-cells.shape[1] // step)
     padded = np.full((h * step, w * step), -1, np.int8)

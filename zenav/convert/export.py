@@ -17,7 +17,8 @@ from ruamel.yaml import YAML
 from shared.codec import Envelope, encode
 from shared.config import UserError, nearest
 from shared.geometry import Pose2
-from shared.messages import LaserScan, Odometry, PoseEstimate, Truth
+from shared.grid import OccupancyGrid
+from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate, Truth
 from shared.recording import CONFIG, Writer, about
 from shared.topics import BY_KEY
 from zenav.convert.carmen import carmen_lines
@@ -27,6 +28,7 @@ from zenav.convert.records import LoggedScan
 from zenav.convert.ros_export import write_ros1, write_ros2, write_ros2_sqlite
 from zenav.convert.source import read_content
 from zenav.convert.stack_log import is_recording
+from zenav.maps import write
 
 TRAJECTORIES = "pose", "odom", "truth"
 
@@ -100,8 +102,8 @@ def _check(source: Path, out: Path, force: bool) -> None:
         raise UserError(f"{out} is what is to be read", "choose another name")
     if not force:
         raise UserError(f"{out} exists", "choose another name, or overwrite it: --force")
-    if out.is_dir() and not (out / "metadata.yaml").is_file():
-        raise UserError(f"{out} is a folder, and no bag", "choose another name: it is not overwritten")
+    if out.is_dir() and not any((out / name).is_file() for name in ("metadata.yaml", "map.yaml")):
+        raise UserError(f"{out} is a folder, and neither a bag nor a map", "choose another name: it stays")
 
 
 def _put(fresh: Path, out: Path) -> None:
@@ -180,6 +182,19 @@ def _carmen(task: Conversion) -> Counter[str]:
     return Counter({"ROBOTLASER1": n_scans, "ODOM": len(log.records) - n_scans})
 
 
+def _map(task: Conversion) -> Counter[str]:
+    """The last map of a recording, as `zenav map load` and ROS's map_server take it."""
+    grid = OccupancyGrid()
+    n = 0
+    for _, message in task.messages():
+        if isinstance(message, MapUpdate):
+            grid.apply(message)
+            n += 1
+    if n:
+        write(grid, task.out)
+    return Counter({"map": n})
+
+
 FORMATS = {
     "ros2": Format("a ROS 2 bag, MCAP storage", (), write_ros2, folder=True),
     "ros2-sqlite": Format("a ROS 2 bag, sqlite3 storage", (), write_ros2_sqlite),
@@ -187,5 +202,6 @@ FORMATS = {
     "zenav": Format("a recording of the stack", (".mcap",), _recording),
     "tum": Format("a trajectory for evo", (".tum", ".txt"), _tum),
     "carmen": Format("a CARMEN log", (".log", ".log.gz", ".clf"), _carmen),
+    "map": Format("a map's folder, for map_server", (), _map),
 }
 """By the name that --to takes; the first whose suffix fits is taken for a file's name."""

@@ -20,6 +20,7 @@ from shared.geometry import Pose2, wrapped
 from shared.messages import LaserScan, Localization, MapUpdate, Odometry, PoseEstimate, Truth
 from shared.messages import Path as Plan
 from shared.recording import Recording
+from shared.ros_map import read_ros_map
 from tests.unit.zenav.convert.bags import small
 from zenav.__main__ import _status
 from zenav.convert.content import Choice, Content
@@ -191,6 +192,16 @@ def test_a_recording_of_the_stack_becomes_a_bag_that_maps_alike(tmp_path):
     assert vars_of(there.mount) == pytest.approx(vars_of(here.mount))
 
 
+def test_a_recording_gives_its_last_map(tmp_path):
+    counts, _ = convert(ROOM, tmp_path / "office", "map", Choice(), "", False)
+    assert counts["map"] > 1
+    cells, resolution, *_ = read_ros_map(tmp_path / "office" / "map.yaml")
+    assert resolution == 0.05
+    assert (cells == 100).sum() > 100
+    with pytest.raises(UserError, match="nothing in it for a map's folder"):
+        convert(small().write(tmp_path / "bag"), tmp_path / "other", "map", Choice(), "", False)
+
+
 # --- trajectories ---------------------------------------------------------------------------------------------------
 
 
@@ -256,7 +267,7 @@ def test_a_folder_of_other_things_is_never_overwritten(tmp_path):
     bag = small().write(tmp_path / "bag")
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.png").write_bytes(b"cat")
-    with pytest.raises(UserError, match="no bag"):
+    with pytest.raises(UserError, match="neither a bag nor a map"):
         convert(bag, tmp_path / "photos", "", Choice(), "", True)
     assert (tmp_path / "photos" / "cat.png").exists()
 
