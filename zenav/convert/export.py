@@ -4,6 +4,7 @@
 import gzip
 import os
 import shutil
+import sqlite3
 import tempfile
 from collections import Counter
 from collections.abc import Callable
@@ -70,8 +71,9 @@ def convert(
             if not sum(counts.values()):
                 raise UserError(f"{source}: nothing in it for {chosen.about}", content.lacks or "take another format")
             _put(fresh, out)
-    except OSError as error:
-        raise UserError(f"cannot write {out}: {error.strerror or error}", "check the path and the disk") from None
+    except (OSError, sqlite3.Error) as error:
+        cause = getattr(error, "strerror", None) or error
+        raise UserError(f"cannot write {out}: {cause}", "check the path and the disk") from None
     progress(1.0)
     notes = list(content.notes)
     if content.n_bad:

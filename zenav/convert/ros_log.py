@@ -236,8 +236,12 @@ class _Reading:
         odom_frame = self._odom_frame(leaf)
         if odom_frame in above:
             return above[above.index(odom_frame) - 1]
-        named = [frame for name in BASES for frame in above if frame.rpartition("/")[2] == name]
-        return named[0] if named else above[-1]
+        return self._holder(leaf) or above[-1]
+
+    def _holder(self, laser: str) -> str | None:
+        """The robot's frame as the laser's place in tf tells it, if it does."""
+        above = self.frames.ancestors(laser)[1:]
+        return next((frame for name in BASES for frame in above if frame.rpartition("/")[2] == name), None)
 
     # --- what comes out ---------------------------------------------------------------------------------------------
 
@@ -245,7 +249,12 @@ class _Reading:
         if told is None:
             return [], Mount()
         stamps = told.received if by_receipt else told.header
-        poses = self.frames.find(base, told.frame, np.sort(stamps)) if told.frame else None
+        stamps = np.sort(stamps)
+        poses = self.frames.find(base, told.frame, stamps) if told.frame else None
+        holder = self._holder(told.frame)
+        if poses is None and holder and not self.choice.base_frame:
+            self.notes.append(f"no tf leads from {base or 'the base'} to {told.frame}: its place on {holder} is taken")
+            poses = self.frames.find(holder, told.frame, stamps)
         if poses is None:
             if self.choice.base_frame:
                 raise UserError(

@@ -8,9 +8,9 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 
-from zenav.convert.ros_messages import ODOM, POSE, SCAN, TF, typestore
+from zenav.convert.ros_messages import ECHOES, ODOM, POSE, SCAN, TF, typestore
 
-KINDS = "ros1", "ros1-lz4", "mcap", "mcap-zstd", "sqlite", "sqlite-messages"
+KINDS = "ros1", "ros1-lz4", "ros1-bz2", "mcap", "mcap-zstd", "mcap-file", "sqlite", "sqlite-messages"
 SECOND = 10**9
 
 
@@ -41,6 +41,15 @@ class BagOf:
         } | more  # fmt: skip
         message = self.new(SCAN, header=self.header(stamp, frame), ranges=np.asarray(ranges, np.float32), **fields)
         self.add(topic, SCAN, message, stamp if received is None else received)
+
+    def echoes(self, stamp, beams, topic="/horizontal_laser"):
+        """A sweep of which each beam came back some times, or never."""
+        told = [self.new("sensor_msgs/msg/LaserEcho", echoes=np.array(beam, np.float32)) for beam in beams]
+        message = self.new(
+            ECHOES, header=self.header(stamp, "laser"), angle_min=0.0, angle_max=1.0, angle_increment=0.1,
+            time_increment=0.0, scan_time=0.0, range_min=0.1, range_max=30.0, ranges=told, intensities=[],
+        )  # fmt: skip
+        self.add(topic, ECHOES, message, stamp)
 
     def pose(self, x, y, yaw):
         place = self.new("geometry_msgs/msg/Point", x=float(x), y=float(y), z=0.0)
@@ -78,14 +87,16 @@ class BagOf:
         """Returns the path: a file for ROS 1, a rosbag2 folder else."""
         if self.kind.startswith("ros1"):
             writer = Writer1(path)
-            if self.kind.endswith("lz4"):
-                writer.set_compression(Writer1.CompressionFormat.LZ4)
+            if "-" in self.kind:
+                writer.set_compression(Writer1.CompressionFormat[self.kind[5:].upper()])
             serialize = self.store.serialize_ros1
         else:
             storage = StoragePlugin.MCAP if self.kind.startswith("mcap") else StoragePlugin.SQLITE3
             writer = Writer2(path, version=8, storage_plugin=storage)
             if self.kind == "mcap-zstd":
                 writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            if self.kind == "mcap-file":
+                writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
             if self.kind == "sqlite-messages":
                 writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
             serialize = self.store.serialize_cdr

@@ -28,7 +28,8 @@ from zenav.convert.conversion import Conversion
 from zenav.convert.export import FORMATS, convert, named
 from zenav.convert.source import read_content
 
-ROOM = Path(__file__).resolve().parents[4] / "tests" / "replay" / "data" / "room.mcap"
+ROOT = Path(__file__).resolve().parents[4]
+ROOM = ROOT / "tests" / "replay" / "data" / "room.mcap"
 EVO = Path(sys.executable).parent / "evo_ape"
 SECOND = 10**9
 NAMES = {"ros2": "out", "ros2-sqlite": "out", "ros1": "out.bag", "zenav": "out.mcap", "carmen": "out.log"}
@@ -293,6 +294,28 @@ def test_a_writer_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
         convert(bag, out, "", Choice(), "", True)
     assert out.read_text() == "of yesterday\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "out.tum"]
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_a_full_disk_is_told_in_a_line_and_leaves_nothing(to, tmp_path):
+    source = small(n=400).write(tmp_path / "bag") if to != "map" else ROOM
+    code = (
+        "import resource, signal, sys\n"
+        "from zenav.__main__ import main\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))\n"  # stands for a disk with so much room
+        "main(['convert', sys.argv[1], sys.argv[2], '--to', sys.argv[3]])\n"
+    )
+    target = tmp_path / "target"
+    target.mkdir()
+    ended = subprocess.run(
+        [sys.executable, "-c", code, str(source), str(target / "out"), to], capture_output=True, text=True, cwd=ROOT
+    )
+    assert ended.returncode == 2, ended.stderr
+    assert "cannot write" in ended.stderr
+    assert "hint: " in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert list(target.iterdir()) == []
 
 
 def test_the_name_tells_the_format(tmp_path):

@@ -153,6 +153,16 @@ def test_without_tf_the_laser_is_taken_to_sit_on_the_axis_and_that_is_said(tmp_p
     assert any("no tf leads from base_link to laser" in note for note in log.notes)
 
 
+def test_a_base_that_tf_does_not_know_gives_way_to_the_one_that_the_laser_hangs_on(tmp_path):
+    bag = BagOf()
+    bag.tf(FIRST, "base_link", "laser", (0.3, 0, 0), static=True)
+    bag.odom(FIRST, 0, 0, 0, frames=("odom", "base_footprint"))
+    bag.scan(FIRST, [1.0] * 9)
+    log = read(bag, tmp_path)
+    assert scans_of(log)[0].odom_from_laser.x == pytest.approx(0.3)
+    assert any("base_footprint" in note and "base_link" in note for note in log.notes)
+
+
 def test_frames_with_a_leading_slash_are_the_same_frames(tmp_path):
     bag = BagOf("ros1")
     bag.tf(FIRST, "/base_link", "/laser", (0.3, 0, 0), static=True)
@@ -275,6 +285,14 @@ def test_what_is_no_echo_is_nan_and_the_rest_stays(tmp_path):
     assert_allclose(
         told.ranges, np.float32([1, nan, nan, nan, nan, nan, nan, 0.01, 30])
     )  # the guard looks for near ones
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap"])
+def test_of_several_echoes_of_a_beam_the_first_is_taken(tmp_path, kind):
+    bag = BagOf(kind)
+    bag.odom(FIRST, 0, 0, 0)
+    bag.echoes(FIRST, [[1.0, 2.0], [], [3.0]])
+    assert_allclose(scans_of(read(bag, tmp_path))[0].ranges, [1, np.nan, 3])
 
 
 @pytest.mark.parametrize("range_max", [0.0, np.inf, np.nan])
