@@ -194,7 +194,7 @@ def _map(task: Conversion) -> Counter[str]:
             n += 1
     if n:
         write(grid, task.out)
-    return Counter({"map": n})
+    return Counter({"map updates": n})
 
 
 FORMATS = {

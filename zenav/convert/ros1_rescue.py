@@ -25,6 +25,8 @@ BEFORE = 512  # bytes of other fields before the mark
 SHORTEST = 64  # bytes of a header with its lengths, about
 LENGTH = struct.Struct("<I")
 LARGEST_CHUNK = 1 << 28  # bytes, unpacked; what claims to be larger is damage
+SLICE = 1 << 14  # bytes that are unpacked at a time: what comes before damage is kept
+DECOMPRESSORS = {b"lz4": lz4.frame.LZ4FrameDecompressor, b"bz2": bz2.BZ2Decompressor}
 Bytes: TypeAlias = bytes | mmap.mmap
 Message: TypeAlias = tuple[str, str, int, bytes]
 """Topic, type, ns when it was recorded, and the message's bytes."""
@@ -88,36 +90,39 @@ def _messages(path: Path, lost: list[str]) -> Iterator[Message]:
     if gaps:
         lost.append(f"{sum(gaps)} bytes in {len(gaps)} places are no records")
     if n_chunks:
-        lost.append(f"{n_chunks} chunks do not unpack")
+        lost.append(f"{n_chunks} chunks do not unpack to their end")
     if n_orphans:
         lost.append(f"{n_orphans} messages belong to topics that are lost")
 
 
 def _flat(content: Bytes, begin: int, gaps: list[int]) -> Iterator[tuple[Bytes | None, Record]]:
-    """Every record with the bytes that it lies in, those of chunks too; None for a chunk that does not unpack."""
+    """Every record with the bytes that it lies in, those of chunks too; None after a chunk that breaks off."""
     for record in records(content, begin, gaps):
         compression = record.fields.get(b"compression", b"none")
         if record.op != CHUNK:
             yield content, record
         elif compression != b"none":
-            unpacked = _unpacked(content[record.start : record.end], compression, record.fields.get(b"size", b""))
-            if unpacked is None:
+            unpacked, whole = _unpacked(content[record.start : record.end], compression)
+            yield from ((unpacked, inner) for inner in records(unpacked, 0, gaps))
+            if not whole:
                 yield None, record
-            else:
-                yield from ((unpacked, inner) for inner in records(unpacked, 0, gaps))
 
 
-def _unpacked(data: bytes, compression: bytes, size: bytes) -> bytes | None:
-    if len(size) != 4 or LENGTH.unpack(size)[0] > LARGEST_CHUNK:
-        return None
+def _unpacked(data: bytes, compression: bytes) -> tuple[bytes, bool]:
+    """A chunk's content as far as it unpacks, and whether that is all."""
+    make = DECOMPRESSORS.get(compression)
+    if make is None:
+        return b"", False
+    decompressor, pieces, size = make(), [], 0
     try:
-        if compression == b"lz4":
-            return bytes(lz4.frame.decompress(data))
-        if compression == b"bz2":
-            return bz2.decompress(data)
+        for at in range(0, len(data), SLICE):
+            pieces.append(decompressor.decompress(data[at : at + SLICE]))
+            size += len(pieces[-1])
+            if decompressor.eof or size > LARGEST_CHUNK:
+                break
     except (RuntimeError, OSError, ValueError, EOFError, MemoryError):
-        return None
-    return None
+        return b"".join(pieces), False
+    return b"".join(pieces), bool(decompressor.eof)
 
 
 def _text(name: bytes) -> str:

@@ -22,6 +22,7 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from shared.config import UserError
 from shared.recording import Recording
 from zenav.convert import ros1_rescue, sqlite_rescue
+from zenav.convert.mcap_rescue import with_last_chunk
 
 MAGICS = {
     b"#ROSBAG V": "ROS 1 bag",
@@ -142,6 +143,8 @@ def _by_rosbags(reader: Any, wanted: frozenset[str], ros1: bool) -> Bag:
     """Raises whatever rosbags raises."""
     reader.open()
     try:
+        if not all(isinstance(name, str) for c in reader.connections for name in (c.topic, c.msgtype)):
+            raise ValueError("a topic without its name")
         topics = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
         chosen = [c for c in reader.connections if c.msgtype in wanted]
         found = (
@@ -189,18 +192,19 @@ def _rescued_ros1(path: Path) -> Rescued:
 
 
 def _rescued_mcap(path: Path) -> Rescued:
-    recording = Recording(path)
     lost: list[str] = []
 
     def messages() -> Iterator[Raw]:
         foreign: Counter[str] = Counter()
-        for entry in recording.entries():
-            encoding = entry.channel.encoding
-            if encoding in ("cdr", "ros1"):
-                type_ = _normal(entry.channel.schema_name)
-                yield Raw(entry.key, type_, entry.log_time, _plain(entry.payload), encoding == "ros1")
-            else:
-                foreign[encoding] += 1
+        with tempfile.TemporaryDirectory() as folder:
+            recording = Recording(with_last_chunk(path, Path(folder) / "copy.mcap"))
+            for entry in recording.entries():
+                encoding = entry.channel.encoding
+                if encoding in ("cdr", "ros1"):
+                    type_ = _normal(entry.channel.schema_name)
+                    yield Raw(entry.key, type_, entry.log_time, _plain(entry.payload), encoding == "ros1")
+                else:
+                    foreign[encoding] += 1
         lost.extend(f"{n} messages are {encoding or 'of no encoding'}, not ROS's" for encoding, n in foreign.items())
         lost.extend(recording.problems)
 

@@ -195,7 +195,7 @@ def test_a_recording_of_the_stack_becomes_a_bag_that_maps_alike(tmp_path):
 
 def test_a_recording_gives_its_last_map(tmp_path):
     counts, _ = convert(ROOM, tmp_path / "office", "map", Choice(), "", False)
-    assert counts["map"] > 1
+    assert counts["map updates"] > 1
     cells, resolution, *_ = read_ros_map(tmp_path / "office" / "map.yaml")
     assert resolution == 0.05
     assert (cells == 100).sum() > 100

@@ -193,6 +193,17 @@ def test_odometry_comes_from_tf_where_there_is_no_topic_and_is_interpolated_at_t
     assert any("odometry from tf: odom to base_footprint" in note for note in log.notes)
 
 
+def test_a_robot_that_stands_has_odometry_too(tmp_path):
+    bag = BagOf()
+    bag.tf(FIRST, "base_link", "laser", static=True)
+    for k in range(3):
+        bag.tf(FIRST + k * SECOND, "odom", "base_link", (1, 2, 0))
+    bag.scan(FIRST, [1.0] * 9)
+    log = read(bag, tmp_path)
+    assert log.has_odometry
+    assert as_row(scans_of(log)[0].odom_from_base) == pytest.approx((1, 2, 0))
+
+
 def test_without_odometry_it_says_that_the_map_is_a_guess(tmp_path):
     bag = BagOf()
     bag.tf(FIRST, "base_link", "laser", static=True)
