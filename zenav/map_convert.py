@@ -2,7 +2,7 @@
 """`zenav map convert`: maps of ROS map_server into a folder that the stack loads, and the stack's for map_server."""
 
 import sys
-from math import ceil, cos, degrees, floor, sin
+from math import degrees
 from pathlib import Path
 from typing import Literal
 
@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.config import UserError
-from shared.grid import OCCUPIED_FROM, UNKNOWN, OccupancyGrid
+from shared.grid import UNKNOWN, OccupancyGrid, update_of_cells
 from shared.ros_map import read_turned_ros_map, ros_map_files
-from zenav.maps import found, update_of_cells
+from zenav.convert.turned_map import turned
+from zenav.maps import found
 from zenav.picture import map_picture
 from zenav.saved_map import GRAPH
 from zenav.store import replace_together
@@ -20,7 +21,6 @@ from zenav.store import replace_together
 Int8s = NDArray[np.int8]
 
 Mode = Literal["trinary", "scale", "raw"]
-QUARTERS = -0.25, 0.25  # of a cell: where a turned map is looked up
 
 
 def convert(place: str, out: Path, mode: Mode, negate: bool, force: bool) -> None:
@@ -53,29 +53,3 @@ def write(
         grid.apply(update_of_cells(cells, resolution, x0, y0))
         files["map.png"] = map_picture(grid, np.zeros((0, 3)))
     replace_together(out, files)
-
-
-def turned(cells: Int8s, resolution: float, x0: float, y0: float, yaw: float) -> tuple[Int8s, float, float]:
-    """Cells (h, w) that are turned by yaw about their lower left corner, on a grid along the axes; and its corner, m.
-
-    A cell takes what lies at its middle, and is occupied where a quarter of it is: a thin wall gets no holes.
-    """
-    h, w = cells.shape
-    c, s = cos(yaw), sin(yaw)
-    corners = np.array([(0, 0), (w, 0), (0, h), (w, h)]) @ np.array([(c, s), (-s, c)])  # in cells
-    left, low = floor(corners[:, 0].min() + 1e-6), floor(corners[:, 1].min() + 1e-6)
-    right, high = ceil(corners[:, 0].max() - 1e-6), ceil(corners[:, 1].max() - 1e-6)
-    x, y = np.meshgrid(np.arange(left, right) + 0.5, np.arange(low, high) + 0.5)
-
-    def at(dx: float, dy: float) -> Int8s:
-        u, v = c * (x + dx) + s * (y + dy), -s * (x + dx) + c * (y + dy)
-        column, row = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
-        inside = (column >= 0) & (column < w) & (row >= 0) & (row < h)
-        return np.where(inside, cells[np.clip(row, 0, h - 1), np.clip(column, 0, w - 1)], UNKNOWN).astype(np.int8)
-
-    out = at(0.0, 0.0)
-    for dx in QUARTERS:
-        for dy in QUARTERS:
-            quarter = at(dx, dy)
-            out = np.where(quarter >= OCCUPIED_FROM, np.maximum(out, quarter), out).astype(np.int8)
-    return out, x0 + left * resolution, y0 + low * resolution

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from shared import topics
 from shared.config import UserError, load_robot, nearest
-from shared.grid import OccupancyGrid
-from shared.messages import TILE_CELLS, Localization, MapUpdate, PoseEstimate
+from shared.grid import OccupancyGrid, update_of_cells
+from shared.messages import Localization, MapUpdate, PoseEstimate
 from shared.reasons import NO_MAP, NO_SUCH_MAP, POSE_LOST
 from shared.ros_map import read_ros_map, ros_map_files
 from shared.runners.transport import where_from
@@ -107,24 +107,6 @@ def grid_of(path: Path) -> OccupancyGrid:
 def update_of(path: Path) -> MapUpdate:
     """A saved map as the message that carries it: see update_of_cells."""
     return update_of_cells(*read_ros_map(path))
-
-
-def update_of_cells(cells: Int8s, resolution: float, x0: float, y0: float) -> MapUpdate:
-    """Cells (h, w), row 0 lowest, as the message that carries them; the corner is moved by up to half a cell onto the
-    tiles' cells."""
-    row, column = round(y0 / resolution), round(x0 / resolution)
-    first_row, first_column = row // TILE_CELLS, column // TILE_CELLS
-    top, right = row - first_row * TILE_CELLS, column - first_column * TILE_CELLS
-    h, w = -(-(top + cells.shape[0]) // TILE_CELLS), -(-(right + cells.shape[1]) // TILE_CELLS)
-    whole = np.full((h * TILE_CELLS, w * TILE_CELLS), -1, np.int8)
-    whole[top : top + cells.shape[0], right : right + cells.shape[1]] = cells
-    tiles = whole.reshape(h, TILE_CELLS, w, TILE_CELLS).swapaxes(1, 2).reshape(h * w, TILE_CELLS * TILE_CELLS)
-    rows, columns = np.divmod(np.arange(h * w, dtype=np.int32), np.int32(w))
-    seen = (tiles >= 0).any(axis=1)
-    return MapUpdate(
-        0, 0, 1, resolution, (rows + first_row)[seen].astype(np.int32), (columns + first_column)[seen].astype(np.int32),
-        np.ascontiguousarray(tiles[seen]),
-    )  # fmt: skip
 
 
 def coarse(cells: Int8s, step: int) -> Int8s:

@@ -29,7 +29,6 @@ from zenav.convert.records import LoggedScan
 from zenav.convert.ros_export import write_ros1, write_ros2, write_ros2_sqlite
 from zenav.convert.source import read_content
 from zenav.convert.stack_log import is_recording
-from zenav.maps import write
 
 TRAJECTORIES = "pose", "odom", "truth"
 
@@ -193,6 +192,8 @@ def _map(task: Conversion) -> Counter[str]:
             grid.apply(message)
             n += 1
     if n:
+        from zenav.maps import write  # with Zenoh behind it
+
         write(grid, task.out)
     return Counter({"map updates": n})
 

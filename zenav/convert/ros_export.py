@@ -29,12 +29,12 @@ from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapUpdate, Message, Odometry, Path, PoseEstimate, Truth
 from zenav.convert.conversion import Conversion
-from zenav.convert.ros_messages import ODOM, POSE, POSE_COVARIANCE, SCAN, TF, typestore
+from zenav.convert.ros_messages import GRID, ODOM, POSE, POSE_COVARIANCE, SCAN, TF, typestore
 
 Float64s = NDArray[np.float64]
 
 MAP, ODOM_FRAME, BASE, LASER = "map", "odom", "base_link", "laser"
-GRID, PATH = "nav_msgs/msg/OccupancyGrid", "nav_msgs/msg/Path"
+PATH = "nav_msgs/msg/Path"
 TYPES = {
     "/scan": SCAN, "/odom": ODOM, "/pose": POSE_COVARIANCE, "/map": GRID, "/plan": PATH, "/ground_truth": POSE,
     "/tf": TF, "/tf_static": TF,

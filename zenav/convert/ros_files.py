@@ -30,6 +30,8 @@ MAGICS = {
     b"\x89MCAP0\r\n": "MCAP",
     b"\x28\xb5\x2f\xfd": "zstd",
 }
+LATEST = frozenset({"nav_msgs/msg/OccupancyGrid"})
+"""Types of which the last message of a topic says all."""
 ZSTD = b"\x28\xb5\x2f\xfd"
 SLICE = 1 << 20  # bytes
 
@@ -124,10 +126,14 @@ def _read(path: Path, kind: str, wanted: frozenset[str]) -> Bag:
     messages, lost = RESCUES[kind](path)
     bag = Bag()
     counts: Counter[tuple[str, str]] = Counter()
-    for raw in messages:
-        counts[raw.topic, raw.type] += 1
-        if raw.type in wanted:
-            bag.messages.append(raw)
+
+    def counted() -> Iterator[Raw]:
+        for raw in messages:
+            counts[raw.topic, raw.type] += 1
+            if raw.type in wanted:
+                yield raw
+
+    bag.messages = _thinned(counted())
     bag.topics = {topic: (type_, n) for (topic, type_), n in counts.items()}
     if not counts:
         raise UserError(f"{path}: nothing in it can be read: {'; '.join([cause, *lost])}", MEND)
@@ -147,17 +153,26 @@ def _by_rosbags(reader: Any, wanted: frozenset[str], ros1: bool) -> Bag:
             raise ValueError("a topic without its name")
         topics = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
         chosen = [c for c in reader.connections if c.msgtype in wanted]
-        found = (
-            [Raw(c.topic, c.msgtype, t, _plain(bytes(data)), ros1) for c, t, data in reader.messages(chosen)]
-            if chosen
-            else []
-        )
+        rows = reader.messages(chosen) if chosen else ()
+        found = _thinned(Raw(c.topic, c.msgtype, t, _plain(bytes(data)), ros1) for c, t, data in rows)
         if not all(isinstance(raw.received, int) for raw in found):
             raise ValueError("a message without its time")
     finally:
         with suppress(Exception):
             reader.close()
     return Bag(found, topics)
+
+
+def _thinned(messages: Iterable[Raw]) -> list[Raw]:
+    """All messages; of LATEST, the last of each topic."""
+    found: list[Raw] = []
+    last: dict[str, Raw] = {}
+    for raw in messages:
+        if raw.type in LATEST:
+            last[raw.topic] = raw
+        else:
+            found.append(raw)
+    return found + list(last.values())
 
 
 def _short(error: Exception) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from shared.config import Mount, UserError, nearest
 from shared.geometry import Pose2
-from shared.messages import LaserScan, Localization, Message, Odometry, PoseEstimate
+from shared.messages import LaserScan, Localization, MapUpdate, Message, Odometry, PoseEstimate
 from zenav.convert import ros_messages as ros
 from zenav.convert.content import Choice, Content
 from zenav.convert.frames import Frames, level, planar, tilt, upside_down
@@ -78,6 +78,7 @@ class _Reading:
         messages += [("odom", message) for message in track]
         messages += [("scan", message) for message in scans]
         messages += [("pose", message) for message in self._poses(pose, base, by_receipt)]
+        messages += [("map", message) for message in self._map(by_receipt)]
         if scans and not track:
             self.notes.append(
                 "no odometry, neither as a topic nor in tf: mapped by matching scans alone, which is a guess"
@@ -110,7 +111,10 @@ class _Reading:
         if not fit:
             return []
         if len(fit) > 1:
-            self.notes.append(f"{what} from {fit[-1]}; there is {', '.join(reversed(fit[:-1]))} too ({option} TOPIC)")
+            others = ", ".join(reversed(fit[:-1]))
+            self.notes.append(
+                f"{what} from {fit[-1]}; there is {others} too" + (f" ({option} TOPIC)" if option else "")
+            )
         return by_topic[fit[-1]]
 
     def _scan_rank(self, raws: list[Raw]) -> Any:
@@ -320,6 +324,11 @@ class _Reading:
         poses = self.frames.find(target, source, stamps)
         return [(int(t), planar(pose)) for t, pose in zip(stamps, poses)] if poses is not None else []
 
+    def _map(self, by_receipt: bool) -> list[MapUpdate]:
+        """The last map; costmaps are none."""
+        told = self._told(self._chosen("", (ros.GRID,), _map_rank, "map", ""))
+        return self._made(told, ros.occupancy, by_receipt or (told is not None and told.unstamped))
+
     def _poses(self, told: Told | None, base: str, by_receipt: bool) -> list[PoseEstimate]:
         """The pose on the map: of its topic, or in tf."""
 
@@ -355,6 +364,11 @@ def _pose_rank(raws: list[Raw]) -> Any:
     if any(word in topic for word in ("goal", "initial", "clicked", "target")):
         return None
     return "amcl" in topic or topic.rpartition("/")[2] == "pose", raws[0].type == ros.POSE_COVARIANCE, len(raws)
+
+
+def _map_rank(raws: list[Raw]) -> Any:
+    topic = raws[0].topic
+    return None if "cost" in topic else (topic.rpartition("/")[2] == "map", topic.endswith("map"))
 
 
 def _apart(a: Int64s, b: Int64s) -> bool:

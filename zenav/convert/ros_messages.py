@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from shared.geometry import Pose2
-from shared.messages import LaserScan, Odometry
+from shared.grid import update_of_cells
+from shared.messages import LaserScan, MapUpdate, Odometry
 from zenav.convert.ros_files import Raw
+from zenav.convert.turned_map import turned
 
 Float64s = NDArray[np.float64]
 
@@ -22,10 +24,12 @@ SCAN, ECHOES = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan"
 ODOM = "nav_msgs/msg/Odometry"
 TF, OLD_TF = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
 POSE, POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
-WANTED = frozenset({SCAN, ECHOES, ODOM, TF, OLD_TF, POSE, POSE_COVARIANCE})
+GRID = "nav_msgs/msg/OccupancyGrid"
+WANTED = frozenset({SCAN, ECHOES, ODOM, TF, OLD_TF, POSE, POSE_COVARIANCE, GRID})
 
 FARTHEST = 250.0  # m, of a range in a LaserScan of the stack
 MOST_BEAMS = 20_000
+FARTHEST_MAP = 1e4  # m
 LONGEST_SWEEP = 2.0  # s
 MOST_TURNS = 10  # of the first beam's angle
 PLANE = np.array((0, 1, 5))  # x, y, yaw of the six that ROS's covariances have
@@ -130,6 +134,25 @@ def pose2(pose: Any) -> Pose2:
     if not (0.25 < norm < 4 and abs(p.x) <= 1e6 and abs(p.y) <= 1e6):
         raise ValueError("a pose that is none")
     return Pose2(float(p.x), float(p.y), atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
+
+
+def occupancy(message: Any, stamp: int) -> MapUpdate:
+    """A whole map; one that is turned is turned back."""
+    info, origin = message.info, pose2(message.info.origin)
+    height, width, resolution = int(info.height), int(info.width), float(info.resolution)
+    cells = np.asarray(message.data, np.int8)
+    if not 0.005 <= resolution <= 1 or height * width != len(cells) or not len(cells):
+        raise ValueError("a map of no cells")
+    cells = np.where((cells < 0) | (cells > 100), -1, cells).astype(np.int8).reshape(height, width)
+    x0, y0 = origin.x, origin.y
+    if abs(origin.yaw) > 1e-6:
+        cells, x0, y0 = turned(cells, resolution, x0, y0, origin.yaw)
+    if max(abs(x0), abs(y0), resolution * max(cells.shape)) > FARTHEST_MAP:
+        raise ValueError("a map that is too far away")
+    update = update_of_cells(cells, round(resolution, 9), x0, y0, stamp)
+    if (problem := update.problem()) is not None:
+        raise ValueError(problem)
+    return update
 
 
 def covariance(of_six: Any) -> Float64s:

@@ -13,7 +13,8 @@ from numpy.testing import assert_array_equal
 from shared.config import UserError
 from shared.ros_map import read_ros_map, ros_map_files
 from zenav.__main__ import _status
-from zenav.map_convert import convert, turned
+from zenav.convert.turned_map import turned
+from zenav.map_convert import convert
 from zenav.maps import grid_of
 
 CELLS = np.full((20, 30), 0, np.int8)

@@ -8,7 +8,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 
-from zenav.convert.ros_messages import ECHOES, ODOM, POSE, SCAN, TF, typestore
+from zenav.convert.ros_messages import ECHOES, GRID, ODOM, POSE, SCAN, TF, typestore
 
 KINDS = "ros1", "ros1-lz4", "ros1-bz2", "mcap", "mcap-zstd", "mcap-file", "sqlite", "sqlite-messages"
 SECOND = 10**9
@@ -50,6 +50,16 @@ class BagOf:
             time_increment=0.0, scan_time=0.0, range_min=0.1, range_max=30.0, ranges=told, intensities=[],
         )  # fmt: skip
         self.add(topic, ECHOES, message, stamp)
+
+    def grid(self, stamp, cells, origin, topic="/map"):
+        """An occupancy grid of 0.05 m a cell; origin: x, y, yaw of its lower left corner."""
+        height, width = cells.shape
+        header = self.header(stamp, "map")
+        info = self.new(
+            "nav_msgs/msg/MapMetaData", map_load_time=header.stamp, resolution=0.05, width=width, height=height,
+            origin=self.pose(*origin),
+        )  # fmt: skip
+        self.add(topic, GRID, self.new(GRID, header=header, info=info, data=cells.ravel().astype(np.int8)), stamp)
 
     def pose(self, x, y, yaw):
         place = self.new("geometry_msgs/msg/Point", x=float(x), y=float(y), z=0.0)

@@ -16,10 +16,12 @@ from shared.geometry import Pose2
 from tests.unit.services.mapper.rooms import ROOM, cast
 from tests.unit.zenav.convert.bags import KINDS, SECOND, BagOf, file_of, small
 from zenav.convert.content import Choice
+from zenav.convert.export import convert
 from zenav.convert.records import LoggedPose, LoggedScan
 from zenav.convert.ros_files import MAGICS, read_bag
 from zenav.convert.ros_messages import WANTED
 from zenav.convert.source import read_content, read_log
+from zenav.maps import grid_of
 
 ROOT = Path(__file__).resolve().parents[4]
 FIRST = 1_700_000_000 * SECOND + 123_456_789
@@ -350,6 +352,24 @@ def test_the_pose_on_the_map_is_of_tf_where_no_topic_tells_it(tmp_path):
         bag.tf(FIRST + k * SECOND, "odom", "base_link", (0.5 * k, 0, 0))
     messages = read_content(bag.write(tmp_path / "bag"), Choice()).messages
     assert [message.map_from_base.x for key, message in messages if key == "pose"] == pytest.approx([10, 10.5, 11])
+
+
+@pytest.mark.parametrize("quarters", [0, 1])
+def test_the_map_is_the_last_one_of_its_topic_turned_back_and_costmaps_are_none(tmp_path, quarters):
+    cells = np.full((30, 40), -1, np.int8)
+    cells[3, 5] = 100
+    bag = BagOf()
+    for k in range(3):
+        bag.grid(FIRST + k, cells if k == 2 else np.zeros((9, 9)), (1.0, 2.0, quarters * pi / 2))
+        bag.grid(FIRST + 10 + k, np.zeros((5, 5)), (0, 0, 0), topic="/local_costmap/costmap")
+    path = bag.write(tmp_path / "bag")
+    ((key, update),) = read_content(path, Choice()).messages
+    assert (key, update.stamp) == ("map", FIRST + 2)
+    convert(path, tmp_path / "out", "map", Choice(), "", False)
+    grid = grid_of(tmp_path / "out" / "map.yaml")
+    x, y = (5.5 * 0.05, 3.5 * 0.05) if not quarters else (-3.5 * 0.05, 5.5 * 0.05)
+    assert grid.cells[grid.cell(1 + x, 2 + y)] == 100
+    assert (grid.cells == 100).sum() == 1
 
 
 @pytest.mark.parametrize(
