@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from shared.config import UserError, load_robot
@@ -19,7 +20,7 @@ from zenav.convert.content import Choice
 from zenav.convert.export import convert
 from zenav.convert.records import LoggedPose, LoggedScan
 from zenav.convert.ros_files import MAGICS, read_bag
-from zenav.convert.ros_messages import WANTED
+from zenav.convert.ros_messages import OLD_TF, WANTED, typestore
 from zenav.convert.source import read_content, read_log
 from zenav.maps import grid_of
 
@@ -76,6 +77,24 @@ def test_a_folder_that_lacks_one_of_its_files_gives_the_others(tmp_path):
     log = read_log(path, Choice())
     assert len(scans_of(log)) == 8
     assert any("gone.mcap" in note for note in log.notes)
+
+
+def test_every_ros2_lays_out_what_is_read_alike():
+    def layouts(store, type_, found):
+        fields = store.fielddefs[type_][1]
+        found[type_] = fields
+        for _, description in fields:
+            while description[0].name in ("ARRAY", "SEQUENCE"):
+                description = description[1][0]
+            if description[0].name == "NAME" and description[1] not in found:
+                layouts(store, description[1], found)
+        return found
+
+    stores = [get_typestore(store) for store in Stores if store.value.startswith("ros2")]
+    assert len(stores) > 5
+    for type_ in WANTED - {OLD_TF}:
+        mine = layouts(typestore(ros1=False), type_, {})
+        assert all(layouts(store, type_, {}) == mine for store in stores)
 
 
 # --- the laser's place ----------------------------------------------------------------------------------------------
