@@ -153,7 +153,7 @@ def slam(
             f"{log}: the robot was not found on the map of {saved_map}",
             "is it of that building? A longer drive through what the map shows helps",
         )
-    stamps, poses = trajectory(read.records, run.corrected(), first)
+    stamps, poses = trajectory(read, run.corrected(), first)
     report = _report(log, read, scans, run, poses, times)
     results = {
         "trajectory.tum": tum(stamps, poses).encode(),
@@ -246,25 +246,26 @@ def since(first: int, stamp: int) -> int:
     return stamp - first + SECOND
 
 
-def trajectory(
-    records: list[LoggedPose | LoggedScan], estimates: list[PoseEstimate], first: int
-) -> tuple[Float64s, Float64s]:
+def trajectory(log: Log, estimates: list[PoseEstimate], first: int) -> tuple[Float64s, Float64s]:
     """The base's pose at every record: (n,) s on the log's clock, and (n, 3).
 
-    At scans it is the mapper's; between two scans odometry fills in, corrected by what it got wrong between them.
+    At the end of scans it is the mapper's; between two of them odometry fills in, corrected by what it got wrong
+    between them. Where the log has no odometry, which then stands still, the motion is even.
     """
     places = [estimate.stamp for estimate in estimates]
     rows, stamps = [], []
-    for record in records:
+    for record in log.records:
         stamp = since(first, record.stamp)
         i = bisect_right(places, stamp) - 1
+        if not log.has_odometry and len(estimates) > 1:
+            i = min(max(i, 0), len(estimates) - 2)
         if i >= 0 and places[i] == stamp:
             pose = estimates[i].map_from_base
         elif i < 0 or i + 1 == len(places):
             pose = estimates[max(i, 0)].map_from_odom @ record.odom_from_base
         else:
             a, b = estimates[i], estimates[i + 1]
-            share = (stamp - a.stamp) / (b.stamp - a.stamp)
+            share = min(max((stamp - a.stamp) / (b.stamp - a.stamp), -1.0), 2.0)
             early = a.map_from_odom @ record.odom_from_base
             late = b.map_from_odom @ record.odom_from_base
             pose = interpolated(early, late, share)

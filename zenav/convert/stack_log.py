@@ -47,9 +47,17 @@ def read_recording(path: Path, choice: Choice) -> Content:
     messages.sort(key=lambda row: row[1].stamp)
     notes = list(recording.problems)
     notes += [f"{n} of {seen[key]} messages on {key} are not valid in this version" for key, n in bad.items()]
-    file = robot_file(recording)
-    mount = file.robot.laser.mount if file is not None and file.robot.laser is not None else Mount()
-    if file is None:
-        notes.append("no configuration in it: the laser is taken to sit on the axis and look ahead")
+    mount = _mount(recording)
+    if mount is None:
+        notes.append("no configuration in it that can be read: the laser is taken to sit on the axis and look ahead")
     lacks = f"it was recorded without `scan`; its topics: {', '.join(sorted(seen)) or 'none'}"
-    return Content(messages, mount, sum(bad.values()), notes, lacks)
+    return Content(messages, mount or Mount(), sum(bad.values()), notes, lacks)
+
+
+def _mount(recording: Recording) -> Mount | None:
+    """The laser's place in the configuration that the recording was made with."""
+    try:
+        file = robot_file(recording)
+        return file.robot.laser.mount if file is not None else None
+    except UserError:  # it is damaged, and the messages need not be
+        return None

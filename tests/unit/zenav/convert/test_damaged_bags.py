@@ -16,6 +16,7 @@ from mcap.writer import Writer
 from shared.config import UserError
 from tests.unit.zenav.convert.bags import file_of, small
 from zenav.convert.content import Choice
+from zenav.convert.export import convert
 from zenav.convert.records import LoggedScan
 from zenav.convert.ros_files import RESCUES, kind_of, read_bag
 from zenav.convert.ros_messages import WANTED
@@ -27,7 +28,11 @@ FUZZ = settings(max_examples=60, deadline=None, suppress_health_check=[HealthChe
 
 @cache
 def content_of(kind, folder):
-    """A small bag's one file, as bytes."""
+    """A small bag's one file, as bytes; or a recording of the stack with the same in it."""
+    if kind == "zenav":
+        out = folder / "whole.mcap"
+        convert(small().write(folder / "source"), out, "", Choice(), "", False)
+        return out.read_bytes()
     return file_of(small(kind).write(folder / f"whole-{kind}")).read_bytes()
 
 
@@ -70,7 +75,7 @@ def test_what_is_rescued_of_a_sound_bag_is_all_that_rosbags_reads(kind, folder, 
     assert lost == []
 
 
-@pytest.mark.parametrize("kind", STORED)
+@pytest.mark.parametrize("kind", [*STORED, "zenav"])
 @FUZZ
 @given(data=st.data())
 def test_a_bag_that_was_cut_off_gives_what_came_before(kind, folder, data):
@@ -84,7 +89,7 @@ def test_a_bag_that_was_cut_off_gives_what_came_before(kind, folder, data):
     assert told
 
 
-@pytest.mark.parametrize("kind", STORED)
+@pytest.mark.parametrize("kind", [*STORED, "zenav"])
 @FUZZ
 @given(data=st.data())
 def test_a_bag_with_flipped_bits_is_read_or_refused_in_a_line(kind, folder, data):
