@@ -601,8 +601,16 @@ def convert(
     source: Annotated[
         Path, typer.Argument(help="CARMEN log, ROS 1 or 2 bag (file or folder), or recording.", metavar="IN")
     ],
-    out: Annotated[Path, typer.Argument(help="Its name tells the format: .mcap .bag .tum .log, or a folder: ROS 2.")],
-    to: Annotated[str, typer.Option(help="The format, where the name does not tell.", autocompletion=_formats)] = "",
+    out: Annotated[
+        Path, typer.Argument(help="Its name tells the format: .mcap .bag .tum .log, or a folder: ROS 2.", metavar="OUT")
+    ],
+    to: Annotated[
+        str,
+        typer.Option(
+            help="The format, where the name does not tell: ros2, ros2-sqlite, ros1, zenav, tum, carmen, map.",
+            autocompletion=_formats,
+        ),
+    ] = "",
     trajectory: Annotated[
         Literal["pose", "odom", "truth"] | None,
         typer.Option(help="For TUM: whose poses; without it the first there is."),

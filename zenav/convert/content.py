@@ -85,7 +85,7 @@ def log_of(content: Content) -> Log:
     scans = [message for _, message in content.messages if isinstance(message, LaserScan)]
     track = sorted((m for _, m in content.messages if isinstance(m, Odometry)), key=lambda odometry: odometry.stamp)
     base_from_laser = Pose2(content.mount.x, content.mount.y, content.mount.yaw)
-    at_scans = _at([scan.stamp for scan in scans], track)
+    at_scans = odometry_at([scan.stamp for scan in scans], track)
     records: list[LoggedPose | LoggedScan] = []
     for scan, odom_from_base in zip(scans, at_scans):
         ranges = np.where(scan.ranges >= scan.range_min, scan.ranges, np.float32(np.nan)).astype(np.float32)
@@ -101,8 +101,8 @@ def log_of(content: Content) -> Log:
     return Log(records, content.n_bad, False, "messages", bool(track), list(content.notes))
 
 
-def _at(stamps: list[int], track: list[Odometry]) -> list[Pose2]:
-    """Odometry at stamps, interpolated; the nearest one's outside, and no motion where there is none."""
+def odometry_at(stamps: list[int], track: list[Odometry]) -> list[Pose2]:
+    """Odometry, which is in order, at stamps: interpolated; the nearest one's outside, and no motion without any."""
     if not track:
         return [Pose2()] * len(stamps)
     times = np.array([odometry.stamp for odometry in track])

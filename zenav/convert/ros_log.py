@@ -2,7 +2,7 @@
 """A ROS bag as the stack's messages: which topics, which frames, which clock, and where the laser sits."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,13 +14,14 @@ from shared.config import Mount, UserError, nearest
 from shared.geometry import Pose2
 from shared.messages import LaserScan, Localization, MapUpdate, Message, Odometry, PoseEstimate
 from zenav.convert import ros_messages as ros
-from zenav.convert.content import Choice, Content
+from zenav.convert.content import Choice, Content, odometry_at
 from zenav.convert.frames import Frames, level, planar, tilt, upside_down
 from zenav.convert.ros_files import Bag, Raw, read_bag
 
 Float64s = NDArray[np.float64]
 Int64s = NDArray[np.int64]
 M = TypeVar("M", bound=Message)
+T = TypeVar("T")
 
 BASES = "base_footprint", "base_link", "base", "chassis"  # REP 105, and what else people write
 ANOTHER_CLOCK = 3600 * 10**9  # ns that a header may be off the usual from when it was recorded: farther is damage
@@ -68,7 +69,7 @@ class _Reading:
         pose = self._told(
             self._chosen(self.choice.pose, (ros.POSE_COVARIANCE, ros.POSE), _pose_rank, "pose", "--topic-pose")
         )
-        by_receipt = self._clock([told for told in (scan, odom, pose) if told is not None])
+        by_receipt = self._clock([told for told in (scan, odom) if told is not None])
         if by_receipt:
             self.frames = self._frames(by_receipt=True)
         base = self._base(scan, odom)
@@ -77,12 +78,10 @@ class _Reading:
         scans, mount = self._scans(scan, base, by_receipt)
         messages += [("odom", message) for message in track]
         messages += [("scan", message) for message in scans]
-        messages += [("pose", message) for message in self._poses(pose, base, by_receipt)]
+        messages += [("pose", message) for message in self._poses(pose, base, by_receipt, track)]
         messages += [("map", message) for message in self._map(by_receipt)]
         if scans and not track:
-            self.notes.append(
-                "no odometry, neither as a topic nor in tf: mapped by matching scans alone, which is a guess"
-            )
+            self.notes.append("no odometry, neither as a topic nor in tf: scans alone must do, so a map is a guess")
         messages.sort(key=lambda row: row[1].stamp)
         topics = ", ".join(
             f"{topic} ({type_.replace('/msg/', '/')})" for topic, (type_, _) in sorted(self.bag.topics.items())
@@ -136,7 +135,7 @@ class _Reading:
     def _told(self, raws: list[Raw]) -> Told | None:
         rows = []
         for raw in raws:
-            message = self._good(lambda raw=raw: ros.read(raw))  # type: ignore[misc]  # bound at once
+            message = self._good(ros.read, raw)
             if message is not None and 0 <= raw.received < 2**62:
                 rows.append((raw.received, ros.stamp_of(message.header), message))
         if not rows:
@@ -148,10 +147,10 @@ class _Reading:
             ros.frame(getattr(first, "child_frame_id", "")),
         )  # fmt: skip
 
-    def _good(self, made: Callable[[], Any]) -> Any:
+    def _good(self, make: Callable[..., T], *arguments: Any) -> T | None:
         """What a function makes of a message; None, and one more bad one, where that makes no sense."""
         try:
-            return made()
+            return make(*arguments)
         except (ValueError, OverflowError, TypeError, AttributeError):
             self.n_bad += 1
             return None
@@ -177,6 +176,7 @@ class _Reading:
         """A topic's messages as the stack's, in time; those with a stamp that cannot be are bad ones."""
         if told is None:
             return []
+        by_receipt = by_receipt or told.unstamped
         stamps = told.received if by_receipt else told.header
         late = told.header - told.received
         sane = (stamps > 0) | by_receipt
@@ -185,7 +185,7 @@ class _Reading:
         found = []
         for stamp, message, is_sane in zip(stamps.tolist(), told.messages, sane):
             self.n_bad += not is_sane
-            made = self._good(lambda m=message, s=stamp: make(m, s)) if is_sane else None  # type: ignore[misc]
+            made = self._good(make, message, stamp) if is_sane else None
             if made is not None:
                 found.append(made)
         return sorted(found, key=lambda message: message.stamp)
@@ -198,17 +198,12 @@ class _Reading:
         for raw in self.bag.messages:
             if raw.type not in (ros.TF, ros.OLD_TF):
                 continue
-            message = self._good(lambda raw=raw: ros.read(raw))  # type: ignore[misc]  # bound at once
+            message = self._good(ros.read, raw) if 0 <= raw.received < 2**62 else None
+            static = raw.topic.endswith("tf_static")
             for told in message.transforms if message is not None else ():
-                row = self._good(
-                    lambda told=told: (
-                        ros.frame(told.header.frame_id),
-                        ros.frame(told.child_frame_id),
-                        ros.stamp_of(told.header),
-                    )  # type: ignore[misc]
-                )
-                if row is not None and raw.received < 2**62:
-                    rows.append((*row, raw.received, ros.transform(told.transform), raw.topic.endswith("tf_static")))
+                parent, child = ros.frame(told.header.frame_id), ros.frame(told.child_frame_id)
+                stamp = ros.stamp_of(told.header)
+                rows.append((parent, child, stamp, raw.received, ros.transform(told.transform), static))
         return rows
 
     def _frames(self, by_receipt: bool) -> Frames:
@@ -252,8 +247,7 @@ class _Reading:
     def _scans(self, told: Told | None, base: str, by_receipt: bool) -> tuple[list[LaserScan], Mount]:
         if told is None:
             return [], Mount()
-        stamps = told.received if by_receipt else told.header
-        stamps = np.sort(stamps)
+        stamps = np.sort(told.received if by_receipt else told.header)
         poses = self.frames.find(base, told.frame, stamps) if told.frame else None
         holder = self._holder(told.frame)
         if poses is None and holder and not self.choice.base_frame:
@@ -281,9 +275,9 @@ class _Reading:
         mount = places[len(places) // 2]
         if any(mount.distance(place) > MOVED or abs((mount.inverse() @ place).yaw) > MOVED for place in places):
             self.notes.append(f"{told.frame} moves on {base}: its place in the middle of the bag is taken")
-        if upside_down(poses[0]):
-            self.notes.append(f"the laser of {told.topic} hangs upside-down: its beams were turned about")
         mirrored = upside_down(poses[0])
+        if mirrored:
+            self.notes.append(f"the laser of {told.topic} hangs upside-down: its beams were turned about")
         scans = self._made(told, lambda m, stamp: ros.laser_scan(m, stamp, mirrored), by_receipt)
         if max(abs(mount.x), abs(mount.y)) > 5:
             raise UserError(
@@ -327,20 +321,22 @@ class _Reading:
     def _map(self, by_receipt: bool) -> list[MapUpdate]:
         """The last map; costmaps are none."""
         told = self._told(self._chosen("", (ros.GRID,), _map_rank, "map", ""))
-        return self._made(told, ros.occupancy, by_receipt or (told is not None and told.unstamped))
+        return self._made(told, ros.occupancy, by_receipt)
 
-    def _poses(self, told: Told | None, base: str, by_receipt: bool) -> list[PoseEstimate]:
-        """The pose on the map: of its topic, or in tf."""
+    def _poses(self, told: Told | None, base: str, by_receipt: bool, track: list[Odometry]) -> list[PoseEstimate]:
+        """The pose on the map: of its topic, or in tf; with what that corrects of odometry."""
 
         def made(message: Any, stamp: int) -> PoseEstimate:
             pose = message.pose
             spread = ros.covariance(pose.covariance) if hasattr(pose, "covariance") else np.zeros(9)
             return _estimate(stamp, ros.pose2(pose.pose if hasattr(pose, "covariance") else pose), spread)
 
-        if told is not None:
-            return self._made(told, made, by_receipt)
+        found = self._made(told, made, by_receipt)
         maps = [frame for frame in self.frames.ancestors(base) if frame.rpartition("/")[2] == "map"]
-        return [_estimate(stamp, pose, np.zeros(9)) for stamp, pose in (self._moving(maps[0], base) if maps else [])]
+        if told is None and maps:
+            found = [_estimate(stamp, pose, np.zeros(9)) for stamp, pose in self._moving(maps[0], base)]
+        odom_from_base = odometry_at([pose.stamp for pose in found], track)
+        return [replace(p, map_from_odom=p.map_from_base @ o.inverse()) for p, o in zip(found, odom_from_base)]
 
 
 def _estimate(stamp: int, map_from_base: Pose2, spread: Float64s) -> PoseEstimate:
@@ -361,7 +357,7 @@ def _odometry_rank(raws: list[Raw]) -> Any:
 def _pose_rank(raws: list[Raw]) -> Any:
     """What localises the robot; goals and first guesses are poses too, and no place of it."""
     topic = raws[0].topic
-    if any(word in topic for word in ("goal", "initial", "clicked", "target")):
+    if any(word in topic for word in ("goal", "initial", "clicked", "target", "truth")):
         return None
     return "amcl" in topic or topic.rpartition("/")[2] == "pose", raws[0].type == ros.POSE_COVARIANCE, len(raws)
 

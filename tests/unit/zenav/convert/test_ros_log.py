@@ -370,7 +370,19 @@ def test_the_pose_on_the_map_is_of_tf_where_no_topic_tells_it(tmp_path):
         bag.tf(FIRST + k * SECOND, "map", "odom", (10, 0, 0))
         bag.tf(FIRST + k * SECOND, "odom", "base_link", (0.5 * k, 0, 0))
     messages = read_content(bag.write(tmp_path / "bag"), Choice()).messages
-    assert [message.map_from_base.x for key, message in messages if key == "pose"] == pytest.approx([10, 10.5, 11])
+    poses = [message for key, message in messages if key == "pose"]
+    assert [pose.map_from_base.x for pose in poses] == pytest.approx([10, 10.5, 11])
+    assert [pose.map_from_odom.x for pose in poses] == pytest.approx([10, 10, 10])
+
+
+def test_a_pose_tells_what_it_corrects_of_odometry(tmp_path):
+    bag = BagOf()
+    for k in range(2):
+        bag.odom(FIRST + k * SECOND, 4.0 * k, 0, 0.5)
+    bag.goal(FIRST + SECOND // 2, 5, 5, "/pose")
+    messages = read_content(bag.write(tmp_path / "bag"), Choice()).messages
+    pose = next(message for key, message in messages if key == "pose")
+    assert as_row(pose.map_from_odom @ Pose2(2, 0, 0.5)) == pytest.approx((5, 5, 0))
 
 
 @pytest.mark.parametrize("quarters", [0, 1])
