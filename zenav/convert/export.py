@@ -30,6 +30,7 @@ from zenav.convert.ros_export import write_ros1, write_ros2, write_ros2_sqlite
 from zenav.convert.source import read_content
 from zenav.convert.stack_log import is_recording
 
+LATEST = 2**31 * 10**9  # ns: what ROS has no stamp for is damage
 TRAJECTORIES = "pose", "odom", "truth"
 
 
@@ -62,7 +63,9 @@ def convert(
     chosen = FORMATS[named(to, out)]
     _check(source, out, force)
     content = read_content(source, choice)
-    content.messages = list(content.messages)
+    n_read = len(content.messages)
+    content.messages = [row for row in content.messages if row[1].stamp < LATEST]
+    content.n_bad += n_read - len(content.messages)
     try:
         with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as folder:
             fresh = Path(folder) / out.name

@@ -193,6 +193,15 @@ def test_a_recording_of_the_stack_becomes_a_bag_that_maps_alike(tmp_path):
     assert vars_of(there.mount) == pytest.approx(vars_of(here.mount))
 
 
+@pytest.mark.parametrize("to", ["ros1", "ros2", "tum", "carmen"])
+def test_a_stamp_that_no_format_has_costs_its_message_and_is_told(to, tmp_path):
+    rows = [("odom", Odometry(stamp, Pose2(), 0.0, 0.0, np.zeros(9))) for stamp in (SECOND, 2 * SECOND, 2**62)]
+    source = written(Content(rows), "zenav", tmp_path)
+    counts, notes = convert(source, tmp_path / "target", to, Choice(), "", False)
+    assert max(counts.values()) == 2
+    assert any("1 messages could not be read" in note for note in notes)
+
+
 def test_a_recording_gives_its_last_map(tmp_path):
     counts, _ = convert(ROOM, tmp_path / "office", "map", Choice(), "", False)
     assert counts["map updates"] > 1
