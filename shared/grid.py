@@ -142,3 +142,23 @@ class OccupancyGrid:
     def unknown(self) -> Bools:
         """(h, w) bool: never seen, or seen too little to tell."""
         return np.asarray(~(self.occupied | self.free))
+
+
+def update_of_cells(cells: Int8s, resolution: float, x0: float, y0: float, stamp: int = 0) -> MapUpdate:
+    """Cells (h, w), row 0 lowest, with their lower left corner (m), as the message that carries them.
+
+    The corner is moved by up to half a cell onto the tiles' cells.
+    """
+    row, column = round(y0 / resolution), round(x0 / resolution)
+    first_row, first_column = row // TILE_CELLS, column // TILE_CELLS
+    top, right = row - first_row * TILE_CELLS, column - first_column * TILE_CELLS
+    h, w = -(-(top + cells.shape[0]) // TILE_CELLS), -(-(right + cells.shape[1]) // TILE_CELLS)
+    whole = np.full((h * TILE_CELLS, w * TILE_CELLS), -1, np.int8)
+    whole[top : top + cells.shape[0], right : right + cells.shape[1]] = cells
+    tiles = whole.reshape(h, TILE_CELLS, w, TILE_CELLS).swapaxes(1, 2).reshape(h * w, TILE_CELLS * TILE_CELLS)
+    rows, columns = np.divmod(np.arange(h * w, dtype=np.int32), np.int32(w))
+    seen = (tiles >= 0).any(axis=1)
+    return MapUpdate(
+        stamp, 0, 1, resolution, (rows + first_row)[seen].astype(np.int32),
+        (columns + first_column)[seen].astype(np.int32), np.ascontiguousarray(tiles[seen]),
+    )  # fmt: skip

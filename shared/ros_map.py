@@ -3,6 +3,7 @@
 
 import os
 import tempfile
+from io import BytesIO
 from math import isfinite
 from pathlib import Path
 
@@ -14,7 +15,10 @@ from shared.grid import FREE_UP_TO, OCCUPIED_FROM, UNKNOWN
 
 Int8s = NDArray[np.int8]
 UInt8s = NDArray[np.uint8]
+Bools = NDArray[np.bool_]
 
+MODES = ("trinary", "scale", "raw")
+OCCUPIED_SHARE, FREE_SHARE = 0.65, 0.196  # map_saver's thresholds
 OCCUPIED_GREY, FREE_GREY, UNKNOWN_GREY = 0, 254, 205  # as map_saver writes them
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 
@@ -22,8 +26,19 @@ KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thre
 def read_ros_map(path: Path) -> tuple[Int8s, float, float, float]:
     """Cells (h, w) int8 in percent, -1 unknown, row 0 at the lowest y; m a cell; x and y (m) of the lower left corner.
 
-    `mode: trinary` (the default), `scale` and `raw` as http://wiki.ros.org/map_server has them. An origin with a yaw is
-    refused. Raises UserError where the YAML or the picture cannot be read or does not make sense.
+    Raises UserError as `read_turned_ros_map` does, and for a map that is turned.
+    """
+    cells, resolution, x0, y0, yaw = read_turned_ros_map(path)
+    if abs(yaw) > 1e-6:
+        raise UserError(f"{path}: the map is turned by {yaw} rad", f"turn it back: zenav map convert {path} FOLDER")
+    return cells, resolution, x0, y0
+
+
+def read_turned_ros_map(path: Path) -> tuple[Int8s, float, float, float, float]:
+    """As `read_ros_map`; and the yaw, rad, by which the cells are turned about their lower left corner.
+
+    `mode: trinary` (the default), `scale` and `raw` as http://wiki.ros.org/map_server has them. Raises UserError where
+    the YAML or the picture cannot be read or does not make sense.
     """
     tree = load_yaml(path)
     missing = [key for key in KEYS if key not in tree and key != "negate"]
@@ -44,14 +59,12 @@ def read_ros_map(path: Path) -> tuple[Int8s, float, float, float]:
         raise UserError(
             f"{path}: resolution {resolution} m a cell, origin {x0}, {y0}", "they must be finite and over 0"
         )
-    if abs(yaw) > 1e-6:
-        raise UserError(f"{path}: the map is turned by {yaw} rad", "turn the picture, and set the origin's yaw to 0")
-    if mode not in ("trinary", "scale", "raw"):
+    if mode not in MODES:
         raise UserError(f"{path}: mode {mode} is not known", "trinary, scale or raw")
     if not 0 <= free_up_to < occupied_from <= 1:
         raise UserError(f"{path}: free_thresh is not under occupied_thresh", "0.196 and 0.65 are map_saver's")
     grey, alpha = _grey(path.parent / str(tree["image"]), path)
-    return _cells(grey, alpha, mode, negate, occupied_from, free_up_to)[::-1].copy(), resolution, x0, y0
+    return _cells(grey, alpha, mode, negate, occupied_from, free_up_to)[::-1].copy(), resolution, x0, y0, yaw
 
 
 def write_ros_map(folder: Path, cells: Int8s, resolution: float, x0: float, y0: float, name: str = "map") -> Path:
@@ -68,23 +81,59 @@ def write_ros_map(folder: Path, cells: Int8s, resolution: float, x0: float, y0: 
     return folder / f"{name}.yaml"
 
 
-def ros_map_files(cells: Int8s, resolution: float, x0: float, y0: float, name: str = "map") -> dict[str, bytes]:
+def ros_map_files(
+    cells: Int8s,
+    resolution: float,
+    x0: float,
+    y0: float,
+    name: str = "map",
+    mode: str = "trinary",
+    negate: bool = False,
+) -> dict[str, bytes]:
     """The content of NAME.pgm and NAME.yaml. cells: (h, w) int8 percent, -1 unknown, row 0 lowest; m a cell; m, m.
 
-    Cells between the thresholds become unknown, as map_saver does.
+    trinary: cells between the thresholds become unknown, as map_saver does. scale and raw keep every percent; scale's
+    unknown cells are transparent, so its picture is NAME.png. negate: white is occupied; raw has no such thing.
     """
+    grey = _grey_of(cells, mode)[::-1]
+    if negate and mode != "raw":
+        grey = 255 - grey
+    height, width = cells.shape
+    image = f"{name}.png" if mode == "scale" else f"{name}.pgm"
+    settings = (
+        f"image: {image}\nmode: {mode}\nresolution: {resolution:.9g}\norigin: [{x0:.9g}, {y0:.9g}, 0]\n"
+        f"negate: {int(negate and mode != 'raw')}\noccupied_thresh: {OCCUPIED_SHARE}\nfree_thresh: {FREE_SHARE}\n"
+    )
+    picture = f"P5\n{width} {height}\n255\n".encode() + grey.tobytes()
+    if mode == "scale":
+        picture = _png(grey, cells[::-1] != UNKNOWN)
+    return {image: picture, f"{name}.yaml": settings.encode()}
+
+
+def _grey_of(cells: Int8s, mode: str) -> UInt8s:
+    """(h, w) brightness of cells, not negated."""
+    if mode == "raw":
+        return np.where(cells == UNKNOWN, 255, cells).astype(np.uint8)
     grey = np.full(cells.shape, UNKNOWN_GREY, np.uint8)
+    if mode == "scale":
+        every = np.arange(255, -1, -1, dtype=np.uint8)[None]  # the darkest counts that is read as a percent
+        read = _cells(every, np.full_like(every, 255), "scale", False, OCCUPIED_SHARE, FREE_SHARE)[0]
+        table = every[0][np.abs(read[None].astype(int) - np.arange(101)[:, None]).argmin(axis=1)]
+        table[0] = FREE_GREY
+        return np.where(cells == UNKNOWN, grey, table[np.maximum(cells, 0)]).astype(np.uint8)
     grey[(cells != UNKNOWN) & (cells <= FREE_UP_TO)] = FREE_GREY
     grey[cells >= OCCUPIED_FROM] = OCCUPIED_GREY
-    height, width = cells.shape
-    settings = (
-        f"image: {name}.pgm\nmode: trinary\nresolution: {resolution:.9g}\norigin: [{x0:.9g}, {y0:.9g}, 0]\n"
-        f"negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
-    )
-    return {
-        f"{name}.pgm": f"P5\n{width} {height}\n255\n".encode() + grey[::-1].tobytes(),
-        f"{name}.yaml": settings.encode(),
-    }
+    return grey
+
+
+def _png(grey: UInt8s, opaque: Bools) -> bytes:
+    """A grey picture with transparency."""
+    from PIL import Image
+
+    content = BytesIO()
+    alpha = np.where(opaque, 255, 0).astype(np.uint8)
+    Image.merge("LA", (Image.fromarray(np.ascontiguousarray(grey)), Image.fromarray(alpha))).save(content, "PNG")
+    return content.getvalue()
 
 
 def replace_file(path: Path, content: bytes) -> None:

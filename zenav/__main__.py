@@ -71,6 +71,12 @@ def _services() -> list[str]:
     return list(SERVICES)
 
 
+def _formats() -> list[str]:
+    from zenav.convert.export import FORMATS
+
+    return list(FORMATS)
+
+
 def _faults() -> list[str]:
     from services.sim.hardware.faults import Fault
 
@@ -124,6 +130,10 @@ SavedMapMode = Annotated[
 ]
 Write = Annotated[bool, typer.Option("--write", help="Put the result into the robot's file.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Do not ask before the robot moves.")]
+TopicScan = Annotated[str, typer.Option(help="Of a bag: the laser's topic; without it: the best by type.")]
+TopicOdom = Annotated[str, typer.Option(help="Of a bag: odometry's topic; without it: the best by type, or tf.")]
+BaseFrame = Annotated[str, typer.Option(help="Of a bag: the robot's frame; without it: odometry's child frame.")]
+OdomFrame = Annotated[str, typer.Option(help="Of a bag: odometry's frame in tf; without it: found by its name.")]
 Seeds = Annotated[str, typer.Option(help="Like 3, 0-9 or 0,4,7-9.")]
 
 
@@ -441,6 +451,25 @@ def show(
     show(robot, stack, place)
 
 
+@map_.command("convert", cls=Command)
+def map_convert(
+    place: Annotated[str, typer.Argument(help="Name below maps/, a folder, or the YAML of a ROS map_server map.")],
+    out: Annotated[Path, typer.Argument(help="Folder for map.yaml and its picture.")],
+    mode: Annotated[
+        Literal["trinary", "scale", "raw"], typer.Option(help="Free, occupied, unknown; or every percent, in two ways.")
+    ] = "trinary",
+    negate: Annotated[bool, typer.Option("--negate", help="White is occupied.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a map that is there.")] = False,
+) -> None:
+    """Bring a map of ROS map_server into a folder that `zenav map load` takes, or the stack's to map_server.
+
+    Example: zenav map convert ros/office.yaml maps/office
+    """
+    from zenav.map_convert import convert
+
+    convert(place, out, mode, negate, force)
+
+
 @config.command("show", cls=Command)
 def config_show(
     section: Annotated[str, typer.Argument(help="Only this section.")] = "",
@@ -567,21 +596,65 @@ def foxglove(
 
 @app.command(cls=Command, rich_help_panel=FILES)
 def slam(
-    log: Annotated[Path, typer.Argument(help="CARMEN log.")],
+    log: Annotated[Path, typer.Argument(help="CARMEN log, ROS 1 or 2 bag (file or folder), or recording.")],
     out: Annotated[Path, typer.Option("--out", help="Folder for trajectory, map and report.")],
     mode: Annotated[
         Literal["map", "localise", "continue"],
         typer.Option(help="A new map; the robot found on a saved one, which stays; a saved one that goes on."),
     ] = "map",
     saved_map: Annotated[Path | None, typer.Option("--map", help="Folder of the saved map.", metavar="DIR")] = None,
+    topic_scan: TopicScan = "",
+    topic_odom: TopicOdom = "",
+    base_frame: BaseFrame = "",
+    odom_frame: OdomFrame = "",
 ) -> None:
     """Make a map of a logged drive, or find the robot on a saved one.
 
     Example: zenav slam intel.log --out out/intel
     """
+    from zenav.convert.content import Choice
     from zenav.files import slam
 
-    slam(log, out, mode, saved_map)
+    slam(log, out, mode, saved_map, Choice(topic_scan, topic_odom, "", base_frame, odom_frame))
+
+
+@app.command(cls=Command, rich_help_panel=FILES)
+def convert(
+    source: Annotated[
+        Path, typer.Argument(help="CARMEN log, ROS 1 or 2 bag (file or folder), or recording.", metavar="IN")
+    ],
+    out: Annotated[
+        Path, typer.Argument(help="Its name tells the format: .mcap .bag .tum .log, or a folder: ROS 2.", metavar="OUT")
+    ],
+    to: Annotated[
+        str,
+        typer.Option(
+            help="Format, where the name does not tell: ros2, ros2-sqlite, ros1, zenav, tum, carmen, foxglove, map.",
+            autocompletion=_formats,
+        ),
+    ] = "",
+    trajectory: Annotated[
+        Literal["pose", "odom", "truth"] | None,
+        typer.Option(help="For TUM: whose poses; without it the first there is."),
+    ] = None,
+    topic_scan: TopicScan = "",
+    topic_odom: TopicOdom = "",
+    topic_pose: Annotated[
+        str, typer.Option(help="Of a bag: the pose's topic; without it: the best by type, or tf.")
+    ] = "",
+    base_frame: BaseFrame = "",
+    odom_frame: OdomFrame = "",
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a file that is there.")] = False,
+) -> None:
+    """Write a log, a bag or a recording in another format: ROS 1 or 2 bag, TUM, CARMEN, Foxglove.
+
+    Example: zenav convert run.mcap run_ros2 --to ros2
+    """
+    from zenav.convert.content import Choice
+    from zenav.files import convert
+
+    chosen = Choice(topic_scan, topic_odom, topic_pose, base_frame, odom_frame)
+    convert(source, out, to, chosen, trajectory or "", force)
 
 
 @app.command(cls=Command, rich_help_panel=FILES)

@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav slam`: files in, files out, with progress for people."""
+"""`zenav slam` and `zenav convert`: files in, files out, with progress for people."""
 
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from shared.config import UserError
+
+if TYPE_CHECKING:
+    from zenav.convert.content import Choice
 
 NOTICED = 0.05  # s between odometry and laser, from which it is told
 
@@ -25,14 +28,16 @@ def progress_bar(text: str) -> Iterator[Callable[[float], None]]:
         yield lambda share: progress.update(task, completed=share)
 
 
-def slam(log: Path, out: Path, mode: Literal["map", "localise", "continue"], saved_map: Path | None) -> None:
-    """The mapper over a CARMEN log; writes into `out` and says what came of it."""
-    if not log.is_file():
-        raise UserError(f"there is no log {log}", "give a CARMEN log's path")
+def slam(
+    log: Path, out: Path, mode: Literal["map", "localise", "continue"], saved_map: Path | None, choice: "Choice"
+) -> None:
+    """The mapper over a log; writes into `out` and says what came of it."""
+    if not log.exists():
+        raise UserError(f"there is no log {log}", "give the path of a CARMEN log, a bag or a recording")
     from zenav.slam import slam as run
 
     with progress_bar(log.name) as progress:
-        report = run(log, out, progress, mode=mode, saved_map=saved_map)
+        report = run(log, out, progress, mode=mode, saved_map=saved_map, choice=choice)
     sys.stdout.write(
         f"{out}/map.png: {report['scans_placed']} of {report['scans']} scans, {report['length_m']:.1f} m, "
         f"{report['loops']} loops closed, {report['cpu_s']:.1f} s of CPU\n"
@@ -42,5 +47,19 @@ def slam(log: Path, out: Path, mode: Literal["map", "localise", "continue"], sav
         sys.stdout.write(f"odometry tells {abs(lag):.2f} s {'later' if lag > 0 else 'sooner'} than the laser\n")
     if report["truncated"]:
         sys.stderr.write(f"{log} ends early: its rest is missing, the map is of what came before\n")
-    if report["bad_lines"]:
-        sys.stderr.write(f"{log}: {report['bad_lines']} lines could not be read and were left out\n")
+    for note in report["notes"]:
+        sys.stderr.write(f"{note}\n")
+    for unit in ("lines", "messages"):
+        if n := report.get(f"bad_{unit}", 0):
+            sys.stderr.write(f"{log}: {n} {unit} could not be read and were left out\n")
+
+
+def convert(source: Path, out: Path, to: str, choice: "Choice", trajectory: str, force: bool) -> None:
+    """A file in another format; says what went into it."""
+    from zenav.convert.export import convert as run
+
+    with progress_bar(source.name) as progress:
+        counts, notes = run(source, out, to, choice, trajectory, force, progress)
+    sys.stdout.write(f"{out}: {', '.join(f'{n} {name}' for name, n in counts.items() if n)}\n")
+    for note in notes:
+        sys.stderr.write(f"{note}\n")

@@ -6,11 +6,12 @@ from math import degrees
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from shared import topics
 from shared.config import UserError, load_robot, nearest
-from shared.grid import OccupancyGrid
-from shared.messages import TILE_CELLS, Localization, MapUpdate, PoseEstimate
+from shared.grid import OccupancyGrid, update_of_cells
+from shared.messages import Localization, MapUpdate, PoseEstimate
 from shared.reasons import NO_MAP, NO_SUCH_MAP, POSE_LOST
 from shared.ros_map import read_ros_map, ros_map_files
 from shared.runners.transport import where_from
@@ -18,6 +19,8 @@ from zenav.client import Client
 from zenav.picture import map_picture
 from zenav.saved_map import GRAPH
 from zenav.store import replace_together
+
+Int8s = NDArray[np.int8]
 
 FOLDER = Path("maps")
 WIDEST = 100  # characters of a map in the terminal
@@ -102,26 +105,11 @@ def grid_of(path: Path) -> OccupancyGrid:
 
 
 def update_of(path: Path) -> MapUpdate:
-    """A saved map as the message that carries it; the corner is moved by up to half a cell onto the tiles' cells."""
-    cells, resolution, x0, y0 = read_ros_map(path)
-    row, column = round(y0 / resolution), round(x0 / resolution)
-    first_row, first_column = row // TILE_CELLS, column // TILE_CELLS
-    top, right = row - first_row * TILE_CELLS, column - first_column * TILE_CELLS
-    h, w = -(-(top + cells.shape[0]) // TILE_CELLS), -(-(right + cells.shape[1]) // TILE_CELLS)
-    whole = np.full((h * TILE_CELLS, w * TILE_CELLS), -1, np.int8)
-    whole[top : top + cells.shape[0], right : right + cells.shape[1]] = cells
-    tiles = whole.reshape(h, TILE_CELLS, w, TILE_CELLS).swapaxes(1, 2).reshape(h * w, TILE_CELLS * TILE_CELLS)
-    rows, columns = np.divmod(np.arange(h * w, dtype=np.int32), np.int32(w))
-    seen = (tiles >= 0).any(axis=1)
-    return MapUpdate(
-        0, 0, 1, resolution, (rows + first_row)[seen].astype(np.int32), (columns + first_column)[seen].astype(np.int32),
-        np.ascontiguousarray(tiles[seen]),
-    )  # fmt: skip
+    """A saved map as the message that carries it: see update_of_cells."""
+    return update_of_cells(*read_ros_map(path))
 
 
-def coarse(
-    cells: "np.ndarray[tuple[int, ...], np.dtype[np.int8]]", step: int
-) -> "np.ndarray[tuple[int, ...], np.dtype[np.int8]]":
+def coarse(cells: Int8s, step: int) -> Int8s:
     """(h, w) int8 -> one cell for step x step: the most occupied of them, so that walls stay."""
     h, w = -(-cells.shape[0] // step), -(-cells.shape[1] // step)
     padded = np.full((h * step, w * step), -1, np.int8)

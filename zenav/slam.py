@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav slam`: the mapper's own code over a CARMEN log, as fast as it goes."""
+"""`zenav slam`: the mapper's own code over a log of a drive, as fast as it goes."""
 
 import json
 from bisect import bisect_right
@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 
 from services.mapper.saved_map import SavedMap
 from services.mapper.service import MapperConfig, MapperService
-from shared.config import Drive, Laser, Mount, Robot, UserError
+from shared.config import Drive, Laser, Robot, UserError
 from shared.geometry import Pose2, interpolated
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
 from shared.service import Job, Out
 from shared.topics import Publication
-from zenav.convert.carmen import LoggedPose, LoggedScan, read_carmen
+from zenav.convert.content import Choice, mount_of, range_max_of
+from zenav.convert.records import Log, LoggedPose, LoggedScan
+from zenav.convert.source import read_log
 from zenav.odometry_lag import odometry_lag
 from zenav.saved_map import map_files, read_saved_map
 from zenav.store import replace_together
@@ -33,7 +35,7 @@ Mode = Literal["map", "localise", "continue"]
 """A new map; the robot found in a saved one, which stays as it is; a saved one that goes on."""
 
 SECOND = 1_000_000_000
-NO_RETURN = 0.98  # of the largest range in the log: the scanner's way to say that nothing came back
+NOTHING = Choice()
 MAP_EVERY = 500  # scans between looks at the map: a log has no one who waits for it
 
 
@@ -126,33 +128,33 @@ def slam(
     config: MapperConfig | None = None,
     mode: Mode = "map",
     saved_map: Path | None = None,
+    choice: Choice = NOTHING,
 ) -> dict[str, Any]:
-    """Runs the mapper over a log and writes its map (see saved_map.py), trajectory.tum and report.json into `out`.
+    """Runs the mapper over a log (convert/source.py) and writes its map (see saved_map.py), trajectory.tum and
+    report.json into `out`.
 
     progress is called with the share that is done, 0..1.  saved_map: the folder in which the robot is localised, or
-    which is continued. Returns the report. Raises UserError where the log cannot be read or holds no scan, the robot is
-    not found on the saved map, or `out` cannot be written.
+    which is continued.  choice: topics and frames of a bag. Returns the report. Raises UserError where the log cannot
+    be read or holds no scan, the robot is not found on the saved map, or `out` cannot be written.
     """
     config = config or MapperConfig()
     saved = _loaded(mode, saved_map, config)
-    read = read_carmen(log)
+    read = read_log(log, choice)
     scans = [record for record in read.records if isinstance(record, LoggedScan)]
-    if not scans:
-        raise UserError(f"{log}: no FLASER or ROBOTLASER1 line that can be read", "give a CARMEN log of a 2D laser")
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot write to {out}: {error.strerror}", "choose another folder for --out") from None
     run = Run(config, robot_of(scans), saved, mode)
     first = min(record.stamp for record in read.records)
-    times = _feed(run, read.records, first, progress)
+    times = _feed(run, read, first, progress)
     if not run.found:
         raise UserError(
             f"{log}: the robot was not found on the map of {saved_map}",
             "is it of that building? A longer drive through what the map shows helps",
         )
-    stamps, poses = trajectory(read.records, run.corrected(), first)
-    report = _report(log, read.n_bad, read.truncated, read.records, scans, run, poses, times)
+    stamps, poses = trajectory(read, run.corrected(), first)
+    report = _report(log, read, scans, run, poses, times)
     results = {
         "trajectory.tum": tum(stamps, poses).encode(),
         "report.json": (json.dumps(report, indent=2) + "\n").encode(),
@@ -193,56 +195,41 @@ def robot_of(scans: list[LoggedScan]) -> Robot:
             max_turn_acceleration=10.0,
         ),
         laser=Laser(
-            mount=_mount(scans), angle_min=first.angle_min, angle_increment=first.angle_increment,
-            n_beams=len(first.ranges), scan_time=0.0, rate=5.0, range_min=0.05, range_max=_range_max(scans),
+            mount=mount_of(scans), angle_min=first.angle_min, angle_increment=first.angle_increment,
+            n_beams=len(first.ranges), scan_time=0.0, rate=5.0, range_min=0.05, range_max=range_max_of(scans),
         ),
     )  # fmt: skip
 
 
-def _mount(scans: list[LoggedScan]) -> Mount:
-    """base_from_laser, where it is the same at every scan; corrected logs have another thing in its place."""
-    rows = np.array(
-        [(p.x, p.y, p.yaw) for p in (scan.odom_from_base.inverse() @ scan.odom_from_laser for scan in scans)]
-    )
-    middle = np.median(rows, axis=0)
-    if np.abs(rows - middle).max() > 0.01 or np.abs(middle[:2]).max() > 2:
-        return Mount()
-    return Mount(x=float(middle[0]), y=float(middle[1]), yaw=float(middle[2]))
-
-
-def _range_max(scans: list[LoggedScan]) -> float:
-    told = max(scan.range_max for scan in scans)
-    largest = max(float(np.nanmax(scan.ranges, initial=0.0)) for scan in scans)
-    return max(min(told or 250.0, NO_RETURN * largest), 0.1)
-
-
-def _feed(
-    run: Run, records: list[LoggedPose | LoggedScan], first: float, progress: Callable[[float], None]
-) -> list[float]:
+def _feed(run: Run, log: Log, first: int, progress: Callable[[float], None]) -> list[float]:
     """The records as messages, in the log's order; CPU seconds of each scan."""
     times: list[float] = []
     laser = run.mapper.robot.laser
-    for i, record in enumerate(records):
-        stamp = nanoseconds(record.stamp, first)
-        run.mapper.now = max(run.mapper.now, stamp)
+    for i, record in enumerate(log.records):
+        stamp = since(first, record.stamp)
+        end = record.end if isinstance(record, LoggedScan) else record.stamp
+        run.mapper.now = max(run.mapper.now, since(first, end))
         v, w = (record.v, record.w) if isinstance(record, LoggedPose) else (0.0, 0.0)
-        run.take(run.mapper.odometry(Odometry(stamp, record.odom_from_base, v, w, np.zeros(9))))
+        begun = process_time()
+        if log.has_odometry:
+            run.take(run.mapper.odometry(Odometry(stamp, record.odom_from_base, v, w, np.zeros(9))))
         if isinstance(record, LoggedScan):
-            begun = process_time()
             run.take(
                 run.mapper.scan(
                     LaserScan(
-                        stamp, record.angle_min, record.angle_increment, 0.0, laser.range_min, laser.range_max,
-                        record.ranges,
+                        stamp, record.angle_min, record.angle_increment, record.scan_time, laser.range_min,
+                        laser.range_max, record.ranges,
                     )
                 )
             )  # fmt: skip
             times.append(process_time() - begun)
-            run.work()
-            if len(times) % MAP_EVERY == 0:
-                run.take(run.mapper.publish_map())
+        elif times:
+            times[-1] += process_time() - begun  # a sweep that takes time is placed when odometry reaches its end
+        run.work()
+        if isinstance(record, LoggedScan) and len(times) % MAP_EVERY == 0:
+            run.take(run.mapper.publish_map())
         if i % 200 == 0:
-            progress(i / len(records))
+            progress(i / len(log.records))
     run.mapper.now += SECOND
     run.take(run.mapper.release())
     run.take(run.mapper.settle())
@@ -254,34 +241,35 @@ def _feed(
     return times
 
 
-def nanoseconds(stamp: float, first: float) -> int:
+def since(first: int, stamp: int) -> int:
     """A log's time as the mapper's: ns since a second before the first record."""
-    return round((stamp - first + 1.0) * 1e9)
+    return stamp - first + SECOND
 
 
-def trajectory(
-    records: list[LoggedPose | LoggedScan], estimates: list[PoseEstimate], first: float
-) -> tuple[Float64s, Float64s]:
+def trajectory(log: Log, estimates: list[PoseEstimate], first: int) -> tuple[Float64s, Float64s]:
     """The base's pose at every record: (n,) s on the log's clock, and (n, 3).
 
-    At scans it is the mapper's; between two scans odometry fills in, corrected by what it got wrong between them.
+    At the end of scans it is the mapper's; between two of them odometry fills in, corrected by what it got wrong
+    between them. Where the log has no odometry, which then stands still, the motion is even.
     """
     places = [estimate.stamp for estimate in estimates]
     rows, stamps = [], []
-    for record in records:
-        stamp = nanoseconds(record.stamp, first)
+    for record in log.records:
+        stamp = since(first, record.stamp)
         i = bisect_right(places, stamp) - 1
+        if not log.has_odometry and len(estimates) > 1:
+            i = min(max(i, 0), len(estimates) - 2)
         if i >= 0 and places[i] == stamp:
             pose = estimates[i].map_from_base
         elif i < 0 or i + 1 == len(places):
             pose = estimates[max(i, 0)].map_from_odom @ record.odom_from_base
         else:
             a, b = estimates[i], estimates[i + 1]
-            share = (stamp - a.stamp) / (b.stamp - a.stamp)
+            share = min(max((stamp - a.stamp) / (b.stamp - a.stamp), -1.0), 2.0)
             early = a.map_from_odom @ record.odom_from_base
             late = b.map_from_odom @ record.odom_from_base
             pose = interpolated(early, late, share)
-        stamps.append(record.stamp)
+        stamps.append(record.stamp * 1e-9)
         rows.append((pose.x, pose.y, pose.yaw))
     return np.array(stamps), np.array(rows)
 
@@ -294,9 +282,9 @@ def tum(stamps: Float64s, poses: Float64s) -> str:
     )
 
 
-def _turns(records: list[LoggedPose | LoggedScan], first: float) -> Float64s:
+def _turns(records: list[LoggedPose | LoggedScan], first: int) -> Float64s:
     """(n, 2) s on the mapper's clock and rad, odometry's headings as they were logged, in time."""
-    rows = {nanoseconds(record.stamp, first) * 1e-9: record.odom_from_base.yaw for record in records}
+    rows = {since(first, record.stamp) * 1e-9: record.odom_from_base.yaw for record in records}
     return np.array(sorted(rows.items()))
 
 
@@ -307,28 +295,27 @@ def _placed(run: Run) -> Float64s:
 
 
 def _report(
-    log: Path,
-    n_bad: int,
-    truncated: bool,
-    records: list[LoggedPose | LoggedScan],
+    path: Path,
+    log: Log,
     scans: list[LoggedScan],
     run: Run,
     poses: Float64s,
     times: list[float],
 ) -> dict[str, Any]:
-    first = min(record.stamp for record in records)
+    first = min(record.stamp for record in log.records)
     quality = np.array([estimate.quality for estimate in run.estimates] or [0.0])
     states = [str(estimate.state) for estimate in run.estimates]
     return {
-        "log": log.name,
+        "log": path.name,
         "scans": len(scans),
         "scans_placed": len(run.estimates),
         "scans_dropped": dict(run.mapper.arrivals.n_dropped),
-        "bad_lines": n_bad,
-        "truncated": truncated,
+        f"bad_{log.unit}": log.n_bad,
+        "truncated": log.truncated,
+        "notes": log.notes,
         "odometry_jumps": run.mapper.arrivals.track.n_jumps,
-        "odometry_lag_s": odometry_lag(_turns(records, first), _placed(run)),
-        "seconds": round(scans[-1].stamp - scans[0].stamp, 3),
+        "odometry_lag_s": odometry_lag(_turns(log.records, first), _placed(run)) if log.has_odometry else None,
+        "seconds": round((scans[-1].stamp - scans[0].stamp) * 1e-9, 3),
         "length_m": round(float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()), 2),
         "cpu_s": round(sum(times) + run.job_seconds, 3),
         "cpu_s_of_jobs": round(run.job_seconds, 3),

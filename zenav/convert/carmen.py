@@ -4,51 +4,16 @@
 import gzip
 import zlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from math import isfinite, pi, radians
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shared.config import UserError
 from shared.geometry import Pose2
+from zenav.convert.records import Float32s, Log, LoggedPose, LoggedScan
 
-Float32s = NDArray[np.float32]
-
-BOUND = 1e6  # m, rad, s: farther is a damaged number (stamps: 1e11 s)
-
-
-@dataclass(frozen=True, slots=True)
-class LoggedPose:
-    """An ODOM line: raw wheel odometry."""
-
-    stamp: float  # s, the log's clock
-    odom_from_base: Pose2
-    v: float
-    w: float
-
-
-@dataclass(frozen=True, slots=True)
-class LoggedScan:
-    """A FLASER or ROBOTLASER1 line, with the odometry at it. range_max: m, 0 where the line does not tell."""
-
-    stamp: float
-    odom_from_base: Pose2
-    odom_from_laser: Pose2
-    angle_min: float
-    angle_increment: float
-    range_max: float
-    ranges: Float32s
-
-
-@dataclass(slots=True)
-class Log:
-    """A log's records in the order of their lines, and what was wrong with it."""
-
-    records: list[LoggedPose | LoggedScan]
-    n_bad: int = 0
-    truncated: bool = False
+BOUND = 1e6  # m, rad, s: farther is a damaged number (stamps: 1e10 s, the year 2286)
 
 
 def read_carmen(path: Path) -> Log:
@@ -116,6 +81,35 @@ def _robotlaser(words: list[str]) -> LoggedScan:
     )
 
 
+def carmen_lines(log: Log) -> Iterator[str]:
+    """A log as ODOM and ROBOTLASER1 lines. A beam without an echo is at the largest range, as CARMEN has it.
+
+    What the format has no place for: how long a sweep took.
+    """
+    yield "# CARMEN Logfile\n# message_name [message contents] ipc_timestamp ipc_hostname logger_timestamp\n"
+    first = min((record.stamp for record in log.records), default=0)
+    for record in log.records:
+        base, end = record.odom_from_base, f"{_seconds(record.stamp)} zenav {_seconds(record.stamp - first)}\n"
+        if isinstance(record, LoggedPose):
+            yield f"ODOM {_row(base)} {record.v:.9g} {record.w:.9g} 0 {end}"
+            continue
+        n, far = len(record.ranges), record.range_max or float(np.nanmax(record.ranges, initial=1.0))
+        ranges = np.where(np.isnan(record.ranges), far, record.ranges)
+        yield (
+            f"ROBOTLASER1 0 {record.angle_min:.9g} {record.angle_increment * (n - 1):.9g} {record.angle_increment:.9g} "
+            f"{far:.9g} 0 0 {n} {' '.join(f'{r:.9g}' for r in ranges)} 0 {_row(record.odom_from_laser)} {_row(base)} "
+            f"0 0 0 0 0 {end}"
+        )
+
+
+def _row(pose: Pose2) -> str:
+    return f"{pose.x:.9f} {pose.y:.9f} {pose.yaw:.9f}"
+
+
+def _seconds(stamp: int) -> str:
+    return f"{stamp // 10**9}.{stamp % 10**9 // 1000:06d}"
+
+
 READERS: dict[str, Callable[[list[str]], LoggedPose | LoggedScan]] = {
     "ODOM": _odom,
     "FLASER": _flaser,
@@ -130,11 +124,12 @@ def _numbers(words: list[str], n: int) -> list[float]:
     return numbers
 
 
-def _stamp(word: str) -> float:
+def _stamp(word: str) -> int:
+    """ns, of the whole microseconds that a line tells: a float's last bits are none."""
     stamp = float(word)
-    if not 0 <= stamp < 1e11:
+    if not 0 <= stamp < 1e10:
         raise ValueError("a stamp out of bounds")
-    return stamp
+    return round(stamp * 1e6) * 1000
 
 
 def _count(word: str, least: int = 2) -> int:

@@ -24,8 +24,8 @@ _CHUNK_BYTES = 1024 * 1024
 _PROGRESS_EVERY = 1000  # messages
 
 
-def to_foxglove(recording: Recording, out: Path, progress: Callable[[float], None]) -> list[str]:
-    """Writes the recording with Foxglove's schemas; returns what was left out or is damaged, as lines for people.
+def to_foxglove(recording: Recording, out: Path, progress: Callable[[float], None]) -> tuple[Counter[str], list[str]]:
+    """Writes the recording with Foxglove's schemas; counts by topic, and what was left out or is damaged, in lines.
 
     Log times are kept, and the times of sending. progress: gets the share that is done, 0 to 1. `out` appears when it
     is whole. Raises UserError where it cannot be written, or the recording holds nothing of this stack.
@@ -36,18 +36,18 @@ def to_foxglove(recording: Recording, out: Path, progress: Callable[[float], Non
     partial = out.with_name(f".{out.name}.part")
     try:
         with partial.open("wb") as stream:
-            notes = _written(stream, recording, file.robot if file else None, progress)
+            written = _written(stream, recording, file.robot if file else None, progress)
         partial.replace(out)
     except OSError as error:
         raise UserError(f"cannot write {out}: {error.strerror}", "free the disk, or choose another place") from None
     finally:
         partial.unlink(missing_ok=True)
-    return notes
+    return written
 
 
 def _written(
     stream: IO[bytes], recording: Recording, robot: Robot | None, progress: Callable[[float], None]
-) -> list[str]:
+) -> tuple[Counter[str], list[str]]:
     sheet, picture, left_out = _Sheet(stream, recording), MapPicture(), Counter[str]()
     n_entries = sum(1 for _ in recording.entries())
     at = sent = 0
@@ -73,21 +73,21 @@ def _written(
         for row in rows_of(entry.key):
             sheet.add(row, row.make(message, seen), at, sent)
     sheet.add(MAP_ROW, picture.last(), at, sent)
-    if not sheet.n_messages:
+    if not sheet.counts:
         raise UserError(f"{recording.path} holds no message of this stack", "name a recording of zenav's recorder")
     sheet.close()
     progress(1.0)
     untold = [f"{n} messages left out on {why}" for why, n in left_out.items()]
     if robot is None:
         untold.append("no configuration is recorded: the laser's place on the robot and the outline are missing")
-    return untold + recording.problems
+    return sheet.counts, untold + recording.problems
 
 
 class _Sheet:
     """The file that is written: a channel a topic, declared when its first message comes."""
 
     def __init__(self, stream: IO[bytes], recording: Recording) -> None:
-        self.n_messages = 0
+        self.counts = Counter[str]()
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._mcap = mcap.writer.Writer(cast(Any, stream), chunk_size=_CHUNK_BYTES)
@@ -108,7 +108,7 @@ class _Sheet:
                 self._schemas[schema.name] = self._mcap.register_schema(schema.name, schema.encoding, schema.data)
             self._channels[row.topic] = self._mcap.register_channel(row.topic, encoding, self._schemas[schema.name])
         self._mcap.add_message(self._channels[row.topic], log_time, encoded(value), sent)
-        self.n_messages += 1
+        self.counts[row.topic] += 1
 
     def close(self) -> None:
         """Writes the index. Raises OSError."""

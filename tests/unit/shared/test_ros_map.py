@@ -8,7 +8,7 @@ from numpy.testing import assert_array_equal
 from PIL import Image
 
 from shared.config import UserError
-from shared.ros_map import read_ros_map, write_ros_map
+from shared.ros_map import read_ros_map, ros_map_files, write_ros_map
 
 SETTINGS = {
     "image": "map.pgm",
@@ -122,3 +122,28 @@ def test_a_write_that_fails_leaves_the_old_map_whole(tmp_path, monkeypatch):
         write_ros_map(tmp_path, np.full((3, 3), 100, np.int8), 0.05, 0, 0)
     assert_array_equal(read_ros_map(path)[0], np.zeros((3, 3)))
     assert len(list(tmp_path.iterdir())) == 2
+
+
+percents = arrays(np.int8, st.tuples(st.integers(1, 30), st.integers(1, 30)), elements=st.integers(-1, 100))
+
+
+@settings(max_examples=30)
+@given(percents, st.sampled_from(["scale", "raw"]), st.booleans())
+def test_scale_and_raw_keep_every_percent(tmp_path_factory, cells, mode, negate):
+    folder = tmp_path_factory.mktemp("map")
+    for name, content in ros_map_files(cells, 0.05, -1.0, 2.0, mode=mode, negate=negate).items():
+        (folder / name).write_bytes(content)
+    found, *place = read_ros_map(folder / "map.yaml")
+    assert_array_equal(found, cells)
+    assert place == [0.05, -1.0, 2.0]
+
+
+@settings(max_examples=20)
+@given(percents)
+def test_a_negated_map_reads_as_the_same_map(tmp_path_factory, cells):
+    plain, negated = tmp_path_factory.mktemp("plain"), tmp_path_factory.mktemp("negated")
+    for folder, negate in ((plain, False), (negated, True)):
+        for name, content in ros_map_files(cells, 0.05, 0, 0, negate=negate).items():
+            (folder / name).write_bytes(content)
+    assert_array_equal(read_ros_map(plain / "map.yaml")[0], read_ros_map(negated / "map.yaml")[0])
+    assert (plain / "map.pgm").read_bytes() != (negated / "map.pgm").read_bytes()

@@ -108,7 +108,7 @@ def test_what_a_log_lacks_is_told_to_the_one_who_asked(log, tmp_path, capsys):
     assert "1 lines could not be read" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("text", ["", "ODOM 1 2 0 0 0 0 1 host 1\n", "FLASER 180 1 2 3\n"])
+@pytest.mark.parametrize("text", ["# nothing\n", "ODOM 1 2 0 0 0 0 1 host 1\n", "FLASER 180 1 2 3\n"])
 def test_a_log_without_scans_is_refused_with_a_mend(tmp_path, text):
     path = tmp_path / "bare.log"
     path.write_text(text)

@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 
 from shared.config import UserError
 from shared.geometry import Pose2
-from zenav.convert.carmen import LoggedPose, LoggedScan, read_carmen
+from zenav.convert.carmen import read_carmen
+from zenav.convert.records import LoggedPose, LoggedScan
 
 ODOM = "ODOM 1.0 2.0 0.5 0.3 -0.1 0 12.5 host 12.6"
 FLASER = "FLASER 180 " + "2.5 " * 180 + "1.1 2.0 0.5 1.0 2.0 0.5 13.5 host 13.6"
@@ -30,11 +31,20 @@ def test_each_line_is_read_as_carmen_wrote_it(tmp_path):
     found = read_carmen(log(tmp_path, "# a comment", "PARAM x 1", ODOM, FLASER, ROBOTLASER))
     pose, scan, other = found.records
     assert (found.n_bad, found.truncated) == (0, False)
-    assert pose == LoggedPose(12.5, Pose2(1, 2, 0.5), 0.3, -0.1)
+    assert pose == LoggedPose(12_500_000_000, Pose2(1, 2, 0.5), 0.3, -0.1)
     assert isinstance(scan, LoggedScan)
-    assert (scan.stamp, scan.odom_from_base, scan.odom_from_laser) == (13.5, Pose2(1, 2, 0.5), Pose2(1.1, 2, 0.5))
+    assert (scan.stamp, scan.odom_from_base, scan.odom_from_laser) == (
+        13_500_000_000,
+        Pose2(1, 2, 0.5),
+        Pose2(1.1, 2, 0.5),
+    )
     assert (scan.angle_min, scan.angle_increment, len(scan.ranges)) == (-pi / 2, radians(1), 180)
-    assert (other.stamp, other.angle_min, other.angle_increment, other.range_max) == (14.5, -1.5707, 0.0174533, 20.0)
+    assert (other.stamp, other.angle_min, other.angle_increment, other.range_max) == (
+        14_500_000_000,
+        -1.5707,
+        0.0174533,
+        20.0,
+    )
     assert_allclose(other.ranges, (1, 2, 3, 4))
     assert other.odom_from_base == Pose2(1, 2, 0.5)
 

@@ -21,7 +21,7 @@ from shared.recording import Recording, Writer
 from tests.protobuf import schema_of
 from zenav.convert.foxglove import to_foxglove
 
-ROOM = Path(__file__).parents[3] / "replay" / "data" / "room.mcap"
+ROOM = Path(__file__).parents[3] / "replay" / "recordings" / "driving.mcap"
 
 
 def read(path: Path) -> Iterator[tuple[str, Any, dict[str, Any], int]]:
@@ -43,7 +43,7 @@ def read(path: Path) -> Iterator[tuple[str, Any, dict[str, Any], int]]:
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("out") / "room.mcap"
     shares: list[float] = []
-    assert to_foxglove(Recording(ROOM), out, shares.append) == []
+    assert to_foxglove(Recording(ROOM), out, shares.append)[1] == []
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
     assert [path.name for path in out.parent.iterdir()] == [out.name]
@@ -130,7 +130,7 @@ def test_what_cannot_be_read_is_counted_and_the_rest_is_there(tmp_path):
         writer.write(topics.JOURNAL.key + "/guard", Journal, b"", 6, 6, 0)
     whole = (tmp_path / "a.mcap").read_bytes()
     (tmp_path / "a.mcap").write_bytes(whole[: -len(whole) // 10])
-    notes = to_foxglove(Recording(tmp_path / "a.mcap"), tmp_path / "b.mcap", nothing)
+    _, notes = to_foxglove(Recording(tmp_path / "a.mcap"), tmp_path / "b.mcap", nothing)
     assert [message.log_time for _, message, _, _ in read(tmp_path / "b.mcap")] == [1, 5]
     assert "2 messages left out on cmd/vel: not msgpack: " in " ".join(notes)
     assert "1 messages left out on no/such: not a topic of this stack" in notes

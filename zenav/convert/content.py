@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a log, a bag or a recording holds, as the stack's own messages: the middle of every conversion."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from shared.config import Mount
+from shared.geometry import Pose2, interpolated
+from shared.messages import LaserScan, Message, Odometry
+from zenav.convert.records import Log, LoggedPose, LoggedScan
+
+NO_RETURN = 0.98  # of the largest range in the log: the scanner's way to say that nothing came back
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Topics and frames that somebody named; "" is found by type."""
+
+    scan: str = ""
+    odom: str = ""
+    pose: str = ""
+    base_frame: str = ""
+    odom_frame: str = ""
+
+
+@dataclass(slots=True)
+class Content:
+    """messages: the registry's key and the message, in the order of their stamps.   mount: where the laser sits.
+
+    n_bad: messages that could not be read.   notes: see Log.   lacks: what there is in place of what is looked for.
+    """
+
+    messages: list[tuple[str, Message]]
+    mount: Mount = field(default_factory=Mount)
+    n_bad: int = 0
+    notes: list[str] = field(default_factory=list)
+    lacks: str = ""
+
+
+def content_of(log: Log) -> Content:
+    """A log's records as messages."""
+    messages: list[tuple[str, Message]] = []
+    scans = [record for record in log.records if isinstance(record, LoggedScan)]
+    range_max = range_max_of(scans) if scans else 0.0
+    for record in log.records:
+        v, w = (record.v, record.w) if isinstance(record, LoggedPose) else (0.0, 0.0)
+        if log.has_odometry:
+            messages.append(("odom", Odometry(record.stamp, record.odom_from_base, v, w, np.zeros(9))))
+        if isinstance(record, LoggedScan):
+            messages.append(("scan", _scan(record, range_max)))
+    return Content(messages, mount_of(scans) if scans else Mount(), log.n_bad, list(log.notes))
+
+
+def _scan(record: LoggedScan, range_max: float) -> LaserScan:
+    ranges = np.where(record.ranges < range_max, record.ranges, np.float32(np.nan)).astype(np.float32)
+    return LaserScan(
+        record.stamp, record.angle_min, record.angle_increment, record.scan_time, 0.0, range_max, ranges
+    )  # fmt: skip
+
+
+def range_max_of(scans: list[LoggedScan]) -> float:
+    """m, from which on nothing came back."""
+    told = max(scan.range_max for scan in scans)
+    largest = max(float(np.nanmax(scan.ranges, initial=0.0)) for scan in scans)
+    return max(min(told or 250.0, NO_RETURN * largest), 0.1)
+
+
+def mount_of(scans: list[LoggedScan]) -> Mount:
+    """base_from_laser, where it is the same at every scan; corrected logs have another thing in its place."""
+    rows = np.array(
+        [(p.x, p.y, p.yaw) for p in (scan.odom_from_base.inverse() @ scan.odom_from_laser for scan in scans)]
+    )
+    middle = np.median(rows, axis=0)
+    if np.abs(rows - middle).max() > 0.01 or np.abs(middle[:2]).max() > 2:
+        return Mount()
+    return Mount(x=float(middle[0]), y=float(middle[1]), yaw=float(middle[2]))
+
+
+def log_of(content: Content) -> Log:
+    """The records that a mapper takes: odometry, and each scan with the odometry at its first beam.
+
+    A scan comes when its last beam was taken. Readings under range_min are no measurements.
+    """
+    scans = [message for _, message in content.messages if isinstance(message, LaserScan)]
+    track = sorted((m for _, m in content.messages if isinstance(m, Odometry)), key=lambda odometry: odometry.stamp)
+    base_from_laser = Pose2(content.mount.x, content.mount.y, content.mount.yaw)
+    at_scans = odometry_at([scan.stamp for scan in scans], track)
+    records: list[LoggedPose | LoggedScan] = []
+    for scan, odom_from_base in zip(scans, at_scans):
+        ranges = np.where(scan.ranges >= scan.range_min, scan.ranges, np.float32(np.nan)).astype(np.float32)
+        records.append(
+            LoggedScan(
+                scan.stamp, odom_from_base, odom_from_base @ base_from_laser, scan.angle_min, scan.angle_increment,
+                scan.range_max, ranges, scan.scan_time,
+            )
+        )  # fmt: skip
+    taken = {scan.stamp for scan in scans}
+    records += [LoggedPose(o.stamp, o.odom_from_base, o.v, o.w) for o in track if o.stamp not in taken]
+    records.sort(key=lambda record: record.end if isinstance(record, LoggedScan) else record.stamp)
+    return Log(records, content.n_bad, False, "messages", bool(track), list(content.notes))
+
+
+def odometry_at(stamps: list[int], track: list[Odometry]) -> list[Pose2]:
+    """Odometry, which is in order, at stamps: interpolated; the nearest one's outside, and no motion without any."""
+    if not track:
+        return [Pose2()] * len(stamps)
+    times = np.array([odometry.stamp for odometry in track])
+    found = []
+    for stamp, after in zip(stamps, np.searchsorted(times, stamps)):
+        late = track[min(int(after), len(track) - 1)]
+        early = track[max(int(after) - 1, 0)]
+        if late.stamp == stamp or late.stamp <= early.stamp:
+            found.append(late.odom_from_base)
+            continue
+        share = min(max((stamp - early.stamp) / (late.stamp - early.stamp), 0.0), 1.0)
+        found.append(interpolated(early.odom_from_base, late.odom_from_base, share))
+    return found

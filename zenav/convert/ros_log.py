@@ -1,0 +1,382 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A ROS bag as the stack's messages: which topics, which frames, which clock, and where the laser sits."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.config import Mount, UserError, nearest
+from shared.geometry import Pose2
+from shared.messages import LaserScan, Localization, MapUpdate, Message, Odometry, PoseEstimate
+from zenav.convert import ros_messages as ros
+from zenav.convert.content import Choice, Content, odometry_at
+from zenav.convert.frames import Frames, level, planar, tilt, upside_down
+from zenav.convert.ros_files import Bag, Raw, read_bag
+
+Float64s = NDArray[np.float64]
+Int64s = NDArray[np.int64]
+M = TypeVar("M", bound=Message)
+T = TypeVar("T")
+
+BASES = "base_footprint", "base_link", "base", "chassis"  # REP 105, and what else people write
+ANOTHER_CLOCK = 3600 * 10**9  # ns that a header may be off the usual from when it was recorded: farther is damage
+MOVED = 0.01  # m, rad of a laser on its robot
+
+
+@dataclass(slots=True)
+class Told:
+    """The messages of one topic: when each was recorded and, by its header, true, ns; and what it says."""
+
+    topic: str
+    frame: str
+    received: Int64s
+    header: Int64s
+    messages: list[Any]
+    other: str = ""  # the child frame, where there is one
+
+    @property
+    def unstamped(self) -> bool:
+        """Whether the publisher sets no stamps."""
+        return bool((self.header <= 0).mean() > 0.5)
+
+
+def read_ros(path: Path, choice: Choice) -> Content:
+    """The scans, the odometry and the poses of a bag.
+
+    Raises UserError where it cannot be read, or does not hold what was chosen.
+    """
+    return _Reading(path, read_bag(path, ros.WANTED), choice).content()
+
+
+class _Reading:
+    def __init__(self, path: Path, bag: Bag, choice: Choice) -> None:
+        self.path, self.bag, self.choice = path, bag, choice
+        self.n_bad = 0
+        self.notes = list(bag.notes)
+        self.transforms = self._transforms()
+        self.frames = self._frames(by_receipt=False)
+
+    def content(self) -> Content:
+        odom = self._told(self._chosen(self.choice.odom, (ros.ODOM,), _odometry_rank, "odometry", "--topic-odom"))
+        scan = self._told(
+            self._chosen(self.choice.scan, (ros.SCAN, ros.ECHOES), self._scan_rank, "laser", "--topic-scan")
+        )
+        pose = self._told(
+            self._chosen(self.choice.pose, (ros.POSE_COVARIANCE, ros.POSE), _pose_rank, "pose", "--topic-pose")
+        )
+        by_receipt = self._clock([told for told in (scan, odom) if told is not None])
+        if by_receipt:
+            self.frames = self._frames(by_receipt=True)
+        base = self._base(scan, odom)
+        messages: list[tuple[str, Message]] = []
+        track = self._odometry(odom, base, by_receipt) or self._odometry_of_tf(base)
+        scans, mount = self._scans(scan, base, by_receipt)
+        messages += [("odom", message) for message in track]
+        messages += [("scan", message) for message in scans]
+        messages += [("pose", message) for message in self._poses(pose, base, by_receipt, track)]
+        messages += [("map", message) for message in self._map(by_receipt)]
+        if scans and not track:
+            self.notes.append("no odometry, neither as a topic nor in tf: scans alone must do, so a map is a guess")
+        messages.sort(key=lambda row: row[1].stamp)
+        topics = ", ".join(
+            f"{topic} ({type_.replace('/msg/', '/')})" for topic, (type_, _) in sorted(self.bag.topics.items())
+        )
+        return Content(messages, mount, self.n_bad, self.notes, f"its topics: {topics or 'none'}")
+
+    # --- which topics -----------------------------------------------------------------------------------------------
+
+    def _chosen(
+        self, named: str, types: tuple[str, ...], rank: Callable[[list[Raw]], Any], what: str, option: str
+    ) -> list[Raw]:
+        """The messages of the topic that was named, or of the best one; none where there is none."""
+        by_topic: dict[str, list[Raw]] = {}
+        for raw in self.bag.messages:
+            if raw.type in types:
+                by_topic.setdefault(raw.topic, []).append(raw)
+        if named:
+            topic = next((topic for topic in by_topic if topic.strip("/") == named.strip("/")), None)
+            if topic is None:
+                raise UserError(f"{self.path}: no topic {named} with {what}", nearest(named, tuple(sorted(by_topic))))
+            return by_topic[topic]
+        ranks = {topic: rank(raws) for topic, raws in by_topic.items()}
+        fit = sorted(
+            (topic for topic in ranks if ranks[topic] is not None), key=lambda t: (ranks[t], [-ord(c) for c in t])
+        )
+        if not fit:
+            return []
+        if len(fit) > 1:
+            others = ", ".join(reversed(fit[:-1]))
+            self.notes.append(
+                f"{what} from {fit[-1]}; there is {others} too" + (f" ({option} TOPIC)" if option else "")
+            )
+        return by_topic[fit[-1]]
+
+    def _scan_rank(self, raws: list[Raw]) -> Any:
+        """Lasers that are level, see far around, and are told often."""
+        for raw in raws[:20]:
+            try:
+                message = ros.read(raw)
+                scan = ros.laser_scan(message, 0, mirrored=False)
+            except ValueError:
+                continue
+            laser = ros.frame(message.header.frame_id)
+            pose = self.frames.find(self.frames.ancestors(laser)[-1], laser, np.zeros(1, np.int64))
+            eighths = int(abs(scan.angle_increment) * len(scan.ranges) / (np.pi / 4) + 0.5)
+            return pose is None or level(pose[0]), eighths, len(raws)
+        return False, 0, 0
+
+    # --- messages and clocks ----------------------------------------------------------------------------------------
+
+    def _told(self, raws: list[Raw]) -> Told | None:
+        rows = []
+        for raw in raws:
+            message = self._good(ros.read, raw)
+            if message is not None and 0 <= raw.received < 2**62:
+                rows.append((raw.received, ros.stamp_of(message.header), message))
+        if not rows:
+            return None
+        received, header = (np.array(column, np.int64) for column in list(zip(*rows))[:2])
+        first = rows[0][2]
+        return Told(
+            raws[0].topic, ros.frame(first.header.frame_id), received, header, [row[2] for row in rows],
+            ros.frame(getattr(first, "child_frame_id", "")),
+        )  # fmt: skip
+
+    def _good(self, make: Callable[..., T], *arguments: Any) -> T | None:
+        """What a function makes of a message; None, and one more bad one, where that makes no sense."""
+        try:
+            return make(*arguments)
+        except (ValueError, OverflowError, TypeError, AttributeError):
+            self.n_bad += 1
+            return None
+
+    def _clock(self, told: list[Told]) -> bool:
+        """Whether the times of recording must do, because headers tell none, or two clocks."""
+        bare = [topic.topic for topic in told if topic.unstamped]
+        if bare:
+            self.notes.append(
+                f"{' and '.join(bare)} without stamps: the times at which messages were recorded were taken"
+            )
+            return True
+        for other in told[1:]:
+            if _apart(told[0].header, other.header) and not _apart(told[0].received, other.received):
+                self.notes.append(
+                    f"{told[0].topic} and {other.topic} are stamped by different clocks: the times at which "
+                    "messages were recorded were taken"
+                )
+                return True
+        return False
+
+    def _made(self, told: Told | None, make: Callable[[Any, int], M], by_receipt: bool) -> list[M]:
+        """A topic's messages as the stack's, in time; those with a stamp that cannot be are bad ones."""
+        if told is None:
+            return []
+        by_receipt = by_receipt or told.unstamped
+        stamps = told.received if by_receipt else told.header
+        late = told.header - told.received
+        sane = (stamps > 0) | by_receipt
+        if not by_receipt:
+            sane &= np.abs(late - np.median(late)) <= ANOTHER_CLOCK
+        found = []
+        for stamp, message, is_sane in zip(stamps.tolist(), told.messages, sane):
+            self.n_bad += not is_sane
+            made = self._good(make, message, stamp) if is_sane else None
+            if made is not None:
+                found.append(made)
+        return sorted(found, key=lambda message: message.stamp)
+
+    # --- frames -----------------------------------------------------------------------------------------------------
+
+    def _transforms(self) -> list[tuple[str, str, int, int, Float64s, bool]]:
+        """parent, child, stamp by the header, when it was recorded, the transform, whether it stands for ever."""
+        rows = []
+        for raw in self.bag.messages:
+            if raw.type not in (ros.TF, ros.OLD_TF):
+                continue
+            message = self._good(ros.read, raw) if 0 <= raw.received < 2**62 else None
+            static = raw.topic.endswith("tf_static")
+            for told in message.transforms if message is not None else ():
+                parent, child = ros.frame(told.header.frame_id), ros.frame(told.child_frame_id)
+                stamp = ros.stamp_of(told.header)
+                rows.append((parent, child, stamp, raw.received, ros.transform(told.transform), static))
+        return rows
+
+    def _frames(self, by_receipt: bool) -> Frames:
+        frames = Frames()
+        for parent, child, header, received, transform, static in self.transforms:
+            try:
+                frames.add(parent, child, received if by_receipt else header, transform, static)
+            except ValueError:
+                self.n_bad += not by_receipt
+        return frames
+
+    def _odom_frame(self, of: str) -> str | None:
+        """The frame of odometry among those that a frame is told in."""
+        if self.choice.odom_frame:
+            return ros.frame(self.choice.odom_frame)
+        above = self.frames.ancestors(of)
+        return next((frame for frame in above[1:] if "odom" in frame.rpartition("/")[2]), None)
+
+    def _base(self, scan: Told | None, odom: Told | None) -> str:
+        """The robot's frame: named, odometry's, below odometry's in tf, or by its usual names."""
+        if self.choice.base_frame:
+            return ros.frame(self.choice.base_frame)
+        if odom is not None and odom.other:
+            return odom.other
+        leaf = (
+            scan.frame if scan is not None else next((row[1] for row in self.transforms if row[1].endswith(BASES)), "")
+        )
+        above = self.frames.ancestors(leaf)
+        odom_frame = self._odom_frame(leaf)
+        if odom_frame in above:
+            return above[above.index(odom_frame) - 1]
+        return self._holder(leaf) or above[-1]
+
+    def _holder(self, laser: str) -> str | None:
+        """The robot's frame as the laser's place in tf tells it, if it does."""
+        above = self.frames.ancestors(laser)[1:]
+        return next((frame for name in BASES for frame in above if frame.rpartition("/")[2] == name), None)
+
+    # --- what comes out ---------------------------------------------------------------------------------------------
+
+    def _scans(self, told: Told | None, base: str, by_receipt: bool) -> tuple[list[LaserScan], Mount]:
+        if told is None:
+            return [], Mount()
+        stamps = np.sort(told.received if by_receipt else told.header)
+        poses = self.frames.find(base, told.frame, stamps) if told.frame else None
+        holder = self._holder(told.frame)
+        if poses is None and holder and not self.choice.base_frame:
+            self.notes.append(f"no tf leads from {base or 'the base'} to {told.frame}: its place on {holder} is taken")
+            poses = self.frames.find(holder, told.frame, stamps)
+        if poses is None:
+            if self.choice.base_frame:
+                raise UserError(
+                    f"{self.path}: no tf leads from {base} to {told.frame}, the frame of {told.topic}",
+                    nearest(
+                        base, tuple(sorted({row[0] for row in self.transforms} | {row[1] for row in self.transforms}))
+                    ),
+                )
+            self.notes.append(
+                f"no tf leads from {base or 'the base'} to {told.frame or 'the laser'}: "
+                "the laser is taken to sit on the axis and look ahead"
+            )
+            poses = np.eye(4)[None]
+        if not level(poses[0]):
+            raise UserError(
+                f"{self.path}: the laser of {told.topic} is tilted by {tilt(poses[0]):.0f} degrees, off the plane",
+                "choose another one: --topic-scan TOPIC",
+            )
+        places = [planar(pose) for pose in poses]
+        mount = places[len(places) // 2]
+        if any(mount.distance(place) > MOVED or abs((mount.inverse() @ place).yaw) > MOVED for place in places):
+            self.notes.append(f"{told.frame} moves on {base}: its place in the middle of the bag is taken")
+        mirrored = upside_down(poses[0])
+        if mirrored:
+            self.notes.append(f"the laser of {told.topic} hangs upside-down: its beams were turned about")
+        scans = self._made(told, lambda m, stamp: ros.laser_scan(m, stamp, mirrored), by_receipt)
+        if max(abs(mount.x), abs(mount.y)) > 5:
+            raise UserError(
+                f"{self.path}: by tf the laser sits at {mount.x:.1f} {mount.y:.1f} m of {base}",
+                "name the robot's frame: --base-frame",
+            )
+        return scans, Mount(x=mount.x, y=mount.y, yaw=mount.yaw)
+
+    def _odometry(self, told: Told | None, base: str, by_receipt: bool) -> list[Odometry]:
+        track = self._made(told, ros.odometry, by_receipt)
+        if told is None or base == told.other or not told.other:
+            return track
+        poses = self.frames.find(told.other, base, np.zeros(1, np.int64))
+        if poses is None:
+            return track
+        other_from_base = planar(poses[0])
+        return [Odometry(o.stamp, o.odom_from_base @ other_from_base, o.v, o.w, o.covariance) for o in track]
+
+    def _odometry_of_tf(self, base: str) -> list[Odometry]:
+        odom_frame = self._odom_frame(base)
+        rows = self._moving(odom_frame, base) if odom_frame is not None else []
+        if rows:
+            self.notes.append(f"odometry from tf: {odom_frame} to {base}")
+        return [Odometry(stamp, pose, *speed, np.zeros(9)) for (stamp, pose), speed in zip(rows, _speeds(rows))]
+
+    def _moving(self, target: str, source: str) -> list[tuple[int, Pose2]]:
+        """A frame in another one, at every stamp at which tf told anything between them that moves."""
+        above = self.frames.ancestors(source)
+        between = above[: above.index(target)] if target in above else []
+        moving = [frame for frame in between if self.frames.moves(frame)]
+        if not moving:
+            return []
+        told = [stamps[stamps > 0] for stamps in map(self.frames.stamps, moving)]
+        if any(not len(stamps) for stamps in told):
+            return []
+        stamps = np.unique(np.concatenate(told))
+        stamps = stamps[(stamps >= max(s[0] for s in told)) & (stamps <= min(s[-1] for s in told))]
+        poses = self.frames.find(target, source, stamps)
+        return [(int(t), planar(pose)) for t, pose in zip(stamps, poses)] if poses is not None else []
+
+    def _map(self, by_receipt: bool) -> list[MapUpdate]:
+        """The last map; costmaps are none."""
+        told = self._told(self._chosen("", (ros.GRID,), _map_rank, "map", ""))
+        return self._made(told, ros.occupancy, by_receipt)
+
+    def _poses(self, told: Told | None, base: str, by_receipt: bool, track: list[Odometry]) -> list[PoseEstimate]:
+        """The pose on the map: of its topic, or in tf; with what that corrects of odometry."""
+
+        def made(message: Any, stamp: int) -> PoseEstimate:
+            pose = message.pose
+            spread = ros.covariance(pose.covariance) if hasattr(pose, "covariance") else np.zeros(9)
+            return _estimate(stamp, ros.pose2(pose.pose if hasattr(pose, "covariance") else pose), spread)
+
+        found = self._made(told, made, by_receipt)
+        maps = [frame for frame in self.frames.ancestors(base) if frame.rpartition("/")[2] == "map"]
+        if told is None and maps:
+            found = [_estimate(stamp, pose, np.zeros(9)) for stamp, pose in self._moving(maps[0], base)]
+        odom_from_base = odometry_at([pose.stamp for pose in found], track)
+        return [replace(p, map_from_odom=p.map_from_base @ o.inverse()) for p, o in zip(found, odom_from_base)]
+
+
+def _estimate(stamp: int, map_from_base: Pose2, spread: Float64s) -> PoseEstimate:
+    return PoseEstimate(stamp, map_from_base, map_from_base, spread, 1.0, Localization.GOOD)
+
+
+def _odometry_rank(raws: list[Raw]) -> Any:
+    """Dead reckoning rather than a pose on the map or a simulator's truth; then the more usual name, then how much."""
+    topic = raws[0].topic
+    try:
+        frame = ros.frame(ros.read(raws[0]).header.frame_id).rpartition("/")[2]
+    except ValueError:
+        frame = ""
+    drifts = frame not in ("map", "world", "earth", "utm") and not any(w in topic for w in ("truth", "gps", "global"))
+    return drifts, "odom" in topic, topic.rpartition("/")[2] == "odom", len(raws)
+
+
+def _pose_rank(raws: list[Raw]) -> Any:
+    """What localises the robot; goals and first guesses are poses too, and no place of it."""
+    topic = raws[0].topic
+    if any(word in topic for word in ("goal", "initial", "clicked", "target", "truth")):
+        return None
+    return "amcl" in topic or topic.rpartition("/")[2] == "pose", raws[0].type == ros.POSE_COVARIANCE, len(raws)
+
+
+def _map_rank(raws: list[Raw]) -> Any:
+    topic = raws[0].topic
+    return None if "cost" in topic else (topic.rpartition("/")[2] == "map", topic.endswith("map"))
+
+
+def _apart(a: Int64s, b: Int64s) -> bool:
+    """Whether two topics' times have nothing in common."""
+    return bool(a.max() < b.min() or b.max() < a.min())
+
+
+def _speeds(rows: list[tuple[int, Pose2]]) -> list[tuple[float, float]]:
+    """m/s and rad/s by the motion since the row before."""
+    found = [(0.0, 0.0)]
+    for (before, a), (now, b) in pairwise(rows):
+        step, seconds = a.inverse() @ b, max((now - before) * 1e-9, 1e-3)
+        v, w = step.x / seconds, step.yaw / seconds
+        found.append((v, w) if abs(v) <= 20 and abs(w) <= 50 else (0.0, 0.0))
+    return found[: len(rows)]

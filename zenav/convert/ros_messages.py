@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS messages as the stack's: LaserScan, Odometry, poses, transforms. Layouts are those of the `rosbags` package.
+
+Each raises ValueError where a message does not make sense.
+"""
+
+from functools import cache
+from math import atan2, isfinite, pi
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from shared.geometry import Pose2
+from shared.grid import update_of_cells
+from shared.messages import LaserScan, MapUpdate, Odometry
+from zenav.convert.ros_files import Raw
+from zenav.convert.turned_map import turned
+
+Float64s = NDArray[np.float64]
+
+SCAN, ECHOES = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan"
+ODOM = "nav_msgs/msg/Odometry"
+TF, OLD_TF = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
+POSE, POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
+GRID = "nav_msgs/msg/OccupancyGrid"
+WANTED = frozenset({SCAN, ECHOES, ODOM, TF, OLD_TF, POSE, POSE_COVARIANCE, GRID})
+
+FARTHEST = 250.0  # m, of a range in a LaserScan of the stack
+MOST_BEAMS = 20_000
+FARTHEST_MAP = 1e4  # m
+LONGEST_SWEEP = 2.0  # s
+MOST_TURNS = 10  # of the first beam's angle
+PLANE = np.add.outer(np.array((0, 1, 5)) * 6, (0, 1, 5)).ravel()  # x, y, yaw of the six by six that ROS has
+
+
+@cache
+def typestore(ros1: bool) -> Any:
+    """rosbags' knowledge of the standard messages; their layouts are the same in every ROS 2."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if ros1:
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+    return store
+
+
+def read(raw: Raw) -> Any:
+    """A message of a bag, with the attributes that ROS gives it. Raises ValueError where the bytes are none."""
+    store = typestore(raw.ros1)
+    type_ = TF if raw.type == OLD_TF else raw.type
+    try:
+        return store.deserialize_ros1(raw.data, type_) if raw.ros1 else store.deserialize_cdr(raw.data, type_)
+    except Exception as error:  # rosbags' generated code raises whatever damaged bytes make it
+        raise ValueError(f"no {raw.type}: {error}") from None
+
+
+def stamp_of(header: Any) -> int:
+    """ns; 0 where the publisher set none."""
+    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
+
+
+def frame(name: str) -> str:
+    """A frame's name as tf2 has it: tf allowed a leading slash."""
+    return str(name).strip("/")
+
+
+def laser_scan(message: Any, stamp: int, mirrored: bool) -> LaserScan:
+    """A sweep in the plane. mirrored: the laser hangs upside-down, so its beams run the other way round.
+
+    No echo is NaN: what is not finite, not over 0, or over range_max (REP 117). Where beams were taken from the last to
+    the first (a negative time_increment) they are turned about, so that the stamp is the first beam's.
+    """
+    ranges = _ranges(message)
+    increment, first, step = float(message.angle_increment), float(message.angle_min), float(message.time_increment)
+    n = len(ranges)
+    if not 2 <= n <= MOST_BEAMS or not isfinite(increment) or not abs(first) <= 2 * pi * MOST_TURNS:
+        raise ValueError("a scan without beams, or without angles")
+    low, high = float(message.range_min), float(message.range_max)
+    largest = float(np.nanmax(ranges, initial=0.0))
+    if not 0 < high <= FARTHEST:  # some drivers leave it 0, or say infinity
+        high = min(max(largest, 1.0), FARTHEST)
+    if not 0 <= low < high:
+        low = 0.0
+    ranges = np.where(ranges <= np.float32(high), ranges, np.nan).astype(np.float32)
+    intensities = _intensities(message, n)
+    taken = step * (n - 1)
+    if not abs(taken) <= LONGEST_SWEEP:
+        step = taken = 0.0
+    if step < 0:
+        ranges, intensities = ranges[::-1].copy(), intensities[::-1].copy()
+        first, increment = first + increment * (n - 1), -increment
+        stamp, taken = stamp + round(taken * 1e9), -taken
+    if mirrored:
+        first, increment = -first, -increment
+    turns = round(first / (2 * pi))
+    scan = LaserScan(max(stamp, 0), first - 2 * pi * turns, increment, taken, low, high, ranges, intensities)
+    if not abs(increment) <= pi or increment == 0 or (problem := scan.problem()):
+        raise ValueError("the angles are none" if increment == 0 or abs(increment) > pi else problem)
+    return scan
+
+
+def _ranges(message: Any) -> NDArray[np.float32]:
+    """(n,) m; of several echoes of a beam the first."""
+    if hasattr(message, "intensities") and len(message.ranges) and hasattr(message.ranges[0], "echoes"):
+        values = np.array([beam.echoes[0] if len(beam.echoes) else np.nan for beam in message.ranges], np.float32)
+    else:
+        values = np.asarray(message.ranges, np.float32)
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isfinite(values) & (values > 0), values, np.float32(np.nan))
+
+
+def _intensities(message: Any, n: int) -> NDArray[np.float32]:
+    """(n,) or (0,): the device's own scale, as far as it is one."""
+    values = message.intensities
+    if len(values) != n or hasattr(values[0], "echoes"):
+        return np.empty(0, np.float32)
+    return np.clip(np.nan_to_num(np.asarray(values, np.float32)), 0, 65535)
+
+
+def odometry(message: Any, stamp: int) -> Odometry:
+    """Dead reckoning in the plane."""
+    twist = message.twist.twist
+    v, w = float(twist.linear.x), float(twist.angular.z)
+    if not (abs(v) <= 20 and abs(w) <= 50):
+        v = w = 0.0  # the pose counts; speeds are often not filled in
+    return Odometry(stamp, pose2(message.pose.pose), v, w, covariance(message.pose.covariance))
+
+
+def pose2(pose: Any) -> Pose2:
+    """A pose in the plane: place and heading of its x axis."""
+    p, q = pose.position, pose.orientation
+    x, y, z, w = (float(value) for value in (q.x, q.y, q.z, q.w))
+    norm = x * x + y * y + z * z + w * w
+    if not (0.25 < norm < 4 and abs(p.x) <= 1e6 and abs(p.y) <= 1e6):
+        raise ValueError("a pose that is none")
+    return Pose2(float(p.x), float(p.y), atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
+
+
+def occupancy(message: Any, stamp: int) -> MapUpdate:
+    """A whole map; one that is turned is turned back."""
+    info, origin = message.info, pose2(message.info.origin)
+    height, width, resolution = int(info.height), int(info.width), float(info.resolution)
+    cells = np.asarray(message.data, np.int8)
+    if not 0.005 <= resolution <= 1 or height * width != len(cells) or not len(cells):
+        raise ValueError("a map of no cells")
+    cells = np.where((cells < 0) | (cells > 100), -1, cells).astype(np.int8).reshape(height, width)
+    x0, y0 = origin.x, origin.y
+    if abs(origin.yaw) > 1e-6:
+        cells, x0, y0 = turned(cells, resolution, x0, y0, origin.yaw)
+    if max(abs(x0), abs(y0), resolution * max(cells.shape)) > FARTHEST_MAP:
+        raise ValueError("a map that is too far away")
+    update = update_of_cells(cells, round(resolution, 9), x0, y0, stamp)
+    if (problem := update.problem()) is not None:
+        raise ValueError(problem)
+    return update
+
+
+def covariance(of_six: Any) -> Float64s:
+    """(9,) of x, y, yaw out of ROS's 36; zeros where they are no numbers."""
+    values = np.asarray(of_six, np.float64)[PLANE]
+    return values if np.isfinite(values).all() and np.abs(values).max() <= 1e12 else np.zeros(9)
+
+
+def transform(message: Any) -> Float64s:
+    """(7,) x y z and the quaternion x y z w of a geometry_msgs/Transform."""
+    t, q = message.translation, message.rotation
+    return np.array((t.x, t.y, t.z, q.x, q.y, q.z, q.w), np.float64)
