@@ -128,6 +128,7 @@ class _Traffic:
         self.sessions = {life.session for life in lives}
         self.ended = {life.session: 0 for life in lives if not life.events}
         self.recorded: dict[tuple[str, str], dict[int, bytes]] = {}
+        self.held: dict[str, tuple[Message, Envelope]] = {}  # by key, what was latched when the recording began
         self._payloads: dict[tuple[str, str], dict[int, bytes]] = {}
         self._taken_up = dict(_taken_up(all_lives))
         taken = {(e.key, e.session) for life in lives for e in life.events if e.kind in (MESSAGE, LATCHED)}
@@ -140,7 +141,12 @@ class _Traffic:
             except CodecError:
                 continue  # nobody took it
             source = (entry.key, envelope.session)
-            if envelope.session in self.sessions and topics.topic_of(entry.key) not in (topics.HEALTH, topics.JOURNAL):
+            topic = topics.topic_of(entry.key)
+            if entry.latched and topic is not None:
+                self.held.setdefault(entry.key, (_valid(topic.type, entry.payload), envelope))
+                if source in taken:
+                    self._payloads.setdefault(source, {})[envelope.sequence] = entry.payload
+            elif envelope.session in self.sessions and topic not in (topics.HEALTH, topics.JOURNAL):
                 self.recorded.setdefault(source, {})[envelope.sequence] = entry.payload
             elif source in taken:
                 self._payloads.setdefault(source, {})[envelope.sequence] = entry.payload
@@ -168,9 +174,13 @@ class _Traffic:
 
         What a restarted publisher took up from its predecessor is part of it.
         """
+        kept, first, held = None, 0, self.held.get(key)
         before = self._taken_up.get((key, session))
-        kept = None if before is None else self.latched(topic, key, before.session, before.number)
-        for number in range(sequence + 1):
+        if held is not None and held[1].session == session and held[1].sequence <= sequence:
+            kept, first = held[0], held[1].sequence + 1
+        elif before is not None:
+            kept = self.latched(topic, key, before.session, before.number)
+        for number in range(first, sequence + 1):
             kept = merged(kept, _valid(topic.type, self.payload(key, session, number)))
         if kept is None:
             raise _MissingError(key, session, sequence)
@@ -266,6 +276,14 @@ class _Run:
             self._apply(host.farewell(event.now))
         elif event.kind == HOLE:
             self._gap(f"{event.number} entries of the journal are missing")
+            if self.at == 0:
+                self._hold(event.now)
+
+    def _hold(self, now: int) -> None:
+        """A session whose beginning is not known gets what was latched when the recording began, as a late joiner."""
+        for key, (message, envelope) in self._traffic.held.items():
+            if key in self._host.handlers.topics:
+                self._apply(self._host.message(key, message, envelope, now, latched=True))
 
     def _message(self, topic: Topic[Message], event: Event) -> tuple[Message, Envelope]:
         payload = self._traffic.payload(event.key, event.session, event.number)
