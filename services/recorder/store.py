@@ -19,9 +19,8 @@ from shared.config import Section, UserError, nearest
 from shared.messages import Message
 from shared.recording import CONFIG, Drop
 from shared.recordings.held import Value
-from shared.topics import SERVICES, TOPICS
+from shared.topics import KEYS
 
-KEYS = tuple(k for t in TOPICS for k in ([t.key] if t.by != "*" else [f"{t.key}/{name}" for name in SERVICES]))
 MB = 1e6
 
 

@@ -60,12 +60,17 @@ class Block:
 
 @dataclass(slots=True)
 class Layout:
-    """What a file holds and where. statistics: only from an index. problems: by place, what is damaged or missing."""
+    """What a file holds and where. statistics: only from an index.
 
+    problems: by place, what is damaged or missing; harmless: the places of those that cost nothing.
+    """
+
+    profile: str = ""
     blocks: list[Block] = field(default_factory=list)
     notes: list[tuple[int, bytes, int]] = field(default_factory=list)  # opcode, body, place
     statistics: mc.Statistics | None = None
     problems: dict[int, str] = field(default_factory=dict)
+    harmless: set[int] = field(default_factory=set)
 
 
 def layout(file: IO[bytes], size: int) -> Layout:
@@ -74,7 +79,19 @@ def layout(file: IO[bytes], size: int) -> Layout:
         indexed = _by_index(file, size)
     except DAMAGE:
         indexed = None
-    return indexed or _by_walking(file, size)
+    found = indexed or _by_walking(file, size)
+    found.profile = _profile(file)
+    return found
+
+
+def _profile(file: IO[bytes]) -> str:
+    """Of the header: who made the file, or for whom."""
+    file.seek(len(MAGIC))
+    opcode, length = FRAME.unpack(file.read(FRAME.size).ljust(FRAME.size, b"\0"))
+    try:
+        return mc.Header.read(ReadDataStream(BytesIO(file.read(length)))).profile if opcode == Opcode.HEADER else ""
+    except DAMAGE:
+        return ""
 
 
 # --- by the index ---------------------------------------------------------------------------------------------------
@@ -143,6 +160,7 @@ def _by_walking(file: IO[bytes], size: int) -> Layout:
         if opcode == Opcode.FOOTER:
             if length == _FOOTER.size - FRAME.size and _TIMES.unpack(file.read(_TIMES.size))[0]:
                 found.problems[place] = "its index is damaged or not whole: it was read from begin to end"
+                found.harmless.add(place)
             return found
         if opcode in (Opcode.CHUNK, Opcode.MESSAGE):
             found.blocks.append(_block(opcode, body, length, file.read(min(length, MESSAGE.size))))
@@ -150,6 +168,7 @@ def _by_walking(file: IO[bytes], size: int) -> Layout:
             found.notes.append((opcode, file.read(length), body))
         before, place = place, body + length
     rest = size - min(place, size)
+    found.harmless |= set() if rest else {size}
     found.problems[size] = "the recording was not closed" + (
         f": its last {rest} bytes are the beginning of a record whose end is missing" if rest else ""
     )

@@ -37,6 +37,8 @@ ABOUT = "zenav"
 """The metadata record with robot, versions and commit."""
 DROPS = "zenav.drops"
 """The metadata records that tell what the recorder could not record."""
+LATCHED = ("latched", "yes")
+"""In a channel's metadata."""
 ENCODING = "zenav"
 """Of the schemas that this stack writes."""
 
@@ -45,7 +47,7 @@ ENCODING = "zenav"
 class Channel:
     """Where messages of one type went: the key without the robot's name, and how they are written.
 
-    latched: holds what was kept for late joiners when this file began, not what was published in its time.
+    `latched`: holds what was kept for late joiners when this file began, not what was published in its time.
     """
 
     key: str
@@ -53,7 +55,11 @@ class Channel:
     schema_name: str
     schema_encoding: str
     schema: bytes
-    latched: bool = False
+    metadata: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def latched(self) -> bool:
+        return LATCHED in self.metadata
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +107,9 @@ class Source:
 class Recording:
     """A recording that is read. A damaged file gives what is there; `problems` says what is not.
 
-    about: metadata, like robot and versions.   attachments: by name.   drops: what the recorder missed.   indexed: has
-    a whole index, so that seeking and counting take no reading.
+    about: like robot and versions; metadata: of other programs.   attachments: by name.   drops: what the recorder
+    missed.   indexed: has a whole index, so that seeking and counting take no reading.   n_lost: messages that are
+    known to be lost, complete with `problems`.
     Raises UserError where there is no file, nothing in it, or something else than MCAP.
     """
 
@@ -110,6 +117,7 @@ class Recording:
         self.path = path
         self.about: dict[str, str] = {}
         self.attachments: dict[str, bytes] = {}
+        self.metadata: list[tuple[str, dict[str, str]]] = []
         self.drops: list[Drop] = []
         self.n_lost = 0
         self._problems: dict[int, str] = {}  # by place in the file: reading twice tells once
@@ -121,6 +129,7 @@ class Recording:
         except OSError as error:
             raise UserError(f"cannot read {path}: {error.strerror}", "check the path and its permissions") from None
         self._problems |= self._layout.problems
+        self._harmless = set(self._layout.harmless)
         self.indexed = self._layout.statistics is not None
         for opcode, body, place in self._layout.notes:
             self._note(opcode, body, place)
@@ -130,6 +139,16 @@ class Recording:
     def problems(self) -> list[str]:
         """What is damaged or missing, as far as it was read: complete after `entries` ran to its end."""
         return [text for _, text in sorted(self._problems.items())]
+
+    @property
+    def damage(self) -> list[str]:
+        """Those of the problems that cost something that was recorded."""
+        return [text for place, text in sorted(self._problems.items()) if place not in self._harmless]
+
+    @property
+    def profile(self) -> str:
+        """For whom it was made, by its header."""
+        return self._layout.profile
 
     @property
     def blocks(self) -> list[Block]:
@@ -209,6 +228,8 @@ class Recording:
                     self.about |= metadata.metadata
                 elif metadata.name == DROPS:
                     self.drops += drops_from(metadata.metadata)
+                else:
+                    self.metadata.append((metadata.name, metadata.metadata))
             elif opcode == Opcode.ATTACHMENT:
                 attachment = mc.Attachment.read(stream)
                 self.attachments[attachment.name] = attachment.data
@@ -218,8 +239,8 @@ class Recording:
             elif opcode == Opcode.CHANNEL:
                 channel = mc.Channel.read(stream)
                 of = self._schemas.get(channel.schema_id) or mc.Schema(0, b"", "", "")
-                latched = channel.metadata.get("latched") == "yes"
-                recorded = Channel(channel.topic, channel.message_encoding, of.name, of.encoding, of.data, latched)
+                told = tuple(sorted(channel.metadata.items()))
+                recorded = Channel(channel.topic, channel.message_encoding, of.name, of.encoding, of.data, told)
                 self._sources[channel.id] = _as_today(recorded)
         except DAMAGE as error:
             self._problems[place] = f"a record at byte {place} is damaged: {error}"
@@ -282,6 +303,7 @@ class Recording:
         zero = min((block.begin for block in self._layout.blocks), default=0)
         for i, ((at, why), counts) in enumerate(sorted(places.items())):
             told = ", ".join(f"{n} {key}" for key, n in counts.most_common())
+            self._harmless.add(-len(places) + i)
             self._problems[-len(places) + i] = (
                 f"{(at - zero) / 1e9:.1f} s after the start the recorder had missed {counts.total()} messages "
                 f"({why}): {told}; a replay is equal to the byte up to there"

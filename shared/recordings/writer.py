@@ -12,15 +12,19 @@ import mcap.writer
 
 from shared.codec import schema, schema_id
 from shared.messages import Message
-from shared.recordings.reader import ABOUT, DROPS, ENCODING, Channel, Drop, Entry, drops_record
+from shared.recordings.reader import ABOUT, DROPS, ENCODING, LATCHED, Channel, Drop, Entry, drops_record
 
 _CHUNK_BYTES = 64 * 1024
+
+Place = tuple[str, str, tuple[tuple[str, str], ...]]
+"""Key, schema's name and metadata: what a channel is the only one with."""
 
 
 class Writer:
     """Writes a recording. Every method may raise OSError; the file is then cut back to the last `flush` and closed.
 
     about: metadata, like robot and versions.   attachments: by name.   exclusive: never over another file.
+    profile: another one than this stack's, where the file is a copy of another program's.
     """
 
     def __init__(
@@ -29,14 +33,15 @@ class Writer:
         about: Mapping[str, str] | None = None,
         attachments: Mapping[str, bytes] | None = None,
         exclusive: bool = False,
+        profile: str = "zenav",
     ) -> None:
         self.path, self.n_messages = path, 0
-        self._channels: dict[tuple[str, str, bool], int] = {}
+        self._channels: dict[Place, int] = {}
         self._schemas: dict[str, int] = {}
         self._file = _File(path, "xb" if exclusive else "wb")
         self._mcap = mcap.writer.Writer(cast(IO[Any], self._file), chunk_size=_CHUNK_BYTES)
         try:
-            self._mcap.start(profile="zenav", library="zenav")
+            self._mcap.start(profile=profile, library="zenav")
             self._mcap.add_metadata(ABOUT, dict(about or {}))
             for name, content in (attachments or {}).items():
                 kind = "application/yaml" if name.endswith(".yaml") else "application/octet-stream"
@@ -69,22 +74,27 @@ class Writer:
     ) -> None:
         """Adds a message as it went on the wire: key without the robot's name, times in ns. latched: see Channel."""
         name = schema_id(type_)
-        if (key, name, latched) not in self._channels:
-            self._declare(Channel(key, "msgpack", name, ENCODING, schema(type_), latched))
-        self._add(self._channels[(key, name, latched)], payload, log_time, sent, sequence)
+        at = key, name, (LATCHED,) if latched else ()
+        if at not in self._channels:
+            self._declare(Channel(key, "msgpack", name, ENCODING, schema(type_), at[2]))
+        self._add(self._channels[at], payload, log_time, sent, sequence)
 
     def copy(self, entry: Entry) -> None:
         """Adds a message of another recording, with its own schema, also one that today's stack does not know."""
-        at = entry.key, entry.channel.schema_name, entry.latched
+        at = entry.key, entry.channel.schema_name, entry.channel.metadata
         if at not in self._channels:
             self._declare(entry.channel)
         self._add(self._channels[at], entry.payload, entry.log_time, entry.sent, entry.sequence)
 
     def note_drops(self, drops: Iterable[Drop]) -> None:
         """Writes down what was missed."""
+        for _, together in groupby(drops, key=lambda drop: (drop.at, drop.why)):
+            self.note(DROPS, drops_record(together))
+
+    def note(self, name: str, told: Mapping[str, str]) -> None:
+        """Adds metadata of another program."""
         try:
-            for _, together in groupby(drops, key=lambda drop: (drop.at, drop.why)):
-                self._mcap.add_metadata(DROPS, drops_record(together))
+            self._mcap.add_metadata(name, dict(told))
         except OSError:
             self._file.cut()
             raise
@@ -111,11 +121,11 @@ class Writer:
 
     def _declare(self, channel: Channel) -> None:
         name = channel.schema_name
-        if name not in self._schemas:
+        if name and name not in self._schemas:
             self._schemas[name] = self._mcap.register_schema(name, channel.schema_encoding, channel.schema)
-        metadata = {"latched": "yes"} if channel.latched else {}
-        number = self._mcap.register_channel(channel.key, channel.encoding, self._schemas[name], metadata)
-        self._channels[(channel.key, name, channel.latched)] = number
+        told = dict(channel.metadata)
+        number = self._mcap.register_channel(channel.key, channel.encoding, self._schemas.get(name, 0), told)
+        self._channels[(channel.key, name, channel.metadata)] = number
 
     def _add(self, channel: int, payload: bytes, log_time: int, sent: int, sequence: int) -> None:
         try:
