@@ -24,7 +24,7 @@ Float64s = NDArray[np.float64]
 
 COLOURS = AFTER, BEFORE, TRUE, OTHER
 NAMES = "blue", "red", "green", "yellow"
-WIDTH, HEIGHT = 100, 20  # characters
+WIDTH, HEIGHT, MARGIN = 120, 20, 14  # characters; the margin is for the numbers at the edge
 BRAILLE = 0x2800  # the first of the 256 characters of 2 x 4 dots
 OF_ARRAYS: dict[str, Callable[[Any], Any]] = {"min": np.min, "max": np.max, "mean": np.mean}
 _PATH = re.compile(r"(\w+)((?:\.\w+)*)(?:\[(\d+)\])?")
@@ -50,8 +50,8 @@ def plot(path: Path, fields: list[str], out: Path | None, begin: float | None, e
 
         console = Console()
         for unit in units:
-            for line in drawn([row for row in found if row.unit == unit]):
-                console.print(line)
+            for line in drawn([row for row in found if row.unit == unit], min(console.width - MARGIN, WIDTH)):
+                console.print(line, no_wrap=True, overflow="crop")
         return 0
     charts = []
     for unit in units:
@@ -127,20 +127,21 @@ def _unit(field: Field, text: str) -> str:
     return field.unit
 
 
-def drawn(rows: list[Series]) -> list[str]:
+def drawn(rows: list[Series], width: int) -> list[str]:
     """Curves of one unit as lines for rich: two by four dots a character."""
+    width = max(width, 20)
     times = np.concatenate([row.times for row in rows])
     values = np.concatenate([row.values for row in rows])
     t0, t1 = float(times.min()), max(float(times.max()), float(times.min()) + 1e-9)
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     if high - low < 1e-12:
         low, high = low - 0.5, high + 0.5
-    dots = np.zeros((HEIGHT, WIDTH), np.uint8)
-    colour = np.zeros((HEIGHT, WIDTH), np.int8)
+    dots = np.zeros((HEIGHT, width), np.uint8)
+    colour = np.zeros((HEIGHT, width), np.int8)
     bits = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], np.uint8)  # of a braille character
     for i, row in enumerate(rows):
         fine = np.isfinite(row.values)
-        x = ((row.times[fine] - t0) / (t1 - t0) * (2 * WIDTH - 1)).round().astype(int)
+        x = ((row.times[fine] - t0) / (t1 - t0) * (2 * width - 1)).round().astype(int)
         y = ((high - row.values[fine]) / (high - low) * (4 * HEIGHT - 1)).round().astype(int)
         np.bitwise_or.at(dots, (y // 4, x // 2), bits[y % 4, x % 2])
         colour[y // 4, x // 2] = i
@@ -154,5 +155,5 @@ def drawn(rows: list[Series]) -> list[str]:
         )
         lines.append(f"{label:>{edge}} |{cells}")
     left, right = f"{t0:.1f}", f"{t1:.1f} s"
-    lines.append(" " * (edge + 2) + left + right.rjust(WIDTH - len(left)))
+    lines.append(" " * (edge + 2) + left + right.rjust(width - len(left)))
     return lines
