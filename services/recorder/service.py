@@ -57,7 +57,7 @@ class RecorderService(Service):
             self._write(topic.type, source, payload, envelope, now)
         self._held.take(key, payload)
 
-    @every(hz=1)
+    @every(hz=2)
     def flush(self) -> Out:
         """What was recorded outlives a crash from here on; a part that is full gives way to the next."""
         if self._begun is not None:

@@ -66,6 +66,7 @@ class Live:
         self.inbox = Inbox()
         self.traffic = Traffic()
         self._stopping = False
+        self._patience = 0.05 if hasattr(service, "raw") else 0.25  # s; nothing wakes who takes hundreds a second
         self._requests = self.inbox.place("requests", "all", MAX_REQUESTS)
         self._results = self.inbox.place("jobs", "all")
         self._admissions: dict[str, Admission] = {}
@@ -122,7 +123,7 @@ class Live:
                 self.traffic.slowest = max(self.traffic.slowest, time.perf_counter() - begun)
                 continue
             until = report if first is None else min(report, first.due)
-            item = self.inbox.take(min(0.25, self.clock.seconds(until - now)))
+            item = self.inbox.take(min(self._patience, self.clock.seconds(until - now)))
             if item is not None:
                 self._handle(*item)
 
@@ -150,7 +151,7 @@ class Live:
         for topic in TOPICS:
             if self.name in topic.publishers:
                 self._declare_publisher(topic)
-        if getattr(self.host.service, "raw", None) is not None:
+        if hasattr(self.host.service, "raw"):
             place = self.inbox.place("**", "all", RAW_CAPACITY)
             self._places.append(place)
             self._declared.append(self.session.declare_subscriber(f"{self.robot}/**", partial(self._file_raw, place)))
@@ -195,7 +196,7 @@ class Live:
         self.inbox.file(place, (payload,))
 
     def _file_raw(self, place: Place, sample: zenoh.Sample) -> None:
-        self.inbox.file(place, (str(sample.key_expr), sample.payload.to_bytes()))
+        self.inbox.file(place, (str(sample.key_expr), sample.payload.to_bytes(), self.clock.now()), wake=False)
 
     def _file_request(self, request: Request[Message, Message], query: zenoh.Query) -> None:
         if len(self._requests.items) >= MAX_REQUESTS:
@@ -215,8 +216,7 @@ class Live:
         elif place is self._from_ports:
             self._apply(self.host.from_port(item, now))
         elif place.key == "**":
-            full_key, payload = item
-            self._raw(full_key, payload, now)
+            self._raw(*item)
         elif isinstance(item, tuple):
             self._message(place.key, item[0], now, begun, latched=True)
         else:
