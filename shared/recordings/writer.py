@@ -16,9 +16,6 @@ from shared.recordings.reader import ABOUT, DROPS, ENCODING, LATCHED, Channel, D
 
 _CHUNK_BYTES = 64 * 1024
 
-Place = tuple[str, str, tuple[tuple[str, str], ...]]
-"""Key, schema's name and metadata: what a channel is the only one with."""
-
 
 class Writer:
     """Writes a recording. Every method may raise OSError; the file is then cut back to the last `flush` and closed.
@@ -36,8 +33,9 @@ class Writer:
         profile: str = "zenav",
     ) -> None:
         self.path, self.n_messages = path, 0
-        self._channels: dict[Place, int] = {}
-        self._schemas: dict[str, int] = {}
+        self._channels: dict[Channel, int] = {}
+        self._own: dict[tuple[str, type[Message], bool], int] = {}
+        self._schemas: dict[tuple[str, bytes], int] = {}
         self._file = _File(path, "xb" if exclusive else "wb")
         self._mcap = mcap.writer.Writer(cast(IO[Any], self._file), chunk_size=_CHUNK_BYTES)
         try:
@@ -73,18 +71,17 @@ class Writer:
         latched: bool = False,
     ) -> None:
         """Adds a message as it went on the wire: key without the robot's name, times in ns. latched: see Channel."""
-        name = schema_id(type_)
-        at = key, name, (LATCHED,) if latched else ()
-        if at not in self._channels:
-            self._declare(Channel(key, "msgpack", name, ENCODING, schema(type_), at[2]))
-        self._add(self._channels[at], payload, log_time, sent, sequence)
+        number = self._own.get((key, type_, latched))
+        if number is None:
+            metadata = (LATCHED,) if latched else ()
+            number = self._declared(Channel(key, "msgpack", schema_id(type_), ENCODING, schema(type_), metadata))
+            self._own[(key, type_, latched)] = number
+        self._add(number, payload, log_time, sent, sequence)
 
     def copy(self, entry: Entry) -> None:
         """Adds a message of another recording, with its own schema, also one that today's stack does not know."""
-        at = entry.key, entry.channel.schema_name, entry.channel.metadata
-        if at not in self._channels:
-            self._declare(entry.channel)
-        self._add(self._channels[at], entry.payload, entry.log_time, entry.sent, entry.sequence)
+        number = self._declared(entry.channel)
+        self._add(number, entry.payload, entry.log_time, entry.sent, entry.sequence)
 
     def note_drops(self, drops: Iterable[Drop]) -> None:
         """Writes down what was missed."""
@@ -119,13 +116,16 @@ class Writer:
             raise
         self._file.close()
 
-    def _declare(self, channel: Channel) -> None:
-        name = channel.schema_name
-        if name and name not in self._schemas:
-            self._schemas[name] = self._mcap.register_schema(name, channel.schema_encoding, channel.schema)
-        told = dict(channel.metadata)
-        number = self._mcap.register_channel(channel.key, channel.encoding, self._schemas.get(name, 0), told)
-        self._channels[(channel.key, name, channel.metadata)] = number
+    def _declared(self, channel: Channel) -> int:
+        """The channel's number in this file."""
+        number = self._channels.get(channel)
+        if number is None:
+            of, told = (channel.schema_name, channel.schema), dict(channel.metadata)
+            if channel.schema_name and of not in self._schemas:
+                self._schemas[of] = self._mcap.register_schema(of[0], channel.schema_encoding, of[1])
+            number = self._mcap.register_channel(channel.key, channel.encoding, self._schemas.get(of, 0), told)
+            self._channels[channel] = number
+        return number
 
     def _add(self, channel: int, payload: bytes, log_time: int, sent: int, sequence: int) -> None:
         try:
