@@ -679,7 +679,7 @@ def recording_plot(
 ) -> None:
     """Draw numbers over time.
 
-    Example: zenav recording plot run.mcap cmd/vel:v odom:v scan:ranges.min --out speed.png
+    Example: zenav recording plot run.mcap cmd/vel:v odom:v --out v.png
     """
     from zenav.recording.plot import plot
 

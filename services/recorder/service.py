@@ -12,6 +12,7 @@ from shared.messages import Message
 from shared.reasons import DISK_FULL, NOT_RECORDED, Reason
 from shared.recordings.held import Held
 from shared.service import Log, Out, Service, every
+from shared.topics import Topic
 
 SECOND = 1_000_000_000
 LONGEST_WAIT = 32 * SECOND  # between two tries of a disk that refuses
@@ -40,8 +41,8 @@ class RecorderService(Service):
         self._untold: list[Log] = []
         self._n_recorded = self._n_unknown = 0
 
-    def raw(self, key: str, payload: bytes, envelope: Envelope, now: int) -> None:
-        """A payload on a key (without the robot's name)."""
+    def raw(self, key: str, payload: bytes, envelope: Envelope, now: int, latched: bool = False) -> None:
+        """A payload on a key (without the robot's name). latched: kept for late joiners, from before the recorder."""
         topic = topics.topic_of(key)
         if topic is None:
             self._n_unknown += 1
@@ -49,6 +50,10 @@ class RecorderService(Service):
         if key not in self._wanted:
             return
         source = key, envelope.session
+        if latched:
+            if self._held.take_whole(key, payload) and self._trouble is None:
+                self._write_kept(topic, payload, envelope, now)
+            return
         self._losses.came(source, envelope.sequence)
         waits = self._again - LONGEST_WAIT <= now < self._again  # else the clock has jumped
         if self._trouble is not None and waits:
@@ -90,12 +95,21 @@ class RecorderService(Service):
         try:
             if self._begun is None:
                 self._begin(now)
-            self._store.write(source[0], type_, payload, now, envelope.sent, envelope.sequence)
+            self._store.write(source[0], type_, payload, now, envelope)
         except OSError as error:
             self._losses.unwritten(self._refused(error, now), source, envelope.sequence)
         else:
             self._n_recorded += 1
             self._unflushed.append((source, envelope.sequence))
+
+    def _write_kept(self, topic: Topic[Message], payload: bytes, envelope: Envelope, now: int) -> None:
+        try:
+            if self._begun is None:
+                self._begin(now)  # with all that is held
+            else:
+                self._store.write(topic.key, topic.type, payload, now, envelope, latched=True)
+        except OSError as error:
+            self._refused(error, now)
 
     def _begin(self, now: int) -> None:
         """The next part. Raises OSError."""

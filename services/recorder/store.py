@@ -15,6 +15,7 @@ from pydantic import Field, field_validator, model_validator
 
 from services.recorder.retention import KEEP, Kept, to_remove
 from shared import recording
+from shared.codec import Envelope
 from shared.config import Section, UserError, nearest
 from shared.messages import Message
 from shared.recording import CONFIG, Drop
@@ -98,8 +99,8 @@ class RecordingStore:
         writer = self._opened(suffix, about, attachments)
         try:
             for value in held:
-                envelope = value.envelope
-                writer.write(value.key, value.type, value.payload, now, envelope.sent, envelope.sequence, latched=True)
+                sent, sequence = value.envelope.sent, value.envelope.sequence
+                writer.write(value.key, value.type, value.payload, now, sent, sequence, latched=True)
             writer.flush()
         except OSError:
             with suppress(OSError):
@@ -109,11 +110,13 @@ class RecordingStore:
         self._n_parts += 1
         self._tidy(robot)
 
-    def write(self, key: str, type_: type[Message], payload: bytes, log_time: int, sent: int, sequence: int) -> None:
-        """Adds a message. Raises OSError."""
+    def write(
+        self, key: str, type_: type[Message], payload: bytes, log_time: int, envelope: Envelope, latched: bool = False
+    ) -> None:
+        """Adds a message, or what was kept for late joiners. Raises OSError."""
         if self._writer is None:
             raise OSError("no recording is open")
-        self._writer.write(key, type_, payload, log_time, sent, sequence)
+        self._writer.write(key, type_, payload, log_time, envelope.sent, envelope.sequence, latched)
 
     def note_drops(self, drops: list[Drop]) -> None:
         """Writes down what was missed. Raises OSError."""

@@ -40,17 +40,40 @@ class Held:
         before = self._merged.get(key)
         self._merged[key] = merged(before[0] if before else None, message), envelope
 
+    def take_whole(self, key: str, payload: bytes) -> bool:
+        """What was kept for late joiners; False where it is not newer than what is known, or not valid."""
+        topic = topics.topic_of(key)
+        if topic is None or not topic.latched:
+            return False
+        try:
+            message, envelope = decode(topic.type, payload)
+        except CodecError:
+            return False
+        known = self._envelope(key)
+        if known is not None and known.sent >= envelope.sent:
+            return False
+        if hasattr(topic.type, "merged"):
+            self._merged[key] = message, envelope
+        else:
+            self._payloads[key] = payload
+        return True
+
     def values(self) -> list[Value]:
         """The present values, by key."""
         found = []
         for key in sorted({*self._payloads, *self._merged}):
-            type_ = topics.BY_KEY[key].type
-            if key in self._merged:
-                message, envelope = self._merged[key]
-                found.append(Value(key, type_, encode(message, envelope), envelope))
-                continue
-            try:
-                found.append(Value(key, type_, self._payloads[key], envelope_of(self._payloads[key])))
-            except CodecError:
+            envelope = self._envelope(key)
+            if envelope is None:
                 continue  # whoever joins late would drop it too
+            payload = encode(self._merged[key][0], envelope) if key in self._merged else self._payloads[key]
+            found.append(Value(key, topics.BY_KEY[key].type, payload, envelope))
         return found
+
+    def _envelope(self, key: str) -> Envelope | None:
+        """Of the last message in a key's value; None where there is none, or it makes no sense."""
+        if key in self._merged:
+            return self._merged[key][1]
+        try:
+            return envelope_of(self._payloads[key])
+        except (KeyError, CodecError):
+            return None

@@ -154,14 +154,13 @@ class Live:
         if hasattr(self.host.service, "raw"):
             place = self.inbox.place("**", "all", RAW_CAPACITY)
             self._places.append(place)
-            self._declared.append(self.session.declare_subscriber(f"{self.robot}/**", partial(self._file_raw, place)))
+            self._declared += transport.everything(self.session, self.robot, partial(self._file_raw, place))
         for topic, _ in self.host.handlers.topics.values():
             if self.name not in topic.publishers:
                 self._declare_subscriber(topic)
         for request, _ in self.host.handlers.requests.values():
-            self._declared.append(
-                self.session.declare_queryable(f"{self.robot}/{request.key}", partial(self._file_request, request))
-            )
+            answer = partial(self._file_request, request)
+            self._declared.append(self.session.declare_queryable(f"{self.robot}/{request.key}", answer))
 
     def _declare_publisher(self, topic: Topic[Message]) -> None:
         key = key_of(topic, self.name)
@@ -181,9 +180,8 @@ class Live:
             place = self.inbox.place(key, topic.keep)
             self._places.append(place)
             self._admissions[key] = Admission(topic)
-            self._declared.append(
-                self.session.declare_subscriber(f"{self.robot}/{key}", partial(self._file_sample, place))
-            )
+            file = partial(self._file_sample, place)
+            self._declared.append(self.session.declare_subscriber(f"{self.robot}/{key}", file))
             if topic.latched:
                 kept = self.inbox.place(key, "latest")
                 reader = transport.LatchedReader(self.session, f"{self.robot}/{key}", partial(self._file_kept, kept))
@@ -195,8 +193,8 @@ class Live:
     def _file_kept(self, place: Place, payload: bytes) -> None:
         self.inbox.file(place, (payload,))
 
-    def _file_raw(self, place: Place, sample: zenoh.Sample) -> None:
-        self.inbox.file(place, (str(sample.key_expr), sample.payload.to_bytes(), self.clock.now()), wake=False)
+    def _file_raw(self, place: Place, full_key: str, payload: bytes, latched: bool) -> None:
+        self.inbox.file(place, (full_key, payload, self.clock.now(), latched), wake=False)
 
     def _file_request(self, request: Request[Message, Message], query: zenoh.Query) -> None:
         if len(self._requests.items) >= MAX_REQUESTS:
@@ -247,7 +245,7 @@ class Live:
             metronome.heard(topic.key, now)
         self.traffic.took(key, (now - message.stamp) / SECOND, time.perf_counter() - begun)
 
-    def _raw(self, full_key: str, payload: bytes, now: int) -> None:
+    def _raw(self, full_key: str, payload: bytes, now: int, latched: bool) -> None:
         key = full_key.removeprefix(f"{self.robot}/")
         try:
             envelope = envelope_of(payload)
@@ -257,7 +255,7 @@ class Live:
             return
         self.host.service.now = now
         self.host.n_events += 1
-        self.host.service.raw(key, payload, envelope, now)  # type: ignore[attr-defined]  # only asked where it is
+        self.host.service.raw(key, payload, envelope, now, latched)  # type: ignore[attr-defined]  # only asked where it is
 
     def _answer(self, request: Request[Message, Message], query: zenoh.Query, now: int) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""

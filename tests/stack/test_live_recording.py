@@ -11,7 +11,8 @@ import zenoh
 
 from services.recorder.service import RecorderService
 from services.recorder.store import RecorderConfig, RecordingStore
-from shared.codec import Envelope
+from shared.codec import Envelope, decode, envelope_of
+from shared.messages import MapUpdate
 from shared.recording import Recording
 from shared.runners import transport
 from shared.runners.clock import Clock
@@ -34,8 +35,8 @@ class Watched(RecorderService):
         self.wanted: Counter[str] = Counter()
         self.satisfied = threading.Event()
 
-    def raw(self, key: str, payload: bytes, envelope: Envelope, now: int) -> None:
-        super().raw(key, payload, envelope, now)
+    def raw(self, key: str, payload: bytes, envelope: Envelope, now: int, latched: bool = False) -> None:
+        super().raw(key, payload, envelope, now, latched)
         self.wanted.subtract([key])
         if not +self.wanted:
             self.satisfied.set()
@@ -96,3 +97,35 @@ def test_a_live_run_replays_to_the_byte(tmp_path):
     counts = {topic.key: topic.n_equal for topic in report.topics}
     assert min(counts[key] for key in ("base/wheels", "odom", "pose", "map", "plan")) >= 3
     assert [e.payload for e in Recording(tmp_path / "out.mcap").entries()] == [e.payload for e in recording.entries()]
+
+
+def test_a_recorder_that_comes_late_records_what_was_latched_before(tmp_path):
+    where = transport.Where(free_stack())
+    store = RecordingStore(RecorderConfig(file=str(tmp_path / "a.mcap")))
+    early = Watched(RecorderConfig(), RecordingStore(RecorderConfig(file=str(tmp_path / "first.mcap"))))
+    with (
+        running(early, "recorder", where),
+        running(build("base_driver"), "base_driver", where),
+        running(build("odometry"), "odometry", where),
+        running(build("mapper"), "mapper", where),
+        transport.opened(where) as session,
+    ):
+        assert early.hears(map=3, pose=1)
+        heard, found = list[tuple[str, bytes, bool]](), threading.Event()
+
+        def file(key: str, payload: bytes, latched: bool) -> None:
+            heard.append((key.removeprefix(f"{ROBOT.name}/"), payload, latched))
+            if heard[-1][0] == "map" and latched:
+                found.set()
+
+        declared = transport.everything(session, ROBOT.name, file)
+        assert found.wait(20)
+        del declared
+    late = RecorderService(RecorderConfig(), ROBOT, store)
+    for key, payload, latched in heard:  # as the runner's inbox: one by one
+        late.raw(key, payload, envelope_of(payload), envelope_of(payload).sent, latched)
+    early._store.close()
+    store.close()
+    entries = list(Recording(tmp_path / "a.mcap").entries())
+    kept = next(entry for entry in entries if entry.key == "map" and entry.latched)
+    assert len(decode(MapUpdate, kept.payload)[0].rows) >= 3

@@ -15,7 +15,7 @@ from shared.runners.host import Sent, merged
 from shared.runners.journal import HOLE
 from shared.runners.replay import replay
 from tests.toys import ROBOT, build, eventful
-from zenav.replay import compare
+from zenav.replay import compare, replay_file
 
 PART = 1.2  # s
 
@@ -97,3 +97,25 @@ def test_a_later_part_replays_from_what_was_latched(run, name):
         report = compare(replayed)
         assert report.equal, report
         assert sum(topic.n_equal for topic in report.topics) >= 2
+
+
+def test_replay_names_where_the_recorder_missed_something(tmp_path):
+    """Equal up to there; the gap names the message, and the notes what the recorder wrote down."""
+    config = RecorderConfig(file=str(tmp_path / "a.mcap"))
+    store = RecordingStore(config)
+    recorder = RecorderService(config, ROBOT, store)
+
+    def take(sent: Sent) -> None:
+        if sent.key == "base/wheels" and sent.envelope.sequence == 60:
+            return  # a link was overloaded
+        recorder.now = sent.envelope.sent
+        recorder.raw(sent.key, sent.payload, sent.envelope, recorder.now)
+
+    eventful(take)
+    list(recorder.flush())
+    store.close()
+    report = replay_file(tmp_path / "a.mcap", ["odometry"], None, build, lambda done, of: None)
+    assert any("base/wheels #60" in note and "missing" in note for note in report.notes)
+    assert any("the recorder had missed 1 messages (overload): 1 base/wheels" in note for note in report.notes)
+    (odom,) = [topic for topic in report.topics if topic.key == "odom"]
+    assert odom.n_equal >= 60

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,9 +18,9 @@ from services.recorder.retention import Kept, to_remove
 from services.recorder.service import RecorderService
 from services.recorder.store import RecorderConfig, RecordingStore
 from shared import topics
-from shared.codec import Envelope, encode
+from shared.codec import Envelope, decode, encode
 from shared.config import UserError, load_robot
-from shared.messages import EmergencyStop, LogLine
+from shared.messages import EmergencyStop, LogLine, MapUpdate
 from shared.reasons import DISK_FULL, NOT_RECORDED
 from shared.recording import CONFIG, Drop, Recording
 from shared.service import Log
@@ -363,3 +364,34 @@ def test_what_is_left_fits_the_budget_and_nothing_goes_needlessly(found, budget)
 def test_a_part_that_is_over_half_of_the_budget_is_refused():
     with pytest.raises(ValidationError, match="half of the budget"):
         RecorderConfig(split_size=600, budget=1000)
+
+
+# --- what was latched before it came --------------------------------------------------------------------------------
+
+
+def test_what_is_kept_for_late_joiners_is_recorded_once_and_as_that(recorder, tmp_path):
+    service = recorder(file=str(tmp_path / "a.mcap"))
+    envelope = Envelope("operator", "s", 7, START - SECOND)
+    kept = encode(EmergencyStop(START, True, "before"), envelope)
+    for _ in range(2):
+        service.raw("estop", kept, envelope, START, latched=True)
+    (later,) = take(service, 1, first=8)
+    service.raw("estop", kept, envelope, START + 1, latched=True)  # a late answer
+    flushed(service)
+    entries = list(Recording(tmp_path / "a.mcap").entries())
+    assert [(e.latched, e.payload, e.sequence) for e in entries] == [(True, kept, 7), (False, later, 8)]
+    assert service.state() == "recording, 1 messages"
+
+
+def test_what_is_kept_stands_in_the_next_part_too(recorder, tmp_path):
+    service = recorder(folder=str(tmp_path), split_time=1)
+    take(service, 1, "log/guard")
+    row = np.array([1, 2], np.int32)
+    whole = MapUpdate(START, 1, 5, 0.05, row, row, np.zeros((2, 4096), np.int8))
+    envelope = Envelope("mapper", "m", 5, START)
+    service.raw("map", encode(whole, envelope), envelope, START, latched=True)
+    take(service, 1, "log/guard", first=1, at=START + SECOND)
+    flushed(service)
+    (kept,) = [entry for entry in Recording(sorted(tmp_path.iterdir())[1]).entries() if entry.latched]
+    assert decode(MapUpdate, kept.payload)[0].rows.tolist() == [1, 2]
+    assert (kept.sequence, kept.log_time) == (5, START + SECOND)
