@@ -66,7 +66,7 @@ class Live:
         self.inbox = Inbox()
         self.traffic = Traffic()
         self._stopping = False
-        self._patience = 0.05 if hasattr(service, "raw") else 0.25  # s; nothing wakes who takes hundreds a second
+        self._patience = 0.1 if hasattr(service, "raw") else 0.25  # s; nothing wakes who takes hundreds a second
         self._requests = self.inbox.place("requests", "all", MAX_REQUESTS)
         self._results = self.inbox.place("jobs", "all")
         self._admissions: dict[str, Admission] = {}

@@ -135,7 +135,10 @@ class _Traffic:
         for source, event in self._taken_up.items():
             if source in taken:
                 taken.add((event.key, event.session))
-        for entry in recording.entries():
+        names = {life.name for life in lives}
+        keys = {key for key, _ in taken} | {topic.key for topic in topics.TOPICS if topic.latched}
+        keys |= {topics.key_of(topic, name) for topic in topics.TOPICS for name in names & set(topic.publishers)}
+        for entry in recording.entries(keys):
             try:
                 envelope = envelope_of(entry.payload)
             except CodecError:

@@ -10,7 +10,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
 from typing import IO, Any, cast
@@ -24,8 +25,10 @@ from shared.codec import Envelope, encode, schema, schema_id
 from shared.config import UserError
 from shared.messages import LaserScan
 from shared.recording import Entry, Recording, Writer
-from shared.runners.replay import replay
+from shared.runners.replay import Build, Replayed, replay
+from shared.service import Service, every, handlers, on
 from zenav.bench.table import table, writable, write
+from zenav.classes import service_class
 from zenav.client import Client
 from zenav.files import builder, progress_bar
 from zenav.launch import Launcher, free_stack, service_command
@@ -76,6 +79,7 @@ def recording(hours: float, out: Path | None) -> int:
         "seek_s": report["hour"]["seek_s"],
         "info_s": report["hour"]["info_s"],
         "mapper_times_real_time": report["replay"]["ratio"],
+        "replay_times_real_time": report["replay"]["runner_ratio"],
         "recorder_share": report["recorder"]["share"],
         "recorder_missed": report["recorder"]["missed"],
     }
@@ -84,7 +88,8 @@ def recording(hours: float, out: Path | None) -> int:
     s = report["summary"]
     fast = s["written_a_second"] >= WRITING and s["read_a_second"] >= READING
     quick = max(s["open_s"], s["seek_s"], s["info_s"]) < OPENING
-    return 0 if fast and quick and s["recorder_share"] < SHARE and not s["recorder_missed"] else 1
+    replays = s["mapper_times_real_time"] >= min(REPLAY, 0.9 * report["replay"]["own_ratio"])
+    return 0 if fast and quick and replays and s["recorder_share"] < SHARE and not s["recorder_missed"] else 1
 
 
 # --- scans ----------------------------------------------------------------------------------------------------------
@@ -167,28 +172,37 @@ def _replayed(path: Path) -> dict[str, float]:
         raise RuntimeError("the drive has no configuration")
     events = [event for life in found.lives()["mapper"] for event in life.events]
     seconds = (events[-1].now - events[0].now) / SECOND
-    took = 0.0
-    for _ in range(2):  # the first loads the kernels
-        begun = time.process_time()
-        replayed = replay(found, ["mapper"], builder(file))
-        took = time.process_time() - begun
+    _, (took, replayed) = _timed(found, builder(file)), _timed(found, builder(file))  # the first loads the kernels
     if replayed.gaps:
         raise RuntimeError(f"the drive does not replay: {replayed.gaps[0]}")
-    begun = time.process_time()
-    for _ in found.entries():
-        pass
-    reading = time.process_time() - begun
+    runner, _ = _timed(found, lambda name: idle(service_class(name)))
     return {
-        "seconds": round(seconds, 1), "cpu_s": round(took, 3), "reading_cpu_s": round(reading, 3),
-        "ratio": round(seconds / took, 1),
+        "seconds": round(seconds, 1), "cpu_s": round(took, 3), "runner_cpu_s": round(runner, 3),
+        "ratio": round(seconds / took, 1), "own_ratio": round(seconds / max(took - runner, 1e-9), 1),
+        "runner_ratio": round(seconds / runner),
     }  # fmt: skip
+
+
+def _timed(found: Recording, build: Build) -> tuple[float, Replayed]:
+    begun = time.process_time()
+    replayed = replay(found, ["mapper"], build)
+    return time.process_time() - begun, replayed
+
+
+def idle(class_: type[Service]) -> Service:
+    """A service that listens to what this one does, and does nothing: what is left is the runner's own work."""
+    marked = handlers(class_)
+    methods: dict[str, Any] = {name: on(topic)(lambda self, message: ()) for topic, name in marked.topics.values()}
+    methods |= {name: every(hz)(lambda self: ()) for hz, name, _ in marked.ticks}
+    made: Any = type("Idle", (Service,), methods)
+    return cast(Service, made(None, None))
 
 
 def _recorder(path: Path, logs: Path, live: Path, stop: Stop) -> dict[str, float]:
     """The recorder's process while the drive is published at its own pace: its share of a core, and what it missed."""
     entries = [entry for entry in Recording(path).entries() if not entry.key.endswith("/recorder")]
     zero = entries[0].log_time
-    with free_stack() as claim, Client("x80", claim.where) as client:
+    with free_stack() as claim, Client("x80", claim.where) as client, subscriber(claim.where.domain) as bare:
         command = service_command("recorder", "x80sv", str(claim.where.domain), [f"recorder.file={live}"])
         with Launcher({"recorder": command}, logs) as launcher:
             heard: list[str] = []
@@ -202,21 +216,48 @@ def _recorder(path: Path, logs: Path, live: Path, stop: Stop) -> dict[str, float
                 launcher.step()
             child = launcher.children["recorder"].process
             process = psutil.Process(child.pid if child else 0)
-            before, begun = process.cpu_times(), time.monotonic()
+            before, bare_before, begun = _cpu(process), _cpu(bare), time.monotonic()
             for entry in entries:
                 late = begun + (entry.log_time - zero) / SECOND - time.monotonic()
                 if late > 0 and stop.wait(late):
                     break
                 client.session.put(f"x80/{entry.key}", entry.payload)
             stop.wait(1.5)  # it flushes once a second
-            wall, after = time.monotonic() - begun, process.cpu_times()
+            wall = time.monotonic() - begun
+            share, bare_share = (_cpu(process) - before) / wall, (_cpu(bare) - bare_before) / wall
     found = Recording(live)
     n = sum(not entry.key.endswith("/recorder") for entry in found.entries())
-    cpu = after.user + after.system - before.user - before.system
     return {
-        "messages_a_second": round(len(entries) / wall, 1), "share": round(cpu / wall, 4),
+        "messages_a_second": round(len(entries) / wall, 1), "share": round(share, 4),
+        "bare_share": round(bare_share, 4), "ratio": round(share / max(bare_share, 1e-9), 2),
         "missed": len(entries) - n if not stop.is_set() else 0,
     }  # fmt: skip
+
+
+BARE = """
+import sys
+from shared.runners.transport import where_from
+from zenav.client import Client
+with Client("x80", where_from(sys.argv[1])) as client:
+    client.listen_raw("**", lambda key, payload: None)
+    sys.stdin.read()
+"""
+
+
+@contextmanager
+def subscriber(domain: int) -> Iterator[psutil.Process]:
+    """A process that hears everything and does nothing with it: what of the recorder's share is Zenoh's."""
+    with subprocess.Popen([sys.executable, "-c", BARE, str(domain)], stdin=subprocess.PIPE) as process:
+        try:
+            yield psutil.Process(process.pid)
+        finally:
+            process.kill()
+
+
+def _cpu(process: psutil.Process) -> float:
+    """s of CPU that it has taken."""
+    times = process.cpu_times()
+    return float(times.user + times.system)
 
 
 # --- the hour -------------------------------------------------------------------------------------------------------
@@ -286,8 +327,11 @@ def show(report: dict[str, Any]) -> None:
         "the drive",
         ("", ""),
         [
-            ("mapper replayed, times real time", f"{again['ratio']:.0f}"),
+            ("mapper replayed, times real time", f"{again['ratio']:.1f}"),
+            ("the mapper's own speed", f"{again['own_ratio']:.1f}"),
+            ("the replay's own speed", f"{again['runner_ratio']:.0f}"),
             ("recorder, % of a core", f"{live['share'] * 100:.1f}"),
+            ("a subscriber that does nothing, % of a core", f"{live['bare_share'] * 100:.1f}"),
             ("recorder, messages a second", f"{live['messages_a_second']:.0f}"),
             ("recorder, messages missed", f"{live['missed']}"),
         ],
