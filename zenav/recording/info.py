@@ -226,7 +226,7 @@ def _write(found: Info) -> None:
         "attached": ", ".join(f"{name} ({size} bytes)" for name, size in found.attachments.items()),
         "index": "" if found.indexed else "none: zenav recording repair makes it",
     }
-    lines["made from"] = about.pop("merged", "") or about.pop("trimmed", "")
+    lines["made from"] = "; ".join(about.pop(name) for name in ("merged", "trimmed") if name in about)
     for name in ("recording", "replayed"):
         about.pop(name, None)
     lines["versions"] = ", ".join(f"{name} {value}" for name, value in about.items())
