@@ -32,8 +32,8 @@ class Inbox:
         """A new place for a key's items."""
         return Place(key, keep, capacity, deque())
 
-    def file(self, place: Place, item: Any, wake: bool = True) -> bool:
-        """Files an item; False when something was dropped for it. wake: ends a wait in `take`."""
+    def file(self, place: Place, item: Any) -> bool:
+        """Files an item; False when something was dropped for it."""
         with self._ready:
             if place.keep == "latest" and place.items:
                 place.items[0] = item
@@ -46,8 +46,7 @@ class Inbox:
                 return False
             place.items.append(item)
             self._order.append(place)
-            if wake:
-                self._ready.notify()
+            self._ready.notify()
             return True
 
     def take(self, timeout: float) -> tuple[Place, Any] | None:

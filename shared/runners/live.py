@@ -12,6 +12,7 @@ import signal
 import sys
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -67,6 +68,7 @@ class Live:
         self.traffic = Traffic()
         self._stopping = False
         self._patience = 0.1 if hasattr(service, "raw") else 0.25  # s; nothing wakes who takes hundreds a second
+        self._raws: deque[tuple[str, bytes, int, bool]] = deque(maxlen=RAW_CAPACITY)
         self._requests = self.inbox.place("requests", "all", MAX_REQUESTS)
         self._results = self.inbox.place("jobs", "all")
         self._admissions: dict[str, Admission] = {}
@@ -101,6 +103,7 @@ class Live:
             port.start()
         try:
             self._feed(report)
+            self._take_raws()
             self._apply([effect for effect in self.host.farewell(self.clock.now()) if isinstance(effect, Sent)])
         finally:  # also when a handler raised: its last events tell why
             self._workers.shutdown(wait=False, cancel_futures=True)
@@ -111,6 +114,7 @@ class Live:
     def _feed(self, report: int) -> None:
         """Event by event; `report`: when the first health message is due."""
         while not self._stopping:
+            self._take_raws()
             now = self.clock.now()
             if now >= report:
                 self._report(now)
@@ -152,9 +156,7 @@ class Live:
             if self.name in topic.publishers:
                 self._declare_publisher(topic)
         if hasattr(self.host.service, "raw"):
-            place = self.inbox.place("**", "all", RAW_CAPACITY)
-            self._places.append(place)
-            self._declared += transport.everything(self.session, self.robot, partial(self._file_raw, place))
+            self._declared += transport.everything(self.session, self.robot, self._file_raw)
         for topic, _ in self.host.handlers.topics.values():
             if self.name not in topic.publishers:
                 self._declare_subscriber(topic)
@@ -193,8 +195,8 @@ class Live:
     def _file_kept(self, place: Place, payload: bytes) -> None:
         self.inbox.file(place, (payload,))
 
-    def _file_raw(self, place: Place, full_key: str, payload: bytes, latched: bool) -> None:
-        self.inbox.file(place, (full_key, payload, self.clock.now(), latched), wake=False)
+    def _file_raw(self, full_key: str, payload: bytes, latched: bool) -> None:
+        self._raws.append((full_key, payload, self.clock.now(), latched))
 
     def _file_request(self, request: Request[Message, Message], query: zenoh.Query) -> None:
         if len(self._requests.items) >= MAX_REQUESTS:
@@ -213,8 +215,6 @@ class Live:
             self._apply(self.host.done(order, future.result(), now))
         elif place is self._from_ports:
             self._apply(self.host.from_port(item, now))
-        elif place.key == "**":
-            self._raw(*item)
         elif isinstance(item, tuple):
             self._message(place.key, item[0], now, begun, latched=True)
         else:
@@ -245,17 +245,19 @@ class Live:
             metronome.heard(topic.key, now)
         self.traffic.took(key, (now - message.stamp) / SECOND, time.perf_counter() - begun)
 
-    def _raw(self, full_key: str, payload: bytes, now: int, latched: bool) -> None:
-        key = full_key.removeprefix(f"{self.robot}/")
-        try:
-            envelope = envelope_of(payload)
-        except CodecError as error:
-            self.traffic.bad += 1
-            self.traffic.wrong(f"{key}: not a message: {error}", now)
-            return
-        self.host.service.now = now
-        self.host.n_events += 1
-        self.host.service.raw(key, payload, envelope, now, latched)  # type: ignore[attr-defined]  # only asked where it is
+    def _take_raws(self) -> None:
+        for _ in range(len(self._raws)):
+            full_key, payload, now, latched = self._raws.popleft()
+            key = full_key.removeprefix(f"{self.robot}/")
+            try:
+                envelope = envelope_of(payload)
+            except CodecError as error:
+                self.traffic.bad += 1
+                self.traffic.wrong(f"{key}: not a message: {error}", now)
+                continue
+            self.host.service.now = now
+            self.host.n_events += 1
+            self.host.service.raw(key, payload, envelope, now, latched)  # type: ignore[attr-defined]  # asked for before
 
     def _answer(self, request: Request[Message, Message], query: zenoh.Query, now: int) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""

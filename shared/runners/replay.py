@@ -268,8 +268,11 @@ class _Run:
             self._gap(f"{self.life.name} has no tick {event.number} any more")
         elif event.kind == REQUEST:
             request = _known(request_of(event.key), event.key)
-            effects, _ = host.request(event.key, _valid(request.request, event.payload), event.payload, event.now)
-            self._apply(effects)
+            if request.key in host.handlers.requests:
+                message = _valid(request.request, event.payload)
+                self._apply(host.request(event.key, message, event.payload, event.now)[0])
+            else:
+                self._gap(f"{self.life.name} does not answer {request.key} any more")
         elif event.kind == DONE and event.number in self._jobs:
             order, result, _ = self._jobs.pop(event.number)
             self._apply(host.done(order, result, event.now))
