@@ -94,7 +94,7 @@ class RecordingStore:
         if not self._stem:
             start = f"{datetime.fromtimestamp(now / 1e9, UTC):%Y%m%d-%H%M%S}"
             self._stem = Path(self._config.file).stem or f"{robot}-{start}"
-        about = {**recording.about(robot), **_here(), "part": str(self._n_parts + 1), "recording": self._stem}
+        about = {**recording.about(robot), **_here(), "part": str(self._n_parts + 1)}
         attachments = self._attached | ({CONFIG: robot_file.encode()} if robot_file else {})
         writer = self._opened(suffix, about, attachments)
         try:
@@ -159,9 +159,9 @@ class RecordingStore:
                 stem = f"{self._stem}.part{self._n_parts + n:03}"
             else:
                 stem = self._stem if n == 1 else f"{self._stem}-{n}"
-            path = self._folder / f"{stem}{suffix}"
+            path, name = self._folder / f"{stem}{suffix}", self._stem if self._n_parts else stem
             try:
-                writer = recording.Writer(path, about, attachments, exclusive=True)
+                writer = recording.Writer(path, {**about, "recording": name}, attachments, exclusive=True)
             except FileExistsError:
                 n += 1
                 continue

@@ -82,6 +82,7 @@ def test_the_file_is_named_by_robot_and_start_and_never_overwritten(recorder, tm
         list(service.flush())
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == ["x80-20231114-221320-2.mcap", "x80-20231114-221320-3.mcap", "x80-20231114-221320.mcap"]
+    assert [Recording(tmp_path / name).about["recording"] for name in names] == [n.removesuffix(".mcap") for n in names]
 
 
 def test_the_file_holds_robot_and_configuration(recorder, tmp_path):

@@ -14,11 +14,12 @@ from services.recorder.store import RecorderConfig, RecordingStore
 from shared import topics
 from shared.codec import Envelope, decode, encode
 from shared.config import UserError
-from shared.messages import LogLine, Odometry, Velocity
+from shared.messages import LogLine, MapMode, Odometry, Velocity
 from shared.recording import CONFIG, Drop, Recording, Writer, sink
 from shared.runners.replay import replay
 from tests.toys import ROBOT, build, eventful
 from zenav.__main__ import _status
+from zenav.map_modes import OnMap
 from zenav.recording import rewrite
 from zenav.recording.info import Silences, info
 from zenav.recording.plot import series
@@ -428,3 +429,17 @@ def test_latency_is_from_stamp_and_from_sending_to_recording(tmp_path, capsys):
     assert told["chain"] == {}
     assert _status(["recording", "latency", str(path), "cmd/*"]) == 0
     assert topics.CMD_VEL.key in capsys.readouterr().out
+
+
+def test_a_stack_on_a_saved_map_attaches_its_files(tmp_path):
+    for name in ("graph.msgpack", "map.yaml", "map.pgm", "map.png"):
+        (tmp_path / name).write_bytes(name.encode())
+    on_map = OnMap(tmp_path, MapMode.LOCALISE, None)
+    config = RecorderConfig(file=str(tmp_path / "a.mcap"), attach=tuple(on_map.files()))
+    store = RecordingStore(config)
+    store.begin(SECOND, "x80", "robot: {}\n", [])
+    store.close()
+    attached = Recording(tmp_path / "a.mcap").attachments
+    assert attached == {name: name.encode() for name in ("graph.msgpack", "map.yaml", "map.pgm")} | {
+        CONFIG: b"robot: {}\n"
+    }
