@@ -65,6 +65,8 @@ NO_GRAPH        = Reason("no_graph", "the mapper keeps no pose graph of this map
 MAP_REFUSED     = Reason("map_refused", "the saved map cannot be taken", "the map in use is untouched; see the detail", "info")
 TRANSFER_BROKEN = Reason("transfer_broken", "a part of the map is missing", "the map in use is untouched; do it again", "info")
 STARTING        = Reason("starting", "the stack is starting", "wait a moment", "info")
+DISK_FULL       = Reason("disk_full", "the disk is full: nothing is recorded", "make room; recording goes on by itself", "info")
+NOT_RECORDED    = Reason("not_recorded", "the recording cannot be written", "see the recorder's log; it is tried again", "info")
 SERVICE_DIED    = Reason("service_died", "a service died and is being restarted", "see its log", "hold")
 # fmt: on
 

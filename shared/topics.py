@@ -114,3 +114,7 @@ def key_of(topic: Topic[M], publisher: str) -> str:
 def topic_of(key: str) -> "Topic[m.Message] | None":
     """The registry's row for a key without the robot's name, or None."""
     return BY_KEY.get(key) or BY_KEY.get(key.rpartition("/")[0])
+
+
+KEYS = tuple(key for topic in TOPICS for key in dict.fromkeys(key_of(topic, name) for name in topic.publishers))
+"""Every key without the robot's name, those of families too."""

@@ -43,7 +43,7 @@ ZENOH = ("shared/runners/live.py", "shared/runners/transport.py", "zenav/")
 FILES = (
     "port.py",
     "store.py",
-    "shared/recording.py",
+    "shared/recordings/",
     "shared/repeatable.py",
     "shared/config.py",
     "shared/ros_map.py",

@@ -39,6 +39,11 @@ class OnMap:
         """Its graph. Raises UserError where there is none, or it is damaged, foreign or a newer program's."""
         return packed(read_saved_map(self.folder))
 
+    def files(self) -> list[str]:
+        """Paths of the files that it is made of."""
+        names = (GRAPH, "map.yaml", "map.pgm")
+        return [str((self.folder / name).resolve()) for name in names if (self.folder / name).is_file()]
+
     def give(self, client: Client, content: bytes) -> None:
         """Lets the mapper go on with it. Raises UserError where it refuses."""
         wait = Event().wait

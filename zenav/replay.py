@@ -179,8 +179,10 @@ def write(out: Path, recording: Recording, replayed: Replayed, attachments: Mapp
             while extra and extra[-1].envelope.sent <= entry.log_time:
                 _add(writer, extra.pop())
             try:
-                envelope = envelope_of(entry.payload)
+                envelope = None if entry.latched else envelope_of(entry.payload)
             except CodecError:
+                envelope = None
+            if envelope is None:
                 writer.copy(entry)
                 continue
             at = (entry.key, envelope.session, envelope.sequence)

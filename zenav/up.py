@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`zenav up`: the services as processes, until Ctrl-C. `zenav run`: one of them, in this process."""
 
+import json
 import runpy
 import sys
 import time
@@ -85,6 +86,8 @@ def up(
     if "sim" in names:
         world_of(file)  # one that is wrong is told before anything starts
     saved = None if on_map is None else on_map.read()  # what is damaged too
+    if on_map is not None and not any(setting.startswith("recorder.attach=") for setting in settings):
+        settings.append(f"recorder.attach={json.dumps(on_map.files())}")
     where = where_from(stack)
     clock = "" if speed == 1.0 else f"{time.time_ns()}:{speed:g}"
     clock_from(clock)

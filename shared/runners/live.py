@@ -12,6 +12,7 @@ import signal
 import sys
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
@@ -70,6 +71,8 @@ class Live:
         self._stopping = False
         self._box = box
         self.host.before_port = lambda sent: self._boxed(sent.key, sent.payload, sent.envelope, sent.envelope.sent)
+        self._patience = 0.1 if hasattr(service, "raw") else 0.25  # s; nothing wakes who takes hundreds a second
+        self._raws: deque[tuple[str, bytes, int, bool]] = deque(maxlen=RAW_CAPACITY)
         self._requests = self.inbox.place("requests", "all", MAX_REQUESTS)
         self._results = self.inbox.place("jobs", "all")
         self._admissions: dict[str, Admission] = {}
@@ -103,6 +106,7 @@ class Live:
             port.start()
         try:
             self._feed(report)
+            self._take_raws()
             self._apply([effect for effect in self.host.farewell(self.clock.now()) if isinstance(effect, Sent)])
         except Exception as error:
             crashed = self.host.service.now
@@ -122,6 +126,7 @@ class Live:
     def _feed(self, report: int) -> None:
         """Event by event; `report`: when the first health message is due."""
         while not self._stopping:
+            self._take_raws()
             now = self.clock.now()
             if now >= report:
                 self._report(now)
@@ -134,7 +139,7 @@ class Live:
                 self.traffic.slowest = max(self.traffic.slowest, time.perf_counter() - begun)
                 continue
             until = report if first is None else min(report, first.due)
-            item = self.inbox.take(min(0.25, self.clock.seconds(until - now)))
+            item = self.inbox.take(min(self._patience, self.clock.seconds(until - now)))
             if item is not None:
                 self._handle(*item)
 
@@ -152,17 +157,14 @@ class Live:
         for topic in TOPICS:
             if self.name in topic.publishers:
                 self._declare_publisher(topic)
-        if getattr(self.host.service, "raw", None) is not None:
-            place = self.inbox.place("**", "all", RAW_CAPACITY)
-            self._places.append(place)
-            self._declared.append(self.session.declare_subscriber(f"{self.robot}/**", partial(self._file_raw, place)))
+        if hasattr(self.host.service, "raw"):
+            self._declared += transport.everything(self.session, self.robot, self._file_raw)
         for topic, _ in self.host.handlers.topics.values():
             if self.name not in topic.publishers:
                 self._declare_subscriber(topic)
         for request, _ in self.host.handlers.requests.values():
-            self._declared.append(
-                self.session.declare_queryable(f"{self.robot}/{request.key}", partial(self._file_request, request))
-            )
+            answer = partial(self._file_request, request)
+            self._declared.append(self.session.declare_queryable(f"{self.robot}/{request.key}", answer))
 
     def _declare_publisher(self, topic: Topic[Message]) -> None:
         key = key_of(topic, self.name)
@@ -182,9 +184,8 @@ class Live:
             place = self.inbox.place(key, topic.keep)
             self._places.append(place)
             self._admissions[key] = Admission(topic)
-            self._declared.append(
-                self.session.declare_subscriber(f"{self.robot}/{key}", partial(self._file_sample, place))
-            )
+            file = partial(self._file_sample, place)
+            self._declared.append(self.session.declare_subscriber(f"{self.robot}/{key}", file))
             if topic.latched:
                 kept = self.inbox.place(key, "latest")
                 reader = transport.LatchedReader(self.session, f"{self.robot}/{key}", partial(self._file_kept, kept))
@@ -196,8 +197,8 @@ class Live:
     def _file_kept(self, place: Place, payload: bytes) -> None:
         self.inbox.file(place, (payload,))
 
-    def _file_raw(self, place: Place, sample: zenoh.Sample) -> None:
-        self.inbox.file(place, (str(sample.key_expr), sample.payload.to_bytes()))
+    def _file_raw(self, full_key: str, payload: bytes, latched: bool) -> None:
+        self._raws.append((full_key, payload, self.clock.now(), latched))
 
     def _file_request(self, request: Request[Message, Message], query: zenoh.Query) -> None:
         if len(self._requests.items) >= MAX_REQUESTS:
@@ -218,9 +219,6 @@ class Live:
             self._apply(self.host.done(order, future.result(), now))
         elif place is self._from_ports:
             self._apply(self.host.from_port(item, now))
-        elif place.key == "**":
-            full_key, payload = item
-            self._raw(full_key, payload, now)
         elif isinstance(item, tuple):
             self._message(place.key, item[0], now, begun, latched=True)
         else:
@@ -252,17 +250,19 @@ class Live:
             metronome.heard(topic.key, now)
         self.traffic.took(key, (now - message.stamp) / SECOND, time.perf_counter() - begun)
 
-    def _raw(self, full_key: str, payload: bytes, now: int) -> None:
-        key = full_key.removeprefix(f"{self.robot}/")
-        try:
-            envelope = envelope_of(payload)
-        except CodecError as error:
-            self.traffic.bad += 1
-            self.traffic.wrong(f"{key}: not a message: {error}", now)
-            return
-        self.host.service.now = now
-        self.host.n_events += 1
-        self.host.service.raw(key, payload, envelope, now)  # type: ignore[attr-defined]  # only asked where it is
+    def _take_raws(self) -> None:
+        for _ in range(len(self._raws)):
+            full_key, payload, now, latched = self._raws.popleft()
+            key = full_key.removeprefix(f"{self.robot}/")
+            try:
+                envelope = envelope_of(payload)
+            except CodecError as error:
+                self.traffic.bad += 1
+                self.traffic.wrong(f"{key}: not a message: {error}", now)
+                continue
+            self.host.service.now = now
+            self.host.n_events += 1
+            self.host.service.raw(key, payload, envelope, now, latched)  # type: ignore[attr-defined]  # asked for before
 
     def _answer(self, request: Request[Message, Message], query: zenoh.Query, now: int) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""

@@ -206,8 +206,11 @@ class _Run:
             self._gap(f"{self.life.name} has no tick {event.number} any more")
         elif event.kind == REQUEST:
             request = _known(request_of(event.key), event.key)
-            effects, _ = host.request(event.key, valid(request.request, event.payload), event.payload, event.now)
-            self._apply(effects)
+            if request.key in host.handlers.requests:
+                message = valid(request.request, event.payload)
+                self._apply(host.request(event.key, message, event.payload, event.now)[0])
+            else:
+                self._gap(f"{self.life.name} does not answer {request.key} any more")
         elif event.kind == DONE and event.number in self._jobs:
             self._done(self._jobs.pop(event.number), event.now)
         elif event.kind == DONE:
@@ -216,6 +219,14 @@ class _Run:
             self._apply(host.farewell(event.now))
         elif event.kind == HOLE:
             self._gap(f"{event.number} entries of the journal are missing")
+            if self.at == 0:
+                self._hold(event.now)
+
+    def _hold(self, now: int) -> None:
+        """A session whose beginning is not known gets what was latched when the recording began, as a late joiner."""
+        for key, (message, envelope) in self._traffic.held.items():
+            if key in self._host.handlers.topics:
+                self._apply(self._host.message(key, message, envelope, now, latched=True))
 
     def _message(self, topic: Topic[Message], event: Event) -> tuple[Message, Envelope]:
         kept = self._traffic.kept(event.key, event.session, event.number) if event.kind == LATCHED else None

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import TypeVar
 
 from shared import topics
-from shared.codec import CodecError, decode, envelope_of
+from shared.codec import CodecError, Envelope, decode, envelope_of
 from shared.config import UserError
 from shared.messages import Message
 from shared.recording import Recording
@@ -27,6 +27,7 @@ class ReplayTraffic:
         self.sessions = {life.session for life in lives}
         self.ended = {life.session: 0 for life in lives if not life.events}
         self.recorded: dict[tuple[str, str], dict[int, bytes]] = {}
+        self.held: dict[str, tuple[Message, Envelope]] = {}  # by key, what was latched when the recording began
         self._payloads: dict[tuple[str, str], dict[int, bytes]] = {}
         self._kept: dict[tuple[str, str, int], bytes] = {}
         self._taken_up = dict(_taken_up(all_lives))
@@ -35,7 +36,7 @@ class ReplayTraffic:
             if source in taken:
                 taken.add((event.key, event.session))
         said = {key_of(t, life.name) for life in lives for t in TOPICS if life.name in t.publishers}
-        keys = said | {key for key, _ in taken}
+        keys = said | {key for key, _ in taken} | {topic.key for topic in TOPICS if topic.latched}
         for entry in recording.entries([*keys, *(f"{KEPT}{key}" for key in keys)]):
             try:
                 envelope = envelope_of(entry.payload)
@@ -44,8 +45,12 @@ class ReplayTraffic:
             if entry.key.startswith(KEPT):
                 self._kept[(entry.key.removeprefix(KEPT), envelope.session, envelope.sequence)] = entry.payload
                 continue
-            source = (entry.key, envelope.session)
-            if envelope.session in self.sessions and topics.topic_of(entry.key) not in (topics.HEALTH, topics.JOURNAL):
+            source, topic = (entry.key, envelope.session), topics.topic_of(entry.key)
+            if entry.latched and topic is not None:
+                self.held.setdefault(entry.key, (valid(topic.type, entry.payload), envelope))
+                if source in taken:
+                    self._payloads.setdefault(source, {})[envelope.sequence] = entry.payload
+            elif envelope.session in self.sessions and topic not in (topics.HEALTH, topics.JOURNAL):
                 self.recorded.setdefault(source, {})[envelope.sequence] = entry.payload
             elif source in taken:
                 self._payloads.setdefault(source, {})[envelope.sequence] = entry.payload
@@ -77,9 +82,13 @@ class ReplayTraffic:
 
         What a restarted publisher took up from its predecessor is part of it.
         """
+        kept, first, held = None, 0, self.held.get(key)
         before = self._taken_up.get((key, session))
-        kept = None if before is None else self.latched(topic, key, before.session, before.number)
-        for number in range(sequence + 1):
+        if held is not None and held[1].session == session and held[1].sequence <= sequence:
+            kept, first = held[0], held[1].sequence + 1
+        elif before is not None:
+            kept = self.latched(topic, key, before.session, before.number)
+        for number in range(first, sequence + 1):
             kept = merged(kept, valid(topic.type, self.payload(key, session, number)))
         if kept is None:
             raise MissingError(key, session, sequence)

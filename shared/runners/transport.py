@@ -11,12 +11,13 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import zenoh
 
 from shared.config import UserError, nearest
-from shared.topics import SERVICES
+from shared.topics import SERVICES, TOPICS
 
 BASE_PORT = 17400
 PORTS_A_STACK = 40
@@ -152,3 +153,17 @@ class LatchedReader:
     def _reply(self, reply: zenoh.Reply) -> None:
         if reply.ok is not None:
             self._file(reply.ok.payload.to_bytes())
+
+
+def everything(session: zenoh.Session, robot: str, file: Callable[[str, bytes, bool], None]) -> list[Any]:
+    """Hears every key of a robot: `file` gets the key, the bytes, and whether they were kept for late joiners."""
+
+    def hear(sample: zenoh.Sample) -> None:
+        file(str(sample.key_expr), sample.payload.to_bytes(), False)
+
+    def keep(key: str, payload: bytes) -> None:
+        file(key, payload, True)
+
+    keys = [f"{robot}/{topic.key}" for topic in TOPICS if topic.latched]
+    readers = [LatchedReader(session, key, partial(keep, key)) for key in keys]
+    return [session.declare_subscriber(f"{robot}/**", hear), *readers]

@@ -109,8 +109,8 @@ class Kept:
     def lives(self):
         return self._lives
 
-    def entries(self):
-        return iter(self._entries)
+    def entries(self, keys=None):
+        return (entry for entry in self._entries if keys is None or entry.key in keys)
 
 
 def test_a_driver_replays_to_the_byte_from_the_bytes_of_its_port():

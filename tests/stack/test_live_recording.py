@@ -12,8 +12,9 @@ import zenoh
 
 from services.recorder.service import RecorderService
 from services.recorder.store import RecorderConfig, RecordingStore
-from shared.codec import Envelope
+from shared.codec import Envelope, decode, envelope_of
 from shared.geometry import Pose2
+from shared.messages import MapUpdate
 from shared.recording import Recording
 from shared.runners import transport
 from shared.runners.clock import Clock
@@ -39,8 +40,8 @@ class Watched(RecorderService):
         self.wanted: Counter[str] = Counter()
         self.satisfied = threading.Event()
 
-    def raw(self, key: str, payload: bytes, envelope: Envelope, now: int) -> None:
-        super().raw(key, payload, envelope, now)
+    def raw(self, key: str, payload: bytes, envelope: Envelope, now: int, latched: bool = False) -> None:
+        super().raw(key, payload, envelope, now, latched)
         self.wanted.subtract([key])
         if not +self.wanted:
             self.satisfied.set()
@@ -117,3 +118,35 @@ def test_the_real_stack_driving_replays_to_the_byte_service_by_service_and_as_a_
         assert report.equal, [topic for topic in report.topics if not topic.alike]
         assert sum(topic.n_equal for topic in report.topics) > 4
     assert sum(topic.n_equal for topic in report.topics) > 500
+
+
+def test_a_recorder_that_comes_late_records_what_was_latched_before(tmp_path):
+    where = transport.Where(free_stack())
+    store = RecordingStore(RecorderConfig(file=str(tmp_path / "a.mcap")))
+    early = Watched(RecorderConfig(), RecordingStore(RecorderConfig(file=str(tmp_path / "first.mcap"))))
+    with (
+        running(early, "recorder", where),
+        running(build("base_driver"), "base_driver", where),
+        running(build("odometry"), "odometry", where),
+        running(build("mapper"), "mapper", where),
+        transport.opened(where) as session,
+    ):
+        assert early.hears(map=3, pose=1)
+        heard, found = list[tuple[str, bytes, bool]](), threading.Event()
+
+        def file(key: str, payload: bytes, latched: bool) -> None:
+            heard.append((key.removeprefix(f"{ROBOT.name}/"), payload, latched))
+            if heard[-1][0] == "map" and latched:
+                found.set()
+
+        declared = transport.everything(session, ROBOT.name, file)
+        assert found.wait(20)
+        del declared
+    late = RecorderService(RecorderConfig(), ROBOT, store)
+    for key, payload, latched in heard:  # as the runner's inbox: one by one
+        late.raw(key, payload, envelope_of(payload), envelope_of(payload).sent, latched)
+    early._store.close()
+    store.close()
+    entries = list(Recording(tmp_path / "a.mcap").entries())
+    kept = next(entry for entry in entries if entry.key == "map" and entry.latched)
+    assert len(decode(MapUpdate, kept.payload)[0].rows) >= 3

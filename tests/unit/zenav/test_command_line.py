@@ -18,6 +18,8 @@ COMMANDS = [
     "demo", "up", "run", "goto", "route", "explore", "cancel", "teleop", "estop", "topic list", "topic echo",
     "topic hz", "map save", "map load", "map new", "map mode", "map show", "calibrate odometry",
     "calibrate laser", "calibrate motors", "config show", "config check", "doctor", "slam", "replay",
+    "recording info", "recording cat", "recording repair", "recording trim", "recording merge", "recording latency",
+    "recording plot", "recording mark", "bench recording",
     "bench office", "bench sim", "bench stack", "bench serial", "bench slam",
 ]  # fmt: skip
 

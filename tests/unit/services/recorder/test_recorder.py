@@ -2,22 +2,31 @@
 """The recorder takes every payload, flushes each second, and says what it could not record."""
 
 import errno
+import resource
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
 
+from services.recorder.losses import OVERLOAD, Losses
+from services.recorder.retention import Kept, to_remove
 from services.recorder.service import RecorderService
 from services.recorder.store import RecorderConfig, RecordingStore
 from shared import topics
-from shared.codec import Envelope, encode
+from shared.codec import Envelope, decode, encode
 from shared.config import UserError, load_robot
-from shared.messages import EmergencyStop, LogLine
-from shared.recording import CONFIG, Recording
+from shared.messages import EmergencyStop, LogLine, MapUpdate
+from shared.reasons import DISK_FULL, NOT_RECORDED
+from shared.recording import CONFIG, Drop, Recording
 from shared.service import Log
 
 ROBOT = load_robot("x80sv").robot
+SECOND = 1_000_000_000
 START = 1_700_000_000_000_000_000  # 2023-11-14 22:13:20 UTC
 
 
@@ -38,13 +47,14 @@ def recorder() -> Iterator[Make]:
         yield make
 
 
-def take(service: RecorderService, n: int, key: str = "estop") -> list[bytes]:
+def take(service: RecorderService, n: int, key: str = "estop", first: int = 0, at: int = START) -> list[bytes]:
+    """Messages of one session, `n` from number `first`, at `at` (ns)."""
     payloads = []
-    for i in range(n):
+    for i in range(first, first + n):
         envelope = Envelope("operator", "s", i, START + i)
         payloads.append(encode(EmergencyStop(START + i, True, "x" * 100), envelope))
-        service.now = START + i
-        service.raw(key, payloads[-1], envelope, START + i)
+        service.now = at
+        service.raw(key, payloads[-1], envelope, at)
     return payloads
 
 
@@ -72,6 +82,7 @@ def test_the_file_is_named_by_robot_and_start_and_never_overwritten(recorder, tm
         list(service.flush())
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == ["x80-20231114-221320-2.mcap", "x80-20231114-221320-3.mcap", "x80-20231114-221320.mcap"]
+    assert [Recording(tmp_path / name).about["recording"] for name in names] == [n.removesuffix(".mcap") for n in names]
 
 
 def test_the_file_holds_robot_and_configuration(recorder, tmp_path):
@@ -108,37 +119,119 @@ def test_a_closed_recording_has_its_index(tmp_path):
     store.close()
 
 
-class FullStore(RecordingStore):
-    """A disk that is full after some messages."""
+class FullDisk(RecordingStore):
+    """Refuses to write while `full`."""
 
-    room = 10
+    full_disk = False
 
     def write(self, *row: object) -> None:
-        self.room -= 1
-        if self.room < 0:
+        if self.full_disk:
+            assert self._writer is not None
+            self._writer._file.cut()
             raise OSError(errno.ENOSPC, "No space left on device")
         super().write(*row)  # type: ignore[arg-type]
 
+    def begin(self, *row: object) -> None:
+        if self.full_disk:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        super().begin(*row)  # type: ignore[arg-type]
 
-def test_a_full_disk_ends_the_recording_and_not_the_recorder(recorder, tmp_path):
-    service = recorder(FullStore, file=str(tmp_path / "a.mcap"))
+
+def test_a_full_disk_is_told_counted_and_recording_goes_on_when_there_is_room(recorder, tmp_path):
+    service = recorder(FullDisk, file=str(tmp_path / "a.mcap"))
     payloads = take(service, 10)
-    list(service.flush())
-    take(service, 7)
-    assert [(log.level, log.text) for log in flushed(service)] == [("ERROR", "recording ended: disk full")]
-    assert flushed(service) == []  # told once
-    assert service.state() == "disk full: recording ended, 7 messages not recorded"
+    flushed(service)
+    take(service, 3, first=10)  # not flushed: the disk takes them back
+    service._store.full_disk = True
+    take(service, 7, first=13)
+    logs = flushed(service)
+    assert [log.level for log in logs] == ["ERROR"]
+    assert DISK_FULL.text in logs[0].text
+    assert DISK_FULL.mend in logs[0].text
+    assert service.state() == f"{DISK_FULL.text}, 10 not recorded"
     assert payloads_in(tmp_path / "a.mcap") == payloads
+    take(service, 1, first=20, at=START + 2 * SECOND)  # still full
+    assert flushed(service) == []  # told once
+
+    service._store.full_disk = False
+    later = take(service, 5, first=21, at=START + 5 * SECOND)
+    assert [log.level for log in flushed(service)] == ["INFO"]
+    assert service.state() == "recording, 15 messages, 11 not recorded"
+    part = Recording(tmp_path / "a.part002.mcap")
+    entries = list(part.entries())
+    assert [(e.latched, e.payload) for e in entries] == [
+        (True, take(service, 1, first=20)[0]),
+        *((False, p) for p in later),
+    ]
+    assert part.drops == [Drop(START + 5 * SECOND, DISK_FULL.code, "estop", "s", 10, 11)]
+    assert "11 estop" in part.problems[0]
 
 
-def test_a_recording_ends_at_its_largest_size(recorder, tmp_path):
-    service = recorder(file=str(tmp_path / "a.mcap"), max_size=0.01)
-    for i in range(20):
-        envelope = Envelope("mapper", "s", i, i)
-        service.raw("log/mapper", encode(LogLine(i, "INFO", noise(i)), envelope), envelope, START + i)
-        list(service.flush())
-    assert "max_size of 0.01 MB is reached" in service.state()
-    assert 0 < len(payloads_in(tmp_path / "a.mcap")) < 20
+def test_a_disk_that_stays_full_is_tried_ever_more_seldom(recorder, tmp_path):
+    tried = []
+
+    class Counting(FullDisk):
+        full_disk = True
+
+        def begin(self, now: int, *row: object) -> None:
+            tried.append((now - START) // SECOND)
+            super().begin(now, *row)
+
+    service = recorder(Counting, file=str(tmp_path / "a.mcap"))
+    for second in range(100):
+        take(service, 1, first=second, at=START + second * SECOND)
+    assert tried == [0, 1, 3, 7, 15, 31, 63, 95]
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_clock_that_jumps_back_does_not_keep_it_from_trying(recorder, tmp_path):
+    service = recorder(FullDisk, file=str(tmp_path / "a.mcap"))
+    service._store.full_disk = True
+    take(service, 1)
+    service._store.full_disk = False
+    take(service, 1, first=1, at=START - 3600 * SECOND)
+    flushed(service)
+    assert service.state() == "recording, 1 messages, 1 not recorded"
+
+
+@contextmanager
+def no_file_longer_than(n_bytes: int) -> Iterator[None]:
+    """The system's own refusal, in the middle of a chunk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_what_the_system_refuses_costs_a_second_and_not_the_recording(recorder, tmp_path):
+    service = recorder(file=str(tmp_path / "a.mcap"))
+    recorded: list[bytes] = []
+    with no_file_longer_than(30_000):
+        for second in range(40):
+            recorded += shout(service, 5, first=5 * second, at=START + second * SECOND)
+            flushed(service)
+    recorded += shout(service, 5, first=200, at=START + 100 * SECOND)
+    flushed(service)
+    found = [payload for path in sorted(tmp_path.iterdir()) for payload in payloads_in(path)]
+    drops = [drop for path in sorted(tmp_path.iterdir()) for drop in Recording(path).drops]
+    assert len(list(tmp_path.iterdir())) > 2
+    assert 20 < len(found) < 205
+    assert [payload for payload in recorded if payload in found] == found
+    assert sum(drop.n for drop in drops) == 205 - len(found)
+    assert service.state() == f"recording, {len(found)} messages, {205 - len(found)} not recorded"
+
+
+def shout(service: RecorderService, n: int, first: int, at: int) -> list[bytes]:
+    """Log lines of some kB that do not compress well."""
+    payloads = []
+    for i in range(first, first + n):
+        envelope = Envelope("mapper", "s", i, at)
+        payloads.append(encode(LogLine(at, "INFO", noise(i)), envelope))
+        service.now = at
+        service.raw("log/mapper", payloads[-1], envelope, at)
+    return payloads
 
 
 def noise(seed: int) -> str:
@@ -156,4 +249,150 @@ def test_a_folder_that_vanished_is_a_state(recorder, tmp_path):
     service = recorder(file=str(tmp_path / "sub" / "a.mcap"))
     (tmp_path / "sub").rmdir()
     take(service, 2)
-    assert service.state() == "No such file or directory: recording ended, 2 messages not recorded"
+    assert service.state() == f"{NOT_RECORDED.text}, 2 not recorded"
+    assert "No such file or directory" in flushed(service)[0].text
+
+
+# --- what is recorded -----------------------------------------------------------------------------------------------
+
+
+def test_a_choice_of_topics_is_recorded(recorder, tmp_path):
+    service = recorder(file=str(tmp_path / "a.mcap"), topics=("journal/*", "estop", "log/*"), exclude=("log/guard",))
+    for key in ("estop", "journal/mapper", "log/mapper", "log/guard", "odom"):
+        take(service, 1, key)
+    flushed(service)
+    assert [e.key for e in Recording(tmp_path / "a.mcap").entries()] == ["estop", "journal/mapper", "log/mapper"]
+
+
+def test_a_pattern_that_names_no_topic_is_told_with_the_nearest():
+    with pytest.raises(ValidationError, match="did you mean `scan`"):
+        RecorderConfig(topics=("scna",))
+
+
+def test_files_are_attached_to_every_part(recorder, tmp_path):
+    (tmp_path / "map.yaml").write_bytes(b"image: map.pgm\n")
+    service = recorder(folder=str(tmp_path), attach=(str(tmp_path / "map.yaml"),), split_time=1)
+    service.robot_file = "robot: {}\n"
+    for second in range(3):
+        take(service, 1, first=second, at=START + second * SECOND)
+        flushed(service)
+    parts = sorted(tmp_path.glob("*.mcap"))
+    assert len(parts) == 3
+    for part in parts:
+        assert Recording(part).attachments == {"map.yaml": b"image: map.pgm\n", CONFIG: b"robot: {}\n"}
+
+
+def test_an_attachment_that_is_not_there_is_told_at_the_start(recorder, tmp_path):
+    with pytest.raises(UserError, match="cannot read"):
+        recorder(folder=str(tmp_path), attach=(str(tmp_path / "no.yaml"),))
+
+
+# --- what did not come ----------------------------------------------------------------------------------------------
+
+
+def test_messages_that_never_came_are_counted_and_written_down(recorder, tmp_path):
+    service = recorder(file=str(tmp_path / "a.mcap"))
+    take(service, 3, first=40)  # it joined late: the first 40 are not missed
+    take(service, 2, first=50, at=START + 10 * SECOND)
+    flushed(service)
+    assert service.state() == "recording, 5 messages, 7 missed"
+    recording = Recording(tmp_path / "a.mcap")
+    assert recording.drops == [Drop(START + 10 * SECOND, OVERLOAD, "estop", "s", 43, 7)]
+    assert len(recording.problems) == 2  # and it is not closed
+    assert "10.0 s after the start" in recording.problems[0]
+    assert "7 estop" in recording.problems[0]
+
+
+@given(st.lists(st.integers(0, 60), unique=True, max_size=60))
+def test_what_is_missed_is_what_lies_between_the_first_and_the_last(came):
+    losses = Losses()
+    for sequence in sorted(came):
+        losses.came(("scan", "s"), sequence)
+    expected = max(came) - min(came) + 1 - len(came) if came else 0
+    assert losses.n_missed == expected
+    assert sum(drop.n for drop in losses.taken(0)) == expected
+    assert losses.taken(0) == []
+
+
+def test_messages_out_of_their_order_are_not_missed_twice():
+    losses = Losses()
+    for sequence in (0, 3, 1, 2, 4, 4):
+        losses.came(("scan", "s"), sequence)
+    assert losses.n_missed == 2
+
+
+# --- the budget -----------------------------------------------------------------------------------------------------
+
+
+def test_the_oldest_parts_go_first_and_marked_ones_never(recorder, tmp_path):
+    service = recorder(folder=str(tmp_path), split_size=0.05, budget=0.3)
+    (tmp_path / "notes.txt").write_text("of the user")
+    (tmp_path / "other-20231114-221320.mcap").write_bytes(b"of another robot" * 10_000)
+    for second in range(12):
+        shout(service, 60, 60 * second, START + second * SECOND)
+        flushed(service)
+        if second == 1:
+            (tmp_path / "x80-20231114-221320.part002.mcap.keep").touch()
+    parts = sorted(tmp_path.glob("x80-*.mcap"))
+    numbers = [Recording(part).about["part"] for part in parts]
+    assert numbers[0] == "2"
+    assert numbers[1:] == [str(n) for n in range(int(numbers[1]), 14)]
+    assert sum(part.stat().st_size for part in parts[1:]) <= 0.3e6
+    assert len(numbers) >= 3
+    assert (tmp_path / "notes.txt").exists()
+    assert (tmp_path / "other-20231114-221320.mcap").exists()
+
+
+recordings = st.lists(
+    st.builds(Kept, st.integers().map(lambda i: Path(str(i))), st.integers(0, 100), st.integers(0, 9), st.booleans()),
+    unique_by=lambda kept: kept.path,
+)
+
+
+@given(recordings, st.integers(0, 500))
+def test_what_is_left_fits_the_budget_and_nothing_goes_needlessly(found, budget):
+    gone = to_remove(found, budget)
+    own = {kept.path: kept for kept in found if not kept.marked}
+    assert set(gone) <= own.keys()
+    left = sum(kept.size for kept in own.values() if kept.path not in gone)
+    assert left <= budget
+    if gone:
+        assert left + own[gone[-1]].size > budget
+        newest_gone = max(own[path].changed for path in gone)
+        assert all(kept.changed >= newest_gone for kept in own.values() if kept.path not in gone)
+
+
+def test_a_part_that_is_over_half_of_the_budget_is_refused():
+    with pytest.raises(ValidationError, match="half of the budget"):
+        RecorderConfig(split_size=600, budget=1000)
+
+
+# --- what was latched before it came --------------------------------------------------------------------------------
+
+
+def test_what_is_kept_for_late_joiners_is_recorded_once_and_as_that(recorder, tmp_path):
+    service = recorder(file=str(tmp_path / "a.mcap"))
+    envelope = Envelope("operator", "s", 7, START - SECOND)
+    kept = encode(EmergencyStop(START, True, "before"), envelope)
+    for _ in range(2):
+        service.raw("estop", kept, envelope, START, latched=True)
+    (later,) = take(service, 1, first=8)
+    service.raw("estop", kept, envelope, START + 1, latched=True)  # a late answer
+    flushed(service)
+    entries = list(Recording(tmp_path / "a.mcap").entries())
+    assert [(e.latched, e.payload, e.sequence) for e in entries] == [(True, kept, 7), (False, later, 8)]
+    assert service.state() == "recording, 1 messages"
+
+
+def test_what_is_kept_stands_in_the_next_part_too(recorder, tmp_path):
+    service = recorder(folder=str(tmp_path), split_time=1)
+    take(service, 1, "log/guard")
+    row = np.array([1, 2], np.int32)
+    whole = MapUpdate(START, 1, 5, 0.05, row, row, np.zeros((2, 4096), np.int8))
+    envelope = Envelope("mapper", "m", 5, START)
+    service.raw("map", encode(whole, envelope), envelope, START, latched=True)
+    take(service, 1, "log/guard", first=1, at=START + SECOND)
+    flushed(service)
+    (kept,) = [entry for entry in Recording(sorted(tmp_path.iterdir())[1]).entries() if entry.latched]
+    assert decode(MapUpdate, kept.payload)[0].rows.tolist() == [1, 2]
+    assert (kept.sequence, kept.log_time) == (5, START + SECOND)

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An MCAP file's records as bytes: where they lie, by its index or by walking through it. https://mcap.dev/spec
+
+The index is believed where its checksum is right. Without one, or with a damaged one, the file is walked record by
+record; where that makes no sense any more, it goes on at the next chunk that does.
+"""
+
+import mmap
+import struct
+import zlib
+from dataclasses import dataclass, field
+from io import BytesIO
+from typing import IO, Any
+
+import lz4.frame  # type: ignore[import-untyped]  # it has no types
+import mcap.records as mc
+import mcap.writer
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+
+MAGIC = mcap.writer.MCAP0_MAGIC
+FRAME = struct.Struct("<BQ")  # opcode, length
+MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log_time, publish_time
+DAMAGE = (McapError, struct.error, ValueError, OverflowError, MemoryError, RuntimeError, zstandard.ZstdError)
+"""What the decoders of records and chunks raise on bytes that are not what they say."""
+
+_FOOTER = struct.Struct("<BQQQI")  # opcode, length, place of the summary, of its offsets, CRC
+_TIMES = struct.Struct("<QQ")
+_CHUNK_INDEX = struct.Struct("<QQQQI")  # first and last log_time, chunk's place and length, length of the map
+_INDEX_ROW = 16  # bytes of a message in a message index: log_time, place
+_COMPRESSIONS = (b"\x04\0\0\0zstd", b"\x03\0\0\0lz4")
+_BEFORE_COMPRESSION = FRAME.size + 28  # bytes of a chunk: its frame, two times, size and CRC
+_LARGEST_CHUNK = 1 << 30  # bytes; what claims to be larger is damage, not a chunk
+_KNOWN = range(Opcode.HEADER, Opcode.DATA_END + 1)
+_NOTED = (Opcode.METADATA, Opcode.ATTACHMENT, Opcode.SCHEMA, Opcode.CHANNEL)
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """What holds messages, a chunk or one bare message: the place and length of its body, its log_times in ns.
+
+    channels: of an indexed chunk, pairs of channel (2 bytes) and place (8 bytes).
+    """
+
+    opcode: int
+    place: int
+    length: int
+    begin: int
+    end: int
+    channels: bytes | None = None
+
+    def holds(self, channels: set[int]) -> bool:
+        """Whether messages of these channels may be in it."""
+        if self.channels is None:
+            return True
+        return any(number in channels for number, _ in struct.iter_unpack("<HQ", self.channels))
+
+
+@dataclass(slots=True)
+class Layout:
+    """What a file holds and where. statistics: only from an index.
+
+    problems: by place, what is damaged or missing; harmless: the places of those that cost nothing.
+    """
+
+    profile: str = ""
+    blocks: list[Block] = field(default_factory=list)
+    notes: list[tuple[int, bytes, int]] = field(default_factory=list)  # opcode, body, place
+    statistics: mc.Statistics | None = None
+    problems: dict[int, str] = field(default_factory=dict)
+    harmless: set[int] = field(default_factory=set)
+
+
+def layout(file: IO[bytes], size: int) -> Layout:
+    """The layout of a file of `size` bytes that begins with MAGIC."""
+    try:
+        indexed = _by_index(file, size)
+    except DAMAGE:
+        indexed = None
+    found = indexed or _by_walking(file, size)
+    found.profile = _profile(file)
+    return found
+
+
+def _profile(file: IO[bytes]) -> str:
+    """Of the header: who made the file, or for whom."""
+    file.seek(len(MAGIC))
+    opcode, length = FRAME.unpack(file.read(FRAME.size).ljust(FRAME.size, b"\0"))
+    try:
+        return mc.Header.read(ReadDataStream(BytesIO(file.read(length)))).profile if opcode == Opcode.HEADER else ""
+    except DAMAGE:
+        return ""
+
+
+# --- by the index ---------------------------------------------------------------------------------------------------
+
+
+def _by_index(file: IO[bytes], size: int) -> Layout | None:
+    """None where there is no index that holds everything. Raises one of DAMAGE."""
+    end = size - len(MAGIC) - _FOOTER.size
+    if end < len(MAGIC):
+        return None
+    file.seek(end)
+    foot = file.read(_FOOTER.size)
+    opcode, length, start, _, crc = _FOOTER.unpack(foot)
+    if opcode != Opcode.FOOTER or length != _FOOTER.size - FRAME.size or file.read() != MAGIC or not 0 < start <= end:
+        return None
+    file.seek(start)
+    summary = file.read(end - start)
+    if crc and zlib.crc32(foot[:-4], zlib.crc32(summary)) != crc:
+        return None
+    found, n_channels, at = Layout(), 0, 0
+    while at + FRAME.size <= len(summary):
+        opcode, length = FRAME.unpack_from(summary, at)
+        place, at = at + FRAME.size, at + FRAME.size + length
+        body = summary[place:at]
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            found.notes.append((opcode, body, start + place))
+            n_channels += opcode == Opcode.CHANNEL
+        elif opcode == Opcode.STATISTICS:
+            found.statistics = mc.Statistics.read(ReadDataStream(BytesIO(body)))
+        elif opcode == Opcode.CHUNK_INDEX:
+            begin, last, chunk, chunk_length, n_bytes = _CHUNK_INDEX.unpack_from(body)
+            channels = body[_CHUNK_INDEX.size : _CHUNK_INDEX.size + n_bytes]
+            block = chunk + FRAME.size, chunk_length - FRAME.size
+            found.blocks.append(Block(Opcode.CHUNK, *block, begin, last, channels or None))
+        elif opcode in (Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX):
+            offset, whole = _TIMES.unpack_from(body)
+            file.seek(offset)
+            record = file.read(min(whole, size))
+            found.notes.append((record[0], record[FRAME.size :], offset))
+    told = found.statistics
+    if told is None or told.channel_count != n_channels or told.chunk_count != len(found.blocks):
+        return None
+    if told.message_count and not told.chunk_count:
+        return None
+    found.blocks.sort(key=lambda block: block.place)
+    return found
+
+
+# --- by walking -----------------------------------------------------------------------------------------------------
+
+
+def _by_walking(file: IO[bytes], size: int) -> Layout:
+    found = Layout()
+    place = before = len(MAGIC)
+    while place + FRAME.size <= size:
+        file.seek(place)
+        opcode, length = FRAME.unpack(file.read(FRAME.size))
+        body = place + FRAME.size
+        if opcode not in _KNOWN or body + length > size:
+            after = _next_chunk(file, before + 1, size)
+            if after is None:
+                break
+            found.problems[place] = f"{after - place} bytes at byte {place} make no sense and are left out"
+            before = place = after
+            continue
+        if opcode == Opcode.FOOTER:
+            if length == _FOOTER.size - FRAME.size and _TIMES.unpack(file.read(_TIMES.size))[0]:
+                found.problems[place] = "its index is damaged or not whole: it was read from begin to end"
+                found.harmless.add(place)
+            return found
+        if opcode in (Opcode.CHUNK, Opcode.MESSAGE):
+            found.blocks.append(_block(opcode, body, length, file.read(min(length, MESSAGE.size))))
+        elif opcode in _NOTED:
+            found.notes.append((opcode, file.read(length), body))
+        before, place = place, body + length
+    rest = size - min(place, size)
+    found.harmless |= set() if rest else {size}
+    found.problems[size] = "the recording was not closed" + (
+        f": its last {rest} bytes are the beginning of a record whose end is missing" if rest else ""
+    )
+    return found
+
+
+def _block(opcode: int, place: int, length: int, head: bytes) -> Block:
+    try:
+        times = _TIMES.unpack_from(head) if opcode == Opcode.CHUNK else (MESSAGE.unpack_from(head)[2],) * 2
+    except struct.error:
+        times = 0, 2**64 - 1  # damaged: told when it is read
+    return Block(opcode, place, length, *times)
+
+
+def _next_chunk(file: IO[bytes], start: int, size: int) -> int | None:
+    """The place of the next compressed chunk that begins at `start` or later and lies in the file as a whole."""
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as view:
+        for compression in _COMPRESSIONS:
+            at = view.find(compression, start + _BEFORE_COMPRESSION)
+            while at >= 0:
+                chunk, head = at - _BEFORE_COMPRESSION, at + len(compression)
+                opcode, length = FRAME.unpack_from(view, chunk)
+                if opcode == Opcode.CHUNK and head + 8 <= size and chunk + FRAME.size + length <= size:
+                    (n_bytes,) = struct.unpack_from("<Q", view, head)
+                    if head + 8 + n_bytes == chunk + FRAME.size + length:
+                        return chunk
+                at = view.find(compression, at + 1)
+    return None
+
+
+# --- chunks ---------------------------------------------------------------------------------------------------------
+
+
+def records_of(file: IO[bytes], block: Block) -> bytes:
+    """A block's records. Raises one of DAMAGE."""
+    file.seek(max(block.place - FRAME.size, 0))
+    frame = file.read(FRAME.size)
+    if len(frame) < FRAME.size or FRAME.unpack(frame) != (block.opcode, block.length):
+        raise ValueError("it is not where the index says")
+    body = file.read(block.length)
+    if block.opcode == Opcode.MESSAGE:
+        return frame + body
+    chunk = mc.Chunk.read(ReadDataStream(BytesIO(body)))
+    size = chunk.uncompressed_size
+    if size > _LARGEST_CHUNK:
+        raise ValueError(f"it claims {size} bytes")
+    records: Any
+    if chunk.compression == "zstd":
+        if zstandard.frame_content_size(chunk.data) not in (-1, size):
+            raise ValueError("its sizes contradict each other")
+        records = zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=size)
+    elif chunk.compression == "lz4":
+        records = lz4.frame.decompress(chunk.data)
+    elif chunk.compression == "":
+        records = chunk.data
+    else:
+        raise ValueError(f"unknown compression {chunk.compression!r}")
+    if chunk.uncompressed_crc and zlib.crc32(records) != chunk.uncompressed_crc:
+        raise ValueError("its checksum is wrong")
+    return bytes(records)
+
+
+def indexes_after(file: IO[bytes], block: Block) -> dict[int, bytes]:
+    """The message indexes behind a chunk: by channel, rows of log_time and place (8 bytes each). Raises DAMAGE."""
+    found: dict[int, bytes] = {}
+    file.seek(block.place + block.length)
+    while len(head := file.read(FRAME.size + 6)) == FRAME.size + 6:
+        opcode, length, channel, n_bytes = struct.unpack("<BQHI", head)
+        if opcode != Opcode.MESSAGE_INDEX or n_bytes != length - 6 or n_bytes % _INDEX_ROW:
+            break
+        rows = file.read(n_bytes)
+        if len(rows) < n_bytes:
+            break
+        found[channel] = rows
+    return found
+
+
+def messages_in(file: IO[bytes], block: Block) -> int | None:
+    """How many messages a chunk holds by the message indexes behind it; None where there are none."""
+    if block.opcode == Opcode.MESSAGE:
+        return 1
+    indexes = indexes_after(file, block)
+    return sum(len(rows) // _INDEX_ROW for rows in indexes.values()) if indexes else None

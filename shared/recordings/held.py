@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What late joiners would get at some moment: the last value of each latched key, merged where its class can."""
+
+from typing import NamedTuple
+
+from shared import topics
+from shared.codec import CodecError, Envelope, decode, encode, envelope_of
+from shared.messages import Message
+from shared.runners.host import merged
+
+
+class Value(NamedTuple):
+    """A latched key's value, as bytes with the envelope of the last message in it."""
+
+    key: str
+    type: type[Message]
+    payload: bytes
+    envelope: Envelope
+
+
+class Held:
+    """The latched values after the messages that were taken."""
+
+    def __init__(self) -> None:
+        self._payloads: dict[str, bytes] = {}
+        self._merged: dict[str, tuple[Message, Envelope]] = {}
+
+    def take(self, key: str, payload: bytes) -> None:
+        """A message came on a key; one that is not latched, or not valid, changes nothing."""
+        topic = topics.topic_of(key)
+        if topic is None or not topic.latched:
+            return
+        if not hasattr(topic.type, "merged"):
+            self._payloads[key] = payload
+            return
+        try:
+            message, envelope = decode(topic.type, payload)
+        except CodecError:
+            return
+        before = self._merged.get(key)
+        self._merged[key] = merged(before[0] if before else None, message), envelope
+
+    def take_whole(self, key: str, payload: bytes) -> bool:
+        """What was kept for late joiners; False where it is not newer than what is known, or not valid."""
+        topic = topics.topic_of(key)
+        if topic is None or not topic.latched:
+            return False
+        try:
+            message, envelope = decode(topic.type, payload)
+        except CodecError:
+            return False
+        known = self._envelope(key)
+        if known is not None and known.sent >= envelope.sent:
+            return False
+        if hasattr(topic.type, "merged"):
+            self._merged[key] = message, envelope
+        else:
+            self._payloads[key] = payload
+        return True
+
+    def values(self) -> list[Value]:
+        """The present values, by key."""
+        found = []
+        for key in sorted({*self._payloads, *self._merged}):
+            envelope = self._envelope(key)
+            if envelope is None:
+                continue  # whoever joins late would drop it too
+            payload = encode(self._merged[key][0], envelope) if key in self._merged else self._payloads[key]
+            found.append(Value(key, topics.BY_KEY[key].type, payload, envelope))
+        return found
+
+    def _envelope(self, key: str) -> Envelope | None:
+        """Of the last message in a key's value; None where there is none, or it makes no sense."""
+        if key in self._merged:
+            return self._merged[key][1]
+        try:
+            return envelope_of(self._payloads[key])
+        except (KeyError, CodecError):
+            return None

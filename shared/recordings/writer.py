@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording that is written: MCAP by the `mcap` package, and what a refusing disk leaves of it."""
+
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from itertools import groupby
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, cast
+
+import mcap.writer
+
+from shared.codec import schema, schema_id
+from shared.messages import Message
+from shared.recordings.reader import ABOUT, DROPS, ENCODING, LATCHED, Channel, Drop, Entry, drops_record
+
+_CHUNK_BYTES = 64 * 1024
+
+
+class Writer:
+    """Writes a recording. Every method may raise OSError; the file is then cut back to the last `flush` and closed.
+
+    about: metadata, like robot and versions.   attachments: by name.   exclusive: never over another file.
+    profile: another one than this stack's, where the file is a copy of another program's.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        about: Mapping[str, str] | None = None,
+        attachments: Mapping[str, bytes] | None = None,
+        exclusive: bool = False,
+        profile: str = "zenav",
+    ) -> None:
+        self.path, self.n_messages = path, 0
+        self._channels: dict[Channel, int] = {}
+        self._own: dict[tuple[str, type[Message], bool], int] = {}
+        self._schemas: dict[tuple[str, bytes], int] = {}
+        self._file = _File(path, "xb" if exclusive else "wb")
+        self._mcap = mcap.writer.Writer(cast(IO[Any], self._file), chunk_size=_CHUNK_BYTES)
+        try:
+            self._mcap.start(profile=profile, library="zenav")
+            self._mcap.add_metadata(ABOUT, dict(about or {}))
+            for name, content in (attachments or {}).items():
+                kind = "application/yaml" if name.endswith(".yaml") else "application/octet-stream"
+                self._mcap.add_attachment(0, 0, name, kind, content)
+        except OSError:
+            self._file.cut()
+            raise
+        self.flush()
+
+    def __enter__(self) -> "Writer":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    @property
+    def size(self) -> int:
+        """Bytes in the file."""
+        return self._file.size
+
+    def write(
+        self,
+        key: str,
+        type_: type[Message],
+        payload: bytes,
+        log_time: int,
+        sent: int,
+        sequence: int,
+        latched: bool = False,
+    ) -> None:
+        """Adds a message as it went on the wire: key without the robot's name, times in ns. latched: see Channel."""
+        number = self._own.get((key, type_, latched))
+        if number is None:
+            metadata = (LATCHED,) if latched else ()
+            number = self._declared(Channel(key, "msgpack", schema_id(type_), ENCODING, schema(type_), metadata))
+            self._own[(key, type_, latched)] = number
+        self._add(number, payload, log_time, sent, sequence)
+
+    def copy(self, entry: Entry) -> None:
+        """Adds a message of another recording, with its own schema, also one that today's stack does not know."""
+        number = self._declared(entry.channel)
+        self._add(number, entry.payload, entry.log_time, entry.sent, entry.sequence)
+
+    def note_drops(self, drops: Iterable[Drop]) -> None:
+        """Writes down what was missed."""
+        for _, together in groupby(drops, key=lambda drop: (drop.at, drop.why)):
+            self.note(DROPS, drops_record(together))
+
+    def note(self, name: str, told: Mapping[str, str]) -> None:
+        """Adds metadata of another program."""
+        try:
+            self._mcap.add_metadata(name, dict(told))
+        except OSError:
+            self._file.cut()
+            raise
+
+    def flush(self) -> None:
+        """Ends the open chunk and hands everything to the system: it outlives this process from here on."""
+        try:
+            self._mcap.flush()  # type: ignore[no-untyped-call]  # mcap's own
+        except OSError:
+            self._file.cut()
+            raise
+        self._file.kept = self._file.size
+
+    def close(self) -> None:
+        """Writes the index and closes; may be called twice."""
+        if self._file.closed:
+            return
+        try:
+            self._mcap.finish()  # type: ignore[no-untyped-call]  # mcap's own
+        except OSError:
+            self._file.cut()
+            raise
+        self._file.close()
+
+    def _declared(self, channel: Channel) -> int:
+        """The channel's number in this file."""
+        number = self._channels.get(channel)
+        if number is None:
+            of, told = (channel.schema_name, channel.schema), dict(channel.metadata)
+            if channel.schema_name and of not in self._schemas:
+                self._schemas[of] = self._mcap.register_schema(of[0], channel.schema_encoding, of[1])
+            number = self._mcap.register_channel(channel.key, channel.encoding, self._schemas.get(of, 0), told)
+            self._channels[channel] = number
+        return number
+
+    def _add(self, channel: int, payload: bytes, log_time: int, sent: int, sequence: int) -> None:
+        try:
+            self._mcap.add_message(channel, _unsigned(log_time), payload, _unsigned(sent), sequence & 0xFFFFFFFF)
+        except OSError:
+            self._file.cut()
+            raise
+        self.n_messages += 1
+
+
+class _File:
+    """An unbuffered file for mcap's writer, whose own buffering would keep failing bytes and try them again."""
+
+    def __init__(self, path: Path, mode: str) -> None:
+        self._raw = cast(IO[bytes], path.open(mode, buffering=0))
+        self.size = self.kept = 0
+
+    @property
+    def closed(self) -> bool:
+        return self._raw.closed
+
+    def write(self, data: bytes) -> int:
+        view = memoryview(data)
+        while view:
+            n_written = self._raw.write(view)
+            self.size += n_written
+            view = view[n_written:]
+        return len(data)
+
+    def tell(self) -> int:
+        return self.size
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def cut(self) -> None:
+        """Gives up: nothing stays that was not flushed."""
+        if not self._raw.closed:
+            with suppress(OSError):  # the first error is the one to tell
+                self._raw.truncate(self.kept)
+            self._raw.close()
+
+    def close(self) -> None:
+        self._raw.close()
+
+
+def _unsigned(number: int) -> int:
+    return min(max(number, 0), 2**64 - 1)

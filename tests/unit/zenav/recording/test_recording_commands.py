@@ -1,0 +1,445 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav recording`: what it tells of a recording is what was published; what it makes of one still replays."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from PIL import Image
+
+from services.recorder.service import RecorderService
+from services.recorder.store import RecorderConfig, RecordingStore
+from shared import topics
+from shared.codec import Envelope, decode, encode
+from shared.config import UserError
+from shared.messages import LogLine, MapMode, Odometry, Velocity
+from shared.recording import CONFIG, Drop, Recording, Writer, sink
+from shared.runners.replay import replay
+from tests.toys import ROBOT, build, eventful
+from zenav.__main__ import _status
+from zenav.map_modes import OnMap
+from zenav.recording import rewrite
+from zenav.recording.info import Silences, info
+from zenav.recording.plot import series
+from zenav.replay import compare
+
+SECOND = 1_000_000_000
+CHAIN = ["base_driver", "odometry", "mapper", "planner"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of 3.3 s."""
+    path = tmp_path_factory.mktemp("run") / "run.mcap"
+    with Writer(path, {"robot": ROBOT.name, "commit": "abc"}, {CONFIG: b"robot: {}\n"}) as writer:
+        eventful(sink(writer))
+    return path
+
+
+def unclosed(path: Path, to: Path) -> Path:
+    """As kill -9 leaves it: no index, and the beginning of a chunk at the end."""
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    last = summary.chunk_indexes[-1]
+    to.write_bytes(path.read_bytes()[: last.chunk_start_offset + last.chunk_length // 2])
+    return to
+
+
+def rows(path: Path) -> list[tuple[str, int, bytes]]:
+    return [(e.key, e.log_time, e.payload) for e in Recording(path).entries()]
+
+
+# --- info -----------------------------------------------------------------------------------------------------------
+
+
+def test_info_counts_what_is_read_with_an_index_and_without(run, tmp_path):
+    entries = list(Recording(run).entries())
+    counts: dict[str, int] = {}
+    for entry in entries:
+        counts[entry.key] = counts.get(entry.key, 0) + 1
+    whole = info(run)
+    assert whole.indexed
+    assert {row.key: row.n for row in whole.topics} == counts
+    assert whole.messages == len(entries)
+    assert whole.seconds == pytest.approx((entries[-1].log_time - entries[0].log_time) / SECOND, abs=0.05)
+    assert whole.about["robot"] == ROBOT.name
+    assert whole.attachments == {CONFIG: 10}
+    assert whole.problems == []
+
+    cut = info(unclosed(run, tmp_path / "cut.mcap"))
+    assert not cut.indexed
+    assert {row.key: row.n for row in cut.topics if row.n} != counts
+    assert sum(row.n for row in cut.topics) == len(rows(tmp_path / "cut.mcap"))
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_info_finds_the_silences_of_a_topic(tmp_path, closed):
+    path, n = tmp_path / "a.mcap", 0
+    writer = Writer(path)
+    for i in range(1000):  # 20 s at 50 Hz, silent from 4 to 7 s and from 12 to 13.5 s
+        if not 200 <= i < 350 and not 600 <= i < 675:
+            writer.write("odom", Odometry, b"x", i * SECOND // 50, 0, i)
+            n += 1
+        if i % 50 == 0:
+            writer.write("health/mapper", LogLine, b"x", i * SECOND // 50, 0, i)
+            writer.flush()
+    if closed:
+        writer.close()
+    else:
+        writer.flush()
+    found = {row.key: row for row in info(path).topics}
+    writer.close()
+    assert (found["odom"].n, found["odom"].gaps) == (n, 2)
+    assert found["odom"].longest_gap == pytest.approx(3.02)
+    assert found["odom"].expected_hz == 50
+    assert found["health/mapper"].gaps == 0
+    assert found["health/mapper"].hz == pytest.approx(1.0)
+
+
+def test_a_topic_that_fell_silent_before_the_end_is_a_gap():
+    told = Silences(first=0, last=10 * SECOND).told(101, 10.0, 14 * SECOND)
+    assert told == (10.0, 1, 4.0)
+    assert Silences(first=0, last=10 * SECOND).told(101, 0.0, 14 * SECOND) == (10.0, 0, 0.0)  # only events
+
+
+def test_info_names_the_parts_of_a_recording_in_order(tmp_path):
+    for part in (2, 1, 3):
+        with Writer(tmp_path / f"run.part{part}.mcap", {"recording": "run", "part": str(part)}):
+            pass
+    with Writer(tmp_path / "runner.mcap", {"recording": "runner", "part": "1"}):
+        pass
+    assert info(tmp_path / "run.part2.mcap").parts == ["run.part1.mcap", "run.part2.mcap", "run.part3.mcap"]
+    assert info(tmp_path / "runner.mcap").parts == []
+
+
+def test_info_tells_what_was_missed_and_its_status_is_1(tmp_path, capsys):
+    path = tmp_path / "a.mcap"
+    with Writer(path, {"robot": "x80"}) as writer:
+        writer.write("scan", LogLine, b"x", 5 * SECOND, 0, 0)
+        writer.note_drops(
+            [Drop(7 * SECOND, "overload", "scan", "s", 1, 4), Drop(7 * SECOND, "overload", "odom", "s", 9, 1)]
+        )
+    assert [(row.key, row.missed) for row in info(path).topics] == [("scan", 4)]
+    assert _status(["recording", "info", str(path)]) == 1
+    out = capsys.readouterr().out
+    assert "2.0 s after the start the recorder had missed 5 messages (overload): 4 scan, 1 odom" in out
+
+
+def test_info_as_json_is_one_object(run, capsys):
+    assert _status(["recording", "info", str(run), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["messages"] == len(rows(run))
+    assert {row["key"] for row in told["topics"]} >= {"odom", "map", "journal/mapper"}
+
+
+# --- cat ------------------------------------------------------------------------------------------------------------
+
+
+def test_cat_writes_the_fields_of_the_messages_that_are_asked_for(run, capsys):
+    assert _status(["recording", "cat", str(run), "odom", "map", "--begin", "1", "--end", "2"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    zero = rows(run)[0][1]
+    expected = [r for r in rows(run) if r[0] in ("odom", "map") and zero + SECOND <= r[1] < zero + 2 * SECOND]
+    assert [(line["key"], line["log_time"]) for line in lines] == [(key, time) for key, time, _ in expected]
+    first = next(line for line in lines if line["key"] == "odom")
+    odom, envelope = decode(Odometry, next(p for key, _, p in expected if key == "odom"))
+    assert first["v"] == odom.v
+    assert first["@"] == {
+        "publisher": "odometry", "session": envelope.session, "sequence": envelope.sequence, "sent": envelope.sent
+    }  # fmt: skip
+
+
+def test_cat_counts_and_matches_patterns(run, capsys):
+    assert _status(["recording", "cat", str(run), "journal/*", "-n", "3"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(lines) == 3
+    assert all(line["key"].startswith("journal/") for line in lines)
+
+
+def test_cat_tells_what_it_does_not_know(tmp_path, capsys):
+    path = tmp_path / "a.mcap"
+    with Writer(path) as writer:
+        writer.write("weather", LogLine, encode(LogLine(1, "INFO", "rain"), Envelope("sky", "s", 0, 1)), 1, 1, 0)
+        writer.write("estop", LogLine, b"\xc1", 2, 2, 0)
+    assert _status(["recording", "cat", str(path)]) == 0
+    weather, estop = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert weather["message"]["text"] == "rain"
+    assert "no topic" in weather["problem"]
+    assert estop["size"] == 1
+
+
+def test_cat_writes_what_is_attached(run, capfdbinary):
+    assert _status(["recording", "cat", str(run), "--attachment", CONFIG]) == 0
+    assert capfdbinary.readouterr().out == b"robot: {}\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["cat", "{}", "odmo"], "did you mean `odom`"),
+        (["cat", "{}", "guard/status"], "holds nothing on guard/status"),
+        (["cat", "{}", "--begin", "99"], "3.3 s long"),
+        (["cat", "{}", "--begin", "2", "--end", "1"], "nothing lies between"),
+        (["cat", "{}", "--attachment", "map.yaml"], "has no map.yaml attached"),
+        (["plot", "{}", "odom"], "names no field"),
+        (["plot", "{}", "odom:x"], "odom has no field x"),
+        (["plot", "{}", "odo:v"], "did you mean `odom`"),
+        (["plot", "{}", "cmd/vel:reason"], "holds nothing on cmd/vel"),
+        (["plot", "{}", "pose:state"], "has no number for pose:state"),
+        (["plot", "{}", "odom:v", "--out", "{}/a.png"], "cannot write"),
+        (["trim", "{}", "--out", "{}"], "is read from"),
+        (["trim", "{}", "--out", "{}.zip"], "is no name for a recording"),
+        (["merge", "{}", "--out", "b.mcap"], "two recordings or more"),
+        (["info", "no.mcap"], "cannot read"),
+        (["mark", "no.mcap"], "cannot read"),
+    ],
+)
+def test_what_is_asked_wrongly_is_told_in_one_line(run, capsys, arguments, words):
+    assert _status(["recording", *(a.replace("{}", str(run)) for a in arguments)]) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 2
+
+
+# --- repair ---------------------------------------------------------------------------------------------------------
+
+
+def test_repair_gives_a_killed_recorders_file_its_index_back(run, tmp_path, capsys):
+    path = unclosed(run, tmp_path / "run.mcap")
+    before, damaged = rows(path), path.read_bytes()
+    assert _status(["recording", "repair", str(path)]) == 1  # the last chunk's beginning is lost
+    assert f"{len(before)} messages" in capsys.readouterr().out
+    assert rows(path) == before == rows(run)[: len(before)]
+    recording = Recording(path)
+    assert recording.indexed
+    assert recording.problems == []
+    assert (recording.about, recording.attachments) == (Recording(run).about, Recording(run).attachments)
+    assert (tmp_path / "run.mcap.damaged").read_bytes() == damaged
+    with path.open("rb") as file:
+        assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) == len(before)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run.mcap", "run.mcap.damaged"]
+
+
+def test_repair_of_a_file_that_only_lacks_its_index_loses_nothing(tmp_path, capsys):
+    path = tmp_path / "a.mcap"
+    writer = Writer(tmp_path / "live.mcap")
+    for i in range(100):
+        writer.write("estop", LogLine, b"x" * i, i, i, i)
+    writer.flush()
+    path.write_bytes((tmp_path / "live.mcap").read_bytes())
+    writer.close()
+    before = rows(path)
+    assert _status(["recording", "repair", str(path)]) == 0
+    assert rows(path) == before
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mcap", "live.mcap"]
+    assert _status(["recording", "repair", str(path), "--out", str(tmp_path / "b.mcap")]) == 0
+    assert rows(tmp_path / "b.mcap") == before
+
+
+def test_repair_counts_the_messages_of_a_damaged_chunk(tmp_path, capsys):
+    path = tmp_path / "a.mcap"
+    with Writer(path) as writer:
+        for i in range(30):
+            writer.write("estop", LogLine, bytes([i]) * 50, i, i, i)
+            if i % 10 == 9:
+                writer.flush()
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[1]
+    damaged = bytearray(path.read_bytes())
+    damaged[chunk.chunk_start_offset + chunk.chunk_length - 4] ^= 0xFF
+    path.write_bytes(damaged)
+    assert _status(["recording", "repair", str(path), "--out", str(tmp_path / "b.mcap")]) == 1
+    assert "10 messages are lost" in capsys.readouterr().err
+    assert [time for _, time, _ in rows(tmp_path / "b.mcap")] == [*range(10), *range(20, 30)]
+
+
+def test_a_disk_that_refuses_leaves_the_damaged_file_as_it_is(run, tmp_path, monkeypatch):
+    path = unclosed(run, tmp_path / "run.mcap")
+    before = path.read_bytes()
+
+    def refuse(writer: Writer) -> None:
+        writer._file.cut()
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Writer, "close", refuse)
+    with pytest.raises(UserError, match="No space left"):
+        rewrite.repair(path, None)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["run.mcap"]
+
+
+def test_what_other_programs_wrote_survives_a_repair(tmp_path):
+    import mcap.writer
+
+    path = tmp_path / "ros.mcap"
+    writer = mcap.writer.Writer(str(path))
+    writer.start("ros2", "rosbag2")
+    writer.add_metadata("rosbag2", {"ROS_DISTRO": "jazzy"})
+    number = writer.register_schema("sensor_msgs/msg/LaserScan", "ros2msg", b"?")
+    channel = writer.register_channel("/scan", "cdr", number, {"offered_qos_profiles": "- depth: 1"})
+    writer.add_message(channel, 1, b"x", 1, 0)
+    bare = writer.register_channel("/raw", "", 0)
+    writer.add_message(bare, 2, b"y", 2, 0)
+    writer.finish()
+    assert _status(["recording", "repair", str(path)]) == 0
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        assert reader.get_header().profile == "ros2"
+        assert [(m.name, m.metadata) for m in reader.iter_metadata() if m.name == "rosbag2"] == [
+            ("rosbag2", {"ROS_DISTRO": "jazzy"})
+        ]
+        found = [(s and s.name, c.topic, c.metadata, m.data) for s, c, m in reader.iter_messages()]
+    assert found == [
+        ("sensor_msgs/msg/LaserScan", "/scan", {"offered_qos_profiles": "- depth: 1"}, b"x"),
+        (None, "/raw", {}, b"y"),
+    ]
+
+
+# --- trim and merge -------------------------------------------------------------------------------------------------
+
+
+def test_a_trimmed_beginning_replays_to_the_byte(run, tmp_path):
+    out = tmp_path / "t.mcap"
+    assert _status(["recording", "trim", str(run), "--end", "2.05", "--out", str(out)]) == 0
+    assert rows(out) == [row for row in rows(run) if row[1] < rows(run)[0][1] + 2_050_000_000]
+    replayed = replay(Recording(out), ["base_driver", "odometry", "mapper"], build)
+    assert replayed.gaps == []
+    report = compare(replayed)
+    assert report.equal, report
+
+
+def test_a_trimmed_middle_begins_with_what_was_latched_and_replays(run, tmp_path):
+    out = tmp_path / "t.mcap"
+    assert _status(["recording", "trim", str(run), "--begin", "1.5", "--out", str(out)]) == 0
+    begin = rows(run)[0][1] + SECOND * 3 // 2
+    recording = Recording(out)
+    entries = list(recording.entries())
+    assert [(e.key, e.log_time, e.payload) for e in entries if not e.latched] == [r for r in rows(run) if r[1] >= begin]
+    assert {e.key for e in entries if e.latched} == {"map", "pose", "plan"}
+    assert all(e.log_time == begin for e in entries if e.latched)
+    assert recording.attachments[CONFIG] == b"robot: {}\n"
+    replayed = replay(recording, ["planner"], build)
+    assert compare(replayed).equal
+
+
+def test_trimming_topics_keeps_the_journals(run, tmp_path):
+    out = tmp_path / "t.mcap"
+    assert _status(["recording", "trim", str(run), "--topics", "odom,base/*", "--out", str(out)]) == 0
+    assert {key for key, *_ in rows(out)} == {"odom", "base/wheels", *(f"journal/{name}" for name in CHAIN)}
+    assert compare(replay(Recording(out), ["odometry"], build)).equal
+
+
+def test_merged_parts_are_what_was_published_and_replay_to_the_byte(tmp_path, capsys):
+    config = RecorderConfig(file=str(tmp_path / "run.mcap"), split_time=0.8)
+    store, published = RecordingStore(config), []
+    recorder = RecorderService(config, ROBOT, store)
+
+    def take(sent):
+        published.append(sent.payload)
+        recorder.now = sent.envelope.sent
+        recorder.raw(sent.key, sent.payload, sent.envelope, recorder.now)
+        if len(published) % 20 == 0:
+            list(recorder.flush())
+
+    eventful(take)
+    store.close()
+    parts = sorted(map(str, tmp_path.glob("run*.mcap")))
+    assert len(parts) >= 4
+    out = tmp_path / "whole.mcap"
+    assert _status(["recording", "merge", *reversed(parts), "--out", str(out)]) == 0
+    recording = Recording(out)
+    assert [entry.payload for entry in recording.entries()] == published
+    replayed = replay(recording, CHAIN, build)
+    assert replayed.gaps == []
+    assert compare(replayed).equal
+
+
+def test_recordings_that_were_taken_side_by_side_are_merged_by_their_times(tmp_path):
+    for name, first in (("a", 0), ("b", 1)):
+        with Writer(tmp_path / f"{name}.mcap", {"robot": "x80"}, {CONFIG: name.encode()}) as writer:
+            for i in range(first, 20, 2):
+                writer.write(f"log/{name}", LogLine, b"x", i, i, i)
+    out = tmp_path / "c.mcap"
+    assert rewrite.merge([tmp_path / "b.mcap", tmp_path / "a.mcap"], out) == 0
+    assert [time for _, time, _ in rows(out)] == list(range(20))
+    assert Recording(out).attachments == {CONFIG: b"a", f"b-{CONFIG}": b"b"}
+
+
+def test_recordings_of_two_robots_are_not_merged(tmp_path):
+    for name in "ab":
+        with Writer(tmp_path / f"{name}.mcap", {"robot": name}):
+            pass
+    with pytest.raises(UserError, match="recordings of a and b"):
+        rewrite.merge([tmp_path / "a.mcap", tmp_path / "b.mcap"], tmp_path / "c.mcap")
+    assert not (tmp_path / "c.mcap").exists()
+
+
+# --- the others -----------------------------------------------------------------------------------------------------
+
+
+def test_a_marked_recording_is_kept_and_may_be_given_free(run, capsys):
+    keep = run.with_name(f"{run.name}.keep")
+    assert _status(["recording", "mark", str(run)]) == 0
+    assert keep.exists()
+    assert _status(["recording", "mark", str(run), "--remove"]) == 0
+    assert not keep.exists()
+
+
+def test_plot_takes_the_numbers_of_the_messages(run, tmp_path):
+    recording = Recording(run)
+    x, yaw = series(recording, ["odom:odom_from_base.x", "odom:odom_from_base.yaw"], None, None)
+    poses = [decode(Odometry, p)[0].odom_from_base for key, _, p in rows(run) if key == "odom"]
+    assert x.values.tolist() == [pose.x for pose in poses]
+    assert (x.unit, yaw.unit) == ("m", "rad")
+    largest, third = series(recording, ["map:rows.max", "odom:covariance[4]"], None, None)
+    assert largest.unit == "tiles"
+    assert np.all(third.values == 1.0)
+
+
+def test_plot_draws_a_picture_and_into_the_terminal(run, tmp_path, capsys):
+    out = tmp_path / "p.png"
+    assert _status(["recording", "plot", str(run), "odom:odom_from_base.x", "pose:quality", "--out", str(out)]) == 0
+    with Image.open(out) as image:
+        assert image.width == 2 * 660  # m and 1: two pairs of axes
+    capsys.readouterr()
+    assert _status(["recording", "plot", str(run), "odom:odom_from_base.x"]) == 0
+    drawn = capsys.readouterr().out
+    assert any(0x2800 < ord(c) <= 0x28FF for c in drawn)
+    assert "odom:odom_from_base.x, m" in drawn
+
+
+def test_latency_is_from_stamp_and_from_sending_to_recording(tmp_path, capsys):
+    path = tmp_path / "a.mcap"
+    with Writer(path) as writer:
+        for i in range(100):
+            stamp, sent = i * SECOND, i * SECOND + 4_000_000
+            payload = encode(Velocity(stamp, 0.0, 0.0, ""), Envelope("guard", "s", i, sent))
+            writer.write("cmd/vel", Velocity, payload, sent + 1_000_000 * (1 + (i == 99)), sent, i)
+    assert _status(["recording", "latency", str(path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    row = told["topics"]["cmd/vel"]
+    assert row["n"] == 100
+    assert row["stamp"]["p50"] == pytest.approx(5.0)
+    assert (row["sent"]["p50"], row["sent"]["p100"]) == pytest.approx((1.0, 2.0))
+    assert told["chain"] == {}
+    assert _status(["recording", "latency", str(path), "cmd/*"]) == 0
+    assert topics.CMD_VEL.key in capsys.readouterr().out
+
+
+def test_a_stack_on_a_saved_map_attaches_its_files(tmp_path):
+    for name in ("graph.msgpack", "map.yaml", "map.pgm", "map.png"):
+        (tmp_path / name).write_bytes(name.encode())
+    on_map = OnMap(tmp_path, MapMode.LOCALISE, None)
+    config = RecorderConfig(file=str(tmp_path / "a.mcap"), attach=tuple(on_map.files()))
+    store = RecordingStore(config)
+    store.begin(SECOND, "x80", "robot: {}\n", [])
+    store.close()
+    attached = Recording(tmp_path / "a.mcap").attachments
+    assert attached == {name: name.encode() for name in ("graph.msgpack", "map.yaml", "map.pgm")} | {
+        CONFIG: b"robot: {}\n"
+    }

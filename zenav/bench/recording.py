@@ -1,0 +1,340 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav bench recording`: how fast recordings are written, read, opened and replayed, and what the recorder costs.
+
+Rates are of CPU time, medians of runs in turn with the peer's: the `mcap` package's writer and reader, on the same
+scans. The drive is the stack's own, in lockstep; the hour is that drive again and again, at the rates of the stack.
+"""
+
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+from typing import IO, Any, cast
+
+import mcap.writer
+import numpy as np
+import psutil
+from mcap.reader import make_reader
+
+from shared.codec import Envelope, encode, schema, schema_id
+from shared.config import UserError
+from shared.messages import LaserScan
+from shared.recording import Entry, Recording, Writer
+from shared.runners.replay import Build, Replayed, replay
+from shared.service import Service, every, handlers, on
+from zenav.bench.table import table, writable, write
+from zenav.classes import service_class
+from zenav.client import Client
+from zenav.launch import Launcher, free_stack, service_command
+from zenav.lockstep_run import run as drive
+from zenav.recording.info import info
+from zenav.replay import robot_file
+from zenav.replaying import builder, progress_bar
+from zenav.scene import scene
+from zenav.stopping import Stop, stopping
+from zenav.up import run_folder
+
+N_SCANS, N_BEAMS, RATE = 20_000, 720, 40.0
+REPEATS = 5
+CHUNK_BYTES = 64 * 1024
+DRIVE = 40.0  # s
+FLUSH_EACH = 450  # messages: about a second of the stack
+START = 60.0  # s that the recorder may take to answer
+SECOND = 1_000_000_000
+WRITING, READING, OPENING, REPLAY, SHARE = 20_000, 50_000, 1.0, 50.0, 0.05
+"""What is asked for: scans a second, scans a second, s, times real time, share of a core."""
+OF_OWN = 0.8
+"""of the mapper's own speed, where that is under REPLAY: the rest is reading, decoding and the runner"""
+
+Row = tuple[bytes, int]
+"""A scan's bytes and time, ns."""
+
+
+def recording(hours: float, out: Path | None) -> int:
+    """Measures, shows and writes the figures; 0 when the aims are met."""
+    writable(out)
+    logs = run_folder("recording")
+    with tempfile.TemporaryDirectory() as name, stopping() as stop, progress_bar("recording") as progress:
+        folder = Path(name)
+        report: dict[str, Any] = {"scans": _scans(folder)}
+        progress(0.2)
+        driven = folder / "drive.mcap"
+        drive(scene("x80sv", "office", 0, []), DRIVE, driven)
+        progress(0.4)
+        report["replay"] = _replayed(driven)
+        progress(0.5)
+        report["recorder"] = _recorder(driven, logs, folder / "live.mcap", stop)
+        if stop.is_set():
+            return 130
+        progress(0.7)
+        report["hour"] = _hour(driven, folder / "hour.mcap", hours)
+        progress(1.0)
+    report["summary"] = {
+        "written_a_second": report["scans"]["write"]["ours"],
+        "read_a_second": report["scans"]["read"]["ours"],
+        "open_s": report["hour"]["open_s"],
+        "seek_s": report["hour"]["seek_s"],
+        "info_s": report["hour"]["info_s"],
+        "mapper_times_real_time": report["replay"]["ratio"],
+        "replay_times_real_time": report["replay"]["runner_ratio"],
+        "recorder_share": report["recorder"]["share"],
+        "recorder_missed": report["recorder"]["missed"],
+    }
+    show(report)
+    write(out, report)
+    s = report["summary"]
+    fast = s["written_a_second"] >= WRITING and s["read_a_second"] >= READING
+    quick = max(s["open_s"], s["seek_s"], s["info_s"]) < OPENING
+    replays = s["mapper_times_real_time"] >= min(REPLAY, OF_OWN * report["replay"]["own_ratio"])
+    return 0 if fast and quick and replays and s["recorder_share"] < SHARE and not s["recorder_missed"] else 1
+
+
+# --- scans ----------------------------------------------------------------------------------------------------------
+
+
+def _scans(folder: Path) -> dict[str, Any]:
+    rows = scans()
+    ours, peers = folder / "ours.mcap", folder / "peers.mcap"
+    return {
+        "bytes": len(rows[0][0]),
+        "write": _compared({"ours": lambda: write_ours(ours, rows), "mcap": lambda: write_peers(peers, rows)}),
+        "read": _compared({"ours": lambda: read_ours(ours), "mcap": lambda: read_peers(ours)}),
+        "size_ratio": round(ours.stat().st_size / peers.stat().st_size, 3),
+    }
+
+
+def scans(n: int = N_SCANS) -> list[Row]:
+    """Sweeps of a room with a laser's noise, rounded to the mm as lasers do."""
+    rng, found = np.random.default_rng(0), []
+    room = 4 + 2 * np.sin(np.arange(N_BEAMS) / 50)
+    for i in range(n):
+        at = round(i * SECOND / RATE)
+        ranges = (room + rng.normal(0, 0.01, N_BEAMS)).round(3).astype(np.float32)
+        scan = LaserScan(at, -np.pi, 2 * np.pi / N_BEAMS, 1 / RATE, 0.05, 12.0, ranges)
+        found.append((encode(scan, Envelope("sim", "bench", i, at)), at))
+    return found
+
+
+def _compared(calls: dict[str, Callable[[], None]]) -> dict[str, float]:
+    """Scans a second of CPU, medians of runs in turn; ratio: ours to the peer's, of each round."""
+    seconds: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(REPEATS):
+        for name, call in calls.items():
+            begun = time.process_time()
+            call()
+            seconds[name].append(time.process_time() - begun)
+    rates: dict[str, float] = {name: round(N_SCANS / median(took)) for name, took in seconds.items()}
+    ratios = [peer / own for own, peer in zip(seconds["ours"], seconds["mcap"])]
+    return rates | {"ratio": round(median(ratios), 2)}
+
+
+def write_ours(path: Path, rows: list[Row]) -> None:
+    with Writer(path) as writer:
+        for i, (payload, at) in enumerate(rows):
+            writer.write("scan", LaserScan, payload, at, at, i)
+
+
+def write_peers(path: Path, rows: list[Row]) -> None:
+    with path.open("wb") as file:
+        writer = mcap.writer.Writer(cast(IO[Any], file), chunk_size=CHUNK_BYTES)
+        writer.start()
+        number = writer.register_schema(schema_id(LaserScan), "zenav", schema(LaserScan))
+        channel = writer.register_channel("scan", "msgpack", number)
+        for i, (payload, at) in enumerate(rows):
+            writer.add_message(channel, at, payload, at, i)
+        writer.finish()  # type: ignore[no-untyped-call]  # mcap's own
+
+
+def read_ours(path: Path) -> None:
+    n = sum(len(entry.payload) > 0 for entry in Recording(path).entries())
+    if n != N_SCANS:
+        raise RuntimeError(f"{n} of {N_SCANS} scans were read")
+
+
+def read_peers(path: Path) -> None:
+    with path.open("rb") as file:
+        n = sum(len(message.data) > 0 for _, _, message in make_reader(file).iter_messages())
+    if n != N_SCANS:
+        raise RuntimeError(f"{n} of {N_SCANS} scans were read")
+
+
+# --- the drive ------------------------------------------------------------------------------------------------------
+
+
+def _replayed(path: Path) -> dict[str, float]:
+    """The mapper in process, on its journal: seconds of the drive a CPU second, its second time round."""
+    found = Recording(path)
+    file = robot_file(found)
+    if file is None:
+        raise RuntimeError("the drive has no configuration")
+    events = [event for life in found.lives()["mapper"] for event in life.events]
+    seconds = (events[-1].now - events[0].now) / SECOND
+    _, (took, replayed) = _timed(found, builder(file)), _timed(found, builder(file))  # the first loads the kernels
+    if replayed.gaps:
+        raise RuntimeError(f"the drive does not replay: {replayed.gaps[0]}")
+    runner, _ = _timed(found, lambda name: idle(service_class(name)))
+    return {
+        "seconds": round(seconds, 1), "cpu_s": round(took, 3), "runner_cpu_s": round(runner, 3),
+        "ratio": round(seconds / took, 1), "own_ratio": round(seconds / max(took - runner, 1e-9), 1),
+        "runner_ratio": round(seconds / runner),
+    }  # fmt: skip
+
+
+def _timed(found: Recording, build: Build) -> tuple[float, Replayed]:
+    begun = time.process_time()
+    replayed = replay(found, ["mapper"], build)
+    return time.process_time() - begun, replayed
+
+
+def idle(class_: type[Service]) -> Service:
+    """A service that listens to what this one does, and does nothing: what is left is the runner's own work."""
+    marked = handlers(class_)
+    methods: dict[str, Any] = {name: on(topic)(lambda self, message: ()) for topic, name in marked.topics.values()}
+    methods |= {name: every(hz)(lambda self: ()) for hz, name, _ in marked.ticks}
+    made: Any = type("Idle", (Service,), methods)
+    return cast(Service, made(None, None))
+
+
+def _recorder(path: Path, logs: Path, live: Path, stop: Stop) -> dict[str, float]:
+    """The recorder's process while the drive is published at its own pace: its share of a core, and what it missed."""
+    entries = [entry for entry in Recording(path).entries() if not entry.key.endswith("/recorder")]
+    zero = entries[0].log_time
+    with free_stack() as claim, Client("x80", claim.where) as client, subscriber(claim.where.domain) as bare:
+        command = service_command("recorder", "x80sv", str(claim.where.domain), [f"recorder.file={live}"])
+        with Launcher({"recorder": command}, logs) as launcher:
+            heard: list[str] = []
+            client.listen_raw("health/recorder", lambda key, _: heard.append(key))
+            launcher.start_all()
+            limit = time.monotonic() + START
+            while not heard and not stop.is_set():
+                if time.monotonic() > limit:
+                    raise UserError("the recorder does not answer", f"see {logs}/recorder.log")
+                stop.wait(0.1)
+                launcher.step()
+            child = launcher.children["recorder"].process
+            process = psutil.Process(child.pid if child else 0)
+            before, bare_before, begun = _cpu(process), _cpu(bare), time.monotonic()
+            for entry in entries:
+                late = begun + (entry.log_time - zero) / SECOND - time.monotonic()
+                if late > 0 and stop.wait(late):
+                    break
+                client.session.put(f"x80/{entry.key}", entry.payload)
+            stop.wait(1.5)  # it flushes once a second
+            wall = time.monotonic() - begun
+            share, bare_share = (_cpu(process) - before) / wall, (_cpu(bare) - bare_before) / wall
+    found = Recording(live)
+    n = sum(not entry.key.endswith("/recorder") for entry in found.entries())
+    return {
+        "messages_a_second": round(len(entries) / wall, 1), "share": round(share, 4),
+        "bare_share": round(bare_share, 4), "ratio": round(share / max(bare_share, 1e-9), 2),
+        "missed": len(entries) - n if not stop.is_set() else 0,
+    }  # fmt: skip
+
+
+BARE = """
+import sys
+from shared.runners.transport import where_from
+from zenav.client import Client
+with Client("x80", where_from(sys.argv[1])) as client:
+    client.listen_raw("**", lambda key, payload: None)
+    sys.stdin.read()
+"""
+
+
+@contextmanager
+def subscriber(domain: int) -> Iterator[psutil.Process]:
+    """A process that hears everything and does nothing with it: what of the recorder's share is Zenoh's."""
+    with subprocess.Popen([sys.executable, "-c", BARE, str(domain)], stdin=subprocess.PIPE) as process:
+        try:
+            yield psutil.Process(process.pid)
+        finally:
+            process.kill()
+
+
+def _cpu(process: psutil.Process) -> float:
+    """s of CPU that it has taken."""
+    times = process.cpu_times()
+    return float(times.user + times.system)
+
+
+# --- the hour -------------------------------------------------------------------------------------------------------
+
+
+def _hour(driven: Path, path: Path, hours: float) -> dict[str, float]:
+    """A long recording: opened, sought in its middle, its info; each once, as somebody does who looks into it."""
+    n = make_hour(driven, path, hours)
+    begun = time.perf_counter()
+    found = Recording(path)
+    opened = time.perf_counter() - begun
+    blocks = found.blocks
+    middle = (blocks[0].begin + blocks[-1].end) // 2
+    begun = time.perf_counter()
+    next(found.entries(["scan"], middle))
+    sought = time.perf_counter() - begun
+    begun = time.perf_counter()
+    told = info(path)
+    informed = time.perf_counter() - begun
+    if told.messages != n:
+        raise RuntimeError(f"info counts {told.messages} of {n} messages")
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    begun = time.perf_counter()
+    subprocess.run([sys.executable, "-m", "zenav", "recording", "info", str(path)], stdout=subprocess.DEVNULL)
+    wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return {
+        "hours": hours, "messages": n, "mb": round(path.stat().st_size / 1e6, 1), "open_s": round(opened, 3),
+        "seek_s": round(sought, 4), "info_s": round(informed, 3), "command_s": round(wall, 2),
+        "command_cpu_s": round(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, 2),
+    }  # fmt: skip
+
+
+def make_hour(driven: Path, path: Path, hours: float) -> int:
+    """The drive again and again; the number of messages. Payloads stay: their stamps are the drive's."""
+    entries = list(Recording(driven).entries(as_recorded=True))
+    zero, length = entries[0].log_time, entries[-1].log_time - entries[0].log_time + SECOND // 50
+    n, shift = 0, 0
+    with Writer(path, {"robot": "x80"}) as writer:
+        while shift < hours * 3600 * SECOND:
+            for entry in entries:
+                at = entry.log_time + shift
+                if at - zero >= hours * 3600 * SECOND:
+                    break
+                writer.copy(Entry(entry.channel, at, entry.sent + shift, entry.sequence, entry.payload))
+                n += 1
+                if n % FLUSH_EACH == 0:
+                    writer.flush()
+            shift += length
+    return n
+
+
+# --- shown ----------------------------------------------------------------------------------------------------------
+
+
+def show(report: dict[str, Any]) -> None:
+    """The figures as tables."""
+    rates = [
+        (f"{kind}, scans/s of CPU", f"{row['ours']:.0f}", f"{row['mcap']:.0f}", f"{row['ratio']:.2f}")
+        for kind, row in (("write", report["scans"]["write"]), ("read", report["scans"]["read"]))
+    ]
+    table(f"scans of {N_BEAMS} beams, {report['scans']['bytes']} bytes", ("", "ours", "mcap", "ratio"), rates)
+    hour, live, again = report["hour"], report["recorder"], report["replay"]
+    title = f"a recording of {hour['hours']:g} h: {hour['messages']} messages, {hour['mb']:.0f} MB"
+    rows = [(name, f"{hour[f'{name}_s']:.3f}") for name in ("open", "seek", "info")]
+    table(title, ("s", ""), [*rows, ("zenav recording info, with its start", f"{hour['command_s']:.2f}")])
+    table(
+        "the drive",
+        ("", ""),
+        [
+            ("mapper replayed, times real time", f"{again['ratio']:.1f}"),
+            ("the mapper's own speed", f"{again['own_ratio']:.1f}"),
+            ("the replay's own speed", f"{again['runner_ratio']:.0f}"),
+            ("recorder, % of a core", f"{live['share'] * 100:.1f}"),
+            ("a subscriber that does nothing, % of a core", f"{live['bare_share'] * 100:.1f}"),
+            ("recorder, messages a second", f"{live['messages_a_second']:.0f}"),
+            ("recorder, messages missed", f"{live['missed']}"),
+        ],
+    )

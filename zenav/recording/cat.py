@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav recording cat`: messages as JSON lines, or what is attached, onto stdout."""
+
+import json
+import sys
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import msgpack
+
+from shared import topics
+from shared.codec import CodecError, decode
+from shared.config import UserError, nearest
+from shared.recording import Entry
+from zenav.recording.chosen import keys_in, opened, span
+from zenav.topic import plain
+
+
+def cat(path: Path, patterns: list[str], begin: float | None, end: float | None, number: int, attached: str) -> int:
+    """Writes up to `number` messages (0: all) of the keys that match, or the attachment of that name.
+
+    1 where something of the recording could not be read.
+    """
+    recording = opened(path)
+    if attached:
+        if attached not in recording.attachments:
+            raise UserError(f"{path} has no {attached} attached", nearest(attached, tuple(recording.attachments)))
+        sys.stdout.buffer.write(recording.attachments[attached])
+        return 0
+    since, until = span(recording, begin, end)
+    entries = recording.entries(keys_in(recording, patterns), since, until)
+    for entry in islice(entries, number or None):
+        sys.stdout.write(json.dumps(shown(entry)) + "\n")
+    for problem in recording.problems:
+        sys.stderr.write(f"{problem}\n")
+    return 1 if recording.problems else 0
+
+
+def shown(entry: Entry) -> dict[str, Any]:
+    """A message as JSON: its key, when it was recorded (ns), its fields; who sent it, when (ns), as which one.
+
+    One that this version does not know is told as far as it is msgpack; else by its size, and why.
+    """
+    head = {"key": entry.key, "log_time": entry.log_time} | ({"latched": True} if entry.latched else {})
+    topic = topics.topic_of(entry.key)
+    try:
+        if topic is None or entry.channel.encoding != "msgpack":
+            raise CodecError("no topic of this version")
+        message, envelope = decode(topic.type, entry.payload)
+    except CodecError as error:
+        return head | {"problem": str(error), "size": len(entry.payload)} | _foreign(entry)
+    about = {"publisher": envelope.publisher, "session": envelope.session, "sequence": envelope.sequence}
+    fields: dict[str, Any] = plain(message)
+    return head | fields | {"@": about | {"sent": envelope.sent}}
+
+
+def _foreign(entry: Entry) -> dict[str, Any]:
+    if entry.channel.encoding == "json":
+        try:
+            return {"message": json.loads(entry.payload)}
+        except (ValueError, RecursionError):
+            return {}
+    if entry.channel.encoding != "msgpack":
+        return {}
+    try:
+        return {"message": _plain(msgpack.unpackb(entry.payload, strict_map_key=False))}
+    except Exception:  # msgpack raises a dozen kinds on foreign bytes; its size was told
+        return {}
+
+
+def _plain(value: Any) -> Any:
+    """What msgpack knows as what JSON knows."""
+    if isinstance(value, dict):
+        return {str(name): _plain(inner) for name, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, bytes):
+        return value.hex()
+    return value if value is None or isinstance(value, (str, int, float, bool)) else str(value)

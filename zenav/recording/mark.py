@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav recording mark`: recordings that the recorder must not remove."""
+
+import sys
+from pathlib import Path
+
+from services.recorder.retention import KEEP
+from shared.config import UserError
+from zenav.recording.chosen import opened
+
+
+def mark(paths: list[Path], remove: bool) -> int:
+    """Marks recordings, or takes their marks away. Raises UserError where one is none, or its folder refuses."""
+    for path in paths:
+        opened(path)
+        keep = path.with_name(path.name + KEEP)
+        try:
+            if remove:
+                keep.unlink(missing_ok=True)
+            else:
+                keep.touch()
+        except OSError as error:
+            raise UserError(f"cannot mark {path}: {error.strerror}", "check its folder's permissions") from None
+        sys.stdout.write(f"{path} {'may be removed' if remove else 'is kept'}\n")
+    return 0

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav recording repair|trim|merge`: a new recording out of old ones. Bytes of messages are never changed."""
+
+import os
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from heapq import merge as merged_by
+from operator import attrgetter
+from pathlib import Path
+
+from shared.config import UserError
+from shared.recording import CONFIG, Drop, Entry, Recording, Writer
+from shared.recordings.held import Held
+from shared.recordings.reader import LATCHED
+from zenav.recording.chosen import OUT, SECOND, begin_of, end_of, keys_in, opened, span, writable
+
+
+@contextmanager
+def written(out: Path, source: Recording, about: dict[str, str], attachments: dict[str, bytes]) -> Iterator[Writer]:
+    """A copy of another recording that takes its name when it is whole. Raises UserError where the disk refuses."""
+    part = out.with_name(f"{out.name}.writing")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with Writer(part, about, attachments, profile=source.profile) as writer:
+            for name, told in source.metadata:
+                writer.note(name, told)
+            yield writer
+        with part.open("rb") as file:
+            os.fsync(file.fileno())
+        part.replace(out)
+    except OSError as error:
+        raise UserError(f"cannot write {out}: {error.strerror}", OUT) from None
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+# --- repair ---------------------------------------------------------------------------------------------------------
+
+
+def repair(path: Path, out: Path | None) -> int:
+    """Gives a recording that was not closed, or is damaged, its index back; in its place, or into `out`.
+
+    Where something is lost, the damaged file stays beside it as NAME.damaged. 1 where something is lost.
+    """
+    recording = opened(path)
+    if out is not None:
+        writable(out, path)
+    n = 0
+    to = out or path.with_name(f"{path.name}.repaired")
+    with written(to, recording, recording.about, recording.attachments) as writer:
+        writer.note_drops(recording.drops)
+        for entry in recording.entries(as_recorded=True):
+            writer.copy(entry)
+            n += 1
+    lost = bool(recording.damage)
+    if out is None:
+        _take_place(path, lost)
+    sys.stdout.write(f"{out or path}: {n} messages, with an index\n")
+    for problem in recording.problems:
+        sys.stderr.write(f"{problem}\n")
+    if lost:
+        known = f"{recording.n_lost} messages are known to be lost" if recording.n_lost else "something is lost"
+        kept = "" if out else f"; the damaged file is {path}.damaged"
+        sys.stderr.write(f"{known}{kept}\n")
+    return 1 if lost else 0
+
+
+def _take_place(path: Path, lost: bool) -> None:
+    repaired = path.with_name(f"{path.name}.repaired")
+    try:
+        if lost:
+            os.link(path, _free(path.with_name(f"{path.name}.damaged")))
+        repaired.replace(path)
+    except OSError as error:
+        raise UserError(f"cannot replace {path}: {error.strerror}", f"the repaired one is {repaired}") from None
+
+
+def _free(path: Path) -> Path:
+    """The path, or the first of its like that is not taken."""
+    n, free = 1, path
+    while free.exists():
+        n, free = n + 1, path.with_name(f"{path.name}-{n + 1}")
+    return free
+
+
+# --- trim -----------------------------------------------------------------------------------------------------------
+
+
+def trim(path: Path, out: Path, begin: float | None, end: float | None, patterns: list[str]) -> int:
+    """The part from `begin` to `end` (s since the start), of all topics or some, that still replays.
+
+    It keeps the configuration, what was latched when it begins, and the journals. A journal comes once a second and
+    tells of the second before it: what is left of the last second is there, but not replayed.
+    """
+    writable(out, path)
+    recording = opened(path)
+    keys = keys_in(recording, patterns)
+    since, until = span(recording, begin, end)
+    first = begin_of(recording) if since is None else since
+    held, n = Held(), 0
+    about = recording.about | {"trimmed": f"{(first - begin_of(recording)) / SECOND:g} s on, from {path.name}"}
+    with written(out, recording, about, recording.attachments) as writer:
+        writer.note_drops(drop for drop in recording.drops if first <= drop.at and (until is None or drop.at < until))
+        begun = since is None
+        for entry in recording.entries(as_recorded=True):
+            if keys is not None and entry.key not in keys and not entry.key.startswith("journal/"):
+                continue
+            if not begun and entry.log_time >= first:
+                begun = True
+                n += _begin(writer, held, first, recording)
+            if not begun:
+                held.take(entry.key, entry.payload)
+            elif until is None or entry.log_time < until:
+                writer.copy(entry)
+                n += 1
+    sys.stdout.write(f"{out}: {n} messages, {out.stat().st_size / 1e6:.1f} MB\n")
+    for problem in recording.problems:
+        sys.stderr.write(f"{problem}\n")
+    return 0
+
+
+def _begin(writer: Writer, held: Held, at: int, recording: Recording) -> int:
+    """Writes what was latched at `at` (ns), each with the schema that it was recorded with."""
+    channels = {source.recorded.key: source.recorded for source in recording.sources.values()}
+    values = held.values()
+    for value in values:
+        channel = replace(channels[value.key], metadata=(LATCHED,))
+        writer.copy(Entry(channel, at, value.envelope.sent, value.envelope.sequence, value.payload))
+    return len(values)
+
+
+# --- merge ----------------------------------------------------------------------------------------------------------
+
+
+def merge(paths: list[Path], out: Path) -> int:
+    """One recording out of several: parts one after the other; those that were taken side by side by their times."""
+    if len(paths) < 2:
+        raise UserError("merging takes two recordings or more", "zenav recording merge A.mcap B.mcap --out C.mcap")
+    for path in paths:
+        writable(out, path)
+    recordings = sorted((opened(path) for path in paths), key=begin_of)
+    robots = dict.fromkeys(name for r in recordings if (name := r.about.get("robot")))
+    if len(robots) > 1:
+        raise UserError(f"these are recordings of {' and '.join(robots)}", "merge those of one robot")
+    about = {name: text for name, text in recordings[0].about.items() if name not in ("part", "recording")}
+    about["merged"] = ", ".join(recording.path.name for recording in recordings)
+    n = 0
+    with written(out, recordings[0], about, _attachments(recordings)) as writer:
+        writer.note_drops(_drops(recordings))
+        for entry in _in_order(recordings):
+            writer.copy(entry)
+            n += 1
+    sys.stdout.write(f"{out}: {n} messages, {out.stat().st_size / 1e6:.1f} MB\n")
+    for recording in recordings:
+        for problem in recording.problems:
+            sys.stderr.write(f"{recording.path}: {problem}\n")
+    return 0
+
+
+def _in_order(recordings: list[Recording]) -> Iterator[Entry]:
+    """Their messages; what a later part repeats of what was latched is left out, where the part before it is there."""
+    streams: list[Iterable[Entry]] = []
+    ends, alone = [end_of(recording) for recording in recordings], True
+    for i, recording in enumerate(recordings):
+        alone &= i == 0 or begin_of(recording) >= ends[i - 1]
+        streams.append(_new(recording, _follows(recordings[i - 1], recording) if i else False))
+    if alone:
+        for stream in streams:
+            yield from stream
+    else:
+        yield from merged_by(*streams, key=attrgetter("log_time"))
+
+
+def _new(recording: Recording, follows: bool) -> Iterator[Entry]:
+    return (entry for entry in recording.entries(as_recorded=True) if not (follows and entry.latched))
+
+
+def _follows(before: Recording, after: Recording) -> bool:
+    a, b = before.about, after.about
+    if not a.get("recording") or a.get("recording") != b.get("recording"):
+        return False
+    return a.get("part", "").isdigit() and b.get("part") == str(int(a["part"]) + 1)
+
+
+def _attachments(recordings: list[Recording]) -> dict[str, bytes]:
+    """All of them; another one of the same name has its recording's name before its own."""
+    found: dict[str, bytes] = {}
+    for recording in recordings:
+        for name, content in recording.attachments.items():
+            if found.setdefault(name, content) != content:
+                found[f"{recording.path.stem}-{name}"] = content
+    if CONFIG in found and f"{recordings[-1].path.stem}-{CONFIG}" in found:
+        sys.stderr.write("their configurations differ: a replay takes the first one's\n")
+    return found
+
+
+def _drops(recordings: list[Recording]) -> list[Drop]:
+    return sorted((drop for recording in recordings for drop in recording.drops), key=lambda drop: drop.at)
