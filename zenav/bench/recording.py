@@ -30,11 +30,12 @@ from shared.service import Service, every, handlers, on
 from zenav.bench.table import table, writable, write
 from zenav.classes import service_class
 from zenav.client import Client
+from zenav.files import progress_bar
 from zenav.launch import Launcher, free_stack, service_command
 from zenav.lockstep_run import run as drive
 from zenav.recording.info import info
 from zenav.replay import robot_file
-from zenav.replaying import builder, progress_bar
+from zenav.replaying import builder
 from zenav.scene import scene
 from zenav.stopping import Stop, stopping
 from zenav.up import run_folder
