@@ -247,7 +247,7 @@ def since(first: int, stamp: int) -> int:
 
 
 def trajectory(log: Log, estimates: list[PoseEstimate], first: int) -> tuple[Float64s, Float64s]:
-    """The base's pose at every record: (n,) s on the log's clock, and (n, 3).
+    """The base's pose at every record, in the order of their stamps: (n,) s on the log's clock, and (n, 3).
 
     At the end of scans it is the mapper's; between two of them odometry fills in, corrected by what it got wrong
     between them. Where the log has no odometry, which then stands still, the motion is even.
@@ -271,7 +271,8 @@ def trajectory(log: Log, estimates: list[PoseEstimate], first: int) -> tuple[Flo
             pose = interpolated(early, late, share)
         stamps.append(record.stamp * 1e-9)
         rows.append((pose.x, pose.y, pose.yaw))
-    return np.array(stamps), np.array(rows)
+    order = np.argsort(stamps, kind="stable")  # a sweep is recorded after what was measured while it lasted
+    return np.array(stamps)[order], np.array(rows)[order]
 
 
 def tum(stamps: Float64s, poses: Float64s) -> str:

@@ -1,14 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 import gzip
 import json
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from services.mapper.service import MapperConfig
+from shared.codec import decode
 from shared.config import UserError
 from shared.geometry import Pose2
+from shared.messages import Odometry
+from shared.recording import Recording
 from shared.ros_map import read_ros_map
 from tests.unit.zenav.logs import room_log
 from zenav.__main__ import _status
@@ -51,6 +56,16 @@ def test_a_log_becomes_a_trajectory_a_map_a_picture_and_a_report(log, tmp_path):
     found = [Pose2(*row) for row in poses[stamps > 99.95][::2]]  # at the scans
     error = [(found[0].inverse() @ b).distance(true[0].inverse() @ a) for a, b in zip(true, found)]
     assert max(error) < 0.03
+
+
+def test_a_recording_s_trajectory_is_in_the_order_of_time_and_as_long_as_the_drive(tmp_path):
+    recording = Path(__file__).parents[2] / "replay" / "recordings" / "driving.mcap"
+    report = slam(recording, tmp_path)
+    stamps, _ = poses_of(tmp_path)
+    assert (np.diff(stamps) >= 0).all()
+    odometry = [decode(Odometry, e.payload)[0].odom_from_base for e in Recording(recording).entries(["odom"])]
+    driven = sum(a.distance(b) for a, b in pairwise(odometry))
+    assert report["length_m"] == pytest.approx(driven, rel=0.05)
 
 
 def test_the_same_log_gives_the_same_bytes_twice(log, tmp_path):
