@@ -14,7 +14,7 @@ from services.mapper.loop_closure import Blocks, Loop, LoopConfig, closed, in_ow
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.odometry_error import OdometryError
 from services.mapper.optimisation import PoseGraphConfig, optimised
-from services.mapper.pose_graph import Graph, Optimised, PoseGraph, between, pose_of
+from services.mapper.pose_graph import Graph, Optimised, PoseGraph, between
 from services.mapper.registration import Match, RegistrationConfig
 from services.mapper.saved_map import SavedMap
 from services.mapper.submap import Submap
@@ -25,6 +25,7 @@ from shared.config import Section
 from shared.geometry import Float64s, Pose2, wrapped_all
 
 SEEN = 0.02  # m, a correction that shows on the map
+ANCHORS = 10  # keyframes that tell where `local` is
 CONFIRMING = 7  # closures since the last optimisation, that agree
 HELD = np.diag((0.1**-2, 0.1**-2, 0.03**-2))
 """Information of the place at which the robot was found on a saved map: closures will know it better."""
@@ -266,16 +267,26 @@ class BackEnd:
 
     def take(self, optimum: Optimised) -> None:
         """Takes an optimum."""
-        before, last = self.graph.poses.copy(), self.keyframes[-1].local_from_base
+        before, local_from_map = self.graph.poses.copy(), self.map_from_local.inverse()
         self.graph.take(optimum)
         if self.closing:
             self.settled_to, self.closing = int(self.graph.nodes[-1]), False
-        self.map_from_local = pose_of(self.graph.poses[-1]) @ last.inverse()
+        self.map_from_local = self._map_from_local()
         near = np.hypot(*(before[:, :2] - before[-1, :2]).T) < self._near + BETWEEN
-        shift = between(self.graph.poses[-1:], self.graph.poses[near]) - between(before[-1:], before[near])
+        shift = self.map_from_local.inverse() @ self.graph.poses[near, :2] - local_from_map @ before[near, :2]
         self.shifted += float(np.hypot(shift[:, 0], shift[:, 1]).max())
         if not self.fixed:
             self.moved += float(np.hypot(*(self.graph.poses - before)[:, :2].T).max())
+
+    def _map_from_local(self) -> Pose2:
+        """Where `local` is by the last keyframes together: the heading of one alone turns all that is far."""
+        first = max(self.session, len(self.keyframes) - ANCHORS)
+        poses = self.graph.poses[first:]
+        local = np.array([(k.local_from_base.x, k.local_from_base.y) for k in self.keyframes[first:]])
+        turns = wrapped_all(poses[:, 2] - np.array([k.local_from_base.yaw for k in self.keyframes[first:]]))
+        yaw = float(turns[-1] + wrapped_all(turns - turns[-1]).mean())
+        x, y = (poses[:, :2] - Pose2(0, 0, yaw) @ local).mean(axis=0)
+        return Pose2(float(x), float(y), yaw)
 
     @property
     def _near(self) -> float:

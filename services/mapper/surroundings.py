@@ -18,9 +18,9 @@ from services.mapper.pose_graph import Graph, Int64s, pose_of
 from services.mapper.registration import RegistrationConfig
 from services.mapper.submap import Submap
 from services.mapper.uncertainty import uncertainty_from
-from shared.geometry import Float64s, Pose2
+from shared.geometry import Bools, Float64s, Pose2, wrapped_all
 
-SAME = 0.5  # m, and rad: of two keyframes so near, one tells enough
+SAME = np.array((1.0, 1.0, 0.5))  # m, m, rad: of two keyframes so near, one tells enough
 BETWEEN = 6.0  # m that the robot drives, about, until they are gathered anew
 
 
@@ -68,14 +68,14 @@ def surroundings(
     away = np.hypot(*(graph.poses[:, :2] - graph.poses[-1, :2]).T)
     known, nodes = sigma < sure, graph.nodes
     wanted = known & (away < near + BETWEEN)
-    places = places_of(graph.poses)
     if held is not None:
         there = np.isin(nodes, held.nodes) | (nodes > held.node)
-        lacks = wanted & ~np.isin(places, places[there]) & (away < near)
+        lacks = known & ~there & (away < near)
+        lacks[lacks] = ~_near_one_of(graph.poses[lacks], graph.poses[there])
         holds_wrong = there & ~known & (away < near + BETWEEN)
         if not (lacks | holds_wrong).any():
             return Surroundings(None, Held(nodes[there], newest), session)
-    first = np.unique(places[wanted], return_index=True)[1]
+    first = np.unique(_places(graph.poses[wanted]), return_index=True)[1]
     wanted = np.sort(np.flatnonzero(wanted)[first])
     submap = Submap(*settings)
     for row in wanted.tolist():
@@ -86,7 +86,15 @@ def surroundings(
     return Surroundings(submap, Held(nodes[wanted], newest), session)
 
 
-def places_of(poses: Float64s) -> Int64s:
+def _places(poses: Float64s) -> Int64s:
     """(n,) numbers of the places where poses (n, 3) are."""
     _, places = np.unique(np.floor(poses / SAME), axis=0, return_inverse=True)
     return np.asarray(places, np.int64)
+
+
+def _near_one_of(poses: Float64s, others: Float64s) -> Bools:
+    """Which poses (n, 3) are at the place of one of the others (k, 3), or beside it: corrections move them."""
+    off = poses[:, None] - others[None]
+    off[..., 2] = wrapped_all(off[..., 2])
+    beside: Bools = np.abs(off) < 2 * SAME
+    return np.asarray(beside.all(axis=2).any(axis=1))
