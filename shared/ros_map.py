@@ -92,8 +92,9 @@ def ros_map_files(
 ) -> dict[str, bytes]:
     """The content of NAME.pgm and NAME.yaml. cells: (h, w) int8 percent, -1 unknown, row 0 lowest; m a cell; m, m.
 
-    trinary: cells between the thresholds become unknown, as map_saver does. scale and raw keep every percent; scale's
-    unknown cells are transparent, so its picture is NAME.png. negate: white is occupied; raw has no such thing.
+    trinary: cells between the thresholds become unknown, as map_saver does. scale and raw keep every percent, but 99
+    becomes 98 with scale: no grey says it. scale's unknown cells are transparent, so its picture is NAME.png. negate:
+    white is occupied; raw has no such thing.
     """
     grey = _grey_of(cells, mode)[::-1]
     if negate and mode != "raw":

@@ -96,5 +96,5 @@ def _near_one_of(poses: Float64s, others: Float64s) -> Bools:
     """Which poses (n, 3) are at the place of one of the others (k, 3), or beside it: corrections move them."""
     off = poses[:, None] - others[None]
     off[..., 2] = wrapped_all(off[..., 2])
-    beside: Bools = np.abs(off) < 2 * SAME
-    return np.asarray(beside.all(axis=2).any(axis=1))
+    beside = np.logical_and.reduce(np.abs(off) < 2 * SAME, axis=2)
+    return np.asarray(np.logical_or.reduce(beside, axis=1))

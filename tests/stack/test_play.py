@@ -105,7 +105,7 @@ def test_with_recorded_stamps_tools_know_the_recorded_time(file, where):
 
         play_with(keys, file, where, Wish("odom", rate=3.0))
         first = next(Recording(file).entries()).log_time / 1e9
-        assert first + 2.0 < max(asked) < first + 5.0
+        assert first + 2.0 < asked[-1] < first + 5.0
 
 
 def play_with(keys: Callable[[float], str], file: Path, where: transport.Where, wish: Wish) -> None:
@@ -230,7 +230,7 @@ def test_a_renamed_topic_comes_under_its_other_name(file, where):
     with ear(where) as listening:
         play(file, "", str(where.domain), Wish("odom", remap=("odom=old/odom",), rate=20.0))
         listening.until(lambda: len(listening.heard.get("old/odom", ())) == len(recorded(file, "odom")))
-        assert "odom" not in listening.heard
+        assert not set(listening.heard.get("odom", ())) & set(recorded(file, "odom"))
 
 
 def test_a_recording_that_breaks_off_is_played_up_to_there_and_that_is_told(file, where, tmp_path, capsys):

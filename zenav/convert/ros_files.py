@@ -35,6 +35,8 @@ LATEST = frozenset({"nav_msgs/msg/OccupancyGrid"})
 ZSTD = b"\x28\xb5\x2f\xfd"
 SLICE = 1 << 20  # bytes
 
+LONGEST = 300  # characters of what rosbags says
+
 
 class Raw(NamedTuple):
     """A message as it lies in a bag. received: ns, when the recorder took it."""
@@ -177,7 +179,7 @@ def _thinned(messages: Iterable[Raw]) -> list[Raw]:
 
 def _short(error: Exception) -> str:
     text = " ".join(str(error).split()).rstrip(".")
-    return text[:120] if text else f"its index makes no sense ({type(error).__name__})"
+    return text[:LONGEST] if text else f"its index makes no sense ({type(error).__name__})"
 
 
 def _plain(data: bytes) -> bytes:
