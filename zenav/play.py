@@ -25,12 +25,13 @@ from shared.codec import CodecError, Envelope, encode, envelope_of
 from shared.config import UserError
 from shared.messages import Clock
 from shared.recording import Recording
+from shared.recordings.held import Held
 from shared.runners.transport import LatchedPublisher, Where, where_from
 from shared.topics import SERVICES, Topic
 from zenav import playback
 from zenav.client import Client
 from zenav.launch import taken
-from zenav.playback import Contents, Latched, Playhead, Wish
+from zenav.playback import Contents, Playhead, Wish
 from zenav.stopping import Stop, stopping
 from zenav.teleop import raw_terminal
 
@@ -229,7 +230,7 @@ class Player:
 
     def _pass(self, paused: bool) -> None:
         start, end = self._wish.start * 1e9, (self._wish.end or inf) * 1e9
-        latched, begun = Latched(), False
+        latched, begun = Held(), False
         entries = self._recording.entries(list(self._playing))
         for place, entry in playback.timed(entries, self._there.first, self.notes):
             key = self._playing[entry.key]
@@ -240,9 +241,9 @@ class Player:
             if not begun:
                 begun = True
                 self._head = Playhead(time.monotonic_ns(), self._wish.rate, paused, round(start))
-                for kept in latched.values:
-                    self._keep(latched, kept, round(start))
-                    self._put(kept, latched.payload(kept), round(start))
+                for kept in latched.values():
+                    self._keep(latched, kept.key, round(start))
+                    self._put(kept.key, kept.payload, round(start))
             if place > end or not self._reach(place):
                 return
             if latched.take(key, entry.payload):
@@ -309,11 +310,11 @@ class Player:
         later = self._epoch + self._head.due(place) - (self._recorded + place)
         return partial(playback.anew, later=later, life=f"{self._life}-{self.n_passes}")
 
-    def _keep(self, latched: Latched, key: str, place: int) -> None:
+    def _keep(self, latched: Held, key: str, place: int) -> None:
         if key not in self._latched:
             return
-        value, wire = Latched({key: latched.values[key]}), self._wire(place)
-        self._latched[key].keep(lambda: wire(value.payload(key)))
+        value, wire = latched.value(key), self._wire(place)
+        self._latched[key].keep(lambda: wire(value()))
 
     def _put(self, key: str, payload: bytes, place: int) -> None:
         if key not in self._publishers:

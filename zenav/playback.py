@@ -3,7 +3,7 @@
 
 import struct
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -13,11 +13,10 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from shared import topics
-from shared.codec import CodecError, decode, encode, envelope_of
+from shared.codec import CodecError, envelope_of
 from shared.config import UserError, nearest
-from shared.messages import EmergencyStop, Goal, Message, MotorCommand, Velocity
+from shared.messages import EmergencyStop, Goal, MotorCommand, Velocity
 from shared.recording import Entry, Recording
-from shared.runners.host import merged
 from shared.topics import TOPICS
 
 COMMANDS = frozenset(t.key for t in TOPICS if t.type in (Velocity, MotorCommand, Goal, EmergencyStop))
@@ -179,28 +178,3 @@ def anew(payload: bytes, later: int, life: str) -> bytes:
         raise CodecError("stamp: missing")
     tree["stamp"] += later
     return bytes(msgpack.packb(tree))
-
-
-@dataclass
-class Latched:
-    """The newest value of each latched key, merged where its class can, as its publisher kept it for late joiners."""
-
-    values: dict[str, tuple[Message, bytes]] = field(default_factory=dict)
-
-    def take(self, key: str, payload: bytes) -> bool:
-        """Takes a recorded message; False where its key is not latched, or the bytes are no message of it."""
-        topic = topics.topic_of(key)
-        if topic is None or not topic.latched:
-            return False
-        try:
-            message, _ = decode(topic.type, payload)
-        except CodecError:
-            return False
-        before = self.values.get(key)
-        self.values[key] = merged(before[0] if before else None, message), payload
-        return True
-
-    def payload(self, key: str) -> bytes:
-        """The value's bytes, under the envelope of the last message that is in it."""
-        message, newest = self.values[key]
-        return encode(message, envelope_of(newest)) if hasattr(message, "merged") else newest

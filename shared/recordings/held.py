@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What late joiners would get at some moment: the last value of each latched key, merged where its class can."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from shared import topics
@@ -25,20 +26,21 @@ class Held:
         self._payloads: dict[str, bytes] = {}
         self._merged: dict[str, tuple[Message, Envelope]] = {}
 
-    def take(self, key: str, payload: bytes) -> None:
-        """A message came on a key; one that is not latched, or not valid, changes nothing."""
+    def take(self, key: str, payload: bytes) -> bool:
+        """A message came on a key; False, and nothing changes, where it is not latched, or not valid."""
         topic = topics.topic_of(key)
         if topic is None or not topic.latched:
-            return
+            return False
         if not hasattr(topic.type, "merged"):
             self._payloads[key] = payload
-            return
+            return True
         try:
             message, envelope = decode(topic.type, payload)
         except CodecError:
-            return
+            return False
         before = self._merged.get(key)
         self._merged[key] = merged(before[0] if before else None, message), envelope
+        return True
 
     def take_whole(self, key: str, payload: bytes) -> bool:
         """What was kept for late joiners; False where it is not newer than what is known, or not valid."""
@@ -63,11 +65,17 @@ class Held:
         found = []
         for key in sorted({*self._payloads, *self._merged}):
             envelope = self._envelope(key)
-            if envelope is None:
-                continue  # whoever joins late would drop it too
-            payload = encode(self._merged[key][0], envelope) if key in self._merged else self._payloads[key]
-            found.append(Value(key, topics.BY_KEY[key].type, payload, envelope))
+            if envelope is not None:  # else whoever joins late would drop it too
+                found.append(Value(key, topics.BY_KEY[key].type, self.value(key)(), envelope))
         return found
+
+    def value(self, key: str) -> Callable[[], bytes]:
+        """Makes the bytes of a key's present value, also when others came meanwhile. KeyError where there is none."""
+        if key in self._merged:
+            message, envelope = self._merged[key]
+            return lambda: encode(message, envelope)
+        payload = self._payloads[key]
+        return lambda: payload
 
     def _envelope(self, key: str) -> Envelope | None:
         """Of the last message in a key's value; None where there is none, or it makes no sense."""

@@ -15,6 +15,7 @@ from shared.codec import CodecError, Envelope, decode, encode
 from shared.config import UserError
 from shared.messages import EmergencyStop, Goal, MotorCommand, Velocity
 from shared.recording import Channel, Entry, Recording, Writer, sink
+from shared.recordings.held import Held
 from shared.runners.admission import Admission, Verdict
 from shared.runners.lockstep import Lockstep
 from shared.topics import TOPICS
@@ -24,7 +25,6 @@ from zenav.play import refusal
 from zenav.playback import (
     COMMANDS,
     LONGEST_SILENCE,
-    Latched,
     Playhead,
     Wish,
     anew,
@@ -213,13 +213,13 @@ def test_a_second_pass_is_taken_like_the_first(file):
 
 
 def test_the_latched_map_is_all_that_was_sent(file):
-    latched, whole = Latched(), None
+    latched, whole = Held(), None
     for entry in Recording(file).entries(["map", "odom"]):
         assert latched.take(entry.key, entry.payload) == (entry.key == "map")
         if entry.key == "map":
             update, last = decode(topics.MAP.type, entry.payload)
             whole = update if whole is None else whole.merged(update)
-    kept, envelope = decode(topics.MAP.type, latched.payload("map"))
+    kept, envelope = decode(topics.MAP.type, latched.value("map")())
     assert envelope == last
     assert (kept.version, kept.rows.tolist()) == (whole.version, whole.rows.tolist())
     assert kept.cells.tolist() == whole.cells.tolist()
