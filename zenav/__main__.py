@@ -85,9 +85,9 @@ def _faults() -> list[str]:
 
 
 def _keys() -> list[str]:
-    from shared.topics import SERVICES, TOPICS
+    from shared.topics import KEYS
 
-    return [key for t in TOPICS for key in ([t.key] if t.by != "*" else [f"{t.key}/{name}" for name in SERVICES])]
+    return list(KEYS)
 
 
 def _names_in(folder: str, but: str = "") -> Callable[[], list[str]]:

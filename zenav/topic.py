@@ -17,7 +17,7 @@ from shared.config import UserError, load_robot, nearest
 from shared.geometry import Pose2
 from shared.messages import Message
 from shared.runners.transport import LatchedReader, where_from
-from shared.topics import SERVICES, TOPICS, Topic, topic_of
+from shared.topics import KEYS, TOPICS, Topic, topic_of
 from zenav.client import Client
 from zenav.stopping import stopping
 
@@ -48,10 +48,9 @@ def listed(as_json: bool) -> None:
 
 def named(key: str) -> tuple[str, Topic[Message]]:
     """The key and its topic. Raises UserError with the nearest key where there is none."""
-    known = tuple(k for t in TOPICS for k in ([t.key] if t.by != "*" else [f"{t.key}/{name}" for name in SERVICES]))
     topic = topic_of(key)
-    if topic is None or key not in known:
-        raise UserError(f"{key} is not a topic", nearest(key, known))
+    if topic is None or key not in KEYS:
+        raise UserError(f"{key} is not a topic", nearest(key, KEYS))
     return key, topic
 
 

@@ -3,7 +3,7 @@
 
 The service's loop only appends to a list. A thread writes, once a second, into `life-NAME-PID.part`; an end in order
 removes the file, an exception makes it `crash-NAME-STAMP.mcap`: every message that the journals name, the journals with
-the requests, the configuration, and under `kept/KEY` the latched values that the service was given whole. Where a life
+the requests, the configuration, and, as latched, the values that the service was given whole. Where a life
 outgrows SEGMENT bytes, the file begins anew and the one before stays beside it (`-before`): then the beginning is
 missing, and whether the replay comes to the same exception depends on how much of it the service still needs.
 """
@@ -26,8 +26,6 @@ from shared.recording import CONFIG, Recording, Writer, about
 from shared.runners.clock import SECOND
 from shared.topics import key_of
 
-KEPT = "kept/"
-"""What the keys of latched values, as they were given to the service, begin with."""
 SEGMENT = 100_000_000  # bytes: an hour of the mapper's life
 RESERVE = 500_000_000  # bytes that stay free on the disk
 CRASHES = 5  # recordings that are kept of one service: it may die again and again
@@ -41,13 +39,14 @@ log = logging.getLogger("zenav")
 
 
 class Taken(NamedTuple):
-    """One message as it came, and when (ns)."""
+    """One message as it came, and when (ns). latched: the whole value that is kept for late joiners."""
 
     key: str
     type: type[Message]
     payload: bytes
     envelope: Envelope
     now: int
+    latched: bool
 
 
 class BlackBox:
@@ -65,9 +64,9 @@ class BlackBox:
         self._thread = threading.Thread(target=self._write_all, name="blackbox", daemon=True)
         self._thread.start()
 
-    def take(self, key: str, type_: type[Message], payload: bytes, envelope: Envelope, now: int) -> None:
-        """Keeps a message that the service is about to take (a kept one under KEPT + key), or its journal."""
-        self._now.append(Taken(key, type_, payload, envelope, now))
+    def take(self, taken: Taken) -> None:
+        """Keeps a message that the service is about to take, or its journal."""
+        self._now.append(taken)
 
     def hand_over(self) -> None:
         """Gives what was taken to the thread."""
@@ -112,8 +111,8 @@ class BlackBox:
             self._writer = self._begun()
         if shutil.disk_usage(self.folder).free < RESERVE:
             raise OSError(f"less than {RESERVE / 1e6:g} MB are free")
-        for key, type_, payload, envelope, now in taken:
-            self._writer.write(key, type_, payload, now, envelope.sent, envelope.sequence)
+        for key, type_, payload, envelope, now, latched in taken:
+            self._writer.write(key, type_, payload, now, envelope.sent, envelope.sequence, latched)
 
     def _begun(self) -> Writer:
         config = {CONFIG: self._config.encode()} if self._config else {}

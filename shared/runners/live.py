@@ -31,7 +31,7 @@ from shared.reasons import Reason
 from shared.requests import Request
 from shared.runners import transport
 from shared.runners.admission import Admission, Verdict
-from shared.runners.blackbox import KEPT, BlackBox, crash_line
+from shared.runners.blackbox import BlackBox, Taken, crash_line
 from shared.runners.clock import SECOND, Clock, clock_from
 from shared.runners.host import Effect, Host, JobOrder, Sent
 from shared.runners.inbox import Inbox, Place
@@ -325,7 +325,7 @@ class Live:
     def _boxed(self, key: str, payload: bytes, envelope: Envelope, now: int, kept: bool = False) -> None:
         topic = topics.topic_of(key)
         if self._box is not None and topic is not None:
-            self._box.take(f"{KEPT}{key}" if kept else key, topic.type, payload, envelope, now)
+            self._box.take(Taken(key, topic.type, payload, envelope, now, kept))
 
 
 def _refuse(query: zenoh.Query, reason: Reason, text: str) -> None:

@@ -9,7 +9,6 @@ from shared.codec import CodecError, Envelope, decode, envelope_of
 from shared.config import UserError
 from shared.messages import Message
 from shared.recording import Recording
-from shared.runners.blackbox import KEPT
 from shared.runners.host import LATCHED, MESSAGE, Sent, merged
 from shared.runners.journal import Event, Life
 from shared.topics import TOPICS, Topic, key_of
@@ -37,19 +36,17 @@ class ReplayTraffic:
                 taken.add((event.key, event.session))
         said = {key_of(t, life.name) for life in lives for t in TOPICS if life.name in t.publishers}
         keys = said | {key for key, _ in taken} | {topic.key for topic in TOPICS if topic.latched}
-        for entry in recording.entries([*keys, *(f"{KEPT}{key}" for key in keys)]):
+        for entry in recording.entries(keys):
             try:
                 envelope = envelope_of(entry.payload)
             except CodecError:
                 continue  # nobody took it
-            if entry.key.startswith(KEPT):
-                self._kept[(entry.key.removeprefix(KEPT), envelope.session, envelope.sequence)] = entry.payload
-                continue
             source, topic = (entry.key, envelope.session), topics.topic_of(entry.key)
             if entry.latched and topic is not None:
                 self.held.setdefault(entry.key, (valid(topic.type, entry.payload), envelope))
+                self._kept[(*source, envelope.sequence)] = entry.payload
                 if source in taken:
-                    self._payloads.setdefault(source, {})[envelope.sequence] = entry.payload
+                    self._payloads.setdefault(source, {}).setdefault(envelope.sequence, entry.payload)
             elif envelope.session in self.sessions and topic not in (topics.HEALTH, topics.JOURNAL):
                 self.recorded.setdefault(source, {})[envelope.sequence] = entry.payload
             elif source in taken:
@@ -74,8 +71,8 @@ class ReplayTraffic:
         return found
 
     def kept(self, key: str, session: str, sequence: int) -> bytes | None:
-        """A latched value as a black box has it: whole, as the service was given it."""
-        return self._kept.get((key, session, sequence))
+        """A latched value that was recorded whole, as the service was given it; None where its publisher is replayed."""
+        return None if session in self.sessions else self._kept.get((key, session, sequence))
 
     def latched(self, topic: Topic[Message], key: str, session: str, sequence: int) -> Message:
         """The value kept for late joiners when this message was sent: all of its session's up to there, merged.

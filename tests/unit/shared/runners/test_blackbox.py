@@ -13,7 +13,7 @@ from shared.config import UserError
 from shared.messages import WheelState
 from shared.recording import Recording, Writer
 from shared.runners import blackbox
-from shared.runners.blackbox import CRASHES, BlackBox, crash_line, crash_of
+from shared.runners.blackbox import CRASHES, BlackBox, Taken, crash_line, crash_of
 
 NOW = 1_700_000_000_000_000_000
 
@@ -24,7 +24,7 @@ def filled(folder: Path, n: int = 100, at_once: int = 10, name: str = "odometry"
     for i in range(n):
         envelope = Envelope("base_driver", "s", i, NOW + i)
         payload = encode(WheelState(NOW + i, 0, float(i), 0.0, 0.0, 0.0), envelope)
-        box.take(topics.WHEELS.key, WheelState, payload, envelope, NOW + i)
+        box.take(Taken(topics.WHEELS.key, WheelState, payload, envelope, NOW + i, False))
         if i % at_once == 0:
             box.hand_over()
             while slowly and not box._waiting.empty():
