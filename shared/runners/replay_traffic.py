@@ -71,7 +71,7 @@ class ReplayTraffic:
         return found
 
     def kept(self, key: str, session: str, sequence: int) -> bytes | None:
-        """A latched value that was recorded whole, as the service was given it; None where its publisher is replayed."""
+        """A latched value that was recorded whole, as it was given; None where its publisher speaks anew."""
         return None if session in self.sessions else self._kept.get((key, session, sequence))
 
     def latched(self, topic: Topic[Message], key: str, session: str, sequence: int) -> Message:

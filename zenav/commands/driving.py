@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav goto`, `route`, `explore`, `teleop` and what stops them. Only parsing; work is imported when it is due."""
+
+from typing import Annotated
+
+import typer
+
+from zenav.commands.parts import DRIVE, Command, RobotName, Stack, app
+
+
+def _faults() -> list[str]:
+    from services.sim.hardware.faults import Fault
+
+    return list(Fault)
+
+
+@app.command(cls=Command, rich_help_panel=DRIVE)
+def goto(
+    x: Annotated[float, typer.Argument(help="m, on the map.")],
+    y: Annotated[float, typer.Argument(help="m, on the map.")],
+    yaw: Annotated[
+        float | None, typer.Argument(help="Degrees, counter-clockwise; without it any heading will do.")
+    ] = None,
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Drive to X Y on the map and stop. Ctrl-C cancels the goal.
+
+    Example: zenav goto 3.5 -1.2 90
+    """
+    from zenav.drive import drive
+
+    raise typer.Exit(drive(robot, stack, [(x, y, yaw)]))
+
+
+@app.command(cls=Command, rich_help_panel=DRIVE)
+def route(
+    poses: Annotated[list[str] | None, typer.Argument(metavar="X,Y[,YAW]...", help="m, m, degrees.")] = None,
+    loops: Annotated[int, typer.Option(min=0, help="Rounds; 0 is for ever.")] = 1,
+    dwell: Annotated[float, typer.Option(min=0, help="s to stand at each pose.")] = 0.0,
+    pause: Annotated[bool, typer.Option("--pause", help="Stand, and keep the present task.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a paused task.")] = False,
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Drive through poses in order. Ctrl-C cancels the route.
+
+    Example: zenav route 1,0 4,-2,90 0,0 --loops 3 --dwell 5
+    """
+    from zenav.drive import drive, paused, poses_from
+
+    if pause or resume:
+        raise typer.Exit(paused(robot, stack, pause and not resume))
+    raise typer.Exit(drive(robot, stack, poses_from(poses or []), dwell, loops))
+
+
+@app.command(cls=Command, rich_help_panel=DRIVE)
+def explore(robot: RobotName = "x80sv", stack: Stack = "0") -> None:
+    """Explore until no reachable frontier is left. Ctrl-C cancels.
+
+    Example: zenav explore
+    """
+    from zenav.drive import explore
+
+    raise typer.Exit(explore(robot, stack))
+
+
+@app.command(cls=Command, rich_help_panel=DRIVE)
+def cancel(robot: RobotName = "x80sv", stack: Stack = "0") -> None:
+    """Drop the present task: the robot stands.
+
+    Example: zenav cancel
+    """
+    from zenav.drive import cancel
+
+    raise typer.Exit(cancel(robot, stack))
+
+
+@app.command(cls=Command, rich_help_panel=DRIVE)
+def fault(
+    name: Annotated[str, typer.Argument(help="What breaks; without it: what can.", autocompletion=_faults)] = "",
+    seconds: Annotated[float, typer.Option(min=0, help="s until it is mended; 0: until --mend.")] = 0.0,
+    mend: Annotated[bool, typer.Option("--mend", help="Mend it; without a name: all.")] = False,
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Break something of the emulated hardware (zenav up --hardware emulated).
+
+    Example: zenav fault unplugged --seconds 5
+    """
+    from zenav.fault import fault
+
+    raise typer.Exit(fault(robot, stack, name, seconds, mend))
+
+
+@app.command(cls=Command, rich_help_panel=DRIVE)
+def teleop(
+    speed: Annotated[float, typer.Option(min=0.01, max=5, help="m/s")] = 0.3,
+    turn: Annotated[float, typer.Option(min=1, max=360, help="degrees/s")] = 45.0,
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Drive with the keyboard: w a s d or arrows, space stops, q quits.
+
+    Example: zenav teleop --speed 0.2
+    """
+    from zenav.teleop import teleop
+
+    teleop(robot, stack, speed, turn)
+
+
+@app.command(cls=Command, rich_help_panel=DRIVE)
+def estop(
+    release: Annotated[bool, typer.Option("--release", help="Release it; that never moves the robot.")] = False,
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Press STOP: the robot stands until somebody releases it.
+
+    Example: zenav estop --release
+    """
+    from zenav.drive import estop
+
+    raise typer.Exit(estop(robot, stack, not release))

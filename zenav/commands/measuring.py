@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav bench`. Only parsing; work is imported when it is due."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from zenav.commands.parts import Command, Out, RobotName, Seeds, Setting, World, group
+
+bench = group("Measure: a table here, JSON in a file.")
+
+
+@bench.command("recording", cls=Command)
+def bench_recording(
+    hours: Annotated[float, typer.Option(min=0.01, max=10, help="h: length of the made-up recording.")] = 1.0,
+    out: Out = None,
+) -> None:
+    """Reading, writing, opening and replaying recordings, against the mcap package; the recorder's share of a core.
+
+    Example: zenav bench recording --out recording.json
+    """
+    from zenav.bench.recording import recording as run
+
+    raise typer.Exit(run(hours, out))
+
+
+@bench.command("office", cls=Command)
+def bench_office(
+    seeds: Seeds = "0-9",
+    jobs: Annotated[int, typer.Option(min=1, help="Runs at a time (not with --live).")] = 1,
+    out: Out = None,
+    live: Annotated[bool, typer.Option("--live", help="As processes over Zenoh, in real time.")] = False,
+    seconds: Annotated[float, typer.Option(min=5, help="s of the stack's time: give up after this long.")] = 2400.0,
+    robot: RobotName = "x80sv",
+    world: World = "office",
+    set_: Setting = None,
+) -> None:
+    """Explore and drive to goals in an office, once a seed.
+
+    Example: zenav bench office --seeds 0-9 --jobs 2 --out office.json
+    """
+    from zenav.bench.office import office
+
+    raise typer.Exit(office(robot, world, seeds, jobs, out, live, seconds, set_ or []))
+
+
+@bench.command("buildings", cls=Command)
+def bench_buildings(
+    buildings: Annotated[str, typer.Option(help="Made-up buildings, by number.", metavar="0-19")] = "0-19",
+    jobs: Annotated[int, typer.Option(min=1, help="Buildings at a time.")] = 1,
+    out: Out = None,
+    robot: RobotName = "x80sv",
+    set_: Setting = None,
+) -> None:
+    """Tour made-up buildings: pose and map against the truth.
+
+    Example: zenav bench buildings --jobs 2 --out buildings.json
+    """
+    from zenav.bench.buildings import buildings as run
+
+    raise typer.Exit(run(robot, buildings, jobs, out, set_ or []))
+
+
+@bench.command("localise", cls=Command)
+def bench_localise(
+    buildings: Annotated[str, typer.Option(help="Made-up buildings, by number.", metavar="0-19")] = "0-19",
+    poses: Annotated[int, typer.Option(min=1, help="Random poses, shared among the buildings.")] = 100,
+    jobs: Annotated[int, typer.Option(min=1, help="Buildings at a time.")] = 1,
+    maps: Annotated[
+        Path | None, typer.Option(help="Folder of an earlier run, with the maps; none: each building is toured first.")
+    ] = None,
+    out: Out = None,
+    robot: RobotName = "x80sv",
+    set_: Setting = None,
+) -> None:
+    """Find the robot from nowhere on saved maps of made-up buildings; carry it away and find it again.
+
+    Example: zenav bench localise --poses 100 --jobs 2 --out localise.json
+    """
+    from zenav.bench.localise import localise as run
+
+    raise typer.Exit(run(robot, buildings, poses, jobs, maps, out, set_ or []))
+
+
+@bench.command("sim", cls=Command)
+def bench_sim(out: Out = None) -> None:
+    """How many times faster than real time the simulator runs on one core.
+
+    Example: zenav bench sim --out sim.json
+    """
+    from zenav.bench.table import sim
+
+    raise typer.Exit(sim(out))
+
+
+@bench.command("stack", cls=Command)
+def bench_stack(
+    seconds: Annotated[float, typer.Option(min=5, help="s of driving to measure.")] = 40.0,
+    out: Out = None,
+    robot: RobotName = "x80sv",
+    world: World = "office",
+    set_: Setting = None,
+) -> None:
+    """Latency from scan to cmd/vel across processes, CPU and memory of each, time to first motion.
+
+    Example: zenav bench stack --out stack.json
+    """
+    from zenav.bench.stack import stack
+
+    raise typer.Exit(stack(robot, world, seconds, out, set_ or []))
+
+
+@bench.command("serial", cls=Command)
+def bench_serial(
+    seconds: Annotated[float, typer.Option(min=1, help="s to measure.")] = 20.0,
+    out: Out = None,
+) -> None:
+    """Delays of base_driver between its serial line and the stack, and how fast the hardware decoders are.
+
+    Example: zenav bench serial --seconds 30 --out serial.json
+    """
+    from zenav.bench.serial import serial
+
+    raise typer.Exit(serial(seconds, out))
+
+
+@bench.command("slam", cls=Command)
+def bench_slam(
+    directory: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder with NAME.log.gz and NAME.relations or NAME.ref.tum.")
+    ],
+    out: Out = None,
+    logs: Annotated[str, typer.Option(help="Only these, separated by commas.", metavar="A,B")] = "",
+) -> None:
+    """Map every log of a folder that has a reference: errors, CPU time and memory; a Markdown table beside the JSON.
+
+    Example: zenav bench slam logs --out slam.json
+    """
+    from zenav.bench.slam import slam
+
+    raise typer.Exit(slam(directory, [name for name in logs.split(",") if name], out))

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav demo`, `up` and `run`. Only parsing; work is imported when it is due."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from zenav.commands.parts import (
+    MAIN,
+    At,
+    Command,
+    RobotName,
+    SavedMapMode,
+    Setting,
+    Simulated,
+    Stack,
+    World,
+    app,
+)
+
+
+def _services() -> list[str]:
+    from shared.topics import SERVICES
+
+    return list(SERVICES)
+
+
+@app.command(cls=Command, rich_help_panel=MAIN)
+def demo(
+    headless: Annotated[bool, typer.Option("--headless", help="Plain lines instead of a live table.")] = False,
+    seconds: Annotated[float, typer.Option(min=5, help="s: give up after this long.")] = 1800.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of noise, slip, people and loose things.")] = 0,
+    record: Annotated[
+        Path | None, typer.Option(help="Recording; without it: in the run's folder.", metavar="FILE.mcap")
+    ] = None,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="In one process on the virtual clock, repeatable.")
+    ] = False,
+    hardware: Annotated[
+        Simulated, typer.Option(help="What the simulator stands behind: its messages, or ports that speak bytes.")
+    ] = "messages",
+    robot: RobotName = "x80sv",
+    world: World = "office",
+    set_: Setting = None,
+) -> None:
+    """Explore an unknown office, then drive to five goals and back.
+
+    Example: zenav demo --headless --seed 3
+    """
+    from zenav.demo import demo
+    from zenav.hardware import Hardware
+
+    chosen = Hardware(hardware)
+    raise typer.Exit(demo(robot, world, seed, seconds, headless, record, lockstep, set_ or [], chosen))
+
+
+@app.command(cls=Command, rich_help_panel=MAIN)
+def up(
+    robot: RobotName = "x80sv",
+    world: World = "",
+    hardware: Annotated[
+        Simulated | None,
+        typer.Option(help="What the simulator stands behind: its messages (default), or ports that speak bytes."),
+    ] = None,
+    only: Annotated[str, typer.Option(help="Only these services: a,b", metavar="A,B")] = "",
+    saved_map: Annotated[
+        str, typer.Option("--map", help="Begin on this saved map: a name below maps/, or a folder.", metavar="DIR")
+    ] = "",
+    mode: SavedMapMode = "localise",
+    at: At = None,
+    speed: Annotated[float, typer.Option(min=0.01, max=100, help="Simulated seconds in a real one.")] = 1.0,
+    stack: Stack = "0",
+    set_: Setting = None,
+) -> None:
+    """Start the services as processes, and bring dead ones back, until Ctrl-C.
+
+    Example: zenav up --world office
+    """
+    from shared.messages import MapMode
+    from zenav.hardware import Hardware
+    from zenav.map_modes import OnMap
+    from zenav.maps import found
+    from zenav.up import up
+
+    up(
+        robot,
+        world,
+        Hardware(hardware) if hardware else None,
+        [name for name in only.split(",") if name],
+        speed,
+        stack,
+        set_ or [],
+        OnMap(found(saved_map).parent, MapMode(mode), at) if saved_map else None,
+    )
+
+
+@app.command(cls=Command, rich_help_panel=MAIN)
+def run(
+    service: Annotated[str, typer.Argument(help="Name of the service.", autocompletion=_services)],
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+    set_: Setting = None,
+    clock: Annotated[str, typer.Option(metavar="EPOCH:SPEED", help="Simulated time: ns, times as fast as real.")] = "",
+    log: Annotated[str, typer.Option(help="DEBUG, INFO, WARNING or ERROR.")] = "INFO",
+) -> None:
+    """Run one service alone in the foreground, against whatever else runs; also under a debugger.
+
+    Example: zenav run mapper --log DEBUG
+    """
+    from zenav.up import run
+
+    run(service, robot, stack, set_ or [], clock, log)
