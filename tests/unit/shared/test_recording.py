@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is written is read; what is damaged gives what is there."""
 
-import resource
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +18,7 @@ from shared.codec import Envelope, decode, encode, schema, schema_id
 from shared.config import UserError
 from shared.messages import Clock, EmergencyStop, LogLine
 from shared.recording import CONFIG, Entry, Recording, Writer, about, arithmetic, sink
+from tests.disks import no_file_longer_than
 from tests.toys import eventful
 
 fast = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -281,20 +279,9 @@ input()
     assert any("not closed" in problem for problem in recording.problems)
 
 
-@contextmanager
-def room_for(n_bytes: int) -> Iterator[None]:
-    """A disk on which no file may be longer."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
 def test_a_full_disk_leaves_what_was_flushed(tmp_path):
     rows = lines(4000)
-    with room_for(20_000):
+    with no_file_longer_than(20_000):
         writer = write(tmp_path / "a.mcap", rows[:100], close=False, flush_each=50)
         with pytest.raises(OSError, match="large"):
             write_on(writer, rows[100:])

@@ -2,9 +2,8 @@
 """The recorder takes every payload, flushes each second, and says what it could not record."""
 
 import errno
-import resource
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +23,11 @@ from shared.messages import EmergencyStop, LogLine, MapUpdate
 from shared.reasons import DISK_FULL, NOT_RECORDED
 from shared.recording import CONFIG, Drop, Recording
 from shared.service import Log
+from tests.disks import no_file_longer_than
 
 ROBOT = load_robot("x80sv").robot
 SECOND = 1_000_000_000
 START = 1_700_000_000_000_000_000  # 2023-11-14 22:13:20 UTC
-
 
 Make = Callable[..., RecorderService]
 
@@ -192,17 +191,6 @@ def test_a_clock_that_jumps_back_does_not_keep_it_from_trying(recorder, tmp_path
     take(service, 1, first=1, at=START - 3600 * SECOND)
     flushed(service)
     assert service.state() == "recording, 1 messages, 1 not recorded"
-
-
-@contextmanager
-def no_file_longer_than(n_bytes: int) -> Iterator[None]:
-    """The system's own refusal, in the middle of a chunk."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_what_the_system_refuses_costs_a_second_and_not_the_recording(recorder, tmp_path):

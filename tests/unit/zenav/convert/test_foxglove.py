@@ -2,8 +2,6 @@
 """A recording as Foxglove reads it: the `mcap` package's reader, and messages decoded by the schemas in the file."""
 
 import json
-import resource
-import signal
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +16,7 @@ from shared.codec import Envelope, decode, encode
 from shared.config import UserError
 from shared.messages import Journal, LaserScan, Velocity
 from shared.recording import Recording, Writer
+from tests.disks import no_file_longer_than
 from tests.protobuf import schema_of
 from zenav.convert.foxglove import to_foxglove
 
@@ -155,15 +154,8 @@ def test_a_recording_is_not_written_over_itself(tmp_path):
 def test_a_full_disk_is_an_error_and_the_old_file_stays(tmp_path):
     out = tmp_path / "b.mcap"
     out.write_bytes(b"old")
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
-    try:
-        with pytest.raises(UserError, match="cannot write"):
-            to_foxglove(Recording(ROOM), out, nothing)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-        signal.signal(signal.SIGXFSZ, before)
+    with no_file_longer_than(100_000), pytest.raises(UserError, match="cannot write"):
+        to_foxglove(Recording(ROOM), out, nothing)
     assert out.read_bytes() == b"old"
     assert [path.name for path in tmp_path.iterdir()] == ["b.mcap"]
 
