@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The occupancy grid: log-odds in tiles, carved free along the beams, clamped so that it forgets."""
 
-from math import log
+from math import floor, log
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
+from services.mapper.carving import carve, drawable, explain
 from shared.config import Section
 from shared.grid import FREE_UP_TO, OCCUPIED_FROM
 from shared.messages import TILE_CELLS, MapUpdate
@@ -16,6 +17,7 @@ Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 Int8s = NDArray[np.int8]
 Int32s = NDArray[np.int32]
+UInt8s = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
 
 
@@ -47,10 +49,9 @@ class Occupancy:
         self.resolution = config.resolution
         self.map_id = map_id
         self.version = 0
-        self.n_scans = 0
         self.places: dict[tuple[int, int], int] = {}  # tile row, column -> index into the arrays below
         self.odds: Float32s = np.zeros((16, TILE_CELLS, TILE_CELLS), np.float32)
-        self.seen: Int32s = np.zeros((16, TILE_CELLS, TILE_CELLS), np.int32)  # the last scan that drew it; 0: none
+        self.seen: UInt8s = np.zeros((16, TILE_CELLS, TILE_CELLS), np.uint8)  # 1 in cells that a scan drew
         self.dirty: Bools = np.zeros(16, np.bool_)  # drawn into since `known`
         self.known: Int8s = np.zeros((16, TILE_CELLS * TILE_CELLS), np.int8)  # percent plus 1: 0 is unknown
         self.unsent: Bools = np.zeros(16, np.bool_)  # tiles whose `known` is newer than what was published
@@ -64,23 +65,19 @@ class Occupancy:
         """
         if len(self.seen) < len(self.odds):
             raise RuntimeError("a trimmed grid is only asked, not drawn into")
-        ends = _within(origins, ends, self.config.range_max)
-        corners = np.concatenate((origins, ends, silent))
-        corners = corners[~np.isnan(corners[:, 0])]
-        if not len(corners):
+        c = self.config
+        ends, low, high = drawable(origins, ends, silent, c.range_max)
+        if low[0] > high[0]:
             return
-        row0, column0, directory = self._directory(corners)
+        row0, column0, directory = self._directory(low, high)
         self._grow(int((directory < 0).sum()))
         n_before = len(self.places)
-        self.n_scans += 1
-        c = self.config
-        ends = _explained(
-            origins, ends, c.behind, self.resolution, directory, row0, column0, _logit(OCCUPIED_FROM / 100), self.odds
-        )
-        n = _draw(
-            origins, ends, silent, self.resolution, directory, row0, column0, n_before, self.n_scans,
+        limit = _logit(OCCUPIED_FROM / 100)
+        explain(origins, ends, c.behind, self.resolution, directory, row0, column0, limit, self.odds)
+        n = carve(
+            origins, ends, silent, self.resolution, directory, row0, column0, n_before,
             _logit(c.hit), _logit(c.miss), _logit(c.surest_free), _logit(c.surest_occupied),
-            self.odds, self.seen, self.dirty,
+            self.odds, self.seen, self.seen.view(np.uint64), self.dirty,
         )  # fmt: skip
         if n > n_before:
             for i, j in np.argwhere(directory >= n_before):
@@ -122,7 +119,6 @@ class Occupancy:
             self.odds[i] = np.where(known, np.log(share / (1 - share)), 0)
             self.seen[i] = known
             self.dirty[i] = True
-        self.n_scans = 1
 
     def become(self, other: "Occupancy") -> None:
         """Takes over another drawing of the same place, best a settled one; the next update tells what is different.
@@ -136,7 +132,7 @@ class Occupancy:
         there = [other.places[place] for place in self.places]
         before, unsent = np.zeros_like(other.known), np.zeros_like(other.unsent)
         before[there], unsent[there] = self.known[here], self.unsent[here]
-        self.places, self.n_scans = other.places, other.n_scans
+        self.places = other.places
         self.odds, self.seen, self.dirty, self.known = other.odds, other.seen, other.dirty, other.known
         self.unsent = unsent | (self.known != before).any(axis=1)
         self._window = (0, 0, np.full((1, 1), -1, np.int32))
@@ -145,7 +141,7 @@ class Occupancy:
         """(n,) bool: which points (n, 2) m in `map` lie in free cells, with `around` free cells to each side."""
         if not len(points):
             return np.zeros(0, np.bool_)
-        row0, column0, directory = self._directory(points)
+        row0, column0, directory = self._directory(points.min(axis=0), points.max(axis=0))
         free = _free(points, self.resolution, directory, row0, column0, _logit(FREE_UP_TO / 100), around, self.odds)
         return np.asarray(free, bool)
 
@@ -153,7 +149,7 @@ class Occupancy:
         """(n,) bool: which points (n, 2) m in `map` lie in an occupied cell, or beside one."""
         if not len(points):
             return np.zeros(0, np.bool_)
-        row0, column0, directory = self._directory(points)
+        row0, column0, directory = self._directory(points.min(axis=0), points.max(axis=0))
         limit = _logit(OCCUPIED_FROM / 100)
         return np.asarray(_occupied_near(points, self.resolution, directory, row0, column0, limit, self.odds), bool)
 
@@ -168,7 +164,9 @@ class Occupancy:
         """(n,) bool: which beams from origins (n, 2) to ends (n, 2) go on over 0.3 m behind an occupied cell."""
         if not len(ends):
             return np.zeros(0, np.bool_)
-        row0, column0, directory = self._directory(np.concatenate((origins, ends)))
+        row0, column0, directory = self._directory(
+            np.minimum(origins, ends).min(axis=0), np.maximum(origins, ends).max(axis=0)
+        )
         limit = _logit(OCCUPIED_FROM / 100)
         return np.asarray(_crossing(origins, ends, self.resolution, directory, row0, column0, limit, self.odds), bool)
 
@@ -189,11 +187,11 @@ class Occupancy:
             (self.known[[self.places[p] for p in places]] - np.int8(1)).reshape(len(places), TILE_CELLS**2),
         )
 
-    def _directory(self, points: Float64s) -> tuple[int, int, Int32s]:
-        """A window of tiles around points (n, 2) m: first row and column, and indices (-1: no tile)."""
+    def _directory(self, low: Float64s, high: Float64s) -> tuple[int, int, Int32s]:
+        """A window of tiles from low (2,) m to high: first row and column, and indices (-1: no tile)."""
         side = TILE_CELLS * self.resolution
-        column0, row0 = (int(v) for v in np.floor(points.min(axis=0) / side - 0.1))
-        column1, row1 = (int(v) for v in np.floor(points.max(axis=0) / side + 0.1))
+        column0, row0 = (floor(v / side - 0.1) for v in low.tolist())
+        column1, row1 = (floor(v / side + 0.1) for v in high.tolist())
         first_row, first_column, directory = self._window
         last_row, last_column = first_row + directory.shape[0] - 1, first_column + directory.shape[1] - 1
         if first_row <= row0 and first_column <= column0 and row1 <= last_row and column1 <= last_column:
@@ -220,7 +218,7 @@ class Occupancy:
                 setattr(self, name, new)
 
 
-def percent(odds: Float32s, seen: Int32s) -> Int8s:
+def percent(odds: Float32s, seen: UInt8s) -> Int8s:
     """Log-odds to 0..100, -1 where no scan drew the cell."""
     share = 100 / (1 + np.exp(-odds.astype(np.float64)))
     return np.where(seen > 0, np.round(share), -1).astype(np.int8)
@@ -228,116 +226,6 @@ def percent(odds: Float32s, seen: Int32s) -> Int8s:
 
 def _logit(probability: float) -> float:
     return log(probability / (1 - probability))
-
-
-def _within(origins: Float64s, ends: Float64s, range_max: float) -> Float64s:
-    far = np.hypot(*(ends - origins).T) > range_max
-    if not far.any():
-        return ends
-    ends = ends.copy()
-    ends[far] = np.nan
-    return ends
-
-
-@njit(cache=True, nogil=True)
-def _explained(origins, ends, behind, resolution, directory, row0, column0, limit, odds):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
-    """The ends, each moved back to the first occupied cell on the last `behind` m of its beam, where there is one.
-
-    Ranges are noisy, and nobody looks behind a wall: a cell there that was hit once would stay for ever, and walls grow
-    outwards. What a surface explains is no evidence of another one behind it.
-    """
-    out = ends.copy()
-    for k in range(len(ends)):
-        if np.isnan(ends[k, 0]):
-            continue
-        dx, dy = ends[k, 0] - origins[k, 0], ends[k, 1] - origins[k, 1]
-        length = np.hypot(dx, dy)
-        step = 0.5 * resolution
-        for m in range(int(min(behind, length) / step + 1e-6), 0, -1):
-            x, y = ends[k, 0] - m * step / length * dx, ends[k, 1] - m * step / length * dy
-            column, row = int(np.floor(x / resolution)), int(np.floor(y / resolution))
-            i, j = (row >> 6) - row0, (column >> 6) - column0
-            if 0 <= i < directory.shape[0] and 0 <= j < directory.shape[1]:
-                tile = directory[i, j]
-                if tile >= 0 and odds[tile, row & 63, column & 63] > limit:
-                    out[k, 0], out[k, 1] = x, y
-                    break
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _draw(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
-    origins, ends, silent, resolution, directory, row0, column0, n_tiles, scan, hit, miss, lowest, highest,
-    odds, seen, dirty,
-):  # fmt: skip
-    for k in range(len(ends)):
-        if np.isnan(ends[k, 0]):
-            continue
-        column, row = int(np.floor(ends[k, 0] / resolution)), int(np.floor(ends[k, 1] / resolution))
-        n_tiles = _add(row, column, hit, directory, row0, column0, n_tiles, scan, lowest, highest, odds, seen, dirty)
-    for k in range(len(ends)):
-        ex, ey = ends[k, 0], ends[k, 1]
-        if np.isnan(ex):
-            ex, ey = silent[k, 0], silent[k, 1]
-            if np.isnan(ex):
-                continue
-        # Amanatides & Woo 1987: every cell that the beam crosses, in order, without the one in which it ends
-        x, y = origins[k, 0] / resolution, origins[k, 1] / resolution
-        dx, dy = ex / resolution - x, ey / resolution - y
-        column, row = int(np.floor(x)), int(np.floor(y))
-        last_column, last_row = int(np.floor(ex / resolution)), int(np.floor(ey / resolution))
-        step_c, step_r = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
-        next_c = ((column + (dx > 0)) - x) / dx if dx != 0 else np.inf
-        next_r = ((row + (dy > 0)) - y) / dy if dy != 0 else np.inf
-        each_c = abs(1 / dx) if dx != 0 else np.inf
-        each_r = abs(1 / dy) if dy != 0 else np.inf
-        left = abs(last_column - column) + abs(last_row - row)
-        tile_r, tile_c, tile = row0 - 1, column0 - 1, -1  # none yet
-        while left > 0:
-            if row >> 6 != tile_r or column >> 6 != tile_c:
-                tile_r, tile_c = row >> 6, column >> 6
-                i, j = tile_r - row0, tile_c - column0
-                if i < 0 or j < 0 or i >= directory.shape[0] or j >= directory.shape[1]:
-                    break  # it covers all origins and ends: a beam that leaves it is none
-                tile = directory[i, j]
-                if tile < 0:
-                    tile = n_tiles
-                    directory[i, j] = tile
-                    n_tiles += 1
-                dirty[tile] = True
-                seen_here, odds_here = seen[tile], odds[tile]
-            r, c = np.uint64(row & 63), np.uint64(column & 63)
-            if seen_here[r, c] != scan:
-                seen_here[r, c] = scan
-                odds_here[r, c] = max(odds_here[r, c] + miss, lowest)
-            if next_c < next_r:
-                column += step_c
-                next_c += each_c
-            else:
-                row += step_r
-                next_r += each_r
-            left -= 1
-    return n_tiles
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _add(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
-    row, column, amount, directory, row0, column0, n_tiles, scan, lowest, highest, odds, seen, dirty
-):
-    i, j = (row >> 6) - row0, (column >> 6) - column0
-    if i < 0 or j < 0 or i >= directory.shape[0] or j >= directory.shape[1]:
-        return n_tiles
-    tile = directory[i, j]
-    if tile < 0:
-        tile = n_tiles
-        directory[i, j] = tile
-        n_tiles += 1
-    r, c = row & 63, column & 63
-    if seen[tile, r, c] != scan:
-        seen[tile, r, c] = scan
-        odds[tile, r, c] = min(max(odds[tile, r, c] + amount, lowest), highest)
-        dirty[tile] = True
-    return n_tiles
 
 
 @njit(cache=True, nogil=True)
