@@ -334,7 +334,7 @@ def show(report: dict[str, Any]) -> None:
     hour, live, again = report["hour"], report["recorder"], report["replay"]
     title = f"a recording of {hour['hours']:g} h: {hour['messages']} messages, {hour['mb']:.0f} MB"
     rows = [(name, f"{hour[f'{name}_s']:.3f}") for name in ("open", "seek", "info")]
-    table(title, ("s", ""), [*rows, ("zenav recording info, with its start", f"{hour['command_s']:.2f}")])
+    table(title, ("s", ""), [*rows, ("info as a command, with its start", f"{hour['command_s']:.2f}")])
     table(
         "the drive",
         ("", ""),
