@@ -28,7 +28,7 @@ demo: venv ## the whole stack explores an office and drives to its goals: make d
 	@$(BIN)/zenav demo $(ARGS)
 
 test: venv ## everything that needs no Docker: make test ARGS="-k planner"
-	@$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup --ignore tests/docker $(ARGS)
+	@$(BIN)/python -m pytest -n $(JOBS) --ignore tests/docker $(ARGS)
 
 test-docker: venv ## the Compose file on a real engine
 	@$(BIN)/python -m pytest tests/docker -rs $(ARGS)

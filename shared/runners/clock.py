@@ -15,7 +15,10 @@ class Clock:
         self.epoch, self.speed = epoch, speed
 
     def now(self) -> int:
-        wall = time.time_ns()
+        return self.at(time.time_ns())
+
+    def at(self, wall: int) -> int:
+        """When the wall's clock shows `wall` (ns)."""
         return wall if self.speed == 1.0 else self.epoch + round((wall - self.epoch) * self.speed)
 
     def seconds(self, duration: int) -> float:

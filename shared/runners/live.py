@@ -12,7 +12,6 @@ import signal
 import sys
 import time
 import traceback
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
@@ -45,7 +44,6 @@ from shared.topics import TOPICS, Topic, key_of
 
 VELOCITY_PATH = ("base_driver", "odometry", "local_ctrl", "guard")
 MAX_REQUESTS = 8
-RAW_CAPACITY = 200_000
 
 log = logging.getLogger("zenav")
 
@@ -71,8 +69,8 @@ class Live:
         self._stopping = False
         self._box = box
         self.host.before_port = lambda sent: self._boxed(sent.key, sent.payload, sent.envelope, sent.envelope.sent)
-        self._patience = 0.1 if hasattr(service, "raw") else 0.25  # s; nothing wakes who takes hundreds a second
-        self._raws: deque[tuple[str, bytes, int, bool]] = deque(maxlen=RAW_CAPACITY)
+        self._everything = transport.Everything(session, robot) if hasattr(service, "raw") else None
+        self._patience = 0.25 if self._everything is None else 0.1  # s; nothing wakes who takes hundreds a second
         self._requests = self.inbox.place("requests", "all", MAX_REQUESTS)
         self._results = self.inbox.place("jobs", "all")
         self._admissions: dict[str, Admission] = {}
@@ -157,8 +155,6 @@ class Live:
         for topic in TOPICS:
             if self.name in topic.publishers:
                 self._declare_publisher(topic)
-        if hasattr(self.host.service, "raw"):
-            self._declared += transport.everything(self.session, self.robot, self._file_raw)
         for topic, _ in self.host.handlers.topics.values():
             if self.name not in topic.publishers:
                 self._declare_subscriber(topic)
@@ -196,9 +192,6 @@ class Live:
 
     def _file_kept(self, place: Place, payload: bytes) -> None:
         self.inbox.file(place, (payload,))
-
-    def _file_raw(self, full_key: str, payload: bytes, latched: bool) -> None:
-        self._raws.append((full_key, payload, self.clock.now(), latched))
 
     def _file_request(self, request: Request[Message, Message], query: zenoh.Query) -> None:
         if len(self._requests.items) >= MAX_REQUESTS:
@@ -251,9 +244,8 @@ class Live:
         self.traffic.took(key, (now - message.stamp) / SECOND, time.perf_counter() - begun)
 
     def _take_raws(self) -> None:
-        for _ in range(len(self._raws)):
-            full_key, payload, now, latched = self._raws.popleft()
-            key = full_key.removeprefix(f"{self.robot}/")
+        for full_key, payload, at, latched in self._everything.taken() if self._everything is not None else ():
+            key, now = full_key.removeprefix(f"{self.robot}/"), self.clock.at(at)
             try:
                 envelope = envelope_of(payload)
             except CodecError as error:
@@ -384,7 +376,7 @@ def _serve(
     gc.collect()
     gc.freeze()
     sys.setswitchinterval(0.0005)
-    with transport.opened(where, name) as session:
+    with transport.opened(where, name, everything=hasattr(service, "raw")) as session:
         memory = Memory(Path(options.memory), name) if options.memory else None
         box = None if hasattr(service, "raw") else BlackBox(Path(options.crashes), name, robot.name, file.text)
         live = Live(service, name, robot.name, session, clock, memory, box)

@@ -8,11 +8,14 @@ open because its port is taken. Shared memory is off: it drops and delays what i
 import json
 import os
 import threading
+import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 import zenoh
 
@@ -24,6 +27,8 @@ PORTS_A_STACK = 40
 MAX_DOMAIN = 200
 LOG = "error,zenoh::api::session=off"  # goes to stdout, where tools write data; the session complains while it closes
 MAX_MESSAGE = 4 * 2**20  # bytes; a whole map of 1000 tiles
+RING = 50_000  # messages that wait for who hears everything: 100 s of a stack, 13 MB
+ONE_THREAD = "(rx: (handover: net))"  # the thread that waits for the sockets also reads them
 DATA_QUEUE = 16  # batches of 64 kB a link: two, the default, overflow when a busy machine lets a process wait for 40 ms
 
 
@@ -83,16 +88,25 @@ def router_configuration(endpoint: str) -> zenoh.Config:
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("transport/shared_memory/enabled", "false")
     config.insert_json5("transport/link/rx/max_message_size", json.dumps(MAX_MESSAGE))
+    config.insert_json5("timestamping/enabled", "false")  # who wants to know when a message came, stamps it there
     return config
 
 
-def opened(where: Where, name: str = "") -> zenoh.Session:
-    """An open session. Raises UserError when the service's port is taken or the router does not answer."""
+def opened(where: Where, name: str = "", everything: bool = False) -> zenoh.Session:
+    """An open session. Raises UserError when the service's port is taken or the router does not answer.
+
+    everything: what comes is stamped on arrival, for `Everything`; and this process receives on one thread, where
+    Zenoh would wake three for each message. It holds for the process, from its first session on.
+    """
     if name and name not in SERVICES:
         raise UserError(f"{name} is not a service", nearest(name, SERVICES))
     zenoh.init_log_from_env_or(LOG)
+    config = configuration(where, name)
+    if everything:
+        config.insert_json5("timestamping/enabled", "true")
+        os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # noqa: TID251  # Zenoh has no other way to be told
     try:
-        return zenoh.open(configuration(where, name))
+        return zenoh.open(config)
     except zenoh.ZError as error:
         if where.router:
             raise UserError(f"no router answers at {where.router}", "is it running? see docker compose ps") from error
@@ -155,15 +169,38 @@ class LatchedReader:
             self._file(reply.ok.payload.to_bytes())
 
 
-def everything(session: zenoh.Session, robot: str, file: Callable[[str, bytes, bool], None]) -> list[Any]:
-    """Hears every key of a robot: `file` gets the key, the bytes, and whether they were kept for late joiners."""
+class Arrival(NamedTuple):
+    """A payload as it came in. at: ns on the wall's clock; latched: kept for late joiners."""
 
-    def hear(sample: zenoh.Sample) -> None:
-        file(str(sample.key_expr), sample.payload.to_bytes(), False)
+    key: str
+    payload: bytes
+    at: int
+    latched: bool
 
-    def keep(key: str, payload: bytes) -> None:
-        file(key, payload, True)
 
-    keys = [f"{robot}/{topic.key}" for topic in TOPICS if topic.latched]
-    readers = [LatchedReader(session, key, partial(keep, key)) for key in keys]
-    return [session.declare_subscriber(f"{robot}/**", hear), *readers]
+class Everything:
+    """Hears every key of a robot, for who looks now and then: Python is not woken for each message.
+
+    Zenoh files them in a ring, the oldest gives way, and stamps each on arrival (`opened(..., everything=True)`).
+    """
+
+    def __init__(self, session: zenoh.Session, robot: str) -> None:
+        self._kept: deque[Arrival] = deque()
+        self._ring = session.declare_subscriber(f"{robot}/**", zenoh.handlers.RingChannel(RING))
+        keys = [f"{robot}/{topic.key}" for topic in TOPICS if topic.latched]
+        self._readers = [LatchedReader(session, key, partial(self._keep, key)) for key in keys]
+
+    def _keep(self, key: str, payload: bytes) -> None:
+        self._kept.append(Arrival(key, payload, time.time_ns(), True))
+
+    def taken(self) -> list[Arrival]:
+        """What came since the last call, in the order of its times."""
+        samples = list(iter(self._ring.try_recv, None))
+        now = time.time_ns()
+        found = [self._kept.popleft() for _ in range(len(self._kept))]
+        for sample in samples:
+            stamp = sample.timestamp
+            # a clock that was set back is behind its stamps, a router without stamps of its own leaves them to us
+            at = now if stamp is None else min(now, stamp.get_time_as_ntp64().as_nanos())
+            found.append(Arrival(str(sample.key_expr), sample.payload.to_bytes(), at, False))
+        return sorted(found, key=attrgetter("at"))

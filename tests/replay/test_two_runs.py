@@ -6,6 +6,8 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -112,14 +114,26 @@ OTHERS = {
 """By name: another processor's environment, and how far a replay there may be off."""
 
 
+@pytest.fixture(scope="module")
+def here(tmp_path_factory) -> Callable[[str], Path]:
+    """What comes out of services here; made once for each list of them."""
+
+    @cache
+    def of(names: str) -> Path:
+        out = tmp_path_factory.mktemp("here") / "out.mcap"
+        assert run("--through", names, "--out", out) in (0, 1)
+        return out
+
+    return of
+
+
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="these are features of x86-64 processors")
 @pytest.mark.parametrize("other", OTHERS)
-def test_a_replay_on_another_processor_gives_the_same_bytes_or_what_is_stated(other, tmp_path):
+def test_a_replay_on_another_processor_gives_the_same_bytes_or_what_is_stated(other, here):
     environment, tolerances = OTHERS[other]
     names = "planner,navigator" if "NUMBA_CPU_NAME" in environment else "odometry,mapper,guard"
-    assert run("--through", names, "--out", tmp_path / "here.mcap") in (0, 1)
     options = [word for tolerance in tolerances for word in ("--tolerance", tolerance)]
-    command = [sys.executable, "-m", "zenav", "replay", FILE, "--through", names, "--against", tmp_path / "here.mcap"]
+    command = [sys.executable, "-m", "zenav", "replay", FILE, "--through", names, "--against", here(names)]
     done = subprocess.run(
         [*command, *options],
         cwd=ROOT,

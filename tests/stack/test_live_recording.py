@@ -2,6 +2,7 @@
 """What ran over Zenoh replays to the byte: late joiners, a restart, background work, whatever order things came in."""
 
 import threading
+import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,7 +24,7 @@ from shared.runners.live import Live
 from shared.runners.memory import Memory
 from shared.service import Service
 from tests.stack import processes
-from tests.stack.processes import ALL
+from tests.stack.processes import ALL, wait
 from tests.stack.test_live import free_stack
 from tests.toys import ROBOT, build
 from zenav.replay import replay_file, robot_file
@@ -132,19 +133,15 @@ def test_a_recorder_that_comes_late_records_what_was_latched_before(tmp_path):
         transport.opened(where) as session,
     ):
         assert early.hears(map=3, pose=1)
-        heard, found = list[tuple[str, bytes, bool]](), threading.Event()
-
-        def file(key: str, payload: bytes, latched: bool) -> None:
-            heard.append((key.removeprefix(f"{ROBOT.name}/"), payload, latched))
-            if heard[-1][0] == "map" and latched:
-                found.set()
-
-        declared = transport.everything(session, ROBOT.name, file)
-        assert found.wait(20)
-        del declared
+        everything, heard = transport.Everything(session, ROBOT.name), list[transport.Arrival]()
+        limit = time.monotonic() + 20
+        while not any(arrival.latched and arrival.key == f"{ROBOT.name}/map" for arrival in heard):
+            assert time.monotonic() < limit
+            wait(0.05)
+            heard += everything.taken()
     late = RecorderService(RecorderConfig(), ROBOT, store)
-    for key, payload, latched in heard:  # as the runner's inbox: one by one
-        late.raw(key, payload, envelope_of(payload), envelope_of(payload).sent, latched)
+    for full_key, payload, at, latched in heard:  # as the runner's loop: one by one
+        late.raw(full_key.removeprefix(f"{ROBOT.name}/"), payload, envelope_of(payload), at, latched)
     early._store.close()
     store.close()
     entries = list(Recording(tmp_path / "a.mcap").entries())

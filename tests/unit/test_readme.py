@@ -14,11 +14,15 @@ from zenav.__main__ import app
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = "new_service", "hardware", "calibration", "benchmarks", "maps"
 GUIDES = [ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in NAMES)]
+RECORDINGS = ROOT / "docs" / "recordings.md"  # speaks of commands within its lines too; what it runs stands alone
 SHOWN = [
     (page, command.strip())
     for page in GUIDES
     for found in re.finditer(r"^    (.+)$|`([^`\n]+)`", page.read_text(encoding="utf-8"), re.M)
     for command in [(found[1] or found[2]).partition("#")[0]]
+] + [
+    (RECORDINGS, re.split(r"#|&|\||>", found[1])[0].strip())
+    for found in re.finditer(r"^    (?:\$ )?(zenav .+)$", RECORDINGS.read_text(encoding="utf-8"), re.M)
 ]
 
 

@@ -202,7 +202,11 @@ def idle(class_: type[Service]) -> Service:
 
 
 def _recorder(path: Path, logs: Path, live: Path, stop: Stop) -> dict[str, float]:
-    """The recorder's process while the drive is published at its own pace: its share of a core, and what it missed."""
+    """The recorder's process while the drive is published at its own pace: its share of a core, and what it missed.
+
+    Shares are medians of the drive's parts, as other load comes and goes; ratio: the recorder's to the bare
+    subscriber's, of each part.
+    """
     entries = [entry for entry in Recording(path).entries() if not entry.key.endswith("/recorder")]
     zero = entries[0].log_time
     with free_stack() as claim, Client("x80", claim.where) as client, subscriber(claim.where.domain) as bare:
@@ -219,20 +223,25 @@ def _recorder(path: Path, logs: Path, live: Path, stop: Stop) -> dict[str, float
                 launcher.step()
             child = launcher.children["recorder"].process
             process = psutil.Process(child.pid if child else 0)
-            before, bare_before, begun = _cpu(process), _cpu(bare), time.monotonic()
+            begun = time.monotonic()
+            seen = [(begun, _cpu(process), _cpu(bare))]
             for entry in entries:
                 late = begun + (entry.log_time - zero) / SECOND - time.monotonic()
                 if late > 0 and stop.wait(late):
                     break
                 client.session.put(f"x80/{entry.key}", entry.payload)
-            stop.wait(1.5)  # it flushes once a second
+                if time.monotonic() - begun >= len(seen) * DRIVE / REPEATS:
+                    seen.append((time.monotonic(), _cpu(process), _cpu(bare)))
             wall = time.monotonic() - begun
-            share, bare_share = (_cpu(process) - before) / wall, (_cpu(bare) - bare_before) / wall
+            stop.wait(1.5)  # it flushes twice a second
     found = Recording(live)
     n = sum(not entry.key.endswith("/recorder") for entry in found.entries())
+    parts = [(cpu / took, bare_cpu / took) for took, cpu, bare_cpu in np.diff(seen, axis=0)]
+    shares, bare_shares = zip(*(parts or [(0.0, 0.0)]))
     return {
-        "messages_a_second": round(len(entries) / wall, 1), "share": round(share, 4),
-        "bare_share": round(bare_share, 4), "ratio": round(share / max(bare_share, 1e-9), 2),
+        "messages_a_second": round(len(entries) / wall, 1), "share": round(float(median(shares)), 4),
+        "bare_share": round(float(median(bare_shares)), 4),
+        "ratio": round(float(median(own / max(peer, 1e-9) for own, peer in zip(shares, bare_shares))), 2),
         "missed": len(entries) - n if not stop.is_set() else 0,
     }  # fmt: skip
 
@@ -249,7 +258,7 @@ with Client("x80", where_from(sys.argv[1])) as client:
 
 @contextmanager
 def subscriber(domain: int) -> Iterator[psutil.Process]:
-    """A process that hears everything and does nothing with it: what of the recorder's share is Zenoh's."""
+    """A process that is called with everything and does nothing with it: what Zenoh's callbacks alone take."""
     with subprocess.Popen([sys.executable, "-c", BARE, str(domain)], stdin=subprocess.PIPE) as process:
         try:
             yield psutil.Process(process.pid)
@@ -325,7 +334,7 @@ def show(report: dict[str, Any]) -> None:
     hour, live, again = report["hour"], report["recorder"], report["replay"]
     title = f"a recording of {hour['hours']:g} h: {hour['messages']} messages, {hour['mb']:.0f} MB"
     rows = [(name, f"{hour[f'{name}_s']:.3f}") for name in ("open", "seek", "info")]
-    table(title, ("s", ""), [*rows, ("zenav recording info, with its start", f"{hour['command_s']:.2f}")])
+    table(title, ("s", ""), [*rows, ("info as a command, with its start", f"{hour['command_s']:.2f}")])
     table(
         "the drive",
         ("", ""),
@@ -334,7 +343,8 @@ def show(report: dict[str, Any]) -> None:
             ("the mapper's own speed", f"{again['own_ratio']:.1f}"),
             ("the replay's own speed", f"{again['runner_ratio']:.0f}"),
             ("recorder, % of a core", f"{live['share'] * 100:.1f}"),
-            ("a subscriber that does nothing, % of a core", f"{live['bare_share'] * 100:.1f}"),
+            ("a callback that does nothing, % of a core", f"{live['bare_share'] * 100:.1f}"),
+            ("ratio", f"{live['ratio']:.2f}"),
             ("recorder, messages a second", f"{live['messages_a_second']:.0f}"),
             ("recorder, messages missed", f"{live['missed']}"),
         ],

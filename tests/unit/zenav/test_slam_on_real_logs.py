@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pieces of real logs, short enough for every run of the tests; `zenav bench slam` takes them whole."""
+"""Pieces of real logs, short enough for every run of the tests; `zenav bench slam` takes them whole.
+
+A whole one, laps and all, is mapped in tests/unit/zenav/convert/test_real_bags.py.
+"""
 
 import gzip
 import os
@@ -11,7 +14,7 @@ import numpy as np
 import pytest
 
 from zenav.slam import slam
-from zenav.slam_error import errors, pairs_of, read_tum, score
+from zenav.slam_error import errors, pairs_of, read_tum
 
 DATA = os.environ.get("ZENAV_DATA")  # noqa: TID251  # where the machine keeps its logs
 LOGS = Path(str(DATA)) / "slam"
@@ -76,11 +79,3 @@ def test_the_same_log_gives_the_same_bytes_twice_also_where_loops_close(mapped, 
     slam(log, tmp_path)
     for name in ("trajectory.tum", "map.pgm", "map.yaml", "map.png"):
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
-
-
-def test_laps_through_a_building_lie_on_each_other_with_a_scan_every_metre(tmp_path):
-    """Without closures these laps are 0.66 m apart in the mean."""
-    report = slam(LOGS / "intel-sparse.log.gz", tmp_path)
-    assert report["loops"] > 50
-    figures = score(tmp_path / "trajectory.tum", LOGS / "intel-sparse.ref.tum")["loops"]
-    assert figures["trans_mean_m"] < 0.065
