@@ -23,14 +23,20 @@ class Reply(Message):
 
 @dataclass(frozen=True, slots=True)
 class Navigate(Message):
-    """Drive through these poses in `map`, dwelling at each. NaN-free; `any_heading` ignores the poses' yaw."""
+    """Drive through these poses in `map`, dwelling at each. NaN-free; `any_heading` ignores the poses' yaw.
+
+    A pose without a stay whose heading does not matter, and after which others follow, is passed without a stop.
+    """
 
     poses: Annotated[tuple[Pose, ...], Unit("m, m, rad")]
     dwell: m.Seconds
     loops: Annotated[int, Unit("rounds; 0 is for ever"), m.Within(0, 10**6)]
     any_heading: Flag
+    dwells: Annotated[tuple[m.Seconds, ...], Unit("s, one a pose; none: `dwell` at each")] = ()
 
     def problem(self) -> str | None:
+        if self.dwells and len(self.dwells) != len(self.poses):
+            return f"{len(self.dwells)} stays for {len(self.poses)} poses"
         return None if self.poses else "a route of no poses"
 
 
