@@ -58,6 +58,7 @@ CANCELED        = Reason("canceled", "the task was canceled", "send a new goal",
 OTHER_MAP       = Reason("other_map", "the map was changed: the task was on another one", "send a new goal", "info")
 PAUSED          = Reason("paused", "the task is paused", "go on: zenav route --resume", "info")
 DWELLING        = Reason("dwelling", "the robot stays at a pose of its route", "nothing to do: it goes on by itself", "info")
+OVERRIDE        = Reason("override", "the protective field is overridden by hand", "it ends when teleop does, or no longer asks for it", "stop")
 BUSY            = Reason("busy", "the service has another request to finish", "try again in a moment", "info")
 NOT_RUNNING     = Reason("not_running", "no service answers", "start the stack: zenav up", "stop")
 BAD_REQUEST     = Reason("bad_request", "the request is not valid", "see the detail", "info")

@@ -57,6 +57,20 @@ class Pause(Message):
     paused: Flag
 
 
+MOST_OVERRIDE = 2.0
+"""s that one request overrides at most: who wants more asks again and again, and whoever is gone does not."""
+
+
+@dataclass(frozen=True, slots=True)
+class Override(Message):
+    """Let who drives by hand creep through the protective field and without scans, for so long from now on; 0: end it.
+
+    STOP and the base's faults still hold, and STOP ends it. Nothing else does anything about what is in the way.
+    """
+
+    seconds: Annotated[float, Unit("s"), m.Within(0, MOST_OVERRIDE)]
+
+
 @dataclass(frozen=True, slots=True)
 class Watch(Message):
     """Publish `debug/costmap` and `debug/rollouts` for so long from now on; 0: stop. A viewer asks again and again."""
@@ -157,6 +171,7 @@ NAVIGATE = Request("request/navigate", Navigate, Reply, by="navigator")
 EXPLORE = Request("request/explore", Explore, Reply, by="navigator")
 CANCEL = Request("request/cancel", Cancel, Reply, by="navigator")
 PAUSE = Request("request/pause", Pause, Reply, by="navigator")
+OVERRIDE = Request("request/override", Override, Reply, by="guard")
 WATCH = Request("request/watch", Watch, Reply, by="local_ctrl")
 LOAD_MAP = Request("request/load_map", LoadMap, Reply, by="mapper")
 FETCH_MAP = Request("request/fetch_map", FetchMap, MapPart, by="mapper")

@@ -103,6 +103,9 @@ def fault(
 def teleop(
     speed: Annotated[float, typer.Option(min=0.01, max=5, help="m/s")] = 0.3,
     turn: Annotated[float, typer.Option(min=1, max=360, help="degrees/s")] = 45.0,
+    override: Annotated[
+        bool, typer.Option("--override", help="Creep through the guard's protective field: look where you drive.")
+    ] = False,
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:
@@ -112,7 +115,7 @@ def teleop(
     """
     from zenav.teleop import teleop
 
-    teleop(robot, stack, speed, turn)
+    teleop(robot, stack, speed, turn, override)
 
 
 @app.command(cls=Command, rich_help_panel=DRIVE)
