@@ -3,7 +3,7 @@
 
 import difflib
 from io import StringIO
-from math import hypot, pi
+from math import cos, hypot, pi
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -14,6 +14,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.error import YAMLError
 
+CIRCLE_CORNERS = 32  # of the polygon around a round robot: it reaches 0.5 % beyond the circle
 CONFIG_DIR = Path(__file__).resolve().parent.parent / "config"
 
 
@@ -108,14 +109,19 @@ class Robot(Section):
 
     name: str = Field(pattern="^[a-z][a-z0-9_]*$", description="first part of every key")
     footprint: tuple[tuple[float, float], ...] = Field(
-        min_length=3, description="m, corners in `base`, counter-clockwise"
+        (), description="m, corners in `base`, counter-clockwise, three at least; or give `radius`"
     )
+    radius: float | None = Field(None, gt=0, le=5, description="m: of a round robot about `base`; or give `footprint`")
     drive: Drive
     laser: Laser
     ranges: tuple[RangeSensor, ...] = Field((), description="ultrasonic and infrared sensors, in the board's order")
 
     @model_validator(mode="after")
     def _around_the_origin(self) -> "Robot":
+        if bool(self.footprint) == (self.radius is not None):
+            raise ValueError("give either footprint, as corners, or radius")
+        if self.radius is None and len(self.footprint) < 3:
+            raise ValueError("footprint: three corners at least")
         corners = self.corners
         x, y = corners[:, 0], corners[:, 1]
         if 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) <= 0:
@@ -128,8 +134,11 @@ class Robot(Section):
 
     @property
     def corners(self) -> NDArray[np.float64]:
-        """(n, 2) m, in `base`, counter-clockwise."""
-        return np.array(self.footprint, float)
+        """(n, 2) m, in `base`, counter-clockwise; of a round robot, the regular polygon around the circle."""
+        if self.radius is None:
+            return np.array(self.footprint, float)
+        angles = 2 * pi * (np.arange(CIRCLE_CORNERS) + 0.5) / CIRCLE_CORNERS
+        return self.radius / cos(pi / CIRCLE_CORNERS) * np.column_stack((np.cos(angles), np.sin(angles)))
 
     @property
     def inscribed_radius(self) -> float:
@@ -141,7 +150,7 @@ class Robot(Section):
     @property
     def circumscribed_radius(self) -> float:
         """m: the smallest circle about `base` around the footprint."""
-        return max(hypot(x, y) for x, y in self.footprint)
+        return max(hypot(x, y) for x, y in self.corners.tolist())
 
 
 T = TypeVar("T", bound=Section)

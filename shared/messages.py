@@ -378,7 +378,11 @@ class NavState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class NavStatus(Message):
-    """The task, how far it is, and why the robot stands when it stands. `task_id` counts the requests it accepted."""
+    """The task, how far it is, and why the robot stands when it stands. `task_id` counts the requests it accepted.
+
+    Distance and time left are those of a route's present round, stays included. `recovery` names the one that runs or
+    was just made, `reason` and `detail` why. `n_rounds` is 0 where a route goes on for ever.
+    """
 
     task_id: Count
     state: Annotated[NavState, Unit("1")]
@@ -391,6 +395,8 @@ class NavStatus(Message):
     waypoint: Count
     n_waypoints: Count
     n_recoveries: Count
+    round: Count = 0
+    n_rounds: Count = 0
 
 
 @dataclass(frozen=True, slots=True)

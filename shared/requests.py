@@ -23,14 +23,20 @@ class Reply(Message):
 
 @dataclass(frozen=True, slots=True)
 class Navigate(Message):
-    """Drive through these poses in `map`, dwelling at each. NaN-free; `any_heading` ignores the poses' yaw."""
+    """Drive through these poses in `map`, dwelling at each. NaN-free; `any_heading` ignores the poses' yaw.
+
+    A pose without a stay whose heading does not matter, and after which others follow, is passed without a stop.
+    """
 
     poses: Annotated[tuple[Pose, ...], Unit("m, m, rad")]
     dwell: m.Seconds
     loops: Annotated[int, Unit("rounds; 0 is for ever"), m.Within(0, 10**6)]
     any_heading: Flag
+    dwells: Annotated[tuple[m.Seconds, ...], Unit("s, one a pose; none: `dwell` at each")] = ()
 
     def problem(self) -> str | None:
+        if self.dwells and len(self.dwells) != len(self.poses):
+            return f"{len(self.dwells)} stays for {len(self.poses)} poses"
         return None if self.poses else "a route of no poses"
 
 
@@ -49,6 +55,20 @@ class Pause(Message):
     """Stand where you are and keep the task (`paused`), or go on."""
 
     paused: Flag
+
+
+MOST_OVERRIDE = 2.0
+"""s that one request overrides at most: who wants more asks again and again, and whoever is gone does not."""
+
+
+@dataclass(frozen=True, slots=True)
+class Override(Message):
+    """Let who drives by hand creep through the protective field and without scans, for so long from now on; 0: end it.
+
+    STOP and the base's faults still hold, and STOP ends it. Nothing else does anything about what is in the way.
+    """
+
+    seconds: Annotated[float, Unit("s"), m.Within(0, MOST_OVERRIDE)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +171,7 @@ NAVIGATE = Request("request/navigate", Navigate, Reply, by="navigator")
 EXPLORE = Request("request/explore", Explore, Reply, by="navigator")
 CANCEL = Request("request/cancel", Cancel, Reply, by="navigator")
 PAUSE = Request("request/pause", Pause, Reply, by="navigator")
+OVERRIDE = Request("request/override", Override, Reply, by="guard")
 WATCH = Request("request/watch", Watch, Reply, by="local_ctrl")
 LOAD_MAP = Request("request/load_map", LoadMap, Reply, by="mapper")
 FETCH_MAP = Request("request/fetch_map", FetchMap, MapPart, by="mapper")

@@ -46,25 +46,35 @@ def poses_from(texts: list[str]) -> list[Target]:
         if len(numbers) not in (2, 3) or not all(abs(n) < 1e6 for n in numbers):
             raise UserError(f"{text.strip()!r} is no pose", "write X,Y or X,Y,YAW: m, m, degrees, like 4,-2,90")
         found.append((numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else None))
-    if not found:
-        raise UserError("a route of no poses", "name some: zenav route 1,0 4,-2,90 0,0")
     return found
 
 
-def navigate(targets: list[Target], dwell: float, loops: int) -> Navigate:
-    """The request for a route, not yet stamped; its headings count where every target has one. Raises UserError."""
+def navigate(targets: list[Target], dwell: float, loops: int, stays: tuple[float, ...] = ()) -> Navigate:
+    """The request for a route, not yet stamped; its headings count where every target has one. Raises UserError.
+
+    dwell: s at each target; stays: s at each where they differ.
+    """
+    if not targets:
+        raise UserError("a route of no poses", "name some: zenav route 1,0 4,-2,90 kitchen")
     if any(abs(n) > 1e6 or n != n for x, y, yaw in targets for n in (x, y, yaw or 0.0)):
         raise UserError("a pose is farther out than any map", "give m, m, degrees")
     mixed = len({yaw is None for _, _, yaw in targets}) > 1
     if mixed:
         raise UserError("some poses have a heading and some have none", "give all of them one, or none")
     poses = tuple(Pose2(x, y, wrapped(radians(yaw or 0.0))) for x, y, yaw in targets)
-    return Navigate(0, poses, dwell, loops, targets[0][2] is None)
+    return Navigate(0, poses, dwell, loops, targets[0][2] is None, stays)
 
 
-def drive(robot: str, stack: str, targets: list[Target], dwell: float = 0.0, loops: int = 1) -> int:
+def drive(
+    robot: str,
+    stack: str,
+    targets: list[Target],
+    dwell: float = 0.0,
+    loops: int = 1,
+    stays: tuple[float, ...] = (),
+) -> int:
     """Drives through the targets; 0 when the last was reached."""
-    request = navigate(targets, dwell, loops)
+    request = navigate(targets, dwell, loops, stays)
     return _task(robot, stack, lambda c: c.ask(requests.NAVIGATE, replace(request, stamp=c.now())), place(targets[-1]))
 
 

@@ -11,15 +11,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from math import radians
 
-from shared import topics
+from shared import requests, topics
 from shared.config import UserError, load_robot
 from shared.messages import Velocity
+from shared.requests import Override
 from shared.runners.transport import where_from
 from zenav.client import Client
-from zenav.drive import why_standing
+from zenav.drive import refusal, why_standing
 from zenav.stopping import stopping
 
 PERIOD = 0.05  # s
+OVERRIDE, AGAIN = 1.0, 0.4  # s that the field is overridden for, and after which that is asked for again
+LOUD = "\a\033[1;31mOVERRIDE: the guard does not stop for anything in the way\033[0m\n"
 HOLD = 0.6  # s that a key counts as held: longer than a terminal waits before it repeats
 KEYS = {
     "w": (1, 0), "s": (-1, 0), "a": (0, 1), "d": (0, -1), "q": None, "\x03": None, "\x04": None,
@@ -69,16 +72,20 @@ def raw_terminal() -> Iterator[int]:
         termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
 
 
-def teleop(robot: str, stack: str, speed: float, turn: float) -> None:
-    """Drives by keys until q; speed in m/s, turn in degrees/s. While it runs, it has the robot: no key is to stand."""
+def teleop(robot: str, stack: str, speed: float, turn: float, override: bool) -> None:
+    """Drives by keys until q; speed in m/s, turn in degrees/s. While it runs, it has the robot: no key is to stand.
+
+    override: nothing but the driver keeps the robot from what is in its way. Raises UserError where the guard refuses.
+    """
     keys = Keys()
+    asked = float("-inf")
     with (
         raw_terminal() as terminal,
         stopping() as stop,
         Client(load_robot(robot).robot.name, where_from(stack)) as client,
     ):
         client.follow(topics.GUARD, topics.ODOM)
-        sys.stderr.write("w a s d or arrows drive, space stops, q quits\n")
+        sys.stderr.write("w a s d or arrows drive, space stops, q quits\n" + (LOUD if override else ""))
         due = time.monotonic()
         while not (stop.is_set() or keys.ended):
             readable, _, _ = select.select([terminal], [], [], max(0.0, due - time.monotonic()))
@@ -86,11 +93,23 @@ def teleop(robot: str, stack: str, speed: float, turn: float) -> None:
                 keys.pressed(os.read(terminal, 256).decode(errors="replace") or "q", time.monotonic())
                 continue
             due += PERIOD
+            if override and due - asked >= AGAIN:
+                _override(client, OVERRIDE)
+                asked = due
             forward, turning = keys.way(time.monotonic())
             client.publish(topics.TELEOP(Velocity(client.now(), forward * speed, turning * radians(turn), "")))
             _show(client)
         client.publish(topics.TELEOP(Velocity(client.now(), 0.0, 0.0, "")))
+        if override:
+            _override(client, 0.0)
     sys.stderr.write("\n")
+
+
+def _override(client: Client, seconds: float) -> None:
+    """Asks the guard; a guard that does not answer at once is asked in vain, and the robot stands."""
+    reply = client.ask(requests.OVERRIDE, Override(client.now(), seconds), timeout=1.0)
+    if not reply.accepted:
+        raise refusal(reply)
 
 
 def _show(client: Client) -> None:

@@ -12,7 +12,7 @@ from services.guard.obstacles import Obstacles, ObstaclesConfig, looks_at
 from services.guard.protective_field import FREE, FieldConfig, Permit, permitted
 from services.guard.stops import Situation, StopsConfig, scan_end
 from services.guard.track import Track
-from shared import reasons, topics
+from shared import reasons, requests, topics
 from shared.config import Robot, Section
 from shared.geometry import wrapped
 from shared.messages import (
@@ -26,7 +26,8 @@ from shared.messages import (
     RangeReadings,
     Velocity,
 )
-from shared.service import Out, Service, every, on
+from shared.requests import Override, Reply
+from shared.service import Answer, Out, Service, answer, every, on
 
 LONGEST_RAMP = 0.1  # s of acceleration that one command may make up for
 RANGES_AGE = 1.0  # s after which range sensors no longer count as looking
@@ -160,6 +161,14 @@ class GuardService(Service):
         self.situation.take_pose(pose)
         return ()
 
+    @answer(requests.OVERRIDE)
+    def override(self, request: Override) -> Answer[Reply]:
+        self.situation.now = self.now
+        refused = self.situation.take_override(request.seconds)
+        yield from self.drive()
+        why = f"{refused.text}: {refused.mend}" if refused else ""
+        return Reply(self.now, refused is None, refused.code if refused else "", why)
+
     @every(hz=50)
     def watch(self) -> Out:
         """Stops at once, between the ticks that drive."""
@@ -193,13 +202,13 @@ class GuardService(Service):
             told = situation.base.detail if situation.base and state is GuardState.FAULT else ""
             return Verdict(state, reason.code, name, detail=told)
         drive, field, command = self.robot.drive, self.config.field, source.command
+        if situation.overridden:
+            return self._overridden(command, name)
         wanted = self._seen_ahead(*drive.clamped(command.v, command.w))
         points = self.obstacles.points(self.track.odom_from_base, self.now)
         permit = permitted(points, self.corners, *wanted, drive, field)
         target = wanted[0] * permit.share, wanted[1] * permit.share
-        elapsed = (self.now - self.sent_at) * 1e-9
-        elapsed = elapsed if 0 <= elapsed <= LONGEST_RAMP else LONGEST_RAMP
-        v, w = ramped((self.verdict.v, self.verdict.w), target, elapsed, drive)
+        v, w = self._ramped(target)
         # accelerating bends the arc: what goes out is judged too
         check = FREE if (v, w) == target else permitted(points, self.corners, v, w, drive, field)
         v, w = v * check.share, w * check.share
@@ -207,6 +216,21 @@ class GuardService(Service):
         limit = abs(wanted[0]) * slowed.share if slowed.share < 1 else drive.max_speed
         detail = f"contact after {slowed.travel:.2f} m" if slowed.share < 1 else ""
         return Verdict(*_told(command, wanted, (v, w), permit, slowed), name, v, w, limit, detail)
+
+    def _overridden(self, command: Velocity, name: str) -> Verdict:
+        """What a hand commands, at a creep, whatever is in the way."""
+        field = self.config.field
+        v, w = self.robot.drive.clamped(command.v, command.w)
+        share = min(1.0, *(most / abs(x) for x, most in ((v, field.creep_speed), (w, field.creep_turn_rate)) if x))
+        detail = "nothing keeps the robot from what is in its way"
+        v, w = self._ramped((v * share, w * share))
+        return Verdict(GuardState.ACTIVE, reasons.OVERRIDE.code, name, v, w, field.creep_speed, detail)
+
+    def _ramped(self, target: tuple[float, float]) -> tuple[float, float]:
+        """The velocity now, on the way from the last one sent to the target."""
+        elapsed = (self.now - self.sent_at) * 1e-9
+        elapsed = elapsed if 0 <= elapsed <= LONGEST_RAMP else LONGEST_RAMP
+        return ramped((self.verdict.v, self.verdict.w), target, elapsed, self.robot.drive)
 
     def _seen_ahead(self, v: float, w: float) -> tuple[float, float]:
         """The velocity, slow where the robot would drive in a direction that no sensor covers."""

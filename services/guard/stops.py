@@ -38,11 +38,24 @@ class Situation:
         self.pose: PoseEstimate | None = None
         self.lost_since: int | None = None
         self.jumped_at: int | None = None
+        self.override: tuple[int, int] | None = None  # ns, from and until when a person answers for what is in the way
+
+    def take_override(self, seconds: float) -> Reason | None:
+        """Overrides the field for so long, or ends that; the reason where it is refused."""
+        if seconds and self.pressed is not None:
+            return reasons.ESTOP
+        self.override = (self.now, self.now + round(seconds * 1e9)) if seconds else None
+        return None
+
+    @property
+    def overridden(self) -> bool:
+        """Whether the command is a hand's that answers for what is in the way."""
+        return self.override is not None and self.override[0] <= self.now < self.override[1] and not self.navigating
 
     def take_stop(self, stop: EmergencyStop) -> None:
         """STOP latches. A release (also of the base's fault) moves nothing: both sources must ask for zero first."""
         if stop.pressed:
-            self.pressed = stop
+            self.pressed, self.override = stop, None
             return
         if self.pressed is not None and stop.stamp < self.pressed.stamp <= self.now + FUTURE:
             return  # an older release than this press
@@ -144,7 +157,7 @@ STOPS: tuple[tuple[Reason, GuardState, Callable[[Situation], bool]], ...] = (  #
     (reasons.FAULT,          GuardState.FAULT,   lambda s: s.fault != ""),
     (reasons.BASE_SILENT,    GuardState.HOLD,    lambda s: s.old(s.base_stamp, s.config.base_age)),
     (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s: s.old(s.odom_stamp, s.config.odom_age)),
-    (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s: s.old(s.scan_end, s.config.scan_age)),
+    (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s: not s.overridden and s.old(s.scan_end, s.config.scan_age)),
     (reasons.COMMAND_OLD,    GuardState.HOLD,    lambda s: not s.heard and s.source.moving),
     (reasons.NO_COMMAND,     GuardState.IDLE,    lambda s: not s.heard),
     (reasons.ESTOP_RELEASED, GuardState.HOLD,    lambda s: not s.source.armed),

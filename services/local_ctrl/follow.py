@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a plan is driven: turn towards it on the spot, follow it by MPPI, stop at its end, turn to the goal's heading."""
+"""How a plan is driven: turn towards it on the spot, follow it by a controller, stop at its end, turn as it says."""
 
 from math import atan2, copysign, hypot, pi
 
 from pydantic import Field
 
-from services.local_ctrl.distance_to_go import DistanceToGoConfig, carrot, distance_to_go
+from services.local_ctrl.controller import Controller, Scene
+from services.local_ctrl.distance_to_go import DistanceToGoConfig, distance_to_go
 from services.local_ctrl.footprint import Footprint
 from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.local_plan import Ahead, LocalPlan
 from services.local_ctrl.manoeuvres import TURN_LOOK, Outcome, braking, free_turn, turn_command
-from services.local_ctrl.mppi import Mppi, MppiConfig, Scene
 from services.local_ctrl.rollout import DT, Limits, Motion, speed_after
 from shared import reasons
 from shared.config import Section
@@ -44,17 +44,17 @@ class Follower:
         self,
         config: FollowConfig,
         to_go: DistanceToGoConfig,
-        mppi: MppiConfig,
+        controller: Controller,
         limits: Limits,
         footprint: Footprint,
     ) -> None:
         self.config, self.to_go, self.limits, self.footprint = config, to_go, limits, footprint
-        self.mppi = Mppi(mppi, limits)
+        self.controller = controller
         self.reset()
 
     def reset(self) -> None:
         """The next tick starts from a stand."""
-        self.mppi.reset()
+        self.controller.reset()
         self.turning = 0.0  # which way round, 0: not turning
         self.at_end = False
         self.n_stalled = 0
@@ -71,7 +71,7 @@ class Follower:
         scene, closed = self._scene(ahead, costmap, motion)
         if not closed and (outcome := self._turned_to_way(scene, costmap, motion, left)) is not None:
             return outcome
-        solution = self.mppi.solve(scene, self.footprint, n_elapsed)
+        solution = self.controller.solve(scene, self.footprint, n_elapsed)
         stalls = closed or (solution.gain < 0.1 and abs(solution.velocities[0, 0]) < SLOW)
         self.n_stalled = self.n_stalled + 1 if stalls else 0
         if solution.collides or self.n_stalled * DT >= self.config.stalled_after:
@@ -105,6 +105,7 @@ class Follower:
             motion.pose.yaw,
             motion.v,
             motion.w,
+            points[: to_go.i_end + 1],
         )
         return scene, to_go.closed and hypot(scene.end_x - x, scene.end_y - y) < self.config.closed_within
 
@@ -130,7 +131,7 @@ class Follower:
 
     def _turned_to_way(self, scene: Scene, costmap: LocalCostmap, motion: Motion, left: float) -> Outcome | None:
         """Turning on the spot until the way lies ahead; None where there is no need to, or no room."""
-        x, y = carrot(scene.to_go, scene.x, scene.y, self.config.look, scene.resolution)
+        x, y = self.controller.ahead(scene, self.config.look)
         error = wrapped(atan2(y - scene.y, x - scene.x) - scene.yaw) if hypot(x - scene.x, y - scene.y) > 0.15 else 0.0
         if self.turning:
             if abs(error) < self.config.turn_until:

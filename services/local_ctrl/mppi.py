@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
+from services.local_ctrl.controller import APPROACH, Considered, Scene, Solution
 from services.local_ctrl.distance_to_go import carrot, to_go_at
 from services.local_ctrl.footprint import Footprint, clearance, sampled, touches
 from services.local_ctrl.rollout import DT, Limits, arc_step, speed_after, turn_rate_after
@@ -85,33 +86,6 @@ class Weights(NamedTuple):
     least_speed: float
 
 
-class Scene(NamedTuple):
-    """What the rollouts meet. Positions are m from the centre of the costmap's lower left cell, as its start is."""
-
-    field: Float32s  # (n, n) m to the nearest occupied cell
-    occupied: Bools  # (n, n)
-    resolution: float
-    to_go: Float32s  # (n / 2, n / 2) m, see distance_to_go
-    end_x: float
-    end_y: float
-    ends: bool  # the path's end is in the window
-    x: float
-    y: float
-    yaw: float
-    v: float
-    w: float
-
-
-class Solution(NamedTuple):
-    """velocities: (steps, 2) float64 m/s and rad/s, from the first step on; cost m; how much nearer it comes, m."""
-
-    velocities: Float64s
-    cost: float
-    collides: bool
-    gain: float
-
-
-APPROACH = 0.5  # share of the drive's braking that stopping at the goal counts on: the rest is for delay
 REACTION = 0.2  # s that a guard counts on between a command and the wheels' answer
 N_GUESSES = 9  # rollouts that are not noise: the last solution, standing still, seven that go downhill
 
@@ -149,6 +123,17 @@ class Mppi:
         fine = self._best(scene, footprint)
         self.mean = fine.velocities
         return fine
+
+    def ahead(self, scene: Scene, look: float) -> tuple[float, float]:
+        """Down the distance to go, around what stands on the plan."""
+        x, y = carrot(scene.to_go, scene.x, scene.y, look, scene.resolution)
+        return float(x), float(y)
+
+    def considered(self) -> Considered:
+        """The last solution, and the rollouts that polished it."""
+        return Considered(
+            np.concatenate((self.mean[None], self.executed.astype(float))), np.append(self.costs.min(), self.costs)
+        )
 
     def _best(self, scene: Scene, footprint: Footprint) -> Solution:
         """The weighted average of `targets`, or the best of them where two ways around an obstacle average into it."""

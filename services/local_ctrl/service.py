@@ -2,21 +2,26 @@
 """Local control: where to drive in the next 50 ms, so that the plan is followed and nothing is touched."""
 
 from collections import deque
+from collections.abc import Callable
 from copy import deepcopy
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from services.local_ctrl import rehearsal
+from services.local_ctrl.controller import Controller
 from services.local_ctrl.distance_to_go import DistanceToGoConfig
+from services.local_ctrl.dwa import Dwa, DwaConfig
 from services.local_ctrl.follow import FollowConfig, Follower
 from services.local_ctrl.footprint import footprint_of
 from services.local_ctrl.inputs import AgesConfig, Inputs, S
 from services.local_ctrl.local_costmap import CostmapConfig, LocalCostmap
 from services.local_ctrl.local_plan import LocalPlan
 from services.local_ctrl.manoeuvres import Manoeuvre, ManoeuvreConfig, Outcome, braking
-from services.local_ctrl.mppi import MppiConfig
-from services.local_ctrl.rollout import DT, Command, Motion, limits_of, predicted
+from services.local_ctrl.mppi import Mppi, MppiConfig
+from services.local_ctrl.pursuit import Pursuit, PursuitConfig
+from services.local_ctrl.rollout import DT, Command, Limits, Motion, limits_of, predicted
 from services.local_ctrl.view import View
 from shared import reasons, requests, topics
 from shared.config import Robot, Section
@@ -44,6 +49,9 @@ RIM = 1.0  # m of the costmap beyond where the longest rollout ends
 class LocalCtrlConfig(Section):
     """Local control."""
 
+    controller: Literal["mppi", "dwa", "pursuit"] = Field(
+        "mppi", description="what follows the plan; docs/local_control.md says when to pick which"
+    )
     max_speed: float = Field(10.0, gt=0, le=10, description="m/s forward, where the drive allows more")
     max_reverse_speed: float = Field(
         0.15, ge=0, le=10, description="m/s backward, where the drive allows more; 0: never"
@@ -57,6 +65,15 @@ class LocalCtrlConfig(Section):
     follow: FollowConfig = FollowConfig()
     manoeuvres: ManoeuvreConfig = ManoeuvreConfig()
     mppi: MppiConfig = MppiConfig()
+    dwa: DwaConfig = DwaConfig()
+    pursuit: PursuitConfig = PursuitConfig()
+
+
+CONTROLLERS: dict[str, Callable[[LocalCtrlConfig, Limits], Controller]] = {
+    "mppi": lambda config, limits: Mppi(config.mppi, limits),
+    "dwa": lambda config, limits: Dwa(config.dwa, limits),
+    "pursuit": lambda config, limits: Pursuit(config.pursuit, limits),
+}
 
 
 class LocalCtrlService(Service):
@@ -71,7 +88,8 @@ class LocalCtrlService(Service):
         self.footprint = footprint_of(robot, config.padding)
         self.costmap = LocalCostmap(config.costmap, self.limits.v_max * config.mppi.steps * DT + RIM)
         self.inputs = Inputs(config.ages)
-        self.follower = Follower(config.follow, config.distance_to_go, config.mppi, self.limits, self.footprint)
+        controller = CONTROLLERS[config.controller](config, self.limits)
+        self.follower = Follower(config.follow, config.distance_to_go, controller, self.limits, self.footprint)
         self.grid = OccupancyGrid()
         self.goal: Goal | None = None
         self.goal_since = 0  # ns
@@ -180,7 +198,7 @@ class LocalCtrlService(Service):
             seen = deepcopy(self.costmap)  # looking at it changes it, and being watched must not change the drive
             self._look_around(seen)
             yield topics.COSTMAP(self.view.costmap(self.now, seen, self.footprint))
-            rollouts = self.view.rollouts(self.now, self.follower.mppi, self.acting)
+            rollouts = self.view.rollouts(self.now, self.follower.controller, self.acting)
             if rollouts is not None:
                 yield topics.ROLLOUTS(rollouts)
 
@@ -240,8 +258,11 @@ class LocalCtrlService(Service):
         costmap.refresh(self.now, here, self.footprint)
 
     def warm(self) -> None:
-        """Drives another instance through everything once: the kernels are compiled for all."""
-        other = LocalCtrlService(self.config, self.robot)
+        """Drives others through everything once, with every controller: the kernels are compiled for all."""
+        for controller in CONTROLLERS:
+            self._rehearse(LocalCtrlService(self.config.model_copy(update={"controller": controller}), self.robot))
+
+    def _rehearse(self, other: "LocalCtrlService") -> None:
         other.now = rehearsal.NOW
         list(other.odometry(rehearsal.odometry(rehearsal.NOW - S // 10)))
         list(other.odometry(rehearsal.odometry(rehearsal.NOW)))

@@ -4,9 +4,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from services.local_ctrl.controller import Controller
 from services.local_ctrl.footprint import Footprint
 from services.local_ctrl.local_costmap import LocalCostmap
-from services.local_ctrl.mppi import Mppi
 from services.local_ctrl.rollout import DT, Motion
 from shared.messages import Costmap, Rollouts
 
@@ -46,16 +46,15 @@ class View:
         half = 0.5 * costmap.resolution  # its x0, y0 are the centre of the first cell
         return Costmap(now, costmap.x0 - half, costmap.y0 - half, costmap.resolution, cells)
 
-    def rollouts(self, now: int, mppi: Mppi, start: Motion) -> Rollouts | None:
+    def rollouts(self, now: int, controller: Controller, start: Motion) -> Rollouts | None:
         """What was weighed up since the last call, from `start` in `odom`; None where nothing was."""
-        if mppi.n_solved in (0, self._n_solved):
+        if controller.n_solved in (0, self._n_solved):
             return None
-        self._n_solved = mppi.n_solved
-        chosen = np.linspace(0, len(mppi.costs) - 1, SHOWN).astype(int)
-        velocities = np.concatenate((mppi.mean[None], mppi.executed[chosen]))
-        costs = np.append(mppi.costs.min(), mppi.costs[chosen])
-        xs, ys = _ways(velocities, start)
-        return Rollouts(now, xs, ys, np.clip(costs, 0, 1e12).astype(np.float32))
+        self._n_solved = controller.n_solved
+        velocities, costs = controller.considered()
+        chosen = np.append(0, np.linspace(1, len(costs) - 1, min(SHOWN, len(costs) - 1)).astype(int))
+        xs, ys = _ways(velocities[chosen], start)
+        return Rollouts(now, xs, ys, np.clip(costs[chosen], 0, 1e12).astype(np.float32))
 
 
 def _ways(velocities: NDArray[np.floating], start: Motion) -> tuple[Float32s, Float32s]:

@@ -34,22 +34,32 @@ def status(navigation: Navigation, speedometer: Speedometer, now: int) -> NavSta
     route = task if isinstance(task, Route) else None
     left = (navigation.left(leg, now) if leg else 0.0) + (route.beyond() if route else 0.0)
     left = min(left, 1e6)
+    stays = route.stays_beyond() + (route.dwell if leg else navigation.dwell) if route else 0.0
     code = _why(navigation, now)
     known = REASONS.get(code)
+    words = f"{known.text}: {known.mend}" if known else ""
     return NavStatus(
         now,
         navigation.task_id,
         _state(navigation),
         navigation.recovery,
         code,
-        navigation.detail or (f"{known.text}: {known.mend}" if known else ""),
+        navigation.detail or (_tried(navigation) if navigation.recovery else words),
         leg.target if leg else route.target if route else Pose2(),
         left,
-        speedometer.time_for(left),
+        min(speedometer.time_for(left) + max(stays, 0.0), 1e7),
         route.index if route else 0,
         len(route.poses) if route else 0,
         navigation.ladder.n_used,
+        route.round if route else 0,
+        route.loops if route else 0,
     )
+
+
+def _tried(navigation: Navigation) -> str:
+    """Which recovery it is, which one of how many, and what for."""
+    ladder = navigation.ladder
+    return f"{navigation.recovery}, {ladder.n_tried} of {len(ladder.steps)}: {ladder.last.text}"
 
 
 def _state(navigation: Navigation) -> NavState:
@@ -70,6 +80,8 @@ def _why(navigation: Navigation, now: int) -> str:
         return reasons.POSE_LOST.code
     if navigation.jumped:
         return reasons.POSE_JUMPED.code
+    if isinstance(navigation.task, Route) and navigation.leg is None:
+        return reasons.DWELLING.code
     driving = navigation.goal if navigation.leg and not navigation.action else None
     recovering_from = navigation.ladder.last.code if navigation.recovery else ""
     return navigation.hearing.why(driving, now) or recovering_from

@@ -108,8 +108,16 @@ class Navigation:
             return
         if self.action and follow.state in (FollowState.ARRIVED, FollowState.FAILED):
             yield from self._drive(now, self.leg)
-        elif not self.action and follow.state is FollowState.ARRIVED:
+        elif not self.action and (follow.state is FollowState.ARRIVED or self._passes(follow, self.leg)):
             yield from self._arrived(now)
+
+    def _passes(self, follow: FollowStatus, leg: Leg) -> bool:
+        """Whether the robot is under way at a pose of its route where it need not stop."""
+        pose, near = self.where.map_from_base, self.config.tolerance
+        under_way = follow.state is FollowState.FOLLOWING and not self.suspended
+        if pose is None or not under_way or pose.distance(leg.target) > near:
+            return False
+        return isinstance(self.task, Route) and self.task.passes(near)
 
     def leapt(self, now: int) -> Out:
         """The pose jumped: the way is planned anew from where the robot really is."""

@@ -69,6 +69,11 @@ class Ladder:
         """All were tried since the last real progress."""
         return self._next >= len(self.steps)
 
+    @property
+    def n_tried(self) -> int:
+        """Of the steps, since the last real progress; those that made no sense among them."""
+        return self._next
+
     def next(self, reason: Reason, pose: Pose2 | None, move: bool) -> Step | None:
         """The next recovery, or None where all were tried. move: such as move the robot make sense."""
         self.last = reason

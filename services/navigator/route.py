@@ -9,10 +9,10 @@ from shared.geometry import Pose2
 
 @dataclass(slots=True)
 class Route:
-    """Where a route stands. loops: rounds, 0 for ever; dwell: s at each pose."""
+    """Where a route stands. loops: rounds, 0 for ever; dwells: s at each of the poses."""
 
     poses: tuple[Pose2, ...]
-    dwell: float
+    dwells: tuple[float, ...]
     loops: int
     any_heading: bool
     index: int = 0
@@ -21,6 +21,18 @@ class Route:
     @property
     def target(self) -> Pose2:
         return self.poses[self.index]
+
+    @property
+    def dwell(self) -> float:
+        """s to stay at the present pose."""
+        return self.dwells[self.index]
+
+    def passes(self, tolerance: float) -> bool:
+        """Whether the robot need not stop here: no stay, no heading, and the next pose is over `tolerance` m away."""
+        last = self.index + 1 == len(self.poses)
+        if self.dwell or not self.any_heading or (last and self.loops and self.round + 1 >= self.loops):
+            return False
+        return self.target.distance(self.poses[0 if last else self.index + 1]) > tolerance
 
     def advance(self) -> bool:
         """Goes on to the next pose; False where there is none."""
@@ -37,3 +49,7 @@ class Route:
         """m, straight, from the present pose through the rest of this round."""
         rest = self.poses[self.index :]
         return sum(a.distance(b) for a, b in pairwise(rest))
+
+    def stays_beyond(self) -> float:
+        """s to stay at the poses after the present one, in the rest of this round."""
+        return sum(self.dwells[self.index + 1 :])

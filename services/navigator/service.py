@@ -87,7 +87,8 @@ class NavigatorService(Service):
 
     @answer(requests.NAVIGATE)
     def navigate(self, request: Navigate) -> Answer[Reply]:
-        route = Route(request.poses, request.dwell, request.loops, request.any_heading)
+        dwells = request.dwells or (request.dwell,) * len(request.poses)
+        route = Route(request.poses, dwells, request.loops, request.any_heading)
         return (yield from self._begin(route))
 
     @answer(requests.EXPLORE)

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from pydantic import Field
 
+from services.local_ctrl.footprint import footprint_of
 from shared.config import Robot, Section, UserError, load_robot
 
 X80SV = Path(__file__).parents[2] / "config" / "x80sv.yaml"
@@ -58,6 +59,24 @@ def test_a_clockwise_footprint_is_refused():
     robot = load_robot("x80sv").robot
     with pytest.raises(ValueError, match="counter-clockwise"):
         Robot.model_validate({**robot.model_dump(), "footprint": robot.footprint[::-1]})
+
+
+def test_a_round_robot_is_a_polygon_that_hardly_reaches_beyond_its_circle():
+    robot = load_robot("x80sv").robot
+    round_one = Robot.model_validate({**robot.model_dump(), "footprint": (), "radius": 0.3})
+    assert round_one.inscribed_radius == pytest.approx(0.3)
+    assert 0.3 < round_one.circumscribed_radius < 0.3 * 1.005
+    assert len(footprint_of(round_one, 0.03).circles) == 1
+
+
+@pytest.mark.parametrize(
+    ("footprint", "radius", "words"),
+    [((), None, "either"), (((1, 0), (0, 1), (-1, -1)), 0.3, "either"), (((1, 0), (0, 1)), None, "three corners")],
+)
+def test_a_robot_has_one_outline(footprint, radius, words):
+    robot = load_robot("x80sv").robot
+    with pytest.raises(ValueError, match=words):
+        Robot.model_validate({**robot.model_dump(), "footprint": footprint, "radius": radius})
 
 
 def test_an_unknown_section_names_the_nearest(tmp_path):

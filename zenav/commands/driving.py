@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from zenav.commands.parts import DRIVE, Command, RobotName, Stack, app
+from zenav.commands.parts import DRIVE, Command, MapName, RobotName, Stack, app
 
 
 def _faults() -> list[str]:
@@ -16,42 +16,48 @@ def _faults() -> list[str]:
 
 @app.command(cls=Command, rich_help_panel=DRIVE)
 def goto(
-    x: Annotated[float, typer.Argument(help="m, on the map.")],
-    y: Annotated[float, typer.Argument(help="m, on the map.")],
-    yaw: Annotated[
-        float | None, typer.Argument(help="Degrees, counter-clockwise; without it any heading will do.")
-    ] = None,
+    where: Annotated[
+        list[str],
+        typer.Argument(metavar="X Y [YAW] | PLACE", help="m, m on the map, degrees; without YAW any heading will do."),
+    ],
+    map_: MapName = "",
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:
-    """Drive to X Y on the map and stop. Ctrl-C cancels the goal.
+    """Drive to X Y on the map, or to a place by its name, and stop. Ctrl-C cancels the goal.
 
     Example: zenav goto 3.5 -1.2 90
     """
     from zenav.drive import drive
+    from zenav.places import goal_from
 
-    raise typer.Exit(drive(robot, stack, [(x, y, yaw)]))
+    raise typer.Exit(drive(robot, stack, [goal_from(where, map_)]))
 
 
 @app.command(cls=Command, rich_help_panel=DRIVE)
 def route(
-    poses: Annotated[list[str] | None, typer.Argument(metavar="X,Y[,YAW]...", help="m, m, degrees.")] = None,
+    poses: Annotated[
+        list[str] | None, typer.Argument(metavar="X,Y[,YAW][@S]|PLACE[@S]...", help="m, m, degrees; s to stay there.")
+    ] = None,
     loops: Annotated[int, typer.Option(min=0, help="Rounds; 0 is for ever.")] = 1,
-    dwell: Annotated[float, typer.Option(min=0, help="s to stand at each pose.")] = 0.0,
+    dwell: Annotated[float, typer.Option(min=0, help="s to stand at each pose that has no stay of its own.")] = 0.0,
     pause: Annotated[bool, typer.Option("--pause", help="Stand, and keep the present task.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a paused task.")] = False,
+    map_: MapName = "",
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:
-    """Drive through poses in order. Ctrl-C cancels the route.
+    """Drive through poses and places in order. Ctrl-C cancels the route.
 
-    Example: zenav route 1,0 4,-2,90 0,0 --loops 3 --dwell 5
+    Example: zenav route 1,0 4,-2@10 kitchen --loops 3 --dwell 5
     """
-    from zenav.drive import drive, paused, poses_from
+    from zenav.drive import drive, paused
+    from zenav.places import stays_from
 
     if pause or resume:
         raise typer.Exit(paused(robot, stack, pause and not resume))
-    raise typer.Exit(drive(robot, stack, poses_from(poses or []), dwell, loops))
+    targets, stays = stays_from(poses or [], dwell, map_)
+    raise typer.Exit(drive(robot, stack, targets, dwell, loops, stays))
 
 
 @app.command(cls=Command, rich_help_panel=DRIVE)
@@ -97,6 +103,9 @@ def fault(
 def teleop(
     speed: Annotated[float, typer.Option(min=0.01, max=5, help="m/s")] = 0.3,
     turn: Annotated[float, typer.Option(min=1, max=360, help="degrees/s")] = 45.0,
+    override: Annotated[
+        bool, typer.Option("--override", help="Creep through the guard's protective field: look where you drive.")
+    ] = False,
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:
@@ -106,7 +115,7 @@ def teleop(
     """
     from zenav.teleop import teleop
 
-    teleop(robot, stack, speed, turn)
+    teleop(robot, stack, speed, turn, override)
 
 
 @app.command(cls=Command, rich_help_panel=DRIVE)

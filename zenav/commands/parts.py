@@ -120,6 +120,14 @@ At = Annotated[
 ]
 
 
+MapName = Annotated[
+    str,
+    typer.Option(
+        "--map", envvar="ZENAV_MAP", help="The saved map whose places are meant; without it: those in maps/places.yaml."
+    ),
+]
+
+
 SavedMapMode = Annotated[
     Literal["localise", "continue"], typer.Option(help="Leave the map as it is, or go on mapping.")
 ]

@@ -61,7 +61,7 @@ def _entity(stamp: int, frame: str, name: str, lines: list[fox.LinePrimitive], l
 
 def footprint(status: GuardStatus, robot: Robot) -> fox.SceneUpdate:
     """The robot's outline: green drives, blue idle, orange holds, red stopped."""
-    outline = _line([(x, y) for x, y in robot.footprint], _GUARD_COLOURS[status.state], 0.03, closed=True)
+    outline = _line([(x, y) for x, y in robot.corners.tolist()], _GUARD_COLOURS[status.state], 0.03, closed=True)
     return _entity(status.stamp, BASE, "footprint", [outline], locked=True)
 
 

@@ -15,6 +15,7 @@ from zenav.__main__ import _status
 from zenav.launch import ROOT
 
 COMMANDS = [
+    "places list", "places save", "places remove",
     "demo", "up", "run", "goto", "route", "explore", "cancel", "teleop", "estop", "topic list", "topic echo",
     "topic hz", "map save", "map load", "map new", "map mode", "map show", "calibrate odometry",
     "calibrate laser", "calibrate motors", "config show", "config check", "doctor", "slam", "replay",
@@ -88,6 +89,15 @@ def test_a_mistyped_command_is_guessed(typed, meant, capsys):
         ("route", "no poses"),
         ("route 1,2 3,4,5", "heading"),
         ("goto 1e9 2", "farther"),
+        ("goto 1 2 3 4", "'yaw'"),
+        ("goto kitchen", "'kitchen' is no pose and no place"),
+        ("goto kitchen --map nowhere", "nowhere"),
+        ("route 1,2@ 3,4", "no time"),
+        ("route 1,2@-5", "no time"),
+        ("places save 3rd 1 2", "no name for a place"),
+        ("places save here 1", "two coordinates"),
+        ("places save here 1 nan", "no place on a map"),
+        ("places remove here", "'here'"),
         ("cancel --robot nobody", "nobody"),
         ("cancel --stack seven", "'seven'"),
         ("cancel --stack 9999", "'9999'"),

@@ -24,6 +24,7 @@ from shared.messages import (
     RangeReadings,
     Velocity,
 )
+from shared.requests import Override
 
 ROBOT = load_robot("x80sv").robot
 JACKAL = load_robot("jackal").robot
@@ -81,6 +82,14 @@ class Drive:
 
     def stop(self, pressed):
         return self.call(self.guard.estop(EmergencyStop(self.now, pressed, "test")))
+
+    def override(self, seconds):
+        answer = self.guard.override(Override(self.now, seconds))
+        while True:
+            try:
+                self.call([next(answer)])
+            except StopIteration as end:
+                return end.value
 
     def scan(self, **fields):
         laser = self.robot.laser
@@ -565,6 +574,83 @@ def test_teleop_is_guarded_too():
     drive.run(5.0)
     assert drive.velocity == (0, 0)
     assert drive.closest > 0.04
+
+
+def before_a_wall():
+    """Driven by hand, and stopped by the field."""
+    drive = Drive(obstacles=wall(0.8))
+    drive.teleop = (0.8, 0.4)
+    drive.run(4.0)
+    assert drive.verdict == (GuardState.HOLD, "obstacle")
+    return drive
+
+
+def test_an_override_lets_a_hand_creep_on_tells_it_and_ends_by_itself():
+    drive = before_a_wall()
+    assert drive.override(0.5).accepted
+    drive.run(0.4)
+    assert drive.velocity == pytest.approx((0.15, 0.075))
+    assert drive.verdict == (GuardState.ACTIVE, "override")
+    assert drive.last(topics.CMD_VEL).reason == "override"
+    assert drive.status.speed_limit == 0.15
+    drive.run(0.3)
+    assert drive.velocity == (0, 0)
+    assert drive.verdict == (GuardState.HOLD, "obstacle")
+
+
+def test_an_override_moves_nothing_by_itself_and_not_for_the_navigator():
+    drive = Drive(obstacles=wall(0.3))
+    drive.override(2.0)
+    drive.run(0.5)
+    assert drive.velocity == (0, 0)
+    assert drive.status.reason == "no_command"
+    drive.override(2.0)
+    drive.nav = (0.5, 0.0)
+    drive.run(1.9)
+    assert drive.velocity == (0, 0)
+    assert drive.verdict == (GuardState.HOLD, "obstacle")
+    assert drive.closest > 0.04
+
+
+@pytest.mark.parametrize(("cut", "reason"), [("odom", "odom_old"), ("base", "base_silent")])
+def test_an_override_is_of_the_field_and_the_scan_alone(cut, reason):
+    drive = before_a_wall()
+    drive.cut = {"scan"}
+    for _ in range(2):
+        drive.override(1.0)
+        drive.run(0.5)
+    assert drive.verdict == (GuardState.ACTIVE, "override"), "a blind robot is driven out by hand"
+    drive.cut = {"scan", cut}
+    for _ in range(5):
+        drive.override(1.0)
+        drive.run(0.5)
+    assert drive.velocity == (0, 0)
+    assert drive.verdict == (GuardState.HOLD, reason)
+
+
+def test_stop_ends_an_override_and_lets_none_begin():
+    drive = before_a_wall()
+    drive.override(2.0)
+    drive.run(0.2)
+    drive.stop(True)
+    assert drive.velocity == (0, 0)
+    assert drive.override(2.0).reason == "estop"
+    drive.teleop = None
+    drive.stop(False)
+    drive.run(1.0)
+    drive.teleop = (0.8, 0.0)
+    drive.run(0.5)
+    assert drive.verdict == (GuardState.HOLD, "obstacle"), "the override from before is over"
+
+
+def test_an_override_ends_when_it_is_taken_back():
+    drive = before_a_wall()
+    drive.override(2.0)
+    drive.run(0.2)
+    assert drive.velocity != (0, 0)
+    drive.override(0.0)
+    drive.run(0.2)
+    assert drive.verdict == (GuardState.HOLD, "obstacle")
 
 
 def test_one_noisy_beam_does_not_stop_the_robot():

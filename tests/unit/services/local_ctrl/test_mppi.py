@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
+from services.local_ctrl.controller import Scene
 from services.local_ctrl.distance_to_go import DistanceToGoConfig, distance_to_go
 from services.local_ctrl.footprint import Footprint, collides, footprint_of
-from services.local_ctrl.mppi import Mppi, MppiConfig, Scene
+from services.local_ctrl.mppi import Mppi, MppiConfig
 from services.local_ctrl.rollout import DT, Limits, arc_step, limits_of
 from shared.config import load_robot
 from shared.distance_field import distance_field
@@ -39,7 +40,7 @@ def scene(
     unknown = np.zeros_like(occupied)
     to_go = distance_to_go(field, unknown, RESOLUTION, path, START, SHAPE.inscribed, DistanceToGoConfig()).field
     end = float(path[-1, 0]), float(path[-1, 1])
-    return Scene(field, occupied, RESOLUTION, to_go, *end, True, *START, yaw, v, w)
+    return Scene(field, occupied, RESOLUTION, to_go, *end, True, *START, yaw, v, w, path)
 
 
 def places(scene: Scene, velocities: NDArray[np.float64]) -> list[tuple[float, float, float]]:

@@ -216,6 +216,35 @@ def test_backing_up_stops_before_what_stands_behind() -> None:
     assert 0.02 < run.least_clearance < 0.15
 
 
+def test_backing_up_stops_before_what_lies_in_the_blind_sector_and_was_seen_before() -> None:
+    world, start = World(8, 4).box(5.2, 1.5, 5.4, 2.5), Pose2(4.0, 2.0, 0.0)
+    loop = Loop(load_robot("jackal").robot, world, start).give(recovery(GoalKind.TURN, pi))
+    loop.drive(8)
+    assert loop.run.reached
+    loop.give(recovery(GoalKind.BACK_UP, 2.0, goal_id=2))
+    run = loop.drive(8, until=lambda loop: loop.run.commands[-1].reason != "")
+    assert run.commands[-1].reason == reasons.BLOCKED.code
+    assert loop.truth.x > 4.2
+    assert run.least_clearance > 0.02
+
+
+@pytest.mark.parametrize("ultrasonic", [True, False])
+@pytest.mark.parametrize("infrared", [True, False])
+def test_only_the_chosen_range_sensors_mark_obstacles(ultrasonic: bool, infrared: bool) -> None:
+    chosen = {"ultrasonic": ultrasonic, "infrared": infrared}
+    loop = Loop(ROBOT, World(4, 4), Pose2(2, 2), LocalCtrlConfig.model_validate({"costmap": chosen}))
+    loop.drive(0.1)
+    sensors = ROBOT.ranges
+    columns = np.array([[s.mount.x, s.mount.y, s.mount.yaw, s.field_of_view] for s in sensors], np.float32).T.copy()
+    loop.send("ranges", m.RangeReadings(loop.now, *columns, np.full(len(sensors), 0.3, np.float32)))
+    costmap, here = loop.service.costmap, loop.service.inputs.history[-1].odom_from_base
+    for sensor in sensors:
+        at = here @ Pose2(sensor.mount.x, sensor.mount.y, sensor.mount.yaw) @ Pose2(0.3, 0.0, 0.0)
+        row, column = (round((v - v0) / costmap.resolution) for v, v0 in ((at.y, costmap.y0), (at.x, costmap.x0)))
+        if chosen[sensor.kind] or not (ultrasonic or infrared):  # else another kind's arc may lie on it
+            assert bool(costmap.echo_at[row, column]) == chosen[sensor.kind]
+
+
 def test_a_robot_that_must_not_reverse_does_not_back_up() -> None:
     robot = ROBOT.model_copy(update={"drive": ROBOT.drive.model_copy(update={"max_reverse_speed": 0.0})})
     loop = Loop(robot, World(8, 4), Pose2(4, 2)).give(recovery(GoalKind.BACK_UP, 0.3))

@@ -13,6 +13,7 @@ from services.navigator.service import NavigatorService
 from shared import reasons
 from shared.geometry import Pose2
 from shared.messages import FollowState, FollowStatus, GoalKind, GuardState, Localization, NavState, Path
+from shared.requests import Navigate
 from shared.service import Job
 from tests.strategies import faults, publications
 from tests.unit.services.navigator.bench import X80, Bench, S, stopped
@@ -105,6 +106,57 @@ def test_a_route_is_followed_in_rounds_with_a_stay_at_each_pose():
     stays = [b.stamp - a.stamp for a, b in pairwise(bench.goals) if a.kind is GoalKind.NONE]
     assert all(2.0 <= stay / S <= 2.4 for stay in stays)
     assert len(stays) == 6
+
+
+def test_each_pose_has_its_own_stay_and_the_robot_says_that_it_stays():
+    bench = Bench()
+    poses = (Pose2(1.0, 0.0), Pose2(1.0, 1.0), Pose2(0.0, 1.0))
+    bench.ask("navigate", Navigate(bench.now, poses, 0.0, 2, True, (3.0, 0.0, 1.0)))
+    bench.run(60, until=ENDS)
+    assert bench.status.state is NavState.REACHED
+    stays = [b.stamp - a.stamp for a, b in pairwise(bench.goals) if a.kind is GoalKind.NONE]
+    assert [round(stay / S) for stay in stays] == [3, 1, 3, 1]
+    waits = [s for s in bench.statuses if s.reason == reasons.DWELLING.code]
+    assert {(s.waypoint, s.round, s.n_rounds) for s in waits} == {(0, 0, 2), (2, 0, 2), (0, 1, 2), (2, 1, 2)}
+    first = next(s for s in waits if s.waypoint == 0)
+    assert first.time_left > 3.0 + 1.0
+
+
+def test_a_pose_without_stay_or_heading_is_passed_and_the_last_is_stopped_at():
+    bench = Bench()
+    bench.follow_state = FollowState.FOLLOWING  # local control never says that it arrived
+    bench.go(Pose2(1.0, 0.0), Pose2(2.0, 0.0), any_heading=True)
+    bench.pose = Pose2(0.8, 0.0)
+    bench.run(1)
+    assert bench.status.waypoint == 0
+    bench.pose = Pose2(0.9, 0.0)
+    bench.run(1)
+    assert bench.kinds == [GoalKind.DRIVE, GoalKind.DRIVE]
+    assert bench.status.waypoint == 1
+    bench.pose = Pose2(1.95, 0.0)
+    bench.run(1)
+    assert (bench.status.state, bench.status.waypoint) == (NavState.NAVIGATING, 1)
+
+
+def test_a_pose_that_wants_a_heading_and_a_patrol_of_one_place_are_not_passed():
+    for poses, any_heading in (((Pose2(1.0, 0.0), Pose2(2.0, 0.0)), False), ((Pose2(1.0, 0.0),), True)):
+        bench = Bench()
+        bench.follow_state = FollowState.FOLLOWING
+        bench.go(*poses, any_heading=any_heading, loops=0)
+        bench.pose = Pose2(0.9, 0.0)
+        bench.run(1)
+        assert len(bench.goals) == 1
+
+
+def test_a_recovery_is_told_with_its_place_in_the_order_and_its_cause():
+    bench = Bench()
+    bench.follow_state, bench.follow_reason = FollowState.BLOCKED, reasons.BLOCKED.code
+    bench.go(FAR)
+    bench.run(300, until=ENDS)
+    told = {s.recovery: s for s in bench.statuses if s.recovery}
+    assert told["back_up"].detail == f"back_up, 3 of 6: {reasons.BLOCKED.text}"
+    assert told["back_up"].state is NavState.RECOVERING
+    assert told["back_up"].reason == reasons.BLOCKED.code
 
 
 def test_a_patrol_goes_on_until_it_is_canceled():

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where does one pair of velocities lead, what does it come near to, and can the robot still stop before contact?"""
+
+from math import cos, hypot, inf, sin, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from services.local_ctrl.controller import APPROACH, Scene
+from services.local_ctrl.footprint import Footprint, clearance, touches
+from services.local_ctrl.manoeuvres import NEARER
+from services.local_ctrl.rollout import DT, Limits, arc_step, speed_after, turn_rate_after
+
+Float64s = NDArray[np.float64]
+
+AT_END = 0.5  # m from the path's end within which an arc that leads away from it again is cut
+
+
+class Arc(NamedTuple):
+    """Where an arc ends: before contact, beside the path's end, or with its time."""
+
+    x: float  # m
+    y: float
+    c: float  # cosine and sine of the heading
+    s: float
+    v: float  # m/s and rad/s of its first step
+    w: float
+    room: float  # m, the least clearance on it
+    contact: float  # s until contact, inf without
+    seconds: float  # until it ends
+    stops: bool  # the robot can still stop before contact when it runs the first step and then brakes
+
+
+@njit(cache=True, nogil=True)
+def arc_to(
+    target_v: float, target_w: float, seconds: float, reaction: float, scene: Scene, limits: Limits, shape: Footprint
+) -> Arc:
+    """Runs towards a pair of velocities within the limits and keeps them, for so long.
+
+    reaction: s that pass before braking begins. Stopping is Fox, Burgard, Thrun 1997, equation 14 (admissible
+    velocities) in time instead of distance, so that it holds for turning on the spot as well.
+    """
+    x, y, c, s, v, w = scene.x, scene.y, cos(scene.yaw), sin(scene.yaw), scene.v, scene.w
+    first_v, first_w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
+    least = clearance(scene.field, scene.resolution, x, y, c, s, shape)
+    # who stands too near already may leave, not come nearer
+    stuck = least <= shape.padding and touches(scene.occupied, scene.resolution, x, y, c, s, shape)
+    room, contact = inf, inf
+    to_end = hypot(scene.end_x - x, scene.end_y - y)
+    n_steps, n_run = max(1, round(seconds / DT)), 0
+    for t in range(n_steps):
+        v, w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
+        chord, cosine, sine, _ = arc_step(v, w, DT)
+        next_c, next_s = c * cosine - s * sine, s * cosine + c * sine
+        next_x, next_y = x + chord * next_c, y + chord * next_s
+        next_c, next_s = next_c * cosine - next_s * sine, next_s * cosine + next_c * sine
+        near = clearance(scene.field, scene.resolution, next_x, next_y, next_c, next_s, shape)
+        room = min(room, near)
+        if near <= shape.padding:
+            if stuck:
+                hit = near < least - NEARER
+            else:
+                hit = touches(scene.occupied, scene.resolution, next_x, next_y, next_c, next_s, shape)
+            if hit:
+                contact = t * DT
+                break
+        if scene.ends:
+            left = hypot(scene.end_x - next_x, scene.end_y - next_y)
+            if left > to_end and to_end < AT_END and t > 0:
+                break
+            to_end = left
+        x, y, c, s = next_x, next_y, next_c, next_s
+        n_run += 1
+    braking = max(abs(first_v) / limits.braking, abs(first_w) / limits.turn_acceleration)
+    moves = first_v != 0.0 or first_w != 0.0
+    stops = not moves or contact >= DT + reaction + 0.5 * braking
+    return Arc(x, y, c, s, first_v, first_w, room, contact, n_run * DT, stops)
+
+
+@njit(cache=True, nogil=True)
+def speed_to_end(scene: Scene, limits: Limits) -> float:
+    """The greatest speed, m/s, from which stopping at the path's end is easy; inf where it does not end in view."""
+    if not scene.ends:
+        return inf
+    return sqrt(2.0 * APPROACH * limits.braking * hypot(scene.end_x - scene.x, scene.end_y - scene.y))
+
+
+@njit(cache=True, nogil=True)
+def run_of(target_v: float, target_w: float, v: float, w: float, limits: Limits, velocities: Float64s) -> None:
+    """Fills velocities (steps, 2) with what the drive does from (v, w) on its way to the target."""
+    for t in range(len(velocities)):
+        v, w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
+        velocities[t, 0], velocities[t, 1] = v, w

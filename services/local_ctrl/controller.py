@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one interface behind every name of `local_ctrl.controller`: what a controller is given, and what it answers."""
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.local_ctrl.footprint import Footprint
+
+Bools = NDArray[np.bool_]
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
+
+APPROACH = 0.5  # share of the drive's braking that stopping at the goal counts on: the rest is for delay
+
+
+class Scene(NamedTuple):
+    """What a controller meets. Positions are m from the centre of the costmap's lower left cell, as its start is."""
+
+    field: Float32s  # (n, n) m to the nearest occupied cell
+    occupied: Bools  # (n, n)
+    resolution: float
+    to_go: Float32s  # (n / 2, n / 2) m, see distance_to_go
+    end_x: float
+    end_y: float
+    ends: bool  # the path's end is in the window
+    x: float
+    y: float
+    yaw: float
+    v: float
+    w: float
+    path: Float64s  # (k, 2) m, k > 0: the plan from beside the robot to (end_x, end_y)
+
+
+class Solution(NamedTuple):
+    """velocities: (steps, 2) float64 m/s and rad/s, from the first step on; cost m; how much nearer it comes, m.
+
+    Of a solution that collides nothing is driven: the robot brakes.
+    """
+
+    velocities: Float64s
+    cost: float
+    collides: bool
+    gain: float
+
+
+class Considered(NamedTuple):
+    """What the last call weighed up: velocities (k, steps, 2), of which the first were chosen, and costs (k,), m."""
+
+    velocities: Float64s
+    costs: Float64s
+
+
+class Controller(Protocol):
+    """Follows the path in a scene. Its velocities keep the drive's limits and accelerations from (v, w) on."""
+
+    n_solved: int  # calls since the last reset
+
+    def reset(self) -> None:
+        """Forgets what it did: the next call starts from a stand."""
+
+    def solve(self, scene: Scene, footprint: Footprint, n_elapsed: int) -> Solution:
+        """The velocities from now on. n_elapsed: steps of DT since the last call. Same calls, same bytes."""
+
+    def ahead(self, scene: Scene, look: float) -> tuple[float, float]:
+        """The point `look` m down the way that it drives: where a standing robot turns to."""
+
+    def considered(self) -> Considered:
+        """For people: what the last call weighed up."""

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Named places: poses on a map, by name, in a places.yaml beside the map or of their own.
+
+kitchen: {x: 3.5, y: -1.2, yaw: 90}   # m, m, degrees; without yaw any heading will do
+"""
+
+import re
+import sys
+from io import StringIO
+from math import degrees
+from pathlib import Path
+
+from pydantic import Field, ValidationError
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap
+
+from shared import topics
+from shared.config import RobotFile, Section, UserError, load_robot, load_yaml, nearest
+from shared.messages import Localization, PoseEstimate
+from shared.reasons import POSE_LOST, POSE_OLD
+from shared.runners.transport import where_from
+from zenav.client import Client
+from zenav.drive import Target, poses_from
+from zenav.maps import FOLDER, found
+from zenav.store import replace_together
+
+FILE = "places.yaml"
+NAME = re.compile(r"[^\W\d][\w-]*")
+
+
+class Place(Section):
+    """A pose on a map."""
+
+    x: float = Field(ge=-1e6, le=1e6, description="m, on the map")
+    y: float = Field(ge=-1e6, le=1e6, description="m, on the map")
+    yaw: float | None = Field(None, ge=-360, le=360, description="degrees, counter-clockwise; none: any heading")
+
+    @property
+    def target(self) -> Target:
+        return self.x, self.y, self.yaw
+
+
+def place_at(x: float, y: float, yaw: float | None) -> Place:
+    """A place of these numbers. Raises UserError where they are none of a map."""
+    try:
+        return Place(x=x, y=y, yaw=yaw)
+    except ValidationError:
+        raise UserError("that is no place on a map", "give m, m, degrees within a turn") from None
+
+
+def folder_of(map_name: str) -> Path:
+    """Where the places of a saved map are; without a name those of no particular map. Raises UserError."""
+    return found(map_name).parent if map_name else FOLDER
+
+
+def read(folder: Path) -> dict[str, Place]:
+    """The places by name, in the file's order. Raises UserError on the first that is none."""
+    return {str(name): file.section(str(name), Place) for file in _file(folder) for name in file.tree}
+
+
+def place(folder: Path, name: str) -> Place:
+    """One of them. Raises UserError that names the nearest."""
+    known = read(folder)
+    if name not in known:
+        mend = nearest(name, tuple(known)) if known else "keep one: zenav places save kitchen"
+        raise UserError(f"{name!r} is no pose and no place in {folder / FILE}", mend)
+    return known[name]
+
+
+def keep(folder: Path, name: str, place: Place) -> bool:
+    """Writes a place; True where it takes the place of one of that name. Comments in the file stay."""
+    if not NAME.fullmatch(name):
+        raise UserError(f"{name!r} is no name for a place", "begin with a letter; then letters, digits, - and _")
+    tree = next((file.tree for file in _file(folder)), CommentedMap())
+    replaced = name in tree
+    values = CommentedMap((key, value) for key, value in place.model_dump().items() if value is not None)
+    values.fa.set_flow_style()
+    tree[name] = values
+    _write(folder, tree)
+    return replaced
+
+
+def drop(folder: Path, name: str) -> None:
+    """Takes a place out of the file. Raises UserError where there is none of that name."""
+    place(folder, name)
+    tree = next(file.tree for file in _file(folder))
+    del tree[name]
+    _write(folder, tree)
+
+
+def show(map_name: str) -> None:
+    """Every place, one a line."""
+    for name, known in read(folder_of(map_name)).items():
+        sys.stdout.write(f"{name:<16}{_told(known)}\n")
+
+
+def save(robot: str, stack: str, name: str, at: Place | None, map_name: str) -> None:
+    """Keeps a place: the given one, or where the robot stands now."""
+    folder = folder_of(map_name)
+    kept = at or _here(robot, stack)
+    replaced = keep(folder, name, kept)
+    sys.stdout.write(f"{name} is {_told(kept)}{', no longer what it was' if replaced else ''}\n")
+
+
+def remove(name: str, map_name: str) -> None:
+    """Forgets a place."""
+    drop(folder_of(map_name), name)
+    sys.stdout.write(f"{name} is forgotten\n")
+
+
+def target_from(text: str, map_name: str) -> Target:
+    """A target from `X,Y[,YAW]` or a place's name. Raises UserError."""
+    name = text.strip()
+    return place(folder_of(map_name), name).target if NAME.fullmatch(name) else poses_from([name])[0]
+
+
+def goal_from(words: list[str], map_name: str) -> Target:
+    """The goal of `zenav goto`: X Y [YAW], or a place's name. Raises UserError."""
+    if NAME.fullmatch(words[0].strip()) and len(words) == 1:
+        return target_from(words[0], map_name)
+    mend = "write X Y or X Y YAW: m, m, degrees; or the name of a place"
+    if not 2 <= len(words) <= 3:
+        raise UserError("a goal needs 'x' and 'y', and takes 'yaw'", mend)
+    numbers = []
+    for axis, word in zip(("x", "y", "yaw"), words, strict=False):
+        try:
+            numbers.append(float(word))
+        except ValueError:
+            raise UserError(f"{word.strip()!r} is no number for '{axis}'", mend) from None
+    return numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else None
+
+
+def stays_from(texts: list[str], dwell: float, map_name: str) -> tuple[list[Target], tuple[float, ...]]:
+    """Targets of a route whose items are `X,Y[,YAW]` or names, and stays, s, where one has its own by `@SECONDS`."""
+    targets, stays = [], []
+    for text in texts:
+        where, own, seconds = text.partition("@")
+        try:
+            stay = float(seconds) if own else dwell
+        except ValueError:
+            stay = -1.0
+        if not 0 <= stay <= 1e7:
+            raise UserError(f"{text.strip()!r}: {seconds!r} is no time to stay", "write s after the @, like kitchen@5")
+        targets.append(target_from(where, map_name))
+        stays.append(stay)
+    return targets, tuple(stays) if any("@" in text for text in texts) else ()
+
+
+def _here(robot: str, stack: str) -> Place:
+    with Client(load_robot(robot).robot.name, where_from(stack)) as client:
+        estimate: PoseEstimate | None = client.kept(topics.POSE)
+    if estimate is None:
+        raise UserError(POSE_OLD.text, POSE_OLD.mend)
+    if estimate.state is Localization.LOST:
+        raise UserError(POSE_LOST.text, POSE_LOST.mend)
+    pose = estimate.map_from_base
+    return Place(x=round(pose.x, 3), y=round(pose.y, 3), yaw=round(degrees(pose.yaw), 1))
+
+
+def _told(place: Place) -> str:
+    heading = "" if place.yaw is None else f" {place.yaw:g}"
+    return f"{place.x:g} {place.y:g}{heading}"
+
+
+def _file(folder: Path) -> list[RobotFile]:
+    """The file, if there is one."""
+    path = folder / FILE
+    return [RobotFile(path, load_yaml(path))] if path.is_file() else []
+
+
+def _write(folder: Path, tree: CommentedMap) -> None:
+    stream = StringIO()
+    YAML(typ="rt").dump(tree, stream)
+    replace_together(folder, {FILE: stream.getvalue().encode()})
