@@ -5,7 +5,7 @@ import gzip
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationError
@@ -40,6 +40,9 @@ class CylinderFile(Section):
     start: tuple[float, float, float]
     goal: tuple[float, float]
     worlds: dict[str, CylinderWorld]
+
+
+F = TypeVar("F", bound=CylinderFile)
 
 
 def load(world: str, seed: int = 0, jitter: float = 0.0, barn_file: str = "", start: Pose2 | None = None) -> World:
@@ -92,15 +95,7 @@ def _cylinders(world: str, barn_file: str) -> World:
     if not barn_file:
         raise UserError(f"world {world}: there is no list of cylinders", "give its file: `barn_file:` in section `sim`")
     path = Path(barn_file)
-    try:
-        text = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
-        tree: Any = json.loads(text)
-        file = CylinderFile.model_validate(tree)
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror or 'no gzip file'}", "check `barn_file:`") from None
-    except (EOFError, ValueError, ValidationError) as error:
-        reason = str(error).splitlines()[0]
-        raise UserError(f"{path}: not a list of cylinders: {reason}", "see `CylinderFile` in its README") from None
+    file = cylinder_file(path, CylinderFile)
     number = world.partition(":")[2]
     if number not in file.worlds:
         raise UserError(f"{path}: there is no world {number}", nearest(number, tuple(file.worlds)[:12]))
@@ -111,6 +106,19 @@ def _cylinders(world: str, barn_file: str) -> World:
     bounds = float(low[0]), float(low[1]), float(high[0]), float(high[1])
     goal = Pose2(file.goal[0], file.goal[1], file.start[2])
     return World(f"barn_{number}", bounds, Pose2(*file.start), circles=circles, goals={"goal": goal})
+
+
+def cylinder_file(path: Path, model: type[F]) -> F:
+    """A list of worlds of cylinders, also gzipped. Raises UserError where it is missing or wrong."""
+    try:
+        text = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+        tree: Any = json.loads(text)
+        return model.model_validate(tree)
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror or 'no gzip file'}", "check `barn_file:`") from None
+    except (EOFError, ValueError, ValidationError) as error:
+        reason = str(error).splitlines()[0]
+        raise UserError(f"{path}: not a list of cylinders: {reason}", "see `CylinderFile` in its README") from None
 
 
 def _freest(world: World) -> Pose2:
