@@ -142,21 +142,21 @@ def run(trial: Trial, course: Course, record: Path | None = None) -> Driven:
     names = [name for name in services_for(Hardware.MESSAGES, file) if name != RECORDER]
     services: dict[str, Service] = {name: made(name, file, file.robot) for name in names}
     if record is None:
-        return _Run(trial, course, file.robot, Lockstep(services)).driven()
+        return Referee(course, file.robot, Lockstep(services), trial.delay).driven()
     with Writer(record, about(file.robot.name), {CONFIG: file.text.encode()}) as writer:
-        return _Run(trial, course, file.robot, Lockstep(services, sink(writer))).driven()
+        return Referee(course, file.robot, Lockstep(services, sink(writer)), trial.delay).driven()
 
 
-class _Run:
-    """The referee: polls the true position, tells the goal, ends the run."""
+class Referee:
+    """Tells the goal, polls the true position, ends the run. delay: s that what the motors are told comes later."""
 
-    def __init__(self, trial: Trial, course: Course, robot: Robot, lockstep: Lockstep) -> None:
+    def __init__(self, course: Course, robot: Robot, lockstep: Lockstep, delay: float = 0.0) -> None:
         self.course, self.robot, self.lockstep = course, robot, lockstep
         self.rows: list[tuple[float, ...]] = []
         self.newest: dict[type[Message], Any] = {}
         self.told = False
-        if trial.delay:
-            lockstep.filters.append(_late(trial.delay))
+        if delay:
+            lockstep.filters.append(_late(delay))
         lockstep.watch(topics.TRUTH.key, self._moved)
         for topic in (topics.PLAN, topics.NAV, topics.FOLLOW, topics.GUARD):
             lockstep.watch(topic.key, self._heard)
@@ -170,6 +170,7 @@ class _Run:
         self.rows.append(((truth.stamp - START) / 1e9, at.x, at.y, at.yaw, truth.v, truth.w))
 
     def driven(self) -> Driven:
+        """The whole run."""
         course, lockstep = self.course, self.lockstep
         lockstep.run(READY)
         self._tell()
