@@ -7,12 +7,15 @@ import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from shared.config import UserError
 from zenav.bench.each import results
 from zenav.bench.table import seeds_from, table, writable, write
 from zenav.up import run_folder
+
+if TYPE_CHECKING:
+    from zenav.bench.barn_run import BarnFile, Course
 
 SUCCESS, COLLISIONS, SCORE = 0.995, 0.003, 0.4975
 """What all runs together must reach: shares of success, at least, and of collisions, at most; mean score, at least."""
@@ -29,13 +32,15 @@ NOISE = (
 )
 """What is not the challenge's: see docs/benchmarks.md."""
 NOISE_DELAY = 0.05  # s
+CROWDS = "0-49"
+CROWD_SUCCESS = 0.9  # share of the runs through crowds, at least
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
     """What the command was asked for, as the processes that run it need it."""
 
-    path: Path
+    path: Path | None  # of the worlds; without it, crowds
     robot: str
     settings: tuple[str, ...]
     delay: float
@@ -44,21 +49,23 @@ class Asked:
 
 
 def barn(
-    worlds: Path, robot: str, runs: int, jobs: int, chosen: str, out: Path | None, trajectories: Path | None,
-    noise: bool, settings: list[str],
+    worlds: Path | None, robot: str, runs: int, jobs: int, chosen: str, out: Path | None, trajectories: Path | None,
+    noise: bool, crowd: bool, settings: list[str],
 ) -> int:  # fmt: skip
     """Runs every world `runs` times, shows the table, writes the JSON; 0 when all together reach what is asked."""
     from zenav.bench.barn_run import Trial, robot_file
     from zenav.files import progress_bar
 
-    path = worlds / FILE if worlds.is_dir() else worlds
-    file = worlds_of(path)
-    names = worlds_from(chosen, tuple(file.worlds))
+    path = file_of(worlds, crowd)
+    if path is None:
+        names = [str(number) for number in seeds_from(chosen or CROWDS, "crowds")]
+    else:
+        names = worlds_from(chosen, tuple(worlds_of(path).worlds))
     writable(out)
     if trajectories is not None:
         usable(trajectories)
     changed = (*(NOISE if noise else ()), *settings)
-    robot_file(Trial(path, names[0], 0, robot, changed))  # a wrong setting is told before the first process
+    robot_file(Trial(course_at(path, names[0]), 0, robot, changed))  # a wrong setting is told before the first process
     asked = Asked(path, robot, changed, NOISE_DELAY if noise else 0.0, trajectories, run_folder("bench-barn"))
     items = [(name, seed) for seed in range(runs) for name in names]
     told: list[dict[str, Any]] = []
@@ -74,18 +81,36 @@ def barn(
     figures = summary(told)
     failed = [run for run in told if run["status"] != "success"]
     shown = failed or sorted(told, key=lambda run: float(run["clearance"]))[:5]
-    table(f"BARN, {figures['runs']} runs", COLUMNS, [_row(run) for run in shown[:MOST_ROWS]])
+    table(f"{'crowds' if crowd else 'BARN'}, {figures['runs']} runs", COLUMNS, [_row(run) for run in shown[:MOST_ROWS]])
     table("all", tuple(figures), [tuple(str(value) for value in figures.values())])
-    write(out, {"summary": figures, "robot": robot, "noise": noise, "settings": settings, "runs": told})
-    return 0 if kept(figures) else 1
+    write(out, {"summary": figures, "robot": robot, "noise": noise, "crowd": crowd, "settings": settings, "runs": told})
+    return 0 if kept(figures, crowd) else 1
 
 
-def kept(figures: dict[str, Any]) -> bool:
+def kept(figures: dict[str, Any], crowd: bool) -> bool:
     """Whether all runs together reach what is asked."""
+    if crowd:
+        return bool(figures["success"] >= CROWD_SUCCESS)
     return bool(figures["success"] >= SUCCESS and figures["collision"] <= COLLISIONS and figures["score"] >= SCORE)
 
 
-def worlds_of(path: Path) -> Any:
+def file_of(worlds: Path | None, crowd: bool) -> Path | None:
+    """The file of worlds, None where crowds are asked for. Raises UserError where it is neither, or both."""
+    if crowd and worlds is not None:
+        raise UserError("--crowd makes its own worlds", f"leave {worlds} out, or --crowd")
+    if not crowd and worlds is None:
+        raise UserError("no worlds are named", f"give {FILE}, the folder that holds it, or --crowd")
+    return worlds / FILE if worlds is not None and worlds.is_dir() else worlds
+
+
+def course_at(path: Path | None, world: str) -> "Course":
+    """The world of the file, or the crowd of this number."""
+    from zenav.bench.barn_run import course_of, crowd_course
+
+    return crowd_course(world) if path is None else course_of(path, worlds_of(path), world)
+
+
+def worlds_of(path: Path) -> "BarnFile":
     """The worlds of a file. Raises UserError where there is none, or it is none of BARN's."""
     from services.sim.store import cylinder_file
     from zenav.bench.barn_run import BarnFile
@@ -124,12 +149,11 @@ def driven(asked: Asked, item: tuple[str, int]) -> dict[str, Any]:
     """One run's row of the report; where it failed, again with a recording, and a picture."""
     import shared.repeatable  # noqa: F401  # a spawned process begins here
     from zenav.bench.barn_picture import failure_picture
-    from zenav.bench.barn_run import ROUND_M, Trial, course_of, run
+    from zenav.bench.barn_run import ROUND_M, Trial, run
 
     world, seed = item
-    course = course_of(worlds_of(asked.path), world)
-    trial = Trial(asked.path, world, seed, asked.robot, asked.settings, asked.delay)
-    done = run(trial, course)
+    trial = Trial(course_at(asked.path, world), seed, asked.robot, asked.settings, asked.delay)
+    done = run(trial)
     name = f"world-{world}-seed-{seed}"
     told = {
         "world": int(world),
@@ -141,6 +165,7 @@ def driven(asked: Asked, item: tuple[str, int]) -> dict[str, Any]:
         "recoveries": done.n_recoveries,
         "length": done.length,
         "said": done.why,
+        "stood": done.stood,
         "trajectory": None,
         "picture": None,
         "recording": None,
@@ -151,7 +176,7 @@ def driven(asked: Asked, item: tuple[str, int]) -> dict[str, Any]:
     if done.status != "success":
         picture, recording = asked.failures / f"{name}.png", asked.failures / f"{name}.mcap"
         picture.write_bytes(failure_picture(done))
-        run(trial, course, recording)  # the same seed gives the same run: only failures are worth a file
+        run(trial, recording)  # the same seed gives the same run: only failures are worth a file
         told |= {"picture": str(picture), "recording": str(recording)}
     return told
 
@@ -179,6 +204,7 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
         **shares,
         "mean_time": round(statistics.fmean(times), 3) if times else None,
         "score": round(statistics.fmean(statistics.fmean(scores) for scores in by_world.values()), 5),
+        "collision_standing": round(sum(run["stood"] for run in runs) / n, 5),
         "runs": n,
         "worlds": len(by_world),
         "clearance_min": min(run["clearance"] for run in runs),

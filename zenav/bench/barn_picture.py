@@ -12,7 +12,7 @@ from zenav.picture import END, FREE, OTHER_WAY, START, WALL, WAY
 PIXELS = 90  # a metre
 MARGIN = 0.5  # m
 LINE = 18  # pixels of text
-ROBOT = (250, 200, 60)
+ROBOT, WALKER = (250, 200, 60), (150, 120, 190)
 
 
 def failure_picture(driven: Driven) -> bytes:
@@ -25,8 +25,9 @@ def failure_picture(driven: Driven) -> bytes:
     low, high = places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
     text = [
         f"world {course.world}: {driven.status} after {driven.time:.1f} s, {driven.n_recoveries} recoveries",
-        f"nearest {1000 * driven.clearance:.0f} mm", *driven.why.split(", "),
-    ]  # fmt: skip
+        f"nearest {1000 * driven.clearance:.0f} mm" + (", stood when it was touched" if driven.stood else ""),
+        *driven.why.split(", "),
+    ]
     width, height = (int(extent * PIXELS) for extent in high - low)
     image = Image.new("RGB", (width, height + LINE * len(text) + 8), FREE)
     draw = ImageDraw.Draw(image)
@@ -40,6 +41,8 @@ def failure_picture(driven: Driven) -> bytes:
 
     for x, y, radius in course.cylinders.tolist():
         draw.ellipse(disc(x, y, radius), fill=WALL)
+    for x, y in driven.walkers.tolist():
+        draw.ellipse(disc(x, y, course.walkers), fill=WALKER)
     draw.ellipse(disc(*course.goal, course.goal_radius), outline=END, width=2)
     draw.ellipse(disc(course.start.x, course.start.y, 0.06), fill=START)
     *_, (_, x, y, yaw, _, _) = driven.rows.tolist()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One drive through a BARN world by the challenge's rule: the whole stack in lockstep, without a map."""
+"""One drive through a BARN world, or a crowd, by the challenge's rule: the whole stack in lockstep, without a map."""
 
 import json
 from collections.abc import Callable
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from services.sim.crowd import RADIUS, crowd
 from services.sim.store import CylinderFile, CylinderWorld
 from shared import requests, topics
 from shared.config import Robot, RobotFile, configured
@@ -34,6 +35,9 @@ LEFT_START = 0.1  # m off the start at which the clock starts
 FREE_TIME = 30.0  # s that a robot may stand at the start
 FASTEST = 2.0  # m/s: the optimal time is the reference path's length over this
 LEAST_SHARE, MOST_SHARE = 2.0, 8.0  # of the optimal time: between these, the time counts
+GOAL_RADIUS, TIME_LIMIT = 1.0, 100.0  # m, s: of a crowd, as in the file of worlds
+STANDS = 0.05  # m/s and rad/s: who is slower stood when it was touched
+BEFORE = 10  # truths, 0.2 s, before a touch in which it is looked whether the robot stood
 READY = 1.0  # s until the goal is told; and again where the stack is not ready yet
 FINE = 4  # parts of a truth's 20 ms in which the clearance is looked at
 ROUND_M = 4  # decimals of metres in a report
@@ -53,25 +57,30 @@ class BarnFile(CylinderFile):
     worlds: dict[str, BarnWorld]  # type: ignore[assignment]  # narrower: read only
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Course:
-    """Where a run is scored: cylinders (n, 3) x, y, radius m; start; goal m; the rule's figures."""
+    """Where a run is scored: cylinders (n, 3) x, y, radius m; start; goal m; the rule's figures.
+
+    place, file: the simulator's `world` and `barn_file`.  walkers: radius of those who move, m.
+    """
 
     world: str
+    place: str
+    file: str
     cylinders: Float64s
     start: Pose2
     goal: tuple[float, float]
     goal_radius: float
     time_limit: float
     optimal_length: float
+    walkers: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
     """What is run. settings: as for `--set`; delay: s that every command to the motors comes later."""
 
-    path: Path
-    world: str
+    course: Course
     seed: int
     robot: str
     settings: tuple[str, ...] = ()
@@ -94,6 +103,8 @@ class Driven:
     plan: Float64s = field(default_factory=lambda: np.empty((0, 2)))  # (k, 2) m in the world, the last one
     n_recoveries: int = 0
     why: str = ""  # what the stack said at the end
+    stood: bool = False  # when it was touched
+    walkers: Float64s = field(default_factory=lambda: np.empty((0, 2)))  # (p, 2) m, where they were at the end
 
     @property
     def length(self) -> float:
@@ -112,11 +123,13 @@ def score(status: str, time: float, optimal_length: float) -> float:
     return optimal / min(max(time, LEAST_SHARE * optimal), MOST_SHARE * optimal) if status == "success" else 0.0
 
 
-def course_of(file: BarnFile, world: str) -> Course:
-    """A world of the file."""
+def course_of(path: Path, file: BarnFile, world: str) -> Course:
+    """A world of the file that was read from `path`."""
     places = np.array(file.worlds[world].cylinders, float).reshape(-1, 2)
     return Course(
         world,
+        f"barn:{world}",
+        str(path),
         np.column_stack((places, np.full(len(places), file.cylinder_radius_m))),
         Pose2(*file.start),
         file.goal,
@@ -126,9 +139,20 @@ def course_of(file: BarnFile, world: str) -> Course:
     )
 
 
+def crowd_course(number: str) -> Course:
+    """A made-up crowd: across a square of 20 m, by the same rule."""
+    world = crowd(int(number))
+    goal = world.goals["goal"]
+    length = world.start.distance(goal)
+    return Course(
+        number, f"crowd:{number}", "", world.circles, world.start, (goal.x, goal.y), GOAL_RADIUS, TIME_LIMIT, length,
+        RADIUS,
+    )  # fmt: skip
+
+
 def robot_file(trial: Trial) -> RobotFile:
     """The robot in its world. Raises UserError where a setting is wrong."""
-    settings = [f"sim.world=barn:{trial.world}", f"sim.barn_file={json.dumps(str(trial.path))}"]
+    settings = [f"sim.world={trial.course.place}", f"sim.barn_file={json.dumps(trial.course.file)}"]
     settings += [f"sim.seed={trial.seed}", "sim.people_react=false", *trial.settings]
     file = configured(trial.robot, settings)
     file = configured(trial.robot, settings + settings_for(Hardware.MESSAGES, file, None))
@@ -136,15 +160,15 @@ def robot_file(trial: Trial) -> RobotFile:
     return file
 
 
-def run(trial: Trial, course: Course, record: Path | None = None) -> Driven:
+def run(trial: Trial, record: Path | None = None) -> Driven:
     """Drives to the goal, or until the rule ends it; `record`: the MCAP file that replays it."""
     file = robot_file(trial)
     names = [name for name in services_for(Hardware.MESSAGES, file) if name != RECORDER]
     services: dict[str, Service] = {name: made(name, file, file.robot) for name in names}
     if record is None:
-        return Referee(course, file.robot, Lockstep(services), trial.delay).driven()
+        return Referee(trial.course, file.robot, Lockstep(services), trial.delay).driven()
     with Writer(record, about(file.robot.name), {CONFIG: file.text.encode()}) as writer:
-        return Referee(course, file.robot, Lockstep(services, sink(writer)), trial.delay).driven()
+        return Referee(trial.course, file.robot, Lockstep(services, sink(writer)), trial.delay).driven()
 
 
 class Referee:
@@ -153,6 +177,7 @@ class Referee:
     def __init__(self, course: Course, robot: Robot, lockstep: Lockstep, delay: float = 0.0) -> None:
         self.course, self.robot, self.lockstep = course, robot, lockstep
         self.rows: list[tuple[float, ...]] = []
+        self.walkers: list[Float64s] = []  # (p, 2) m, one a row
         self.newest: dict[type[Message], Any] = {}
         self.told = False
         if delay:
@@ -168,6 +193,7 @@ class Referee:
         self._heard(truth)
         at = truth.world_from_base
         self.rows.append(((truth.stamp - START) / 1e9, at.x, at.y, at.yaw, truth.v, truth.w))
+        self.walkers.append(np.column_stack((truth.people_x, truth.people_y)).astype(float))
 
     def driven(self) -> Driven:
         """The whole run."""
@@ -191,13 +217,17 @@ class Referee:
             elif not self.told:
                 self._tell()
         lockstep.flush()
-        rows = np.array(self.rows[begun:])
+        rows, walkers = np.array(self.rows[begun:]), np.array(self.walkers[begun:])
         rows[:, 0] -= rows[0, 0]
-        clearance = smallest_clearance(rows[:, 1:4], course.cylinders, self.robot.corners)
+        corners = self.robot.corners
+        clearance = smallest_clearance(rows[:, 1:4], course.cylinders, corners)
+        clearance = min(clearance, smallest_gap(rows[:, 1:4], walkers, corners) - course.walkers)
         nav = self.newest.get(NavStatus)
+        # the touch stops the robot: how it drove is to be seen a moment earlier
+        stood = status == "collision" and bool((np.abs(rows[-BEFORE:, 4:]) < STANDS).all())
         return Driven(
             course, self.robot, status, round(time, 3), 0.0 if status == "collision" else clearance, rows, self._plan(),
-            nav.n_recoveries if nav else 0, self._why(),
+            nav.n_recoveries if nav else 0, self._why(), stood, walkers[-1],
         )  # fmt: skip
 
     @property
@@ -256,6 +286,16 @@ def smallest_clearance(poses: Float64s, cylinders: Float64s, corners: Float64s) 
             points = np.column_stack((c * dx + s * dy, c * dy - s * dx))[near]
             least = min(least, float(outline_distance(points, corners).min()) - radius)
     return least
+
+
+def smallest_gap(poses: Float64s, walkers: Float64s, corners: Float64s) -> float:
+    """m between the outline and the nearest of walkers (n, p, 2) at poses (n, 3); inf without walkers."""
+    if not walkers.size:
+        return inf
+    away = walkers - poses[:, None, :2]
+    c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+    x, y = c * away[..., 0] + s * away[..., 1], c * away[..., 1] - s * away[..., 0]
+    return float(outline_distance(np.column_stack((x.ravel(), y.ravel())), corners).min())
 
 
 def outline_distance(points: Float64s, corners: Float64s) -> Float64s:

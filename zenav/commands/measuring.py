@@ -64,7 +64,9 @@ def bench_buildings(
 
 @bench.command("barn", cls=Command)
 def bench_barn(
-    worlds: Annotated[Path, typer.Argument(metavar="WORLDS", help="barn_worlds.json.gz, or the folder that holds it.")],
+    worlds: Annotated[
+        Path | None, typer.Argument(metavar="WORLDS", help="barn_worlds.json.gz, or the folder that holds it.")
+    ] = None,
     runs: Annotated[int, typer.Option(min=1, help="Runs of each world, seeds 0, 1, ...")] = 10,
     jobs: Annotated[int, typer.Option(min=1, help="Runs at a time.")] = 1,
     chosen: Annotated[str, typer.Option("--worlds", help="Only these of the file.", metavar="1-20")] = "",
@@ -75,6 +77,7 @@ def bench_barn(
     noise: Annotated[bool, typer.Option("--noise", help="Worse laser, odometry and latency than the challenge's.")] = (
         False
     ),
+    crowd: Annotated[bool, typer.Option("--crowd", help="Through moving crowds, made by number, instead.")] = False,
     robot: RobotName = "jackal",
     set_: Setting = None,
 ) -> None:
@@ -84,7 +87,7 @@ def bench_barn(
     """
     from zenav.bench.barn import barn
 
-    raise typer.Exit(barn(worlds, robot, runs, jobs, chosen, out, trajectories, noise, set_ or []))
+    raise typer.Exit(barn(worlds, robot, runs, jobs, chosen, out, trajectories, noise, crowd, set_ or []))
 
 
 @bench.command("localise", cls=Command)

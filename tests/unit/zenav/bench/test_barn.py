@@ -85,7 +85,7 @@ def test_worlds_are_chosen_by_number_and_those_that_the_file_lacks_are_left_out(
 
 
 def test_the_summary_is_the_mean_over_worlds_of_the_mean_over_runs():
-    row = {"clearance": 0.1, "recoveries": 0}
+    row = {"clearance": 0.1, "recoveries": 0, "stood": False}
     runs = [
         {"world": 1, "status": "success", "time": 8.0, "score": 0.5, **row},
         {"world": 1, "status": "timeout", "time": 100.0, "score": 0.0, **row},
@@ -159,8 +159,8 @@ def refereed(tmp_path, driver: type[Service], *cylinders: list[float], delay: fl
     path = tmp_path / "w.json"
     worlds = {"1": {"cylinders": [[2.0, 0.0], *cylinders], "optimal_length_m": 10.0}}
     path.write_text(json.dumps(FILE | {"worlds": worlds, "time_limit_s": 20.0}))
-    course = course_of(BarnFile.model_validate(json.loads(path.read_text())), "1")
-    file = robot_file(Trial(path, "1", 0, "jackal", ("sim.drive.slip=0", "sim.drive.radius_error=0")))
+    course = course_of(path, BarnFile.model_validate(json.loads(path.read_text())), "1")
+    file = robot_file(Trial(course, 0, "jackal", ("sim.drive.slip=0", "sim.drive.radius_error=0")))
     services = {"sim": made("sim", file, file.robot)}
     services |= {"base_driver": driver(Section(), file.robot), "navigator": Navigator(Section(), file.robot)}
     return Referee(course, file.robot, Lockstep(services), delay).driven()
