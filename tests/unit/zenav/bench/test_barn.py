@@ -160,7 +160,9 @@ def refereed(tmp_path, driver: type[Service], *cylinders: list[float], delay: fl
     worlds = {"1": {"cylinders": [[2.0, 0.0], *cylinders], "optimal_length_m": 10.0}}
     path.write_text(json.dumps(FILE | {"worlds": worlds, "time_limit_s": 20.0}))
     course = course_of(path, BarnFile.model_validate(json.loads(path.read_text())), "1")
-    file = robot_file(Trial(course, 0, "jackal", ("sim.drive.slip=0", "sim.drive.radius_error=0")))
+    file = robot_file(
+        Trial(course, 0, "jackal", ("sim.drive.slip=0", "sim.drive.radius_error=0", "robot.laser.rate=1"))
+    )
     services = {"sim": made("sim", file, file.robot)}
     services |= {"base_driver": driver(Section(), file.robot), "navigator": Navigator(Section(), file.robot)}
     return Referee(course, file.robot, Lockstep(services), delay).driven()
