@@ -23,6 +23,7 @@ class DriveTruth(Section):
     radius_error: float = Field(
         0.005, ge=-0.2, le=0.2, description="share by which the right wheel is larger than the left"
     )
+    size_error: float = Field(0.0, ge=-0.2, le=0.2, description="share by which both wheels are larger")
     distance_error: float = Field(0.01, ge=-0.2, le=0.2, description="share by which the wheel distance is larger")
     slip: float = Field(0.02, ge=0, le=0.5, description="standard deviation of the share of its way that a wheel slips")
     slip_time: float = Field(0.2, gt=0, le=10, description="s over which the slip stays alike")
@@ -55,9 +56,10 @@ class Wheels(NamedTuple):
 
 def true_wheels(drive: Drive, truth: DriveTruth, dt: float) -> Wheels:
     """The wheels as they are; `dt` is the step of the physics, s."""
+    radius = drive.wheel_radius * (1 + truth.size_error)
     return Wheels(
-        drive.wheel_radius * (1 - truth.radius_error / 2),
-        drive.wheel_radius * (1 + truth.radius_error / 2),
+        radius * (1 - truth.radius_error / 2),
+        radius * (1 + truth.radius_error / 2),
         drive.wheel_distance * (1 + truth.distance_error),
         truth.motor_lag,
         truth.wheel_acceleration / drive.wheel_radius,

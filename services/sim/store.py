@@ -5,7 +5,7 @@ import gzip
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationError
@@ -13,6 +13,7 @@ from ruamel.yaml.comments import CommentedMap
 from scipy.ndimage import distance_transform_edt, label
 
 from services.sim.building import building
+from services.sim.crowd import crowd
 from services.sim.world import Raster, World
 from services.sim.world_file import built
 from shared.config import CONFIG_DIR, RobotFile, Section, UserError, load_yaml, nearest
@@ -42,8 +43,13 @@ class CylinderFile(Section):
     worlds: dict[str, CylinderWorld]
 
 
+F = TypeVar("F", bound=CylinderFile)
+
+
 def load(world: str, seed: int = 0, jitter: float = 0.0, barn_file: str = "", start: Pose2 | None = None) -> World:
-    """A world by name (`office`), by path (a world's or a ROS map's YAML), as `barn:N` or `building:N`, routes checked.
+    """A world by name (`office`), by path (a world's or a ROS map's YAML), or by number, routes checked.
+
+    Numbers are `barn:N` of barn_file, `building:N` and `crowd:N`.
 
     seed, jitter: where loose things stand, see `world_file.built`.  start: replaces the world's own.
     Raises UserError, naming file and line, where something is missing or wrong.
@@ -52,6 +58,8 @@ def load(world: str, seed: int = 0, jitter: float = 0.0, barn_file: str = "", st
         found, has_start = _cylinders(world, barn_file), True
     elif world.startswith("building:"):
         found, has_start = _building(world, seed, jitter), True
+    elif world.startswith("crowd:"):
+        found, has_start = crowd(_number(world)), True
     else:
         path = _path(world)
         tree = load_yaml(path)
@@ -70,16 +78,20 @@ def load(world: str, seed: int = 0, jitter: float = 0.0, barn_file: str = "", st
 def _path(world: str) -> Path:
     path = Path(world) if world.endswith((".yaml", ".yml")) else WORLDS / f"{world}.yaml"
     if not path.is_file():
-        known = (*(p.stem for p in sorted(WORLDS.glob("*.yaml"))), "barn:N", "building:N")
+        known = (*(p.stem for p in sorted(WORLDS.glob("*.yaml"))), "barn:N", "building:N", "crowd:N")
         raise UserError(f"there is no world {world}", nearest(world, known))
     return path
 
 
 def _building(world: str, seed: int, jitter: float) -> World:
-    number = world.partition(":")[2]
+    return built(world, RobotFile(Path(world), CommentedMap(building(_number(world)))), None, seed, jitter)
+
+
+def _number(world: str) -> int:
+    kind, _, number = world.partition(":")
     if not (number.isascii() and number.isdigit() and len(number) < 10):
-        raise UserError(f"there is no world {world}", "a number makes a building, like building:3")
-    return built(world, RobotFile(Path(world), CommentedMap(building(int(number)))), None, seed, jitter)
+        raise UserError(f"there is no world {world}", f"a number makes a {kind}, like {kind}:3")
+    return int(number)
 
 
 def _raster(path: Path) -> Raster:
@@ -92,15 +104,7 @@ def _cylinders(world: str, barn_file: str) -> World:
     if not barn_file:
         raise UserError(f"world {world}: there is no list of cylinders", "give its file: `barn_file:` in section `sim`")
     path = Path(barn_file)
-    try:
-        text = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
-        tree: Any = json.loads(text)
-        file = CylinderFile.model_validate(tree)
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror or 'no gzip file'}", "check `barn_file:`") from None
-    except (EOFError, ValueError, ValidationError) as error:
-        reason = str(error).splitlines()[0]
-        raise UserError(f"{path}: not a list of cylinders: {reason}", "see `CylinderFile` in its README") from None
+    file = cylinder_file(path, CylinderFile)
     number = world.partition(":")[2]
     if number not in file.worlds:
         raise UserError(f"{path}: there is no world {number}", nearest(number, tuple(file.worlds)[:12]))
@@ -111,6 +115,19 @@ def _cylinders(world: str, barn_file: str) -> World:
     bounds = float(low[0]), float(low[1]), float(high[0]), float(high[1])
     goal = Pose2(file.goal[0], file.goal[1], file.start[2])
     return World(f"barn_{number}", bounds, Pose2(*file.start), circles=circles, goals={"goal": goal})
+
+
+def cylinder_file(path: Path, model: type[F]) -> F:
+    """A list of worlds of cylinders, also gzipped. Raises UserError where it is missing or wrong."""
+    try:
+        text = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+        tree: Any = json.loads(text)
+        return model.model_validate(tree)
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror or 'no gzip file'}", "check `barn_file:`") from None
+    except (EOFError, ValueError, ValidationError) as error:
+        reason = str(error).splitlines()[0]
+        raise UserError(f"{path}: not a list of cylinders: {reason}", "see `CylinderFile` in its README") from None
 
 
 def _freest(world: World) -> Pose2:

@@ -1,29 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A function once a seed, some at a time, each in a process of its own; who interrupts it leaves nothing running."""
+"""A function once an item, some at a time, each in a process of its own; who interrupts it leaves nothing running."""
 
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import TypeVar
 
 from zenav.child import die_with_parent
 
+A = TypeVar("A")
 T = TypeVar("T")
 
 
-def results(one: Callable[[int], T], seeds: list[int], jobs: int) -> Iterator[T]:
+def results(one: Callable[[A], T], items: Sequence[A], jobs: int) -> Iterator[T]:
     """The results as they come; `one` and they go from process to process where there is more than one job."""
     if jobs == 1:
-        for seed in seeds:
-            yield one(seed)
+        for item in items:
+            yield one(item)
         return
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(jobs, len(seeds)), context, die_with_parent, (os.getpid(),))
+    pool = ProcessPoolExecutor(min(jobs, len(items)), context, die_with_parent, (os.getpid(),))
     try:
-        for future in as_completed([pool.submit(one, seed) for seed in seeds]):
+        for future in as_completed([pool.submit(one, item) for item in items]):
             yield future.result()
-    finally:  # interrupted: a seed takes minutes, and nobody waits for it any more
+    finally:  # interrupted: an item takes minutes, and nobody waits for it any more
         for process in multiprocessing.active_children():
             process.kill()
         pool.shutdown(cancel_futures=True)

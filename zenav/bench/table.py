@@ -12,16 +12,16 @@ from shared.config import UserError
 PROMISED = 50.0  # times real time: the simulator with 720 beams at 40 Hz in 1000 x 1000 cells
 
 
-def seeds_from(text: str) -> list[int]:
+def seeds_from(text: str, what: str = "seeds") -> list[int]:
     """The numbers of `0-9`, `3` or `0,4,7-9`, in order. Raises UserError on anything else."""
     found: list[int] = []
     for part in text.split(","):
         low, dash, high = part.strip().partition("-")
         if not low.isdigit() or (dash and not high.isdigit()):
-            raise UserError(f"{text!r} names no seeds", "write 3, 0-9 or 0,4,7-9")
+            raise UserError(f"{text!r} names no {what}", "write 3, 0-9 or 0,4,7-9")
         found += range(int(low), int(high or low) + 1)
     if not found:
-        raise UserError(f"{text!r} names no seeds", "the smaller number comes first, like 0-9")
+        raise UserError(f"{text!r} names no {what}", "the smaller number comes first, like 0-9")
     return list(dict.fromkeys(found))
 
 

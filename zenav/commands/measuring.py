@@ -62,6 +62,34 @@ def bench_buildings(
     raise typer.Exit(run(robot, buildings, jobs, out, set_ or []))
 
 
+@bench.command("barn", cls=Command)
+def bench_barn(
+    worlds: Annotated[
+        Path | None, typer.Argument(metavar="WORLDS", help="barn_worlds.json.gz, or the folder that holds it.")
+    ] = None,
+    runs: Annotated[int, typer.Option(min=1, help="Runs of each world, seeds 0, 1, ...")] = 10,
+    jobs: Annotated[int, typer.Option(min=1, help="Runs at a time.")] = 1,
+    chosen: Annotated[str, typer.Option("--worlds", help="Only these of the file.", metavar="1-20")] = "",
+    out: Out = None,
+    trajectories: Annotated[
+        Path | None, typer.Option(help="Folder for the true motion of each run, a CSV each.", metavar="DIR")
+    ] = None,
+    noise: Annotated[bool, typer.Option("--noise", help="Worse laser, odometry and latency than the challenge's.")] = (
+        False
+    ),
+    crowd: Annotated[bool, typer.Option("--crowd", help="Through moving crowds, made by number, instead.")] = False,
+    robot: RobotName = "jackal",
+    set_: Setting = None,
+) -> None:
+    """Drive through the cluttered worlds of the BARN challenge, without a map, by its rule and score.
+
+    Example: zenav bench barn barn_worlds.json.gz --runs 3 --jobs 2 --out barn.json
+    """
+    from zenav.bench.barn import barn
+
+    raise typer.Exit(barn(worlds, robot, runs, jobs, chosen, out, trajectories, noise, crowd, set_ or []))
+
+
 @bench.command("localise", cls=Command)
 def bench_localise(
     buildings: Annotated[str, typer.Option(help="Made-up buildings, by number.", metavar="0-19")] = "0-19",

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav bench barn`: the whole stack through the BARN challenge's cluttered worlds, by the challenge's rule."""
+
+import csv
+import statistics
+import sys
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from shared.config import UserError
+from zenav.bench.each import results
+from zenav.bench.table import seeds_from, table, writable, write
+from zenav.up import run_folder
+
+if TYPE_CHECKING:
+    from zenav.bench.barn_run import BarnFile, Course
+
+SUCCESS, COLLISIONS, SCORE = 0.995, 0.003, 0.4975
+"""What all runs together must reach: shares of success, at least, and of collisions, at most; mean score, at least."""
+
+FILE = "barn_worlds.json.gz"
+TRAJECTORY = "t", "x", "y", "heading", "v", "w"
+MOST_ROWS = 40  # of the table: runs that failed, else those that came nearest to something
+COLUMNS = "world, seed", "", "time, s", "score", "clearance, m", "recoveries", "what was said at the end"
+
+NOISE = (
+    "sim.laser.sigma=0.02",
+    "sim.laser.dropout=0.01",
+    "sim.drive.size_error=0.05",
+)
+"""What is not the challenge's: see docs/benchmarks.md."""
+NOISE_DELAY = 0.05  # s
+CROWDS = "0-49"
+CROWD_SUCCESS = 0.9  # share of the runs through crowds, at least
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What the command was asked for, as the processes that run it need it."""
+
+    path: Path | None  # of the worlds; without it, crowds
+    robot: str
+    settings: tuple[str, ...]
+    delay: float
+    trajectories: Path | None
+    failures: Path
+
+
+def barn(
+    worlds: Path | None, robot: str, runs: int, jobs: int, chosen: str, out: Path | None, trajectories: Path | None,
+    noise: bool, crowd: bool, settings: list[str],
+) -> int:  # fmt: skip
+    """Runs every world `runs` times, shows the table, writes the JSON; 0 when all together reach what is asked."""
+    from zenav.bench.barn_run import Trial, robot_file
+    from zenav.files import progress_bar
+
+    path = file_of(worlds, crowd)
+    if path is None:
+        names = [str(number) for number in seeds_from(chosen or CROWDS, "crowds")]
+    else:
+        names = worlds_from(chosen, tuple(worlds_of(path).worlds))
+    writable(out)
+    if trajectories is not None:
+        usable(trajectories)
+    changed = (*(NOISE if noise else ()), *settings)
+    robot_file(Trial(course_at(path, names[0]), 0, robot, changed))  # a wrong setting is told before the first process
+    asked = Asked(path, robot, changed, NOISE_DELAY if noise else 0.0, trajectories, run_folder("bench-barn"))
+    items = [(name, seed) for seed in range(runs) for name in names]
+    told: list[dict[str, Any]] = []
+    with progress_bar(f"{len(names)} worlds, {runs} runs each") as progress:
+        for run in results(partial(driven, asked), items, jobs):
+            told.append(run)
+            progress(len(told) / len(items))
+            if run["status"] != "success":
+                sys.stderr.write(f"world {run['world']}, seed {run['seed']}: {run['status']}, {run['picture']}\n")
+    if not any(asked.failures.iterdir()):
+        asked.failures.rmdir()
+    told.sort(key=lambda run: (int(run["world"]), int(run["seed"])))
+    figures = summary(told)
+    failed = [run for run in told if run["status"] != "success"]
+    shown = failed or sorted(told, key=lambda run: float(run["clearance"]))[:5]
+    table(f"{'crowds' if crowd else 'BARN'}, {figures['runs']} runs", COLUMNS, [_row(run) for run in shown[:MOST_ROWS]])
+    table("all", tuple(figures), [tuple(str(value) for value in figures.values())])
+    write(out, {"summary": figures, "robot": robot, "noise": noise, "crowd": crowd, "settings": settings, "runs": told})
+    return 0 if kept(figures, crowd) else 1
+
+
+def kept(figures: dict[str, Any], crowd: bool) -> bool:
+    """Whether all runs together reach what is asked."""
+    if crowd:
+        return bool(figures["success"] >= CROWD_SUCCESS)
+    return bool(figures["success"] >= SUCCESS and figures["collision"] <= COLLISIONS and figures["score"] >= SCORE)
+
+
+def file_of(worlds: Path | None, crowd: bool) -> Path | None:
+    """The file of worlds, None where crowds are asked for. Raises UserError where it is neither, or both."""
+    if crowd and worlds is not None:
+        raise UserError("--crowd makes its own worlds", f"leave {worlds} out, or --crowd")
+    if not crowd and worlds is None:
+        raise UserError("no worlds are named", f"give {FILE}, the folder that holds it, or --crowd")
+    return worlds / FILE if worlds is not None and worlds.is_dir() else worlds
+
+
+def course_at(path: Path | None, world: str) -> "Course":
+    """The world of the file, or the crowd of this number."""
+    from zenav.bench.barn_run import course_of, crowd_course
+
+    return crowd_course(world) if path is None else course_of(path, worlds_of(path), world)
+
+
+def worlds_of(path: Path) -> "BarnFile":
+    """The worlds of a file. Raises UserError where there is none, or it is none of BARN's."""
+    from services.sim.store import cylinder_file
+    from zenav.bench.barn_run import BarnFile
+
+    if not path.is_file():
+        raise UserError(f"there is no {path}", f"give {FILE}, or the folder that holds it")
+    return cylinder_file(path, BarnFile)
+
+
+def worlds_from(text: str, known: tuple[str, ...]) -> list[str]:
+    """The file's worlds among `1-20` or `3,7`; all where nothing is chosen. Raises UserError where none is."""
+    if not text:
+        return sorted(known, key=int)
+    numbers = {str(number) for number in seeds_from(text, "worlds")}
+    names = sorted(numbers & set(known), key=int)
+    if not names:
+        raise UserError(f"none of the worlds {text} is in the file", f"it holds {len(known)}: {_some(known)}")
+    return names
+
+
+def _some(known: tuple[str, ...]) -> str:
+    return ", ".join(known[:8]) + (", ..." if len(known) > 8 else "")
+
+
+def usable(folder: Path) -> None:
+    """Makes the folder. Raises UserError where it cannot be written to."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / ".zenav").touch()
+        (folder / ".zenav").unlink()
+    except OSError as error:
+        raise UserError(f"cannot write to {folder}: {error.strerror}", "choose another --trajectories") from None
+
+
+def driven(asked: Asked, item: tuple[str, int]) -> dict[str, Any]:
+    """One run's row of the report; where it failed, again with a recording, and a picture."""
+    import shared.repeatable  # noqa: F401  # a spawned process begins here
+    from zenav.bench.barn_picture import failure_picture
+    from zenav.bench.barn_run import ROUND_M, Trial, run
+
+    world, seed = item
+    trial = Trial(course_at(asked.path, world), seed, asked.robot, asked.settings, asked.delay)
+    done = run(trial)
+    name = f"world-{world}-seed-{seed}"
+    told = {
+        "world": int(world),
+        "seed": seed,
+        "status": done.status,
+        "time": done.time,
+        "score": round(done.score, 5),
+        "clearance": round(done.clearance, ROUND_M),
+        "recoveries": done.n_recoveries,
+        "length": done.length,
+        "said": done.why,
+        "stood": done.stood,
+        "trajectory": None,
+        "picture": None,
+        "recording": None,
+    }
+    if asked.trajectories is not None:
+        told["trajectory"] = f"{name}.csv"
+        write_trajectory(asked.trajectories / f"{name}.csv", done.rows.tolist())
+    if done.status != "success":
+        picture, recording = asked.failures / f"{name}.png", asked.failures / f"{name}.mcap"
+        picture.write_bytes(failure_picture(done))
+        run(trial, recording)  # the same seed gives the same run: only failures are worth a file
+        told |= {"picture": str(picture), "recording": str(recording)}
+    return told
+
+
+def write_trajectory(path: Path, rows: list[list[float]]) -> None:
+    """The true motion as CSV: s, m, rad, m/s, rad/s."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(TRAJECTORY)
+        writer.writerows([f"{t:.3f}", *(f"{value:.5f}" for value in rest)] for t, *rest in rows)
+
+
+def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """The figures over all runs; the score is the mean over worlds of the mean over runs."""
+    n = len(runs)
+    by_world: dict[int, list[float]] = {}
+    for run in runs:
+        by_world.setdefault(run["world"], []).append(run["score"])
+    times = [run["time"] for run in runs if run["status"] == "success"]
+    shares = {
+        status: round(sum(run["status"] == status for run in runs) / n, 5)
+        for status in ("success", "collision", "timeout")
+    }
+    return {
+        **shares,
+        "mean_time": round(statistics.fmean(times), 3) if times else None,
+        "score": round(statistics.fmean(statistics.fmean(scores) for scores in by_world.values()), 5),
+        "collision_standing": round(sum(run["stood"] for run in runs) / n, 5),
+        "runs": n,
+        "worlds": len(by_world),
+        "clearance_min": min(run["clearance"] for run in runs),
+        "recoveries": sum(run["recoveries"] for run in runs),
+    }
+
+
+def _row(run: dict[str, Any]) -> tuple[str, ...]:
+    return (
+        f"{run['world']}, {run['seed']}", run["status"], f"{run['time']:.1f}", f"{run['score']:.4f}",
+        f"{run['clearance']:.3f}", str(run["recoveries"]), run["said"],
+    )  # fmt: skip
