@@ -58,16 +58,18 @@ class OccupancyGrid:
         rows, columns = update.rows[fit], update.columns[fit]
         if not len(rows):
             return np.zeros(self.cells.shape, bool)
-        before, row0, column0 = self.cells, self.first_row, self.first_column
-        cells = self._grown(rows, columns).copy()
-        old = np.full(cells.shape, UNKNOWN, np.int8)
-        dr, dc = (row0 - self.first_row) * TILE_CELLS, (column0 - self.first_column) * TILE_CELLS
-        old[dr : dr + before.shape[0], dc : dc + before.shape[1]] = before
+        before = self.cells
+        cells = self._grown(rows, columns)
+        if cells is before:
+            cells = cells.copy()
+        changed = np.zeros(cells.shape, bool)
         for row, column, tile in zip(rows, columns, update.cells[fit], strict=True):
             r, c = (row - self.first_row) * TILE_CELLS, (column - self.first_column) * TILE_CELLS
-            cells[r : r + TILE_CELLS, c : c + TILE_CELLS] = tile.reshape(TILE_CELLS, TILE_CELLS)
+            place = slice(r, r + TILE_CELLS), slice(c, c + TILE_CELLS)
+            changed[place] |= cells[place] != tile.reshape(TILE_CELLS, TILE_CELLS)
+            cells[place] = tile.reshape(TILE_CELLS, TILE_CELLS)
         self.cells = cells
-        return np.not_equal(cells, old)
+        return changed
 
     def _fitting(self, update: MapUpdate) -> Bools:
         """(k,) bool: the update's tiles that this map has room for."""

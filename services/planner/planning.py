@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.planner.search import Search
-from services.planner.smoothing import path_cost, resampled, smoothed
+from services.planner.lines import path_cost
+from services.planner.outline import Outline
+from services.planner.smoothing import resampled, smoothed
 from services.planner.traversal_cost import UNIT, Terrain
 from shared import reasons
 from shared.config import Section
@@ -49,21 +50,21 @@ def no_plan(reason: Reason) -> Plan:
 
 
 def planned(
-    terrain: Terrain, search: Search, start: Pose2, goal: Pose2, tolerance: float, config: PlanningConfig
+    terrain: Terrain, outline: Outline, start: Pose2, goal: Pose2, tolerance: float, config: PlanningConfig
 ) -> Plan:
     """The path from start to goal, or to the nearest place with room within the larger of tolerance and goal_reach.
 
     It keeps the margin; where no way at all does, the least margin: the robot must get out of a gap that has become a
     cell narrower since it drove in.
     """
-    plan = _with_margin(terrain, search, start, goal, tolerance, config)
-    if plan.reason is not reasons.UNREACHABLE:
+    plan = _with_margin(terrain, outline, start, goal, tolerance, config)
+    if plan.reason is not reasons.UNREACHABLE or terrain.eased() is terrain:
         return plan
-    return _with_margin(terrain.eased(), search, start, goal, tolerance, config)
+    return _with_margin(terrain.eased(), outline, start, goal, tolerance, config)
 
 
 def _with_margin(
-    terrain: Terrain, search: Search, start: Pose2, goal: Pose2, tolerance: float, config: PlanningConfig
+    terrain: Terrain, outline: Outline, start: Pose2, goal: Pose2, tolerance: float, config: PlanningConfig
 ) -> Plan:
     start_cell, goal_cell = terrain.cell(start.x, start.y), terrain.cell(goal.x, goal.y)
     if not terrain.holds(*start_cell):
@@ -78,14 +79,14 @@ def _with_margin(
         if terrain.costs[goal_cell]:
             return no_plan(reasons.UNREACHABLE)
         return no_plan(reasons.GOAL_BLOCKED if terrain.crowded(*goal_cell) else reasons.GOAL_UNKNOWN)
-    escape = escapes[int(terrain.regions[end_cell])]
-    way = search.way(terrain.costs, escape[-1], end_cell, UNIT, terrain.highest)
+    escape = escapes[terrain.regions.at(*end_cell)]
+    points = outline.points(terrain.costs, terrain.blocks, terrain.regions, escape[-1], end_cell, UNIT, terrain.highest)
     here = _in_cells(terrain, start, start_cell)
     lead = np.array([here, *((column + 0.5, row + 0.5) for row, column in escape)])
-    points: Float64s = way[:, ::-1].astype(np.float64) + 0.5
-    points[0] = lead[-1] if len(escape) > 1 else here
     end = _in_cells(terrain, goal, goal_cell) if end_cell == goal_cell else (end_cell[1] + 0.5, end_cell[0] + 0.5)
-    points = np.concatenate((points[:1], points[1:-1], np.array([end])))
+    if len(escape) == 1:
+        points = np.concatenate(([here], points))
+    points = np.concatenate((points, [end]))
     spacing = config.spacing / terrain.resolution
     path = smoothed(terrain.costs, points, spacing)
     cost = path_cost(terrain.costs, path)
@@ -101,7 +102,7 @@ def _escapes(terrain: Terrain, start: Pose2, start_cell: Cell, radius: float) ->
     no obstacle; cells under the robot itself are no obstacles, whatever the map says.
     """
     if terrain.costs[start_cell]:
-        return {int(terrain.regions[start_cell]): [start_cell]}
+        return {terrain.regions.at(*start_cell): [start_cell]}
     found: dict[int, list[Cell]] = {}
     parents: dict[Cell, Cell] = {start_cell: start_cell}
     settled: set[Cell] = set()
@@ -111,7 +112,7 @@ def _escapes(terrain: Terrain, start: Pose2, start_cell: Cell, radius: float) ->
         if cell in settled:
             continue
         settled.add(cell)
-        region = int(terrain.regions[cell])
+        region = terrain.regions.at(*cell)
         if region:
             found.setdefault(region, _back(parents, cell))
             continue
@@ -137,12 +138,12 @@ def _back(parents: dict[Cell, Cell], cell: Cell) -> list[Cell]:
 
 def _with_room(terrain: Terrain, goal: Pose2, goal_cell: Cell, regions: set[int], radius: float) -> Cell | None:
     """The goal's cell if it lies in one of the regions, else the nearest that does with its centre within radius."""
-    if int(terrain.regions[goal_cell]) in regions:
+    if terrain.regions.at(*goal_cell) in regions:
         return goal_cell
     n = ceil(radius / terrain.resolution) + 1
     (row, column), (h, w) = goal_cell, terrain.costs.shape
     r0, c0 = max(row - n, 0), max(column - n, 0)
-    window = np.isin(terrain.regions[r0 : min(row + n + 1, h), c0 : min(column + n + 1, w)], sorted(regions))
+    window = np.isin(terrain.regions.within(r0, c0, min(row + n + 1, h), min(column + n + 1, w)), sorted(regions))
     rows, columns = np.nonzero(window)
     if not len(rows):
         return None

@@ -5,6 +5,8 @@ Costs are integers, so a queue of buckets replaces the heap (Dial 1969; Denardo 
 smallest step; what was expanded too early is expanded again, so the result is exact.
 """
 
+from typing import Generic, TypeVar
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -13,24 +15,52 @@ UInt16s = NDArray[np.uint16]
 Int8s = NDArray[np.int8]
 Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
+Origin = TypeVar("Origin", np.int8, np.int32)
 
 STRAIGHT, DIAGONAL = 2378, 3363
 """Half a step's length, in integers; 3363 / 2378 is sqrt(2) to 6e-8 (a convergent of its continued fraction)."""
 
-_COST_BITS = 42  # of a key; the bits above number the search, downwards, so that older keys are always larger
-_SEARCHES = 2**20
+COST_BITS = 42
+"""Of a key: the cost so far. The bits above number the search, downwards, so that keys of older ones are larger."""
+
+_SEARCHES = 2**21 - 1  # so many stamps there are
 _ROW = np.array([0, 1, 0, -1, 1, 1, -1, -1], np.int64)
 _COLUMN = np.array([1, 0, -1, 0, 1, -1, 1, -1], np.int64)
+
+
+class Marks(Generic[Origin]):
+    """What searches know of the cells or nodes of a grid: `keys`, stamp and cost so far; `origins`, whence.
+
+    Never cleared: a new search has a lower stamp than all before, and so finds every key too high.
+    """
+
+    def __init__(self, origins: type[Origin]) -> None:
+        self._begun = 0
+        self.keys: Int64s = np.zeros(0, np.int64)
+        self.origins: NDArray[Origin] = np.zeros(0, origins)
+
+    def begin(self, n: int, size: int) -> int:
+        """The base of the keys of the first of n searches over size cells; each next one lies 1 << COST_BITS lower."""
+        size = max(size, len(self.keys))
+        if size > len(self.keys) or self._begun + n > _SEARCHES:
+            self._begun = 0
+            # zero is more than any key, and memory that nobody has written to costs nothing
+            self.keys, self.origins = np.zeros(size, np.int64), np.zeros(size, self.origins.dtype)
+        first = self._begun + 1
+        self._begun += n
+        return -first << COST_BITS
 
 
 class Search:
     """Finds ways; holds the buffers of the largest grid so far."""
 
     def __init__(self) -> None:
-        self._left = 0
-        self._keys: Int64s = np.empty(0, np.int64)
-        self._parents: Int8s = np.empty(0, np.int8)
-        self._room(1 << 12)
+        self.cells = Marks(np.int8)
+        self.room(1 << 12)
+
+    def room(self, n: int) -> None:
+        """Makes room for n entries of the queue: their cells, their keys, the next entry of their bucket."""
+        self.entries = np.empty(n, np.int32), np.empty(n, np.int64), np.empty(n, np.int32)
 
     def way(self, costs: UInt16s, start: tuple[int, int], goal: tuple[int, int], lowest: int, highest: int) -> Int32s:
         """The cheapest way from start to goal, both included: (n, 2) int32 rows and columns, n = 0 without one.
@@ -39,42 +69,32 @@ class Search:
         other values. A step costs its length times the mean of its two cells; a diagonal one needs both of its
         straight neighbours free.
         """
-        w = costs.shape[1]
+        w, marks = costs.shape[1], self.cells
         flat = costs.reshape(-1)
         start_cell, goal_cell = start[0] * w + start[1], goal[0] * w + goal[1]
         if not (flat[start_cell] and flat[goal_cell]):
             return np.empty((0, 2), np.int32)
-        shift = (2 * lowest * STRAIGHT).bit_length() - 1
-        n_buckets = 1 << ((4 * highest * DIAGONAL >> shift) + 4).bit_length()
-        heads = np.empty(n_buckets, np.int32)
+        shift, heads = buckets(lowest, highest)
         while True:
-            base = self._begin(flat.size)
-            if _expand(
-                flat, w, start_cell, goal_cell, lowest, shift, base, self._keys, self._parents, heads, *self._entries
+            base = marks.begin(1, flat.size)
+            if expand(
+                flat, w, start_cell, goal_cell, lowest, shift, base, marks.keys, marks.origins, heads, *self.entries
             ):
                 break
-            self._room(2 * len(self._entries[0]))
-        if self._keys[goal_cell] >> _COST_BITS != base >> _COST_BITS:
+            self.room(2 * len(self.entries[0]))
+        if marks.keys[goal_cell] >> COST_BITS != base >> COST_BITS:
             return np.empty((0, 2), np.int32)
-        return _traced(self._parents, w, start_cell, goal_cell)
+        return traced(marks.origins, w, start_cell, goal_cell)
 
-    def _begin(self, size: int) -> int:
-        """The base of a new search's keys, lower than all that the buffers hold."""
-        if size > len(self._keys):
-            self._keys, self._parents, self._left = np.empty(size, np.int64), np.empty(size, np.int8), 0
-        if self._left == 0:
-            self._keys[:] = _SEARCHES << _COST_BITS
-            self._left = _SEARCHES
-        self._left -= 1
-        return self._left << _COST_BITS
 
-    def _room(self, n: int) -> None:
-        """Room for n entries of the queue: their cells, their keys, the next entry of their bucket."""
-        self._entries = np.empty(n, np.int32), np.empty(n, np.int64), np.empty(n, np.int32)
+def buckets(lowest: int, highest: int) -> tuple[int, Int32s]:
+    """Bits of a cost that lie within a bucket, and the buckets' first entries, for steps between cells."""
+    shift = (2 * lowest * STRAIGHT).bit_length() - 1
+    return shift, np.empty(1 << ((4 * highest * DIAGONAL >> shift) + 4).bit_length(), np.int32)
 
 
 @njit(cache=True, nogil=True)
-def _expand(
+def expand(
     costs: UInt16s,
     width: int,
     start: int,
@@ -153,7 +173,7 @@ def _expand(
 
 
 @njit(cache=True, nogil=True)
-def _traced(parents: Int8s, width: int, start: int, goal: int) -> Int32s:
+def traced(parents: Int8s, width: int, start: int, goal: int) -> Int32s:
     offsets = _ROW * width + _COLUMN
     n = 1
     cell = goal

@@ -4,8 +4,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from services.planner.outline import Outline
 from services.planner.planning import Plan, PlanningConfig, no_plan, planned
-from services.planner.search import Search
 from services.planner.traversal_cost import CostConfig, Terrain
 from services.planner.upkeep import UpkeepConfig, length, remaining, standing, worth_switching, worth_waiting
 from shared import reasons, topics
@@ -40,7 +40,7 @@ class PlannerService(Service):
         super().__init__(config, robot)
         self.grid = OccupancyGrid()
         self.terrain: Terrain | None = None
-        self.search = Search()
+        self.outline = Outline()
         self.where = Whereabouts()
         self.goal: Goal | None = None
         self.plan: Plan | None = None
@@ -135,7 +135,7 @@ class PlannerService(Service):
             return self._new(terrain, pose, goal)
         stands = standing(terrain, old, self.index, pose.x, pose.y)
         self.index = stands.index
-        new = planned(terrain, self.search, pose, goal.map_from_goal, goal.tolerance, self.config.path)
+        new = planned(terrain, self.outline, pose, goal.map_from_goal, goal.tolerance, self.config.path)
         upkeep = self.config.upkeep
         if stands.off > upkeep.off_plan:
             return self._taken(new)
@@ -150,7 +150,7 @@ class PlannerService(Service):
         return old if waits and worth_waiting(rest, self.cost_left, stands.ahead, new, upkeep) else self._taken(new)
 
     def _new(self, terrain: Terrain, pose: Pose2, goal: Goal) -> Plan:
-        return self._taken(planned(terrain, self.search, pose, goal.map_from_goal, goal.tolerance, self.config.path))
+        return self._taken(planned(terrain, self.outline, pose, goal.map_from_goal, goal.tolerance, self.config.path))
 
     def _taken(self, plan: Plan) -> Plan:
         self.index, self.blocked_since, self.cost_left = 0, None, plan.cost

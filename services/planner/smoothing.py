@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a way over cells to a path that a robot follows: string pulling, relaxed corners, even spacing, round bends.
+"""From a way over cells to a path that a robot follows: string pulling, relaxed corners, round bends, even spacing.
 
-Points are (x, y) in cells of the cost grid: the centre of cell (row, column) is (column + 0.5, row + 0.5). Costs are
-those of `traversal_cost`; a path's cost is the integral of the costs along it, which for a way over cells is exactly
-what the search minimises. A shortcut is taken where it costs no more, so clearance is never sold for length.
+Points are (x, y) in cells of the cost grid: the centre of cell (row, column) is (column + 0.5, row + 0.5). A path's
+cost is the integral of the costs along it (`lines`). A shortcut is taken where it costs no more, so clearance is never
+sold for length.
 """
 
 from math import hypot
@@ -12,17 +12,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from services.planner.lines import line_cost
+
 UInt16s = NDArray[np.uint16]
 Float64s = NDArray[np.float64]
 
-BLOCKED = -1.0
-"""The cost of a line that touches a blocked cell."""
-
 _RELAX_STEPS = (4.0, 2.0, 1.0, 0.5)  # cells that a corner is moved, coarse to fine
-_RELAX_SWEEPS = 4
-_ROUND_SWEEPS = 12
-_ROUND_COST = 1.25  # how much dearer than before a moved point may lie
-_ROUND_SHARE = 0.02  # of the path's cost: what rounding may add to it
+_RELAX_SWEEPS = 3
+_BEND = 10.0  # cells before and after a corner in which the path bends, at most
+_LEAST_BEND = 0.5
+_SAME = 1e-6  # cells between points that are one
+_BEND_COST = 1.02  # how much dearer than its corner a bend may be
 
 
 def smoothed(costs: UInt16s, points: Float64s, spacing: float) -> Float64s:
@@ -30,79 +30,43 @@ def smoothed(costs: UInt16s, points: Float64s, spacing: float) -> Float64s:
 
     Adjacent points must see each other; spacing, cells, bounds the distance between adjacent points of the result.
     """
+    return _smoothed(costs, points, spacing)
+
+
+@njit(cache=True, nogil=True)
+def _smoothed(costs: UInt16s, points: Float64s, spacing: float) -> Float64s:
     corners = points[_pulled(costs, points)]
-    _relax(costs, corners)
-    corners = corners[_pulled(costs, corners)]
-    path = resampled(corners, spacing)
-    _round(costs, path)
-    return path
+    if len(corners) > 2:
+        _relax(costs, corners)
+        corners = corners[_pulled(costs, corners)]
+    return resampled(_rounded(costs, corners, spacing), spacing)
 
 
+@njit(cache=True, nogil=True)
 def resampled(corners: Float64s, spacing: float) -> Float64s:
     """Points on the polyline, its corners among them, at most `spacing` apart: (m, 2)."""
-    legs = np.diff(corners, axis=0)
-    lengths = np.sqrt(legs[:, 0] ** 2 + legs[:, 1] ** 2)
-    parts = [corners[:1]]
-    for corner, leg, length in zip(corners, legs, lengths):
-        n = max(int(np.ceil(length / spacing)), 1)
-        parts.append(corner + leg * (np.arange(1, n + 1) / n)[:, None])
-    path = np.concatenate(parts)
-    path[-1] = corners[-1]
+    n = 1
+    for i in range(len(corners) - 1):
+        n += _pieces(corners, i, spacing)
+    path = np.empty((n, 2))
+    path[0] = corners[0]
+    n = 1
+    for i in range(len(corners) - 1):
+        k = _pieces(corners, i, spacing)
+        x, y = corners[i, 0], corners[i, 1]
+        dx, dy = corners[i + 1, 0] - x, corners[i + 1, 1] - y
+        for j in range(1, k):
+            path[n, 0], path[n, 1] = x + dx * (j / k), y + dy * (j / k)
+            n += 1
+        path[n] = corners[i + 1]
+        n += 1
     return path
 
 
 @njit(cache=True, nogil=True)
-def path_cost(costs: UInt16s, points: Float64s) -> float:
-    """The cost of the polyline through points (n, 2), BLOCKED where it touches a blocked cell."""
-    total = 0.0
-    for i in range(len(points) - 1):
-        cost = line_cost(costs, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1])
-        if cost < 0:
-            return BLOCKED
-        total += cost
-    return total
-
-
-@njit(cache=True, nogil=True)
-def line_cost(costs: UInt16s, x0: float, y0: float, x1: float, y1: float) -> float:
-    """The integral of the costs along a line, or BLOCKED. Amanatides & Woo 1987, where a line through a corner of four
-    cells touches all of them."""
-    column, row = int(np.floor(x0)), int(np.floor(y0))
-    last_column, last_row = int(np.floor(x1)), int(np.floor(y1))
-    h, w = costs.shape
-    if min(row, last_row, column, last_column) < 0 or max(row, last_row) >= h or max(column, last_column) >= w:
-        return BLOCKED
-    dx, dy = x1 - x0, y1 - y0
-    length = hypot(dx, dy)
-    across, up = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
-    # shares of the line at which it leaves the present column, the present row
-    t_column = ((column + (dx > 0)) - x0) / dx if dx != 0 else np.inf
-    t_row = ((row + (dy > 0)) - y0) / dy if dy != 0 else np.inf
-    per_column = abs(1 / dx) if dx != 0 else np.inf
-    per_row = abs(1 / dy) if dy != 0 else np.inf
-    here, total = 0.0, 0.0
-    n_steps = abs(last_column - column) + abs(last_row - row)
-    while n_steps > 0:
-        if costs[row, column] == 0:
-            return BLOCKED
-        there = max(min(t_column, t_row, 1.0), here)
-        total += (there - here) * costs[row, column]
-        here = there
-        corner = abs(t_column - t_row) < 1e-9 and column != last_column and row != last_row
-        if corner and (costs[row + up, column] == 0 or costs[row, column + across] == 0):
-            return BLOCKED
-        by_column = corner or row == last_row or (t_column < t_row and column != last_column)
-        if by_column:
-            column += across
-            t_column += per_column
-            n_steps -= 1
-        if corner or not by_column:
-            row += up
-            t_row += per_row
-            n_steps -= 1
-    if costs[last_row, last_column] == 0:
-        return BLOCKED
-    return float((total + (1.0 - here) * costs[last_row, last_column]) * length)
+def _pieces(corners: Float64s, i: int, spacing: float) -> int:
+    length = hypot(corners[i + 1, 0] - corners[i, 0], corners[i + 1, 1] - corners[i, 1])
+    return max(int(np.ceil(length / spacing)), 1)
 
 
 @njit(cache=True, nogil=True)
@@ -142,22 +106,43 @@ def _cheaper(costs: UInt16s, points: Float64s, so_far: Float64s, i: int, k: int)
 
 @njit(cache=True, nogil=True)
 def _relax(costs: UInt16s, corners: Float64s) -> None:
-    """Moves inner corners where that makes the path cheaper, in place."""
+    """Moves inner corners, across the line between their neighbours and along it, where that makes the path cheaper.
+
+    A corner is looked at again only when it or a neighbour has moved.
+    """
+    n = len(corners)
+    due = np.empty(n, np.bool_)
     for step in _RELAX_STEPS:
+        due[:] = True
         for _ in range(_RELAX_SWEEPS):
             moved = False
-            for i in range(1, len(corners) - 1):
-                x, y = corners[i, 0], corners[i, 1]
-                least = _two_lines(costs, corners, i, x, y)
-                for direction in range(8):
-                    across = (1, 1, 0, -1, -1, -1, 0, 1)[direction] * step
-                    up = (0, 1, 1, 1, 0, -1, -1, -1)[direction] * step
-                    cost = _two_lines(costs, corners, i, x + across, y + up)
-                    if 0 <= cost < least - 1e-6:
-                        least, moved = cost, True
-                        corners[i, 0], corners[i, 1] = x + across, y + up
+            for i in range(1, n - 1):
+                if not due[i]:
+                    continue
+                due[i] = False
+                if _moved(costs, corners, i, step):
+                    due[i - 1] = due[i] = due[i + 1] = moved = True
             if not moved:
                 break
+
+
+@njit(cache=True, nogil=True)
+def _moved(costs: UInt16s, corners: Float64s, i: int, step: float) -> bool:
+    """Moves corner i by a step to the cheapest of four places, if one is cheaper."""
+    x, y = corners[i, 0], corners[i, 1]
+    dx, dy = corners[i + 1, 0] - corners[i - 1, 0], corners[i + 1, 1] - corners[i - 1, 1]
+    chord = hypot(dx, dy)
+    if chord < 1e-9:
+        return False
+    dx, dy = dx / chord * step, dy / chord * step
+    least, moved = _two_lines(costs, corners, i, x, y), False
+    for k in range(4):
+        tx, ty = x + (-dy, dy, dx, -dx)[k], y + (dx, -dx, dy, -dy)[k]
+        cost = _two_lines(costs, corners, i, tx, ty)
+        if 0 <= cost < least - 1e-6:
+            least, moved = cost, True
+            corners[i, 0], corners[i, 1] = tx, ty
+    return moved
 
 
 @njit(cache=True, nogil=True)
@@ -165,27 +150,62 @@ def _two_lines(costs: UInt16s, points: Float64s, i: int, x: float, y: float) -> 
     """The cost from point i - 1 by (x, y) to point i + 1, or BLOCKED."""
     before = line_cost(costs, points[i - 1, 0], points[i - 1, 1], x, y)
     if before < 0:
-        return BLOCKED
+        return before
     after = line_cost(costs, x, y, points[i + 1, 0], points[i + 1, 1])
-    return before + after if after >= 0 else BLOCKED
+    return before + after if after >= 0 else after
 
 
 @njit(cache=True, nogil=True)
-def _round(costs: UInt16s, path: Float64s) -> None:
-    """Moves inner points towards the middle of their neighbours, in place, where that is free and not much dearer.
+def _rounded(costs: UInt16s, corners: Float64s, spacing: float) -> Float64s:
+    """The polyline with a bend in place of each corner, as wide as its legs and the costs allow."""
+    path = np.empty((len(corners) + (len(corners) - 2) * (int(2 * _BEND / spacing) + 2), 2))
+    path[0] = corners[0]
+    n = 1
+    bend = np.empty((int(2 * _BEND / spacing) + 2, 2))
+    for i in range(1, len(corners) - 1):
+        bx, by = corners[i - 1, 0] - corners[i, 0], corners[i - 1, 1] - corners[i, 1]
+        ax, ay = corners[i + 1, 0] - corners[i, 0], corners[i + 1, 1] - corners[i, 1]
+        before, after = hypot(bx, by), hypot(ax, ay)
+        # a leg between two corners is shared by their bends
+        reach = min(before * (0.5 if i > 1 else 1.0), after * (0.5 if i < len(corners) - 2 else 1.0), _BEND)
+        n_bend = 0
+        while reach >= _LEAST_BEND:
+            sx, sy = bx / before * reach, by / before * reach
+            ex, ey = ax / after * reach, ay / after * reach
+            n_bend = max(int(np.ceil(2 * reach / spacing)), 2) + 1
+            for k in range(n_bend):
+                t = k / (n_bend - 1)
+                s, e = (1 - t) * (1 - t), t * t
+                bend[k, 0], bend[k, 1] = corners[i, 0] + s * sx + e * ex, corners[i, 1] + s * sy + e * ey
+            if _free_bend(costs, bend[:n_bend], corners[i, 0], corners[i, 1]):
+                break
+            reach, n_bend = reach / 2, 0
+        if n_bend == 0:
+            bend[0], n_bend = corners[i], 1
+        for k in range(n_bend):
+            n = _appended(path, n, bend[k])
+    n = max(_appended(path, n, corners[-1]), 2)
+    path[n - 1] = corners[-1]
+    return path[:n]
 
-    A point in a cell of no great cost says little about the lines to it, so the path as a whole has its limit too.
-    """
-    spare = _ROUND_SHARE * path_cost(costs, path)
-    for _ in range(_ROUND_SWEEPS):
-        for i in range(1, len(path) - 1):
-            x = (path[i - 1, 0] + 2 * path[i, 0] + path[i + 1, 0]) / 4
-            y = (path[i - 1, 1] + 2 * path[i, 1] + path[i + 1, 1]) / 4
-            limit = _ROUND_COST * costs[int(path[i, 1]), int(path[i, 0])]
-            if costs[int(y), int(x)] > limit:
-                continue
-            cost = _two_lines(costs, path, i, x, y)
-            added = cost - _two_lines(costs, path, i, path[i, 0], path[i, 1])
-            if cost >= 0 and added <= spare:
-                path[i, 0], path[i, 1] = x, y
-                spare -= added
+
+@njit(cache=True, nogil=True)
+def _appended(path: Float64s, n: int, point: Float64s) -> int:
+    """Appends a point unless it is the last one: where two bends meet, or a bend begins at the start."""
+    if abs(point[0] - path[n - 1, 0]) + abs(point[1] - path[n - 1, 1]) < _SAME:
+        return n
+    path[n] = point
+    return n + 1
+
+
+@njit(cache=True, nogil=True)
+def _free_bend(costs: UInt16s, bend: Float64s, x: float, y: float) -> bool:
+    """Whether a bend touches nothing and costs little more than its two ends by the corner (x, y)."""
+    limit = line_cost(costs, bend[0, 0], bend[0, 1], x, y) + line_cost(costs, x, y, bend[-1, 0], bend[-1, 1])
+    limit, total = limit * _BEND_COST, 0.0
+    for k in range(len(bend) - 1):
+        cost = line_cost(costs, bend[k, 0], bend[k, 1], bend[k + 1, 0], bend[k + 1, 1])
+        total += cost
+        if cost < 0 or total > limit:
+            return False
+    return True

@@ -10,16 +10,20 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy import ndimage
 
+from services.planner.blocks import Blocks
+from services.planner.regions import Regions
 from shared.config import Robot, Section
 from shared.distance_field import distance_field
 from shared.grid import FREE_UP_TO, OCCUPIED_FROM, OccupancyGrid
+from shared.messages import TILE_CELLS
 
 Bools = NDArray[np.bool_]
 Int8s = NDArray[np.int8]
-Int32s = NDArray[np.int32]
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 UInt16s = NDArray[np.uint16]
+UInt64s = NDArray[np.uint64]
+Window = tuple[int, int, int, int]  # first row, first column, last row + 1, last column + 1
 
 UNIT = 50
 """The cost of a cell that costs nothing extra; a cell of cost 150 is three times as long. 0 is blocked."""
@@ -55,7 +59,7 @@ class Terrain:
     """The costs of a map for a robot, and which cells hang together; kept up to date from the changed cells.
 
     `costs` (h + 2 pad, w + 2 pad) uint16: UNIT and more, 0 blocked; its outermost ring is blocked, so that a search
-    needs no bounds. `regions`: same shape, int32, equal numbers can be reached from each other, 0 blocked.
+    needs no bounds. `blocks` and `regions` follow it. `highest`: no cost is above it.
     """
 
     def __init__(self, config: CostConfig, robot: Robot, resolution: float) -> None:
@@ -66,56 +70,73 @@ class Terrain:
         self.reach_cells = ceil(radius / resolution)
         beyond = config.beyond_map if config.unknown != "forbidden" else 0.0
         self.pad = 1 + ceil(beyond / resolution)
-        self.by_distance = cost_by_distance(config, robot, resolution, self.reach_cells)
-        self.unknown_cost = {
+        self._by_distance = cost_by_distance(config, robot, resolution, self.reach_cells)
+        self._unknown_cost = {
             "allowed": 0,
             "costly": round(UNIT * config.unknown_weight),
             "forbidden": -1,
         }[config.unknown]
+        self.highest = int(self._by_distance.max()) + max(self._unknown_cost, 0)
         self.distance: Float32s = np.zeros((0, 0), np.float32)  # cells to the nearest obstacle, at most reach_cells
-        self.costs: UInt16s = np.zeros((2, 2), np.uint16)
-        self.regions: Int32s = np.zeros((2, 2), np.int32)
-        self.origin = (0.0, 0.0)  # m, lower left corner of costs[0, 0] in `map`
         self.cells: Int8s = np.zeros((0, 0), np.int8)  # the map's, percent
-        self.highest = UNIT
+        self.origin = (0.0, 0.0)  # m, lower left corner of costs[0, 0] in `map`
+        self.costs: UInt16s = np.zeros((2, 2), np.uint16)
+        self.blocks, self.regions = Blocks.of(self.costs), Regions(self.costs)
+        self._eased: Terrain | None = None
 
     def update(self, grid: OccupancyGrid, changed: Bools | None) -> None:
         """Takes the map. `changed`: (h, w) bool, the cells that differ from the map of the last call; None: all."""
-        occupied = grid.occupied
-        if changed is None or occupied.shape != self.distance.shape:
-            self.distance = np.minimum(distance_field(occupied, 1.0), np.float32(self.reach_cells))
-        elif changed.any():
-            self._redistance(occupied, changed)
         self.cells = grid.cells
         self.origin = (grid.x0 - self.pad * self.resolution, grid.y0 - self.pad * self.resolution)
-        self._fill()
+        if changed is None or grid.cells.shape != self.distance.shape:
+            self.distance = np.minimum(distance_field(grid.occupied, 1.0), np.float32(self.reach_cells))
+            self._eased = None
+            self._begin()
+            return
+        for window in _windows(changed):
+            self._fill(self._redistance(*window))
+        if self._eased:
+            self._eased.cells, self._eased.origin = self.cells, self.origin
+            for r0, c0, r1, c1 in _windows(changed):
+                self._eased._fill(self._reached(r0, c0, r1, c1))
 
     def eased(self) -> "Terrain":
-        """The same map for a robot that keeps only the least margin: its way where there is no other."""
-        margin = min(self.config.least_margin, self.config.margin)
-        eased = Terrain(self.config.model_copy(update={"margin": margin}), self.robot, self.resolution)
-        eased.distance, eased.cells, eased.origin, eased.reach_cells = (
-            self.distance,
-            self.cells,
-            self.origin,
-            self.reach_cells,
-        )
-        eased.by_distance = cost_by_distance(eased.config, self.robot, self.resolution, self.reach_cells)
-        eased._fill()
-        return eased
+        """The same map for a robot that keeps only the least margin: its way where there is no other.
 
-    def _fill(self) -> None:
-        """The costs by distance and what is known, and the regions."""
-        h, w = self.cells.shape
-        pad = self.pad
-        costs = np.full((h + 2 * pad, w + 2 * pad), 0, np.uint16)
+        This one, where its margin is no more than that.
+        """
+        if self.config.least_margin >= self.config.margin:
+            return self
+        if self._eased is None:
+            eased = Terrain(
+                self.config.model_copy(update={"margin": self.config.least_margin}), self.robot, self.resolution
+            )
+            eased._by_distance = cost_by_distance(eased.config, self.robot, self.resolution, self.reach_cells)
+            eased.reach_cells, eased.distance = self.reach_cells, self.distance
+            eased.cells, eased.origin = self.cells, self.origin
+            eased._begin()
+            self._eased = eased
+        return self._eased
+
+    def _begin(self) -> None:
+        """The costs of the whole map, its blocks and regions."""
+        (h, w), pad = self.cells.shape, self.pad
+        self.costs = np.full((h + 2 * pad, w + 2 * pad), 0, np.uint16)
         if pad > 1:
-            costs[1:-1, 1:-1] = UNIT + self.unknown_cost
-        _fill_costs(self.cells, self.distance, self.by_distance, self.unknown_cost, costs[pad : pad + h, pad : pad + w])
-        self.costs = costs
-        # diagonal steps need both straight neighbours free, so what hangs together does so by straight steps
-        self.regions = ndimage.label(costs, output=np.int32)[0]
-        self.highest = max(int(costs.max()), UNIT)
+            self.costs[1:-1, 1:-1] = UNIT + self._unknown_cost
+        _fill_costs(self.cells, self.distance, self._by_distance, self._unknown_cost, self.costs[pad:-pad, pad:-pad])
+        self.blocks, self.regions = Blocks.of(self.costs), Regions(self.costs)
+
+    def _fill(self, window: Window) -> None:
+        """The costs of a window of the map, and what follows from them."""
+        (r0, c0, r1, c1), pad = window, self.pad
+        place = r0 + pad, c0 + pad, r1 + pad, c1 + pad
+        _fill_costs(
+            self.cells[r0:r1, c0:c1], self.distance[r0:r1, c0:c1], self._by_distance, self._unknown_cost,
+            self.costs[place[0] : place[2], place[1] : place[3]],
+        )  # fmt: skip
+        self.blocks.update(self.costs, *place)
+        self.regions.update(self.costs, *place)
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
         """(row, column) in `costs` of a point of `map`; may lie outside."""
@@ -153,17 +174,45 @@ class Terrain:
         h, w = self.distance.shape
         return float(self.distance[row, column]) if 0 <= row < h and 0 <= column < w else float(self.reach_cells)
 
-    def _redistance(self, occupied: Bools, changed: Bools) -> None:
-        """Only what lies within reach of a change can have another distance; obstacles within reach of that decide."""
-        rows, columns = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
-        reach = self.reach_cells
-        r0, r1 = max(int(rows[0]) - reach, 0), int(rows[-1]) + 1 + reach
-        c0, c1 = max(int(columns[0]) - reach, 0), int(columns[-1]) + 1 + reach
-        near_r0, near_c0 = max(r0 - reach, 0), max(c0 - reach, 0)
-        window = distance_field(occupied[near_r0 : r1 + reach, near_c0 : c1 + reach], 1.0)
-        part = self.distance[r0:r1, c0:c1]
-        dr, dc = r0 - near_r0, c0 - near_c0
-        np.minimum(window[dr : dr + part.shape[0], dc : dc + part.shape[1]], np.float32(reach), out=part)
+    def _reached(self, r0: int, c0: int, r1: int, c1: int) -> Window:
+        """The window of cells within reach of those of a window: only their distance can have changed."""
+        (h, w), reach = self.cells.shape, self.reach_cells
+        return max(r0 - reach, 0), max(c0 - reach, 0), min(r1 + reach, h), min(c1 + reach, w)
+
+    def _redistance(self, r0: int, c0: int, r1: int, c1: int) -> Window:
+        """The distances around changed cells: obstacles within reach decide. Returns the window that is new."""
+        window = r0, c0, r1, c1 = self._reached(r0, c0, r1, c1)
+        near_r0, near_c0, near_r1, near_c1 = self._reached(*window)
+        away = distance_field(self.cells[near_r0:near_r1, near_c0:near_c1] >= OCCUPIED_FROM, 1.0)
+        part = away[r0 - near_r0 : r1 - near_r0, c0 - near_c0 : c1 - near_c0]
+        np.minimum(part, np.float32(self.reach_cells), out=self.distance[r0:r1, c0:c1])
+        return window
+
+
+def _windows(changed: Bools) -> list[Window]:
+    """Windows that hold all changed cells, (h, w) bool, and few others: one for each group of adjacent tiles."""
+    tiles = _tiles(changed.view(np.uint64))
+    groups = ndimage.find_objects(ndimage.label(tiles, np.ones((3, 3)))[0])
+    windows = []
+    for rows, columns in groups:
+        r0, c0 = rows.start * TILE_CELLS, columns.start * TILE_CELLS
+        part = changed[r0 : rows.stop * TILE_CELLS, c0 : columns.stop * TILE_CELLS]
+        down, across = np.flatnonzero(part.any(axis=1)), np.flatnonzero(part.any(axis=0))
+        windows.append((r0 + int(down[0]), c0 + int(across[0]), r0 + int(down[-1]) + 1, c0 + int(across[-1]) + 1))
+    return windows
+
+
+@njit(cache=True, nogil=True)
+def _tiles(eights: UInt64s) -> Bools:
+    """In which tiles a cell is set, of rows of whole tiles, eight cells a number."""
+    h, w = eights.shape
+    per_tile = TILE_CELLS // 8
+    tiles = np.zeros((h // TILE_CELLS, w // per_tile), np.bool_)
+    for row in range(h):
+        for column in range(w):
+            if eights[row, column]:
+                tiles[row // TILE_CELLS, column // per_tile] = True
+    return tiles
 
 
 def cost_by_distance(config: CostConfig, robot: Robot, resolution: float, reach_cells: int) -> UInt16s:

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from services.planner.lines import path_cost
 from services.planner.planning import Plan
-from services.planner.smoothing import path_cost
 from services.planner.traversal_cost import UNIT, Terrain
 from shared.config import Section
 

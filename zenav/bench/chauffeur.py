@@ -10,8 +10,8 @@ from math import atan2, copysign, hypot, sin
 import numpy as np
 from numpy.typing import NDArray
 
+from services.planner.outline import Outline
 from services.planner.planning import PlanningConfig, planned
-from services.planner.search import Search
 from services.planner.traversal_cost import CostConfig, Terrain
 from services.sim.world import World
 from shared.config import Robot, UserError
@@ -44,9 +44,10 @@ class Ways:
         self.terrain.update(grid, None)
         self.clearance = distance_field(grid.occupied, CELL) - robot.inscribed_radius
         self.grid, self.robot = grid, robot
-        self._search = Search()
-        region = self.terrain.regions[self.terrain.cell(world.start.x, world.start.y)]
-        rows, columns = np.nonzero(self.terrain.regions == region)
+        self._outline = Outline()
+        regions = self.terrain.regions.within(0, 0, *self.terrain.costs.shape)
+        region = regions[self.terrain.cell(world.start.x, world.start.y)]
+        rows, columns = np.nonzero(regions == region)
         if not region:
             raise UserError(f"world {world.name}: the robot has no room at its start", "move `start:`")
         self._cells = np.column_stack((rows, columns))
@@ -57,7 +58,7 @@ class Ways:
         people: (p, 2) m, who stand in the way too.
         """
         terrain = self.terrain if people is None else self._with(people)
-        return planned(terrain, self._search, start, goal, 0.3, PlanningConfig()).points
+        return planned(terrain, self._outline, start, goal, 0.3, PlanningConfig()).points
 
     def _with(self, people: Float64s) -> Terrain:
         grid = OccupancyGrid(CELL, 1)

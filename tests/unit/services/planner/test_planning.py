@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from services.planner.lines import path_cost
+from services.planner.outline import Outline
 from services.planner.planning import PlanningConfig, planned
-from services.planner.search import Search
-from services.planner.smoothing import path_cost
 from services.planner.traversal_cost import CostConfig, Terrain
 from shared import reasons
 from shared.config import load_robot
@@ -15,7 +15,7 @@ from shared.ros_map import read_ros_map
 from tests.unit.services.maps import drawn, grid_of, message, planning_data, room
 
 X80 = load_robot("x80sv").robot
-SEARCH = Search()
+OUTLINE = Outline()
 CONFIG = PlanningConfig()
 
 
@@ -26,7 +26,7 @@ def terrain_of(cells, **settings_):
 
 
 def way(terrain, start, goal, tolerance=0.15):
-    return planned(terrain, SEARCH, Pose2(*start), Pose2(*goal), tolerance, CONFIG)
+    return planned(terrain, OUTLINE, Pose2(*start), Pose2(*goal), tolerance, CONFIG)
 
 
 def clearance(terrain, plan):
@@ -167,7 +167,7 @@ def test_in_any_clutter_the_path_touches_nothing_and_ends_within_reach_of_the_go
         (r0, c0), (r1, c1) = free[rng.integers(len(free), size=2)]
         start, goal = (*terrain.centre(int(r0), int(c0)), 0.0), (*terrain.centre(int(r1), int(c1)), 0.0)
         plan = way(terrain, start, goal)
-        connected = terrain.regions[r0, c0] == terrain.regions[r1, c1]
+        connected = terrain.regions.at(r0, c0) == terrain.regions.at(r1, c1)
         if plan.reason is None:
             assert touches_nothing(terrain, plan)
             assert np.hypot(*(plan.points[-1] - goal[:2])) <= (1e-9 if connected else CONFIG.goal_reach)
@@ -183,15 +183,16 @@ def test_in_real_buildings_every_reachable_goal_gets_a_path_with_clearance(name)
     terrain = Terrain(CostConfig(), X80, resolution)
     terrain.update(grid, None)
     known = np.pad(grid.free, terrain.pad) & (terrain.costs > 0)
-    largest = np.bincount(terrain.regions[known]).argmax()
-    places = np.argwhere(known & (terrain.regions == largest))
+    regions = terrain.regions.within(0, 0, *terrain.costs.shape)
+    largest = np.bincount(regions[known]).argmax()
+    places = np.argwhere(known & (regions == largest))
     rng = np.random.default_rng(1)
     for _ in range(20):
         start, goal = (
             Pose2(*terrain.centre(*map(int, places[rng.integers(len(places))])), float(yaw))
             for yaw in rng.uniform(-3, 3, 2)
         )
-        plan = planned(terrain, SEARCH, start, goal, 0.15, CONFIG)
+        plan = planned(terrain, OUTLINE, start, goal, 0.15, CONFIG)
         assert plan.reason is None
         assert touches_nothing(terrain, plan)
         assert clearance(terrain, plan).min() >= X80.inscribed_radius

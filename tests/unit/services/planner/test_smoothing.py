@@ -6,8 +6,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from services.planner.lines import BLOCKED, line_cost, path_cost
 from services.planner.search import DIAGONAL, STRAIGHT, Search
-from services.planner.smoothing import BLOCKED, line_cost, path_cost, resampled, smoothed
+from services.planner.smoothing import resampled, smoothed
 from tests.unit.services.planner.test_search import cost_of, grids, ringed
 
 inside = st.floats(0.01, 8.99)

@@ -76,7 +76,7 @@ def test_a_door_of_80_cm_lets_the_robot_through(robot):
     cells[:, 50:54] = 100
     cells[30:46, 50:54] = 0
     terrain = terrain_of(cells, robot)
-    west, east = (terrain.regions[terrain.cell(x, 1.5)] for x in (1.0, 4.0))
+    west, east = (terrain.regions.at(*terrain.cell(x, 1.5)) for x in (1.0, 4.0))
     assert west == east != 0
 
 
@@ -85,7 +85,7 @@ def test_a_slit_of_30_cm_does_not():
     cells[:, 50:54] = 100
     cells[30:36, 50:54] = 0
     terrain = terrain_of(cells)
-    assert terrain.regions[terrain.cell(1.0, 1.5)] != terrain.regions[terrain.cell(4.0, 1.5)]
+    assert terrain.regions.at(*terrain.cell(1.0, 1.5)) != terrain.regions.at(*terrain.cell(4.0, 1.5))
 
 
 @settings(max_examples=40, deadline=None)
@@ -98,19 +98,32 @@ def test_regions_are_what_the_search_can_reach(seed, share):
     for _ in range(10 if len(free) else 0):
         a, b = (tuple(map(int, free[rng.integers(len(free))])) for _ in range(2))
         way = search.way(terrain.costs, a, b, UNIT, terrain.highest)
-        assert (len(way) > 0) == (terrain.regions[a] == terrain.regions[b])
+        assert (len(way) > 0) == (terrain.regions.at(*a) == terrain.regions.at(*b))
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(st.tuples(st.integers(0, 127), st.integers(0, 127), st.sampled_from([100, 0, -1])), max_size=6))
-def test_updating_by_changes_equals_starting_anew(changes):
+@given(
+    st.lists(st.tuples(st.integers(0, 191), st.integers(0, 127), st.sampled_from([100, 0, -1])), max_size=6),
+    st.sampled_from([0.003, 0.1, 0.5]),
+    st.sampled_from([X80, JACKAL]),
+)
+def test_updating_by_changes_equals_starting_anew(changes, share, robot):
+    """Costs, what hangs together, and the blocks that ways are sought in; with the margin and with the least."""
     rng = np.random.default_rng(len(changes))
-    cells = np.where(rng.random((128, 128)) < 0.003, 100, 0).astype(np.int8)
-    grid = grid_of(cells)
-    terrain = Terrain(CostConfig(), X80, 0.05)
+    resolution = 0.05 if share < 0.1 else 0.4
+    cells = np.where(rng.random((192, 128)) < share, 100, 0).astype(np.int8)
+    grid = grid_of(cells, resolution)
+    terrain = Terrain(CostConfig(), robot, resolution)
     terrain.update(grid, None)
+    terrain.eased()
     for version, (row, column, percent) in enumerate(changes):
         before = cells.copy()
         cells[row : row + 3, column : column + 3] = percent
-        terrain.update(grid, grid.apply(message(cells, version=version + 2, since=before)))
-    assert (terrain.costs == terrain_of(cells).costs).all()
+        terrain.update(grid, grid.apply(message(cells, resolution, version=version + 2, since=before)))
+    anew = terrain_of(cells, robot, resolution)
+    for one, other in ((terrain, anew), (terrain.eased(), anew.eased())):
+        whole = 0, 0, *other.costs.shape
+        assert (one.costs == other.costs).all()
+        assert (one.regions.within(*whole) == other.regions.within(*whole)).all()
+        for name in ("parts", "places", "crossing", "joins"):
+            assert (getattr(one.blocks, name) == getattr(other.blocks, name)).all(), name

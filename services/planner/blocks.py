@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The map in blocks: what hangs together inside each, what crossing that costs, and what joins across the edges.
+
+A node is a connected part of a block (`outline` searches them). Follows changed cells.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+UInt8s = NDArray[np.uint8]
+UInt16s = NDArray[np.uint16]
+Int32s = NDArray[np.int32]
+Int64s = NDArray[np.int64]
+
+BLOCK = 8
+"""Cells along a block's side."""
+
+PARTS = 4
+"""Nodes of a block at most; more parts than that share the last."""
+
+SIDE_BITS = 4
+"""Bits of `joins` for the parts across one side: right, upper, left, lower."""
+
+
+@dataclass(slots=True, eq=False)
+class Blocks:
+    """parts: (h, w) uint8, a cell's part of its block, 1 to PARTS, 0 blocked.
+
+    Of node `(part - 1) * n + block`, where n = n_rows * n_columns: `places`, its cheapest cell (row * w + column; of
+    equal ones that nearest to the part's middle), 0 without cells; `crossing`, the cost there; `joins`, which parts it
+    meets across each side, as bits.
+    """
+
+    n_rows: int
+    n_columns: int
+    parts: UInt8s
+    places: Int32s
+    crossing: UInt16s
+    joins: UInt16s
+
+    @staticmethod
+    def of(costs: UInt16s) -> "Blocks":
+        """The blocks of costs (h, w) uint16, 0 blocked."""
+        n_rows, n_columns = -(-costs.shape[0] // BLOCK), -(-costs.shape[1] // BLOCK)
+        n = PARTS * n_rows * n_columns
+        parts, places = np.zeros(costs.shape, np.uint8), np.zeros(n, np.int32)
+        blocks = Blocks(n_rows, n_columns, parts, places, np.zeros(n, np.uint16), np.zeros(n, np.uint16))
+        blocks.update(costs, 0, 0, *costs.shape)
+        return blocks
+
+    def update(self, costs: UInt16s, r0: int, c0: int, r1: int, c1: int) -> None:
+        """Follows costs that have changed in the rows r0 to r1 - 1 and the columns c0 to c1 - 1."""
+        low_row, low_column, end_row, end_column = r0 // BLOCK, c0 // BLOCK, -(-r1 // BLOCK), -(-c1 // BLOCK)
+        _part(
+            costs, (low_row, low_column, end_row, end_column), self.n_rows * self.n_columns, self.n_columns,
+            self.parts, self.places, self.crossing,
+        )  # fmt: skip
+        around = (
+            max(low_row - 1, 0), max(low_column - 1, 0),
+            min(end_row + 1, self.n_rows), min(end_column + 1, self.n_columns),
+        )  # fmt: skip
+        _join(self.parts, around, self.n_rows * self.n_columns, self.n_columns, self.joins)
+
+    def node(self, row: int, column: int) -> int:
+        """The node that holds a free cell."""
+        part = int(self.parts[row, column])
+        return (part - 1) * self.n_rows * self.n_columns + row // BLOCK * self.n_columns + column // BLOCK
+
+
+@njit(cache=True, nogil=True)
+def _part(
+    costs: UInt16s, window: tuple[int, int, int, int], n: int, n_columns: int,
+    parts: UInt8s, places: Int32s, crossing: UInt16s,
+) -> None:  # fmt: skip
+    """Floods the parts of the blocks in the window, by straight steps, and finds their places."""
+    h, w = costs.shape
+    cells = np.empty(BLOCK * BLOCK, np.int64)
+    for block_row in range(window[0], window[2]):
+        for block_column in range(window[1], window[3]):
+            block = block_row * n_columns + block_column
+            r0, c0 = block_row * BLOCK, block_column * BLOCK
+            r1, c1 = min(r0 + BLOCK, h), min(c0 + BLOCK, w)
+            parts[r0:r1, c0:c1] = 0
+            for i in range(PARTS):
+                places[i * n + block] = crossing[i * n + block] = 0
+            found = 0
+            for row in range(r0, r1):
+                for column in range(c0, c1):
+                    if costs[row, column] == 0 or parts[row, column]:
+                        continue
+                    found = min(found + 1, PARTS)
+                    parts[row, column] = found
+                    cells[0], done, known = row * w + column, 0, 1
+                    while done < known:
+                        r, c = cells[done] // w, cells[done] % w
+                        done += 1
+                        for direction in range(4):
+                            nr = r + (0, 1, 0, -1)[direction]
+                            nc = c + (1, 0, -1, 0)[direction]
+                            if r0 <= nr < r1 and c0 <= nc < c1 and costs[nr, nc] and parts[nr, nc] == 0:
+                                parts[nr, nc] = found
+                                cells[known] = nr * w + nc
+                                known += 1
+                    node = (found - 1) * n + block
+                    if places[node] == 0:
+                        places[node] = _place(costs, cells[:known])
+                        crossing[node] = costs[places[node] // w, places[node] % w]
+
+
+@njit(cache=True, nogil=True)
+def _place(costs: UInt16s, cells: Int64s) -> int:
+    """The cheapest of cells (row * w + column); of equal ones that nearest to the middle of all."""
+    w = costs.shape[1]
+    row, column = np.mean(cells // w), np.mean(cells % w)
+    best, least, nearest = 0, 1 << 16, np.inf
+    for i in range(len(cells)):
+        cell = int(cells[i])
+        r, c = cell // w, cell % w
+        cost = int(np.int64(costs[r, c]))
+        away = (r - row) ** 2 + (c - column) ** 2
+        if cost < least or (cost == least and away < nearest):
+            best, least, nearest = cell, cost, away
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _join(parts: UInt8s, window: tuple[int, int, int, int], n: int, n_columns: int, joins: UInt16s) -> None:
+    """Which parts of adjacent blocks meet, for the blocks in the window."""
+    h, w = parts.shape
+    for block_row in range(window[0], window[2]):
+        for block_column in range(window[1], window[3]):
+            block = block_row * n_columns + block_column
+            r0, c0 = block_row * BLOCK, block_column * BLOCK
+            r1, c1 = min(r0 + BLOCK, h), min(c0 + BLOCK, w)
+            for i in range(PARTS):
+                joins[i * n + block] = 0
+            for row in range(r0, r1):
+                if c1 < w:
+                    _meet(parts[row, c1 - 1], parts[row, c1], 0, block, n, joins)
+                if c0 > 0:
+                    _meet(parts[row, c0], parts[row, c0 - 1], 2, block, n, joins)
+            for column in range(c0, c1):
+                if r1 < h:
+                    _meet(parts[r1 - 1, column], parts[r1, column], 1, block, n, joins)
+                if r0 > 0:
+                    _meet(parts[r0, column], parts[r0 - 1, column], 3, block, n, joins)
+
+
+@njit(cache=True, nogil=True)
+def _meet(here: int, there: int, side: int, block: int, n: int, joins: UInt16s) -> None:
+    if here and there:
+        joins[(here - 1) * n + block] |= 1 << (side * SIDE_BITS + there - 1)

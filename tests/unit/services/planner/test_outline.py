@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.planner.blocks import PARTS, Blocks
+from services.planner.lines import line_cost, path_cost
+from services.planner.outline import Outline
+from services.planner.regions import Regions
+from services.planner.search import Search
+from services.planner.smoothing import smoothed
+from services.planner.traversal_cost import UNIT, CostConfig, Terrain
+from shared.config import load_robot
+from shared.ros_map import read_ros_map
+from tests.unit.services.maps import grid_of, planning_data
+
+SEARCH, OUTLINE = Search(), Outline()  # for all tests: what a search leaves behind must not matter to the next
+
+
+def clutter(seed, share, shape=(70, 90)):
+    """Costs of three kinds, a share of the cells blocked, inside a blocked ring."""
+    rng = np.random.default_rng(seed)
+    inner = rng.choice(np.array([50, 50, 80, 300], np.uint16), shape)
+    return np.pad(np.where(rng.random(shape) < share, 0, inner).astype(np.uint16), 1)
+
+
+def pairs(costs, n, seed=0):
+    """Pairs of cells that hang together."""
+    rng = np.random.default_rng(seed)
+    regions = Regions(costs).within(0, 0, *costs.shape)
+    free = np.argwhere(regions)
+    for _ in range(n):
+        start = tuple(map(int, free[rng.integers(len(free))]))
+        others = np.argwhere(regions == regions[start])
+        yield start, tuple(map(int, others[rng.integers(len(others))]))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32), st.floats(0.0, 0.5))
+def test_wherever_a_way_exists_there_is_one_in_sight_from_point_to_point(seed, share):
+    costs = clutter(seed, share)
+    blocks, regions = Blocks.of(costs), Regions(costs)
+    for start, goal in pairs(costs, 8, seed):
+        points = OUTLINE.points(costs, blocks, regions, start, goal, 50, 300)
+        assert tuple(points[0]) == (start[1] + 0.5, start[0] + 0.5)
+        assert tuple(points[-1]) == (goal[1] + 0.5, goal[0] + 0.5)
+        assert all(line_cost(costs, *a, *b) >= 0 for a, b in pairwise(points))
+
+
+def test_a_block_of_more_parts_than_it_has_nodes_is_found_a_way_through():
+    costs = np.full((39, 40), 50, np.uint16)
+    costs[::2] = 0  # 20 corridors
+    costs[0], costs[-1], costs[:, 0], costs[:, -1] = 0, 0, 0, 0
+    for row in range(2, 38, 2):
+        costs[row, 38 if row % 4 else 1] = 50  # one after the other
+    blocks = Blocks.of(costs)
+    assert blocks.parts.max() == PARTS
+    points = OUTLINE.points(costs, blocks, Regions(costs), (1, 1), (37, 20), 50, 50)
+    assert path_cost(costs, points) > 18 * 36 * 50
+
+
+def test_the_same_question_has_the_same_answer():
+    costs = clutter(1, 0.2)
+    blocks, regions = Blocks.of(costs), Regions(costs)
+    for start, goal in pairs(costs, 20):
+        fresh = Outline().points(costs, blocks, regions, start, goal, 50, 300)
+        assert np.array_equal(OUTLINE.points(costs, blocks, regions, start, goal, 50, 300), fresh)
+
+
+@pytest.mark.parametrize("name", ["depot", "pal_office"])
+def test_in_real_buildings_the_path_costs_hardly_more_than_the_cheapest_way_smoothed(name):
+    cells, resolution, _, _ = read_ros_map(planning_data() / "ros_maps" / f"{name}.yaml")
+    terrain = Terrain(CostConfig(unknown="forbidden"), load_robot("x80sv").robot, resolution)
+    terrain.update(grid_of(cells, resolution), None)
+    ratios = []
+    for start, goal in pairs(terrain.costs, 30):
+        if abs(start[0] - goal[0]) + abs(start[1] - goal[1]) < 20:
+            continue
+        points = OUTLINE.points(terrain.costs, terrain.blocks, terrain.regions, start, goal, UNIT, terrain.highest)
+        way = SEARCH.way(terrain.costs, start, goal, UNIT, terrain.highest)[:, ::-1] + 0.5
+        found, cheapest = (path_cost(terrain.costs, smoothed(terrain.costs, p, 1.0)) for p in (points, way))
+        ratios.append(found / cheapest)
+    assert np.mean(ratios) < 1.01
+    assert max(ratios) < 1.10
