@@ -81,7 +81,7 @@ class _Solver:
         held = self.graph.fixed | _held(len(poses), i, j, self.graph.fixed)
         found, steps = settled(
             poses.copy(), held, i, j, self.graph.relative[used], self.graph.information[used], self.graph.loop[used],
-            gate, ROUGH if rough else self.config.iterations, 1e-5 if rough else 1e-8,
+            gate, ROUGH if rough else self.config.iterations, 1e-5 if rough else 1e-6,
         )  # fmt: skip
         self.iterations += steps
         return np.asarray(found)

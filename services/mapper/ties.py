@@ -23,8 +23,8 @@ from shared.geometry import Float64s, Pose2, wrapped
 class TieConfig(Section):
     """Ties between keyframes."""
 
-    partners: int = Field(3, ge=0, le=100, description="earlier keyframes, drawn by lot, that each is matched with")
-    one_in: int = Field(4, ge=1, le=100, description="of as many keyframes, one is a partner: the graph stays sparse")
+    partners: int = Field(4, ge=0, le=100, description="earlier keyframes, drawn by lot, that each is matched with")
+    one_in: int = Field(2, ge=1, le=100, description="of as many keyframes, one is a partner: the graph stays sparse")
     reach: float = Field(4.0, ge=0.2, le=50, description="m to them at most")
     sure: float = Field(0.1, ge=0.01, le=1, description="m, standard deviation of where they are at most")
     gate: float = Field(0.2, ge=0.02, le=1, description="m, farthest match of two points, and farthest move")
