@@ -13,14 +13,10 @@ import psutil
 import pytest
 
 from shared import topics
-from shared.codec import Envelope, encode
 from shared.config import UserError
-from shared.messages import EmergencyStop, GuardState, Velocity
 from shared.requests import REQUESTS
-from shared.runners import transport
 from shared.topics import SERVICES, TOPICS
 from tests.stack.processes import ALL, ROBOT, Stack, running, wait
-from zenav.client import Client
 from zenav.launch import ROOT, Launcher, free_stack, service_command
 
 
@@ -75,27 +71,6 @@ def test_a_stopped_local_ctrl_is_noticed_the_robot_stands_and_it_is_replaced(tmp
         stack.until(stack.reached(task), 60)
 
 
-def test_a_guard_that_is_killed_under_stop_comes_back_stopped(tmp_path):
-    with running(tmp_path, ("sim", "base_driver", "odometry", "guard")) as stack:
-
-        def stop(pressed: bool) -> None:
-            # as `zenav estop` does: its process ends, and what it had latched with it
-            with Client(ROBOT.name, stack.where) as operator:
-                operator.publish(topics.ESTOP(EmergencyStop(operator.now(), pressed, "test")))
-                stack.until(lambda: (stack.client.latest(topics.GUARD).state is GuardState.STOPPED) == pressed)
-
-        stack.until(lambda: stack.client.latest(topics.GUARD) is not None)
-        stop(True)
-        before = stack.pid("guard")
-        os.kill(before, signal.SIGKILL)
-        killed = stack.client.now()
-        stack.until(lambda: stack.client.latest(topics.GUARD).stamp > killed + 1_000_000_000)
-        assert stack.pid("guard") != before
-        status = stack.client.latest(topics.GUARD)
-        assert (status.state, status.reason) == (GuardState.STOPPED, "estop")
-        stop(False)
-
-
 def test_random_bytes_on_every_key_are_counted_and_change_nothing(tmp_path):
     with running(tmp_path) as stack:
         pids = {name: stack.pid(name) for name in ALL}
@@ -111,36 +86,6 @@ def test_random_bytes_on_every_key_are_counted_and_change_nothing(tmp_path):
         stack.until(stack.reached(stack.go()))
         assert {name: stack.pid(name) for name in ALL} == pids
         assert not any(child.n_restarts for child in stack.launcher.children.values())
-
-
-def test_a_second_publisher_on_cmd_vel_moves_nothing_and_is_told(tmp_path):
-    with running(tmp_path, ("sim", "base_driver", "odometry", "guard")) as stack:
-        stack.until(lambda: stack.client.latest(topics.GUARD) is not None)
-        place = stack.client.latest(topics.TRUTH).world_from_base
-        with transport.opened(stack.where) as intruder:
-            publisher = intruder.declare_publisher(f"{ROBOT.name}/cmd/vel")
-            sequence = 0
-
-            def intrude() -> bool:
-                nonlocal sequence
-                for name in ("guard", "operator", "local_ctrl"):
-                    now = stack.client.now()
-                    publisher.put(encode(Velocity(now, 0.5, 0.0, ""), Envelope(name, "other", sequence, now)))
-                sequence += 1
-                return stack.healths["base_driver"].intruders > 3
-
-            stack.until(intrude)
-        assert stack.client.latest(topics.TRUTH).world_from_base.distance(place) < 0.01
-        assert "second publisher" in stack.healths["base_driver"].last_error
-
-
-def test_without_scans_the_robot_stands_and_says_why(tmp_path):
-    with running(tmp_path, ("sim", "base_driver", "odometry", "guard")) as stack:
-        os.kill(stack.pid("sim"), signal.SIGSTOP)
-        stack.until(lambda: stack.client.latest(topics.GUARD).state in (GuardState.HOLD, GuardState.FAULT))
-        assert stack.client.latest(topics.GUARD).reason in ("scan_old", "odom_old", "board_silent")
-        os.kill(stack.pid("sim"), signal.SIGCONT)
-        stack.until(lambda: stack.client.latest(topics.GUARD).state is GuardState.IDLE)
 
 
 def test_a_taken_port_is_told_by_the_service_that_needs_it(tmp_path):

@@ -86,7 +86,8 @@ def series(recording: Recording, fields: list[str], begin: int | None, end: int 
     found = []
     for (_, field, *_), text, t, v in zip(wanted, fields, times, values):
         if not t or not np.isfinite(v).any():
-            raise UserError(f"{recording.path} has no number for {text}", "see zenav recording cat what it holds")
+            mend = f"of an array say which: {text}[0], {text}.min, .max, .mean; zenav recording cat shows what it holds"
+            raise UserError(f"{recording.path} has no number for {text}", mend)
         found.append(Series(text, _unit(field, text), np.array(t), np.array(v)))
     return found
 

@@ -3,11 +3,12 @@
 
 import os
 import sys
+from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from heapq import merge as merged_by
-from operator import attrgetter
+from itertools import repeat
 from pathlib import Path
 
 from shared.config import UserError
@@ -15,6 +16,10 @@ from shared.recording import CONFIG, Drop, Entry, Recording, Writer
 from shared.recordings.held import Held
 from shared.recordings.reader import LATCHED
 from zenav.recording.chosen import OUT, SECOND, begin_of, end_of, keys_in, opened, span, writable
+
+Same = tuple[str, bool, int, int, bytes]
+"""What is alike where two recordings hold one message: key, whether it is latched, sequence, time of sending, bytes."""
+APART = 10 * SECOND  # at most, between what two recorders say when it came
 
 
 @contextmanager
@@ -136,7 +141,10 @@ def _begin(writer: Writer, held: Held, at: int, recording: Recording) -> int:
 
 
 def merge(paths: list[Path], out: Path) -> int:
-    """One recording out of several: parts one after the other; those that were taken side by side by their times."""
+    """One recording out of several: parts one after the other; those that were taken side by side by their times.
+
+    What two of them hold is there once.
+    """
     if len(paths) < 2:
         raise UserError("merging takes two recordings or more", "zenav recording merge A.mcap B.mcap --out C.mcap")
     for path in paths:
@@ -147,12 +155,17 @@ def merge(paths: list[Path], out: Path) -> int:
         raise UserError(f"these are recordings of {' and '.join(robots)}", "merge those of one robot")
     about = {name: text for name, text in recordings[0].about.items() if name not in ("part", "recording")}
     about["merged"] = ", ".join(recording.path.name for recording in recordings)
-    n = 0
+    n = n_twice = 0
     with written(out, recordings[0], about, _attachments(recordings)) as writer:
         writer.note_drops(_drops(recordings))
-        for entry in _in_order(recordings):
-            writer.copy(entry)
-            n += 1
+        for entry, again in _known(_in_order(recordings)):
+            if again:
+                n_twice += 1
+            else:
+                writer.copy(entry)
+                n += 1
+    if n_twice:
+        sys.stderr.write(f"{n_twice} messages stood in two of them\n")
     sys.stdout.write(f"{out}: {n} messages, {out.stat().st_size / 1e6:.1f} MB\n")
     for recording in recordings:
         for problem in recording.problems:
@@ -160,18 +173,33 @@ def merge(paths: list[Path], out: Path) -> int:
     return 0
 
 
-def _in_order(recordings: list[Recording]) -> Iterator[Entry]:
-    """Their messages; what a later part repeats of what was latched is left out, where the part before it is there."""
-    streams: list[Iterable[Entry]] = []
+def _in_order(recordings: list[Recording]) -> Iterator[tuple[Entry, int]]:
+    """Their messages, each with its recording's index; what a later part repeats of what was latched is left out,
+    where the part before it is there."""
+    streams: list[Iterable[tuple[Entry, int]]] = []
     ends, alone = [end_of(recording) for recording in recordings], True
     for i, recording in enumerate(recordings):
         alone &= i == 0 or begin_of(recording) >= ends[i - 1]
-        streams.append(_new(recording, _follows(recordings[i - 1], recording) if i else False))
+        streams.append(zip(_new(recording, _follows(recordings[i - 1], recording) if i else False), repeat(i)))
     if alone:
         for stream in streams:
             yield from stream
     else:
-        yield from merged_by(*streams, key=attrgetter("log_time"))
+        yield from merged_by(*streams, key=lambda found: found[0].log_time)
+
+
+def _known(entries: Iterable[tuple[Entry, int]]) -> Iterator[tuple[Entry, bool]]:
+    """Each message, and whether another recording held it: two recorders take one within a moment."""
+    recent: deque[tuple[int, Same]] = deque()
+    first: dict[Same, int] = {}
+    for entry, i in entries:
+        while recent and recent[0][0] < entry.log_time - APART:
+            first.pop(recent.popleft()[1], None)
+        same = entry.key, entry.latched, entry.sequence, entry.sent, entry.payload
+        yield entry, first.get(same, i) != i
+        if same not in first:
+            first[same] = i
+            recent.append((entry.log_time, same))
 
 
 def _new(recording: Recording, follows: bool) -> Iterator[Entry]:

@@ -370,6 +370,25 @@ def test_recordings_that_were_taken_side_by_side_are_merged_by_their_times(tmp_p
     assert Recording(out).attachments == {CONFIG: b"a", f"b-{CONFIG}": b"b"}
 
 
+def test_a_message_that_stands_in_two_recordings_is_merged_once(run, tmp_path, capsys):
+    part, out = tmp_path / "part.mcap", tmp_path / "whole.mcap"
+    assert rewrite.trim(run, part, 0.5, 1.5, []) == 0
+    said = [entry for entry in Recording(part).entries() if not entry.latched]
+    assert rewrite.merge([part, run, run], out) == 0
+    assert [entry for entry in Recording(out).entries() if not entry.latched] == list(Recording(run).entries())
+    assert f"{len(said) + len(rows(run))} messages stood in two of them" in capsys.readouterr().err
+    assert compare(replay(Recording(out), CHAIN, build)).equal
+
+
+def test_what_one_recording_holds_twice_stays_twice(tmp_path):
+    for name in "ab":
+        with Writer(tmp_path / f"{name}.mcap", {"robot": "x80"}) as writer:
+            for at in (1, 1, 2):
+                writer.write("log/a", LogLine, b"x", at, 0, 7)
+    assert rewrite.merge([tmp_path / "a.mcap", tmp_path / "b.mcap"], tmp_path / "c.mcap") == 0
+    assert [time for _, time, _ in rows(tmp_path / "c.mcap")] == [1, 1, 2]
+
+
 def test_recordings_of_two_robots_are_not_merged(tmp_path):
     for name in "ab":
         with Writer(tmp_path / f"{name}.mcap", {"robot": name}):
