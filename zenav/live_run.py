@@ -17,7 +17,7 @@ from zenav.hardware import settings_for
 from zenav.launch import Launcher, free_stack, service_command
 from zenav.pilot import Pilot
 from zenav.scene import Outcome, Scene
-from zenav.score import Track
+from zenav.score import KEYS, Track
 from zenav.stopping import Stop
 
 NEEDED: tuple[Topic[Any], ...] = (topics.NAV, topics.POSE, topics.MAP)
@@ -81,7 +81,7 @@ def run(
     begun = time.monotonic()
     given = psutil.Process().create_time()
     track, processes, lock = Track(), Processes(), threading.Lock()
-    tracked: tuple[Topic[Any], ...] = (topics.TRUTH, topics.ODOM, topics.POSE, topics.MAP)
+    tracked: tuple[Topic[Any], ...] = tuple(topics.BY_KEY[key] for key in KEYS)
     ports = settings_for(scene.hardware, scene.file, folder)
     settings = [*scene.settings, *ports, f"recorder.file={json.dumps(str(record.resolve()))}"]
     pilot = Pilot(scene.goals, lambda request, message: client.ask(request, message, timeout=2.0), explores, seconds)

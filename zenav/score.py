@@ -13,11 +13,12 @@ from services.sim.world import World
 from shared.geometry import Pose2, wrapped_all
 from shared.grid import OccupancyGrid
 from shared.messages import MapUpdate, Message, Odometry, PoseEstimate, Truth
+from zenav.stability import Ride
 
 Float64s = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-KEYS = ("sim/truth", "odom", "pose", "map")
+KEYS = ("sim/truth", "odom", "pose", "map", "plan", "nav/status")
 """The topics that a score needs."""
 
 FLOOR_CELL = 0.05  # m: side of the cells in which the floor is counted
@@ -36,9 +37,11 @@ class Track:
     grid: OccupancyGrid = field(default_factory=OccupancyGrid)
     truth: Truth | None = None
     first_motion: int | None = None  # ns on the stack's clock
+    ride: Ride = field(default_factory=Ride)
 
     def take(self, message: Message, sent: int) -> None:
         """Takes a message of one of KEYS; `sent` ns on the stack's clock."""
+        self.ride.take(message)
         if isinstance(message, Truth):
             self.truth, at = message, message.world_from_base
             self.truths.append((message.stamp, at.x, at.y, at.yaw))
@@ -171,4 +174,5 @@ def summary(track: Track, world: World, radius: float) -> dict[str, Any]:
         "collisions": truth.n_contacts if truth is not None else 0,
         "distance_m": round(truth.distance, 2) if truth is not None else 0.0,
         "seconds": round(seconds, 1),
+        **track.ride.figures(),
     }

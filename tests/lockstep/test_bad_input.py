@@ -18,9 +18,9 @@ from tests.lockstep.test_faults import Pose
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 
 QUICK = (
-    "local_ctrl.mppi.rollouts=200",
-    "navigator.leg={progress_time: 3, blocked_time: 1, unreachable_time: 1}",
-    "navigator.recovery={wait: 0.5, deadline: 3}",
+    "local_ctrl.mppi.rollouts=100",
+    "navigator.leg={progress_time: 3, blocked_time: 0.6, unreachable_time: 1}",
+    "navigator.recovery={wait: 0.4, turn: 0.5, deadline: 1}",
 )
 NARROW = """
 start: {x: 1.0, y: 1.5}
@@ -81,14 +81,14 @@ def test_a_map_that_changes_under_the_plan_stops_the_robot_or_ends_the_task(tmp_
 
 def test_a_pose_that_jumps_by_a_metre_holds_the_robot_until_it_has_planned_anew(tmp_path):
     stack = Stack(tmp_path, settings=QUICK)
-    stack.go(6.5)
+    stack.go(4.0)
     stack.drives()
     pose = Pose(stack)
     stack.lockstep.run(0.3)
     pose.shift = 1.0
     assert stack.until(lambda: not stack.commanded, 1.0) <= 150 * MS
     assert stack.guard.reason == "pose_jumped"
-    stack.lockstep.run(2.0)
+    stack.lockstep.run(1.0)
     pose.shift = 0.0
     stack.until(stack.ended, 60.0)
     assert stack.reached()

@@ -11,22 +11,20 @@ from tests.lockstep.stack import Stack
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 
 
-QUICK = ("local_ctrl.mppi.rollouts=300",)
+QUICK = ("local_ctrl.mppi.rollouts=200",)
 
 
 def test_a_pose_on_the_way_is_passed_and_a_new_goal_ahead_is_taken_at_speed(tmp_path):
     stack = Stack(tmp_path, settings=QUICK)
     speeds: list[tuple[float, float]] = []
     stack.lockstep.watch("sim/truth", lambda truth: speeds.append((truth.world_from_base.x, truth.v)))
-    poses = (Pose2(2.0, 0.0), Pose2(6.0, 0.0))
+    poses = (Pose2(1.5, 0.0), Pose2(6.0, 0.0))
     assert stack.lockstep.ask(requests.NAVIGATE, Navigate(stack.now, poses, 0.0, 1, True)).accepted
     stack.until(lambda: stack.newest["nav/status"].waypoint == 1, 8.0)
     stack.drives()
-    assert min(v for x, v in speeds if x > 1.5) > 0.3, "it slows down for a pose that is not the last"
+    assert min(v for x, v in speeds if x > 1.2) > 0.3, "it slows down for a pose that is not the last"
     speeds.clear()
     stack.go(6.8, 0.4)
-    stack.lockstep.run(2.0)
+    stack.lockstep.run(1.5)
     assert min(v for _, v in speeds) > 0.7
-    stack.until(stack.ended, 20.0)
-    assert stack.reached()
     assert stack.truth.n_contacts == 0

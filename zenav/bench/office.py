@@ -10,6 +10,7 @@ from typing import Any
 from zenav.bench.each import results
 from zenav.bench.table import seeds_from, table, writable, write
 from zenav.scene import scene
+from zenav.stability import FIGURES, rows
 from zenav.stopping import stopping
 
 POSE_M, POSE_DEG, EXPLORED = 0.05, 1.0, 0.98
@@ -31,6 +32,7 @@ def office(
         sys.stderr.write(f"seed {report['seed']}: {words}, {s['seconds']:.0f} s driven in {s['wall_seconds']:.0f} s\n")
     runs.sort(key=lambda report: int(report["seed"]))
     table(f"{world}, {'live' if live else 'lockstep'}", COLUMNS, [_row(report) for report in runs])
+    table("while a task was under way", ("seed", *FIGURES.values()), [_steady_row(report) for report in runs])
     write(out, {"summary": summary(runs), "live": live, "runs": runs})
     return 0 if len(runs) == len(numbers) and all(kept(report) for report in runs) else 1
 
@@ -49,10 +51,10 @@ def kept(report: dict[str, Any]) -> bool:
 
 def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
     """The figures over all runs: the worst of what is promised, the mean of the rest."""
-    rows = [report["summary"] for report in runs]
+    found = [report["summary"] for report in runs]
 
     def of(key: str) -> list[float]:
-        return [row[key] for row in rows if row[key] is not None]
+        return [row[key] for row in found if row[key] is not None]
 
     return {
         "runs": len(runs),
@@ -65,9 +67,10 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
         "pose_error_mean_deg_worst": max(of("pose_error_mean_deg"), default=None),
         "pose_error_max_m_worst": max(of("pose_error_max_m"), default=None),
         "map_within_5_cm_min": min(of("map_within_5_cm"), default=None),
-        "seconds_mean": round(statistics.fmean(of("seconds")), 1) if rows else None,
-        "distance_m_mean": round(statistics.fmean(of("distance_m")), 1) if rows else None,
-        "wall_seconds_mean": round(statistics.fmean(of("wall_seconds")), 1) if rows else None,
+        "seconds_mean": round(statistics.fmean(of("seconds")), 1) if found else None,
+        "distance_m_mean": round(statistics.fmean(of("distance_m")), 1) if found else None,
+        **{f"{key}_mean": _mean(of(key)) for key in FIGURES},
+        "wall_seconds_mean": round(statistics.fmean(of("wall_seconds")), 1) if found else None,
     }
 
 
@@ -75,6 +78,14 @@ COLUMNS = (
     "seed", "goals", "contacts", "explored, %", "pose, cm", "max", "pose, deg", "max", "map in 5 cm, %", "driven, m",
     "time, s", "wall, s", "recoveries", "",
 )  # fmt: skip
+
+
+def _steady_row(report: dict[str, Any]) -> tuple[str, ...]:
+    return str(report["seed"]), *(value for _, value in rows(report["summary"]))
+
+
+def _mean(values: list[float]) -> float | None:
+    return round(statistics.fmean(values), 4) if values else None
 
 
 def _row(report: dict[str, Any]) -> tuple[str, ...]:

@@ -97,6 +97,17 @@ def recording_latency(
     raise typer.Exit(latency(file, keys or [], as_json))
 
 
+@recording.command("stability", cls=Command)
+def recording_stability(file: RecordingFile, as_json: Json = False) -> None:
+    """How steadily the robot drove: plans that change sides, stops on the way, jerk, turning acceleration.
+
+    Example: zenav recording stability run.mcap
+    """
+    from zenav.recording.steadiness import stability
+
+    raise typer.Exit(stability(file, as_json))
+
+
 @recording.command("plot", cls=Command)
 def recording_plot(
     file: RecordingFile,

@@ -20,7 +20,7 @@ COMMANDS = [
     "topic hz", "map save", "map load", "map new", "map mode", "map show", "calibrate odometry",
     "calibrate laser", "calibrate motors", "config show", "config check", "doctor", "slam", "replay",
     "recording info", "recording cat", "recording repair", "recording trim", "recording merge", "recording latency",
-    "recording plot", "recording mark", "bench recording",
+    "recording plot", "recording mark", "recording stability", "bench recording",
     "bench office", "bench sim", "bench stack", "bench serial", "bench slam",
 ]  # fmt: skip
 
