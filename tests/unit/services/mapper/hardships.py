@@ -213,7 +213,9 @@ ROWS: dict[str, Hardship] = {
     "odometry 10 % short, turns 10 % too far": Hardship(told=scaled(0.9, 1.1)),
     "no odometry": Hardship(told=alone),
     "ring, 0.3 m and 30 degrees a scan, 5 m, 180 degrees": Hardship(laser(181, pi, 5.0), LAPPED, START, RING),
-    "the same without odometry": Hardship(laser(181, pi, 5.0), LAPPED, START, RING, alone, observed=False),
+    "the same without odometry, noise of 1.5 cm": Hardship(
+        laser(181, pi, 5.0), LAPPED, START, RING, alone, noise=0.015, observed=False
+    ),
     "ring, 20 beams": Hardship(laser(20), LAPPED, START, RING, scaled(1.03, 1.0), observed=False),
     "20 beams, odometry 5 % too far": Hardship(laser(20), told=scaled(1.05, 1.0), observed=False),
     "no odometry, 5 m, 180 degrees": Hardship(laser(181, pi, 5.0), told=alone, observed=False),
