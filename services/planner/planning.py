@@ -11,7 +11,7 @@ from pydantic import Field
 
 from services.planner.lines import path_cost
 from services.planner.outline import Outline
-from services.planner.smoothing import resampled, smoothed
+from services.planner.smoothing import headings, resampled, smoothed
 from services.planner.traversal_cost import UNIT, Terrain
 from shared import reasons
 from shared.config import Section
@@ -92,7 +92,9 @@ def _with_margin(
     cost = path_cost(terrain.costs, path)
     if len(escape) > 1:
         path = np.concatenate((resampled(lead, spacing), path[1:]))
-    return Plan(terrain.origin + path * terrain.resolution, _headings(path, goal.yaw), cost * terrain.resolution / UNIT)
+    return Plan(
+        terrain.origin + path * terrain.resolution, headings(path, wrapped(goal.yaw)), cost * terrain.resolution / UNIT
+    )
 
 
 def _escapes(terrain: Terrain, start: Pose2, start_cell: Cell, radius: float) -> dict[int, list[Cell]]:
@@ -162,9 +164,3 @@ def _in_cells(terrain: Terrain, pose: Pose2, cell: Cell) -> tuple[float, float]:
         min(max((pose.x - x0) / terrain.resolution, column), nextafter(column + 1, column)),
         min(max((pose.y - y0) / terrain.resolution, row), nextafter(row + 1, row)),
     )
-
-
-def _headings(path: Float64s, last: float) -> Float64s:
-    """Along the path, and `last` at its end: (n,) rad."""
-    ahead = np.diff(path, axis=0)
-    return np.append(np.arctan2(ahead[:, 1], ahead[:, 0]), wrapped(last))

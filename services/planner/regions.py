@@ -45,7 +45,9 @@ class Regions:
 
     def at(self, row: int, column: int) -> int:
         """The region of a cell, 0 where it is blocked."""
-        return int(region_at(self.arrays, row, column))
+        part = int(self._parts[row, column])
+        first = int(self._firsts[row // TILE * self._n_columns + column // TILE])
+        return int(self._regions[first + part - 1]) if part else 0
 
     def within(self, r0: int, c0: int, r1: int, c1: int) -> Int32s:
         """(r1 - r0, c1 - c0) int32: the regions of a window, 0 blocked."""

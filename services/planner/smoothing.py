@@ -6,7 +6,7 @@ cost is the integral of the costs along it (`lines`). A shortcut is taken where 
 sold for length.
 """
 
-from math import hypot
+from math import atan2, hypot
 
 import numpy as np
 from numba import njit
@@ -17,10 +17,10 @@ from services.planner.lines import line_cost
 UInt16s = NDArray[np.uint16]
 Float64s = NDArray[np.float64]
 
-_RELAX_STEPS = (4.0, 2.0, 1.0, 0.5)  # cells that a corner is moved, coarse to fine
-_RELAX_SWEEPS = 3
+_RELAX_STEPS = (4.0, 2.0, 1.0)  # cells that a corner is moved, coarse to fine
 _BEND = 10.0  # cells before and after a corner in which the path bends, at most
 _LEAST_BEND = 0.5
+_LEAST_GAIN = 1e-6  # of cost, for which a corner is moved
 _SAME = 1e-6  # cells between points that are one
 _BEND_COST = 1.02  # how much dearer than its corner a bend may be
 
@@ -61,6 +61,16 @@ def resampled(corners: Float64s, spacing: float) -> Float64s:
         path[n] = corners[i + 1]
         n += 1
     return path
+
+
+@njit(cache=True, nogil=True)
+def headings(path: Float64s, last: float) -> Float64s:
+    """Along the path (n, 2), n >= 1, and `last`, rad, at its end: (n,) rad."""
+    yaws = np.empty(len(path))
+    for i in range(len(path) - 1):
+        yaws[i] = atan2(path[i + 1, 1] - path[i, 1], path[i + 1, 0] - path[i, 0])
+    yaws[-1] = last
+    return yaws
 
 
 @njit(cache=True, nogil=True)
@@ -106,43 +116,29 @@ def _cheaper(costs: UInt16s, points: Float64s, so_far: Float64s, i: int, k: int)
 
 @njit(cache=True, nogil=True)
 def _relax(costs: UInt16s, corners: Float64s) -> None:
-    """Moves inner corners, across the line between their neighbours and along it, where that makes the path cheaper.
-
-    A corner is looked at again only when it or a neighbour has moved.
-    """
-    n = len(corners)
-    due = np.empty(n, np.bool_)
+    """Slides inner corners where that makes the path cheaper, in place: once by each step, from the first on."""
     for step in _RELAX_STEPS:
-        due[:] = True
-        for _ in range(_RELAX_SWEEPS):
-            moved = False
-            for i in range(1, n - 1):
-                if not due[i]:
-                    continue
-                due[i] = False
-                if _moved(costs, corners, i, step):
-                    due[i - 1] = due[i] = due[i + 1] = moved = True
-            if not moved:
-                break
+        for i in range(1, len(corners) - 1):
+            _slide(costs, corners, i, step)
 
 
 @njit(cache=True, nogil=True)
-def _moved(costs: UInt16s, corners: Float64s, i: int, step: float) -> bool:
-    """Moves corner i by a step to the cheapest of four places, if one is cheaper."""
-    x, y = corners[i, 0], corners[i, 1]
+def _slide(costs: UInt16s, corners: Float64s, i: int, step: float) -> None:
+    """Moves corner i across the line between its neighbours, and along it, by a step to one side or the other."""
     dx, dy = corners[i + 1, 0] - corners[i - 1, 0], corners[i + 1, 1] - corners[i - 1, 1]
     chord = hypot(dx, dy)
-    if chord < 1e-9:
-        return False
+    if chord < _SAME:
+        return
     dx, dy = dx / chord * step, dy / chord * step
-    least, moved = _two_lines(costs, corners, i, x, y), False
-    for k in range(4):
-        tx, ty = x + (-dy, dy, dx, -dx)[k], y + (dx, -dx, dy, -dy)[k]
-        cost = _two_lines(costs, corners, i, tx, ty)
-        if 0 <= cost < least - 1e-6:
-            least, moved = cost, True
-            corners[i, 0], corners[i, 1] = tx, ty
-    return moved
+    least = _two_lines(costs, corners, i, corners[i, 0], corners[i, 1])
+    for across, along in ((-dy, dx), (dx, dy)):
+        for sign in (1, -1):
+            x, y = corners[i, 0] + sign * across, corners[i, 1] + sign * along
+            cost = _two_lines(costs, corners, i, x, y)
+            if 0 <= cost < least - _LEAST_GAIN:
+                least = cost
+                corners[i, 0], corners[i, 1] = x, y
+                break
 
 
 @njit(cache=True, nogil=True)

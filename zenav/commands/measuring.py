@@ -139,6 +139,25 @@ def bench_stack(
     raise typer.Exit(stack(robot, world, seconds, out, set_ or []))
 
 
+@bench.command("plan", cls=Command)
+def bench_plan(
+    directory: Annotated[
+        Path | None,
+        typer.Argument(metavar="DIR", help="Folder with movingai/ and ros_maps/; none: $ZENAV_DATA/planning."),
+    ] = None,
+    limit: Annotated[int, typer.Option(min=1, help="Scenarios of a map, spread over its buckets.")] = 150,
+    out: Out = None,
+    robot: RobotName = "x80sv",
+) -> None:
+    """The planner on maps with known optima and in real buildings: times, lengths, clearance, beside other planners.
+
+    Example: zenav bench plan --limit 150 --out plan.json
+    """
+    from zenav.bench.plan.report import plan
+
+    raise typer.Exit(plan(directory, limit, robot, out))
+
+
 @bench.command("serial", cls=Command)
 def bench_serial(
     seconds: Annotated[float, typer.Option(min=1, help="s to measure.")] = 20.0,

@@ -21,7 +21,7 @@ COMMANDS = [
     "calibrate laser", "calibrate motors", "config show", "config check", "doctor", "slam", "replay",
     "recording info", "recording cat", "recording repair", "recording trim", "recording merge", "recording latency",
     "recording plot", "recording mark", "recording stability", "bench recording",
-    "bench office", "bench sim", "bench stack", "bench serial", "bench slam",
+    "bench office", "bench sim", "bench stack", "bench serial", "bench slam", "bench plan",
 ]  # fmt: skip
 
 
@@ -126,6 +126,7 @@ def test_a_mistyped_command_is_guessed(typed, meant, capsys):
         ("bench stack --out /dev/null/a.json", "/dev/null/a.json"),
         ("bench serial --out /dev/null/a.json", "/dev/null/a.json"),
         ("bench slam nowhere", "nowhere"),
+        ("bench plan nowhere", "nowhere"),
         ("bench slam .", "no log with a reference"),
         ("demo --lockstep --world nowhere", "nowhere"),
         ("demo --record notes.txt", "notes.txt"),

@@ -75,6 +75,17 @@ def test_no_way_is_cheaper_than_the_one_found(inner, data):
         assert cost_of(costs, way) == least
 
 
+@settings(deadline=None)
+@given(grids, st.data())
+def test_there_costs_as_much_as_back(inner, data):
+    costs = ringed(inner)
+    cell = st.tuples(st.integers(1, inner.shape[0]), st.integers(1, inner.shape[1]))
+    start, goal = data.draw(cell), data.draw(cell)
+    there, back = SEARCH.way(costs, start, goal, 50, 20000), SEARCH.way(costs, goal, start, 50, 20000)
+    assert (len(there) > 0) == (len(back) > 0)
+    assert cost_of(costs, there) == cost_of(costs, back)
+
+
 def test_a_large_grid_needs_more_room_than_the_queue_begins_with():
     rng = np.random.default_rng(5)
     costs = ringed(rng.integers(50, 400, (300, 300)).astype(np.uint16))

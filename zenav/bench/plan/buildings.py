@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Real buildings: a robot of real size, inflated costs, random places; against NavFn on the same costs."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from services.planner.traversal_cost import CostConfig, Terrain
+from shared.config import Robot
+from shared.ros_map import read_ros_map
+from zenav.bench.plan.maps import Cell, Scenario, terrain_of
+from zenav.bench.plan.measure import Float64s, Row, clearance, length, navfns, ours
+from zenav.bench.plan.shortest import corners_of, shortest
+
+QUERIES = 50  # a map
+APART = 40  # cells between the ends of a query, at least
+CONFIG = CostConfig(unknown="forbidden")
+_HAIR = 1e-6  # cells
+
+
+def maps(folder: Path) -> list[Path]:
+    """The buildings' YAMLs: not the masks of keep-out and speed zones, which are no maps."""
+    return sorted(path for path in folder.glob("*.yaml") if not path.stem.endswith(("_keepout", "_speed")))
+
+
+def building_rows(path: Path, robot: Robot) -> dict[str, Row]:
+    """Ours and NavFn's, on one building; none where the robot has no room. Raises UserError as the reader does."""
+    cells, resolution, _, _ = read_ros_map(path)
+    terrain = terrain_of(cells, resolution, CONFIG, robot)
+    scenarios = places(terrain)
+    if not scenarios:
+        sys.stderr.write(f"{path.stem}: no room for {robot.name}\n")
+        return {}
+    rows = {}
+    rows["ours"], paths = ours(terrain, scenarios)
+    for path_ in paths:
+        _compare(rows["ours"], terrain, path_)
+    rows |= navfns(terrain.costs, terrain, scenarios, {})
+    sys.stderr.write(f"{path.stem}: {len(scenarios)} queries\n")
+    return rows
+
+
+def places(terrain: Terrain) -> list[Scenario]:
+    """Random pairs of cells in the largest region, some way apart; seeded."""
+    regions = terrain.regions.within(0, 0, *terrain.costs.shape)
+    if not regions.any():
+        return []
+    largest = np.argwhere(regions == np.bincount(regions[regions > 0]).argmax()) - terrain.pad
+    rng, found = np.random.default_rng(1), []
+    for _ in range(100 * QUERIES):
+        start, goal = largest[rng.integers(len(largest), size=2)]
+        if np.hypot(*(goal - start)) >= APART:
+            found.append(Scenario(_cell(start), _cell(goal), 0.0, 0.0))
+        if len(found) == QUERIES:
+            break
+    return found
+
+
+def _cell(place: "np.ndarray[tuple[int, ...], np.dtype[np.int64]]") -> Cell:
+    return int(place[0]), int(place[1])
+
+
+def _compare(row: Row, terrain: Terrain, path: Float64s) -> None:
+    """The figure `length`: the path against the shortest of all that come as near to obstacles as its nearest point."""
+    if len(path) < 2:
+        return
+    nearest = clearance(terrain, path).min() / terrain.resolution
+    inside = slice(terrain.pad, -terrain.pad)
+    free = (terrain.distance >= nearest - _HAIR) & (terrain.costs[inside, inside] > 0)
+    ends = path[[0, -1]] - terrain.pad
+    row.note("length", length(path) / shortest(free, corners_of(free), ends, length(path)))
