@@ -105,6 +105,7 @@ class Follower:
             motion.pose.yaw,
             motion.v,
             motion.w,
+            costmap.moving - (costmap.x0, costmap.y0, 0.0, 0.0, 0.0),
         )
         return scene, to_go.closed and hypot(scene.end_x - x, scene.end_y - y) < self.config.closed_within
 
