@@ -23,11 +23,13 @@ S = 1_000_000_000  # ns
 BREAK = 0.25  # m between the ends of neighbouring beams that part two things
 LEAST_BEAMS = 4  # that a thing is seen by
 LATELY = 1.5  # s within which its place was seen free
-CAME = 0.3  # share of its beams that end in such places
+CAME = 0.5  # share of its beams that end in such places
+EASED = 0.3  # of the newest share in the mean of them
+RIM_CELLS = 2  # to each side that must have been free too: at a thing's rim cells may be both
 GATE = 0.4  # m off where it was expected that a thing may be found
 SPAN = 0.5  # s of its way that tell its velocity
 LEAST_SPAN = 0.15  # s that it must have been followed for
-LEAST_WAY = 0.08  # m that it must have come
+LEAST_WAY = 0.12  # m that it must have come
 ROUND = 0.04  # m, root mean square, that a disc's echoes may lie off its rim
 MOST_SPEED = 3.0  # m/s: what seems faster is a wrong pairing
 X, Y, RADIUS, SHARE = range(4)  # columns of `_things`
@@ -36,7 +38,8 @@ X, Y, RADIUS, SHARE = range(4)  # columns of `_things`
 class MoversConfig(Section):
     """What moves."""
 
-    least_speed: float = Field(0.25, ge=0.05, le=5, description="m/s; what is slower is taken as standing")
+    follow: bool = Field(False, description="keep off where things that move will be, not only off where they are")
+    least_speed: float = Field(0.4, ge=0.05, le=5, description="m/s; what is slower is taken as standing")
     largest: float = Field(1.3, ge=0.1, le=5, description="m across; what is larger is taken as standing")
     memory: float = Field(0.8, ge=0, le=5, description="s that it is expected to go on while it is out of sight")
 
@@ -49,6 +52,7 @@ class Mover:
     radius: float = 0.0
     vx: float = 0.0
     vy: float = 0.0
+    came: float = 1.0  # mean share of its beams that end where it was free
     moves: bool = False
 
     def at(self, now: int) -> tuple[float, float]:
@@ -56,9 +60,10 @@ class Mover:
         elapsed = (now - stamp) / S
         return x + self.vx * elapsed, y + self.vy * elapsed
 
-    def take(self, stamp: int, x: float, y: float, radius: float, least_speed: float) -> None:
-        """It was seen there."""
+    def take(self, stamp: int, x: float, y: float, radius: float, share: float, least_speed: float) -> None:
+        """It was seen there; share: of its beams that end where it was free."""
         self.seen.append((stamp, x, y))
+        self.came += EASED * (share - self.came)
         self.radius = max(radius, 0.9 * self.radius)
         while self.seen[0][0] < stamp - SPAN * S:
             self.seen.popleft()
@@ -68,7 +73,8 @@ class Mover:
         t = t - t.mean()
         self.vx, self.vy = float(t @ xs / (t @ t)), float(t @ ys / (t @ t))
         speed = hypot(self.vx, self.vy)
-        self.moves = least_speed < speed < MOST_SPEED and hypot(xs[-1] - xs[0], ys[-1] - ys[0]) > LEAST_WAY
+        came = self.came >= CAME and hypot(xs[-1] - xs[0], ys[-1] - ys[0]) > LEAST_WAY
+        self.moves = came and least_speed < speed < MOST_SPEED
 
 
 class Movers:
@@ -87,6 +93,8 @@ class Movers:
 
         window: x, y m of the middle of cell (0, 0), m a cell.
         """
+        if not self.config.follow:
+            return
         things = _things(ends, free_at, stamp - int(LATELY * S), window, self.config.largest / 2)
         expected = [mover.at(stamp) for mover in self.all]
         taken: set[int] = set()
@@ -95,10 +103,10 @@ class Movers:
             nearest = int(np.argmin(away)) if away else -1
             if nearest >= 0 and away[nearest] < GATE:
                 taken.add(nearest)
-                self.all[nearest].take(stamp, x, y, radius, self.config.least_speed)
+                self.all[nearest].take(stamp, x, y, radius, share, self.config.least_speed)
             elif share >= CAME:
                 new = Mover()
-                new.take(stamp, x, y, radius, self.config.least_speed)
+                new.take(stamp, x, y, radius, share, self.config.least_speed)
                 self.all.append(new)
         oldest = stamp - int(self.config.memory * S)
         self.all = [mover for mover in self.all if mover.seen[-1][0] >= (oldest if mover.moves else stamp - S // 5)]
@@ -174,13 +182,13 @@ def _thing(
 
 @njit(cache=True, nogil=True)
 def _was_free(x: float, y: float, free_at: Int64s, since: int, window: tuple[float, float, float]) -> bool:
-    """Whether the cell there and all its neighbours were seen free since then: at a thing's rim cells may be both."""
+    """Whether the cell there and all around it were seen free since then."""
     n = len(free_at)
     column, row = int(np.floor((x - window[0]) / window[2] + 0.5)), int(np.floor((y - window[1]) / window[2] + 0.5))
-    if not (1 <= row < n - 1 and 1 <= column < n - 1):
+    if not (RIM_CELLS <= row < n - RIM_CELLS and RIM_CELLS <= column < n - RIM_CELLS):
         return False
-    for i in range(row - 1, row + 2):
-        for j in range(column - 1, column + 2):
+    for i in range(row - RIM_CELLS, row + RIM_CELLS + 1):
+        for j in range(column - RIM_CELLS, column + RIM_CELLS + 1):
             if free_at[i, j] <= max(since, 0):
                 return False
     return True

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 from services.local_ctrl.footprint import footprint_of
 from services.local_ctrl.local_costmap import CostmapConfig, LocalCostmap
+from services.local_ctrl.movers import MoversConfig
 from services.local_ctrl.mppi import Mppi, MppiConfig, Scene
 from services.local_ctrl.rollout import limits_of
 from shared.config import Mount, load_robot
@@ -42,7 +43,7 @@ def seen(costmap: LocalCostmap, k: int, discs: list[tuple[float, float, float]],
 
 
 def made() -> LocalCostmap:
-    costmap = LocalCostmap(CostmapConfig(), 4.0)
+    costmap = LocalCostmap(CostmapConfig(movers=MoversConfig(follow=True)), 4.0)
     costmap.recentre(0.0, 0.0)
     return costmap
 
@@ -84,14 +85,14 @@ def test_nothing_moves_in_a_world_that_stands_however_the_robot_drives():
 
 def test_out_of_sight_it_goes_on_for_a_while_and_is_forgotten():
     costmap = made()
-    for k in range(12):
-        stamp = seen(costmap, k, [(2.0, 1.0 * k * PERIOD / S, 0.4)])
+    for k in range(20):
+        stamp = seen(costmap, k, [(2.0, -0.5 + 1.0 * k * PERIOD / S, 0.4)])
     assert len(costmap.movers.discs(stamp)) == 1
     memory = round(costmap.config.movers.memory * S / PERIOD)
-    for k in range(12, 12 + memory - 1):
+    for k in range(20, 20 + memory - 1):
         stamp = seen(costmap, k, [])
         assert len(costmap.movers.discs(stamp)) == 1
-    for k in range(12 + memory, 14 + memory):
+    for k in range(20 + memory, 22 + memory):
         stamp = seen(costmap, k, [])
     assert not len(costmap.movers.discs(stamp))
 
