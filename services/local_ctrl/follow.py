@@ -106,6 +106,7 @@ class Follower:
             motion.v,
             motion.w,
             points[: to_go.i_end + 1],
+            costmap.moving - (costmap.x0, costmap.y0, 0.0, 0.0, 0.0),
         )
         return scene, to_go.closed and hypot(scene.end_x - x, scene.end_y - y) < self.config.closed_within
 

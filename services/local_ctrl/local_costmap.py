@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from services.local_ctrl.footprint import Footprint, gap
+from services.local_ctrl.movers import Movers, MoversConfig
 from shared.config import Mount, Section
 from shared.distance_field import distance_field_into
 from shared.geometry import Pose2
@@ -38,15 +39,16 @@ class CostmapConfig(Section):
     scan: bool = Field(True, description="mark and clear by the laser scan")
     ultrasonic: bool = Field(True, description="mark what ultrasonic sees and the laser does not, such as glass")
     infrared: bool = Field(True, description="mark what infrared sees and the laser does not")
+    movers: MoversConfig = MoversConfig()
     static_map: bool = Field(True, description="take obstacles of the map where the laser has not looked lately")
 
 
 class LocalCostmap:
     """(n, n) cells; `x0`, `y0` m in `odom` are the centre of the lower left one. Times are ns, 0 is never."""
 
-    def __init__(self, config: CostmapConfig, reach: float) -> None:
-        """reach: m around the robot that the window must hold."""
-        self.config = config
+    def __init__(self, config: CostmapConfig, reach: float, latency: float = 0.0) -> None:
+        """reach: m around the robot that the window must hold.  latency: s from now until a command acts."""
+        self.config, self.latency = config, int(latency * 1e9)
         self.resolution = config.resolution
         n = 2 * ceil(reach / config.resolution)
         self.row, self.column = 0, 0  # of the lower left cell, counted from odom's origin
@@ -58,6 +60,8 @@ class LocalCostmap:
         self.occupied: Bools = np.zeros((n, n), bool)
         self.unknown: Bools = np.ones((n, n), bool)
         self.field: Float32s = np.full((n, n), CAP, np.float32)
+        self.movers = Movers(config.movers)
+        self.moving: Float64s = self.movers.discs(0)  # (k, 5), see Movers.discs, in `odom`, when a command acts
 
     @property
     def x0(self) -> float:
@@ -87,20 +91,27 @@ class LocalCostmap:
         """Drops everything that scan and ranges have left here."""
         for layer in (self.evidence, self.hit_at, self.free_at, self.echo_at):
             layer.fill(0)
+        self.movers.forget()
 
     def see(self, scan: LaserScan, odom_from_base: Float64s, mount: Mount) -> None:
         """Marks where beams end and clears what they pass. odom_from_base: (n, 3) float64 x, y, yaw at each beam."""
         if self.config.scan:
             touched = np.zeros(self.evidence.shape, np.int8)
+            ends = np.full((len(scan.ranges), 2), np.nan)
+            window = self.x0, self.y0, self.resolution
             _trace(
                 touched,
-                (self.x0, self.y0, self.resolution),
+                window,
                 odom_from_base,
                 (mount.x, mount.y, mount.yaw + scan.angle_min, scan.angle_increment),
                 np.array(scan.ranges, np.float32),  # the message's may be read-only: another type to the kernel
                 (scan.range_min, scan.range_max, self.config.no_echo_clears),
+                ends,
             )
+            self.movers.see(ends, scan.stamp, self.free_at, window)
             _weigh(touched, scan.stamp, self.evidence, self.hit_at, self.free_at)
+            # what moves is no part of the window: who plans asks where it will be
+            _leave_out(self.evidence, self.movers.discs(scan.stamp), window)
 
     def hear(self, readings: RangeReadings, odom_from_base: Pose2, wanted: Bools, limits: Float64s) -> None:
         """Marks the arc where each cone's echo came from unless a known obstacle explains it, and clears inside.
@@ -148,6 +159,7 @@ class LocalCostmap:
         _clear_own(self.evidence, self.echo_at, self.occupied, self.resolution, pose, footprint)
         distance_field_into(self.occupied, self.resolution, self.field)
         np.minimum(self.field, np.float32(CAP), out=self.field)
+        self.moving = self.movers.discs(now + self.latency)
 
 
 @njit(cache=True, nogil=True)
@@ -168,8 +180,12 @@ def _trace(
     beams: tuple[float, float, float, float],
     ranges: Float32s,
     limits: tuple[float, float, float],
+    ends: Float64s,
 ) -> None:
-    """Sets each cell to the strongest of HIT, SEEN_THROUGH, NO_ECHO_THROUGH, 0 (Amanatides & Woo 1987)."""
+    """Sets each cell to the strongest of HIT, SEEN_THROUGH, NO_ECHO_THROUGH, 0 (Amanatides & Woo 1987).
+
+    ends: (n, 2) m in `odom`, where a beam's echo came from within the window.
+    """
     x0, y0, resolution = window
     mount_x, mount_y, first, increment = beams
     range_min, range_max, no_echo_clears = limits
@@ -206,6 +222,21 @@ def _trace(
             row = floor((y + ranges[i] * dy - y0) / resolution + 0.5)
             if 0 <= row < n and 0 <= column < n:
                 touched[row, column] = HIT
+                ends[i, 0], ends[i, 1] = x + ranges[i] * dx, y + ranges[i] * dy
+
+
+@njit(cache=True, nogil=True)
+def _leave_out(evidence: Int8s, discs: Float64s, window: tuple[float, float, float]) -> None:
+    n = len(evidence)
+    for k in range(len(discs)):
+        x, y, reach = discs[k, 0] - window[0], discs[k, 1] - window[1], discs[k, 4] + EDGE
+        for row in range(max(0, ceil((y - reach) / window[2])), min(n, int((y + reach) / window[2]) + 1)):
+            for column in range(max(0, ceil((x - reach) / window[2])), min(n, int((x + reach) / window[2]) + 1)):
+                if hypot(column * window[2] - x, row * window[2] - y) <= reach:
+                    evidence[row, column] = 0
+
+
+EDGE = 0.1  # m around a moving thing that is taken as of it
 
 
 @njit(cache=True, nogil=True)

@@ -6,7 +6,7 @@ the drive's limits, scored by the critics, and averaged with weights exp(-cost /
 velocities as the drive would run them: its limits are convex, so the average obeys them too.
 """
 
-from math import atan2, cos, hypot, sin, sqrt
+from math import atan2, cos, hypot, inf, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +37,10 @@ class Critics(Section):
         4.0, ge=0, le=1000, description="s/m: squared speed above what the clearance, or stopping at the goal, allows"
     )
     headway: float = Field(20.0, ge=0, le=1000, description="1/(m s): squared braking distance that is not free ahead")
+    mover: float = Field(
+        100.0, ge=0, le=1000, description="m: being run into by what moves, at once; less when it is later"
+    )
+    near_mover: float = Field(10.0, ge=0, le=1000, description="m/s: what moves at the outline; 0 at `mover_clearance`")
     reverse: float = Field(3.0, ge=0, le=100, description="1: a metre driven backward")
     twirl: float = Field(0.15, ge=0, le=100, description="m s/rad^2: squared turn rate")
     smooth: float = Field(
@@ -63,6 +67,7 @@ class MppiConfig(Section):
     )
     full_speed_clearance: float = Field(0.3, ge=0.02, le=3, description="m beyond the outline that allows full speed")
     least_speed: float = Field(0.25, ge=0.05, le=1, description="1: share of the top speed allowed at no clearance")
+    mover_clearance: float = Field(0.6, ge=0.02, le=5, description="m beyond the outline that what moves is kept off")
     critics: Critics = Critics()
 
 
@@ -76,6 +81,8 @@ class Weights(NamedTuple):
     critical: float
     overspeed: float
     headway: float
+    mover: float
+    near_mover: float
     reverse: float
     twirl: float
     smooth: float
@@ -84,6 +91,7 @@ class Weights(NamedTuple):
     critical_clearance: float
     full_speed_clearance: float
     least_speed: float
+    mover_clearance: float
 
 
 REACTION = 0.2  # s that a guard counts on between a command and the wheels' answer
@@ -246,6 +254,7 @@ def _evaluate(
     for k in range(n):
         x, y, c, s, v, w = scene.x, scene.y, c0, s0, scene.v, scene.w
         cost, mean_to_go, to_go = 0.0, 0.0, first
+        met = False
         for t in range(steps):
             v_before, w_before = v, w
             v, w = speed_after(v, targets[k, t, 0], limits, DT), turn_rate_after(w, targets[k, t, 1], limits, DT)
@@ -268,6 +277,15 @@ def _evaluate(
                     mean_to_go += to_go * (steps - t)
                     break
             cost += DT * _near(scene, footprint, limits, weights, x, y, c, s, v, room)
+            if len(scene.movers):
+                away = _away(scene.movers, x, y, (t + 1) * DT) - footprint.circumscribed
+                later = 1.0 - 0.5 * t / steps  # and less sure
+                if away < 0.0 and not met:
+                    met = True
+                    cost += weights.mover * later
+                if away < weights.mover_clearance:
+                    share = 1.0 - max(away, 0.0) / weights.mover_clearance
+                    cost += DT * weights.near_mover * later * share * share
             cost += DT * (weights.reverse * max(0.0, -v) + weights.twirl * w * w)
             dv, dw = (v - v_before) / (limits.braking * DT), (w - w_before) / (limits.turn_acceleration * DT)
             cost += weights.smooth * DT * (dv * dv + dw * dw)
@@ -279,6 +297,16 @@ def _evaluate(
                 cost += weights.goal * min(away, 0.5) / steps + DT * weights.overspeed * over * over
         costs[k] = cost + weights.progress * to_go + weights.haste * mean_to_go / steps
         gains[k] = first - to_go
+
+
+@njit(cache=True, nogil=True)
+def _away(movers: Float64s, x: float, y: float, after: float) -> float:
+    """m from (x, y) to the nearest of what moves, `after` s from the start."""
+    least = inf
+    for k in range(len(movers)):
+        dx, dy = movers[k, 0] + after * movers[k, 2] - x, movers[k, 1] + after * movers[k, 3] - y
+        least = min(least, hypot(dx, dy) - movers[k, 4])
+    return least
 
 
 @njit(cache=True, nogil=True)

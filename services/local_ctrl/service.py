@@ -86,7 +86,8 @@ class LocalCtrlService(Service):
         self.config = config
         self.limits = limits_of(robot.drive, config.max_speed, config.max_reverse_speed)
         self.footprint = footprint_of(robot, config.padding)
-        self.costmap = LocalCostmap(config.costmap, self.limits.v_max * config.mppi.steps * DT + RIM)
+        reach = self.limits.v_max * config.mppi.steps * DT + RIM
+        self.costmap = LocalCostmap(config.costmap, reach, config.latency)
         self.inputs = Inputs(config.ages)
         controller = CONTROLLERS[config.controller](config, self.limits)
         self.follower = Follower(config.follow, config.distance_to_go, controller, self.limits, self.footprint)

@@ -73,8 +73,9 @@ def barn(
         for run in results(partial(driven, asked), items, jobs):
             told.append(run)
             progress(len(told) / len(items))
-            if run["status"] != "success":
-                sys.stderr.write(f"world {run['world']}, seed {run['seed']}: {run['status']}, {run['picture']}\n")
+            if run["status"] != "success" or not sys.stderr.isatty():  # where there is no bar
+                left = run["picture"] or f"{run['time']:.1f} s, {run['clearance']:.3f} m"
+                sys.stderr.write(f"world {run['world']}, seed {run['seed']}: {run['status']}, {left}\n")
     if not any(asked.failures.iterdir()):
         asked.failures.rmdir()
     told.sort(key=lambda run: (int(run["world"]), int(run["seed"])))

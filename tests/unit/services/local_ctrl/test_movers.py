@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What came into seen-free space is followed as a disc with a velocity; what merely comes into sight is not."""
+
+from math import cos, pi, sin
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from services.local_ctrl.controller import Scene
+from services.local_ctrl.footprint import footprint_of
+from services.local_ctrl.local_costmap import CostmapConfig, LocalCostmap
+from services.local_ctrl.movers import MoversConfig
+from services.local_ctrl.mppi import Mppi, MppiConfig
+from services.local_ctrl.rollout import limits_of
+from shared.config import Mount, load_robot
+from shared.geometry import Pose2
+from shared.messages import LaserScan
+
+S = 10**9
+MS = 10**6
+PERIOD = 50 * MS
+N = 720
+STEP = 2 * pi / N
+
+
+def ranges_of(discs: list[tuple[float, float, float]], x: float = 0.0, y: float = 0.0) -> np.ndarray:
+    """The true ranges of a full turn from (x, y), 8 m where nothing is nearer: a round room."""
+    ranges = np.full(N, 8.0)
+    for i in range(N):
+        c, s = cos(i * STEP - pi), sin(i * STEP - pi)
+        for a, b, radius in discs:
+            along, across = (a - x) * c + (b - y) * s, (b - y) * c - (a - x) * s
+            if along > 0 and abs(across) < radius:
+                ranges[i] = min(ranges[i], along - np.sqrt(radius**2 - across**2))
+    return ranges.astype(np.float32)
+
+
+def seen(costmap: LocalCostmap, k: int, discs: list[tuple[float, float, float]], x: float = 0.0) -> int:
+    stamp = 10 * S + k * PERIOD
+    scan = LaserScan(stamp, -pi, STEP, 0.0, 0.1, 30.0, ranges_of(discs, x))
+    costmap.see(scan, np.tile((x, 0.0, 0.0), (N, 1)), Mount())
+    return stamp
+
+
+def made() -> LocalCostmap:
+    costmap = LocalCostmap(CostmapConfig(movers=MoversConfig(follow=True)), 4.0)
+    costmap.recentre(0.0, 0.0)
+    return costmap
+
+
+@pytest.mark.parametrize(("vx", "vy", "radius"), [(0.0, 1.2, 0.5), (-1.0, 0.4, 0.25), (0.5, -0.6, 0.15)])
+def test_a_disc_that_moves_is_followed_where_it_is_and_goes(vx, vy, radius):
+    costmap = made()
+    for k in range(14):
+        t = k * PERIOD / S
+        x, y = 2.0 + vx * (t - 0.3), vy * (t - 0.3)
+        stamp = seen(costmap, k, [(x, y, radius), (-1.5, 1.0, 0.3)])
+    ((px, py, pvx, pvy, found),) = costmap.movers.discs(stamp).tolist()
+    assert_allclose((px, py), (x, y), atol=0.06)
+    assert_allclose((pvx, pvy), (vx, vy), atol=0.15)
+    assert_allclose(found, radius, atol=0.08)
+    ahead = costmap.movers.discs(stamp + S)[0]
+    assert_allclose(ahead[:2], (px + pvx, py + pvy), atol=1e-9)
+
+
+def test_what_moves_leaves_nothing_in_the_window_and_what_stands_stays():
+    costmap = made()
+    for k in range(20):
+        stamp = seen(costmap, k, [(2.0, 1.2 * (k * PERIOD / S - 0.5), 0.4), (-1.5, 1.0, 0.3)])
+    costmap.refresh(stamp, Pose2(), footprint_of(load_robot("jackal").robot, 0.03))
+    rows, columns = np.nonzero(costmap.occupied)
+    x, y = costmap.x0 + columns * costmap.resolution, costmap.y0 + rows * costmap.resolution
+    assert (np.hypot(x + 1.5, y - 1.0) < 0.4).any()
+    assert not ((x > 1.0) & (x < 3.0) & (abs(y) < 2.0)).any()
+
+
+def test_nothing_moves_in_a_world_that_stands_however_the_robot_drives():
+    costmap = made()
+    rng = np.random.default_rng(3)
+    posts = [(a, b, 0.075) for a, b in rng.uniform(-3.5, 3.5, (60, 2)).tolist() if abs(b) > 0.5]
+    for k in range(40):
+        stamp = seen(costmap, k, posts, x=-1.0 + 2.0 * k * PERIOD / S)
+        assert not len(costmap.movers.discs(stamp)), k
+
+
+def test_out_of_sight_it_goes_on_for_a_while_and_is_forgotten():
+    costmap = made()
+    for k in range(20):
+        stamp = seen(costmap, k, [(2.0, -0.5 + 1.0 * k * PERIOD / S, 0.4)])
+    assert len(costmap.movers.discs(stamp)) == 1
+    memory = round(costmap.config.movers.memory * S / PERIOD)
+    for k in range(20, 20 + memory - 1):
+        stamp = seen(costmap, k, [])
+        assert len(costmap.movers.discs(stamp)) == 1
+    for k in range(20 + memory, 22 + memory):
+        stamp = seen(costmap, k, [])
+    assert not len(costmap.movers.discs(stamp))
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_solution_keeps_off_where_what_moves_will_be(side):
+    robot = load_robot("jackal").robot
+    limits, footprint = limits_of(robot.drive, 10.0, 0.15), footprint_of(robot, 0.03)
+    n = 240
+    field = np.full((n, n), 20.0, np.float32)
+    row, column = np.indices((n // 2, n // 2))
+    to_go = np.hypot(0.1 * column + 0.025 - 9.0, 0.1 * row + 0.025 - 6.0).astype(np.float32)
+    # it comes from the side and would meet the robot 1 s from now, 1.5 m ahead
+    mover = np.array([[4.5, 6.0 - side * 1.2, 0.0, side * 1.2, 0.5]])
+    path = np.array([[3.0, 6.0], [9.0, 6.0]])
+    scene = Scene(field, np.zeros((n, n), bool), 0.05, to_go, 9.0, 6.0, True, 3.0, 6.0, 0.0, 1.5, 0.0, path, mover)
+    solution = Mppi(MppiConfig(), limits).solve(scene, footprint, 1)
+    assert not solution.collides
+    x, y, yaw, least = 3.0, 6.0, 0.0, np.inf
+    for t, (v, w) in enumerate(solution.velocities, start=1):
+        yaw += 0.05 * w
+        x, y = x + 0.05 * v * cos(yaw), y + 0.05 * v * sin(yaw)
+        there = mover[0, :2] + 0.05 * t * mover[0, 2:4]
+        least = min(least, float(np.hypot(x - there[0], y - there[1])) - 0.5)
+    assert least > footprint.circumscribed
+    straight = Mppi(MppiConfig(), limits).solve(scene._replace(movers=np.zeros((0, 5))), footprint, 1)
+    assert straight.velocities[:20, 0].min() > 1.2  # without it, the robot would just have driven on
