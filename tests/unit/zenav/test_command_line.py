@@ -21,7 +21,7 @@ COMMANDS = [
     "calibrate laser", "calibrate motors", "config show", "config check", "doctor", "slam", "replay",
     "recording info", "recording cat", "recording repair", "recording trim", "recording merge", "recording latency",
     "recording plot", "recording mark", "recording stability", "bench recording",
-    "bench office", "bench sim", "bench stack", "bench serial", "bench slam", "bench plan",
+    "bench office", "bench sim", "bench stack", "bench serial", "bench slam", "bench plan", "bench barn",
 ]  # fmt: skip
 
 
