@@ -83,7 +83,7 @@ def bench_barn(
 ) -> None:
     """Drive through the cluttered worlds of the BARN challenge, without a map, by its rule and score.
 
-    Example: zenav bench barn barn_worlds.json.gz --runs 3 --jobs 2 --out barn.json
+    Example: zenav bench barn barn_worlds.json.gz --out barn.json
     """
     from zenav.bench.barn import barn
 
