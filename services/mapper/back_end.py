@@ -44,7 +44,7 @@ class BackEndConfig(Section):
     )
     off_turn: float = Field(0.02, ge=0, le=3, description="rad, the same for its turn")
     patience: int = Field(20, ge=1, le=10_000, description="closures that agree, until it is optimised all the same")
-    tied: int = Field(240, ge=1, le=10_000, description="ties until it is optimised")
+    tied: int = Field(360, ge=1, le=10_000, description="ties until it is optimised")
     redraw: float = Field(2.0, ge=0, le=3600, description="s between two drawings of the whole map at least")
     crowd: int = Field(8, ge=2, le=1000, description="keyframes at one place, until the oldest of them is given up")
     crowd_reach: float = Field(0.5, ge=0.05, le=5, description="m, and rad, that make it one place")

@@ -131,7 +131,7 @@ def here(tmp_path_factory) -> Callable[[str], Path]:
 @pytest.mark.parametrize("other", OTHERS)
 def test_a_replay_on_another_processor_gives_the_same_bytes_or_what_is_stated(other, here):
     environment, tolerances = OTHERS[other]
-    names = "planner,navigator" if "NUMBA_CPU_NAME" in environment else ",".join(Recording(FILE).lives())  # compiling
+    names = "odometry,navigator" if "NUMBA_CPU_NAME" in environment else ",".join(Recording(FILE).lives())  # compiling
     options = [word for tolerance in tolerances for word in ("--tolerance", tolerance)]
     command = [sys.executable, "-m", "zenav", "replay", FILE, "--through", names, "--against", here(names)]
     done = subprocess.run(

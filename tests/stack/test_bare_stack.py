@@ -19,7 +19,7 @@ from zenav.client import Client
 def bare(tmp_path_factory) -> Iterator[Stack]:
     """No service that sends the robot anywhere."""
     with running(tmp_path_factory.mktemp("bare"), ("sim", "base_driver", "odometry", "guard")) as stack:
-        stack.until(lambda: stack.client.latest(topics.GUARD) is not None)
+        stack.until(lambda: None not in (stack.client.latest(topics.GUARD), stack.client.latest(topics.TRUTH)))
         yield stack
 
 
