@@ -3,6 +3,7 @@
 
 from math import atan2, copysign, hypot, pi
 
+import numpy as np
 from pydantic import Field
 
 from services.local_ctrl.controller import Controller, Scene
@@ -65,6 +66,9 @@ class Follower:
         """One tick. motion: where the robot will be when the command acts, in `odom`."""
         window = costmap.resolution * len(costmap.field) / 2 - RIM
         ahead = plan.ahead(odom_from_map, motion.pose, window)
+        if np.abs(ahead.points[0] - (motion.pose.x, motion.pose.y)).max() > window:
+            self.reset()  # nothing in sight leads there, or to anything else: the plan is one for another place
+            return braking(motion, self.limits, FollowState.BLOCKED, reasons.POSE_JUMPED.code)
         left = ahead.left + hypot(ahead.points[0, 0] - motion.pose.x, ahead.points[0, 1] - motion.pose.y)
         if self._ended(ahead, goal, motion, odom_from_map, plan):
             return self._turned_to_goal(ahead.end.yaw, goal, costmap, motion)

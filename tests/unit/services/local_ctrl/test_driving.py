@@ -72,6 +72,20 @@ def test_before_a_wall_on_the_plan_it_stops_and_says_blocked() -> None:
     assert loop.truth.x > 2.5
 
 
+def test_on_a_plan_that_lies_somewhere_else_it_stands_and_says_why() -> None:
+    goal = Pose2(6.0, 2.0, 0.0)
+    loop = Loop(X80, World(8, 4), Pose2(1.0, 2.0, 0.0)).give(drive_goal(goal), np.array([[1.0, 2.0], [6.0, 2.0]]))
+    loop.drive(1.5)
+    assert loop.run.v[-1] > 0.2
+    loop.give(drive_goal(goal), np.array([[-50.0, 130.0], [-51.0, 130.0]]))
+    loop.drive(1.5)
+    assert loop.run.commands[-1].reason == loop.run.statuses[-1].reason == reasons.POSE_JUMPED.code
+    assert loop.run.v[-10:] == [0.0] * 10
+    loop.give(drive_goal(goal), np.array([[1.0, 2.0], [6.0, 2.0]]))
+    loop.drive(15)
+    arrived(loop, loop.run, goal)
+
+
 def test_when_the_way_opens_again_it_drives_on() -> None:
     world = World(8, 4).box(3.0, 0.0, 3.2, 4.0)
     goal = Pose2(6.0, 2.0, 0.0)
