@@ -90,8 +90,12 @@ def drop(folder: Path, name: str) -> None:
 
 def show(map_name: str) -> None:
     """Every place, one a line."""
-    for name, known in read(folder_of(map_name)).items():
+    folder = folder_of(map_name)
+    found = read(folder)
+    for name, known in found.items():
         sys.stdout.write(f"{name:<16}{_told(known)}\n")
+    if not found:
+        sys.stderr.write(f"no places in {folder / FILE} yet; keep one: zenav places save NAME\n")
 
 
 def save(robot: str, stack: str, name: str, at: Place | None, map_name: str) -> None:

@@ -32,6 +32,8 @@ def test_what_is_kept_is_a_goal_by_its_name_and_forgotten_it_is_none(capsys):
         goal_from(["kitchen"], "")
     assert _status(["places", "remove", "lab-2"]) == 0
     assert read(FOLDER) == {}
+    assert _status(["places", "list"]) == 0
+    assert "zenav places save" in capsys.readouterr().err
 
 
 def test_the_places_of_a_map_lie_beside_it_and_are_its_own():
