@@ -45,7 +45,7 @@ class SpoiledLaser(SimService):
 def spoiled(folder, every: int, ways: list[str]) -> Stack:
     """The stack at full speed, its laser gone wrong from now on."""
     stack = Stack(folder, sim=SpoiledLaser)
-    stack.go(6.5)
+    stack.go(4.5)
     stack.drives()
     sim = stack.lockstep.service("sim")
     sim.every, sim.ways = every, ways
@@ -76,12 +76,12 @@ def test_scans_of_another_time_alone_stop_the_robot_with_the_reason(tmp_path, wa
 @pytest.mark.parametrize("way", ["no echo", "zeros", "two beams"])
 def test_a_laser_that_measures_nothing_any_more_drives_into_nothing(tmp_path, way):
     stack = spoiled(tmp_path, 1, [way])
-    stack.lockstep.run(15.0)
+    stack.lockstep.run(8.0)
     assert stack.truth.n_contacts == 0
     assert stack.guard.reason or stack.ended()
     stack.lockstep.service("sim").every = 0
     stack.lockstep.run(2.0)
-    stack.go(4.0)
+    stack.go(3.0)
     stack.until(stack.ended, 60.0)
     assert stack.reached()
     assert stack.truth.n_contacts == 0

@@ -41,11 +41,11 @@ def wheels_agree(stack: Stack) -> None:
 @pytest.mark.parametrize("hardware", [EMULATED, ()], ids=["bytes", "messages"])
 def test_the_robot_reaches_its_goal_and_its_wheels_are_counted_right(tmp_path, hardware):
     stack = Stack(tmp_path, settings=hardware)
-    stack.go(6.5, 0.5)
+    stack.go(4.5, 0.5)
     stack.until(stack.reached, 30.0)
     stack.lockstep.run(1.0)
     assert stack.truth.n_contacts == 0
-    assert stack.truth.distance > 5.5
+    assert stack.truth.distance > 4.0
     wheels_agree(stack)
     if hardware:
         status = stack.newest["base/board"]
@@ -60,9 +60,9 @@ def test_the_robot_reaches_its_goal_and_its_wheels_are_counted_right(tmp_path, h
 
 @pytest.fixture
 def driving(tmp_path):
-    """At full speed towards a goal six metres ahead."""
+    """At full speed towards a goal four metres ahead."""
     stack = Stack(tmp_path, settings=EMULATED)
-    stack.go(6.5)
+    stack.go(4.0)
     stack.drives()
     return stack
 
@@ -103,7 +103,7 @@ def test_a_broken_board_stops_the_robot_in_300_ms_says_why_and_drives_on_when_it
         driving.stop(False)
     driving.until(lambda: driving.newest["base/status"].fault == "", 0.5)
     driving.stands_for(0.3)
-    driving.go(5.0)
+    driving.go(3.5)
     driving.until(driving.reached, 40.0)
     assert driving.truth.n_contacts == 0
     assert driving.newest["base/status"].fault == ""

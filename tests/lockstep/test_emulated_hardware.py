@@ -25,10 +25,10 @@ def wired(folder: Path) -> Stack:
 
 def test_on_emulated_hardware_the_robot_reaches_its_goal(tmp_path):
     stack = wired(tmp_path)
-    stack.go(6.5, 0.5)
+    stack.go(4.5, 0.5)
     stack.until(stack.reached, 30.0)
     assert stack.truth.n_contacts == 0
-    assert stack.truth.distance > 5.5
+    assert stack.truth.distance > 4.0
 
 
 @pytest.mark.slow
@@ -60,7 +60,7 @@ def test_without_the_laser_the_robot_stands_is_told_why_and_drives_on_when_it_is
     stack = wired(tmp_path)
     lines: list[str] = []
     stack.lockstep.watch("log/lidar_driver", lambda line: lines.append(line.text))
-    stack.go(6.5)
+    stack.go(4.0)
     stack.drives()
     assert stack.lockstep.ask(requests.FAULT, Break(stack.now, fault, 3.0, False)).accepted
     assert stack.until(lambda: not stack.commanded, 1.0) <= 300 * MS

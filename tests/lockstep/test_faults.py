@@ -19,9 +19,9 @@ SLACK = 50  # ms on top of an age limit: from noticing to the motors' zero
 
 @pytest.fixture
 def driving(tmp_path):
-    """At full speed towards a goal six metres ahead."""
+    """At full speed towards a goal four metres ahead."""
     stack = Stack(tmp_path)
-    stack.go(6.5)
+    stack.go(4.0)
     stack.drives()
     return stack
 
@@ -85,6 +85,8 @@ def test_without_scans_the_robot_stands_until_they_come_again(driving):
 
 
 def test_an_old_plan_stops_the_robot_with_its_reason(driving):
+    driving.go(6.5)
+    driving.lockstep.run(0.5)
     driving.lockstep.kill("planner")
     plan_age, braking = 2000, 1000
     zero_within(driving, plan_age + braking)
@@ -117,6 +119,8 @@ class Pose:
 
 
 def test_a_pose_that_is_lost_for_two_seconds_stops_the_robot_with_its_reason(driving):
+    driving.go(6.5)
+    driving.lockstep.run(0.5)
     pose = Pose(driving)
     driving.lockstep.run(0.3)
     assert driving.commanded
@@ -150,7 +154,7 @@ def test_stop_outlives_guard_and_base_and_releasing_it_moves_nothing(driving):
         assert driving.guard.reason == "estop"
     driving.stop(False)
     driving.stands_for(2.0)
-    driving.go(6.5)
+    driving.go(3.0)
     driving.until(driving.reached, 20.0)
 
 

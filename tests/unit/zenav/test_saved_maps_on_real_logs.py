@@ -80,7 +80,7 @@ def test_a_real_map_goes_on_and_is_one_with_the_old_one(intel_in_two):
 
 def test_a_robot_that_is_not_on_the_saved_map_is_an_error_and_no_place(intel_in_two, tmp_path):
     log = tmp_path / "room.log"
-    log.write_text("\n".join(room_log()) + "\n")
+    log.write_text("\n".join(room_log(20)) + "\n")
     with pytest.raises(UserError, match="not found on the map") as error:
         slam(log, tmp_path / "out", mode="localise", saved_map=intel_in_two / "map")
     assert error.value.mend

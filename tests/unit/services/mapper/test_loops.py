@@ -322,7 +322,7 @@ def test_a_clock_that_is_set_back_does_not_keep_the_map_from_being_drawn():
 def test_who_drives_the_same_ring_for_ever_keeps_a_graph_of_one_size():
     robot = Robot(crowd=3)
     motions = laps()
-    robot.drives(islice(motions, 5 * LAP))
+    robot.drives(islice(motions, 4 * LAP))
     assert len(robot.back_end.keyframes) < 1.6 * LAP
     edges = TieConfig().partners + 3  # its ties, one to the next, and closures
     assert robot.back_end.graph.n_edges < edges * len(robot.back_end.keyframes)
