@@ -23,6 +23,7 @@ from shared.service import Job, Out
 MOST_POINTS = 2000  # of all keyframes together that are aligned at once
 LEAST_POINTS = 30  # of a keyframe that tells anything
 SAME, SAME_TURN = 0.3, 0.15  # m, rad: within these, two places are one
+ALWAYS = 0.02  # of the beams, that may speak against any place
 
 
 class FindingConfig(Section):
@@ -32,11 +33,14 @@ class FindingConfig(Section):
     keyframes: int = Field(15, ge=1, le=100, description="the newest ones, that are looked for together")
     looks: int = Field(3, ge=1, le=100, description="in a row that must find the same place")
     way: float = Field(1.2, ge=0, le=100, description="m driven meanwhile, at least")
+    alone: int = Field(2, ge=1, le=100, description="of these looks, the last in a row that must find no other place")
     score: float = Field(0.5, ge=0, le=1, description="of a place, from which it is tried")
     share: float = Field(0.65, ge=0, le=1, description="of the beams that must agree")
     balance: float = Field(0.6, ge=0, le=1, description="agreeing beams less contradicting ones, as a share of all")
     worst: float = Field(0.35, ge=0, le=1, description="balance that each of the keyframes must have")
-    unlike: float = Field(0.85, ge=0, le=1, description="the second best place may have this share of its balance")
+    unlike: float = Field(
+        0.35, ge=0, le=1, description="of what speaks against the second best place, that may speak against the best"
+    )
     sureness: float = Field(
         0.01, ge=0, le=1, description="least share of what the beams tell of one direction in what they tell of another"
     )
@@ -188,7 +192,8 @@ class Finder:
         self.looked_at = -inf  # m driven, at the last look
         self.guesses: tuple[Pose2, ...] = ()
         self.near, self.n_near = near, 0  # and looks there in vain
-        self.agreed: tuple[Pose2, float, int] | None = None  # a place, m driven when first found, looks that found it
+        self.stood: list[tuple[Pose2, float, int]] = []  # places, m driven when first found, looks that found them
+        self.n_alone = 0  # looks in a row that found one of them alone
 
     def keep(self, keyframe: Keyframe, match: Match, doubt: float) -> Out:
         """A new keyframe, as `BackEnd.add` takes it; now and then, all that is known is looked for on the map."""
@@ -209,22 +214,33 @@ class Finder:
             return None
         self.looking = False
         self.guesses = tuple(place.map_from_local for place in places[:4])
-        rival = places[1].balance if len(places) > 1 else 0.0
-        if not places or not places[0].sure or rival > self.config.unlike * places[0].balance:
-            self.agreed = None
+        here, before, self.stood = self.waiting[-1][0].local_from_base, self.stood, []
+        for found in (place.map_from_local for place in places if place.sure):
+            new = found, self.looked_at, 0
+            _, since, looks = next((old for old in before if one(found, old[0], here)), new)
+            self.stood.append((found, since, looks + 1))
+        if not places or not places[0].sure or not self._unlike(places):
+            self.n_alone = 0
             self.n_near += 1
             if self.n_near >= self.config.near_looks:
                 self.near = None
             return None
-        found = places[0].map_from_local
-        if self.agreed is None or not one(found, self.agreed[0], self.waiting[-1][0].local_from_base):
-            self.agreed = found, self.looked_at, 0
-        _, since, looks = self.agreed
-        self.agreed = found, since, looks + 1
-        if self.near is None and (looks + 1 < self.config.looks or self.looked_at - since < self.config.way):
+        found, since, looks = self.stood[0]
+        self.n_alone = min(self.n_alone + 1, looks)
+        enough = looks >= self.config.looks and self.looked_at - since >= self.config.way
+        if self.near is None and (self.n_alone < self.config.alone or not enough):
             return None
         self.searching = False
         return found
+
+    def _unlike(self, places: Sequence[Place]) -> bool:
+        """Whether more speaks against every other place than what was moved about in a room explains.
+
+        In a row of rooms that look alike the right one, where a box was moved, may fit worse than its neighbour: what
+        speaks against the best place must be little beside what speaks against the next, not only less.
+        """
+        best, rival = places[0].balance, places[1].balance if len(places) > 1 else 0.0
+        return 1 - best + ALWAYS <= self.config.unlike * (1 - rival)
 
 
 def _looked(

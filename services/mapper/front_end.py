@@ -30,7 +30,8 @@ LIED = 10.0  # how much wider the prior is where odometry was wrong
 STOOD = 3_000_000_000  # ns that a thing stands free until it is none that walks; or until the robot
 BESIDE = 0.25  # m is elsewhere, and sees it there still
 PATIENCE = 10  # scans that fit, but not well, until they are drawn all the same
-STRAYED = 0.3  # m that one who did not fit may be off odometry where he fits again: rooms look alike
+STRAYED = 0.3  # m that one who did not fit, or stood, may be off odometry where he fits again: rooms look alike
+STANDS = 0.02  # m between two sweeps, by odometry and by what was matched before
 LEAST_BEAMS = 15  # that must agree with the map or contradict it, to tell anything
 
 
@@ -159,6 +160,7 @@ class FrontEnd:
                 origins, ends = straightened(origins, step, moved, skew), straightened(ends, step, moved, skew)
                 sweep, told, placed, n_moving = self._matched(origins, ends, step, LIED * doubt, 0.0, stamp)
         self._believe(told, placed.match, step, doubt)
+        stood = measures and hypot(step.x, step.y) <= STANDS and hypot(self.motion.x, self.motion.y) <= STANDS
         self.motion = self.local_from_base.inverse() @ placed.match.map_from_base
         if measures:
             self.odometry_error.learn(measured, self.motion, placed.match.information)
@@ -166,7 +168,7 @@ class FrontEnd:
         self.reckoned = self.reckoned @ step if measures else self.local_from_base
         n_told = placed.n_agree + placed.n_against + n_moving
         quality = placed.n_agree / max(n_told, LEAST_BEAMS)
-        self._grade(quality, n_told >= LEAST_BEAMS, len(origins))
+        self._grade(quality, n_told >= LEAST_BEAMS, len(origins), stood)
         # a map drawn from a wrong place soon agrees with it; but where much has changed, nothing fits well for long
         trusted = self.n_bad == 0 and (self.n_poor == 0 or self.n_poor > PATIENCE)
         if trusted:
@@ -270,15 +272,16 @@ class FrontEnd:
         drawn = mean_doubt(registrar.map.doubts[found], registrar.map.places[found], at.x, at.y)
         self.belief.take(self.local_from_base, prior, ahead, match.information, drawn)
 
-    def _grade(self, quality: float, told: bool, n: int) -> None:
+    def _grade(self, quality: float, told: bool, n: int, stood: bool) -> None:
         if self.state is Localization.STARTING and (n == 0 or self.submap.registrar.map.n == 0):
             return
-        strayed = self.n_bad > 0 and self.local_from_base.distance(self.reckoned) > STRAYED
-        strayed &= self.graphed  # else there is nobody to look for it elsewhere
+        # carried while it stood, into a room like the last, it fits at once. Without a graph nobody could look for it
+        off = self.graphed and self.local_from_base.distance(self.reckoned) > STRAYED
+        strayed = off and (self.n_bad > 0 or stood)
         self.n_poor = self.n_poor + 1 if told and quality < self.config.good else 0
         if quality >= self.config.good and not strayed:
             self.n_bad = 0
-        elif self.n_bad > 0 or (told and quality < self.config.lost):
+        elif self.n_bad > 0 or strayed or (told and quality < self.config.lost):
             self.n_bad += 1  # what once did not fit at all is not to be believed until it fits well
         if self.n_bad >= self.config.lost_after:
             self.state = Localization.LOST

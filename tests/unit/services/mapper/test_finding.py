@@ -7,6 +7,7 @@ from math import hypot
 import numpy as np
 import pytest
 
+from services.mapper.finding import Place
 from services.mapper.saved_map import packed
 from services.mapper.service import MapperConfig
 from shared.geometry import Pose2
@@ -159,6 +160,40 @@ def test_who_is_carried_away_is_found_again(building):
     assert any(estimate.state is Localization.LOST for estimate in driven.poses[n : n + 15])
     assert driven.poses[-1].state is Localization.GOOD
     assert off(driven, first)[0] < 0.15
+
+
+def test_who_is_carried_while_it_stands_into_the_like_of_its_room_is_lost_although_everything_fits(building):
+    alike, saved, _ = building
+    rng = np.random.default_rng(4)
+    driven = put(ALIKE, saved, START)
+    for metres in drives(driven, alike, 60, rng):
+        if metres > 8 and 2 < driven.true.x < 5 and 1.5 < driven.true.y < 4:
+            break
+    for _ in range(3):
+        driven.step(Pose2())
+    assert driven.poses[-1].state is Localization.GOOD
+    there = Pose2(driven.true.x + 7.45, driven.true.y, driven.true.yaw + 0.2)
+    driven.odom_from_start = driven.odom_from_start @ driven.true @ there.inverse()
+    driven.true = there
+    n = len(driven.poses)
+    for _ in range(10):
+        driven.step(Pose2())
+    assert Localization.LOST in {estimate.state for estimate in driven.poses[n:]}
+
+
+@pytest.mark.parametrize(("best", "rival", "believed"), [(0.87, 0.7, False), (0.99, 0.97, False), (0.99, 0.88, True)])
+def test_a_place_is_believed_where_little_speaks_against_it_beside_what_speaks_against_the_next(
+    building, best, rival, believed
+):
+    """In a row of like rooms a box that was moved speaks against the right one, too."""
+    _, saved, _ = building
+    driven = put(ALIKE, saved, START)
+    finder = driven.mapper.mapping.finder
+    driven.step(Pose2())
+    for metres in range(4):
+        finder.looked_at = float(metres)
+        found = finder.take((finder.epoch, [Place(Pose2(1, 1), best, True), Place(Pose2(1, 6), rival, True)]))
+    assert (found is not None) is believed
 
 
 def test_a_map_that_goes_on_grows_by_what_is_new_and_closes_with_what_is_old(building):
