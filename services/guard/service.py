@@ -258,4 +258,7 @@ def _told(
         return GuardState.HOLD, reasons.NO_REVERSE.code
     if permit.share == 0 or (stands and slowed.share == 0):
         return GuardState.HOLD, reasons.OBSTACLE.code
-    return GuardState.ACTIVE, reasons.OBSTACLE_SLOW.code if slowed.share < 1 else ""
+    if slowed.share < 1:
+        return GuardState.ACTIVE, reasons.OBSTACLE_SLOW.code
+    # nobody else says why a robot that drives is slow
+    return GuardState.ACTIVE, command.reason if command.reason == reasons.SPEED_ZONE.code else ""

@@ -13,6 +13,7 @@ from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.local_plan import Ahead, LocalPlan
 from services.local_ctrl.manoeuvres import TURN_LOOK, Outcome, braking, free_turn, turn_command
 from services.local_ctrl.rollout import DT, Limits, Motion, speed_after
+from services.local_ctrl.zones import LocalZones
 from shared import reasons
 from shared.config import Section
 from shared.geometry import Pose2, wrapped
@@ -48,9 +49,10 @@ class Follower:
         controller: Controller,
         limits: Limits,
         footprint: Footprint,
+        zones: LocalZones,
     ) -> None:
         self.config, self.to_go, self.limits, self.footprint = config, to_go, limits, footprint
-        self.controller = controller
+        self.controller, self.zones = controller, zones
         self.reset()
 
     def reset(self) -> None:
@@ -72,6 +74,8 @@ class Follower:
         left = ahead.left + hypot(ahead.points[0, 0] - motion.pose.x, ahead.points[0, 1] - motion.pose.y)
         if self._ended(ahead, goal, motion, odom_from_map, plan):
             return self._turned_to_goal(ahead.end.yaw, goal, costmap, motion)
+        self.controller.limits = self.zones.limited(self.limits, ahead.points, motion, odom_from_map)
+        slow = reasons.SPEED_ZONE.code if self.controller.limits.v_max < self.limits.v_max else ""
         scene, closed = self._scene(ahead, costmap, motion)
         if not closed and (outcome := self._turned_to_way(scene, costmap, motion, left)) is not None:
             return outcome
@@ -81,7 +85,7 @@ class Follower:
         if solution.collides or self.n_stalled * DT >= self.config.stalled_after:
             return braking(motion, self.limits, FollowState.BLOCKED, reasons.BLOCKED.code, left)
         v, w = solution.velocities[0]
-        return Outcome(float(v), float(w), FollowState.FOLLOWING, "", left)
+        return Outcome(float(v), float(w), FollowState.FOLLOWING, slow, left)
 
     def _scene(self, ahead: Ahead, costmap: LocalCostmap, motion: Motion) -> tuple[Scene, bool]:
         """What the rollouts meet, and whether the robot stands where every way is closed."""

@@ -23,6 +23,7 @@ from services.local_ctrl.mppi import Mppi, MppiConfig
 from services.local_ctrl.pursuit import Pursuit, PursuitConfig
 from services.local_ctrl.rollout import DT, Command, Limits, Motion, limits_of, predicted
 from services.local_ctrl.view import View
+from services.local_ctrl.zones import LocalZones
 from shared import reasons, requests, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2
@@ -39,6 +40,7 @@ from shared.messages import (
     PoseEstimate,
     RangeReadings,
     Velocity,
+    Zones,
 )
 from shared.requests import Reply, Watch
 from shared.service import Answer, Out, Service, answer, every, on
@@ -90,7 +92,10 @@ class LocalCtrlService(Service):
         self.costmap = LocalCostmap(config.costmap, reach, config.latency)
         self.inputs = Inputs(config.ages)
         controller = CONTROLLERS[config.controller](config, self.limits)
-        self.follower = Follower(config.follow, config.distance_to_go, controller, self.limits, self.footprint)
+        self.zones = LocalZones(robot.circumscribed_radius)
+        self.follower = Follower(
+            config.follow, config.distance_to_go, controller, self.limits, self.footprint, self.zones
+        )
         self.grid = OccupancyGrid()
         self.goal: Goal | None = None
         self.goal_since = 0  # ns
@@ -150,6 +155,11 @@ class LocalCtrlService(Service):
     @on(topics.MAP)
     def map(self, update: MapUpdate) -> Out:
         self.grid.apply(update)
+        return ()
+
+    @on(topics.ZONES)
+    def new_zones(self, zones: Zones) -> Out:
+        self.zones.take(zones)
         return ()
 
     @on(topics.GOAL)
@@ -224,7 +234,8 @@ class LocalCtrlService(Service):
         if goal.kind is not GoalKind.DRIVE:
             if self.manoeuvre is None:
                 self.manoeuvre = Manoeuvre(goal, motion.pose, self.now, self.config.manoeuvres)
-            return self.manoeuvre.step(self.costmap, motion, self.limits, self.footprint, self.now)
+            limits = self.zones.limited(self.limits, np.empty((0, 2)), motion, self.inputs.odom_from_map)
+            return self.manoeuvre.step(self.costmap, motion, limits, self.footprint, self.now)
         if (reason := self._no_plan(goal)) is not None or self.plan is None:
             self.follower.reset()
             code = reason or reasons.NO_PLAN.code
@@ -256,6 +267,9 @@ class LocalCtrlService(Service):
         here = self.inputs.history[-1].odom_from_base
         costmap.recentre(here.x, here.y)
         costmap.lay(self.grid, self.inputs.odom_from_map)
+        if self.inputs.pose is not None:
+            window = costmap.x0, costmap.y0, costmap.resolution, len(costmap.field)
+            costmap.forbidden = self.zones.forbidden(self.inputs.odom_from_map, here, window)
         costmap.refresh(self.now, here, self.footprint)
 
     def warm(self) -> None:

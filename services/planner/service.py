@@ -8,11 +8,12 @@ from services.planner.outline import Outline
 from services.planner.planning import Plan, PlanningConfig, no_plan, planned
 from services.planner.traversal_cost import CostConfig, Terrain
 from services.planner.upkeep import UpkeepConfig, length, remaining, standing, worth_switching, worth_waiting
+from services.planner.zoning import Zoning
 from shared import reasons, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import TILE_CELLS, Goal, GoalKind, Localization, MapUpdate, Odometry, Path, PoseEstimate
+from shared.messages import TILE_CELLS, Goal, GoalKind, Localization, MapUpdate, Odometry, Path, PoseEstimate, Zones
 from shared.service import Out, Service, every, on
 from shared.whereabouts import Whereabouts
 
@@ -41,6 +42,7 @@ class PlannerService(Service):
         self.grid = OccupancyGrid()
         self.terrain: Terrain | None = None
         self.outline = Outline()
+        self.zoning = Zoning(robot.circumscribed_radius)
         self.where = Whereabouts()
         self.goal: Goal | None = None
         self.plan: Plan | None = None
@@ -88,6 +90,13 @@ class PlannerService(Service):
         if self.goal and self.now - self.updated >= 0.8 * PERIOD_NS:
             yield from self._keep(always=False)
 
+    @on(topics.ZONES)
+    def zones(self, zones: Zones) -> Out:
+        """What was free to the last plan need not be now, and a robot under way has its new one at once."""
+        self.zoning.take(zones)
+        self.changed, self.fresh, self.plan = None, False, None
+        yield from self._keep(always=True)
+
     @on(topics.POSE)
     def pose(self, estimate: PoseEstimate) -> Out:
         self.where.estimated(estimate)
@@ -127,10 +136,12 @@ class PlannerService(Service):
             return self._taken(no_plan(reasons.NO_MAP))
         if pose is None:
             return self._taken(no_plan(reasons.POSE_OLD))
+        if self.zoning.forbids(goal.map_from_goal):
+            return self._taken(no_plan(reasons.GOAL_KEEP_OUT))
         old = self.plan if self.plan is not None and self.plan.reason is None else None
         if old and self.where.lost:
             return old
-        terrain = self._terrain()
+        terrain = self._terrain(pose)
         if old is None:
             return self._new(terrain, pose, goal)
         stands = standing(terrain, old, self.index, pose.x, pose.y)
@@ -157,8 +168,10 @@ class PlannerService(Service):
         self.known = self.terrain.known_free(plan.points) if self.terrain else None
         return plan
 
-    def _terrain(self) -> Terrain:
-        """The costs of the present map."""
+    def _terrain(self, pose: Pose2) -> Terrain:
+        """The costs of the present map to a robot at a pose."""
+        if self.zoning.moved(pose):
+            self.changed, self.fresh = None, False
         if self.terrain is None:
             self.terrain, self.changed, self.fresh = (
                 Terrain(self.config.cost, self.robot, self.grid.resolution),
@@ -166,7 +179,7 @@ class PlannerService(Service):
                 False,
             )
         if not self.fresh:
-            self.terrain.update(self.grid, self.changed)
+            self.zoning.update(self.terrain, self.grid, self.changed)
             self.fresh, self.updated = True, self.now
         return self.terrain
 

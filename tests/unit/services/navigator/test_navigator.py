@@ -493,3 +493,15 @@ def test_any_valid_messages_are_survived(events, seed):
                 jobs.append(effect)
             else:
                 assert not list(faults(effect.message))
+
+
+def test_a_task_s_own_tolerances_count_and_without_them_the_configured_ones():
+    bench = Bench()
+    for own, wanted in (((0.05, 0.1), (0.05, 0.1)), ((0.0, 0.0), (0.15, 0.25)), ((0.4, 0.0), (0.4, 0.25))):
+        bench.ask("navigate", Navigate(bench.now, (FAR, NEAR), 0.0, 1, False, (), *own))
+        assert (bench.goal.tolerance, bench.goal.yaw_tolerance) == wanted
+    bench.ask("navigate", Navigate(bench.now, (FAR,), 0.0, 1, True, (), 0.05, 0.1))
+    assert bench.goal.yaw_tolerance > np.pi
+    bench.run(20, until=ENDS)
+    assert bench.pose.distance(FAR) <= 0.05
+    assert Navigate(0, (FAR,), 0.0, 1, True, (), 0.001).problem()
