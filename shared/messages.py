@@ -393,7 +393,7 @@ class FollowState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class FollowStatus(Message):
-    """Local control's progress on the goal with this id. `reason`, a code of reasons.py: why it stands or is slow."""
+    """Local control's progress on the goal with this id. `reason` is a code of reasons.py while it does not move."""
 
     goal_id: Count
     state: Annotated[FollowState, Unit("1")]

@@ -176,7 +176,7 @@ class LocalCtrlService(Service):
         self.goal, self.goal_since, self.manoeuvre = goal, self.now, None
         if goal.clear_costmap:
             self.costmap.forget()
-        if driving:
+        if driving and not self.follower.missed:
             self.follower.at_end = False
         else:
             self.follower.reset()
@@ -201,6 +201,7 @@ class LocalCtrlService(Service):
         n_elapsed = round((self.now - self.last_tick) / (DT * S)) if self.last_tick else 0
         self.last_tick = self.now
         outcome = self._outcome(n_elapsed)
+        outcome = outcome._replace(w=self.robot.drive.bent(outcome.v, outcome.w))
         self.commands.append(Command(self.now, outcome.v, outcome.w))
         yield topics.CMD_NAV(Velocity(self.now, outcome.v, outcome.w, outcome.reason))
         goal_id = self.goal.id if self.goal is not None else 0

@@ -139,5 +139,5 @@ class Leg:
             return (Verdict.FAIL if self.refused >= config.refused_time else Verdict.GO_ON), reason
         if self.refused < config.unreachable_time:
             return Verdict.GO_ON, reason
-        stuck = reason is reasons.START_BLOCKED
+        stuck = reason in (reasons.START_BLOCKED, reasons.NO_ROOM_TO_TURN)  # from elsewhere there may be a way
         return (Verdict.RECOVER if self.planned or stuck else Verdict.FAIL), reason

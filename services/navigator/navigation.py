@@ -24,6 +24,7 @@ from shared.whereabouts import Whereabouts
 from shared.zones import KeepOut, NamedZoneConfig, laid
 
 _ANY_HEADING = 10.0  # rad of tolerance
+_TOLD_AS_THEY_ARE = reasons.UNREACHABLE, reasons.START_BLOCKED, reasons.NO_ROOM_TO_TURN
 _JUMP_SHOWN = 2.0  # s
 _SEARCH_EVERY = 0.5  # s
 _SEARCH_LOST = 10.0  # s after which the answer of a search is not waited for any more
@@ -226,7 +227,7 @@ class Navigation:
             yield from self._give_up(reason, now, whole=False)
             return
         if step is None:
-            named = reason if reason in (reasons.UNREACHABLE, reasons.START_BLOCKED) else reasons.RECOVERIES_USED
+            named = reason if reason in _TOLD_AS_THEY_ARE else reasons.RECOVERIES_USED
             yield from self.end(now, NavState.FAILED, named, f"{named.text}; the last cause: {reason.text}")
             return
         leg.n_recoveries += 1
@@ -296,7 +297,7 @@ class Navigation:
         return self.config.exploration.tolerance if self.task else self.config.tolerance, _ANY_HEADING
 
     def _new_ladder(self) -> Ladder:
-        return Ladder(self.config.recovery, self.robot.drive.max_reverse_speed > 0)
+        return Ladder(self.config.recovery, self.robot.drive)
 
     # exploring
 

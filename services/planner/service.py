@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The global planner: keeps a path from the robot to the goal on the present map, or says why there is none."""
 
+from math import pi
+
 import numpy as np
 from numpy.typing import NDArray
 
 from services.planner.outline import Outline
-from services.planner.planning import Plan, PlanningConfig, no_plan, planned
+from services.planner.planning import Plan, PlanningConfig, Turning, no_plan, planned
 from services.planner.traversal_cost import CostConfig, Terrain
-from services.planner.upkeep import UpkeepConfig, length, remaining, standing, worth_switching, worth_waiting
+from services.planner.upkeep import AHEAD, UpkeepConfig, length, remaining, standing, worth_switching, worth_waiting
 from services.planner.zoning import Zoning
 from shared import reasons, topics
 from shared.config import Robot, Section
@@ -44,6 +46,8 @@ class PlannerService(Service):
         self.outline = Outline()
         self.zoning = Zoning(robot.circumscribed_radius)
         self.where = Whereabouts()
+        radius = robot.drive.min_turning_radius
+        self.within = min(AHEAD, 2 * radius) if radius else AHEAD  # m: not across a loop
         self.goal: Goal | None = None
         self.plan: Plan | None = None
         self.index = 0  # of the plan's pose that the robot is at
@@ -143,10 +147,10 @@ class PlannerService(Service):
             return old
         terrain = self._terrain(pose)
         if old is None:
-            return self._new(terrain, pose, goal)
-        stands = standing(terrain, old, self.index, pose.x, pose.y)
+            return self._taken(self._new(terrain, pose, goal))
+        stands = standing(terrain, old, self.index, pose.x, pose.y, self.within)
         self.index = stands.index
-        new = planned(terrain, self.outline, pose, goal.map_from_goal, goal.tolerance, self.config.path)
+        new = self._new(terrain, pose, goal)
         upkeep = self.config.upkeep
         if stands.off > upkeep.off_plan:
             return self._taken(new)
@@ -161,7 +165,10 @@ class PlannerService(Service):
         return old if waits and worth_waiting(rest, self.cost_left, stands.ahead, new, upkeep) else self._taken(new)
 
     def _new(self, terrain: Terrain, pose: Pose2, goal: Goal) -> Plan:
-        return self._taken(planned(terrain, self.outline, pose, goal.map_from_goal, goal.tolerance, self.config.path))
+        drive = self.robot.drive
+        arcs = Turning(drive.min_turning_radius, drive.turns_in_place, goal.yaw_tolerance > pi)
+        turning = arcs if drive.min_turning_radius else None
+        return planned(terrain, self.outline, pose, goal.map_from_goal, goal.tolerance, self.config.path, turning)
 
     def _taken(self, plan: Plan) -> Plan:
         self.index, self.blocked_since, self.cost_left = 0, None, plan.cost

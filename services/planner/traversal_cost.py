@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What crossing a cell costs the robot: obstacles inflated by exact distance, unknown space by policy."""
 
-from math import ceil, exp
+from math import ceil, exp, hypot
 from typing import Literal
 
 import numpy as np
@@ -184,6 +184,18 @@ class Terrain:
     def crowded(self, row: int, column: int) -> bool:
         """Whether an obstacle is nearer to the cell of `costs` than the robot's body allows."""
         return bool(self._distance(row, column) * self.resolution < self.blocked_under)
+
+    def opened(self, row: int, column: int, radius: int) -> UInt16s:
+        """A copy of `costs` for a robot in inflated space at a cell: within so many cells it may cross that, as dear
+        as can be, where it comes no nearer to an obstacle than it is.
+        """
+        costs, here = self.costs.copy(), self._distance(row, column)
+        for r in range(row - radius, row + radius + 1):
+            for c in range(column - radius, column + radius + 1):
+                near = self.holds(r, c) and hypot(r - row, c - column) <= radius
+                if near and not costs[r, c] and (self._distance(r, c) >= max(here, 1.0) or (r, c) == (row, column)):
+                    costs[r, c] = self.highest
+        return costs
 
     def known_free(self, points: Float64s) -> Bools:
         """(n,) bool: which points (n, 2) m of `map` the map knows to be free."""

@@ -465,8 +465,11 @@ def test_a_clock_that_jumps_is_no_time_that_passed():
 
 
 def test_what_makes_no_sense_for_a_robot_is_left_out():
-    assert [step.name for step in steps(RecoveryConfig(), reverse=False)] == [n for n in LADDER if n != "back_up"]
-    assert [step.name for step in steps(RecoveryConfig(turn=0, wait=0), reverse=True)] == LADDER[:3]
+    forward = X80.drive.model_copy(update={"max_reverse_speed": 0.0})
+    arcs = X80.drive.model_copy(update={"min_turning_radius": 0.5, "turns_in_place": False})
+    assert [step.name for step in steps(RecoveryConfig(), forward)] == [n for n in LADDER if n != "back_up"]
+    assert [step.name for step in steps(RecoveryConfig(), arcs)] == [n for n in LADDER if "turn" not in n]
+    assert [step.name for step in steps(RecoveryConfig(turn=0, wait=0), X80.drive)] == LADDER[:3]
 
 
 def test_warming_up_changes_no_state():
