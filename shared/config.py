@@ -57,11 +57,15 @@ class Drive(Section):
     max_acceleration: float = Field(gt=0, le=20, description="m/s^2")
     max_braking: float = Field(gt=0, le=20, description="m/s^2 that the base really reaches")
     max_turn_acceleration: float = Field(gt=0, le=100, description="rad/s^2")
+    min_turning_radius: float = Field(0.0, ge=0, le=20, description="m: of the tightest arc that it drives; 0: any")
+    turns_in_place: bool = Field(True, description="it may turn on the spot; if not, give min_turning_radius")
 
     @model_validator(mode="after")
-    def _direction(self) -> "Drive":
+    def _drivable(self) -> "Drive":
         if self.motor_direction == 0:
             raise ValueError("motor_direction is +1 or -1")
+        if not self.turns_in_place and self.min_turning_radius < 0.05:
+            raise ValueError("a robot that may not turn on the spot needs a min_turning_radius of 0.05 m at least")
         return self
 
     @property
@@ -75,10 +79,21 @@ class Drive(Section):
         return self.left_radius * self.wheel_radius_ratio
 
     def clamped(self, v: float, w: float) -> tuple[float, float]:
-        """The velocity (m/s, rad/s) scaled down, on its own arc, until it is within the limits."""
+        """The velocity (m/s, rad/s) scaled down, on its own arc, until it is within the limits.
+
+        An arc tighter than the robot's is opened to that.
+        """
         limit = self.max_speed if v >= 0 else self.max_reverse_speed
+        w = self.bent(v, w)
         share = min(1.0, limit / abs(v) if v else 1.0, self.max_turn_rate / abs(w) if w else 1.0)
         return v * share, w * share
+
+    def bent(self, v: float, w: float) -> float:
+        """The turn rate, rad/s, that is nearest to w at a speed of v m/s and on an arc that the robot drives."""
+        if not self.min_turning_radius or (v == 0 and self.turns_in_place):
+            return w
+        most = abs(v) / self.min_turning_radius
+        return min(max(w, -most), most)
 
 
 class Laser(Section):

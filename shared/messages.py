@@ -343,6 +343,44 @@ class Path(Message):
     cost: Annotated[float, Unit("m, weighted"), Within(0, 1e9)]
 
 
+class ZoneKind(StrEnum):
+    """What a zone asks of the robot."""
+
+    KEEP_OUT = "keep_out"  # no part of it may enter
+    SLOW = "slow"  # while its middle is inside it is slow
+
+
+MOST_CORNERS, MOST_ZONES = 256, 256
+
+
+@dataclass(frozen=True, slots=True)
+class Zone(Message):
+    """A polygon in `map`, corners in order, closed by itself (even-odd rule). `name` is its own among all.
+
+    In a slow one the robot drives no faster than `speed`, nor than `share` of its top speed; else they mean nothing.
+    """
+
+    name: Text
+    kind: Annotated[ZoneKind, Unit("1")]
+    xs: Annotated[Float64s, Unit("m"), Shape("n"), Within(-1e6, 1e6)]
+    ys: Annotated[Float64s, Unit("m"), Shape("n"), Within(-1e6, 1e6)]
+    speed: Annotated[float, Unit("m/s"), Within(0.01, 20)] = 20.0
+    share: Annotated[float, Unit("1"), Within(0.01, 1)] = 1.0
+
+    def problem(self) -> str | None:
+        return None if 3 <= len(self.xs) <= MOST_CORNERS else f"a zone of {len(self.xs)} corners"
+
+
+@dataclass(frozen=True, slots=True)
+class Zones(Message):
+    """Every zone that holds from now on."""
+
+    zones: Annotated[tuple[Zone, ...], Unit("1")]
+
+    def problem(self) -> str | None:
+        return f"more than {MOST_ZONES} zones" if len(self.zones) > MOST_ZONES else None
+
+
 class FollowState(StrEnum):
     """What local control is doing."""
 

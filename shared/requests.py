@@ -21,11 +21,16 @@ class Reply(Message):
     task_id: Count = 0
 
 
+LEAST_TOLERANCE = 0.01
+"""m or rad: no robot is nearer to its goal than it knows where it is."""
+
+
 @dataclass(frozen=True, slots=True)
 class Navigate(Message):
     """Drive through these poses in `map`, dwelling at each. NaN-free; `any_heading` ignores the poses' yaw.
 
     A pose without a stay whose heading does not matter, and after which others follow, is passed without a stop.
+    A tolerance of 0 is the navigator's own, as configured.
     """
 
     poses: Annotated[tuple[Pose, ...], Unit("m, m, rad")]
@@ -33,11 +38,25 @@ class Navigate(Message):
     loops: Annotated[int, Unit("rounds; 0 is for ever"), m.Within(0, 10**6)]
     any_heading: Flag
     dwells: Annotated[tuple[m.Seconds, ...], Unit("s, one a pose; none: `dwell` at each")] = ()
+    tolerance: Annotated[float, Unit("m to a pose at which it is reached"), m.Within(0, 5)] = 0.0
+    yaw_tolerance: Annotated[float, Unit("rad to its heading"), m.Within(0, 3.15)] = 0.0
 
     def problem(self) -> str | None:
         if self.dwells and len(self.dwells) != len(self.poses):
             return f"{len(self.dwells)} stays for {len(self.poses)} poses"
+        if 0 < self.tolerance < LEAST_TOLERANCE or 0 < self.yaw_tolerance < LEAST_TOLERANCE:
+            return f"a tolerance under {LEAST_TOLERANCE}"
         return None if self.poses else "a route of no poses"
+
+
+@dataclass(frozen=True, slots=True)
+class SetZones(Message):
+    """Let these zones hold, with those of the configuration (of one name, these), instead of the ones set before."""
+
+    zones: Annotated[tuple[m.Zone, ...], Unit("1")]
+
+    def problem(self) -> str | None:
+        return f"more than {m.MOST_ZONES} zones" if len(self.zones) > m.MOST_ZONES else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,6 +187,7 @@ class Request(Generic[Q, R]):
 
 
 NAVIGATE = Request("request/navigate", Navigate, Reply, by="navigator")
+SET_ZONES = Request("request/set_zones", SetZones, Reply, by="navigator")
 EXPLORE = Request("request/explore", Explore, Reply, by="navigator")
 CANCEL = Request("request/cancel", Cancel, Reply, by="navigator")
 PAUSE = Request("request/pause", Pause, Reply, by="navigator")

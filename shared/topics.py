@@ -85,6 +85,7 @@ ODOM     = Topic("odom",            m.Odometry,      by="odometry",             
 POSE     = Topic("pose",            m.PoseEstimate,  by="mapper",                 hz=10, keep="latest", within=0.025, latched=True)
 MAP      = Topic("map",             m.MapUpdate,     by="mapper",                 hz=2,  keep="all",    within=0.050, latched=True)
 GOAL     = Topic("goal",            m.Goal,          by="navigator",              hz=0,  keep="all",    within=0.005, latched=True)
+ZONES    = Topic("zones",           m.Zones,         by="navigator",              hz=0,  keep="latest", within=0.010, latched=True)
 PLAN     = Topic("plan",            m.Path,          by="planner",                hz=2,  keep="latest", within=0.100, latched=True)
 FOLLOW   = Topic("follow/status",   m.FollowStatus,  by="local_ctrl",             hz=20, keep="latest", within=0.005)
 NAV      = Topic("nav/status",      m.NavStatus,     by="navigator",              hz=5,  keep="latest", within=0.010, latched=True, people=True)

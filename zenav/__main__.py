@@ -16,6 +16,7 @@ from zenav.commands import starting, driving, looking, logs  # noqa: F401  # the
 from zenav.commands.looking import config, topic
 from zenav.commands.maps import map_
 from zenav.commands.places import places
+from zenav.commands.zones import zones
 from zenav.commands.calibrating import calibrate
 from zenav.commands.recordings import recording
 from zenav.commands.measuring import bench
@@ -28,6 +29,7 @@ USAGE_ERROR: Any = typer.BadParameter.__base__  # typer's public names have only
 app.add_typer(topic, name="topic", rich_help_panel=LOOK)
 app.add_typer(map_, name="map", rich_help_panel=LOOK)
 app.add_typer(places, name="places", rich_help_panel=DRIVE)
+app.add_typer(zones, name="zones", rich_help_panel=DRIVE)
 app.add_typer(config, name="config", rich_help_panel=LOOK)
 app.add_typer(calibrate, name="calibrate", rich_help_panel=DRIVE)
 app.add_typer(recording, name="recording", rich_help_panel=FILES)

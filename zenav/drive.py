@@ -49,11 +49,29 @@ def poses_from(texts: list[str]) -> list[Target]:
     return found
 
 
-def navigate(targets: list[Target], dwell: float, loops: int, stays: tuple[float, ...] = ()) -> Navigate:
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """When a target is reached: within m of it and degrees of its heading, 0 as configured; or at any heading."""
+
+    tolerance: float = 0.0
+    heading_tolerance: float = 0.0
+    any_heading: bool = False
+
+
+AS_CONFIGURED = Arrival()
+
+
+def navigate(
+    targets: list[Target], dwell: float, loops: int, stays: tuple[float, ...] = (), arrival: Arrival = AS_CONFIGURED
+) -> Navigate:
     """The request for a route, not yet stamped; its headings count where every target has one. Raises UserError.
 
     dwell: s at each target; stays: s at each where they differ.
     """
+    if arrival.any_heading:
+        if arrival.heading_tolerance:
+            raise UserError("any heading has no tolerance", "leave out --any-heading or --heading-tolerance")
+        targets = [(x, y, None) for x, y, _ in targets]
     if not targets:
         raise UserError("a route of no poses", "name some: zenav route 1,0 4,-2,90 kitchen")
     if any(abs(n) > 1e6 or n != n for x, y, yaw in targets for n in (x, y, yaw or 0.0)):
@@ -62,7 +80,13 @@ def navigate(targets: list[Target], dwell: float, loops: int, stays: tuple[float
     if mixed:
         raise UserError("some poses have a heading and some have none", "give all of them one, or none")
     poses = tuple(Pose2(x, y, wrapped(radians(yaw or 0.0))) for x, y, yaw in targets)
-    return Navigate(0, poses, dwell, loops, targets[0][2] is None, stays)
+    if arrival.heading_tolerance and targets[0][2] is None:
+        raise UserError("a target without a heading has no tolerance of it", "give it one: X Y YAW")
+    tolerances = arrival.tolerance, radians(arrival.heading_tolerance)
+    request = Navigate(0, poses, dwell, loops, targets[0][2] is None, stays, *tolerances)
+    if problem := request.problem():
+        raise UserError(problem, "tolerances are m from 0.01 on, and degrees from 0.6 on")
+    return request
 
 
 def drive(
@@ -72,9 +96,10 @@ def drive(
     dwell: float = 0.0,
     loops: int = 1,
     stays: tuple[float, ...] = (),
+    arrival: Arrival = AS_CONFIGURED,
 ) -> int:
     """Drives through the targets; 0 when the last was reached."""
-    request = navigate(targets, dwell, loops, stays)
+    request = navigate(targets, dwell, loops, stays, arrival)
     return _task(robot, stack, lambda c: c.ask(requests.NAVIGATE, replace(request, stamp=c.now())), place(targets[-1]))
 
 

@@ -21,6 +21,7 @@ from zenav.map_transfer import fetched, given, started
 from zenav.maps import FOLDER, found, picture_files, present, update_of, whereabouts
 from zenav.saved_map import GRAPH, map_files, read_saved_map
 from zenav.store import replace_together
+from zenav.zones import follow_map, zones_in
 
 At = tuple[float, float, float]
 """Where the robot stands on a map: m, m, degrees."""
@@ -36,7 +37,10 @@ class OnMap:
     at: At | None
 
     def read(self) -> bytes:
-        """Its graph. Raises UserError where there is none, or it is damaged, foreign or a newer program's."""
+        """Its graph. Raises UserError where there is none, or it is damaged, foreign or a newer program's, or its zones
+        are wrong.
+        """
+        zones_in(self.folder)
         return packed(read_saved_map(self.folder))
 
     def files(self) -> list[str]:
@@ -48,6 +52,7 @@ class OnMap:
         """Lets the mapper go on with it. Raises UserError where it refuses."""
         wait = Event().wait
         started(client, wait, self.mode, given(client, wait, content), _pose(self.at))
+        follow_map(client, self.folder)
 
 
 def save(robot: str, stack: str, place: str) -> None:
@@ -70,12 +75,14 @@ def save(robot: str, stack: str, place: str) -> None:
 def load(robot: str, stack: str, place: str, mode: MapMode, at: At | None) -> int:
     """Gives a saved map to the mapper, which finds the robot on it: near `at`, or wherever it is."""
     folder = found(place).parent
+    zones_in(folder)  # what is wrong with them is told before the map is another one
     with _connected(robot, stack) as client:
         on_map = OnMap(folder, mode, at)
         if (folder / GRAPH).is_file() and not place.endswith(".yaml"):
             on_map.give(client, on_map.read())
         else:
             _give_tiles(client, update_of(found(place)), mode, at)
+            follow_map(client, folder)
         return _tell_place(client)
 
 
@@ -83,6 +90,8 @@ def change(robot: str, stack: str, mode: MapMode, at: At | None) -> int:
     """Lets the mapper go on with the present map in another mode, or begin a new one."""
     with _connected(robot, stack) as client:
         started(client, Event().wait, mode, at=_pose(at))
+        if mode is MapMode.MAP:
+            follow_map(client, None)
         return _tell_place(client)
 
 

@@ -4,28 +4,22 @@
 kitchen: {x: 3.5, y: -1.2, yaw: 90}   # m, m, degrees; without yaw any heading will do
 """
 
-import re
 import sys
-from io import StringIO
 from math import degrees
 from pathlib import Path
 
 from pydantic import Field, ValidationError
-from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedMap
 
 from shared import topics
-from shared.config import RobotFile, Section, UserError, load_robot, load_yaml, nearest
+from shared.config import Section, UserError, load_robot
 from shared.messages import Localization, PoseEstimate
 from shared.reasons import POSE_LOST, POSE_OLD
 from shared.runners.transport import where_from
+from zenav.beside import NAME, Beside, folder_of
 from zenav.client import Client
 from zenav.drive import Target, poses_from
-from zenav.maps import FOLDER, found
-from zenav.store import replace_together
 
 FILE = "places.yaml"
-NAME = re.compile(r"[^\W\d][\w-]*")
 
 
 class Place(Section):
@@ -48,44 +42,13 @@ def place_at(x: float, y: float, yaw: float | None) -> Place:
         raise UserError("that is no place on a map", "give m, m, degrees within a turn") from None
 
 
-def folder_of(map_name: str) -> Path:
-    """Where the places of a saved map are; without a name those of no particular map. Raises UserError."""
-    return found(map_name).parent if map_name else FOLDER
-
-
-def read(folder: Path) -> dict[str, Place]:
-    """The places by name, in the file's order. Raises UserError on the first that is none."""
-    return {str(name): file.section(str(name), Place) for file in _file(folder) for name in file.tree}
-
-
-def place(folder: Path, name: str) -> Place:
-    """One of them. Raises UserError that names the nearest."""
-    known = read(folder)
-    if name not in known:
-        mend = nearest(name, tuple(known)) if known else "keep one: zenav places save kitchen"
-        raise UserError(f"{name!r} is no pose and no place in {folder / FILE}", mend)
-    return known[name]
+PLACES = Beside(FILE, Place, "pose and no place", "zenav places save kitchen")
+read, place, drop = PLACES.read, PLACES.one, PLACES.drop
 
 
 def keep(folder: Path, name: str, place: Place) -> bool:
     """Writes a place; True where it takes the place of one of that name. Comments in the file stay."""
-    if not NAME.fullmatch(name):
-        raise UserError(f"{name!r} is no name for a place", "begin with a letter; then letters, digits, - and _")
-    tree = next((file.tree for file in _file(folder)), CommentedMap())
-    replaced = name in tree
-    values = CommentedMap((key, value) for key, value in place.model_dump().items() if value is not None)
-    values.fa.set_flow_style()
-    tree[name] = values
-    _write(folder, tree)
-    return replaced
-
-
-def drop(folder: Path, name: str) -> None:
-    """Takes a place out of the file. Raises UserError where there is none of that name."""
-    place(folder, name)
-    tree = next(file.tree for file in _file(folder))
-    del tree[name]
-    _write(folder, tree)
+    return PLACES.keep(folder, name, place.model_dump())
 
 
 def show(map_name: str) -> None:
@@ -164,15 +127,3 @@ def _here(robot: str, stack: str) -> Place:
 def _told(place: Place) -> str:
     heading = "" if place.yaw is None else f" {place.yaw:g}"
     return f"{place.x:g} {place.y:g}{heading}"
-
-
-def _file(folder: Path) -> list[RobotFile]:
-    """The file, if there is one."""
-    path = folder / FILE
-    return [RobotFile(path, load_yaml(path))] if path.is_file() else []
-
-
-def _write(folder: Path, tree: CommentedMap) -> None:
-    stream = StringIO()
-    YAML(typ="rt").dump(tree, stream)
-    replace_together(folder, {FILE: stream.getvalue().encode()})

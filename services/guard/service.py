@@ -209,6 +209,7 @@ class GuardService(Service):
         permit = permitted(points, self.corners, *wanted, drive, field)
         target = wanted[0] * permit.share, wanted[1] * permit.share
         v, w = self._ramped(target)
+        w = drive.bent(v, w)
         # accelerating bends the arc: what goes out is judged too
         check = FREE if (v, w) == target else permitted(points, self.corners, v, w, drive, field)
         v, w = v * check.share, w * check.share
@@ -224,6 +225,7 @@ class GuardService(Service):
         share = min(1.0, *(most / abs(x) for x, most in ((v, field.creep_speed), (w, field.creep_turn_rate)) if x))
         detail = "nothing keeps the robot from what is in its way"
         v, w = self._ramped((v * share, w * share))
+        w = self.robot.drive.bent(v, w)
         return Verdict(GuardState.ACTIVE, reasons.OVERRIDE.code, name, v, w, field.creep_speed, detail)
 
     def _ramped(self, target: tuple[float, float]) -> tuple[float, float]:
@@ -255,7 +257,10 @@ def _told(
             return GuardState.IDLE, command.reason or reasons.NO_COMMAND.code
         return GuardState.ACTIVE, command.reason
     if wanted == (0.0, 0.0):
-        return GuardState.HOLD, reasons.NO_REVERSE.code
+        return GuardState.HOLD, (reasons.NO_REVERSE if command.v else reasons.NO_TURN_IN_PLACE).code
     if permit.share == 0 or (stands and slowed.share == 0):
         return GuardState.HOLD, reasons.OBSTACLE.code
-    return GuardState.ACTIVE, reasons.OBSTACLE_SLOW.code if slowed.share < 1 else ""
+    if slowed.share < 1:
+        return GuardState.ACTIVE, reasons.OBSTACLE_SLOW.code
+    # nobody else says why a robot that drives is slow
+    return GuardState.ACTIVE, command.reason if command.reason == reasons.SPEED_ZONE.code else ""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from services.local_ctrl.controller import APPROACH, Scene
 from services.local_ctrl.footprint import Footprint, clearance, touches
 from services.local_ctrl.manoeuvres import NEARER
-from services.local_ctrl.rollout import DT, Limits, arc_step, speed_after, turn_rate_after
+from services.local_ctrl.rollout import DT, Limits, arc_step, bent, speed_after, turn_rate_after
 
 Float64s = NDArray[np.float64]
 
@@ -44,6 +44,7 @@ def arc_to(
     """
     x, y, c, s, v, w = scene.x, scene.y, cos(scene.yaw), sin(scene.yaw), scene.v, scene.w
     first_v, first_w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
+    first_w = bent(first_v, first_w, limits)
     least = clearance(scene.field, scene.resolution, x, y, c, s, shape)
     # who stands too near already may leave, not come nearer
     stuck = least <= shape.padding and touches(scene.occupied, scene.resolution, x, y, c, s, shape)
@@ -52,6 +53,7 @@ def arc_to(
     n_steps, n_run = max(1, round(seconds / DT)), 0
     for t in range(n_steps):
         v, w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
+        w = bent(v, w, limits)
         chord, cosine, sine, _ = arc_step(v, w, DT)
         next_c, next_s = c * cosine - s * sine, s * cosine + c * sine
         next_x, next_y = x + chord * next_c, y + chord * next_s
@@ -92,4 +94,5 @@ def run_of(target_v: float, target_w: float, v: float, w: float, limits: Limits,
     """Fills velocities (steps, 2) with what the drive does from (v, w) on its way to the target."""
     for t in range(len(velocities)):
         v, w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
+        w = bent(v, w, limits)
         velocities[t, 0], velocities[t, 1] = v, w

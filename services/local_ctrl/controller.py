@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.local_ctrl.footprint import Footprint
+from services.local_ctrl.rollout import Limits
 
 Bools = NDArray[np.bool_]
 Float32s = NDArray[np.float32]
@@ -58,6 +59,7 @@ class Controller(Protocol):
     """Follows the path in a scene. Its velocities keep the drive's limits and accelerations from (v, w) on."""
 
     n_solved: int  # calls since the last reset
+    limits: Limits  # of the next call: the speed may be less than the drive's, as in a speed zone
 
     def reset(self) -> None:
         """Forgets what it did: the next call starts from a stand."""

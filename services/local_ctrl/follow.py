@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """How a plan is driven: turn towards it on the spot, follow it by a controller, stop at its end, turn as it says."""
 
-from math import atan2, copysign, hypot, pi
+from math import atan2, copysign, hypot, isinf, pi, sqrt
 
 import numpy as np
 from pydantic import Field
 
-from services.local_ctrl.controller import Controller, Scene
+from services.local_ctrl.controller import APPROACH, Controller, Scene
 from services.local_ctrl.distance_to_go import DistanceToGoConfig, distance_to_go
-from services.local_ctrl.footprint import Footprint
+from services.local_ctrl.footprint import Float64s, Footprint, sampled
 from services.local_ctrl.local_costmap import LocalCostmap
-from services.local_ctrl.local_plan import Ahead, LocalPlan
+from services.local_ctrl.local_plan import LEAP, SPACING, Ahead, LocalPlan, until_turned
 from services.local_ctrl.manoeuvres import TURN_LOOK, Outcome, braking, free_turn, turn_command
 from services.local_ctrl.rollout import DT, Limits, Motion, speed_after
+from services.local_ctrl.zones import LocalZones
 from shared import reasons
 from shared.config import Section
 from shared.geometry import Pose2, wrapped
@@ -20,6 +21,13 @@ from shared.messages import FollowState, Goal
 
 SLOW = 0.05  # m/s
 BRAKING_ROOM = 0.3  # m
+ARC_LEAP = 2.0  # radii along the path within which who drives in arcs is looked for: never across a loop
+ARC_AHEAD = 1.9  # rad that the path ahead turns at most, for who drives in arcs
+BEYOND = 1.5  # radii beyond the goal that who cannot turn there steers for
+CREEP = 0.06  # m/s
+BESIDE_ARCS = 4.0  # slowness a metre beside the plan, and at most, for who drives in arcs
+NOWHERE: Float64s = np.empty((0, 2))
+MISSED = FollowState.FAILED, reasons.HEADING_MISSED.code
 RIM = 0.25  # m of the window that the path keeps off: the field around its end needs room
 
 
@@ -48,9 +56,13 @@ class Follower:
         controller: Controller,
         limits: Limits,
         footprint: Footprint,
+        zones: LocalZones,
     ) -> None:
-        self.config, self.to_go, self.limits, self.footprint = config, to_go, limits, footprint
-        self.controller = controller
+        self.config, self.limits, self.footprint = config, limits, footprint
+        # an arc that was planned is there for a reason: its chord is no way for who must keep it
+        stays = {"beside_plan": BESIDE_ARCS, "beside_plan_at_most": BESIDE_ARCS}
+        self.to_go = to_go if isinf(limits.curvature) else to_go.model_copy(update=stays)
+        self.controller, self.zones = controller, zones
         self.reset()
 
     def reset(self) -> None:
@@ -58,6 +70,7 @@ class Follower:
         self.controller.reset()
         self.turning = 0.0  # which way round, 0: not turning
         self.at_end = False
+        self.missed = False  # the goal's heading: it stands at the plan's end and needs another plan
         self.n_stalled = 0
 
     def follow(
@@ -65,13 +78,27 @@ class Follower:
     ) -> Outcome:
         """One tick. motion: where the robot will be when the command acts, in `odom`."""
         window = costmap.resolution * len(costmap.field) / 2 - RIM
-        ahead = plan.ahead(odom_from_map, motion.pose, window)
+        arcs = not isinf(self.limits.curvature)
+        leap = min(LEAP, ARC_LEAP / self.limits.curvature) if arcs else LEAP
+        ahead = plan.ahead(odom_from_map, motion.pose, window, leap)
         if np.abs(ahead.points[0] - (motion.pose.x, motion.pose.y)).max() > window:
             self.reset()  # nothing in sight leads there, or to anything else: the plan is one for another place
             return braking(motion, self.limits, FollowState.BLOCKED, reasons.POSE_JUMPED.code)
         left = ahead.left + hypot(ahead.points[0, 0] - motion.pose.x, ahead.points[0, 1] - motion.pose.y)
         if self._ended(ahead, goal, motion, odom_from_map, plan):
             return self._turned_to_goal(ahead.end.yaw, goal, costmap, motion)
+        if not self.limits.spins and ahead.left == 0.0 and abs(self._behind(ahead, motion)) > 0.5 * pi:
+            self.missed = True  # it drove past
+            return braking(motion, self.limits, *MISSED)
+        if arcs:
+            ahead = until_turned(ahead, ARC_AHEAD)
+        self.controller.limits = self.zones.limited(self.limits, ahead.points, motion, odom_from_map)
+        slow = reasons.SPEED_ZONE.code if self.controller.limits.v_max < self.limits.v_max else ""
+        led_on = arcs and not self.limits.spins and ahead.ends and goal.yaw_tolerance <= pi
+        beyond = self._beyond(ahead, costmap) if led_on else NOWHERE
+        if len(beyond):
+            self.controller.limits = stopping(self.controller.limits, motion.pose.distance(ahead.end))
+            ahead = ahead._replace(points=np.concatenate((ahead.points, beyond)), ends=False)
         scene, closed = self._scene(ahead, costmap, motion)
         if not closed and (outcome := self._turned_to_way(scene, costmap, motion, left)) is not None:
             return outcome
@@ -81,7 +108,17 @@ class Follower:
         if solution.collides or self.n_stalled * DT >= self.config.stalled_after:
             return braking(motion, self.limits, FollowState.BLOCKED, reasons.BLOCKED.code, left)
         v, w = solution.velocities[0]
-        return Outcome(float(v), float(w), FollowState.FOLLOWING, "", left)
+        return Outcome(float(v), float(w), FollowState.FOLLOWING, slow, left)  # slow: no stop, but people ask why
+
+    def _beyond(self, ahead: Ahead, costmap: LocalCostmap) -> Float64s:
+        """(n, 2) m in `odom`: straight on from the path's end while the robot fits. Who steers for a point there
+        passes the end with its heading, which who steers for the end itself does not.
+        """
+        along = SPACING * np.arange(1, int(BEYOND / self.limits.curvature / SPACING) + 1)
+        points = ahead.end @ np.column_stack((along, np.zeros(len(along))))
+        cells = (points - (costmap.x0, costmap.y0)) / costmap.resolution
+        fits = [sampled(costmap.field, x, y) > self.footprint.circumscribed for x, y in cells.tolist()]
+        return points[: fits.index(False) if False in fits else len(fits)]
 
     def _scene(self, ahead: Ahead, costmap: LocalCostmap, motion: Motion) -> tuple[Scene, bool]:
         """What the rollouts meet, and whether the robot stands where every way is closed."""
@@ -122,20 +159,31 @@ class Follower:
         if self.at_end:
             # stopping may carry it out again; then it comes back
             self.at_end = away < (near if abs(motion.v) < SLOW else near + BRAKING_ROOM)
-        elif ahead.ends:
-            passed = abs(wrapped(motion.pose.bearing(ahead.end) - motion.pose.yaw)) > 0.5 * pi
+        elif ahead.ends and (self.limits.spins or ahead.left < near + BRAKING_ROOM):  # else an arc leads there first
+            passed = abs(self._behind(ahead, motion)) > 0.5 * pi
             self.at_end = away < 0.2 * near or (away < near and (passed or abs(motion.v) < SLOW))
         return self.at_end
+
+    @staticmethod
+    def _behind(ahead: Ahead, motion: Motion) -> float:
+        """rad from the robot's heading to the path's end."""
+        return wrapped(motion.pose.bearing(ahead.end) - motion.pose.yaw)
 
     def _turned_to_goal(self, yaw: float, goal: Goal, costmap: LocalCostmap, motion: Motion) -> Outcome:
         left = wrapped(yaw - motion.pose.yaw)
         if goal.yaw_tolerance > pi or abs(left) < 0.7 * goal.yaw_tolerance:
             standing = abs(motion.v) < 0.02 and abs(motion.w) < 0.05
             return braking(motion, self.limits, FollowState.ARRIVED if standing else FollowState.FOLLOWING, "")
+        if not self.limits.spins:
+            near = abs(left) <= goal.yaw_tolerance
+            self.missed = not near
+            return braking(motion, self.limits, *((FollowState.ARRIVED, "") if near else MISSED))
         return self._turn(self._way_round(left, costmap, motion), costmap, motion, 0.0)
 
     def _turned_to_way(self, scene: Scene, costmap: LocalCostmap, motion: Motion, left: float) -> Outcome | None:
-        """Turning on the spot until the way lies ahead; None where there is no need to, or no room."""
+        """Turning on the spot until the way lies ahead; None where there is no need to, no room, or it may not."""
+        if not self.limits.spins:
+            return None
         x, y = self.controller.ahead(scene, self.config.look)
         error = wrapped(atan2(y - scene.y, x - scene.x) - scene.yaw) if hypot(x - scene.x, y - scene.y) > 0.15 else 0.0
         if self.turning:
@@ -172,3 +220,9 @@ class Follower:
         v = speed_after(motion.v, 0.0, self.limits, DT)
         w = turn_command(angle, motion.w, self.limits, DT, min(self.config.turn_rate, self.limits.w_max))
         return Outcome(v, w, FollowState.FOLLOWING, "", left)
+
+
+def stopping(limits: Limits, left: float) -> Limits:
+    """The limits for a robot that is to stop in so many m, but creeps on until it is there."""
+    most = max(CREEP, sqrt(2.0 * APPROACH * limits.braking * left))
+    return limits._replace(v_max=min(limits.v_max, most))

@@ -59,6 +59,7 @@ class LocalCostmap:
         self.static: Int8s = np.full((n, n), -1, np.int8)
         self.occupied: Bools = np.zeros((n, n), bool)
         self.unknown: Bools = np.ones((n, n), bool)
+        self.forbidden: Bools | None = None  # by keep-out zones, whatever is seen there
         self.field: Float32s = np.full((n, n), CAP, np.float32)
         self.movers = Movers(config.movers)
         self.moving: Float64s = self.movers.discs(0)  # (k, 5), see Movers.discs, in `odom`, when a command acts
@@ -155,6 +156,8 @@ class LocalCostmap:
             self.occupied,
             self.unknown,
         )
+        if self.forbidden is not None:
+            self.occupied |= self.forbidden
         pose = (here.x - self.x0, here.y - self.y0, cos(here.yaw), sin(here.yaw))
         _clear_own(self.evidence, self.echo_at, self.occupied, self.resolution, pose, footprint)
         distance_field_into(self.occupied, self.resolution, self.field)

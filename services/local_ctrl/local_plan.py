@@ -13,6 +13,7 @@ Float64s = NDArray[np.float64]
 SPACING = 0.05  # m between the resampled points
 LEAP = 3.0  # m along the path within which the robot is looked for: it never skips a loop of the path
 SAME_PLACE = 0.2  # m
+STRIDE = 2  # points between two of which a heading is taken
 
 
 class Ahead(NamedTuple):
@@ -36,19 +37,32 @@ class LocalPlan:
     def same_as(self, other: "LocalPlan") -> bool:
         return self.end == other.end and np.array_equal(self.points, other.points)
 
-    def ahead(self, odom_from_map: Pose2, here: Pose2, reach: float) -> Ahead:
-        """The path from the point nearest to `here` (in `odom`) until it first is over `reach` m (by axis) away."""
+    def ahead(self, odom_from_map: Pose2, here: Pose2, reach: float, leap: float = LEAP) -> Ahead:
+        """The path from the point nearest to `here` (in `odom`) until it first is over `reach` m (by axis) away.
+
+        leap: m along the path from the last point on within which that is looked for.
+        """
         at = odom_from_map.inverse() @ here
         if self.i_nearest is None:
             # the plan may be older than the robot's place on it; of several legs that pass here, the first counts
             away = np.hypot(self.points[:, 0] - at.x, self.points[:, 1] - at.y)
             self.i_nearest = int(np.argmax(away <= away.min() + SAME_PLACE))
-        near = self.points[self.i_nearest : self.i_nearest + int(LEAP / SPACING)]
+        near = self.points[self.i_nearest : self.i_nearest + max(2, int(leap / SPACING))]
         self.i_nearest += int(np.argmin((near[:, 0] - at.x) ** 2 + (near[:, 1] - at.y) ** 2))
         rest = odom_from_map @ self.points[self.i_nearest :]
         outside = np.abs(rest - (here.x, here.y)).max(axis=1) > reach
         n = int(np.argmax(outside)) if outside.any() else len(rest)
         return Ahead(rest[: max(1, n)], (len(rest) - 1) * SPACING, n == len(rest), odom_from_map @ self.end)
+
+
+def until_turned(ahead: Ahead, most: float) -> Ahead:
+    """The way until it has turned by over `most` rad: who turns in arcs is led along them, not across them."""
+    legs = np.diff(ahead.points[::STRIDE], axis=0)
+    turned = np.unwrap(np.arctan2(legs[:, 1], legs[:, 0]))
+    beyond = np.flatnonzero(np.abs(turned - turned[0]) > most) if len(turned) else turned
+    if not len(beyond):
+        return ahead
+    return ahead._replace(points=ahead.points[: STRIDE * int(beyond[0]) + 1], ends=False)
 
 
 def resampled(points: Float64s, spacing: float = SPACING) -> Float64s:

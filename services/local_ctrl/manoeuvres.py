@@ -59,6 +59,8 @@ class Manoeuvre:
         self.last_yaw = motion.pose.yaw
         if self.done:
             return braking(motion, limits, FollowState.ARRIVED)
+        if self.goal.kind is GoalKind.TURN and not limits.spins:
+            return braking(motion, limits, FollowState.FAILED, reasons.NO_TURN_IN_PLACE.code)
         x, y, yaw = motion.pose.x - costmap.x0, motion.pose.y - costmap.y0, motion.pose.yaw
         scene = costmap.field, costmap.occupied, costmap.resolution, x, y, yaw
         if self.goal.kind is GoalKind.BACK_UP:

@@ -17,7 +17,7 @@ from pydantic import Field
 from services.local_ctrl.controller import APPROACH, Considered, Scene, Solution
 from services.local_ctrl.distance_to_go import carrot, to_go_at
 from services.local_ctrl.footprint import Footprint, clearance, sampled, touches
-from services.local_ctrl.rollout import DT, Limits, arc_step, speed_after, turn_rate_after
+from services.local_ctrl.rollout import DT, Limits, arc_step, bent, speed_after, turn_rate_after
 from shared.config import Section
 
 Bools = NDArray[np.bool_]
@@ -95,6 +95,7 @@ class Weights(NamedTuple):
 
 
 REACTION = 0.2  # s that a guard counts on between a command and the wheels' answer
+LEAST_TURNING = 0.4  # share of the speed that is left to who can turn only while it drives
 N_GUESSES = 9  # rollouts that are not noise: the last solution, standing still, seven that go downhill
 
 
@@ -219,13 +220,14 @@ def _downhill(speed: float, look: float, scene: Scene, limits: Limits, targets: 
             ahead, aside = -ahead, -aside
         error = atan2(aside, ahead) if away > 1e-6 else 0.0
         target_w = 2.5 * error
-        target_v = speed * max(0.0, 1.0 - abs(error) / 0.9)
+        target_v = speed * max(LEAST_TURNING if limits.curvature < inf else 0.0, 1.0 - abs(error) / 0.9)
         if scene.ends:
             rest = hypot(scene.end_x - x, scene.end_y - y)
             most = sqrt(2.0 * APPROACH * limits.braking * rest)
             target_v = min(max(target_v, -most), most)
         targets[t, 0], targets[t, 1] = target_v, target_w
         v, w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
+        w = bent(v, w, limits)
         chord, cosine, sine, _ = arc_step(v, w, DT)
         c, s = c * cosine - s * sine, s * cosine + c * sine
         x, y = x + chord * c, y + chord * s
@@ -258,6 +260,7 @@ def _evaluate(
         for t in range(steps):
             v_before, w_before = v, w
             v, w = speed_after(v, targets[k, t, 0], limits, DT), turn_rate_after(w, targets[k, t, 1], limits, DT)
+            w = bent(v, w, limits)
             executed[k, t, 0], executed[k, t, 1] = v, w
             chord, cosine, sine, _ = arc_step(v, w, DT)
             c, s = c * cosine - s * sine, s * cosine + c * sine

@@ -107,7 +107,7 @@ def _pursued(
     if away < SHORTEST or (ahead < 0.0 and limits.v_min == 0.0):
         stand = arc_to(0.0, 0.0, seconds, buffer, scene, limits, shape)
         return 0.0, 0.0, stand
-    curvature = 2.0 * aside / (away * away)
+    curvature = min(max(2.0 * aside / (away * away), -limits.curvature), limits.curvature)
     room = clearance(scene.field, scene.resolution, scene.x, scene.y, c, s, shape)
     speed = _regulated(curvature, room, limits, regulation)
     if ahead < 0.0:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where does a differential drive go under a command: velocity and acceleration limits, exact arcs, actuation delay."""
 
-from math import cos, sin
+from math import cos, inf, sin
 from typing import NamedTuple
 
 from numba import njit
@@ -14,7 +14,10 @@ MAX_STEP = 20_000_000  # ns: accelerations are predicted this finely
 
 
 class Limits(NamedTuple):
-    """What the drive can do: m/s, rad/s, m/s^2, rad/s^2. `v_min` is not positive."""
+    """What the drive can do: m/s, rad/s, m/s^2, rad/s^2, 1/m. `v_min` is not positive.
+
+    curvature: of the tightest arc, inf without a limit; `spins`: it may turn on the spot.
+    """
 
     v_min: float
     v_max: float
@@ -22,6 +25,8 @@ class Limits(NamedTuple):
     acceleration: float
     braking: float
     turn_acceleration: float
+    curvature: float = inf
+    spins: bool = True
 
 
 class Motion(NamedTuple):
@@ -41,14 +46,20 @@ class Command(NamedTuple):
 
 
 def limits_of(drive: Drive, max_speed: float, max_reverse_speed: float) -> Limits:
-    """The drive's limits, with the speeds that the configuration asks for where they are lower."""
+    """The drive's limits, with the speeds that the configuration asks for where they are lower.
+
+    Who must not turn tighter than his arc brakes no harder than his turning can follow.
+    """
+    radius = drive.min_turning_radius
     return Limits(
         -min(drive.max_reverse_speed, max_reverse_speed),
         min(drive.max_speed, max_speed),
         drive.max_turn_rate,
         drive.max_acceleration,
-        drive.max_braking,
+        min(drive.max_braking, drive.max_turn_acceleration * radius) if radius else drive.max_braking,
         drive.max_turn_acceleration,
+        1.0 / radius if radius else inf,
+        drive.turns_in_place,
     )
 
 
@@ -73,6 +84,15 @@ def turn_rate_after(w: float, target: float, limits: Limits, dt: float) -> float
     target = min(max(target, -limits.w_max), limits.w_max)
     change = limits.turn_acceleration * dt
     return min(max(target, w - change), w + change)
+
+
+@njit(cache=True, nogil=True)
+def bent(v: float, w: float, limits: Limits) -> float:
+    """The turn rate nearest to w that at a speed of v is on an arc which the drive may drive."""
+    if limits.curvature == inf:
+        return w
+    most = abs(v) * limits.curvature
+    return min(max(w, -most), most)
 
 
 @njit(cache=True, nogil=True)

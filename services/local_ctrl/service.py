@@ -23,6 +23,7 @@ from services.local_ctrl.mppi import Mppi, MppiConfig
 from services.local_ctrl.pursuit import Pursuit, PursuitConfig
 from services.local_ctrl.rollout import DT, Command, Limits, Motion, limits_of, predicted
 from services.local_ctrl.view import View
+from services.local_ctrl.zones import LocalZones
 from shared import reasons, requests, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2
@@ -39,6 +40,7 @@ from shared.messages import (
     PoseEstimate,
     RangeReadings,
     Velocity,
+    Zones,
 )
 from shared.requests import Reply, Watch
 from shared.service import Answer, Out, Service, answer, every, on
@@ -90,7 +92,10 @@ class LocalCtrlService(Service):
         self.costmap = LocalCostmap(config.costmap, reach, config.latency)
         self.inputs = Inputs(config.ages)
         controller = CONTROLLERS[config.controller](config, self.limits)
-        self.follower = Follower(config.follow, config.distance_to_go, controller, self.limits, self.footprint)
+        self.zones = LocalZones(robot.circumscribed_radius)
+        self.follower = Follower(
+            config.follow, config.distance_to_go, controller, self.limits, self.footprint, self.zones
+        )
         self.grid = OccupancyGrid()
         self.goal: Goal | None = None
         self.goal_since = 0  # ns
@@ -152,6 +157,11 @@ class LocalCtrlService(Service):
         self.grid.apply(update)
         return ()
 
+    @on(topics.ZONES)
+    def new_zones(self, zones: Zones) -> Out:
+        self.zones.take(zones)
+        return ()
+
     @on(topics.GOAL)
     def new_goal(self, goal: Goal) -> Out:
         if self.goal is not None and (goal.id, goal.kind, goal.amount) == (
@@ -166,7 +176,7 @@ class LocalCtrlService(Service):
         self.goal, self.goal_since, self.manoeuvre = goal, self.now, None
         if goal.clear_costmap:
             self.costmap.forget()
-        if driving:
+        if driving and not self.follower.missed:
             self.follower.at_end = False
         else:
             self.follower.reset()
@@ -191,6 +201,7 @@ class LocalCtrlService(Service):
         n_elapsed = round((self.now - self.last_tick) / (DT * S)) if self.last_tick else 0
         self.last_tick = self.now
         outcome = self._outcome(n_elapsed)
+        outcome = outcome._replace(w=self.robot.drive.bent(outcome.v, outcome.w))
         self.commands.append(Command(self.now, outcome.v, outcome.w))
         yield topics.CMD_NAV(Velocity(self.now, outcome.v, outcome.w, outcome.reason))
         goal_id = self.goal.id if self.goal is not None else 0
@@ -224,7 +235,8 @@ class LocalCtrlService(Service):
         if goal.kind is not GoalKind.DRIVE:
             if self.manoeuvre is None:
                 self.manoeuvre = Manoeuvre(goal, motion.pose, self.now, self.config.manoeuvres)
-            return self.manoeuvre.step(self.costmap, motion, self.limits, self.footprint, self.now)
+            limits = self.zones.limited(self.limits, np.empty((0, 2)), motion, self.inputs.odom_from_map)
+            return self.manoeuvre.step(self.costmap, motion, limits, self.footprint, self.now)
         if (reason := self._no_plan(goal)) is not None or self.plan is None:
             self.follower.reset()
             code = reason or reasons.NO_PLAN.code
@@ -256,6 +268,9 @@ class LocalCtrlService(Service):
         here = self.inputs.history[-1].odom_from_base
         costmap.recentre(here.x, here.y)
         costmap.lay(self.grid, self.inputs.odom_from_map)
+        if self.inputs.pose is not None:
+            window = costmap.x0, costmap.y0, costmap.resolution, len(costmap.field)
+            costmap.forbidden = self.zones.forbidden(self.inputs.odom_from_map, here, window)
         costmap.refresh(self.now, here, self.footprint)
 
     def warm(self) -> None:

@@ -57,6 +57,8 @@ class Verdict(StrEnum):
 
 
 _REFUSED = {reasons.GOAL_OUTSIDE.code, reasons.GOAL_BLOCKED.code, reasons.GOAL_UNKNOWN.code}
+_FORBIDDEN = {reasons.GOAL_KEEP_OUT.code}
+"""Of a goal that no recovery makes a goal again."""
 _STARTING = {reasons.NO_MAP.code, reasons.POSE_OLD.code, reasons.POSE_LOST.code}
 
 
@@ -133,9 +135,9 @@ class Leg:
     def _on_refusal(self, reason: Reason, config: LegConfig) -> tuple[Verdict, Reason]:
         if reason.code in _STARTING:
             return (Verdict.FAIL if self.refused >= config.start_time else Verdict.GO_ON), reason
-        if reason.code in _REFUSED and not self.planned:
+        if reason.code in _FORBIDDEN or (reason.code in _REFUSED and not self.planned):
             return (Verdict.FAIL if self.refused >= config.refused_time else Verdict.GO_ON), reason
         if self.refused < config.unreachable_time:
             return Verdict.GO_ON, reason
-        stuck = reason is reasons.START_BLOCKED
+        stuck = reason in (reasons.START_BLOCKED, reasons.NO_ROOM_TO_TURN)  # from elsewhere there may be a way
         return (Verdict.RECOVER if self.planned or stuck else Verdict.FAIL), reason

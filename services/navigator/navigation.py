@@ -21,8 +21,10 @@ from shared.messages import TILE_CELLS, FollowState, FollowStatus, Goal, GoalKin
 from shared.reasons import Reason
 from shared.service import Job, Out
 from shared.whereabouts import Whereabouts
+from shared.zones import KeepOut, NamedZoneConfig, laid
 
 _ANY_HEADING = 10.0  # rad of tolerance
+_TOLD_AS_THEY_ARE = reasons.UNREACHABLE, reasons.START_BLOCKED, reasons.NO_ROOM_TO_TURN
 _JUMP_SHOWN = 2.0  # s
 _SEARCH_EVERY = 0.5  # s
 _SEARCH_LOST = 10.0  # s after which the answer of a search is not waited for any more
@@ -33,6 +35,9 @@ class NavigatorConfig(Section):
 
     tolerance: float = Field(0.15, ge=0.01, le=5, description="m to the goal at which it is reached")
     yaw_tolerance: float = Field(0.25, ge=0.01, le=3.14, description="rad to the goal's heading at which it is reached")
+    zones: tuple[NamedZoneConfig, ...] = Field(
+        (), description="keep-out and speed zones on every map; those of one map: zenav zones"
+    )
     lost_time: float = Field(2.0, ge=0, le=60, description="s that the pose may be lost until the robot is stopped")
     leg: LegConfig = LegConfig()
     recovery: RecoveryConfig = RecoveryConfig()
@@ -45,6 +50,7 @@ class Navigation:
     def __init__(self, config: NavigatorConfig, robot: Robot) -> None:
         self.config, self.robot = config, robot
         self.grid, self.where, self.hearing = OccupancyGrid(), Whereabouts(), Hearing()
+        self.keep_out = KeepOut(robot.circumscribed_radius)
         self.task: Route | Exploration | None = None
         self.task_id = 0
         self.state = NavState.IDLE
@@ -113,11 +119,10 @@ class Navigation:
 
     def _passes(self, follow: FollowStatus, leg: Leg) -> bool:
         """Whether the robot is under way at a pose of its route where it need not stop."""
-        pose, near = self.where.map_from_base, self.config.tolerance
-        under_way = follow.state is FollowState.FOLLOWING and not self.suspended
-        if pose is None or not under_way or pose.distance(leg.target) > near:
+        pose, under_way = self.where.map_from_base, follow.state is FollowState.FOLLOWING and not self.suspended
+        if pose is None or not under_way or not isinstance(self.task, Route):
             return False
-        return isinstance(self.task, Route) and self.task.passes(near)
+        return self.task.passes and pose.distance(leg.target) <= self.task.tolerance
 
     def leapt(self, now: int) -> Out:
         """The pose jumped: the way is planned anew from where the robot really is."""
@@ -222,7 +227,7 @@ class Navigation:
             yield from self._give_up(reason, now, whole=False)
             return
         if step is None:
-            named = reason if reason in (reasons.UNREACHABLE, reasons.START_BLOCKED) else reasons.RECOVERIES_USED
+            named = reason if reason in _TOLD_AS_THEY_ARE else reasons.RECOVERIES_USED
             yield from self.end(now, NavState.FAILED, named, f"{named.text}; the last cause: {reason.text}")
             return
         leg.n_recoveries += 1
@@ -273,21 +278,26 @@ class Navigation:
         self, now: int, kind: GoalKind, pose: Pose2 | None = None, amount: float = 0.0, clear_costmap: bool = False
     ) -> topics.Publication:
         """A new goal. Numbers from the clock are larger than those of a navigator before a restart."""
-        exploring = isinstance(self.task, Exploration)
         self.goal = Goal(
             now,
             max(self.goal.id + 1 if self.goal else 1, now // 1_000_000),
             kind,
             pose or Pose2(),
-            self.config.exploration.tolerance if exploring else self.config.tolerance,
-            _ANY_HEADING if self.leg is None or self.leg.any_heading else self.config.yaw_tolerance,
+            *self._tolerances(),
             amount,
             clear_costmap,
         )
         return topics.GOAL(self.goal)
 
+    def _tolerances(self) -> tuple[float, float]:
+        """m and rad to a pose of the task at which it is reached."""
+        if isinstance(self.task, Route):
+            aligned = self.leg is not None and not self.leg.any_heading
+            return self.task.tolerance, self.task.yaw_tolerance if aligned else _ANY_HEADING
+        return self.config.exploration.tolerance if self.task else self.config.tolerance, _ANY_HEADING
+
     def _new_ladder(self) -> Ladder:
-        return Ladder(self.config.recovery, self.robot.drive.max_reverse_speed > 0)
+        return Ladder(self.config.recovery, self.robot.drive)
 
     # exploring
 
@@ -303,8 +313,9 @@ class Navigation:
             return
         due = self.searched >= _SEARCH_EVERY and self.searching >= _SEARCH_LOST
         if due and not (self.action or self.suspended):
+            self.keep_out.moved(pose)
             snapshot = Snapshot(
-                grid.cells,
+                laid(grid, self.keep_out.holding),  # nobody explores where nobody may drive
                 grid.first_row * TILE_CELLS,
                 grid.first_column * TILE_CELLS,
                 grid.resolution,

@@ -7,7 +7,7 @@ from math import inf
 from pydantic import Field
 
 from shared import reasons
-from shared.config import Section
+from shared.config import Drive, Section
 from shared.geometry import Pose2
 from shared.messages import GoalKind
 from shared.reasons import Reason
@@ -40,8 +40,8 @@ class Step:
         return self.kind in (GoalKind.BACK_UP, GoalKind.TURN)
 
 
-def steps(config: RecoveryConfig, reverse: bool) -> tuple[Step, ...]:
-    """The recoveries in order. reverse: the robot may drive backward."""
+def steps(config: RecoveryConfig, drive: Drive) -> tuple[Step, ...]:
+    """The recoveries in order, without those that the drive cannot do."""
     every = (
         Step("replan"),
         Step("clear_costmap", clear_costmap=True),
@@ -50,15 +50,17 @@ def steps(config: RecoveryConfig, reverse: bool) -> tuple[Step, ...]:
         Step("turn_right", GoalKind.TURN, -config.turn, takes=config.deadline),
         Step("wait", GoalKind.WAIT, config.wait, takes=config.wait + 1),
     )
-    return tuple(s for s in every if s.kind is GoalKind.DRIVE or (s.amount and (reverse or s.name != "back_up")))
+    cannot = {GoalKind.BACK_UP} if drive.max_reverse_speed == 0 else set()
+    cannot |= set() if drive.turns_in_place else {GoalKind.TURN}
+    return tuple(s for s in every if s.kind is GoalKind.DRIVE or (s.amount and s.kind not in cannot))
 
 
 class Ladder:
     """How far down the recoveries the robot is. It starts over only after real progress."""
 
-    def __init__(self, config: RecoveryConfig, reverse: bool) -> None:
+    def __init__(self, config: RecoveryConfig, drive: Drive) -> None:
         self.config = config
-        self.steps = steps(config, reverse)
+        self.steps = steps(config, drive)
         self.n_used = 0  # of the task
         self.last: Reason = reasons.NO_PROGRESS  # why the last one was needed
         self._next = 0

@@ -9,12 +9,14 @@ from shared.geometry import Pose2
 
 @dataclass(slots=True)
 class Route:
-    """Where a route stands. loops: rounds, 0 for ever; dwells: s at each of the poses."""
+    """Where a route stands. loops: rounds, 0 for ever; dwells: s at each of the poses; tolerance: m, rad."""
 
     poses: tuple[Pose2, ...]
     dwells: tuple[float, ...]
     loops: int
     any_heading: bool
+    tolerance: float
+    yaw_tolerance: float
     index: int = 0
     round: int = 0
 
@@ -27,12 +29,13 @@ class Route:
         """s to stay at the present pose."""
         return self.dwells[self.index]
 
-    def passes(self, tolerance: float) -> bool:
-        """Whether the robot need not stop here: no stay, no heading, and the next pose is over `tolerance` m away."""
+    @property
+    def passes(self) -> bool:
+        """Whether the robot need not stop here: no stay, no heading, and the next pose is not reached here too."""
         last = self.index + 1 == len(self.poses)
         if self.dwell or not self.any_heading or (last and self.loops and self.round + 1 >= self.loops):
             return False
-        return self.target.distance(self.poses[0 if last else self.index + 1]) > tolerance
+        return self.target.distance(self.poses[0 if last else self.index + 1]) > self.tolerance
 
     def advance(self) -> bool:
         """Goes on to the next pose; False where there is none."""

@@ -1,17 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """The navigator: goes to poses, follows routes, explores; recovers where it can and says why where it cannot."""
 
+from dataclasses import replace
+
 from services.navigator.exploration import Exploration
 from services.navigator.feedback import Speedometer, status
 from services.navigator.frontiers import Frontiers
 from services.navigator.navigation import Navigation, NavigatorConfig, rehearse
 from services.navigator.route import Route
+from services.navigator.zones import HeldZones
 from shared import reasons, requests, topics
 from shared.config import Robot
-from shared.messages import FollowStatus, GuardState, GuardStatus, MapUpdate, NavState, Odometry, Path, PoseEstimate
-from shared.requests import Cancel, Explore, Navigate, Pause, Reply
+from shared.messages import (
+    FollowStatus,
+    GuardState,
+    GuardStatus,
+    MapUpdate,
+    NavState,
+    Odometry,
+    Path,
+    PoseEstimate,
+    Zones,
+)
+from shared.requests import Cancel, Explore, Navigate, Pause, Reply, SetZones
 from shared.service import Answer, Out, Service, answer, every, on
 from shared.topics import Publication
+from shared.zones import forbidding
 
 _LONGEST_TICK = 1.0  # s: what a clock leaps beyond that did not pass for the robot
 _FIRST_TICK = 0.2  # s
@@ -26,6 +40,7 @@ class NavigatorService(Service):
     def __init__(self, config: NavigatorConfig, robot: Robot) -> None:
         super().__init__(config, robot)
         self.navigation = Navigation(config, robot)
+        self.zones = HeldZones(config.zones)
         self.speedometer = Speedometer(robot.drive.max_speed / 2)
         self.velocity = 0.0  # m/s
         self.ticked: int | None = None
@@ -72,8 +87,15 @@ class NavigatorService(Service):
             state = NavState.CANCELED if guard.state is GuardState.STOPPED else NavState.FAILED
             yield from self.navigation.end(self.now, state, stopped)
 
+    @on(topics.ZONES)
+    def zones_before_the_restart(self, zones: Zones) -> Out:
+        self.zones.remember(zones)
+        return ()
+
     @every(hz=5)
     def tick(self) -> Out:
+        if not self.zones.told:
+            yield self._zones()
         since = _FIRST_TICK if self.ticked is None else (self.now - self.ticked) * 1e-9
         seconds = min(max(since, 0.0), _LONGEST_TICK)
         self.ticked = self.now
@@ -87,9 +109,20 @@ class NavigatorService(Service):
 
     @answer(requests.NAVIGATE)
     def navigate(self, request: Navigate) -> Answer[Reply]:
+        for number, pose in enumerate(request.poses, 1):
+            if zone := forbidding(self.zones.zones, pose):
+                where = f"pose {number} of {len(request.poses)} is in {zone.name}"
+                return replace(self._reply(reasons.GOAL_KEEP_OUT), detail=where)
         dwells = request.dwells or (request.dwell,) * len(request.poses)
-        route = Route(request.poses, dwells, request.loops, request.any_heading)
+        tolerances = request.tolerance or self.config.tolerance, request.yaw_tolerance or self.config.yaw_tolerance
+        route = Route(request.poses, dwells, request.loops, request.any_heading, *tolerances)
         return (yield from self._begin(route))
+
+    @answer(requests.SET_ZONES)
+    def set_zones(self, request: SetZones) -> Answer[Reply]:
+        self.zones.set(request)
+        yield self._zones()
+        return self._reply(None)
 
     @answer(requests.EXPLORE)
     def explore(self, request: Explore) -> Answer[Reply]:
@@ -120,6 +153,12 @@ class NavigatorService(Service):
     def _reply(self, refused: reasons.Reason | None) -> Reply:
         why = f"{refused.text}: {refused.mend}" if refused else ""
         return Reply(self.now, refused is None, refused.code if refused else "", why, self.navigation.task_id)
+
+    def _zones(self) -> Publication:
+        held = Zones(self.now, self.zones.zones)
+        self.zones.told = True
+        self.navigation.keep_out.take(held)
+        return topics.ZONES(held)
 
     def _status(self) -> Publication:
         return topics.NAV(status(self.navigation, self.speedometer, self.now))

@@ -3,23 +3,32 @@
 
 import heapq
 from dataclasses import dataclass
-from math import ceil, hypot, nextafter
+from math import ceil, cos, hypot, nextafter, sin
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.planner.lines import path_cost
+from services.planner.curved import curved
+from services.planner.lines import line_cost, path_cost
 from services.planner.outline import Outline
 from services.planner.smoothing import headings, resampled, smoothed
 from services.planner.traversal_cost import UNIT, Terrain
 from shared import reasons
 from shared.config import Section
-from shared.geometry import Pose2, wrapped
+from shared.geometry import Pose2, wrapped, wrapped_all
 from shared.reasons import Reason
 
 Float64s = NDArray[np.float64]
 Cell = tuple[int, int]
+
+STEERING = 1.2
+"""How much wider than the tightest a planned arc is where there is room: what is left is for getting back onto it."""
+RUN_IN = 0.8
+"""Radii straight ahead before a goal with a heading, where there is room."""
+SPINS_FROM = 1.0
+"""rad off its way from which a standing robot turns on the spot before it starts, as local control's `turn_from`."""
 
 
 class PlanningConfig(Section):
@@ -49,22 +58,47 @@ def no_plan(reason: Reason) -> Plan:
     return Plan(np.empty((0, 2)), np.empty(0), 0.0, reason)
 
 
+class Turning(NamedTuple):
+    """How a robot turns that does not turn just anywhere. radius: m, of its tightest arc; spins: it may turn on the
+    spot, before it starts and at the goal; any_heading: it may end with any.
+    """
+
+    radius: float
+    spins: bool
+    any_heading: bool
+
+
 def planned(
-    terrain: Terrain, outline: Outline, start: Pose2, goal: Pose2, tolerance: float, config: PlanningConfig
+    terrain: Terrain,
+    outline: Outline,
+    start: Pose2,
+    goal: Pose2,
+    tolerance: float,
+    config: PlanningConfig,
+    turning: Turning | None = None,
 ) -> Plan:
     """The path from start to goal, or to the nearest place with room within the larger of tolerance and goal_reach.
+
+    turning: None turns anywhere. Else the path keeps the arcs; who spins and finds none that does, has one without.
 
     It keeps the margin; where no way at all does, the least margin: the robot must get out of a gap that has become a
     cell narrower since it drove in.
     """
-    plan = _with_margin(terrain, outline, start, goal, tolerance, config)
-    if plan.reason is not reasons.UNREACHABLE or terrain.eased() is terrain:
+    ends = start, goal, tolerance
+    plan = _with_margin(terrain, outline, *ends, config, turning)
+    if plan.reason not in (reasons.UNREACHABLE, reasons.NO_ROOM_TO_TURN) or terrain.eased() is terrain:
         return plan
-    return _with_margin(terrain.eased(), outline, start, goal, tolerance, config)
+    return _with_margin(terrain.eased(), outline, *ends, config, turning)
 
 
 def _with_margin(
-    terrain: Terrain, outline: Outline, start: Pose2, goal: Pose2, tolerance: float, config: PlanningConfig
+    terrain: Terrain,
+    outline: Outline,
+    start: Pose2,
+    goal: Pose2,
+    tolerance: float,
+    config: PlanningConfig,
+    turning: Turning | None,
 ) -> Plan:
     start_cell, goal_cell = terrain.cell(start.x, start.y), terrain.cell(goal.x, goal.y)
     if not terrain.holds(*start_cell):
@@ -80,21 +114,69 @@ def _with_margin(
             return no_plan(reasons.UNREACHABLE)
         return no_plan(reasons.GOAL_BLOCKED if terrain.crowded(*goal_cell) else reasons.GOAL_UNKNOWN)
     escape = escapes[terrain.regions.at(*end_cell)]
+    end = _in_cells(terrain, goal, goal_cell) if end_cell == goal_cell else (end_cell[1] + 0.5, end_cell[0] + 0.5)
+    spacing = config.spacing / terrain.resolution
+    if turning is not None and not turning.spins:
+        x, y = _in_cells(terrain, start, start_cell)
+        leaves = config.escape_radius if len(escape) > 1 else 0.0
+        return _in_arcs(terrain, (x, y, start.yaw), (end[0], end[1], goal.yaw), turning, spacing, leaves)
     points = outline.points(terrain.costs, terrain.blocks, terrain.regions, escape[-1], end_cell, UNIT, terrain.highest)
     here = _in_cells(terrain, start, start_cell)
     lead = np.array([here, *((column + 0.5, row + 0.5) for row, column in escape)])
-    end = _in_cells(terrain, goal, goal_cell) if end_cell == goal_cell else (end_cell[1] + 0.5, end_cell[0] + 0.5)
     if len(escape) == 1:
         points = np.concatenate(([here], points))
     points = np.concatenate((points, [end]))
-    spacing = config.spacing / terrain.resolution
     path = smoothed(terrain.costs, points, spacing)
+    if turning is not None and len(escape) == 1:
+        ways = headings(path, goal.yaw)
+        off = abs(wrapped(ways[0] - start.yaw)) > SPINS_FROM
+        begin = here[0], here[1], float(ways[0]) if off else start.yaw
+        arcs = _in_arcs(terrain, begin, (end[0], end[1], 0.0), turning._replace(any_heading=True), spacing, 0.0)
+        if arcs.reason is None:
+            arcs.yaws[-1] = wrapped(goal.yaw)
+            return arcs
     cost = path_cost(terrain.costs, path)
     if len(escape) > 1:
         path = np.concatenate((resampled(lead, spacing), path[1:]))
     return Plan(
         terrain.origin + path * terrain.resolution, headings(path, wrapped(goal.yaw)), cost * terrain.resolution / UNIT
     )
+
+
+def _in_arcs(
+    terrain: Terrain,
+    start: tuple[float, float, float],
+    goal: tuple[float, float, float],
+    turning: Turning,
+    spacing: float,
+    leaves: float,
+) -> Plan:
+    """The path of arcs and lines between poses (x, y in cells, yaw), or the reason why there is none.
+
+    leaves: m within which a robot in inflated space may cross that, where it comes no nearer to anything.
+    """
+    costs, radius = terrain.costs, turning.radius / terrain.resolution
+    if leaves:
+        costs = terrain.opened(int(start[1]), int(start[0]), ceil(leaves / terrain.resolution))
+    poses = np.empty((0, 3))
+    for wider, straight in ((STEERING, RUN_IN * radius), (1.0, 0.0)):
+        run = 0.0 if turning.any_heading else straight
+        x, y, yaw = goal
+        before = x - run * cos(yaw), y - run * sin(yaw), yaw
+        if line_cost(costs, before[0], before[1], x, y) < 0:
+            continue
+        poses = curved(
+            costs, np.array(start), np.array(before), wider * radius, turning.any_heading, UNIT, spacing
+        )  # fmt: skip
+        if len(poses):
+            rest = resampled(np.array([before[:2], (x, y)]), spacing)[1:] if run else np.empty((0, 2))
+            poses = np.concatenate((poses, np.column_stack((rest, np.full(len(rest), yaw)))))
+            break
+    if not len(poses):
+        return no_plan(reasons.NO_ROOM_TO_TURN)
+    cost = max(path_cost(costs, poses[:, :2]), 0.0)
+    points = terrain.origin + poses[:, :2] * terrain.resolution
+    return Plan(points, wrapped_all(poses[:, 2]), cost * terrain.resolution / UNIT)
 
 
 def _escapes(terrain: Terrain, start: Pose2, start_cell: Cell, radius: float) -> dict[int, list[Cell]]:

@@ -1,18 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The global planner: keeps a path from the robot to the goal on the present map, or says why there is none."""
 
+from math import pi
+
 import numpy as np
 from numpy.typing import NDArray
 
 from services.planner.outline import Outline
-from services.planner.planning import Plan, PlanningConfig, no_plan, planned
+from services.planner.planning import Plan, PlanningConfig, Turning, no_plan, planned
 from services.planner.traversal_cost import CostConfig, Terrain
-from services.planner.upkeep import UpkeepConfig, length, remaining, standing, worth_switching, worth_waiting
+from services.planner.upkeep import AHEAD, UpkeepConfig, length, remaining, standing, worth_switching, worth_waiting
+from services.planner.zoning import Zoning
 from shared import reasons, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import TILE_CELLS, Goal, GoalKind, Localization, MapUpdate, Odometry, Path, PoseEstimate
+from shared.messages import TILE_CELLS, Goal, GoalKind, Localization, MapUpdate, Odometry, Path, PoseEstimate, Zones
 from shared.service import Out, Service, every, on
 from shared.whereabouts import Whereabouts
 
@@ -41,7 +44,10 @@ class PlannerService(Service):
         self.grid = OccupancyGrid()
         self.terrain: Terrain | None = None
         self.outline = Outline()
+        self.zoning = Zoning(robot.circumscribed_radius)
         self.where = Whereabouts()
+        radius = robot.drive.min_turning_radius
+        self.within = min(AHEAD, 2 * radius) if radius else AHEAD  # m: not across a loop
         self.goal: Goal | None = None
         self.plan: Plan | None = None
         self.index = 0  # of the plan's pose that the robot is at
@@ -88,6 +94,13 @@ class PlannerService(Service):
         if self.goal and self.now - self.updated >= 0.8 * PERIOD_NS:
             yield from self._keep(always=False)
 
+    @on(topics.ZONES)
+    def zones(self, zones: Zones) -> Out:
+        """What was free to the last plan need not be now, and a robot under way has its new one at once."""
+        self.zoning.take(zones)
+        self.changed, self.fresh, self.plan = None, False, None
+        yield from self._keep(always=True)
+
     @on(topics.POSE)
     def pose(self, estimate: PoseEstimate) -> Out:
         self.where.estimated(estimate)
@@ -127,15 +140,17 @@ class PlannerService(Service):
             return self._taken(no_plan(reasons.NO_MAP))
         if pose is None:
             return self._taken(no_plan(reasons.POSE_OLD))
+        if self.zoning.forbids(goal.map_from_goal):
+            return self._taken(no_plan(reasons.GOAL_KEEP_OUT))
         old = self.plan if self.plan is not None and self.plan.reason is None else None
         if old and self.where.lost:
             return old
-        terrain = self._terrain()
+        terrain = self._terrain(pose)
         if old is None:
-            return self._new(terrain, pose, goal)
-        stands = standing(terrain, old, self.index, pose.x, pose.y)
+            return self._taken(self._new(terrain, pose, goal))
+        stands = standing(terrain, old, self.index, pose.x, pose.y, self.within)
         self.index = stands.index
-        new = planned(terrain, self.outline, pose, goal.map_from_goal, goal.tolerance, self.config.path)
+        new = self._new(terrain, pose, goal)
         upkeep = self.config.upkeep
         if stands.off > upkeep.off_plan:
             return self._taken(new)
@@ -150,15 +165,20 @@ class PlannerService(Service):
         return old if waits and worth_waiting(rest, self.cost_left, stands.ahead, new, upkeep) else self._taken(new)
 
     def _new(self, terrain: Terrain, pose: Pose2, goal: Goal) -> Plan:
-        return self._taken(planned(terrain, self.outline, pose, goal.map_from_goal, goal.tolerance, self.config.path))
+        drive = self.robot.drive
+        arcs = Turning(drive.min_turning_radius, drive.turns_in_place, goal.yaw_tolerance > pi)
+        turning = arcs if drive.min_turning_radius else None
+        return planned(terrain, self.outline, pose, goal.map_from_goal, goal.tolerance, self.config.path, turning)
 
     def _taken(self, plan: Plan) -> Plan:
         self.index, self.blocked_since, self.cost_left = 0, None, plan.cost
         self.known = self.terrain.known_free(plan.points) if self.terrain else None
         return plan
 
-    def _terrain(self) -> Terrain:
-        """The costs of the present map."""
+    def _terrain(self, pose: Pose2) -> Terrain:
+        """The costs of the present map to a robot at a pose."""
+        if self.zoning.moved(pose):
+            self.changed, self.fresh = None, False
         if self.terrain is None:
             self.terrain, self.changed, self.fresh = (
                 Terrain(self.config.cost, self.robot, self.grid.resolution),
@@ -166,7 +186,7 @@ class PlannerService(Service):
                 False,
             )
         if not self.fresh:
-            self.terrain.update(self.grid, self.changed)
+            self.zoning.update(self.terrain, self.grid, self.changed)
             self.fresh, self.updated = True, self.now
         return self.terrain
 

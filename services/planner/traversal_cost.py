@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What crossing a cell costs the robot: obstacles inflated by exact distance, unknown space by policy."""
 
-from math import ceil, exp
+from math import ceil, exp, hypot
 from typing import Literal
 
 import numpy as np
@@ -28,6 +28,9 @@ Window = tuple[int, int, int, int]  # first row, first column, last row + 1, las
 UNIT = 50
 """The cost of a cell that costs nothing extra; a cell of cost 150 is three times as long. 0 is blocked."""
 
+TO_LEAVE = 10 * UNIT
+"""What a cell of a keep-out zone in which the robot stands costs more: it drives out by a short way."""
+
 
 class CostConfig(Section):
     """How obstacles and unknown space lengthen a way."""
@@ -38,7 +41,10 @@ class CostConfig(Section):
         1.0, gt=0, le=5, description="m from an obstacle at which it stops to matter for the plan"
     )
     clearance_weight: float = Field(
-        5.0, ge=0, le=100, description="times its length that a way costs more where it just fits; more keeps off walls"
+        5.0,
+        ge=0,
+        le=100,
+        description="m of detour that the robot drives rather than 1 m of way where it just fits; 0: the shortest way",
     )
     clearance_falloff: float = Field(4.0, gt=0, le=50, description="1/m: how fast that extra cost falls with distance")
     narrow_weight: float = Field(
@@ -83,6 +89,17 @@ class Terrain:
         self.costs: UInt16s = np.zeros((2, 2), np.uint16)
         self.blocks, self.regions = Blocks.of(self.costs), Regions(self.costs)
         self._eased: Terrain | None = None
+        self._normally_highest = self.highest
+        self._dear: Bools | None = None
+        self._shut: Bools | None = None
+
+    def zoned(self, dear: Bools | None, shut: Bools | None) -> None:
+        """Other zones hold from the next update on, which must be of all cells.
+
+        dear: (h, w) bool, cells of the map that the robot should leave; shut: as `costs`, what is closed to it beyond.
+        """
+        self._dear, self._shut = dear, shut
+        self.highest = self._normally_highest + (TO_LEAVE if dear is not None else 0)
 
     def update(self, grid: OccupancyGrid, changed: Bools | None) -> None:
         """Takes the map. `changed`: (h, w) bool, the cells that differ from the map of the last call; None: all."""
@@ -114,6 +131,7 @@ class Terrain:
             eased._by_distance = cost_by_distance(eased.config, self.robot, self.resolution, self.reach_cells)
             eased.reach_cells, eased.distance = self.reach_cells, self.distance
             eased.cells, eased.origin = self.cells, self.origin
+            eased.zoned(self._dear, self._shut)
             eased._begin()
             self._eased = eased
         return self._eased
@@ -124,7 +142,11 @@ class Terrain:
         self.costs = np.full((h + 2 * pad, w + 2 * pad), 0, np.uint16)
         if pad > 1:
             self.costs[1:-1, 1:-1] = UNIT + self._unknown_cost
+        if self._shut is not None:
+            self.costs[self._shut] = 0
         _fill_costs(self.cells, self.distance, self._by_distance, self._unknown_cost, self.costs[pad:-pad, pad:-pad])
+        if self._dear is not None:
+            _raise_costs(self.costs[pad:-pad, pad:-pad], self._dear)
         self.blocks, self.regions = Blocks.of(self.costs), Regions(self.costs)
 
     def _fill(self, window: Window) -> None:
@@ -135,6 +157,8 @@ class Terrain:
             self.cells[r0:r1, c0:c1], self.distance[r0:r1, c0:c1], self._by_distance, self._unknown_cost,
             self.costs[place[0] : place[2], place[1] : place[3]],
         )  # fmt: skip
+        if self._dear is not None:
+            _raise_costs(self.costs[place[0] : place[2], place[1] : place[3]], self._dear[r0:r1, c0:c1])
         self.blocks.update(self.costs, *place)
         self.regions.update(self.costs, *place)
 
@@ -160,6 +184,18 @@ class Terrain:
     def crowded(self, row: int, column: int) -> bool:
         """Whether an obstacle is nearer to the cell of `costs` than the robot's body allows."""
         return bool(self._distance(row, column) * self.resolution < self.blocked_under)
+
+    def opened(self, row: int, column: int, radius: int) -> UInt16s:
+        """A copy of `costs` for a robot in inflated space at a cell: within so many cells it may cross that, as dear
+        as can be, where it comes no nearer to an obstacle than it is.
+        """
+        costs, here = self.costs.copy(), self._distance(row, column)
+        for r in range(row - radius, row + radius + 1):
+            for c in range(column - radius, column + radius + 1):
+                near = self.holds(r, c) and hypot(r - row, c - column) <= radius
+                if near and not costs[r, c] and (self._distance(r, c) >= max(here, 1.0) or (r, c) == (row, column)):
+                    costs[r, c] = self.highest
+        return costs
 
     def known_free(self, points: Float64s) -> Bools:
         """(n,) bool: which points (n, 2) m of `map` the map knows to be free."""
@@ -241,3 +277,7 @@ def _fill_costs(cells: Int8s, distance: Float32s, by_distance: UInt16s, unknown_
             if cost and (percent < 0 or FREE_UP_TO < percent < OCCUPIED_FROM):
                 cost = cost + unknown_cost if unknown_cost >= 0 else 0
             costs[row, column] = cost
+
+
+def _raise_costs(costs: UInt16s, dear: Bools) -> None:
+    costs[dear & (costs > 0)] += TO_LEAVE

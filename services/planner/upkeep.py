@@ -14,7 +14,7 @@ from shared.config import Section
 
 Float64s = NDArray[np.float64]
 
-_AHEAD, _BEHIND = 3.0, 0.5  # m along the plan in which the robot is looked for: not on the other side of a wall
+AHEAD, _BEHIND = 3.0, 0.5  # m along the plan in which the robot is looked for: not on the other side of a wall
 
 
 class UpkeepConfig(Section):
@@ -50,12 +50,12 @@ class Standing:
     ahead: float = 0.0
 
 
-def standing(terrain: Terrain, plan: Plan, index: int, x: float, y: float) -> Standing:
-    """How the plan looks from (x, y) m on today's map; index: that of the last look."""
+def standing(terrain: Terrain, plan: Plan, index: int, x: float, y: float, within: float = AHEAD) -> Standing:
+    """How the plan looks from (x, y) m on today's map; index: that of the last look; within: m along it from there."""
     points = plan.points
     along = _along(points)
     low = int(np.searchsorted(along, along[index] - _BEHIND))
-    high = int(np.searchsorted(along, along[index] + _AHEAD, side="right"))
+    high = int(np.searchsorted(along, along[index] + within, side="right"))
     away = np.hypot(points[low:high, 0] - x, points[low:high, 1] - y)
     nearest = low + int(np.argmin(away))
     ahead = (points[nearest:] - terrain.origin) / terrain.resolution

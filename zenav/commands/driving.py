@@ -7,6 +7,14 @@ import typer
 
 from zenav.commands.parts import DRIVE, Command, MapName, RobotName, Stack, app
 
+Tolerance = Annotated[
+    float, typer.Option(min=0, max=5, help="m to a goal at which it is reached; 0: navigator.tolerance.")
+]
+HeadingTolerance = Annotated[
+    float, typer.Option(min=0, max=180, help="Degrees to its heading; 0: navigator.yaw_tolerance.")
+]
+AnyHeading = Annotated[bool, typer.Option("--any-heading", help="Whatever heading a place has.")]
+
 
 def _faults() -> list[str]:
     from services.sim.hardware.faults import Fault
@@ -20,18 +28,22 @@ def goto(
         list[str],
         typer.Argument(metavar="X Y [YAW] | PLACE", help="m, m on the map, degrees; without YAW any heading will do."),
     ],
+    tolerance: Tolerance = 0.0,
+    heading_tolerance: HeadingTolerance = 0.0,
+    any_heading: AnyHeading = False,
     map_: MapName = "",
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:
     """Drive to X Y on the map, or to a place by its name, and stop. Ctrl-C cancels the goal.
 
-    Example: zenav goto 3.5 -1.2 90
+    Example: zenav goto 3.5 -1.2 90 --tolerance 0.05
     """
-    from zenav.drive import drive
+    from zenav.drive import Arrival, drive
     from zenav.places import goal_from
 
-    raise typer.Exit(drive(robot, stack, [goal_from(where, map_)]))
+    arrival = Arrival(tolerance, heading_tolerance, any_heading)
+    raise typer.Exit(drive(robot, stack, [goal_from(where, map_)], 0.0, 1, (), arrival))
 
 
 @app.command(cls=Command, rich_help_panel=DRIVE)
@@ -43,6 +55,9 @@ def route(
     dwell: Annotated[float, typer.Option(min=0, help="s to stand at each pose that has no stay of its own.")] = 0.0,
     pause: Annotated[bool, typer.Option("--pause", help="Stand, and keep the present task.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a paused task.")] = False,
+    tolerance: Tolerance = 0.0,
+    heading_tolerance: HeadingTolerance = 0.0,
+    any_heading: AnyHeading = False,
     map_: MapName = "",
     robot: RobotName = "x80sv",
     stack: Stack = "0",
@@ -51,13 +66,14 @@ def route(
 
     Example: zenav route 1,0 4,-2@10 kitchen --loops 3 --dwell 5
     """
-    from zenav.drive import drive, paused
+    from zenav.drive import Arrival, drive, paused
     from zenav.places import stays_from
 
     if pause or resume:
         raise typer.Exit(paused(robot, stack, pause and not resume))
     targets, stays = stays_from(poses or [], dwell, map_)
-    raise typer.Exit(drive(robot, stack, targets, dwell, loops, stays))
+    arrival = Arrival(tolerance, heading_tolerance, any_heading)
+    raise typer.Exit(drive(robot, stack, targets, dwell, loops, stays, arrival))
 
 
 @app.command(cls=Command, rich_help_panel=DRIVE)

@@ -123,7 +123,7 @@ At = Annotated[
 MapName = Annotated[
     str,
     typer.Option(
-        "--map", envvar="ZENAV_MAP", help="The saved map whose places are meant; without it: those in maps/places.yaml."
+        "--map", envvar="ZENAV_MAP", help="The saved map whose places or zones are meant; without it: those in maps/."
     ),
 ]
 

@@ -38,6 +38,7 @@ PANELS: dict[str, dict[str, Any]] = {
             "/plan": {"visible": True, "type": "line", "lineWidth": 0.05, "gradient": ["#20c040ff", "#20c04080"]},
             "/pose": {"visible": True, "axisScale": 0.5},
             "/nav/goal": {"visible": True, "type": "arrow", "color": "#f08000ff", "arrowScale": [0.6, 0.1, 0.1]},
+            "/map/zones": {"visible": True},
             "/robot": {"visible": True},
             "/base/cones": {"visible": False},
             "/sim/people": {"visible": True},

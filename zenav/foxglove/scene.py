@@ -8,7 +8,7 @@ from foxglove import messages as fox
 
 from shared.config import Robot
 from shared.geometry import Pose2
-from shared.messages import GuardState, GuardStatus, RangeReadings, Rollouts, Truth
+from shared.messages import GuardState, GuardStatus, RangeReadings, Rollouts, Truth, ZoneKind, Zones
 
 MAP, ODOM, BASE, LASER = "map", "odom", "base_link", "laser"
 """Frames, as REP 105 calls them."""
@@ -25,6 +25,10 @@ _GUARD_COLOURS = {
     GuardState.STOPPED: fox.Color(r=0.9, g=0.1, b=0.1, a=1.0),
     GuardState.FAULT: fox.Color(r=0.9, g=0.1, b=0.1, a=1.0),
     GuardState.IDLE: fox.Color(r=0.2, g=0.4, b=0.9, a=1.0),
+}
+_ZONE_COLOURS = {
+    ZoneKind.KEEP_OUT: fox.Color(r=0.9, g=0.1, b=0.1, a=0.9),
+    ZoneKind.SLOW: fox.Color(r=0.95, g=0.8, b=0.1, a=0.9),
 }
 _TAKEN, _SOUND = fox.Color(r=0.1, g=0.8, b=0.2, a=1.0), fox.Color(r=0.3, g=0.6, b=0.9, a=0.6)
 
@@ -86,6 +90,16 @@ def cones(readings: RangeReadings) -> fox.SceneUpdate:
             edge = [yaw + view * (i / _CONE_STEPS - 0.5) for i in range(_CONE_STEPS + 1)]
             lines.append(_line([(x, y), *((x + reach * cos(a), y + reach * sin(a)) for a in edge)], _SOUND, 0.01, True))
     return _entity(readings.stamp, BASE, "cones", lines, locked=True)
+
+
+def zones(held: Zones) -> fox.SceneUpdate:
+    """The zones' outlines in `map`: red keeps out, yellow is slow. They stay until others are told."""
+    lines = [
+        _line(list(zip(z.xs.tolist(), z.ys.tolist(), strict=True)), _ZONE_COLOURS[z.kind], 0.05, closed=True)
+        for z in held.zones
+    ]
+    entity = fox.SceneEntity(timestamp=stamp_of(held.stamp), frame_id=MAP, id="zones", lines=lines)
+    return fox.SceneUpdate(entities=[entity])
 
 
 def people(truth: Truth) -> fox.SceneUpdate:

@@ -308,6 +308,7 @@ ALSO: dict[str, tuple[Row, ...]] = {
     topics.NAV.key: (STATE,),
     topics.BASE.key: (STATE,),
     topics.HEALTH.key: (STATE,),
+    topics.ZONES.key: (Row("/map/zones", fox.SceneUpdate, lambda zones, _: scene.zones(zones)),),
     topics.RANGES.key: (Row("/base/cones", fox.SceneUpdate, lambda readings, _: scene.cones(readings)),),
     topics.TRUTH.key: (
         Row("/sim/pose", fox.PoseInFrame, true_pose),

@@ -18,7 +18,7 @@ from shared.topics import TOPICS
 from tests.strategies import messages
 from zenav.bench.table import seeds_from
 from zenav.client import CLOCK_AGE, Timekeeper, refused
-from zenav.drive import ending, place, poses_from, why_standing
+from zenav.drive import Arrival, ending, navigate, place, poses_from, why_standing
 from zenav.maps import coarse, update_of, write
 from zenav.screen import row
 from zenav.teleop import HOLD, Keys
@@ -195,3 +195,25 @@ def test_a_row_says_when_a_service_is_dead_silent_or_in_trouble():
     assert row(health, 9.0, True, 3)[0] == "silent for 9 s"
     assert row(health, 9.0, False, 3)[0] == "dead"
     assert "3 restarts" in row(health, 9.0, False, 3)[-1]
+
+
+def test_a_goal_s_tolerances_and_any_heading_are_in_the_request():
+    target = (1.0, 2.0, 90.0)
+    request = navigate([target], 0.0, 1, (), Arrival(0.05, 3.0))
+    assert (request.tolerance, request.any_heading) == (0.05, False)
+    assert request.yaw_tolerance == pytest.approx(0.05236, abs=1e-5)
+    assert navigate([target], 0.0, 1, (), Arrival(any_heading=True)).any_heading
+    assert navigate([target], 0.0, 1) == navigate([target], 0.0, 1, (), Arrival())
+
+
+@pytest.mark.parametrize(
+    ("yaw", "arrival", "words"),
+    [
+        (90.0, Arrival(0.001), "a tolerance under"),
+        (90.0, Arrival(heading_tolerance=5, any_heading=True), "any heading"),
+        (None, Arrival(heading_tolerance=5), "without a heading"),
+    ],
+)
+def test_tolerances_that_mean_nothing_are_told(yaw, arrival, words):
+    with pytest.raises(UserError, match=words):
+        navigate([(1.0, 2.0, yaw)], 0.0, 1, (), arrival)

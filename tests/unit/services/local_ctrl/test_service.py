@@ -38,7 +38,7 @@ def last(loop: Loop) -> tuple[m.Velocity, m.FollowStatus]:
 
 def test_it_listens_and_ticks_as_the_registry_says() -> None:
     found = handlers(LocalCtrlService)
-    assert set(found.topics) == {"scan", "base/ranges", "odom", "pose", "map", "plan", "goal"}
+    assert set(found.topics) == {"scan", "base/ranges", "odom", "pose", "map", "plan", "goal", "zones"}
     assert found.ticks == ((topics.CMD_NAV.hz, "tick", "scan"),)
 
 

@@ -465,8 +465,11 @@ def test_a_clock_that_jumps_is_no_time_that_passed():
 
 
 def test_what_makes_no_sense_for_a_robot_is_left_out():
-    assert [step.name for step in steps(RecoveryConfig(), reverse=False)] == [n for n in LADDER if n != "back_up"]
-    assert [step.name for step in steps(RecoveryConfig(turn=0, wait=0), reverse=True)] == LADDER[:3]
+    forward = X80.drive.model_copy(update={"max_reverse_speed": 0.0})
+    arcs = X80.drive.model_copy(update={"min_turning_radius": 0.5, "turns_in_place": False})
+    assert [step.name for step in steps(RecoveryConfig(), forward)] == [n for n in LADDER if n != "back_up"]
+    assert [step.name for step in steps(RecoveryConfig(), arcs)] == [n for n in LADDER if "turn" not in n]
+    assert [step.name for step in steps(RecoveryConfig(turn=0, wait=0), X80.drive)] == LADDER[:3]
 
 
 def test_warming_up_changes_no_state():
@@ -493,3 +496,15 @@ def test_any_valid_messages_are_survived(events, seed):
                 jobs.append(effect)
             else:
                 assert not list(faults(effect.message))
+
+
+def test_a_task_s_own_tolerances_count_and_without_them_the_configured_ones():
+    bench = Bench()
+    for own, wanted in (((0.05, 0.1), (0.05, 0.1)), ((0.0, 0.0), (0.15, 0.25)), ((0.4, 0.0), (0.4, 0.25))):
+        bench.ask("navigate", Navigate(bench.now, (FAR, NEAR), 0.0, 1, False, (), *own))
+        assert (bench.goal.tolerance, bench.goal.yaw_tolerance) == wanted
+    bench.ask("navigate", Navigate(bench.now, (FAR,), 0.0, 1, True, (), 0.05, 0.1))
+    assert bench.goal.yaw_tolerance > np.pi
+    bench.run(20, until=ENDS)
+    assert bench.pose.distance(FAR) <= 0.05
+    assert Navigate(0, (FAR,), 0.0, 1, True, (), 0.001).problem()

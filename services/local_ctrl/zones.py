@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Zones as local control meets them: keep-out is an obstacle, a speed zone a limit that begins before it.
+
+A zone lies in `map`, so where it is in `odom` is as good as the pose; without one there are no zones, and no driving.
+"""
+
+from math import inf, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.local_ctrl.controller import APPROACH
+from services.local_ctrl.rollout import Limits, Motion
+from shared.geometry import Pose2, inside
+from shared.messages import ZoneKind, Zones
+from shared.zones import KeepOut, mark_cells, polygon_of
+
+Bools = NDArray[np.bool_]
+Float64s = NDArray[np.float64]
+
+SLACK = 0.25  # s at the present speed by which a zone begins earlier and ends later: ticks, cells, late commands
+
+
+class LocalZones:
+    """The zones that hold, and which of the keep-out ones the robot stands in."""
+
+    def __init__(self, reach: float) -> None:
+        """reach: m from the robot's middle to the farthest point of its outline."""
+        self._keep_out = KeepOut(reach)
+        self._slow: tuple[tuple[Float64s, float, float], ...] = ()  # polygon in `map`, m/s, share of the top speed
+
+    def take(self, zones: Zones) -> None:
+        """Other zones hold from now on."""
+        self._keep_out.take(zones)
+        self._slow = tuple((polygon_of(z), z.speed, z.share) for z in zones.zones if z.kind is ZoneKind.SLOW)
+
+    def forbidden(self, odom_from_map: Pose2, here: Pose2, window: tuple[float, float, float, int]) -> Bools | None:
+        """(n, n) bool: where the robot at `here`, in `odom`, may not be; None where it may be anywhere.
+
+        window: x0, y0 m in `odom`, the centre of its lower left cell; m a cell; cells along a side.
+        """
+        self._keep_out.moved(odom_from_map.inverse() @ here)
+        x0, y0, resolution, n = window
+        low, size = np.array((x0, y0)) - 0.5 * resolution, n * resolution
+        cells: Bools | None = None
+        for polygon in self._keep_out.holding:
+            in_odom = odom_from_map @ polygon
+            if (in_odom.max(axis=0) < low).any() or (in_odom.min(axis=0) > low + size).any():
+                continue
+            cells = np.zeros((n, n), bool) if cells is None else cells
+            mark_cells(cells, low[0], low[1], resolution, in_odom)
+        return cells
+
+    def limited(self, limits: Limits, path: Float64s, motion: Motion, odom_from_map: Pose2) -> Limits:
+        """The limits, with a speed from which the robot brakes gently to that of each zone before it gets there.
+
+        path: (k, 2) m in `odom`, the way ahead of the robot; k may be 0.
+        """
+        if not self._slow:
+            return limits
+        slack = SLACK * motion.v
+        behind = motion.pose @ Pose2(-slack, 0.0, 0.0)
+        points = np.concatenate(([[behind.x, behind.y], [motion.pose.x, motion.pose.y]], path))
+        along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T)))) - 2.0 * abs(slack)
+        in_map = odom_from_map.inverse() @ points
+        least = inf
+        for polygon, speed, share in self._slow:
+            low, high = polygon.min(axis=0), polygon.max(axis=0)
+            near = ((in_map >= low) & (in_map <= high)).all(axis=1)
+            entered = np.flatnonzero(near)[inside(polygon, in_map[near])] if near.any() else near[:0]
+            if len(entered):
+                most = min(speed, share * limits.v_max)
+                way = max(float(along[entered[0]]), 0.0)
+                least = min(least, sqrt(most**2 + 2.0 * APPROACH * limits.braking * way))
+        if least >= limits.v_max:
+            return limits
+        return limits._replace(v_max=least, v_min=max(limits.v_min, -least))

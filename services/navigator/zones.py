@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which zones hold: those of the robot's configuration, and those that a person set."""
+
+from shared.messages import Zone, Zones
+from shared.requests import SetZones
+from shared.zones import NamedZoneConfig
+
+
+class HeldZones:
+    """The zones by name. What is set takes the place of what was set before, never of the configuration's others."""
+
+    def __init__(self, configured: tuple[NamedZoneConfig, ...]) -> None:
+        self._configured = {zone.name: zone.zone(zone.name) for zone in configured}
+        self._zones = self._configured
+        self.told = not self._configured  # nobody need be told that there are none
+
+    @property
+    def zones(self) -> tuple[Zone, ...]:
+        return tuple(self._zones.values())
+
+    def set(self, request: SetZones) -> None:
+        """These, and the configuration's that have other names."""
+        self._zones = self._configured | {zone.name: zone for zone in request.zones}
+
+    def remember(self, before: Zones) -> None:
+        """What held before a restart goes on to hold, unless something was set already."""
+        if self._zones is self._configured:
+            self._zones = self._configured | {zone.name: zone for zone in before.zones}
+            self.told = False

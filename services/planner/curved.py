@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A way for a robot that drives no tighter arc than its own, forward, with its headings at both ends: hybrid A*.
+
+Dolgov, Thrun, Montemerlo & Diebel 2010: arcs from pose to pose, guided by the cost to go without headings, ended by
+the cheapest arcs and lines that lead to the goal (`dubins`); then, in place of their smoothing by gradients, which
+would bend tighter, shortened by such ways between any two of its poses. All lengths in cells, as in `lines`.
+"""
+
+import heapq
+from math import ceil, hypot, inf, pi
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from services.planner.dubins import WORDS, moved, word
+from services.planner.lines import BLOCKED, line_cost
+
+UInt16s = NDArray[np.uint16]
+Float64s = NDArray[np.float64]
+Int64s = NDArray[np.int64]
+
+COARSE = 4  # cells to one of the cost to go without headings
+SLACK = 30.0  # radii of detour beyond the start up to which that is known
+HEADINGS = 72
+CHORD = 1.0  # cells: arcs are looked at in chords of this length
+MOST_NODES = 30_000  # poses that are tried before it is called hopeless
+TABLE = 1 << 17  # entries of the hash table: under a quarter of it is used
+PATIENCE = 2_000  # further poses after the first way that was found
+BETWEEN = 2.0  # cells between poses from which ways are shortened
+GREED = 1.1  # how much more the cost to go counts than the cost so far (Pohl 1970): what ends a search early
+BENDING = 0.03  # share of its cost that an arc of the least radius costs more than a line
+
+
+def curved(
+    costs: UInt16s, start: Float64s, goal: Float64s, radius: float, any_heading: bool, lowest: int, spacing: float
+) -> Float64s:
+    """(n, 3) x, y, yaw, at most `spacing` apart, from start to goal (3,); n = 0 where no such way was found.
+
+    costs: as for `Search.way`.  radius: of the tightest arc.  any_heading: at the goal.  All lengths in cells.
+    """
+    to_go = _to_go(costs, goal, start, SLACK * radius * lowest)
+    pieces = _found(costs, to_go, start, goal, radius, any_heading, lowest)
+    if not len(pieces):
+        return np.empty((0, 3))
+    return _sampled(start, _shortened(costs, start, pieces, radius, any_heading, lowest), spacing)
+
+
+@njit(cache=True, nogil=True)
+def _to_go(costs: UInt16s, goal: Float64s, start: Float64s, slack: float) -> Float64s:
+    """What it costs from each block of COARSE x COARSE cells to the goal, about; inf beyond `slack` more than from the
+    start. Dijkstra 1959, each block as dear as its free cells are in the mean.
+    """
+    h, w = -(-costs.shape[0] // COARSE), -(-costs.shape[1] // COARSE)
+    mean = np.zeros((h, w))
+    for i in range(h):
+        for j in range(w):
+            total, n = 0.0, 0
+            for row in range(i * COARSE, min((i + 1) * COARSE, costs.shape[0])):
+                for column in range(j * COARSE, min((j + 1) * COARSE, costs.shape[1])):
+                    total += costs[row, column]
+                    n += costs[row, column] > 0
+            mean[i, j] = total / max(n, 1)
+    to_go = np.full((h, w), np.inf)
+    first = int(goal[1]) // COARSE * w + int(goal[0]) // COARSE
+    last = int(start[1]) // COARSE * w + int(start[0]) // COARSE
+    to_go[first // w, first % w] = 0.0
+    queue = [(0.0, first)]
+    most = inf
+    while len(queue):
+        cost, cell = heapq.heappop(queue)
+        if cost > most:
+            break
+        row, column = cell // w, cell % w
+        if cost > to_go[row, column]:
+            continue
+        if cell == last:
+            most = cost + slack
+        for dr in range(-1, 2):
+            for dc in range(-1, 2):
+                i, j = row + dr, column + dc
+                if not (0 <= i < h and 0 <= j < w) or mean[i, j] == 0.0:
+                    continue
+                step = COARSE * hypot(dr, dc) * 0.5 * (mean[i, j] + mean[row, column])
+                there = cost + step
+                if there < to_go[i, j]:
+                    to_go[i, j] = there
+                    heapq.heappush(queue, (there, i * w + j))
+    return to_go
+
+
+@njit(cache=True, nogil=True)
+def _piece_cost(costs: UInt16s, pose: Float64s, curvature: float, length: float, out: Float64s) -> float:
+    """The cost of a piece from a pose, or BLOCKED; `out` is where it leads to."""
+    n = max(ceil(length / CHORD), 1)
+    out[:] = pose
+    here = pose.copy()
+    total = 0.0
+    for _ in range(n):
+        here[:] = out
+        moved(here, curvature, length / n, out)
+        cost = line_cost(costs, here[0], here[1], out[0], out[1])
+        if cost < 0:
+            return BLOCKED
+        total += cost
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _shot(
+    costs: UInt16s, start: Float64s, end: Float64s, radius: float, any_heading: bool, most: float, lowest: int,
+    pieces: Float64s,
+) -> float:  # fmt: skip
+    """The cost, under `most`, of the cheapest free way of arcs and a line, which fills pieces (3, 2); or BLOCKED."""
+    best = BLOCKED
+    tried, out = np.empty((3, 2)), np.empty(3)
+    for i in range(WORDS):
+        if not word(i, start, end, radius, any_heading, tried):
+            continue
+        if tried[:, 1].sum() * lowest >= most:
+            continue
+        total, here = 0.0, start.copy()
+        for k in range(3):
+            if tried[k, 1] <= 0.0:
+                continue
+            cost = _piece_cost(costs, here, tried[k, 0], tried[k, 1], out)
+            if cost < 0:
+                total = inf
+                break
+            total += cost * (1.0 + BENDING * abs(tried[k, 0]) * radius)
+            here[:] = out
+        if total < most:
+            best = most = total
+            pieces[:] = tried
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _slot(keys: Int64s, key: int) -> int:
+    """Where a key is in the table, or the free place for it (Fibonacci hashing, linear probing)."""
+    slot = (key * 11400714819323198) & (TABLE - 1)
+    slot = (slot ^ (key >> 13)) & (TABLE - 1)
+    while keys[slot] != -1 and keys[slot] != key:
+        slot = (slot + 1) & (TABLE - 1)
+    return slot
+
+
+@njit(cache=True, nogil=True)
+def _found(
+    costs: UInt16s, to_go: Float64s, start: Float64s, goal: Float64s, radius: float, any_heading: bool, lowest: int
+) -> Float64s:
+    """(n, 2) pieces, curvature and length, from the start to the goal; n = 0 without a way."""
+    step = min(max(3.0, 0.25 * radius), 6.0)
+    side = step / 1.5  # cells: less than a step's share along the axes, so that each step leaves its place
+    curvatures = np.array([0.0, 1.0, -1.0, 0.5, -0.5]) / radius
+    poses, so_far = np.empty((MOST_NODES, 3)), np.empty(MOST_NODES)
+    parents, arrivals = np.empty(MOST_NODES, np.int32), np.empty(MOST_NODES, np.int8)
+    keys, nodes = np.full(TABLE, -1, np.int64), np.empty(TABLE, np.int32)
+    poses[0], so_far[0], parents[0] = start, 0.0, -1
+    n_nodes, n_more, n_popped = 1, 0, 0
+    best, last = inf, -1
+    shot, ending, there = np.empty((3, 2)), np.empty((3, 2)), np.empty(3)
+    queue = [(0.0, 0)]
+    while len(queue):
+        total, node = heapq.heappop(queue)
+        if total >= best or n_more > PATIENCE:
+            break
+        pose = poses[node]
+        if node and nodes[_slot(keys, _key(pose, side, costs.shape[1]))] != node:
+            continue  # reached at less cost meanwhile
+        n_popped += 1
+        n_more += last >= 0
+        away = hypot(goal[0] - pose[0], goal[1] - pose[1])
+        if away < 8.0 * radius or n_popped % 8 == 1:
+            cost = _shot(costs, pose, goal, radius, any_heading, best - so_far[node], lowest, shot)
+            if cost >= 0:
+                best, last = so_far[node] + cost, node
+                ending[:] = shot
+        for k in range(len(curvatures)):
+            cost = _piece_cost(costs, pose, curvatures[k], step, there)
+            if cost < 0:
+                continue
+            cost = so_far[node] + cost * (1.0 + BENDING * abs(curvatures[k]) * radius)
+            left = to_go[int(there[1]) // COARSE, int(there[0]) // COARSE]
+            if cost + left >= best or not left < inf:
+                continue
+            key = _key(there, side, costs.shape[1])
+            slot = _slot(keys, key)
+            if keys[slot] == key and so_far[nodes[slot]] <= cost:
+                continue
+            if n_nodes == MOST_NODES:
+                queue.clear()
+                break
+            poses[n_nodes], so_far[n_nodes], parents[n_nodes], arrivals[n_nodes] = there, cost, node, k
+            keys[slot], nodes[slot] = key, n_nodes
+            heapq.heappush(queue, (cost + GREED * left, n_nodes))
+            n_nodes += 1
+    if last < 0:
+        return np.empty((0, 2))
+    n, node = 0, last
+    while parents[node] >= 0:
+        n, node = n + 1, parents[node]
+    pieces = np.empty((n + 3, 2))
+    pieces[n:] = ending
+    node = last
+    for k in range(n - 1, -1, -1):
+        pieces[k, 0], pieces[k, 1] = curvatures[arrivals[node]], step
+        node = parents[node]
+    return pieces
+
+
+@njit(cache=True, nogil=True)
+def _key(pose: Float64s, side: float, width: int) -> int:
+    row, column = int(pose[1] / side), int(pose[0] / side)
+    heading = int(pose[2] / (2 * pi) * HEADINGS + 0.5 + 64 * HEADINGS) % HEADINGS  # no way has 64 loops
+    return (row * (int(width / side) + 1) + column) * HEADINGS + heading
+
+
+@njit(cache=True, nogil=True)
+def _shortened(
+    costs: UInt16s, start: Float64s, pieces: Float64s, radius: float, any_heading: bool, lowest: int
+) -> Float64s:
+    """The pieces (n, 2) with cheaper ways between far poses on them in place of what lies between those."""
+    n = 1
+    for i in range(len(pieces)):
+        n += max(ceil(pieces[i, 1] / BETWEEN), 0)
+    poses, so_far, steps = np.empty((n, 3)), np.zeros(n), np.zeros((n, 2))
+    poses[0] = start
+    n = 1
+    for i in range(len(pieces)):
+        parts = max(ceil(pieces[i, 1] / BETWEEN), 0)
+        for _ in range(parts):
+            curvature, length = pieces[i, 0], pieces[i, 1] / parts
+            cost = _piece_cost(costs, poses[n - 1], curvature, length, poses[n])
+            so_far[n] = so_far[n - 1] + max(cost, 0.0) * (1.0 + BENDING * abs(curvature) * radius)
+            steps[n, 0], steps[n, 1] = curvature, length
+            n += 1
+    out = np.empty((3 * n, 2))
+    n_out, i = 0, 0
+    shot, kept = np.empty((3, 2)), np.empty((3, 2))
+    while i < n - 1:
+        good, bad, step, found = i + 1, n, 2, False
+        while i + step < n:
+            k = i + step
+            most = (so_far[k] - so_far[i]) * (1 + 1e-9) + 1e-9
+            if _shot(costs, poses[i], poses[k], radius, any_heading and k == n - 1, most, lowest, shot) < 0:
+                bad = k
+                break
+            good, found = k, True
+            kept[:] = shot
+            step *= 2
+        while bad - good > 1:
+            k = (good + bad) // 2
+            most = (so_far[k] - so_far[i]) * (1 + 1e-9) + 1e-9
+            if _shot(costs, poses[i], poses[k], radius, any_heading and k == n - 1, most, lowest, shot) < 0:
+                bad = k
+            else:
+                good, found = k, True
+                kept[:] = shot
+        for k in range(3 if found else 1):
+            out[n_out] = kept[k] if found else steps[i + 1]
+            n_out += 1
+        i = good
+    return out[:n_out]
+
+
+@njit(cache=True, nogil=True)
+def _sampled(start: Float64s, pieces: Float64s, spacing: float) -> Float64s:
+    """(n, 3) poses at most `spacing` apart along pieces, their ends among them."""
+    n = 1
+    for i in range(len(pieces)):
+        n += max(ceil(pieces[i, 1] / spacing), 0)
+    poses = np.empty((n, 3))
+    poses[0] = start
+    n = 1
+    for i in range(len(pieces)):
+        parts = max(ceil(pieces[i, 1] / spacing), 0)
+        for _ in range(parts):
+            moved(poses[n - 1], pieces[i, 0], pieces[i, 1] / parts, poses[n])
+            n += 1
+    return poses

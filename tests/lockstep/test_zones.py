@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot that drives arcs like a car's, and zones that are set under way: around the one, slowly through the other,
+no goal in the first; the goal with its heading, and not one command outside of the arcs.
+"""
+
+from math import pi
+
+import pytest
+
+from shared import requests
+from shared.geometry import Pose2, wrapped
+from shared.requests import Navigate, SetZones
+from shared.zones import ZoneConfig
+from tests.lockstep.stack import Stack
+
+pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
+
+RADIUS = 0.5
+CAR = (
+    f"robot.drive.min_turning_radius={RADIUS}",
+    "robot.drive.turns_in_place=false",
+    "local_ctrl.controller=pursuit",
+)
+
+
+def test_in_arcs_like_a_car_s_zones_set_under_way_are_kept_out_of_and_slow(tmp_path):
+    stack = Stack(tmp_path, settings=CAR)
+    driven: list[tuple[float, float, float]] = []
+    commands: list[tuple[float, float]] = []
+    goal = Pose2(6.5, 0.2, pi / 2)
+    assert stack.lockstep.ask(requests.NAVIGATE, Navigate(stack.now, (goal,), 0.0, 1, False)).accepted
+    for key in ("cmd/nav", "cmd/vel"):
+        stack.lockstep.watch(key, lambda command: commands.append((abs(command.v), abs(command.w))))
+    stack.drives(0.4)
+    keep = ZoneConfig(corners=((2.6, -0.5), (3.2, -0.5), (3.2, 3.0), (2.6, 3.0))).zone("stairs")
+    slow = ZoneConfig(corners=((4.0, -3.0), (5.0, -3.0), (5.0, 3.0), (4.0, 3.0)), speed=0.3).zone("hall")
+    assert stack.lockstep.ask(requests.SET_ZONES, SetZones(stack.now, (keep, slow))).accepted
+    into = Navigate(stack.now, (Pose2(3.0, 0.0, 0.0),), 0.0, 1, True)
+    assert stack.lockstep.ask(requests.NAVIGATE, into).reason == "goal_keep_out"
+    told = set()
+    stack.lockstep.watch("nav/status", lambda nav: told.add(nav.reason))
+    stack.lockstep.watch("sim/truth", lambda truth: driven.append((*xy(truth), truth.v)))
+    stack.until(stack.ended, 60.0)
+    assert stack.reached()
+    assert stack.truth.n_contacts == 0
+    assert max(y for x, y, _ in driven if 2.4 < x < 3.4) < -0.5 - 0.2
+    assert max(v for x, _, v in driven if 4.05 < x < 4.95) < 0.34
+    assert "speed_zone" in told
+    there = stack.truth.start.inverse() @ stack.truth.world_from_base
+    assert there.distance(goal) < 0.2
+    assert abs(wrapped(there.yaw - goal.yaw)) < 0.3
+    assert len(commands) > 200
+    assert all(w <= v / RADIUS + 1e-6 for v, w in commands)
+
+
+def xy(truth):
+    """m, in `map`, whose origin is the robot's start."""
+    pose = truth.start.inverse() @ truth.world_from_base
+    return pose.x, pose.y

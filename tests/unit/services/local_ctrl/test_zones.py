@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Local control keeps out of zones whatever the plan says, and is slow in speed zones from their edge on."""
+
+from math import sqrt
+
+import numpy as np
+import pytest
+
+from services.local_ctrl.controller import APPROACH
+from shared import reasons
+from shared.config import load_robot
+from shared.geometry import Pose2, inside
+from shared.messages import FollowState, GoalKind, Zones
+from shared.zones import ZoneConfig, distance_to
+from tests.unit.services.local_ctrl.test_controllers import config
+from tests.unit.services.local_ctrl.tiny_world import Loop, World, drive_goal, off, recovery
+
+X80 = load_robot("x80sv").robot
+HALL = ((4.0, -1.0), (6.0, -1.0), (6.0, 5.0), (4.0, 5.0))
+
+
+def loop_with(controller, *zones, x=1.0):
+    loop = Loop(X80, World(10, 4), Pose2(x, 2.0, 0.0), config(controller))
+    loop.send("new_zones", Zones(0, tuple(zones)))
+    return loop
+
+
+def outline(pose):
+    return pose @ X80.corners
+
+
+@pytest.mark.parametrize(
+    ("name", "asks"), [("mppi", {"speed": 0.3}), ("dwa", {"speed": 0.3}), ("pursuit", {"percent": 50})]
+)
+def test_in_a_speed_zone_it_is_slow_from_the_edge_on_and_brakes_gently_before_it(name, asks):
+    loop = loop_with(name, ZoneConfig(corners=HALL, **asks).zone("hall"))
+    most = asks.get("speed", 0.4)
+    goal = Pose2(8.5, 2.0, 0.0)
+    run = loop.give(drive_goal(goal), np.array([[1.0, 2.0], [8.5, 2.0]])).drive(25)
+    assert run.reached
+    speeds = np.array(run.v)
+    xs = np.array([pose.x for pose in run.poses])
+    within = (xs > 4.0) & (xs < 6.0)
+    assert speeds[within].max() < most + 0.03
+    assert speeds[within].min() > most - 0.12
+    assert speeds[(xs > 2.4) & (xs < 2.8)].max() > 0.65  # and not slow long before
+    assert speeds[(xs > 7.0) & (xs < 7.4)].max() > 0.65
+    before = (xs > 2.0) & (xs < 4.0)
+    allowed = np.sqrt(most**2 + 2 * APPROACH * X80.drive.max_braking * (4.0 - xs[before]))
+    assert (speeds[before] < allowed + 0.05).all()
+    told = [status.reason for status, x in zip(run.statuses, xs) if 4.0 < x < 5.9]
+    assert set(told) == {reasons.SPEED_ZONE.code}
+    assert {status.state for status, x in zip(run.statuses, xs) if 1.5 < x < 8} == {FollowState.FOLLOWING}
+
+
+def test_of_zones_that_overlap_the_slowest_counts_and_a_recovery_is_slow_too():
+    loop = loop_with(
+        "pursuit",
+        ZoneConfig(corners=HALL, speed=0.5).zone("hall"),
+        ZoneConfig(corners=HALL, speed=0.05).zone("wet"),
+        x=5.0,
+    )
+    loop.give(drive_goal(Pose2(8.5, 2.0, 0.0)), np.array([[5.0, 2.0], [8.5, 2.0]])).drive(3)
+    assert 0.03 < max(loop.run.v) < 0.06
+    loop.give(recovery(GoalKind.BACK_UP, 0.3, goal_id=2)).drive(3)
+    assert -0.06 < min(loop.run.v) < -0.03
+
+
+@pytest.mark.parametrize("name", ["mppi", "pursuit"])
+def test_no_part_of_the_robot_enters_a_keep_out_zone_that_lies_on_the_plan(name):
+    loop = loop_with(name, ZoneConfig(corners=HALL).zone("hall"))
+    run = loop.give(drive_goal(Pose2(8.5, 2.0, 0.0)), np.array([[1.0, 2.0], [8.5, 2.0]])).drive(6)
+    corners = np.concatenate([outline(pose) for pose in run.poses])
+    assert not inside(np.array(HALL), corners).any()
+    assert loop.truth.x > 3.0
+    assert (run.statuses[-1].state, run.statuses[-1].reason) == (FollowState.BLOCKED, reasons.BLOCKED.code)
+
+
+@pytest.mark.parametrize("name", ["dwa", "pursuit"])
+def test_from_a_keep_out_zone_it_drives_out(name):
+    loop = loop_with(name, ZoneConfig(corners=HALL).zone("hall"), x=5.0)
+    goal = Pose2(7.5, 2.0, 0.0)
+    run = loop.give(drive_goal(goal), np.array([[5.0, 2.0], [7.5, 2.0]])).drive(15)
+    assert run.reached
+    assert off(loop.truth, goal)[0] < 0.15
+    assert distance_to(np.array(HALL), loop.truth.x, loop.truth.y) > 1.0
+
+
+def test_a_zone_of_one_place_bounds_the_speed_by_the_way_that_is_left_to_it():
+    loop = loop_with("mppi", ZoneConfig(corners=HALL, speed=0.3).zone("hall"))
+    loop.drive(0.2)
+    service = loop.service
+    path = np.column_stack((np.linspace(0, 5, 101), np.zeros(101)))
+    for x in (1.0, 3.0, 3.8, 4.5, 7.0):
+        here = service.inputs.odom_from_map @ Pose2(x, 2.0, 0.0)
+        motion = service.motion._replace(pose=here)
+        assert motion.v == 0.0
+        limits = service.zones.limited(service.limits, here @ path, motion, service.inputs.odom_from_map)
+        way = max(4.0 - x, 0.0)
+        wanted = sqrt(0.3**2 + 2 * APPROACH * service.limits.braking * way) if x < 6 else np.inf
+        assert limits.v_max == pytest.approx(min(wanted, service.limits.v_max), abs=0.06)
+        assert limits.v_min >= -limits.v_max
