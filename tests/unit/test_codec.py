@@ -31,14 +31,25 @@ def test_decoding_undoes_encoding(kind, data):
     decoded, sender = decode(kind, payload)
     assert sender == envelope == envelope_of(payload)
     assert encode(decoded, sender) == payload
-    for field in fields_of(kind):
-        before, after = getattr(message, field.name), getattr(decoded, field.name)
-        if isinstance(before, np.ndarray):
-            np.testing.assert_array_equal(after, before)
-            assert not after.flags.writeable
-            assert after.flags.aligned
-        elif not isinstance(before, Message):
-            assert after == before or before != before != after  # NaN is not even itself
+    same(message, decoded)
+
+
+def same(before: object, after: object) -> None:
+    """Whatever was sent came, arrays within messages within messages too."""
+    assert type(after) is type(before)
+    if isinstance(before, np.ndarray):
+        np.testing.assert_array_equal(after, before)
+        assert not after.flags.writeable
+        assert after.flags.aligned
+    elif isinstance(before, Message):
+        for field in fields_of(type(before)):
+            same(getattr(before, field.name), getattr(after, field.name))
+    elif isinstance(before, tuple) and before and isinstance(before[0], Message):
+        assert len(after) == len(before)
+        for one, other in zip(before, after):
+            same(one, other)
+    else:
+        assert after == before or before != before != after  # NaN is not even itself
 
 
 @pytest.mark.parametrize("kind", TYPES)
