@@ -15,11 +15,16 @@ from pathlib import Path
 
 from numba.core import config as numba_config
 
-from shared.config import load_robot
+from shared.config import configured
 from zenav.classes import built, made
 
 ROOT = Path(__file__).resolve().parent.parent
-ROBOTS = ("x80sv", "jackal")
+ROBOTS: tuple[tuple[str, list[str]], ...] = (
+    ("x80sv", []),
+    ("jackal", []),
+    ("x80sv", ["robot.drive.min_turning_radius=0.5", "robot.drive.turns_in_place=false"]),
+)
+"""Name and settings: what they drive by has kernels of its own."""
 
 
 def main() -> None:
@@ -27,8 +32,8 @@ def main() -> None:
     clear_stale(cache_root())
     for name in built():
         begun = time.monotonic()
-        for robot in ROBOTS:
-            file = load_robot(robot)
+        for robot, settings in ROBOTS:
+            file = configured(robot, settings)
             made(name, file, file.robot).warm()
         tell(name, begun)
 

@@ -25,6 +25,7 @@ ARC_LEAP = 2.0  # radii along the path within which who drives in arcs is looked
 ARC_AHEAD = 1.9  # rad that the path ahead turns at most, for who drives in arcs
 BEYOND = 1.5  # radii beyond the goal that who cannot turn there steers for
 CREEP = 0.06  # m/s
+DOCKING = 0.6  # m/s a metre before a goal at which it cannot turn: slow enough to come to its heading
 BESIDE_ARCS = 4.0  # slowness a metre beside the plan, and at most, for who drives in arcs
 NOWHERE: Float64s = np.empty((0, 2))
 MISSED = FollowState.FAILED, reasons.HEADING_MISSED.code
@@ -224,5 +225,5 @@ class Follower:
 
 def stopping(limits: Limits, left: float) -> Limits:
     """The limits for a robot that is to stop in so many m, but creeps on until it is there."""
-    most = max(CREEP, sqrt(2.0 * APPROACH * limits.braking * left))
+    most = max(CREEP, min(DOCKING * left, sqrt(2.0 * APPROACH * limits.braking * left)))
     return limits._replace(v_max=min(limits.v_max, most))

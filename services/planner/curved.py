@@ -171,7 +171,7 @@ def _found(
         n_popped += 1
         n_more += last >= 0
         away = hypot(goal[0] - pose[0], goal[1] - pose[1])
-        if away < 8.0 * radius or n_popped % 8 == 1:
+        if n_popped % (2 if away < 2.0 * radius else 10) == 1:
             cost = _shot(costs, pose, goal, radius, any_heading, best - so_far[node], lowest, shot)
             if cost >= 0:
                 best, last = so_far[node] + cost, node

@@ -11,9 +11,10 @@ from shared.distance_field import distance_field
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import Zones
-from shared.zones import KeepOut, holds, laid, marked
+from shared.zones import OBSTACLE, KeepOut, holds, marked
 
 Bools = NDArray[np.bool_]
+Int64s = NDArray[np.int64]
 
 
 class Zoning:
@@ -22,7 +23,8 @@ class Zoning:
     def __init__(self, reach: float) -> None:
         """reach: m from the robot's middle to the farthest point of its outline."""
         self._keep_out = KeepOut(reach)
-        self._place: object = None  # of the grid for which the two below were made
+        self._place: object = None  # of the grid for which the three below were made
+        self._barred: Int64s = np.zeros(0, np.int64)  # places of the cells that zones bar, row by row
         self._dear: Bools | None = None
         self._shut: Bools | None = None
 
@@ -53,13 +55,15 @@ class Zoning:
             self._mark(grid, terrain)
             terrain.zoned(self._dear, self._shut)
         zoned = copy(grid)
-        zoned.cells = laid(grid, self._keep_out.holding)
+        zoned.cells = grid.cells.copy()
+        zoned.cells.reshape(-1)[self._barred] = OBSTACLE
         terrain.update(zoned, changed)
 
     def _mark(self, grid: OccupancyGrid, terrain: Terrain) -> None:
-        """Finds the cells at zones that the robot stands in, and those beyond the map that the others take."""
+        """Finds the cells that zones bar, those at zones that the robot stands in, and those barred beyond the map."""
         entered, holding = self._keep_out.entered, self._keep_out.holding
         self._dear, self._shut = None, None
+        self._barred = np.flatnonzero(marked(grid, holding))
         if entered:
             self._dear = _near(marked(grid, entered), grid.resolution, terrain.blocked_under)
         if holding and terrain.pad > 1:

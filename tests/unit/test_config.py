@@ -7,7 +7,7 @@ import pytest
 from pydantic import Field
 
 from services.local_ctrl.footprint import footprint_of
-from shared.config import Robot, Section, UserError, load_robot
+from shared.config import Robot, Section, UserError, configured, load_robot
 
 X80SV = Path(__file__).parents[2] / "config" / "x80sv.yaml"
 
@@ -114,3 +114,14 @@ def test_a_robot_that_does_not_exist_names_the_nearest():
     with pytest.raises(UserError) as error:
         load_robot("x80s")
     assert "x80sv" in error.value.mend
+
+
+def test_a_robot_that_may_not_turn_on_the_spot_needs_a_turning_radius():
+    with pytest.raises(UserError, match="needs a min_turning_radius"):
+        assert configured("x80sv", ["robot.drive.turns_in_place=false"]).robot
+    drive = configured("x80sv", ["robot.drive.turns_in_place=false", "robot.drive.min_turning_radius=0.5"]).robot.drive
+    assert drive.clamped(0.0, 1.0) == (0.0, 0.0)
+    assert drive.clamped(0.2, -1.0) == pytest.approx((0.2, -0.4))
+    spins = drive.model_copy(update={"turns_in_place": True})
+    assert spins.clamped(0.0, 1.0) == (0.0, 1.0)
+    assert spins.clamped(0.2, 1.0) == pytest.approx((0.2, 0.4))

@@ -20,7 +20,7 @@ def zone(name="a", corners=SQUARE, **asks):
     return ZoneConfig(corners=corners, **asks).zone(name)
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=40)
 @given(polygons, st.floats(-1, 1), st.floats(-1, 1), st.sampled_from([0.1, 0.25, 0.7]))
 def test_cells_are_marked_whose_centre_is_inside_and_those_that_the_outline_goes_through_and_no_others(
     polygon, x0, y0, resolution

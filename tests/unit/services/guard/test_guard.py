@@ -237,6 +237,34 @@ def test_backward_where_the_robot_may_not_has_its_reason():
     assert drive.verdict == (GuardState.HOLD, "no_reverse")
 
 
+@pytest.mark.parametrize("source", ["nav", "teleop"])
+def test_a_robot_that_drives_arcs_like_a_car_s_is_held_to_them_whoever_commands(source):
+    arcs = ROBOT.drive.model_copy(update={"min_turning_radius": 0.5, "turns_in_place": False})
+    drive = Drive(ROBOT.model_copy(update={"drive": arcs}))
+    setattr(drive, source, (0.0, 1.0))
+    drive.run(0.5)
+    assert drive.velocity == (0, 0)
+    assert drive.verdict == (GuardState.HOLD, "no_turn_in_place")
+    for command in ((0.4, 2.0), (0.8, -1.0), (0.1, 1.0), (-0.3, 1.0), (0.5, 0.1)):
+        setattr(drive, source, command)
+        for _ in range(20):
+            drive.run(0.05)
+            v, w = drive.velocity
+            assert abs(w) <= abs(v) / 0.5 + 1e-9
+        assert v == pytest.approx(command[0])
+    setattr(drive, source, (0.3, 1.0))
+    drive.run(1.0)
+    assert drive.velocity == pytest.approx((0.3, 0.6))
+
+
+def test_why_navigation_is_slow_is_passed_on_to_people():
+    drive = driving()
+    for _ in range(5):
+        drive.run(0.02)
+        drive.call(drive.guard.command_nav(Velocity(drive.now, 0.3, 0.0, "speed_zone")))
+    assert drive.verdict == (GuardState.ACTIVE, "speed_zone")
+
+
 # --- priorities -----------------------------------------------------------------------------------------------------
 
 
