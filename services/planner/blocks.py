@@ -24,14 +24,17 @@ PARTS = 4
 SIDE_BITS = 4
 """Bits of `joins` for the parts across one side: right, upper, left, lower."""
 
+PLACE_BITS = 16
+"""Bits of a place for its column; its row is in those above."""
+
 
 @dataclass(slots=True, eq=False)
 class Blocks:
     """parts: (h, w) uint8, a cell's part of its block, 1 to PARTS, 0 blocked.
 
-    Of node `(part - 1) * n + block`, where n = n_rows * n_columns: `places`, its cheapest cell (row * w + column; of
-    equal ones that nearest to the part's middle), 0 without cells; `crossing`, the cost there; `joins`, which parts it
-    meets across each side, as bits.
+    Of node `(part - 1) * n + block`, where n = n_rows * n_columns: `places`, its cheapest cell (`place_at`; of equal ones
+    that nearest to the part's middle), 0 without cells; `crossing`, the cost there; `joins`, which parts it meets across
+    each side, as bits.
     """
 
     n_rows: int
@@ -71,6 +74,13 @@ class Blocks:
 
 
 @njit(cache=True, nogil=True)
+def place_at(row: int, column: int) -> int:
+    """A cell as one number that two shifts take apart, as divisions would cost half of a search: fits 32 bits, as a map is
+    less than 2^15 cells high."""
+    return (row << PLACE_BITS) | column
+
+
+@njit(cache=True, nogil=True)
 def _part(
     costs: UInt16s, window: tuple[int, int, int, int], n: int, n_columns: int,
     parts: UInt8s, places: Int32s, crossing: UInt16s,
@@ -106,8 +116,9 @@ def _part(
                                 known += 1
                     node = (found - 1) * n + block
                     if places[node] == 0:
-                        places[node] = _place(costs, cells[:known])
-                        crossing[node] = costs[places[node] // w, places[node] % w]
+                        best = _place(costs, cells[:known])
+                        places[node] = place_at(best // w, best % w)
+                        crossing[node] = costs[best // w, best % w]
 
 
 @njit(cache=True, nogil=True)
