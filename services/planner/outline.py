@@ -10,20 +10,20 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from services.planner.blocks import BLOCK, PARTS, PLACE_BITS, SIDE_BITS, Blocks, place_at
+from services.planner.blocks import BLOCK, COLUMN_STEP, PART_MASK, PARTS, PLACE_BITS, ROW_STEP, SIDE_BITS, Blocks, place_at
 from services.planner.bucket_queue import empty_ring, popped, pushed
 from services.planner.lines import line_cost
 from services.planner.regions import Arrays, Regions, region_at
 from services.planner.search import DIAGONAL, STRAIGHT, Marks, Search, expand, stamped, traced, width_bits
 
 UInt16s = NDArray[np.uint16]
+UInt32s = NDArray[np.uint32]
 Int8s = NDArray[np.int8]
 Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
 Float64s = NDArray[np.float64]
 
 _DIAGONAL_MORE = 2**0.5 - 1  # by which a diagonal step is longer than a straight one
-_PART_MASK = (1 << SIDE_BITS) - 1
 _COLUMN_MASK = (1 << PLACE_BITS) - 1
 
 
@@ -65,7 +65,7 @@ class Outline(Search):
 
 @njit(cache=True, nogil=True)
 def _points(
-    costs: UInt16s, regions: Arrays, n_columns: int, places: Int32s, crossing: UInt16s, joins: UInt16s,
+    costs: UInt16s, regions: Arrays, n_columns: int, places: Int32s, crossing: UInt16s, joins: UInt32s,
     start_node: int, goal_node: int, start: int, goal: int, lowest: int, highest: int,
     node_stamp: Int64s, node_keys: Int64s, nexts: Int32s, cell_stamp: Int64s, cell_keys: Int64s, parents: Int8s,
     entries: Int32s, entry_keys: Int64s, links: Int32s,
@@ -87,7 +87,7 @@ def _expand_nodes(
     n_columns: int,
     places: Int32s,
     crossing: UInt16s,
-    joins: UInt16s,
+    joins: UInt32s,
     start_node: int,
     goal_node: int,
     start: int,
@@ -130,19 +130,12 @@ def _expand_nodes(
             return False
         place = goal if node == goal_node else int(places[node])
         x, y, here = place & _COLUMN_MASK, place >> PLACE_BITS, np.int64(crossing[node])
-        block, joined = node % n, int(np.int64(joins[node]))
+        block, joined = node % n, np.int64(joins[node])
         for direction in range(8):
-            if direction < 4:
-                bits = (joined >> SIDE_BITS * direction) & _PART_MASK
-                there = block + _next(direction, n_columns)
-            else:  # by both sides of the corner, as a step between cells
-                across, along = 2 * (direction & 1), (1 if direction < 6 else 3)
-                bits = _beyond(joined, joins, n, block, n_columns, across, along)
-                if bits:
-                    bits &= _beyond(joined, joins, n, block, n_columns, along, across)
-                there = block + _next(across, n_columns) + _next(along, n_columns)
+            bits = (joined >> SIDE_BITS * direction) & PART_MASK
+            there = block + ROW_STEP[direction] * n_columns + COLUMN_STEP[direction]
             while bits:
-                if bits & 1:
+                if bits & 1 and keys[there] > key:
                     place = start if there == start_node else int(places[there])
                     tx, ty = place & _COLUMN_MASK, place >> PLACE_BITS
                     far = np.sqrt(np.float64((tx - x) * (tx - x) + (ty - y) * (ty - y)))
@@ -165,25 +158,6 @@ def _expand_nodes(
 def _octile(dx: int, dy: int, least: int) -> int:
     dx, dy = abs(dx), abs(dy)
     return int(least * (max(dx, dy) + _DIAGONAL_MORE * min(dx, dy)))
-
-
-@njit(cache=True, nogil=True)
-def _next(side: int, n_columns: int) -> int:
-    return (1, n_columns, -1, -n_columns)[side]
-
-
-@njit(cache=True, nogil=True)
-def _beyond(joined: int, joins: UInt16s, n: int, block: int, n_columns: int, first: int, then: int) -> int:
-    """Which parts lie across the side `then` of those that a node meets across the side `first`, as bits."""
-    bits = (joined >> SIDE_BITS * first) & _PART_MASK
-    node = block + _next(first, n_columns)
-    found = 0
-    while bits:
-        if bits & 1:
-            found |= (int(np.int64(joins[node])) >> SIDE_BITS * then) & _PART_MASK
-        bits >>= 1
-        node += n
-    return found
 
 
 @njit(cache=True, nogil=True)
@@ -230,7 +204,8 @@ def _over_cells(
         else:
             first = (here >> PLACE_BITS) * width + (here & _COLUMN_MASK)
             last = row * width + column
-            if expand(flat, width, first, last, lowest, highest, stamp, keys, parents, cells, entry_keys, links) < 0:
+            dear = min(np.int64(flat[first]), np.int64(flat[last]))
+            if expand(flat, width, first, last, dear, highest, stamp, keys, parents, cells, entry_keys, links) < 0:
                 return points[:0]
             way = traced(parents, width, first, last)
             if n_points + len(way) > len(points):

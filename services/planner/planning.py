@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.planner.lines import path_cost
 from services.planner.outline import Outline
-from services.planner.smoothing import headings, resampled, smoothed
+from services.planner.smoothing import followed
 from services.planner.traversal_cost import UNIT, Terrain
 from shared import reasons
 from shared.config import Section
@@ -84,17 +83,10 @@ def _with_margin(
     here = _in_cells(terrain, start, start_cell)
     lead = np.array([here, *((column + 0.5, row + 0.5) for row, column in escape)])
     end = _in_cells(terrain, goal, goal_cell) if end_cell == goal_cell else (end_cell[1] + 0.5, end_cell[0] + 0.5)
-    if len(escape) == 1:
-        points = np.concatenate(([here], points))
-    points = np.concatenate((points, [end]))
-    spacing = config.spacing / terrain.resolution
-    path = smoothed(terrain.costs, points, spacing)
-    cost = path_cost(terrain.costs, path)
-    if len(escape) > 1:
-        path = np.concatenate((resampled(lead, spacing), path[1:]))
-    return Plan(
-        terrain.origin + path * terrain.resolution, headings(path, wrapped(goal.yaw)), cost * terrain.resolution / UNIT
+    path, yaws, cost = followed(
+        terrain.costs, lead, points, end, config.spacing / terrain.resolution, wrapped(goal.yaw)
     )
+    return Plan(terrain.origin + path * terrain.resolution, yaws, cost * terrain.resolution / UNIT)
 
 
 def _escapes(terrain: Terrain, start: Pose2, start_cell: Cell, radius: float) -> dict[int, list[Cell]]:
