@@ -18,7 +18,7 @@ from services.planner.traversal_cost import UNIT
 UInt16s = NDArray[np.uint16]
 Float64s = NDArray[np.float64]
 
-_RELAX_STEPS = (4.0, 2.0, 1.0)  # cells that a corner is moved, coarse to fine
+_RELAX_STEPS = ((3.0, 4), (1.0, 2), (0.4, 2))  # cells that a corner is moved, coarse to fine; how many ways are tried
 _BEND = 10.0  # cells before and after a corner in which the path bends, at most
 _LEAST_BEND = 0.5
 _LEAST_GAIN = 1e-6  # of cost, for which a corner is moved
@@ -30,7 +30,7 @@ _BEND_COST = 1.02  # how much dearer than its corner a bend may be
 def followed(
     costs: UInt16s, lead: Float64s, points: Float64s, end: tuple[float, float], spacing: float, last: float
 ) -> tuple[Float64s, Float64s, float]:
-    """From the robot to the goal: the path (m, 2), its headings (m,) rad, `last` at the end, and what it costs.
+    """From the robot to the goal: the path (m, 2), its headings (m,) rad, `last` at the end, and its cost from points on.
 
     lead: (k, 2), k >= 2, from the robot to the first cell of points, where the path begins to be smoothed; with k = 2
     the robot stands in that cell, and the path is smooth from the start. end: a point in the last cell.
@@ -131,43 +131,42 @@ def _cheaper(costs: UInt16s, points: Float64s, so_far: Float64s, i: int, k: int)
 
 @njit(cache=True, nogil=True)
 def _relax(costs: UInt16s, corners: Float64s) -> None:
-    """Slides inner corners where that makes the path cheaper, in place: once by each step, from the first on."""
-    for step in _RELAX_STEPS:
+    """Slides inner corners where that makes the path cheaper, in place: once by each step, from the first on.
+
+    To one side or the other of the line between its neighbours; by the longest step along that line, too.
+    """
+    legs = np.empty(len(corners) - 1)
+    for i in range(len(legs)):
+        legs[i] = _leg_cost(costs, corners[i], corners[i + 1])
+    for step, n_ways in _RELAX_STEPS:
         for i in range(1, len(corners) - 1):
-            _slide(costs, corners, i, step)
+            _slide(costs, corners, legs, i, step, n_ways)
 
 
 @njit(cache=True, nogil=True)
-def _slide(costs: UInt16s, corners: Float64s, i: int, step: float) -> None:
-    """Moves corner i across the line between its neighbours, and along it, by a step to one side or the other."""
-    dx, dy = corners[i + 1, 0] - corners[i - 1, 0], corners[i + 1, 1] - corners[i - 1, 1]
+def _slide(costs: UInt16s, corners: Float64s, legs: Float64s, i: int, step: float, n_ways: int) -> None:
+    """Moves corner i by a step the first of n_ways that makes its two legs cheaper: across, back, along, back."""
+    ax, ay, bx, by = corners[i - 1, 0], corners[i - 1, 1], corners[i + 1, 0], corners[i + 1, 1]
+    dx, dy = bx - ax, by - ay
     chord = hypot(dx, dy)
     if chord < _SAME:
         return
     dx, dy = dx / chord * step, dy / chord * step
-    least = _two_lines(costs, corners, i, corners[i, 0], corners[i, 1], np.inf)
-    for across, along in ((-dy, dx), (dx, dy)):
-        for sign in (1, -1):
-            x, y = corners[i, 0] + sign * across, corners[i, 1] + sign * along
-            cost = _two_lines(costs, corners, i, x, y, least)
-            if 0 <= cost < least - _LEAST_GAIN:
-                least = cost
-                corners[i, 0], corners[i, 1] = x, y
-                break
-
-
-@njit(cache=True, nogil=True)
-def _two_lines(costs: UInt16s, points: Float64s, i: int, x: float, y: float, most: float) -> float:
-    """The cost from point i - 1 by (x, y) to point i + 1, or BLOCKED; where it exceeds `most`, not all of it."""
-    ax, ay, bx, by = points[i - 1, 0], points[i - 1, 1], points[i + 1, 0], points[i + 1, 1]
-    rest = UNIT * hypot(bx - x, by - y)
-    if UNIT * hypot(x - ax, y - ay) + rest > most:
-        return np.inf
-    before = line_cost(costs, ax, ay, x, y, most - rest)
-    if before < 0 or before + rest > most:
-        return before + rest if before >= 0 else before
-    after = line_cost(costs, x, y, bx, by, most - before)
-    return before + after if after >= 0 else after
+    most = legs[i - 1] + legs[i] - _LEAST_GAIN
+    for k in range(n_ways):
+        move_x, move_y = (-dy, dx) if k < 2 else (dx, dy)
+        sign = 1 if k % 2 == 0 else -1
+        x, y = corners[i, 0] + sign * move_x, corners[i, 1] + sign * move_y
+        rest = UNIT * hypot(bx - x, by - y)  # the least that the second leg costs
+        if UNIT * hypot(x - ax, y - ay) + rest > most:
+            continue
+        before = line_cost(costs, ax, ay, x, y, most - rest)
+        if before < 0 or before + rest > most:
+            continue
+        after = line_cost(costs, x, y, bx, by, most - before)
+        if 0 <= after <= most - before:
+            corners[i, 0], corners[i, 1], legs[i - 1], legs[i] = x, y, before, after
+            return
 
 
 @njit(cache=True, nogil=True)
