@@ -40,9 +40,9 @@ PLACE_BITS = 16
 class Blocks:
     """parts: (h, w) uint8, a cell's part of its block, 1 to PARTS, 0 blocked.
 
-    Of node `(part - 1) * n + block`, where n = n_rows * n_columns: `places`, its cheapest cell (`place_at`; of equal ones
-    that nearest to the part's middle), 0 without cells; `crossing`, the cost there; `joins`, uint32, which parts it meets
-    across each side, as bits, and across each corner by way of both sides of it, as a step between cells.
+    Of node `(part - 1) * n + block`, where n = n_rows * n_columns: `places`, its cheapest cell (`place_at`; of equal
+    ones that nearest to the part's middle), 0 without cells; `crossing`, the cost there; `joins`, uint32, which parts
+    it meets across each side, as bits, and across each corner by way of both sides of it, as a step between cells.
     """
 
     n_rows: int
@@ -84,8 +84,7 @@ class Blocks:
 
 @njit(cache=True, nogil=True)
 def place_at(row: int, column: int) -> int:
-    """A cell as one number that two shifts take apart, as divisions would cost half of a search: fits 32 bits, as a map is
-    less than 2^15 cells high."""
+    """A cell as one number that a shift and a mask take apart; 32 bits, as a map is less than 2^15 cells high."""
     return (row << PLACE_BITS) | column
 
 
@@ -182,7 +181,7 @@ def _join_corners(parts: UInt8s, window: tuple[int, int, int, int], n: int, n_co
         for block_column in range(window[1], window[3]):
             block = block_row * n_columns + block_column
             for i in range(PARTS):
-                joined = np.int64(joins[i * n + block]) & _SIDES
+                joined = int(np.int64(joins[i * n + block]) & _SIDES)
                 for direction in range(4, 8):
                     across, along = 2 * (direction & 1), (1 if direction < 6 else 3)
                     bits = _beyond(joined, joins, n, block, n_columns, across, along)
@@ -200,7 +199,7 @@ def _beyond(joined: int, joins: UInt32s, n: int, block: int, n_columns: int, fir
     found = 0
     while bits:
         if bits & 1:
-            found |= (np.int64(joins[node]) >> SIDE_BITS * then) & PART_MASK
+            found |= int((np.int64(joins[node]) >> SIDE_BITS * then) & PART_MASK)
         bits >>= 1
         node += n
     return found

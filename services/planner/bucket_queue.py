@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A queue of integer keys in a ring of buckets (Dial 1969; Denardo & Fox 1979): what a search expands next.
 
-An entry is a number: `nodes`, `keys` and `links` hold what is queued, its key, and the next entry of its bucket; -1 ends
-a bucket. Entries that were taken out are a chain too. Its first is `free`, -1 without one, and `n_used` says how many
-were ever used; both stay with who searches, where they are quick to reach. All is inlined, arrays and not a tuple of them:
-a call or a tuple costs a third of the search.
+An entry is a number: `nodes`, `keys` and `links` hold what is queued, its key, and the next entry of its bucket; -1
+ends a bucket. Entries that were taken out are a chain too. Its first is `free`, -1 without one, and `n_used` says how
+many were ever used; both stay with who searches, where they are quick to reach. The arrays are given one by one and all
+is inlined: as a tuple they cost a third of a search.
 """
 
 import numpy as np
@@ -30,7 +30,7 @@ def popped(slot: int, free: int, heads: Int32s, links: Int32s) -> int:
     entry = heads[slot]
     heads[slot] = links[entry]
     links[entry] = free
-    return entry
+    return int(entry)
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -79,7 +79,7 @@ def line_cost(costs: UInt16s, x0: float, y0: float, x1: float, y1: float, most: 
             n_steps -= 1
         total += (here - before) * cost
         if total > share:
-            return total * length
+            return float(total * length)
     if costs[last_row, last_column] == 0:
         return BLOCKED
     return float((total + (1.0 - here) * costs[last_row, last_column]) * length)

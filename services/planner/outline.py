@@ -10,7 +10,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from services.planner.blocks import BLOCK, COLUMN_STEP, PART_MASK, PARTS, PLACE_BITS, ROW_STEP, SIDE_BITS, Blocks, place_at
+from services.planner.blocks import (
+    BLOCK,
+    COLUMN_STEP,
+    PART_MASK,
+    PARTS,
+    PLACE_BITS,
+    ROW_STEP,
+    SIDE_BITS,
+    Blocks,
+    place_at,
+)
 from services.planner.bucket_queue import empty_ring, popped, pushed
 from services.planner.lines import line_cost
 from services.planner.regions import Arrays, Regions, region_at
@@ -24,6 +34,8 @@ Int64s = NDArray[np.int64]
 Float64s = NDArray[np.float64]
 
 _DIAGONAL_MORE = 2**0.5 - 1  # by which a diagonal step is longer than a straight one
+_ASIDE = 0.4  # of the least cost, by which a step is dearer as far off the straight line as that is long
+_FAR_ASIDE = 0.15  # of the straight line's length, off which it makes no difference any more
 _COLUMN_MASK = (1 << PLACE_BITS) - 1
 
 
@@ -109,9 +121,13 @@ def _expand_nodes(
     n = len(places) // PARTS
     start_x, start_y = start & _COLUMN_MASK, start >> PLACE_BITS
     least = 2 * lowest * STRAIGHT
-    shift = width_bits(BLOCK * least)
+    # far less than a step to the next block: many ways are almost equal, and what comes too early comes again
+    shift = width_bits(lowest * STRAIGHT)
     heads = empty_ring((8 * BLOCK * highest * DIAGONAL) >> shift)
     mask = len(heads) - 1
+    line_x, line_y = start_x - (goal & _COLUMN_MASK), start_y - (goal >> PLACE_BITS)
+    per_aside = _ASIDE * 2 * lowest / max(line_x * line_x + line_y * line_y, 1)
+    most_aside = _ASIDE * 2 * lowest * _FAR_ASIDE
     keys[goal_node], nexts[goal_node] = base, goal_node
     bucket = _octile(start_x - (goal & _COLUMN_MASK), start_y - (goal >> PLACE_BITS), least) >> shift
     free, n_used = pushed(bucket & mask, goal_node, base, -1, 0, heads, nodes, entry_keys, links)
@@ -139,14 +155,15 @@ def _expand_nodes(
                     place = start if there == start_node else int(places[there])
                     tx, ty = place & _COLUMN_MASK, place >> PLACE_BITS
                     far = np.sqrt(np.float64((tx - x) * (tx - x) + (ty - y) * (ty - y)))
-                    so_far = key + np.int64((here + crossing[there]) * STRAIGHT * far)
+                    aside = min(abs((tx - start_x) * line_y - (ty - start_y) * line_x) * per_aside, most_aside)
+                    so_far = key + np.int64((here + crossing[there] + aside) * STRAIGHT * far)
                     if so_far < keys[there]:
                         keys[there], nexts[there] = so_far, node
                         total = so_far - base + _octile(tx - start_x, ty - start_y, least)
                         # places lie unevenly, so the estimate may fall; and no jump is longer than the ring
                         due = min(max(int(total >> shift), bucket), bucket + mask)
                         free, n_used = pushed(
-                            due & mask, there, so_far, free, n_used, heads, nodes, entry_keys, links
+                            due & mask, there, int(so_far), free, n_used, heads, nodes, entry_keys, links
                         )
                         n_open += 1
                 bits >>= 1
@@ -179,7 +196,7 @@ def _over_cells(
     entry_keys: Int64s,
     links: Int32s,
 ) -> Float64s:
-    """Points (n, 2), (x, y) in cells, each in sight of the next, along the nodes; n = 0: the entries did not suffice."""
+    """Points (n, 2), (x, y) in cells, each in sight of the next, along the nodes; none: the entries did not suffice."""
     width = costs.shape[1]
     flat = costs.reshape(-1)
     points = np.empty((64, 2))
@@ -202,9 +219,15 @@ def _over_cells(
             points[n_points, 0], points[n_points, 1] = x, y
             n_points += 1
         else:
+            if there != goal:  # to the next but one: less often through a block's place
+                node = int(nexts[node])
+                further = goal if node == goal_node else int(places[node])
+                if region_at(regions, further >> PLACE_BITS, further & _COLUMN_MASK) == region:
+                    there = further
+            row, column = there >> PLACE_BITS, there & _COLUMN_MASK
             first = (here >> PLACE_BITS) * width + (here & _COLUMN_MASK)
             last = row * width + column
-            dear = min(np.int64(flat[first]), np.int64(flat[last]))
+            dear = int(min(np.int64(flat[first]), np.int64(flat[last])))  # what lies between is hardly cheaper
             if expand(flat, width, first, last, dear, highest, stamp, keys, parents, cells, entry_keys, links) < 0:
                 return points[:0]
             way = traced(parents, width, first, last)

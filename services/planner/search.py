@@ -91,7 +91,7 @@ class Search:
 def stamped(stamp: Int64s) -> int:
     """The base of the keys of a new search: lower by 1 << COST_BITS than that of the one before."""
     stamp[0] += 1
-    return -stamp[0] << COST_BITS
+    return int(-stamp[0] << COST_BITS)
 
 
 @njit(cache=True, nogil=True)

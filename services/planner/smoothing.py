@@ -30,7 +30,7 @@ _BEND_COST = 1.02  # how much dearer than its corner a bend may be
 def followed(
     costs: UInt16s, lead: Float64s, points: Float64s, end: tuple[float, float], spacing: float, last: float
 ) -> tuple[Float64s, Float64s, float]:
-    """From the robot to the goal: the path (m, 2), its headings (m,) rad, `last` at the end, and its cost from points on.
+    """From the robot to the goal: the path (m, 2), its headings (m,) rad, `last` at the end, its cost from points on.
 
     lead: (k, 2), k >= 2, from the robot to the first cell of points, where the path begins to be smoothed; with k = 2
     the robot stands in that cell, and the path is smooth from the start. end: a point in the last cell.
@@ -126,7 +126,8 @@ def _pulled(costs: UInt16s, points: Float64s) -> NDArray[np.int64]:
 @njit(cache=True, nogil=True)
 def _cheaper(costs: UInt16s, points: Float64s, so_far: Float64s, i: int, k: int) -> bool:
     most = (so_far[k] - so_far[i]) * (1 + 1e-9) + 1e-9
-    return 0 <= line_cost(costs, points[i, 0], points[i, 1], points[k, 0], points[k, 1], most) <= most
+    cost = line_cost(costs, points[i, 0], points[i, 1], points[k, 0], points[k, 1], most)
+    return bool(0 <= cost <= most)
 
 
 @njit(cache=True, nogil=True)
@@ -210,8 +211,8 @@ def _rounded(costs: UInt16s, corners: Float64s, spacing: float) -> tuple[Float64
 
 @njit(cache=True, nogil=True)
 def _laid(path: Float64s, n: int, end: Float64s, spacing: float) -> int:
-    """Goes on from the path's n-th point straight to `end`, unless that is the same one: where two bends meet, or a bend
-    begins at the start. How many points the path has then."""
+    """Goes on from the path's n-th point straight to `end`, unless that is the same one: where two bends meet, or a
+    bend begins at the start. How many points the path has then."""
     x, y = path[n - 1]
     dx, dy = end[0] - x, end[1] - y
     if abs(dx) + abs(dy) < _SAME:
