@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 UInt8s = NDArray[np.uint8]
 UInt16s = NDArray[np.uint16]
+UInt32s = NDArray[np.uint32]
 Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
 
@@ -22,16 +23,26 @@ PARTS = 4
 """Nodes of a block at most; more parts than that share the last."""
 
 SIDE_BITS = 4
-"""Bits of `joins` for the parts across one side: right, upper, left, lower."""
+"""Bits of `joins` for the parts that lie one way: by `ROW_STEP` and `COLUMN_STEP`."""
+
+ROW_STEP = (0, 1, 0, -1, 1, 1, -1, -1)
+COLUMN_STEP = (1, 0, -1, 0, 1, -1, 1, -1)
+"""From a block to the next, by direction."""
+
+PART_MASK = (1 << SIDE_BITS) - 1
+_SIDES = (1 << 4 * SIDE_BITS) - 1
+
+PLACE_BITS = 16
+"""Bits of a place for its column; its row is in those above."""
 
 
 @dataclass(slots=True, eq=False)
 class Blocks:
     """parts: (h, w) uint8, a cell's part of its block, 1 to PARTS, 0 blocked.
 
-    Of node `(part - 1) * n + block`, where n = n_rows * n_columns: `places`, its cheapest cell (row * w + column; of
-    equal ones that nearest to the part's middle), 0 without cells; `crossing`, the cost there; `joins`, which parts it
-    meets across each side, as bits.
+    Of node `(part - 1) * n + block`, where n = n_rows * n_columns: `places`, its cheapest cell (`place_at`; of equal
+    ones that nearest to the part's middle), 0 without cells; `crossing`, the cost there; `joins`, uint32, which parts
+    it meets across each side, as bits, and across each corner by way of both sides of it, as a step between cells.
     """
 
     n_rows: int
@@ -39,7 +50,7 @@ class Blocks:
     parts: UInt8s
     places: Int32s
     crossing: UInt16s
-    joins: UInt16s
+    joins: UInt32s
 
     @staticmethod
     def of(costs: UInt16s) -> "Blocks":
@@ -47,7 +58,7 @@ class Blocks:
         n_rows, n_columns = -(-costs.shape[0] // BLOCK), -(-costs.shape[1] // BLOCK)
         n = PARTS * n_rows * n_columns
         parts, places = np.zeros(costs.shape, np.uint8), np.zeros(n, np.int32)
-        blocks = Blocks(n_rows, n_columns, parts, places, np.zeros(n, np.uint16), np.zeros(n, np.uint16))
+        blocks = Blocks(n_rows, n_columns, parts, places, np.zeros(n, np.uint16), np.zeros(n, np.uint32))
         blocks.update(costs, 0, 0, *costs.shape)
         return blocks
 
@@ -58,16 +69,23 @@ class Blocks:
             costs, (low_row, low_column, end_row, end_column), self.n_rows * self.n_columns, self.n_columns,
             self.parts, self.places, self.crossing,
         )  # fmt: skip
-        around = (
-            max(low_row - 1, 0), max(low_column - 1, 0),
-            min(end_row + 1, self.n_rows), min(end_column + 1, self.n_columns),
-        )  # fmt: skip
-        _join(self.parts, around, self.n_rows * self.n_columns, self.n_columns, self.joins)
+        for reach, join in ((1, _join_sides), (2, _join_corners)):
+            around = (
+                max(low_row - reach, 0), max(low_column - reach, 0),
+                min(end_row + reach, self.n_rows), min(end_column + reach, self.n_columns),
+            )  # fmt: skip
+            join(self.parts, around, self.n_rows * self.n_columns, self.n_columns, self.joins)
 
     def node(self, row: int, column: int) -> int:
         """The node that holds a free cell."""
         part = int(self.parts[row, column])
         return (part - 1) * self.n_rows * self.n_columns + row // BLOCK * self.n_columns + column // BLOCK
+
+
+@njit(cache=True, nogil=True)
+def place_at(row: int, column: int) -> int:
+    """A cell as one number that a shift and a mask take apart; 32 bits, as a map is less than 2^15 cells high."""
+    return (row << PLACE_BITS) | column
 
 
 @njit(cache=True, nogil=True)
@@ -106,8 +124,9 @@ def _part(
                                 known += 1
                     node = (found - 1) * n + block
                     if places[node] == 0:
-                        places[node] = _place(costs, cells[:known])
-                        crossing[node] = costs[places[node] // w, places[node] % w]
+                        best = _place(costs, cells[:known])
+                        places[node] = place_at(best // w, best % w)
+                        crossing[node] = costs[best // w, best % w]
 
 
 @njit(cache=True, nogil=True)
@@ -127,8 +146,8 @@ def _place(costs: UInt16s, cells: Int64s) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _join(parts: UInt8s, window: tuple[int, int, int, int], n: int, n_columns: int, joins: UInt16s) -> None:
-    """Which parts of adjacent blocks meet, for the blocks in the window."""
+def _join_sides(parts: UInt8s, window: tuple[int, int, int, int], n: int, n_columns: int, joins: UInt32s) -> None:
+    """Which parts of blocks side by side meet, for the blocks in the window. Leaves no corners."""
     h, w = parts.shape
     for block_row in range(window[0], window[2]):
         for block_column in range(window[1], window[3]):
@@ -150,6 +169,37 @@ def _join(parts: UInt8s, window: tuple[int, int, int, int], n: int, n_columns: i
 
 
 @njit(cache=True, nogil=True)
-def _meet(here: int, there: int, side: int, block: int, n: int, joins: UInt16s) -> None:
+def _meet(here: int, there: int, side: int, block: int, n: int, joins: UInt32s) -> None:
     if here and there:
-        joins[(here - 1) * n + block] |= 1 << (side * SIDE_BITS + there - 1)
+        joins[(here - 1) * n + block] |= np.uint32(1 << (side * SIDE_BITS + there - 1))
+
+
+@njit(cache=True, nogil=True)
+def _join_corners(parts: UInt8s, window: tuple[int, int, int, int], n: int, n_columns: int, joins: UInt32s) -> None:
+    """Adds which parts lie across the corners, for the blocks in the window, from what lies across the sides."""
+    for block_row in range(window[0], window[2]):
+        for block_column in range(window[1], window[3]):
+            block = block_row * n_columns + block_column
+            for i in range(PARTS):
+                joined = int(np.int64(joins[i * n + block]) & _SIDES)
+                for direction in range(4, 8):
+                    across, along = 2 * (direction & 1), (1 if direction < 6 else 3)
+                    bits = _beyond(joined, joins, n, block, n_columns, across, along)
+                    if bits:
+                        bits &= _beyond(joined, joins, n, block, n_columns, along, across)
+                    joined |= bits << SIDE_BITS * direction
+                joins[i * n + block] = joined
+
+
+@njit(cache=True, nogil=True)
+def _beyond(joined: int, joins: UInt32s, n: int, block: int, n_columns: int, first: int, then: int) -> int:
+    """Which parts lie across the side `then` of those that a node meets across the side `first`, as bits."""
+    bits = (joined >> SIDE_BITS * first) & PART_MASK
+    node = block + ROW_STEP[first] * n_columns + COLUMN_STEP[first]
+    found = 0
+    while bits:
+        if bits & 1:
+            found |= int((np.int64(joins[node]) >> SIDE_BITS * then) & PART_MASK)
+        bits >>= 1
+        node += n
+    return found

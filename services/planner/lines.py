@@ -31,9 +31,12 @@ def path_cost(costs: UInt16s, points: Float64s) -> float:
 
 
 @njit(cache=True, nogil=True)
-def line_cost(costs: UInt16s, x0: float, y0: float, x1: float, y1: float) -> float:
+def line_cost(costs: UInt16s, x0: float, y0: float, x1: float, y1: float, most: float = np.inf) -> float:
     """The integral of the costs along a line, or BLOCKED. Amanatides & Woo 1987, where a line through a corner of four
-    cells touches all of them."""
+    cells touches all of them.
+
+    Where it exceeds `most`, that is found before the line's end: what lies beyond is not looked at.
+    """
     column, row = int(np.floor(x0)), int(np.floor(y0))
     last_column, last_row = int(np.floor(x1)), int(np.floor(y1))
     h, w = costs.shape
@@ -48,25 +51,35 @@ def line_cost(costs: UInt16s, x0: float, y0: float, x1: float, y1: float) -> flo
     per_column = abs(1 / dx) if dx != 0 else np.inf
     per_row = abs(1 / dy) if dy != 0 else np.inf
     here, total = 0.0, 0.0
+    share = most / length if length > 0 else np.inf
     n_steps = abs(last_column - column) + abs(last_row - row)
     while n_steps > 0:
-        if costs[row, column] == 0:
+        cost = costs[row, column]
+        if cost == 0:
             return BLOCKED
-        there = max(min(t_column, t_row, 1.0), here)
-        total += (there - here) * costs[row, column]
-        here = there
-        corner = abs(t_column - t_row) < 1e-9 and column != last_column and row != last_row
-        if corner and (costs[row + up, column] == 0 or costs[row, column + across] == 0):
-            return BLOCKED
-        by_column = corner or row == last_row or (t_column < t_row and column != last_column)
-        if by_column:
+        before, between = here, t_column - t_row
+        if abs(between) < 1e-9 and column != last_column and row != last_row:
+            if costs[row + up, column] == 0 or costs[row, column + across] == 0:
+                return BLOCKED
+            here = t_row
+            column += across
+            row += up
+            t_column += per_column
+            t_row += per_row
+            n_steps -= 2
+        elif row == last_row or (between < 0 and column != last_column):
+            here = t_column
             column += across
             t_column += per_column
             n_steps -= 1
-        if corner or not by_column:
+        else:
+            here = t_row
             row += up
             t_row += per_row
             n_steps -= 1
+        total += (here - before) * cost
+        if total > share:
+            return float(total * length)
     if costs[last_row, last_column] == 0:
         return BLOCKED
     return float((total + (1.0 - here) * costs[last_row, last_column]) * length)

@@ -10,20 +10,33 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from services.planner.blocks import BLOCK, PARTS, SIDE_BITS, Blocks
+from services.planner.blocks import (
+    BLOCK,
+    COLUMN_STEP,
+    PART_MASK,
+    PARTS,
+    PLACE_BITS,
+    ROW_STEP,
+    SIDE_BITS,
+    Blocks,
+    place_at,
+)
+from services.planner.bucket_queue import empty_ring, popped, pushed
 from services.planner.lines import line_cost
 from services.planner.regions import Arrays, Regions, region_at
-from services.planner.search import COST_BITS, STRAIGHT, Marks, Search, buckets, expand, traced
+from services.planner.search import DIAGONAL, STRAIGHT, Marks, Search, expand, stamped, traced, width_bits
 
 UInt16s = NDArray[np.uint16]
+UInt32s = NDArray[np.uint32]
 Int8s = NDArray[np.int8]
 Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
 Float64s = NDArray[np.float64]
 
 _DIAGONAL_MORE = 2**0.5 - 1  # by which a diagonal step is longer than a straight one
-_PART_MASK = (1 << SIDE_BITS) - 1
-_NO_ROOM = -1  # the queue's entries did not suffice
+_ASIDE = 0.4  # of the least cost, by which a step is dearer as far off the straight line as that is long
+_FAR_ASIDE = 0.15  # of the straight line's length, off which it makes no difference any more
+_COLUMN_MASK = (1 << PLACE_BITS) - 1
 
 
 class Outline(Search):
@@ -47,24 +60,15 @@ class Outline(Search):
 
         As `Search.way`, with the blocks and regions of the costs. A middle is (column + 0.5, row + 0.5).
         """
-        w, n_nodes = costs.shape[1], len(blocks.places)
-        ends = blocks.node(*start), blocks.node(*goal), start[0] * w + start[1], goal[0] * w + goal[1]
-        shift, heads = buckets(BLOCK * lowest, 2 * BLOCK * highest)
+        nodes, cells = self.nodes, self.cells
+        ends = blocks.node(*start), blocks.node(*goal), place_at(*start), place_at(*goal)
         while True:
-            base = self.nodes.begin(1, n_nodes)
-            n_steps = _expand_nodes(
-                w, blocks.n_columns, blocks.places, blocks.crossing, blocks.joins, *ends, lowest, shift, base,
-                self.nodes.keys, self.nodes.origins, heads, *self.entries,
-            )  # fmt: skip
-            if n_steps != _NO_ROOM:
-                break
-            self.room(2 * len(self.entries[0]))
-        shift, heads = buckets(lowest, highest)
-        while True:
-            base = self.cells.begin(n_steps + 1, costs.size)
-            points = _over_cells(
-                costs, regions.arrays, blocks.places, self.nodes.origins, *ends, lowest, shift, base,
-                self.cells.keys, self.cells.origins, heads, *self.entries,
+            nodes.begin(len(blocks.places))
+            cells.begin(costs.size)
+            points = _points(
+                costs, regions.arrays, blocks.n_columns, blocks.places, blocks.crossing, blocks.joins, *ends,
+                lowest, highest, nodes.stamp, nodes.keys, nodes.origins, cells.stamp, cells.keys, cells.origins,
+                *self.entries,
             )  # fmt: skip
             if len(points):
                 return points
@@ -72,123 +76,105 @@ class Outline(Search):
 
 
 @njit(cache=True, nogil=True)
+def _points(
+    costs: UInt16s, regions: Arrays, n_columns: int, places: Int32s, crossing: UInt16s, joins: UInt32s,
+    start_node: int, goal_node: int, start: int, goal: int, lowest: int, highest: int,
+    node_stamp: Int64s, node_keys: Int64s, nexts: Int32s, cell_stamp: Int64s, cell_keys: Int64s, parents: Int8s,
+    entries: Int32s, entry_keys: Int64s, links: Int32s,
+) -> Float64s:  # fmt: skip
+    """The points; none where the queue's entries did not suffice."""
+    if not _expand_nodes(
+        n_columns, places, crossing, joins, start_node, goal_node, start, goal, lowest, highest,
+        node_stamp, node_keys, nexts, entries, entry_keys, links,
+    ):  # fmt: skip
+        return np.empty((0, 2))
+    return _over_cells(
+        costs, regions, places, nexts, start_node, goal_node, start, goal, lowest, highest,
+        cell_stamp, cell_keys, parents, entries, entry_keys, links,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
 def _expand_nodes(
-    width: int,
     n_columns: int,
     places: Int32s,
     crossing: UInt16s,
-    joins: UInt16s,
+    joins: UInt32s,
     start_node: int,
     goal_node: int,
     start: int,
     goal: int,
     lowest: int,
-    shift: int,
-    base: int,
+    highest: int,
+    stamp: Int64s,
     keys: Int64s,
     nexts: Int32s,
-    heads: Int32s,
-    cells: Int32s,
+    nodes: Int32s,
     entry_keys: Int64s,
     links: Int32s,
-) -> int:
+) -> bool:
     """Searches from the goal's node until the start's is settled; `nexts` leads from node to node to the goal.
 
-    Returns how many steps that are, or _NO_ROOM. The arrays are those of `Blocks` and of `search.expand`.
+    False: the entries did not suffice. The arrays are those of `Blocks` and of `search.expand`.
     """
+    base = stamped(stamp)
     n = len(places) // PARTS
-    start_x, start_y = start % width, start // width
+    start_x, start_y = start & _COLUMN_MASK, start >> PLACE_BITS
     least = 2 * lowest * STRAIGHT
+    # far less than a step to the next block: many ways are almost equal, and what comes too early comes again
+    shift = width_bits(lowest * STRAIGHT)
+    heads = empty_ring((8 * BLOCK * highest * DIAGONAL) >> shift)
     mask = len(heads) - 1
-    heads[:] = -1
-    free, n_used, n_open = -1, 1, 1
+    line_x, line_y = start_x - (goal & _COLUMN_MASK), start_y - (goal >> PLACE_BITS)
+    per_aside = _ASIDE * 2 * lowest / max(line_x * line_x + line_y * line_y, 1)
+    most_aside = _ASIDE * 2 * lowest * _FAR_ASIDE
     keys[goal_node], nexts[goal_node] = base, goal_node
-    bucket = _octile(start_x - goal % width, start_y - goal // width, least) >> shift
-    heads[bucket & mask] = 0
-    cells[0], entry_keys[0], links[0] = goal_node, base, -1
+    bucket = _octile(start_x - (goal & _COLUMN_MASK), start_y - (goal >> PLACE_BITS), least) >> shift
+    free, n_used = pushed(bucket & mask, goal_node, base, -1, 0, heads, nodes, entry_keys, links)
+    n_open = 1
     while n_open:
         while heads[bucket & mask] < 0:
             bucket += 1
         if base + (bucket << shift) >= keys[start_node]:
             break
-        entry = heads[bucket & mask]
-        heads[bucket & mask] = links[entry]
-        node, key = int(cells[entry]), int(entry_keys[entry])
-        links[entry] = free
-        free = entry
+        free = popped(bucket & mask, free, heads, links)
         n_open -= 1
+        node, key = int(nodes[free]), int(entry_keys[free])
         if key != keys[node]:
             continue
+        if n_used + 8 * PARTS > len(nodes):
+            return False
         place = goal if node == goal_node else int(places[node])
-        x, y, here = place % width, place // width, np.int64(crossing[node])
-        block, joined = node % n, int(np.int64(joins[node]))
+        x, y, here = place & _COLUMN_MASK, place >> PLACE_BITS, np.int64(crossing[node])
+        block, joined = node % n, np.int64(joins[node])
         for direction in range(8):
-            if direction < 4:
-                bits = (joined >> SIDE_BITS * direction) & _PART_MASK
-                there_block = block + _next(direction, n_columns)
-            else:  # by both sides of the corner, as a step between cells
-                across, along = 2 * (direction & 1), (1 if direction < 6 else 3)
-                bits = _beyond(joined, joins, n, block, n_columns, across, along)
-                if bits:
-                    bits &= _beyond(joined, joins, n, block, n_columns, along, across)
-                there_block = block + _next(across, n_columns) + _next(along, n_columns)
-            there = there_block
+            bits = (joined >> SIDE_BITS * direction) & PART_MASK
+            there = block + ROW_STEP[direction] * n_columns + COLUMN_STEP[direction]
             while bits:
-                if bits & 1:
+                if bits & 1 and keys[there] > key:
                     place = start if there == start_node else int(places[there])
-                    tx, ty = place % width, place // width
+                    tx, ty = place & _COLUMN_MASK, place >> PLACE_BITS
                     far = np.sqrt(np.float64((tx - x) * (tx - x) + (ty - y) * (ty - y)))
-                    so_far = key + np.int64((here + crossing[there]) * STRAIGHT * far)
+                    aside = min(abs((tx - start_x) * line_y - (ty - start_y) * line_x) * per_aside, most_aside)
+                    so_far = key + np.int64((here + crossing[there] + aside) * STRAIGHT * far)
                     if so_far < keys[there]:
                         keys[there], nexts[there] = so_far, node
                         total = so_far - base + _octile(tx - start_x, ty - start_y, least)
-                        if free >= 0:
-                            entry = free
-                            free = links[entry]
-                        elif n_used < len(cells):
-                            entry = n_used
-                            n_used += 1
-                        else:
-                            return _NO_ROOM
                         # places lie unevenly, so the estimate may fall; and no jump is longer than the ring
-                        due = max(int(total >> shift), bucket)
-                        slot = int(min(due, bucket + mask)) & mask
-                        cells[entry], entry_keys[entry], links[entry] = there, so_far, heads[slot]
-                        heads[slot] = entry
+                        due = min(max(int(total >> shift), bucket), bucket + mask)
+                        free, n_used = pushed(
+                            due & mask, there, int(so_far), free, n_used, heads, nodes, entry_keys, links
+                        )
                         n_open += 1
                 bits >>= 1
                 there += n
-    n_steps = 0
-    node = start_node
-    while node != goal_node:
-        node = int(nexts[node])
-        n_steps += 1
-    return n_steps
+    return True
 
 
 @njit(cache=True, nogil=True)
 def _octile(dx: int, dy: int, least: int) -> int:
     dx, dy = abs(dx), abs(dy)
     return int(least * (max(dx, dy) + _DIAGONAL_MORE * min(dx, dy)))
-
-
-@njit(cache=True, nogil=True)
-def _next(side: int, n_columns: int) -> int:
-    return (1, n_columns, -1, -n_columns)[side]
-
-
-@njit(cache=True, nogil=True)
-def _beyond(joined: int, joins: UInt16s, n: int, block: int, n_columns: int, first: int, then: int) -> int:
-    """Which parts lie across the side `then` of those that a node meets across the side `first`, as bits."""
-    bits = (joined >> SIDE_BITS * first) & _PART_MASK
-    node = block + _next(first, n_columns)
-    found = 0
-    while bits:
-        if bits & 1:
-            found |= (int(np.int64(joins[node])) >> SIDE_BITS * then) & _PART_MASK
-        bits >>= 1
-        node += n
-    return found
 
 
 @njit(cache=True, nogil=True)
@@ -202,45 +188,49 @@ def _over_cells(
     start: int,
     goal: int,
     lowest: int,
-    shift: int,
-    base: int,
+    highest: int,
+    stamp: Int64s,
     keys: Int64s,
     parents: Int8s,
-    heads: Int32s,
     cells: Int32s,
     entry_keys: Int64s,
     links: Int32s,
 ) -> Float64s:
-    """Points (n, 2), (x, y) in cells, each in sight of the next, along the nodes; n = 0: the entries did not suffice.
-
-    A search over cells takes the next lower `base`.
-    """
+    """Points (n, 2), (x, y) in cells, each in sight of the next, along the nodes; none: the entries did not suffice."""
     width = costs.shape[1]
     flat = costs.reshape(-1)
     points = np.empty((64, 2))
-    points[0, 0], points[0, 1] = start % width + 0.5, start // width + 0.5
+    row, column = start >> PLACE_BITS, start & _COLUMN_MASK
+    points[0, 0], points[0, 1] = column + 0.5, row + 0.5
     n_points = 1
     here, node = start, start_node
-    region = region_at(regions, start // width, start % width)
+    region = region_at(regions, row, column)
     while here != goal:
         node = int(nexts[node])
         there = goal if node == goal_node else int(places[node])
+        row, column = there >> PLACE_BITS, there & _COLUMN_MASK
         # parts that share a node need not hang together: what lies elsewhere is passed over
-        if there == here or region_at(regions, there // width, there % width) != region:
+        if there == here or region_at(regions, row, column) != region:
             continue
-        x, y = there % width + 0.5, there // width + 0.5
+        x, y = column + 0.5, row + 0.5
         if line_cost(costs, points[n_points - 1, 0], points[n_points - 1, 1], x, y) >= 0:
             if n_points == len(points):
                 points = _longer(points, 2 * n_points)
             points[n_points, 0], points[n_points, 1] = x, y
             n_points += 1
         else:
-            if not expand(
-                flat, width, here, there, lowest, shift, base, keys, parents, heads, cells, entry_keys, links
-            ):
+            if there != goal:  # to the next but one: less often through a block's place
+                node = int(nexts[node])
+                further = goal if node == goal_node else int(places[node])
+                if region_at(regions, further >> PLACE_BITS, further & _COLUMN_MASK) == region:
+                    there = further
+            row, column = there >> PLACE_BITS, there & _COLUMN_MASK
+            first = (here >> PLACE_BITS) * width + (here & _COLUMN_MASK)
+            last = row * width + column
+            dear = int(min(np.int64(flat[first]), np.int64(flat[last])))  # what lies between is hardly cheaper
+            if expand(flat, width, first, last, dear, highest, stamp, keys, parents, cells, entry_keys, links) < 0:
                 return points[:0]
-            base -= 1 << COST_BITS
-            way = traced(parents, width, here, there)
+            way = traced(parents, width, first, last)
             if n_points + len(way) > len(points):
                 points = _longer(points, 2 * (n_points + len(way)))
             for i in range(1, len(way)):

@@ -13,7 +13,7 @@ from pydantic import Field
 from services.planner.curved import curved
 from services.planner.lines import line_cost, path_cost
 from services.planner.outline import Outline
-from services.planner.smoothing import headings, resampled, smoothed
+from services.planner.smoothing import followed, resampled
 from services.planner.traversal_cost import UNIT, Terrain
 from shared import reasons
 from shared.config import Section
@@ -123,24 +123,15 @@ def _with_margin(
     points = outline.points(terrain.costs, terrain.blocks, terrain.regions, escape[-1], end_cell, UNIT, terrain.highest)
     here = _in_cells(terrain, start, start_cell)
     lead = np.array([here, *((column + 0.5, row + 0.5) for row, column in escape)])
-    if len(escape) == 1:
-        points = np.concatenate(([here], points))
-    points = np.concatenate((points, [end]))
-    path = smoothed(terrain.costs, points, spacing)
+    path, yaws, cost = followed(terrain.costs, lead, points, end, spacing, wrapped(goal.yaw))
     if turning is not None and len(escape) == 1:
-        ways = headings(path, goal.yaw)
-        off = abs(wrapped(ways[0] - start.yaw)) > SPINS_FROM
-        begin = here[0], here[1], float(ways[0]) if off else start.yaw
+        off = abs(wrapped(yaws[0] - start.yaw)) > SPINS_FROM
+        begin = here[0], here[1], float(yaws[0]) if off else start.yaw
         arcs = _in_arcs(terrain, begin, (end[0], end[1], 0.0), turning._replace(any_heading=True), spacing, 0.0)
         if arcs.reason is None:
             arcs.yaws[-1] = wrapped(goal.yaw)
             return arcs
-    cost = path_cost(terrain.costs, path)
-    if len(escape) > 1:
-        path = np.concatenate((resampled(lead, spacing), path[1:]))
-    return Plan(
-        terrain.origin + path * terrain.resolution, headings(path, wrapped(goal.yaw)), cost * terrain.resolution / UNIT
-    )
+    return Plan(terrain.origin + path * terrain.resolution, yaws, cost * terrain.resolution / UNIT)
 
 
 def _in_arcs(

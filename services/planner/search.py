@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The cheapest way over an 8-connected cost grid: A* with a circular bucket queue and buffers that are never cleared.
 
-Costs are integers, so a queue of buckets replaces the heap (Dial 1969; Denardo & Fox 1979). A bucket is wider than the
-smallest step; what was expanded too early is expanded again, so the result is exact.
+Costs are integers, so a queue of buckets replaces the heap. A bucket is wider than the smallest step; what was expanded
+too early is expanded again, so the result is exact.
 """
 
 from typing import Generic, TypeVar
@@ -10,6 +10,8 @@ from typing import Generic, TypeVar
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from services.planner.bucket_queue import empty_ring, popped, pushed
 
 UInt16s = NDArray[np.uint16]
 Int8s = NDArray[np.int8]
@@ -23,6 +25,9 @@ STRAIGHT, DIAGONAL = 2378, 3363
 COST_BITS = 42
 """Of a key: the cost so far. The bits above number the search, downwards, so that keys of older ones are larger."""
 
+NO_ROOM = -1
+"""What a search returns where the queue's entries did not suffice."""
+
 _SEARCHES = 2**21 - 1  # so many stamps there are
 _ROW = np.array([0, 1, 0, -1, 1, 1, -1, -1], np.int64)
 _COLUMN = np.array([1, 0, -1, 0, 1, -1, 1, -1], np.int64)
@@ -35,20 +40,17 @@ class Marks(Generic[Origin]):
     """
 
     def __init__(self, origins: type[Origin]) -> None:
-        self._begun = 0
+        self.stamp: Int64s = np.zeros(1, np.int64)  # of the latest search
         self.keys: Int64s = np.zeros(0, np.int64)
         self.origins: NDArray[Origin] = np.zeros(0, origins)
 
-    def begin(self, n: int, size: int) -> int:
-        """The base of the keys of the first of n searches over size cells; each next one lies 1 << COST_BITS lower."""
+    def begin(self, size: int) -> None:
+        """Makes them fit size cells, and half of all stamps be left."""
         size = max(size, len(self.keys))
-        if size > len(self.keys) or self._begun + n > _SEARCHES:
-            self._begun = 0
+        if size > len(self.keys) or self.stamp[0] > _SEARCHES // 2:
+            self.stamp[0] = 0
             # zero is more than any key, and memory that nobody has written to costs nothing
             self.keys, self.origins = np.zeros(size, np.int64), np.zeros(size, self.origins.dtype)
-        first = self._begun + 1
-        self._begun += n
-        return -first << COST_BITS
 
 
 class Search:
@@ -74,23 +76,22 @@ class Search:
         start_cell, goal_cell = start[0] * w + start[1], goal[0] * w + goal[1]
         if not (flat[start_cell] and flat[goal_cell]):
             return np.empty((0, 2), np.int32)
-        shift, heads = buckets(lowest, highest)
         while True:
-            base = marks.begin(1, flat.size)
-            if expand(
-                flat, w, start_cell, goal_cell, lowest, shift, base, marks.keys, marks.origins, heads, *self.entries
-            ):
+            marks.begin(flat.size)
+            found = expand(
+                flat, w, start_cell, goal_cell, lowest, highest, marks.stamp, marks.keys, marks.origins, *self.entries
+            )
+            if found != NO_ROOM:
                 break
             self.room(2 * len(self.entries[0]))
-        if marks.keys[goal_cell] >> COST_BITS != base >> COST_BITS:
-            return np.empty((0, 2), np.int32)
-        return traced(marks.origins, w, start_cell, goal_cell)
+        return traced(marks.origins, w, start_cell, goal_cell) if found else np.empty((0, 2), np.int32)
 
 
-def buckets(lowest: int, highest: int) -> tuple[int, Int32s]:
-    """Bits of a cost that lie within a bucket, and the buckets' first entries, for steps between cells."""
-    shift = (2 * lowest * STRAIGHT).bit_length() - 1
-    return shift, np.empty(1 << ((4 * highest * DIAGONAL >> shift) + 4).bit_length(), np.int32)
+@njit(cache=True, nogil=True)
+def stamped(stamp: Int64s) -> int:
+    """The base of the keys of a new search: lower by 1 << COST_BITS than that of the one before."""
+    stamp[0] += 1
+    return int(-stamp[0] << COST_BITS)
 
 
 @njit(cache=True, nogil=True)
@@ -100,45 +101,45 @@ def expand(
     start: int,
     goal: int,
     lowest: int,
-    shift: int,
-    base: int,
+    highest: int,
+    stamp: Int64s,
     keys: Int64s,
     parents: Int8s,
-    heads: Int32s,
     cells: Int32s,
     entry_keys: Int64s,
     links: Int32s,
-) -> bool:
+) -> int:
     """Fills keys (base + cost so far) and parents (direction of arrival) until the goal is settled or nothing is left.
 
-    False: the entries did not suffice.
+    Returns whether there is a way, 1 or 0, or NO_ROOM where the entries did not suffice. Exact where no cost is under
+    `lowest`; a higher one looks at fewer cells, and finds some way.
     """
+    base = stamped(stamp)
     offsets = _ROW * width + _COLUMN
     goal_row, goal_column = goal // width, goal % width
     straight_least, diagonal_least = 2 * lowest * STRAIGHT, 2 * lowest * DIAGONAL
     slower = diagonal_least - straight_least
+    shift = width_bits(straight_least)
+    heads = empty_ring((2 * (highest + lowest) * DIAGONAL) >> shift)
     mask = len(heads) - 1
-    heads[:] = -1
-    free, n_used, n_open = -1, 1, 1
     keys[start] = base
     dr, dc = abs(goal_row - start // width), abs(goal_column - start % width)
     bucket = (straight_least * max(dr, dc) + slower * min(dr, dc)) >> shift
-    heads[bucket & mask] = 0
-    cells[0], entry_keys[0], links[0] = start, base, -1
+    free, n_used = pushed(bucket & mask, start, base, -1, 0, heads, cells, entry_keys, links)
+    n_open = 1
     open_way = np.zeros(4, np.bool_)
     while n_open:
         while heads[bucket & mask] < 0:
             bucket += 1
         if base + (bucket << shift) >= keys[goal]:
-            return True
-        entry = heads[bucket & mask]
-        heads[bucket & mask] = links[entry]
-        cell, key = cells[entry], entry_keys[entry]
-        links[entry] = free
-        free = entry
+            return 1
+        free = popped(bucket & mask, free, heads, links)
         n_open -= 1
+        cell, key = cells[free], entry_keys[free]
         if key != keys[cell]:
             continue
+        if n_used + 8 > len(cells):
+            return NO_ROOM
         here = np.int64(costs[cell])
         row, column = cell // width, cell % width
         for direction in range(8):
@@ -157,19 +158,19 @@ def expand(
             parents[there] = direction
             dr, dc = abs(goal_row - row - _ROW[direction]), abs(goal_column - column - _COLUMN[direction])
             total = key + step - base + straight_least * max(dr, dc) + slower * min(dr, dc)
-            if free >= 0:
-                entry = free
-                free = links[entry]
-            elif n_used < len(cells):
-                entry = n_used
-                n_used += 1
-            else:
-                return False
-            slot = (total >> shift) & mask
-            cells[entry], entry_keys[entry], links[entry] = there, key + step, heads[slot]
-            heads[slot] = entry
+            slot = max(total >> shift, bucket) & mask  # not before what is expanded now, where `lowest` is too high
+            free, n_used = pushed(slot, there, key + step, free, n_used, heads, cells, entry_keys, links)
             n_open += 1
-    return True
+    return 1 if keys[goal] >> COST_BITS == base >> COST_BITS else 0
+
+
+@njit(cache=True, nogil=True)
+def width_bits(least: int) -> int:
+    """Bits of a cost that lie within a bucket, for steps that cost at least so much."""
+    shift = 0
+    while least >> shift > 1:
+        shift += 1
+    return shift
 
 
 @njit(cache=True, nogil=True)

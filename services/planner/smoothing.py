@@ -12,12 +12,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from services.planner.lines import line_cost
+from services.planner.lines import BLOCKED, line_cost
+from services.planner.traversal_cost import UNIT
 
 UInt16s = NDArray[np.uint16]
 Float64s = NDArray[np.float64]
 
-_RELAX_STEPS = (4.0, 2.0, 1.0)  # cells that a corner is moved, coarse to fine
+_RELAX_STEPS = ((3.0, 4), (1.0, 2), (0.4, 2))  # cells that a corner is moved, coarse to fine; how many ways are tried
 _BEND = 10.0  # cells before and after a corner in which the path bends, at most
 _LEAST_BEND = 0.5
 _LEAST_GAIN = 1e-6  # of cost, for which a corner is moved
@@ -25,21 +26,43 @@ _SAME = 1e-6  # cells between points that are one
 _BEND_COST = 1.02  # how much dearer than its corner a bend may be
 
 
+@njit(cache=True, nogil=True)
+def followed(
+    costs: UInt16s, lead: Float64s, points: Float64s, end: tuple[float, float], spacing: float, last: float
+) -> tuple[Float64s, Float64s, float]:
+    """From the robot to the goal: the path (m, 2), its headings (m,) rad, `last` at the end, its cost from points on.
+
+    lead: (k, 2), k >= 2, from the robot to the first cell of points, where the path begins to be smoothed; with k = 2
+    the robot stands in that cell, and the path is smooth from the start. end: a point in the last cell.
+    """
+    n_lead = 1 if len(lead) == 2 else 0
+    whole = np.empty((n_lead + len(points) + 1, 2))
+    whole[:n_lead] = lead[:n_lead]
+    whole[n_lead:-1] = points
+    whole[-1, 0], whole[-1, 1] = end
+    path, cost = _smoothed(costs, whole, spacing)
+    if n_lead == 0:
+        path = np.concatenate((resampled(lead, spacing), path[1:]))
+    return path, headings(path, last), cost
+
+
+@njit(cache=True, nogil=True)
 def smoothed(costs: UInt16s, points: Float64s, spacing: float) -> Float64s:
     """A path from the first to the last of points (n, 2), n >= 2, that touches no blocked cell: (m, 2).
 
     Adjacent points must see each other; spacing, cells, bounds the distance between adjacent points of the result.
     """
-    return _smoothed(costs, points, spacing)
+    return _smoothed(costs, points, spacing)[0]
 
 
 @njit(cache=True, nogil=True)
-def _smoothed(costs: UInt16s, points: Float64s, spacing: float) -> Float64s:
+def _smoothed(costs: UInt16s, points: Float64s, spacing: float) -> tuple[Float64s, float]:
+    """The path, and what it costs."""
     corners = points[_pulled(costs, points)]
     if len(corners) > 2:
         _relax(costs, corners)
         corners = corners[_pulled(costs, corners)]
-    return resampled(_rounded(costs, corners, spacing), spacing)
+    return _rounded(costs, corners, spacing)
 
 
 @njit(cache=True, nogil=True)
@@ -47,20 +70,13 @@ def resampled(corners: Float64s, spacing: float) -> Float64s:
     """Points on the polyline, its corners among them, at most `spacing` apart: (m, 2)."""
     n = 1
     for i in range(len(corners) - 1):
-        n += _pieces(corners, i, spacing)
+        n += _pieces(corners[i], corners[i + 1], spacing)
     path = np.empty((n, 2))
     path[0] = corners[0]
     n = 1
-    for i in range(len(corners) - 1):
-        k = _pieces(corners, i, spacing)
-        x, y = corners[i, 0], corners[i, 1]
-        dx, dy = corners[i + 1, 0] - x, corners[i + 1, 1] - y
-        for j in range(1, k):
-            path[n, 0], path[n, 1] = x + dx * (j / k), y + dy * (j / k)
-            n += 1
-        path[n] = corners[i + 1]
-        n += 1
-    return path
+    for i in range(1, len(corners)):
+        n = _laid(path, n, corners[i], spacing)
+    return path[:n]
 
 
 @njit(cache=True, nogil=True)
@@ -74,9 +90,8 @@ def headings(path: Float64s, last: float) -> Float64s:
 
 
 @njit(cache=True, nogil=True)
-def _pieces(corners: Float64s, i: int, spacing: float) -> int:
-    length = hypot(corners[i + 1, 0] - corners[i, 0], corners[i + 1, 1] - corners[i, 1])
-    return max(int(np.ceil(length / spacing)), 1)
+def _pieces(start: Float64s, end: Float64s, spacing: float) -> int:
+    return max(int(np.ceil(hypot(end[0] - start[0], end[1] - start[1]) / spacing)), 1)
 
 
 @njit(cache=True, nogil=True)
@@ -110,62 +125,69 @@ def _pulled(costs: UInt16s, points: Float64s) -> NDArray[np.int64]:
 
 @njit(cache=True, nogil=True)
 def _cheaper(costs: UInt16s, points: Float64s, so_far: Float64s, i: int, k: int) -> bool:
-    cost = line_cost(costs, points[i, 0], points[i, 1], points[k, 0], points[k, 1])
-    return cost >= 0 and cost <= (so_far[k] - so_far[i]) * (1 + 1e-9) + 1e-9
+    most = (so_far[k] - so_far[i]) * (1 + 1e-9) + 1e-9
+    cost = line_cost(costs, points[i, 0], points[i, 1], points[k, 0], points[k, 1], most)
+    return bool(0 <= cost <= most)
 
 
 @njit(cache=True, nogil=True)
 def _relax(costs: UInt16s, corners: Float64s) -> None:
-    """Slides inner corners where that makes the path cheaper, in place: once by each step, from the first on."""
-    for step in _RELAX_STEPS:
+    """Slides inner corners where that makes the path cheaper, in place: once by each step, from the first on.
+
+    To one side or the other of the line between its neighbours; by the longest step along that line, too.
+    """
+    legs = np.empty(len(corners) - 1)
+    for i in range(len(legs)):
+        legs[i] = _leg_cost(costs, corners[i], corners[i + 1])
+    for step, n_ways in _RELAX_STEPS:
         for i in range(1, len(corners) - 1):
-            _slide(costs, corners, i, step)
+            _slide(costs, corners, legs, i, step, n_ways)
 
 
 @njit(cache=True, nogil=True)
-def _slide(costs: UInt16s, corners: Float64s, i: int, step: float) -> None:
-    """Moves corner i across the line between its neighbours, and along it, by a step to one side or the other."""
-    dx, dy = corners[i + 1, 0] - corners[i - 1, 0], corners[i + 1, 1] - corners[i - 1, 1]
+def _slide(costs: UInt16s, corners: Float64s, legs: Float64s, i: int, step: float, n_ways: int) -> None:
+    """Moves corner i by a step the first of n_ways that makes its two legs cheaper: across, back, along, back."""
+    ax, ay, bx, by = corners[i - 1, 0], corners[i - 1, 1], corners[i + 1, 0], corners[i + 1, 1]
+    dx, dy = bx - ax, by - ay
     chord = hypot(dx, dy)
     if chord < _SAME:
         return
     dx, dy = dx / chord * step, dy / chord * step
-    least = _two_lines(costs, corners, i, corners[i, 0], corners[i, 1])
-    for across, along in ((-dy, dx), (dx, dy)):
-        for sign in (1, -1):
-            x, y = corners[i, 0] + sign * across, corners[i, 1] + sign * along
-            cost = _two_lines(costs, corners, i, x, y)
-            if 0 <= cost < least - _LEAST_GAIN:
-                least = cost
-                corners[i, 0], corners[i, 1] = x, y
-                break
+    most = legs[i - 1] + legs[i] - _LEAST_GAIN
+    for k in range(n_ways):
+        move_x, move_y = (-dy, dx) if k < 2 else (dx, dy)
+        sign = 1 if k % 2 == 0 else -1
+        x, y = corners[i, 0] + sign * move_x, corners[i, 1] + sign * move_y
+        rest = UNIT * hypot(bx - x, by - y)  # the least that the second leg costs
+        if UNIT * hypot(x - ax, y - ay) + rest > most:
+            continue
+        before = line_cost(costs, ax, ay, x, y, most - rest)
+        if before < 0 or before + rest > most:
+            continue
+        after = line_cost(costs, x, y, bx, by, most - before)
+        if 0 <= after <= most - before:
+            corners[i, 0], corners[i, 1], legs[i - 1], legs[i] = x, y, before, after
+            return
 
 
 @njit(cache=True, nogil=True)
-def _two_lines(costs: UInt16s, points: Float64s, i: int, x: float, y: float) -> float:
-    """The cost from point i - 1 by (x, y) to point i + 1, or BLOCKED."""
-    before = line_cost(costs, points[i - 1, 0], points[i - 1, 1], x, y)
-    if before < 0:
-        return before
-    after = line_cost(costs, x, y, points[i + 1, 0], points[i + 1, 1])
-    return before + after if after >= 0 else after
-
-
-@njit(cache=True, nogil=True)
-def _rounded(costs: UInt16s, corners: Float64s, spacing: float) -> Float64s:
-    """The polyline with a bend in place of each corner, as wide as its legs and the costs allow."""
-    path = np.empty((len(corners) + (len(corners) - 2) * (int(2 * _BEND / spacing) + 2), 2))
+def _rounded(costs: UInt16s, corners: Float64s, spacing: float) -> tuple[Float64s, float]:
+    """The polyline with a bend in place of each corner, as wide as its legs and the costs allow; and what it costs."""
+    most = int(2 * _BEND / spacing) + 2  # points of a bend
+    n = len(corners) * most + 2
+    for i in range(len(corners) - 1):
+        n += _pieces(corners[i], corners[i + 1], spacing)
+    path, bend = np.empty((n, 2)), np.empty((most, 2))
     path[0] = corners[0]
-    n = 1
-    bend = np.empty((int(2 * _BEND / spacing) + 2, 2))
+    n, total = 1, 0.0
     for i in range(1, len(corners) - 1):
         bx, by = corners[i - 1, 0] - corners[i, 0], corners[i - 1, 1] - corners[i, 1]
         ax, ay = corners[i + 1, 0] - corners[i, 0], corners[i + 1, 1] - corners[i, 1]
         before, after = hypot(bx, by), hypot(ax, ay)
         # a leg between two corners is shared by their bends
         reach = min(before * (0.5 if i > 1 else 1.0), after * (0.5 if i < len(corners) - 2 else 1.0), _BEND)
-        n_bend = 0
-        while reach >= _LEAST_BEND:
+        cost, n_bend = BLOCKED, 0
+        while reach >= _LEAST_BEND and cost < 0:
             sx, sy = bx / before * reach, by / before * reach
             ex, ey = ax / after * reach, ay / after * reach
             n_bend = max(int(np.ceil(2 * reach / spacing)), 2) + 1
@@ -173,35 +195,48 @@ def _rounded(costs: UInt16s, corners: Float64s, spacing: float) -> Float64s:
                 t = k / (n_bend - 1)
                 s, e = (1 - t) * (1 - t), t * t
                 bend[k, 0], bend[k, 1] = corners[i, 0] + s * sx + e * ex, corners[i, 1] + s * sy + e * ey
-            if _free_bend(costs, bend[:n_bend], corners[i, 0], corners[i, 1]):
-                break
-            reach, n_bend = reach / 2, 0
-        if n_bend == 0:
-            bend[0], n_bend = corners[i], 1
-        for k in range(n_bend):
-            n = _appended(path, n, bend[k])
-    n = max(_appended(path, n, corners[-1]), 2)
+            cost = _bend_cost(costs, bend[:n_bend], corners[i])
+            reach /= 2
+        if cost < 0:
+            bend[0], n_bend, cost = corners[i], 1, 0.0
+        total += cost + _leg_cost(costs, path[n - 1], bend[0])
+        n = _laid(path, n, bend[0], spacing)
+        path[n : n + n_bend - 1] = bend[1:n_bend]
+        n += n_bend - 1
+    total += _leg_cost(costs, path[n - 1], corners[-1])
+    n = max(_laid(path, n, corners[-1], spacing), 2)
     path[n - 1] = corners[-1]
-    return path[:n]
+    return path[:n], total
 
 
 @njit(cache=True, nogil=True)
-def _appended(path: Float64s, n: int, point: Float64s) -> int:
-    """Appends a point unless it is the last one: where two bends meet, or a bend begins at the start."""
-    if abs(point[0] - path[n - 1, 0]) + abs(point[1] - path[n - 1, 1]) < _SAME:
+def _laid(path: Float64s, n: int, end: Float64s, spacing: float) -> int:
+    """Goes on from the path's n-th point straight to `end`, unless that is the same one: where two bends meet, or a
+    bend begins at the start. How many points the path has then."""
+    x, y = path[n - 1]
+    dx, dy = end[0] - x, end[1] - y
+    if abs(dx) + abs(dy) < _SAME:
         return n
-    path[n] = point
+    k = _pieces(path[n - 1], end, spacing)
+    for j in range(1, k):
+        path[n, 0], path[n, 1] = x + dx * (j / k), y + dy * (j / k)
+        n += 1
+    path[n] = end
     return n + 1
 
 
 @njit(cache=True, nogil=True)
-def _free_bend(costs: UInt16s, bend: Float64s, x: float, y: float) -> bool:
-    """Whether a bend touches nothing and costs little more than its two ends by the corner (x, y)."""
-    limit = line_cost(costs, bend[0, 0], bend[0, 1], x, y) + line_cost(costs, x, y, bend[-1, 0], bend[-1, 1])
-    limit, total = limit * _BEND_COST, 0.0
+def _leg_cost(costs: UInt16s, start: Float64s, end: Float64s) -> float:
+    return line_cost(costs, start[0], start[1], end[0], end[1])
+
+
+@njit(cache=True, nogil=True)
+def _bend_cost(costs: UInt16s, bend: Float64s, corner: Float64s) -> float:
+    """What a bend costs, BLOCKED where it touches something or costs much more than its two ends by the corner."""
+    limit, total = _BEND_COST * (_leg_cost(costs, bend[0], corner) + _leg_cost(costs, corner, bend[-1])), 0.0
     for k in range(len(bend) - 1):
         cost = line_cost(costs, bend[k, 0], bend[k, 1], bend[k + 1, 0], bend[k + 1, 1])
         total += cost
         if cost < 0 or total > limit:
-            return False
-    return True
+            return BLOCKED
+    return total

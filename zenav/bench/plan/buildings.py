@@ -9,14 +9,14 @@ import numpy as np
 from services.planner.traversal_cost import CostConfig, Terrain
 from shared.config import Robot
 from shared.ros_map import read_ros_map
+from zenav.bench.plan.equal_clearance import least_clearance, over_equal, over_least
 from zenav.bench.plan.maps import Cell, Scenario, terrain_of
-from zenav.bench.plan.measure import Float64s, Row, clearance, length, navfns, ours
-from zenav.bench.plan.shortest import corners_of, shortest
+from zenav.bench.plan.measure import Float64s, Row, clearance, length, navfns, ours, spread
 
 QUERIES = 50  # a map
+COMPARED = 20  # of them with the shortest at equal clearance, which takes long to find
 APART = 40  # cells between the ends of a query, at least
 CONFIG = CostConfig(unknown="forbidden")
-_HAIR = 1e-6  # cells
 
 
 def maps(folder: Path) -> list[Path]:
@@ -34,8 +34,10 @@ def building_rows(path: Path, robot: Robot) -> dict[str, Row]:
         return {}
     rows = {}
     rows["ours"], paths = ours(terrain, scenarios)
-    for path_ in paths:
-        _compare(rows["ours"], terrain, path_)
+    some = set(map(id, spread(scenarios, COMPARED)))
+    for scenario, path_ in zip(scenarios, paths):
+        if len(path_) > 1:
+            _compare(rows["ours"], terrain, path_, id(scenario) in some)
     rows |= navfns(terrain.costs, terrain, scenarios, {})
     sys.stderr.write(f"{path.stem}: {len(scenarios)} queries\n")
     return rows
@@ -61,12 +63,12 @@ def _cell(place: "np.ndarray[tuple[int, ...], np.dtype[np.int64]]") -> Cell:
     return int(place[0]), int(place[1])
 
 
-def _compare(row: Row, terrain: Terrain, path: Float64s) -> None:
-    """The figure `length`: the path against the shortest of all that come as near to obstacles as its nearest point."""
-    if len(path) < 2:
-        return
-    nearest = clearance(terrain, path).min() / terrain.resolution
-    inside = slice(terrain.pad, -terrain.pad)
-    free = (terrain.distance >= nearest - _HAIR) & (terrain.costs[inside, inside] > 0)
-    ends = path[[0, -1]] - terrain.pad
-    row.note("length", length(path) / shortest(free, corners_of(free), ends, length(path)))
+def _compare(row: Row, terrain: Terrain, path: Float64s, equally: bool) -> None:
+    """The figures `length`, against the shortest path that comes as near to obstacles, and, where asked, `equal`,
+    against the shortest that also keeps as far from them in the mean."""
+    away, size = clearance(terrain, path) / terrain.resolution, length(path)
+    least = least_clearance(terrain, path, float(away.min()))
+    shorter = over_least(terrain, path, size, least)
+    row.note("length", shorter)
+    if equally:
+        row.note("equal", over_equal(terrain, path, size, least, float(away.mean()), shorter))

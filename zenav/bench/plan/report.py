@@ -15,10 +15,11 @@ TIMES = {256: (0.12, 0.6), 512: (0.4, 4.0), 1024: (2.0, 20.0), 4096: (10.0, 350.
 """What the planner is to keep, costs included: CPU ms, median and p99."""
 
 LENGTH = 1.010  # times the shortest path of all, free and blocked, in the mean of a class
+EQUAL = 1.05  # times the shortest path of the same clearance, in the mean of a building
 TILE_MS = 10.0  # of CPU for a tile's update, median
 COLUMNS = (
-    "planner", "n", "median, ms", "p99", "solved", "touched", "of the shortest", "max", "mean, m", "clearance, m",
-    "least, m", "turn",
+    "planner", "n", "median, ms", "p99", "solved", "touched", "of the shortest", "max", "same clearance", "mean, m",
+    "clearance, m", "least, m", "turn",
 )  # fmt: skip
 
 
@@ -67,8 +68,8 @@ def _line(name: str, row: dict[str, Any]) -> tuple[str, ...]:
 
     return (
         name, str(row["n"]), number("ms_median", 3), number("ms_p99", 2), number("solved", 3), str(row["touched"]),
-        number("length", 4), number("length_max", 3), number("path_m", 2), number("clearance_mean_m", 3),
-        number("clearance_least_m", 3), number("turn_deg", 1),
+        number("length", 4), number("length_max", 3), number("equal", 4), number("path_m", 2),
+        number("clearance_mean_m", 3), number("clearance_least_m", 3), number("turn_deg", 1),
     )  # fmt: skip
 
 
@@ -89,4 +90,6 @@ def _broken(summary: dict[str, Any]) -> list[str]:
         for name, row in rows.items():
             if name.startswith("ours") and (row["solved"] < 1 or row["touched"]):
                 lines.append(f"{where}, {name}: solved {row['solved']}, {row['touched']} touch a blocked cell")
+            if row.get("equal", 1.0) > EQUAL:
+                lines.append(f"{where}, {name}: {row['equal']} of the shortest of its clearance, to be kept {EQUAL}")
     return lines

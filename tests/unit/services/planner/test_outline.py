@@ -70,6 +70,21 @@ def test_the_same_question_has_the_same_answer():
         assert np.array_equal(OUTLINE.points(costs, blocks, regions, start, goal, 50, 300), fresh)
 
 
+def test_in_clutter_the_way_keeps_near_the_straight_line():
+    """Over blocks many ways are equally long, as only eighths of a turn count; smoothing cannot mend the wrong one."""
+    costs = np.pad(np.where(np.random.default_rng(3).random((200, 300)) < 0.1, 0, 50).astype(np.uint16), 1)
+    blocks, regions = Blocks.of(costs), Regions(costs)
+    ratios = []
+    for start, goal in pairs(costs, 30):
+        if np.hypot(start[0] - goal[0], start[1] - goal[1]) > 80:
+            points = OUTLINE.points(costs, blocks, regions, start, goal, 50, 50)
+            way = SEARCH.way(costs, start, goal, 50, 50)[:, ::-1] + 0.5
+            found, shortest = (path_cost(costs, smoothed(costs, p, 1.0)) for p in (points, way))
+            ratios.append(found / shortest)
+    assert len(ratios) > 15
+    assert np.mean(ratios) < 1.02
+
+
 @pytest.mark.parametrize("name", ["depot", "pal_office"])
 def test_in_real_buildings_the_path_costs_hardly_more_than_the_cheapest_way_smoothed(name):
     cells, resolution, _, _ = read_ros_map(planning_data() / "ros_maps" / f"{name}.yaml")

@@ -8,10 +8,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.planner.search import Search
+from services.planner.traversal_cost import CostConfig
 from shared.config import UserError, load_robot
 from tests.unit.services.maps import planning_data
-from zenav.bench.plan.maps import FREE, INFLATED, RESOLUTION, cell_sized, enlarged, movingai, read_movingai, terrain_of
-from zenav.bench.plan.measure import length, ours, raw
+from zenav.bench.plan.equal_clearance import least_clearance, over_equal, over_least
+from zenav.bench.plan.maps import (
+    FREE,
+    INFLATED,
+    RESOLUTION,
+    Scenario,
+    cell_sized,
+    enlarged,
+    movingai,
+    read_movingai,
+    terrain_of,
+)
+from zenav.bench.plan.measure import clearance, length, ours, raw
 from zenav.bench.plan.navfn import NavFn
 from zenav.bench.plan.report import plan
 from zenav.bench.plan.shortest import corners_of, sees, shortest
@@ -96,6 +108,36 @@ def test_navfn_by_our_hand_finds_its_way_around_a_wall():
         path = NavFn(costs).path((20, 5), (20, 36), astar)
         assert length(path) == pytest.approx(2 * math.hypot(15.5, 15), rel=0.06)
         assert tuple(path[-1]) == (36.5, 20.5)
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(0, 2**32))
+def test_no_path_is_shorter_than_the_shortest_of_its_clearance_and_a_detour_is_longer(seed):
+    rng = np.random.default_rng(seed)
+    cells = np.zeros((60, 80), np.int8)
+    cells[[0, -1]], cells[:, [0, -1]] = 100, 100
+    for row, column in rng.integers(5, (50, 70), (6, 2)):
+        cells[row : row + 5, column : column + 5] = 100
+    terrain = terrain_of(cells, RESOLUTION, CostConfig(inflation_radius=0.5, margin=0, least_margin=0), ROBOT)
+    free = [(int(r), int(c)) for r, c in np.argwhere(terrain.distance > 3) if r < 60 and c < 80 and not cells[r, c]]
+    (start, goal), aside = (free[i] for i in rng.integers(len(free), size=2)), free[rng.integers(len(free))]
+    direct, there, on = (
+        ours(terrain, [Scenario(a, b, 0, 0)])[1][0] for a, b in ((start, goal), (start, aside), (aside, goal))
+    )
+    detour = np.concatenate((there, on[1:]))
+    if min(len(direct), len(there), len(on)) < 2 or math.dist(start, goal) < 10:
+        return
+    over = []
+    for path in (direct, detour):
+        away = clearance(terrain, path) / RESOLUTION
+        least = least_clearance(terrain, path, float(away.min()))
+        assert least <= away.min() + 1e-6
+        shorter = over_least(terrain, path, length(path), least)
+        over.append(over_equal(terrain, path, length(path), least, float(away.mean()), shorter))
+        assert 1 - 1e-6 <= over[-1] <= shorter
+    one, other = (clearance(terrain, path) for path in (direct, detour))
+    if one.min() >= other.min() and one.mean() >= other.mean():  # then the detour's surplus is told in full
+        assert over[1] >= length(detour) / length(direct) / 1.01
 
 
 def test_an_enlarged_map_asks_the_same_questions():

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The shortest path with the same clearance as a given one: nowhere nearer to obstacles than that at its nearest, and
+in the mean as far from them.
+
+A path of length L whose clearance is d along it has the mean m where the integral of m - d is 0. By Lagrange, for any
+share k >= 0 the least of the integral of 1 + k (m - d) over all paths that keep the least clearance is no more than the
+length of any of them with that mean or a greater one. So the largest of these leasts is what no such path undercuts.
+"""
+
+import heapq
+from math import gcd, hypot
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from services.planner.lines import path_cost
+from services.planner.traversal_cost import Terrain
+from zenav.bench.plan.shortest import corners_of, shortest
+
+Bools = NDArray[np.bool_]
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
+Int64s = NDArray[np.int64]
+
+SHARES = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9)
+"""Of the k at which the farthest cell costs nothing. The least is concave in k: once it falls, it goes on falling."""
+
+REACH = 4  # cells along which one step goes, at most
+OFF = 1 / float(np.cos(0.5 * np.arctan(1 / REACH)))  # by how much a way of such steps is longer than a line, at most
+SAMPLES = 4  # of a step, per cell
+_HAIR = 1e-6  # cells
+
+
+def least_clearance(terrain: Terrain, path: Float64s, sampled: float) -> float:
+    """Cells from the nearest obstacle to the nearest cell that the path touches; sampled: a bound, found by looking."""
+    distances = np.unique(terrain.distance[terrain.distance <= sampled + _HAIR])
+    for least in distances[::-1]:
+        if path_cost(_kept(terrain, float(least)).astype(np.uint16), path - terrain.pad) >= 0:
+            return float(least)
+    return 0.0
+
+
+def over_least(terrain: Terrain, path: Float64s, length: float, least: float) -> float:
+    """The length, cells, over that of the shortest path that comes nowhere nearer than `least`, cells."""
+    free = _kept(terrain, least)
+    return length / shortest(free, corners_of(free), path[[0, -1]] - terrain.pad, length)
+
+
+def over_equal(terrain: Terrain, path: Float64s, length: float, least: float, mean: float, shorter: float) -> float:
+    """At most so many times the length of the shortest path with this least and this mean clearance, cells; as exact
+    as steps between cells tell, whose surplus over lines is taken off.
+
+    shorter: what `over_least` gave, the same for k = 0.
+    """
+    free, most = _kept(terrain, least), float(terrain.distance.max())
+    best = length / shorter
+    offsets = np.array(
+        [(r, c) for r in range(-REACH, REACH + 1) for c in range(-REACH, REACH + 1) if gcd(r, c) == 1], np.int64
+    )
+    ends = np.floor(path[[0, -1]] - terrain.pad).astype(np.int64)
+    before = 0.0
+    for share in SHARES if most - mean > _HAIR else ():
+        k = share / (most - mean)
+        found = min(_cheapest(free, terrain.distance, mean, k, 1 - share, offsets, ends, length * OFF) / OFF, length)
+        best = max(best, found)
+        if found < before:
+            break
+        before = found
+    return length / best
+
+
+def _kept(terrain: Terrain, least: float) -> Bools:
+    """The map's cells that the robot may be in and that are no nearer to obstacles."""
+    inside = slice(terrain.pad, -terrain.pad)
+    return np.asarray((terrain.distance >= least - _HAIR) & (terrain.costs[inside, inside] > 0))
+
+
+@njit(cache=True, nogil=True)
+def _cheapest(
+    free: Bools, distance: Float32s, mean: float, k: float, low: float, offsets: Int64s, ends: Int64s, known: float
+) -> float:
+    """The least integral of 1 + k (mean - distance) by steps of `offsets` from cell to cell, (x, y); inf above known.
+
+    low: the integrand's lowest value.
+    """
+    h, w = free.shape
+    (x0, y0), (x1, y1) = ends
+    best = np.full(h * w, np.inf, np.float32)
+    settled = np.zeros(h * w, np.bool_)
+    goal = y1 * w + x1
+    best[y0 * w + x0] = 0.0
+    queue = [(low * hypot(x1 - x0, y1 - y0), y0 * w + x0)]
+    while queue:
+        _, cell = heapq.heappop(queue)
+        if cell == goal:
+            return float(best[cell])
+        if settled[cell]:
+            continue
+        settled[cell] = True
+        row, column = cell // w, cell % w
+        for dr, dc in offsets:
+            r, c = row + dr, column + dc
+            if r < 0 or c < 0 or r >= h or c >= w or settled[r * w + c] or not free[r, c]:
+                continue
+            rest = low * hypot(x1 - c, y1 - r)
+            if best[cell] + low * hypot(dr, dc) + rest > min(known, best[r * w + c] + rest):
+                continue
+            n, total, blocked = SAMPLES * max(abs(dr), abs(dc)), 0.0, False
+            for i in range(n):
+                share = (i + 0.5) / n
+                at = int(row + 0.5 + share * dr), int(column + 0.5 + share * dc)
+                if not free[at]:
+                    blocked = True
+                    break
+                total += 1 + k * (mean - distance[at])
+            total = best[cell] + total / n * hypot(dr, dc)
+            if not blocked and total < best[r * w + c] and total + rest <= known:
+                best[r * w + c] = total
+                heapq.heappush(queue, (total + rest, r * w + c))
+    return np.inf
