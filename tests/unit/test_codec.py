@@ -31,14 +31,24 @@ def test_decoding_undoes_encoding(kind, data):
     decoded, sender = decode(kind, payload)
     assert sender == envelope == envelope_of(payload)
     assert encode(decoded, sender) == payload
-    for field in fields_of(kind):
-        before, after = getattr(message, field.name), getattr(decoded, field.name)
-        if isinstance(before, np.ndarray):
-            np.testing.assert_array_equal(after, before)
-            assert not after.flags.writeable
-            assert after.flags.aligned
-        elif not isinstance(before, Message):
-            assert after == before or before != before != after  # NaN is not even itself
+    come_back(message, decoded)
+
+
+def come_back(before, after):
+    """What is in a message is in what was decoded, also in messages inside it."""
+    if isinstance(before, Message):
+        for field in fields_of(type(before)):
+            come_back(getattr(before, field.name), getattr(after, field.name))
+    elif isinstance(before, np.ndarray):
+        np.testing.assert_array_equal(after, before)
+        assert not after.flags.writeable
+        assert after.flags.aligned
+    elif isinstance(before, tuple):
+        assert len(after) == len(before)
+        for one, other in zip(before, after):
+            come_back(one, other)
+    else:
+        assert after == before or before != before != after  # NaN is not even itself
 
 
 @pytest.mark.parametrize("kind", TYPES)
