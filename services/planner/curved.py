@@ -26,6 +26,7 @@ HEADINGS = 72
 CHORD = 1.0  # cells: arcs are looked at in chords of this length
 MOST_NODES = 30_000  # poses that are tried before it is called hopeless
 TABLE = 1 << 17  # entries of the hash table: under a quarter of it is used
+GOLDEN = 0x1E3779B97F4A7C15  # an odd number: 2^64 by the golden ratio, but for its first bits
 PATIENCE = 2_000  # further poses after the first way that was found
 BETWEEN = 2.0  # cells between poses from which ways are shortened
 GREED = 1.1  # how much more the cost to go counts than the cost so far (Pohl 1970): what ends a search early
@@ -137,9 +138,8 @@ def _shot(
 
 @njit(cache=True, nogil=True)
 def _slot(keys: Int64s, key: int) -> int:
-    """Where a key is in the table, or the free place for it (Fibonacci hashing, linear probing)."""
-    slot = (key * 11400714819323198) & (TABLE - 1)
-    slot = (slot ^ (key >> 13)) & (TABLE - 1)
+    """Where a key is in the table, or the free place for it: Fibonacci hashing, linear probing (Knuth 1998, 6.4)."""
+    slot = (key * GOLDEN >> 40) & (TABLE - 1)
     while keys[slot] != -1 and keys[slot] != key:
         slot = (slot + 1) & (TABLE - 1)
     return slot

@@ -7,13 +7,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from shared.config import load_robot
+from shared.config import configured, load_robot
 from shared.service import Job, Log, handlers
 from shared.topics import Publication
 from tests.strategies import faults, publications
 from zenav.classes import built, made, service_class
 
-ROBOTS = [load_robot(name) for name in ("x80sv", "jackal")]
+ARCS = ["robot.drive.min_turning_radius=0.5", "robot.drive.turns_in_place=false"]
+ROBOTS = [load_robot("x80sv"), load_robot("jackal"), configured("x80sv", ARCS)]
 
 
 def outcome(service, result, todo):
