@@ -33,7 +33,6 @@ Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
 Float64s = NDArray[np.float64]
 
-_DIAGONAL_MORE = 2**0.5 - 1  # by which a diagonal step is longer than a straight one
 _ASIDE = 0.4  # of the least cost, by which a step is dearer as far off the straight line as that is long
 _FAR_ASIDE = 0.15  # of the straight line's length, off which it makes no difference any more
 _COLUMN_MASK = (1 << PLACE_BITS) - 1
@@ -129,7 +128,7 @@ def _expand_nodes(
     per_aside = _ASIDE * 2 * lowest / max(line_x * line_x + line_y * line_y, 1)
     most_aside = _ASIDE * 2 * lowest * _FAR_ASIDE
     keys[goal_node], nexts[goal_node] = base, goal_node
-    bucket = _octile(start_x - (goal & _COLUMN_MASK), start_y - (goal >> PLACE_BITS), least) >> shift
+    bucket = _straight(start_x - (goal & _COLUMN_MASK), start_y - (goal >> PLACE_BITS), least) >> shift
     free, n_used = pushed(bucket & mask, goal_node, base, -1, 0, heads, nodes, entry_keys, links)
     n_open = 1
     while n_open:
@@ -159,7 +158,7 @@ def _expand_nodes(
                     so_far = key + np.int64((here + crossing[there] + aside) * STRAIGHT * far)
                     if so_far < keys[there]:
                         keys[there], nexts[there] = so_far, node
-                        total = so_far - base + _octile(tx - start_x, ty - start_y, least)
+                        total = so_far - base + _straight(tx - start_x, ty - start_y, least)
                         # places lie unevenly, so the estimate may fall; and no jump is longer than the ring
                         due = min(max(int(total >> shift), bucket), bucket + mask)
                         free, n_used = pushed(
@@ -172,9 +171,10 @@ def _expand_nodes(
 
 
 @njit(cache=True, nogil=True)
-def _octile(dx: int, dy: int, least: int) -> int:
-    dx, dy = abs(dx), abs(dy)
-    return int(least * (max(dx, dy) + _DIAGONAL_MORE * min(dx, dy)))
+def _straight(dx: int, dy: int, least: int) -> int:
+    """What a straight line costs at least. An estimate by eighths of a turn would be more than places that lie unevenly
+    cost, and then nodes of a large map are opened again and again."""
+    return int(least * np.sqrt(np.float64(dx * dx + dy * dy)))
 
 
 @njit(cache=True, nogil=True)
