@@ -29,6 +29,7 @@ DOCKING = 0.6  # m/s a metre before a goal at which it cannot turn: slow enough 
 BESIDE_ARCS = 4.0  # slowness a metre beside the plan, and at most, for who drives in arcs
 NOWHERE: Float64s = np.empty((0, 2))
 MISSED = FollowState.FAILED, reasons.HEADING_MISSED.code
+THREAT, THREAT_ROOM = 2.0, 0.2  # s until something would be this near, m, if the robot stood
 RIM = 0.25  # m of the window that the path keeps off: the field around its end needs room
 
 
@@ -101,11 +102,14 @@ class Follower:
             self.controller.limits = stopping(self.controller.limits, motion.pose.distance(ahead.end))
             ahead = ahead._replace(points=np.concatenate((ahead.points, beyond)), ends=False)
         scene, closed = self._scene(ahead, costmap, motion)
-        if not closed and (outcome := self._turned_to_way(scene, costmap, motion, left)) is not None:
+        threatened = self._threatened(scene)
+        if threatened:
+            self.turning = 0.0
+        elif not closed and (outcome := self._turned_to_way(scene, costmap, motion, left)) is not None:
             return outcome
         solution = self.controller.solve(scene, self.footprint, n_elapsed)
         stalls = closed or (solution.gain < 0.1 and abs(solution.velocities[0, 0]) < SLOW)
-        self.n_stalled = self.n_stalled + 1 if stalls else 0
+        self.n_stalled = self.n_stalled + 1 if stalls and not threatened else 0
         if solution.collides or self.n_stalled * DT >= self.config.stalled_after:
             return braking(motion, self.limits, FollowState.BLOCKED, reasons.BLOCKED.code, left)
         v, w = solution.velocities[0]
@@ -151,6 +155,13 @@ class Follower:
             costmap.moving - (costmap.x0, costmap.y0, 0.0, 0.0, 0.0),
         )
         return scene, to_go.closed and hypot(scene.end_x - x, scene.end_y - y) < self.config.closed_within
+
+    def _threatened(self, scene: Scene) -> bool:
+        """Whether something comes that would run into the robot if it stood: then it is no time to turn, or to wait."""
+        ahead = np.arange(0.0, THREAT, DT)[:, None]
+        x, y = (scene.movers[:, i] + ahead * scene.movers[:, i + 2] for i in (0, 1))
+        gaps = np.hypot(x - scene.x, y - scene.y) - scene.movers[:, 4]
+        return bool((gaps < self.footprint.circumscribed + THREAT_ROOM).any())
 
     def _ended(self, ahead: Ahead, goal: Goal, motion: Motion, odom_from_map: Pose2, plan: LocalPlan) -> bool:
         """Whether the robot is where the path ends; once there, until it is pushed out of the tolerance again."""

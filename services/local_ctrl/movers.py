@@ -3,6 +3,7 @@
 
 Only what stands where a moment ago beams went through counts: what merely comes into sight behind something else, or is
 seen from another side, does not move. Each is a disc with a constant velocity (Nair et al. 2022 call for no more).
+Where one passes before another, or touches it, what the laser sees of both is parted at the notch between them.
 """
 
 from collections import deque
@@ -21,26 +22,31 @@ Float64s = NDArray[np.float64]
 
 S = 1_000_000_000  # ns
 BREAK = 0.25  # m between the ends of neighbouring beams that part two things
+NOTCH = 0.045  # m that the outline falls back between two things that touch, behind what is BESIDE to both sides of it
+BESIDE = 0.25  # m along the outline
 LEAST_BEAMS = 4  # that a thing is seen by
-LATELY = 1.5  # s within which its place was seen free
-CAME = 0.5  # share of its beams that end in such places
+LATELY = 2.5  # s within which its place was seen free
+CAME = 0.4  # share of its beams that end in such places
 EASED = 0.3  # of the newest share in the mean of them
 RIM_CELLS = 2  # to each side that must have been free too: at a thing's rim cells may be both
 GATE = 0.4  # m off where it was expected that a thing may be found
 SPAN = 0.5  # s of its way that tell its velocity
 LEAST_SPAN = 0.15  # s that it must have been followed for
-LEAST_WAY = 0.12  # m that it must have come
+LEAST_WAY = 0.08  # m that it must have come
 ROUND = 0.04  # m, root mean square, that a disc's echoes may lie off its rim
 MOST_SPEED = 3.0  # m/s: what seems faster is a wrong pairing
-X, Y, RADIUS, SHARE = range(4)  # columns of `_things`
+HALF = 0.7  # of its radius, half the width that is seen of it
+KEPT = 0.995  # of its radius, a scan in which not enough is seen of it to tell
+X, Y, RADIUS, SHARE, IS_ROUND = range(5)  # columns of `_things`
+Thing = tuple[float, float, float, float, float]  # a row
 
 
 class MoversConfig(Section):
     """What moves."""
 
     follow: bool = Field(False, description="keep off where things that move will be, not only off where they are")
-    least_speed: float = Field(0.4, ge=0.05, le=5, description="m/s; what is slower is taken as standing")
-    largest: float = Field(1.3, ge=0.1, le=5, description="m across; what is larger is taken as standing")
+    least_speed: float = Field(0.2, ge=0.05, le=5, description="m/s; what is slower is taken as standing")
+    largest: float = Field(1.6, ge=0.1, le=5, description="m across; what is larger is taken as standing")
     memory: float = Field(0.8, ge=0, le=5, description="s that it is expected to go on while it is out of sight")
 
 
@@ -60,11 +66,28 @@ class Mover:
         elapsed = (now - stamp) / S
         return x + self.vx * elapsed, y + self.vy * elapsed
 
-    def take(self, stamp: int, x: float, y: float, radius: float, share: float, least_speed: float) -> None:
-        """It was seen there; share: of its beams that end where it was free."""
-        self.seen.append((stamp, x, y))
+    def holds(self, thing: Thing) -> bool:
+        """Whether that lies within it, where it was seen last: something else before it parts what is seen of it."""
+        _, x, y = self.seen[-1]
+        return hypot(thing[X] - x, thing[Y] - y) < self.radius
+
+    def is_hidden(self, thing: Thing) -> bool:
+        """Whether too little is seen of it to tell where it is: then it goes on as it did, while it is remembered."""
+        return self.moves and not thing[IS_ROUND] and thing[RADIUS] < HALF * self.radius
+
+    def centre(self, thing: Thing, eye: tuple[float, float]) -> tuple[float, float]:
+        """Where its middle is if that is what is seen of it: of a disc half hidden, not the middle of what is seen."""
+        x, y, radius, _, is_round = thing
+        hidden = sqrt(max(self.radius**2 - radius**2, 0.0)) if not is_round else 0.0
+        away = max(hypot(x - eye[0], y - eye[1]), 1e-6)
+        return x + hidden * (x - eye[0]) / away, y + hidden * (y - eye[1]) / away
+
+    def take(self, stamp: int, thing: Thing, eye: tuple[float, float], least_speed: float) -> None:
+        """It was seen as that, from there."""
+        _, _, radius, share, is_round = thing
+        self.seen.append((stamp, *self.centre(thing, eye)))
         self.came += EASED * (share - self.came)
-        self.radius = max(radius, 0.9 * self.radius)
+        self.radius = max(radius, (0.9 if is_round else KEPT) * self.radius)
         while self.seen[0][0] < stamp - SPAN * S:
             self.seen.popleft()
         t, xs, ys = np.array([((s - stamp) / S, a, b) for s, a, b in self.seen]).T
@@ -88,25 +111,38 @@ class Movers:
         """Odometry began anew."""
         self.all = []
 
-    def see(self, ends: Float64s, stamp: int, free_at: Int64s, window: tuple[float, float, float]) -> None:
-        """A scan's ends (n, 2) m in `odom`, NaN without one; free_at: when each cell was last seen free before it.
+    def see(
+        self,
+        ends: Float64s,
+        eye: tuple[float, float],
+        stamp: int,
+        free_at: Int64s,
+        window: tuple[float, float, float],
+    ) -> None:
+        """A scan's ends (n, 2) m in `odom`, counter-clockwise about `eye`, m, where it was taken; NaN without an echo.
 
-        window: x, y m of the middle of cell (0, 0), m a cell.
+        free_at: when each cell was last seen free before it.  window: x, y m of the middle of cell (0, 0), m a cell.
         """
         if not self.config.follow:
             return
         things = _things(ends, free_at, stamp - int(LATELY * S), window, self.config.largest / 2)
         expected = [mover.at(stamp) for mover in self.all]
         taken: set[int] = set()
-        for x, y, radius, share in things.tolist():
-            away = [inf if i in taken else hypot(x - a, y - b) for i, (a, b) in enumerate(expected)]
+        for row in things:
+            thing: Thing = tuple(row.tolist())
+            away = [inf] * len(expected)
+            for i, (mover, (x, y)) in enumerate(zip(self.all, expected)):
+                if i not in taken:
+                    a, b = mover.centre(thing, eye)
+                    away[i] = hypot(x - a, y - b)
             nearest = int(np.argmin(away)) if away else -1
             if nearest >= 0 and away[nearest] < GATE:
                 taken.add(nearest)
-                self.all[nearest].take(stamp, x, y, radius, share, self.config.least_speed)
-            elif share >= CAME:
+                if not self.all[nearest].is_hidden(thing):
+                    self.all[nearest].take(stamp, thing, eye, self.config.least_speed)
+            elif thing[SHARE] >= CAME and not any(self.all[i].holds(thing) for i in taken):
                 new = Mover()
-                new.take(stamp, x, y, radius, share, self.config.least_speed)
+                new.take(stamp, thing, eye, self.config.least_speed)
                 self.all.append(new)
         oldest = stamp - int(self.config.memory * S)
         self.all = [mover for mover in self.all if mover.seen[-1][0] >= (oldest if mover.moves else stamp - S // 5)]
@@ -121,63 +157,91 @@ class Movers:
 def _things(
     ends: Float64s, free_at: Int64s, since: int, window: tuple[float, float, float], largest: float
 ) -> Float64s:
-    """(k, 4) x, y, radius m and the share of beams that end where it was free: things of at most `largest` m radius."""
-    out = np.empty((len(ends), 4))
-    n_out, begin, n = 0, -1, len(ends)
-    last = -1
-    for i in range(n + 1):
-        parts = i == n
-        if i < n:
-            if np.isnan(ends[i, 0]):
-                continue
-            parts = last >= 0 and hypot(ends[i, 0] - ends[last, 0], ends[i, 1] - ends[last, 1]) > BREAK
-        if begin >= 0 and parts:
-            x, y, radius, share, count = _thing(ends[begin : last + 1], free_at, since, window)
-            if count >= LEAST_BEAMS and radius <= largest:
-                out[n_out, X], out[n_out, Y], out[n_out, RADIUS], out[n_out, SHARE] = x, y, radius, share
-                n_out += 1
-            begin = -1
-        if i < n:
-            if begin < 0:
-                begin = i
-            last = i
+    """(k, 5) x, y, radius m, the share of beams that end where it was free, 1 where a circle fits: `largest` m radius
+    at most.
+    """
+    points = ends[~np.isnan(ends[:, 0])]
+    n = len(points)
+    depths = _depths(points)
+    out = np.empty((n, 5))
+    n_out, begin = 0, 0
+    for i in range(1, n + 1):
+        notch = depths[i - 1] > NOTCH and depths[i - 1] >= max(depths[max(i - 2, 0)], depths[min(i, n - 1)])
+        if i < n and _near(points, i - 1, i) and not notch:
+            continue
+        if i - begin >= LEAST_BEAMS:
+            out[n_out] = _thing(points[begin:i], free_at, since, window)
+            n_out += out[n_out, RADIUS] <= largest
+        begin = i
     return out[:n_out]
+
+
+@njit(cache=True, nogil=True)
+def _depths(points: Float64s) -> Float64s:
+    """(n,) m that an outline (n, 2), counter-clockwise about who sees it, falls back behind what is beside it.
+
+    Of three neighbouring points each time, against noise; -1 where too little is beside it.
+    """
+    n = len(points)
+    depths = np.full(n, -1.0)
+    smooth = np.empty_like(points)
+    for i in range(n):
+        low, high = max(i - 1, 0), min(i + 1, n - 1)
+        if hypot(points[high, 0] - points[low, 0], points[high, 1] - points[low, 1]) > BREAK:
+            low = high = i
+        for axis in range(2):
+            smooth[i, axis] = points[low : high + 1, axis].mean()
+    for i in range(n):
+        before, after = i, i
+        while before > 0 and _near(points, before - 1, before) and not _beside(smooth, before, i):
+            before -= 1
+        while after < n - 1 and _near(points, after, after + 1) and not _beside(smooth, after, i):
+            after += 1
+        dx, dy = smooth[after, 0] - smooth[before, 0], smooth[after, 1] - smooth[before, 1]
+        if _beside(smooth, before, i) and _beside(smooth, after, i):
+            across = dy * (smooth[i, 0] - smooth[before, 0]) - dx * (smooth[i, 1] - smooth[before, 1])
+            depths[i] = across / max(hypot(dx, dy), 1e-6)
+    return depths
+
+
+@njit(cache=True, nogil=True)
+def _near(points: Float64s, i: int, j: int) -> bool:
+    return hypot(points[i, 0] - points[j, 0], points[i, 1] - points[j, 1]) <= BREAK
+
+
+@njit(cache=True, nogil=True)
+def _beside(points: Float64s, i: int, j: int) -> bool:
+    return hypot(points[i, 0] - points[j, 0], points[i, 1] - points[j, 1]) >= BESIDE
 
 
 @njit(cache=True, nogil=True)
 def _thing(
     ends: Float64s, free_at: Int64s, since: int, window: tuple[float, float, float]
-) -> tuple[float, float, float, float, int]:
-    """The disc whose rim the ends lie on, else the one over their span; the share that came; how many there are."""
-    count, came = 0, 0
-    mx, my = 0.0, 0.0
-    for i in range(len(ends)):
-        if not np.isnan(ends[i, 0]):
-            mx, my, count = mx + ends[i, 0], my + ends[i, 1], count + 1
-            came += _was_free(ends[i, 0], ends[i, 1], free_at, since, window)
-    mx, my = mx / count, my / count
+) -> tuple[float, float, float, float, float]:
+    """The disc whose rim the ends lie on, else the one over their span; a row of `_things`."""
+    count, came = len(ends), 0
+    mx, my = ends[:, 0].mean(), ends[:, 1].mean()
     first, last = ends[0], ends[-1]
     x, y = 0.5 * (first[0] + last[0]), 0.5 * (first[1] + last[1])
     radius = 0.0
     # a circle by least squares in its algebraic form (Kasa 1976)
     suu, svv, suv, suz, svz, sz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(len(ends)):
-        if not np.isnan(ends[i, 0]):
-            u, v = ends[i, 0] - mx, ends[i, 1] - my
-            z = u * u + v * v
-            suu, svv, suv, suz, svz, sz = suu + u * u, svv + v * v, suv + u * v, suz + u * z, svz + v * z, sz + z
-            radius = max(radius, hypot(ends[i, 0] - x, ends[i, 1] - y))
+    for i in range(count):
+        came += _was_free(ends[i, 0], ends[i, 1], free_at, since, window)
+        u, v = ends[i, 0] - mx, ends[i, 1] - my
+        z = u * u + v * v
+        suu, svv, suv, suz, svz, sz = suu + u * u, svv + v * v, suv + u * v, suz + u * z, svz + v * z, sz + z
+        radius = max(radius, hypot(ends[i, 0] - x, ends[i, 1] - y))
     determinant = suu * svv - suv * suv
     if count >= 2 * LEAST_BEAMS and determinant > 1e-9:
         a, b = (suz * svv - svz * suv) / (2 * determinant), (svz * suu - suz * suv) / (2 * determinant)
         fitted = sqrt(a * a + b * b + sz / count)
         off = 0.0
-        for i in range(len(ends)):
-            if not np.isnan(ends[i, 0]):
-                off += (hypot(ends[i, 0] - mx - a, ends[i, 1] - my - b) - fitted) ** 2
+        for i in range(count):
+            off += (hypot(ends[i, 0] - mx - a, ends[i, 1] - my - b) - fitted) ** 2
         if sqrt(off / count) < ROUND and fitted < 2.0 * radius:
-            return mx + a, my + b, fitted, came / count, count
-    return x, y, radius, came / count, count
+            return mx + a, my + b, fitted, came / count, 1.0
+    return x, y, radius, came / count, 0.0
 
 
 @njit(cache=True, nogil=True)

@@ -281,7 +281,8 @@ def _evaluate(
                     break
             cost += DT * _near(scene, footprint, limits, weights, x, y, c, s, v, room)
             if len(scene.movers):
-                away = _away(scene.movers, x, y, (t + 1) * DT) - footprint.circumscribed
+                ahead = _stopping(v, limits, weights)
+                away = _away(scene.movers, x, y, c, s, ahead if v >= 0.0 else -ahead, (t + 1) * DT, footprint)
                 later = 1.0 - 0.5 * t / steps  # and less sure
                 if away < 0.0 and not met:
                     met = True
@@ -303,13 +304,28 @@ def _evaluate(
 
 
 @njit(cache=True, nogil=True)
-def _away(movers: Float64s, x: float, y: float, after: float) -> float:
-    """m from (x, y) to the nearest of what moves, `after` s from the start."""
+def _away(
+    movers: Float64s, x: float, y: float, c: float, s: float, ahead: float, after: float, footprint: Footprint
+) -> float:
+    """m from the outline at (x, y), and from the way on which it would stop, to what moves, `after` s from the start.
+
+    What comes into that way makes the guard brake, and who stands before a thing that comes is run over.
+    ahead: m of that way; negative: backward.
+    """
     least = inf
     for k in range(len(movers)):
         dx, dy = movers[k, 0] + after * movers[k, 2] - x, movers[k, 1] + after * movers[k, 3] - y
-        least = min(least, hypot(dx, dy) - movers[k, 4])
+        along = c * dx + s * dy
+        nearest = min(max(along, 0.0), ahead) if ahead >= 0.0 else max(min(along, 0.0), ahead)
+        here = hypot(dx, dy) - footprint.circumscribed
+        least = min(least, min(here, hypot(along - nearest, c * dy - s * dx) - footprint.inscribed) - movers[k, 4])
     return least
+
+
+@njit(cache=True, nogil=True)
+def _stopping(v: float, limits: Limits, weights: Weights) -> float:
+    """m that the guard keeps free ahead at this speed."""
+    return abs(v) * REACTION + v * v / (2.0 * limits.braking) + weights.critical_clearance
 
 
 @njit(cache=True, nogil=True)
@@ -339,7 +355,7 @@ def _near(
         over = max(0.0, speed - share * limits.v_max)
         cost += weights.overspeed * over * over
     # the guard stops for what lies within the braking distance straight ahead: leave it room
-    stopping = speed * REACTION + v * v / (2.0 * limits.braking) + weights.critical_clearance
+    stopping = _stopping(v, limits, weights)
     if room < stopping + footprint.circumscribed:
         ahead = stopping if v >= 0.0 else -stopping
         free = sampled(scene.field, (x + c * ahead) / scene.resolution, (y + s * ahead) / scene.resolution)

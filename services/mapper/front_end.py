@@ -14,7 +14,7 @@ from services.mapper.correlative_match import SearchConfig, candidates
 from services.mapper.deskew import straightened, turned_back
 from services.mapper.keyframe import Sweep
 from services.mapper.occupancy import OccupancyConfig
-from services.mapper.odometry_error import OdometryError
+from services.mapper.odometry_error import SPAN, OdometryError
 from services.mapper.registration import Match, Prior, RegistrationConfig
 from services.mapper.submap import Submap
 from services.mapper.surface import sweep_lone, sweep_normals, sweep_usable
@@ -119,6 +119,7 @@ class FrontEnd:
         self.n_bad = 0  # scans that did not fit, since one fitted well
         self.n_poor = 0  # scans in a row that did not fit well
         self.reckoned = local_from_base  # where it would be by odometry alone since the last scan that fitted
+        self.seconds = SPAN  # between the last two sweeps
         self.searches_next = False
         self.other_starts: list[Pose2] = []  # that the next search looks around too
 
@@ -136,14 +137,22 @@ class FrontEnd:
         self.submap.registrar.map.doubts[:] = 0
 
     def track(
-        self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float, skew: float = 0.0, stamp: int = 0
+        self,
+        origins: Float64s,
+        ends: Float64s,
+        step: Pose2,
+        doubt: float,
+        skew: float = 0.0,
+        stamp: int = 0,
+        seconds: float = SPAN,
     ) -> Tracked:
         """Places a sweep, and extends the submap where the robot has moved on.
 
         origins, ends: (n, 2) m in `base`, NaN without an echo.  step: odometry's motion since the last sweep; doubt
         widens its standard deviation.  skew: share of that motion by which the beams were de-skewed.
-        stamp: ns, of the sweep.
+        stamp: ns, of the sweep.  seconds: since the last one.
         """
+        self.seconds = seconds = seconds if seconds > 0 else SPAN  # else a clock was set back
         measured, step = step, self.odometry_error.corrected(step)
         measures = doubt <= 1  # else it is no odometry
         sweep, told, placed, n_moving = self._matched(origins, ends, step, doubt, skew if measures else 0.0, stamp)
@@ -163,7 +172,7 @@ class FrontEnd:
         stood = measures and hypot(step.x, step.y) <= STANDS and hypot(self.motion.x, self.motion.y) <= STANDS
         self.motion = self.local_from_base.inverse() @ placed.match.map_from_base
         if measures:
-            self.odometry_error.learn(measured, self.motion, placed.match.information)
+            self.odometry_error.learn(measured, self.motion, placed.match.information, seconds)
         self.local_from_base = placed.match.map_from_base
         self.reckoned = self.reckoned @ step if measures else self.local_from_base
         n_told = placed.n_agree + placed.n_against + n_moving
@@ -229,7 +238,7 @@ class FrontEnd:
 
         found: where more of its beams were placed.
         """
-        prior = self.odometry_error.prior(self.registration, self.local_from_base, step, doubt, skew)
+        prior = self.odometry_error.prior(self.registration, self.local_from_base, step, doubt, skew, self.seconds)
         if self.submap.registrar.map.n == 0 or len(sweep.points) < LEAST_BEAMS:  # a few beams agree anywhere
             return Placed(self.submap.registrar.measured(sweep.points, sweep.normals, prior.map_from_base), 0)
         unsure = self.odometry_error.prior(self.registration, self.local_from_base, step, LIED * doubt, skew)

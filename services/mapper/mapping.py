@@ -70,7 +70,7 @@ class Mapping:
             self.grid = Occupancy(self.occupancy, max(now, 1))
         self.doubt = max(self.doubt, arrival.doubt)
         tracked = self.front_end.track(
-            arrival.origins, arrival.ends, arrival.step, arrival.doubt, arrival.skew, arrival.end
+            arrival.origins, arrival.ends, arrival.step, arrival.doubt, arrival.skew, arrival.end, arrival.seconds
         )
         if tracked.trusted and not self.finder.searching and self.changes:
             pose = self.map_from_base

@@ -8,14 +8,17 @@ import pytest
 from numpy.testing import assert_allclose
 
 from services.local_ctrl.controller import Scene
+from services.local_ctrl.distance_to_go import DistanceToGoConfig
+from services.local_ctrl.follow import FollowConfig, Follower
 from services.local_ctrl.footprint import footprint_of
 from services.local_ctrl.local_costmap import CostmapConfig, LocalCostmap
+from services.local_ctrl.local_plan import LocalPlan
 from services.local_ctrl.movers import MoversConfig
 from services.local_ctrl.mppi import Mppi, MppiConfig
-from services.local_ctrl.rollout import limits_of
+from services.local_ctrl.rollout import Motion, limits_of
 from shared.config import Mount, load_robot
 from shared.geometry import Pose2
-from shared.messages import LaserScan
+from shared.messages import Goal, GoalKind, LaserScan
 
 S = 10**9
 MS = 10**6
@@ -36,9 +39,14 @@ def ranges_of(discs: list[tuple[float, float, float]], x: float = 0.0, y: float 
     return ranges.astype(np.float32)
 
 
-def seen(costmap: LocalCostmap, k: int, discs: list[tuple[float, float, float]], x: float = 0.0) -> int:
+def seen(
+    costmap: LocalCostmap, k: int, discs: list[tuple[float, float, float]], x: float = 0.0, turns: float = 1.0
+) -> int:
+    """turns: 1 counter-clockwise, -1 clockwise."""
     stamp = 10 * S + k * PERIOD
-    scan = LaserScan(stamp, -pi, STEP, 0.0, 0.1, 30.0, ranges_of(discs, x))
+    ranges = ranges_of(discs, x)
+    ranges = ranges if turns > 0 else np.roll(ranges[::-1], 1)
+    scan = LaserScan(stamp, -turns * pi, turns * STEP, 0.0, 0.1, 30.0, ranges)
     costmap.see(scan, np.tile((x, 0.0, 0.0), (N, 1)), Mount())
     return stamp
 
@@ -62,6 +70,41 @@ def test_a_disc_that_moves_is_followed_where_it_is_and_goes(vx, vy, radius):
     assert_allclose(found, radius, atol=0.08)
     ahead = costmap.movers.discs(stamp + S)[0]
     assert_allclose(ahead[:2], (px + pvx, py + pvy), atol=1e-9)
+
+
+def test_a_disc_that_creeps_is_followed_too():
+    costmap = made()
+    for k in range(50):
+        stamp = seen(costmap, k, [(2.0, 0.28 * (k * PERIOD / S - 1.0), 0.5)])
+    ((_, _, vx, vy, _),) = costmap.movers.discs(stamp).tolist()
+    assert_allclose((vx, vy), (0.0, 0.28), atol=0.06)
+
+
+@pytest.mark.parametrize("turns", [1.0, -1.0])
+def test_two_that_touch_are_two_and_each_goes_its_own_way(turns):
+    costmap = made()
+    for k in range(30):
+        t = k * PERIOD / S - 1.45
+        # they come from both sides, and overlap by a fifth at the end
+        stamp = seen(costmap, k, [(2.0, -0.4 + 1.0 * t, 0.5), (2.0, 0.4 - 0.6 * t, 0.5)], turns=turns)
+    discs = costmap.movers.discs(stamp)
+    assert len(discs) == 2
+    found = discs[np.argsort(discs[:, 1])]
+    assert_allclose(found[:, :2], [(2.0, -0.4), (2.0, 0.4)], atol=0.1)
+    assert_allclose(found[:, 2:4], [(0.0, 1.0), (0.0, -0.6)], atol=0.2)
+
+
+def test_one_that_goes_behind_a_post_keeps_its_place_and_speed():
+    costmap = made()
+    for k in range(60):
+        y = 1.0 * (k * PERIOD / S - 1.5)
+        stamp = seen(costmap, k, [(1.0, 0.0, 0.15), (2.5, y, 0.5)])
+        if k < 20:
+            continue
+        moving = costmap.movers.discs(stamp)
+        nearest = moving[np.argmin(np.hypot(moving[:, 0] - 2.5, moving[:, 1] - y))]
+        assert_allclose(nearest[:2], (2.5, y), atol=0.45)  # less than its radius
+        assert_allclose(nearest[2:4], (0.0, 1.0), atol=0.6)
 
 
 def test_what_moves_leaves_nothing_in_the_window_and_what_stands_stays():
@@ -98,6 +141,28 @@ def test_out_of_sight_it_goes_on_for_a_while_and_is_forgotten():
     assert not len(costmap.movers.discs(stamp))
 
 
+def followed(comes: bool) -> tuple[float, float]:
+    """m/s and rad/s that a robot which stands is told, with its plan behind it; comes: something comes at it."""
+    robot = load_robot("jackal").robot
+    limits, footprint = limits_of(robot.drive, 10.0, 0.15), footprint_of(robot, 0.03)
+    costmap = made()
+    costmap.refresh(10 * S, Pose2(), footprint)
+    costmap.moving = np.array([[0.0, -1.6, 0.0, 1.0, 0.5]]) if comes else costmap.movers.discs(0)
+    follower = Follower(FollowConfig(), DistanceToGoConfig(), Mppi(MppiConfig(), limits), limits, footprint)
+    xs = np.linspace(0.0, -3.0, 31)
+    goal = Goal(0, 1, GoalKind.DRIVE, Pose2(-3.0, 0.0, pi), 0.2, 0.2, 0.0, False)
+    outcome = follower.follow(LocalPlan(xs, 0 * xs, pi), goal, costmap, Motion(Pose2(), 0.0, 0.0), Pose2(), 1)
+    return outcome.v, outcome.w
+
+
+def test_it_is_no_time_to_turn_on_the_spot_when_something_comes():
+    v, w = followed(comes=False)
+    assert v == 0
+    assert w != 0
+    v, _ = followed(comes=True)
+    assert v > 0
+
+
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_solution_keeps_off_where_what_moves_will_be(side):
     robot = load_robot("jackal").robot
@@ -112,12 +177,16 @@ def test_a_solution_keeps_off_where_what_moves_will_be(side):
     scene = Scene(field, np.zeros((n, n), bool), 0.05, to_go, 9.0, 6.0, True, 3.0, 6.0, 0.0, 1.5, 0.0, path, mover)
     solution = Mppi(MppiConfig(), limits).solve(scene, footprint, 1)
     assert not solution.collides
-    x, y, yaw, least = 3.0, 6.0, 0.0, np.inf
+    x, y, yaw, least, least_before = 3.0, 6.0, 0.0, np.inf, np.inf
     for t, (v, w) in enumerate(solution.velocities, start=1):
         yaw += 0.05 * w
         x, y = x + 0.05 * v * cos(yaw), y + 0.05 * v * sin(yaw)
         there = mover[0, :2] + 0.05 * t * mover[0, 2:4]
         least = min(least, float(np.hypot(x - there[0], y - there[1])) - 0.5)
+        stopping = v * v / (2 * limits.braking)
+        before = x + stopping * cos(yaw), y + stopping * sin(yaw)
+        least_before = min(least_before, float(np.hypot(*(there - before))) - 0.5)
     assert least > footprint.circumscribed
+    assert least_before > footprint.inscribed  # or the guard brakes, and leaves it standing in the way
     straight = Mppi(MppiConfig(), limits).solve(scene._replace(movers=np.zeros((0, 5))), footprint, 1)
     assert straight.velocities[:20, 0].min() > 1.2  # without it, the robot would just have driven on

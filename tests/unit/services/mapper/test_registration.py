@@ -169,3 +169,28 @@ def test_what_a_corridor_hides_teaches_nothing_about_odometry():
     before = error.squared
     error.learn(Pose2(0.1, 0, 0), Pose2(0.5, 0, 0), np.diag((1.0, 1e5, 1e5)))
     assert error.squared == before
+
+
+def test_a_fast_laser_doubts_odometry_as_much_a_second_as_a_slow_one():
+    config, sure = RegistrationConfig(), np.eye(3) * 1e5
+    rng = np.random.default_rng(0)
+    jitter = rng.normal(0, 0.004, (400, 3)) * (1, 1, 0.5)  # m, m, rad that each match is off, whatever the rate
+    sigmas = {}
+    for hz in (10, 50):
+        error, at = OdometryError(), Pose2()
+        for k, off in enumerate(jitter):
+            true = Pose2(k / hz, 0, 0)
+            matched = true @ Pose2(*off)
+            error.learn(Pose2(1 / hz, 0, 0), at.inverse() @ matched, sure, 1 / hz)
+            at = matched
+        prior = error.prior(config, Pose2(), Pose2(1 / hz, 0, 0), seconds=1 / hz)
+        sigmas[hz] = hz * prior.sigma, hz * prior.sigma_turn
+    assert sigmas[50] == pytest.approx(sigmas[10], rel=0.3)
+
+
+@pytest.mark.parametrize("seconds", [1e-9, 0.02, 0.1, 2.0])
+def test_however_short_a_step_is_it_is_doubted_and_never_more_than_a_long_one(seconds):
+    config, error = RegistrationConfig(), OdometryError()
+    prior = error.prior(config, Pose2(), Pose2(), seconds=seconds)
+    assert 0 < prior.sigma <= error.prior(config, Pose2(), Pose2()).sigma
+    assert 0 < prior.sigma_turn <= error.prior(config, Pose2(), Pose2()).sigma_turn
