@@ -118,6 +118,7 @@ class FrontEnd:
         self.motion = Pose2()  # between the last two sweeps
         self.n_bad = 0  # scans that did not fit, since one fitted well
         self.n_poor = 0  # scans in a row that did not fit well
+        self.fitted = False  # the last scan did, and told something
         self.reckoned = local_from_base  # where it would be by odometry alone since the last scan that fitted
         self.seconds = SPAN  # between the last two sweeps
         self.searches_next = False
@@ -169,7 +170,7 @@ class FrontEnd:
                 origins, ends = straightened(origins, step, moved, skew), straightened(ends, step, moved, skew)
                 sweep, told, placed, n_moving = self._matched(origins, ends, step, LIED * doubt, 0.0, stamp)
         self._believe(told, placed.match, step, doubt)
-        stood = measures and hypot(step.x, step.y) <= STANDS and hypot(self.motion.x, self.motion.y) <= STANDS
+        stood = measures and self.fitted and max(hypot(step.x, step.y), hypot(self.motion.x, self.motion.y)) <= STANDS
         self.motion = self.local_from_base.inverse() @ placed.match.map_from_base
         if measures:
             self.odometry_error.learn(measured, self.motion, placed.match.information, seconds)
@@ -288,6 +289,7 @@ class FrontEnd:
         off = self.graphed and self.local_from_base.distance(self.reckoned) > STRAYED
         strayed = off and (self.n_bad > 0 or stood)
         self.n_poor = self.n_poor + 1 if told and quality < self.config.good else 0
+        self.fitted = told and quality >= self.config.good
         if quality >= self.config.good and not strayed:
             self.n_bad = 0
         elif self.n_bad > 0 or strayed or (told and quality < self.config.lost):

@@ -16,6 +16,7 @@ from services.local_ctrl.local_plan import LocalPlan
 from services.local_ctrl.movers import MoversConfig
 from services.local_ctrl.mppi import Mppi, MppiConfig
 from services.local_ctrl.rollout import Motion, limits_of
+from services.local_ctrl.zones import LocalZones
 from shared.config import Mount, load_robot
 from shared.geometry import Pose2
 from shared.messages import Goal, GoalKind, LaserScan
@@ -148,7 +149,8 @@ def followed(comes: bool) -> tuple[float, float]:
     costmap = made()
     costmap.refresh(10 * S, Pose2(), footprint)
     costmap.moving = np.array([[0.0, -1.6, 0.0, 1.0, 0.5]]) if comes else costmap.movers.discs(0)
-    follower = Follower(FollowConfig(), DistanceToGoConfig(), Mppi(MppiConfig(), limits), limits, footprint)
+    controller, zones = Mppi(MppiConfig(), limits), LocalZones(robot.circumscribed_radius)
+    follower = Follower(FollowConfig(), DistanceToGoConfig(), controller, limits, footprint, zones)
     xs = np.linspace(0.0, -3.0, 31)
     goal = Goal(0, 1, GoalKind.DRIVE, Pose2(-3.0, 0.0, pi), 0.2, 0.2, 0.0, False)
     outcome = follower.follow(LocalPlan(xs, 0 * xs, pi), goal, costmap, Motion(Pose2(), 0.0, 0.0), Pose2(), 1)
