@@ -109,7 +109,7 @@ class LocalCostmap:
                 (scan.range_min, scan.range_max, self.config.no_echo_clears),
                 ends,
             )
-            outline = ends if scan.angle_increment > 0 else ends[::-1]  # counter-clockwise
+            outline = ends if scan.angle_increment > 0 else np.ascontiguousarray(ends[::-1])  # counter-clockwise
             eye = float(odom_from_base[-1, 0]), float(odom_from_base[-1, 1])
             self.movers.see(outline, eye, scan.stamp, self.free_at, window)
             _weigh(touched, scan.stamp, self.evidence, self.hit_at, self.free_at)

@@ -30,6 +30,14 @@ def room(height: float, width: float, resolution: float = 0.05) -> Int8s:
     return cells
 
 
+def boxes(rng: np.random.Generator, n: int) -> Int8s:
+    """A room of 4 x 6 m with n boxes of 20 cm anywhere in it."""
+    cells = room(4, 6)
+    for row, column in rng.integers(4, (76, 116), (n, 2)):
+        cells[row : row + 4, column : column + 4] = 100
+    return cells
+
+
 def message(
     cells: Int8s, resolution: float = 0.05, version: int = 1, map_id: int = 1, since: Int8s | None = None
 ) -> MapUpdate:

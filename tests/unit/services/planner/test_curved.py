@@ -17,7 +17,7 @@ from shared import reasons
 from shared.config import load_robot
 from shared.geometry import Pose2
 from shared.ros_map import read_ros_map
-from tests.unit.services.maps import grid_of, planning_data, room
+from tests.unit.services.maps import boxes, grid_of, planning_data, room
 from tests.unit.services.planner.test_dubins import ways
 
 X80 = load_robot("x80sv").robot
@@ -59,10 +59,7 @@ def keeps_its_arcs(plan, radius, start, goal, any_heading):
 @given(st.integers(0, 2**32), st.booleans())
 def test_in_any_clutter_a_path_keeps_its_arcs_touches_nothing_and_has_its_headings(seed, any_heading):
     rng = np.random.default_rng(seed)
-    cells = room(4, 6)
-    for row, column in rng.integers(4, (76, 116), (6, 2)):
-        cells[row : row + 4, column : column + 4] = 100
-    terrain = terrain_of(cells)
+    terrain = terrain_of(boxes(rng, 6))
     free = np.argwhere(terrain.costs)
     (r0, c0), (r1, c1) = free[rng.integers(len(free), size=2)]
     start, goal = (

@@ -12,7 +12,7 @@ from shared import reasons
 from shared.config import load_robot
 from shared.geometry import Pose2
 from shared.ros_map import read_ros_map
-from tests.unit.services.maps import drawn, grid_of, message, planning_data, room
+from tests.unit.services.maps import boxes, drawn, grid_of, message, planning_data, room
 
 X80 = load_robot("x80sv").robot
 OUTLINE = Outline()
@@ -158,10 +158,7 @@ def test_a_robot_walled_in_is_blocked():
 @given(st.integers(0, 2**32))
 def test_in_any_clutter_the_path_touches_nothing_and_ends_within_reach_of_the_goal(seed):
     rng = np.random.default_rng(seed)
-    cells = room(4, 6)
-    for row, column in rng.integers(4, (76, 116), (12, 2)):
-        cells[row : row + 4, column : column + 4] = 100
-    terrain = terrain_of(cells)
+    terrain = terrain_of(boxes(rng, 12))
     free = np.argwhere(terrain.costs)
     for _ in range(4):
         (r0, c0), (r1, c1) = free[rng.integers(len(free), size=2)]

@@ -15,7 +15,7 @@ from services.planner.traversal_cost import UNIT, CostConfig, Terrain, cost_by_d
 from shared import reasons
 from shared.config import load_robot
 from shared.geometry import Pose2
-from tests.unit.services.maps import drawn, grid_of, room
+from tests.unit.services.maps import boxes, drawn, grid_of, room
 
 X80 = load_robot("x80sv").robot
 SEARCH, OUTLINE = Search(), Outline()
@@ -32,14 +32,6 @@ def way(terrain, start, goal):
     return planned(terrain, OUTLINE, Pose2(*start), Pose2(*goal), 0.15, PlanningConfig())
 
 
-def cluttered(seed):
-    rng = np.random.default_rng(seed)
-    cells = room(4, 6)
-    for row, column in rng.integers(6, (74, 114), (14, 2)):
-        cells[row : row + 3, column : column + 3] = 100
-    return cells
-
-
 def exposed(terrain, cells):
     """(n,) how much nearness there is at cells (n, 2) of `costs`: 1 where the robot just fits, 0 far away."""
     tables = [
@@ -54,7 +46,7 @@ def exposed(terrain, cells):
 @given(st.integers(0, 2**32))
 def test_who_gives_more_for_clearance_comes_less_near_to_things_and_drives_no_shorter_way(seed):
     """Of cheapest ways that is a law: the costs' sum of a preference and a length, each the least at its own price."""
-    cells, told = cluttered(seed), []
+    cells, told = boxes(np.random.default_rng(seed), 14), []
     for weight in WEIGHTS:
         terrain = terrain_of(cells, clearance_weight=weight)
         rng = np.random.default_rng(seed)
