@@ -29,6 +29,9 @@ DOCKING = 0.6  # m/s a metre before a goal at which it cannot turn: slow enough 
 BESIDE_ARCS = 4.0  # slowness a metre beside the plan, and at most, for who drives in arcs
 NOWHERE: Float64s = np.empty((0, 2))
 MISSED = FollowState.FAILED, reasons.HEADING_MISSED.code
+CHANGED = (
+    0.5  # rad over half a turn that are left on the spot: the way is another by now, and the other way round nearer
+)
 THREAT, THREAT_ROOM = 2.0, 0.2  # s until something would be this near, m, if the robot stood
 RIM = 0.25  # m of the window that the path keeps off: the field around its end needs room
 
@@ -204,6 +207,8 @@ class Follower:
                 return None
             # on the way round the error may pass the far side, where its sign flips
             way = error + 2 * pi * self.turning if error * self.turning < 0 and abs(error) > pi / 2 else error
+            if abs(way) > pi + CHANGED:
+                way = self._way_round(error, costmap, motion)
         elif abs(motion.v) < 0.1 and abs(error) > self.config.turn_from:
             way = self._way_round(error, costmap, motion)
         else:

@@ -11,7 +11,7 @@ from shared.geometry import Pose2
 OBSERVED = 0.012  # m, standard deviation up to which the beams fix a direction
 UNKNOWN = 0.1  # standard deviation of a scale that nothing was learnt about
 LEARNING = 0.05  # weight of the newest motion in odometry's error
-SPAN = 0.05  # s: motions are compared over this long, at least
+SPAN = 0.065  # s: motions are compared over this long, at least
 ENOUGH = 0.95  # of it: stamps jitter
 LEAST_SHARE = 0.05  # of what is doubted of a motion over SPAN, that a step has: stamps may lie
 FORGETTING = 0.005  # share of what is known of its scale that each step replaces

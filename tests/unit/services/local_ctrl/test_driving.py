@@ -107,6 +107,18 @@ def test_a_path_that_begins_behind_is_taken_by_turning_on_the_spot() -> None:
     assert min(run.v) > -0.05
 
 
+def test_turning_on_the_spot_goes_back_where_the_way_has_become_another() -> None:
+    start = Pose2(5.0, 5.0, 0.0)
+    left, right = ((start @ Pose2(0.0, 0.0, yaw)) @ Pose2(3.0) for yaw in (2.4, -1.3))
+    loop = Loop(X80, World(10, 10), start).give(drive_goal(left), np.array([[5.0, 5.0], [left.x, left.y]]))
+    while loop.truth.yaw < 1.0:
+        loop.drive(0.1)
+    loop.give(drive_goal(right, goal_id=2), np.array([[5.0, 5.0], [right.x, right.y]])).drive(8)
+    assert max(pose.yaw for pose in loop.run.poses) < 1.6
+    assert min(pose.yaw for pose in loop.run.poses) > -2.0
+    arrived(loop, loop.run, right)
+
+
 def test_an_open_floor_is_crossed_at_full_speed_without_a_stop() -> None:
     goal = Pose2(8.0, 2.0, 1.0)
     loop, run = driven(World(10, 4), Pose2(1.0, 2.0, 0.0), goal)
