@@ -17,6 +17,9 @@ QUERIES = 50  # a map
 COMPARED = 20  # of them with the shortest at equal clearance, which takes long to find
 APART = 40  # cells between the ends of a query, at least
 CONFIG = CostConfig(unknown="forbidden")
+KEEN = CONFIG.model_copy(
+    update={"clearance_weight": 1.75 * CONFIG.clearance_weight}
+)  # its paths are as long as NavFn's
 
 
 def maps(folder: Path) -> list[Path]:
@@ -25,7 +28,9 @@ def maps(folder: Path) -> list[Path]:
 
 
 def building_rows(path: Path, robot: Robot) -> dict[str, Row]:
-    """Ours and NavFn's, on one building; none where the robot has no room. Raises UserError as the reader does."""
+    """Ours by two preferences and NavFn's, on one building; none without room for the robot. Raises UserError as the
+    reader does.
+    """
     cells, resolution, _, _ = read_ros_map(path)
     terrain = terrain_of(cells, resolution, CONFIG, robot)
     scenarios = places(terrain)
@@ -38,6 +43,9 @@ def building_rows(path: Path, robot: Robot) -> dict[str, Row]:
     for scenario, path_ in zip(scenarios, paths):
         if len(path_) > 1:
             _compare(rows["ours"], terrain, path_, id(scenario) in some)
+    rows[f"ours, clearance_weight {KEEN.clearance_weight}"], _ = ours(
+        terrain_of(cells, resolution, KEEN, robot), scenarios
+    )
     rows |= navfns(terrain.costs, terrain, scenarios, {})
     sys.stderr.write(f"{path.stem}: {len(scenarios)} queries\n")
     return rows
