@@ -18,6 +18,7 @@ REACH = 0.15  # m to each side that a normal is fitted to, where the surface is 
 MOST = 12  # beams to each side at most
 THIN = 0.35  # largest ratio of the rms across to the rms along: a leg is no wall
 BEFORE = 0.3  # m at least that what stands free is nearer than what is beside it
+ABREAST = 0.1  # m the same, where much walks: of two that overlap, one is not much nearer
 WIDE = 0.9  # m, wider than a person with a bag
 THRONGED = 1.1  # m, wider than two abreast, or a person with a trolley
 LONE = 0.15  # m to the neighbours from which a point without a direction is lone
@@ -71,8 +72,9 @@ def sweep_lone(origins, ends, busy=False):  # type: ignore[no-untyped-def]  # co
     for k in range(n):
         r[k] = hypot(ends[beams[k], 0] - origins[beams[k], 0], ends[beams[k], 1] - origins[beams[k], 1])
     jumps = np.zeros(n, np.bool_)  # from the beam before
+    least = ABREAST if busy else BEFORE
     for k in range(n):
-        jumps[k] = abs(r[k] - r[k - 1]) > BEFORE
+        jumps[k] = abs(r[k] - r[k - 1]) > least
     if n > 0:
         a, b = ends[beams[0]], ends[beams[n - 1]]
         jumps[0] = jumps[0] or hypot(a[0] - b[0], a[1] - b[1]) > BEFORE

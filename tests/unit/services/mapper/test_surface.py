@@ -76,6 +76,13 @@ def test_what_is_hidden_on_one_side_by_what_stands_free_is_lone_too():
     assert (sweep_lone(origins, ends, True) != on).sum() <= 3  # a beam that grazes a side may fall far behind
 
 
+def test_two_abreast_stand_free_where_much_walks_though_together_they_are_wide():
+    origins, ends = sweep(np.array([*box(-5, -5, 5, 5), *box(1.5, -0.8, 1.9, 0.1), *box(1.7, 0.1, 2.1, 0.9)]), Pose2())
+    on = (np.abs(ends) < 4.9).all(axis=1)
+    assert (sweep_lone(origins, ends, True) != on).sum() <= 3
+    assert not sweep_lone(origins, ends, False)[on].any()
+
+
 def test_beams_without_an_echo_have_no_normal():
     origins, ends = sweep(ROOM, Pose2())
     ends[40:60] = np.nan
