@@ -30,7 +30,7 @@ LIED = 10.0  # how much wider the prior is where odometry was wrong
 STOOD = 3_000_000_000  # ns that a thing stands free until it is none that walks; or until the robot
 BESIDE = 0.25  # m is elsewhere, and sees it there still
 STAYED = 1_000_000_000  # ns later: who drives fast is soon elsewhere, and what is slow still where it was
-BUSY = 4.0  # beams of a sweep that end where it was free, more than noise makes: from there on much walks about it
+BUSY = 4.0  # beams of a sweep on what stands free where all was free, more than noise makes: from there on much walks
 LATELY = 1.0  # s over which that is averaged
 SOON = 0.3  # s between two sweeps in which who walks goes no farther than a match may be off
 MOST_WALKING = 0.9  # share of a sweep that may be left out: the rest, and odometry, still tell the place
@@ -126,7 +126,7 @@ class FrontEnd:
         self.fitted = False  # the last scan did, and told something
         self.reckoned = local_from_base  # where it would be by odometry alone since the last scan that fitted
         self.seconds = SPAN  # between the last two sweeps
-        self.busy = 0.0  # beams of a sweep that ended where it was free, in the mean, lately: on what moves
+        self.busy = 0.0  # beams of a sweep on what stands free where all was free, in the mean, lately: on what moves
         self.searches_next = False
         self.other_starts: list[Pose2] = []  # that the next search looks around too
 
@@ -162,7 +162,9 @@ class FrontEnd:
         self.seconds = seconds = seconds if seconds > 0 else SPAN  # else a clock was set back
         measured, step = step, self.odometry_error.corrected(step)
         measures = doubt <= 1  # else it is no odometry
-        sweep, told, placed, n_moving = self._matched(origins, ends, step, doubt, skew if measures else 0.0, stamp)
+        sweep, told, placed, n_moving, n_free = self._matched(
+            origins, ends, step, doubt, skew if measures else 0.0, stamp
+        )
         if measures:  # how far it drove is odometry's to say: along a corridor each sweep would bend the next
             twist = placed.match.twist
             back = _back(len(ends))
@@ -174,7 +176,7 @@ class FrontEnd:
             bent = skew * hypot(off.x, off.y) > BENT or skew * abs(off.yaw) > BENT_TURN
             if bent and placed.quality >= self.config.good:  # else it is the match that is wrong
                 origins, ends = straightened(origins, step, moved, skew), straightened(ends, step, moved, skew)
-                sweep, told, placed, n_moving = self._matched(origins, ends, step, LIED * doubt, 0.0, stamp)
+                sweep, told, placed, n_moving, n_free = self._matched(origins, ends, step, LIED * doubt, 0.0, stamp)
         self._believe(told, placed.match, step, doubt)
         stood = measures and self.fitted and max(hypot(step.x, step.y), hypot(self.motion.x, self.motion.y)) <= STANDS
         self.motion = self.local_from_base.inverse() @ placed.match.map_from_base
@@ -184,7 +186,8 @@ class FrontEnd:
         self.reckoned = self.reckoned @ step if measures else self.local_from_base
         # over a longer time who walks has gone on, and nothing of him agrees
         self.busy *= exp(-seconds / LATELY)
-        self.busy += (1 - exp(-seconds / LATELY)) * n_moving if seconds < SOON else 0.0
+        if seconds < SOON and placed.quality >= self.config.good:  # else it is the place that is wrong
+            self.busy += (1 - exp(-seconds / LATELY)) * n_free
         n_told = placed.n_agree + placed.n_against + n_moving
         quality = placed.n_agree / max(n_told, LEAST_BEAMS)
         self._grade(quality, n_told >= LEAST_BEAMS, len(origins), stood)
@@ -208,25 +211,28 @@ class FrontEnd:
 
     def _matched(
         self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float, skew: float, stamp: int
-    ) -> tuple[Sweep, Sweep, Placed, int]:
-        """The sweep without what moves, what of it was matched, its place, and the number of beams on moving things."""
+    ) -> tuple[Sweep, Sweep, Placed, int, int]:
+        """The sweep without what moves, what of it was matched, its place, the number of beams on moving things, and
+        of those that stand free, too.
+        """
         normals = sweep_normals(origins, ends)
         valid = sweep_usable(origins, ends) | normals.any(axis=1)
         sweep = Sweep(origins, ends, normals, _back(len(ends))).only(valid)
         walking = np.zeros(len(sweep.points), np.bool_)
+        guess, free = self.local_from_base @ step, sweep_lone(origins, ends, True)[valid]
         if doubt <= 1:  # who has no odometry has nothing better to hold on to
-            lone = sweep_lone(origins, ends, self.busy > BUSY)[valid]
-            walking = self._may_walk(sweep, lone, self.local_from_base @ step, stamp)
+            busy = self.busy > BUSY
+            walking = self._may_walk(sweep, free if busy else sweep_lone(origins, ends)[valid], guess, stamp)
         placed = self._placed(sweep.only(~walking), step, doubt, skew)
         moving = self.submap.grid.clear_at(placed.match.map_from_base @ sweep.points, self.config.clear_cells)
-        n_moving = int(moving.sum())
+        n_moving, n_free = int(moving.sum()), int((moving & free).sum())
         if 0 < n_moving < self.config.most_moving * len(moving):
             # who walks through known free space would pull the robot along, most of all in a bare corridor
             again = bool((moving & ~walking).any())
             sweep, walking = sweep.only(~moving), walking[~moving]
             if again:
                 placed = self._placed(sweep.only(~walking), step, doubt, skew, [placed.match.map_from_base])
-        return sweep, sweep.only(~walking), placed, n_moving
+        return sweep, sweep.only(~walking), placed, n_moving, n_free
 
     def _may_walk(self, sweep: Sweep, lone: Bools, guess: Pose2, stamp: int) -> Bools:
         """(n,) beams on things that stand free, have not stood there for long, and are not much of the sweep.
