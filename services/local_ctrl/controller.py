@@ -14,7 +14,7 @@ Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 
 APPROACH = 0.5  # share of the drive's braking that stopping at the goal counts on: the rest is for delay
-STANDING_WORLD = np.zeros((0, 5))
+STANDING_WORLD = np.zeros((0, 6))
 
 
 class Scene(NamedTuple):
@@ -33,7 +33,7 @@ class Scene(NamedTuple):
     v: float
     w: float
     path: Float64s  # (k, 2) m, k > 0: the plan from beside the robot to (end_x, end_y)
-    movers: Float64s = STANDING_WORLD  # (k, 5) x, y m, vx, vy m/s, radius m, of what moves, as the plan begins
+    movers: Float64s = STANDING_WORLD  # (k, 6) of what moves, as the plan begins: see Movers.discs
 
 
 class Solution(NamedTuple):

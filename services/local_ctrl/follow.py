@@ -8,6 +8,7 @@ from pydantic import Field
 
 from services.local_ctrl.controller import APPROACH, Controller, Scene
 from services.local_ctrl.distance_to_go import DistanceToGoConfig, distance_to_go
+from services.local_ctrl.expected import expected
 from services.local_ctrl.footprint import Float64s, Footprint, sampled
 from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.local_plan import LEAP, SPACING, Ahead, LocalPlan, until_turned
@@ -155,15 +156,14 @@ class Follower:
             motion.v,
             motion.w,
             points[: to_go.i_end + 1],
-            costmap.moving - (costmap.x0, costmap.y0, 0.0, 0.0, 0.0),
+            costmap.moving - (costmap.x0, costmap.y0, 0.0, 0.0, 0.0, 0.0),
         )
         return scene, to_go.closed and hypot(scene.end_x - x, scene.end_y - y) < self.config.closed_within
 
     def _threatened(self, scene: Scene) -> bool:
         """Whether something comes that would run into the robot if it stood: then it is no time to turn, or to wait."""
-        ahead = np.arange(0.0, THREAT, DT)[:, None]
-        x, y = (scene.movers[:, i] + ahead * scene.movers[:, i + 2] for i in (0, 1))
-        gaps = np.hypot(x - scene.x, y - scene.y) - scene.movers[:, 4]
+        ways = expected(scene.movers, round(THREAT / DT))
+        gaps = np.hypot(ways[:, :, 0] - scene.x, ways[:, :, 1] - scene.y) - ways[:, :, 2]
         return bool((gaps < self.footprint.circumscribed + THREAT_ROOM).any())
 
     def _ended(self, ahead: Ahead, goal: Goal, motion: Motion, odom_from_map: Pose2, plan: LocalPlan) -> bool:

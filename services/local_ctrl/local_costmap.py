@@ -62,7 +62,7 @@ class LocalCostmap:
         self.forbidden: Bools | None = None  # by keep-out zones, whatever is seen there
         self.field: Float32s = np.full((n, n), CAP, np.float32)
         self.movers = Movers(config.movers)
-        self.moving: Float64s = self.movers.discs(0)  # (k, 5), see Movers.discs, in `odom`, when a command acts
+        self.moving: Float64s = self.movers.discs(0)  # (k, 6), see Movers.discs, in `odom`, when a command acts
 
     @property
     def x0(self) -> float:

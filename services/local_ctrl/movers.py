@@ -2,13 +2,14 @@
 """What moves around the robot, and where it will be: small things that came into space that was seen free, followed.
 
 Only what stands where a moment ago beams went through counts: what merely comes into sight behind something else, or is
-seen from another side, does not move. Each is a disc with a constant velocity (Nair et al. 2022 call for no more).
+seen from another side, does not move. Each is a disc with a constant speed and turn rate (Schubert et al. 2008, CTRV):
+who bends his way goes on bending it, for a while.
 Where one passes before another, or touches it, what the laser sees of both is parted at the notch between them.
 """
 
 from collections import deque
 from dataclasses import dataclass, field
-from math import hypot, inf, sqrt
+from math import cos, hypot, inf, sin, sqrt
 
 import numpy as np
 from numba import njit
@@ -30,12 +31,18 @@ CAME = 0.4  # share of its beams that end in such places
 EASED = 0.3  # of the newest share in the mean of them
 RIM_CELLS = 2  # to each side that must have been free too: at a thing's rim cells may be both
 GATE = 0.4  # m off where it was expected that a thing may be found
-SPAN = 0.5  # s of its way that tell its velocity
+SPANS = 0.5, 0.3, 0.15  # s of its way that tell its velocity: the first in which it kept to one arc
 LEAST_SPAN = 0.15  # s that it must have been followed for
+KEEPS = 0.03  # m, root mean square, that it may be off an arc that it kept to
+FEWEST_PLACES, LEAST_PLACES = 3, 5  # from which a velocity is told, and a turn rate
 LEAST_WAY = 0.08  # m that it must have come
 ROUND = 0.04  # m, root mean square, that a disc's echoes may lie off its rim
 MOST_SPEED = 3.0  # m/s: what seems faster is a wrong pairing
+TURNS = 0.5  # rad/s, standard deviation, that things turn by: what is measured worse than that counts little
+MOST_TURN = 1.5  # rad/s: what turns faster does not do so for long
+PLACED = 0.01  # m, standard deviation of a place at least: errors of neighbouring scans are alike
 HALF = 0.7  # of its radius, half the width that is seen of it
+TWO = 1.25  # of a disc's radius, half the width of it and another
 KEPT = 0.995  # of its radius, a scan in which not enough is seen of it to tell
 X, Y, RADIUS, SHARE, IS_ROUND = range(5)  # columns of `_things`
 Thing = tuple[float, float, float, float, float]  # a row
@@ -52,19 +59,26 @@ class MoversConfig(Section):
 
 @dataclass(slots=True)
 class Mover:
-    """One thing: where it was seen lately (ns, x m, y m), its radius m, its velocity m/s where that is known."""
+    """One thing: where it was seen lately (ns, x m, y m), its radius m; where known, its velocity m/s, as it was seen
+    last, and its turn rate rad/s.
+    """
 
     seen: deque[tuple[int, float, float]] = field(default_factory=lambda: deque(maxlen=64))
     radius: float = 0.0
     vx: float = 0.0
     vy: float = 0.0
+    turn: float = 0.0
     came: float = 1.0  # mean share of its beams that end where it was free
     moves: bool = False
+    is_round: bool = False  # it was seen as a disc
 
-    def at(self, now: int) -> tuple[float, float]:
+    def at(self, now: int) -> tuple[float, float, float, float]:
+        """x, y m, vx, vy m/s on its arc."""
         stamp, x, y = self.seen[-1]
         elapsed = (now - stamp) / S
-        return x + self.vx * elapsed, y + self.vy * elapsed
+        half = 0.5 * self.turn * elapsed
+        vx, vy = turned(self.vx, self.vy, half)
+        return x + vx * elapsed, y + vy * elapsed, *turned(vx, vy, half)
 
     def holds(self, thing: Thing) -> bool:
         """Whether that lies within it, where it was seen last: something else before it parts what is seen of it."""
@@ -72,8 +86,11 @@ class Mover:
         return hypot(thing[X] - x, thing[Y] - y) < self.radius
 
     def is_hidden(self, thing: Thing) -> bool:
-        """Whether too little is seen of it to tell where it is: then it goes on as it did, while it is remembered."""
-        return self.moves and not thing[IS_ROUND] and thing[RADIUS] < HALF * self.radius
+        """Whether too little is seen of it, or too much: it and something else. Then it goes on as it did, while it is
+        remembered.
+        """
+        less = not thing[IS_ROUND] and thing[RADIUS] < HALF * self.radius
+        return self.moves and (less or (self.is_round and thing[RADIUS] > TWO * self.radius))
 
     def centre(self, thing: Thing, eye: tuple[float, float]) -> tuple[float, float]:
         """Where its middle is if that is what is seen of it: of a disc half hidden, not the middle of what is seen."""
@@ -87,17 +104,24 @@ class Mover:
         _, _, radius, share, is_round = thing
         self.seen.append((stamp, *self.centre(thing, eye)))
         self.came += EASED * (share - self.came)
+        self.is_round |= is_round > 0.0
         self.radius = max(radius, (0.9 if is_round else KEPT) * self.radius)
-        while self.seen[0][0] < stamp - SPAN * S:
+        while self.seen[0][0] < stamp - SPANS[0] * S:
             self.seen.popleft()
         t, xs, ys = np.array([((s - stamp) / S, a, b) for s, a, b in self.seen]).T
         if t[-1] - t[0] < LEAST_SPAN:
             return
-        t = t - t.mean()
-        self.vx, self.vy = float(t @ xs / (t @ t)), float(t @ ys / (t @ t))
+        for span in SPANS:
+            lately = t >= -span - 0.001
+            if lately.sum() < FEWEST_PLACES:
+                break
+            self.vx, self.vy, self.turn, off = _arc(t[lately], xs[lately], ys[lately])
+            if off < KEEPS:
+                break
         speed = hypot(self.vx, self.vy)
         came = self.came >= CAME and hypot(xs[-1] - xs[0], ys[-1] - ys[0]) > LEAST_WAY
-        self.moves = came and least_speed < speed < MOST_SPEED
+        # where it goes on in the shadow of something, nobody has seen that it was free there
+        self.moves = (came or self.moves) and least_speed < speed < MOST_SPEED
 
 
 class Movers:
@@ -131,7 +155,7 @@ class Movers:
         for row in things:
             thing: Thing = tuple(row.tolist())
             away = [inf] * len(expected)
-            for i, (mover, (x, y)) in enumerate(zip(self.all, expected)):
+            for i, (mover, (x, y, _, _)) in enumerate(zip(self.all, expected)):
                 if i not in taken:
                     a, b = mover.centre(thing, eye)
                     away[i] = hypot(x - a, y - b)
@@ -148,9 +172,37 @@ class Movers:
         self.all = [mover for mover in self.all if mover.seen[-1][0] >= (oldest if mover.moves else stamp - S // 5)]
 
     def discs(self, now: int) -> Float64s:
-        """(k, 5) x, y m in `odom`, vx, vy m/s, radius m: all that move, as they are at `now`, ns."""
-        rows = [(*mover.at(now), mover.vx, mover.vy, mover.radius) for mover in self.all if mover.moves]
-        return np.array(rows, float).reshape(-1, 5)
+        """(k, 6) x, y m in `odom`, vx, vy m/s, radius m, turn rate rad/s: all that move, as they are at `now`, ns."""
+        rows = [(*mover.at(now), mover.radius, mover.turn) for mover in self.all if mover.moves]
+        return np.array(rows, float).reshape(-1, 6)
+
+
+def turned(x: float, y: float, angle: float) -> tuple[float, float]:
+    c, s = cos(angle), sin(angle)
+    return c * x - s * y, s * x + c * y
+
+
+def _arc(t: Float64s, xs: Float64s, ys: Float64s) -> tuple[float, float, float, float]:
+    """Velocity m/s at the last of the times t (n,) s, turn rate rad/s, and m, root mean square, that (xs, ys) are off
+    that arc. The turn rate is the likeliest, given `TURNS`: what a parabola beside the straight line explains.
+    """
+    t, xs, ys = t - t.mean(), xs - xs.mean(), ys - ys.mean()
+    squares = float(t @ t)
+    vx, vy = float(t @ xs) / squares, float(t @ ys) / squares  # at the middle of that time
+    xs, ys = xs - t * vx, ys - t * vy
+    bow = t * t - (t * t).mean()
+    bow -= t * float(t @ bow) / squares
+    bowed = float(bow @ bow)
+    if len(t) < LEAST_PLACES or bowed < 1e-12:
+        return vx, vy, 0.0, 0.0
+    ax, ay = 2.0 * float(bow @ xs) / bowed, 2.0 * float(bow @ ys) / bowed
+    off = float(((xs - 0.5 * ax * bow) ** 2 + (ys - 0.5 * ay * bow) ** 2).sum()) / (len(t) - 3)
+    square = max(vx * vx + vy * vy, 1e-6)
+    variance = 4.0 * max(off, PLACED**2) / bowed / square
+    turn = (vx * ay - vy * ax) / square * TURNS**2 / (TURNS**2 + variance)
+    turn = min(max(turn, -MOST_TURN), MOST_TURN)
+    off = float(((xs + 0.5 * turn * vy * bow) ** 2 + (ys - 0.5 * turn * vx * bow) ** 2).mean())
+    return *turned(vx, vy, float(t[-1]) * turn), turn, sqrt(off)
 
 
 @njit(cache=True, nogil=True)

@@ -14,8 +14,9 @@ from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.local_ctrl.controller import APPROACH, Considered, Scene, Solution
+from services.local_ctrl.controller import APPROACH, STANDING_WORLD, Considered, Scene, Solution
 from services.local_ctrl.distance_to_go import carrot, to_go_at
+from services.local_ctrl.expected import expected
 from services.local_ctrl.footprint import Footprint, clearance, sampled, touches
 from services.local_ctrl.rollout import DT, Limits, arc_step, bent, speed_after, turn_rate_after
 from shared.config import Section
@@ -118,12 +119,14 @@ class Mppi:
         """Forgets the last solution."""
         self.mean = np.zeros((self.config.steps, 2))
         self.n_solved = 0
+        self.ways = expected(STANDING_WORLD, self.config.steps)
 
     def solve(self, scene: Scene, footprint: Footprint, n_elapsed: int) -> Solution:
         """The velocities from now on. n_elapsed: steps since the last call. Same calls, same bytes."""
         shift = min(max(n_elapsed, 0), self.config.steps)
         self.mean = np.concatenate((self.mean[shift:], np.repeat(self.mean[-1:], shift, axis=0)))
         self.n_solved += 1
+        self.ways = expected(scene.movers, self.config.steps)
         # a step that shares no factor with the pool's size visits every start before it repeats
         start = (self.n_solved * 7919) % len(self.noise)
         _explore(self.mean, self.noise, start, scene, self.limits, self.targets)
@@ -146,7 +149,8 @@ class Mppi:
 
     def _best(self, scene: Scene, footprint: Footprint) -> Solution:
         """The weighted average of `targets`, or the best of them where two ways around an obstacle average into it."""
-        _evaluate(self.targets, scene, footprint, self.limits, self.weights, self.executed, self.costs, self.gains)
+        outputs = self.executed, self.costs, self.gains
+        _evaluate(self.targets, scene, self.ways, footprint, self.limits, self.weights, *outputs)
         best = int(np.argmin(self.costs))
         velocities = _average(self.executed, self.costs, self.config.temperature)
         velocities, cost, gain = self._scored(velocities, scene, footprint)
@@ -158,7 +162,7 @@ class Mppi:
         executed = np.empty((1, *velocities.shape), np.float32)
         cost, gain = np.empty(1), np.empty(1)
         targets = velocities.astype(np.float32)[None]
-        _evaluate(targets, scene, footprint, self.limits, self.weights, executed, cost, gain)
+        _evaluate(targets, scene, self.ways, footprint, self.limits, self.weights, executed, cost, gain)
         return executed[0].astype(float), float(cost[0]), float(gain[0])
 
 
@@ -238,6 +242,7 @@ def _downhill(speed: float, look: float, scene: Scene, limits: Limits, targets: 
 def _evaluate(
     targets: Float32s,
     scene: Scene,
+    ways: Float64s,
     footprint: Footprint,
     limits: Limits,
     weights: Weights,
@@ -245,7 +250,10 @@ def _evaluate(
     costs: Float64s,
     gains: Float64s,
 ) -> None:
-    """Rolls out each (steps, 2) of targets (k, steps, 2): velocities as run, cost, and metres gained at the end."""
+    """Rolls out each (steps, 2) of targets (k, steps, 2): velocities as run, cost, and metres gained at the end.
+
+    ways: of what moves, see `expected`.
+    """
     n, steps, _ = targets.shape
     resolution = scene.resolution
     first = to_go_at(scene.to_go, scene.x, scene.y, resolution)
@@ -280,9 +288,10 @@ def _evaluate(
                     mean_to_go += to_go * (steps - t)
                     break
             cost += DT * _near(scene, footprint, limits, weights, x, y, c, s, v, room)
-            if len(scene.movers):
+            if ways.shape[1]:
                 ahead = _stopping(v, limits, weights)
-                away = _away(scene.movers, x, y, c, s, ahead if v >= 0.0 else -ahead, (t + 1) * DT, footprint)
+                far = weights.mover_clearance
+                away = _away(ways[t], x, y, c, s, ahead if v >= 0.0 else -ahead, footprint, far)
                 later = 1.0 - 0.5 * t / steps  # and less sure
                 if away < 0.0 and not met:
                     met = True
@@ -305,20 +314,23 @@ def _evaluate(
 
 @njit(cache=True, nogil=True)
 def _away(
-    movers: Float64s, x: float, y: float, c: float, s: float, ahead: float, after: float, footprint: Footprint
+    movers: Float64s, x: float, y: float, c: float, s: float, ahead: float, footprint: Footprint, far: float
 ) -> float:
-    """m from the outline at (x, y), and from the way on which it would stop, to what moves, `after` s from the start.
+    """m from the outline at (x, y), and from the way on which it would stop, to movers (k, 3) x, y, radius m then.
 
     What comes into that way makes the guard brake, and who stands before a thing that comes is run over.
-    ahead: m of that way; negative: backward.
+    ahead: m of that way; negative: backward.  far: m from which on it does not matter how far.
     """
-    least = inf
+    least = far
+    reach = far + max(footprint.circumscribed, abs(ahead) + footprint.inscribed)
     for k in range(len(movers)):
-        dx, dy = movers[k, 0] + after * movers[k, 2] - x, movers[k, 1] + after * movers[k, 3] - y
+        dx, dy = movers[k, 0] - x, movers[k, 1] - y
+        if dx * dx + dy * dy >= (reach + movers[k, 2]) ** 2:
+            continue
         along = c * dx + s * dy
         nearest = min(max(along, 0.0), ahead) if ahead >= 0.0 else max(min(along, 0.0), ahead)
         here = hypot(dx, dy) - footprint.circumscribed
-        least = min(least, min(here, hypot(along - nearest, c * dy - s * dx) - footprint.inscribed) - movers[k, 4])
+        least = min(least, min(here, hypot(along - nearest, c * dy - s * dx) - footprint.inscribed) - movers[k, 2])
     return least
 
 

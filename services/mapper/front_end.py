@@ -3,7 +3,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import hypot
+from math import exp, hypot
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,11 @@ BENT, BENT_TURN = 0.02, 0.01  # m, rad, by which the first beam of a sweep may b
 LIED = 10.0  # how much wider the prior is where odometry was wrong
 STOOD = 3_000_000_000  # ns that a thing stands free until it is none that walks; or until the robot
 BESIDE = 0.25  # m is elsewhere, and sees it there still
+STAYED = 1_000_000_000  # ns later: who drives fast is soon elsewhere, and what is slow still where it was
+BUSY = 4.0  # beams of a sweep on what stands free where all was free, more than noise makes: from there on much walks
+LATELY = 1.0  # s over which that is averaged
+SOON = 0.3  # s between two sweeps in which who walks goes no farther than a match may be off
+MOST_WALKING = 0.9  # share of a sweep that may be left out: the rest, and odometry, still tell the place
 PATIENCE = 10  # scans that fit, but not well, until they are drawn all the same
 STRAYED = 0.3  # m that one who did not fit, or stood, may be off odometry where he fits again: rooms look alike
 STANDS = 0.02  # m between two sweeps, by odometry and by what was matched before
@@ -121,6 +126,7 @@ class FrontEnd:
         self.fitted = False  # the last scan did, and told something
         self.reckoned = local_from_base  # where it would be by odometry alone since the last scan that fitted
         self.seconds = SPAN  # between the last two sweeps
+        self.busy = 0.0  # beams of a sweep on what stands free where all was free, in the mean, lately: on what moves
         self.searches_next = False
         self.other_starts: list[Pose2] = []  # that the next search looks around too
 
@@ -156,7 +162,9 @@ class FrontEnd:
         self.seconds = seconds = seconds if seconds > 0 else SPAN  # else a clock was set back
         measured, step = step, self.odometry_error.corrected(step)
         measures = doubt <= 1  # else it is no odometry
-        sweep, told, placed, n_moving = self._matched(origins, ends, step, doubt, skew if measures else 0.0, stamp)
+        sweep, told, placed, n_moving, n_free = self._matched(
+            origins, ends, step, doubt, skew if measures else 0.0, stamp
+        )
         if measures:  # how far it drove is odometry's to say: along a corridor each sweep would bend the next
             twist = placed.match.twist
             back = _back(len(ends))
@@ -168,7 +176,7 @@ class FrontEnd:
             bent = skew * hypot(off.x, off.y) > BENT or skew * abs(off.yaw) > BENT_TURN
             if bent and placed.quality >= self.config.good:  # else it is the match that is wrong
                 origins, ends = straightened(origins, step, moved, skew), straightened(ends, step, moved, skew)
-                sweep, told, placed, n_moving = self._matched(origins, ends, step, LIED * doubt, 0.0, stamp)
+                sweep, told, placed, n_moving, n_free = self._matched(origins, ends, step, LIED * doubt, 0.0, stamp)
         self._believe(told, placed.match, step, doubt)
         stood = measures and self.fitted and max(hypot(step.x, step.y), hypot(self.motion.x, self.motion.y)) <= STANDS
         self.motion = self.local_from_base.inverse() @ placed.match.map_from_base
@@ -176,6 +184,10 @@ class FrontEnd:
             self.odometry_error.learn(measured, self.motion, placed.match.information, seconds)
         self.local_from_base = placed.match.map_from_base
         self.reckoned = self.reckoned @ step if measures else self.local_from_base
+        # over a longer time who walks has gone on, and nothing of him agrees
+        self.busy *= exp(-seconds / LATELY)
+        if seconds < SOON and placed.quality >= self.config.good:  # else it is the place that is wrong
+            self.busy += (1 - exp(-seconds / LATELY)) * n_free
         n_told = placed.n_agree + placed.n_against + n_moving
         quality = placed.n_agree / max(n_told, LEAST_BEAMS)
         self._grade(quality, n_told >= LEAST_BEAMS, len(origins), stood)
@@ -199,24 +211,28 @@ class FrontEnd:
 
     def _matched(
         self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float, skew: float, stamp: int
-    ) -> tuple[Sweep, Sweep, Placed, int]:
-        """The sweep without what moves, what of it was matched, its place, and the number of beams on moving things."""
+    ) -> tuple[Sweep, Sweep, Placed, int, int]:
+        """The sweep without what moves, what of it was matched, its place, the number of beams on moving things, and
+        of those that stand free, too.
+        """
         normals = sweep_normals(origins, ends)
         valid = sweep_usable(origins, ends) | normals.any(axis=1)
         sweep = Sweep(origins, ends, normals, _back(len(ends))).only(valid)
         walking = np.zeros(len(sweep.points), np.bool_)
+        guess, free = self.local_from_base @ step, sweep_lone(origins, ends, True)[valid]
         if doubt <= 1:  # who has no odometry has nothing better to hold on to
-            walking = self._may_walk(sweep, sweep_lone(origins, ends)[valid], self.local_from_base @ step, stamp)
+            busy = self.busy > BUSY
+            walking = self._may_walk(sweep, free if busy else sweep_lone(origins, ends)[valid], guess, stamp)
         placed = self._placed(sweep.only(~walking), step, doubt, skew)
         moving = self.submap.grid.clear_at(placed.match.map_from_base @ sweep.points, self.config.clear_cells)
-        n_moving = int(moving.sum())
+        n_moving, n_free = int(moving.sum()), int((moving & free).sum())
         if 0 < n_moving < self.config.most_moving * len(moving):
             # who walks through known free space would pull the robot along, most of all in a bare corridor
             again = bool((moving & ~walking).any())
             sweep, walking = sweep.only(~moving), walking[~moving]
             if again:
                 placed = self._placed(sweep.only(~walking), step, doubt, skew, [placed.match.map_from_base])
-        return sweep, sweep.only(~walking), placed, n_moving
+        return sweep, sweep.only(~walking), placed, n_moving, n_free
 
     def _may_walk(self, sweep: Sweep, lone: Bools, guess: Pose2, stamp: int) -> Bools:
         """(n,) beams on things that stand free, have not stood there for long, and are not much of the sweep.
@@ -229,10 +245,15 @@ class FrontEnd:
             match = registrar.measured(sweep.points[lone], sweep.normals[lone], guess)
             stands = match.agree.copy()
             found = registrar.found(sweep.points[lone], sweep.normals[lone], match)
+            age = stamp - registrar.map.stamps[found]
             away = np.hypot(*(registrar.map.places[found] - (guess.x, guess.y)).T)
-            stands[match.agree] = (registrar.map.stamps[found] <= stamp - STOOD) | (away >= BESIDE)
+            stays = away >= BESIDE
+            if self.busy > BUSY:
+                stays &= age >= STAYED
+            stands[match.agree] = (age >= STOOD) | stays
             walking[lone] = ~stands
-        return walking if walking.sum() < self.config.most_moving * len(lone) else np.zeros_like(lone)
+        most = MOST_WALKING if self.busy > BUSY else self.config.most_moving
+        return walking if walking.sum() < most * len(lone) else np.zeros_like(lone)
 
     def _placed(self, sweep: Sweep, step: Pose2, doubt: float, skew: float, found: Sequence[Pose2] = ()) -> Placed:
         """The sweep aligned from odometry's guess, or from a better one where too many beams contradict the map.

@@ -18,7 +18,9 @@ REACH = 0.15  # m to each side that a normal is fitted to, where the surface is 
 MOST = 12  # beams to each side at most
 THIN = 0.35  # largest ratio of the rms across to the rms along: a leg is no wall
 BEFORE = 0.3  # m at least that what stands free is nearer than what is beside it
+ABREAST = 0.1  # m the same, where much walks: of two that overlap, one is not much nearer
 WIDE = 0.9  # m, wider than a person with a bag
+THRONGED = 1.1  # m, wider than two abreast, or a person with a trolley
 LONE = 0.15  # m to the neighbours from which a point without a direction is lone
 SPARSE = 0.4  # m, at most: farther apart, the next sweep's point of the same surface is out of the kernel (0.2 m)
 FLAT = 0.04  # m, largest rms distance from the fitted line
@@ -56,11 +58,12 @@ def sweep_usable(origins, ends):  # type: ignore[no-untyped-def]  # compiled; (n
 
 
 @njit(cache=True, nogil=True)
-def sweep_lone(origins, ends):  # type: ignore[no-untyped-def]  # compiled; (n, 2), (n, 2) -> (n,) bool
+def sweep_lone(origins, ends, busy=False):  # type: ignore[no-untyped-def]  # compiled; (n, 2), (n, 2) -> (n,) bool
     """Which beams fell on something no wider than a person that stands free before what is behind it.
 
     Things end where the range jumps. A full circle goes on from its last beam to its first; beyond the ends of any
-    other sweep all is far.
+    other sweep all is far. busy: where much walks, what is wider is meant too, and what is hidden on one side by
+    something that stands free.
     """
     lone = np.zeros(len(ends), np.bool_)
     beams = np.flatnonzero(~np.isnan(ends[:, 0]))
@@ -69,21 +72,31 @@ def sweep_lone(origins, ends):  # type: ignore[no-untyped-def]  # compiled; (n, 
     for k in range(n):
         r[k] = hypot(ends[beams[k], 0] - origins[beams[k], 0], ends[beams[k], 1] - origins[beams[k], 1])
     jumps = np.zeros(n, np.bool_)  # from the beam before
+    least = ABREAST if busy else BEFORE
     for k in range(n):
-        jumps[k] = abs(r[k] - r[k - 1]) > BEFORE
+        jumps[k] = abs(r[k] - r[k - 1]) > least
     if n > 0:
         a, b = ends[beams[0]], ends[beams[n - 1]]
         jumps[0] = jumps[0] or hypot(a[0] - b[0], a[1] - b[1]) > BEFORE
     starts = np.flatnonzero(jumps)
-    for k in range(len(starts)):
-        first, after = starts[k], starts[(k + 1) % len(starts)]
-        last = (after - 1) % n
-        farther_before = first == 0 or r[first - 1] > r[first]
-        farther_after = after == 0 or r[after] > r[last]
-        a, b = ends[beams[first]], ends[beams[last]]
-        if farther_before and farther_after and hypot(b[0] - a[0], b[1] - a[1]) < WIDE:
-            for m in range((last - first) % n + 1):
-                lone[beams[(first + m) % n]] = True
+    widest = THRONGED if busy else WIDE
+    for again in range(3 if busy else 1):  # behind the first that stands free, and behind that
+        before = lone.copy()
+        for k in range(len(starts)):
+            first, after = starts[k], starts[(k + 1) % len(starts)]
+            last = (after - 1) % n
+            if before[beams[first]]:
+                continue
+            farther_before = first == 0 or r[first - 1] > r[first]
+            farther_after = after == 0 or r[after] > r[last]
+            if again:
+                free = (farther_before and before[beams[after]]) or (farther_after and before[beams[first - 1]])
+            else:
+                free = farther_before and farther_after
+            a, b = ends[beams[first]], ends[beams[last]]
+            if free and hypot(b[0] - a[0], b[1] - a[1]) < widest:
+                for m in range((last - first) % n + 1):
+                    lone[beams[(first + m) % n]] = True
     return lone
 
 

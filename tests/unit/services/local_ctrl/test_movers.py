@@ -9,11 +9,12 @@ from numpy.testing import assert_allclose
 
 from services.local_ctrl.controller import Scene
 from services.local_ctrl.distance_to_go import DistanceToGoConfig
+from services.local_ctrl.expected import expected
 from services.local_ctrl.follow import FollowConfig, Follower
 from services.local_ctrl.footprint import footprint_of
 from services.local_ctrl.local_costmap import CostmapConfig, LocalCostmap
 from services.local_ctrl.local_plan import LocalPlan
-from services.local_ctrl.movers import MoversConfig
+from services.local_ctrl.movers import Mover, MoversConfig
 from services.local_ctrl.mppi import Mppi, MppiConfig
 from services.local_ctrl.rollout import Motion, limits_of
 from services.local_ctrl.zones import LocalZones
@@ -65,19 +66,64 @@ def test_a_disc_that_moves_is_followed_where_it_is_and_goes(vx, vy, radius):
         t = k * PERIOD / S
         x, y = 2.0 + vx * (t - 0.3), vy * (t - 0.3)
         stamp = seen(costmap, k, [(x, y, radius), (-1.5, 1.0, 0.3)])
-    ((px, py, pvx, pvy, found),) = costmap.movers.discs(stamp).tolist()
+    ((px, py, pvx, pvy, found, turn),) = costmap.movers.discs(stamp).tolist()
     assert_allclose((px, py), (x, y), atol=0.06)
     assert_allclose((pvx, pvy), (vx, vy), atol=0.15)
     assert_allclose(found, radius, atol=0.08)
+    assert abs(turn) < 0.15
     ahead = costmap.movers.discs(stamp + S)[0]
-    assert_allclose(ahead[:2], (px + pvx, py + pvy), atol=1e-9)
+    assert_allclose(ahead[:2], (px + pvx, py + pvy), atol=0.15)
+
+
+@pytest.mark.parametrize("turn", [0.6, -0.6])
+def test_one_that_bends_its_way_is_expected_on_its_arc(turn):
+    def at(t: float) -> tuple[float, float]:
+        return 2.5 - 1.2 / turn * (1 - cos(turn * t)), 1.2 / turn * sin(turn * t)
+
+    costmap = made()
+    for k in range(20):
+        t = k * PERIOD / S - 0.95
+        stamp = seen(costmap, k, [(*at(t), 0.4)])
+    discs = costmap.movers.discs(stamp)
+    assert_allclose(discs[0, 5], turn, atol=0.15)
+    ways = expected(discs, 20)
+    assert_allclose(ways[-1, 0, :2], at(t + 1.0), atol=0.15)
+    assert_allclose(ways[-1, 0, 2], discs[0, 4])
+    assert np.hypot(*(discs[0, :2] + discs[0, 2:4] - at(t + 1.0))) > 0.25  # straight on it would be elsewhere
+
+
+def test_one_that_turns_back_is_expected_where_it_goes_now():
+    costmap = made()
+    for k in range(24):
+        y = 1.2 * abs(k - 19) * PERIOD / S - 0.4
+        stamp = seen(costmap, k, [(2.5, y, 0.4)])
+    ((_, _, vx, vy, _, _),) = costmap.movers.discs(stamp).tolist()
+    assert_allclose((vx, vy), (0.0, 1.2), atol=0.3)
+
+
+def test_what_moves_goes_on_where_nobody_saw_that_it_was_free_until_it_stands():
+    mover = Mover()
+    for k in range(60):
+        share, y = float(k < 12), 0.05 * min(k, 40)
+        mover.take(k * PERIOD, (2.0, y, 0.5, share, 1.0), (0.0, 0.0), 0.2)
+        assert mover.moves or not 5 <= k <= 40, k
+    assert not mover.moves
+
+
+def test_what_is_wider_than_a_known_disc_is_it_and_another():
+    mover = Mover()
+    for k in range(10):
+        mover.take(k * PERIOD, (2.0, 0.05 * k, 0.5, 1.0, 1.0), (0.0, 0.0), 0.2)
+    assert mover.moves
+    assert mover.is_hidden((2.0, 0.8, 0.75, 1.0, 0.0))
+    assert not mover.is_hidden((2.0, 0.5, 0.5, 1.0, 1.0))
 
 
 def test_a_disc_that_creeps_is_followed_too():
     costmap = made()
     for k in range(50):
         stamp = seen(costmap, k, [(2.0, 0.28 * (k * PERIOD / S - 1.0), 0.5)])
-    ((_, _, vx, vy, _),) = costmap.movers.discs(stamp).tolist()
+    ((_, _, vx, vy, _, _),) = costmap.movers.discs(stamp).tolist()
     assert_allclose((vx, vy), (0.0, 0.28), atol=0.06)
 
 
@@ -148,7 +194,7 @@ def followed(comes: bool) -> tuple[float, float]:
     limits, footprint = limits_of(robot.drive, 10.0, 0.15), footprint_of(robot, 0.03)
     costmap = made()
     costmap.refresh(10 * S, Pose2(), footprint)
-    costmap.moving = np.array([[0.0, -1.6, 0.0, 1.0, 0.5]]) if comes else costmap.movers.discs(0)
+    costmap.moving = np.array([[0.0, -1.6, 0.0, 1.0, 0.5, 0.0]]) if comes else costmap.movers.discs(0)
     controller, zones = Mppi(MppiConfig(), limits), LocalZones(robot.circumscribed_radius)
     follower = Follower(FollowConfig(), DistanceToGoConfig(), controller, limits, footprint, zones)
     xs = np.linspace(0.0, -3.0, 31)
@@ -174,7 +220,7 @@ def test_a_solution_keeps_off_where_what_moves_will_be(side):
     row, column = np.indices((n // 2, n // 2))
     to_go = np.hypot(0.1 * column + 0.025 - 9.0, 0.1 * row + 0.025 - 6.0).astype(np.float32)
     # it comes from the side and would meet the robot 1 s from now, 1.5 m ahead
-    mover = np.array([[4.5, 6.0 - side * 1.2, 0.0, side * 1.2, 0.5]])
+    mover = np.array([[4.5, 6.0 - side * 1.2, 0.0, side * 1.2, 0.5, 0.0]])
     path = np.array([[3.0, 6.0], [9.0, 6.0]])
     scene = Scene(field, np.zeros((n, n), bool), 0.05, to_go, 9.0, 6.0, True, 3.0, 6.0, 0.0, 1.5, 0.0, path, mover)
     solution = Mppi(MppiConfig(), limits).solve(scene, footprint, 1)
@@ -190,5 +236,5 @@ def test_a_solution_keeps_off_where_what_moves_will_be(side):
         least_before = min(least_before, float(np.hypot(*(there - before))) - 0.5)
     assert least > footprint.circumscribed
     assert least_before > footprint.inscribed  # or the guard brakes, and leaves it standing in the way
-    straight = Mppi(MppiConfig(), limits).solve(scene._replace(movers=np.zeros((0, 5))), footprint, 1)
+    straight = Mppi(MppiConfig(), limits).solve(scene._replace(movers=np.zeros((0, 6))), footprint, 1)
     assert straight.velocities[:20, 0].min() > 1.2  # without it, the robot would just have driven on

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from tests.unit.services.mapper.hardships import LED, ROWS, WRONG, Hardship, course, laser
+from tests.unit.services.mapper.hardships import LED, ROWS, THRONGED, WRONG, Hardship, course, laser
 
 
 @pytest.mark.parametrize("name", ROWS)
@@ -40,6 +40,10 @@ def test_twenty_beams_place_a_robot_with_true_odometry():
 
 def test_who_walks_down_a_corridor_before_the_robot_does_not_hold_it_back():
     assert course(LED).away.max() < 0.1
+
+
+def test_who_overtakes_a_crowd_is_not_pulled_along_by_it():
+    assert course(THRONGED).away.max() < 0.4  # of 12 m; before it knows that much walks
 
 
 def test_a_covariance_that_grew_stays_until_old_ground_is_seen_again():

@@ -68,6 +68,21 @@ def test_what_is_wider_than_a_person_or_stands_at_a_wall_is_not_lone():
         assert not sweep_lone(*sweep(np.array([*room, *thing]), Pose2())).any()
 
 
+def test_what_is_hidden_on_one_side_by_what_stands_free_is_lone_too():
+    front, behind, third = box(1.5, -0.8, 1.9, 0.1), box(2.5, -0.2, 2.9, 0.7), box(3.3, 0.4, 3.6, 1.3)
+    origins, ends = sweep(np.array([*box(-5, -5, 5, 5), *front, *behind, *third]), Pose2())
+    on = np.isfinite(ends[:, 0]) & (np.abs(ends) < 4.9).all(axis=1)
+    assert on.sum() > 40
+    assert (sweep_lone(origins, ends, True) != on).sum() <= 3  # a beam that grazes a side may fall far behind
+
+
+def test_two_abreast_stand_free_where_much_walks_though_together_they_are_wide():
+    origins, ends = sweep(np.array([*box(-5, -5, 5, 5), *box(1.5, -0.8, 1.9, 0.1), *box(1.7, 0.1, 2.1, 0.9)]), Pose2())
+    on = (np.abs(ends) < 4.9).all(axis=1)
+    assert (sweep_lone(origins, ends, True) != on).sum() <= 3
+    assert not sweep_lone(origins, ends, False)[on].any()
+
+
 def test_beams_without_an_echo_have_no_normal():
     origins, ends = sweep(ROOM, Pose2())
     ends[40:60] = np.nan
