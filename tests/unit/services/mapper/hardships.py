@@ -56,10 +56,10 @@ def along(places: tuple[tuple[float, float], ...], step: float = 0.2, turn: floa
     return motions
 
 
-def laser(n: int = 240, view: float = 2 * pi, range_max: float = 8.0) -> Laser:
+def laser(n: int = 240, view: float = 2 * pi, range_max: float = 8.0, rate: int = 5) -> Laser:
     return Laser(
         mount=Mount(x=0.1, y=-0.02, yaw=0.0), angle_min=-view / 2, angle_increment=view / n, n_beams=n,
-        scan_time=0.1, rate=5, range_min=0.05, range_max=range_max,
+        scan_time=0.5 / rate, rate=rate, range_min=0.05, range_max=range_max,
     )  # fmt: skip
 
 
@@ -137,13 +137,13 @@ def course(row: Hardship) -> Course:
     robot = ROBOT.model_copy(update={"laser": row.laser})
     driven = Driven(row.segments, MapperConfig(), row.noise, robot)
     driven.true = row.start
-    odom = Pose2()
+    odom, period = Pose2(), round(SECOND / row.laser.rate)
     rows = []
     for k, motion in enumerate((*STANDING, *row.motions)):
         begin, start, before = driven.now, driven.true, odom
         told = row.told(k, motion)
         for i in range(1, PARTS + 1):
-            driven.now = begin + i * SECOND // 5 // PARTS
+            driven.now = begin + i * period // PARTS
             if told is not None:
                 share = i / PARTS
                 odom = before @ Pose2(told.x * share, told.y * share, told.yaw * share)
@@ -155,7 +155,7 @@ def course(row: Hardship) -> Course:
             driven.segments = np.concatenate((row.segments, row.company(k, driven.true)))
         half = start @ Pose2(motion.x / 2, motion.y / 2, motion.yaw / 2)
         driven.mapper.now = driven.now
-        driven.take(driven.mapper.scan(driven.scan([half, driven.true], driven.now - SECOND // 10)))
+        driven.take(driven.mapper.scan(driven.scan([half, driven.true], driven.now - period // 2)))
         if len(driven.poses) == 1:
             driven.first = driven.true
         covariance = driven.poses[-1].covariance.reshape(3, 3)
@@ -183,7 +183,7 @@ SLOWER = (-7.5, -1.6), (-6.0, 1.5), (-5.4, 2.7), (-4.0, -2.2), (-3.0, -1.4), (-1
 
 def throng(k: int, _pose: Pose2) -> Float64s:
     """Things of a metre, some before others, that all go where the robot goes, a quarter as fast."""
-    rows = [(x + 0.1 * k, y) for x, y in SLOWER]
+    rows = [(x + 0.01 * k, y) for x, y in SLOWER]
     return np.concatenate([box(x - 0.35, y - 0.4, x + 0.35, y + 0.4) for x, y in rows])
 
 
@@ -206,7 +206,7 @@ LED = Hardship(laser(450, range_max=5.0), (Pose2(0.08, 0, 0),) * 200, Pose2(), C
 """Down a bare corridor behind somebody: only his beams speak of the way, and they say that there is none."""
 
 THRONGED = Hardship(
-    laser(720, 1.5 * pi, 30.0), (Pose2(0.4, 0, 0),) * 30, Pose2(-9.0, 0, 0), np.array(box(-11, -11, 11, 11)),
+    laser(720, 1.5 * pi, 30.0, rate=50), (Pose2(0.04, 0, 0),) * 300, Pose2(-9.0, 0, 0), np.array(box(-11, -11, 11, 11)),
     company=throng,
 )  # fmt: skip
 """Through a hall, at 2 m/s, past slower ones that hide much of its walls."""

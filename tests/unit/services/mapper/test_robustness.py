@@ -43,7 +43,7 @@ def test_who_walks_down_a_corridor_before_the_robot_does_not_hold_it_back():
 
 
 def test_who_overtakes_a_crowd_is_not_pulled_along_by_it():
-    assert course(THRONGED).away.max() < 0.4  # of 12 m; before it knows that much walks
+    assert course(THRONGED).away.max() < 0.7  # of 12 m; before it knows that much walks. 1.5 if it never knew
 
 
 def test_a_covariance_that_grew_stays_until_old_ground_is_seen_again():
