@@ -23,6 +23,7 @@ from shared.reasons import Reason
 Float64s = NDArray[np.float64]
 Cell = tuple[int, int]
 
+NOWHERE = np.empty((0, 2))
 STEERING = 1.2
 """How much wider than the tightest a planned arc is where there is room: what is left is for getting back onto it."""
 RUN_IN = 0.8
@@ -122,8 +123,9 @@ def _with_margin(
         return _in_arcs(terrain, (x, y, start.yaw), (end[0], end[1], goal.yaw), turning, spacing, leaves)
     points = outline.points(terrain.costs, terrain.blocks, terrain.regions, escape[-1], end_cell, UNIT, terrain.highest)
     here = _in_cells(terrain, start, start_cell)
-    lead = np.array([here, *((column + 0.5, row + 0.5) for row, column in escape)])
-    path, yaws, cost = followed(terrain.costs, lead, points, end, spacing, wrapped(goal.yaw))
+    way_out = NOWHERE if len(escape) == 1 else np.array([(column + 0.5, row + 0.5) for row, column in escape])
+    frame = terrain.origin, terrain.resolution
+    path, yaws, cost = followed(terrain.costs, here, way_out, points, end, spacing, wrapped(goal.yaw), *frame)
     if turning is not None and len(escape) == 1:
         off = abs(wrapped(yaws[0] - start.yaw)) > SPINS_FROM
         begin = here[0], here[1], float(yaws[0]) if off else start.yaw
@@ -131,7 +133,7 @@ def _with_margin(
         if arcs.reason is None:
             arcs.yaws[-1] = wrapped(goal.yaw)
             return arcs
-    return Plan(terrain.origin + path * terrain.resolution, yaws, cost * terrain.resolution / UNIT)
+    return Plan(path, yaws, cost * terrain.resolution / UNIT)
 
 
 def _in_arcs(

@@ -28,22 +28,38 @@ _BEND_COST = 1.02  # how much dearer than its corner a bend may be
 
 @njit(cache=True, nogil=True)
 def followed(
-    costs: UInt16s, lead: Float64s, points: Float64s, end: tuple[float, float], spacing: float, last: float
+    costs: UInt16s,
+    here: tuple[float, float],
+    escape: Float64s,
+    points: Float64s,
+    end: tuple[float, float],
+    spacing: float,
+    last: float,
+    origin: tuple[float, float],
+    resolution: float,
 ) -> tuple[Float64s, Float64s, float]:
-    """From the robot to the goal: the path (m, 2), its headings (m,) rad, `last` at the end, its cost from points on.
+    """From the robot to the goal: the path (m, 2) in m, its headings (m,) rad, `last` at the end, its cost from points
+    on. All else is in cells of the costs, whose lower left corner lies at `origin`, m.
 
-    lead: (k, 2), k >= 2, from the robot to the first cell of points, where the path begins to be smoothed; with k = 2
-    the robot stands in that cell, and the path is smooth from the start. end: a point in the last cell.
+    escape: (k, 2), the way from `here` to the first of points, where the path begins to be smoothed; empty where the
+    robot stands in that cell, and the path is smooth from the start. end: a point in the last cell.
     """
-    n_lead = 1 if len(lead) == 2 else 0
+    n_lead = 1 if len(escape) == 0 else 0
     whole = np.empty((n_lead + len(points) + 1, 2))
-    whole[:n_lead] = lead[:n_lead]
+    whole[0, 0], whole[0, 1] = here
     whole[n_lead:-1] = points
     whole[-1, 0], whole[-1, 1] = end
     path, cost = _smoothed(costs, whole, spacing)
     if n_lead == 0:
+        lead = np.empty((len(escape) + 1, 2))
+        lead[0, 0], lead[0, 1] = here
+        lead[1:] = escape
         path = np.concatenate((resampled(lead, spacing), path[1:]))
-    return path, headings(path, last), cost
+    yaws = headings(path, last)
+    for i in range(len(path)):
+        path[i, 0] = origin[0] + path[i, 0] * resolution
+        path[i, 1] = origin[1] + path[i, 1] * resolution
+    return path, yaws, cost
 
 
 @njit(cache=True, nogil=True)
