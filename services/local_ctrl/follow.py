@@ -30,9 +30,7 @@ DOCKING = 0.6  # m/s a metre before a goal at which it cannot turn: slow enough 
 BESIDE_ARCS = 4.0  # slowness a metre beside the plan, and at most, for who drives in arcs
 NOWHERE: Float64s = np.empty((0, 2))
 MISSED = FollowState.FAILED, reasons.HEADING_MISSED.code
-CHANGED = (
-    0.5  # rad over half a turn that are left on the spot: the way is another by now, and the other way round nearer
-)
+CHANGED = 0.5  # rad over half a turn that are left on the spot: the way is another by now
 THREAT, THREAT_ROOM = 2.0, 0.2  # s until something would be this near, m, if the robot stood
 RIM = 0.25  # m of the window that the path keeps off: the field around its end needs room
 

@@ -219,10 +219,12 @@ class FrontEnd:
         valid = sweep_usable(origins, ends) | normals.any(axis=1)
         sweep = Sweep(origins, ends, normals, _back(len(ends))).only(valid)
         walking = np.zeros(len(sweep.points), np.bool_)
-        guess, free = self.local_from_base @ step, sweep_lone(origins, ends, True)[valid]
+        busy, free = self.busy > BUSY, walking
+        if busy or self.seconds < SOON:
+            free = sweep_lone(origins, ends, True)[valid]
         if doubt <= 1:  # who has no odometry has nothing better to hold on to
-            busy = self.busy > BUSY
-            walking = self._may_walk(sweep, free if busy else sweep_lone(origins, ends)[valid], guess, stamp)
+            lone = free if busy else sweep_lone(origins, ends, False)[valid]
+            walking = self._may_walk(sweep, lone, self.local_from_base @ step, stamp)
         placed = self._placed(sweep.only(~walking), step, doubt, skew)
         moving = self.submap.grid.clear_at(placed.match.map_from_base @ sweep.points, self.config.clear_cells)
         n_moving, n_free = int(moving.sum()), int((moving & free).sum())

@@ -58,7 +58,7 @@ def sweep_usable(origins, ends):  # type: ignore[no-untyped-def]  # compiled; (n
 
 
 @njit(cache=True, nogil=True)
-def sweep_lone(origins, ends, busy=False):  # type: ignore[no-untyped-def]  # compiled; (n, 2), (n, 2) -> (n,) bool
+def sweep_lone(origins, ends, busy):  # type: ignore[no-untyped-def]  # compiled; (n, 2), (n, 2), bool -> (n,) bool
     """Which beams fell on something no wider than a person that stands free before what is behind it.
 
     Things end where the range jumps. A full circle goes on from its last beam to its first; beyond the ends of any

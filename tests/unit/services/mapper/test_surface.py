@@ -58,14 +58,14 @@ def test_what_stands_free_before_the_walls_is_lone_and_no_wall_is(bearing, away,
     ends[dropped::10] = np.nan
     inside = np.hypot(*(ends - at).T) < width
     assert inside.any()
-    assert (sweep_lone(origins, ends) != inside).sum() <= 1  # a beam that grazes its side may fall far behind
-    assert not sweep_lone(*sweep(empty, pose)).any()
+    assert (sweep_lone(origins, ends, False) != inside).sum() <= 1  # a beam that grazes its side may fall far behind
+    assert not sweep_lone(*sweep(empty, pose), False).any()
 
 
 def test_what_is_wider_than_a_person_or_stands_at_a_wall_is_not_lone():
     room = box(-4, -4, 4, 4)
     for thing in (box(2.0, -0.7, 2.4, 0.7), box(3.75, -0.3, 4.0, 0.3)):
-        assert not sweep_lone(*sweep(np.array([*room, *thing]), Pose2())).any()
+        assert not sweep_lone(*sweep(np.array([*room, *thing]), Pose2()), False).any()
 
 
 def test_what_is_hidden_on_one_side_by_what_stands_free_is_lone_too():
