@@ -62,6 +62,7 @@ NO_FRONTIER     = Reason("no_frontier", "nothing reachable is left to explore", 
 CANCELED        = Reason("canceled", "the task was canceled", "send a new goal", "info")
 OTHER_MAP       = Reason("other_map", "the map was changed: the task was on another one", "send a new goal", "info")
 PAUSED          = Reason("paused", "the task is paused", "go on: zenav route --resume", "info")
+BY_HAND         = Reason("by_hand", "a person drives the robot by hand", "let go and it goes on; after navigator.leg.hold_time the task ends", "info")
 DWELLING        = Reason("dwelling", "the robot stays at a pose of its route", "nothing to do: it goes on by itself", "info")
 OVERRIDE        = Reason("override", "the protective field is overridden by hand", "it ends when teleop does, or no longer asks for it", "stop")
 BUSY            = Reason("busy", "the service has another request to finish", "try again in a moment", "info")

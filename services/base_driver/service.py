@@ -12,7 +12,7 @@ from services.base_driver.following import FollowingConfig
 from services.base_driver.kinematics import board_counts, wheel_speeds
 from services.base_driver.serial_board import SerialBoard, SerialBoardConfig
 from services.base_driver.stuck import StuckConfig
-from services.base_driver.watchdog import FUTURE, Watchdog, WatchdogConfig
+from services.base_driver.watchdog import Watchdog, WatchdogConfig
 from services.base_driver.wheel_faults import WheelFaults
 from shared import reasons, topics
 from shared.config import Robot, Section
@@ -29,6 +29,7 @@ from shared.messages import (
 )
 from shared.ports import PortConfig
 from shared.service import Out, Service, every, on
+from shared.stamps import FUTURE, precedes, supersedes
 from shared.topics import Publication
 
 SEPARATOR = "; "  # between the parts of a status's detail; the fault's words come first
@@ -85,7 +86,9 @@ class BaseDriverService(Service):
         """A reason's code, empty when there is none."""
         if self.wheel_faults.code:
             return self.wheel_faults.code
-        if self.now < self.wheel_faults.stands_until:
+        if self.pressed is not None:
+            return reasons.ESTOP.code
+        if self.wheel_faults.pausing(self.now):
             return reasons.NOT_OBEYED.code
         started = self.now if self.started is None else self.started
         waited = self.now - started > self.config.board_silent * 1e9
@@ -110,18 +113,21 @@ class BaseDriverService(Service):
         """The second line behind the guard; a release also ends a latched fault, and never moves the robot."""
         if stop.pressed:
             self.pressed = stop
-        elif self.pressed is None or stop.stamp >= self.pressed.stamp:
+        elif self.pressed is None or not precedes(stop.stamp, self.pressed.stamp, self.now):
             if self.pressed is not None or self.wheel_faults.code:
                 self.watchdog.disarm(self.now)
             self.pressed = None
-            if stop.stamp > self.wheel_faults.at:
+            if supersedes(stop.stamp, self.wheel_faults.at, self.now):
                 self.wheel_faults.release()
         yield from self._motors()
         yield from self._changed_status()
 
     @on(topics.BASE)
     def before_the_restart(self, status: BaseStatus) -> Out:
-        """A wheel's fault outlives this process: only a release later than our last word ends it."""
+        """A wheel's fault and STOP outlive this process: only a release later than our last word ends them."""
+        if status.fault == reasons.ESTOP.code:
+            self.pressed = EmergencyStop(status.stamp, True, "from before a restart")
+            yield self._status()
         if status.fault in LATCHED:
             self.wheel_faults.latch(status.fault, status.detail.split(SEPARATOR)[0], status.stamp)
             yield self._status()
@@ -197,7 +203,7 @@ class BaseDriverService(Service):
             yield topics.TX(SerialData(self.now, PORT, self.serial.farewell()))
 
     def _motors(self) -> Out:
-        stands = self.pressed is not None or bool(self.fault) or not self.link
+        stands = bool(self.fault) or not self.link
         v, w = (0.0, 0.0) if stands else self.robot.drive.clamped(*self.watchdog.velocity(self.now))
         self.wheels = wheel_speeds(v, w, self.robot.drive)
         command = MotorCommand(self.now, *board_counts(*self.wheels, self.robot.drive))

@@ -31,7 +31,7 @@ class StuckWatch:
         forward = commanded > 0
         travelled = abs(angle - self._angle) * radius
         turns = travelled >= self.config.turns_under * self.config.longer_than
-        if self._since is None or turns or forward != self._forward:
+        if self._since is None or stamp < self._since or turns or forward != self._forward:
             self._since, self._angle, self._forward = stamp, angle, forward
             return False
         return (stamp - self._since) * 1e-9 >= self.config.longer_than

@@ -5,8 +5,7 @@ from pydantic import Field
 
 from shared.config import Section
 from shared.messages import Velocity
-
-FUTURE = 100_000_000  # ns that a stamp may lie ahead of our clock: the skew of two machines' clocks
+from shared.stamps import FUTURE
 
 
 class WatchdogConfig(Section):
@@ -38,7 +37,7 @@ class Watchdog:
     def offer(self, command: Velocity, now: int) -> bool:
         """Takes a command, or refuses it and says why in `refused`."""
         if self._quiet_since > now + FUTURE:  # our clock was set back: what we accepted before it says nothing
-            self._last = self._quiet_since = 0
+            self._last, self._quiet_since = 0, now
         if now - command.stamp > self._age:
             self.refused = f"commands are refused: {(now - command.stamp) * 1e-9:.1f} s old"
             return False

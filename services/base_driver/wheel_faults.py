@@ -47,7 +47,11 @@ class WheelFaults:
 
     def told(self, now: int) -> str:
         """What is wrong now, in words."""
-        return self.words or (BOTH if now < self.stands_until else "")
+        return self.words or (BOTH if self.pausing(now) else "")
+
+    def pausing(self, now: int) -> bool:
+        """Whether both wheels fell behind just now; not after the clock was set back."""
+        return 0 < self.stands_until - now <= PAUSE
 
     def _forget(self) -> None:
         for watch in self._follow:

@@ -5,8 +5,7 @@ from pydantic import Field
 
 from shared.config import Section
 from shared.messages import Velocity
-
-FUTURE = 100_000_000  # ns that a stamp may lie ahead of our clock: the skew of two machines' clocks
+from shared.stamps import FUTURE, fresh, supersedes
 
 
 class ArbitrationConfig(Section):
@@ -15,16 +14,6 @@ class ArbitrationConfig(Section):
     command_age: float = Field(0.2, gt=0, le=0.3, description="s after its stamp that a command ends")
     teleop_hold: float = Field(0.5, ge=0, le=10, description="s after its last command that teleop keeps nav out")
     silence: float = Field(0.5, gt=0, le=10, description="s without commands after which a stream counts as new")
-
-
-def fresh(stamp: int, now: int, age: float) -> bool:
-    """Whether what was true at `stamp` is at most `age` s old, and not from the future."""
-    return -FUTURE <= now - stamp <= round(age * 1e9)
-
-
-def supersedes(stamp: int, last: int | None, now: int) -> bool:
-    """Whether a message is newer than the last one; after the clock was set back any message is."""
-    return last is None or stamp > last or last > now + FUTURE
 
 
 class Source:
@@ -36,6 +25,7 @@ class Source:
         self.command: Velocity | None = None
         self.armed = True
         self._quiet_since = 0
+        self._began = 0  # ns when the command began to age: at its stamp, or when it came if that was ahead
 
     def take(self, command: Velocity, now: int) -> bool:
         """Takes a command that is newer than the last and young; False where it is neither."""
@@ -43,11 +33,11 @@ class Source:
         if not supersedes(command.stamp, last, now) or not fresh(command.stamp, now, self.config.command_age):
             return False
         if self._quiet_since > now + FUTURE:
-            self._quiet_since = 0  # the clock was set back
+            self._quiet_since = now  # the clock was set back
         if self.wants_zero(command) or command.stamp - self._quiet_since >= round(self.config.silence * 1e9):
             self.armed = True
         self._quiet_since = command.stamp
-        self.command = command
+        self.command, self._began = command, min(command.stamp, now)
         return True
 
     def disarm(self, now: int) -> None:
@@ -57,7 +47,7 @@ class Source:
 
     def younger_than(self, age: float, now: int) -> bool:
         """Whether the stream's last command is at most `age` s old."""
-        return self.command is not None and fresh(self.command.stamp, now, age)
+        return self.command is not None and fresh(self._began, now, age)
 
     @staticmethod
     def wants_zero(command: Velocity) -> bool:

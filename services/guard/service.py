@@ -6,7 +6,7 @@ from math import pi
 
 import numpy as np
 
-from services.guard.arbitration import ArbitrationConfig, Source, fresh, supersedes
+from services.guard.arbitration import ArbitrationConfig, Source
 from services.guard.limits import ramped
 from services.guard.obstacles import Obstacles, ObstaclesConfig, looks_at
 from services.guard.protective_field import FREE, FieldConfig, Permit, permitted
@@ -28,6 +28,7 @@ from shared.messages import (
 )
 from shared.requests import Override, Reply
 from shared.service import Answer, Out, Service, answer, every, on
+from shared.stamps import fresh, supersedes
 
 LONGEST_RAMP = 0.1  # s of acceleration that one command may make up for
 RANGES_AGE = 1.0  # s after which range sensors no longer count as looking
@@ -126,10 +127,11 @@ class GuardService(Service):
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:
         if supersedes(odometry.stamp, self.situation.odom_stamp, self.now):
-            self.situation.odom_stamp = odometry.stamp
+            self.situation.now = self.now
+            self.situation.take_odometry(odometry.stamp)
             if not self.track.add(odometry):
                 self.obstacles.forget()
-                self.situation.scan = None
+                self.situation.take_scan(None)
         return ()
 
     @on(topics.SCAN)
@@ -140,9 +142,11 @@ class GuardService(Service):
         laser = self.robot.laser
         seen = abs(scan.angle_increment) * (len(scan.ranges) - 1)
         narrow = seen < LEAST_VIEW * abs(laser.angle_increment) * (laser.n_beams - 1)
-        if narrow or np.count_nonzero(scan.ranges < scan.range_min) > len(scan.ranges) / 2:
+        nonsense = (scan.ranges < scan.range_min) | (scan.ranges > scan.range_max)
+        if narrow or np.count_nonzero(nonsense) > len(scan.ranges) / 2:
             return  # a covered or broken laser measures nothing: soon the last scan is too old to drive on
-        self.situation.scan = scan
+        self.situation.now = self.now
+        self.situation.take_scan(scan)
         self.obstacles.take_scan(scan, self.track)
         if self.verdict.moves and self._judged().reason not in ("", self.verdict.reason):
             yield from self.drive()

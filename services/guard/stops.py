@@ -5,11 +5,12 @@ from collections.abc import Callable
 
 from pydantic import Field
 
-from services.guard.arbitration import FUTURE, ArbitrationConfig, Source, fresh, in_charge, supersedes
+from services.guard.arbitration import ArbitrationConfig, Source, in_charge
 from shared import reasons
 from shared.config import Section
 from shared.messages import BaseStatus, EmergencyStop, GuardState, LaserScan, Localization, PoseEstimate
 from shared.reasons import Reason
+from shared.stamps import fresh, precedes, supersedes
 
 
 class StopsConfig(Section):
@@ -34,11 +35,21 @@ class Situation:
         self.pressed: EmergencyStop | None = None
         self.base: BaseStatus | None = None
         self.odom_stamp: int | None = None
+        self.odom_at: int | None = None  # ns of what it tells: its stamp, or when it came if that was ahead
         self.scan: LaserScan | None = None
+        self.scan_at: int | None = None  # as odom_at, of its last beam
         self.pose: PoseEstimate | None = None
         self.lost_since: int | None = None
         self.jumped_at: int | None = None
         self.override: tuple[int, int] | None = None  # ns, from and until when a person answers for what is in the way
+
+    def take_odometry(self, stamp: int) -> None:
+        """The robot's motion was told as of this stamp."""
+        self.odom_stamp, self.odom_at = stamp, min(stamp, self.now)
+
+    def take_scan(self, scan: LaserScan | None) -> None:
+        """What the laser saw last; None: that tells nothing any more."""
+        self.scan, self.scan_at = scan, min(scan_end(scan), self.now) if scan else None
 
     def take_override(self, seconds: float) -> Reason | None:
         """Overrides the field for so long, or ends that; the reason where it is refused."""
@@ -57,7 +68,7 @@ class Situation:
         if stop.pressed:
             self.pressed, self.override = stop, None
             return
-        if self.pressed is not None and stop.stamp < self.pressed.stamp <= self.now + FUTURE:
+        if self.pressed is not None and precedes(stop.stamp, self.pressed.stamp, self.now):
             return  # an older release than this press
         if self.pressed is not None or self.fault:
             self.nav.disarm(self.now)
@@ -123,10 +134,6 @@ class Situation:
         return self.scan.stamp if self.scan else None
 
     @property
-    def scan_end(self) -> int | None:
-        return scan_end(self.scan) if self.scan else None
-
-    @property
     def pose_stamp(self) -> int | None:
         return self.pose.stamp if self.pose else None
 
@@ -146,7 +153,7 @@ def scan_end(scan: LaserScan) -> int:
 
 # fmt: off
 STOPS: tuple[tuple[Reason, GuardState, Callable[[Situation], bool]], ...] = (  # highest rank first
-    (reasons.ESTOP,          GuardState.STOPPED, lambda s: s.pressed is not None),
+    (reasons.ESTOP,          GuardState.STOPPED, lambda s: s.pressed is not None or s.fault == reasons.ESTOP.code),
     (reasons.WHEEL_STUCK,    GuardState.FAULT,   lambda s: s.fault == reasons.WHEEL_STUCK.code),
     (reasons.WHEEL_ASTRAY,   GuardState.FAULT,   lambda s: s.fault == reasons.WHEEL_ASTRAY.code),
     (reasons.NOT_OBEYED,     GuardState.HOLD,    lambda s: s.fault == reasons.NOT_OBEYED.code),
@@ -156,8 +163,8 @@ STOPS: tuple[tuple[Reason, GuardState, Callable[[Situation], bool]], ...] = (  #
     (reasons.SENSOR_DEAD,    GuardState.FAULT,   lambda s: s.fault == reasons.SENSOR_DEAD.code),
     (reasons.FAULT,          GuardState.FAULT,   lambda s: s.fault != ""),
     (reasons.BASE_SILENT,    GuardState.HOLD,    lambda s: s.old(s.base_stamp, s.config.base_age)),
-    (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s: s.old(s.odom_stamp, s.config.odom_age)),
-    (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s: not s.overridden and s.old(s.scan_end, s.config.scan_age)),
+    (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s: s.old(s.odom_at, s.config.odom_age)),
+    (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s: not s.overridden and s.old(s.scan_at, s.config.scan_age)),
     (reasons.COMMAND_OLD,    GuardState.HOLD,    lambda s: not s.heard and s.source.moving),
     (reasons.NO_COMMAND,     GuardState.IDLE,    lambda s: not s.heard),
     (reasons.ESTOP_RELEASED, GuardState.HOLD,    lambda s: not s.source.armed),

@@ -44,6 +44,7 @@ from shared.messages import (
 )
 from shared.requests import Reply, Watch
 from shared.service import Answer, Out, Service, answer, every, on
+from shared.stamps import precedes
 
 RIM = 1.0  # m of the costmap beyond where the longest rollout ends
 
@@ -170,7 +171,7 @@ class LocalCtrlService(Service):
             self.goal.amount,
         ):
             return ()
-        if self.goal is not None and goal.id < self.goal.id and goal.stamp < self.goal.stamp:
+        if self.goal is not None and goal.id < self.goal.id and precedes(goal.stamp, self.goal.stamp, self.now):
             return ()
         driving = self.goal is not None and self.goal.kind is goal.kind is GoalKind.DRIVE
         self.goal, self.goal_since, self.manoeuvre = goal, self.now, None
@@ -241,17 +242,28 @@ class LocalCtrlService(Service):
             self.follower.reset()
             code = reason or reasons.NO_PLAN.code
             return braking(motion, self.limits, FollowState.BLOCKED, code)
-        return self.follower.follow(self.plan, goal, self.costmap, motion, self.inputs.odom_from_map, n_elapsed)
+        outcome = self.follower.follow(self.plan, goal, self.costmap, motion, self.inputs.odom_from_map, n_elapsed)
+        if outcome.state in (FollowState.ARRIVED, FollowState.FAILED) and not self._is_for(goal):
+            self.follower.missed = False
+            outcome = outcome._replace(state=FollowState.FOLLOWING, reason="")  # that is the goal before
+        return outcome
+
+    def _is_for(self, goal: Goal) -> bool:
+        """Whether the last plan that came is this goal's: else that of the goal before leads on for a moment."""
+        return self.path is not None and self.path.goal_id == goal.id
 
     def _no_plan(self, goal: Goal) -> str | None:
         """Why there is no plan to follow, as a code of reasons.py, or None."""
-        path = self.path
+        reason = self._unfit(self.path)
+        if self._is_for(goal):
+            return reason
+        waits = self.plan is not None and self.now - self.goal_since < self.config.ages.plan_for_new_goal * S
+        return None if waits and reason is None else reasons.NO_PLAN.code
+
+    def _unfit(self, path: Path | None) -> str | None:
+        """Why the plan, whosever it is, is none to follow, as a code of reasons.py, or None."""
         if path is None:
             return reasons.NO_PLAN.code
-        if path.goal_id != goal.id:
-            waited = self.now - self.goal_since
-            waits = self.plan is not None and waited < self.config.ages.plan_for_new_goal * S
-            return None if waits else reasons.NO_PLAN.code
         if abs(self.now - path.stamp) > self.config.ages.plan * S:
             return reasons.PLAN_OLD.code
         if path.stamp < self.inputs.jumped_at:

@@ -71,7 +71,7 @@ class Hearing:
         if guard is None:
             return None
         if guard.source == "teleop":
-            return reasons.PAUSED
+            return reasons.BY_HAND
         return REASONS[guard.reason] if guard.state is GuardState.HOLD and guard.reason in _MISSING else None
 
     def why(self, goal: Goal | None, now: int) -> str:
@@ -81,6 +81,8 @@ class Hearing:
             return guard.reason
         if goal is None:
             return ""
+        if guard is not None and guard.source == "teleop":
+            return reasons.BY_HAND.code
         if guard is not None and guard.state is GuardState.HOLD and guard.reason != reasons.NO_COMMAND.code:
             return guard.reason
         plan, follow = self.plan_for(goal, now), self.follow_for(goal, now)

@@ -17,7 +17,7 @@ from shared import reasons, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import TILE_CELLS, FollowState, FollowStatus, Goal, GoalKind, NavState
+from shared.messages import MOST_ZONES, TILE_CELLS, FollowState, FollowStatus, Goal, GoalKind, NavState
 from shared.reasons import Reason
 from shared.service import Job, Out
 from shared.whereabouts import Whereabouts
@@ -36,7 +36,7 @@ class NavigatorConfig(Section):
     tolerance: float = Field(0.15, ge=0.01, le=5, description="m to the goal at which it is reached")
     yaw_tolerance: float = Field(0.25, ge=0.01, le=3.14, description="rad to the goal's heading at which it is reached")
     zones: tuple[NamedZoneConfig, ...] = Field(
-        (), description="keep-out and speed zones on every map; those of one map: zenav zones"
+        (), max_length=MOST_ZONES, description="keep-out and speed zones on every map; those of one map: zenav zones"
     )
     lost_time: float = Field(2.0, ge=0, le=60, description="s that the pose may be lost until the robot is stopped")
     leg: LegConfig = LegConfig()
@@ -149,7 +149,7 @@ class Navigation:
                 yield from self._drive(now, self.leg)
         elif self.leg:
             yield from self._watch_leg(self.leg, seconds, now)
-        elif isinstance(self.task, Route):
+        elif isinstance(self.task, Route) and not self.suspended:
             self.dwell -= seconds
             if self.dwell <= 0:
                 yield from self._next_waypoint(self.task, now)
@@ -310,6 +310,9 @@ class Navigation:
         if pose is None or grid.empty:
             if exploration.without > self.config.leg.start_time:
                 yield from self.end(now, NavState.FAILED, reasons.NO_MAP if grid.empty else reasons.POSE_OLD)
+            return
+        if self.suspended and exploration.without > self.config.leg.hold_time:
+            yield from self.end(now, NavState.FAILED, reasons.POSE_LOST)
             return
         due = self.searched >= _SEARCH_EVERY and self.searching >= _SEARCH_LOST
         if due and not (self.action or self.suspended):

@@ -12,6 +12,7 @@ from services.navigator.zones import HeldZones
 from shared import reasons, requests, topics
 from shared.config import Robot
 from shared.messages import (
+    MOST_ZONES,
     FollowStatus,
     GuardState,
     GuardStatus,
@@ -120,7 +121,9 @@ class NavigatorService(Service):
 
     @answer(requests.SET_ZONES)
     def set_zones(self, request: SetZones) -> Answer[Reply]:
-        self.zones.set(request)
+        if not self.zones.set(request):
+            most = f"with those of the configuration they are more than {MOST_ZONES}"
+            return replace(self._reply(reasons.BAD_REQUEST), detail=most)
         yield self._zones()
         return self._reply(None)
 

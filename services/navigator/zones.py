@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which zones hold: those of the robot's configuration, and those that a person set."""
 
-from shared.messages import Zone, Zones
+from itertools import islice
+
+from shared.messages import MOST_ZONES, Zone, Zones
 from shared.requests import SetZones
 from shared.zones import NamedZoneConfig
 
@@ -18,12 +20,17 @@ class HeldZones:
     def zones(self) -> tuple[Zone, ...]:
         return tuple(self._zones.values())
 
-    def set(self, request: SetZones) -> None:
-        """These, and the configuration's that have other names."""
-        self._zones = self._configured | {zone.name: zone for zone in request.zones}
+    def set(self, request: SetZones) -> bool:
+        """These, and the configuration's that have other names; False where those are more than can hold."""
+        zones = self._configured | {zone.name: zone for zone in request.zones}
+        if len(zones) > MOST_ZONES:
+            return False
+        self._zones = zones
+        return True
 
     def remember(self, before: Zones) -> None:
         """What held before a restart goes on to hold, unless something was set already."""
         if self._zones is self._configured:
-            self._zones = self._configured | {zone.name: zone for zone in before.zones}
+            zones = self._configured | {zone.name: zone for zone in before.zones}
+            self._zones = dict(islice(zones.items(), MOST_ZONES))
             self.told = False

@@ -17,6 +17,7 @@ from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import TILE_CELLS, Goal, GoalKind, Localization, MapUpdate, Odometry, Path, PoseEstimate, Zones
 from shared.service import Out, Service, every, on
+from shared.stamps import precedes
 from shared.whereabouts import Whereabouts
 
 PERIOD_NS = 500_000_000
@@ -114,7 +115,8 @@ class PlannerService(Service):
 
     @on(topics.GOAL)
     def new_goal(self, goal: Goal) -> Out:
-        if self.goal and (goal.id == self.goal.id or (goal.id < self.goal.id and goal.stamp < self.goal.stamp)):
+        last = self.goal
+        if last and (goal.id == last.id or (goal.id < last.id and precedes(goal.stamp, last.stamp, self.now))):
             return
         self.goal = goal if goal.kind is GoalKind.DRIVE else None
         self.plan, self.blocked_since = None, None

@@ -9,6 +9,7 @@ from enum import Enum, auto
 
 from shared.codec import Envelope
 from shared.messages import Message
+from shared.stamps import precedes
 from shared.topics import Topic
 
 SILENT_AFTER = 300_000_000
@@ -51,13 +52,13 @@ class Admission:
             gap = envelope.sequence > self._sequence + 1
             self.complete = kept or (self.complete and not gap)
         elif self._topic.hz == 0:  # events: any publisher's, in the order in which they were sent
-            if envelope.sent < self._sent:
+            if precedes(envelope.sent, self._sent, now):
                 return Verdict.OLD
             gap = False
         else:
             if self._session and 0 <= now - self._heard < SILENT_AFTER:
                 return Verdict.INTRUDER
-            if envelope.sent < self._sent:
+            if precedes(envelope.sent, self._sent, now):
                 return Verdict.OLD
             gap = False
         if envelope.session != self._session:

@@ -92,7 +92,7 @@ def test_an_old_plan_stops_the_robot_with_its_reason(driving):
     zero_within(driving, plan_age + braking)
     driving.lockstep.run(0.1)
     assert driving.guard.reason == "plan_old"
-    driving.stands_for(0.5)
+    driving.stands_for(12.0)  # whatever recoveries the navigator tries
 
 
 class Pose:
@@ -152,6 +152,20 @@ def test_stop_outlives_guard_and_base_and_releasing_it_moves_nothing(driving):
         driving.stands_for(1.0)
         assert driving.guard.state is GuardState.STOPPED
         assert driving.guard.reason == "estop"
+    driving.stop(False)
+    driving.stands_for(2.0)
+    driving.go(3.0)
+    driving.until(driving.reached, 20.0)
+
+
+def test_stop_that_was_pressed_while_there_was_no_guard_is_shown_and_releasing_it_moves_nothing(driving):
+    driving.lockstep.kill("guard")
+    driving.stop(True)
+    driving.until(lambda: abs(driving.truth.v) < 0.01, 1.0)
+    del driving.lockstep.latched["estop"]
+    driving.start("guard")
+    driving.stands_for(1.0)
+    assert (driving.guard.state, driving.guard.reason) == (GuardState.STOPPED, "estop")
     driving.stop(False)
     driving.stands_for(2.0)
     driving.go(3.0)

@@ -28,3 +28,21 @@ def test_a_pose_on_the_way_is_passed_and_a_new_goal_ahead_is_taken_at_speed(tmp_
     stack.lockstep.run(1.5)
     assert min(v for _, v in speeds) > 0.7
     assert stack.truth.n_contacts == 0
+
+
+def test_every_pose_of_a_route_with_headings_is_driven_to(tmp_path):
+    stack = Stack(tmp_path, settings=QUICK)
+    nearest = [9.0, 9.0, 9.0]
+    poses = (Pose2(1.5, 0.0, 0.0), Pose2(3.0, 0.0, 0.0), Pose2(2.0, 0.0, 0.0))
+
+    def passes(truth):
+        place = Pose2(-1.0, -2.0, 0.0) @ truth.world_from_base
+        waypoint = stack.newest["nav/status"].waypoint
+        nearest[waypoint] = min(nearest[waypoint], place.distance(poses[waypoint]))
+
+    stack.lockstep.run(0.1)
+    stack.lockstep.watch("sim/truth", passes)
+    assert stack.lockstep.ask(requests.NAVIGATE, Navigate(stack.now, poses, 0.0, 1, False)).accepted
+    stack.until(stack.reached, 60.0)
+    assert max(nearest) < 0.25, "a pose counted as reached where the robot never was"
+    assert stack.truth.n_contacts == 0

@@ -10,6 +10,7 @@ from shared.codec import Envelope
 from shared.runners.admission import SILENT_AFTER, Admission, Verdict
 
 MS = 1_000_000
+SECOND = 1000 * MS
 
 
 def at(sequence: int, sent: int, session: str = "a", publisher: str = "guard") -> Envelope:
@@ -83,3 +84,13 @@ def test_complete_means_that_nothing_is_missing(arrivals):
             have |= set(range(sequence + 1)) if kept else {sequence}
         if have:
             assert admission.complete == (have == set(range(max(have) + 1)))
+
+
+def test_what_came_from_a_clock_that_was_ahead_makes_nothing_old():
+    now = 1000 * SECOND
+    for topic, publisher in ((topics.ESTOP, "operator"), (topics.SCAN, "lidar_driver")):
+        admission = Admission(topic)
+        assert admission.judge(at(0, now + 10 * SECOND, "a", publisher), now) is Verdict.TAKE
+        later = now + 2 * SECOND
+        assert admission.judge(at(0, later, "b", publisher), later) is Verdict.TAKE
+        assert admission.judge(at(0, later - MS, "c", publisher), later + SECOND) is Verdict.OLD

@@ -213,10 +213,40 @@ def test_the_motors_stand_250_ms_after_the_last_young_stamp(events):
 
 def test_stop_stands_at_once_and_whatever_is_commanded():
     bench = Bench().run(0.2, 0.4)
-    assert [key for key, _ in bench.stop(True)] == [topics.MOTORS.key]
+    assert [key for key, _ in bench.stop(True)] == [topics.MOTORS.key, topics.BASE.key]
     assert bench.motors() == (0, 0)
     bench.run(0.5, 0.4)
     assert bench.motors() == (0, 0)
+
+
+def test_stop_is_told_as_the_fault_and_outlives_this_process_until_a_later_release():
+    before = Bench().run(0.2, 0.4)
+    before.stop(True)
+    told = before.last(topics.BASE)
+    assert told.fault == "estop"
+    bench = Bench()
+    bench.call(bench.service.before_the_restart(replace(told, stamp=bench.now)))
+    bench.stop(False, stamp=bench.now - MS)
+    bench.run(0.1, 0.0)
+    bench.run(0.5, 0.4)
+    assert bench.motors() == (0, 0)
+    bench.stop(False)
+    assert bench.last(topics.BASE).fault == ""
+    bench.run(0.5, 0.4)
+    assert bench.motors() == (0, 0)
+    bench.run(0.1, 0.0)
+    bench.run(0.1, 0.4)
+    assert bench.body[0] == pytest.approx(0.4)
+
+
+def test_a_press_and_a_wheel_s_fault_from_a_clock_that_is_ahead_can_be_released():
+    bench = Bench().run(0.5, 0.2)
+    bench.turns["left"] = False
+    bench.run(1.2, 0.2)
+    bench.call(bench.service.estop(EmergencyStop(bench.now + 10_000 * MS, True, "a laptop that is ahead")))
+    bench.service.wheel_faults.at += 10_000 * MS
+    bench.stop(False)
+    assert bench.service.fault == ""
 
 
 def test_releasing_stop_moves_nothing_until_zero_was_commanded():

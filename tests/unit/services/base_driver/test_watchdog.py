@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
 
-from services.base_driver.watchdog import FUTURE, Watchdog, WatchdogConfig
+from services.base_driver.watchdog import Watchdog, WatchdogConfig
 from shared.messages import Velocity
+from shared.stamps import FUTURE
 
 MS = 1_000_000
 
@@ -67,4 +68,6 @@ def test_a_clock_set_back_after_disarming_does_not_silence_for_ever():
     watchdog = Watchdog(WatchdogConfig())
     watchdog.disarm(60_000 * MS)
     assert watchdog.offer(command(1000), 1000 * MS)
+    assert not watchdog.armed, "a stream that ran all the time moves the robot"
+    assert watchdog.offer(command(1500), 1500 * MS)
     assert watchdog.armed

@@ -25,7 +25,7 @@ class Wheels:
         """Turns the wheels by these shares of what is told; stands where it is commanded to."""
         for _ in range(round(seconds * 50)):
             self.now += S // 50
-            stands = self.now < self.faults.stands_until or bool(self.faults.code)
+            stands = self.faults.pausing(self.now) or bool(self.faults.code)
             told = 0.0 if stands else TOLD
             self.encoders.left += left * told / 50
             self.encoders.right += right * told / 50
@@ -67,3 +67,15 @@ def test_what_happened_long_ago_counts_no_more():
         wheels.run(1.5, 1.0, 1.0)
         assert wheels.run(0.5, 0.0, 0.0) == ""
         wheels.run(PARDONED_FOR / S, 1.0, 1.0)
+
+
+def test_a_clock_that_is_set_back_neither_holds_the_robot_nor_blinds_the_watch():
+    wheels = Wheels()
+    wheels.run(1.0, 1.0, 1.0)
+    wheels.run(0.3, 0.0, 0.0)
+    assert wheels.faults.pausing(wheels.now)
+    assert not wheels.faults.pausing(wheels.now - 3600 * S)
+    wheels = Wheels()
+    wheels.run(0.5, 0.0, 0.0)
+    wheels.now -= 60 * S
+    assert wheels.run(10.0, 0.0, 0.0) == reasons.WHEEL_STUCK.code

@@ -3,8 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.guard.arbitration import FUTURE, ArbitrationConfig, Source, fresh, in_charge, supersedes
+from services.guard.arbitration import ArbitrationConfig, Source, in_charge
 from shared.messages import Velocity
+from shared.stamps import FUTURE, fresh, supersedes
 
 MS = 1_000_000
 NOW = 10_000 * MS
@@ -54,8 +55,17 @@ def test_after_the_clock_was_set_back_commands_count():
     nav = source(60_000)
     nav.disarm(60_000 * MS)
     assert nav.take(command(100), 100 * MS)
+    assert not nav.armed, "a stream that ran all the time moves the robot"
     assert nav.take(command(700), 700 * MS)
     assert nav.armed
+
+
+@pytest.mark.parametrize("ahead", [0, 1, 99])
+def test_a_command_from_a_clock_that_is_ahead_ends_no_later(ahead):
+    nav = source()
+    assert nav.take(command(1000 + ahead), 1000 * MS)
+    assert nav.younger_than(0.2, 1200 * MS)
+    assert not nav.younger_than(0.2, 1201 * MS)
 
 
 @pytest.mark.parametrize(

@@ -434,7 +434,7 @@ def test_a_scan_s_age_counts_from_its_last_beam(age_ms, moves):
     """A scan that took 0.2 s is old 0.27 s after its end, so that a robot is stopped within 0.3 s."""
     drive = driving()
     drive.cut = {"scan"}
-    drive.guard.situation.scan = None
+    drive.guard.situation.take_scan(None)
     drive.scan(stamp=drive.now - age_ms * MS, scan_time=0.2)
     drive.call(drive.guard.watch())
     assert (drive.velocity[0] > 0) is moves
@@ -451,13 +451,28 @@ def test_a_slow_laser_of_five_sweeps_a_second_does_not_hold_the_robot():
             assert drive.velocity[0] == pytest.approx(0.3)
 
 
-def test_a_covered_laser_measures_nothing():
+@pytest.mark.parametrize("reach", [0.0, 0.3])
+def test_a_covered_laser_and_one_that_means_something_else_measure_nothing(reach):
     drive = driving()
     drive.cut = {"scan"}
     for _ in range(10):
-        drive.scan(ranges=np.zeros(ROBOT.laser.n_beams, np.float32))
+        drive.scan(ranges=np.full(ROBOT.laser.n_beams, reach, np.float32), range_max=0.25)
         drive.run(0.1)
     assert drive.verdict == (GuardState.HOLD, "scan_old")
+
+
+@pytest.mark.parametrize(("cut", "ends"), [("odom", 200), ("scan", 270)])
+def test_an_input_from_a_clock_that_is_ahead_ends_no_later(cut, ends):
+    drive = driving()
+    drive.cut = {cut}
+    if cut == "scan":
+        drive.scan(stamp=drive.now + 90 * MS)
+    else:
+        drive.call(drive.guard.odometry(Odometry(drive.now + 90 * MS, drive.odom_from_base, 0.3, 0.0, np.zeros(9))))
+    drive.run((ends - 20) * 1e-3)
+    assert drive.velocity[0] > 0
+    drive.run(0.05)
+    assert drive.velocity == (0, 0)
 
 
 def test_stamps_from_the_future_are_no_sign_of_life():
@@ -474,6 +489,9 @@ def test_after_the_clock_was_set_back_everything_goes_on():
     drive.stop(True)
     drive.stop(False)
     drive.guard.now = 5_000 * MS
+    drive.nav = (0.5, 0.0)
+    drive.run(1.5)
+    assert drive.velocity == (0, 0), "nobody has asked for zero since STOP was released"
     drive.nav = None
     drive.run(0.6)
     drive.nav = (0.5, 0.0)

@@ -155,6 +155,36 @@ def test_the_old_plan_does_not_serve_a_new_goal_for_long() -> None:
     assert loop.run.commands[-1].reason == reasons.NO_PLAN.code
 
 
+def test_the_end_of_the_old_plan_is_not_the_new_goal() -> None:
+    loop = moving()
+    loop.drive(12, until=lambda loop: loop.run.statuses[-1].state is FollowState.ARRIVED)
+    there, further = loop.truth, Pose2(2.0, 2.5, 0.0)
+    loop.give(drive_goal(further, goal_id=2))
+    loop.drive(0.9)
+    told = {status.state for status in loop.run.statuses if status.goal_id == 2}
+    assert told == {FollowState.FOLLOWING}
+    loop.plan = planned(loop.world, there, further, 0.25)
+    loop.drive(20, until=lambda loop: loop.run.statuses[-1].state is FollowState.ARRIVED)
+    assert off(loop.truth, further)[0] < 0.15
+
+
+@pytest.mark.parametrize("reason", [reasons.PLAN_OLD, reasons.UNREACHABLE])
+def test_what_was_no_plan_to_follow_is_none_for_a_new_goal_either(reason: reasons.Reason) -> None:
+    loop = moving(1.0)
+    loop.lost = {"new_plan"}
+    if reason is reasons.UNREACHABLE:
+        none = np.zeros(0)
+        loop.service.now = loop.now
+        list(loop.service.new_plan(m.Path(loop.now, 1, 1, reason.code, none, none, none, 0.0, 0.0)))
+    loop.drive(4.0, until=lambda loop: loop.run.commands[-1].reason == reason.code)
+    loop.drive(1.0)
+    there = loop.truth
+    loop.give(drive_goal(GOAL, goal_id=2))  # as the navigator's recovery has it planned anew
+    loop.drive(1.5)
+    assert loop.truth == there
+    assert loop.run.commands[-1].reason == reasons.NO_PLAN.code
+
+
 def test_the_same_goal_told_again_changes_nothing() -> None:
     loop = moving()
     assert loop.goal is not None

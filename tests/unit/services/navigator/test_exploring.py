@@ -13,7 +13,7 @@ from services.navigator.navigation import NavigatorConfig
 from shared import reasons
 from shared.distance_field import distance_field
 from shared.geometry import Pose2
-from shared.messages import FollowState, GoalKind, GuardState, NavState, Path
+from shared.messages import FollowState, GoalKind, GuardState, Localization, NavState, Path
 from tests.unit.services.maps import drawn, message
 from tests.unit.services.navigator.bench import Bench
 
@@ -349,3 +349,12 @@ def test_targets_do_not_swing_between_two_like_frontiers(config):
     pair = found(frontier_at(3.0, 2.0, 3.6), frontier_at(3.0, -2.0, 3.6))
     targets = [exploration.taken(pair, Pose2(0.1 * i, 0.0), R) for i in range(10)]
     assert all(a is b for a, b in pairwise(targets))
+
+
+def test_who_explores_and_is_lost_before_there_is_anywhere_to_go_gives_up_with_the_reason():
+    bench = Explorer(OFFICE, 1.0, 1.0)
+    bench.localization = Localization.LOST
+    bench.run(3)
+    bench.explore()
+    assert bench.run(60, until=ENDS) > 20
+    assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reasons.POSE_LOST.code)

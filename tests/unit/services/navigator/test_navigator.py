@@ -440,6 +440,37 @@ def test_a_pose_lost_for_good_fails_the_task():
     assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reasons.POSE_LOST.code)
 
 
+def test_whose_pose_is_lost_at_a_pose_of_the_route_stays_there_until_it_is_found():
+    bench = Bench()
+    bench.go(Pose2(), FAR, dwell=4.0)
+    bench.run(1)
+    bench.localization = Localization.LOST
+    bench.run(20)
+    assert stopped(bench)
+    bench.localization = Localization.GOOD
+    bench.run(30, until=ENDS)
+    assert bench.status.state is NavState.REACHED
+
+
+def test_while_a_person_drives_by_hand_that_is_the_reason():
+    bench = Bench()
+    bench.go(FAR)
+    bench.run(2)
+    bench.guarded(GuardState.ACTIVE, source="teleop")
+    bench.follow_state = FollowState.FOLLOWING
+    bench.run(10)
+    assert (bench.status.state, bench.status.reason) == (NavState.NAVIGATING, reasons.BY_HAND.code)
+    bench.guarded(GuardState.ACTIVE)
+    bench.follow_state = None
+    bench.run(30, until=ENDS)
+    assert (bench.status.state, bench.status.n_recoveries) == (NavState.REACHED, 0)
+    bench.go(Pose2())
+    bench.guarded(GuardState.ACTIVE, source="teleop")
+    bench.follow_state = FollowState.FOLLOWING
+    bench.run(60, until=ENDS)
+    assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reasons.BY_HAND.code)
+
+
 def test_a_jump_of_the_pose_is_shown_and_planned_anew():
     bench = Bench()
     bench.go(FAR)

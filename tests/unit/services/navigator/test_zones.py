@@ -7,7 +7,7 @@ from services.navigator.navigation import NavigatorConfig
 from services.navigator.service import NavigatorService
 from shared import reasons, topics
 from shared.geometry import Pose2
-from shared.messages import NavState, Path, Zones
+from shared.messages import MOST_ZONES, NavState, Path, Zones
 from shared.requests import Navigate, SetZones
 from shared.zones import NamedZoneConfig, ZoneConfig
 from tests.strategies import faults
@@ -62,6 +62,18 @@ def test_after_a_restart_those_of_before_hold_again():
     told(service, service.set_zones, SetZones(S, (zone("new"),)))
     service.zones_before_the_restart(Zones(0, (zone("old"),)))
     assert [z.name for z in service.zones.zones] == ["new"]
+
+
+def test_more_zones_than_a_message_holds_are_refused_and_the_others_stay():
+    service = fresh(NamedZoneConfig(name="stairs", corners=SQUARE))
+    told(service, service.set_zones, SetZones(S, (zone("old"),)))
+    many = tuple(zone(f"zone {i}") for i in range(MOST_ZONES))
+    reply = told(service, service.set_zones, SetZones(S, many))[1]
+    assert (reply.accepted, reply.reason) == (False, reasons.BAD_REQUEST.code)
+    assert [z.name for z in service.zones.zones] == ["stairs", "old"]
+    service = fresh(NamedZoneConfig(name="stairs", corners=SQUARE))
+    service.zones_before_the_restart(Zones(0, many))
+    assert [z.name for z in service.zones.zones] == ["stairs", *(z.name for z in many[:-1])]
 
 
 def test_a_route_through_a_keep_out_zone_is_refused_with_the_pose_and_the_present_task_goes_on():
