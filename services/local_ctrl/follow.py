@@ -83,7 +83,7 @@ class Follower:
         """One tick. motion: where the robot will be when the command acts, in `odom`."""
         window = costmap.resolution * len(costmap.field) / 2 - RIM
         arcs = not isinf(self.limits.curvature)
-        leap = min(LEAP, ARC_LEAP / self.limits.curvature) if arcs else LEAP
+        leap = min(LEAP, max(ARC_LEAP / self.limits.curvature, 4.0 * DT * self.limits.v_max)) if arcs else LEAP
         ahead = plan.ahead(odom_from_map, motion.pose, window, leap)
         if np.abs(ahead.points[0] - (motion.pose.x, motion.pose.y)).max() > window:
             self.reset()  # nothing in sight leads there, or to anything else: the plan is one for another place

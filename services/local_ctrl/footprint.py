@@ -14,6 +14,7 @@ from shared.geometry import inside
 Bools = NDArray[np.bool_]
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
+Circle = tuple[float, float, float]  # x, y, radius m
 
 
 class Footprint(NamedTuple):
@@ -29,17 +30,18 @@ class Footprint(NamedTuple):
 def footprint_of(robot: Robot, padding: float, overreach: float = 0.04) -> Footprint:
     """The robot's outline, with circles that cover it and reach beyond its bounding box by at most `overreach` m.
 
-    One circle where the outline is nearly round; else a circle for each tile of the bounding box that it touches.
+    One circle where the outline is nearly round; else one for each tile of the bounding box that it touches, but for
+    those that lie in the largest circle inside the outline about the origin, or about another tile.
     """
     corners = robot.corners
     inscribed, circumscribed = robot.inscribed_radius, robot.circumscribed_radius
     circles = [(0.0, 0.0, circumscribed)]
     if circumscribed - inscribed > overreach:
-        circles = [(0.0, 0.0, inscribed), *_tiles(corners, overreach)]
+        circles = _merged(corners, inscribed, _tiles(corners, overreach))
     return Footprint(corners, np.array(circles, float), inscribed, circumscribed, padding)
 
 
-def _tiles(corners: Float64s, overreach: float) -> list[tuple[float, float, float]]:
+def _tiles(corners: Float64s, overreach: float) -> list[Circle]:
     low, high = corners.min(axis=0), corners.max(axis=0)
     # the circle around a square of side a reaches a (sqrt 2 - 1) / 2 beyond it; around other tiles it reaches further
     side = 2 * overreach / (sqrt(2) - 1)
@@ -60,6 +62,28 @@ def _tiles(corners: Float64s, overreach: float) -> list[tuple[float, float, floa
             if touched or crossed:
                 found.append((float(centre[0]), float(centre[1]), hypot(width, height) / 2))
     return found
+
+
+def _merged(corners: Float64s, inscribed: float, tiles: list[Circle]) -> list[Circle]:
+    """Fewer circles that cover the same, the one about the origin first: large ones inside, the tiles' at the rim."""
+    large, rim = [(0.0, 0.0, inscribed)], []
+    depths = [_depth(corners, x, y) for x, y, _ in tiles]
+    for depth, (x, y, radius) in sorted(zip(depths, tiles, strict=True), reverse=True):
+        if any(hypot(x - a, y - b) + radius <= covered for a, b, covered in large):
+            continue
+        if depth > radius:
+            large.append((x, y, depth))
+        else:
+            rim.append((x, y, radius))
+    return large + rim
+
+
+def _depth(corners: Float64s, x: float, y: float) -> float:
+    """m from a point inside the polygon to its outline; 0 outside."""
+    if not inside(corners, np.array([[x, y]]))[0]:
+        return 0.0
+    ways = [(b - a, np.array((x, y)) - a) for a, b in _sides(corners)]
+    return min(float(np.hypot(*(p - np.clip(p @ e / (e @ e), 0.0, 1.0) * e))) for e, p in ways)
 
 
 def _sides(corners: Float64s) -> list[tuple[Float64s, Float64s]]:

@@ -61,13 +61,17 @@ class Inputs:
         return torn
 
     def add_scan(self, scan: LaserScan) -> Float64s | None:
-        """Takes it unless it is out of order; returns (n, 3) float64 x, y, yaw of the base at each beam where known."""
-        if self.scan is not None and -S < scan.stamp - self.scan.stamp <= 0:
+        """Takes it unless it is out of order, or no odometry tells where it was taken: nothing is known by that one.
+
+        Returns (n, 3) float64 x, y, yaw of the base at each beam of one that was taken.
+        """
+        if not self.history or (self.scan is not None and -S < scan.stamp - self.scan.stamp <= 0):
             return None
-        self.scan = scan
         n = len(scan.ranges)
         stamps = scan.stamp + np.linspace(0.0, scan.scan_time * S, n)
-        return self._odom_from_base_at(stamps) if self.history else None
+        odom_from_base = self._odom_from_base_at(stamps)
+        self.scan = self.scan if odom_from_base is None else scan
+        return odom_from_base
 
     def add_pose(self, pose: PoseEstimate) -> None:
         """Takes it unless it is out of order, or from before the odometry tore."""

@@ -43,6 +43,13 @@ def map_update() -> m.MapUpdate:
     return m.MapUpdate(NOW, 1, 1, 0.05, zero, zero, cells.reshape(1, -1))
 
 
+def zones() -> m.Zones:
+    """To keep out of a square beside the robot, and slow around it."""
+    xs, ys = np.array([-1.0, -0.7, -0.7, -1.0]), np.array([1.0, 1.0, 1.3, 1.3])
+    keep_out = m.Zone(0, "keep out", m.ZoneKind.KEEP_OUT, xs, ys)
+    return m.Zones(NOW, (keep_out, m.Zone(0, "slow", m.ZoneKind.SLOW, 3.0 * xs + 2.0, 3.0 * ys - 3.5, 0.3)))
+
+
 def goal(goal_id: int, kind: GoalKind, amount: float = 0.0) -> m.Goal:
     """Ahead by a metre."""
     return m.Goal(NOW, goal_id, kind, Pose2(1.0), 0.1, 0.1, amount, False)

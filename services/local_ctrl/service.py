@@ -46,7 +46,8 @@ from shared.requests import Reply, Watch
 from shared.service import Answer, Out, Service, answer, every, on
 from shared.stamps import precedes
 
-RIM = 1.0  # m of the costmap beyond where the longest rollout ends
+RIM = 1.0  # m of the costmap beyond where the robot's middle may be when the longest rollout ends, at least
+BESIDE = 0.5  # m of it beyond the robot's outline there, at least
 
 
 class LocalCtrlConfig(Section):
@@ -89,7 +90,9 @@ class LocalCtrlService(Service):
         self.config = config
         self.limits = limits_of(robot.drive, config.max_speed, config.max_reverse_speed)
         self.footprint = footprint_of(robot, config.padding)
-        reach = self.limits.v_max * config.mppi.steps * DT + RIM
+        horizon = max(config.mppi.steps * DT, config.dwa.sim_time if config.controller == "dwa" else 0.0)
+        travelled = self.limits.v_max * max(horizon, 0.5 * self.limits.v_max / self.limits.braking)
+        reach = travelled + max(RIM, self.footprint.circumscribed + BESIDE)
         self.costmap = LocalCostmap(config.costmap, reach, config.latency)
         self.inputs = Inputs(config.ages)
         controller = CONTROLLERS[config.controller](config, self.limits)
@@ -279,10 +282,13 @@ class LocalCtrlService(Service):
     def _look_around(self, costmap: LocalCostmap) -> None:
         here = self.inputs.history[-1].odom_from_base
         costmap.recentre(here.x, here.y)
-        costmap.lay(self.grid, self.inputs.odom_from_map)
         if self.inputs.pose is not None:
+            costmap.lay(self.grid, self.inputs.odom_from_map)
             window = costmap.x0, costmap.y0, costmap.resolution, len(costmap.field)
             costmap.forbidden = self.zones.forbidden(self.inputs.odom_from_map, here, window)
+        else:
+            costmap.lay(OccupancyGrid(), Pose2())
+            costmap.forbidden = None
         costmap.refresh(self.now, here, self.footprint)
 
     def warm(self) -> None:
@@ -298,6 +304,7 @@ class LocalCtrlService(Service):
         list(other.ranges(rehearsal.readings(len(self.robot.ranges))))
         list(other.pose(rehearsal.pose()))
         list(other.map(rehearsal.map_update()))
+        list(other.new_zones(rehearsal.zones()))
         for goal_id, x in enumerate((1.0, -1.0)):  # ahead: follow; behind: turn on the spot
             list(other.new_goal(rehearsal.goal(goal_id, GoalKind.DRIVE)))
             list(other.new_plan(rehearsal.path(goal_id, x)))

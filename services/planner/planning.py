@@ -3,14 +3,14 @@
 
 import heapq
 from dataclasses import dataclass
-from math import ceil, cos, hypot, nextafter, sin
+from math import ceil, cos, hypot, sin
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.planner.curved import curved
+from services.planner.curved import CHORD, curved
 from services.planner.lines import line_cost, path_cost
 from services.planner.outline import Outline
 from services.planner.smoothing import followed, resampled
@@ -24,10 +24,13 @@ Float64s = NDArray[np.float64]
 Cell = tuple[int, int]
 
 NOWHERE = np.empty((0, 2))
+EDGE = 1e-6  # cells that a path's ends keep off the edge of theirs
 STEERING = 1.2
 """How much wider than the tightest a planned arc is where there is room: what is left is for getting back onto it."""
 RUN_IN = 0.8
 """Radii straight ahead before a goal with a heading, where there is room."""
+TOO_NARROW = reasons.UNREACHABLE, reasons.NO_ROOM_TO_TURN, reasons.START_BLOCKED, reasons.GOAL_BLOCKED
+"""What a smaller margin may mend."""
 SPINS_FROM = 1.0
 """rad off its way from which a standing robot turns on the spot before it starts, as local control's `turn_from`."""
 
@@ -87,7 +90,7 @@ def planned(
     """
     ends = start, goal, tolerance
     plan = _with_margin(terrain, outline, *ends, config, turning)
-    if plan.reason not in (reasons.UNREACHABLE, reasons.NO_ROOM_TO_TURN) or terrain.eased() is terrain:
+    if plan.reason not in TOO_NARROW or terrain.eased() is terrain:
         return plan
     return _with_margin(terrain.eased(), outline, *ends, config, turning)
 
@@ -151,7 +154,7 @@ def _in_arcs(
     costs, radius = terrain.costs, turning.radius / terrain.resolution
     if leaves:
         costs = terrain.opened(int(start[1]), int(start[0]), ceil(leaves / terrain.resolution))
-    poses = np.empty((0, 3))
+    poses, cost, spacing = np.empty((0, 3)), -1.0, min(spacing, CHORD)
     for wider, straight in ((STEERING, RUN_IN * radius), (1.0, 0.0)):
         run = 0.0 if turning.any_heading else straight
         x, y, yaw = goal
@@ -164,10 +167,11 @@ def _in_arcs(
         if len(poses):
             rest = resampled(np.array([before[:2], (x, y)]), spacing)[1:] if run else np.empty((0, 2))
             poses = np.concatenate((poses, np.column_stack((rest, np.full(len(rest), yaw)))))
+            cost = path_cost(costs, poses[:, :2])
+        if cost >= 0:
             break
-    if not len(poses):
+    if cost < 0:
         return no_plan(reasons.NO_ROOM_TO_TURN)
-    cost = max(path_cost(costs, poses[:, :2]), 0.0)
     points = terrain.origin + poses[:, :2] * terrain.resolution
     return Plan(points, wrapped_all(poses[:, 2]), cost * terrain.resolution / UNIT)
 
@@ -232,10 +236,10 @@ def _with_room(terrain: Terrain, goal: Pose2, goal_cell: Cell, regions: set[int]
 
 
 def _in_cells(terrain: Terrain, pose: Pose2, cell: Cell) -> tuple[float, float]:
-    """The pose's (x, y) in cells, inside its own cell also where rounding puts it a hair beside the edge."""
+    """The pose's (x, y) in cells, inside its own cell also after the way to metres and back."""
     x0, y0 = terrain.origin
     row, column = cell
     return (
-        min(max((pose.x - x0) / terrain.resolution, column), nextafter(column + 1, column)),
-        min(max((pose.y - y0) / terrain.resolution, row), nextafter(row + 1, row)),
+        min(max((pose.x - x0) / terrain.resolution, column + EDGE), column + 1 - EDGE),
+        min(max((pose.y - y0) / terrain.resolution, row + EDGE), row + 1 - EDGE),
     )

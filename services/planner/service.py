@@ -15,7 +15,19 @@ from shared import reasons, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import TILE_CELLS, Goal, GoalKind, Localization, MapUpdate, Odometry, Path, PoseEstimate, Zones
+from shared.messages import (
+    TILE_CELLS,
+    Goal,
+    GoalKind,
+    Localization,
+    MapUpdate,
+    Odometry,
+    Path,
+    PoseEstimate,
+    Zone,
+    ZoneKind,
+    Zones,
+)
 from shared.service import Out, Service, every, on
 from shared.stamps import precedes
 from shared.whereabouts import Whereabouts
@@ -48,7 +60,8 @@ class PlannerService(Service):
         self.zoning = Zoning(robot.circumscribed_radius)
         self.where = Whereabouts()
         radius = robot.drive.min_turning_radius
-        self.within = min(AHEAD, 2 * radius) if radius else AHEAD  # m: not across a loop
+        travelled = 2e-9 * PERIOD_NS * robot.drive.max_speed  # m between two looks, and as much again
+        self.within = min(AHEAD, max(2 * radius, travelled)) if radius else AHEAD  # m: not across a loop
         self.goal: Goal | None = None
         self.plan: Plan | None = None
         self.index = 0  # of the plan's pose that the robot is at
@@ -72,8 +85,11 @@ class PlannerService(Service):
             pose, covariance = Pose2(0.6, 1.6), np.zeros(9)
             list(other.pose(PoseEstimate(0, pose, Pose2(), covariance, 1.0, Localization.GOOD)))
             list(other.odometry(Odometry(0, pose, 0.0, 0.0, covariance)))
-            list(other.new_goal(Goal(0, version, GoalKind.DRIVE, Pose2(2.6, 1.6), 0.1, 0.1, 0.0, False)))
-            list(other.confirm())
+            for x in (1.625, 2.6):  # in the wall, behind it
+                list(other.new_goal(Goal(0, round(10 * x), GoalKind.DRIVE, Pose2(x, 1.6), 0.1, 0.1, 0.0, False)))
+                list(other.confirm())
+            square = np.array([0.2, 0.4, 0.4, 0.2]), np.array([2.0, 2.0, 2.2, 2.2])
+            list(other.zones(Zones(0, (Zone(0, "keep out", ZoneKind.KEEP_OUT, *square),))))
 
     def state(self) -> str:
         if self.goal is None:

@@ -14,7 +14,7 @@ from services.planner.blocks import Blocks
 from services.planner.regions import Regions
 from shared.config import Robot, Section
 from shared.distance_field import distance_field
-from shared.grid import FREE_UP_TO, OCCUPIED_FROM, OccupancyGrid
+from shared.grid import FREE_UP_TO, OCCUPIED_FROM, OccupancyGrid, blurred
 from shared.messages import TILE_CELLS
 
 Bools = NDArray[np.bool_]
@@ -35,7 +35,12 @@ TO_LEAVE = 10 * UNIT
 class CostConfig(Section):
     """How obstacles and unknown space lengthen a way."""
 
-    margin: float = Field(0.07, ge=0, le=1, description="m kept free around the footprint's inscribed circle")
+    margin: float = Field(
+        0.07,
+        ge=0,
+        le=1,
+        description="m kept free around the footprint's inscribed circle, where a cell has 5 cm; more on coarser maps",
+    )
     least_margin: float = Field(0.03, ge=0, le=1, description="m kept free around it where there is no other way")
     inflation_radius: float = Field(
         1.0, gt=0, le=5, description="m from an obstacle at which it stops to matter for the plan"
@@ -71,8 +76,9 @@ class Terrain:
     def __init__(self, config: CostConfig, robot: Robot, resolution: float) -> None:
         self.config, self.robot = config, robot
         self.resolution = resolution
-        self.blocked_under = robot.inscribed_radius + config.margin
-        radius = max(config.inflation_radius, self.blocked_under, robot.circumscribed_radius + config.margin)
+        margin = config.margin + blurred(resolution)
+        self.blocked_under = robot.inscribed_radius + margin
+        radius = max(config.inflation_radius, self.blocked_under, robot.circumscribed_radius + margin)
         self.reach_cells = ceil(radius / resolution)
         beyond = config.beyond_map if config.unknown != "forbidden" else 0.0
         self.pad = 1 + ceil(beyond / resolution)
@@ -257,8 +263,8 @@ def cost_by_distance(config: CostConfig, robot: Robot, resolution: float, reach_
     0 under the inscribed radius and margin; then `1 + weight * exp(-falloff * d)` as in Nav2's inflation layer, shifted
     to end at 1 at the inflation radius; more under the circumscribed radius, where the heading is not free.
     """
-    nearest = robot.inscribed_radius + config.margin
-    turning = robot.circumscribed_radius + config.margin
+    margin = config.margin + blurred(resolution)
+    nearest, turning = robot.inscribed_radius + margin, robot.circumscribed_radius + margin
     end = exp(-config.clearance_falloff * max(config.inflation_radius - nearest, 0.0))
     distance = np.sqrt(np.arange(reach_cells**2 + 1)) * resolution
     close = (np.exp(-config.clearance_falloff * (distance - nearest)) - end) / max(1 - end, 1e-9)

@@ -24,6 +24,7 @@ class Zoning:
         """reach: m from the robot's middle to the farthest point of its outline."""
         self._keep_out = KeepOut(reach)
         self._place: object = None  # of the grid for which the three below were made
+        self._terrain: Terrain | None = None  # which has them
         self._barred: Int64s = np.zeros(0, np.int64)  # places of the cells that zones bar, row by row
         self._dear: Bools | None = None
         self._shut: Bools | None = None
@@ -50,8 +51,8 @@ class Zoning:
             terrain.update(grid, changed)
             return
         place = grid.cells.shape, grid.x0, grid.y0, grid.resolution
-        if self._place != place:
-            self._place, changed = place, None
+        if self._place != place or self._terrain is not terrain:
+            self._place, self._terrain, changed = place, terrain, None
             self._mark(grid, terrain)
             terrain.zoned(self._dear, self._shut)
         zoned = copy(grid)

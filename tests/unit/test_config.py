@@ -4,7 +4,7 @@
 from pathlib import Path
 
 import pytest
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from services.local_ctrl.footprint import footprint_of
 from shared.config import Robot, Section, UserError, configured, load_robot
@@ -53,6 +53,23 @@ def test_a_negative_radius_is_an_error_with_its_line(tmp_path):
     path = robot_with(tmp_path, "wheel_radius: 0.085", "wheel_radius: -0.085")
     with pytest.raises(UserError, match=r"robot\.yaml:\d+: robot\.drive\.wheel_radius: .*greater than 0"):
         _ = load_robot(str(path)).robot
+
+
+@pytest.mark.parametrize(
+    ("footprint", "inscribed"),
+    [
+        (((-0.6, -0.2), (0.4, -0.2), (0.4, 0.8), (0.1, 0.8), (0.1, 0.1), (-0.6, 0.1)), 0.1),
+        (((-0.2, -0.2), (0.8, -0.2), (0.8, 0.2), (0.2, 0.2), (0.2, 0.8), (-0.2, 0.8)), 0.2),
+        (((-0.7, -0.2), (0.3, -0.2), (0.3, 0.2), (-0.3, 0.2), (-0.3, 0.8), (-0.7, 0.8)), 0.2),
+    ],
+)
+def test_an_outline_with_a_corner_inwards_has_its_base_inside(footprint, inscribed):
+    robot = load_robot("x80sv").robot
+    bent = Robot.model_validate({**robot.model_dump(), "footprint": footprint})
+    assert bent.inscribed_radius == pytest.approx(inscribed)
+    aside = [(x - 0.9, y) for x, y in footprint]
+    with pytest.raises(ValidationError, match="must lie inside"):
+        Robot.model_validate({**robot.model_dump(), "footprint": aside})
 
 
 def test_a_clockwise_footprint_is_refused():

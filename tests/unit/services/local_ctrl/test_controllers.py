@@ -16,7 +16,7 @@ from services.local_ctrl.pursuit import lookahead
 from services.local_ctrl.rollout import DT, arc_step, limits_of, speed_after, turn_rate_after
 from services.local_ctrl.service import CONTROLLERS, LocalCtrlConfig
 from shared import reasons
-from shared.config import load_robot
+from shared.config import Robot, load_robot
 from shared.distance_field import distance_field
 from shared.geometry import Pose2
 from shared.messages import FollowState
@@ -214,3 +214,16 @@ def test_who_watches_sees_what_was_weighed_up(name: str) -> None:
     assert len(shown.xs) == (1 if name == "pursuit" else 25)
     assert np.isfinite(shown.costs).all()
     assert shown.xs[0, -1] != shown.xs[0, 0]
+
+
+@pytest.mark.parametrize("name", ["mppi", "dwa", "pursuit"])
+def test_a_robot_with_its_axle_far_behind_its_bumper_sees_what_is_before_that(name: str) -> None:
+    outline = ((-0.3, -0.2), (2.0, -0.2), (2.0, 0.2), (-0.3, 0.2))
+    drive = {**ROBOT.drive.model_dump(), "max_speed": 0.3}
+    long = Robot.model_validate({**ROBOT.model_dump(), "footprint": outline, "drive": drive})
+    world = World(8, 4).box(3.8, 1.0, 4.0, 3.0)
+    ahead = np.column_stack((np.linspace(1.0, 7.0, 120), np.full(120, 2.0)))
+    loop = Loop(long, world, Pose2(1.0, 2.0), LocalCtrlConfig(controller=name, mppi=MppiConfig(rollouts=128)))
+    loop.give(drive_goal(Pose2(7.0, 2.0)), ahead)
+    loop.drive(8.0)
+    assert loop.run.least_clearance > 0.0

@@ -85,6 +85,9 @@ def test_circles_cover_the_outline_and_reach_little_beyond_its_box(robot: Robot)
     assert away.min(axis=1).max() <= 0
     assert (circles[:, :2] - circles[:, 2:] >= low - 0.0401).all()
     assert (circles[:, :2] + circles[:, 2:] <= high + 0.0401).all()
+    gaps = np.hypot(*(circles[:, None, :2] - circles[None, :, :2]).transpose(2, 0, 1))
+    holds = gaps + circles[None, :, 2] <= circles[:, None, 2]
+    assert (holds == np.eye(len(circles), dtype=bool)).all(), "a circle in another is looked at for nothing"
 
 
 @settings(deadline=None)

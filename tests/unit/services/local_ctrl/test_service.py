@@ -95,6 +95,22 @@ def test_an_input_from_another_clock_is_old(stamp: int) -> None:
     assert loop.run.commands[-1].reason == reasons.SCAN_OLD.code
 
 
+@pytest.mark.parametrize("ahead", [0.25, 0.29])
+def test_scans_of_moments_that_odometry_does_not_tell_are_no_scans(ahead: float) -> None:
+    loop = moving()
+    send = loop.send
+
+    def ahead_of_time(method: str, message: m.Message) -> None:
+        if isinstance(message, m.LaserScan):
+            message = replace(message, stamp=message.stamp + round(ahead * S))
+        send(method, message)
+
+    loop.send = ahead_of_time
+    loop.drive(1.5)
+    command, _ = last(loop)
+    assert (command.v, command.reason) == (0, reasons.SCAN_OLD.code)
+
+
 def test_a_robot_that_does_not_know_where_it_is_stands() -> None:
     loop = moving()
     loop.lost = {"pose"}
@@ -215,7 +231,7 @@ def test_odometry_that_starts_anew_forgets_the_costmap_and_waits_for_a_pose_in_i
     loop.send("odometry", m.Odometry(loop.now + 1, Pose2(30.0, 0.0, 0.0), 0.0, 0.0, np.zeros(9)))
     assert not loop.service.costmap.evidence.any()
     loop.service.now = loop.now + 2
-    list(loop.service.scan(replace(scan_of(loop), stamp=loop.now - S // 5)))
+    list(loop.service.scan(replace(scan_of(loop), stamp=loop.now - S // 20)))
     command = next(iter(loop.service.tick())).message
     assert isinstance(command, m.Velocity)
     assert (command.v, command.reason) == (0, reasons.POSE_OLD.code)
@@ -342,8 +358,12 @@ import shared.repeatable
 from numba.core import event
 from shared.config import load_robot
 from shared.geometry import Pose2
-from shared.messages import GoalKind
+from shared.messages import GoalKind, Zones
+from shared.zones import ZoneConfig
 from tests.unit.services.local_ctrl.tiny_world import Loop, World, drive_goal, planned, recovery
+
+def zone(name, **asks):
+    return ZoneConfig(corners=((1.0, 0.5), (2.5, 0.5), (2.5, 1.2), (1.0, 1.2)), **asks).zone(name)
 
 class Compiled(event.Listener):
     def on_start(self, e):
@@ -357,7 +377,9 @@ world, start, goal = World(6, 4), Pose2(1, 2, 2), Pose2(4, 2, 0)
 loop = Loop(load_robot("x80sv").robot, world, start)
 loop.service.warm()
 with event.install_listener("numba:compile", Compiled()):
-    loop.give(drive_goal(goal), planned(world, start, goal, 0.25)).drive(2)
+    loop.give(drive_goal(goal), planned(world, start, goal, 0.25)).drive(1)
+    loop.send("new_zones", Zones(0, (zone("stairs"), zone("hall", speed=0.3))))
+    loop.drive(1)
     loop.give(recovery(GoalKind.BACK_UP, 0.1, 2)).drive(0.5)
     loop.give(recovery(GoalKind.TURN, 0.2, 3)).drive(0.5)
 """

@@ -67,7 +67,7 @@ class World:
 def _clearance(occupied: Bools, cell: float, corners: Float64s, x: float, y: float, yaw: float) -> float:
     c, s = cos(yaw), sin(yaw)
     least = 1.0
-    reach = int(1.0 / cell)
+    reach = int((1.0 + np.abs(corners).max()) / cell)
     row, column = int(y / cell), int(x / cell)
     for i in range(max(0, row - reach), min(len(occupied), row + reach)):
         for j in range(max(0, column - reach), min(len(occupied[0]), column + reach)):

@@ -148,3 +148,21 @@ def test_in_a_real_building_goals_get_a_path_of_arcs_and_none_is_much_longer_tha
         assert plan.reason is plain.reason is None
         length = keeps_its_arcs(plan, RADIUS, start, goal, False)
         assert length < 1.1 * np.hypot(*np.diff(plain.points, axis=0).T).sum() + 4 * pi * RADIUS
+
+
+def test_however_far_apart_its_poses_may_be_a_path_of_arcs_touches_nothing_and_has_its_cost():
+    rng = np.random.default_rng(5)
+    found = 0
+    for _ in range(12):
+        terrain = terrain_of(boxes(rng, 8))
+        places = rng.permutation(np.argwhere(terrain.costs))[:16].tolist()
+        for start, goal in zip(places[:8], places[8:]):
+            poses = (Pose2(*terrain.centre(*cell), yaw) for cell, yaw in zip((start, goal), rng.uniform(-pi, pi, 2)))
+            config = PlanningConfig(spacing=0.2)
+            plan = planned(terrain, OUTLINE, *poses, 0.15, config, Turning(RADIUS, False, False))
+            if plan.reason is None:
+                found += 1
+                assert plan.cost > 0
+                free_of = terrain if path_cost(terrain.costs, cells_of(terrain, plan)) >= 0 else terrain.eased()
+                assert path_cost(free_of.costs, cells_of(free_of, plan)) >= 0
+    assert found > 20

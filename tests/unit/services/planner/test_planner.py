@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+import subprocess
+import sys
 from itertools import pairwise, product
 
 import numpy as np
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from services.planner.service import PlannerConfig, PlannerService
 from services.planner.traversal_cost import CostConfig
 from shared import reasons
-from shared.config import load_robot
+from shared.config import Robot, load_robot
 from shared.geometry import Pose2
 from shared.messages import TILE_CELLS, Goal, GoalKind, Localization, MapUpdate, Odometry, PoseEstimate
 from tests.strategies import faults, publications
@@ -262,3 +264,54 @@ def test_a_robot_on_the_edge_of_its_cell_has_a_path_of_no_negative_cost(resoluti
         list(planner.pose(PoseEstimate(0, Pose2(), Pose2(), np.zeros(9), 0.0, Localization.STARTING)))
         sent = list(planner.new_goal(Goal(0, 0, GoalKind.DRIVE, Pose2(), 3.93, 4.0, 0.0, False)))
         assert [fault for publication in sent for fault in faults(publication.message)] == []
+
+
+@pytest.mark.parametrize("radius", [0.05, 0.1, 0.3])
+def test_a_robot_that_is_on_its_plan_keeps_it_however_tight_its_arcs(radius):
+    drive = {**X80.drive.model_dump(), "min_turning_radius": radius}
+    planner = PlannerService(PlannerConfig(), Robot.model_validate({**X80.model_dump(), "drive": drive}))
+    planner.now = 100 * S
+    list(planner.map(message(room(4, 12))))
+
+    def put(x):
+        list(planner.pose(PoseEstimate(planner.now, Pose2(x, 2.0), Pose2(), COVARIANCE, 1.0, Localization.GOOD)))
+        list(planner.odometry(Odometry(planner.now, Pose2(x, 2.0), 1.0, 0.0, COVARIANCE)))
+
+    put(1.0)
+    list(planner.new_goal(Goal(planner.now, 1, GoalKind.DRIVE, Pose2(10.5, 2.0), 0.15, 0.25, 0.0, False)))
+    plan = planner.plan
+    for step in range(1, 80):
+        planner.now += S // 10
+        put(1.0 + 0.1 * step)
+        if step % 5 == 0:
+            list(planner.confirm())
+    assert planner.plan is plan
+
+
+AFTER_WARMING = """
+import shared.repeatable
+from numba.core import event
+from tests.unit.services.planner.test_planner import *
+from tests.unit.services.planner.test_zoning import MIDDLE, hold
+
+class Compiled(event.Listener):
+    def on_start(self, e):
+        name = e.data["dispatcher"].py_func.__module__
+        if name.startswith(("services", "shared")):
+            raise SystemExit(f"compiled while driving: {e.data['dispatcher'].py_func}")
+    def on_end(self, e):
+        pass
+
+bench = Bench(room(4, 8))
+bench.planner.warm()
+with event.install_listener("numba:compile", Compiled()):
+    bench.go(Pose2(6.0, 2.0))
+    bench.go(Pose2(7.97, 2.0), 2)
+    hold(bench, MIDDLE)
+    bench.go(Pose2(6.0, 2.0), 3)
+"""
+
+
+def test_after_warming_nothing_is_compiled_while_the_robot_moves():
+    ended = subprocess.run([sys.executable, "-c", AFTER_WARMING], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr

@@ -63,6 +63,42 @@ def test_a_gap_in_which_the_robot_hardly_fits_is_no_way():
     assert way(terrain_of(wall_with_door(0.4, 0.4)), (1.0, 0.6, 0), (7.0, 0.6, 0)).reason is reasons.UNREACHABLE
 
 
+@pytest.mark.parametrize(("start", "goal"), [(1.0, 7.0), (4.1, 7.0), (1.0, 4.1), (3.7, 4.6)])
+def test_through_a_narrow_corridor_there_is_a_way_from_anywhere(start, goal):
+    """0.5 m for a robot that is 0.4 m wide and wants 0.54 m, 2 m long."""
+    cells = room(4, 8)
+    cells[:, 60:100] = 100
+    cells[35:45, 60:100] = 0
+    terrain = terrain_of(cells)
+    plan = way(terrain, (start, 2.0, 0.0), (goal, 2.0, 0.0))
+    assert plan.reason is None
+    assert plan.points[-1] == pytest.approx((goal, 2.0), abs=0.16)
+    assert clearance(terrain, plan).min() >= 0.2 + 0.03 - 1e-6
+
+
+@pytest.mark.parametrize("resolution", [0.05, 0.1, 0.25])
+def test_no_path_comes_nearer_than_the_robot_s_half_width_whatever_the_cells(resolution):
+    rng = np.random.default_rng(3)
+    n = 64
+    cells = np.zeros((n, n), np.int8)
+    cells[[0, -1]] = cells[:, [0, -1]] = 100
+    for row, column, height, width in rng.integers((4, 4, 1, 1), (56, 56, 6, 6), (12, 4)):
+        cells[row : row + height, column : column + width] = 100
+    terrain = Terrain(CostConfig(clearance_weight=0.0), X80, resolution)
+    terrain.update(grid_of(cells, resolution), None)
+    rows, columns = np.nonzero(terrain.cells == 100)
+    places = rng.permutation(np.argwhere(terrain.costs))[:60]
+    found = 0
+    for start, goal in zip(places[:30].tolist(), places[30:].tolist()):
+        plan = planned(terrain, OUTLINE, Pose2(*terrain.centre(*start)), Pose2(*terrain.centre(*goal)), 0.15, CONFIG)
+        if plan.reason is None:
+            found += 1
+            x, y = plan.points[:, :1] / resolution, plan.points[:, 1:] / resolution
+            gaps = np.abs(x - columns - 0.5) - 0.5, np.abs(y - rows - 0.5) - 0.5
+            assert np.hypot(*np.maximum(gaps, 0.0)).min() * resolution >= X80.inscribed_radius
+    assert found > 5
+
+
 def test_a_path_starts_at_the_robot_and_ends_in_the_goal_with_its_heading():
     plan = way(terrain_of(wall_with_door(1.6)), (1.0, 1.0, 0.0), (7.0, 3.0, -2.0))
     assert plan.reason is None

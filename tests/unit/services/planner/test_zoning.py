@@ -8,7 +8,7 @@ from shared import reasons
 from shared.geometry import Pose2, inside
 from shared.messages import Zones
 from shared.zones import ZoneConfig
-from tests.unit.services.maps import room
+from tests.unit.services.maps import message, room
 from tests.unit.services.planner.test_planner import X80, Bench, goes_above, two_ways
 
 MIDDLE = ((3.0, 0.0), (4.0, 0.0), (4.0, 3.0), (3.0, 3.0))
@@ -85,6 +85,18 @@ def test_a_robot_that_stands_deep_in_a_zone_drives_out_by_a_short_way_and_not_in
     path = bench.pass_time(1.0)
     assert path.reason == ""
     assert nearest(path, deep) > X80.inscribed_radius
+
+
+def test_on_another_map_of_the_same_size_the_zones_hold_too():
+    deep = ((0.5, 0.5), (2.5, 0.5), (2.5, 3.5), (0.5, 3.5))
+    bench = Bench(room(4, 8))
+    hold(bench, deep)
+    bench.go(Pose2(7.0, 1.0))
+    before = bench.planner.terrain.costs.copy()
+    bench.planner.now += 10**9
+    bench.take(bench.planner.map(message(room(4, 8), version=1, map_id=2)))
+    bench.take(bench.planner.confirm())
+    assert np.array_equal(bench.planner.terrain.costs, before)
 
 
 def test_beyond_the_map_a_zone_holds_too():
