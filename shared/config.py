@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.error import YAMLError
 
-from shared.geometry import inside
+from shared.geometry import inside, to_outline
 
 CIRCLE_CORNERS = 32  # of the polygon around a round robot: it reaches 0.5 % beyond the circle
 CONFIG_DIR = Path(__file__).resolve().parent.parent / "config"
@@ -160,14 +160,8 @@ class Robot(Section):
     @property
     def inscribed_radius(self) -> float:
         """m: the largest circle about `base` inside the footprint (negative when base lies outside)."""
-        a = self.corners
-        edge = np.roll(a, -1, axis=0) - a
-        length = np.hypot(edge[:, 0], edge[:, 1])
-        along = -(a * edge).sum(axis=1) / length  # m from the corner to the foot of the perpendicular
-        to_line = np.abs(a[:, 0] * edge[:, 1] - a[:, 1] * edge[:, 0]) / length
-        beside = np.hypot(to_line, np.maximum(np.maximum(-along, along - length), 0.0))
-        nearest = float(np.where((along >= 0) & (along <= length), to_line, beside).min())
-        return nearest if inside(a, np.zeros((1, 2)))[0] else -nearest
+        nearest = to_outline(self.corners, 0.0, 0.0)
+        return nearest if inside(self.corners, np.zeros((1, 2)))[0] else -nearest
 
     @property
     def circumscribed_radius(self) -> float:

@@ -86,3 +86,10 @@ def inside(polygon: Float64s, points: Float64s) -> Bools:
     with np.errstate(divide="ignore", invalid="ignore"):
         left_of = x < x0 + (y - y0) * (x1 - x0) / (y1 - y0)
     return np.asarray((crosses & left_of).sum(axis=1) % 2 == 1)
+
+
+def to_outline(polygon: Float64s, x: float, y: float) -> float:
+    """m from a point, inside or outside, to the nearest edge of the polygon (k, 2)."""
+    edges, away = np.roll(polygon, -1, axis=0) - polygon, np.array((x, y)) - polygon
+    along = np.clip((away * edges).sum(axis=1) / (edges * edges).sum(axis=1), 0.0, 1.0)
+    return float(np.hypot(*(away - along[:, None] * edges).T).min())

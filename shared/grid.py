@@ -164,12 +164,3 @@ def update_of_cells(cells: Int8s, resolution: float, x0: float, y0: float, stamp
         stamp, 0, 1, resolution, (rows + first_row)[seen].astype(np.int32),
         (columns + first_column)[seen].astype(np.int32), np.ascontiguousarray(tiles[seen]),
     )  # fmt: skip
-
-
-def blurred(resolution: float) -> float:
-    """m by which cells of this size, m, hide more of where an obstacle and a path are than cells of 5 cm.
-
-    A path's distance from an obstacle is known from cell's centre to cell's centre, to half a diagonal at either end:
-    1.4 cells, which a planner's margin covers with cells of 5 cm.
-    """
-    return 1.4 * max(resolution - 0.05, 0.0)

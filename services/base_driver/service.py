@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Between cmd/vel and the board: the document's equations, the last watchdog, and what the board reports."""
 
+from dataclasses import replace
 from math import nan
 
 import numpy as np
@@ -84,10 +85,10 @@ class BaseDriverService(Service):
     @property
     def fault(self) -> str:
         """A reason's code, empty when there is none."""
-        if self.wheel_faults.code:
-            return self.wheel_faults.code
         if self.pressed is not None:
             return reasons.ESTOP.code
+        if self.wheel_faults.code:
+            return self.wheel_faults.code
         if self.wheel_faults.pausing(self.now):
             return reasons.NOT_OBEYED.code
         started = self.now if self.started is None else self.started
@@ -111,8 +112,8 @@ class BaseDriverService(Service):
     @on(topics.ESTOP)
     def estop(self, stop: EmergencyStop) -> Out:
         """The second line behind the guard; a release also ends a latched fault, and never moves the robot."""
-        if stop.pressed:
-            self.pressed = stop
+        if stop.pressed:  # its clock may be ahead: nothing from before it came releases it
+            self.pressed = replace(stop, stamp=min(stop.stamp, self.now))
         elif self.pressed is None or not precedes(stop.stamp, self.pressed.stamp, self.now):
             if self.pressed is not None or self.wheel_faults.code:
                 self.watchdog.disarm(self.now)
@@ -164,9 +165,9 @@ class BaseDriverService(Service):
 
     def _take(self, report: BoardReport) -> Out:
         last = self.report
+        if last is not None and not supersedes(report.stamp, last.stamp, self.now):
+            return
         if last is not None and report.stamp <= last.stamp:
-            if last.stamp <= self.now + FUTURE:
-                return
             self.encoders.restart()  # the stack's clock was set back: a new epoch
         self.report = report
         for state in self.encoders.turned(report, self.now):

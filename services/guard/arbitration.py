@@ -25,7 +25,7 @@ class Source:
         self.command: Velocity | None = None
         self.armed = True
         self._quiet_since = 0
-        self._began = 0  # ns when the command began to age: at its stamp, or when it came if that was ahead
+        self._began = 0  # ns from when on the command ages: its stamp, or when it came if that was ahead
 
     def take(self, command: Velocity, now: int) -> bool:
         """Takes a command that is newer than the last and young; False where it is neither."""

@@ -28,7 +28,7 @@ from shared.messages import (
 )
 from shared.requests import Override, Reply
 from shared.service import Answer, Out, Service, answer, every, on
-from shared.stamps import fresh, supersedes
+from shared.stamps import FUTURE, fresh, supersedes
 
 LONGEST_RAMP = 0.1  # s of acceleration that one command may make up for
 RANGES_AGE = 1.0  # s after which range sensors no longer count as looking
@@ -112,13 +112,15 @@ class GuardService(Service):
     def before_the_restart(self, status: GuardStatus) -> Out:
         """STOP outlives the guard, and who pressed it: only a release later than our last word ends it."""
         if status.state is GuardState.STOPPED:
+            self.situation.now = self.now
             self.situation.take_stop(EmergencyStop(status.stamp, True, "from before a restart"))
             yield from self.drive()
 
     @on(topics.BASE)
     def base_status(self, status: BaseStatus) -> Out:
         if supersedes(status.stamp, self.situation.base_stamp, self.now):
-            self.situation.base = status
+            self.situation.now = self.now
+            self.situation.take_base(status)
             yield from self.watch()
             if status.waits:  # for a zero newer than its fault; ours was perhaps older. Then on, from standing
                 self.verdict, self.sent_at = replace(self.verdict, v=0.0, w=0.0), self.now
@@ -126,7 +128,8 @@ class GuardService(Service):
 
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:
-        if supersedes(odometry.stamp, self.situation.odom_stamp, self.now):
+        ahead = odometry.stamp > self.now + FUTURE
+        if not ahead and supersedes(odometry.stamp, self.situation.odom_stamp, self.now):
             self.situation.now = self.now
             self.situation.take_odometry(odometry.stamp)
             if not self.track.add(odometry):

@@ -2,6 +2,7 @@
 """Why must the robot stand, whatever is commanded? What each input last said, and a table of reasons over it."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from pydantic import Field
 
@@ -35,7 +36,7 @@ class Situation:
         self.pressed: EmergencyStop | None = None
         self.base: BaseStatus | None = None
         self.odom_stamp: int | None = None
-        self.odom_at: int | None = None  # ns of what it tells: its stamp, or when it came if that was ahead
+        self.odom_at: int | None = None  # ns from when on it ages: its stamp, or when it came if that was ahead
         self.scan: LaserScan | None = None
         self.scan_at: int | None = None  # as odom_at, of its last beam
         self.pose: PoseEstimate | None = None
@@ -53,7 +54,7 @@ class Situation:
 
     def take_override(self, seconds: float) -> Reason | None:
         """Overrides the field for so long, or ends that; the reason where it is refused."""
-        if seconds and self.pressed is not None:
+        if seconds and (self.pressed is not None or self.base_in_stop):
             return reasons.ESTOP
         self.override = (self.now, self.now + round(seconds * 1e9)) if seconds else None
         return None
@@ -65,15 +66,26 @@ class Situation:
 
     def take_stop(self, stop: EmergencyStop) -> None:
         """STOP latches. A release (also of the base's fault) moves nothing: both sources must ask for zero first."""
-        if stop.pressed:
-            self.pressed, self.override = stop, None
+        if stop.pressed:  # its clock may be ahead: nothing from before it came releases it
+            self.pressed, self.override = replace(stop, stamp=min(stop.stamp, self.now)), None
             return
         if self.pressed is not None and precedes(stop.stamp, self.pressed.stamp, self.now):
             return  # an older release than this press
         if self.pressed is not None or self.fault:
-            self.nav.disarm(self.now)
-            self.teleop.disarm(self.now)
+            self._disarm()
         self.pressed = None
+
+    def take_base(self, status: BaseStatus) -> None:
+        """What the base says; that it is out of STOP is a release, whoever heard of that."""
+        if self.fault == reasons.ESTOP.code != status.fault:
+            self._disarm()
+        if status.fault == reasons.ESTOP.code:
+            self.override = None
+        self.base = status
+
+    def _disarm(self) -> None:
+        self.nav.disarm(self.now)
+        self.teleop.disarm(self.now)
 
     def take_pose(self, pose: PoseEstimate) -> None:
         """Notices a lost pose, and a jump: the robot's place on the map by the old map_from_odom and by the new one."""
@@ -111,6 +123,11 @@ class Situation:
     def fault(self) -> str:
         """The base's fault, empty when it has none."""
         return self.base.fault if self.base else ""
+
+    @property
+    def base_in_stop(self) -> bool:
+        """Whether the base says that STOP is pressed: it heard of it when this guard did not."""
+        return self.fault == reasons.ESTOP.code and not self.old(self.base_stamp, self.config.base_age)
 
     @property
     def lost(self) -> bool:
@@ -153,7 +170,7 @@ def scan_end(scan: LaserScan) -> int:
 
 # fmt: off
 STOPS: tuple[tuple[Reason, GuardState, Callable[[Situation], bool]], ...] = (  # highest rank first
-    (reasons.ESTOP,          GuardState.STOPPED, lambda s: s.pressed is not None or s.fault == reasons.ESTOP.code),
+    (reasons.ESTOP,          GuardState.STOPPED, lambda s: s.pressed is not None or s.base_in_stop),
     (reasons.WHEEL_STUCK,    GuardState.FAULT,   lambda s: s.fault == reasons.WHEEL_STUCK.code),
     (reasons.WHEEL_ASTRAY,   GuardState.FAULT,   lambda s: s.fault == reasons.WHEEL_ASTRAY.code),
     (reasons.NOT_OBEYED,     GuardState.HOLD,    lambda s: s.fault == reasons.NOT_OBEYED.code),
@@ -161,7 +178,7 @@ STOPS: tuple[tuple[Reason, GuardState, Callable[[Situation], bool]], ...] = (  #
     (reasons.BOARD_SILENT,   GuardState.FAULT,   lambda s: s.fault == reasons.BOARD_SILENT.code),
     (reasons.BATTERY_EMPTY,  GuardState.FAULT,   lambda s: s.fault == reasons.BATTERY_EMPTY.code),
     (reasons.SENSOR_DEAD,    GuardState.FAULT,   lambda s: s.fault == reasons.SENSOR_DEAD.code),
-    (reasons.FAULT,          GuardState.FAULT,   lambda s: s.fault != ""),
+    (reasons.FAULT,          GuardState.FAULT,   lambda s: s.fault not in ("", reasons.ESTOP.code)),
     (reasons.BASE_SILENT,    GuardState.HOLD,    lambda s: s.old(s.base_stamp, s.config.base_age)),
     (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s: s.old(s.odom_at, s.config.odom_age)),
     (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s: not s.overridden and s.old(s.scan_at, s.config.scan_age)),

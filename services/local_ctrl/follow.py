@@ -22,7 +22,7 @@ from shared.messages import FollowState, Goal
 
 SLOW = 0.05  # m/s
 BRAKING_ROOM = 0.3  # m
-ARC_LEAP = 2.0  # radii along the path within which who drives in arcs is looked for: never across a loop
+ARC_LEAP = 2.0  # radii along the path within which who drives in arcs is looked for: not across a loop
 ARC_AHEAD = 1.9  # rad that the path ahead turns at most, for who drives in arcs
 BEYOND = 1.5  # radii beyond the goal that who cannot turn there steers for
 CREEP = 0.06  # m/s

@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from shared.config import Robot
-from shared.geometry import inside
+from shared.geometry import inside, to_outline
 
 Bools = NDArray[np.bool_]
 Float32s = NDArray[np.float32]
@@ -67,7 +67,8 @@ def _tiles(corners: Float64s, overreach: float) -> list[Circle]:
 def _merged(corners: Float64s, inscribed: float, tiles: list[Circle]) -> list[Circle]:
     """Fewer circles that cover the same, the one about the origin first: large ones inside, the tiles' at the rim."""
     large, rim = [(0.0, 0.0, inscribed)], []
-    depths = [_depth(corners, x, y) for x, y, _ in tiles]
+    within = inside(corners, np.array([(x, y) for x, y, _ in tiles]))
+    depths = [to_outline(corners, x, y) if deep else 0.0 for (x, y, _), deep in zip(tiles, within, strict=True)]
     for depth, (x, y, radius) in sorted(zip(depths, tiles, strict=True), reverse=True):
         if any(hypot(x - a, y - b) + radius <= covered for a, b, covered in large):
             continue
@@ -76,14 +77,6 @@ def _merged(corners: Float64s, inscribed: float, tiles: list[Circle]) -> list[Ci
         else:
             rim.append((x, y, radius))
     return large + rim
-
-
-def _depth(corners: Float64s, x: float, y: float) -> float:
-    """m from a point inside the polygon to its outline; 0 outside."""
-    if not inside(corners, np.array([[x, y]]))[0]:
-        return 0.0
-    ways = [(b - a, np.array((x, y)) - a) for a, b in _sides(corners)]
-    return min(float(np.hypot(*(p - np.clip(p @ e / (e @ e), 0.0, 1.0) * e))) for e, p in ways)
 
 
 def _sides(corners: Float64s) -> list[tuple[Float64s, Float64s]]:

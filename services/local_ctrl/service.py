@@ -239,7 +239,9 @@ class LocalCtrlService(Service):
         if goal.kind is not GoalKind.DRIVE:
             if self.manoeuvre is None:
                 self.manoeuvre = Manoeuvre(goal, motion.pose, self.now, self.config.manoeuvres)
-            limits = self.zones.limited(self.limits, np.empty((0, 2)), motion, self.inputs.odom_from_map)
+            limits = self.limits
+            if self.inputs.pose is not None:
+                limits = self.zones.limited(limits, np.empty((0, 2)), motion, self.inputs.odom_from_map)
             return self.manoeuvre.step(self.costmap, motion, limits, self.footprint, self.now)
         if (reason := self._no_plan(goal)) is not None or self.plan is None:
             self.follower.reset()

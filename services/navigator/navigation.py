@@ -196,6 +196,8 @@ class Navigation:
             self.suspended = False
             if self.leg:
                 yield from self._drive(now, self.leg, clear_costmap=True)
+        elif self.suspended and self.leg is None and self.lost > self.config.leg.hold_time:  # else the leg counts
+            yield from self.end(now, NavState.FAILED, reasons.POSE_LOST)
 
     def _watch_leg(self, leg: Leg, seconds: float, now: int) -> Out:
         assert self.goal is not None  # a leg has published one
@@ -310,9 +312,6 @@ class Navigation:
         if pose is None or grid.empty:
             if exploration.without > self.config.leg.start_time:
                 yield from self.end(now, NavState.FAILED, reasons.NO_MAP if grid.empty else reasons.POSE_OLD)
-            return
-        if self.suspended and exploration.without > self.config.leg.hold_time:
-            yield from self.end(now, NavState.FAILED, reasons.POSE_LOST)
             return
         due = self.searched >= _SEARCH_EVERY and self.searching >= _SEARCH_LOST
         if due and not (self.action or self.suspended):

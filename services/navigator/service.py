@@ -24,7 +24,7 @@ from shared.messages import (
     Zones,
 )
 from shared.requests import Cancel, Explore, Navigate, Pause, Reply, SetZones
-from shared.service import Answer, Out, Service, answer, every, on
+from shared.service import Answer, Log, Out, Service, answer, every, on
 from shared.topics import Publication
 from shared.zones import forbidding
 
@@ -90,8 +90,9 @@ class NavigatorService(Service):
 
     @on(topics.ZONES)
     def zones_before_the_restart(self, zones: Zones) -> Out:
-        self.zones.remember(zones)
-        return ()
+        if dropped := self.zones.remember(zones):
+            words = f"with the configuration's they are more than {MOST_ZONES}: {', '.join(dropped)} hold no more"
+            yield Log("WARNING", f"zones: {words}")
 
     @every(hz=5)
     def tick(self) -> Out:

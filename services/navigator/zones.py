@@ -28,9 +28,14 @@ class HeldZones:
         self._zones = zones
         return True
 
-    def remember(self, before: Zones) -> None:
-        """What held before a restart goes on to hold, unless something was set already."""
-        if self._zones is self._configured:
-            zones = self._configured | {zone.name: zone for zone in before.zones}
-            self._zones = dict(islice(zones.items(), MOST_ZONES))
-            self.told = False
+    def remember(self, before: Zones) -> tuple[str, ...]:
+        """What held before a restart goes on to hold, unless something was set already.
+
+        The names of those for which there is no room any more: the configuration has more zones now, and they go first.
+        """
+        if self._zones is not self._configured:
+            return ()
+        zones = self._configured | {zone.name: zone for zone in before.zones}
+        self._zones = dict(islice(zones.items(), MOST_ZONES))
+        self.told = False
+        return tuple(name for name in zones if name not in self._zones)

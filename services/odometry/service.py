@@ -9,10 +9,10 @@ from shared.config import Robot
 from shared.geometry import Pose2
 from shared.messages import Odometry, WheelState
 from shared.service import Log, Out, Service, on
+from shared.stamps import precedes
 
 LONGEST_ROLL = 100.0  # m between two messages; more is a broken publisher, not motion
 LARGEST_VARIANCE = 1e11  # m^2, rad^2: within the message's bound for ever
-CLOCK_SKEW = 100_000_000  # ns
 
 
 class OdometryService(Service):
@@ -35,7 +35,7 @@ class OdometryService(Service):
             if wheels.stamp <= last.stamp:
                 return
             yield from self._roll(last, wheels)
-        elif last is not None and wheels.epoch < last.epoch <= self.now + CLOCK_SKEW:
+        elif last is not None and precedes(wheels.epoch, last.epoch, self.now):
             return  # late words of a driver that was replaced
         self.last = wheels
         yield topics.ODOM(self._odometry(wheels))

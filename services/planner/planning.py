@@ -85,8 +85,8 @@ def planned(
 
     turning: None turns anywhere. Else the path keeps the arcs; who spins and finds none that does, has one without.
 
-    It keeps the margin; where no way at all does, the least margin: the robot must get out of a gap that has become a
-    cell narrower since it drove in.
+    It keeps the margin; where no way at all does, or there is no room for start or goal, the least margin: the robot
+    must get out of a gap that has become a cell narrower since it drove in.
     """
     ends = start, goal, tolerance
     plan = _with_margin(terrain, outline, *ends, config, turning)

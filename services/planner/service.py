@@ -61,7 +61,7 @@ class PlannerService(Service):
         self.where = Whereabouts()
         radius = robot.drive.min_turning_radius
         travelled = 2e-9 * PERIOD_NS * robot.drive.max_speed  # m between two looks, and as much again
-        self.within = min(AHEAD, max(2 * radius, travelled)) if radius else AHEAD  # m: not across a loop
+        self.within = min(AHEAD, max(2 * radius, travelled)) if radius else AHEAD  # m: not across a wide loop
         self.goal: Goal | None = None
         self.plan: Plan | None = None
         self.index = 0  # of the plan's pose that the robot is at

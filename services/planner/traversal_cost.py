@@ -14,7 +14,7 @@ from services.planner.blocks import Blocks
 from services.planner.regions import Regions
 from shared.config import Robot, Section
 from shared.distance_field import distance_field
-from shared.grid import FREE_UP_TO, OCCUPIED_FROM, OccupancyGrid, blurred
+from shared.grid import FREE_UP_TO, OCCUPIED_FROM, OccupancyGrid
 from shared.messages import TILE_CELLS
 
 Bools = NDArray[np.bool_]
@@ -41,7 +41,9 @@ class CostConfig(Section):
         le=1,
         description="m kept free around the footprint's inscribed circle, where a cell has 5 cm; more on coarser maps",
     )
-    least_margin: float = Field(0.03, ge=0, le=1, description="m kept free around it where there is no other way")
+    least_margin: float = Field(
+        0.03, ge=0, le=1, description="m kept free around it where there is no other way; more with larger cells too"
+    )
     inflation_radius: float = Field(
         1.0, gt=0, le=5, description="m from an obstacle at which it stops to matter for the plan"
     )
@@ -76,7 +78,7 @@ class Terrain:
     def __init__(self, config: CostConfig, robot: Robot, resolution: float) -> None:
         self.config, self.robot = config, robot
         self.resolution = resolution
-        margin = config.margin + blurred(resolution)
+        margin = kept_free(config, resolution)
         self.blocked_under = robot.inscribed_radius + margin
         radius = max(config.inflation_radius, self.blocked_under, robot.circumscribed_radius + margin)
         self.reach_cells = ceil(radius / resolution)
@@ -257,13 +259,22 @@ def _tiles(eights: UInt64s) -> Bools:
     return tiles
 
 
+def kept_free(config: CostConfig, resolution: float) -> float:
+    """m around the footprint's circles: the margin, and by how much cells of this size, m, hide more than 5 cm do.
+
+    How far a path is from an obstacle is known from cell's centre to cell's centre, to half a diagonal at either end:
+    1.4 cells, which the margin covers with cells of 5 cm.
+    """
+    return config.margin + 1.4 * max(resolution - 0.05, 0.0)
+
+
 def cost_by_distance(config: CostConfig, robot: Robot, resolution: float, reach_cells: int) -> UInt16s:
     """(reach_cells^2 + 1,) uint16: a known cell's cost by its squared distance (cells^2) to the nearest obstacle.
 
     0 under the inscribed radius and margin; then `1 + weight * exp(-falloff * d)` as in Nav2's inflation layer, shifted
     to end at 1 at the inflation radius; more under the circumscribed radius, where the heading is not free.
     """
-    margin = config.margin + blurred(resolution)
+    margin = kept_free(config, resolution)
     nearest, turning = robot.inscribed_radius + margin, robot.circumscribed_radius + margin
     end = exp(-config.clearance_falloff * max(config.inflation_radius - nearest, 0.0))
     distance = np.sqrt(np.arange(reach_cells**2 + 1)) * resolution

@@ -23,8 +23,8 @@ class Zoning:
     def __init__(self, reach: float) -> None:
         """reach: m from the robot's middle to the farthest point of its outline."""
         self._keep_out = KeepOut(reach)
-        self._place: object = None  # of the grid for which the three below were made
-        self._terrain: Terrain | None = None  # which has them
+        self._terrain: Terrain | None = None  # which has the three at the end
+        self._place: object = None  # of the grid for which they were made
         self._barred: Int64s = np.zeros(0, np.int64)  # places of the cells that zones bar, row by row
         self._dear: Bools | None = None
         self._shut: Bools | None = None
@@ -32,7 +32,7 @@ class Zoning:
     def take(self, zones: Zones) -> None:
         """Other zones hold from now on."""
         self._keep_out.take(zones)
-        self._place = None
+        self._place = self._terrain = None
 
     def moved(self, pose: Pose2) -> bool:
         """The robot is at a pose in `map`; whether the map is another one to it now."""

@@ -63,5 +63,6 @@ class Admission:
             gap = False
         if envelope.session != self._session:
             self.complete = kept or envelope.sequence == 0
-        self._session, self._sequence, self._sent, self._heard = envelope.session, envelope.sequence, envelope.sent, now
+        self._session, self._sequence, self._heard = envelope.session, envelope.sequence, now
+        self._sent = min(envelope.sent, now)  # a clock that is ahead makes nothing old that comes after
         return Verdict.GAP if gap else Verdict.TAKE

@@ -92,5 +92,6 @@ def test_what_came_from_a_clock_that_was_ahead_makes_nothing_old():
         admission = Admission(topic)
         assert admission.judge(at(0, now + 10 * SECOND, "a", publisher), now) is Verdict.TAKE
         later = now + 2 * SECOND
+        assert admission.judge(at(0, now - MS, "d", publisher), later) is Verdict.OLD
         assert admission.judge(at(0, later, "b", publisher), later) is Verdict.TAKE
         assert admission.judge(at(0, later - MS, "c", publisher), later + SECOND) is Verdict.OLD

@@ -243,8 +243,10 @@ def test_a_press_and_a_wheel_s_fault_from_a_clock_that_is_ahead_can_be_released(
     bench = Bench().run(0.5, 0.2)
     bench.turns["left"] = False
     bench.run(1.2, 0.2)
-    bench.call(bench.service.estop(EmergencyStop(bench.now + 10_000 * MS, True, "a laptop that is ahead")))
+    bench.stop(True, stamp=bench.now + 10_000 * MS)
     bench.service.wheel_faults.at += 10_000 * MS
+    bench.stop(False, stamp=bench.now - 1)
+    assert bench.service.fault == "estop"
     bench.stop(False)
     assert bench.service.fault == ""
 

@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from services.guard.arbitration import ArbitrationConfig, Source, in_charge
 from shared.messages import Velocity
-from shared.stamps import FUTURE, fresh, supersedes
 
 MS = 1_000_000
 NOW = 10_000 * MS
@@ -21,21 +18,6 @@ def source(*stamps_ms, name="nav", v=0.3):
 
 def command(ms, v=0.3, w=0.0):
     return Velocity(ms * MS, v, w, "")
-
-
-@pytest.mark.parametrize(
-    ("age_ms", "expected"), [(-101, False), (-100, True), (0, True), (200, True), (200.001, False), (1e9, False)]
-)
-def test_fresh_is_young_and_not_from_the_future(age_ms, expected):
-    assert fresh(NOW - round(age_ms * MS), NOW, 0.2) is expected
-
-
-@given(st.integers(0, 2**62), st.integers(0, 2**62))
-def test_newer_supersedes_unless_the_clock_was_set_back(stamp, last):
-    assert supersedes(stamp, last, last) is (stamp > last)
-    assert supersedes(stamp, None, last)
-    assert supersedes(stamp, last, last - FUTURE - 1)
-    assert supersedes(last, last, last - FUTURE) is False
 
 
 def test_commands_are_taken_in_the_order_of_their_stamps():

@@ -475,13 +475,49 @@ def test_an_input_from_a_clock_that_is_ahead_ends_no_later(cut, ends):
     assert drive.velocity == (0, 0)
 
 
-def test_stamps_from_the_future_are_no_sign_of_life():
+def test_stop_of_which_only_the_base_knows_is_stop_until_it_says_otherwise_or_is_gone():
     drive = driving()
-    drive.cut = {"scan"}
+    drive.fault = "estop"
+    drive.run(0.6)
+    assert drive.verdict == (GuardState.STOPPED, "estop")
+    assert drive.velocity == (0, 0)
+    assert not drive.override(5.0).accepted
+    drive.cut = {"base"}
+    drive.run(2.5)
+    assert drive.verdict == (GuardState.HOLD, "base_silent")
+    drive.cut, drive.fault = set(), ""
+    drive.run(1.0)
+    assert drive.velocity == (0, 0), "it was released, and nobody has asked for zero since"
+    drive.nav = (0.0, 0.0)
+    drive.run(0.2)
+    drive.nav = (0.5, 0.0)
+    drive.run(1.0)
+    assert drive.velocity[0] > 0
+
+
+@pytest.mark.parametrize("name", ["scan", "odom"])
+def test_stamps_from_the_future_are_no_sign_of_life(name):
+    drive = driving()
+    drive.cut = {name}
     for _ in range(10):
-        drive.scan(stamp=drive.now + 150 * MS)
+        ahead = drive.now + 150 * MS
+        if name == "scan":
+            drive.scan(stamp=ahead)
+        else:
+            drive.call(drive.guard.odometry(Odometry(ahead, drive.odom_from_base, 0.5, 0.0, np.zeros(9))))
         drive.run(0.1)
-    assert drive.verdict == (GuardState.HOLD, "scan_old")
+    assert drive.verdict == (GuardState.HOLD, f"{name}_old")
+
+
+def test_an_older_release_does_not_end_a_press_from_a_clock_that_is_ahead():
+    drive = driving()
+    drive.call(drive.guard.estop(EmergencyStop(drive.now + 10_000 * MS, True, "a laptop")))
+    drive.call(drive.guard.estop(EmergencyStop(drive.now - 1, False, "kept from before")))
+    drive.run(0.2)
+    assert drive.verdict == (GuardState.STOPPED, "estop")
+    drive.stop(False)
+    drive.run(0.2)
+    assert drive.status.state is not GuardState.STOPPED
 
 
 def test_after_the_clock_was_set_back_everything_goes_on():

@@ -355,28 +355,20 @@ def test_warming_changes_no_state() -> None:
 
 AFTER_WARMING = """
 import shared.repeatable
-from numba.core import event
 from shared.config import load_robot
 from shared.geometry import Pose2
 from shared.messages import GoalKind, Zones
 from shared.zones import ZoneConfig
+from tests.compiling import nothing_compiles
 from tests.unit.services.local_ctrl.tiny_world import Loop, World, drive_goal, planned, recovery
 
 def zone(name, **asks):
     return ZoneConfig(corners=((1.0, 0.5), (2.5, 0.5), (2.5, 1.2), (1.0, 1.2)), **asks).zone(name)
 
-class Compiled(event.Listener):
-    def on_start(self, e):
-        name = e.data["dispatcher"].py_func.__module__
-        if name.startswith(("services", "shared")):
-            raise SystemExit(f"compiled while driving: {e.data['dispatcher'].py_func}")
-    def on_end(self, e):
-        pass
-
 world, start, goal = World(6, 4), Pose2(1, 2, 2), Pose2(4, 2, 0)
 loop = Loop(load_robot("x80sv").robot, world, start)
 loop.service.warm()
-with event.install_listener("numba:compile", Compiled()):
+with nothing_compiles():
     loop.give(drive_goal(goal), planned(world, start, goal, 0.25)).drive(1)
     loop.send("new_zones", Zones(0, (zone("stairs"), zone("hall", speed=0.3))))
     loop.drive(1)

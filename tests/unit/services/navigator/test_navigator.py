@@ -452,6 +452,15 @@ def test_whose_pose_is_lost_at_a_pose_of_the_route_stays_there_until_it_is_found
     assert bench.status.state is NavState.REACHED
 
 
+def test_whose_pose_stays_lost_at_a_pose_of_the_route_gives_up_with_the_reason():
+    bench = Bench()
+    bench.go(Pose2(), FAR, dwell=4.0)
+    bench.run(1)
+    bench.localization = Localization.LOST
+    assert 20 < bench.run(60, until=ENDS) < 40
+    assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reasons.POSE_LOST.code)
+
+
 def test_while_a_person_drives_by_hand_that_is_the_reason():
     bench = Bench()
     bench.go(FAR)

@@ -56,11 +56,11 @@ def test_the_configuration_s_hold_from_the_start_and_those_set_beside_them():
 
 def test_after_a_restart_those_of_before_hold_again():
     service = fresh(NamedZoneConfig(name="stairs", corners=SQUARE))
-    service.zones_before_the_restart(Zones(0, (zone("hall"),)))
+    assert not list(service.zones_before_the_restart(Zones(0, (zone("hall"),))))
     assert told(service, service.tick)[0] == [["stairs", "hall"]]
     service = fresh()
     told(service, service.set_zones, SetZones(S, (zone("new"),)))
-    service.zones_before_the_restart(Zones(0, (zone("old"),)))
+    assert not list(service.zones_before_the_restart(Zones(0, (zone("old"),))))
     assert [z.name for z in service.zones.zones] == ["new"]
 
 
@@ -72,7 +72,8 @@ def test_more_zones_than_a_message_holds_are_refused_and_the_others_stay():
     assert (reply.accepted, reply.reason) == (False, reasons.BAD_REQUEST.code)
     assert [z.name for z in service.zones.zones] == ["stairs", "old"]
     service = fresh(NamedZoneConfig(name="stairs", corners=SQUARE))
-    service.zones_before_the_restart(Zones(0, many))
+    (log,) = service.zones_before_the_restart(Zones(0, many))
+    assert many[-1].name in log.text
     assert [z.name for z in service.zones.zones] == ["stairs", *(z.name for z in many[:-1])]
 
 

@@ -290,21 +290,15 @@ def test_a_robot_that_is_on_its_plan_keeps_it_however_tight_its_arcs(radius):
 
 AFTER_WARMING = """
 import shared.repeatable
-from numba.core import event
-from tests.unit.services.planner.test_planner import *
+from shared.geometry import Pose2
+from tests.compiling import nothing_compiles
+from tests.unit.services.maps import room
+from tests.unit.services.planner.test_planner import Bench
 from tests.unit.services.planner.test_zoning import MIDDLE, hold
-
-class Compiled(event.Listener):
-    def on_start(self, e):
-        name = e.data["dispatcher"].py_func.__module__
-        if name.startswith(("services", "shared")):
-            raise SystemExit(f"compiled while driving: {e.data['dispatcher'].py_func}")
-    def on_end(self, e):
-        pass
 
 bench = Bench(room(4, 8))
 bench.planner.warm()
-with event.install_listener("numba:compile", Compiled()):
+with nothing_compiles():
     bench.go(Pose2(6.0, 2.0))
     bench.go(Pose2(7.97, 2.0), 2)
     hold(bench, MIDDLE)

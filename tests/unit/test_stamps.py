@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How old a thing is, and which of two came first: laws, also where clocks differ or were set back."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shared.stamps import FUTURE, fresh, precedes, supersedes
+
+MS = 1_000_000
+NOW = 10_000 * MS
+STAMPS = st.integers(0, 2**62)
+
+
+@pytest.mark.parametrize(
+    ("age_ms", "expected"), [(-101, False), (-100, True), (0, True), (200, True), (200.001, False), (1e9, False)]
+)
+def test_fresh_is_young_and_not_from_the_future(age_ms, expected):
+    assert fresh(NOW - round(age_ms * MS), NOW, 0.2) is expected
+
+
+@given(st.integers(0, 2**62), st.integers(0, 2**62))
+def test_newer_supersedes_unless_the_clock_was_set_back(stamp, last):
+    assert supersedes(stamp, last, last) is (stamp > last)
+    assert supersedes(stamp, None, last)
+    assert supersedes(stamp, last, last - FUTURE - 1)
+    assert supersedes(last, last, last - FUTURE) is False
+
+
+@given(STAMPS, STAMPS, STAMPS)
+def test_one_precedes_another_or_is_it_or_supersedes_it(stamp, other, now):
+    assert precedes(stamp, other, now) + (stamp == other <= now + FUTURE) + supersedes(stamp, other, now) == 1
