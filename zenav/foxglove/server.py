@@ -21,6 +21,7 @@ from shared.config import Robot, UserError, load_robot
 from shared.messages import MapUpdate, Velocity
 from shared.runners.inbox import Inbox, Place
 from shared.runners.transport import LatchedReader, where_from
+from shared.stamps import precedes
 from shared.topics import TOPICS, topic_of
 from zenav.client import Client
 from zenav.foxglove.app import App
@@ -85,6 +86,7 @@ class LiveView:
         self._there: bool | None = None
         self._begun = time.monotonic()
         self._watched = float("-inf")
+        self._told = 0  # ns, the time that the app has
         self._driving = False
 
     @property
@@ -181,6 +183,9 @@ class LiveView:
         if command is not None:
             self.client.publish(topics.TELEOP(Velocity(self.client.now(), *command, "")))
         at = self.client.now()
+        if precedes(at, self._told, at):  # an estimate: it may step back a little, but an app takes that for a seek
+            at = self._told
+        self._told = at
         if self._server is not None:
             self._server.broadcast_time(at)
         if self._channels.wanted(MAP_ROW.topic) and self._look():
