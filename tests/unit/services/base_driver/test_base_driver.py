@@ -208,6 +208,17 @@ def test_the_motors_stand_250_ms_after_the_last_young_stamp(events):
         bench.report()
 
 
+def releasing_ends_the_fault_and_moves_nothing(bench):
+    """The stream of commands goes on; only after a zero in it does the robot drive."""
+    bench.stop(False)
+    assert bench.last(topics.BASE).fault == ""
+    bench.run(0.5, 0.2)
+    assert bench.motors() == (0, 0), "releasing moves nothing"
+    bench.run(0.1, 0.0)
+    bench.run(0.1, 0.2)
+    assert bench.body[0] == pytest.approx(0.2)
+
+
 # --- STOP -----------------------------------------------------------------------------------------------------------
 
 
@@ -230,13 +241,7 @@ def test_stop_is_told_as_the_fault_and_outlives_this_process_until_a_later_relea
     bench.run(0.1, 0.0)
     bench.run(0.5, 0.4)
     assert bench.motors() == (0, 0)
-    bench.stop(False)
-    assert bench.last(topics.BASE).fault == ""
-    bench.run(0.5, 0.4)
-    assert bench.motors() == (0, 0)
-    bench.run(0.1, 0.0)
-    bench.run(0.1, 0.4)
-    assert bench.body[0] == pytest.approx(0.4)
+    releasing_ends_the_fault_and_moves_nothing(bench)
 
 
 def test_a_press_and_a_wheel_s_fault_from_a_clock_that_is_ahead_can_be_released():
@@ -310,13 +315,7 @@ def test_a_wheel_that_stops_turning_is_a_latched_fault_within_200_ms(wheel):
     bench.turns[wheel] = True
     bench.run(2.0, 0.2)
     assert bench.motors() == (0, 0)
-    bench.stop(False)
-    assert bench.last(topics.BASE).fault == ""
-    bench.run(0.5, 0.2)
-    assert bench.motors() == (0, 0), "releasing moves nothing"
-    bench.run(0.1, 0.0)
-    bench.run(0.1, 0.2)
-    assert bench.body[0] == pytest.approx(0.2)
+    releasing_ends_the_fault_and_moves_nothing(bench)
 
 
 def test_a_stuck_wheel_outlives_this_process_until_a_later_release():
