@@ -65,7 +65,7 @@ class Run:
             elif isinstance(item.message, PoseEstimate):
                 self.estimates.append(item.message)
                 self.places.append(self.mapper.front_end.local_from_base)
-                searching = self.mapper.finder.searching
+                searching = not self.mapper.mapping.placed
                 self.maps_from_local.append(None if searching else self.mapper.back_end.map_from_local)
             elif isinstance(item.message, MapUpdate):
                 self.grid.apply(item.message)

@@ -38,13 +38,23 @@ class Astray:
 
     def weigh(self, grid: Occupancy, origins: Float64s, ends: Float64s) -> bool:
         """Takes a scan, beams from origins (n, 2) to ends (n, 2) m in `map`; says whether the robot is lost by now."""
-        hit = ~np.isnan(ends[:, 0])
-        origins, ends = origins[hit], ends[hit]
-        agree = grid.occupied_near(ends)
-        origins, ends = origins[~agree], ends[~agree]
-        through = grid.crosses(origins, ends)
-        free = grid.clear_at(ends, 1) & ~through
-        against = float(through.sum() + IN_THE_FREE * free.sum())
-        if agree.sum() + through.sum() + free.sum() >= LEAST_BEAMS:
-            self.share += (float(agree.sum()) / (float(agree.sum()) + against) - self.share) / self.config.scans
+        agreed = agreement(grid, origins, ends)
+        if agreed is not None:
+            self.share += (agreed - self.share) / self.config.scans
         return self.share < self.config.share
+
+
+def agreement(grid: Occupancy, origins: Float64s, ends: Float64s) -> float | None:
+    """Share of the beams that agree with a grid, of those that it knows anything about; None where they are too few.
+
+    origins, ends: (n, 2) m in the grid's frame, ends NaN without an echo.
+    """
+    hit = ~np.isnan(ends[:, 0])
+    origins, ends = origins[hit], ends[hit]
+    agree = grid.occupied_near(ends)
+    origins, ends = origins[~agree], ends[~agree]
+    through = grid.crosses(origins, ends)
+    free = grid.clear_at(ends, 1) & ~through
+    if agree.sum() + through.sum() + free.sum() < LEAST_BEAMS:
+        return None
+    return float(agree.sum() / (agree.sum() + through.sum() + IN_THE_FREE * free.sum()))

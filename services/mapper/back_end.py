@@ -14,6 +14,7 @@ from services.mapper.loop_closure import Blocks, Loop, LoopConfig, closed, in_ow
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.odometry_error import OdometryError
 from services.mapper.optimisation import PoseGraphConfig, optimised
+from services.mapper.parts import MIN_KEYFRAMES, agreeing, fits, gap_information, is_expected, is_joint, joined_nodes
 from services.mapper.pose_graph import Graph, Optimised, PoseGraph, between
 from services.mapper.registration import Match, RegistrationConfig
 from services.mapper.saved_map import SavedMap
@@ -22,7 +23,7 @@ from services.mapper.surroundings import BETWEEN, Held, Surroundings, surroundin
 from services.mapper.ties import TieConfig
 from services.mapper.uncertainty import uncertainty_from
 from shared.config import Section
-from shared.geometry import Float64s, Pose2, wrapped_all
+from shared.geometry import Bools, Float64s, Pose2, wrapped_all
 
 SEEN = 0.02  # m, a correction that shows on the map
 ANCHORS = 10  # keyframes that tell where `local` is
@@ -59,6 +60,16 @@ class BackEndConfig(Section):
     ties: TieConfig = TieConfig()
 
 
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A motion that only odometry tells of: from the newest keyframe on, over so many m and rad without a scan that
+    fits."""
+
+    motion: Pose2
+    path: float
+    turn: float
+
+
 Waiting = tuple[Keyframe, Match, float]
 """What `BackEnd.add` is given."""
 
@@ -67,12 +78,14 @@ Waiting = tuple[Keyframe, Match, float]
 class Drawing:
     """The map as far as it is drawn anew, and the keyframes, at poses (n, 3) in `map`, that are still to be drawn.
 
-    node: the newest that is in the grid or among them.
+    sure: (n,) False where one is drawn only if it fits what is drawn already.  node: the newest that is in the grid or
+    among them.
     """
 
     grid: Occupancy
     keyframes: tuple[Keyframe, ...]
     poses: Float64s
+    sure: Bools
     node: int
 
 
@@ -116,6 +129,12 @@ class BackEnd:
         self.closing = False  # there are closures among what is being optimised
         self.settled_to = -1  # name of the newest node at the last optimum that held new closures
         self.blocks = Blocks(*self._settings, self.loops)
+        self.gap: Gap | None = None  # to the first keyframe of a part that is to begin
+        self.gaps: frozenset[tuple[int, int]] = frozenset()  # edges that are odometry's alone
+        self.bridged = Gap(Pose2(), 0.0, 0.0)  # to the present part
+        self.joined = True  # closures join the present part to the rest
+        self.joints: list[Loop] = []  # closures of a part that is not joined, to what was before it
+        self.n_joints = 0  # parts that were joined
 
     def load(self, saved: SavedMap, fixed: bool) -> None:
         """Goes on with a saved map, or places the robot on it; then it does not change."""
@@ -139,6 +158,19 @@ class BackEnd:
             self._give_up(self.session)
         self._begin()
 
+    def begin_part(self, gap: Gap) -> None:
+        """Scans do not fit: what comes next is a part of its own, to which only odometry leads."""
+        if self.gap is not None:  # no keyframe came since the last one began
+            gap = Gap(gap.motion, self.gap.path + gap.path, self.gap.turn + gap.turn)
+        else:
+            self._begin()
+        self.gap, self.joined, self.joints = gap, False, []
+
+    @property
+    def n_in_part(self) -> int:
+        """Keyframes of the present session."""
+        return len(self.keyframes) - self.session
+
     def found(self, map_from_local: Pose2, waiting: Sequence[Waiting], odometry: OdometryError) -> None:
         """A session begins at a place that was found on the map, with the keyframes up to there."""
         self.map_from_local = map_from_local
@@ -147,8 +179,7 @@ class BackEnd:
         self.held_at = self.driven[-1]
         node = int(self.graph.nodes[-1])
         pose = self.graph.pose(node)
-        away = np.hypot(*(self.graph.poses[: self.session, :2] - (pose.x, pose.y)).T)
-        anchor = int(self.graph.nodes[0 if self.fixed else int(np.argmin(away))])
+        anchor = int(self.graph.nodes[0 if self.fixed else self._nearest_before(pose)])
         self.graph.connect(anchor, node, self.graph.pose(anchor).inverse() @ pose, HELD, loop=False)
 
     @property
@@ -167,7 +198,10 @@ class BackEnd:
         doubt: how much wider odometry's standard deviations are, on the worst of the steps since the last keyframe.
         """
         if self.session == len(self.keyframes):
-            self.graph.add(self.map_from_local @ keyframe.local_from_base)
+            before_it = int(self.graph.nodes[-1]) if self.keyframes else -1
+            node = self.graph.add(self.map_from_local @ keyframe.local_from_base)
+            if self.gap is not None:
+                self._bridge(before_it, node, self.gap)
             self.driven.append(self.driven[-1] + self.loops.apart + 2 * self.loops.view if self.driven else 0.0)
         else:
             before = self.keyframes[-1].local_from_base
@@ -184,6 +218,12 @@ class BackEnd:
         self.n_new += 1
         self._thin()
 
+    def _bridge(self, i: int, j: int, gap: Gap) -> None:
+        """Joins the first keyframe of a part to the one before it by odometry, which may be wrong."""
+        self.graph.connect(i, j, gap.motion, gap_information(gap.path, gap.turn), loop=True)
+        self.gaps |= {(i, j)}
+        self.bridged, self.gap = gap, None
+
     def _thin(self) -> None:
         """Where the robot drives again and again, the graph grows with the area, not with time."""
         if self.fixed:
@@ -196,7 +236,10 @@ class BackEnd:
         here &= np.abs(wrapped_all(poses[:, 2] - poses[-1, 2])) < reach
         nodes = self.graph.nodes
         gone = (driven[-1] - driven > self.loops.apart) | (nodes[-1] - nodes > LONG_AGO * self.config.crowd)
-        old = np.flatnonzero(here & gone)
+        if not self.joined:  # nobody knows yet what lies here
+            here[: self.session] = False
+        ends = [node for gap in self.gaps for node in gap]
+        old = np.flatnonzero(here & gone & ~np.isin(nodes, ends))
         old = old[old > 0]  # the first one holds the map
         if len(old) >= self.config.crowd:
             self._give_up(int(old[0]))
@@ -221,8 +264,10 @@ class BackEnd:
         )  # fmt: skip
 
     def close(self, loops: Sequence[Loop]) -> None:
-        """Takes closures."""
+        """Takes closures. Those of a part that is not joined wait until enough of them agree."""
         loops = self._present(loops)
+        if not self.joined:
+            loops = [*(loop for loop in loops if loop.i >= self.first), *self._joint(loops)]
         for loop in loops:
             rest = (self.graph.pose(loop.i).inverse() @ self.graph.pose(loop.j)).inverse() @ loop.i_from_j
             self.off |= hypot(rest.x, rest.y) > self.config.off or abs(rest.yaw) > self.config.off_turn
@@ -235,6 +280,47 @@ class BackEnd:
         self.confirmed = bool(loops) and not self.off and self.n_agreeing > CONFIRMING
         self.n_loops += len(loops)
         self.n_agreeing += len(loops)
+
+    def _joint(self, loops: Sequence[Loop]) -> list[Loop]:
+        """The closures that join the present part to the rest, once enough of them agree; the part is moved there."""
+        self.joints = self._present([*self.joints, *(loop for loop in loops if loop.i < self.first <= loop.j)])
+        newest = self.graph.pose(int(self.graph.nodes[-1]))
+        places = [
+            self.graph.pose(loop.i) @ loop.i_from_j @ (self.graph.pose(loop.j).inverse() @ newest)
+            for loop in self.joints
+        ]
+        chosen = agreeing(places)
+        if not chosen:
+            return []
+        found = places[chosen[len(chosen) // 2]]
+        expected = is_expected(newest, found, self.bridged.path, self.bridged.turn)
+        if not is_joint(len(chosen), len(places) - len(chosen), expected):
+            return []
+        loops = [self.joints[k] for k in chosen]
+        self.join(found)
+        return loops
+
+    def join(self, map_from_base: Pose2) -> None:
+        """The newest keyframe, and with it its part, lies here on the map."""
+        moved = map_from_base @ self.graph.pose(int(self.graph.nodes[-1])).inverse()
+        self.graph.move(self.first, moved)
+        self.map_from_local = moved @ self.map_from_local
+        self.joined, self.joints, self.off = True, [], True
+        self.n_joints += 1
+
+    def join_found(self, map_from_local: Pose2) -> None:
+        """The part was found on the map as a whole."""
+        node = int(self.graph.nodes[-1])
+        self.join(map_from_local @ self.keyframes[-1].local_from_base)
+        pose = self.graph.pose(node)
+        anchor = int(self.graph.nodes[self._nearest_before(pose)])
+        self.graph.connect(anchor, node, self.graph.pose(anchor).inverse() @ pose, HELD, loop=True)
+        self.n_agreeing += 1
+
+    def _nearest_before(self, pose: Pose2) -> int:
+        """The row of the nearest keyframe that is not of this session."""
+        away = np.hypot(*(self.graph.poses[: self.session, :2] - (pose.x, pose.y)).T)
+        return int(np.argmin(away))
 
     def tie(self, ties: Sequence[Loop]) -> None:
         """Takes ties: small corrections, for the next optimisation."""
@@ -269,14 +355,23 @@ class BackEnd:
         """Takes an optimum."""
         before, local_from_map = self.graph.poses.copy(), self.map_from_local.inverse()
         self.graph.take(optimum)
+        if self.session == len(self.keyframes):  # a part is to begin: it moves with what is before it
+            self.map_from_local = optimum.moved @ self.map_from_local
+        else:
+            self._check_joint()
+            self.map_from_local = self._map_from_local()
         if self.closing:
             self.settled_to, self.closing = int(self.graph.nodes[-1]), False
-        self.map_from_local = self._map_from_local()
         near = np.hypot(*(before[:, :2] - before[-1, :2]).T) < self._near + BETWEEN
         shift = self.map_from_local.inverse() @ self.graph.poses[near, :2] - local_from_map @ before[near, :2]
         self.shifted += float(np.hypot(shift[:, 0], shift[:, 1]).max())
         if not self.fixed:
             self.moved += float(np.hypot(*(self.graph.poses - before)[:, :2].T).max())
+
+    def _check_joint(self) -> None:
+        """A joint that the other closures contradict is separated again."""
+        if self.joined and self.gaps and self.first > self.begun:
+            self.joined = bool(joined_nodes(self.graph.snapshot(), self.gaps)[-1])
 
     def _map_from_local(self) -> Pose2:
         """Where `local` is by the last keyframes together: the heading of one alone turns all that is far."""
@@ -331,13 +426,27 @@ class BackEnd:
     def draw(self) -> Drawing:
         """A map to draw anew, from all keyframes."""
         self.moved = 0.0
-        return self.newer(Drawing(Occupancy(self._settings[1], 0), (), np.zeros((0, 3)), -1))
+        return self.newer(Drawing(Occupancy(self._settings[1], 0), (), np.zeros((0, 3)), np.zeros(0, np.bool_), -1))
 
     def newer(self, drawing: Drawing) -> Drawing:
-        """A finished drawing, to go on with the keyframes that came meanwhile."""
-        first = int(np.searchsorted(self.graph.nodes, drawing.node, side="right"))
-        newest = int(self.graph.nodes[-1])
-        return Drawing(drawing.grid, tuple(self.keyframes[first:]), self.graph.poses[first:].copy(), newest)
+        """A finished drawing, to go on with the keyframes that came meanwhile.
+
+        First those of the parts that are joined to the rest; then those of others that are long enough.
+        """
+        first, newest = int(np.searchsorted(self.graph.nodes, drawing.node, side="right")), int(self.graph.nodes[-1])
+        n = len(self.keyframes)
+        joined = joined_nodes(self.graph.snapshot(), self.gaps) if self.gaps else np.ones(n, np.bool_)
+        rows = np.arange(first, n)
+        long = self._in_long_parts()
+        rows = np.concatenate((rows[joined[first:]], rows[~joined[first:] & long[first:]]))
+        keyframes = tuple(self.keyframes[row] for row in rows.tolist())
+        return Drawing(drawing.grid, keyframes, self.graph.poses[rows].copy(), joined[rows], newest)
+
+    def _in_long_parts(self) -> Bools:
+        """(n,) which keyframes are of a part that has enough of them to be drawn."""
+        starts = np.searchsorted(self.graph.nodes, sorted(j for _, j in self.gaps))
+        part = np.searchsorted(starts, np.arange(len(self.keyframes)), side="right")
+        return np.asarray(np.bincount(part)[part] >= MIN_KEYFRAMES)
 
     def rehearse(self) -> None:
         """Calls every kernel once, with two keyframes or more; it is of no use after that."""
@@ -372,8 +481,11 @@ def _still(graph: Graph) -> Graph:
 
 def drawn(drawing: Drawing) -> Drawing:
     """The drawing with the next slice of its keyframes in it. Its grid is handed on: who ordered it looks no more."""
-    for keyframe, row in zip(drawing.keyframes[:SLICE], drawing.poses[:SLICE].tolist()):
-        keyframe.draw(drawing.grid, Pose2(*row))
+    rows = drawing.poses[:SLICE].tolist()
+    for keyframe, row, sure in zip(drawing.keyframes[:SLICE], rows, drawing.sure[:SLICE].tolist()):
+        pose = Pose2(*row)
+        if sure or fits(drawing.grid, pose @ keyframe.origins.astype(float), pose @ keyframe.ends.astype(float)):
+            keyframe.draw(drawing.grid, pose)
     if len(drawing.keyframes) <= SLICE:
         drawing.grid.settle()
-    return Drawing(drawing.grid, drawing.keyframes[SLICE:], drawing.poses[SLICE:], drawing.node)
+    return Drawing(drawing.grid, drawing.keyframes[SLICE:], drawing.poses[SLICE:], drawing.sure[SLICE:], drawing.node)

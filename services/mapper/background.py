@@ -39,6 +39,7 @@ class Background:
         self.back_end.start()
         self.looking = self.optimising = self.drawing = self.renewing = False
         self.begun = self.drawn_at = 0  # ns, when the last drawing began and ended
+        self.n_joints = 0  # when the last optimisation began
 
     def keep(self, keyframe: Keyframe, match: Match, odometry: OdometryError, doubt: float = 1.0) -> Out:
         """A keyframe joins the graph, as `BackEnd.add` says; now and then, closures are looked for from it."""
@@ -61,7 +62,7 @@ class Background:
     def settle(self) -> Out:
         """Optimises the graph where it holds closures that are not in the poses yet."""
         if not self.back_end.settled and not self.optimising:
-            self.optimising = True
+            self.optimising, self.n_joints = True, self.back_end.n_joints
             yield self._job(optimised, self.back_end.optimise(), "corrected", 0.2)
 
     def corrected(self, result: tuple[int, Optimised]) -> Out:
@@ -69,7 +70,10 @@ class Background:
         epoch, optimum = result
         if epoch == self.epoch:
             self.optimising = False
-            self.back_end.take(optimum)
+            if self.n_joints != self.back_end.n_joints:  # a part was moved meanwhile
+                self.back_end.off = True
+            else:
+                self.back_end.take(optimum)
             yield from self._renew()
             if self.back_end.urgent:
                 yield from self.settle()

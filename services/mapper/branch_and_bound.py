@@ -48,6 +48,9 @@ class BranchAndBoundConfig(Section):
     rival: float = Field(0.8, ge=0, le=1, description="share of the best score from which another pose is a rival")
     apart: float = Field(0.5, ge=0, le=10, description="m from the best pose beyond which another is a rival")
     apart_turn: float = Field(0.26, ge=0, le=pi, description="rad from the best pose beyond which another is a rival")
+    budget: int = Field(
+        1_000_000, ge=1000, le=10_000_000_000, description="windows that a search may look at; then it found nothing"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,26 +125,41 @@ def search(
     `apart_turn` rad away from the best. Of poses with equal scores the one nearest to the centre counts, in steps of
     the lattice.
     """
+    return search_counted(points, pyramid, centre, reach, turn, least, config)[0]
+
+
+def search_counted(
+    points: Float64s,
+    pyramid: Pyramid,
+    centre: Pose2,
+    reach: float,
+    turn: float,
+    least: float,
+    config: BranchAndBoundConfig,
+) -> tuple[list[Candidate], int]:
+    """What `search` finds, and the number of windows that it looked at. Nothing where they are more than the budget."""
     points = thinned(points, config.beams, pyramid.resolution)
-    n, k = len(points), ceil(reach / pyramid.resolution - 1e-9)
+    n = len(points)
     if n == 0:
-        return []
-    far = float(np.percentile(np.hypot(points[:, 0], points[:, 1]), 90))
-    turns = headings(far, turn, pyramid.resolution, config.finest_turn)
+        return [], 0
+    turns, k, top = _lattice(points, pyramid, reach, turn, config)
     middle = len(turns) // 2
     least_sum = max(ceil(least * FULL * n), 1)
     rows, columns = _cells(points, centre.x - pyramid.x0, centre.y - pyramid.y0, centre.yaw + turns, pyramid.resolution)
-    top = min((2 * k // ROOTS).bit_length(), max(WIDE, (2 * k // MOST_ROOTS).bit_length()), len(pyramid.levels) - 1)
     levels = pyramid.levels[: top + 1]
     roots = _roots(_phases(levels[top], 1 << top), top, rows, columns, k, least_sum)
 
     found: list[Candidate] = []
     near = np.zeros(len(turns), np.bool_)
-    best_i = best_j = 0
+    best_i = best_j = n_windows = 0
     for _ in range(2):
-        total, h, best_i, best_j = _best(
-            levels, rows, columns, k, middle, roots, least_sum, near, best_i, best_j, config.apart / pyramid.resolution
-        )
+        total, h, best_i, best_j, n_looked = _best(
+            levels, rows, columns, k, middle, roots, least_sum, near, best_i, best_j, config.apart / pyramid.resolution,
+            config.budget - n_windows,
+        )  # fmt: skip
+        n_windows += n_looked
+        if n_windows > config.budget:
+            return [], n_windows
         if total < 0:
             break
         pose = Pose2(
@@ -152,7 +170,31 @@ def search(
         found.append(Candidate(pose, total / (FULL * n)))
         least_sum = max(least_sum, ceil(config.rival * total))
         near = np.array([abs(wrapped(t - turns[h])) <= config.apart_turn for t in turns])
-    return found
+    return found, n_windows
+
+
+def search_cost(points: Float64s, pyramid: Pyramid, reach: float, turn: float, config: BranchAndBoundConfig) -> int:
+    """Cells that `search` looks up at least, for its first bounds: about 1e9 a second. Arguments as there."""
+    points = thinned(points, config.beams, pyramid.resolution)
+    if not len(points):
+        return 0
+    turns, k, top = _lattice(points, pyramid, reach, turn, config)
+    across = min(2 * k, max(pyramid.levels.shape[1:])) + (1 << top) >> top
+    return int(len(turns) * len(points) * across**2)
+
+
+def _lattice(
+    points: Float64s, pyramid: Pyramid, reach: float, turn: float, config: BranchAndBoundConfig
+) -> tuple[Float64s, int, int]:
+    """Headings (n,) rad about the window's, cells to each side, and the level of the windows that a search begins with.
+
+    points: (n, 2) m, thinned.
+    """
+    k = ceil(reach / pyramid.resolution - 1e-9)
+    far = float(np.percentile(np.hypot(points[:, 0], points[:, 1]), 90))
+    turns = headings(far, turn, pyramid.resolution, config.finest_turn)
+    top = min((2 * k // ROOTS).bit_length(), max(WIDE, (2 * k // MOST_ROOTS).bit_length()), len(pyramid.levels) - 1)
+    return turns, k, top
 
 
 def _phases(level: UInt8s, side: int) -> UInt8s:
@@ -326,15 +368,16 @@ def _steps(h, i, j, side):  # type: ignore[no-untyped-def]  # compiled; -> squar
 
 @njit(cache=True, nogil=True)
 def _best(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
-    levels, rows, columns, k, middle, roots, least, near, near_i, near_j, apart
+    levels, rows, columns, k, middle, roots, least, near, near_i, near_j, apart, budget
 ):
     """Sum, heading, i, j of the best pose that is not within `apart` cells of (near_i, near_j) at a heading that is
-    near; the sum is -1 where none has `least`."""
+    near; the sum is -1 where none has `least`. And the number of windows looked at; it ends soon over the budget."""
     top = len(levels) - 1
     best, best_steps, best_h, best_i, best_j = least, np.int64(2**62), -1, 0, 0
     stack = np.empty((4 * top + 1, 4), np.int64)  # bound, level, i, j
+    looked = 0
     for m in range(len(roots)):
-        if roots[m, 0] < best:
+        if roots[m, 0] < best or looked > budget:
             break
         h = roots[m, 1]
         stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = roots[m, 0], top, roots[m, 2], roots[m, 3]
@@ -361,6 +404,7 @@ def _best(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
                 for cj in (j, j + half):
                     if ci > k or cj > k:
                         continue
+                    looked += 1
                     bound = _sum(levels[level - 1], rows[h], columns[h], ci, cj, best)
                     if bound < 0:
                         continue
@@ -371,5 +415,5 @@ def _best(  # type: ignore[no-untyped-def]  # compiled: numba finds the types
                     stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3] = bound, level - 1, ci, cj
                     n += 1
     if best_h < 0:
-        return -1, 0, 0, 0
-    return best, best_h, best_i, best_j
+        return -1, 0, 0, 0, looked
+    return best, best_h, best_i, best_j, looked

@@ -5,12 +5,12 @@ only when, along a way driven, they are found at the same place again and again,
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import hypot, inf, pi
+from math import hypot, inf, pi, sqrt
 
 import numpy as np
 from pydantic import Field
 
-from services.mapper.branch_and_bound import BranchAndBoundConfig, Pyramid, drawn, search
+from services.mapper.branch_and_bound import BranchAndBoundConfig, Pyramid, drawn, search_cost, search_counted
 from services.mapper.keyframe import Keyframe
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.registration import Match, Prior, RegistrationConfig
@@ -24,6 +24,11 @@ MOST_POINTS = 2000  # of all keyframes together that are aligned at once
 LEAST_POINTS = 30  # of a keyframe that tells anything
 SAME, SAME_TURN = 0.3, 0.15  # m, rad: within these, two places are one
 ALWAYS = 0.02  # of the beams, that may speak against any place
+LOOKUPS = 1e10  # cells of a search that a second of CPU looks up
+WINDOWS = 1.4e6  # that it looks at in a second
+MAX_LOOKUPS = 2e10  # of a search around a guess; a wider one is cut
+MAX_REST = 60_000_000_000  # ns
+REST = 5.0  # s between two looks for each second of CPU that a look takes
 
 
 class FindingConfig(Section):
@@ -92,10 +97,12 @@ def places_of(
     guesses: Sequence[Pose2],
     config: FindingConfig,
     near: Pose2 | None = None,
-) -> list[Place]:
-    """Where `local` may lie on the map, by the keyframes together, best first; guesses: map_from_local, tried too.
+    about: Pose2 | None = None,
+) -> tuple[list[Place], float]:
+    """Where `local` may lie on the map, by the keyframes together, best first; and s of CPU that it takes, about.
 
-    near: a given map_from_local; it is looked for around that alone.
+    guesses: map_from_local, tried too.  near: a given map_from_local; it is looked for around that alone.
+    about: a map_from_local to look around on a map that is too wide to search the whole of it.
     """
     submap, pyramid = surface.made(config.search)
     newest = keyframes[-1].local_from_base
@@ -104,7 +111,7 @@ def places_of(
     points = np.concatenate([back @ p for back, (p, _) in zip(backs, surfaces)])
     normals = np.concatenate([Pose2(0, 0, back.yaw) @ n for back, (_, n) in zip(backs, surfaces)])
     if len(points) < LEAST_POINTS or submap.registrar.map.n < LEAST_POINTS:
-        return []
+        return [], 0.0
     stride = -(-len(points) // MOST_POINTS)
     some, some_normals = np.ascontiguousarray(points[::stride]), np.ascontiguousarray(normals[::stride])
     height, width = pyramid.levels[0].shape
@@ -113,10 +120,15 @@ def places_of(
     if near is not None:
         across, reach, turn = near @ newest, config.near, config.near_turn
     starts = [guess @ newest for guess in guesses]
+    cost = search_cost(points, pyramid, reach, turn, config.search)
+    if about is not None and cost > MAX_LOOKUPS:
+        across, reach, cost = about @ newest, reach * sqrt(MAX_LOOKUPS / cost), round(MAX_LOOKUPS)
+    seconds = 0.0
     for apart in (config.search.apart, config.wide):
-        found = search(
+        found, n_windows = search_counted(
             points, pyramid, across, reach, turn, config.score, config.search.model_copy(update={"apart": apart})
         )
+        seconds += cost / LOOKUPS + n_windows / WINDOWS
         starts += [candidate.pose for candidate in found if candidate.pose not in starts]
         if len(found) < 2:  # no rival near the best, so none farther off
             break
@@ -126,7 +138,7 @@ def places_of(
         place = _place(match, submap, keyframes, backs, surfaces, newest, config)
         if not any(one(place.map_from_local, other.map_from_local, newest) for other in places):
             places.append(place)
-    return sorted(places, key=lambda place: -place.balance)
+    return sorted(places, key=lambda place: -place.balance), seconds
 
 
 def _place(
@@ -192,6 +204,8 @@ class Finder:
         self.looked_at = -inf  # m driven, at the last look
         self.guesses: tuple[Pose2, ...] = ()
         self.near, self.n_near = near, 0  # and looks there in vain
+        self.rests_until: int | None = None  # ns, of a keyframe's stamp
+        self.about: Pose2 | None = None  # map_from_local to look around, on a map too wide to be searched
         self.stood: list[tuple[Pose2, float, int]] = []  # places, m driven when first found, looks that found them
         self.n_alone = 0  # looks in a row that found one of them alone
 
@@ -202,17 +216,25 @@ class Finder:
             self.driven += hypot(step.x, step.y)
         self.waiting.append((keyframe, match, doubt))
         del self.waiting[: -self.config.kept]
-        if self.surface is not None and not self.looking and self.driven - self.looked_at >= self.config.every:
+        due = self.driven - self.looked_at >= self.config.every and not self._rests(keyframe.stamp)
+        if self.surface is not None and not self.looking and due:
             self.looked_at, self.looking = self.driven, True
             newest = tuple(kept for kept, _, _ in self.waiting[-self.config.keyframes :])
-            yield Job(_looked, (self.epoch, self.surface, newest, self.guesses, self.config, self.near), "found", 0.5)
+            order = self.epoch, self.surface, newest, self.guesses, self.config, self.near, self.about
+            yield Job(_looked, order, "found", 0.5)
 
-    def take(self, result: tuple[int, list[Place]]) -> Pose2 | None:
+    def _rests(self, stamp: int) -> bool:
+        """Whether the last look took so long that the next one waits; not where the clock was set back."""
+        until = self.rests_until
+        return until is not None and until - MAX_REST <= stamp < until
+
+    def take(self, result: tuple[int, list[Place], float]) -> Pose2 | None:
         """What a look found; map_from_local where the robot's place is sure now."""
-        epoch, places = result
+        epoch, places, seconds = result
         if epoch != self.epoch:
             return None
         self.looking = False
+        self.rests_until = self.waiting[-1][0].stamp + min(round(REST * seconds * 1e9), MAX_REST)
         self.guesses = tuple(place.map_from_local for place in places[:4])
         here, before, self.stood = self.waiting[-1][0].local_from_base, self.stood, []
         for found in (place.map_from_local for place in places if place.sure):
@@ -250,5 +272,6 @@ def _looked(
     guesses: Sequence[Pose2],
     config: FindingConfig,
     near: Pose2 | None,
-) -> tuple[int, list[Place]]:
-    return epoch, places_of(surface, keyframes, guesses, config, near)
+    about: Pose2 | None,
+) -> tuple[int, list[Place], float]:
+    return epoch, *places_of(surface, keyframes, guesses, config, near, about)

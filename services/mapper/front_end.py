@@ -2,8 +2,8 @@
 """From scan to pose: prior, registration, the search where that fails, keyframes, and how sure all this is."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import exp, hypot
+from dataclasses import dataclass, replace
+from math import exp, hypot, inf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,13 @@ from services.mapper.belief import Belief, mean_doubt
 from services.mapper.correlative_match import SearchConfig, candidates
 from services.mapper.deskew import straightened, turned_back
 from services.mapper.keyframe import Sweep
+from services.mapper.motion_check import MotionCheck
 from services.mapper.occupancy import OccupancyConfig
-from services.mapper.odometry_error import SPAN, OdometryError
+from services.mapper.odometry_error import MAX_JITTER_S, SPAN, OdometryError
 from services.mapper.registration import Match, Prior, RegistrationConfig
 from services.mapper.submap import Submap
 from services.mapper.surface import sweep_lone, sweep_normals, sweep_usable
-from shared.config import Section
+from shared.config import Drive, Section
 from shared.geometry import Bools, Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import Localization, MapUpdate
@@ -36,6 +37,11 @@ SOON = 0.065  # s between two sweeps in which who walks goes no farther than a b
 MOST_WALKING = 0.9  # share of a sweep that may be left out: the rest, and odometry, still tell the place
 PATIENCE = 10  # scans that fit, but not well, until they are drawn all the same
 STRAYED = 0.3  # m that one who did not fit, or stood, may be off odometry where he fits again: rooms look alike
+DOUBT = 0.1  # share of the beams that must speak for a place as far off odometry as the drive goes meanwhile
+LATE = 0.03  # m, rad: what odometry that is late or comes in steps is off besides
+BEYOND = 0.15  # m, rad: lag and steps of odometry, beyond what the drive can do
+REACH, REACH_TURN = 0.2, 0.1  # m, rad, standard deviations of where odometry led while scans told another motion
+JUMP = 3.0  # standard deviations of a step from which a match is followed at once: no jitter is so large
 STANDS = 0.02  # m between two sweeps, by odometry and by what was matched before
 LEAST_BEAMS = 15  # that must agree with the map or contradict it, to tell anything
 
@@ -89,6 +95,11 @@ class Placed:
         return self.n_agree / max(self.n_agree + self.n_against, LEAST_BEAMS)
 
     @property
+    def tells(self) -> bool:
+        """Whether enough beams say anything."""
+        return self.n_agree + self.n_against >= LEAST_BEAMS
+
+    @property
     def balance(self) -> float:
         """Beams for the place less those against it, as a share of all."""
         return (self.n_agree - self.n_against) / max(len(self.match.agree), 1)
@@ -107,8 +118,9 @@ class FrontEnd:
         search: SearchConfig,
         occupancy: OccupancyConfig,
         range_max: float,
+        drive: Drive,
     ) -> None:
-        self.config, self.registration, self.search = config, registration, search
+        self.config, self.registration, self.search, self.drive = config, registration, search, drive
         self.odometry_error = OdometryError()
         self._settings = registration, occupancy, range_max
         self.start(Pose2())
@@ -121,12 +133,16 @@ class FrontEnd:
         self.belief = Belief()
         self.state = Localization.STARTING
         self.motion = Pose2()  # between the last two sweeps
+        self.smoothed = local_from_base  # the pose, less what odometry's jitter makes of it: the next prior starts here
         self.n_bad = 0  # scans that did not fit, since one fitted well
         self.n_poor = 0  # scans in a row that did not fit well
         self.fitted = False  # the last scan did, and told something
         self.reckoned = local_from_base  # where it would be by odometry alone since the last scan that fitted
+        self.unfit_path = self.unfit_turn = self.unfit_seconds = 0.0  # m, rad driven since then, and s
         self.seconds = SPAN  # between the last two sweeps
         self.busy = 0.0  # beams of a sweep on what stands free where all was free, in the mean, lately: on what moves
+        self.check = MotionCheck()
+        self.at_odds = False  # scans and odometry tell of different motions
         self.searches_next = False
         self.other_starts: list[Pose2] = []  # that the next search looks around too
 
@@ -160,6 +176,7 @@ class FrontEnd:
         stamp: ns, of the sweep.  seconds: since the last one.
         """
         self.seconds = seconds = seconds if seconds > 0 else SPAN  # else a clock was set back
+        self.odometry_error.hear(step, seconds)
         measured, step = step, self.odometry_error.corrected(step)
         measures = doubt <= 1  # else it is no odometry
         sweep, told, placed, n_moving, n_free = self._matched(
@@ -182,6 +199,8 @@ class FrontEnd:
         self.motion = self.local_from_base.inverse() @ placed.match.map_from_base
         if measures:
             self.odometry_error.learn(measured, self.motion, placed.match.information, seconds)
+            self.check.take(step, self.motion, seconds)
+        self._smooth(step, placed, measures)
         self.local_from_base = placed.match.map_from_base
         self.reckoned = self.reckoned @ step if measures else self.local_from_base
         # over a longer time who walks has gone on, and nothing of him agrees
@@ -191,10 +210,17 @@ class FrontEnd:
         n_told = placed.n_agree + placed.n_against + n_moving
         quality = placed.n_agree / max(n_told, LEAST_BEAMS)
         self._grade(quality, n_told >= LEAST_BEAMS, len(origins), stood)
+        self._judge_motion(sweep)
+        if measures and self.n_bad > 0 and quality < self.config.lost:  # what fits nothing says nothing of the place
+            self.local_from_base = self.smoothed = self.reckoned
         # a map drawn from a wrong place soon agrees with it; but where much has changed, nothing fits well for long
-        trusted = self.n_bad == 0 and (self.n_poor == 0 or self.n_poor > PATIENCE)
+        trusted = self.n_bad == 0 and (self.n_poor == 0 or self.n_poor > PATIENCE) and not self.at_odds
+        self.unfit_path += hypot(step.x, step.y)
+        self.unfit_turn += abs(step.yaw)
+        self.unfit_seconds += seconds
         if trusted:
             self.reckoned = self.local_from_base
+            self.unfit_path = self.unfit_turn = self.unfit_seconds = 0.0
         joins = trusted and self._moved_on() and len(sweep.points) > 0
         if joins:
             self.keyframe = self.local_from_base
@@ -208,6 +234,22 @@ class FrontEnd:
             self.local_from_base, self.belief.covariance, quality, self.state, placed.match, trusted, keyframe,
             origins, ends,
         )  # fmt: skip
+
+    def _smooth(self, step: Pose2, placed: Placed, measures: bool) -> None:
+        """Where the next step begins: odometry that comes in steps, or late, is not followed from side to side."""
+        expected, found = self.smoothed @ step, placed.match.map_from_base
+        error = self.odometry_error
+        gain, gain_turn = error.jitter.gain, error.jitter_turn.gain
+        off = expected.inverse() @ found
+        follows = not measures or self.seconds > MAX_JITTER_S
+        if follows or hypot(off.x, off.y) > JUMP * sqrt(error.jitter.variance):
+            gain = 1.0
+        if follows or abs(off.yaw) > JUMP * sqrt(error.jitter_turn.variance):
+            gain_turn = 1.0
+        if gain == gain_turn == 1.0:
+            self.smoothed = found
+        else:
+            self.smoothed = expected @ Pose2(gain * off.x, gain * off.y, gain_turn * off.yaw)
 
     def _matched(
         self, origins: Float64s, ends: Float64s, step: Pose2, doubt: float, skew: float, stamp: int
@@ -224,7 +266,7 @@ class FrontEnd:
             free = sweep_lone(origins, ends, True)[valid]
         if doubt <= 1:  # who has no odometry has nothing better to hold on to
             lone = free if busy else sweep_lone(origins, ends, False)[valid]
-            walking = self._may_walk(sweep, lone, self.local_from_base @ step, stamp)
+            walking = self._may_walk(sweep, lone, self.smoothed @ step, stamp)
         placed = self._placed(sweep.only(~walking), step, doubt, skew)
         moving = self.submap.grid.clear_at(placed.match.map_from_base @ sweep.points, self.config.clear_cells)
         n_moving, n_free = int(moving.sum()), int((moving & free).sum())
@@ -262,30 +304,56 @@ class FrontEnd:
 
         found: where more of its beams were placed.
         """
-        prior = self.odometry_error.prior(self.registration, self.local_from_base, step, doubt, skew, self.seconds)
+        prior = self.odometry_error.prior(self.registration, self.smoothed, step, doubt, skew, self.seconds)
         if self.submap.registrar.map.n == 0 or len(sweep.points) < LEAST_BEAMS:  # a few beams agree anywhere
             return Placed(self.submap.registrar.measured(sweep.points, sweep.normals, prior.map_from_base), 0)
-        unsure = self.odometry_error.prior(self.registration, self.local_from_base, step, LIED * doubt, skew)
+        unsure = self.odometry_error.prior(self.registration, self.smoothed, step, LIED * doubt, skew)
         best = self._aligned(sweep, prior.map_from_base, unsure if self.searches_next else prior)
-        if best.quality >= self.search.below and not self.searches_next:
-            return best
+        new_ground = doubt <= 1 and not best.tells
+        if not self.searches_next and (best.quality >= self.search.below or new_ground):
+            return best  # where it looks at what is new, another place would fit what is known only too well
         # odometry may lie: a slipping wheel, a stall, a wrong direction. The motion before this step is another guess
-        best = self._better(best, sweep, [self.local_from_base @ self.motion, *found], unsure)
+        odometry = unsure if doubt <= 1 and not self.searches_next else None
+        best = self._better(best, sweep, [self.local_from_base @ self.motion, *found], unsure, odometry)
         if best.quality < self.search.below or self.searches_next:
             starts = [prior.map_from_base, *self.other_starts]
             self.searches_next, self.other_starts = False, []
             guesses = [g for s in starts for g in candidates(sweep.points, self.submap.registrar.map, s, self.search)]
-            best = self._better(best, sweep, guesses, unsure)
+            best = self._better(best, sweep, guesses, unsure, odometry)
         return best
 
-    def _better(self, best: Placed, sweep: Sweep, guesses: list[Pose2], prior: Prior) -> Placed:
-        """The place, or one found from another guess that the beams clearly speak for."""
+    def _better(self, best: Placed, sweep: Sweep, guesses: list[Pose2], prior: Prior, odometry: Prior | None) -> Placed:
+        """The place, or one found from another guess that the beams clearly speak for.
+
+        odometry: where it leads, though it may lie; None where it says nothing.
+        """
+        best_doubt = self._doubt(best, odometry)
         for guess in guesses:
             other = self._aligned(sweep, guess, prior)
-            tells = other.n_agree + other.n_against >= LEAST_BEAMS  # out in the unknown nothing speaks against a place
-            if tells and other.balance > best.balance + self.search.gain:
-                best = other
+            if not other.tells:  # out in the unknown nothing speaks against a place
+                continue
+            doubt = self._doubt(other, odometry)
+            if doubt < inf and other.balance - doubt > best.balance - best_doubt + self.search.gain:
+                best, best_doubt = other, doubt
         return best
+
+    def _doubt(self, placed: Placed, odometry: Prior | None) -> float:
+        """Share of the beams that must speak for a place: the more, the farther off it is from all that may be known.
+
+        That is where odometry leads, and where the robot was. inf where the drive cannot have gone so far since the
+        last scan that fitted; 0 without odometry.
+        """
+        if odometry is None:
+            return 0.0
+        seconds = self.unfit_seconds + self.seconds
+        far, turned = self.drive.max_speed * seconds, self.drive.max_turn_rate * seconds
+        least = inf
+        for known in (odometry.map_from_base, self.local_from_base):
+            off = known.inverse() @ placed.match.map_from_base
+            way = hypot(off.x, off.y)
+            if way <= BEYOND + 1.5 * far and abs(off.yaw) <= BEYOND + 1.5 * turned:
+                least = min(least, (way / (LATE + far)) ** 2 + (off.yaw / (LATE + turned)) ** 2)
+        return DOUBT * least
 
     def _aligned(self, sweep: Sweep, guess: Pose2, prior: Prior) -> Placed:
         match = self.submap.registrar.register(sweep.points, sweep.normals, guess, prior, sweep.back)
@@ -294,7 +362,7 @@ class FrontEnd:
         return Placed(match, int(against.sum()))
 
     def _believe(self, sweep: Sweep, match: Match, step: Pose2, doubt: float) -> None:
-        prior = self.odometry_error.prior(self.registration, self.local_from_base, step, doubt)
+        prior = self.odometry_error.prior(self.registration, self.smoothed, step, doubt, smooth=True)
         # where speed alone is known, it may be wrong for long
         ahead = self.odometry_error.forward.sigma * hypot(step.x, step.y) if doubt <= 1 else prior.sigma
         registrar = self.submap.registrar
@@ -322,6 +390,28 @@ class FrontEnd:
         else:
             sure = quality >= self.config.good and self.belief.sigma <= self.config.sure
             self.state = Localization.GOOD if sure else Localization.POOR
+
+    def _judge_motion(self, sweep: Sweep) -> None:
+        """While scans and odometry disagree, nothing is sure. When they agree again, the scan says which was right."""
+        if self.n_bad > 0:  # what does not fit tells of no motion; how that ends is another matter
+            self.check.start()
+            self.at_odds = False
+        elif self.check.at_odds:
+            self.at_odds = True
+            self.state = Localization.LOST if self.check.is_lost else Localization.POOR
+        elif self.at_odds and self.check.seconds == 0:
+            self.at_odds = False
+            reckoned = self.reckoned
+            prior = Prior(reckoned, REACH, REACH_TURN)
+            here = self._aligned(sweep, self.local_from_base, replace(prior, map_from_base=self.local_from_base))
+            there = self._aligned(sweep, reckoned, prior)
+            if there.balance > here.balance + self.search.gain:
+                self.local_from_base = self.smoothed = there.match.map_from_base
+            elif here.quality >= self.config.good:
+                self.reckoned = self.local_from_base
+            else:
+                self.n_bad = 1
+            self.check.start()
 
     def _moved_on(self) -> bool:
         if self.keyframe is None:

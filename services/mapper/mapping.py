@@ -9,22 +9,24 @@ import numpy as np
 
 from services.mapper.arrivals import Arrival
 from services.mapper.astray import Astray
-from services.mapper.back_end import BackEnd
+from services.mapper.back_end import BackEnd, Gap
 from services.mapper.background import Background
 from services.mapper.finding import Finder, Place
 from services.mapper.front_end import FrontEnd, Tracked
 from services.mapper.keyframe import Keyframe
 from services.mapper.occupancy import Occupancy, OccupancyConfig
+from services.mapper.parts import FITS, MIN_KEYFRAMES, fits, gap_information
 from services.mapper.pose_graph import turned
 from services.mapper.saved_map import SavedMap
 from shared import topics
-from shared.geometry import Pose2
+from shared.geometry import Float64s, Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import Localization, MapMode, MapUpdate, PoseEstimate
 from shared.service import Log, Out
 
 ANYWHERE = np.diag((1e6, 1e6, 10.0))
 """Covariance (m^2, rad^2) of a robot that was not found on its map yet."""
+FITTING = 20.0  # scans of an unjoined part, over which the share of those that fit the map is averaged
 AWAY = 0.3
 """m driven while lost until the robot is looked for everywhere: a laser that was covered may see again at its place."""
 
@@ -54,6 +56,8 @@ class Mapping:
         self.saved: SavedMap | None = None  # what is left as it is
         self.known: Pose2 | None = None  # map_from_local of the next keyframe, which begins a session
         self.lost_for = 0.0  # m driven since the robot was lost
+        self.seeks_part = False  # the finder looks for a part that is not joined, beside mapping it
+        self.share = 1.0  # of the last scans of a part that is not joined, that fit the map at its place
 
     @property
     def changes(self) -> bool:
@@ -72,11 +76,30 @@ class Mapping:
         tracked = self.front_end.track(
             arrival.origins, arrival.ends, arrival.step, arrival.doubt, arrival.skew, arrival.end, arrival.seconds
         )
-        if tracked.trusted and not self.finder.searching and self.changes:
-            pose = self.map_from_base
-            self.grid.integrate(pose @ tracked.origins, pose @ tracked.ends, pose @ arrival.silent)
+        if tracked.trusted and self.placed and self.changes:
+            self._draw(arrival, tracked)
         self.tracked = tracked
         return tracked
+
+    @property
+    def placed(self) -> bool:
+        """Whether it is known where on the map the robot is, well enough to map on."""
+        return self.seeks_part or not self.finder.searching
+
+    @property
+    def in_part(self) -> bool:
+        """Whether the robot is in a part of the map that only odometry joins to the rest."""
+        return not self.back_end.joined
+
+    def _draw(self, arrival: Arrival, tracked: Tracked) -> None:
+        """Draws a scan. One of a part that is not joined to the rest may add to the map, not change it."""
+        pose = self.map_from_base
+        origins, ends = pose @ tracked.origins, pose @ tracked.ends
+        if self.in_part:
+            self.share += (float(fits(self.grid, origins, ends)) - self.share) / FITTING
+            if self.back_end.n_in_part < MIN_KEYFRAMES or not fits(self.grid, origins, ends):
+                return
+        self.grid.integrate(origins, ends, pose @ arrival.silent)
 
     def join(self, arrival: Arrival, tracked: Tracked) -> Out:
         """A placed scan joins the graph where the robot has moved on, or helps to find it."""
@@ -85,7 +108,7 @@ class Mapping:
                 arrival.end, tracked.local_from_base, tracked.origins, tracked.ends, arrival.silent, tracked.keyframe,
                 self.front_end.belief.carried,
             )  # fmt: skip
-            if self.finder.searching:
+            if not self.placed:
                 yield from self.finder.keep(keyframe, tracked.match, self.doubt)
             elif self.known is not None:
                 waiting = [(keyframe, tracked.match, self.doubt)]
@@ -93,12 +116,42 @@ class Mapping:
                 self.known = None
             else:
                 yield from self.loops.keep(keyframe, tracked.match, self.front_end.odometry_error, self.doubt)
+                yield from self._look_for_part(keyframe, tracked)
             self.doubt = 1.0
         self.lost_for += hypot(arrival.step.x, arrival.step.y)
-        if tracked.state is not Localization.LOST or self.finder.searching:
+        if tracked.state is not Localization.LOST or not self.placed or self.front_end.at_odds:
             self.lost_for = 0.0
-        if (self.lost_for >= AWAY and self.has_graph) or self._is_astray(tracked):
+        if self.lost_for >= AWAY and self.has_graph and not self.back_end.fixed:
+            yield from self._begin_part()
+        elif (self.lost_for >= AWAY and self.has_graph) or self._is_astray(tracked):
             yield from self._carried_away()
+
+    def _begin_part(self) -> Out:
+        """Scans do not fit while mapping: goes on by odometry in a new part of the map."""
+        front_end, back_end = self.front_end, self.back_end
+        motion = back_end.keyframes[-1].local_from_base.inverse() @ front_end.reckoned
+        back_end.begin_part(Gap(motion, front_end.unfit_path, front_end.unfit_turn))
+        front_end.start(front_end.reckoned)
+        self._stop_seeking()
+        self.share, self.lost_for = 1.0, 0.0
+        yield Log("WARNING", "scans do not fit: going on by odometry in a new part of the map")
+
+    def _stop_seeking(self) -> None:
+        self.finder.load(None)
+        self.seeks_part = False
+
+    def _look_for_part(self, keyframe: Keyframe, tracked: Tracked) -> Out:
+        """Looks for a part on the whole map where odometry puts it at a place that it does not fit."""
+        if not self.in_part:
+            if self.seeks_part:
+                self._stop_seeking()
+            return
+        if not self.finder.searching and self.share < FITS and self.back_end.n_in_part >= MIN_KEYFRAMES:
+            self.finder.load(self._earlier())
+            self.finder.about = self.back_end.map_from_local
+            self.seeks_part = True
+        if self.seeks_part:
+            yield from self.finder.keep(keyframe, tracked.match, self.doubt)
 
     def _is_astray(self, tracked: Tracked) -> bool:
         """Whether a map that does not change says that the robot is somewhere else."""
@@ -110,8 +163,10 @@ class Mapping:
     def estimate(self, arrival: Arrival, tracked: Tracked) -> PoseEstimate:
         """Where the robot is, as of a placed scan."""
         covariance, state = turned(tracked.covariance, self.back_end.map_from_local.yaw), tracked.state
-        if self.finder.searching:
+        if not self.placed:
             covariance, state = ANYWHERE, Localization.LOST
+        elif self.in_part:
+            covariance, state = self._unjoined(covariance, state)
         elif self.back_end.fixed and self.back_end.unheld > self.unheld and state is Localization.GOOD:
             state = Localization.POOR
         return PoseEstimate(
@@ -123,6 +178,15 @@ class Mapping:
             state,
             self.mode,
         )
+
+    def _unjoined(self, covariance: Float64s, state: Localization) -> tuple[Float64s, Localization]:
+        """Covariance and state of a robot in a part that only odometry joins to the rest of the map."""
+        gap = self.back_end.gap or self.back_end.bridged
+        covariance = covariance + np.linalg.inv(gap_information(gap.path, gap.turn))
+        stands = self.back_end.n_in_part >= MIN_KEYFRAMES and self.share >= FITS
+        if state is Localization.LOST or not stands:
+            return covariance, Localization.LOST
+        return covariance, Localization.POOR
 
     def publish(self, now: int) -> Out:
         """The tiles that changed."""
@@ -148,6 +212,11 @@ class Mapping:
         self.grid.settle()  # what was drawn since it was published
         whole = self.grid.whole(0)
         return SavedMap(back_end.graph.snapshot(), tuple(back_end.keyframes), np.array(back_end.driven), whole)
+
+    def _earlier(self) -> SavedMap:
+        """The present map without the part that is not joined to it."""
+        saved, n = self.snapshot(), self.back_end.session
+        return SavedMap(saved.graph.before(self.back_end.first), saved.keyframes[:n], saved.driven[:n], saved.tiles)
 
     def begin(self, now: int) -> None:
         """A new, empty map, that begins where the robot is."""
@@ -200,11 +269,16 @@ class Mapping:
         self.front_end.load(grid, tiles, map_from_base)
         self.finder.load(None)
 
-    def found(self, result: tuple[int, list[Place]]) -> Out:
+    def found(self, result: tuple[int, list[Place], float]) -> Out:
         """The robot was looked for on the map."""
         near = self.finder.near
         map_from_local = self.finder.take(result)
-        if map_from_local is not None:
+        if map_from_local is not None and self.in_part:
+            self.back_end.join_found(map_from_local)
+            yield Log("INFO", f"the new part of the map was found on the rest after {self.finder.driven:.1f} m")
+            self._stop_seeking()
+            yield from self.loops.settle()
+        elif map_from_local is not None:
             self.astray.start()
             self.back_end.found(map_from_local, self.finder.waiting, self.front_end.odometry_error)
             yield Log("INFO", f"found on the map after {self.finder.driven:.1f} m")
@@ -221,6 +295,7 @@ class Mapping:
             self.grid.load(tiles)
         self.loops.start()
         self.mode, self.saved, self.known, self.lost_for = mode, None, None, 0.0
+        self.seeks_part = False
 
     def _carried_away(self) -> Out:
         """The robot is lost: it may be anywhere."""

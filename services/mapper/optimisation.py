@@ -95,14 +95,14 @@ def _width(chi2: Float64s, gate: float) -> float:
 
 def _held(n: int, i: Int64s, j: Int64s, fixed: Bools) -> Bools:
     """The first node (n,) of each connected part that holds no fixed one."""
-    part = _parts(n, i, j)
+    part = connected(n, i, j)
     has_fixed = np.zeros(n, np.bool_)
     has_fixed[part[fixed]] = True
     return np.asarray((part == np.arange(n)) & ~has_fixed)
 
 
 @njit(cache=True, nogil=True)
-def _parts(n, i, j):  # type: ignore[no-untyped-def]  # compiled; -> (n,) int64, the first node that each is connected to
+def connected(n, i, j):  # type: ignore[no-untyped-def]  # compiled; -> (n,) int64, the first node that each is connected to
     """Union by the lower index, with path halving."""
     parent = np.arange(n)
     for k in range(len(i)):

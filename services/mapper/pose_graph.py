@@ -66,6 +66,14 @@ class Graph:
         if not _definite(self.information).all():
             raise ValueError("an edge's information is not symmetric and positive definite")
 
+    def before(self, node: int) -> "Graph":
+        """The part of it whose nodes have names under `node`, and the edges between them."""
+        n, within = int(np.searchsorted(self.nodes, node)), (self.i < node) & (self.j < node)
+        return Graph(
+            self.nodes[:n].copy(), self.poses[:n].copy(), self.fixed[:n].copy(),
+            *(getattr(self, f.name)[within] for f in fields(self)[3:]),
+        )  # fmt: skip
+
     def rows(self) -> tuple[Int64s, Int64s]:
         """Where `nodes` holds each edge's i and j: two (m,)."""
         return np.searchsorted(self.nodes, self.i), np.searchsorted(self.nodes, self.j)
@@ -197,6 +205,16 @@ class PoseGraph:
             information=information, loop=loop, on=True,
         )  # fmt: skip
         self._next_edge += 1
+
+    def disconnect(self, i: int, j: int) -> None:
+        """Drops all edges from node i to node j."""
+        self._edges.keep(~((self._edges["i"] == i) & (self._edges["j"] == j)))
+
+    def move(self, first: int, motion: Pose2) -> None:
+        """Moves the nodes from the name `first` on, as one: `motion` @ pose."""
+        rows = (self._nodes["node"] >= first) & ~self._nodes["fixed"]
+        poses = self._nodes["pose"]
+        poses[rows] = composed(np.array((motion.x, motion.y, motion.yaw)), poses[rows])
 
     def snapshot(self) -> Graph:
         """All of it as it is now."""

@@ -66,7 +66,9 @@ class MapperService(Service):
         self.config: MapperConfig = config
         range_max = robot.laser.range_max
         self.arrivals = Arrivals(config.odometry, config.occupancy, robot, config.blind_doubt)
-        self.front_end = FrontEnd(config.front_end, config.registration, config.search, config.occupancy, range_max)
+        self.front_end = FrontEnd(
+            config.front_end, config.registration, config.search, config.occupancy, range_max, robot.drive
+        )
         self.back_end = BackEnd(
             config.back_end, config.loops, config.pose_graph, config.registration, config.occupancy, range_max
         )
@@ -112,7 +114,7 @@ class MapperService(Service):
     def state(self) -> str:
         if self.mapping.tracked is None:
             return "waiting for a scan"
-        found = "looking for the robot on the map" if self.finder.searching else str(self.mapping.tracked.state)
+        found = "looking for the robot on the map" if not self.mapping.placed else str(self.mapping.tracked.state)
         words = f"{self.mapping.mode}: {found}, {len(self.grid.places)} tiles"
         dropped = sum(self.arrivals.n_dropped.values())
         words += f", {dropped} scans dropped" if dropped else ""
@@ -187,7 +189,7 @@ class MapperService(Service):
         if grid is not None:
             self.grid.become(grid)
 
-    def found(self, result: tuple[int, list[Place]]) -> Out:
+    def found(self, result: tuple[int, list[Place], float]) -> Out:
         """The robot was looked for on the saved map."""
         return self.mapping.found(result)
 

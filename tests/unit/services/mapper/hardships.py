@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What makes a mapper slip, one hardship a row, in a building with rooms, a corridor and doors.
 
-`python -m tests.unit.services.mapper.hardships` writes the table of how far from the truth each row ends.
+`python -m tests.unit.services.mapper.hardships` writes the table of how far from the truth each row ends;
+`... hardships 30` that of the rows that break a map, over 30 seeds.
 """
 
 import sys
@@ -116,6 +117,7 @@ class Hardship:
     noise: float = 0.01
     observed: bool = True  # whether the beams tell enough to be right
     far: float = 0.1  # m from the truth at most, where they do
+    seed: int = 1
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,7 @@ def course(row: Hardship) -> Course:
     """Drives a row."""
     robot = ROBOT.model_copy(update={"laser": row.laser})
     driven = Driven(row.segments, MapperConfig(), row.noise, robot)
-    driven.true = row.start
+    driven.true, driven.rng = row.start, np.random.default_rng(row.seed)
     odom, period = Pose2(), round(SECOND / row.laser.rate)
     rows = []
     for k, motion in enumerate((*STANDING, *row.motions)):
@@ -239,8 +241,68 @@ ROWS: dict[str, Hardship] = {
 }
 
 
-def table() -> Iterator[str]:
-    """Markdown, a line at a time."""
+DARK = range(60, 110)  # scans: 10 s
+NICHES = range(12)
+LONG_CORRIDOR = np.array(
+    [*wall(0, 100, 0.0, tuple(3.0 + 8 * k for k in NICHES)), *wall(0, 100, 2.4, tuple(6.0 + 8 * k for k in NICHES)),
+     (0, 0, 0, 2.4), (100, 0, 100, 2.4), *((3.0 + 8 * k, -0.4, 3.9 + 8 * k, -0.4) for k in NICHES),
+     *((6.0 + 8 * k, 2.8, 6.9 + 8 * k, 2.8) for k in NICHES)]
+)  # fmt: skip
+"""100 m with a niche every 8 m on both sides: from the middle, each stretch looks like the next."""
+TO_ITS_END = along(((2.0, 1.2), (97.0, 1.2), (3.0, 1.2)))
+
+
+def drifting(seed: int) -> Told:
+    """Odometry with a scale of its own, and noise of 2 % of each motion."""
+    rng = np.random.default_rng(1000 + seed)
+    forward, turn = rng.uniform(0.97, 1.03), rng.uniform(0.97, 1.03)
+
+    def told(_k: int, motion: Pose2) -> Pose2:
+        noise = rng.normal(size=2)
+        x = forward * motion.x + 0.02 * abs(motion.x) * noise[0]
+        return Pose2(x, 0.0, turn * motion.yaw + (0.02 * abs(motion.yaw) + 0.002 * abs(motion.x)) * noise[1])
+
+    return told
+
+
+def jumping(seed: int) -> Told:
+    """The same, and once it jumps by 0.8 m and 0.5 rad."""
+    told, at = drifting(seed), int(np.random.default_rng(seed).integers(40, 160))
+    return lambda k, motion: Pose2(0.6, 0.5, 0.5) if k == at else told(k, motion)
+
+
+def climbing(seed: int) -> Told:
+    """The same, and for 8 s the wheels slip on a ramp: they turn half as far again."""
+    told, begin = drifting(seed), int(np.random.default_rng(seed).integers(40, 140))
+
+    def slips(k: int, motion: Pose2) -> Pose2:
+        by_wheels = told(k, motion)
+        share = 1.5 if begin <= k < begin + 40 else 1.0
+        return Pose2(share * by_wheels.x, 0.0, by_wheels.yaw)
+
+    return slips
+
+
+def broken(seed: int) -> dict[str, Hardship]:
+    """What breaks a map: rows of one seed each."""
+    round_twice = tuple(along((*ROUND, *ROUND[-2::-1])))
+    base = Hardship(motions=round_twice, told=drifting(seed), seed=seed)
+    return {
+        "laser off for 10 s": replace(base, dropped=lambda k: k in DARK),
+        "odometry that jumps 0.8 m": replace(base, told=jumping(seed)),
+        "60 degrees of view, 2 m": replace(base, laser=laser(131, pi / 3, 2.0, rate=10)),
+        "wheels that slip on a ramp": replace(base, told=climbing(seed)),
+        "200 m of corridor that repeats": replace(
+            base, motions=tuple(TO_ITS_END), segments=LONG_CORRIDOR, start=Pose2(2.0, 1.2, 0.0)
+        ),
+    }
+
+
+def table(n_seeds: int = 0) -> Iterator[str]:
+    """Markdown, a line at a time; with seeds, of the rows that break a map."""
+    if n_seeds:
+        yield from broken_table(n_seeds)
+        return
     yield "| hardship | mean, m | max, m | max, deg | good | good though 0.3 m off | sigma, m, at the worst |"
     yield "| --- | --- | --- | --- | --- | --- | --- |"
     for name, row in ROWS.items():
@@ -252,7 +314,31 @@ def table() -> Iterator[str]:
         )
 
 
+def longest_wrong(c: Course, rate: float) -> float:
+    """s, the longest time in which a pose over WRONG from the truth was good."""
+    longest = run = 0
+    for wrong in c.good.astype(bool) & (c.away > WRONG):
+        run = run + 1 if wrong else 0
+        longest = max(longest, run)
+    return longest / rate
+
+
+def broken_table(n_seeds: int) -> Iterator[str]:
+    """Markdown: how the rows of `broken` end, over so many seeds."""
+    yield "| hardship | at the end, m: median | worst | on the way, m: median | worst | good though 0.3 m off, s |"
+    yield "| --- | --- | --- | --- | --- | --- |"
+    for name in broken(0):
+        rows = [broken(seed)[name] for seed in range(n_seeds)]
+        courses = [course(row) for row in rows]
+        ends, most = [c.away[-1] for c in courses], [c.away.max() for c in courses]
+        wrong = max(longest_wrong(c, row.laser.rate) for c, row in zip(courses, rows))
+        yield (
+            f"| {name} | {np.median(ends):.2f} | {max(ends):.2f} | {np.median(most):.2f} | {max(most):.2f} "
+            f"| {wrong:.1f} |"
+        )
+
+
 if __name__ == "__main__":
-    for line in table():
+    for line in table(int(sys.argv[1]) if len(sys.argv) > 1 else 0):
         sys.stdout.write(line + "\n")
         sys.stdout.flush()

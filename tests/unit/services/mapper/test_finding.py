@@ -192,7 +192,7 @@ def test_a_place_is_believed_where_little_speaks_against_it_beside_what_speaks_a
     driven.step(Pose2())
     for metres in range(4):
         finder.looked_at = float(metres)
-        found = finder.take((finder.epoch, [Place(Pose2(1, 1), best, True), Place(Pose2(1, 6), rival, True)]))
+        found = finder.take((finder.epoch, [Place(Pose2(1, 1), best, True), Place(Pose2(1, 6), rival, True)], 0.0))
     assert (found is not None) is believed
 
 
