@@ -24,11 +24,12 @@ MOST_POINTS = 2000  # of all keyframes together that are aligned at once
 LEAST_POINTS = 30  # of a keyframe that tells anything
 SAME, SAME_TURN = 0.3, 0.15  # m, rad: within these, two places are one
 ALWAYS = 0.02  # of the beams, that may speak against any place
+BUILDING = 2e-3  # s of CPU for each keyframe of a map that is searched
 LOOKUPS = 1e10  # cells of a search that a second of CPU looks up
 WINDOWS = 1.4e6  # that it looks at in a second
 MAX_LOOKUPS = 2e10  # of a search around a guess; a wider one is cut
-MAX_REST = 60_000_000_000  # ns
-REST = 5.0  # s between two looks for each second of CPU that a look takes
+MAX_REST = 60_000_000_000  # ns between two looks
+REST, PART_REST = 5.0, 20.0  # the same for a robot that waits to be found, and for one that maps meanwhile
 
 
 class FindingConfig(Section):
@@ -78,6 +79,7 @@ class Surface:
     ) -> None:
         self._saved, self._settings = saved, (registration, occupancy, range_max)
         self._made: tuple[Submap, Pyramid] | None = None
+        self.seconds = BUILDING * len(saved.keyframes)  # of CPU, that making it takes, about
 
     def made(self, config: BranchAndBoundConfig) -> tuple[Submap, Pyramid]:
         """What to align with, and pictures to search in."""
@@ -123,7 +125,7 @@ def places_of(
     cost = search_cost(points, pyramid, reach, turn, config.search)
     if about is not None and cost > MAX_LOOKUPS:
         across, reach, cost = about @ newest, reach * sqrt(MAX_LOOKUPS / cost), round(MAX_LOOKUPS)
-    seconds = 0.0
+    seconds = surface.seconds
     for apart in (config.search.apart, config.wide):
         found, n_windows = search_counted(
             points, pyramid, across, reach, turn, config.score, config.search.model_copy(update={"apart": apart})
@@ -187,11 +189,15 @@ class Finder:
         self.config = config
         self._settings = registration, occupancy, range_max
         self.epoch = 0
+        self.rests_until: int | None = None  # ns, of a keyframe's stamp
         self.load(None)
 
-    def load(self, saved: SavedMap | None) -> None:
-        """Looks for the robot on this map from now on; without one, on none."""
-        self.surface = Surface(saved, *self._settings) if saved is not None else None
+    def load(self, saved: SavedMap | None, rest: float = REST) -> None:
+        """Looks for the robot on this map from now on; without one, on none.
+
+        rest: s between two looks for each second of CPU that a look takes.
+        """
+        self.surface, self.rest = Surface(saved, *self._settings) if saved is not None else None, rest
         self.start()
 
     def start(self, near: Pose2 | None = None) -> None:
@@ -204,7 +210,6 @@ class Finder:
         self.looked_at = -inf  # m driven, at the last look
         self.guesses: tuple[Pose2, ...] = ()
         self.near, self.n_near = near, 0  # and looks there in vain
-        self.rests_until: int | None = None  # ns, of a keyframe's stamp
         self.about: Pose2 | None = None  # map_from_local to look around, on a map too wide to be searched
         self.stood: list[tuple[Pose2, float, int]] = []  # places, m driven when first found, looks that found them
         self.n_alone = 0  # looks in a row that found one of them alone
@@ -234,7 +239,7 @@ class Finder:
         if epoch != self.epoch:
             return None
         self.looking = False
-        self.rests_until = self.waiting[-1][0].stamp + min(round(REST * seconds * 1e9), MAX_REST)
+        self.rests_until = self.waiting[-1][0].stamp + min(round(self.rest * seconds * 1e9), MAX_REST)
         self.guesses = tuple(place.map_from_local for place in places[:4])
         here, before, self.stood = self.waiting[-1][0].local_from_base, self.stood, []
         for found in (place.map_from_local for place in places if place.sure):

@@ -11,7 +11,7 @@ from services.mapper.arrivals import Arrival
 from services.mapper.astray import Astray
 from services.mapper.back_end import BackEnd, Gap
 from services.mapper.background import Background
-from services.mapper.finding import Finder, Place
+from services.mapper.finding import PART_REST, Finder, Place
 from services.mapper.front_end import FrontEnd, Tracked
 from services.mapper.keyframe import Keyframe
 from services.mapper.occupancy import Occupancy, OccupancyConfig
@@ -147,7 +147,7 @@ class Mapping:
                 self._stop_seeking()
             return
         if not self.finder.searching and self.share < FITS and self.back_end.n_in_part >= MIN_KEYFRAMES:
-            self.finder.load(self._earlier())
+            self.finder.load(self._earlier(), PART_REST)
             self.finder.about = self.back_end.map_from_local
             self.seeks_part = True
         if self.seeks_part:
