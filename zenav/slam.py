@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from services.mapper.registration import Registrar, RegistrationConfig
 from services.mapper.saved_map import SavedMap
 from services.mapper.service import MapperConfig, MapperService
 from shared.config import Drive, Laser, Robot, UserError
@@ -119,6 +120,11 @@ def _moved(estimate: PoseEstimate, pose: Pose2) -> PoseEstimate:
     """The estimate, had it been this pose."""
     odom_from_base = estimate.map_from_odom.inverse() @ estimate.map_from_base
     return replace(estimate, map_from_base=pose, map_from_odom=pose @ odom_from_base.inverse())
+
+
+def registering(registrar: Registrar) -> MapperConfig:
+    """The mapper's settings, all as they are but the registrar."""
+    return MapperConfig(registration=RegistrationConfig(registrar=registrar))
 
 
 def slam(
@@ -329,6 +335,7 @@ def _report(
             "p01": round(float(np.percentile(quality, 1)), 4),
         },
         "mode": run.mode,
+        "registrar": run.mapper.config.registration.registrar,
         "states": {state: states.count(state) for state in sorted(set(states))},
         "keyframes": len(run.mapper.back_end.keyframes),
         "loops": run.mapper.back_end.n_loops,

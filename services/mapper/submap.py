@@ -45,7 +45,7 @@ class Submap:
         there = np.isfinite(points[:, 0])
         gone = np.zeros(len(points), np.bool_)
         gone[there] = self.grid.clear_at(points[there], 1)
-        self.registrar.map.forget(gone)
+        self.registrar.forget(gone)
 
     def draw(self, origins: Float64s, ends: Float64s) -> None:
         """Draws beams, (n, 2) m in its frame."""

@@ -11,6 +11,7 @@ from zenav.commands.parts import (
     BaseFrame,
     Command,
     OdomFrame,
+    Registrar,
     Setting,
     Stack,
     TopicOdom,
@@ -38,6 +39,7 @@ def slam(
     topic_odom: TopicOdom = "",
     base_frame: BaseFrame = "",
     odom_frame: OdomFrame = "",
+    registrar: Registrar = "line",
 ) -> None:
     """Make a map of a logged drive, or find the robot on a saved one.
 
@@ -46,7 +48,7 @@ def slam(
     from zenav.convert.content import Choice
     from zenav.files import slam
 
-    slam(log, out, mode, saved_map, Choice(topic_scan, topic_odom, "", base_frame, odom_frame))
+    slam(log, out, mode, saved_map, Choice(topic_scan, topic_odom, "", base_frame, odom_frame), registrar)
 
 
 @app.command(cls=Command, rich_help_panel=FILES)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from zenav.commands.parts import Command, Out, RobotName, Seeds, Setting, World, group
+from zenav.commands.parts import Command, Out, Registrar, RobotName, Seeds, Setting, World, group
 
 bench = group("Measure: a table here, JSON in a file.")
 
@@ -179,6 +179,7 @@ def bench_slam(
     ],
     out: Out = None,
     logs: Annotated[str, typer.Option(help="Only these, separated by commas.", metavar="A,B")] = "",
+    registrar: Registrar = "line",
 ) -> None:
     """Map every log of a folder that has a reference: errors, CPU time and memory; a Markdown table beside the JSON.
 
@@ -186,4 +187,4 @@ def bench_slam(
     """
     from zenav.bench.slam import slam
 
-    raise typer.Exit(slam(directory, [name for name in logs.split(",") if name], out))
+    raise typer.Exit(slam(directory, [name for name in logs.split(",") if name], out, registrar))
