@@ -26,8 +26,9 @@ from shared.topics import Publication
 from zenav.convert.content import Choice, mount_of, range_max_of
 from zenav.convert.records import Log, LoggedPose, LoggedScan
 from zenav.convert.source import read_log
+from zenav.foreign_map import read_map
 from zenav.odometry_lag import odometry_lag
-from zenav.saved_map import map_files, read_saved_map
+from zenav.saved_map import map_files
 from zenav.store import replace_together
 
 Float64s = NDArray[np.float64]
@@ -178,7 +179,7 @@ def _loaded(mode: Mode, folder: Path | None, config: MapperConfig) -> SavedMap |
         )
     if folder is None:
         return None
-    saved = read_saved_map(folder)
+    saved = read_map(folder, config.occupancy.resolution)
     if not saved.keyframes:
         raise UserError(f"{folder}: the map holds no keyframes", "make one: zenav slam LOG --out DIR")
     if mode == "continue" and saved.tiles.resolution != config.occupancy.resolution:

@@ -34,7 +34,9 @@ def slam(
         Literal["map", "localise", "continue"],
         typer.Option(help="A new map; the robot found on a saved one, which stays; a saved one that goes on."),
     ] = "map",
-    saved_map: Annotated[Path | None, typer.Option("--map", help="Folder of the saved map.", metavar="DIR")] = None,
+    saved_map: Annotated[
+        Path | None, typer.Option("--map", help="Folder of the saved map, or a YAML of ROS map_server.", metavar="DIR")
+    ] = None,
     topic_scan: TopicScan = "",
     topic_odom: TopicOdom = "",
     base_frame: BaseFrame = "",

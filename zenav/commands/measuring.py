@@ -2,7 +2,7 @@
 """`zenav bench`. Only parsing; work is imported when it is due."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -101,6 +101,10 @@ def bench_localise(
     out: Out = None,
     robot: RobotName = "x80sv",
     set_: Setting = None,
+    map_format: Annotated[
+        Literal["zenav", "ros"], typer.Option(help="The stack's own maps, or pgm and yaml made of them.")
+    ] = "zenav",
+    cell: Annotated[float, typer.Option(min=0.05, max=0.5, help="m a cell of the pgm, a multiple of 0.05.")] = 0.05,
 ) -> None:
     """Find the robot from nowhere on saved maps of made-up buildings; carry it away and find it again.
 
@@ -108,7 +112,7 @@ def bench_localise(
     """
     from zenav.bench.localise import localise as run
 
-    raise typer.Exit(run(robot, buildings, poses, jobs, maps, out, set_ or []))
+    raise typer.Exit(run(robot, buildings, poses, jobs, maps, out, set_ or [], cell if map_format == "ros" else 0.0))
 
 
 @bench.command("sim", cls=Command)
