@@ -71,6 +71,14 @@ def saved_map_of(tiles: MapUpdate, resolution: float) -> SavedMap:
     return SavedMap(_exact(poses), tuple(keyframes), np.concatenate(((0.0,), np.cumsum(steps))), tiles)
 
 
+def cast(map_id: int, tiles: MapUpdate) -> tuple[int, SavedMap | None]:
+    """The map of that id with keyframes in cells as they are; None where it holds nothing to find a robot by."""
+    try:
+        return map_id, saved_map_of(tiles, tiles.resolution)
+    except UserError:
+        return map_id, None
+
+
 def resampled(grid: OccupancyGrid, resolution: float) -> MapUpdate:
     """A grid's cells on cells of `resolution` m."""
     if grid.resolution == resolution:

@@ -10,12 +10,14 @@ from services.mapper.grid_keyframes import saved_map_of, viewpoints
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.saved_map import packed, unpacked
 from services.mapper.service import MapperConfig
+from shared import requests
 from shared.config import UserError
 from shared.geometry import Pose2
 from shared.grid import FREE_UP_TO, OCCUPIED_FROM, OccupancyGrid, update_of_cells
-from shared.messages import Localization
+from shared.messages import Localization, MapMode
+from shared.requests import LoadMap, StartMap
 from tests.unit.services.mapper.buildings import ALIKE, Building, drives, saved_by
-from tests.unit.services.mapper.rooms import ROOM, Driven
+from tests.unit.services.mapper.rooms import ROOM, Asker, Driven
 
 SHUT = np.array([*ALIKE, (2.0, 5, 4.0, 5), (9.0, 5, 11, 5)])
 START = Pose2(6.5, 6.0, 0.0)
@@ -264,3 +266,42 @@ def test_a_map_that_tells_nothing_is_refused_with_a_hint(cells, told):
     with pytest.raises(UserError, match=told) as error:
         saved_map_of(update_of_cells(cells, 0.05, 0.0, 0.0), 0.05)
     assert "zenav map show" in error.value.mend
+
+
+def loaded(segments, tiles, pose, at, mode):
+    """A mapper that was given tiles near a pose, in a mode."""
+    driven = Driven(segments, noise=0.01)
+    driven.true = pose
+    asker = Asker(driven)
+    assert asker.ask(requests.LOAD_MAP, LoadMap(driven.now, tiles, at)).accepted
+    assert asker.ask(requests.START_MAP, StartMap(driven.now, mode, 0, ())).accepted
+    return driven
+
+
+@pytest.mark.parametrize("wrong", [False, True])
+def test_tiles_that_are_loaded_near_a_pose_get_keyframes_and_the_robot_is_looked_for_on_all_of_them(building, wrong):
+    alike, tiles, first = building
+    rng = np.random.default_rng(4)
+    at = Pose2(3.0, 2.5, 0.5)
+    driven = loaded(ALIKE, tiles, at, first.inverse() @ (START if wrong else at), MapMode.LOCALISE)
+    found = None
+    for metres in drives(driven, alike, 14, rng):
+        if driven.poses[-1].state is Localization.GOOD and driven.mapper.back_end.n_loops > 0:
+            found = metres
+            break
+    assert found is not None
+    assert off(driven, first)[0] < 0.15
+    assert ("lost: looking for the robot on the whole map" in driven.logs) is wrong
+    np.testing.assert_array_equal(driven.mapper.grid.whole(0).cells, tiles.cells)
+
+
+def test_tiles_that_are_loaded_are_continued(building):
+    alike, tiles, first = building
+    driven = loaded(ALIKE, tiles, START, first.inverse() @ START, MapMode.CONTINUE)
+    for _ in drives(driven, alike, 12, np.random.default_rng(4)):
+        pass
+    assert driven.poses[-1].state is Localization.GOOD
+    assert off(driven, first)[0] < 0.1
+    back_end = driven.mapper.back_end
+    assert back_end.n_loops > 5
+    assert len(back_end.keyframes) > back_end.session > 20
