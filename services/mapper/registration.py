@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a scan is aligned with the map: one interface, two registrars.
+"""How a scan is aligned with the map, by distances to its surfaces.
 
-Both follow KISS-ICP (Vizzo et al., RA-L 2023): robust ICP against a thinned map of points from a motion prior. `line`
-minimises the distance to the surfaces (Censi, ICRA 2008) where the map knows their direction; `kiss` is the package.
+As KISS-ICP (Vizzo et al., RA-L 2023): robust ICP against a thinned map of points from a motion prior. It minimises the
+distance to the surfaces (Censi, ICRA 2008) where the map knows their direction. kiss_registration has the package.
 """
 
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from pydantic import Field
 from services.mapper.deskew import turned_back
 from services.mapper.point_map import PointMap, nearest
 from shared.config import Section
-from shared.geometry import Pose2, wrapped
+from shared.geometry import Pose2
 
 Float64s = NDArray[np.float64]
 Int64s = NDArray[np.int64]
@@ -46,9 +46,6 @@ class RegistrationConfig(Section):
 
 
 SHARE = 0.06  # of the beams, under which they say little about a direction: noise of the normals, clutter
-VOXEL, MAX_POINTS_IN_VOXEL = 0.5, 20  # m, and points; of the kiss-icp package's map: 0.11 m between two
-MAX_KISS_ITERATIONS = 100
-MIN_THRESHOLD = 0.1  # m, of the kiss-icp package's kernel: its map has a point in 0.11 m
 TWIST = 0.006  # rad, standard deviation of a sweep's twist about its share of the turn between two sweeps
 
 
@@ -134,90 +131,8 @@ class LineRegistrar:
         )
 
 
-class KissRegistrar(LineRegistrar):
-    """The kiss-icp package's voxel map and registration, fused with the odometry prior; measured as for `line`.
-
-    The package minimises over the pose alone, point to point, without a prior. So the prior enters around it: its
-    standard deviation is the adaptive threshold, which in KISS-ICP too is how far the prediction was off of late; the
-    aligned pose is fused with it by their information; and a sweep's twist is its share of the turn that odometry
-    missed, not a fourth unknown.
-    """
-
-    def __init__(self, config: RegistrationConfig, range_max: float) -> None:
-        super().__init__(config, range_max)
-        from kiss_icp.mapping import VoxelHashMap
-        from kiss_icp.registration import Registration
-
-        self._voxels = VoxelHashMap(VOXEL, max(range_max, 1.0), MAX_POINTS_IN_VOXEL)
-        self._registration = Registration(MAX_KISS_ITERATIONS, 1e-4, max_num_threads=1)
-
-    def clear(self) -> None:
-        super().clear()
-        self._voxels.clear()
-
-    def extend(self, points: Float64s, normals: Float64s) -> None:
-        super().extend(points, normals)
-        self._voxels.add_points(_solid(points))
-
-    def forget(self, gone: Bools) -> None:
-        super().forget(gone)
-        if gone.any():  # the package removes points by their distance alone
-            points = self.map.points[: self.map.n, :2]
-            self._voxels.clear()
-            self._voxels.add_points(_solid(points[np.isfinite(points[:, 0])]))
-
-    def register(
-        self, points: Float64s, normals: Float64s, start: Pose2, prior: Prior, back: Float64s | None = None
-    ) -> Match:
-        if not len(points) or self._voxels.empty():
-            return self.measured(points, normals, prior.map_from_base)
-        sigma = self.threshold(prior)
-        pose, twist = self._aligned(points, start, sigma), 0.0
-        if back is not None and prior.skew > 0:
-            twist = prior.skew * wrapped(pose.yaw - prior.map_from_base.yaw)
-            points, normals = turned_back(points, back, twist), turned_back(normals, back, twist)
-            pose = self._aligned(points, pose, sigma)
-        fused = _fused(self.measured(points, normals, pose), prior)
-        return replace(self.measured(points, normals, fused), twist=twist)
-
-    def threshold(self, prior: Prior) -> float:
-        """m: the kernel, a third of the farthest match; how far odometry may be off, at the laser's range."""
-        off = prior.sigma + 2 * self.range_max * sin(min(prior.sigma_turn, pi) / 2)
-        return float(min(max(off, MIN_THRESHOLD), max(self.config.gate, MIN_THRESHOLD)))
-
-    def _aligned(self, points: Float64s, start: Pose2, sigma: float) -> Pose2:
-        moved = self._registration.align_points_to_map(
-            points=_solid(points), voxel_map=self._voxels, initial_guess=_matrix(start),
-            max_correspondance_distance=3 * sigma, kernel=sigma,
-        )  # fmt: skip
-        return Pose2(float(moved[0, 3]), float(moved[1, 3]), float(np.arctan2(moved[1, 0], moved[0, 0])))
-
-
-def _fused(match: Match, prior: Prior) -> Pose2:
-    """The mean of a match and the prior, weighted by their information: one update of an extended Kalman filter."""
-    own = np.diag((1 / prior.sigma**2, 1 / prior.sigma**2, 1 / prior.sigma_turn**2))
-    at, guess = match.map_from_base, prior.map_from_base
-    off = np.array((at.x - guess.x, at.y - guess.y, wrapped(at.yaw - guess.yaw)))
-    x, y, yaw = np.linalg.solve(match.information + own, match.information @ off).tolist()
-    return Pose2(guess.x + x, guess.y + y, wrapped(guess.yaw + yaw))
-
-
-REGISTRARS: dict[str, type[LineRegistrar]] = {"line": LineRegistrar, "kiss": KissRegistrar}
-
-
 def _row(pose: Pose2) -> Float64s:
     return np.array((pose.x, pose.y, pose.yaw))
-
-
-def _solid(points: Float64s) -> Float64s:
-    return np.column_stack((points, np.zeros(len(points))))
-
-
-def _matrix(pose: Pose2) -> Float64s:
-    matrix = np.eye(4)
-    matrix[:2, :2] = (cos(pose.yaw), -sin(pose.yaw)), (sin(pose.yaw), cos(pose.yaw))
-    matrix[:2, 3] = pose.x, pose.y
-    return matrix
 
 
 @njit(cache=True, nogil=True)

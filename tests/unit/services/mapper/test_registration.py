@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from services.mapper.deskew import turned_back
 from services.mapper.odometry_error import OdometryError, Scale
-from services.mapper.registration import REGISTRARS, Prior, RegistrationConfig
+from services.mapper.registration import Prior, RegistrationConfig
+from services.mapper.submap import REGISTRARS
 from services.mapper.surface import sweep_normals
 from shared.geometry import Pose2, wrapped
 from tests.unit.services.mapper.rooms import CORRIDOR, ROOM, sweep
