@@ -47,7 +47,10 @@ def saved_map_of(tiles: MapUpdate, resolution: float) -> SavedMap:
     of the graph is fixed. Raises UserError where the tiles hold nothing to find a robot by, or lie too far apart.
     """
     if len(tiles.rows) and (int(np.ptp(tiles.rows)) + 1) * (int(np.ptp(tiles.columns)) + 1) > MAX_TILES:
-        raise UserError("the map's tiles lie too far apart to be one building", "cut it: zenav map convert")
+        raise UserError(
+            "the map's tiles lie too far apart to be one building",
+            "are there stray cells far away? cut the picture in a drawing program",
+        )
     source = OccupancyGrid(tiles.resolution, tiles.map_id)
     source.apply(tiles)
     if not source.occupied.any():

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A grid of another program is as good as a map of the mapper's own: the robot is found on it, and it is continued."""
 
+from dataclasses import replace
 from math import hypot
 
 import numpy as np
@@ -305,3 +306,9 @@ def test_tiles_that_are_loaded_are_continued(building):
     back_end = driven.mapper.back_end
     assert back_end.n_loops > 5
     assert len(back_end.keyframes) > back_end.session > 20
+
+
+def test_a_map_whose_tiles_lie_too_far_apart_is_refused():
+    tiles = drawn_from(ROOM, 0.05)
+    with pytest.raises(UserError, match="too far apart"):
+        saved_map_of(replace(tiles, rows=np.linspace(-30000, 30000, len(tiles.rows)).astype(np.int32)), 0.05)
