@@ -311,6 +311,13 @@ def test_generated_docs_are_fresh(page):
     rule(written == docs.PAGES[page](), f"docs/{page} is not what the code says", "make docs")
 
 
+def test_only_the_kiss_registrar_loads_its_package():
+    code = "import sys, services.mapper.service; sys.stdout.write(' '.join(sys.modules))"
+    loaded = set(subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True).stdout.split())
+    rule("services.mapper.registration" in loaded, "the mapper is not where it was", "mend this test")
+    rule("kiss_icp" not in loaded, "the mapper loads kiss_icp", "import it where KissRegistrar is made")
+
+
 @pytest.mark.parametrize("command", ["zenav", "zenav.classes"])
 def test_importing_the_command_line_loads_nothing_heavy(command):
     heavy = {"zenoh", "numba", "scipy", "kiss_icp"}

@@ -29,15 +29,21 @@ def progress_bar(text: str) -> Iterator[Callable[[float], None]]:
 
 
 def slam(
-    log: Path, out: Path, mode: Literal["map", "localise", "continue"], saved_map: Path | None, choice: "Choice"
+    log: Path,
+    out: Path,
+    mode: Literal["map", "localise", "continue"],
+    saved_map: Path | None,
+    choice: "Choice",
+    registrar: Literal["line", "kiss"] = "line",
 ) -> None:
     """The mapper over a log; writes into `out` and says what came of it."""
     if not log.exists():
         raise UserError(f"there is no log {log}", "give the path of a CARMEN log, a bag or a recording")
+    from zenav.slam import registering
     from zenav.slam import slam as run
 
     with progress_bar(log.name) as progress:
-        report = run(log, out, progress, mode=mode, saved_map=saved_map, choice=choice)
+        report = run(log, out, progress, registering(registrar), mode=mode, saved_map=saved_map, choice=choice)
     sys.stdout.write(
         f"{out}/map.png: {report['scans_placed']} of {report['scans']} scans, {report['length_m']:.1f} m, "
         f"{report['loops']} loops closed, {report['cpu_s']:.1f} s of CPU\n"

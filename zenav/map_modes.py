@@ -8,18 +8,19 @@ from pathlib import Path
 from threading import Event
 
 from services.mapper.saved_map import packed, unpacked
-from shared import requests, topics
-from shared.config import load_robot
+from services.mapper.service import MapperConfig
+from shared import topics
+from shared.config import RobotFile, load_robot
 from shared.geometry import Pose2, wrapped
-from shared.messages import Localization, MapMode, MapUpdate, PoseEstimate
+from shared.messages import Localization, MapMode, PoseEstimate
 from shared.reasons import NO_GRAPH, POSE_OLD
-from shared.requests import LoadMap
 from shared.runners.transport import where_from
 from zenav.client import Client
-from zenav.drive import RefusedError, refusal
+from zenav.drive import RefusedError
+from zenav.foreign_map import is_picture, read_map
 from zenav.map_transfer import fetched, given, started
-from zenav.maps import FOLDER, found, picture_files, present, update_of, whereabouts
-from zenav.saved_map import GRAPH, map_files, read_saved_map
+from zenav.maps import FOLDER, found, picture_files, present, whereabouts
+from zenav.saved_map import GRAPH, map_files
 from zenav.store import replace_together
 from zenav.zones import follow_map, zones_in
 
@@ -30,22 +31,35 @@ FOUND = 6.0  # s within which a robot is found near a given pose, or where the m
 
 @dataclass(frozen=True, slots=True)
 class OnMap:
-    """A saved map that the mapper is to take, the mode, and where the robot is on it, if anybody knows."""
+    """A saved map that the mapper is to take, the mode, and where the robot is on it, if anybody knows.
+
+    picture: the YAML, where that alone is meant: another program's map has no graph.
+    """
 
     folder: Path
     mode: MapMode
     at: At | None
+    picture: Path | None = None
 
-    def read(self) -> bytes:
-        """Its graph. Raises UserError where there is none, or it is damaged, foreign or a newer program's, or its zones
-        are wrong.
+    @classmethod
+    def of(cls, place: str, mode: MapMode, at: At | None) -> "OnMap":
+        """The map of a name below maps/, a folder, or the path of a YAML. Raises UserError where there is none."""
+        path = found(place)
+        return cls(path.parent, mode, at, path if is_picture(Path(place)) else None)
+
+    def read(self, file: RobotFile) -> bytes:
+        """Its graph, for the mapper of a robot. Raises UserError where there is no map, or it is damaged, foreign or a
+        newer program's, or its zones are wrong.
         """
         zones_in(self.folder)
-        return packed(read_saved_map(self.folder))
+        resolution = file.section("mapper", MapperConfig).occupancy.resolution
+        return packed(read_map(self.picture or self.folder, resolution))
 
     def files(self) -> list[str]:
         """Paths of the files that it is made of."""
-        names = (GRAPH, "map.yaml", "map.pgm")
+        names: tuple[str, ...] = (GRAPH, "map.yaml", "map.pgm")
+        if self.picture is not None:
+            names = tuple(self.picture.with_suffix(suffix).name for suffix in (self.picture.suffix, ".pgm", ".png"))
         return [str((self.folder / name).resolve()) for name in names if (self.folder / name).is_file()]
 
     def give(self, client: Client, content: bytes) -> None:
@@ -74,15 +88,10 @@ def save(robot: str, stack: str, place: str) -> None:
 
 def load(robot: str, stack: str, place: str, mode: MapMode, at: At | None) -> int:
     """Gives a saved map to the mapper, which finds the robot on it: near `at`, or wherever it is."""
-    folder = found(place).parent
-    zones_in(folder)  # what is wrong with them is told before the map is another one
+    on_map = OnMap.of(place, mode, at)
+    content = on_map.read(load_robot(robot))
     with _connected(robot, stack) as client:
-        on_map = OnMap(folder, mode, at)
-        if (folder / GRAPH).is_file() and not place.endswith(".yaml"):
-            on_map.give(client, on_map.read())
-        else:
-            _give_tiles(client, update_of(found(place)), mode, at)
-            follow_map(client, folder)
+        on_map.give(client, content)
         return _tell_place(client)
 
 
@@ -93,16 +102,6 @@ def change(robot: str, stack: str, mode: MapMode, at: At | None) -> int:
         if mode is MapMode.MAP:
             follow_map(client, None)
         return _tell_place(client)
-
-
-def _give_tiles(client: Client, update: MapUpdate, mode: MapMode, at: At | None) -> None:
-    """A map without a graph, as another program made it: near a pose, by default its origin."""
-    reply = client.ask(
-        requests.LOAD_MAP, LoadMap(client.now(), update, _pose(at) or Pose2(0.0, 0.0, 0.0)), timeout=20.0
-    )
-    if not reply.accepted:
-        raise refusal(reply)
-    started(client, Event().wait, mode)
 
 
 def _tell_place(client: Client) -> int:

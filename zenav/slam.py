@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from services.mapper.registration import Registrar, RegistrationConfig
 from services.mapper.saved_map import SavedMap
 from services.mapper.service import MapperConfig, MapperService
 from shared.config import Drive, Laser, Robot, UserError
@@ -25,8 +26,9 @@ from shared.topics import Publication
 from zenav.convert.content import Choice, mount_of, range_max_of
 from zenav.convert.records import Log, LoggedPose, LoggedScan
 from zenav.convert.source import read_log
+from zenav.foreign_map import read_map
 from zenav.odometry_lag import odometry_lag
-from zenav.saved_map import map_files, read_saved_map
+from zenav.saved_map import map_files
 from zenav.store import replace_together
 
 Float64s = NDArray[np.float64]
@@ -121,6 +123,11 @@ def _moved(estimate: PoseEstimate, pose: Pose2) -> PoseEstimate:
     return replace(estimate, map_from_base=pose, map_from_odom=pose @ odom_from_base.inverse())
 
 
+def registering(registrar: Registrar) -> MapperConfig:
+    """The mapper's settings, all as they are but the registrar."""
+    return MapperConfig(registration=RegistrationConfig(registrar=registrar))
+
+
 def slam(
     log: Path,
     out: Path,
@@ -172,7 +179,7 @@ def _loaded(mode: Mode, folder: Path | None, config: MapperConfig) -> SavedMap |
         )
     if folder is None:
         return None
-    saved = read_saved_map(folder)
+    saved = read_map(folder, config.occupancy.resolution)
     if not saved.keyframes:
         raise UserError(f"{folder}: the map holds no keyframes", "make one: zenav slam LOG --out DIR")
     if mode == "continue" and saved.tiles.resolution != config.occupancy.resolution:
@@ -329,6 +336,7 @@ def _report(
             "p01": round(float(np.percentile(quality, 1)), 4),
         },
         "mode": run.mode,
+        "registrar": run.mapper.config.registration.registrar,
         "states": {state: states.count(state) for state in sorted(set(states))},
         "keyframes": len(run.mapper.back_end.keyframes),
         "loops": run.mapper.back_end.n_loops,

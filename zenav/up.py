@@ -85,7 +85,7 @@ def up(
     names = chosen(only, services_for(hardware, file))
     if "sim" in names:
         world_of(file)  # one that is wrong is told before anything starts
-    saved = None if on_map is None else on_map.read()  # what is damaged too
+    saved = None if on_map is None else on_map.read(file)  # what is damaged too
     if on_map is not None and not any(setting.startswith("recorder.attach=") for setting in settings):
         settings.append(f"recorder.attach={json.dumps(on_map.files())}")
     where = where_from(stack)

@@ -269,6 +269,15 @@ class Mapping:
         self.front_end.load(grid, tiles, map_from_base)
         self.finder.load(None)
 
+    def add_keyframes(self, saved: SavedMap) -> None:
+        """The map that was loaded without a graph has one now; the robot keeps its place, and closures hold it."""
+        self.loops.start()
+        self._take(saved)
+        self.known = self.back_end.map_from_local  # `local` is the map's frame
+        self.front_end.graphed = True
+        self.finder.load(saved if not self.changes else None)
+        self.finder.searching = False
+
     def found(self, result: tuple[int, list[Place], float]) -> Out:
         """The robot was looked for on the map."""
         near = self.finder.near

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a scan is aligned with the map: one interface, two registrars.
+"""How a scan is aligned with the map, by distances to its surfaces.
 
-Both follow KISS-ICP (Vizzo et al., RA-L 2023): robust ICP against a thinned map of points from a motion prior. `line`
-minimises the distance to the surfaces (Censi, ICRA 2008) where the map knows their direction; `kiss` is the package.
+As KISS-ICP (Vizzo et al., RA-L 2023): robust ICP against a thinned map of points from a motion prior. It minimises the
+distance to the surfaces (Censi, ICRA 2008) where the map knows their direction. kiss_registration has the package.
 """
 
 from dataclasses import dataclass, replace
@@ -24,10 +24,13 @@ Int64s = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 
+Registrar = Literal["line", "kiss"]
+
+
 class RegistrationConfig(Section):
     """Alignment of a scan with the map."""
 
-    registrar: Literal["line", "kiss"] = Field("line", description="line (point to line, ours) or kiss (the package)")
+    registrar: Registrar = Field("line", description="line (point to line, ours) or kiss (the package)")
     kernel: float = Field(0.2, ge=0.02, le=2, description="m, scale of the Geman-McClure kernel")
     gate: float = Field(0.6, ge=0.05, le=3, description="m, farthest match at the start")
     final_gate: float = Field(0.5, ge=0.05, le=3, description="m, farthest match at the end")
@@ -90,6 +93,10 @@ class LineRegistrar:
         """Adds surface points (n, 2) m with normals (n, 2), in `map`."""
         self.map.insert(points, normals)
 
+    def forget(self, gone: Bools) -> None:
+        """Nothing is matched again with these of the map's points, (n,)."""
+        self.map.forget(gone)
+
     def register(
         self, points: Float64s, normals: Float64s, start: Pose2, prior: Prior, back: Float64s | None = None
     ) -> Match:
@@ -124,66 +131,8 @@ class LineRegistrar:
         )
 
 
-class KissRegistrar(LineRegistrar):
-    """The kiss-icp package's voxel map, registration and adaptive threshold; agreement is measured as for `line`."""
-
-    def __init__(self, config: RegistrationConfig, range_max: float) -> None:
-        super().__init__(config, range_max)
-        from kiss_icp.config import KISSConfig
-        from kiss_icp.mapping import get_voxel_hash_map
-        from kiss_icp.registration import get_registration
-        from kiss_icp.threshold import get_threshold_estimator
-
-        settings = KISSConfig()
-        settings.data.max_range = max(range_max, 1.0)
-        settings.mapping.voxel_size = 0.5
-        settings.registration.max_num_threads = 1
-        settings.adaptive_threshold.initial_threshold = 0.5
-        self._settings = settings
-        self._voxels = get_voxel_hash_map(settings)
-        self._registration = get_registration(settings)
-        self._new_threshold = get_threshold_estimator
-        self._threshold = get_threshold_estimator(settings)
-
-    def clear(self) -> None:
-        super().clear()
-        self._voxels.clear()
-        self._threshold = self._new_threshold(self._settings)
-
-    def extend(self, points: Float64s, normals: Float64s) -> None:
-        super().extend(points, normals)
-        self._voxels.add_points(_solid(points))
-
-    def register(
-        self, points: Float64s, normals: Float64s, start: Pose2, prior: Prior, back: Float64s | None = None
-    ) -> Match:
-        sigma = self._threshold.get_threshold()
-        guess = _matrix(start)
-        moved = self._registration.align_points_to_map(
-            points=_solid(points), voxel_map=self._voxels, initial_guess=guess,
-            max_correspondance_distance=3 * sigma, kernel=sigma,
-        )  # fmt: skip
-        self._threshold.update_model_deviation(np.linalg.inv(guess) @ moved)
-        pose = Pose2(float(moved[0, 3]), float(moved[1, 3]), float(np.arctan2(moved[1, 0], moved[0, 0])))
-        return self.measured(points, normals, pose)
-
-
-REGISTRARS: dict[str, type[LineRegistrar]] = {"line": LineRegistrar, "kiss": KissRegistrar}
-
-
 def _row(pose: Pose2) -> Float64s:
     return np.array((pose.x, pose.y, pose.yaw))
-
-
-def _solid(points: Float64s) -> Float64s:
-    return np.column_stack((points, np.zeros(len(points))))
-
-
-def _matrix(pose: Pose2) -> Float64s:
-    matrix = np.eye(4)
-    matrix[:2, :2] = (cos(pose.yaw), -sin(pose.yaw)), (sin(pose.yaw), cos(pose.yaw))
-    matrix[:2, 3] = pose.x, pose.y
-    return matrix
 
 
 @njit(cache=True, nogil=True)

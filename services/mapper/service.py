@@ -10,6 +10,7 @@ from services.mapper.back_end import BackEnd, BackEndConfig, Drawing
 from services.mapper.correlative_match import SearchConfig
 from services.mapper.finding import Finder, FindingConfig, Place
 from services.mapper.front_end import FrontEnd, FrontEndConfig
+from services.mapper.grid_keyframes import cast
 from services.mapper.looks import Looked
 from services.mapper.loop_closure import LoopConfig
 from services.mapper.mapping import Mapping
@@ -29,7 +30,7 @@ from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapMode, MapUpdate, Odometry, PoseEstimate
 from shared.reasons import BAD_REQUEST, BUSY, MAP_REFUSED
 from shared.requests import FetchMap, GiveMap, LoadMap, MapPart, Reply, StartMap
-from shared.service import Answer, Log, Out, Service, answer, every, on
+from shared.service import Answer, Job, Log, Out, Service, answer, every, on
 
 SECOND = 1_000_000_000
 MOST_TILES = 20_000  # of a saved map, 80 MB of cells: a square of 450 m at 0.05 m a cell
@@ -104,7 +105,9 @@ class MapperService(Service):
             other.back_end.rehearse()
         list(other.publish_map())
         load = LoadMap(other.now, other.grid.whole(other.now), Pose2())
-        list(other.load_map(load))
+        for item in other.load_map(load):
+            if isinstance(item, Job):
+                other.on_cast(item.function(*item.arguments))
 
     @property
     def grid(self) -> Occupancy:
@@ -256,7 +259,16 @@ class MapperService(Service):
         self.mapping.load(tiles, grid, max(self.now, self.grid.map_id + 1), at, mode)
         self.arrivals.start()
         yield from self.mapping.publish(self.now)
+        if tiles.resolution == self.config.occupancy.resolution:
+            yield Job(cast, (self.grid.map_id, tiles), "on_cast", 1.0)
         return Reply(self.now, True, "", f"{len(rows)} tiles")
+
+    def on_cast(self, result: tuple[int, SavedMap | None]) -> Out:
+        """A map that came without a graph has keyframes."""
+        map_id, saved = result
+        if saved is not None and map_id == self.grid.map_id and not self.front_end.graphed:
+            self.mapping.add_keyframes(saved)
+        return ()
 
     def _take_up(self) -> Out:
         """Goes on with the map of before the restart, where odometry says that the robot is on it by now."""

@@ -5,14 +5,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.mapper.keyframe import Float32s, Keyframe
+from services.mapper.kiss_registration import KissRegistrar
 from services.mapper.occupancy import TILE_ARRAYS, Occupancy, OccupancyConfig
-from services.mapper.registration import REGISTRARS, Match, RegistrationConfig
+from services.mapper.registration import LineRegistrar, Match, RegistrationConfig
 from services.mapper.surface import grid_surface
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import MapUpdate
 
 Float64s = NDArray[np.float64]
+
+REGISTRARS: dict[str, type[LineRegistrar]] = {"line": LineRegistrar, "kiss": KissRegistrar}
 
 QUICK = {"hit": 0.7, "miss": 0.36, "behind": 0.0}
 """Of `OccupancyConfig`: here few scans must tell enough, so one echo is a wall, and two crossings are free."""
@@ -45,7 +48,7 @@ class Submap:
         there = np.isfinite(points[:, 0])
         gone = np.zeros(len(points), np.bool_)
         gone[there] = self.grid.clear_at(points[there], 1)
-        self.registrar.map.forget(gone)
+        self.registrar.forget(gone)
 
     def draw(self, origins: Float64s, ends: Float64s) -> None:
         """Draws beams, (n, 2) m in its frame."""

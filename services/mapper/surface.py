@@ -24,6 +24,7 @@ THRONGED = 1.1  # m, wider than two abreast, or a person with a trolley
 LONE = 0.15  # m to the neighbours from which a point without a direction is lone
 SPARSE = 0.4  # m, at most: farther apart, the next sweep's point of the same surface is out of the kernel (0.2 m)
 FLAT = 0.04  # m, largest rms distance from the fitted line
+CELLS_REACH = 3.5  # cells of a grid to each side that a normal is fitted to
 
 
 @njit(cache=True, nogil=True)
@@ -243,4 +244,37 @@ def grid_surface(occupied, free, x0, y0, resolution):  # type: ignore[no-untyped
             points[i, 0] = x0 + (c + 0.5 + px) * resolution
             points[i, 1] = y0 + (r + 0.5 + py) * resolution
             i += 1
+    return points, normals
+
+
+@njit(cache=True, nogil=True)
+def cell_surface(centres, size):  # type: ignore[no-untyped-def]  # compiled; (n, 2) m, m -> (n, 2) m and (n, 2)
+    """Points and normals of the surfaces that a sweep over a grid saw: centres (n, 2) m of its cells, from (0, 0).
+
+    centres: in the order of the beams, of cells `size` m wide.  Each point is moved onto the line through those near it
+    that were seen with it, so that neither steps of a cell nor the other side of a wall turn the surface. Normals are
+    towards (0, 0), or (0, 0) where no line fits.
+    """
+    n = len(centres)
+    points, normals = centres.copy(), np.zeros((n, 2))
+    near = np.empty((2 * MOST + 1, 2))
+    for i in range(n):
+        k = 0
+        for j in range(-min(MOST, (n - 1) // 2), min(MOST, (n - 1) // 2) + 1):
+            dx, dy = centres[(i + j) % n, 0] - centres[i, 0], centres[(i + j) % n, 1] - centres[i, 1]
+            if dx * dx + dy * dy <= (CELLS_REACH * size) ** 2:
+                near[k, 0], near[k, 1] = dx, dy
+                k += 1
+        if k < LEAST:
+            continue
+        nx, ny, rms, spread = _line(near[:k])
+        if rms >= min(0.5 * size, THIN * spread):
+            continue
+        away = 0.0
+        for j in range(k):
+            away += nx * near[j, 0] + ny * near[j, 1]
+        points[i, 0] += nx * away / k
+        points[i, 1] += ny * away / k
+        sign = -1.0 if nx * centres[i, 0] + ny * centres[i, 1] > 0 else 1.0
+        normals[i, 0], normals[i, 1] = sign * nx, sign * ny
     return points, normals

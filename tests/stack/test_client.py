@@ -10,6 +10,7 @@ import threading
 import numpy as np
 import pytest
 
+from services.mapper.saved_map import unpacked
 from shared import requests, topics
 from shared.config import Section, UserError
 from shared.geometry import Pose2
@@ -25,8 +26,8 @@ from shared.messages import (
     NavStatus,
     Velocity,
 )
-from shared.reasons import NO_GRAPH
-from shared.requests import Cancel, Explore, FetchMap, LoadMap, MapPart, Navigate, Pause, Reply, StartMap
+from shared.reasons import MAP_REFUSED, NO_GRAPH
+from shared.requests import Cancel, Explore, FetchMap, GiveMap, MapPart, Navigate, Pause, Reply, StartMap
 from shared.service import Answer, Out, Service, answer, every, on
 from tests.stack.test_live import ROBOT, running
 from zenav.__main__ import _status
@@ -115,7 +116,8 @@ class Mapper(Service):
     def __init__(self) -> None:
         super().__init__(Section(), ROBOT)
         self.version = 0
-        self.loaded: list[LoadMap] = []
+        self.parts: list[bytes] = []
+        self.started: list[StartMap] = []
 
     @answer(requests.FETCH_MAP)
     def fetch(self, request: FetchMap) -> Answer[MapPart]:
@@ -125,14 +127,15 @@ class Mapper(Service):
     @answer(requests.START_MAP)
     def start(self, request: StartMap) -> Answer[Reply]:
         assert request.mode is MapMode.LOCALISE
+        self.started.append(request)
+        yield from ()
+        return Reply(self.now, len(self.started) < 3, MAP_REFUSED.code, "")
+
+    @answer(requests.GIVE_MAP)
+    def give(self, request: GiveMap) -> Answer[Reply]:
+        self.parts.append(request.data)
         yield from ()
         return Reply(self.now, True, "", "")
-
-    @answer(requests.LOAD_MAP)
-    def load(self, request: LoadMap) -> Answer[Reply]:
-        self.loaded.append(request)
-        yield from ()
-        return Reply(self.now, len(self.loaded) < 2, "busy", "3 tiles")
 
     @every(hz=20)
     def tick(self) -> Out:
@@ -214,10 +217,14 @@ def test_a_map_is_saved_shown_and_given_back(where, capsys, monkeypatch, tmp_pat
         assert _status(["map", "save", "room", *stack]) == 0
         assert {path.name for path in (tmp_path / "maps" / "room").iterdir()} == {"map.pgm", "map.yaml", "map.png"}
         assert _status(["map", "load", "room", "--at", "2", "-1", "90", *stack]) == 0
+        assert _status(["map", "load", "room", *stack]) == 0
         assert _status(["map", "load", "room", *stack]) == 2
-    (loaded, _) = mapper.loaded
-    assert (loaded.map_from_base.x, loaded.map_from_base.y, round(loaded.map_from_base.yaw, 4)) == (2, -1, 1.5708)
-    saved = [tuple(tile) for tile in zip(loaded.map.rows, loaded.map.columns, loaded.map.cells[:, 0])]
+    near, anywhere, _ = mapper.started
+    (at,) = near.at
+    assert (at.x, at.y, round(at.yaw, 4)) == (2, -1, 1.5708)
+    assert anywhere.at == ()
+    tiles = unpacked(mapper.parts[0], "what was given").tiles
+    saved = [tuple(tile) for tile in zip(tiles.rows, tiles.columns, tiles.cells[:, 0])]
     assert saved == [(1, 1, 100), (2, 2, 0), (3, 3, 100)]
 
 

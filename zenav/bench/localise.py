@@ -59,23 +59,35 @@ class Trial:
 
 
 def localise(
-    robot: str, numbers: str, poses: int, jobs: int, maps: Path | None, out: Path | None, settings: list[str]
+    robot: str,
+    numbers: str,
+    poses: int,
+    jobs: int,
+    maps: Path | None,
+    out: Path | None,
+    settings: list[str],
+    cell: float = 0.0,
 ) -> int:
     """Runs `poses` trials, shared among the buildings; 0 when every promise was kept.
 
     maps: the folder of an earlier `zenav bench buildings` or `localise`; without it, every building is toured first.
+    cell: m; the maps are first written for ROS map_server, with cells so large, and read from that alone. 0: they are
+    the stack's own.
     """
     chosen = seeds_from(numbers)
     writable(out)
     folder = run_folder("bench-localise") if maps is None else maps
     shares = {number: poses // len(chosen) + (i < poses % len(chosen)) for i, number in enumerate(chosen)}
     trials: list[Trial] = []
-    for found in results(partial(_tried, robot, folder, shares, settings), [n for n in chosen if shares[n]], jobs):
+    for found in results(
+        partial(_tried, robot, folder, shares, settings, cell), [n for n in chosen if shares[n]], jobs
+    ):
         trials += found
         sys.stderr.write(f"building {found[0].building}: {sum(t.found_m is not None for t in found)} found\n")
     trials.sort(key=lambda trial: (trial.building, trial.trial))
     rows = [_row(str(n), [t for t in trials if t.building == n]) for n in chosen if shares[n]]
-    table(f"global localisation, maps in {folder}", COLUMNS, [*rows, _row("all", trials)])
+    kind = f", as pgm and yaml of {cell:g} m a cell" if cell else ""
+    table(f"global localisation, maps in {folder}{kind}", COLUMNS, [*rows, _row("all", trials)])
     told = summary(trials)
     write(out, {"summary": told, "trials": [asdict(trial) for trial in trials]})
     return 0 if kept(told) else 1
@@ -128,7 +140,9 @@ def _row(name: str, trials: list[Trial]) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def _tried(robot: str, folder: Path, shares: dict[int, int], settings: list[str], number: int) -> list[Trial]:
+def _tried(
+    robot: str, folder: Path, shares: dict[int, int], settings: list[str], cell: float, number: int
+) -> list[Trial]:
     """All trials of one building."""
     import shared.repeatable  # noqa: F401  # a spawned process begins here
     from zenav.bench.buildings import toured
@@ -138,10 +152,27 @@ def _tried(robot: str, folder: Path, shares: dict[int, int], settings: list[str]
     if not (place / GRAPH).exists():
         toured(robot, folder, settings, number)
     saved = read_saved_map(place)
+    if cell:
+        saved = foreign(saved, cell, folder / f"building-{number}-ros-{round(100 * cell)}cm")
     return [
         replace(trial(robot, f"building:{number}", 1000 * (i + 1) + number, saved, settings), building=number, trial=i)
         for i in range(shares[number])
     ]
+
+
+def foreign(saved: "SavedMap", cell: float, folder: Path) -> "SavedMap":
+    """A map as another program's: written for ROS map_server with cells of `cell` m into a folder, and read from there.
+
+    A larger cell is as occupied as the most occupied in it.
+    """
+    from shared.ros_map import write_ros_map
+    from zenav.foreign_map import read_map
+    from zenav.maps import coarse, grown
+
+    grid = grown(saved.tiles)
+    step = round(cell / grid.resolution)
+    write_ros_map(folder, coarse(grid.cells, step), step * grid.resolution, grid.x0, grid.y0)
+    return read_map(folder, grid.resolution)
 
 
 def trial(robot: str, world_name: str, seed: int, saved: "SavedMap", settings: list[str]) -> Trial:

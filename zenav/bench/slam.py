@@ -11,12 +11,15 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from shared.config import UserError, nearest
 from zenav.bench.table import table, writable, write
 from zenav.child import die_with_parent
 from zenav.up import run_folder
+
+if TYPE_CHECKING:
+    from services.mapper.registration import Registrar
 
 # What maps and scores is imported in each log's own process: Linux counts a child's peak memory from its parent's.
 
@@ -39,7 +42,7 @@ class Logged:
     references: tuple[Path, ...]
 
 
-def slam(directory: Path, names: Sequence[str], out: Path | None) -> int:
+def slam(directory: Path, names: Sequence[str], out: Path | None, registrar: "Registrar" = "line") -> int:
     """Maps the logs of a folder, shows the figures, writes JSON and Markdown; 0 when all were mapped and scored."""
     logs = chosen(directory, names)
     markdown = out and out.with_suffix(".md")
@@ -50,7 +53,7 @@ def slam(directory: Path, names: Sequence[str], out: Path | None) -> int:
     folder = run_folder("bench-slam")
     runs: dict[str, dict[str, Any]] = {}
     for logged in logs:
-        runs[logged.name] = run = alone(logged, folder / logged.name)
+        runs[logged.name] = run = alone(logged, folder / logged.name, registrar)
         sys.stderr.write(f"{logged.name}: {run.get('trouble', 'done')}; {folder / logged.name}\n")
     figures = {name: summary(run) for name, run in runs.items() if "trouble" not in run}
     rows = [row for name, figure in figures.items() for row in rows_of(name, figure)]
@@ -84,12 +87,12 @@ def chosen(directory: Path, names: Sequence[str] = ()) -> list[Logged]:
     return [found[name] for name in sorted(found) if name in (names or found)]
 
 
-def alone(logged: Logged, folder: Path) -> dict[str, Any]:
+def alone(logged: Logged, folder: Path, registrar: "Registrar" = "line") -> dict[str, Any]:
     """`measured` in a process of its own; its `trouble` is told also where the process dies."""
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(1, context, die_with_parent, (os.getpid(),))
     try:
-        return pool.submit(measured, logged, folder).result()
+        return pool.submit(measured, logged, folder, registrar).result()
     except BrokenProcessPool:
         return {"trouble": "its process died"}
     finally:  # interrupted: a log takes a minute, and nobody waits for it any more
@@ -98,17 +101,18 @@ def alone(logged: Logged, folder: Path) -> dict[str, Any]:
         pool.shutdown(cancel_futures=True)
 
 
-def measured(logged: Logged, folder: Path) -> dict[str, Any]:
+def measured(logged: Logged, folder: Path, registrar: "Registrar" = "line") -> dict[str, Any]:
     """Maps one log into a folder: the report of `zenav slam`, the `errors` by kind of pair, peak `memory_mb`.
 
     Only `trouble`, what was wrong, where that failed: the other logs are to be measured all the same.
     """
     import shared.repeatable  # noqa: F401  # a spawned process begins here
+    from zenav.slam import registering
     from zenav.slam import slam as mapped
     from zenav.slam_error import score
 
     try:
-        report = mapped(logged.log, folder)
+        report = mapped(logged.log, folder, config=registering(registrar))
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # before scoring takes some
         found = {kind: row for path in logged.references for kind, row in score(folder / TRAJECTORY, path).items()}
     except UserError as error:

@@ -11,6 +11,7 @@ from zenav.commands.parts import (
     BaseFrame,
     Command,
     OdomFrame,
+    Registrar,
     Setting,
     Stack,
     TopicOdom,
@@ -33,11 +34,14 @@ def slam(
         Literal["map", "localise", "continue"],
         typer.Option(help="A new map; the robot found on a saved one, which stays; a saved one that goes on."),
     ] = "map",
-    saved_map: Annotated[Path | None, typer.Option("--map", help="Folder of the saved map.", metavar="DIR")] = None,
+    saved_map: Annotated[
+        Path | None, typer.Option("--map", help="Folder of the saved map, or a YAML of ROS map_server.", metavar="DIR")
+    ] = None,
     topic_scan: TopicScan = "",
     topic_odom: TopicOdom = "",
     base_frame: BaseFrame = "",
     odom_frame: OdomFrame = "",
+    registrar: Registrar = "line",
 ) -> None:
     """Make a map of a logged drive, or find the robot on a saved one.
 
@@ -46,7 +50,7 @@ def slam(
     from zenav.convert.content import Choice
     from zenav.files import slam
 
-    slam(log, out, mode, saved_map, Choice(topic_scan, topic_odom, "", base_frame, odom_frame))
+    slam(log, out, mode, saved_map, Choice(topic_scan, topic_odom, "", base_frame, odom_frame), registrar)
 
 
 @app.command(cls=Command, rich_help_panel=FILES)

@@ -2,11 +2,11 @@
 """`zenav bench`. Only parsing; work is imported when it is due."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from zenav.commands.parts import Command, Out, RobotName, Seeds, Setting, World, group
+from zenav.commands.parts import Command, Out, Registrar, RobotName, Seeds, Setting, World, group
 
 bench = group("Measure: a table here, JSON in a file.")
 
@@ -101,6 +101,10 @@ def bench_localise(
     out: Out = None,
     robot: RobotName = "x80sv",
     set_: Setting = None,
+    map_format: Annotated[
+        Literal["zenav", "ros"], typer.Option(help="The stack's own maps, or pgm and yaml made of them.")
+    ] = "zenav",
+    cell: Annotated[float, typer.Option(min=0.05, max=0.5, help="m a cell of the pgm, a multiple of 0.05.")] = 0.05,
 ) -> None:
     """Find the robot from nowhere on saved maps of made-up buildings; carry it away and find it again.
 
@@ -108,7 +112,7 @@ def bench_localise(
     """
     from zenav.bench.localise import localise as run
 
-    raise typer.Exit(run(robot, buildings, poses, jobs, maps, out, set_ or []))
+    raise typer.Exit(run(robot, buildings, poses, jobs, maps, out, set_ or [], cell if map_format == "ros" else 0.0))
 
 
 @bench.command("sim", cls=Command)
@@ -179,6 +183,7 @@ def bench_slam(
     ],
     out: Out = None,
     logs: Annotated[str, typer.Option(help="Only these, separated by commas.", metavar="A,B")] = "",
+    registrar: Registrar = "line",
 ) -> None:
     """Map every log of a folder that has a reference: errors, CPU time and memory; a Markdown table beside the JSON.
 
@@ -186,4 +191,4 @@ def bench_slam(
     """
     from zenav.bench.slam import slam
 
-    raise typer.Exit(slam(directory, [name for name in logs.split(",") if name], out))
+    raise typer.Exit(slam(directory, [name for name in logs.split(",") if name], out, registrar))

@@ -133,6 +133,12 @@ SavedMapMode = Annotated[
 ]
 
 
+Registrar = Annotated[
+    Literal["line", "kiss"],
+    typer.Option(help="Scan alignment: point to line (ours), or the kiss-icp package."),
+]
+
+
 Write = Annotated[bool, typer.Option("--write", help="Put the result into the robot's file.")]
 
 

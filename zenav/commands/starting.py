@@ -80,7 +80,6 @@ def up(
     from shared.messages import MapMode
     from zenav.hardware import Hardware
     from zenav.map_modes import OnMap
-    from zenav.maps import found
     from zenav.up import up
 
     up(
@@ -91,7 +90,7 @@ def up(
         speed,
         stack,
         set_ or [],
-        OnMap(found(saved_map).parent, MapMode(mode), at) if saved_map else None,
+        OnMap.of(saved_map, MapMode(mode), at) if saved_map else None,
     )
 
 

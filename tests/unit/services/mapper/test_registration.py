@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from services.mapper.deskew import turned_back
 from services.mapper.odometry_error import OdometryError, Scale
-from services.mapper.registration import REGISTRARS, Prior, RegistrationConfig
+from services.mapper.registration import Prior, RegistrationConfig
+from services.mapper.submap import REGISTRARS
 from services.mapper.surface import sweep_normals
 from shared.geometry import Pose2, wrapped
 from tests.unit.services.mapper.rooms import CORRIDOR, ROOM, sweep
@@ -130,6 +131,74 @@ def test_the_same_input_gives_the_same_bytes_twice(kind):
     first = run()
     assert first == run()
     assert first[-1][0].distance(Pose2(0.15, 0.05, 0)) < 0.05
+
+
+def test_kiss_lets_the_prior_decide_along_a_corridor():
+    registrar = mapped(CORRIDOR, "kiss")
+    points, normals = points_at(CORRIDOR, Pose2(0.3, 0.05, 0.02), noise=0.01)
+    prior = Prior(Pose2(0.3, 0.0, 0.0), 0.03, 0.02)
+    match = registrar.register(points, normals, Pose2(0.15, 0.0, 0.0), prior)
+    assert abs(match.map_from_base.x - 0.3) < 0.03
+    assert abs(match.map_from_base.y - 0.05) < 0.02
+    assert abs(match.map_from_base.yaw - 0.02) < 0.01
+
+
+def test_kiss_believes_odometry_as_far_as_it_is_doubted():
+    registrar = mapped(ROOM, "kiss")
+    points, normals = points_at(ROOM, Pose2(), noise=0.01)
+    off = Pose2(0.1, 0, 0)
+    found = [registrar.register(points, normals, off, Prior(off, s, s)).map_from_base.x for s in (1e-4, 0.005, 0.5)]
+    assert found[0] > 0.09
+    assert found[0] > found[1] > found[2]
+    assert abs(found[2]) < 0.03
+
+
+def test_kiss_searches_as_far_as_odometry_may_be_off():
+    registrar = mapped(ROOM, "kiss")
+    thresholds = [registrar.threshold(Prior(Pose2(), s, s / 10)) for s in (0.001, 0.1, 0.2, 10.0)]
+    assert thresholds == sorted(thresholds)
+    assert thresholds[1] < thresholds[2]
+    assert thresholds[0] >= 0.1, "m, the spacing of the package's map"
+    assert thresholds[-1] <= RegistrationConfig().gate
+
+
+@pytest.mark.parametrize("kind", ["line", "kiss"])
+def test_nothing_is_matched_with_points_that_were_forgotten(kind):
+    """A second, like room was drawn 0.3 m beside the true one; it is forgotten."""
+    registrar = mapped(ROOM, kind)
+    n = registrar.map.n
+    points, normals = points_at(ROOM, Pose2())
+    registrar.extend(points + np.array((0.3, 0.3)), normals)
+    gone = np.arange(registrar.map.n) >= n
+    at = Pose2(0.3, 0.3, 0)
+    held = registrar.register(points, normals, at, Prior(at, **WEAK)).map_from_base
+    registrar.forget(gone)
+    free = registrar.register(points, normals, at, Prior(at, **WEAK)).map_from_base
+    assert held.distance(at) < 0.1
+    assert free.distance(Pose2()) < 0.05
+
+
+@pytest.mark.parametrize("twist", [-0.05, 0.05])
+def test_kiss_takes_for_twist_the_sweeps_share_of_the_turn_that_odometry_missed(twist):
+    registrar = mapped(ROOM, "kiss", (Pose2(), Pose2(1, 0, 0), Pose2(-1, 1, 0), Pose2(0, -1, 0)))
+    origins, ends = sweep(ROOM, Pose2(0.1, -0.05, 0.05), noise=0.01)
+    back = np.linspace(1, 0, len(ends))
+    ends = turned_back(ends, back, -twist)
+    normals = sweep_normals(origins, ends)
+    seen = ~np.isnan(ends[:, 0])
+    prior = Prior(Pose2(0.1, -0.05, 0.05 - twist), 0.05, 0.1, skew=1.0)
+    straight = registrar.register(ends[seen], normals[seen], prior.map_from_base, prior, back[seen])
+    bent = registrar.register(ends[seen], normals[seen], prior.map_from_base, prior)
+    assert abs(straight.twist - twist) < 0.6 * abs(twist), "half of it shows in the turn of the whole sweep"
+    assert abs(straight.map_from_base.yaw - 0.05) < 0.8 * abs(bent.map_from_base.yaw - 0.05)
+    assert bent.twist == 0
+
+
+def test_kiss_without_points_leaves_the_pose_to_the_prior():
+    prior = Prior(Pose2(0.4, 0.1, 0.2), 0.1, 0.1)
+    for registrar in (mapped(ROOM, "kiss"), mapped(ROOM, "kiss", ())):
+        match = registrar.register(np.zeros((0, 2)), np.zeros((0, 2)), Pose2(), prior)
+        assert match.map_from_base.distance(prior.map_from_base) < 1e-9
 
 
 @given(st.floats(0.85, 1.15), st.integers(0, 1000))

@@ -180,10 +180,14 @@ def test_a_mapper_without_a_graph_says_what_mends_that():
         driven.step(motion)
         driven.publish_map()
     grid = driven.mapper.grid
+    driven.busy = True  # the keyframes are cast beside the scans
     assert asker.ask(requests.LOAD_MAP, LoadMap(driven.now, grid.whole(driven.now), Pose2())).accepted
     with pytest.raises(RefusedError) as error:
         fetched(asker, asker.wait)
     assert error.value.code == reasons.NO_GRAPH.code
+    driven.busy = False
+    driven.work()
+    assert unpacked(fetched(asker, asker.wait), "its map").graph.fixed.all()
 
 
 def test_a_mapper_that_stays_busy_is_not_waited_for_for_ever():

@@ -65,7 +65,7 @@ def test_a_log_that_fails_is_told_and_the_others_go_on(folder, capsys):
     assert "no FLASER" in report["runs"]["torn"]["trouble"]
 
 
-def dies(logged, folder):
+def dies(logged, folder, registrar):
     os._exit(1)
 
 
@@ -75,7 +75,7 @@ def test_a_process_that_dies_takes_no_other_along(folder, monkeypatch):
 
 
 def test_a_log_that_the_mapper_cannot_bear_is_told_with_its_error(folder, monkeypatch, capsys):
-    monkeypatch.setattr("zenav.slam.slam", lambda log, out: {}["lacking"])
+    monkeypatch.setattr("zenav.slam.slam", lambda log, out, config: {}["lacking"])
     assert measured(chosen(folder, ["room"])[0], folder / "out") == {"trouble": "KeyError('lacking')"}
     assert "Traceback" in capsys.readouterr().err
 
@@ -101,3 +101,14 @@ def test_a_summary_is_of_what_the_run_says():
     run |= {"memory_mb": 4.0, "keyframes": 5, "loops": 6, "states": {"good": 1}}
     assert summary(run)["scan_ms_p99"] == 2.0
     assert "states" not in summary(run)
+
+
+def test_the_logs_are_mapped_with_the_registrar_that_was_asked_for(folder):
+    for registrar in ("line", "kiss"):
+        out = f"{registrar}.json"
+        assert _status(["bench", "slam", str(folder), "--logs", "room", "--registrar", registrar, "--out", out]) == 0
+        report = json.loads(Path(out).read_text())
+        assert report["runs"]["room"]["registrar"] == registrar
+        assert report["summary"]["room"]["errors"]["relations"]["trans_mean_m"] < 0.02
+    assert _status(["slam", "logs/room.log", "--out", "room", "--registrar", "kiss"]) == 0
+    assert json.loads(Path("room/report.json").read_text())["registrar"] == "kiss"
