@@ -214,11 +214,11 @@ class FrontEnd:
         if measures and self.n_bad > 0 and quality < self.config.lost:  # what fits nothing says nothing of the place
             self.local_from_base = self.smoothed = self.reckoned
         # a map drawn from a wrong place soon agrees with it; but where much has changed, nothing fits well for long
-        trusted = self.n_bad == 0 and (self.n_poor == 0 or self.n_poor > PATIENCE) and not self.at_odds
+        trusted = self.n_bad == 0 and (self.n_poor == 0 or self.n_poor > PATIENCE)
         self.unfit_path += hypot(step.x, step.y)
         self.unfit_turn += abs(step.yaw)
         self.unfit_seconds += seconds
-        if trusted:
+        if trusted and not self.at_odds:
             self.reckoned = self.local_from_base
             self.unfit_path = self.unfit_turn = self.unfit_seconds = 0.0
         joins = trusted and self._moved_on() and len(sweep.points) > 0
@@ -231,7 +231,8 @@ class FrontEnd:
             self.submap.draw(self.local_from_base @ origins, self.local_from_base @ ends)
         keyframe = sweep if joins else None
         return Tracked(
-            self.local_from_base, self.belief.covariance, quality, self.state, placed.match, trusted, keyframe,
+            self.local_from_base, self.belief.covariance, quality, self.state, placed.match,
+            trusted and not self.at_odds, keyframe,
             origins, ends,
         )  # fmt: skip
 
@@ -377,7 +378,7 @@ class FrontEnd:
         if self.state is Localization.STARTING and (n == 0 or self.submap.registrar.map.n == 0):
             return
         # carried while it stood, into a room like the last, it fits at once. Without a graph nobody could look for it
-        off = self.graphed and self.local_from_base.distance(self.reckoned) > STRAYED
+        off = self.graphed and not self.at_odds and self.local_from_base.distance(self.reckoned) > STRAYED
         strayed = off and (self.n_bad > 0 or stood)
         self.n_poor = self.n_poor + 1 if told and quality < self.config.good else 0
         self.fitted = told and quality >= self.config.good
