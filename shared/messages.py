@@ -519,6 +519,9 @@ class Health(Message):
     memory: Annotated[float, Unit("MB"), Within(0, 1e7)]
     handler_ms: Annotated[float, Unit("ms, slowest handler of the last second"), Within(0, 1e9)]
     rates: Annotated[tuple[tuple[str, float, float], ...], Unit("topic, Hz, age in s when handled (largest)")]
+    rejected: Annotated[
+        tuple[tuple[str, str, int], ...], Unit("key, why (old, ahead, sequence, size, content), messages since the start")
+    ] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,8 +28,10 @@ from shared.messages import (
 )
 from shared.requests import Override, Reply
 from shared.service import Answer, Out, Service, answer, every, on
-from shared.stamps import FUTURE, fresh, supersedes
+from shared.stamps import fresh, supersedes
+from shared.topics import Topic
 
+MAX_ODOM_AGE = 1.0  # s after its stamp; younger odometry is late, but tells where earlier beams were taken
 LONGEST_RAMP = 0.1  # s of acceleration that one command may make up for
 RANGES_AGE = 1.0  # s after which range sensors no longer count as looking
 
@@ -74,7 +76,7 @@ class GuardService(Service):
         super().__init__(config, robot)
         drive = robot.drive
         self.corners = robot.corners
-        self.situation = Situation(config.stops, config.arbitration)
+        self.situation = Situation(config.stops, config.arbitration, self.rejections)
         self.track = Track(drive)
         fastest = max(drive.max_speed, drive.max_reverse_speed)
         stopping = fastest * (config.field.reaction + fastest / drive.max_braking)
@@ -94,12 +96,13 @@ class GuardService(Service):
 
     @on(topics.CMD_NAV)
     def command_nav(self, command: Velocity) -> Out:
-        if self.situation.nav.take(command, self.now):
+        if self._usable(topics.CMD_NAV, command, self.situation.nav) and self.situation.nav.take(command, self.now):
             yield from self.drive()
 
     @on(topics.TELEOP)
     def command_teleop(self, command: Velocity) -> Out:
-        if self.situation.teleop.take(command, self.now):
+        source = self.situation.teleop
+        if self._usable(topics.TELEOP, command, source) and source.take(command, self.now):
             yield from self.drive()
 
     @on(topics.ESTOP)
@@ -128,8 +131,8 @@ class GuardService(Service):
 
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:
-        ahead = odometry.stamp > self.now + FUTURE
-        if not ahead and supersedes(odometry.stamp, self.situation.odom_stamp, self.now):
+        last = self.situation.odom_stamp
+        if self.rejections.judge(topics.ODOM.key, odometry.stamp, last, self.now, MAX_ODOM_AGE):
             self.situation.now = self.now
             self.situation.take_odometry(odometry.stamp)
             if not self.track.add(odometry):
@@ -139,8 +142,10 @@ class GuardService(Service):
 
     @on(topics.SCAN)
     def laser(self, scan: LaserScan) -> Out:
-        young = fresh(scan_end(scan), self.now, self.config.stops.scan_age)
-        if not young or not supersedes(scan.stamp, self.situation.scan_stamp, self.now) or self.track.latest is None:
+        last, age = self.situation.scan, self.config.stops.scan_age
+        last_end = scan_end(last) if last else None
+        usable = self.rejections.judge(topics.SCAN.key, scan_end(scan), last_end, self.now, age)
+        if not usable or self.track.latest is None:
             return
         laser = self.robot.laser
         seen = abs(scan.angle_increment) * (len(scan.ranges) - 1)
@@ -156,8 +161,9 @@ class GuardService(Service):
 
     @on(topics.RANGES)
     def range_readings(self, readings: RangeReadings) -> Out:
-        young = fresh(readings.stamp, self.now, self.config.stops.scan_age)
-        if young and self.track.latest is not None and supersedes(readings.stamp, self.ranges_stamp, self.now):
+        age = self.config.stops.scan_age
+        usable = self.rejections.judge(topics.RANGES.key, readings.stamp, self.ranges_stamp, self.now, age)
+        if usable and self.track.latest is not None:
             self.ranges_stamp = readings.stamp
             self.obstacles.take_ranges(readings, self.track)
         return ()
@@ -197,6 +203,10 @@ class GuardService(Service):
         self.told = verdict.state, verdict.source, verdict.reason
         yield topics.GUARD(GuardStatus(self.now, *self.told, detail=verdict.detail, speed_limit=verdict.speed_limit))
 
+    def _usable(self, topic: Topic[Velocity], command: Velocity, source: Source) -> bool:
+        last = source.command.stamp if source.command else None
+        return self.rejections.judge(topic.key, command.stamp, last, self.now, self.config.arbitration.command_age)
+
     def _judged(self) -> Verdict:
         """The velocity of this tick: the source's, if nothing speaks against it, within limits and field."""
         situation = self.situation
@@ -206,8 +216,7 @@ class GuardService(Service):
         stop = situation.stop()
         if stop is not None or source.command is None:
             reason, state = stop or (reasons.NO_COMMAND, GuardState.IDLE)
-            told = situation.base.detail if situation.base and state is GuardState.FAULT else ""
-            return Verdict(state, reason.code, name, detail=told)
+            return Verdict(state, reason.code, name, detail=situation.told(reason, state))
         drive, field, command = self.robot.drive, self.config.field, source.command
         if situation.overridden:
             return self._overridden(command, name)

@@ -7,10 +7,11 @@ from dataclasses import replace
 from pydantic import Field
 
 from services.guard.arbitration import ArbitrationConfig, Source, in_charge
-from shared import reasons
+from shared import reasons, topics
 from shared.config import Section
 from shared.messages import BaseStatus, EmergencyStop, GuardState, LaserScan, Localization, PoseEstimate
 from shared.reasons import Reason
+from shared.rejections import Rejections
 from shared.stamps import fresh, precedes, supersedes
 
 
@@ -29,8 +30,8 @@ class StopsConfig(Section):
 class Situation:
     """What speaks for or against driving now. `now` is set before each question."""
 
-    def __init__(self, config: StopsConfig, arbitration: ArbitrationConfig) -> None:
-        self.config, self.arbitration = config, arbitration
+    def __init__(self, config: StopsConfig, arbitration: ArbitrationConfig, rejections: Rejections) -> None:
+        self.config, self.arbitration, self.rejections = config, arbitration, rejections
         self.now = 0
         self.teleop, self.nav = Source("teleop", arbitration), Source("nav", arbitration)
         self.pressed: EmergencyStop | None = None
@@ -143,6 +144,33 @@ class Situation:
         return command.stamp - self.jumped_at <= self.config.replan * 1e9
 
     @property
+    def scan_is_old(self) -> bool:
+        return not self.overridden and self.old(self.scan_at, self.config.scan_age)
+
+    @property
+    def odom_is_old(self) -> bool:
+        return self.old(self.odom_at, self.config.odom_age)
+
+    @property
+    def bad_stamps(self) -> str:
+        """What is wrong with the stamps of an input that is old although its messages come, in words."""
+        if self.odom_is_old:
+            return self.rejections.told(topics.ODOM.key, self.now)
+        return self.rejections.told(topics.SCAN.key, self.now) if self.scan_is_old else ""
+
+    def told(self, reason: Reason, state: GuardState) -> str:
+        """The detail of a reason to stand: the base's words for its faults, the input's for stamps."""
+        if state is GuardState.FAULT or (self.fault and reason.code == self.fault != reasons.ESTOP.code):
+            return self.base.detail if self.base else ""
+        if reason is reasons.BAD_STAMPS:
+            return self.bad_stamps
+        if reason in (reasons.COMMAND_OLD, reasons.NO_COMMAND):
+            return self.rejections.told(topics.TELEOP.key, self.now) or self.rejections.told(
+                topics.CMD_NAV.key, self.now
+            )
+        return ""
+
+    @property
     def base_stamp(self) -> int | None:
         return self.base.stamp if self.base else None
 
@@ -173,15 +201,19 @@ STOPS: tuple[tuple[Reason, GuardState, Callable[[Situation], bool]], ...] = (  #
     (reasons.ESTOP,          GuardState.STOPPED, lambda s: s.pressed is not None or s.base_in_stop),
     (reasons.WHEEL_STUCK,    GuardState.FAULT,   lambda s: s.fault == reasons.WHEEL_STUCK.code),
     (reasons.WHEEL_ASTRAY,   GuardState.FAULT,   lambda s: s.fault == reasons.WHEEL_ASTRAY.code),
+    (reasons.ENCODERS_BROKEN, GuardState.FAULT,  lambda s: s.fault == reasons.ENCODERS_BROKEN.code),
+    (reasons.ENCODERS_JUMP,  GuardState.HOLD,    lambda s: s.fault == reasons.ENCODERS_JUMP.code),
     (reasons.NOT_OBEYED,     GuardState.HOLD,    lambda s: s.fault == reasons.NOT_OBEYED.code),
     (reasons.PORT_CLOSED,    GuardState.FAULT,   lambda s: s.fault == reasons.PORT_CLOSED.code),
     (reasons.BOARD_SILENT,   GuardState.FAULT,   lambda s: s.fault == reasons.BOARD_SILENT.code),
     (reasons.BATTERY_EMPTY,  GuardState.FAULT,   lambda s: s.fault == reasons.BATTERY_EMPTY.code),
+    (reasons.WRONG_RANGES,   GuardState.FAULT,   lambda s: s.fault == reasons.WRONG_RANGES.code),
     (reasons.SENSOR_DEAD,    GuardState.FAULT,   lambda s: s.fault == reasons.SENSOR_DEAD.code),
-    (reasons.FAULT,          GuardState.FAULT,   lambda s: s.fault not in ("", reasons.ESTOP.code)),
+    (reasons.FAULT,          GuardState.FAULT,   lambda s: s.fault not in ("", reasons.ESTOP.code, reasons.BAD_STAMPS.code)),
     (reasons.BASE_SILENT,    GuardState.HOLD,    lambda s: s.old(s.base_stamp, s.config.base_age)),
-    (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s: s.old(s.odom_at, s.config.odom_age)),
-    (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s: not s.overridden and s.old(s.scan_at, s.config.scan_age)),
+    (reasons.BAD_STAMPS,     GuardState.HOLD,    lambda s: s.fault == reasons.BAD_STAMPS.code or s.bad_stamps != ""),
+    (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s: s.odom_is_old),
+    (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s: s.scan_is_old),
     (reasons.COMMAND_OLD,    GuardState.HOLD,    lambda s: not s.heard and s.source.moving),
     (reasons.NO_COMMAND,     GuardState.IDLE,    lambda s: not s.heard),
     (reasons.ESTOP_RELEASED, GuardState.HOLD,    lambda s: not s.source.armed),

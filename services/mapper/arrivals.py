@@ -10,16 +10,18 @@ from services.mapper.deskew import deskewed
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.odometry_error import OdometryError
 from services.mapper.odometry_track import OdometryConfig, OdometryTrack
+from shared import topics
 from shared.config import Robot
 from shared.geometry import Pose2, interpolated
 from shared.messages import LaserScan, Odometry
+from shared.rejections import STAMPS, Kind, Rejections, duration
 from shared.service import Log, Out
+from shared.stamps import FUTURE
 
 Float64s = NDArray[np.float64]
 
 SECOND = 1_000_000_000
-OLDEST = SECOND  # a scan that is older when it arrives says where the robot was, not where it is
-FUTURE = SECOND // 2  # a stamp that is farther ahead is another clock's
+MAX_AGE = 1.0  # s; a scan that is older when it arrives says where the robot was, not where it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +46,16 @@ class Arrival:
 
 
 class Arrivals:
-    """Odometry and scans by time. blind_doubt: an arrival's doubt without odometry."""
+    """Odometry and scans by time. blind_doubt: an arrival's doubt without odometry. rejections: where drops count."""
 
-    def __init__(self, config: OdometryConfig, occupancy: OccupancyConfig, robot: Robot, blind_doubt: float) -> None:
+    def __init__(
+        self,
+        config: OdometryConfig,
+        occupancy: OccupancyConfig,
+        robot: Robot,
+        blind_doubt: float,
+        rejections: Rejections,
+    ) -> None:
         self.config, self.occupancy, self.blind_doubt = config, occupancy, blind_doubt
         self.mount = robot.laser.mount
         self.track = OdometryTrack(config, robot.drive)
@@ -54,7 +63,7 @@ class Arrivals:
         self.last_end = -1  # ns, end of the last scan that was placed
         self.velocity = Pose2()  # motion a second between the last two scans
         self.blind = False  # the last scan was placed without odometry
-        self.n_dropped = {"old": 0, "late": 0, "ahead": 0}
+        self.rejections = rejections
 
     def start(self) -> None:
         """Another map: the scan that waits is not placed on it, and nothing is known of the motion."""
@@ -63,6 +72,8 @@ class Arrivals:
     def hear(self, odometry: Odometry, now: int) -> Out:
         """Takes odometry, unless its stamp is another clock's."""
         if odometry.stamp > now + FUTURE:
+            words = f"stamps are {duration(odometry.stamp - now)} ahead"
+            self.rejections.reject(topics.ODOM.key, Kind.AHEAD, words, now)
             return
         if odometry.stamp < self.track.newest - SECOND and odometry.stamp > now - SECOND:
             self.track.clear()  # the clock was set back
@@ -81,15 +92,21 @@ class Arrivals:
 
     def file(self, scan: LaserScan, now: int) -> Out:
         """Lets a scan wait to be placed, or drops it."""
-        end = _end(scan)
-        if end <= self.last_end:
-            yield from self._drop("old")
-        elif end > now + FUTURE:
-            yield from self._drop("ahead")
-        elif end < now - OLDEST:
-            yield from self._drop("late")
-        else:
+        end, key = _end(scan), topics.SCAN.key
+        usable = self.rejections.judge(key, end, self.last_end if self.last_end >= 0 else None, now, MAX_AGE)
+        if usable and end > self.last_end:
             self.pending = now, scan
+            return
+        if usable:  # the clock was set back by less than a second
+            self.rejections.reject(key, Kind.SEQUENCE, "stamps go back", now)
+        n = sum(self.n_dropped.values())
+        if n == 1 or n % 100 == 0:
+            yield Log("WARNING", f"scan dropped: {self.rejections.why(key)} ({n} so far)")
+
+    @property
+    def n_dropped(self) -> dict[str, int]:
+        """Scans that were dropped, by why."""
+        return {str(kind): self.rejections.counts.get((topics.SCAN.key, kind), 0) for kind in STAMPS}
 
     @property
     def covered(self) -> bool:
@@ -124,11 +141,6 @@ class Arrivals:
         """How the robot turned out to have moved since the last scan."""
         drivable = 0.02 <= seconds <= 1 and self.track.plausible(motion, seconds)
         self.velocity = _scaled(motion, 1 / seconds) if drivable else Pose2()
-
-    def _drop(self, why: str) -> Out:
-        self.n_dropped[why] += 1
-        if self.n_dropped[why] == 1 or self.n_dropped[why] % 100 == 0:
-            yield Log("WARNING", f"scan dropped: its stamp is {why} ({self.n_dropped[why]} so far)")
 
     def _silent(self, end: int) -> bool:
         return not self.track.samples or self.track.newest < end - self.config.timeout * SECOND

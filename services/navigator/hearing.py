@@ -19,6 +19,8 @@ _MISSING = {
         reasons.POSE_LOST,
         reasons.BASE_SILENT,
         reasons.BOARD_SILENT,
+        reasons.BAD_STAMPS,
+        reasons.ENCODERS_JUMP,
         reasons.STARTING,
         reasons.SERVICE_DIED,
     )

@@ -495,8 +495,10 @@ def test_stop_of_which_only_the_base_knows_is_stop_until_it_says_otherwise_or_is
     assert drive.velocity[0] > 0
 
 
-@pytest.mark.parametrize("name", ["scan", "odom"])
-def test_stamps_from_the_future_are_no_sign_of_life(name):
+@pytest.mark.parametrize(
+    ("name", "detail"), [("scan", "scan: stamps are 0.2 s ahead"), ("odom", "odom: stamps are 0.2 s ahead")]
+)
+def test_stamps_from_the_future_are_no_sign_of_life_and_named(name, detail):
     drive = driving()
     drive.cut = {name}
     for _ in range(10):
@@ -506,7 +508,47 @@ def test_stamps_from_the_future_are_no_sign_of_life(name):
         else:
             drive.call(drive.guard.odometry(Odometry(ahead, drive.odom_from_base, 0.5, 0.0, np.zeros(9))))
         drive.run(0.1)
-    assert drive.verdict == (GuardState.HOLD, f"{name}_old")
+    assert drive.verdict == (GuardState.HOLD, "bad_stamps")
+    assert drive.status.detail == detail
+    assert drive.guard.rejections.counts == {(name, "ahead"): 10}
+
+
+@pytest.mark.parametrize("name", ["scan", "odom"])
+def test_an_input_that_falls_silent_has_no_bad_stamps(name):
+    drive = driving()
+    drive.cut = {name}
+    seen = set()
+    for _ in range(50):
+        drive.run(0.02)
+        seen.add(drive.verdict[1])
+    assert seen == {"", f"{name}_old"}
+    assert drive.status.detail == ""
+    assert drive.guard.rejections.counts == {}
+
+
+def test_scans_that_are_late_when_they_come_are_named():
+    drive = driving()
+    drive.cut = {"scan"}
+    drive.run(0.25)
+    seen = set()
+    for _ in range(10):
+        drive.scan(stamp=drive.now - 240 * MS)
+        drive.run(0.1)
+        seen.add((drive.verdict[1], drive.status.detail))
+    assert seen == {("bad_stamps", "scan: stamps are 0.2 s old")}
+
+
+@pytest.mark.parametrize(
+    ("shift", "detail"), [(1.0, "teleop: stamps are 1.0 s ahead"), (-1.0, "teleop: stamps are 1.0 s old")]
+)
+def test_commands_of_another_clock_are_named(shift, detail):
+    drive = Drive()
+    for _ in range(20):
+        drive.call(drive.guard.command_teleop(Velocity(drive.now + round(shift * 1e9), 0.3, 0.0, "")))
+        drive.run(0.05)
+    assert drive.velocity == (0, 0)
+    assert drive.verdict[1] == "no_command"
+    assert drive.status.detail == detail
 
 
 def test_an_older_release_does_not_end_a_press_from_a_clock_that_is_ahead():
