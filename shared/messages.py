@@ -520,7 +520,8 @@ class Health(Message):
     handler_ms: Annotated[float, Unit("ms, slowest handler of the last second"), Within(0, 1e9)]
     rates: Annotated[tuple[tuple[str, float, float], ...], Unit("topic, Hz, age in s when handled (largest)")]
     rejected: Annotated[
-        tuple[tuple[str, str, int], ...], Unit("key, why (old, ahead, sequence, size, content), messages since the start")
+        tuple[tuple[str, str, int], ...],
+        Unit("key, why (old, ahead, sequence, size, content), messages since the start"),
     ] = ()
 
 

@@ -153,17 +153,22 @@ class Situation:
 
     @property
     def bad_stamps(self) -> str:
-        """What is wrong with the stamps of an input that is old although its messages come, in words."""
+        """What is wrong with the stamps of an input that is old although its messages come, in words.
+
+        The base's words on its board come first: what follows from the board's stamps is no cause.
+        """
+        if self.base is not None and self.fault == reasons.BAD_STAMPS.code:
+            return self.base.detail or reasons.BAD_STAMPS.text
         if self.odom_is_old:
             return self.rejections.told(topics.ODOM.key, self.now)
         return self.rejections.told(topics.SCAN.key, self.now) if self.scan_is_old else ""
 
     def told(self, reason: Reason, state: GuardState) -> str:
         """The detail of a reason to stand: the base's words for its faults, the input's for stamps."""
-        if state is GuardState.FAULT or (self.fault and reason.code == self.fault != reasons.ESTOP.code):
-            return self.base.detail if self.base else ""
         if reason is reasons.BAD_STAMPS:
             return self.bad_stamps
+        if self.base is not None and (state is GuardState.FAULT or reason.code == self.fault != reasons.ESTOP.code):
+            return self.base.detail
         if reason in (reasons.COMMAND_OLD, reasons.NO_COMMAND):
             return self.rejections.told(topics.TELEOP.key, self.now) or self.rejections.told(
                 topics.CMD_NAV.key, self.now
@@ -196,6 +201,9 @@ def scan_end(scan: LaserScan) -> int:
     return scan.stamp + round(scan.scan_time * 1e9)
 
 
+NO_FAULTS = ("", reasons.ESTOP.code, reasons.BAD_STAMPS.code)
+"""What the base may say without that its hardware is broken."""
+
 # fmt: off
 STOPS: tuple[tuple[Reason, GuardState, Callable[[Situation], bool]], ...] = (  # highest rank first
     (reasons.ESTOP,          GuardState.STOPPED, lambda s: s.pressed is not None or s.base_in_stop),
@@ -209,9 +217,9 @@ STOPS: tuple[tuple[Reason, GuardState, Callable[[Situation], bool]], ...] = (  #
     (reasons.BATTERY_EMPTY,  GuardState.FAULT,   lambda s: s.fault == reasons.BATTERY_EMPTY.code),
     (reasons.WRONG_RANGES,   GuardState.FAULT,   lambda s: s.fault == reasons.WRONG_RANGES.code),
     (reasons.SENSOR_DEAD,    GuardState.FAULT,   lambda s: s.fault == reasons.SENSOR_DEAD.code),
-    (reasons.FAULT,          GuardState.FAULT,   lambda s: s.fault not in ("", reasons.ESTOP.code, reasons.BAD_STAMPS.code)),
+    (reasons.FAULT,          GuardState.FAULT,   lambda s: s.fault not in NO_FAULTS),
     (reasons.BASE_SILENT,    GuardState.HOLD,    lambda s: s.old(s.base_stamp, s.config.base_age)),
-    (reasons.BAD_STAMPS,     GuardState.HOLD,    lambda s: s.fault == reasons.BAD_STAMPS.code or s.bad_stamps != ""),
+    (reasons.BAD_STAMPS,     GuardState.HOLD,    lambda s: bool(s.bad_stamps)),
     (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s: s.odom_is_old),
     (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s: s.scan_is_old),
     (reasons.COMMAND_OLD,    GuardState.HOLD,    lambda s: not s.heard and s.source.moving),

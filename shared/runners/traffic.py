@@ -18,7 +18,7 @@ class Traffic:
     """What came in and went wrong since the last health message."""
 
     def __init__(self) -> None:
-        self.bad = self.intruders = 0
+        self.bad = self.intruders = self.old = 0
         self.last_error = ""
         self.slowest = 0.0
         self.counts: dict[str, int] = {}
@@ -48,9 +48,7 @@ class Traffic:
         if told:
             self.wrong("; ".join(told), now)
 
-    def health(
-        self, name: str, state: str, n_events: int, dropped: int, now: int, rejections: Rejections | None = None
-    ) -> Health:
+    def health(self, name: str, state: str, n_events: int, dropped: int, rejections: Rejections, now: int) -> Health:
         """The health message of the time since the last one; counts of what went wrong go on."""
         cpu, wall = time.process_time(), time.monotonic()
         seconds = max(wall - self._wall, 1e-3)
@@ -60,7 +58,7 @@ class Traffic:
         memory = self._process.memory_info().rss / 1e6
         slowest_ms = self.slowest * 1e3
         self.slowest, self.counts, self.ages = 0.0, {}, {}
-        rejected = rejections.counts if rejections is not None else {}
+        rejected = rejections.counts
         return Health(
             now, name, os.getpid(), state, n_events, self.bad, dropped, self.intruders, self.last_error, share, memory,
             slowest_ms, rates, tuple((key, str(kind), n) for (key, kind), n in sorted(rejected.items())),

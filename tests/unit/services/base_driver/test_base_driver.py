@@ -682,7 +682,8 @@ def test_ranges_carry_the_sensors_places_and_only_what_they_can_measure():
         (
             0,
             20,
-            "the board sends 0 ultrasonic ranges, robot.ranges has 3, the board sends 20 infrared ranges, robot.ranges has 7",
+            "the board sends 0 ultrasonic ranges, robot.ranges has 3, "
+            "the board sends 20 infrared ranges, robot.ranges has 7",
         ),
     ],
 )
