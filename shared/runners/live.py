@@ -12,7 +12,6 @@ import signal
 import sys
 import time
 import traceback
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
@@ -20,33 +19,30 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, cast
 
-import msgpack
 import zenoh
 
 from shared import reasons, topics
 from shared.codec import CodecError, Envelope, decode, encode, envelope_of
 from shared.config import UserError, configured
 from shared.messages import LogLine, Message
-from shared.reasons import Reason
-from shared.rejections import Kind
 from shared.requests import Request
 from shared.runners import transport
 from shared.runners.admission import Admission, Verdict
 from shared.runners.blackbox import BlackBox, Taken, crash_line
 from shared.runners.clock import SECOND, Clock, clock_from
 from shared.runners.host import Effect, Host, JobOrder, Sent
-from shared.runners.inbox import CAPACITY, Inbox, Place
+from shared.runners.inbox import Inbox, Place
 from shared.runners.kept import Kept
 from shared.runners.memory import Memory
 from shared.runners.metronome import Metronome
 from shared.runners.port import Port
+from shared.runners.refusals import Refusals, refuse, refused_by_size
 from shared.runners.traffic import Traffic
 from shared.service import Service
 from shared.topics import TOPICS, Topic, key_of
 
 VELOCITY_PATH = ("base_driver", "odometry", "local_ctrl", "guard")
 MAX_REQUESTS = 8
-TELL_REFUSED = 50_000_000  # ns between two tellings of what was rejected: a flood must not fill the journal
 
 log = logging.getLogger("zenav")
 
@@ -77,9 +73,7 @@ class Live:
         self._requests = self.inbox.place("requests", "all", MAX_REQUESTS)
         self._results = self.inbox.place("jobs", "all")
         self._admissions: dict[str, Admission] = {}
-        self._oversized: deque[tuple[str, str]] = deque(maxlen=CAPACITY)  # key, words: filed by Zenoh's threads
-        self._refused: dict[tuple[str, Kind], tuple[int, str]] = {}  # how many the service has not been told of
-        self._refused_told = 0  # ns
+        self._refusals = Refusals()
         self._latched_readers: dict[str, transport.LatchedReader] = {}
         self._from_ports = self.inbox.place("ports", "all")
         self._places: list[Place] = [self._requests, self._from_ports]
@@ -132,7 +126,7 @@ class Live:
         while not self._stopping:
             self._take_raws()
             now = self.clock.now()
-            self._tell_refused(now)
+            self._refusals.tell(self.host, now)
             if now >= report:
                 self._report(now)
                 report = now + SECOND
@@ -195,20 +189,17 @@ class Live:
                 self._latched_readers[key] = reader
 
     def _file_sample(self, place: Place, sample: zenoh.Sample) -> None:
-        if words := transport.oversize(sample.payload):
-            self._oversized.append((place.key, words))
-        else:
+        if not self._refusals.oversized(place.key, sample.payload):
             self.inbox.file(place, sample.payload.to_bytes())
 
     def _file_kept(self, place: Place, payload: bytes) -> None:
         self.inbox.file(place, (payload,))
 
     def _file_request(self, request: Request[Message, Message], query: zenoh.Query) -> None:
-        if query.payload is not None and (words := transport.oversize(query.payload)):
-            self._oversized.append((request.key, words))
-            _refuse(query, reasons.TOO_LARGE, words)
-        elif len(self._requests.items) >= MAX_REQUESTS:
-            _refuse(query, reasons.BUSY, "")
+        if refused_by_size(self._refusals, query, request.key):
+            return
+        if len(self._requests.items) >= MAX_REQUESTS:
+            refuse(query, reasons.BUSY, "")
         else:
             self.inbox.file(self._requests, (request, query))
 
@@ -250,27 +241,13 @@ class Live:
         if verdict is Verdict.OLD:
             if not latched:
                 self.traffic.old += 1
-                self._refuse_message(key, Kind.SEQUENCE, self._admissions[key].words)
+                self._refusals.sequence(key, self._admissions[key].words)
             return
         self._boxed(key, payload, envelope, now, latched)
         self._apply(self.host.message(key, message, envelope, now, latched))
         for metronome in self._metronomes:
             metronome.heard(topic.key, now)
         self.traffic.took(key, (now - message.stamp) / SECOND, time.perf_counter() - begun)
-
-    def _refuse_message(self, key: str, kind: Kind, words: str) -> None:
-        self._refused[key, kind] = self._refused.get((key, kind), (0, ""))[0] + 1, words
-
-    def _tell_refused(self, now: int) -> None:
-        """Tells the service, a few times a second, what was rejected of its inputs: it may stand because of that."""
-        while self._oversized:
-            key, words = self._oversized.popleft()
-            self._refuse_message(key, Kind.SIZE, words)
-        if self._refused and not 0 <= now - self._refused_told < TELL_REFUSED:
-            self._refused_told = now
-            for (key, kind), (n, words) in self._refused.items():
-                self.host.rejected(key, kind, words, n, now)
-            self._refused.clear()
 
     def _take_raws(self) -> None:
         for full_key, payload, at, latched in self._everything.taken() if self._everything is not None else ():
@@ -281,8 +258,7 @@ class Live:
                 self.traffic.bad += 1
                 self.traffic.wrong(f"{key}: not a message: {error}", now)
                 continue
-            if not latched and (words := transport.oversize(payload)):
-                self._refuse_message(key, Kind.SIZE, words)
+            if not latched and self._refusals.oversized(key, payload):
                 continue
             self.host.service.now = now
             self.host.n_events += 1
@@ -295,13 +271,12 @@ class Live:
         except CodecError as error:
             self.traffic.bad += 1
             self.traffic.wrong(f"{request.key}: a bad request was refused: {error}", now)
-            _refuse(query, reasons.BAD_REQUEST, str(error))
+            refuse(query, reasons.BAD_REQUEST, str(error))
             return
         effects, reply = self.host.request(request.key, message, payload, now)
         replied = encode(reply, Envelope(self.name, self.host.session, 0, now))
-        if words := transport.oversize(replied):
-            self._refuse_message(request.key, Kind.SIZE, f"a reply of {words}")
-            _refuse(query, reasons.TOO_LARGE, f"the reply has {words}")
+        if words := self._refusals.oversized(request.key, replied):
+            refuse(query, reasons.TOO_LARGE, f"the reply has {words}")
         else:
             with query:
                 query.reply(f"{self.robot}/{request.key}", replied)
@@ -335,10 +310,8 @@ class Live:
             log.log(logging.getLevelNamesMapping().get(line.level, logging.INFO), line.text)
         if sent.topic.latched:
             self._kept.publish(sent)
-        if words := transport.oversize(sent.payload):
-            self._refuse_message(sent.key, Kind.SIZE, words)
-            return
-        self._publishers[sent.key].put(sent.payload)
+        if not self._refusals.oversized(sent.key, sent.payload):
+            self._publishers[sent.key].put(sent.payload)
 
     def _report(self, now: int) -> None:
         self._publish_journals(now)
@@ -360,11 +333,6 @@ class Live:
         topic = topics.topic_of(key)
         if self._box is not None and topic is not None:
             self._box.take(Taken(key, topic.type, payload, envelope, now, kept))
-
-
-def _refuse(query: zenoh.Query, reason: Reason, text: str) -> None:
-    with query:
-        query.reply_err(msgpack.packb({"code": reason.code, "text": text}))
 
 
 def arguments(name: str) -> argparse.ArgumentParser:
