@@ -60,12 +60,15 @@ def test_scans_spoiled_in_every_way_do_not_keep_the_robot_from_its_goal(tmp_path
     assert (stack.truth.start @ stack.newest["pose"].map_from_base).distance(stack.truth.world_from_base) < 0.1
 
 
-@pytest.mark.parametrize("way", ["from the past", "from the future"])
-def test_scans_of_another_time_alone_stop_the_robot_with_the_reason(tmp_path, way):
+@pytest.mark.parametrize(
+    ("way", "detail"),
+    [("from the past", "scan: stamps are 10.0 s old"), ("from the future", "scan: stamps are 10.0 s ahead")],
+)
+def test_scans_of_another_time_alone_stop_the_robot_with_the_reason(tmp_path, way, detail):
     stack = spoiled(tmp_path, 1, [way])
     stack.until(lambda: not stack.commanded, 1.0)
     stack.lockstep.run(0.2)
-    assert stack.guard.reason == "scan_old"
+    assert (stack.guard.reason, stack.guard.detail) == ("bad_stamps", detail)
     stack.until(lambda: abs(stack.truth.v) < 0.01, 1.0)
     stack.stands_for(1.0)
     stack.lockstep.service("sim").every = 0
