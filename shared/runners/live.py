@@ -36,7 +36,7 @@ from shared.runners.kept import Kept
 from shared.runners.memory import Memory
 from shared.runners.metronome import Metronome
 from shared.runners.port import Port
-from shared.runners.refusals import Refusals, refuse, refused_by_size
+from shared.runners.refusals import Refusals
 from shared.runners.traffic import Traffic
 from shared.service import Service
 from shared.topics import TOPICS, Topic, key_of
@@ -196,10 +196,10 @@ class Live:
         self.inbox.file(place, (payload,))
 
     def _file_request(self, request: Request[Message, Message], query: zenoh.Query) -> None:
-        if refused_by_size(self._refusals, query, request.key):
-            return
-        if len(self._requests.items) >= MAX_REQUESTS:
-            refuse(query, reasons.BUSY, "")
+        if words := self._refusals.oversized(request.key, query.payload or b""):
+            transport.refuse(query, reasons.TOO_LARGE, words)
+        elif len(self._requests.items) >= MAX_REQUESTS:
+            transport.refuse(query, reasons.BUSY, "")
         else:
             self.inbox.file(self._requests, (request, query))
 
@@ -271,12 +271,12 @@ class Live:
         except CodecError as error:
             self.traffic.bad += 1
             self.traffic.wrong(f"{request.key}: a bad request was refused: {error}", now)
-            refuse(query, reasons.BAD_REQUEST, str(error))
+            transport.refuse(query, reasons.BAD_REQUEST, str(error))
             return
         effects, reply = self.host.request(request.key, message, payload, now)
         replied = encode(reply, Envelope(self.name, self.host.session, 0, now))
         if words := self._refusals.oversized(request.key, replied):
-            refuse(query, reasons.TOO_LARGE, f"the reply has {words}")
+            transport.refuse(query, reasons.TOO_LARGE, f"the reply has {words}")
         else:
             with query:
                 query.reply(f"{self.robot}/{request.key}", replied)

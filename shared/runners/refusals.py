@@ -2,12 +2,8 @@
 """What a live runner rejects before its service sees it: it tells the service a few times a second."""
 
 from collections import deque
+from collections.abc import Sized
 
-import msgpack
-import zenoh
-
-from shared import reasons
-from shared.reasons import Reason
 from shared.rejections import Kind
 from shared.runners import transport
 from shared.runners.host import Host
@@ -25,7 +21,7 @@ class Refusals:
         self._untold: dict[tuple[str, Kind], tuple[int, str]] = {}
         self._told_at = 0
 
-    def oversized(self, key: str, payload: bytes | zenoh.ZBytes) -> str:
+    def oversized(self, key: str, payload: Sized) -> str:
         """Notes a message that is too large, and returns what is wrong in words; empty where it is not. Any thread."""
         words = transport.oversize(payload)
         if words:
@@ -49,17 +45,3 @@ class Refusals:
 
     def _note(self, key: str, kind: Kind, words: str) -> None:
         self._untold[key, kind] = self._untold.get((key, kind), (0, ""))[0] + 1, words
-
-
-def refuse(query: zenoh.Query, reason: Reason, text: str) -> None:
-    """Answers a request with an error, at once."""
-    with query:
-        query.reply_err(msgpack.packb({"code": reason.code, "text": text}))
-
-
-def refused_by_size(refusals: Refusals, query: zenoh.Query, key: str) -> bool:
-    """Refuses a request that is too large; whether it was."""
-    words = refusals.oversized(key, query.payload) if query.payload is not None else ""
-    if words:
-        refuse(query, reasons.TOO_LARGE, words)
-    return bool(words)

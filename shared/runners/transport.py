@@ -10,16 +10,18 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sized
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
 from typing import Any, NamedTuple
 
+import msgpack
 import zenoh
 
 from shared.config import UserError, nearest
+from shared.reasons import Reason
 from shared.topics import SERVICES, TOPICS
 
 BASE_PORT = 17400
@@ -126,10 +128,16 @@ def asks_for_realtime(priority: int = 5) -> bool:
     return True
 
 
-def oversize(payload: "bytes | zenoh.ZBytes") -> str:
+def oversize(payload: Sized) -> str:
     """What is wrong with the size of a message, in words; empty where it is within `MAX_PAYLOAD`."""
     n = len(payload)
     return f"{n / 2**20:.1f} MiB where a message may have {MAX_PAYLOAD // 2**20}" if n > MAX_PAYLOAD else ""
+
+
+def refuse(query: zenoh.Query, reason: Reason, text: str) -> None:
+    """Answers a request with an error, at once."""
+    with query:
+        query.reply_err(msgpack.packb({"code": reason.code, "text": text}))
 
 
 class LatchedPublisher:
