@@ -13,6 +13,8 @@ from shared.messages import BaseStatus, EmergencyStop, GuardState, LaserScan, Lo
 from shared.reasons import Reason
 from shared.stamps import fresh, precedes, supersedes
 
+MAX_UNLIKE_AGE = 1.0  # s that a scan with other beams than the configured ones is the cause of a missing scan
+
 
 class StopsConfig(Section):
     """When an input is too old to drive on."""
@@ -39,6 +41,9 @@ class Situation:
         self.odom_at: int | None = None  # ns from when on it ages: its stamp, or when it came if that was ahead
         self.scan: LaserScan | None = None
         self.scan_at: int | None = None  # as odom_at, of its last beam
+        self.unlike_at: int | None = None  # ns, when a scan last came whose beams are not the configured ones
+        self.frozen = False  # the laser repeats one scan
+        self.blind = False  # the laser does not see where the command leads
         self.pose: PoseEstimate | None = None
         self.lost_since: int | None = None
         self.jumped_at: int | None = None
@@ -51,6 +56,7 @@ class Situation:
     def take_scan(self, scan: LaserScan | None) -> None:
         """What the laser saw last; None: that tells nothing any more."""
         self.scan, self.scan_at = scan, min(scan_end(scan), self.now) if scan else None
+        self.unlike_at = None
 
     def take_override(self, seconds: float) -> Reason | None:
         """Overrides the field for so long, or ends that; the reason where it is refused."""
@@ -143,6 +149,16 @@ class Situation:
         return command.stamp - self.jumped_at <= self.config.replan * 1e9
 
     @property
+    def scan_is_old(self) -> bool:
+        """Whether the last scan that counts is missing or too old to drive on."""
+        return self.old(self.scan_at, self.config.scan_age)
+
+    @property
+    def unlike(self) -> bool:
+        """Whether scans come, but with other beams than the configured ones."""
+        return self.unlike_at is not None and not self.old(self.unlike_at, MAX_UNLIKE_AGE)
+
+    @property
     def base_stamp(self) -> int | None:
         return self.base.stamp if self.base else None
 
@@ -181,10 +197,13 @@ STOPS: tuple[tuple[Reason, GuardState, Callable[[Situation], bool]], ...] = (  #
     (reasons.FAULT,          GuardState.FAULT,   lambda s: s.fault not in ("", reasons.ESTOP.code)),
     (reasons.BASE_SILENT,    GuardState.HOLD,    lambda s: s.old(s.base_stamp, s.config.base_age)),
     (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s: s.old(s.odom_at, s.config.odom_age)),
-    (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s: not s.overridden and s.old(s.scan_at, s.config.scan_age)),
+    (reasons.SCAN_UNLIKE,    GuardState.HOLD,    lambda s: not s.overridden and s.unlike and s.scan_is_old),
+    (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s: not s.overridden and s.scan_is_old),
+    (reasons.SCAN_FROZEN,    GuardState.HOLD,    lambda s: not s.overridden and s.frozen),
     (reasons.COMMAND_OLD,    GuardState.HOLD,    lambda s: not s.heard and s.source.moving),
     (reasons.NO_COMMAND,     GuardState.IDLE,    lambda s: not s.heard),
     (reasons.ESTOP_RELEASED, GuardState.HOLD,    lambda s: not s.source.armed),
+    (reasons.SCAN_BLIND,     GuardState.HOLD,    lambda s: s.navigating and s.blind),
     (reasons.POSE_LOST,      GuardState.HOLD,    lambda s: s.navigating and s.lost),
     (reasons.POSE_JUMPED,    GuardState.HOLD,    lambda s: s.navigating and s.replanning),
     (reasons.POSE_OLD,       GuardState.HOLD,    lambda s: s.navigating and s.old(s.pose_stamp, s.config.pose_age)),
