@@ -26,6 +26,8 @@ MAX_GAP_NS = 1_000_000_000
 """Between two scans that belong to one stream."""
 MIN_RETURNS = 30
 """A scan of fewer returns may repeat by chance: readings have steps."""
+MIN_VALUES = 5
+"""Different ranges of a scan: a covered laser may measure its cover, always the same."""
 N_SECTORS = 12
 N_PAIRS = 10
 MIN_SECTORS_SHARE = 0.75
@@ -114,7 +116,8 @@ class RepeatedScans:
         enough = max(MIN_REPEATS, self._usual_repeats + 2 if self._usual_repeats else 0)
         if self.n_repeats < enough or scan.stamp - first.stamp < MIN_REPEATED_NS:
             return False
-        if np.count_nonzero(returns(scan)) < MIN_RETURNS:
+        measured = scan.ranges[returns(scan)]
+        if len(measured) < MIN_RETURNS or len(np.unique(measured)) < MIN_VALUES:
             return False
         return self.noisy or self._contradicted(scan, self._odom_from_first.inverse() @ odom_from_base)
 

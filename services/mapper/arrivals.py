@@ -13,6 +13,7 @@ from services.mapper.odometry_track import OdometryConfig, OdometryTrack
 from shared.config import Robot
 from shared.geometry import Pose2, interpolated
 from shared.messages import LaserScan, Odometry
+from shared.scan_faults import RepeatedScans, mismatch
 from shared.service import Log, Out
 
 Float64s = NDArray[np.float64]
@@ -48,13 +49,15 @@ class Arrivals:
 
     def __init__(self, config: OdometryConfig, occupancy: OccupancyConfig, robot: Robot, blind_doubt: float) -> None:
         self.config, self.occupancy, self.blind_doubt = config, occupancy, blind_doubt
-        self.mount = robot.laser.mount
+        self.laser, self.mount = robot.laser, robot.laser.mount
+        self.repeats = RepeatedScans(robot.laser.mount)
         self.track = OdometryTrack(config, robot.drive)
         self.pending: tuple[int, LaserScan] | None = None  # when it came, and the scan
         self.last_end = -1  # ns, end of the last scan that was placed
         self.velocity = Pose2()  # motion a second between the last two scans
         self.blind = False  # the last scan was placed without odometry
-        self.n_dropped = {"old": 0, "late": 0, "ahead": 0}
+        self.n_dropped = {"old": 0, "late": 0, "ahead": 0, "repeated": 0, "unlike": 0}
+        self._logged_at: dict[str, int] = {}  # ns, when a kind of rejected scan was last logged
 
     def start(self) -> None:
         """Another map: the scan that waits is not placed on it, and nothing is known of the motion."""
@@ -66,6 +69,7 @@ class Arrivals:
             return
         if odometry.stamp < self.track.newest - SECOND and odometry.stamp > now - SECOND:
             self.track.clear()  # the clock was set back
+            self.repeats.restart()
             self.blind = True
         jumps = self.track.n_jumps
         self.track.add(odometry, broken=self.blind and self.track.newest <= self.last_end)
@@ -88,6 +92,10 @@ class Arrivals:
             yield from self._drop("ahead")
         elif end < now - OLDEST:
             yield from self._drop("late")
+        elif unlike := mismatch(scan, self.laser):
+            yield from self._reject("unlike", unlike, now)
+        elif self.repeats.take(scan, self.track.samples[-1].start_from_base if self.track.samples else Pose2()):
+            yield from self._reject("repeated", f"the laser repeats one scan: {self.repeats.n_repeats} times", now)
         else:
             self.pending = now, scan
 
@@ -129,6 +137,13 @@ class Arrivals:
         self.n_dropped[why] += 1
         if self.n_dropped[why] == 1 or self.n_dropped[why] % 100 == 0:
             yield Log("WARNING", f"scan dropped: its stamp is {why} ({self.n_dropped[why]} so far)")
+
+    def _reject(self, why: str, text: str, now: int) -> Out:
+        """Counts a scan that is not placed, and logs it once a second."""
+        self.n_dropped[why] += 1
+        if not 0 <= now - self._logged_at.get(why, -SECOND) < SECOND:
+            self._logged_at[why] = now
+            yield Log("WARNING", f"scan rejected: {text} ({self.n_dropped[why]} so far)")
 
     def _silent(self, end: int) -> bool:
         return not self.track.samples or self.track.newest < end - self.config.timeout * SECOND
