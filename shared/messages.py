@@ -183,7 +183,7 @@ class BoardStatus(Message):
 
 @dataclass(frozen=True, slots=True)
 class LaserScan(Message):
-    """One sweep in `laser`; beams run counter-clockwise when the increment is positive. No echo is NaN, or +inf (REP 117).
+    """One sweep in `laser`; beams run counter-clockwise when the increment is positive. No echo is NaN or +inf.
 
     `stamp` is the first beam's; the last beam was taken `scan_time` later. Any field of view, symmetric or not.
     Intensities are one a beam in the device's own scale, 0 where nothing came back, or none at all.

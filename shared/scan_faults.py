@@ -33,6 +33,10 @@ N_PAIRS = 10
 MIN_SECTORS_SHARE = 0.75
 """Noise is everywhere, people are not: of the sectors, those in which readings changed over N_PAIRS standing scans."""
 STANDING_M, STANDING_RAD = 0.001, 0.001
+SETTLING_NS = 500_000_000
+"""Of standing, before scans tell of noise: under the encoders' resolution a robot still moves."""
+MIN_NOISE_M = 0.0005
+"""By which two readings differ; a device has steps of 1 mm or more."""
 MOVED_M, MOVED_RAD = 0.15, 0.1
 """Motion after which a scan of anything but a featureless corridor has changed, also with steps of 5 cm."""
 MIN_CONTRADICTIONS = 0.15
@@ -82,7 +86,8 @@ class RepeatedScans:
         self.n_repeats = 0  # scans that equal the one before, in a row
         self._first: LaserScan | None = None  # of the equal ones
         self._newest = 0  # ns, stamp
-        self._odom_from_base = Pose2()  # at the newest
+        self._stands_since = 0  # ns, stamp
+        self._odom_from_stand = Pose2()  # where it stands since then
         self._odom_from_first = Pose2()
         self._changed: Bools = np.zeros(N_SECTORS, bool)
         self._n_pairs = 0
@@ -95,17 +100,18 @@ class RepeatedScans:
     def take(self, scan: LaserScan, odom_from_base: Pose2) -> bool:
         """Takes the next scan, with the newest pose by odometry. Returns whether the laser repeats itself."""
         first = self._first
+        self._stand(scan, odom_from_base)
         if first is None or not 0 < scan.stamp - self._newest <= MAX_GAP_NS or len(first.ranges) != len(scan.ranges):
             self._begin(scan, odom_from_base)
         elif np.array_equal(first.ranges, scan.ranges, equal_nan=True):
             self.n_repeats += 1
             self.frozen = self.frozen or self._proven(first, scan, odom_from_base)
         else:
-            self._learn(first, scan, odom_from_base)
+            self._learn(first, scan)
             if not self.frozen and self._newest - first.stamp <= 2 * MIN_REPEATED_NS:
                 self._usual_repeats = max(self._usual_repeats, min(self.n_repeats, MAX_USUAL_REPEATS))
             self._begin(scan, odom_from_base)
-        self._newest, self._odom_from_base = scan.stamp, odom_from_base
+        self._newest = scan.stamp
         return self.frozen
 
     def _begin(self, scan: LaserScan, odom_from_base: Pose2) -> None:
@@ -121,19 +127,28 @@ class RepeatedScans:
             return False
         return self.noisy or self._contradicted(scan, self._odom_from_first.inverse() @ odom_from_base)
 
-    def _learn(self, first: LaserScan, scan: LaserScan, odom_from_base: Pose2) -> None:
-        moved = self._odom_from_base.inverse() @ odom_from_base
+    def _stand(self, scan: LaserScan, odom_from_base: Pose2) -> None:
+        """Notices since when the robot stands."""
+        moved = self._odom_from_stand.inverse() @ odom_from_base
         if hypot(moved.x, moved.y) > STANDING_M or abs(moved.yaw) > STANDING_RAD:
+            self._stands_since, self._odom_from_stand = scan.stamp, odom_from_base
+            self._changed[:], self._n_pairs = False, 0
+
+    def _learn(self, first: LaserScan, scan: LaserScan) -> None:
+        if scan.stamp - self._stands_since < SETTLING_NS:
             return
         both = returns(first) & returns(scan)
         if np.count_nonzero(both) < MIN_RETURNS:
             return
         sectors = np.arange(len(both)) * N_SECTORS // len(both)
-        self._changed[sectors[both & (first.ranges != scan.ranges)]] = True
+        changed = np.zeros(len(both), bool)
+        changed[both] = np.abs(first.ranges[both] - scan.ranges[both]) >= MIN_NOISE_M
+        self._changed[sectors[changed]] = True
         self._n_pairs += 1
         if self._n_pairs == N_PAIRS:
             filled = np.bincount(sectors[both], minlength=N_SECTORS) > 2
-            self.noisy = np.count_nonzero(self._changed & filled) >= MIN_SECTORS_SHARE * np.count_nonzero(filled)
+            n_changed, n_filled = np.count_nonzero(self._changed & filled), np.count_nonzero(filled)
+            self.noisy = bool(n_changed >= MIN_SECTORS_SHARE * n_filled)
             self._changed, self._n_pairs = np.zeros(N_SECTORS, bool), 0
 
     def _contradicted(self, scan: LaserScan, motion: Pose2) -> bool:
@@ -155,7 +170,7 @@ class RepeatedScans:
         distance = np.hypot(moved[met, 0], moved[met, 1])
         off = (distance < near.min(axis=0) - AGREES_M) | (distance > near.max(axis=0) + AGREES_M)
         known = np.count_nonzero(np.isfinite(near[0]))
-        return known >= MIN_RETURNS and np.count_nonzero(off) >= MIN_CONTRADICTIONS * known
+        return bool(known >= MIN_RETURNS and np.count_nonzero(off) >= MIN_CONTRADICTIONS * known)
 
 
 def returns(scan: LaserScan) -> Bools:

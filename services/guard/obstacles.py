@@ -112,7 +112,7 @@ class Obstacles:
 def beam_ends(
     scan: LaserScan, track: Track, base_from_laser: Pose2, stride: int
 ) -> tuple[Float64s, Float64s, Float64s]:
-    """Of each `stride`-th beam: its end (n, 2) m in `odom`, seen from where the robot was at that beam; NaN without one.
+    """Of each `stride`-th beam: its end (n, 2) m in `odom`, from where the robot was at that beam; NaN without one.
 
     Also the end (n, 2) m in `base` at that beam, and the distance (n,) m that it may have from a neighbour's end on
     the same surface, because beams spread.

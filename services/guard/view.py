@@ -42,7 +42,7 @@ MAX_OUTLINE_GAP = 0.1  # m between points of the outline
 
 
 class ViewConfig(Section):
-    """When a scan counts as a view. A hall wider than the laser's range and open air need `min_share`, `min_ahead` 0."""
+    """When a scan counts as a view. In halls wider than the laser's range and in open air set both shares to 0."""
 
     min_share: float = Field(
         0.05, ge=0, le=1, description="share of the beams that must return; with fewer the laser sees nothing at all"
@@ -105,7 +105,7 @@ class View:
         hit = np.isfinite(ends[:, 0]) & ~inside(self.robot.corners, in_base)
         ends[~hit] = np.nan
         seen = hit | (self.config.inf_is_free & np.isposinf(scan.ranges[::stride]))
-        angles = scan.angle_min + scan.angle_increment * stride * np.arange(len(hit))
+        angles: Float64s = scan.angle_min + scan.angle_increment * stride * np.arange(len(hit), dtype=np.float64)
         bins = self._bins(angles)
         n_beams = np.bincount(bins, minlength=self.n)
         self._covered = n_beams > 0
@@ -114,7 +114,7 @@ class View:
         middle = track.poses(np.array([scan.scan_time / 2]), scan.stamp)[0]
         odom_from_laser = Pose2(float(middle[0]), float(middle[1]), float(middle[2])) @ self.base_from_laser
         known = odom_from_laser.inverse() @ self._ends
-        distance, at = np.hypot(known[:, 0], known[:, 1]), self._bins(np.arctan2(known[:, 1], known[:, 0]))
+        distance, at = np.hypot(known[:, 0], known[:, 1]), self._bins(_bearings(known))
         due = (distance > scan.range_min + EDGE) & (distance < (1 - EDGE) * scan.range_max) & self._covered[at]
         expected = np.minimum(np.bincount(at[due], minlength=self.n) / np.maximum(n_beams, 1), 1.0)
         self._judge(got, expected, float(seen.mean()), now)
@@ -219,7 +219,7 @@ class View:
         swept = np.concatenate([arc(v * t, w * t) @ self.outline for t in steps.tolist()])
         swept = swept[~inside(self.robot.corners, swept)]
         in_laser = self.base_from_laser.inverse() @ swept
-        bins = np.unique(self._bins(np.arctan2(in_laser[:, 1], in_laser[:, 0])))
+        bins = np.unique(self._bins(_bearings(in_laser)))
         return bins[self._covered[bins]]
 
     def _told(self, scan: LaserScan) -> str:
@@ -239,3 +239,7 @@ class View:
         if not self._few_since:
             text += f"; {np.count_nonzero(self._dark) * 360 // self.n} degrees went dark"
         return text
+
+
+def _bearings(points: Float64s) -> Float64s:
+    return np.asarray(np.arctan2(points[:, 1], points[:, 0]))
