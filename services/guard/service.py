@@ -93,7 +93,8 @@ class GuardService(Service):
             permitted(far, self.corners, 0.1, w, self.robot.drive, self.config.field)
 
     def state(self) -> str:
-        return f"{self.verdict.state} {self.verdict.reason}".rstrip()
+        words = f"{self.verdict.state} {self.verdict.reason}".rstrip()
+        return f"{words}, scan rejected: {self.unlike}" if self.unlike else words
 
     @on(topics.CMD_NAV)
     def command_nav(self, command: Velocity) -> Out:

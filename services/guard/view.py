@@ -28,13 +28,15 @@ MIN_EXPECTED = 0.6  # share of a sector that the last scan filled: a person who 
 MIN_EXPECTED_WHOLE = 0.1  # the same of the whole sweep, in which less is enough: everything is gone at once
 MAX_KEPT_OF_LOST = 0.25  # of the returns to be expected: a sector that keeps less is dark
 MIN_BACK = 0.5  # of them: a sector where so much is back is seen again
+MIN_STILL_EXPECTED = 0.3  # share of a dark sector in which things still stand by memory: else nothing proves it dark
 AHEAD = radians(25.0)  # on either side of straight ahead or back
 MIN_DARK = 0.25  # share of the directions that the robot will sweep
 SUPPORT_RADIUS = 0.1  # m within which two returns support each other: one alone is noise
 MAX_LOST = 1000  # points kept, the nearest
 MAX_LOST_DISTANCE = 12.0  # m
 SEEN_THROUGH = 0.3  # m by which a return must be farther than a kept point to prove it gone
-EDGE = 0.05  # m over range_min and as share of range_max: a point there may go out of range by noise
+EDGE = 0.05  # m over range_min: a point there may go out of range by noise
+MAX_RANGE_SHARE = 0.8  # of range_max: dark and slanted surfaces return nothing from farther
 LOOK_AHEAD = 1.0  # m of way beyond the stopping distance
 MAX_TURN_AHEAD = pi / 2
 N_STEPS = 6  # places on the arc ahead
@@ -56,6 +58,9 @@ class ViewConfig(Section):
     )
     blind_after: float = Field(
         0.3, ge=0.05, le=2, description="s of no view until nav stops and teleop has `field.blind_speed` at most"
+    )
+    dark_sectors: bool = Field(
+        True, description="returns that vanish at once over 20 degrees and more make a sector dark"
     )
     inf_is_free: bool = Field(
         False, description="a beam of +inf counts as a view of free space (REP 117); NaN never does"
@@ -86,9 +91,7 @@ class View:
         """Drops everything: odometry began again."""
         self._covered: Bools = np.zeros(self.n, bool)
         self._dark_since: Int64s = np.zeros(self.n, np.int64)  # ns, 0: not dark
-        self._promise: Float64s = np.zeros(self.n)  # share of a dark direction that returned before
         self._all_since = 0  # ns, 0: something is seen
-        self._all_promise = 0.0
         self._few_since = 0  # ns since when under min_share of the beams return, 0: enough do
         self._seen_at: Int64s = np.zeros(self.n, np.int64)  # ns
         self._ends = NONE  # (k, 2) m in `odom`: what the last scan saw, and the lost
@@ -115,9 +118,9 @@ class View:
         odom_from_laser = Pose2(float(middle[0]), float(middle[1]), float(middle[2])) @ self.base_from_laser
         known = odom_from_laser.inverse() @ self._ends
         distance, at = np.hypot(known[:, 0], known[:, 1]), self._bins(_bearings(known))
-        due = (distance > scan.range_min + EDGE) & (distance < (1 - EDGE) * scan.range_max) & self._covered[at]
+        due = (distance > scan.range_min + EDGE) & (distance < MAX_RANGE_SHARE * scan.range_max) & self._covered[at]
         expected = np.minimum(np.bincount(at[due], minlength=self.n) / np.maximum(n_beams, 1), 1.0)
-        self._judge(got, expected, float(seen.mean()), now)
+        self._judge(got, expected if self.config.dark_sectors else np.zeros(self.n), float(seen.mean()), now)
         self._keep(ends, radius, bins, odom_from_laser, distance, at)
         self.detail = self._told(scan) if self._few_since or self._dark.any() else ""
 
@@ -162,14 +165,14 @@ class View:
         gone = (self._about(expected) >= MIN_EXPECTED * (2 * self.half + 1)) & (self._about(again) < lost)
         fresh = (self._about(gone.astype(float)) > 0) & (expected > 0) & (got < MAX_KEPT_OF_LOST * expected)
         if not self._all_since and total >= MIN_EXPECTED_WHOLE * n_covered and again.sum() < MAX_KEPT_OF_LOST * total:
-            self._all_since, self._all_promise = now, total
+            self._all_since = now
             fresh |= (expected > 0) & (got == 0)
-        fresh &= ~self._dark
-        self._dark_since[fresh], self._promise[fresh] = now, expected[fresh]
+        self._dark_since[fresh & ~self._dark] = now
         dark = self._dark
-        promised, back = self._about(self._promise * dark), self._about(got * dark)
-        self._dark_since[dark & (back >= MIN_BACK * promised)] = 0
-        if self._all_since and got.sum() >= MIN_BACK * self._all_promise:
+        due, back = self._about(expected * dark), self._about(again * dark)
+        proven = due >= MIN_STILL_EXPECTED * self._about(dark.astype(float))
+        self._dark_since[dark & ~(proven & (back < MIN_BACK * due))] = 0
+        if again.sum() >= MIN_BACK * total or total < MIN_EXPECTED_WHOLE / 2 * n_covered:
             self._all_since = 0
         few = share < self.config.min_share
         self._few_since = (self._few_since or now) if few else 0

@@ -43,6 +43,7 @@ from shared.messages import (
     Zones,
 )
 from shared.requests import Reply, Watch
+from shared.scan_faults import mismatch
 from shared.service import Answer, Out, Service, answer, every, on
 from shared.stamps import precedes
 
@@ -137,6 +138,8 @@ class LocalCtrlService(Service):
 
     @on(topics.SCAN)
     def scan(self, scan: LaserScan) -> Out:
+        if mismatch(scan, self.robot.laser):
+            return ()  # the guard holds the robot and gives the reason
         odom_from_base = self.inputs.add_scan(scan)
         if odom_from_base is not None:
             self.costmap.recentre(*odom_from_base[-1, :2])

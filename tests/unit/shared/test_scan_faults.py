@@ -55,7 +55,9 @@ def test_other_beams_are_told_with_both_numbers(n, share, numbers):
 
 
 def test_a_sweep_that_begins_elsewhere_is_told_unless_it_is_a_full_turn():
-    half = Laser(angle_min=-pi / 2, angle_increment=pi / 180, n_beams=181, scan_time=0, rate=10, range_min=0, range_max=9)
+    half = Laser(
+        angle_min=-pi / 2, angle_increment=pi / 180, n_beams=181, scan_time=0, rate=10, range_min=0, range_max=9
+    )
     assert mismatch(scan_of(half, angle_min=-pi / 2 + 0.02), half) == ""
     assert "-1.571" in mismatch(scan_of(half, angle_min=-1.2), half)
     assert mismatch(scan_of(LASER, angle_min=1.0), LASER) == ""
@@ -144,7 +146,9 @@ def test_few_returns_and_constant_ones_prove_no_repetition():
 
 
 @pytest.mark.skipif(not LOGS.is_dir(), reason="ZENAV_DATA names no folder with slam/")
-@pytest.mark.parametrize("name", ["aces", "belgioioso", "edmonton", "fhw", "fr079-raw", "xiaon15", "xiaon40", "xiaon43"])
+@pytest.mark.parametrize(
+    "name", ["aces", "belgioioso", "edmonton", "fhw", "fr079-raw", "xiaon15", "xiaon40", "xiaon43"]
+)
 def test_no_real_log_holds_a_repeated_or_unlike_scan_and_a_repeated_one_is_found(name):
     scans = [r for r in read_carmen(LOGS / f"{name}.log.gz").records if isinstance(r, LoggedScan)][:3000]
     far, first = range_max_of(scans), scans[0]

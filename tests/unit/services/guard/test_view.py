@@ -66,7 +66,9 @@ def disc(distance, bearing, radius):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, 30.0, 0.06])
 @pytest.mark.parametrize("config", [ViewConfig(), OPEN_AIR], ids=["default", "open air"])
-def test_a_scan_without_returns_is_blind_after_three_tenths_of_a_second_also_where_open_air_is_configured(value, config):
+def test_a_scan_without_returns_is_blind_after_three_tenths_of_a_second_also_where_open_air_is_configured(
+    value, config
+):
     watch = Watch(config)
     watch.scans(10, watch.hall)
     assert not watch.blind()
