@@ -354,11 +354,9 @@ def _array(value: Any, dtype: np.dtype[Any], within: Within | None) -> Any:
 
 def _check_bounds(array: Any, within: Within | None) -> None:
     if within is not None and within.nan:
+        array = np.where(array == inf, np.nan, array) if within.inf else array
         low, high = np.fmin.reduce(array, axis=None), np.fmax.reduce(array, axis=None)
         if isnan(low):  # nothing but NaN
-            return
-        if within.inf and high == inf:
-            _check_bounds(np.where(array == inf, np.nan, array), within)
             return
     else:
         low, high = array.min(), array.max()
