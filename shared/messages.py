@@ -2,7 +2,7 @@
 """Every message. `stamp` is when it was true, ns on the stack's clock; when it was sent is the codec's envelope.
 
 Each field declares its unit, shape and bounds once; validation, documentation and the fuzzing strategies read them
-from here. Numbers are finite unless `Within(..., nan=True)`. Arrays arrive read-only.
+from here. Numbers are finite unless `Within(..., nan=True)` or `inf=True`. Arrays arrive read-only.
 """
 
 from dataclasses import dataclass, field
@@ -30,11 +30,15 @@ class Unit:
 
 @dataclass(frozen=True, slots=True)
 class Within:
-    """Bounds, both inclusive, in the field's unit; nan: NaN is allowed and means 'nothing measured'."""
+    """Bounds, both inclusive, in the field's unit; nan: NaN is allowed and means 'nothing measured'.
+
+    inf: +inf is allowed beside NaN and means 'nothing within range'.
+    """
 
     low: float
     high: float
     nan: bool = False
+    inf: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +183,7 @@ class BoardStatus(Message):
 
 @dataclass(frozen=True, slots=True)
 class LaserScan(Message):
-    """One sweep in `laser`; beams run counter-clockwise when the increment is positive. No echo is NaN.
+    """One sweep in `laser`; beams run counter-clockwise when the increment is positive. No echo is NaN or +inf.
 
     `stamp` is the first beam's; the last beam was taken `scan_time` later. Any field of view, symmetric or not.
     Intensities are one a beam in the device's own scale, 0 where nothing came back, or none at all.
@@ -190,7 +194,7 @@ class LaserScan(Message):
     scan_time: Annotated[float, Unit("s"), Within(0, 2)]
     range_min: Annotated[float, Unit("m"), Within(0, 250)]
     range_max: Annotated[float, Unit("m"), Within(0, 250)]
-    ranges: Annotated[Float32s, Unit("m"), Shape("n"), Within(0, 250, nan=True)]
+    ranges: Annotated[Float32s, Unit("m"), Shape("n"), Within(0, 250, nan=True, inf=True)]
     intensities: Annotated[Float32s, Unit("1"), Shape("k"), Within(0, 65535)] = field(
         default_factory=lambda: np.empty(0, np.float32)
     )

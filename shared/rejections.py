@@ -25,18 +25,19 @@ class Kind(StrEnum):
     SEQUENCE = "sequence"  # its stamp or sequence number is not above the last one's
     SIZE = "size"  # over the limit of a message
     CONTENT = "content"  # does not fit the configuration
-
-
-STAMPS = (Kind.OLD, Kind.AHEAD, Kind.SEQUENCE)
-"""The kinds by which `Rejections.judge` rejects."""
+    REPEATED = "repeated"  # an old measurement under a new stamp
 
 
 @dataclass(frozen=True, slots=True)
 class _Arrival:
-    """The newest message of an input: when it came, how old its stamp was, what was wrong with it, since when. ns."""
+    """The newest message of an input: when it came, how old its stamp was, what was wrong with it, since when. ns.
+
+    kind: None where it was used.
+    """
 
     at: int
     age: int
+    kind: Kind | None
     words: str
     since: int
 
@@ -51,11 +52,11 @@ class Rejections:
         """What was wrong with the newest of them."""
         self._arrivals: dict[str, _Arrival] = {}
 
-    def judge(self, key: str, stamp: int, last: int | None, now: int, max_age: float) -> bool:
+    def judge(self, key: str, stamp: int, last: int | None, now: int, max_age: float, unfit: str = "") -> bool:
         """Whether a message may be used; one that may not is counted.
 
         stamp: ns, when it was true; of a sweep, when it ended.  last: ns, that of the newest one in use.
-        now: ns.  max_age: s.
+        now: ns.  max_age: s.  unfit: what in it does not fit the configuration, in words.
         """
         age = now - stamp
         if age < -FUTURE:
@@ -64,8 +65,10 @@ class Rejections:
             kind, words = Kind.OLD, _old(age)
         elif not supersedes(stamp, last, now):
             kind, words = Kind.SEQUENCE, "stamps stand still" if stamp == last else "stamps go back"
+        elif unfit:
+            kind, words = Kind.CONTENT, unfit
         else:
-            self._arrivals[key] = _Arrival(now, age, "", now)
+            self._arrivals[key] = _Arrival(now, age, None, "", now)
             return True
         self.reject(key, kind, words, now, age=age)
         return False
@@ -74,8 +77,8 @@ class Rejections:
         """Counts `n` messages that came until `now` (ns) and are not used; `words` say what is wrong with them."""
         self.count(key, kind, words, n)
         before = self._arrivals.get(key)
-        since = before.since if before is not None and before.words and _within(now - before.at) else now
-        self._arrivals[key] = _Arrival(now, age, words, since)
+        since = before.since if before is not None and before.kind and _within(now - before.at) else now
+        self._arrivals[key] = _Arrival(now, age, kind, words, since)
 
     def count(self, key: str, kind: Kind, words: str, n: int = 1) -> None:
         """Counts messages of which only a part is not used: the input itself is well."""
@@ -88,15 +91,17 @@ class Rejections:
         return arrival.words if arrival is not None else ""
 
     def refused(self, key: str, now: int) -> str:
-        """What is wrong with the messages that come on this input, as `scan: stamps are 1.0 s ahead`.
+        """What is wrong with the stamps, sequence or size of this input's messages, as `scan: stamps are 1.0 s ahead`.
 
         Empty while they are used, when they have not been wrong for `LASTING` yet, and when none comes.
         """
-        arrival = self._arrivals.get(key)
-        if arrival is None or not arrival.words:
-            return ""
-        lasting = arrival.at - arrival.since >= LASTING
-        return _named(key, arrival.words) if lasting and _within(now - arrival.at) else ""
+        arrival = self._lasting(key, now)
+        return _named(key, arrival.words) if arrival and arrival.kind is not Kind.CONTENT else ""
+
+    def unfit(self, key: str, now: int) -> str:
+        """What in the messages that come on this input does not fit the configuration; empty as `refused` is."""
+        arrival = self._lasting(key, now)
+        return arrival.words if arrival and arrival.kind is Kind.CONTENT else ""
 
     def told(self, key: str, now: int) -> str:
         """Why this input is old though its messages come: as `refused`, or they are late already when they come.
@@ -104,9 +109,16 @@ class Rejections:
         To be asked when the input is old; empty when it is silent.
         """
         arrival = self._arrivals.get(key)
-        if arrival is None or arrival.words or not 0 <= now - arrival.at < arrival.age:
+        if arrival is None or arrival.kind or not 0 <= now - arrival.at < arrival.age:
             return self.refused(key, now)
         return _named(key, _old(arrival.age))
+
+    def _lasting(self, key: str, now: int) -> _Arrival | None:
+        """The newest message, where messages come and have been wrong for `LASTING`."""
+        arrival = self._arrivals.get(key)
+        if arrival is None or arrival.kind is None or arrival.at - arrival.since < LASTING:
+            return None
+        return arrival if _within(now - arrival.at) else None
 
 
 def duration(ns: int) -> str:

@@ -12,6 +12,7 @@ from services.guard.obstacles import Obstacles, ObstaclesConfig, looks_at
 from services.guard.protective_field import FREE, FieldConfig, Permit, permitted
 from services.guard.stops import Situation, StopsConfig, scan_end
 from services.guard.track import Track
+from services.guard.view import View, ViewConfig
 from shared import reasons, requests, topics
 from shared.config import Robot, Section
 from shared.geometry import wrapped
@@ -26,18 +27,16 @@ from shared.messages import (
     RangeReadings,
     Velocity,
 )
+from shared.reasons import Reason
 from shared.requests import Override, Reply
-from shared.service import Answer, Out, Service, answer, every, on
+from shared.scan_faults import RepeatedScans, mismatch
+from shared.service import Answer, Log, Out, Service, answer, every, on
 from shared.stamps import fresh, supersedes
 from shared.topics import Topic
 
 MAX_ODOM_AGE = 1.0  # s after its stamp; younger odometry is late, but tells where earlier beams were taken
 LONGEST_RAMP = 0.1  # s of acceleration that one command may make up for
 RANGES_AGE = 1.0  # s after which range sensors no longer count as looking
-
-
-LEAST_VIEW = 0.3
-"""Share of the laser's field of view that a scan must cover to count as one."""
 
 
 class GuardConfig(Section):
@@ -47,6 +46,7 @@ class GuardConfig(Section):
     arbitration: ArbitrationConfig = ArbitrationConfig()
     field: FieldConfig = FieldConfig()
     obstacles: ObstaclesConfig = ObstaclesConfig()
+    view: ViewConfig = ViewConfig()
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +81,8 @@ class GuardService(Service):
         fastest = max(drive.max_speed, drive.max_reverse_speed)
         stopping = fastest * (config.field.reaction + fastest / drive.max_braking)
         self.obstacles = Obstacles(config.obstacles, robot, robot.circumscribed_radius + stopping + 0.5)
+        self.view = View(config.view, robot)
+        self.repeats = RepeatedScans(robot.laser.mount)
         self.ranges_stamp: int | None = None
         self.verdict = Verdict(GuardState.IDLE, reasons.STARTING.code)
         self.sent_at = 0
@@ -137,6 +139,8 @@ class GuardService(Service):
             self.situation.take_odometry(odometry.stamp)
             if not self.track.add(odometry):
                 self.obstacles.forget()
+                self.view.forget()
+                self.repeats.restart()
                 self.situation.take_scan(None)
         return ()
 
@@ -144,18 +148,18 @@ class GuardService(Service):
     def laser(self, scan: LaserScan) -> Out:
         last, age = self.situation.scan, self.config.stops.scan_age
         last_end = scan_end(last) if last else None
-        usable = self.rejections.judge(topics.SCAN.key, scan_end(scan), last_end, self.now, age)
+        unlike = mismatch(scan, self.robot.laser)
+        usable = self.rejections.judge(topics.SCAN.key, scan_end(scan), last_end, self.now, age, unfit=unlike)
         if not usable or self.track.latest is None:
             return
-        laser = self.robot.laser
-        seen = abs(scan.angle_increment) * (len(scan.ranges) - 1)
-        narrow = seen < LEAST_VIEW * abs(laser.angle_increment) * (laser.n_beams - 1)
-        nonsense = (scan.ranges < scan.range_min) | (scan.ranges > scan.range_max)
-        if narrow or np.count_nonzero(nonsense) > len(scan.ranges) / 2:
-            return  # a covered or broken laser measures nothing: soon the last scan is too old to drive on
         self.situation.now = self.now
         self.situation.take_scan(scan)
         self.obstacles.take_scan(scan, self.track)
+        self.view.take(scan, self.track, self.now)
+        frozen = self.repeats.take(scan, self.track.odom_from_base)
+        if frozen and not self.situation.frozen:
+            yield Log("WARNING", f"the laser repeats one scan: {self.repeats.n_repeats} times")
+        self.situation.frozen = frozen
         if self.verdict.moves and self._judged().reason not in ("", self.verdict.reason):
             yield from self.drive()
 
@@ -186,7 +190,7 @@ class GuardService(Service):
     def watch(self) -> Out:
         """Stops at once, between the ticks that drive."""
         self.situation.now = self.now
-        if self.verdict.moves and self.situation.stop() is not None:
+        if self.verdict.moves and self._stop() is not None:
             yield from self.drive()
 
     @every(hz=20)
@@ -213,15 +217,16 @@ class GuardService(Service):
         situation.now = self.now
         source = situation.source
         name = source.name if situation.heard else ""
-        stop = situation.stop()
+        stop = self._stop()
         if stop is not None or source.command is None:
             reason, state = stop or (reasons.NO_COMMAND, GuardState.IDLE)
-            return Verdict(state, reason.code, name, detail=situation.told(reason, state))
+            return Verdict(state, reason.code, name, detail=self._detail(reason, state))
         drive, field, command = self.robot.drive, self.config.field, source.command
         if situation.overridden:
             return self._overridden(command, name)
-        wanted = self._seen_ahead(*drive.clamped(command.v, command.w))
-        points = self.obstacles.points(self.track.odom_from_base, self.now)
+        here = self.track.odom_from_base
+        wanted, unseen = self._seen_ahead(*drive.clamped(command.v, command.w))
+        points = np.concatenate([self.obstacles.points(here, self.now), self.view.points(here)])
         permit = permitted(points, self.corners, *wanted, drive, field)
         target = wanted[0] * permit.share, wanted[1] * permit.share
         v, w = self._ramped(target)
@@ -232,7 +237,22 @@ class GuardService(Service):
         slowed = permit if permit.share < check.share else check
         limit = abs(wanted[0]) * slowed.share if slowed.share < 1 else drive.max_speed
         detail = f"contact after {slowed.travel:.2f} m" if slowed.share < 1 else ""
-        return Verdict(*_told(command, wanted, (v, w), permit, slowed), name, v, w, limit, detail)
+        state, told = _told(command, wanted, (v, w), permit, slowed)
+        if unseen is not None and state is GuardState.ACTIVE and slowed.share == 1:
+            told, detail, limit = unseen.code, self.view.detail, field.blind_speed
+        return Verdict(state, told, name, v, w, limit, detail)
+
+    def _stop(self) -> tuple[Reason, GuardState] | None:
+        """The highest reason to stand, with what the laser sees of where the command leads."""
+        command = self.situation.source.command
+        self.situation.blind = command is not None and self.view.blind(command.v, command.w, self.now)
+        return self.situation.stop()
+
+    def _detail(self, reason: Reason, state: GuardState) -> str:
+        """What people must know beside the reason."""
+        if reason is reasons.SCAN_FROZEN:
+            return f"{self.repeats.n_repeats} times the same ranges with new stamps"
+        return self.view.detail if reason is reasons.SCAN_BLIND else self.situation.told(reason, state)
 
     def _overridden(self, command: Velocity, name: str) -> Verdict:
         """What a hand commands, at a creep, whatever is in the way."""
@@ -250,17 +270,24 @@ class GuardService(Service):
         elapsed = elapsed if 0 <= elapsed <= LONGEST_RAMP else LONGEST_RAMP
         return ramped((self.verdict.v, self.verdict.w), target, elapsed, self.robot.drive)
 
-    def _seen_ahead(self, v: float, w: float) -> tuple[float, float]:
-        """The velocity, slow where the robot would drive in a direction that no sensor covers."""
+    def _seen_ahead(self, v: float, w: float) -> tuple[tuple[float, float], Reason | None]:
+        """The velocity, slow where the robot would drive in a direction that no sensor covers, or blindly; and why."""
         blind, scan = self.config.field.blind_speed, self.situation.scan
+        if self.situation.blind:
+            fastest = max(abs(v), abs(w) * self.robot.circumscribed_radius)
+            share = min(1.0, blind / fastest) if fastest else 1.0
+            return (v * share, w * share), reasons.SCAN_BLIND
         if abs(v) <= blind or scan is None:
-            return v, w
+            return (v, w), None
         ahead = 0.0 if v > 0 else pi
         seen = looks_at(scan, np.array([ahead - self.robot.laser.mount.yaw])).all()
+        empty = self.view.empty(ahead, self.now)
         alive = self.ranges_stamp is not None and fresh(self.ranges_stamp, self.now, RANGES_AGE)
         sensed = alive and any(abs(wrapped(s.mount.yaw - ahead)) <= pi / 4 for s in self.robot.ranges)
-        share = 1.0 if seen or sensed else blind / abs(v)
-        return v * share, w * share
+        if sensed or (seen and not empty):
+            return (v, w), None
+        share = blind / abs(v)
+        return (v * share, w * share), reasons.SCAN_EMPTY if seen else None
 
 
 def _told(

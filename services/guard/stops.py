@@ -40,6 +40,8 @@ class Situation:
         self.odom_at: int | None = None  # ns from when on it ages: its stamp, or when it came if that was ahead
         self.scan: LaserScan | None = None
         self.scan_at: int | None = None  # as odom_at, of its last beam
+        self.frozen = False  # the laser repeats one scan
+        self.blind = False  # the laser does not see where the command leads
         self.pose: PoseEstimate | None = None
         self.lost_since: int | None = None
         self.jumped_at: int | None = None
@@ -145,7 +147,13 @@ class Situation:
 
     @property
     def scan_is_old(self) -> bool:
+        """Whether the last scan that counts is missing or too old to drive on."""
         return not self.overridden and self.old(self.scan_at, self.config.scan_age)
+
+    @property
+    def unlike(self) -> str:
+        """How the scans that come differ from the configured beams, in words."""
+        return self.rejections.unfit(topics.SCAN.key, self.now)
 
     @property
     def odom_is_old(self) -> bool:
@@ -164,9 +172,11 @@ class Situation:
         return self.rejections.told(topics.SCAN.key, self.now) if self.scan_is_old else ""
 
     def told(self, reason: Reason, state: GuardState) -> str:
-        """The detail of a reason to stand: the base's words for its faults, the input's for stamps."""
+        """The detail of a reason to stand: the base's words for its faults, the input's for what is rejected of it."""
         if reason is reasons.BAD_STAMPS:
             return self.bad_stamps
+        if reason is reasons.SCAN_UNLIKE:
+            return self.unlike
         if self.base is not None and (state is GuardState.FAULT or reason.code == self.fault != reasons.ESTOP.code):
             return self.base.detail
         if reason in (reasons.COMMAND_OLD, reasons.NO_COMMAND):
@@ -221,10 +231,13 @@ STOPS: tuple[tuple[Reason, GuardState, Callable[[Situation], bool]], ...] = (  #
     (reasons.BASE_SILENT,    GuardState.HOLD,    lambda s: s.old(s.base_stamp, s.config.base_age)),
     (reasons.BAD_STAMPS,     GuardState.HOLD,    lambda s: bool(s.bad_stamps)),
     (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s: s.odom_is_old),
+    (reasons.SCAN_UNLIKE,    GuardState.HOLD,    lambda s: s.scan_is_old and bool(s.unlike)),
     (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s: s.scan_is_old),
+    (reasons.SCAN_FROZEN,    GuardState.HOLD,    lambda s: not s.overridden and s.frozen),
     (reasons.COMMAND_OLD,    GuardState.HOLD,    lambda s: not s.heard and s.source.moving),
     (reasons.NO_COMMAND,     GuardState.IDLE,    lambda s: not s.heard),
     (reasons.ESTOP_RELEASED, GuardState.HOLD,    lambda s: not s.source.armed),
+    (reasons.SCAN_BLIND,     GuardState.HOLD,    lambda s: s.navigating and s.blind),
     (reasons.POSE_LOST,      GuardState.HOLD,    lambda s: s.navigating and s.lost),
     (reasons.POSE_JUMPED,    GuardState.HOLD,    lambda s: s.navigating and s.replanning),
     (reasons.POSE_OLD,       GuardState.HOLD,    lambda s: s.navigating and s.old(s.pose_stamp, s.config.pose_age)),

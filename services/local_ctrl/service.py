@@ -43,6 +43,7 @@ from shared.messages import (
     Zones,
 )
 from shared.requests import Reply, Watch
+from shared.scan_faults import mismatch
 from shared.service import Answer, Out, Service, answer, every, on
 from shared.stamps import precedes
 
@@ -141,8 +142,9 @@ class LocalCtrlService(Service):
 
     @on(topics.SCAN)
     def scan(self, scan: LaserScan) -> Out:
-        last = scan_end(self.inputs.scan) if self.inputs.scan is not None else None
-        if not self.rejections.judge(topics.SCAN.key, scan_end(scan), last, self.now, MAX_AGE):
+        last, unlike = self.inputs.scan, mismatch(scan, self.robot.laser)
+        last_end = scan_end(last) if last is not None else None
+        if not self.rejections.judge(topics.SCAN.key, scan_end(scan), last_end, self.now, MAX_AGE, unfit=unlike):
             return ()
         odom_from_base = self.inputs.add_scan(scan)
         if odom_from_base is not None:

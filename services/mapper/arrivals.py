@@ -14,7 +14,8 @@ from shared import topics
 from shared.config import Robot
 from shared.geometry import Pose2, interpolated
 from shared.messages import LaserScan, Odometry
-from shared.rejections import STAMPS, Kind, Rejections, duration
+from shared.rejections import Kind, Rejections, duration
+from shared.scan_faults import RepeatedScans, mismatch
 from shared.service import Log, Out
 from shared.stamps import FUTURE
 
@@ -57,7 +58,8 @@ class Arrivals:
         rejections: Rejections,
     ) -> None:
         self.config, self.occupancy, self.blind_doubt = config, occupancy, blind_doubt
-        self.mount = robot.laser.mount
+        self.laser, self.mount = robot.laser, robot.laser.mount
+        self.repeats = RepeatedScans(robot.laser.mount)
         self.track = OdometryTrack(config, robot.drive)
         self.pending: tuple[int, LaserScan] | None = None  # when it came, and the scan
         self.last_end = -1  # ns, end of the last scan that was placed
@@ -77,6 +79,7 @@ class Arrivals:
             return
         if odometry.stamp < self.track.newest - SECOND and odometry.stamp > now - SECOND:
             self.track.clear()  # the clock was set back
+            self.repeats.restart()
             self.blind = True
         jumps = self.track.n_jumps
         self.track.add(odometry, broken=self.blind and self.track.newest <= self.last_end)
@@ -93,12 +96,19 @@ class Arrivals:
     def file(self, scan: LaserScan, now: int) -> Out:
         """Lets a scan wait to be placed, or drops it."""
         end, key = _end(scan), topics.SCAN.key
-        usable = self.rejections.judge(key, end, self.last_end if self.last_end >= 0 else None, now, MAX_AGE)
-        if usable and end > self.last_end:
+        last, unlike = self.last_end if self.last_end >= 0 else None, mismatch(scan, self.laser)
+        usable = self.rejections.judge(key, end, last, now, MAX_AGE, unfit=unlike)
+        if usable and end <= self.last_end:  # the clock was set back by less than a second
+            self.rejections.reject(key, Kind.SEQUENCE, "stamps go back", now)
+        elif usable and self.repeats.take(
+            scan, self.track.samples[-1].start_from_base if self.track.samples else Pose2()
+        ):
+            self.rejections.reject(
+                key, Kind.REPEATED, f"the laser repeats one scan: {self.repeats.n_repeats} times", now
+            )
+        elif usable:
             self.pending = now, scan
             return
-        if usable:  # the clock was set back by less than a second
-            self.rejections.reject(key, Kind.SEQUENCE, "stamps go back", now)
         n = sum(self.n_dropped.values())
         if n == 1 or n % 100 == 0:
             yield Log("WARNING", f"scan dropped: {self.rejections.why(key)} ({n} so far)")
@@ -106,7 +116,7 @@ class Arrivals:
     @property
     def n_dropped(self) -> dict[str, int]:
         """Scans that were dropped, by why."""
-        return {str(kind): self.rejections.counts.get((topics.SCAN.key, kind), 0) for kind in STAMPS}
+        return {str(kind): self.rejections.counts.get((topics.SCAN.key, kind), 0) for kind in Kind}
 
     @property
     def covered(self) -> bool:

@@ -14,6 +14,9 @@ _MISSING = {
     reason.code
     for reason in (
         reasons.SCAN_OLD,
+        reasons.SCAN_UNLIKE,
+        reasons.SCAN_FROZEN,
+        reasons.SCAN_BLIND,
         reasons.ODOM_OLD,
         reasons.POSE_OLD,
         reasons.POSE_LOST,
