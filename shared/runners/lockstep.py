@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any, TypeVar, cast
 
 from shared import topics
-from shared.codec import Envelope, decode, encode
+from shared.codec import CodecError, Envelope, decode, encode
 from shared.messages import Message, PortState, SerialData, Stamp
 from shared.requests import Request
 from shared.runners.host import Effect, Host, JobOrder, Sent, merged
@@ -44,6 +44,7 @@ class Lockstep:
         self.now: int = START
         self.filters: list[Filter] = []
         self.latched: dict[str, Sent] = {}
+        self.n_bad = 0  # messages that no reader takes: a field is out of its bounds
         self._record = record
         self._hosts: dict[str, Host] = {}
         self._lives: dict[str, int] = {}
@@ -192,7 +193,11 @@ class Lockstep:
     def _send(self, sent: Sent) -> None:
         if self._record is not None:
             self._record(sent)
-        message, _ = decode(sent.topic.type, sent.payload)
+        try:
+            message, _ = decode(sent.topic.type, sent.payload)
+        except CodecError:
+            self.n_bad += 1  # its readers drop it
+            return
         sent = Sent(sent.topic, sent.key, message, sent.envelope, sent.payload)
         if sent.topic.latched:
             before = self.latched.get(sent.key)
