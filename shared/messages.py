@@ -437,6 +437,46 @@ class NavStatus(Message):
     n_rounds: Count = 0
 
 
+class TaskKind(StrEnum):
+    """What the navigator was asked for."""
+
+    NONE = "none"
+    ROUTE = "route"  # a goal is a route of one pose
+    EXPLORE = "explore"
+
+
+@dataclass(frozen=True, slots=True)
+class NavTask(Message):
+    """The navigator's task and how far it is, for the navigator that takes its place after a crash.
+
+    Published with each change and every half second: `stamp` is when the navigator last lived. `map_id` is the map
+    that the poses are on, 0 where there was none yet. `dwell` is what is left of the stay while `dwelling`.
+    """
+
+    task_id: Count
+    kind: Annotated[TaskKind, Unit("1")]
+    age: Seconds
+    map_id: Stamp
+    paused: Flag
+    poses: Annotated[tuple[Pose, ...], Unit("m, m, rad")]
+    dwells: Annotated[tuple[Seconds, ...], Unit("s, one a pose")]
+    loops: Annotated[int, Unit("rounds; 0 is for ever"), Within(0, 10**6)]
+    any_heading: Flag
+    tolerance: Annotated[float, Unit("m"), Within(0, 5)]
+    yaw_tolerance: Annotated[float, Unit("rad"), Within(0, 3.15)]
+    waypoint: Count
+    round: Count
+    dwelling: Flag
+    dwell: Seconds
+
+    def problem(self) -> str | None:
+        if self.kind is not TaskKind.ROUTE:
+            return None
+        if len(self.dwells) != len(self.poses):
+            return f"{len(self.dwells)} stays for {len(self.poses)} poses"
+        return None if self.waypoint < len(self.poses) else "a waypoint beyond the last pose"
+
+
 @dataclass(frozen=True, slots=True)
 class Velocity(Message):
     """A velocity in `base`. `reason` says why it is zero or slowed, empty when it is neither."""
@@ -466,13 +506,17 @@ class GuardState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class GuardStatus(Message):
-    """The guard's verdict. `source` is the command source in charge ("nav", "teleop" or empty)."""
+    """The guard's verdict. `source` is the command source in charge ("nav", "teleop" or empty).
+
+    `stopped`: when the state was last stopped or fault, also before a restart of the guard; 0: never.
+    """
 
     state: Annotated[GuardState, Unit("1")]
     source: Text
     reason: Text
     detail: Text
     speed_limit: Speed
+    stopped: Stamp = 0
 
 
 # --- what people may watch ------------------------------------------------------------------------------------------

@@ -89,6 +89,7 @@ ZONES    = Topic("zones",           m.Zones,         by="navigator",            
 PLAN     = Topic("plan",            m.Path,          by="planner",                hz=2,  keep="latest", within=0.100, latched=True)
 FOLLOW   = Topic("follow/status",   m.FollowStatus,  by="local_ctrl",             hz=20, keep="latest", within=0.005)
 NAV      = Topic("nav/status",      m.NavStatus,     by="navigator",              hz=5,  keep="latest", within=0.010, latched=True, people=True)
+TASK     = Topic("nav/task",        m.NavTask,       by="navigator",              hz=0,  keep="latest", within=0.010, latched=True)
 CMD_NAV  = Topic("cmd/nav",         m.Velocity,      by="local_ctrl",             hz=20, keep="latest", within=0.030)
 TELEOP   = Topic("cmd/teleop",      m.Velocity,      by="operator dashboard",     hz=20, keep="latest", within=0.005)
 ESTOP    = Topic("estop",           m.EmergencyStop, by="operator dashboard",     hz=0,  keep="all",    within=0.005, latched=True)

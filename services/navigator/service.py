@@ -7,6 +7,7 @@ from services.navigator.exploration import Exploration
 from services.navigator.feedback import Speedometer, status
 from services.navigator.frontiers import Frontiers
 from services.navigator.navigation import Navigation, NavigatorConfig, rehearse
+from services.navigator.resumption import Resumption
 from services.navigator.route import Route
 from services.navigator.zones import HeldZones
 from shared import reasons, requests, topics
@@ -18,6 +19,7 @@ from shared.messages import (
     GuardStatus,
     MapUpdate,
     NavState,
+    NavTask,
     Odometry,
     Path,
     PoseEstimate,
@@ -41,6 +43,7 @@ class NavigatorService(Service):
     def __init__(self, config: NavigatorConfig, robot: Robot) -> None:
         super().__init__(config, robot)
         self.navigation = Navigation(config, robot)
+        self.resumption = Resumption(self.navigation)
         self.zones = HeldZones(config.zones)
         self.speedometer = Speedometer(robot.drive.max_speed / 2)
         self.velocity = 0.0  # m/s
@@ -58,6 +61,7 @@ class NavigatorService(Service):
         self.navigation.grid.apply(update)
         if another and self.navigation.task:  # its places are on a map that is no more
             yield from self.navigation.end(self.now, NavState.CANCELED, reasons.OTHER_MAP)
+            yield from self.resumption.tell(self.now)
 
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:
@@ -79,6 +83,7 @@ class NavigatorService(Service):
     def follow(self, follow: FollowStatus) -> Out:
         self.navigation.hearing.follow(follow, self.now)
         yield from self.navigation.followed(follow, self.now)
+        yield from self.resumption.tell(self.now)
 
     @on(topics.GUARD)
     def guard(self, guard: GuardStatus) -> Out:
@@ -87,6 +92,12 @@ class NavigatorService(Service):
         if stopped and self.navigation.task:  # releasing STOP must not move the robot: nothing is left to go on with
             state = NavState.CANCELED if guard.state is GuardState.STOPPED else NavState.FAILED
             yield from self.navigation.end(self.now, state, stopped)
+            yield from self.resumption.tell(self.now)
+
+    @on(topics.TASK)
+    def task_before_the_restart(self, task: NavTask) -> Out:
+        self.resumption.remember(task, self.now)
+        return ()
 
     @on(topics.ZONES)
     def zones_before_the_restart(self, zones: Zones) -> Out:
@@ -101,13 +112,16 @@ class NavigatorService(Service):
         since = _FIRST_TICK if self.ticked is None else (self.now - self.ticked) * 1e-9
         seconds = min(max(since, 0.0), _LONGEST_TICK)
         self.ticked = self.now
-        yield from self.navigation.passed(seconds, self.now)
+        yield from self.resumption.take_up(self.now)
+        if not self.resumption.pending:  # else its goal stands until it is known whether it goes on
+            yield from self.navigation.passed(seconds, self.now)
         self.speedometer.passed(seconds, self.velocity)
-        yield self._status()
+        yield from self._told()
 
     def frontiers_found(self, result: tuple[int, int, Frontiers]) -> Out:
         """A search is done: for which task, on which map, what."""
         yield from self.navigation.frontiers_found(*result, self.now)
+        yield from self.resumption.tell(self.now)
 
     @answer(requests.NAVIGATE)
     def navigate(self, request: Navigate) -> Answer[Reply]:
@@ -134,24 +148,28 @@ class NavigatorService(Service):
 
     @answer(requests.CANCEL)
     def cancel(self, request: Cancel) -> Answer[Reply]:
-        if self.navigation.task:
+        if self.navigation.task or self.resumption.before:
+            self.resumption.forget()
             yield from self.navigation.end(self.now, NavState.CANCELED, reasons.CANCELED)
-            yield self._status()
+            yield from self._told()
         return self._reply(None)
 
     @answer(requests.PAUSE)
     def pause(self, request: Pause) -> Answer[Reply]:
-        if self.navigation.task is None:
+        if before := self.resumption.before:
+            self.resumption.before = replace(before, paused=request.paused)
+        elif self.navigation.task is None:
             return self._reply(reasons.NO_COMMAND)
         yield from self.navigation.pause(self.now, request.paused)
-        yield self._status()
+        yield from self._told()
         return self._reply(None)
 
     def _begin(self, task: Route | Exploration) -> Answer[Reply]:
         if stopped := self.navigation.hearing.stopped(self.now):
             return self._reply(stopped)
+        self.resumption.forget()
         yield from self.navigation.begin(task, self.now)
-        yield self._status()
+        yield from self._told()
         return self._reply(None)
 
     def _reply(self, refused: reasons.Reason | None) -> Reply:
@@ -163,6 +181,10 @@ class NavigatorService(Service):
         self.zones.told = True
         self.navigation.keep_out.take(held)
         return topics.ZONES(held)
+
+    def _told(self) -> Out:
+        yield from self.resumption.tell(self.now)
+        yield self._status()
 
     def _status(self) -> Publication:
         return topics.NAV(status(self.navigation, self.speedometer, self.now))
