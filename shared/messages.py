@@ -343,6 +343,20 @@ class Path(Message):
     cost: Annotated[float, Unit("m, weighted"), Within(0, 1e9)]
 
 
+@dataclass(frozen=True, slots=True)
+class GoalLimits(Message):
+    """What the planner asks of any goal, whatever the way: the navigator refuses others in its reply.
+
+    The margins are around the footprint's inscribed circle, with cells of 5 cm: one with room for `margin` within
+    `reach` of the goal, or for `least_margin` at the goal itself.
+    """
+
+    margin: Annotated[float, Unit("m"), Within(0, 1)]
+    least_margin: Annotated[float, Unit("m"), Within(0, 1)]
+    reach: Annotated[float, Unit("m"), Within(0, 5)]
+    beyond_map: Annotated[float, Unit("m outside the map's tiles"), Within(0, 50)]
+
+
 class ZoneKind(StrEnum):
     """What a zone asks of the robot."""
 

@@ -87,6 +87,7 @@ MAP      = Topic("map",             m.MapUpdate,     by="mapper",               
 GOAL     = Topic("goal",            m.Goal,          by="navigator",              hz=0,  keep="all",    within=0.005, latched=True)
 ZONES    = Topic("zones",           m.Zones,         by="navigator",              hz=0,  keep="latest", within=0.010, latched=True)
 PLAN     = Topic("plan",            m.Path,          by="planner",                hz=2,  keep="latest", within=0.100, latched=True)
+LIMITS   = Topic("plan/limits",     m.GoalLimits,    by="planner",                hz=0,  keep="latest", within=0.010, latched=True)
 FOLLOW   = Topic("follow/status",   m.FollowStatus,  by="local_ctrl",             hz=20, keep="latest", within=0.005)
 NAV      = Topic("nav/status",      m.NavStatus,     by="navigator",              hz=5,  keep="latest", within=0.010, latched=True, people=True)
 TASK     = Topic("nav/task",        m.NavTask,       by="navigator",              hz=0,  keep="latest", within=0.010, latched=True)

@@ -6,6 +6,7 @@ from dataclasses import replace
 from services.navigator.exploration import Exploration
 from services.navigator.feedback import Speedometer, status
 from services.navigator.frontiers import Frontiers
+from services.navigator.goal_check import refused
 from services.navigator.navigation import Navigation, NavigatorConfig, rehearse
 from services.navigator.resumption import Resumption
 from services.navigator.route import Route
@@ -15,8 +16,10 @@ from shared.config import Robot
 from shared.messages import (
     MOST_ZONES,
     FollowStatus,
+    GoalLimits,
     GuardState,
     GuardStatus,
+    MapMode,
     MapUpdate,
     NavState,
     NavTask,
@@ -46,6 +49,8 @@ class NavigatorService(Service):
         self.resumption = Resumption(self.navigation)
         self.zones = HeldZones(config.zones)
         self.speedometer = Speedometer(robot.drive.max_speed / 2)
+        self.limits: GoalLimits | None = None
+        self.maps = True  # the map grows
         self.velocity = 0.0  # m/s
         self.ticked: int | None = None
 
@@ -71,12 +76,18 @@ class NavigatorService(Service):
 
     @on(topics.POSE)
     def pose(self, estimate: PoseEstimate) -> Out:
+        self.maps = estimate.mode is not MapMode.LOCALISE
         if self.navigation.where.estimated(estimate):
             yield from self.navigation.leapt(self.now)
 
     @on(topics.PLAN)
     def plan(self, plan: Path) -> Out:
         self.navigation.hearing.plan(plan, self.now)
+        return ()
+
+    @on(topics.LIMITS)
+    def goal_limits(self, limits: GoalLimits) -> Out:
+        self.limits = limits
         return ()
 
     @on(topics.FOLLOW)
@@ -129,6 +140,9 @@ class NavigatorService(Service):
             if zone := forbidding(self.zones.zones, pose):
                 where = f"pose {number} of {len(request.poses)} is in {zone.name}"
                 return replace(self._reply(reasons.GOAL_KEEP_OUT), detail=where)
+            if refusal := self._refused(request, number):
+                where = f"pose {number} of {len(request.poses)}, at ({pose.x:.2f}, {pose.y:.2f}): {refusal.text}"
+                return replace(self._reply(refusal), detail=where)
         dwells = request.dwells or (request.dwell,) * len(request.poses)
         tolerances = request.tolerance or self.config.tolerance, request.yaw_tolerance or self.config.yaw_tolerance
         route = Route(request.poses, dwells, request.loops, request.any_heading, *tolerances)
@@ -163,6 +177,18 @@ class NavigatorService(Service):
         yield from self.navigation.pause(self.now, request.paused)
         yield from self._told()
         return self._reply(None)
+
+    def _refused(self, request: Navigate, number: int) -> reasons.Reason | None:
+        """Why the planner would refuse a pose of a route, counted from 1, whatever the way.
+
+        A later pose may lie outside the map while that grows: the robot drives there over the poses before.
+        """
+        if self.limits is None:
+            return None
+        navigation, tolerance = self.navigation, request.tolerance or self.config.tolerance
+        radius, pose = self.robot.inscribed_radius, request.poses[number - 1]
+        refusal = refused(navigation.grid, self.limits, radius, pose, tolerance)
+        return None if refusal is reasons.GOAL_OUTSIDE and number > 1 and self.maps else refusal
 
     def _begin(self, task: Route | Exploration) -> Answer[Reply]:
         if stopped := self.navigation.hearing.stopped(self.now):
