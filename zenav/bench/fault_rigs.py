@@ -6,14 +6,16 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from services.guard.service import GuardConfig
 from shared import topics
+from shared.codec import Envelope, encode
 from shared.config import RobotFile, UserError, configured
-from shared.messages import Health, Velocity
+from shared.messages import Health, LaserScan, Velocity
 from shared.runners.lockstep import Lockstep
 from zenav.bench.fault_trial import KEYS, Meter
 from zenav.classes import made
@@ -45,6 +47,7 @@ class LockstepRig:
         self.lockstep = Lockstep({name: made(name, self.file, self.file.robot) for name in _names(self.file)})
         self.meter = _meter(self.file)
         self.hand: tuple[float, float] | None = None
+        self.repeats_sequence = False
         for topic in KEYS:
             self.lockstep.watch(topic.key, partial(self._hear, topic.key))
         self._command()
@@ -83,11 +86,27 @@ class LiveRig:
         self.file, self.client, self.launcher = file, client, launcher
         self.meter = _meter(file)
         self.hand: tuple[float, float] | None = None
+        self.repeats_sequence = False
+        self._scan: tuple[LaserScan, Envelope] | None = None
+        self._killed = 0  # the process that was killed last
+        client.listen(topics.SCAN, self._hear_scan)
         for topic in KEYS:
             client.listen(topic, partial(self._hear, topic.key))
 
     def _hear(self, key: str, message: Any, envelope: Any) -> None:
         self.meter.take(key, message, envelope.sent)
+
+    def _hear_scan(self, scan: LaserScan, envelope: Envelope) -> None:
+        if not self.repeats_sequence:
+            self._scan = scan, envelope
+
+    def _repeat(self) -> None:
+        """The last scan once more, as if it were new but for its sequence."""
+        if self._scan is not None:
+            scan, envelope = self._scan
+            again = replace(scan, stamp=self.now - round(scan.scan_time * 1e9))
+            key = f"{self.client.robot}/{topics.SCAN.key}"
+            self.client.session.put(key, encode(again, envelope._replace(sent=self.now)))
 
     @property
     def now(self) -> int:
@@ -95,12 +114,15 @@ class LiveRig:
 
     def run(self, seconds: float, until: Until = None) -> bool:
         """Waits for so long, or until the condition holds; whether it held."""
-        limit, command = time.monotonic() + seconds, 0.0
+        limit, command, scan = time.monotonic() + seconds, 0.0, 0.0
         while (now := time.monotonic()) < limit:
             self.launcher.step()
             if self.hand is not None and now >= command:
                 self.client.publish(topics.TELEOP(Velocity(self.now, *self.hand, "")))
                 command = now + COMMANDS_EVERY
+            if self.repeats_sequence and now >= scan:
+                self._repeat()
+                scan = now + 1 / self.file.robot.laser.rate
             if until is not None and until():
                 return True
             with self.client.changed:
@@ -113,10 +135,17 @@ class LiveRig:
     def kill(self, name: str) -> None:
         process = self.launcher.children[name].process
         if process is not None:
+            self._killed = process.pid
             os.kill(process.pid, signal.SIGKILL)
 
     def start(self, name: str) -> None:
-        """The launcher has done that already."""
+        """Waits until the launcher has started it again, and it is heard."""
+        child = self.launcher.children[name]
+
+        def back() -> bool:
+            return child.heard > 0 and child.process is not None and child.process.pid != self._killed
+
+        self.run(STARTS_WITHIN, back)
 
 
 @contextmanager

@@ -24,9 +24,12 @@ BY_ITSELF = ALL - {Mode.TELEOP}
 class Row:
     """One fault.
 
-    name: of `zenav fault`, or of a service after `kill `.   reasons: any of these codes is true; none: not judged.
+    name: of `zenav fault`, of a service after `kill `, or SEQUENCE.
+    reasons: any of these codes is true; none: not judged.
     limit: ms to the zero command in the modes `stops`; in others of `creeps`, to at most the guard's blind speed.
-    detail: a word that the reason's detail must hold.   resumes: whether work must go on after the fault.
+    detail: a word that the reason's detail must hold.   resumes: whether work must go on after the fault;
+    a fault of the hardware ends the task.
+    live_only: lockstep has nothing that it could break.
     """
 
     name: str
@@ -36,6 +39,7 @@ class Row:
     creeps: frozenset[Mode] = frozenset()
     detail: str = ""
     resumes: bool = True
+    live_only: bool = False
 
 
 def _blind(name: str, limit: float = SOON) -> Row:
@@ -55,6 +59,9 @@ def _killed(name: str, reasons: set[str], limit: float = AT_ONCE, stops: frozens
     return Row(f"kill {name}", frozenset(reasons), limit, stops)
 
 
+SEQUENCE = "scan_sequence"
+"""The scans' sequence stands still: what comes is dropped as old."""
+
 ROWS: tuple[Row, ...] = (
     _blind("scan_nan"),
     _blind("scan_mostly_nan"),
@@ -64,11 +71,12 @@ ROWS: tuple[Row, ...] = (
     Row("scan_frozen", frozenset({"scan_frozen", "scan_repeats", "laser_frozen"})),
     Row("scan_beams", frozenset(), stops=frozenset()),
     Row("scan_silent", frozenset({"scan_old"}), SOON),
-    Row("encoder_jumps", frozenset({"encoder_jumps", "encoders_jump"}), SOON),
-    Row("sonar_dead", frozenset({"sensor_dead"}), SOON),
-    Row("ranges_missing", frozenset({"sensor_dead", "ranges_wrong"}), SOON),
+    Row("encoder_jumps", frozenset({"encoder_jumps", "encoders_jump"}), SOON, resumes=False),
+    Row("sonar_dead", frozenset({"sensor_dead"}), SOON, resumes=False),
+    Row("ranges_missing", frozenset({"sensor_dead", "ranges_wrong"}), SOON, resumes=False),
     *(_scan_stamp(f"scan_{name}") for name in ("seconds", "1970", "late", "old", "ahead", "future")),
     *(_board_stamp(f"board_{name}") for name in ("seconds", "1970", "late", "old", "ahead", "future")),
+    Row(SEQUENCE, frozenset({"scan_old"}), SOON, detail="sequence", live_only=True),
     _killed("navigator", set(), stops=frozenset()),
     _killed("odometry", {"odom_old"}),
     _killed("mapper", {"pose_old"}, 1100.0, BY_ITSELF),  # navigator and guard let it be silent for a second

@@ -15,10 +15,9 @@ from shared import requests, topics
 from shared.config import UserError
 from shared.geometry import Pose2
 from shared.messages import GuardStatus, Localization, Message, MotorCommand, NavState, NavStatus, PoseEstimate, Truth
-from shared.messages import Odometry as OdometryMessage
 from shared.requests import Break, Explore, Navigate
 from shared.topics import Topic
-from zenav.bench.fault_table import ROWS, Mode, Row
+from zenav.bench.fault_table import ROWS, SEQUENCE, Mode, Row
 
 WORLD = """
 start: {x: 1.0, y: 3.0}
@@ -41,10 +40,10 @@ KILLED_FOR = 0.5, 3.0  # s, at least and at most
 RESUMES_WITHIN = 12.0  # s after the fault
 HEARS_WITHIN = 1.0  # s after the fault's end in which its reason may still be told
 WRONG = 0.3  # m
-POSE_AGE = 1.0  # s: an older pose is none
+POSE_AGE = 1.0  # s: an older pose, or status of the navigator, is none
 MOVES = 0.05  # m/s, or rad/s
 KEYS: tuple[Topic[Any], ...] = (
-    topics.TRUTH, topics.MOTORS, topics.CMD_VEL, topics.GUARD, topics.NAV, topics.POSE, topics.ODOM, topics.BASE,
+    topics.TRUTH, topics.MOTORS, topics.CMD_VEL, topics.GUARD, topics.NAV, topics.POSE, topics.BASE,
 )  # fmt: skip
 
 
@@ -104,16 +103,14 @@ class Meter:
         """A message that was published at `now`, ns."""
         with self.lock:
             self.newest[key] = message
-            if isinstance(message, PoseEstimate):
-                self.posed = now
             if self.began is None:
                 return
+            if isinstance(message, PoseEstimate):
+                self._pose_error(message, now)
             if isinstance(message, MotorCommand) and self.zero is None and not (message.left or message.right):
                 self.zero, self.zero_at = now, self.newest["sim/truth"].distance
             if key == "cmd/vel" and self.creep is None and abs(self.newest[key].v) <= self.blind_speed + 1e-6:
                 self.creep = now
-            if isinstance(message, Truth):
-                self._pose_error(message, now)
             if self.hears and isinstance(message, GuardStatus | NavStatus):
                 self._tell(message.reason, message.detail)
             if self.hears and key == "base/status":
@@ -128,16 +125,16 @@ class Meter:
         if code:
             self.told[code] = f"{self.told.get(code, '')} {detail}"
 
-    def _pose_error(self, truth: Truth, now: int) -> None:
-        pose, odometry = self.newest.get("pose"), self.newest.get("odom")
-        if not isinstance(pose, PoseEstimate) or not isinstance(odometry, OdometryMessage):
-            return
-        believed = pose.map_from_odom @ odometry.odom_from_base
-        wrong = believed.distance(truth.start.inverse() @ truth.world_from_base) > WRONG
-        if not wrong or pose.state is not Localization.GOOD or now - self.posed > POSE_AGE * 1e9:
+    def _pose_error(self, pose: PoseEstimate, now: int) -> None:
+        """By when the pose came, not by its stamp, which may be what is wrong; 0.1 s of driving is far under WRONG."""
+        truth: Truth = self.newest["sim/truth"]
+        wrong = pose.map_from_base.distance(truth.start.inverse() @ truth.world_from_base) > WRONG
+        silent = now - self.posed > POSE_AGE * 1e9
+        self.posed = now
+        if not wrong or pose.state is not Localization.GOOD:
             self.wrong_since = None
             return
-        self.wrong_since = now if self.wrong_since is None else self.wrong_since
+        self.wrong_since = now if self.wrong_since is None or silent else self.wrong_since
         self.wrong_longest = max(self.wrong_longest, now - self.wrong_since)
 
 
@@ -147,6 +144,8 @@ class Rig(Protocol):
     meter: Meter
     hand: tuple[float, float] | None
     """m/s and rad/s that a hand commands twenty times a second, or None."""
+    repeats_sequence: bool
+    """Scans come in the simulator's name, with fresh stamps and a sequence that stands still; live only."""
 
     @property
     def now(self) -> int: ...
@@ -180,6 +179,7 @@ def run(rig: Rig, trial: Trial) -> Result:
     meter, contacts = rig.meter, rig.meter.newest["sim/truth"].n_contacts
     ends = _break(rig, row, random)
     rig.run(ends)
+    rig.repeats_sequence = False
     fault_end: Truth = meter.newest["sim/truth"]
     if row.name.startswith("kill "):
         rig.start(row.name.removeprefix("kill "))
@@ -224,7 +224,9 @@ def _break(rig: Rig, row: Row, random: np.random.Generator) -> float:
         rig.kill(row.name.removeprefix("kill "))
         return float(random.uniform(*KILLED_FOR))
     rig.meter.begin(rig.now)
-    _accepted(rig.ask(requests.FAULT, Break(rig.now, row.name, LASTS, False)))
+    name = "scan_silent" if row.name == SEQUENCE else row.name
+    _accepted(rig.ask(requests.FAULT, Break(rig.now, name, LASTS, False)))
+    rig.repeats_sequence = row.name == SEQUENCE
     return LASTS
 
 
@@ -238,6 +240,8 @@ def _resumes(rig: Rig, trial: Trial) -> bool:
         moves = bool(abs(truth.v) > MOVES or abs(truth.w) > MOVES)
         if trial.mode is Mode.TELEOP:
             return moves
+        if rig.now - nav.stamp > POSE_AGE * 1e9:
+            return False  # from a navigator that is no more
         working = nav.state in (NavState.NAVIGATING, NavState.EXPLORING, NavState.RECOVERING)
         return (working and moves) or bool(nav.state is NavState.REACHED)
 

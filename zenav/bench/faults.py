@@ -25,7 +25,7 @@ COLUMNS = (
 def faults(robot: str, n: int, seed: int, jobs: int, only: str, out: Path | None, live: bool) -> int:
     """Runs n trials of the matrix, shows a row a fault, writes the JSON; 0 where every target is kept."""
     writable(out)
-    wanted = matrix(n, seed, chosen(only))
+    wanted = matrix(n, seed, chosen(only, live))
     one = partial(_live if live else _lockstep, robot)
     found: list[Result] = []
     for result in results(one, wanted, 1 if live else jobs):
@@ -40,14 +40,14 @@ def faults(robot: str, n: int, seed: int, jobs: int, only: str, out: Path | None
     return 0 if len(found) == n and sums["good"] == n else 1
 
 
-def chosen(only: str) -> list[int]:
+def chosen(only: str, live: bool) -> list[int]:
     """The rows' places of names separated by commas; all where there are none. Raises UserError on an unknown one."""
-    names = [row.name for row in ROWS]
+    names = [row.name for row in ROWS if live or not row.live_only]
     wanted = [name.strip() for name in only.split(",") if name.strip()]
     for name in wanted:
         if name not in names:
             raise UserError(f"no fault {name!r}", nearest(name, tuple(names)))
-    return [i for i, name in enumerate(names) if name in wanted or not wanted]
+    return [i for i, row in enumerate(ROWS) if row.name in (wanted or names)]
 
 
 def matrix(n: int, seed: int, rows: list[int]) -> list[Trial]:

@@ -17,7 +17,6 @@ from shared.messages import (
     GuardStatus,
     Localization,
     MotorCommand,
-    Odometry,
     PoseEstimate,
     Truth,
     Velocity,
@@ -25,7 +24,7 @@ from shared.messages import (
 from shared.topics import SERVICES
 from zenav.__main__ import _status
 from zenav.bench import fault_trial
-from zenav.bench.fault_table import ROWS, Mode, Row
+from zenav.bench.fault_table import ROWS, SEQUENCE, Mode, Row
 from zenav.bench.fault_trial import SPEEDS, Meter, Result, Trial
 from zenav.bench.faults import broken, chosen, matrix, shown, summary
 
@@ -37,12 +36,13 @@ GOOD = Result("scan_nan", Mode.NAVIGATION, 0.5, 0, 120.0, 60.0, 0.1, 0.1, 0, ["s
 def test_every_row_breaks_what_there_is():
     names = {row.name for row in ROWS}
     assert len(names) == len(ROWS)
-    assert {name for name in names if not name.startswith("kill ")} == set(MessageFault)
+    assert {name for name in names if not name.startswith("kill ")} == {*MessageFault, SEQUENCE}
+    assert {ROWS[i].name for i in chosen("", live=False)} == names - {SEQUENCE}
     assert {name.removeprefix("kill ") for name in names if name.startswith("kill ")} < set(SERVICES)
 
 
 def test_each_fault_comes_equally_often_and_in_every_mode_and_speed():
-    rows = chosen("")
+    rows = chosen("", live=True)
     trials = matrix(9 * len(rows), 0, rows)
     assert set(Counter(trial.row for trial in trials).values()) == {9}
     for row in rows:
@@ -55,9 +55,9 @@ def test_each_fault_comes_equally_often_and_in_every_mode_and_speed():
 
 def test_an_unknown_fault_is_told_with_the_nearest():
     with pytest.raises(UserError) as error:
-        chosen("scan_nam")
+        chosen("scan_nam", live=False)
     assert "scan_nan" in error.value.mend
-    assert [ROWS[i].name for i in chosen("sonar_dead, scan_nan")] == ["scan_nan", "sonar_dead"]
+    assert [ROWS[i].name for i in chosen("sonar_dead, scan_nan", live=False)] == ["scan_nan", "sonar_dead"]
 
 
 @pytest.mark.parametrize(
@@ -122,17 +122,21 @@ def test_times_count_from_the_fault_and_the_distance_to_the_first_zero():
 
 def test_only_a_wrong_pose_that_is_good_and_fresh_counts():
     covariance = np.zeros(9)
-    for state, silent, longest in (("good", 0, 2.0), ("poor", 0, 0.0), ("good", 2, 1.0)):
+    for state, away, every, longest in (
+        ("good", 0.4, 5, 2.0),
+        ("good", 0.2, 5, 0.0),
+        ("poor", 0.4, 5, 0.0),
+        ("good", 0.4, 60, 0.0),
+    ):
         meter = Meter(0.1)
         meter.take("sim/truth", truth(Pose2()), 0)
         meter.begin(0)
         for i in range(101):
             now = i * 20 * MS
-            if not silent or i < 2:
+            meter.take("sim/truth", truth(Pose2(away, 0.0, 0.0)), now)
+            if i % every == 0:
                 pose = PoseEstimate(now, Pose2(), Pose2(), covariance, 1.0, Localization(state))
                 meter.take("pose", pose, now)
-            meter.take("odom", Odometry(now, Pose2(), 0.0, 0.0, covariance), now)
-            meter.take("sim/truth", truth(Pose2(0.4, 0.0, 0.0)), now)
         assert meter.wrong_longest / S == pytest.approx(longest, abs=0.05)
 
 
