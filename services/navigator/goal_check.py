@@ -4,6 +4,7 @@
 from math import ceil
 
 import numpy as np
+from numpy.typing import NDArray
 
 from shared import reasons
 from shared.clearance import kept_free
@@ -12,6 +13,10 @@ from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import GoalLimits
 from shared.reasons import Reason
+
+Bools = NDArray[np.bool_]
+
+FEW = 20  # poses for which a look around each costs less than one at the whole map
 
 
 def refused(
@@ -42,6 +47,19 @@ def refused(
     if (room & near).any() or distance[n, n] >= least - 1e-6:
         return None
     return reasons.GOAL_BLOCKED
+
+
+def doubtful(grid: OccupancyGrid, limits: GoalLimits, inscribed_radius: float, poses: tuple[Pose2, ...]) -> Bools:
+    """(n,) bool: which poses `refused` may refuse; the others stand on cells with room, found for all at once."""
+    if len(poses) <= FEW or grid.empty:
+        return np.ones(len(poses), bool)
+    distance = distance_field(grid.occupied, 1.0) * grid.resolution
+    rows, columns = grid.cells_of(np.array([(pose.x, pose.y) for pose in poses])).T
+    h, w = grid.cells.shape
+    inside = (rows >= 0) & (rows < h) & (columns >= 0) & (columns < w)
+    clearance = inscribed_radius + kept_free(limits.margin, grid.resolution)
+    room = distance[np.clip(rows, 0, h - 1), np.clip(columns, 0, w - 1)] >= clearance
+    return np.asarray(~(inside & room))
 
 
 def _distances(grid: OccupancyGrid, row: int, column: int, n: int) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:

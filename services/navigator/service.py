@@ -3,10 +3,12 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from services.navigator.exploration import Exploration
 from services.navigator.feedback import Speedometer, status
 from services.navigator.frontiers import Frontiers
-from services.navigator.goal_check import refused
+from services.navigator.goal_check import Bools, doubtful, refused
 from services.navigator.navigation import Navigation, NavigatorConfig, rehearse
 from services.navigator.resumption import Resumption
 from services.navigator.route import Route
@@ -136,11 +138,12 @@ class NavigatorService(Service):
 
     @answer(requests.NAVIGATE)
     def navigate(self, request: Navigate) -> Answer[Reply]:
+        doubts = self._doubts(request)
         for number, pose in enumerate(request.poses, 1):
             if zone := forbidding(self.zones.zones, pose):
                 where = f"pose {number} of {len(request.poses)} is in {zone.name}"
                 return replace(self._reply(reasons.GOAL_KEEP_OUT), detail=where)
-            if refusal := self._refused(request, number):
+            if doubts[number - 1] and (refusal := self._refused(request, number)):
                 where = f"pose {number} of {len(request.poses)}, at ({pose.x:.2f}, {pose.y:.2f}): {refusal.text}"
                 return replace(self._reply(refusal), detail=where)
         dwells = request.dwells or (request.dwell,) * len(request.poses)
@@ -177,6 +180,12 @@ class NavigatorService(Service):
         yield from self.navigation.pause(self.now, request.paused)
         yield from self._told()
         return self._reply(None)
+
+    def _doubts(self, request: Navigate) -> Bools:
+        """(n,) bool: which poses of a route have to be looked at one by one."""
+        if self.limits is None:
+            return np.zeros(len(request.poses), bool)
+        return doubtful(self.navigation.grid, self.limits, self.robot.inscribed_radius, request.poses)
 
     def _refused(self, request: Navigate, number: int) -> reasons.Reason | None:
         """Why the planner would refuse a pose of a route, counted from 1, whatever the way.

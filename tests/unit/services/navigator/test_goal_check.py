@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.navigator.goal_check import refused
+from services.navigator.goal_check import FEW, doubtful, refused
 from services.planner.outline import Outline
 from services.planner.planning import PlanningConfig, planned
 from services.planner.traversal_cost import CostConfig, Terrain
@@ -88,3 +88,15 @@ def test_a_tolerance_that_reaches_free_space_makes_a_goal_in_a_wall_one():
     cells[:, :20] = 100
     assert both(cells, (0.5, 2.0, 0.0), 0.15)[0] is reasons.GOAL_BLOCKED
     assert both(cells, (0.5, 2.0, 0.0), 1.0)[0] is None
+
+
+def test_of_a_long_route_only_poses_without_room_are_looked_at_one_by_one_and_none_is_missed():
+    cells = room(4, 4)
+    cells[30:50, 30:50] = 100
+    grid, limits, radius = grid_of(cells), limits_of(CostConfig()), X80.inscribed_radius
+    poses = tuple(Pose2(0.1 * i - 0.503, 0.1 * j - 0.503, 0.0) for i in range(50) for j in range(50))
+    assert len(poses) > FEW
+    doubts = doubtful(grid, limits, radius, poses)
+    assert 0 < doubts.sum() < len(poses)
+    assert all(refused(grid, limits, radius, pose, 0.15) is None for pose, doubt in zip(poses, doubts) if not doubt)
+    assert doubtful(grid, limits, radius, poses[:3]).all()
