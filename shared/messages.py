@@ -347,6 +347,20 @@ class Path(Message):
     cost: Annotated[float, Unit("m, weighted"), Within(0, 1e9)]
 
 
+@dataclass(frozen=True, slots=True)
+class GoalLimits(Message):
+    """What the planner asks of any goal, whatever the way: the navigator refuses others in its reply.
+
+    The margins are around the footprint's inscribed circle, with cells of 5 cm: one with room for `margin` within
+    `reach` of the goal, or for `least_margin` at the goal itself.
+    """
+
+    margin: Annotated[float, Unit("m"), Within(0, 1)]
+    least_margin: Annotated[float, Unit("m"), Within(0, 1)]
+    reach: Annotated[float, Unit("m"), Within(0, 5)]
+    beyond_map: Annotated[float, Unit("m outside the map's tiles"), Within(0, 50)]
+
+
 class ZoneKind(StrEnum):
     """What a zone asks of the robot."""
 
@@ -441,6 +455,46 @@ class NavStatus(Message):
     n_rounds: Count = 0
 
 
+class TaskKind(StrEnum):
+    """What the navigator was asked for."""
+
+    NONE = "none"
+    ROUTE = "route"  # a goal is a route of one pose
+    EXPLORE = "explore"
+
+
+@dataclass(frozen=True, slots=True)
+class NavTask(Message):
+    """The navigator's task and how far it is, for the navigator that takes its place after a crash.
+
+    Published with each change and every half second: `stamp` is when the navigator last lived. `map_id` is the map
+    that the poses are on, 0 where there was none yet. `dwell` is what is left of the stay while `dwelling`.
+    """
+
+    task_id: Count
+    kind: Annotated[TaskKind, Unit("1")]
+    age: Seconds
+    map_id: Stamp
+    paused: Flag
+    poses: Annotated[tuple[Pose, ...], Unit("m, m, rad")]
+    dwells: Annotated[tuple[Seconds, ...], Unit("s, one a pose")]
+    loops: Annotated[int, Unit("rounds; 0 is for ever"), Within(0, 10**6)]
+    any_heading: Flag
+    tolerance: Annotated[float, Unit("m"), Within(0, 5)]
+    yaw_tolerance: Annotated[float, Unit("rad"), Within(0, 3.15)]
+    waypoint: Count
+    round: Count
+    dwelling: Flag
+    dwell: Seconds
+
+    def problem(self) -> str | None:
+        if self.kind is not TaskKind.ROUTE:
+            return None
+        if len(self.dwells) != len(self.poses):
+            return f"{len(self.dwells)} stays for {len(self.poses)} poses"
+        return None if self.waypoint < len(self.poses) else "a waypoint beyond the last pose"
+
+
 @dataclass(frozen=True, slots=True)
 class Velocity(Message):
     """A velocity in `base`. `reason` says why it is zero or slowed, empty when it is neither."""
@@ -470,13 +524,17 @@ class GuardState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class GuardStatus(Message):
-    """The guard's verdict. `source` is the command source in charge ("nav", "teleop" or empty)."""
+    """The guard's verdict. `source` is the command source in charge ("nav", "teleop" or empty).
+
+    `stopped`: when the state was last stopped or fault, also before a restart of the guard; 0: never.
+    """
 
     state: Annotated[GuardState, Unit("1")]
     source: Text
     reason: Text
     detail: Text
     speed_limit: Speed
+    stopped: Stamp = 0
 
 
 # --- what people may watch ------------------------------------------------------------------------------------------

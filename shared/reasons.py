@@ -69,6 +69,7 @@ RECOVERIES_USED = Reason("recoveries_used", "every recovery was tried", "look at
 NO_FRONTIER     = Reason("no_frontier", "nothing reachable is left to explore", "nothing to do: the map is complete", "info")
 CANCELED        = Reason("canceled", "the task was canceled", "send a new goal", "info")
 OTHER_MAP       = Reason("other_map", "the map was changed: the task was on another one", "send a new goal", "info")
+INTERRUPTED     = Reason("interrupted", "the navigator was restarted and does not go on with its task", "see the detail; give the task again", "info")
 PAUSED          = Reason("paused", "the task is paused", "go on: zenav route --resume", "info")
 BY_HAND         = Reason("by_hand", "a person drives the robot by hand", "let go and it goes on; after navigator.leg.hold_time the task ends", "info")
 DWELLING        = Reason("dwelling", "the robot stays at a pose of its route", "nothing to do: it goes on by itself", "info")

@@ -170,9 +170,9 @@ class StartMap(Message):
 
 @dataclass(frozen=True, slots=True)
 class Break(Message):
-    """Let this fault of the emulated hardware begin, for so many seconds (0: until it is mended), or end it (`mended`).
+    """Let this fault of the simulated hardware begin, for so many seconds (0: until it is ended), or end it (`mended`).
 
-    `fault` is a name of services/sim/hardware/faults.py; to mend, it may be empty: all of them.
+    `fault` is a name that `zenav fault` lists; to mend, it may be empty: all of them.
     """
 
     fault: Text

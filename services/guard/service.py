@@ -87,6 +87,7 @@ class GuardService(Service):
         self.verdict = Verdict(GuardState.IDLE, reasons.STARTING.code)
         self.sent_at = 0
         self.told: tuple[GuardState, str, str] | None = None
+        self.stopped_at = 0  # ns, when STOP or a fault last held
 
     def warm(self) -> None:
         far = np.full((2, 2), 0.5 + self.robot.circumscribed_radius)
@@ -116,6 +117,7 @@ class GuardService(Service):
     @on(topics.GUARD)
     def before_the_restart(self, status: GuardStatus) -> Out:
         """STOP outlives the guard, and who pressed it: only a release later than our last word ends it."""
+        self.stopped_at = max(self.stopped_at, status.stopped)
         if status.state is GuardState.STOPPED:
             self.situation.now = self.now
             self.situation.take_stop(EmergencyStop(status.stamp, True, "from before a restart"))
@@ -197,6 +199,8 @@ class GuardService(Service):
     def drive(self) -> Out:
         self.verdict = self._judged()
         self.sent_at = self.now
+        if self.verdict.state in (GuardState.STOPPED, GuardState.FAULT):
+            self.stopped_at = self.now
         yield topics.CMD_VEL(Velocity(self.now, self.verdict.v, self.verdict.w, self.verdict.reason))
         if self.told != (self.verdict.state, self.verdict.source, self.verdict.reason):
             yield from self.tell()
@@ -205,7 +209,15 @@ class GuardService(Service):
     def tell(self) -> Out:
         verdict = self.verdict
         self.told = verdict.state, verdict.source, verdict.reason
-        yield topics.GUARD(GuardStatus(self.now, *self.told, detail=verdict.detail, speed_limit=verdict.speed_limit))
+        yield topics.GUARD(
+            GuardStatus(
+                self.now,
+                *self.told,
+                detail=verdict.detail,
+                speed_limit=verdict.speed_limit,
+                stopped=self.stopped_at,
+            )
+        )
 
     def _usable(self, topic: Topic[Velocity], command: Velocity, source: Source) -> bool:
         last = source.command.stamp if source.command else None

@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any, TypeVar, cast
 
 from shared import topics
-from shared.codec import Envelope, decode, encode
+from shared.codec import CodecError, Envelope, decode, encode
 from shared.messages import Message, PortState, SerialData, Stamp
 from shared.rejections import Kind
 from shared.requests import Request
@@ -47,6 +47,7 @@ class Lockstep:
         self.now: int = START
         self.filters: list[Filter] = []
         self.latched: dict[str, Sent] = {}
+        self.n_bad = 0  # messages that no reader takes: a field is out of its bounds
         self._record = record
         self._hosts: dict[str, Host] = {}
         self._admissions: dict[tuple[str, str], Admission] = {}  # by the listening service's name, and the key
@@ -197,7 +198,11 @@ class Lockstep:
     def _send(self, sent: Sent) -> None:
         if self._record is not None:
             self._record(sent)
-        message, _ = decode(sent.topic.type, sent.payload)
+        try:
+            message, _ = decode(sent.topic.type, sent.payload)
+        except CodecError:
+            self.n_bad += 1  # its readers drop it
+            return
         sent = Sent(sent.topic, sent.key, message, sent.envelope, sent.payload)
         if sent.topic.latched:
             before = self.latched.get(sent.key)
