@@ -9,7 +9,7 @@ from pydantic import Field
 
 from services.guard.track import Track
 from shared.config import Robot, Section
-from shared.geometry import Pose2
+from shared.geometry import Pose2, inside
 from shared.messages import LaserScan, RangeReadings
 
 Float64s = NDArray[np.float64]
@@ -51,10 +51,13 @@ class Obstacles:
         echoes = [points for points, stamp in self._echoes.values() if now - stamp <= age]
         return odom_from_base.inverse() @ np.concatenate([self._solid, self._hidden, *echoes])
 
-    def take_scan(self, scan: LaserScan, track: Track) -> None:
-        """Replaces what the laser saw by a newer scan; what it no longer looks at is remembered."""
+    def take_scan(self, scan: LaserScan, track: Track, covered: bool = False) -> None:
+        """Replaces what the laser saw by a newer scan; what it no longer looks at is remembered.
+
+        covered: hardly a beam leaves the robot, so returns from inside its outline are the robot.
+        """
         stride = -(-len(scan.ranges) // MOST_BEAMS)
-        ends, radius = self._ends(scan, track, stride)
+        ends, radius = self._ends(scan, track, stride, covered)
         solid = supported(ends, self._seen, radius, self.config.min_points)
         self._remember(scan, track)
         self._seen, self._solid = ends[np.isfinite(ends[:, 0])], ends[solid]
@@ -80,9 +83,11 @@ class Obstacles:
                 echo = echo[distance <= least + EXPLAINED]
             self._echoes[i] = echo, readings.stamp
 
-    def _ends(self, scan: LaserScan, track: Track, stride: int) -> tuple[Float64s, Float64s]:
-        """Ends (n, 2) and radius (n,) of `beam_ends`; NaN where the end is out of reach too."""
+    def _ends(self, scan: LaserScan, track: Track, stride: int, covered: bool) -> tuple[Float64s, Float64s]:
+        """Ends (n, 2) and radius (n,) of `beam_ends`; NaN where the end is out of reach, or the robot, too."""
         ends, in_base, radius = beam_ends(scan, track, self.base_from_laser, stride)
+        if covered:
+            ends[inside(self.robot.corners, in_base)] = np.nan
         ends[~(np.hypot(in_base[:, 0], in_base[:, 1]) <= self.reach)] = np.nan
         return ends, self.config.support_radius + radius
 

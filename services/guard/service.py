@@ -156,9 +156,10 @@ class GuardService(Service):
             return
         self.situation.now = self.now
         self.situation.take_scan(scan)
-        self.obstacles.take_scan(scan, self.track)
         self.view.take(scan, self.track, self.now)
-        frozen = self.repeats.take(scan, self.track.odom_from_base)
+        self.obstacles.take_scan(scan, self.track, self.view.covered)
+        # a cover measures the same always: that it covers is the cause
+        frozen = self.repeats.take(scan, self.track.odom_from_base) and not self.view.covered
         if frozen and not self.situation.frozen:
             yield Log("WARNING", f"the laser repeats one scan: {self.repeats.n_repeats} times")
         self.situation.frozen = frozen
@@ -242,6 +243,8 @@ class GuardService(Service):
         permit = permitted(points, self.corners, *wanted, drive, field)
         target = wanted[0] * permit.share, wanted[1] * permit.share
         v, w = self._ramped(target)
+        if unseen is reasons.SCAN_BLIND:  # slower at once, as a stop would be
+            v, w = (min(pair, key=abs) for pair in zip((v, w), target, strict=True))
         w = drive.bent(v, w)
         # accelerating bends the arc: what goes out is judged too
         check = FREE if (v, w) == target else permitted(points, self.corners, v, w, drive, field)

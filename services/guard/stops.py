@@ -231,7 +231,7 @@ STOPS: tuple[tuple[Reason, GuardState, Callable[[Situation], bool]], ...] = (  #
     (reasons.BASE_SILENT,    GuardState.HOLD,    lambda s: s.old(s.base_stamp, s.config.base_age)),
     (reasons.BAD_STAMPS,     GuardState.HOLD,    lambda s: bool(s.bad_stamps)),
     (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s: s.odom_is_old),
-    (reasons.SCAN_UNLIKE,    GuardState.HOLD,    lambda s: s.scan_is_old and bool(s.unlike)),
+    (reasons.SCAN_UNLIKE,    GuardState.HOLD,    lambda s: not s.overridden and bool(s.unlike)),
     (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s: s.scan_is_old),
     (reasons.SCAN_FROZEN,    GuardState.HOLD,    lambda s: not s.overridden and s.frozen),
     (reasons.COMMAND_OLD,    GuardState.HOLD,    lambda s: not s.heard and s.source.moving),

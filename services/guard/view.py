@@ -105,7 +105,8 @@ class View:
         """Judges the next scan."""
         stride = -(-len(scan.ranges) // MOST_BEAMS)
         ends, in_base, radius = beam_ends(scan, track, self.base_from_laser, stride)
-        hit = np.isfinite(ends[:, 0]) & ~inside(self.robot.corners, in_base)
+        own = np.isfinite(ends[:, 0]) & inside(self.robot.corners, in_base)
+        hit = np.isfinite(ends[:, 0]) & ~own
         ends[~hit] = np.nan
         seen = hit | (self.config.inf_is_free & np.isposinf(scan.ranges[::stride]))
         angles: Float64s = scan.angle_min + scan.angle_increment * stride * np.arange(len(hit), dtype=np.float64)
@@ -122,7 +123,7 @@ class View:
         expected = np.minimum(np.bincount(at[due], minlength=self.n) / np.maximum(n_beams, 1), 1.0)
         self._judge(got, expected if self.config.dark_sectors else np.zeros(self.n), float(seen.mean()), now)
         self._keep(ends, radius, bins, odom_from_laser, distance, at)
-        self.detail = self._told(scan) if self._few_since or self._dark.any() else ""
+        self.detail = self._told(scan, stride * np.count_nonzero(own)) if self._few_since or self._dark.any() else ""
 
     def blind(self, v: float, w: float, now: int) -> bool:
         """Whether the laser has not seen for `blind_after` where a robot at v m/s and w rad/s drives."""
@@ -144,6 +145,11 @@ class View:
         about = about[self._covered[about]]
         young = now - self._seen_at[about] <= round(self.config.blind_after * 1e9)
         return bool(len(about)) and float(young.mean()) < self.config.min_ahead
+
+    @property
+    def covered(self) -> bool:
+        """Whether under `min_share` of the last scan's beams returned from outside the robot."""
+        return self._few_since > 0
 
     @property
     def dark(self) -> bool:
@@ -225,18 +231,18 @@ class View:
         bins = np.unique(self._bins(_bearings(in_laser)))
         return bins[self._covered[bins]]
 
-    def _told(self, scan: LaserScan) -> str:
-        """What the scan holds, for people."""
+    def _told(self, scan: LaserScan, n_own: int) -> str:
+        """What the scan holds, for people. n_own: returns from inside the robot's outline."""
         ranges, n = scan.ranges, len(scan.ranges)
         counts = {
+            "from the robot itself": n_own,
             "NaN": np.count_nonzero(np.isnan(ranges)),
             "+inf": np.count_nonzero(np.isposinf(ranges)),
             f"under {scan.range_min:g} m": np.count_nonzero(ranges < scan.range_min),
             f"over {scan.range_max:g} m": np.count_nonzero(np.isfinite(ranges) & (ranges > scan.range_max)),
         }
         words = [f"{count} {name}" for name, count in counts.items() if count]
-        body = np.count_nonzero(returns(scan))
-        text = f"{body} of {n} beams return"
+        text = f"{np.count_nonzero(returns(scan))} of {n} beams return"
         if words:
             text += f", {', '.join(words)}"
         if not self._few_since:

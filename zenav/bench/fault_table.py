@@ -76,7 +76,7 @@ ROWS: tuple[Row, ...] = (
     _blind("scan_dark_ahead"),
     _blind("scan_body"),
     Row("scan_frozen", frozenset({"scan_frozen"})),
-    Row("scan_beams", frozenset({"scan_unlike"}), SOON, detail=r"scan: \d+ beams came, robot.laser.n_beams is \d+"),
+    Row("scan_beams", frozenset({"scan_unlike"}), AT_ONCE, detail=r"\d+ beams came, robot.laser.n_beams is \d+"),
     Row("scan_silent", frozenset({"scan_old"}), SOON),
     Row("encoder_jumps", frozenset({"encoders_jump"}), SOON),
     Row("sonar_dead", frozenset({"sensor_dead"}), SOON, resumes=False),

@@ -93,6 +93,20 @@ def test_the_one_rule_is_that_of_the_stamps(stamp, last, now):
     assert sum(rejections.counts.values()) == (not usable)
 
 
+def test_what_does_not_fit_the_configuration_is_no_wrong_stamp():
+    rejections = Rejections()
+    for i in range(2):
+        now = NOW + i * S // 10
+        assert not rejections.judge("scan", now, None, now, 0.27, unfit="2 beams came")
+    assert rejections.counts == {("scan", Kind.CONTENT): 2}
+    assert rejections.unfit("scan", now) == "2 beams came"
+    assert rejections.unfit("scan", now + RECENT + 1) == ""
+    assert rejections.refused("scan", now) == rejections.told("scan", now) == ""
+    assert not rejections.judge("scan", now - S, None, now, 0.27, unfit="2 beams came")
+    assert rejections.counts["scan", Kind.OLD] == 1, "its stamp comes first"
+    assert rejections.unfit("scan", now) == ""
+
+
 @pytest.mark.parametrize("kind", [FUTURE, -FUTURE])
 def test_the_limit_ahead_is_that_of_two_machines_clocks(kind):
     assert Rejections().judge("scan", NOW + kind, None, NOW, 0.1)

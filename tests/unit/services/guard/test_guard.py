@@ -473,6 +473,56 @@ def test_a_covered_laser_and_one_that_means_something_else_measure_nothing(reach
     assert drive.verdict == (GuardState.HOLD, "scan_blind")
 
 
+def test_a_cover_that_measures_the_same_always_is_named_and_forgotten_with_it():
+    drive = driving()
+    drive.cut = {"scan"}
+    laser = ROBOT.laser
+    cover = np.linspace(laser.range_min, laser.range_min + 0.015, laser.n_beams).astype(np.float32)
+    seen = set()
+    for _ in range(10):
+        drive.scan(ranges=cover)
+        drive.run(0.1)
+        seen.add(drive.verdict[1])
+    assert seen == {"", "scan_empty", "scan_blind"}
+    assert drive.verdict == (GuardState.HOLD, "scan_blind")
+    assert f"{laser.n_beams} from the robot itself" in drive.status.detail
+    drive.cut = set()
+    drive.run(1.0)
+    assert drive.verdict == (GuardState.ACTIVE, "")
+
+
+def test_a_hand_creeps_from_the_moment_on_at_which_the_view_counts_as_lost():
+    drive = Drive()
+    drive.teleop = (0.8, 0.0)
+    drive.run(2.0)
+    assert drive.velocity == pytest.approx((0.8, 0.0))
+    drive.cut = {"scan"}
+    for _ in range(5):
+        drive.scan(ranges=np.full(ROBOT.laser.n_beams, nan, np.float32))
+        drive.run(0.1)
+    assert drive.verdict == (GuardState.ACTIVE, "scan_blind")
+    assert drive.velocity[0] == pytest.approx(0.15)
+
+
+def test_scans_of_other_beams_hold_the_robot_with_the_second_one_and_are_counted():
+    drive = driving()
+    drive.cut = {"scan"}
+    words = f"{ROBOT.laser.n_beams // 2} beams came, robot.laser.n_beams is {ROBOT.laser.n_beams}"
+    half = np.full(ROBOT.laser.n_beams // 2, 3.0, np.float32)
+    drive.scan(ranges=half)
+    drive.run(0.1)
+    assert drive.verdict == (GuardState.ACTIVE, ""), "one alone holds nothing"
+    drive.scan(ranges=half)
+    drive.run(0.05)
+    assert drive.verdict == (GuardState.HOLD, "scan_unlike")
+    assert drive.status.detail == words
+    assert drive.guard.rejections.counts == {("scan", "content"): 2}
+    assert drive.guard.rejections.words == {("scan", "content"): words}
+    drive.cut = set()
+    drive.run(0.2)
+    assert drive.verdict == (GuardState.ACTIVE, "")
+
+
 @pytest.mark.parametrize(("cut", "ends"), [("odom", 200), ("scan", 270)])
 def test_an_input_from_a_clock_that_is_ahead_ends_no_later(cut, ends):
     drive = driving()
