@@ -123,7 +123,9 @@ class View:
         expected = np.minimum(np.bincount(at[due], minlength=self.n) / np.maximum(n_beams, 1), 1.0)
         self._judge(got, expected if self.config.dark_sectors else np.zeros(self.n), float(seen.mean()), now)
         self._keep(ends, radius, bins, odom_from_laser, distance, at)
-        self.detail = self._told(scan, int(stride * np.count_nonzero(own))) if self._few_since or self._dark.any() else ""
+        self.detail = (
+            self._told(scan, int(stride * np.count_nonzero(own))) if self._few_since or self._dark.any() else ""
+        )
 
     def blind(self, v: float, w: float, now: int) -> bool:
         """Whether the laser has not seen for `blind_after` where a robot at v m/s and w rad/s drives."""
