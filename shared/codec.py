@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import MISSING, fields
 from enum import StrEnum
 from functools import cache
-from math import isfinite, isnan
+from math import inf, isfinite, isnan
 from typing import Any, NamedTuple, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import msgpack
@@ -354,6 +354,7 @@ def _array(value: Any, dtype: np.dtype[Any], within: Within | None) -> Any:
 
 def _check_bounds(array: Any, within: Within | None) -> None:
     if within is not None and within.nan:
+        array = np.where(array == inf, np.nan, array) if within.inf else array
         low, high = np.fmin.reduce(array, axis=None), np.fmax.reduce(array, axis=None)
         if isnan(low):  # nothing but NaN
             return
@@ -375,6 +376,7 @@ def schema(type_: type[Message]) -> bytes:
             "unit": field.unit,
             **({"within": [field.within.low, field.within.high]} if field.within else {}),
             **({"nan": True} if field.within and field.within.nan else {}),
+            **({"inf": True} if field.within and field.within.inf else {}),
             **({"shape": field.shape.axes} if field.shape else {}),
         }
         for field in fields_of(type_)

@@ -2,7 +2,7 @@
 """Every message. `stamp` is when it was true, ns on the stack's clock; when it was sent is the codec's envelope.
 
 Each field declares its unit, shape and bounds once; validation, documentation and the fuzzing strategies read them
-from here. Numbers are finite unless `Within(..., nan=True)`. Arrays arrive read-only.
+from here. Numbers are finite unless `Within(..., nan=True)` or `inf=True`. Arrays arrive read-only.
 """
 
 from dataclasses import dataclass, field
@@ -30,11 +30,15 @@ class Unit:
 
 @dataclass(frozen=True, slots=True)
 class Within:
-    """Bounds, both inclusive, in the field's unit; nan: NaN is allowed and means 'nothing measured'."""
+    """Bounds, both inclusive, in the field's unit; nan: NaN is allowed and means 'nothing measured'.
+
+    inf: +inf is allowed beside NaN and means 'nothing within range'.
+    """
 
     low: float
     high: float
     nan: bool = False
+    inf: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +183,7 @@ class BoardStatus(Message):
 
 @dataclass(frozen=True, slots=True)
 class LaserScan(Message):
-    """One sweep in `laser`; beams run counter-clockwise when the increment is positive. No echo is NaN.
+    """One sweep in `laser`; beams run counter-clockwise when the increment is positive. No echo is NaN or +inf.
 
     `stamp` is the first beam's; the last beam was taken `scan_time` later. Any field of view, symmetric or not.
     Intensities are one a beam in the device's own scale, 0 where nothing came back, or none at all.
@@ -190,7 +194,7 @@ class LaserScan(Message):
     scan_time: Annotated[float, Unit("s"), Within(0, 2)]
     range_min: Annotated[float, Unit("m"), Within(0, 250)]
     range_max: Annotated[float, Unit("m"), Within(0, 250)]
-    ranges: Annotated[Float32s, Unit("m"), Shape("n"), Within(0, 250, nan=True)]
+    ranges: Annotated[Float32s, Unit("m"), Shape("n"), Within(0, 250, nan=True, inf=True)]
     intensities: Annotated[Float32s, Unit("1"), Shape("k"), Within(0, 65535)] = field(
         default_factory=lambda: np.empty(0, np.float32)
     )
@@ -343,6 +347,20 @@ class Path(Message):
     cost: Annotated[float, Unit("m, weighted"), Within(0, 1e9)]
 
 
+@dataclass(frozen=True, slots=True)
+class GoalLimits(Message):
+    """What the planner asks of any goal, whatever the way: the navigator refuses others in its reply.
+
+    The margins are around the footprint's inscribed circle, with cells of 5 cm: one with room for `margin` within
+    `reach` of the goal, or for `least_margin` at the goal itself.
+    """
+
+    margin: Annotated[float, Unit("m"), Within(0, 1)]
+    least_margin: Annotated[float, Unit("m"), Within(0, 1)]
+    reach: Annotated[float, Unit("m"), Within(0, 5)]
+    beyond_map: Annotated[float, Unit("m outside the map's tiles"), Within(0, 50)]
+
+
 class ZoneKind(StrEnum):
     """What a zone asks of the robot."""
 
@@ -437,6 +455,46 @@ class NavStatus(Message):
     n_rounds: Count = 0
 
 
+class TaskKind(StrEnum):
+    """What the navigator was asked for."""
+
+    NONE = "none"
+    ROUTE = "route"  # a goal is a route of one pose
+    EXPLORE = "explore"
+
+
+@dataclass(frozen=True, slots=True)
+class NavTask(Message):
+    """The navigator's task and how far it is, for the navigator that takes its place after a crash.
+
+    Published with each change and every half second: `stamp` is when the navigator last lived. `map_id` is the map
+    that the poses are on, 0 where there was none yet. `dwell` is what is left of the stay while `dwelling`.
+    """
+
+    task_id: Count
+    kind: Annotated[TaskKind, Unit("1")]
+    age: Seconds
+    map_id: Stamp
+    paused: Flag
+    poses: Annotated[tuple[Pose, ...], Unit("m, m, rad")]
+    dwells: Annotated[tuple[Seconds, ...], Unit("s, one a pose")]
+    loops: Annotated[int, Unit("rounds; 0 is for ever"), Within(0, 10**6)]
+    any_heading: Flag
+    tolerance: Annotated[float, Unit("m"), Within(0, 5)]
+    yaw_tolerance: Annotated[float, Unit("rad"), Within(0, 3.15)]
+    waypoint: Count
+    round: Count
+    dwelling: Flag
+    dwell: Seconds
+
+    def problem(self) -> str | None:
+        if self.kind is not TaskKind.ROUTE:
+            return None
+        if len(self.dwells) != len(self.poses):
+            return f"{len(self.dwells)} stays for {len(self.poses)} poses"
+        return None if self.waypoint < len(self.poses) else "a waypoint beyond the last pose"
+
+
 @dataclass(frozen=True, slots=True)
 class Velocity(Message):
     """A velocity in `base`. `reason` says why it is zero or slowed, empty when it is neither."""
@@ -466,13 +524,17 @@ class GuardState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class GuardStatus(Message):
-    """The guard's verdict. `source` is the command source in charge ("nav", "teleop" or empty)."""
+    """The guard's verdict. `source` is the command source in charge ("nav", "teleop" or empty).
+
+    `stopped`: when the state was last stopped or fault, also before a restart of the guard; 0: never.
+    """
 
     state: Annotated[GuardState, Unit("1")]
     source: Text
     reason: Text
     detail: Text
     speed_limit: Speed
+    stopped: Stamp = 0
 
 
 # --- what people may watch ------------------------------------------------------------------------------------------
@@ -519,6 +581,10 @@ class Health(Message):
     memory: Annotated[float, Unit("MB"), Within(0, 1e7)]
     handler_ms: Annotated[float, Unit("ms, slowest handler of the last second"), Within(0, 1e9)]
     rates: Annotated[tuple[tuple[str, float, float], ...], Unit("topic, Hz, age in s when handled (largest)")]
+    rejected: Annotated[
+        tuple[tuple[str, str, int], ...],
+        Unit("key, why (old, ahead, sequence, size, content), messages since the start"),
+    ] = ()
 
 
 @dataclass(frozen=True, slots=True)

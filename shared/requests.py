@@ -21,13 +21,15 @@ class Reply(Message):
     task_id: Count = 0
 
 
+MAX_ROUTE_POSES = 10_000
+"""poses of one route: some 0.4 MiB on the wire, which carries 4."""
 LEAST_TOLERANCE = 0.01
 """m or rad: no robot is nearer to its goal than it knows where it is."""
 
 
 @dataclass(frozen=True, slots=True)
 class Navigate(Message):
-    """Drive through these poses in `map`, dwelling at each. NaN-free; `any_heading` ignores the poses' yaw.
+    """Drive through these poses in `map`, at most 10 000, dwelling at each. NaN-free; `any_heading` ignores their yaw.
 
     A pose without a stay whose heading does not matter, and after which others follow, is passed without a stop.
     A tolerance of 0 is the navigator's own, as configured.
@@ -46,6 +48,8 @@ class Navigate(Message):
             return f"{len(self.dwells)} stays for {len(self.poses)} poses"
         if 0 < self.tolerance < LEAST_TOLERANCE or 0 < self.yaw_tolerance < LEAST_TOLERANCE:
             return f"a tolerance under {LEAST_TOLERANCE}"
+        if len(self.poses) > MAX_ROUTE_POSES:
+            return f"a route of {len(self.poses)} poses, where {MAX_ROUTE_POSES} are the limit"
         return None if self.poses else "a route of no poses"
 
 
@@ -166,9 +170,9 @@ class StartMap(Message):
 
 @dataclass(frozen=True, slots=True)
 class Break(Message):
-    """Let this fault of the emulated hardware begin, for so many seconds (0: until it is mended), or end it (`mended`).
+    """Let this fault of the simulated hardware begin, for so many seconds (0: until it is ended), or end it (`mended`).
 
-    `fault` is a name of services/sim/hardware/faults.py; to mend, it may be empty: all of them.
+    `fault` is a name that `zenav fault` lists; to mend, it may be empty: all of them.
     """
 
     fault: Text

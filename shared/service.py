@@ -28,6 +28,7 @@ from typing import Any, ClassVar, TypeVar
 from shared.config import Robot, Section
 from shared.messages import Message
 from shared.ports import PortConfig
+from shared.rejections import Rejections
 from shared.requests import Request
 from shared.topics import Publication, Topic
 
@@ -71,6 +72,8 @@ class Service:
     def __init__(self, config: Any, robot: Robot) -> None:
         self.config = config
         self.robot = robot
+        self.rejections = Rejections()
+        """Messages that it did not use: its own handlers judge stamps, the runner adds what it rejects itself."""
 
     def warm(self) -> None:
         """Compile and touch everything that the first events need; changes no state. Called before the first event."""

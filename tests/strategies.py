@@ -139,7 +139,8 @@ def _floats(within: Within | None, width: int) -> st.SearchStrategy[float]:
     numbers = st.floats(low, high, width=width)  # type: ignore[arg-type]  # 32 or 64
     near = st.floats(max(low, -8.0), min(high, 8.0), width=width)  # type: ignore[arg-type]  # as above
     every = near | numbers if max(low, -8.0) < min(high, 8.0) else numbers
-    return every | st.just(math.nan) if within.nan else every
+    every = every | st.just(math.nan) if within.nan else every
+    return every | st.just(math.inf) if within.inf else every
 
 
 def _inside32(bound: float, up: bool) -> float:

@@ -21,7 +21,7 @@ from shared import topics
 from shared.codec import CodecError, Envelope, decode, encode
 from shared.config import UserError
 from shared.messages import Clock, Message
-from shared.reasons import NOT_RUNNING, REASONS
+from shared.reasons import NOT_RUNNING, REASONS, TOO_LARGE
 from shared.requests import Request
 from shared.runners import transport
 from shared.runners.host import merged
@@ -88,7 +88,7 @@ class Client:
         return self._time.now(time.time_ns(), time.monotonic())
 
     def publish(self, publication: Publication) -> None:
-        """Publishes as `operator`."""
+        """Publishes as `operator`. Raises UserError where the message is too large."""
         key = key_of(publication.topic, "operator")
         if key not in self._publishers:
             self._publishers[key] = self.session.declare_publisher(
@@ -99,7 +99,7 @@ class Client:
             )
         sequence = self._sequences[key] = self._sequences.get(key, -1) + 1
         envelope = Envelope("operator", self.session_name, sequence, self.now())
-        self._publishers[key].put(encode(publication.message, envelope))
+        self._publishers[key].put(_sized(key, encode(publication.message, envelope)))
 
     def listen(self, topic: Topic[M], callback: Callback[M]) -> None:
         """Calls back with each message on a topic, all of a family's keys too; the kept value first, if it has one.
@@ -160,11 +160,12 @@ class Client:
         return best[1] if best else None
 
     def ask(self, request: Request[Q, R], message: Q, timeout: float = 5.0) -> R:
-        """The reply to a request. Raises UserError where nobody answers in time, or refuses the request's form."""
+        """The reply to a request. Raises UserError where it is too large or refused, or no reply comes in time."""
         envelope = Envelope("operator", self.session_name, 0, self.now())
         key = f"{self.robot}/{request.key}"
         refusal = b""
-        for reply in self.session.get(key, payload=encode(message, envelope), timeout=timeout):
+        payload = _sized(request.key, encode(message, envelope))
+        for reply in self.session.get(key, payload=payload, timeout=timeout):
             if reply.ok is None:
                 refusal = reply.err.payload.to_bytes() if reply.err is not None else b""
                 continue
@@ -210,6 +211,13 @@ class Client:
                 envelope = before[1] if late else envelope
             self._latest[key] = (message, envelope, time.monotonic())
             self.changed.notify_all()
+
+
+def _sized(key: str, payload: bytes) -> bytes:
+    """The payload. Raises UserError where it is larger than a message may be: it would be lost without a word."""
+    if words := transport.oversize(payload):
+        raise UserError(f"{key}: {TOO_LARGE.text}: {words}", TOO_LARGE.mend)
+    return payload
 
 
 def refused(service: str, refusal: bytes) -> UserError:

@@ -99,6 +99,8 @@ def message_section(class_: type[Message]) -> list[str]:
         bounds = f"{field.within.low:g} .. {field.within.high:g}" if field.within else ""
         if field.within and field.within.nan:
             bounds += ", or NaN"
+        if field.within and field.within.inf:
+            bounds += ", or +inf"
         if field.nonzero:
             bounds += ", not 0"
         if isinstance(field.kind, type) and issubclass(field.kind, StrEnum):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav fault`: something of the emulated hardware breaks, or is mended."""
+"""`zenav fault`: something of the simulated hardware breaks, or is repaired."""
 
 import sys
 
-from services.sim.hardware.faults import WORDS, Fault
+from services.sim.breaking import ALL
 from shared import requests
 from shared.config import UserError, load_robot, nearest
 from shared.requests import Break
@@ -13,14 +13,14 @@ from zenav.client import Client
 
 def fault(robot: str, stack: str, name: str, seconds: float, mend: bool) -> int:
     """Breaks or mends; without either, lists what can break. Raises UserError where the simulator refuses."""
-    if name and name not in tuple(Fault):
-        raise UserError(f"no fault {name}", nearest(name, tuple(Fault)))
+    if name and name not in tuple(ALL):
+        raise UserError(f"no fault {name}", nearest(name, tuple(ALL)))
     if not name and not mend:
-        sys.stdout.write("".join(f"{one:<16} {WORDS[one]}\n" for one in Fault))
+        sys.stdout.write("".join(f"{one:<16} {words}\n" for one, words in ALL.items()))
         return 0
     with Client(load_robot(robot).robot.name, where_from(stack)) as client:
         reply = client.ask(requests.FAULT, Break(client.now(), name, seconds, mend))
     if not reply.accepted:
-        raise UserError(f"the simulator breaks nothing: {reply.detail}", "zenav up --world office --hardware emulated")
+        raise UserError(f"the simulator breaks nothing: {reply.detail}", "zenav fault lists what can break")
     sys.stdout.write(f"{reply.detail}\n")
     return 0

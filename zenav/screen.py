@@ -114,6 +114,7 @@ def row(health: Health | None, silent: float, running: bool, n_restarts: int) ->
 def _trouble(health: Health | None, n_restarts: int) -> str:
     counts = [(n_restarts, "restarts")]
     if health is not None:
+        counts += [(sum(n for _, _, n in health.rejected), "rejected")]
         counts += [(health.bad_messages, "bad"), (health.dropped, "dropped"), (health.intruders, "intruders")]
     return ", ".join(f"{n} {what}" for n, what in counts if n)
 

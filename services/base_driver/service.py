@@ -10,7 +10,9 @@ from pydantic import Field
 from services.base_driver.battery import BatteryConfig, BatteryWatch
 from services.base_driver.encoders import EncoderConfig, Encoders
 from services.base_driver.following import FollowingConfig
+from services.base_driver.jumps import JumpWatch
 from services.base_driver.kinematics import board_counts, wheel_speeds
+from services.base_driver.range_sensors import RangeSensors
 from services.base_driver.serial_board import SerialBoard, SerialBoardConfig
 from services.base_driver.stuck import StuckConfig
 from services.base_driver.watchdog import Watchdog, WatchdogConfig
@@ -29,13 +31,15 @@ from shared.messages import (
     Velocity,
 )
 from shared.ports import PortConfig
+from shared.rejections import Kind
 from shared.service import Out, Service, every, on
 from shared.stamps import FUTURE, precedes, supersedes
 from shared.topics import Publication
 
 SEPARATOR = "; "  # between the parts of a status's detail; the fault's words come first
 PORT = "board"
-LATCHED = (reasons.WHEEL_STUCK.code, reasons.WHEEL_ASTRAY.code)
+JUMPING = "the encoders' counts jump again and again"
+LATCHED = (reasons.WHEEL_STUCK.code, reasons.WHEEL_ASTRAY.code, reasons.ENCODERS_BROKEN.code)
 """Faults that a person must look at."""
 
 
@@ -45,6 +49,9 @@ class BaseDriverConfig(Section):
     port: PortConfig = Field(PortConfig(), description="of the motion board; no device: `hardware/board` and `motors`")
     board: SerialBoardConfig = SerialBoardConfig()
     board_silent: float = Field(0.5, gt=0.05, le=5, description="s without a report after which the link is lost")
+    board_age: float = Field(
+        0.2, gt=0.02, le=1, description="s after its stamp that a report is too old to be used; with others, a fault"
+    )
     battery: BatteryConfig = BatteryConfig()
     watchdog: WatchdogConfig = WatchdogConfig()
     encoders: EncoderConfig = EncoderConfig()
@@ -63,6 +70,8 @@ class BaseDriverService(Service):
         self.serial = SerialBoard(config.board, robot, config.board_silent) if config.port.given else None
         self.watchdog = Watchdog(config.watchdog)
         self.encoders = Encoders(config.encoders, robot.drive)
+        self.jumps = JumpWatch()
+        self.range_sensors = RangeSensors(robot)
         self.wheel_faults = WheelFaults(config.stuck, config.following, robot.drive)
         self.battery = BatteryWatch(config.battery)
         self.report: BoardReport | None = None
@@ -89,8 +98,12 @@ class BaseDriverService(Service):
             return reasons.ESTOP.code
         if self.wheel_faults.code:
             return self.wheel_faults.code
+        if self.jumps.holds(self.now):
+            return reasons.ENCODERS_JUMP.code
         if self.wheel_faults.pausing(self.now):
             return reasons.NOT_OBEYED.code
+        if self._bad_stamps():
+            return reasons.BAD_STAMPS.code
         started = self.now if self.started is None else self.started
         waited = self.now - started > self.config.board_silent * 1e9
         if self.serial is not None and not self.serial.open and (waited or self.report is not None):
@@ -99,7 +112,18 @@ class BaseDriverService(Service):
             return reasons.BOARD_SILENT.code
         if self.battery.is_empty:
             return reasons.BATTERY_EMPTY.code
-        return reasons.SENSOR_DEAD.code if self.serial and self.serial.dead_sensors(self.now) else ""
+        if self.range_sensors.mismatch:
+            return reasons.WRONG_RANGES.code
+        return reasons.SENSOR_DEAD.code if self._dead_sensors() else ""
+
+    def _bad_stamps(self) -> str:
+        """What is wrong with the reports that come, in words, where none of them can be used any more."""
+        fresh = self.report is not None and self.now - self.report.stamp <= self.config.board_age * 1e9
+        return "" if fresh else self.rejections.refused(topics.BOARD.key, self.now)
+
+    def _dead_sensors(self) -> str:
+        """Which range sensors do not answer, in words."""
+        return self.serial.dead_sensors(self.now) if self.serial else self.range_sensors.dead
 
     def state(self) -> str:
         return self.fault or ("driving" if any(self.wheels) else "standing")
@@ -120,6 +144,7 @@ class BaseDriverService(Service):
             self.pressed = None
             if supersedes(stop.stamp, self.wheel_faults.at, self.now):
                 self.wheel_faults.release()
+                self.jumps.release()
         yield from self._motors()
         yield from self._changed_status()
 
@@ -165,13 +190,20 @@ class BaseDriverService(Service):
 
     def _take(self, report: BoardReport) -> Out:
         last = self.report
-        if last is not None and not supersedes(report.stamp, last.stamp, self.now):
+        before = last.stamp if last is not None else None
+        if not self.rejections.judge(topics.BOARD.key, report.stamp, before, self.now, self.config.board_age):
             return
         if last is not None and report.stamp <= last.stamp:
             self.encoders.restart()  # the stack's clock was set back: a new epoch
         self.report = report
+        self.range_sensors.take(report)
+        if self.range_sensors.mismatch:
+            self.rejections.count(topics.BOARD.key, Kind.CONTENT, self.range_sensors.mismatch)
+        n_jumps = self.encoders.n_jumps
         for state in self.encoders.turned(report, self.now):
             yield topics.WHEELS(state)
+        if self.encoders.n_jumps > n_jumps and self.jumps.jumped(self.now) and not self.wheel_faults.code:
+            self.wheel_faults.latch(reasons.ENCODERS_BROKEN.code, JUMPING, self.now)
         self.wheel_faults.look(report.stamp, self.encoders, self.wheels, self.now)
         self.battery.take(report.stamp, report.battery)
         self._look_at_link()
@@ -186,6 +218,8 @@ class BaseDriverService(Service):
 
     @every(hz=10)
     def measure(self) -> Out:
+        if self.range_sensors.mismatch:
+            return
         if self.report is not None and self.report.stamp != self.ranges_told:
             self.ranges_told = self.report.stamp
             yield topics.RANGES(self._ranges(self.report))
@@ -231,17 +265,19 @@ class BaseDriverService(Service):
         self.told = fault, self.link, waits
         battery = report.battery if report else nan
         left_current, right_current = (float(a) for a in report.currents) if report else (0.0, 0.0)
-        serial = self.serial
-        jumps = self.encoders.n_jumps
+        serial, jumps = self.serial, self.jumps.told(self.now)
         details = (
             self.wheel_faults.told(self.now),
+            jumps if self.jumps.holds(self.now) else "",
+            self._bad_stamps(),
             serial.silence(self.now) if serial and (not serial.open or not self.link) else "",
             f"battery low: {battery:.1f} V" if self.battery.is_low(battery) else "",
-            serial.dead_sensors(self.now) if serial else "",
-            f"the encoders jumped {jumps} times" if jumps else "",
+            self.range_sensors.mismatch,
+            self._dead_sensors(),
+            jumps,
             self.watchdog.refused,
         )
-        detail = SEPARATOR.join(text for text in details if text)
+        detail = SEPARATOR.join(dict.fromkeys(text for text in details if text))
         return topics.BASE(BaseStatus(self.now, battery, left_current, right_current, self.link, fault, detail, waits))
 
     def _ranges(self, report: BoardReport) -> RangeReadings:

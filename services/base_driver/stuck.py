@@ -23,6 +23,10 @@ class StuckWatch:
         self._angle = 0.0
         self._forward = True
 
+    def forget(self) -> None:
+        """Judges from the next report on."""
+        self._since = None
+
     def stuck(self, stamp: int, angle: float, commanded: float, radius: float) -> bool:
         """After a report: stamp (ns), the wheel's angle (rad), the commanded speed (rad/s), the wheel's radius (m)."""
         if abs(commanded) * radius <= self.config.commanded_over:

@@ -16,6 +16,7 @@ from shared.config import Drive
 NAMES = ("left", "right")
 BOTH = "the left and right wheel do not follow their commands"
 PAUSE = 1_000_000_000  # ns that the robot stands when both wheels fall behind
+MAX_CLOCK_STEP = 50_000_000  # ns by which reports may come sooner after their stamps than the one before
 PARDONS, PARDONED_FOR = 2, 20_000_000_000  # as often within as many ns
 
 
@@ -34,6 +35,7 @@ class WheelFaults:
         self._stuck = StuckWatch(stuck), StuckWatch(stuck)
         self._follow = FollowWatch(following), FollowWatch(following)
         self._n_jumps = 0
+        self._age: int | None = None  # ns, of the last report when it came
 
     def latch(self, code: str, words: str, at: int) -> None:
         """The fault stands, also one from before a restart."""
@@ -57,6 +59,11 @@ class WheelFaults:
         for watch in self._follow:
             watch.forget()
 
+    def _restart(self) -> None:
+        self._forget()
+        for watch in self._stuck:
+            watch.forget()
+
     def _pardoned(self, now: int) -> bool:
         """Whether this time the robot may try again."""
         recent = [at for at in self._pardons if 0 <= now - at < PARDONED_FOR]
@@ -70,6 +77,9 @@ class WheelFaults:
     def look(self, stamp: int, encoders: Encoders, commanded: tuple[float, float], now: int) -> None:
         """After a report: its stamp (ns), the wheels as counted, and the rad/s that they were told."""
         jumped, self._n_jumps = encoders.n_jumps != self._n_jumps, encoders.n_jumps
+        if self._age is not None and now - stamp < self._age - MAX_CLOCK_STEP:
+            self._restart()  # the board's clock went ahead of ours: no wheel was slow meanwhile
+        self._age = now - stamp
         stuck, astray, stood = [], [], False
         for name, angle, speed, radius, stuck_watch, follow_watch in zip(
             NAMES, (encoders.left, encoders.right), commanded, self._radii, self._stuck, self._follow

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from services.guard.track import Track
 from shared.config import Robot, Section
-from shared.geometry import Pose2
+from shared.geometry import Pose2, inside
 from shared.messages import LaserScan, RangeReadings
 
 Float64s = NDArray[np.float64]
@@ -51,10 +51,13 @@ class Obstacles:
         echoes = [points for points, stamp in self._echoes.values() if now - stamp <= age]
         return odom_from_base.inverse() @ np.concatenate([self._solid, self._hidden, *echoes])
 
-    def take_scan(self, scan: LaserScan, track: Track) -> None:
-        """Replaces what the laser saw by a newer scan; what it no longer looks at is remembered."""
+    def take_scan(self, scan: LaserScan, track: Track, covered: bool = False) -> None:
+        """Replaces what the laser saw by a newer scan; what it no longer looks at is remembered.
+
+        covered: hardly a beam leaves the robot, so returns from inside its outline are the robot.
+        """
         stride = -(-len(scan.ranges) // MOST_BEAMS)
-        ends, radius = self._ends(scan, track, stride)
+        ends, radius = self._ends(scan, track, stride, covered)
         solid = supported(ends, self._seen, radius, self.config.min_points)
         self._remember(scan, track)
         self._seen, self._solid = ends[np.isfinite(ends[:, 0])], ends[solid]
@@ -80,22 +83,13 @@ class Obstacles:
                 echo = echo[distance <= least + EXPLAINED]
             self._echoes[i] = echo, readings.stamp
 
-    def _ends(self, scan: LaserScan, track: Track, stride: int) -> tuple[Float64s, Float64s]:
-        """(n, 2) m in `odom`: each beam's end, seen from where the robot was at that beam; NaN without one near.
-
-        And (n,) m within which the ends of neighbouring beams support each other: wider where beams spread.
-        """
-        beams = np.arange(0, len(scan.ranges), stride)
-        ranges = scan.ranges[::stride].astype(float)
-        ranges[~((ranges >= scan.range_min) & (ranges <= scan.range_max))] = np.nan
-        angles = scan.angle_min + scan.angle_increment * beams
-        in_base = self.base_from_laser @ np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
-        x, y = in_base[:, 0], in_base[:, 1]
-        x[~(np.hypot(x, y) <= self.reach)] = np.nan
-        poses = track.poses(scan.scan_time * beams / (len(scan.ranges) - 1), scan.stamp)
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        ends = np.column_stack((poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y))
-        return ends, self.config.support_radius + 3 * stride * abs(scan.angle_increment) * ranges
+    def _ends(self, scan: LaserScan, track: Track, stride: int, covered: bool) -> tuple[Float64s, Float64s]:
+        """Ends (n, 2) and radius (n,) of `beam_ends`; NaN where the end is out of reach, or the robot, too."""
+        ends, in_base, radius = beam_ends(scan, track, self.base_from_laser, stride)
+        if covered:
+            ends[inside(self.robot.corners, in_base)] = np.nan
+        ends[~(np.hypot(in_base[:, 0], in_base[:, 1]) <= self.reach)] = np.nan
+        return ends, self.config.support_radius + radius
 
     def _remember(self, scan: LaserScan, track: Track) -> None:
         """Keeps, of the last scan and of what was hidden before, what this scan could not see."""
@@ -118,6 +112,26 @@ class Obstacles:
                 np.argsort(np.hypot(*(self._hidden[first] - (here.x, here.y)).T), kind="stable")[:MOST_HIDDEN]
             ]
             self._hidden, self._hidden_seen = self._hidden[order], self._hidden_seen[order]
+
+
+def beam_ends(
+    scan: LaserScan, track: Track, base_from_laser: Pose2, stride: int
+) -> tuple[Float64s, Float64s, Float64s]:
+    """Of each `stride`-th beam: its end (n, 2) m in `odom`, from where the robot was at that beam; NaN without one.
+
+    Also the end (n, 2) m in `base` at that beam, and the distance (n,) m that it may have from a neighbour's end on
+    the same surface, because beams spread.
+    """
+    beams = np.arange(0, len(scan.ranges), stride)
+    ranges = scan.ranges[::stride].astype(float)
+    ranges[~((ranges >= scan.range_min) & (ranges <= scan.range_max))] = np.nan
+    angles = scan.angle_min + scan.angle_increment * beams
+    in_base = base_from_laser @ np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
+    x, y = in_base[:, 0], in_base[:, 1]
+    poses = track.poses(scan.scan_time * beams / (len(scan.ranges) - 1), scan.stamp)
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    ends = np.column_stack((poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y))
+    return ends, in_base, 3 * stride * abs(scan.angle_increment) * ranges
 
 
 def supported(ends: Float64s, earlier: Float64s, radius: Float64s, least: int) -> Bools:

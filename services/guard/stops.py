@@ -7,10 +7,11 @@ from dataclasses import replace
 from pydantic import Field
 
 from services.guard.arbitration import ArbitrationConfig, Source, in_charge
-from shared import reasons
+from shared import reasons, topics
 from shared.config import Section
 from shared.messages import BaseStatus, EmergencyStop, GuardState, LaserScan, Localization, PoseEstimate
 from shared.reasons import Reason
+from shared.rejections import Rejections
 from shared.stamps import fresh, precedes, supersedes
 
 
@@ -29,8 +30,8 @@ class StopsConfig(Section):
 class Situation:
     """What speaks for or against driving now. `now` is set before each question."""
 
-    def __init__(self, config: StopsConfig, arbitration: ArbitrationConfig) -> None:
-        self.config, self.arbitration = config, arbitration
+    def __init__(self, config: StopsConfig, arbitration: ArbitrationConfig, rejections: Rejections) -> None:
+        self.config, self.arbitration, self.rejections = config, arbitration, rejections
         self.now = 0
         self.teleop, self.nav = Source("teleop", arbitration), Source("nav", arbitration)
         self.pressed: EmergencyStop | None = None
@@ -39,6 +40,8 @@ class Situation:
         self.odom_at: int | None = None  # ns from when on it ages: its stamp, or when it came if that was ahead
         self.scan: LaserScan | None = None
         self.scan_at: int | None = None  # as odom_at, of its last beam
+        self.frozen = False  # the laser repeats one scan
+        self.blind = False  # the laser does not see where the command leads
         self.pose: PoseEstimate | None = None
         self.lost_since: int | None = None
         self.jumped_at: int | None = None
@@ -143,6 +146,46 @@ class Situation:
         return command.stamp - self.jumped_at <= self.config.replan * 1e9
 
     @property
+    def scan_is_old(self) -> bool:
+        """Whether the last scan that counts is missing or too old to drive on."""
+        return not self.overridden and self.old(self.scan_at, self.config.scan_age)
+
+    @property
+    def unlike(self) -> str:
+        """How the scans that come differ from the configured beams, in words."""
+        return self.rejections.unfit(topics.SCAN.key, self.now)
+
+    @property
+    def odom_is_old(self) -> bool:
+        return self.old(self.odom_at, self.config.odom_age)
+
+    @property
+    def bad_stamps(self) -> str:
+        """What is wrong with the stamps of an input that is old although its messages come, in words.
+
+        The base's words on its board come first: what follows from the board's stamps is no cause.
+        """
+        if self.base is not None and self.fault == reasons.BAD_STAMPS.code:
+            return self.base.detail or reasons.BAD_STAMPS.text
+        if self.odom_is_old:
+            return self.rejections.told(topics.ODOM.key, self.now)
+        return self.rejections.told(topics.SCAN.key, self.now) if self.scan_is_old else ""
+
+    def told(self, reason: Reason, state: GuardState) -> str:
+        """The detail of a reason to stand: the base's words for its faults, the input's for what is rejected of it."""
+        if reason is reasons.BAD_STAMPS:
+            return self.bad_stamps
+        if reason is reasons.SCAN_UNLIKE:
+            return self.unlike
+        if self.base is not None and (state is GuardState.FAULT or reason.code == self.fault != reasons.ESTOP.code):
+            return self.base.detail
+        if reason in (reasons.COMMAND_OLD, reasons.NO_COMMAND):
+            return self.rejections.told(topics.TELEOP.key, self.now) or self.rejections.told(
+                topics.CMD_NAV.key, self.now
+            )
+        return ""
+
+    @property
     def base_stamp(self) -> int | None:
         return self.base.stamp if self.base else None
 
@@ -168,23 +211,33 @@ def scan_end(scan: LaserScan) -> int:
     return scan.stamp + round(scan.scan_time * 1e9)
 
 
+NO_FAULTS = ("", reasons.ESTOP.code, reasons.BAD_STAMPS.code)
+"""What the base may say without that its hardware is broken."""
+
 # fmt: off
 STOPS: tuple[tuple[Reason, GuardState, Callable[[Situation], bool]], ...] = (  # highest rank first
     (reasons.ESTOP,          GuardState.STOPPED, lambda s: s.pressed is not None or s.base_in_stop),
     (reasons.WHEEL_STUCK,    GuardState.FAULT,   lambda s: s.fault == reasons.WHEEL_STUCK.code),
     (reasons.WHEEL_ASTRAY,   GuardState.FAULT,   lambda s: s.fault == reasons.WHEEL_ASTRAY.code),
+    (reasons.ENCODERS_BROKEN, GuardState.FAULT,  lambda s: s.fault == reasons.ENCODERS_BROKEN.code),
+    (reasons.ENCODERS_JUMP,  GuardState.HOLD,    lambda s: s.fault == reasons.ENCODERS_JUMP.code),
     (reasons.NOT_OBEYED,     GuardState.HOLD,    lambda s: s.fault == reasons.NOT_OBEYED.code),
     (reasons.PORT_CLOSED,    GuardState.FAULT,   lambda s: s.fault == reasons.PORT_CLOSED.code),
     (reasons.BOARD_SILENT,   GuardState.FAULT,   lambda s: s.fault == reasons.BOARD_SILENT.code),
     (reasons.BATTERY_EMPTY,  GuardState.FAULT,   lambda s: s.fault == reasons.BATTERY_EMPTY.code),
+    (reasons.WRONG_RANGES,   GuardState.FAULT,   lambda s: s.fault == reasons.WRONG_RANGES.code),
     (reasons.SENSOR_DEAD,    GuardState.FAULT,   lambda s: s.fault == reasons.SENSOR_DEAD.code),
-    (reasons.FAULT,          GuardState.FAULT,   lambda s: s.fault not in ("", reasons.ESTOP.code)),
+    (reasons.FAULT,          GuardState.FAULT,   lambda s: s.fault not in NO_FAULTS),
     (reasons.BASE_SILENT,    GuardState.HOLD,    lambda s: s.old(s.base_stamp, s.config.base_age)),
-    (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s: s.old(s.odom_at, s.config.odom_age)),
-    (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s: not s.overridden and s.old(s.scan_at, s.config.scan_age)),
+    (reasons.BAD_STAMPS,     GuardState.HOLD,    lambda s: bool(s.bad_stamps)),
+    (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s: s.odom_is_old),
+    (reasons.SCAN_UNLIKE,    GuardState.HOLD,    lambda s: not s.overridden and bool(s.unlike)),
+    (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s: s.scan_is_old),
+    (reasons.SCAN_FROZEN,    GuardState.HOLD,    lambda s: not s.overridden and s.frozen),
     (reasons.COMMAND_OLD,    GuardState.HOLD,    lambda s: not s.heard and s.source.moving),
     (reasons.NO_COMMAND,     GuardState.IDLE,    lambda s: not s.heard),
     (reasons.ESTOP_RELEASED, GuardState.HOLD,    lambda s: not s.source.armed),
+    (reasons.SCAN_BLIND,     GuardState.HOLD,    lambda s: s.navigating and s.blind),
     (reasons.POSE_LOST,      GuardState.HOLD,    lambda s: s.navigating and s.lost),
     (reasons.POSE_JUMPED,    GuardState.HOLD,    lambda s: s.navigating and s.replanning),
     (reasons.POSE_OLD,       GuardState.HOLD,    lambda s: s.navigating and s.old(s.pose_stamp, s.config.pose_age)),

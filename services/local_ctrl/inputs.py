@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from shared import reasons
+from shared import reasons, topics
 from shared.config import Section
 from shared.geometry import Pose2
 from shared.messages import LaserScan, Localization, Odometry, PoseEstimate
 from shared.reasons import Reason
+from shared.rejections import Rejections
 
 Float64s = NDArray[np.float64]
 S = 1_000_000_000  # ns
@@ -109,12 +110,12 @@ class Inputs:
         columns[2] = np.unwrap(columns[2])
         return np.column_stack([np.interp(stamps - last.stamp, known, column) for column in columns])
 
-    def missing(self, now: int) -> Reason | None:
-        """Why the robot may not move on what is known, or None."""
+    def missing(self, now: int, rejections: Rejections) -> Reason | None:
+        """Why the robot may not move on what is known, or None. rejections: of local control's inputs."""
         if not self.history or abs(now - self.history[-1].stamp) > self.ages.odometry * S:
-            return reasons.ODOM_OLD
-        if self.scan is None or abs(now - self.scan.stamp - self.scan.scan_time * S) > self.ages.scan * S:
-            return reasons.SCAN_OLD
+            return reasons.BAD_STAMPS if rejections.told(topics.ODOM.key, now) else reasons.ODOM_OLD
+        if self.scan is None or abs(now - scan_end(self.scan)) > self.ages.scan * S:
+            return reasons.BAD_STAMPS if rejections.told(topics.SCAN.key, now) else reasons.SCAN_OLD
         return None
 
     def lost(self, now: int) -> Reason | None:
@@ -122,3 +123,8 @@ class Inputs:
         if self.pose is None or abs(now - self.pose.stamp) > self.ages.pose * S:
             return reasons.POSE_OLD
         return reasons.POSE_LOST if self.pose.state is Localization.LOST else None
+
+
+def scan_end(scan: LaserScan) -> int:
+    """ns of the last beam."""
+    return scan.stamp + round(scan.scan_time * S)

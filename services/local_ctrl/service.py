@@ -15,7 +15,7 @@ from services.local_ctrl.distance_to_go import DistanceToGoConfig
 from services.local_ctrl.dwa import Dwa, DwaConfig
 from services.local_ctrl.follow import FollowConfig, Follower
 from services.local_ctrl.footprint import footprint_of
-from services.local_ctrl.inputs import AgesConfig, Inputs, S
+from services.local_ctrl.inputs import AgesConfig, Inputs, S, scan_end
 from services.local_ctrl.local_costmap import CostmapConfig, LocalCostmap
 from services.local_ctrl.local_plan import LocalPlan
 from services.local_ctrl.manoeuvres import Manoeuvre, ManoeuvreConfig, Outcome, braking
@@ -43,9 +43,11 @@ from shared.messages import (
     Zones,
 )
 from shared.requests import Reply, Watch
+from shared.scan_faults import mismatch
 from shared.service import Answer, Out, Service, answer, every, on
 from shared.stamps import precedes
 
+MAX_AGE = 1.0  # s; what is older when it comes is of another time
 RIM = 1.0  # m of the costmap beyond where the robot's middle may be when the longest rollout ends, at least
 BESIDE = 0.5  # m of it beyond the robot's outline there, at least
 
@@ -116,7 +118,10 @@ class LocalCtrlService(Service):
 
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:
-        before = self.inputs.history[-1].stamp if self.inputs.history else odometry.stamp
+        known = self.inputs.history[-1].stamp if self.inputs.history else None
+        if not self.rejections.judge(topics.ODOM.key, odometry.stamp, known, self.now, MAX_AGE):
+            return ()
+        before = odometry.stamp if known is None else known
         if self.inputs.add_odometry(odometry, self.robot.drive.max_speed):
             self.costmap.forget()
             self.follower.reset()
@@ -137,6 +142,10 @@ class LocalCtrlService(Service):
 
     @on(topics.SCAN)
     def scan(self, scan: LaserScan) -> Out:
+        last, unlike = self.inputs.scan, mismatch(scan, self.robot.laser)
+        last_end = scan_end(last) if last is not None else None
+        if not self.rejections.judge(topics.SCAN.key, scan_end(scan), last_end, self.now, MAX_AGE, unfit=unlike):
+            return ()
         odom_from_base = self.inputs.add_scan(scan)
         if odom_from_base is not None:
             self.costmap.recentre(*odom_from_base[-1, :2])
@@ -228,7 +237,7 @@ class LocalCtrlService(Service):
         goal = self.goal
         if goal is None or goal.kind is GoalKind.NONE:
             return Outcome(0.0, 0.0, FollowState.IDLE)
-        stop = self.inputs.missing(self.now)
+        stop = self.inputs.missing(self.now, self.rejections)
         if stop is None and goal.kind is GoalKind.DRIVE:
             stop = self.inputs.lost(self.now)
         if stop is not None:

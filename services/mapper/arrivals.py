@@ -10,16 +10,19 @@ from services.mapper.deskew import deskewed
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.odometry_error import OdometryError
 from services.mapper.odometry_track import OdometryConfig, OdometryTrack
+from shared import topics
 from shared.config import Robot
 from shared.geometry import Pose2, interpolated
 from shared.messages import LaserScan, Odometry
+from shared.rejections import Kind, Rejections, duration
+from shared.scan_faults import RepeatedScans, mismatch
 from shared.service import Log, Out
+from shared.stamps import FUTURE
 
 Float64s = NDArray[np.float64]
 
 SECOND = 1_000_000_000
-OLDEST = SECOND  # a scan that is older when it arrives says where the robot was, not where it is
-FUTURE = SECOND // 2  # a stamp that is farther ahead is another clock's
+MAX_AGE = 1.0  # s; a scan that is older when it arrives says where the robot was, not where it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,17 +47,25 @@ class Arrival:
 
 
 class Arrivals:
-    """Odometry and scans by time. blind_doubt: an arrival's doubt without odometry."""
+    """Odometry and scans by time. blind_doubt: an arrival's doubt without odometry. rejections: where drops count."""
 
-    def __init__(self, config: OdometryConfig, occupancy: OccupancyConfig, robot: Robot, blind_doubt: float) -> None:
+    def __init__(
+        self,
+        config: OdometryConfig,
+        occupancy: OccupancyConfig,
+        robot: Robot,
+        blind_doubt: float,
+        rejections: Rejections,
+    ) -> None:
         self.config, self.occupancy, self.blind_doubt = config, occupancy, blind_doubt
-        self.mount = robot.laser.mount
+        self.laser, self.mount = robot.laser, robot.laser.mount
+        self.repeats = RepeatedScans(robot.laser.mount)
         self.track = OdometryTrack(config, robot.drive)
         self.pending: tuple[int, LaserScan] | None = None  # when it came, and the scan
         self.last_end = -1  # ns, end of the last scan that was placed
         self.velocity = Pose2()  # motion a second between the last two scans
         self.blind = False  # the last scan was placed without odometry
-        self.n_dropped = {"old": 0, "late": 0, "ahead": 0}
+        self.rejections = rejections
 
     def start(self) -> None:
         """Another map: the scan that waits is not placed on it, and nothing is known of the motion."""
@@ -63,9 +74,12 @@ class Arrivals:
     def hear(self, odometry: Odometry, now: int) -> Out:
         """Takes odometry, unless its stamp is another clock's."""
         if odometry.stamp > now + FUTURE:
+            words = f"stamps are {duration(odometry.stamp - now)} ahead"
+            self.rejections.reject(topics.ODOM.key, Kind.AHEAD, words, now)
             return
         if odometry.stamp < self.track.newest - SECOND and odometry.stamp > now - SECOND:
             self.track.clear()  # the clock was set back
+            self.repeats.restart()
             self.blind = True
         jumps = self.track.n_jumps
         self.track.add(odometry, broken=self.blind and self.track.newest <= self.last_end)
@@ -81,15 +95,28 @@ class Arrivals:
 
     def file(self, scan: LaserScan, now: int) -> Out:
         """Lets a scan wait to be placed, or drops it."""
-        end = _end(scan)
-        if end <= self.last_end:
-            yield from self._drop("old")
-        elif end > now + FUTURE:
-            yield from self._drop("ahead")
-        elif end < now - OLDEST:
-            yield from self._drop("late")
-        else:
+        end, key = _end(scan), topics.SCAN.key
+        last, unlike = self.last_end if self.last_end >= 0 else None, mismatch(scan, self.laser)
+        usable = self.rejections.judge(key, end, last, now, MAX_AGE, unfit=unlike)
+        if usable and end <= self.last_end:  # the clock was set back by less than a second
+            self.rejections.reject(key, Kind.SEQUENCE, "stamps go back", now)
+        elif usable and self.repeats.take(
+            scan, self.track.samples[-1].start_from_base if self.track.samples else Pose2()
+        ):
+            self.rejections.reject(
+                key, Kind.REPEATED, f"the laser repeats one scan: {self.repeats.n_repeats} times", now
+            )
+        elif usable:
             self.pending = now, scan
+            return
+        n = sum(self.n_dropped.values())
+        if n == 1 or n % 100 == 0:
+            yield Log("WARNING", f"scan dropped: {self.rejections.why(key)} ({n} so far)")
+
+    @property
+    def n_dropped(self) -> dict[str, int]:
+        """Scans that were dropped, by why."""
+        return {str(kind): self.rejections.counts.get((topics.SCAN.key, kind), 0) for kind in Kind}
 
     @property
     def covered(self) -> bool:
@@ -124,11 +151,6 @@ class Arrivals:
         """How the robot turned out to have moved since the last scan."""
         drivable = 0.02 <= seconds <= 1 and self.track.plausible(motion, seconds)
         self.velocity = _scaled(motion, 1 / seconds) if drivable else Pose2()
-
-    def _drop(self, why: str) -> Out:
-        self.n_dropped[why] += 1
-        if self.n_dropped[why] == 1 or self.n_dropped[why] % 100 == 0:
-            yield Log("WARNING", f"scan dropped: its stamp is {why} ({self.n_dropped[why]} so far)")
 
     def _silent(self, end: int) -> bool:
         return not self.track.samples or self.track.newest < end - self.config.timeout * SECOND

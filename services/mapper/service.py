@@ -66,7 +66,7 @@ class MapperService(Service):
         super().__init__(config, robot)
         self.config: MapperConfig = config
         range_max = robot.laser.range_max
-        self.arrivals = Arrivals(config.odometry, config.occupancy, robot, config.blind_doubt)
+        self.arrivals = Arrivals(config.odometry, config.occupancy, robot, config.blind_doubt, self.rejections)
         self.front_end = FrontEnd(
             config.front_end, config.registration, config.search, config.occupancy, range_max, robot.drive
         )

@@ -14,11 +14,16 @@ _MISSING = {
     reason.code
     for reason in (
         reasons.SCAN_OLD,
+        reasons.SCAN_UNLIKE,
+        reasons.SCAN_FROZEN,
+        reasons.SCAN_BLIND,
         reasons.ODOM_OLD,
         reasons.POSE_OLD,
         reasons.POSE_LOST,
         reasons.BASE_SILENT,
         reasons.BOARD_SILENT,
+        reasons.BAD_STAMPS,
+        reasons.ENCODERS_JUMP,
         reasons.STARTING,
         reasons.SERVICE_DIED,
     )
@@ -60,14 +65,20 @@ class Hearing:
 
     def stopped(self, now: int) -> Reason | None:
         """Why nothing may move until a person agrees."""
-        guard = self._present_guard(now)
+        guard = self.present_guard(now)
         if guard is None or guard.state not in (GuardState.STOPPED, GuardState.FAULT):
             return None
         return REASONS.get(guard.reason, reasons.ESTOP if guard.state is GuardState.STOPPED else reasons.FAULT)
 
+    def present_guard(self, now: int) -> GuardStatus | None:
+        """The guard's last word, where it was heard lately."""
+        if self._guard is None or abs(now - self._guard[1]) > _GUARD_NS:
+            return None
+        return self._guard[0]
+
     def held(self, now: int) -> Reason | None:
         """Why the robot stands, where neither the way nor local control is the cause."""
-        guard = self._present_guard(now)
+        guard = self.present_guard(now)
         if guard is None:
             return None
         if guard.source == "teleop":
@@ -76,7 +87,7 @@ class Hearing:
 
     def why(self, goal: Goal | None, now: int) -> str:
         """The code of what keeps the robot from its goal, the gravest first; empty where nothing does."""
-        guard = self._present_guard(now)
+        guard = self.present_guard(now)
         if guard is not None and guard.state in (GuardState.STOPPED, GuardState.FAULT):
             return guard.reason
         if goal is None:
@@ -98,8 +109,3 @@ class Hearing:
         if follow is not None and follow.state in (FollowState.BLOCKED, FollowState.FAILED):
             return follow.reason or reasons.BLOCKED.code
         return guard.reason if guard is not None and guard.state is GuardState.ACTIVE else ""
-
-    def _present_guard(self, now: int) -> GuardStatus | None:
-        if self._guard is None or abs(now - self._guard[1]) > _GUARD_NS:
-            return None
-        return self._guard[0]

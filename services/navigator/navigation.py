@@ -39,6 +39,9 @@ class NavigatorConfig(Section):
         (), max_length=MOST_ZONES, description="keep-out and speed zones on every map; those of one map: zenav zones"
     )
     lost_time: float = Field(2.0, ge=0, le=60, description="s that the pose may be lost until the robot is stopped")
+    resume_within: float = Field(
+        5.0, ge=0, le=30, description="s that a navigator may be away in a restart and still go on with its task"
+    )
     leg: LegConfig = LegConfig()
     recovery: RecoveryConfig = RecoveryConfig()
     exploration: ExplorationConfig = ExplorationConfig()
@@ -63,6 +66,7 @@ class Navigation:
         self.recovery = ""  # the name of the one that runs or was just made
         self.action = 0.0  # s left for it
         self.dwell = 0.0  # s left at the pose
+        self.age = 0.0  # s of the task
         self.paused = False
         self.suspended = False  # stopped because the pose is lost
         self.lost = 0.0  # s
@@ -75,18 +79,35 @@ class Navigation:
     def begin(self, task: Route | Exploration, now: int) -> Out:
         """Takes a task in the place of the present one; a robot under way goes on to the new goal without a stop."""
         self.task_id += 1
-        self.task, self.leg = task, None
+        self._take(task)
+        if isinstance(task, Route):
+            yield from self._to_waypoint(task, now)
+        else:
+            yield self._goal(now, GoalKind.NONE)
+
+    def resume(self, task: Route | Exploration, dwell: float | None, paused: bool, now: int) -> Out:
+        """Goes on with the task of a navigator before this one, under its number; recoveries start over.
+
+        dwell: s left at the present pose of a route; None: the robot was under way to it.
+        """
+        self._take(task)
+        self.paused = paused
+        if isinstance(task, Route) and dwell is None:
+            self.leg = Leg(task.target, task.any_heading)
+        self.dwell = dwell or 0.0
+        if self.leg and not paused:
+            yield from self._drive(now, self.leg)
+        else:
+            yield self._goal(now, GoalKind.NONE)
+
+    def _take(self, task: Route | Exploration) -> None:
+        explores = isinstance(task, Exploration)
+        self.task, self.leg, self.age = task, None, 0.0
         self.reason, self.detail = None, ""
         self.ladder = self._new_ladder()
         self.recovery, self.action, self.paused, self.suspended = "", 0.0, False, False
-        explores = isinstance(task, Exploration)
         self.leg_config = self.config.leg.hurried(self.config.exploration.patience) if explores else self.config.leg
-        if isinstance(task, Route):
-            self.state = NavState.NAVIGATING
-            yield from self._to_waypoint(task, now)
-        else:
-            self.state, self.searched = NavState.EXPLORING, inf
-            yield self._goal(now, GoalKind.NONE)
+        self.state, self.searched = NavState.EXPLORING if explores else NavState.NAVIGATING, inf
 
     def end(self, now: int, state: NavState, reason: Reason | None, detail: str = "") -> Out:
         """The task is over, and the robot stands."""
@@ -138,6 +159,7 @@ class Navigation:
         self.lost = self.lost + seconds if self.where.lost else 0.0
         self.searching += seconds
         self.searched += seconds
+        self.age += seconds
         if self.task is None or self.paused:
             return
         yield from self._watch_pose(now)

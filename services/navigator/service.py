@@ -3,10 +3,14 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from services.navigator.exploration import Exploration
 from services.navigator.feedback import Speedometer, status
 from services.navigator.frontiers import Frontiers
+from services.navigator.goal_check import Bools, doubtful, refused
 from services.navigator.navigation import Navigation, NavigatorConfig, rehearse
+from services.navigator.resumption import Resumption
 from services.navigator.route import Route
 from services.navigator.zones import HeldZones
 from shared import reasons, requests, topics
@@ -14,10 +18,13 @@ from shared.config import Robot
 from shared.messages import (
     MOST_ZONES,
     FollowStatus,
+    GoalLimits,
     GuardState,
     GuardStatus,
+    MapMode,
     MapUpdate,
     NavState,
+    NavTask,
     Odometry,
     Path,
     PoseEstimate,
@@ -41,8 +48,11 @@ class NavigatorService(Service):
     def __init__(self, config: NavigatorConfig, robot: Robot) -> None:
         super().__init__(config, robot)
         self.navigation = Navigation(config, robot)
+        self.resumption = Resumption(self.navigation)
         self.zones = HeldZones(config.zones)
         self.speedometer = Speedometer(robot.drive.max_speed / 2)
+        self.limits: GoalLimits | None = None
+        self.maps = True  # the map grows
         self.velocity = 0.0  # m/s
         self.ticked: int | None = None
 
@@ -58,6 +68,7 @@ class NavigatorService(Service):
         self.navigation.grid.apply(update)
         if another and self.navigation.task:  # its places are on a map that is no more
             yield from self.navigation.end(self.now, NavState.CANCELED, reasons.OTHER_MAP)
+            yield from self.resumption.tell(self.now)
 
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:
@@ -67,6 +78,7 @@ class NavigatorService(Service):
 
     @on(topics.POSE)
     def pose(self, estimate: PoseEstimate) -> Out:
+        self.maps = estimate.mode is not MapMode.LOCALISE
         if self.navigation.where.estimated(estimate):
             yield from self.navigation.leapt(self.now)
 
@@ -75,10 +87,16 @@ class NavigatorService(Service):
         self.navigation.hearing.plan(plan, self.now)
         return ()
 
+    @on(topics.LIMITS)
+    def goal_limits(self, limits: GoalLimits) -> Out:
+        self.limits = limits
+        return ()
+
     @on(topics.FOLLOW)
     def follow(self, follow: FollowStatus) -> Out:
         self.navigation.hearing.follow(follow, self.now)
         yield from self.navigation.followed(follow, self.now)
+        yield from self.resumption.tell(self.now)
 
     @on(topics.GUARD)
     def guard(self, guard: GuardStatus) -> Out:
@@ -87,6 +105,12 @@ class NavigatorService(Service):
         if stopped and self.navigation.task:  # releasing STOP must not move the robot: nothing is left to go on with
             state = NavState.CANCELED if guard.state is GuardState.STOPPED else NavState.FAILED
             yield from self.navigation.end(self.now, state, stopped)
+            yield from self.resumption.tell(self.now)
+
+    @on(topics.TASK)
+    def task_before_the_restart(self, task: NavTask) -> Out:
+        self.resumption.remember(task, self.now)
+        return ()
 
     @on(topics.ZONES)
     def zones_before_the_restart(self, zones: Zones) -> Out:
@@ -101,20 +125,27 @@ class NavigatorService(Service):
         since = _FIRST_TICK if self.ticked is None else (self.now - self.ticked) * 1e-9
         seconds = min(max(since, 0.0), _LONGEST_TICK)
         self.ticked = self.now
-        yield from self.navigation.passed(seconds, self.now)
+        yield from self.resumption.take_up(self.now)
+        if not self.resumption.pending:  # else its goal stands until it is known whether it goes on
+            yield from self.navigation.passed(seconds, self.now)
         self.speedometer.passed(seconds, self.velocity)
-        yield self._status()
+        yield from self._told()
 
     def frontiers_found(self, result: tuple[int, int, Frontiers]) -> Out:
         """A search is done: for which task, on which map, what."""
         yield from self.navigation.frontiers_found(*result, self.now)
+        yield from self.resumption.tell(self.now)
 
     @answer(requests.NAVIGATE)
     def navigate(self, request: Navigate) -> Answer[Reply]:
+        doubts = self._doubts(request)
         for number, pose in enumerate(request.poses, 1):
             if zone := forbidding(self.zones.zones, pose):
                 where = f"pose {number} of {len(request.poses)} is in {zone.name}"
                 return replace(self._reply(reasons.GOAL_KEEP_OUT), detail=where)
+            if doubts[number - 1] and (refusal := self._refused(request, number)):
+                where = f"pose {number} of {len(request.poses)}, at ({pose.x:.2f}, {pose.y:.2f}): {refusal.text}"
+                return replace(self._reply(refusal), detail=where)
         dwells = request.dwells or (request.dwell,) * len(request.poses)
         tolerances = request.tolerance or self.config.tolerance, request.yaw_tolerance or self.config.yaw_tolerance
         route = Route(request.poses, dwells, request.loops, request.any_heading, *tolerances)
@@ -134,24 +165,46 @@ class NavigatorService(Service):
 
     @answer(requests.CANCEL)
     def cancel(self, request: Cancel) -> Answer[Reply]:
-        if self.navigation.task:
+        if self.navigation.task or self.resumption.before:
+            self.resumption.forget()
             yield from self.navigation.end(self.now, NavState.CANCELED, reasons.CANCELED)
-            yield self._status()
+            yield from self._told()
         return self._reply(None)
 
     @answer(requests.PAUSE)
     def pause(self, request: Pause) -> Answer[Reply]:
-        if self.navigation.task is None:
+        if before := self.resumption.before:
+            self.resumption.before = replace(before, paused=request.paused)
+        elif self.navigation.task is None:
             return self._reply(reasons.NO_COMMAND)
         yield from self.navigation.pause(self.now, request.paused)
-        yield self._status()
+        yield from self._told()
         return self._reply(None)
+
+    def _doubts(self, request: Navigate) -> Bools:
+        """(n,) bool: which poses of a route have to be looked at one by one."""
+        if self.limits is None:
+            return np.zeros(len(request.poses), bool)
+        return doubtful(self.navigation.grid, self.limits, self.robot.inscribed_radius, request.poses)
+
+    def _refused(self, request: Navigate, number: int) -> reasons.Reason | None:
+        """Why the planner would refuse a pose of a route, counted from 1, whatever the way.
+
+        A later pose may lie outside the map while that grows: the robot drives there over the poses before.
+        """
+        if self.limits is None:
+            return None
+        navigation, tolerance = self.navigation, request.tolerance or self.config.tolerance
+        radius, pose = self.robot.inscribed_radius, request.poses[number - 1]
+        refusal = refused(navigation.grid, self.limits, radius, pose, tolerance)
+        return None if refusal is reasons.GOAL_OUTSIDE and number > 1 and self.maps else refusal
 
     def _begin(self, task: Route | Exploration) -> Answer[Reply]:
         if stopped := self.navigation.hearing.stopped(self.now):
             return self._reply(stopped)
+        self.resumption.forget()
         yield from self.navigation.begin(task, self.now)
-        yield self._status()
+        yield from self._told()
         return self._reply(None)
 
     def _reply(self, refused: reasons.Reason | None) -> Reply:
@@ -163,6 +216,10 @@ class NavigatorService(Service):
         self.zones.told = True
         self.navigation.keep_out.take(held)
         return topics.ZONES(held)
+
+    def _told(self) -> Out:
+        yield from self.resumption.tell(self.now)
+        yield self._status()
 
     def _status(self) -> Publication:
         return topics.NAV(status(self.navigation, self.speedometer, self.now))

@@ -8,6 +8,7 @@ from shared import topics
 from shared.config import Robot
 from shared.geometry import Pose2
 from shared.messages import Odometry, WheelState
+from shared.rejections import Kind
 from shared.service import Log, Out, Service, on
 from shared.stamps import precedes
 
@@ -33,6 +34,8 @@ class OdometryService(Service):
         last = self.last
         if last is not None and last.epoch == wheels.epoch:
             if wheels.stamp <= last.stamp:
+                words = "stamps stand still" if wheels.stamp == last.stamp else "stamps go back"
+                self.rejections.reject(topics.WHEELS.key, Kind.SEQUENCE, words, self.now)
                 return
             yield from self._roll(last, wheels)
         elif last is not None and precedes(wheels.epoch, last.epoch, self.now):

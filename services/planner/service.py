@@ -19,6 +19,7 @@ from shared.messages import (
     TILE_CELLS,
     Goal,
     GoalKind,
+    GoalLimits,
     Localization,
     MapUpdate,
     Odometry,
@@ -70,6 +71,7 @@ class PlannerService(Service):
         self.blocked_since: int | None = None
         self.changed: Bools | None = None  # since the terrain's update; None: everything
         self.fresh = True  # the terrain holds the whole map
+        self.told = False  # the limits of goals
         self.updated = -PERIOD_NS  # when the terrain was
 
     def warm(self) -> None:
@@ -140,6 +142,10 @@ class PlannerService(Service):
 
     @every(hz=2)
     def confirm(self) -> Out:
+        if not self.told:
+            self.told, cost = True, self.config.cost
+            reach = self.config.path.goal_reach
+            yield topics.LIMITS(GoalLimits(self.now, cost.margin, cost.least_margin, reach, cost.beyond))
         yield from self._keep(always=True)
 
     def _keep(self, always: bool) -> Out:

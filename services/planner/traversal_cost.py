@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from services.planner.blocks import Blocks
 from services.planner.regions import Regions
+from shared.clearance import kept_free
 from shared.config import Robot, Section
 from shared.distance_field import distance_field
 from shared.grid import FREE_UP_TO, OCCUPIED_FROM, OccupancyGrid
@@ -67,6 +68,11 @@ class CostConfig(Section):
         0.0, ge=0, le=50, description="m outside the map's tiles that count as unknown space instead of as outside"
     )
 
+    @property
+    def beyond(self) -> float:
+        """m outside the map's tiles to which a way may lead."""
+        return self.beyond_map if self.unknown != "forbidden" else 0.0
+
 
 class Terrain:
     """The costs of a map for a robot, and which cells hang together; kept up to date from the changed cells.
@@ -78,12 +84,11 @@ class Terrain:
     def __init__(self, config: CostConfig, robot: Robot, resolution: float) -> None:
         self.config, self.robot = config, robot
         self.resolution = resolution
-        margin = kept_free(config, resolution)
+        margin = kept_free(config.margin, resolution)
         self.blocked_under = robot.inscribed_radius + margin
         radius = max(config.inflation_radius, self.blocked_under, robot.circumscribed_radius + margin)
         self.reach_cells = ceil(radius / resolution)
-        beyond = config.beyond_map if config.unknown != "forbidden" else 0.0
-        self.pad = 1 + ceil(beyond / resolution)
+        self.pad = 1 + ceil(config.beyond / resolution)
         self._by_distance = cost_by_distance(config, robot, resolution, self.reach_cells)
         self._unknown_cost = {
             "allowed": 0,
@@ -259,22 +264,13 @@ def _tiles(eights: UInt64s) -> Bools:
     return tiles
 
 
-def kept_free(config: CostConfig, resolution: float) -> float:
-    """m around the footprint's circles: the margin, and by how much cells of this size, m, hide more than 5 cm do.
-
-    How far a path is from an obstacle is known from cell's centre to cell's centre, to half a diagonal at either end:
-    1.4 cells, which the margin covers with cells of 5 cm.
-    """
-    return config.margin + 1.4 * max(resolution - 0.05, 0.0)
-
-
 def cost_by_distance(config: CostConfig, robot: Robot, resolution: float, reach_cells: int) -> UInt16s:
     """(reach_cells^2 + 1,) uint16: a known cell's cost by its squared distance (cells^2) to the nearest obstacle.
 
     0 under the inscribed radius and margin; then `1 + weight * exp(-falloff * d)` as in Nav2's inflation layer, shifted
     to end at 1 at the inflation radius; more under the circumscribed radius, where the heading is not free.
     """
-    margin = kept_free(config, resolution)
+    margin = kept_free(config.margin, resolution)
     nearest, turning = robot.inscribed_radius + margin, robot.circumscribed_radius + margin
     end = exp(-config.clearance_falloff * max(config.inflation_radius - nearest, 0.0))
     distance = np.sqrt(np.arange(reach_cells**2 + 1)) * resolution

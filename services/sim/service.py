@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from services.sim import breaking
 from services.sim import dynamics as dyn
 from services.sim import people as crowd
 from services.sim.contact import grown, placed, touches_world
@@ -21,10 +22,11 @@ from services.sim.drive import (
     wheel_targets,
 )
 from services.sim.hardware.emulation import Emulation, EmulationConfig
+from services.sim.message_faults import MessageFaults
 from services.sim.sensors import LaserNoise, RangeNoise, cones, measured, sweep
 from services.sim.store import load
 from services.sim.world import World
-from shared import reasons, requests, topics
+from shared import requests, topics
 from shared.config import Robot, Section, UserError
 from shared.geometry import Pose2, wrapped
 from shared.messages import BoardReport, Clock, LaserScan, MotorCommand, SerialData, Truth
@@ -96,6 +98,7 @@ class SimService(Service):
         self.life = 0  # steps that the command has left
         emulated = config.hardware == "emulated"
         self.emulation = Emulation(config.emulation, robot, config.seed) if emulated else None
+        self.faults = MessageFaults(robot, config.seed)
         self.used = 0.0  # Ah
         steps_back = ceil(robot.laser.scan_time / dyn.DT) + CATCH_UP_STEPS + 4
         self.history = np.zeros((steps_back, 3 + 3 * len(self.world.people)))
@@ -144,12 +147,12 @@ class SimService(Service):
 
     @answer(requests.FAULT)
     def broken(self, order: Break) -> Answer[Reply]:
-        """`zenav fault`: something of the emulated hardware breaks, or is mended."""
-        if self.emulation is None:
-            mend = "the hardware is not emulated: zenav up --hardware emulated"
-            return Reply(self.now, False, reasons.BAD_REQUEST.code, mend)
-        reply = self.emulation.broken(order, self.now)
-        yield from self.emulation.plugs(self.now)
+        """`zenav fault`: something of the simulated hardware breaks, or is repaired."""
+        emulation = self.emulation
+        faults = emulation.faults if emulation else self.faults.holds
+        reply = breaking.broken(faults, emulation is not None, order, self.now)
+        if emulation is not None:
+            yield from emulation.plugs(self.now)
         return reply
 
     @on(topics.MOTORS)
@@ -166,8 +169,10 @@ class SimService(Service):
     def tick(self) -> Out:
         self._catch_up()
         if self.emulation is None:
-            yield from (topics.SCAN(scan) for scan in self._due_scans())
-            yield topics.BOARD(self._board())
+            self.faults.holds.pass_to(self.now)
+            sent = (self.faults.scan(scan) for scan in self._due_scans())
+            yield from (topics.SCAN(scan) for scan in sent if scan is not None)
+            yield topics.BOARD(self.faults.board(self._board()))
         else:
             yield from self.emulation.plugs(self.now)
             self._obey_board(self.emulation)

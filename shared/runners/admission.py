@@ -34,6 +34,8 @@ class Admission:
         self._sequence = -1
         self._sent = 0
         self._heard = 0
+        self.words = ""
+        """What was wrong with the last message that was OLD."""
         self.complete = True
         """Nothing of the publisher's session is missing: heard from its first message on, or from a kept value on."""
 
@@ -48,17 +50,20 @@ class Admission:
         if envelope.session == self._session:
             heard = envelope.sequence == self._sequence and (self.complete or not kept)
             if envelope.sequence < self._sequence or heard:
+                self.words = "the sequence stands still" if heard else "the sequence goes back"
                 return Verdict.OLD
             gap = envelope.sequence > self._sequence + 1
             self.complete = kept or (self.complete and not gap)
         elif self._topic.hz == 0:  # events: any publisher's, in the order in which they were sent
             if precedes(envelope.sent, self._sent, now):
+                self.words = "sent before the last one"
                 return Verdict.OLD
             gap = False
         else:
             if self._session and 0 <= now - self._heard < SILENT_AFTER:
                 return Verdict.INTRUDER
             if precedes(envelope.sent, self._sent, now):
+                self.words = "sent before the last one"
                 return Verdict.OLD
             gap = False
         if envelope.session != self._session:

@@ -9,6 +9,7 @@ named by a small number, anew in each journal message, so that each can be read 
     [4, source, key, session]    names a source
     [5, now, source, sequence]   a latched value, to a late joiner: all that the source sent up to there, merged
     [6, now]                     the farewell
+    [7, now, key, why, words, n] the runner rejected n messages on a key (shared/rejections.py)
 
 What a service's ports say is published for the recorder, in a session of its own: a replay takes it as recorded.
 """
@@ -22,6 +23,7 @@ import msgpack
 from shared import topics
 from shared.codec import Envelope, encode
 from shared.messages import Journal, LogLine, Message
+from shared.rejections import Kind
 from shared.requests import REQUESTS, Request
 from shared.service import Job, Log, Out, Service, handlers, outputs
 from shared.topics import Publication, Topic, key_of
@@ -29,7 +31,7 @@ from shared.topics import Publication, Topic, key_of
 JOURNAL_FULL = 2**20
 """bytes of requests from which a journal goes on in a further message: the wire carries 4 MiB in one."""
 
-MESSAGE, TICK, DONE, REQUEST, SOURCE, LATCHED, FAREWELL = range(7)
+MESSAGE, TICK, DONE, REQUEST, SOURCE, LATCHED, FAREWELL, REJECTED = range(8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +117,11 @@ class Host:
         """The process is asked to end."""
         self._note((FAREWELL, now), now)
         return self._effects(self.service.farewell())
+
+    def rejected(self, key: str, kind: Kind, words: str, n: int, now: int) -> None:
+        """The runner rejected messages of a key that the service listens to: that is an event too, so it replays."""
+        self._note((REJECTED, now, key, str(kind), words, n), now)
+        self.service.rejections.reject(key, kind, words, now, n)
 
     def from_port(self, publication: Publication, now: int) -> list[Effect]:
         """One of the service's ports spoke (topics.RX, topics.PORT): that, and what the service makes of it."""

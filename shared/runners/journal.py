@@ -8,7 +8,8 @@ from typing import Any
 import msgpack
 
 from shared.messages import Journal
-from shared.runners.host import DONE, FAREWELL, LATCHED, MESSAGE, REQUEST, SOURCE, TICK
+from shared.rejections import Kind
+from shared.runners.host import DONE, FAREWELL, LATCHED, MESSAGE, REJECTED, REQUEST, SOURCE, TICK
 
 HOLE = -1
 """The kind of an event that stands for journal entries that were lost: `number` of them."""
@@ -16,7 +17,10 @@ HOLE = -1
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One event that a service took, see shared/runners/host.py. `number`: sequence, tick, job, or length of a hole."""
+    """One event that a service took, see shared/runners/host.py.
+
+    number: sequence, tick, job, length of a hole, or how many messages were rejected.  why, words: of rejected ones.
+    """
 
     kind: int
     now: int
@@ -24,6 +28,8 @@ class Event:
     key: str = ""
     session: str = ""
     payload: bytes = b""
+    why: str = ""
+    words: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +76,9 @@ def _event(entry: Any, sources: dict[int, tuple[str, str]]) -> Event | None:
     if kind == REQUEST:
         _, now, key, payload = entry
         return Event(kind, int(now), key=str(key), payload=bytes(payload))
+    if kind == REJECTED:
+        _, now, key, why, words, n = entry
+        return Event(kind, int(now), int(n), str(key), why=str(Kind(why)), words=str(words))
     if kind == FAREWELL:
         return Event(kind, int(entry[1]))
     raise ValueError(f"unknown event {kind!r}")

@@ -19,14 +19,12 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, cast
 
-import msgpack
 import zenoh
 
 from shared import reasons, topics
 from shared.codec import CodecError, Envelope, decode, encode, envelope_of
 from shared.config import UserError, configured
 from shared.messages import LogLine, Message
-from shared.reasons import Reason
 from shared.requests import Request
 from shared.runners import transport
 from shared.runners.admission import Admission, Verdict
@@ -38,6 +36,7 @@ from shared.runners.kept import Kept
 from shared.runners.memory import Memory
 from shared.runners.metronome import Metronome
 from shared.runners.port import Port
+from shared.runners.refusals import Refusals
 from shared.runners.traffic import Traffic
 from shared.service import Service
 from shared.topics import TOPICS, Topic, key_of
@@ -74,6 +73,7 @@ class Live:
         self._requests = self.inbox.place("requests", "all", MAX_REQUESTS)
         self._results = self.inbox.place("jobs", "all")
         self._admissions: dict[str, Admission] = {}
+        self._refusals = Refusals()
         self._latched_readers: dict[str, transport.LatchedReader] = {}
         self._from_ports = self.inbox.place("ports", "all")
         self._places: list[Place] = [self._requests, self._from_ports]
@@ -126,6 +126,7 @@ class Live:
         while not self._stopping:
             self._take_raws()
             now = self.clock.now()
+            self._refusals.tell(self.host, now)
             if now >= report:
                 self._report(now)
                 report = now + SECOND
@@ -188,14 +189,17 @@ class Live:
                 self._latched_readers[key] = reader
 
     def _file_sample(self, place: Place, sample: zenoh.Sample) -> None:
-        self.inbox.file(place, sample.payload.to_bytes())
+        if not self._refusals.oversized(place.key, sample.payload):
+            self.inbox.file(place, sample.payload.to_bytes())
 
     def _file_kept(self, place: Place, payload: bytes) -> None:
         self.inbox.file(place, (payload,))
 
     def _file_request(self, request: Request[Message, Message], query: zenoh.Query) -> None:
-        if len(self._requests.items) >= MAX_REQUESTS:
-            _refuse(query, reasons.BUSY, "")
+        if words := self._refusals.oversized(request.key, query.payload or b""):
+            transport.refuse(query, reasons.TOO_LARGE, words)
+        elif len(self._requests.items) >= MAX_REQUESTS:
+            transport.refuse(query, reasons.BUSY, "")
         else:
             self.inbox.file(self._requests, (request, query))
 
@@ -235,7 +239,9 @@ class Live:
         if topic.latched and not self._admissions[key].complete:
             self._latched_readers[key].refresh()
         if verdict is Verdict.OLD:
-            self.traffic.old += not latched
+            if not latched:
+                self.traffic.old += 1
+                self._refusals.sequence(key, self._admissions[key].words)
             return
         self._boxed(key, payload, envelope, now, latched)
         self._apply(self.host.message(key, message, envelope, now, latched))
@@ -252,6 +258,8 @@ class Live:
                 self.traffic.bad += 1
                 self.traffic.wrong(f"{key}: not a message: {error}", now)
                 continue
+            if not latched and self._refusals.oversized(key, payload):
+                continue
             self.host.service.now = now
             self.host.n_events += 1
             self.host.service.raw(key, payload, envelope, now, latched)  # type: ignore[attr-defined]  # asked for before
@@ -263,11 +271,15 @@ class Live:
         except CodecError as error:
             self.traffic.bad += 1
             self.traffic.wrong(f"{request.key}: a bad request was refused: {error}", now)
-            _refuse(query, reasons.BAD_REQUEST, str(error))
+            transport.refuse(query, reasons.BAD_REQUEST, str(error))
             return
         effects, reply = self.host.request(request.key, message, payload, now)
-        with query:
-            query.reply(f"{self.robot}/{request.key}", encode(reply, Envelope(self.name, self.host.session, 0, now)))
+        replied = encode(reply, Envelope(self.name, self.host.session, 0, now))
+        if words := self._refusals.oversized(request.key, replied):
+            transport.refuse(query, reasons.TOO_LARGE, f"the reply has {words}")
+        else:
+            with query:
+                query.reply(f"{self.robot}/{request.key}", replied)
         self._apply(effects)
 
     def _apply(self, effects: list[Effect]) -> None:
@@ -298,7 +310,8 @@ class Live:
             log.log(logging.getLevelNamesMapping().get(line.level, logging.INFO), line.text)
         if sent.topic.latched:
             self._kept.publish(sent)
-        self._publishers[sent.key].put(sent.payload)
+        if not self._refusals.oversized(sent.key, sent.payload):
+            self._publishers[sent.key].put(sent.payload)
 
     def _report(self, now: int) -> None:
         self._publish_journals(now)
@@ -306,7 +319,9 @@ class Live:
             self._box.hand_over()
         self._kept.save()
         dropped = sum(place.dropped for place in self._places if place.keep == "all")
-        health = self.traffic.health(self.name, self.host.service.state(), self.host.n_events, dropped, now)
+        rejections = self.host.service.rejections
+        self.traffic.tell_rejected(rejections, now)
+        health = self.traffic.health(self.name, self.host.service.state(), self.host.n_events, dropped, rejections, now)
         self._publish(self.host.publish(topics.HEALTH(health), now))
 
     def _publish_journals(self, now: int) -> None:
@@ -318,11 +333,6 @@ class Live:
         topic = topics.topic_of(key)
         if self._box is not None and topic is not None:
             self._box.take(Taken(key, topic.type, payload, envelope, now, kept))
-
-
-def _refuse(query: zenoh.Query, reason: Reason, text: str) -> None:
-    with query:
-        query.reply_err(msgpack.packb({"code": reason.code, "text": text}))
 
 
 def arguments(name: str) -> argparse.ArgumentParser:

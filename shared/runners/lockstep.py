@@ -2,7 +2,8 @@
 """All services in one process on a virtual clock, as fast as it goes: the same seed gives the same bytes.
 
 Events are ordered by (time, cause), a total order. A message arrives `topic.within` after it was published; a job's
-result comes `job.takes` after the job could start. Faults are injected at virtual times.
+result comes `job.takes` after the job could start. Faults are injected at virtual times. As live, what is not above
+its session's last sequence number is rejected; a test may publish in another service's name, so none is an intruder.
 """
 
 import heapq
@@ -11,9 +12,11 @@ from dataclasses import replace
 from typing import Any, TypeVar, cast
 
 from shared import topics
-from shared.codec import Envelope, decode, encode
+from shared.codec import CodecError, Envelope, decode, encode
 from shared.messages import Message, PortState, SerialData, Stamp
+from shared.rejections import Kind
 from shared.requests import Request
+from shared.runners.admission import Admission, Verdict
 from shared.runners.host import Effect, Host, JobOrder, Sent, merged
 from shared.runners.metronome import Metronome
 from shared.service import Service
@@ -44,8 +47,10 @@ class Lockstep:
         self.now: int = START
         self.filters: list[Filter] = []
         self.latched: dict[str, Sent] = {}
+        self.n_bad = 0  # messages that no reader takes: a field is out of its bounds
         self._record = record
         self._hosts: dict[str, Host] = {}
+        self._admissions: dict[tuple[str, str], Admission] = {}  # by the listening service's name, and the key
         self._lives: dict[str, int] = {}
         self._metronomes: dict[str, list[Metronome]] = {}
         self._busy_until: dict[str, int] = {}
@@ -63,6 +68,7 @@ class Lockstep:
         then the latched values of the others."""
         life = self._lives[name] = self._lives.get(name, 0) + 1
         host = self._hosts[name] = Host(service, name, f"{name}-{life}")
+        self._admissions = {of: admission for of, admission in self._admissions.items() if of[0] != name}
         service.warm()
         self._busy_until[name] = self.now
         before = list(self.latched.values())
@@ -192,7 +198,11 @@ class Lockstep:
     def _send(self, sent: Sent) -> None:
         if self._record is not None:
             self._record(sent)
-        message, _ = decode(sent.topic.type, sent.payload)
+        try:
+            message, _ = decode(sent.topic.type, sent.payload)
+        except CodecError:
+            self.n_bad += 1  # its readers drop it
+            return
         sent = Sent(sent.topic, sent.key, message, sent.envelope, sent.payload)
         if sent.topic.latched:
             before = self.latched.get(sent.key)
@@ -245,8 +255,14 @@ class Lockstep:
 
         def arrive() -> None:
             host = self._alive(name, life)
-            if host is not None:
-                self._take(host, host.message(sent.key, sent.message, sent.envelope, self.now, latched))
-                self._keep_step(name, life, sent.topic.key)
+            if host is None:
+                return
+            admission = self._admissions.setdefault((name, sent.key), Admission(sent.topic))
+            if admission.judge(sent.envelope, self.now, latched) is Verdict.OLD:
+                if not latched:
+                    host.rejected(sent.key, Kind.SEQUENCE, admission.words, 1, self.now)
+                return
+            self._take(host, host.message(sent.key, sent.message, sent.envelope, self.now, latched))
+            self._keep_step(name, life, sent.topic.key)
 
         self._push(self.now + round(delay * 1e9), arrive)

@@ -15,11 +15,13 @@ from shared.codec import CodecError, Envelope, decode, envelope_of
 from shared.config import UserError, nearest
 from shared.messages import Message
 from shared.recording import Recording
+from shared.rejections import Kind
 from shared.runners.host import (
     DONE,
     FAREWELL,
     LATCHED,
     MESSAGE,
+    REJECTED,
     REQUEST,
     TICK,
     Effect,
@@ -215,6 +217,8 @@ class _Run:
             self._done(self._jobs.pop(event.number), event.now)
         elif event.kind == DONE:
             self._gap(f"job {event.number} is done but was not ordered")
+        elif event.kind == REJECTED:
+            host.rejected(event.key, Kind(event.why), event.words, event.number, event.now)
         elif event.kind == FAREWELL:
             self._apply(host.farewell(event.now))
         elif event.kind == HOLE:

@@ -36,6 +36,7 @@ class ReplayTraffic:
                 taken.add((event.key, event.session))
         said = {key_of(t, life.name) for life in lives for t in TOPICS if life.name in t.publishers}
         keys = said | {key for key, _ in taken} | {topic.key for topic in TOPICS if topic.latched}
+        whole: dict[tuple[str, str], dict[int, bytes]] = {}
         for entry in recording.entries(keys):
             try:
                 envelope = envelope_of(entry.payload)
@@ -46,11 +47,13 @@ class ReplayTraffic:
                 self.held.setdefault(entry.key, (valid(topic.type, entry.payload), envelope))
                 self._kept[(*source, envelope.sequence)] = entry.payload
                 if source in taken:
-                    self._payloads.setdefault(source, {}).setdefault(envelope.sequence, entry.payload)
+                    whole.setdefault(source, {}).setdefault(envelope.sequence, entry.payload)
             elif envelope.session in self.sessions and topic not in (topics.HEALTH, topics.JOURNAL):
                 self.recorded.setdefault(source, {})[envelope.sequence] = entry.payload
-            elif source in taken:
-                self._payloads.setdefault(source, {})[envelope.sequence] = entry.payload
+            elif source in taken:  # of several with one sequence number, the first was taken and the others rejected
+                self._payloads.setdefault(source, {}).setdefault(envelope.sequence, entry.payload)
+        for source, payloads in whole.items():
+            self._payloads[source] = payloads | self._payloads.get(source, {})
 
     def publish(self, sent: Sent) -> bool:
         """Takes a message that was published anew; False where it is not what was recorded."""

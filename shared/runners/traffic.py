@@ -8,6 +8,7 @@ import time
 import psutil
 
 from shared.messages import Health
+from shared.rejections import Kind, Rejections
 from shared.runners.clock import SECOND
 
 log = logging.getLogger("zenav")
@@ -23,6 +24,7 @@ class Traffic:
         self.counts: dict[str, int] = {}
         self.ages: dict[str, float] = {}
         self._last_told = 0
+        self._rejected: dict[tuple[str, Kind], int] = {}  # as last told
         self._process = psutil.Process()
         self._cpu, self._wall = time.process_time(), time.monotonic()
 
@@ -38,7 +40,15 @@ class Traffic:
             self._last_told = now
             log.warning(what)
 
-    def health(self, name: str, state: str, n_events: int, dropped: int, now: int) -> Health:
+    def tell_rejected(self, rejections: Rejections, now: int) -> None:
+        """Tells what the service rejected since the last call: to be called once a second."""
+        new = {which: n - self._rejected.get(which, 0) for which, n in rejections.counts.items()}
+        self._rejected = dict(rejections.counts)
+        told = [f"{key}: {n} rejected: {rejections.words[key, kind]}" for (key, kind), n in sorted(new.items()) if n]
+        if told:
+            self.wrong("; ".join(told), now)
+
+    def health(self, name: str, state: str, n_events: int, dropped: int, rejections: Rejections, now: int) -> Health:
         """The health message of the time since the last one; counts of what went wrong go on."""
         cpu, wall = time.process_time(), time.monotonic()
         seconds = max(wall - self._wall, 1e-3)
@@ -48,7 +58,8 @@ class Traffic:
         memory = self._process.memory_info().rss / 1e6
         slowest_ms = self.slowest * 1e3
         self.slowest, self.counts, self.ages = 0.0, {}, {}
+        rejected = rejections.counts
         return Health(
             now, name, os.getpid(), state, n_events, self.bad, dropped, self.intruders, self.last_error, share, memory,
-            slowest_ms, rates,
+            slowest_ms, rates, tuple((key, str(kind), n) for (key, kind), n in sorted(rejected.items())),
         )  # fmt: skip

@@ -10,23 +10,28 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sized
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
 from typing import Any, NamedTuple
 
+import msgpack
 import zenoh
 
 from shared.config import UserError, nearest
+from shared.reasons import Reason
 from shared.topics import SERVICES, TOPICS
 
 BASE_PORT = 17400
 PORTS_A_STACK = 40
 MAX_DOMAIN = 200
 LOG = "error,zenoh::api::session=off"  # goes to stdout, where tools write data; the session complains while it closes
-MAX_MESSAGE = 4 * 2**20  # bytes; a whole map of 1000 tiles
+MAX_PAYLOAD = 4 * 2**20  # bytes of a message, a request or a reply; a whole map of 1000 tiles
+MAX_MESSAGE = (
+    4 * MAX_PAYLOAD
+)  # bytes that Zenoh takes; it drops larger ones without a word, and here is who can refuse them
 RING = 50_000  # messages that wait for who hears everything: 100 s of a stack, 13 MB
 ONE_THREAD = "(rx: (handover: net))"  # the thread that waits for the sockets also reads them
 DATA_QUEUE = 16  # batches of 64 kB a link: two, the default, overflow when a busy machine lets a process wait for 40 ms
@@ -121,6 +126,18 @@ def asks_for_realtime(priority: int = 5) -> bool:
     except (OSError, AttributeError):
         return False
     return True
+
+
+def oversize(payload: Sized) -> str:
+    """What is wrong with the size of a message, in words; empty where it is within `MAX_PAYLOAD`."""
+    n = len(payload)
+    return f"{n / 2**20:.1f} MiB where a message may have {MAX_PAYLOAD // 2**20}" if n > MAX_PAYLOAD else ""
+
+
+def refuse(query: zenoh.Query, reason: Reason, text: str) -> None:
+    """Answers a request with an error, at once."""
+    with query:
+        query.reply_err(msgpack.packb({"code": reason.code, "text": text}))
 
 
 class LatchedPublisher:

@@ -110,7 +110,9 @@ class Walled(SimService):
         # to the circle of 0.3 m around the robot
         along = laser_from_base.x * np.cos(angles) + laser_from_base.y * np.sin(angles)
         square = laser_from_base.x**2 + laser_from_base.y**2
-        return replace(scan, ranges=(along + np.sqrt(along**2 - square + 0.3**2)).astype(np.float32))
+        # as noisy as a laser is: equal scans are a fault of their own
+        noise = np.random.default_rng(scan.stamp).normal(0.0, 0.005, len(angles))
+        return replace(scan, ranges=(along + np.sqrt(along**2 - square + 0.3**2) + noise).astype(np.float32))
 
 
 def test_where_there_is_nothing_but_obstacles_the_robot_stands_and_gives_up_with_the_reason(tmp_path):

@@ -2,18 +2,44 @@
 """A laser that goes wrong now and then: the robot arrives all the same, and whole sweeps of nonsense stop it."""
 
 from dataclasses import replace
+from functools import partial
+from math import pi
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from services.sim.service import SimService
-from shared.messages import LaserScan
-from tests.lockstep.stack import Stack
+from shared import topics
+from shared.messages import GuardState, LaserScan, Velocity
+from tests.lockstep.stack import MS, Stack
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 
+MOUNT_YAW = -pi / 2
+
+
+def ahead(scan: LaserScan, half: float) -> np.ndarray:
+    """Which beams of the X80SV's laser look straight ahead, or up to `half` rad beside that."""
+    bearings = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges)) + MOUNT_YAW
+    return np.abs((bearings + pi) % (2 * pi) - pi) <= half
+
+
+def mostly_none(scan: LaserScan) -> LaserScan:
+    """One beam of twenty returns, another each time."""
+    kept = np.arange(len(scan.ranges)) % 20 == scan.stamp // 1000 % 20
+    return replace(scan, ranges=np.where(kept, scan.ranges, np.nan).astype(np.float32))
+
+
 SPOILED = {
+    "infinite": lambda scan: replace(scan, ranges=np.full_like(scan.ranges, np.inf)),
+    "own body": lambda scan: replace(scan, ranges=np.full_like(scan.ranges, 0.06)),
+    "mostly no echo": mostly_none,
+    "dark ahead": lambda scan: replace(scan, ranges=np.where(ahead(scan, pi / 6), np.float32(np.nan), scan.ranges)),
+    "half the beams": lambda scan: replace(
+        scan, ranges=scan.ranges[::2].copy(), angle_increment=2 * scan.angle_increment
+    ),
+    "other increment": lambda scan: replace(scan, angle_increment=0.8 * scan.angle_increment),
     "no echo": lambda scan: replace(scan, ranges=np.full_like(scan.ranges, np.nan)),
     "zeros": lambda scan: replace(scan, ranges=np.zeros_like(scan.ranges)),
     "beyond its range": lambda scan: replace(scan, ranges=np.full_like(scan.ranges, 200.0)),
@@ -31,6 +57,8 @@ class SpoiledLaser(SimService):
     every = 0
     ways: ClassVar[list[str]] = list(SPOILED)
     n_scans = 0
+    first_bad = 0  # ns, when the first spoiled scan was published
+    held: LaserScan | None = None
 
     def _due_scans(self) -> list[LaserScan]:
         return [self._spoiled(scan) for scan in super()._due_scans()]
@@ -38,8 +66,26 @@ class SpoiledLaser(SimService):
     def _spoiled(self, scan: LaserScan) -> LaserScan:
         self.n_scans += 1
         if not self.every or self.n_scans % self.every:
+            self.held = scan
             return scan
-        return SPOILED[self.ways[self.n_scans // self.every % len(self.ways)]](scan)
+        self.first_bad = self.first_bad or self.now
+        way = self.ways[self.n_scans // self.every % len(self.ways)]
+        if way == "frozen":
+            return replace(scan, ranges=self.held.ranges)
+        return SPOILED[way](scan)
+
+
+class DarkFromTheStart(SpoiledLaser):
+    every = 1
+    ways: ClassVar[list[str]] = ["dark ahead"]
+
+
+class NothingFromTheStart(SpoiledLaser):
+    every = 1
+    ways: ClassVar[list[str]] = ["no echo"]
+
+
+BlindFromTheStart = {"no echo": NothingFromTheStart, "dark ahead": DarkFromTheStart}
 
 
 def spoiled(folder, every: int, ways: list[str]) -> Stack:
@@ -60,12 +106,15 @@ def test_scans_spoiled_in_every_way_do_not_keep_the_robot_from_its_goal(tmp_path
     assert (stack.truth.start @ stack.newest["pose"].map_from_base).distance(stack.truth.world_from_base) < 0.1
 
 
-@pytest.mark.parametrize("way", ["from the past", "from the future"])
-def test_scans_of_another_time_alone_stop_the_robot_with_the_reason(tmp_path, way):
+@pytest.mark.parametrize(
+    ("way", "detail"),
+    [("from the past", "scan: stamps are 10.0 s old"), ("from the future", "scan: stamps are 10.0 s ahead")],
+)
+def test_scans_of_another_time_alone_stop_the_robot_with_the_reason(tmp_path, way, detail):
     stack = spoiled(tmp_path, 1, [way])
     stack.until(lambda: not stack.commanded, 1.0)
     stack.lockstep.run(0.2)
-    assert stack.guard.reason == "scan_old"
+    assert (stack.guard.reason, stack.guard.detail) == ("bad_stamps", detail)
     stack.until(lambda: abs(stack.truth.v) < 0.01, 1.0)
     stack.stands_for(1.0)
     stack.lockstep.service("sim").every = 0
@@ -73,15 +122,106 @@ def test_scans_of_another_time_alone_stop_the_robot_with_the_reason(tmp_path, wa
     assert stack.reached()
 
 
-@pytest.mark.parametrize("way", ["no echo", "zeros", "two beams"])
-def test_a_laser_that_measures_nothing_any_more_drives_into_nothing(tmp_path, way):
+LIMIT = {"scan_unlike": 250, "scan_frozen": 600, "scan_blind": 600}
+"""ms from the first bad scan to zero: where one message shows the fault, and where several must."""
+FAULTS = {
+    "no echo": "scan_blind",
+    "infinite": "scan_blind",
+    "beyond its range": "scan_blind",
+    "zeros": "scan_blind",
+    "own body": "scan_blind",
+    "mostly no echo": "scan_blind",
+    "dark ahead": "scan_blind",
+    "frozen": "scan_frozen",
+    "two beams": "scan_unlike",
+    "half the beams": "scan_unlike",
+    "other increment": "scan_unlike",
+}
+BY_HAND = """
+start: {x: 1.0, y: 2.0}
+walls:
+  - {points: [[0, 0], [4.5, 0], [4.5, 4], [0, 4]], closed: true}
+"""
+"""Three metres to drive into a wall."""
+
+
+@pytest.mark.parametrize("way", FAULTS)
+def test_a_laser_that_fails_stops_navigation_in_time_with_the_reason_and_back_it_goes_on(tmp_path, way):
     stack = spoiled(tmp_path, 1, [way])
-    stack.lockstep.run(8.0)
-    assert stack.truth.n_contacts == 0
-    assert stack.guard.reason or stack.ended()
+    stack.until(lambda: stack.lockstep.service("sim").first_bad, 0.2)
+    bad_since = stack.lockstep.service("sim").first_bad
+    stack.until(lambda: not stack.commanded, 2.0)
+    assert stack.now - bad_since <= LIMIT[FAULTS[way]] * MS
+    stack.until(lambda: stack.guard.reason == FAULTS[way], 0.5)
+    assert stack.guard.state is GuardState.HOLD
+    assert stack.guard.detail
+    stack.until(lambda: abs(stack.truth.v) < 0.01, 1.0)
+    stack.stands_for(3.0)
+    assert stack.guard.reason == FAULTS[way]
     stack.lockstep.service("sim").every = 0
-    stack.lockstep.run(2.0)
-    stack.go(3.0)
     stack.until(stack.ended, 60.0)
     assert stack.reached()
     assert stack.truth.n_contacts == 0
+
+
+@pytest.mark.parametrize("way", FAULTS)
+def test_a_hand_that_pushes_on_when_the_laser_fails_creeps_at_most_and_meets_no_wall(tmp_path, way):
+    """No range sensor helps: only what the laser saw before keeps the robot from the wall."""
+    stack = Stack(tmp_path, BY_HAND, sim=SpoiledLaser, settings=("robot.ranges=[]",))
+    by_hand(stack, 0.5)
+    stack.drives(0.45)
+    sim = stack.lockstep.service("sim")
+    sim.every, sim.ways = 1, [way]
+    stack.until(lambda: sim.first_bad, 0.2)
+    stack.until(lambda: stack.newest["cmd/vel"].v <= 0.15 + 1e-6, 1.0)
+    assert stack.now - sim.first_bad <= 850 * MS  # 0.3 s of no view, then it brakes from 0.5 to 0.15 m/s
+    fast = stack.lockstep.run(20.0, lambda: stack.newest["cmd/vel"].v > 0.15 + 1e-6)
+    assert not fast
+    assert stack.truth.n_contacts == 0
+    assert stack.truth.v < 0.01, "it stands, before the wall or because of the fault"
+    assert stack.guard.reason in (FAULTS[way], "obstacle")
+
+
+@pytest.mark.parametrize("way", ["no echo", "dark ahead"])
+def test_a_laser_that_never_saw_anything_ahead_lets_nobody_drive_fast_that_way(tmp_path, way):
+    """Dark from the start: nothing proves that something is there, and nothing that it is not."""
+    stack = Stack(tmp_path, BY_HAND, sim=BlindFromTheStart[way], settings=("robot.ranges=[]",))
+    by_hand(stack, 0.5)
+    fast = stack.lockstep.run(8.0, lambda: stack.newest["cmd/vel"].v > 0.15 + 1e-6)
+    assert not fast
+    assert stack.guard.reason == {"no echo": "scan_blind", "dark ahead": "scan_empty"}[way]
+
+
+NOISELESS = ("sim.laser={sigma: 0.0, sigma_share: 0.0, resolution: 0.0, dropout: 0.0}",)
+COARSE = ("sim.laser={sigma: 0.002, sigma_share: 0.0, resolution: 0.05, dropout: 0.0}",)
+
+
+@pytest.mark.parametrize("settings", [NOISELESS, COARSE], ids=["noiseless", "steps of 5 cm"])
+def test_a_laser_without_noise_that_really_repeats_is_no_fault(tmp_path, settings):
+    stack = Stack(tmp_path, settings=settings)
+    said: set[str] = set()
+    stack.lockstep.watch("guard/status", lambda status: said.add(status.reason))
+    stack.lockstep.run(5.0)
+    stack.go(4.5)
+    stack.until(stack.ended, 60.0)
+    assert stack.reached()
+    stack.lockstep.run(5.0)
+    stack.go(1.0)
+    stack.until(stack.ended, 60.0)
+    assert stack.reached()
+    assert not said & {"scan_frozen", "scan_blind", "scan_unlike"}
+
+
+def test_the_mapper_places_no_scan_of_a_laser_that_repeats_itself(tmp_path):
+    stack = spoiled(tmp_path, 1, ["frozen"])
+    stack.lockstep.run(1.0)
+    before = stack.newest["pose"].stamp
+    stack.lockstep.run(1.0)
+    assert stack.newest["pose"].stamp == before
+    assert stack.lockstep.service("mapper").arrivals.n_dropped["repeated"] >= 9
+
+
+def by_hand(stack: Stack, v: float) -> None:
+    """Drives straight on by hand from now on, 20 commands a second."""
+    stack.lockstep.publish(topics.TELEOP(Velocity(stack.now, v, 0.0, "")))
+    stack.lockstep.at(0.05, partial(by_hand, stack, v))

@@ -1,14 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole stack on an emulated board, from its bytes up: it drives, and whatever breaks stops it in time."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from services.sim.dynamics import LEFT_ANGLE, RIGHT_ANGLE
+from services.sim.service import SimService
 from shared import requests
-from shared.messages import GuardState
+from shared.messages import BoardReport, GuardState
 from shared.requests import Break
 from tests.lockstep.stack import MS, Stack
+from tests.lockstep.test_faults import by_hand
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 
@@ -142,3 +147,101 @@ def test_the_same_seed_and_faults_give_the_same_bytes(tmp_path):
         return said
 
     assert run() == run()
+
+
+class BadBoard(SimService):
+    """A board that speaks in messages; from a moment on, they are changed."""
+
+    changed: Callable[[BoardReport], BoardReport] | None = None
+
+    def _board(self) -> BoardReport:
+        report = super()._board()
+        return report if self.changed is None else self.changed(report)
+
+
+def random_counts(report: BoardReport, rng: np.random.Generator) -> BoardReport:
+    """Counts of no wheel."""
+    return replace(report, left_counts=int(rng.integers(32768)), right_counts=int(rng.integers(32768)))
+
+
+def half_random(report: BoardReport, rng: np.random.Generator) -> BoardReport:
+    """Counts of no wheel in half of the reports."""
+    return random_counts(report, rng) if rng.random() < 0.5 else report
+
+
+MESSAGES = {
+    "random counts": (random_counts, "encoders_jump", "the encoders jumped "),
+    "half of the counts random": (half_random, "encoders_jump", "the encoders jumped "),
+    "dead sonars": (
+        lambda report, _: replace(report, ultrasonic=np.zeros_like(report.ultrasonic)),
+        "sensor_dead",
+        "ultrasonic 0 and 1 and 2 does not answer",
+    ),
+    "no sonars": (
+        lambda report, _: replace(report, ultrasonic=np.empty(0, np.float32)),
+        "wrong_ranges",
+        "the board sends 0 ultrasonic ranges, robot.ranges has 3",
+    ),
+    "more infrared": (
+        lambda report, _: replace(report, infrared=np.append(report.infrared, np.float32(1.0))),
+        "wrong_ranges",
+        "the board sends 8 infrared ranges, robot.ranges has 7",
+    ),
+}
+"""How a board's messages are wrong, what the base says of it, and how its words begin."""
+LIMITS = {"random counts": 250, "half of the counts random": 600}
+"""ms to the motors' zero, where it is not 300."""
+
+
+@pytest.mark.parametrize("how", ["teleop", "nav"])
+@pytest.mark.parametrize("case", MESSAGES)
+def test_a_board_whose_messages_are_wrong_stops_the_robot_says_why_and_drives_on_when_they_are_right(
+    tmp_path, case, how
+):
+    wrong, reason, words = MESSAGES[case]
+    rng = np.random.default_rng(3)
+    stack = Stack(tmp_path, sim=BadBoard)
+    if how == "teleop":
+        by_hand(stack)
+        stack.drives(0.38)
+    else:
+        stack.go(4.0)
+        stack.drives()
+    sim = stack.lockstep.service("sim")
+    sim.changed = lambda report: wrong(report, rng)
+    assert stack.until(lambda: not stack.commanded, 1.0) <= LIMITS.get(case, 300) * MS
+    stack.until(lambda: abs(stack.truth.v) < 0.01, 1.0)
+    for _ in range(20):
+        stack.stands_for(0.1)
+        assert stack.newest["base/status"].fault == stack.guard.reason == reason
+        assert stack.newest["base/status"].detail.startswith(words)
+        assert stack.guard.detail.startswith(words)
+    sim.changed = None
+    stack.until(lambda: stack.newest["base/status"].fault == "", 1.5)
+    if how == "teleop":
+        stack.drives(0.35)
+    else:
+        if stack.ended():  # a fault of the hardware ends the task, as on the serial board
+            stack.lockstep.run(0.3)
+            stack.go(4.0)
+        stack.until(stack.reached, 40.0)
+        here = stack.truth.start @ stack.newest["pose"].map_from_base
+        assert here.distance(stack.truth.world_from_base) < 0.15
+    assert stack.truth.n_contacts == 0
+
+
+def test_counts_that_jump_for_a_moment_again_and_again_need_a_person(tmp_path):
+    stack = Stack(tmp_path, sim=BadBoard)
+    by_hand(stack)
+    sim, rng = stack.lockstep.service("sim"), np.random.default_rng(4)
+    for _ in range(3):
+        stack.drives(0.3)
+        sim.changed = lambda report: random_counts(report, rng)
+        stack.lockstep.run(0.2)
+        sim.changed = None
+        stack.until(lambda: abs(stack.truth.v) < 0.01, 1.0)
+    stack.stands_for(3.0)
+    assert (stack.guard.state, stack.guard.reason) == (GuardState.FAULT, "encoders_broken")
+    stack.stop(False)
+    stack.lockstep.run(0.5)
+    assert stack.newest["base/status"].fault == ""

@@ -45,9 +45,10 @@ class Run:
         self.lockstep = Lockstep(services, record, wires(hardware, file))
         self.lockstep.run(1.0)
 
-    def go(self, x: float, y: float) -> None:
+    def go(self, x: float, y: float, refused: str = "") -> None:
+        """Sends the robot to a place; refused: the code with which that is refused instead."""
         task = Navigate(self.lockstep.now, (Pose2(x, y, 0.0),), 0.0, 1, True)
-        assert self.lockstep.ask(requests.NAVIGATE, task).accepted
+        assert self.lockstep.ask(requests.NAVIGATE, task).reason == refused
 
     def restart(self, name: str, after: float) -> None:
         self.lockstep.kill(name)
@@ -74,10 +75,10 @@ def person_crossing(run: Run) -> None:
 
 
 def goal_refused(run: Run) -> None:
-    """A goal in the table, to whose edge the robot drives; then one outside of all walls: it says why it stands."""
+    """A goal in the table, to whose edge the robot drives; then one outside of all walls, which is refused."""
     run.go(2.1, -0.4)
     run.lockstep.run(2.5)
-    run.go(30.0, 30.0)
+    run.go(30.0, 30.0, refused="goal_outside")
     run.lockstep.run(2.0)
 
 

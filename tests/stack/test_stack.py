@@ -14,9 +14,11 @@ import pytest
 
 from shared import topics
 from shared.config import UserError
+from shared.messages import NavState
 from shared.requests import REQUESTS
 from shared.topics import SERVICES, TOPICS
 from tests.stack.processes import ALL, ROBOT, Stack, running, wait
+from zenav.drive import confirm_stop
 from zenav.launch import ROOT, Launcher, free_stack, service_command
 
 
@@ -53,6 +55,40 @@ def test_a_killed_mapper_comes_back_with_its_map_and_the_robot_goes_on(tmp_path)
         stack.until(lambda: near_truth(stack) and stack.client.age(topics.POSE) < 1, 10)
         task = stack.go(stack.client.latest(topics.POSE).map_from_base)
         stack.until(stack.reached(task))
+
+
+def test_a_killed_navigator_comes_back_with_its_task_and_the_robot_gets_there(tmp_path):
+    with running(tmp_path, world="corridor") as stack:
+        pose = stack.client.latest(topics.POSE).map_from_base
+        goal = type(pose)(pose.x + 4.0, pose.y, pose.yaw)
+        task = stack.go(goal)
+        stack.until(lambda: not stands(stack))
+        before = stack.pid("navigator")
+        os.kill(before, signal.SIGKILL)
+        stack.until(
+            lambda: stack.healths["navigator"].pid not in (before, 0) and stack.launcher.children["navigator"].heard
+        )
+        stack.until(stack.reached(task), 60)
+        assert stack.client.latest(topics.TRUTH).n_contacts == 0
+        reached = stack.client.latest(topics.POSE).map_from_base
+        assert reached.distance(goal) < 0.3
+
+
+def test_a_stop_while_the_navigator_is_dead_wins_and_after_its_release_nothing_moves(tmp_path):
+    with running(tmp_path, world="corridor") as stack:
+        pose = stack.client.latest(topics.POSE).map_from_base
+        task = stack.go(type(pose)(pose.x + 4.0, pose.y, pose.yaw))
+        stack.until(lambda: not stands(stack))
+        os.kill(stack.pid("navigator"), signal.SIGKILL)
+        confirm_stop(stack.client, True, "test")
+        confirm_stop(stack.client, False, "test")
+        stack.until(lambda: stack.client.latest(topics.NAV).state is NavState.CANCELED)
+        nav = stack.client.latest(topics.NAV)
+        assert (nav.task_id, nav.reason) == (task, "estop_released")
+        stack.until(lambda: stands(stack))
+        driven = stack.client.latest(topics.TRUTH).distance
+        wait(3.0)
+        assert stack.client.latest(topics.TRUTH).distance - driven < 0.01
 
 
 def test_a_stopped_local_ctrl_is_noticed_the_robot_stands_and_it_is_replaced(tmp_path):

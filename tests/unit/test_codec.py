@@ -90,7 +90,7 @@ def test_a_good_scan_is_good():
 @pytest.mark.parametrize(
     ("fields", "told"),
     [
-        ({"ranges": array([1, np.inf, 2])}, "not finite"),
+        ({"ranges": array([1, -np.inf, 2])}, "not finite"),
         ({"ranges": array([1, -1, 2])}, "not within"),
         ({"ranges": array([1])}, "fewer than 2 beams"),
         ({"ranges": array([])}, "fewer than 2 beams"),
@@ -121,6 +121,14 @@ def test_each_fault_is_told(fields, told):
 def test_all_echoes_missing_is_a_valid_scan():
     ranges = decode(LaserScan, scan(ranges=array([np.nan, np.nan])))[0].ranges
     assert np.isnan(ranges).all()
+
+
+def test_no_return_may_be_plus_infinity_in_a_scan_and_nothing_else_is_let_through_beside_it():
+    ranges = decode(LaserScan, scan(ranges=array([np.inf, np.nan, 1.0])))[0].ranges
+    assert np.isposinf(ranges[0])
+    for wrong in ([np.inf, -np.inf], [np.inf, 300.0], [np.inf, -1.0]):
+        with pytest.raises(CodecError):
+            decode(LaserScan, scan(ranges=array(wrong)))
 
 
 def test_a_reason_is_plain_text_on_the_wire():

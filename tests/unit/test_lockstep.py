@@ -138,3 +138,16 @@ def test_two_runs_give_the_same_bytes():
         return payloads
 
     assert run() == run()
+
+
+def test_what_is_not_above_its_session_s_last_sequence_is_rejected_and_counted():
+    lockstep = Lockstep(stack())
+    sequences = lockstep._hosts["base_driver"]._sequences
+    lockstep.run(0.5)
+    counter = lockstep.service("odometry")
+    n_seen = len(counter.seen)
+    lockstep.watch("base/wheels", lambda _: sequences.update({"base/wheels": 3}))
+    lockstep.run(0.5)
+    assert len(counter.seen) == n_seen + 2  # one was on its way, after one the count is set back
+    assert counter.rejections.counts == {("base/wheels", "sequence"): 23}
+    assert counter.rejections.refused("base/wheels", lockstep.now) == "wheels: the sequence goes back"

@@ -17,9 +17,9 @@ AnyHeading = Annotated[bool, typer.Option("--any-heading", help="Whatever headin
 
 
 def _faults() -> list[str]:
-    from services.sim.hardware.faults import Fault
+    from services.sim.breaking import ALL
 
-    return list(Fault)
+    return list(ALL)
 
 
 @app.command(cls=Command, rich_help_panel=DRIVE)
@@ -106,9 +106,9 @@ def fault(
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:
-    """Break something of the emulated hardware (zenav up --hardware emulated).
+    """Break something of the simulated hardware: its messages, or bytes and ports (zenav up --hardware emulated).
 
-    Example: zenav fault unplugged --seconds 5
+    Example: zenav fault scan_nan --seconds 5
     """
     from zenav.fault import fault
 

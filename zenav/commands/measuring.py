@@ -192,3 +192,22 @@ def bench_slam(
     from zenav.bench.slam import slam
 
     raise typer.Exit(slam(directory, [name for name in logs.split(",") if name], out, registrar))
+
+
+@bench.command("faults", cls=Command)
+def bench_faults(
+    trials: Annotated[int, typer.Option(min=0, help="Trials; 0: 200, or 50 live.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of phases, noise and world.")] = 0,
+    jobs: Annotated[int, typer.Option(min=1, help="Trials at a time (not with --live).")] = 1,
+    only: Annotated[str, typer.Option(help="Only these faults, separated by commas.", metavar="A,B")] = "",
+    out: Out = None,
+    live: Annotated[bool, typer.Option("--live", help="As processes over Zenoh, in real time.")] = False,
+    robot: RobotName = "x80sv",
+) -> None:
+    """Break sensors, clocks and services while the robot drives: time to the zero command, distance, reason, resuming.
+
+    Example: zenav bench faults --jobs 2 --out faults.json
+    """
+    from zenav.bench.faults import faults
+
+    raise typer.Exit(faults(robot, trials or (50 if live else 200), seed, jobs, only, out, live))

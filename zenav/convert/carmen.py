@@ -93,8 +93,9 @@ def carmen_lines(log: Log) -> Iterator[str]:
         if isinstance(record, LoggedPose):
             yield f"ODOM {_row(base)} {record.v:.9g} {record.w:.9g} 0 {end}"
             continue
-        n, far = len(record.ranges), record.range_max or float(np.nanmax(record.ranges, initial=1.0))
-        ranges = np.where(np.isnan(record.ranges), far, record.ranges)
+        measured = np.isfinite(record.ranges)
+        n, far = len(measured), record.range_max or float(np.max(record.ranges, initial=1.0, where=measured))
+        ranges = np.where(measured, record.ranges, far)
         yield (
             f"ROBOTLASER1 0 {record.angle_min:.9g} {record.angle_increment * (n - 1):.9g} {record.angle_increment:.9g} "
             f"{far:.9g} 0 0 {n} {' '.join(f'{r:.9g}' for r in ranges)} 0 {_row(record.odom_from_laser)} {_row(base)} "

@@ -62,7 +62,7 @@ def _scan(record: LoggedScan, range_max: float) -> LaserScan:
 def range_max_of(scans: list[LoggedScan]) -> float:
     """m, from which on nothing came back."""
     told = max(scan.range_max for scan in scans)
-    largest = max(float(np.nanmax(scan.ranges, initial=0.0)) for scan in scans)
+    largest = max(float(np.max(scan.ranges, initial=0.0, where=np.isfinite(scan.ranges))) for scan in scans)
     return max(min(told or 250.0, NO_RETURN * largest), 0.1)
 
 

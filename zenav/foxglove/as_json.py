@@ -25,7 +25,10 @@ TIME = {
     "properties": {"sec": {"type": "integer", "minimum": 0}, "nsec": {"type": "integer", "minimum": 0}},
 }
 POSE = {"type": "object", "properties": {axis: {"type": "number"} for axis in ("x", "y", "yaw")}}
-COLUMNS: dict[tuple[type[Message], str], tuple[str, ...]] = {(Health, "rates"): ("topic", "hz", "age")}
+COLUMNS: dict[tuple[type[Message], str], tuple[str, ...]] = {
+    (Health, "rates"): ("topic", "hz", "age"),
+    (Health, "rejected"): ("key", "why", "n"),
+}
 """What the parts of a tuple are called."""
 
 

@@ -5,13 +5,12 @@ import numpy as np
 from pydantic import Field
 
 from services.sim.hardware.board import BoardEmulator
-from services.sim.hardware.faults import OF_LASER, UNPLUGS, WORDS, Fault, Faults
+from services.sim.hardware.faults import OF_LASER, UNPLUGS, Fault, Faults
 from services.sim.hardware.lasers import LaserEmulator, emulator
-from shared import reasons, topics
-from shared.config import Robot, Section, nearest
+from shared import topics
+from shared.config import Robot, Section
 from shared.messages import BoardReport, LaserScan, PortState, SerialData
 from shared.ports import PortConfig
-from shared.requests import Break, Reply
 from shared.service import Out
 
 BOARD, LASER = "board", "laser"
@@ -74,20 +73,6 @@ class Emulation:
         for port in sorted(away ^ self._away):
             yield topics.PLUG(PortState(now, port, port not in away, ""))
         self._away = away
-
-    def broken(self, order: Break, now: int) -> Reply:
-        """Lets a fault begin or end; the reply."""
-        names = tuple(Fault)
-        if order.fault not in names and not (order.mended and not order.fault):
-            return Reply(
-                now, False, reasons.BAD_REQUEST.code, f"no fault {order.fault!r}: {nearest(order.fault, names)}"
-            )
-        if order.mended:
-            self.faults.clear(Fault(order.fault) if order.fault else None)
-            return Reply(now, True, "", f"broken now: {self.faults}" if str(self.faults) else "nothing is broken")
-        fault = Fault(order.fault)
-        self.faults.begin(fault, now + round(order.seconds * 1e9) if order.seconds else None)
-        return Reply(now, True, "", WORDS[fault])
 
     def _on_the_lasers_line(self, data: bytes) -> bytes:
         """What arrives of what the laser says."""

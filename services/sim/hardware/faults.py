@@ -49,13 +49,13 @@ class Faults:
     """The faults that hold, each until its time is over or it is cleared."""
 
     def __init__(self) -> None:
-        self._until: dict[Fault, int | None] = {}
+        self._until: dict[StrEnum, int | None] = {}
 
-    def begin(self, fault: Fault, until: int | None) -> None:
+    def begin(self, fault: StrEnum, until: int | None) -> None:
         """It holds until this time, ns; None: until cleared. A second one of its kind replaces the first."""
         self._until[fault] = until
 
-    def clear(self, fault: Fault | None) -> None:
+    def clear(self, fault: StrEnum | None) -> None:
         """Ends it, or all."""
         for ended in [fault] if fault is not None else list(self._until):
             self._until.pop(ended, None)
@@ -64,8 +64,11 @@ class Faults:
         """Ends those whose time is over."""
         self._until = {fault: until for fault, until in self._until.items() if until is None or now < until}
 
-    def __contains__(self, fault: Fault) -> bool:
+    def __contains__(self, fault: StrEnum) -> bool:
         return fault in self._until
+
+    def __bool__(self) -> bool:
+        return bool(self._until)
 
     def __str__(self) -> str:
         return ", ".join(self._until)

@@ -423,7 +423,153 @@ def test_reports_that_arrive_late_are_no_link():
         bench.call(bench.service.drive())
         bench.service.now += 20 * MS
         bench.report(stamp=bench.now - 600 * MS)
-    assert bench.service.fault == "board_silent"
+    status = bench.last(topics.BASE)
+    assert (status.fault, status.link, status.detail) == ("bad_stamps", False, "board: stamps are 0.6 s old")
+
+
+BAD = {
+    "seconds": (lambda now: now // 10**9, "board: stamps are 50 years old; are they ns?"),
+    "never set": (lambda now: 0, "board: stamps are 50 years old; are they ns?"),
+    "0.3 s old": (lambda now: now - 300 * MS, "board: stamps are 0.3 s old"),
+    "10 s old": (lambda now: now - 10_000 * MS, "board: stamps are 10.0 s old"),
+    "1 s ahead": (lambda now: now + 1000 * MS, "board: stamps are 1.0 s ahead"),
+    "1 h ahead": (lambda now: now + 3_600_000 * MS, "board: stamps are 1 h ahead"),
+    "standing": (lambda now: T50 + 1000 * MS, "board: stamps stand still"),
+}
+T50 = 50 * 31_557_600 * 10**9
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_reports_with_bad_stamps_stop_the_wheels_in_250_ms_are_named_and_latch_nothing(case):
+    stamp, detail = BAD[case]
+    bench = Bench()
+    bench.service.now = T50
+    bench.run(1.0, 0.4)
+    begun = bench.now
+    while any(bench.motors()):
+        bench.run(0.02, 0.4, reports=False)
+        bench.report(stamp=stamp(bench.now))
+        assert bench.now - begun < 250 * MS
+    n_wheels = sum(key == topics.WHEELS.key for key, _ in bench.out)
+    faults = set()
+    for _ in range(200):
+        bench.run(0.02, 0.4, reports=False)
+        bench.report(stamp=stamp(bench.now))
+        faults.add(bench.service.fault)
+        assert bench.motors() == (0, 0)
+    if case != "standing":  # its stamps are also old in the end
+        assert bench.last(topics.BASE).detail == detail
+    assert faults == {"bad_stamps"}
+    assert sum(key == topics.WHEELS.key for key, _ in bench.out) == n_wheels, "no follower sees such a stamp"
+    assert sum(bench.service.rejections.counts.values()) >= 200
+    bench.run(0.1, 0.0)
+    assert bench.service.fault == ""
+    bench.run(1.0, 0.4)
+    assert bench.body[0] == pytest.approx(0.4)
+    assert bench.service.fault == ""
+
+
+@pytest.mark.parametrize("step_ms", [90, -90])
+def test_a_small_step_of_the_board_s_clock_is_no_broken_wheel(step_ms):
+    bench = Bench().run(2.0, 0.4)
+    for _ in range(3):
+        for shift in (step_ms, 0):
+            for _ in range(50):
+                bench.run(0.02, 0.4, reports=False)
+                bench.report(stamp=bench.now + shift * MS)
+                assert bench.service.fault == ""
+
+
+def test_a_burst_of_late_reports_after_a_moment_s_load_is_no_fault():
+    bench = Bench().run(1.0, 0.4)
+    begun = bench.now
+    bench.service.now += 300 * MS
+    for i in range(1, 16):
+        bench.report(stamp=begun + i * 20 * MS)
+    assert "bad_stamps" not in {message.fault for key, message in bench.out if key == topics.BASE.key}
+
+
+def wild(bench, rng):
+    """A report whose counts are of no wheel."""
+    bench.report(left_counts=int(rng.integers(32768)), right_counts=int(rng.integers(32768)))
+
+
+def test_random_counts_stop_the_wheels_within_four_reports_and_end_a_second_after_them():
+    bench = Bench().run(1.0, 0.8)
+    rng = np.random.default_rng(1)
+    for _ in range(4):
+        bench.run(0.02, 0.8, reports=False)
+        wild(bench, rng)
+    assert bench.motors() == (0, 0)
+    for _ in range(500):
+        bench.run(0.02, 0.8, reports=False)
+        wild(bench, rng)
+        assert bench.motors() == (0, 0)
+        assert bench.service.fault == "encoders_jump"
+    bench.call(bench.service.tell())
+    status = bench.last(topics.BASE)
+    assert status.fault == "encoders_jump"
+    assert 480 <= int(status.detail.split()[3]) <= 504  # by chance a few look like motion
+    assert status.detail.endswith(" times in the last minute")
+    bench.run(0.9, 0.0)
+    assert bench.service.fault == "encoders_jump"
+    bench.run(0.2, 0.0)
+    assert bench.service.fault == ""
+    bench.run(0.5, 0.4)
+    assert bench.body[0] == pytest.approx(0.4)
+
+
+def test_counts_that_jump_again_and_again_are_a_fault_until_a_person_releases_it():
+    bench = Bench().run(1.0, 0.4)
+    rng = np.random.default_rng(2)
+    for fault in ("encoders_jump", "encoders_jump", "encoders_broken"):
+        for _ in range(10):
+            bench.run(0.02, 0.4, reports=False)
+            wild(bench, rng)
+        assert bench.service.fault == fault
+        bench.run(2.0, 0.0)
+    assert bench.service.fault == "encoders_broken"
+    assert "jump again and again" in bench.last(topics.BASE).detail
+    bench.stop(False)
+    assert bench.service.fault == ""
+
+
+def test_a_board_that_restarts_is_no_fault_and_its_jump_is_forgotten_after_a_minute():
+    bench = Bench().run(1.0, 0.4)
+    bench.left, bench.right = 20000.0, 3.0
+    bench.run(1.0, 0.4)
+    assert bench.service.fault == ""
+    assert bench.last(topics.BASE).detail == ""  # told twice a second
+    bench.call(bench.service.tell())
+    assert bench.last(topics.BASE).detail == "the encoders jumped 1 time in the last minute"
+    bench.run(60.0, 0.4)
+    bench.call(bench.service.tell())
+    assert bench.last(topics.BASE).detail == ""
+
+
+@pytest.mark.parametrize("dead", [(0,), (1, 2)])
+def test_a_sonar_that_reads_0_is_dead_until_it_measures_again(dead):
+    bench = Bench().run(0.5, 0.4)
+    ranges = np.array([0.5, 0.6, 0.7], np.float32)
+    zeros = ranges.copy()
+    zeros[list(dead)] = 0
+    for _ in range(14):
+        bench.run(0.02, 0.4, reports=False)
+        bench.report(ultrasonic=zeros)
+    status = bench.last(topics.BASE)
+    assert (status.fault, bench.motors()) == ("sensor_dead", (0, 0))
+    assert status.detail == f"ultrasonic {' and '.join(map(str, dead))} does not answer"
+    bench.run(0.1, 0.0)
+    assert bench.service.fault == ""
+
+
+def test_a_single_reading_of_0_is_no_dead_sonar():
+    bench = Bench().run(0.5, 0.4)
+    for _ in range(20):
+        bench.run(0.02, 0.4, reports=False)
+        bench.report(ultrasonic=np.zeros(3, np.float32))
+        bench.run(0.02, 0.4)
+        assert bench.service.fault == ""
 
 
 def test_a_low_battery_is_told():
@@ -468,7 +614,7 @@ def test_a_restarted_board_turns_no_wheel():
     after = bench.last(topics.WHEELS)
     assert (after.left, after.right, after.epoch) == (before.left, before.right, before.epoch)
     bench.call(bench.service.tell())
-    assert "the encoders jumped 1 times" in bench.last(topics.BASE).detail
+    assert "the encoders jumped 1 time in the last minute" in bench.last(topics.BASE).detail
     bench.run(0.1, 0.4)
     assert bench.last(topics.WHEELS).left == pytest.approx(before.left + 0.1 * 0.4 / 0.085, abs=0.02)
 
@@ -527,11 +673,31 @@ def test_ranges_carry_the_sensors_places_and_only_what_they_can_measure():
     assert bench.call(bench.service.measure()) == [], "nothing new, nothing told"
 
 
-def test_a_board_with_fewer_or_more_sensors_is_survived():
-    bench = Bench()
-    bench.report(ultrasonic=np.full(1, 0.5, np.float32), infrared=np.full(20, 0.3, np.float32))
-    ((_, readings),) = bench.call(bench.service.measure())
-    np.testing.assert_array_equal(readings.ranges, np.array([0.5, nan, nan] + 7 * [0.3], np.float32))
+@pytest.mark.parametrize(
+    ("n_ultrasonic", "n_infrared", "detail"),
+    [
+        (1, 7, "the board sends 1 ultrasonic ranges, robot.ranges has 3"),
+        (6, 7, "the board sends 6 ultrasonic ranges, robot.ranges has 3"),
+        (3, 0, "the board sends 0 infrared ranges, robot.ranges has 7"),
+        (
+            0,
+            20,
+            "the board sends 0 ultrasonic ranges, robot.ranges has 3, "
+            "the board sends 20 infrared ranges, robot.ranges has 7",
+        ),
+    ],
+)
+def test_another_number_of_ranges_than_robot_ranges_has_is_rejected_with_both_numbers(n_ultrasonic, n_infrared, detail):
+    bench = Bench().run(0.5, 0.4)
+    bench.call(bench.service.measure())
+    bench.service.now += 20 * MS
+    bench.report(ultrasonic=np.full(n_ultrasonic, 0.5, np.float32), infrared=np.full(n_infrared, 0.3, np.float32))
+    status = bench.last(topics.BASE)
+    assert (status.fault, status.detail, bench.motors()) == ("wrong_ranges", detail, (0, 0))
+    assert bench.call(bench.service.measure()) == []
+    assert bench.service.rejections.words == {(topics.BOARD.key, "content"): detail}
+    bench.run(0.1, 0.0)
+    assert bench.service.fault == ""
 
 
 def test_a_robot_without_range_sensors_reports_none():

@@ -25,6 +25,7 @@ from shared.messages import (
     Velocity,
 )
 from shared.requests import Override
+from shared.service import Log
 
 ROBOT = load_robot("x80sv").robot
 JACKAL = load_robot("jackal").robot
@@ -48,6 +49,7 @@ class Drive:
         self.localization = Localization.GOOD
         self.map_from_odom = Pose2()
         self.out = []
+        self.log: list[str] = []
         self.tick = 0
         self.closest = 9.9
 
@@ -56,7 +58,9 @@ class Drive:
         return self.guard.now
 
     def call(self, result):
-        new = [(publication.topic.key, publication.message) for publication in result]
+        result = list(result)
+        self.log += [line.text for line in result if isinstance(line, Log)]
+        new = [(out.topic.key, out.message) for out in result if not isinstance(out, Log)]
         self.out += new
         return new
 
@@ -91,11 +95,19 @@ class Drive:
             except StopIteration as end:
                 return end.value
 
+    def room(self):
+        """What the laser sees of a round hall of 8 m about the place nearby where a coarse grid has a point."""
+        laser, robot = self.robot.laser, self.odom_from_base @ self.guard.obstacles.base_from_laser
+        x, y = (v - 10 * round(v / 10) for v in (robot.x, robot.y))
+        angles = robot.yaw + laser.angle_min + laser.angle_increment * np.arange(laser.n_beams)
+        along = x * np.cos(angles) + y * np.sin(angles)
+        return (np.sqrt(along**2 + 64 - x * x - y * y) - along).astype(np.float32)
+
     def scan(self, **fields):
         laser = self.robot.laser
         n = laser.n_beams
         in_laser = (self.odom_from_base @ self.guard.obstacles.base_from_laser).inverse() @ self.obstacles
-        ranges = np.full(n, nan, np.float32)
+        ranges = self.room()
         beams = np.round((np.arctan2(in_laser[:, 1], in_laser[:, 0]) - laser.angle_min) / laser.angle_increment)
         for beam, reach in zip(beams.astype(int), np.hypot(*in_laser.T)):
             if beam % round(2 * pi / laser.angle_increment) < n:
@@ -458,7 +470,57 @@ def test_a_covered_laser_and_one_that_means_something_else_measure_nothing(reach
     for _ in range(10):
         drive.scan(ranges=np.full(ROBOT.laser.n_beams, reach, np.float32), range_max=0.25)
         drive.run(0.1)
-    assert drive.verdict == (GuardState.HOLD, "scan_old")
+    assert drive.verdict == (GuardState.HOLD, "scan_blind")
+
+
+def test_a_cover_that_measures_the_same_always_is_named_and_forgotten_with_it():
+    drive = driving()
+    drive.cut = {"scan"}
+    laser = ROBOT.laser
+    cover = np.linspace(laser.range_min, laser.range_min + 0.015, laser.n_beams).astype(np.float32)
+    seen = set()
+    for _ in range(10):
+        drive.scan(ranges=cover)
+        drive.run(0.1)
+        seen.add(drive.verdict[1])
+    assert seen == {"", "scan_empty", "scan_blind"}
+    assert drive.verdict == (GuardState.HOLD, "scan_blind")
+    assert f"{laser.n_beams} from the robot itself" in drive.status.detail
+    drive.cut = set()
+    drive.run(1.0)
+    assert drive.verdict == (GuardState.ACTIVE, "")
+
+
+def test_a_hand_creeps_from_the_moment_on_at_which_the_view_counts_as_lost():
+    drive = Drive()
+    drive.teleop = (0.8, 0.0)
+    drive.run(2.0)
+    assert drive.velocity == pytest.approx((0.8, 0.0))
+    drive.cut = {"scan"}
+    for _ in range(5):
+        drive.scan(ranges=np.full(ROBOT.laser.n_beams, nan, np.float32))
+        drive.run(0.1)
+    assert drive.verdict == (GuardState.ACTIVE, "scan_blind")
+    assert drive.velocity[0] == pytest.approx(0.15)
+
+
+def test_scans_of_other_beams_hold_the_robot_with_the_second_one_and_are_counted():
+    drive = driving()
+    drive.cut = {"scan"}
+    words = f"{ROBOT.laser.n_beams // 2} beams came, robot.laser.n_beams is {ROBOT.laser.n_beams}"
+    half = np.full(ROBOT.laser.n_beams // 2, 3.0, np.float32)
+    drive.scan(ranges=half)
+    drive.run(0.1)
+    assert drive.verdict == (GuardState.ACTIVE, ""), "one alone holds nothing"
+    drive.scan(ranges=half)
+    drive.run(0.05)
+    assert drive.verdict == (GuardState.HOLD, "scan_unlike")
+    assert drive.status.detail == words
+    assert drive.guard.rejections.counts == {("scan", "content"): 2}
+    assert drive.guard.rejections.words == {("scan", "content"): words}
+    drive.cut = set()
+    drive.run(0.2)
+    assert drive.verdict == (GuardState.ACTIVE, "")
 
 
 @pytest.mark.parametrize(("cut", "ends"), [("odom", 200), ("scan", 270)])
@@ -495,8 +557,10 @@ def test_stop_of_which_only_the_base_knows_is_stop_until_it_says_otherwise_or_is
     assert drive.velocity[0] > 0
 
 
-@pytest.mark.parametrize("name", ["scan", "odom"])
-def test_stamps_from_the_future_are_no_sign_of_life(name):
+@pytest.mark.parametrize(
+    ("name", "detail"), [("scan", "scan: stamps are 0.2 s ahead"), ("odom", "odom: stamps are 0.2 s ahead")]
+)
+def test_stamps_from_the_future_are_no_sign_of_life_and_named(name, detail):
     drive = driving()
     drive.cut = {name}
     for _ in range(10):
@@ -506,7 +570,47 @@ def test_stamps_from_the_future_are_no_sign_of_life(name):
         else:
             drive.call(drive.guard.odometry(Odometry(ahead, drive.odom_from_base, 0.5, 0.0, np.zeros(9))))
         drive.run(0.1)
-    assert drive.verdict == (GuardState.HOLD, f"{name}_old")
+    assert drive.verdict == (GuardState.HOLD, "bad_stamps")
+    assert drive.status.detail == detail
+    assert drive.guard.rejections.counts == {(name, "ahead"): 10}
+
+
+@pytest.mark.parametrize("name", ["scan", "odom"])
+def test_an_input_that_falls_silent_has_no_bad_stamps(name):
+    drive = driving()
+    drive.cut = {name}
+    seen = set()
+    for _ in range(50):
+        drive.run(0.02)
+        seen.add(drive.verdict[1])
+    assert seen == {"", f"{name}_old"}
+    assert drive.status.detail == ""
+    assert drive.guard.rejections.counts == {}
+
+
+def test_scans_that_are_late_when_they_come_are_named():
+    drive = driving()
+    drive.cut = {"scan"}
+    drive.run(0.25)
+    seen = set()
+    for _ in range(10):
+        drive.scan(stamp=drive.now - 240 * MS)
+        drive.run(0.1)
+        seen.add((drive.verdict[1], drive.status.detail))
+    assert seen == {("bad_stamps", "scan: stamps are 0.2 s old")}
+
+
+@pytest.mark.parametrize(
+    ("shift", "detail"), [(1.0, "teleop: stamps are 1.0 s ahead"), (-1.0, "teleop: stamps are 1.0 s old")]
+)
+def test_commands_of_another_clock_are_named(shift, detail):
+    drive = Drive()
+    for _ in range(20):
+        drive.call(drive.guard.command_teleop(Velocity(drive.now + round(shift * 1e9), 0.3, 0.0, "")))
+        drive.run(0.05)
+    assert drive.velocity == (0, 0)
+    assert drive.verdict[1] == "no_command"
+    assert drive.status.detail == detail
 
 
 def test_an_older_release_does_not_end_a_press_from_a_clock_that_is_ahead():
@@ -737,7 +841,7 @@ def test_an_override_ends_when_it_is_taken_back():
 
 def test_one_noisy_beam_does_not_stop_the_robot():
     drive = driving()
-    ranges = np.full(ROBOT.laser.n_beams, nan, np.float32)
+    ranges = drive.room()
     ranges[90] = 0.15
     drive.cut = {"scan"}
     drive.scan(ranges=ranges)
@@ -810,15 +914,17 @@ def test_whatever_is_commanded_nothing_standing_is_touched(course, places):
 
 
 def _scan_of_posts(drive, centres, radius):
-    """What a laser of half a degree sees of round posts."""
+    """What the laser sees of round posts in the hall."""
+    laser = drive.robot.laser
     in_laser = (drive.odom_from_base @ drive.guard.obstacles.base_from_laser).inverse() @ centres
-    angles = np.arange(720) * pi / 360
+    angles = laser.angle_min + laser.angle_increment * np.arange(laser.n_beams)
     along = np.outer(in_laser[:, 0], np.cos(angles)) + np.outer(in_laser[:, 1], np.sin(angles))
     across = np.outer(in_laser[:, 1], np.cos(angles)) - np.outer(in_laser[:, 0], np.sin(angles))
     hit = (np.abs(across) < radius) & (along > 0)
     reach = np.where(hit, along - np.sqrt(np.maximum(radius**2 - across**2, 0)), np.inf).min(axis=0, initial=np.inf)
-    ranges = np.where(np.isinf(reach), nan, reach).astype(np.float32)
-    return drive.call(drive.guard.laser(LaserScan(drive.now, 0.0, pi / 360, 0.0, 0.02, 30.0, ranges)))
+    ranges = np.where(np.isinf(reach), drive.room(), reach).astype(np.float32)
+    fields = laser.angle_min, laser.angle_increment, 0.0, 0.02, laser.range_max
+    return drive.call(drive.guard.laser(LaserScan(drive.now, *fields, ranges)))
 
 
 # --- the table ------------------------------------------------------------------------------------------------------

@@ -66,6 +66,17 @@ def test_echoes_lie_where_the_mounted_laser_measured_them():
     np.testing.assert_allclose(points, [[1.13, 0.0], [0.13 + np.cos(step), np.sin(step)]], atol=1e-6)
 
 
+def test_a_cover_over_the_laser_is_the_robot_and_leaves_nothing_behind():
+    obstacles, track = Obstacles(ObstaclesConfig(min_points=1), X80, REACH), tracked(X80, odometry(0))
+    cover = {AHEAD + k: 0.065 for k in range(-40, 41)}
+    obstacles.take_scan(scan(X80, 0, cover | {AHEAD + 100: 0.5}), track, covered=True)
+    assert len(seen(obstacles, track)) == 1, "what lies outside the outline counts under a cover too"
+    obstacles.take_scan(scan(X80, 100, {}), track)
+    assert len(seen(obstacles, track)) == 0
+    obstacles.take_scan(scan(X80, 200, cover), track)
+    assert len(seen(obstacles, track)) > 0, "without a cover a return from there is a contact"
+
+
 def test_beams_are_put_where_the_robot_was_when_each_was_taken():
     obstacles = Obstacles(ObstaclesConfig(min_points=1), X80, REACH)
     track = tracked(X80, *(odometry(20 * k, 0.01 * k) for k in range(11)))  # 0.5 m/s for 0.2 s

@@ -108,7 +108,7 @@ def test_scans_of_moments_that_odometry_does_not_tell_are_no_scans(ahead: float)
     loop.send = ahead_of_time
     loop.drive(1.5)
     command, _ = last(loop)
-    assert (command.v, command.reason) == (0, reasons.SCAN_OLD.code)
+    assert (command.v, command.reason) == (0, reasons.BAD_STAMPS.code)
 
 
 def test_a_robot_that_does_not_know_where_it_is_stands() -> None:

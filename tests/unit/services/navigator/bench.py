@@ -20,6 +20,7 @@ from shared.messages import (
     GuardStatus,
     Localization,
     NavStatus,
+    NavTask,
     Odometry,
     Path,
     PoseEstimate,
@@ -43,6 +44,7 @@ class Bench:
         self.pose, self.speed, self.moved = Pose2(), speed, 0.0
         self.goals: list[Goal] = []
         self.statuses: list[NavStatus] = []
+        self.tasks: list[NavTask] = []
         self.jobs: list[tuple[int, Job]] = []
         self.refusal = ""  # the planner's
         self.follow_state: FollowState | None = None  # instead of what it would be
@@ -74,6 +76,8 @@ class Bench:
             if effect.topic is topics.GOAL:
                 assert not self.goals or effect.message.id > self.goals[-1].id
                 self.goals.append(effect.message)
+            elif effect.topic is topics.TASK:
+                self.tasks.append(effect.message)
             else:
                 self.statuses.append(effect.message)
 

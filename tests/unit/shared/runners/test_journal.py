@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from shared import requests, topics
 from shared.geometry import Pose2
 from shared.messages import Journal, MapUpdate
+from shared.rejections import Kind
 from shared.requests import LoadMap
-from shared.runners.host import JOURNAL_FULL, REQUEST, Host, Sent
+from shared.runners.host import JOURNAL_FULL, REJECTED, REQUEST, Host, Sent
 from shared.runners.journal import HOLE, Event, events_of
 from tests.toys import build, eventful
 
@@ -90,3 +91,15 @@ def test_large_requests_are_told_in_several_journals_and_read_as_one():
     assert [event.payload for event in events if event.kind == REQUEST] == payloads
     assert len(events) == 10
     assert host.journal(30) is None
+
+
+def test_what_the_runner_rejected_comes_back_as_it_was_told_to_the_service():
+    host = Host(build("odometry"), "odometry", "s")
+    host.rejected("base/wheels", Kind.SEQUENCE, "the sequence stands still", 3, 5)
+    assert host.service.rejections.counts == {("base/wheels", "sequence"): 3}
+    journal = host.journal(6)
+    assert journal is not None
+    assert isinstance(journal.message, Journal)
+    assert events_of([journal.message]) == [
+        Event(REJECTED, 5, 3, "base/wheels", why="sequence", words="the sequence stands still")
+    ]

@@ -15,7 +15,7 @@ from shared.recording import Recording, Writer, sink
 from shared.runners.host import Sent
 from shared.runners.lockstep import Lockstep, Sink
 from shared.runners.replay import Replayed, replay
-from shared.service import Job, Out, Service, every, on
+from shared.service import Job, Log, Out, Service, every, on
 from tests.toys import DEFAULTS, ROBOT, Base, Dead, Tiles, build, eventful
 
 CHAIN = ("base_driver", "odometry", "mapper", "planner")
@@ -334,3 +334,27 @@ def test_stamps_of_another_day_are_refused_and_not_ticked_through(tmp_path):
             host.publish(topics.WHEELS(WheelState(stamp, 0, 0.0, 0.0, 0.0, 0.0)), "base_driver")
     with pytest.raises(UserError, match="span 11574 days"):
         replay(Recording(tmp_path / "a.mcap"), ["odometry"], build)
+
+
+class Refusing(Dead):
+    """Odometry that stands where its wheels' messages are rejected."""
+
+    @every(hz=10)
+    def why(self) -> Out:
+        yield Log("INFO", f"{self.x} {self.rejections.refused('base/wheels', self.now)}")
+
+
+def test_messages_that_are_rejected_by_their_sequence_are_so_in_the_replay(tmp_path):
+    def counting_wrongly(record: Sink) -> None:
+        lockstep = Lockstep({"base_driver": build("base_driver"), "odometry": Refusing()}, record)
+        sequences = lockstep._hosts["base_driver"]._sequences
+        lockstep.run(0.5)
+        lockstep.watch("base/wheels", lambda _: sequences.update({"base/wheels": 10}))
+        lockstep.run(1.0)
+        lockstep.flush()
+
+    published = recorded(tmp_path / "a.mcap", counting_wrongly)
+    replayed = replay(Recording(tmp_path / "a.mcap"), ["odometry"], lambda name: Refusing())
+    assert replayed.gaps == []
+    assert out_of(replayed, "odometry") == by(published, "odometry")
+    assert any("wheels: the sequence" in s.message.text for s in published if s.topic is topics.LOG)

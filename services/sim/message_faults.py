@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a broken laser, board or clock makes of `scan` and `hardware/board`: the table, and the messages that follow."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from enum import StrEnum
+from math import inf, nan, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.sim.hardware.faults import Faults
+from shared.config import Robot
+from shared.geometry import wrapped_all
+from shared.messages import BoardReport, LaserScan
+
+Float64s = NDArray[np.float64]
+
+SECOND = 1_000_000_000
+DARK = pi / 6  # rad to either side of straight ahead that a dark sector covers
+LEFT_OVER = 0.05  # share of the beams that return while most do not
+INSIDE = 0.02  # m inside the outline at which a part of the robot's own body is seen
+
+
+class MessageFault(StrEnum):
+    """What breaks, while the simulated hardware is messages (`sim.hardware: messages`)."""
+
+    SCAN_NAN = "scan_nan"
+    SCAN_MOSTLY_NAN = "scan_mostly_nan"
+    SCAN_INF = "scan_inf"
+    SCAN_DARK_AHEAD = "scan_dark_ahead"
+    SCAN_BODY = "scan_body"
+    SCAN_FROZEN = "scan_frozen"
+    SCAN_BEAMS = "scan_beams"
+    SCAN_SILENT = "scan_silent"
+    SCAN_SECONDS = "scan_seconds"
+    SCAN_1970 = "scan_1970"
+    SCAN_LATE = "scan_late"
+    SCAN_OLD = "scan_old"
+    SCAN_AHEAD = "scan_ahead"
+    SCAN_FUTURE = "scan_future"
+    ENCODER_JUMPS = "encoder_jumps"
+    SONAR_DEAD = "sonar_dead"
+    RANGES_MISSING = "ranges_missing"
+    BOARD_SECONDS = "board_seconds"
+    BOARD_1970 = "board_1970"
+    BOARD_LATE = "board_late"
+    BOARD_OLD = "board_old"
+    BOARD_AHEAD = "board_ahead"
+    BOARD_FUTURE = "board_future"
+
+
+MESSAGE_WORDS: dict[MessageFault, str] = {
+    MessageFault.SCAN_NAN: "no beam of the laser returns anything (NaN)",
+    MessageFault.SCAN_MOSTLY_NAN: "19 of 20 beams return nothing (NaN)",
+    MessageFault.SCAN_INF: "no beam returns anything, and the laser says +inf",
+    MessageFault.SCAN_DARK_AHEAD: "60 degrees ahead return nothing (NaN)",
+    MessageFault.SCAN_BODY: "the laser sees the robot's own body all around, as under a cover",
+    MessageFault.SCAN_FROZEN: "the laser repeats its last ranges with fresh stamps",
+    MessageFault.SCAN_BEAMS: "the laser sends every second beam only",
+    MessageFault.SCAN_SILENT: "no scan comes",
+    MessageFault.SCAN_SECONDS: "the scans' stamps are seconds, not nanoseconds",
+    MessageFault.SCAN_1970: "the scans' stamps count from when the simulator started",
+    MessageFault.SCAN_LATE: "the scans' stamps are 0.5 s old",
+    MessageFault.SCAN_OLD: "the scans' stamps are 10 s old",
+    MessageFault.SCAN_AHEAD: "the scans' stamps are 1 s ahead",
+    MessageFault.SCAN_FUTURE: "the scans' stamps are 1 h ahead",
+    MessageFault.ENCODER_JUMPS: "the encoders count at random",
+    MessageFault.SONAR_DEAD: "all ultrasonic sensors read 0",
+    MessageFault.RANGES_MISSING: "the board sends one ultrasonic range fewer",
+    MessageFault.BOARD_SECONDS: "the board's stamps are seconds, not nanoseconds",
+    MessageFault.BOARD_1970: "the board's stamps count from when the simulator started",
+    MessageFault.BOARD_LATE: "the board's stamps are 0.5 s old",
+    MessageFault.BOARD_OLD: "the board's stamps are 10 s old",
+    MessageFault.BOARD_AHEAD: "the board's stamps are 1 s ahead",
+    MessageFault.BOARD_FUTURE: "the board's stamps are 1 h ahead",
+}
+"""What each does, for people."""
+
+Restamp = Callable[[int, int], int]
+"""(stamp, ns when the simulator started) -> the stamp that is sent."""
+
+
+def _shifted(seconds: float) -> Restamp:
+    return lambda stamp, began: max(stamp + round(seconds * SECOND), 0)
+
+
+STAMPS: dict[str, Restamp] = {
+    "seconds": lambda stamp, began: stamp // SECOND,
+    "1970": lambda stamp, began: max(stamp - began, 0),
+    "late": _shifted(-0.5),
+    "old": _shifted(-10.0),
+    "ahead": _shifted(1.0),
+    "future": _shifted(3600.0),
+}
+"""By the end of a fault's name."""
+
+
+class MessageFaults:
+    """The faults that hold, and the messages as they leave under them. Random only by `seed`."""
+
+    def __init__(self, robot: Robot, seed: int) -> None:
+        self.robot = robot
+        self.holds = Faults()
+        self._random = np.random.default_rng([seed, 9])
+        self._last: LaserScan | None = None
+        self._began: int | None = None
+
+    def scan(self, scan: LaserScan) -> LaserScan | None:
+        """The scan as it is sent, or None where none is."""
+        self._began = scan.stamp if self._began is None else self._began
+        if MessageFault.SCAN_FROZEN not in self.holds:
+            self._last = scan
+        if MessageFault.SCAN_SILENT in self.holds:
+            return None
+        ranges = self._ranges(scan)
+        stamp = self._stamp("scan", scan.stamp)
+        if MessageFault.SCAN_BEAMS in self.holds:
+            increment = 2 * scan.angle_increment
+            return replace(scan, stamp=stamp, angle_increment=increment, ranges=np.ascontiguousarray(ranges[::2]))
+        return scan if ranges is scan.ranges and stamp == scan.stamp else replace(scan, stamp=stamp, ranges=ranges)
+
+    def board(self, report: BoardReport) -> BoardReport:
+        """The report as it is sent."""
+        self._began = report.stamp if self._began is None else self._began
+        stamp = self._stamp("board", report.stamp)
+        if stamp != report.stamp:
+            report = replace(report, stamp=stamp)
+        if MessageFault.ENCODER_JUMPS in self.holds:
+            left, right = (int(n) for n in self._random.integers(self.robot.drive.encoder_wrap, size=2))
+            report = replace(report, left_counts=left, right_counts=right)
+        if MessageFault.SONAR_DEAD in self.holds:
+            report = replace(report, ultrasonic=np.zeros_like(report.ultrasonic))
+        if MessageFault.RANGES_MISSING in self.holds:
+            report = replace(report, ultrasonic=report.ultrasonic[:-1].copy())
+        return report
+
+    def _ranges(self, scan: LaserScan) -> NDArray[np.float32]:
+        """(n,) m: what the beams of a scan read under the faults."""
+        n = len(scan.ranges)
+        if MessageFault.SCAN_NAN in self.holds:
+            return np.full(n, nan, np.float32)
+        if MessageFault.SCAN_INF in self.holds:
+            return np.full(n, inf, np.float32)
+        if MessageFault.SCAN_BODY in self.holds:
+            return _own_body(scan, self.robot)
+        if MessageFault.SCAN_FROZEN in self.holds and self._last is not None:
+            return self._last.ranges
+        if MessageFault.SCAN_MOSTLY_NAN in self.holds:
+            return np.where(self._random.random(n) < LEFT_OVER, scan.ranges, np.float32(nan)).astype(np.float32)
+        if MessageFault.SCAN_DARK_AHEAD in self.holds:
+            ahead = np.abs(wrapped_all(_angles(scan) + self.robot.laser.mount.yaw)) <= DARK
+            return np.where(ahead, np.float32(nan), scan.ranges).astype(np.float32)
+        return scan.ranges
+
+    def _stamp(self, source: str, stamp: int) -> int:
+        for name, restamped in STAMPS.items():
+            if MessageFault(f"{source}_{name}") in self.holds:
+                return restamped(stamp, self._began or 0)
+        return stamp
+
+
+def _angles(scan: LaserScan) -> Float64s:
+    """(n,) rad in `laser`."""
+    return np.asarray(scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges)), np.float64)
+
+
+def _own_body(scan: LaserScan, robot: Robot) -> NDArray[np.float32]:
+    """(n,) m from the laser to just inside the robot's outline; no nearer than the laser measures."""
+    mount = robot.laser.mount
+    directions = _angles(scan) + mount.yaw
+    dx, dy = np.cos(directions), np.sin(directions)
+    nearest = np.full(len(directions), inf)
+    for (x0, y0), (x1, y1) in zip(robot.corners, np.roll(robot.corners, -1, axis=0)):
+        ex, ey = x1 - x0, y1 - y0
+        crossing = dx * ey - dy * ex
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = ((x0 - mount.x) * ey - (y0 - mount.y) * ex) / crossing
+            share = ((x0 - mount.x) * dy - (y0 - mount.y) * dx) / crossing
+        hits = (np.abs(crossing) > 1e-12) & (along > 0) & (share >= 0) & (share <= 1)
+        nearest = np.where(hits & (along < nearest), along, nearest)
+    seen = np.clip(nearest - INSIDE, scan.range_min, scan.range_max)
+    return seen.astype(np.float32)

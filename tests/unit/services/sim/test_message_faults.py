@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of the simulated laser, board and clock: what they change of the messages, and that they end."""
+
+from math import pi
+
+import numpy as np
+import pytest
+
+from services.sim.breaking import ALL
+from services.sim.hardware.faults import Fault
+from services.sim.message_faults import MESSAGE_WORDS, MessageFault
+from shared.codec import CodecError, Envelope, decode, encode
+from shared.config import load_robot
+from shared.messages import LaserScan
+from shared.requests import Break
+from tests.unit.services.sim.scenes import drive, simulator, told
+
+X80SV = load_robot("x80sv").robot
+SECOND = 1_000_000_000
+
+
+def payload(message):
+    return encode(message, Envelope("sim", "s", 0, 0))
+
+
+def asked(sim, fault, seconds=0.0, mended=False):
+    answering = sim.broken(Break(sim.now, fault, seconds, mended))
+    with pytest.raises(StopIteration) as end:
+        next(answering)
+    return end.value.value
+
+
+def under(fault, seconds=0.5, v=0.0):
+    """What the simulator sends before the fault, and under it: lists of publications."""
+    sim = simulator("room")
+    before = list(drive(sim, 1.0, v, 0.0))
+    assert asked(sim, fault).accepted
+    return before, list(drive(sim, seconds, v, 0.0))
+
+
+def scans(fault):
+    before, during = under(fault)
+    return told(before, "scan")[-1], told(during, "scan")
+
+
+def test_every_fault_has_its_words_and_is_listed():
+    assert set(MESSAGE_WORDS) == set(MessageFault)
+    assert set(ALL) == {*Fault, *MessageFault}
+
+
+@pytest.mark.parametrize("fault", MessageFault)
+def test_a_fault_begins_is_told_and_ends_after_its_time(fault):
+    sim = simulator("room")
+    list(drive(sim, 1.0, 0.0, 0.0))
+    reply = asked(sim, fault, seconds=0.4)
+    assert (reply.accepted, reply.detail) == (True, MESSAGE_WORDS[fault])
+    again, whole = list(drive(sim, 2.0, 0.0, 0.0)), simulator("room")
+    list(drive(whole, 1.0, 0.0, 0.0))
+    sound = list(drive(whole, 2.0, 0.0, 0.0))
+    for key in ("scan", "hardware/board"):
+        assert payload(told(again, key)[-1]) == payload(told(sound, key)[-1])
+    assert [payload(p.message) for p in again[:60]] != [payload(p.message) for p in sound[:60]]
+
+
+def test_a_fault_is_ended_by_request_and_an_unknown_one_is_refused():
+    sim = simulator("room")
+    list(drive(sim, 0.2, 0.0, 0.0))
+    asked(sim, "scan_nan")
+    asked(sim, "sonar_dead")
+    assert asked(sim, "scan_nan", mended=True).detail == "broken now: sonar_dead"
+    assert asked(sim, "", mended=True).detail == "nothing is broken"
+    assert "scan_nan" in asked(sim, "scan_nann").detail
+    assert "--hardware emulated" in asked(sim, "unplugged").detail
+
+
+def test_no_beam_or_few_return():
+    assert all(np.isnan(scan.ranges).all() for scan in scans("scan_nan")[1])
+    for scan in scans("scan_mostly_nan")[1]:
+        assert 0.01 < np.mean(~np.isnan(scan.ranges)) < 0.1
+
+
+def test_no_echo_as_inf_is_sent_as_such():
+    before, during = scans("scan_inf")
+    assert all(np.isinf(scan.ranges).all() and len(scan.ranges) == len(before.ranges) for scan in during)
+
+
+def test_a_sector_ahead_is_dark_and_the_rest_is_not():
+    for scan in scans("scan_dark_ahead")[1]:
+        angles = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges)) + X80SV.laser.mount.yaw
+        off = np.abs((angles + pi) % (2 * pi) - pi)
+        assert np.isnan(scan.ranges[off < 0.5]).all()
+        assert np.mean(np.isnan(scan.ranges[off > 0.6])) < 0.1
+
+
+def test_a_covered_laser_sees_only_what_lies_within_the_robot():
+    mount = X80SV.laser.mount
+    for scan in scans("scan_body")[1]:
+        angles = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges)) + mount.yaw
+        points = np.column_stack((mount.x + scan.ranges * np.cos(angles), mount.y + scan.ranges * np.sin(angles)))
+        assert np.hypot(*points.T).max() <= X80SV.circumscribed_radius
+        decode(LaserScan, payload(scan))
+
+
+def test_a_frozen_laser_repeats_its_last_ranges_with_fresh_stamps():
+    before, during = under("scan_frozen", v=0.3)
+    last, repeated = told(before, "scan")[-1], told(during, "scan")
+    assert len(repeated) >= 4
+    assert all(np.array_equal(scan.ranges, last.ranges, equal_nan=True) for scan in repeated)
+    assert len({scan.stamp for scan in repeated}) == len(repeated)
+
+
+def test_every_second_beam_looks_the_same_way_as_before():
+    before, during = scans("scan_beams")
+    assert all(len(scan.ranges) == -(-len(before.ranges) // 2) for scan in during)
+    assert during[0].angle_increment == 2 * before.angle_increment
+    assert np.nanmedian(np.abs(during[0].ranges - before.ranges[::2])) < 0.05
+
+
+def test_a_silent_laser_sends_nothing_and_the_board_goes_on():
+    _, during = under("scan_silent")
+    assert told(during, "scan") == []
+    assert len(told(during, "hardware/board")) == 25
+
+
+OFFSETS = {"late": -0.5, "old": -10.0, "ahead": 1.0, "future": 3600.0}
+
+
+@pytest.mark.parametrize(("source", "key"), [("scan", "scan"), ("board", "hardware/board")])
+@pytest.mark.parametrize("name", OFFSETS)
+def test_stamps_are_off_by_so_much(source, key, name):
+    before, during = under(f"{source}_{name}")
+    first = told(during, key)[0].stamp - told(before, key)[-1].stamp
+    assert first / SECOND - OFFSETS[name] == pytest.approx(0.1 if source == "scan" else 0.02, abs=0.03)
+
+
+@pytest.mark.parametrize(("source", "key"), [("scan", "scan"), ("board", "hardware/board")])
+def test_stamps_may_be_seconds_or_count_from_the_start(source, key):
+    before, during = under(f"{source}_seconds")
+    assert told(during, key)[-1].stamp == pytest.approx(told(before, key)[-1].stamp / SECOND, abs=1)
+    _, during = under(f"{source}_1970")
+    assert 0 < told(during, key)[-1].stamp < 3 * SECOND
+
+
+def test_the_board_counts_at_random_or_its_sensors_fail():
+    _, during = under("encoder_jumps")
+    counts = [report.left_counts for report in told(during, "hardware/board")]
+    assert np.median(np.abs(np.diff(counts))) > X80SV.drive.encoder_wrap / 10
+    before, during = under("sonar_dead")
+    assert all((report.ultrasonic == 0).all() for report in told(during, "hardware/board"))
+    _, during = under("ranges_missing")
+    n = len(told(before, "hardware/board")[0].ultrasonic)
+    assert {len(report.ultrasonic) for report in told(during, "hardware/board")} == {n - 1}
+
+
+def test_what_a_fault_sends_is_valid_but_for_inf():
+    for fault in MessageFault:
+        for publication in under(fault)[1]:
+            try:
+                decode(publication.topic.type, payload(publication.message))
+            except CodecError:
+                assert fault is MessageFault.SCAN_INF

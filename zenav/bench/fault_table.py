@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rows of `zenav bench faults`: what fails, how soon the robot must stand, and the reasons that are true."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+AT_ONCE, SOON = 250.0, 600.0
+"""ms to the zero command: where one message shows the fault, and where several must."""
+
+
+class Mode(StrEnum):
+    """What the robot is doing when the fault begins."""
+
+    TELEOP = "teleop"
+    NAVIGATION = "navigation"
+    EXPLORATION = "exploration"
+
+
+ALL = frozenset(Mode)
+BY_ITSELF = ALL - {Mode.TELEOP}
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One fault.
+
+    name: of `zenav fault`, of a service after `kill `, or SEQUENCE.
+    reasons: any of these codes is true; none: not judged.
+    limit: ms to the zero command in the modes `stops`; in others of `creeps`, to at most the guard's blind speed.
+    detail: a pattern that the reason's detail must hold.   resumes: whether work must go on after the fault;
+    a fault of the hardware ends the task.
+    live_only: lockstep has nothing that it could break.
+    """
+
+    name: str
+    reasons: frozenset[str]
+    limit: float = SOON
+    stops: frozenset[Mode] = ALL
+    creeps: frozenset[Mode] = frozenset()
+    detail: str = ""
+    resumes: bool = True
+    live_only: bool = False
+
+
+def _blind(name: str, limit: float = SOON) -> Row:
+    """A hand may creep without a view; what drives by itself must stand."""
+    return Row(name, frozenset({"scan_blind"}), limit, BY_ITSELF, frozenset({Mode.TELEOP}))
+
+
+def _stamped(source: str, kind: str) -> Row:
+    detail = rf"{source}: stamps are {STAMP_WORDS[kind]}"
+    return Row(f"{source}_{kind}", frozenset({"bad_stamps"}), SOON, detail=detail)
+
+
+def _killed(name: str, reasons: set[str], limit: float = AT_ONCE, stops: frozenset[Mode] = ALL) -> Row:
+    return Row(f"kill {name}", frozenset(reasons), limit, stops)
+
+
+SEQUENCE = "scan_sequence"
+"""The scans' sequence stands still: what comes is dropped as old."""
+
+STAMP_WORDS = {
+    "seconds": r"\d+ years old; are they ns\?",
+    "1970": r"\d+ years old; are they ns\?",
+    "late": r"0\.[5-7] s old",
+    "old": r"10\.[0-2] s old",
+    "ahead": r"(0\.9|1\.0) s ahead",
+    "future": "1 h ahead",
+}
+"""Kind of wrong stamp -> how far off the detail must say that it is; a scan's age counts from its last beam."""
+
+ROWS: tuple[Row, ...] = (
+    _blind("scan_nan"),
+    _blind("scan_mostly_nan"),
+    _blind("scan_inf"),
+    _blind("scan_dark_ahead"),
+    _blind("scan_body"),
+    Row("scan_frozen", frozenset({"scan_frozen"})),
+    Row("scan_beams", frozenset({"scan_unlike"}), AT_ONCE, detail=r"\d+ beams came, robot.laser.n_beams is \d+"),
+    Row("scan_silent", frozenset({"scan_old"}), SOON),
+    Row("encoder_jumps", frozenset({"encoders_jump"}), SOON),
+    Row("sonar_dead", frozenset({"sensor_dead"}), SOON, resumes=False),
+    Row("ranges_missing", frozenset({"wrong_ranges"}), SOON, resumes=False),
+    *(_stamped(source, kind) for source in ("scan", "board") for kind in STAMP_WORDS),
+    Row(SEQUENCE, frozenset({"bad_stamps"}), SOON, detail="scan: the sequence stands still", live_only=True),
+    _killed("navigator", set(), stops=frozenset()),
+    _killed("odometry", {"odom_old"}),
+    _killed("mapper", {"pose_old"}, 1100.0, BY_ITSELF),  # navigator and guard let it be silent for a second
+    _killed("planner", set(), stops=frozenset()),  # a plan counts for 2 s: the robot may be there before
+    _killed("local_ctrl", {"command_old"}, AT_ONCE, BY_ITSELF),
+    _killed("guard", set()),  # the one that tells is the one that died
+    _killed("base_driver", {"odom_old", "base_silent", "board_silent"}, SOON, frozenset()),  # no command comes at all
+)
+"""In the order of the table."""

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav bench faults`: what fails while the robot drives, and how soon, how far and with which words it stands."""
+
+import statistics
+import sys
+from functools import partial
+from math import inf
+from pathlib import Path
+from typing import Any
+
+from shared.config import UserError, nearest
+from zenav.bench.each import results
+from zenav.bench.fault_table import ROWS, Mode, Row
+from zenav.bench.fault_trial import SPEEDS, Result, Trial
+from zenav.bench.table import table, writable, write
+
+MODES = tuple(Mode)
+MAX_WRONG_S = 1.0  # s that a pose over 0.3 m wrong may be good
+COLUMNS = (
+    "fault", "n", "median, ms to zero", "max", "limit", "most m after it", "contacts", "right reason", "resumed",
+    "good but wrong, s", "", "reasons told",
+)  # fmt: skip
+
+
+def faults(robot: str, n: int, seed: int, jobs: int, only: str, out: Path | None, live: bool) -> int:
+    """Runs n trials of the matrix, shows a row a fault, writes the JSON; 0 where every target is kept."""
+    writable(out)
+    wanted = matrix(n, seed, chosen(only, live))
+    one = partial(_live if live else _lockstep, robot)
+    found: list[Result] = []
+    for result in results(one, wanted, 1 if live else jobs):
+        found.append(result)
+        row = next(row for row in ROWS if row.name == result.fault)
+        words = "; ".join(broken(result, row)) or "good"
+        sys.stderr.write(f"{len(found)}/{n} {result.fault}, {result.mode}, {result.speed} m/s: {words}\n")
+    table(f"faults, {'live' if live else 'lockstep'}", COLUMNS, [shown(row, of(found, row)) for row in _rows(found)])
+    sums = summary(found)
+    report = {"summary": sums, "live": live, "seed": seed, "trials": [r.as_json() for r in found]}
+    write(out, report)
+    return 0 if len(found) == n and sums["good"] == n else 1
+
+
+def chosen(only: str, live: bool) -> list[int]:
+    """The rows' places of names separated by commas; all where there are none. Raises UserError on an unknown one."""
+    names = [row.name for row in ROWS if live or not row.live_only]
+    wanted = [name.strip() for name in only.split(",") if name.strip()]
+    for name in wanted:
+        if name not in names:
+            raise UserError(f"no fault {name!r}", nearest(name, tuple(names)))
+    return [i for i, row in enumerate(ROWS) if row.name in (wanted or names)]
+
+
+def matrix(n: int, seed: int, rows: list[int]) -> list[Trial]:
+    """n trials: each fault equally often, and each in all modes and speeds before one comes again."""
+    combinations = [(mode, speed) for speed in reversed(SPEEDS) for mode in MODES]
+    trials = []
+    for i in range(n):
+        place, turn = i % len(rows), i // len(rows)
+        mode, speed = combinations[(place + 4 * turn) % len(combinations)]
+        trials.append(Trial(rows[place], mode, speed, seed + i))
+    return trials
+
+
+def broken(result: Result, row: Row) -> list[str]:
+    """Which targets a trial missed, in words."""
+    if result.trouble:
+        return [f"no trial: {result.trouble}"]
+    missed = []
+    if (time := judged_ms(result, row)) is not None and time > row.limit:
+        missed.append("never stood" if time == inf else f"{time:.0f} ms")
+    if result.contacts:
+        missed.append(f"{result.contacts} contacts")
+    if result.right is False and (result.mode in row.stops | row.creeps):
+        missed.append(f"told {', '.join(result.reasons) or 'nothing'}")
+    if result.wrong_while_good > MAX_WRONG_S:
+        missed.append(f"pose wrong but good for {result.wrong_while_good:.1f} s")
+    if row.resumes and not result.resumed:
+        missed.append("did not resume")
+    return missed
+
+
+def judged_ms(result: Result, row: Row) -> float | None:
+    """ms to the zero command, or to a creep where that will do; None where nothing has to stop."""
+    if result.mode in row.stops:
+        return result.zero_ms
+    return min(result.creep_ms, result.zero_ms) if result.mode in row.creeps else None
+
+
+def of(found: list[Result], row: Row) -> list[Result]:
+    return [result for result in found if result.fault == row.name]
+
+
+def _rows(found: list[Result]) -> list[Row]:
+    return [row for row in ROWS if of(found, row)]
+
+
+def shown(row: Row, found: list[Result]) -> tuple[str, ...]:
+    """A fault's line of the table."""
+    times = [ms for result in found if (ms := judged_ms(result, row)) is not None]
+    sayers = [result for result in found if result.right is not None and result.mode in row.stops | row.creeps]
+    told = sorted({reason for result in found for reason in result.reasons})
+    bad = sum(bool(broken(result, row)) for result in found)
+    return (
+        row.name,
+        str(len(found)),
+        _ms(statistics.median(times)) if times else "-",
+        _ms(max(times)) if times else "-",
+        f"{row.limit:.0f}" if row.stops | row.creeps else "-",
+        f"{max(result.distance for result in found):.2f}",
+        str(sum(result.contacts for result in found)),
+        f"{sum(bool(result.right) for result in sayers)}/{len(sayers)}" if sayers else "-",
+        f"{sum(result.resumed for result in found)}/{len(found)}",
+        f"{max(result.wrong_while_good for result in found):.1f}",
+        f"{bad} not good" if bad else "good",
+        " ".join(told),
+    )
+
+
+def summary(found: list[Result]) -> dict[str, Any]:
+    """Over all trials, and by fault."""
+    by_name = {row.name: row for row in ROWS}
+    good = [not broken(result, by_name[result.fault]) for result in found]
+    return {
+        "trials": len(found),
+        "good": sum(good),
+        "contacts": sum(result.contacts for result in found),
+        "wrong_while_good_s": round(max((result.wrong_while_good for result in found), default=0.0), 2),
+        "resumed": sum(result.resumed for result in found),
+        "faults": {
+            row.name: {
+                "n": len(of(found, row)),
+                "good": sum(not broken(result, row) for result in of(found, row)),
+                "limit_ms": row.limit,
+                "missed": sorted({words for result in of(found, row) for words in broken(result, row)}),
+            }
+            for row in _rows(found)
+        },
+    }
+
+
+def _ms(value: float) -> str:
+    return "never" if value == inf else f"{value:.0f}"
+
+
+def _lockstep(robot: str, trial: Trial) -> Result:
+    import shared.repeatable  # noqa: F401  # a spawned process begins here
+    from zenav.bench.fault_trial import lockstep
+
+    return lockstep(robot, trial)
+
+
+def _live(robot: str, trial: Trial) -> Result:
+    from zenav.bench.fault_trial import live
+
+    return live(robot, trial)
