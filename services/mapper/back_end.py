@@ -2,37 +2,35 @@
 """From keyframes to a consistent map: the graph of their poses, what closes loops in it, and the map drawn anew."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import hypot
 from typing import Any
 
 import numpy as np
 from pydantic import Field
 
-from services.mapper.keyframe import SETTLED, Keyframe
+from services.mapper.keyframe import SETTLED, Keyframe, frame_of
 from services.mapper.loop_closure import Blocks, Loop, LoopConfig, closed, in_own_frame
+from services.mapper.map_drawing import Drawing, drawn, newer
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.odometry_error import OdometryError
 from services.mapper.optimisation import PoseGraphConfig, optimised
-from services.mapper.parts import MIN_KEYFRAMES, agreeing, fits, gap_information, is_expected, is_joint, joined_nodes
-from services.mapper.pose_graph import Graph, Optimised, PoseGraph, between
+from services.mapper.parts import Gap, gap_information, joined_nodes, joint_of
+from services.mapper.pose_graph import Graph, Optimised, PoseGraph, still
 from services.mapper.registration import Match, RegistrationConfig
 from services.mapper.saved_map import SavedMap
 from services.mapper.submap import Submap
 from services.mapper.surroundings import BETWEEN, Held, Surroundings, surroundings
+from services.mapper.thinning import crowded
 from services.mapper.ties import TieConfig
 from services.mapper.uncertainty import uncertainty_from
 from shared.config import Section
-from shared.geometry import Bools, Float64s, Pose2, wrapped_all
+from shared.geometry import Pose2
 
 SEEN = 0.02  # m, a correction that shows on the map
 ANCHORS = 10  # keyframes that tell where `local` is
 CONFIRMING = 7  # closures since the last optimisation, that agree
 HELD = np.diag((0.1**-2, 0.1**-2, 0.03**-2))
 """Information of the place at which the robot was found on a saved map: closures will know it better."""
-EXACT = 1e8 * np.eye(3)
-LONG_AGO = 10  # crowds of keyframes after which one is no longer of this visit, also where the robot only turns
-SLICE = 100  # keyframes that one job draws: 0.2 s, looks for closures go on in between
 
 
 class BackEndConfig(Section):
@@ -60,33 +58,8 @@ class BackEndConfig(Section):
     ties: TieConfig = TieConfig()
 
 
-@dataclass(frozen=True, slots=True)
-class Gap:
-    """A motion that only odometry tells of: from the newest keyframe on, over so many m and rad without a scan that
-    fits."""
-
-    motion: Pose2
-    path: float
-    turn: float
-
-
 Waiting = tuple[Keyframe, Match, float]
 """What `BackEnd.add` is given."""
-
-
-@dataclass(frozen=True, slots=True)
-class Drawing:
-    """The map as far as it is drawn anew, and the keyframes, at poses (n, 3) in `map`, that are still to be drawn.
-
-    sure: (n,) False where one is drawn only if it fits what is drawn already.  node: the newest that is in the grid or
-    among them.
-    """
-
-    grid: Occupancy
-    keyframes: tuple[Keyframe, ...]
-    poses: Float64s
-    sure: Bools
-    node: int
 
 
 class BackEnd:
@@ -139,7 +112,7 @@ class BackEnd:
     def load(self, saved: SavedMap, fixed: bool) -> None:
         """Goes on with a saved map, or places the robot on it; then it does not change."""
         self.start()
-        self.graph = PoseGraph.of(_still(saved.graph) if fixed else saved.graph)
+        self.graph = PoseGraph.of(still(saved.graph) if fixed else saved.graph)
         self.keyframes, self.driven = list(saved.keyframes), saved.driven.tolist()
         self.fixed = fixed
         self._begin()
@@ -198,10 +171,9 @@ class BackEnd:
         doubt: how much wider odometry's standard deviations are, on the worst of the steps since the last keyframe.
         """
         if self.session == len(self.keyframes):
-            before_it = int(self.graph.nodes[-1]) if self.keyframes else -1
             node = self.graph.add(self.map_from_local @ keyframe.local_from_base)
             if self.gap is not None:
-                self._bridge(before_it, node, self.gap)
+                self._bridge(int(self.graph.nodes[-2]), node, self.gap)
             self.driven.append(self.driven[-1] + self.loops.apart + 2 * self.loops.view if self.driven else 0.0)
         else:
             before = self.keyframes[-1].local_from_base
@@ -219,7 +191,7 @@ class BackEnd:
         self._thin()
 
     def _bridge(self, i: int, j: int, gap: Gap) -> None:
-        """Joins the first keyframe of a part to the one before it by odometry, which may be wrong."""
+        """Joins a part's first keyframe to the one before it by odometry, which may be wrong."""
         self.graph.connect(i, j, gap.motion, gap_information(gap.path, gap.turn), loop=True)
         self.gaps |= {(i, j)}
         self.bridged, self.gap = gap, None
@@ -230,19 +202,13 @@ class BackEnd:
             while len(self.keyframes) - self.session > self.config.recent:
                 self._give_up(self.session)
             return
-        poses, driven = self.graph.poses, np.array(self.driven)
-        reach = self.config.crowd_reach
-        here = (np.abs(poses[:, :2] - poses[-1, :2]) < reach).all(axis=1)
-        here &= np.abs(wrapped_all(poses[:, 2] - poses[-1, 2])) < reach
-        nodes = self.graph.nodes
-        gone = (driven[-1] - driven > self.loops.apart) | (nodes[-1] - nodes > LONG_AGO * self.config.crowd)
-        if not self.joined:  # nobody knows yet what lies here
-            here[: self.session] = False
-        ends = [node for gap in self.gaps for node in gap]
-        old = np.flatnonzero(here & gone & ~np.isin(nodes, ends))
-        old = old[old > 0]  # the first one holds the map
-        if len(old) >= self.config.crowd:
-            self._give_up(int(old[0]))
+        first = 0 if self.joined else self.session  # what lies where an unjoined part seems to be is not known
+        kept = [node for gap in self.gaps for node in gap]
+        row = crowded(
+            self.graph, self.driven, self.config.crowd, self.config.crowd_reach, self.loops.apart, first, kept
+        )
+        if row is not None:
+            self._give_up(row)
 
     def _give_up(self, row: int) -> None:
         self.graph.remove(int(self.graph.nodes[row]))
@@ -285,20 +251,11 @@ class BackEnd:
         """The closures that join the present part to the rest, once enough of them agree; the part is moved there."""
         self.joints = self._present([*self.joints, *(loop for loop in loops if loop.i < self.first <= loop.j)])
         newest = self.graph.pose(int(self.graph.nodes[-1]))
-        places = [
-            self.graph.pose(loop.i) @ loop.i_from_j @ (self.graph.pose(loop.j).inverse() @ newest)
-            for loop in self.joints
-        ]
-        chosen = agreeing(places)
-        if not chosen:
+        joint = joint_of(self.graph, self.joints, newest, self.bridged)
+        if joint is None:
             return []
-        found = places[chosen[len(chosen) // 2]]
-        expected = is_expected(newest, found, self.bridged.path, self.bridged.turn)
-        if not is_joint(len(chosen), len(places) - len(chosen), expected):
-            return []
-        loops = [self.joints[k] for k in chosen]
-        self.join(found)
-        return loops
+        self.join(joint[0])
+        return joint[1]
 
     def join(self, map_from_base: Pose2) -> None:
         """The newest keyframe, and with it its part, lies here on the map."""
@@ -310,9 +267,8 @@ class BackEnd:
 
     def join_found(self, map_from_local: Pose2) -> None:
         """The part was found on the map as a whole."""
-        node = int(self.graph.nodes[-1])
-        self.join(map_from_local @ self.keyframes[-1].local_from_base)
-        pose = self.graph.pose(node)
+        node, pose = int(self.graph.nodes[-1]), map_from_local @ self.keyframes[-1].local_from_base
+        self.join(pose)
         anchor = int(self.graph.nodes[self._nearest_before(pose)])
         self.graph.connect(anchor, node, self.graph.pose(anchor).inverse() @ pose, HELD, loop=True)
         self.n_agreeing += 1
@@ -376,12 +332,7 @@ class BackEnd:
     def _map_from_local(self) -> Pose2:
         """Where `local` is by the last keyframes together: the heading of one alone turns all that is far."""
         first = max(self.session, len(self.keyframes) - ANCHORS)
-        poses = self.graph.poses[first:]
-        local = np.array([(k.local_from_base.x, k.local_from_base.y) for k in self.keyframes[first:]])
-        turns = wrapped_all(poses[:, 2] - np.array([k.local_from_base.yaw for k in self.keyframes[first:]]))
-        yaw = float(turns[-1] + wrapped_all(turns - turns[-1]).mean())
-        x, y = (poses[:, :2] - Pose2(0, 0, yaw) @ local).mean(axis=0)
-        return Pose2(float(x), float(y), yaw)
+        return frame_of(self.keyframes[first:], self.graph.poses[first:])
 
     @property
     def _near(self) -> float:
@@ -429,24 +380,8 @@ class BackEnd:
         return self.newer(Drawing(Occupancy(self._settings[1], 0), (), np.zeros((0, 3)), np.zeros(0, np.bool_), -1))
 
     def newer(self, drawing: Drawing) -> Drawing:
-        """A finished drawing, to go on with the keyframes that came meanwhile.
-
-        First those of the parts that are joined to the rest; then those of others that are long enough.
-        """
-        first, newest = int(np.searchsorted(self.graph.nodes, drawing.node, side="right")), int(self.graph.nodes[-1])
-        n = len(self.keyframes)
-        joined = joined_nodes(self.graph.snapshot(), self.gaps) if self.gaps else np.ones(n, np.bool_)
-        rows = np.arange(first, n)
-        long = self._in_long_parts()
-        rows = np.concatenate((rows[joined[first:]], rows[~joined[first:] & long[first:]]))
-        keyframes = tuple(self.keyframes[row] for row in rows.tolist())
-        return Drawing(drawing.grid, keyframes, self.graph.poses[rows].copy(), joined[rows], newest)
-
-    def _in_long_parts(self) -> Bools:
-        """(n,) which keyframes are of a part that has enough of them to be drawn."""
-        starts = np.searchsorted(self.graph.nodes, sorted(j for _, j in self.gaps))
-        part = np.searchsorted(starts, np.arange(len(self.keyframes)), side="right")
-        return np.asarray(np.bincount(part)[part] >= MIN_KEYFRAMES)
+        """A finished drawing, to go on with the keyframes that came meanwhile."""
+        return newer(drawing, self.graph.snapshot(), self.keyframes, self.gaps)
 
     def rehearse(self) -> None:
         """Calls every kernel once, with two keyframes or more; it is of no use after that."""
@@ -462,30 +397,5 @@ class BackEnd:
     def corrections(self) -> list[Pose2]:
         """map_from_local at each keyframe that is not a saved map's."""
         begun = int(np.searchsorted(self.graph.nodes, self.begun))
-        return [
-            Pose2(*row) @ keyframe.local_from_base.inverse()
-            for row, keyframe in zip(self.graph.poses[begun:].tolist(), self.keyframes[begun:])
-        ]
-
-
-def _still(graph: Graph) -> Graph:
-    """A graph whose nodes stay where they are, each known exactly from the first."""
-    n = len(graph.nodes)
-    loops = np.zeros(max(n - 1, 0), np.bool_)
-    first, others = graph.nodes[:1], graph.nodes[1:]
-    return Graph(
-        graph.nodes, graph.poses, np.ones(n, np.bool_), np.arange(len(others)), np.repeat(first, len(others)),
-        others.copy(), between(graph.poses[:1], graph.poses[1:]), np.tile(EXACT, (len(others), 1, 1)), loops, ~loops,
-    )  # fmt: skip
-
-
-def drawn(drawing: Drawing) -> Drawing:
-    """The drawing with the next slice of its keyframes in it. Its grid is handed on: who ordered it looks no more."""
-    rows = drawing.poses[:SLICE].tolist()
-    for keyframe, row, sure in zip(drawing.keyframes[:SLICE], rows, drawing.sure[:SLICE].tolist()):
-        pose = Pose2(*row)
-        if sure or fits(drawing.grid, pose @ keyframe.origins.astype(float), pose @ keyframe.ends.astype(float)):
-            keyframe.draw(drawing.grid, pose)
-    if len(drawing.keyframes) <= SLICE:
-        drawing.grid.settle()
-    return Drawing(drawing.grid, drawing.keyframes[SLICE:], drawing.poses[SLICE:], drawing.sure[SLICE:], drawing.node)
+        rows = zip(self.graph.poses[begun:].tolist(), self.keyframes[begun:])
+        return [Pose2(*row) @ keyframe.local_from_base.inverse() for row, keyframe in rows]

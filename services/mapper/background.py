@@ -7,9 +7,10 @@ One of a kind runs at a time. What one finds may come when the map is another on
 from collections.abc import Callable, Generator
 from typing import Any, TypeVar
 
-from services.mapper.back_end import BackEnd, Drawing, drawn
+from services.mapper.back_end import BackEnd
 from services.mapper.keyframe import Keyframe
 from services.mapper.looks import Looked, looked
+from services.mapper.map_drawing import Drawing, drawn
 from services.mapper.occupancy import Occupancy
 from services.mapper.odometry_error import OdometryError
 from services.mapper.optimisation import optimised

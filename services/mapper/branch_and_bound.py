@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.mapper.point_map import EMPTY, slot_of
+from services.mapper.voxel_filter import thinned
 from shared.config import Section
 from shared.geometry import Pose2, wrapped
 
@@ -24,7 +24,6 @@ UInt8s = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
 
 FULL = 255  # a picture's value at a point of the map
-GROWTH = 1.25  # of the voxels from one try to thin a scan to the next
 COARSEST_TURN = 0.1  # rad between headings at most, for scans of near points
 GOLDEN = 0.6180339887498949  # a stride of this share of a ring visits all of it evenly
 PARTS = 4  # of a cell in x and y that a point of the map is rounded to
@@ -219,33 +218,6 @@ def headings(far: float, turn: float, resolution: float, finest: float) -> Float
         return np.arange(-(n // 2), n - n // 2, dtype=np.float64) * (2 * pi / n)
     k = ceil(turn / step)
     return np.arange(-k, k + 1, dtype=np.float64) * (turn / max(k, 1))
-
-
-def thinned(points: Float64s, most: int, voxel: float) -> Float64s:
-    """At most `most` of the points (n, 2): the first of each voxel, the voxels as small as that allows, from `voxel` m.
-
-    Even over space, so that a near wall with many beams does not outvote the rest (Cartographer's adaptive filter).
-    """
-    while True:
-        kept: Float64s = points[_first_in_voxels(points, voxel)]
-        if len(kept) <= most:
-            return kept
-        voxel *= GROWTH
-
-
-@njit(cache=True, nogil=True)
-def _first_in_voxels(points, voxel):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
-    n_slots = 16
-    while n_slots < 2 * len(points):
-        n_slots *= 2
-    keys = np.full(n_slots, EMPTY, np.int64)
-    first = np.zeros(len(points), np.bool_)
-    for k in range(len(points)):
-        slot, key = slot_of(keys, floor(points[k, 0] / voxel), floor(points[k, 1] / voxel))
-        if keys[slot] != key:
-            keys[slot] = key
-            first[k] = True
-    return first
 
 
 @njit(cache=True, nogil=True)

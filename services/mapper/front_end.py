@@ -2,7 +2,7 @@
 """From scan to pose: prior, registration, the search where that fails, keyframes, and how sure all this is."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import exp, hypot, inf, sqrt
 
 import numpy as np
@@ -19,6 +19,7 @@ from services.mapper.odometry_error import MAX_JITTER_S, SPAN, OdometryError
 from services.mapper.registration import Match, Prior, RegistrationConfig
 from services.mapper.submap import Submap
 from services.mapper.surface import sweep_lone, sweep_normals, sweep_usable
+from services.mapper.tracking_result import MIN_BEAMS, Placed, Tracked
 from shared.config import Drive, Section
 from shared.geometry import Bools, Pose2
 from shared.grid import OccupancyGrid
@@ -43,7 +44,6 @@ BEYOND = 0.15  # m, rad: lag and steps of odometry, beyond what the drive can do
 REACH, REACH_TURN = 0.2, 0.1  # m, rad, standard deviations of where odometry led while scans told another motion
 JUMP = 3.0  # standard deviations of a step from which a match is followed at once: no jitter is so large
 STANDS = 0.02  # m between two sweeps, by odometry and by what was matched before
-LEAST_BEAMS = 15  # that must agree with the map or contradict it, to tell anything
 
 
 class FrontEndConfig(Section):
@@ -57,52 +57,6 @@ class FrontEndConfig(Section):
     clear_cells: int = Field(2, ge=0, le=20, description="free cells to each side that make an echo a moving thing's")
     most_moving: float = Field(0.4, ge=0, le=1, description="share of beams on moving things that is still believed")
     lost_after: int = Field(5, ge=1, le=1000, description="scans, from one under `lost`, until the pose is lost")
-
-
-@dataclass(frozen=True, slots=True)
-class Tracked:
-    """A scan's place: the pose, its covariance (3, 3) in `local`, the share of beams that agree, and the state.
-
-    trusted: the map may be drawn from it.  keyframe: what joined the submap, where the robot has moved on.
-    origins, ends: (n, 2) m in `base`, the sweep as it is to be drawn.
-    """
-
-    local_from_base: Pose2
-    covariance: Float64s
-    quality: float
-    state: Localization
-    match: Match
-    trusted: bool
-    keyframe: Sweep | None
-    origins: Float64s
-    ends: Float64s
-
-
-@dataclass(frozen=True, slots=True)
-class Placed:
-    """A match, and how many of its beams contradict the map. A beam into the unknown says nothing."""
-
-    match: Match
-    n_against: int
-
-    @property
-    def n_agree(self) -> int:
-        return int(self.match.agree.sum())
-
-    @property
-    def quality(self) -> float:
-        """Of the beams that say anything, the share that agrees."""
-        return self.n_agree / max(self.n_agree + self.n_against, LEAST_BEAMS)
-
-    @property
-    def tells(self) -> bool:
-        """Whether enough beams say anything."""
-        return self.n_agree + self.n_against >= LEAST_BEAMS
-
-    @property
-    def balance(self) -> float:
-        """Beams for the place less those against it, as a share of all."""
-        return (self.n_agree - self.n_against) / max(len(self.match.agree), 1)
 
 
 class FrontEnd:
@@ -208,8 +162,8 @@ class FrontEnd:
         if seconds < SOON and placed.quality >= self.config.good:  # else it is the place that is wrong
             self.busy += (1 - exp(-seconds / LATELY)) * n_free
         n_told = placed.n_agree + placed.n_against + n_moving
-        quality = placed.n_agree / max(n_told, LEAST_BEAMS)
-        self._grade(quality, n_told >= LEAST_BEAMS, len(origins), stood)
+        quality = placed.n_agree / max(n_told, MIN_BEAMS)
+        self._grade(quality, n_told >= MIN_BEAMS, len(origins), stood)
         self._judge_motion(sweep)
         if measures and self.n_bad > 0 and quality < self.config.lost:  # what fits nothing says nothing of the place
             self.local_from_base = self.smoothed = self.reckoned
@@ -306,7 +260,7 @@ class FrontEnd:
         found: where more of its beams were placed.
         """
         prior = self.odometry_error.prior(self.registration, self.smoothed, step, doubt, skew, self.seconds)
-        if self.submap.registrar.map.n == 0 or len(sweep.points) < LEAST_BEAMS:  # a few beams agree anywhere
+        if self.submap.registrar.map.n == 0 or len(sweep.points) < MIN_BEAMS:  # a few beams agree anywhere
             return Placed(self.submap.registrar.measured(sweep.points, sweep.normals, prior.map_from_base), 0)
         unsure = self.odometry_error.prior(self.registration, self.smoothed, step, LIED * doubt, skew)
         best = self._aligned(sweep, prior.map_from_base, unsure if self.searches_next else prior)

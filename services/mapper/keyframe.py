@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is kept of a scan that joined the map."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from services.mapper.deskew import turned_back
 from services.mapper.occupancy import Occupancy
-from shared.geometry import Bools, Float64s, Pose2
+from shared.geometry import Bools, Float64s, Pose2, wrapped_all
 
 Float32s = NDArray[np.float32]
 
@@ -83,3 +84,12 @@ class Keyframe:
     def surface(self) -> tuple[Float64s, Float64s]:
         """Points and normals (k, 2), as the kernels take them."""
         return self.points.astype(np.float64), self.normals.astype(np.float64)
+
+
+def frame_of(keyframes: Sequence[Keyframe], poses: Float64s) -> Pose2:
+    """Where `local` lies in `map` by keyframes together, the last of them first to tell. poses: (n, 3) in `map`."""
+    local = np.array([(k.local_from_base.x, k.local_from_base.y) for k in keyframes])
+    turns = wrapped_all(poses[:, 2] - np.array([k.local_from_base.yaw for k in keyframes]))
+    yaw = float(turns[-1] + wrapped_all(turns - turns[-1]).mean())
+    x, y = (poses[:, :2] - Pose2(0, 0, yaw) @ local).mean(axis=0)
+    return Pose2(float(x), float(y), yaw)

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from services.mapper.branch_and_bound import BranchAndBoundConfig, Pyramid, drawn, search
-from services.mapper.front_end import LEAST_BEAMS
 from services.mapper.keyframe import Keyframe
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.pose_graph import Graph, pose_of, turned
 from services.mapper.registration import Match, Prior, RegistrationConfig
 from services.mapper.submap import Submap
+from services.mapper.tracking_result import MIN_BEAMS
 from shared.config import Section
 from shared.geometry import Float64s, Pose2, wrapped
 
@@ -148,7 +148,7 @@ def closed(
     config: LoopConfig,
 ) -> Loop | None:
     """The closure between the nodes of two rows, if the beams of the last one find its place by the other."""
-    if len(keyframes[last].points) < LEAST_BEAMS:
+    if len(keyframes[last].points) < MIN_BEAMS:
         return None
     submap, pyramid = blocks.about(graph.nodes, keyframes, row)
     keyframe, place = keyframes[last], keyframes[row].local_from_base

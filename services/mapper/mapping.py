@@ -9,15 +9,16 @@ import numpy as np
 
 from services.mapper.arrivals import Arrival
 from services.mapper.astray import Astray
-from services.mapper.back_end import BackEnd, Gap
+from services.mapper.back_end import BackEnd
 from services.mapper.background import Background
 from services.mapper.finding import PART_REST, Finder, Place
-from services.mapper.front_end import FrontEnd, Tracked
+from services.mapper.front_end import FrontEnd
 from services.mapper.keyframe import Keyframe
 from services.mapper.occupancy import Occupancy, OccupancyConfig
-from services.mapper.parts import FITS, MIN_KEYFRAMES, fits, gap_information
+from services.mapper.parts import FITS, MIN_KEYFRAMES, Gap, fits, gap_information
 from services.mapper.pose_graph import turned
 from services.mapper.saved_map import SavedMap
+from services.mapper.tracking_result import Tracked
 from shared import topics
 from shared.geometry import Float64s, Pose2
 from shared.grid import OccupancyGrid

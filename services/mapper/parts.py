@@ -7,14 +7,16 @@ pairwise consistent measurement set maximization (Mangelson et al., ICRA 2018), 
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import hypot
 
 import numpy as np
 
 from services.mapper.astray import agreement
+from services.mapper.loop_closure import Loop
 from services.mapper.occupancy import Occupancy
 from services.mapper.optimisation import connected
-from services.mapper.pose_graph import Graph
+from services.mapper.pose_graph import Graph, PoseGraph
 from shared.geometry import Bools, Float64s, Pose2, wrapped
 
 SAME, SAME_TURN = 0.3, 0.1  # m, rad: within these, two closures put the robot at one place
@@ -27,6 +29,16 @@ GAP_SHARE_TURN = 0.05  # rad per rad
 GAP_TURN_PER_M = 0.03  # rad
 MIN_KEYFRAMES = 8  # of a part that is drawn before it is joined
 FITS = 0.75  # `agreement` of a scan that is drawn before its part is joined
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A motion that only odometry tells of: from the newest keyframe on, over so many m and rad without a scan that
+    fits."""
+
+    motion: Pose2
+    path: float
+    turn: float
 
 
 def gap_sigmas(path: float, turn: float) -> tuple[float, float]:
@@ -49,6 +61,22 @@ def agreeing(places: Sequence[Pose2]) -> list[int]:
 def is_joint(n_agreeing: int, n_others: int, expected: bool) -> bool:
     """Whether so many closures that agree show where a part lies. expected: odometry puts the robot there too."""
     return n_agreeing >= (MIN_JOINTS if expected else MIN_FAR_JOINTS) and n_others <= OUTVOTED * n_agreeing
+
+
+def joint_of(graph: PoseGraph, joints: Sequence[Loop], newest: Pose2, gap: Gap) -> tuple[Pose2, list[Loop]] | None:
+    """Where closures put a part, as the place of its newest node, and those that agree on it; None until enough do.
+
+    newest: where that node is now.  gap: the motion that led to the part.
+    """
+    places = [graph.pose(loop.i) @ loop.i_from_j @ (graph.pose(loop.j).inverse() @ newest) for loop in joints]
+    chosen = agreeing(places)
+    if not chosen:
+        return None
+    found = places[chosen[len(chosen) // 2]]
+    expected = is_expected(newest, found, gap.path, gap.turn)
+    if not is_joint(len(chosen), len(places) - len(chosen), expected):
+        return None
+    return found, [joints[k] for k in chosen]
 
 
 def is_expected(expected: Pose2, found: Pose2, path: float, turn: float) -> bool:

@@ -315,6 +315,20 @@ class _Spoke:
         return carried(self.hub_from_node.inverse(), self.covariance)
 
 
+EXACT = 1e8 * np.eye(3)
+
+
+def still(graph: Graph) -> Graph:
+    """A graph whose nodes stay where they are, each known exactly from the first."""
+    n = len(graph.nodes)
+    loops = np.zeros(max(n - 1, 0), np.bool_)
+    first, others = graph.nodes[:1], graph.nodes[1:]
+    return Graph(
+        graph.nodes, graph.poses, np.ones(n, np.bool_), np.arange(len(others)), np.repeat(first, len(others)),
+        others.copy(), between(graph.poses[:1], graph.poses[1:]), np.tile(EXACT, (len(others), 1, 1)), loops, ~loops,
+    )  # fmt: skip
+
+
 def edge_chi2(graph: Graph, poses: Float64s) -> Float64s:
     """Squared Mahalanobis distance (m,) of each edge's residual at poses (n, 3)."""
     i, j = graph.rows()

@@ -6,13 +6,14 @@ from pydantic import Field
 
 from services.mapper.arrivals import Arrivals
 from services.mapper.astray import Astray, AstrayConfig
-from services.mapper.back_end import BackEnd, BackEndConfig, Drawing
+from services.mapper.back_end import BackEnd, BackEndConfig
 from services.mapper.correlative_match import SearchConfig
 from services.mapper.finding import Finder, FindingConfig, Place
 from services.mapper.front_end import FrontEnd, FrontEndConfig
 from services.mapper.grid_keyframes import cast
 from services.mapper.looks import Looked
 from services.mapper.loop_closure import LoopConfig
+from services.mapper.map_drawing import Drawing
 from services.mapper.mapping import Mapping
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.odometry_track import OdometryConfig

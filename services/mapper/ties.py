@@ -11,11 +11,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from pydantic import Field
 
-from services.mapper.front_end import LEAST_BEAMS
 from services.mapper.keyframe import Keyframe
 from services.mapper.loop_closure import LITTLE, Loop, in_own_frame
 from services.mapper.pose_graph import Graph, Int64s, pose_of
 from services.mapper.registration import LineRegistrar, Match, Prior, RegistrationConfig
+from services.mapper.tracking_result import MIN_BEAMS
 from shared.config import Section
 from shared.geometry import Float64s, Pose2, wrapped
 
@@ -75,7 +75,7 @@ def tied(
     guess = pose_of(graph.poses[i]).inverse() @ pose_of(graph.poses[j])
     match: Match = registrar.register(*keyframes[j].surface(), guess, Prior(guess, *WEAK))
     found: Pose2 = match.map_from_base
-    if match.agree.sum() < 2 * LEAST_BEAMS or match.share < config.share:
+    if match.agree.sum() < 2 * MIN_BEAMS or match.share < config.share:
         return None
     if found.distance(guess) > config.gate or abs(wrapped(found.yaw - guess.yaw)) > TURNED:
         return None

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.mapper.branch_and_bound import BranchAndBoundConfig, drawn, headings, search, thinned
+from services.mapper.branch_and_bound import BranchAndBoundConfig, drawn, headings, search
+from services.mapper.voxel_filter import thinned
 from shared.geometry import Pose2, wrapped
 from tests.unit.services.mapper.rooms import ROOM, sweep
 

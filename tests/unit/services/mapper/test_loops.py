@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from services.mapper.back_end import SLICE, BackEnd, BackEndConfig
+from services.mapper.back_end import BackEnd, BackEndConfig
 from services.mapper.background import Background
 from services.mapper.keyframe import Keyframe, Sweep
 from services.mapper.looks import Looked, looked
 from services.mapper.loop_closure import Blocks, Loop, LoopConfig, earlier_visits, in_own_frame, loops_of
+from services.mapper.map_drawing import SLICE
 from services.mapper.occupancy import Occupancy, OccupancyConfig
 from services.mapper.odometry_error import OdometryError
 from services.mapper.optimisation import PoseGraphConfig

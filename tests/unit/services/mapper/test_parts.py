@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.mapper.back_end import Gap
-from services.mapper.parts import MIN_JOINTS, SAME, SAME_TURN, agreeing, gap_information, is_joint, joined_nodes
+from services.mapper.parts import MIN_JOINTS, SAME, SAME_TURN, Gap, agreeing, gap_information, is_joint, joined_nodes
 from services.mapper.pose_graph import PoseGraph
 from shared.geometry import Pose2, wrapped
 from shared.messages import Localization
