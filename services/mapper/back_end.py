@@ -204,9 +204,8 @@ class BackEnd:
             return
         first = 0 if self.joined else self.session  # what lies where an unjoined part seems to be is not known
         kept = [node for gap in self.gaps for node in gap]
-        row = crowded(
-            self.graph, self.driven, self.config.crowd, self.config.crowd_reach, self.loops.apart, first, kept
-        )
+        c = self.config
+        row = crowded(self.graph, self.driven, c.crowd, c.crowd_reach, self.loops.apart, first, kept)
         if row is not None:
             self._give_up(row)
 
