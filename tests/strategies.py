@@ -220,7 +220,8 @@ def _value_faults(value: Any, hint: Any, path: str, axes: dict[str, int]) -> Ite
         if isinstance(note, Within):
             array = np.asarray(value)
             fits = (array >= note.low) & (array <= note.high)
-            if not np.all(fits | np.isnan(array) if note.nan else fits):
+            fits |= (note.nan & np.isnan(array)) | (note.inf & np.isposinf(array))
+            if not np.all(fits):
                 yield f"{path} = {value!r} is not within {note.low} .. {note.high}"
         if isinstance(note, NonZero) and value == 0:
             yield f"{path} is 0"

@@ -52,7 +52,7 @@ def test_a_map_is_saved_loaded_and_begun_anew(tmp_path, capsys):
         told(MapMode.CONTINUE)
         change("x80sv", where, MapMode.MAP, None)
         told(MapMode.MAP)
-        load("x80sv", where, str(saved / "map.yaml"), MapMode.LOCALISE, None)
+        load("x80sv", where, str(saved / "map.yaml"), MapMode.LOCALISE, (0.1, 0.0, 2.0))
         told(MapMode.LOCALISE)
     assert "localise: the robot is at" in capsys.readouterr().out
 

@@ -29,7 +29,8 @@ class Bench:
         record: Any = None,
         motor_direction: int = 1,
     ) -> None:
-        self.file: RobotFile = configured(robot, [f"sim.world={world}", "sim.clutter_jitter=0", *settings])
+        open_air = ["guard.view.min_share=0", "guard.view.min_ahead=0"] if world == "empty" else []
+        self.file: RobotFile = configured(robot, [f"sim.world={world}", "sim.clutter_jitter=0", *open_air, *settings])
         self.robot = self.file.robot
         mount = self.robot.laser.mount.model_copy(update=truth or {})
         laser = self.robot.laser.model_copy(update={"mount": mount})
