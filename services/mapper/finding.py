@@ -26,9 +26,10 @@ SAME, SAME_TURN = 0.3, 0.15  # m, rad: within these, two places are one
 ALWAYS = 0.02  # of the beams, that may speak against any place
 LOOKUPS = 1e10  # cells of a search that a second of CPU looks up
 WINDOWS = 1.4e6  # that it looks at in a second
+PART_BUDGET = 1_000_000  # windows of a search for a part of the map
 MAX_LOOKUPS = 2e10  # of a search around a guess; a wider one is cut
 MAX_REST = 60_000_000_000  # ns between two looks
-REST, PART_REST = 5.0, 10.0  # the same for a robot that waits to be found, and for one that maps meanwhile
+REST, PART_REST = 1.0, 10.0  # the same for a robot that waits to be found, and for one that maps meanwhile
 
 
 class FindingConfig(Section):
@@ -54,7 +55,7 @@ class FindingConfig(Section):
     near_turn: float = Field(0.6, ge=0.05, le=3.1, description="rad that its heading may be off")
     near_looks: int = Field(3, ge=1, le=100, description="in vain near a given pose, until it is looked for everywhere")
     kept: int = Field(200, ge=10, le=100_000, description="keyframes at most that wait until the robot is found")
-    search: BranchAndBoundConfig = BranchAndBoundConfig(rival=0.7)
+    search: BranchAndBoundConfig = BranchAndBoundConfig(rival=0.7, budget=50_000_000)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,12 +122,19 @@ def places_of(
         across, reach, turn = near @ newest, config.near, config.near_turn
     starts = [guess @ newest for guess in guesses]
     cost = search_cost(points, pyramid, reach, turn, config.search)
+    budget = config.search.budget if about is None else PART_BUDGET
     if about is not None and cost > MAX_LOOKUPS:
         across, reach, cost = about @ newest, reach * sqrt(MAX_LOOKUPS / cost), round(MAX_LOOKUPS)
     seconds = 0.0
     for apart in (config.search.apart, config.wide):
         found, n_windows = search_counted(
-            points, pyramid, across, reach, turn, config.score, config.search.model_copy(update={"apart": apart})
+            points,
+            pyramid,
+            across,
+            reach,
+            turn,
+            config.score,
+            config.search.model_copy(update={"apart": apart, "budget": budget}),
         )
         seconds += cost / LOOKUPS + n_windows / WINDOWS
         starts += [candidate.pose for candidate in found if candidate.pose not in starts]
