@@ -11,7 +11,7 @@ from enum import StrEnum
 from shared.stamps import FUTURE, supersedes
 
 RECENT = 500_000_000
-"""ns after which the last message no longer tells how the input is: it is silent."""
+"""ns after which an input without messages counts as silent."""
 LASTING = 50_000_000
 """ns over which an input's messages must be wrong: a burst after a moment's load is over sooner."""
 MINUTE, HOUR, DAY, YEAR = 60.0, 3600.0, 86400.0, 365.25 * 86400  # s

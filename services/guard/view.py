@@ -24,7 +24,7 @@ Float64s = NDArray[np.float64]
 
 MIN_BIN = radians(3.0)  # directions are judged together over this; and over two beams at least
 WINDOW = radians(15.0)  # on either side of a direction, that is judged as one sector
-MIN_EXPECTED = 0.6  # share of a sector that the last scan filled: a person who walks by uncovers less between scans
+MIN_EXPECTED = 0.6  # share of a sector that the last scan filled: a passing person uncovers less between scans
 MIN_EXPECTED_WHOLE = 0.1  # the same of the whole sweep, in which less is enough: everything is gone at once
 MAX_KEPT_OF_LOST = 0.25  # of the returns to be expected: a sector that keeps less is dark
 MIN_BACK = 0.5  # of them: a sector where so much is back is seen again

@@ -17,7 +17,7 @@ SLICE = 100  # keyframes that one job draws: 0.2 s, looks for closures go on in 
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """The map as far as it is drawn anew, and the keyframes, at poses (n, 3) in `map`, that are still to be drawn.
+    """The part of the map that is drawn again, and the keyframes, at poses (n, 3) in `map`, that are still to be drawn.
 
     sure: (n,) False where one is drawn only if it fits what is drawn already.  node: the newest that is in the grid or
     among them.
