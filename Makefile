@@ -38,7 +38,7 @@ mutants: venv ## a test fails for each small change of the wheels' equations and
 	$(BIN)/python -m pip install -q --disable-pip-version-check --no-deps --target "$$work" $(MUTATORS)
 	PYTHONPATH="$$work" $(BIN)/python -m tests.mutants $(ARGS)
 
-check: venv ## lint, format, types, architecture
+check: venv ## lint, format, types, architecture, language
 	@status=0
 	run() {
 	  local name=$$1 dots='................................' output; shift
@@ -50,6 +50,7 @@ check: venv ## lint, format, types, architecture
 	run types $(BIN)/mypy
 	run imports $(BIN)/lint-imports --no-cache
 	run architecture $(BIN)/python -m pytest --tb=short -rN tests/test_architecture.py
+	run language $(BIN)/python -m pytest --tb=short -rN tests/test_language.py
 	exit $$status
 
 fix: venv ## repair what a tool can: lint, format, generated docs
