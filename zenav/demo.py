@@ -84,7 +84,8 @@ def tell(report: dict[str, Any], folder: Path) -> None:
     s = report["summary"]
     lines = [
         f"explored        {s['explored_share']:.1%} of the reachable floor",
-        f"map             {s['map_within_5_cm']:.1%} of its wall cells within 5 cm of a true wall",
+        f"map             {s['map_within_5_cm']:.1%} of its wall cells within 5 cm of a true wall; "
+        f"{s['map_completeness']:.1%} of the surfaces that its laser could see are in it",
         f"pose error      mean {_cm(s['pose_error_mean_m'])}, {_degrees(s['pose_error_mean_deg'])}; "
         f"max {_cm(s['pose_error_max_m'])}, {_degrees(s['pose_error_max_deg'])}",
         f"goals           {s['goals_reached']} of {s['goals']} reached",
