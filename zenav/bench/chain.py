@@ -9,23 +9,29 @@ guard. A scan that leads to no command is counted, by where it ended.
 """
 
 from bisect import bisect_left
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import nan
 from pathlib import Path
+from time import thread_time
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.codec import decode, envelope_of
-from shared.messages import Health
+from shared.codec import envelope_of
+from shared.messages import Message
 from shared.recording import Recording
 from shared.runners.host import MESSAGE, TICK
 from shared.runners.journal import Event
+from shared.runners.replay import Build, replay
+from shared.service import Out, Service, handlers
 
 Float64s = NDArray[np.float64]
-Int64s = NDArray[np.int64]
+Spent = Mapping[str, Mapping[int, float]]
 
 HANDLERS = ("sim", "local_ctrl", "guard")
-"""Whose handlers lie on the way."""
+"""Whose handlers lie on the way: of the tick that sends the scan, the tick that plans, and the command's."""
 
 
 NOT_TAKEN, NO_COMMAND, NOT_AT_BASE = "not taken by local_ctrl", "no cmd/nav at the guard", "no cmd/vel at the base"
@@ -40,12 +46,11 @@ END = 0.2  # s before the last command at the base: what was sent later may be c
 class Chain:
     """One value a scan that reached the base, s. total = latency + wait."""
 
-    stamps: Int64s  # ns, when each scan was sent
     to_control: Float64s  # scan sent -> local_ctrl takes it
     wait: Float64s  # local_ctrl has it -> its tick begins
     control: Float64s  # tick begins -> guard takes cmd/nav: the solver and a hop
     guard: Float64s  # guard takes it -> base_driver takes cmd/vel: the guard and a hop
-    handlers: dict[str, Float64s]  # by service (k, 2): end of a second, ns; slowest handler of that second, s
+    handlers: Float64s  # the handlers of sim, local_ctrl and guard that made it, CPU s, run alone; NaN where unknown
     lost: dict[str, int]  # scans that led to no command, by where they ended
     n_scans: int  # with the lost ones
 
@@ -57,27 +62,9 @@ class Chain:
     def total(self) -> Float64s:
         return self.latency + self.wait
 
-    @property
-    def by_second(self) -> Float64s:
-        """(k, 2) s: the slowest latency of each second, and the sum of the slowest handler of each service in it.
 
-        A service's seconds begin when it likes: of each, the one that overlaps most counts. A second of which a
-        service tells nothing is left out.
-        """
-        reports = list(self.handlers.values())
-        if not reports or any(not len(rows) for rows in reports):
-            return np.zeros((0, 2))
-        found = []
-        for end in reports[-1][:, 0]:
-            here = (self.stamps >= end - SECOND) & (self.stamps < end)
-            nearest = [rows[np.abs(rows[:, 0] - end).argmin()] for rows in reports]
-            if here.any() and all(abs(row[0] - end) <= SECOND / 2 for row in nearest):
-                found.append((self.latency[here].max(), sum(row[1] for row in nearest)))
-        return np.array(found).reshape(-1, 2)
-
-
-def chain(path: Path, since: int = 0) -> Chain:
-    """The chain of every scan that was sent from `since` (ns) on.
+def chain(path: Path, since: int = 0, spent: Spent = MappingProxyType({})) -> Chain:
+    """The chain of every scan that was sent from `since` (ns) on. spent: as from `handler_times`.
 
     One that led to no command and was sent within END of the last command at the base is not counted as lost.
     """
@@ -95,7 +82,8 @@ def chain(path: Path, since: int = 0) -> Chain:
     by_time = {key: {when: source for source, when in sent[key].items()} for key in ("cmd/nav", "cmd/vel")}
     ticks = [event.now for event in control if event.kind == TICK]
     until = max(at_base.values(), default=0) - round(END * SECOND)
-    rows: list[tuple[int, int, int, int, int]] = []
+    rows: list[tuple[int, int, int, int]] = []
+    spent_by: list[float] = []
     lost = dict.fromkeys((NOT_TAKEN, NO_COMMAND, NOT_AT_BASE), 0)
     for begun, source in sorted((when, source) for source, when in sent["scan"].items() if when >= since):
         taken = at_control.get(source)
@@ -103,13 +91,42 @@ def chain(path: Path, since: int = 0) -> Chain:
         guarded = at_guard.get(by_time["cmd/nav"].get(ticks[i], NONE)) if i < len(ticks) else None
         based = at_base.get(by_time["cmd/vel"].get(guarded, NONE)) if guarded is not None else None
         if taken is not None and guarded is not None and based is not None:
-            rows.append((begun, taken - begun, ticks[i] - taken, guarded - ticks[i], based - guarded))
+            rows.append((taken - begun, ticks[i] - taken, guarded - ticks[i], based - guarded))
+            begins = zip(HANDLERS, (begun, ticks[i], guarded))
+            spent_by.append(sum(spent.get(name, {}).get(when, nan) for name, when in begins))
         elif begun <= until:
             lost[NOT_TAKEN if taken is None else NO_COMMAND if guarded is None else NOT_AT_BASE] += 1
-    stamps, *parts = np.array(rows, np.int64).reshape(-1, 5).T
-    to_control, wait, solved, guarded_for = np.array(parts, float) / SECOND
+    to_control, wait, solved, guarded_for = np.array(rows, float).reshape(-1, 4).T / SECOND
     n_scans = len(rows) + sum(lost.values())
-    return Chain(stamps, to_control, wait, solved, guarded_for, _handlers(recording, since), lost, n_scans)
+    return Chain(to_control, wait, solved, guarded_for, np.array(spent_by, float), lost, n_scans)
+
+
+def handler_times(path: Path, build: Build) -> Spent:
+    """How long the handlers of HANDLERS take alone: CPU time of their recorded events, replayed here.
+
+    By service and by the time (ns) of the event: s. build: makes a service as it stood at its start.
+    """
+    spent: dict[str, dict[int, float]] = {name: {} for name in HANDLERS}
+    replay(Recording(path), list(HANDLERS), lambda name: _timed(build(name), spent[name]))
+    return spent
+
+
+def _timed(service: Service, spent: dict[int, float]) -> Service:
+    """The service, whose handlers of messages and ticks add the s that they take to `spent`, by `now`."""
+    named = handlers(type(service))
+    for name in {name for _, name in named.topics.values()} | {name for _, name, _ in named.ticks}:
+        setattr(service, name, _timed_handler(service, getattr(service, name), spent))
+    return service
+
+
+def _timed_handler(service: Service, handler: Callable[..., Out], spent: dict[int, float]) -> Callable[..., Out]:
+    def timed(*message: Message) -> Out:
+        begun = thread_time()
+        out = tuple(handler(*message))
+        spent[service.now] = spent.get(service.now, 0.0) + thread_time() - begun
+        return out
+
+    return timed
 
 
 def _sent(recording: Recording, key: str) -> dict[tuple[str, int], int]:
@@ -124,13 +141,3 @@ def _sent(recording: Recording, key: str) -> dict[tuple[str, int], int]:
 def _taken(events: list[Event], key: str) -> dict[tuple[str, int], int]:
     """(session, sequence) -> ns at which a service took a message on a key."""
     return {(e.session, e.number): e.now for e in events if e.kind == MESSAGE and e.key == key}
-
-
-def _handlers(recording: Recording, since: int) -> dict[str, Float64s]:
-    """By service (k, 2): when a second ended, ns, and its slowest handler, s; from `since` (ns) on."""
-    found: dict[str, list[tuple[float, float]]] = {name: [] for name in HANDLERS}
-    for entry in recording.entries(tuple(f"health/{name}" for name in HANDLERS)):
-        health, envelope = decode(Health, entry.payload)
-        if envelope.sent >= since + SECOND:
-            found[health.name].append((envelope.sent, health.handler_ms / 1e3))
-    return {name: np.array(values).reshape(-1, 2) for name, values in found.items()}

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The latency chain of a recording, on a lockstep run whose delays are the registry's own."""
 
+from time import thread_time
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -11,7 +13,7 @@ from shared.messages import LaserScan, Velocity
 from shared.recording import Writer, sink
 from shared.runners.lockstep import START, Lockstep
 from shared.service import Out, Service, every, on
-from zenav.bench.chain import Chain, chain
+from zenav.bench.chain import Chain, chain, handler_times
 from zenav.bench.stack import figures
 
 SECOND = 1_000_000_000
@@ -121,36 +123,53 @@ def test_what_the_recording_s_end_cuts_off_is_not_counted(tmp_path):
     assert sum(chain(path).lost.values()) == 0
 
 
-def of_seconds(latency, handlers):
-    """A chain of ten scans a second with the latencies (s) of each second, and what health said of the handlers."""
-    n = len(latency)
-    stamps = START + np.concatenate([k * SECOND + np.arange(10) * SECOND // 10 for k in range(n)])
-    spread = np.concatenate([np.linspace(value / 2, value, 10) for value in latency])
-    nothing = np.zeros(10 * n)
-    reports = START + (np.arange(n) + 1) * SECOND
-    health = {name: np.column_stack((reports, values)) for name, values in handlers.items()}
-    return Chain(stamps, spread, nothing, nothing, nothing, health, {}, 10 * n)
+class SlowControl(Control):
+    """Takes 4 ms for each command, and 20 ms for each scan, before the tick."""
+
+    @every(hz=20)
+    def tick(self) -> Out:
+        spend(0.004)
+        yield topics.CMD_NAV(Velocity(self.now, 0.1, 0.0, ""))
+
+    @on(topics.SCAN)
+    def scan(self, scan: LaserScan) -> Out:
+        spend(0.020)
+        return ()
 
 
-def test_the_slowest_scan_of_a_second_is_compared_with_the_slowest_handlers_of_that_second():
-    chain_of = of_seconds([0.010, 0.030, 0.012], {"sim": [0.001] * 3, "local_ctrl": [0.004, 0.019, 0.005]})
-    assert_allclose(chain_of.by_second, [(0.010, 0.005), (0.030, 0.020), (0.012, 0.006)])
-    summary = figures(chain_of)["summary"]
-    assert summary["ratio_to_handlers"] == pytest.approx(2.0)  # the median of 2.0, 1.5, 2.0
-    assert summary["handlers_ms"] == pytest.approx(6.0)
+def spend(seconds):
+    until = thread_time() + seconds
+    while thread_time() < until:
+        pass
 
 
-def test_a_single_slow_second_of_both_is_no_higher_ratio():
-    steady = of_seconds([0.012] * 9, {"local_ctrl": [0.008] * 9})
-    stalled = of_seconds([0.012] * 8 + [0.120], {"local_ctrl": [0.008] * 8 + [0.080]})
-    ratios = [figures(found)["summary"]["ratio_to_handlers"] for found in (steady, stalled)]
-    assert ratios == [1.5, 1.5]
+def test_the_handlers_of_a_scan_are_those_that_made_its_command(tmp_path):
+    names = {"sim": Sim, "local_ctrl": SlowControl, "guard": Guard, "base_driver": Base}
+    path = recorded(tmp_path / "slow.mcap", **names)
+    spent = handler_times(path, lambda name: names[name](Section(), ROBOT))
+    handlers = chain(path, spent=spent).handlers
+    assert len(handlers) == 16
+    assert 0.004 < np.median(handlers) < 0.008
 
 
-def test_a_second_in_which_a_service_told_no_health_is_not_compared():
-    chain_of = of_seconds([0.010, 0.030], {"sim": [0.001, 0.001], "local_ctrl": [0.004, 0.019]})
-    chain_of.handlers["sim"] = chain_of.handlers["sim"][:1]
-    assert_allclose(chain_of.by_second, [(0.010, 0.005)])
+def of(latency, handlers):
+    """A chain with these latencies and handlers, s, of each scan."""
+    nothing = np.zeros(len(latency))
+    return Chain(np.array(latency), nothing, nothing, nothing, np.array(handlers), {}, len(latency))
+
+
+def test_latency_is_compared_with_the_handlers_of_the_same_scans_percentile_by_percentile():
+    summary = figures(of([0.012] * 90 + [0.120] * 10, [0.008] * 90 + [0.060] * 10))["summary"]
+    assert summary["ratio_to_handlers_p50"] == 1.5
+    assert summary["ratio_to_handlers"] == 2.0
+    assert summary["handlers_p99_ms"] == 60.0
+
+
+def test_scans_whose_handlers_are_unknown_are_not_compared():
+    summary = figures(of([0.012] * 50 + [0.9] * 50, [0.008] * 50 + [np.nan] * 50))["summary"]
+    assert summary["ratio_to_handlers"] == 1.5
+    assert summary["latency_p99_ms"] == 900.0
+    assert figures(of([0.012], [np.nan]))["summary"]["ratio_to_handlers"] is None
 
 
 def test_the_wait_for_the_control_tick_is_published_too(recording):
