@@ -67,7 +67,7 @@ def figures(found: Chain) -> dict[str, Any]:
     parts = {
         "scan to cmd/vel, with the wait for the control tick": found.total,
         "without that wait": found.latency,
-        "the handlers on the way, alone": found.handlers[known],
+        **({"the handlers on the way, alone": found.handlers[known]} if known.any() else {}),
         "scan to local_ctrl": found.to_control, "wait for the control tick": found.wait,
         "tick to guard": found.control, "guard to base_driver": found.guard,
     }  # fmt: skip

@@ -176,6 +176,23 @@ def bench_serial(
     raise typer.Exit(serial(seconds, out))
 
 
+@bench.command("odometry", cls=Command)
+def bench_odometry(
+    directory: Annotated[
+        Path | None,
+        typer.Argument(metavar="DIR", help="Folder of the X80SV's recorded drive; none: $ZENAV_DATA/x80sv."),
+    ] = None,
+    out: Out = None,
+) -> None:
+    """The real X80SV's recorded wheels through base driver and odometry, against the odometry that it recorded.
+
+    Example: zenav bench odometry --out odometry.json
+    """
+    from zenav.bench.odometry import odometry
+
+    raise typer.Exit(odometry(directory, out))
+
+
 @bench.command("slam", cls=Command)
 def bench_slam(
     directory: Annotated[
