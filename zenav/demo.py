@@ -10,6 +10,8 @@ from shared.config import UserError
 from shared.messages import NavStatus
 from shared.ros_map import replace_file
 from zenav import lockstep_run
+from zenav.bench.table import writable
+from zenav.bench.table import write as save
 from zenav.floor_plan import floor_plan
 from zenav.hardware import Hardware
 from zenav.maps import write
@@ -30,11 +32,16 @@ def demo(
     lockstep: bool,
     settings: list[str],
     hardware: Hardware,
+    out: Path | None = None,
 ) -> int:
-    """Runs the scenario and writes what came of it; 0 only when every goal was reached without a collision."""
+    """Runs the scenario and writes what came of it; 0 only when every goal was reached without a collision.
+
+    out: where the report goes too, besides the run's folder.
+    """
     chosen = scene(robot, world, seed, settings, hardware)
     if record is not None and record.suffix != ".mcap":  # what stands there is written over
         raise UserError(f"{record} is no name for a recording", f"end it in .mcap: --record {record}.mcap")
+    writable(out)
     folder = run_folder("demo")
     record = record or folder / "run.mcap"
     try:
@@ -55,6 +62,7 @@ def demo(
             return 130
     report = left_behind(outcome, folder, record)
     tell(report, folder)
+    save(out, report)
     return 0 if outcome.good else 1
 
 
