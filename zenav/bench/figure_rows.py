@@ -57,7 +57,7 @@ def _office(reports: Sequence[Report]) -> Cells:
     s = office.summary(_joined(reports, "runs"))
     return {README: [[
         f"goals {s['goals_reached']} of {s['goals']}; contacts {s['collisions']}; worst run: mean pose error "
-        f"{_cm(s['pose_error_mean_m_worst'])} and {s['pose_error_mean_deg_worst']:.2f} degrees, largest "
+        f"{_cm(s['pose_error_mean_m_worst'])} and {_number(s['pose_error_mean_deg_worst'], 2)} degrees, largest "
         f"{_cm(s['pose_error_max_m_worst'])}, floor seen {_share(s['explored_share_min'])}, map precision "
         f"{_share(s['map_within_5_cm_min'])}, completeness {_share(s['map_completeness_min'])}"
     ]]}  # fmt: skip
@@ -218,7 +218,7 @@ def _serial(reports: Sequence[Report]) -> Cells:
 def _slam(registrar: str) -> Callable[[Sequence[Report]], Cells]:
     """Cells of the logs by one registrar. Where systems are compared: log; mean and largest error, m; CPU, s."""
 
-    def cells(reports: Sequence[Report]) -> Cells:
+    def cells_of(reports: Sequence[Report]) -> Cells:
         figures = {name: row for report in reports for name, row in report["summary"].items()}
         beside = []
         for name, row in sorted(figures.items()):
@@ -227,9 +227,10 @@ def _slam(registrar: str) -> Callable[[Sequence[Report]], Cells]:
             beside.append([name, f"{mean:.4f}", f"{largest:.3f}", f"{row['cpu_s']:.1f}"])
         figure = ", ".join(f"{name} {100 * float(mean):.1f} cm" for name, mean, *_ in beside)
         lines = [list(line) for name, row in sorted(figures.items()) for line in slam.rows_of(name, row)]
-        return {README: [[figure]], f"slam-{registrar}": lines, f"beside-{registrar}": beside}
+        cells = {README: [[figure]], f"beside-{registrar}": beside}
+        return cells | {"slam-line": lines} if registrar == "line" else cells
 
-    return cells
+    return cells_of
 
 
 def _odometry(reports: Sequence[Report]) -> Cells:
@@ -270,8 +271,8 @@ def _share(share: float | None) -> str:
     return "unknown" if share is None else f"{share:.1%}".replace("%", " %")
 
 
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}"
+def _number(value: float | None, digits: int = 1) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
 
 
 def _spans(option: str, first: int, last: int, step: int, more: str = "") -> tuple[str, ...]:

@@ -4,18 +4,23 @@
 import json
 import shlex
 import subprocess
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
 
 from shared.config import UserError
 from zenav.__main__ import app
+from zenav.bench import serial, stack
+from zenav.bench.chain import Chain
 from zenav.bench.figure_pages import MISSING, PAGES, PEERS, PLACES, TABLES, filled, tables_in, when, write_pages
 from zenav.bench.figure_rows import README, ROWS, Row
 from zenav.bench.figures import Bench, chosen, current, measured
+from zenav.bench.localise import Trial
 from zenav.bench.published import ROOT, Entry, State, load, save, state_of
+from zenav.pilot import Pilot
 
 STATE = State("abc1234", "c0de", False)
 
@@ -306,6 +311,101 @@ def test_the_file_comes_back_as_it_was_written(tmp_path):
 
 
 # --- the table of rows
+
+
+RUN = {"world": 2, "seed": 0, "status": "success", "time": 4.6, "score": 0.5, "clearance": 0.1772, "recoveries": 0,
+       "length": 9.1, "said": "", "stood": False}  # fmt: skip
+ERRORS = {"n": 1625, "trans_mean_m": 0.0433, "trans_std_m": 0.03, "trans_median_m": 0.03, "trans_max_m": 0.2366,
+          "rot_mean_deg": 0.5}  # fmt: skip
+LOG = {"errors": {"loops": ERRORS, "neighbours": ERRORS}, "cpu_s": 7.4, "cpu_s_of_jobs": 5.3, "scan_ms_median": 2.2,
+       "scan_ms_p99": 4.3, "memory_mb": 345, "keyframes": 895, "loops": 542}  # fmt: skip
+
+
+def nothing_seen():
+    """A run of the office in which nothing was heard."""
+    from zenav.scene import Outcome, scene
+    from zenav.score import Track
+
+    chosen = scene("x80sv", "room", 0, [])
+    return Outcome(chosen, Track(), Pilot(chosen.goals, lambda *_: None), 1.0).report()
+
+
+def of_fault():
+    from zenav.bench.fault_table import ROWS as FAULTS
+    from zenav.bench.fault_trial import Result
+    from zenav.bench.faults import shown, summary
+
+    result = Result(FAULTS[0].name, "navigation", 0.5, 0)
+    return {"summary": summary([result]), "rows": [shown(FAULTS[0], [result])]}
+
+
+def of_plan():
+    from zenav.bench.plan.measure import Row as Planned
+
+    def planned(**figures):
+        row = Planned([0.1, 0.2], 2, 2, 0)
+        for name, value in figures.items():
+            row.note(name, value)
+        return row.summary()
+
+    def size(length):
+        return {"ours, with costs": planned(), "ours, free and blocked": planned(length=length), "NavFn A*": planned()}
+
+    depot = {"ours": planned(path_m=13.5, clearance_mean_m=0.9, equal=1.01), "NavFn Dijkstra": planned()}
+    return {"summary": {"256": size(1.005), "512": size(1.009), "1024": size(1.0), "4096": size(1.0), "depot": depot}}
+
+
+def of_stack():
+    chain = Chain(*np.full((4, 9), 0.003), np.full(9, 0.006), {}, 9)
+    told = stack.figures(chain)
+    return told | {"summary": told["summary"] | {"first_motion_s": 8.5}}
+
+
+REPORTS = {
+    "office": lambda: {"runs": [nothing_seen()]},
+    "demo": nothing_seen,
+    "buildings": lambda: {"runs": [{"building": 3, "trouble": "no way to a room"}]},
+    "localise": lambda: {"trials": [asdict(Trial(3, 0, 1.9, 0.01, 0.0, 0.5, 2.7, True)), asdict(Trial(3, 1))]},
+    "barn": lambda: {"runs": [RUN, RUN | {"status": "collision", "score": 0.0, "stood": True}]},
+    "slam": lambda: {"summary": {"intel-sparse": LOG}},
+    "odometry": lambda: {"rows": {f"{name}, encoder counts": {"distance_max_m": 1e-4, "distance_end_m": 1e-4,
+                         "turn_max_deg": 0.004} for name in ("document", "exact")}},
+    "plan": of_plan,
+    "faults": of_fault,
+    "sim": lambda: {"summary": {"ratio": 85.4}},
+    "stack": of_stack,
+    "serial": lambda: serial.figures({key: [0.001] for key in ("command", "wheels", "taken")}, {"a": {"1": 2.0}}),
+}  # fmt: skip
+
+
+def report_of(name):
+    kind = name.partition("-")[0]
+    return REPORTS["barn" if kind == "crowd" else kind]()
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_what_a_benchmark_reports_becomes_cells_that_fit_their_tables(row):
+    cells = row.cells([report_of(row.name)] * len(row.parts))
+    (((figure,),)) = cells[README]
+    assert figure
+    for name, lines in cells.items():
+        assert lines
+        assert all(isinstance(cell, str) for line in lines for cell in line)
+        if name in PLACES:
+            assert row.name in PLACES[name].rows
+            assert {len(line) for line in lines} == {len(PLACES[name].head)}
+        else:
+            assert name == README or name.startswith("beside-")
+    text = "".join(f"<!-- figures: {name} -->\n<!-- end -->\n" for name in TABLES)
+    entry = Entry(row.command, cells, "abc1234", "2026-11-20", load=(0.1, 0.2))
+    assert MISSING in filled(text, {row.name: entry})
+
+
+def test_a_collision_is_in_the_figure():
+    row = next(row for row in ROWS if row.name == "barn")
+    cells = row.cells([REPORTS["barn"]()] * 3)
+    assert cells[README] == [["success 3 of 6; collisions 3; time-outs 0; score 0.2500"]]
+    assert cells["barn"][0][1:6] == ["6", "0.500", "3", "3", "0"]
 
 
 def test_the_names_of_rows_are_different():
