@@ -8,6 +8,7 @@ same; with changes that are not committed, everything asked for is run.
 import json
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 import time
@@ -47,19 +48,20 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """Where figures are run and kept. data: $ZENAV_DATA, None without it."""
+    """Where figures are run and kept. data: $ZENAV_DATA, None without it; look: the checkout's state as it is now."""
 
     folder: Path
     data: Path | None
     state: State
     jobs: int
     execute: Execute
+    look: Callable[[], State] = state_of
     file: Path = FILE
     pages: Callable[[Published], None] = write_pages
 
     def work(self) -> Path:
-        """The folder of what is kept for the present code."""
-        return self.folder / self.state.code[:12]
+        """The folder of what is kept for the present code; another one where it has changes."""
+        return self.folder / (f"{self.state.code[:12]}{'-changed' * self.state.dirty}")
 
     def needs(self, row: Row) -> str:
         """What a row lacks here, in words; empty where it can run."""
@@ -92,7 +94,10 @@ class Bench:
         return found if same and _figures_of(found.arguments) == asked else None
 
     def run_part(self, row: Row, part: str) -> Part | None:
-        """Runs a part and keeps it; None where it left no report."""
+        """Runs a part and keeps it; None where it left no report.
+
+        Raises UserError where the code changed meanwhile: the report would be of neither state.
+        """
         path = self._path(row, part)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.unlink(missing_ok=True)
@@ -105,6 +110,11 @@ class Bench:
             report: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
+        now = self.look()
+        if (now.code, now.dirty) != (self.state.code, self.state.dirty):
+            raise UserError(
+                f"the code changed while {row.name} ran", "measure in a checkout of its own; finished parts are kept"
+            )
         done = Part(
             arguments, self.state.code, self.state.dirty, report, status == 0, began, _utc(),
             round(time.monotonic() - begun, 1), (round(busy, 2), round(os.getloadavg()[0], 2)), machine(),
@@ -127,6 +137,7 @@ def figures(only: str, again: bool, listed: bool, folder: Path, jobs: int, data:
         return 0
     if bench.state.dirty:
         sys.stderr.write("the code has changes that are not committed: figures say so, and nothing is taken over\n")
+        shutil.rmtree(bench.work(), ignore_errors=True)
     return 0 if measured(bench, rows, again) else 1
 
 

@@ -53,7 +53,8 @@ class Commands:
 
 
 def bench(folder, execute, state=STATE, **other):
-    given = {"data": None, "jobs": 1, "file": folder / "figures.json", "pages": lambda published: None} | other
+    given = {"data": None, "jobs": 1, "file": folder / "figures.json", "pages": lambda published: None}
+    given |= {"look": lambda: state} | other
     return Bench(folder=folder / "runs", state=state, execute=execute, **given)
 
 
@@ -166,6 +167,27 @@ def test_a_missed_target_is_published_as_one(tmp_path):
     entry = load(tmp_path / "figures.json")["one"]
     assert not entry.kept
     assert when(entry).endswith("missed its target")
+
+
+@pytest.mark.parametrize("now", [State("abc1234", "0ther", False), State("abc1234", "c0de", True)])
+def test_code_that_changes_while_a_part_runs_ends_it_and_the_part_is_not_kept(tmp_path, now):
+    states = iter([STATE, now])
+    with pytest.raises(UserError, match="changed while three ran"):
+        measured(bench(tmp_path, Commands(), look=lambda: next(states)), [THREE])
+    assert load(tmp_path / "figures.json") == {}
+    commands = Commands()
+    measured(bench(tmp_path, commands), [THREE])
+    assert [asked[3] for asked in commands.asked] == ["2", "3"]
+
+
+def test_a_commit_of_words_meanwhile_is_no_change_of_the_code(tmp_path):
+    assert measured(bench(tmp_path, Commands(), look=lambda: replace(STATE, commit="def5678")), [THREE])
+
+
+def test_what_runs_leave_for_each_other_is_apart_for_code_with_changes(tmp_path):
+    clean, dirty = (bench(tmp_path, Commands(), replace(STATE, dirty=dirty)) for dirty in (False, True))
+    row = next(row for row in ROWS if row.name == "localise")
+    assert clean.arguments(row, row.parts[0]) != dirty.arguments(row, row.parts[0])
 
 
 def test_a_damaged_part_is_run_again(tmp_path):
