@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-docker mutants check fix lock docs record-references warm clean
+.PHONY: help venv demo test test-docker mutants check fix lock docs figures record-references warm clean
 
 PYTHON ?=
 JOBS ?= 3 # one more than two cores: who tests processes waits half of the time
@@ -58,8 +58,11 @@ fix: venv ## repair what a tool can: lint, format, generated docs
 	$(BIN)/ruff format .
 	$(BIN)/python -m zenav.docs
 
-docs: venv ## write docs/messages.md and docs/configuration.md from the code
+docs: venv ## write docs/messages.md, docs/configuration.md and the tables of figures
 	@$(BIN)/python -m zenav.docs
+
+figures: venv ## rerun the published figures, some hours, resumable: make figures ARGS="--only sim,odometry"
+	@$(BIN)/zenav bench figures $(ARGS)
 
 record-references: venv ## run the stack anew for the recordings that the replay tests compare with
 	@$(BIN)/python -m tests.replay.record $(ARGS)

@@ -10,6 +10,8 @@ from shared.config import UserError
 from shared.messages import NavStatus
 from shared.ros_map import replace_file
 from zenav import lockstep_run
+from zenav.bench.table import writable
+from zenav.bench.table import write as save
 from zenav.floor_plan import floor_plan
 from zenav.hardware import Hardware
 from zenav.maps import write
@@ -30,11 +32,16 @@ def demo(
     lockstep: bool,
     settings: list[str],
     hardware: Hardware,
+    out: Path | None = None,
 ) -> int:
-    """Runs the scenario and writes what came of it; 0 only when every goal was reached without a collision."""
+    """Runs the scenario and writes what came of it; 0 only when every goal was reached without a collision.
+
+    out: where the report goes too, besides the run's folder.
+    """
     chosen = scene(robot, world, seed, settings, hardware)
     if record is not None and record.suffix != ".mcap":  # what stands there is written over
         raise UserError(f"{record} is no name for a recording", f"end it in .mcap: --record {record}.mcap")
+    writable(out)
     folder = run_folder("demo")
     record = record or folder / "run.mcap"
     try:
@@ -55,6 +62,7 @@ def demo(
             return 130
     report = left_behind(outcome, folder, record)
     tell(report, folder)
+    save(out, report)
     return 0 if outcome.good else 1
 
 
@@ -84,7 +92,8 @@ def tell(report: dict[str, Any], folder: Path) -> None:
     s = report["summary"]
     lines = [
         f"explored        {s['explored_share']:.1%} of the reachable floor",
-        f"map             {s['map_within_5_cm']:.1%} of its wall cells within 5 cm of a true wall",
+        f"map             {s['map_within_5_cm']:.1%} of its wall cells within 5 cm of a true wall; "
+        f"{s['map_completeness']:.1%} of the surfaces that its laser could see are in it",
         f"pose error      mean {_cm(s['pose_error_mean_m'])}, {_degrees(s['pose_error_mean_deg'])}; "
         f"max {_cm(s['pose_error_max_m'])}, {_degrees(s['pose_error_max_deg'])}",
         f"goals           {s['goals_reached']} of {s['goals']} reached",

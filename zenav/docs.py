@@ -30,10 +30,16 @@ MADE = "<!-- made from the code by `make docs`; edit the code instead -->\n"
 
 
 def main() -> None:
-    """Writes every page."""
+    """Writes every page, and the figures of the others."""
+    from zenav.bench.figure_pages import PAGES as MEASURED  # it needs `table`
+    from zenav.bench.figure_pages import write_pages
+    from zenav.bench.published import load
+
     for name, page in PAGES.items():
         (DOCS / name).write_text(page(), encoding="utf-8")
         sys.stdout.write(f"docs/{name}\n")
+    write_pages(load())
+    sys.stdout.write("".join(f"{page}, its figures\n" for page in MEASURED))
 
 
 def messages_page() -> str:

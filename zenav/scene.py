@@ -87,7 +87,7 @@ class Outcome:
             "goals_reached": self.pilot.n_reached,
             "goals": self.pilot.n_goals,
             "explored": self.pilot.explored,
-            **summary(self.track, self.scene.world, self.scene.radius),
+            **summary(self.track, self.scene.world, self.scene.radius, self.scene.file.robot.laser.range_max),
             "wall_seconds": round(self.wall_seconds, 1),
         }
         if self.first_motion is not None:

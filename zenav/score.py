@@ -2,6 +2,7 @@
 """How well a run went, against what only the simulator knows: pose, map, floor, contacts."""
 
 from dataclasses import dataclass, field
+from math import pi
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
+from services.sim.sensors import sweep
 from services.sim.world import World
 from shared.geometry import Pose2, wrapped_all
 from shared.grid import OccupancyGrid
@@ -24,6 +26,9 @@ KEYS = ("sim/truth", "odom", "pose", "map", "plan", "nav/status")
 FLOOR_CELL = 0.05  # m: side of the cells in which the floor is counted
 OUTLINE_STEP = 0.01  # m between the points that stand for the true outline
 NEAR = 0.05  # m: a wall that is drawn this near to a true one is where it should be
+VIEW_STEP = 0.4  # m between the places from which surfaces are looked at
+N_VIEW_BEAMS = 720  # beams of a full turn at each: 0.5 degrees
+BESIDE_BEAM = 0.025  # m: a point of a surface this near to a beam's end is seen; walls are twice as thick
 MOVING = 0.02  # m/s, or rad/s times a tenth: faster than that is motion
 
 
@@ -147,6 +152,48 @@ def aligned_map_errors(grid: OccupancyGrid, world: World, world_from_map: Pose2)
     return np.asarray(tree.query(best @ apart)[0], float), best @ Pose2(-float(centre[0]), -float(centre[1]))
 
 
+def visible_surface(world: World, radius: float, reach: float) -> Float64s:
+    """(n, 2) m, points OUTLINE_STEP apart on all true surfaces that a laser on the robot's middle could see.
+
+    It looks around from all over the floor: each place, VIEW_STEP apart, to which a disc of `radius` m gets from the
+    start; `reach` m far. People and what the robot itself hides are left out.
+    """
+    centres, x0, y0 = world.centres(FLOOR_CELL, radius)
+    step = round(VIEW_STEP / FLOOR_CELL)
+    rows, columns = np.nonzero(centres[::step, ::step])
+    places = np.column_stack((x0 + (columns * step + 0.5) * FLOOR_CELL, y0 + (rows * step + 0.5) * FLOOR_CELL))
+    outline = _points_on(world.outline())
+    places = np.vstack((places, (world.start.x, world.start.y)))
+    if not centres.any() or not len(outline):
+        return np.zeros((0, 2))
+    turn = 2 * pi / N_VIEW_BEAMS
+    angles = np.arange(N_VIEW_BEAMS) * turn
+    unit = np.column_stack((np.cos(angles), np.sin(angles)))
+    ends = []
+    for place in places:
+        standing = np.array([(*place, 0.0)] * 2)
+        ranges = sweep(world.cells, standing, 0.0, 0.0, (0.0, 0.0, 0.0), 0.0, turn, N_VIEW_BEAMS, reach)
+        hit = np.isfinite(ranges)
+        ends.append(place + ranges[hit, None] * unit[hit])
+    x, y = np.rint(np.concatenate(ends).T / OUTLINE_STEP)
+    once = np.unique(x + 1j * y) * OUTLINE_STEP
+    found = np.column_stack((once.real, once.imag))
+    away, _ = cKDTree(found).query(outline, distance_upper_bound=BESIDE_BEAM)
+    return np.asarray(outline[np.isfinite(away)])
+
+
+def completeness(grid: OccupancyGrid, world: World, world_from_map: Pose2, radius: float, reach: float) -> float:
+    """Share of the visible true surfaces within NEAR m of the middle of an occupied cell of the map.
+
+    `map_errors` asks how much of the map is true, this how much of the truth is in the map: recall beside precision
+    (Knapitsch et al. 2017, "Tanks and Temples", section 4). radius, reach: as for `visible_surface`.
+    """
+    middles, surface = occupied_middles(grid, world_from_map), visible_surface(world, radius, reach)
+    if not len(middles) or not len(surface):
+        return 0.0
+    return float(np.isfinite(cKDTree(middles).query(surface, distance_upper_bound=NEAR)[0]).mean())
+
+
 def _points_on(segments: Float64s) -> Float64s:
     """Points along segments (n, 4), at most OUTLINE_STEP m apart: (m, 2)."""
     lengths = np.hypot(segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1])
@@ -157,8 +204,8 @@ def _points_on(segments: Float64s) -> Float64s:
     return np.asarray(segments[owner, :2] * (1 - share) + segments[owner, 2:] * share)
 
 
-def summary(track: Track, world: World, radius: float) -> dict[str, Any]:
-    """The figures of a run. radius: m, of the circle around the footprint."""
+def summary(track: Track, world: World, radius: float, reach: float) -> dict[str, Any]:
+    """The figures of a run. radius: m, of the circle around the footprint; reach: m, the laser's largest range."""
     metres, radians = pose_errors(track)
     walls = map_errors(track.grid, world, track.world_from_map)
     truth = track.truth
@@ -166,6 +213,7 @@ def summary(track: Track, world: World, radius: float) -> dict[str, Any]:
     return {
         "explored_share": round(explored_share(track.grid, world, track.world_from_map, radius), 4),
         "map_within_5_cm": round(float((walls <= NEAR).mean()), 4) if len(walls) else 0.0,
+        "map_completeness": round(completeness(track.grid, world, track.world_from_map, radius, reach), 4),
         "map_error_mean_m": round(float(walls.mean()), 4) if len(walls) else None,
         "pose_error_mean_m": round(float(metres.mean()), 4) if len(metres) else None,
         "pose_error_max_m": round(float(metres.max()), 4) if len(metres) else None,

@@ -139,6 +139,14 @@ class World:
     def reachable(self, resolution: float, radius: float) -> tuple[Bools, float, float]:
         """The floor that a disc of `radius` m covers on its ways from the start: a grid as from `occupied`."""
         occupied, x0, y0 = self.occupied(resolution)
+        centres = self.centres(resolution, radius)[0]
+        if not centres.any():
+            return centres, x0, y0
+        return (distance_transform_edt(~centres) * resolution <= radius) & ~occupied, x0, y0
+
+    def centres(self, resolution: float, radius: float) -> tuple[Bools, float, float]:
+        """Where the middle of a disc of `radius` m can get from the start: a grid as from `occupied`."""
+        occupied, x0, y0 = self.occupied(resolution)
         walled = np.pad(occupied, 1, constant_values=True)
         room = distance_transform_edt(~walled)[1:-1, 1:-1] * resolution
         islands, _ = label(room > radius)
@@ -146,8 +154,7 @@ class World:
         h, w = occupied.shape
         if not (0 <= row < h and 0 <= column < w) or islands[row, column] == 0:
             return np.zeros_like(occupied), x0, y0
-        centres = islands == islands[row, column]
-        return (distance_transform_edt(~centres) * resolution <= radius) & ~occupied, x0, y0
+        return np.asarray(islands == islands[row, column]), x0, y0
 
     def outline(self) -> Float64s:
         """(n, 4) m: segments to draw: polygons, circles as 24-gons, the edges of solid cells."""

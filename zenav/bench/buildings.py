@@ -26,7 +26,7 @@ POSE_M, WITHIN = 0.03, 0.97
 AGAIN = 0.35  # of the rooms are visited a second time, in another order
 COLUMNS = (
     "building", "size, m", "rooms", "pose, cm", "p99", "max", "deg", "keyframes, cm", "max", "map in 5 cm, %",
-    "aligned, %", "map, cm", "driven, m", "time, s", "loops", "CPU, s", "",
+    "aligned, %", "complete, %", "map, cm", "driven, m", "time, s", "loops", "CPU, s", "",
 )  # fmt: skip
 
 
@@ -60,6 +60,7 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
         "keyframe_error_mean_m": max,
         "map_within_5_cm": min,
         "aligned_within_5_cm": min,
+        "map_completeness": min,
     }
     for key in (*worst, "cpu_s", "distance_m", "seconds"):
         values = [row[key] for row in rows if row[key] is not None]
@@ -82,7 +83,7 @@ def _row(run: dict[str, Any]) -> tuple[str, ...]:
         number("pose_error_mean_m", 100, 2), number("pose_error_p99_m", 100, 1), number("pose_error_max_m", 100, 1),
         number("pose_error_mean_deg", 1, 2), number("keyframe_error_mean_m", 100, 2),
         number("keyframe_error_max_m", 100, 1), number("map_within_5_cm", 100, 1),
-        number("aligned_within_5_cm", 100, 1), number("map_error_mean_m", 100, 2),
+        number("aligned_within_5_cm", 100, 1), number("map_completeness", 100, 1), number("map_error_mean_m", 100, 2),
         number("distance_m", 1, 0), number("seconds", 1, 0), str(run["loops"]), number("cpu_s", 1, 1),
         "kept" if kept(run) else "not kept",
     )  # fmt: skip
@@ -141,7 +142,8 @@ def figures(rig: "Rig") -> dict[str, Any]:
     keyframes = keyframe_errors(rig)
     aligned, shift = aligned_map_errors(track.grid, world, track.world_from_map)
     low_x, low_y, high_x, high_y = world.bounds
-    told = summary(track, world, rig.ways.robot.circumscribed_radius)
+    robot = rig.ways.robot
+    told = summary(track, world, robot.circumscribed_radius, robot.laser.range_max)
     return told | {
         "size": f"{high_x - low_x:.0f} x {high_y - low_y:.0f}",
         "rooms": len(world.goals),

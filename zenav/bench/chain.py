@@ -4,37 +4,55 @@
     sim sends scan -> local_ctrl takes it ... its next tick begins -> guard takes cmd/nav -> base_driver takes cmd/vel
 
 Between taking a scan and the tick that plans with it lies up to one control period: that wait is the rate's, not the
-transport's, and is told apart. Everything else counts: encoding, Zenoh, queues, the solver, the guard.
+transport's: figures are given with it and without. Everything else counts: encoding, Zenoh, queues, the solver, the
+guard. A scan that leads to no command is counted, by where it ended.
 """
 
 from bisect import bisect_left
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import nan
 from pathlib import Path
+from time import thread_time
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.codec import decode, envelope_of
-from shared.messages import Health
+from shared.codec import envelope_of
+from shared.messages import Message
 from shared.recording import Recording
 from shared.runners.host import MESSAGE, TICK
 from shared.runners.journal import Event
+from shared.runners.replay import Build, replay
+from shared.service import Out, Service, handlers
 
 Float64s = NDArray[np.float64]
+Spent = Mapping[str, Mapping[int, float]]
 
 HANDLERS = ("sim", "local_ctrl", "guard")
-"""Whose handlers lie on the way."""
+"""Whose handlers lie on the way: of the tick that sends the scan, the tick that plans, and the command's."""
+
+
+NOT_TAKEN, NO_COMMAND, NOT_AT_BASE = "not taken by local_ctrl", "no cmd/nav at the guard", "no cmd/vel at the base"
+"""Where a scan may end without a command at the base."""
+
+SECOND = 1_000_000_000
+NONE = "", -1  # the source of nothing
+END = 0.2  # s before the last command at the base: what was sent later may be cut off by the recording's end
 
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """One value a scan that reached the base, all s. total = latency + wait."""
+    """One value a scan that reached the base, s. total = latency + wait."""
 
     to_control: Float64s  # scan sent -> local_ctrl takes it
     wait: Float64s  # local_ctrl has it -> its tick begins
     control: Float64s  # tick begins -> guard takes cmd/nav: the solver and a hop
     guard: Float64s  # guard takes it -> base_driver takes cmd/vel: the guard and a hop
-    handlers: dict[str, Float64s]  # the slowest handler of each second, by service
+    handlers: Float64s  # the handlers of sim, local_ctrl and guard that made it, CPU s, run alone; NaN where unknown
+    lost: dict[str, int]  # scans that led to no command, by where they ended
+    n_scans: int  # with the lost ones
 
     @property
     def latency(self) -> Float64s:
@@ -45,8 +63,11 @@ class Chain:
         return self.latency + self.wait
 
 
-def chain(path: Path, since: int = 0) -> Chain:
-    """The chain of every scan that was sent after `since` (ns) and led to a command at the base."""
+def chain(path: Path, since: int = 0, spent: Spent = MappingProxyType({})) -> Chain:
+    """The chain of every scan that was sent from `since` (ns) on. spent: as from `handler_times`.
+
+    One that led to no command and was sent within END of the last command at the base is not counted as lost.
+    """
     recording = Recording(path)
     sent = {key: _sent(recording, key) for key in ("scan", "cmd/nav", "cmd/vel")}
     events = {
@@ -54,25 +75,58 @@ def chain(path: Path, since: int = 0) -> Chain:
         for name, lives in recording.lives().items()
         if name in ("local_ctrl", "guard", "base_driver")
     }
+    control = events.get("local_ctrl", [])
+    at_control = _taken(control, "scan")
     at_guard = _taken(events.get("guard", []), "cmd/nav")
     at_base = _taken(events.get("base_driver", []), "cmd/vel")
     by_time = {key: {when: source for source, when in sent[key].items()} for key in ("cmd/nav", "cmd/vel")}
-    rows: list[tuple[float, float, float, float]] = []
-    control = events.get("local_ctrl", [])
     ticks = [event.now for event in control if event.kind == TICK]
-    for event in control:
-        begun = (
-            sent["scan"].get((event.session, event.number)) if event.kind == MESSAGE and event.key == "scan" else None
-        )
-        i = bisect_left(ticks, event.now)
-        if begun is None or begun < since or i == len(ticks):
-            continue
-        guarded = at_guard.get(by_time["cmd/nav"].get(ticks[i], ("", -1)))
-        based = at_base.get(by_time["cmd/vel"].get(guarded, ("", -1))) if guarded is not None else None
-        if guarded is not None and based is not None:
-            rows.append((event.now - begun, ticks[i] - event.now, guarded - ticks[i], based - guarded))
-    to_control, wait, solved, guarded_for = np.array(rows, float).reshape(-1, 4).T / 1e9
-    return Chain(to_control, wait, solved, guarded_for, _handlers(recording, since))
+    until = max(at_base.values(), default=0) - round(END * SECOND)
+    rows: list[tuple[int, int, int, int]] = []
+    spent_by: list[float] = []
+    lost = dict.fromkeys((NOT_TAKEN, NO_COMMAND, NOT_AT_BASE), 0)
+    for begun, source in sorted((when, source) for source, when in sent["scan"].items() if when >= since):
+        taken = at_control.get(source)
+        i = bisect_left(ticks, taken) if taken is not None else len(ticks)
+        guarded = at_guard.get(by_time["cmd/nav"].get(ticks[i], NONE)) if i < len(ticks) else None
+        based = at_base.get(by_time["cmd/vel"].get(guarded, NONE)) if guarded is not None else None
+        if taken is not None and guarded is not None and based is not None:
+            rows.append((taken - begun, ticks[i] - taken, guarded - ticks[i], based - guarded))
+            begins = zip(HANDLERS, (begun, ticks[i], guarded))
+            spent_by.append(sum(spent.get(name, {}).get(when, nan) for name, when in begins))
+        elif begun <= until:
+            lost[NOT_TAKEN if taken is None else NO_COMMAND if guarded is None else NOT_AT_BASE] += 1
+    to_control, wait, solved, guarded_for = np.array(rows, float).reshape(-1, 4).T / SECOND
+    n_scans = len(rows) + sum(lost.values())
+    return Chain(to_control, wait, solved, guarded_for, np.array(spent_by, float), lost, n_scans)
+
+
+def handler_times(path: Path, build: Build) -> Spent:
+    """How long the handlers of HANDLERS take alone: CPU time of their recorded events, replayed here.
+
+    By service and by the time (ns) of the event: s. build: makes a service as it stood at its start.
+    """
+    spent: dict[str, dict[int, float]] = {name: {} for name in HANDLERS}
+    replay(Recording(path), list(HANDLERS), lambda name: _timed(build(name), spent[name]))
+    return spent
+
+
+def _timed(service: Service, spent: dict[int, float]) -> Service:
+    """The service, whose handlers of messages and ticks add the s that they take to `spent`, by `now`."""
+    named = handlers(type(service))
+    for name in {name for _, name in named.topics.values()} | {name for _, name, _ in named.ticks}:
+        setattr(service, name, _timed_handler(service, getattr(service, name), spent))
+    return service
+
+
+def _timed_handler(service: Service, handler: Callable[..., Out], spent: dict[int, float]) -> Callable[..., Out]:
+    def timed(*message: Message) -> Out:
+        begun = thread_time()
+        out = tuple(handler(*message))
+        spent[service.now] = spent.get(service.now, 0.0) + thread_time() - begun
+        return out
+
+    return timed
 
 
 def _sent(recording: Recording, key: str) -> dict[tuple[str, int], int]:
@@ -87,12 +141,3 @@ def _sent(recording: Recording, key: str) -> dict[tuple[str, int], int]:
 def _taken(events: list[Event], key: str) -> dict[tuple[str, int], int]:
     """(session, sequence) -> ns at which a service took a message on a key."""
     return {(e.session, e.number): e.now for e in events if e.kind == MESSAGE and e.key == key}
-
-
-def _handlers(recording: Recording, since: int) -> dict[str, Float64s]:
-    found: dict[str, list[float]] = {name: [] for name in HANDLERS}
-    for entry in recording.entries(tuple(f"health/{name}" for name in HANDLERS)):
-        health, envelope = decode(Health, entry.payload)
-        if envelope.sent > since:
-            found[health.name].append(health.handler_ms / 1e3)
-    return {name: np.array(values) for name, values in found.items()}

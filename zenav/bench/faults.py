@@ -33,9 +33,10 @@ def faults(robot: str, n: int, seed: int, jobs: int, only: str, out: Path | None
         row = next(row for row in ROWS if row.name == result.fault)
         words = "; ".join(broken(result, row)) or "good"
         sys.stderr.write(f"{len(found)}/{n} {result.fault}, {result.mode}, {result.speed} m/s: {words}\n")
-    table(f"faults, {'live' if live else 'lockstep'}", COLUMNS, [shown(row, of(found, row)) for row in _rows(found)])
+    lines = [shown(row, of(found, row)) for row in _rows(found)]
+    table(f"faults, {'live' if live else 'lockstep'}", COLUMNS, lines)
     sums = summary(found)
-    report = {"summary": sums, "live": live, "seed": seed, "trials": [r.as_json() for r in found]}
+    report = {"summary": sums, "live": live, "seed": seed, "rows": lines, "trials": [r.as_json() for r in found]}
     write(out, report)
     return 0 if len(found) == n and sums["good"] == n else 1
 

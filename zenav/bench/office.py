@@ -67,6 +67,7 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
         "pose_error_mean_deg_worst": max(of("pose_error_mean_deg"), default=None),
         "pose_error_max_m_worst": max(of("pose_error_max_m"), default=None),
         "map_within_5_cm_min": min(of("map_within_5_cm"), default=None),
+        "map_completeness_min": min(of("map_completeness"), default=None),
         "seconds_mean": round(statistics.fmean(of("seconds")), 1) if found else None,
         "distance_m_mean": round(statistics.fmean(of("distance_m")), 1) if found else None,
         **{f"{key}_mean": _mean(of(key)) for key in FIGURES},
@@ -75,8 +76,8 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 COLUMNS = (
-    "seed", "goals", "contacts", "explored, %", "pose, cm", "max", "pose, deg", "max", "map in 5 cm, %", "driven, m",
-    "time, s", "wall, s", "recoveries", "",
+    "seed", "goals", "contacts", "explored, %", "pose, cm", "max", "pose, deg", "max", "map in 5 cm, %", "complete, %",
+    "driven, m", "time, s", "wall, s", "recoveries", "",
 )  # fmt: skip
 
 
@@ -98,8 +99,8 @@ def _row(report: dict[str, Any]) -> tuple[str, ...]:
         str(report["seed"]), f"{s['goals_reached']}/{s['goals']}", str(s["collisions"]),
         number("explored_share", 100, 1), number("pose_error_mean_m", 100, 1), number("pose_error_max_m", 100, 1),
         number("pose_error_mean_deg", 1, 2), number("pose_error_max_deg", 1, 2), number("map_within_5_cm", 100, 1),
-        number("distance_m", 1, 0), number("seconds", 1, 0), number("wall_seconds", 1, 0),
-        str(sum(leg["recoveries"] for leg in report["legs"])),
+        number("map_completeness", 100, 1), number("distance_m", 1, 0), number("seconds", 1, 0),
+        number("wall_seconds", 1, 0), str(sum(leg["recoveries"] for leg in report["legs"])),
         "good" if kept(report) else report["trouble"] or "not good",
     )  # fmt: skip
 

@@ -176,6 +176,23 @@ def bench_serial(
     raise typer.Exit(serial(seconds, out))
 
 
+@bench.command("odometry", cls=Command)
+def bench_odometry(
+    directory: Annotated[
+        Path | None,
+        typer.Argument(metavar="DIR", help="Folder of the X80SV's recorded drive; none: $ZENAV_DATA/x80sv."),
+    ] = None,
+    out: Out = None,
+) -> None:
+    """The real X80SV's recorded wheels through base driver and odometry, against the odometry that it recorded.
+
+    Example: zenav bench odometry --out odometry.json
+    """
+    from zenav.bench.odometry import odometry
+
+    raise typer.Exit(odometry(directory, out))
+
+
 @bench.command("slam", cls=Command)
 def bench_slam(
     directory: Annotated[
@@ -211,3 +228,25 @@ def bench_faults(
     from zenav.bench.faults import faults
 
     raise typer.Exit(faults(robot, trials or (50 if live else 200), seed, jobs, only, out, live))
+
+
+@bench.command("figures", cls=Command)
+def bench_figures(
+    only: Annotated[str, typer.Option(help="Only these rows, separated by commas; see --list.", metavar="A,B")] = "",
+    again: Annotated[bool, typer.Option("--again", help="Also what is measured on this code already.")] = False,
+    listed: Annotated[bool, typer.Option("--list", help="Show the rows and what is measured; run nothing.")] = False,
+    directory: Annotated[
+        Path, typer.Option("--dir", help="Folder for the runs; what was interrupted goes on there.", metavar="DIR")
+    ] = Path("out/figures"),
+    jobs: Annotated[int, typer.Option(min=1, help="Runs at a time, of commands that take --jobs.")] = 1,
+    data: Annotated[
+        Path | None, typer.Option(envvar="ZENAV_DATA", help="Folder of real logs and benchmark worlds.", metavar="DIR")
+    ] = None,
+) -> None:
+    """Rerun the published figures and write them into docs/figures.json, README.md and docs/benchmarks.md; takes hours.
+
+    Example: zenav bench figures --only sim,odometry
+    """
+    from zenav.bench.figures import figures
+
+    raise typer.Exit(figures(only, again, listed, directory, jobs, data))

@@ -10,6 +10,7 @@ from zenav.commands.parts import (
     MAIN,
     At,
     Command,
+    Out,
     RobotName,
     SavedMapMode,
     Setting,
@@ -40,6 +41,7 @@ def demo(
     hardware: Annotated[
         Simulated, typer.Option(help="What the simulator stands behind: its messages, or ports that speak bytes.")
     ] = "messages",
+    out: Out = None,
     robot: RobotName = "x80sv",
     world: World = "office",
     set_: Setting = None,
@@ -52,7 +54,7 @@ def demo(
     from zenav.hardware import Hardware
 
     chosen = Hardware(hardware)
-    raise typer.Exit(demo(robot, world, seed, seconds, headless, record, lockstep, set_ or [], chosen))
+    raise typer.Exit(demo(robot, world, seed, seconds, headless, record, lockstep, set_ or [], chosen, out))
 
 
 @app.command(cls=Command, rich_help_panel=MAIN)

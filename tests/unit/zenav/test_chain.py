@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The latency chain of a recording, on a lockstep run whose delays are the registry's own."""
 
+from time import thread_time
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,11 +11,12 @@ from shared import topics
 from shared.config import Section, load_robot
 from shared.messages import LaserScan, Velocity
 from shared.recording import Writer, sink
-from shared.runners.lockstep import Lockstep
+from shared.runners.lockstep import START, Lockstep
 from shared.service import Out, Service, every, on
-from zenav.bench.chain import chain
+from zenav.bench.chain import Chain, chain, handler_times
 from zenav.bench.stack import figures
 
+SECOND = 1_000_000_000
 ROBOT = load_robot("x80sv").robot
 
 
@@ -33,6 +36,15 @@ class Control(Service):
         yield topics.CMD_NAV(Velocity(self.now, 0.1, 0.0, ""))
 
 
+class SilentControl(Control):
+    """Commands nothing in the second second."""
+
+    @every(hz=20)
+    def tick(self) -> Out:
+        if not START + SECOND <= self.now < START + 2 * SECOND:
+            yield topics.CMD_NAV(Velocity(self.now, 0.1, 0.0, ""))
+
+
 class Guard(Service):
     @on(topics.CMD_NAV)
     def command(self, command: Velocity) -> Out:
@@ -45,15 +57,18 @@ class Base(Service):
         return ()
 
 
-@pytest.fixture
-def recording(tmp_path):
-    path = tmp_path / "run.mcap"
-    names = {"sim": Sim, "local_ctrl": Control, "guard": Guard, "base_driver": Base}
+def recorded(path, seconds=2.0, **other):
+    names = {"sim": Sim, "local_ctrl": Control, "guard": Guard, "base_driver": Base} | other
     with Writer(path) as writer:
-        lockstep = Lockstep({name: made(Section(), ROBOT) for name, made in names.items()}, sink(writer))
-        lockstep.run(2.0)
+        lockstep = Lockstep({name: made(Section(), ROBOT) for name, made in names.items() if made}, sink(writer))
+        lockstep.run(seconds)
         lockstep.flush()
     return path
+
+
+@pytest.fixture
+def recording(tmp_path):
+    return recorded(tmp_path / "run.mcap")
 
 
 def test_the_parts_are_the_hops_and_the_wait_is_apart(recording):
@@ -71,6 +86,97 @@ def test_the_parts_are_the_hops_and_the_wait_is_apart(recording):
 
 
 def test_only_what_came_after_the_first_motion_counts(recording):
-    from shared.runners.lockstep import START
+    found = chain(recording, START + SECOND)
+    assert len(found.latency) == 8
+    assert found.n_scans == 8
 
-    assert len(chain(recording, START + 1_000_000_000).latency) == 8
+
+def test_every_scan_led_to_a_command(recording):
+    found = chain(recording)
+    assert found.n_scans == 16
+    assert sum(found.lost.values()) == 0
+    assert figures(found)["summary"]["n_scans_without_command"] == 0
+
+
+def test_scans_that_led_to_no_command_are_counted_by_where_they_ended(tmp_path):
+    found = chain(recorded(tmp_path / "silent.mcap", 3.0, local_ctrl=SilentControl))
+    assert found.n_scans == 24
+    assert len(found.latency) == 16
+    assert found.lost == {"not taken by local_ctrl": 0, "no cmd/nav at the guard": 8, "no cmd/vel at the base": 0}
+    summary = figures(found)["summary"]
+    assert summary["n_scans"] == 24
+    assert summary["n_scans_without_command"] == 8
+
+
+def test_a_scan_that_local_ctrl_never_took_is_counted(tmp_path):
+    class Deaf(SilentControl):
+        @on(topics.ESTOP)
+        def scan(self, scan):
+            return ()
+
+    found = chain(recorded(tmp_path / "deaf.mcap", 3.0, local_ctrl=Deaf))
+    assert found.lost["not taken by local_ctrl"] == found.n_scans > 20
+
+
+def test_what_the_recording_s_end_cuts_off_is_not_counted(tmp_path):
+    path = recorded(tmp_path / "cut.mcap", 0.88)
+    assert sum(chain(path).lost.values()) == 0
+
+
+class SlowControl(Control):
+    """Takes 4 ms for each command, and 20 ms for each scan, before the tick."""
+
+    @every(hz=20)
+    def tick(self) -> Out:
+        spend(0.004)
+        yield topics.CMD_NAV(Velocity(self.now, 0.1, 0.0, ""))
+
+    @on(topics.SCAN)
+    def scan(self, scan: LaserScan) -> Out:
+        spend(0.020)
+        return ()
+
+
+def spend(seconds):
+    until = thread_time() + seconds
+    while thread_time() < until:
+        pass
+
+
+def test_the_handlers_of_a_scan_are_those_that_made_its_command(tmp_path):
+    names = {"sim": Sim, "local_ctrl": SlowControl, "guard": Guard, "base_driver": Base}
+    path = recorded(tmp_path / "slow.mcap", **names)
+    spent = handler_times(path, lambda name: names[name](Section(), ROBOT))
+    handlers = chain(path, spent=spent).handlers
+    assert len(handlers) == 16
+    assert 0.004 < np.median(handlers) < 0.008
+
+
+def of(latency, handlers):
+    """A chain with these latencies and handlers, s, of each scan."""
+    nothing = np.zeros(len(latency))
+    return Chain(np.array(latency), nothing, nothing, nothing, np.array(handlers), {}, len(latency))
+
+
+def test_latency_is_compared_with_the_handlers_of_the_same_scans_percentile_by_percentile():
+    summary = figures(of([0.012] * 90 + [0.120] * 10, [0.008] * 90 + [0.060] * 10))["summary"]
+    assert summary["ratio_to_handlers_p50"] == 1.5
+    assert summary["ratio_to_handlers"] == 2.0
+    assert summary["handlers_p99_ms"] == 60.0
+
+
+def test_scans_whose_handlers_are_unknown_are_not_compared():
+    summary = figures(of([0.012] * 50 + [0.9] * 50, [0.008] * 50 + [np.nan] * 50))["summary"]
+    assert summary["ratio_to_handlers"] == 1.5
+    assert summary["latency_p99_ms"] == 900.0
+    unknown = figures(of([0.012], [np.nan]))
+    assert unknown["summary"]["ratio_to_handlers"] is None
+    assert "the handlers on the way, alone" not in unknown["parts"]
+
+
+def test_the_wait_for_the_control_tick_is_published_too(recording):
+    found = chain(recording)
+    summary = figures(found)["summary"]
+    assert summary["with_wait_p50_ms"] == pytest.approx(np.percentile(found.total, 50) * 1e3, abs=0.01)
+    assert summary["with_wait_p99_ms"] == pytest.approx(np.percentile(found.total, 99) * 1e3, abs=0.01)
+    assert summary["with_wait_p99_ms"] >= summary["latency_p99_ms"]

@@ -22,6 +22,7 @@ COMMANDS = [
     "recording info", "recording cat", "recording repair", "recording trim", "recording merge", "recording latency",
     "recording plot", "recording mark", "recording stability", "bench recording",
     "bench office", "bench sim", "bench stack", "bench serial", "bench slam", "bench plan", "bench barn",
+    "bench odometry", "bench figures",
 ]  # fmt: skip
 
 
@@ -127,6 +128,8 @@ def test_a_mistyped_command_is_guessed(typed, meant, capsys):
         ("bench serial --out /dev/null/a.json", "/dev/null/a.json"),
         ("bench slam nowhere", "nowhere"),
         ("bench plan nowhere", "nowhere"),
+        ("bench odometry nowhere", "nowhere"),
+        ("bench figures --only ofice", "'ofice'"),
         ("bench slam .", "no log with a reference"),
         ("demo --lockstep --world nowhere", "nowhere"),
         ("demo --record notes.txt", "notes.txt"),

@@ -8,16 +8,28 @@ import pytest
 from numpy.testing import assert_allclose
 
 from services.sim.store import load
+from services.sim.world import World
 from shared.geometry import Pose2, arc
 from shared.grid import OccupancyGrid
 from shared.messages import Localization, MapUpdate, Odometry, PoseEstimate, Truth
 from zenav.floor_plan import floor_plan
 from zenav.pilot import Leg
-from zenav.score import Track, aligned_map_errors, explored_share, map_errors, occupied_middles, pose_errors, summary
+from zenav.score import (
+    Track,
+    aligned_map_errors,
+    completeness,
+    explored_share,
+    map_errors,
+    occupied_middles,
+    pose_errors,
+    summary,
+    visible_surface,
+)
 
 WORLD = load("room")
 START = WORLD.start
 RADIUS = 0.22
+REACH = 12.0
 TICK = 20_000_000
 
 
@@ -82,7 +94,7 @@ def test_yaw_is_compared_around_the_turn():
 
 
 def test_a_run_without_poses_has_figures_all_the_same():
-    figures = summary(Track(), WORLD, RADIUS)
+    figures = summary(Track(), WORLD, RADIUS, REACH)
     assert figures["pose_error_mean_m"] is None
     assert figures["explored_share"] == 0.0
 
@@ -149,3 +161,65 @@ def test_aligned_what_is_wrong_with_the_frame_alone_goes_and_is_told():
     back = found @ off
     assert hypot(back.x, back.y) < 0.02
     assert abs(back.yaw) < 0.004
+
+
+def box(low_x: float, low_y: float, high_x: float, high_y: float) -> np.ndarray:
+    return np.array([(low_x, low_y), (high_x, low_y), (high_x, high_y), (low_x, high_y)])
+
+
+def hall(*solid: np.ndarray) -> World:
+    """A hall of 6 x 4 m between walls 0.2 m thick, with what stands in it."""
+    walls = box(-0.2, -0.2, 6.2, 0), box(-0.2, 4, 6.2, 4.2), box(-0.2, -0.2, 0, 4.2), box(6, -0.2, 6.2, 4.2)
+    return World("hall", (-0.2, -0.2, 6.2, 4.2), Pose2(1, 1, 0), (*walls, *solid))
+
+
+def test_only_the_inner_sides_of_a_hall_can_be_seen():
+    seen = visible_surface(hall(), 0.2, REACH)
+    x, y = seen.T
+    on_a_side = (np.abs(x) < 1e-9) | (np.abs(x - 6) < 1e-9) | (np.abs(y) < 1e-9) | (np.abs(y - 4) < 1e-9)
+    corner = 0.03  # m of the outer walls' ends, beside a beam's end
+    assert (on_a_side | ((x > -corner) & (x < 6 + corner) & (y > -corner) & (y < 4 + corner))).all()
+    for side in (x[np.abs(y) < 1e-9], x[np.abs(y - 4) < 1e-9]):
+        assert np.diff(np.sort(side)).max() < 0.05
+
+
+def test_what_stands_behind_something_where_the_robot_cannot_go_is_not_visible():
+    cupboard, beside_wall = box(2, 0, 2.2, 0.6), box(2.6, 0, 2.8, 0.6)  # 0.4 m apart: too narrow for the robot
+    seen = visible_surface(hall(cupboard, beside_wall), 0.3, REACH)
+    between = seen[(seen[:, 0] > 2.25) & (seen[:, 0] < 2.55) & (np.abs(seen[:, 1]) < 1e-9)]
+    assert len(between) > 10  # the robot sees the wall through the gap
+    closed = visible_surface(hall(cupboard, beside_wall, box(2, 0.6, 2.8, 0.7)), 0.3, REACH)
+    assert not len(closed[(closed[:, 0] > 2.25) & (closed[:, 0] < 2.55) & (np.abs(closed[:, 1]) < 0.5)])
+
+
+def test_a_wall_beyond_the_laser_s_reach_is_not_visible():
+    long = World(
+        "long", (0, 0, 20, 2), Pose2(1, 1, 0),
+        (box(0, -0.2, 20, 0), box(0, 2, 20, 2.2), box(-0.2, 0, 0, 2), box(20, 0, 20.2, 2), box(6, 0, 6.2, 0.9),
+         box(6, 1.1, 6.2, 2)),
+    )  # fmt: skip  # the robot stays left of the gap at 6 m
+    assert visible_surface(long, 0.3, 30.0)[:, 0].max() == pytest.approx(20, abs=0.03)
+    assert visible_surface(long, 0.3, 5.0)[:, 0].max() < 10.8
+
+
+@pytest.mark.parametrize(("world_from_map", "share"), [(START, 0.98), (WORLD.start @ Pose2(0, 0, -pi / 4), 0.995)])
+def test_a_perfect_map_is_complete(world_from_map, share):
+    """A map whose cells are turned against the world's misses some of what its cells touch."""
+    assert share < completeness(true_map(world_from_map), WORLD, world_from_map, RADIUS, REACH) <= 1
+
+
+def test_half_a_map_is_complete_in_part_though_all_of_its_walls_are_right():
+    half = true_map(START, 0.5)
+    assert map_errors(half, WORLD, START).mean() == pytest.approx(
+        map_errors(true_map(START), WORLD, START).mean(), abs=0.05
+    )
+    assert 0.3 < completeness(half, WORLD, START, RADIUS, REACH) < 0.7
+
+
+def test_a_map_whose_walls_are_elsewhere_is_not_complete():
+    assert completeness(true_map(START), WORLD, Pose2(0.15, 0.15, 0) @ START, RADIUS, REACH) < 0.5
+
+
+def test_without_a_map_nothing_is_complete():
+    assert completeness(OccupancyGrid(), WORLD, START, RADIUS, REACH) == 0.0
+    assert summary(Track(), WORLD, RADIUS, REACH)["map_completeness"] == 0.0

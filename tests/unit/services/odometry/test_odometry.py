@@ -15,6 +15,7 @@ from shared import topics
 from shared.config import load_robot
 from shared.geometry import Pose2, wrapped
 from shared.messages import BoardReport, WheelState
+from zenav.bench.odometry import MAX_DISTANCE, MAX_TURN
 
 ROBOT = load_robot("x80sv").robot
 MS = 1_000_000
@@ -176,8 +177,8 @@ def test_the_real_robot_s_wheels_give_its_recorded_odometry():
     poses = [publication.message.odom_from_base for state in states for publication in odometry.wheels(state)]
     assert recorded[-1, 0] > 273
     far, turned = compared(poses)
-    assert far < 0.001
-    assert turned < radians(0.1)
+    assert far < MAX_DISTANCE
+    assert turned < radians(MAX_TURN)
 
 
 @needs_data
@@ -199,5 +200,5 @@ def test_the_real_robot_s_encoders_give_its_recorded_odometry_through_the_base_d
     assert wraps >= 1
     assert driver.encoders.n_jumps == 0
     far, turned = compared(poses)
-    assert far < 0.001
-    assert turned < radians(0.1)
+    assert far < MAX_DISTANCE
+    assert turned < radians(MAX_TURN)

@@ -10,6 +10,8 @@ import pytest
 from shared.geometry import Pose2
 from shared.messages import Localization, PoseEstimate
 from zenav.bench.buildings import figures, kept, summary, tour
+from zenav.bench.figure_pages import PLACES
+from zenav.bench.figure_rows import ROWS
 from zenav.bench.localise import GIVES_UP, Trial, Watch, trial
 from zenav.bench.localise import kept as all_kept
 from zenav.bench.localise import summary as told_of
@@ -37,6 +39,16 @@ def test_a_small_room_keeps_every_promise(toured):
     assert run["keyframe_error_mean_m"] < 0.03
     assert kept(run)
     assert summary([run, {"building": 1, "trouble": "none"}])["kept"] == 1
+
+
+def test_what_a_tour_reports_becomes_a_published_row(toured):
+    run = {"building": 0, "trouble": "", **figures(toured), "cpu_s": 1.0}
+    row = next(row for row in ROWS if row.name == "buildings")
+    cells = row.cells([{"runs": [run]}, {"runs": [{"building": 1, "trouble": "none"}]}])
+    assert [line[0] for line in cells["buildings"]] == ["0", "1", "**mean**"]
+    assert {len(line) for line in cells["buildings"]} == {len(PLACES["buildings"].head)}
+    assert 0.5 < run["map_completeness"] <= 1
+    assert f"completeness {run['map_completeness'] * 100:.1f} %" in cells["measured"][0][0]
 
 
 def test_its_speed_is_a_robot_s(toured):
