@@ -25,7 +25,7 @@ BANNED = {
     r"tells?": "gives, shows, contains",
     r"told": "given, informative",
     r"by now": "now",
-    r"who(?:m|ever|se)?": "name the robot, the user, the service",
+    r"who(?:m|ever)?": "name the robot, the user, the service",
     r"heeds?": "follows, obeys",
     r"keener": "stronger",
     r"hangs? together": "is connected",
@@ -46,31 +46,31 @@ CORRECT = (
 MAX_WORDS = 25
 BOUNDS = {"MOST", "LEAST", "LONGEST", "FARTHEST", "SHORTEST", "LARGEST", "SMALLEST", "HIGHEST", "LOWEST", "FEWEST"}
 
-ALLOWED = {
-    "docs": (158, 0, 0),
+ALLOWED: dict[str, tuple[int, int, int]] = {
+    "docs": (136, 0, 0),
     "services/base_driver": (14, 4, 1),
-    "services/guard": (18, 3, 3),
-    "services/lidar_driver": (21, 8, 12),
-    "services/local_ctrl": (29, 9, 9),
-    "services/mapper": (77, 37, 17),
+    "services/guard": (15, 3, 3),
+    "services/lidar_driver": (21, 6, 12),
+    "services/local_ctrl": (26, 8, 9),
+    "services/mapper": (66, 28, 17),
     "services/navigator": (14, 1, 1),
     "services/odometry": (0, 0, 2),
-    "services/planner": (13, 11, 3),
+    "services/planner": (11, 11, 3),
     "services/recorder": (2, 1, 1),
-    "services/sim": (22, 5, 5),
-    "shared": (97, 21, 7),
-    "tests": (120, 4, 4),
-    "zenav": (67, 10, 5),
-    "zenav/bench": (32, 11, 4),
-    "zenav/calibrate": (26, 3, 8),
-    "zenav/commands": (13, 0, 0),
-    "zenav/convert": (28, 3, 11),
+    "services/sim": (17, 3, 5),
+    "shared": (81, 18, 7),
+    "tests": (100, 4, 4),
+    "zenav": (55, 6, 5),
+    "zenav/bench": (27, 10, 4),
+    "zenav/calibrate": (24, 3, 8),
+    "zenav/commands": (9, 0, 0),
+    "zenav/convert": (22, 2, 11),
     "zenav/foxglove": (20, 2, 2),
     "zenav/recording": (9, 1, 1),
 }
 """Folder: banned words, sentences that are too long, constants without MAX_ or MIN_."""
 
-SAME_NAME = {
+SAME_NAME: dict[str, int] = {
     "Arrival": 3,
     "Blocks": 2,
     "Clock": 2,
@@ -172,7 +172,9 @@ def sentences(text: str) -> Iterator[str]:
     """The sentences of a docstring: paragraphs and list items end one, too."""
     for paragraph in re.split(r"\n\s*\n|\n\s*(?=[-*\d]+[.)]?\s)", text):
         if not re.search(r"\|.*\|", paragraph):  # a table
-            yield from re.split(r"(?<=[.!?:;])\s+(?=[A-Z0-9(`\[])|(?<=\.)\s\s+", " ".join(paragraph.split()) + " ")
+            yield from re.split(
+                r"(?<=[.!?:;])\s+(?=[A-Z0-9(`\[])|(?<=\.)\s+(?=[a-z_, ]{1,40}: )", " ".join(paragraph.split()) + " "
+            )
 
 
 def banned_words(path: Path) -> Iterator[Violation]:

@@ -17,7 +17,7 @@ from shared.ros_map import replace_file
 from zenav.bench import slam
 from zenav.bench.faults import COLUMNS as FAULT_COLUMNS
 from zenav.bench.figure_rows import README, ROWS, SIZES
-from zenav.bench.published import ROOT, Entry, Published
+from zenav.bench.published import ROOT, Published, PublishedFigure
 from zenav.docs import table
 
 PAGES = "README.md", "docs/benchmarks.md"
@@ -57,52 +57,52 @@ INTEL_PEERS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class TablePosition:
     """A table in a document. head: its columns; rows: whose cells under the place's name fill it, in this order."""
 
     head: tuple[str, ...]
     rows: tuple[str, ...]
 
 
-PLACES: dict[str, Place] = {
-    "slam-line": Place(slam.COLUMNS, ("slam",)),
-    "buildings": Place(
+PLACES: dict[str, TablePosition] = {
+    "slam-line": TablePosition(slam.COLUMNS, ("slam",)),
+    "buildings": TablePosition(
         (
             "building", "rooms", "driven, m", "pose, cm", "max", "keyframes, cm", "map in 5 cm, %", "aligned, %",
             "complete, %", "CPU, s",
         ),
         ("buildings",),
     ),
-    "localise": Place(
+    "localise": TablePosition(
         (
             "maps", "poses", "found in 10 m", "median, m", "p95", "off when found, cm", "wrongly sure",
             "noticed in 3 s", "median, s", "back in 10 m", "median, m",
         ),
         ("localise", "localise-ros-5cm", "localise-ros-10cm"),
     ),
-    "plan": Place(
+    "plan": TablePosition(
         ("CPU ms a query, median / p99", *SIZES, "solved", "touch a blocked cell", "length / shortest"), ("plan",)
     ),
-    "plan-buildings": Place(
+    "plan-buildings": TablePosition(
         (
             "building", "planner", "median / p99, ms", "length, m", "mean clearance, m", "least clearance, m",
             "length / shortest at its least clearance", "at equal clearance", "sharpest turn, deg",
         ),
         ("plan",),
     ),
-    "barn": Place(
+    "barn": TablePosition(
         (
             "what was added to `zenav bench barn`", "runs", "success", "collisions", "of these standing", "time-outs",
             "mean time, s", "score", "least clearance, m",
         ),
         ("barn", "barn-noise", "crowd", "crowd-unseen"),
     ),
-    "stack": Place(("ms", "p50", "p95", "p99", "max"), ("stack",)),
-    "odometry": Place(
+    "stack": TablePosition(("ms", "p50", "p95", "p99", "max"), ("stack",)),
+    "odometry": TablePosition(
         ("integration, from", "off at most, mm", "at the end, mm", "turned off at most, deg"), ("odometry",)
     ),
-    "faults": Place(FAULT_COLUMNS, ("faults",)),
-    "faults-live": Place(FAULT_COLUMNS, ("faults-live",)),
+    "faults": TablePosition(FAULT_COLUMNS, ("faults",)),
+    "faults-live": TablePosition(FAULT_COLUMNS, ("faults-live",)),
 }  # fmt: skip
 
 
@@ -148,7 +148,7 @@ def _measured(published: Published) -> list[str]:
     return [*table(("what", "figure", "command", "commit, date, load"), lines), *([""] if told else []), *told]
 
 
-def when(entry: Entry, n_parts: int = 1) -> str:
+def when(entry: PublishedFigure, n_parts: int = 1) -> str:
     """Commit, date and load of a row, in a cell."""
     told = [f"`{entry.commit}`" + (" with uncommitted changes" if entry.dirty else ""), entry.ended[:10]]
     told += [BEFORE] if entry.entered else [f"load {entry.load[0]:.1f} to {entry.load[-1]:.1f}"]

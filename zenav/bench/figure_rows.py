@@ -30,7 +30,7 @@ ROS_BUILDINGS = "0,1,2,6,7,8,12,19"
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class FigureRow:
     """One row, or one command's rows, of the documents.
 
     what: the first cell in README, empty where it has none there.  command: as a user types it; DIR stands for `data`.
@@ -280,27 +280,27 @@ def _spans(option: str, first: int, last: int, step: int, more: str = "") -> tup
     return tuple(f"{option} {low}-{min(low + step - 1, last)}{more}" for low in range(first, last + 1, step))
 
 
-ROWS: tuple[Row, ...] = (
-    Row(
+ROWS: tuple[FigureRow, ...] = (
+    FigureRow(
         "office", "the office, whose people yield to the robot, on the virtual clock", "zenav bench office --seeds 0-9",
         _office, tuple(f"--seeds {seed}" for seed in range(10)), jobs=True,
     ),
-    Row(
+    FigureRow(
         "office-live", "the same live, over Zenoh", "zenav bench office --live --seeds 10-14",
         _office, tuple(f"--seeds {seed}" for seed in range(10, 15)),
     ),
-    Row("demo", "the demo live, over Zenoh, one run", "zenav demo --headless --seconds 570", _demo),
-    Row(
+    FigureRow("demo", "the demo live, over Zenoh, one run", "zenav demo --headless --seconds 570", _demo),
+    FigureRow(
         "buildings", "twenty made-up buildings, 10 to 33 rooms", "zenav bench buildings", _buildings,
         _spans("--buildings", 0, 19, 5), jobs=True,
     ),
-    Row(
+    FigureRow(
         "localise", "found from nowhere on the saved maps of these, then carried away",
         "zenav bench localise --poses 100", _localise("the stack's own maps"),
         _spans("--buildings", 0, 19, 5, " --poses 25"), hidden="--maps {work}/maps", jobs=True,
     ),
     *(
-        Row(
+        FigureRow(
             f"localise-ros-{cm}cm", "",
             f"zenav bench localise --map-format ros --cell {cm / 100:g} --buildings {ROS_BUILDINGS} --poses 40",
             _localise(f"pgm and yaml, {cm} cm"),
@@ -309,50 +309,50 @@ ROWS: tuple[Row, ...] = (
         )
         for cm in (5, 10)
     ),
-    Row(
+    FigureRow(
         "barn", "BARN's cluttered worlds, the 250 at hand, a Jackal without a map",
         "zenav bench barn DIR --runs 3", _barn("`--runs 3`"), _spans("--worlds", 0, 299, 50), "barn", jobs=True,
     ),
-    Row(
+    FigureRow(
         "barn-noise", "the same worlds with a worse laser, odometry and latency",
         "zenav bench barn DIR --noise --runs 1", _barn("`--noise --runs 1`"), _spans("--worlds", 0, 299, 50), "barn",
         jobs=True,
     ),
-    Row(
+    FigureRow(
         "crowd", "20 m through crowds of 5 to 24 non-reactive discs at up to 1.5 m/s; crowds used in development",
         f"zenav bench barn --crowd --worlds {CROWDS_FITTED} --runs 1",
         _barn(f"`--crowd --worlds {CROWDS_FITTED} --runs 1`"),
         _spans("--worlds", 0, 99, 25), jobs=True,
     ),
-    Row(
+    FigureRow(
         "crowd-unseen", "the same through crowds that were never used",
         f"zenav bench barn --crowd --worlds {CROWDS_UNSEEN} --runs 1",
         _barn(f"`--crowd --worlds {CROWDS_UNSEEN} --runs 1`"),
         _spans("--worlds", 1000, 1099, 25), jobs=True,
     ),
-    Row(
+    FigureRow(
         "slam", "real logs ([beside other systems](docs/benchmarks.md#beside-others)): mean error of relative poses",
         "zenav bench slam DIR", _slam("line"), tuple(f"--logs {log}" for log in LOGS), "slam",
     ),
-    Row(
+    FigureRow(
         "slam-kiss", "", "zenav bench slam DIR --registrar kiss", _slam("kiss"), tuple(f"--logs {log}" for log in LOGS),
         "slam",
     ),
-    Row(
+    FigureRow(
         "odometry", "the real X80SV's 273 s of wheels, from encoder counts, against the odometry that it recorded",
         "zenav bench odometry", _odometry, data="x80sv", hidden="DIR",
     ),
-    Row(
+    FigureRow(
         "plan", "a path on game maps, costs included: CPU median / p99; NavFn is our reimplementation in numba",
         "zenav bench plan --limit 100", _plan, data="planning", hidden="DIR",
     ),
-    Row(
+    FigureRow(
         "faults", "sensors, clocks and services that fail while the robot drives, in lockstep",
         "zenav bench faults --trials 58", _faults("faults"), jobs=True,
     ),
-    Row("faults-live", "the same live", "zenav bench faults --live", _faults("faults-live")),
-    Row("sim", "simulator, 720 beams at 40 Hz in a 1000 x 1000 cell map", "zenav bench sim", _sim),
-    Row("stack", "scan to `cmd/vel` across processes", "zenav bench stack --seconds 25", _stack),
-    Row("serial", "`cmd/vel` to the serial line, and the line to `base/wheels`", "zenav bench serial", _serial),
+    FigureRow("faults-live", "the same live", "zenav bench faults --live", _faults("faults-live")),
+    FigureRow("sim", "simulator, 720 beams at 40 Hz in a 1000 x 1000 cell map", "zenav bench sim", _sim),
+    FigureRow("stack", "scan to `cmd/vel` across processes", "zenav bench stack --seconds 25", _stack),
+    FigureRow("serial", "`cmd/vel` to the serial line, and the line to `base/wheels`", "zenav bench serial", _serial),
 )  # fmt: skip
 """In the order of the README."""

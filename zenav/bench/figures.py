@@ -20,8 +20,8 @@ from typing import Any
 from shared.config import UserError, nearest
 from shared.ros_map import replace_file
 from zenav.bench.figure_pages import write_pages
-from zenav.bench.figure_rows import ROWS, Report, Row
-from zenav.bench.published import FILE, Entry, Published, State, load, machine, save, state_of
+from zenav.bench.figure_rows import ROWS, FigureRow, Report
+from zenav.bench.published import FILE, Published, PublishedFigure, State, load, machine, save, state_of
 from zenav.bench.table import table
 
 Execute = Callable[[list[str], Path], int]
@@ -63,7 +63,7 @@ class Bench:
         """The folder of what is kept for the present code; another one where it has changes."""
         return self.folder / (f"{self.state.code[:12]}{'-changed' * self.state.dirty}")
 
-    def needs(self, row: Row) -> str:
+    def needs(self, row: FigureRow) -> str:
         """What a row lacks here, in words; empty where it can run."""
         if not row.data:
             return ""
@@ -72,14 +72,14 @@ class Bench:
         folder = self.data / row.data
         return "" if folder.is_dir() else f"needs data: there is no {folder}"
 
-    def arguments(self, row: Row, part: str) -> list[str]:
+    def arguments(self, row: FigureRow, part: str) -> list[str]:
         """A part's command without `zenav` and --out."""
         words = shlex.split(f"{row.command} {part} {row.hidden}")[1:]
         folder = str((self.data or Path()) / row.data)
         words = [folder if word == "DIR" else word.replace("{work}", str(self.work())) for word in words]
         return [*words, "--jobs", str(self.jobs)] if row.jobs else words
 
-    def kept_part(self, row: Row, part: str) -> Part | None:
+    def kept_part(self, row: FigureRow, part: str) -> Part | None:
         """The part's run on the present code, if there was one and the code has no other changes."""
         path = self._path(row, part)
         if self.state.dirty or not path.exists():
@@ -93,7 +93,7 @@ class Bench:
         same = found.code == self.state.code and not found.dirty
         return found if same and _figures_of(found.arguments) == asked else None
 
-    def run_part(self, row: Row, part: str) -> Part | None:
+    def run_part(self, row: FigureRow, part: str) -> Part | None:
         """Runs a part and keeps it; None where it left no report.
 
         Raises UserError where the code changed meanwhile: the report would be of neither state.
@@ -123,7 +123,7 @@ class Bench:
         out.unlink()
         return done
 
-    def _path(self, row: Row, part: str) -> Path:
+    def _path(self, row: FigureRow, part: str) -> Path:
         place = row.parts.index(part)
         return self.work() / row.name / f"part-{place:02}.json"
 
@@ -141,7 +141,7 @@ def figures(only: str, again: bool, listed: bool, folder: Path, jobs: int, data:
     return 0 if measured(bench, rows, again) else 1
 
 
-def chosen(only: str, rows: Sequence[Row] = ROWS) -> list[Row]:
+def chosen(only: str, rows: Sequence[FigureRow] = ROWS) -> list[FigureRow]:
     """The rows of names separated by commas; all where there are none. Raises UserError on an unknown one."""
     known = {row.name: row for row in rows}
     names = [name.strip() for name in only.split(",") if name.strip()]
@@ -151,7 +151,7 @@ def chosen(only: str, rows: Sequence[Row] = ROWS) -> list[Row]:
     return [row for row in rows if row.name in (names or known)]
 
 
-def measured(bench: Bench, rows: Sequence[Row], again: bool = False) -> bool:
+def measured(bench: Bench, rows: Sequence[FigureRow], again: bool = False) -> bool:
     """Runs the rows one after the other and writes each into file and documents; whether all are measured now.
 
     A row that lacks its data or fails is told, and the next one is run.
@@ -172,7 +172,7 @@ def measured(bench: Bench, rows: Sequence[Row], again: bool = False) -> bool:
     return good
 
 
-def current(bench: Bench, row: Row, published: Published) -> bool:
+def current(bench: Bench, row: FigureRow, published: Published) -> bool:
     """Whether a row was measured by its present command on the present code, all of it committed."""
     entry = published.get(row.name)
     if entry is None or entry.entered or entry.dirty or bench.state.dirty:
@@ -180,7 +180,7 @@ def current(bench: Bench, row: Row, published: Published) -> bool:
     return entry.code == bench.state.code and entry.command == row.command
 
 
-def _row(bench: Bench, row: Row, again: bool) -> Entry | None:
+def _row(bench: Bench, row: FigureRow, again: bool) -> PublishedFigure | None:
     parts: list[Part] = []
     for i, name in enumerate(row.parts):
         done = None if again else bench.kept_part(row, name)
@@ -194,11 +194,11 @@ def _row(bench: Bench, row: Row, again: bool) -> Entry | None:
     return entry_of(row, parts, bench.state)
 
 
-def entry_of(row: Row, parts: Sequence[Part], state: State) -> Entry:
+def entry_of(row: FigureRow, parts: Sequence[Part], state: State) -> PublishedFigure:
     """What all parts together say."""
     machines = " and ".join(dict.fromkeys(part.machine for part in parts))
     first, last = min(parts, key=lambda part: part.began), max(parts, key=lambda part: part.ended)
-    return Entry(
+    return PublishedFigure(
         command=row.command,
         cells=row.cells([part.report for part in parts]),
         commit=state.commit,
@@ -213,7 +213,7 @@ def entry_of(row: Row, parts: Sequence[Part], state: State) -> Entry:
     )
 
 
-def show(bench: Bench, rows: Sequence[Row]) -> None:
+def show(bench: Bench, rows: Sequence[FigureRow]) -> None:
     """A table of the rows: what is measured on which commit, and what would run."""
     published = load(bench.file)
     lines = []

@@ -31,7 +31,7 @@ class State:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class PublishedFigure:
     """One row as it was measured.
 
     began, ended: UTC.  load: the machine's load average of a minute, at the begin and at the end; seconds: of running,
@@ -53,7 +53,7 @@ class Entry:
     entered: bool = False
 
 
-Published = dict[str, Entry]
+Published = dict[str, PublishedFigure]
 
 
 def load(path: Path = FILE) -> Published:
@@ -62,7 +62,7 @@ def load(path: Path = FILE) -> Published:
         return {}
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
-        return {name: Entry(**row | {"load": tuple(row["load"])}) for name, row in tree.items()}
+        return {name: PublishedFigure(**row | {"load": tuple(row["load"])}) for name, row in tree.items()}
     except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise UserError(f"{path} is damaged: {error}", "git checkout it") from None
 

@@ -16,10 +16,10 @@ from zenav.__main__ import app
 from zenav.bench import serial, stack
 from zenav.bench.chain import Chain
 from zenav.bench.figure_pages import MISSING, PAGES, PEERS, PLACES, TABLES, filled, tables_in, when, write_pages
-from zenav.bench.figure_rows import README, ROWS, Row
+from zenav.bench.figure_rows import README, ROWS, FigureRow
 from zenav.bench.figures import Bench, chosen, current, measured
 from zenav.bench.localise import Trial
-from zenav.bench.published import ROOT, Entry, State, load, save, state_of
+from zenav.bench.published import ROOT, PublishedFigure, State, load, save, state_of
 from zenav.pilot import Pilot
 
 STATE = State("abc1234", "c0de", False)
@@ -29,9 +29,9 @@ def summed(reports):
     return {README: [[str(sum(report["value"] for report in reports))]]}
 
 
-THREE = Row("three", "three parts", "zenav bench sim", summed, ("--a 1", "--a 2", "--a 3"))
-ONE = Row("one", "one part", "zenav bench serial", summed, jobs=True)
-LOGS = Row("logs", "on data", "zenav bench slam DIR", summed, data="slam")
+THREE = FigureRow("three", "three parts", "zenav bench sim", summed, ("--a 1", "--a 2", "--a 3"))
+ONE = FigureRow("one", "one part", "zenav bench serial", summed, jobs=True)
+LOGS = FigureRow("logs", "on data", "zenav bench slam DIR", summed, data="slam")
 
 
 class Commands:
@@ -202,7 +202,7 @@ def test_a_damaged_part_is_run_again(tmp_path):
 
 def test_an_entered_row_counts_as_not_measured(tmp_path):
     there = bench(tmp_path, Commands())
-    entry = Entry("zenav bench serial", {README: [["7"]]}, "abc1234", "2026-11-20", code="c0de", entered=True)
+    entry = PublishedFigure("zenav bench serial", {README: [["7"]]}, "abc1234", "2026-11-20", code="c0de", entered=True)
     assert not current(there, ONE, {"one": entry})
     assert current(there, ONE, {"one": replace(entry, entered=False)})
 
@@ -277,7 +277,9 @@ def test_every_table_has_one_place_in_the_documents():
 
 
 def test_an_edited_row_is_not_what_the_file_says(tmp_path):
-    entry = Entry("zenav bench sim", {README: [["85 times"]]}, "abc1234", "2026-11-20 10:00:00", load=(0.1, 0.2))
+    entry = PublishedFigure(
+        "zenav bench sim", {README: [["85 times"]]}, "abc1234", "2026-11-20 10:00:00", load=(0.1, 0.2)
+    )
     text = filled(f"before\n\n<!-- figures: {README} -->\n<!-- end -->\n\nafter\n", {"sim": entry})
     assert "| 85 times | `zenav bench sim` | `abc1234`, 2026-11-20, load 0.1 to 0.2 |" in text
     assert text.startswith("before\n")
@@ -323,7 +325,9 @@ def test_every_entry_is_a_row_s_and_fits_its_table():
 
 def test_the_file_comes_back_as_it_was_written(tmp_path):
     entries = {
-        "sim": Entry("c", {"a": [["1", "2"]]}, "abc", "2026-11-20", "c0de", True, "b", 1.5, "m", (0.1, 2.0), False)
+        "sim": PublishedFigure(
+            "c", {"a": [["1", "2"]]}, "abc", "2026-11-20", "c0de", True, "b", 1.5, "m", (0.1, 2.0), False
+        )
     }
     save(entries, tmp_path / "f.json")
     assert load(tmp_path / "f.json") == entries
@@ -419,7 +423,7 @@ def test_what_a_benchmark_reports_becomes_cells_that_fit_their_tables(row):
         else:
             assert name == README or name.startswith("beside-")
     text = "".join(f"<!-- figures: {name} -->\n<!-- end -->\n" for name in TABLES)
-    entry = Entry(row.command, cells, "abc1234", "2026-11-20", load=(0.1, 0.2))
+    entry = PublishedFigure(row.command, cells, "abc1234", "2026-11-20", load=(0.1, 0.2))
     assert MISSING in filled(text, {row.name: entry})
 
 
