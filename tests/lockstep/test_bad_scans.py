@@ -88,10 +88,10 @@ class NothingFromTheStart(SpoiledLaser):
 BlindFromTheStart = {"no echo": NothingFromTheStart, "dark ahead": DarkFromTheStart}
 
 
-def spoiled(folder, every: int, ways: list[str]) -> Stack:
-    """The stack at full speed, its laser gone wrong from now on."""
+def spoiled(folder, every: int, ways: list[str], goal: float = 4.5) -> Stack:
+    """The stack at full speed, its laser gone wrong from now on. goal: m ahead of the start."""
     stack = Stack(folder, sim=SpoiledLaser)
-    stack.go(4.5)
+    stack.go(goal)
     stack.drives()
     sim = stack.lockstep.service("sim")
     sim.every, sim.ways = every, ways
@@ -147,8 +147,9 @@ walls:
 
 @pytest.mark.parametrize("way", FAULTS)
 def test_a_laser_that_fails_stops_navigation_in_time_with_the_reason_and_back_it_goes_on(tmp_path, way):
-    stack = spoiled(tmp_path, 1, [way])
+    stack = spoiled(tmp_path, 1, [way], goal=3.0)
     stack.until(lambda: stack.lockstep.service("sim").first_bad, 0.2)
+    assert stack.newest["nav/status"].distance_left > 1.2, "it does not stop because it arrives"
     bad_since = stack.lockstep.service("sim").first_bad
     stack.until(lambda: not stack.commanded, 2.0)
     assert stack.now - bad_since <= LIMIT[FAULTS[way]] * MS
