@@ -83,7 +83,7 @@ def inside(polygon: Float64s, points: Float64s) -> Bools:
     x0, y0 = polygon[:, 0], polygon[:, 1]
     x1, y1 = np.roll(x0, -1), np.roll(y0, -1)
     crosses = (y0 > y) != (y1 > y)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # of edges that do not cross
         left_of = x < x0 + (y - y0) * (x1 - x0) / (y1 - y0)
     return np.asarray((crosses & left_of).sum(axis=1) % 2 == 1)
 

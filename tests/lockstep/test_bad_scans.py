@@ -88,10 +88,10 @@ class NothingFromTheStart(SpoiledLaser):
 BlindFromTheStart = {"no echo": NothingFromTheStart, "dark ahead": DarkFromTheStart}
 
 
-def spoiled(folder, every: int, ways: list[str]) -> Stack:
-    """The stack at full speed, its laser gone wrong from now on."""
+def spoiled(folder, every: int, ways: list[str], goal: float = 4.5) -> Stack:
+    """The stack at full speed, its laser gone wrong from now on. goal: m ahead of the start."""
     stack = Stack(folder, sim=SpoiledLaser)
-    stack.go(4.5)
+    stack.go(goal)
     stack.drives()
     sim = stack.lockstep.service("sim")
     sim.every, sim.ways = every, ways
@@ -147,8 +147,9 @@ walls:
 
 @pytest.mark.parametrize("way", FAULTS)
 def test_a_laser_that_fails_stops_navigation_in_time_with_the_reason_and_back_it_goes_on(tmp_path, way):
-    stack = spoiled(tmp_path, 1, [way])
+    stack = spoiled(tmp_path, 1, [way], goal=3.0)
     stack.until(lambda: stack.lockstep.service("sim").first_bad, 0.2)
+    assert stack.newest["nav/status"].distance_left > 1.2, "it does not stop because it arrives"
     bad_since = stack.lockstep.service("sim").first_bad
     stack.until(lambda: not stack.commanded, 2.0)
     assert stack.now - bad_since <= LIMIT[FAULTS[way]] * MS
@@ -166,20 +167,23 @@ def test_a_laser_that_fails_stops_navigation_in_time_with_the_reason_and_back_it
 
 @pytest.mark.parametrize("way", FAULTS)
 def test_a_hand_that_pushes_on_when_the_laser_fails_creeps_at_most_and_meets_no_wall(tmp_path, way):
-    """No range sensor helps: only what the laser saw before keeps the robot from the wall."""
+    """No range sensor helps: only what the laser saw before keeps the robot from the wall, once it is blind."""
+    said: set[str] = set()
     stack = Stack(tmp_path, BY_HAND, sim=SpoiledLaser, settings=("robot.ranges=[]",))
     by_hand(stack, 0.5)
     stack.drives(0.45)
     sim = stack.lockstep.service("sim")
     sim.every, sim.ways = 1, [way]
     stack.until(lambda: sim.first_bad, 0.2)
+    stack.lockstep.watch("guard/status", lambda status: said.add(status.reason))
     stack.until(lambda: stack.newest["cmd/vel"].v <= 0.15 + 1e-6, 1.0)
     assert stack.now - sim.first_bad <= 850 * MS  # 0.3 s of no view, then it brakes from 0.5 to 0.15 m/s
     fast = stack.lockstep.run(20.0, lambda: stack.newest["cmd/vel"].v > 0.15 + 1e-6)
     assert not fast
     assert stack.truth.n_contacts == 0
-    assert stack.truth.v < 0.01, "it stands, before the wall or because of the fault"
-    assert stack.guard.reason in (FAULTS[way], "obstacle")
+    assert stack.truth.v < 0.01
+    assert FAULTS[way] in said, "it creeps because of the fault"
+    assert stack.guard.reason == ("obstacle" if FAULTS[way] == "scan_blind" else FAULTS[way])
 
 
 @pytest.mark.parametrize("way", ["no echo", "dark ahead"])
@@ -190,6 +194,19 @@ def test_a_laser_that_never_saw_anything_ahead_lets_nobody_drive_fast_that_way(t
     fast = stack.lockstep.run(8.0, lambda: stack.newest["cmd/vel"].v > 0.15 + 1e-6)
     assert not fast
     assert stack.guard.reason == {"no echo": "scan_blind", "dark ahead": "scan_empty"}[way]
+
+
+@pytest.mark.parametrize(
+    ("way", "reason", "most"), [("no echo", "scan_blind", 0.0), ("dark ahead", "scan_empty", 0.15)]
+)
+def test_with_a_laser_that_never_saw_anything_ahead_a_goal_is_not_driven_to_fast(tmp_path, way, reason, most):
+    """most: m/s."""
+    stack = Stack(tmp_path, sim=BlindFromTheStart[way], settings=("robot.ranges=[]",))
+    stack.go(4.5)
+    fast = stack.lockstep.run(8.0, lambda: stack.newest["cmd/vel"].v > most + 1e-6)
+    assert not fast
+    assert stack.guard.reason == reason
+    assert not stack.ended()
 
 
 NOISELESS = ("sim.laser={sigma: 0.0, sigma_share: 0.0, resolution: 0.0, dropout: 0.0}",)

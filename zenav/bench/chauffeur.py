@@ -24,6 +24,8 @@ Float64s = NDArray[np.float64]
 
 CELL = 0.05  # m
 ARRIVED = 0.15  # m from the end of a way
+GOAL_TOLERANCE = 0.3  # m that a way may end from its goal
+MAX_GOAL_DISTANCE = GOAL_TOLERANCE + 2 * ARRIVED  # m from the goal that count as reached
 LOOK = 0.45  # m: how far down the way it heads for
 TURN_FROM, TURN_UNTIL = 0.9, 0.25  # rad off the way at which a robot turns on the spot
 TURN_RATE = 1.5  # rad/s at most, on the spot
@@ -58,7 +60,7 @@ class Ways:
         people: (p, 2) m, who stand in the way too.
         """
         terrain = self.terrain if people is None else self._with(people)
-        return planned(terrain, self._outline, start, goal, 0.3, PlanningConfig()).points
+        return planned(terrain, self._outline, start, goal, GOAL_TOLERANCE, PlanningConfig()).points
 
     def _with(self, people: Float64s) -> Terrain:
         grid = OccupancyGrid(CELL, 1)

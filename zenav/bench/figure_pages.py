@@ -68,7 +68,7 @@ PLACES: dict[str, TablePosition] = {
     "slam-line": TablePosition(slam.COLUMNS, ("slam",)),
     "buildings": TablePosition(
         (
-            "building", "rooms", "driven, m", "pose, cm", "max", "keyframes, cm", "map in 5 cm, %", "aligned, %",
+            "building", "rooms", "not reached", "contacts", "driven, m", "pose, cm", "max", "keyframes, cm", "map in 5 cm, %", "aligned, %",
             "complete, %", "CPU, s",
         ),
         ("buildings",),

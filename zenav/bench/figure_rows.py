@@ -84,22 +84,30 @@ def _buildings(reports: Sequence[Report]) -> Cells:
     runs = sorted(_joined(reports, "runs"), key=lambda run: int(run["building"]))
     s = buildings.summary(runs)
     lines = [
-        [str(run["building"]), run["trouble"], *[""] * len(BUILDING_KEYS)]
+        [str(run["building"]), run["trouble"], "", "", *[""] * len(BUILDING_KEYS)]
         if run["trouble"]
-        else [str(run["building"]), str(run["rooms"]), *(f"{run[k] * scale:.{n}f}" for k, scale, n in BUILDING_KEYS)]
+        else [
+            str(run["building"]),
+            str(run["rooms"]),
+            str(len(run["not_reached"])),
+            str(run["collisions"]),
+            *(f"{run[k] * scale:.{n}f}" for k, scale, n in BUILDING_KEYS),
+        ]
         for run in runs
     ]
     mean = [f"{s[k]['mean'] * scale:.{n}f}" if k in s else "" for k, scale, n in BUILDING_KEYS]
+
+    missed, touched = str(s["not_reached"]), str(s["collisions"])
 
     def of(key: str, which: str = "mean") -> float | None:
         return s[key][which] if key in s else None
 
     figure = (
-        f"{s['kept']} of {s['buildings']} kept their limits; mean pose error {_cm(of('pose_error_mean_m'))}, "
-        f"worst {_cm(of('pose_error_mean_m', 'worst'))}; map precision {_share(of('map_within_5_cm'))}, after a "
+        f"{s['kept']} of {s['buildings']} kept their limits; goals not reached {missed}, contacts {touched}; mean pose "
+        f"error {_cm(of('pose_error_mean_m'))}, worst {_cm(of('pose_error_mean_m', 'worst'))}; map precision {_share(of('map_within_5_cm'))}, after a "
         f"rigid fit {_share(of('aligned_within_5_cm'))}; completeness {_share(of('map_completeness'))}"
     )
-    return {README: [[figure]], "buildings": [*lines, ["**mean**", "", *mean]]}
+    return {README: [[figure]], "buildings": [*lines, ["**mean**", "", missed, touched, *mean]]}
 
 
 def _barn(added: str) -> Callable[[Sequence[Report]], Cells]:

@@ -251,8 +251,10 @@ class Watch:
         return round(found, 2)
 
     def _drive(self, rng: np.random.Generator, until: Callable[[], bool]) -> None:
+        from zenav.bench.rig import DriveResult
+
         while not until():
-            if not self.rig.drive(self.rig.ways.anywhere(rng), until):
+            if self.rig.drive(self.rig.ways.anywhere(rng), until) is DriveResult.NO_PATH:
                 self.rig.stand(1.0)  # somebody is all around
 
     def take(self, estimate: PoseEstimate) -> None:

@@ -3,6 +3,7 @@
 
 import json
 from collections.abc import Callable
+from enum import Enum
 from time import process_time
 
 import numpy as np
@@ -17,7 +18,7 @@ from shared.geometry import Pose2
 from shared.messages import PoseEstimate, Truth, Velocity
 from shared.runners.lockstep import Lockstep
 from shared.service import Service
-from zenav.bench.chauffeur import Chauffeur, Ways
+from zenav.bench.chauffeur import MAX_GOAL_DISTANCE, Chauffeur, Ways
 from zenav.classes import made
 from zenav.hardware import Hardware, settings_for
 from zenav.score import KEYS, Track
@@ -25,6 +26,15 @@ from zenav.settings import checked
 
 PERIOD = 0.05  # s between two commands
 AT_FIRST = 1.0  # s that a robot stands when its stack has started
+
+
+class DriveResult(Enum):
+    """How a drive to a pose ended; the value is the words of a report."""
+
+    REACHED = "reached"
+    STOPPED = "stopped by its condition"
+    GAVE_UP = "given up on the way"
+    NO_PATH = "no path"
 
 
 def robot_file(robot: str, world: str, seed: int, start: Pose2 | None, settings: list[str]) -> RobotFile:
@@ -68,13 +78,16 @@ class Rig:
         """Calls `watcher` with each of the mapper's poses."""
         self.lockstep.watch(topics.POSE.key, watcher)
 
-    def drive(self, goal: Pose2, until: Callable[[], bool] = lambda: False) -> bool:
-        """Drives to a place, or until the condition holds; says whether there was a way."""
+    def drive(self, goal: Pose2, until: Callable[[], bool] = lambda: False) -> DriveResult:
+        """Drives to a pose, or until the condition holds. REACHED is judged by the true pose, not by the driver."""
         if not self.chauffeur.go(goal, self.truth):
-            return False
-        while not until() and (command := self.chauffeur.command(self.truth, PERIOD)) is not None:
+            return DriveResult.NO_PATH
+        while not until():
+            if (command := self.chauffeur.command(self.truth, PERIOD)) is None:
+                near = self.truth.world_from_base.distance(goal) <= MAX_GOAL_DISTANCE
+                return DriveResult.REACHED if near else DriveResult.GAVE_UP
             self._command(*command)
-        return True
+        return DriveResult.STOPPED
 
     def stand(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
         """Stands for this long, or until the condition holds."""

@@ -10,6 +10,8 @@ from shared.geometry import Pose2, interpolated
 from shared.messages import LaserScan, Message, Odometry
 from zenav.convert.records import Log, LoggedPose, LoggedScan
 
+MAX_MOUNT_M = 2.0  # from the base to its laser; what is farther off is another thing
+ROUNDING_M = 1e-4  # of poses in a log, seen from each other
 NO_RETURN = 0.98  # of the largest range in the log: the scanner's way to say that nothing came back
 
 
@@ -72,7 +74,7 @@ def mount_of(scans: list[LoggedScan]) -> Mount:
         [(p.x, p.y, p.yaw) for p in (scan.odom_from_base.inverse() @ scan.odom_from_laser for scan in scans)]
     )
     middle = np.median(rows, axis=0)
-    if np.abs(rows - middle).max() > 0.01 or np.abs(middle[:2]).max() > 2:
+    if np.abs(rows - middle).max() > 0.01 or np.abs(middle[:2]).max() > MAX_MOUNT_M + ROUNDING_M:
         return Mount()
     return Mount(x=float(middle[0]), y=float(middle[1]), yaw=float(middle[2]))
 

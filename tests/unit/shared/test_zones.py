@@ -3,7 +3,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
@@ -22,6 +22,7 @@ def zone(name="a", corners=SQUARE, **asks):
 
 @settings(deadline=None, max_examples=40)
 @given(polygons, st.floats(-1, 1), st.floats(-1, 1), st.sampled_from([0.1, 0.25, 0.7]))
+@example(np.array([(0.0, 0.0), (0.0, 2.2e-309), (1.0, 0.0)]), 0.0, 0.0, 0.1)  # an edge whose slope overflows
 def test_cells_are_marked_whose_centre_is_inside_and_those_that_the_outline_goes_through_and_no_others(
     polygon, x0, y0, resolution
 ):

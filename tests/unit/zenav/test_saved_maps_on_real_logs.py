@@ -14,6 +14,10 @@ from zenav.saved_map import read_saved_map
 from zenav.slam import slam
 
 DATA = os.environ.get("ZENAV_DATA")  # noqa: TID251  # where the machine keeps its logs
+MAX_MEDIAN_M, MAX_ERROR_M = 0.085, 0.32
+"""An eighth over the worst of the log and of five variants, whose ranges differ within the log's rounding to 1 cm:
+medians of 0.066 to 0.076 m, maxima of 0.274 to 0.288 m. The reference's own error, and its map's, are in these.
+"""
 
 
 def poses_of(folder):
@@ -57,11 +61,11 @@ def test_the_next_lap_of_a_real_log_is_localised_on_the_map_of_the_first(intel_i
     before = {path.name: path.read_bytes() for path in (intel_in_two / "map").iterdir()}
     report = slam(intel_in_two / "second.log", intel_in_two / "there", mode="localise", saved_map=intel_in_two / "map")
     assert report["log_lines"][0].startswith("found on the map")
-    assert report["states"]["lost"] < 20  # until it is found
+    assert report["states"]["lost"] < 10  # scans until it is found: 5 in each variant
     assert not any(line.startswith("lost") for line in report["log_lines"])
     off = off_the_reference(intel_in_two, "there")
-    assert np.median(off) < 0.15
-    assert off.max() < 0.7, "the reference's own error, and its map's, are in this"
+    assert np.median(off) < MAX_MEDIAN_M
+    assert off.max() < MAX_ERROR_M
     assert {path.name: path.read_bytes() for path in (intel_in_two / "map").iterdir()} == before
     for name in ("map.pgm", "map.yaml", "graph.msgpack"):
         assert (intel_in_two / "there" / name).read_bytes() == before[name]
@@ -71,8 +75,8 @@ def test_a_real_map_goes_on_and_is_one_with_the_old_one(intel_in_two):
     report = slam(intel_in_two / "second.log", intel_in_two / "both", mode="continue", saved_map=intel_in_two / "map")
     assert report["loops"] > 30
     off = off_the_reference(intel_in_two, "both")
-    assert np.median(off) < 0.15
-    assert off.max() < 0.7
+    assert np.median(off) < MAX_MEDIAN_M
+    assert off.max() < MAX_ERROR_M
     old, new = read_saved_map(intel_in_two / "map"), read_saved_map(intel_in_two / "both")
     assert len(new.keyframes) > len(old.keyframes)
     assert np.abs(new.graph.poses[0] - old.graph.poses[0]).max() == 0, "it holds the map"

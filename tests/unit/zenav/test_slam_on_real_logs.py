@@ -62,15 +62,21 @@ def mapped(tmp_path_factory):
     return of
 
 
-@pytest.mark.parametrize(("name", "seconds", "mean"), [("intel", 150, 0.025), ("fr079-raw", 100, 0.035)])
-def test_the_beginning_of_a_log_agrees_with_its_relations(name, seconds, mean, mapped):
+@pytest.mark.parametrize(
+    ("name", "seconds", "mean", "most"), [("intel", 150, 0.020, 0.087), ("fr079-raw", 100, 0.024, 0.135)]
+)
+def test_the_beginning_of_a_log_agrees_with_its_relations(name, seconds, mean, most, mapped):
+    """Limits are a tenth over the worst mean and a fifth over the worst maximum of the log and of five variants of it,
+    whose ranges differ within the log's rounding to 1 cm: 0.0176 to 0.0183 and 0.064 to 0.073 m on intel, 0.0217 to
+    0.0219 and 0.110 to 0.114 m on fr079-raw.
+    """
     _, report, folder = mapped(name, seconds)
     assert report["scans_placed"] == report["scans"] > 400
     assert report["states"].get("lost", 0) == 0
     figures = figures_inside(folder / "trajectory.tum", name)
     assert figures["n"] > 60
     assert figures["trans_mean_m"] < mean
-    assert figures["trans_max_m"] < 0.2
+    assert figures["trans_max_m"] < most
 
 
 def test_the_same_log_gives_the_same_bytes_twice_also_where_loops_close(mapped, tmp_path):

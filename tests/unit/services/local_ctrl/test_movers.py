@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What came into seen-free space is followed as a disc with a velocity; what merely comes into sight is not."""
 
+from functools import cache
 from math import cos, pi, sin
 
 import numpy as np
@@ -27,6 +28,8 @@ MS = 10**6
 PERIOD = 50 * MS
 N = 720
 STEP = 2 * pi / N
+EXACT_M, EXACT_M_S = 0.02, 0.05
+"""Of a disc seen without noise: its echoes lie on a circle, and what is found of it is off by 1 um and 1 um/s."""
 
 
 def ranges_of(discs: list[tuple[float, float, float]], x: float = 0.0, y: float = 0.0) -> np.ndarray:
@@ -45,9 +48,13 @@ def seen(
     costmap: LocalCostmap, k: int, discs: list[tuple[float, float, float]], x: float = 0.0, turns: float = 1.0
 ) -> int:
     """turns: 1 counter-clockwise, -1 clockwise."""
-    stamp = 10 * S + k * PERIOD
     ranges = ranges_of(discs, x)
-    ranges = ranges if turns > 0 else np.roll(ranges[::-1], 1)
+    return seen_as(costmap, k, ranges if turns > 0 else np.roll(ranges[::-1], 1), x, turns)
+
+
+def seen_as(costmap: LocalCostmap, k: int, ranges: np.ndarray, x: float = 0.0, turns: float = 1.0) -> int:
+    """The k-th scan, with these ranges; its stamp."""
+    stamp = 10 * S + k * PERIOD
     scan = LaserScan(stamp, -turns * pi, turns * STEP, 0.0, 0.1, 30.0, ranges)
     costmap.see(scan, np.tile((x, 0.0, 0.0), (N, 1)), Mount())
     return stamp
@@ -67,12 +74,12 @@ def test_a_disc_that_moves_is_followed_where_it_is_and_goes(vx, vy, radius):
         x, y = 2.0 + vx * (t - 0.3), vy * (t - 0.3)
         stamp = seen(costmap, k, [(x, y, radius), (-1.5, 1.0, 0.3)])
     ((px, py, pvx, pvy, found, turn),) = costmap.movers.discs(stamp).tolist()
-    assert_allclose((px, py), (x, y), atol=0.06)
-    assert_allclose((pvx, pvy), (vx, vy), atol=0.15)
-    assert_allclose(found, radius, atol=0.08)
+    assert_allclose((px, py), (x, y), atol=EXACT_M)
+    assert_allclose((pvx, pvy), (vx, vy), atol=EXACT_M_S)
+    assert_allclose(found, radius, atol=EXACT_M)
     assert abs(turn) < 0.15
     ahead = costmap.movers.discs(stamp + S)[0]
-    assert_allclose(ahead[:2], (px + pvx, py + pvy), atol=0.15)
+    assert_allclose(ahead[:2], (px + pvx, py + pvy), atol=EXACT_M_S)
 
 
 @pytest.mark.parametrize("turn", [0.6, -0.6])
@@ -98,7 +105,7 @@ def test_one_that_turns_back_is_expected_where_it_goes_now():
         y = 1.2 * abs(k - 19) * PERIOD / S - 0.4
         stamp = seen(costmap, k, [(2.5, y, 0.4)])
     ((_, _, vx, vy, _, _),) = costmap.movers.discs(stamp).tolist()
-    assert_allclose((vx, vy), (0.0, 1.2), atol=0.3)
+    assert_allclose((vx, vy), (0.0, 1.2), atol=EXACT_M_S)
 
 
 def test_what_moves_goes_on_where_nobody_saw_that_it_was_free_until_it_stands():
@@ -124,7 +131,7 @@ def test_a_disc_that_creeps_is_followed_too():
     for k in range(50):
         stamp = seen(costmap, k, [(2.0, 0.28 * (k * PERIOD / S - 1.0), 0.5)])
     ((_, _, vx, vy, _, _),) = costmap.movers.discs(stamp).tolist()
-    assert_allclose((vx, vy), (0.0, 0.28), atol=0.06)
+    assert_allclose((vx, vy), (0.0, 0.28), atol=EXACT_M_S)
 
 
 @pytest.mark.parametrize("turns", [1.0, -1.0])
@@ -137,21 +144,44 @@ def test_two_that_touch_are_two_and_each_goes_its_own_way(turns):
     discs = costmap.movers.discs(stamp)
     assert len(discs) == 2
     found = discs[np.argsort(discs[:, 1])]
-    assert_allclose(found[:, :2], [(2.0, -0.4), (2.0, 0.4)], atol=0.1)
-    assert_allclose(found[:, 2:4], [(0.0, 1.0), (0.0, -0.6)], atol=0.2)
+    assert_allclose(found[:, :2], [(2.0, -0.4), (2.0, 0.4)], atol=EXACT_M)
+    assert_allclose(found[:, 2:4], [(0.0, 1.0), (0.0, -0.6)], atol=0.1)  # 0.067 is measured
+
+
+def behind_a_post(noise: float = 0.0, seed: int = 0) -> np.ndarray:
+    """(40, 2) of each scan from 1 s on, while a disc at 1 m/s passes behind a post: m and m/s that it is off."""
+    costmap, rng, errors = made(), np.random.default_rng(seed), []
+    for k, ranges in enumerate(passing()):
+        y = 1.0 * (k * PERIOD / S - 1.5)
+        noisy = (ranges + rng.normal(0.0, noise, N)).astype(np.float32) if noise else ranges
+        stamp = seen_as(costmap, k, noisy)
+        if k >= 20:
+            moving = costmap.movers.discs(stamp)
+            nearest = moving[np.argmin(np.hypot(moving[:, 0] - 2.5, moving[:, 1] - y))]
+            errors.append(np.abs(nearest[:4] - (2.5, y, 0.0, 1.0)).reshape(2, 2).max(axis=1))
+    return np.array(errors)
+
+
+@cache
+def passing() -> list[np.ndarray]:
+    """The true ranges of 60 scans: a disc passes behind a post."""
+    return [ranges_of([(1.0, 0.0, 0.15), (2.5, k * PERIOD / S - 1.5, 0.5)]) for k in range(60)]
 
 
 def test_one_that_goes_behind_a_post_keeps_its_place_and_speed():
-    costmap = made()
-    for k in range(60):
-        y = 1.0 * (k * PERIOD / S - 1.5)
-        stamp = seen(costmap, k, [(1.0, 0.0, 0.15), (2.5, y, 0.5)])
-        if k < 20:
-            continue
-        moving = costmap.movers.discs(stamp)
-        nearest = moving[np.argmin(np.hypot(moving[:, 0] - 2.5, moving[:, 1] - y))]
-        assert_allclose(nearest[:2], (2.5, y), atol=0.45)  # less than its radius
-        assert_allclose(nearest[2:4], (0.0, 1.0), atol=0.6)
+    errors = behind_a_post()
+    assert (errors.max(axis=0) < (EXACT_M, EXACT_M_S)).all()
+
+
+def test_one_that_goes_behind_a_post_is_followed_with_noise_too_and_well_once_it_is_past():
+    """1 cm of noise. Of 16 seeds the worst is 0.36 m off; the mean is 0.16 m/s, in the last 8 scans 0.12 m/s at most.
+
+    While it is hidden in part, 2 of the 16 are off by twice its speed for a moment: that is not bounded here.
+    """
+    errors = np.array([behind_a_post(0.01, seed) for seed in range(16)])
+    assert errors[:, :, 0].max() < 0.45, "less than its radius"
+    assert errors[:, :, 1].mean() < 0.19
+    assert (errors[:, -8:, 1] < 0.15).all()
 
 
 def test_what_moves_leaves_nothing_in_the_window_and_what_stands_stays():

@@ -116,7 +116,7 @@ class Hardship:
     company: Callable[[int, Pose2], Float64s] | None = None
     noise: float = 0.01
     observed: bool = True  # whether the beams tell enough to be right
-    far: float = 0.1  # m from the truth at most, where they do
+    far: float = 0.04  # m from the truth at most, where they do: over five seeds the worst is 0.035
     seed: int = 1
 
 
@@ -193,6 +193,7 @@ def alone(_k: int, _motion: Pose2) -> None:
     """No odometry at all."""
 
 
+UNAWARE = "poses over 0.3 m off are called good in up to 100 scans, with 0.04 to 0.24 m of standard deviation"
 LAPPED = tuple(islice(laps(), LAP))
 ON = (Pose2(0.2, 0, 0),) * 60
 BARE = Hardship(laser(range_max=5.0), ON, Pose2(), CORRIDOR, scaled(1.1, 1.0), observed=False)
@@ -218,18 +219,18 @@ ROWS: dict[str, Hardship] = {
     "a scan every metre, 180 beams": Hardship(laser(180), tuple(along(ROUND, 1.0, 0.8))),
     "a scan every metre, 180 degrees": Hardship(laser(181, pi), tuple(along(ROUND, 1.0, 0.8))),
     "5 m of range": Hardship(laser(range_max=5.0)),
-    "5 m of range, 180 degrees": Hardship(laser(181, pi, 5.0)),
+    "5 m of range, 180 degrees": Hardship(laser(181, pi, 5.0), far=0.1),
     "noise of 3 cm": Hardship(noise=0.03),
     "clutter that is always new": Hardship(company=clutter),
     "people": Hardship(company=people),
-    "a wheel that slips": Hardship(told=slipping),
-    "odometry that stalls": Hardship(told=stalling),
+    "a wheel that slips": Hardship(told=slipping, far=0.1),
+    "odometry that stalls": Hardship(told=stalling, far=0.1),
     "every third scan is missing": Hardship(dropped=lambda k: k % 3 == 2),
     "six scans in a row are missing": Hardship(dropped=lambda k: k % 40 > 33),
     "odometry 10 % too far, turns 10 % short": Hardship(told=scaled(1.1, 0.9)),
     "odometry 10 % short, turns 10 % too far": Hardship(told=scaled(0.9, 1.1)),
-    "no odometry": Hardship(told=alone),
-    "ring, 0.3 m and 30 degrees a scan, 5 m, 180 degrees": Hardship(laser(181, pi, 5.0), LAPPED, START, RING),
+    "no odometry": Hardship(told=alone, far=0.1),
+    "ring, 0.3 m and 30 degrees a scan, 5 m, 180 degrees": Hardship(laser(181, pi, 5.0), LAPPED, START, RING, far=0.1),
     "the same without odometry, noise of 1.5 cm": Hardship(
         laser(181, pi, 5.0), LAPPED, START, RING, alone, noise=0.015, observed=False
     ),
@@ -239,6 +240,9 @@ ROWS: dict[str, Hardship] = {
     "a corridor without an end": BARE,
     "a corridor without an end, no odometry": replace(BARE, told=alone),
 }
+
+NO_ODOMETRY_NOISE = {0.01: "", 0.015: "", 0.02: UNAWARE, 0.025: UNAWARE, 0.03: UNAWARE}
+"""m of noise of the ring without odometry -> why it fails there over seeds 1 to 4; empty where it holds."""
 
 
 DARK = range(60, 110)  # scans: 10 s

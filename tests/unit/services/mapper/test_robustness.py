@@ -1,27 +1,65 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each hardship against the truth: either the place is right, or the state is not good and the covariance says so."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from tests.unit.services.mapper.hardships import LED, ROWS, THRONGED, WRONG, Hardship, course, laser
+from tests.unit.services.mapper.hardships import (
+    LED,
+    NO_ODOMETRY_NOISE,
+    ROWS,
+    THRONGED,
+    WRONG,
+    Course,
+    Hardship,
+    course,
+    laser,
+)
 
 
 @pytest.mark.parametrize("name", ROWS)
 def test_the_pose_is_right_or_says_that_it_is_not(name):
     row = ROWS[name]
     driven = course(row)
-    assert driven.n_confidently_wrong == 0
     if row.observed:
-        assert driven.away.max() < row.far
-        assert driven.away.mean() < row.far / 2
-        assert driven.turned.max() < 0.06
-        assert driven.good[3:].mean() > 0.95
+        check_right(row, driven)
     else:
-        wrong = driven.away > WRONG
-        assert wrong.any(), "there is nothing to say"
-        assert not driven.good[wrong].any()
-        assert (driven.sigma[wrong] > 0.25).all()
+        assert (driven.away > WRONG).any(), "there is nothing to say"
+        check_honest(driven)
+
+
+def check_right(row: Hardship, driven: Course) -> None:
+    assert driven.n_confidently_wrong == 0
+    assert driven.away.max() < row.far
+    assert driven.away.mean() < row.far / 2
+    assert driven.turned.max() < 0.06
+    assert driven.good[3:].mean() > 0.95
+
+
+def check_honest(driven: Course) -> None:
+    """Where the pose is wrong, its state is not good and its standard deviation is large."""
+    wrong = driven.away > WRONG
+    assert driven.n_confidently_wrong == 0
+    assert (driven.sigma[wrong] > 0.25).all()
+
+
+def expected_to_fail(value: float | str, reason: str) -> object:
+    return pytest.param(value, marks=pytest.mark.xfail(strict=True, reason=reason)) if reason else value
+
+
+@pytest.mark.parametrize("noise", [expected_to_fail(*row) for row in NO_ODOMETRY_NOISE.items()])
+def test_a_lap_without_odometry_is_right_or_says_that_it_is_not(noise):
+    row = ROWS["the same without odometry, noise of 1.5 cm"]
+    for seed in range(1, 5):
+        check_honest(course(replace(row, noise=noise, seed=seed)))
+
+
+@pytest.mark.xfail(strict=True, reason="with this noise 123 of 220 poses are 0.3 to 0.6 m off and called good")
+def test_a_round_of_the_house_without_odometry_is_right_with_other_noise_too():
+    row = replace(ROWS["no odometry"], seed=5)
+    check_right(row, course(row))
 
 
 @pytest.mark.parametrize("name", ["a corridor without an end", "a corridor without an end, no odometry"])
@@ -39,7 +77,7 @@ def test_twenty_beams_place_a_robot_with_true_odometry():
 
 
 def test_who_walks_down_a_corridor_before_the_robot_does_not_hold_it_back():
-    assert course(LED).away.max() < 0.1
+    assert course(LED).away.max() < 0.02  # 0.003 to 0.008 over four seeds
 
 
 def test_who_overtakes_a_crowd_is_not_pulled_along_by_it():
@@ -54,5 +92,5 @@ def test_a_covariance_that_grew_stays_until_old_ground_is_seen_again():
     far, end = driven.sigma[n // 2 - 8 : n // 2 + 2].max(), driven.sigma[-1]
     assert far > 0.2
     assert end < far / 4
-    assert driven.away[-1] < 0.1
+    assert driven.away[-1] < 0.02  # 0.003 is measured
     assert np.all(driven.sigma[n // 2 - 3 : n // 2] > 0.15), "a new wall is as unsure as the robot that saw it"

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the benchmark measures is what it says: the same scans for both, an hour, a runner that only runs."""
 
+import pytest
+
 from services.mapper.service import MapperService
 from shared.codec import decode
 from shared.messages import LaserScan
@@ -51,3 +53,42 @@ def test_an_idle_service_listens_to_the_same_and_says_nothing(tmp_path):
     replayed = replay(Recording(path), ["mapper"], lambda name: bench.idle(Tiles))
     assert replayed.sent["mapper"] == []
     assert any("does not answer request/load_map any more" in gap.what for gap in replayed.gaps)
+
+
+GOOD = {
+    "written_a_second": 37_000, "read_a_second": 124_000, "open_s": 0.05, "seek_s": 0.005, "info_s": 0.1,
+    "mapper_times_real_time": 50.0, "replay_times_real_time": 179.0, "recorder_share": 0.04, "recorder_missed": 0,
+}  # fmt: skip
+RATES = {"write": "written_a_second", "read": "read_a_second"}
+
+
+def test_every_figure_at_its_limit_is_kept():
+    assert all(bench.kept(GOOD).values())
+
+
+@pytest.mark.parametrize(
+    ("name", "worse"),
+    [
+        ("written_a_second", 19_999), ("read_a_second", 49_999), ("open_s", 1.01), ("seek_s", 1.01), ("info_s", 1.01),
+        ("mapper_times_real_time", 49.9), ("replay_times_real_time", 49.9), ("recorder_share", 0.051),
+        ("recorder_missed", 1),
+    ],
+)  # fmt: skip
+def test_a_figure_beyond_its_limit_is_not_kept_whatever_the_others_are(name, worse):
+    kept = bench.kept({**GOOD, name: worse})
+    assert [key for key, holds in kept.items() if not holds] == [name]
+
+
+@pytest.mark.parametrize(("ratio", "own_ratio", "status"), [(50.0, 56.0, 0), (17.1, 18.9, 1)])
+def test_a_slow_mapper_does_not_lower_the_limit_of_its_replay(ratio, own_ratio, status, tmp_path, monkeypatch, capsys):
+    scans = {"bytes": 3030} | {name: {"ours": GOOD[key], "mcap": 9, "ratio": 9.0} for name, key in RATES.items()}
+    replayed = {"ratio": ratio, "own_ratio": own_ratio, "runner_ratio": 179}
+    recorder = {"share": 0.04, "bare_share": 0.04, "ratio": 1.0, "messages_a_second": 480.0, "missed": 0}
+    hour = dict.fromkeys(("hours", "messages", "mb", "open_s", "seek_s", "info_s", "command_s"), 0.5)
+    monkeypatch.setattr(bench, "run_folder", lambda _: tmp_path)
+    monkeypatch.setattr(bench, "drive", lambda *_: None)
+    for name, figures in (("scans", scans), ("replayed", replayed), ("recorder", recorder), ("hour", hour)):
+        monkeypatch.setattr(bench, f"_{name}", lambda *_, figures=figures: figures)
+    assert bench.recording(1.0, None) == status
+    row = next(line for line in capsys.readouterr().out.splitlines() if "replay with the mapper" in line)
+    assert row.split("least")[1].split() == ["50", f"{ratio:g}", *(["not", "kept"] if status else ["kept"])]

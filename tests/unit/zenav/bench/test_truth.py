@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The benchmarks that know the truth, on one small world: what they drive, what they score, what they call wrong."""
 
+import json
 from dataclasses import replace
 from math import hypot, pi
 
@@ -9,19 +10,21 @@ import pytest
 
 from shared.geometry import Pose2
 from shared.messages import Localization, PoseEstimate
+from zenav.bench import buildings as bench
 from zenav.bench.buildings import figures, kept, summary, tour
 from zenav.bench.figure_pages import PLACES
 from zenav.bench.figure_rows import ROWS
+from zenav.bench.chauffeur import Chauffeur
 from zenav.bench.localise import GIVES_UP, Trial, Watch, trial
 from zenav.bench.localise import kept as all_kept
 from zenav.bench.localise import summary as told_of
-from zenav.bench.rig import Rig, robot_file
+from zenav.bench.rig import DriveResult, Rig, robot_file
 
 
 @pytest.fixture(scope="module")
 def toured():
     rig = Rig(robot_file("x80sv", "room", 0, None, []))
-    assert tour(rig, np.random.default_rng(0))
+    assert tour(rig, np.random.default_rng(0)) == []
     return rig
 
 
@@ -33,8 +36,13 @@ def test_the_tour_visits_every_goal_touches_nothing_and_ends_where_it_began(tour
     assert toured.truth.n_contacts == 0
 
 
+def run_of(rig, **changes):
+    """What is reported of a building."""
+    return {"building": 0, "trouble": "", "not_reached": [], **figures(rig), "cpu_s": 1.0, **changes}
+
+
 def test_a_small_room_keeps_every_promise(toured):
-    run = {"building": 0, "trouble": "", **figures(toured), "cpu_s": 1.0}
+    run = run_of(toured)
     assert run["pose_error_mean_m"] < 0.03
     assert run["keyframe_error_mean_m"] < 0.03
     assert kept(run)
@@ -42,13 +50,98 @@ def test_a_small_room_keeps_every_promise(toured):
 
 
 def test_what_a_tour_reports_becomes_a_published_row(toured):
-    run = {"building": 0, "trouble": "", **figures(toured), "cpu_s": 1.0}
+    run = run_of(toured)
     row = next(row for row in ROWS if row.name == "buildings")
     cells = row.cells([{"runs": [run]}, {"runs": [{"building": 1, "trouble": "none"}]}])
     assert [line[0] for line in cells["buildings"]] == ["0", "1", "**mean**"]
     assert {len(line) for line in cells["buildings"]} == {len(PLACES["buildings"].head)}
     assert 0.5 < run["map_completeness"] <= 1
     assert f"completeness {run['map_completeness'] * 100:.1f} %" in cells["measured"][0][0]
+
+
+class GivesUp(Chauffeur):
+    """Drives for two seconds, then no further."""
+
+    def go(self, goal, truth):
+        self.n_commands = 0
+        return super().go(goal, truth)
+
+    def command(self, truth, seconds):
+        self.n_commands += 1
+        return super().command(truth, seconds) if self.n_commands <= 40 else None
+
+
+class IntoTheWall(Chauffeur):
+    """Drives straight on until the robot touches something."""
+
+    def command(self, truth, seconds):
+        return (0.3, 0.0) if truth.n_contacts == 0 else None
+
+
+def driven_by(chauffeur):
+    rig = Rig(robot_file("x80sv", "room", 0, None, []))
+    rig.chauffeur = chauffeur(rig.ways)
+    return rig
+
+
+def test_a_drive_tells_how_it_ended():
+    rig = driven_by(Chauffeur)
+    desk = rig.world.goals["desk"]
+    assert rig.drive(desk, lambda: rig.truth.distance > 0.3) is DriveResult.STOPPED
+    assert rig.drive(Pose2(50.0, 50.0, 0.0)) is DriveResult.NO_PATH
+    rig.chauffeur = GivesUp(rig.ways)
+    assert rig.drive(desk) is DriveResult.GAVE_UP
+    rig.chauffeur = Chauffeur(rig.ways)
+    assert rig.drive(desk) is DriveResult.REACHED
+    assert rig.truth.world_from_base.distance(desk) < 0.6
+
+
+def test_a_goal_that_the_driver_gave_up_is_not_reached_and_counts_against_the_building():
+    rig = driven_by(GivesUp)
+    missed = tour(rig, np.random.default_rng(0))
+    assert {line.partition(":")[0] for line in missed} >= {"desk", "shelf"}
+    run = run_of(rig, not_reached=missed, pose_error_mean_m=0.0, map_within_5_cm=1.0)
+    assert not kept(run)
+    assert kept({**run, "not_reached": []})
+    assert summary([run])["not_reached"] == len(missed)
+
+
+def test_a_contact_counts_against_the_building():
+    rig = driven_by(IntoTheWall)
+    rig.drive(rig.world.goals["shelf"])
+    run = run_of(rig, pose_error_mean_m=0.0, map_within_5_cm=1.0)
+    assert run["collisions"] == 1
+    assert not kept(run)
+    assert kept({**run, "collisions": 0})
+    assert summary([run])["collisions"] == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "status", "said"),
+    [
+        ({}, 0, "building 0: done"),
+        ({"not_reached": ["desk: given up on the way"]}, 1, "desk: given up on the way"),
+        ({"collisions": 2}, 1, "2 contacts"),
+    ],
+)
+def test_the_verdict_the_table_and_the_file_name_what_was_missed_and_touched(
+    changes, status, said, toured, tmp_path, monkeypatch, capsys
+):
+    run = run_of(toured, pose_error_mean_m=0.01, map_within_5_cm=0.99, **changes)
+    monkeypatch.setattr(bench, "toured", lambda *_: run)
+    monkeypatch.setattr(bench, "run_folder", lambda _: tmp_path)
+    out = tmp_path / "buildings.json"
+    assert bench.buildings("x80sv", "0", 1, out, []) == status
+    shown = capsys.readouterr()
+    assert said in shown.err
+    row = shown.out.splitlines()[-1].split()
+    n_missed, n_contacts = len(run["not_reached"]), run["collisions"]
+    assert row[:7] == ["0", "6", "x", "5", "2", str(n_missed), str(n_contacts)]
+    written = json.loads(out.read_text())
+    assert written["summary"]["kept"] == 1 - status
+    assert written["summary"]["not_reached"] == n_missed
+    assert written["runs"][0]["not_reached"] == run["not_reached"]
+    assert written["runs"][0]["collisions"] == n_contacts
 
 
 def test_its_speed_is_a_robot_s(toured):

@@ -3,7 +3,7 @@ from math import exp, pi
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from shared.config import load_robot
@@ -98,6 +98,7 @@ def test_a_lag_settles_at_its_gain_and_begins_at_rest(gain, delay, lag):
 
 
 @given(st.floats(0.3, 1.0), st.floats(0.4, 3.0))
+@example(0.96, 0.75)
 @settings(max_examples=10)
 def test_braking_is_the_distance_since_the_motors_zero(speed, deceleration):
     def command(t):
@@ -110,7 +111,8 @@ def test_braking_is_the_distance_since_the_motors_zero(speed, deceleration):
     phase = Phase(Kind.STOP, START + SECOND - 50_000_000, START + 4 * SECOND, speed, speed)
     (stop,) = brakings(log_of(command, answer, 5.0), [phase], DRIVE)
     assert stop.speed == pytest.approx(speed, abs=0.01)
-    assert stop.distance == pytest.approx(speed**2 / (2 * deceleration), abs=0.003)
+    summed = speed * 0.005 / 2  # m that the log's steps of 5 ms go too far
+    assert stop.distance == pytest.approx(speed**2 / (2 * deceleration) + summed, abs=1.5 / PER_METRE)
     assert stop.seconds == pytest.approx(speed / deceleration, abs=0.1)
     braking = reached([stop])
     assert braking is not None

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from mcap.reader import make_reader
@@ -58,6 +58,14 @@ def contents(draw):
     return Content(messages, mount)
 
 
+def far_out():
+    """A laser as far from its base as one may be, on a base that has turned."""
+    stamp = 1_700_000_000 * SECOND
+    odometry = Odometry(stamp, Pose2(0.0, 150.0, 2.0), 0.0, 0.0, np.arange(9.0))
+    scan = LaserScan(stamp, -1.5, -0.1, 0.0, 0.0625, 30.0, np.ones(2, np.float32))
+    return Content([("odom", odometry), ("scan", scan)], Mount(x=0.0, y=2.0, yaw=0.0))
+
+
 def written(content, to, folder):
     out = folder / NAMES[to]
     FORMATS[to].write(Conversion(Path(__file__), content, out, "", lambda share: None))
@@ -71,6 +79,7 @@ def near(a, b, tolerance=1e-6):
 @pytest.mark.parametrize("to", NAMES)
 @settings(max_examples=12, deadline=None)
 @given(content=contents())
+@example(content=far_out())
 def test_what_is_written_reads_back(to, content, tmp_path_factory):
     """Ranges to float32, poses to 1e-6, stamps to the nanosecond (in CARMEN logs, to the microsecond)."""
     back = read_content(written(content, to, tmp_path_factory.mktemp("out")), Choice())

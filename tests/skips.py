@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tests were skipped for, and what provides it: the last lines of a run."""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Need:
+    """What tests may lack. words: any of them stands in the reasons of its skips. provided_by: what to do for it."""
+
+    words: tuple[str, ...]
+    provided_by: str
+
+
+DATA = Need(("ZENAV_DATA", "slam_eval.py"), "set ZENAV_DATA to the folder with slam, barn, planning, bags and x80sv")
+NEEDS = (
+    DATA,
+    Need(("Docker", "docker"), "install Docker with Compose, and run make test-docker"),
+    Need(("evo",), "pip install -r requirements-dev.txt"),
+    Need(("x86-64",), "run them on an x86-64 processor"),
+    Need(("another processor",), "run them where the recordings were made, or make record-references"),
+    Need(("cannot fork",), "run them on Linux"),
+)
+
+
+def need_of(reason: str) -> Need:
+    """What a reason to skip asks for; one of its own where no row of NEEDS knows it."""
+    return next((need for need in NEEDS if any(word in reason for word in need.words)), Need((reason,), reason))
+
+
+def lacks_data(reasons: Iterable[str]) -> bool:
+    """Whether tests were skipped for want of the data."""
+    return any(need_of(reason) is DATA for reason in reasons)
+
+
+def lines(reasons: Iterable[str]) -> list[str]:
+    """One line a need, the most tests first. reasons: one a skipped test."""
+    counts = Counter(need_of(reason) for reason in reasons)
+    return [
+        f"{n} {'test' if n == 1 else 'tests'} skipped: {need.provided_by}"
+        for need, n in sorted(counts.items(), key=lambda item: (-item[1], item[0].provided_by))
+    ]
