@@ -12,9 +12,9 @@ from shared.geometry import Pose2
 from shared.messages import Localization, PoseEstimate
 from zenav.bench import buildings as bench
 from zenav.bench.buildings import figures, kept, summary, tour
+from zenav.bench.chauffeur import Chauffeur
 from zenav.bench.figure_pages import PLACES
 from zenav.bench.figure_rows import ROWS
-from zenav.bench.chauffeur import Chauffeur
 from zenav.bench.localise import GIVES_UP, Trial, Watch, trial
 from zenav.bench.localise import kept as all_kept
 from zenav.bench.localise import summary as told_of
