@@ -68,8 +68,8 @@ PLACES: dict[str, TablePosition] = {
     "slam-line": TablePosition(slam.COLUMNS, ("slam",)),
     "buildings": TablePosition(
         (
-            "building", "rooms", "not reached", "contacts", "driven, m", "pose, cm", "max", "keyframes, cm", "map in 5 cm, %", "aligned, %",
-            "complete, %", "CPU, s",
+            "building", "rooms", "not reached", "contacts", "driven, m", "pose, cm", "max", "keyframes, cm",
+            "map in 5 cm, %", "aligned, %", "complete, %", "CPU, s",
         ),
         ("buildings",),
     ),

@@ -103,9 +103,10 @@ def _buildings(reports: Sequence[Report]) -> Cells:
         return s[key][which] if key in s else None
 
     figure = (
-        f"{s['kept']} of {s['buildings']} kept their limits; goals not reached {missed}, contacts {touched}; mean pose "
-        f"error {_cm(of('pose_error_mean_m'))}, worst {_cm(of('pose_error_mean_m', 'worst'))}; map precision {_share(of('map_within_5_cm'))}, after a "
-        f"rigid fit {_share(of('aligned_within_5_cm'))}; completeness {_share(of('map_completeness'))}"
+        f"{s['kept']} of {s['buildings']} kept their limits; goals not reached {missed}, contacts {touched}; "
+        f"mean pose error {_cm(of('pose_error_mean_m'))}, worst {_cm(of('pose_error_mean_m', 'worst'))}; "
+        f"map precision {_share(of('map_within_5_cm'))}, after a rigid fit {_share(of('aligned_within_5_cm'))}; "
+        f"completeness {_share(of('map_completeness'))}"
     )
     return {README: [[figure]], "buildings": [*lines, ["**mean**", "", missed, touched, *mean]]}
 
