@@ -29,7 +29,10 @@ class DriveTruth(Section):
     size_error: float = Field(0.0, ge=-0.2, le=0.2, description="share by which both wheels are larger")
     distance_error: float = Field(0.01, ge=-0.2, le=0.2, description="share by which the wheel distance is larger")
     turn_slip: float = Field(
-        0.0, ge=0, le=1, description="share by which skid steering widens the wheel distance in a turn on the spot: less in a curve"
+        0.0,
+        ge=0,
+        le=1,
+        description="share by which skid steering widens the wheel distance in a turn on the spot: less in a curve",
     )
     slip: float = Field(0.02, ge=0, le=0.5, description="standard deviation of the share of its way that a wheel slips")
     slip_time: float = Field(0.2, gt=0, le=10, description="s over which the slip stays alike")
