@@ -234,8 +234,8 @@ class FrontEnd:
     def _is_busy(self) -> bool:
         """Whether much walks about the robot.
 
-        In 0.07 s a walker goes as far as a beam may be off that agrees. The longer the time between two sweeps, the less
-        sure is the robot's own motion, which puts beams on free ground too: BUSY grows with it.
+        In 0.07 s a walker goes as far as a beam may be off that agrees. Over a longer time between two sweeps the
+        robot's own motion is less sure, and puts beams on free ground too: BUSY grows in proportion.
         """
         agreeing_s = self.registration.agrees / WALKING_SPEED
         return self.busy > BUSY * max(1.0, self.seconds / agreeing_s)

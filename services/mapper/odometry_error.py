@@ -15,11 +15,12 @@ LEARNING = 0.05  # weight of the newest motion in odometry's error
 SPAN = 0.065
 """s over which motions are compared, at least.
 
-A comparison holds the error of odometry, which grows with its time, and the error of two matches, which does not. A match
-of some hundred beams resolves 5 to 7 mm (median of its covariance: 5.3 among thin posts, 7.0 on the log intel). Odometry's
-least doubt (`registration.prior`, 5 mm in this time) reaches that after 0.065 to 0.09 s. Over shorter times the errors of
-matches are learnt as odometry's, and the next match has more freedom to err. A comparison takes whole steps: four at 50 Hz,
-two at 20 Hz, one up to 15 Hz; a step's share of the doubt is its share of that time, so the scan rate does not matter.
+A comparison holds the error of odometry, which grows with its time, and the error of two matches, which does not.
+A match of some hundred beams resolves 5 to 7 mm (median of its covariance: 5.3 among thin posts, 7.0 on the log intel).
+Odometry's least doubt (`registration.prior`, 5 mm in this time) reaches that after 0.065 to 0.09 s. Over shorter times
+the errors of matches are learnt as odometry's, and the next match has more freedom to err. A comparison takes whole
+steps: four at 50 Hz, two at 20 Hz, one up to 15 Hz. A step's share of the doubt is its share of that time, so that the
+scan rate does not matter.
 """
 ENOUGH = 0.95  # of it: stamps jitter
 MIN_SWEEP_S = 0.01  # s: no laser sweeps faster; a logger that writes in bursts stamps scans 1 ms apart

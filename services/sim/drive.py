@@ -32,7 +32,7 @@ class DriveTruth(Section):
         0.0,
         ge=0,
         le=1,
-        description="share by which skid steering widens the wheel distance in a turn on the spot: less in a curve",
+        description="widening of the wheel distance by skid steering in a turn on the spot",
     )
     slip: float = Field(0.02, ge=0, le=0.5, description="standard deviation of the share of its way that a wheel slips")
     slip_time: float = Field(0.2, gt=0, le=10, description="s over which the slip stays alike")
@@ -99,9 +99,9 @@ def slip_after(slip: float, draw: float, wheels: Wheels) -> float:
 def acting_distance(left: float, right: float, wheels: Wheels) -> float:
     """The wheel distance that acts, m, while the wheels roll `left` and `right` m: skid steering's depends on the path.
 
-    The tracks turn about centres beyond the wheels: their distance is that of the wheels times 1 + a / (1 + b sqrt|l|),
-    with l = (right + left) / (right - left), 0 in a turn on the spot (Wang et al., Sensors 15(5):9681, 2015, on a Pioneer
-    3-AT; a is `turn_slip`).  `wheels.distance` is the one in a turn on the spot.
+    Each side turns about a centre beyond its wheels. The distance of these centres is that of the wheels times
+    1 + a / (1 + b sqrt|l|), with l = (right + left) / (right - left), 0 in a turn on the spot (Wang et al., Sensors
+    15(5):9681, 2015, on a Pioneer 3-AT; a is `turn_slip`).  `wheels.distance` is the one in a turn on the spot.
     """
     if left == right or wheels.turn_slip == 0.0:
         return wheels.distance
