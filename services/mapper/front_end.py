@@ -34,7 +34,7 @@ BESIDE = 0.25  # m is elsewhere, and sees it there still
 STAYED = 1_000_000_000  # ns later: who drives fast is soon elsewhere, and what is slow still where it was
 BUSY = 4.0  # beams of a sweep on what stands free where all was free, more than noise makes: from there on much walks
 LATELY = 1.0  # s over which that is averaged
-SOON = 0.065  # s between two sweeps in which who walks goes no farther than a beam may be off that agrees
+WALKING_SPEED = 1.5  # m/s: a person who walks briskly
 MOST_WALKING = 0.9  # share of a sweep that may be left out: the rest, and odometry, still tell the place
 PATIENCE = 10  # scans that fit, but not well, until they are drawn all the same
 STRAYED = 0.3  # m that one who did not fit, or stood, may be off odometry where he fits again: rooms look alike
@@ -157,9 +157,8 @@ class FrontEnd:
         self._smooth(step, placed, measures)
         self.local_from_base = placed.match.map_from_base
         self.reckoned = self.reckoned @ step if measures else self.local_from_base
-        # over a longer time who walks has gone on, and nothing of him agrees
         self.busy *= exp(-seconds / LATELY)
-        if seconds < SOON and placed.quality >= self.config.good:  # else it is the place that is wrong
+        if placed.quality >= self.config.good:  # else it is the place that is wrong
             self.busy += (1 - exp(-seconds / LATELY)) * n_free
         n_told = placed.n_agree + placed.n_against + n_moving
         quality = placed.n_agree / max(n_told, MIN_BEAMS)
@@ -216,9 +215,7 @@ class FrontEnd:
         valid = sweep_usable(origins, ends) | normals.any(axis=1)
         sweep = Sweep(origins, ends, normals, _back(len(ends))).only(valid)
         walking = np.zeros(len(sweep.points), np.bool_)
-        busy, free = self.busy > BUSY, walking
-        if busy or self.seconds < SOON:
-            free = sweep_lone(origins, ends, True)[valid]
+        busy, free = self._is_busy, sweep_lone(origins, ends, True)[valid]
         if doubt <= 1:  # who has no odometry has nothing better to hold on to
             lone = free if busy else sweep_lone(origins, ends, False)[valid]
             walking = self._may_walk(sweep, lone, self.smoothed @ step, stamp)
@@ -232,6 +229,16 @@ class FrontEnd:
             if again:
                 placed = self._placed(sweep.only(~walking), step, doubt, skew, [placed.match.map_from_base])
         return sweep, sweep.only(~walking), placed, n_moving, n_free
+
+    @property
+    def _is_busy(self) -> bool:
+        """Whether much walks about the robot.
+
+        In 0.07 s a walker goes as far as a beam may be off that agrees. Over a longer time between two sweeps the
+        robot's own motion is less sure, and puts beams on free ground too: BUSY grows in proportion.
+        """
+        agreeing_s = self.registration.agrees / WALKING_SPEED
+        return self.busy > BUSY * max(1.0, self.seconds / agreeing_s)
 
     def _may_walk(self, sweep: Sweep, lone: Bools, guess: Pose2, stamp: int) -> Bools:
         """(n,) beams on things that stand free, have not stood there for long, and are not much of the sweep.
@@ -247,11 +254,11 @@ class FrontEnd:
             age = stamp - registrar.map.stamps[found]
             away = np.hypot(*(registrar.map.places[found] - (guess.x, guess.y)).T)
             stays = away >= BESIDE
-            if self.busy > BUSY:
+            if self._is_busy:
                 stays &= age >= STAYED
             stands[match.agree] = (age >= STOOD) | stays
             walking[lone] = ~stands
-        most = MOST_WALKING if self.busy > BUSY else self.config.most_moving
+        most = MOST_WALKING if self._is_busy else self.config.most_moving
         return walking if walking.sum() < most * len(lone) else np.zeros_like(lone)
 
     def _placed(self, sweep: Sweep, step: Pose2, doubt: float, skew: float, found: Sequence[Pose2] = ()) -> Placed:

@@ -12,9 +12,18 @@ from shared.geometry import Pose2
 OBSERVED = 0.012  # m, standard deviation up to which the beams fix a direction
 UNKNOWN = 0.1  # standard deviation of a scale that nothing was learnt about
 LEARNING = 0.05  # weight of the newest motion in odometry's error
-SPAN = 0.065  # s: motions are compared over this long, at least
+SPAN = 0.065
+"""s over which motions are compared, at least.
+
+A comparison holds the error of odometry, which grows with its time, and the error of two matches, which does not.
+A match of some hundred beams resolves 5 to 7 mm (median of its covariance: 5.3 among thin posts, 7.0 on the log intel).
+Odometry's least doubt (`registration.prior`, 5 mm in this time) reaches that after 0.065 to 0.09 s. Over shorter times
+the errors of matches are learnt as odometry's, and the next match has more freedom to err. A comparison takes whole
+steps: four at 50 Hz, two at 20 Hz, one up to 15 Hz. A step's share of the doubt is its share of that time, so that the
+scan rate does not matter.
+"""
 ENOUGH = 0.95  # of it: stamps jitter
-LEAST_SHARE = 0.05  # of what is doubted of a motion over SPAN, that a step has: stamps may lie
+MIN_SWEEP_S = 0.01  # s: no laser sweeps faster; a logger that writes in bursts stamps scans 1 ms apart
 LONG, LONG_TURN = 0.3, 0.5  # m, rad: a scale is learnt from motions so long, of which lag and steps are a small part
 MAX_LONG = 50  # of SPAN
 MAX_JITTER_S = 0.15  # s between two scans up to which odometry that is late, or comes in steps, shows
@@ -89,7 +98,7 @@ class OdometryError:
     """What odometry has got wrong of late, as the matches that know better tell: its scale, and what is left.
 
     What a match gets wrong, the next one undoes, so from scan to scan of a fast laser that is most of what they differ
-    by: motions are compared over `SPAN`, and of that a shorter step has its share.
+    by: motions are compared over `SPAN` or longer, and a shorter step has its share of the time that was compared.
     """
 
     def __init__(self) -> None:
@@ -97,6 +106,7 @@ class OdometryError:
         self.measured, self.moved, self.seconds = Pose2(), Pose2(), 0.0  # since they were last compared
         self.forward, self.turn = Scale(0.05), Scale(0.004)
         self.jitter, self.jitter_turn = Jitter(self.squared), Jitter(self.squared_turn)
+        self.compared_s = SPAN  # s, mean time over which motions were compared
         self._forget_long()
         self.recent: deque[tuple[float, float, float]] = deque(maxlen=EVEN)  # s, m, rad of the last steps
         self.uneven = self.uneven_turn = 0.0  # m, rad, standard deviations of the next one besides
@@ -130,6 +140,7 @@ class OdometryError:
         if self.seconds < ENOUGH * SPAN:
             self.measured, self.moved = step, moved
             return
+        self.compared_s += LEARNING * (self.seconds - self.compared_s)
         self.measured, self.moved, self.seconds = Pose2(), Pose2(), 0.0
         off = self.corrected(step).inverse() @ moved
         most = OUTLIER if seconds <= MAX_JITTER_S else inf
@@ -157,20 +168,22 @@ class OdometryError:
         step: Pose2,
         doubt: float = 1.0,
         skew: float = 0.0,
-        seconds: float = SPAN,
+        seconds: float = inf,
         smooth: bool = False,
     ) -> Prior:
         """The prior after a corrected step from a matched pose; `doubt` widens it.
 
-        seconds: that the step took.  smooth: without what uneven odometry is off here and there.
+        seconds: that the step took; a stamp that cannot be true says nothing, and the step is doubted as a whole one.
+        smooth: without what uneven odometry is off here and there.
         """
         uneven, uneven_turn = (0.0, 0.0) if smooth else (self.uneven, self.uneven_turn)
-        share = min(max(seconds / SPAN, LEAST_SHARE), 1.0)
+        seconds = seconds if seconds >= MIN_SWEEP_S else inf
+        share, known = min(seconds / SPAN, 1.0), config.trust * min(seconds / self.compared_s, 1.0)
         least = share * config.prior + config.prior_share * hypot(step.x, step.y)
         least_turn = share * config.prior_turn + config.prior_turn_share * abs(step.yaw)
         return Prior(
             before @ step,
-            doubt * (max(least, share * config.trust * sqrt(self.squared)) + uneven),
-            doubt * (max(least_turn, share * config.trust * sqrt(self.squared_turn)) + uneven_turn),
+            doubt * (max(least, known * sqrt(self.squared)) + uneven),
+            doubt * (max(least_turn, known * sqrt(self.squared_turn)) + uneven_turn),
             skew,
         )

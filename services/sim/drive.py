@@ -15,6 +15,9 @@ Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 
 
+CURVE = 0.0538  # how fast the widening falls with the straightness of the path: Wang et al. 2015
+
+
 class DriveTruth(Section):
     """How the real drive differs from `robot.drive`, which is what everybody else believes."""
 
@@ -25,6 +28,12 @@ class DriveTruth(Section):
     )
     size_error: float = Field(0.0, ge=-0.2, le=0.2, description="share by which both wheels are larger")
     distance_error: float = Field(0.01, ge=-0.2, le=0.2, description="share by which the wheel distance is larger")
+    turn_slip: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="widening of the wheel distance by skid steering in a turn on the spot",
+    )
     slip: float = Field(0.02, ge=0, le=0.5, description="standard deviation of the share of its way that a wheel slips")
     slip_time: float = Field(0.2, gt=0, le=10, description="s over which the slip stays alike")
     command_life: float | None = Field(
@@ -43,11 +52,15 @@ class Battery(Section):
 
 
 class Wheels(NamedTuple):
-    """The true drive in numbers: radii and distance m, lag s, limit rad/s^2, slip and how much of it a step keeps."""
+    """The true drive in numbers: radii and distance m, lag s, limit rad/s^2, slip and how much of it a step keeps.
+
+    distance: in a turn on the spot.  turn_slip: the share of widening in that; in a curve there is less.
+    """
 
     left_radius: float
     right_radius: float
     distance: float
+    turn_slip: float
     lag: float
     limit: float
     slip: float
@@ -61,6 +74,7 @@ def true_wheels(drive: Drive, truth: DriveTruth, dt: float) -> Wheels:
         radius * (1 - truth.radius_error / 2),
         radius * (1 + truth.radius_error / 2),
         drive.wheel_distance * (1 + truth.distance_error),
+        truth.turn_slip,
         truth.motor_lag,
         truth.wheel_acceleration / drive.wheel_radius,
         truth.slip,
@@ -79,6 +93,20 @@ def wheel_speed(speed: float, target: float, lag: float, limit: float, dt: float
 def slip_after(slip: float, draw: float, wheels: Wheels) -> float:
     """The slip share a step later: an Ornstein-Uhlenbeck process with standard deviation `wheels.slip`."""
     return wheels.kept * slip + sqrt(1.0 - wheels.kept * wheels.kept) * wheels.slip * draw
+
+
+@njit(cache=True, nogil=True)
+def acting_distance(left: float, right: float, wheels: Wheels) -> float:
+    """The wheel distance that acts, m, while the wheels roll `left` and `right` m: skid steering's depends on the path.
+
+    Each side turns about a centre beyond its wheels. The distance of these centres is that of the wheels times
+    1 + a / (1 + b sqrt|l|), with l = (right + left) / (right - left), 0 in a turn on the spot (Wang et al., Sensors
+    15(5):9681, 2015, on a Pioneer 3-AT; a is `turn_slip`).  `wheels.distance` is the one in a turn on the spot.
+    """
+    if left == right or wheels.turn_slip == 0.0:
+        return wheels.distance
+    straightness = sqrt(abs((right + left) / (right - left)))
+    return wheels.distance * (1.0 + wheels.turn_slip / (1.0 + CURVE * straightness)) / (1.0 + wheels.turn_slip)
 
 
 @njit(cache=True, nogil=True)

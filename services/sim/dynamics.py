@@ -8,7 +8,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from services.sim.contact import placed, touches_people, touches_world
-from services.sim.drive import Wheels, moved, slip_after, wheel_speed
+from services.sim.drive import Wheels, acting_distance, moved, slip_after, wheel_speed
 from services.sim.people import RADIUS, People, walk
 from services.sim.rays import Cells
 
@@ -97,7 +97,8 @@ def advance(
         state[RIGHT_SLIP] = slip_after(state[RIGHT_SLIP], draws[k, 1], wheels)
         on_left = state[LEFT_SPEED] * DT * wheels.left_radius * (1.0 - state[LEFT_SLIP])
         on_right = state[RIGHT_SPEED] * DT * wheels.right_radius * (1.0 - state[RIGHT_SLIP])
-        forward, turn = (on_left + on_right) / 2.0, (on_right - on_left) / wheels.distance
+        forward = (on_left + on_right) / 2.0
+        turn = (on_right - on_left) / acting_distance(on_left, on_right, wheels)
 
         x, y, yaw = state[X], state[Y], state[YAW]
         discs = people.state[:, : RADIUS + 1]

@@ -183,10 +183,14 @@ def leader(_k: int, pose: Pose2) -> Float64s:
 SLOWER = (-7.5, -1.6), (-6.0, 1.5), (-5.4, 2.7), (-4.0, -2.2), (-3.0, -1.4), (-1.0, 1.6), (0.5, -1.5), (3.0, 1.8)
 
 
-def throng(k: int, _pose: Pose2) -> Float64s:
-    """Things of a metre, some before others, that all go where the robot goes, a quarter as fast."""
-    rows = [(x + 0.01 * k, y) for x, y in SLOWER]
-    return np.concatenate([box(x - 0.35, y - 0.4, x + 0.35, y + 0.4) for x, y in rows])
+def throng(step: float) -> Callable[[int, Pose2], Float64s]:
+    """Things of a metre, some before others, that all go where the robot goes, by `step` m a scan."""
+
+    def at(k: int, _pose: Pose2) -> Float64s:
+        rows = [(x + step * k, y) for x, y in SLOWER]
+        return np.concatenate([box(x - 0.35, y - 0.4, x + 0.35, y + 0.4) for x, y in rows])
+
+    return at
 
 
 def alone(_k: int, _motion: Pose2) -> None:
@@ -208,11 +212,14 @@ THERE_AND_BACK = Hardship(
 LED = Hardship(laser(450, range_max=5.0), (Pose2(0.08, 0, 0),) * 200, Pose2(), CORRIDOR, company=leader, observed=False)
 """Down a bare corridor behind somebody: only his beams speak of the way, and they say that there is none."""
 
-THRONGED = Hardship(
-    laser(720, 1.5 * pi, 30.0, rate=50), (Pose2(0.04, 0, 0),) * 300, Pose2(-9.0, 0, 0), np.array(box(-11, -11, 11, 11)),
-    company=throng,
-)  # fmt: skip
-"""Through a hall, at 2 m/s, past slower ones that hide much of its walls."""
+
+def thronged(rate: int = 50, speed: float = 0.5) -> Hardship:
+    """12 m through a hall, at 2 m/s, past slower ones that hide much of its walls and go at `speed` m/s."""
+    return Hardship(
+        laser(720, 1.5 * pi, 30.0, rate=rate), (Pose2(2 / rate, 0, 0),) * (6 * rate), Pose2(-9.0, 0, 0),
+        np.array(box(-11, -11, 11, 11)), company=throng(speed / rate),
+    )  # fmt: skip
+
 
 ROWS: dict[str, Hardship] = {
     "nothing hard": Hardship(),

@@ -108,6 +108,26 @@ def test_systematic_errors_bend_the_way_as_their_definition_says():
     assert_allclose(turning.w, 1 / 1.02, rtol=1e-6)
 
 
+@pytest.mark.parametrize("forward", [True, False])
+def test_skid_steering_turns_farther_in_a_curve_than_its_distance_on_the_spot_says(forward):
+    errors = {"turn_slip": 0.4728, "distance_error": 0.0, "radius_error": 0.0, "slip": 0.0, "motor_lag": 0.0}
+    sign = 1 if forward else -1
+    turned = []
+    for v, w in ((0.0, 1.0), (0.1415 * 4, 1.0), (0.5, 0.1)):  # about itself; a curve of 4 half distances; a wide one
+        simulated = simulator("empty", drive=errors | {"wheel_acceleration": 50})
+        turned.append(told(drive(simulated, 5.0, sign * v, w), "sim/truth")[-1].w / w)
+    assert_allclose(turned[0], 1.0, rtol=1e-6)
+    assert_allclose(turned[1], 1.4728 / (1 + 0.4728 / (1 + 0.0538 * 2)), rtol=1e-4)
+    assert 1.0 < turned[1] < turned[2] < 1.4728
+
+
+def test_without_skid_steering_the_distance_is_the_same_in_every_curve():
+    errors = {"turn_slip": 0.0, "distance_error": 0.0, "radius_error": 0.0, "slip": 0.0, "motor_lag": 0.0}
+    for v, w in ((0.0, 1.0), (0.5, 0.5)):
+        simulated = simulator("empty", drive=errors | {"wheel_acceleration": 50})
+        assert_allclose(told(drive(simulated, 5.0, v, w), "sim/truth")[-1].w, w, rtol=1e-6)
+
+
 def test_a_command_stands_for_ever_or_for_its_life():
     for life, moves in ((None, True), (0.25, False)):
         service = simulator("empty", drive={"command_life": life})

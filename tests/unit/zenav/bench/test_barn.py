@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from services.sim.store import cylinder_file
 from shared import requests, topics
 from shared.config import Section, UserError, load_robot
 from shared.geometry import inside
@@ -20,7 +21,7 @@ from shared.requests import Reply
 from shared.runners.lockstep import Lockstep
 from shared.service import Answer, Out, Service, answer, every
 from zenav.__main__ import _status
-from zenav.bench.barn import summary, worlds_from, write_trajectory
+from zenav.bench.barn import NOISE, summary, worlds_from, write_trajectory
 from zenav.bench.barn_run import (
     FREE_TIME,
     BarnFile,
@@ -105,6 +106,18 @@ def test_a_trajectory_is_written_as_the_others_read_it(tmp_path):
     assert {name: float(value) for name, value in row.items()} == {
         "t": 0.0, "x": 1.0, "y": 2.0, "heading": 0.5, "v": 0.1, "w": -0.2,
     }  # fmt: skip
+
+
+def test_noise_is_a_skid_steered_robots(tmp_path):
+    path = tmp_path / "w.json"
+    path.write_text(json.dumps(FILE))
+    course = course_of(path, cylinder_file(path, BarnFile), "7")
+    true, ideal = (made("sim", file, file.robot).config.drive for file in (
+        robot_file(Trial(course, 0, "jackal", settings)) for settings in (NOISE, ())
+    ))  # fmt: skip
+    assert true.distance_error >= 0.04 > ideal.distance_error  # what a calibration on another floor leaves
+    assert true.turn_slip > 0.4 > ideal.turn_slip
+    assert true.slip >= 0.03 > ideal.slip
 
 
 @pytest.mark.parametrize(
