@@ -4,7 +4,7 @@
 from shared.config import Drive
 
 
-def ramped(
+def ramped_velocity(
     before: tuple[float, float], wanted: tuple[float, float], elapsed: float, drive: Drive
 ) -> tuple[float, float]:
     """The velocity (m/s, rad/s) after `elapsed` s on the way from one to the other, within the robot's accelerations.
@@ -15,15 +15,15 @@ def ramped(
         grown = abs(wanted[0]) / drive.max_acceleration, abs(wanted[1]) / drive.max_turn_acceleration
         share = min(1.0, elapsed / max(grown)) if max(grown) > 0 else 1.0
         return wanted[0] * share, wanted[1] * share
-    v = _towards(before[0], wanted[0], elapsed, drive.max_acceleration, drive.max_braking)
-    w = _towards(before[1], wanted[1], elapsed, drive.max_turn_acceleration, drive.max_turn_acceleration)
+    v = _ramped_axis(before[0], wanted[0], elapsed, drive.max_acceleration, drive.max_braking)
+    w = _ramped_axis(before[1], wanted[1], elapsed, drive.max_turn_acceleration, drive.max_turn_acceleration)
     return v, w
 
 
-def _towards(now: float, wanted: float, elapsed: float, acceleration: float, braking: float) -> float:
+def _ramped_axis(now: float, wanted: float, elapsed: float, acceleration: float, braking: float) -> float:
     """One axis: braking while the speed falls, acceleration while it rises; a reversal is first one, then the other."""
     if now < 0 or (now == 0 and wanted < 0):
-        return -_towards(-now, -wanted, elapsed, acceleration, braking)
+        return -_ramped_axis(-now, -wanted, elapsed, acceleration, braking)
     if wanted >= now:
         return min(wanted, now + acceleration * elapsed)
     standing = now / braking  # s until it stands

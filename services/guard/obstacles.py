@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.guard.track import Track
+from services.guard.odometry_buffer import OdometryBuffer
 from shared.config import Robot, Section
 from shared.geometry import Pose2, inside
 from shared.messages import LaserScan, RangeReadings
@@ -15,10 +15,10 @@ from shared.messages import LaserScan, RangeReadings
 Float64s = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-EXPLAINED = 0.08  # m by which a range reading and a laser echo may differ and still mean the same thing
-MOST_BEAMS = 1440  # of one scan; of a finer one every second, third ... is enough: 0.25 degrees of a full turn
-MOST_HIDDEN = 500  # remembered, the nearest
-NONE = np.empty((0, 2))
+ECHO_MATCH_M = 0.08  # m by which a range reading and a laser echo may differ and still mean the same thing
+MAX_BEAMS = 1440  # of one scan; of a finer one every second, third ... is enough: 0.25 degrees of a full turn
+MAX_REMEMBERED = 500  # remembered, the nearest
+NO_POINTS = np.empty((0, 2))
 
 
 class ObstaclesConfig(Section):
@@ -36,33 +36,33 @@ class Obstacles:
         self.config, self.robot, self.reach = config, robot, reach
         mount = robot.laser.mount
         self.base_from_laser = Pose2(mount.x, mount.y, mount.yaw)
-        self.forget()
+        self.clear()
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         """Drops everything: odometry began anew."""
-        self._seen = self._solid = NONE  # the last scan's points, and those of them that are not noise
-        self._hidden = NONE
-        self._hidden_seen = np.empty(0)  # s
+        self._seen = self._solid = NO_POINTS  # the last scan's points, and those of them that are not noise
+        self._remembered = NO_POINTS
+        self._remembered_at = np.empty(0)  # s
         self._echoes: dict[int, tuple[Float64s, int]] = {}  # sensor -> its points, ns of the reading
 
     def points(self, odom_from_base: Pose2, now: int) -> Float64s:
         """(n, 2) m in `base` at the given pose."""
         age = self.config.memory * 1e9
         echoes = [points for points, stamp in self._echoes.values() if now - stamp <= age]
-        return odom_from_base.inverse() @ np.concatenate([self._solid, self._hidden, *echoes])
+        return odom_from_base.inverse() @ np.concatenate([self._solid, self._remembered, *echoes])
 
-    def take_scan(self, scan: LaserScan, track: Track, covered: bool = False) -> None:
+    def add_scan(self, scan: LaserScan, track: OdometryBuffer, covered: bool = False) -> None:
         """Replaces what the laser saw by a newer scan; what it no longer looks at is remembered.
 
         covered: hardly a beam leaves the robot, so returns from inside its outline are the robot.
         """
-        stride = -(-len(scan.ranges) // MOST_BEAMS)
+        stride = -(-len(scan.ranges) // MAX_BEAMS)
         ends, radius = self._ends(scan, track, stride, covered)
-        solid = supported(ends, self._seen, radius, self.config.min_points)
-        self._remember(scan, track)
+        solid = is_supported(ends, self._seen, radius, self.config.min_points)
+        self._update_remembered(scan, track)
         self._seen, self._solid = ends[np.isfinite(ends[:, 0])], ends[solid]
 
-    def take_ranges(self, readings: RangeReadings, track: Track) -> None:
+    def add_ranges(self, readings: RangeReadings, track: OdometryBuffer) -> None:
         """Replaces the range sensors' echoes.
 
         A reading that the laser explains is left to the laser, which sees it sharper. An echo that came nearer than its
@@ -74,16 +74,16 @@ class Obstacles:
             odom_from_sensor = odom_from_base @ Pose2(x, y, yaw)
             if np.isfinite(reach):
                 distance, bearing = _polar(odom_from_sensor.inverse() @ self._solid)
-                sharper = (np.abs(bearing) <= cone / 2 + 0.1) & (distance <= reach + EXPLAINED)
-                echo = NONE if sharper.any() else odom_from_sensor @ _arc(reach, cone)
+                is_explained = (np.abs(bearing) <= cone / 2 + 0.1) & (distance <= reach + ECHO_MATCH_M)
+                echo = NO_POINTS if is_explained.any() else odom_from_sensor @ _arc(reach, cone)
             else:
-                echo = self._echoes.get(i, (NONE, 0))[0]
+                echo = self._echoes.get(i, (NO_POINTS, 0))[0]
                 distance, bearing = _polar(odom_from_sensor.inverse() @ echo)
                 least = self.robot.ranges[i].range_min if i < len(self.robot.ranges) else 0.0
-                echo = echo[distance <= least + EXPLAINED]
+                echo = echo[distance <= least + ECHO_MATCH_M]
             self._echoes[i] = echo, readings.stamp
 
-    def _ends(self, scan: LaserScan, track: Track, stride: int, covered: bool) -> tuple[Float64s, Float64s]:
+    def _ends(self, scan: LaserScan, track: OdometryBuffer, stride: int, covered: bool) -> tuple[Float64s, Float64s]:
         """Ends (n, 2) and radius (n,) of `beam_ends`; NaN where the end is out of reach, or the robot, too."""
         ends, in_base, radius = beam_ends(scan, track, self.base_from_laser, stride)
         if covered:
@@ -91,31 +91,31 @@ class Obstacles:
         ends[~(np.hypot(in_base[:, 0], in_base[:, 1]) <= self.reach)] = np.nan
         return ends, self.config.support_radius + radius
 
-    def _remember(self, scan: LaserScan, track: Track) -> None:
+    def _update_remembered(self, scan: LaserScan, track: OdometryBuffer) -> None:
         """Keeps, of the last scan and of what was hidden before, what this scan could not see."""
-        points = np.concatenate([self._solid, self._hidden])
-        seen = np.concatenate([np.full(len(self._solid), scan.stamp * 1e-9), self._hidden_seen])
+        points = np.concatenate([self._solid, self._remembered])
+        seen = np.concatenate([np.full(len(self._solid), scan.stamp * 1e-9), self._remembered_at])
         odom_from_base = _pose(track.poses(np.array([scan.scan_time / 2]), scan.stamp)[0])
         distance, bearing = _polar((odom_from_base @ self.base_from_laser).inverse() @ points)
-        looked = looks_at(scan, bearing)
+        looked = is_in_sweep(scan, bearing)
         too_near = looked & (distance < scan.range_min + 0.02)
-        young = scan.stamp * 1e-9 - seen <= self.config.memory
+        is_recent = scan.stamp * 1e-9 - seen <= self.config.memory
         here = track.odom_from_base
         close = np.hypot(points[:, 0] - here.x, points[:, 1] - here.y) <= self.reach
-        kept = close & (too_near | (~looked & young))
+        kept = close & (too_near | (~looked & is_recent))
         # a thing too near to be measured is still there as long as the robot stays; time does not move it
         seen[too_near] = scan.stamp * 1e-9
-        self._hidden, self._hidden_seen = points[kept], seen[kept]
-        if len(self._hidden) > MOST_HIDDEN:
-            _, first = np.unique(np.round(self._hidden / 0.03), axis=0, return_index=True)
+        self._remembered, self._remembered_at = points[kept], seen[kept]
+        if len(self._remembered) > MAX_REMEMBERED:
+            _, first = np.unique(np.round(self._remembered / 0.03), axis=0, return_index=True)
             order = first[
-                np.argsort(np.hypot(*(self._hidden[first] - (here.x, here.y)).T), kind="stable")[:MOST_HIDDEN]
+                np.argsort(np.hypot(*(self._remembered[first] - (here.x, here.y)).T), kind="stable")[:MAX_REMEMBERED]
             ]
-            self._hidden, self._hidden_seen = self._hidden[order], self._hidden_seen[order]
+            self._remembered, self._remembered_at = self._remembered[order], self._remembered_at[order]
 
 
 def beam_ends(
-    scan: LaserScan, track: Track, base_from_laser: Pose2, stride: int
+    scan: LaserScan, track: OdometryBuffer, base_from_laser: Pose2, stride: int
 ) -> tuple[Float64s, Float64s, Float64s]:
     """Of each `stride`-th beam: its end (n, 2) m in `odom`, from where the robot was at that beam; NaN without one.
 
@@ -134,7 +134,7 @@ def beam_ends(
     return ends, in_base, 3 * stride * abs(scan.angle_increment) * ranges
 
 
-def supported(ends: Float64s, earlier: Float64s, radius: Float64s, least: int) -> Bools:
+def is_supported(ends: Float64s, earlier: Float64s, radius: Float64s, least: int) -> Bools:
     """Which beams' ends (n, 2) belong to an obstacle: (n,) bool. Lone points are noise.
 
     A point counts with itself, with the ends of neighbouring beams within its radius (n,), and with the points of the
@@ -151,7 +151,7 @@ def supported(ends: Float64s, earlier: Float64s, radius: Float64s, least: int) -
     return np.asarray(count >= least)
 
 
-def looks_at(scan: LaserScan, bearings: Float64s) -> Bools:
+def is_in_sweep(scan: LaserScan, bearings: Float64s) -> Bools:
     """Which directions in `laser` (n,) rad lie in the sweep."""
     sweep = abs(scan.angle_increment) * (len(scan.ranges) - 1)
     from_first = (bearings - scan.angle_min) * (1.0 if scan.angle_increment > 0 else -1.0)

@@ -13,11 +13,11 @@ Bools = NDArray[np.bool_]
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 
-APPROACH = 0.5  # share of the drive's braking that stopping at the goal counts on: the rest is for delay
-STANDING_WORLD = np.zeros((0, 6))
+APPROACH_BRAKING_SHARE = 0.5  # share of the drive's braking that stopping at the goal counts on: the rest is for delay
+NO_DYNAMIC_OBSTACLES = np.zeros((0, 6))
 
 
-class Scene(NamedTuple):
+class ControlScene(NamedTuple):
     """What a controller meets. Positions are m from the centre of the costmap's lower left cell, as its start is."""
 
     field: Float32s  # (n, n) m to the nearest occupied cell
@@ -33,10 +33,10 @@ class Scene(NamedTuple):
     v: float
     w: float
     path: Float64s  # (k, 2) m, k > 0: the plan from beside the robot to (end_x, end_y)
-    movers: Float64s = STANDING_WORLD  # (k, 6) of what moves, as the plan begins: see Movers.discs
+    dynamic_obstacles: Float64s = NO_DYNAMIC_OBSTACLES  # (k, 6) of what moves, as the plan begins: see Movers.discs
 
 
-class Solution(NamedTuple):
+class ControlSolution(NamedTuple):
     """velocities: (steps, 2) float64 m/s and rad/s, from the first step on; cost m; how much nearer it comes, m.
 
     Of a solution that collides nothing is driven: the robot brakes.
@@ -48,7 +48,7 @@ class Solution(NamedTuple):
     gain: float
 
 
-class Considered(NamedTuple):
+class EvaluatedRollouts(NamedTuple):
     """What the last call weighed up: velocities (k, steps, 2), of which the first were chosen, and costs (k,), m."""
 
     velocities: Float64s
@@ -64,11 +64,11 @@ class Controller(Protocol):
     def reset(self) -> None:
         """Forgets what it did: the next call starts from a stand."""
 
-    def solve(self, scene: Scene, footprint: Footprint, n_elapsed: int) -> Solution:
+    def solve(self, scene: ControlScene, footprint: Footprint, n_elapsed: int) -> ControlSolution:
         """The velocities from now on. n_elapsed: steps of DT since the last call. Same calls, same bytes."""
 
-    def ahead(self, scene: Scene, look: float) -> tuple[float, float]:
+    def ahead(self, scene: ControlScene, look: float) -> tuple[float, float]:
         """The point `look` m down the way that it drives: where a standing robot turns to."""
 
-    def considered(self) -> Considered:
+    def evaluated_rollouts(self) -> EvaluatedRollouts:
         """For people: what the last call weighed up."""

@@ -12,9 +12,9 @@ from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.local_ctrl.arcs import arc_to, run_of, speed_to_end
-from services.local_ctrl.controller import Considered, Scene, Solution
-from services.local_ctrl.distance_to_go import carrot, to_go_at
+from services.local_ctrl.arcs import fill_rollout, max_speed_to_end, simulated_arc
+from services.local_ctrl.controller import ControlScene, ControlSolution, EvaluatedRollouts
+from services.local_ctrl.cost_to_go import carrot, to_go_at
 from services.local_ctrl.footprint import Footprint
 from services.local_ctrl.rollout import DT, Limits, speed_after, turn_rate_after
 from shared.config import Section
@@ -55,7 +55,7 @@ class Dwa:
     def reset(self) -> None:
         self.n_solved = 0
 
-    def solve(self, scene: Scene, footprint: Footprint, n_elapsed: int) -> Solution:
+    def solve(self, scene: ControlScene, footprint: Footprint, n_elapsed: int) -> ControlSolution:
         self.n_solved += 1
         self.before = scene.v, scene.w
         c = self.config
@@ -65,30 +65,30 @@ class Dwa:
         _score(self.samples, scene, self.limits, footprint, biases, lengths, self.costs, self.gains)
         self.best = int(np.argmin(self.costs))
         cost = float(self.costs[self.best])
-        return Solution(self._run(self.best), cost, cost == inf, float(self.gains[self.best]))
+        return ControlSolution(self._run(self.best), cost, cost == inf, float(self.gains[self.best]))
 
-    def ahead(self, scene: Scene, look: float) -> tuple[float, float]:
+    def ahead(self, scene: ControlScene, look: float) -> tuple[float, float]:
         x, y = carrot(scene.to_go, scene.x, scene.y, look, scene.resolution)
         return float(x), float(y)
 
-    def considered(self) -> Considered:
+    def evaluated_rollouts(self) -> EvaluatedRollouts:
         free = [i for i in range(len(self.samples)) if np.isfinite(self.costs[i]) and i != self.best]
         chosen = [self.best, *free]
-        return Considered(np.array([self._run(i) for i in chosen]), self.costs[chosen])
+        return EvaluatedRollouts(np.array([self._run(i) for i in chosen]), self.costs[chosen])
 
     def _run(self, i: int) -> Float64s:
         velocities = np.empty((max(1, round(self.config.sim_time / DT)), 2))
         (v, w), (v_before, w_before) = self.samples[i], self.before
-        run_of(v, w, v_before, w_before, self.limits, velocities)
+        fill_rollout(v, w, v_before, w_before, self.limits, velocities)
         return velocities
 
 
 @njit(cache=True, nogil=True)
-def _window(scene: Scene, limits: Limits, window: float, counts: tuple[int, int], samples: Float64s) -> None:
+def _window(scene: ControlScene, limits: Limits, window: float, counts: tuple[int, int], samples: Float64s) -> None:
     """Fills samples (n, 2) with what is reachable within `window` s, driving straight on among it; the last stands."""
     n_v, n_w = counts
     low, high = speed_after(scene.v, limits.v_min, limits, window), speed_after(scene.v, limits.v_max, limits, window)
-    high = min(high, max(low, speed_to_end(scene, limits)))
+    high = min(high, max(low, max_speed_to_end(scene, limits)))
     left, right = (
         turn_rate_after(scene.w, limits.w_max, limits, window),
         turn_rate_after(scene.w, -limits.w_max, limits, window),
@@ -108,7 +108,7 @@ def _window(scene: Scene, limits: Limits, window: float, counts: tuple[int, int]
 @njit(cache=True, nogil=True)
 def _score(
     samples: Float64s,
-    scene: Scene,
+    scene: ControlScene,
     limits: Limits,
     shape: Footprint,
     biases: tuple[float, float, float, float],
@@ -125,15 +125,15 @@ def _score(
         scene.ends and hypot(scene.end_x - scene.x, scene.end_y - scene.y) < 2.0 * forward
     )
     for i in range(len(samples)):
-        arc = arc_to(samples[i, 0], samples[i, 1], seconds, buffer, scene, limits, shape)
+        arc = simulated_arc(samples[i, 0], samples[i, 1], seconds, buffer, scene, limits, shape)
         if not arc.stops:
             costs[i], gains[i] = inf, 0.0
             continue
         to_go = to_go_at(scene.to_go, arc.x, arc.y, scene.resolution)
-        beside, left = _beside(scene.path, arc.x, arc.y), to_go
+        beside, left = _distance_to_path(scene.path, arc.x, arc.y), to_go
         if looks_ahead:
             x, y = arc.x + forward * arc.c, arc.y + forward * arc.s
-            beside = 0.5 * (beside + _beside(scene.path, x, y))
+            beside = 0.5 * (beside + _distance_to_path(scene.path, x, y))
             left = 0.5 * (left + to_go_at(scene.to_go, x, y, scene.resolution))
         if arc.contact == inf:  # it came to the path's end early: the faster, the better
             left -= abs(samples[i, 0]) * (seconds - arc.seconds)
@@ -144,7 +144,7 @@ def _score(
 
 
 @njit(cache=True, nogil=True)
-def _beside(path: Float64s, x: float, y: float) -> float:
+def _distance_to_path(path: Float64s, x: float, y: float) -> float:
     """m from (x, y) to the nearest of the path's points."""
     least = inf
     for k in range(len(path)):

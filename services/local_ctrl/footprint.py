@@ -37,11 +37,11 @@ def footprint_of(robot: Robot, padding: float, overreach: float = 0.04) -> Footp
     inscribed, circumscribed = robot.inscribed_radius, robot.circumscribed_radius
     circles = [(0.0, 0.0, circumscribed)]
     if circumscribed - inscribed > overreach:
-        circles = _merged(corners, inscribed, _tiles(corners, overreach))
+        circles = _merged_circles(corners, inscribed, _tile_circles(corners, overreach))
     return Footprint(corners, np.array(circles, float), inscribed, circumscribed, padding)
 
 
-def _tiles(corners: Float64s, overreach: float) -> list[Circle]:
+def _tile_circles(corners: Float64s, overreach: float) -> list[Circle]:
     low, high = corners.min(axis=0), corners.max(axis=0)
     # the circle around a square of side a reaches a (sqrt 2 - 1) / 2 beyond it; around other tiles it reaches further
     side = 2 * overreach / (sqrt(2) - 1)
@@ -64,7 +64,7 @@ def _tiles(corners: Float64s, overreach: float) -> list[Circle]:
     return found
 
 
-def _merged(corners: Float64s, inscribed: float, tiles: list[Circle]) -> list[Circle]:
+def _merged_circles(corners: Float64s, inscribed: float, tiles: list[Circle]) -> list[Circle]:
     """Fewer circles that cover the same, the one about the origin first: large ones inside, the tiles' at the rim."""
     large, rim = [(0.0, 0.0, inscribed)], []
     within = inside(corners, np.array([(x, y) for x, y, _ in tiles]))
@@ -84,7 +84,7 @@ def _sides(corners: Float64s) -> list[tuple[Float64s, Float64s]]:
 
 
 @njit(cache=True, nogil=True)
-def sampled(field: Float32s, x: float, y: float) -> float:
+def bilinear(field: Float32s, x: float, y: float) -> float:
     """The field at (x, y) in cells from the centre of its lower left one: bilinear; beyond the rim, the rim's value."""
     h, w = field.shape
     x, y = min(max(x, 0.0), w - 1.001), min(max(y, 0.0), h - 1.001)
@@ -104,20 +104,20 @@ def clearance(field: Float32s, resolution: float, x: float, y: float, c: float, 
     Interpolating a distance overstates it by up to resolution^2 / (8 radius) at a circle's rim: taken off here.
     """
     scale = 1.0 / resolution
-    centre = sampled(field, x * scale, y * scale)
-    if centre > shape.circumscribed + FAR or len(shape.circles) == 1:
-        least: float = centre - shape.circumscribed - _overstated(resolution, shape.circumscribed)
+    centre = bilinear(field, x * scale, y * scale)
+    if centre > shape.circumscribed + SHAPE_DISTANCE_M or len(shape.circles) == 1:
+        least: float = centre - shape.circumscribed - _interpolation_error(resolution, shape.circumscribed)
         return least
-    least = centre - shape.circles[0, 2] - _overstated(resolution, shape.circles[0, 2])
+    least = centre - shape.circles[0, 2] - _interpolation_error(resolution, shape.circles[0, 2])
     for i in range(1, len(shape.circles)):
         a, b, radius = shape.circles[i]
-        away = sampled(field, (x + c * a - s * b) * scale, (y + s * a + c * b) * scale)
-        least = min(least, away - radius - _overstated(resolution, radius))
+        away = bilinear(field, (x + c * a - s * b) * scale, (y + s * a + c * b) * scale)
+        least = min(least, away - radius - _interpolation_error(resolution, radius))
     return least
 
 
 @njit(cache=True, nogil=True)
-def _overstated(resolution: float, radius: float) -> float:
+def _interpolation_error(resolution: float, radius: float) -> float:
     return resolution * resolution / (8.0 * max(radius - resolution, 0.25 * resolution))
 
 
@@ -132,13 +132,13 @@ def touches(occupied: Bools, resolution: float, x: float, y: float, c: float, s:
         for column in range(first_column, last_column + 1):
             if occupied[row, column]:
                 dx, dy = column * resolution - x, row * resolution - y
-                if gap(shape.corners, c * dx + s * dy, c * dy - s * dx) <= shape.padding:
+                if polygon_distance(shape.corners, c * dx + s * dy, c * dy - s * dx) <= shape.padding:
                     return True
     return False
 
 
 @njit(cache=True, nogil=True)
-def gap(corners: Float64s, x: float, y: float) -> float:
+def polygon_distance(corners: Float64s, x: float, y: float) -> float:
     """Distance of a point from the polygon, m; 0 inside (even-odd rule)."""
     within = False
     squared = inf
@@ -165,4 +165,4 @@ def collides(
     return touches(occupied, resolution, x, y, c, s, shape)
 
 
-FAR = 0.5  # m beyond the circumscribed circle at which the outline's shape no longer matters
+SHAPE_DISTANCE_M = 0.5  # m beyond the circumscribed circle at which the outline's shape no longer matters

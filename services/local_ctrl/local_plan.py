@@ -11,12 +11,12 @@ from shared.geometry import Pose2
 Float64s = NDArray[np.float64]
 
 SPACING = 0.05  # m between the resampled points
-LEAP = 3.0  # m along the path within which the robot is looked for: it never skips a loop of the path
-SAME_PLACE = 0.2  # m
-STRIDE = 2  # points between two of which a heading is taken
+MAX_ADVANCE_M = 3.0  # m along the path within which the robot is looked for: it never skips a loop of the path
+SAME_PLACE_M = 0.2  # m
+HEADING_STRIDE = 2  # points between two of which a heading is taken
 
 
-class Ahead(NamedTuple):
+class PathAhead(NamedTuple):
     """The way from the robot's place on the path to the window's end, and what follows."""
 
     points: Float64s  # (n, 2) m in `odom`, SPACING apart, at least one
@@ -30,14 +30,14 @@ class LocalPlan:
 
     def __init__(self, xs: Float64s, ys: Float64s, yaw: float) -> None:
         """xs, ys: (n,) m in `map`, n > 0.  yaw: rad, heading at the end."""
-        self.points = resampled(np.column_stack((xs, ys)))
+        self.points = resampled_polyline(np.column_stack((xs, ys)))
         self.end = Pose2(float(xs[-1]), float(ys[-1]), yaw)
         self.i_nearest: int | None = None
 
     def same_as(self, other: "LocalPlan") -> bool:
         return self.end == other.end and np.array_equal(self.points, other.points)
 
-    def ahead(self, odom_from_map: Pose2, here: Pose2, reach: float, leap: float = LEAP) -> Ahead:
+    def ahead(self, odom_from_map: Pose2, here: Pose2, reach: float, leap: float = MAX_ADVANCE_M) -> PathAhead:
         """The path from the point nearest to `here` (in `odom`) until it first is over `reach` m (by axis) away.
 
         leap: m along the path from the last point on within which that is looked for.
@@ -46,26 +46,26 @@ class LocalPlan:
         if self.i_nearest is None:
             # the plan may be older than the robot's place on it; of several legs that pass here, the first counts
             away = np.hypot(self.points[:, 0] - at.x, self.points[:, 1] - at.y)
-            self.i_nearest = int(np.argmax(away <= away.min() + SAME_PLACE))
+            self.i_nearest = int(np.argmax(away <= away.min() + SAME_PLACE_M))
         near = self.points[self.i_nearest : self.i_nearest + max(2, int(leap / SPACING))]
         self.i_nearest += int(np.argmin((near[:, 0] - at.x) ** 2 + (near[:, 1] - at.y) ** 2))
         rest = odom_from_map @ self.points[self.i_nearest :]
         outside = np.abs(rest - (here.x, here.y)).max(axis=1) > reach
         n = int(np.argmax(outside)) if outside.any() else len(rest)
-        return Ahead(rest[: max(1, n)], (len(rest) - 1) * SPACING, n == len(rest), odom_from_map @ self.end)
+        return PathAhead(rest[: max(1, n)], (len(rest) - 1) * SPACING, n == len(rest), odom_from_map @ self.end)
 
 
-def until_turned(ahead: Ahead, most: float) -> Ahead:
+def cut_at_turn(ahead: PathAhead, most: float) -> PathAhead:
     """The way until it has turned by over `most` rad: who turns in arcs is led along them, not across them."""
-    legs = np.diff(ahead.points[::STRIDE], axis=0)
+    legs = np.diff(ahead.points[::HEADING_STRIDE], axis=0)
     turned = np.unwrap(np.arctan2(legs[:, 1], legs[:, 0]))
     beyond = np.flatnonzero(np.abs(turned - turned[0]) > most) if len(turned) else turned
     if not len(beyond):
         return ahead
-    return ahead._replace(points=ahead.points[: STRIDE * int(beyond[0]) + 1], ends=False)
+    return ahead._replace(points=ahead.points[: HEADING_STRIDE * int(beyond[0]) + 1], ends=False)
 
 
-def resampled(points: Float64s, spacing: float = SPACING) -> Float64s:
+def resampled_polyline(points: Float64s, spacing: float = SPACING) -> Float64s:
     """The polyline (n, 2) as points (k, 2) about `spacing` m apart, from its first to its last."""
     lengths = np.hypot(*np.diff(points, axis=0).T)
     at = np.concatenate(([0.0], np.cumsum(lengths)))

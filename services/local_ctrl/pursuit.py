@@ -12,18 +12,18 @@ from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.local_ctrl.arcs import Arc, arc_to, run_of, speed_to_end
-from services.local_ctrl.controller import Considered, Scene, Solution
-from services.local_ctrl.distance_to_go import to_go_at
+from services.local_ctrl.arcs import Arc, fill_rollout, max_speed_to_end, simulated_arc
+from services.local_ctrl.controller import ControlScene, ControlSolution, EvaluatedRollouts
+from services.local_ctrl.cost_to_go import to_go_at
 from services.local_ctrl.footprint import Footprint, clearance
 from services.local_ctrl.rollout import DT, Limits, speed_after
 from shared.config import Section
 
 Float64s = NDArray[np.float64]
 
-N_SHARES = 10  # speeds that are tried on an arc that is not free, from the wanted one down to a stand
-SLOWEST = 1e-3  # m/s that a way's time is reckoned with
-SHORTEST = 0.02  # m: a point nearer than this has no direction
+N_SPEEDS = 10  # speeds that are tried on an arc that is not free, from the wanted one down to a stand
+MIN_SPEED = 1e-3  # m/s that a way's time is reckoned with
+MIN_LOOKAHEAD_M = 0.02  # m: a point nearer than this has no direction
 
 
 class PursuitConfig(Section):
@@ -61,7 +61,7 @@ class Pursuit:
     def reset(self) -> None:
         self.n_solved = 0
 
-    def solve(self, scene: Scene, footprint: Footprint, n_elapsed: int) -> Solution:
+    def solve(self, scene: ControlScene, footprint: Footprint, n_elapsed: int) -> ControlSolution:
         self.n_solved += 1
         c = self.config
         looks = c.lookahead_time, c.min_lookahead_dist, max(c.min_lookahead_dist, c.max_lookahead_dist)
@@ -72,25 +72,25 @@ class Pursuit:
             c.regulated_linear_scaling_min_speed,
         )
         stops = c.max_allowed_time_to_collision_up_to_carrot, c.stop_time_buffer
-        v, w, arc = _pursued(scene, self.limits, footprint, looks, regulation, stops)
+        v, w, arc = _pursue(scene, self.limits, footprint, looks, regulation, stops)
         self.velocities = np.empty_like(self.velocities)
-        run_of(v, w, scene.v, scene.w, self.limits, self.velocities)
+        fill_rollout(v, w, scene.v, scene.w, self.limits, self.velocities)
         left = to_go_at(scene.to_go, arc.x, arc.y, scene.resolution)
         gain = to_go_at(scene.to_go, scene.x, scene.y, scene.resolution) - left
         self.cost = float(left)
-        return Solution(self.velocities, self.cost, not arc.stops, float(gain))
+        return ControlSolution(self.velocities, self.cost, not arc.stops, float(gain))
 
-    def ahead(self, scene: Scene, look: float) -> tuple[float, float]:
-        x, y = lookahead(scene.path, scene.x, scene.y, look)
+    def ahead(self, scene: ControlScene, look: float) -> tuple[float, float]:
+        x, y = lookahead_point(scene.path, scene.x, scene.y, look)
         return float(x), float(y)
 
-    def considered(self) -> Considered:
-        return Considered(self.velocities[None], np.array([self.cost]))
+    def evaluated_rollouts(self) -> EvaluatedRollouts:
+        return EvaluatedRollouts(self.velocities[None], np.array([self.cost]))
 
 
 @njit(cache=True, nogil=True)
-def _pursued(
-    scene: Scene,
+def _pursue(
+    scene: ControlScene,
     limits: Limits,
     shape: Footprint,
     looks: tuple[float, float, float],
@@ -101,34 +101,36 @@ def _pursued(
     seconds, buffer = stops
     c, s = cos(scene.yaw), sin(scene.yaw)
     look = min(max(abs(scene.v) * looks[0], looks[1]), looks[2])
-    x, y = lookahead(scene.path, scene.x, scene.y, look)
+    x, y = lookahead_point(scene.path, scene.x, scene.y, look)
     ahead, aside = c * (x - scene.x) + s * (y - scene.y), c * (y - scene.y) - s * (x - scene.x)
     away = hypot(ahead, aside)
-    if away < SHORTEST or (ahead < 0.0 and limits.v_min == 0.0):
-        stand = arc_to(0.0, 0.0, seconds, buffer, scene, limits, shape)
+    if away < MIN_LOOKAHEAD_M or (ahead < 0.0 and limits.v_min == 0.0):
+        stand = simulated_arc(0.0, 0.0, seconds, buffer, scene, limits, shape)
         return 0.0, 0.0, stand
     curvature = min(max(2.0 * aside / (away * away), -limits.curvature), limits.curvature)
     room = clearance(scene.field, scene.resolution, scene.x, scene.y, c, s, shape)
-    speed = _regulated(curvature, room, limits, regulation)
+    speed = _regulated_speed(curvature, room, limits, regulation)
     if ahead < 0.0:
         # it lies behind, and there is no room to turn: back towards it
         speed = min(speed, -limits.v_min)
-    speed = min(speed, speed_to_end(scene, limits))
+    speed = min(speed, max_speed_to_end(scene, limits))
     if abs(curvature) * speed > limits.w_max:
         speed = limits.w_max / abs(curvature)
     way = 1.0 if ahead >= 0.0 else -1.0
-    for i in range(N_SHARES):
+    for i in range(N_SPEEDS):
         # the curve is kept while the speed still changes: judged is the next step's speed
-        v = speed_after(scene.v, way * speed * (1.0 - i / N_SHARES), limits, DT)
+        v = speed_after(scene.v, way * speed * (1.0 - i / N_SPEEDS), limits, DT)
         w = v * curvature
-        arc = arc_to(v, w, min(seconds, away / max(abs(v), SLOWEST)), buffer, scene, limits, shape)
+        arc = simulated_arc(v, w, min(seconds, away / max(abs(v), MIN_SPEED)), buffer, scene, limits, shape)
         if arc.stops:
             return v, w, arc
-    return 0.0, 0.0, arc_to(0.0, 0.0, seconds, buffer, scene, limits, shape)
+    return 0.0, 0.0, simulated_arc(0.0, 0.0, seconds, buffer, scene, limits, shape)
 
 
 @njit(cache=True, nogil=True)
-def _regulated(curvature: float, room: float, limits: Limits, regulation: tuple[float, float, float, float]) -> float:
+def _regulated_speed(
+    curvature: float, room: float, limits: Limits, regulation: tuple[float, float, float, float]
+) -> float:
     """The speed, m/s: the article's curvature and proximity heuristics, equations 4 and 5, the slower of the two."""
     radius, distance, gain, least = regulation
     speed = limits.v_max
@@ -140,7 +142,7 @@ def _regulated(curvature: float, room: float, limits: Limits, regulation: tuple[
 
 
 @njit(cache=True, nogil=True)
-def lookahead(path: Float64s, x: float, y: float, look: float) -> tuple[float, float]:
+def lookahead_point(path: Float64s, x: float, y: float, look: float) -> tuple[float, float]:
     """Where the path first is `look` m away from (x, y), between its points; its end where it never is."""
     before = hypot(path[0, 0] - x, path[0, 1] - y)
     if before >= look:

@@ -10,7 +10,7 @@ from shared.config import Drive
 from shared.geometry import Pose2, wrapped
 
 DT = 0.05  # s a step of a rollout: the tick of 20 Hz
-MAX_STEP = 20_000_000  # ns: accelerations are predicted this finely
+MAX_STEP_NS = 20_000_000  # ns: accelerations are predicted this finely
 
 
 class Limits(NamedTuple):
@@ -37,7 +37,7 @@ class Motion(NamedTuple):
     w: float
 
 
-class Command(NamedTuple):
+class SentCommand(NamedTuple):
     """A velocity command and when it was sent, ns."""
 
     sent: int
@@ -87,7 +87,7 @@ def turn_rate_after(w: float, target: float, limits: Limits, dt: float) -> float
 
 
 @njit(cache=True, nogil=True)
-def bent(v: float, w: float, limits: Limits) -> float:
+def limited_turn_rate(v: float, w: float, limits: Limits) -> float:
     """The turn rate nearest to w that at a speed of v is on an arc which the drive may drive."""
     if limits.curvature == inf:
         return w
@@ -110,7 +110,9 @@ def arc_step(v: float, w: float, dt: float) -> tuple[float, float, float, float]
     return v * dt * sin(half) / half, cos(half), sin(half), half
 
 
-def predicted(motion: Motion, limits: Limits, commands: list[Command], since: int, until: int, delay: int) -> Motion:
+def predicted_motion(
+    motion: Motion, limits: Limits, commands: list[SentCommand], since: int, until: int, delay: int
+) -> Motion:
     """Where the robot will be at `until` (ns), from what it did at `since`: the commands sent act `delay` ns later.
 
     commands: oldest first. Before the first one that is known the robot keeps its twist.
@@ -124,7 +126,7 @@ def predicted(motion: Motion, limits: Limits, commands: list[Command], since: in
     for following in (*changes[n_before:], None):
         end = until if following is None else following.sent + delay
         while at < end:
-            step = min(end - at, MAX_STEP)
+            step = min(end - at, MAX_STEP_NS)
             dt = step / 1e9
             if active is not None:
                 v, w = speed_after(v, active.v, limits, dt), turn_rate_after(w, active.w, limits, dt)

@@ -16,10 +16,10 @@ Int64s = NDArray[np.int64]
 Float64s = NDArray[np.float64]
 Cell = tuple[int, int]
 
-_SAME = 0.5  # m between a frontier of today's map and the target, for them to be the same
-_AROUND = 1.0  # m around a target that is given up with it
-_LAST = 1e6  # m that a frontier costs more which is farther than those that the tour is made of
-_LATTICE = 0.5  # m: visits are counted by squares of this side
+_SAME_TARGET_M = 0.5  # m between a frontier of today's map and the target, for them to be the same
+_GIVE_UP_RADIUS_M = 1.0  # m around a target that is given up with it
+_BEYOND_TOUR_COST_M = 1e6  # m that a frontier costs more which is farther than those that the tour is made of
+_VISIT_CELL_M = 0.5  # m: visits are counted by squares of this side
 
 
 class ExplorationConfig(Section):
@@ -44,7 +44,7 @@ class ExplorationConfig(Section):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Target:
+class FrontierTarget:
     """The frontier being driven to, and the place of its border, m."""
 
     frontier: Frontier
@@ -57,7 +57,7 @@ class Exploration:
 
     def __init__(self, config: ExplorationConfig) -> None:
         self.config = config
-        self.target: Target | None = None
+        self.target: FrontierTarget | None = None
         self.looking: float | None = None  # s at the target, once there
         self._near = 0.0  # s close to the target
         self._n_better = 0  # searches in a row that found a better one than the target
@@ -74,14 +74,14 @@ class Exploration:
         """(n, 2) int64 rows and columns of `map` that are no frontier any more."""
         return np.array(sorted(self._given_up | self._failed), np.int64).reshape(-1, 2)
 
-    def taken(self, found: Frontiers, pose: Pose2, resolution: float) -> Target | None:
+    def choose_target(self, found: Frontiers, pose: Pose2, resolution: float) -> FrontierTarget | None:
         """The target by what was found: the same object while it stays, another where it is gone or worse."""
         costs = self._costs(found, pose)
         ranked = sorted(found.frontiers, key=lambda f: costs[id(f)])
         if self.target is not None:
-            same = _again(found, self.target, resolution)
+            same = _same_frontier(found, self.target, resolution)
             if same is None:
-                if self.looking is None and _cut_off(found, self.target, resolution):
+                if self.looking is None and _is_unreachable(found, self.target, resolution):
                     return self.target  # planner and local control will find out whether it can be reached
             elif self.looking is None:
                 gain = costs[id(same)] - costs[id(ranked[0])]
@@ -95,8 +95,8 @@ class Exploration:
                 ranked.remove(same)
         self._forget()
         for frontier in ranked:
-            target = _targeted(frontier, resolution)
-            if self._visits.get(_spot(target), 0) < self.config.max_visits:
+            target = _target_of(frontier, resolution)
+            if self._visits.get(_visit_cell(target), 0) < self.config.max_visits:
                 self.target = target
                 break
             self._give_up(frontier, target, resolution, self._given_up)
@@ -108,7 +108,7 @@ class Exploration:
         self.moved = max(self.moved, pose.distance(self._start))
         if self.looking is not None:
             self.looking += seconds
-        if self.target is not None and pose.distance(Pose2(self.target.x, self.target.y)) <= _AROUND:
+        if self.target is not None and pose.distance(Pose2(self.target.x, self.target.y)) <= _GIVE_UP_RADIUS_M:
             self._near += seconds
 
     def arrived(self) -> None:
@@ -122,7 +122,7 @@ class Exploration:
             self._give_up(self.target.frontier, self.target, resolution, into)
         self._forget()
 
-    def retried(self) -> bool:
+    def retry_failed(self) -> bool:
         """Whether there is something to try once more; from now on it counts again."""
         if self._last_try or not self._failed:
             return False
@@ -135,7 +135,7 @@ class Exploration:
         behind costs the way back to it, so it is seen while the robot is near."""
         first = np.array([self._cost(f, pose) for f in found.frontiers])
         k = len(found.between)
-        lengths = np.concatenate((tours(first[:k], found.between), first[k:] + _LAST))
+        lengths = np.concatenate((tours(first[:k], found.between), first[k:] + _BEYOND_TOUR_COST_M))
         return {id(f): float(length) for f, length in zip(found.frontiers, lengths)}
 
     def _cost(self, frontier: Frontier, pose: Pose2) -> float:
@@ -145,40 +145,40 @@ class Exploration:
 
     def _forget(self) -> None:
         if self.target is not None:
-            spot = _spot(self.target)
+            spot = _visit_cell(self.target)
             self._visits[spot] = self._visits.get(spot, 0) + 1
         self.target, self.looking, self._near, self._n_better = None, None, 0.0, 0
 
-    def _give_up(self, frontier: Frontier, target: Target, resolution: float, into: set[Cell]) -> None:
+    def _give_up(self, frontier: Frontier, target: FrontierTarget, resolution: float, into: set[Cell]) -> None:
         """Drops the frontier's cells around the target, and at least the nearest."""
-        away = _away(frontier.cells, target, resolution)
-        near = frontier.cells[away <= max(_AROUND, float(away.min()))]
+        away = _distances_to(frontier.cells, target, resolution)
+        near = frontier.cells[away <= max(_GIVE_UP_RADIUS_M, float(away.min()))]
         into.update((int(row), int(column)) for row, column in near)
 
 
-def _spot(target: Target) -> Cell:
-    return round(target.x / _LATTICE), round(target.y / _LATTICE)
+def _visit_cell(target: FrontierTarget) -> Cell:
+    return round(target.x / _VISIT_CELL_M), round(target.y / _VISIT_CELL_M)
 
 
-def _again(found: Frontiers, target: Target, resolution: float) -> Frontier | None:
+def _same_frontier(found: Frontiers, target: FrontierTarget, resolution: float) -> Frontier | None:
     """The frontier of today's map at the target's place."""
-    near = [(float(_away(f.cells, target, resolution).min()), i) for i, f in enumerate(found.frontiers)]
-    least, nearest = min(near, default=(_SAME + 1, 0))
-    return found.frontiers[nearest] if least <= _SAME else None
+    near = [(float(_distances_to(f.cells, target, resolution).min()), i) for i, f in enumerate(found.frontiers)]
+    least, nearest = min(near, default=(_SAME_TARGET_M + 1, 0))
+    return found.frontiers[nearest] if least <= _SAME_TARGET_M else None
 
 
-def _cut_off(found: Frontiers, target: Target, resolution: float) -> bool:
+def _is_unreachable(found: Frontiers, target: FrontierTarget, resolution: float) -> bool:
     """Whether the target is still there, but no way leads to it."""
-    return any(_away(cells, target, resolution).min() <= _SAME for cells in found.unreachable)
+    return any(_distances_to(cells, target, resolution).min() <= _SAME_TARGET_M for cells in found.unreachable)
 
 
-def _targeted(frontier: Frontier, resolution: float) -> Target:
+def _target_of(frontier: Frontier, resolution: float) -> FrontierTarget:
     xs, ys = _centres(frontier.cells, resolution)
     middle = int(np.argmin(np.hypot(xs - xs.mean(), ys - ys.mean())))
-    return Target(frontier, float(xs[middle]), float(ys[middle]))
+    return FrontierTarget(frontier, float(xs[middle]), float(ys[middle]))
 
 
-def _away(cells: Int64s, target: Target, resolution: float) -> Float64s:
+def _distances_to(cells: Int64s, target: FrontierTarget, resolution: float) -> Float64s:
     """(n,) m from the target's place."""
     xs, ys = _centres(cells, resolution)
     return np.asarray(np.hypot(xs - target.x, ys - target.y))

@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 from math import atan2, ceil
 from operator import attrgetter
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
@@ -22,18 +23,22 @@ Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 
 _STRAIGHT, _DIAGONAL = 70, 99  # of a step, in 1/70 cells
-_FAR = 2**30
-_TOURED = 20  # frontiers between which the ways are measured
-_COARSE = 3  # cells by cells that are one there
-_ENCLOSED = 4.0  # m^2: a robot that can reach less than that looks for a tighter way out
-_ESCAPE = 0.6  # m through crowded or unseen space to where the robot fits: it may stand close to a wall, or unmapped
+_UNREACHED = 2**30
+_MAX_TOURED = 20  # frontiers between which the ways are measured
+_COARSE_CELLS = 3  # cells by cells that are one there
+_MIN_REACHABLE_M2 = 4.0  # m^2: a robot that can reach less than that looks for a tighter way out
+_MAX_ESCAPE_M = (
+    0.6  # m through crowded or unseen space to where the robot fits: it may stand close to a wall, or unmapped
+)
 
 
 class FrontierConfig(Section):
     """What counts as a frontier."""
 
+    RENAMED: ClassVar[dict[str, str]] = {"least_margin": "min_margin"}
+
     margin: float = Field(0.07, ge=0, le=1, description="m kept free around the footprint's inscribed circle")
-    least_margin: float = Field(
+    min_margin: float = Field(
         0.03, ge=0, le=1, description="m kept free around it on the way out of a place that is enclosed else"
     )
     goal_margin: float = Field(
@@ -101,21 +106,23 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     h, w = cells.shape
     if not (0 <= row < h and 0 <= column < w):
         return Frontiers((), (), True, np.zeros((0, 0)))
-    free = _free(cells, row, column, snapshot.robot_radius / resolution)
+    free = _free_cells(cells, row, column, snapshot.robot_radius / resolution)
     passable = free & (distance >= clearance - 1e-6)
-    travelled = _wave(passable, distance, int(row), int(column), _ESCAPE / resolution)
-    if np.count_nonzero(travelled < _FAR) * resolution**2 < _ENCLOSED:  # a gap that narrowed since it drove in?
-        tight = free & (distance >= snapshot.robot_radius + min(config.least_margin, config.margin) - 1e-6)
-        travelled = _wave(tight, distance, int(row), int(column), _ESCAPE / resolution)
-    enclosed = not bool((passable & (travelled < _FAR)).any())
+    travelled = _travel_costs(passable, distance, int(row), int(column), _MAX_ESCAPE_M / resolution)
+    if (
+        np.count_nonzero(travelled < _UNREACHED) * resolution**2 < _MIN_REACHABLE_M2
+    ):  # a gap that narrowed since it drove in?
+        tight = free & (distance >= snapshot.robot_radius + min(config.min_margin, config.margin) - 1e-6)
+        travelled = _travel_costs(tight, distance, int(row), int(column), _MAX_ESCAPE_M / resolution)
+    enclosed = not bool((passable & (travelled < _UNREACHED)).any())
     # a desk seen along its edge leaves few hits: what borders on the unknown is as narrow as if that were occupied
-    room = np.minimum(distance, distance_field(_deep_unknown(free, cells), resolution) - resolution)
+    room = np.minimum(distance, distance_field(_surrounded_unknown(free, cells), resolution) - resolution)
     room_wanted = max(clearance, snapshot.robot_radius + config.goal_margin)
     places = passable & (room >= room_wanted - 1e-6)
     n_steps = ceil(room_wanted / resolution) + 3
-    seen_from = _seen_from(free, places & (travelled < _FAR), n_steps)
-    cut_off_from = _seen_from(free, places & (travelled == _FAR), n_steps)
-    border = _border(free, cells)
+    seen_from = _nearest_places(free, places & (travelled < _UNREACHED), n_steps)
+    cut_off_from = _nearest_places(free, places & (travelled == _UNREACHED), n_steps)
+    border = _border_cells(free, cells)
     dropped = snapshot.dropped - (snapshot.first_row, snapshot.first_column)
     dropped = dropped[((dropped >= 0) & (dropped < (h, w))).all(axis=1)]
     for dr in (-1, 0, 1):
@@ -123,8 +130,8 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
             border[np.clip(dropped[:, 0] + dr, 0, h - 1), np.clip(dropped[:, 1] + dc, 0, w - 1)] = False
     n_min, n_max = config.min_size / resolution, max(int(config.max_size / resolution), 1)
     deep = distance >= snapshot.robot_radius
-    pieces, ends = _pieces(border & (seen_from >= 0), deep, n_min, n_max)
-    others, other_ends = _pieces(border & (seen_from < 0) & (cut_off_from >= 0), deep, n_min, n_max)
+    pieces, ends = _split_border(border & (seen_from >= 0), deep, n_min, n_max)
+    others, other_ends = _split_border(border & (seen_from < 0) & (cut_off_from >= 0), deep, n_min, n_max)
     unknown = np.pad((cells < 0) | ((cells > FREE_UP_TO) & (cells < OCCUPIED_FROM)), 1, constant_values=True)
     found = sorted(
         (
@@ -133,30 +140,37 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
         ),
         key=attrgetter("distance"),
     )
-    unreachable = tuple(_in_map(others[begin:end], snapshot) for begin, end in zip((0, *other_ends[:-1]), other_ends))
+    unreachable = tuple(
+        _map_cells(others[begin:end], snapshot) for begin, end in zip((0, *other_ends[:-1]), other_ends)
+    )
     return Frontiers(
-        tuple(found), unreachable, enclosed, _between(np.asarray(travelled < _FAR), snapshot, found[:_TOURED])
+        tuple(found),
+        unreachable,
+        enclosed,
+        _distances_between(np.asarray(travelled < _UNREACHED), snapshot, found[:_MAX_TOURED]),
     )
 
 
-def _between(reached: Bools, snapshot: Snapshot, frontiers: list[Frontier]) -> Float64s:
+def _distances_between(reached: Bools, snapshot: Snapshot, frontiers: list[Frontier]) -> Float64s:
     """(k, k) m to drive between the frontiers, over what was reached from the robot."""
-    h, w = (-(-n // _COARSE) * _COARSE for n in reached.shape)
+    h, w = (-(-n // _COARSE_CELLS) * _COARSE_CELLS for n in reached.shape)
     padded = np.zeros((h, w), np.bool_)
     padded[: reached.shape[0], : reached.shape[1]] = reached
-    coarse: Bools = np.asarray(padded.reshape(h // _COARSE, _COARSE, w // _COARSE, _COARSE).any(axis=(1, 3)))
+    coarse: Bools = np.asarray(
+        padded.reshape(h // _COARSE_CELLS, _COARSE_CELLS, w // _COARSE_CELLS, _COARSE_CELLS).any(axis=(1, 3))
+    )
     nowhere = np.zeros(coarse.shape, np.float32)  # nothing to escape from: frontiers are seen from where the robot fits
-    side = snapshot.resolution * _COARSE
+    side = snapshot.resolution * _COARSE_CELLS
     x0, y0 = snapshot.first_column * snapshot.resolution, snapshot.first_row * snapshot.resolution
     rows = [int((f.y - y0) / side) for f in frontiers]
     columns = [int((f.x - x0) / side) for f in frontiers]
     between = np.zeros((len(frontiers), len(frontiers)))
     for i, (row, column) in enumerate(zip(rows, columns)):
-        between[i] = _wave(coarse, nowhere, row, column, 0.0)[rows, columns] / _STRAIGHT * side
+        between[i] = _travel_costs(coarse, nowhere, row, column, 0.0)[rows, columns] / _STRAIGHT * side
     return np.asarray(np.maximum(between, between.T))
 
 
-def _in_map(piece: Int32s, snapshot: Snapshot) -> Int64s:
+def _map_cells(piece: Int32s, snapshot: Snapshot) -> Int64s:
     """(n, 2) int64: rows and columns of `map`."""
     rows, columns = np.divmod(piece.astype(np.int64), snapshot.cells.shape[1])
     return np.column_stack((rows + snapshot.first_row, columns + snapshot.first_column))
@@ -179,12 +193,12 @@ def _frontier(piece: Int32s, snapshot: Snapshot, unknown: Bools, seen_from: Int3
         atan2(up, across),
         len(piece) * resolution,
         float(travelled[goal_row, goal_column]) / _STRAIGHT * resolution,
-        _in_map(piece, snapshot),
+        _map_cells(piece, snapshot),
     )
 
 
 @njit(cache=True, nogil=True)
-def _free(cells: Int8s, row: float, column: float, radius: float) -> Bools:
+def _free_cells(cells: Int8s, row: float, column: float, radius: float) -> Bools:
     """Known to be free, by the map or because the robot stands there: row, column, radius in cells."""
     h, w = cells.shape
     free = np.empty((h, w), np.bool_)
@@ -196,7 +210,7 @@ def _free(cells: Int8s, row: float, column: float, radius: float) -> Bools:
 
 
 @njit(cache=True, nogil=True)
-def _deep_unknown(free: Bools, cells: Int8s) -> Bools:
+def _surrounded_unknown(free: Bools, cells: Int8s) -> Bools:
     """Unknown cells among nothing but unknown ones: no gaps between beams. What lies outside the grid is left out."""
     h, w = free.shape
     deep = np.zeros((h, w), np.bool_)
@@ -211,7 +225,7 @@ def _deep_unknown(free: Bools, cells: Int8s) -> Bools:
 
 
 @njit(cache=True, nogil=True)
-def _border(free: Bools, cells: Int8s) -> Bools:
+def _border_cells(free: Bools, cells: Int8s) -> Bools:
     """Free cells beside an unknown one; outside the grid everything is unknown."""
     h, w = cells.shape
     border = np.zeros((h, w), np.bool_)
@@ -229,13 +243,13 @@ def _border(free: Bools, cells: Int8s) -> Bools:
 
 
 @njit(cache=True, nogil=True)
-def _wave(passable: Bools, distance: Float32s, row: int, column: int, escape: float) -> Int32s:
+def _travel_costs(passable: Bools, distance: Float32s, row: int, column: int, escape: float) -> Int32s:
     """Shortest travel from a cell over passable ones, in 1/70 cells; _FAR where it does not get.
 
     Where the robot's own cell is not passable, up to `escape` cells of unoccupied ones lead out of there.
     """
     h, w = passable.shape
-    travelled = np.full((h, w), _FAR, np.int32)
+    travelled = np.full((h, w), _UNREACHED, np.int32)
     queue = np.empty(h * w + 1, np.int32)  # a ring: each cell is in it at most once
     queued = np.zeros((h, w), np.bool_)
     travelled[row, column] = 0
@@ -268,7 +282,7 @@ def _wave(passable: Bools, distance: Float32s, row: int, column: int, escape: fl
 
 
 @njit(cache=True, nogil=True)
-def _seen_from(free: Bools, places: Bools, n_steps: int) -> Int32s:
+def _nearest_places(free: Bools, places: Bools, n_steps: int) -> Int32s:
     """For each free cell within n_steps of one of the places: the nearest such place's index, else -1."""
     h, w = free.shape
     source = np.full((h, w), -1, np.int32)
@@ -296,7 +310,7 @@ def _seen_from(free: Bools, places: Bools, n_steps: int) -> Int32s:
 
 
 @njit(cache=True, nogil=True)
-def _pieces(border: Bools, deep: Bools, n_min: float, n_max: int) -> tuple[Int32s, list[int]]:
+def _split_border(border: Bools, deep: Bools, n_min: float, n_max: int) -> tuple[Int32s, list[int]]:
     """8-connected pieces of the border: their cells one after the other, and where each ends.
 
     A border less than n_min cells across, or without a deep cell, is left out: the robot could not drive through it.

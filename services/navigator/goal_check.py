@@ -16,10 +16,10 @@ from shared.reasons import Reason
 
 Bools = NDArray[np.bool_]
 
-FEW = 20  # poses for which a look around each costs less than one at the whole map
+MAX_SINGLE_CHECKS = 20  # poses for which a look around each costs less than one at the whole map
 
 
-def refused(
+def refusal_reason(
     grid: OccupancyGrid, limits: GoalLimits, inscribed_radius: float, goal: Pose2, tolerance: float
 ) -> Reason | None:
     """The planner's own refusal of a goal (services/planner/planning.py); None where it depends on the way.
@@ -49,9 +49,9 @@ def refused(
     return reasons.GOAL_BLOCKED
 
 
-def doubtful(grid: OccupancyGrid, limits: GoalLimits, inscribed_radius: float, poses: tuple[Pose2, ...]) -> Bools:
-    """(n,) bool: which poses `refused` may refuse; the others stand on cells with room, found for all at once."""
-    if len(poses) <= FEW or grid.empty:
+def needs_check(grid: OccupancyGrid, limits: GoalLimits, inscribed_radius: float, poses: tuple[Pose2, ...]) -> Bools:
+    """(n,) bool: which poses `refusal_reason` may refuse; the others stand on free cells."""
+    if len(poses) <= MAX_SINGLE_CHECKS or grid.empty:
         return np.ones(len(poses), bool)
     distance = distance_field(grid.occupied, 1.0) * grid.resolution
     rows, columns = grid.cells_of(np.array([(pose.x, pose.y) for pose in poses])).T

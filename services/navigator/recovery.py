@@ -26,7 +26,7 @@ class RecoveryConfig(Section):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class RecoveryStep:
     """One recovery. takes: s after which it is over in any case; 0 means that driving goes on at once."""
 
     name: str
@@ -40,27 +40,27 @@ class Step:
         return self.kind in (GoalKind.BACK_UP, GoalKind.TURN)
 
 
-def steps(config: RecoveryConfig, drive: Drive) -> tuple[Step, ...]:
+def recovery_steps(config: RecoveryConfig, drive: Drive) -> tuple[RecoveryStep, ...]:
     """The recoveries in order, without those that the drive cannot do."""
     every = (
-        Step("replan"),
-        Step("clear_costmap", clear_costmap=True),
-        Step("back_up", GoalKind.BACK_UP, config.back_up, takes=config.deadline),
-        Step("turn_left", GoalKind.TURN, config.turn, takes=config.deadline),
-        Step("turn_right", GoalKind.TURN, -config.turn, takes=config.deadline),
-        Step("wait", GoalKind.WAIT, config.wait, takes=config.wait + 1),
+        RecoveryStep("replan"),
+        RecoveryStep("clear_costmap", clear_costmap=True),
+        RecoveryStep("back_up", GoalKind.BACK_UP, config.back_up, takes=config.deadline),
+        RecoveryStep("turn_left", GoalKind.TURN, config.turn, takes=config.deadline),
+        RecoveryStep("turn_right", GoalKind.TURN, -config.turn, takes=config.deadline),
+        RecoveryStep("wait", GoalKind.WAIT, config.wait, takes=config.wait + 1),
     )
     cannot = {GoalKind.BACK_UP} if drive.max_reverse_speed == 0 else set()
     cannot |= set() if drive.turns_in_place else {GoalKind.TURN}
     return tuple(s for s in every if s.kind is GoalKind.DRIVE or (s.amount and s.kind not in cannot))
 
 
-class Ladder:
+class RecoverySequence:
     """How far down the recoveries the robot is. It starts over only after real progress."""
 
     def __init__(self, config: RecoveryConfig, drive: Drive) -> None:
         self.config = config
-        self.steps = steps(config, drive)
+        self.recovery_steps = recovery_steps(config, drive)
         self.n_used = 0  # of the task
         self.last: Reason = reasons.NO_PROGRESS  # why the last one was needed
         self._next = 0
@@ -69,21 +69,21 @@ class Ladder:
     @property
     def used_up(self) -> bool:
         """All were tried since the last real progress."""
-        return self._next >= len(self.steps)
+        return self._next >= len(self.recovery_steps)
 
     @property
     def n_tried(self) -> int:
         """Of the steps, since the last real progress; those that made no sense among them."""
         return self._next
 
-    def next(self, reason: Reason, pose: Pose2 | None, move: bool) -> Step | None:
+    def next(self, reason: Reason, pose: Pose2 | None, move: bool) -> RecoveryStep | None:
         """The next recovery, or None where all were tried. move: such as move the robot make sense."""
         self.last = reason
-        while self._next < len(self.steps) and not move and self.steps[self._next].moves:
+        while self._next < len(self.recovery_steps) and not move and self.recovery_steps[self._next].moves:
             self._next += 1
         if self.used_up:
             return None
-        step = self.steps[self._next]
+        step = self.recovery_steps[self._next]
         self._next += 1
         self.n_used += 1
         self._from = pose

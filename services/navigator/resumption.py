@@ -12,15 +12,15 @@ from shared.reasons import Reason
 from shared.service import Out
 from shared.stamps import FUTURE, fresh
 
-TOLD_EVERY = 0.5  # s
-_WAIT = 2.0  # s after the start in which guard, map and pose must have been heard
-_GUARD_AGE = 1.0  # s after which a guard's word says nothing of now: it speaks ten times a second
+PUBLISH_PERIOD_S = 0.5  # s
+_MAX_WAIT_S = 2.0  # s after the start in which guard, map and pose must have been heard
+_MAX_GUARD_AGE_S = 1.0  # s after which a guard's word says nothing of now: it speaks ten times a second
 
 _Key = tuple[object, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
+class ResumeRefusal:
     """Why the task does not go on. waits: it may yet, until the time is over."""
 
     reason: Reason
@@ -84,45 +84,47 @@ class Resumption:
         message = _message(self.navigation, now)
         told = self._told
         if _key(message) == (_key(told) if told else _NOTHING):
-            alive = told is not None and 0 <= now - told.stamp < round(TOLD_EVERY * 1e9)
+            alive = told is not None and 0 <= now - told.stamp < round(PUBLISH_PERIOD_S * 1e9)
             if alive or message.kind is TaskKind.NONE:
                 return
         self._told = message
         yield topics.TASK(message)
 
-    def _refusal(self, before: NavTask, now: int) -> Refusal | None:
+    def _refusal(self, before: NavTask, now: int) -> ResumeRefusal | None:
         """Why the task does not go on, or not yet."""
         navigation = self.navigation
-        guard, grid = navigation.hearing.present_guard(now), navigation.grid
-        guard = guard if guard is not None and fresh(guard.stamp, now, _GUARD_AGE) else None
-        if (stopped := navigation.hearing.stopped(now)) and guard is not None:
+        guard, grid = navigation.statuses.recent_guard(now), navigation.grid
+        guard = guard if guard is not None and fresh(guard.stamp, now, _MAX_GUARD_AGE_S) else None
+        if (stopped := navigation.statuses.stop_reason(now)) and guard is not None:
             state = NavState.CANCELED if guard.state is GuardState.STOPPED else NavState.FAILED
-            return Refusal(stopped, f"{stopped.text} since the navigator was restarted: {stopped.mend}", state)
+            return ResumeRefusal(stopped, f"{stopped.text} since the navigator was restarted: {stopped.mend}", state)
         disarmed = guard is not None and guard.reason == reasons.ESTOP_RELEASED.code
         if guard is not None and (disarmed or guard.stopped > before.stamp - FUTURE):
             released = reasons.ESTOP_RELEASED
             words = f"while the navigator was restarted; {released.mend}"
-            return Refusal(released, f"{released.text} {words}", NavState.CANCELED)
+            return ResumeRefusal(released, f"{released.text} {words}", NavState.CANCELED)
         if before.map_id and grid.map_id not in (0, before.map_id):
-            return Refusal(reasons.OTHER_MAP, "", NavState.CANCELED)
+            return ResumeRefusal(reasons.OTHER_MAP, "", NavState.CANCELED)
         away = (self._began - before.stamp) * 1e-9
         if away < -FUTURE * 1e-9 or now < self._began:
-            return Refusal(reasons.INTERRUPTED, "the clock was set back meanwhile; give the task again")
-        late, waited = self._late(before), now - self._began > round(_WAIT * 1e9)
+            return ResumeRefusal(reasons.INTERRUPTED, "the clock was set back meanwhile; give the task again")
+        late, waited = self._late(before), now - self._began > round(_MAX_WAIT_S * 1e9)
         lacking = {
             "the guard": guard is None,  # it knows of a STOP meanwhile
             "the map": bool(before.map_id) and grid.empty and not late,
-            "the pose": navigation.where.map_from_base is None and not late,
+            "the pose": navigation.pose_tracker.map_from_base is None and not late,
         }
         missing = [words for words, lacks in lacking.items() if lacks]
         if missing and not waited:
-            return Refusal(reasons.STARTING, "", waits=True)
+            return ResumeRefusal(reasons.STARTING, "", waits=True)
         if late:
             most = navigation.config.resume_within
             words = f"it was away for {away:.1f} s, and a task goes on after at most {most:g} s: give it again"
-            return Refusal(reasons.INTERRUPTED, words)
+            return ResumeRefusal(reasons.INTERRUPTED, words)
         if missing:
-            return Refusal(reasons.INTERRUPTED, f"{' and '.join(missing)} missing since then: give the task again")
+            return ResumeRefusal(
+                reasons.INTERRUPTED, f"{' and '.join(missing)} missing since then: give the task again"
+            )
         return None
 
     def _late(self, before: NavTask) -> bool:
@@ -133,7 +135,7 @@ def _message(navigation: Navigation, now: int) -> NavTask:
     task = navigation.task
     route = task if isinstance(task, Route) else None
     kind = TaskKind.NONE if task is None else TaskKind.ROUTE if route else TaskKind.EXPLORE
-    dwelling = route is not None and navigation.leg is None
+    dwelling = route is not None and navigation.attempt is None
     return NavTask(
         now,
         navigation.task_id,

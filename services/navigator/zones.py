@@ -8,13 +8,13 @@ from shared.requests import SetZones
 from shared.zones import NamedZoneConfig
 
 
-class HeldZones:
+class ActiveZones:
     """The zones by name. What is set takes the place of what was set before, never of the configuration's others."""
 
     def __init__(self, configured: tuple[NamedZoneConfig, ...]) -> None:
         self._configured = {zone.name: zone.zone(zone.name) for zone in configured}
         self._zones = self._configured
-        self.told = not self._configured  # nobody need be told that there are none
+        self.is_published = not self._configured  # nobody need be told that there are none
 
     @property
     def zones(self) -> tuple[Zone, ...]:
@@ -37,5 +37,5 @@ class HeldZones:
             return ()
         zones = self._configured | {zone.name: zone for zone in before.zones}
         self._zones = dict(islice(zones.items(), MOST_ZONES))
-        self.told = False
+        self.is_published = False
         return tuple(name for name in zones if name not in self._zones)

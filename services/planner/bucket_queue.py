@@ -25,7 +25,7 @@ def empty_ring(longest: int) -> Int32s:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def popped(slot: int, free: int, heads: Int32s, links: Int32s) -> int:
+def pop_entry(slot: int, free: int, heads: Int32s, links: Int32s) -> int:
     """Takes an entry out of a bucket that is not empty; it is the first free one then, as `free` has to say."""
     entry = heads[slot]
     heads[slot] = links[entry]
@@ -34,7 +34,7 @@ def popped(slot: int, free: int, heads: Int32s, links: Int32s) -> int:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def pushed(
+def push_entry(
     slot: int, node: int, key: int, free: int, n_used: int, heads: Int32s, nodes: Int32s, keys: Int64s, links: Int32s
 ) -> tuple[int, int]:
     """Puts a node into a bucket; `free` and `n_used` then. There must be room."""

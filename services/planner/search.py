@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from services.planner.bucket_queue import empty_ring, popped, pushed
+from services.planner.bucket_queue import empty_ring, pop_entry, push_entry
 
 UInt16s = NDArray[np.uint16]
 Int8s = NDArray[np.int8]
@@ -25,7 +25,7 @@ STRAIGHT, DIAGONAL = 2378, 3363
 COST_BITS = 42
 """Of a key: the cost so far. The bits above number the search, downwards, so that keys of older ones are larger."""
 
-NO_ROOM = -1
+QUEUE_FULL = -1
 """What a search returns where the queue's entries did not suffice."""
 
 _SEARCHES = 2**21 - 1  # so many stamps there are
@@ -33,7 +33,7 @@ _ROW = np.array([0, 1, 0, -1, 1, 1, -1, -1], np.int64)
 _COLUMN = np.array([1, 0, -1, 0, 1, -1, 1, -1], np.int64)
 
 
-class Marks(Generic[Origin]):
+class SearchBuffers(Generic[Origin]):
     """What searches know of the cells or nodes of a grid: `keys`, stamp and cost so far; `origins`, whence.
 
     Never cleared: a new search has a lower stamp than all before, and so finds every key too high.
@@ -53,18 +53,20 @@ class Marks(Generic[Origin]):
             self.keys, self.origins = np.zeros(size, np.int64), np.zeros(size, self.origins.dtype)
 
 
-class Search:
+class GridSearch:
     """Finds ways; holds the buffers of the largest grid so far."""
 
     def __init__(self) -> None:
-        self.cells = Marks(np.int8)
-        self.room(1 << 12)
+        self.cells = SearchBuffers(np.int8)
+        self.reserve(1 << 12)
 
-    def room(self, n: int) -> None:
+    def reserve(self, n: int) -> None:
         """Makes room for n entries of the queue: their cells, their keys, the next entry of their bucket."""
         self.entries = np.empty(n, np.int32), np.empty(n, np.int64), np.empty(n, np.int32)
 
-    def way(self, costs: UInt16s, start: tuple[int, int], goal: tuple[int, int], lowest: int, highest: int) -> Int32s:
+    def cheapest_path(
+        self, costs: UInt16s, start: tuple[int, int], goal: tuple[int, int], min_cost: int, max_cost: int
+    ) -> Int32s:
         """The cheapest way from start to goal, both included: (n, 2) int32 rows and columns, n = 0 without one.
 
         costs: (h, w) uint16, C-contiguous, 0 blocked, its outermost ring blocked. lowest, highest: bounds of its
@@ -79,16 +81,25 @@ class Search:
         while True:
             marks.begin(flat.size)
             found = expand(
-                flat, w, start_cell, goal_cell, lowest, highest, marks.stamp, marks.keys, marks.origins, *self.entries
+                flat,
+                w,
+                start_cell,
+                goal_cell,
+                min_cost,
+                max_cost,
+                marks.stamp,
+                marks.keys,
+                marks.origins,
+                *self.entries,
             )
-            if found != NO_ROOM:
+            if found != QUEUE_FULL:
                 break
-            self.room(2 * len(self.entries[0]))
-        return traced(marks.origins, w, start_cell, goal_cell) if found else np.empty((0, 2), np.int32)
+            self.reserve(2 * len(self.entries[0]))
+        return traced_path(marks.origins, w, start_cell, goal_cell) if found else np.empty((0, 2), np.int32)
 
 
 @njit(cache=True, nogil=True)
-def stamped(stamp: Int64s) -> int:
+def next_base_key(stamp: Int64s) -> int:
     """The base of the keys of a new search: lower by 1 << COST_BITS than that of the one before."""
     stamp[0] += 1
     return int(-stamp[0] << COST_BITS)
@@ -100,8 +111,8 @@ def expand(
     width: int,
     start: int,
     goal: int,
-    lowest: int,
-    highest: int,
+    min_cost: int,
+    max_cost: int,
     stamp: Int64s,
     keys: Int64s,
     parents: Int8s,
@@ -112,20 +123,20 @@ def expand(
     """Fills keys (base + cost so far) and parents (direction of arrival) until the goal is settled or nothing is left.
 
     Returns whether there is a way, 1 or 0, or NO_ROOM where the entries did not suffice. Exact where no cost is under
-    `lowest`; a higher one looks at fewer cells, and finds some way.
+    `min_cost`; a higher one looks at fewer cells, and finds some way.
     """
-    base = stamped(stamp)
+    base = next_base_key(stamp)
     offsets = _ROW * width + _COLUMN
     goal_row, goal_column = goal // width, goal % width
-    straight_least, diagonal_least = 2 * lowest * STRAIGHT, 2 * lowest * DIAGONAL
+    straight_least, diagonal_least = 2 * min_cost * STRAIGHT, 2 * min_cost * DIAGONAL
     slower = diagonal_least - straight_least
     shift = width_bits(straight_least)
-    heads = empty_ring((2 * (highest + lowest) * DIAGONAL) >> shift)
+    heads = empty_ring((2 * (max_cost + min_cost) * DIAGONAL) >> shift)
     mask = len(heads) - 1
     keys[start] = base
     dr, dc = abs(goal_row - start // width), abs(goal_column - start % width)
     bucket = (straight_least * max(dr, dc) + slower * min(dr, dc)) >> shift
-    free, n_used = pushed(bucket & mask, start, base, -1, 0, heads, cells, entry_keys, links)
+    free, n_used = push_entry(bucket & mask, start, base, -1, 0, heads, cells, entry_keys, links)
     n_open = 1
     open_way = np.zeros(4, np.bool_)
     while n_open:
@@ -133,13 +144,13 @@ def expand(
             bucket += 1
         if base + (bucket << shift) >= keys[goal]:
             return 1
-        free = popped(bucket & mask, free, heads, links)
+        free = pop_entry(bucket & mask, free, heads, links)
         n_open -= 1
         cell, key = cells[free], entry_keys[free]
         if key != keys[cell]:
             continue
         if n_used + 8 > len(cells):
-            return NO_ROOM
+            return QUEUE_FULL
         here = np.int64(costs[cell])
         row, column = cell // width, cell % width
         for direction in range(8):
@@ -158,8 +169,8 @@ def expand(
             parents[there] = direction
             dr, dc = abs(goal_row - row - _ROW[direction]), abs(goal_column - column - _COLUMN[direction])
             total = key + step - base + straight_least * max(dr, dc) + slower * min(dr, dc)
-            slot = max(total >> shift, bucket) & mask  # not before what is expanded now, where `lowest` is too high
-            free, n_used = pushed(slot, there, key + step, free, n_used, heads, cells, entry_keys, links)
+            slot = max(total >> shift, bucket) & mask  # not before what is expanded now, where `min_cost` is too high
+            free, n_used = push_entry(slot, there, key + step, free, n_used, heads, cells, entry_keys, links)
             n_open += 1
     return 1 if keys[goal] >> COST_BITS == base >> COST_BITS else 0
 
@@ -174,17 +185,17 @@ def width_bits(least: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def traced(parents: Int8s, width: int, start: int, goal: int) -> Int32s:
+def traced_path(parents: Int8s, width: int, start: int, goal: int) -> Int32s:
     offsets = _ROW * width + _COLUMN
     n = 1
     cell = goal
     while cell != start:
         cell -= offsets[parents[cell]]
         n += 1
-    way = np.empty((n, 2), np.int32)
+    path = np.empty((n, 2), np.int32)
     cell = goal
     for i in range(n - 1, -1, -1):
-        way[i, 0], way[i, 1] = cell // width, cell % width
+        path[i, 0], path[i, 1] = cell // width, cell % width
         if i:
             cell -= offsets[parents[cell]]
-    return way
+    return path

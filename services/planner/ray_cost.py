@@ -31,11 +31,11 @@ def path_cost(costs: UInt16s, points: Float64s) -> float:
 
 
 @njit(cache=True, nogil=True)
-def line_cost(costs: UInt16s, x0: float, y0: float, x1: float, y1: float, most: float = np.inf) -> float:
+def line_cost(costs: UInt16s, x0: float, y0: float, x1: float, y1: float, max_cost: float = np.inf) -> float:
     """The integral of the costs along a line, or BLOCKED. Amanatides & Woo 1987, where a line through a corner of four
     cells touches all of them.
 
-    Where it exceeds `most`, that is found before the line's end: what lies beyond is not looked at.
+    Where it exceeds `max_cost`, that is found before the line's end: what lies beyond is not looked at.
     """
     column, row = int(np.floor(x0)), int(np.floor(y0))
     last_column, last_row = int(np.floor(x1)), int(np.floor(y1))
@@ -51,7 +51,7 @@ def line_cost(costs: UInt16s, x0: float, y0: float, x1: float, y1: float, most: 
     per_column = abs(1 / dx) if dx != 0 else np.inf
     per_row = abs(1 / dy) if dy != 0 else np.inf
     here, total = 0.0, 0.0
-    share = most / length if length > 0 else np.inf
+    share = max_cost / length if length > 0 else np.inf
     n_steps = abs(last_column - column) + abs(last_row - row)
     while n_steps > 0:
         cost = costs[row, column]

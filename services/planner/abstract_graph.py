@@ -16,14 +16,14 @@ UInt32s = NDArray[np.uint32]
 Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
 
-BLOCK = 8
+BLOCK_CELLS = 8
 """Cells along a block's side."""
 
-PARTS = 4
+MAX_PARTS = 4
 """Nodes of a block at most; more parts than that share the last."""
 
 SIDE_BITS = 4
-"""Bits of `joins` for the parts that lie one way: by `ROW_STEP` and `COLUMN_STEP`."""
+"""Bits of `edges` for the parts that lie one way: by `ROW_STEP` and `COLUMN_STEP`."""
 
 ROW_STEP = (0, 1, 0, -1, 1, 1, -1, -1)
 COLUMN_STEP = (1, 0, -1, 0, 1, -1, 1, -1)
@@ -32,84 +32,89 @@ COLUMN_STEP = (1, 0, -1, 0, 1, -1, 1, -1)
 PART_MASK = (1 << SIDE_BITS) - 1
 _SIDES = (1 << 4 * SIDE_BITS) - 1
 
-PLACE_BITS = 16
+COLUMN_BITS = 16
 """Bits of a place for its column; its row is in those above."""
 
 
 @dataclass(slots=True, eq=False)
-class Blocks:
+class AbstractGraph:
     """parts: (h, w) uint8, a cell's part of its block, 1 to PARTS, 0 blocked.
 
-    Of node `(part - 1) * n + block`, where n = n_rows * n_columns: `places`, its cheapest cell (`place_at`; of equal
-    ones that nearest to the part's middle), 0 without cells; `crossing`, the cost there; `joins`, uint32, which parts
+    Of node `(part - 1) * n + block`, where n = n_rows * n_columns: `representatives`, its cheapest cell (of equal
+    ones that nearest to the part's middle), 0 without cells; `crossing`, the cost there; `edges`, uint32, which parts
     it meets across each side, as bits, and across each corner by way of both sides of it, as a step between cells.
     """
 
     n_rows: int
     n_columns: int
     parts: UInt8s
-    places: Int32s
+    representatives: Int32s
     crossing: UInt16s
-    joins: UInt32s
+    edges: UInt32s
 
     @staticmethod
-    def of(costs: UInt16s) -> "Blocks":
+    def of(costs: UInt16s) -> "AbstractGraph":
         """The blocks of costs (h, w) uint16, 0 blocked."""
-        n_rows, n_columns = -(-costs.shape[0] // BLOCK), -(-costs.shape[1] // BLOCK)
-        n = PARTS * n_rows * n_columns
-        parts, places = np.zeros(costs.shape, np.uint8), np.zeros(n, np.int32)
-        blocks = Blocks(n_rows, n_columns, parts, places, np.zeros(n, np.uint16), np.zeros(n, np.uint32))
-        blocks.update(costs, 0, 0, *costs.shape)
-        return blocks
+        n_rows, n_columns = -(-costs.shape[0] // BLOCK_CELLS), -(-costs.shape[1] // BLOCK_CELLS)
+        n = MAX_PARTS * n_rows * n_columns
+        parts, representatives = np.zeros(costs.shape, np.uint8), np.zeros(n, np.int32)
+        graph = AbstractGraph(n_rows, n_columns, parts, representatives, np.zeros(n, np.uint16), np.zeros(n, np.uint32))
+        graph.update(costs, 0, 0, *costs.shape)
+        return graph
 
     def update(self, costs: UInt16s, r0: int, c0: int, r1: int, c1: int) -> None:
         """Follows costs that have changed in the rows r0 to r1 - 1 and the columns c0 to c1 - 1."""
-        low_row, low_column, end_row, end_column = r0 // BLOCK, c0 // BLOCK, -(-r1 // BLOCK), -(-c1 // BLOCK)
-        _part(
+        low_row, low_column, end_row, end_column = (
+            r0 // BLOCK_CELLS,
+            c0 // BLOCK_CELLS,
+            -(-r1 // BLOCK_CELLS),
+            -(-c1 // BLOCK_CELLS),
+        )
+        _label_blocks(
             costs, (low_row, low_column, end_row, end_column), self.n_rows * self.n_columns, self.n_columns,
-            self.parts, self.places, self.crossing,
+            self.parts, self.representatives, self.crossing,
         )  # fmt: skip
-        for reach, join in ((1, _join_sides), (2, _join_corners)):
+        for reach, join in ((1, _connect_sides), (2, _connect_corners)):
             around = (
                 max(low_row - reach, 0), max(low_column - reach, 0),
                 min(end_row + reach, self.n_rows), min(end_column + reach, self.n_columns),
             )  # fmt: skip
-            join(self.parts, around, self.n_rows * self.n_columns, self.n_columns, self.joins)
+            join(self.parts, around, self.n_rows * self.n_columns, self.n_columns, self.edges)
 
     def node(self, row: int, column: int) -> int:
         """The node that holds a free cell."""
         part = int(self.parts[row, column])
-        return (part - 1) * self.n_rows * self.n_columns + row // BLOCK * self.n_columns + column // BLOCK
+        return (part - 1) * self.n_rows * self.n_columns + row // BLOCK_CELLS * self.n_columns + column // BLOCK_CELLS
 
 
 @njit(cache=True, nogil=True)
-def place_at(row: int, column: int) -> int:
+def packed_cell(row: int, column: int) -> int:
     """A cell as one number that a shift and a mask take apart; 32 bits, as a map is less than 2^15 cells high."""
-    return (row << PLACE_BITS) | column
+    return (row << COLUMN_BITS) | column
 
 
 @njit(cache=True, nogil=True)
-def _part(
+def _label_blocks(
     costs: UInt16s, window: tuple[int, int, int, int], n: int, n_columns: int,
-    parts: UInt8s, places: Int32s, crossing: UInt16s,
+    parts: UInt8s, representatives: Int32s, crossing: UInt16s,
 ) -> None:  # fmt: skip
     """Floods the parts of the blocks in the window, by straight steps, and finds their places."""
     h, w = costs.shape
-    cells = np.empty(BLOCK * BLOCK, np.int64)
+    cells = np.empty(BLOCK_CELLS * BLOCK_CELLS, np.int64)
     for block_row in range(window[0], window[2]):
         for block_column in range(window[1], window[3]):
             block = block_row * n_columns + block_column
-            r0, c0 = block_row * BLOCK, block_column * BLOCK
-            r1, c1 = min(r0 + BLOCK, h), min(c0 + BLOCK, w)
+            r0, c0 = block_row * BLOCK_CELLS, block_column * BLOCK_CELLS
+            r1, c1 = min(r0 + BLOCK_CELLS, h), min(c0 + BLOCK_CELLS, w)
             parts[r0:r1, c0:c1] = 0
-            for i in range(PARTS):
-                places[i * n + block] = crossing[i * n + block] = 0
+            for i in range(MAX_PARTS):
+                representatives[i * n + block] = crossing[i * n + block] = 0
             found = 0
             for row in range(r0, r1):
                 for column in range(c0, c1):
                     if costs[row, column] == 0 or parts[row, column]:
                         continue
-                    found = min(found + 1, PARTS)
+                    found = min(found + 1, MAX_PARTS)
                     parts[row, column] = found
                     cells[0], done, known = row * w + column, 0, 1
                     while done < known:
@@ -123,14 +128,14 @@ def _part(
                                 cells[known] = nr * w + nc
                                 known += 1
                     node = (found - 1) * n + block
-                    if places[node] == 0:
-                        best = _place(costs, cells[:known])
-                        places[node] = place_at(best // w, best % w)
+                    if representatives[node] == 0:
+                        best = _representative_cell(costs, cells[:known])
+                        representatives[node] = packed_cell(best // w, best % w)
                         crossing[node] = costs[best // w, best % w]
 
 
 @njit(cache=True, nogil=True)
-def _place(costs: UInt16s, cells: Int64s) -> int:
+def _representative_cell(costs: UInt16s, cells: Int64s) -> int:
     """The cheapest of cells (row * w + column); of equal ones that nearest to the middle of all."""
     w = costs.shape[1]
     row, column = np.mean(cells // w), np.mean(cells % w)
@@ -146,60 +151,60 @@ def _place(costs: UInt16s, cells: Int64s) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _join_sides(parts: UInt8s, window: tuple[int, int, int, int], n: int, n_columns: int, joins: UInt32s) -> None:
+def _connect_sides(parts: UInt8s, window: tuple[int, int, int, int], n: int, n_columns: int, edges: UInt32s) -> None:
     """Which parts of blocks side by side meet, for the blocks in the window. Leaves no corners."""
     h, w = parts.shape
     for block_row in range(window[0], window[2]):
         for block_column in range(window[1], window[3]):
             block = block_row * n_columns + block_column
-            r0, c0 = block_row * BLOCK, block_column * BLOCK
-            r1, c1 = min(r0 + BLOCK, h), min(c0 + BLOCK, w)
-            for i in range(PARTS):
-                joins[i * n + block] = 0
+            r0, c0 = block_row * BLOCK_CELLS, block_column * BLOCK_CELLS
+            r1, c1 = min(r0 + BLOCK_CELLS, h), min(c0 + BLOCK_CELLS, w)
+            for i in range(MAX_PARTS):
+                edges[i * n + block] = 0
             for row in range(r0, r1):
                 if c1 < w:
-                    _meet(parts[row, c1 - 1], parts[row, c1], 0, block, n, joins)
+                    _connect(parts[row, c1 - 1], parts[row, c1], 0, block, n, edges)
                 if c0 > 0:
-                    _meet(parts[row, c0], parts[row, c0 - 1], 2, block, n, joins)
+                    _connect(parts[row, c0], parts[row, c0 - 1], 2, block, n, edges)
             for column in range(c0, c1):
                 if r1 < h:
-                    _meet(parts[r1 - 1, column], parts[r1, column], 1, block, n, joins)
+                    _connect(parts[r1 - 1, column], parts[r1, column], 1, block, n, edges)
                 if r0 > 0:
-                    _meet(parts[r0, column], parts[r0 - 1, column], 3, block, n, joins)
+                    _connect(parts[r0, column], parts[r0 - 1, column], 3, block, n, edges)
 
 
 @njit(cache=True, nogil=True)
-def _meet(here: int, there: int, side: int, block: int, n: int, joins: UInt32s) -> None:
+def _connect(here: int, there: int, side: int, block: int, n: int, edges: UInt32s) -> None:
     if here and there:
-        joins[(here - 1) * n + block] |= np.uint32(1 << (side * SIDE_BITS + there - 1))
+        edges[(here - 1) * n + block] |= np.uint32(1 << (side * SIDE_BITS + there - 1))
 
 
 @njit(cache=True, nogil=True)
-def _join_corners(parts: UInt8s, window: tuple[int, int, int, int], n: int, n_columns: int, joins: UInt32s) -> None:
+def _connect_corners(parts: UInt8s, window: tuple[int, int, int, int], n: int, n_columns: int, edges: UInt32s) -> None:
     """Adds which parts lie across the corners, for the blocks in the window, from what lies across the sides."""
     for block_row in range(window[0], window[2]):
         for block_column in range(window[1], window[3]):
             block = block_row * n_columns + block_column
-            for i in range(PARTS):
-                joined = int(np.int64(joins[i * n + block]) & _SIDES)
+            for i in range(MAX_PARTS):
+                edge_bits = int(np.int64(edges[i * n + block]) & _SIDES)
                 for direction in range(4, 8):
                     across, along = 2 * (direction & 1), (1 if direction < 6 else 3)
-                    bits = _beyond(joined, joins, n, block, n_columns, across, along)
+                    bits = _parts_across(edge_bits, edges, n, block, n_columns, across, along)
                     if bits:
-                        bits &= _beyond(joined, joins, n, block, n_columns, along, across)
-                    joined |= bits << SIDE_BITS * direction
-                joins[i * n + block] = joined
+                        bits &= _parts_across(edge_bits, edges, n, block, n_columns, along, across)
+                    edge_bits |= bits << SIDE_BITS * direction
+                edges[i * n + block] = edge_bits
 
 
 @njit(cache=True, nogil=True)
-def _beyond(joined: int, joins: UInt32s, n: int, block: int, n_columns: int, first: int, then: int) -> int:
+def _parts_across(edge_bits: int, edges: UInt32s, n: int, block: int, n_columns: int, first: int, then: int) -> int:
     """Which parts lie across the side `then` of those that a node meets across the side `first`, as bits."""
-    bits = (joined >> SIDE_BITS * first) & PART_MASK
+    bits = (edge_bits >> SIDE_BITS * first) & PART_MASK
     node = block + ROW_STEP[first] * n_columns + COLUMN_STEP[first]
     found = 0
     while bits:
         if bits & 1:
-            found |= int((np.int64(joins[node]) >> SIDE_BITS * then) & PART_MASK)
+            found |= int((np.int64(edges[node]) >> SIDE_BITS * then) & PART_MASK)
         bits >>= 1
         node += n
     return found

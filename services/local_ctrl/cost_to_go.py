@@ -8,14 +8,14 @@ leads to where the plan runs into what is in the way.
 """
 
 from math import floor, hypot, inf, sqrt
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.local_ctrl.footprint import sampled
+from services.local_ctrl.footprint import bilinear
 from shared.config import Section
 from shared.distance_field import distance_field_into
 
@@ -23,23 +23,25 @@ Bools = NDArray[np.bool_]
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 
-COARSE = 2  # cells of the costmap to one of the field, along each axis
-BEFORE = 3  # points of the path that the robot keeps off the place where it is blocked
-SWEEPS = 24  # at most; four settle every cell whose best way turns through less than a full circle
+COARSE_CELLS = 2  # cells of the costmap to one of the field, along each axis
+END_MARGIN_POINTS = 3  # points of the path that the robot keeps off the place where it is blocked
+MAX_SWEEPS = 24  # at most; four settle every cell whose best way turns through less than a full circle
 
 
-class DistanceToGoConfig(Section):
+class CostToGoConfig(Section):
     """What makes a way longer than it is."""
 
+    RENAMED: ClassVar[dict[str, str]] = {"beside_plan_at_most": "max_beside_plan"}
+
     beside_plan: float = Field(0.5, ge=0, le=10, description="1/m: slowness added a metre away from the plan")
-    beside_plan_at_most: float = Field(0.5, ge=0, le=10, description="1: slowness added far from the plan")
+    max_beside_plan: float = Field(0.5, ge=0, le=10, description="1: slowness added far from the plan")
     near_obstacles: float = Field(3.0, ge=0, le=100, description="1: slowness added where the robot just fits")
     clearance: float = Field(0.3, ge=0.01, le=3, description="m beyond the outline at which obstacles no longer count")
     unknown: float = Field(0.3, ge=0, le=100, description="1: slowness added where nobody has looked")
     no_room: float = Field(40.0, ge=1, le=1000, description="1: slowness added where the robot does not fit")
 
 
-class ToGo(NamedTuple):
+class CostToGo(NamedTuple):
     """(n / 2, n / 2) float32 m; cell (0, 0) is centred between the costmap's first two cells of both axes."""
 
     field: Float32s
@@ -47,35 +49,35 @@ class ToGo(NamedTuple):
     closed: bool  # nothing leads to the path's last point: i_end is where the path runs into what is in the way
 
 
-def distance_to_go(
+def cost_to_go(
     field: Float32s,
     unknown: Bools,
     resolution: float,
     path: Float64s,
     robot: tuple[float, float],
     inscribed: float,
-    config: DistanceToGoConfig,
-) -> ToGo:
+    config: CostToGoConfig,
+) -> CostToGo:
     """field, unknown: (n, n), n even, m and bool, of the costmap.  path: (k, 2) m; robot: m; both from the costmap's
     lower left centre.  inscribed: m.
 
     The eikonal equation by fast sweeping (Zhao 2005), started from the way along the plan, which bounds it from above.
     """
-    to_go = np.empty((len(field) // COARSE, len(field) // COARSE), np.float32)
+    to_go = np.empty((len(field) // COARSE_CELLS, len(field) // COARSE_CELLS), np.float32)
     settings = (
         config.beside_plan,
-        config.beside_plan_at_most,
+        config.max_beside_plan,
         config.near_obstacles,
         config.clearance,
         config.unknown,
         config.no_room,
     )
-    i_end, closed = _solve(field, unknown, resolution, path, robot, inscribed, settings, to_go)
-    return ToGo(to_go, i_end, closed)
+    i_end, closed = _fill_cost_to_go(field, unknown, resolution, path, robot, inscribed, settings, to_go)
+    return CostToGo(to_go, i_end, closed)
 
 
 @njit(cache=True, nogil=True)
-def _solve(
+def _fill_cost_to_go(
     field: Float32s,
     unknown: Bools,
     resolution: float,
@@ -86,11 +88,11 @@ def _solve(
     to_go: Float32s,
 ) -> tuple[int, bool]:
     n = len(to_go)
-    size = COARSE * resolution
+    size = COARSE_CELLS * resolution
     # positions in cells of the coarse field, whose first centre lies half a fine cell up and right
-    cells = (path - 0.5 * (COARSE - 1) * resolution) / size
-    column = int(min(max((robot[0] - 0.5 * (COARSE - 1) * resolution) / size + 0.5, 0.0), n - 1.0))
-    row = int(min(max((robot[1] - 0.5 * (COARSE - 1) * resolution) / size + 0.5, 0.0), n - 1.0))
+    cells = (path - 0.5 * (COARSE_CELLS - 1) * resolution) / size
+    column = int(min(max((robot[0] - 0.5 * (COARSE_CELLS - 1) * resolution) / size + 0.5, 0.0), n - 1.0))
+    row = int(min(max((robot[1] - 0.5 * (COARSE_CELLS - 1) * resolution) / size + 0.5, 0.0), n - 1.0))
     on_path = np.zeros((n, n), np.bool_)
     for k in range(len(cells)):
         i, j = floor(cells[k, 1] + 0.5), floor(cells[k, 0] + 0.5)
@@ -100,23 +102,23 @@ def _solve(
     distance_field_into(on_path, size, slowness)
     fits = np.empty((n, n), np.bool_)
     # who stands where it does not fit, does fit: it must find its way out
-    here = sampled(field, robot[0] / resolution, robot[1] / resolution)
-    _slow_down(field, unknown, resolution, inscribed, min(inscribed, here - size), settings, slowness, fits)
+    here = bilinear(field, robot[0] / resolution, robot[1] / resolution)
+    _fill_slowness(field, unknown, resolution, inscribed, min(inscribed, here - size), settings, slowness, fits)
     i_end, closed = len(cells) - 1, False
     for _ in range(2):
         to_go.fill(np.inf)
-        _start(cells[: i_end + 1], slowness, fits, size, to_go)
-        _sweeps(slowness, fits, size, to_go)
+        _initialize(cells[: i_end + 1], slowness, fits, size, to_go)
+        _sweep_until_settled(slowness, fits, size, to_go)
         if to_go[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].min() < inf:
             break
-        i_end, closed = max(0, _fitting(cells, fits) - 1 - BEFORE), True
+        i_end, closed = max(0, _n_fitting(cells, fits) - 1 - END_MARGIN_POINTS), True
     np.logical_not(np.isfinite(to_go), fits)
-    _sweeps(slowness, fits, size, to_go)
+    _sweep_until_settled(slowness, fits, size, to_go)
     return i_end, closed
 
 
 @njit(cache=True, nogil=True)
-def _fitting(cells: Float64s, fits: Bools) -> int:
+def _n_fitting(cells: Float64s, fits: Bools) -> int:
     """How many of the path's points come before the first one where the robot does not fit."""
     n = len(fits)
     for k in range(len(cells)):
@@ -127,7 +129,7 @@ def _fitting(cells: Float64s, fits: Bools) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _slow_down(
+def _fill_slowness(
     field: Float32s,
     unknown: Bools,
     resolution: float,
@@ -142,7 +144,7 @@ def _slow_down(
     n = len(slowness)
     for row in range(n):
         for column in range(n):
-            i, j = COARSE * row, COARSE * column
+            i, j = COARSE_CELLS * row, COARSE_CELLS * column
             away = 0.25 * (field[i, j] + field[i, j + 1] + field[i + 1, j] + field[i + 1, j + 1])
             room = away - inscribed
             slow = 1.0 + min(beside_most, beside * max(0.0, slowness[row, column] - resolution))
@@ -157,7 +159,7 @@ def _slow_down(
 
 
 @njit(cache=True, nogil=True)
-def _start(cells: Float64s, slowness: Float32s, fits: Bools, size: float, to_go: Float32s) -> None:
+def _initialize(cells: Float64s, slowness: Float32s, fits: Bools, size: float, to_go: Float32s) -> None:
     """Exact distances about the path's end, and along the path the length of the way on it until it is blocked."""
     n = len(to_go)
     last = len(cells) - 1
@@ -180,8 +182,8 @@ def _start(cells: Float64s, slowness: Float32s, fits: Bools, size: float, to_go:
 
 
 @njit(cache=True, nogil=True)
-def _sweeps(slowness: Float32s, wanted: Bools, size: float, to_go: Float32s) -> None:
-    for sweep in range(SWEEPS):
+def _sweep_until_settled(slowness: Float32s, wanted: Bools, size: float, to_go: Float32s) -> None:
+    for sweep in range(MAX_SWEEPS):
         if _sweep(sweep % 4, slowness, wanted, size, to_go) < 0.01 and sweep >= 3:
             break
 
@@ -190,7 +192,7 @@ def _sweeps(slowness: Float32s, wanted: Bools, size: float, to_go: Float32s) -> 
 def _sweep(corner: int, slowness: Float32s, wanted: Bools, size: float, to_go: Float32s) -> float:
     """One Gauss-Seidel sweep away from one corner over the wanted cells; returns the largest improvement, m."""
     n = len(to_go)
-    most = 0.0
+    max_change = 0.0
     for a in range(n):
         row = a if corner < 2 else n - 1 - a
         for b in range(n):
@@ -207,23 +209,23 @@ def _sweep(corner: int, slowness: Float32s, wanted: Bools, size: float, to_go: F
             if second < value:
                 value = 0.5 * (first + second + sqrt(2.0 * step * step - (first - second) ** 2))
             if value < to_go[row, column]:
-                most = max(most, to_go[row, column] - value)
+                max_change = max(max_change, to_go[row, column] - value)
                 to_go[row, column] = value
-    return most
+    return max_change
 
 
 @njit(cache=True, nogil=True)
 def to_go_at(to_go: Float32s, x: float, y: float, resolution: float) -> float:
     """The distance to go at (x, y), m from the costmap's lower left centre; m."""
-    size = COARSE * resolution
-    rim = 0.5 * (COARSE - 1) * resolution
-    return sampled(to_go, (x - rim) / size, (y - rim) / size)
+    size = COARSE_CELLS * resolution
+    rim = 0.5 * (COARSE_CELLS - 1) * resolution
+    return bilinear(to_go, (x - rim) / size, (y - rim) / size)
 
 
 @njit(cache=True, nogil=True)
 def carrot(to_go: Float32s, x: float, y: float, look: float, resolution: float) -> tuple[float, float]:
     """The point `look` m down the distance to go from (x, y); nearer where it ends."""
-    half, step = 0.5 * COARSE * resolution, COARSE * resolution
+    half, step = 0.5 * COARSE_CELLS * resolution, COARSE_CELLS * resolution
     for _ in range(int(look / step) + 1):
         dx = to_go_at(to_go, x - half, y, resolution) - to_go_at(to_go, x + half, y, resolution)
         dy = to_go_at(to_go, x, y - half, resolution) - to_go_at(to_go, x, y + half, resolution)

@@ -12,17 +12,17 @@ from shared.messages import Odometry
 
 Float64s = NDArray[np.float64]
 
-KEPT = 150  # odometry messages: 3 s at 50 Hz, the longest sweep and its delay
+MAX_MESSAGES = 150  # odometry messages: 3 s at 50 Hz, the longest sweep and its delay
 
 
-class Track:
+class OdometryBuffer:
     """Odometry's poses by time. Empty after odometry jumped: points of the old frame have no place in the new one."""
 
     def __init__(self, drive: Drive) -> None:
         self.drive = drive
         self.latest: Odometry | None = None
-        self._rows: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
-        self._stamps: deque[int] = deque(maxlen=KEPT)
+        self._rows: deque[tuple[float, float, float]] = deque(maxlen=MAX_MESSAGES)
+        self._stamps: deque[int] = deque(maxlen=MAX_MESSAGES)
 
     def add(self, odometry: Odometry) -> bool:
         """Takes the newest message; False where it does not continue the last (odometry restarted)."""

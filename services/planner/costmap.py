@@ -2,7 +2,7 @@
 """What crossing a cell costs the robot: obstacles inflated by exact distance, unknown space by policy."""
 
 from math import ceil, exp, hypot
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numba import njit
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy import ndimage
 
-from services.planner.blocks import Blocks
-from services.planner.regions import Regions
+from services.planner.abstract_graph import AbstractGraph
+from services.planner.connected_components import ConnectedComponents
 from shared.clearance import kept_free
 from shared.config import Robot, Section
 from shared.distance_field import distance_field
@@ -26,15 +26,17 @@ UInt16s = NDArray[np.uint16]
 UInt64s = NDArray[np.uint64]
 Window = tuple[int, int, int, int]  # first row, first column, last row + 1, last column + 1
 
-UNIT = 50
+UNIT_COST = 50
 """The cost of a cell that costs nothing extra; a cell of cost 150 is three times as long. 0 is blocked."""
 
-TO_LEAVE = 10 * UNIT
+LEAVE_PENALTY = 10 * UNIT_COST
 """What a cell of a keep-out zone in which the robot stands costs more: it drives out by a short way."""
 
 
 class CostConfig(Section):
     """How obstacles and unknown space lengthen a way."""
+
+    RENAMED: ClassVar[dict[str, str]] = {"least_margin": "min_margin"}
 
     margin: float = Field(
         0.07,
@@ -42,7 +44,7 @@ class CostConfig(Section):
         le=1,
         description="m kept free around the footprint's inscribed circle, where a cell has 5 cm; more on coarser maps",
     )
-    least_margin: float = Field(
+    min_margin: float = Field(
         0.03, ge=0, le=1, description="m kept free around it where there is no other way; more with larger cells too"
     )
     inflation_radius: float = Field(
@@ -74,45 +76,45 @@ class CostConfig(Section):
         return self.beyond_map if self.unknown != "forbidden" else 0.0
 
 
-class Terrain:
+class GlobalCostmap:
     """The costs of a map for a robot, and which cells hang together; kept up to date from the changed cells.
 
     `costs` (h + 2 pad, w + 2 pad) uint16: UNIT and more, 0 blocked; its outermost ring is blocked, so that a search
-    needs no bounds. `blocks` and `regions` follow it. `highest`: no cost is above it.
+    needs no bounds. `blocks` and `regions` follow it. `max_cost`: no cost is above it.
     """
 
     def __init__(self, config: CostConfig, robot: Robot, resolution: float) -> None:
         self.config, self.robot = config, robot
         self.resolution = resolution
         margin = kept_free(config.margin, resolution)
-        self.blocked_under = robot.inscribed_radius + margin
-        radius = max(config.inflation_radius, self.blocked_under, robot.circumscribed_radius + margin)
+        self.min_clearance = robot.inscribed_radius + margin
+        radius = max(config.inflation_radius, self.min_clearance, robot.circumscribed_radius + margin)
         self.reach_cells = ceil(radius / resolution)
         self.pad = 1 + ceil(config.beyond / resolution)
         self._by_distance = cost_by_distance(config, robot, resolution, self.reach_cells)
         self._unknown_cost = {
             "allowed": 0,
-            "costly": round(UNIT * config.unknown_weight),
+            "costly": round(UNIT_COST * config.unknown_weight),
             "forbidden": -1,
         }[config.unknown]
-        self.highest = int(self._by_distance.max()) + max(self._unknown_cost, 0)
+        self.max_cost = int(self._by_distance.max()) + max(self._unknown_cost, 0)
         self.distance: Float32s = np.zeros((0, 0), np.float32)  # cells to the nearest obstacle, at most reach_cells
         self.cells: Int8s = np.zeros((0, 0), np.int8)  # the map's, percent
         self.origin = (0.0, 0.0)  # m, lower left corner of costs[0, 0] in `map`
         self.costs: UInt16s = np.zeros((2, 2), np.uint16)
-        self.blocks, self.regions = Blocks.of(self.costs), Regions(self.costs)
-        self._eased: Terrain | None = None
-        self._normally_highest = self.highest
-        self._dear: Bools | None = None
-        self._shut: Bools | None = None
+        self.graph, self.components = AbstractGraph.of(self.costs), ConnectedComponents(self.costs)
+        self._reduced: GlobalCostmap | None = None
+        self._max_cost_without_zones = self.max_cost
+        self._penalized: Bools | None = None
+        self._closed: Bools | None = None
 
-    def zoned(self, dear: Bools | None, shut: Bools | None) -> None:
+    def set_keep_out(self, penalized: Bools | None, closed: Bools | None) -> None:
         """Other zones hold from the next update on, which must be of all cells.
 
         dear: (h, w) bool, cells of the map that the robot should leave; shut: as `costs`, what is closed to it beyond.
         """
-        self._dear, self._shut = dear, shut
-        self.highest = self._normally_highest + (TO_LEAVE if dear is not None else 0)
+        self._penalized, self._closed = penalized, closed
+        self.max_cost = self._max_cost_without_zones + (LEAVE_PENALTY if penalized is not None else 0)
 
     def update(self, grid: OccupancyGrid, changed: Bools | None) -> None:
         """Takes the map. `changed`: (h, w) bool, the cells that differ from the map of the last call; None: all."""
@@ -120,60 +122,60 @@ class Terrain:
         self.origin = (grid.x0 - self.pad * self.resolution, grid.y0 - self.pad * self.resolution)
         if changed is None or grid.cells.shape != self.distance.shape:
             self.distance = np.minimum(distance_field(grid.occupied, 1.0), np.float32(self.reach_cells))
-            self._eased = None
-            self._begin()
+            self._reduced = None
+            self._rebuild()
             return
-        for window in _windows(changed):
-            self._fill(self._redistance(*window))
-        if self._eased:
-            self._eased.cells, self._eased.origin = self.cells, self.origin
-            for r0, c0, r1, c1 in _windows(changed):
-                self._eased._fill(self._reached(r0, c0, r1, c1))
+        for window in _changed_windows(changed):
+            self._update_window(self._update_distances(*window))
+        if self._reduced:
+            self._reduced.cells, self._reduced.origin = self.cells, self.origin
+            for r0, c0, r1, c1 in _changed_windows(changed):
+                self._reduced._update_window(self._window_in_reach(r0, c0, r1, c1))
 
-    def eased(self) -> "Terrain":
+    def with_min_margin(self) -> "GlobalCostmap":
         """The same map for a robot that keeps only the least margin: its way where there is no other.
 
         This one, where its margin is no more than that.
         """
-        if self.config.least_margin >= self.config.margin:
+        if self.config.min_margin >= self.config.margin:
             return self
-        if self._eased is None:
-            eased = Terrain(
-                self.config.model_copy(update={"margin": self.config.least_margin}), self.robot, self.resolution
+        if self._reduced is None:
+            reduced = GlobalCostmap(
+                self.config.model_copy(update={"margin": self.config.min_margin}), self.robot, self.resolution
             )
-            eased._by_distance = cost_by_distance(eased.config, self.robot, self.resolution, self.reach_cells)
-            eased.reach_cells, eased.distance = self.reach_cells, self.distance
-            eased.cells, eased.origin = self.cells, self.origin
-            eased.zoned(self._dear, self._shut)
-            eased._begin()
-            self._eased = eased
-        return self._eased
+            reduced._by_distance = cost_by_distance(reduced.config, self.robot, self.resolution, self.reach_cells)
+            reduced.reach_cells, reduced.distance = self.reach_cells, self.distance
+            reduced.cells, reduced.origin = self.cells, self.origin
+            reduced.set_keep_out(self._penalized, self._closed)
+            reduced._rebuild()
+            self._reduced = reduced
+        return self._reduced
 
-    def _begin(self) -> None:
+    def _rebuild(self) -> None:
         """The costs of the whole map, its blocks and regions."""
         (h, w), pad = self.cells.shape, self.pad
         self.costs = np.full((h + 2 * pad, w + 2 * pad), 0, np.uint16)
         if pad > 1:
-            self.costs[1:-1, 1:-1] = UNIT + self._unknown_cost
-        if self._shut is not None:
-            self.costs[self._shut] = 0
+            self.costs[1:-1, 1:-1] = UNIT_COST + self._unknown_cost
+        if self._closed is not None:
+            self.costs[self._closed] = 0
         _fill_costs(self.cells, self.distance, self._by_distance, self._unknown_cost, self.costs[pad:-pad, pad:-pad])
-        if self._dear is not None:
-            _raise_costs(self.costs[pad:-pad, pad:-pad], self._dear)
-        self.blocks, self.regions = Blocks.of(self.costs), Regions(self.costs)
+        if self._penalized is not None:
+            _raise_costs(self.costs[pad:-pad, pad:-pad], self._penalized)
+        self.graph, self.components = AbstractGraph.of(self.costs), ConnectedComponents(self.costs)
 
-    def _fill(self, window: Window) -> None:
+    def _update_window(self, window: Window) -> None:
         """The costs of a window of the map, and what follows from them."""
         (r0, c0, r1, c1), pad = window, self.pad
-        place = r0 + pad, c0 + pad, r1 + pad, c1 + pad
+        target = r0 + pad, c0 + pad, r1 + pad, c1 + pad
         _fill_costs(
             self.cells[r0:r1, c0:c1], self.distance[r0:r1, c0:c1], self._by_distance, self._unknown_cost,
-            self.costs[place[0] : place[2], place[1] : place[3]],
+            self.costs[target[0] : target[2], target[1] : target[3]],
         )  # fmt: skip
-        if self._dear is not None:
-            _raise_costs(self.costs[place[0] : place[2], place[1] : place[3]], self._dear[r0:r1, c0:c1])
-        self.blocks.update(self.costs, *place)
-        self.regions.update(self.costs, *place)
+        if self._penalized is not None:
+            _raise_costs(self.costs[target[0] : target[2], target[1] : target[3]], self._penalized[r0:r1, c0:c1])
+        self.graph.update(self.costs, *target)
+        self.components.update(self.costs, *target)
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
         """(row, column) in `costs` of a point of `map`; may lie outside."""
@@ -185,32 +187,32 @@ class Terrain:
         x0, y0 = self.origin
         return x0 + (column + 0.5) * self.resolution, y0 + (row + 0.5) * self.resolution
 
-    def holds(self, row: int, column: int) -> bool:
+    def contains(self, row: int, column: int) -> bool:
         """Whether the cell lies inside the blocked outer ring."""
         h, w = self.costs.shape
         return bool(0 < row < h - 1 and 0 < column < w - 1)
 
-    def occupied(self, row: int, column: int) -> bool:
+    def is_occupied(self, row: int, column: int) -> bool:
         """Whether the map says that an obstacle is in the cell of `costs`."""
         return self._distance(row, column) == 0
 
-    def crowded(self, row: int, column: int) -> bool:
+    def is_too_close(self, row: int, column: int) -> bool:
         """Whether an obstacle is nearer to the cell of `costs` than the robot's body allows."""
-        return bool(self._distance(row, column) * self.resolution < self.blocked_under)
+        return bool(self._distance(row, column) * self.resolution < self.min_clearance)
 
-    def opened(self, row: int, column: int, radius: int) -> UInt16s:
+    def with_escape_area(self, row: int, column: int, radius: int) -> UInt16s:
         """A copy of `costs` for a robot in inflated space at a cell: within so many cells it may cross that, as dear
         as can be, where it comes no nearer to an obstacle than it is.
         """
         costs, here = self.costs.copy(), self._distance(row, column)
         for r in range(row - radius, row + radius + 1):
             for c in range(column - radius, column + radius + 1):
-                near = self.holds(r, c) and hypot(r - row, c - column) <= radius
+                near = self.contains(r, c) and hypot(r - row, c - column) <= radius
                 if near and not costs[r, c] and (self._distance(r, c) >= max(here, 1.0) or (r, c) == (row, column)):
-                    costs[r, c] = self.highest
+                    costs[r, c] = self.max_cost
         return costs
 
-    def known_free(self, points: Float64s) -> Bools:
+    def is_known_free(self, points: Float64s) -> Bools:
         """(n,) bool: which points (n, 2) m of `map` the map knows to be free."""
         h, w = self.cells.shape
         columns, rows = np.floor((points - self.origin) / self.resolution).astype(np.int64).T - self.pad
@@ -223,24 +225,24 @@ class Terrain:
         h, w = self.distance.shape
         return float(self.distance[row, column]) if 0 <= row < h and 0 <= column < w else float(self.reach_cells)
 
-    def _reached(self, r0: int, c0: int, r1: int, c1: int) -> Window:
+    def _window_in_reach(self, r0: int, c0: int, r1: int, c1: int) -> Window:
         """The window of cells within reach of those of a window: only their distance can have changed."""
         (h, w), reach = self.cells.shape, self.reach_cells
         return max(r0 - reach, 0), max(c0 - reach, 0), min(r1 + reach, h), min(c1 + reach, w)
 
-    def _redistance(self, r0: int, c0: int, r1: int, c1: int) -> Window:
+    def _update_distances(self, r0: int, c0: int, r1: int, c1: int) -> Window:
         """The distances around changed cells: obstacles within reach decide. Returns the window that is new."""
-        window = r0, c0, r1, c1 = self._reached(r0, c0, r1, c1)
-        near_r0, near_c0, near_r1, near_c1 = self._reached(*window)
+        window = r0, c0, r1, c1 = self._window_in_reach(r0, c0, r1, c1)
+        near_r0, near_c0, near_r1, near_c1 = self._window_in_reach(*window)
         away = distance_field(self.cells[near_r0:near_r1, near_c0:near_c1] >= OCCUPIED_FROM, 1.0)
         part = away[r0 - near_r0 : r1 - near_r0, c0 - near_c0 : c1 - near_c0]
         np.minimum(part, np.float32(self.reach_cells), out=self.distance[r0:r1, c0:c1])
         return window
 
 
-def _windows(changed: Bools) -> list[Window]:
+def _changed_windows(changed: Bools) -> list[Window]:
     """Windows that hold all changed cells, (h, w) bool, and few others: one for each group of adjacent tiles."""
-    tiles = _tiles(changed.view(np.uint64))
+    tiles = _changed_tiles(changed.view(np.uint64))
     groups = ndimage.find_objects(ndimage.label(tiles, np.ones((3, 3)))[0])
     windows = []
     for rows, columns in groups:
@@ -252,7 +254,7 @@ def _windows(changed: Bools) -> list[Window]:
 
 
 @njit(cache=True, nogil=True)
-def _tiles(eights: UInt64s) -> Bools:
+def _changed_tiles(eights: UInt64s) -> Bools:
     """In which tiles a cell is set, of rows of whole tiles, eight cells a number."""
     h, w = eights.shape
     per_tile = TILE_CELLS // 8
@@ -276,7 +278,7 @@ def cost_by_distance(config: CostConfig, robot: Robot, resolution: float, reach_
     distance = np.sqrt(np.arange(reach_cells**2 + 1)) * resolution
     close = (np.exp(-config.clearance_falloff * (distance - nearest)) - end) / max(1 - end, 1e-9)
     factor = 1 + config.clearance_weight * np.clip(close, 0, 1) + config.narrow_weight * (distance < turning - 1e-9)
-    return np.where(distance < nearest - 1e-9, 0, np.rint(UNIT * factor)).astype(np.uint16)
+    return np.where(distance < nearest - 1e-9, 0, np.rint(UNIT_COST * factor)).astype(np.uint16)
 
 
 @njit(cache=True, nogil=True)
@@ -292,5 +294,5 @@ def _fill_costs(cells: Int8s, distance: Float32s, by_distance: UInt16s, unknown_
             costs[row, column] = cost
 
 
-def _raise_costs(costs: UInt16s, dear: Bools) -> None:
-    costs[dear & (costs > 0)] += TO_LEAVE
+def _raise_costs(costs: UInt16s, penalized: Bools) -> None:
+    costs[penalized & (costs > 0)] += LEAVE_PENALTY

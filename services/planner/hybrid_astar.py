@@ -13,59 +13,60 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from services.planner.dubins import WORDS, moved, word
-from services.planner.lines import BLOCKED, line_cost
+from services.planner.dubins import N_WORDS, dubins_word, pose_after
+from services.planner.ray_cost import BLOCKED, line_cost
 
 UInt16s = NDArray[np.uint16]
 Float64s = NDArray[np.float64]
 Int64s = NDArray[np.int64]
 
-COARSE = 4  # cells to one of the cost to go without headings
-SLACK = 30.0  # radii of detour beyond the start up to which that is known
-HEADINGS = 72
-CHORD = 1.0  # cells: arcs are looked at in chords of this length
-MOST_NODES = 30_000  # poses that are tried before it is called hopeless
-TABLE = 1 << 17  # entries of the hash table: under a quarter of it is used
-GOLDEN = 0x1E3779B97F4A7C15  # an odd number: 2^64 by the golden ratio, but for its first bits
-PATIENCE = 2_000  # further poses after the first way that was found
-BETWEEN = 2.0  # cells between poses from which ways are shortened
-GREED = 1.1  # how much more the cost to go counts than the cost so far (Pohl 1970): what ends a search early
-BENDING = 0.03  # share of its cost that an arc of the least radius costs more than a line
+HEURISTIC_CELLS = 4  # cells to one of the cost to go without headings
+HEURISTIC_SLACK_RADII = 30.0  # radii of detour beyond the start up to which that is known
+N_HEADINGS = 72
+MAX_CHORD_CELLS = 1.0  # cells: arcs are looked at in chords of this length
+MAX_NODES = 30_000  # poses that are tried before it is called hopeless
+TABLE_SIZE = 1 << 17  # entries of the hash table: under a quarter of it is used
+HASH_MULTIPLIER = 0x1E3779B97F4A7C15  # an odd number: 2^64 by the golden ratio, but for its first bits
+MAX_EXTRA_EXPANSIONS = 2_000  # further poses after the first way that was found
+SHORTCUT_STEP_CELLS = 2.0  # cells between poses from which ways are shortened
+HEURISTIC_WEIGHT = 1.1  # how much more the cost to go counts than the cost so far (Pohl 1970): what ends a search early
+TURN_PENALTY = 0.03  # share of its cost that an arc of the least radius costs more than a line
 
 
-def curved(
-    costs: UInt16s, start: Float64s, goal: Float64s, radius: float, any_heading: bool, lowest: int, spacing: float
+def hybrid_astar_path(
+    costs: UInt16s, start: Float64s, goal: Float64s, radius: float, any_heading: bool, min_cost: int, spacing: float
 ) -> Float64s:
     """(n, 3) x, y, yaw, at most `spacing` apart, from start to goal (3,); n = 0 where no such way was found.
 
-    costs: as for `Search.way`.  radius: of the tightest arc.  any_heading: at the goal.  All lengths in cells.
+    costs: as for `GridSearch.way`.  radius: of the tightest arc.  any_heading: at the goal.  All lengths in cells.
     """
-    to_go = _to_go(costs, goal, start, SLACK * radius * lowest)
-    pieces = _found(costs, to_go, start, goal, radius, any_heading, lowest)
+    cost_to_go = _cost_to_go(costs, goal, start, HEURISTIC_SLACK_RADII * radius * min_cost)
+    pieces = _search(costs, cost_to_go, start, goal, radius, any_heading, min_cost)
     if not len(pieces):
         return np.empty((0, 3))
-    return _sampled(start, _shortened(costs, start, pieces, radius, any_heading, lowest), spacing)
+    return _sample_poses(start, _shortcut(costs, start, pieces, radius, any_heading, min_cost), spacing)
 
 
 @njit(cache=True, nogil=True)
-def _to_go(costs: UInt16s, goal: Float64s, start: Float64s, slack: float) -> Float64s:
-    """What it costs from each block of COARSE x COARSE cells to the goal, about; inf beyond `slack` more than from the
-    start. Dijkstra 1959, each block as dear as its free cells are in the mean.
+def _cost_to_go(costs: UInt16s, goal: Float64s, start: Float64s, max_excess: float) -> Float64s:
+    """Cost from each block of HEURISTIC_CELLS x HEURISTIC_CELLS cells to the goal, without headings: (h, w) float64.
+
+    Dijkstra 1959 over the mean cost of a block's free cells; inf beyond `max_excess` more than the cost at the start.
     """
-    h, w = -(-costs.shape[0] // COARSE), -(-costs.shape[1] // COARSE)
+    h, w = -(-costs.shape[0] // HEURISTIC_CELLS), -(-costs.shape[1] // HEURISTIC_CELLS)
     mean = np.zeros((h, w))
     for i in range(h):
         for j in range(w):
             total, n = 0.0, 0
-            for row in range(i * COARSE, min((i + 1) * COARSE, costs.shape[0])):
-                for column in range(j * COARSE, min((j + 1) * COARSE, costs.shape[1])):
+            for row in range(i * HEURISTIC_CELLS, min((i + 1) * HEURISTIC_CELLS, costs.shape[0])):
+                for column in range(j * HEURISTIC_CELLS, min((j + 1) * HEURISTIC_CELLS, costs.shape[1])):
                     total += costs[row, column]
                     n += costs[row, column] > 0
             mean[i, j] = total / max(n, 1)
-    to_go = np.full((h, w), np.inf)
-    first = int(goal[1]) // COARSE * w + int(goal[0]) // COARSE
-    last = int(start[1]) // COARSE * w + int(start[0]) // COARSE
-    to_go[first // w, first % w] = 0.0
+    cost_to_go = np.full((h, w), np.inf)
+    first = int(goal[1]) // HEURISTIC_CELLS * w + int(goal[0]) // HEURISTIC_CELLS
+    last = int(start[1]) // HEURISTIC_CELLS * w + int(start[0]) // HEURISTIC_CELLS
+    cost_to_go[first // w, first % w] = 0.0
     queue = [(0.0, first)]
     most = inf
     while len(queue):
@@ -73,33 +74,33 @@ def _to_go(costs: UInt16s, goal: Float64s, start: Float64s, slack: float) -> Flo
         if cost > most:
             break
         row, column = cell // w, cell % w
-        if cost > to_go[row, column]:
+        if cost > cost_to_go[row, column]:
             continue
         if cell == last:
-            most = cost + slack
+            most = cost + max_excess
         for dr in range(-1, 2):
             for dc in range(-1, 2):
                 i, j = row + dr, column + dc
                 if not (0 <= i < h and 0 <= j < w) or mean[i, j] == 0.0:
                     continue
-                step = COARSE * hypot(dr, dc) * 0.5 * (mean[i, j] + mean[row, column])
+                step = HEURISTIC_CELLS * hypot(dr, dc) * 0.5 * (mean[i, j] + mean[row, column])
                 there = cost + step
-                if there < to_go[i, j]:
-                    to_go[i, j] = there
+                if there < cost_to_go[i, j]:
+                    cost_to_go[i, j] = there
                     heapq.heappush(queue, (there, i * w + j))
-    return to_go
+    return cost_to_go
 
 
 @njit(cache=True, nogil=True)
 def _piece_cost(costs: UInt16s, pose: Float64s, curvature: float, length: float, out: Float64s) -> float:
     """The cost of a piece from a pose, or BLOCKED; `out` is where it leads to."""
-    n = max(ceil(length / CHORD), 1)
+    n = max(ceil(length / MAX_CHORD_CELLS), 1)
     out[:] = pose
     here = pose.copy()
     total = 0.0
     for _ in range(n):
         here[:] = out
-        moved(here, curvature, length / n, out)
+        pose_after(here, curvature, length / n, out)
         cost = line_cost(costs, here[0], here[1], out[0], out[1])
         if cost < 0:
             return BLOCKED
@@ -108,17 +109,17 @@ def _piece_cost(costs: UInt16s, pose: Float64s, curvature: float, length: float,
 
 
 @njit(cache=True, nogil=True)
-def _shot(
-    costs: UInt16s, start: Float64s, end: Float64s, radius: float, any_heading: bool, most: float, lowest: int,
+def _analytic_expansion(
+    costs: UInt16s, start: Float64s, end: Float64s, radius: float, any_heading: bool, most: float, min_cost: int,
     pieces: Float64s,
 ) -> float:  # fmt: skip
     """The cost, under `most`, of the cheapest free way of arcs and a line, which fills pieces (3, 2); or BLOCKED."""
     best = BLOCKED
     tried, out = np.empty((3, 2)), np.empty(3)
-    for i in range(WORDS):
-        if not word(i, start, end, radius, any_heading, tried):
+    for i in range(N_WORDS):
+        if not dubins_word(i, start, end, radius, any_heading, tried):
             continue
-        if tried[:, 1].sum() * lowest >= most:
+        if tried[:, 1].sum() * min_cost >= most:
             continue
         total, here = 0.0, start.copy()
         for k in range(3):
@@ -128,7 +129,7 @@ def _shot(
             if cost < 0:
                 total = inf
                 break
-            total += cost * (1.0 + BENDING * abs(tried[k, 0]) * radius)
+            total += cost * (1.0 + TURN_PENALTY * abs(tried[k, 0]) * radius)
             here[:] = out
         if total < most:
             best = most = total
@@ -139,23 +140,29 @@ def _shot(
 @njit(cache=True, nogil=True)
 def _slot(keys: Int64s, key: int) -> int:
     """Where a key is in the table, or the free place for it: Fibonacci hashing, linear probing (Knuth 1998, 6.4)."""
-    slot = (key * GOLDEN >> 40) & (TABLE - 1)
+    slot = (key * HASH_MULTIPLIER >> 40) & (TABLE_SIZE - 1)
     while keys[slot] != -1 and keys[slot] != key:
-        slot = (slot + 1) & (TABLE - 1)
+        slot = (slot + 1) & (TABLE_SIZE - 1)
     return slot
 
 
 @njit(cache=True, nogil=True)
-def _found(
-    costs: UInt16s, to_go: Float64s, start: Float64s, goal: Float64s, radius: float, any_heading: bool, lowest: int
+def _search(
+    costs: UInt16s,
+    cost_to_go: Float64s,
+    start: Float64s,
+    goal: Float64s,
+    radius: float,
+    any_heading: bool,
+    min_cost: int,
 ) -> Float64s:
     """(n, 2) pieces, curvature and length, from the start to the goal; n = 0 without a way."""
     step = min(max(3.0, 0.25 * radius), 6.0)
     side = step / 1.5  # cells: less than a step's share along the axes, so that each step leaves its place
     curvatures = np.array([0.0, 1.0, -1.0, 0.5, -0.5]) / radius
-    poses, so_far = np.empty((MOST_NODES, 3)), np.empty(MOST_NODES)
-    parents, arrivals = np.empty(MOST_NODES, np.int32), np.empty(MOST_NODES, np.int8)
-    keys, nodes = np.full(TABLE, -1, np.int64), np.empty(TABLE, np.int32)
+    poses, so_far = np.empty((MAX_NODES, 3)), np.empty(MAX_NODES)
+    parents, arrivals = np.empty(MAX_NODES, np.int32), np.empty(MAX_NODES, np.int8)
+    keys, nodes = np.full(TABLE_SIZE, -1, np.int64), np.empty(TABLE_SIZE, np.int32)
     poses[0], so_far[0], parents[0] = start, 0.0, -1
     n_nodes, n_more, n_popped = 1, 0, 0
     best, last = inf, -1
@@ -163,16 +170,16 @@ def _found(
     queue = [(0.0, 0)]
     while len(queue):
         total, node = heapq.heappop(queue)
-        if total >= best or n_more > PATIENCE:
+        if total >= best or n_more > MAX_EXTRA_EXPANSIONS:
             break
         pose = poses[node]
-        if node and nodes[_slot(keys, _key(pose, side, costs.shape[1]))] != node:
+        if node and nodes[_slot(keys, _state_key(pose, side, costs.shape[1]))] != node:
             continue  # reached at less cost meanwhile
         n_popped += 1
         n_more += last >= 0
         away = hypot(goal[0] - pose[0], goal[1] - pose[1])
         if n_popped % (2 if away < 2.0 * radius else 10) == 1:
-            cost = _shot(costs, pose, goal, radius, any_heading, best - so_far[node], lowest, shot)
+            cost = _analytic_expansion(costs, pose, goal, radius, any_heading, best - so_far[node], min_cost, shot)
             if cost >= 0:
                 best, last = so_far[node] + cost, node
                 ending[:] = shot
@@ -180,20 +187,20 @@ def _found(
             cost = _piece_cost(costs, pose, curvatures[k], step, there)
             if cost < 0:
                 continue
-            cost = so_far[node] + cost * (1.0 + BENDING * abs(curvatures[k]) * radius)
-            left = to_go[int(there[1]) // COARSE, int(there[0]) // COARSE]
+            cost = so_far[node] + cost * (1.0 + TURN_PENALTY * abs(curvatures[k]) * radius)
+            left = cost_to_go[int(there[1]) // HEURISTIC_CELLS, int(there[0]) // HEURISTIC_CELLS]
             if cost + left >= best or not left < inf:
                 continue
-            key = _key(there, side, costs.shape[1])
+            key = _state_key(there, side, costs.shape[1])
             slot = _slot(keys, key)
             if keys[slot] == key and so_far[nodes[slot]] <= cost:
                 continue
-            if n_nodes == MOST_NODES:
+            if n_nodes == MAX_NODES:
                 queue.clear()
                 break
             poses[n_nodes], so_far[n_nodes], parents[n_nodes], arrivals[n_nodes] = there, cost, node, k
             keys[slot], nodes[slot] = key, n_nodes
-            heapq.heappush(queue, (cost + GREED * left, n_nodes))
+            heapq.heappush(queue, (cost + HEURISTIC_WEIGHT * left, n_nodes))
             n_nodes += 1
     if last < 0:
         return np.empty((0, 2))
@@ -210,29 +217,29 @@ def _found(
 
 
 @njit(cache=True, nogil=True)
-def _key(pose: Float64s, side: float, width: int) -> int:
+def _state_key(pose: Float64s, side: float, width: int) -> int:
     row, column = int(pose[1] / side), int(pose[0] / side)
-    heading = int(pose[2] / (2 * pi) * HEADINGS + 0.5 + 64 * HEADINGS) % HEADINGS  # no way has 64 loops
-    return (row * (int(width / side) + 1) + column) * HEADINGS + heading
+    heading = int(pose[2] / (2 * pi) * N_HEADINGS + 0.5 + 64 * N_HEADINGS) % N_HEADINGS  # no way has 64 loops
+    return (row * (int(width / side) + 1) + column) * N_HEADINGS + heading
 
 
 @njit(cache=True, nogil=True)
-def _shortened(
-    costs: UInt16s, start: Float64s, pieces: Float64s, radius: float, any_heading: bool, lowest: int
+def _shortcut(
+    costs: UInt16s, start: Float64s, pieces: Float64s, radius: float, any_heading: bool, min_cost: int
 ) -> Float64s:
     """The pieces (n, 2) with cheaper ways between far poses on them in place of what lies between those."""
     n = 1
     for i in range(len(pieces)):
-        n += max(ceil(pieces[i, 1] / BETWEEN), 0)
+        n += max(ceil(pieces[i, 1] / SHORTCUT_STEP_CELLS), 0)
     poses, so_far, steps = np.empty((n, 3)), np.zeros(n), np.zeros((n, 2))
     poses[0] = start
     n = 1
     for i in range(len(pieces)):
-        parts = max(ceil(pieces[i, 1] / BETWEEN), 0)
+        parts = max(ceil(pieces[i, 1] / SHORTCUT_STEP_CELLS), 0)
         for _ in range(parts):
             curvature, length = pieces[i, 0], pieces[i, 1] / parts
             cost = _piece_cost(costs, poses[n - 1], curvature, length, poses[n])
-            so_far[n] = so_far[n - 1] + max(cost, 0.0) * (1.0 + BENDING * abs(curvature) * radius)
+            so_far[n] = so_far[n - 1] + max(cost, 0.0) * (1.0 + TURN_PENALTY * abs(curvature) * radius)
             steps[n, 0], steps[n, 1] = curvature, length
             n += 1
     out = np.empty((3 * n, 2))
@@ -243,7 +250,10 @@ def _shortened(
         while i + step < n:
             k = i + step
             most = (so_far[k] - so_far[i]) * (1 + 1e-9) + 1e-9
-            if _shot(costs, poses[i], poses[k], radius, any_heading and k == n - 1, most, lowest, shot) < 0:
+            if (
+                _analytic_expansion(costs, poses[i], poses[k], radius, any_heading and k == n - 1, most, min_cost, shot)
+                < 0
+            ):
                 bad = k
                 break
             good, found = k, True
@@ -252,7 +262,10 @@ def _shortened(
         while bad - good > 1:
             k = (good + bad) // 2
             most = (so_far[k] - so_far[i]) * (1 + 1e-9) + 1e-9
-            if _shot(costs, poses[i], poses[k], radius, any_heading and k == n - 1, most, lowest, shot) < 0:
+            if (
+                _analytic_expansion(costs, poses[i], poses[k], radius, any_heading and k == n - 1, most, min_cost, shot)
+                < 0
+            ):
                 bad = k
             else:
                 good, found = k, True
@@ -265,7 +278,7 @@ def _shortened(
 
 
 @njit(cache=True, nogil=True)
-def _sampled(start: Float64s, pieces: Float64s, spacing: float) -> Float64s:
+def _sample_poses(start: Float64s, pieces: Float64s, spacing: float) -> Float64s:
     """(n, 3) poses at most `spacing` apart along pieces, their ends among them."""
     n = 1
     for i in range(len(pieces)):
@@ -276,6 +289,6 @@ def _sampled(start: Float64s, pieces: Float64s, spacing: float) -> Float64s:
     for i in range(len(pieces)):
         parts = max(ceil(pieces[i, 1] / spacing), 0)
         for _ in range(parts):
-            moved(poses[n - 1], pieces[i, 0], pieces[i, 1] / parts, poses[n])
+            pose_after(poses[n - 1], pieces[i, 0], pieces[i, 1] / parts, poses[n])
             n += 1
     return poses

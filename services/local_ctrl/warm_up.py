@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """One message of each kind, made up: what a service is warmed with, so that nothing compiles while the robot moves."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from shared import messages as m
 from shared.config import Laser
 from shared.geometry import Pose2
 from shared.messages import TILE_CELLS, GoalKind
+
+if TYPE_CHECKING:
+    from services.local_ctrl.service import LocalCtrlService
 
 NOW = 10**10  # ns
 
@@ -59,3 +64,22 @@ def path(goal_id: int, x: float) -> m.Path:
     """Straight to (x, 0)."""
     xs = np.linspace(0.0, x, 5)
     return m.Path(NOW, goal_id, 1, "", xs, np.zeros(5), np.zeros(5), abs(x), abs(x))
+
+
+def drive(service: "LocalCtrlService") -> None:
+    """Gives a service one message of each kind, and lets it follow, turn and back up."""
+    service.now = NOW
+    list(service.odometry(odometry(NOW - 10**8)))
+    list(service.odometry(odometry(NOW)))
+    list(service.scan(scan(service.robot.laser)))
+    list(service.ranges(readings(len(service.robot.ranges))))
+    list(service.pose(pose()))
+    list(service.map(map_update()))
+    list(service.new_zones(zones()))
+    for goal_id, x in enumerate((1.0, -1.0)):  # ahead: follow; behind: turn in place
+        list(service.new_goal(goal(goal_id, GoalKind.DRIVE)))
+        list(service.new_plan(path(goal_id, x)))
+        list(service.tick())
+    for kind in (GoalKind.BACK_UP, GoalKind.TURN):
+        list(service.new_goal(goal(2, kind, amount=0.3)))
+        list(service.tick())
