@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whose command counts? Teleop before nav, young before old, and after a released STOP only who asked for zero."""
+"""Selects the active command source: teleop over navigation. After an e-stop release a source must first send zero."""
 
 from pydantic import Field
 
@@ -11,13 +11,15 @@ from shared.stamps import FUTURE, fresh, supersedes
 class ArbitrationConfig(Section):
     """Command sources."""
 
-    command_age: float = Field(0.2, gt=0, le=0.3, description="s after its stamp that a command ends")
-    teleop_hold: float = Field(0.5, ge=0, le=10, description="s after its last command that teleop keeps nav out")
-    silence: float = Field(0.5, gt=0, le=10, description="s without commands after which a stream counts as new")
+    command_age: float = Field(0.2, gt=0, le=0.3, description="s after its stamp at which a command ends")
+    teleop_hold: float = Field(
+        0.5, ge=0, le=10, description="s after its last command for which teleop keeps the control"
+    )
+    silence: float = Field(0.5, gt=0, le=10, description="s without commands after which a source counts as new")
 
 
 class CommandSource:
-    """One stream of commands. A stream that ran while STOP was released counts again after a zero or a silence."""
+    """One source of commands. After an e-stop release it counts again after a zero command or a silence."""
 
     def __init__(self, name: str, config: ArbitrationConfig) -> None:
         self.name = name
@@ -25,10 +27,10 @@ class CommandSource:
         self.command: Velocity | None = None
         self.is_armed = True
         self._silent_since = 0
-        self._valid_from = 0  # ns from when on the command ages: its stamp, or when it came if that was ahead
+        self._valid_from = 0  # ns from which the command ages: its stamp, or its arrival where the stamp was ahead
 
     def accept(self, command: Velocity, now: int) -> bool:
-        """Takes a command that is newer than the last and young; False where it is neither."""
+        """Takes a command that is newer than the last one and recent. Returns whether it did."""
         last = None if self.command is None else self.command.stamp
         if not supersedes(command.stamp, last, now) or not fresh(command.stamp, now, self.config.command_age):
             return False
@@ -41,16 +43,17 @@ class CommandSource:
         return True
 
     def disarm(self, now: int) -> None:
-        """STOP was released: the stream must ask for zero, or pause, before it moves the robot again."""
+        """Requires a zero command or a silence before the source moves the robot again, after an e-stop release."""
         self.is_armed = False
         self._silent_since = max(now, self._silent_since)
 
     def is_newer_than(self, age: float, now: int) -> bool:
-        """Whether the stream's last command is at most `age` s old."""
+        """Whether the last command is at most `age` s old."""
         return self.command is not None and fresh(self._valid_from, now, age)
 
     @staticmethod
     def is_zero(command: Velocity) -> bool:
+        """Whether a command asks for standstill."""
         return command.v == 0 and command.w == 0
 
     @property
@@ -60,5 +63,5 @@ class CommandSource:
 
 
 def active_source(teleop: CommandSource, nav: CommandSource, now: int) -> CommandSource:
-    """The source whose command counts: teleop until it has been silent for `teleop_hold`, else nav."""
+    """The active source: teleop until it has been silent for `teleop_hold`, else navigation."""
     return teleop if teleop.is_newer_than(teleop.config.teleop_hold, now) else nav

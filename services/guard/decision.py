@@ -89,7 +89,9 @@ class VelocityLimiter:
         state, reason = _state_and_reason(command, wanted, (v, w), wanted_limit, tighter)
         if view_reason is not None and state is GuardState.ACTIVE and tighter.share == 1:
             reason, detail, speed_limit = view_reason.code, self.visibility.detail, field.blind_speed
-        return GuardDecision(state, reason, source, v, w, speed_limit, detail)
+        return GuardDecision(
+            state=state, reason=reason, source=source, v=v, w=w, speed_limit=speed_limit, detail=detail
+        )
 
     def overridden(self, command: Velocity, source: str, now: int) -> GuardDecision:
         """The decision for a command of teleoperation while the field is overridden: slow, without the field."""
@@ -99,7 +101,15 @@ class VelocityLimiter:
         detail = "nothing keeps the robot from what is in its way"
         v, w = self._ramped((v * share, w * share), now)
         w = self.robot.drive.bent(v, w)
-        return GuardDecision(GuardState.ACTIVE, reasons.OVERRIDE.code, source, v, w, field.creep_speed, detail)
+        return GuardDecision(
+            state=GuardState.ACTIVE,
+            reason=reasons.OVERRIDE.code,
+            source=source,
+            v=v,
+            w=w,
+            speed_limit=field.creep_speed,
+            detail=detail,
+        )
 
     def _ramped(self, target: Twist, now: int) -> Twist:
         """The velocity at `now` on the ramp from the last sent velocity to the target."""

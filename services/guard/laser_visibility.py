@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does the laser see where the robot drives? A scan without returns is no proof of free space.
+"""Visibility of the direction of travel: a scan without returns does not prove free space.
 
-A standing thing does not vanish. Where returns of the last scan should be seen again and nothing comes back, over
-20 degrees and more at once, that sector is dark until returns come back in it, and what was seen there is kept.
+Static obstacles do not vanish. A sector goes dark where expected returns vanish at once, over 20 degrees or
+more. It stays dark until returns come back in it. The points seen there are kept.
 """
 
 from math import pi, radians
@@ -22,45 +22,50 @@ Bools = NDArray[np.bool_]
 Int64s = NDArray[np.int64]
 Float64s = NDArray[np.float64]
 
-MIN_DIRECTION_RAD = radians(3.0)  # directions are judged together over this; and over two beams at least
-SECTOR_HALF_WIDTH_RAD = radians(15.0)  # on either side of a direction, that is judged as one sector
-MIN_EXPECTED = 0.6  # share of a sector that the last scan filled: a passing person uncovers less between scans
-MIN_EXPECTED_WHOLE = 0.1  # the same of the whole sweep, in which less is enough: everything is gone at once
-MAX_KEPT_OF_LOST = 0.25  # of the returns to be expected: a sector that keeps less is dark
-MIN_RETURNED = 0.5  # of them: a sector where so much is back is seen again
-MIN_STILL_EXPECTED = 0.3  # share of a dark sector in which things still stand by memory: else nothing proves it dark
-AHEAD_HALF_WIDTH_RAD = radians(25.0)  # on either side of straight ahead or back
+MIN_DIRECTION_RAD = radians(3.0)  # width of a direction; two beams at least
+SECTOR_HALF_WIDTH_RAD = radians(15.0)  # of the sector about a direction
+MIN_EXPECTED = 0.6  # share of a sector that the last scan filled; a passing person uncovers less between scans
+MIN_EXPECTED_WHOLE = 0.1  # the same of the whole sweep: less suffices, as everything vanishes at once
+MAX_KEPT_OF_LOST = 0.25  # share of the expected returns under which a sector is dark
+MIN_RETURNED = 0.5  # share of them from which a dark sector is seen again
+MIN_STILL_EXPECTED = 0.3  # share of a dark sector with remembered points: with fewer, nothing proves it dark
+AHEAD_HALF_WIDTH_RAD = radians(25.0)  # about straight ahead or back
 MIN_DARK = 0.25  # share of the directions that the robot will sweep
-SUPPORT_RADIUS_M = 0.1  # m within which two returns support each other: one alone is noise
-MAX_LOST_POINTS = 1000  # points kept, the nearest
+SUPPORT_RADIUS_M = 0.1  # of two returns that support each other: a single one is noise
+MAX_LOST_POINTS = 1000  # kept, the nearest
 MAX_LOST_DISTANCE_M = 12.0  # m
-MIN_RETURN_BEHIND_M = 0.3  # m by which a return must be farther than a kept point to prove it gone
-MIN_RANGE_MARGIN_M = 0.05  # m over range_min: a point there may go out of range by noise
-MAX_RANGE_SHARE = 0.8  # of range_max: dark and slanted surfaces return nothing from farther
-LOOKAHEAD_M = 1.0  # m of way beyond the stopping distance
+MIN_RETURN_BEHIND_M = 0.3  # by which a return must lie behind a kept point to disprove it
+MIN_RANGE_MARGIN_M = 0.05  # over range_min: a point there may leave the range by noise
+MAX_RANGE_SHARE = 0.8  # of range_max: dark and slanted surfaces return nothing beyond
+LOOKAHEAD_M = 1.0  # beyond the stopping distance
 MAX_TURN_AHEAD_RAD = pi / 2
-N_STEPS = 6  # places on the arc ahead
-MAX_OUTLINE_GAP_M = 0.1  # m between points of the outline
+N_STEPS = 6  # poses on the arc ahead
+MAX_OUTLINE_GAP_M = 0.1  # between points of the outline
 
 
 class VisibilityConfig(Section):
     """When a scan counts as a view. In halls wider than the laser's range and in open air set both shares to 0."""
 
     min_share: float = Field(
-        0.05, ge=0, le=1, description="share of the beams that must return; with fewer the laser sees nothing at all"
+        0.05, ge=0, le=1, description="share of the beams that must return; with fewer the laser has no view at all"
     )
     min_ahead: float = Field(
         0.05,
         ge=0,
         le=1,
-        description="share of the directions within 25 degrees of the motion that must return, unless a range sensor "
-        "looks there, for more than `field.blind_speed`",
+        description=(
+            "share of the directions within 25 degrees of the motion that must return, unless a range "
+            "sensor covers them, for more than `field.blind_speed`"
+        ),
     )
     blind_after: float = Field(
-        0.3, ge=0.05, le=2, description="s of no view until nav stops and teleop has `field.blind_speed` at most"
+        0.3,
+        ge=0.05,
+        le=2,
+        description="s without a view until navigation stops and teleop drives at most `field.blind_speed`",
     )
     dark_sectors: bool = Field(
-        True, description="returns that vanish at once over 20 degrees and more make a sector dark"
+        True, description="returns that vanish at once over 20 degrees or more make a sector dark"
     )
     inf_is_free: bool = Field(
         False, description="a beam of +inf counts as a view of free space (REP 117); NaN never does"
@@ -68,7 +73,7 @@ class VisibilityConfig(Section):
 
 
 class LaserVisibility:
-    """Directions in `laser` that are dark, since when, and what stood there."""
+    """Dark directions in `laser`, since when, and the points that stood there."""
 
     def __init__(self, config: VisibilityConfig, robot: Robot) -> None:
         self.config, self.robot = config, robot
@@ -88,21 +93,21 @@ class LaserVisibility:
         self.clear()
 
     def clear(self) -> None:
-        """Drops everything: odometry began again."""
+        """Drops everything: odometry restarted."""
         self._covered: Bools = np.zeros(self.n_directions, bool)
         self._dark_since: Int64s = np.zeros(self.n_directions, np.int64)  # ns, 0: not dark
-        self._all_since = 0  # ns, 0: something is seen
-        self._few_since = 0  # ns since when under min_share of the beams return, 0: enough do
+        self._all_since = 0  # ns since when everything is dark, 0: not
+        self._few_since = 0  # ns since when under min_share of the beams return, 0: enough return
         self._seen_at: Int64s = np.zeros(self.n_directions, np.int64)  # ns
-        self._ends = NO_POINTS  # (k, 2) m in `odom`: what the last scan saw, and the lost
-        self._lost: Bools = np.zeros(0, bool)  # (k,) of these, seen before their direction went dark
+        self._ends = NO_POINTS  # (k, 2) m in `odom`: returns of the last scan, and lost ones
+        self._lost: Bools = np.zeros(0, bool)  # (k,) which of them were seen before their direction went dark
 
     def points(self, odom_from_base: Pose2) -> Float64s:
-        """(k, 2) m in `base`: what stood where it is dark now."""
+        """(k, 2) m in `base`: points in directions that are dark now."""
         return odom_from_base.inverse() @ self._ends[self._lost]
 
     def add_scan(self, scan: LaserScan, track: OdometryBuffer, now: int) -> None:
-        """Judges the next scan."""
+        """Takes the next scan."""
         stride = -(-len(scan.ranges) // MAX_BEAMS)
         ends, in_base, radius = beam_ends(scan, track, self.base_from_laser, stride)
         own = np.isfinite(ends[:, 0]) & inside(self.robot.corners, in_base)
@@ -137,7 +142,7 @@ class LaserVisibility:
         )
 
     def is_blind(self, v: float, w: float, now: int) -> bool:
-        """Whether the laser has not seen for `blind_after` where a robot at v m/s and w rad/s drives."""
+        """Whether the direction of travel at v m/s and w rad/s has been without a view for `blind_after`."""
         if not self.is_dark:
             return False
         before = now - round(self.config.blind_after * 1e9)
@@ -150,7 +155,7 @@ class LaserVisibility:
         return bool(len(swept)) and float(dark[swept].mean()) >= MIN_DARK
 
     def is_empty(self, direction: float, now: int) -> bool:
-        """Whether nothing has returned for `blind_after` from about a direction in `base`, rad."""
+        """Whether nothing has returned for `blind_after` from around a direction in `base`, rad."""
         offsets = np.arange(-AHEAD_HALF_WIDTH_RAD, AHEAD_HALF_WIDTH_RAD + 1e-9, 2 * pi / self.n_directions)
         about = np.unique(self._directions_of(direction - self.base_from_laser.yaw + offsets))
         about = about[self._covered[about]]
@@ -164,7 +169,7 @@ class LaserVisibility:
 
     @property
     def is_dark(self) -> bool:
-        """Whether anything is not seen that should be."""
+        """Whether any sector lacks returns that should be seen."""
         return bool(self._few_since or self._all_since or self._dark.any())
 
     @property
@@ -175,7 +180,9 @@ class LaserVisibility:
         return (angles % (2 * pi) * (self.n_directions / (2 * pi))).astype(np.int64) % self.n_directions
 
     def _update_dark_sectors(self, returned_share: Float64s, expected: Float64s, share: float, now: int) -> None:
-        """got, expected: (n,) share of each direction's beams that returned, and that should have."""
+        """Updates the dark sectors. Both arrays are (n,): share of each direction's beams that returned, and that
+        should have.
+        """
         again = np.minimum(returned_share, expected)
         total, n_covered = float(expected.sum()), np.count_nonzero(self._covered)
         lost = MAX_KEPT_OF_LOST * self._sector_sum(expected)
@@ -209,9 +216,10 @@ class LaserVisibility:
         distance: Float64s,
         at: Int64s,
     ) -> None:
-        """Takes what this scan saw, and keeps of what was known before what lies in the dark.
+        """Takes the returns of this scan, and keeps the known points that lie in the dark.
 
-        ends, bins: (b, 2) m in `odom` and (b,) of this scan's beams.  distance, at: (k,) m and direction of the known.
+        `ends`, `bins`: (b, 2) m in `odom` and (b,) directions of this scan's beams. `distance`, `at`: (k,) m and
+        direction of the known points.
         """
         hidden = self._dark | bool(self._few_since or self._all_since)
         farthest = np.full(self.n_directions, -1.0)
@@ -219,7 +227,7 @@ class LaserVisibility:
         away = np.hypot(ends[hit, 0] - odom_from_laser.x, ends[hit, 1] - odom_from_laser.y)
         np.maximum.at(farthest, bins[hit], away)
         kept = hidden[at] & self._covered[at] & (farthest[at] < distance + MIN_RETURN_BEHIND_M)
-        kept |= self._lost & ~self._covered[at]  # turned away from: nothing is known of it
+        kept |= self._lost & ~self._covered[at]  # out of the sweep now: its state is unknown
         kept &= distance <= MAX_LOST_DISTANCE_M
         order = np.flatnonzero(kept)
         if len(order) > MAX_LOST_POINTS:
@@ -236,7 +244,7 @@ class LaserVisibility:
         return np.asarray(np.round(sums[width : width + self.n_directions] - sums[: self.n_directions], 9))
 
     def _swept_directions(self, v: float, w: float) -> Int64s:
-        """(k,) the directions that the laser covers of what the outline will sweep next at v m/s and w rad/s."""
+        """(k,) covered directions of the area that the outline sweeps next at v m/s and w rad/s."""
         drive = self.robot.drive
         rim = max(abs(v) + abs(w) * self.robot.circumscribed_radius, 1e-6)
         seconds = (LOOKAHEAD_M + v * v / (2 * drive.max_braking)) / rim
@@ -249,7 +257,7 @@ class LaserVisibility:
         return bins[self._covered[bins]]
 
     def _description(self, scan: LaserScan, n_own: int) -> str:
-        """What the scan holds, for people. n_own: returns from inside the robot's outline."""
+        """Contents of the scan for `guard/status`. n_own: returns from inside the robot's outline."""
         ranges, n_directions = scan.ranges, len(scan.ranges)
         counts = {
             "from the robot itself": n_own,

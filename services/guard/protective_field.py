@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast may the robot drive a given arc? As fast as it can still stop on before it touches anything.
+"""The greatest safe speed on an arc: the robot must be able to stop before contact (ISO 13855).
 
 The field is the footprint, grown by `side_margin`, swept along the commanded arc over the stopping distance. In `base`
-a standing point moves on a circle about the arc's centre of rotation, so the first contact is where that circle meets
-the grown outline: exact, for any simple polygon, without sampling the path.
+a static point moves on a circle about the centre of rotation. The first contact is where that circle meets the grown
+outline. This is exact for any simple polygon, without sampled poses.
 """
 
 from dataclasses import dataclass
@@ -20,9 +20,9 @@ from shared.geometry import inside
 Float64s = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-TOUCHING_M = 0.005  # m: nearer than this the direction of motion decides, not the distance
-MIN_CURVATURE = 1e-4  # 1/m: arcs flatter than this are lines; over 3 m they part by less than a millimetre
-MIN_RIM_SPEED = 1e-6  # m/s of the fastest point of the outline: no motion to judge
+TOUCHING_M = 0.005  # nearer than this the direction of motion decides, not the distance
+MIN_CURVATURE = 1e-4  # 1/m; flatter arcs count as lines: over 3 m they differ by less than a millimetre
+MIN_RIM_SPEED = 1e-6  # m/s of the fastest point of the outline; slower counts as standstill
 
 
 class FieldConfig(Section):
@@ -30,23 +30,21 @@ class FieldConfig(Section):
 
     RENAMED: ClassVar[dict[str, str]] = {"slowest": "min_speed"}
 
-    reaction: float = Field(0.2, ge=0, le=2, description="s from a command to the wheels' answer, all delays together")
-    stop_margin: float = Field(0.05, ge=0.02, le=1, description="m of travel left free in front at standstill")
-    side_margin: float = Field(0.02, ge=0, le=0.5, description="m that the footprint is grown on all sides")
-    self_mask: float = Field(
-        0.03, ge=0, le=1, description="m: points deeper inside the footprint are the robot's own body"
-    )
-    min_speed: float = Field(0.02, ge=0, le=0.2, description="m/s under which a slowed robot stands")
+    reaction: float = Field(0.2, ge=0, le=2, description="s from a command until the wheels act, with all delays")
+    stop_margin: float = Field(0.05, ge=0.02, le=1, description="m left free in front at standstill")
+    side_margin: float = Field(0.02, ge=0, le=0.5, description="m by which the footprint is grown on all sides")
+    self_mask: float = Field(0.03, ge=0, le=1, description="m: points deeper inside the footprint belong to the robot")
+    min_speed: float = Field(0.02, ge=0, le=0.2, description="m/s below which a slowed robot stops")
     creep_speed: float = Field(0.15, ge=0, le=0.5, description="m/s up to which `side_margin` need not be free")
     creep_turn_rate: float = Field(0.5, ge=0, le=2, description="rad/s up to which `side_margin` need not be free")
     blind_speed: float = Field(
-        0.15, gt=0, le=2, description="m/s in a direction that neither the laser nor a range sensor covers"
+        0.15, gt=0, le=2, description="m/s in a direction without a view of the laser or a range sensor"
     )
 
 
 @dataclass(frozen=True, slots=True)
 class SafeSpeed:
-    """What the field allows of a command: the share of its speed, and the travel (m) until contact, inf without."""
+    """Allowed share of a command's speed, and the travel (m) until contact, inf without."""
 
     share: float
     travel: float
@@ -58,8 +56,8 @@ NO_LIMIT = SafeSpeed(1.0, inf)
 def safe_speed(points: Float64s, corners: Float64s, v: float, w: float, drive: Drive, config: FieldConfig) -> SafeSpeed:
     """The greatest share of the velocity (v m/s, w rad/s) from which the robot stops before contact.
 
-    points: (n, 2) m, obstacles in `base`.  corners: (k, 2) m, footprint.
-    At a creep, `side_margin` is kept free in front only: a robot with something close beside it gets away.
+    points: (n, 2) m, obstacles in `base`. corners: (k, 2) m, footprint. At creep speed `side_margin` is kept free in
+    front only: a robot with an obstacle close beside it can leave.
     """
     permit = _safe_speed_with_margin(points, corners, v, w, drive, config)
     creep = min(
@@ -78,15 +76,15 @@ def _safe_speed_with_margin(
 ) -> SafeSpeed:
     """`safe_speed` with one side margin at all speeds.
 
-    At a share s the robot runs on for `reaction` and then brakes on its arc: s reaction + s^2 T / 2 seconds' worth of
-    the command, T the longer of |v| / braking and |w| / turning deceleration; `stop_margin` stays free beyond.
+    At a share s the robot drives on for `reaction` and then brakes on its arc: s reaction + s^2 T / 2 seconds of the
+    command. T is the longer of |v| / braking and |w| / turn deceleration. `stop_margin` stays free beyond.
     """
     radius = float(np.hypot(corners[:, 0], corners[:, 1]).max())
     fastest = abs(v) + abs(w) * radius
     if fastest < MIN_RIM_SPEED or not len(points):
         return NO_LIMIT
     braking_time = max(abs(v) / drive.max_braking, abs(w) / drive.max_turn_acceleration)
-    # only what the outline can reach while the robot drives, brakes and keeps its margin can matter
+    # only points within reach of the outline until standstill, with the margin, can matter
     reach = radius + config.side_margin + config.stop_margin + abs(v) * (config.reaction + braking_time / 2)
     points = points[np.hypot(points[:, 0], points[:, 1]) <= reach + 0.01]
     if not len(points):
@@ -110,10 +108,11 @@ def _safe_speed_with_margin(
 def times_to_contact(
     points: Float64s, corners: Float64s, v: float, w: float, margin: float, self_mask: float
 ) -> Float64s:
-    """(n,) s until the footprint, grown by `margin` m, meets each standing point at the velocity (v, w); inf if never.
+    """(n,) s until the footprint, grown by `margin` m, meets each static point at the velocity (v, w); inf without
+    contact.
 
-    A point that is nearer than the margin already counts when the robot comes nearer still, so that driving away is
-    always free. Points deeper inside the footprint than `self_mask` never count.
+    A point nearer than the margin counts only while the robot approaches it, so driving away is always allowed. Points
+    deeper inside the footprint than `self_mask` never count.
     """
     times = np.full(len(points), inf)
     straight = abs(w) <= MIN_CURVATURE * abs(v)
@@ -130,7 +129,7 @@ def times_to_contact(
             contact = _arc_contact_times(points, offsets, corners, v, w)
     velocity = np.column_stack((v - w * points[:, 1], w * points[:, 0]))
     approaching = (velocity * outward).sum(axis=1) > 1e-9
-    contact[depth <= 1e-6] = inf  # what already touches leaves freely
+    contact[depth <= 1e-6] = inf  # a touching point may be left freely
     contact[(depth <= TOUCHING_M) & approaching] = 0.0
     contact[depth < -self_mask] = inf
     times[met] = contact
@@ -138,7 +137,9 @@ def times_to_contact(
 
 
 def signed_distances(points: Float64s, corners: Float64s) -> tuple[Float64s, Float64s]:
-    """Of points (n, 2): distance (n,) to the polygon's outline, negative inside; unit way out (n, 2) of the polygon."""
+    """Distance (n,) of points (n, 2) to the polygon's outline, negative inside, and the unit direction (n, 2) out of
+    it.
+    """
     edges = np.roll(corners, -1, axis=0) - corners
     away = points[:, None, :] - corners
     along = np.clip((away * edges).sum(axis=2) / (edges**2).sum(axis=1), 0.0, 1.0)
@@ -156,12 +157,12 @@ def signed_distances(points: Float64s, corners: Float64s) -> tuple[Float64s, Flo
 
 
 def _lane_of_line(points: Float64s, corners: Float64s) -> tuple[Float64s, tuple[float, float]]:
-    """What a line keeps of each point (n,), m to the left, and between which values it meets the outline."""
+    """Offset (n,) of each point that a line keeps, m to the left, and the range of offsets that meet the outline."""
     return points[:, 1], (float(corners[:, 1].min()), float(corners[:, 1].max()))
 
 
 def _lane_of_arc(points: Float64s, corners: Float64s, v: float, w: float) -> tuple[Float64s, tuple[float, float]]:
-    """What an arc keeps of each point (n,), m from its centre, and between which values it meets the outline."""
+    """Distance (n,) of each point from the arc's centre, m, and the range of distances that meet the outline."""
     centre = np.array([[0.0, v / w]])
     spokes, hubs = points - centre, corners - centre
     nearest = max(float(signed_distances(centre, corners)[0][0]), 0.0)
@@ -169,7 +170,7 @@ def _lane_of_arc(points: Float64s, corners: Float64s, v: float, w: float) -> tup
 
 
 def _line_contact_times(points: Float64s, offsets: Float64s, corners: Float64s, v: float) -> Float64s:
-    """Contact times (n,) on a line: points move along x against the robot and meet grown edges or rounded corners."""
+    """Contact times (n,) on a line: points move along x against the robot and meet shifted edges or rounded corners."""
     way = -1.0 if v > 0 else 1.0
     starts, edges = _offset_edges(offsets, corners)
     gap = starts - points[:, None, None, :]
@@ -224,5 +225,5 @@ def _offset_edges(offsets: Float64s, corners: Float64s) -> tuple[Float64s, Float
 
 
 def _turn_angle(start: Float64s, end: Float64s, w: float) -> Float64s:
-    """rad that a point turns from one direction to another, against the robot's turn `w`; in [0, 2 pi)."""
+    """Angle (rad) in [0, 2 pi) from one direction of a point to another, against the robot's turn `w`."""
     return (start - end if w > 0 else end - start) % (2 * pi)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Why must the robot stand, whatever is commanded? What each input last said, and a table of reasons over it."""
+"""The stop conditions: the newest inputs, and a table of reasons over them, highest first."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,15 +16,15 @@ from shared.stamps import fresh, precedes, supersedes
 
 
 class StopConditionsConfig(Section):
-    """When an input is too old to drive on."""
+    """Maximum ages of the inputs."""
 
-    odom_age: float = Field(0.2, gt=0, le=1, description="s after which odometry is old")
-    scan_age: float = Field(0.27, gt=0, le=2, description="s after its last beam that a scan is old")
-    base_age: float = Field(2.0, gt=0, le=10, description="s after which the base driver is silent")
-    pose_age: float = Field(1.0, gt=0, le=10, description="s after which the pose is old; nav only")
-    lost_after: float = Field(2.0, ge=0, le=60, description="s of a lost pose that nav may still drive")
-    pose_jump: float = Field(0.5, gt=0, le=10, description="m that the pose may jump before nav must plan anew")
-    replan: float = Field(0.5, ge=0, le=10, description="s after a jump from which nav's commands count again")
+    odom_age: float = Field(0.2, gt=0, le=1, description="s at which odometry is too old")
+    scan_age: float = Field(0.27, gt=0, le=2, description="s after its last beam at which a scan is too old")
+    base_age: float = Field(2.0, gt=0, le=10, description="s at which the base driver is silent")
+    pose_age: float = Field(1.0, gt=0, le=10, description="s at which the pose is too old; for navigation only")
+    lost_after: float = Field(2.0, ge=0, le=60, description="s for which navigation may drive with a lost pose")
+    pose_jump: float = Field(0.5, gt=0, le=10, description="m that the pose may jump before navigation must plan again")
+    replan: float = Field(0.5, ge=0, le=10, description="s after a jump from which navigation's commands count again")
 
 
 class StopInputs:
@@ -211,7 +211,7 @@ def scan_end(scan: LaserScan) -> int:
 
 
 NO_FAULTS = ("", reasons.ESTOP.code, reasons.BAD_STAMPS.code)
-"""What the base may say without that its hardware is broken."""
+"""Faults of the base that are not of its hardware."""
 
 # fmt: off
 STOPS: tuple[tuple[Reason, GuardState, Callable[[StopInputs, int], bool]], ...] = (  # highest rank first

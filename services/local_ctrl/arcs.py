@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where does one pair of velocities lead, what does it come near to, and can the robot still stop before contact?"""
+"""Simulation of one pair of velocities: its end, its clearance, and whether the robot can stop before contact."""
 
 from math import cos, hypot, inf, sin, sqrt
 from typing import NamedTuple
@@ -15,11 +15,11 @@ from services.local_ctrl.rollout import DT, Limits, arc_step, limited_turn_rate,
 
 Float64s = NDArray[np.float64]
 
-END_CUT_DISTANCE_M = 0.5  # m from the path's end within which an arc that leads away from it again is cut
+END_CUT_DISTANCE_M = 0.5  # from the path's end within which an arc that leads away from it is cut
 
 
 class Arc(NamedTuple):
-    """Where an arc ends: before contact, beside the path's end, or with its time."""
+    """The end of an arc: before contact, beside the path's end, or at its time."""
 
     x: float  # m
     y: float
@@ -30,7 +30,7 @@ class Arc(NamedTuple):
     room: float  # m, the least clearance on it
     contact: float  # s until contact, inf without
     seconds: float  # until it ends
-    stops: bool  # the robot can still stop before contact when it runs the first step and then brakes
+    stops: bool  # whether the robot stops before contact when it runs the first step and then brakes
 
 
 @njit(cache=True, nogil=True)
@@ -43,16 +43,18 @@ def simulated_arc(
     limits: Limits,
     shape: Footprint,
 ) -> Arc:
-    """Runs towards a pair of velocities within the limits and keeps them, for so long.
+    """Simulates a pair of target velocities within the limits for `seconds`.
 
-    reaction: s that pass before braking begins. Stopping is Fox, Burgard, Thrun 1997, equation 14 (admissible
-    velocities) in time instead of distance, so that it holds for turning on the spot as well.
+    reaction: s before braking begins.
+
+    The test of stopping is equation 14 of Fox, Burgard, Thrun 1997 (admissible velocities). It is in time instead of
+    distance, so that it holds for turning in place as well.
     """
     x, y, c, s, v, w = scene.x, scene.y, cos(scene.yaw), sin(scene.yaw), scene.v, scene.w
     first_v, first_w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
     first_w = limited_turn_rate(first_v, first_w, limits)
     least = clearance(scene.field, scene.resolution, x, y, c, s, shape)
-    # who stands too near already may leave, not come nearer
+    # a robot that starts too near an obstacle may leave it, but not approach it
     starts_too_near = least <= shape.padding and touches(scene.occupied, scene.resolution, x, y, c, s, shape)
     room, contact = inf, inf
     to_end = hypot(scene.end_x - x, scene.end_y - y)
@@ -89,7 +91,7 @@ def simulated_arc(
 
 @njit(cache=True, nogil=True)
 def max_speed_to_end(scene: ControlScene, limits: Limits) -> float:
-    """The greatest speed, m/s, from which stopping at the path's end is easy; inf where it does not end in view."""
+    """The greatest speed, m/s, for a gentle stop at the path's end; inf where the end is not in view."""
     if not scene.ends:
         return inf
     return sqrt(2.0 * APPROACH_BRAKING_SHARE * limits.braking * hypot(scene.end_x - scene.x, scene.end_y - scene.y))
@@ -97,7 +99,7 @@ def max_speed_to_end(scene: ControlScene, limits: Limits) -> float:
 
 @njit(cache=True, nogil=True)
 def fill_rollout(target_v: float, target_w: float, v: float, w: float, limits: Limits, velocities: Float64s) -> None:
-    """Fills velocities (steps, 2) with what the drive does from (v, w) on its way to the target."""
+    """Fills velocities (steps, 2) with those of the drive from (v, w) on, towards the target."""
     for t in range(len(velocities)):
         v, w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
         w = limited_turn_rate(v, w, limits)

@@ -25,15 +25,17 @@ class LocalCtrlConfig(Section):
     RENAMED: ClassVar[dict[str, str]] = {"distance_to_go": "cost_to_go", "follow": "path_following"}
 
     controller: Literal["mppi", "dwa", "pursuit"] = Field(
-        "mppi", description="what follows the plan; docs/local_control.md says when to pick which"
+        "mppi", description="what follows the plan; docs/local_control.md compares them"
     )
     max_speed: float = Field(10.0, gt=0, le=10, description="m/s forward, where the drive allows more")
     max_reverse_speed: float = Field(
         0.15, ge=0, le=10, description="m/s backward, where the drive allows more; 0: never"
     )
-    latency: float = Field(0.06, ge=0, le=0.5, description="s from a command's sending until the base acts on it")
-    speed_settling: float = Field(0.06, ge=0, le=1, description="s over which measured speed replaces commanded speed")
-    padding: float = Field(0.03, ge=0, le=0.5, description="m around the footprint that count as robot")
+    latency: float = Field(0.06, ge=0, le=0.5, description="s from sending a command until the base acts on it")
+    speed_settling: float = Field(
+        0.06, ge=0, le=1, description="s, time constant with which measured speed replaces commanded speed"
+    )
+    padding: float = Field(0.03, ge=0, le=0.5, description="m around the footprint that count as part of the robot")
     ages: AgesConfig = AgesConfig()
     costmap: CostmapConfig = CostmapConfig()
     cost_to_go: CostToGoConfig = CostToGoConfig()

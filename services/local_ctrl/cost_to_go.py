@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far is it from anywhere in the window to the end of the plan's visible part, around what stands in between.
+"""Cost to go: cost from each cell of the window to the end of the visible plan, around obstacles.
 
-The plan says where to go, the costmap what it could not know. Distance to go is the least integral of slowness over all
-ways on which the robot fits: 1 on the plan, more beside it, near obstacles and in the unknown. So one field pulls along
-the plan where that is free, around a box that stands on it, and back to it from anywhere; where all ways are closed, it
-leads to where the plan runs into what is in the way.
+The cost is the integral of slowness along the cheapest path: 1 on the plan, more beside it, near obstacles and in
+unknown space. One field so leads along a free plan, around an obstacle on it, and back to it. Where no path exists, it
+leads to the point at which the plan is blocked.
 """
 
 from math import floor, hypot, inf, sqrt
@@ -23,30 +22,30 @@ Bools = NDArray[np.bool_]
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 
-COARSE_CELLS = 2  # cells of the costmap to one of the field, along each axis
-END_MARGIN_POINTS = 3  # points of the path that the robot keeps off the place where it is blocked
-MAX_SWEEPS = 24  # at most; four settle every cell whose best way turns through less than a full circle
+COARSE_CELLS = 2  # cells of the costmap along a side of one of the field
+END_MARGIN_POINTS = 3  # points of the path between the robot and the blocked point
+MAX_SWEEPS = 24  # four settle each cell with a best path that turns through less than a full circle
 
 
 class CostToGoConfig(Section):
-    """What makes a way longer than it is."""
+    """Slowness of cells."""
 
     RENAMED: ClassVar[dict[str, str]] = {"beside_plan_at_most": "max_beside_plan"}
 
-    beside_plan: float = Field(0.5, ge=0, le=10, description="1/m: slowness added a metre away from the plan")
-    max_beside_plan: float = Field(0.5, ge=0, le=10, description="1: slowness added far from the plan")
+    beside_plan: float = Field(0.5, ge=0, le=10, description="1/m: slowness added per metre of distance to the plan")
+    max_beside_plan: float = Field(0.5, ge=0, le=10, description="1: maximum of that addition")
     near_obstacles: float = Field(3.0, ge=0, le=100, description="1: slowness added where the robot just fits")
-    clearance: float = Field(0.3, ge=0.01, le=3, description="m beyond the outline at which obstacles no longer count")
-    unknown: float = Field(0.3, ge=0, le=100, description="1: slowness added where nobody has looked")
+    clearance: float = Field(0.3, ge=0.01, le=3, description="m beyond the outline at which obstacles add nothing")
+    unknown: float = Field(0.3, ge=0, le=100, description="1: slowness added in unknown space")
     no_room: float = Field(40.0, ge=1, le=1000, description="1: slowness added where the robot does not fit")
 
 
 class CostToGo(NamedTuple):
-    """(n / 2, n / 2) float32 m; cell (0, 0) is centred between the costmap's first two cells of both axes."""
+    """Field (n / 2, n / 2) float32 m; cell (0, 0) is centred between the costmap's first two cells of both axes."""
 
     field: Float32s
     i_end: int  # of the path's point that it leads to
-    closed: bool  # nothing leads to the path's last point: i_end is where the path runs into what is in the way
+    closed: bool  # no path leads to the plan's last point: i_end is the point before the obstacle
 
 
 def cost_to_go(
@@ -58,10 +57,10 @@ def cost_to_go(
     inscribed: float,
     config: CostToGoConfig,
 ) -> CostToGo:
-    """field, unknown: (n, n), n even, m and bool, of the costmap.  path: (k, 2) m; robot: m; both from the costmap's
-    lower left centre.  inscribed: m.
+    """The cost to go in a window: fast sweeping of the eikonal equation (Zhao 2005), started on the plan.
 
-    The eikonal equation by fast sweeping (Zhao 2005), started from the way along the plan, which bounds it from above.
+    `field`, `unknown`: (n, n), n even, m and bool, of the costmap. `path`: (k, 2) m. `robot`: m. Both are relative to
+    the costmap's lower left centre. `inscribed`: m.
     """
     to_go = np.empty((len(field) // COARSE_CELLS, len(field) // COARSE_CELLS), np.float32)
     settings = (
@@ -89,7 +88,7 @@ def _fill_cost_to_go(
 ) -> tuple[int, bool]:
     n = len(to_go)
     size = COARSE_CELLS * resolution
-    # positions in cells of the coarse field, whose first centre lies half a fine cell up and right
+    # positions in cells of the coarse field: its first centre lies half a fine cell up and right
     cells = (path - 0.5 * (COARSE_CELLS - 1) * resolution) / size
     column = int(min(max((robot[0] - 0.5 * (COARSE_CELLS - 1) * resolution) / size + 0.5, 0.0), n - 1.0))
     row = int(min(max((robot[1] - 0.5 * (COARSE_CELLS - 1) * resolution) / size + 0.5, 0.0), n - 1.0))
@@ -101,7 +100,7 @@ def _fill_cost_to_go(
     slowness = np.empty((n, n), np.float32)
     distance_field_into(on_path, size, slowness)
     fits = np.empty((n, n), np.bool_)
-    # who stands where it does not fit, does fit: it must find its way out
+    # the robot's own clearance always fits, so that it can leave a narrow place
     here = bilinear(field, robot[0] / resolution, robot[1] / resolution)
     _fill_slowness(field, unknown, resolution, inscribed, min(inscribed, here - size), settings, slowness, fits)
     i_end, closed = len(cells) - 1, False
@@ -119,7 +118,7 @@ def _fill_cost_to_go(
 
 @njit(cache=True, nogil=True)
 def _n_fitting(cells: Float64s, fits: Bools) -> int:
-    """How many of the path's points come before the first one where the robot does not fit."""
+    """Number of points of the path before the first one where the robot does not fit."""
     n = len(fits)
     for k in range(len(cells)):
         i, j = floor(cells[k, 1] + 0.5), floor(cells[k, 0] + 0.5)
@@ -139,7 +138,7 @@ def _fill_slowness(
     slowness: Float32s,
     fits: Bools,
 ) -> None:
-    """Turns distances from the plan, m, into slowness; `fits` where the next obstacle is over `needed` m away."""
+    """Replaces distances from the plan, m, by slowness. fits: where the next obstacle is over `needed` m away."""
     beside, beside_most, near, clearance, unknown_cost, no_room = settings
     n = len(slowness)
     for row in range(n):
@@ -160,7 +159,7 @@ def _fill_slowness(
 
 @njit(cache=True, nogil=True)
 def _initialize(cells: Float64s, slowness: Float32s, fits: Bools, size: float, to_go: Float32s) -> None:
-    """Exact distances about the path's end, and along the path the length of the way on it until it is blocked."""
+    """Exact costs around the path's end, and along the path its length until it is blocked."""
     n = len(to_go)
     last = len(cells) - 1
     along = 0.0
@@ -216,7 +215,7 @@ def _sweep(corner: int, slowness: Float32s, wanted: Bools, size: float, to_go: F
 
 @njit(cache=True, nogil=True)
 def to_go_at(to_go: Float32s, x: float, y: float, resolution: float) -> float:
-    """The distance to go at (x, y), m from the costmap's lower left centre; m."""
+    """The cost to go at (x, y), m from the costmap's lower left centre; m."""
     size = COARSE_CELLS * resolution
     rim = 0.5 * (COARSE_CELLS - 1) * resolution
     return bilinear(to_go, (x - rim) / size, (y - rim) / size)
@@ -224,7 +223,7 @@ def to_go_at(to_go: Float32s, x: float, y: float, resolution: float) -> float:
 
 @njit(cache=True, nogil=True)
 def carrot(to_go: Float32s, x: float, y: float, look: float, resolution: float) -> tuple[float, float]:
-    """The point `look` m down the distance to go from (x, y); nearer where it ends."""
+    """The point `look` m down the gradient of the cost to go from (x, y); nearer at its minimum."""
     half, step = 0.5 * COARSE_CELLS * resolution, COARSE_CELLS * resolution
     for _ in range(int(look / step) + 1):
         dx = to_go_at(to_go, x - half, y, resolution) - to_go_at(to_go, x + half, y, resolution)

@@ -12,33 +12,35 @@ from services.local_ctrl.footprint import Footprint, bilinear
 from services.local_ctrl.rollout import Limits
 from shared.config import Section
 
-REACTION_S = 0.2  # s that a guard counts on between a command and the wheels' answer
+REACTION_S = 0.2  # delay between a command and the wheels' motion, as in the guard's field
 
 
 class Critics(Section):
-    """What a rollout costs, in metres of way: each weight is the price of what its description names."""
+    """Cost of a rollout in metres of path: the weight of each term."""
 
     RENAMED: ClassVar[dict[str, str]] = {"mover": "dynamic_collision", "near_mover": "dynamic_obstacle"}
 
-    progress: float = Field(2.0, ge=0, le=100, description="1: a metre to go at the horizon's end")
-    haste: float = Field(2.0, ge=0, le=100, description="1: a metre to go, averaged over the horizon")
+    progress: float = Field(2.0, ge=0, le=100, description="1: a metre of cost to go at the horizon's end")
+    haste: float = Field(2.0, ge=0, le=100, description="1: a metre of cost to go, averaged over the horizon")
     goal: float = Field(2.0, ge=0, le=100, description="1: a metre from the end, averaged, within half a metre of it")
     obstacle: float = Field(1.0, ge=0, le=1000, description="m/s: driving with no clearance left; 0 at `clearance`")
     critical: float = Field(20.0, ge=0, le=1000, description="m/s: being without clearance; 0 at `critical_clearance`")
     overspeed: float = Field(
         4.0, ge=0, le=1000, description="s/m: squared speed above what the clearance, or stopping at the goal, allows"
     )
-    headway: float = Field(20.0, ge=0, le=1000, description="1/(m s): squared braking distance that is not free ahead")
+    headway: float = Field(
+        20.0, ge=0, le=1000, description="1/(m s): squared part of the braking distance that is not free ahead"
+    )
     dynamic_collision: float = Field(
-        100.0, ge=0, le=1000, description="m: being run into by what moves, at once; less when it is later"
+        100.0, ge=0, le=1000, description="m: contact with a dynamic obstacle at once; less when it is later"
     )
     dynamic_obstacle: float = Field(
-        10.0, ge=0, le=1000, description="m/s: what moves at the outline; 0 at `mover_clearance`"
+        10.0, ge=0, le=1000, description="m/s: a dynamic obstacle at the outline; 0 at `dynamic_clearance`"
     )
     reverse: float = Field(3.0, ge=0, le=100, description="1: a metre driven backward")
     twirl: float = Field(0.15, ge=0, le=100, description="m s/rad^2: squared turn rate")
     smooth: float = Field(
-        0.01, ge=0, le=100, description="m: squared change of command, as a share of what is possible"
+        0.01, ge=0, le=100, description="m: squared change of command, as a share of the possible one"
     )
     collision: float = Field(1000.0, ge=10, le=1e6, description="m: a collision at once; less when it is later")
 
@@ -70,10 +72,13 @@ class Weights(NamedTuple):
 def dynamic_clearance(
     discs: Float64s, x: float, y: float, c: float, s: float, ahead: float, footprint: Footprint, far: float
 ) -> float:
-    """m from the outline at (x, y), and from the way on which it would stop, to movers (k, 3) x, y, radius m then.
+    """m from the outline at (x, y), and from its stopping distance, to discs (k, 3) x, y, radius m at that time.
 
-    What comes into that way makes the guard brake, and who stands before a thing that comes is run over.
-    ahead: m of that way; negative: backward.  far: m from which on it does not matter how far.
+    The guard brakes for an obstacle within the stopping distance, and a robot that stands before a moving one is hit.
+
+    ahead: m of stopping distance; negative: backward.
+
+    far: m beyond which the distance does not matter.
     """
     least = far
     reach = far + max(footprint.circumscribed, abs(ahead) + footprint.inscribed)
@@ -90,7 +95,7 @@ def dynamic_clearance(
 
 @njit(cache=True, nogil=True)
 def stopping_distance(v: float, limits: Limits, weights: Weights) -> float:
-    """m that the guard keeps free ahead at this speed."""
+    """m that the guard keeps free ahead at a speed of v m/s."""
     return abs(v) * REACTION_S + v * v / (2.0 * limits.braking) + weights.critical_clearance
 
 
@@ -107,7 +112,7 @@ def obstacle_cost(
     v: float,
     room: float,
 ) -> float:
-    """What being this near to obstacles at this speed costs, m/s."""
+    """The cost of this clearance at this speed, m/s."""
     cost = 0.0
     speed = abs(v)
     if room < weights.clearance:
@@ -122,7 +127,7 @@ def obstacle_cost(
         )
         over = max(0.0, speed - share * limits.v_max)
         cost += weights.overspeed * over * over
-    # the guard stops for what lies within the braking distance straight ahead: leave it room
+    # the guard stops for an obstacle within the braking distance straight ahead
     stopping = stopping_distance(v, limits, weights)
     if room < stopping + footprint.circumscribed:
         ahead = stopping if v >= 0.0 else -stopping

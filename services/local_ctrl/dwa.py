@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The dynamic window approach (Fox, Burgard, Thrun 1997), with the settings and scores of move_base's DWA.
 
-Of the velocities that the drive reaches within a moment, each is run on for `sim_time`. Those from which the robot
-could not stop any more before contact are out; of the rest the cheapest is driven: near the plan, far along it, free.
+Each velocity that the drive reaches within the window is simulated for `sim_time`. Velocities without room to stop
+before contact are dropped (equation 14). Of the rest the cheapest is driven: near the plan, far along it, with
+clearance.
 """
 
 from math import hypot, inf
@@ -25,16 +26,16 @@ Float64s = NDArray[np.float64]
 class DwaConfig(Section):
     """The dynamic window approach, its settings named as in move_base's dwa_local_planner."""
 
-    sim_time: float = Field(1.7, ge=0.3, le=5, description="s that each pair of velocities is run on")
+    sim_time: float = Field(1.7, ge=0.3, le=5, description="s of each simulated pair of velocities")
     window: float = Field(0.25, ge=0.05, le=2, description="s within which velocities must be reachable")
-    vx_samples: int = Field(9, ge=2, le=100, description="1: speeds that are tried")
-    vth_samples: int = Field(25, ge=3, le=200, description="1: turn rates that are tried")
-    path_distance_bias: float = Field(32.0, ge=0, le=1000, description="1/m: being beside the plan")
-    goal_distance_bias: float = Field(24.0, ge=0, le=1000, description="1/m: way that is left")
-    occdist_scale: float = Field(4.0, ge=0, le=1000, description="1: coming as near to an obstacle as may be")
+    vx_samples: int = Field(9, ge=2, le=100, description="1: number of sampled speeds")
+    vth_samples: int = Field(25, ge=3, le=200, description="1: number of sampled turn rates")
+    path_distance_bias: float = Field(32.0, ge=0, le=1000, description="1/m: distance from the plan")
+    goal_distance_bias: float = Field(24.0, ge=0, le=1000, description="1/m: remaining distance")
+    occdist_scale: float = Field(4.0, ge=0, le=1000, description="1: least allowed distance to an obstacle")
     clearance: float = Field(0.3, ge=0.02, le=3, description="m beyond the outline at which obstacles cost nothing")
     forward_point_distance: float = Field(
-        0.325, ge=0, le=2, description="m ahead of the robot's origin: a point that is to be on the plan too"
+        0.325, ge=0, le=2, description="m ahead of the robot's origin: a point that should lie on the plan too"
     )
     stop_time_buffer: float = Field(
         0.25, ge=0, le=2, description="s before contact at which the robot must be able to begin braking"
@@ -43,7 +44,7 @@ class DwaConfig(Section):
 
 
 class Dwa:
-    """Remembers nothing between ticks but what was weighed up, for people."""
+    """The dynamic window controller. Between ticks it keeps only the samples, for the debug topics."""
 
     def __init__(self, config: DwaConfig, limits: Limits) -> None:
         self.config, self.limits = config, limits
@@ -53,6 +54,7 @@ class Dwa:
         self.before = 0.0, 0.0  # m/s, rad/s at the last call
 
     def reset(self) -> None:
+        """Restarts the count of calls."""
         self.n_solved = 0
 
     def solve(self, scene: ControlScene, footprint: Footprint, n_elapsed: int) -> ControlSolution:
@@ -85,7 +87,7 @@ class Dwa:
 
 @njit(cache=True, nogil=True)
 def _window(scene: ControlScene, limits: Limits, window: float, counts: tuple[int, int], samples: Float64s) -> None:
-    """Fills samples (n, 2) with what is reachable within `window` s, driving straight on among it; the last stands."""
+    """Fills samples (n, 2) with velocities reachable within `window` s, straight ahead among them; the last is zero."""
     n_v, n_w = counts
     low, high = speed_after(scene.v, limits.v_min, limits, window), speed_after(scene.v, limits.v_max, limits, window)
     high = min(high, max(low, max_speed_to_end(scene, limits)))
@@ -98,7 +100,7 @@ def _window(scene: ControlScene, limits: Limits, window: float, counts: tuple[in
             w = right + (left - right) * j / (n_w - 1)
             samples[i * n_w + j, 0] = low + (high - low) * i / (n_v - 1)
             samples[i * n_w + j, 1] = w
-        # straight on is nearly always worth a try, and no grid over a moving window holds it
+        # no grid over a moving window holds zero turn rate, so the nearest column takes it
         if right < 0.0 < left:
             nearest = round(-right / (left - right) * (n_w - 1))
             samples[i * n_w + nearest, 1] = 0.0
@@ -116,7 +118,7 @@ def _score(
     costs: Float64s,
     gains: Float64s,
 ) -> None:
-    """costs (n,): inf where the robot could not stop before contact.  gains (n,): m nearer along the way."""
+    """Fills costs (n,), inf without room to stop before contact, and gains (n,), reduction of the cost to go, m."""
     path_bias, goal_bias, obstacle, reverse = biases
     seconds, buffer, clearance, forward = lengths
     first = to_go_at(scene.to_go, scene.x, scene.y, scene.resolution)

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What moves around the robot, and where it will be: small things that came into space that was seen free, followed.
+"""Tracking and prediction of dynamic obstacles: small objects that moved into space which was seen free.
 
-Only what stands where a moment ago beams went through counts: what merely comes into sight behind something else, or is
-seen from another side, does not move. Each is a disc with a constant speed and turn rate (Schubert et al. 2008, CTRV):
-who bends his way goes on bending it, for a while.
-Where one passes before another, or touches it, what the laser sees of both is parted at the notch between them.
+Only cells that beams passed a moment ago count. An object that comes into view from behind another one, or is seen
+from another side, is static. Each obstacle is a disc with constant turn rate and velocity (CTRV: Schubert et al.
+2008); its turn rate decays. Objects that touch in the scan are separated at the notch between them.
 """
 
 from collections import deque
@@ -24,48 +23,52 @@ Int64s = NDArray[np.int64]
 Float64s = NDArray[np.float64]
 
 NS_PER_S = 1_000_000_000  # ns
-MAX_GAP_M = 0.25  # m between the ends of neighbouring beams that part two things
+MAX_GAP_M = 0.25  # between the ends of neighbouring beams on one object
 MIN_NOTCH_M = 0.045  # depth of a notch that separates two objects, below the outline NOTCH_SIDE_M to both sides
 NOTCH_SIDE_M = 0.25  # m along the outline
-MIN_BEAMS = 4  # that a thing is seen by
-FREE_MEMORY_S = 2.5  # s within which its place was seen free
-MIN_SHARE_IN_FREE = 0.4  # share of its beams that end in such places
-SHARE_GAIN = 0.3  # of the newest share in the mean of them
-RIM_CELLS = 2  # to each side that must have been free too: at a thing's rim cells may be both
-MAX_ASSOCIATION_M = 0.4  # m off where it was expected that a thing may be found
-FIT_SPANS_S = 0.5, 0.3, 0.15  # s of its way that tell its velocity: the first in which it kept to one arc
-MIN_SPAN_S = 0.15  # s that it must have been followed for
-MAX_ARC_ERROR_M = 0.03  # m, root mean square, that it may be off an arc that it kept to
-MIN_POINTS_FOR_VELOCITY, MIN_POINTS_FOR_TURN_RATE = 3, 5  # from which a velocity is told, and a turn rate
-MIN_TRAVEL_M = 0.08  # m that it must have come
-MAX_CIRCLE_ERROR_M = 0.04  # m, root mean square, that a disc's echoes may lie off its rim
-MAX_SPEED = 3.0  # m/s: what seems faster is a wrong pairing
-TURN_RATE_SIGMA = 0.5  # rad/s, standard deviation, that things turn by: what is measured worse than that counts little
-MAX_TURN_RATE = 1.5  # rad/s: what turns faster does not do so for long
-MIN_POSITION_SIGMA_M = 0.01  # m, standard deviation of a place at least: errors of neighbouring scans are alike
-HIDDEN_RADIUS_RATIO = 0.7  # of its radius, half the width that is seen of it
-MERGED_RADIUS_RATIO = 1.25  # of a disc's radius, half the width of it and another
-RADIUS_DECAY = 0.995  # of its radius, a scan in which not enough is seen of it to tell
-TURN_DECAY_S = 1.5  # s in which a turn rate falls to its e-th part
+MIN_BEAMS = 4  # on an object
+FREE_MEMORY_S = 2.5  # time since its place was seen free
+MIN_SHARE_IN_FREE = 0.4  # of its beams that end in such places
+SHARE_GAIN = 0.3  # of the newest share in their mean
+RIM_CELLS = 2  # to each side that must have been free too: cells at an object's rim may be both
+MAX_ASSOCIATION_M = 0.4  # between a prediction and a detection
+FIT_SPANS_S = 0.5, 0.3, 0.15  # of its track that give its velocity: the first one that fits an arc
+MIN_SPAN_S = 0.15  # of a track
+MAX_ARC_ERROR_M = 0.03  # root mean square distance of a track to its arc
+MIN_POINTS_FOR_VELOCITY, MIN_POINTS_FOR_TURN_RATE = 3, 5  # from which a velocity is estimated, and a turn rate
+MIN_TRAVEL_M = 0.08  # of a dynamic obstacle
+MAX_CIRCLE_ERROR_M = 0.04  # root mean square distance of a disc's echoes to its rim
+MAX_SPEED = 3.0  # m/s; faster ones are wrong associations
+TURN_RATE_SIGMA = 0.5  # rad/s, prior standard deviation of turn rates
+MAX_TURN_RATE = 1.5  # rad/s; faster turns do not last
+MIN_POSITION_SIGMA_M = 0.01  # errors of neighbouring scans are correlated
+HIDDEN_RADIUS_RATIO = 0.7  # visible half width over the radius, under which the object is partly hidden
+MERGED_RADIUS_RATIO = 1.25  # visible half width over the radius, beyond which it is seen with another object
+RADIUS_DECAY = 0.995  # of the radius per scan that shows too little to fit a circle
+TURN_DECAY_S = 1.5  # time constant of a turn rate
 X, Y, RADIUS, SHARE_IN_FREE, IS_ROUND = range(5)  # columns of `_segments`
 Segment = tuple[float, float, float, float, float]  # a row
 
 
 class DynamicObstaclesConfig(Section):
-    """What moves."""
+    """Dynamic obstacles."""
 
     RENAMED: ClassVar[dict[str, str]] = {"follow": "enabled", "least_speed": "min_speed", "largest": "max_size"}
 
-    enabled: bool = Field(False, description="keep off where things that move will be, not only off where they are")
-    min_speed: float = Field(0.2, ge=0.05, le=5, description="m/s; what is slower is taken as standing")
-    max_size: float = Field(1.6, ge=0.1, le=5, description="m across; what is larger is taken as standing")
-    memory: float = Field(0.8, ge=0, le=5, description="s that it is expected to go on while it is out of sight")
+    enabled: bool = Field(
+        False, description="avoid the predicted places of dynamic obstacles, not only their present ones"
+    )
+    min_speed: float = Field(0.2, ge=0.05, le=5, description="m/s; slower objects count as static")
+    max_size: float = Field(1.6, ge=0.1, le=5, description="m across; larger objects count as static")
+    memory: float = Field(0.8, ge=0, le=5, description="s that an obstacle out of sight is predicted")
 
 
 @dataclass(slots=True)
 class DynamicObstacle:
-    """One thing: where it was seen lately (ns, x m, y m), its radius m; where known, its velocity m/s, as it was seen
-    last, and its turn rate rad/s.
+    """One tracked object.
+
+    `seen`: its places (ns, x m, y m). `radius`: m. Velocity (m/s) and turn rate (rad/s) are those of the last place,
+    where they are known.
     """
 
     seen: deque[tuple[int, float, float]] = field(default_factory=lambda: deque(maxlen=64))
@@ -78,7 +81,7 @@ class DynamicObstacle:
     is_round: bool = False  # it was seen as a disc
 
     def at(self, now: int) -> tuple[float, float, float, float]:
-        """x, y m, vx, vy m/s on its arc."""
+        """x, y m and vx, vy m/s on its arc at `now`, ns."""
         stamp, x, y = self.seen[-1]
         elapsed = (now - stamp) / NS_PER_S
         half = 0.5 * self.turn_rate * elapsed
@@ -86,26 +89,26 @@ class DynamicObstacle:
         return x + vx * elapsed, y + vy * elapsed, *rotated(vx, vy, half)
 
     def contains(self, segment: Segment) -> bool:
-        """Whether that lies within it, where it was seen last: something else before it parts what is seen of it."""
+        """Whether a segment lies within the disc where it was last seen: another object before it splits its echoes."""
         _, x, y = self.seen[-1]
         return hypot(segment[X] - x, segment[Y] - y) < self.radius
 
     def is_hidden(self, segment: Segment) -> bool:
-        """Whether too little is seen of it, or too much: it and something else. Then it goes on as it did, while it is
-        remembered.
+        """Whether a segment shows too little of the obstacle, or another object with it. Then the prediction
+        continues.
         """
         less = not segment[IS_ROUND] and segment[RADIUS] < HIDDEN_RADIUS_RATIO * self.radius
         return self.moves and (less or (self.is_round and segment[RADIUS] > MERGED_RADIUS_RATIO * self.radius))
 
     def centre(self, segment: Segment, eye: tuple[float, float]) -> tuple[float, float]:
-        """Where its middle is if that is what is seen of it: of a disc half hidden, not the middle of what is seen."""
+        """x, y m of its centre for a segment seen from `eye`: of a half hidden disc not the segment's."""
         x, y, radius, _, is_round = segment
         hidden = sqrt(max(self.radius**2 - radius**2, 0.0)) if not is_round else 0.0
         away = max(hypot(x - eye[0], y - eye[1]), 1e-6)
         return x + hidden * (x - eye[0]) / away, y + hidden * (y - eye[1]) / away
 
     def update(self, stamp: int, segment: Segment, eye: tuple[float, float], min_speed: float) -> None:
-        """It was seen as that, from there."""
+        """Takes the segment that shows it at `stamp` (ns), seen from `eye` (m): track, radius, velocity and class."""
         _, _, radius, share, is_round = segment
         self.seen.append((stamp, *self.centre(segment, eye)))
         self.share_in_free += SHARE_GAIN * (share - self.share_in_free)
@@ -125,19 +128,19 @@ class DynamicObstacle:
                 break
         speed = hypot(self.vx, self.vy)
         share_in_free = self.share_in_free >= MIN_SHARE_IN_FREE and hypot(xs[-1] - xs[0], ys[-1] - ys[0]) > MIN_TRAVEL_M
-        # where it goes on in the shadow of something, nobody has seen that it was free there
+        # a moving obstacle stays one in a shadow, where no beam showed free space before
         self.moves = (share_in_free or self.moves) and min_speed < speed < MAX_SPEED
 
 
 class DynamicObstacles:
-    """Follows them from scan to scan, in `odom`."""
+    """Tracks all obstacles from scan to scan, in `odom`."""
 
     def __init__(self, config: DynamicObstaclesConfig) -> None:
         self.config = config
         self.all: list[DynamicObstacle] = []
 
     def clear(self) -> None:
-        """Odometry began anew."""
+        """Drops all tracks: odometry restarted."""
         self.all = []
 
     def add_scan(
@@ -148,9 +151,10 @@ class DynamicObstacles:
         free_at: Int64s,
         window: tuple[float, float, float],
     ) -> None:
-        """A scan's ends (n, 2) m in `odom`, counter-clockwise about `eye`, m, where it was taken; NaN without an echo.
+        """Takes the ends of a scan's beams (n, 2), m in `odom`, counter-clockwise about `eye`, m; NaN without an echo.
 
-        free_at: when each cell was last seen free before it.  window: x, y m of the middle of cell (0, 0), m a cell.
+        `free_at`: ns when each cell was last seen free before. `window`: x, y m of the centre of cell (0, 0), and m a
+        cell.
         """
         if not self.config.enabled:
             return
@@ -181,13 +185,16 @@ class DynamicObstacles:
         ]
 
     def discs(self, now: int) -> Float64s:
-        """(k, 6) x, y m in `odom`, vx, vy m/s, radius m, turn rate rad/s: all that move, as they are at `now`, ns."""
+        """(k, 6) x, y m in `odom`, vx, vy m/s, radius m, turn rate rad/s of the moving obstacles at `now`, ns."""
         rows = [(*obstacle.at(now), obstacle.radius, obstacle.turn_rate) for obstacle in self.all if obstacle.moves]
         return np.array(rows, float).reshape(-1, 6)
 
 
 def predicted_discs(discs: Float64s, steps: int) -> Float64s:
-    """(steps, k, 3) x, y m, radius m of movers (k, 6), see Movers.discs, after 1, 2, ... steps of DT."""
+    """(steps, k, 3) x, y m, radius m of obstacles (k, 6), see DynamicObstacles.discs, after 1, 2, ... steps of DT.
+
+    Each moves on an arc; its turn rate decays with TURN_DECAY_S, as it is known less well later.
+    """
     after = DT * np.arange(1, steps + 1)[:, None]
     turned = discs[:, 5] * TURN_DECAY_S * (1.0 - np.exp(-(after - 0.5 * DT) / TURN_DECAY_S))
     heading = np.arctan2(discs[:, 3], discs[:, 2]) + turned
@@ -200,13 +207,16 @@ def predicted_discs(discs: Float64s, steps: int) -> Float64s:
 
 
 def rotated(x: float, y: float, angle: float) -> tuple[float, float]:
+    """The vector (x, y) turned by an angle, rad."""
     c, s = cos(angle), sin(angle)
     return c * x - s * y, s * x + c * y
 
 
 def _fitted_arc(t: Float64s, xs: Float64s, ys: Float64s) -> tuple[float, float, float, float]:
-    """Velocity m/s at the last of the times t (n,) s, turn rate rad/s, and m, root mean square, that (xs, ys) are off
-    that arc. The turn rate is the likeliest, given `TURN_RATE_SIGMA`.
+    """The arc of constant turn rate through places (xs, ys) m at times t (n,) s, by least squares.
+
+    Returns the velocity (m/s) at the last time, the turn rate (rad/s) and the root mean square distance (m). The turn
+    rate is the likeliest with the prior `TURN_RATE_SIGMA`, from the parabola over the straight line.
     """
     t, xs, ys = t - t.mean(), xs - xs.mean(), ys - ys.mean()
     squares = float(t @ t)
@@ -231,8 +241,8 @@ def _fitted_arc(t: Float64s, xs: Float64s, ys: Float64s) -> tuple[float, float, 
 def _segments(
     ends: Float64s, free_at: Int64s, since: int, window: tuple[float, float, float], largest: float
 ) -> Float64s:
-    """(k, 5) x, y, radius m, the share of beams that end where it was free, 1 where a circle fits: `largest` m radius
-    at most.
+    """(k, 5) x, y, radius m, share of beams that end where it was free, 1 where a circle fits; at most `largest` m
+    radius.
     """
     points = ends[~np.isnan(ends[:, 0])]
     n = len(points)
@@ -252,9 +262,9 @@ def _segments(
 
 @njit(cache=True, nogil=True)
 def _notch_depths(points: Float64s) -> Float64s:
-    """(n,) m that an outline (n, 2), counter-clockwise about who sees it, falls back behind what is beside it.
+    """(n,) m that an outline (n, 2), counter-clockwise about the sensor, lies behind its neighbourhood.
 
-    Of three neighbouring points each time, against noise; -1 where too little is beside it.
+    The mean of three neighbouring points reduces noise. -1 where the neighbourhood is too short.
     """
     n = len(points)
     depths = np.full(n, -1.0)
@@ -292,7 +302,7 @@ def _is_far_along(points: Float64s, i: int, j: int) -> bool:
 def _fitted_disc(
     ends: Float64s, free_at: Int64s, since: int, window: tuple[float, float, float]
 ) -> tuple[float, float, float, float, float]:
-    """The disc whose rim the ends lie on, else the one over their span; a row of `_segments`."""
+    """The disc with a rim on the ends, else the one over their span: a row of `_segments`."""
     count, share_in_free = len(ends), 0
     mx, my = ends[:, 0].mean(), ends[:, 1].mean()
     first, last = ends[0], ends[-1]
@@ -320,7 +330,7 @@ def _fitted_disc(
 
 @njit(cache=True, nogil=True)
 def _was_free(x: float, y: float, free_at: Int64s, since: int, window: tuple[float, float, float]) -> bool:
-    """Whether the cell there and all around it were seen free since then."""
+    """Whether the cell at (x, y) and its neighbours were seen free since then."""
     n = len(free_at)
     column, row = int(np.floor((x - window[0]) / window[2] + 0.5)), int(np.floor((y - window[1]) / window[2] + 0.5))
     if not (RIM_CELLS <= row < n - RIM_CELLS and RIM_CELLS <= column < n - RIM_CELLS):

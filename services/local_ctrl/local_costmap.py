@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands around the robot: a window of cells in `odom` that rolls along, marked and cleared by scan and ranges."""
+"""The rolling local costmap in `odom`: obstacles marked and cleared by scan and range sensors, with the static map
+below.
+"""
 
 from math import ceil, cos, floor, hypot, inf, pi, sin
 from typing import Any, ClassVar
@@ -25,8 +27,8 @@ Float64s = NDArray[np.float64]
 
 
 HIT_EVIDENCE, PASS_EVIDENCE, NO_ECHO_EVIDENCE = 4, 2, 1
-"""Evidence of an obstacle: what a hit sets; what a beam that goes on, and one without echo, take off a scan."""
-MAX_DISTANCE_M = 20.0  # m: distances beyond do not matter and stay finite
+"""Evidence of an obstacle: a hit sets the first. A beam beyond, and one without echo, subtract the others a scan."""
+MAX_DISTANCE_M = 20.0  # of the distance field: keeps it finite
 
 
 class CostmapConfig(Section):
@@ -37,19 +39,21 @@ class CostmapConfig(Section):
     resolution: float = Field(0.05, ge=0.02, le=0.2, description="m a cell")
     memory: float = Field(10.0, ge=0.2, le=120, description="s that an obstacle out of sight is remembered")
     echo_memory: float = Field(2.0, ge=0.2, le=60, description="s that an echo of ultrasonic or infrared is remembered")
-    no_echo_clears: float = Field(3.0, ge=0, le=50, description="m that a laser beam without echo is taken as free")
+    no_echo_clears: float = Field(3.0, ge=0, le=50, description="m of a laser beam without echo that count as free")
     scan: bool = Field(True, description="mark and clear by the laser scan")
-    ultrasonic: bool = Field(True, description="mark what ultrasonic sees and the laser does not, such as glass")
-    infrared: bool = Field(True, description="mark what infrared sees and the laser does not")
+    ultrasonic: bool = Field(
+        True, description="mark echoes of ultrasonic sensors without a laser obstacle, such as glass"
+    )
+    infrared: bool = Field(True, description="mark echoes of infrared sensors without a laser obstacle")
     dynamic_obstacles: DynamicObstaclesConfig = DynamicObstaclesConfig()
-    static_map: bool = Field(True, description="take obstacles of the map where the laser has not looked lately")
+    static_map: bool = Field(True, description="use obstacles of the map where the laser has no recent view")
 
 
 class LocalCostmap:
     """(n, n) cells; `x0`, `y0` m in `odom` are the centre of the lower left one. Times are ns, 0 is never."""
 
     def __init__(self, config: CostmapConfig, reach: float, latency: float = 0.0) -> None:
-        """reach: m around the robot that the window must hold.  latency: s from now until a command acts."""
+        """reach: m around the robot that the window must hold. latency: s from now until a command acts."""
         self.config, self.latency = config, int(latency * 1e9)
         self.resolution = config.resolution
         n = 2 * ceil(reach / config.resolution)
@@ -61,12 +65,10 @@ class LocalCostmap:
         self.static: Int8s = np.full((n, n), -1, np.int8)
         self.occupied: Bools = np.zeros((n, n), bool)
         self.unknown: Bools = np.ones((n, n), bool)
-        self.forbidden_cells: Bools | None = None  # by keep-out zones, whatever is seen there
+        self.forbidden_cells: Bools | None = None  # (n, n) by keep-out zones
         self.field: Float32s = np.full((n, n), MAX_DISTANCE_M, np.float32)
         self.dynamic_obstacles = DynamicObstacles(config.dynamic_obstacles)
-        self.moving_discs: Float64s = self.dynamic_obstacles.discs(
-            0
-        )  # (k, 6), see Movers.discs, in `odom`, when a command acts
+        self.moving_discs: Float64s = self.dynamic_obstacles.discs(0)  # (k, 6) in `odom`, when a command acts
 
     @property
     def x0(self) -> float:
@@ -77,7 +79,7 @@ class LocalCostmap:
         return (self.row + 0.5) * self.resolution
 
     def recentre(self, x: float, y: float) -> None:
-        """Rolls the window so that (x, y) m in `odom` lies in its middle; what leaves it is forgotten."""
+        """Moves the window so that (x, y) m in `odom` lies at its centre. Cells that leave it are lost."""
         n = len(self.evidence)
         row, column = floor(y / self.resolution) - n // 2, floor(x / self.resolution) - n // 2
         up, right = row - self.row, column - self.column
@@ -93,13 +95,15 @@ class LocalCostmap:
         self.occupied = _shifted_cells(self.occupied, up, right, False)
 
     def clear(self) -> None:
-        """Drops everything that scan and ranges have left here."""
+        """Clears everything that scans and range sensors marked."""
         for layer in (self.evidence, self.hit_at, self.free_at, self.echo_at):
             layer.fill(0)
         self.dynamic_obstacles.clear()
 
     def add_scan(self, scan: LaserScan, odom_from_base: Float64s, mount: Mount) -> None:
-        """Marks where beams end and clears what they pass. odom_from_base: (n, 3) float64 x, y, yaw at each beam."""
+        """Marks the ends of beams and clears the cells before them. odom_from_base: (n, 3) float64 x, y, yaw at each
+        beam.
+        """
         if self.config.scan:
             touched = np.zeros(self.evidence.shape, np.int8)
             ends = np.full((len(scan.ranges), 2), np.nan)
@@ -117,13 +121,13 @@ class LocalCostmap:
             eye = float(odom_from_base[-1, 0]), float(odom_from_base[-1, 1])
             self.dynamic_obstacles.add_scan(outline, eye, scan.stamp, self.free_at, window)
             _update_evidence(touched, scan.stamp, self.evidence, self.hit_at, self.free_at)
-            # what moves is no part of the window: who plans asks where it will be
+            # dynamic obstacles are no part of the grid: the controllers use their predictions
             _clear_discs(self.evidence, self.dynamic_obstacles.discs(scan.stamp), window)
 
     def add_ranges(self, readings: RangeReadings, odom_from_base: Pose2, wanted: Bools, limits: Float64s) -> None:
-        """Marks the arc where each cone's echo came from unless a known obstacle explains it, and clears inside.
+        """Marks the arc of each echo unless a known obstacle explains it, and clears the cone before it.
 
-        wanted: (n,) bool, which sensors count.  limits: (n, 2) m, their least and largest range.
+        wanted: (n,) bool, the sensors in use. limits: (n, 2) m, their least and largest range.
         """
         _mark_echoes(
             self.echo_at,
@@ -139,7 +143,7 @@ class LocalCostmap:
         )
 
     def set_static_map(self, grid: OccupancyGrid, odom_from_map: Pose2) -> None:
-        """Takes what the map says about the window."""
+        """Projects the map into the window; an empty grid clears it."""
         self.static.fill(-1)
         if self.config.static_map and not grid.empty:
             _project_map(
@@ -151,7 +155,9 @@ class LocalCostmap:
             )
 
     def refresh(self, now: int, here: Pose2, footprint: Footprint) -> None:
-        """Decides what is occupied now, and the distances. The robot's outline at `here` is free by its presence."""
+        """Updates `occupied`, `unknown`, the distance field and the discs. The robot's outline at `here`, in `odom`,
+        is free.
+        """
         _update_occupancy(
             (now - int(self.config.memory * 1e9), now - int(self.config.echo_memory * 1e9)),
             self.evidence,
@@ -191,9 +197,9 @@ def _trace(
     limits: tuple[float, float, float],
     ends: Float64s,
 ) -> None:
-    """Sets each cell to the strongest of HIT, SEEN_THROUGH, NO_ECHO_THROUGH, 0 (Amanatides & Woo 1987).
+    """Sets each cell to the strongest of HIT_EVIDENCE, PASS_EVIDENCE, NO_ECHO_EVIDENCE, 0 (Amanatides and Woo 1987).
 
-    ends: (n, 2) m in `odom`, where a beam's echo came from within the window.
+    ends: (n, 2) m in `odom`, the echoes within the window.
     """
     x0, y0, resolution = window
     mount_x, mount_y, first, increment = beams
@@ -245,7 +251,7 @@ def _clear_discs(evidence: Int8s, discs: Float64s, window: tuple[float, float, f
                     evidence[row, column] = 0
 
 
-DISC_MARGIN_M = 0.1  # m around a moving thing that is taken as of it
+DISC_MARGIN_M = 0.1  # around a dynamic obstacle that is cleared with it
 
 
 @njit(cache=True, nogil=True)
@@ -313,7 +319,7 @@ def _mark_echoes(
                         explained = explained or abs(away - measured) <= ECHO_MATCH_M
 
 
-ECHO_MATCH_M = 0.15  # m: an obstacle known to the laser this near to the echo is what echoed
+ECHO_MATCH_M = 0.15  # from an echo within which a laser obstacle explains it
 
 
 @njit(cache=True, nogil=True)
@@ -324,7 +330,7 @@ def _project_map(
     grid: tuple[float, float, float],
     odom_from_map: tuple[float, float, float],
 ) -> None:
-    """Every map cell near the window into the window's cell that holds its centre: no thin wall falls between."""
+    """Copies each map cell near the window into the window's cell at its centre, so that no thin wall is lost."""
     x0, y0, resolution = window
     n = len(static)
     h, w = cells.shape

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Straight back by so much, on the spot by so much: speeds that end there, and whether the way is free."""
+"""The navigator's recoveries: straight back or turning in place by a given amount, with a test of the space for it."""
 
 from math import copysign, cos, inf, sin, sqrt
 from typing import NamedTuple
@@ -15,11 +15,11 @@ from shared.config import Section
 from shared.geometry import Pose2, wrapped
 from shared.messages import FollowState, Goal, GoalKind
 
-BRAKING_SHARE = 0.6  # of the drive's braking that the profile counts on: the rest is for delay
-CHECK_STEP_M = 0.02  # m along the rim between checked places
-TURN_LOOKAHEAD_RAD = 0.5  # rad that must be free ahead while turning
-MAX_CLEARANCE_LOSS_M = 0.005  # m of clearance that who stands too near may lose on the way out: what a cell's grid adds
-BACK_UP_LOOKAHEAD_M = 0.1  # m that must be free beyond the braking distance while backing up
+BRAKING_SHARE = 0.6  # of the drive's braking that the speed profile uses: the rest is reserve for delay
+CHECK_STEP_M = 0.02  # along the rim between tested poses
+TURN_LOOKAHEAD_RAD = 0.5  # that must be free while turning
+MAX_CLEARANCE_LOSS_M = 0.005  # of a robot that starts too near an obstacle, on its way out: the effect of the grid
+BACK_UP_LOOKAHEAD_M = 0.1  # that must be free beyond the braking distance while backing up
 
 
 class ManoeuvreConfig(Section):
@@ -30,7 +30,9 @@ class ManoeuvreConfig(Section):
 
 
 class ControlOutcome(NamedTuple):
-    """The command, m/s and rad/s, and how the task stands. `reason`: a code of reasons.py, or empty."""
+    """The command, m/s and rad/s, and the state of the goal. `reason`: a code of reasons.py, or empty. `left`: m or
+    rad.
+    """
 
     v: float
     w: float
@@ -40,13 +42,13 @@ class ControlOutcome(NamedTuple):
 
 
 def braking(motion: Motion, limits: Limits, state: FollowState, reason: str = "", left: float = 0.0) -> ControlOutcome:
-    """To a stand as fast as the limits allow."""
+    """The command that stops as fast as the limits allow."""
     v, w = speed_after(motion.v, 0.0, limits, DT), turn_rate_after(motion.w, 0.0, limits, DT)
     return ControlOutcome(v, w, state, reason, left)
 
 
 class Manoeuvre:
-    """One BACK_UP, TURN or WAIT from its first tick to its end; then it says ARRIVED for as long as it is asked."""
+    """One BACK_UP, TURN or WAIT. After its end it returns ARRIVED."""
 
     def __init__(self, goal: Goal, start: Pose2, now: int, config: ManoeuvreConfig) -> None:
         self.goal, self.start, self.since, self.config = goal, start, now, config
@@ -54,7 +56,7 @@ class Manoeuvre:
         self.done = False
 
     def step(self, costmap: LocalCostmap, motion: Motion, limits: Limits, shape: Footprint, now: int) -> ControlOutcome:
-        """One tick. motion: where the robot will be when the command acts, in `odom`."""
+        """The command of one tick. motion: in `odom`, when the command acts."""
         self.turned += wrapped(motion.pose.yaw - self.last_yaw)
         self.last_yaw = motion.pose.yaw
         if self.done:
@@ -92,14 +94,14 @@ class Manoeuvre:
 
 
 def turn_command(left: float, w: float, limits: Limits, dt: float, max_rate: float) -> float:
-    """The turn rate, rad/s, for `left` rad to go: as fast as `max_rate` and stopping in time allow."""
+    """The turn rate, rad/s, with `left` rad to go, at most `max_rate` and with room to stop."""
     return turn_rate_after(
         w, copysign(_speed_profile(abs(left), BRAKING_SHARE * limits.turn_acceleration, max_rate, dt), left), limits, dt
     )
 
 
 def straight_command(left: float, v: float, limits: Limits, dt: float, max_rate: float) -> float:
-    """The speed, m/s, for `left` m to go; negative goes back."""
+    """The speed, m/s, with `left` m to go; negative drives back."""
     return speed_after(
         v, copysign(_speed_profile(abs(left), BRAKING_SHARE * limits.braking, max_rate, dt), left), limits, dt
     )
@@ -113,7 +115,9 @@ def _speed_profile(left: float, braking: float, max_rate: float, dt: float) -> f
 def _min_clearance(
     field: Float32s, occupied: Bools, resolution: float, x: float, y: float, c: float, s: float, shape: Footprint
 ) -> float:
-    """The clearance, m, that must be kept from here on: who stands too near already may leave, not come nearer."""
+    """The clearance, m, to keep from here on: a robot that starts too near an obstacle may leave it, but not approach
+    it.
+    """
     if collides(field, occupied, resolution, x, y, c, s, shape):
         return clearance(field, resolution, x, y, c, s, shape) - MAX_CLEARANCE_LOSS_M
     return inf
@@ -148,7 +152,7 @@ def free_angle(
     angle: float,
     shape: Footprint,
 ) -> float:
-    """How much of `angle`, rad, the footprint can turn on the spot from (x, y, yaw) before it touches an occupied cell.
+    """The part of `angle`, rad, that the footprint can turn in place from (x, y, yaw) before contact.
 
     x, y: m from the centre of the lower left cell.
     """
@@ -172,7 +176,9 @@ def free_distance(
     distance: float,
     shape: Footprint,
 ) -> float:
-    """How much of `distance`, m (negative: back), the footprint can drive before it touches an occupied cell."""
+    """The part of `distance`, m (negative: back), that the footprint can drive before contact. Arguments as
+    `free_angle`.
+    """
     c, s = cos(yaw), sin(yaw)
     min_clearance = _min_clearance(field, occupied, resolution, x, y, c, s, shape)
     n = int(abs(distance) / CHECK_STEP_M) + 1

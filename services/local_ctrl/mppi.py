@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Model predictive path integral control (Williams et al. 2017, IT-MPC; the critics in the manner of Nav2's MPPI).
+"""Model predictive path integral control (Williams et al. 2017, IT-MPC), with critics in the manner of Nav2's MPPI.
 
-Noise around the last solution, and a few ways that simply follow the distance to go downhill, are rolled out through
-the drive's limits, scored by the critics, and averaged with weights exp(-cost / temperature). What is averaged are the
-velocities as the drive would run them: its limits are convex, so the average obeys them too.
+The rollouts are noise around the last solution, and some that descend the cost to go. Each is simulated within the
+drive's limits, scored by the critics, and averaged with weight exp(-cost / temperature). The average is over executed
+velocities: the limits are convex, so the average keeps them.
 """
 
 from math import atan2, cos, hypot, inf, sin, sqrt
@@ -38,31 +38,35 @@ class MppiConfig(Section):
 
     RENAMED: ClassVar[dict[str, str]] = {"least_speed": "min_speed_share", "mover_clearance": "dynamic_clearance"}
 
-    rollouts: int = Field(1200, ge=64, le=20000, description="1: rollouts a tick, half to explore and half to polish")
+    rollouts: int = Field(1200, ge=64, le=20000, description="1: rollouts a tick, half to explore and half to refine")
     steps: int = Field(50, ge=10, le=200, description="1: steps of 1/20 s; 50 are 2.5 s")
     temperature: float = Field(
-        0.03, ge=0.001, le=100, description="m: cost difference that makes a rollout count e times less"
+        0.03, ge=0.001, le=100, description="m: cost difference that divides a rollout's weight by e"
     )
-    speed_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation, as a share of the top speed")
-    turn_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation, as a share of the top turn rate")
-    polish: float = Field(0.1, ge=0, le=1, description="1: share of the noise around what exploring has found")
-    seed: int = Field(1, ge=0, description="1: of the noise, which is drawn once")
+    speed_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation over the top speed")
+    turn_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation over the top turn rate")
+    polish: float = Field(
+        0.1, ge=0, le=1, description="1: share of the noise in the second half, around the result of the first"
+    )
+    seed: int = Field(1, ge=0, description="1: of the noise, which is generated once")
     clearance: float = Field(0.3, ge=0.02, le=3, description="m beyond the outline at which obstacles cost nothing")
     critical_clearance: float = Field(
-        0.1, ge=0.01, le=1, description="m beyond the outline that is always worth keeping"
+        0.1, ge=0.01, le=1, description="m beyond the outline within which clearance has a high cost at any speed"
     )
     full_speed_clearance: float = Field(0.3, ge=0.02, le=3, description="m beyond the outline that allows full speed")
     min_speed_share: float = Field(0.25, ge=0.05, le=1, description="1: share of the top speed allowed at no clearance")
-    dynamic_clearance: float = Field(0.6, ge=0.02, le=5, description="m beyond the outline that what moves is kept off")
+    dynamic_clearance: float = Field(
+        0.6, ge=0.02, le=5, description="m beyond the outline at which dynamic obstacles cost nothing"
+    )
     critics: Critics = Critics()
 
 
-MIN_TURNING_SPEED_SHARE = 0.4  # share of the speed that is left to who can turn only while it drives
-N_GUESSES = 9  # rollouts that are not noise: the last solution, standing still, seven that go downhill
+MIN_TURNING_SPEED_SHARE = 0.4  # of the speed of a robot that turns only while it drives
+N_GUESSES = 9  # rollouts without noise: the last solution, standstill, seven that descend the cost to go
 
 
 class Mppi:
-    """Holds what outlives a tick: the noise, drawn once, and the last solution."""
+    """The MPPI controller. Between ticks it keeps the noise, generated once, and the last solution."""
 
     def __init__(self, config: MppiConfig, limits: Limits) -> None:
         self.config, self.limits = config, limits
@@ -83,7 +87,9 @@ class Mppi:
         self.predicted_obstacles = predicted_discs(NO_DYNAMIC_OBSTACLES, self.config.steps)
 
     def solve(self, scene: ControlScene, footprint: Footprint, n_elapsed: int) -> ControlSolution:
-        """The velocities from now on. n_elapsed: steps since the last call. Same calls, same bytes."""
+        """The velocities from now on. n_elapsed: steps of DT since the last call. Deterministic in the sequence of
+        calls.
+        """
         shift = min(max(n_elapsed, 0), self.config.steps)
         self.mean = np.concatenate((self.mean[shift:], np.repeat(self.mean[-1:], shift, axis=0)))
         self.n_solved += 1
@@ -98,18 +104,18 @@ class Mppi:
         return fine
 
     def ahead(self, scene: ControlScene, look: float) -> tuple[float, float]:
-        """Down the distance to go, around what stands on the plan."""
+        """The point `look` m down the cost to go, around obstacles on the plan."""
         x, y = carrot(scene.to_go, scene.x, scene.y, look, scene.resolution)
         return float(x), float(y)
 
     def evaluated_rollouts(self) -> EvaluatedRollouts:
-        """The last solution, and the rollouts that polished it."""
+        """The last solution, and the rollouts of the second half."""
         return EvaluatedRollouts(
             np.concatenate((self.mean[None], self.executed.astype(float))), np.append(self.costs.min(), self.costs)
         )
 
     def _best_solution(self, scene: ControlScene, footprint: Footprint) -> ControlSolution:
-        """The weighted average of `targets`, or the best of them where two ways around an obstacle average into it."""
+        """The weighted average of `targets`, or their best one: two paths around an obstacle may average into it."""
         outputs = self.executed, self.costs, self.gains
         _evaluate(self.targets, scene, self.predicted_obstacles, footprint, self.limits, self.weights, *outputs)
         best = int(np.argmin(self.costs))
@@ -176,7 +182,7 @@ def _polish(mean: Float64s, noise: Float32s, start: int, share: float, targets: 
 
 @njit(cache=True, nogil=True)
 def _descend_cost_to_go(speed: float, look: float, scene: ControlScene, limits: Limits, targets: Float32s) -> None:
-    """Commands that steer `look` m down the distance to go at `speed` (negative: back) and turn before they drive."""
+    """Fills commands that steer `look` m down the cost to go at `speed` (negative: back), turning before driving."""
     x, y, c, s = scene.x, scene.y, cos(scene.yaw), sin(scene.yaw)
     v, w = scene.v, scene.w
     for t in range(len(targets)):
@@ -213,16 +219,16 @@ def _evaluate(
     costs: Float64s,
     gains: Float64s,
 ) -> None:
-    """Rolls out each (steps, 2) of targets (k, steps, 2): velocities as run, cost, and metres gained at the end.
+    """Simulates targets (k, steps, 2) and fills executed velocities, costs, and reductions of the cost to go (m).
 
-    ways: of what moves, see `predicted_discs`.
+    predicted_obstacles: (steps, n, 3), see `predicted_discs`.
     """
     n, steps, _ = targets.shape
     resolution = scene.resolution
     first = to_go_at(scene.to_go, scene.x, scene.y, resolution)
     c0, s0 = cos(scene.yaw), sin(scene.yaw)
     least = clearance(scene.field, resolution, scene.x, scene.y, c0, s0, footprint)
-    # who stands too near already may leave, not come nearer
+    # a robot that starts too near an obstacle may leave it, but not approach it
     starts_too_near = least <= footprint.padding and touches(
         scene.occupied, resolution, scene.x, scene.y, c0, s0, footprint
     )
@@ -246,7 +252,7 @@ def _evaluate(
                 else:
                     hit = touches(scene.occupied, resolution, x, y, c, s, footprint)
                 if hit:
-                    # half of it for when: the later, the better
+                    # half of it depends on the time: the later, the cheaper
                     cost += weights.collision * (1.0 - 0.5 * t / steps)
                     for rest in range(t + 1, steps):
                         executed[k, rest, 0], executed[k, rest, 1] = 0.0, 0.0
@@ -259,7 +265,7 @@ def _evaluate(
                 away = dynamic_clearance(
                     predicted_obstacles[t], x, y, c, s, ahead if v >= 0.0 else -ahead, footprint, far
                 )
-                later = 1.0 - 0.5 * t / steps  # and less sure
+                later = 1.0 - 0.5 * t / steps  # predictions get less certain
                 if away < 0.0 and not met:
                     met = True
                     cost += weights.dynamic_collision * later

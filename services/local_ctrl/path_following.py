@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a plan is driven: turn towards it on the spot, follow it by a controller, stop at its end, turn as it says."""
+"""Path following: turning to the plan in place, driving it by a controller, stopping at its end, turning to its
+heading.
+"""
 
 from math import atan2, copysign, hypot, isinf, pi, sqrt
 
@@ -22,36 +24,38 @@ from shared.messages import FollowState, Goal
 
 STANDING_SPEED = 0.05  # m/s
 BRAKING_MARGIN_M = 0.3  # m
-MAX_ARC_ADVANCE_RADII = 2.0  # radii along the path within which who drives in arcs is looked for: not across a loop
-MAX_TURN_AHEAD_RAD = 1.9  # rad that the path ahead turns at most, for who drives in arcs
-EXTENSION_RADII = 1.5  # radii beyond the goal that who cannot turn there steers for
+MAX_ARC_ADVANCE_RADII = 2.0  # along the path within which a robot that drives arcs is searched for: less than a loop
+MAX_TURN_AHEAD_RAD = 1.9  # of the path ahead, for a robot that drives arcs
+EXTENSION_RADII = 1.5  # of straight path beyond the goal, for a robot that cannot turn there
 CREEP_SPEED = 0.06  # m/s
-DOCKING_SPEED_PER_M = 0.6  # m/s a metre before a goal at which it cannot turn: slow enough to come to its heading
-ARC_OFF_PATH_COST = 4.0  # slowness a metre beside the plan, and at most, for who drives in arcs
+DOCKING_SPEED_PER_M = 0.6  # m/s per metre to such a goal: slow enough to reach its heading
+ARC_OFF_PATH_COST = 4.0  # slowness per metre beside the plan, and at most, for a robot that drives arcs
 NO_POINTS: Float64s = np.empty((0, 2))
 HEADING_MISSED = FollowState.FAILED, reasons.HEADING_MISSED.code
-TURN_HYSTERESIS_RAD = 0.5  # rad over half a turn that are left on the spot: the way is another by now
+TURN_HYSTERESIS_RAD = 0.5  # over half a turn of remaining rotation: beyond it the direction is chosen again
 THREAT_TIME_S, THREAT_CLEARANCE_M = 2.0, 0.2  # s until something would be this near, m, if the robot stood
-WINDOW_MARGIN_M = 0.25  # m of the window that the path keeps off: the field around its end needs room
+WINDOW_MARGIN_M = 0.25  # between the path and the window's edge: the field around its end needs room
 
 
 class PathFollowingConfig(Section):
-    """Following a plan."""
+    """Following the plan."""
 
     turn_from: float = Field(
-        1.0, ge=0.2, le=3.2, description="rad off the way at which a standing robot turns on the spot"
+        1.0, ge=0.2, le=3.2, description="rad to the path at which a standing robot turns in place"
     )
-    turn_until: float = Field(0.3, ge=0.05, le=3, description="rad off the way at which it drives on")
-    turn_rate: float = Field(1.5, ge=0.1, le=10, description="rad/s at most, turning on the spot")
-    look: float = Field(0.4, ge=0.1, le=3, description="m down the way that is 'the way' for turning")
+    turn_until: float = Field(0.3, ge=0.05, le=3, description="rad to the path at which it drives again")
+    turn_rate: float = Field(1.5, ge=0.1, le=10, description="maximum rad/s of turning in place")
+    look: float = Field(0.4, ge=0.1, le=3, description="m along the path to the point that the robot turns to")
     closed_within: float = Field(
-        0.25, ge=0.05, le=5, description="m before the place where every way is closed at which it is called blocked"
+        0.25, ge=0.05, le=5, description="m to the blocked point of the path at which it is reported as blocked"
     )
-    stalled_after: float = Field(0.5, ge=0.05, le=10, description="s without a way forward until it is called blocked")
+    stalled_after: float = Field(
+        0.5, ge=0.05, le=10, description="s without progress until the path is reported as blocked"
+    )
 
 
 class PathFollower:
-    """What following remembers between ticks."""
+    """Follows a plan, with the state between ticks."""
 
     def __init__(
         self,
@@ -63,24 +67,26 @@ class PathFollower:
         zones: LocalZones,
     ) -> None:
         self.config, self.limits, self.footprint = config, limits, footprint
-        # an arc that was planned is there for a reason: its chord is no way for who must keep it
+        # a robot with a turning radius must keep a planned arc and cannot drive its chord
         stays = {"beside_plan": ARC_OFF_PATH_COST, "max_beside_plan": ARC_OFF_PATH_COST}
         self.to_go = cost_to_go if isinf(limits.curvature) else cost_to_go.model_copy(update=stays)
         self.controller, self.zones = controller, zones
         self.reset()
 
     def reset(self) -> None:
-        """The next tick starts from a stand."""
+        """The next tick starts from standstill."""
         self.controller.reset()
-        self.turning = 0.0  # which way round, 0: not turning
+        self.turning = 0.0  # direction, 0: not turning
         self.at_end = False
-        self.missed = False  # the goal's heading: it stands at the plan's end and needs another plan
+        self.missed = False  # the goal's heading: the robot stands at the plan's end and needs another plan
         self.n_stalled = 0
 
     def follow(
         self, plan: LocalPlan, goal: Goal, costmap: LocalCostmap, motion: Motion, odom_from_map: Pose2, n_elapsed: int
     ) -> ControlOutcome:
-        """One tick. motion: where the robot will be when the command acts, in `odom`."""
+        """The command of one tick. motion: in `odom`, when the command acts. n_elapsed: steps of DT since the last
+        tick.
+        """
         window = costmap.resolution * len(costmap.field) / 2 - WINDOW_MARGIN_M
         arcs = not isinf(self.limits.curvature)
         max_advance = (
@@ -90,7 +96,7 @@ class PathFollower:
         )
         ahead = plan.ahead(odom_from_map, motion.pose, window, max_advance)
         if np.abs(ahead.points[0] - (motion.pose.x, motion.pose.y)).max() > window:
-            self.reset()  # nothing in sight leads there, or to anything else: the plan is one for another place
+            self.reset()  # the plan lies outside the window: it starts elsewhere
             return braking(motion, self.limits, FollowState.BLOCKED, reasons.POSE_JUMPED.code)
         left = ahead.left + hypot(ahead.points[0, 0] - motion.pose.x, ahead.points[0, 1] - motion.pose.y)
         if self._is_at_end(ahead, goal, motion, odom_from_map, plan):
@@ -121,11 +127,13 @@ class PathFollower:
         v, w = solution.velocities[0]
         return ControlOutcome(
             float(v), float(w), FollowState.FOLLOWING, slow, left
-        )  # slow: no stop, but people ask why
+        )  # slow: no stop, but the status gives the reason
 
     def _extension(self, ahead: PathAhead, costmap: LocalCostmap) -> Float64s:
-        """(n, 2) m in `odom`: straight on from the path's end while the robot fits. Who steers for a point there
-        passes the end with its heading, which who steers for the end itself does not.
+        """(n, 2) m in `odom`: straight on from the path's end while the robot fits.
+
+        A robot that steers for such a point passes the end with its heading; one that steers for the end itself does
+        not.
         """
         along = SPACING * np.arange(1, int(EXTENSION_RADII / self.limits.curvature / SPACING) + 1)
         points = ahead.end @ np.column_stack((along, np.zeros(len(along))))
@@ -134,7 +142,7 @@ class PathFollower:
         return points[: fits.index(False) if False in fits else len(fits)]
 
     def _control_scene(self, ahead: PathAhead, costmap: LocalCostmap, motion: Motion) -> tuple[ControlScene, bool]:
-        """What the rollouts meet, and whether the robot stands where every way is closed."""
+        """The scene for the controller, and whether the robot stands where the path is blocked."""
         points = ahead.points - (costmap.x0, costmap.y0)
         x, y = motion.pose.x - costmap.x0, motion.pose.y - costmap.y0
         to_go = cost_to_go(
@@ -147,40 +155,40 @@ class PathFollower:
             self.to_go,
         )
         scene = ControlScene(
-            costmap.field,
-            costmap.occupied,
-            costmap.resolution,
-            to_go.field,
-            float(points[to_go.i_end, 0]),
-            float(points[to_go.i_end, 1]),
-            ahead.ends or to_go.closed,
-            x,
-            y,
-            motion.pose.yaw,
-            motion.v,
-            motion.w,
-            points[: to_go.i_end + 1],
-            costmap.moving_discs - (costmap.x0, costmap.y0, 0.0, 0.0, 0.0, 0.0),
+            field=costmap.field,
+            occupied=costmap.occupied,
+            resolution=costmap.resolution,
+            to_go=to_go.field,
+            end_x=float(points[to_go.i_end, 0]),
+            end_y=float(points[to_go.i_end, 1]),
+            ends=ahead.ends or to_go.closed,
+            x=x,
+            y=y,
+            yaw=motion.pose.yaw,
+            v=motion.v,
+            w=motion.w,
+            path=points[: to_go.i_end + 1],
+            dynamic_obstacles=costmap.moving_discs - (costmap.x0, costmap.y0, 0.0, 0.0, 0.0, 0.0),
         )
         return scene, to_go.closed and hypot(scene.end_x - x, scene.end_y - y) < self.config.closed_within
 
     def _is_threatened(self, scene: ControlScene) -> bool:
-        """Whether something comes that would run into the robot if it stood: then it is no time to turn, or to wait."""
+        """Whether a dynamic obstacle would hit the standing robot: then it must not turn in place or wait."""
         ways = predicted_discs(scene.dynamic_obstacles, round(THREAT_TIME_S / DT))
         gaps = np.hypot(ways[:, :, 0] - scene.x, ways[:, :, 1] - scene.y) - ways[:, :, 2]
         return bool((gaps < self.footprint.circumscribed + THREAT_CLEARANCE_M).any())
 
     def _is_at_end(self, ahead: PathAhead, goal: Goal, motion: Motion, odom_from_map: Pose2, plan: LocalPlan) -> bool:
-        """Whether the robot is where the path ends; once there, until it is pushed out of the tolerance again."""
+        """Whether the robot is at the path's end; once there, until it is pushed out of the tolerance."""
         away = motion.pose.distance(ahead.end)
-        # the plan may end beside the goal, as far as the tolerance allows: what is left of it is ours
+        # the plan may end beside the goal, which uses a part of the tolerance
         near = max(0.03, goal.tolerance - plan.end.distance(goal.map_from_goal))
         if self.at_end:
             # stopping may carry it out again; then it comes back
             self.at_end = away < (near if abs(motion.v) < STANDING_SPEED else near + BRAKING_MARGIN_M)
         elif ahead.ends and (
             self.limits.spins or ahead.left < near + BRAKING_MARGIN_M
-        ):  # else an arc leads there first
+        ):  # otherwise an arc leads there first
             passed = abs(self._bearing_error(ahead, motion)) > 0.5 * pi
             self.at_end = away < 0.2 * near or (away < near and (passed or abs(motion.v) < STANDING_SPEED))
         return self.at_end
@@ -204,7 +212,7 @@ class PathFollower:
     def _turn_to_path(
         self, scene: ControlScene, costmap: LocalCostmap, motion: Motion, left: float
     ) -> ControlOutcome | None:
-        """Turning on the spot until the way lies ahead; None where there is no need to, no room, or it may not."""
+        """The command of turning in place to the path; None where that is not needed, not free or not allowed."""
         if not self.limits.spins:
             return None
         x, y = self.controller.ahead(scene, self.config.look)
@@ -213,7 +221,7 @@ class PathFollower:
             if abs(error) < self.config.turn_until:
                 self.turning = 0.0
                 return None
-            # on the way round the error may pass the far side, where its sign flips
+            # during a long turn the error may pass pi, where its sign changes
             way = error + 2 * pi * self.turning if error * self.turning < 0 and abs(error) > pi / 2 else error
             if abs(way) > pi + TURN_HYSTERESIS_RAD:
                 way = self._turn_direction(error, costmap, motion)
@@ -226,7 +234,7 @@ class PathFollower:
         return outcome if self.turning else None
 
     def _turn_direction(self, angle: float, costmap: LocalCostmap, motion: Motion) -> float:
-        """The angle, or the rest of the full turn where only that is free."""
+        """The angle, or its complement to the full turn where only that is free."""
         if abs(self._free_angle(angle, costmap, motion)) >= abs(angle):
             return angle
         other = angle - copysign(2 * pi, angle)
@@ -250,6 +258,6 @@ class PathFollower:
 
 
 def limits_to_stop(limits: Limits, left: float) -> Limits:
-    """The limits for a robot that is to stop in so many m, but creeps on until it is there."""
+    """The limits of a robot that has to stop in `left` m, with a creep speed until it is there."""
     most = max(CREEP_SPEED, min(DOCKING_SPEED_PER_M * left, sqrt(2.0 * APPROACH_BRAKING_SHARE * limits.braking * left)))
     return limits._replace(v_max=min(limits.v_max, most))

@@ -84,6 +84,7 @@ class LocalCtrlService(Service):
 
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:
+        """Takes odometry. A restart of odometry clears the costmap and the state of path following."""
         known = self.inputs.history[-1].stamp if self.inputs.history else None
         if not self.rejections.judge(topics.ODOM.key, odometry.stamp, known, self.now, MAX_AGE_S):
             return ()
@@ -97,6 +98,7 @@ class LocalCtrlService(Service):
 
     @on(topics.SCAN)
     def scan(self, scan: LaserScan) -> Out:
+        """Takes a scan into the costmap."""
         last, unlike = self.inputs.scan, mismatch(scan, self.robot.laser)
         last_end = scan_end(last) if last is not None else None
         if not self.rejections.judge(topics.SCAN.key, scan_end(scan), last_end, self.now, MAX_AGE_S, unfit=unlike):
@@ -109,6 +111,7 @@ class LocalCtrlService(Service):
 
     @on(topics.RANGES)
     def ranges(self, readings: RangeReadings) -> Out:
+        """Takes the echoes of the range sensors into the costmap."""
         if len(readings.ranges) == len(self.ranges_wanted) and self.inputs.history:
             here = self.inputs.history[-1].odom_from_base
             self.costmap.recentre(here.x, here.y)
@@ -117,21 +120,25 @@ class LocalCtrlService(Service):
 
     @on(topics.POSE)
     def pose(self, pose: PoseEstimate) -> Out:
+        """Takes the pose estimate."""
         self.inputs.add_pose(pose)
         return ()
 
     @on(topics.MAP)
     def map(self, update: MapUpdate) -> Out:
+        """Takes tiles of the map."""
         self.grid.apply(update)
         return ()
 
     @on(topics.ZONES)
     def new_zones(self, zones: Zones) -> Out:
+        """Takes the zones."""
         self.zones.set_zones(zones)
         return ()
 
     @on(topics.GOAL)
     def new_goal(self, goal: Goal) -> Out:
+        """Begins a newer goal. Between two goals of kind DRIVE the robot keeps driving."""
         if self.goal is not None and (goal.id, goal.kind, goal.amount) == (
             self.goal.id,
             self.goal.kind,
@@ -154,11 +161,13 @@ class LocalCtrlService(Service):
 
     @on(topics.PLAN)
     def new_plan(self, path: Path) -> Out:
+        """Takes the planner's message."""
         self.plan.set_message(path)
         return ()
 
     @every(hz=20, after=topics.SCAN)
     def tick(self) -> Out:
+        """Publishes the next command, the status of the goal, and the debug topics while a client watches."""
         n_elapsed = round((self.now - self.last_tick) / (DT * NS_PER_S)) if self.last_tick else 0
         self.last_tick = self.now
         outcome = self._control_outcome(n_elapsed)
@@ -177,11 +186,13 @@ class LocalCtrlService(Service):
 
     @answer(requests.WATCH)
     def watch(self, request: Watch) -> Answer[Reply]:
+        """Publishes the debug topics for a while."""
         self.debug_topics.watch(self.now, request.seconds)
         yield from ()
         return Reply(self.now, True, "", "")
 
     def _control_outcome(self, n_elapsed: int) -> ControlOutcome:
+        """The command and the state of the goal. n_elapsed: steps of DT since the last tick."""
         goal = self.goal
         if goal is None or goal.kind is GoalKind.NONE:
             return ControlOutcome(0.0, 0.0, FollowState.IDLE)
@@ -211,6 +222,7 @@ class LocalCtrlService(Service):
         return outcome
 
     def _update_costmap(self, costmap: LocalCostmap) -> None:
+        """Centres a costmap on the robot and updates its map, zones and distances."""
         here = self.inputs.history[-1].odom_from_base
         costmap.recentre(here.x, here.y)
         if self.inputs.pose is not None:
@@ -229,4 +241,5 @@ class LocalCtrlService(Service):
             warm_up.drive(LocalCtrlService(config, self.robot))
 
     def state(self) -> str:
+        """State for the health message."""
         return "idle" if self.goal is None else str(self.goal.kind)

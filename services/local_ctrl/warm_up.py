@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One message of each kind, made up: what a service is warmed with, so that nothing compiles while the robot moves."""
+"""Made-up messages of each kind, and a drive with them: all kernels compile before the robot moves."""
 
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,7 @@ def odometry(stamp: int) -> m.Odometry:
 
 
 def pose() -> m.PoseEstimate:
-    """Standing at the origin, sure of it."""
+    """At the origin, with a good pose."""
     return m.PoseEstimate(NOW, Pose2(), Pose2(), np.zeros(9), 1.0, m.Localization.GOOD)
 
 
@@ -49,14 +49,14 @@ def map_update() -> m.MapUpdate:
 
 
 def zones() -> m.Zones:
-    """To keep out of a square beside the robot, and slow around it."""
+    """A keep-out zone beside the robot, and a speed zone around it."""
     xs, ys = np.array([-1.0, -0.7, -0.7, -1.0]), np.array([1.0, 1.0, 1.3, 1.3])
     keep_out = m.Zone(0, "keep out", m.ZoneKind.KEEP_OUT, xs, ys)
     return m.Zones(NOW, (keep_out, m.Zone(0, "slow", m.ZoneKind.SLOW, 3.0 * xs + 2.0, 3.0 * ys - 3.5, 0.3)))
 
 
 def goal(goal_id: int, kind: GoalKind, amount: float = 0.0) -> m.Goal:
-    """Ahead by a metre."""
+    """A metre ahead."""
     return m.Goal(NOW, goal_id, kind, Pose2(1.0), 0.1, 0.1, amount, False)
 
 

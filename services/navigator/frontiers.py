@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where known free space borders on the unknown, and which of that the robot can get to (Yamauchi 1997)."""
+"""Frontiers: borders of known free and unknown space that the robot can reach (Yamauchi 1997)."""
 
 from dataclasses import dataclass
 from math import atan2, ceil
@@ -24,36 +24,34 @@ Float64s = NDArray[np.float64]
 
 _STRAIGHT, _DIAGONAL = 70, 99  # of a step, in 1/70 cells
 _UNREACHED = 2**30
-_MAX_TOURED = 20  # frontiers between which the ways are measured
-_COARSE_CELLS = 3  # cells by cells that are one there
-_MIN_REACHABLE_M2 = 4.0  # m^2: a robot that can reach less than that looks for a tighter way out
-_MAX_ESCAPE_M = (
-    0.6  # m through crowded or unseen space to where the robot fits: it may stand close to a wall, or unmapped
-)
+_MAX_TOURED = 20  # frontiers with measured distances between them
+_COARSE_CELLS = 3  # cells along a side of one of the coarse grid
+_MIN_REACHABLE_M2 = 4.0  # below it the robot searches for a narrower exit
+_MAX_ESCAPE_M = 0.6  # through inflated or unknown space to where the robot fits
 
 
 class FrontierConfig(Section):
-    """What counts as a frontier."""
+    """Frontiers."""
 
     RENAMED: ClassVar[dict[str, str]] = {"least_margin": "min_margin"}
 
     margin: float = Field(0.07, ge=0, le=1, description="m kept free around the footprint's inscribed circle")
-    min_margin: float = Field(
-        0.03, ge=0, le=1, description="m kept free around it on the way out of a place that is enclosed else"
-    )
+    min_margin: float = Field(0.03, ge=0, le=1, description="m kept free around it on the way out of an enclosed place")
     goal_margin: float = Field(
-        0.1, ge=0, le=1, description="m around it that must be known and free where a frontier is looked at from"
+        0.1, ge=0, le=1, description="m around it that must be known and free at the pose from which a frontier is seen"
     )
     min_size: float = Field(
-        0.5, gt=0, le=10, description="m across; smaller gaps in the map hide nothing that the robot could drive to"
+        0.5, gt=0, le=10, description="m across; smaller gaps hide no space that the robot could enter"
     )
-    max_size: float = Field(3.0, gt=0, le=50, description="m of border that make one goal; longer ones are cut")
+    max_size: float = Field(3.0, gt=0, le=50, description="m of border that make one goal; longer ones are split")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frontier:
-    """A piece of border. x, y, yaw: where to see it from; cells: (n, 2) int64, row and column counted from the map's
-    origin; size: m of border; distance: m to drive."""
+    """A section of border. `x`, `y`, `yaw`: pose from which it is seen. `size`: m of border. `distance`: m to drive.
+
+    `cells`: (n, 2) int64, row and column counted from the map's origin.
+    """
 
     x: float
     y: float
@@ -65,11 +63,10 @@ class Frontier:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frontiers:
-    """What a search found, the nearest first.
+    """The result of a search, the nearest frontier first.
 
-    unreachable: the cells, as a frontier's, of borders of places where the robot fits, but that no way leads to;
-    enclosed: there is nowhere that the robot fits. between: (k, k) m to drive between the first k = min(n, 20), by a
-    grid three times as coarse.
+    `unreachable`: cells of borders without a path to them, where the robot would fit. `enclosed`: the robot fits
+    nowhere. `between`: (k, k) m to drive between the first k = min(n, 20), on a grid three times as coarse.
     """
 
     frontiers: tuple[Frontier, ...]
@@ -80,11 +77,11 @@ class Frontiers:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """What a search looks at.
+    """Input of a search.
 
-    cells: (h, w) int8, percent, -1 unknown; its lower left cell is (first_row, first_column) of `map`; resolution: m.
-    x, y: m, the robot; robot_radius: m, inscribed. dropped: (n, 2) int64 cells of `map` that are none, with their
-    neighbours.
+    `cells`: (h, w) int8, percent, -1 unknown; its lower left cell is (first_row, first_column) of `map`. `resolution`:
+    m. `x`, `y`: m, the robot. `robot_radius`: m, inscribed. `dropped`: (n, 2) int64 cells of `map` that are no
+    frontiers, with their neighbours.
     """
 
     cells: Int8s
@@ -111,11 +108,11 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     travelled = _travel_costs(passable, distance, int(row), int(column), _MAX_ESCAPE_M / resolution)
     if (
         np.count_nonzero(travelled < _UNREACHED) * resolution**2 < _MIN_REACHABLE_M2
-    ):  # a gap that narrowed since it drove in?
+    ):  # a gap may have narrowed since the robot drove in
         tight = free & (distance >= snapshot.robot_radius + min(config.min_margin, config.margin) - 1e-6)
         travelled = _travel_costs(tight, distance, int(row), int(column), _MAX_ESCAPE_M / resolution)
     enclosed = not bool((passable & (travelled < _UNREACHED)).any())
-    # a desk seen along its edge leaves few hits: what borders on the unknown is as narrow as if that were occupied
+    # a desk seen along its edge leaves few hits, so unknown space bounds the room like an obstacle
     room = np.minimum(distance, distance_field(_surrounded_unknown(free, cells), resolution) - resolution)
     room_wanted = max(clearance, snapshot.robot_radius + config.goal_margin)
     places = passable & (room >= room_wanted - 1e-6)
@@ -152,14 +149,14 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
 
 
 def _distances_between(reached: Bools, snapshot: Snapshot, frontiers: list[Frontier]) -> Float64s:
-    """(k, k) m to drive between the frontiers, over what was reached from the robot."""
+    """(k, k) m to drive between the frontiers, over the cells that the robot can reach."""
     h, w = (-(-n // _COARSE_CELLS) * _COARSE_CELLS for n in reached.shape)
     padded = np.zeros((h, w), np.bool_)
     padded[: reached.shape[0], : reached.shape[1]] = reached
     coarse: Bools = np.asarray(
         padded.reshape(h // _COARSE_CELLS, _COARSE_CELLS, w // _COARSE_CELLS, _COARSE_CELLS).any(axis=(1, 3))
     )
-    nowhere = np.zeros(coarse.shape, np.float32)  # nothing to escape from: frontiers are seen from where the robot fits
+    nowhere = np.zeros(coarse.shape, np.float32)  # no escape is needed: the robot fits at these poses
     side = snapshot.resolution * _COARSE_CELLS
     x0, y0 = snapshot.first_column * snapshot.resolution, snapshot.first_row * snapshot.resolution
     rows = [int((f.y - y0) / side) for f in frontiers]
@@ -177,7 +174,7 @@ def _map_cells(piece: Int32s, snapshot: Snapshot) -> Int64s:
 
 
 def _frontier(piece: Int32s, snapshot: Snapshot, unknown: Bools, seen_from: Int32s, travelled: Int32s) -> Frontier:
-    """unknown: (h + 2, w + 2) bool, with what lies outside."""
+    """The frontier of a section of border. unknown: (h + 2, w + 2) bool, with a ring for the outside."""
     resolution, row0, column0 = snapshot.resolution, snapshot.first_row, snapshot.first_column
     w = snapshot.cells.shape[1]
     rows, columns = np.divmod(piece.astype(np.int64), w)
@@ -188,18 +185,18 @@ def _frontier(piece: Int32s, snapshot: Snapshot, unknown: Bools, seen_from: Int3
         n = int(np.count_nonzero(unknown[rows + 1 + dr, columns + 1 + dc]))
         up, across = up + dr * n, across + dc * n
     return Frontier(
-        (column0 + goal_column + 0.5) * resolution,
-        (row0 + goal_row + 0.5) * resolution,
-        atan2(up, across),
-        len(piece) * resolution,
-        float(travelled[goal_row, goal_column]) / _STRAIGHT * resolution,
-        _map_cells(piece, snapshot),
+        x=(column0 + goal_column + 0.5) * resolution,
+        y=(row0 + goal_row + 0.5) * resolution,
+        yaw=atan2(up, across),
+        size=len(piece) * resolution,
+        distance=float(travelled[goal_row, goal_column]) / _STRAIGHT * resolution,
+        cells=_map_cells(piece, snapshot),
     )
 
 
 @njit(cache=True, nogil=True)
 def _free_cells(cells: Int8s, row: float, column: float, radius: float) -> Bools:
-    """Known to be free, by the map or because the robot stands there: row, column, radius in cells."""
+    """Cells known to be free by the map, or because the robot stands there. row, column, radius: in cells."""
     h, w = cells.shape
     free = np.empty((h, w), np.bool_)
     for r in range(h):
@@ -211,7 +208,7 @@ def _free_cells(cells: Int8s, row: float, column: float, radius: float) -> Bools
 
 @njit(cache=True, nogil=True)
 def _surrounded_unknown(free: Bools, cells: Int8s) -> Bools:
-    """Unknown cells among nothing but unknown ones: no gaps between beams. What lies outside the grid is left out."""
+    """Unknown cells with unknown neighbours only, so no gaps between beams. The rim of the grid is left out."""
     h, w = free.shape
     deep = np.zeros((h, w), np.bool_)
     for r in range(1, h - 1):
@@ -244,9 +241,9 @@ def _border_cells(free: Bools, cells: Int8s) -> Bools:
 
 @njit(cache=True, nogil=True)
 def _travel_costs(passable: Bools, distance: Float32s, row: int, column: int, escape: float) -> Int32s:
-    """Shortest travel from a cell over passable ones, in 1/70 cells; _FAR where it does not get.
+    """Least travel from a cell over passable ones, in 1/70 cells; _UNREACHED elsewhere.
 
-    Where the robot's own cell is not passable, up to `escape` cells of unoccupied ones lead out of there.
+    Where the robot's own cell is not passable, up to `escape` cells of unoccupied ones lead out.
     """
     h, w = passable.shape
     travelled = np.full((h, w), _UNREACHED, np.int32)
@@ -283,7 +280,7 @@ def _travel_costs(passable: Bools, distance: Float32s, row: int, column: int, es
 
 @njit(cache=True, nogil=True)
 def _nearest_places(free: Bools, places: Bools, n_steps: int) -> Int32s:
-    """For each free cell within n_steps of one of the places: the nearest such place's index, else -1."""
+    """For each free cell within n_steps of a place: the index of the nearest place, else -1."""
     h, w = free.shape
     source = np.full((h, w), -1, np.int32)
     queue = np.empty(h * w, np.int32)
@@ -311,10 +308,10 @@ def _nearest_places(free: Bools, places: Bools, n_steps: int) -> Int32s:
 
 @njit(cache=True, nogil=True)
 def _split_border(border: Bools, deep: Bools, n_min: float, n_max: int) -> tuple[Int32s, list[int]]:
-    """8-connected pieces of the border: their cells one after the other, and where each ends.
+    """8-connected sections of the border: their cells one after the other, and the end of each.
 
-    A border less than n_min cells across, or without a deep cell, is left out: the robot could not drive through it.
-    One of over n_max cells is cut into pieces of at most that.
+    Borders under n_min cells across, or without a deep cell, are left out: the robot could not drive through. Borders
+    of over n_max cells are split.
     """
     h, w = border.shape
     todo = border.copy()
@@ -345,7 +342,7 @@ def _split_border(border: Bools, deep: Bools, n_min: float, n_max: int) -> tuple
 
 @njit(cache=True, nogil=True)
 def _flood(todo: Bools, start: int, cells: Int32s, n_max: int) -> int:
-    """Moves the cells that hang together with start, nearest first, n_max at most, from `todo` to `cells`; how many."""
+    """Moves at most n_max cells connected with `start`, nearest first, from `todo` to `cells`. Returns their number."""
     h, w = todo.shape
     todo[start // w, start % w] = False
     cells[0] = start

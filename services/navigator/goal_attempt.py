@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One drive to one pose: does it go on, does it need a recovery, is it hopeless. Every answer has a clock."""
+"""One attempt to drive to a pose: progress, the need of a recovery, and failure, each with a clock."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -16,18 +16,21 @@ from shared.reasons import REASONS, Reason
 
 
 class GoalAttemptConfig(Section):
-    """How long the navigator waits for what."""
+    """Time limits of an attempt."""
 
     RENAMED: ClassVar[dict[str, str]] = {"least_speed": "min_speed"}
 
-    progress: float = Field(0.1, gt=0, le=5, description="m closer to the goal that count as progress")
+    progress: float = Field(0.1, gt=0, le=5, description="m of approach that count as progress")
     progress_time: float = Field(10.0, gt=0, le=300, description="s without progress until a recovery")
     blocked_time: float = Field(4.0, gt=0, le=300, description="s that local control is blocked until a recovery")
     refused_time: float = Field(
         1.0, ge=0, le=60, description="s that the planner refuses the goal itself until the task fails"
     )
     unreachable_time: float = Field(
-        3.0, ge=0, le=300, description="s without a way to the goal until a recovery, or failure if there never was one"
+        3.0,
+        ge=0,
+        le=300,
+        description="s without a path to the goal until a recovery, or failure if there never was one",
     )
     start_time: float = Field(20.0, gt=0, le=600, description="s without a map or a pose until the task fails")
     hold_time: float = Field(
@@ -37,22 +40,22 @@ class GoalAttemptConfig(Section):
         4,
         ge=1,
         le=100,
-        description="times that the way turns out longer, as by a gap that comes and goes",
+        description="times that the path gets longer, as by a gap that opens and closes",
     )
-    base_time: float = Field(60.0, gt=0, le=3600, description="s that any drive may take at least")
+    base_time: float = Field(60.0, gt=0, le=3600, description="minimum of the s that any drive may take")
     min_speed: float = Field(
-        0.1, gt=0, le=5, description="m/s: a drive may take base_time and its longest plan at this speed"
+        0.1, gt=0, le=5, description="m/s: a drive may take base_time and the time of its longest plan at this speed"
     )
 
     def with_time_share(self, share: float) -> "GoalAttemptConfig":
-        """The same with that share of the times which a hopeless goal costs."""
+        """The same limits with a share of the times that an unreachable goal costs."""
         shortened = ("progress_time", "blocked_time", "unreachable_time")
         times = {name: share * getattr(self, name) for name in shortened}
         return self.model_copy(update={**times, "detours": ceil(share * self.detours)})
 
 
 class AttemptAction(StrEnum):
-    """What a leg needs."""
+    """What an attempt needs next."""
 
     GO_ON = "go_on"
     RECOVER = "recover"
@@ -61,13 +64,13 @@ class AttemptAction(StrEnum):
 
 _GOAL_REFUSED = {reasons.GOAL_OUTSIDE.code, reasons.GOAL_BLOCKED.code, reasons.GOAL_UNKNOWN.code}
 _GOAL_FORBIDDEN = {reasons.GOAL_KEEP_OUT.code}
-"""Of a goal that no recovery makes a goal again."""
+"""Refusals of a goal that no recovery changes."""
 _NOT_READY = {reasons.NO_MAP.code, reasons.POSE_OLD.code, reasons.POSE_LOST.code}
 
 
 @dataclass(slots=True)
 class GoalAttempt:
-    """The clocks count seconds in which the robot could have driven: not while it is paused, stopped or held."""
+    """State of an attempt. The clocks count s in which the robot could drive: not paused, stopped or held."""
 
     target: Pose2
     any_heading: bool
@@ -86,17 +89,20 @@ class GoalAttempt:
     n_recoveries: int = 0
 
     def reset_clocks(self) -> None:
-        """A recovery was made: its clocks start anew, what was learnt of the goal stays."""
+        """Restarts the clocks after a recovery. What is known of the goal stays."""
         self.no_progress_time = self.blocked_for = self.refused_for = self.held_time = self.gained = 0.0
         self.min_left, self.has_progressed, self.n_detours = inf, False, 0
 
     def add_hold_time(self, seconds: float, reason: Reason) -> None:
-        """Time passed in which something else than the way held the robot."""
+        """Counts time in which another reason than the path held the robot."""
         self.held_time += seconds
         self.hold_reason = reason
 
     def update(self, seconds: float, left: float, plan: Path | None, follow: FollowStatus | None, step: float) -> None:
-        """Time passed; left: m to the goal; plan, follow: the latest about it, if any; step: m that are progress."""
+        """Counts driving time.
+
+        left: m to the goal. plan, follow: the latest ones for it, if any. step: m that are progress.
+        """
         self.age += seconds
         self.held_time = 0.0
         refused_for = plan is not None and bool(plan.reason)
@@ -113,14 +119,14 @@ class GoalAttempt:
                 self.gained += self.min_left - left
                 self.has_progressed = True
             self.min_left, self.no_progress_time = left, 0.0
-        elif left > self.min_left + 1.0:  # another, longer way: measured from here on
+        elif left > self.min_left + 1.0:  # another, longer path: progress counts from here on
             self.min_left = left
             self.n_detours += 1
 
     def next_action(
         self, plan: Path | None, follow: FollowStatus | None, config: GoalAttemptConfig
     ) -> tuple[AttemptAction, Reason]:
-        """What is needed now, and why."""
+        """The next action and its reason."""
         if self.held_time > config.hold_time:
             return AttemptAction.FAIL, self.hold_reason
         if self.age > config.base_time + self.max_plan_length / config.min_speed:
@@ -144,5 +150,5 @@ class GoalAttempt:
             return (AttemptAction.FAIL if self.refused_for >= config.refused_time else AttemptAction.GO_ON), reason
         if self.refused_for < config.unreachable_time:
             return AttemptAction.GO_ON, reason
-        stuck = reason in (reasons.START_BLOCKED, reasons.NO_ROOM_TO_TURN)  # from elsewhere there may be a way
+        stuck = reason in (reasons.START_BLOCKED, reasons.NO_ROOM_TO_TURN)  # from another place there may be a path
         return (AttemptAction.RECOVER if self.was_planned or stuck else AttemptAction.FAIL), reason

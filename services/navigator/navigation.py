@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The task and what to do next for it. One task at a time; every state has a clock that ends it."""
+"""The state machine of the navigator: one task at a time; each state has a clock that ends it."""
 
 from math import inf
 
@@ -38,9 +38,11 @@ class NavigatorConfig(Section):
     zones: tuple[NamedZoneConfig, ...] = Field(
         (), max_length=MOST_ZONES, description="keep-out and speed zones on every map; those of one map: zenav zones"
     )
-    lost_time: float = Field(2.0, ge=0, le=60, description="s that the pose may be lost until the robot is stopped")
+    lost_time: float = Field(
+        2.0, ge=0, le=60, description="s for which the pose may be lost until the robot is stopped"
+    )
     resume_within: float = Field(
-        5.0, ge=0, le=30, description="s that a navigator may be away in a restart and still go on with its task"
+        5.0, ge=0, le=30, description="s that a restart of the navigator may take for its task to continue"
     )
     leg: GoalAttemptConfig = GoalAttemptConfig()
     recovery: RecoveryConfig = RecoveryConfig()
@@ -48,7 +50,7 @@ class NavigatorConfig(Section):
 
 
 class Navigation:
-    """The state machine. Its methods yield what is to be published, or searched for."""
+    """The state of the task. Its methods yield publications and jobs."""
 
     def __init__(self, config: NavigatorConfig, robot: Robot) -> None:
         self.config, self.robot = config, robot
@@ -77,7 +79,7 @@ class Navigation:
     # tasks
 
     def begin(self, task: Route | Exploration, now: int) -> Out:
-        """Takes a task in the place of the present one; a robot under way goes on to the new goal without a stop."""
+        """Begins a task in place of the present one. A moving robot continues to the new goal without a stop."""
         self.task_id += 1
         self._take(task)
         if isinstance(task, Route):
@@ -86,9 +88,9 @@ class Navigation:
             yield self._goal(now, GoalKind.NONE)
 
     def resume(self, task: Route | Exploration, dwell: float | None, paused: bool, now: int) -> Out:
-        """Goes on with the task of a navigator before this one, under its number; recoveries start over.
+        """Continues the task of a navigator before this one, under its number; recoveries start again.
 
-        dwell: s left at the present pose of a route; None: the robot was under way to it.
+        dwell: s left at the present pose of a route; None on the way to it.
         """
         self._take(task)
         self.paused = paused
@@ -112,14 +114,14 @@ class Navigation:
         self.state, self.searched = NavState.EXPLORING if explores else NavState.NAVIGATING, inf
 
     def end(self, now: int, state: NavState, reason: Reason | None, detail: str = "") -> Out:
-        """The task is over, and the robot stands."""
+        """Ends the task and stops the robot."""
         self.task = self.attempt = None
         self.state, self.reason, self.detail = state, reason, detail
         self.recovery, self.action, self.paused, self.suspended = "", 0.0, False, False
         yield self._goal(now, GoalKind.NONE)
 
     def pause(self, now: int, paused: bool) -> Out:
-        """Stands and keeps the task, or goes on with it."""
+        """Stops and keeps the task, or continues it."""
         if self.task is None or paused == self.paused:
             return
         self.paused, self.action, self.recovery = paused, 0.0, ""
@@ -132,7 +134,7 @@ class Navigation:
     # events
 
     def on_follow_status(self, follow: FollowStatus, now: int) -> Out:
-        """Local control spoke: did it arrive?"""
+        """Takes local control's status: an arrival, or the end of a recovery."""
         if self.goal is None or follow.goal_id != self.goal.id or self.paused or self.attempt is None:
             return
         if self.action and follow.state in (FollowState.ARRIVED, FollowState.FAILED):
@@ -141,21 +143,21 @@ class Navigation:
             yield from self._arrived(now)
 
     def _passes(self, follow: FollowStatus, attempt: GoalAttempt) -> bool:
-        """Whether the robot is under way at a pose of its route where it need not stop."""
+        """Whether the robot passes a pose of its route at which it need not stop."""
         pose, under_way = self.pose_tracker.map_from_base, follow.state is FollowState.FOLLOWING and not self.suspended
         if pose is None or not under_way or not isinstance(self.task, Route):
             return False
         return self.task.passes and pose.distance(attempt.target) <= self.task.tolerance
 
     def on_pose_jump(self, now: int) -> Out:
-        """The pose jumped: the way is planned anew from where the robot really is."""
+        """Sends the goal again after a jump of the pose, so that planning starts from the new pose."""
         self.jumped = _JUMP_SHOWN_S
         if self.attempt and not (self.action or self.paused or self.suspended):
             yield from self._drive(now, self.attempt, clear_costmap=True)
 
     def passed(self, seconds: float, now: int) -> Out:
-        """Time passed."""
-        if self.goal is None:  # whatever a navigator before this one asked for: nobody watches over it now
+        """Advances the clocks by `seconds` and the task with them."""
+        if self.goal is None:  # a goal of a navigator before this one is not supervised any more
             yield self._goal(now, GoalKind.NONE)
         self.jumped = max(self.jumped - seconds, 0.0)
         self.lost = self.lost + seconds if self.pose_tracker.lost else 0.0
@@ -179,7 +181,7 @@ class Navigation:
                 yield from self._next_waypoint(self.task, now)
 
     def frontiers_found(self, task_id: int, map_id: int, found: Frontiers, now: int) -> Out:
-        """A search is done."""
+        """Takes the result of a search."""
         self.searching, self.searched = inf, 0.0
         exploration, pose = self.task, self.pose_tracker.map_from_base
         if not isinstance(exploration, Exploration) or (task_id, map_id) != (self.task_id, self.grid.map_id):
@@ -202,7 +204,7 @@ class Navigation:
     # driving
 
     def left(self, attempt: GoalAttempt, now: int) -> float:
-        """m to the leg's target: as local control says, else as the planner does, else straight."""
+        """Remaining m to the attempt's target: by local control, else by the planner, else straight."""
         if self.goal is not None and self.goal.kind is GoalKind.DRIVE:
             follow, plan = self.statuses.follow_for(self.goal, now), self.statuses.plan_for(self.goal, now)
             if follow is not None and follow.state is FollowState.FOLLOWING:
@@ -220,11 +222,13 @@ class Navigation:
             self.suspended = False
             if self.attempt:
                 yield from self._drive(now, self.attempt, clear_costmap=True)
-        elif self.suspended and self.attempt is None and self.lost > self.config.leg.hold_time:  # else the leg counts
+        elif (
+            self.suspended and self.attempt is None and self.lost > self.config.leg.hold_time
+        ):  # with an attempt its own clock counts
             yield from self.end(now, NavState.FAILED, reasons.POSE_LOST)
 
     def _watch_attempt(self, attempt: GoalAttempt, seconds: float, now: int) -> Out:
-        assert self.goal is not None  # a leg has published one
+        assert self.goal is not None  # an attempt has published one
         plan, follow = self.statuses.plan_for(self.goal, now), self.statuses.follow_for(self.goal, now)
         held = reasons.POSE_LOST if self.suspended else self.statuses.hold_reason(now)
         if held:
@@ -266,7 +270,7 @@ class Navigation:
             yield from self._drive(now, attempt, step.clear_costmap)
 
     def _give_up(self, reason: Reason, now: int, whole: bool) -> Out:
-        """The leg is hopeless. whole: and so is the task, though it explores and there may be other frontiers."""
+        """Ends the attempt as hopeless. whole: the task as well, although it explores and other frontiers may exist."""
         if isinstance(self.task, Exploration) and not whole:
             self.task.failed(self.grid.resolution)
             self.task.without = 0.0
@@ -304,14 +308,16 @@ class Navigation:
         self, now: int, kind: GoalKind, pose: Pose2 | None = None, amount: float = 0.0, clear_costmap: bool = False
     ) -> topics.Publication:
         """A new goal. Numbers from the clock are larger than those of a navigator before a restart."""
+        tolerance, yaw_tolerance = self._tolerances()
         self.goal = Goal(
-            now,
-            max(self.goal.id + 1 if self.goal else 1, now // 1_000_000),
-            kind,
-            pose or Pose2(),
-            *self._tolerances(),
-            amount,
-            clear_costmap,
+            stamp=now,
+            id=max(self.goal.id + 1 if self.goal else 1, now // 1_000_000),
+            kind=kind,
+            map_from_goal=pose or Pose2(),
+            tolerance=tolerance,
+            yaw_tolerance=yaw_tolerance,
+            amount=amount,
+            clear_costmap=clear_costmap,
         )
         return topics.GOAL(self.goal)
 
@@ -341,14 +347,14 @@ class Navigation:
         if due and not (self.action or self.suspended):
             self.keep_out.moved(pose)
             snapshot = Snapshot(
-                laid(grid, self.keep_out.holding),  # nobody explores where nobody may drive
-                grid.first_row * TILE_CELLS,
-                grid.first_column * TILE_CELLS,
-                grid.resolution,
-                pose.x,
-                pose.y,
-                self.robot.inscribed_radius,
-                exploration.dropped,
+                cells=laid(grid, self.keep_out.holding),  # keep-out zones are not explored
+                first_row=grid.first_row * TILE_CELLS,
+                first_column=grid.first_column * TILE_CELLS,
+                resolution=grid.resolution,
+                x=pose.x,
+                y=pose.y,
+                robot_radius=self.robot.inscribed_radius,
+                dropped=exploration.dropped,
             )
             self.searching = 0.0
             arguments = self.task_id, grid.map_id, snapshot, self.config.exploration.frontier
@@ -371,15 +377,24 @@ class Navigation:
 
 
 def search(task_id: int, map_id: int, snapshot: Snapshot, config: FrontierConfig) -> tuple[int, int, Frontiers]:
-    """A job: the frontiers, and for which task and map they were asked for."""
+    """Job: the frontiers, with the task and the map that they were searched for."""
     return task_id, map_id, find_frontiers(snapshot, config)
 
 
 def warm_up_search(config: NavigatorConfig) -> None:
-    """Compiles the search: one on a small map."""
+    """Compiles the search on a small map."""
     cells = np.full((TILE_CELLS, TILE_CELLS), -1, np.int8)
     cells[10:40, 10:40] = 0
     cells[10:40, 40] = 100
-    snapshot = Snapshot(cells, 0, 0, 0.05, 1.0, 1.0, 0.2, np.zeros((1, 2), np.int64))
+    snapshot = Snapshot(
+        cells=cells,
+        first_row=0,
+        first_column=0,
+        resolution=0.05,
+        x=1.0,
+        y=1.0,
+        robot_radius=0.2,
+        dropped=np.zeros((1, 2), np.int64),
+    )
     found = find_frontiers(snapshot, config.exploration.frontier)
     tours(np.array([f.distance for f in found.frontiers]), found.between)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to try when the robot does not come closer, in order, and when to start over."""
+"""The sequence of recoveries of a robot without progress, and when it starts again."""
 
 from dataclasses import dataclass
 from math import inf
@@ -17,17 +17,17 @@ class RecoveryConfig(Section):
     """The recoveries, each tried once: replan, clear the costmap, back up, turn left, turn right, wait."""
 
     back_up: float = Field(0.3, ge=0, le=2, description="m straight back; 0 leaves it out")
-    turn: float = Field(1.57, ge=0, le=6.28, description="rad on the spot, left and then right; 0 leaves it out")
+    turn: float = Field(1.57, ge=0, le=6.28, description="rad in place, left and then right; 0 leaves it out")
     wait: float = Field(5.0, ge=0, le=120, description="s of standing still; 0 leaves it out")
     deadline: float = Field(8.0, gt=0, le=60, description="s that backing up or turning may take")
     earned_by: float = Field(
-        0.7, gt=0, le=20, description="m that the robot must move and come closer for all recoveries to count anew"
+        0.7, gt=0, le=20, description="m that the robot must move and approach the goal for the sequence to start again"
     )
 
 
 @dataclass(frozen=True, slots=True)
 class RecoveryStep:
-    """One recovery. takes: s after which it is over in any case; 0 means that driving goes on at once."""
+    """One recovery. takes: s after which it ends in any case; 0: driving continues at once."""
 
     name: str
     kind: GoalKind = GoalKind.DRIVE
@@ -56,7 +56,7 @@ def recovery_steps(config: RecoveryConfig, drive: Drive) -> tuple[RecoveryStep, 
 
 
 class RecoverySequence:
-    """How far down the recoveries the robot is. It starts over only after real progress."""
+    """The next recovery. It starts again only after real progress."""
 
     def __init__(self, config: RecoveryConfig, drive: Drive) -> None:
         self.config = config
@@ -68,16 +68,16 @@ class RecoverySequence:
 
     @property
     def used_up(self) -> bool:
-        """All were tried since the last real progress."""
+        """Whether all were tried since the last real progress."""
         return self._next >= len(self.recovery_steps)
 
     @property
     def n_tried(self) -> int:
-        """Of the steps, since the last real progress; those that made no sense among them."""
+        """Number of steps since the last real progress, with those that were skipped."""
         return self._next
 
     def next(self, reason: Reason, pose: Pose2 | None, move: bool) -> RecoveryStep | None:
-        """The next recovery, or None where all were tried. move: such as move the robot make sense."""
+        """The next recovery, or None where all were tried. move: whether recoveries that move the robot make sense."""
         self.last = reason
         while self._next < len(self.recovery_steps) and not move and self.recovery_steps[self._next].moves:
             self._next += 1
@@ -90,7 +90,9 @@ class RecoverySequence:
         return step
 
     def progressed(self, pose: Pose2, gained: float) -> None:
-        """The robot is at pose, `gained` m closer than at the last recovery."""
+        """Starts the sequence again where the robot has moved and come closer by `earned_by` m since the last
+        recovery.
+        """
         away = self._from.distance(pose) if self._from else inf
         if self._next and min(away, gained) >= self.config.earned_by:
             self._next = 0

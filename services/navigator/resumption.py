@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""After a restart: what the navigator before this one was doing, and whether that goes on."""
+"""Resumption after a restart: the task of the navigator before this one, and whether it continues."""
 
 from dataclasses import dataclass
 
@@ -13,15 +13,15 @@ from shared.service import Out
 from shared.stamps import FUTURE, fresh
 
 PUBLISH_PERIOD_S = 0.5  # s
-_MAX_WAIT_S = 2.0  # s after the start in which guard, map and pose must have been heard
-_MAX_GUARD_AGE_S = 1.0  # s after which a guard's word says nothing of now: it speaks ten times a second
+_MAX_WAIT_S = 2.0  # after the start, for guard, map and pose
+_MAX_GUARD_AGE_S = 1.0  # of a status: the guard publishes ten times a second
 
 _Key = tuple[object, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class ResumeRefusal:
-    """Why the task does not go on. waits: it may yet, until the time is over."""
+    """Why the task does not continue. waits: it still may, until the time is over."""
 
     reason: Reason
     detail: str
@@ -30,21 +30,21 @@ class ResumeRefusal:
 
 
 class Resumption:
-    """Tells the present task again and again, and takes up the one from before a restart."""
+    """Publishes the present task periodically, and resumes the one from before a restart."""
 
     def __init__(self, navigation: Navigation) -> None:
         self.navigation = navigation
-        self.before: NavTask | None = None  # until it is known whether it goes on
+        self.before: NavTask | None = None  # until its resumption is decided
         self._began = 0  # ns, when it was remembered
         self._told: NavTask | None = None
 
     @property
     def pending(self) -> bool:
-        """Whether the goal from before the restart stands until it is known whether the task goes on."""
+        """Whether the goal from before the restart stays until its resumption is decided."""
         return self.before is not None and not self._late(self.before)
 
     def remember(self, task: NavTask, now: int) -> None:
-        """What a navigator before this one published last. It changes nothing where a task has been given already."""
+        """Takes the last task of a navigator before this one. Without effect where a task was given already."""
         navigation = self.navigation
         if navigation.task is not None or navigation.task_id >= task.task_id:
             return
@@ -56,11 +56,11 @@ class Resumption:
             navigation.reason = reasons.STARTING
 
     def forget(self) -> None:
-        """Another task was given, or this one canceled."""
+        """Drops the former task: another one was given, or it was canceled."""
         self.before = None
 
     def take_up(self, now: int) -> Out:
-        """Goes on with the task as soon as all is known that speaks for or against it, or ends it with the reason."""
+        """Resumes the former task as soon as all inputs are known, or ends it with the reason."""
         before, navigation = self.before, self.navigation
         if before is None:
             return
@@ -78,7 +78,7 @@ class Resumption:
         yield from navigation.resume(_task_of(before, navigation), dwell, before.paused, now)
 
     def tell(self, now: int) -> Out:
-        """The task, where it changed or was not told for a while."""
+        """Publishes the task where it changed or the period is over."""
         if self.before is not None:
             return
         message = _message(self.navigation, now)
@@ -91,7 +91,7 @@ class Resumption:
         yield topics.TASK(message)
 
     def _refusal(self, before: NavTask, now: int) -> ResumeRefusal | None:
-        """Why the task does not go on, or not yet."""
+        """Why the task does not continue, or not yet."""
         navigation = self.navigation
         guard, grid = navigation.statuses.recent_guard(now), navigation.grid
         guard = guard if guard is not None and fresh(guard.stamp, now, _MAX_GUARD_AGE_S) else None
@@ -137,27 +137,27 @@ def _message(navigation: Navigation, now: int) -> NavTask:
     kind = TaskKind.NONE if task is None else TaskKind.ROUTE if route else TaskKind.EXPLORE
     dwelling = route is not None and navigation.attempt is None
     return NavTask(
-        now,
-        navigation.task_id,
-        kind,
-        min(navigation.age, 1e7) if task else 0.0,
-        navigation.grid.map_id if task else 0,
-        navigation.paused,
-        route.poses if route else (),
-        route.dwells if route else (),
-        route.loops if route else 0,
-        route.any_heading if route else False,
-        route.tolerance if route else 0.0,
-        route.yaw_tolerance if route else 0.0,
-        route.index if route else 0,
-        route.round if route else 0,
-        dwelling,
-        max(navigation.dwell, 0.0) if dwelling else 0.0,
+        stamp=now,
+        task_id=navigation.task_id,
+        kind=kind,
+        age=min(navigation.age, 1e7) if task else 0.0,
+        map_id=navigation.grid.map_id if task else 0,
+        paused=navigation.paused,
+        poses=route.poses if route else (),
+        dwells=route.dwells if route else (),
+        loops=route.loops if route else 0,
+        any_heading=route.any_heading if route else False,
+        tolerance=route.tolerance if route else 0.0,
+        yaw_tolerance=route.yaw_tolerance if route else 0.0,
+        waypoint=route.index if route else 0,
+        round=route.round if route else 0,
+        dwelling=dwelling,
+        dwell=max(navigation.dwell, 0.0) if dwelling else 0.0,
     )
 
 
 def _key(task: NavTask) -> _Key:
-    """What tells one task, or one part of it, from another."""
+    """The fields by which one task, or one part of it, differs from another."""
     return task.task_id, task.kind, task.map_id, task.paused, task.waypoint, task.round, task.dwelling
 
 
@@ -170,12 +170,12 @@ def _task_of(before: NavTask, navigation: Navigation) -> Route | Exploration:
     tolerance = before.tolerance or navigation.config.tolerance
     yaw_tolerance = before.yaw_tolerance or navigation.config.yaw_tolerance
     return Route(
-        before.poses,
-        before.dwells,
-        before.loops,
-        before.any_heading,
-        tolerance,
-        yaw_tolerance,
-        before.waypoint,
-        before.round,
+        poses=before.poses,
+        dwells=before.dwells,
+        loops=before.loops,
+        any_heading=before.any_heading,
+        tolerance=tolerance,
+        yaw_tolerance=yaw_tolerance,
+        index=before.waypoint,
+        round=before.round,
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The navigator: goes to poses, follows routes, explores; recovers where it can and says why where it cannot."""
+"""The navigator: poses, routes and exploration, with recoveries; the status gives the reason of each failure."""
 
 from dataclasses import replace
 
@@ -35,12 +35,12 @@ from shared.service import Answer, Log, Out, Service, answer, every, on
 from shared.topics import Publication
 from shared.zones import forbidding
 
-_MAX_TICK_S = 1.0  # s: what a clock leaps beyond that did not pass for the robot
+_MAX_TICK_S = 1.0  # a longer step is a jump of the clock
 _FIRST_TICK_S = 0.2  # s
 
 
 class NavigatorService(Service):
-    """One task at a time; a new one takes the place of the old."""
+    """Runs one task at a time; a new one replaces the old."""
 
     config_type = NavigatorConfig
     config: NavigatorConfig
@@ -66,7 +66,7 @@ class NavigatorService(Service):
     def map(self, update: MapUpdate) -> Out:
         another = self.navigation.grid.map_id not in (0, update.map_id)
         self.navigation.grid.apply(update)
-        if another and self.navigation.task:  # its places are on a map that is no more
+        if another and self.navigation.task:  # its poses belong to the former map
             yield from self.navigation.end(self.now, NavState.CANCELED, reasons.OTHER_MAP)
             yield from self.resumption.tell(self.now)
 
@@ -102,7 +102,7 @@ class NavigatorService(Service):
     def guard(self, guard: GuardStatus) -> Out:
         self.navigation.statuses.add_guard(guard, self.now)
         stopped = self.navigation.statuses.stop_reason(self.now)
-        if stopped and self.navigation.task:  # releasing STOP must not move the robot: nothing is left to go on with
+        if stopped and self.navigation.task:  # releasing the e-stop must not move the robot, so the task ends
             state = NavState.CANCELED if guard.state is GuardState.STOPPED else NavState.FAILED
             yield from self.navigation.end(self.now, state, stopped)
             yield from self.resumption.tell(self.now)
@@ -126,13 +126,13 @@ class NavigatorService(Service):
         seconds = min(max(since, 0.0), _MAX_TICK_S)
         self.ticked = self.now
         yield from self.resumption.take_up(self.now)
-        if not self.resumption.pending:  # else its goal stands until it is known whether it goes on
+        if not self.resumption.pending:  # else its goal stays until its resumption is decided
             yield from self.navigation.passed(seconds, self.now)
         self.speedometer.passed(seconds, self.velocity)
         yield from self._told()
 
     def frontiers_found(self, result: tuple[int, int, Frontiers]) -> Out:
-        """A search is done: for which task, on which map, what."""
+        """Takes the result of a search: task, map, frontiers."""
         yield from self.navigation.frontiers_found(*result, self.now)
         yield from self.resumption.tell(self.now)
 
@@ -182,15 +182,15 @@ class NavigatorService(Service):
         return self._reply(None)
 
     def _doubts(self, request: Navigate) -> Bools:
-        """(n,) bool: which poses of a route have to be looked at one by one."""
+        """(n,) bool: which poses of a route need a single check."""
         if self.limits is None:
             return np.zeros(len(request.poses), bool)
         return needs_check(self.navigation.grid, self.limits, self.robot.inscribed_radius, request.poses)
 
     def _refused(self, request: Navigate, number: int) -> reasons.Reason | None:
-        """Why the planner would refuse a pose of a route, counted from 1, whatever the way.
+        """Why the planner would refuse a pose of a route, counted from 1, in any case; else None.
 
-        A later pose may lie outside the map while that grows: the robot drives there over the poses before.
+        A later pose may lie outside a map that grows: the robot drives there over the poses before.
         """
         if self.limits is None:
             return None

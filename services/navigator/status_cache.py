@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the others say, as far as it is about the present goal and not too old to count."""
+"""The newest messages of planner, local control and guard, as far as they are recent and about the present goal."""
 
 from shared import reasons
 from shared.messages import FollowState, FollowStatus, Goal, GuardState, GuardStatus, Path
@@ -7,8 +7,8 @@ from shared.reasons import REASONS, Reason
 
 _MAX_GUARD_AGE_NS = 1_500_000_000
 _MAX_FOLLOW_AGE_NS = 2_000_000_000
-_MAX_ANSWER_NS = 1_000_000_000  # that planner and local control have to answer a new goal
-_MAX_PLAN_AGE_NS = 2_000_000_000  # local control lets go of a plan at this age
+_MAX_ANSWER_NS = 1_000_000_000  # until planner and local control answer a new goal
+_MAX_PLAN_AGE_NS = 2_000_000_000  # as local control's limit
 
 _WAIT_FOR_END = {
     reason.code
@@ -28,13 +28,13 @@ _WAIT_FOR_END = {
         reasons.SERVICE_DIED,
     )
 }
-"""Reasons of the guard that no driving mends: recoveries wait for their end."""
+"""Reasons of the guard that no recovery ends: the navigator waits."""
 
 
 class StatusCache:
-    """The last word of planner, local control and guard, with the time when it was heard, ns.
+    """The newest messages with the times of their arrival, ns.
 
-    What was heard in the future is as old as what was heard in the past: the clock was set back.
+    An arrival in the future counts by its distance as well: the clock was set back.
     """
 
     def __init__(self) -> None:
@@ -52,13 +52,13 @@ class StatusCache:
         self._guard = guard, now
 
     def plan_for(self, goal: Goal, now: int) -> Path | None:
-        """The planner's word about this goal."""
+        """The plan for this goal, or None."""
         if self._plan is None or self._plan[0].goal_id != goal.id or abs(now - self._plan[1]) > _MAX_PLAN_AGE_NS:
             return None
         return self._plan[0]
 
     def follow_for(self, goal: Goal, now: int) -> FollowStatus | None:
-        """Local control's word about this goal."""
+        """Local control's status for this goal, or None."""
         if (
             self._follow is None
             or self._follow[0].goal_id != goal.id
@@ -68,20 +68,20 @@ class StatusCache:
         return self._follow[0]
 
     def stop_reason(self, now: int) -> Reason | None:
-        """Why nothing may move until a person agrees."""
+        """The reason of a stop that only the user ends, or None."""
         guard = self.recent_guard(now)
         if guard is None or guard.state not in (GuardState.STOPPED, GuardState.FAULT):
             return None
         return REASONS.get(guard.reason, reasons.ESTOP if guard.state is GuardState.STOPPED else reasons.FAULT)
 
     def recent_guard(self, now: int) -> GuardStatus | None:
-        """The guard's last word, where it was heard lately."""
+        """The guard's status, where it is recent."""
         if self._guard is None or abs(now - self._guard[1]) > _MAX_GUARD_AGE_NS:
             return None
         return self._guard[0]
 
     def hold_reason(self, now: int) -> Reason | None:
-        """Why the robot stands, where neither the way nor local control is the cause."""
+        """The reason why the robot stands, where neither the path nor local control is the cause; else None."""
         guard = self.recent_guard(now)
         if guard is None:
             return None
@@ -90,7 +90,7 @@ class StatusCache:
         return REASONS[guard.reason] if guard.state is GuardState.HOLD and guard.reason in _WAIT_FOR_END else None
 
     def blocking_reason(self, goal: Goal | None, now: int) -> str:
-        """The code of what keeps the robot from its goal, the gravest first; empty where nothing does."""
+        """The code of the reason that keeps the robot from its goal, the gravest first; empty without one."""
         guard = self.recent_guard(now)
         if guard is not None and guard.state in (GuardState.STOPPED, GuardState.FAULT):
             return guard.reason

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What people are told: how far it is, how long it takes, and why the robot stands when it stands."""
+"""The status message of the navigator: remaining distance and time, and the reason why the robot stands."""
 
 from services.navigator.navigation import Navigation
 from services.navigator.route import Route
@@ -8,28 +8,29 @@ from shared.geometry import Pose2
 from shared.messages import NavState, NavStatus
 from shared.reasons import REASONS
 
-_SPEED_TIME_S = 10.0  # s over which the recent speed is averaged
+_SPEED_TIME_S = 10.0  # time constant of the mean speed
 _STANDING_SPEED = 0.02  # m/s
-_MIN_SPEED = 0.05  # m/s assumed for the time left
+_MIN_SPEED = 0.05  # m/s, for the remaining time
 
 
 class Speedometer:
-    """The recent speed while driving, m/s."""
+    """The mean speed while driving, m/s."""
 
     def __init__(self, guess: float) -> None:
         self.speed = guess
 
     def passed(self, seconds: float, velocity: float) -> None:
+        """Takes a velocity (m/s) that lasted `seconds`."""
         if abs(velocity) > _STANDING_SPEED:
             self.speed += (abs(velocity) - self.speed) * min(seconds / _SPEED_TIME_S, 1.0)
 
     def time_for(self, metres: float) -> float:
-        """s"""
+        """s to drive so far."""
         return min(metres / max(self.speed, _MIN_SPEED), 1e7)
 
 
 def status(navigation: Navigation, speedometer: Speedometer, now: int) -> NavStatus:
-    """The message that says it all."""
+    """The message `nav/status`."""
     task, attempt = navigation.task, navigation.attempt
     route = task if isinstance(task, Route) else None
     left = (navigation.left(attempt, now) if attempt else 0.0) + (route.beyond() if route else 0.0)
@@ -39,25 +40,25 @@ def status(navigation: Navigation, speedometer: Speedometer, now: int) -> NavSta
     known = REASONS.get(code)
     words = f"{known.text}: {known.mend}" if known else ""
     return NavStatus(
-        now,
-        navigation.task_id,
-        _state(navigation),
-        navigation.recovery,
-        code,
-        navigation.detail or (_recovery_text(navigation) if navigation.recovery else words),
-        attempt.target if attempt else route.target if route else Pose2(),
-        left,
-        min(speedometer.time_for(left) + max(stays, 0.0), 1e7),
-        route.index if route else 0,
-        len(route.poses) if route else 0,
-        navigation.recoveries.n_used,
-        route.round if route else 0,
-        route.loops if route else 0,
+        stamp=now,
+        task_id=navigation.task_id,
+        state=_state(navigation),
+        recovery=navigation.recovery,
+        reason=code,
+        detail=navigation.detail or (_recovery_text(navigation) if navigation.recovery else words),
+        goal=attempt.target if attempt else route.target if route else Pose2(),
+        distance_left=left,
+        time_left=min(speedometer.time_for(left) + max(stays, 0.0), 1e7),
+        waypoint=route.index if route else 0,
+        n_waypoints=len(route.poses) if route else 0,
+        n_recoveries=navigation.recoveries.n_used,
+        round=route.round if route else 0,
+        n_rounds=route.loops if route else 0,
     )
 
 
 def _recovery_text(navigation: Navigation) -> str:
-    """Which recovery it is, which one of how many, and what for."""
+    """The present recovery, its number, and its cause."""
     recoveries = navigation.recoveries
     return f"{navigation.recovery}, {recoveries.n_tried} of {len(recoveries.recovery_steps)}: {recoveries.last.text}"
 
@@ -71,7 +72,7 @@ def _state(navigation: Navigation) -> NavState:
 
 
 def _reason_code(navigation: Navigation, now: int) -> str:
-    """The code of what keeps the task from going on, or of how the last one ended."""
+    """The code of the reason that blocks the task, or that ended the last one."""
     if navigation.task is None:
         return navigation.reason.code if navigation.reason else ""
     if navigation.paused:

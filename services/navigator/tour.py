@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shortest way through all that is left to see: an open tour, by nearest neighbour and Or-2-opt (Croes 1958)."""
+"""The shortest open tour through all frontiers: nearest neighbour and Or-2-opt (Croes 1958)."""
 
 import numpy as np
 from numba import njit
@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 Float64s = NDArray[np.float64]
 Int64s = NDArray[np.int64]
 
-_MIN_GAIN_M = 1e-9  # m: less is no improvement
+_MIN_GAIN_M = 1e-9  # of an improvement
 
 
 @njit(cache=True, nogil=True)
 def tours(first: Float64s, between: Float64s) -> Float64s:
-    """(n,) m: for each place the length of a short tour through all of them that goes to it first.
+    """(n,) m: for each place the length of a short tour through all places that begins with it.
 
-    first: (n,) m from the robot; between: (n, n) m, symmetric.
+    first: (n,) m from the robot. between: (n, n) m, symmetric.
     """
     n = len(first)
     lengths = np.empty(n)
@@ -54,7 +54,9 @@ def _nearest_neighbour_order(start: int, between: Float64s) -> Int64s:
 
 @njit(cache=True, nogil=True)
 def _improve(order: Int64s, between: Float64s) -> bool:
-    """Turns a stretch round, or moves one place to elsewhere, where that shortens the tour. The first place stays."""
+    """Reverses a section, or moves one place, where that shortens the tour. The first place stays. Returns whether it
+    did.
+    """
     n = len(order)
     for i in range(1, n - 1):
         for k in range(i + 1, n):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The map in blocks: what hangs together inside each, what crossing that costs, and what joins across the edges.
+"""Abstract graph: connected components per 8x8 block, their crossing cost, and the edges between blocks.
 
-A node is a connected part of a block (`outline` searches them). Follows changed cells.
+Its nodes are searched by `hierarchical_search` (HPA*: Botea, Mueller and Schaeffer 2004). It follows changed cells.
 """
 
 from dataclasses import dataclass
@@ -20,29 +20,30 @@ BLOCK_CELLS = 8
 """Cells along a block's side."""
 
 MAX_PARTS = 4
-"""Nodes of a block at most; more parts than that share the last."""
+"""Maximum of nodes in a block; further parts share the last one."""
 
 SIDE_BITS = 4
-"""Bits of `edges` for the parts that lie one way: by `ROW_STEP` and `COLUMN_STEP`."""
+"""Bits of `edges` for the parts in one direction, by `ROW_STEP` and `COLUMN_STEP`."""
 
 ROW_STEP = (0, 1, 0, -1, 1, 1, -1, -1)
 COLUMN_STEP = (1, 0, -1, 0, 1, -1, 1, -1)
-"""From a block to the next, by direction."""
+"""Step to the neighbouring block, by direction."""
 
 PART_MASK = (1 << SIDE_BITS) - 1
 _SIDES = (1 << 4 * SIDE_BITS) - 1
 
 COLUMN_BITS = 16
-"""Bits of a place for its column; its row is in those above."""
+"""Bits of a packed cell for its column; its row is in the bits above."""
 
 
 @dataclass(slots=True, eq=False)
 class AbstractGraph:
-    """parts: (h, w) uint8, a cell's part of its block, 1 to PARTS, 0 blocked.
+    """The nodes of a costmap. parts: (h, w) uint8, the part of its block that a cell belongs to, 1 to MAX_PARTS, 0
+    blocked.
 
-    Of node `(part - 1) * n + block`, where n = n_rows * n_columns: `representatives`, its cheapest cell (of equal
-    ones that nearest to the part's middle), 0 without cells; `crossing`, the cost there; `edges`, uint32, which parts
-    it meets across each side, as bits, and across each corner by way of both sides of it, as a step between cells.
+    Node `(part - 1) * n + block` has, with n = n_rows * n_columns: `representatives`, its cheapest cell, packed, 0
+    without cells. `crossing` is the cost of that cell. `edges`, uint32, are bits: the parts that it meets across each
+    side, and across each corner over both of its sides.
     """
 
     n_rows: int
@@ -54,16 +55,23 @@ class AbstractGraph:
 
     @staticmethod
     def of(costs: UInt16s) -> "AbstractGraph":
-        """The blocks of costs (h, w) uint16, 0 blocked."""
+        """The graph of costs (h, w) uint16, 0 blocked."""
         n_rows, n_columns = -(-costs.shape[0] // BLOCK_CELLS), -(-costs.shape[1] // BLOCK_CELLS)
         n = MAX_PARTS * n_rows * n_columns
         parts, representatives = np.zeros(costs.shape, np.uint8), np.zeros(n, np.int32)
-        graph = AbstractGraph(n_rows, n_columns, parts, representatives, np.zeros(n, np.uint16), np.zeros(n, np.uint32))
+        graph = AbstractGraph(
+            n_rows=n_rows,
+            n_columns=n_columns,
+            parts=parts,
+            representatives=representatives,
+            crossing=np.zeros(n, np.uint16),
+            edges=np.zeros(n, np.uint32),
+        )
         graph.update(costs, 0, 0, *costs.shape)
         return graph
 
     def update(self, costs: UInt16s, r0: int, c0: int, r1: int, c1: int) -> None:
-        """Follows costs that have changed in the rows r0 to r1 - 1 and the columns c0 to c1 - 1."""
+        """Follows costs that changed in rows r0 to r1 - 1 and columns c0 to c1 - 1."""
         low_row, low_column, end_row, end_column = (
             r0 // BLOCK_CELLS,
             c0 // BLOCK_CELLS,
@@ -89,7 +97,7 @@ class AbstractGraph:
 
 @njit(cache=True, nogil=True)
 def packed_cell(row: int, column: int) -> int:
-    """A cell as one number that a shift and a mask take apart; 32 bits, as a map is less than 2^15 cells high."""
+    """A cell as one number: row in the high bits, column in the low ones. 32 bits suffice below 2^15 rows."""
     return (row << COLUMN_BITS) | column
 
 
@@ -98,7 +106,7 @@ def _label_blocks(
     costs: UInt16s, window: tuple[int, int, int, int], n: int, n_columns: int,
     parts: UInt8s, representatives: Int32s, crossing: UInt16s,
 ) -> None:  # fmt: skip
-    """Floods the parts of the blocks in the window, by straight steps, and finds their places."""
+    """Labels the connected parts of the blocks in the window, by straight steps, and finds their representatives."""
     h, w = costs.shape
     cells = np.empty(BLOCK_CELLS * BLOCK_CELLS, np.int64)
     for block_row in range(window[0], window[2]):
@@ -136,7 +144,7 @@ def _label_blocks(
 
 @njit(cache=True, nogil=True)
 def _representative_cell(costs: UInt16s, cells: Int64s) -> int:
-    """The cheapest of cells (row * w + column); of equal ones that nearest to the middle of all."""
+    """The cheapest of cells (row * w + column); of equal ones the nearest to their mean."""
     w = costs.shape[1]
     row, column = np.mean(cells // w), np.mean(cells % w)
     best, least, nearest = 0, 1 << 16, np.inf
@@ -152,7 +160,7 @@ def _representative_cell(costs: UInt16s, cells: Int64s) -> int:
 
 @njit(cache=True, nogil=True)
 def _connect_sides(parts: UInt8s, window: tuple[int, int, int, int], n: int, n_columns: int, edges: UInt32s) -> None:
-    """Which parts of blocks side by side meet, for the blocks in the window. Leaves no corners."""
+    """Connects the parts that meet across the sides of the blocks in the window. Clears the corners."""
     h, w = parts.shape
     for block_row in range(window[0], window[2]):
         for block_column in range(window[1], window[3]):
@@ -181,7 +189,7 @@ def _connect(here: int, there: int, side: int, block: int, n: int, edges: UInt32
 
 @njit(cache=True, nogil=True)
 def _connect_corners(parts: UInt8s, window: tuple[int, int, int, int], n: int, n_columns: int, edges: UInt32s) -> None:
-    """Adds which parts lie across the corners, for the blocks in the window, from what lies across the sides."""
+    """Adds the connections across corners for the blocks in the window, from those across the sides."""
     for block_row in range(window[0], window[2]):
         for block_column in range(window[1], window[3]):
             block = block_row * n_columns + block_column
@@ -198,7 +206,7 @@ def _connect_corners(parts: UInt8s, window: tuple[int, int, int, int], n: int, n
 
 @njit(cache=True, nogil=True)
 def _parts_across(edge_bits: int, edges: UInt32s, n: int, block: int, n_columns: int, first: int, then: int) -> int:
-    """Which parts lie across the side `then` of those that a node meets across the side `first`, as bits."""
+    """Parts across the side `then` of the parts that a node meets across the side `first`, as bits."""
     bits = (edge_bits >> SIDE_BITS * first) & PART_MASK
     node = block + ROW_STEP[first] * n_columns + COLUMN_STEP[first]
     found = 0

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which cells can be reached from each other: connected parts of tiles, joined over the tiles' edges.
+"""Which cells can be reached from each other: connected components of tiles, joined across the edges by union-find.
 
-A change costs its tiles anew and one look at all edges (union-find), not a flood of the map.
+After a change only its tiles are labelled again, and all edges are joined again.
 """
 
 import numpy as np
@@ -17,8 +17,9 @@ TILE = 64
 
 
 class ConnectedComponents:
-    """The regions of costs (h, w) uint16, 0 blocked. Diagonal steps need both straight neighbours free, so what hangs
-    together does so by straight steps. Regions are numbered from 1 in the order of their first tiles and cells.
+    """Components of costs (h, w) uint16, 0 blocked, numbered from 1 in the order of their first tiles and cells.
+
+    A diagonal step needs both straight neighbours free, so straight steps decide what is connected.
     """
 
     def __init__(self, costs: UInt16s) -> None:
@@ -32,7 +33,7 @@ class ConnectedComponents:
         self.update(costs, 0, 0, *costs.shape)
 
     def update(self, costs: UInt16s, r0: int, c0: int, r1: int, c1: int) -> None:
-        """Follows costs that have changed in the rows r0 to r1 - 1 and the columns c0 to c1 - 1."""
+        """Follows costs that changed in rows r0 to r1 - 1 and columns c0 to c1 - 1."""
         window = r0 // TILE, c0 // TILE, -(-r1 // TILE), -(-c1 // TILE)
         _label_tiles(costs, window, self._n_columns, self._labels, self._edges, self._counts)
         np.cumsum(self._counts[:-1], out=self._firsts[1:])
@@ -42,23 +43,23 @@ class ConnectedComponents:
 
     @property
     def arrays(self) -> ComponentArrays:
-        """What `component_at` reads."""
+        """The arrays that `component_at` reads."""
         return self._labels, self._n_columns, self._firsts, self._components
 
     def at(self, row: int, column: int) -> int:
-        """The region of a cell, 0 where it is blocked."""
+        """Component of a cell, 0 where it is blocked."""
         part = int(self._labels[row, column])
         first = int(self._firsts[row // TILE * self._n_columns + column // TILE])
         return int(self._components[first + part - 1]) if part else 0
 
     def labels_in(self, r0: int, c0: int, r1: int, c1: int) -> Int32s:
-        """(r1 - r0, c1 - c0) int32: the regions of a window, 0 blocked."""
+        """(r1 - r0, c1 - c0) int32: components in a window, 0 blocked."""
         return _labels_in(self.arrays, r0, c0, r1, c1)
 
 
 @njit(cache=True, nogil=True)
 def component_at(arrays: ComponentArrays, row: int, column: int) -> int:
-    """The region of a cell, 0 where it is blocked."""
+    """Component of a cell, 0 where it is blocked."""
     labels, n_columns, firsts, components = arrays
     part = labels[row, column]
     if part == 0:
@@ -70,7 +71,7 @@ def component_at(arrays: ComponentArrays, row: int, column: int) -> int:
 def _label_tiles(
     costs: UInt16s, window: tuple[int, int, int, int], n_columns: int, labels: UInt16s, edges: UInt16s, counts: Int32s
 ) -> None:
-    """Floods the parts of the tiles in the window, by straight steps."""
+    """Labels the connected parts of each tile in the window, by straight steps."""
     h, w = costs.shape
     stack = np.empty(TILE * TILE, np.int64)
     for tile_row in range(window[0], window[2]):
@@ -102,7 +103,7 @@ def _label_tiles(
 
 @njit(cache=True, nogil=True)
 def _merge_tiles(labels: UInt16s, edges: UInt16s, n_columns: int, firsts: Int32s, n: int) -> Int32s:
-    """The region of each of the n parts of all tiles."""
+    """(n,) int32: component of each of the n parts of all tiles."""
     h, w = labels.shape
     roots = np.arange(n, dtype=np.int32)
     for row in range(TILE, h, TILE):
@@ -129,7 +130,7 @@ def _merge_tiles(labels: UInt16s, edges: UInt16s, n_columns: int, firsts: Int32s
 
 @njit(cache=True, nogil=True)
 def _union_edge(here: UInt16s, there: UInt16s, first_here: int, first_there: int, roots: Int32s) -> None:
-    """Joins what meets across the edge of two tiles."""
+    """Unites the parts that meet across the edge of two tiles."""
     last_here, last_there = 0, 0
     for a, b in zip(here, there):
         if a and b and (a != last_here or b != last_there):

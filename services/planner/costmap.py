@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What crossing a cell costs the robot: obstacles inflated by exact distance, unknown space by policy."""
+"""The global costmap: cost of each cell from the exact distance to obstacles, and from the policy for unknown space."""
 
 from math import ceil, exp, hypot
 from typing import ClassVar, Literal
@@ -27,14 +27,14 @@ UInt64s = NDArray[np.uint64]
 Window = tuple[int, int, int, int]  # first row, first column, last row + 1, last column + 1
 
 UNIT_COST = 50
-"""The cost of a cell that costs nothing extra; a cell of cost 150 is three times as long. 0 is blocked."""
+"""Cost of a free cell far from obstacles. A cell of cost 150 counts as three times its length; 0 is blocked."""
 
 LEAVE_PENALTY = 10 * UNIT_COST
-"""What a cell of a keep-out zone in which the robot stands costs more: it drives out by a short way."""
+"""Extra cost of a cell in a keep-out zone around the robot, so that it leaves on a short path."""
 
 
 class CostConfig(Section):
-    """How obstacles and unknown space lengthen a way."""
+    """Cost of clearance and of unknown space."""
 
     RENAMED: ClassVar[dict[str, str]] = {"least_margin": "min_margin"}
 
@@ -42,29 +42,28 @@ class CostConfig(Section):
         0.07,
         ge=0,
         le=1,
-        description="m kept free around the footprint's inscribed circle, where a cell has 5 cm; more on coarser maps",
+        description="m kept free around the footprint's inscribed circle at 5 cm a cell; more on coarser maps",
     )
     min_margin: float = Field(
-        0.03, ge=0, le=1, description="m kept free around it where there is no other way; more with larger cells too"
+        0.03, ge=0, le=1, description="m kept free around it where no other path exists; more on coarser maps"
     )
-    inflation_radius: float = Field(
-        1.0, gt=0, le=5, description="m from an obstacle at which it stops to matter for the plan"
-    )
+    inflation_radius: float = Field(1.0, gt=0, le=5, description="m from an obstacle within which cells cost more")
     clearance_weight: float = Field(
         5.0,
         ge=0,
         le=100,
-        description="m of detour that the robot drives rather than 1 m of way where it just fits; 0: the shortest way",
+        description=(
+            "m of detour that equal 1 m of path where the robot just fits. A higher weight keeps more "
+            "clearance and never gives a shorter path; 0 gives the shortest path"
+        ),
     )
-    clearance_falloff: float = Field(4.0, gt=0, le=50, description="1/m: how fast that extra cost falls with distance")
+    clearance_falloff: float = Field(4.0, gt=0, le=50, description="1/m: exponential decay of that cost with distance")
     narrow_weight: float = Field(
-        2.0, ge=0, le=100, description="times its length that a way costs more where the robot cannot turn on the spot"
+        2.0, ge=0, le=100, description="extra cost, in lengths, of a path where the robot cannot turn in place"
     )
-    unknown: Literal["allowed", "costly", "forbidden"] = Field(
-        "costly", description="ways through space that nobody has seen"
-    )
+    unknown: Literal["allowed", "costly", "forbidden"] = Field("costly", description="paths through unknown space")
     unknown_weight: float = Field(
-        2.0, ge=0, le=100, description="times its length that a way through unknown space costs more, where `costly`"
+        2.0, ge=0, le=100, description="extra cost, in lengths, of a path through unknown space, where `costly`"
     )
     beyond_map: float = Field(
         0.0, ge=0, le=50, description="m outside the map's tiles that count as unknown space instead of as outside"
@@ -72,15 +71,15 @@ class CostConfig(Section):
 
     @property
     def beyond(self) -> float:
-        """m outside the map's tiles to which a way may lead."""
+        """m outside the map's tiles to which a path may lead."""
         return self.beyond_map if self.unknown != "forbidden" else 0.0
 
 
 class GlobalCostmap:
-    """The costs of a map for a robot, and which cells hang together; kept up to date from the changed cells.
+    """The costs of a map for a robot, with the abstract graph and the components of its free cells.
 
-    `costs` (h + 2 pad, w + 2 pad) uint16: UNIT and more, 0 blocked; its outermost ring is blocked, so that a search
-    needs no bounds. `blocks` and `regions` follow it. `max_cost`: no cost is above it.
+    `costs`: (h + 2 pad, w + 2 pad) uint16, UNIT_COST and more, 0 blocked. Its outermost ring is blocked, so that a
+    search needs no bounds. `graph` and `components` follow each update. `max_cost` is an upper bound of the costs.
     """
 
     def __init__(self, config: CostConfig, robot: Robot, resolution: float) -> None:
@@ -109,15 +108,16 @@ class GlobalCostmap:
         self._closed: Bools | None = None
 
     def set_keep_out(self, penalized: Bools | None, closed: Bools | None) -> None:
-        """Other zones hold from the next update on, which must be of all cells.
+        """Sets the masks of the keep-out zones from the next update on, which must be of all cells.
 
-        dear: (h, w) bool, cells of the map that the robot should leave; shut: as `costs`, what is closed to it beyond.
+        penalized: (h, w) bool, cells of the map that the robot should leave. closed: as `costs`, blocked cells beyond
+        the map.
         """
         self._penalized, self._closed = penalized, closed
         self.max_cost = self._max_cost_without_zones + (LEAVE_PENALTY if penalized is not None else 0)
 
     def update(self, grid: OccupancyGrid, changed: Bools | None) -> None:
-        """Takes the map. `changed`: (h, w) bool, the cells that differ from the map of the last call; None: all."""
+        """Updates the costs to a map. changed: (h, w) bool, cells that differ from the last call; None: all."""
         self.cells = grid.cells
         self.origin = (grid.x0 - self.pad * self.resolution, grid.y0 - self.pad * self.resolution)
         if changed is None or grid.cells.shape != self.distance.shape:
@@ -133,10 +133,7 @@ class GlobalCostmap:
                 self._reduced._update_window(self._window_in_reach(r0, c0, r1, c1))
 
     def with_min_margin(self) -> "GlobalCostmap":
-        """The same map for a robot that keeps only the least margin: its way where there is no other.
-
-        This one, where its margin is no more than that.
-        """
+        """The costmap of the same map with `min_margin`; this one where its margin is not larger."""
         if self.config.min_margin >= self.config.margin:
             return self
         if self._reduced is None:
@@ -152,7 +149,7 @@ class GlobalCostmap:
         return self._reduced
 
     def _rebuild(self) -> None:
-        """The costs of the whole map, its blocks and regions."""
+        """Computes the costs of the whole map, its graph and components."""
         (h, w), pad = self.cells.shape, self.pad
         self.costs = np.full((h + 2 * pad, w + 2 * pad), 0, np.uint16)
         if pad > 1:
@@ -165,7 +162,7 @@ class GlobalCostmap:
         self.graph, self.components = AbstractGraph.of(self.costs), ConnectedComponents(self.costs)
 
     def _update_window(self, window: Window) -> None:
-        """The costs of a window of the map, and what follows from them."""
+        """Computes the costs of a window of the map, with its part of graph and components."""
         (r0, c0, r1, c1), pad = window, self.pad
         target = r0 + pad, c0 + pad, r1 + pad, c1 + pad
         _fill_costs(
@@ -178,7 +175,7 @@ class GlobalCostmap:
         self.components.update(self.costs, *target)
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
-        """(row, column) in `costs` of a point of `map`; may lie outside."""
+        """(row, column) in `costs` of a point in `map`, m; may lie outside."""
         x0, y0 = self.origin
         return int((y - y0) // self.resolution), int((x - x0) // self.resolution)
 
@@ -193,16 +190,17 @@ class GlobalCostmap:
         return bool(0 < row < h - 1 and 0 < column < w - 1)
 
     def is_occupied(self, row: int, column: int) -> bool:
-        """Whether the map says that an obstacle is in the cell of `costs`."""
+        """Whether the map has an obstacle in the cell of `costs`."""
         return self._distance(row, column) == 0
 
     def is_too_close(self, row: int, column: int) -> bool:
-        """Whether an obstacle is nearer to the cell of `costs` than the robot's body allows."""
+        """Whether an obstacle is nearer to the cell of `costs` than the robot's inscribed radius with margin."""
         return bool(self._distance(row, column) * self.resolution < self.min_clearance)
 
     def with_escape_area(self, row: int, column: int, radius: int) -> UInt16s:
-        """A copy of `costs` for a robot in inflated space at a cell: within so many cells it may cross that, as dear
-        as can be, where it comes no nearer to an obstacle than it is.
+        """A copy of `costs` for a robot in inflated space at a cell.
+
+        Within `radius` cells it may cross inflated space at the highest cost, no nearer to an obstacle than it stands.
         """
         costs, here = self.costs.copy(), self._distance(row, column)
         for r in range(row - radius, row + radius + 1):
@@ -213,7 +211,7 @@ class GlobalCostmap:
         return costs
 
     def is_known_free(self, points: Float64s) -> Bools:
-        """(n,) bool: which points (n, 2) m of `map` the map knows to be free."""
+        """(n,) bool: which points (n, 2) m in `map` lie in cells that the map knows to be free."""
         h, w = self.cells.shape
         columns, rows = np.floor((points - self.origin) / self.resolution).astype(np.int64).T - self.pad
         inside = (rows >= 0) & (columns >= 0) & (rows < h) & (columns < w)
@@ -226,12 +224,12 @@ class GlobalCostmap:
         return float(self.distance[row, column]) if 0 <= row < h and 0 <= column < w else float(self.reach_cells)
 
     def _window_in_reach(self, r0: int, c0: int, r1: int, c1: int) -> Window:
-        """The window of cells within reach of those of a window: only their distance can have changed."""
+        """The window of cells with distances that a change inside a window can alter."""
         (h, w), reach = self.cells.shape, self.reach_cells
         return max(r0 - reach, 0), max(c0 - reach, 0), min(r1 + reach, h), min(c1 + reach, w)
 
     def _update_distances(self, r0: int, c0: int, r1: int, c1: int) -> Window:
-        """The distances around changed cells: obstacles within reach decide. Returns the window that is new."""
+        """Computes the distances around changed cells. Returns the window with new distances."""
         window = r0, c0, r1, c1 = self._window_in_reach(r0, c0, r1, c1)
         near_r0, near_c0, near_r1, near_c1 = self._window_in_reach(*window)
         away = distance_field(self.cells[near_r0:near_r1, near_c0:near_c1] >= OCCUPIED_FROM, 1.0)
@@ -241,7 +239,7 @@ class GlobalCostmap:
 
 
 def _changed_windows(changed: Bools) -> list[Window]:
-    """Windows that hold all changed cells, (h, w) bool, and few others: one for each group of adjacent tiles."""
+    """Windows that hold all changed cells, (h, w) bool: one for each group of adjacent tiles."""
     tiles = _changed_tiles(changed.view(np.uint64))
     groups = ndimage.find_objects(ndimage.label(tiles, np.ones((3, 3)))[0])
     windows = []
@@ -255,7 +253,7 @@ def _changed_windows(changed: Bools) -> list[Window]:
 
 @njit(cache=True, nogil=True)
 def _changed_tiles(eights: UInt64s) -> Bools:
-    """In which tiles a cell is set, of rows of whole tiles, eight cells a number."""
+    """Which tiles hold a changed cell. eights: the cells as uint64, eight cells a number."""
     h, w = eights.shape
     per_tile = TILE_CELLS // 8
     tiles = np.zeros((h // TILE_CELLS, w // per_tile), np.bool_)
@@ -269,8 +267,8 @@ def _changed_tiles(eights: UInt64s) -> Bools:
 def cost_by_distance(config: CostConfig, robot: Robot, resolution: float, reach_cells: int) -> UInt16s:
     """(reach_cells^2 + 1,) uint16: a known cell's cost by its squared distance (cells^2) to the nearest obstacle.
 
-    0 under the inscribed radius and margin; then `1 + weight * exp(-falloff * d)` as in Nav2's inflation layer, shifted
-    to end at 1 at the inflation radius; more under the circumscribed radius, where the heading is not free.
+    0 under the inscribed radius with margin. Beyond it `1 + weight * exp(-falloff * d)`, as in Nav2's inflation layer,
+    shifted to reach 1 at the inflation radius. Under the circumscribed radius `narrow_weight` is added.
     """
     margin = kept_free(config.margin, resolution)
     nearest, turning = robot.inscribed_radius + margin, robot.circumscribed_radius + margin

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shortest ways between two poses, forward, by arcs of one radius and a straight line: Dubins 1957.
+"""The shortest forward paths between two poses by arcs of one radius and a straight line: Dubins 1957.
 
-The six words as Shkel & Lumelsky 2001 solve them; and an arc and a line where the heading at the end does not matter.
-A way is three pieces (curvature, length): positive curvature turns left; any unit of length.
+The six words as in Shkel and Lumelsky 2001; and an arc with a line where the last heading does not matter. A path is
+three pieces (curvature, length): positive curvature turns left; any unit of length.
 """
 
 from math import acos, atan2, cos, hypot, pi, sin, sqrt
@@ -19,7 +19,7 @@ _MIN_CURVATURE = 1e-9  # curvature below which a piece is a line
 
 @njit(cache=True, nogil=True)
 def dubins_word(i: int, start: Float64s, end: Float64s, radius: float, any_heading: bool, pieces: Float64s) -> bool:
-    """Fills pieces (3, 2) with the i-th way, 0 to WORDS - 1, from a pose (x, y, yaw) to another; False without one."""
+    """Fills pieces (3, 2) with word i, 0 to N_WORDS - 1, between poses (x, y, yaw). Returns whether it exists."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     if any_heading:
         return i < 2 and _arc_and_line(1.0 if i == 0 else -1.0, dx, dy, start[2], radius, pieces)
@@ -80,13 +80,13 @@ def dubins_word(i: int, start: Float64s, end: Float64s, radius: float, any_headi
 
 @njit(cache=True, nogil=True)
 def _arc_and_line(side: float, dx: float, dy: float, yaw: float, radius: float, pieces: Float64s) -> bool:
-    """An arc and then the line to a point, whatever the heading there."""
+    """Fills pieces with an arc and the line to a point, at any heading there."""
     ahead, aside = cos(yaw) * dx + sin(yaw) * dy, side * (cos(yaw) * dy - sin(yaw) * dx)
-    away = hypot(ahead, aside - radius)  # of the point from the arc's middle
+    away = hypot(ahead, aside - radius)  # of the point from the centre of the arc
     if away < radius:
         return False
     line = sqrt(max(away * away - radius * radius, 0.0))
-    # seen from the arc's middle, the point lies `line` ahead of where the arc ends and a radius to the outside
+    # from the arc's end the point lies `line` ahead, and the centre a radius aside
     turn = _wrapped_two_pi(atan2(aside - radius, ahead) + atan2(radius, line))
     pieces[:] = 0.0
     pieces[0, 0], pieces[0, 1] = side / radius, turn * radius
@@ -96,14 +96,14 @@ def _arc_and_line(side: float, dx: float, dy: float, yaw: float, radius: float, 
 
 @njit(cache=True, nogil=True)
 def _wrapped_two_pi(angle: float) -> float:
-    """In [0, 2 pi); a hair less than a full turn is none."""
+    """The angle in [0, 2 pi); a full turn less rounding is 0."""
     angle %= 2 * pi
     return 0.0 if angle > 2 * pi - 1e-9 else angle
 
 
 @njit(cache=True, nogil=True)
 def pose_after(pose: Float64s, curvature: float, length: float, out: Float64s) -> None:
-    """Fills `out` with the pose (x, y, yaw) that a piece leads to."""
+    """Fills `out` with the pose (x, y, yaw) at the end of a piece."""
     x, y, yaw = pose
     if abs(curvature) < _MIN_CURVATURE:
         out[0], out[1], out[2] = x + length * cos(yaw), y + length * sin(yaw), yaw

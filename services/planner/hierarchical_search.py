@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rough way over the map's blocks, and that way over cells: what the planner smooths into a path.
+"""Path search in two levels: A* over the abstract graph, then over the cells between its nodes.
 
-A* over nodes of `graph` (Botea, Mueller & Schaeffer 2004), whose places are joined by straight lines where they see
-each other, and by a search over cells where not. It is not the cheapest way, but close to it in all that smoothing
-does not mend, and it looks at a sixty-fourth of the cells.
+HPA* (Botea, Mueller and Schaeffer 2004). Cells of successive nodes are joined by a straight line where it is free, else
+by a search over cells. The path costs slightly more than the cheapest one; smoothing removes most of that. The search
+looks at a 64th of the cells.
 """
 
 import numpy as np
@@ -42,13 +42,15 @@ Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
 Float64s = NDArray[np.float64]
 
-_DETOUR_WEIGHT = 0.4  # of the least cost, by which a step is dearer as far off the straight line as that is long
-_MAX_DETOUR_SHARE = 0.15  # of the straight line's length, off which it makes no difference any more
+_DETOUR_WEIGHT = (
+    0.4  # extra cost of a step, in the lowest cost, at an offset from the straight line equal to the line's length
+)
+_MAX_DETOUR_SHARE = 0.15  # offset in lengths of the line beyond which the extra cost stays constant
 _COLUMN_MASK = (1 << COLUMN_BITS) - 1
 
 
 class HierarchicalSearch(GridSearch):
-    """Finds rough ways; holds the buffers for nodes too."""
+    """Finds rough paths. Holds the buffers for nodes and cells."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -64,9 +66,10 @@ class HierarchicalSearch(GridSearch):
         min_cost: int,
         max_cost: int,
     ) -> Float64s:
-        """A way from start to goal, cells that hang together: (n, 2) points (x, y) in cells, each in sight of the next.
+        """A path between connected cells start and goal: (n, 2) points (x, y) in cells, each visible from the next.
 
-        As `GridSearch.cells_between`, with the blocks and regions of the costs. A middle is (column + 0.5, row + 0.5).
+        costs, min_cost, max_cost: as for `GridSearch.cheapest_path`. graph, components: of these costs. The centre of a
+        cell is (column + 0.5, row + 0.5).
         """
         nodes, cells = self.nodes, self.cells
         ends = graph.node(*start), graph.node(*goal), packed_cell(*start), packed_cell(*goal)
@@ -91,7 +94,7 @@ def _rough_path(
     node_stamp: Int64s, node_keys: Int64s, nexts: Int32s, cell_stamp: Int64s, cell_keys: Int64s, parents: Int8s,
     entries: Int32s, entry_keys: Int64s, links: Int32s,
 ) -> Float64s:  # fmt: skip
-    """The points; none where the queue's entries did not suffice."""
+    """The points; n = 0 where the queue was full."""
     if not _expand_nodes(
         n_columns, representatives, crossing, edges, start_node, goal_node, start, goal, min_cost, max_cost,
         node_stamp, node_keys, nexts, entries, entry_keys, links,
@@ -124,13 +127,13 @@ def _expand_nodes(
 ) -> bool:
     """Searches from the goal's node until the start's is settled; `nexts` leads from node to node to the goal.
 
-    False: the entries did not suffice. The arrays are those of `AbstractGraph` and of `search.expand`.
+    Returns False where the queue was full. The arrays are those of `AbstractGraph` and of `search.expand`.
     """
     base = next_base_key(stamp)
     n = len(representatives) // MAX_PARTS
     start_x, start_y = start & _COLUMN_MASK, start >> COLUMN_BITS
     least = 2 * min_cost * STRAIGHT
-    # far less than a step to the next block: many ways are almost equal, and what comes too early comes again
+    # far less than a step to the next block, as many paths cost almost the same
     shift = width_bits(min_cost * STRAIGHT)
     heads = empty_ring((8 * BLOCK_CELLS * max_cost * DIAGONAL) >> shift)
     mask = len(heads) - 1
@@ -171,7 +174,7 @@ def _expand_nodes(
                     if so_far < keys[there]:
                         keys[there], nexts[there] = so_far, node
                         total = so_far - base + _min_line_cost(tx - start_x, ty - start_y, least)
-                        # places lie unevenly, so the estimate may fall; and no jump is longer than the ring
+                        # the estimate may fall between uneven cells; the ring bounds how far ahead an entry lies
                         due = min(max(int(total >> shift), bucket), bucket + mask)
                         free, n_used = push_entry(
                             due & mask, there, int(so_far), free, n_used, heads, nodes, entry_keys, links
@@ -184,8 +187,11 @@ def _expand_nodes(
 
 @njit(cache=True, nogil=True)
 def _min_line_cost(dx: int, dy: int, least: int) -> int:
-    """What a straight line costs at least. An estimate by eighths of a turn would be more than places that lie unevenly
-    cost, and then nodes of a large map are opened again and again."""
+    """Lower bound of the cost over (dx, dy) cells: the Euclidean one.
+
+    Octile distance would exceed the cost between cells that lie unevenly. Then nodes of a large map would be opened
+    many times.
+    """
     return int(least * np.sqrt(np.float64(dx * dx + dy * dy)))
 
 
@@ -208,7 +214,7 @@ def _refine_over_cells(
     entry_keys: Int64s,
     links: Int32s,
 ) -> Float64s:
-    """Points (n, 2), (x, y) in cells, each in sight of the next, along the nodes; none: the entries did not suffice."""
+    """Points (n, 2), (x, y) in cells, each visible from the next, along the nodes; n = 0 where the queue was full."""
     width = costs.shape[1]
     flat = costs.reshape(-1)
     points = np.empty((64, 2))
@@ -221,7 +227,7 @@ def _refine_over_cells(
         node = int(nexts[node])
         there = goal if node == goal_node else int(representatives[node])
         row, column = there >> COLUMN_BITS, there & _COLUMN_MASK
-        # parts that share a node need not hang together: what lies elsewhere is passed over
+        # parts that share a node may belong to another component: these nodes are skipped
         if there == here or component_at(components, row, column) != region:
             continue
         x, y = column + 0.5, row + 0.5
@@ -231,7 +237,7 @@ def _refine_over_cells(
             points[n_points, 0], points[n_points, 1] = x, y
             n_points += 1
         else:
-            if there != goal:  # to the next but one: less often through a block's place
+            if there != goal:  # to the next node but one: fewer detours over representatives
                 node = int(nexts[node])
                 further = goal if node == goal_node else int(representatives[node])
                 if component_at(components, further >> COLUMN_BITS, further & _COLUMN_MASK) == region:
@@ -239,7 +245,7 @@ def _refine_over_cells(
             row, column = there >> COLUMN_BITS, there & _COLUMN_MASK
             first = (here >> COLUMN_BITS) * width + (here & _COLUMN_MASK)
             last = row * width + column
-            min_end_cost = int(min(np.int64(flat[first]), np.int64(flat[last])))  # what lies between is hardly cheaper
+            min_end_cost = int(min(np.int64(flat[first]), np.int64(flat[last])))  # cells between are hardly cheaper
             if (
                 expand(flat, width, first, last, min_end_cost, max_cost, stamp, keys, parents, cells, entry_keys, links)
                 < 0

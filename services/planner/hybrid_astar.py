@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A way for a robot that drives no tighter arc than its own, forward, with its headings at both ends: hybrid A*.
+"""Hybrid A*: a forward path for a robot with a turning radius, with its headings at both ends.
 
-Dolgov, Thrun, Montemerlo & Diebel 2010: arcs from pose to pose, guided by the cost to go without headings, ended by
-the cheapest arcs and lines that lead to the goal (`dubins`); then, in place of their smoothing by gradients, which
-would bend tighter, shortened by such ways between any two of its poses. All lengths in cells, as in `lines`.
+Dolgov, Thrun, Montemerlo and Diebel 2010: expansion by arcs, a heuristic without headings, and analytic expansion by
+Dubins words (`dubins`). In place of their gradient smoothing, Dubins words between poses of the path shorten it, as
+gradients would bend it tighter. All lengths are in cells, as in `ray_cost`.
 """
 
 import heapq
@@ -20,25 +20,28 @@ UInt16s = NDArray[np.uint16]
 Float64s = NDArray[np.float64]
 Int64s = NDArray[np.int64]
 
-HEURISTIC_CELLS = 4  # cells to one of the cost to go without headings
-HEURISTIC_SLACK_RADII = 30.0  # radii of detour beyond the start up to which that is known
+HEURISTIC_CELLS = 4  # cells along a side of the heuristic's blocks
+HEURISTIC_SLACK_RADII = 30.0  # detour beyond the start for which the heuristic is computed
 N_HEADINGS = 72
-MAX_CHORD_CELLS = 1.0  # cells: arcs are looked at in chords of this length
-MAX_NODES = 30_000  # poses that are tried before it is called hopeless
-TABLE_SIZE = 1 << 17  # entries of the hash table: under a quarter of it is used
-HASH_MULTIPLIER = 0x1E3779B97F4A7C15  # an odd number: 2^64 by the golden ratio, but for its first bits
-MAX_EXTRA_EXPANSIONS = 2_000  # further poses after the first way that was found
-SHORTCUT_STEP_CELLS = 2.0  # cells between poses from which ways are shortened
-HEURISTIC_WEIGHT = 1.1  # how much more the cost to go counts than the cost so far (Pohl 1970): what ends a search early
+MAX_CHORD_CELLS = 1.0  # length of the chords by which arcs are tested
+MAX_NODES = 30_000  # then the search gives up
+TABLE_SIZE = 1 << 17  # entries of the hash table; under a quarter is used
+HASH_MULTIPLIER = (
+    0x1E3779B97F4A7C15  # odd number near 2^64 over the golden ratio, without its first bits (Knuth 1998, 6.4)
+)
+MAX_EXTRA_EXPANSIONS = 2_000  # after the first path was found
+SHORTCUT_STEP_CELLS = 2.0  # between the poses from which the path is shortened
+HEURISTIC_WEIGHT = 1.1  # weighted A* (Pohl 1970): a value over 1 ends the search early
 TURN_PENALTY = 0.03  # share of its cost that an arc of the least radius costs more than a line
 
 
 def hybrid_astar_path(
     costs: UInt16s, start: Float64s, goal: Float64s, radius: float, any_heading: bool, min_cost: int, spacing: float
 ) -> Float64s:
-    """(n, 3) x, y, yaw, at most `spacing` apart, from start to goal (3,); n = 0 where no such way was found.
+    """(n, 3) x, y, yaw from start to goal (3,), at most `spacing` apart; n = 0 without a path. Lengths are in cells.
 
-    costs: as for `GridSearch.way`.  radius: of the tightest arc.  any_heading: at the goal.  All lengths in cells.
+    costs: as for `GridSearch.cheapest_path`. radius: of the tightest arc. any_heading: the goal's heading does not
+    count.
     """
     cost_to_go = _cost_to_go(costs, goal, start, HEURISTIC_SLACK_RADII * radius * min_cost)
     pieces = _search(costs, cost_to_go, start, goal, radius, any_heading, min_cost)
@@ -93,7 +96,7 @@ def _cost_to_go(costs: UInt16s, goal: Float64s, start: Float64s, max_excess: flo
 
 @njit(cache=True, nogil=True)
 def _piece_cost(costs: UInt16s, pose: Float64s, curvature: float, length: float, out: Float64s) -> float:
-    """The cost of a piece from a pose, or BLOCKED; `out` is where it leads to."""
+    """Cost of a piece from a pose, or BLOCKED; `out` becomes its last pose."""
     n = max(ceil(length / MAX_CHORD_CELLS), 1)
     out[:] = pose
     here = pose.copy()
@@ -113,7 +116,7 @@ def _analytic_expansion(
     costs: UInt16s, start: Float64s, end: Float64s, radius: float, any_heading: bool, most: float, min_cost: int,
     pieces: Float64s,
 ) -> float:  # fmt: skip
-    """The cost, under `most`, of the cheapest free way of arcs and a line, which fills pieces (3, 2); or BLOCKED."""
+    """Cost, under `most`, of the cheapest free Dubins word, which fills pieces (3, 2); or BLOCKED."""
     best = BLOCKED
     tried, out = np.empty((3, 2)), np.empty(3)
     for i in range(N_WORDS):
@@ -139,7 +142,7 @@ def _analytic_expansion(
 
 @njit(cache=True, nogil=True)
 def _slot(keys: Int64s, key: int) -> int:
-    """Where a key is in the table, or the free place for it: Fibonacci hashing, linear probing (Knuth 1998, 6.4)."""
+    """Index of a key in the table, or of its free slot: Fibonacci hashing, linear probing (Knuth 1998, 6.4)."""
     slot = (key * HASH_MULTIPLIER >> 40) & (TABLE_SIZE - 1)
     while keys[slot] != -1 and keys[slot] != key:
         slot = (slot + 1) & (TABLE_SIZE - 1)
@@ -156,9 +159,9 @@ def _search(
     any_heading: bool,
     min_cost: int,
 ) -> Float64s:
-    """(n, 2) pieces, curvature and length, from the start to the goal; n = 0 without a way."""
+    """(n, 2) pieces, curvature and length, from the start to the goal; n = 0 without a path."""
     step = min(max(3.0, 0.25 * radius), 6.0)
-    side = step / 1.5  # cells: less than a step's share along the axes, so that each step leaves its place
+    side = step / 1.5  # cells: less than a step's share along an axis, so that each step leaves its state
     curvatures = np.array([0.0, 1.0, -1.0, 0.5, -0.5]) / radius
     poses, so_far = np.empty((MAX_NODES, 3)), np.empty(MAX_NODES)
     parents, arrivals = np.empty(MAX_NODES, np.int32), np.empty(MAX_NODES, np.int8)
@@ -174,7 +177,7 @@ def _search(
             break
         pose = poses[node]
         if node and nodes[_slot(keys, _state_key(pose, side, costs.shape[1]))] != node:
-            continue  # reached at less cost meanwhile
+            continue  # reached at lower cost since
         n_popped += 1
         n_more += last >= 0
         away = hypot(goal[0] - pose[0], goal[1] - pose[1])
@@ -219,7 +222,7 @@ def _search(
 @njit(cache=True, nogil=True)
 def _state_key(pose: Float64s, side: float, width: int) -> int:
     row, column = int(pose[1] / side), int(pose[0] / side)
-    heading = int(pose[2] / (2 * pi) * N_HEADINGS + 0.5 + 64 * N_HEADINGS) % N_HEADINGS  # no way has 64 loops
+    heading = int(pose[2] / (2 * pi) * N_HEADINGS + 0.5 + 64 * N_HEADINGS) % N_HEADINGS  # no path has 64 loops
     return (row * (int(width / side) + 1) + column) * N_HEADINGS + heading
 
 
@@ -227,7 +230,7 @@ def _state_key(pose: Float64s, side: float, width: int) -> int:
 def _shortcut(
     costs: UInt16s, start: Float64s, pieces: Float64s, radius: float, any_heading: bool, min_cost: int
 ) -> Float64s:
-    """The pieces (n, 2) with cheaper ways between far poses on them in place of what lies between those."""
+    """The pieces (n, 2), with cheaper Dubins words in place of the pieces between distant poses."""
     n = 1
     for i in range(len(pieces)):
         n += max(ceil(pieces[i, 1] / SHORTCUT_STEP_CELLS), 0)

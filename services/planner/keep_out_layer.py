@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The map as the planner plans on it: keep-out zones are obstacles, and one that the robot stands in is dear."""
+"""Keep-out zones on the planner's map: their cells are obstacles; those of a zone around the robot only cost more."""
 
 from copy import copy
 
@@ -18,24 +18,24 @@ Int64s = NDArray[np.int64]
 
 
 class KeepOutLayer:
-    """Follows the zones and the robot."""
+    """Marks the cells of the keep-out zones in the map, for the present zones and pose."""
 
     def __init__(self, reach: float) -> None:
-        """reach: m from the robot's middle to the farthest point of its outline."""
+        """reach: circumscribed radius of the robot, m."""
         self._keep_out = KeepOut(reach)
-        self._costmap: GlobalCostmap | None = None  # which has the three at the end
-        self._grid_geometry: object = None  # of the grid for which they were made
-        self._blocked_cells: Int64s = np.zeros(0, np.int64)  # places of the cells that zones bar, row by row
+        self._costmap: GlobalCostmap | None = None  # that the three masks at the end were made for
+        self._grid_geometry: object = None  # shape, origin and resolution of the grid that they were made for
+        self._blocked_cells: Int64s = np.zeros(0, np.int64)  # flat indices of the cells in zones
         self._penalized: Bools | None = None
         self._closed: Bools | None = None
 
     def set_zones(self, zones: Zones) -> None:
-        """Other zones hold from now on."""
+        """Replaces the zones."""
         self._keep_out.take(zones)
         self._grid_geometry = self._costmap = None
 
     def update_pose(self, pose: Pose2) -> bool:
-        """The robot is at a pose in `map`; whether the map is another one to it now."""
+        """Takes the robot's pose in `map`. Returns whether the blocked cells changed by it."""
         changed = self._keep_out.moved(pose)
         self._grid_geometry = None if changed else self._grid_geometry
         return changed
@@ -45,7 +45,11 @@ class KeepOutLayer:
         return any(holds(polygon, pose.x, pose.y) for polygon in self._keep_out.polygons)
 
     def update(self, costmap: GlobalCostmap, grid: OccupancyGrid, changed: Bools | None) -> None:
-        """Updates the terrain to the map and the zones; None: all of it, which it must be after `take` and `moved`."""
+        """Updates the costmap to the map with the zones.
+
+        changed: (h, w) bool, cells that differ from the last call; None: all. It must be None after `set_zones`, and
+        after `update_pose` returned True.
+        """
         if not self._keep_out.polygons and not self._grid_geometry:
             costmap.set_keep_out(None, None)
             costmap.update(grid, changed)
@@ -61,7 +65,7 @@ class KeepOutLayer:
         costmap.update(zoned_grid, changed)
 
     def _find_cells(self, grid: OccupancyGrid, costmap: GlobalCostmap) -> None:
-        """Finds the cells that zones bar, those at zones that the robot stands in, and those barred beyond the map."""
+        """Finds the cells of zones: blocked ones, penalized ones (around the robot) and blocked ones beyond the map."""
         entered, holding = self._keep_out.entered, self._keep_out.holding
         self._penalized, self._closed = None, None
         self._blocked_cells = np.flatnonzero(marked(grid, holding))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a plan still holds, how far along it the robot is, and whether a new one is worth the change."""
+"""When is a plan replaced: the robot's progress on the present plan, and the rules by which a new plan replaces it."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -22,7 +22,7 @@ _SEARCH_BEHIND_M = 0.5
 
 
 class PlanMonitorConfig(Section):
-    """When a plan is given up for another."""
+    """When a new plan replaces the present one."""
 
     RENAMED: ClassVar[dict[str, str]] = {
         "switch_least": "min_switch_gain",
@@ -31,20 +31,28 @@ class PlanMonitorConfig(Section):
         "far_ahead": "min_wait_distance",
     }
 
-    off_plan: float = Field(0.5, ge=0.05, le=5, description="m off the plan at which the robot gets a new one")
+    off_plan: float = Field(0.5, ge=0.05, le=5, description="m from the plan at which the robot gets a new one")
     refine_gain: float = Field(
-        0.05, ge=0, le=1, description="share of its cost that a new plan along the same way must save"
+        0.05, ge=0, le=1, description="share of the remaining cost that a new plan along the same route must save"
     )
-    switch_gain: float = Field(0.2, ge=0, le=1, description="share of its cost that a plan by another way must save")
-    min_switch_gain: float = Field(0.5, ge=0, le=20, description="m (weighted) that it must save as well")
-    same_route_distance: float = Field(
-        0.6, ge=0, le=5, description="m between two plans that count as the same way, at most"
+    switch_gain: float = Field(
+        0.2, ge=0, le=1, description="share of the remaining cost that a plan along another route must save"
     )
+    min_switch_gain: float = Field(
+        0.5, ge=0, le=20, description="m (weighted) that a plan along another route must save as well"
+    )
+    same_route_distance: float = Field(0.6, ge=0, le=5, description="maximum m between two plans along the same route")
     max_wait_time: float = Field(
-        2.5, ge=0, le=60, description="s that a plan is kept where something stands on it that was not there: people"
+        2.5,
+        ge=0,
+        le=60,
+        description=("s that a blocked plan is kept where space was known to be free: the obstacle may be a person"),
     )
     min_wait_distance: float = Field(
-        2.5, ge=0, le=50, description="m ahead; nearer, a plan that costs little more is taken without patience"
+        2.5,
+        ge=0,
+        le=50,
+        description=("m to the obstacle; when it is nearer, a new plan at little more cost is taken without waiting"),
     )
 
 
@@ -52,8 +60,8 @@ class PlanMonitorConfig(Section):
 class PlanProgress:
     """The robot's place on a plan.
 
-    index: of the nearest pose. off: m to it. cost: m, weighted, of the rest. i_blocked: index of the first blocked
-    pose, -1 without one. to_blocked: m along the plan to it.
+    `index`: of the nearest pose. `off`: m to it. `cost`: m, weighted, of the rest. `i_blocked`: index of the first
+    blocked pose, -1 without one. `to_blocked`: m along the plan to it.
     """
 
     index: int
@@ -135,7 +143,10 @@ class PlanMonitor:
 def plan_progress(
     costmap: GlobalCostmap, plan: GlobalPlan, index: int, x: float, y: float, within: float = SEARCH_AHEAD_M
 ) -> PlanProgress:
-    """How the plan looks from (x, y) m on today's map; index: that of the last look; within: m along it from there."""
+    """The robot at (x, y) m in `map` on a plan, with the plan's cost on the present costmap.
+
+    index: of the last call. within: m along the plan from there within which the robot is searched for.
+    """
     points = plan.points
     along = distance_along(points)
     low = int(np.searchsorted(along, along[index] - _SEARCH_BEHIND_M))
@@ -153,7 +164,7 @@ def plan_progress(
 
 
 def is_worth_switching(old: GlobalPlan, old_cost: float, new: GlobalPlan, config: PlanMonitorConfig) -> bool:
-    """Whether the new plan saves enough against what is left of the old one, where both are free."""
+    """Whether a new plan saves enough of `old_cost`, the cost of the rest of the old one. Both are free."""
     if new.reason is not None:
         return False
     saved = old_cost - new.cost
@@ -165,7 +176,7 @@ def is_worth_switching(old: GlobalPlan, old_cost: float, new: GlobalPlan, config
 def is_worth_waiting(
     old: GlobalPlan, old_cost: float, ahead: float, new: GlobalPlan, config: PlanMonitorConfig
 ) -> bool:
-    """Whether it is better to wait that the old plan gets free again, ahead m from the robot, than to take the new."""
+    """Whether waiting until the old plan is free again is better than the new plan. ahead: m to the obstacle."""
     if new.reason is not None:
         return True
     if follows_same_route(old, new, config.same_route_distance):
@@ -174,17 +185,17 @@ def is_worth_waiting(
 
 
 def remaining_plan(plan: GlobalPlan, index: int) -> GlobalPlan:
-    """The plan from a pose on."""
+    """The plan from the pose `index` on."""
     return GlobalPlan(plan.points[index:], plan.yaws[index:], plan.cost)
 
 
 def path_length(points: Float64s) -> float:
-    """m along points (n, 2)."""
+    """Length in m of the polyline through points (n, 2)."""
     return float(distance_along(points)[-1]) if len(points) else 0.0
 
 
 def follows_same_route(old: GlobalPlan, new: GlobalPlan, within: float) -> bool:
-    """Whether the new plan is nowhere farther than `within` m from the old one."""
+    """Whether every point of the new plan lies within `within` m of the old one."""
     some = new.points[:: max(len(new.points) // 50, 1)]
     away = np.hypot(some[:, None, 0] - old.points[:, 0], some[:, None, 1] - old.points[:, 1])
     return bool(away.min(axis=1).max() <= within)

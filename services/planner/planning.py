@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a pose to a goal: where to start, where to end, the way between, or the reason why there is none."""
+"""From a pose to a goal: free start and end cells, the search between them, smoothing, or the reason without a path."""
 
 import heapq
 from dataclasses import dataclass
@@ -24,23 +24,26 @@ Float64s = NDArray[np.float64]
 Cell = tuple[int, int]
 
 NO_POINTS = np.empty((0, 2))
-EDGE_MARGIN_CELLS = 1e-6  # cells that a path's ends keep off the edge of theirs
+EDGE_MARGIN_CELLS = 1e-6  # of the path's ends to the edges of their cells
 RADIUS_FACTOR = 1.2
-"""How much wider than the tightest a planned arc is where there is room: what is left is for getting back onto it."""
+"""Radius of a planned arc over the tightest one, where there is room: the rest lets the robot return to the path."""
 STRAIGHT_APPROACH_RADII = 0.8
-"""Radii straight ahead before a goal with a heading, where there is room."""
+"""Length in radii of the straight line before a goal with a heading, where there is room."""
 RETRY_REASONS = reasons.UNREACHABLE, reasons.NO_ROOM_TO_TURN, reasons.START_BLOCKED, reasons.GOAL_BLOCKED
-"""What a smaller margin may mend."""
+"""Reasons after which planning is repeated with the smaller margin."""
 SPIN_THRESHOLD_RAD = 1.0
-"""rad off its way from which a standing robot turns on the spot before it starts, as local control's `turn_from`."""
+"""Angle to the path (rad) at which a standing robot turns in place first, as local control's `turn_from`."""
 
 
 class PlanningConfig(Section):
-    """How a way is made into a path."""
+    """From a search to a path."""
 
-    spacing: float = Field(0.05, ge=0.01, le=1, description="m between the poses of a path, at most")
+    spacing: float = Field(0.05, ge=0.01, le=1, description="maximum m between the poses of a path")
     goal_reach: float = Field(
-        0.25, ge=0, le=5, description="m that a goal without room for the robot may be moved, if its tolerance is less"
+        0.25,
+        ge=0,
+        le=5,
+        description="m that a goal without room for the robot may be moved, where its tolerance is less",
     )
     escape_radius: float = Field(
         0.6, ge=0, le=5, description="m that the robot may drive through inflated space to leave it"
@@ -49,7 +52,7 @@ class PlanningConfig(Section):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GlobalPlan:
-    """points: (n, 2) m in `map`; yaws: (n,) rad; cost: m, weighted. `reason` is set, and n = 0, where there is none."""
+    """A path in `map`: points (n, 2) m, yaws (n,) rad, cost m (weighted). Without one n is 0 and `reason` is set."""
 
     points: Float64s
     yaws: Float64s
@@ -58,13 +61,15 @@ class GlobalPlan:
 
 
 def no_plan(reason: Reason) -> GlobalPlan:
-    """Nowhere to go, and why."""
+    """The plan without a path, for this reason."""
     return GlobalPlan(np.empty((0, 2)), np.empty(0), 0.0, reason)
 
 
 class TurningLimits(NamedTuple):
-    """How a robot turns that does not turn just anywhere. radius: m, of its tightest arc; spins: it may turn on the
-    spot, before it starts and at the goal; any_heading: it may end with any.
+    """Limits of a robot with a turning radius.
+
+    `radius`: m, of its tightest arc. `spins`: it may turn in place, before it starts and at the goal. `any_heading`:
+    the goal's heading does not count.
     """
 
     radius: float
@@ -81,19 +86,20 @@ def plan_path(
     config: PlanningConfig,
     turning: TurningLimits | None = None,
 ) -> GlobalPlan:
-    """The path from start to goal, or to the nearest place with room within the larger of tolerance and goal_reach.
+    """The path from start to goal, poses in `map`, or to the nearest free place within `tolerance` and `goal_reach` m.
 
-    turning: None turns anywhere. Else the path keeps the arcs; who spins and finds none that does, has one without.
+    turning: None for a robot without a turning radius. Otherwise the path consists of arcs; a robot that spins gets a
+    path without arcs where none has them.
 
-    It keeps the margin; where no way at all does, or there is no room for start or goal, the least margin: the robot
-    must get out of a gap that has become a cell narrower since it drove in.
+    Planning keeps `margin`. Where that gives no path, it is repeated with `min_margin`: a gap that became a cell
+    narrower must not trap the robot.
     """
     ends = start, goal, tolerance
     plan = _with_margin(costmap, search, *ends, config, turning)
     if plan.reason not in RETRY_REASONS or (reduced := costmap.with_min_margin()) is costmap:
         return plan
     if plan.reason is reasons.GOAL_BLOCKED and not reduced.costs[reduced.cell(goal.x, goal.y)]:
-        return plan  # in a wall, or so close to it that no margin helps
+        return plan  # in an obstacle, or too near to one for any margin
     return _with_margin(reduced, search, *ends, config, turning)
 
 
@@ -153,9 +159,10 @@ def _plan_arcs(
     spacing: float,
     escape_radius_m: float,
 ) -> GlobalPlan:
-    """The path of arcs and lines between poses (x, y in cells, yaw), or the reason why there is none.
+    """The path of arcs and lines between poses (x, y in cells, yaw), or the reason without one.
 
-    leaves: m within which a robot in inflated space may cross that, where it comes no nearer to anything.
+    escape_radius_m: distance within which a robot in inflated space may cross it, no nearer to obstacles than it
+    stands.
     """
     costs, radius = costmap.costs, turning.radius / costmap.resolution
     if escape_radius_m:
@@ -183,10 +190,10 @@ def _plan_arcs(
 
 
 def _escape_paths(costmap: GlobalCostmap, start: Pose2, start_cell: Cell, radius: float) -> dict[int, list[Cell]]:
-    """For each region that the robot can enter: the cells from its own to the region's nearest, both included.
+    """Component that the robot can enter: cells from its own to the nearest one of the component, both included.
 
-    That is its own cell where the robot stands in free space. Where it stands in inflated space, it may cross that, but
-    no obstacle; cells under the robot itself are no obstacles, whatever the map says.
+    In free space that is its own cell. In inflated space the robot may cross it, but no obstacle. Occupied cells under
+    the robot do not count.
     """
     if costmap.costs[start_cell]:
         return {costmap.components.at(*start_cell): [start_cell]}
@@ -211,7 +218,7 @@ def _escape_paths(costmap: GlobalCostmap, start: Pose2, start_cell: Cell, radius
                 continue
             if costmap.is_occupied(*there) and away > costmap.min_clearance:
                 continue
-            heapq.heappush(queue, (travelled + 1 + away, there))  # straight away rather than around
+            heapq.heappush(queue, (travelled + 1 + away, there))  # prefers straight lines
             parents.setdefault(there, cell)
     return found
 
@@ -226,7 +233,9 @@ def _trace_back(parents: dict[Cell, Cell], cell: Cell) -> list[Cell]:
 def _nearest_reachable_goal(
     costmap: GlobalCostmap, goal: Pose2, goal_cell: Cell, regions: set[int], radius: float
 ) -> Cell | None:
-    """The goal's cell if it lies in one of the regions, else the nearest that does with its centre within radius."""
+    """The goal's cell if it lies in one of the components, else the nearest such cell within `radius` m; None without
+    one.
+    """
     if costmap.components.at(*goal_cell) in regions:
         return goal_cell
     n = ceil(radius / costmap.resolution) + 1
@@ -244,7 +253,7 @@ def _nearest_reachable_goal(
 
 
 def _cell_coordinates(costmap: GlobalCostmap, pose: Pose2, cell: Cell) -> tuple[float, float]:
-    """The pose's (x, y) in cells, inside its own cell also after the way to metres and back."""
+    """The pose's (x, y) in cells, kept inside its cell against rounding."""
     x0, y0 = costmap.origin
     row, column = cell
     return (

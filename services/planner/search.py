@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cheapest way over an 8-connected cost grid: A* with a circular bucket queue and buffers that are never cleared.
+"""The cheapest path over an 8-connected cost grid: A* with a circular bucket queue.
 
-Costs are integers, so a queue of buckets replaces the heap. A bucket is wider than the smallest step; what was expanded
-too early is expanded again, so the result is exact.
+Costs are integers, so buckets replace the heap. A bucket is wider than the smallest step; cells that were expanded too
+early are expanded again, so the result is exact. Buffers are never cleared.
 """
 
 from typing import Generic, TypeVar
@@ -23,20 +23,20 @@ STRAIGHT, DIAGONAL = 2378, 3363
 """Half a step's length, in integers; 3363 / 2378 is sqrt(2) to 6e-8 (a convergent of its continued fraction)."""
 
 COST_BITS = 42
-"""Of a key: the cost so far. The bits above number the search, downwards, so that keys of older ones are larger."""
+"""Bits of a key for the cost so far. The bits above number the searches downwards: keys of older ones are larger."""
 
 QUEUE_FULL = -1
-"""What a search returns where the queue's entries did not suffice."""
+"""Result of a search that ran out of queue entries."""
 
-_SEARCHES = 2**21 - 1  # so many stamps there are
+_SEARCHES = 2**21 - 1  # number of stamps
 _ROW = np.array([0, 1, 0, -1, 1, 1, -1, -1], np.int64)
 _COLUMN = np.array([1, 0, -1, 0, 1, -1, 1, -1], np.int64)
 
 
 class SearchBuffers(Generic[Origin]):
-    """What searches know of the cells or nodes of a grid: `keys`, stamp and cost so far; `origins`, whence.
+    """Buffers of searches, for each cell or node: `keys` (stamp and cost so far) and `origins` (its predecessor).
 
-    Never cleared: a new search has a lower stamp than all before, and so finds every key too high.
+    They are never cleared: a new search has a lower stamp than all before it, so every old key is too high.
     """
 
     def __init__(self, origins: type[Origin]) -> None:
@@ -45,33 +45,33 @@ class SearchBuffers(Generic[Origin]):
         self.origins: NDArray[Origin] = np.zeros(0, origins)
 
     def begin(self, size: int) -> None:
-        """Makes them fit size cells, and half of all stamps be left."""
+        """Makes room for `size` cells, and resets the stamps when half of them are used."""
         size = max(size, len(self.keys))
         if size > len(self.keys) or self.stamp[0] > _SEARCHES // 2:
             self.stamp[0] = 0
-            # zero is more than any key, and memory that nobody has written to costs nothing
+            # zero is above any key, and zeroed memory costs nothing until it is written
             self.keys, self.origins = np.zeros(size, np.int64), np.zeros(size, self.origins.dtype)
 
 
 class GridSearch:
-    """Finds ways; holds the buffers of the largest grid so far."""
+    """Finds the cheapest paths. Holds the buffers of the largest grid so far."""
 
     def __init__(self) -> None:
         self.cells = SearchBuffers(np.int8)
         self.reserve(1 << 12)
 
     def reserve(self, n: int) -> None:
-        """Makes room for n entries of the queue: their cells, their keys, the next entry of their bucket."""
+        """Makes room for n entries of the queue: cells, keys, and next entries of their buckets."""
         self.entries = np.empty(n, np.int32), np.empty(n, np.int64), np.empty(n, np.int32)
 
     def cheapest_path(
         self, costs: UInt16s, start: tuple[int, int], goal: tuple[int, int], min_cost: int, max_cost: int
     ) -> Int32s:
-        """The cheapest way from start to goal, both included: (n, 2) int32 rows and columns, n = 0 without one.
+        """The cheapest path from start to goal, both included: (n, 2) int32 rows and columns, n = 0 without one.
 
-        costs: (h, w) uint16, C-contiguous, 0 blocked, its outermost ring blocked. lowest, highest: bounds of its
-        other values. A step costs its length times the mean of its two cells; a diagonal one needs both of its
-        straight neighbours free.
+        costs: (h, w) uint16, C-contiguous, 0 blocked, its outermost ring blocked. min_cost, max_cost: bounds of its
+        other values. A step costs its length times the mean of its two cells. A diagonal step needs both straight
+        neighbours free.
         """
         w, marks = costs.shape[1], self.cells
         flat = costs.reshape(-1)
@@ -120,10 +120,10 @@ def expand(
     entry_keys: Int64s,
     links: Int32s,
 ) -> int:
-    """Fills keys (base + cost so far) and parents (direction of arrival) until the goal is settled or nothing is left.
+    """Fills keys (base + cost so far) and parents (direction of arrival) until the goal is settled or no cell is left.
 
-    Returns whether there is a way, 1 or 0, or NO_ROOM where the entries did not suffice. Exact where no cost is under
-    `min_cost`; a higher one looks at fewer cells, and finds some way.
+    Returns 1 with a path, 0 without one, or QUEUE_FULL. Exact where no cost is under `min_cost`; a higher bound expands
+    fewer cells and gives some path.
     """
     base = next_base_key(stamp)
     offsets = _ROW * width + _COLUMN
@@ -169,7 +169,7 @@ def expand(
             parents[there] = direction
             dr, dc = abs(goal_row - row - _ROW[direction]), abs(goal_column - column - _COLUMN[direction])
             total = key + step - base + straight_least * max(dr, dc) + slower * min(dr, dc)
-            slot = max(total >> shift, bucket) & mask  # not before what is expanded now, where `min_cost` is too high
+            slot = max(total >> shift, bucket) & mask  # not before the present bucket, where `min_cost` is too high
             free, n_used = push_entry(slot, there, key + step, free, n_used, heads, cells, entry_keys, links)
             n_open += 1
     return 1 if keys[goal] >> COST_BITS == base >> COST_BITS else 0
@@ -177,7 +177,7 @@ def expand(
 
 @njit(cache=True, nogil=True)
 def width_bits(least: int) -> int:
-    """Bits of a cost that lie within a bucket, for steps that cost at least so much."""
+    """Bits of a cost that lie within one bucket, for steps that cost at least `least`."""
     shift = 0
     while least >> shift > 1:
         shift += 1
@@ -186,6 +186,7 @@ def width_bits(least: int) -> int:
 
 @njit(cache=True, nogil=True)
 def traced_path(parents: Int8s, width: int, start: int, goal: int) -> Int32s:
+    """(n, 2) int32 rows and columns of the path that `parents` lead along, from start to goal."""
     offsets = _ROW * width + _COLUMN
     n = 1
     cell = goal

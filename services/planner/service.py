@@ -79,12 +79,42 @@ class PlannerService(Service):
             cells[0, 10, 10 * version] = 100
             tile = cells.reshape(1, -1).copy()
             place = np.zeros(1, np.int32)
-            list(other.map(MapUpdate(0, 1, version, 0.05, place, place, tile)))
+            list(
+                other.map(
+                    MapUpdate(
+                        stamp=0, map_id=1, version=version, resolution=0.05, rows=place, columns=place, cells=tile
+                    )
+                )
+            )
             pose, covariance = Pose2(0.6, 1.6), np.zeros(9)
-            list(other.pose(PoseEstimate(0, pose, Pose2(), covariance, 1.0, Localization.GOOD)))
+            list(
+                other.pose(
+                    PoseEstimate(
+                        stamp=0,
+                        map_from_base=pose,
+                        map_from_odom=Pose2(),
+                        covariance=covariance,
+                        quality=1.0,
+                        state=Localization.GOOD,
+                    )
+                )
+            )
             list(other.odometry(Odometry(0, pose, 0.0, 0.0, covariance)))
             for x in (1.625, 2.6):  # in the wall, behind it
-                list(other.new_goal(Goal(0, round(10 * x), GoalKind.DRIVE, Pose2(x, 1.6), 0.1, 0.1, 0.0, False)))
+                list(
+                    other.new_goal(
+                        Goal(
+                            stamp=0,
+                            id=round(10 * x),
+                            kind=GoalKind.DRIVE,
+                            map_from_goal=Pose2(x, 1.6),
+                            tolerance=0.1,
+                            yaw_tolerance=0.1,
+                            amount=0.0,
+                            clear_costmap=False,
+                        )
+                    )
+                )
                 list(other.confirm())
             square = np.array([0.2, 0.4, 0.4, 0.2]), np.array([2.0, 2.0, 2.2, 2.2])
             list(other.zones(Zones(0, (Zone(0, "keep out", ZoneKind.KEEP_OUT, *square),))))
@@ -206,15 +236,15 @@ class PlannerService(Service):
         first = self.monitor.index
         points, yaws = plan.points[first:], plan.yaws[first:]
         return Path(
-            self.now,
-            goal.id,
-            self.grid.version,
-            plan.reason.code if plan.reason else "",
-            np.ascontiguousarray(points[:, 0]),
-            np.ascontiguousarray(points[:, 1]),
-            yaws,
-            path_length(points),
-            self.monitor.cost_left,
+            stamp=self.now,
+            goal_id=goal.id,
+            map_version=self.grid.version,
+            reason=plan.reason.code if plan.reason else "",
+            xs=np.ascontiguousarray(points[:, 0]),
+            ys=np.ascontiguousarray(points[:, 1]),
+            yaws=yaws,
+            length=path_length(points),
+            cost=self.monitor.cost_left,
         )
 
 
