@@ -2,10 +2,11 @@
 """One YAML a robot, read into strict models. A service gets its own section and the robot's geometry, nothing else."""
 
 import difflib
+import logging
 from io import StringIO
 from math import cos, hypot, pi
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, ClassVar, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ from shared.geometry import inside, to_outline
 
 CIRCLE_CORNERS = 32  # of the polygon around a round robot: it reaches 0.5 % beyond the circle
 CONFIG_DIR = Path(__file__).resolve().parent.parent / "config"
+
+_log = logging.getLogger("zenav.config")
 
 
 class UserError(Exception):
@@ -32,6 +35,20 @@ class Section(BaseModel):
     """Base of every configuration model: unknown keys are errors, values never change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    RENAMED: ClassVar[dict[str, str]] = {}
+    """Former name of a setting: its present name. Robot files and recordings may use either, not both."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _rename_settings(cls, values: Any) -> Any:
+        """The values under the present names of the settings. Raises ValueError where both names are given."""
+        if not isinstance(values, dict) or not cls.RENAMED.keys() & values.keys():
+            return values
+        for old, new in cls.RENAMED.items():
+            if old in values and new in values:
+                raise ValueError(f"`{old}` and `{new}` name one setting: give `{new}` only")
+        return {cls.RENAMED.get(name, name): value for name, value in values.items()}
 
 
 class Mount(Section):
@@ -188,6 +205,7 @@ class RobotFile:
             raise UserError(
                 f"{self.place((name,))}: {name} is not a section", f"write `{name}:` and its settings below"
             )
+        self._warn_of_renamed((name,), model, values)
         try:
             return model.model_validate(_plain(values))
         except ValidationError as errors:
@@ -195,6 +213,7 @@ class RobotFile:
 
     def whole(self, model: type[T]) -> T:
         """The whole file as one `model`, for files without sections. Raises UserError on the first fault."""
+        self._warn_of_renamed((), model, self.tree)
         try:
             return model.model_validate(_plain(self.tree))
         except ValidationError as errors:
@@ -248,6 +267,23 @@ class RobotFile:
             except (KeyError, IndexError, AttributeError, TypeError):
                 break
         return f"{_short(self.path)}:{line + 1}"
+
+    def _warn_of_renamed(self, location: tuple[Any, ...], model: Any, values: Any) -> None:
+        """Logs a warning for each setting at or below `location` that has its former name, with the present one."""
+        if isinstance(values, list):
+            for i, value in enumerate(values):
+                self._warn_of_renamed((*location, i), model, value)
+            return
+        if not isinstance(values, dict):
+            return
+        renamed = getattr(model, "RENAMED", {})
+        for key, value in values.items():
+            here, name = (*location, key), renamed.get(key, key)
+            if name != key:
+                _log.warning("%s: %s is now `%s`", self.place(here), ".".join(map(str, here)), name)
+            field = getattr(model, "model_fields", {}).get(name)
+            if field is not None:
+                self._warn_of_renamed(here, _item_type(field.annotation), value)
 
     def _told(self, above: tuple[str, ...], model: type[Section], errors: ValidationError) -> UserError:
         # a mistyped name of a setting that must be there is two errors: the name is the one that helps

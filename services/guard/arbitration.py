@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whose command counts? Teleop before nav, young before old, and after a released STOP only who asked for zero."""
+"""Selects the active command source: teleop over navigation. After an e-stop release a source must first send zero."""
 
 from pydantic import Field
 
@@ -11,54 +11,57 @@ from shared.stamps import FUTURE, fresh, supersedes
 class ArbitrationConfig(Section):
     """Command sources."""
 
-    command_age: float = Field(0.2, gt=0, le=0.3, description="s after its stamp that a command ends")
-    teleop_hold: float = Field(0.5, ge=0, le=10, description="s after its last command that teleop keeps nav out")
-    silence: float = Field(0.5, gt=0, le=10, description="s without commands after which a stream counts as new")
+    command_age: float = Field(0.2, gt=0, le=0.3, description="s after its stamp at which a command ends")
+    teleop_hold: float = Field(
+        0.5, ge=0, le=10, description="s after its last command for which teleop keeps the control"
+    )
+    silence: float = Field(0.5, gt=0, le=10, description="s without commands after which a source counts as new")
 
 
-class Source:
-    """One stream of commands. A stream that ran while STOP was released counts again after a zero or a silence."""
+class CommandSource:
+    """One source of commands. After an e-stop release it counts again after a zero command or a silence."""
 
     def __init__(self, name: str, config: ArbitrationConfig) -> None:
         self.name = name
         self.config = config
         self.command: Velocity | None = None
-        self.armed = True
-        self._quiet_since = 0
-        self._began = 0  # ns from when on the command ages: its stamp, or when it came if that was ahead
+        self.is_armed = True
+        self._silent_since = 0
+        self._valid_from = 0  # ns from which the command ages: its stamp, or its arrival where the stamp was ahead
 
-    def take(self, command: Velocity, now: int) -> bool:
-        """Takes a command that is newer than the last and young; False where it is neither."""
+    def accept(self, command: Velocity, now: int) -> bool:
+        """Takes a command that is newer than the last one and recent. Returns whether it did."""
         last = None if self.command is None else self.command.stamp
         if not supersedes(command.stamp, last, now) or not fresh(command.stamp, now, self.config.command_age):
             return False
-        if self._quiet_since > now + FUTURE:
-            self._quiet_since = now  # the clock was set back
-        if self.wants_zero(command) or command.stamp - self._quiet_since >= round(self.config.silence * 1e9):
-            self.armed = True
-        self._quiet_since = command.stamp
-        self.command, self._began = command, min(command.stamp, now)
+        if self._silent_since > now + FUTURE:
+            self._silent_since = now  # the clock was set back
+        if self.is_zero(command) or command.stamp - self._silent_since >= round(self.config.silence * 1e9):
+            self.is_armed = True
+        self._silent_since = command.stamp
+        self.command, self._valid_from = command, min(command.stamp, now)
         return True
 
     def disarm(self, now: int) -> None:
-        """STOP was released: the stream must ask for zero, or pause, before it moves the robot again."""
-        self.armed = False
-        self._quiet_since = max(now, self._quiet_since)
+        """Requires a zero command or a silence before the source moves the robot again, after an e-stop release."""
+        self.is_armed = False
+        self._silent_since = max(now, self._silent_since)
 
-    def younger_than(self, age: float, now: int) -> bool:
-        """Whether the stream's last command is at most `age` s old."""
-        return self.command is not None and fresh(self._began, now, age)
+    def is_newer_than(self, age: float, now: int) -> bool:
+        """Whether the last command is at most `age` s old."""
+        return self.command is not None and fresh(self._valid_from, now, age)
 
     @staticmethod
-    def wants_zero(command: Velocity) -> bool:
+    def is_zero(command: Velocity) -> bool:
+        """Whether a command asks for standstill."""
         return command.v == 0 and command.w == 0
 
     @property
-    def moving(self) -> bool:
+    def wants_motion(self) -> bool:
         """Whether the last command asked for motion."""
-        return self.command is not None and not self.wants_zero(self.command)
+        return self.command is not None and not self.is_zero(self.command)
 
 
-def in_charge(teleop: Source, nav: Source, now: int) -> Source:
-    """The source whose command counts: teleop until it has been silent for `teleop_hold`, else nav."""
-    return teleop if teleop.younger_than(teleop.config.teleop_hold, now) else nav
+def active_source(teleop: CommandSource, nav: CommandSource, now: int) -> CommandSource:
+    """The active source: teleop until it has been silent for `teleop_hold`, else navigation."""
+    return teleop if teleop.is_newer_than(teleop.config.teleop_hold, now) else nav

@@ -1,29 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast may the commanded velocity change? The robot's acceleration and braking, for m/s and rad/s alike."""
+"""Acceleration limits of the velocity, for m/s and rad/s."""
 
 from shared.config import Drive
 
 
-def ramped(
+def ramped_velocity(
     before: tuple[float, float], wanted: tuple[float, float], elapsed: float, drive: Drive
 ) -> tuple[float, float]:
-    """The velocity (m/s, rad/s) after `elapsed` s on the way from one to the other, within the robot's accelerations.
+    """The velocity (m/s, rad/s) `elapsed` s after `before`, on the way to `wanted`, within the drive's accelerations.
 
-    From standstill it keeps the wanted arc, so that what is free to drive is free to start.
+    From standstill it keeps the wanted arc, so that the start follows the path that the field tested.
     """
     if before == (0.0, 0.0):
         grown = abs(wanted[0]) / drive.max_acceleration, abs(wanted[1]) / drive.max_turn_acceleration
         share = min(1.0, elapsed / max(grown)) if max(grown) > 0 else 1.0
         return wanted[0] * share, wanted[1] * share
-    v = _towards(before[0], wanted[0], elapsed, drive.max_acceleration, drive.max_braking)
-    w = _towards(before[1], wanted[1], elapsed, drive.max_turn_acceleration, drive.max_turn_acceleration)
+    v = _ramped_axis(before[0], wanted[0], elapsed, drive.max_acceleration, drive.max_braking)
+    w = _ramped_axis(before[1], wanted[1], elapsed, drive.max_turn_acceleration, drive.max_turn_acceleration)
     return v, w
 
 
-def _towards(now: float, wanted: float, elapsed: float, acceleration: float, braking: float) -> float:
-    """One axis: braking while the speed falls, acceleration while it rises; a reversal is first one, then the other."""
+def _ramped_axis(now: float, wanted: float, elapsed: float, acceleration: float, braking: float) -> float:
+    """One axis: braking while the speed falls, acceleration while it rises. A reversal passes zero."""
     if now < 0 or (now == 0 and wanted < 0):
-        return -_towards(-now, -wanted, elapsed, acceleration, braking)
+        return -_ramped_axis(-now, -wanted, elapsed, acceleration, braking)
     if wanted >= now:
         return min(wanted, now + acceleration * elapsed)
     standing = now / braking  # s until it stands

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is near the robot? Scan and range readings as points in `odom`, and what was seen where no sensor looks now."""
+"""Obstacles near the robot: points of the scan and the range sensors in `odom`, and remembered ones out of view."""
 
 from math import pi
 
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.guard.track import Track
+from services.guard.odometry_buffer import OdometryBuffer
 from shared.config import Robot, Section
 from shared.geometry import Pose2, inside
 from shared.messages import LaserScan, RangeReadings
@@ -15,58 +15,60 @@ from shared.messages import LaserScan, RangeReadings
 Float64s = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-EXPLAINED = 0.08  # m by which a range reading and a laser echo may differ and still mean the same thing
-MOST_BEAMS = 1440  # of one scan; of a finer one every second, third ... is enough: 0.25 degrees of a full turn
-MOST_HIDDEN = 500  # remembered, the nearest
-NONE = np.empty((0, 2))
+ECHO_MATCH_M = 0.08  # between a range reading and a laser echo of the same object
+MAX_BEAMS = 1440  # of one scan, 0.25 degrees of a full turn; of a finer scan each second, third ... beam is used
+MAX_REMEMBERED = 500  # points, the nearest
+NO_POINTS = np.empty((0, 2))
 
 
 class ObstaclesConfig(Section):
     """What counts as an obstacle."""
 
-    min_points: int = Field(2, ge=1, le=10, description="points near each other that make an obstacle; fewer are noise")
+    min_points: int = Field(2, ge=1, le=10, description="neighbouring points that make an obstacle; fewer are noise")
     support_radius: float = Field(0.1, gt=0, le=1, description="m within which points support each other")
-    memory: float = Field(20.0, ge=0, le=120, description="s that a thing is remembered where no sensor looks")
+    memory: float = Field(
+        20.0, ge=0, le=120, description="s that an obstacle is remembered outside the view of all sensors"
+    )
 
 
 class Obstacles:
-    """Points in `odom` that the protective field must keep clear of, within `reach` m of the robot."""
+    """Points in `odom` within `reach` m of the robot that the protective field must keep clear of."""
 
     def __init__(self, config: ObstaclesConfig, robot: Robot, reach: float) -> None:
         self.config, self.robot, self.reach = config, robot, reach
         mount = robot.laser.mount
         self.base_from_laser = Pose2(mount.x, mount.y, mount.yaw)
-        self.forget()
+        self.clear()
 
-    def forget(self) -> None:
-        """Drops everything: odometry began anew."""
-        self._seen = self._solid = NONE  # the last scan's points, and those of them that are not noise
-        self._hidden = NONE
-        self._hidden_seen = np.empty(0)  # s
+    def clear(self) -> None:
+        """Drops all points: odometry restarted."""
+        self._seen = self._solid = NO_POINTS  # the last scan's points, and those of them that are not noise
+        self._remembered = NO_POINTS
+        self._remembered_at = np.empty(0)  # s
         self._echoes: dict[int, tuple[Float64s, int]] = {}  # sensor -> its points, ns of the reading
 
     def points(self, odom_from_base: Pose2, now: int) -> Float64s:
         """(n, 2) m in `base` at the given pose."""
         age = self.config.memory * 1e9
         echoes = [points for points, stamp in self._echoes.values() if now - stamp <= age]
-        return odom_from_base.inverse() @ np.concatenate([self._solid, self._hidden, *echoes])
+        return odom_from_base.inverse() @ np.concatenate([self._solid, self._remembered, *echoes])
 
-    def take_scan(self, scan: LaserScan, track: Track, covered: bool = False) -> None:
-        """Replaces what the laser saw by a newer scan; what it no longer looks at is remembered.
+    def add_scan(self, scan: LaserScan, track: OdometryBuffer, covered: bool = False) -> None:
+        """Replaces the points of the last scan. Points outside the new scan's view are remembered.
 
-        covered: hardly a beam leaves the robot, so returns from inside its outline are the robot.
+        covered: hardly any beam leaves the robot, so returns from inside its outline are its own.
         """
-        stride = -(-len(scan.ranges) // MOST_BEAMS)
+        stride = -(-len(scan.ranges) // MAX_BEAMS)
         ends, radius = self._ends(scan, track, stride, covered)
-        solid = supported(ends, self._seen, radius, self.config.min_points)
-        self._remember(scan, track)
+        solid = is_supported(ends, self._seen, radius, self.config.min_points)
+        self._update_remembered(scan, track)
         self._seen, self._solid = ends[np.isfinite(ends[:, 0])], ends[solid]
 
-    def take_ranges(self, readings: RangeReadings, track: Track) -> None:
-        """Replaces the range sensors' echoes.
+    def add_ranges(self, readings: RangeReadings, track: OdometryBuffer) -> None:
+        """Replaces the echoes of the range sensors.
 
-        A reading that the laser explains is left to the laser, which sees it sharper. An echo that came nearer than its
-        sensor can measure stays where it was.
+        An echo that a laser point explains is dropped, as the laser is more exact. An echo below a sensor's range
+        stays where it was.
         """
         odom_from_base = _pose(track.poses(np.zeros(1), readings.stamp)[0])
         columns = (readings.x, readings.y, readings.yaw, readings.field_of_view, readings.ranges)
@@ -74,53 +76,53 @@ class Obstacles:
             odom_from_sensor = odom_from_base @ Pose2(x, y, yaw)
             if np.isfinite(reach):
                 distance, bearing = _polar(odom_from_sensor.inverse() @ self._solid)
-                sharper = (np.abs(bearing) <= cone / 2 + 0.1) & (distance <= reach + EXPLAINED)
-                echo = NONE if sharper.any() else odom_from_sensor @ _arc(reach, cone)
+                is_explained = (np.abs(bearing) <= cone / 2 + 0.1) & (distance <= reach + ECHO_MATCH_M)
+                echo = NO_POINTS if is_explained.any() else odom_from_sensor @ _arc(reach, cone)
             else:
-                echo = self._echoes.get(i, (NONE, 0))[0]
+                echo = self._echoes.get(i, (NO_POINTS, 0))[0]
                 distance, bearing = _polar(odom_from_sensor.inverse() @ echo)
                 least = self.robot.ranges[i].range_min if i < len(self.robot.ranges) else 0.0
-                echo = echo[distance <= least + EXPLAINED]
+                echo = echo[distance <= least + ECHO_MATCH_M]
             self._echoes[i] = echo, readings.stamp
 
-    def _ends(self, scan: LaserScan, track: Track, stride: int, covered: bool) -> tuple[Float64s, Float64s]:
-        """Ends (n, 2) and radius (n,) of `beam_ends`; NaN where the end is out of reach, or the robot, too."""
+    def _ends(self, scan: LaserScan, track: OdometryBuffer, stride: int, covered: bool) -> tuple[Float64s, Float64s]:
+        """Ends (n, 2) and radius (n,) of `beam_ends`; NaN where the end is out of reach or on the robot, too."""
         ends, in_base, radius = beam_ends(scan, track, self.base_from_laser, stride)
         if covered:
             ends[inside(self.robot.corners, in_base)] = np.nan
         ends[~(np.hypot(in_base[:, 0], in_base[:, 1]) <= self.reach)] = np.nan
         return ends, self.config.support_radius + radius
 
-    def _remember(self, scan: LaserScan, track: Track) -> None:
-        """Keeps, of the last scan and of what was hidden before, what this scan could not see."""
-        points = np.concatenate([self._solid, self._hidden])
-        seen = np.concatenate([np.full(len(self._solid), scan.stamp * 1e-9), self._hidden_seen])
+    def _update_remembered(self, scan: LaserScan, track: OdometryBuffer) -> None:
+        """Keeps the points, of the last scan and of those remembered before, that this scan could not see."""
+        points = np.concatenate([self._solid, self._remembered])
+        seen = np.concatenate([np.full(len(self._solid), scan.stamp * 1e-9), self._remembered_at])
         odom_from_base = _pose(track.poses(np.array([scan.scan_time / 2]), scan.stamp)[0])
         distance, bearing = _polar((odom_from_base @ self.base_from_laser).inverse() @ points)
-        looked = looks_at(scan, bearing)
+        looked = is_in_sweep(scan, bearing)
         too_near = looked & (distance < scan.range_min + 0.02)
-        young = scan.stamp * 1e-9 - seen <= self.config.memory
+        is_recent = scan.stamp * 1e-9 - seen <= self.config.memory
         here = track.odom_from_base
         close = np.hypot(points[:, 0] - here.x, points[:, 1] - here.y) <= self.reach
-        kept = close & (too_near | (~looked & young))
-        # a thing too near to be measured is still there as long as the robot stays; time does not move it
+        kept = close & (too_near | (~looked & is_recent))
+        # an obstacle below range_min does not age while the robot stays
         seen[too_near] = scan.stamp * 1e-9
-        self._hidden, self._hidden_seen = points[kept], seen[kept]
-        if len(self._hidden) > MOST_HIDDEN:
-            _, first = np.unique(np.round(self._hidden / 0.03), axis=0, return_index=True)
+        self._remembered, self._remembered_at = points[kept], seen[kept]
+        if len(self._remembered) > MAX_REMEMBERED:
+            _, first = np.unique(np.round(self._remembered / 0.03), axis=0, return_index=True)
             order = first[
-                np.argsort(np.hypot(*(self._hidden[first] - (here.x, here.y)).T), kind="stable")[:MOST_HIDDEN]
+                np.argsort(np.hypot(*(self._remembered[first] - (here.x, here.y)).T), kind="stable")[:MAX_REMEMBERED]
             ]
-            self._hidden, self._hidden_seen = self._hidden[order], self._hidden_seen[order]
+            self._remembered, self._remembered_at = self._remembered[order], self._remembered_at[order]
 
 
 def beam_ends(
-    scan: LaserScan, track: Track, base_from_laser: Pose2, stride: int
+    scan: LaserScan, track: OdometryBuffer, base_from_laser: Pose2, stride: int
 ) -> tuple[Float64s, Float64s, Float64s]:
-    """Of each `stride`-th beam: its end (n, 2) m in `odom`, from where the robot was at that beam; NaN without one.
+    """The ends of each `stride`-th beam, de-skewed.
 
-    Also the end (n, 2) m in `base` at that beam, and the distance (n,) m that it may have from a neighbour's end on
-    the same surface, because beams spread.
+    Returns (n, 2) m in `odom`, NaN without an echo; (n, 2) m in `base` at that beam; and (n,) m, the distance to a
+    neighbour's end on the same surface, as beams spread.
     """
     beams = np.arange(0, len(scan.ranges), stride)
     ranges = scan.ranges[::stride].astype(float)
@@ -134,11 +136,11 @@ def beam_ends(
     return ends, in_base, 3 * stride * abs(scan.angle_increment) * ranges
 
 
-def supported(ends: Float64s, earlier: Float64s, radius: Float64s, least: int) -> Bools:
-    """Which beams' ends (n, 2) belong to an obstacle: (n,) bool. Lone points are noise.
+def is_supported(ends: Float64s, earlier: Float64s, radius: Float64s, least: int) -> Bools:
+    """(n,) bool: which ends of beams (n, 2) belong to an obstacle. Isolated points are noise.
 
-    A point counts with itself, with the ends of neighbouring beams within its radius (n,), and with the points of the
-    scan before (k, 2): a thin leg is hit by one beam, but by each scan.
+    A point counts itself, the ends of neighbouring beams within its radius (n,), and the points of the scan before (k,
+    2). So a thin leg counts, which one beam of each scan hits.
     """
     count = np.isfinite(ends[:, 0]).astype(int)
     for shift in range(1, min(least + 1, len(ends) // 2 + 1)):
@@ -151,8 +153,8 @@ def supported(ends: Float64s, earlier: Float64s, radius: Float64s, least: int) -
     return np.asarray(count >= least)
 
 
-def looks_at(scan: LaserScan, bearings: Float64s) -> Bools:
-    """Which directions in `laser` (n,) rad lie in the sweep."""
+def is_in_sweep(scan: LaserScan, bearings: Float64s) -> Bools:
+    """(n,) bool: which directions in `laser`, rad, lie in the sweep."""
     sweep = abs(scan.angle_increment) * (len(scan.ranges) - 1)
     from_first = (bearings - scan.angle_min) * (1.0 if scan.angle_increment > 0 else -1.0)
     # half a beam on either side: a full turn's last beam ends one step before its first
@@ -161,7 +163,7 @@ def looks_at(scan: LaserScan, bearings: Float64s) -> Bools:
 
 
 def _arc(reach: float, cone: float) -> Float64s:
-    """(k, 2) m in the sensor's frame: where a cone's echo may come from, no more than 0.1 m apart."""
+    """(k, 2) m in the sensor's frame: possible places of a cone's echo, at most 0.1 m apart."""
     angles = np.linspace(-cone / 2, cone / 2, 2 + int(reach * cone / 0.1))
     return np.column_stack((reach * np.cos(angles), reach * np.sin(angles)))
 

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast may the robot drive a given arc? As fast as it can still stop on before it touches anything.
+"""The greatest safe speed on an arc: the robot must be able to stop before contact (ISO 13855).
 
 The field is the footprint, grown by `side_margin`, swept along the commanded arc over the stopping distance. In `base`
-a standing point moves on a circle about the arc's centre of rotation, so the first contact is where that circle meets
-the grown outline: exact, for any simple polygon, without sampling the path.
+a static point moves on a circle about the centre of rotation. The first contact is where that circle meets the grown
+outline. This is exact for any simple polygon, without sampled poses.
 """
 
 from dataclasses import dataclass
 from math import inf, pi, sqrt
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,119 +20,126 @@ from shared.geometry import inside
 Float64s = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-TOUCHING = 0.005  # m: nearer than this the direction of motion decides, not the distance
-STRAIGHT = 1e-4  # 1/m: arcs flatter than this are lines; over 3 m they part by less than a millimetre
-STANDING = 1e-6  # m/s of the fastest point of the outline: no motion to judge
+TOUCHING_M = 0.005  # nearer than this the direction of motion decides, not the distance
+MIN_CURVATURE = 1e-4  # 1/m; flatter arcs count as lines: over 3 m they differ by less than a millimetre
+MIN_RIM_SPEED = 1e-6  # m/s of the fastest point of the outline; slower counts as standstill
 
 
 class FieldConfig(Section):
     """The protective field."""
 
-    reaction: float = Field(0.2, ge=0, le=2, description="s from a command to the wheels' answer, all delays together")
-    stop_margin: float = Field(0.05, ge=0.02, le=1, description="m of travel left free in front at standstill")
-    side_margin: float = Field(0.02, ge=0, le=0.5, description="m that the footprint is grown on all sides")
-    self_mask: float = Field(
-        0.03, ge=0, le=1, description="m: points deeper inside the footprint are the robot's own body"
-    )
-    slowest: float = Field(0.02, ge=0, le=0.2, description="m/s under which a slowed robot stands")
+    RENAMED: ClassVar[dict[str, str]] = {"slowest": "min_speed"}
+
+    reaction: float = Field(0.2, ge=0, le=2, description="s from a command until the wheels act, with all delays")
+    stop_margin: float = Field(0.05, ge=0.02, le=1, description="m left free in front at standstill")
+    side_margin: float = Field(0.02, ge=0, le=0.5, description="m by which the footprint is grown on all sides")
+    self_mask: float = Field(0.03, ge=0, le=1, description="m: points deeper inside the footprint belong to the robot")
+    min_speed: float = Field(0.02, ge=0, le=0.2, description="m/s below which a slowed robot stops")
     creep_speed: float = Field(0.15, ge=0, le=0.5, description="m/s up to which `side_margin` need not be free")
     creep_turn_rate: float = Field(0.5, ge=0, le=2, description="rad/s up to which `side_margin` need not be free")
     blind_speed: float = Field(
-        0.15, gt=0, le=2, description="m/s in a direction that neither the laser nor a range sensor covers"
+        0.15, gt=0, le=2, description="m/s in a direction without a view of the laser or a range sensor"
     )
 
 
 @dataclass(frozen=True, slots=True)
-class Permit:
-    """What the field allows of a command: the share of its speed, and the travel (m) until contact, inf without."""
+class SafeSpeed:
+    """Allowed share of a command's speed, and the travel (m) until contact, inf without."""
 
     share: float
     travel: float
 
 
-FREE = Permit(1.0, inf)
+NO_LIMIT = SafeSpeed(1.0, inf)
 
 
-def permitted(points: Float64s, corners: Float64s, v: float, w: float, drive: Drive, config: FieldConfig) -> Permit:
+def safe_speed(points: Float64s, corners: Float64s, v: float, w: float, drive: Drive, config: FieldConfig) -> SafeSpeed:
     """The greatest share of the velocity (v m/s, w rad/s) from which the robot stops before contact.
 
-    points: (n, 2) m, obstacles in `base`.  corners: (k, 2) m, footprint.
-    At a creep, `side_margin` is kept free in front only: a robot with something close beside it gets away.
+    points: (n, 2) m, obstacles in `base`. corners: (k, 2) m, footprint. At creep speed `side_margin` is kept free in
+    front only: a robot with an obstacle close beside it can leave.
     """
-    permit = _stopping(points, corners, v, w, drive, config)
-    creep = min(config.creep_speed / max(abs(v), STANDING), config.creep_turn_rate / max(abs(w), STANDING), 1.0)
-    if permit.share >= creep or creep * (abs(v) + abs(w)) < STANDING:
+    permit = _safe_speed_with_margin(points, corners, v, w, drive, config)
+    creep = min(
+        config.creep_speed / max(abs(v), MIN_RIM_SPEED), config.creep_turn_rate / max(abs(w), MIN_RIM_SPEED), 1.0
+    )
+    if permit.share >= creep or creep * (abs(v) + abs(w)) < MIN_RIM_SPEED:
         return permit
     in_front = config.stop_margin + config.side_margin
     narrow = config.model_copy(update={"side_margin": 0.0, "stop_margin": in_front})
-    creeping = _stopping(points, corners, v * creep, w * creep, drive, narrow)
-    return Permit(creeping.share * creep, creeping.travel) if creeping.share * creep > permit.share else permit
+    creeping = _safe_speed_with_margin(points, corners, v * creep, w * creep, drive, narrow)
+    return SafeSpeed(creeping.share * creep, creeping.travel) if creeping.share * creep > permit.share else permit
 
 
-def _stopping(points: Float64s, corners: Float64s, v: float, w: float, drive: Drive, config: FieldConfig) -> Permit:
-    """`permitted` with one side margin at all speeds.
+def _safe_speed_with_margin(
+    points: Float64s, corners: Float64s, v: float, w: float, drive: Drive, config: FieldConfig
+) -> SafeSpeed:
+    """`safe_speed` with one side margin at all speeds.
 
-    At a share s the robot runs on for `reaction` and then brakes on its arc: s reaction + s^2 T / 2 seconds' worth of
-    the command, T the longer of |v| / braking and |w| / turning deceleration; `stop_margin` stays free beyond.
+    At a share s the robot drives on for `reaction` and then brakes on its arc: s reaction + s^2 T / 2 seconds of the
+    command. T is the longer of |v| / braking and |w| / turn deceleration. `stop_margin` stays free beyond.
     """
     radius = float(np.hypot(corners[:, 0], corners[:, 1]).max())
     fastest = abs(v) + abs(w) * radius
-    if fastest < STANDING or not len(points):
-        return FREE
+    if fastest < MIN_RIM_SPEED or not len(points):
+        return NO_LIMIT
     braking_time = max(abs(v) / drive.max_braking, abs(w) / drive.max_turn_acceleration)
-    # only what the outline can reach while the robot drives, brakes and keeps its margin can matter
+    # only points within reach of the outline until standstill, with the margin, can matter
     reach = radius + config.side_margin + config.stop_margin + abs(v) * (config.reaction + braking_time / 2)
     points = points[np.hypot(points[:, 0], points[:, 1]) <= reach + 0.01]
     if not len(points):
-        return FREE
+        return NO_LIMIT
     contact = times_to_contact(points, corners, v, w, config.side_margin, config.self_mask)
     rim = np.maximum(np.hypot(v - w * points[:, 1], w * points[:, 0]), abs(v))
     met = np.isfinite(contact)
     if not met.any():
-        return FREE
+        return NO_LIMIT
     time = float((contact[met] - config.stop_margin / rim[met]).min())
     travel = float(contact[met].min()) * fastest
     if time <= 0:
-        return Permit(0.0, travel)
+        return SafeSpeed(0.0, travel)
     # s^2 T / 2 + s reaction = time, in the form that does not cancel for small T
     root = sqrt(config.reaction**2 + 2 * braking_time * time)
     share = min(1.0, 2 * time / (config.reaction + root))
-    crawls = share < 1 and share * fastest < config.slowest
-    return Permit(0.0 if crawls else share, travel)
+    crawls = share < 1 and share * fastest < config.min_speed
+    return SafeSpeed(0.0 if crawls else share, travel)
 
 
 def times_to_contact(
     points: Float64s, corners: Float64s, v: float, w: float, margin: float, self_mask: float
 ) -> Float64s:
-    """(n,) s until the footprint, grown by `margin` m, meets each standing point at the velocity (v, w); inf if never.
+    """(n,) s until the footprint, grown by `margin` m, meets each static point at the velocity (v, w); inf without
+    contact.
 
-    A point that is nearer than the margin already counts when the robot comes nearer still, so that driving away is
-    always free. Points deeper inside the footprint than `self_mask` never count.
+    A point nearer than the margin counts only while the robot approaches it, so driving away is always allowed. Points
+    deeper inside the footprint than `self_mask` never count.
     """
     times = np.full(len(points), inf)
-    straight = abs(w) <= STRAIGHT * abs(v)
+    straight = abs(w) <= MIN_CURVATURE * abs(v)
     lane, (low, high) = _lane_of_line(points, corners) if straight else _lane_of_arc(points, corners, v, w)
-    reach = max(margin, TOUCHING)
+    reach = max(margin, TOUCHING_M)
     met = np.flatnonzero((lane >= low - reach) & (lane <= high + reach))
     points = points[met]
     depth, outward = signed_distances(points, corners)
-    offsets = np.clip(depth - TOUCHING, 0.0, margin)
+    offsets = np.clip(depth - TOUCHING_M, 0.0, margin)
     with np.errstate(all="ignore"):
         if straight:
-            contact = _straight(points, offsets, corners, v)
+            contact = _line_contact_times(points, offsets, corners, v)
         else:
-            contact = _circular(points, offsets, corners, v, w)
+            contact = _arc_contact_times(points, offsets, corners, v, w)
     velocity = np.column_stack((v - w * points[:, 1], w * points[:, 0]))
     approaching = (velocity * outward).sum(axis=1) > 1e-9
-    contact[depth <= 1e-6] = inf  # what already touches leaves freely
-    contact[(depth <= TOUCHING) & approaching] = 0.0
+    contact[depth <= 1e-6] = inf  # a touching point may be left freely
+    contact[(depth <= TOUCHING_M) & approaching] = 0.0
     contact[depth < -self_mask] = inf
     times[met] = contact
     return times
 
 
 def signed_distances(points: Float64s, corners: Float64s) -> tuple[Float64s, Float64s]:
-    """Of points (n, 2): distance (n,) to the polygon's outline, negative inside; unit way out (n, 2) of the polygon."""
+    """Distance (n,) of points (n, 2) to the polygon's outline, negative inside, and the unit direction (n, 2) out of
+    it.
+    """
     edges = np.roll(corners, -1, axis=0) - corners
     away = points[:, None, :] - corners
     along = np.clip((away * edges).sum(axis=2) / (edges**2).sum(axis=1), 0.0, 1.0)
@@ -149,22 +157,22 @@ def signed_distances(points: Float64s, corners: Float64s) -> tuple[Float64s, Flo
 
 
 def _lane_of_line(points: Float64s, corners: Float64s) -> tuple[Float64s, tuple[float, float]]:
-    """What a line keeps of each point (n,), m to the left, and between which values it meets the outline."""
+    """Offset (n,) of each point that a line keeps, m to the left, and the range of offsets that meet the outline."""
     return points[:, 1], (float(corners[:, 1].min()), float(corners[:, 1].max()))
 
 
 def _lane_of_arc(points: Float64s, corners: Float64s, v: float, w: float) -> tuple[Float64s, tuple[float, float]]:
-    """What an arc keeps of each point (n,), m from its centre, and between which values it meets the outline."""
+    """Distance (n,) of each point from the arc's centre, m, and the range of distances that meet the outline."""
     centre = np.array([[0.0, v / w]])
     spokes, hubs = points - centre, corners - centre
     nearest = max(float(signed_distances(centre, corners)[0][0]), 0.0)
     return np.hypot(spokes[:, 0], spokes[:, 1]), (nearest, float(np.hypot(hubs[:, 0], hubs[:, 1]).max()))
 
 
-def _straight(points: Float64s, offsets: Float64s, corners: Float64s, v: float) -> Float64s:
-    """Contact times (n,) on a line: points move along x against the robot and meet grown edges or rounded corners."""
+def _line_contact_times(points: Float64s, offsets: Float64s, corners: Float64s, v: float) -> Float64s:
+    """Contact times (n,) on a line: points move along x against the robot and meet shifted edges or rounded corners."""
     way = -1.0 if v > 0 else 1.0
-    starts, edges = _grown_edges(offsets, corners)
+    starts, edges = _offset_edges(offsets, corners)
     gap = starts - points[:, None, None, :]
     ex, ey = edges[:, 0], edges[:, 1]
     across = way * ey
@@ -180,12 +188,12 @@ def _straight(points: Float64s, offsets: Float64s, corners: Float64s, v: float) 
     return np.asarray(first / abs(v))
 
 
-def _circular(points: Float64s, offsets: Float64s, corners: Float64s, v: float, w: float) -> Float64s:
+def _arc_contact_times(points: Float64s, offsets: Float64s, corners: Float64s, v: float, w: float) -> Float64s:
     """Contact times (n,) on an arc: points turn about (0, v / w) against the robot's turn."""
     centre = np.array([0.0, v / w])
     spokes = points - centre
     angles, radii = np.arctan2(spokes[:, 1], spokes[:, 0]), np.hypot(spokes[:, 0], spokes[:, 1])
-    starts, edges = _grown_edges(offsets, corners)
+    starts, edges = _offset_edges(offsets, corners)
     starts = starts - centre
     a = (edges**2).sum(axis=1)
     b = (starts * edges).sum(axis=3)
@@ -195,7 +203,7 @@ def _circular(points: Float64s, offsets: Float64s, corners: Float64s, v: float, 
     for share in ((-b - root) / a, (-b + root) / a):
         meets = (share >= -1e-9) & (share <= 1 + 1e-9)
         where = starts + np.where(meets, share, 0.0)[..., None] * edges
-        turn = _turn(angles[:, None, None], np.arctan2(where[..., 1], where[..., 0]), w)
+        turn = _turn_angle(angles[:, None, None], np.arctan2(where[..., 1], where[..., 0]), w)
         first = np.minimum(first, np.where(meets, turn, inf).min(axis=(1, 2)))
     hubs = corners - centre
     reach = np.hypot(hubs[:, 0], hubs[:, 1])
@@ -203,12 +211,12 @@ def _circular(points: Float64s, offsets: Float64s, corners: Float64s, v: float, 
     half = np.arccos(half)  # NaN where the circles do not meet
     at = np.arctan2(hubs[:, 1], hubs[:, 0])
     for where in (at - half, at + half):
-        turn = _turn(angles[:, None], where, w)
+        turn = _turn_angle(angles[:, None], where, w)
         first = np.minimum(first, np.where(np.isnan(turn), inf, turn).min(axis=1))
     return np.asarray(first / abs(w))
 
 
-def _grown_edges(offsets: Float64s, corners: Float64s) -> tuple[Float64s, Float64s]:
+def _offset_edges(offsets: Float64s, corners: Float64s) -> tuple[Float64s, Float64s]:
     """Both parallels of each edge at each point's offset: starts (n, 2, k, 2), edges (k, 2)."""
     edges = np.roll(corners, -1, axis=0) - corners
     normals = np.column_stack((edges[:, 1], -edges[:, 0])) / np.hypot(edges[:, 0], edges[:, 1])[:, None]
@@ -216,6 +224,6 @@ def _grown_edges(offsets: Float64s, corners: Float64s) -> tuple[Float64s, Float6
     return corners + (offsets[:, None] * sides)[:, :, None, None] * normals, edges
 
 
-def _turn(start: Float64s, end: Float64s, w: float) -> Float64s:
-    """rad that a point turns from one direction to another, against the robot's turn `w`; in [0, 2 pi)."""
+def _turn_angle(start: Float64s, end: Float64s, w: float) -> Float64s:
+    """Angle (rad) in [0, 2 pi) from one direction of a point to another, against the robot's turn `w`."""
     return (start - end if w > 0 else end - start) % (2 * pi)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where does one pair of velocities lead, what does it come near to, and can the robot still stop before contact?"""
+"""Simulation of one pair of velocities: its end, its clearance, and whether the robot can stop before contact."""
 
 from math import cos, hypot, inf, sin, sqrt
 from typing import NamedTuple
@@ -8,18 +8,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from services.local_ctrl.controller import APPROACH, Scene
+from services.local_ctrl.controller import APPROACH_BRAKING_SHARE, ControlScene
 from services.local_ctrl.footprint import Footprint, clearance, touches
-from services.local_ctrl.manoeuvres import NEARER
-from services.local_ctrl.rollout import DT, Limits, arc_step, bent, speed_after, turn_rate_after
+from services.local_ctrl.manoeuvres import MAX_CLEARANCE_LOSS_M
+from services.local_ctrl.rollout import DT, Limits, arc_step, limited_turn_rate, speed_after, turn_rate_after
 
 Float64s = NDArray[np.float64]
 
-AT_END = 0.5  # m from the path's end within which an arc that leads away from it again is cut
+END_CUT_DISTANCE_M = 0.5  # from the path's end within which an arc that leads away from it is cut
 
 
 class Arc(NamedTuple):
-    """Where an arc ends: before contact, beside the path's end, or with its time."""
+    """The end of an arc: before contact, beside the path's end, or at its time."""
 
     x: float  # m
     y: float
@@ -30,30 +30,38 @@ class Arc(NamedTuple):
     room: float  # m, the least clearance on it
     contact: float  # s until contact, inf without
     seconds: float  # until it ends
-    stops: bool  # the robot can still stop before contact when it runs the first step and then brakes
+    stops: bool  # whether the robot stops before contact when it runs the first step and then brakes
 
 
 @njit(cache=True, nogil=True)
-def arc_to(
-    target_v: float, target_w: float, seconds: float, reaction: float, scene: Scene, limits: Limits, shape: Footprint
+def simulated_arc(
+    target_v: float,
+    target_w: float,
+    seconds: float,
+    reaction: float,
+    scene: ControlScene,
+    limits: Limits,
+    shape: Footprint,
 ) -> Arc:
-    """Runs towards a pair of velocities within the limits and keeps them, for so long.
+    """Simulates a pair of target velocities within the limits for `seconds`.
 
-    reaction: s that pass before braking begins. Stopping is Fox, Burgard, Thrun 1997, equation 14 (admissible
-    velocities) in time instead of distance, so that it holds for turning on the spot as well.
+    reaction: s before braking begins.
+
+    The test of stopping is equation 14 of Fox, Burgard, Thrun 1997 (admissible velocities). It is in time instead of
+    distance, so that it holds for turning in place as well.
     """
     x, y, c, s, v, w = scene.x, scene.y, cos(scene.yaw), sin(scene.yaw), scene.v, scene.w
     first_v, first_w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
-    first_w = bent(first_v, first_w, limits)
+    first_w = limited_turn_rate(first_v, first_w, limits)
     least = clearance(scene.field, scene.resolution, x, y, c, s, shape)
-    # who stands too near already may leave, not come nearer
-    stuck = least <= shape.padding and touches(scene.occupied, scene.resolution, x, y, c, s, shape)
+    # a robot that starts too near an obstacle may leave it, but not approach it
+    starts_too_near = least <= shape.padding and touches(scene.occupied, scene.resolution, x, y, c, s, shape)
     room, contact = inf, inf
     to_end = hypot(scene.end_x - x, scene.end_y - y)
     n_steps, n_run = max(1, round(seconds / DT)), 0
     for t in range(n_steps):
         v, w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
-        w = bent(v, w, limits)
+        w = limited_turn_rate(v, w, limits)
         chord, cosine, sine, _ = arc_step(v, w, DT)
         next_c, next_s = c * cosine - s * sine, s * cosine + c * sine
         next_x, next_y = x + chord * next_c, y + chord * next_s
@@ -61,8 +69,8 @@ def arc_to(
         near = clearance(scene.field, scene.resolution, next_x, next_y, next_c, next_s, shape)
         room = min(room, near)
         if near <= shape.padding:
-            if stuck:
-                hit = near < least - NEARER
+            if starts_too_near:
+                hit = near < least - MAX_CLEARANCE_LOSS_M
             else:
                 hit = touches(scene.occupied, scene.resolution, next_x, next_y, next_c, next_s, shape)
             if hit:
@@ -70,7 +78,7 @@ def arc_to(
                 break
         if scene.ends:
             left = hypot(scene.end_x - next_x, scene.end_y - next_y)
-            if left > to_end and to_end < AT_END and t > 0:
+            if left > to_end and to_end < END_CUT_DISTANCE_M and t > 0:
                 break
             to_end = left
         x, y, c, s = next_x, next_y, next_c, next_s
@@ -82,17 +90,17 @@ def arc_to(
 
 
 @njit(cache=True, nogil=True)
-def speed_to_end(scene: Scene, limits: Limits) -> float:
-    """The greatest speed, m/s, from which stopping at the path's end is easy; inf where it does not end in view."""
+def max_speed_to_end(scene: ControlScene, limits: Limits) -> float:
+    """The greatest speed, m/s, for a gentle stop at the path's end; inf where the end is not in view."""
     if not scene.ends:
         return inf
-    return sqrt(2.0 * APPROACH * limits.braking * hypot(scene.end_x - scene.x, scene.end_y - scene.y))
+    return sqrt(2.0 * APPROACH_BRAKING_SHARE * limits.braking * hypot(scene.end_x - scene.x, scene.end_y - scene.y))
 
 
 @njit(cache=True, nogil=True)
-def run_of(target_v: float, target_w: float, v: float, w: float, limits: Limits, velocities: Float64s) -> None:
-    """Fills velocities (steps, 2) with what the drive does from (v, w) on its way to the target."""
+def fill_rollout(target_v: float, target_w: float, v: float, w: float, limits: Limits, velocities: Float64s) -> None:
+    """Fills velocities (steps, 2) with those of the drive from (v, w) on, towards the target."""
     for t in range(len(velocities)):
         v, w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
-        w = bent(v, w, limits)
+        w = limited_turn_rate(v, w, limits)
         velocities[t, 0], velocities[t, 1] = v, w

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one interface behind every name of `local_ctrl.controller`: what a controller is given, and what it answers."""
+"""The interface of all controllers (`local_ctrl.controller`): the scene that they get, and the solution that they
+return.
+"""
 
 from typing import NamedTuple, Protocol
 
@@ -13,33 +15,33 @@ Bools = NDArray[np.bool_]
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 
-APPROACH = 0.5  # share of the drive's braking that stopping at the goal counts on: the rest is for delay
-STANDING_WORLD = np.zeros((0, 6))
+APPROACH_BRAKING_SHARE = 0.5  # of the drive's braking that stopping at the goal uses: the rest is reserve for delay
+NO_DYNAMIC_OBSTACLES = np.zeros((0, 6))
 
 
-class Scene(NamedTuple):
-    """What a controller meets. Positions are m from the centre of the costmap's lower left cell, as its start is."""
+class ControlScene(NamedTuple):
+    """Input of a controller. Positions are m from the centre of the costmap's lower left cell."""
 
     field: Float32s  # (n, n) m to the nearest occupied cell
     occupied: Bools  # (n, n)
     resolution: float
-    to_go: Float32s  # (n / 2, n / 2) m, see distance_to_go
+    to_go: Float32s  # (n / 2, n / 2) m, see cost_to_go
     end_x: float
     end_y: float
-    ends: bool  # the path's end is in the window
+    ends: bool  # whether the path's end lies in the window
     x: float
     y: float
     yaw: float
     v: float
     w: float
     path: Float64s  # (k, 2) m, k > 0: the plan from beside the robot to (end_x, end_y)
-    movers: Float64s = STANDING_WORLD  # (k, 6) of what moves, as the plan begins: see Movers.discs
+    dynamic_obstacles: Float64s = NO_DYNAMIC_OBSTACLES  # (k, 6) at the begin of the plan, see DynamicObstacles.discs
 
 
-class Solution(NamedTuple):
-    """velocities: (steps, 2) float64 m/s and rad/s, from the first step on; cost m; how much nearer it comes, m.
+class ControlSolution(NamedTuple):
+    """Planned velocities (steps, 2) float64 m/s and rad/s, their cost in m, and the reduction of the cost to go in m.
 
-    Of a solution that collides nothing is driven: the robot brakes.
+    Where `collides` is set, the robot brakes instead.
     """
 
     velocities: Float64s
@@ -48,8 +50,8 @@ class Solution(NamedTuple):
     gain: float
 
 
-class Considered(NamedTuple):
-    """What the last call weighed up: velocities (k, steps, 2), of which the first were chosen, and costs (k,), m."""
+class EvaluatedRollouts(NamedTuple):
+    """Rollouts of the last call: velocities (k, steps, 2), the chosen ones first, and costs (k,), m."""
 
     velocities: Float64s
     costs: Float64s
@@ -59,16 +61,18 @@ class Controller(Protocol):
     """Follows the path in a scene. Its velocities keep the drive's limits and accelerations from (v, w) on."""
 
     n_solved: int  # calls since the last reset
-    limits: Limits  # of the next call: the speed may be less than the drive's, as in a speed zone
+    limits: Limits  # of the next call; in a speed zone the speed is lower than the drive's
 
     def reset(self) -> None:
-        """Forgets what it did: the next call starts from a stand."""
+        """Forgets the last solution: the next call starts from standstill."""
 
-    def solve(self, scene: Scene, footprint: Footprint, n_elapsed: int) -> Solution:
-        """The velocities from now on. n_elapsed: steps of DT since the last call. Same calls, same bytes."""
+    def solve(self, scene: ControlScene, footprint: Footprint, n_elapsed: int) -> ControlSolution:
+        """The velocities from now on. n_elapsed: steps of DT since the last call. Deterministic in the sequence of
+        calls.
+        """
 
-    def ahead(self, scene: Scene, look: float) -> tuple[float, float]:
-        """The point `look` m down the way that it drives: where a standing robot turns to."""
+    def ahead(self, scene: ControlScene, look: float) -> tuple[float, float]:
+        """The point `look` m ahead on the controller's path: a standing robot turns to it."""
 
-    def considered(self) -> Considered:
-        """For people: what the last call weighed up."""
+    def evaluated_rollouts(self) -> EvaluatedRollouts:
+        """The rollouts of the last call, for the debug topics."""

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The dynamic window approach (Fox, Burgard, Thrun 1997), with the settings and scores of move_base's DWA.
 
-Of the velocities that the drive reaches within a moment, each is run on for `sim_time`. Those from which the robot
-could not stop any more before contact are out; of the rest the cheapest is driven: near the plan, far along it, free.
+Each velocity that the drive reaches within the window is simulated for `sim_time`. Velocities without room to stop
+before contact are dropped (equation 14). Of the rest the cheapest is driven: near the plan, far along it, with
+clearance.
 """
 
 from math import hypot, inf
@@ -12,9 +13,9 @@ from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.local_ctrl.arcs import arc_to, run_of, speed_to_end
-from services.local_ctrl.controller import Considered, Scene, Solution
-from services.local_ctrl.distance_to_go import carrot, to_go_at
+from services.local_ctrl.arcs import fill_rollout, max_speed_to_end, simulated_arc
+from services.local_ctrl.controller import ControlScene, ControlSolution, EvaluatedRollouts
+from services.local_ctrl.cost_to_go import carrot, to_go_at
 from services.local_ctrl.footprint import Footprint
 from services.local_ctrl.rollout import DT, Limits, speed_after, turn_rate_after
 from shared.config import Section
@@ -25,16 +26,16 @@ Float64s = NDArray[np.float64]
 class DwaConfig(Section):
     """The dynamic window approach, its settings named as in move_base's dwa_local_planner."""
 
-    sim_time: float = Field(1.7, ge=0.3, le=5, description="s that each pair of velocities is run on")
+    sim_time: float = Field(1.7, ge=0.3, le=5, description="s of each simulated pair of velocities")
     window: float = Field(0.25, ge=0.05, le=2, description="s within which velocities must be reachable")
-    vx_samples: int = Field(9, ge=2, le=100, description="1: speeds that are tried")
-    vth_samples: int = Field(25, ge=3, le=200, description="1: turn rates that are tried")
-    path_distance_bias: float = Field(32.0, ge=0, le=1000, description="1/m: being beside the plan")
-    goal_distance_bias: float = Field(24.0, ge=0, le=1000, description="1/m: way that is left")
-    occdist_scale: float = Field(4.0, ge=0, le=1000, description="1: coming as near to an obstacle as may be")
+    vx_samples: int = Field(9, ge=2, le=100, description="1: number of sampled speeds")
+    vth_samples: int = Field(25, ge=3, le=200, description="1: number of sampled turn rates")
+    path_distance_bias: float = Field(32.0, ge=0, le=1000, description="1/m: distance from the plan")
+    goal_distance_bias: float = Field(24.0, ge=0, le=1000, description="1/m: remaining distance")
+    occdist_scale: float = Field(4.0, ge=0, le=1000, description="1: least allowed distance to an obstacle")
     clearance: float = Field(0.3, ge=0.02, le=3, description="m beyond the outline at which obstacles cost nothing")
     forward_point_distance: float = Field(
-        0.325, ge=0, le=2, description="m ahead of the robot's origin: a point that is to be on the plan too"
+        0.325, ge=0, le=2, description="m ahead of the robot's origin: a point that should lie on the plan too"
     )
     stop_time_buffer: float = Field(
         0.25, ge=0, le=2, description="s before contact at which the robot must be able to begin braking"
@@ -43,7 +44,7 @@ class DwaConfig(Section):
 
 
 class Dwa:
-    """Remembers nothing between ticks but what was weighed up, for people."""
+    """The dynamic window controller. Between ticks it keeps only the samples, for the debug topics."""
 
     def __init__(self, config: DwaConfig, limits: Limits) -> None:
         self.config, self.limits = config, limits
@@ -53,9 +54,10 @@ class Dwa:
         self.before = 0.0, 0.0  # m/s, rad/s at the last call
 
     def reset(self) -> None:
+        """Restarts the count of calls."""
         self.n_solved = 0
 
-    def solve(self, scene: Scene, footprint: Footprint, n_elapsed: int) -> Solution:
+    def solve(self, scene: ControlScene, footprint: Footprint, n_elapsed: int) -> ControlSolution:
         self.n_solved += 1
         self.before = scene.v, scene.w
         c = self.config
@@ -65,30 +67,30 @@ class Dwa:
         _score(self.samples, scene, self.limits, footprint, biases, lengths, self.costs, self.gains)
         self.best = int(np.argmin(self.costs))
         cost = float(self.costs[self.best])
-        return Solution(self._run(self.best), cost, cost == inf, float(self.gains[self.best]))
+        return ControlSolution(self._run(self.best), cost, cost == inf, float(self.gains[self.best]))
 
-    def ahead(self, scene: Scene, look: float) -> tuple[float, float]:
+    def ahead(self, scene: ControlScene, look: float) -> tuple[float, float]:
         x, y = carrot(scene.to_go, scene.x, scene.y, look, scene.resolution)
         return float(x), float(y)
 
-    def considered(self) -> Considered:
+    def evaluated_rollouts(self) -> EvaluatedRollouts:
         free = [i for i in range(len(self.samples)) if np.isfinite(self.costs[i]) and i != self.best]
         chosen = [self.best, *free]
-        return Considered(np.array([self._run(i) for i in chosen]), self.costs[chosen])
+        return EvaluatedRollouts(np.array([self._run(i) for i in chosen]), self.costs[chosen])
 
     def _run(self, i: int) -> Float64s:
         velocities = np.empty((max(1, round(self.config.sim_time / DT)), 2))
         (v, w), (v_before, w_before) = self.samples[i], self.before
-        run_of(v, w, v_before, w_before, self.limits, velocities)
+        fill_rollout(v, w, v_before, w_before, self.limits, velocities)
         return velocities
 
 
 @njit(cache=True, nogil=True)
-def _window(scene: Scene, limits: Limits, window: float, counts: tuple[int, int], samples: Float64s) -> None:
-    """Fills samples (n, 2) with what is reachable within `window` s, driving straight on among it; the last stands."""
+def _window(scene: ControlScene, limits: Limits, window: float, counts: tuple[int, int], samples: Float64s) -> None:
+    """Fills samples (n, 2) with velocities reachable within `window` s, straight ahead among them; the last is zero."""
     n_v, n_w = counts
     low, high = speed_after(scene.v, limits.v_min, limits, window), speed_after(scene.v, limits.v_max, limits, window)
-    high = min(high, max(low, speed_to_end(scene, limits)))
+    high = min(high, max(low, max_speed_to_end(scene, limits)))
     left, right = (
         turn_rate_after(scene.w, limits.w_max, limits, window),
         turn_rate_after(scene.w, -limits.w_max, limits, window),
@@ -98,7 +100,7 @@ def _window(scene: Scene, limits: Limits, window: float, counts: tuple[int, int]
             w = right + (left - right) * j / (n_w - 1)
             samples[i * n_w + j, 0] = low + (high - low) * i / (n_v - 1)
             samples[i * n_w + j, 1] = w
-        # straight on is nearly always worth a try, and no grid over a moving window holds it
+        # no grid over a moving window holds zero turn rate, so the nearest column takes it
         if right < 0.0 < left:
             nearest = round(-right / (left - right) * (n_w - 1))
             samples[i * n_w + nearest, 1] = 0.0
@@ -108,7 +110,7 @@ def _window(scene: Scene, limits: Limits, window: float, counts: tuple[int, int]
 @njit(cache=True, nogil=True)
 def _score(
     samples: Float64s,
-    scene: Scene,
+    scene: ControlScene,
     limits: Limits,
     shape: Footprint,
     biases: tuple[float, float, float, float],
@@ -116,7 +118,7 @@ def _score(
     costs: Float64s,
     gains: Float64s,
 ) -> None:
-    """costs (n,): inf where the robot could not stop before contact.  gains (n,): m nearer along the way."""
+    """Fills costs (n,), inf without room to stop before contact, and gains (n,), reduction of the cost to go, m."""
     path_bias, goal_bias, obstacle, reverse = biases
     seconds, buffer, clearance, forward = lengths
     first = to_go_at(scene.to_go, scene.x, scene.y, scene.resolution)
@@ -125,15 +127,15 @@ def _score(
         scene.ends and hypot(scene.end_x - scene.x, scene.end_y - scene.y) < 2.0 * forward
     )
     for i in range(len(samples)):
-        arc = arc_to(samples[i, 0], samples[i, 1], seconds, buffer, scene, limits, shape)
+        arc = simulated_arc(samples[i, 0], samples[i, 1], seconds, buffer, scene, limits, shape)
         if not arc.stops:
             costs[i], gains[i] = inf, 0.0
             continue
         to_go = to_go_at(scene.to_go, arc.x, arc.y, scene.resolution)
-        beside, left = _beside(scene.path, arc.x, arc.y), to_go
+        beside, left = _distance_to_path(scene.path, arc.x, arc.y), to_go
         if looks_ahead:
             x, y = arc.x + forward * arc.c, arc.y + forward * arc.s
-            beside = 0.5 * (beside + _beside(scene.path, x, y))
+            beside = 0.5 * (beside + _distance_to_path(scene.path, x, y))
             left = 0.5 * (left + to_go_at(scene.to_go, x, y, scene.resolution))
         if arc.contact == inf:  # it came to the path's end early: the faster, the better
             left -= abs(samples[i, 0]) * (seconds - arc.seconds)
@@ -144,7 +146,7 @@ def _score(
 
 
 @njit(cache=True, nogil=True)
-def _beside(path: Float64s, x: float, y: float) -> float:
+def _distance_to_path(path: Float64s, x: float, y: float) -> float:
     """m from (x, y) to the nearest of the path's points."""
     least = inf
     for k in range(len(path)):

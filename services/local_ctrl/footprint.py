@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does the robot's outline touch an obstacle: circles over a distance field, the polygon where they are in doubt."""
+"""Collision test of the footprint: circles over a distance field, and the polygon where the circles may touch."""
 
 from math import ceil, hypot, inf, sqrt
 from typing import NamedTuple
@@ -24,24 +24,24 @@ class Footprint(NamedTuple):
     circles: Float64s
     inscribed: float
     circumscribed: float
-    padding: float  # m around the polygon that counts as robot
+    padding: float  # m around the polygon that count as part of the robot
 
 
 def footprint_of(robot: Robot, padding: float, overreach: float = 0.04) -> Footprint:
     """The robot's outline, with circles that cover it and reach beyond its bounding box by at most `overreach` m.
 
-    One circle where the outline is nearly round; else one for each tile of the bounding box that it touches, but for
-    those that lie in the largest circle inside the outline about the origin, or about another tile.
+    A nearly round outline gets one circle. Otherwise each touched tile of the bounding box gets one. Tiles inside the
+    inscribed circle, or inside the circle of another tile, get none.
     """
     corners = robot.corners
     inscribed, circumscribed = robot.inscribed_radius, robot.circumscribed_radius
     circles = [(0.0, 0.0, circumscribed)]
     if circumscribed - inscribed > overreach:
-        circles = _merged(corners, inscribed, _tiles(corners, overreach))
+        circles = _merged_circles(corners, inscribed, _tile_circles(corners, overreach))
     return Footprint(corners, np.array(circles, float), inscribed, circumscribed, padding)
 
 
-def _tiles(corners: Float64s, overreach: float) -> list[Circle]:
+def _tile_circles(corners: Float64s, overreach: float) -> list[Circle]:
     low, high = corners.min(axis=0), corners.max(axis=0)
     # the circle around a square of side a reaches a (sqrt 2 - 1) / 2 beyond it; around other tiles it reaches further
     side = 2 * overreach / (sqrt(2) - 1)
@@ -64,8 +64,8 @@ def _tiles(corners: Float64s, overreach: float) -> list[Circle]:
     return found
 
 
-def _merged(corners: Float64s, inscribed: float, tiles: list[Circle]) -> list[Circle]:
-    """Fewer circles that cover the same, the one about the origin first: large ones inside, the tiles' at the rim."""
+def _merged_circles(corners: Float64s, inscribed: float, tiles: list[Circle]) -> list[Circle]:
+    """Fewer circles with the same cover, the one about the origin first: large ones inside, the tiles' at the rim."""
     large, rim = [(0.0, 0.0, inscribed)], []
     within = inside(corners, np.array([(x, y) for x, y, _ in tiles]))
     depths = [to_outline(corners, x, y) if deep else 0.0 for (x, y, _), deep in zip(tiles, within, strict=True)]
@@ -84,8 +84,10 @@ def _sides(corners: Float64s) -> list[tuple[Float64s, Float64s]]:
 
 
 @njit(cache=True, nogil=True)
-def sampled(field: Float32s, x: float, y: float) -> float:
-    """The field at (x, y) in cells from the centre of its lower left one: bilinear; beyond the rim, the rim's value."""
+def bilinear(field: Float32s, x: float, y: float) -> float:
+    """The field at (x, y) in cells from the centre of its lower left one, bilinear; beyond its rim, the value at the
+    rim.
+    """
     h, w = field.shape
     x, y = min(max(x, 0.0), w - 1.001), min(max(y, 0.0), h - 1.001)
     column, row = int(x), int(y)
@@ -98,26 +100,30 @@ def sampled(field: Float32s, x: float, y: float) -> float:
 
 @njit(cache=True, nogil=True)
 def clearance(field: Float32s, resolution: float, x: float, y: float, c: float, s: float, shape: Footprint) -> float:
-    """At most the footprint's distance from the nearest occupied cell's centre, m; negative where they may overlap.
+    """Lower bound of the distance (m) from the footprint to the nearest occupied cell's centre; negative at an
+    overlap.
 
-    field: (h, w) float32 m.  x, y: m from the centre of its lower left cell.  c, s: cosine and sine of the heading.
-    Interpolating a distance overstates it by up to resolution^2 / (8 radius) at a circle's rim: taken off here.
+    field: (h, w) float32 m.
+
+    x, y: m from the centre of its lower left cell. c, s: cosine and sine of the heading.
+
+    Interpolation overstates a distance by up to resolution^2 / (8 radius) at a circle's rim, which is subtracted.
     """
     scale = 1.0 / resolution
-    centre = sampled(field, x * scale, y * scale)
-    if centre > shape.circumscribed + FAR or len(shape.circles) == 1:
-        least: float = centre - shape.circumscribed - _overstated(resolution, shape.circumscribed)
+    centre = bilinear(field, x * scale, y * scale)
+    if centre > shape.circumscribed + SHAPE_DISTANCE_M or len(shape.circles) == 1:
+        least: float = centre - shape.circumscribed - _interpolation_error(resolution, shape.circumscribed)
         return least
-    least = centre - shape.circles[0, 2] - _overstated(resolution, shape.circles[0, 2])
+    least = centre - shape.circles[0, 2] - _interpolation_error(resolution, shape.circles[0, 2])
     for i in range(1, len(shape.circles)):
         a, b, radius = shape.circles[i]
-        away = sampled(field, (x + c * a - s * b) * scale, (y + s * a + c * b) * scale)
-        least = min(least, away - radius - _overstated(resolution, radius))
+        away = bilinear(field, (x + c * a - s * b) * scale, (y + s * a + c * b) * scale)
+        least = min(least, away - radius - _interpolation_error(resolution, radius))
     return least
 
 
 @njit(cache=True, nogil=True)
-def _overstated(resolution: float, radius: float) -> float:
+def _interpolation_error(resolution: float, radius: float) -> float:
     return resolution * resolution / (8.0 * max(radius - resolution, 0.25 * resolution))
 
 
@@ -132,13 +138,13 @@ def touches(occupied: Bools, resolution: float, x: float, y: float, c: float, s:
         for column in range(first_column, last_column + 1):
             if occupied[row, column]:
                 dx, dy = column * resolution - x, row * resolution - y
-                if gap(shape.corners, c * dx + s * dy, c * dy - s * dx) <= shape.padding:
+                if polygon_distance(shape.corners, c * dx + s * dy, c * dy - s * dx) <= shape.padding:
                     return True
     return False
 
 
 @njit(cache=True, nogil=True)
-def gap(corners: Float64s, x: float, y: float) -> float:
+def polygon_distance(corners: Float64s, x: float, y: float) -> float:
     """Distance of a point from the polygon, m; 0 inside (even-odd rule)."""
     within = False
     squared = inf
@@ -159,10 +165,10 @@ def gap(corners: Float64s, x: float, y: float) -> float:
 def collides(
     field: Float32s, occupied: Bools, resolution: float, x: float, y: float, c: float, s: float, shape: Footprint
 ) -> bool:
-    """Whether the padded footprint holds an occupied cell's centre; the polygon is asked where the circles doubt."""
+    """Whether the padded footprint holds an occupied cell's centre. The polygon is tested where circles may touch."""
     if clearance(field, resolution, x, y, c, s, shape) > shape.padding:
         return False
     return touches(occupied, resolution, x, y, c, s, shape)
 
 
-FAR = 0.5  # m beyond the circumscribed circle at which the outline's shape no longer matters
+SHAPE_DISTANCE_M = 0.5  # beyond the circumscribed circle, from which the outline's shape does not matter

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What local control knows now and whether to trust it: the newest inputs, their ages, the odometry's history."""
+"""The newest inputs of local control, their ages, the history of odometry, and whether the robot may move on them."""
 
 from collections import deque
 from math import cos, sin
@@ -16,115 +16,122 @@ from shared.reasons import Reason
 from shared.rejections import Rejections
 
 Float64s = NDArray[np.float64]
-S = 1_000_000_000  # ns
+NS_PER_S = 1_000_000_000  # ns
 
 
 class AgesConfig(Section):
-    """How old an input may be while the robot moves. A stamp as far in the future counts as old too."""
+    """Maximum ages of the inputs while the robot moves. A stamp equally far in the future is too old as well."""
 
     odometry: float = Field(0.2, ge=0.02, le=5, description="s")
     scan: float = Field(0.3, ge=0.02, le=5, description="s since the sweep's end")
     pose: float = Field(1.0, ge=0.1, le=10, description="s")
     plan: float = Field(2.0, ge=0.1, le=60, description="s")
-    plan_for_new_goal: float = Field(1.0, ge=0, le=10, description="s that the old plan is followed after a new goal")
+    plan_for_new_goal: float = Field(
+        1.0, ge=0, le=10, description="s that the plan of the goal before is followed after a new goal"
+    )
     pose_jump: float = Field(0.5, ge=0.05, le=10, description="m that the pose may jump without a new plan")
 
 
-class Inputs:
-    """Newest odometry with its last second, scan, and pose."""
+class ControlInputs:
+    """The last second of odometry, the newest scan, and the newest pose."""
 
     def __init__(self, ages: AgesConfig) -> None:
         self.ages = ages
         self.history: deque[Odometry] = deque(maxlen=256)
         self.scan: LaserScan | None = None
         self.pose: PoseEstimate | None = None
-        self.torn_at = 0  # ns: poses from before are for another odometry
-        self.jumped_at = 0  # ns: plans from before are for another place
+        self.restarted_at = 0  # ns, last restart of odometry: poses from before belong to another `odom`
+        self.jumped_at = 0  # ns, last jump of the pose: plans from before start elsewhere
 
     def add_odometry(self, odometry: Odometry, top_speed: float) -> bool:
-        """Takes it unless it is out of order; True where it does not continue the one before: a restarted publisher."""
+        """Takes odometry unless it is out of order. Returns whether it does not continue the last one: its publisher
+        restarted.
+
+        top_speed: m/s.
+        """
         if not self.history:
             self.history.append(odometry)
             return False
         last = self.history[-1]
-        elapsed = (odometry.stamp - last.stamp) / S
+        elapsed = (odometry.stamp - last.stamp) / NS_PER_S
         if -1.0 < elapsed <= 0.0:
             return False
-        moved = last.odom_from_base.distance(odometry.odom_from_base)
-        torn = elapsed < 0.0 or moved > 0.2 + 2.0 * top_speed * elapsed
-        if torn:
+        distance = last.odom_from_base.distance(odometry.odom_from_base)
+        restarted = elapsed < 0.0 or distance > 0.2 + 2.0 * top_speed * elapsed
+        if restarted:
             self.history.clear()
             self.scan, self.pose = None, None
-            self.torn_at = self.jumped_at = odometry.stamp
+            self.restarted_at = self.jumped_at = odometry.stamp
         self.history.append(odometry)
-        while self.history[0].stamp < odometry.stamp - S:
+        while self.history[0].stamp < odometry.stamp - NS_PER_S:
             self.history.popleft()
-        return torn
+        return restarted
 
     def add_scan(self, scan: LaserScan) -> Float64s | None:
-        """Takes it unless it is out of order, or no odometry tells where it was taken: nothing is known by that one.
+        """Takes a scan unless it is out of order or odometry does not cover it.
 
-        Returns (n, 3) float64 x, y, yaw of the base at each beam of one that was taken.
+        Returns (n, 3) float64 x, y, yaw of the base in `odom` at each beam; None for a rejected scan.
         """
-        if not self.history or (self.scan is not None and -S < scan.stamp - self.scan.stamp <= 0):
+        if not self.history or (self.scan is not None and -NS_PER_S < scan.stamp - self.scan.stamp <= 0):
             return None
         n = len(scan.ranges)
-        stamps = scan.stamp + np.linspace(0.0, scan.scan_time * S, n)
+        stamps = scan.stamp + np.linspace(0.0, scan.scan_time * NS_PER_S, n)
         odom_from_base = self._odom_from_base_at(stamps)
         self.scan = self.scan if odom_from_base is None else scan
         return odom_from_base
 
     def add_pose(self, pose: PoseEstimate) -> None:
-        """Takes it unless it is out of order, or from before the odometry tore."""
-        if pose.stamp < self.torn_at:
+        """Takes a pose unless it is out of order or older than the last restart of odometry."""
+        if pose.stamp < self.restarted_at:
             return
         if self.pose is not None:
-            if -S < pose.stamp - self.pose.stamp <= 0:
+            if -NS_PER_S < pose.stamp - self.pose.stamp <= 0:
                 return
-            if self.here_by(pose).distance(self.here_by(self.pose)) > self.ages.pose_jump:
+            if self.map_from_base(pose).distance(self.map_from_base(self.pose)) > self.ages.pose_jump:
                 self.jumped_at = pose.stamp
         self.pose = pose
 
-    def here_by(self, pose: PoseEstimate) -> Pose2:
-        """Where `pose` puts the robot on the map now."""
+    def map_from_base(self, pose: PoseEstimate) -> Pose2:
+        """The robot's pose in `map` now, by `pose`."""
         return pose.map_from_odom @ (self.history[-1].odom_from_base if self.history else Pose2())
 
     @property
     def odom_from_map(self) -> Pose2:
+        """By the newest pose; the identity without one."""
         return self.pose.map_from_odom.inverse() if self.pose is not None else Pose2()
 
     def _odom_from_base_at(self, stamps: Float64s) -> Float64s | None:
-        """(n, 3) float64 x, y, yaw at stamps (n,), ns, rising; None where the odometry does not reach.
+        """(n, 3) float64 x, y, yaw at stamps (n,), ns, ascending; None where odometry does not cover them.
 
-        Past the newest odometry its twist goes on for 0.1 s.
+        The last twist is extrapolated for 0.1 s.
         """
         last = self.history[-1]
-        if stamps[0] < self.history[0].stamp - S // 10 or stamps[-1] > last.stamp + S // 5:
+        if stamps[0] < self.history[0].stamp - NS_PER_S // 10 or stamps[-1] > last.stamp + NS_PER_S // 5:
             return None
         c, s = cos(last.odom_from_base.yaw), sin(last.odom_from_base.yaw)
         poses = [(o.odom_from_base.x, o.odom_from_base.y, o.odom_from_base.yaw) for o in self.history]
         x, y, yaw = poses[-1]
         poses.append((x + 0.1 * last.v * c, y + 0.1 * last.v * s, yaw + 0.1 * last.w))
-        known = np.array([*(o.stamp for o in self.history), last.stamp + S // 10]) - last.stamp
+        known = np.array([*(o.stamp for o in self.history), last.stamp + NS_PER_S // 10]) - last.stamp
         columns = np.array(poses).T
         columns[2] = np.unwrap(columns[2])
         return np.column_stack([np.interp(stamps - last.stamp, known, column) for column in columns])
 
-    def missing(self, now: int, rejections: Rejections) -> Reason | None:
-        """Why the robot may not move on what is known, or None. rejections: of local control's inputs."""
-        if not self.history or abs(now - self.history[-1].stamp) > self.ages.odometry * S:
+    def stale_input(self, now: int, rejections: Rejections) -> Reason | None:
+        """The reason to stand: odometry or scan is missing or too old; else None. rejections: of these inputs."""
+        if not self.history or abs(now - self.history[-1].stamp) > self.ages.odometry * NS_PER_S:
             return reasons.BAD_STAMPS if rejections.told(topics.ODOM.key, now) else reasons.ODOM_OLD
-        if self.scan is None or abs(now - scan_end(self.scan)) > self.ages.scan * S:
+        if self.scan is None or abs(now - scan_end(self.scan)) > self.ages.scan * NS_PER_S:
             return reasons.BAD_STAMPS if rejections.told(topics.SCAN.key, now) else reasons.SCAN_OLD
         return None
 
-    def lost(self, now: int) -> Reason | None:
-        """Why the robot does not know where it is on the map, or None."""
-        if self.pose is None or abs(now - self.pose.stamp) > self.ages.pose * S:
+    def localization_fault(self, now: int) -> Reason | None:
+        """The reason why the pose cannot be used, or None."""
+        if self.pose is None or abs(now - self.pose.stamp) > self.ages.pose * NS_PER_S:
             return reasons.POSE_OLD
         return reasons.POSE_LOST if self.pose.state is Localization.LOST else None
 
 
 def scan_end(scan: LaserScan) -> int:
     """ns of the last beam."""
-    return scan.stamp + round(scan.scan_time * S)
+    return scan.stamp + round(scan.scan_time * NS_PER_S)

@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands around the robot: a window of cells in `odom` that rolls along, marked and cleared by scan and ranges."""
+"""The rolling local costmap in `odom`: obstacles marked and cleared by scan and range sensors, with the static map
+below.
+"""
 
 from math import ceil, cos, floor, hypot, inf, pi, sin
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.local_ctrl.footprint import Footprint, gap
-from services.local_ctrl.movers import Movers, MoversConfig
+from services.local_ctrl.dynamic_obstacles import DynamicObstacles, DynamicObstaclesConfig
+from services.local_ctrl.footprint import Footprint, polygon_distance
 from shared.config import Mount, Section
 from shared.distance_field import distance_field_into
 from shared.geometry import Pose2
@@ -24,30 +26,34 @@ Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 
 
-HIT, SEEN_THROUGH, NO_ECHO_THROUGH = 4, 2, 1
-"""Evidence of an obstacle: what a hit sets; what a beam that goes on, and one without echo, take off a scan."""
-CAP = 20.0  # m: distances beyond do not matter and stay finite
+HIT_EVIDENCE, PASS_EVIDENCE, NO_ECHO_EVIDENCE = 4, 2, 1
+"""Evidence of an obstacle: a hit sets the first. A beam beyond, and one without echo, subtract the others a scan."""
+MAX_DISTANCE_M = 20.0  # of the distance field: keeps it finite
 
 
 class CostmapConfig(Section):
     """The rolling local costmap."""
 
+    RENAMED: ClassVar[dict[str, str]] = {"movers": "dynamic_obstacles"}
+
     resolution: float = Field(0.05, ge=0.02, le=0.2, description="m a cell")
     memory: float = Field(10.0, ge=0.2, le=120, description="s that an obstacle out of sight is remembered")
     echo_memory: float = Field(2.0, ge=0.2, le=60, description="s that an echo of ultrasonic or infrared is remembered")
-    no_echo_clears: float = Field(3.0, ge=0, le=50, description="m that a laser beam without echo is taken as free")
+    no_echo_clears: float = Field(3.0, ge=0, le=50, description="m of a laser beam without echo that count as free")
     scan: bool = Field(True, description="mark and clear by the laser scan")
-    ultrasonic: bool = Field(True, description="mark what ultrasonic sees and the laser does not, such as glass")
-    infrared: bool = Field(True, description="mark what infrared sees and the laser does not")
-    movers: MoversConfig = MoversConfig()
-    static_map: bool = Field(True, description="take obstacles of the map where the laser has not looked lately")
+    ultrasonic: bool = Field(
+        True, description="mark echoes of ultrasonic sensors without a laser obstacle, such as glass"
+    )
+    infrared: bool = Field(True, description="mark echoes of infrared sensors without a laser obstacle")
+    dynamic_obstacles: DynamicObstaclesConfig = DynamicObstaclesConfig()
+    static_map: bool = Field(True, description="use obstacles of the map where the laser has no recent view")
 
 
 class LocalCostmap:
     """(n, n) cells; `x0`, `y0` m in `odom` are the centre of the lower left one. Times are ns, 0 is never."""
 
     def __init__(self, config: CostmapConfig, reach: float, latency: float = 0.0) -> None:
-        """reach: m around the robot that the window must hold.  latency: s from now until a command acts."""
+        """reach: m around the robot that the window must hold. latency: s from now until a command acts."""
         self.config, self.latency = config, int(latency * 1e9)
         self.resolution = config.resolution
         n = 2 * ceil(reach / config.resolution)
@@ -59,10 +65,10 @@ class LocalCostmap:
         self.static: Int8s = np.full((n, n), -1, np.int8)
         self.occupied: Bools = np.zeros((n, n), bool)
         self.unknown: Bools = np.ones((n, n), bool)
-        self.forbidden: Bools | None = None  # by keep-out zones, whatever is seen there
-        self.field: Float32s = np.full((n, n), CAP, np.float32)
-        self.movers = Movers(config.movers)
-        self.moving: Float64s = self.movers.discs(0)  # (k, 6), see Movers.discs, in `odom`, when a command acts
+        self.forbidden_cells: Bools | None = None  # (n, n) by keep-out zones
+        self.field: Float32s = np.full((n, n), MAX_DISTANCE_M, np.float32)
+        self.dynamic_obstacles = DynamicObstacles(config.dynamic_obstacles)
+        self.moving_discs: Float64s = self.dynamic_obstacles.discs(0)  # (k, 6) in `odom`, when a command acts
 
     @property
     def x0(self) -> float:
@@ -73,7 +79,7 @@ class LocalCostmap:
         return (self.row + 0.5) * self.resolution
 
     def recentre(self, x: float, y: float) -> None:
-        """Rolls the window so that (x, y) m in `odom` lies in its middle; what leaves it is forgotten."""
+        """Moves the window so that (x, y) m in `odom` lies at its centre. Cells that leave it are lost."""
         n = len(self.evidence)
         row, column = floor(y / self.resolution) - n // 2, floor(x / self.resolution) - n // 2
         up, right = row - self.row, column - self.column
@@ -81,21 +87,23 @@ class LocalCostmap:
             return
         self.row, self.column = row, column
         up, right = max(-n, min(n, up)), max(-n, min(n, right))
-        self.evidence = _shifted(self.evidence, up, right, 0)
-        self.hit_at = _shifted(self.hit_at, up, right, 0)
-        self.free_at = _shifted(self.free_at, up, right, 0)
-        self.echo_at = _shifted(self.echo_at, up, right, 0)
-        self.static = _shifted(self.static, up, right, -1)
-        self.occupied = _shifted(self.occupied, up, right, False)
+        self.evidence = _shifted_cells(self.evidence, up, right, 0)
+        self.hit_at = _shifted_cells(self.hit_at, up, right, 0)
+        self.free_at = _shifted_cells(self.free_at, up, right, 0)
+        self.echo_at = _shifted_cells(self.echo_at, up, right, 0)
+        self.static = _shifted_cells(self.static, up, right, -1)
+        self.occupied = _shifted_cells(self.occupied, up, right, False)
 
-    def forget(self) -> None:
-        """Drops everything that scan and ranges have left here."""
+    def clear(self) -> None:
+        """Clears everything that scans and range sensors marked."""
         for layer in (self.evidence, self.hit_at, self.free_at, self.echo_at):
             layer.fill(0)
-        self.movers.forget()
+        self.dynamic_obstacles.clear()
 
-    def see(self, scan: LaserScan, odom_from_base: Float64s, mount: Mount) -> None:
-        """Marks where beams end and clears what they pass. odom_from_base: (n, 3) float64 x, y, yaw at each beam."""
+    def add_scan(self, scan: LaserScan, odom_from_base: Float64s, mount: Mount) -> None:
+        """Marks the ends of beams and clears the cells before them. odom_from_base: (n, 3) float64 x, y, yaw at each
+        beam.
+        """
         if self.config.scan:
             touched = np.zeros(self.evidence.shape, np.int8)
             ends = np.full((len(scan.ranges), 2), np.nan)
@@ -111,17 +119,17 @@ class LocalCostmap:
             )
             outline = ends if scan.angle_increment > 0 else np.ascontiguousarray(ends[::-1])  # counter-clockwise
             eye = float(odom_from_base[-1, 0]), float(odom_from_base[-1, 1])
-            self.movers.see(outline, eye, scan.stamp, self.free_at, window)
-            _weigh(touched, scan.stamp, self.evidence, self.hit_at, self.free_at)
-            # what moves is no part of the window: who plans asks where it will be
-            _leave_out(self.evidence, self.movers.discs(scan.stamp), window)
+            self.dynamic_obstacles.add_scan(outline, eye, scan.stamp, self.free_at, window)
+            _update_evidence(touched, scan.stamp, self.evidence, self.hit_at, self.free_at)
+            # dynamic obstacles are no part of the grid: the controllers use their predictions
+            _clear_discs(self.evidence, self.dynamic_obstacles.discs(scan.stamp), window)
 
-    def hear(self, readings: RangeReadings, odom_from_base: Pose2, wanted: Bools, limits: Float64s) -> None:
-        """Marks the arc where each cone's echo came from unless a known obstacle explains it, and clears inside.
+    def add_ranges(self, readings: RangeReadings, odom_from_base: Pose2, wanted: Bools, limits: Float64s) -> None:
+        """Marks the arc of each echo unless a known obstacle explains it, and clears the cone before it.
 
-        wanted: (n,) bool, which sensors count.  limits: (n, 2) m, their least and largest range.
+        wanted: (n,) bool, the sensors in use. limits: (n, 2) m, their least and largest range.
         """
-        _listen(
+        _mark_echoes(
             self.echo_at,
             self.occupied,
             (self.x0, self.y0, self.resolution),
@@ -134,11 +142,11 @@ class LocalCostmap:
             readings.stamp,
         )
 
-    def lay(self, grid: OccupancyGrid, odom_from_map: Pose2) -> None:
-        """Takes what the map says about the window."""
+    def set_static_map(self, grid: OccupancyGrid, odom_from_map: Pose2) -> None:
+        """Projects the map into the window; an empty grid clears it."""
         self.static.fill(-1)
         if self.config.static_map and not grid.empty:
-            _project(
+            _project_map(
                 self.static,
                 (self.x0, self.y0, self.resolution),
                 grid.cells,
@@ -147,8 +155,10 @@ class LocalCostmap:
             )
 
     def refresh(self, now: int, here: Pose2, footprint: Footprint) -> None:
-        """Decides what is occupied now, and the distances. The robot's outline at `here` is free by its presence."""
-        _decide(
+        """Updates `occupied`, `unknown`, the distance field and the discs. The robot's outline at `here`, in `odom`,
+        is free.
+        """
+        _update_occupancy(
             (now - int(self.config.memory * 1e9), now - int(self.config.echo_memory * 1e9)),
             self.evidence,
             self.hit_at,
@@ -158,17 +168,17 @@ class LocalCostmap:
             self.occupied,
             self.unknown,
         )
-        if self.forbidden is not None:
-            self.occupied |= self.forbidden
+        if self.forbidden_cells is not None:
+            self.occupied |= self.forbidden_cells
         pose = (here.x - self.x0, here.y - self.y0, cos(here.yaw), sin(here.yaw))
-        _clear_own(self.evidence, self.echo_at, self.occupied, self.resolution, pose, footprint)
+        _clear_footprint(self.evidence, self.echo_at, self.occupied, self.resolution, pose, footprint)
         distance_field_into(self.occupied, self.resolution, self.field)
-        np.minimum(self.field, np.float32(CAP), out=self.field)
-        self.moving = self.movers.discs(now + self.latency)
+        np.minimum(self.field, np.float32(MAX_DISTANCE_M), out=self.field)
+        self.moving_discs = self.dynamic_obstacles.discs(now + self.latency)
 
 
 @njit(cache=True, nogil=True)
-def _shifted(cells: NDArray[Any], up: int, right: int, empty: int) -> NDArray[Any]:
+def _shifted_cells(cells: NDArray[Any], up: int, right: int, empty: int) -> NDArray[Any]:
     out = np.full_like(cells, empty)
     n = len(cells)
     low, high = max(0, -right), min(n, n - right)
@@ -187,9 +197,9 @@ def _trace(
     limits: tuple[float, float, float],
     ends: Float64s,
 ) -> None:
-    """Sets each cell to the strongest of HIT, SEEN_THROUGH, NO_ECHO_THROUGH, 0 (Amanatides & Woo 1987).
+    """Sets each cell to the strongest of HIT_EVIDENCE, PASS_EVIDENCE, NO_ECHO_EVIDENCE, 0 (Amanatides and Woo 1987).
 
-    ends: (n, 2) m in `odom`, where a beam's echo came from within the window.
+    ends: (n, 2) m in `odom`, the echoes within the window.
     """
     x0, y0, resolution = window
     mount_x, mount_y, first, increment = beams
@@ -204,9 +214,9 @@ def _trace(
         hit = range_min <= ranges[i] <= range_max
         if hit:
             # the last cell before the hit stays: at a grazing angle it may hold the same wall
-            length, mark = ranges[i] - resolution, np.int8(SEEN_THROUGH)
+            length, mark = ranges[i] - resolution, np.int8(PASS_EVIDENCE)
         elif np.isnan(ranges[i]) or ranges[i] > range_max:
-            length, mark = min(range_max, no_echo_clears), np.int8(NO_ECHO_THROUGH)
+            length, mark = min(range_max, no_echo_clears), np.int8(NO_ECHO_EVIDENCE)
         else:
             continue
         column, row = floor((x - x0) / resolution + 0.5), floor((y - y0) / resolution + 0.5)
@@ -226,40 +236,40 @@ def _trace(
             column = floor((x + ranges[i] * dx - x0) / resolution + 0.5)
             row = floor((y + ranges[i] * dy - y0) / resolution + 0.5)
             if 0 <= row < n and 0 <= column < n:
-                touched[row, column] = HIT
+                touched[row, column] = HIT_EVIDENCE
                 ends[i, 0], ends[i, 1] = x + ranges[i] * dx, y + ranges[i] * dy
 
 
 @njit(cache=True, nogil=True)
-def _leave_out(evidence: Int8s, discs: Float64s, window: tuple[float, float, float]) -> None:
+def _clear_discs(evidence: Int8s, discs: Float64s, window: tuple[float, float, float]) -> None:
     n = len(evidence)
     for k in range(len(discs)):
-        x, y, reach = discs[k, 0] - window[0], discs[k, 1] - window[1], discs[k, 4] + EDGE
+        x, y, reach = discs[k, 0] - window[0], discs[k, 1] - window[1], discs[k, 4] + DISC_MARGIN_M
         for row in range(max(0, ceil((y - reach) / window[2])), min(n, int((y + reach) / window[2]) + 1)):
             for column in range(max(0, ceil((x - reach) / window[2])), min(n, int((x + reach) / window[2]) + 1)):
                 if hypot(column * window[2] - x, row * window[2] - y) <= reach:
                     evidence[row, column] = 0
 
 
-EDGE = 0.1  # m around a moving thing that is taken as of it
+DISC_MARGIN_M = 0.1  # around a dynamic obstacle that is cleared with it
 
 
 @njit(cache=True, nogil=True)
-def _weigh(touched: Int8s, stamp: int, evidence: Int8s, hit_at: Int64s, free_at: Int64s) -> None:
+def _update_evidence(touched: Int8s, stamp: int, evidence: Int8s, hit_at: Int64s, free_at: Int64s) -> None:
     n = len(touched)
     for row in range(n):
         for column in range(n):
             mark = touched[row, column]
-            if mark == HIT:
-                evidence[row, column], hit_at[row, column] = HIT, stamp
+            if mark == HIT_EVIDENCE:
+                evidence[row, column], hit_at[row, column] = HIT_EVIDENCE, stamp
             elif mark != 0:
                 evidence[row, column] = max(0, evidence[row, column] - mark)
-                if mark == SEEN_THROUGH:
+                if mark == PASS_EVIDENCE:
                     free_at[row, column] = stamp
 
 
 @njit(cache=True, nogil=True)
-def _listen(
+def _mark_echoes(
     echo_at: Int64s,
     occupied: Bools,
     window: tuple[float, float, float],
@@ -294,7 +304,7 @@ def _listen(
                 for column in range(first_column, last_column):
                     dx, dy = x0 + column * resolution - x, y0 + row * resolution - y
                     away = hypot(dx, dy)
-                    if away > reach + EXPLAINS or away < 1e-6:
+                    if away > reach + ECHO_MATCH_M or away < 1e-6:
                         continue
                     off = abs((np.arctan2(dy, dx) - axis + pi) % (2.0 * pi) - pi)
                     # a cell belongs to the cone where its square does
@@ -306,21 +316,21 @@ def _listen(
                     elif away < reach - resolution:
                         echo_at[row, column] = 0
                     elif echo and occupied[row, column] and echo_at[row, column] == 0:
-                        explained = explained or abs(away - measured) <= EXPLAINS
+                        explained = explained or abs(away - measured) <= ECHO_MATCH_M
 
 
-EXPLAINS = 0.15  # m: an obstacle known to the laser this near to the echo is what echoed
+ECHO_MATCH_M = 0.15  # from an echo within which a laser obstacle explains it
 
 
 @njit(cache=True, nogil=True)
-def _project(
+def _project_map(
     static: Int8s,
     window: tuple[float, float, float],
     cells: Int8s,
     grid: tuple[float, float, float],
     odom_from_map: tuple[float, float, float],
 ) -> None:
-    """Every map cell near the window into the window's cell that holds its centre: no thin wall falls between."""
+    """Copies each map cell near the window into the window's cell at its centre, so that no thin wall is lost."""
     x0, y0, resolution = window
     n = len(static)
     h, w = cells.shape
@@ -342,7 +352,7 @@ def _project(
 
 
 @njit(cache=True, nogil=True)
-def _decide(
+def _update_occupancy(
     oldest: tuple[int, int],
     evidence: Int8s,
     hit_at: Int64s,
@@ -364,7 +374,7 @@ def _decide(
 
 
 @njit(cache=True, nogil=True)
-def _clear_own(
+def _clear_footprint(
     evidence: Int8s,
     echo_at: Int64s,
     occupied: Bools,
@@ -378,5 +388,5 @@ def _clear_own(
     for row in range(max(0, int((y - reach) / resolution)), min(n, int((y + reach) / resolution) + 2)):
         for column in range(max(0, int((x - reach) / resolution)), min(n, int((x + reach) / resolution) + 2)):
             dx, dy = column * resolution - x, row * resolution - y
-            if occupied[row, column] and gap(footprint.corners, c * dx + s * dy, c * dy - s * dx) == 0.0:
+            if occupied[row, column] and polygon_distance(footprint.corners, c * dx + s * dy, c * dy - s * dx) == 0.0:
                 evidence[row, column], echo_at[row, column], occupied[row, column] = 0, 0, False

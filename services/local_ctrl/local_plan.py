@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which part of the plan lies ahead, in `odom`: resampled, tracked as the robot advances, cut where the window ends."""
+"""The part of the plan ahead of the robot, in `odom`: resampled, tracked as the robot advances, cut at the window."""
 
 from typing import NamedTuple
 
@@ -11,61 +11,62 @@ from shared.geometry import Pose2
 Float64s = NDArray[np.float64]
 
 SPACING = 0.05  # m between the resampled points
-LEAP = 3.0  # m along the path within which the robot is looked for: it never skips a loop of the path
-SAME_PLACE = 0.2  # m
-STRIDE = 2  # points between two of which a heading is taken
+MAX_ADVANCE_M = 3.0  # along the path within which the robot is searched for, so that no loop of the path is skipped
+SAME_PLACE_M = 0.2  # m
+HEADING_STRIDE = 2  # points between the two that give a heading
 
 
-class Ahead(NamedTuple):
-    """The way from the robot's place on the path to the window's end, and what follows."""
+class PathAhead(NamedTuple):
+    """The path from the robot to the window's end, and the distance beyond."""
 
     points: Float64s  # (n, 2) m in `odom`, SPACING apart, at least one
     left: float  # m from the first point to the path's end
-    ends: bool  # the path's end is the last point
+    ends: bool  # whether the path's end is the last point
     end: Pose2  # where the path ends, in `odom`
 
 
 class LocalPlan:
-    """A plan and how far along it the robot is."""
+    """A plan and the robot's place on it."""
 
     def __init__(self, xs: Float64s, ys: Float64s, yaw: float) -> None:
-        """xs, ys: (n,) m in `map`, n > 0.  yaw: rad, heading at the end."""
-        self.points = resampled(np.column_stack((xs, ys)))
+        """xs, ys: (n,) m in `map`, n > 0. yaw: rad, heading at the end."""
+        self.points = resampled_polyline(np.column_stack((xs, ys)))
         self.end = Pose2(float(xs[-1]), float(ys[-1]), yaw)
         self.i_nearest: int | None = None
 
     def same_as(self, other: "LocalPlan") -> bool:
+        """Whether both plans have the same points and end."""
         return self.end == other.end and np.array_equal(self.points, other.points)
 
-    def ahead(self, odom_from_map: Pose2, here: Pose2, reach: float, leap: float = LEAP) -> Ahead:
-        """The path from the point nearest to `here` (in `odom`) until it first is over `reach` m (by axis) away.
+    def ahead(self, odom_from_map: Pose2, here: Pose2, reach: float, leap: float = MAX_ADVANCE_M) -> PathAhead:
+        """The path from the point nearest to `here`, in `odom`, until it leaves a square of +-`reach` m about it.
 
-        leap: m along the path from the last point on within which that is looked for.
+        max_advance: m along the path from the last nearest point within which the next is searched for.
         """
         at = odom_from_map.inverse() @ here
         if self.i_nearest is None:
-            # the plan may be older than the robot's place on it; of several legs that pass here, the first counts
+            # the plan may begin behind the robot; of several sections near it the first counts
             away = np.hypot(self.points[:, 0] - at.x, self.points[:, 1] - at.y)
-            self.i_nearest = int(np.argmax(away <= away.min() + SAME_PLACE))
+            self.i_nearest = int(np.argmax(away <= away.min() + SAME_PLACE_M))
         near = self.points[self.i_nearest : self.i_nearest + max(2, int(leap / SPACING))]
         self.i_nearest += int(np.argmin((near[:, 0] - at.x) ** 2 + (near[:, 1] - at.y) ** 2))
         rest = odom_from_map @ self.points[self.i_nearest :]
         outside = np.abs(rest - (here.x, here.y)).max(axis=1) > reach
         n = int(np.argmax(outside)) if outside.any() else len(rest)
-        return Ahead(rest[: max(1, n)], (len(rest) - 1) * SPACING, n == len(rest), odom_from_map @ self.end)
+        return PathAhead(rest[: max(1, n)], (len(rest) - 1) * SPACING, n == len(rest), odom_from_map @ self.end)
 
 
-def until_turned(ahead: Ahead, most: float) -> Ahead:
-    """The way until it has turned by over `most` rad: who turns in arcs is led along them, not across them."""
-    legs = np.diff(ahead.points[::STRIDE], axis=0)
+def cut_at_turn(ahead: PathAhead, most: float) -> PathAhead:
+    """The path until it has turned by over `most` rad: a robot that drives arcs must follow them, not cross them."""
+    legs = np.diff(ahead.points[::HEADING_STRIDE], axis=0)
     turned = np.unwrap(np.arctan2(legs[:, 1], legs[:, 0]))
     beyond = np.flatnonzero(np.abs(turned - turned[0]) > most) if len(turned) else turned
     if not len(beyond):
         return ahead
-    return ahead._replace(points=ahead.points[: STRIDE * int(beyond[0]) + 1], ends=False)
+    return ahead._replace(points=ahead.points[: HEADING_STRIDE * int(beyond[0]) + 1], ends=False)
 
 
-def resampled(points: Float64s, spacing: float = SPACING) -> Float64s:
+def resampled_polyline(points: Float64s, spacing: float = SPACING) -> Float64s:
     """The polyline (n, 2) as points (k, 2) about `spacing` m apart, from its first to its last."""
     lengths = np.hypot(*np.diff(points, axis=0).T)
     at = np.concatenate(([0.0], np.cumsum(lengths)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Straight back by so much, on the spot by so much: speeds that end there, and whether the way is free."""
+"""The navigator's recoveries: straight back or turning in place by a given amount, with a test of the space for it."""
 
 from math import copysign, cos, inf, sin, sqrt
 from typing import NamedTuple
@@ -15,11 +15,11 @@ from shared.config import Section
 from shared.geometry import Pose2, wrapped
 from shared.messages import FollowState, Goal, GoalKind
 
-SHARE = 0.6  # of the drive's braking that the profile counts on: the rest is for delay
-LOOK_STEP = 0.02  # m along the rim between checked places
-TURN_LOOK = 0.5  # rad that must be free ahead while turning
-NEARER = 0.005  # m of clearance that who stands too near may lose on the way out: what a cell's grid adds
-WAY_LOOK = 0.1  # m that must be free beyond the braking distance while backing up
+BRAKING_SHARE = 0.6  # of the drive's braking that the speed profile uses: the rest is reserve for delay
+CHECK_STEP_M = 0.02  # along the rim between tested poses
+TURN_LOOKAHEAD_RAD = 0.5  # that must be free while turning
+MAX_CLEARANCE_LOSS_M = 0.005  # of a robot that starts too near an obstacle, on its way out: the effect of the grid
+BACK_UP_LOOKAHEAD_M = 0.1  # that must be free beyond the braking distance while backing up
 
 
 class ManoeuvreConfig(Section):
@@ -29,8 +29,10 @@ class ManoeuvreConfig(Section):
     turn_rate: float = Field(1.0, ge=0.1, le=10, description="rad/s")
 
 
-class Outcome(NamedTuple):
-    """The command, m/s and rad/s, and how the task stands. `reason`: a code of reasons.py, or empty."""
+class ControlOutcome(NamedTuple):
+    """The command, m/s and rad/s, and the state of the goal. `reason`: a code of reasons.py, or empty. `left`: m or
+    rad.
+    """
 
     v: float
     w: float
@@ -39,22 +41,22 @@ class Outcome(NamedTuple):
     left: float = 0.0
 
 
-def braking(motion: Motion, limits: Limits, state: FollowState, reason: str = "", left: float = 0.0) -> Outcome:
-    """To a stand as fast as the limits allow."""
+def braking(motion: Motion, limits: Limits, state: FollowState, reason: str = "", left: float = 0.0) -> ControlOutcome:
+    """The command that stops as fast as the limits allow."""
     v, w = speed_after(motion.v, 0.0, limits, DT), turn_rate_after(motion.w, 0.0, limits, DT)
-    return Outcome(v, w, state, reason, left)
+    return ControlOutcome(v, w, state, reason, left)
 
 
 class Manoeuvre:
-    """One BACK_UP, TURN or WAIT from its first tick to its end; then it says ARRIVED for as long as it is asked."""
+    """One BACK_UP, TURN or WAIT. After its end it returns ARRIVED."""
 
     def __init__(self, goal: Goal, start: Pose2, now: int, config: ManoeuvreConfig) -> None:
         self.goal, self.start, self.since, self.config = goal, start, now, config
         self.turned, self.last_yaw = 0.0, start.yaw
         self.done = False
 
-    def step(self, costmap: LocalCostmap, motion: Motion, limits: Limits, shape: Footprint, now: int) -> Outcome:
-        """One tick. motion: where the robot will be when the command acts, in `odom`."""
+    def step(self, costmap: LocalCostmap, motion: Motion, limits: Limits, shape: Footprint, now: int) -> ControlOutcome:
+        """The command of one tick. motion: in `odom`, when the command acts."""
         self.turned += wrapped(motion.pose.yaw - self.last_yaw)
         self.last_yaw = motion.pose.yaw
         if self.done:
@@ -66,15 +68,17 @@ class Manoeuvre:
         if self.goal.kind is GoalKind.BACK_UP:
             there = self.start.inverse() @ motion.pose
             left = -self.goal.amount - there.x
-            look = copysign(min(abs(left), WAY_LOOK + motion.v**2 / (2 * SHARE * limits.braking)), left)
-            free = abs(free_way(*scene, look, shape)) >= 0.5 * abs(look) and limits.v_min < 0
+            look = copysign(
+                min(abs(left), BACK_UP_LOOKAHEAD_M + motion.v**2 / (2 * BRAKING_SHARE * limits.braking)), left
+            )
+            free = abs(free_distance(*scene, look, shape)) >= 0.5 * abs(look) and limits.v_min < 0
             speed = min(self.config.back_up_speed, -limits.v_min if left < 0 else limits.v_max)
             v, w = straight_command(left, motion.v, limits, DT, speed), turn_rate_after(motion.w, 0.0, limits, DT)
             self.done = abs(left) < 0.01
         elif self.goal.kind is GoalKind.TURN:
             left = self.goal.amount - self.turned
-            look = copysign(min(abs(left), TURN_LOOK), left)
-            free = abs(free_turn(*scene, look, shape)) >= 0.5 * abs(look)
+            look = copysign(min(abs(left), TURN_LOOKAHEAD_RAD), left)
+            free = abs(free_angle(*scene, look, shape)) >= 0.5 * abs(look)
             v = speed_after(motion.v, 0.0, limits, DT)
             w = turn_command(left, motion.w, limits, DT, min(self.config.turn_rate, limits.w_max))
             self.done = abs(left) < 0.02
@@ -86,37 +90,41 @@ class Manoeuvre:
             return braking(motion, limits, FollowState.ARRIVED)
         if not free:
             return braking(motion, limits, FollowState.BLOCKED, reasons.BLOCKED.code, abs(left))
-        return Outcome(v, w, FollowState.FOLLOWING, "", abs(left))
+        return ControlOutcome(v, w, FollowState.FOLLOWING, "", abs(left))
 
 
-def turn_command(left: float, w: float, limits: Limits, dt: float, most: float) -> float:
-    """The turn rate, rad/s, for `left` rad to go: as fast as `most` and stopping in time allow."""
+def turn_command(left: float, w: float, limits: Limits, dt: float, max_rate: float) -> float:
+    """The turn rate, rad/s, with `left` rad to go, at most `max_rate` and with room to stop."""
     return turn_rate_after(
-        w, copysign(_profile(abs(left), SHARE * limits.turn_acceleration, most, dt), left), limits, dt
+        w, copysign(_speed_profile(abs(left), BRAKING_SHARE * limits.turn_acceleration, max_rate, dt), left), limits, dt
     )
 
 
-def straight_command(left: float, v: float, limits: Limits, dt: float, most: float) -> float:
-    """The speed, m/s, for `left` m to go; negative goes back."""
-    return speed_after(v, copysign(_profile(abs(left), SHARE * limits.braking, most, dt), left), limits, dt)
+def straight_command(left: float, v: float, limits: Limits, dt: float, max_rate: float) -> float:
+    """The speed, m/s, with `left` m to go; negative drives back."""
+    return speed_after(
+        v, copysign(_speed_profile(abs(left), BRAKING_SHARE * limits.braking, max_rate, dt), left), limits, dt
+    )
 
 
-def _profile(left: float, braking: float, most: float, dt: float) -> float:
-    return min(most, sqrt(2.0 * braking * left), left / (2.0 * dt))
+def _speed_profile(left: float, braking: float, max_rate: float, dt: float) -> float:
+    return min(max_rate, sqrt(2.0 * braking * left), left / (2.0 * dt))
 
 
 @njit(cache=True, nogil=True)
-def _least(
+def _min_clearance(
     field: Float32s, occupied: Bools, resolution: float, x: float, y: float, c: float, s: float, shape: Footprint
 ) -> float:
-    """The clearance, m, that must be kept from here on: who stands too near already may leave, not come nearer."""
+    """The clearance, m, to keep from here on: a robot that starts too near an obstacle may leave it, but not approach
+    it.
+    """
     if collides(field, occupied, resolution, x, y, c, s, shape):
-        return clearance(field, resolution, x, y, c, s, shape) - NEARER
+        return clearance(field, resolution, x, y, c, s, shape) - MAX_CLEARANCE_LOSS_M
     return inf
 
 
 @njit(cache=True, nogil=True)
-def _hits(
+def _is_hit(
     field: Float32s,
     occupied: Bools,
     resolution: float,
@@ -125,16 +133,16 @@ def _hits(
     c: float,
     s: float,
     shape: Footprint,
-    least: float,
+    min_clearance: float,
 ) -> bool:
-    """Whether the footprint touches an occupied cell here with less clearance than `least`."""
-    if clearance(field, resolution, x, y, c, s, shape) >= least:
+    """Whether the footprint touches an occupied cell here with less clearance than `min_clearance`."""
+    if clearance(field, resolution, x, y, c, s, shape) >= min_clearance:
         return False
     return collides(field, occupied, resolution, x, y, c, s, shape)
 
 
 @njit(cache=True, nogil=True)
-def free_turn(
+def free_angle(
     field: Float32s,
     occupied: Bools,
     resolution: float,
@@ -144,21 +152,21 @@ def free_turn(
     angle: float,
     shape: Footprint,
 ) -> float:
-    """How much of `angle`, rad, the footprint can turn on the spot from (x, y, yaw) before it touches an occupied cell.
+    """The part of `angle`, rad, that the footprint can turn in place from (x, y, yaw) before contact.
 
     x, y: m from the centre of the lower left cell.
     """
-    least = _least(field, occupied, resolution, x, y, cos(yaw), sin(yaw), shape)
-    n = int(abs(angle) * shape.circumscribed / LOOK_STEP) + 1
+    min_clearance = _min_clearance(field, occupied, resolution, x, y, cos(yaw), sin(yaw), shape)
+    n = int(abs(angle) * shape.circumscribed / CHECK_STEP_M) + 1
     for i in range(1, n + 1):
         turned = yaw + angle * i / n
-        if _hits(field, occupied, resolution, x, y, cos(turned), sin(turned), shape, least):
+        if _is_hit(field, occupied, resolution, x, y, cos(turned), sin(turned), shape, min_clearance):
             return angle * (i - 1) / n
     return angle
 
 
 @njit(cache=True, nogil=True)
-def free_way(
+def free_distance(
     field: Float32s,
     occupied: Bools,
     resolution: float,
@@ -168,12 +176,14 @@ def free_way(
     distance: float,
     shape: Footprint,
 ) -> float:
-    """How much of `distance`, m (negative: back), the footprint can drive before it touches an occupied cell."""
+    """The part of `distance`, m (negative: back), that the footprint can drive before contact. Arguments as
+    `free_angle`.
+    """
     c, s = cos(yaw), sin(yaw)
-    least = _least(field, occupied, resolution, x, y, c, s, shape)
-    n = int(abs(distance) / LOOK_STEP) + 1
+    min_clearance = _min_clearance(field, occupied, resolution, x, y, c, s, shape)
+    n = int(abs(distance) / CHECK_STEP_M) + 1
     for i in range(1, n + 1):
         along = distance * i / n
-        if _hits(field, occupied, resolution, x + c * along, y + s * along, c, s, shape, least):
+        if _is_hit(field, occupied, resolution, x + c * along, y + s * along, c, s, shape, min_clearance):
             return distance * (i - 1) / n
     return distance

@@ -1,24 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Model predictive path integral control (Williams et al. 2017, IT-MPC; the critics in the manner of Nav2's MPPI).
+"""Model predictive path integral control (Williams et al. 2017, IT-MPC), with critics in the manner of Nav2's MPPI.
 
-Noise around the last solution, and a few ways that simply follow the distance to go downhill, are rolled out through
-the drive's limits, scored by the critics, and averaged with weights exp(-cost / temperature). What is averaged are the
-velocities as the drive would run them: its limits are convex, so the average obeys them too.
+The rollouts are noise around the last solution, and some that descend the cost to go. Each is simulated within the
+drive's limits, scored by the critics, and averaged with weight exp(-cost / temperature). The average is over executed
+velocities: the limits are convex, so the average keeps them.
 """
 
 from math import atan2, cos, hypot, inf, sin, sqrt
-from typing import NamedTuple
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.local_ctrl.controller import APPROACH, STANDING_WORLD, Considered, Scene, Solution
-from services.local_ctrl.distance_to_go import carrot, to_go_at
-from services.local_ctrl.expected import expected
-from services.local_ctrl.footprint import Footprint, clearance, sampled, touches
-from services.local_ctrl.rollout import DT, Limits, arc_step, bent, speed_after, turn_rate_after
+from services.local_ctrl.controller import (
+    APPROACH_BRAKING_SHARE,
+    NO_DYNAMIC_OBSTACLES,
+    ControlScene,
+    ControlSolution,
+    EvaluatedRollouts,
+)
+from services.local_ctrl.cost_to_go import carrot, to_go_at
+from services.local_ctrl.critics import Critics, Weights, dynamic_clearance, obstacle_cost, stopping_distance
+from services.local_ctrl.dynamic_obstacles import predicted_discs
+from services.local_ctrl.footprint import Footprint, clearance, touches
+from services.local_ctrl.rollout import DT, Limits, arc_step, limited_turn_rate, speed_after, turn_rate_after
 from shared.config import Section
 
 Bools = NDArray[np.bool_]
@@ -26,82 +33,40 @@ Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 
 
-class Critics(Section):
-    """What a rollout costs, in metres of way: each weight is the price of what its description names."""
-
-    progress: float = Field(2.0, ge=0, le=100, description="1: a metre to go at the horizon's end")
-    haste: float = Field(2.0, ge=0, le=100, description="1: a metre to go, averaged over the horizon")
-    goal: float = Field(2.0, ge=0, le=100, description="1: a metre from the end, averaged, within half a metre of it")
-    obstacle: float = Field(1.0, ge=0, le=1000, description="m/s: driving with no clearance left; 0 at `clearance`")
-    critical: float = Field(20.0, ge=0, le=1000, description="m/s: being without clearance; 0 at `critical_clearance`")
-    overspeed: float = Field(
-        4.0, ge=0, le=1000, description="s/m: squared speed above what the clearance, or stopping at the goal, allows"
-    )
-    headway: float = Field(20.0, ge=0, le=1000, description="1/(m s): squared braking distance that is not free ahead")
-    mover: float = Field(
-        100.0, ge=0, le=1000, description="m: being run into by what moves, at once; less when it is later"
-    )
-    near_mover: float = Field(10.0, ge=0, le=1000, description="m/s: what moves at the outline; 0 at `mover_clearance`")
-    reverse: float = Field(3.0, ge=0, le=100, description="1: a metre driven backward")
-    twirl: float = Field(0.15, ge=0, le=100, description="m s/rad^2: squared turn rate")
-    smooth: float = Field(
-        0.01, ge=0, le=100, description="m: squared change of command, as a share of what is possible"
-    )
-    collision: float = Field(1000.0, ge=10, le=1e6, description="m: a collision at once; less when it is later")
-
-
 class MppiConfig(Section):
     """Model predictive path integral control."""
 
-    rollouts: int = Field(1200, ge=64, le=20000, description="1: rollouts a tick, half to explore and half to polish")
+    RENAMED: ClassVar[dict[str, str]] = {"least_speed": "min_speed_share", "mover_clearance": "dynamic_clearance"}
+
+    rollouts: int = Field(1200, ge=64, le=20000, description="1: rollouts a tick, half to explore and half to refine")
     steps: int = Field(50, ge=10, le=200, description="1: steps of 1/20 s; 50 are 2.5 s")
     temperature: float = Field(
-        0.03, ge=0.001, le=100, description="m: cost difference that makes a rollout count e times less"
+        0.03, ge=0.001, le=100, description="m: cost difference that divides a rollout's weight by e"
     )
-    speed_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation, as a share of the top speed")
-    turn_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation, as a share of the top turn rate")
-    polish: float = Field(0.1, ge=0, le=1, description="1: share of the noise around what exploring has found")
-    seed: int = Field(1, ge=0, description="1: of the noise, which is drawn once")
+    speed_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation over the top speed")
+    turn_noise: float = Field(0.35, ge=0.01, le=2, description="1: standard deviation over the top turn rate")
+    polish: float = Field(
+        0.1, ge=0, le=1, description="1: share of the noise in the second half, around the result of the first"
+    )
+    seed: int = Field(1, ge=0, description="1: of the noise, which is generated once")
     clearance: float = Field(0.3, ge=0.02, le=3, description="m beyond the outline at which obstacles cost nothing")
     critical_clearance: float = Field(
-        0.1, ge=0.01, le=1, description="m beyond the outline that is always worth keeping"
+        0.1, ge=0.01, le=1, description="m beyond the outline within which clearance has a high cost at any speed"
     )
     full_speed_clearance: float = Field(0.3, ge=0.02, le=3, description="m beyond the outline that allows full speed")
-    least_speed: float = Field(0.25, ge=0.05, le=1, description="1: share of the top speed allowed at no clearance")
-    mover_clearance: float = Field(0.6, ge=0.02, le=5, description="m beyond the outline that what moves is kept off")
+    min_speed_share: float = Field(0.25, ge=0.05, le=1, description="1: share of the top speed allowed at no clearance")
+    dynamic_clearance: float = Field(
+        0.6, ge=0.02, le=5, description="m beyond the outline at which dynamic obstacles cost nothing"
+    )
     critics: Critics = Critics()
 
 
-class Weights(NamedTuple):
-    """`Critics` and the clearances, as the kernel takes them."""
-
-    progress: float
-    haste: float
-    goal: float
-    obstacle: float
-    critical: float
-    overspeed: float
-    headway: float
-    mover: float
-    near_mover: float
-    reverse: float
-    twirl: float
-    smooth: float
-    collision: float
-    clearance: float
-    critical_clearance: float
-    full_speed_clearance: float
-    least_speed: float
-    mover_clearance: float
-
-
-REACTION = 0.2  # s that a guard counts on between a command and the wheels' answer
-LEAST_TURNING = 0.4  # share of the speed that is left to who can turn only while it drives
-N_GUESSES = 9  # rollouts that are not noise: the last solution, standing still, seven that go downhill
+MIN_TURNING_SPEED_SHARE = 0.4  # of the speed of a robot that turns only while it drives
+N_GUESSES = 9  # rollouts without noise: the last solution, standstill, seven that descend the cost to go
 
 
 class Mppi:
-    """Holds what outlives a tick: the noise, drawn once, and the last solution."""
+    """The MPPI controller. Between ticks it keeps the noise, generated once, and the last solution."""
 
     def __init__(self, config: MppiConfig, limits: Limits) -> None:
         self.config, self.limits = config, limits
@@ -119,50 +84,52 @@ class Mppi:
         """Forgets the last solution."""
         self.mean = np.zeros((self.config.steps, 2))
         self.n_solved = 0
-        self.ways = expected(STANDING_WORLD, self.config.steps)
+        self.predicted_obstacles = predicted_discs(NO_DYNAMIC_OBSTACLES, self.config.steps)
 
-    def solve(self, scene: Scene, footprint: Footprint, n_elapsed: int) -> Solution:
-        """The velocities from now on. n_elapsed: steps since the last call. Same calls, same bytes."""
+    def solve(self, scene: ControlScene, footprint: Footprint, n_elapsed: int) -> ControlSolution:
+        """The velocities from now on. n_elapsed: steps of DT since the last call. Deterministic in the sequence of
+        calls.
+        """
         shift = min(max(n_elapsed, 0), self.config.steps)
         self.mean = np.concatenate((self.mean[shift:], np.repeat(self.mean[-1:], shift, axis=0)))
         self.n_solved += 1
-        self.ways = expected(scene.movers, self.config.steps)
+        self.predicted_obstacles = predicted_discs(scene.dynamic_obstacles, self.config.steps)
         # a step that shares no factor with the pool's size visits every start before it repeats
         start = (self.n_solved * 7919) % len(self.noise)
         _explore(self.mean, self.noise, start, scene, self.limits, self.targets)
-        coarse = self._best(scene, footprint)
+        coarse = self._best_solution(scene, footprint)
         _polish(coarse.velocities, self.noise, start + len(self.targets), self.config.polish, self.targets)
-        fine = self._best(scene, footprint)
+        fine = self._best_solution(scene, footprint)
         self.mean = fine.velocities
         return fine
 
-    def ahead(self, scene: Scene, look: float) -> tuple[float, float]:
-        """Down the distance to go, around what stands on the plan."""
+    def ahead(self, scene: ControlScene, look: float) -> tuple[float, float]:
+        """The point `look` m down the cost to go, around obstacles on the plan."""
         x, y = carrot(scene.to_go, scene.x, scene.y, look, scene.resolution)
         return float(x), float(y)
 
-    def considered(self) -> Considered:
-        """The last solution, and the rollouts that polished it."""
-        return Considered(
+    def evaluated_rollouts(self) -> EvaluatedRollouts:
+        """The last solution, and the rollouts of the second half."""
+        return EvaluatedRollouts(
             np.concatenate((self.mean[None], self.executed.astype(float))), np.append(self.costs.min(), self.costs)
         )
 
-    def _best(self, scene: Scene, footprint: Footprint) -> Solution:
-        """The weighted average of `targets`, or the best of them where two ways around an obstacle average into it."""
+    def _best_solution(self, scene: ControlScene, footprint: Footprint) -> ControlSolution:
+        """The weighted average of `targets`, or their best one: two paths around an obstacle may average into it."""
         outputs = self.executed, self.costs, self.gains
-        _evaluate(self.targets, scene, self.ways, footprint, self.limits, self.weights, *outputs)
+        _evaluate(self.targets, scene, self.predicted_obstacles, footprint, self.limits, self.weights, *outputs)
         best = int(np.argmin(self.costs))
         velocities = _average(self.executed, self.costs, self.config.temperature)
-        velocities, cost, gain = self._scored(velocities, scene, footprint)
+        velocities, cost, gain = self._score(velocities, scene, footprint)
         if cost > self.costs[best]:
             velocities, cost, gain = self.executed[best].astype(float), float(self.costs[best]), float(self.gains[best])
-        return Solution(velocities, cost, cost >= 0.4 * self.weights.collision, gain)
+        return ControlSolution(velocities, cost, cost >= 0.4 * self.weights.collision, gain)
 
-    def _scored(self, velocities: Float64s, scene: Scene, footprint: Footprint) -> tuple[Float64s, float, float]:
+    def _score(self, velocities: Float64s, scene: ControlScene, footprint: Footprint) -> tuple[Float64s, float, float]:
         executed = np.empty((1, *velocities.shape), np.float32)
         cost, gain = np.empty(1), np.empty(1)
         targets = velocities.astype(np.float32)[None]
-        _evaluate(targets, scene, self.ways, footprint, self.limits, self.weights, executed, cost, gain)
+        _evaluate(targets, scene, self.predicted_obstacles, footprint, self.limits, self.weights, executed, cost, gain)
         return executed[0].astype(float), float(cost[0]), float(gain[0])
 
 
@@ -181,15 +148,17 @@ def _noise(config: MppiConfig, limits: Limits) -> Float32s:
 
 
 @njit(cache=True, nogil=True)
-def _explore(mean: Float64s, noise: Float32s, start: int, scene: Scene, limits: Limits, targets: Float32s) -> None:
+def _explore(
+    mean: Float64s, noise: Float32s, start: int, scene: ControlScene, limits: Limits, targets: Float32s
+) -> None:
     n, steps, _ = targets.shape
     targets[0] = mean
     targets[1] = 0.0
     shares, looks = (1.0, 0.6, 0.3), (0.25, 0.5)
     for i in range(3):
         for j in range(2):
-            _downhill(shares[i] * limits.v_max, looks[j], scene, limits, targets[2 + 2 * i + j])
-    _downhill(-0.5 * limits.v_max, 0.3, scene, limits, targets[8])
+            _descend_cost_to_go(shares[i] * limits.v_max, looks[j], scene, limits, targets[2 + 2 * i + j])
+    _descend_cost_to_go(-0.5 * limits.v_max, 0.3, scene, limits, targets[8])
     for k in range(N_GUESSES, n):
         row = noise[(start + k) % len(noise)]
         # two in three around the last solution, the rest around a guess
@@ -212,8 +181,8 @@ def _polish(mean: Float64s, noise: Float32s, start: int, share: float, targets: 
 
 
 @njit(cache=True, nogil=True)
-def _downhill(speed: float, look: float, scene: Scene, limits: Limits, targets: Float32s) -> None:
-    """Commands that steer `look` m down the distance to go at `speed` (negative: back) and turn before they drive."""
+def _descend_cost_to_go(speed: float, look: float, scene: ControlScene, limits: Limits, targets: Float32s) -> None:
+    """Fills commands that steer `look` m down the cost to go at `speed` (negative: back), turning before driving."""
     x, y, c, s = scene.x, scene.y, cos(scene.yaw), sin(scene.yaw)
     v, w = scene.v, scene.w
     for t in range(len(targets)):
@@ -224,14 +193,14 @@ def _downhill(speed: float, look: float, scene: Scene, limits: Limits, targets: 
             ahead, aside = -ahead, -aside
         error = atan2(aside, ahead) if away > 1e-6 else 0.0
         target_w = 2.5 * error
-        target_v = speed * max(LEAST_TURNING if limits.curvature < inf else 0.0, 1.0 - abs(error) / 0.9)
+        target_v = speed * max(MIN_TURNING_SPEED_SHARE if limits.curvature < inf else 0.0, 1.0 - abs(error) / 0.9)
         if scene.ends:
             rest = hypot(scene.end_x - x, scene.end_y - y)
-            most = sqrt(2.0 * APPROACH * limits.braking * rest)
+            most = sqrt(2.0 * APPROACH_BRAKING_SHARE * limits.braking * rest)
             target_v = min(max(target_v, -most), most)
         targets[t, 0], targets[t, 1] = target_v, target_w
         v, w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
-        w = bent(v, w, limits)
+        w = limited_turn_rate(v, w, limits)
         chord, cosine, sine, _ = arc_step(v, w, DT)
         c, s = c * cosine - s * sine, s * cosine + c * sine
         x, y = x + chord * c, y + chord * s
@@ -241,8 +210,8 @@ def _downhill(speed: float, look: float, scene: Scene, limits: Limits, targets: 
 @njit(cache=True, nogil=True)
 def _evaluate(
     targets: Float32s,
-    scene: Scene,
-    ways: Float64s,
+    scene: ControlScene,
+    predicted_obstacles: Float64s,
     footprint: Footprint,
     limits: Limits,
     weights: Weights,
@@ -250,17 +219,19 @@ def _evaluate(
     costs: Float64s,
     gains: Float64s,
 ) -> None:
-    """Rolls out each (steps, 2) of targets (k, steps, 2): velocities as run, cost, and metres gained at the end.
+    """Simulates targets (k, steps, 2) and fills executed velocities, costs, and reductions of the cost to go (m).
 
-    ways: of what moves, see `expected`.
+    predicted_obstacles: (steps, n, 3), see `predicted_discs`.
     """
     n, steps, _ = targets.shape
     resolution = scene.resolution
     first = to_go_at(scene.to_go, scene.x, scene.y, resolution)
     c0, s0 = cos(scene.yaw), sin(scene.yaw)
     least = clearance(scene.field, resolution, scene.x, scene.y, c0, s0, footprint)
-    # who stands too near already may leave, not come nearer
-    stuck = least <= footprint.padding and touches(scene.occupied, resolution, scene.x, scene.y, c0, s0, footprint)
+    # a robot that starts too near an obstacle may leave it, but not approach it
+    starts_too_near = least <= footprint.padding and touches(
+        scene.occupied, resolution, scene.x, scene.y, c0, s0, footprint
+    )
     for k in range(n):
         x, y, c, s, v, w = scene.x, scene.y, c0, s0, scene.v, scene.w
         cost, mean_to_go, to_go = 0.0, 0.0, first
@@ -268,7 +239,7 @@ def _evaluate(
         for t in range(steps):
             v_before, w_before = v, w
             v, w = speed_after(v, targets[k, t, 0], limits, DT), turn_rate_after(w, targets[k, t, 1], limits, DT)
-            w = bent(v, w, limits)
+            w = limited_turn_rate(v, w, limits)
             executed[k, t, 0], executed[k, t, 1] = v, w
             chord, cosine, sine, _ = arc_step(v, w, DT)
             c, s = c * cosine - s * sine, s * cosine + c * sine
@@ -276,29 +247,31 @@ def _evaluate(
             c, s = c * cosine - s * sine, s * cosine + c * sine
             room = clearance(scene.field, resolution, x, y, c, s, footprint)
             if room <= footprint.padding:
-                if stuck:
+                if starts_too_near:
                     hit = room < least - 0.005
                 else:
                     hit = touches(scene.occupied, resolution, x, y, c, s, footprint)
                 if hit:
-                    # half of it for when: the later, the better
+                    # half of it depends on the time: the later, the cheaper
                     cost += weights.collision * (1.0 - 0.5 * t / steps)
                     for rest in range(t + 1, steps):
                         executed[k, rest, 0], executed[k, rest, 1] = 0.0, 0.0
                     mean_to_go += to_go * (steps - t)
                     break
-            cost += DT * _near(scene, footprint, limits, weights, x, y, c, s, v, room)
-            if ways.shape[1]:
-                ahead = _stopping(v, limits, weights)
-                far = weights.mover_clearance
-                away = _away(ways[t], x, y, c, s, ahead if v >= 0.0 else -ahead, footprint, far)
-                later = 1.0 - 0.5 * t / steps  # and less sure
+            cost += DT * obstacle_cost(scene, footprint, limits, weights, x, y, c, s, v, room)
+            if predicted_obstacles.shape[1]:
+                ahead = stopping_distance(v, limits, weights)
+                far = weights.dynamic_clearance
+                away = dynamic_clearance(
+                    predicted_obstacles[t], x, y, c, s, ahead if v >= 0.0 else -ahead, footprint, far
+                )
+                later = 1.0 - 0.5 * t / steps  # predictions get less certain
                 if away < 0.0 and not met:
                     met = True
-                    cost += weights.mover * later
-                if away < weights.mover_clearance:
-                    share = 1.0 - max(away, 0.0) / weights.mover_clearance
-                    cost += DT * weights.near_mover * later * share * share
+                    cost += weights.dynamic_collision * later
+                if away < weights.dynamic_clearance:
+                    share = 1.0 - max(away, 0.0) / weights.dynamic_clearance
+                    cost += DT * weights.dynamic_obstacle * later * share * share
             cost += DT * (weights.reverse * max(0.0, -v) + weights.twirl * w * w)
             dv, dw = (v - v_before) / (limits.braking * DT), (w - w_before) / (limits.turn_acceleration * DT)
             cost += weights.smooth * DT * (dv * dv + dw * dw)
@@ -306,74 +279,10 @@ def _evaluate(
             mean_to_go += to_go
             if scene.ends:
                 away = hypot(scene.end_x - x, scene.end_y - y)
-                over = max(0.0, abs(v) - sqrt(2.0 * APPROACH * limits.braking * away))
+                over = max(0.0, abs(v) - sqrt(2.0 * APPROACH_BRAKING_SHARE * limits.braking * away))
                 cost += weights.goal * min(away, 0.5) / steps + DT * weights.overspeed * over * over
         costs[k] = cost + weights.progress * to_go + weights.haste * mean_to_go / steps
         gains[k] = first - to_go
-
-
-@njit(cache=True, nogil=True)
-def _away(
-    movers: Float64s, x: float, y: float, c: float, s: float, ahead: float, footprint: Footprint, far: float
-) -> float:
-    """m from the outline at (x, y), and from the way on which it would stop, to movers (k, 3) x, y, radius m then.
-
-    What comes into that way makes the guard brake, and who stands before a thing that comes is run over.
-    ahead: m of that way; negative: backward.  far: m from which on it does not matter how far.
-    """
-    least = far
-    reach = far + max(footprint.circumscribed, abs(ahead) + footprint.inscribed)
-    for k in range(len(movers)):
-        dx, dy = movers[k, 0] - x, movers[k, 1] - y
-        if dx * dx + dy * dy >= (reach + movers[k, 2]) ** 2:
-            continue
-        along = c * dx + s * dy
-        nearest = min(max(along, 0.0), ahead) if ahead >= 0.0 else max(min(along, 0.0), ahead)
-        here = hypot(dx, dy) - footprint.circumscribed
-        least = min(least, min(here, hypot(along - nearest, c * dy - s * dx) - footprint.inscribed) - movers[k, 2])
-    return least
-
-
-@njit(cache=True, nogil=True)
-def _stopping(v: float, limits: Limits, weights: Weights) -> float:
-    """m that the guard keeps free ahead at this speed."""
-    return abs(v) * REACTION + v * v / (2.0 * limits.braking) + weights.critical_clearance
-
-
-@njit(cache=True, nogil=True)
-def _near(
-    scene: Scene,
-    footprint: Footprint,
-    limits: Limits,
-    weights: Weights,
-    x: float,
-    y: float,
-    c: float,
-    s: float,
-    v: float,
-    room: float,
-) -> float:
-    """What being this near to obstacles at this speed costs, m/s."""
-    cost = 0.0
-    speed = abs(v)
-    if room < weights.clearance:
-        share = 1.0 - max(room, 0.0) / weights.clearance
-        cost += weights.obstacle * speed * share * share
-    if room < weights.critical_clearance:
-        share = 1.0 - max(room, 0.0) / weights.critical_clearance
-        cost += weights.critical * share * share * (0.2 + speed)
-    if room < weights.full_speed_clearance:
-        share = weights.least_speed + (1.0 - weights.least_speed) * max(room, 0.0) / weights.full_speed_clearance
-        over = max(0.0, speed - share * limits.v_max)
-        cost += weights.overspeed * over * over
-    # the guard stops for what lies within the braking distance straight ahead: leave it room
-    stopping = _stopping(v, limits, weights)
-    if room < stopping + footprint.circumscribed:
-        ahead = stopping if v >= 0.0 else -stopping
-        free = sampled(scene.field, (x + c * ahead) / scene.resolution, (y + s * ahead) / scene.resolution)
-        short = max(0.0, footprint.inscribed - free)
-        cost += weights.headway * short * short * speed
-    return cost
 
 
 @njit(cache=True, nogil=True)

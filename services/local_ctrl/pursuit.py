@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Regulated pure pursuit (Macenski, Singh, Martin, Gines 2023), with the settings of Nav2's controller of that name.
 
-An arc through the robot and a point of the plan ahead of it, slower in tight bends, near obstacles and before the end.
-It never leaves the plan: for what stands on it the robot slows down, stops and waits for another plan.
+The robot drives the arc to a point of the plan ahead, slower in tight bends, near obstacles and before the end. It
+never leaves the plan: before an obstacle on it the robot slows down, stops and waits for another plan.
 """
 
 from math import cos, hypot, sin
@@ -12,35 +12,35 @@ from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.local_ctrl.arcs import Arc, arc_to, run_of, speed_to_end
-from services.local_ctrl.controller import Considered, Scene, Solution
-from services.local_ctrl.distance_to_go import to_go_at
+from services.local_ctrl.arcs import Arc, fill_rollout, max_speed_to_end, simulated_arc
+from services.local_ctrl.controller import ControlScene, ControlSolution, EvaluatedRollouts
+from services.local_ctrl.cost_to_go import to_go_at
 from services.local_ctrl.footprint import Footprint, clearance
 from services.local_ctrl.rollout import DT, Limits, speed_after
 from shared.config import Section
 
 Float64s = NDArray[np.float64]
 
-N_SHARES = 10  # speeds that are tried on an arc that is not free, from the wanted one down to a stand
-SLOWEST = 1e-3  # m/s that a way's time is reckoned with
-SHORTEST = 0.02  # m: a point nearer than this has no direction
+N_SPEEDS = 10  # tested on a blocked arc, from the wanted one down to zero
+MIN_SPEED = 1e-3  # m/s, for the time that an arc takes
+MIN_LOOKAHEAD_M = 0.02  # a nearer point has no direction
 
 
 class PursuitConfig(Section):
     """Regulated pure pursuit, its settings named as in Nav2."""
 
-    lookahead_time: float = Field(1.5, ge=0.1, le=10, description="s at the present speed to the point steered for")
-    min_lookahead_dist: float = Field(0.3, ge=0.05, le=5, description="m to it at least")
-    max_lookahead_dist: float = Field(0.9, ge=0.05, le=20, description="m to it at most")
+    lookahead_time: float = Field(1.5, ge=0.1, le=10, description="s at the present speed to the lookahead point")
+    min_lookahead_dist: float = Field(0.3, ge=0.05, le=5, description="minimum m to it")
+    max_lookahead_dist: float = Field(0.9, ge=0.05, le=20, description="maximum m to it")
     regulated_linear_scaling_min_radius: float = Field(
         0.9, ge=0, le=20, description="m: in bends tighter than this the speed falls with the radius"
     )
     cost_scaling_dist: float = Field(
         0.3, ge=0.01, le=5, description="m beyond the outline: with an obstacle nearer than this the speed falls"
     )
-    cost_scaling_gain: float = Field(1.0, gt=0, le=1, description="1: how much it falls; less is slower")
+    cost_scaling_gain: float = Field(1.0, gt=0, le=1, description="1: speed there, over the distance; less is slower")
     regulated_linear_scaling_min_speed: float = Field(
-        0.25, ge=0.01, le=5, description="m/s that bends and obstacles beside the way leave"
+        0.25, ge=0.01, le=5, description="m/s that bends and obstacles beside the path leave at least"
     )
     max_allowed_time_to_collision_up_to_carrot: float = Field(
         1.5, ge=0.2, le=10, description="s that the arc must be free ahead, or the robot slows down"
@@ -51,7 +51,7 @@ class PursuitConfig(Section):
 
 
 class Pursuit:
-    """Remembers nothing between ticks but what was driven, for people."""
+    """The pure pursuit controller. Between ticks it keeps only the driven velocities, for the debug topics."""
 
     def __init__(self, config: PursuitConfig, limits: Limits) -> None:
         self.config, self.limits = config, limits
@@ -59,9 +59,10 @@ class Pursuit:
         self.velocities = np.zeros((max(1, round(config.max_allowed_time_to_collision_up_to_carrot / DT)), 2))
 
     def reset(self) -> None:
+        """Restarts the count of calls."""
         self.n_solved = 0
 
-    def solve(self, scene: Scene, footprint: Footprint, n_elapsed: int) -> Solution:
+    def solve(self, scene: ControlScene, footprint: Footprint, n_elapsed: int) -> ControlSolution:
         self.n_solved += 1
         c = self.config
         looks = c.lookahead_time, c.min_lookahead_dist, max(c.min_lookahead_dist, c.max_lookahead_dist)
@@ -72,64 +73,66 @@ class Pursuit:
             c.regulated_linear_scaling_min_speed,
         )
         stops = c.max_allowed_time_to_collision_up_to_carrot, c.stop_time_buffer
-        v, w, arc = _pursued(scene, self.limits, footprint, looks, regulation, stops)
+        v, w, arc = _pursue(scene, self.limits, footprint, looks, regulation, stops)
         self.velocities = np.empty_like(self.velocities)
-        run_of(v, w, scene.v, scene.w, self.limits, self.velocities)
+        fill_rollout(v, w, scene.v, scene.w, self.limits, self.velocities)
         left = to_go_at(scene.to_go, arc.x, arc.y, scene.resolution)
         gain = to_go_at(scene.to_go, scene.x, scene.y, scene.resolution) - left
         self.cost = float(left)
-        return Solution(self.velocities, self.cost, not arc.stops, float(gain))
+        return ControlSolution(self.velocities, self.cost, not arc.stops, float(gain))
 
-    def ahead(self, scene: Scene, look: float) -> tuple[float, float]:
-        x, y = lookahead(scene.path, scene.x, scene.y, look)
+    def ahead(self, scene: ControlScene, look: float) -> tuple[float, float]:
+        x, y = lookahead_point(scene.path, scene.x, scene.y, look)
         return float(x), float(y)
 
-    def considered(self) -> Considered:
-        return Considered(self.velocities[None], np.array([self.cost]))
+    def evaluated_rollouts(self) -> EvaluatedRollouts:
+        return EvaluatedRollouts(self.velocities[None], np.array([self.cost]))
 
 
 @njit(cache=True, nogil=True)
-def _pursued(
-    scene: Scene,
+def _pursue(
+    scene: ControlScene,
     limits: Limits,
     shape: Footprint,
     looks: tuple[float, float, float],
     regulation: tuple[float, float, float, float],
     stops: tuple[float, float],
 ) -> tuple[float, float, Arc]:
-    """The velocities to head for, m/s and rad/s, and the arc that they make."""
+    """The target velocities, m/s and rad/s, and their arc."""
     seconds, buffer = stops
     c, s = cos(scene.yaw), sin(scene.yaw)
     look = min(max(abs(scene.v) * looks[0], looks[1]), looks[2])
-    x, y = lookahead(scene.path, scene.x, scene.y, look)
+    x, y = lookahead_point(scene.path, scene.x, scene.y, look)
     ahead, aside = c * (x - scene.x) + s * (y - scene.y), c * (y - scene.y) - s * (x - scene.x)
     away = hypot(ahead, aside)
-    if away < SHORTEST or (ahead < 0.0 and limits.v_min == 0.0):
-        stand = arc_to(0.0, 0.0, seconds, buffer, scene, limits, shape)
+    if away < MIN_LOOKAHEAD_M or (ahead < 0.0 and limits.v_min == 0.0):
+        stand = simulated_arc(0.0, 0.0, seconds, buffer, scene, limits, shape)
         return 0.0, 0.0, stand
     curvature = min(max(2.0 * aside / (away * away), -limits.curvature), limits.curvature)
     room = clearance(scene.field, scene.resolution, scene.x, scene.y, c, s, shape)
-    speed = _regulated(curvature, room, limits, regulation)
+    speed = _regulated_speed(curvature, room, limits, regulation)
     if ahead < 0.0:
-        # it lies behind, and there is no room to turn: back towards it
+        # the point lies behind without room to turn: the robot backs up to it
         speed = min(speed, -limits.v_min)
-    speed = min(speed, speed_to_end(scene, limits))
+    speed = min(speed, max_speed_to_end(scene, limits))
     if abs(curvature) * speed > limits.w_max:
         speed = limits.w_max / abs(curvature)
     way = 1.0 if ahead >= 0.0 else -1.0
-    for i in range(N_SHARES):
-        # the curve is kept while the speed still changes: judged is the next step's speed
-        v = speed_after(scene.v, way * speed * (1.0 - i / N_SHARES), limits, DT)
+    for i in range(N_SPEEDS):
+        # the curvature is kept while the speed changes, so the next step's speed is tested
+        v = speed_after(scene.v, way * speed * (1.0 - i / N_SPEEDS), limits, DT)
         w = v * curvature
-        arc = arc_to(v, w, min(seconds, away / max(abs(v), SLOWEST)), buffer, scene, limits, shape)
+        arc = simulated_arc(v, w, min(seconds, away / max(abs(v), MIN_SPEED)), buffer, scene, limits, shape)
         if arc.stops:
             return v, w, arc
-    return 0.0, 0.0, arc_to(0.0, 0.0, seconds, buffer, scene, limits, shape)
+    return 0.0, 0.0, simulated_arc(0.0, 0.0, seconds, buffer, scene, limits, shape)
 
 
 @njit(cache=True, nogil=True)
-def _regulated(curvature: float, room: float, limits: Limits, regulation: tuple[float, float, float, float]) -> float:
-    """The speed, m/s: the article's curvature and proximity heuristics, equations 4 and 5, the slower of the two."""
+def _regulated_speed(
+    curvature: float, room: float, limits: Limits, regulation: tuple[float, float, float, float]
+) -> float:
+    """The lower of the two regulated speeds, m/s: curvature and proximity, equations 4 and 5 of the article."""
     radius, distance, gain, least = regulation
     speed = limits.v_max
     if abs(curvature) * radius > 1.0:
@@ -140,7 +143,7 @@ def _regulated(curvature: float, room: float, limits: Limits, regulation: tuple[
 
 
 @njit(cache=True, nogil=True)
-def lookahead(path: Float64s, x: float, y: float, look: float) -> tuple[float, float]:
+def lookahead_point(path: Float64s, x: float, y: float, look: float) -> tuple[float, float]:
     """Where the path first is `look` m away from (x, y), between its points; its end where it never is."""
     before = hypot(path[0, 0] - x, path[0, 1] - y)
     if before >= look:
@@ -148,7 +151,7 @@ def lookahead(path: Float64s, x: float, y: float, look: float) -> tuple[float, f
     for k in range(1, len(path)):
         away = hypot(path[k, 0] - x, path[k, 1] - y)
         if away >= look:
-            # the points lie so close together that distance grows evenly between them
+            # between close points the distance grows linearly
             share = (look - before) / max(away - before, 1e-9)
             px = path[k - 1, 0] + share * (path[k, 0] - path[k - 1, 0])
             return px, path[k - 1, 1] + share * (path[k, 1] - path[k - 1, 1])

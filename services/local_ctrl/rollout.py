@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where does a differential drive go under a command: velocity and acceleration limits, exact arcs, actuation delay."""
+"""The motion model: limits of velocity and acceleration, exact arcs, delay of actuation."""
 
 from math import cos, inf, sin
 from typing import NamedTuple
@@ -10,13 +10,13 @@ from shared.config import Drive
 from shared.geometry import Pose2, wrapped
 
 DT = 0.05  # s a step of a rollout: the tick of 20 Hz
-MAX_STEP = 20_000_000  # ns: accelerations are predicted this finely
+MAX_STEP_NS = 20_000_000  # ns: accelerations are predicted this finely
 
 
 class Limits(NamedTuple):
-    """What the drive can do: m/s, rad/s, m/s^2, rad/s^2, 1/m. `v_min` is not positive.
+    """Limits of the drive: m/s, rad/s, m/s^2, rad/s^2, 1/m. `v_min` is not positive.
 
-    curvature: of the tightest arc, inf without a limit; `spins`: it may turn on the spot.
+    `curvature`: of the tightest arc, inf without a limit. `spins`: it may turn in place.
     """
 
     v_min: float
@@ -30,15 +30,15 @@ class Limits(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """A pose in `odom` and the twist that the robot has there."""
+    """A pose in `odom` and the robot's twist there."""
 
     pose: Pose2
     v: float
     w: float
 
 
-class Command(NamedTuple):
-    """A velocity command and when it was sent, ns."""
+class SentCommand(NamedTuple):
+    """A velocity command (m/s, rad/s) and when it was sent, ns."""
 
     sent: int
     v: float
@@ -46,26 +46,26 @@ class Command(NamedTuple):
 
 
 def limits_of(drive: Drive, max_speed: float, max_reverse_speed: float) -> Limits:
-    """The drive's limits, with the speeds that the configuration asks for where they are lower.
+    """The drive's limits, with the configured speeds where these are lower.
 
-    Who must not turn tighter than his arc brakes no harder than his turning can follow.
+    A robot with a turning radius brakes no harder than its turn rate can follow.
     """
     radius = drive.min_turning_radius
     return Limits(
-        -min(drive.max_reverse_speed, max_reverse_speed),
-        min(drive.max_speed, max_speed),
-        drive.max_turn_rate,
-        drive.max_acceleration,
-        min(drive.max_braking, drive.max_turn_acceleration * radius) if radius else drive.max_braking,
-        drive.max_turn_acceleration,
-        1.0 / radius if radius else inf,
-        drive.turns_in_place,
+        v_min=-min(drive.max_reverse_speed, max_reverse_speed),
+        v_max=min(drive.max_speed, max_speed),
+        w_max=drive.max_turn_rate,
+        acceleration=drive.max_acceleration,
+        braking=min(drive.max_braking, drive.max_turn_acceleration * radius) if radius else drive.max_braking,
+        turn_acceleration=drive.max_turn_acceleration,
+        curvature=1.0 / radius if radius else inf,
+        spins=drive.turns_in_place,
     )
 
 
 @njit(cache=True, nogil=True)
 def speed_after(v: float, target: float, limits: Limits, dt: float) -> float:
-    """The forward speed after dt of heading for `target`; it passes through zero in no less than one step."""
+    """The forward speed after dt of approaching `target`. It needs at least one step to pass zero."""
     target = min(max(target, limits.v_min), limits.v_max)
     if v > 0.0:
         if target >= v:
@@ -80,15 +80,15 @@ def speed_after(v: float, target: float, limits: Limits, dt: float) -> float:
 
 @njit(cache=True, nogil=True)
 def turn_rate_after(w: float, target: float, limits: Limits, dt: float) -> float:
-    """The turn rate after dt of heading for `target`."""
+    """The turn rate after dt of approaching `target`."""
     target = min(max(target, -limits.w_max), limits.w_max)
     change = limits.turn_acceleration * dt
     return min(max(target, w - change), w + change)
 
 
 @njit(cache=True, nogil=True)
-def bent(v: float, w: float, limits: Limits) -> float:
-    """The turn rate nearest to w that at a speed of v is on an arc which the drive may drive."""
+def limited_turn_rate(v: float, w: float, limits: Limits) -> float:
+    """The turn rate nearest to w on an arc that the drive may drive at a speed of v."""
     if limits.curvature == inf:
         return w
     most = abs(v) * limits.curvature
@@ -110,10 +110,12 @@ def arc_step(v: float, w: float, dt: float) -> tuple[float, float, float, float]
     return v * dt * sin(half) / half, cos(half), sin(half), half
 
 
-def predicted(motion: Motion, limits: Limits, commands: list[Command], since: int, until: int, delay: int) -> Motion:
-    """Where the robot will be at `until` (ns), from what it did at `since`: the commands sent act `delay` ns later.
+def predicted_motion(
+    motion: Motion, limits: Limits, commands: list[SentCommand], since: int, until: int, delay: int
+) -> Motion:
+    """The motion at `until` (ns) from that at `since`, when the commands sent act `delay` ns later.
 
-    commands: oldest first. Before the first one that is known the robot keeps its twist.
+    commands: oldest first. Before the first known one acts the robot keeps its twist.
     """
     x, y, yaw = motion.pose.x, motion.pose.y, motion.pose.yaw
     v, w = motion.v, motion.w
@@ -124,7 +126,7 @@ def predicted(motion: Motion, limits: Limits, commands: list[Command], since: in
     for following in (*changes[n_before:], None):
         end = until if following is None else following.sent + delay
         while at < end:
-            step = min(end - at, MAX_STEP)
+            step = min(end - at, MAX_STEP_NS)
             dt = step / 1e9
             if active is not None:
                 v, w = speed_after(v, active.v, limits, dt), turn_rate_after(w, active.w, limits, dt)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Zones as local control meets them: keep-out is an obstacle, a speed zone a limit that begins before it.
+"""Zones in local control: a keep-out zone is an obstacle, a speed zone a limit that begins before it.
 
-A zone lies in `map`, so where it is in `odom` is as good as the pose; without one there are no zones, and no driving.
+A zone lies in `map`, so its place in `odom` depends on the pose. Without a pose no zone applies, and no plan is
+driven.
 """
 
 from math import inf, sqrt
@@ -9,7 +10,7 @@ from math import inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from services.local_ctrl.controller import APPROACH
+from services.local_ctrl.controller import APPROACH_BRAKING_SHARE
 from services.local_ctrl.rollout import Limits, Motion
 from shared.geometry import Pose2, inside
 from shared.messages import ZoneKind, Zones
@@ -18,26 +19,28 @@ from shared.zones import KeepOut, mark_cells, polygon_of
 Bools = NDArray[np.bool_]
 Float64s = NDArray[np.float64]
 
-SLACK = 0.25  # s at the present speed by which a zone begins earlier and ends later: ticks, cells, late commands
+MARGIN_S = 0.25  # at the present speed, by which a zone begins earlier and ends later: ticks, cells, late commands
 
 
 class LocalZones:
-    """The zones that hold, and which of the keep-out ones the robot stands in."""
+    """The present zones, and which keep-out zones the robot stands in."""
 
     def __init__(self, reach: float) -> None:
-        """reach: m from the robot's middle to the farthest point of its outline."""
+        """reach: circumscribed radius of the robot, m."""
         self._keep_out = KeepOut(reach)
         self._slow: tuple[tuple[Float64s, float, float], ...] = ()  # polygon in `map`, m/s, share of the top speed
 
-    def take(self, zones: Zones) -> None:
-        """Other zones hold from now on."""
+    def set_zones(self, zones: Zones) -> None:
+        """Replaces the zones."""
         self._keep_out.take(zones)
         self._slow = tuple((polygon_of(z), z.speed, z.share) for z in zones.zones if z.kind is ZoneKind.SLOW)
 
-    def forbidden(self, odom_from_map: Pose2, here: Pose2, window: tuple[float, float, float, int]) -> Bools | None:
-        """(n, n) bool: where the robot at `here`, in `odom`, may not be; None where it may be anywhere.
+    def forbidden_cells(
+        self, odom_from_map: Pose2, here: Pose2, window: tuple[float, float, float, int]
+    ) -> Bools | None:
+        """(n, n) bool: cells in keep-out zones, for the robot at `here` in `odom`; None without any.
 
-        window: x0, y0 m in `odom`, the centre of its lower left cell; m a cell; cells along a side.
+        window: x0, y0 m in `odom` of the centre of its lower left cell; m a cell; cells along a side.
         """
         self._keep_out.moved(odom_from_map.inverse() @ here)
         x0, y0, resolution, n = window
@@ -51,14 +54,14 @@ class LocalZones:
             mark_cells(cells, low[0], low[1], resolution, in_odom)
         return cells
 
-    def limited(self, limits: Limits, path: Float64s, motion: Motion, odom_from_map: Pose2) -> Limits:
-        """The limits, with a speed from which the robot brakes gently to that of each zone before it gets there.
+    def limits_in_zones(self, limits: Limits, path: Float64s, motion: Motion, odom_from_map: Pose2) -> Limits:
+        """The limits with a speed from which the robot brakes gently to that of each zone ahead.
 
-        path: (k, 2) m in `odom`, the way ahead of the robot; k may be 0.
+        path: (k, 2) m in `odom`, the path ahead of the robot; k may be 0.
         """
         if not self._slow:
             return limits
-        slack = SLACK * motion.v
+        slack = MARGIN_S * motion.v
         behind = motion.pose @ Pose2(-slack, 0.0, 0.0)
         points = np.concatenate(([[behind.x, behind.y], [motion.pose.x, motion.pose.y]], path))
         along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T)))) - 2.0 * abs(slack)
@@ -71,7 +74,7 @@ class LocalZones:
             if len(entered):
                 most = min(speed, share * limits.v_max)
                 way = max(float(along[entered[0]]), 0.0)
-                least = min(least, sqrt(most**2 + 2.0 * APPROACH * limits.braking * way))
+                least = min(least, sqrt(most**2 + 2.0 * APPROACH_BRAKING_SHARE * limits.braking * way))
         if least >= limits.v_max:
             return limits
         return limits._replace(v_max=least, v_min=max(limits.v_min, -least))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which frontier next: the first of the shortest tour, no turning back for little, none in vain for ever."""
+"""Choice of the next frontier: the first of the shortest tour, with hysteresis and a bound of visits."""
 
 from dataclasses import dataclass
 
@@ -16,36 +16,39 @@ Int64s = NDArray[np.int64]
 Float64s = NDArray[np.float64]
 Cell = tuple[int, int]
 
-_SAME = 0.5  # m between a frontier of today's map and the target, for them to be the same
-_AROUND = 1.0  # m around a target that is given up with it
-_LAST = 1e6  # m that a frontier costs more which is farther than those that the tour is made of
-_LATTICE = 0.5  # m: visits are counted by squares of this side
+_SAME_TARGET_M = 0.5  # between a frontier and the target that are the same
+_GIVE_UP_RADIUS_M = 1.0  # around a target that is given up with it
+_BEYOND_TOUR_COST_M = 1e6  # extra cost of frontiers that are too far for the tour
+_VISIT_CELL_M = 0.5  # side of the squares by which visits are counted
 
 
 class ExplorationConfig(Section):
     """How frontiers are chosen and given up."""
 
     frontier: FrontierConfig = FrontierConfig()
-    size_weight: float = Field(0.3, ge=0, le=20, description="m of driving that a metre of border is worth")
+    size_weight: float = Field(0.3, ge=0, le=20, description="m of driving that a metre of frontier is worth")
     turn_weight: float = Field(0.5, ge=0, le=20, description="m of driving that a radian of turning costs")
-    switch_gain: float = Field(2.0, ge=0, le=50, description="m (weighted) that another frontier must be better by")
-    switch_after: int = Field(3, ge=1, le=20, description="searches, one after the other, that must find it so")
+    switch_gain: float = Field(2.0, ge=0, le=50, description="m (weighted) by which another frontier must be better")
+    switch_after: int = Field(3, ge=1, le=20, description="successive searches that must find it so")
     look_time: float = Field(0.8, ge=0.2, le=30, description="s at a frontier that stays, until it is given up")
-    max_visits: int = Field(4, ge=1, le=100, description="times that one spot is chosen, at most")
+    max_visits: int = Field(4, ge=1, le=100, description="maximum times that one place is chosen")
     patience: float = Field(
-        0.5, ge=0.05, le=1, description="share of a leg's blocked, unreachable and progress times that a frontier gets"
+        0.5,
+        ge=0.05,
+        le=1,
+        description="share of the blocked, unreachable and progress times of a goal that a frontier gets",
     )
-    max_recoveries: int = Field(2, ge=0, le=10, description="recoveries for one frontier, until another is tried")
+    max_recoveries: int = Field(2, ge=0, le=10, description="recoveries for one frontier, until another is chosen")
     settle_time: float = Field(3.0, ge=0, le=60, description="s without a frontier until exploring ends")
     blocked_time: float = Field(
-        10.0, ge=0, le=300, description="the same, s, where a way to some may be blocked by what moves"
+        10.0, ge=0, le=300, description="the same, s, where dynamic obstacles may block the path to some"
     )
-    tolerance: float = Field(0.3, ge=0.05, le=2, description="m to the place that a frontier is looked at from")
+    tolerance: float = Field(0.3, ge=0.05, le=2, description="m to the pose from which a frontier is seen")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Target:
-    """The frontier being driven to, and the place of its border, m."""
+class FrontierTarget:
+    """The frontier that is driven to, and the place (m) of its border."""
 
     frontier: Frontier
     x: float
@@ -53,16 +56,16 @@ class Target:
 
 
 class Exploration:
-    """One exploring task's memory."""
+    """State of one exploration task."""
 
     def __init__(self, config: ExplorationConfig) -> None:
         self.config = config
-        self.target: Target | None = None
-        self.looking: float | None = None  # s at the target, once there
+        self.target: FrontierTarget | None = None
+        self.looking: float | None = None  # s at the target; None on the way
         self._near = 0.0  # s close to the target
-        self._n_better = 0  # searches in a row that found a better one than the target
+        self._n_better = 0  # successive searches with a better frontier than the target
         self.without = 0.0  # s without a frontier
-        self.moved = 0.0  # m away from where it began, at most
+        self.moved = 0.0  # maximum m from the start
         self._start: Pose2 | None = None
         self._given_up: set[Cell] = set()
         self._failed: set[Cell] = set()
@@ -74,15 +77,15 @@ class Exploration:
         """(n, 2) int64 rows and columns of `map` that are no frontier any more."""
         return np.array(sorted(self._given_up | self._failed), np.int64).reshape(-1, 2)
 
-    def taken(self, found: Frontiers, pose: Pose2, resolution: float) -> Target | None:
-        """The target by what was found: the same object while it stays, another where it is gone or worse."""
+    def choose_target(self, found: Frontiers, pose: Pose2, resolution: float) -> FrontierTarget | None:
+        """The target among the found frontiers: the same object, or another where it vanished or is worse."""
         costs = self._costs(found, pose)
         ranked = sorted(found.frontiers, key=lambda f: costs[id(f)])
         if self.target is not None:
-            same = _again(found, self.target, resolution)
+            same = _same_frontier(found, self.target, resolution)
             if same is None:
-                if self.looking is None and _cut_off(found, self.target, resolution):
-                    return self.target  # planner and local control will find out whether it can be reached
+                if self.looking is None and _is_unreachable(found, self.target, resolution):
+                    return self.target  # planner and local control decide whether it can be reached
             elif self.looking is None:
                 gain = costs[id(same)] - costs[id(ranked[0])]
                 self._n_better = self._n_better + 1 if gain > self.config.switch_gain else 0
@@ -95,35 +98,35 @@ class Exploration:
                 ranked.remove(same)
         self._forget()
         for frontier in ranked:
-            target = _targeted(frontier, resolution)
-            if self._visits.get(_spot(target), 0) < self.config.max_visits:
+            target = _target_of(frontier, resolution)
+            if self._visits.get(_visit_cell(target), 0) < self.config.max_visits:
                 self.target = target
                 break
             self._give_up(frontier, target, resolution, self._given_up)
         return self.target
 
     def passed(self, seconds: float, pose: Pose2) -> None:
-        """Time passed with the robot at pose."""
+        """Advances the clocks by `seconds` with the robot at a pose."""
         self._start = self._start or pose
         self.moved = max(self.moved, pose.distance(self._start))
         if self.looking is not None:
             self.looking += seconds
-        if self.target is not None and pose.distance(Pose2(self.target.x, self.target.y)) <= _AROUND:
+        if self.target is not None and pose.distance(Pose2(self.target.x, self.target.y)) <= _GIVE_UP_RADIUS_M:
             self._near += seconds
 
     def arrived(self) -> None:
-        """The robot is where the target is seen from; having come close to it counts for half of the look."""
+        """Begins the look at the target. Time spent close to it counts for up to half of the look."""
         self.looking = min(self._near, self.config.look_time / 2)
 
     def failed(self, resolution: float) -> None:
-        """The target cannot be reached now; it is tried once more when nothing else is left."""
+        """Drops the target as unreachable. It is tried once more when no other frontier is left."""
         if self.target is not None:
             into = self._given_up if self._last_try else self._failed
             self._give_up(self.target.frontier, self.target, resolution, into)
         self._forget()
 
-    def retried(self) -> bool:
-        """Whether there is something to try once more; from now on it counts again."""
+    def retry_failed(self) -> bool:
+        """Makes failed frontiers valid again, once. Returns whether there were any."""
         if self._last_try or not self._failed:
             return False
         self._failed.clear()
@@ -131,11 +134,13 @@ class Exploration:
         return True
 
     def _costs(self, found: Frontiers, pose: Pose2) -> dict[int, float]:
-        """By id: m of a tour through all frontiers that begins with this one, weighted. A small corner that is left
-        behind costs the way back to it, so it is seen while the robot is near."""
+        """Cost (m, weighted) by id of a tour through all frontiers that begins with this one.
+
+        A small corner that is left behind costs the way back, so it is seen while the robot is near.
+        """
         first = np.array([self._cost(f, pose) for f in found.frontiers])
         k = len(found.between)
-        lengths = np.concatenate((tours(first[:k], found.between), first[k:] + _LAST))
+        lengths = np.concatenate((tours(first[:k], found.between), first[k:] + _BEYOND_TOUR_COST_M))
         return {id(f): float(length) for f, length in zip(found.frontiers, lengths)}
 
     def _cost(self, frontier: Frontier, pose: Pose2) -> float:
@@ -145,40 +150,40 @@ class Exploration:
 
     def _forget(self) -> None:
         if self.target is not None:
-            spot = _spot(self.target)
+            spot = _visit_cell(self.target)
             self._visits[spot] = self._visits.get(spot, 0) + 1
         self.target, self.looking, self._near, self._n_better = None, None, 0.0, 0
 
-    def _give_up(self, frontier: Frontier, target: Target, resolution: float, into: set[Cell]) -> None:
-        """Drops the frontier's cells around the target, and at least the nearest."""
-        away = _away(frontier.cells, target, resolution)
-        near = frontier.cells[away <= max(_AROUND, float(away.min()))]
+    def _give_up(self, frontier: Frontier, target: FrontierTarget, resolution: float, into: set[Cell]) -> None:
+        """Drops the frontier's cells around the target, and at least the nearest one."""
+        away = _distances_to(frontier.cells, target, resolution)
+        near = frontier.cells[away <= max(_GIVE_UP_RADIUS_M, float(away.min()))]
         into.update((int(row), int(column)) for row, column in near)
 
 
-def _spot(target: Target) -> Cell:
-    return round(target.x / _LATTICE), round(target.y / _LATTICE)
+def _visit_cell(target: FrontierTarget) -> Cell:
+    return round(target.x / _VISIT_CELL_M), round(target.y / _VISIT_CELL_M)
 
 
-def _again(found: Frontiers, target: Target, resolution: float) -> Frontier | None:
-    """The frontier of today's map at the target's place."""
-    near = [(float(_away(f.cells, target, resolution).min()), i) for i, f in enumerate(found.frontiers)]
-    least, nearest = min(near, default=(_SAME + 1, 0))
-    return found.frontiers[nearest] if least <= _SAME else None
+def _same_frontier(found: Frontiers, target: FrontierTarget, resolution: float) -> Frontier | None:
+    """The found frontier at the target's place, or None."""
+    near = [(float(_distances_to(f.cells, target, resolution).min()), i) for i, f in enumerate(found.frontiers)]
+    least, nearest = min(near, default=(_SAME_TARGET_M + 1, 0))
+    return found.frontiers[nearest] if least <= _SAME_TARGET_M else None
 
 
-def _cut_off(found: Frontiers, target: Target, resolution: float) -> bool:
-    """Whether the target is still there, but no way leads to it."""
-    return any(_away(cells, target, resolution).min() <= _SAME for cells in found.unreachable)
+def _is_unreachable(found: Frontiers, target: FrontierTarget, resolution: float) -> bool:
+    """Whether the target is still a frontier, but without a path."""
+    return any(_distances_to(cells, target, resolution).min() <= _SAME_TARGET_M for cells in found.unreachable)
 
 
-def _targeted(frontier: Frontier, resolution: float) -> Target:
+def _target_of(frontier: Frontier, resolution: float) -> FrontierTarget:
     xs, ys = _centres(frontier.cells, resolution)
     middle = int(np.argmin(np.hypot(xs - xs.mean(), ys - ys.mean())))
-    return Target(frontier, float(xs[middle]), float(ys[middle]))
+    return FrontierTarget(frontier, float(xs[middle]), float(ys[middle]))
 
 
-def _away(cells: Int64s, target: Target, resolution: float) -> Float64s:
+def _distances_to(cells: Int64s, target: FrontierTarget, resolution: float) -> Float64s:
     """(n,) m from the target's place."""
     xs, ys = _centres(cells, resolution)
     return np.asarray(np.hypot(xs - target.x, ys - target.y))

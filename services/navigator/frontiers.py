@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where known free space borders on the unknown, and which of that the robot can get to (Yamauchi 1997)."""
+"""Frontiers: borders of known free and unknown space that the robot can reach (Yamauchi 1997)."""
 
 from dataclasses import dataclass
 from math import atan2, ceil
 from operator import attrgetter
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
@@ -22,33 +23,35 @@ Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 
 _STRAIGHT, _DIAGONAL = 70, 99  # of a step, in 1/70 cells
-_FAR = 2**30
-_TOURED = 20  # frontiers between which the ways are measured
-_COARSE = 3  # cells by cells that are one there
-_ENCLOSED = 4.0  # m^2: a robot that can reach less than that looks for a tighter way out
-_ESCAPE = 0.6  # m through crowded or unseen space to where the robot fits: it may stand close to a wall, or unmapped
+_UNREACHED = 2**30
+_MAX_TOURED = 20  # frontiers with measured distances between them
+_COARSE_CELLS = 3  # cells along a side of one of the coarse grid
+_MIN_REACHABLE_M2 = 4.0  # below it the robot searches for a narrower exit
+_MAX_ESCAPE_M = 0.6  # through inflated or unknown space to where the robot fits
 
 
 class FrontierConfig(Section):
-    """What counts as a frontier."""
+    """Frontiers."""
+
+    RENAMED: ClassVar[dict[str, str]] = {"least_margin": "min_margin"}
 
     margin: float = Field(0.07, ge=0, le=1, description="m kept free around the footprint's inscribed circle")
-    least_margin: float = Field(
-        0.03, ge=0, le=1, description="m kept free around it on the way out of a place that is enclosed else"
-    )
+    min_margin: float = Field(0.03, ge=0, le=1, description="m kept free around it on the way out of an enclosed place")
     goal_margin: float = Field(
-        0.1, ge=0, le=1, description="m around it that must be known and free where a frontier is looked at from"
+        0.1, ge=0, le=1, description="m around it that must be known and free at the pose from which a frontier is seen"
     )
     min_size: float = Field(
-        0.5, gt=0, le=10, description="m across; smaller gaps in the map hide nothing that the robot could drive to"
+        0.5, gt=0, le=10, description="m across; smaller gaps hide no space that the robot could enter"
     )
-    max_size: float = Field(3.0, gt=0, le=50, description="m of border that make one goal; longer ones are cut")
+    max_size: float = Field(3.0, gt=0, le=50, description="m of border that make one goal; longer ones are split")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frontier:
-    """A piece of border. x, y, yaw: where to see it from; cells: (n, 2) int64, row and column counted from the map's
-    origin; size: m of border; distance: m to drive."""
+    """A section of border. `x`, `y`, `yaw`: pose from which it is seen. `size`: m of border. `distance`: m to drive.
+
+    `cells`: (n, 2) int64, row and column counted from the map's origin.
+    """
 
     x: float
     y: float
@@ -60,11 +63,10 @@ class Frontier:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frontiers:
-    """What a search found, the nearest first.
+    """The result of a search, the nearest frontier first.
 
-    unreachable: the cells, as a frontier's, of borders of places where the robot fits, but that no way leads to;
-    enclosed: there is nowhere that the robot fits. between: (k, k) m to drive between the first k = min(n, 20), by a
-    grid three times as coarse.
+    `unreachable`: cells of borders without a path to them, where the robot would fit. `enclosed`: the robot fits
+    nowhere. `between`: (k, k) m to drive between the first k = min(n, 20), on a grid three times as coarse.
     """
 
     frontiers: tuple[Frontier, ...]
@@ -75,11 +77,11 @@ class Frontiers:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """What a search looks at.
+    """Input of a search.
 
-    cells: (h, w) int8, percent, -1 unknown; its lower left cell is (first_row, first_column) of `map`; resolution: m.
-    x, y: m, the robot; robot_radius: m, inscribed. dropped: (n, 2) int64 cells of `map` that are none, with their
-    neighbours.
+    `cells`: (h, w) int8, percent, -1 unknown; its lower left cell is (first_row, first_column) of `map`. `resolution`:
+    m. `x`, `y`: m, the robot. `robot_radius`: m, inscribed. `dropped`: (n, 2) int64 cells of `map` that are no
+    frontiers, with their neighbours.
     """
 
     cells: Int8s
@@ -101,21 +103,23 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     h, w = cells.shape
     if not (0 <= row < h and 0 <= column < w):
         return Frontiers((), (), True, np.zeros((0, 0)))
-    free = _free(cells, row, column, snapshot.robot_radius / resolution)
+    free = _free_cells(cells, row, column, snapshot.robot_radius / resolution)
     passable = free & (distance >= clearance - 1e-6)
-    travelled = _wave(passable, distance, int(row), int(column), _ESCAPE / resolution)
-    if np.count_nonzero(travelled < _FAR) * resolution**2 < _ENCLOSED:  # a gap that narrowed since it drove in?
-        tight = free & (distance >= snapshot.robot_radius + min(config.least_margin, config.margin) - 1e-6)
-        travelled = _wave(tight, distance, int(row), int(column), _ESCAPE / resolution)
-    enclosed = not bool((passable & (travelled < _FAR)).any())
-    # a desk seen along its edge leaves few hits: what borders on the unknown is as narrow as if that were occupied
-    room = np.minimum(distance, distance_field(_deep_unknown(free, cells), resolution) - resolution)
+    travelled = _travel_costs(passable, distance, int(row), int(column), _MAX_ESCAPE_M / resolution)
+    if (
+        np.count_nonzero(travelled < _UNREACHED) * resolution**2 < _MIN_REACHABLE_M2
+    ):  # a gap may have narrowed since the robot drove in
+        tight = free & (distance >= snapshot.robot_radius + min(config.min_margin, config.margin) - 1e-6)
+        travelled = _travel_costs(tight, distance, int(row), int(column), _MAX_ESCAPE_M / resolution)
+    enclosed = not bool((passable & (travelled < _UNREACHED)).any())
+    # a desk seen along its edge leaves few hits, so unknown space bounds the room like an obstacle
+    room = np.minimum(distance, distance_field(_surrounded_unknown(free, cells), resolution) - resolution)
     room_wanted = max(clearance, snapshot.robot_radius + config.goal_margin)
     places = passable & (room >= room_wanted - 1e-6)
     n_steps = ceil(room_wanted / resolution) + 3
-    seen_from = _seen_from(free, places & (travelled < _FAR), n_steps)
-    cut_off_from = _seen_from(free, places & (travelled == _FAR), n_steps)
-    border = _border(free, cells)
+    seen_from = _nearest_places(free, places & (travelled < _UNREACHED), n_steps)
+    cut_off_from = _nearest_places(free, places & (travelled == _UNREACHED), n_steps)
+    border = _border_cells(free, cells)
     dropped = snapshot.dropped - (snapshot.first_row, snapshot.first_column)
     dropped = dropped[((dropped >= 0) & (dropped < (h, w))).all(axis=1)]
     for dr in (-1, 0, 1):
@@ -123,8 +127,8 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
             border[np.clip(dropped[:, 0] + dr, 0, h - 1), np.clip(dropped[:, 1] + dc, 0, w - 1)] = False
     n_min, n_max = config.min_size / resolution, max(int(config.max_size / resolution), 1)
     deep = distance >= snapshot.robot_radius
-    pieces, ends = _pieces(border & (seen_from >= 0), deep, n_min, n_max)
-    others, other_ends = _pieces(border & (seen_from < 0) & (cut_off_from >= 0), deep, n_min, n_max)
+    pieces, ends = _split_border(border & (seen_from >= 0), deep, n_min, n_max)
+    others, other_ends = _split_border(border & (seen_from < 0) & (cut_off_from >= 0), deep, n_min, n_max)
     unknown = np.pad((cells < 0) | ((cells > FREE_UP_TO) & (cells < OCCUPIED_FROM)), 1, constant_values=True)
     found = sorted(
         (
@@ -133,37 +137,44 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
         ),
         key=attrgetter("distance"),
     )
-    unreachable = tuple(_in_map(others[begin:end], snapshot) for begin, end in zip((0, *other_ends[:-1]), other_ends))
+    unreachable = tuple(
+        _map_cells(others[begin:end], snapshot) for begin, end in zip((0, *other_ends[:-1]), other_ends)
+    )
     return Frontiers(
-        tuple(found), unreachable, enclosed, _between(np.asarray(travelled < _FAR), snapshot, found[:_TOURED])
+        tuple(found),
+        unreachable,
+        enclosed,
+        _distances_between(np.asarray(travelled < _UNREACHED), snapshot, found[:_MAX_TOURED]),
     )
 
 
-def _between(reached: Bools, snapshot: Snapshot, frontiers: list[Frontier]) -> Float64s:
-    """(k, k) m to drive between the frontiers, over what was reached from the robot."""
-    h, w = (-(-n // _COARSE) * _COARSE for n in reached.shape)
+def _distances_between(reached: Bools, snapshot: Snapshot, frontiers: list[Frontier]) -> Float64s:
+    """(k, k) m to drive between the frontiers, over the cells that the robot can reach."""
+    h, w = (-(-n // _COARSE_CELLS) * _COARSE_CELLS for n in reached.shape)
     padded = np.zeros((h, w), np.bool_)
     padded[: reached.shape[0], : reached.shape[1]] = reached
-    coarse: Bools = np.asarray(padded.reshape(h // _COARSE, _COARSE, w // _COARSE, _COARSE).any(axis=(1, 3)))
-    nowhere = np.zeros(coarse.shape, np.float32)  # nothing to escape from: frontiers are seen from where the robot fits
-    side = snapshot.resolution * _COARSE
+    coarse: Bools = np.asarray(
+        padded.reshape(h // _COARSE_CELLS, _COARSE_CELLS, w // _COARSE_CELLS, _COARSE_CELLS).any(axis=(1, 3))
+    )
+    nowhere = np.zeros(coarse.shape, np.float32)  # no escape is needed: the robot fits at these poses
+    side = snapshot.resolution * _COARSE_CELLS
     x0, y0 = snapshot.first_column * snapshot.resolution, snapshot.first_row * snapshot.resolution
     rows = [int((f.y - y0) / side) for f in frontiers]
     columns = [int((f.x - x0) / side) for f in frontiers]
     between = np.zeros((len(frontiers), len(frontiers)))
     for i, (row, column) in enumerate(zip(rows, columns)):
-        between[i] = _wave(coarse, nowhere, row, column, 0.0)[rows, columns] / _STRAIGHT * side
+        between[i] = _travel_costs(coarse, nowhere, row, column, 0.0)[rows, columns] / _STRAIGHT * side
     return np.asarray(np.maximum(between, between.T))
 
 
-def _in_map(piece: Int32s, snapshot: Snapshot) -> Int64s:
+def _map_cells(piece: Int32s, snapshot: Snapshot) -> Int64s:
     """(n, 2) int64: rows and columns of `map`."""
     rows, columns = np.divmod(piece.astype(np.int64), snapshot.cells.shape[1])
     return np.column_stack((rows + snapshot.first_row, columns + snapshot.first_column))
 
 
 def _frontier(piece: Int32s, snapshot: Snapshot, unknown: Bools, seen_from: Int32s, travelled: Int32s) -> Frontier:
-    """unknown: (h + 2, w + 2) bool, with what lies outside."""
+    """The frontier of a section of border. unknown: (h + 2, w + 2) bool, with a ring for the outside."""
     resolution, row0, column0 = snapshot.resolution, snapshot.first_row, snapshot.first_column
     w = snapshot.cells.shape[1]
     rows, columns = np.divmod(piece.astype(np.int64), w)
@@ -174,18 +185,18 @@ def _frontier(piece: Int32s, snapshot: Snapshot, unknown: Bools, seen_from: Int3
         n = int(np.count_nonzero(unknown[rows + 1 + dr, columns + 1 + dc]))
         up, across = up + dr * n, across + dc * n
     return Frontier(
-        (column0 + goal_column + 0.5) * resolution,
-        (row0 + goal_row + 0.5) * resolution,
-        atan2(up, across),
-        len(piece) * resolution,
-        float(travelled[goal_row, goal_column]) / _STRAIGHT * resolution,
-        _in_map(piece, snapshot),
+        x=(column0 + goal_column + 0.5) * resolution,
+        y=(row0 + goal_row + 0.5) * resolution,
+        yaw=atan2(up, across),
+        size=len(piece) * resolution,
+        distance=float(travelled[goal_row, goal_column]) / _STRAIGHT * resolution,
+        cells=_map_cells(piece, snapshot),
     )
 
 
 @njit(cache=True, nogil=True)
-def _free(cells: Int8s, row: float, column: float, radius: float) -> Bools:
-    """Known to be free, by the map or because the robot stands there: row, column, radius in cells."""
+def _free_cells(cells: Int8s, row: float, column: float, radius: float) -> Bools:
+    """Cells known to be free by the map, or because the robot stands there. row, column, radius: in cells."""
     h, w = cells.shape
     free = np.empty((h, w), np.bool_)
     for r in range(h):
@@ -196,8 +207,8 @@ def _free(cells: Int8s, row: float, column: float, radius: float) -> Bools:
 
 
 @njit(cache=True, nogil=True)
-def _deep_unknown(free: Bools, cells: Int8s) -> Bools:
-    """Unknown cells among nothing but unknown ones: no gaps between beams. What lies outside the grid is left out."""
+def _surrounded_unknown(free: Bools, cells: Int8s) -> Bools:
+    """Unknown cells with unknown neighbours only, so no gaps between beams. The rim of the grid is left out."""
     h, w = free.shape
     deep = np.zeros((h, w), np.bool_)
     for r in range(1, h - 1):
@@ -211,7 +222,7 @@ def _deep_unknown(free: Bools, cells: Int8s) -> Bools:
 
 
 @njit(cache=True, nogil=True)
-def _border(free: Bools, cells: Int8s) -> Bools:
+def _border_cells(free: Bools, cells: Int8s) -> Bools:
     """Free cells beside an unknown one; outside the grid everything is unknown."""
     h, w = cells.shape
     border = np.zeros((h, w), np.bool_)
@@ -229,13 +240,13 @@ def _border(free: Bools, cells: Int8s) -> Bools:
 
 
 @njit(cache=True, nogil=True)
-def _wave(passable: Bools, distance: Float32s, row: int, column: int, escape: float) -> Int32s:
-    """Shortest travel from a cell over passable ones, in 1/70 cells; _FAR where it does not get.
+def _travel_costs(passable: Bools, distance: Float32s, row: int, column: int, escape: float) -> Int32s:
+    """Least travel from a cell over passable ones, in 1/70 cells; _UNREACHED elsewhere.
 
-    Where the robot's own cell is not passable, up to `escape` cells of unoccupied ones lead out of there.
+    Where the robot's own cell is not passable, up to `escape` cells of unoccupied ones lead out.
     """
     h, w = passable.shape
-    travelled = np.full((h, w), _FAR, np.int32)
+    travelled = np.full((h, w), _UNREACHED, np.int32)
     queue = np.empty(h * w + 1, np.int32)  # a ring: each cell is in it at most once
     queued = np.zeros((h, w), np.bool_)
     travelled[row, column] = 0
@@ -268,8 +279,8 @@ def _wave(passable: Bools, distance: Float32s, row: int, column: int, escape: fl
 
 
 @njit(cache=True, nogil=True)
-def _seen_from(free: Bools, places: Bools, n_steps: int) -> Int32s:
-    """For each free cell within n_steps of one of the places: the nearest such place's index, else -1."""
+def _nearest_places(free: Bools, places: Bools, n_steps: int) -> Int32s:
+    """For each free cell within n_steps of a place: the index of the nearest place, else -1."""
     h, w = free.shape
     source = np.full((h, w), -1, np.int32)
     queue = np.empty(h * w, np.int32)
@@ -296,11 +307,11 @@ def _seen_from(free: Bools, places: Bools, n_steps: int) -> Int32s:
 
 
 @njit(cache=True, nogil=True)
-def _pieces(border: Bools, deep: Bools, n_min: float, n_max: int) -> tuple[Int32s, list[int]]:
-    """8-connected pieces of the border: their cells one after the other, and where each ends.
+def _split_border(border: Bools, deep: Bools, n_min: float, n_max: int) -> tuple[Int32s, list[int]]:
+    """8-connected sections of the border: their cells one after the other, and the end of each.
 
-    A border less than n_min cells across, or without a deep cell, is left out: the robot could not drive through it.
-    One of over n_max cells is cut into pieces of at most that.
+    Borders under n_min cells across, or without a deep cell, are left out: the robot could not drive through. Borders
+    of over n_max cells are split.
     """
     h, w = border.shape
     todo = border.copy()
@@ -331,7 +342,7 @@ def _pieces(border: Bools, deep: Bools, n_min: float, n_max: int) -> tuple[Int32
 
 @njit(cache=True, nogil=True)
 def _flood(todo: Bools, start: int, cells: Int32s, n_max: int) -> int:
-    """Moves the cells that hang together with start, nearest first, n_max at most, from `todo` to `cells`; how many."""
+    """Moves at most n_max cells connected with `start`, nearest first, from `todo` to `cells`. Returns their number."""
     h, w = todo.shape
     todo[start // w, start % w] = False
     cells[0] = start

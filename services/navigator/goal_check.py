@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the planner would refuse a goal whatever the way: outside the map, or without room for the robot."""
+"""Whether the planner would refuse a goal in any case: outside the map, or without room for the robot."""
 
 from math import ceil
 
@@ -16,15 +16,16 @@ from shared.reasons import Reason
 
 Bools = NDArray[np.bool_]
 
-FEW = 20  # poses for which a look around each costs less than one at the whole map
+MAX_SINGLE_CHECKS = 20  # poses for which single checks are faster than one of the whole map
 
 
-def refused(
+def refusal_reason(
     grid: OccupancyGrid, limits: GoalLimits, inscribed_radius: float, goal: Pose2, tolerance: float
 ) -> Reason | None:
-    """The planner's own refusal of a goal (services/planner/planning.py); None where it depends on the way.
+    """The planner's refusal of a goal (services/planner/planning.py), or None where it depends on the path.
 
-    inscribed_radius: m, of the footprint; tolerance: m to the goal at which it is reached. No map refuses nothing.
+    inscribed_radius: m, of the footprint. tolerance: m to the goal at which it is reached. An empty map refuses
+    nothing.
     """
     if grid.empty:
         return None
@@ -49,9 +50,9 @@ def refused(
     return reasons.GOAL_BLOCKED
 
 
-def doubtful(grid: OccupancyGrid, limits: GoalLimits, inscribed_radius: float, poses: tuple[Pose2, ...]) -> Bools:
-    """(n,) bool: which poses `refused` may refuse; the others stand on cells with room, found for all at once."""
-    if len(poses) <= FEW or grid.empty:
+def needs_check(grid: OccupancyGrid, limits: GoalLimits, inscribed_radius: float, poses: tuple[Pose2, ...]) -> Bools:
+    """(n,) bool: which poses `refusal_reason` may refuse. The others stand on free cells."""
+    if len(poses) <= MAX_SINGLE_CHECKS or grid.empty:
         return np.ones(len(poses), bool)
     distance = distance_field(grid.occupied, 1.0) * grid.resolution
     rows, columns = grid.cells_of(np.array([(pose.x, pose.y) for pose in poses])).T
@@ -63,7 +64,7 @@ def doubtful(grid: OccupancyGrid, limits: GoalLimits, inscribed_radius: float, p
 
 
 def _distances(grid: OccupancyGrid, row: int, column: int, n: int) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
-    """(2 n + 1, 2 n + 1) cells from each around (row, column) to the nearest obstacle among them; none outside."""
+    """(2 n + 1, 2 n + 1) cells from each cell around (row, column) to the nearest obstacle among them; none outside."""
     occupied = np.zeros((2 * n + 1, 2 * n + 1), bool)
     h, w = grid.cells.shape
     r0, c0, r1, c1 = max(row - n, 0), max(column - n, 0), min(row + n + 1, h), min(column + n + 1, w)

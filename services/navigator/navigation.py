@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The task and what to do next for it. One task at a time; every state has a clock that ends it."""
+"""The state machine of the navigator: one task at a time; each state has a clock that ends it."""
 
 from math import inf
 
@@ -8,10 +8,10 @@ from pydantic import Field
 
 from services.navigator.exploration import Exploration, ExplorationConfig
 from services.navigator.frontiers import FrontierConfig, Frontiers, Snapshot, find_frontiers
-from services.navigator.hearing import Hearing
-from services.navigator.leg import Leg, LegConfig, Verdict
-from services.navigator.recovery import Ladder, RecoveryConfig
+from services.navigator.goal_attempt import AttemptAction, GoalAttempt, GoalAttemptConfig
+from services.navigator.recovery import RecoveryConfig, RecoverySequence
 from services.navigator.route import Route
+from services.navigator.status_cache import StatusCache
 from services.navigator.tour import tours
 from shared import reasons, topics
 from shared.config import Robot, Section
@@ -23,11 +23,11 @@ from shared.service import Job, Out
 from shared.whereabouts import Whereabouts
 from shared.zones import KeepOut, NamedZoneConfig, laid
 
-_ANY_HEADING = 10.0  # rad of tolerance
-_TOLD_AS_THEY_ARE = reasons.UNREACHABLE, reasons.START_BLOCKED, reasons.NO_ROOM_TO_TURN
-_JUMP_SHOWN = 2.0  # s
-_SEARCH_EVERY = 0.5  # s
-_SEARCH_LOST = 10.0  # s after which the answer of a search is not waited for any more
+_ANY_HEADING_RAD = 10.0  # rad of tolerance
+_FINAL_REASONS = reasons.UNREACHABLE, reasons.START_BLOCKED, reasons.NO_ROOM_TO_TURN
+_JUMP_SHOWN_S = 2.0  # s
+_SEARCH_PERIOD_S = 0.5  # s
+_SEARCH_TIMEOUT_S = 10.0  # s after which the answer of a search is not waited for any more
 
 
 class NavigatorConfig(Section):
@@ -38,21 +38,23 @@ class NavigatorConfig(Section):
     zones: tuple[NamedZoneConfig, ...] = Field(
         (), max_length=MOST_ZONES, description="keep-out and speed zones on every map; those of one map: zenav zones"
     )
-    lost_time: float = Field(2.0, ge=0, le=60, description="s that the pose may be lost until the robot is stopped")
-    resume_within: float = Field(
-        5.0, ge=0, le=30, description="s that a navigator may be away in a restart and still go on with its task"
+    lost_time: float = Field(
+        2.0, ge=0, le=60, description="s for which the pose may be lost until the robot is stopped"
     )
-    leg: LegConfig = LegConfig()
+    resume_within: float = Field(
+        5.0, ge=0, le=30, description="s that a restart of the navigator may take for its task to continue"
+    )
+    leg: GoalAttemptConfig = GoalAttemptConfig()
     recovery: RecoveryConfig = RecoveryConfig()
     exploration: ExplorationConfig = ExplorationConfig()
 
 
 class Navigation:
-    """The state machine. Its methods yield what is to be published, or searched for."""
+    """The state of the task. Its methods yield publications and jobs."""
 
     def __init__(self, config: NavigatorConfig, robot: Robot) -> None:
         self.config, self.robot = config, robot
-        self.grid, self.where, self.hearing = OccupancyGrid(), Whereabouts(), Hearing()
+        self.grid, self.pose_tracker, self.statuses = OccupancyGrid(), Whereabouts(), StatusCache()
         self.keep_out = KeepOut(robot.circumscribed_radius)
         self.task: Route | Exploration | None = None
         self.task_id = 0
@@ -60,9 +62,9 @@ class Navigation:
         self.reason: Reason | None = None  # how the last task ended
         self.detail = ""
         self.goal: Goal | None = None  # the last one published
-        self.leg: Leg | None = None
-        self.ladder = self._new_ladder()
-        self.leg_config = config.leg  # of the present task
+        self.attempt: GoalAttempt | None = None
+        self.recoveries = self._new_recoveries()
+        self.attempt_config = config.leg  # of the present task
         self.recovery = ""  # the name of the one that runs or was just made
         self.action = 0.0  # s left for it
         self.dwell = 0.0  # s left at the pose
@@ -77,7 +79,7 @@ class Navigation:
     # tasks
 
     def begin(self, task: Route | Exploration, now: int) -> Out:
-        """Takes a task in the place of the present one; a robot under way goes on to the new goal without a stop."""
+        """Begins a task in place of the present one. A moving robot continues to the new goal without a stop."""
         self.task_id += 1
         self._take(task)
         if isinstance(task, Route):
@@ -86,77 +88,79 @@ class Navigation:
             yield self._goal(now, GoalKind.NONE)
 
     def resume(self, task: Route | Exploration, dwell: float | None, paused: bool, now: int) -> Out:
-        """Goes on with the task of a navigator before this one, under its number; recoveries start over.
+        """Continues the task of a navigator before this one, under its number; recoveries start again.
 
-        dwell: s left at the present pose of a route; None: the robot was under way to it.
+        dwell: s left at the present pose of a route; None on the way to it.
         """
         self._take(task)
         self.paused = paused
         if isinstance(task, Route) and dwell is None:
-            self.leg = Leg(task.target, task.any_heading)
+            self.attempt = GoalAttempt(task.target, task.any_heading)
         self.dwell = dwell or 0.0
-        if self.leg and not paused:
-            yield from self._drive(now, self.leg)
+        if self.attempt and not paused:
+            yield from self._drive(now, self.attempt)
         else:
             yield self._goal(now, GoalKind.NONE)
 
     def _take(self, task: Route | Exploration) -> None:
         explores = isinstance(task, Exploration)
-        self.task, self.leg, self.age = task, None, 0.0
+        self.task, self.attempt, self.age = task, None, 0.0
         self.reason, self.detail = None, ""
-        self.ladder = self._new_ladder()
+        self.recoveries = self._new_recoveries()
         self.recovery, self.action, self.paused, self.suspended = "", 0.0, False, False
-        self.leg_config = self.config.leg.hurried(self.config.exploration.patience) if explores else self.config.leg
+        self.attempt_config = (
+            self.config.leg.with_time_share(self.config.exploration.patience) if explores else self.config.leg
+        )
         self.state, self.searched = NavState.EXPLORING if explores else NavState.NAVIGATING, inf
 
     def end(self, now: int, state: NavState, reason: Reason | None, detail: str = "") -> Out:
-        """The task is over, and the robot stands."""
-        self.task = self.leg = None
+        """Ends the task and stops the robot."""
+        self.task = self.attempt = None
         self.state, self.reason, self.detail = state, reason, detail
         self.recovery, self.action, self.paused, self.suspended = "", 0.0, False, False
         yield self._goal(now, GoalKind.NONE)
 
     def pause(self, now: int, paused: bool) -> Out:
-        """Stands and keeps the task, or goes on with it."""
+        """Stops and keeps the task, or continues it."""
         if self.task is None or paused == self.paused:
             return
         self.paused, self.action, self.recovery = paused, 0.0, ""
         if paused:
             yield self._goal(now, GoalKind.NONE)
-        elif self.leg and not self.suspended:
-            self.leg.restarted()
-            yield from self._drive(now, self.leg)
+        elif self.attempt and not self.suspended:
+            self.attempt.reset_clocks()
+            yield from self._drive(now, self.attempt)
 
     # events
 
-    def followed(self, follow: FollowStatus, now: int) -> Out:
-        """Local control spoke: did it arrive?"""
-        if self.goal is None or follow.goal_id != self.goal.id or self.paused or self.leg is None:
+    def on_follow_status(self, follow: FollowStatus, now: int) -> Out:
+        """Takes local control's status: an arrival, or the end of a recovery."""
+        if self.goal is None or follow.goal_id != self.goal.id or self.paused or self.attempt is None:
             return
         if self.action and follow.state in (FollowState.ARRIVED, FollowState.FAILED):
-            yield from self._drive(now, self.leg)
-        elif not self.action and (follow.state is FollowState.ARRIVED or self._passes(follow, self.leg)):
+            yield from self._drive(now, self.attempt)
+        elif not self.action and (follow.state is FollowState.ARRIVED or self._passes(follow, self.attempt)):
             yield from self._arrived(now)
 
-    def _passes(self, follow: FollowStatus, leg: Leg) -> bool:
-        """Whether the robot is under way at a pose of its route where it need not stop."""
-        pose, under_way = self.where.map_from_base, follow.state is FollowState.FOLLOWING and not self.suspended
+    def _passes(self, follow: FollowStatus, attempt: GoalAttempt) -> bool:
+        """Whether the robot passes a pose of its route at which it need not stop."""
+        pose, under_way = self.pose_tracker.map_from_base, follow.state is FollowState.FOLLOWING and not self.suspended
         if pose is None or not under_way or not isinstance(self.task, Route):
             return False
-        return self.task.passes and pose.distance(leg.target) <= self.task.tolerance
+        return self.task.passes and pose.distance(attempt.target) <= self.task.tolerance
 
-    def leapt(self, now: int) -> Out:
-        """The pose jumped: the way is planned anew from where the robot really is."""
-        self.jumped = _JUMP_SHOWN
-        if self.leg and not (self.action or self.paused or self.suspended):
-            yield from self._drive(now, self.leg, clear_costmap=True)
+    def on_pose_jump(self, now: int) -> Out:
+        """Sends the goal again after a jump of the pose, so that planning starts from the new pose."""
+        self.jumped = _JUMP_SHOWN_S
+        if self.attempt and not (self.action or self.paused or self.suspended):
+            yield from self._drive(now, self.attempt, clear_costmap=True)
 
     def passed(self, seconds: float, now: int) -> Out:
-        """Time passed."""
-        if self.goal is None:  # whatever a navigator before this one asked for: nobody watches over it now
+        """Advances the clocks by `seconds` and the task with them."""
+        if self.goal is None:  # a goal of a navigator before this one is not supervised any more
             yield self._goal(now, GoalKind.NONE)
         self.jumped = max(self.jumped - seconds, 0.0)
-        self.lost = self.lost + seconds if self.where.lost else 0.0
+        self.lost = self.lost + seconds if self.pose_tracker.lost else 0.0
         self.searching += seconds
         self.searched += seconds
         self.age += seconds
@@ -165,116 +169,118 @@ class Navigation:
         yield from self._watch_pose(now)
         if isinstance(self.task, Exploration):
             yield from self._explore(self.task, seconds, now)
-        if self.leg and self.action:
+        if self.attempt and self.action:
             self.action = max(self.action - seconds, 0.0)
             if not self.action:
-                yield from self._drive(now, self.leg)
-        elif self.leg:
-            yield from self._watch_leg(self.leg, seconds, now)
+                yield from self._drive(now, self.attempt)
+        elif self.attempt:
+            yield from self._watch_attempt(self.attempt, seconds, now)
         elif isinstance(self.task, Route) and not self.suspended:
             self.dwell -= seconds
             if self.dwell <= 0:
                 yield from self._next_waypoint(self.task, now)
 
     def frontiers_found(self, task_id: int, map_id: int, found: Frontiers, now: int) -> Out:
-        """A search is done."""
+        """Takes the result of a search."""
         self.searching, self.searched = inf, 0.0
-        exploration, pose = self.task, self.where.map_from_base
+        exploration, pose = self.task, self.pose_tracker.map_from_base
         if not isinstance(exploration, Exploration) or (task_id, map_id) != (self.task_id, self.grid.map_id):
             return
         if pose is None or self.paused or self.suspended or self.action:
             return
         before = exploration.target
-        target = exploration.taken(found, pose, self.grid.resolution)
+        target = exploration.choose_target(found, pose, self.grid.resolution)
         if target is None:
-            if self.leg:
-                self.leg = None
+            if self.attempt:
+                self.attempt = None
                 yield self._goal(now, GoalKind.NONE)
             yield from self._without_frontier(exploration, found, now)
         elif target is not before:
             exploration.without = 0.0
             frontier = target.frontier
-            self.leg = Leg(Pose2(frontier.x, frontier.y, frontier.yaw), any_heading=True)
-            yield from self._drive(now, self.leg)
+            self.attempt = GoalAttempt(Pose2(frontier.x, frontier.y, frontier.yaw), any_heading=True)
+            yield from self._drive(now, self.attempt)
 
     # driving
 
-    def left(self, leg: Leg, now: int) -> float:
-        """m to the leg's target: as local control says, else as the planner does, else straight."""
+    def left(self, attempt: GoalAttempt, now: int) -> float:
+        """Remaining m to the attempt's target: by local control, else by the planner, else straight."""
         if self.goal is not None and self.goal.kind is GoalKind.DRIVE:
-            follow, plan = self.hearing.follow_for(self.goal, now), self.hearing.plan_for(self.goal, now)
+            follow, plan = self.statuses.follow_for(self.goal, now), self.statuses.plan_for(self.goal, now)
             if follow is not None and follow.state is FollowState.FOLLOWING:
                 return max(follow.distance_left, 0.0)
             if plan is not None and not plan.reason:
                 return plan.length
-        pose = self.where.map_from_base
-        return pose.distance(leg.target) if pose else 0.0
+        pose = self.pose_tracker.map_from_base
+        return pose.distance(attempt.target) if pose else 0.0
 
     def _watch_pose(self, now: int) -> Out:
         if self.lost > self.config.lost_time and not self.suspended:
             self.suspended, self.action = True, 0.0
             yield self._goal(now, GoalKind.NONE)
-        elif self.suspended and not self.where.lost:
+        elif self.suspended and not self.pose_tracker.lost:
             self.suspended = False
-            if self.leg:
-                yield from self._drive(now, self.leg, clear_costmap=True)
-        elif self.suspended and self.leg is None and self.lost > self.config.leg.hold_time:  # else the leg counts
+            if self.attempt:
+                yield from self._drive(now, self.attempt, clear_costmap=True)
+        elif (
+            self.suspended and self.attempt is None and self.lost > self.config.leg.hold_time
+        ):  # with an attempt its own clock counts
             yield from self.end(now, NavState.FAILED, reasons.POSE_LOST)
 
-    def _watch_leg(self, leg: Leg, seconds: float, now: int) -> Out:
-        assert self.goal is not None  # a leg has published one
-        plan, follow = self.hearing.plan_for(self.goal, now), self.hearing.follow_for(self.goal, now)
-        held = reasons.POSE_LOST if self.suspended else self.hearing.held(now)
+    def _watch_attempt(self, attempt: GoalAttempt, seconds: float, now: int) -> Out:
+        assert self.goal is not None  # an attempt has published one
+        plan, follow = self.statuses.plan_for(self.goal, now), self.statuses.follow_for(self.goal, now)
+        held = reasons.POSE_LOST if self.suspended else self.statuses.hold_reason(now)
         if held:
-            leg.waited(seconds, held)
+            attempt.add_hold_time(seconds, held)
         else:
-            leg.passed(seconds, self.left(leg, now), plan, follow, self.leg_config.progress)
-            if leg.moving:
+            attempt.update(seconds, self.left(attempt, now), plan, follow, self.attempt_config.progress)
+            if attempt.has_progressed:
                 self.recovery = ""
-            if pose := self.where.map_from_base:
-                self.ladder.progressed(pose, leg.gained)
-        verdict, reason = leg.verdict(plan, follow, self.leg_config)
-        if verdict is Verdict.RECOVER:
-            yield from self._recover(leg, reason, now)
-        elif verdict is Verdict.FAIL:
+            if pose := self.pose_tracker.map_from_base:
+                self.recoveries.progressed(pose, attempt.gained)
+        verdict, reason = attempt.next_action(plan, follow, self.attempt_config)
+        if verdict is AttemptAction.RECOVER:
+            yield from self._recover(attempt, reason, now)
+        elif verdict is AttemptAction.FAIL:
             yield from self._give_up(reason, now, whole=held is not None)
 
-    def _recover(self, leg: Leg, reason: Reason, now: int) -> Out:
+    def _recover(self, attempt: GoalAttempt, reason: Reason, now: int) -> Out:
         explores = isinstance(self.task, Exploration)
         hopeless = reason in (reasons.UNREACHABLE, reasons.NO_WAY_THROUGH)
-        if explores and (hopeless or leg.n_recoveries >= self.config.exploration.max_recoveries):
+        if explores and (hopeless or attempt.n_recoveries >= self.config.exploration.max_recoveries):
             yield from self._give_up(reason, now, whole=False)
             return
-        pose = self.where.map_from_base
-        step = self.ladder.next(reason, pose, move=reason not in (reasons.UNREACHABLE, reasons.NO_PLAN))
+        pose = self.pose_tracker.map_from_base
+        step = self.recoveries.next(reason, pose, move=reason not in (reasons.UNREACHABLE, reasons.NO_PLAN))
         if step is None and explores:
             yield from self._give_up(reason, now, whole=False)
             return
         if step is None:
-            named = reason if reason in _TOLD_AS_THEY_ARE else reasons.RECOVERIES_USED
+            named = reason if reason in _FINAL_REASONS else reasons.RECOVERIES_USED
             yield from self.end(now, NavState.FAILED, named, f"{named.text}; the last cause: {reason.text}")
             return
-        leg.n_recoveries += 1
-        leg.restarted()
+        attempt.n_recoveries += 1
+        attempt.reset_clocks()
         self.recovery = step.name
         if step.takes:
             self.action = step.takes
-            yield self._goal(now, step.kind, pose or leg.target, amount=step.amount)
+            yield self._goal(now, step.kind, pose or attempt.target, amount=step.amount)
         else:
-            yield from self._drive(now, leg, step.clear_costmap)
+            yield from self._drive(now, attempt, step.clear_costmap)
 
     def _give_up(self, reason: Reason, now: int, whole: bool) -> Out:
-        """The leg is hopeless. whole: and so is the task, though it explores and there may be other frontiers."""
+        """Ends the attempt as hopeless. whole: the task as well, although it explores and other frontiers may exist."""
         if isinstance(self.task, Exploration) and not whole:
             self.task.failed(self.grid.resolution)
             self.task.without = 0.0
-            self.leg, self.recovery = None, ""
+            self.attempt, self.recovery = None, ""
             yield self._goal(now, GoalKind.NONE)
         else:
             yield from self.end(now, NavState.FAILED, reason)
 
     def _arrived(self, now: int) -> Out:
-        self.leg, self.recovery = None, ""
+        self.attempt, self.recovery = None, ""
         if isinstance(self.task, Exploration):
             self.task.arrived()
             self.searched = inf
@@ -291,62 +297,64 @@ class Navigation:
             yield from self.end(now, NavState.REACHED, None)
 
     def _to_waypoint(self, route: Route, now: int) -> Out:
-        self.leg = Leg(route.target, route.any_heading)
-        yield from self._drive(now, self.leg)
+        self.attempt = GoalAttempt(route.target, route.any_heading)
+        yield from self._drive(now, self.attempt)
 
-    def _drive(self, now: int, leg: Leg, clear_costmap: bool = False) -> Out:
+    def _drive(self, now: int, attempt: GoalAttempt, clear_costmap: bool = False) -> Out:
         self.action = 0.0
-        yield self._goal(now, GoalKind.DRIVE, leg.target, clear_costmap=clear_costmap)
+        yield self._goal(now, GoalKind.DRIVE, attempt.target, clear_costmap=clear_costmap)
 
     def _goal(
         self, now: int, kind: GoalKind, pose: Pose2 | None = None, amount: float = 0.0, clear_costmap: bool = False
     ) -> topics.Publication:
         """A new goal. Numbers from the clock are larger than those of a navigator before a restart."""
+        tolerance, yaw_tolerance = self._tolerances()
         self.goal = Goal(
-            now,
-            max(self.goal.id + 1 if self.goal else 1, now // 1_000_000),
-            kind,
-            pose or Pose2(),
-            *self._tolerances(),
-            amount,
-            clear_costmap,
+            stamp=now,
+            id=max(self.goal.id + 1 if self.goal else 1, now // 1_000_000),
+            kind=kind,
+            map_from_goal=pose or Pose2(),
+            tolerance=tolerance,
+            yaw_tolerance=yaw_tolerance,
+            amount=amount,
+            clear_costmap=clear_costmap,
         )
         return topics.GOAL(self.goal)
 
     def _tolerances(self) -> tuple[float, float]:
         """m and rad to a pose of the task at which it is reached."""
         if isinstance(self.task, Route):
-            aligned = self.leg is not None and not self.leg.any_heading
-            return self.task.tolerance, self.task.yaw_tolerance if aligned else _ANY_HEADING
-        return self.config.exploration.tolerance if self.task else self.config.tolerance, _ANY_HEADING
+            aligned = self.attempt is not None and not self.attempt.any_heading
+            return self.task.tolerance, self.task.yaw_tolerance if aligned else _ANY_HEADING_RAD
+        return self.config.exploration.tolerance if self.task else self.config.tolerance, _ANY_HEADING_RAD
 
-    def _new_ladder(self) -> Ladder:
-        return Ladder(self.config.recovery, self.robot.drive)
+    def _new_recoveries(self) -> RecoverySequence:
+        return RecoverySequence(self.config.recovery, self.robot.drive)
 
     # exploring
 
     def _explore(self, exploration: Exploration, seconds: float, now: int) -> Out:
-        pose, grid = self.where.map_from_base, self.grid
+        pose, grid = self.pose_tracker.map_from_base, self.grid
         if pose is not None:
             exploration.passed(seconds, pose)
-        if self.leg is None:
+        if self.attempt is None:
             exploration.without += seconds
         if pose is None or grid.empty:
             if exploration.without > self.config.leg.start_time:
                 yield from self.end(now, NavState.FAILED, reasons.NO_MAP if grid.empty else reasons.POSE_OLD)
             return
-        due = self.searched >= _SEARCH_EVERY and self.searching >= _SEARCH_LOST
+        due = self.searched >= _SEARCH_PERIOD_S and self.searching >= _SEARCH_TIMEOUT_S
         if due and not (self.action or self.suspended):
             self.keep_out.moved(pose)
             snapshot = Snapshot(
-                laid(grid, self.keep_out.holding),  # nobody explores where nobody may drive
-                grid.first_row * TILE_CELLS,
-                grid.first_column * TILE_CELLS,
-                grid.resolution,
-                pose.x,
-                pose.y,
-                self.robot.inscribed_radius,
-                exploration.dropped,
+                cells=laid(grid, self.keep_out.holding),  # keep-out zones are not explored
+                first_row=grid.first_row * TILE_CELLS,
+                first_column=grid.first_column * TILE_CELLS,
+                resolution=grid.resolution,
+                x=pose.x,
+                y=pose.y,
+                robot_radius=self.robot.inscribed_radius,
+                dropped=exploration.dropped,
             )
             self.searching = 0.0
             arguments = self.task_id, grid.map_id, snapshot, self.config.exploration.frontier
@@ -357,27 +365,36 @@ class Navigation:
         uncertain = found.enclosed or bool(found.unreachable)
         if exploration.without < (config.blocked_time if uncertain else config.settle_time):
             return
-        if exploration.retried():
+        if exploration.retry_failed():
             exploration.without = 0.0
         elif found.enclosed:
             yield from self.end(now, NavState.FAILED, reasons.START_BLOCKED)
-        elif self.ladder.used_up and exploration.moved < self.config.recovery.earned_by:
-            cause = f"{reasons.RECOVERIES_USED.text}; the last cause: {self.ladder.last.text}"
+        elif self.recoveries.used_up and exploration.moved < self.config.recovery.earned_by:
+            cause = f"{reasons.RECOVERIES_USED.text}; the last cause: {self.recoveries.last.text}"
             yield from self.end(now, NavState.FAILED, reasons.RECOVERIES_USED, cause)
         else:
             yield from self.end(now, NavState.REACHED, reasons.NO_FRONTIER)
 
 
 def search(task_id: int, map_id: int, snapshot: Snapshot, config: FrontierConfig) -> tuple[int, int, Frontiers]:
-    """A job: the frontiers, and for which task and map they were asked for."""
+    """Job: the frontiers, with the task and the map that they were searched for."""
     return task_id, map_id, find_frontiers(snapshot, config)
 
 
-def rehearse(config: NavigatorConfig) -> None:
-    """Compiles the search: one on a small map."""
+def warm_up_search(config: NavigatorConfig) -> None:
+    """Compiles the search on a small map."""
     cells = np.full((TILE_CELLS, TILE_CELLS), -1, np.int8)
     cells[10:40, 10:40] = 0
     cells[10:40, 40] = 100
-    snapshot = Snapshot(cells, 0, 0, 0.05, 1.0, 1.0, 0.2, np.zeros((1, 2), np.int64))
+    snapshot = Snapshot(
+        cells=cells,
+        first_row=0,
+        first_column=0,
+        resolution=0.05,
+        x=1.0,
+        y=1.0,
+        robot_radius=0.2,
+        dropped=np.zeros((1, 2), np.int64),
+    )
     found = find_frontiers(snapshot, config.exploration.frontier)
     tours(np.array([f.distance for f in found.frontiers]), found.between)

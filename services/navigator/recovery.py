@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to try when the robot does not come closer, in order, and when to start over."""
+"""The sequence of recoveries of a robot without progress, and when it starts again."""
 
 from dataclasses import dataclass
 from math import inf
@@ -17,17 +17,17 @@ class RecoveryConfig(Section):
     """The recoveries, each tried once: replan, clear the costmap, back up, turn left, turn right, wait."""
 
     back_up: float = Field(0.3, ge=0, le=2, description="m straight back; 0 leaves it out")
-    turn: float = Field(1.57, ge=0, le=6.28, description="rad on the spot, left and then right; 0 leaves it out")
+    turn: float = Field(1.57, ge=0, le=6.28, description="rad in place, left and then right; 0 leaves it out")
     wait: float = Field(5.0, ge=0, le=120, description="s of standing still; 0 leaves it out")
     deadline: float = Field(8.0, gt=0, le=60, description="s that backing up or turning may take")
     earned_by: float = Field(
-        0.7, gt=0, le=20, description="m that the robot must move and come closer for all recoveries to count anew"
+        0.7, gt=0, le=20, description="m that the robot must move and approach the goal for the sequence to start again"
     )
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
-    """One recovery. takes: s after which it is over in any case; 0 means that driving goes on at once."""
+class RecoveryStep:
+    """One recovery. takes: s after which it ends in any case; 0: driving continues at once."""
 
     name: str
     kind: GoalKind = GoalKind.DRIVE
@@ -40,27 +40,27 @@ class Step:
         return self.kind in (GoalKind.BACK_UP, GoalKind.TURN)
 
 
-def steps(config: RecoveryConfig, drive: Drive) -> tuple[Step, ...]:
+def recovery_steps(config: RecoveryConfig, drive: Drive) -> tuple[RecoveryStep, ...]:
     """The recoveries in order, without those that the drive cannot do."""
     every = (
-        Step("replan"),
-        Step("clear_costmap", clear_costmap=True),
-        Step("back_up", GoalKind.BACK_UP, config.back_up, takes=config.deadline),
-        Step("turn_left", GoalKind.TURN, config.turn, takes=config.deadline),
-        Step("turn_right", GoalKind.TURN, -config.turn, takes=config.deadline),
-        Step("wait", GoalKind.WAIT, config.wait, takes=config.wait + 1),
+        RecoveryStep("replan"),
+        RecoveryStep("clear_costmap", clear_costmap=True),
+        RecoveryStep("back_up", GoalKind.BACK_UP, config.back_up, takes=config.deadline),
+        RecoveryStep("turn_left", GoalKind.TURN, config.turn, takes=config.deadline),
+        RecoveryStep("turn_right", GoalKind.TURN, -config.turn, takes=config.deadline),
+        RecoveryStep("wait", GoalKind.WAIT, config.wait, takes=config.wait + 1),
     )
     cannot = {GoalKind.BACK_UP} if drive.max_reverse_speed == 0 else set()
     cannot |= set() if drive.turns_in_place else {GoalKind.TURN}
     return tuple(s for s in every if s.kind is GoalKind.DRIVE or (s.amount and s.kind not in cannot))
 
 
-class Ladder:
-    """How far down the recoveries the robot is. It starts over only after real progress."""
+class RecoverySequence:
+    """The next recovery. It starts again only after real progress."""
 
     def __init__(self, config: RecoveryConfig, drive: Drive) -> None:
         self.config = config
-        self.steps = steps(config, drive)
+        self.recovery_steps = recovery_steps(config, drive)
         self.n_used = 0  # of the task
         self.last: Reason = reasons.NO_PROGRESS  # why the last one was needed
         self._next = 0
@@ -68,29 +68,31 @@ class Ladder:
 
     @property
     def used_up(self) -> bool:
-        """All were tried since the last real progress."""
-        return self._next >= len(self.steps)
+        """Whether all were tried since the last real progress."""
+        return self._next >= len(self.recovery_steps)
 
     @property
     def n_tried(self) -> int:
-        """Of the steps, since the last real progress; those that made no sense among them."""
+        """Number of steps since the last real progress, with those that were skipped."""
         return self._next
 
-    def next(self, reason: Reason, pose: Pose2 | None, move: bool) -> Step | None:
-        """The next recovery, or None where all were tried. move: such as move the robot make sense."""
+    def next(self, reason: Reason, pose: Pose2 | None, move: bool) -> RecoveryStep | None:
+        """The next recovery, or None where all were tried. move: whether recoveries that move the robot make sense."""
         self.last = reason
-        while self._next < len(self.steps) and not move and self.steps[self._next].moves:
+        while self._next < len(self.recovery_steps) and not move and self.recovery_steps[self._next].moves:
             self._next += 1
         if self.used_up:
             return None
-        step = self.steps[self._next]
+        step = self.recovery_steps[self._next]
         self._next += 1
         self.n_used += 1
         self._from = pose
         return step
 
     def progressed(self, pose: Pose2, gained: float) -> None:
-        """The robot is at pose, `gained` m closer than at the last recovery."""
+        """Starts the sequence again where the robot has moved and come closer by `earned_by` m since the last
+        recovery.
+        """
         away = self._from.distance(pose) if self._from else inf
         if self._next and min(away, gained) >= self.config.earned_by:
             self._next = 0

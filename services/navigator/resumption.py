@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""After a restart: what the navigator before this one was doing, and whether that goes on."""
+"""Resumption after a restart: the task of the navigator before this one, and whether it continues."""
 
 from dataclasses import dataclass
 
@@ -12,16 +12,16 @@ from shared.reasons import Reason
 from shared.service import Out
 from shared.stamps import FUTURE, fresh
 
-TOLD_EVERY = 0.5  # s
-_WAIT = 2.0  # s after the start in which guard, map and pose must have been heard
-_GUARD_AGE = 1.0  # s after which a guard's word says nothing of now: it speaks ten times a second
+PUBLISH_PERIOD_S = 0.5  # s
+_MAX_WAIT_S = 2.0  # after the start, for guard, map and pose
+_MAX_GUARD_AGE_S = 1.0  # of a status: the guard publishes ten times a second
 
 _Key = tuple[object, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
-    """Why the task does not go on. waits: it may yet, until the time is over."""
+class ResumeRefusal:
+    """Why the task does not continue. waits: it still may, until the time is over."""
 
     reason: Reason
     detail: str
@@ -30,21 +30,21 @@ class Refusal:
 
 
 class Resumption:
-    """Tells the present task again and again, and takes up the one from before a restart."""
+    """Publishes the present task periodically, and resumes the one from before a restart."""
 
     def __init__(self, navigation: Navigation) -> None:
         self.navigation = navigation
-        self.before: NavTask | None = None  # until it is known whether it goes on
+        self.before: NavTask | None = None  # until its resumption is decided
         self._began = 0  # ns, when it was remembered
         self._told: NavTask | None = None
 
     @property
     def pending(self) -> bool:
-        """Whether the goal from before the restart stands until it is known whether the task goes on."""
+        """Whether the goal from before the restart stays until its resumption is decided."""
         return self.before is not None and not self._late(self.before)
 
     def remember(self, task: NavTask, now: int) -> None:
-        """What a navigator before this one published last. It changes nothing where a task has been given already."""
+        """Takes the last task of a navigator before this one. Without effect where a task was given already."""
         navigation = self.navigation
         if navigation.task is not None or navigation.task_id >= task.task_id:
             return
@@ -56,11 +56,11 @@ class Resumption:
             navigation.reason = reasons.STARTING
 
     def forget(self) -> None:
-        """Another task was given, or this one canceled."""
+        """Drops the former task: another one was given, or it was canceled."""
         self.before = None
 
     def take_up(self, now: int) -> Out:
-        """Goes on with the task as soon as all is known that speaks for or against it, or ends it with the reason."""
+        """Resumes the former task as soon as all inputs are known, or ends it with the reason."""
         before, navigation = self.before, self.navigation
         if before is None:
             return
@@ -78,51 +78,53 @@ class Resumption:
         yield from navigation.resume(_task_of(before, navigation), dwell, before.paused, now)
 
     def tell(self, now: int) -> Out:
-        """The task, where it changed or was not told for a while."""
+        """Publishes the task where it changed or the period is over."""
         if self.before is not None:
             return
         message = _message(self.navigation, now)
         told = self._told
         if _key(message) == (_key(told) if told else _NOTHING):
-            alive = told is not None and 0 <= now - told.stamp < round(TOLD_EVERY * 1e9)
+            alive = told is not None and 0 <= now - told.stamp < round(PUBLISH_PERIOD_S * 1e9)
             if alive or message.kind is TaskKind.NONE:
                 return
         self._told = message
         yield topics.TASK(message)
 
-    def _refusal(self, before: NavTask, now: int) -> Refusal | None:
-        """Why the task does not go on, or not yet."""
+    def _refusal(self, before: NavTask, now: int) -> ResumeRefusal | None:
+        """Why the task does not continue, or not yet."""
         navigation = self.navigation
-        guard, grid = navigation.hearing.present_guard(now), navigation.grid
-        guard = guard if guard is not None and fresh(guard.stamp, now, _GUARD_AGE) else None
-        if (stopped := navigation.hearing.stopped(now)) and guard is not None:
+        guard, grid = navigation.statuses.recent_guard(now), navigation.grid
+        guard = guard if guard is not None and fresh(guard.stamp, now, _MAX_GUARD_AGE_S) else None
+        if (stopped := navigation.statuses.stop_reason(now)) and guard is not None:
             state = NavState.CANCELED if guard.state is GuardState.STOPPED else NavState.FAILED
-            return Refusal(stopped, f"{stopped.text} since the navigator was restarted: {stopped.mend}", state)
+            return ResumeRefusal(stopped, f"{stopped.text} since the navigator was restarted: {stopped.mend}", state)
         disarmed = guard is not None and guard.reason == reasons.ESTOP_RELEASED.code
         if guard is not None and (disarmed or guard.stopped > before.stamp - FUTURE):
             released = reasons.ESTOP_RELEASED
             words = f"while the navigator was restarted; {released.mend}"
-            return Refusal(released, f"{released.text} {words}", NavState.CANCELED)
+            return ResumeRefusal(released, f"{released.text} {words}", NavState.CANCELED)
         if before.map_id and grid.map_id not in (0, before.map_id):
-            return Refusal(reasons.OTHER_MAP, "", NavState.CANCELED)
+            return ResumeRefusal(reasons.OTHER_MAP, "", NavState.CANCELED)
         away = (self._began - before.stamp) * 1e-9
         if away < -FUTURE * 1e-9 or now < self._began:
-            return Refusal(reasons.INTERRUPTED, "the clock was set back meanwhile; give the task again")
-        late, waited = self._late(before), now - self._began > round(_WAIT * 1e9)
+            return ResumeRefusal(reasons.INTERRUPTED, "the clock was set back meanwhile; give the task again")
+        late, waited = self._late(before), now - self._began > round(_MAX_WAIT_S * 1e9)
         lacking = {
             "the guard": guard is None,  # it knows of a STOP meanwhile
             "the map": bool(before.map_id) and grid.empty and not late,
-            "the pose": navigation.where.map_from_base is None and not late,
+            "the pose": navigation.pose_tracker.map_from_base is None and not late,
         }
         missing = [words for words, lacks in lacking.items() if lacks]
         if missing and not waited:
-            return Refusal(reasons.STARTING, "", waits=True)
+            return ResumeRefusal(reasons.STARTING, "", waits=True)
         if late:
             most = navigation.config.resume_within
             words = f"it was away for {away:.1f} s, and a task goes on after at most {most:g} s: give it again"
-            return Refusal(reasons.INTERRUPTED, words)
+            return ResumeRefusal(reasons.INTERRUPTED, words)
         if missing:
-            return Refusal(reasons.INTERRUPTED, f"{' and '.join(missing)} missing since then: give the task again")
+            return ResumeRefusal(
+                reasons.INTERRUPTED, f"{' and '.join(missing)} missing since then: give the task again"
+            )
         return None
 
     def _late(self, before: NavTask) -> bool:
@@ -133,29 +135,29 @@ def _message(navigation: Navigation, now: int) -> NavTask:
     task = navigation.task
     route = task if isinstance(task, Route) else None
     kind = TaskKind.NONE if task is None else TaskKind.ROUTE if route else TaskKind.EXPLORE
-    dwelling = route is not None and navigation.leg is None
+    dwelling = route is not None and navigation.attempt is None
     return NavTask(
-        now,
-        navigation.task_id,
-        kind,
-        min(navigation.age, 1e7) if task else 0.0,
-        navigation.grid.map_id if task else 0,
-        navigation.paused,
-        route.poses if route else (),
-        route.dwells if route else (),
-        route.loops if route else 0,
-        route.any_heading if route else False,
-        route.tolerance if route else 0.0,
-        route.yaw_tolerance if route else 0.0,
-        route.index if route else 0,
-        route.round if route else 0,
-        dwelling,
-        max(navigation.dwell, 0.0) if dwelling else 0.0,
+        stamp=now,
+        task_id=navigation.task_id,
+        kind=kind,
+        age=min(navigation.age, 1e7) if task else 0.0,
+        map_id=navigation.grid.map_id if task else 0,
+        paused=navigation.paused,
+        poses=route.poses if route else (),
+        dwells=route.dwells if route else (),
+        loops=route.loops if route else 0,
+        any_heading=route.any_heading if route else False,
+        tolerance=route.tolerance if route else 0.0,
+        yaw_tolerance=route.yaw_tolerance if route else 0.0,
+        waypoint=route.index if route else 0,
+        round=route.round if route else 0,
+        dwelling=dwelling,
+        dwell=max(navigation.dwell, 0.0) if dwelling else 0.0,
     )
 
 
 def _key(task: NavTask) -> _Key:
-    """What tells one task, or one part of it, from another."""
+    """The fields by which one task, or one part of it, differs from another."""
     return task.task_id, task.kind, task.map_id, task.paused, task.waypoint, task.round, task.dwelling
 
 
@@ -168,12 +170,12 @@ def _task_of(before: NavTask, navigation: Navigation) -> Route | Exploration:
     tolerance = before.tolerance or navigation.config.tolerance
     yaw_tolerance = before.yaw_tolerance or navigation.config.yaw_tolerance
     return Route(
-        before.poses,
-        before.dwells,
-        before.loops,
-        before.any_heading,
-        tolerance,
-        yaw_tolerance,
-        before.waypoint,
-        before.round,
+        poses=before.poses,
+        dwells=before.dwells,
+        loops=before.loops,
+        any_heading=before.any_heading,
+        tolerance=tolerance,
+        yaw_tolerance=yaw_tolerance,
+        index=before.waypoint,
+        round=before.round,
     )

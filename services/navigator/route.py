@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A route: poses one after the other, some rounds or for ever, with a stay at each."""
+"""A route: a sequence of poses, for some rounds or endless, with a dwell time at each."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -9,7 +9,7 @@ from shared.geometry import Pose2
 
 @dataclass(slots=True)
 class Route:
-    """Where a route stands. loops: rounds, 0 for ever; dwells: s at each of the poses; tolerance: m, rad."""
+    """State of a route. loops: rounds, 0 endless; dwells: s at each pose; tolerance: m, rad."""
 
     poses: tuple[Pose2, ...]
     dwells: tuple[float, ...]
@@ -31,14 +31,14 @@ class Route:
 
     @property
     def passes(self) -> bool:
-        """Whether the robot need not stop here: no stay, no heading, and the next pose is not reached here too."""
+        """Whether the robot may pass without a stop: no dwell time, no heading, the next pose not reached here too."""
         last = self.index + 1 == len(self.poses)
         if self.dwell or not self.any_heading or (last and self.loops and self.round + 1 >= self.loops):
             return False
         return self.target.distance(self.poses[0 if last else self.index + 1]) > self.tolerance
 
     def advance(self) -> bool:
-        """Goes on to the next pose; False where there is none."""
+        """Goes on to the next pose. Returns False at the end."""
         if self.index + 1 < len(self.poses):
             self.index += 1
             return True
@@ -54,5 +54,5 @@ class Route:
         return sum(a.distance(b) for a, b in pairwise(rest))
 
     def stays_beyond(self) -> float:
-        """s to stay at the poses after the present one, in the rest of this round."""
+        """s of dwell time at the poses after the present one, in the rest of this round."""
         return sum(self.dwells[self.index + 1 :])

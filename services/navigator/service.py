@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The navigator: goes to poses, follows routes, explores; recovers where it can and says why where it cannot."""
+"""The navigator: poses, routes and exploration, with recoveries; the status gives the reason of each failure."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from services.navigator.exploration import Exploration
-from services.navigator.feedback import Speedometer, status
 from services.navigator.frontiers import Frontiers
-from services.navigator.goal_check import Bools, doubtful, refused
-from services.navigator.navigation import Navigation, NavigatorConfig, rehearse
+from services.navigator.goal_check import Bools, needs_check, refusal_reason
+from services.navigator.navigation import Navigation, NavigatorConfig, warm_up_search
 from services.navigator.resumption import Resumption
 from services.navigator.route import Route
-from services.navigator.zones import HeldZones
+from services.navigator.status_message import Speedometer, status
+from services.navigator.zones import ActiveZones
 from shared import reasons, requests, topics
 from shared.config import Robot
 from shared.messages import (
@@ -35,12 +35,12 @@ from shared.service import Answer, Log, Out, Service, answer, every, on
 from shared.topics import Publication
 from shared.zones import forbidding
 
-_LONGEST_TICK = 1.0  # s: what a clock leaps beyond that did not pass for the robot
-_FIRST_TICK = 0.2  # s
+_MAX_TICK_S = 1.0  # a longer step is a jump of the clock
+_FIRST_TICK_S = 0.2  # s
 
 
 class NavigatorService(Service):
-    """One task at a time; a new one takes the place of the old."""
+    """Runs one task at a time; a new one replaces the old."""
 
     config_type = NavigatorConfig
     config: NavigatorConfig
@@ -49,7 +49,7 @@ class NavigatorService(Service):
         super().__init__(config, robot)
         self.navigation = Navigation(config, robot)
         self.resumption = Resumption(self.navigation)
-        self.zones = HeldZones(config.zones)
+        self.zones = ActiveZones(config.zones)
         self.speedometer = Speedometer(robot.drive.max_speed / 2)
         self.limits: GoalLimits | None = None
         self.maps = True  # the map grows
@@ -57,7 +57,7 @@ class NavigatorService(Service):
         self.ticked: int | None = None
 
     def warm(self) -> None:
-        rehearse(self.config)
+        warm_up_search(self.config)
 
     def state(self) -> str:
         return str(self.navigation.state)
@@ -66,25 +66,25 @@ class NavigatorService(Service):
     def map(self, update: MapUpdate) -> Out:
         another = self.navigation.grid.map_id not in (0, update.map_id)
         self.navigation.grid.apply(update)
-        if another and self.navigation.task:  # its places are on a map that is no more
+        if another and self.navigation.task:  # its poses belong to the former map
             yield from self.navigation.end(self.now, NavState.CANCELED, reasons.OTHER_MAP)
             yield from self.resumption.tell(self.now)
 
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:
-        self.navigation.where.moved(odometry)
+        self.navigation.pose_tracker.moved(odometry)
         self.velocity = odometry.v
         return ()
 
     @on(topics.POSE)
     def pose(self, estimate: PoseEstimate) -> Out:
         self.maps = estimate.mode is not MapMode.LOCALISE
-        if self.navigation.where.estimated(estimate):
-            yield from self.navigation.leapt(self.now)
+        if self.navigation.pose_tracker.estimated(estimate):
+            yield from self.navigation.on_pose_jump(self.now)
 
     @on(topics.PLAN)
     def plan(self, plan: Path) -> Out:
-        self.navigation.hearing.plan(plan, self.now)
+        self.navigation.statuses.add_plan(plan, self.now)
         return ()
 
     @on(topics.LIMITS)
@@ -94,15 +94,15 @@ class NavigatorService(Service):
 
     @on(topics.FOLLOW)
     def follow(self, follow: FollowStatus) -> Out:
-        self.navigation.hearing.follow(follow, self.now)
-        yield from self.navigation.followed(follow, self.now)
+        self.navigation.statuses.add_follow(follow, self.now)
+        yield from self.navigation.on_follow_status(follow, self.now)
         yield from self.resumption.tell(self.now)
 
     @on(topics.GUARD)
     def guard(self, guard: GuardStatus) -> Out:
-        self.navigation.hearing.guard(guard, self.now)
-        stopped = self.navigation.hearing.stopped(self.now)
-        if stopped and self.navigation.task:  # releasing STOP must not move the robot: nothing is left to go on with
+        self.navigation.statuses.add_guard(guard, self.now)
+        stopped = self.navigation.statuses.stop_reason(self.now)
+        if stopped and self.navigation.task:  # releasing the e-stop must not move the robot, so the task ends
             state = NavState.CANCELED if guard.state is GuardState.STOPPED else NavState.FAILED
             yield from self.navigation.end(self.now, state, stopped)
             yield from self.resumption.tell(self.now)
@@ -120,19 +120,19 @@ class NavigatorService(Service):
 
     @every(hz=5)
     def tick(self) -> Out:
-        if not self.zones.told:
+        if not self.zones.is_published:
             yield self._zones()
-        since = _FIRST_TICK if self.ticked is None else (self.now - self.ticked) * 1e-9
-        seconds = min(max(since, 0.0), _LONGEST_TICK)
+        since = _FIRST_TICK_S if self.ticked is None else (self.now - self.ticked) * 1e-9
+        seconds = min(max(since, 0.0), _MAX_TICK_S)
         self.ticked = self.now
         yield from self.resumption.take_up(self.now)
-        if not self.resumption.pending:  # else its goal stands until it is known whether it goes on
+        if not self.resumption.pending:  # else its goal stays until its resumption is decided
             yield from self.navigation.passed(seconds, self.now)
         self.speedometer.passed(seconds, self.velocity)
         yield from self._told()
 
     def frontiers_found(self, result: tuple[int, int, Frontiers]) -> Out:
-        """A search is done: for which task, on which map, what."""
+        """Takes the result of a search: task, map, frontiers."""
         yield from self.navigation.frontiers_found(*result, self.now)
         yield from self.resumption.tell(self.now)
 
@@ -182,38 +182,44 @@ class NavigatorService(Service):
         return self._reply(None)
 
     def _doubts(self, request: Navigate) -> Bools:
-        """(n,) bool: which poses of a route have to be looked at one by one."""
+        """(n,) bool: which poses of a route need a single check."""
         if self.limits is None:
             return np.zeros(len(request.poses), bool)
-        return doubtful(self.navigation.grid, self.limits, self.robot.inscribed_radius, request.poses)
+        return needs_check(self.navigation.grid, self.limits, self.robot.inscribed_radius, request.poses)
 
     def _refused(self, request: Navigate, number: int) -> reasons.Reason | None:
-        """Why the planner would refuse a pose of a route, counted from 1, whatever the way.
+        """Why the planner would refuse a pose of a route, counted from 1, in any case; else None.
 
-        A later pose may lie outside the map while that grows: the robot drives there over the poses before.
+        A later pose may lie outside a map that grows: the robot drives there over the poses before.
         """
         if self.limits is None:
             return None
         navigation, tolerance = self.navigation, request.tolerance or self.config.tolerance
         radius, pose = self.robot.inscribed_radius, request.poses[number - 1]
-        refusal = refused(navigation.grid, self.limits, radius, pose, tolerance)
+        refusal = refusal_reason(navigation.grid, self.limits, radius, pose, tolerance)
         return None if refusal is reasons.GOAL_OUTSIDE and number > 1 and self.maps else refusal
 
     def _begin(self, task: Route | Exploration) -> Answer[Reply]:
-        if stopped := self.navigation.hearing.stopped(self.now):
+        if stopped := self.navigation.statuses.stop_reason(self.now):
             return self._reply(stopped)
         self.resumption.forget()
         yield from self.navigation.begin(task, self.now)
         yield from self._told()
         return self._reply(None)
 
-    def _reply(self, refused: reasons.Reason | None) -> Reply:
-        why = f"{refused.text}: {refused.mend}" if refused else ""
-        return Reply(self.now, refused is None, refused.code if refused else "", why, self.navigation.task_id)
+    def _reply(self, refusal_reason: reasons.Reason | None) -> Reply:
+        why = f"{refusal_reason.text}: {refusal_reason.mend}" if refusal_reason else ""
+        return Reply(
+            self.now,
+            refusal_reason is None,
+            refusal_reason.code if refusal_reason else "",
+            why,
+            self.navigation.task_id,
+        )
 
     def _zones(self) -> Publication:
         held = Zones(self.now, self.zones.zones)
-        self.zones.told = True
+        self.zones.is_published = True
         self.navigation.keep_out.take(held)
         return topics.ZONES(held)
 

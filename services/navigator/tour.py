@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shortest way through all that is left to see: an open tour, by nearest neighbour and Or-2-opt (Croes 1958)."""
+"""The shortest open tour through all frontiers: nearest neighbour and Or-2-opt (Croes 1958)."""
 
 import numpy as np
 from numba import njit
@@ -8,20 +8,20 @@ from numpy.typing import NDArray
 Float64s = NDArray[np.float64]
 Int64s = NDArray[np.int64]
 
-_GAIN = 1e-9  # m: less is no improvement
+_MIN_GAIN_M = 1e-9  # of an improvement
 
 
 @njit(cache=True, nogil=True)
 def tours(first: Float64s, between: Float64s) -> Float64s:
-    """(n,) m: for each place the length of a short tour through all of them that goes to it first.
+    """(n,) m: for each place the length of a short tour through all places that begins with it.
 
-    first: (n,) m from the robot; between: (n, n) m, symmetric.
+    first: (n,) m from the robot. between: (n, n) m, symmetric.
     """
     n = len(first)
     lengths = np.empty(n)
     for start in range(n):
-        order = _nearest_first(start, between)
-        while _improved(order, between):
+        order = _nearest_neighbour_order(start, between)
+        while _improve(order, between):
             pass
         lengths[start] = first[start] + _length(order, between)
     return lengths
@@ -36,7 +36,7 @@ def _length(order: Int64s, between: Float64s) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _nearest_first(start: int, between: Float64s) -> Int64s:
+def _nearest_neighbour_order(start: int, between: Float64s) -> Int64s:
     n = len(between)
     order = np.empty(n, np.int64)
     todo = np.ones(n, np.bool_)
@@ -53,8 +53,10 @@ def _nearest_first(start: int, between: Float64s) -> Int64s:
 
 
 @njit(cache=True, nogil=True)
-def _improved(order: Int64s, between: Float64s) -> bool:
-    """Turns a stretch round, or moves one place to elsewhere, where that shortens the tour. The first place stays."""
+def _improve(order: Int64s, between: Float64s) -> bool:
+    """Reverses a section, or moves one place, where that shortens the tour. The first place stays. Returns whether it
+    did.
+    """
     n = len(order)
     for i in range(1, n - 1):
         for k in range(i + 1, n):
@@ -63,7 +65,7 @@ def _improved(order: Int64s, between: Float64s) -> bool:
             if k + 1 < n:
                 before += between[order[k], order[k + 1]]
                 after += between[order[i], order[k + 1]]
-            if after < before - _GAIN:
+            if after < before - _MIN_GAIN_M:
                 order[i : k + 1] = order[i : k + 1][::-1].copy()
                 return True
     for i in range(1, n):
@@ -71,7 +73,7 @@ def _improved(order: Int64s, between: Float64s) -> bool:
         rest = np.concatenate((order[:i], order[i + 1 :]))
         for k in range(1, n):
             candidate = np.concatenate((rest[:k], np.array([moved]), rest[k:]))
-            if _length(candidate, between) < _length(order, between) - _GAIN:
+            if _length(candidate, between) < _length(order, between) - _MIN_GAIN_M:
                 order[:] = candidate
                 return True
     return False

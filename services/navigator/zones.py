@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which zones hold: those of the robot's configuration, and those that a person set."""
+"""The active zones: those of the robot's configuration, and those that clients set."""
 
 from itertools import islice
 
@@ -8,20 +8,20 @@ from shared.requests import SetZones
 from shared.zones import NamedZoneConfig
 
 
-class HeldZones:
-    """The zones by name. What is set takes the place of what was set before, never of the configuration's others."""
+class ActiveZones:
+    """The zones by name. A new set replaces the last set, and of the configuration only zones with the same name."""
 
     def __init__(self, configured: tuple[NamedZoneConfig, ...]) -> None:
         self._configured = {zone.name: zone.zone(zone.name) for zone in configured}
         self._zones = self._configured
-        self.told = not self._configured  # nobody need be told that there are none
+        self.is_published = not self._configured  # without zones nothing needs to be published
 
     @property
     def zones(self) -> tuple[Zone, ...]:
         return tuple(self._zones.values())
 
     def set(self, request: SetZones) -> bool:
-        """These, and the configuration's that have other names; False where those are more than can hold."""
+        """Sets these zones with the configuration's of other names. Returns False where there are too many."""
         zones = self._configured | {zone.name: zone for zone in request.zones}
         if len(zones) > MOST_ZONES:
             return False
@@ -29,13 +29,13 @@ class HeldZones:
         return True
 
     def remember(self, before: Zones) -> tuple[str, ...]:
-        """What held before a restart goes on to hold, unless something was set already.
+        """Restores the zones from before a restart, unless a client has set some already.
 
-        The names of those for which there is no room any more: the configuration has more zones now, and they go first.
+        Returns the names without room: the configuration's zones, which may be more now, come first.
         """
         if self._zones is not self._configured:
             return ()
         zones = self._configured | {zone.name: zone for zone in before.zones}
         self._zones = dict(islice(zones.items(), MOST_ZONES))
-        self.told = False
+        self.is_published = False
         return tuple(name for name in zones if name not in self._zones)

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A queue of integer keys in a ring of buckets (Dial 1969; Denardo & Fox 1979): what a search expands next.
+"""A priority queue of integer keys in a ring of buckets (Dial 1969; Denardo and Fox 1979), for the searches.
 
-An entry is a number: `nodes`, `keys` and `links` hold what is queued, its key, and the next entry of its bucket; -1
-ends a bucket. Entries that were taken out are a chain too. Its first is `free`, -1 without one, and `n_used` says how
-many were ever used; both stay with who searches, where they are quick to reach. The arrays are given one by one and all
-is inlined: as a tuple they cost a third of a search.
+An entry is an index of `nodes`, `keys` and `links`: node, key, and the next entry of its bucket; -1 ends a bucket.
+Removed entries form a chain from `free`, -1 without one. `n_used` counts the entries that were ever used. The caller
+holds both. The arrays are separate arguments and all is inlined: as a tuple they cost a third of a search.
 """
 
 import numpy as np
@@ -17,7 +16,7 @@ Int64s = NDArray[np.int64]
 
 @njit(cache=True, nogil=True)
 def empty_ring(longest: int) -> Int32s:
-    """The first entries of buckets, none yet: as many as keep apart what differs by up to `longest` of them; 2^k."""
+    """(2^k,) int32: the first entries of empty buckets, enough for keys that differ by up to `longest` buckets."""
     n = 8
     while n < longest + 4:
         n *= 2
@@ -25,8 +24,8 @@ def empty_ring(longest: int) -> Int32s:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def popped(slot: int, free: int, heads: Int32s, links: Int32s) -> int:
-    """Takes an entry out of a bucket that is not empty; it is the first free one then, as `free` has to say."""
+def pop_entry(slot: int, free: int, heads: Int32s, links: Int32s) -> int:
+    """Removes an entry from a bucket that is not empty. It becomes the first free one: the caller sets `free` to it."""
     entry = heads[slot]
     heads[slot] = links[entry]
     links[entry] = free
@@ -34,10 +33,10 @@ def popped(slot: int, free: int, heads: Int32s, links: Int32s) -> int:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def pushed(
+def push_entry(
     slot: int, node: int, key: int, free: int, n_used: int, heads: Int32s, nodes: Int32s, keys: Int64s, links: Int32s
 ) -> tuple[int, int]:
-    """Puts a node into a bucket; `free` and `n_used` then. There must be room."""
+    """Adds a node to a bucket. Returns the new `free` and `n_used`. There must be room."""
     if free >= 0:
         entry = free
         free = links[free]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shortest ways between two poses, forward, by arcs of one radius and a straight line: Dubins 1957.
+"""The shortest forward paths between two poses by arcs of one radius and a straight line: Dubins 1957.
 
-The six words as Shkel & Lumelsky 2001 solve them; and an arc and a line where the heading at the end does not matter.
-A way is three pieces (curvature, length): positive curvature turns left; any unit of length.
+The six words as in Shkel and Lumelsky 2001; and an arc with a line where the last heading does not matter. A path is
+three pieces (curvature, length): positive curvature turns left; any unit of length.
 """
 
 from math import acos, atan2, cos, hypot, pi, sin, sqrt
@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 Float64s = NDArray[np.float64]
 
-WORDS = 6
-_STRAIGHT = 1e-9  # curvature below which a piece is a line
+N_WORDS = 6
+_MIN_CURVATURE = 1e-9  # curvature below which a piece is a line
 
 
 @njit(cache=True, nogil=True)
-def word(i: int, start: Float64s, end: Float64s, radius: float, any_heading: bool, pieces: Float64s) -> bool:
-    """Fills pieces (3, 2) with the i-th way, 0 to WORDS - 1, from a pose (x, y, yaw) to another; False without one."""
+def dubins_word(i: int, start: Float64s, end: Float64s, radius: float, any_heading: bool, pieces: Float64s) -> bool:
+    """Fills pieces (3, 2) with word i, 0 to N_WORDS - 1, between poses (x, y, yaw). Returns whether it exists."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     if any_heading:
-        return i < 2 and _turn_and_go(1.0 if i == 0 else -1.0, dx, dy, start[2], radius, pieces)
+        return i < 2 and _arc_and_line(1.0 if i == 0 else -1.0, dx, dy, start[2], radius, pieces)
     d, theta = hypot(dx, dy) / radius, atan2(dy, dx)
-    a, b = _turned(start[2] - theta), _turned(end[2] - theta)
+    a, b = _wrapped_two_pi(start[2] - theta), _wrapped_two_pi(end[2] - theta)
     sa, sb, ca, cb, cab = sin(a), sin(b), cos(a), cos(b), cos(a - b)
     first, second, third = 0, 0, 0
     t = p = q = 0.0
@@ -33,14 +33,14 @@ def word(i: int, start: Float64s, end: Float64s, radius: float, any_heading: boo
         if squared < 0:
             return False
         away = atan2(cb - ca, d + sa - sb)
-        t, p, q = _turned(away - a), sqrt(squared), _turned(b - away)
+        t, p, q = _wrapped_two_pi(away - a), sqrt(squared), _wrapped_two_pi(b - away)
         first, third = 1, 1
     elif i == 1:  # right, straight, right
         squared = 2 + d * d - 2 * cab + 2 * d * (sb - sa)
         if squared < 0:
             return False
         away = atan2(ca - cb, d - sa + sb)
-        t, p, q = _turned(a - away), sqrt(squared), _turned(away - b)
+        t, p, q = _wrapped_two_pi(a - away), sqrt(squared), _wrapped_two_pi(away - b)
         first, third = -1, -1
     elif i == 2:  # left, straight, right
         squared = -2 + d * d + 2 * cab + 2 * d * (sa + sb)
@@ -48,7 +48,7 @@ def word(i: int, start: Float64s, end: Float64s, radius: float, any_heading: boo
             return False
         p = sqrt(squared)
         away = atan2(-ca - cb, d + sa + sb) - atan2(-2.0, p)
-        t, q = _turned(away - a), _turned(away - b)
+        t, q = _wrapped_two_pi(away - a), _wrapped_two_pi(away - b)
         first, third = 1, -1
     elif i == 3:  # right, straight, left
         squared = d * d - 2 + 2 * cab - 2 * d * (sa + sb)
@@ -56,7 +56,7 @@ def word(i: int, start: Float64s, end: Float64s, radius: float, any_heading: boo
             return False
         p = sqrt(squared)
         away = atan2(ca + cb, d - sa - sb) - atan2(2.0, p)
-        t, q = _turned(a - away), _turned(b - away)
+        t, q = _wrapped_two_pi(a - away), _wrapped_two_pi(b - away)
         first, third = -1, 1
     else:  # three arcs
         side = -1.0 if i == 4 else 1.0  # right, left, right; or its mirror image
@@ -66,11 +66,11 @@ def word(i: int, start: Float64s, end: Float64s, radius: float, any_heading: boo
         p = 2 * pi - acos(cosine)
         away = atan2(ca - cb, d - sa + sb) if i == 4 else atan2(ca - cb, d + sa - sb)
         if i == 4:
-            t = _turned(a - away + p / 2)
-            q = _turned(a - b - t + p)
+            t = _wrapped_two_pi(a - away + p / 2)
+            q = _wrapped_two_pi(a - b - t + p)
         else:
-            t = _turned(-a - away + p / 2)
-            q = _turned(b - a - t + p)
+            t = _wrapped_two_pi(-a - away + p / 2)
+            q = _wrapped_two_pi(b - a - t + p)
         first, second, third = int(side), int(-side), int(side)
     pieces[0, 0], pieces[0, 1] = first / radius, t * radius
     pieces[1, 0], pieces[1, 1] = second / radius, p * radius
@@ -79,15 +79,15 @@ def word(i: int, start: Float64s, end: Float64s, radius: float, any_heading: boo
 
 
 @njit(cache=True, nogil=True)
-def _turn_and_go(side: float, dx: float, dy: float, yaw: float, radius: float, pieces: Float64s) -> bool:
-    """An arc and then the line to a point, whatever the heading there."""
+def _arc_and_line(side: float, dx: float, dy: float, yaw: float, radius: float, pieces: Float64s) -> bool:
+    """Fills pieces with an arc and the line to a point, at any heading there."""
     ahead, aside = cos(yaw) * dx + sin(yaw) * dy, side * (cos(yaw) * dy - sin(yaw) * dx)
-    away = hypot(ahead, aside - radius)  # of the point from the arc's middle
+    away = hypot(ahead, aside - radius)  # of the point from the centre of the arc
     if away < radius:
         return False
     line = sqrt(max(away * away - radius * radius, 0.0))
-    # seen from the arc's middle, the point lies `line` ahead of where the arc ends and a radius to the outside
-    turn = _turned(atan2(aside - radius, ahead) + atan2(radius, line))
+    # from the arc's end the point lies `line` ahead, and the centre a radius aside
+    turn = _wrapped_two_pi(atan2(aside - radius, ahead) + atan2(radius, line))
     pieces[:] = 0.0
     pieces[0, 0], pieces[0, 1] = side / radius, turn * radius
     pieces[1, 1] = line
@@ -95,17 +95,17 @@ def _turn_and_go(side: float, dx: float, dy: float, yaw: float, radius: float, p
 
 
 @njit(cache=True, nogil=True)
-def _turned(angle: float) -> float:
-    """In [0, 2 pi); a hair less than a full turn is none."""
+def _wrapped_two_pi(angle: float) -> float:
+    """The angle in [0, 2 pi); a full turn less rounding is 0."""
     angle %= 2 * pi
     return 0.0 if angle > 2 * pi - 1e-9 else angle
 
 
 @njit(cache=True, nogil=True)
-def moved(pose: Float64s, curvature: float, length: float, out: Float64s) -> None:
-    """Fills `out` with the pose (x, y, yaw) that a piece leads to."""
+def pose_after(pose: Float64s, curvature: float, length: float, out: Float64s) -> None:
+    """Fills `out` with the pose (x, y, yaw) at the end of a piece."""
     x, y, yaw = pose
-    if abs(curvature) < _STRAIGHT:
+    if abs(curvature) < _MIN_CURVATURE:
         out[0], out[1], out[2] = x + length * cos(yaw), y + length * sin(yaw), yaw
         return
     there = yaw + curvature * length

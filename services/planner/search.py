@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cheapest way over an 8-connected cost grid: A* with a circular bucket queue and buffers that are never cleared.
+"""The cheapest path over an 8-connected cost grid: A* with a circular bucket queue.
 
-Costs are integers, so a queue of buckets replaces the heap. A bucket is wider than the smallest step; what was expanded
-too early is expanded again, so the result is exact.
+Costs are integers, so buckets replace the heap. A bucket is wider than the smallest step; cells that were expanded too
+early are expanded again, so the result is exact. Buffers are never cleared.
 """
 
 from typing import Generic, TypeVar
@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from services.planner.bucket_queue import empty_ring, popped, pushed
+from services.planner.bucket_queue import empty_ring, pop_entry, push_entry
 
 UInt16s = NDArray[np.uint16]
 Int8s = NDArray[np.int8]
@@ -23,20 +23,20 @@ STRAIGHT, DIAGONAL = 2378, 3363
 """Half a step's length, in integers; 3363 / 2378 is sqrt(2) to 6e-8 (a convergent of its continued fraction)."""
 
 COST_BITS = 42
-"""Of a key: the cost so far. The bits above number the search, downwards, so that keys of older ones are larger."""
+"""Bits of a key for the cost so far. The bits above number the searches downwards: keys of older ones are larger."""
 
-NO_ROOM = -1
-"""What a search returns where the queue's entries did not suffice."""
+QUEUE_FULL = -1
+"""Result of a search that ran out of queue entries."""
 
-_SEARCHES = 2**21 - 1  # so many stamps there are
+_SEARCHES = 2**21 - 1  # number of stamps
 _ROW = np.array([0, 1, 0, -1, 1, 1, -1, -1], np.int64)
 _COLUMN = np.array([1, 0, -1, 0, 1, -1, 1, -1], np.int64)
 
 
-class Marks(Generic[Origin]):
-    """What searches know of the cells or nodes of a grid: `keys`, stamp and cost so far; `origins`, whence.
+class SearchBuffers(Generic[Origin]):
+    """Buffers of searches, for each cell or node: `keys` (stamp and cost so far) and `origins` (its predecessor).
 
-    Never cleared: a new search has a lower stamp than all before, and so finds every key too high.
+    They are never cleared: a new search has a lower stamp than all before it, so every old key is too high.
     """
 
     def __init__(self, origins: type[Origin]) -> None:
@@ -45,31 +45,33 @@ class Marks(Generic[Origin]):
         self.origins: NDArray[Origin] = np.zeros(0, origins)
 
     def begin(self, size: int) -> None:
-        """Makes them fit size cells, and half of all stamps be left."""
+        """Makes room for `size` cells, and resets the stamps when half of them are used."""
         size = max(size, len(self.keys))
         if size > len(self.keys) or self.stamp[0] > _SEARCHES // 2:
             self.stamp[0] = 0
-            # zero is more than any key, and memory that nobody has written to costs nothing
+            # zero is above any key, and zeroed memory costs nothing until it is written
             self.keys, self.origins = np.zeros(size, np.int64), np.zeros(size, self.origins.dtype)
 
 
-class Search:
-    """Finds ways; holds the buffers of the largest grid so far."""
+class GridSearch:
+    """Finds the cheapest paths. Holds the buffers of the largest grid so far."""
 
     def __init__(self) -> None:
-        self.cells = Marks(np.int8)
-        self.room(1 << 12)
+        self.cells = SearchBuffers(np.int8)
+        self.reserve(1 << 12)
 
-    def room(self, n: int) -> None:
-        """Makes room for n entries of the queue: their cells, their keys, the next entry of their bucket."""
+    def reserve(self, n: int) -> None:
+        """Makes room for n entries of the queue: cells, keys, and next entries of their buckets."""
         self.entries = np.empty(n, np.int32), np.empty(n, np.int64), np.empty(n, np.int32)
 
-    def way(self, costs: UInt16s, start: tuple[int, int], goal: tuple[int, int], lowest: int, highest: int) -> Int32s:
-        """The cheapest way from start to goal, both included: (n, 2) int32 rows and columns, n = 0 without one.
+    def cheapest_path(
+        self, costs: UInt16s, start: tuple[int, int], goal: tuple[int, int], min_cost: int, max_cost: int
+    ) -> Int32s:
+        """The cheapest path from start to goal, both included: (n, 2) int32 rows and columns, n = 0 without one.
 
-        costs: (h, w) uint16, C-contiguous, 0 blocked, its outermost ring blocked. lowest, highest: bounds of its
-        other values. A step costs its length times the mean of its two cells; a diagonal one needs both of its
-        straight neighbours free.
+        costs: (h, w) uint16, C-contiguous, 0 blocked, its outermost ring blocked. min_cost, max_cost: bounds of its
+        other values. A step costs its length times the mean of its two cells. A diagonal step needs both straight
+        neighbours free.
         """
         w, marks = costs.shape[1], self.cells
         flat = costs.reshape(-1)
@@ -79,16 +81,25 @@ class Search:
         while True:
             marks.begin(flat.size)
             found = expand(
-                flat, w, start_cell, goal_cell, lowest, highest, marks.stamp, marks.keys, marks.origins, *self.entries
+                flat,
+                w,
+                start_cell,
+                goal_cell,
+                min_cost,
+                max_cost,
+                marks.stamp,
+                marks.keys,
+                marks.origins,
+                *self.entries,
             )
-            if found != NO_ROOM:
+            if found != QUEUE_FULL:
                 break
-            self.room(2 * len(self.entries[0]))
-        return traced(marks.origins, w, start_cell, goal_cell) if found else np.empty((0, 2), np.int32)
+            self.reserve(2 * len(self.entries[0]))
+        return traced_path(marks.origins, w, start_cell, goal_cell) if found else np.empty((0, 2), np.int32)
 
 
 @njit(cache=True, nogil=True)
-def stamped(stamp: Int64s) -> int:
+def next_base_key(stamp: Int64s) -> int:
     """The base of the keys of a new search: lower by 1 << COST_BITS than that of the one before."""
     stamp[0] += 1
     return int(-stamp[0] << COST_BITS)
@@ -100,8 +111,8 @@ def expand(
     width: int,
     start: int,
     goal: int,
-    lowest: int,
-    highest: int,
+    min_cost: int,
+    max_cost: int,
     stamp: Int64s,
     keys: Int64s,
     parents: Int8s,
@@ -109,23 +120,23 @@ def expand(
     entry_keys: Int64s,
     links: Int32s,
 ) -> int:
-    """Fills keys (base + cost so far) and parents (direction of arrival) until the goal is settled or nothing is left.
+    """Fills keys (base + cost so far) and parents (direction of arrival) until the goal is settled or no cell is left.
 
-    Returns whether there is a way, 1 or 0, or NO_ROOM where the entries did not suffice. Exact where no cost is under
-    `lowest`; a higher one looks at fewer cells, and finds some way.
+    Returns 1 with a path, 0 without one, or QUEUE_FULL. Exact where no cost is under `min_cost`; a higher bound expands
+    fewer cells and gives some path.
     """
-    base = stamped(stamp)
+    base = next_base_key(stamp)
     offsets = _ROW * width + _COLUMN
     goal_row, goal_column = goal // width, goal % width
-    straight_least, diagonal_least = 2 * lowest * STRAIGHT, 2 * lowest * DIAGONAL
+    straight_least, diagonal_least = 2 * min_cost * STRAIGHT, 2 * min_cost * DIAGONAL
     slower = diagonal_least - straight_least
     shift = width_bits(straight_least)
-    heads = empty_ring((2 * (highest + lowest) * DIAGONAL) >> shift)
+    heads = empty_ring((2 * (max_cost + min_cost) * DIAGONAL) >> shift)
     mask = len(heads) - 1
     keys[start] = base
     dr, dc = abs(goal_row - start // width), abs(goal_column - start % width)
     bucket = (straight_least * max(dr, dc) + slower * min(dr, dc)) >> shift
-    free, n_used = pushed(bucket & mask, start, base, -1, 0, heads, cells, entry_keys, links)
+    free, n_used = push_entry(bucket & mask, start, base, -1, 0, heads, cells, entry_keys, links)
     n_open = 1
     open_way = np.zeros(4, np.bool_)
     while n_open:
@@ -133,13 +144,13 @@ def expand(
             bucket += 1
         if base + (bucket << shift) >= keys[goal]:
             return 1
-        free = popped(bucket & mask, free, heads, links)
+        free = pop_entry(bucket & mask, free, heads, links)
         n_open -= 1
         cell, key = cells[free], entry_keys[free]
         if key != keys[cell]:
             continue
         if n_used + 8 > len(cells):
-            return NO_ROOM
+            return QUEUE_FULL
         here = np.int64(costs[cell])
         row, column = cell // width, cell % width
         for direction in range(8):
@@ -158,15 +169,15 @@ def expand(
             parents[there] = direction
             dr, dc = abs(goal_row - row - _ROW[direction]), abs(goal_column - column - _COLUMN[direction])
             total = key + step - base + straight_least * max(dr, dc) + slower * min(dr, dc)
-            slot = max(total >> shift, bucket) & mask  # not before what is expanded now, where `lowest` is too high
-            free, n_used = pushed(slot, there, key + step, free, n_used, heads, cells, entry_keys, links)
+            slot = max(total >> shift, bucket) & mask  # not before the present bucket, where `min_cost` is too high
+            free, n_used = push_entry(slot, there, key + step, free, n_used, heads, cells, entry_keys, links)
             n_open += 1
     return 1 if keys[goal] >> COST_BITS == base >> COST_BITS else 0
 
 
 @njit(cache=True, nogil=True)
 def width_bits(least: int) -> int:
-    """Bits of a cost that lie within a bucket, for steps that cost at least so much."""
+    """Bits of a cost that lie within one bucket, for steps that cost at least `least`."""
     shift = 0
     while least >> shift > 1:
         shift += 1
@@ -174,17 +185,18 @@ def width_bits(least: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def traced(parents: Int8s, width: int, start: int, goal: int) -> Int32s:
+def traced_path(parents: Int8s, width: int, start: int, goal: int) -> Int32s:
+    """(n, 2) int32 rows and columns of the path that `parents` lead along, from start to goal."""
     offsets = _ROW * width + _COLUMN
     n = 1
     cell = goal
     while cell != start:
         cell -= offsets[parents[cell]]
         n += 1
-    way = np.empty((n, 2), np.int32)
+    path = np.empty((n, 2), np.int32)
     cell = goal
     for i in range(n - 1, -1, -1):
-        way[i, 0], way[i, 1] = cell // width, cell % width
+        path[i, 0], path[i, 1] = cell // width, cell % width
         if i:
             cell -= offsets[parents[cell]]
-    return way
+    return path

@@ -122,10 +122,10 @@ def test_a_recovery_is_over_and_the_goal_is_driven_to(stack):
     route(stack, 5.0)
     stack.drives(0.3)
     navigation = stack.lockstep.service("navigator").navigation
-    assert navigation.leg is not None
+    assert navigation.attempt is not None
     kinds = []
     stack.lockstep.watch("goal", lambda goal: kinds.append(goal.kind))
-    effects = list(navigation._recover(navigation.leg, BLOCKED, stack.now))  # as if local control had been blocked
+    effects = list(navigation._recover(navigation.attempt, BLOCKED, stack.now))  # as if local control had been blocked
     for effect in effects:
         stack.lockstep.publish(effect, "navigator")
     stack.lockstep.run(0.3)

@@ -2,6 +2,7 @@
 """A configuration's fault is told with file, line, key and the nearest valid name."""
 
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 from pydantic import Field, ValidationError
@@ -142,3 +143,46 @@ def test_a_robot_that_may_not_turn_on_the_spot_needs_a_turning_radius():
     spins = drive.model_copy(update={"turns_in_place": True})
     assert spins.clamped(0.0, 1.0) == (0.0, 1.0)
     assert spins.clamped(0.2, 1.0) == pytest.approx((0.2, 0.4))
+
+
+class Renamed(Section):
+    RENAMED: ClassVar[dict[str, str]] = {"least": "min_speed"}
+    min_speed: float = Field(1.0, gt=0)
+
+
+class Outer(Section):
+    RENAMED: ClassVar[dict[str, str]] = {"old_part": "part"}
+    part: Renamed = Renamed()
+    parts: tuple[Renamed, ...] = ()
+
+
+def section_of(tmp_path: Path, text: str) -> Outer:
+    path = tmp_path / "robot.yaml"
+    path.write_text(text)
+    return load_robot(str(path)).section("outer", Outer)
+
+
+def test_a_former_name_of_a_setting_works_with_a_warning_that_gives_the_present_one(tmp_path, caplog):
+    text = "outer:\n  old_part:\n    least: 2.0\n  parts:\n    - {least: 3.0}\n"
+    outer = section_of(tmp_path, text)
+    assert (outer.part.min_speed, outer.parts[0].min_speed) == (2.0, 3.0)
+    assert [record.getMessage().split("robot.yaml:")[1] for record in caplog.records] == [
+        "2: outer.old_part is now `part`",
+        "3: outer.old_part.least is now `min_speed`",
+        "5: outer.parts.0.least is now `min_speed`",
+    ]
+
+
+def test_the_present_name_of_a_setting_gives_no_warning(tmp_path, caplog):
+    assert section_of(tmp_path, "outer: {part: {min_speed: 2.0}}").part.min_speed == 2.0
+    assert not caplog.records
+
+
+def test_both_names_of_a_setting_are_an_error_with_its_line(tmp_path):
+    with pytest.raises(UserError, match=r"robot\.yaml:2: outer\.part: .*`least` and `min_speed`"):
+        section_of(tmp_path, "outer:\n  part: {least: 2.0, min_speed: 3.0}\n")
+
+
+def test_a_fault_under_a_former_name_is_an_error(tmp_path):
+    with pytest.raises(UserError, match=r"robot\.yaml:\d: outer\.part\.min_speed: .*greater than 0"):
+        section_of(tmp_path, "outer:\n  old_part: {least: -2.0}\n")

@@ -10,9 +10,9 @@ from math import atan2, copysign, hypot, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.outline import Outline
-from services.planner.planning import PlanningConfig, planned
-from services.planner.traversal_cost import CostConfig, Terrain
+from services.planner.costmap import CostConfig, GlobalCostmap
+from services.planner.hierarchical_search import HierarchicalSearch
+from services.planner.planning import PlanningConfig, plan_path
 from services.sim.world import World
 from shared.config import Robot, UserError
 from shared.distance_field import distance_field
@@ -42,12 +42,12 @@ class Ways:
 
     def __init__(self, world: World, robot: Robot) -> None:
         grid = _true_map(world)
-        self.terrain = Terrain(CostConfig(unknown="forbidden"), robot, CELL)
+        self.terrain = GlobalCostmap(CostConfig(unknown="forbidden"), robot, CELL)
         self.terrain.update(grid, None)
         self.clearance = distance_field(grid.occupied, CELL) - robot.inscribed_radius
         self.grid, self.robot = grid, robot
-        self._outline = Outline()
-        regions = self.terrain.regions.within(0, 0, *self.terrain.costs.shape)
+        self._outline = HierarchicalSearch()
+        regions = self.terrain.components.labels_in(0, 0, *self.terrain.costs.shape)
         region = regions[self.terrain.cell(world.start.x, world.start.y)]
         rows, columns = np.nonzero(regions == region)
         if not region:
@@ -60,9 +60,10 @@ class Ways:
         people: (p, 2) m, who stand in the way too.
         """
         terrain = self.terrain if people is None else self._with(people)
-        return planned(terrain, self._outline, start, goal, GOAL_TOLERANCE, PlanningConfig()).points
 
-    def _with(self, people: Float64s) -> Terrain:
+        return plan_path(terrain, self._outline, start, goal, GOAL_TOLERANCE, PlanningConfig()).points
+
+    def _with(self, people: Float64s) -> GlobalCostmap:
         grid = OccupancyGrid(CELL, 1)
         grid.first_row, grid.first_column = self.grid.first_row, self.grid.first_column
         rows, columns = np.indices(self.grid.cells.shape)
@@ -71,7 +72,7 @@ class Ways:
         for person in people:
             taken |= np.hypot(x - person[0], y - person[1]) <= PERSON
         grid.cells = np.where(taken, np.int8(100), self.grid.cells)
-        terrain = Terrain(self.terrain.config, self.robot, CELL)
+        terrain = GlobalCostmap(self.terrain.config, self.robot, CELL)
         terrain.update(grid, None)
         return terrain
 

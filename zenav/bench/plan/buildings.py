@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from services.planner.traversal_cost import CostConfig, Terrain
+from services.planner.costmap import CostConfig, GlobalCostmap
 from shared.config import Robot
 from shared.ros_map import read_ros_map
 from zenav.bench.plan.equal_clearance import least_clearance, over_equal, over_least
@@ -51,9 +51,9 @@ def building_rows(path: Path, robot: Robot) -> dict[str, Row]:
     return rows
 
 
-def places(terrain: Terrain) -> list[Scenario]:
+def places(terrain: GlobalCostmap) -> list[Scenario]:
     """Random pairs of cells in the largest region, some way apart; seeded."""
-    regions = terrain.regions.within(0, 0, *terrain.costs.shape)
+    regions = terrain.components.labels_in(0, 0, *terrain.costs.shape)
     if not regions.any():
         return []
     largest = np.argwhere(regions == np.bincount(regions[regions > 0]).argmax()) - terrain.pad
@@ -71,7 +71,7 @@ def _cell(place: "np.ndarray[tuple[int, ...], np.dtype[np.int64]]") -> Cell:
     return int(place[0]), int(place[1])
 
 
-def _compare(row: Row, terrain: Terrain, path: Float64s, equally: bool) -> None:
+def _compare(row: Row, terrain: GlobalCostmap, path: Float64s, equally: bool) -> None:
     """The figures `length`, against the shortest path that comes as near to obstacles, and, where asked, `equal`,
     against the shortest that also keeps as far from them in the mean."""
     away, size = clearance(terrain, path) / terrain.resolution, length(path)

@@ -14,8 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from services.planner.lines import path_cost
-from services.planner.traversal_cost import Terrain
+from services.planner.costmap import GlobalCostmap
+from services.planner.ray_cost import path_cost
 from zenav.bench.plan.shortest import corners_of, shortest
 
 Bools = NDArray[np.bool_]
@@ -32,7 +32,7 @@ SAMPLES = 4  # of a step, per cell
 _HAIR = 1e-6  # cells
 
 
-def least_clearance(terrain: Terrain, path: Float64s, sampled: float) -> float:
+def least_clearance(terrain: GlobalCostmap, path: Float64s, sampled: float) -> float:
     """Cells from the nearest obstacle to the nearest cell that the path touches; sampled: a bound, found by looking."""
     distances = np.unique(terrain.distance[terrain.distance <= sampled + _HAIR])
     for least in distances[::-1]:
@@ -41,13 +41,15 @@ def least_clearance(terrain: Terrain, path: Float64s, sampled: float) -> float:
     return 0.0
 
 
-def over_least(terrain: Terrain, path: Float64s, length: float, least: float) -> float:
+def over_least(terrain: GlobalCostmap, path: Float64s, length: float, least: float) -> float:
     """The length, cells, over that of the shortest path that comes nowhere nearer than `least`, cells."""
     free = _kept(terrain, least)
     return length / shortest(free, corners_of(free), path[[0, -1]] - terrain.pad, length)
 
 
-def over_equal(terrain: Terrain, path: Float64s, length: float, least: float, mean: float, shorter: float) -> float:
+def over_equal(
+    terrain: GlobalCostmap, path: Float64s, length: float, least: float, mean: float, shorter: float
+) -> float:
     """At most so many times the length of the shortest path with this least and this mean clearance, cells; as exact
     as steps between cells tell, whose surplus over lines is taken off.
 
@@ -70,7 +72,7 @@ def over_equal(terrain: Terrain, path: Float64s, length: float, least: float, me
     return length / best
 
 
-def _kept(terrain: Terrain, least: float) -> Bools:
+def _kept(terrain: GlobalCostmap, least: float) -> Bools:
     """The map's cells that the robot may be in and that are no nearer to obstacles."""
     inside = slice(terrain.pad, -terrain.pad)
     return np.asarray((terrain.distance >= least - _HAIR) & (terrain.costs[inside, inside] > 0))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.traversal_cost import CostConfig, Terrain
+from services.planner.costmap import CostConfig, GlobalCostmap
 from shared.config import Robot, UserError
 from shared.grid import OccupancyGrid, update_of_cells
 
@@ -103,17 +103,17 @@ def cell_sized(robot: Robot) -> Robot:
     return robot.model_copy(update={"footprint": ((half, -half), (half, half), (-half, half), (-half, -half))})
 
 
-def terrain_of(cells: Int8s, resolution: float, config: CostConfig, robot: Robot) -> Terrain:
+def terrain_of(cells: Int8s, resolution: float, config: CostConfig, robot: Robot) -> GlobalCostmap:
     """What the planner makes of cells in percent, row 0 lowest; cells[0, 0] lies at (pad, pad) of its costs."""
     grid = OccupancyGrid(resolution)
     grid.apply(update_of_cells(cells, resolution, 0.0, 0.0))
-    terrain = Terrain(config, robot, resolution)
+    terrain = GlobalCostmap(config, robot, resolution)
     terrain.update(grid, None)
     return terrain
 
 
-FREE = CostConfig(margin=0, least_margin=0, inflation_radius=RESOLUTION, clearance_weight=0, unknown="forbidden")
+FREE = CostConfig(margin=0, min_margin=0, inflation_radius=RESOLUTION, clearance_weight=0, unknown="forbidden")
 """Cells are free or blocked, and nothing else."""
 
-INFLATED = CostConfig(margin=0, least_margin=0, unknown="forbidden")
+INFLATED = CostConfig(margin=0, min_margin=0, unknown="forbidden")
 """The planner's own costs around obstacles."""

@@ -11,12 +11,12 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.lines import path_cost
-from services.planner.outline import Outline
-from services.planner.planning import PlanningConfig, planned
-from services.planner.search import Search
-from services.planner.smoothing import resampled
-from services.planner.traversal_cost import Terrain
+from services.planner.costmap import GlobalCostmap
+from services.planner.hierarchical_search import HierarchicalSearch
+from services.planner.planning import PlanningConfig, plan_path
+from services.planner.ray_cost import path_cost
+from services.planner.search import GridSearch
+from services.planner.smoothing import resampled_path
 from shared.config import Robot
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
@@ -82,11 +82,11 @@ def timed(work: Callable[..., T], *given: Any) -> tuple[T, float]:
 def raw(benchmark: Benchmark) -> Row:
     """The exact search, no costs; the figure `wrong` is 1 where the length is not the published one."""
     costs = np.pad(benchmark.free, 1).astype(np.uint16)
-    search, row = Search(), Row()
+    search, row = GridSearch(), Row()
     for warm in (True, False):
         for scenario in benchmark.scenarios[:3] if warm else benchmark.scenarios:
             ends = _shifted(scenario.start, 1), _shifted(scenario.goal, 1)
-            way, ms = timed(search.way, costs, *ends, 1, 1)
+            way, ms = timed(search.cheapest_path, costs, *ends, 1, 1)
             if not warm:
                 steps = np.abs(np.diff(way, axis=0)).sum(axis=1)
                 octile = np.count_nonzero(steps == 1) + np.count_nonzero(steps == 2) * np.sqrt(2)
@@ -96,16 +96,16 @@ def raw(benchmark: Benchmark) -> Row:
     return row
 
 
-def ours(terrain: Terrain, scenarios: list[Scenario]) -> tuple[Row, list[Float64s]]:
-    """`planned`, as the planner calls it, from pose to path; the paths, (x, y) in cells of the costs."""
-    outline, config, row = Outline(), PlanningConfig(spacing=terrain.resolution), Row()
+def ours(terrain: GlobalCostmap, scenarios: list[Scenario]) -> tuple[Row, list[Float64s]]:
+    """`plan_path`, as the planner calls it, from pose to path; the paths, (x, y) in cells of the costs."""
+    outline, config, row = HierarchicalSearch(), PlanningConfig(spacing=terrain.resolution), Row()
     paths = []
     for warm in (True, False):
         for scenario in scenarios[:3] if warm else scenarios:
             start, goal = (
                 Pose2(*terrain.centre(*_shifted(cell, terrain.pad))) for cell in (scenario.start, scenario.goal)
             )
-            plan, ms = timed(planned, terrain, outline, start, goal, 0.0, config)
+            plan, ms = timed(plan_path, terrain, outline, start, goal, 0.0, config)
             if warm:
                 continue
             path = (plan.points - terrain.origin) / terrain.resolution
@@ -117,7 +117,7 @@ def ours(terrain: Terrain, scenarios: list[Scenario]) -> tuple[Row, list[Float64
     return row, paths
 
 
-def _judged(row: Row, terrain: Terrain, path: Float64s) -> None:
+def _judged(row: Row, terrain: GlobalCostmap, path: Float64s) -> None:
     row.n += 1
     if not len(path):
         return
@@ -129,9 +129,9 @@ def _judged(row: Row, terrain: Terrain, path: Float64s) -> None:
     row.note("clearance_mean_m", float(away.mean()))
 
 
-def clearance(terrain: Terrain, path: Float64s) -> Float64s:
+def clearance(terrain: GlobalCostmap, path: Float64s) -> Float64s:
     """(n,) m from the path's cells to the nearest obstacle, at most the inflation radius."""
-    path = resampled(path, FINE)
+    path = resampled_path(path, FINE)
     cells = np.clip(path.astype(np.int64) - terrain.pad, 0, np.array(terrain.distance.shape[::-1]) - 1)
     return np.asarray(terrain.distance[cells[:, 1], cells[:, 0]] * terrain.resolution, np.float64)
 
@@ -166,7 +166,9 @@ def movingai_rows(benchmark: Benchmark, robot: Robot) -> dict[str, Row]:
     return rows
 
 
-def any_angle(benchmark: Benchmark, terrain: Terrain, some: list[Scenario], paths: list[Float64s]) -> dict[int, float]:
+def any_angle(
+    benchmark: Benchmark, terrain: GlobalCostmap, some: list[Scenario], paths: list[Float64s]
+) -> dict[int, float]:
     """The shortest length of all for some scenarios, cells, by the scenario's id.
 
     On an enlarged map by the published one's corners: the obstacles are the same, and so few.
@@ -183,7 +185,7 @@ def any_angle(benchmark: Benchmark, terrain: Terrain, some: list[Scenario], path
 
 
 def others(
-    costs: UInt16s, terrain: Terrain, some: list[Scenario], optima: dict[int, float], n_slow: int
+    costs: UInt16s, terrain: GlobalCostmap, some: list[Scenario], optima: dict[int, float], n_slow: int
 ) -> dict[str, Row]:
     """NavFn, and what Python users choose where that is installed, on the same costs."""
     rows = navfns(costs, terrain, some, optima)
@@ -196,7 +198,7 @@ def others(
     return rows
 
 
-def navfns(costs: UInt16s, terrain: Terrain, some: list[Scenario], optima: dict[int, float]) -> dict[str, Row]:
+def navfns(costs: UInt16s, terrain: GlobalCostmap, some: list[Scenario], optima: dict[int, float]) -> dict[str, Row]:
     """NavFn's two searches."""
     navfn = NavFn(costs)
     return {
@@ -206,7 +208,7 @@ def navfns(costs: UInt16s, terrain: Terrain, some: list[Scenario], optima: dict[
 
 
 def _asked(
-    terrain: Terrain, some: list[Scenario], optima: dict[int, float], plan: Callable[[Cell, Cell], Float64s]
+    terrain: GlobalCostmap, some: list[Scenario], optima: dict[int, float], plan: Callable[[Cell, Cell], Float64s]
 ) -> Row:
     row = Row()
     for warm in (True, False):
@@ -249,7 +251,7 @@ def peers() -> dict[str, Callable[[Any, Cell, Cell], Float64s] | None]:
     return found
 
 
-def tile_updates(terrain: Terrain, cells: NDArray[np.int8]) -> Row:
+def tile_updates(terrain: GlobalCostmap, cells: NDArray[np.int8]) -> Row:
     """What a changed tile costs the planner: distances, costs, blocks and regions; also `grid_ms`, the map's own."""
     grid = OccupancyGrid(terrain.resolution)
     grid.cells = terrain.cells.copy()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from services.guard.protective_field import signed_distances
 from services.guard.service import GuardConfig, GuardService
-from services.guard.stops import STOPS
+from services.guard.stop_conditions import STOPS
 from shared import topics
 from shared.config import load_robot
 from shared.geometry import Pose2, arc
@@ -77,7 +77,7 @@ class Drive:
         return self.last(topics.GUARD)
 
     @property
-    def verdict(self):
+    def decision(self):
         return self.status.state, self.status.reason
 
     def command(self, v, w=0.0, source="nav", age_ms=0):
@@ -155,7 +155,7 @@ class Drive:
             if k % 5 == 0:
                 self.call(self.guard.drive())
             if k % 10 == 0:
-                self.call(self.guard.tell())
+                self.call(self.guard.publish_status())
             self.guard.now += 10 * MS
             v, w = self.velocity
             self.odom_from_base = self.odom_from_base @ arc(v * 0.01, w * 0.01)
@@ -182,7 +182,7 @@ def wall(x, half_width=0.4):
 def test_nav_drives_the_robot():
     drive = driving()
     assert drive.velocity == pytest.approx((0.5, 0.0))
-    assert drive.verdict == (GuardState.ACTIVE, "")
+    assert drive.decision == (GuardState.ACTIVE, "")
     assert drive.status.source == "nav"
     assert drive.status.speed_limit == 0.8
     assert drive.last(topics.CMD_VEL).reason == ""
@@ -224,7 +224,7 @@ def test_commands_beyond_the_robot_s_limits_are_clamped_on_their_arc():
 
 def test_nobody_commands_is_idle_with_its_reason():
     drive = Drive().run(0.5)
-    assert drive.verdict == (GuardState.IDLE, "no_command")
+    assert drive.decision == (GuardState.IDLE, "no_command")
     assert drive.status.source == ""
     assert drive.last(topics.CMD_VEL).reason == "no_command"
 
@@ -233,9 +233,9 @@ def test_a_source_that_asks_for_zero_is_idle_and_its_own_reason_is_told():
     drive = Drive()
     drive.nav = (0.0, 0.0)
     drive.run(0.2)
-    assert drive.verdict == (GuardState.IDLE, "no_command")
+    assert drive.decision == (GuardState.IDLE, "no_command")
     drive.call(drive.guard.command_nav(Velocity(drive.now, 0.0, 0.0, "plan_old")))
-    assert drive.verdict == (GuardState.IDLE, "plan_old")
+    assert drive.decision == (GuardState.IDLE, "plan_old")
     drive.run(0.01)
     assert drive.last(topics.CMD_VEL).reason == "plan_old"
 
@@ -246,7 +246,7 @@ def test_backward_where_the_robot_may_not_has_its_reason():
     drive.nav = (-0.2, 0.5)
     drive.run(0.3)
     assert drive.velocity == (0, 0)
-    assert drive.verdict == (GuardState.HOLD, "no_reverse")
+    assert drive.decision == (GuardState.HOLD, "no_reverse")
 
 
 @pytest.mark.parametrize("source", ["nav", "teleop"])
@@ -256,7 +256,7 @@ def test_a_robot_that_drives_arcs_like_a_car_s_is_held_to_them_whoever_commands(
     setattr(drive, source, (0.0, 1.0))
     drive.run(0.5)
     assert drive.velocity == (0, 0)
-    assert drive.verdict == (GuardState.HOLD, "no_turn_in_place")
+    assert drive.decision == (GuardState.HOLD, "no_turn_in_place")
     for command in ((0.4, 2.0), (0.8, -1.0), (0.1, 1.0), (-0.3, 1.0), (0.5, 0.1)):
         setattr(drive, source, command)
         for _ in range(20):
@@ -274,7 +274,7 @@ def test_why_navigation_is_slow_is_passed_on_to_people():
     for _ in range(5):
         drive.run(0.02)
         drive.call(drive.guard.command_nav(Velocity(drive.now, 0.3, 0.0, "speed_zone")))
-    assert drive.verdict == (GuardState.ACTIVE, "speed_zone")
+    assert drive.decision == (GuardState.ACTIVE, "speed_zone")
 
 
 # --- priorities -----------------------------------------------------------------------------------------------------
@@ -289,7 +289,7 @@ def test_teleop_goes_before_nav_and_gives_back_when_it_falls_silent():
     drive.teleop = None
     drive.run(0.4)
     assert drive.velocity == (0, 0), "within half a second nav does not take over"
-    assert drive.verdict == (GuardState.HOLD, "command_old")
+    assert drive.decision == (GuardState.HOLD, "command_old")
     drive.run(1.0)
     assert drive.velocity == pytest.approx((0.5, 0.0))
 
@@ -300,16 +300,16 @@ def test_stop_outlives_the_guard_until_a_later_release():
     drive = Drive()
     drive.guard.now += 100_000 * MS
     released = EmergencyStop(drive.now - MS, False, "before our last word")
-    drive.call(drive.guard.before_the_restart(replace(before.status, stamp=drive.now)))
-    assert drive.verdict == (GuardState.STOPPED, "estop")
+    drive.call(drive.guard.status_before_restart(replace(before.status, stamp=drive.now)))
+    assert drive.decision == (GuardState.STOPPED, "estop")
     drive.nav = (0.5, 0.0)
     drive.call(drive.guard.estop(released))
     drive.run(1.0)
-    assert drive.verdict == (GuardState.STOPPED, "estop")
+    assert drive.decision == (GuardState.STOPPED, "estop")
     drive.stop(False)
     drive.run(1.0)
     assert drive.velocity == (0, 0), "releasing never moves the robot"
-    assert drive.verdict == (GuardState.HOLD, "estop_released")
+    assert drive.decision == (GuardState.HOLD, "estop_released")
     drive.nav = (0.0, 0.0)
     drive.run(0.2)
     drive.nav = (0.5, 0.0)
@@ -319,7 +319,7 @@ def test_stop_outlives_the_guard_until_a_later_release():
 
 def test_a_guard_that_was_not_stopped_starts_anew():
     drive = Drive()
-    drive.call(drive.guard.before_the_restart(driving().status))
+    drive.call(drive.guard.status_before_restart(driving().status))
     drive.nav = (0.5, 0.0)
     drive.run(1.0)
     assert drive.velocity == pytest.approx((0.5, 0.0))
@@ -332,12 +332,12 @@ def test_stop_goes_before_everything():
     out = drive.stop(True)
     assert drive.velocity == (0, 0)
     assert topics.CMD_VEL.key in [key for key, _ in out]
-    assert drive.verdict == (GuardState.STOPPED, "estop")
+    assert drive.decision == (GuardState.STOPPED, "estop")
     drive.fault = "wheel_stuck"
     drive.cut = {"scan"}
     drive.run(2.5)
     assert drive.velocity == (0, 0)
-    assert drive.verdict == (GuardState.STOPPED, "estop")
+    assert drive.decision == (GuardState.STOPPED, "estop")
 
 
 def test_releasing_stop_never_moves_the_robot():
@@ -347,10 +347,10 @@ def test_releasing_stop_never_moves_the_robot():
     drive.stop(False)
     drive.run(3.0)
     assert drive.velocity == (0, 0)
-    assert drive.verdict == (GuardState.HOLD, "estop_released")
+    assert drive.decision == (GuardState.HOLD, "estop_released")
     drive.nav = (0.0, 0.0)
     drive.run(0.2)
-    assert drive.verdict == (GuardState.IDLE, "no_command")
+    assert drive.decision == (GuardState.IDLE, "no_command")
     drive.nav = (0.5, 0.0)
     drive.run(1.0)
     assert drive.velocity == pytest.approx((0.5, 0.0))
@@ -376,14 +376,14 @@ def test_one_source_s_zero_does_not_arm_the_other():
     drive.run(0.3)
     drive.teleop = None
     drive.run(1.0)
-    assert drive.verdict == (GuardState.HOLD, "estop_released")
+    assert drive.decision == (GuardState.HOLD, "estop_released")
 
 
 def test_an_older_release_does_not_undo_a_press():
     drive = driving()
     drive.stop(True)
     drive.call(drive.guard.estop(EmergencyStop(drive.now - 1, False, "late")))
-    assert drive.verdict == (GuardState.STOPPED, "estop")
+    assert drive.decision == (GuardState.STOPPED, "estop")
 
 
 def test_a_release_without_a_press_stops_nothing():
@@ -405,7 +405,7 @@ def test_an_input_that_falls_silent_stops_the_robot_and_its_return_lets_it_go_on
     drive.cut = {cut}
     drive.run(within)
     assert drive.velocity == (0, 0)
-    assert drive.verdict == (GuardState.HOLD, reason)
+    assert drive.decision == (GuardState.HOLD, reason)
     assert drive.last(topics.CMD_VEL).reason == reason
     drive.cut = set()
     drive.run(1.5)
@@ -429,7 +429,7 @@ def test_a_silent_nav_stops_the_robot_within_250_ms():
     while drive.velocity != (0, 0):
         drive.run(0.01)
     assert drive.now - last <= 250 * MS
-    assert drive.verdict == (GuardState.HOLD, "command_old")
+    assert drive.decision == (GuardState.HOLD, "command_old")
 
 
 def test_commands_that_arrive_old_stop_the_robot():
@@ -446,7 +446,7 @@ def test_a_scan_s_age_counts_from_its_last_beam(age_ms, moves):
     """A scan that took 0.2 s is old 0.27 s after its end, so that a robot is stopped within 0.3 s."""
     drive = driving()
     drive.cut = {"scan"}
-    drive.guard.situation.take_scan(None)
+    drive.guard.inputs.clear_scan()
     drive.scan(stamp=drive.now - age_ms * MS, scan_time=0.2)
     drive.call(drive.guard.watch())
     assert (drive.velocity[0] > 0) is moves
@@ -470,7 +470,7 @@ def test_a_covered_laser_and_one_that_means_something_else_measure_nothing(reach
     for _ in range(10):
         drive.scan(ranges=np.full(ROBOT.laser.n_beams, reach, np.float32), range_max=0.25)
         drive.run(0.1)
-    assert drive.verdict == (GuardState.HOLD, "scan_blind")
+    assert drive.decision == (GuardState.HOLD, "scan_blind")
 
 
 def test_a_cover_that_measures_the_same_always_is_named_and_forgotten_with_it():
@@ -482,13 +482,13 @@ def test_a_cover_that_measures_the_same_always_is_named_and_forgotten_with_it():
     for _ in range(10):
         drive.scan(ranges=cover)
         drive.run(0.1)
-        seen.add(drive.verdict[1])
+        seen.add(drive.decision[1])
     assert seen == {"", "scan_empty", "scan_blind"}
-    assert drive.verdict == (GuardState.HOLD, "scan_blind")
+    assert drive.decision == (GuardState.HOLD, "scan_blind")
     assert f"{laser.n_beams} from the robot itself" in drive.status.detail
     drive.cut = set()
     drive.run(1.0)
-    assert drive.verdict == (GuardState.ACTIVE, "")
+    assert drive.decision == (GuardState.ACTIVE, "")
 
 
 def test_a_hand_creeps_from_the_moment_on_at_which_the_view_counts_as_lost():
@@ -500,7 +500,7 @@ def test_a_hand_creeps_from_the_moment_on_at_which_the_view_counts_as_lost():
     for _ in range(5):
         drive.scan(ranges=np.full(ROBOT.laser.n_beams, nan, np.float32))
         drive.run(0.1)
-    assert drive.verdict == (GuardState.ACTIVE, "scan_blind")
+    assert drive.decision == (GuardState.ACTIVE, "scan_blind")
     assert drive.velocity[0] == pytest.approx(0.15)
 
 
@@ -511,16 +511,16 @@ def test_scans_of_other_beams_hold_the_robot_with_the_second_one_and_are_counted
     half = np.full(ROBOT.laser.n_beams // 2, 3.0, np.float32)
     drive.scan(ranges=half)
     drive.run(0.1)
-    assert drive.verdict == (GuardState.ACTIVE, ""), "one alone holds nothing"
+    assert drive.decision == (GuardState.ACTIVE, ""), "one alone holds nothing"
     drive.scan(ranges=half)
     drive.run(0.05)
-    assert drive.verdict == (GuardState.HOLD, "scan_unlike")
+    assert drive.decision == (GuardState.HOLD, "scan_unlike")
     assert drive.status.detail == words
     assert drive.guard.rejections.counts == {("scan", "content"): 2}
     assert drive.guard.rejections.words == {("scan", "content"): words}
     drive.cut = set()
     drive.run(0.2)
-    assert drive.verdict == (GuardState.ACTIVE, "")
+    assert drive.decision == (GuardState.ACTIVE, "")
 
 
 @pytest.mark.parametrize(("cut", "ends"), [("odom", 200), ("scan", 270)])
@@ -541,12 +541,12 @@ def test_stop_of_which_only_the_base_knows_is_stop_until_it_says_otherwise_or_is
     drive = driving()
     drive.fault = "estop"
     drive.run(0.6)
-    assert drive.verdict == (GuardState.STOPPED, "estop")
+    assert drive.decision == (GuardState.STOPPED, "estop")
     assert drive.velocity == (0, 0)
     assert not drive.override(5.0).accepted
     drive.cut = {"base"}
     drive.run(2.5)
-    assert drive.verdict == (GuardState.HOLD, "base_silent")
+    assert drive.decision == (GuardState.HOLD, "base_silent")
     drive.cut, drive.fault = set(), ""
     drive.run(1.0)
     assert drive.velocity == (0, 0), "it was released, and nobody has asked for zero since"
@@ -570,7 +570,7 @@ def test_stamps_from_the_future_are_no_sign_of_life_and_named(name, detail):
         else:
             drive.call(drive.guard.odometry(Odometry(ahead, drive.odom_from_base, 0.5, 0.0, np.zeros(9))))
         drive.run(0.1)
-    assert drive.verdict == (GuardState.HOLD, "bad_stamps")
+    assert drive.decision == (GuardState.HOLD, "bad_stamps")
     assert drive.status.detail == detail
     assert drive.guard.rejections.counts == {(name, "ahead"): 10}
 
@@ -582,7 +582,7 @@ def test_an_input_that_falls_silent_has_no_bad_stamps(name):
     seen = set()
     for _ in range(50):
         drive.run(0.02)
-        seen.add(drive.verdict[1])
+        seen.add(drive.decision[1])
     assert seen == {"", f"{name}_old"}
     assert drive.status.detail == ""
     assert drive.guard.rejections.counts == {}
@@ -596,7 +596,7 @@ def test_scans_that_are_late_when_they_come_are_named():
     for _ in range(10):
         drive.scan(stamp=drive.now - 240 * MS)
         drive.run(0.1)
-        seen.add((drive.verdict[1], drive.status.detail))
+        seen.add((drive.decision[1], drive.status.detail))
     assert seen == {("bad_stamps", "scan: stamps are 0.2 s old")}
 
 
@@ -609,7 +609,7 @@ def test_commands_of_another_clock_are_named(shift, detail):
         drive.call(drive.guard.command_teleop(Velocity(drive.now + round(shift * 1e9), 0.3, 0.0, "")))
         drive.run(0.05)
     assert drive.velocity == (0, 0)
-    assert drive.verdict[1] == "no_command"
+    assert drive.decision[1] == "no_command"
     assert drive.status.detail == detail
 
 
@@ -618,7 +618,7 @@ def test_an_older_release_does_not_end_a_press_from_a_clock_that_is_ahead():
     drive.call(drive.guard.estop(EmergencyStop(drive.now + 10_000 * MS, True, "a laptop")))
     drive.call(drive.guard.estop(EmergencyStop(drive.now - 1, False, "kept from before")))
     drive.run(0.2)
-    assert drive.verdict == (GuardState.STOPPED, "estop")
+    assert drive.decision == (GuardState.STOPPED, "estop")
     drive.stop(False)
     drive.run(0.2)
     assert drive.status.state is not GuardState.STOPPED
@@ -648,7 +648,7 @@ def test_a_fault_of_the_base_stops_at_once_with_its_own_words(fault, reason):
     drive.fault = fault
     drive.base()
     assert drive.velocity == (0, 0)
-    assert drive.verdict == (GuardState.FAULT, reason)
+    assert drive.decision == (GuardState.FAULT, reason)
     assert drive.status.detail == "as it is"
 
 
@@ -660,7 +660,7 @@ def test_after_a_fault_was_released_nav_must_ask_for_zero():
     drive.fault = ""
     drive.run(1.0)
     assert drive.velocity == (0, 0)
-    assert drive.verdict == (GuardState.HOLD, "estop_released")
+    assert drive.decision == (GuardState.HOLD, "estop_released")
 
 
 def test_a_base_that_waits_for_zero_gets_it_although_nav_goes_on_and_then_starts_from_standing():
@@ -686,7 +686,7 @@ def test_a_pose_lost_for_two_seconds_stops_nav_and_not_teleop():
     drive.run(1.9)
     assert drive.velocity[0] > 0
     drive.run(0.25)
-    assert drive.verdict == (GuardState.HOLD, "pose_lost")
+    assert drive.decision == (GuardState.HOLD, "pose_lost")
     assert drive.velocity == (0, 0)
     drive.teleop = (0.2, 0.0)
     drive.run(0.5)
@@ -704,7 +704,7 @@ def test_a_jump_of_the_pose_stops_nav_until_it_planned_anew(jump, stops):
     drive.run(0.1)
     drive.call(drive.guard.drive())
     assert (drive.velocity == (0, 0)) is stops
-    assert (drive.verdict == (GuardState.HOLD, "pose_jumped")) is stops
+    assert (drive.decision == (GuardState.HOLD, "pose_jumped")) is stops
     drive.run(0.3)
     assert (drive.velocity == (0, 0)) is stops
     drive.run(1.0)
@@ -733,7 +733,7 @@ def test_before_a_wall_the_robot_slows_and_stands_without_touching(robot):
     for _ in range(60):
         drive.run(0.1)
         reasons_told.append(drive.last(topics.CMD_VEL).reason)
-    assert drive.verdict == (GuardState.HOLD, "obstacle")
+    assert drive.decision == (GuardState.HOLD, "obstacle")
     assert drive.velocity == (0, 0)
     assert 0.05 < drive.closest < 0.12
     assert "obstacle_slow" in reasons_told
@@ -748,7 +748,7 @@ def test_something_that_steps_in_front_stops_the_robot_with_the_scan():
     drive.obstacles = drive.odom_from_base @ wall(0.24, 0.1)
     drive.scan()
     assert drive.velocity == (0, 0)
-    assert drive.verdict == (GuardState.HOLD, "obstacle")
+    assert drive.decision == (GuardState.HOLD, "obstacle")
     drive.obstacles = np.empty((0, 2))
     drive.run(1.0)
     assert drive.velocity == pytest.approx((0.5, 0.0))
@@ -767,7 +767,7 @@ def before_a_wall():
     drive = Drive(obstacles=wall(0.8))
     drive.teleop = (0.8, 0.4)
     drive.run(4.0)
-    assert drive.verdict == (GuardState.HOLD, "obstacle")
+    assert drive.decision == (GuardState.HOLD, "obstacle")
     return drive
 
 
@@ -776,12 +776,12 @@ def test_an_override_lets_a_hand_creep_on_tells_it_and_ends_by_itself():
     assert drive.override(0.5).accepted
     drive.run(0.4)
     assert drive.velocity == pytest.approx((0.15, 0.075))
-    assert drive.verdict == (GuardState.ACTIVE, "override")
+    assert drive.decision == (GuardState.ACTIVE, "override")
     assert drive.last(topics.CMD_VEL).reason == "override"
     assert drive.status.speed_limit == 0.15
     drive.run(0.3)
     assert drive.velocity == (0, 0)
-    assert drive.verdict == (GuardState.HOLD, "obstacle")
+    assert drive.decision == (GuardState.HOLD, "obstacle")
 
 
 def test_an_override_moves_nothing_by_itself_and_not_for_the_navigator():
@@ -794,7 +794,7 @@ def test_an_override_moves_nothing_by_itself_and_not_for_the_navigator():
     drive.nav = (0.5, 0.0)
     drive.run(1.9)
     assert drive.velocity == (0, 0)
-    assert drive.verdict == (GuardState.HOLD, "obstacle")
+    assert drive.decision == (GuardState.HOLD, "obstacle")
     assert drive.closest > 0.04
 
 
@@ -805,13 +805,13 @@ def test_an_override_is_of_the_field_and_the_scan_alone(cut, reason):
     for _ in range(2):
         drive.override(1.0)
         drive.run(0.5)
-    assert drive.verdict == (GuardState.ACTIVE, "override"), "a blind robot is driven out by hand"
+    assert drive.decision == (GuardState.ACTIVE, "override"), "a blind robot is driven out by hand"
     drive.cut = {"scan", cut}
     for _ in range(5):
         drive.override(1.0)
         drive.run(0.5)
     assert drive.velocity == (0, 0)
-    assert drive.verdict == (GuardState.HOLD, reason)
+    assert drive.decision == (GuardState.HOLD, reason)
 
 
 def test_stop_ends_an_override_and_lets_none_begin():
@@ -826,7 +826,7 @@ def test_stop_ends_an_override_and_lets_none_begin():
     drive.run(1.0)
     drive.teleop = (0.8, 0.0)
     drive.run(0.5)
-    assert drive.verdict == (GuardState.HOLD, "obstacle"), "the override from before is over"
+    assert drive.decision == (GuardState.HOLD, "obstacle"), "the override from before is over"
 
 
 def test_an_override_ends_when_it_is_taken_back():
@@ -836,7 +836,7 @@ def test_an_override_ends_when_it_is_taken_back():
     assert drive.velocity != (0, 0)
     drive.override(0.0)
     drive.run(0.2)
-    assert drive.verdict == (GuardState.HOLD, "obstacle")
+    assert drive.decision == (GuardState.HOLD, "obstacle")
 
 
 def test_one_noisy_beam_does_not_stop_the_robot():
@@ -857,7 +857,7 @@ def test_a_range_sensor_alone_stops_the_robot():
     drive.call(drive.guard.drive())
     assert drive.velocity[0] < 0.1
     drive.run(0.3)
-    assert drive.verdict == (GuardState.HOLD, "obstacle")
+    assert drive.decision == (GuardState.HOLD, "obstacle")
 
 
 def test_where_no_sensor_looks_the_robot_is_slow():
@@ -892,7 +892,7 @@ def test_restarted_odometry_forgets_what_was_seen_in_the_old_frame():
     drive.odom_from_base = Pose2(5.0, 5.0, 1.0)
     drive.odometry()
     assert not len(drive.guard.obstacles.points(Pose2(), drive.now))
-    assert drive.guard.situation.scan is None
+    assert drive.guard.inputs.scan is None
 
 
 courses = st.lists(st.tuples(st.floats(-0.3, 0.8), st.floats(-2, 2), st.floats(0.1, 0.8)), min_size=1, max_size=6)

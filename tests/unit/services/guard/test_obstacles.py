@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.guard.obstacles import Obstacles, ObstaclesConfig, looks_at, supported
-from services.guard.track import Track
+from services.guard.obstacles import Obstacles, ObstaclesConfig, is_in_sweep, is_supported
+from services.guard.odometry_buffer import OdometryBuffer
 from shared.config import load_robot
 from shared.geometry import Pose2
 from shared.messages import LaserScan, Odometry, RangeReadings
@@ -22,7 +22,7 @@ def odometry(ms, x=0.0, y=0.0, yaw=0.0):
 
 
 def tracked(robot, *odometries):
-    track = Track(robot.drive)
+    track = OdometryBuffer(robot.drive)
     for message in odometries:
         track.add(message)
     return track
@@ -44,7 +44,7 @@ def beam_at(robot, bearing):
     return round((bearing - laser.mount.yaw - laser.angle_min) / laser.angle_increment) % laser.n_beams
 
 
-AHEAD = beam_at(X80, 0.0)
+AHEAD_HALF_WIDTH_RAD = beam_at(X80, 0.0)
 
 
 def seen(obstacles, track, now_ms=0):
@@ -60,7 +60,7 @@ def readings(robot, ms, echoes):
 
 def test_echoes_lie_where_the_mounted_laser_measured_them():
     obstacles, track = Obstacles(ObstaclesConfig(), X80, REACH), tracked(X80, odometry(0, 3.0, 1.0, 0.5))
-    obstacles.take_scan(scan(X80, 0, {AHEAD: 1.0, AHEAD + 1: 1.0}), track)
+    obstacles.add_scan(scan(X80, 0, {AHEAD_HALF_WIDTH_RAD: 1.0, AHEAD_HALF_WIDTH_RAD + 1: 1.0}), track)
     points = obstacles.points(track.odom_from_base, 0)
     step = X80.laser.angle_increment
     np.testing.assert_allclose(points, [[1.13, 0.0], [0.13 + np.cos(step), np.sin(step)]], atol=1e-6)
@@ -68,12 +68,12 @@ def test_echoes_lie_where_the_mounted_laser_measured_them():
 
 def test_a_cover_over_the_laser_is_the_robot_and_leaves_nothing_behind():
     obstacles, track = Obstacles(ObstaclesConfig(min_points=1), X80, REACH), tracked(X80, odometry(0))
-    cover = {AHEAD + k: 0.065 for k in range(-40, 41)}
-    obstacles.take_scan(scan(X80, 0, cover | {AHEAD + 100: 0.5}), track, covered=True)
+    cover = {AHEAD_HALF_WIDTH_RAD + k: 0.065 for k in range(-40, 41)}
+    obstacles.add_scan(scan(X80, 0, cover | {AHEAD_HALF_WIDTH_RAD + 100: 0.5}), track, covered=True)
     assert len(seen(obstacles, track)) == 1, "what lies outside the outline counts under a cover too"
-    obstacles.take_scan(scan(X80, 100, {}), track)
+    obstacles.add_scan(scan(X80, 100, {}), track)
     assert len(seen(obstacles, track)) == 0
-    obstacles.take_scan(scan(X80, 200, cover), track)
+    obstacles.add_scan(scan(X80, 200, cover), track)
     assert len(seen(obstacles, track)) > 0, "without a cover a return from there is a contact"
 
 
@@ -81,7 +81,7 @@ def test_beams_are_put_where_the_robot_was_when_each_was_taken():
     obstacles = Obstacles(ObstaclesConfig(min_points=1), X80, REACH)
     track = tracked(X80, *(odometry(20 * k, 0.01 * k) for k in range(11)))  # 0.5 m/s for 0.2 s
     last = X80.laser.n_beams - 1
-    obstacles.take_scan(scan(X80, 0, {0: 1.0, last: 1.0}, scan_time=0.2), track)
+    obstacles.add_scan(scan(X80, 0, {0: 1.0, last: 1.0}, scan_time=0.2), track)
     points = obstacles.points(Pose2(), 0)
     # beam 0 looks to the right (the laser is turned by -90 degrees) from x = 0.13, the last from 0.1 m farther on
     np.testing.assert_allclose(points[0], [0.13, -1.0], atol=1e-6)
@@ -91,14 +91,14 @@ def test_beams_are_put_where_the_robot_was_when_each_was_taken():
 
 def test_points_move_with_the_robot_after_the_scan():
     obstacles, track = Obstacles(ObstaclesConfig(), X80, REACH), tracked(X80, odometry(0))
-    obstacles.take_scan(scan(X80, 0, {AHEAD: 1.0, AHEAD + 1: 1.0}), track)
+    obstacles.add_scan(scan(X80, 0, {AHEAD_HALF_WIDTH_RAD: 1.0, AHEAD_HALF_WIDTH_RAD + 1: 1.0}), track)
     np.testing.assert_allclose(obstacles.points(Pose2(0.2, 0, 0), 0)[0], [0.93, 0.0], atol=1e-6)
 
 
 @pytest.mark.parametrize("value", [nan, 0.0, 0.059, 5.1, 100.0, 2.5])
 def test_what_is_no_measurement_or_far_is_no_point(value):
     obstacles, track = Obstacles(ObstaclesConfig(), X80, REACH), tracked(X80, odometry(0))
-    obstacles.take_scan(scan(X80, 0, {AHEAD: value, AHEAD + 1: value}), track)
+    obstacles.add_scan(scan(X80, 0, {AHEAD_HALF_WIDTH_RAD: value, AHEAD_HALF_WIDTH_RAD + 1: value}), track)
     assert len(seen(obstacles, track)) == 0
 
 
@@ -107,23 +107,23 @@ def test_what_is_no_measurement_or_far_is_no_point(value):
 
 def test_a_lone_beam_is_noise_and_two_neighbours_are_not():
     obstacles, track = Obstacles(ObstaclesConfig(), X80, REACH), tracked(X80, odometry(0))
-    obstacles.take_scan(scan(X80, 0, {AHEAD: 0.5, 100: 0.7}), track)
+    obstacles.add_scan(scan(X80, 0, {AHEAD_HALF_WIDTH_RAD: 0.5, 100: 0.7}), track)
     assert len(seen(obstacles, track)) == 0
-    obstacles.take_scan(scan(X80, 100, {AHEAD: 0.5, AHEAD + 2: 0.52, 100: 1.4}), track)
+    obstacles.add_scan(scan(X80, 100, {AHEAD_HALF_WIDTH_RAD: 0.5, AHEAD_HALF_WIDTH_RAD + 2: 0.52, 100: 1.4}), track)
     assert len(seen(obstacles, track)) == 2
 
 
 def test_a_thin_leg_that_each_scan_hits_once_is_an_obstacle():
     obstacles, track = Obstacles(ObstaclesConfig(), X80, REACH), tracked(X80, odometry(0))
-    obstacles.take_scan(scan(X80, 0, {AHEAD: 0.8}), track)
+    obstacles.add_scan(scan(X80, 0, {AHEAD_HALF_WIDTH_RAD: 0.8}), track)
     track.add(odometry(200, 0.1))
-    obstacles.take_scan(scan(X80, 200, {AHEAD: 0.7}), track)
+    obstacles.add_scan(scan(X80, 200, {AHEAD_HALF_WIDTH_RAD: 0.7}), track)
     np.testing.assert_allclose(seen(obstacles, track), [[0.83, 0.0]], atol=1e-6)
 
 
 def test_neighbours_across_a_full_turn_s_seam_support_each_other():
     obstacles, track = Obstacles(ObstaclesConfig(), X80, REACH), tracked(X80, odometry(0))
-    obstacles.take_scan(scan(X80, 0, {0: 0.5, -1: 0.5}), track)
+    obstacles.add_scan(scan(X80, 0, {0: 0.5, -1: 0.5}), track)
     assert len(seen(obstacles, track)) == 2
 
 
@@ -152,7 +152,7 @@ def test_support_is_the_brute_force_count(points, before, least):
         and (neighbours[i] >= least or neighbours[i] + sum(near(points[i], b) for b in before) >= least)
         for i in range(n)
     ]
-    assert supported(points, before, np.full(n, 0.1), least).tolist() == expected
+    assert is_supported(points, before, np.full(n, 0.1), least).tolist() == expected
 
 
 # --- memory ---------------------------------------------------------------------------------------------------------
@@ -164,33 +164,33 @@ def test_what_leaves_the_field_of_view_is_remembered_for_a_while():
     track = tracked(JACKAL, odometry(0))
     side = round((2.0 - JACKAL.laser.angle_min) / JACKAL.laser.angle_increment)
     wall = {side + k: 0.8 for k in range(3)}
-    obstacles.take_scan(scan(JACKAL, 0, wall), track)
+    obstacles.add_scan(scan(JACKAL, 0, wall), track)
     assert len(seen(obstacles, track)) == 3
     track.add(odometry(100, yaw=-0.5))
-    obstacles.take_scan(scan(JACKAL, 100, {}), track)
+    obstacles.add_scan(scan(JACKAL, 100, {}), track)
     assert len(seen(obstacles, track)) == 3, "turned away from it: it is still there"
-    obstacles.take_scan(scan(JACKAL, 5200, {}), track)
+    obstacles.add_scan(scan(JACKAL, 5200, {}), track)
     assert len(seen(obstacles, track)) == 0, "but not for ever"
 
 
 def test_what_the_laser_looks_at_and_does_not_see_is_gone():
     obstacles, track = Obstacles(ObstaclesConfig(), X80, REACH), tracked(X80, odometry(0))
-    obstacles.take_scan(scan(X80, 0, {AHEAD: 0.5, AHEAD + 1: 0.5}), track)
-    obstacles.take_scan(scan(X80, 200, {}), track)
+    obstacles.add_scan(scan(X80, 0, {AHEAD_HALF_WIDTH_RAD: 0.5, AHEAD_HALF_WIDTH_RAD + 1: 0.5}), track)
+    obstacles.add_scan(scan(X80, 200, {}), track)
     assert len(seen(obstacles, track)) == 0
 
 
 def test_what_is_too_near_to_be_measured_stays_as_long_as_the_robot_does():
     obstacles, track = Obstacles(ObstaclesConfig(), X80, REACH), tracked(X80, odometry(0))
-    obstacles.take_scan(scan(X80, 0, {AHEAD: 0.35, AHEAD + 1: 0.35}, range_min=0.3), track)
+    obstacles.add_scan(scan(X80, 0, {AHEAD_HALF_WIDTH_RAD: 0.35, AHEAD_HALF_WIDTH_RAD + 1: 0.35}, range_min=0.3), track)
     track.add(odometry(200, 0.1))
     for ms in range(200, 30_000, 200):
-        obstacles.take_scan(scan(X80, ms, {AHEAD: 0.0}, range_min=0.3), track)
+        obstacles.add_scan(scan(X80, ms, {AHEAD_HALF_WIDTH_RAD: 0.0}, range_min=0.3), track)
     points = seen(obstacles, track)
     assert len(points) == 2
     assert points[:, 0] == pytest.approx(0.38, abs=1e-3)
     track.add(odometry(30_000, 0.0))
-    obstacles.take_scan(scan(X80, 30_000, {}, range_min=0.3), track)
+    obstacles.add_scan(scan(X80, 30_000, {}, range_min=0.3), track)
     assert len(seen(obstacles, track)) == 0, "measurable again, and nothing there"
 
 
@@ -201,16 +201,16 @@ def test_memory_and_scans_are_bounded():
         track.add(odometry(20 * k + 20, yaw=0.1 * k))
         ranges = rng.uniform(0.2, 1.9, 5000).astype(np.float32)
         sweep = LaserScan((20 * k + 20) * MS, -1.0, 2.0 / 5000, 0.0, 0.1, 30.0, ranges)
-        obstacles.take_scan(sweep, track)
+        obstacles.add_scan(sweep, track)
     assert len(obstacles.points(track.odom_from_base, 0)) <= 1440 + 500
 
 
 def test_forgetting_drops_everything():
     obstacles, track = Obstacles(ObstaclesConfig(), X80, REACH), tracked(X80, odometry(0))
-    obstacles.take_scan(scan(X80, 0, {AHEAD: 0.5, AHEAD + 1: 0.5}), track)
-    obstacles.take_ranges(readings(X80, 0, {8: 0.3}), track)
+    obstacles.add_scan(scan(X80, 0, {AHEAD_HALF_WIDTH_RAD: 0.5, AHEAD_HALF_WIDTH_RAD + 1: 0.5}), track)
+    obstacles.add_ranges(readings(X80, 0, {8: 0.3}), track)
     assert len(seen(obstacles, track)) == 4
-    obstacles.forget()
+    obstacles.clear()
     assert len(seen(obstacles, track)) == 0
 
 
@@ -221,7 +221,7 @@ def test_the_laser_looks_where_it_has_a_beam(first, step, n, bearing):
     beams = first + step * np.arange(n)
     gap = np.abs((beams - bearing + pi) % (2 * pi) - pi).min()
     if abs(gap - abs(step) / 2) > 1e-6:
-        assert looks_at(sweep, np.array([bearing]))[0] == (gap < abs(step) / 2)
+        assert is_in_sweep(sweep, np.array([bearing]))[0] == (gap < abs(step) / 2)
 
 
 # --- range sensors --------------------------------------------------------------------------------------------------
@@ -229,13 +229,13 @@ def test_the_laser_looks_where_it_has_a_beam(first, step, n, bearing):
 
 def test_an_infrared_echo_is_a_narrow_arc_before_its_sensor():
     obstacles, track = Obstacles(ObstaclesConfig(), X80, REACH), tracked(X80, odometry(0, 1.0, 2.0, 1.0))
-    obstacles.take_ranges(readings(X80, 0, {8: 0.3}), track)
+    obstacles.add_ranges(readings(X80, 0, {8: 0.3}), track)
     np.testing.assert_allclose(seen(obstacles, track), [[-0.4859, -0.0075], [-0.4859, 0.0075]], atol=1e-5)
 
 
 def test_an_ultrasonic_echo_may_come_from_anywhere_on_its_arc():
     obstacles, track = Obstacles(ObstaclesConfig(), X80, REACH), tracked(X80, odometry(0))
-    obstacles.take_ranges(readings(X80, 0, {1: 0.6}), track)
+    obstacles.add_ranges(readings(X80, 0, {1: 0.6}), track)
     points = seen(obstacles, track) - [0.1915, 0.0]
     np.testing.assert_allclose(np.hypot(*points.T), 0.6, atol=1e-6)
     bearings = np.sort(np.arctan2(points[:, 1], points[:, 0]))
@@ -245,36 +245,36 @@ def test_an_ultrasonic_echo_may_come_from_anywhere_on_its_arc():
 
 def test_an_echo_that_the_laser_sees_too_is_left_to_the_laser():
     obstacles, track = Obstacles(ObstaclesConfig(), X80, REACH), tracked(X80, odometry(0))
-    obstacles.take_scan(scan(X80, 0, {AHEAD + k: 0.66 for k in range(2)}), track)  # 0.79 m ahead
-    obstacles.take_ranges(readings(X80, 0, {1: 0.6}), track)  # 0.7915 m ahead
+    obstacles.add_scan(scan(X80, 0, {AHEAD_HALF_WIDTH_RAD + k: 0.66 for k in range(2)}), track)  # 0.79 m ahead
+    obstacles.add_ranges(readings(X80, 0, {1: 0.6}), track)  # 0.7915 m ahead
     assert len(seen(obstacles, track)) == 2
-    obstacles.take_ranges(readings(X80, 50, {1: 0.4}), track)  # glass, or something low, before it
+    obstacles.add_ranges(readings(X80, 50, {1: 0.4}), track)  # glass, or something low, before it
     assert len(seen(obstacles, track)) > 2
 
 
 def test_an_echo_goes_when_its_sensor_no_longer_hears_it():
     obstacles, track = Obstacles(ObstaclesConfig(), X80, REACH), tracked(X80, odometry(0))
-    obstacles.take_ranges(readings(X80, 0, {4: 0.3}), track)
+    obstacles.add_ranges(readings(X80, 0, {4: 0.3}), track)
     assert len(seen(obstacles, track)) == 2
-    obstacles.take_ranges(readings(X80, 100, {}), track)
+    obstacles.add_ranges(readings(X80, 100, {}), track)
     assert len(seen(obstacles, track)) == 0
 
 
 def test_an_echo_that_came_too_near_for_its_sensor_stays():
     obstacles, track = Obstacles(ObstaclesConfig(), X80, REACH), tracked(X80, odometry(0))
-    obstacles.take_ranges(readings(X80, 0, {4: 0.12}), track)
+    obstacles.add_ranges(readings(X80, 0, {4: 0.12}), track)
     track.add(odometry(100, 0.05))
     for ms in range(100, 9000, 100):
-        obstacles.take_ranges(readings(X80, ms, {}), track)
+        obstacles.add_ranges(readings(X80, ms, {}), track)
     assert len(seen(obstacles, track, 9000)) == 2
     track.add(odometry(9000, -0.2))
-    obstacles.take_ranges(readings(X80, 9000, {}), track)
+    obstacles.add_ranges(readings(X80, 9000, {}), track)
     assert len(seen(obstacles, track, 9000)) == 0
 
 
 def test_echoes_of_silent_sensors_are_forgotten_in_time():
     obstacles, track = Obstacles(ObstaclesConfig(memory=5.0), X80, REACH), tracked(X80, odometry(0))
-    obstacles.take_ranges(readings(X80, 0, {4: 0.3}), track)
+    obstacles.add_ranges(readings(X80, 0, {4: 0.3}), track)
     assert len(seen(obstacles, track, 5000)) == 2
     assert len(seen(obstacles, track, 5001)) == 0
 
@@ -305,7 +305,7 @@ def test_beyond_its_ends_the_track_stands():
     ],
 )
 def test_odometry_that_jumped_begins_a_new_track(after, continues):
-    track = Track(X80.drive)
+    track = OdometryBuffer(X80.drive)
     assert track.add(odometry(0))
     assert track.add(after) is continues
     assert track.odom_from_base == after.odom_from_base

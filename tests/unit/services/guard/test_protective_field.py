@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from services.guard.protective_field import (
-    TOUCHING,
+    TOUCHING_M,
     FieldConfig,
-    permitted,
+    safe_speed,
     signed_distances,
     times_to_contact,
 )
@@ -66,8 +66,8 @@ def test_contact_is_where_small_steps_find_it(points, corners, v, w, margin):
     points = outside(points, corners)
     times = times_to_contact(points, corners, v, w, margin, 0.03)
     start = signed_distances(points, corners)[0]
-    limits = np.clip(start - TOUCHING, 0.0, margin)
-    judged = start > TOUCHING  # of what touches, the direction decides: its own test
+    limits = np.clip(start - TOUCHING_M, 0.0, margin)
+    judged = start > TOUCHING_M  # of what touches, the direction decides: its own test
     clock = np.arange(0, min(2 * pi / max(abs(w), 0.1), 1.5), 0.004 / (abs(v) + abs(w) * 0.6))
     gaps = distances_at(points, corners, v, w, clock)
     # before the contact nothing comes nearer than the limit, but for what a flat arc taken as a line leaves out
@@ -82,13 +82,13 @@ def test_contact_is_where_small_steps_find_it(points, corners, v, w, margin):
 @given(clouds, outlines, speeds, turns)
 def test_braking_from_the_permitted_speed_the_outline_reaches_no_point(points, corners, v, w):
     points = outside(points, corners)
-    share = permitted(points, corners, v, w, DRIVE, FIELD).share
+    share = safe_speed(points, corners, v, w, DRIVE, FIELD).share
     assert 0 <= share <= 1
     if share == 0 or not len(points):
         return
     start = signed_distances(points, corners)[0]
     creeps = share * abs(v) <= FIELD.creep_speed + 1e-9 and share * abs(w) <= FIELD.creep_turn_rate + 1e-9
-    kept = np.minimum(start - TOUCHING, 0.0 if creeps else FIELD.side_margin)
+    kept = np.minimum(start - TOUCHING_M, 0.0 if creeps else FIELD.side_margin)
     braking = share * max(abs(v) / DRIVE.max_braking, abs(w) / DRIVE.max_turn_acceleration)
     clock = np.linspace(0, FIELD.reaction + braking, 60)
     slowing = np.maximum(clock - FIELD.reaction, 0)
@@ -102,8 +102,8 @@ def test_braking_from_the_permitted_speed_the_outline_reaches_no_point(points, c
 def test_the_permitted_speed_is_the_greatest(points, corners, v, w):
     """A little more, and the margin beyond the stopping distance would not be free."""
     points = outside(points, corners)
-    config = FIELD.model_copy(update={"slowest": 0.0, "creep_speed": 0.0})
-    share = permitted(points, corners, v, w, DRIVE, config).share
+    config = FIELD.model_copy(update={"min_speed": 0.0, "creep_speed": 0.0})
+    share = safe_speed(points, corners, v, w, DRIVE, config).share
     if share == 1:
         return
     contact = times_to_contact(points, corners, v, w, config.side_margin, config.self_mask)
@@ -122,22 +122,22 @@ def test_the_permitted_speed_is_the_greatest(points, corners, v, w):
 def test_more_points_never_permit_more(points, more, corners, v, w):
     both = np.concatenate([points, more])
     assert (
-        permitted(both, corners, v, w, DRIVE, FIELD).share
-        <= permitted(points, corners, v, w, DRIVE, FIELD).share + 1e-12
+        safe_speed(both, corners, v, w, DRIVE, FIELD).share
+        <= safe_speed(points, corners, v, w, DRIVE, FIELD).share + 1e-12
     )
 
 
 @given(clouds, outlines, speeds, turns)
 def test_left_and_right_are_alike(points, corners, v, w):
     mirror = np.array([1.0, -1.0])
-    mirrored = permitted(points * mirror, (corners * mirror)[::-1].copy(), v, -w, DRIVE, FIELD)
-    assert mirrored.share == pytest.approx(permitted(points, corners, v, w, DRIVE, FIELD).share, abs=1e-6)
+    mirrored = safe_speed(points * mirror, (corners * mirror)[::-1].copy(), v, -w, DRIVE, FIELD)
+    assert mirrored.share == pytest.approx(safe_speed(points, corners, v, w, DRIVE, FIELD).share, abs=1e-6)
 
 
 @given(st.floats(0.03, 1.5), st.floats(0.03, 1.5), st.floats(0.05, 0.8))
 def test_nearer_never_permits_more(a, b, v):
     near, far = sorted((a, b))
-    shares = [permitted(front(d), X80.corners, v, 0.0, DRIVE, FIELD).share for d in (near, far)]
+    shares = [safe_speed(front(d), X80.corners, v, 0.0, DRIVE, FIELD).share for d in (near, far)]
     assert shares[0] <= shares[1]
 
 
@@ -147,31 +147,31 @@ def test_in_front_of_a_wall_the_speed_is_the_textbook_s(v, distance):
     free = distance - FIELD.side_margin - FIELD.stop_margin
     b, t = DRIVE.max_braking, FIELD.reaction
     speed = min(v, b * (np.sqrt(t * t + 2 * max(free, 0) / b) - t))
-    assume(abs(speed - FIELD.slowest) > 1e-6)
-    expected = 0.0 if speed < FIELD.slowest else speed
-    assert v * permitted(front(distance), X80.corners, v, 0.0, DRIVE, FIELD).share == pytest.approx(expected, abs=1e-9)
+    assume(abs(speed - FIELD.min_speed) > 1e-6)
+    expected = 0.0 if speed < FIELD.min_speed else speed
+    assert v * safe_speed(front(distance), X80.corners, v, 0.0, DRIVE, FIELD).share == pytest.approx(expected, abs=1e-9)
 
 
 def test_the_contact_s_distance_is_told():
-    permit = permitted(front(0.3), X80.corners, 0.8, 0.0, DRIVE, FIELD)
+    permit = safe_speed(front(0.3), X80.corners, 0.8, 0.0, DRIVE, FIELD)
     assert permit.travel == pytest.approx(0.3 - FIELD.side_margin)
-    assert permitted(front(0.3), X80.corners, -0.3, 0.0, DRIVE, FIELD).travel == inf
+    assert safe_speed(front(0.3), X80.corners, -0.3, 0.0, DRIVE, FIELD).travel == inf
 
 
 @pytest.mark.parametrize("distance", [0.0005, 0.003, 0.01, 0.019, 0.06])
 def test_away_from_a_near_wall_is_free_and_towards_it_is_not(distance):
     ahead = front(distance)
-    assert permitted(ahead, X80.corners, 0.3, 0.0, DRIVE, FIELD).share == 0
-    assert permitted(ahead, X80.corners, -0.3, 0.0, DRIVE, FIELD).share == 1
-    assert permitted(-ahead, X80.corners, -0.3, 0.0, DRIVE, FIELD).share == 0
-    assert permitted(-ahead, X80.corners, 0.3, 0.0, DRIVE, FIELD).share == 1
+    assert safe_speed(ahead, X80.corners, 0.3, 0.0, DRIVE, FIELD).share == 0
+    assert safe_speed(ahead, X80.corners, -0.3, 0.0, DRIVE, FIELD).share == 1
+    assert safe_speed(-ahead, X80.corners, -0.3, 0.0, DRIVE, FIELD).share == 0
+    assert safe_speed(-ahead, X80.corners, 0.3, 0.0, DRIVE, FIELD).share == 1
 
 
 @pytest.mark.parametrize("depth", [0.001, 0.01, 0.029])
 def test_out_of_a_shallow_overlap_is_free_and_deeper_is_not(depth):
     overlap = front(-depth)
-    assert permitted(overlap, X80.corners, 0.1, 0.0, DRIVE, FIELD).share == 0
-    assert permitted(overlap, X80.corners, -0.1, 0.0, DRIVE, FIELD).share == 1
+    assert safe_speed(overlap, X80.corners, 0.1, 0.0, DRIVE, FIELD).share == 0
+    assert safe_speed(overlap, X80.corners, -0.1, 0.0, DRIVE, FIELD).share == 1
 
 
 def test_beside_something_close_the_robot_creeps_along_and_never_fast():
@@ -179,29 +179,29 @@ def test_beside_something_close_the_robot_creeps_along_and_never_fast():
     beside = np.array([[0.15, X80.corners[:, 1].max() + 0.01]])
     for v in (0.8, 0.1, -0.3):
         points = beside if v > 0 else -beside
-        share = permitted(points, X80.corners, v, 0.0, DRIVE, FIELD).share
+        share = safe_speed(points, X80.corners, v, 0.0, DRIVE, FIELD).share
         assert abs(v) * share == pytest.approx(min(abs(v), FIELD.creep_speed))
     in_the_way = beside - (0.0, 0.02)
-    assert permitted(in_the_way, X80.corners, 0.8, 0.0, DRIVE, FIELD).share == 0
+    assert safe_speed(in_the_way, X80.corners, 0.8, 0.0, DRIVE, FIELD).share == 0
 
 
 def test_turning_beside_something_close_is_for_whom_it_does_not_come_nearer():
     circle = 0.2 * np.column_stack((np.cos(np.arange(64) * pi / 32), np.sin(np.arange(64) * pi / 32)))
     beside = np.array([[0.0, 0.21]])
-    assert permitted(beside, circle, 0.0, 0.5, DRIVE, FIELD).share == 1
-    assert permitted(beside, X80.corners, 0.0, 0.5, DRIVE, FIELD).share == 0, "its corners reach 0.217 m"
+    assert safe_speed(beside, circle, 0.0, 0.5, DRIVE, FIELD).share == 1
+    assert safe_speed(beside, X80.corners, 0.0, 0.5, DRIVE, FIELD).share == 0, "its corners reach 0.217 m"
 
 
 def test_the_robot_s_own_body_is_no_obstacle():
     body = front(-0.031)
-    assert permitted(body, X80.corners, 0.5, 0.0, DRIVE, FIELD).share == 1
-    assert permitted(np.zeros((1, 2)), X80.corners, 0.5, 0.5, DRIVE, FIELD).share == 1
+    assert safe_speed(body, X80.corners, 0.5, 0.0, DRIVE, FIELD).share == 1
+    assert safe_speed(np.zeros((1, 2)), X80.corners, 0.5, 0.5, DRIVE, FIELD).share == 1
 
 
 def test_along_a_wall_is_free():
     wall = np.column_stack((np.linspace(-1, 1, 200), np.full(200, X80.corners[:, 1].max() + FIELD.side_margin + 0.006)))
-    assert permitted(wall, X80.corners, 0.8, 0.0, DRIVE, FIELD).share == 1
-    assert permitted(wall, X80.corners, 0.8, 0.5, DRIVE, FIELD).share < 0.8
+    assert safe_speed(wall, X80.corners, 0.8, 0.0, DRIVE, FIELD).share == 1
+    assert safe_speed(wall, X80.corners, 0.8, 0.5, DRIVE, FIELD).share < 0.8
 
 
 def test_turning_sweeps_the_corners():
@@ -211,24 +211,24 @@ def test_turning_sweeps_the_corners():
     contact = times_to_contact(post, half, 0.0, 1.0, 0.0, 0.03)
     # seen from the robot the post turns right, on a circle of 0.27 m that meets the left side, y = 0.208, at asin
     assert contact[0] == pytest.approx(pi / 2 - np.arcsin(0.208 / 0.27))
-    assert permitted(post, half, 0.0, 1.5, JACKAL.drive, FIELD).share > 0
+    assert safe_speed(post, half, 0.0, 1.5, JACKAL.drive, FIELD).share > 0
     close = np.array([[0.0, 0.24]])
-    assert permitted(close, half, 0.0, 1.5, JACKAL.drive, FIELD).share < 1
-    assert permitted(close, X80.corners, 0.0, 1.5, DRIVE, FIELD).share == 1
+    assert safe_speed(close, half, 0.0, 1.5, JACKAL.drive, FIELD).share < 1
+    assert safe_speed(close, X80.corners, 0.0, 1.5, DRIVE, FIELD).share == 1
 
 
 def test_nothing_near_permits_everything():
-    assert permitted(np.empty((0, 2)), X80.corners, 0.8, 1.0, DRIVE, FIELD).share == 1
-    assert permitted(front(3.0), X80.corners, 0.8, 0.0, DRIVE, FIELD).share == 1
-    assert permitted(front(0.0), X80.corners, 0.0, 0.0, DRIVE, FIELD).share == 1
+    assert safe_speed(np.empty((0, 2)), X80.corners, 0.8, 1.0, DRIVE, FIELD).share == 1
+    assert safe_speed(front(3.0), X80.corners, 0.8, 0.0, DRIVE, FIELD).share == 1
+    assert safe_speed(front(0.0), X80.corners, 0.0, 0.0, DRIVE, FIELD).share == 1
 
 
 @pytest.mark.parametrize(("distance", "share"), [(0.073, 0), (0.076, 1)])
 def test_a_slowed_robot_stands_rather_than_crawls(distance, share):
-    """3 mm free beyond the margins permit 0.0144 m/s, under `slowest`; 6 mm permit 0.027 m/s."""
-    permit = permitted(front(distance), X80.corners, 0.5, 0.0, DRIVE, FIELD)
+    """3 mm free beyond the margins permit 0.0144 m/s, under `min_speed`; 6 mm permit 0.027 m/s."""
+    permit = safe_speed(front(distance), X80.corners, 0.5, 0.0, DRIVE, FIELD)
     assert (permit.share > 0) is bool(share)
 
 
 def test_a_command_slower_than_slowest_is_left_alone():
-    assert permitted(front(0.5), X80.corners, 0.005, 0.0, DRIVE, FIELD).share == 1
+    assert safe_speed(front(0.5), X80.corners, 0.005, 0.0, DRIVE, FIELD).share == 1

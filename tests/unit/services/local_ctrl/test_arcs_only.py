@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.local_ctrl.local_plan import Ahead, until_turned
+from services.local_ctrl.config import CONTROLLERS
+from services.local_ctrl.local_plan import PathAhead, cut_at_turn
 from services.local_ctrl.rollout import DT, limits_of
-from services.local_ctrl.service import CONTROLLERS
 from shared import reasons
 from shared.config import load_robot
 from shared.geometry import Pose2
@@ -101,7 +101,7 @@ def test_at_the_goal_with_another_heading_it_says_so_instead_of_turning():
 @given(st.floats(0.2, 3.0))
 def test_the_way_ahead_ends_where_it_has_turned_by_so_much(most):
     points = arc_to_the_left(100)
-    cut = until_turned(Ahead(points, 3.0, True, Pose2()), most)
+    cut = cut_at_turn(PathAhead(points, 3.0, True, Pose2()), most)
     whole = len(cut.points) == len(points)
     assert cut.ends == whole
     angle = np.arctan2(*(cut.points[-1] - cut.points[-3])[::-1])

@@ -9,20 +9,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from services.local_ctrl.config import CONTROLLERS, LocalCtrlConfig
 from services.local_ctrl.controller import Controller
 from services.local_ctrl.footprint import collides
 from services.local_ctrl.mppi import MppiConfig
-from services.local_ctrl.pursuit import lookahead
+from services.local_ctrl.pursuit import lookahead_point
 from services.local_ctrl.rollout import DT, arc_step, limits_of, speed_after, turn_rate_after
-from services.local_ctrl.service import CONTROLLERS, LocalCtrlConfig
 from shared import reasons
 from shared.config import Robot, load_robot
 from shared.distance_field import distance_field
 from shared.geometry import Pose2
 from shared.messages import FollowState
+from tests.unit.services.local_ctrl.test_debug_topics import pictures, watched
 from tests.unit.services.local_ctrl.test_driving import arrived, cluttered
 from tests.unit.services.local_ctrl.test_mppi import LIMITS, RESOLUTION, ROBOT, SHAPE, N, clutter, scene
-from tests.unit.services.local_ctrl.test_view import pictures, watched
 from tests.unit.services.local_ctrl.tiny_world import Loop, World, drive_goal, off, planned
 
 JACKAL = load_robot("jackal").robot
@@ -129,7 +129,7 @@ def test_the_same_calls_give_the_same_bytes(name: str) -> None:
 def test_the_point_steered_for_is_on_the_path_and_as_far_away_as_it_should_be(look: float, x: float, y: float) -> None:
     along = np.linspace(0, 2.5, 51)
     path = np.column_stack((along, 0.3 * np.sin(2 * along)))
-    px, py = lookahead(path, x, y, look)
+    px, py = lookahead_point(path, x, y, look)
     away = hypot(px - x, py - y)
     dense = np.linspace(0, 2.5, 5001)
     assert np.hypot(dense - px, np.interp(dense, along, path[:, 1]) - py).min() < 1e-3

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.local_ctrl.service import LocalCtrlConfig
+from services.local_ctrl.config import LocalCtrlConfig
 from shared import reasons
 from shared.config import load_robot
 from shared.geometry import Pose2

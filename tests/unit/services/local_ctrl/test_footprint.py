@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.local_ctrl.footprint import clearance, collides, footprint_of, gap, sampled, touches
+from services.local_ctrl.footprint import bilinear, clearance, collides, footprint_of, polygon_distance, touches
 from shared.config import Robot, load_robot
 from shared.distance_field import distance_field
 from shared.geometry import Pose2, inside
@@ -98,12 +98,12 @@ def test_gap_is_zero_inside_and_the_distance_outside(robot: Robot, x: float, y: 
     outline = np.concatenate([a + np.linspace(0, 1, 2000)[:, None] * (b - a) for a, b in zip(corners, ends)])
     away = float(np.hypot(*(outline - (x, y)).T).min())
     if inside(corners, np.array([[x, y]]))[0]:
-        assert gap(corners, x, y) <= 1e-9
+        assert polygon_distance(corners, x, y) <= 1e-9
     else:
-        assert gap(corners, x, y) == pytest.approx(away, abs=2e-3)
+        assert polygon_distance(corners, x, y) == pytest.approx(away, abs=2e-3)
 
 
 def test_an_obstacle_outside_the_grid_s_rim_is_no_reading_beyond_it() -> None:
     field = distance_field(occupied_at([(0, 0)]), RESOLUTION)
-    assert sampled(field, -50.0, -50.0) == pytest.approx(0.0, abs=1e-6)
+    assert bilinear(field, -50.0, -50.0) == pytest.approx(0.0, abs=1e-6)
     assert not touches(occupied_at([(0, 0)]), RESOLUTION, -3.0, -3.0, 1.0, 0.0, footprint_of(ROBOTS[0], 0.0))

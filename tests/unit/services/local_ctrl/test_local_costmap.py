@@ -17,8 +17,8 @@ from shared.grid import OccupancyGrid
 from shared.messages import TILE_CELLS, LaserScan, MapUpdate, RangeReadings
 
 SHAPE = footprint_of(load_robot("x80sv").robot, 0.03)
-S = 1_000_000_000
-NOW = 100 * S
+NS_PER_S = 1_000_000_000
+NOW = 100 * NS_PER_S
 N_BEAMS = 360
 
 
@@ -54,7 +54,7 @@ def test_a_beam_marks_the_cell_where_it_ends_and_only_there(
     made.recentre(x, y)
     ranges = np.zeros(N_BEAMS, np.float32)  # under range_min: no measurement
     ranges[i_beam] = away
-    made.see(sweep(ranges), standing(x, y, yaw), Mount())
+    made.add_scan(sweep(ranges), standing(x, y, yaw), Mount())
     look(made, here=Pose2(x, y, yaw))
     direction = yaw + i_beam * 2 * pi / N_BEAMS
     hit = (made.x0 - x) + away * cos(direction), (made.y0 - y) + away * sin(direction)
@@ -68,7 +68,7 @@ def test_every_cell_that_a_beam_crosses_becomes_free_and_no_other() -> None:
     made = costmap()
     ranges = np.zeros(N_BEAMS, np.float32)
     ranges[30] = 2.0
-    made.see(sweep(ranges), standing(0.01, 0.02), Mount())
+    made.add_scan(sweep(ranges), standing(0.01, 0.02), Mount())
     freed = made.free_at > 0
     rows, columns = np.nonzero(freed)
     along = np.linspace(0, 2.0 - 0.05, 20000)
@@ -80,11 +80,11 @@ def test_every_cell_that_a_beam_crosses_becomes_free_and_no_other() -> None:
 
 def test_what_a_person_leaves_vanishes_within_two_sweeps_that_see_through() -> None:
     made = costmap()
-    made.see(sweep(1.0), standing(), Mount())
+    made.add_scan(sweep(1.0), standing(), Mount())
     for i in (1, 2):
         look(made)
         assert made.occupied[at(made, 1.0, 0.0)]
-        made.see(sweep(2.5, NOW + i * S // 5), standing(), Mount())
+        made.add_scan(sweep(2.5, NOW + i * NS_PER_S // 5), standing(), Mount())
     look(made)
     assert not made.occupied[at(made, 1.0, 0.0)]
     assert made.occupied[at(made, 2.5, 0.0)]
@@ -92,29 +92,29 @@ def test_what_a_person_leaves_vanishes_within_two_sweeps_that_see_through() -> N
 
 def test_beams_without_echo_clear_too_but_take_longer() -> None:
     made = costmap()
-    made.see(sweep(1.0), standing(), Mount())
+    made.add_scan(sweep(1.0), standing(), Mount())
     sweeps = 0
     while look(made) or made.occupied[at(made, 1.0, 0.0)]:  # type: ignore[func-returns-value]
         sweeps += 1
-        made.see(sweep(nan, NOW + sweeps * S // 5), standing(), Mount())
+        made.add_scan(sweep(nan, NOW + sweeps * NS_PER_S // 5), standing(), Mount())
     assert sweeps == 4
 
 
 def test_what_is_too_near_to_measure_clears_nothing() -> None:
     made = costmap()
-    made.see(sweep(1.0), standing(), Mount())
+    made.add_scan(sweep(1.0), standing(), Mount())
     for i in range(9):
-        made.see(sweep(0.05, NOW + i), standing(), Mount())
+        made.add_scan(sweep(0.05, NOW + i), standing(), Mount())
     look(made)
     assert made.occupied[at(made, 1.0, 0.0)]
 
 
 def test_what_is_out_of_sight_is_remembered_and_then_forgotten() -> None:
     made = costmap(memory=10.0)
-    made.see(sweep(1.0), standing(), Mount())
-    look(made, NOW + 9 * S)
+    made.add_scan(sweep(1.0), standing(), Mount())
+    look(made, NOW + 9 * NS_PER_S)
     assert made.occupied[at(made, 1.0, 0.0)]
-    look(made, NOW + 11 * S)
+    look(made, NOW + 11 * NS_PER_S)
     assert not made.occupied.any()
 
 
@@ -122,7 +122,7 @@ def test_what_is_out_of_sight_is_remembered_and_then_forgotten() -> None:
 @given(st.lists(st.tuples(st.floats(-1.2, 1.2), st.floats(-1.2, 1.2)), min_size=1, max_size=8))
 def test_rolling_the_window_moves_no_obstacle(ways: list[tuple[float, float]]) -> None:
     made = costmap()
-    made.see(sweep(1.0), standing(), Mount())
+    made.add_scan(sweep(1.0), standing(), Mount())
     look(made)
     before = {(r + made.row, c + made.column) for r, c in zip(*np.nonzero(made.occupied))}
     for x, y in ways:
@@ -133,7 +133,7 @@ def test_rolling_the_window_moves_no_obstacle(ways: list[tuple[float, float]]) -
 
 def test_a_window_that_leaps_away_holds_nothing() -> None:
     made = costmap()
-    made.see(sweep(1.0), standing(), Mount())
+    made.add_scan(sweep(1.0), standing(), Mount())
     made.recentre(1e5, -1e5)
     look(made, here=Pose2(1e5, -1e5))
     assert not made.occupied.any()
@@ -142,7 +142,7 @@ def test_a_window_that_leaps_away_holds_nothing() -> None:
 
 def test_the_robot_s_own_outline_is_free() -> None:
     made = costmap()
-    made.see(sweep(0.15), standing(), Mount())
+    made.add_scan(sweep(0.15), standing(), Mount())
     look(made)
     assert not made.occupied.any()
 
@@ -162,7 +162,7 @@ def test_a_wall_of_the_map_stands_where_the_transform_puts_it(x: float, y: float
     made = costmap()
     odom_from_map = Pose2(x, y, yaw)
     grid = grid_with(20, 10, 100)
-    made.lay(grid, odom_from_map)
+    made.set_static_map(grid, odom_from_map)
     look(made, here=Pose2(50.0, 50.0))
     wanted = odom_from_map @ np.array([grid.centre(20, 10)])
     rows, columns = np.nonzero(made.occupied)
@@ -173,21 +173,21 @@ def test_a_wall_of_the_map_stands_where_the_transform_puts_it(x: float, y: float
 
 def test_the_map_gives_way_where_the_laser_has_looked_lately() -> None:
     made = costmap(memory=10.0)
-    made.lay(grid_with(20, 10, 100), Pose2())
+    made.set_static_map(grid_with(20, 10, 100), Pose2())
     x, y = 0.525, 1.025
     look(made)
     assert made.occupied[at(made, x, y)]
-    made.see(sweep(2.5), standing(), Mount())
+    made.add_scan(sweep(2.5), standing(), Mount())
     look(made)
     assert not made.occupied[at(made, x, y)]
-    look(made, NOW + 11 * S)
+    look(made, NOW + 11 * NS_PER_S)
     assert made.occupied[at(made, x, y)]
 
 
 def test_cells_that_nobody_has_seen_are_unknown() -> None:
     made = costmap()
-    made.see(sweep(1.0), standing(), Mount())
-    made.lay(OccupancyGrid(), Pose2())
+    made.add_scan(sweep(1.0), standing(), Mount())
+    made.set_static_map(OccupancyGrid(), Pose2())
     look(made)
     assert not made.unknown[at(made, 0.5, 0.0)]
     assert made.unknown[at(made, 2.0, 0.0)]
@@ -203,7 +203,7 @@ WANTED, LIMITS = np.ones(1, bool), np.array([[0.1, 0.8]])
 
 def test_an_echo_that_nothing_explains_marks_its_arc() -> None:
     made = costmap()
-    made.hear(cone(0.5), Pose2(), WANTED, LIMITS)
+    made.add_ranges(cone(0.5), Pose2(), WANTED, LIMITS)
     look(made)
     for angle in (-0.2, 0.0, 0.2):
         assert made.occupied[at(made, 0.2 + 0.5 * cos(angle), 0.5 * sin(angle))]
@@ -215,9 +215,9 @@ def test_an_echo_of_what_the_laser_knows_marks_nothing_more() -> None:
     made = costmap()
     ranges = np.zeros(N_BEAMS, np.float32)
     ranges[12] = 0.72  # a door post at the cone's rim
-    made.see(sweep(ranges), standing(), Mount())
+    made.add_scan(sweep(ranges), standing(), Mount())
     look(made)
-    made.hear(cone(0.52), Pose2(), WANTED, LIMITS)
+    made.add_ranges(cone(0.52), Pose2(), WANTED, LIMITS)
     look(made)
     assert made.occupied.sum() == 1
 
@@ -225,28 +225,28 @@ def test_an_echo_of_what_the_laser_knows_marks_nothing_more() -> None:
 def test_an_echo_vanishes_when_the_cone_is_clear_or_its_time_is_over() -> None:
     for reading, later in ((0.8, 0.1), (nan, 0.1), (0.0, 3.0)):
         made = costmap(echo_memory=2.0)
-        made.hear(cone(0.5), Pose2(), WANTED, LIMITS)
+        made.add_ranges(cone(0.5), Pose2(), WANTED, LIMITS)
         look(made)
         assert made.occupied.any()
-        made.hear(cone(reading, NOW + round(later * S)), Pose2(), WANTED, LIMITS)
-        look(made, NOW + round(later * S))
+        made.add_ranges(cone(reading, NOW + round(later * NS_PER_S)), Pose2(), WANTED, LIMITS)
+        look(made, NOW + round(later * NS_PER_S))
         assert not made.occupied[at(made, 0.7, 0.0)]
 
 
 def test_sensors_that_do_not_count_mark_nothing() -> None:
     made = costmap()
-    made.hear(cone(0.5), Pose2(), np.zeros(1, bool), LIMITS)
+    made.add_ranges(cone(0.5), Pose2(), np.zeros(1, bool), LIMITS)
     made = costmap(scan=False)
-    made.see(sweep(1.0), standing(), Mount())
+    made.add_scan(sweep(1.0), standing(), Mount())
     look(made)
     assert not made.occupied.any()
 
 
 def test_forgetting_empties_the_window() -> None:
     made = costmap()
-    made.see(sweep(1.0), standing(), Mount())
-    made.hear(cone(0.5), Pose2(), WANTED, LIMITS)
-    made.forget()
+    made.add_scan(sweep(1.0), standing(), Mount())
+    made.add_ranges(cone(0.5), Pose2(), WANTED, LIMITS)
+    made.clear()
     look(made)
     assert not made.occupied.any()
     assert made.field.min() == pytest.approx(20.0)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
-from services.local_ctrl.controller import Scene
-from services.local_ctrl.distance_to_go import DistanceToGoConfig, distance_to_go
+from services.local_ctrl.controller import ControlScene
+from services.local_ctrl.cost_to_go import CostToGoConfig, cost_to_go
 from services.local_ctrl.footprint import Footprint, collides, footprint_of
 from services.local_ctrl.mppi import Mppi, MppiConfig
 from services.local_ctrl.rollout import DT, Limits, arc_step, limits_of
@@ -32,18 +32,18 @@ def scene(
     v: float = 0.0,
     w: float = 0.0,
     left: float = 2.5,
-) -> Scene:
+) -> ControlScene:
     """The robot in the middle, the path straight away from it by `left` m."""
     along = np.linspace(0, left, max(2, round(left / 0.05)))
     path = np.column_stack((START[0] + along * cos(heading), START[1] + along * sin(heading)))
     field = np.minimum(distance_field(occupied, RESOLUTION), np.float32(20))
     unknown = np.zeros_like(occupied)
-    to_go = distance_to_go(field, unknown, RESOLUTION, path, START, SHAPE.inscribed, DistanceToGoConfig()).field
+    to_go = cost_to_go(field, unknown, RESOLUTION, path, START, SHAPE.inscribed, CostToGoConfig()).field
     end = float(path[-1, 0]), float(path[-1, 1])
-    return Scene(field, occupied, RESOLUTION, to_go, *end, True, *START, yaw, v, w, path)
+    return ControlScene(field, occupied, RESOLUTION, to_go, *end, True, *START, yaw, v, w, path)
 
 
-def places(scene: Scene, velocities: NDArray[np.float64]) -> list[tuple[float, float, float]]:
+def places(scene: ControlScene, velocities: NDArray[np.float64]) -> list[tuple[float, float, float]]:
     x, y, yaw, found = scene.x, scene.y, scene.yaw, []
     for v, w in velocities:
         chord, _, _, half = arc_step(v, w, DT)

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.local_ctrl.rollout import (
-    Command,
     Limits,
     Motion,
+    SentCommand,
     arc_step,
     limits_of,
-    predicted,
+    predicted_motion,
     speed_after,
     turn_rate_after,
 )
@@ -74,24 +74,24 @@ def test_steps_of_a_constant_command_are_the_closed_arc(v: float, w: float, dt: 
 @given(speeds, rates, st.integers(0, 500))
 def test_without_commands_the_prediction_keeps_the_twist(v: float, w: float, milliseconds: int) -> None:
     start = Pose2(1.0, 2.0, 0.5)
-    after = predicted(Motion(start, v, w), LIMITS, [], 0, milliseconds * MS, 50 * MS)
+    after = predicted_motion(Motion(start, v, w), LIMITS, [], 0, milliseconds * MS, 50 * MS)
     there = start @ arc(v * milliseconds / 1000, w * milliseconds / 1000)
     assert (after.v, after.w) == (v, w)
     assert (after.pose.x, after.pose.y) == pytest.approx((there.x, there.y), abs=1e-8)
 
 
 def test_a_command_acts_when_the_delay_is_over_and_not_before() -> None:
-    commands = [Command(100 * MS, 0.8, 0.0)]
-    before = predicted(Motion(Pose2(), 0.0, 0.0), LIMITS, commands, 0, 150 * MS, 50 * MS)
-    after = predicted(Motion(Pose2(), 0.0, 0.0), LIMITS, commands, 0, 250 * MS, 50 * MS)
+    commands = [SentCommand(100 * MS, 0.8, 0.0)]
+    before = predicted_motion(Motion(Pose2(), 0.0, 0.0), LIMITS, commands, 0, 150 * MS, 50 * MS)
+    after = predicted_motion(Motion(Pose2(), 0.0, 0.0), LIMITS, commands, 0, 250 * MS, 50 * MS)
     assert before.v == 0.0
     assert after.v == pytest.approx(0.8 * 0.1)
     assert after.pose.x == pytest.approx(0.5 * 0.8 * 0.1**2, rel=0.25)
 
 
 def test_the_newest_command_that_acts_replaces_the_older() -> None:
-    commands = [Command(0, 0.8, 0.0), Command(100 * MS, 0.0, 1.0)]
-    after = predicted(Motion(Pose2(), 0.0, 0.0), LIMITS, commands, 0, 2_000 * MS, 0)
+    commands = [SentCommand(0, 0.8, 0.0), SentCommand(100 * MS, 0.0, 1.0)]
+    after = predicted_motion(Motion(Pose2(), 0.0, 0.0), LIMITS, commands, 0, 2_000 * MS, 0)
     assert (after.v, after.w) == (0.0, 1.0)
 
 

@@ -20,7 +20,7 @@ from tests.unit.services.local_ctrl.tiny_world import Loop, World, drive_goal, o
 
 ROBOT = load_robot("x80sv").robot
 START, GOAL = Pose2(1.0, 2.0, 0.0), Pose2(6.0, 2.0, 0.0)
-S = 1_000_000_000
+NS_PER_S = 1_000_000_000
 
 
 def moving(seconds: float = 2.0) -> Loop:
@@ -102,7 +102,7 @@ def test_scans_of_moments_that_odometry_does_not_tell_are_no_scans(ahead: float)
 
     def ahead_of_time(method: str, message: m.Message) -> None:
         if isinstance(message, m.LaserScan):
-            message = replace(message, stamp=message.stamp + round(ahead * S))
+            message = replace(message, stamp=message.stamp + round(ahead * NS_PER_S))
         send(method, message)
 
     loop.send = ahead_of_time
@@ -204,14 +204,14 @@ def test_what_was_no_plan_to_follow_is_none_for_a_new_goal_either(reason: reason
 def test_the_same_goal_told_again_changes_nothing() -> None:
     loop = moving()
     assert loop.goal is not None
-    before = loop.service.manoeuvre, loop.service.goal_since
+    before = loop.service.manoeuvre, loop.service.plan.goal_since
     loop.send("new_goal", loop.goal)
-    assert (loop.service.manoeuvre, loop.service.goal_since) == before
+    assert (loop.service.manoeuvre, loop.service.plan.goal_since) == before
 
 
 def test_an_older_goal_that_comes_late_is_ignored_and_a_restarted_navigator_is_not() -> None:
     loop = moving()
-    loop.send("new_goal", replace(drive_goal(GOAL, goal_id=0), stamp=S))
+    loop.send("new_goal", replace(drive_goal(GOAL, goal_id=0), stamp=NS_PER_S))
     assert loop.service.goal is not None
     assert loop.service.goal.id == 1
     loop.send("new_goal", replace(drive_goal(GOAL, goal_id=0), stamp=loop.now))
@@ -231,7 +231,7 @@ def test_odometry_that_starts_anew_forgets_the_costmap_and_waits_for_a_pose_in_i
     loop.send("odometry", m.Odometry(loop.now + 1, Pose2(30.0, 0.0, 0.0), 0.0, 0.0, np.zeros(9)))
     assert not loop.service.costmap.evidence.any()
     loop.service.now = loop.now + 2
-    list(loop.service.scan(replace(scan_of(loop), stamp=loop.now - S // 20)))
+    list(loop.service.scan(replace(scan_of(loop), stamp=loop.now - NS_PER_S // 20)))
     command = next(iter(loop.service.tick())).message
     assert isinstance(command, m.Velocity)
     assert (command.v, command.reason) == (0, reasons.POSE_OLD.code)

@@ -6,7 +6,7 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from services.local_ctrl.controller import APPROACH
+from services.local_ctrl.controller import APPROACH_BRAKING_SHARE
 from shared import reasons
 from shared.config import load_robot
 from shared.geometry import Pose2, inside
@@ -46,7 +46,7 @@ def test_in_a_speed_zone_it_is_slow_from_the_edge_on_and_brakes_gently_before_it
     assert speeds[(xs > 2.7) & (xs < 3.1)].max() > 0.65  # and not slow long before
     assert speeds[(xs > 5.4) & (xs < 6.2)].max() > 0.55
     before = (xs > 2.0) & (xs < 4.0)
-    allowed = np.sqrt(most**2 + 2 * APPROACH * X80.drive.max_braking * (4.0 - xs[before]))
+    allowed = np.sqrt(most**2 + 2 * APPROACH_BRAKING_SHARE * X80.drive.max_braking * (4.0 - xs[before]))
     assert (speeds[before] < allowed + 0.05).all()
     told = [status.reason for status, x in zip(run.statuses, xs) if 4.0 < x < 4.9]
     assert set(told) == {reasons.SPEED_ZONE.code}
@@ -93,10 +93,10 @@ def test_a_zone_of_one_place_bounds_the_speed_by_the_way_that_is_left_to_it():
     path = np.column_stack((np.linspace(0, 5, 101), np.zeros(101)))
     for x in (1.0, 3.0, 3.8, 4.5, 7.0):
         here = service.inputs.odom_from_map @ Pose2(x, 2.0, 0.0)
-        motion = service.motion._replace(pose=here)
+        motion = service.estimate.motion._replace(pose=here)
         assert motion.v == 0.0
-        limits = service.zones.limited(service.limits, here @ path, motion, service.inputs.odom_from_map)
+        limits = service.zones.limits_in_zones(service.limits, here @ path, motion, service.inputs.odom_from_map)
         way = max(4.0 - x, 0.0)
-        wanted = sqrt(0.3**2 + 2 * APPROACH * service.limits.braking * way) if x < 5 else np.inf
+        wanted = sqrt(0.3**2 + 2 * APPROACH_BRAKING_SHARE * service.limits.braking * way) if x < 5 else np.inf
         assert limits.v_max == pytest.approx(min(wanted, service.limits.v_max), abs=0.06)
         assert limits.v_min >= -limits.v_max

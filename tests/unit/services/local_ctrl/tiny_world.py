@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from services.local_ctrl.footprint import gap
+from services.local_ctrl.footprint import polygon_distance
 from services.local_ctrl.mppi import MppiConfig
 from services.local_ctrl.service import LocalCtrlConfig, LocalCtrlService
 from shared import messages as m
@@ -24,8 +24,8 @@ Bools = NDArray[np.bool_]
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 
-S = 1_000_000_000
-START = 100 * S  # ns: the clock is not at its zero
+NS_PER_S = 1_000_000_000
+START = 100 * NS_PER_S  # ns: the clock is not at its zero
 MAP_FROM_ODOM = Pose2(0.7, -0.4, 0.3)
 QUICK = LocalCtrlConfig(mppi=MppiConfig(rollouts=300))  # a quarter of the usual rollouts: what holds with these holds
 
@@ -73,7 +73,7 @@ def _clearance(occupied: Bools, cell: float, corners: Float64s, x: float, y: flo
         for j in range(max(0, column - reach), min(len(occupied[0]), column + reach)):
             if occupied[i, j]:
                 dx, dy = (j + 0.5) * cell - x, (i + 0.5) * cell - y
-                least = min(least, gap(corners, c * dx + s * dy, c * dy - s * dx))
+                least = min(least, polygon_distance(corners, c * dx + s * dy, c * dy - s * dx))
     return least
 
 
@@ -169,7 +169,7 @@ class Loop:
     def __init__(
         self, robot: Robot, world: World, start: Pose2, config: LocalCtrlConfig | None = None, delay: float = 0.1
     ) -> None:
-        self.robot, self.world, self.truth, self.delay = robot, world, start, round(delay * S)
+        self.robot, self.world, self.truth, self.delay = robot, world, start, round(delay * NS_PER_S)
         self.service = LocalCtrlService(config or QUICK, robot)
         self.now, self.v, self.w = START, 0.0, 0.0
         self.next_sweep = START
@@ -201,14 +201,14 @@ class Loop:
         """Runs on for so long, or until the service says ARRIVED or the condition holds."""
         for _ in range(round(seconds * 100)):
             since_start = self.now - START
-            if since_start % (S // 50) == 0:
+            if since_start % (NS_PER_S // 50) == 0:
                 odom_from_base = MAP_FROM_ODOM.inverse() @ self.truth
                 self.send("odometry", m.Odometry(self.now, odom_from_base, self.v, self.w, np.zeros(9)))
-            if self.now >= self.next_sweep + round(self.robot.laser.scan_time * S):
+            if self.now >= self.next_sweep + round(self.robot.laser.scan_time * NS_PER_S):
                 self._scan()
-            if since_start % (S // 2) == 0:
+            if since_start % (NS_PER_S // 2) == 0:
                 self._publish_plan()
-            if since_start % (S // 20) == 0:
+            if since_start % (NS_PER_S // 20) == 0:
                 self._tick()
                 if self.run.reached or (until is not None and until(self)):
                     break
@@ -217,9 +217,9 @@ class Loop:
 
     def _scan(self) -> None:
         laser, first = self.robot.laser, self.next_sweep
-        self.next_sweep += round(S / laser.rate)
+        self.next_sweep += round(NS_PER_S / laser.rate)
         share = np.linspace(0, 1, laser.n_beams)
-        stamps = first + share * laser.scan_time * S
+        stamps = first + share * laser.scan_time * NS_PER_S
         times = np.array([t for t, _ in self.trace] + [self.now], float)
         poses = [p for _, p in self.trace] + [self.truth]
         x = np.interp(stamps, times, [p.x for p in poses])
@@ -271,7 +271,7 @@ class Loop:
         self.w += float(np.clip(w - self.w, -drive.max_turn_acceleration * dt, drive.max_turn_acceleration * dt))
         self.trace.append((self.now, self.truth))
         self.truth = self.truth @ arc(self.v * dt, self.w * dt)
-        self.now += S // 100
+        self.now += NS_PER_S // 100
 
 
 def off(a: Pose2, b: Pose2) -> tuple[float, float]:

@@ -282,7 +282,7 @@ def test_near_before_far_large_before_small_ahead_before_behind():
         (frontier_at(3.0, 0.0, 3.0, size=3.0), frontier_at(3.0, 2.0, 3.0, size=0.5)),
         (frontier_at(3.0, 0.0, 3.0), frontier_at(-3.0, 0.0, 3.0)),
     ]:
-        target = Exploration(ExplorationConfig()).taken(found(worse, better), HERE, R)
+        target = Exploration(ExplorationConfig()).choose_target(found(worse, better), HERE, R)
         assert target is not None
         assert target.frontier is better
 
@@ -290,33 +290,33 @@ def test_near_before_far_large_before_small_ahead_before_behind():
 def test_a_small_corner_is_seen_before_a_long_way_off_that_would_lead_back_to_it():
     corner, rooms = frontier_at(-1.5, 0.0, 1.5, size=0.5), frontier_at(2.0, 0.0, 2.0, size=3.0)
     beyond = frontier_at(9.0, 0.0, 9.0)
-    alone = Exploration(ExplorationConfig()).taken(found(rooms, corner), HERE, R)
+    alone = Exploration(ExplorationConfig()).choose_target(found(rooms, corner), HERE, R)
     assert alone.frontier is rooms
-    assert Exploration(ExplorationConfig()).taken(found(rooms, corner, beyond), HERE, R).frontier is corner
+    assert Exploration(ExplorationConfig()).choose_target(found(rooms, corner, beyond), HERE, R).frontier is corner
 
 
 def test_a_target_is_kept_until_another_is_notably_better():
     exploration = Exploration(ExplorationConfig())
-    far = exploration.taken(found(FAR), HERE, R)
-    assert exploration.taken(found(FAR, frontier_at(0.0, 5.0, 6.5)), HERE, R) is far
-    after = [exploration.taken(found(FAR, NEAR), HERE, R) for _ in range(ExplorationConfig().switch_after)]
+    far = exploration.choose_target(found(FAR), HERE, R)
+    assert exploration.choose_target(found(FAR, frontier_at(0.0, 5.0, 6.5)), HERE, R) is far
+    after = [exploration.choose_target(found(FAR, NEAR), HERE, R) for _ in range(ExplorationConfig().switch_after)]
     assert all(target is far for target in after[:-1])
     assert after[-1].frontier is NEAR
 
 
 def test_a_better_frontier_that_is_gone_again_at_once_changes_nothing():
     exploration = Exploration(ExplorationConfig())
-    far = exploration.taken(found(FAR), HERE, R)
+    far = exploration.choose_target(found(FAR), HERE, R)
     for _ in range(10):
-        assert exploration.taken(found(FAR, NEAR), HERE, R) is far
-        assert exploration.taken(found(FAR), HERE, R) is far
+        assert exploration.choose_target(found(FAR, NEAR), HERE, R) is far
+        assert exploration.choose_target(found(FAR), HERE, R) is far
 
 
 def test_a_target_that_no_way_leads_to_right_now_is_kept_and_one_that_was_seen_is_not():
     exploration = Exploration(ExplorationConfig())
-    far = exploration.taken(found(FAR), HERE, R)
-    assert exploration.taken(found(NEAR, unreachable=(FAR.cells,)), HERE, R) is far
-    assert exploration.taken(found(NEAR), HERE, R).frontier is NEAR
+    far = exploration.choose_target(found(FAR), HERE, R)
+    assert exploration.choose_target(found(NEAR, unreachable=(FAR.cells,)), HERE, R) is far
+    assert exploration.choose_target(found(NEAR), HERE, R).frontier is NEAR
 
 
 @settings(max_examples=20, deadline=None)
@@ -328,7 +328,7 @@ def test_frontiers_that_come_and_go_are_not_chosen_for_ever(seed):
     for _ in range(300):
         dropped = {tuple(cell) for cell in exploration.dropped}
         there = [f for f in some if rng.random() < 0.5 and not dropped & {tuple(cell) for cell in f.cells}]
-        target = exploration.taken(found(*there), HERE, R)
+        target = exploration.choose_target(found(*there), HERE, R)
         n_chosen += target is not None and target is not last
         last = target
     assert n_chosen <= len(some) * ExplorationConfig().max_visits
@@ -347,7 +347,7 @@ def test_any_office_is_explored_to_the_end_whatever_the_view():
 def test_targets_do_not_swing_between_two_like_frontiers(config):
     exploration = Exploration(config)
     pair = found(frontier_at(3.0, 2.0, 3.6), frontier_at(3.0, -2.0, 3.6))
-    targets = [exploration.taken(pair, Pose2(0.1 * i, 0.0), R) for i in range(10)]
+    targets = [exploration.choose_target(pair, Pose2(0.1 * i, 0.0), R) for i in range(10)]
     assert all(a is b for a, b in pairwise(targets))
 
 

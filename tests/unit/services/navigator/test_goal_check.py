@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.navigator.goal_check import FEW, doubtful, refused
-from services.planner.outline import Outline
-from services.planner.planning import PlanningConfig, planned
-from services.planner.traversal_cost import CostConfig, Terrain
+from services.navigator.goal_check import MAX_SINGLE_CHECKS, needs_check, refusal_reason
+from services.planner.costmap import CostConfig, GlobalCostmap
+from services.planner.hierarchical_search import HierarchicalSearch
+from services.planner.planning import PlanningConfig, plan_path
 from shared import reasons
 from shared.config import load_robot
 from shared.geometry import Pose2
@@ -22,16 +22,16 @@ PATH = PlanningConfig()
 
 
 def limits_of(config: CostConfig) -> GoalLimits:
-    return GoalLimits(0, config.margin, config.least_margin, PATH.goal_reach, config.beyond)
+    return GoalLimits(0, config.margin, config.min_margin, PATH.goal_reach, config.beyond)
 
 
 def both(cells, goal, tolerance=0.15, **costs):
     """What navigator and planner say of a goal."""
     config, grid = CostConfig(**costs), grid_of(cells)
-    terrain = Terrain(config, X80, grid.resolution)
+    terrain = GlobalCostmap(config, X80, grid.resolution)
     terrain.update(grid, None)
-    plan = planned(terrain, Outline(), START, Pose2(*goal), tolerance, PATH)
-    return refused(grid, limits_of(config), X80.inscribed_radius, Pose2(*goal), tolerance), plan.reason
+    plan = plan_path(terrain, HierarchicalSearch(), START, Pose2(*goal), tolerance, PATH)
+    return refusal_reason(grid, limits_of(config), X80.inscribed_radius, Pose2(*goal), tolerance), plan.reason
 
 
 @settings(deadline=None, max_examples=150)
@@ -80,7 +80,7 @@ def test_unknown_space_is_no_wall_and_no_map_refuses_nothing():
     cells[40:, 40:] = -1
     assert both(cells, (3.0, 3.0, 0.0))[0] is None
     limits = limits_of(CostConfig())
-    assert refused(OccupancyGrid(), limits, X80.inscribed_radius, Pose2(1e6, 0.0, 0.0), 0.1) is None
+    assert refusal_reason(OccupancyGrid(), limits, X80.inscribed_radius, Pose2(1e6, 0.0, 0.0), 0.1) is None
 
 
 def test_a_tolerance_that_reaches_free_space_makes_a_goal_in_a_wall_one():
@@ -95,8 +95,10 @@ def test_of_a_long_route_only_poses_without_room_are_looked_at_one_by_one_and_no
     cells[30:50, 30:50] = 100
     grid, limits, radius = grid_of(cells), limits_of(CostConfig()), X80.inscribed_radius
     poses = tuple(Pose2(0.1 * i - 0.503, 0.1 * j - 0.503, 0.0) for i in range(50) for j in range(50))
-    assert len(poses) > FEW
-    doubts = doubtful(grid, limits, radius, poses)
+    assert len(poses) > MAX_SINGLE_CHECKS
+    doubts = needs_check(grid, limits, radius, poses)
     assert 0 < doubts.sum() < len(poses)
-    assert all(refused(grid, limits, radius, pose, 0.15) is None for pose, doubt in zip(poses, doubts) if not doubt)
-    assert doubtful(grid, limits, radius, poses[:3]).all()
+    assert all(
+        refusal_reason(grid, limits, radius, pose, 0.15) is None for pose, doubt in zip(poses, doubts) if not doubt
+    )
+    assert needs_check(grid, limits, radius, poses[:3]).all()

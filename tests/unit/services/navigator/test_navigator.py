@@ -6,9 +6,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.navigator.leg import Leg, LegConfig, Verdict
+from services.navigator.goal_attempt import AttemptAction, GoalAttempt, GoalAttemptConfig
 from services.navigator.navigation import NavigatorConfig
-from services.navigator.recovery import RecoveryConfig, steps
+from services.navigator.recovery import RecoveryConfig, recovery_steps
 from services.navigator.service import NavigatorService
 from shared import reasons
 from shared.geometry import Pose2
@@ -336,19 +336,19 @@ def test_a_plan_that_swings_between_two_lengths_is_no_progress_for_ever():
 
 def test_a_gap_that_is_open_from_afar_and_closed_from_near_is_found_out():
     """It always comes closer to the gap, and then the way around is 20 m: that is no progress."""
-    config = LegConfig()
-    leg, n_turns = Leg(Pose2(9.0, 0.0), any_heading=True), 0
+    config = GoalAttemptConfig()
+    attempt, n_turns = GoalAttempt(Pose2(9.0, 0.0), any_heading=True), 0
     for step in range(1000):
         left = 20.0 if step % 10 == 9 else 2.0 - 0.2 * (step % 10)
         n_turns += left == 20.0
-        leg.passed(0.1, left, path_of(left), None, config.progress)
-        if leg.verdict(None, None, config)[0] is not Verdict.GO_ON:
+        attempt.update(0.1, left, path_of(left), None, config.progress)
+        if attempt.next_action(None, None, config)[0] is not AttemptAction.GO_ON:
             break
-    assert leg.verdict(None, None, config) == (Verdict.RECOVER, reasons.NO_WAY_THROUGH)
+    assert attempt.next_action(None, None, config) == (AttemptAction.RECOVER, reasons.NO_WAY_THROUGH)
     assert n_turns == config.detours
-    assert config.hurried(0.5).detours == 2
-    leg.restarted()
-    assert leg.verdict(None, None, config)[0] is Verdict.GO_ON
+    assert config.with_time_share(0.5).detours == 2
+    attempt.reset_clocks()
+    assert attempt.next_action(None, None, config)[0] is AttemptAction.GO_ON
 
 
 def path_of(length):
@@ -364,8 +364,8 @@ def test_stop_ends_the_task_and_its_release_moves_nothing():
     bench.guarded(GuardState.STOPPED, reasons.ESTOP.code)
     bench.run(1)
     assert (bench.status.state, bench.status.reason) == (NavState.CANCELED, reasons.ESTOP.code)
-    refused = bench.go(FAR)
-    assert (refused.accepted, refused.reason) == (False, reasons.ESTOP.code)
+    refusal_reason = bench.go(FAR)
+    assert (refusal_reason.accepted, refusal_reason.reason) == (False, reasons.ESTOP.code)
     bench.guarded(GuardState.IDLE, reasons.ESTOP_RELEASED.code)
     bench.run(5)
     assert stopped(bench)
@@ -507,9 +507,9 @@ def test_a_clock_that_jumps_is_no_time_that_passed():
 def test_what_makes_no_sense_for_a_robot_is_left_out():
     forward = X80.drive.model_copy(update={"max_reverse_speed": 0.0})
     arcs = X80.drive.model_copy(update={"min_turning_radius": 0.5, "turns_in_place": False})
-    assert [step.name for step in steps(RecoveryConfig(), forward)] == [n for n in LADDER if n != "back_up"]
-    assert [step.name for step in steps(RecoveryConfig(), arcs)] == [n for n in LADDER if "turn" not in n]
-    assert [step.name for step in steps(RecoveryConfig(turn=0, wait=0), X80.drive)] == LADDER[:3]
+    assert [step.name for step in recovery_steps(RecoveryConfig(), forward)] == [n for n in LADDER if n != "back_up"]
+    assert [step.name for step in recovery_steps(RecoveryConfig(), arcs)] == [n for n in LADDER if "turn" not in n]
+    assert [step.name for step in recovery_steps(RecoveryConfig(turn=0, wait=0), X80.drive)] == LADDER[:3]
 
 
 def test_warming_up_changes_no_state():

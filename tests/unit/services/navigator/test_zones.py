@@ -23,10 +23,10 @@ def zone(name="cellar", corners=SQUARE, **asks):
 
 def told(service, handler, *arguments):
     """The zones that a handler publishes, each as its names, and the reply."""
-    found, steps = [], iter(handler(*arguments))
+    found, recovery_steps = [], iter(handler(*arguments))
     while True:
         try:
-            sent = next(steps)
+            sent = next(recovery_steps)
         except StopIteration as end:
             return found, end.value
         if sent.topic is topics.ZONES:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.planner.dubins import WORDS, moved, word
+from services.planner.dubins import N_WORDS, dubins_word, pose_after
 
 coordinates, angles = st.floats(-8, 8), st.floats(-pi, pi)
 poses = st.tuples(coordinates, coordinates, angles).map(np.array)
@@ -14,12 +14,12 @@ poses = st.tuples(coordinates, coordinates, angles).map(np.array)
 
 def ways(start, end, radius, any_heading=False):
     """(length, end pose) of each way."""
-    for i in range(WORDS):
+    for i in range(N_WORDS):
         pieces = np.zeros((3, 2))
-        if word(i, start, end, radius, any_heading, pieces):
+        if dubins_word(i, start, end, radius, any_heading, pieces):
             pose = start.copy()
             for curvature, length in pieces:
-                moved(pose.copy(), curvature, length, pose)
+                pose_after(pose.copy(), curvature, length, pose)
             assert (pieces[:, 1] >= 0).all()
             assert (np.abs(pieces[:, 0]) <= 1 / radius + 1e-12).all()
             yield pieces[:, 1].sum(), pose

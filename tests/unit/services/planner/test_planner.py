@@ -8,8 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from services.planner.costmap import CostConfig
 from services.planner.service import PlannerConfig, PlannerService
-from services.planner.traversal_cost import CostConfig
 from shared import reasons, topics
 from shared.config import Robot, load_robot
 from shared.geometry import Pose2
@@ -243,7 +243,7 @@ def test_warming_up_changes_no_state(robot):
     planner = PlannerService(PlannerConfig(), load_robot(robot).robot)
     planner.warm()
     assert planner.grid.empty
-    assert planner.goal is planner.plan is planner.terrain is None
+    assert planner.goal is planner.monitor.plan is planner.costmap is None
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
@@ -283,13 +283,13 @@ def test_a_robot_that_is_on_its_plan_keeps_it_however_tight_its_arcs(radius):
 
     put(1.0)
     list(planner.new_goal(Goal(planner.now, 1, GoalKind.DRIVE, Pose2(10.5, 2.0), 0.15, 0.25, 0.0, False)))
-    plan = planner.plan
+    plan = planner.monitor.plan
     for step in range(1, 80):
         planner.now += S // 10
         put(1.0 + 0.1 * step)
         if step % 5 == 0:
             list(planner.confirm())
-    assert planner.plan is plan
+    assert planner.monitor.plan is plan
 
 
 AFTER_WARMING = """
@@ -298,7 +298,7 @@ from shared.geometry import Pose2
 from tests.compiling import nothing_compiles
 from tests.unit.services.maps import room
 from tests.unit.services.planner.test_planner import Bench
-from tests.unit.services.planner.test_zoning import MIDDLE, hold
+from tests.unit.services.planner.test_keep_out_layer import MIDDLE, hold
 
 bench = Bench(room(4, 8))
 bench.planner.warm()

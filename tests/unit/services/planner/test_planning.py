@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.planner.lines import path_cost
-from services.planner.outline import Outline
-from services.planner.planning import PlanningConfig, planned
-from services.planner.traversal_cost import CostConfig, Terrain
+from services.planner.costmap import CostConfig, GlobalCostmap
+from services.planner.hierarchical_search import HierarchicalSearch
+from services.planner.planning import PlanningConfig, plan_path
+from services.planner.ray_cost import path_cost
 from shared import reasons
 from shared.config import load_robot
 from shared.geometry import Pose2
@@ -15,28 +15,28 @@ from shared.ros_map import read_ros_map
 from tests.unit.services.maps import boxes, drawn, grid_of, message, planning_data, room
 
 X80 = load_robot("x80sv").robot
-OUTLINE = Outline()
+OUTLINE = HierarchicalSearch()
 CONFIG = PlanningConfig()
 
 
 def terrain_of(cells, **settings_):
-    terrain = Terrain(CostConfig(**settings_), X80, 0.05)
-    terrain.update(grid_of(cells), None)
-    return terrain
+    costmap = GlobalCostmap(CostConfig(**settings_), X80, 0.05)
+    costmap.update(grid_of(cells), None)
+    return costmap
 
 
-def way(terrain, start, goal, tolerance=0.15):
-    return planned(terrain, OUTLINE, Pose2(*start), Pose2(*goal), tolerance, CONFIG)
+def way(costmap, start, goal, tolerance=0.15):
+    return plan_path(costmap, OUTLINE, Pose2(*start), Pose2(*goal), tolerance, CONFIG)
 
 
-def clearance(terrain, plan):
+def clearance(costmap, plan):
     """m from each of the plan's points to the centre of the nearest occupied cell (at most the inflation radius)."""
-    row_column = ((plan.points - terrain.origin) / terrain.resolution).astype(int)[:, ::-1] - terrain.pad
-    return terrain.distance[tuple(row_column.T)] * terrain.resolution
+    row_column = ((plan.points - costmap.origin) / costmap.resolution).astype(int)[:, ::-1] - costmap.pad
+    return costmap.distance[tuple(row_column.T)] * costmap.resolution
 
 
-def touches_nothing(terrain, plan):
-    return path_cost(terrain.costs, (plan.points - terrain.origin) / terrain.resolution) >= 0
+def touches_nothing(costmap, plan):
+    return path_cost(costmap.costs, (plan.points - costmap.origin) / costmap.resolution) >= 0
 
 
 def wall_with_door(at, width=0.8):
@@ -69,11 +69,11 @@ def test_through_a_narrow_corridor_there_is_a_way_from_anywhere(start, goal):
     cells = room(4, 8)
     cells[:, 60:100] = 100
     cells[35:45, 60:100] = 0
-    terrain = terrain_of(cells)
-    plan = way(terrain, (start, 2.0, 0.0), (goal, 2.0, 0.0))
+    costmap = terrain_of(cells)
+    plan = way(costmap, (start, 2.0, 0.0), (goal, 2.0, 0.0))
     assert plan.reason is None
     assert plan.points[-1] == pytest.approx((goal, 2.0), abs=0.16)
-    assert clearance(terrain, plan).min() >= 0.2 + 0.03 - 1e-6
+    assert clearance(costmap, plan).min() >= 0.2 + 0.03 - 1e-6
 
 
 @pytest.mark.parametrize("resolution", [0.05, 0.1, 0.25])
@@ -84,13 +84,13 @@ def test_no_path_comes_nearer_than_the_robot_s_half_width_whatever_the_cells(res
     cells[[0, -1]] = cells[:, [0, -1]] = 100
     for row, column, height, width in rng.integers((4, 4, 1, 1), (56, 56, 6, 6), (12, 4)):
         cells[row : row + height, column : column + width] = 100
-    terrain = Terrain(CostConfig(clearance_weight=0.0), X80, resolution)
-    terrain.update(grid_of(cells, resolution), None)
-    rows, columns = np.nonzero(terrain.cells == 100)
-    places = rng.permutation(np.argwhere(terrain.costs))[:60]
+    costmap = GlobalCostmap(CostConfig(clearance_weight=0.0), X80, resolution)
+    costmap.update(grid_of(cells, resolution), None)
+    rows, columns = np.nonzero(costmap.cells == 100)
+    places = rng.permutation(np.argwhere(costmap.costs))[:60]
     found = 0
     for start, goal in zip(places[:30].tolist(), places[30:].tolist()):
-        plan = planned(terrain, OUTLINE, Pose2(*terrain.centre(*start)), Pose2(*terrain.centre(*goal)), 0.15, CONFIG)
+        plan = plan_path(costmap, OUTLINE, Pose2(*costmap.centre(*start)), Pose2(*costmap.centre(*goal)), 0.15, CONFIG)
         if plan.reason is None:
             found += 1
             x, y = plan.points[:, :1] / resolution, plan.points[:, 1:] / resolution
@@ -111,14 +111,14 @@ def test_a_path_starts_at_the_robot_and_ends_in_the_goal_with_its_heading():
 
 
 def test_the_path_keeps_clearance_where_there_is_room():
-    terrain = terrain_of(wall_with_door(1.6))
-    plan = way(terrain, (0.4, 1.0, 0.0), (7.6, 1.0, 0.0))
+    costmap = terrain_of(wall_with_door(1.6))
+    plan = way(costmap, (0.4, 1.0, 0.0), (7.6, 1.0, 0.0))
     through = (plan.points[:, 0] > 3.6) & (plan.points[:, 0] < 4.6)
     open_ = (plan.points[:, 0] > 1.0) & (plan.points[:, 0] < 3.2)
-    away = clearance(terrain, plan)
+    away = clearance(costmap, plan)
     assert away[through].min() >= 0.35  # the middle of the door
     assert away[open_].min() >= 0.6
-    assert touches_nothing(terrain, plan)
+    assert touches_nothing(costmap, plan)
 
 
 def test_no_bend_is_sharp():
@@ -128,14 +128,14 @@ def test_no_bend_is_sharp():
 
 
 def test_a_goal_beside_a_wall_is_moved_to_the_nearest_place_with_room():
-    terrain = terrain_of(room(3, 3))
-    plan = way(terrain, (2.0, 2.0, 0.0), (0.2, 1.5, 1.0))
+    costmap = terrain_of(room(3, 3))
+    plan = way(costmap, (2.0, 2.0, 0.0), (0.2, 1.5, 1.0))
     assert plan.reason is None
     moved = np.hypot(plan.points[-1][0] - 0.2, plan.points[-1][1] - 1.5)
     assert 0 < moved <= CONFIG.goal_reach
     assert plan.yaws[-1] == pytest.approx(1.0)
-    rows, columns = np.nonzero(terrain.costs)
-    x0, y0 = terrain.origin
+    rows, columns = np.nonzero(costmap.costs)
+    x0, y0 = costmap.origin
     nearest = np.hypot(x0 + (columns + 0.5) * 0.05 - 0.2, y0 + (rows + 0.5) * 0.05 - 1.5).min()
     assert moved == pytest.approx(nearest)
 
@@ -168,12 +168,12 @@ def test_a_robot_outside_of_the_map_has_no_map():
 
 
 def test_a_robot_close_to_a_wall_leaves_it_straight_away():
-    terrain = terrain_of(room(3, 3))
-    plan = way(terrain, (0.22, 1.5, 0.0), (2.5, 1.5, 0.0))
+    costmap = terrain_of(room(3, 3))
+    plan = way(costmap, (0.22, 1.5, 0.0), (2.5, 1.5, 0.0))
     assert plan.reason is None
     assert plan.points[0] == pytest.approx((0.22, 1.5))
     assert plan.points[-1] == pytest.approx((2.5, 1.5))
-    assert (np.diff(clearance(terrain, plan)[:6]) >= 0).all()
+    assert (np.diff(clearance(costmap, plan)[:6]) >= 0).all()
 
 
 def test_a_robot_that_the_map_puts_into_a_wall_gets_out_on_its_own_side():
@@ -194,15 +194,15 @@ def test_a_robot_walled_in_is_blocked():
 @given(st.integers(0, 2**32))
 def test_in_any_clutter_the_path_touches_nothing_and_ends_within_reach_of_the_goal(seed):
     rng = np.random.default_rng(seed)
-    terrain = terrain_of(boxes(rng, 12))
-    free = np.argwhere(terrain.costs)
+    costmap = terrain_of(boxes(rng, 12))
+    free = np.argwhere(costmap.costs)
     for _ in range(4):
         (r0, c0), (r1, c1) = free[rng.integers(len(free), size=2)]
-        start, goal = (*terrain.centre(int(r0), int(c0)), 0.0), (*terrain.centre(int(r1), int(c1)), 0.0)
-        plan = way(terrain, start, goal)
-        connected = terrain.regions.at(r0, c0) == terrain.regions.at(r1, c1)
+        start, goal = (*costmap.centre(int(r0), int(c0)), 0.0), (*costmap.centre(int(r1), int(c1)), 0.0)
+        plan = way(costmap, start, goal)
+        connected = costmap.components.at(r0, c0) == costmap.components.at(r1, c1)
         if plan.reason is None:
-            assert touches_nothing(terrain, plan)
+            assert touches_nothing(costmap, plan)
             assert np.hypot(*(plan.points[-1] - goal[:2])) <= (1e-9 if connected else CONFIG.goal_reach)
         else:
             assert not connected
@@ -213,31 +213,31 @@ def test_in_any_clutter_the_path_touches_nothing_and_ends_within_reach_of_the_go
 def test_in_real_buildings_every_reachable_goal_gets_a_path_with_clearance(name):
     cells, resolution, _, _ = read_ros_map(planning_data() / "ros_maps" / f"{name}.yaml")
     grid = grid_of(cells, resolution)
-    terrain = Terrain(CostConfig(), X80, resolution)
-    terrain.update(grid, None)
-    known = np.pad(grid.free, terrain.pad) & (terrain.costs > 0)
-    regions = terrain.regions.within(0, 0, *terrain.costs.shape)
+    costmap = GlobalCostmap(CostConfig(), X80, resolution)
+    costmap.update(grid, None)
+    known = np.pad(grid.free, costmap.pad) & (costmap.costs > 0)
+    regions = costmap.components.labels_in(0, 0, *costmap.costs.shape)
     largest = np.bincount(regions[known]).argmax()
     places = np.argwhere(known & (regions == largest))
     rng = np.random.default_rng(1)
     for _ in range(20):
         start, goal = (
-            Pose2(*terrain.centre(*map(int, places[rng.integers(len(places))])), float(yaw))
+            Pose2(*costmap.centre(*map(int, places[rng.integers(len(places))])), float(yaw))
             for yaw in rng.uniform(-3, 3, 2)
         )
-        plan = planned(terrain, OUTLINE, start, goal, 0.15, CONFIG)
+        plan = plan_path(costmap, OUTLINE, start, goal, 0.15, CONFIG)
         assert plan.reason is None
-        assert touches_nothing(terrain, plan)
-        assert clearance(terrain, plan).min() >= X80.inscribed_radius
+        assert touches_nothing(costmap, plan)
+        assert clearance(costmap, plan).min() >= X80.inscribed_radius
 
 
 def test_where_the_goal_is_walled_off_by_an_update_it_becomes_unreachable():
     cells = wall_with_door(1.6)
     grid = grid_of(cells)
-    terrain = Terrain(CostConfig(), X80, 0.05)
-    terrain.update(grid, None)
-    assert way(terrain, (1.0, 1.0, 0), (7.0, 1.0, 0)).reason is None
+    costmap = GlobalCostmap(CostConfig(), X80, 0.05)
+    costmap.update(grid, None)
+    assert way(costmap, (1.0, 1.0, 0), (7.0, 1.0, 0)).reason is None
     closed = cells.copy()
     closed[:, 80:84] = 100
-    terrain.update(grid, grid.apply(message(closed, version=2, since=cells)))
-    assert way(terrain, (1.0, 1.0, 0), (7.0, 1.0, 0)).reason is reasons.UNREACHABLE
+    costmap.update(grid, grid.apply(message(closed, version=2, since=cells)))
+    assert way(costmap, (1.0, 1.0, 0), (7.0, 1.0, 0)).reason is reasons.UNREACHABLE

@@ -8,38 +8,38 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.planner.outline import Outline
-from services.planner.planning import PlanningConfig, planned
-from services.planner.search import Search
-from services.planner.traversal_cost import UNIT, CostConfig, Terrain, cost_by_distance
+from services.planner.costmap import UNIT_COST, CostConfig, GlobalCostmap, cost_by_distance
+from services.planner.hierarchical_search import HierarchicalSearch
+from services.planner.planning import PlanningConfig, plan_path
+from services.planner.search import GridSearch
 from shared import reasons
 from shared.config import load_robot
 from shared.geometry import Pose2
 from tests.unit.services.maps import boxes, drawn, grid_of, room
 
 X80 = load_robot("x80sv").robot
-SEARCH, OUTLINE = Search(), Outline()
+SEARCH, OUTLINE = GridSearch(), HierarchicalSearch()
 WEIGHTS = (0.0, 1.0, 3.0, 8.0, 20.0)
 
 
 def terrain_of(cells, **settings_):
-    terrain = Terrain(CostConfig(least_margin=0.07, **settings_), X80, 0.05)
-    terrain.update(grid_of(cells), None)
-    return terrain
+    costmap = GlobalCostmap(CostConfig(min_margin=0.07, **settings_), X80, 0.05)
+    costmap.update(grid_of(cells), None)
+    return costmap
 
 
-def way(terrain, start, goal):
-    return planned(terrain, OUTLINE, Pose2(*start), Pose2(*goal), 0.15, PlanningConfig())
+def way(costmap, start, goal):
+    return plan_path(costmap, OUTLINE, Pose2(*start), Pose2(*goal), 0.15, PlanningConfig())
 
 
-def exposed(terrain, cells):
+def exposed(costmap, cells):
     """(n,) how much nearness there is at cells (n, 2) of `costs`: 1 where the robot just fits, 0 far away."""
     tables = [
-        cost_by_distance(CostConfig(clearance_weight=w), X80, 0.05, terrain.reach_cells).astype(float) for w in (0, 100)
+        cost_by_distance(CostConfig(clearance_weight=w), X80, 0.05, costmap.reach_cells).astype(float) for w in (0, 100)
     ]
-    rows, columns = cells.T - terrain.pad
-    squared = np.rint(terrain.distance[rows, columns] ** 2).astype(int)
-    return (tables[1] - tables[0])[squared] / (100 * UNIT)
+    rows, columns = cells.T - costmap.pad
+    squared = np.rint(costmap.distance[rows, columns] ** 2).astype(int)
+    return (tables[1] - tables[0])[squared] / (100 * UNIT_COST)
 
 
 @settings(max_examples=15, deadline=None)
@@ -48,15 +48,17 @@ def test_who_gives_more_for_clearance_comes_less_near_to_things_and_drives_no_sh
     """Of cheapest ways that is a law: the costs' sum of a preference and a length, each the least at its own price."""
     cells, told = boxes(np.random.default_rng(seed), 14), []
     for weight in WEIGHTS:
-        terrain = terrain_of(cells, clearance_weight=weight)
+        costmap = terrain_of(cells, clearance_weight=weight)
         rng = np.random.default_rng(seed)
-        (a, b) = np.argwhere(terrain.costs)[rng.integers(np.count_nonzero(terrain.costs), size=2)]
-        found = SEARCH.way(terrain.costs, tuple(map(int, a)), tuple(map(int, b)), UNIT, terrain.highest)
+        (a, b) = np.argwhere(costmap.costs)[rng.integers(np.count_nonzero(costmap.costs), size=2)]
+        found = SEARCH.cheapest_path(costmap.costs, tuple(map(int, a)), tuple(map(int, b)), UNIT_COST, costmap.max_cost)
         if len(found) < 2:
             return
         steps = np.hypot(*np.diff(found, axis=0).T)
-        near = exposed(terrain, found)
-        plain = terrain_of(cells, clearance_weight=0).costs[tuple(found.T)] / UNIT  # length, dear where it is narrow
+        near = exposed(costmap, found)
+        plain = (
+            terrain_of(cells, clearance_weight=0).costs[tuple(found.T)] / UNIT_COST
+        )  # length, dear where it is narrow
         told.append([float(np.sum(steps * (of[1:] + of[:-1]) / 2)) for of in (near, plain)])
     for (nearness, length), (less_near, longer) in pairwise(told):
         rounding = 0.01 * (length + longer)  # costs are whole numbers of 1 / UNIT
@@ -98,8 +100,8 @@ def through_the_unknown():
 @pytest.mark.parametrize(("policy", "crosses"), [("allowed", True), ("costly", False), ("forbidden", False)])
 def test_space_that_nobody_has_seen_is_a_way_a_dear_way_or_none(policy, crosses):
     cells = through_the_unknown()
-    terrain = terrain_of(cells, unknown=policy, unknown_weight=5.0)
-    plan = way(terrain, (1.5, 1.5), (10.5, 1.5))
+    costmap = terrain_of(cells, unknown=policy, unknown_weight=5.0)
+    plan = way(costmap, (1.5, 1.5), (10.5, 1.5))
     assert plan.reason is None
     assert (plan.points[:, 1].max() < 2.5) == crosses
     if policy != "forbidden":
@@ -109,4 +111,4 @@ def test_space_that_nobody_has_seen_is_a_way_a_dear_way_or_none(policy, crosses)
     else:
         cells[100:120, 40:80] = 100
         assert way(terrain_of(cells, unknown=policy), (1.5, 1.5), (10.5, 1.5)).reason is reasons.UNREACHABLE
-        assert way(terrain, (1.5, 1.5), (6.0, 1.5)).reason is reasons.GOAL_UNKNOWN
+        assert way(costmap, (1.5, 1.5), (6.0, 1.5)).reason is reasons.GOAL_UNKNOWN

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from services.planner.lines import BLOCKED, line_cost, path_cost
-from services.planner.search import DIAGONAL, STRAIGHT, Search
-from services.planner.smoothing import resampled, smoothed
+from services.planner.ray_cost import BLOCKED, line_cost, path_cost
+from services.planner.search import DIAGONAL, STRAIGHT, GridSearch
+from services.planner.smoothing import resampled_path, smooth_path
 from tests.unit.services.planner.test_search import cost_of, grids, ringed
 
 inside = st.floats(0.01, 8.99)
-SEARCH = Search()
+SEARCH = GridSearch()
 
 
 def sampled_cost(costs, a, b, n=20001):
@@ -29,7 +29,7 @@ def found(inner, data):
     free = np.argwhere(costs)
     assume(len(free))
     start, goal = (tuple(map(int, data.draw(st.sampled_from(list(free))))) for _ in range(2))
-    way = SEARCH.way(costs, start, goal, 50, 20000)
+    way = SEARCH.cheapest_path(costs, start, goal, 50, 20000)
     assume(len(way) > 1)
     return costs, way, way[:, ::-1] + 0.5
 
@@ -74,7 +74,7 @@ def test_the_cost_of_a_way_over_cells_is_the_integral_along_it(inner, data):
 @given(grids, st.data(), st.floats(0.2, 3))
 def test_smoothing_keeps_the_ends_the_spacing_and_off_blocked_cells(inner, data, spacing):
     costs, _, points = found(inner, data)
-    path = smoothed(costs, points, spacing)
+    path = smooth_path(costs, points, spacing)
     assert (path[0] == points[0]).all()
     assert (path[-1] == points[-1]).all()
     assert (np.hypot(*np.diff(path, axis=0).T) <= spacing + 1e-9).all()
@@ -88,14 +88,14 @@ def test_smoothing_makes_no_way_notably_dearer(seed):
     rng = np.random.default_rng(seed)
     smooth = np.kron(rng.integers(50, 200, (6, 6)), np.ones((5, 5), int)).astype(np.uint16)
     costs = ringed(smooth)
-    points = SEARCH.way(costs, (1, 1), (30, 30), 50, 200)[:, ::-1] + 0.5
-    assert path_cost(costs, smoothed(costs, points, 1.0)) <= 1.02 * path_cost(costs, points)
+    points = SEARCH.cheapest_path(costs, (1, 1), (30, 30), 50, 200)[:, ::-1] + 0.5
+    assert path_cost(costs, smooth_path(costs, points, 1.0)) <= 1.02 * path_cost(costs, points)
 
 
 def test_in_the_open_the_path_is_the_straight_line():
     costs = ringed(np.full((40, 60), 50, np.uint16))
-    points = SEARCH.way(costs, (3, 4), (29, 55), 50, 50)[:, ::-1] + 0.5
-    path = smoothed(costs, points, 1.0)
+    points = SEARCH.cheapest_path(costs, (3, 4), (29, 55), 50, 50)[:, ::-1] + 0.5
+    path = smooth_path(costs, points, 1.0)
     straight = np.hypot(29 - 3, 55 - 4)
     assert np.hypot(*np.diff(path, axis=0).T).sum() == pytest.approx(straight)
 
@@ -104,8 +104,8 @@ def test_around_one_corner_the_path_is_nearly_as_short_as_can_be():
     inner = np.full((60, 60), 50, np.uint16)
     inner[:40, 29:31] = 0
     costs = ringed(inner)
-    points = SEARCH.way(costs, (11, 11), (11, 51), 50, 50)[:, ::-1] + 0.5
-    path = smoothed(costs, points, 0.5)
+    points = SEARCH.cheapest_path(costs, (11, 11), (11, 51), 50, 50)[:, ::-1] + 0.5
+    path = smooth_path(costs, points, 0.5)
     corner = np.array([[30.0, 41.0], [32.0, 41.0]])  # the wall's upper end, seen from below and behind
     tight = np.concatenate(([points[0]], corner, [points[-1]]))
     shortest = np.hypot(*np.diff(tight, axis=0).T).sum()
@@ -114,6 +114,6 @@ def test_around_one_corner_the_path_is_nearly_as_short_as_can_be():
 
 def test_resampling_keeps_corners():
     corners = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 2.5]])
-    path = resampled(corners, 1.0)
+    path = resampled_path(corners, 1.0)
     for corner in corners:
         assert (np.abs(path - corner).max(axis=1) < 1e-12).any()

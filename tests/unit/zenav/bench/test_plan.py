@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.planner.search import Search
-from services.planner.traversal_cost import CostConfig
+from services.planner.costmap import CostConfig
+from services.planner.search import GridSearch
 from shared.config import UserError, load_robot
 from tests.unit.services.maps import planning_data
 from zenav.bench.plan.equal_clearance import least_clearance, over_equal, over_least
@@ -76,7 +76,9 @@ def test_the_shortest_of_all_is_symmetric_and_between_the_straight_line_and_the_
     free = rng.random((12, 14)) >= share
     cells = np.argwhere(free)
     start, goal = (tuple(map(int, cells[rng.integers(len(cells))])) for _ in range(2))
-    way = Search().way(np.pad(free, 1).astype(np.uint16), *((r + 1, c + 1) for r, c in (start, goal)), 1, 1)
+    way = GridSearch().cheapest_path(
+        np.pad(free, 1).astype(np.uint16), *((r + 1, c + 1) for r, c in (start, goal)), 1, 1
+    )
     if not len(way):
         return
     octile = length(way.astype(float))

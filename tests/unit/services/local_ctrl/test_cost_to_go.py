@@ -9,27 +9,27 @@ import pytest
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
-from services.local_ctrl.distance_to_go import DistanceToGoConfig, ToGo, carrot, distance_to_go, to_go_at
+from services.local_ctrl.cost_to_go import CostToGo, CostToGoConfig, carrot, cost_to_go, to_go_at
 from shared.distance_field import distance_field
 
 N, RESOLUTION, INSCRIBED = 120, 0.05, 0.2
-PLAIN = DistanceToGoConfig(beside_plan=0, near_obstacles=0, unknown=0)
+PLAIN = CostToGoConfig(beside_plan=0, near_obstacles=0, unknown=0)
 
 
 def solution(
     occupied: NDArray[np.bool_],
     path: NDArray[np.float64],
-    config: DistanceToGoConfig | None = None,
+    config: CostToGoConfig | None = None,
     robot: tuple[float, float] | None = None,
-) -> ToGo:
+) -> CostToGo:
     field = np.minimum(distance_field(occupied, RESOLUTION), np.float32(20))
     x, y = robot or (float(path[0, 0]), float(path[0, 1]))
     known = np.zeros_like(occupied)
-    return distance_to_go(field, known, RESOLUTION, path, (x, y), INSCRIBED, config or DistanceToGoConfig())
+    return cost_to_go(field, known, RESOLUTION, path, (x, y), INSCRIBED, config or CostToGoConfig())
 
 
 def solved(
-    occupied: NDArray[np.bool_], path: NDArray[np.float64], config: DistanceToGoConfig | None = None
+    occupied: NDArray[np.bool_], path: NDArray[np.float64], config: CostToGoConfig | None = None
 ) -> NDArray[np.float32]:
     return solution(occupied, path, config).field
 
@@ -49,7 +49,7 @@ def test_in_the_open_it_is_the_distance_to_the_path_s_end() -> None:
 
 def test_on_a_free_plan_it_is_what_is_left_of_the_plan() -> None:
     path = np.concatenate((line(1, 1, 4, 1), line(4, 1, 4, 4)))
-    to_go = solved(np.zeros((N, N), bool), path, DistanceToGoConfig(beside_plan=5, beside_plan_at_most=5))
+    to_go = solved(np.zeros((N, N), bool), path, CostToGoConfig(beside_plan=5, max_beside_plan=5))
     assert to_go_at(to_go, 1.0, 1.0, RESOLUTION) == pytest.approx(6.0, rel=0.08)
     assert to_go_at(to_go, 4.0, 2.0, RESOLUTION) == pytest.approx(2.0, rel=0.08)
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One message of each kind, made up: what a service is warmed with, so that nothing compiles while the robot moves."""
+"""Made-up messages of each kind, and a drive with them: all kernels compile before the robot moves."""
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -7,6 +9,9 @@ from shared import messages as m
 from shared.config import Laser
 from shared.geometry import Pose2
 from shared.messages import TILE_CELLS, GoalKind
+
+if TYPE_CHECKING:
+    from services.local_ctrl.service import LocalCtrlService
 
 NOW = 10**10  # ns
 
@@ -17,7 +22,7 @@ def odometry(stamp: int) -> m.Odometry:
 
 
 def pose() -> m.PoseEstimate:
-    """Standing at the origin, sure of it."""
+    """At the origin, with a good pose."""
     return m.PoseEstimate(NOW, Pose2(), Pose2(), np.zeros(9), 1.0, m.Localization.GOOD)
 
 
@@ -44,14 +49,14 @@ def map_update() -> m.MapUpdate:
 
 
 def zones() -> m.Zones:
-    """To keep out of a square beside the robot, and slow around it."""
+    """A keep-out zone beside the robot, and a speed zone around it."""
     xs, ys = np.array([-1.0, -0.7, -0.7, -1.0]), np.array([1.0, 1.0, 1.3, 1.3])
     keep_out = m.Zone(0, "keep out", m.ZoneKind.KEEP_OUT, xs, ys)
     return m.Zones(NOW, (keep_out, m.Zone(0, "slow", m.ZoneKind.SLOW, 3.0 * xs + 2.0, 3.0 * ys - 3.5, 0.3)))
 
 
 def goal(goal_id: int, kind: GoalKind, amount: float = 0.0) -> m.Goal:
-    """Ahead by a metre."""
+    """A metre ahead."""
     return m.Goal(NOW, goal_id, kind, Pose2(1.0), 0.1, 0.1, amount, False)
 
 
@@ -59,3 +64,22 @@ def path(goal_id: int, x: float) -> m.Path:
     """Straight to (x, 0)."""
     xs = np.linspace(0.0, x, 5)
     return m.Path(NOW, goal_id, 1, "", xs, np.zeros(5), np.zeros(5), abs(x), abs(x))
+
+
+def drive(service: "LocalCtrlService") -> None:
+    """Gives a service one message of each kind, and lets it follow, turn and back up."""
+    service.now = NOW
+    list(service.odometry(odometry(NOW - 10**8)))
+    list(service.odometry(odometry(NOW)))
+    list(service.scan(scan(service.robot.laser)))
+    list(service.ranges(readings(len(service.robot.ranges))))
+    list(service.pose(pose()))
+    list(service.map(map_update()))
+    list(service.new_zones(zones()))
+    for goal_id, x in enumerate((1.0, -1.0)):  # ahead: follow; behind: turn in place
+        list(service.new_goal(goal(goal_id, GoalKind.DRIVE)))
+        list(service.new_plan(path(goal_id, x)))
+        list(service.tick())
+    for kind in (GoalKind.BACK_UP, GoalKind.TURN):
+        list(service.new_goal(goal(2, kind, amount=0.3)))
+        list(service.tick())

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.planner.search import Search
-from services.planner.traversal_cost import UNIT, CostConfig, Terrain
+from services.planner.costmap import UNIT_COST, CostConfig, GlobalCostmap
+from services.planner.search import GridSearch
 from shared.config import load_robot
 from tests.unit.services.maps import drawn, grid_of, message, room
 
@@ -15,23 +15,23 @@ MARGIN = CostConfig().margin  # m
 
 
 def terrain_of(cells, robot=X80, resolution=0.05, **settings_):
-    terrain = Terrain(CostConfig(**settings_), robot, resolution)
-    terrain.update(grid_of(cells, resolution), None)
-    return terrain
+    costmap = GlobalCostmap(CostConfig(**settings_), robot, resolution)
+    costmap.update(grid_of(cells, resolution), None)
+    return costmap
 
 
 @pytest.mark.parametrize("robot", [X80, JACKAL])
 def test_cost_falls_with_the_distance_to_the_wall_and_ends_at_the_inflation_radius(robot):
-    terrain = terrain_of(room(3, 3), robot)
-    away = terrain.costs[terrain.pad + 2 : terrain.pad + 32, terrain.pad + 32].astype(int)  # from the wall inwards
+    costmap = terrain_of(room(3, 3), robot)
+    away = costmap.costs[costmap.pad + 2 : costmap.pad + 32, costmap.pad + 32].astype(int)  # from the wall inwards
     n_blocked = np.count_nonzero(away == 0)
     distance = (np.arange(30) + 1) * 0.05  # from the wall's last cell
     assert (distance[:n_blocked] < robot.inscribed_radius + MARGIN).all()
     assert distance[n_blocked] >= robot.inscribed_radius + MARGIN - 1e-9
     outer = away[n_blocked:]
     assert (np.diff(outer) <= 0).all()
-    assert (outer[distance[n_blocked:] >= 1.0] == UNIT).all()
-    assert (outer[distance[n_blocked:] < 0.9] > UNIT).all()
+    assert (outer[distance[n_blocked:] >= 1.0] == UNIT_COST).all()
+    assert (outer[distance[n_blocked:] < 0.9] > UNIT_COST).all()
 
 
 def test_where_the_robot_cannot_turn_it_costs_more():
@@ -47,13 +47,13 @@ def test_unknown_space_is_by_policy():
     known, unknown = (50, 20), (50, 60)
     costs = {}
     for policy in ("allowed", "costly", "forbidden"):
-        terrain = terrain_of(cells, unknown=policy)
+        costmap = terrain_of(cells, unknown=policy)
         costs[policy] = [
-            int(terrain.costs[row + terrain.pad, column + terrain.pad]) for row, column in (known, unknown)
+            int(costmap.costs[row + costmap.pad, column + costmap.pad]) for row, column in (known, unknown)
         ]
-    assert costs["allowed"] == [UNIT, UNIT]
-    assert costs["costly"] == [UNIT, 3 * UNIT]
-    assert costs["forbidden"] == [UNIT, 0]
+    assert costs["allowed"] == [UNIT_COST, UNIT_COST]
+    assert costs["costly"] == [UNIT_COST, 3 * UNIT_COST]
+    assert costs["forbidden"] == [UNIT_COST, 0]
 
 
 def test_cells_that_are_neither_free_nor_occupied_are_unknown():
@@ -63,11 +63,11 @@ def test_cells_that_are_neither_free_nor_occupied_are_unknown():
 
 @pytest.mark.parametrize("beyond", [0.0, 1.0])
 def test_outside_of_the_map_is_unknown_space_as_far_as_configured(beyond):
-    terrain = terrain_of(room(2, 2), beyond_map=beyond)
-    assert terrain.holds(*terrain.cell(-0.01, 1.0)) == (beyond > 0)
-    assert not terrain.holds(*terrain.cell(-1.2, 1.0))
-    assert (terrain.costs[[0, -1]] == 0).all()
-    assert (terrain.costs[:, [0, -1]] == 0).all()
+    costmap = terrain_of(room(2, 2), beyond_map=beyond)
+    assert costmap.contains(*costmap.cell(-0.01, 1.0)) == (beyond > 0)
+    assert not costmap.contains(*costmap.cell(-1.2, 1.0))
+    assert (costmap.costs[[0, -1]] == 0).all()
+    assert (costmap.costs[:, [0, -1]] == 0).all()
 
 
 @pytest.mark.parametrize("robot", [X80, JACKAL])
@@ -75,8 +75,8 @@ def test_a_door_of_80_cm_lets_the_robot_through(robot):
     cells = room(3, 5)
     cells[:, 50:54] = 100
     cells[30:46, 50:54] = 0
-    terrain = terrain_of(cells, robot)
-    west, east = (terrain.regions.at(*terrain.cell(x, 1.5)) for x in (1.0, 4.0))
+    costmap = terrain_of(cells, robot)
+    west, east = (costmap.components.at(*costmap.cell(x, 1.5)) for x in (1.0, 4.0))
     assert west == east != 0
 
 
@@ -84,8 +84,8 @@ def test_a_slit_of_30_cm_does_not():
     cells = room(3, 5)
     cells[:, 50:54] = 100
     cells[30:36, 50:54] = 0
-    terrain = terrain_of(cells)
-    assert terrain.regions.at(*terrain.cell(1.0, 1.5)) != terrain.regions.at(*terrain.cell(4.0, 1.5))
+    costmap = terrain_of(cells)
+    assert costmap.components.at(*costmap.cell(1.0, 1.5)) != costmap.components.at(*costmap.cell(4.0, 1.5))
 
 
 @settings(max_examples=40, deadline=None)
@@ -93,12 +93,12 @@ def test_a_slit_of_30_cm_does_not():
 def test_regions_are_what_the_search_can_reach(seed, share):
     rng = np.random.default_rng(seed)
     cells = np.where(rng.random((24, 24)) < share, 100, 0).astype(np.int8)
-    terrain = terrain_of(cells, resolution=0.1, unknown="forbidden")
-    search, free = Search(), np.argwhere(terrain.costs)
+    costmap = terrain_of(cells, resolution=0.1, unknown="forbidden")
+    search, free = GridSearch(), np.argwhere(costmap.costs)
     for _ in range(10 if len(free) else 0):
         a, b = (tuple(map(int, free[rng.integers(len(free))])) for _ in range(2))
-        way = search.way(terrain.costs, a, b, UNIT, terrain.highest)
-        assert (len(way) > 0) == (terrain.regions.at(*a) == terrain.regions.at(*b))
+        way = search.cheapest_path(costmap.costs, a, b, UNIT_COST, costmap.max_cost)
+        assert (len(way) > 0) == (costmap.components.at(*a) == costmap.components.at(*b))
 
 
 @settings(max_examples=60, deadline=None)
@@ -113,17 +113,17 @@ def test_updating_by_changes_equals_starting_anew(changes, share, robot):
     resolution = 0.05 if share < 0.1 else 0.4
     cells = np.where(rng.random((192, 128)) < share, 100, 0).astype(np.int8)
     grid = grid_of(cells, resolution)
-    terrain = Terrain(CostConfig(), robot, resolution)
-    terrain.update(grid, None)
-    terrain.eased()
+    costmap = GlobalCostmap(CostConfig(), robot, resolution)
+    costmap.update(grid, None)
+    costmap.with_min_margin()
     for version, (row, column, percent) in enumerate(changes):
         before = cells.copy()
         cells[row : row + 3, column : column + 3] = percent
-        terrain.update(grid, grid.apply(message(cells, resolution, version=version + 2, since=before)))
+        costmap.update(grid, grid.apply(message(cells, resolution, version=version + 2, since=before)))
     anew = terrain_of(cells, robot, resolution)
-    for one, other in ((terrain, anew), (terrain.eased(), anew.eased())):
+    for one, other in ((costmap, anew), (costmap.with_min_margin(), anew.with_min_margin())):
         whole = 0, 0, *other.costs.shape
         assert (one.costs == other.costs).all()
-        assert (one.regions.within(*whole) == other.regions.within(*whole)).all()
-        for name in ("parts", "places", "crossing", "joins"):
-            assert (getattr(one.blocks, name) == getattr(other.blocks, name)).all(), name
+        assert (one.components.labels_in(*whole) == other.components.labels_in(*whole)).all()
+        for name in ("parts", "representatives", "crossing", "edges"):
+            assert (getattr(one.graph, name) == getattr(other.graph, name)).all(), name

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where was the robot when? The last second of odometry, for putting each beam where it was measured."""
+"""The poses of the last 3 s of odometry by time, for de-skewing scans."""
 
 from collections import deque
 
@@ -12,20 +12,22 @@ from shared.messages import Odometry
 
 Float64s = NDArray[np.float64]
 
-KEPT = 150  # odometry messages: 3 s at 50 Hz, the longest sweep and its delay
+MAX_MESSAGES = 150  # 3 s at 50 Hz: the longest sweep and its delay
 
 
-class Track:
-    """Odometry's poses by time. Empty after odometry jumped: points of the old frame have no place in the new one."""
+class OdometryBuffer:
+    """Poses in `odom` by time. A restart of odometry clears it, as points of the former frame have no place in the new
+    one.
+    """
 
     def __init__(self, drive: Drive) -> None:
         self.drive = drive
         self.latest: Odometry | None = None
-        self._rows: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
-        self._stamps: deque[int] = deque(maxlen=KEPT)
+        self._rows: deque[tuple[float, float, float]] = deque(maxlen=MAX_MESSAGES)
+        self._stamps: deque[int] = deque(maxlen=MAX_MESSAGES)
 
     def add(self, odometry: Odometry) -> bool:
-        """Takes the newest message; False where it does not continue the last (odometry restarted)."""
+        """Takes the newest message. Returns False where it does not continue the last one: odometry restarted."""
         last = self.latest
         pose = odometry.odom_from_base
         continues = last is not None and self._continues(last, odometry)
@@ -42,7 +44,7 @@ class Track:
         return last is None or continues
 
     def poses(self, stamps: Float64s, since: int) -> Float64s:
-        """(n, 3) x, y, yaw in `odom` at `since` (ns) + stamps (n,) s; the nearest known pose beyond both ends."""
+        """(n, 3) x, y, yaw in `odom` at `since` (ns) + stamps (n,) s; beyond both ends the nearest known pose."""
         times = np.array([(stamp - since) * 1e-9 for stamp in self._stamps])
         rows = np.array(self._rows)
         return np.column_stack([np.interp(stamps, times, column) for column in rows.T])
@@ -59,5 +61,5 @@ class Track:
         moved = last.odom_from_base.distance(odometry.odom_from_base)
         turned = abs(wrapped(odometry.odom_from_base.yaw - last.odom_from_base.yaw))
         fastest = max(self.drive.max_speed, self.drive.max_reverse_speed)
-        # twice what the robot can do, plus what a bump or a coarse encoder adds
+        # twice the drive's limits, with a margin for bumps and coarse encoders
         return moved <= 2 * fastest * elapsed + 0.1 and turned <= 2 * self.drive.max_turn_rate * elapsed + 0.2

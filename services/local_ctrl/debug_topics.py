@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What local control sees and weighs up, as messages for people: made only while somebody watches."""
+"""The debug topics: local costmap and rollouts as messages, published only while a client watches."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,34 +12,34 @@ from shared.messages import Costmap, Rollouts
 
 Float32s = NDArray[np.float32]
 
-PERIOD = 200_000_000  # ns between two pictures
-SHOWN = 24  # rollouts of the some hundred
-FADES = 0.5  # m beyond the robot's width over which a cell's cost falls to nothing
+PERIOD_NS = 200_000_000  # between two messages
+MAX_SHOWN = 24  # of some hundred rollouts
+COST_FADE_M = 0.5  # beyond the inscribed radius, over which a cell's cost falls to 0
 OCCUPIED, TOUCHING, UNKNOWN = 100, 99, -1
 
 
-class View:
-    """Until when somebody watches, and what was shown last."""
+class DebugTopics:
+    """Until when a client watches, and which rollouts were published last."""
 
     def __init__(self) -> None:
         self._until = self._next = 0  # ns
         self._n_solved = 0
 
     def watch(self, now: int, seconds: float) -> None:
-        """Somebody watches for so long from `now` (ns) on."""
+        """Begins to publish for `seconds` from `now` (ns) on."""
         self._until = now + round(seconds * 1e9)
         self._next = min(self._next, now)
 
     def due(self, now: int) -> bool:
-        """Whether a picture is to be made at `now` (ns)."""
+        """Whether messages are due at `now` (ns)."""
         if now >= self._until or now < self._next:
             return False
-        self._next = now + PERIOD
+        self._next = now + PERIOD_NS
         return True
 
     def costmap(self, now: int, costmap: LocalCostmap, footprint: Footprint) -> Costmap:
-        """The window that local control steers in, each cell's cost by its distance to the nearest obstacle."""
-        off = (costmap.field - footprint.inscribed) / FADES
+        """The local costmap, with each cell's cost by its distance to the nearest obstacle."""
+        off = (costmap.field - footprint.inscribed) / COST_FADE_M
         cells = np.where(off <= 0, TOUCHING, np.maximum(0.0, TOUCHING * (1 - off))).astype(np.int8)
         cells[costmap.occupied] = OCCUPIED
         cells[costmap.unknown & ~costmap.occupied] = UNKNOWN
@@ -47,18 +47,18 @@ class View:
         return Costmap(now, costmap.x0 - half, costmap.y0 - half, costmap.resolution, cells)
 
     def rollouts(self, now: int, controller: Controller, start: Motion) -> Rollouts | None:
-        """What was weighed up since the last call, from `start` in `odom`; None where nothing was."""
+        """The rollouts since the last call, from `start` in `odom`; None without any."""
         if controller.n_solved in (0, self._n_solved):
             return None
         self._n_solved = controller.n_solved
-        velocities, costs = controller.considered()
-        chosen = np.append(0, np.linspace(1, len(costs) - 1, min(SHOWN, len(costs) - 1)).astype(int))
-        xs, ys = _ways(velocities[chosen], start)
+        velocities, costs = controller.evaluated_rollouts()
+        chosen = np.append(0, np.linspace(1, len(costs) - 1, min(MAX_SHOWN, len(costs) - 1)).astype(int))
+        xs, ys = _polylines(velocities[chosen], start)
         return Rollouts(now, xs, ys, np.clip(costs[chosen], 0, 1e12).astype(np.float32))
 
 
-def _ways(velocities: NDArray[np.floating], start: Motion) -> tuple[Float32s, Float32s]:
-    """(k, n + 1) m in `odom` of velocities (k, n, 2) m/s, rad/s: chords of arcs, DT each."""
+def _polylines(velocities: NDArray[np.floating], start: Motion) -> tuple[Float32s, Float32s]:
+    """(k, n + 1) x and y, m in `odom`, of velocities (k, n, 2) m/s, rad/s: chords of arcs, DT each."""
     v, w = velocities[:, :, 0], velocities[:, :, 1]
     half = 0.5 * w * DT
     headings = start.pose.yaw + np.cumsum(w * DT, axis=1) - half

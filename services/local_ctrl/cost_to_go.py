@@ -1,21 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far is it from anywhere in the window to the end of the plan's visible part, around what stands in between.
+"""Cost to go: cost from each cell of the window to the end of the visible plan, around obstacles.
 
-The plan says where to go, the costmap what it could not know. Distance to go is the least integral of slowness over all
-ways on which the robot fits: 1 on the plan, more beside it, near obstacles and in the unknown. So one field pulls along
-the plan where that is free, around a box that stands on it, and back to it from anywhere; where all ways are closed, it
-leads to where the plan runs into what is in the way.
+The cost is the integral of slowness along the cheapest path: 1 on the plan, more beside it, near obstacles and in
+unknown space. One field so leads along a free plan, around an obstacle on it, and back to it. Where no path exists, it
+leads to the point at which the plan is blocked.
 """
 
 from math import floor, hypot, inf, sqrt
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.local_ctrl.footprint import sampled
+from services.local_ctrl.footprint import bilinear
 from shared.config import Section
 from shared.distance_field import distance_field_into
 
@@ -23,59 +22,61 @@ Bools = NDArray[np.bool_]
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 
-COARSE = 2  # cells of the costmap to one of the field, along each axis
-BEFORE = 3  # points of the path that the robot keeps off the place where it is blocked
-SWEEPS = 24  # at most; four settle every cell whose best way turns through less than a full circle
+COARSE_CELLS = 2  # cells of the costmap along a side of one of the field
+END_MARGIN_POINTS = 3  # points of the path between the robot and the blocked point
+MAX_SWEEPS = 24  # four settle each cell with a best path that turns through less than a full circle
 
 
-class DistanceToGoConfig(Section):
-    """What makes a way longer than it is."""
+class CostToGoConfig(Section):
+    """Slowness of cells."""
 
-    beside_plan: float = Field(0.5, ge=0, le=10, description="1/m: slowness added a metre away from the plan")
-    beside_plan_at_most: float = Field(0.5, ge=0, le=10, description="1: slowness added far from the plan")
+    RENAMED: ClassVar[dict[str, str]] = {"beside_plan_at_most": "max_beside_plan"}
+
+    beside_plan: float = Field(0.5, ge=0, le=10, description="1/m: slowness added per metre of distance to the plan")
+    max_beside_plan: float = Field(0.5, ge=0, le=10, description="1: maximum of that addition")
     near_obstacles: float = Field(3.0, ge=0, le=100, description="1: slowness added where the robot just fits")
-    clearance: float = Field(0.3, ge=0.01, le=3, description="m beyond the outline at which obstacles no longer count")
-    unknown: float = Field(0.3, ge=0, le=100, description="1: slowness added where nobody has looked")
+    clearance: float = Field(0.3, ge=0.01, le=3, description="m beyond the outline at which obstacles add nothing")
+    unknown: float = Field(0.3, ge=0, le=100, description="1: slowness added in unknown space")
     no_room: float = Field(40.0, ge=1, le=1000, description="1: slowness added where the robot does not fit")
 
 
-class ToGo(NamedTuple):
-    """(n / 2, n / 2) float32 m; cell (0, 0) is centred between the costmap's first two cells of both axes."""
+class CostToGo(NamedTuple):
+    """Field (n / 2, n / 2) float32 m; cell (0, 0) is centred between the costmap's first two cells of both axes."""
 
     field: Float32s
     i_end: int  # of the path's point that it leads to
-    closed: bool  # nothing leads to the path's last point: i_end is where the path runs into what is in the way
+    closed: bool  # no path leads to the plan's last point: i_end is the point before the obstacle
 
 
-def distance_to_go(
+def cost_to_go(
     field: Float32s,
     unknown: Bools,
     resolution: float,
     path: Float64s,
     robot: tuple[float, float],
     inscribed: float,
-    config: DistanceToGoConfig,
-) -> ToGo:
-    """field, unknown: (n, n), n even, m and bool, of the costmap.  path: (k, 2) m; robot: m; both from the costmap's
-    lower left centre.  inscribed: m.
+    config: CostToGoConfig,
+) -> CostToGo:
+    """The cost to go in a window: fast sweeping of the eikonal equation (Zhao 2005), started on the plan.
 
-    The eikonal equation by fast sweeping (Zhao 2005), started from the way along the plan, which bounds it from above.
+    `field`, `unknown`: (n, n), n even, m and bool, of the costmap. `path`: (k, 2) m. `robot`: m. Both are relative to
+    the costmap's lower left centre. `inscribed`: m.
     """
-    to_go = np.empty((len(field) // COARSE, len(field) // COARSE), np.float32)
+    to_go = np.empty((len(field) // COARSE_CELLS, len(field) // COARSE_CELLS), np.float32)
     settings = (
         config.beside_plan,
-        config.beside_plan_at_most,
+        config.max_beside_plan,
         config.near_obstacles,
         config.clearance,
         config.unknown,
         config.no_room,
     )
-    i_end, closed = _solve(field, unknown, resolution, path, robot, inscribed, settings, to_go)
-    return ToGo(to_go, i_end, closed)
+    i_end, closed = _fill_cost_to_go(field, unknown, resolution, path, robot, inscribed, settings, to_go)
+    return CostToGo(to_go, i_end, closed)
 
 
 @njit(cache=True, nogil=True)
-def _solve(
+def _fill_cost_to_go(
     field: Float32s,
     unknown: Bools,
     resolution: float,
@@ -86,11 +87,11 @@ def _solve(
     to_go: Float32s,
 ) -> tuple[int, bool]:
     n = len(to_go)
-    size = COARSE * resolution
-    # positions in cells of the coarse field, whose first centre lies half a fine cell up and right
-    cells = (path - 0.5 * (COARSE - 1) * resolution) / size
-    column = int(min(max((robot[0] - 0.5 * (COARSE - 1) * resolution) / size + 0.5, 0.0), n - 1.0))
-    row = int(min(max((robot[1] - 0.5 * (COARSE - 1) * resolution) / size + 0.5, 0.0), n - 1.0))
+    size = COARSE_CELLS * resolution
+    # positions in cells of the coarse field: its first centre lies half a fine cell up and right
+    cells = (path - 0.5 * (COARSE_CELLS - 1) * resolution) / size
+    column = int(min(max((robot[0] - 0.5 * (COARSE_CELLS - 1) * resolution) / size + 0.5, 0.0), n - 1.0))
+    row = int(min(max((robot[1] - 0.5 * (COARSE_CELLS - 1) * resolution) / size + 0.5, 0.0), n - 1.0))
     on_path = np.zeros((n, n), np.bool_)
     for k in range(len(cells)):
         i, j = floor(cells[k, 1] + 0.5), floor(cells[k, 0] + 0.5)
@@ -99,25 +100,25 @@ def _solve(
     slowness = np.empty((n, n), np.float32)
     distance_field_into(on_path, size, slowness)
     fits = np.empty((n, n), np.bool_)
-    # who stands where it does not fit, does fit: it must find its way out
-    here = sampled(field, robot[0] / resolution, robot[1] / resolution)
-    _slow_down(field, unknown, resolution, inscribed, min(inscribed, here - size), settings, slowness, fits)
+    # the robot's own clearance always fits, so that it can leave a narrow place
+    here = bilinear(field, robot[0] / resolution, robot[1] / resolution)
+    _fill_slowness(field, unknown, resolution, inscribed, min(inscribed, here - size), settings, slowness, fits)
     i_end, closed = len(cells) - 1, False
     for _ in range(2):
         to_go.fill(np.inf)
-        _start(cells[: i_end + 1], slowness, fits, size, to_go)
-        _sweeps(slowness, fits, size, to_go)
+        _initialize(cells[: i_end + 1], slowness, fits, size, to_go)
+        _sweep_until_settled(slowness, fits, size, to_go)
         if to_go[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].min() < inf:
             break
-        i_end, closed = max(0, _fitting(cells, fits) - 1 - BEFORE), True
+        i_end, closed = max(0, _n_fitting(cells, fits) - 1 - END_MARGIN_POINTS), True
     np.logical_not(np.isfinite(to_go), fits)
-    _sweeps(slowness, fits, size, to_go)
+    _sweep_until_settled(slowness, fits, size, to_go)
     return i_end, closed
 
 
 @njit(cache=True, nogil=True)
-def _fitting(cells: Float64s, fits: Bools) -> int:
-    """How many of the path's points come before the first one where the robot does not fit."""
+def _n_fitting(cells: Float64s, fits: Bools) -> int:
+    """Number of points of the path before the first one where the robot does not fit."""
     n = len(fits)
     for k in range(len(cells)):
         i, j = floor(cells[k, 1] + 0.5), floor(cells[k, 0] + 0.5)
@@ -127,7 +128,7 @@ def _fitting(cells: Float64s, fits: Bools) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _slow_down(
+def _fill_slowness(
     field: Float32s,
     unknown: Bools,
     resolution: float,
@@ -137,12 +138,12 @@ def _slow_down(
     slowness: Float32s,
     fits: Bools,
 ) -> None:
-    """Turns distances from the plan, m, into slowness; `fits` where the next obstacle is over `needed` m away."""
+    """Replaces distances from the plan, m, by slowness. fits: where the next obstacle is over `needed` m away."""
     beside, beside_most, near, clearance, unknown_cost, no_room = settings
     n = len(slowness)
     for row in range(n):
         for column in range(n):
-            i, j = COARSE * row, COARSE * column
+            i, j = COARSE_CELLS * row, COARSE_CELLS * column
             away = 0.25 * (field[i, j] + field[i, j + 1] + field[i + 1, j] + field[i + 1, j + 1])
             room = away - inscribed
             slow = 1.0 + min(beside_most, beside * max(0.0, slowness[row, column] - resolution))
@@ -157,8 +158,8 @@ def _slow_down(
 
 
 @njit(cache=True, nogil=True)
-def _start(cells: Float64s, slowness: Float32s, fits: Bools, size: float, to_go: Float32s) -> None:
-    """Exact distances about the path's end, and along the path the length of the way on it until it is blocked."""
+def _initialize(cells: Float64s, slowness: Float32s, fits: Bools, size: float, to_go: Float32s) -> None:
+    """Exact costs around the path's end, and along the path its length until it is blocked."""
     n = len(to_go)
     last = len(cells) - 1
     along = 0.0
@@ -180,8 +181,8 @@ def _start(cells: Float64s, slowness: Float32s, fits: Bools, size: float, to_go:
 
 
 @njit(cache=True, nogil=True)
-def _sweeps(slowness: Float32s, wanted: Bools, size: float, to_go: Float32s) -> None:
-    for sweep in range(SWEEPS):
+def _sweep_until_settled(slowness: Float32s, wanted: Bools, size: float, to_go: Float32s) -> None:
+    for sweep in range(MAX_SWEEPS):
         if _sweep(sweep % 4, slowness, wanted, size, to_go) < 0.01 and sweep >= 3:
             break
 
@@ -190,7 +191,7 @@ def _sweeps(slowness: Float32s, wanted: Bools, size: float, to_go: Float32s) -> 
 def _sweep(corner: int, slowness: Float32s, wanted: Bools, size: float, to_go: Float32s) -> float:
     """One Gauss-Seidel sweep away from one corner over the wanted cells; returns the largest improvement, m."""
     n = len(to_go)
-    most = 0.0
+    max_change = 0.0
     for a in range(n):
         row = a if corner < 2 else n - 1 - a
         for b in range(n):
@@ -207,23 +208,23 @@ def _sweep(corner: int, slowness: Float32s, wanted: Bools, size: float, to_go: F
             if second < value:
                 value = 0.5 * (first + second + sqrt(2.0 * step * step - (first - second) ** 2))
             if value < to_go[row, column]:
-                most = max(most, to_go[row, column] - value)
+                max_change = max(max_change, to_go[row, column] - value)
                 to_go[row, column] = value
-    return most
+    return max_change
 
 
 @njit(cache=True, nogil=True)
 def to_go_at(to_go: Float32s, x: float, y: float, resolution: float) -> float:
-    """The distance to go at (x, y), m from the costmap's lower left centre; m."""
-    size = COARSE * resolution
-    rim = 0.5 * (COARSE - 1) * resolution
-    return sampled(to_go, (x - rim) / size, (y - rim) / size)
+    """The cost to go at (x, y), m from the costmap's lower left centre; m."""
+    size = COARSE_CELLS * resolution
+    rim = 0.5 * (COARSE_CELLS - 1) * resolution
+    return bilinear(to_go, (x - rim) / size, (y - rim) / size)
 
 
 @njit(cache=True, nogil=True)
 def carrot(to_go: Float32s, x: float, y: float, look: float, resolution: float) -> tuple[float, float]:
-    """The point `look` m down the distance to go from (x, y); nearer where it ends."""
-    half, step = 0.5 * COARSE * resolution, COARSE * resolution
+    """The point `look` m down the gradient of the cost to go from (x, y); nearer at its minimum."""
+    half, step = 0.5 * COARSE_CELLS * resolution, COARSE_CELLS * resolution
     for _ in range(int(look / step) + 1):
         dx = to_go_at(to_go, x - half, y, resolution) - to_go_at(to_go, x + half, y, resolution)
         dy = to_go_at(to_go, x, y - half, resolution) - to_go_at(to_go, x, y + half, resolution)

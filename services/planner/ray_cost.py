@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a straight line over the cost grid costs, and whether it touches anything.
+"""Cost of a straight line over the costmap, and whether it touches a blocked cell.
 
-Points are (x, y) in cells: the centre of cell (row, column) is (column + 0.5, row + 0.5). Costs are those of
-`traversal_cost`.
+Points are (x, y) in cells: the centre of cell (row, column) is (column + 0.5, row + 0.5). Costs are those of `costmap`.
 """
 
 from math import hypot
@@ -31,11 +30,11 @@ def path_cost(costs: UInt16s, points: Float64s) -> float:
 
 
 @njit(cache=True, nogil=True)
-def line_cost(costs: UInt16s, x0: float, y0: float, x1: float, y1: float, most: float = np.inf) -> float:
-    """The integral of the costs along a line, or BLOCKED. Amanatides & Woo 1987, where a line through a corner of four
-    cells touches all of them.
+def line_cost(costs: UInt16s, x0: float, y0: float, x1: float, y1: float, max_cost: float = np.inf) -> float:
+    """The integral of the costs along a line, or BLOCKED (Amanatides and Woo 1987).
 
-    Where it exceeds `most`, that is found before the line's end: what lies beyond is not looked at.
+    A line through a corner touches all four cells. Where the cost exceeds `max_cost`, the rest of the line is not
+    tested.
     """
     column, row = int(np.floor(x0)), int(np.floor(y0))
     last_column, last_row = int(np.floor(x1)), int(np.floor(y1))
@@ -45,13 +44,13 @@ def line_cost(costs: UInt16s, x0: float, y0: float, x1: float, y1: float, most: 
     dx, dy = x1 - x0, y1 - y0
     length = hypot(dx, dy)
     across, up = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
-    # shares of the line at which it leaves the present column, the present row
+    # shares of the line at which it leaves the present column and row
     t_column = ((column + (dx > 0)) - x0) / dx if dx != 0 else np.inf
     t_row = ((row + (dy > 0)) - y0) / dy if dy != 0 else np.inf
     per_column = abs(1 / dx) if dx != 0 else np.inf
     per_row = abs(1 / dy) if dy != 0 else np.inf
     here, total = 0.0, 0.0
-    share = most / length if length > 0 else np.inf
+    share = max_cost / length if length > 0 else np.inf
     n_steps = abs(last_column - column) + abs(last_row - row)
     while n_steps > 0:
         cost = costs[row, column]

@@ -67,7 +67,7 @@ def test_the_rollouts_begin_at_the_robot_and_the_first_goes_its_way():
     loop = driving()
     watched(loop)
     rollouts = pictures(loop)["debug/rollouts"]
-    start = loop.service.acting.pose
+    start = loop.service.start.pose
     np.testing.assert_allclose(rollouts.xs[:, 0], start.x, atol=1e-5)
     np.testing.assert_allclose(rollouts.ys[:, 0], start.y, atol=1e-5)
     length = np.hypot(np.diff(rollouts.xs, axis=1), np.diff(rollouts.ys, axis=1)).sum(axis=1)

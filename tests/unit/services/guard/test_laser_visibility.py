@@ -4,8 +4,8 @@ from math import pi
 import numpy as np
 import pytest
 
-from services.guard.track import Track
-from services.guard.view import View, ViewConfig
+from services.guard.laser_visibility import LaserVisibility, VisibilityConfig
+from services.guard.odometry_buffer import OdometryBuffer
 from shared.config import load_robot
 from shared.geometry import Pose2, arc
 from shared.messages import LaserScan, Odometry
@@ -15,14 +15,14 @@ LASER = ROBOT.laser
 MS = 1_000_000
 N = LASER.n_beams
 BEARINGS = (LASER.mount.yaw + LASER.angle_min + LASER.angle_increment * np.arange(N) + pi) % (2 * pi) - pi
-OPEN_AIR = ViewConfig(min_share=0.0, min_ahead=0.0)
+OPEN_AIR = VisibilityConfig(min_share=0.0, min_ahead=0.0)
 
 
 class Watch:
     """A view that is given ten scans a second; nan: beams without a return."""
 
     def __init__(self, config=None):
-        self.view, self.track = View(config or ViewConfig(), ROBOT), Track(ROBOT.drive)
+        self.view, self.track = LaserVisibility(config or VisibilityConfig(), ROBOT), OdometryBuffer(ROBOT.drive)
         self.now, self.odom_from_base = 1000 * MS, Pose2()
 
     def scans(self, n, ranges, v=0.0, w=0.0):
@@ -32,11 +32,11 @@ class Watch:
             self.track.add(Odometry(self.now, self.odom_from_base, v, w, np.zeros(9)))
             seen = ranges() if callable(ranges) else ranges
             fields = LASER.angle_min, LASER.angle_increment, 0.0, LASER.range_min, LASER.range_max
-            self.view.take(LaserScan(self.now, *fields, np.asarray(seen, np.float32)), self.track, self.now)
+            self.view.add_scan(LaserScan(self.now, *fields, np.asarray(seen, np.float32)), self.track, self.now)
         return self
 
     def blind(self, v=0.5, w=0.0):
-        return self.view.blind(v, w, self.now)
+        return self.view.is_blind(v, w, self.now)
 
     def hall(self, x_wall=4.0):
         """A round hall of 5 m about the origin, a wall across it ahead."""
@@ -65,7 +65,7 @@ def disc(distance, bearing, radius):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, 30.0, 0.06])
-@pytest.mark.parametrize("config", [ViewConfig(), OPEN_AIR], ids=["default", "open air"])
+@pytest.mark.parametrize("config", [VisibilityConfig(), OPEN_AIR], ids=["default", "open air"])
 def test_a_scan_without_returns_is_blind_after_three_tenths_of_a_second_also_where_open_air_is_configured(
     value, config
 ):
@@ -83,10 +83,10 @@ def test_a_scan_without_returns_is_blind_after_three_tenths_of_a_second_also_whe
 
 
 def test_plus_infinity_is_a_view_where_the_laser_means_it_so():
-    watch = Watch(ViewConfig(inf_is_free=True))
+    watch = Watch(VisibilityConfig(inf_is_free=True))
     watch.scans(10, watch.hall)
     assert not watch.scans(10, np.full(N, np.inf)).blind()
-    assert not watch.view.empty(0.0, watch.now)
+    assert not watch.view.is_empty(0.0, watch.now)
     assert watch.scans(10, np.full(N, np.nan)).blind()
 
 
@@ -141,7 +141,7 @@ def test_in_open_air_a_thing_left_behind_or_turned_away_from_is_no_dark_sector()
     for _ in range(60):
         watch.scans(1, post, v=0.5, w=0.3)
         assert not watch.blind()
-        assert not watch.view.dark
+        assert not watch.view.is_dark
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.5])
@@ -157,7 +157,7 @@ def test_a_person_who_walks_by_in_open_air_leaves_no_dark_sector(speed):
 def test_nothing_ahead_from_the_start_is_empty_and_no_dark_sector():
     watch = Watch()
     watch.scans(10, lambda: sector(watch.hall(), 0.0, pi / 6))
-    assert watch.view.empty(0.0, watch.now)
-    assert not watch.view.empty(pi, watch.now)
+    assert watch.view.is_empty(0.0, watch.now)
+    assert not watch.view.is_empty(pi, watch.now)
     assert not watch.blind()
-    assert not Watch(OPEN_AIR).scans(10, sector(np.full(N, 3.0), 0.0, pi / 6)).view.empty(0.0, watch.now)
+    assert not Watch(OPEN_AIR).scans(10, sector(np.full(N, 3.0), 0.0, pi / 6)).view.is_empty(0.0, watch.now)

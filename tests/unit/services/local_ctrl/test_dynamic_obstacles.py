@@ -8,24 +8,23 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from services.local_ctrl.controller import Scene
-from services.local_ctrl.distance_to_go import DistanceToGoConfig
-from services.local_ctrl.expected import expected
-from services.local_ctrl.follow import FollowConfig, Follower
+from services.local_ctrl.controller import ControlScene
+from services.local_ctrl.cost_to_go import CostToGoConfig
+from services.local_ctrl.dynamic_obstacles import DynamicObstacle, DynamicObstaclesConfig, predicted_discs
 from services.local_ctrl.footprint import footprint_of
 from services.local_ctrl.local_costmap import CostmapConfig, LocalCostmap
 from services.local_ctrl.local_plan import LocalPlan
-from services.local_ctrl.movers import Mover, MoversConfig
 from services.local_ctrl.mppi import Mppi, MppiConfig
+from services.local_ctrl.path_following import PathFollower, PathFollowingConfig
 from services.local_ctrl.rollout import Motion, limits_of
 from services.local_ctrl.zones import LocalZones
 from shared.config import Mount, load_robot
 from shared.geometry import Pose2
 from shared.messages import Goal, GoalKind, LaserScan
 
-S = 10**9
+NS_PER_S = 10**9
 MS = 10**6
-PERIOD = 50 * MS
+PERIOD_NS = 50 * MS
 N = 720
 STEP = 2 * pi / N
 EXACT_M, EXACT_M_S = 0.02, 0.05
@@ -54,14 +53,14 @@ def seen(
 
 def seen_as(costmap: LocalCostmap, k: int, ranges: np.ndarray, x: float = 0.0, turns: float = 1.0) -> int:
     """The k-th scan, with these ranges; its stamp."""
-    stamp = 10 * S + k * PERIOD
+    stamp = 10 * NS_PER_S + k * PERIOD_NS
     scan = LaserScan(stamp, -turns * pi, turns * STEP, 0.0, 0.1, 30.0, ranges)
-    costmap.see(scan, np.tile((x, 0.0, 0.0), (N, 1)), Mount())
+    costmap.add_scan(scan, np.tile((x, 0.0, 0.0), (N, 1)), Mount())
     return stamp
 
 
 def made() -> LocalCostmap:
-    costmap = LocalCostmap(CostmapConfig(movers=MoversConfig(follow=True)), 4.0)
+    costmap = LocalCostmap(CostmapConfig(dynamic_obstacles=DynamicObstaclesConfig(enabled=True)), 4.0)
     costmap.recentre(0.0, 0.0)
     return costmap
 
@@ -70,15 +69,15 @@ def made() -> LocalCostmap:
 def test_a_disc_that_moves_is_followed_where_it_is_and_goes(vx, vy, radius):
     costmap = made()
     for k in range(14):
-        t = k * PERIOD / S
+        t = k * PERIOD_NS / NS_PER_S
         x, y = 2.0 + vx * (t - 0.3), vy * (t - 0.3)
         stamp = seen(costmap, k, [(x, y, radius), (-1.5, 1.0, 0.3)])
-    ((px, py, pvx, pvy, found, turn),) = costmap.movers.discs(stamp).tolist()
+    ((px, py, pvx, pvy, found, turn),) = costmap.dynamic_obstacles.discs(stamp).tolist()
     assert_allclose((px, py), (x, y), atol=EXACT_M)
     assert_allclose((pvx, pvy), (vx, vy), atol=EXACT_M_S)
     assert_allclose(found, radius, atol=EXACT_M)
     assert abs(turn) < 0.15
-    ahead = costmap.movers.discs(stamp + S)[0]
+    ahead = costmap.dynamic_obstacles.discs(stamp + NS_PER_S)[0]
     assert_allclose(ahead[:2], (px + pvx, py + pvy), atol=EXACT_M_S)
 
 
@@ -89,11 +88,11 @@ def test_one_that_bends_its_way_is_expected_on_its_arc(turn):
 
     costmap = made()
     for k in range(20):
-        t = k * PERIOD / S - 0.95
+        t = k * PERIOD_NS / NS_PER_S - 0.95
         stamp = seen(costmap, k, [(*at(t), 0.4)])
-    discs = costmap.movers.discs(stamp)
+    discs = costmap.dynamic_obstacles.discs(stamp)
     assert_allclose(discs[0, 5], turn, atol=0.15)
-    ways = expected(discs, 20)
+    ways = predicted_discs(discs, 20)
     assert_allclose(ways[-1, 0, :2], at(t + 1.0), atol=0.15)
     assert_allclose(ways[-1, 0, 2], discs[0, 4])
     assert np.hypot(*(discs[0, :2] + discs[0, 2:4] - at(t + 1.0))) > 0.25  # straight on it would be elsewhere
@@ -102,25 +101,25 @@ def test_one_that_bends_its_way_is_expected_on_its_arc(turn):
 def test_one_that_turns_back_is_expected_where_it_goes_now():
     costmap = made()
     for k in range(24):
-        y = 1.2 * abs(k - 19) * PERIOD / S - 0.4
+        y = 1.2 * abs(k - 19) * PERIOD_NS / NS_PER_S - 0.4
         stamp = seen(costmap, k, [(2.5, y, 0.4)])
-    ((_, _, vx, vy, _, _),) = costmap.movers.discs(stamp).tolist()
+    ((_, _, vx, vy, _, _),) = costmap.dynamic_obstacles.discs(stamp).tolist()
     assert_allclose((vx, vy), (0.0, 1.2), atol=EXACT_M_S)
 
 
 def test_what_moves_goes_on_where_nobody_saw_that_it_was_free_until_it_stands():
-    mover = Mover()
+    mover = DynamicObstacle()
     for k in range(60):
         share, y = float(k < 12), 0.05 * min(k, 40)
-        mover.take(k * PERIOD, (2.0, y, 0.5, share, 1.0), (0.0, 0.0), 0.2)
+        mover.update(k * PERIOD_NS, (2.0, y, 0.5, share, 1.0), (0.0, 0.0), 0.2)
         assert mover.moves or not 5 <= k <= 40, k
     assert not mover.moves
 
 
 def test_what_is_wider_than_a_known_disc_is_it_and_another():
-    mover = Mover()
+    mover = DynamicObstacle()
     for k in range(10):
-        mover.take(k * PERIOD, (2.0, 0.05 * k, 0.5, 1.0, 1.0), (0.0, 0.0), 0.2)
+        mover.update(k * PERIOD_NS, (2.0, 0.05 * k, 0.5, 1.0, 1.0), (0.0, 0.0), 0.2)
     assert mover.moves
     assert mover.is_hidden((2.0, 0.8, 0.75, 1.0, 0.0))
     assert not mover.is_hidden((2.0, 0.5, 0.5, 1.0, 1.0))
@@ -129,8 +128,8 @@ def test_what_is_wider_than_a_known_disc_is_it_and_another():
 def test_a_disc_that_creeps_is_followed_too():
     costmap = made()
     for k in range(50):
-        stamp = seen(costmap, k, [(2.0, 0.28 * (k * PERIOD / S - 1.0), 0.5)])
-    ((_, _, vx, vy, _, _),) = costmap.movers.discs(stamp).tolist()
+        stamp = seen(costmap, k, [(2.0, 0.28 * (k * PERIOD_NS / NS_PER_S - 1.0), 0.5)])
+    ((_, _, vx, vy, _, _),) = costmap.dynamic_obstacles.discs(stamp).tolist()
     assert_allclose((vx, vy), (0.0, 0.28), atol=EXACT_M_S)
 
 
@@ -138,10 +137,10 @@ def test_a_disc_that_creeps_is_followed_too():
 def test_two_that_touch_are_two_and_each_goes_its_own_way(turns):
     costmap = made()
     for k in range(30):
-        t = k * PERIOD / S - 1.45
+        t = k * PERIOD_NS / NS_PER_S - 1.45
         # they come from both sides, and overlap by a fifth at the end
         stamp = seen(costmap, k, [(2.0, -0.4 + 1.0 * t, 0.5), (2.0, 0.4 - 0.6 * t, 0.5)], turns=turns)
-    discs = costmap.movers.discs(stamp)
+    discs = costmap.dynamic_obstacles.discs(stamp)
     assert len(discs) == 2
     found = discs[np.argsort(discs[:, 1])]
     assert_allclose(found[:, :2], [(2.0, -0.4), (2.0, 0.4)], atol=EXACT_M)
@@ -152,11 +151,11 @@ def behind_a_post(noise: float = 0.0, seed: int = 0) -> np.ndarray:
     """(40, 2) of each scan from 1 s on, while a disc at 1 m/s passes behind a post: m and m/s that it is off."""
     costmap, rng, errors = made(), np.random.default_rng(seed), []
     for k, ranges in enumerate(passing()):
-        y = 1.0 * (k * PERIOD / S - 1.5)
+        y = 1.0 * (k * PERIOD_NS / NS_PER_S - 1.5)
         noisy = (ranges + rng.normal(0.0, noise, N)).astype(np.float32) if noise else ranges
         stamp = seen_as(costmap, k, noisy)
         if k >= 20:
-            moving = costmap.movers.discs(stamp)
+            moving = costmap.dynamic_obstacles.discs(stamp)
             nearest = moving[np.argmin(np.hypot(moving[:, 0] - 2.5, moving[:, 1] - y))]
             errors.append(np.abs(nearest[:4] - (2.5, y, 0.0, 1.0)).reshape(2, 2).max(axis=1))
     return np.array(errors)
@@ -165,7 +164,7 @@ def behind_a_post(noise: float = 0.0, seed: int = 0) -> np.ndarray:
 @cache
 def passing() -> list[np.ndarray]:
     """The true ranges of 60 scans: a disc passes behind a post."""
-    return [ranges_of([(1.0, 0.0, 0.15), (2.5, k * PERIOD / S - 1.5, 0.5)]) for k in range(60)]
+    return [ranges_of([(1.0, 0.0, 0.15), (2.5, k * PERIOD_NS / NS_PER_S - 1.5, 0.5)]) for k in range(60)]
 
 
 def test_one_that_goes_behind_a_post_keeps_its_place_and_speed():
@@ -187,7 +186,7 @@ def test_one_that_goes_behind_a_post_is_followed_with_noise_too_and_well_once_it
 def test_what_moves_leaves_nothing_in_the_window_and_what_stands_stays():
     costmap = made()
     for k in range(20):
-        stamp = seen(costmap, k, [(2.0, 1.2 * (k * PERIOD / S - 0.5), 0.4), (-1.5, 1.0, 0.3)])
+        stamp = seen(costmap, k, [(2.0, 1.2 * (k * PERIOD_NS / NS_PER_S - 0.5), 0.4), (-1.5, 1.0, 0.3)])
     costmap.refresh(stamp, Pose2(), footprint_of(load_robot("jackal").robot, 0.03))
     rows, columns = np.nonzero(costmap.occupied)
     x, y = costmap.x0 + columns * costmap.resolution, costmap.y0 + rows * costmap.resolution
@@ -200,22 +199,22 @@ def test_nothing_moves_in_a_world_that_stands_however_the_robot_drives():
     rng = np.random.default_rng(3)
     posts = [(a, b, 0.075) for a, b in rng.uniform(-3.5, 3.5, (60, 2)).tolist() if abs(b) > 0.5]
     for k in range(40):
-        stamp = seen(costmap, k, posts, x=-1.0 + 2.0 * k * PERIOD / S)
-        assert not len(costmap.movers.discs(stamp)), k
+        stamp = seen(costmap, k, posts, x=-1.0 + 2.0 * k * PERIOD_NS / NS_PER_S)
+        assert not len(costmap.dynamic_obstacles.discs(stamp)), k
 
 
 def test_out_of_sight_it_goes_on_for_a_while_and_is_forgotten():
     costmap = made()
     for k in range(20):
-        stamp = seen(costmap, k, [(2.0, -0.5 + 1.0 * k * PERIOD / S, 0.4)])
-    assert len(costmap.movers.discs(stamp)) == 1
-    memory = round(costmap.config.movers.memory * S / PERIOD)
+        stamp = seen(costmap, k, [(2.0, -0.5 + 1.0 * k * PERIOD_NS / NS_PER_S, 0.4)])
+    assert len(costmap.dynamic_obstacles.discs(stamp)) == 1
+    memory = round(costmap.config.dynamic_obstacles.memory * NS_PER_S / PERIOD_NS)
     for k in range(20, 20 + memory - 1):
         stamp = seen(costmap, k, [])
-        assert len(costmap.movers.discs(stamp)) == 1
+        assert len(costmap.dynamic_obstacles.discs(stamp)) == 1
     for k in range(20 + memory, 22 + memory):
         stamp = seen(costmap, k, [])
-    assert not len(costmap.movers.discs(stamp))
+    assert not len(costmap.dynamic_obstacles.discs(stamp))
 
 
 def followed(comes: bool) -> tuple[float, float]:
@@ -223,10 +222,10 @@ def followed(comes: bool) -> tuple[float, float]:
     robot = load_robot("jackal").robot
     limits, footprint = limits_of(robot.drive, 10.0, 0.15), footprint_of(robot, 0.03)
     costmap = made()
-    costmap.refresh(10 * S, Pose2(), footprint)
-    costmap.moving = np.array([[0.0, -1.6, 0.0, 1.0, 0.5, 0.0]]) if comes else costmap.movers.discs(0)
+    costmap.refresh(10 * NS_PER_S, Pose2(), footprint)
+    costmap.moving_discs = np.array([[0.0, -1.6, 0.0, 1.0, 0.5, 0.0]]) if comes else costmap.dynamic_obstacles.discs(0)
     controller, zones = Mppi(MppiConfig(), limits), LocalZones(robot.circumscribed_radius)
-    follower = Follower(FollowConfig(), DistanceToGoConfig(), controller, limits, footprint, zones)
+    follower = PathFollower(PathFollowingConfig(), CostToGoConfig(), controller, limits, footprint, zones)
     xs = np.linspace(0.0, -3.0, 31)
     goal = Goal(0, 1, GoalKind.DRIVE, Pose2(-3.0, 0.0, pi), 0.2, 0.2, 0.0, False)
     outcome = follower.follow(LocalPlan(xs, 0 * xs, pi), goal, costmap, Motion(Pose2(), 0.0, 0.0), Pose2(), 1)
@@ -252,7 +251,9 @@ def test_a_solution_keeps_off_where_what_moves_will_be(side):
     # it comes from the side and would meet the robot 1 s from now, 1.5 m ahead
     mover = np.array([[4.5, 6.0 - side * 1.2, 0.0, side * 1.2, 0.5, 0.0]])
     path = np.array([[3.0, 6.0], [9.0, 6.0]])
-    scene = Scene(field, np.zeros((n, n), bool), 0.05, to_go, 9.0, 6.0, True, 3.0, 6.0, 0.0, 1.5, 0.0, path, mover)
+    scene = ControlScene(
+        field, np.zeros((n, n), bool), 0.05, to_go, 9.0, 6.0, True, 3.0, 6.0, 0.0, 1.5, 0.0, path, mover
+    )
     solution = Mppi(MppiConfig(), limits).solve(scene, footprint, 1)
     assert not solution.collides
     x, y, yaw, least, least_before = 3.0, 6.0, 0.0, np.inf, np.inf
@@ -266,5 +267,5 @@ def test_a_solution_keeps_off_where_what_moves_will_be(side):
         least_before = min(least_before, float(np.hypot(*(there - before))) - 0.5)
     assert least > footprint.circumscribed
     assert least_before > footprint.inscribed  # or the guard brakes, and leaves it standing in the way
-    straight = Mppi(MppiConfig(), limits).solve(scene._replace(movers=np.zeros((0, 6))), footprint, 1)
+    straight = Mppi(MppiConfig(), limits).solve(scene._replace(dynamic_obstacles=np.zeros((0, 6))), footprint, 1)
     assert straight.velocities[:20, 0].min() > 1.2  # without it, the robot would just have driven on

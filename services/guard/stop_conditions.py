@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stop conditions: the newest inputs, and a table of reasons over them, highest first."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from pydantic import Field
+
+from services.guard.arbitration import ArbitrationConfig, CommandSource, active_source
+from shared import reasons, topics
+from shared.config import Section
+from shared.messages import BaseStatus, EmergencyStop, GuardState, LaserScan, Localization, PoseEstimate
+from shared.reasons import Reason
+from shared.rejections import Rejections
+from shared.stamps import fresh, precedes, supersedes
+
+
+class StopConditionsConfig(Section):
+    """Maximum ages of the inputs."""
+
+    odom_age: float = Field(0.2, gt=0, le=1, description="s at which odometry is too old")
+    scan_age: float = Field(0.27, gt=0, le=2, description="s after its last beam at which a scan is too old")
+    base_age: float = Field(2.0, gt=0, le=10, description="s at which the base driver is silent")
+    pose_age: float = Field(1.0, gt=0, le=10, description="s at which the pose is too old; for navigation only")
+    lost_after: float = Field(2.0, ge=0, le=60, description="s for which navigation may drive with a lost pose")
+    pose_jump: float = Field(0.5, gt=0, le=10, description="m that the pose may jump before navigation must plan again")
+    replan: float = Field(0.5, ge=0, le=10, description="s after a jump from which navigation's commands count again")
+
+
+class StopInputs:
+    """The newest inputs of the guard, and each condition of the table STOPS over them. Times are ns."""
+
+    def __init__(self, config: StopConditionsConfig, arbitration: ArbitrationConfig, rejections: Rejections) -> None:
+        self.config, self.arbitration, self.rejections = config, arbitration, rejections
+        self.teleop, self.nav = CommandSource("teleop", arbitration), CommandSource("nav", arbitration)
+        self.estop: EmergencyStop | None = None  # while it is pressed
+        self.base: BaseStatus | None = None
+        self.odom_stamp: int | None = None
+        self.odom_valid_from: int | None = None  # start of its age: the stamp, or the arrival where the stamp is ahead
+        self.scan: LaserScan | None = None
+        self.scan_valid_from: int | None = None  # as odom_valid_from, of the last beam
+        self.scan_repeats = False  # the laser repeats one scan
+        self.is_blind = False  # the laser has no view in the direction of the command
+        self.pose: PoseEstimate | None = None
+        self.lost_since: int | None = None
+        self.jumped_at: int | None = None
+        self.override: tuple[int, int] | None = None  # begin and end of the time without protective field
+
+    def set_odometry(self, stamp: int, now: int) -> None:
+        """Registers odometry with this stamp."""
+        self.odom_stamp, self.odom_valid_from = stamp, min(stamp, now)
+
+    def set_scan(self, scan: LaserScan, now: int) -> None:
+        """Registers the newest scan."""
+        self.scan, self.scan_valid_from = scan, min(scan_end(scan), now)
+
+    def clear_scan(self) -> None:
+        """Drops the last scan: odometry restarted, so its points have no place in the new frame."""
+        self.scan = self.scan_valid_from = None
+
+    def set_override(self, seconds: float, now: int) -> Reason | None:
+        """Overrides the protective field for `seconds`; 0 ends the override. Returns the reason of a refusal."""
+        if seconds and (self.estop is not None or self.base_in_estop(now)):
+            return reasons.ESTOP
+        self.override = (now, now + round(seconds * 1e9)) if seconds else None
+        return None
+
+    def is_overridden(self, now: int) -> bool:
+        """Whether teleoperation drives with the protective field overridden."""
+        return self.override is not None and self.override[0] <= now < self.override[1] and not self.navigates(now)
+
+    def set_estop(self, stop: EmergencyStop, now: int) -> None:
+        """Latches a pressed e-stop, or releases it. After a release both sources must send zero first."""
+        if stop.pressed:  # the sender's clock may be ahead: no release older than the arrival counts
+            self.estop, self.override = replace(stop, stamp=min(stop.stamp, now)), None
+            return
+        if self.estop is not None and precedes(stop.stamp, self.estop.stamp, now):
+            return  # an older release than this press
+        if self.estop is not None or self.fault:
+            self._disarm(now)
+        self.estop = None
+
+    def set_base(self, status: BaseStatus, now: int) -> None:
+        """Registers the base driver's status. The end of its e-stop is a release, also where none was received."""
+        if self.fault == reasons.ESTOP.code != status.fault:
+            self._disarm(now)
+        if status.fault == reasons.ESTOP.code:
+            self.override = None
+        self.base = status
+
+    def _disarm(self, now: int) -> None:
+        self.nav.disarm(now)
+        self.teleop.disarm(now)
+
+    def set_pose(self, pose: PoseEstimate, now: int) -> None:
+        """Registers a pose estimate, with the beginning of a loss and the time of a jump of `map_from_odom`."""
+        last = self.pose
+        if not supersedes(pose.stamp, self.pose_stamp, now):
+            return
+        if last is None or last.stamp >= pose.stamp:  # the first, or the first after the clock was set back
+            self.jumped_at = self.lost_since = None
+        else:
+            by_old_correction = last.map_from_odom @ pose.map_from_odom.inverse() @ pose.map_from_base
+            if by_old_correction.distance(pose.map_from_base) > self.config.pose_jump:
+                self.jumped_at = now
+        if pose.state is not Localization.LOST:
+            self.lost_since = None
+        elif self.lost_since is None:
+            self.lost_since = now
+        self.pose = pose
+
+    def source(self, now: int) -> CommandSource:
+        """The active command source."""
+        return active_source(self.teleop, self.nav, now)
+
+    def has_command(self, now: int) -> bool:
+        """Whether the active source's last command is recent enough."""
+        return self.source(now).is_newer_than(self.arbitration.command_age, now)
+
+    def navigates(self, now: int) -> bool:
+        """Whether navigation is the active source: its commands need a pose."""
+        return self.source(now) is self.nav
+
+    @property
+    def fault(self) -> str:
+        """The base's fault; empty without one."""
+        return self.base.fault if self.base else ""
+
+    def base_in_estop(self, now: int) -> bool:
+        """Whether the base reports an e-stop, perhaps one that this guard did not receive."""
+        return self.fault == reasons.ESTOP.code and not self.is_base_old(now)
+
+    def is_lost(self, now: int) -> bool:
+        """Whether the pose has been lost for longer than `lost_after`."""
+        return self.lost_since is not None and now - self.lost_since > self.config.lost_after * 1e9
+
+    @property
+    def awaits_new_plan(self) -> bool:
+        """Whether the pose jumped and the last command of navigation still follows the plan from before."""
+        command = self.nav.command
+        if self.jumped_at is None or command is None:
+            return False
+        return command.stamp - self.jumped_at <= self.config.replan * 1e9
+
+    def is_scan_old(self, now: int) -> bool:
+        """Whether the last valid scan is missing or too old to drive on."""
+        return not self.is_overridden(now) and self.is_old(self.scan_valid_from, self.config.scan_age, now)
+
+    def scan_mismatch(self, now: int) -> str:
+        """Difference between the received scans and the configured beams, in words; empty without one."""
+        return self.rejections.unfit(topics.SCAN.key, now)
+
+    def is_odom_old(self, now: int) -> bool:
+        """Whether odometry is missing or too old to drive on."""
+        return self.is_old(self.odom_valid_from, self.config.odom_age, now)
+
+    def stamp_fault(self, now: int) -> str:
+        """Fault of the stamps of an input that is old although its messages arrive, in words; empty without one.
+
+        The base driver's words about its board come first: the other faults follow from the board's stamps.
+        """
+        if self.base is not None and self.fault == reasons.BAD_STAMPS.code:
+            return self.base.detail or reasons.BAD_STAMPS.text
+        if self.is_odom_old(now):
+            return self.rejections.told(topics.ODOM.key, now)
+        return self.rejections.told(topics.SCAN.key, now) if self.is_scan_old(now) else ""
+
+    def detail(self, reason: Reason, state: GuardState, now: int) -> str:
+        """Detail of a stop reason: the base's words for its faults, the causes of rejection for an input."""
+        if reason is reasons.BAD_STAMPS:
+            return self.stamp_fault(now)
+        if reason is reasons.SCAN_UNLIKE:
+            return self.scan_mismatch(now)
+        if self.base is not None and (state is GuardState.FAULT or reason.code == self.fault != reasons.ESTOP.code):
+            return self.base.detail
+        if reason in (reasons.COMMAND_OLD, reasons.NO_COMMAND):
+            return self.rejections.told(topics.TELEOP.key, now) or self.rejections.told(topics.CMD_NAV.key, now)
+        return ""
+
+    @property
+    def base_stamp(self) -> int | None:
+        """ns"""
+        return self.base.stamp if self.base else None
+
+    @property
+    def pose_stamp(self) -> int | None:
+        """ns"""
+        return self.pose.stamp if self.pose else None
+
+    def is_base_old(self, now: int) -> bool:
+        """Whether the base driver's status is missing or too old."""
+        return self.is_old(self.base_stamp, self.config.base_age, now)
+
+    def is_pose_old(self, now: int) -> bool:
+        """Whether the pose estimate is missing or too old."""
+        return self.is_old(self.pose_stamp, self.config.pose_age, now)
+
+    @staticmethod
+    def is_old(stamp: int | None, max_age: float, now: int) -> bool:
+        """Whether a stamp is missing, over `max_age` s old, or in the future."""
+        return stamp is None or not fresh(stamp, now, max_age)
+
+    def stop_reason(self, now: int) -> tuple[Reason, GuardState] | None:
+        """The first condition of STOPS that holds, or None."""
+        return next(((reason, state) for reason, state, holds in STOPS if holds(self, now)), None)
+
+
+def scan_end(scan: LaserScan) -> int:
+    """ns of the last beam."""
+    return scan.stamp + round(scan.scan_time * 1e9)
+
+
+NO_FAULTS = ("", reasons.ESTOP.code, reasons.BAD_STAMPS.code)
+"""Faults of the base that are not of its hardware."""
+
+# fmt: off
+STOPS: tuple[tuple[Reason, GuardState, Callable[[StopInputs, int], bool]], ...] = (  # highest rank first
+    (reasons.ESTOP,          GuardState.STOPPED, lambda s, t: s.estop is not None or s.base_in_estop(t)),
+    (reasons.WHEEL_STUCK,    GuardState.FAULT,   lambda s, t: s.fault == reasons.WHEEL_STUCK.code),
+    (reasons.WHEEL_ASTRAY,   GuardState.FAULT,   lambda s, t: s.fault == reasons.WHEEL_ASTRAY.code),
+    (reasons.ENCODERS_BROKEN, GuardState.FAULT,  lambda s, t: s.fault == reasons.ENCODERS_BROKEN.code),
+    (reasons.ENCODERS_JUMP,  GuardState.HOLD,    lambda s, t: s.fault == reasons.ENCODERS_JUMP.code),
+    (reasons.NOT_OBEYED,     GuardState.HOLD,    lambda s, t: s.fault == reasons.NOT_OBEYED.code),
+    (reasons.PORT_CLOSED,    GuardState.FAULT,   lambda s, t: s.fault == reasons.PORT_CLOSED.code),
+    (reasons.BOARD_SILENT,   GuardState.FAULT,   lambda s, t: s.fault == reasons.BOARD_SILENT.code),
+    (reasons.BATTERY_EMPTY,  GuardState.FAULT,   lambda s, t: s.fault == reasons.BATTERY_EMPTY.code),
+    (reasons.WRONG_RANGES,   GuardState.FAULT,   lambda s, t: s.fault == reasons.WRONG_RANGES.code),
+    (reasons.SENSOR_DEAD,    GuardState.FAULT,   lambda s, t: s.fault == reasons.SENSOR_DEAD.code),
+    (reasons.FAULT,          GuardState.FAULT,   lambda s, t: s.fault not in NO_FAULTS),
+    (reasons.BASE_SILENT,    GuardState.HOLD,    lambda s, t: s.is_base_old(t)),
+    (reasons.BAD_STAMPS,     GuardState.HOLD,    lambda s, t: bool(s.stamp_fault(t))),
+    (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s, t: s.is_odom_old(t)),
+    (reasons.SCAN_UNLIKE,    GuardState.HOLD,    lambda s, t: not s.is_overridden(t) and bool(s.scan_mismatch(t))),
+    (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s, t: s.is_scan_old(t)),
+    (reasons.SCAN_FROZEN,    GuardState.HOLD,    lambda s, t: not s.is_overridden(t) and s.scan_repeats),
+    (reasons.COMMAND_OLD,    GuardState.HOLD,    lambda s, t: not s.has_command(t) and s.source(t).wants_motion),
+    (reasons.NO_COMMAND,     GuardState.IDLE,    lambda s, t: not s.has_command(t)),
+    (reasons.ESTOP_RELEASED, GuardState.HOLD,    lambda s, t: not s.source(t).is_armed),
+    (reasons.SCAN_BLIND,     GuardState.HOLD,    lambda s, t: s.navigates(t) and s.is_blind),
+    (reasons.POSE_LOST,      GuardState.HOLD,    lambda s, t: s.navigates(t) and s.is_lost(t)),
+    (reasons.POSE_JUMPED,    GuardState.HOLD,    lambda s, t: s.navigates(t) and s.awaits_new_plan),
+    (reasons.POSE_OLD,       GuardState.HOLD,    lambda s, t: s.navigates(t) and s.is_pose_old(t)),
+)
+# fmt: on
