@@ -48,7 +48,7 @@ BOUNDS = {"MOST", "LEAST", "LONGEST", "FARTHEST", "SHORTEST", "LARGEST", "SMALLE
 
 ALLOWED = {
     "docs": (158, 0, 0),
-    "services/base_driver": (14, 4, 1),
+    "services/base_driver": (13, 4, 0),
     "services/guard": (18, 3, 3),
     "services/lidar_driver": (21, 8, 12),
     "services/local_ctrl": (29, 9, 9),

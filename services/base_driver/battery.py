@@ -15,7 +15,7 @@ class BatteryConfig(Section):
     recovered: float = Field(0.3, ge=0, le=10, description="V over `empty` from which the robot may drive again")
 
 
-class BatteryWatch:
+class BatteryMonitor:
     """Watches the reports; `is_empty` holds until the voltage has recovered."""
 
     def __init__(self, config: BatteryConfig) -> None:
@@ -23,7 +23,7 @@ class BatteryWatch:
         self.is_empty = False
         self._under_since: int | None = None
 
-    def take(self, stamp: int, volts: float) -> None:
+    def update(self, stamp: int, volts: float) -> None:
         """A report's stamp (ns) and voltage, NaN where none has been measured."""
         if self.is_empty:
             self._under_since = None

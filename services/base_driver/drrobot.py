@@ -6,11 +6,11 @@ from typing import Literal, NamedTuple
 
 from shared.drrobot import ADC_FULL, BOARD, Packet, Type, framed
 
-LEAVE_ALONE = -32768
+NO_CHANGE = -32768
 """In a command to all channels: this channel keeps what it was told."""
 
 N_CHANNELS = 6
-INFRARED_NOTHING = 0.81  # m: what the driver reports where the sensor sees nothing
+NO_INFRARED_ECHO_M = 0.81  # m: what the driver reports where the sensor sees nothing
 
 _MOTOR_SENSOR = Struct("<6H6H4HB")
 _CUSTOM_SENSOR = Struct("<8HB")
@@ -56,10 +56,10 @@ class StandardSensor(NamedTuple):
     potentiometer_supply: float
 
 
-Said = System | MotorSensor | CustomSensor | StandardSensor
+BoardMessage = System | MotorSensor | CustomSensor | StandardSensor
 
 
-def said(packet: Packet) -> Said | None:
+def decode(packet: Packet) -> BoardMessage | None:
     """What a packet of the board says; None where its type is not known or its data is too short for it."""
     kind, data = packet
     if kind == Type.MOTOR_SENSOR and len(data) >= _MOTOR_SENSOR.size:
@@ -91,7 +91,7 @@ def infrared_metres(reading: int) -> float:
     """The distance that an infrared sensor's A/D reading means; INFRARED_NOTHING where it sees nothing."""
     volts_above = reading * 3 / 4096 - 0.17
     if 80 * volts_above < 21.6:  # farther than 80 cm
-        return INFRARED_NOTHING
+        return NO_INFRARED_ECHO_M
     centimetres = 21.6 / volts_above
     return 0.09 if centimetres < 10 else centimetres / 100
 
@@ -116,7 +116,7 @@ def command_all(kind: Type, left: float, right: float, milliseconds: int | None 
 
     milliseconds: after which the board drops it; None: it stands until the next.
     """
-    channels = _int16(left), _int16(right), *(LEAVE_ALONE,) * (N_CHANNELS - 2)
+    channels = _int16(left), _int16(right), *(NO_CHANGE,) * (N_CHANNELS - 2)
     limit = () if milliseconds is None else (milliseconds,)
     return framed(BOARD, kind, Struct(f"<6h{len(limit)}H").pack(*channels, *limit))
 
@@ -128,17 +128,17 @@ def command_one(kind: Type, channel: int, command: float, milliseconds: int | No
     return framed(BOARD, kind, data + limit)
 
 
-def gains(control: Literal["velocity", "position"], channel: int, kp: int, kd: int, ki: int) -> bytes:
+def set_gains(control: Literal["velocity", "position"], channel: int, kp: int, kd: int, ki: int) -> bytes:
     """The controller's gains of one channel."""
     code = {"velocity": 0x08, "position": 0x07}[control]
     return framed(BOARD, Type.GAINS, Struct("<BBBhBhBh").pack(code, channel, 1, kp, 2, kd, 3, ki))
 
 
-def disabled(channel: int) -> bytes:
+def disable_motor(channel: int) -> bytes:
     """Takes the power off a motor."""
     return framed(BOARD, Type.DISABLE, bytes((0, channel)))
 
 
 def _int16(command: float) -> int:
     """The nearest command that the board can take; LEAVE_ALONE is none."""
-    return min(max(round(command), LEAVE_ALONE + 1), -LEAVE_ALONE - 1)
+    return min(max(round(command), NO_CHANGE + 1), -NO_CHANGE - 1)

@@ -3,11 +3,11 @@
 
 from pydantic import Field
 
-from services.base_driver.kinematics import counted, fastest_wheel, wheel_angles
+from services.base_driver.kinematics import count_difference, max_wheel_speed, wheel_angles
 from shared.config import Drive, Section
 from shared.messages import BoardReport, WheelState
 
-LARGEST_ANGLE = 900_000.0  # rad; before WheelState's bound of 1e6 the driver begins a new epoch (77 km of an X80SV)
+MAX_ANGLE_RAD = 900_000.0  # rad; before WheelState's bound of 1e6 the driver begins a new epoch (77 km of an X80SV)
 
 
 class EncoderConfig(Section):
@@ -35,37 +35,39 @@ class Encoders:
         """Begins a new epoch with the next report."""
         self.epoch, self.left, self.right, self._last = None, 0.0, 0.0, None
 
-    def turned(self, report: BoardReport, now: int) -> list[WheelState]:
+    def update(self, report: BoardReport, now: int) -> list[WheelState]:
         """The wheels' state after a report that is newer than the last; two where an epoch ends and the next begins."""
         if self.epoch is None:
             self.epoch = now
         if self._last is not None:
-            self._add(self._last, report)
+            self._add_step(self._last, report)
         self._last = report
         states = [self._state(self.epoch, report)]
-        if max(abs(self.left), abs(self.right)) > LARGEST_ANGLE:
+        if max(abs(self.left), abs(self.right)) > MAX_ANGLE_RAD:
             self.epoch, self.left, self.right = max(now, self.epoch + 1), 0.0, 0.0
             states.append(self._state(self.epoch, report))
         return states
 
-    def _add(self, before: BoardReport, after: BoardReport) -> None:
-        left = counted(before.left_counts, after.left_counts, self.drive.encoder_wrap)
-        right = counted(before.right_counts, after.right_counts, self.drive.encoder_wrap)
-        turned_left, turned_right = wheel_angles(left, right, self.drive)
+    def _add_step(self, before: BoardReport, after: BoardReport) -> None:
+        left = count_difference(before.left_counts, after.left_counts, self.drive.encoder_wrap)
+        right = count_difference(before.right_counts, after.right_counts, self.drive.encoder_wrap)
+        left_angle, right_angle = wheel_angles(left, right, self.drive)
         elapsed = min((after.stamp - before.stamp) * 1e-9, self.config.longest_step)
         # a board that stamps on arrival shows one report period of jitter
-        largest = self.config.speed_margin * fastest_wheel(self.drive) * (elapsed + 0.02)
-        if max(abs(turned_left), abs(turned_right)) > largest:
+        max_angle = self.config.speed_margin * max_wheel_speed(self.drive) * (elapsed + 0.02)
+        if max(abs(left_angle), abs(right_angle)) > max_angle:
             self.n_jumps += 1
             return
-        self.left += turned_left
-        self.right += turned_right
+        self.left += left_angle
+        self.right += right_angle
 
     def _state(self, epoch: int, report: BoardReport) -> WheelState:
         left_speed, right_speed = wheel_angles(report.left_speed, report.right_speed, self.drive)
-        return WheelState(report.stamp, epoch, self.left, self.right, _bounded(left_speed), _bounded(right_speed))
+        return WheelState(
+            report.stamp, epoch, self.left, self.right, _clamp_speed(left_speed), _clamp_speed(right_speed)
+        )
 
 
-def _bounded(speed: float) -> float:
+def _clamp_speed(speed: float) -> float:
     """A wheel speed within WheelState's bounds, whatever the board says."""
     return min(max(speed, -1000.0), 1000.0)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from services.base_driver.drrobot import disabled
+from services.base_driver.drrobot import disable_motor
 from services.sim.hardware.drrobot import Gains, Velocity, meant
 from shared import reasons, requests, topics
 from shared.drrobot import BOARD, Deframer
@@ -182,5 +182,5 @@ def test_a_driver_that_is_asked_to_end_takes_the_power_off_the_motors(up):
     up.drive_off()
     before, up.at_the_board = up.pids["base_driver"], b""
     os.kill(before, signal.SIGTERM)
-    up.until(lambda: disabled(0) + disabled(1) in up.at_the_board)
+    up.until(lambda: disable_motor(0) + disable_motor(1) in up.at_the_board)
     up.until(lambda: up.pids["base_driver"] != before and up.in_order())

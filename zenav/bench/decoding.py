@@ -54,7 +54,7 @@ def _rate(decoder: Decoder, stream: bytes, size: int) -> float:
 def _board(n_bytes: int) -> tuple[Decoder, bytes]:
     """Bytes to BoardReports, and what the X80SV's board says while it drives."""
     decoder, emulated = SerialBoard(SerialBoardConfig(), load_robot("x80sv").robot, 0.5), BoardEmulator(Faults(), 0)
-    decoder.warm()
+    decoder.warm_up()
     stream, i = bytearray(), 0
     while len(stream) < n_bytes:
         ranges = np.full(3, 1.0, np.float32), np.full(7, 0.3, np.float32)
@@ -63,7 +63,7 @@ def _board(n_bytes: int) -> tuple[Decoder, bytes]:
         )
         stream += emulated.reported(report, report.stamp)
         i += 1
-    return lambda data: decoder.heard(SerialData(START, "board", data), START), bytes(stream)
+    return lambda data: decoder.receive(SerialData(START, "board", data), START), bytes(stream)
 
 
 def _laser(model: str, n_bytes: int) -> tuple[Decoder, bytes]:

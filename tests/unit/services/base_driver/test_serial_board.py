@@ -8,7 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.base_driver.service import BaseDriverConfig, BaseDriverService
+from services.base_driver.config import BaseDriverConfig
+from services.base_driver.service import BaseDriverService
 from services.sim.hardware import drrobot as board
 from shared import topics
 from shared.config import load_robot
@@ -55,7 +56,7 @@ class Wired:
         data = b"".join(packets)
         stamp = self.service.now if stamp is None else stamp
         if data:
-            self.take(self.service.bytes_came(SerialData(stamp, "board", data)))
+            self.take(self.service.receive_bytes(SerialData(stamp, "board", data)))
 
     def motors(self):
         left, right = (round(count) % 32768 for count in self.counts)
@@ -78,7 +79,7 @@ class Wired:
         return next(message for key, message in reversed(self.out) if key == topic.key)
 
     def status(self):
-        self.take(self.service.tell())
+        self.take(self.service.publish_status())
         return self.last(topics.BASE)
 
 
@@ -208,7 +209,7 @@ def test_without_a_port_the_last_words_are_a_message_and_bytes_say_nothing():
     service.now = T0
     assert [p.topic for p in service.farewell()] == [topics.MOTORS]
     motors = board.motor_sensor((1, 1), (0, 0), (0, 0))
-    assert list(service.bytes_came(SerialData(T0, "board", motors))) == []
+    assert list(service.receive_bytes(SerialData(T0, "board", motors))) == []
     assert list(service.port(PortState(T0, "board", True, ""))) == []
 
 
@@ -217,7 +218,7 @@ def test_with_a_port_reports_of_others_and_other_ports_say_nothing():
     nothing = np.empty(0, np.float32)
     report = BoardReport(T0, 1, 2, 0.0, 0.0, nothing, nothing, 7.0, np.zeros(2, np.float32))
     assert list(wired.service.board(report)) == []
-    assert list(wired.service.bytes_came(SerialData(T0, "laser", wired.motors()))) == []
+    assert list(wired.service.receive_bytes(SerialData(T0, "laser", wired.motors()))) == []
     assert list(wired.service.port(PortState(T0, "laser", False, ""))) == []
     assert wired.service.serial.open
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.base_driver.service import BaseDriverConfig, BaseDriverService
+from services.base_driver.config import BaseDriverConfig
+from services.base_driver.service import BaseDriverService
 from services.odometry.dead_reckoning import OdometryConfig
 from services.odometry.service import OdometryService
 from shared import topics

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.base_driver import drrobot as driver
-from services.base_driver.drrobot import CustomSensor, MotorSensor, StandardSensor, System, said
+from services.base_driver.drrobot import CustomSensor, MotorSensor, StandardSensor, System, decode
 from services.sim.hardware import drrobot
 from services.sim.hardware.board import BoardEmulator
 from services.sim.hardware.drrobot import Gains
@@ -42,7 +42,7 @@ def emulator(*faults):
 
 
 def words(data):
-    return [said(packet) for packet in Deframer(PC).packets(data)]
+    return [decode(packet) for packet in Deframer(PC).packets(data)]
 
 
 def test_the_published_motor_sensor_packet_to_the_byte():
@@ -116,10 +116,10 @@ def test_a_velocity_without_a_limit_stands_until_the_next():
 
 def test_gains_are_taken_and_disabling_stops_each_with_an_acknowledgement():
     board = emulator()
-    assert words(board.received(driver.gains("velocity", 1, 15, 0, 0), T0)) == [System(1)]
-    assert board.gains == {1: Gains(1, 15, 0, 0)}
+    assert words(board.received(driver.set_gains("velocity", 1, 15, 0, 0), T0)) == [System(1)]
+    assert board.set_gains == {1: Gains(1, 15, 0, 0)}
     board.received(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0), T0)
-    assert words(board.received(driver.disabled(0), T0)) == [System(1)]
+    assert words(board.received(driver.disable_motor(0), T0)) == [System(1)]
     assert board.motors(T0) == (0, 210, None)
 
 
@@ -146,7 +146,7 @@ def test_of_a_broken_line_nothing_can_be_read(fault):
     board = emulator(fault)
     deframer = Deframer(PC)
     data = [board.reported(report(), T0 + k * 20 * MS) for k in range(50)]
-    data += [board.received(driver.disabled(0), T0)]
+    data += [board.received(driver.disable_motor(0), T0)]
     assert not any(deframer.packets(piece) for piece in data)
     assert any(data) is (fault is not Fault.STALLED)
     assert (deframer.n_bad_crc > 0) is (fault is Fault.BAD_CRC)

@@ -4,7 +4,7 @@
 import pytest
 
 from services.base_driver import drrobot as driver
-from services.base_driver.drrobot import MotorSensor, said
+from services.base_driver.drrobot import MotorSensor, decode
 from services.base_driver.kinematics import board_counts, wheel_speeds
 from services.lidar_driver import ld06
 from services.lidar_driver.device import Counts
@@ -51,7 +51,7 @@ def plugs(sent):
 
 def reports(sent):
     deframer = Deframer(PC)
-    words = [said(packet) for data in told(sent, "port/tx") for packet in deframer.packets(data.data)]
+    words = [decode(packet) for data in told(sent, "port/tx") for packet in deframer.packets(data.data)]
     return [word for word in words if isinstance(word, MotorSensor)]
 
 

@@ -14,7 +14,7 @@ class StuckConfig(Section):
     longer_than: float = Field(1.0, gt=0.1, le=10, description="s")
 
 
-class StuckWatch:
+class StuckDetector:
     """Watches one wheel: stuck when it is asked to turn, in one direction, and for `longer_than` hardly does."""
 
     def __init__(self, config: StuckConfig) -> None:
@@ -23,11 +23,11 @@ class StuckWatch:
         self._angle = 0.0
         self._forward = True
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Judges from the next report on."""
         self._since = None
 
-    def stuck(self, stamp: int, angle: float, commanded: float, radius: float) -> bool:
+    def update(self, stamp: int, angle: float, commanded: float, radius: float) -> bool:
         """After a report: stamp (ns), the wheel's angle (rad), the commanded speed (rad/s), the wheel's radius (m)."""
         if abs(commanded) * radius <= self.config.commanded_over:
             self._since = None

@@ -9,7 +9,7 @@ from pydantic import Field
 from shared.config import Section
 
 
-class FollowingConfig(Section):
+class WheelTrackingConfig(Section):
     """How far a wheel may fall behind what it is told."""
 
     commanded_over: float = Field(0.05, gt=0, le=1, description="m/s at the rim; slower commands are not judged")
@@ -22,54 +22,54 @@ class FollowingConfig(Section):
     longest_step: float = Field(0.25, gt=0, le=5, description="s between reports over which nothing can be judged")
 
 
-class FollowWatch:
+class WheelTrackingMonitor:
     """Watches one wheel: it shall be no slower than a sluggish wheel would be under the same commands.
 
     Only falling behind counts: a robot that rolls downhill or is pushed by hand is not broken.
     """
 
-    def __init__(self, config: FollowingConfig) -> None:
+    def __init__(self, config: WheelTrackingConfig) -> None:
         self.config = config
-        self.forget()
+        self.reset()
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Begins anew: the angle has jumped."""
         self._stamp: int | None = None
         self._commands: deque[tuple[int, float]] = deque()  # ns, m/s: what may still be on its way to the motor
-        self._angle = self._sluggish = self._behind = self._since = 0.0
+        self._angle = self._lagged = self._deficit_m = self._behind_for_s = 0.0
 
     @property
-    def behind(self) -> bool:
+    def is_behind(self) -> bool:
         """Whether the wheel is on its way to being astray."""
-        return self._behind > 0
+        return self._deficit_m > 0
 
-    def astray(self, stamp: int, angle: float, commanded: float, radius: float) -> float:
+    def update(self, stamp: int, angle: float, commanded: float, radius: float) -> float:
         """After a report: stamp (ns), the wheel's angle (rad), commanded speed (rad/s), the wheel's radius (m).
 
         Returns the wheel's speed at the rim, m/s and positive along the command, while it is astray; else NaN.
         """
         config = self.config
         before, self._stamp = self._stamp, stamp
-        rolled, self._angle = (angle - self._angle) * radius, angle
+        travel, self._angle = (angle - self._angle) * radius, angle
         elapsed = (stamp - before) * 1e-9 if before is not None else 0.0
         command = commanded * radius
         if not 0 < elapsed <= config.longest_step:
-            self._sluggish, self._behind, self._since = 0.0, 0.0, 0.0
+            self._lagged, self._deficit_m, self._behind_for_s = 0.0, 0.0, 0.0
             self._commands.clear()
             return nan
         self._commands.append((stamp, command))
         while len(self._commands) > 1 and (stamp - self._commands[1][0]) * 1e-9 >= config.delay:
             self._commands.popleft()
-        arrived = self._commands[0][1]
-        kept = exp(-elapsed / config.lag) if config.lag else 0.0
-        self._sluggish = arrived + (self._sluggish - arrived) * kept
+        motor_command = self._commands[0][1]
+        decay = exp(-elapsed / config.lag) if config.lag else 0.0
+        self._lagged = motor_command + (self._lagged - motor_command) * decay
         direction = 1.0 if command > 0 else -1.0
-        least = min(self._sluggish * direction, *(sent * direction for _, sent in self._commands))
-        speed = rolled * direction / elapsed
-        short = least - config.margin - config.share * abs(command) - speed
-        if abs(command) <= config.commanded_over or short <= 0:
-            self._behind = self._since = 0.0
+        min_speed = min(self._lagged * direction, *(queued * direction for _, queued in self._commands))
+        speed = travel * direction / elapsed
+        deficit = min_speed - config.margin - config.share * abs(command) - speed
+        if abs(command) <= config.commanded_over or deficit <= 0:
+            self._deficit_m = self._behind_for_s = 0.0
             return nan
-        self._behind += short * elapsed
-        self._since += elapsed
-        return speed if self._behind > config.behind and self._since >= config.longer_than else nan
+        self._deficit_m += deficit * elapsed
+        self._behind_for_s += elapsed
+        return speed if self._deficit_m > config.behind and self._behind_for_s >= config.longer_than else nan

@@ -7,46 +7,46 @@ go on and a second after. A fault that comes again and again is a broken encoder
 
 from collections import deque
 
-MIN_JUMPS, WINDOW = 3, 300_000_000  # this many within as many ns are a fault; a reading that is wrong once makes two
-HOLD = 1_000_000_000  # ns without a jump after which the fault ends
-MIN_FAULTS, FAULTS_WINDOW = 3, 60_000_000_000  # this many faults within as many ns are one that stays
-COUNTED = 60_000_000_000  # ns for which a jump is counted in the status
-MAX_KEPT = 4096  # jumps: over a minute of 50 reports a second
+MIN_JUMPS, WINDOW_NS = 3, 300_000_000  # this many within as many ns are a fault; a reading that is wrong once makes two
+HOLD_NS = 1_000_000_000  # ns without a jump after which the fault ends
+MIN_FAULTS, FAULTS_WINDOW_NS = 3, 60_000_000_000  # this many faults within as many ns are one that stays
+REPORT_WINDOW_NS = 60_000_000_000  # ns for which a jump is counted in the status
+MAX_STORED_JUMPS = 4096  # jumps: over a minute of 50 reports a second
 
 
-class JumpWatch:
+class EncoderJumpDetector:
     """Knows when the encoders jumped, ns on our clock. A jump in the future does not count: the clock was set back."""
 
     def __init__(self) -> None:
-        self._jumps: deque[int] = deque(maxlen=MAX_KEPT)
+        self._jumps: deque[int] = deque(maxlen=MAX_STORED_JUMPS)
         self._faults: deque[int] = deque(maxlen=MIN_FAULTS)  # when they began
-        self._until = 0
+        self._active_until = 0
 
-    def jumped(self, now: int) -> bool:
+    def add_jump(self, now: int) -> bool:
         """Takes a jump; whether it begins a fault that must stay, because there were so many."""
-        goes_on = self.holds(now)
+        continues = self.is_active(now)
         self._jumps.append(now)
-        if not goes_on and self._n_within(now, WINDOW) < MIN_JUMPS:
+        if not continues and self._n_within(now, WINDOW_NS) < MIN_JUMPS:
             return False
-        self._until = now + HOLD
-        if goes_on:
+        self._active_until = now + HOLD_NS
+        if continues:
             return False
         self._faults.append(now)
-        return sum(0 <= now - at < FAULTS_WINDOW for at in self._faults) >= MIN_FAULTS
+        return sum(0 <= now - at < FAULTS_WINDOW_NS for at in self._faults) >= MIN_FAULTS
 
-    def holds(self, now: int) -> bool:
+    def is_active(self, now: int) -> bool:
         """Whether the robot must stand for it."""
-        return 0 < self._until - now <= HOLD
+        return 0 < self._active_until - now <= HOLD_NS
 
-    def told(self, now: int) -> str:
+    def description(self, now: int) -> str:
         """How often they jumped of late, in words; empty when they did not."""
-        n = self._n_within(now, COUNTED)
+        n = self._n_within(now, REPORT_WINDOW_NS)
         return f"the encoders jumped {n} {'time' if n == 1 else 'times'} in the last minute" if n else ""
 
     def release(self) -> None:
         """A person has looked."""
         self._faults.clear()
-        self._until = 0
+        self._active_until = 0
 
     def _n_within(self, now: int, ns: int) -> int:
         return sum(0 <= now - at < ns for at in self._jumps)
