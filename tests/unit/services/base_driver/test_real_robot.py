@@ -13,7 +13,7 @@ import pytest
 
 from services.base_driver.config import BaseDriverConfig
 from services.base_driver.service import BaseDriverService
-from services.odometry.dead_reckoning import OdometryConfig
+from services.odometry.dead_reckoning import DeadReckoningConfig
 from services.odometry.service import OdometryService
 from services.sim.hardware.drrobot import motor_sensor
 from shared import topics
@@ -59,7 +59,7 @@ SLICE = (
 def poses(times, counts):
     """The pose after each reading, as the robot's own driver computes it. Each packet arrives in two pieces."""
     driver = BaseDriverService(BaseDriverConfig.model_validate({"port": {"device": "wired"}}), ROBOT)
-    odometry = OdometryService(OdometryConfig(integration="document"), ROBOT)
+    odometry = OdometryService(DeadReckoningConfig(integration="document"), ROBOT)
     list(driver.port(PortState(0, "board", True, "")))
     found = []
     for t, (left, right) in zip(times, counts):
