@@ -142,7 +142,7 @@ class SimService(Service):
         """A driver wrote to the emulated hardware."""
         if self.emulation is not None:
             self._catch_up()
-            yield from self.emulation.received(data, self.now)
+            yield from self.emulation.receive(data, self.now)
             self._obey_board(self.emulation)
 
     @answer(requests.FAULT)
@@ -176,7 +176,7 @@ class SimService(Service):
         else:
             yield from self.emulation.plugs(self.now)
             self._obey_board(self.emulation)
-            yield from self.emulation.swept(self._due_scans(), self.now)
+            yield from self.emulation.sweep_chunks(self._due_scans(), self.now)
             yield from self.emulation.measured(self._board(), self.now)
         yield topics.TRUTH(self._truth())
         yield topics.CLOCK(Clock(self.now, 1.0))

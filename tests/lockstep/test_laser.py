@@ -39,14 +39,14 @@ class SpeakingSim(SimService):
 
     @on(topics.RX)
     def heard(self, data: SerialData) -> Out:
-        if answer := self.laser.received(data.data, self.now):
+        if answer := self.laser.receive(data.data, self.now):
             yield topics.TX(SerialData(self.now, "laser", answer))
 
     @every(hz=50)
     def tick(self) -> Out:
         for said in super().tick():
             if said.topic is topics.SCAN:
-                self.leaving += self.laser.swept(said.message, self.now)
+                self.leaving += self.laser.sweep_chunks(said.message, self.now)
             else:
                 yield said
         due = b"".join(data for when, data in self.leaving if when <= self.now)

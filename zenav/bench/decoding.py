@@ -83,19 +83,19 @@ def _laser(model: str, n_bytes: int) -> tuple[Decoder, bytes]:
     emulated = emulator(model, laser)
     config = LidarDriverConfig(model=model.removesuffix("_a2"))
     decoder = DEVICES[config.model](config, laser)
-    now, words = START, decoder.opened(START)
+    now, words = START, decoder.start(START)
     for _ in range(DIALOGUE):
-        answer = emulated.received(words, now) if words else b""
+        answer = emulated.receive(words, now) if words else b""
         if answer:
-            decoder.received(answer, now)
+            decoder.receive(answer, now)
         now += TICK
-        words = decoder.due(now)
+        words = decoder.next_command(now)
     rng, stream = np.random.default_rng(0), bytearray()
     while len(stream) < n_bytes:
         ranges = rng.uniform(0.1, 11.9, n).astype(np.float32)
         sweep = LaserScan(now, laser.angle_min, laser.angle_increment, laser.scan_time, 0.05, 12.0, ranges)
-        stream += b"".join(data for _, data in emulated.swept(sweep, now))
+        stream += b"".join(data for _, data in emulated.sweep_chunks(sweep, now))
         now += round(1e9 / rate)
         if not stream:
             raise RuntimeError(f"the emulated {model} does not scan")
-    return lambda data: decoder.received(data, START), bytes(stream)
+    return lambda data: decoder.receive(data, START), bytes(stream)

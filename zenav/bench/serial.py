@@ -169,7 +169,7 @@ class FarEnd:
             if not data:
                 continue
             with self._lock:
-                self._line.write(self._board.received(data, at))
+                self._line.write(self._board.receive(data, at))
                 if self._expected == self._board.motors(at)[:2]:
                     self._expected = None
                     self._obeyed.put(at)

@@ -36,7 +36,7 @@ class BoardEmulator:
         self._sensors_at: int | None = None
         self._pinged_at: int | None = None
 
-    def received(self, data: bytes, now: int) -> bytes:
+    def receive(self, data: bytes, now: int) -> bytes:
         """Takes what the driver wrote; the board's answer to it."""
         if Fault.STALLED in self.faults:
             return b""

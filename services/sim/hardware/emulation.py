@@ -42,26 +42,26 @@ class Emulation:
         """The robot's side of the ports."""
         return {BOARD: self.config.board, **({LASER: self.config.laser} if self.laser is not None else {})}
 
-    def received(self, data: SerialData, now: int) -> Out:
+    def receive(self, data: SerialData, now: int) -> Out:
         """What a driver wrote, and the device's answer."""
         if data.port == BOARD:
-            yield from _said(BOARD, self.board.received(data.data, now), now)
+            yield from _said(BOARD, self.board.receive(data.data, now), now)
         elif data.port == LASER and self.laser is not None:
             heard = b"" if Fault.LASER_STALLED in self.faults else data.data
-            yield from _said(LASER, self._on_the_lasers_line(self.laser.received(heard, now)), now)
+            yield from _said(LASER, self._on_the_lasers_line(self.laser.receive(heard, now)), now)
 
     def measured(self, report: BoardReport, now: int) -> Out:
         """What the board says of a report."""
         yield from _said(BOARD, self.board.reported(report, now), now)
 
-    def swept(self, scans: list[LaserScan], now: int) -> Out:
+    def sweep_chunks(self, scans: list[LaserScan], now: int) -> Out:
         """What the laser says by now, and of these sweeps soon; the scans themselves where it speaks in messages."""
         if self.laser is None:
             if not any(fault in self.faults for fault in OF_LASER):
                 yield from (topics.SCAN(scan) for scan in scans)
             return
         self.laser.turning = Fault.LASER_STOPPED not in self.faults
-        self._leaving += [chunk for scan in scans for chunk in self.laser.swept(scan, now)]
+        self._leaving += [chunk for scan in scans for chunk in self.laser.sweep_chunks(scan, now)]
         due = [data for when, data in self._leaving if when <= now]
         self._leaving = [(when, data) for when, data in self._leaving if now < when <= now + 1_000_000_000]
         yield from _said(LASER, self._on_the_lasers_line(b"".join(due)), now)

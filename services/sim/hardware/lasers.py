@@ -20,10 +20,10 @@ class LaserEmulator(Protocol):
 
     turning: bool
 
-    def received(self, data: bytes, now: int) -> bytes:
+    def receive(self, data: bytes, now: int) -> bytes:
         """Takes what the driver says; its answer."""
 
-    def swept(self, scan: LaserScan, now: int) -> Chunks:
+    def sweep_chunks(self, scan: LaserScan, now: int) -> Chunks:
         """The stream of one sweep, in order. Times lie within the sweep: what is already past leaves at once."""
 
 

@@ -52,10 +52,10 @@ class Ld06:
         self.turning = True
         self.n = round(SAMPLES / laser.rate)
 
-    def received(self, data: bytes, now: int) -> bytes:
+    def receive(self, data: bytes, now: int) -> bytes:
         return b""
 
-    def swept(self, scan: LaserScan, now: int) -> list[tuple[int, bytes]]:
+    def sweep_chunks(self, scan: LaserScan, now: int) -> list[tuple[int, bytes]]:
         if not self.turning:
             return [(now, packet(0, 0, 0, [0] * N_BEAMS, now // MS))]
         step = 360 / self.n

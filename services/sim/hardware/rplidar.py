@@ -55,7 +55,7 @@ class Rplidar:
         self.beams: list[tuple[float, int]] = []  # degrees, mm: what a capsule waits for
         self.anew = True
 
-    def received(self, data: bytes, now: int) -> bytes:
+    def receive(self, data: bytes, now: int) -> bytes:
         self.asked = (self.asked + data)[-64:]
         answer = b""
         while (at := self.asked.find(0xA5)) >= 0:
@@ -87,7 +87,7 @@ class Rplidar:
             return descriptor(84 | MODE_STREAM, 0x82)
         return b""
 
-    def swept(self, scan: LaserScan, now: int) -> list[tuple[int, bytes]]:
+    def sweep_chunks(self, scan: LaserScan, now: int) -> list[tuple[int, bytes]]:
         if not self.turning or not self.mode:
             return []
         angles = -degrees(first_angle(scan, -1)) + 360 / self.n * np.arange(self.n)

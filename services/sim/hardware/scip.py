@@ -45,7 +45,7 @@ class Scip:
         self.scanning = b""
         self.asked = b""
 
-    def received(self, data: bytes, now: int) -> bytes:
+    def receive(self, data: bytes, now: int) -> bytes:
         *commands, self.asked = (self.asked + data).replace(b"\r", b"\n").split(b"\n")
         self.asked = self.asked[-32:]
         return b"".join(self._answer(command, now) for command in commands if command)
@@ -85,7 +85,7 @@ class Scip:
             return answer(command, b"00", [])
         return answer(command, b"0E", [])
 
-    def swept(self, scan: LaserScan, now: int) -> list[tuple[int, bytes]]:
+    def sweep_chunks(self, scan: LaserScan, now: int) -> list[tuple[int, bytes]]:
         if not self.scanning or not self.turning:
             return []
         first, last, cluster = int(self.scanning[2:6]), int(self.scanning[6:10]), max(1, int(self.scanning[10:12]))

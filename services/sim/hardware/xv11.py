@@ -38,10 +38,10 @@ class Xv11:
         self.laser = laser
         self.turning = True
 
-    def received(self, data: bytes, now: int) -> bytes:
+    def receive(self, data: bytes, now: int) -> bytes:
         return b""
 
-    def swept(self, scan: LaserScan, now: int) -> list[tuple[int, bytes]]:
+    def sweep_chunks(self, scan: LaserScan, now: int) -> list[tuple[int, bytes]]:
         if not self.turning:
             return []
         first = round(degrees(first_angle(scan, 1)) / 4)

@@ -59,7 +59,9 @@ def test_stamps_are_the_first_beams_while_clocks_drift_and_the_port_dawdles(mode
     line, sweeps = line_of(model), random_sweeps(laser_of(model), 14)
     rng = np.random.default_rng(3)
     line.run(sweeps[:0], 1.0)  # the start sequence
-    chunks = sorted((chunk for sweep in sweeps for chunk in line.laser.swept(sweep, line.now)), key=lambda c: c[0])
+    chunks = sorted(
+        (chunk for sweep in sweeps for chunk in line.laser.sweep_chunks(sweep, line.now)), key=lambda c: c[0]
+    )
 
     def clock(true: int) -> int:
         return START + round((true - START) * (1 + drift))
@@ -274,7 +276,7 @@ def test_the_laser_is_stopped_at_the_end():
 
 def test_a_port_of_another_name_is_not_the_lasers():
     driver = made_driver("ld06")
-    assert list(driver.received(SerialData(START, "other", b"\x54\x2c"))) == []
+    assert list(driver.receive(SerialData(START, "other", b"\x54\x2c"))) == []
     assert list(driver.plugged(PortState(START, "other", True, ""))) == []
     assert not driver.open
     assert driver.ports["laser"].baud == BAUD["ld06"]

@@ -96,7 +96,7 @@ def test_a_report_becomes_what_the_sensors_would_say():
 
 def test_a_velocity_ends_with_its_time_limit():
     board = emulator()
-    board.received(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0, 200), T0)
+    board.receive(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0, 200), T0)
     assert board.motors(T0) == (-200, 210, 200 * MS)
     assert board.motors(T0 + 199 * MS) == (-200, 210, MS)
     assert board.motors(T0 + 200 * MS) == (0, 0, None)
@@ -104,28 +104,28 @@ def test_a_velocity_ends_with_its_time_limit():
 
 def test_a_velocity_without_a_limit_stands_until_the_next():
     board = emulator()
-    board.received(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0, 200), T0)
-    board.received(driver.command_all(Type.VELOCITY_ALL, -20.0, 21.0), T0)
+    board.receive(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0, 200), T0)
+    board.receive(driver.command_all(Type.VELOCITY_ALL, -20.0, 21.0), T0)
     assert board.motors(T0 + 10**12) == (-20, 21, None)
-    board.received(driver.command_one(Type.VELOCITY_ONE, 1, 5.0, 100), T0)
+    board.receive(driver.command_one(Type.VELOCITY_ONE, 1, 5.0, 100), T0)
     assert board.motors(T0) == (-20, 5, 100 * MS)
     assert board.motors(T0 + 100 * MS) == (-20, 0, None)
-    board.received(driver.command_one(Type.VELOCITY_ONE, 4, 5.0), T0)
+    board.receive(driver.command_one(Type.VELOCITY_ONE, 4, 5.0), T0)
     assert board.motors(T0) == (-20, 0, None)
 
 
 def test_gains_are_taken_and_disabling_stops_each_with_an_acknowledgement():
     board = emulator()
-    assert words(board.received(driver.set_gains("velocity", 1, 15, 0, 0), T0)) == [System(1)]
-    assert board.set_gains == {1: Gains(1, 15, 0, 0)}
-    board.received(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0), T0)
-    assert words(board.received(driver.disable_motor(0), T0)) == [System(1)]
+    assert words(board.receive(driver.set_gains("velocity", 1, 15, 0, 0), T0)) == [System(1)]
+    assert board.gains == {1: Gains(1, 15, 0, 0)}
+    board.receive(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0), T0)
+    assert words(board.receive(driver.disable_motor(0), T0)) == [System(1)]
     assert board.motors(T0) == (0, 210, None)
 
 
 def test_acknowledgements_are_counted_and_not_answered():
     board = emulator()
-    assert board.received(driver.acknowledgement() * 3, T0) == b""
+    assert board.receive(driver.acknowledgement() * 3, T0) == b""
     assert board.n_acknowledged == 3
 
 
@@ -134,7 +134,7 @@ def test_orders_arrive_in_pieces():
     data = driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0)
     for i in range(len(data)):
         assert board.motors(T0)[:2] == (0, 0)
-        board.received(data[i : i + 1], T0)
+        board.receive(data[i : i + 1], T0)
     assert board.motors(T0)[:2] == (-200, 210)
 
 
@@ -146,7 +146,7 @@ def test_of_a_broken_line_nothing_can_be_read(fault):
     board = emulator(fault)
     deframer = Deframer(PC)
     data = [board.reported(report(), T0 + k * 20 * MS) for k in range(50)]
-    data += [board.received(driver.disable_motor(0), T0)]
+    data += [board.receive(driver.disable_motor(0), T0)]
     assert not any(deframer.packets(piece) for piece in data)
     assert any(data) is (fault is not Fault.STALLED)
     assert (deframer.n_bad_crc > 0) is (fault is Fault.BAD_CRC)
@@ -156,7 +156,7 @@ def test_of_a_broken_line_nothing_can_be_read(fault):
 
 def test_a_stalled_line_carries_nothing_to_the_board_either():
     board = emulator(Fault.STALLED)
-    board.received(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0), T0)
+    board.receive(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0), T0)
     assert board.motors(T0)[:2] == (0, 0)
 
 
@@ -180,7 +180,7 @@ def test_a_dead_sonar_a_collapsed_battery_and_a_swapped_motor():
     standard = words(board.reported(report(), T0))[1]
     assert standard.ultrasonic == (50, 0, 2, 255, 255, 255)
     assert standard.motor_supply == pytest.approx(5.5, abs=0.003)
-    board.received(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0), T0)
+    board.receive(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0), T0)
     assert board.motors(T0) == (200, 210, None)
 
 
@@ -211,7 +211,7 @@ def test_every_fault_has_its_words():
 def test_any_bytes_are_survived_whatever_is_broken(broken, pieces, wait):
     board = emulator(*broken)
     for k, data in enumerate(pieces):
-        Deframer(PC).packets(board.received(data, T0 + k * wait))
+        Deframer(PC).packets(board.receive(data, T0 + k * wait))
         left, right, life = board.motors(T0 + k * wait)
         assert max(abs(left), abs(right)) <= 32768
         assert life is None or life > 0

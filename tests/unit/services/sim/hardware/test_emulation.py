@@ -7,8 +7,8 @@ from services.base_driver import drrobot as driver
 from services.base_driver.drrobot import MotorSensor, decode
 from services.base_driver.kinematics import board_counts, wheel_speeds
 from services.lidar_driver import ld06
-from services.lidar_driver.device import Counts
-from services.lidar_driver.framing import Framing
+from services.lidar_driver.device import PacketCounts
+from services.lidar_driver.packet_framing import PacketFramer
 from services.sim.hardware.faults import OF_LASER, WORDS, Fault
 from shared import topics
 from shared.drrobot import PC, Deframer, Type
@@ -149,13 +149,13 @@ def laser_bytes(sent):
 @pytest.mark.parametrize("fault", [Fault.LASER_GARBAGE, Fault.LASER_STALLED])
 def test_of_a_lasers_broken_line_nothing_can_be_read_until_it_is_mended(fault):
     sim = simulator("room", **EMULATED, emulation={"laser_model": "ld06"})
-    framing = Framing(ld06.LENGTH, ld06.begins, ld06.sums, Counts())
-    assert len(framing.cut(laser_bytes(drive(sim, 0.5, b"")))[0]) > 100
+    framing = PacketFramer(ld06.LENGTH, ld06.is_header, ld06.is_checksum_valid, PacketCounts())
+    assert len(framing.extract(laser_bytes(drive(sim, 0.5, b"")))[0]) > 100
     asked(sim, fault.value, seconds=0.5)
     broken = laser_bytes(drive(sim, 0.48, b""))
     assert bool(broken) is (fault is Fault.LASER_GARBAGE)
-    assert len(framing.cut(broken)[0]) == 0
-    assert len(framing.cut(laser_bytes(drive(sim, 0.5, b"")))[0]) > 100
+    assert len(framing.extract(broken)[0]) == 0
+    assert len(framing.extract(laser_bytes(drive(sim, 0.5, b"")))[0]) > 100
 
 
 def test_a_lasers_stalled_line_carries_nothing_to_it_either():
