@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Do the encoders' counts jump so often that the wheels' motion is unknown?
 
-One jump is a restarted board or a disturbed reading. Several within a moment are a fault: the robot stands while they
-go on and a second after. A fault that comes again and again is a broken encoder or cable, and a person must look.
+One jump is a restarted board or a disturbed reading. MIN_JUMPS within WINDOW_NS are a fault: the robot stops until
+HOLD_NS after the last jump. MIN_FAULTS within FAULTS_WINDOW_NS are a broken encoder or cable: a latched fault.
 """
 
 from collections import deque
@@ -15,7 +15,7 @@ MAX_STORED_JUMPS = 4096  # jumps: over a minute of 50 reports a second
 
 
 class EncoderJumpDetector:
-    """Knows when the encoders jumped, ns on our clock. A jump in the future does not count: the clock was set back."""
+    """Stores the times of jumps (ns). Jumps in the future, after the clock was set back, do not count."""
 
     def __init__(self) -> None:
         self._jumps: deque[int] = deque(maxlen=MAX_STORED_JUMPS)
@@ -23,7 +23,7 @@ class EncoderJumpDetector:
         self._active_until = 0
 
     def add_jump(self, now: int) -> bool:
-        """Takes a jump; whether it begins a fault that must stay, because there were so many."""
+        """Adds a jump at `now` (ns); returns whether it is one of so many that the fault must be latched."""
         continues = self.is_active(now)
         self._jumps.append(now)
         if not continues and self._n_within(now, WINDOW_NS) < MIN_JUMPS:
@@ -35,16 +35,16 @@ class EncoderJumpDetector:
         return sum(0 <= now - at < FAULTS_WINDOW_NS for at in self._faults) >= MIN_FAULTS
 
     def is_active(self, now: int) -> bool:
-        """Whether the robot must stand for it."""
+        """Whether the robot must stop because of jumps."""
         return 0 < self._active_until - now <= HOLD_NS
 
     def description(self, now: int) -> str:
-        """How often they jumped of late, in words; empty when they did not."""
+        """Number of jumps in the last minute as text; empty without jumps."""
         n = self._n_within(now, REPORT_WINDOW_NS)
         return f"the encoders jumped {n} {'time' if n == 1 else 'times'} in the last minute" if n else ""
 
     def release(self) -> None:
-        """A person has looked."""
+        """Ends the fault, after an e-stop release."""
         self._faults.clear()
         self._active_until = 0
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far has each wheel turned since the driver started? Wrapping counters in, unwrapped angles out."""
+"""Wheel angles since the driver's start: wrapping encoder counters in, unwrapped angles out."""
 
 from pydantic import Field
 
@@ -7,21 +7,23 @@ from services.base_driver.kinematics import count_difference, max_wheel_speed, w
 from shared.config import Drive, Section
 from shared.messages import BoardReport, WheelState
 
-MAX_ANGLE_RAD = 900_000.0  # rad; before WheelState's bound of 1e6 the driver begins a new epoch (77 km of an X80SV)
+MAX_ANGLE_RAD = 900_000.0  # rad; below WheelState's bound of 1e6; then a new epoch begins (77 km of an X80SV)
 
 
 class EncoderConfig(Section):
-    """What a counter's step may be before it is a jump and not motion."""
+    """Maximum step of a counter; a larger one is a jump, not motion."""
 
-    speed_margin: float = Field(2.0, ge=1, le=10, description="times the fastest wheel that a step may show")
-    longest_step: float = Field(0.5, gt=0, le=10, description="s of such motion that a gap between reports may hide")
+    speed_margin: float = Field(
+        2.0, ge=1, le=10, description="maximum speed of a step, as a multiple of the wheels' maximum speed"
+    )
+    longest_step: float = Field(0.5, gt=0, le=10, description="maximum duration, s, of motion between two reports")
 
 
 class Encoders:
-    """The wheels' angles, kept from report to report.
+    """Integrates the counters of successive reports to wheel angles `left`, `right` (rad).
 
-    A step that no wheel can turn (a restarted board, a broken counter) moves nothing: the angles stay, counting goes on
-    from the new reading, and `n_jumps` says so. A step of half the counter's range is ambiguous by nature.
+    A step beyond the wheels' maximum speed is a jump, of a restarted board or a broken counter. `n_jumps` counts it,
+    the angles stay, and counting continues from the new reading. A step of half the counter's range is ambiguous.
     """
 
     def __init__(self, config: EncoderConfig, drive: Drive) -> None:
@@ -36,7 +38,7 @@ class Encoders:
         self.epoch, self.left, self.right, self._last = None, 0.0, 0.0, None
 
     def update(self, report: BoardReport, now: int) -> list[WheelState]:
-        """The wheels' state after a report that is newer than the last; two where an epoch ends and the next begins."""
+        """Wheel state after a report that is newer than the last one; two states when a new epoch begins. now: ns."""
         if self.epoch is None:
             self.epoch = now
         if self._last is not None:
@@ -69,5 +71,5 @@ class Encoders:
 
 
 def _clamp_speed(speed: float) -> float:
-    """A wheel speed within WheelState's bounds, whatever the board says."""
+    """A wheel speed (rad/s) limited to WheelState's bounds."""
     return min(max(speed, -1000.0), 1000.0)

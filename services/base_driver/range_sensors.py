@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Are the ranges in a board's report those of robot.ranges, and does each sonar answer?"""
+"""Do the ranges of a report fit `robot.ranges`, and does each sonar answer?"""
 
 import numpy as np
 
@@ -7,11 +7,11 @@ from shared.config import Robot
 from shared.messages import BoardReport, Float32s, RangeReadings
 
 DEAD_SONAR_NS = 250_000_000
-"""ns of stamps over which a sonar reads 0 m, which no working one does."""
+"""ns for which a broken sonar reads 0 m; a working one never does."""
 
 
 class RangeSensorMonitor:
-    """Watches a board that speaks in messages. A kind of sensor that robot.ranges does not have is ignored."""
+    """Checks reports of a board that sends messages. A kind of sensor without a row in robot.ranges is ignored."""
 
     def __init__(self, robot: Robot) -> None:
         self._sensors = robot.ranges
@@ -20,12 +20,12 @@ class RangeSensorMonitor:
         self._expected = {kind: kinds.count(kind) for kind in ("ultrasonic", "infrared")}
         self._zero_since: dict[int, int] = {}  # sonar -> ns, the first of its readings of 0
         self.mismatch = ""
-        """How many ranges the board sends where robot.ranges has others, in words; empty where they agree."""
+        """Text of both numbers of ranges, in the report and in robot.ranges; empty if they are equal."""
         self.dead = ""
-        """Which sonars do not answer, in words; empty where all do."""
+        """Text of the sonars that do not answer; empty if all do."""
 
     def update(self, report: BoardReport) -> None:
-        """Looks at a report."""
+        """Checks a report."""
         sent = {"ultrasonic": len(report.ultrasonic), "infrared": len(report.infrared)}
         wrong = (kind for kind, n in self._expected.items() if n and n != sent[kind])
         self.mismatch = ", ".join(

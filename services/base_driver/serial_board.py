@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The motion board behind a port: packets to reports, commands to bytes, and how the line is doing."""
+"""The motion board on a port: packets to reports, commands to bytes, state of the line."""
 
 from math import nan
 
@@ -14,7 +14,7 @@ from shared.messages import BoardReport, BoardStatus, PortState, SerialData
 
 LEFT, RIGHT = 0, 1  # the wheels' channels
 NO_ECHO_CM = 255
-N_DEAD_SONAR_PACKETS = 2  # packets in a row in which a sonar reads 0 cm, which no living one does
+N_DEAD_SONAR_PACKETS = 2  # packets in a row with a reading of 0 cm; a working sonar never reads 0
 
 
 class SerialBoardConfig(Section):
@@ -23,15 +23,22 @@ class SerialBoardConfig(Section):
     kp: int = Field(15, ge=0, le=32767, description="velocity gain; an X80SV is shaky at 20, hardly stable at 25")
     ki: int = Field(0, ge=0, le=32767, description="velocity gain")
     kd: int = Field(0, ge=0, le=32767, description="velocity gain")
-    command_life: float = Field(0.2, ge=0.05, le=5, description="s after which the board itself drops a command")
-    sensors_silent: float = Field(0.5, gt=0.05, le=10, description="s without its packet: a range sensor is dead")
-    latency: float = Field(0.0, ge=0, le=0.2, description="s from the board's measuring until its bytes are read")
+    command_life: float = Field(0.2, ge=0.05, le=5, description="lifetime of a command on the board, s")
+    sensors_silent: float = Field(
+        0.5, gt=0.05, le=10, description="s without its packet after which a range sensor is dead"
+    )
+    latency: float = Field(
+        0.0,
+        ge=0,
+        le=0.2,
+        description="s from the board's measurement to the reading of its bytes; subtracted from stamps",
+    )
 
 
 class SerialBoard:
-    """Tells the board what the wheels shall do, and makes reports of what it says. Bytes in, bytes out.
+    """Encodes wheel commands and decodes the board's packets. Bytes in, bytes out.
 
-    silent: s without a report after which the board may have been switched off and on again: it gets its gains anew.
+    silent: s without a report after which the board may have restarted: it gets its gains again.
     """
 
     def __init__(self, config: SerialBoardConfig, robot: Robot, silent: float) -> None:
@@ -52,7 +59,7 @@ class SerialBoard:
         Deframer(PC).packets(drrobot.acknowledgement())
 
     def update_port(self, state: PortState) -> bytes:
-        """Its port was opened, or went away: what to say to it now. What was heard before belongs to another life."""
+        """Handles a port that opened or closed: drops earlier bytes, and returns the bytes to send now."""
         opened = state.open and not self.open
         self.open, self.detail = state.open, state.detail
         self.deframer.forget()
@@ -61,9 +68,9 @@ class SerialBoard:
         return self._start_bytes() if opened else b""
 
     def receive(self, data: SerialData, now: int) -> tuple[BoardReport | None, bytes]:
-        """The newest report in these bytes, if there is one, and the answer to them.
+        """The newest report in these bytes or None, and the bytes to answer.
 
-        Of several reports that came at once only the last is of use: their counts go on, their stamps do not differ.
+        Of several reports only the last is used: the counts continue, and all would have the same stamp.
         """
         n_bad = self.deframer.n_bad_crc
         packets = self.deframer.packets(data.data)
@@ -88,15 +95,15 @@ class SerialBoard:
         return self._report(motors, data.stamp, now) if motors is not None else None, answer
 
     def command(self, left: float, right: float) -> bytes:
-        """The wheels' speeds, counts/s with the board's signs, for `command_life`."""
+        """Bytes that command the wheels' speeds, counts/s with the board's signs, for `command_life`."""
         return drrobot.command_all(Type.VELOCITY_ALL, left, right, round(self.config.command_life * 1e3))
 
     def stop_bytes(self) -> bytes:
-        """Both wheels stop and lose their power."""
+        """Bytes that stop both wheels and switch off their power."""
         return self.command(0.0, 0.0) + drrobot.disable_motor(LEFT) + drrobot.disable_motor(RIGHT)
 
     def dead_sensors(self, now: int) -> str:
-        """Which range sensors do not answer, in words; empty when all do, or when the whole board is silent."""
+        """Text of the range sensors that do not answer; empty if all do, or if the whole board is silent."""
         if not self._is_recent("MotorSensor", now):
             return ""
         since = now - self._last_at.get("first", now)
@@ -112,7 +119,7 @@ class SerialBoard:
         return ", ".join(part for part in parts if part)
 
     def silence_cause(self, now: int) -> str:
-        """Why no report comes, in words; for when none does."""
+        """Text of the cause why no report arrives."""
         if not self.open:
             return self.detail
         if not self._is_recent("bytes", now):
@@ -136,7 +143,7 @@ class SerialBoard:
         )
 
     def _start_bytes(self) -> bytes:
-        """Gains for both wheels, and that they stand."""
+        """Bytes that set the gains of both wheels and command zero."""
         config = self.config
         gains = [drrobot.set_gains("velocity", wheel, config.kp, config.kd, config.ki) for wheel in (LEFT, RIGHT)]
         return b"".join(gains) + self.command(0.0, 0.0)
@@ -173,6 +180,6 @@ class SerialBoard:
         self._last_at.setdefault("first", now)
 
     def _is_recent(self, what: str, now: int, seconds: float | None = None) -> bool:
-        """Whether it came within so long, or within `silent`."""
+        """Whether such bytes or packets arrived within `seconds`, or within `silent`."""
         limit = self.silent if seconds is None else seconds * 1e9
         return what in self._last_at and 0 <= now - self._last_at[what] <= limit

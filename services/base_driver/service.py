@@ -40,7 +40,7 @@ class BaseDriverService(Service):
         self.pressed_stop: EmergencyStop | None = None
         self.wheel_command = (0.0, 0.0)  # left, right, rad/s, as last sent to the board
         self.published: tuple[str, bool, bool] | None = None  # fault, is_linked, waits of the last status
-        self.ranges_stamp = 0  # ns, of the report whose ranges were published last
+        self.ranges_stamp = 0  # ns, of the last report with published ranges
 
     def warm(self) -> None:
         if self.serial is not None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do both wheels do as they are told? One that does not is broken, and its fault stays until a person releases it.
+"""Do both wheels follow their commands? A fault of one wheel is latched until an e-stop release.
 
-Both at once is rather a board that does not hear its commands: the robot stands for a moment and tries again, and only
-when that comes again and again it is a fault that stays.
+If both wheels fall behind at once, the board probably misses commands. The robot stops for RETRY_PAUSE_NS and tries
+again. More than MAX_RETRIES within RETRY_WINDOW_NS are a latched fault.
 """
 
 from collections import deque
@@ -15,15 +15,15 @@ from shared.config import Drive
 
 WHEEL_NAMES = ("left", "right")
 BOTH_LAG_DETAIL = "the left and right wheel do not follow their commands"
-RETRY_PAUSE_NS = 1_000_000_000  # ns that the robot stands when both wheels fall behind
-MAX_CLOCK_STEP_NS = 50_000_000  # ns by which reports may come sooner after their stamps than the one before
-MAX_RETRIES, RETRY_WINDOW_NS = 2, 20_000_000_000  # as often within as many ns
+RETRY_PAUSE_NS = 1_000_000_000  # pause when both wheels fall behind
+MAX_CLOCK_STEP_NS = 50_000_000  # maximum decrease of the reports' age from one to the next
+MAX_RETRIES, RETRY_WINDOW_NS = 2, 20_000_000_000  # retries within this window, ns
 
 
 class WheelFaults:
-    """`code` is a reason's, empty while no fault stays; `detail` say which wheel; `at` is when, ns.
+    """`code`: reason of the latched fault, empty without one; `detail`: which wheel; `at`: its time, ns.
 
-    `pause_until`, ns: both wheels fell behind, and nothing is commanded until then.
+    `pause_until`: ns, end of the pause after both wheels fell behind.
     """
 
     def __init__(self, stuck: StuckConfig, following: WheelTrackingConfig, drive: Drive) -> None:
@@ -38,21 +38,21 @@ class WheelFaults:
         self._report_age: int | None = None  # ns, of the last report when it came
 
     def latch(self, code: str, detail: str, at: int) -> None:
-        """The fault stands, also one from before a restart."""
+        """Latches a fault, also one from before a restart; at: ns."""
         self.code, self.detail, self.at = code, detail, at
 
     def release(self) -> None:
-        """A person has looked."""
+        """Ends the fault, after an e-stop release."""
         self.code = self.detail = ""
         self._retries.clear()
         self._reset_tracking()
 
     def description(self, now: int) -> str:
-        """What is wrong now, in words."""
+        """Text of the present fault; empty without one."""
         return self.detail or (BOTH_LAG_DETAIL if self.is_pausing(now) else "")
 
     def is_pausing(self, now: int) -> bool:
-        """Whether both wheels fell behind just now; not after the clock was set back."""
+        """Whether the robot pauses because both wheels fell behind; False after the clock was set back."""
         return 0 < self.pause_until - now <= RETRY_PAUSE_NS
 
     def _reset_tracking(self) -> None:
@@ -65,7 +65,7 @@ class WheelFaults:
             monitor.reset()
 
     def _may_retry(self, now: int) -> bool:
-        """Whether this time the robot may try again."""
+        """Begins a pause and returns True, unless MAX_RETRIES are used up."""
         recent = [at for at in self._retries if 0 <= now - at < RETRY_WINDOW_NS]
         if len(recent) == MAX_RETRIES:
             return False
@@ -75,10 +75,10 @@ class WheelFaults:
         return True
 
     def update(self, stamp: int, encoders: Encoders, commanded: tuple[float, float], now: int) -> None:
-        """After a report: its stamp (ns), the wheels as counted, and the rad/s that they were told."""
+        """Judges a report: its stamp (ns), the wheel angles, and the commanded speeds (left, right, rad/s)."""
         has_jumped, self._n_jumps = encoders.n_jumps != self._n_jumps, encoders.n_jumps
         if self._report_age is not None and now - stamp < self._report_age - MAX_CLOCK_STEP_NS:
-            self._reset()  # the board's clock went ahead of ours: no wheel was slow meanwhile
+            self._reset()  # the board's clock was ahead: the wheels were not slow
         self._report_age = now - stamp
         stuck, lagging, any_stuck = [], [], False
         for name, angle, speed, radius, detector, tracker in zip(
@@ -91,7 +91,7 @@ class WheelFaults:
             any_stuck |= is_stuck
             if is_stuck or abs(rim_speed) < self._turns_under:
                 stuck.append(name)
-            elif rim_speed == rim_speed:  # not NaN: it is astray
+            elif rim_speed == rim_speed:  # not NaN: the wheel does not follow
                 lagging.append(f"the {name} wheel turns at {rim_speed:.2f} m/s where {abs(speed) * radius:.2f} is told")
         if self.code or not (stuck or lagging):
             return

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does a wheel follow its command? One that runs the other way, or falls far behind, is swapped, blocked or broken."""
+"""Does a wheel follow its command? A wheel in the wrong direction or far behind is swapped, blocked or broken."""
 
 from collections import deque
 from math import exp, nan
@@ -10,22 +10,28 @@ from shared.config import Section
 
 
 class WheelTrackingConfig(Section):
-    """How far a wheel may fall behind what it is told."""
+    """How far a wheel may fall behind its command."""
 
-    commanded_over: float = Field(0.05, gt=0, le=1, description="m/s at the rim; slower commands are not judged")
-    delay: float = Field(0.2, ge=0, le=2, description="s that a command may take to the motor; the X80SV's took 0.2")
-    lag: float = Field(0.3, ge=0, le=5, description="s, time constant of the slowest wheel that still counts as sound")
-    margin: float = Field(0.05, ge=0, le=1, description="m/s that a sound wheel may be slower than that")
-    share: float = Field(0.2, ge=0, le=1, description="of the command that a sound wheel may be slower, besides")
-    behind: float = Field(0.008, gt=0, le=1, description="m that a wheel may fall behind all this")
-    longer_than: float = Field(0.06, ge=0, le=5, description="s that it must last")
-    longest_step: float = Field(0.25, gt=0, le=5, description="s between reports over which nothing can be judged")
+    commanded_over: float = Field(0.05, gt=0, le=1, description="minimum command that is judged, m/s at the rim")
+    delay: float = Field(
+        0.2, ge=0, le=2, description="maximum delay of a command to the motor, s; 0.2 measured on the X80SV"
+    )
+    lag: float = Field(0.3, ge=0, le=5, description="maximum time constant of a healthy wheel, s")
+    margin: float = Field(0.05, ge=0, le=1, description="further speed error of a healthy wheel, m/s")
+    share: float = Field(
+        0.2, ge=0, le=1, description="further speed error of a healthy wheel, as a share of the command"
+    )
+    behind: float = Field(
+        0.008, gt=0, le=1, description="maximum distance that a wheel may fall behind these limits, m"
+    )
+    longer_than: float = Field(0.06, ge=0, le=5, description="minimum duration, s")
+    longest_step: float = Field(0.25, gt=0, le=5, description="maximum time between reports that are judged, s")
 
 
 class WheelTrackingMonitor:
-    """Watches one wheel: it shall be no slower than a sluggish wheel would be under the same commands.
+    """Compares one wheel with a model of the slowest healthy wheel under the same commands.
 
-    Only falling behind counts: a robot that rolls downhill or is pushed by hand is not broken.
+    Only a slower wheel is a fault: a robot may roll downhill or be pushed.
     """
 
     def __init__(self, config: WheelTrackingConfig) -> None:
@@ -33,20 +39,20 @@ class WheelTrackingMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Begins anew: the angle has jumped."""
+        """Restarts with the next report, after a jump of the angle."""
         self._stamp: int | None = None
-        self._commands: deque[tuple[int, float]] = deque()  # ns, m/s: what may still be on its way to the motor
+        self._commands: deque[tuple[int, float]] = deque()  # ns, m/s: commands that may not have reached the motor
         self._angle = self._lagged = self._deficit_m = self._behind_for_s = 0.0
 
     @property
     def is_behind(self) -> bool:
-        """Whether the wheel is on its way to being astray."""
+        """Whether the wheel is behind the model, but not yet a fault."""
         return self._deficit_m > 0
 
     def update(self, stamp: int, angle: float, commanded: float, radius: float) -> float:
-        """After a report: stamp (ns), the wheel's angle (rad), commanded speed (rad/s), the wheel's radius (m).
+        """Adds a report: stamp (ns), the wheel's angle (rad), commanded speed (rad/s), the wheel's radius (m).
 
-        Returns the wheel's speed at the rim, m/s and positive along the command, while it is astray; else NaN.
+        Returns the speed at the rim, m/s and positive along the command, of a wheel that does not follow; else NaN.
         """
         config = self.config
         before, self._stamp = self._stamp, stamp

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.sim.store import cylinder_file
+from services.sim.world_loader import read_cylinder_file
 from zenav.bench.barn_run import BarnFile, Driven, Trial, course_of, run
 
 DATA = os.environ.get("ZENAV_DATA")  # noqa: TID251
@@ -18,7 +18,7 @@ CHEAP = ("robot.laser.rate=20", "local_ctrl.mppi.rollouts=600")  # of 50 and 120
 
 
 def driven(world: str, seed: int, folder: Path) -> Driven:
-    file = cylinder_file(WORLDS, BarnFile)
+    file = read_cylinder_file(WORLDS, BarnFile)
     path = folder / "one.json"  # a file of one world: reading all 250 takes a tenth of a run
     path.write_text(json.dumps(file.model_dump(include={*type(file).model_fields} - {"worlds"}) | {
         "worlds": {world: file.worlds[world].model_dump()}

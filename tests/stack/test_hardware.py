@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from services.base_driver.drrobot import disable_motor
-from services.sim.hardware.drrobot import Gains, Velocity, meant
+from services.sim.hardware.drrobot import GainsCommand, VelocityCommand, decode_command
 from shared import reasons, requests, topics
 from shared.drrobot import BOARD, Deframer
 from shared.geometry import Pose2
@@ -152,9 +152,11 @@ def test_an_unplugged_board_stands_is_named_and_comes_back(up, capsys):
     up.at_the_board = b""
     up.until(up.in_order)
     assert up.arrives(*up.farther())
-    orders = [order for packet in Deframer(BOARD).packets(up.at_the_board) if (order := meant(packet))]
-    assert [type(order) for order in orders[:3]] == [Gains, Gains, Velocity]
-    speeds = [tuple(order.channels[wheel] for wheel in (0, 1)) for order in orders if isinstance(order, Velocity)]
+    orders = [order for packet in Deframer(BOARD).packets(up.at_the_board) if (order := decode_command(packet))]
+    assert [type(order) for order in orders[:3]] == [GainsCommand, GainsCommand, VelocityCommand]
+    speeds = [
+        tuple(order.channels[wheel] for wheel in (0, 1)) for order in orders if isinstance(order, VelocityCommand)
+    ]
     assert speeds[0] == (0, 0), "the first command after the reconnection is zero"
     assert any(speed != (0, 0) for speed in speeds)
 

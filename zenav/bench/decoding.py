@@ -11,8 +11,8 @@ import numpy as np
 from services.base_driver.serial_board import SerialBoard, SerialBoardConfig
 from services.lidar_driver.service import DEVICES, LidarDriverConfig
 from services.sim.hardware.board import BoardEmulator
-from services.sim.hardware.faults import Faults
-from services.sim.hardware.lasers import emulator
+from services.sim.hardware.faults import ActiveFaults
+from services.sim.hardware.lasers import make_emulator
 from shared.config import Laser, load_robot
 from shared.messages import BoardReport, LaserScan, SerialData
 
@@ -53,7 +53,10 @@ def _rate(decoder: Decoder, stream: bytes, size: int) -> float:
 
 def _board(n_bytes: int) -> tuple[Decoder, bytes]:
     """Bytes to BoardReports, and what the X80SV's board says while it drives."""
-    decoder, emulated = SerialBoard(SerialBoardConfig(), load_robot("x80sv").robot, 0.5), BoardEmulator(Faults(), 0)
+    decoder, emulated = (
+        SerialBoard(SerialBoardConfig(), load_robot("x80sv").robot, 0.5),
+        BoardEmulator(ActiveFaults(), 0),
+    )
     decoder.warm_up()
     stream, i = bytearray(), 0
     while len(stream) < n_bytes:
@@ -61,7 +64,7 @@ def _board(n_bytes: int) -> tuple[Decoder, bytes]:
         report = BoardReport(
             START + i * TICK, i % 32768, 7 * i % 32768, 50.0, 350.0, *ranges, 7.2, np.ones(2, np.float32)
         )
-        stream += emulated.reported(report, report.stamp)
+        stream += emulated.report_bytes(report, report.stamp)
         i += 1
     return lambda data: decoder.receive(SerialData(START, "board", data), START), bytes(stream)
 
@@ -80,7 +83,7 @@ def _laser(model: str, n_bytes: int) -> tuple[Decoder, bytes]:
         range_min=0.05,
         range_max=12.0,
     )
-    emulated = emulator(model, laser)
+    emulated = make_emulator(model, laser)
     config = LidarDriverConfig(model=model.removesuffix("_a2"))
     decoder = DEVICES[config.model](config, laser)
     now, words = START, decoder.start(START)

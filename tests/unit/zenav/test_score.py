@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from services.sim.store import load
+from services.sim.world_loader import load_world
 from shared.geometry import Pose2, arc
 from shared.grid import OccupancyGrid
 from shared.messages import Localization, MapUpdate, Odometry, PoseEstimate, Truth
@@ -15,7 +15,7 @@ from zenav.floor_plan import floor_plan
 from zenav.pilot import Leg
 from zenav.score import Track, aligned_map_errors, explored_share, map_errors, occupied_middles, pose_errors, summary
 
-WORLD = load("room")
+WORLD = load_world("room")
 START = WORLD.start
 RADIUS = 0.22
 TICK = 20_000_000

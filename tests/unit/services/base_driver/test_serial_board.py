@@ -14,7 +14,7 @@ from services.sim.hardware import drrobot as board
 from shared import topics
 from shared.config import load_robot
 from shared.drrobot import BOARD, Deframer
-from shared.messages import BoardReport, EmergencyStop, PortState, SerialData, Velocity
+from shared.messages import BoardReport, EmergencyStop, PortState, SerialData, VelocityCommand
 from tests.strategies import faults
 
 ROBOT = load_robot("x80sv").robot
@@ -42,10 +42,10 @@ class Wired:
                 assert publication.message.port == "board"
                 self.raw += publication.message.data
                 for packet in self.deframer.packets(publication.message.data):
-                    order = board.meant(packet)
+                    order = board.decode_command(packet)
                     self.acknowledged += order is None
                     self.orders.append(order)
-                    if isinstance(order, board.Velocity):
+                    if isinstance(order, board.VelocityCommand):
                         self.speeds = order.channels[0], order.channels[1]
 
     def port(self, open_=True, detail=""):
@@ -68,7 +68,7 @@ class Wired:
     def run(self, seconds, v=None, w=0.0, says=lambda wired, k: (wired.motors(), wired.sensors())):
         for k in range(round(seconds * 50)):
             if v is not None:
-                self.take(self.service.command(Velocity(self.service.now, v, w, "")))
+                self.take(self.service.command(VelocityCommand(self.service.now, v, w, "")))
             self.take(self.service.drive())
             self.service.now += 20 * MS
             self.counts = [count + speed * 0.02 for count, speed in zip(self.counts, self.speeds)]
@@ -152,7 +152,7 @@ def test_a_command_goes_to_the_board_with_its_time_limit_and_as_a_message():
 
 def test_gains_and_zero_are_the_first_words_after_each_connection():
     wired = Wired().port()
-    gains = [board.Gains(channel, kp=15, kd=0, ki=0) for channel in (0, 1)]
+    gains = [board.GainsCommand(channel, kp=15, kd=0, ki=0) for channel in (0, 1)]
     assert wired.orders[:2] == gains
     assert wired.speeds == (0, 0)
     wired.run(0.5, 0.4).port(False, "unplugged")
@@ -181,7 +181,7 @@ def test_a_board_that_comes_back_from_silence_gets_its_gains_again():
     wired.run(0.6, says=lambda wired, k: ())
     wired.orders.clear()
     wired.run(0.1)
-    assert sum(isinstance(order, board.Gains) for order in wired.orders) == 2
+    assert sum(isinstance(order, board.GainsCommand) for order in wired.orders) == 2
 
 
 def test_every_word_of_the_board_is_acknowledged_once_a_read():

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.lidar_driver.service import LidarDriverConfig, LidarDriverService
-from services.sim.hardware.lasers import Chunks, LaserEmulator, emulator
+from services.sim.hardware.lasers import Chunks, LaserEmulator, make_emulator
 from shared import topics
 from shared.config import Laser, Robot, load_robot
 from shared.messages import LaserScan, PortState, SerialData
@@ -131,7 +131,7 @@ class Line:
 
 
 def line_of(model: str, **settings: Any) -> Line:
-    return Line(made_driver(model, **settings), emulator(model, laser_of(model)))
+    return Line(made_driver(model, **settings), make_emulator(model, laser_of(model)))
 
 
 def sweep_of(laser: Laser, stamp: int, ranges: NDArray[Any]) -> LaserScan:

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from services.lidar_driver.service import NO_BYTES, NO_SENSE, STOPPED
-from services.sim.hardware.lasers import emulator
+from services.sim.hardware.lasers import make_emulator
 from services.sim.hardware.xv11 import packet
 from shared import topics
 from shared.config import UserError
@@ -85,7 +85,7 @@ def test_a_clock_that_wraps_is_not_noticed(model):
     wrap = {"ld06": 30_000, "scip": 1 << 24}[model] * MS
     start = START // wrap * wrap + wrap - 1500 * MS
     laser = laser_of(model)
-    line = Line(made_driver(model), emulator(model, laser))
+    line = Line(made_driver(model), make_emulator(model, laser))
     line.now = start
     line.driver.now = start
     line.take(line.driver.plugged(PortState(start, "laser", True, "")))
@@ -116,7 +116,7 @@ def test_a_bad_line_costs_beams_and_invents_none(model, faults):
     laser = laser_of(model)
     if model == "rplidar":  # a chunk is a node there
         faults = {name: share / 5 for name, share in faults.items()}
-    line = Line(made_driver(model), Faulty(emulator(model, laser), seed=1, **faults))
+    line = Line(made_driver(model), Faulty(make_emulator(model, laser), seed=1, **faults))
     sweeps = random_sweeps(laser, 6)
     line.run(sweeps, 6)
     wrong = heard = 0
@@ -315,5 +315,5 @@ def test_the_latency_sets_the_stamps_back():
 
 def test_an_unknown_model_is_refused_with_the_nearest_name():
     with pytest.raises(UserError) as refused:
-        emulator("ld66", laser_of("ld06"))
+        make_emulator("ld66", laser_of("ld06"))
     assert "ld06" in refused.value.mend

@@ -12,10 +12,10 @@ from services.base_driver.kinematics import board_counts, count_difference
 from services.sim.drive import (
     Battery,
     DriveTruth,
+    arc_pose,
     battery_voltage,
     encoder_counts,
-    moved,
-    slip_after,
+    next_slip,
     true_wheels,
     wheel_speed,
     wheel_targets,
@@ -52,14 +52,14 @@ def test_no_wheel_accelerates_over_its_limit_or_past_its_target(speed, target, l
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3), st.floats(-1, 1), st.floats(-3, 3))
 def test_a_step_is_an_exact_arc(x, y, yaw, forward, turn):
     pose = Pose2(x, y, yaw) @ arc(forward, turn)
-    assert_allclose(moved(x, y, yaw, forward, turn)[:2], (pose.x, pose.y), atol=1e-9)
+    assert_allclose(arc_pose(x, y, yaw, forward, turn)[:2], (pose.x, pose.y), atol=1e-9)
 
 
 def test_slip_has_its_standard_deviation_and_stays_alike_for_its_time():
     wheels = true_wheels(X80SV.drive, DriveTruth(slip=0.03, slip_time=0.1), 0.005)
     slips = np.zeros(60_000)
     for k, draw in enumerate(np.random.default_rng(0).standard_normal(len(slips) - 1)):
-        slips[k + 1] = slip_after(slips[k], draw, wheels)
+        slips[k + 1] = next_slip(slips[k], draw, wheels)
     assert_allclose(slips.std(), 0.03, rtol=0.05)
     assert_allclose(np.corrcoef(slips[:-20], slips[20:])[0, 1], exp(-1), atol=0.05)
 
