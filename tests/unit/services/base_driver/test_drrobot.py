@@ -187,7 +187,7 @@ def test_both_ends_agree_on_the_standard_sensors(ultrasonic, battery, degrees):
 def test_both_ends_agree_on_velocities(left, right, milliseconds):
     (packet,) = Deframer(BOARD).packets(drrobot.command_all(Type.VELOCITY_ALL, left, right, milliseconds))
     order = other_end.decode_command(packet)
-    assert order.channels == {0: left, 1: right, **dict.fromkeys(range(2, 6), other_end.KEEP)}
+    assert order.channels == {0: left, 1: right, **dict.fromkeys(range(2, 6), other_end.NO_CHANGE)}
     assert order.life == (None if milliseconds is None else pytest.approx(milliseconds / 1e3))
     (packet,) = Deframer(BOARD).packets(drrobot.command_one(Type.VELOCITY_ONE, 1, right, milliseconds))
     assert other_end.decode_command(packet).channels == {1: right}
@@ -195,9 +195,9 @@ def test_both_ends_agree_on_velocities(left, right, milliseconds):
 
 def test_both_ends_agree_on_gains_and_on_disabling():
     (packet,) = Deframer(BOARD).packets(drrobot.set_gains("velocity", 1, kp=15, kd=2, ki=3))
-    assert other_end.decode_command(packet) == other_end.Gains(1, kp=15, kd=2, ki=3)
+    assert other_end.decode_command(packet) == other_end.GainsCommand(1, kp=15, kd=2, ki=3)
     (packet,) = Deframer(BOARD).packets(drrobot.disable_motor(1))
-    assert other_end.decode_command(packet) == other_end.Disable(1)
+    assert other_end.decode_command(packet) == other_end.DisableCommand(1)
     (packet,) = Deframer(BOARD).packets(drrobot.acknowledgement())
     assert other_end.decode_command(packet) is None
 

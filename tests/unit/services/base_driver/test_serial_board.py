@@ -14,7 +14,7 @@ from services.sim.hardware import drrobot as board
 from shared import topics
 from shared.config import load_robot
 from shared.drrobot import BOARD, Deframer
-from shared.messages import BoardReport, EmergencyStop, PortState, SerialData, VelocityCommand
+from shared.messages import BoardReport, EmergencyStop, PortState, SerialData, Velocity
 from tests.strategies import faults
 
 ROBOT = load_robot("x80sv").robot
@@ -68,7 +68,7 @@ class Wired:
     def run(self, seconds, v=None, w=0.0, says=lambda wired, k: (wired.motors(), wired.sensors())):
         for k in range(round(seconds * 50)):
             if v is not None:
-                self.take(self.service.command(VelocityCommand(self.service.now, v, w, "")))
+                self.take(self.service.command(Velocity(self.service.now, v, w, "")))
             self.take(self.service.drive())
             self.service.now += 20 * MS
             self.counts = [count + speed * 0.02 for count, speed in zip(self.counts, self.speeds)]
@@ -146,7 +146,7 @@ def test_a_command_goes_to_the_board_with_its_time_limit_and_as_a_message():
     message, order = wired.last(topics.MOTORS), wired.orders[-1]
     expected = 0.4 / 0.085 * 756 / (2 * np.pi)
     assert (message.left, message.right) == pytest.approx((-expected, expected))
-    assert order.channels == {0: -round(expected), 1: round(expected), **dict.fromkeys(range(2, 6), board.KEEP)}
+    assert order.channels == {0: -round(expected), 1: round(expected), **dict.fromkeys(range(2, 6), board.NO_CHANGE)}
     assert order.life == 0.2
 
 
@@ -199,7 +199,7 @@ def test_the_last_words_stop_both_wheels_and_take_their_power():
     wired = Wired().port().run(0.1, 0.0).run(0.2, 0.3)
     wired.take(wired.service.farewell())
     assert wired.speeds == (0, 0)
-    assert wired.orders[-2:] == [board.Disable(0), board.Disable(1)]
+    assert wired.orders[-2:] == [board.DisableCommand(0), board.DisableCommand(1)]
     message = wired.last(topics.MOTORS)
     assert (message.left, message.right) == (0, 0)
 
