@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from services.sim.rays import Cells, cast_ray, ray_to_circle
-from shared.config import Section
+from shared.config import Robot, Section
 
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
@@ -110,3 +110,10 @@ def add_noise(
         ranges = np.round(ranges / noise.resolution) * noise.resolution
     heard &= (ranges >= range_min) & (ranges <= range_max)
     return np.where(heard, ranges, np.nan).astype(np.float32)
+
+
+def cone_table(robot: Robot) -> Float64s:
+    """The range sensors in the order of a board report, ultrasonic first: (n, 5) as `cone_ranges` takes them."""
+    sensors = [s for kind in ("ultrasonic", "infrared") for s in robot.ranges if s.kind == kind]
+    rows = [(s.mount.x, s.mount.y, s.mount.yaw, s.field_of_view, s.range_max) for s in sensors]
+    return np.array(rows, float).reshape(-1, 5)

@@ -20,7 +20,7 @@ from services.sim.drive import (
 )
 from services.sim.hardware.emulation import Emulation
 from services.sim.message_faults import MessageFaults
-from services.sim.sensors import add_noise, cone_ranges, sweep_ranges
+from services.sim.sensors import add_noise, cone_ranges, cone_table, sweep_ranges
 from services.sim.world import World
 from services.sim.world_loader import load_world
 from shared import requests, topics
@@ -70,12 +70,8 @@ class SimService(Service):
         self.used_charge = 0.0  # Ah
         steps_back = ceil(robot.laser.scan_time / dyn.DT) + CATCH_UP_STEPS + 4
         self.history = np.zeros((steps_back, 3 + 3 * len(self.world.people)))
-        kinds = [s.kind for s in robot.ranges]
-        self.n_ultrasonic = kinds.count("ultrasonic")
-        self.range_sensors = [s for kind in ("ultrasonic", "infrared") for s in robot.ranges if s.kind == kind]
-        self.cone_table = np.array(
-            [(s.mount.x, s.mount.y, s.mount.yaw, s.field_of_view, s.range_max) for s in self.range_sensors], float
-        ).reshape(-1, 5)
+        self.n_ultrasonic = sum(sensor.kind == "ultrasonic" for sensor in robot.ranges)
+        self.cone_table = cone_table(robot)
         self.epoch: int | None = None  # ns: time of step 0
         self.step = 0
         self.sweep = 0  # number of the next sweep since the epoch
@@ -90,10 +86,8 @@ class SimService(Service):
         cone_ranges(self.cells, self.history[0], self.cone_table, self.config.ranges.n_rays)
 
     def _people(self) -> pedestrians.People:
-        start = self.world.start
-        return pedestrians.initial_people(
-            self.world.people, self.config.people_react, self.config.seed, (start.x, start.y)
-        )
+        start = self.world.start.x, self.world.start.y
+        return pedestrians.initial_people(self.world.people, self.config.people_react, self.config.seed, start)
 
     def state(self) -> str:
         return f"{self.world.name}, {int(self.state_now[dyn.N_CONTACTS])} contacts"
