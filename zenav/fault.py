@@ -3,7 +3,7 @@
 
 import sys
 
-from services.sim.breaking import ALL
+from services.sim.fault_requests import ALL_FAULTS
 from shared import requests
 from shared.config import UserError, load_robot, nearest
 from shared.requests import Break
@@ -13,10 +13,10 @@ from zenav.client import Client
 
 def fault(robot: str, stack: str, name: str, seconds: float, mend: bool) -> int:
     """Breaks or mends; without either, lists what can break. Raises UserError where the simulator refuses."""
-    if name and name not in tuple(ALL):
-        raise UserError(f"no fault {name}", nearest(name, tuple(ALL)))
+    if name and name not in tuple(ALL_FAULTS):
+        raise UserError(f"no fault {name}", nearest(name, tuple(ALL_FAULTS)))
     if not name and not mend:
-        sys.stdout.write("".join(f"{one:<16} {words}\n" for one, words in ALL.items()))
+        sys.stdout.write("".join(f"{one:<16} {words}\n" for one, words in ALL_FAULTS.items()))
         return 0
     with Client(load_robot(robot).robot.name, where_from(stack)) as client:
         reply = client.ask(requests.FAULT, Break(client.now(), name, seconds, mend))

@@ -6,7 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from services.lidar_driver.service import LidarDriverConfig
-from services.sim.service import SimConfig
+from services.sim.config import SimConfig
 from shared.config import RobotFile
 from shared.runners.lockstep import Port
 from shared.topics import SERVICES

@@ -5,9 +5,9 @@ import json
 from dataclasses import dataclass, field
 from typing import Any
 
-from services.sim.service import SimConfig
-from services.sim.store import load
+from services.sim.config import SimConfig
 from services.sim.world import World
+from services.sim.world_loader import load_world
 from shared.config import RobotFile, UserError, configured
 from shared.geometry import Pose2
 from zenav.hardware import Hardware, services_for, settings_for
@@ -58,7 +58,7 @@ def world_of(file: RobotFile) -> World:
     """The world that a robot's file names. Raises UserError where there is none, or it is wrong."""
     config = file.section("sim", SimConfig)
     start = Pose2(config.start.x, config.start.y, config.start.yaw) if config.start else None
-    return load(config.world, config.seed, config.clutter_jitter, config.barn_file, start)
+    return load_world(config.world, config.seed, config.clutter_jitter, config.barn_file, start)
 
 
 @dataclass

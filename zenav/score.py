@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
-from services.sim.sensors import sweep
+from services.sim.sensors import sweep_ranges
 from services.sim.world import World
 from shared.geometry import Pose2, wrapped_all
 from shared.grid import OccupancyGrid
@@ -172,7 +172,7 @@ def visible_surface(world: World, radius: float, reach: float) -> Float64s:
     ends = []
     for place in places:
         standing = np.array([(*place, 0.0)] * 2)
-        ranges = sweep(world.cells, standing, 0.0, 0.0, (0.0, 0.0, 0.0), 0.0, turn, N_VIEW_BEAMS, reach)
+        ranges = sweep_ranges(world.cells, standing, 0.0, 0.0, (0.0, 0.0, 0.0), 0.0, turn, N_VIEW_BEAMS, reach)
         hit = np.isfinite(ranges)
         ends.append(place + ranges[hit, None] * unit[hit])
     x, y = np.rint(np.concatenate(ends).T / OUTLINE_STEP)

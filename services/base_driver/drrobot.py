@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the DrRobot board's packets say, and what is said to it. Little-endian; conversions as its driver has them."""
+"""DATA of the DrRobot board's packets: decodes reports, encodes commands. Little-endian; units as in its driver."""
 
 from struct import Struct
 from typing import Literal, NamedTuple
 
 from shared.drrobot import ADC_FULL, BOARD, Packet, Type, framed
 
-LEAVE_ALONE = -32768
-"""In a command to all channels: this channel keeps what it was told."""
+NO_CHANGE = -32768
+"""In a command to all channels: this channel keeps its command."""
 
 N_CHANNELS = 6
-INFRARED_NOTHING = 0.81  # m: what the driver reports where the sensor sees nothing
+NO_INFRARED_ECHO_M = 0.81  # m: value of the X80SV's driver without an echo
 
 _MOTOR_SENSOR = Struct("<6H6H4HB")
 _CUSTOM_SENSOR = Struct("<8HB")
@@ -18,7 +18,7 @@ _STANDARD_SENSOR = Struct("<6B4H2H2HHH4x5H")
 
 
 class System(NamedTuple):
-    """A word between the computers: 1 acknowledge, 0 ping, 2 urgent data, 3 a packet was skipped."""
+    """A code between the computers: 1 acknowledge, 0 ping, 2 urgent data, 3 a packet was skipped."""
 
     code: int
 
@@ -56,11 +56,11 @@ class StandardSensor(NamedTuple):
     potentiometer_supply: float
 
 
-Said = System | MotorSensor | CustomSensor | StandardSensor
+BoardMessage = System | MotorSensor | CustomSensor | StandardSensor
 
 
-def said(packet: Packet) -> Said | None:
-    """What a packet of the board says; None where its type is not known or its data is too short for it."""
+def decode(packet: Packet) -> BoardMessage | None:
+    """Content of a packet of the board; None if its type is unknown or its data too short."""
     kind, data = packet
     if kind == Type.MOTOR_SENSOR and len(data) >= _MOTOR_SENSOR.size:
         values = _MOTOR_SENSOR.unpack_from(data)
@@ -88,10 +88,10 @@ def _signed(speed: int, forward: int) -> int:
 
 
 def infrared_metres(reading: int) -> float:
-    """The distance that an infrared sensor's A/D reading means; INFRARED_NOTHING where it sees nothing."""
+    """Range (m) of an infrared sensor's A/D reading; INFRARED_NOTHING without an echo."""
     volts_above = reading * 3 / 4096 - 0.17
     if 80 * volts_above < 21.6:  # farther than 80 cm
-        return INFRARED_NOTHING
+        return NO_INFRARED_ECHO_M
     centimetres = 21.6 / volts_above
     return 0.09 if centimetres < 10 else centimetres / 100
 
@@ -107,16 +107,16 @@ def ambient_degrees(reading: int) -> float:
 
 
 def acknowledgement() -> bytes:
-    """The answer to every word of the board's."""
+    """The packet that acknowledges a ping of the board."""
     return framed(BOARD, Type.SYSTEM, b"\x01")
 
 
 def command_all(kind: Type, left: float, right: float, milliseconds: int | None = None) -> bytes:
     """A command (VELOCITY_ALL in counts/s, PWM_ALL, POSITION_ALL) to both wheels' channels, the others left alone.
 
-    milliseconds: after which the board drops it; None: it stands until the next.
+    milliseconds: lifetime of the command on the board; None: until the next command.
     """
-    channels = _int16(left), _int16(right), *(LEAVE_ALONE,) * (N_CHANNELS - 2)
+    channels = _int16(left), _int16(right), *(NO_CHANGE,) * (N_CHANNELS - 2)
     limit = () if milliseconds is None else (milliseconds,)
     return framed(BOARD, kind, Struct(f"<6h{len(limit)}H").pack(*channels, *limit))
 
@@ -128,17 +128,17 @@ def command_one(kind: Type, channel: int, command: float, milliseconds: int | No
     return framed(BOARD, kind, data + limit)
 
 
-def gains(control: Literal["velocity", "position"], channel: int, kp: int, kd: int, ki: int) -> bytes:
-    """The controller's gains of one channel."""
+def set_gains(control: Literal["velocity", "position"], channel: int, kp: int, kd: int, ki: int) -> bytes:
+    """A packet that sets the controller's gains of one channel."""
     code = {"velocity": 0x08, "position": 0x07}[control]
     return framed(BOARD, Type.GAINS, Struct("<BBBhBhBh").pack(code, channel, 1, kp, 2, kd, 3, ki))
 
 
-def disabled(channel: int) -> bytes:
-    """Takes the power off a motor."""
+def disable_motor(channel: int) -> bytes:
+    """A packet that switches off the power of a motor."""
     return framed(BOARD, Type.DISABLE, bytes((0, channel)))
 
 
 def _int16(command: float) -> int:
-    """The nearest command that the board can take; LEAVE_ALONE is none."""
-    return min(max(round(command), LEAVE_ALONE + 1), -LEAVE_ALONE - 1)
+    """The command, rounded and limited to int16 without NO_CHANGE."""
+    return min(max(round(command), NO_CHANGE + 1), -NO_CHANGE - 1)

@@ -1,27 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far has each wheel turned since the driver started? Wrapping counters in, unwrapped angles out."""
+"""Wheel angles since the driver's start: wrapping encoder counters in, unwrapped angles out."""
 
 from pydantic import Field
 
-from services.base_driver.kinematics import counted, fastest_wheel, wheel_angles
+from services.base_driver.kinematics import count_difference, max_wheel_speed, wheel_angles
 from shared.config import Drive, Section
 from shared.messages import BoardReport, WheelState
 
-LARGEST_ANGLE = 900_000.0  # rad; before WheelState's bound of 1e6 the driver begins a new epoch (77 km of an X80SV)
+MAX_ANGLE_RAD = 900_000.0  # rad; below WheelState's bound of 1e6; then a new epoch begins (77 km of an X80SV)
 
 
 class EncoderConfig(Section):
-    """What a counter's step may be before it is a jump and not motion."""
+    """Maximum step of a counter; a larger one is a jump, not motion."""
 
-    speed_margin: float = Field(2.0, ge=1, le=10, description="times the fastest wheel that a step may show")
-    longest_step: float = Field(0.5, gt=0, le=10, description="s of such motion that a gap between reports may hide")
+    speed_margin: float = Field(
+        2.0, ge=1, le=10, description="maximum speed of a step, as a multiple of the wheels' maximum speed"
+    )
+    longest_step: float = Field(0.5, gt=0, le=10, description="maximum duration, s, of motion between two reports")
 
 
 class Encoders:
-    """The wheels' angles, kept from report to report.
+    """Integrates the counters of successive reports to wheel angles `left`, `right` (rad).
 
-    A step that no wheel can turn (a restarted board, a broken counter) moves nothing: the angles stay, counting goes on
-    from the new reading, and `n_jumps` says so. A step of half the counter's range is ambiguous by nature.
+    A step beyond the wheels' maximum speed is a jump, of a restarted board or a broken counter. `n_jumps` counts it,
+    the angles stay, and counting continues from the new reading. A step of half the counter's range is ambiguous.
     """
 
     def __init__(self, config: EncoderConfig, drive: Drive) -> None:
@@ -35,37 +37,39 @@ class Encoders:
         """Begins a new epoch with the next report."""
         self.epoch, self.left, self.right, self._last = None, 0.0, 0.0, None
 
-    def turned(self, report: BoardReport, now: int) -> list[WheelState]:
-        """The wheels' state after a report that is newer than the last; two where an epoch ends and the next begins."""
+    def update(self, report: BoardReport, now: int) -> list[WheelState]:
+        """Wheel state after a report that is newer than the last one; two states when a new epoch begins. now: ns."""
         if self.epoch is None:
             self.epoch = now
         if self._last is not None:
-            self._add(self._last, report)
+            self._add_step(self._last, report)
         self._last = report
         states = [self._state(self.epoch, report)]
-        if max(abs(self.left), abs(self.right)) > LARGEST_ANGLE:
+        if max(abs(self.left), abs(self.right)) > MAX_ANGLE_RAD:
             self.epoch, self.left, self.right = max(now, self.epoch + 1), 0.0, 0.0
             states.append(self._state(self.epoch, report))
         return states
 
-    def _add(self, before: BoardReport, after: BoardReport) -> None:
-        left = counted(before.left_counts, after.left_counts, self.drive.encoder_wrap)
-        right = counted(before.right_counts, after.right_counts, self.drive.encoder_wrap)
-        turned_left, turned_right = wheel_angles(left, right, self.drive)
+    def _add_step(self, before: BoardReport, after: BoardReport) -> None:
+        left = count_difference(before.left_counts, after.left_counts, self.drive.encoder_wrap)
+        right = count_difference(before.right_counts, after.right_counts, self.drive.encoder_wrap)
+        left_angle, right_angle = wheel_angles(left, right, self.drive)
         elapsed = min((after.stamp - before.stamp) * 1e-9, self.config.longest_step)
         # a board that stamps on arrival shows one report period of jitter
-        largest = self.config.speed_margin * fastest_wheel(self.drive) * (elapsed + 0.02)
-        if max(abs(turned_left), abs(turned_right)) > largest:
+        max_angle = self.config.speed_margin * max_wheel_speed(self.drive) * (elapsed + 0.02)
+        if max(abs(left_angle), abs(right_angle)) > max_angle:
             self.n_jumps += 1
             return
-        self.left += turned_left
-        self.right += turned_right
+        self.left += left_angle
+        self.right += right_angle
 
     def _state(self, epoch: int, report: BoardReport) -> WheelState:
         left_speed, right_speed = wheel_angles(report.left_speed, report.right_speed, self.drive)
-        return WheelState(report.stamp, epoch, self.left, self.right, _bounded(left_speed), _bounded(right_speed))
+        return WheelState(
+            report.stamp, epoch, self.left, self.right, _clamp_speed(left_speed), _clamp_speed(right_speed)
+        )
 
 
-def _bounded(speed: float) -> float:
-    """A wheel speed within WheelState's bounds, whatever the board says."""
+def _clamp_speed(speed: float) -> float:
+    """A wheel speed (rad/s) limited to WheelState's bounds."""
     return min(max(speed, -1000.0), 1000.0)

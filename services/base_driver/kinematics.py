@@ -37,13 +37,13 @@ def wheel_angles(left_counts: float, right_counts: float, drive: Drive) -> tuple
     return -left_counts * rad_per_count, right_counts * rad_per_count
 
 
-def counted(before: int, after: int, wrap: int) -> int:
+def count_difference(before: int, after: int, wrap: int) -> int:
     """Counts from one reading to the next, the short way round a counter that returns to 0 at `wrap`."""
     steps = (after - before) % wrap
     return steps - wrap if 2 * steps > wrap else steps
 
 
-def fastest_wheel(drive: Drive) -> float:
+def max_wheel_speed(drive: Drive) -> float:
     """rad/s that a wheel reaches within the robot's limits."""
     smaller = min(drive.left_radius, drive.right_radius)
     return (drive.max_speed + drive.max_turn_rate * drive.wheel_distance / 2) / smaller

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The motion board behind a port: packets to reports, commands to bytes, and how the line is doing."""
+"""The motion board on a port: packets to reports, commands to bytes, state of the line."""
 
 from math import nan
 
@@ -7,14 +7,14 @@ import numpy as np
 from pydantic import Field
 
 from services.base_driver import drrobot
-from services.base_driver.drrobot import CustomSensor, MotorSensor, Said, StandardSensor, System
+from services.base_driver.drrobot import BoardMessage, CustomSensor, MotorSensor, StandardSensor, System
 from shared.config import Robot, Section
 from shared.drrobot import PC, Deframer, Type
 from shared.messages import BoardReport, BoardStatus, PortState, SerialData
 
 LEFT, RIGHT = 0, 1  # the wheels' channels
-CENTIMETRES_OF_NO_ECHO = 255
-DEAD_AFTER = 2  # packets in a row in which a sonar reads 0 cm, which no living one does
+NO_ECHO_CM = 255
+N_DEAD_SONAR_PACKETS = 2  # packets in a row with a reading of 0 cm; a working sonar never reads 0
 
 
 class SerialBoardConfig(Section):
@@ -23,15 +23,22 @@ class SerialBoardConfig(Section):
     kp: int = Field(15, ge=0, le=32767, description="velocity gain; an X80SV is shaky at 20, hardly stable at 25")
     ki: int = Field(0, ge=0, le=32767, description="velocity gain")
     kd: int = Field(0, ge=0, le=32767, description="velocity gain")
-    command_life: float = Field(0.2, ge=0.05, le=5, description="s after which the board itself drops a command")
-    sensors_silent: float = Field(0.5, gt=0.05, le=10, description="s without its packet: a range sensor is dead")
-    latency: float = Field(0.0, ge=0, le=0.2, description="s from the board's measuring until its bytes are read")
+    command_life: float = Field(0.2, ge=0.05, le=5, description="lifetime of a command on the board, s")
+    sensors_silent: float = Field(
+        0.5, gt=0.05, le=10, description="s without its packet after which a range sensor is dead"
+    )
+    latency: float = Field(
+        0.0,
+        ge=0,
+        le=0.2,
+        description="s from the board's measurement to the reading of its bytes; subtracted from stamps",
+    )
 
 
 class SerialBoard:
-    """Tells the board what the wheels shall do, and makes reports of what it says. Bytes in, bytes out.
+    """Encodes wheel commands and decodes the board's packets. Bytes in, bytes out.
 
-    silent: s without a report after which the board may have been switched off and on again: it gets its gains anew.
+    silent: s without a report after which the board may have restarted: it gets its gains again.
     """
 
     def __init__(self, config: SerialBoardConfig, robot: Robot, silent: float) -> None:
@@ -42,119 +49,119 @@ class SerialBoard:
         self.deframer = Deframer(PC)
         self.standard: StandardSensor | None = None
         self.custom: CustomSensor | None = None
-        self._at: dict[str, int] = {}  # ns when bytes, a packet, a bad CRC, or a packet of a class came last
-        self._zeros = np.zeros(drrobot.N_CHANNELS, np.int64)  # in a row, by sonar
-        self._n_reports = self._n_reports_told = 0
-        self._told_at = 0
+        self._last_at: dict[str, int] = {}  # ns when bytes, a packet, a bad CRC, or a packet of a class came last
+        self._n_zeros = np.zeros(drrobot.N_CHANNELS, np.int64)  # in a row, by sonar
+        self._n_reports = self._n_reports_at_status = 0
+        self._status_at = 0
 
-    def warm(self) -> None:
+    def warm_up(self) -> None:
         """Compiles the kernels."""
         Deframer(PC).packets(drrobot.acknowledgement())
 
-    def port(self, state: PortState) -> bytes:
-        """Its port was opened, or went away: what to say to it now. What was heard before belongs to another life."""
+    def update_port(self, state: PortState) -> bytes:
+        """Handles a port that opened or closed: drops earlier bytes, and returns the bytes to send now."""
         opened = state.open and not self.open
         self.open, self.detail = state.open, state.detail
         self.deframer.forget()
-        self._at.clear()
-        self._zeros[:] = 0
-        return self._greeting() if opened else b""
+        self._last_at.clear()
+        self._n_zeros[:] = 0
+        return self._start_bytes() if opened else b""
 
-    def heard(self, data: SerialData, now: int) -> tuple[BoardReport | None, bytes]:
-        """The newest report in these bytes, if there is one, and the answer to them.
+    def receive(self, data: SerialData, now: int) -> tuple[BoardReport | None, bytes]:
+        """The newest report in these bytes or None, and the bytes to answer.
 
-        Of several reports that came at once only the last is of use: their counts go on, their stamps do not differ.
+        Of several reports only the last is used: the counts continue, and all would have the same stamp.
         """
         n_bad = self.deframer.n_bad_crc
         packets = self.deframer.packets(data.data)
-        self._note("bytes", now)
+        self._record_time("bytes", now)
         if self.deframer.n_bad_crc > n_bad:
-            self._note("crc", now)
+            self._record_time("crc", now)
         motors: MotorSensor | None = None
         answer = b""
         for packet in packets:
-            self._note("packet", now)
-            word = drrobot.said(packet)
-            if isinstance(word, System):
+            self._record_time("packet", now)
+            message = drrobot.decode(packet)
+            if isinstance(message, System):
                 answer = drrobot.acknowledgement()  # one for all of them
-            elif isinstance(word, MotorSensor):
-                if not self._young("MotorSensor", now):
-                    answer = self._greeting() + answer
-                self._note("MotorSensor", now)
+            elif isinstance(message, MotorSensor):
+                if not self._is_recent("MotorSensor", now):
+                    answer = self._start_bytes() + answer
+                self._record_time("MotorSensor", now)
                 self._n_reports += 1
-                motors = word
+                motors = message
             else:
-                self._keep(word, now)
+                self._store(message, now)
         return self._report(motors, data.stamp, now) if motors is not None else None, answer
 
     def command(self, left: float, right: float) -> bytes:
-        """The wheels' speeds, counts/s with the board's signs, for `command_life`."""
+        """Bytes that command the wheels' speeds, counts/s with the board's signs, for `command_life`."""
         return drrobot.command_all(Type.VELOCITY_ALL, left, right, round(self.config.command_life * 1e3))
 
-    def farewell(self) -> bytes:
-        """Both wheels stop and lose their power."""
-        return self.command(0.0, 0.0) + drrobot.disabled(LEFT) + drrobot.disabled(RIGHT)
+    def stop_bytes(self) -> bytes:
+        """Bytes that stop both wheels and switch off their power."""
+        return self.command(0.0, 0.0) + drrobot.disable_motor(LEFT) + drrobot.disable_motor(RIGHT)
 
     def dead_sensors(self, now: int) -> str:
-        """Which range sensors do not answer, in words; empty when all do, or when the whole board is silent."""
-        if not self._young("MotorSensor", now):
+        """Text of the range sensors that do not answer; empty if all do, or if the whole board is silent."""
+        if not self._is_recent("MotorSensor", now):
             return ""
-        since = now - self._at.get("first", now)
-        waited = since > self.config.sensors_silent * 1e9
-        sonar = waited and not self._young("StandardSensor", now, self.config.sensors_silent)
-        zero = [str(i) for i in range(self.n_ultrasonic) if self._zeros[i] >= DEAD_AFTER]
-        infrared = waited and not self._young("CustomSensor", now, self.config.sensors_silent)
-        words = (
+        since = now - self._last_at.get("first", now)
+        has_waited = since > self.config.sensors_silent * 1e9
+        sonar = has_waited and not self._is_recent("StandardSensor", now, self.config.sensors_silent)
+        zero = [str(i) for i in range(self.n_ultrasonic) if self._n_zeros[i] >= N_DEAD_SONAR_PACKETS]
+        infrared = has_waited and not self._is_recent("CustomSensor", now, self.config.sensors_silent)
+        parts = (
             "the board sends no ultrasonic ranges" if self.n_ultrasonic and sonar else "",
             f"ultrasonic {' and '.join(zero)} does not answer" if zero and not sonar else "",
             "the board sends no infrared ranges" if self.n_infrared > 1 and infrared else "",
         )
-        return ", ".join(word for word in words if word)
+        return ", ".join(part for part in parts if part)
 
-    def silence(self, now: int) -> str:
-        """Why no report comes, in words; for when none does."""
+    def silence_cause(self, now: int) -> str:
+        """Text of the cause why no report arrives."""
         if not self.open:
             return self.detail
-        if not self._young("bytes", now):
+        if not self._is_recent("bytes", now):
             return "no byte arrives"
-        if self._young("packet", now):
+        if self._is_recent("packet", now):
             return "packets arrive, but none of the motors"
-        if self._young("crc", now):
+        if self._is_recent("crc", now):
             return "packets arrive, but their checksums are wrong"
         return "bytes arrive, none make sense: check base_driver.port.baud and .device"
 
     def status(self, now: int) -> BoardStatus:
         """Counters, rate since the last call, supplies and temperatures."""
-        elapsed = (now - self._told_at) * 1e-9
-        rate = (self._n_reports - self._n_reports_told) / elapsed if self._told_at and elapsed > 0 else 0.0
-        self._told_at, self._n_reports_told = now, self._n_reports
-        age = max(now - self._at["packet"], 0) * 1e-9 if "packet" in self._at else nan
+        elapsed = (now - self._status_at) * 1e-9
+        rate = (self._n_reports - self._n_reports_at_status) / elapsed if self._status_at and elapsed > 0 else 0.0
+        self._status_at, self._n_reports_at_status = now, self._n_reports
+        age = max(now - self._last_at["packet"], 0) * 1e-9 if "packet" in self._last_at else nan
         s, line = self.standard, self.deframer
         measured = (s.board_supply, s.motor_supply, s.servo_supply, *s.motor_temperatures, s.temperature) if s else ()
         return BoardStatus(
             now, line.n_good, line.n_bad_crc, line.n_resyncs, line.n_skipped, age, rate, *(measured or (nan,) * 6)
         )
 
-    def _greeting(self) -> bytes:
-        """Gains for both wheels, and that they stand."""
+    def _start_bytes(self) -> bytes:
+        """Bytes that set the gains of both wheels and command zero."""
         config = self.config
-        gains = [drrobot.gains("velocity", wheel, config.kp, config.kd, config.ki) for wheel in (LEFT, RIGHT)]
+        gains = [drrobot.set_gains("velocity", wheel, config.kp, config.kd, config.ki) for wheel in (LEFT, RIGHT)]
         return b"".join(gains) + self.command(0.0, 0.0)
 
-    def _keep(self, word: Said | None, now: int) -> None:
-        if isinstance(word, StandardSensor):
-            self.standard = word
-            self._zeros = np.where(np.array(word.ultrasonic) == 0, self._zeros + 1, 0)
-        elif isinstance(word, CustomSensor):
-            self.custom = word
-        if word is not None:
-            self._note(type(word).__name__, now)
+    def _store(self, message: BoardMessage | None, now: int) -> None:
+        if isinstance(message, StandardSensor):
+            self.standard = message
+            self._n_zeros = np.where(np.array(message.ultrasonic) == 0, self._n_zeros + 1, 0)
+        elif isinstance(message, CustomSensor):
+            self.custom = message
+        if message is not None:
+            self._record_time(type(message).__name__, now)
 
     def _report(self, motors: MotorSensor, stamp: int, now: int) -> BoardReport:
-        standard = self.standard if self._young("StandardSensor", now, self.config.sensors_silent) else None
-        custom = self.custom if self._young("CustomSensor", now, self.config.sensors_silent) else None
-        centimetres = np.array(standard.ultrasonic if standard else [CENTIMETRES_OF_NO_ECHO] * 6, np.float32)
-        ultrasonic = np.where(centimetres < CENTIMETRES_OF_NO_ECHO, centimetres / 100, np.nan).astype(np.float32)
+        standard = self.standard if self._is_recent("StandardSensor", now, self.config.sensors_silent) else None
+        custom = self.custom if self._is_recent("CustomSensor", now, self.config.sensors_silent) else None
+        centimetres = np.array(standard.ultrasonic if standard else [NO_ECHO_CM] * 6, np.float32)
+        ultrasonic = np.where(centimetres < NO_ECHO_CM, centimetres / 100, np.nan).astype(np.float32)
         infrared = (standard.infrared if standard else nan, *(custom.infrared if custom else (nan,) * 6))
         return BoardReport(
             max(stamp - round(self.config.latency * 1e9), 0),
@@ -168,11 +175,11 @@ class SerialBoard:
             np.array(motors.currents[:2], np.float32),
         )
 
-    def _note(self, what: str, now: int) -> None:
-        self._at[what] = now
-        self._at.setdefault("first", now)
+    def _record_time(self, what: str, now: int) -> None:
+        self._last_at[what] = now
+        self._last_at.setdefault("first", now)
 
-    def _young(self, what: str, now: int, seconds: float | None = None) -> bool:
-        """Whether it came within so long, or within `silent`."""
+    def _is_recent(self, what: str, now: int, seconds: float | None = None) -> bool:
+        """Whether such bytes or packets arrived within `seconds`, or within `silent`."""
         limit = self.silent if seconds is None else seconds * 1e9
-        return what in self._at and 0 <= now - self._at[what] <= limit
+        return what in self._last_at and 0 <= now - self._last_at[what] <= limit

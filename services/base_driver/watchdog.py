@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which command moves the motors now, if any? The last watchdog: on the age of commands, never on their arrival."""
+"""Which command moves the motors now? The last watchdog, by the age of commands, not by their arrival."""
 
 from pydantic import Field
 
@@ -9,18 +9,20 @@ from shared.stamps import FUTURE
 
 
 class WatchdogConfig(Section):
-    """When a command is too old to drive on."""
+    """Ages of commands."""
 
-    command_age: float = Field(0.2, gt=0, le=0.23, description="s after its stamp that a command ends")
-    silence: float = Field(0.5, gt=0, le=10, description="s without commands after which a stream counts as new")
+    command_age: float = Field(0.2, gt=0, le=0.23, description="maximum age of a command, s")
+    silence: float = Field(
+        0.5, gt=0, le=10, description="s without commands after which a stream of commands counts as new"
+    )
 
 
 class Watchdog:
-    """Holds the last accepted command and lets it act for `command_age`.
+    """Holds the last accepted command, valid up to an age of `command_age`.
 
-    Accepted is what is newer than the last accepted one, not over-aged and not from the future: a burst of old commands
-    after a healed partition moves nothing. After `disarm` (a released stop, a mended fault, a link that came back) the
-    robot stands until its commander has asked for zero, or has been silent for `silence` since.
+    A command is accepted if it is newer than the last accepted one, not too old and not from the future. So a burst of
+    old commands after a network outage moves nothing. After `disarm` the robot stands until a command of zero, or until
+    no command came for `silence`. It follows a released stop, a repaired fault or a restored link.
     """
 
     def __init__(self, config: WatchdogConfig) -> None:
@@ -31,12 +33,12 @@ class Watchdog:
         self._silence = round(config.silence * 1e9)
         self._last = 0  # stamp of the last accepted command
         self._quiet_since = 0
-        self._began: int | None = None  # when the command began to age
+        self._began: int | None = None  # ns, start of the command's age
         self._velocity = (0.0, 0.0)
 
     def offer(self, command: Velocity, now: int) -> bool:
-        """Takes a command, or refuses it and says why in `refused`."""
-        if self._quiet_since > now + FUTURE:  # our clock was set back: what we accepted before it says nothing
+        """Accepts a command at `now` (ns) and returns True; else gives the cause in `refused`."""
+        if self._quiet_since > now + FUTURE:  # the clock was set back: earlier stamps do not count
             self._last, self._quiet_since = 0, now
         if now - command.stamp > self._age:
             self.refused = f"commands are refused: {(now - command.stamp) * 1e-9:.1f} s old"
@@ -55,13 +57,13 @@ class Watchdog:
         return True
 
     def disarm(self, now: int) -> None:
-        """No motion until the commander has asked for zero or been silent."""
+        """Blocks motion until a command of zero, or a pause of `silence` in the commands."""
         self.armed = False
         self._began = None
         self._quiet_since = max(self._last, now)
 
     def velocity(self, now: int) -> tuple[float, float]:
-        """v, w that holds now: the accepted command while it is young, else zero."""
+        """v (m/s), w (rad/s) at `now` (ns): the accepted command while it is recent, else zero."""
         if self._began is None or not self.armed or not 0 <= now - self._began <= self._age:
             return 0.0, 0.0
         return self._velocity

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every laser gives, whatever it speaks: returns in the order of measuring, on the device's own clock."""
+"""Interface of all lasers: beams in the order of measurement, with times on the device's own clock."""
 
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
@@ -16,12 +16,15 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Returns:
-    """n beams in the order of measuring, and p moments at which the device let go of them.
+    """n beams in the order of measurement, from p packets.
 
-    angles: (n,) rad, counter-clockwise from the device's front seen from its top, in any turn.  ranges: (n,) m, NaN
-    without a measurement.  intensities: (n,) or none.  times: (n,) s on the device's clock.
-    sent: (p,) s on the device's clock when a packet was complete.  ages: (p,) s by which its last byte must have come
-    before the newest byte did.  restarted: the device's clock went back.
+    angles: (n,) rad from the device's front, counter-clockwise seen from its top, modulo a turn.
+    ranges: (n,) m, NaN without a measurement.
+    intensities: (n,) in the device's scale, or None.
+    times: (n,) s on the device's clock.
+    sent: (p,) s on the device's clock when each packet was complete.
+    ages: (p,) s from the arrival of each packet's last byte to that of the newest byte.
+    restarted: the device's clock went back.
     """
 
     angles: Float64s
@@ -34,65 +37,67 @@ class Returns:
 
 
 @dataclass(slots=True)
-class Counts:
-    """Of a decoder since it was made."""
+class PacketCounts:
+    """Counters of a decoder since its construction."""
 
-    n_good: int = 0  # packets with a good sum
-    n_bad: int = 0  # packets with a bad sum
-    n_resyncs: int = 0  # times that bytes were skipped to find the next packet
+    n_good: int = 0  # packets with a correct checksum
+    n_bad: int = 0  # packets with a wrong checksum
+    n_resyncs: int = 0  # times that bytes were skipped before a packet
 
 
-class Device(Protocol):
-    """A laser as its protocol has it: a state machine from bytes to returns and to the bytes that it wants said.
+class LaserDevice(Protocol):
+    """A laser's protocol as a state machine: received bytes to beams, and to the bytes to send.
 
-    clockwise: how it turns, seen from its top.  speed: turns/s as it tells or as it is set; 0 stopped, None unknown.
-    trouble: what it says is wrong with it, for people; empty when nothing is.  scanning: its start sequence is through.
-    met: where it tells its clock on request: s on that, and between which two times of the stack's (ns) it was so.
+    - clockwise: direction of rotation, seen from the top.
+    - speed: turns/s, reported or set; 0 stopped, None unknown.
+    - fault: fault that the device reports, for people; empty without one.
+    - scanning: whether the start sequence is complete.
+    - clock_reading: the device's clock (s), and the stack's times (ns) before and after the reading; None without one.
     """
 
     clockwise: bool
-    counts: Counts
-    trouble: str
+    counts: PacketCounts
+    fault: str
 
     @property
     def speed(self) -> float | None: ...
 
     @property
-    def met(self) -> tuple[float, int, int] | None: ...
+    def clock_reading(self) -> tuple[float, int, int] | None: ...
 
     @property
     def scanning(self) -> bool: ...
 
-    def opened(self, now: int) -> bytes:
-        """Begins the start sequence anew, whatever came before; the bytes to say first."""
+    def start(self, now: int) -> bytes:
+        """Begins the start sequence again at `now` (ns). Returns the first bytes to send."""
 
-    def received(self, data: bytes, now: int) -> list[Returns]:
-        """Takes the bytes that the port read."""
+    def receive(self, data: bytes, now: int) -> list[Returns]:
+        """Decodes bytes that the port read at `now` (ns)."""
 
-    def due(self, now: int) -> bytes:
-        """What to say now; called after each reading and each tick."""
+    def next_command(self, now: int) -> bytes:
+        """The bytes to send at `now` (ns), or none; called after each reading and each tick."""
 
-    def farewell(self) -> bytes:
-        """What stops it."""
+    def stop_command(self) -> bytes:
+        """The bytes that stop the laser."""
 
 
 N = TypeVar("N", np.int64, np.float64)
 
 
-def steps_of(values: NDArray[N], before: float) -> NDArray[N]:
-    """(n,) -> (n,): how far each lies after the one before it; np.diff with `prepend` takes ten times as long."""
+def differences(values: NDArray[N], before: float) -> NDArray[N]:
+    """(n,) -> (n,): each value minus the one before it. Ten times faster than np.diff with `prepend`."""
     steps = values.copy()
     steps[1:] -= values[:-1]
     steps[0] -= before
     return steps
 
 
-def since(ticks: Int64s, last: int | None, wrap: int, most_back: int) -> tuple[Int64s, bool]:
-    """How far each tick of a wrapping counter lies after `last` (or the first tick), and whether the counter went back.
+def unwrapped_ticks(ticks: Int64s, last: int | None, wrap: int, most_back: int) -> tuple[Int64s, bool]:
+    """Ticks (p,) of a counter that wraps at `wrap`, unwrapped and relative to `last`, and whether the device restarted.
 
-    ticks: (p,).  A step back by over `most_back`: the device started anew.
+    last: None: relative to the first tick.  most_back: ticks; a larger step back is a restart of the device.
     """
-    steps = (steps_of(ticks, int(ticks[0]) if last is None else last) + wrap // 2) % wrap - wrap // 2
+    steps = (differences(ticks, int(ticks[0]) if last is None else last) + wrap // 2) % wrap - wrap // 2
     back = steps < -most_back
     restarted = bool(back.any())
     if restarted:

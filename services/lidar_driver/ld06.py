@@ -1,32 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""LDROBOT LD06 and LD19: streams by itself, clockwise, 12 beams a packet, with a clock of its own.
+"""LDROBOT LD06 and LD19: streams without commands, clockwise, 12 beams a packet, with its own clock.
 
-Packet (LD19 development manual, section 3.2), 47 bytes, little-endian: 54 2C, speed u16 deg/s, first angle u16 0.01
-degree, 12 x (distance u16 mm, intensity u8), last angle u16, time u16 ms (0 to 29999), CRC-8 with polynomial 0x4D.
+Packet (LD19 development manual, section 3.2), 47 bytes, little-endian:
+
+    54 2C | speed u16 deg/s | first angle u16 0.01 deg | 12 x (distance u16 mm, intensity u8)
+    last angle u16 0.01 deg | time u16 ms, 0 to 29999 | CRC-8, polynomial 0x4D
 """
 
 from typing import cast
 
 import numpy as np
 
-from services.lidar_driver.device import Bools, Float64s, Returns, Uint8s, since
-from services.lidar_driver.streaming import Streaming
+from services.lidar_driver.device import Bools, Float64s, Returns, Uint8s, unwrapped_ticks
+from services.lidar_driver.packet_device import PacketDevice
 
 LENGTH = 47
 N_BEAMS = 12
 TIME_WRAP = 30000  # ticks
-TICK = 1e-3  # s; a time is cut to whole ticks, so half of one is missing on average
+TICK = 1e-3  # s; times are rounded down, so on average half a tick is missing
 PACKET = np.dtype(
     [
         ("header", "<u2"), ("speed", "<u2"), ("first", "<u2"), ("beams", [("mm", "<u2"), ("intensity", "u1")], N_BEAMS),
         ("last", "<u2"), ("time", "<u2"), ("sum", "u1"),
     ]
 )  # fmt: skip
-LONGEST_STEP = 900  # 0.01 degree between two beams; more is no turning laser's packet
+MAX_BEAM_STEP = 900  # 0.01 degree between two beams; more is not plausible
 
 
 def _tables() -> Uint8s:
-    """(46, 256): what a byte at each place contributes to the sum; the sum is linear, so contributions are xored."""
+    """(46, 256): contribution of each byte at each position to the CRC; a CRC is linear, so contributions are xored."""
     one = np.zeros(256, np.uint8)
     for value in range(256):
         crc = value
@@ -44,34 +46,34 @@ PLACES = np.arange(LENGTH - 1)
 FROM_FIRST, TO_LAST = np.arange(N_BEAMS), np.arange(1 - N_BEAMS, 1)  # beams
 
 
-def sums(packets: Uint8s) -> Bools:
-    """(p, 47) -> (p,): whether the sum is right."""
+def is_checksum_valid(packets: Uint8s) -> Bools:
+    """(p, 47) -> (p,): whether the CRC is correct."""
     return cast(Bools, np.bitwise_xor.reduce(TABLES[PLACES, packets[:, :-1]], axis=1) == packets[:, -1])
 
 
-def begins(first: Uint8s, second: Uint8s) -> Bools:
-    """Header, and version with 12 beams."""
+def is_header(first: Uint8s, second: Uint8s) -> Bools:
+    """(k,), (k,) -> (k,): whether two bytes are the header and the version with 12 beams."""
     return cast(Bools, (first == 0x54) & (second == 0x2C))
 
 
-class Ld06(Streaming):
+class Ld06(PacketDevice):
     """An LD06 or LD19 on a serial line."""
 
     clockwise = True
 
     def __init__(self, baud: int) -> None:
-        super().__init__(baud, LENGTH, begins, sums)
+        super().__init__(baud, LENGTH, is_header, is_checksum_valid)
 
-    def received(self, data: bytes, now: int) -> list[Returns]:
-        packets, after = self.framing.cut(data)
+    def receive(self, data: bytes, now: int) -> list[Returns]:
+        packets, after = self.framing.extract(data)
         if not len(packets):
             return []
         fields = packets.view(PACKET)[:, 0]
         speed, first, last, ticks = (fields[key].astype(np.int64) for key in ("speed", "first", "last", "time"))
         self.speed = float(speed[-1]) / 360.0
         steps = (last - first) % 36000 / (N_BEAMS - 1)
-        turning = (speed > 0) & (steps > 0) & (steps < LONGEST_STEP)
-        elapsed, restarted = since(ticks, self.last, TIME_WRAP, most_back=0)
+        turning = (speed > 0) & (steps > 0) & (steps < MAX_BEAM_STEP)
+        elapsed, restarted = unwrapped_ticks(ticks, self.last, TIME_WRAP, most_back=0)
         times: Float64s = np.asarray(self.time + elapsed * TICK, np.float64)
         self.last, self.time = int(ticks[-1]), float(times[-1])
         if not turning.all():

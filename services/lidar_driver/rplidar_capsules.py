@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Express scan packets of an RPLIDAR: legacy (A1, A2), extended (A3) and dense (S1) capsules.
 
-SLAMTEC, 'RPLIDAR interface protocol', rev. 2.1, section 'express scan', and its public driver. Each begins with two
-sync nibbles and the xor of all that follows, then the first beam's angle (1/64 degree) under a bit that marks the first
-one of a scan. A capsule's beams lie evenly between its angle and the next one's, less an offset for the laser's own
-parallax.
+SLAMTEC, 'RPLIDAR interface protocol', rev. 2.1, section 'express scan', and its public driver.
+
+A capsule begins with two sync nibbles and the xor of the bytes after them. Then comes the angle of its first beam
+(15 bits, 1/64 degree); bit 15 marks the first capsule of a scan. The beams are spaced evenly between this angle and
+that of the next capsule, minus an offset for the laser's parallax.
 """
 
 from collections.abc import Callable
@@ -17,43 +18,49 @@ import numpy as np
 from services.lidar_driver.device import Bools, Float64s, Int64s, Uint8s
 
 SCALES = ((3328, 1 << 14, 4), (1792, 1 << 12, 3), (1280, 1 << 11, 2), (512, 1 << 9, 1), (0, 0, 0))
-"""Extended distances: from this code on, this many mm, and steps of 2 ** level mm."""
+"""Scales of extended distances: first code, its distance in mm, and level; a step is 2 ** level mm."""
 CABIN = np.dtype([("mm", "<u2", 2), ("offsets", "u1")])
 NIBBLES = np.array([0, 4])
 NO_PREDICTION = (-512, 511)
-NEAR = 200  # 1/4 mm under which the offset does not depend on the distance
+MIN_OFFSET_DISTANCE = 200  # 1/4 mm; the offset is constant for shorter distances
 
 
-def begins(first: Uint8s, second: Uint8s) -> Bools:
-    """The two sync nibbles."""
+def is_header(first: Uint8s, second: Uint8s) -> Bools:
+    """(k,), (k,) -> (k,): whether two bytes have the sync nibbles."""
     return cast(Bools, (first >> 4 == 0xA) & (second >> 4 == 0x5))
 
 
-def sums(packets: Uint8s) -> Bools:
-    """(p, n) -> (p,): whether the xor of all after the first two bytes is in their low nibbles."""
+def is_checksum_valid(packets: Uint8s) -> Bools:
+    """(p, n) -> (p,): whether the low nibbles of the first two bytes are the xor of all others."""
     total = np.bitwise_xor.reduce(packets[:, 2:], axis=1)
     return cast(Bools, total == (packets[:, 0] & 0xF | (packets[:, 1] & 0xF) << 4))
 
 
-def legacy(capsules: Uint8s, _: Uint8s) -> tuple[Int64s, Float64s]:
-    """16 cabins of 5 bytes: two distances of 14 bits, mm, over two bits of offset, then both offsets' low nibbles."""
+def decode_legacy(capsules: Uint8s, _: Uint8s) -> tuple[Int64s, Float64s]:
+    """(p, 84) -> (p, 32) mm, degrees of offset; 16 cabins of 5 bytes.
+
+    Cabin: two words of a distance (14 bits, mm) and the offset's high bits (2), then the offsets' low nibbles.
+    """
     cabins = capsules[:, 4:].view(CABIN)
     pairs = cabins["mm"].astype(np.int64)
     offsets = cabins["offsets"][:, :, None] >> NIBBLES & 0xF | (pairs & 3) << 4
     return (pairs >> 2).reshape(-1, 32), (offsets / 8).reshape(-1, 32)
 
 
-def dense(capsules: Uint8s, _: Uint8s) -> tuple[Int64s, Float64s]:
-    """40 distances, u16 mm."""
+def decode_dense(capsules: Uint8s, _: Uint8s) -> tuple[Int64s, Float64s]:
+    """(p, 84) -> (p, 40) mm, degrees of offset (0); 40 distances, u16 mm."""
     mm = capsules[:, 4::2].astype(np.int64) | capsules[:, 5::2].astype(np.int64) << 8
     return mm, np.zeros(mm.shape)
 
 
-def extended(capsules: Uint8s, following: Uint8s) -> tuple[Int64s, Float64s]:
-    """32 words of 32 bits: a scaled distance of 12, and two signed differences of 10 to it and to the next word's."""
+def decode_extended(capsules: Uint8s, following: Uint8s) -> tuple[Int64s, Float64s]:
+    """(p, 132) and the capsules after them -> (p, 96) mm, degrees of offset; 32 words of 32 bits.
+
+    Word: a scaled distance (12 bits), and two signed differences (10 bits each) to it and to the next word's distance.
+    """
     words, after = (_words(c) for c in (capsules, following))
-    majors, levels = scaled(words & 0xFFF)
-    last, last_level = scaled(after[:, :1] & 0xFFF)
+    majors, levels = decode_scaled(words & 0xFFF)
+    last, last_level = decode_scaled(after[:, :1] & 0xFFF)
     next_majors, next_levels = np.hstack([majors[:, 1:], last]), np.hstack([levels[:, 1:], last_level])
     from_next = (majors == 0) & (next_majors != 0)
     bases = np.where(from_next, next_majors, majors), next_majors
@@ -65,12 +72,12 @@ def extended(capsules: Uint8s, following: Uint8s) -> tuple[Int64s, Float64s]:
     distances = np.stack(mm, axis=2).reshape(-1, 96)
     quarters = np.maximum(distances * 4, 1)
     k = 98361 // quarters
-    offset = np.where(quarters >= NEAR, 8 - ((k << 6) + k**3 // 98304) / (pi / 180 * 65536), 7.5)
+    offset = np.where(quarters >= MIN_OFFSET_DISTANCE, 8 - ((k << 6) + k**3 // 98304) / (pi / 180 * 65536), 7.5)
     return distances, offset
 
 
-def scaled(codes: Int64s) -> tuple[Int64s, Int64s]:
-    """Codes of 12 bits -> mm, and the level of their scale."""
+def decode_scaled(codes: Int64s) -> tuple[Int64s, Int64s]:
+    """Codes of 12 bits -> mm, and the levels of their scales."""
     mm, levels = np.zeros_like(codes), np.zeros_like(codes)
     for begin, base, level in reversed(SCALES):
         mm = np.where(codes >= begin, base + (codes - begin << level), mm)
@@ -79,19 +86,26 @@ def scaled(codes: Int64s) -> tuple[Int64s, Int64s]:
 
 
 def _words(capsules: Uint8s) -> Int64s:
-    """(p, 132) -> (p, 32)."""
+    """(p, 132) -> (p, 32) words of 32 bits."""
     parts = capsules[:, 4:].reshape(-1, 32, 4).astype(np.int64)
     return cast(Int64s, (parts << np.array([0, 8, 16, 24])).sum(axis=2))
 
 
 @dataclass(frozen=True, slots=True)
-class Format:
-    """A kind of capsule: bytes, beams, and beams of capsules and of those that follow them -> mm, degrees of offset."""
+class CapsuleFormat:
+    """A kind of capsule.
+
+    length: bytes.  beams: capsules (p, length) and the next ones (p, length) -> (p, n_beams) mm, degrees of offset.
+    """
 
     length: int
     n_beams: int
     beams: Callable[[Uint8s, Uint8s], tuple[Int64s, Float64s]]
 
 
-FORMATS = {0x82: Format(84, 32, legacy), 0x84: Format(132, 96, extended), 0x85: Format(84, 40, dense)}
-"""By the type of the answer."""
+FORMATS = {
+    0x82: CapsuleFormat(84, 32, decode_legacy),
+    0x84: CapsuleFormat(132, 96, decode_extended),
+    0x85: CapsuleFormat(84, 40, decode_dense),
+}
+"""Type of the answer -> format."""

@@ -1,47 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Standard scan nodes: 5 bytes with no sum. Only that many in a row make sense tells where they begin.
+"""Standard scan nodes: 5 bytes without a checksum. Several plausible nodes in a row show where they begin.
 
 Node: quality << 2 | not start << 1 | start; angle (1/64 degree) << 1 | 1, u16; distance (1/4 mm), u16.
 """
 
 import numpy as np
 
-from services.lidar_driver.device import Bools, Counts, Int64s, Uint8s, steps_of
+from services.lidar_driver.device import Bools, Int64s, PacketCounts, Uint8s, differences
 
 LENGTH = 5
-IN_A_ROW = 8  # nodes that make sense one after the other, before the first of them is believed
-FURTHEST = 12 * 64  # 1/64 degree that the next beam may lie ahead; lost nodes are found anew
-BACK = 8 * 64  # 1/64 degree that it may lie behind: angles are corrected beam by beam
+MIN_PLAUSIBLE_NODES = 8  # plausible nodes in a row that synchronize
+MAX_STEP_AHEAD = 12 * 64  # 1/64 degree from a beam to the next; a larger step loses synchronization
+MAX_STEP_BACK = 8 * 64  # 1/64 degree; the device corrects angles beam by beam
 TURN = 360 * 64
 
 
-class Nodes:
-    """Cuts nodes out of a stream. Keeps less than IN_A_ROW nodes between readings."""
+class NodeFramer:
+    """Finds nodes in a stream. Buffers less than MIN_PLAUSIBLE_NODES nodes."""
 
-    def __init__(self, counts: Counts) -> None:
+    def __init__(self, counts: PacketCounts) -> None:
         self.counts = counts
-        self.rest = b""
-        self.last_angle: int | None = None  # 1/64 degree; None while out of step
+        self.buffer = b""
+        self.last_angle: int | None = None  # 1/64 degree; None while not synchronized
 
-    def cut(self, data: bytes) -> tuple[Uint8s, Int64s, Bools]:
-        """The nodes, (p, 5), how many bytes came after each, (p,), and which follow lost ones, (p,)."""
-        self.rest += data
+    def extract(self, data: bytes) -> tuple[Uint8s, Int64s, Bools]:
+        """The nodes (p, 5), the number of bytes after each (p,), and whether nodes were lost before each (p,)."""
+        self.buffer += data
         found, after, first = [], [], []
         while True:
-            anew = self.last_angle is None
-            if anew and not self._found_step():
+            is_resync = self.last_angle is None
+            if is_resync and not self._synchronize():
                 break
-            stream = np.frombuffer(self.rest, np.uint8)
+            stream = np.frombuffer(self.buffer, np.uint8)
             nodes = stream[: len(stream) // LENGTH * LENGTH].reshape(-1, LENGTH)
             if not len(nodes):
                 break
-            plausible, angles = sensible(nodes, self.last_angle)
+            plausible, angles = plausible_nodes(nodes, self.last_angle)
             n = len(nodes) if plausible.all() else int(np.argmin(plausible))
             found.append(nodes[:n])
             after.append(len(stream) - LENGTH * np.arange(1, n + 1))
-            first.append(anew & (np.arange(n) == 0))
+            first.append(is_resync & (np.arange(n) == 0))
             self.counts.n_good += n
-            self.rest = self.rest[n * LENGTH :]
+            self.buffer = self.buffer[n * LENGTH :]
             if n == len(nodes):
                 self.last_angle = int(angles[-1])
                 break
@@ -54,29 +54,29 @@ class Nodes:
             return found[0], after[0], first[0]
         return np.concatenate(found), np.concatenate(after), np.concatenate(first)
 
-    def _found_step(self) -> bool:
-        """Drops bytes up to the first node of a row that makes sense; False where there is none yet."""
-        stream = np.frombuffer(self.rest, np.uint8)
-        span = IN_A_ROW * LENGTH
+    def _synchronize(self) -> bool:
+        """Drops bytes up to the first row of plausible nodes; False without one."""
+        stream = np.frombuffer(self.buffer, np.uint8)
+        span = MIN_PLAUSIBLE_NODES * LENGTH
         if len(stream) < span:
             return False
-        rows = np.lib.stride_tricks.sliding_window_view(stream, span).reshape(-1, IN_A_ROW, LENGTH)
+        rows = np.lib.stride_tricks.sliding_window_view(stream, span).reshape(-1, MIN_PLAUSIBLE_NODES, LENGTH)
         flags = rows[:, :, 0] & 3
         starts = np.flatnonzero((((flags == 1) | (flags == 2)) & (rows[:, :, 1] & 1 == 1)).all(axis=1))
         for start in starts.tolist():
-            plausible, angles = sensible(rows[start], None)
+            plausible, angles = plausible_nodes(rows[start], None)
             if plausible.all():
-                self.rest = self.rest[start:]
+                self.buffer = self.buffer[start:]
                 self.last_angle = int(angles[0])
                 return True
-        self.rest = self.rest[len(stream) - span + 1 :]
+        self.buffer = self.buffer[len(stream) - span + 1 :]
         return False
 
 
-def sensible(nodes: Uint8s, last_angle: int | None) -> tuple[Bools, Int64s]:
-    """Whether each node, (p, 5), can follow the one before (or `last_angle`), and the angles, 1/64 degree."""
+def plausible_nodes(nodes: Uint8s, last_angle: int | None) -> tuple[Bools, Int64s]:
+    """(p, 5) -> (p,), (p,): whether each node can follow the previous one (or `last_angle`); its angle, 1/64 degree."""
     flags = nodes[:, 0] & 3
     angles = (nodes[:, 1:3].view("<u2")[:, 0] >> 1).astype(np.int64)
-    steps = (steps_of(angles, int(angles[0]) if last_angle is None else last_angle) + BACK) % TURN
+    steps = (differences(angles, int(angles[0]) if last_angle is None else last_angle) + MAX_STEP_BACK) % TURN
     fits = (flags == 1) | (flags == 2)
-    return fits & (nodes[:, 1] & 1 == 1) & (angles < TURN) & (steps <= BACK + FURTHEST), angles
+    return fits & (nodes[:, 1] & 1 == 1) & (angles < TURN) & (steps <= MAX_STEP_BACK + MAX_STEP_AHEAD), angles

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where did the wheels carry the robot? Pose increments and their uncertainty from what each wheel rolled.
+"""Dead reckoning: pose increments and their covariance from the travel of each wheel.
 
-left, right: m rolled by each wheel since the last step, positive forward.
+left, right: travel of each wheel since the last step, m, positive forward.
 """
 
 from math import atan2, cos, sin
@@ -17,21 +17,21 @@ from shared.geometry import Pose2, arc
 Float64s = NDArray[np.float64]
 
 
-class OdometryConfig(Section):
+class DeadReckoningConfig(Section):
     """Dead reckoning from the wheels."""
 
     integration: Literal["exact", "document"] = Field(
-        "exact", description="exact: a circular arc; document: atan2 and the old heading, as the X80SV's own driver"
+        "exact", description="exact: circular arc; document: atan2 and the previous heading, as in the X80SV's driver"
     )
     wheel_variance: float = Field(
-        2e-5, ge=0, le=1, description="m^2 of variance for each m that a wheel rolls: slip, radius, floor"
+        2e-5, ge=0, le=1, description="variance, m^2, for each m of travel of a wheel: slip, radius, floor"
     )
 
 
-def exact(left: float, right: float, distance: float) -> tuple[Pose2, Float64s]:
-    """Motion along the circular arc that both wheels rolled, and its Jacobian.
+def exact_step(left: float, right: float, distance: float) -> tuple[Pose2, Float64s]:
+    """Motion along the circular arc of both wheels' travel, and its Jacobian.
 
-    distance: m between the wheels.  Returns `before_from_after` and (3, 2) d(x, y, yaw) / d(left, right).
+    distance: m between the wheels.  Returns `before_from_after` (m, rad) and (3, 2) d(x, y, yaw) / d(left, right).
     """
     forward, turn = (left + right) / 2, (right - left) / distance
     half = turn / 2
@@ -41,47 +41,48 @@ def exact(left: float, right: float, distance: float) -> tuple[Pose2, Float64s]:
     else:
         chord, bend = 1 - half * half / 6, -half / 3
     c, s = cos(half), sin(half)
-    along = np.array([chord * c, chord * s, 0.0])
-    turning = np.array([forward * (bend * c - chord * s) / 2, forward * (bend * s + chord * c) / 2, 1.0])
-    return arc(forward, turn), _by_wheel(along, turning / distance)
+    by_forward = np.array([chord * c, chord * s, 0.0])
+    by_turn = np.array([forward * (bend * c - chord * s) / 2, forward * (bend * s + chord * c) / 2, 1.0])
+    return arc(forward, turn), _wheel_jacobian(by_forward, by_turn / distance)
 
 
-def document(left: float, right: float, distance: float) -> tuple[Pose2, Float64s]:
-    """The X80SV document's step: d_theta = atan2(d_right - d_left, wheelDistance), position along the old heading.
+def document_step(left: float, right: float, distance: float) -> tuple[Pose2, Float64s]:
+    """Motion by the X80SV document: d_theta = atan2(d_right - d_left, wheelDistance), along the previous heading.
 
-    Arguments and result as `exact`.
+    Arguments and result as `exact_step`.
     """
     forward, turn = (left + right) / 2, atan2(right - left, distance)
-    along = np.array([1.0, 0.0, 0.0])
-    turning = np.array([0.0, 0.0, distance / (distance**2 + (right - left) ** 2)])
-    return Pose2(forward, 0.0, turn), _by_wheel(along, turning)
+    by_forward = np.array([1.0, 0.0, 0.0])
+    by_turn = np.array([0.0, 0.0, distance / (distance**2 + (right - left) ** 2)])
+    return Pose2(forward, 0.0, turn), _wheel_jacobian(by_forward, by_turn)
 
 
-INTEGRATIONS = {"exact": exact, "document": document}
+INTEGRATIONS = {"exact": exact_step, "document": document_step}
 
 
-def _by_wheel(along: Float64s, turning: Float64s) -> Float64s:
-    """(3, 2) by wheel, of derivatives by mean travel and by the wheels' difference."""
-    return np.column_stack((along / 2 - turning, along / 2 + turning))
+def _wheel_jacobian(by_forward: Float64s, by_turn: Float64s) -> Float64s:
+    """(3, 2) derivatives by the travel of each wheel, from those by mean travel and by the difference of both."""
+    return np.column_stack((by_forward / 2 - by_turn, by_forward / 2 + by_turn))
 
 
-def grown(
+def propagated_covariance(
     covariance: Float64s,
     heading: float,
     motion: Pose2,
     jacobian: Float64s,
-    rolled: tuple[float, float],
+    travel: tuple[float, float],
     variance: float,
 ) -> Float64s:
-    """The pose's covariance (3, 3) after a motion that began at `heading` (rad), seen in the odometry frame.
+    """Covariance (3, 3) of x, y (m) and yaw (rad) in `odom` after a motion that began at `heading` (rad).
 
-    Each wheel's travel errs independently, with `variance` m^2 for each m rolled.
+    motion, jacobian: as from `exact_step`.  travel: of the left and the right wheel, m.
+    The errors of both wheels are independent, with `variance` m^2 for each m of travel.
     Siegwart, Nourbakhsh, Scaramuzza 2011, equations 5.8 to 5.11.
     """
     c, s = cos(heading), sin(heading)
     dx, dy = c * motion.x - s * motion.y, s * motion.x + c * motion.y
-    carry = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
-    add = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ jacobian
-    noise = np.diag([variance * abs(rolled[0]), variance * abs(rolled[1])])
-    after = carry @ covariance @ carry.T + add @ noise @ add.T
+    pose_jacobian = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
+    motion_jacobian = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ jacobian
+    noise = np.diag([variance * abs(travel[0]), variance * abs(travel[1])])
+    after = pose_jacobian @ covariance @ pose_jacobian.T + motion_jacobian @ noise @ motion_jacobian.T
     return np.asarray((after + after.T) / 2)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dead reckoning as a service: wheel angles in, a continuous pose with its covariance and twist out."""
+"""Odometry: wheel angles in; continuous pose with covariance, and twist, out."""
 
 import numpy as np
 
-from services.odometry.dead_reckoning import INTEGRATIONS, OdometryConfig, grown
+from services.odometry.dead_reckoning import INTEGRATIONS, DeadReckoningConfig, propagated_covariance
 from shared import topics
 from shared.config import Robot
 from shared.geometry import Pose2
@@ -12,49 +12,49 @@ from shared.rejections import Kind
 from shared.service import Log, Out, Service, on
 from shared.stamps import precedes
 
-LONGEST_ROLL = 100.0  # m between two messages; more is a broken publisher, not motion
-LARGEST_VARIANCE = 1e11  # m^2, rad^2: within the message's bound for ever
+MAX_TRAVEL_M = 100.0  # m between two messages; a larger value is an error of the publisher, not motion
+MAX_VARIANCE = 1e11  # m^2, rad^2; below the message's bound of 1e12
 
 
 class OdometryService(Service):
-    """Integrates each wheel's travel; a restarted driver (a new epoch) continues the pose."""
+    """Integrates the travel of each wheel. After a restart of the base driver (new epoch) the pose continues."""
 
-    config_type = OdometryConfig
-    config: OdometryConfig
+    config_type = DeadReckoningConfig
+    config: DeadReckoningConfig
 
-    def __init__(self, config: OdometryConfig, robot: Robot) -> None:
+    def __init__(self, config: DeadReckoningConfig, robot: Robot) -> None:
         super().__init__(config, robot)
         self.integrate = INTEGRATIONS[config.integration]
         self.odom_from_base = Pose2()
         self.covariance = np.zeros((3, 3))
-        self.last: WheelState | None = None
+        self.last_wheels: WheelState | None = None
 
     @on(topics.WHEELS)
     def wheels(self, wheels: WheelState) -> Out:
-        last = self.last
-        if last is not None and last.epoch == wheels.epoch:
-            if wheels.stamp <= last.stamp:
-                words = "stamps stand still" if wheels.stamp == last.stamp else "stamps go back"
+        last_wheels = self.last_wheels
+        if last_wheels is not None and last_wheels.epoch == wheels.epoch:
+            if wheels.stamp <= last_wheels.stamp:
+                words = "stamps stand still" if wheels.stamp == last_wheels.stamp else "stamps go back"
                 self.rejections.reject(topics.WHEELS.key, Kind.SEQUENCE, words, self.now)
                 return
-            yield from self._roll(last, wheels)
-        elif last is not None and precedes(wheels.epoch, last.epoch, self.now):
-            return  # late words of a driver that was replaced
-        self.last = wheels
+            yield from self._integrate(last_wheels, wheels)
+        elif last_wheels is not None and precedes(wheels.epoch, last_wheels.epoch, self.now):
+            return  # a late message of the previous driver process
+        self.last_wheels = wheels
         yield topics.ODOM(self._odometry(wheels))
 
-    def _roll(self, before: WheelState, after: WheelState) -> Out:
+    def _integrate(self, before: WheelState, after: WheelState) -> Out:
         drive = self.robot.drive
         left = (after.left - before.left) * drive.left_radius
         right = (after.right - before.right) * drive.right_radius
-        if max(abs(left), abs(right)) > LONGEST_ROLL:
+        if max(abs(left), abs(right)) > MAX_TRAVEL_M:
             yield Log("WARNING", f"the wheels jumped by {left:.0f} and {right:.0f} m: not taken as motion")
             return
         motion, jacobian = self.integrate(left, right, drive.wheel_distance)
         heading = self.odom_from_base.yaw
         variance = self.config.wheel_variance
-        covariance = grown(self.covariance, heading, motion, jacobian, (left, right), variance)
-        self.covariance = covariance if covariance.max() < LARGEST_VARIANCE else self.covariance
+        covariance = propagated_covariance(self.covariance, heading, motion, jacobian, (left, right), variance)
+        self.covariance = covariance if covariance.max() < MAX_VARIANCE else self.covariance
         self.odom_from_base = self.odom_from_base @ motion
 
     def _odometry(self, wheels: WheelState) -> Odometry:

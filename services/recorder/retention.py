@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which recordings go when there are too many: the oldest first, the marked ones never."""
+"""Which recordings are removed over budget? The oldest first, marked ones never."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-KEEP = ".keep"
-"""Added to a recording's name: the empty file that marks it, made by `zenav recording mark`."""
+KEEP_SUFFIX = ".keep"
+"""Suffix to a recording's name of the empty file that marks it; `zenav recording mark` makes it."""
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
-    """A recording, or a part of one, that lies in the folder. changed: ns, its file's last change."""
+class StoredRecording:
+    """A recording, or a part of one, in the folder. size: bytes.  changed: ns, last change of the file."""
 
     path: Path
     size: int
@@ -19,10 +19,10 @@ class Kept:
     marked: bool
 
 
-def to_remove(recordings: Iterable[Kept], budget: int) -> list[Path]:
-    """The oldest unmarked ones, until the unmarked rest takes at most `budget` bytes.
+def recordings_to_remove(recordings: Iterable[StoredRecording], budget: int) -> list[Path]:
+    """The oldest unmarked recordings, so that the other unmarked ones take at most `budget` bytes.
 
-    What is marked does not count: it is the user's, and so is the decision about it.
+    Marked recordings do not count: only the user removes them.
     """
     own = sorted((r for r in recordings if not r.marked), key=lambda r: (r.changed, r.path.name))
     total, removed = sum(r.size for r in own), []

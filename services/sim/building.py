@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A made-up office building by a number: corridors that cross, rooms of all sizes and rows of rooms that look alike,
-doors, furniture, people; as the tree of a world's YAML. The same number is the same building.
+"""Generates an office building from a number, as the tree of a world's YAML.
+
+It has crossing corridors, rooms of all sizes, rows of equal rooms, doors, furniture and people. The same number gives
+the same building.
 """
 
 from dataclasses import dataclass
@@ -10,25 +12,25 @@ from typing import Any
 
 import numpy as np
 
-from services.sim.furniture import Rectangle, furnished, on_walls
+from services.sim.furniture import Rectangle, furnish_room, on_walls
 from shared.geometry import Float64s
 
-Line = tuple[Float64s, float]  # a corridor's middle line, (2, 2) m, and half its width
-Gap = tuple[float, float, float]  # x, y of a door's middle, its width, m
+CorridorLine = tuple[Float64s, float]  # a corridor's middle line, (2, 2) m, and half its width
+Opening = tuple[float, float, float]  # x, y of a door's middle, its width, m
 
 WIDTH, HEIGHT = (15.0, 40.0), (12.0, 25.0)  # m of the building, from the smallest to the largest
 CORRIDOR = 1.7, 2.4  # m wide
 BLOCK = 7.5, 13.0  # m between two corridors along the building; across it, rooms stand in up to two rows
-LEAST, LARGEST = 2.7, 34.0  # m, shortest side of a room; m^2 of one that is not parted further
+MIN_ROOM_SIDE_M, MAX_ROOM_AREA_M2 = 2.7, 34.0  # a larger room is split further
 DOOR = 0.9, 1.1  # m wide
 JAMB = 0.3  # m that a door leaves to the next corner
-ALIKE = 0.5  # share of the blocks whose rooms are one room over and over
+ROW_SHARE = 0.5  # share of the blocks that are rows of equal rooms
 OUTER, INNER = 0.3, 0.12  # m, thickness of walls
 
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """A rectangle between the middle lines of its walls. like: rooms with the same number are furnished alike."""
+    """A rectangle between the middle lines of its walls. like: rooms of equal number get equal furniture; -1 none."""
 
     at: Rectangle
     corridor: bool = False
@@ -36,7 +38,7 @@ class Room:
 
 
 @dataclass(frozen=True, slots=True)
-class Shared:
+class SharedWall:
     """The piece of wall between two rooms, by their numbers: from (x, y) along x (or y), m."""
 
     a: int
@@ -55,25 +57,25 @@ def building(number: int) -> dict[str, Any]:
     rng = np.random.default_rng([number, 7])
     width, height = (round(float(rng.uniform(*side)), 1) for side in (WIDTH, HEIGHT))
     rooms, lines = _rooms(width, height, rng)
-    edges = _shared(rooms)
+    edges = _shared_walls(rooms)
     doors = _doors(rooms, edges, rng)
     gaps = [door for doors_here in doors.values() for door in doors_here]
     tree: dict[str, Any] = {
         "about": f"Building {number}, {width:g} x {height:g} m, {sum(not room.corridor for room in rooms)} rooms.",
         "bounds": [-OUTER, -OUTER, width + OUTER, height + OUTER],
-        "walls": [_around(width, height), *_walls(edges, doors)],
+        "walls": [_outer_wall(width, height), *_walls(edges, doors)],
         "boxes": [], "cylinders": [], "people": [], "goals": [],
     }  # fmt: skip
     tree["people"] = _people(lines, gaps, rng)
     tree["start"] = _start(lines, rng)
-    openings = gaps + _mouths(rooms)
+    openings = gaps + _corridor_openings(rooms)
     for i, room in enumerate(rooms):
-        here = [gap for gap in gaps if on_walls(room.at, gap)]
+        here = [opening for opening in gaps if on_walls(room.at, opening)]
         if room.corridor:
             tree["boxes"] += _cabinets(room.at, openings, rng)
             continue
         taste = np.random.default_rng([number, 8, room.like]) if room.like >= 0 else rng
-        found = furnished(room.at, here, taste)
+        found = furnish_room(room.at, here, taste)
         tree["boxes"] += found.boxes
         tree["cylinders"] += found.cylinders
         x, y = found.middle
@@ -82,7 +84,7 @@ def building(number: int) -> dict[str, Any]:
     return tree
 
 
-def _rooms(width: float, height: float, rng: np.random.Generator) -> tuple[list[Room], list[Line]]:
+def _rooms(width: float, height: float, rng: np.random.Generator) -> tuple[list[Room], list[CorridorLine]]:
     """The parts of the floor, corridors first, without gap or overlap; and the corridors' lines."""
     across = _strips(height, *((9.0, 14.0) if height < 17 else (7.0, 11.0)), rng)
     along = _strips(width, *BLOCK, rng)
@@ -104,10 +106,10 @@ def _rooms(width: float, height: float, rng: np.random.Generator) -> tuple[list[
             else:
                 blocks.append((left, low, right, high))
     for k, block in enumerate(blocks):
-        if rng.random() < ALIKE:
+        if rng.random() < ROW_SHARE:
             rooms += _row(block, k, rng)
         else:
-            rooms += [Room(at) for at in _parted(block, rng)]
+            rooms += [Room(at) for at in _split(block, rng)]
     return rooms, lines
 
 
@@ -127,7 +129,7 @@ def _strips(length: float, least: float, most: float, rng: np.random.Generator) 
 
 
 def _row(block: Rectangle, like: int, rng: np.random.Generator) -> list[Room]:
-    """Rooms of one size and one furniture side by side; in two rows, back to back, where they would be deep."""
+    """Equal rooms side by side; in two rows, back to back, in a deep block."""
     left, low, right, high = block
     n = max(1, round((right - left) / float(rng.uniform(2.9, 4.0))))
     xs = np.round(np.linspace(left, right, n + 1), 2)
@@ -135,22 +137,22 @@ def _row(block: Rectangle, like: int, rng: np.random.Generator) -> list[Room]:
     return [Room((x0, y0, x1, y1), like=like) for y0, y1 in pairwise(ys) for x0, x1 in pairwise(xs.tolist())]
 
 
-def _parted(block: Rectangle, rng: np.random.Generator) -> list[Rectangle]:
-    """A block parted again and again until its rooms are small enough."""
+def _split(block: Rectangle, rng: np.random.Generator) -> list[Rectangle]:
+    """Splits a block recursively until its rooms are small enough."""
     left, low, right, high = block
     w, h = right - left, high - low
-    if max(w, h) < 2 * LEAST + 0.1 or (w * h < LARGEST and rng.random() < 0.6) or w * h < 12:
+    if max(w, h) < 2 * MIN_ROOM_SIDE_M + 0.1 or (w * h < MAX_ROOM_AREA_M2 and rng.random() < 0.6) or w * h < 12:
         return [block]
     side = max(w, h)
-    cut = round(float(rng.uniform(max(LEAST, 0.3 * side), min(side - LEAST, 0.7 * side))), 2)
+    cut = round(float(rng.uniform(max(MIN_ROOM_SIDE_M, 0.3 * side), min(side - MIN_ROOM_SIDE_M, 0.7 * side))), 2)
     if w >= h:
         halves = (left, low, left + cut, high), (left + cut, low, right, high)
     else:
         halves = (left, low, right, low + cut), (left, low + cut, right, high)
-    return [part for half in halves for part in _parted(half, rng)]
+    return [part for half in halves for part in _split(half, rng)]
 
 
-def _shared(rooms: list[Room]) -> list[Shared]:
+def _shared_walls(rooms: list[Room]) -> list[SharedWall]:
     """The pieces of wall between rooms; two corridors have none."""
     found = []
     for (i, a), (j, b) in combinations(enumerate(rooms), 2):
@@ -159,14 +161,14 @@ def _shared(rooms: list[Room]) -> list[Shared]:
         x0, x1 = max(a.at[0], b.at[0]), min(a.at[2], b.at[2])
         y0, y1 = max(a.at[1], b.at[1]), min(a.at[3], b.at[3])
         if abs(y1 - y0) < 1e-6 and x1 - x0 > 1e-6:
-            found.append(Shared(i, j, x0, y0, True, x1 - x0))
+            found.append(SharedWall(i, j, x0, y0, True, x1 - x0))
         elif abs(x1 - x0) < 1e-6 and y1 - y0 > 1e-6:
-            found.append(Shared(i, j, x0, y0, False, y1 - y0))
+            found.append(SharedWall(i, j, x0, y0, False, y1 - y0))
     return found
 
 
-def _mouths(rooms: list[Room]) -> list[Gap]:
-    """Where corridors open into each other."""
+def _corridor_openings(rooms: list[Room]) -> list[Opening]:
+    """The crossings of corridors."""
     found = []
     for a, b in combinations((room.at for room in rooms if room.corridor), 2):
         x0, x1, y0, y1 = max(a[0], b[0]), min(a[2], b[2]), max(a[1], b[1]), min(a[3], b[3])
@@ -175,13 +177,13 @@ def _mouths(rooms: list[Room]) -> list[Gap]:
     return found
 
 
-def _doors(rooms: list[Room], edges: list[Shared], rng: np.random.Generator) -> dict[Shared, list[Gap]]:
+def _doors(rooms: list[Room], edges: list[SharedWall], rng: np.random.Generator) -> dict[SharedWall, list[Opening]]:
     """Doors such that every room can be reached, most from a corridor, some from two sides: loops."""
-    doors: dict[Shared, list[Gap]] = {}
+    doors: dict[SharedWall, list[Opening]] = {}
     reached = {i for i, room in enumerate(rooms) if room.corridor}
     share = {room.like: float(np.random.default_rng(room.like + 1).uniform()) for room in rooms}
 
-    def door(edge: Shared) -> None:
+    def door(edge: SharedWall) -> None:
         width = round(float(rng.uniform(*DOOR)), 2)
         near, far = JAMB + width / 2, edge.length - JAMB - width / 2
         like = rooms[edge.b].like if rooms[edge.a].corridor else -1
@@ -207,13 +209,13 @@ def _doors(rooms: list[Room], edges: list[Shared], rng: np.random.Generator) -> 
     return doors
 
 
-def _around(width: float, height: float) -> dict[str, Any]:
+def _outer_wall(width: float, height: float) -> dict[str, Any]:
     """The outer wall: its inner face is the floor's edge."""
     low, right, high = -OUTER / 2, width + OUTER / 2, height + OUTER / 2
     return {"points": [[low, low], [right, low], [right, high], [low, high]], "closed": True, "thickness": OUTER}
 
 
-def _walls(edges: list[Shared], doors: dict[Shared, list[Gap]]) -> list[dict[str, Any]]:
+def _walls(edges: list[SharedWall], doors: dict[SharedWall, list[Opening]]) -> list[dict[str, Any]]:
     return [
         {
             "points": [list(edge.point(0.0)), list(edge.point(edge.length))],
@@ -224,8 +226,8 @@ def _walls(edges: list[Shared], doors: dict[Shared, list[Gap]]) -> list[dict[str
     ]
 
 
-def _people(lines: list[Line], gaps: list[Gap], rng: np.random.Generator) -> list[dict[str, Any]]:
-    """One to three, each up and down a corridor, with a look through one of its doors where there is one."""
+def _people(lines: list[CorridorLine], gaps: list[Opening], rng: np.random.Generator) -> list[dict[str, Any]]:
+    """One to three people, each along a corridor and back, with a step into one of its doors, if it has any."""
     found = []
     for i in rng.permutation(len(lines))[: int(rng.integers(1, 4))].tolist():
         line, half = lines[i]
@@ -244,14 +246,14 @@ def _people(lines: list[Line], gaps: list[Gap], rng: np.random.Generator) -> lis
     return found
 
 
-def _start(lines: list[Line], rng: np.random.Generator) -> dict[str, float]:
-    """Somewhere on a corridor's middle line."""
+def _start(lines: list[CorridorLine], rng: np.random.Generator) -> dict[str, float]:
+    """A random pose on a corridor's middle line."""
     (a, b), _ = lines[int(rng.integers(len(lines)))]
     x, y = a + float(rng.uniform(0.05, 0.95)) * (b - a)
     return {"x": round(float(x), 2), "y": round(float(y), 2), "yaw_deg": float(rng.integers(-180, 181))}
 
 
-def _cabinets(corridor: Rectangle, openings: list[Gap], rng: np.random.Generator) -> list[dict[str, Any]]:
+def _cabinets(corridor: Rectangle, openings: list[Opening], rng: np.random.Generator) -> list[dict[str, Any]]:
     """Flat things along a corridor's walls, away from doors and crossings; its middle stays free."""
     left, low, right, high = corridor
     flat = right - left > high - low

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does the robot touch something: its true footprint, a simple polygon, against shapes, solid cells and people."""
+"""Collision checks of the robot's true footprint, a simple polygon, with shapes, solid cells and people."""
 
 from math import cos, floor, hypot, inf, sin
 
@@ -12,7 +12,7 @@ from services.sim.rays import SOLID, Cells, segment_in_box
 Float64s = NDArray[np.float64]
 
 
-def grown(corners: Float64s, margin: float) -> Float64s:
+def offset_polygon(corners: Float64s, margin: float) -> Float64s:
     """The polygon (k, 2), counter-clockwise, with every edge moved outwards by `margin` m; corners stay sharp."""
     edge = np.roll(corners, -1, axis=0) - corners
     edge /= np.hypot(edge[:, 0], edge[:, 1])[:, None]
@@ -23,7 +23,7 @@ def grown(corners: Float64s, margin: float) -> Float64s:
 
 
 @njit(cache=True, nogil=True)
-def placed(corners: Float64s, x: float, y: float, yaw: float) -> Float64s:
+def transform_polygon(corners: Float64s, x: float, y: float, yaw: float) -> Float64s:
     """Corners (k, 2) in `base`, seen from the world."""
     c, s = cos(yaw), sin(yaw)
     out = np.empty_like(corners)
@@ -34,7 +34,7 @@ def placed(corners: Float64s, x: float, y: float, yaw: float) -> Float64s:
 
 
 @njit(cache=True, nogil=True)
-def holds(corners: Float64s, x: float, y: float) -> bool:
+def contains(corners: Float64s, x: float, y: float) -> bool:
     """Whether the polygon holds a point (even-odd rule)."""
     odd = False
     j = len(corners) - 1
@@ -56,9 +56,9 @@ def point_to_segment(x: float, y: float, ax: float, ay: float, bx: float, by: fl
 
 
 @njit(cache=True, nogil=True)
-def gap(corners: Float64s, x: float, y: float) -> float:
+def distance_to_polygon(corners: Float64s, x: float, y: float) -> float:
     """Metres from a point to the polygon; 0 inside."""
-    if holds(corners, x, y):
+    if contains(corners, x, y):
         return 0.0
     nearest = inf
     j = len(corners) - 1
@@ -71,7 +71,7 @@ def gap(corners: Float64s, x: float, y: float) -> float:
 @njit(cache=True, nogil=True)
 def _crosses_segment(corners: Float64s, ax: float, ay: float, bx: float, by: float) -> bool:
     """Whether a segment touches the polygon's area."""
-    if holds(corners, ax, ay):
+    if contains(corners, ax, ay):
         return True
     j = len(corners) - 1
     for i in range(len(corners)):
@@ -89,7 +89,7 @@ def _crosses_segment(corners: Float64s, ax: float, ay: float, bx: float, by: flo
 @njit(cache=True, nogil=True)
 def _crosses_box(corners: Float64s, left: float, low: float, right: float, high: float) -> bool:
     """Whether a box touches the polygon's area."""
-    if holds(corners, left, low):
+    if contains(corners, left, low):
         return True
     j = len(corners) - 1
     for i in range(len(corners)):
@@ -129,7 +129,7 @@ def touches_world(corners: Float64s, cells: Cells) -> bool:
                         return True
                 else:
                     x, y, r = cells.circles[~i]
-                    if gap(corners, x, y) <= r:
+                    if distance_to_polygon(corners, x, y) <= r:
                         return True
     return False
 
@@ -139,7 +139,7 @@ def touches_people(corners: Float64s, people: Float64s) -> bool:
     """Whether the polygon overlaps one of the discs (p, 3) x, y, radius."""
     touches = False
     for i in range(len(people)):
-        touches |= gap(corners, people[i, 0], people[i, 1]) <= people[i, 2]
+        touches |= distance_to_polygon(corners, people[i, 0], people[i, 1]) <= people[i, 2]
     return touches
 
 

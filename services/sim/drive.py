@@ -19,7 +19,7 @@ CURVE = 0.0538  # how fast the widening falls with the straightness of the path:
 
 
 class DriveTruth(Section):
-    """How the real drive differs from `robot.drive`, which is what everybody else believes."""
+    """Differences of the true drive from `robot.drive`, which all other services use."""
 
     motor_lag: float = Field(0.08, ge=0, le=2, description="s, time constant of a wheel's speed")
     wheel_acceleration: float = Field(2.0, gt=0, le=50, description="m/s^2 at the rim that motor and floor can give")
@@ -64,7 +64,7 @@ class Wheels(NamedTuple):
     lag: float
     limit: float
     slip: float
-    kept: float
+    slip_memory: float
 
 
 def true_wheels(drive: Drive, truth: DriveTruth, dt: float) -> Wheels:
@@ -90,9 +90,9 @@ def wheel_speed(speed: float, target: float, lag: float, limit: float, dt: float
 
 
 @njit(cache=True, nogil=True)
-def slip_after(slip: float, draw: float, wheels: Wheels) -> float:
+def next_slip(slip: float, draw: float, wheels: Wheels) -> float:
     """The slip share a step later: an Ornstein-Uhlenbeck process with standard deviation `wheels.slip`."""
-    return wheels.kept * slip + sqrt(1.0 - wheels.kept * wheels.kept) * wheels.slip * draw
+    return wheels.slip_memory * slip + sqrt(1.0 - wheels.slip_memory * wheels.slip_memory) * wheels.slip * draw
 
 
 @njit(cache=True, nogil=True)
@@ -110,7 +110,7 @@ def acting_distance(left: float, right: float, wheels: Wheels) -> float:
 
 
 @njit(cache=True, nogil=True)
-def moved(x: float, y: float, yaw: float, forward: float, turn: float) -> tuple[float, float, float]:
+def arc_pose(x: float, y: float, yaw: float, forward: float, turn: float) -> tuple[float, float, float]:
     """The pose after an arc of length `forward` m that turns by `turn` rad; yaw is not wrapped."""
     half = turn / 2.0
     chord = forward * (sin(half) / half if abs(half) > 1e-9 else 1.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happens in a step of physics: wheels, motion, contact, people; and the history that sensors look back into."""
+"""One step of physics: wheels, motion, contact, people; and the history that the sensors use."""
 
 from typing import NamedTuple
 
@@ -7,17 +7,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from services.sim.contact import placed, touches_people, touches_world
-from services.sim.drive import Wheels, acting_distance, moved, slip_after, wheel_speed
-from services.sim.people import RADIUS, People, walk
+from services.sim.contact import touches_people, touches_world, transform_polygon
+from services.sim.drive import Wheels, acting_distance, arc_pose, next_slip, wheel_speed
+from services.sim.people import RADIUS, People, step_people
 from services.sim.rays import Cells
 
 Float64s = NDArray[np.float64]
 
 DT_NS = 5_000_000
 DT = 0.005  # s: a step of the physics
-TOUCH = 0.001  # m: nearer than this is a contact
-RELEASE = 0.01  # m: a contact ends when the robot is this far off
+CONTACT_M = 0.001  # m: nearer than this is a contact
+RELEASE_M = 0.01  # m: a contact ends when the robot is this far off
 N_BISECTIONS = 8  # of a blocked step: what is left of 1 cm is 0.04 mm
 
 (X, Y, YAW, LEFT_SPEED, RIGHT_SPEED, LEFT_ANGLE, RIGHT_ANGLE, LEFT_SLIP, RIGHT_SLIP, V, W, DISTANCE, CONTACT,
@@ -35,32 +35,32 @@ class Body(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _is_blocked(corners: Float64s, x: float, y: float, yaw: float, cells: Cells, people: Float64s) -> bool:
-    at = placed(corners, x, y, yaw)
+    at = transform_polygon(corners, x, y, yaw)
     return touches_world(at, cells) or touches_people(at, people)
 
 
 @njit(cache=True, nogil=True)
-def pushed(
+def move_until_contact(
     x: float, y: float, yaw: float, forward: float, turn: float, corners: Float64s, cells: Cells, people: Float64s
 ) -> tuple[float, float, float, bool]:
     """The pose after the part of a motion that is free, and whether something was in the way.
 
     A blocked motion goes as far as it is free; of the rest, the turn alone or the way alone is tried.
     """
-    ex, ey, eyaw = moved(x, y, yaw, forward, turn)
+    ex, ey, eyaw = arc_pose(x, y, yaw, forward, turn)
     if not _is_blocked(corners, ex, ey, eyaw, cells, people):
         return ex, ey, eyaw, False
     free, stuck = 0.0, 1.0
     for _ in range(N_BISECTIONS):
         share = (free + stuck) / 2.0
-        ex, ey, eyaw = moved(x, y, yaw, share * forward, share * turn)
+        ex, ey, eyaw = arc_pose(x, y, yaw, share * forward, share * turn)
         if _is_blocked(corners, ex, ey, eyaw, cells, people):
             stuck = share
         else:
             free = share
-    x, y, yaw = moved(x, y, yaw, free * forward, free * turn)
+    x, y, yaw = arc_pose(x, y, yaw, free * forward, free * turn)
     for f, t in ((0.0, (1.0 - free) * turn), ((1.0 - free) * forward, 0.0)):
-        ex, ey, eyaw = moved(x, y, yaw, f, t)
+        ex, ey, eyaw = arc_pose(x, y, yaw, f, t)
         if not _is_blocked(corners, ex, ey, eyaw, cells, people):
             return ex, ey, eyaw, True
     return x, y, yaw, True
@@ -93,8 +93,8 @@ def advance(
         state[RIGHT_SPEED] = wheel_speed(state[RIGHT_SPEED], right, wheels.lag, wheels.limit, DT)
         state[LEFT_ANGLE] += state[LEFT_SPEED] * DT
         state[RIGHT_ANGLE] += state[RIGHT_SPEED] * DT
-        state[LEFT_SLIP] = slip_after(state[LEFT_SLIP], draws[k, 0], wheels)
-        state[RIGHT_SLIP] = slip_after(state[RIGHT_SLIP], draws[k, 1], wheels)
+        state[LEFT_SLIP] = next_slip(state[LEFT_SLIP], draws[k, 0], wheels)
+        state[RIGHT_SLIP] = next_slip(state[RIGHT_SLIP], draws[k, 1], wheels)
         on_left = state[LEFT_SPEED] * DT * wheels.left_radius * (1.0 - state[LEFT_SLIP])
         on_right = state[RIGHT_SPEED] * DT * wheels.right_radius * (1.0 - state[RIGHT_SLIP])
         forward = (on_left + on_right) / 2.0
@@ -104,14 +104,16 @@ def advance(
         discs = people.state[:, : RADIUS + 1]
         hit = False
         if forward != 0.0 or turn != 0.0:
-            state[X], state[Y], state[YAW], hit = pushed(x, y, yaw, forward, turn, body.footprint, cells, discs)
+            state[X], state[Y], state[YAW], hit = move_until_contact(
+                x, y, yaw, forward, turn, body.footprint, cells, discs
+            )
         gone = np.hypot(state[X] - x, state[Y] - y)
         ahead = (state[X] - x) * np.cos(yaw) + (state[Y] - y) * np.sin(yaw)
         state[V] = (gone if ahead >= 0.0 else -gone) / DT
         state[W] = (state[YAW] - yaw) / DT
         state[DISTANCE] += gone
 
-        hit |= walk(people, placed(body.footprint, state[X], state[Y], state[YAW]), cells, DT)
+        hit |= step_people(people, transform_polygon(body.footprint, state[X], state[Y], state[YAW]), cells, DT)
         felt = body.release if state[CONTACT] > 0.0 else body.touch
         touching = hit or _is_blocked(felt, state[X], state[Y], state[YAW], cells, discs)
         state[N_CONTACTS] += touching and state[CONTACT] == 0.0

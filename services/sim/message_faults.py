@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a broken laser, board or clock makes of `scan` and `hardware/board`: the table, and the messages that follow."""
+"""Faults of laser, board or clock in the messages `scan` and `hardware/board`: the table, and the changed messages."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,7 +9,7 @@ from math import inf, nan, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from services.sim.hardware.faults import Faults
+from services.sim.hardware.faults import ActiveFaults
 from shared.config import Robot
 from shared.geometry import wrapped_all
 from shared.messages import BoardReport, LaserScan
@@ -17,9 +17,9 @@ from shared.messages import BoardReport, LaserScan
 Float64s = NDArray[np.float64]
 
 SECOND = 1_000_000_000
-DARK = pi / 6  # rad to either side of straight ahead that a dark sector covers
-LEFT_OVER = 0.05  # share of the beams that return while most do not
-INSIDE = 0.02  # m inside the outline at which a part of the robot's own body is seen
+DARK_HALF_ANGLE_RAD = pi / 6  # rad to either side of straight ahead that a dark sector covers
+RETURN_SHARE = 0.05  # share of the beams that return while most do not
+BODY_INSET_M = 0.02  # m inside the outline at which a part of the robot's own body is seen
 
 
 class MessageFault(StrEnum):
@@ -50,7 +50,7 @@ class MessageFault(StrEnum):
     BOARD_FUTURE = "board_future"
 
 
-MESSAGE_WORDS: dict[MessageFault, str] = {
+MESSAGE_FAULT_DESCRIPTIONS: dict[MessageFault, str] = {
     MessageFault.SCAN_NAN: "no beam of the laser returns anything (NaN)",
     MessageFault.SCAN_MOSTLY_NAN: "19 of 20 beams return nothing (NaN)",
     MessageFault.SCAN_INF: "no beam returns anything, and the laser says +inf",
@@ -75,88 +75,88 @@ MESSAGE_WORDS: dict[MessageFault, str] = {
     MessageFault.BOARD_AHEAD: "the board's stamps are 1 s ahead",
     MessageFault.BOARD_FUTURE: "the board's stamps are 1 h ahead",
 }
-"""What each does, for people."""
+"""Fault -> description."""
 
 Restamp = Callable[[int, int], int]
 """(stamp, ns when the simulator started) -> the stamp that is sent."""
 
 
-def _shifted(seconds: float) -> Restamp:
-    return lambda stamp, began: max(stamp + round(seconds * SECOND), 0)
+def _shift(seconds: float) -> Restamp:
+    return lambda stamp, start: max(stamp + round(seconds * SECOND), 0)
 
 
 STAMPS: dict[str, Restamp] = {
-    "seconds": lambda stamp, began: stamp // SECOND,
-    "1970": lambda stamp, began: max(stamp - began, 0),
-    "late": _shifted(-0.5),
-    "old": _shifted(-10.0),
-    "ahead": _shifted(1.0),
-    "future": _shifted(3600.0),
+    "seconds": lambda stamp, start: stamp // SECOND,
+    "1970": lambda stamp, start: max(stamp - start, 0),
+    "late": _shift(-0.5),
+    "old": _shift(-10.0),
+    "ahead": _shift(1.0),
+    "future": _shift(3600.0),
 }
 """By the end of a fault's name."""
 
 
 class MessageFaults:
-    """The faults that hold, and the messages as they leave under them. Random only by `seed`."""
+    """The active faults, and the messages changed by them. Random only by `seed`."""
 
     def __init__(self, robot: Robot, seed: int) -> None:
         self.robot = robot
-        self.holds = Faults()
+        self.active = ActiveFaults()
         self._random = np.random.default_rng([seed, 9])
         self._last: LaserScan | None = None
-        self._began: int | None = None
+        self._start: int | None = None
 
     def scan(self, scan: LaserScan) -> LaserScan | None:
         """The scan as it is sent, or None where none is."""
-        self._began = scan.stamp if self._began is None else self._began
-        if MessageFault.SCAN_FROZEN not in self.holds:
+        self._start = scan.stamp if self._start is None else self._start
+        if MessageFault.SCAN_FROZEN not in self.active:
             self._last = scan
-        if MessageFault.SCAN_SILENT in self.holds:
+        if MessageFault.SCAN_SILENT in self.active:
             return None
         ranges = self._ranges(scan)
         stamp = self._stamp("scan", scan.stamp)
-        if MessageFault.SCAN_BEAMS in self.holds:
+        if MessageFault.SCAN_BEAMS in self.active:
             increment = 2 * scan.angle_increment
             return replace(scan, stamp=stamp, angle_increment=increment, ranges=np.ascontiguousarray(ranges[::2]))
         return scan if ranges is scan.ranges and stamp == scan.stamp else replace(scan, stamp=stamp, ranges=ranges)
 
     def board(self, report: BoardReport) -> BoardReport:
         """The report as it is sent."""
-        self._began = report.stamp if self._began is None else self._began
+        self._start = report.stamp if self._start is None else self._start
         stamp = self._stamp("board", report.stamp)
         if stamp != report.stamp:
             report = replace(report, stamp=stamp)
-        if MessageFault.ENCODER_JUMPS in self.holds:
+        if MessageFault.ENCODER_JUMPS in self.active:
             left, right = (int(n) for n in self._random.integers(self.robot.drive.encoder_wrap, size=2))
             report = replace(report, left_counts=left, right_counts=right)
-        if MessageFault.SONAR_DEAD in self.holds:
+        if MessageFault.SONAR_DEAD in self.active:
             report = replace(report, ultrasonic=np.zeros_like(report.ultrasonic))
-        if MessageFault.RANGES_MISSING in self.holds:
+        if MessageFault.RANGES_MISSING in self.active:
             report = replace(report, ultrasonic=report.ultrasonic[:-1].copy())
         return report
 
     def _ranges(self, scan: LaserScan) -> NDArray[np.float32]:
         """(n,) m: what the beams of a scan read under the faults."""
         n = len(scan.ranges)
-        if MessageFault.SCAN_NAN in self.holds:
+        if MessageFault.SCAN_NAN in self.active:
             return np.full(n, nan, np.float32)
-        if MessageFault.SCAN_INF in self.holds:
+        if MessageFault.SCAN_INF in self.active:
             return np.full(n, inf, np.float32)
-        if MessageFault.SCAN_BODY in self.holds:
+        if MessageFault.SCAN_BODY in self.active:
             return _own_body(scan, self.robot)
-        if MessageFault.SCAN_FROZEN in self.holds and self._last is not None:
+        if MessageFault.SCAN_FROZEN in self.active and self._last is not None:
             return self._last.ranges
-        if MessageFault.SCAN_MOSTLY_NAN in self.holds:
-            return np.where(self._random.random(n) < LEFT_OVER, scan.ranges, np.float32(nan)).astype(np.float32)
-        if MessageFault.SCAN_DARK_AHEAD in self.holds:
-            ahead = np.abs(wrapped_all(_angles(scan) + self.robot.laser.mount.yaw)) <= DARK
+        if MessageFault.SCAN_MOSTLY_NAN in self.active:
+            return np.where(self._random.random(n) < RETURN_SHARE, scan.ranges, np.float32(nan)).astype(np.float32)
+        if MessageFault.SCAN_DARK_AHEAD in self.active:
+            ahead = np.abs(wrapped_all(_angles(scan) + self.robot.laser.mount.yaw)) <= DARK_HALF_ANGLE_RAD
             return np.where(ahead, np.float32(nan), scan.ranges).astype(np.float32)
         return scan.ranges
 
     def _stamp(self, source: str, stamp: int) -> int:
-        for name, restamped in STAMPS.items():
-            if MessageFault(f"{source}_{name}") in self.holds:
-                return restamped(stamp, self._began or 0)
+        for name, restamp in STAMPS.items():
+            if MessageFault(f"{source}_{name}") in self.active:
+                return restamp(stamp, self._start or 0)
         return stamp
 
 
@@ -179,5 +179,5 @@ def _own_body(scan: LaserScan, robot: Robot) -> NDArray[np.float32]:
             share = ((x0 - mount.x) * dy - (y0 - mount.y) * dx) / crossing
         hits = (np.abs(crossing) > 1e-12) & (along > 0) & (share >= 0) & (share <= 1)
         nearest = np.where(hits & (along < nearest), along, nearest)
-    seen = np.clip(nearest - INSIDE, scan.range_min, scan.range_max)
-    return seen.astype(np.float32)
+    ranges = np.clip(nearest - BODY_INSET_M, scan.range_min, scan.range_max)
+    return ranges.astype(np.float32)

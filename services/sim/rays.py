@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far a ray goes: exact against segments and circles, by cell against maps, in one indexed grid.
+"""Ray casting in an indexed grid: exact against segments and circles, by cell against maps.
 
-Cells know how far away the nearest cell with content is, so a ray crosses free space in a few jumps (the blocks of
-Cohen & Sheffer 1994, proximity clouds, in the Chebyshev metric), and is intersected only with what is in its cells.
+Each cell stores the distance to the nearest cell with content. So a ray crosses free space in a few jumps (proximity
+clouds of Cohen and Sheffer, 1994, in the Chebyshev metric). It is intersected only with the shapes of its cells.
 """
 
 from math import ceil, floor, inf, sqrt
@@ -24,12 +24,16 @@ EPSILON = 1e-9  # m: closes the gap between segments that meet in a corner
 
 
 class Cells(NamedTuple):
-    """What stands still, sorted into square cells; world frame, metres.
+    """Static shapes, sorted into square cells; world frame, m.
 
-    skip: (h, w) int16, row 0 at the lowest y: SOLID; 0 where the cell has shapes; k > 0 where no cell nearer than k
-        cells (Chebyshev) has any.
-    first, items: shapes of cell c (row * w + column) are items[first[c]:first[c + 1]]: i is segment i, ~i is circle i.
-    segments: (n, 4) x, y, x, y.  circles: (m, 3) x, y, radius.  x0, y0: lower left corner.  size: side of a cell.
+    - skip: (h, w) int16, row 0 at the lowest y. SOLID, or 0 in a cell with shapes; k > 0: no content within fewer than
+      k cells (Chebyshev).
+    - first, items: the shapes of cell c (row * w + column) are items[first[c]:first[c + 1]]. Item i is segment i, item
+      ~i is circle i.
+    - segments: (n, 4) x, y, x, y
+    - circles: (m, 3) x, y, radius
+    - x0, y0: lower left corner
+    - size: side of a cell
     """
 
     skip: Int16s
@@ -42,19 +46,19 @@ class Cells(NamedTuple):
     size: float
 
 
-def indexed(segments: Float64s, circles: Float64s, size: float) -> Cells:
+def index_shapes(segments: Float64s, circles: Float64s, size: float) -> Cells:
     """The index of a world of shapes, with cells of `size` m or larger; shapes as in `Cells`."""
     low_x, low_y, high_x, high_y = extent(segments, circles)
     size = max(size, sqrt((high_x - low_x + 2 * size) * (high_y - low_y + 2 * size) / MAX_CELLS))
     x0, y0 = low_x - size, low_y - size
     h, w = ceil((high_y - y0) / size) + 1, ceil((high_x - x0) / size) + 1
-    return filled(segments, circles, np.zeros((h, w), bool), x0, y0, size)
+    return index_grid(segments, circles, np.zeros((h, w), bool), x0, y0, size)
 
 
-def filled(segments: Float64s, circles: Float64s, solid: Bools, x0: float, y0: float, size: float) -> Cells:
+def index_grid(segments: Float64s, circles: Float64s, solid: Bools, x0: float, y0: float, size: float) -> Cells:
     """The index over a given grid of cells, (h, w) bool, some of which are solid; shapes outside of it are lost."""
     h, w = solid.shape
-    first, items = listed(segments, circles, x0, y0, size, h, w, 1e-6 * size)
+    first, items = shapes_by_cell(segments, circles, x0, y0, size, h, w, 1e-6 * size)
     has_shapes = (np.diff(first) > 0).reshape(h, w)
     content = solid | has_shapes
     if content.any():
@@ -76,7 +80,7 @@ def extent(segments: Float64s, circles: Float64s) -> tuple[float, float, float, 
 
 
 @njit(cache=True, nogil=True)
-def listed(
+def shapes_by_cell(
     segments: Float64s, circles: Float64s, x0: float, y0: float, size: float, h: int, w: int, margin: float
 ) -> tuple[Int32s, Int32s]:
     """`first` and `items` of Cells: the shapes that touch each cell grown by `margin` m (shrunk where negative)."""
@@ -129,7 +133,7 @@ def segment_in_box(
 
 
 @njit(cache=True, nogil=True)
-def to_segment(ox: float, oy: float, c: float, s: float, ax: float, ay: float, bx: float, by: float) -> float:
+def ray_to_segment(ox: float, oy: float, c: float, s: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Metres along the ray from (ox, oy) in direction (c, s) to a segment; inf where it misses."""
     ex, ey = bx - ax, by - ay
     across = c * ey - s * ex
@@ -143,7 +147,7 @@ def to_segment(ox: float, oy: float, c: float, s: float, ax: float, ay: float, b
 
 
 @njit(cache=True, nogil=True)
-def to_circle(ox: float, oy: float, c: float, s: float, x: float, y: float, r: float) -> float:
+def ray_to_circle(ox: float, oy: float, c: float, s: float, x: float, y: float, r: float) -> float:
     """Metres along the ray to a disc; 0 from inside, inf where it misses."""
     dx, dy = x - ox, y - oy
     along = dx * c + dy * s
@@ -162,16 +166,16 @@ def _nearest_in(cells: Cells, cell: int, ox: float, oy: float, c: float, s: floa
         i = cells.items[k]
         if i >= 0:
             ax, ay, bx, by = cells.segments[i]
-            t = to_segment(ox, oy, c, s, ax, ay, bx, by)
+            t = ray_to_segment(ox, oy, c, s, ax, ay, bx, by)
         else:
             x, y, r = cells.circles[~i]
-            t = to_circle(ox, oy, c, s, x, y, r)
+            t = ray_to_circle(ox, oy, c, s, x, y, r)
         nearest = min(nearest, t)
     return nearest
 
 
 @njit(cache=True, nogil=True)
-def cast(cells: Cells, ox: float, oy: float, c: float, s: float, limit: float) -> float:
+def cast_ray(cells: Cells, ox: float, oy: float, c: float, s: float, limit: float) -> float:
     """Metres along the ray from (ox, oy) in direction (c, s) (a unit vector) to what stands still; inf past `limit`."""
     h, w = cells.skip.shape
     size = cells.size

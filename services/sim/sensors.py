@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the laser, the ultrasonic and the infrared sensors see of the world and its people."""
+"""True and noisy ranges of the laser, the ultrasonic and the infrared sensors."""
 
 from math import cos, floor, inf, sin
 
@@ -8,8 +8,8 @@ from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.sim.rays import Cells, cast, to_circle
-from shared.config import Section
+from services.sim.rays import Cells, cast_ray, ray_to_circle
+from shared.config import Robot, Section
 
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
@@ -34,17 +34,17 @@ class RangeNoise(Section):
 
 
 @njit(cache=True, nogil=True)
-def cast_all(cells: Cells, people: Float64s, x: float, y: float, angle: float, limit: float) -> float:
+def ray_range(cells: Cells, people: Float64s, x: float, y: float, angle: float, limit: float) -> float:
     """Metres to the nearest of what stands still and the discs (3 p,) x, y, radius, ...; inf past `limit`."""
     c, s = cos(angle), sin(angle)
-    nearest = cast(cells, x, y, c, s, limit)
+    nearest = cast_ray(cells, x, y, c, s, limit)
     for i in range(0, len(people), 3):
-        nearest = min(nearest, to_circle(x, y, c, s, people[i], people[i + 1], people[i + 2]))
+        nearest = min(nearest, ray_to_circle(x, y, c, s, people[i], people[i + 1], people[i + 2]))
     return nearest if nearest <= limit else inf
 
 
 @njit(cache=True, nogil=True)
-def sweep(
+def sweep_ranges(
     cells: Cells,
     history: Float64s,
     first_beam: float,
@@ -72,12 +72,12 @@ def sweep(
             at[j] = before[j] + share * (after[j] - before[j]) if share > 0.0 else before[j]
         c, s = cos(at[2]), sin(at[2])
         x, y = at[0] + c * mount_x - s * mount_y, at[1] + s * mount_x + c * mount_y
-        ranges[i] = cast_all(cells, at[3:], x, y, at[2] + mount_yaw + angle_min + i * increment, limit)
+        ranges[i] = ray_range(cells, at[3:], x, y, at[2] + mount_yaw + angle_min + i * increment, limit)
     return ranges
 
 
 @njit(cache=True, nogil=True)
-def cones(cells: Cells, at: Float64s, sensors: Float64s, n_rays: int) -> Float64s:
+def cone_ranges(cells: Cells, at: Float64s, sensors: Float64s, n_rays: int) -> Float64s:
     """(n,) true ranges, m: the shortest of `n_rays` rays across each cone; inf where nothing is in reach.
 
     at: a row of the history.  sensors: (n, 5) x, y, yaw in `base`, field of view rad, reach m.
@@ -89,11 +89,11 @@ def cones(cells: Cells, at: Float64s, sensors: Float64s, n_rays: int) -> Float64
         x, y = at[0] + c * mount_x - s * mount_y, at[1] + s * mount_x + c * mount_y
         for k in range(n_rays):
             share = k / (n_rays - 1) - 0.5 if n_rays > 1 else 0.0
-            ranges[i] = min(ranges[i], cast_all(cells, at[3:], x, y, at[2] + yaw + share * view, reach))
+            ranges[i] = min(ranges[i], ray_range(cells, at[3:], x, y, at[2] + yaw + share * view, reach))
     return ranges
 
 
-def measured(
+def add_noise(
     true: Float64s,
     noise: LaserNoise | RangeNoise,
     range_min: float,
@@ -110,3 +110,10 @@ def measured(
         ranges = np.round(ranges / noise.resolution) * noise.resolution
     heard &= (ranges >= range_min) & (ranges <= range_max)
     return np.where(heard, ranges, np.nan).astype(np.float32)
+
+
+def cone_table(robot: Robot) -> Float64s:
+    """The range sensors in the order of a board report, ultrasonic first: (n, 5) as `cone_ranges` takes them."""
+    sensors = [s for kind in ("ultrasonic", "infrared") for s in robot.ranges if s.kind == kind]
+    rows = [(s.mount.x, s.mount.y, s.mount.yaw, s.field_of_view, s.range_max) for s in sensors]
+    return np.array(rows, float).reshape(-1, 5)

@@ -1,88 +1,56 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hardware's stand-in: takes `hardware/motors`, gives `hardware/board`, `scan`, the truth and the clock."""
+"""Simulator of the hardware: `hardware/motors` in; `hardware/board`, `scan`, the truth and the clock out."""
 
 from math import ceil, pi
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
-from services.sim import breaking
 from services.sim import dynamics as dyn
-from services.sim import people as crowd
-from services.sim.contact import grown, placed, touches_world
+from services.sim import fault_requests
+from services.sim import people as pedestrians
+from services.sim.config import SimConfig
+from services.sim.contact import offset_polygon, touches_world, transform_polygon
 from services.sim.drive import (
-    Battery,
-    DriveTruth,
     battery_voltage,
     encoder_counts,
     motor_currents,
     true_wheels,
     wheel_targets,
 )
-from services.sim.hardware.emulation import Emulation, EmulationConfig
+from services.sim.hardware.emulation import Emulation
 from services.sim.message_faults import MessageFaults
-from services.sim.sensors import LaserNoise, RangeNoise, cones, measured, sweep
-from services.sim.store import load
+from services.sim.sensors import add_noise, cone_ranges, cone_table, sweep_ranges
 from services.sim.world import World
+from services.sim.world_loader import load_world
 from shared import requests, topics
-from shared.config import Robot, Section, UserError
+from shared.config import Robot, UserError
 from shared.geometry import Pose2, wrapped
 from shared.messages import BoardReport, Clock, LaserScan, MotorCommand, SerialData, Truth
 from shared.ports import PortConfig
 from shared.requests import Break, Reply
 from shared.service import Answer, Out, Service, answer, every, on
 
-CATCH_UP_STEPS = 100  # 0.5 s: after a longer gap without ticks, the world has stood still meanwhile
-
-
-class StartPose(Section):
-    """A pose in the world."""
-
-    x: float = Field(ge=-1e4, le=1e4, description="m")
-    y: float = Field(ge=-1e4, le=1e4, description="m")
-    yaw: float = Field(0.0, ge=-2 * pi, le=2 * pi, description="rad")
-
-
-class SimConfig(Section):
-    """The simulator."""
-
-    world: str = Field(
-        "office",
-        description="a name in config/worlds, the path of a world or of a ROS map, barn:N, building:N or crowd:N",
-    )
-    barn_file: str = Field("", description="path of the list of cylinders for `world: barn:N`")
-    seed: int = Field(0, ge=0, le=2**31, description="of noise, slip, people and loose things")
-    start: StartPose | None = Field(None, description="where the robot starts; none: where the world says")
-    clutter_jitter: float = Field(0.1, ge=0, le=1, description="m by which loose things move from seed to seed")
-    people_react: bool = Field(True, description="whether people stop for the robot and walk around it")
-    hardware: Literal["messages", "emulated"] = Field(
-        "messages", description="messages: board and scan as such; emulated: byte streams on ports, as the robot's"
-    )
-    emulation: EmulationConfig = EmulationConfig()
-    drive: DriveTruth = Field(DriveTruth(), description="the drive as it really is")
-    battery: Battery = Field(Battery(), description="the battery")
-    laser: LaserNoise = Field(LaserNoise(), description="errors of the laser")
-    ranges: RangeNoise = Field(RangeNoise(), description="errors of ultrasonic and infrared sensors")
+CATCH_UP_STEPS = 100  # 0.5 s; during a longer gap without ticks the world stands still
 
 
 class SimService(Service):
-    """One robot in one world. Physics runs on a fixed grid of 5 ms from the first event on."""
+    """One robot in one world. The physics runs in fixed steps of 5 ms from the first event on."""
 
     config_type = SimConfig
 
     def __init__(self, config: SimConfig, robot: Robot) -> None:
         super().__init__(config, robot)
         start = Pose2(config.start.x, config.start.y, config.start.yaw) if config.start else None
-        self.world: World = load(config.world, config.seed, config.clutter_jitter, config.barn_file, start)
+        self.world: World = load_world(config.world, config.seed, config.clutter_jitter, config.barn_file, start)
         self.cells = self.world.cells
         corners = robot.corners
-        self.body = dyn.Body(corners, grown(corners, dyn.TOUCH), grown(corners, dyn.RELEASE))
+        self.body = dyn.Body(corners, offset_polygon(corners, dyn.CONTACT_M), offset_polygon(corners, dyn.RELEASE_M))
         pose = self.world.start
         self.people = self._people()
         middle = np.array([[pose.x, pose.y]])
-        if self.world.solid_at(middle)[0] or touches_world(placed(corners, pose.x, pose.y, pose.yaw), self.cells):
+        footprint = transform_polygon(corners, pose.x, pose.y, pose.yaw)
+        if self.world.solid_at(middle)[0] or touches_world(footprint, self.cells):
             raise UserError(
                 f"world {config.world}: the robot does not fit at its start ({pose.x:g}, {pose.y:g})",
                 "move the world's `start:`, or set `start:` in section `sim`",
@@ -95,19 +63,15 @@ class SimService(Service):
         self.state_now = np.zeros(14)
         self.state_now[:3] = pose.x, pose.y, pose.yaw
         self.targets = np.zeros(2)
-        self.life = 0  # steps that the command has left
+        self.command_steps = 0  # remaining steps of the command
         emulated = config.hardware == "emulated"
         self.emulation = Emulation(config.emulation, robot, config.seed) if emulated else None
         self.faults = MessageFaults(robot, config.seed)
-        self.used = 0.0  # Ah
+        self.used_charge = 0.0  # Ah
         steps_back = ceil(robot.laser.scan_time / dyn.DT) + CATCH_UP_STEPS + 4
         self.history = np.zeros((steps_back, 3 + 3 * len(self.world.people)))
-        kinds = [s.kind for s in robot.ranges]
-        self.n_ultrasonic = kinds.count("ultrasonic")
-        self.range_sensors = [s for kind in ("ultrasonic", "infrared") for s in robot.ranges if s.kind == kind]
-        self.cone_table = np.array(
-            [(s.mount.x, s.mount.y, s.mount.yaw, s.field_of_view, s.range_max) for s in self.range_sensors], float
-        ).reshape(-1, 5)
+        self.n_ultrasonic = sum(sensor.kind == "ultrasonic" for sensor in robot.ranges)
+        self.cone_table = cone_table(robot)
         self.epoch: int | None = None  # ns: time of step 0
         self.step = 0
         self.sweep = 0  # number of the next sweep since the epoch
@@ -119,18 +83,18 @@ class SimService(Service):
             self._people(), self.history.copy(),
         )  # fmt: skip
         self._true_sweep(0)
-        cones(self.cells, self.history[0], self.cone_table, self.config.ranges.n_rays)
+        cone_ranges(self.cells, self.history[0], self.cone_table, self.config.ranges.n_rays)
 
-    def _people(self) -> crowd.People:
-        start = self.world.start
-        return crowd.started(self.world.people, self.config.people_react, self.config.seed, (start.x, start.y))
+    def _people(self) -> pedestrians.People:
+        start = self.world.start.x, self.world.start.y
+        return pedestrians.initial_people(self.world.people, self.config.people_react, self.config.seed, start)
 
     def state(self) -> str:
         return f"{self.world.name}, {int(self.state_now[dyn.N_CONTACTS])} contacts"
 
     @property
     def time(self) -> int:
-        """ns: until when the physics has run."""
+        """Time of the physics, ns."""
         return (self.epoch or 0) + self.step * dyn.DT_NS
 
     @property
@@ -138,21 +102,21 @@ class SimService(Service):
         return self.emulation.ports if self.emulation is not None else {}
 
     @on(topics.RX)
-    def bytes_came(self, data: SerialData) -> Out:
-        """A driver wrote to the emulated hardware."""
+    def receive_bytes(self, data: SerialData) -> Out:
+        """Passes bytes of a driver to the emulated hardware."""
         if self.emulation is not None:
             self._catch_up()
-            yield from self.emulation.received(data, self.now)
+            yield from self.emulation.receive(data, self.now)
             self._obey_board(self.emulation)
 
     @answer(requests.FAULT)
-    def broken(self, order: Break) -> Answer[Reply]:
-        """`zenav fault`: something of the simulated hardware breaks, or is repaired."""
+    def handle_fault_request(self, order: Break) -> Answer[Reply]:
+        """Begins or ends a fault of the simulated hardware: `zenav fault`."""
         emulation = self.emulation
-        faults = emulation.faults if emulation else self.faults.holds
-        reply = breaking.broken(faults, emulation is not None, order, self.now)
+        faults = emulation.faults if emulation else self.faults.active
+        reply = fault_requests.apply_fault_request(faults, emulation is not None, order, self.now)
         if emulation is not None:
-            yield from emulation.plugs(self.now)
+            yield from emulation.update_plugs(self.now)
         return reply
 
     @on(topics.MOTORS)
@@ -161,47 +125,47 @@ class SimService(Service):
             return ()
         self._catch_up()
         self.targets[:] = wheel_targets(command.left, command.right, self.robot.drive)
-        life = self.config.drive.command_life
-        self.life = 2**62 if life is None else ceil(life / dyn.DT)
+        command_steps = self.config.drive.command_life
+        self.command_steps = 2**62 if command_steps is None else ceil(command_steps / dyn.DT)
         return ()
 
     @every(hz=50)
     def tick(self) -> Out:
         self._catch_up()
         if self.emulation is None:
-            self.faults.holds.pass_to(self.now)
+            self.faults.active.expire(self.now)
             sent = (self.faults.scan(scan) for scan in self._due_scans())
             yield from (topics.SCAN(scan) for scan in sent if scan is not None)
             yield topics.BOARD(self.faults.board(self._board()))
         else:
-            yield from self.emulation.plugs(self.now)
+            yield from self.emulation.update_plugs(self.now)
             self._obey_board(self.emulation)
-            yield from self.emulation.swept(self._due_scans(), self.now)
-            yield from self.emulation.measured(self._board(), self.now)
+            yield from self.emulation.send_sweeps(self._due_scans(), self.now)
+            yield from self.emulation.send_report(self._board(), self.now)
         yield topics.TRUTH(self._truth())
         yield topics.CLOCK(Clock(self.now, 1.0))
 
     def _obey_board(self, emulation: Emulation) -> None:
-        """The wheels turn as the emulated board drives its motors, for as long as its command holds."""
-        left, right, life = emulation.board.motors(self.now)
+        """Sets the wheels' targets from the emulated board's motor command, for its remaining time."""
+        left, right, command_steps = emulation.board.motors(self.now)
         self.targets[:] = wheel_targets(left, right, self.robot.drive)
-        self.life = 2**62 if life is None else ceil(life / dyn.DT_NS)
+        self.command_steps = 2**62 if command_steps is None else ceil(command_steps / dyn.DT_NS)
 
     def _catch_up(self) -> None:
-        """Runs the physics up to now; starts anew on its grid where the clock jumped."""
+        """Runs the physics up to now; after a jump of the clock, restarts its time."""
         behind = 0 if self.epoch is None else (self.now - self.time) // dyn.DT_NS
         if self.epoch is None or not -1 <= behind <= CATCH_UP_STEPS:
             self._restart_time()
             return
         n = max(int(behind), 0)
         dyn.advance(
-            self.step, n, self.state_now, self.targets, self.life, self.slip_rng.standard_normal((n, 2)), self.wheels,
-            self.body, self.cells, self.people, self.history,
+            self.step, n, self.state_now, self.targets, self.command_steps, self.slip_rng.standard_normal((n, 2)),
+            self.wheels, self.body, self.cells, self.people, self.history,
         )  # fmt: skip
         self.step += n
-        self.life = max(self.life - n, 0)
+        self.command_steps = max(self.command_steps - n, 0)
         amperes = float(self._currents().sum()) + self.config.battery.idle_current
-        self.used += amperes * n * dyn.DT / 3600
+        self.used_charge += amperes * n * dyn.DT / 3600
 
     def _restart_time(self) -> None:
         self.epoch, self.step, self.sweep = self.now, 0, 0
@@ -209,18 +173,24 @@ class SimService(Service):
         self.history[:, 3:] = self.people.state[:, :3].ravel()
 
     def _due_scans(self) -> list[LaserScan]:
-        """The sweeps whose last beam has been taken."""
+        """The sweeps that are complete since the last call."""
         laser, scans = self.robot.laser, []
         while (begin := int(self.sweep * 1e9 / laser.rate)) + laser.scan_time * 1e9 <= self.step * dyn.DT_NS:
             self.sweep += 1
             if begin // dyn.DT_NS < self.step - len(self.history) + 2:
-                continue  # no tick came for so long that the history has forgotten it
+                continue  # older than the history, after a gap without ticks
             true = self._true_sweep(begin)
-            ranges = measured(true, self.config.laser, laser.range_min, laser.range_max, self.laser_rng)
-            stamp = (self.epoch or 0) + begin
-            increment = laser.angle_increment
+            ranges = add_noise(true, self.config.laser, laser.range_min, laser.range_max, self.laser_rng)
             scans.append(
-                LaserScan(stamp, laser.angle_min, increment, laser.scan_time, laser.range_min, laser.range_max, ranges)
+                LaserScan(
+                    stamp=(self.epoch or 0) + begin,
+                    angle_min=laser.angle_min,
+                    angle_increment=laser.angle_increment,
+                    scan_time=laser.scan_time,
+                    range_min=laser.range_min,
+                    range_max=laser.range_max,
+                    ranges=ranges,
+                )
             )
         return scans
 
@@ -230,35 +200,36 @@ class SimService(Service):
         mount = laser.mount.x, laser.mount.y, laser.mount.yaw
         beam_step = laser.scan_time / (laser.n_beams - 1) / dyn.DT
         limit = laser.range_max + 5 * self.config.laser.sigma
-        return sweep(
+        return sweep_ranges(
             self.cells, self.history, begin / dyn.DT_NS, beam_step, mount, laser.angle_min, laser.angle_increment,
             laser.n_beams, limit,
         )  # fmt: skip
 
     def _currents(self) -> NDArray[np.float32]:
         s = self.state_now
-        targets = self.targets if self.life else np.zeros(2)
+        targets = self.targets if self.command_steps else np.zeros(2)
         return motor_currents(s[dyn.LEFT_SPEED : dyn.RIGHT_SPEED + 1], targets, self.wheels.limit, s[dyn.CONTACT] > 0)
 
     def _board(self) -> BoardReport:
         s, drive = self.state_now, self.robot.drive
         at = self.history[self.step % len(self.history)]
-        true = cones(self.cells, at, self.cone_table, self.config.ranges.n_rays)
+        true = cone_ranges(self.cells, at, self.cone_table, self.config.ranges.n_rays)
         reach = self.cone_table[:, 4]
-        ranges = measured(true, self.config.ranges, 0.0, reach, self.range_rng)
+        ranges = add_noise(true, self.config.ranges, 0.0, reach, self.range_rng)
         currents = self._currents()
         left, right = -drive.motor_direction, drive.motor_direction  # signs of the board's encoders
         per_radian = drive.counts_per_turn / (2 * pi)
+        idle_current = self.config.battery.idle_current
         return BoardReport(
-            self.time,
-            encoder_counts(left * s[dyn.LEFT_ANGLE], self.first_counts[0], drive),
-            encoder_counts(right * s[dyn.RIGHT_ANGLE], self.first_counts[1], drive),
-            float(np.rint(left * s[dyn.LEFT_SPEED] * per_radian)),
-            float(np.rint(right * s[dyn.RIGHT_SPEED] * per_radian)),
-            ranges[: self.n_ultrasonic],
-            ranges[self.n_ultrasonic :],
-            battery_voltage(self.config.battery, self.used, float(currents.sum()) + self.config.battery.idle_current),
-            currents,
+            stamp=self.time,
+            left_counts=encoder_counts(left * s[dyn.LEFT_ANGLE], self.first_counts[0], drive),
+            right_counts=encoder_counts(right * s[dyn.RIGHT_ANGLE], self.first_counts[1], drive),
+            left_speed=float(np.rint(left * s[dyn.LEFT_SPEED] * per_radian)),
+            right_speed=float(np.rint(right * s[dyn.RIGHT_SPEED] * per_radian)),
+            ultrasonic=ranges[: self.n_ultrasonic],
+            infrared=ranges[self.n_ultrasonic :],
+            battery=battery_voltage(self.config.battery, self.used_charge, float(currents.sum()) + idle_current),
+            currents=currents,
         )
 
     def _truth(self) -> Truth:
@@ -266,14 +237,14 @@ class SimService(Service):
         pose = Pose2(float(s[dyn.X]), float(s[dyn.Y]), wrapped(float(s[dyn.YAW])))
         at = self.people.state
         return Truth(
-            self.time,
-            pose,
-            self.world.start,
-            float(s[dyn.V]),
-            float(s[dyn.W]),
-            bool(s[dyn.CONTACT]),
-            int(s[dyn.N_CONTACTS]),
-            float(s[dyn.DISTANCE]),
-            at[:, crowd.X].astype(np.float32),
-            at[:, crowd.Y].astype(np.float32),
+            stamp=self.time,
+            world_from_base=pose,
+            start=self.world.start,
+            v=float(s[dyn.V]),
+            w=float(s[dyn.W]),
+            contact=bool(s[dyn.CONTACT]),
+            n_contacts=int(s[dyn.N_CONTACTS]),
+            distance=float(s[dyn.DISTANCE]),
+            people_x=at[:, pedestrians.X].astype(np.float32),
+            people_y=at[:, pedestrians.Y].astype(np.float32),
         )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A world: what stands still, who walks where, where the robot starts and what it is sent to. Metres, world frame."""
+"""A world: static shapes, pedestrians, the robot's start and its goals. World frame, m."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label
 
-from services.sim.rays import Cells, extent, filled, indexed, listed
+from services.sim.rays import Cells, extent, index_grid, index_shapes, shapes_by_cell
 from shared.geometry import Pose2, inside
 
 Bools = NDArray[np.bool_]
@@ -45,8 +45,8 @@ class Raster:
 
 
 @dataclass(frozen=True, slots=True)
-class Walk:
-    """One person: waypoints (k, 2) m walked round and round, mean speed m/s, mean pause at each s, radius m."""
+class Pedestrian:
+    """One person: closed route (k, 2) m, mean speed m/s, mean pause at each waypoint s, radius m."""
 
     route: Float64s
     speed: float
@@ -72,7 +72,7 @@ class World:
     polygons: tuple[Float64s, ...] = ()
     circles: Float64s = field(default_factory=_no_circles)
     raster: Raster | None = None
-    people: tuple[Walk, ...] = ()
+    people: tuple[Pedestrian, ...] = ()
     goals: dict[str, Pose2] = field(default_factory=dict)
 
     @cached_property
@@ -85,7 +85,7 @@ class World:
     def cells(self) -> Cells:
         """The index for rays and contacts."""
         if self.raster is None:
-            return indexed(self.segments, self.circles, SHAPE_CELL)
+            return index_shapes(self.segments, self.circles, SHAPE_CELL)
         r = self.raster
         low_x, low_y, high_x, high_y = extent(self.segments, self.circles)
         h, w = r.solid.shape
@@ -96,7 +96,7 @@ class World:
         )
         solid = np.pad(r.solid, ((before[1], after[1]), (before[0], after[0])))
         x0, y0 = r.x0 - before[0] * r.resolution, r.y0 - before[1] * r.resolution
-        return filled(self.segments, self.circles, solid, x0, y0, r.resolution)
+        return index_grid(self.segments, self.circles, solid, x0, y0, r.resolution)
 
     def _solids(self) -> Iterator[tuple[Box, Callable[[Float64s], Bools]]]:
         """Everything solid: the box around it, and which points (n, 2) it holds."""
@@ -126,7 +126,7 @@ class World:
         w = int(np.ceil(high_x / resolution - 1e-6)) - column0
         h = int(np.ceil(high_y / resolution - 1e-6)) - row0
         x0, y0 = column0 * resolution, row0 * resolution
-        first, _ = listed(self.segments, self.circles, x0, y0, resolution, h, w, -1e-6 * resolution)
+        first, _ = shapes_by_cell(self.segments, self.circles, x0, y0, resolution, h, w, -1e-6 * resolution)
         occupied = (np.diff(first) > 0).reshape(h, w)
         x, y = x0 + (np.arange(w) + 0.5) * resolution, y0 + (np.arange(h) + 0.5) * resolution
         for (left, low, right, high), holds in self._solids():
@@ -137,7 +137,7 @@ class World:
         return occupied, x0, y0
 
     def reachable(self, resolution: float, radius: float) -> tuple[Bools, float, float]:
-        """The floor that a disc of `radius` m covers on its ways from the start: a grid as from `occupied`."""
+        """The floor that a disc of `radius` m covers from the start: a grid as from `occupied`."""
         occupied, x0, y0 = self.occupied(resolution)
         centres = self.centres(resolution, radius)[0]
         if not centres.any():

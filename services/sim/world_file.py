@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A world as people write it: walls with doors, boxes, cylinders, polygons, people and goals, into a World."""
+"""Format of a world's YAML: walls with doors, boxes, cylinders, polygons, people, goals; and its World."""
 
 from itertools import pairwise
 from math import hypot, pi, radians
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from services.sim.contact import disc_touches_world
-from services.sim.world import Raster, Walk, World
+from services.sim.world import Pedestrian, Raster, World
 from shared.config import RobotFile, Section, UserError
 from shared.geometry import Pose2
 
@@ -67,7 +67,7 @@ class Polygon(Section):
 
 
 class Person(Section):
-    """Somebody who walks."""
+    """A person that walks along a route."""
 
     route: tuple[Point, ...] = Field(min_length=1, description="m, waypoints, free of walls by the person's radius")
     loop: bool = Field(False, description="whether the last waypoint leads to the first; else the way goes back")
@@ -76,8 +76,8 @@ class Person(Section):
     radius: float = Field(0.25, gt=0, le=1, description="m")
 
 
-class Place(Section):
-    """Where the robot starts."""
+class WorldPose(Section):
+    """A pose in the world: the robot's start."""
 
     x: float = Field(description="m")
     y: float = Field(description="m")
@@ -88,7 +88,7 @@ class Place(Section):
         return Pose2(self.x, self.y, radians(self.yaw_deg))
 
 
-class NamedPlace(Place):
+class WorldGoal(WorldPose):
     """A goal."""
 
     name: str = Field(min_length=1, description="unique")
@@ -102,16 +102,16 @@ class WorldFile(Section):
         None, description="m: low x, low y, high x, high y; without it: the box around everything"
     )
     map: str | None = Field(None, description="path of a ROS map's YAML, from this file's folder; its cells are solid")
-    start: Place | None = Field(None, description="where the robot starts; without it: the freest place")
+    start: WorldPose | None = Field(None, description="where the robot starts; without it: the freest place")
     walls: tuple[Wall, ...] = Field((), description="walls")
     boxes: tuple[Box, ...] = Field((), description="rectangles")
     cylinders: tuple[Cylinder, ...] = Field((), description="discs")
     polygons: tuple[Polygon, ...] = Field((), description="other shapes")
     people: tuple[Person, ...] = Field((), description="walking people")
-    goals: tuple[NamedPlace, ...] = Field((), description="places to send the robot to")
+    goals: tuple[WorldGoal, ...] = Field((), description="places to send the robot to")
 
 
-def built(name: str, file: RobotFile, raster: Raster | None, seed: int, jitter: float) -> World:
+def build_world(name: str, file: RobotFile, raster: Raster | None, seed: int, jitter: float) -> World:
     """The world of a file; loose things move by up to `jitter` m, by the seed, if routes and places stay free.
 
     Raises UserError with file and line where doors miss their wall, people walk through things, or goals share a name.
@@ -120,9 +120,9 @@ def built(name: str, file: RobotFile, raster: Raster | None, seed: int, jitter: 
     fixed = [p for i, wall in enumerate(world.walls) for p in _wall(wall, file, i)]
     fixed += [np.array(p.points, float) for p in world.polygons]
     rng = np.random.default_rng([seed, 1])
-    keep = _kept_free(world)
-    boxes = [rectangle(*_moved(b, max(b.size) / 2 + jitter, keep, rng, jitter), b.size) for b in world.boxes]
-    discs = [(*_moved(c, c.radius, keep, rng, jitter)[:2], c.radius) for c in world.cylinders]
+    keep = _free_lines(world)
+    boxes = [rectangle(*_jittered_pose(b, max(b.size) / 2 + jitter, keep, rng, jitter), b.size) for b in world.boxes]
+    discs = [(*_jittered_pose(c, c.radius, keep, rng, jitter)[:2], c.radius) for c in world.cylinders]
     circles = np.array(discs, float).reshape(-1, 3)
     polygons = (*fixed, *boxes)
     goals = {g.name: g.pose for g in world.goals}
@@ -183,14 +183,14 @@ def _wall(wall: Wall, file: RobotFile, i: int) -> list[Float64s]:
     return out
 
 
-def _kept_free(world: WorldFile) -> list[tuple[Float64s, float]]:
+def _free_lines(world: WorldFile) -> list[tuple[Float64s, float]]:
     """What loose things must leave free: lines (k, 2) and the clearance about each, m."""
     keep = [(np.array([*p.route, p.route[0]] if p.loop else p.route, float), p.radius + 0.02) for p in world.people]
     places = [*world.goals, *([world.start] if world.start else [])]
     return keep + [(np.array([[p.x, p.y]]), 0.5) for p in places]
 
 
-def _moved(
+def _jittered_pose(
     thing: Box | Cylinder, reach: float, keep: list[tuple[Float64s, float]], rng: np.random.Generator, jitter: float
 ) -> tuple[float, float, float]:
     """Where a thing stands in this seed: x, y, yaw. A draw that could block a kept line is not taken."""
@@ -214,11 +214,11 @@ def _distance(line: Float64s, point: Float64s) -> float:
     return float(np.min(np.hypot(*(a + share[:, None] * along - point).T)))
 
 
-def _walk(person: Person) -> Walk:
+def _walk(person: Person) -> Pedestrian:
     route = np.array(person.route, float)
     if not person.loop:
         route = np.concatenate((route, route[-2:0:-1]))
-    return Walk(route, person.speed, person.pause, person.radius)
+    return Pedestrian(route, person.speed, person.pause, person.radius)
 
 
 def _check_routes(world: World, source: WorldFile, file: RobotFile) -> None:
@@ -239,7 +239,7 @@ def _check_routes(world: World, source: WorldFile, file: RobotFile) -> None:
 
 
 def _bounds(
-    polygons: tuple[Float64s, ...], circles: Float64s, raster: Raster | None, start: Place | None
+    polygons: tuple[Float64s, ...], circles: Float64s, raster: Raster | None, start: WorldPose | None
 ) -> tuple[float, float, float, float]:
     """The box around everything; 5 m about the start where there is nothing."""
     corners = [*polygons, circles[:, :2] - circles[:, 2:], circles[:, :2] + circles[:, 2:]]

@@ -6,7 +6,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from services.sim.service import SimConfig, SimService
+from services.sim.config import SimConfig
+from services.sim.service import SimService
 from shared import requests, topics
 from shared.config import configured
 from shared.geometry import Pose2

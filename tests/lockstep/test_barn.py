@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.sim.store import cylinder_file
+from services.sim.world_loader import read_cylinder_file
 from shared import topics
 from shared.messages import PoseEstimate
 from shared.runners.lockstep import START, Lockstep
@@ -30,7 +30,7 @@ RUNAWAY = 0.5  # m from the truth
 
 
 def trial(world: str, seed: int, folder: Path, settings: tuple[str, ...], delay: float = 0.0) -> Trial:
-    file = cylinder_file(WORLDS, BarnFile)
+    file = read_cylinder_file(WORLDS, BarnFile)
     path = folder / "one.json"  # a file of one world: reading all 250 takes a tenth of a run
     path.write_text(json.dumps(file.model_dump(include={*type(file).model_fields} - {"worlds"}) | {
         "worlds": {world: file.worlds[world].model_dump()}

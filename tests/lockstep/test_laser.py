@@ -8,8 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from services.lidar_driver.service import LidarDriverConfig, LidarDriverService
-from services.sim.hardware.lasers import LaserEmulator, emulator
-from services.sim.service import SimConfig, SimService
+from services.sim.config import SimConfig
+from services.sim.hardware.lasers import LaserEmulator, make_emulator
+from services.sim.service import SimService
 from shared import topics
 from shared.config import configured
 from shared.messages import LaserScan, MotorCommand, SerialData
@@ -39,14 +40,14 @@ class SpeakingSim(SimService):
 
     @on(topics.RX)
     def heard(self, data: SerialData) -> Out:
-        if answer := self.laser.received(data.data, self.now):
+        if answer := self.laser.receive(data.data, self.now):
             yield topics.TX(SerialData(self.now, "laser", answer))
 
     @every(hz=50)
     def tick(self) -> Out:
         for said in super().tick():
             if said.topic is topics.SCAN:
-                self.leaving += self.laser.swept(said.message, self.now)
+                self.leaving += self.laser.sweep_chunks(said.message, self.now)
             else:
                 yield said
         due = b"".join(data for when, data in self.leaving if when <= self.now)
@@ -64,7 +65,7 @@ def scans_of(folder: Path, model: str, speaking: bool) -> tuple[list[LaserScan],
     recorded: list[Sent] = []
     if speaking:
         sim: SimService = SpeakingSim(config, robot)
-        sim.laser, sim.leaving = emulator(model, robot.laser), []  # type: ignore[attr-defined]  # a SpeakingSim
+        sim.laser, sim.leaving = make_emulator(model, robot.laser), []  # type: ignore[attr-defined]  # a SpeakingSim
         driver = LidarDriverService(driver_config(model), robot)
         lockstep = Lockstep({"sim": sim, "lidar_driver": driver}, recorded.append, wires=(WIRE,))
     else:

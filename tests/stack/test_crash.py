@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from services.recorder.store import RecorderConfig, RecordingStore
+from services.recorder.recording_store import RecorderConfig, RecordingStore
 from shared import requests, topics
 from shared.codec import Envelope, encode
 from shared.geometry import Pose2

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from services.base_driver.drrobot import disabled
-from services.sim.hardware.drrobot import Gains, Velocity, meant
+from services.base_driver.drrobot import disable_motor
+from services.sim.hardware.drrobot import GainsCommand, VelocityCommand, decode_command
 from shared import reasons, requests, topics
 from shared.drrobot import BOARD, Deframer
 from shared.geometry import Pose2
@@ -152,9 +152,11 @@ def test_an_unplugged_board_stands_is_named_and_comes_back(up, capsys):
     up.at_the_board = b""
     up.until(up.in_order)
     assert up.arrives(*up.farther())
-    orders = [order for packet in Deframer(BOARD).packets(up.at_the_board) if (order := meant(packet))]
-    assert [type(order) for order in orders[:3]] == [Gains, Gains, Velocity]
-    speeds = [tuple(order.channels[wheel] for wheel in (0, 1)) for order in orders if isinstance(order, Velocity)]
+    orders = [order for packet in Deframer(BOARD).packets(up.at_the_board) if (order := decode_command(packet))]
+    assert [type(order) for order in orders[:3]] == [GainsCommand, GainsCommand, VelocityCommand]
+    speeds = [
+        tuple(order.channels[wheel] for wheel in (0, 1)) for order in orders if isinstance(order, VelocityCommand)
+    ]
     assert speeds[0] == (0, 0), "the first command after the reconnection is zero"
     assert any(speed != (0, 0) for speed in speeds)
 
@@ -182,5 +184,5 @@ def test_a_driver_that_is_asked_to_end_takes_the_power_off_the_motors(up):
     up.drive_off()
     before, up.at_the_board = up.pids["base_driver"], b""
     os.kill(before, signal.SIGTERM)
-    up.until(lambda: disabled(0) + disabled(1) in up.at_the_board)
+    up.until(lambda: disable_motor(0) + disable_motor(1) in up.at_the_board)
     up.until(lambda: up.pids["base_driver"] != before and up.in_order())

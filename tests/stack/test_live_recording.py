@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 import zenoh
 
+from services.recorder.recording_store import RecorderConfig, RecordingStore
 from services.recorder.service import RecorderService
-from services.recorder.store import RecorderConfig, RecordingStore
 from shared.codec import Envelope, decode, envelope_of
 from shared.geometry import Pose2
 from shared.messages import MapUpdate

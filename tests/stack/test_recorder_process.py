@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from services.recorder.losses import OVERLOAD
+from services.recorder.message_losses import OVERLOAD
 from shared import topics
 from shared.config import UserError
 from shared.messages import EmergencyStop, Health

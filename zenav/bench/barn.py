@@ -127,12 +127,12 @@ def course_at(path: Path | None, world: str) -> "Course":
 
 def worlds_of(path: Path) -> "BarnFile":
     """The worlds of a file. Raises UserError where there is none, or it is none of BARN's."""
-    from services.sim.store import cylinder_file
+    from services.sim.world_loader import read_cylinder_file
     from zenav.bench.barn_run import BarnFile
 
     if not path.is_file():
         raise UserError(f"there is no {path}", f"give {FILE}, or the folder that holds it")
-    return cylinder_file(path, BarnFile)
+    return read_cylinder_file(path, BarnFile)
 
 
 def worlds_from(text: str, known: tuple[str, ...]) -> list[str]:

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.sim.crowd import RADIUS, crowd
-from services.sim.store import CylinderFile, CylinderWorld
+from services.sim.crowd import RADIUS, crowd_world
+from services.sim.world_loader import CylinderFile, CylinderWorld
 from shared import requests, topics
 from shared.config import Robot, RobotFile, configured
 from shared.geometry import Pose2, inside
@@ -141,7 +141,7 @@ def course_of(path: Path, file: BarnFile, world: str) -> Course:
 
 def crowd_course(number: str) -> Course:
     """A made-up crowd: across a square of 20 m, by the same rule."""
-    world = crowd(int(number))
+    world = crowd_world(int(number))
     goal = world.goals["goal"]
     length = world.start.distance(goal)
     return Course(

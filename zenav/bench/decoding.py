@@ -11,8 +11,8 @@ import numpy as np
 from services.base_driver.serial_board import SerialBoard, SerialBoardConfig
 from services.lidar_driver.service import DEVICES, LidarDriverConfig
 from services.sim.hardware.board import BoardEmulator
-from services.sim.hardware.faults import Faults
-from services.sim.hardware.lasers import emulator
+from services.sim.hardware.faults import ActiveFaults
+from services.sim.hardware.lasers import make_emulator
 from shared.config import Laser, load_robot
 from shared.messages import BoardReport, LaserScan, SerialData
 
@@ -53,17 +53,20 @@ def _rate(decoder: Decoder, stream: bytes, size: int) -> float:
 
 def _board(n_bytes: int) -> tuple[Decoder, bytes]:
     """Bytes to BoardReports, and what the X80SV's board says while it drives."""
-    decoder, emulated = SerialBoard(SerialBoardConfig(), load_robot("x80sv").robot, 0.5), BoardEmulator(Faults(), 0)
-    decoder.warm()
+    decoder, emulated = (
+        SerialBoard(SerialBoardConfig(), load_robot("x80sv").robot, 0.5),
+        BoardEmulator(ActiveFaults(), 0),
+    )
+    decoder.warm_up()
     stream, i = bytearray(), 0
     while len(stream) < n_bytes:
         ranges = np.full(3, 1.0, np.float32), np.full(7, 0.3, np.float32)
         report = BoardReport(
             START + i * TICK, i % 32768, 7 * i % 32768, 50.0, 350.0, *ranges, 7.2, np.ones(2, np.float32)
         )
-        stream += emulated.reported(report, report.stamp)
+        stream += emulated.report_bytes(report, report.stamp)
         i += 1
-    return lambda data: decoder.heard(SerialData(START, "board", data), START), bytes(stream)
+    return lambda data: decoder.receive(SerialData(START, "board", data), START), bytes(stream)
 
 
 def _laser(model: str, n_bytes: int) -> tuple[Decoder, bytes]:
@@ -80,22 +83,22 @@ def _laser(model: str, n_bytes: int) -> tuple[Decoder, bytes]:
         range_min=0.05,
         range_max=12.0,
     )
-    emulated = emulator(model, laser)
+    emulated = make_emulator(model, laser)
     config = LidarDriverConfig(model=model.removesuffix("_a2"))
     decoder = DEVICES[config.model](config, laser)
-    now, words = START, decoder.opened(START)
+    now, words = START, decoder.start(START)
     for _ in range(DIALOGUE):
-        answer = emulated.received(words, now) if words else b""
+        answer = emulated.receive(words, now) if words else b""
         if answer:
-            decoder.received(answer, now)
+            decoder.receive(answer, now)
         now += TICK
-        words = decoder.due(now)
+        words = decoder.next_command(now)
     rng, stream = np.random.default_rng(0), bytearray()
     while len(stream) < n_bytes:
         ranges = rng.uniform(0.1, 11.9, n).astype(np.float32)
         sweep = LaserScan(now, laser.angle_min, laser.angle_increment, laser.scan_time, 0.05, 12.0, ranges)
-        stream += b"".join(data for _, data in emulated.swept(sweep, now))
+        stream += b"".join(data for _, data in emulated.sweep_chunks(sweep, now))
         now += round(1e9 / rate)
         if not stream:
             raise RuntimeError(f"the emulated {model} does not scan")
-    return lambda data: decoder.received(data, START), bytes(stream)
+    return lambda data: decoder.receive(data, START), bytes(stream)

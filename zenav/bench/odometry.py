@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from services.base_driver.service import BaseDriverConfig, BaseDriverService
-from services.odometry.dead_reckoning import INTEGRATIONS, OdometryConfig
+from services.base_driver.config import BaseDriverConfig
+from services.base_driver.service import BaseDriverService
+from services.odometry.dead_reckoning import INTEGRATIONS, DeadReckoningConfig
 from services.odometry.service import OdometryService
 from shared import topics
 from shared.config import Robot, UserError, load_robot
@@ -88,7 +89,7 @@ def rows_of(path: Path) -> list[list[float]]:
 
 def by_angles(wheels: list[list[float]], robot: Robot, integration: str) -> list[Pose2]:
     """odom_from_base after each row of wheels: t s, left and right rad, of which the left counts down going forward."""
-    service = OdometryService(OdometryConfig.model_validate({"integration": integration}), robot)
+    service = OdometryService(DeadReckoningConfig.model_validate({"integration": integration}), robot)
     times, left, right = np.array(wheels).T
     rolled = zip(times, -unwrapped(left), unwrapped(right))
     states = [WheelState(round(t * 1e9), 1, float(a), float(b), 0.0, 0.0) for t, a, b in rolled]
@@ -98,7 +99,7 @@ def by_angles(wheels: list[list[float]], robot: Robot, integration: str) -> list
 def by_counts(wheels: list[list[float]], robot: Robot, integration: str) -> list[Pose2]:
     """As `by_angles`, from counts that wrap, as the board sends them, through the base driver."""
     driver = BaseDriverService(BaseDriverConfig(), robot)
-    service = OdometryService(OdometryConfig.model_validate({"integration": integration}), robot)
+    service = OdometryService(DeadReckoningConfig.model_validate({"integration": integration}), robot)
     nothing, currents = np.empty(0, np.float32), np.zeros(2, np.float32)
     poses: list[Pose2] = []
     for t, left, right in wheels:

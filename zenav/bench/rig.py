@@ -11,7 +11,8 @@ import numpy as np
 from services.mapper.saved_map import SavedMap
 from services.mapper.service import MapperConfig, MapperService
 from services.sim import dynamics
-from services.sim.service import SimConfig, SimService
+from services.sim.config import SimConfig
+from services.sim.service import SimService
 from shared import topics
 from shared.config import RobotFile, configured
 from shared.geometry import Pose2

@@ -21,7 +21,7 @@ import zenoh
 
 from services.base_driver.kinematics import board_counts, wheel_speeds
 from services.sim.hardware.board import BoardEmulator
-from services.sim.hardware.faults import Faults
+from services.sim.hardware.faults import ActiveFaults
 from shared import topics
 from shared.codec import Envelope, encode
 from shared.config import Drive, Robot, UserError, load_robot
@@ -99,7 +99,7 @@ class FarEnd:
 
     def __init__(self, link: Path, robot: Robot) -> None:
         self._line = PseudoTerminal(link)
-        self._board, self._lock = BoardEmulator(Faults(), 0), threading.Lock()
+        self._board, self._lock = BoardEmulator(ActiveFaults(), 0), threading.Lock()
         self._n_ultrasonic = sum(sensor.kind == "ultrasonic" for sensor in robot.ranges)
         self._n_infrared = len(robot.ranges) - self._n_ultrasonic
         self._wrap = robot.drive.encoder_wrap
@@ -136,7 +136,7 @@ class FarEnd:
                 np.full(self._n_ultrasonic, 2.0, np.float32), np.full(self._n_infrared, 0.3, np.float32),
                 8.0, np.full(2, 0.5, np.float32),
             )  # fmt: skip
-            packets = self._board.reported(truth, now)
+            packets = self._board.report_bytes(truth, now)
         begun = time.time_ns()
         self._line.write(packets)
         limit = time.monotonic() + patience
@@ -169,7 +169,7 @@ class FarEnd:
             if not data:
                 continue
             with self._lock:
-                self._line.write(self._board.received(data, at))
+                self._line.write(self._board.receive(data, at))
                 if self._expected == self._board.motors(at)[:2]:
                     self._expected = None
                     self._obeyed.put(at)

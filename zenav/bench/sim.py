@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.sim.service import SimConfig, SimService
+from services.sim.config import SimConfig
+from services.sim.service import SimService
 from shared.config import Drive, Laser, Robot, load_robot
 from shared.messages import MotorCommand
 from shared.ros_map import write_ros_map

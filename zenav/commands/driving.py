@@ -17,9 +17,9 @@ AnyHeading = Annotated[bool, typer.Option("--any-heading", help="Whatever headin
 
 
 def _faults() -> list[str]:
-    from services.sim.breaking import ALL
+    from services.sim.fault_requests import ALL_FAULTS
 
-    return list(ALL)
+    return list(ALL_FAULTS)
 
 
 @app.command(cls=Command, rich_help_panel=DRIVE)

@@ -4,7 +4,7 @@
 import sys
 from pathlib import Path
 
-from services.recorder.retention import KEEP
+from services.recorder.retention import KEEP_SUFFIX
 from shared.config import UserError
 from zenav.recording.chosen import opened
 
@@ -13,7 +13,7 @@ def mark(paths: list[Path], remove: bool) -> int:
     """Marks recordings, or takes their marks away. Raises UserError where one is none, or its folder refuses."""
     for path in paths:
         opened(path)
-        keep = path.with_name(path.name + KEEP)
+        keep = path.with_name(path.name + KEEP_SUFFIX)
         try:
             if remove:
                 keep.unlink(missing_ok=True)

@@ -7,7 +7,7 @@ from struct import Struct
 from shared.drrobot import ADC_FULL, PC, Packet, Type, framed
 
 PING, ACKNOWLEDGE = 0, 1
-KEEP = -32768  # a command that changes nothing
+NO_CHANGE = -32768  # a command that changes nothing
 NO_ECHO = 255  # cm
 
 _MOTORS = Struct("<6H6H4HB")
@@ -61,7 +61,7 @@ def _reading(value: float, full: int) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class Velocity:
+class VelocityCommand:
     """Counts/s by channel (KEEP: as it was), and how many seconds it holds; None: until the next."""
 
     channels: dict[int, int]
@@ -69,7 +69,7 @@ class Velocity:
 
 
 @dataclass(frozen=True, slots=True)
-class Gains:
+class GainsCommand:
     """Kp, Kd, Ki of a channel's velocity controller."""
 
     channel: int
@@ -79,24 +79,26 @@ class Gains:
 
 
 @dataclass(frozen=True, slots=True)
-class Disable:
+class DisableCommand:
     """A motor without power."""
 
     channel: int
 
 
-def meant(packet: Packet) -> Velocity | Gains | Disable | None:
+def decode_command(packet: Packet) -> VelocityCommand | GainsCommand | DisableCommand | None:
     """What a packet to the board asks of its motors; None where it asks nothing that this board does."""
     kind, data = packet
     if kind == Type.VELOCITY_ALL and len(data) in (12, 14):
         life = Struct("<H").unpack_from(data, 12)[0] / 1e3 if len(data) == 14 else None
-        return Velocity(dict(enumerate(Struct("<6h").unpack_from(data))), life)
+        return VelocityCommand(dict(enumerate(Struct("<6h").unpack_from(data))), life)
     if kind == Type.VELOCITY_ONE and len(data) in (3, 6):
         channel, command = Struct("<Bh").unpack_from(data)
-        return Velocity({channel: command}, Struct("<H").unpack_from(data, 4)[0] / 1e3 if len(data) == 6 else None)
+        return VelocityCommand(
+            {channel: command}, Struct("<H").unpack_from(data, 4)[0] / 1e3 if len(data) == 6 else None
+        )
     if kind == Type.GAINS and len(data) == 11:
         control, channel, _, kp, _, kd, _, ki = Struct("<BBBhBhBh").unpack(data)
-        return Gains(channel, kp, kd, ki) if control == 0x08 else None
+        return GainsCommand(channel, kp, kd, ki) if control == 0x08 else None
     if kind == Type.DISABLE and len(data) == 2:
-        return Disable(data[1])
+        return DisableCommand(data[1])
     return None

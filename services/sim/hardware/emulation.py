@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated robot's electronics behind their ports: a motion board, a laser, and whatever is broken of them."""
+"""The emulated electronics behind their ports: motion board and laser, with their faults."""
 
 import numpy as np
 from pydantic import Field
 
 from services.sim.hardware.board import BoardEmulator
-from services.sim.hardware.faults import OF_LASER, UNPLUGS, Fault, Faults
-from services.sim.hardware.lasers import LaserEmulator, emulator
+from services.sim.hardware.faults import LASER_FAULTS, UNPLUGGED_PORTS, ActiveFaults, Fault
+from services.sim.hardware.lasers import LaserEmulator, make_emulator
 from shared import topics
 from shared.config import Robot, Section
 from shared.messages import BoardReport, LaserScan, PortState, SerialData
@@ -22,65 +22,67 @@ class EmulationConfig(Section):
 
     board: PortConfig = Field(PortConfig(device="pty:/tmp/zenav-board"), description="where the board is plugged in")
     laser: PortConfig = Field(PortConfig(device="pty:/tmp/zenav-laser"), description="where the laser is plugged in")
-    laser_model: str = Field("", description="whose bytes the laser speaks; empty: the scan stays a message")
+    laser_model: str = Field("", description="model of the emulated laser; empty: the scan stays a message")
 
 
 class Emulation:
-    """Bytes in and out of both devices. `board` holds what the motors were told."""
+    """Bytes in and out of both devices. `board` holds the motor command."""
 
     def __init__(self, config: EmulationConfig, robot: Robot, seed: int) -> None:
         self.config = config
-        self.faults = Faults()
+        self.faults = ActiveFaults()
         self.board = BoardEmulator(self.faults, seed)
-        self.laser: LaserEmulator | None = emulator(config.laser_model, robot.laser) if config.laser_model else None
+        self.laser: LaserEmulator | None = (
+            make_emulator(config.laser_model, robot.laser) if config.laser_model else None
+        )
         self._noise = np.random.default_rng([seed, 8])  # on the laser's line
-        self._leaving: list[tuple[int, bytes]] = []  # what the laser will say, ns when
-        self._away: set[str] = set()  # ports that are pulled out
+        self._queue: list[tuple[int, bytes]] = []  # bytes that the laser sends later, and when (ns)
+        self._unplugged: set[str] = set()  # ports with an unplugged adapter
 
     @property
     def ports(self) -> dict[str, PortConfig]:
         """The robot's side of the ports."""
         return {BOARD: self.config.board, **({LASER: self.config.laser} if self.laser is not None else {})}
 
-    def received(self, data: SerialData, now: int) -> Out:
-        """What a driver wrote, and the device's answer."""
+    def receive(self, data: SerialData, now: int) -> Out:
+        """Passes a driver's bytes to their device, and sends its answer."""
         if data.port == BOARD:
-            yield from _said(BOARD, self.board.received(data.data, now), now)
+            yield from _send(BOARD, self.board.receive(data.data, now), now)
         elif data.port == LASER and self.laser is not None:
-            heard = b"" if Fault.LASER_STALLED in self.faults else data.data
-            yield from _said(LASER, self._on_the_lasers_line(self.laser.received(heard, now)), now)
+            received = b"" if Fault.LASER_STALLED in self.faults else data.data
+            yield from _send(LASER, self._laser_line_bytes(self.laser.receive(received, now)), now)
 
-    def measured(self, report: BoardReport, now: int) -> Out:
+    def send_report(self, report: BoardReport, now: int) -> Out:
         """What the board says of a report."""
-        yield from _said(BOARD, self.board.reported(report, now), now)
+        yield from _send(BOARD, self.board.report_bytes(report, now), now)
 
-    def swept(self, scans: list[LaserScan], now: int) -> Out:
-        """What the laser says by now, and of these sweeps soon; the scans themselves where it speaks in messages."""
+    def send_sweeps(self, scans: list[LaserScan], now: int) -> Out:
+        """Sends the laser's bytes that are due, and queues those of these sweeps; without a model, sends the scans."""
         if self.laser is None:
-            if not any(fault in self.faults for fault in OF_LASER):
+            if not any(fault in self.faults for fault in LASER_FAULTS):
                 yield from (topics.SCAN(scan) for scan in scans)
             return
         self.laser.turning = Fault.LASER_STOPPED not in self.faults
-        self._leaving += [chunk for scan in scans for chunk in self.laser.swept(scan, now)]
-        due = [data for when, data in self._leaving if when <= now]
-        self._leaving = [(when, data) for when, data in self._leaving if now < when <= now + 1_000_000_000]
-        yield from _said(LASER, self._on_the_lasers_line(b"".join(due)), now)
+        self._queue += [chunk for scan in scans for chunk in self.laser.sweep_chunks(scan, now)]
+        due = [data for when, data in self._queue if when <= now]
+        self._queue = [(when, data) for when, data in self._queue if now < when <= now + 1_000_000_000]
+        yield from _send(LASER, self._laser_line_bytes(b"".join(due)), now)
 
-    def plugs(self, now: int) -> Out:
+    def update_plugs(self, now: int) -> Out:
         """Faults end when their time is over; adapters are pulled out and plugged in."""
-        self.faults.pass_to(now)
-        away = {port for fault, port in UNPLUGS.items() if fault in self.faults and port in self.ports}
-        for port in sorted(away ^ self._away):
-            yield topics.PLUG(PortState(now, port, port not in away, ""))
-        self._away = away
+        self.faults.expire(now)
+        unplugged = {port for fault, port in UNPLUGGED_PORTS.items() if fault in self.faults and port in self.ports}
+        for port in sorted(unplugged ^ self._unplugged):
+            yield topics.PLUG(PortState(now, port, port not in unplugged, ""))
+        self._unplugged = unplugged
 
-    def _on_the_lasers_line(self, data: bytes) -> bytes:
+    def _laser_line_bytes(self, data: bytes) -> bytes:
         """What arrives of what the laser says."""
         if Fault.LASER_STALLED in self.faults:
             return b""
         return self._noise.bytes(len(data)) if Fault.LASER_GARBAGE in self.faults else data
 
 
-def _said(port: str, data: bytes, now: int) -> Out:
+def _send(port: str, data: bytes, now: int) -> Out:
     if data:
         yield topics.TX(SerialData(now, port, data))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can break on demand: the table of faults, and which of them hold now."""
+"""The table of hardware faults, and the active ones."""
 
 from enum import StrEnum
 
@@ -22,7 +22,7 @@ class Fault(StrEnum):
     LASER_UNPLUGGED = "laser_unplugged"  # the laser's adapter is pulled out
 
 
-WORDS: dict[Fault, str] = {
+FAULT_DESCRIPTIONS: dict[Fault, str] = {
     Fault.GARBAGE: "the board's bytes arrive as noise",
     Fault.HALF_PACKETS: "half of every packet of the board is lost",
     Fault.BAD_CRC: "every packet of the board has a flipped bit",
@@ -37,16 +37,16 @@ WORDS: dict[Fault, str] = {
     Fault.LASER_STALLED: "the laser's line carries nothing",
     Fault.LASER_UNPLUGGED: "the laser's adapter is pulled out",
 }
-"""What each does, for people."""
+"""Fault -> description."""
 
-OF_LASER = (Fault.LASER_STOPPED, Fault.LASER_GARBAGE, Fault.LASER_STALLED, Fault.LASER_UNPLUGGED)
+LASER_FAULTS = (Fault.LASER_STOPPED, Fault.LASER_GARBAGE, Fault.LASER_STALLED, Fault.LASER_UNPLUGGED)
 
-UNPLUGS = {Fault.UNPLUGGED: "board", Fault.LASER_UNPLUGGED: "laser"}
+UNPLUGGED_PORTS = {Fault.UNPLUGGED: "board", Fault.LASER_UNPLUGGED: "laser"}
 """The port that a fault takes away."""
 
 
-class Faults:
-    """The faults that hold, each until its time is over or it is cleared."""
+class ActiveFaults:
+    """The active faults, each until its time is over or it is cleared."""
 
     def __init__(self) -> None:
         self._until: dict[StrEnum, int | None] = {}
@@ -60,8 +60,8 @@ class Faults:
         for ended in [fault] if fault is not None else list(self._until):
             self._until.pop(ended, None)
 
-    def pass_to(self, now: int) -> None:
-        """Ends those whose time is over."""
+    def expire(self, now: int) -> None:
+        """Ends the faults that are over at `now` (ns)."""
         self._until = {fault: until for fault, until in self._until.items() if until is None or now < until}
 
     def __contains__(self, fault: StrEnum) -> bool:

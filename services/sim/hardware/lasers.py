@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lasers as they sound on their serial line: made from what the simulator measured, in each protocol's own bytes."""
+"""Emulated lasers: the simulator's sweeps as bytes of each protocol."""
 
 from collections.abc import Callable
 from typing import Protocol
 
-from services.sim.hardware.ld06 import Ld06
-from services.sim.hardware.rplidar import Rplidar
-from services.sim.hardware.scip import Scip
-from services.sim.hardware.xv11 import Xv11
+from services.sim.hardware.ld06 import Ld06Emulator
+from services.sim.hardware.rplidar import RplidarEmulator
+from services.sim.hardware.scip import ScipEmulator
+from services.sim.hardware.xv11 import Xv11Emulator
 from shared.config import Laser, UserError, nearest
 from shared.messages import LaserScan
 
@@ -20,14 +20,14 @@ class LaserEmulator(Protocol):
 
     turning: bool
 
-    def received(self, data: bytes, now: int) -> bytes:
-        """Takes what the driver says; its answer."""
+    def receive(self, data: bytes, now: int) -> bytes:
+        """Handles the driver's bytes at `now` (ns). Returns the answer."""
 
-    def swept(self, scan: LaserScan, now: int) -> Chunks:
-        """The stream of one sweep, in order. Times lie within the sweep: what is already past leaves at once."""
+    def sweep_chunks(self, scan: LaserScan, now: int) -> Chunks:
+        """The bytes of one sweep, in order, with times within the sweep. Bytes of the past are sent at once."""
 
 
-def emulator(model: str, laser: Laser) -> LaserEmulator:
+def make_emulator(model: str, laser: Laser) -> LaserEmulator:
     """The emulator of a model. Raises UserError where there is none of that name."""
     if model not in MODELS:
         raise UserError(f"there is no emulated laser {model}", nearest(model, tuple(MODELS)))
@@ -35,9 +35,9 @@ def emulator(model: str, laser: Laser) -> LaserEmulator:
 
 
 MODELS: dict[str, Callable[[Laser], LaserEmulator]] = {
-    "ld06": Ld06,
-    "rplidar": lambda laser: Rplidar(laser, model=0x18),
-    "rplidar_a2": lambda laser: Rplidar(laser, model=0x28),  # scans in express mode
-    "scip": Scip,
-    "xv11": Xv11,
+    "ld06": Ld06Emulator,
+    "rplidar": lambda laser: RplidarEmulator(laser, model=0x18),
+    "rplidar_a2": lambda laser: RplidarEmulator(laser, model=0x28),  # scans in express mode
+    "scip": ScipEmulator,
+    "xv11": Xv11Emulator,
 }

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An LDROBOT LD06 or LD19: 12 beams a packet, clockwise, its own clock in ms; it tells speed 0 while it stands."""
+"""An LDROBOT LD06 or LD19: 12 beams a packet, clockwise, its own clock in ms; speed 0 while it does not turn."""
 
 import struct
 from math import degrees
 
 import numpy as np
 
-from services.sim.hardware.seen import first_angle, left, millimetres, moments
+from services.sim.hardware.beam_lookup import first_angle, ranges_mm, timed_chunk, turn_times
 from shared.config import Laser
 from shared.messages import LaserScan
 
@@ -37,12 +37,12 @@ def packet(speed: float, first: float, last: float, mm: list[int], ms: int) -> b
 
 
 def strength(mm: int) -> int:
-    """What comes back, falling with the distance; nothing from nowhere."""
+    """Intensity, decreasing with the distance; 0 without an echo."""
     return max(20, 230 - mm // 60) if mm else 0
 
 
-class Ld06:
-    """Streams one turn a sweep. Its clock counts from an instant that nobody knows.
+class Ld06Emulator:
+    """Streams one turn a sweep. The origin of its clock is arbitrary.
 
     A packet is full: the turn's last one, with beams left over, has them finer apart, every other one empty.
     """
@@ -52,15 +52,15 @@ class Ld06:
         self.turning = True
         self.n = round(SAMPLES / laser.rate)
 
-    def received(self, data: bytes, now: int) -> bytes:
+    def receive(self, data: bytes, now: int) -> bytes:
         return b""
 
-    def swept(self, scan: LaserScan, now: int) -> list[tuple[int, bytes]]:
+    def sweep_chunks(self, scan: LaserScan, now: int) -> list[tuple[int, bytes]]:
         if not self.turning:
             return [(now, packet(0, 0, 0, [0] * N_BEAMS, now // MS))]
         step = 360 / self.n
         first = -degrees(first_angle(scan, -1))
-        mm = np.rint(millimetres(scan, np.radians(-(first + step * np.arange(self.n))))).astype(int)
+        mm = np.rint(ranges_mm(scan, np.radians(-(first + step * np.arange(self.n))))).astype(int)
         mm[mm > 0xFFFF] = 0
         starts = np.arange(0, self.n, N_BEAMS)
         finer = np.ones(len(starts), int)
@@ -69,11 +69,11 @@ class Ld06:
         speed = 360 * self.laser.rate
         chunks = []
         for at, begin, end, parts in zip(
-            moments(scan, self.laser, ends / self.n), starts.tolist(), ends.tolist(), finer.tolist()
+            turn_times(scan, self.laser, ends / self.n), starts.tolist(), ends.tolist(), finer.tolist()
         ):
             beams = np.zeros(N_BEAMS, int)
             own = mm[begin : begin + N_BEAMS]
             beams[: len(own) * parts : parts] = own
             data = packet(speed, first + step * begin, first + step * end, beams.tolist(), at // MS)
-            chunks.append(left(at, data, BAUD))
+            chunks.append(timed_chunk(at, data, BAUD))
         return chunks

@@ -11,7 +11,7 @@ from operator import xor
 
 import numpy as np
 
-from services.sim.hardware.seen import first_angle, left, millimetres, moments
+from services.sim.hardware.beam_lookup import first_angle, ranges_mm, timed_chunk, turn_times
 from shared.config import Laser
 from shared.messages import LaserScan
 
@@ -34,16 +34,16 @@ def node(first: bool, degrees_: float, mm: float) -> bytes:
     return struct.pack("<BHH", quality << 2 | (1 if first else 2), angle << 1 | 1, min(round(mm * 4), 0xFFFF))
 
 
-def capsule(degrees_: float, mm: list[int], anew: bool) -> bytes:
+def capsule(degrees_: float, mm: list[int], is_first: bool) -> bytes:
     """32 beams from an angle on, evenly up to the next capsule's, in whole mm."""
-    body = struct.pack("<H", round(degrees_ * 64) % (360 * 64) | (0x8000 if anew else 0))
+    body = struct.pack("<H", round(degrees_ * 64) % (360 * 64) | (0x8000 if is_first else 0))
     for a, b in zip(mm[::2], mm[1::2]):
         body += struct.pack("<HHB", a << 2, b << 2, 0)
     total = reduce(xor, body)
     return bytes([0xA0 | total & 0xF, 0x50 | total >> 4]) + body
 
 
-class Rplidar:
+class RplidarEmulator:
     """model: 0x18 an A1, 0x28 an A2."""
 
     def __init__(self, laser: Laser, model: int) -> None:
@@ -51,20 +51,20 @@ class Rplidar:
         self.turning = True
         self.n = round(2 * np.pi / abs(laser.angle_increment))  # samples a turn
         self.mode = 0  # the request of the scan under way; 0: none
-        self.asked = b""
+        self.received_bytes = b""
         self.beams: list[tuple[float, int]] = []  # degrees, mm: what a capsule waits for
-        self.anew = True
+        self.is_first = True
 
-    def received(self, data: bytes, now: int) -> bytes:
-        self.asked = (self.asked + data)[-64:]
+    def receive(self, data: bytes, now: int) -> bytes:
+        self.received_bytes = (self.received_bytes + data)[-64:]
         answer = b""
-        while (at := self.asked.find(0xA5)) >= 0:
-            request = self.asked[at:]
+        while (at := self.received_bytes.find(0xA5)) >= 0:
+            request = self.received_bytes[at:]
             has_payload = len(request) > 1 and request[1] in WITH_PAYLOAD
             length = 2 if not has_payload else 4 + request[2] if len(request) > 2 else 3
             if len(request) < length:
                 break
-            self.asked = request[length:]
+            self.received_bytes = request[length:]
             if not has_payload or reduce(xor, request[:length]) == 0:
                 answer += self._answer(request[1])
         return answer
@@ -83,28 +83,28 @@ class Rplidar:
             self.mode = 0x20
             return descriptor(5 | MODE_STREAM, 0x81)
         elif request == 0x82:
-            self.mode, self.beams, self.anew = 0x82, [], True
+            self.mode, self.beams, self.is_first = 0x82, [], True
             return descriptor(84 | MODE_STREAM, 0x82)
         return b""
 
-    def swept(self, scan: LaserScan, now: int) -> list[tuple[int, bytes]]:
+    def sweep_chunks(self, scan: LaserScan, now: int) -> list[tuple[int, bytes]]:
         if not self.turning or not self.mode:
             return []
         angles = -degrees(first_angle(scan, -1)) + 360 / self.n * np.arange(self.n)
-        mm = millimetres(scan, np.radians(-angles))
-        times = moments(scan, self.laser, np.arange(1, self.n + 1) / self.n)
+        mm = ranges_mm(scan, np.radians(-angles))
+        times = turn_times(scan, self.laser, np.arange(1, self.n + 1) / self.n)
         angles %= 360
         if self.mode == 0x20:
             first = int(np.argmin(angles))
             return [
-                left(at, node(i == first, angle, d), BAUD)
+                timed_chunk(at, node(i == first, angle, d), BAUD)
                 for i, (at, angle, d) in enumerate(zip(times, angles.tolist(), mm.tolist()))
             ]
         chunks = []
         for at, angle, d in zip(times, angles.tolist(), np.rint(mm).astype(int).tolist()):
             self.beams.append((angle, min(d, 0x3FFF)))
             if len(self.beams) == 2 * N_CABINS:
-                data = capsule(self.beams[0][0], [d for _, d in self.beams], self.anew)
-                chunks.append(left(at, data, BAUD))
-                self.beams, self.anew = [], False
+                data = capsule(self.beams[0][0], [d for _, d in self.beams], self.is_first)
+                chunks.append(timed_chunk(at, data, BAUD))
+                self.beams, self.is_first = [], False
         return chunks

@@ -5,7 +5,7 @@ from math import pi
 
 import numpy as np
 
-from services.sim.hardware.seen import first_angle, millimetres
+from services.sim.hardware.beam_lookup import first_angle, ranges_mm
 from shared.config import Laser
 from shared.messages import LaserScan
 
@@ -30,7 +30,7 @@ def answer(echo: bytes, status: bytes, lines: list[bytes]) -> bytes:
     return b"\n".join([echo, *(line + sum_of(line) for line in [status, *lines]), b"", b""])
 
 
-class Scip:
+class ScipEmulator:
     """Steps are the robot's beams, counter-clockwise, the front where the grid's angle is 0."""
 
     def __init__(self, laser: Laser) -> None:
@@ -43,11 +43,11 @@ class Scip:
         self.front = round(-low / self.step)
         self.last = laser.n_beams - 1
         self.scanning = b""
-        self.asked = b""
+        self.received_bytes = b""
 
-    def received(self, data: bytes, now: int) -> bytes:
-        *commands, self.asked = (self.asked + data).replace(b"\r", b"\n").split(b"\n")
-        self.asked = self.asked[-32:]
+    def receive(self, data: bytes, now: int) -> bytes:
+        *commands, self.received_bytes = (self.received_bytes + data).replace(b"\r", b"\n").split(b"\n")
+        self.received_bytes = self.received_bytes[-32:]
         return b"".join(self._answer(command, now) for command in commands if command)
 
     def _answer(self, command: bytes, now: int) -> bytes:
@@ -66,8 +66,10 @@ class Scip:
                 b"AFRT:%d;" % self.front,
                 b"SCAN:%d;" % round(60 * laser.rate),
             )
-            told = b"".join(line + sum_of(line[:-1]) + b"\n" for line in lines)  # the sum leaves the semicolon out
-            return answer(command, b"00", [])[:-1] + told + b"\n"
+            parameters = b"".join(
+                line + sum_of(line[:-1]) + b"\n" for line in lines
+            )  # the sum leaves the semicolon out
+            return answer(command, b"00", [])[:-1] + parameters + b"\n"
         if kind in (b"QT", b"RS"):
             self.scanning = b""
             return answer(command, b"00", [])
@@ -85,12 +87,12 @@ class Scip:
             return answer(command, b"00", [])
         return answer(command, b"0E", [])
 
-    def swept(self, scan: LaserScan, now: int) -> list[tuple[int, bytes]]:
+    def sweep_chunks(self, scan: LaserScan, now: int) -> list[tuple[int, bytes]]:
         if not self.scanning or not self.turning:
             return []
         first, last, cluster = int(self.scanning[2:6]), int(self.scanning[6:10]), max(1, int(self.scanning[10:12]))
         angles = np.arange(first - self.front, last + 1 - self.front, dtype=np.float64) * self.step
-        mm = np.rint(millimetres(scan, angles)).astype(int)
+        mm = np.rint(ranges_mm(scan, angles)).astype(int)
         mm[mm == 0] = 1 << 18
         mm = np.array([mm[i : i + cluster].min() for i in range(0, len(mm), cluster)])  # the nearest of a cluster
         mm[mm >= 1 << 18] = NOTHING

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from services.base_driver.service import BaseDriverConfig, BaseDriverService
+from services.base_driver.config import BaseDriverConfig
+from services.base_driver.service import BaseDriverService
 from services.lidar_driver.service import LidarDriverConfig
 from shared.config import configured
 from zenav.hardware import Hardware, services_for, settings_for

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from services.sim.store import load
 from services.sim.world import World
+from services.sim.world_loader import load_world
 from shared.geometry import Pose2, arc
 from shared.grid import OccupancyGrid
 from shared.messages import Localization, MapUpdate, Odometry, PoseEstimate, Truth
@@ -26,7 +26,7 @@ from zenav.score import (
     visible_surface,
 )
 
-WORLD = load("room")
+WORLD = load_world("room")
 START = WORLD.start
 RADIUS = 0.22
 REACH = 12.0

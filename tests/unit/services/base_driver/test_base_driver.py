@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from services.base_driver.config import BaseDriverConfig
 from services.base_driver.kinematics import board_counts, body_velocity, wheel_angles, wheel_speeds
-from services.base_driver.service import BaseDriverConfig, BaseDriverService
+from services.base_driver.service import BaseDriverService
 from shared import topics
 from shared.config import load_robot
 from shared.messages import BaseStatus, BoardReport, EmergencyStop, Velocity
@@ -125,11 +126,11 @@ def test_a_command_from_the_future_is_refused_and_people_are_told():
     bench.command(0.4, stamp=bench.now + 101 * MS)
     bench.call(bench.service.drive())
     assert bench.motors() == (0, 0)
-    bench.call(bench.service.tell())
+    bench.call(bench.service.publish_status())
     assert "0.1 s ahead of this clock" in bench.last(topics.BASE).detail
     bench.service.now += 1
     bench.command(0.4)
-    bench.call(bench.service.tell())
+    bench.call(bench.service.publish_status())
     assert bench.last(topics.BASE).detail == ""
 
 
@@ -236,7 +237,7 @@ def test_stop_is_told_as_the_fault_and_outlives_this_process_until_a_later_relea
     told = before.last(topics.BASE)
     assert told.fault == "estop"
     bench = Bench()
-    bench.call(bench.service.before_the_restart(replace(told, stamp=bench.now)))
+    bench.call(bench.service.restore_faults(replace(told, stamp=bench.now)))
     bench.stop(False, stamp=bench.now - MS)
     bench.run(0.1, 0.0)
     bench.run(0.5, 0.4)
@@ -249,7 +250,7 @@ def test_a_press_and_a_wheel_s_fault_from_a_clock_that_is_ahead_can_be_released(
     bench.turns["left"] = False
     bench.run(1.2, 0.2)
     bench.stop(True, stamp=bench.now + 10_000 * MS)
-    bench.service.wheel_faults.at += 10_000 * MS
+    bench.service.diagnosis.wheel_faults.at += 10_000 * MS
     bench.stop(False, stamp=bench.now - 1)
     assert bench.service.fault == "estop"
     bench.stop(False)
@@ -324,7 +325,7 @@ def test_a_stuck_wheel_outlives_this_process_until_a_later_release():
     before.run(1.2, 0.2)
     told = replace(before.last(topics.BASE), detail="the left wheel is commanded but does not turn; battery low: 6.0 V")
     bench = Bench()
-    bench.call(bench.service.before_the_restart(replace(told, stamp=bench.now)))
+    bench.call(bench.service.restore_faults(replace(told, stamp=bench.now)))
     bench.stop(False, stamp=bench.now - MS)
     bench.run(1.0, 0.2)
     assert bench.motors() == (0, 0)
@@ -338,7 +339,7 @@ def test_a_stuck_wheel_outlives_this_process_until_a_later_release():
 def test_a_fault_that_clears_by_itself_is_not_kept_over_a_restart():
     bench = Bench()
     silent = BaseStatus(bench.now, 7.4, 0.0, 0.0, False, "board_silent", "")
-    bench.call(bench.service.before_the_restart(silent))
+    bench.call(bench.service.restore_faults(silent))
     bench.run(0.2, 0.4)
     assert bench.body[0] == pytest.approx(0.4)
 
@@ -409,7 +410,7 @@ def test_a_silent_board_is_a_fault_and_its_return_moves_nothing():
 
 def test_without_any_board_the_link_is_missing_from_the_start():
     bench = Bench().run(0.3, 0.4, reports=False)
-    bench.call(bench.service.tell())
+    bench.call(bench.service.publish_status())
     assert (bench.last(topics.BASE).fault, bench.last(topics.BASE).link) == ("", False)
     assert bench.motors() == (0, 0)
     bench.run(0.5, reports=False)
@@ -506,7 +507,7 @@ def test_random_counts_stop_the_wheels_within_four_reports_and_end_a_second_afte
         wild(bench, rng)
         assert bench.motors() == (0, 0)
         assert bench.service.fault == "encoders_jump"
-    bench.call(bench.service.tell())
+    bench.call(bench.service.publish_status())
     status = bench.last(topics.BASE)
     assert status.fault == "encoders_jump"
     assert 480 <= int(status.detail.split()[3]) <= 504  # by chance a few look like motion
@@ -540,10 +541,10 @@ def test_a_board_that_restarts_is_no_fault_and_its_jump_is_forgotten_after_a_min
     bench.run(1.0, 0.4)
     assert bench.service.fault == ""
     assert bench.last(topics.BASE).detail == ""  # told twice a second
-    bench.call(bench.service.tell())
+    bench.call(bench.service.publish_status())
     assert bench.last(topics.BASE).detail == "the encoders jumped 1 time in the last minute"
     bench.run(60.0, 0.4)
-    bench.call(bench.service.tell())
+    bench.call(bench.service.publish_status())
     assert bench.last(topics.BASE).detail == ""
 
 
@@ -575,7 +576,7 @@ def test_a_single_reading_of_0_is_no_dead_sonar():
 def test_a_low_battery_is_told():
     bench = Bench().run(0.1)
     bench.report(battery=6.5, stamp=bench.now + 1)
-    bench.call(bench.service.tell())
+    bench.call(bench.service.publish_status())
     assert bench.last(topics.BASE).detail == "battery low: 6.5 V"
     assert bench.last(topics.BASE).battery == 6.5
     assert (bench.last(topics.BASE).left_current, bench.last(topics.BASE).right_current) == (0.5, 0.25)
@@ -613,7 +614,7 @@ def test_a_restarted_board_turns_no_wheel():
     bench.report()
     after = bench.last(topics.WHEELS)
     assert (after.left, after.right, after.epoch) == (before.left, before.right, before.epoch)
-    bench.call(bench.service.tell())
+    bench.call(bench.service.publish_status())
     assert "the encoders jumped 1 time in the last minute" in bench.last(topics.BASE).detail
     bench.run(0.1, 0.4)
     assert bench.last(topics.WHEELS).left == pytest.approx(before.left + 0.1 * 0.4 / 0.085, abs=0.02)
@@ -660,7 +661,7 @@ def test_ranges_carry_the_sensors_places_and_only_what_they_can_measure():
     ultrasonic = np.array([0.05, 0.81, 0.9], np.float32)
     infrared = np.array([0.1, 0.5, 0.51, 0.09, nan, 0.3, 0.4], np.float32)
     bench.report(ultrasonic=ultrasonic, infrared=infrared)
-    ((key, readings),) = bench.call(bench.service.measure())
+    ((key, readings),) = bench.call(bench.service.publish_ranges())
     assert key == topics.RANGES.key
     expected = np.array([nan, 0.81, nan, 0.1, 0.5, nan, nan, nan, 0.3, 0.4], np.float32)
     np.testing.assert_array_equal(readings.ranges, expected)
@@ -670,7 +671,7 @@ def test_ranges_carry_the_sensors_places_and_only_what_they_can_measure():
     np.testing.assert_allclose(readings.y, [m.y for m in mounts], rtol=1e-6)
     np.testing.assert_allclose(readings.yaw, [m.yaw for m in mounts], rtol=1e-6)
     np.testing.assert_allclose(readings.field_of_view, [s.field_of_view for s in ROBOT.ranges], rtol=1e-6)
-    assert bench.call(bench.service.measure()) == [], "nothing new, nothing told"
+    assert bench.call(bench.service.publish_ranges()) == [], "nothing new, nothing told"
 
 
 @pytest.mark.parametrize(
@@ -689,12 +690,12 @@ def test_ranges_carry_the_sensors_places_and_only_what_they_can_measure():
 )
 def test_another_number_of_ranges_than_robot_ranges_has_is_rejected_with_both_numbers(n_ultrasonic, n_infrared, detail):
     bench = Bench().run(0.5, 0.4)
-    bench.call(bench.service.measure())
+    bench.call(bench.service.publish_ranges())
     bench.service.now += 20 * MS
     bench.report(ultrasonic=np.full(n_ultrasonic, 0.5, np.float32), infrared=np.full(n_infrared, 0.3, np.float32))
     status = bench.last(topics.BASE)
     assert (status.fault, status.detail, bench.motors()) == ("wrong_ranges", detail, (0, 0))
-    assert bench.call(bench.service.measure()) == []
+    assert bench.call(bench.service.publish_ranges()) == []
     assert bench.service.rejections.words == {(topics.BOARD.key, "content"): detail}
     bench.run(0.1, 0.0)
     assert bench.service.fault == ""
@@ -703,5 +704,5 @@ def test_another_number_of_ranges_than_robot_ranges_has_is_rejected_with_both_nu
 def test_a_robot_without_range_sensors_reports_none():
     bench = Bench(JACKAL)
     bench.report()
-    ((_, readings),) = bench.call(bench.service.measure())
+    ((_, readings),) = bench.call(bench.service.publish_ranges())
     assert len(readings.ranges) == len(readings.x) == 0

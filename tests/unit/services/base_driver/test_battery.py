@@ -3,17 +3,17 @@ from math import nan
 
 import pytest
 
-from services.base_driver.battery import BatteryConfig, BatteryWatch
+from services.base_driver.battery import BatteryConfig, BatteryMonitor
 
 CONFIG = BatteryConfig(low=6.6, empty=6.0, sag=0.1, recovered=0.3)
 
 
 def empties(*volts, config=CONFIG):
     """Whether the battery is empty after each of these voltages, 50 ms apart."""
-    watch = BatteryWatch(config)
+    watch = BatteryMonitor(config)
     found = []
     for k, v in enumerate(volts):
-        watch.take(k * 50_000_000, v)
+        watch.update(k * 50_000_000, v)
         found.append(watch.is_empty)
     return found
 
@@ -38,4 +38,4 @@ def test_without_a_measurement_or_a_limit_nothing_is_empty():
 
 @pytest.mark.parametrize(("volts", "low"), [(6.59, True), (6.6, False), (nan, False)])
 def test_people_are_told_before(volts, low):
-    assert BatteryWatch(CONFIG).is_low(volts) is low
+    assert BatteryMonitor(CONFIG).is_low(volts) is low

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.base_driver import drrobot
-from services.base_driver.drrobot import CustomSensor, MotorSensor, StandardSensor, System, said
+from services.base_driver.drrobot import CustomSensor, MotorSensor, StandardSensor, System, decode
 from services.sim.hardware import drrobot as other_end
 from shared.drrobot import BOARD, PC, Deframer, Packet, Type
 from tests.unit.shared.test_drrobot import EXAMPLES
@@ -25,20 +25,20 @@ def test_the_published_commands_to_the_byte():
     assert drrobot.acknowledgement() == bytes_of("acknowledge")
     assert drrobot.command_all(Type.VELOCITY_ALL, -200.0, 200.0) == bytes_of("forward")
     assert drrobot.command_all(Type.VELOCITY_ALL, 0.0, 0.0) == bytes_of("stop")
-    assert drrobot.gains("velocity", 0, kp=15, kd=0, ki=0) == bytes_of("gains")
-    assert drrobot.disabled(1) == bytes_of("disable")
+    assert drrobot.set_gains("velocity", 0, kp=15, kd=0, ki=0) == bytes_of("gains")
+    assert drrobot.disable_motor(1) == bytes_of("disable")
 
 
 def test_the_published_motor_sensor_packet():
     (packet,) = Deframer(PC).packets(bytes_of("motors"))
-    motors = said(packet)
+    motors = decode(packet)
     assert motors == MotorSensor((0,) * 6, (1.0, 0.5, 0, 0, 0, 0), (1000, 32000), (-50, 60))
 
 
 def test_each_gain_has_its_place():
-    data = drrobot.gains("position", 1, kp=500, kd=5, ki=10000)[6:-3]
+    data = drrobot.set_gains("position", 1, kp=500, kd=5, ki=10000)[6:-3]
     assert data == bytes.fromhex("07 01 01 f4 01 02 05 00 03 10 27")
-    assert drrobot.gains("velocity", 1, 1, 2, 3)[6] == 0x08
+    assert drrobot.set_gains("velocity", 1, 1, 2, 3)[6] == 0x08
 
 
 def test_a_time_limit_makes_a_command_to_all_14_bytes_long():
@@ -63,15 +63,15 @@ def test_a_command_is_rounded_bounded_and_never_leave_alone(speed):
 
 def test_every_byte_of_a_motor_sensor_packet_has_its_meaning():
     values = [*range(1, 7), *(728 * k for k in range(1, 7)), 1001, 51, 2002, 62]
-    motors = said(Packet(0x7B, pack("<16HB", *values, 0b01)))
+    motors = decode(Packet(0x7B, pack("<16HB", *values, 0b01)))
     assert motors == MotorSensor((1, 2, 3, 4, 5, 6), (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), (1001, 2002), (51, -62))
-    assert said(Packet(0x7B, pack("<16HB", *values, 0b10))).speeds == (-51, 62)
-    assert said(Packet(0x7B, pack("<16HB", *values, 0b11111100))).speeds == (-51, -62)
+    assert decode(Packet(0x7B, pack("<16HB", *values, 0b10))).speeds == (-51, 62)
+    assert decode(Packet(0x7B, pack("<16HB", *values, 0b11111100))).speeds == (-51, -62)
 
 
 def test_every_byte_of_a_custom_sensor_packet_has_its_meaning():
     channels = (10, 20, 300, 500, 700, 900, 1100, 1300)
-    custom = said(Packet(0x7C, pack("<8HB", *channels, 0xA5)))
+    custom = decode(Packet(0x7C, pack("<8HB", *channels, 0xA5)))
     assert custom.channels == channels
     assert custom.inputs == 0xA5
     assert custom.infrared == tuple(drrobot.infrared_metres(c) for c in channels[2:])
@@ -84,7 +84,7 @@ def test_every_byte_of_a_standard_sensor_packet_has_its_meaning():
         data[6 + 2 * i : 8 + 2 * i] = value.to_bytes(2, "little")
     for i, value in zip((30, 32, 34, 36, 38), (4095, 1365, 2730, 4095, 1365)):
         data[i : i + 2] = value.to_bytes(2, "little")
-    standard = said(Packet(0x7D, bytes(data)))
+    standard = decode(Packet(0x7D, bytes(data)))
     assert standard.ultrasonic == (50, 60, 70, 80, 90, 255)
     assert standard.human == (101, 102, 103, 104)
     assert standard.tilt == (201, 202)
@@ -96,7 +96,7 @@ def test_every_byte_of_a_standard_sensor_packet_has_its_meaning():
 
 
 def test_words_are_unsigned():
-    motors, custom, standard = (said(Packet(kind, b"\xff" * 40)) for kind in (0x7B, 0x7C, 0x7D))
+    motors, custom, standard = (decode(Packet(kind, b"\xff" * 40)) for kind in (0x7B, 0x7C, 0x7D))
     assert motors == MotorSensor((65535,) * 6, (65535 / 728,) * 6, (65535, 65535), (65535, 65535))
     assert (custom.channels, custom.inputs) == ((65535,) * 8, 255)
     assert (standard.ultrasonic, standard.human, standard.tilt) == ((255,) * 6, (65535,) * 4, (65535,) * 2)
@@ -143,9 +143,9 @@ def test_infrared_survives_the_way_through_the_converter(metres):
 @given(st.integers(0, 255), st.binary(max_size=255))
 @settings(max_examples=300)
 def test_any_packet_is_survived_and_more_bytes_than_expected_change_nothing(kind, data):
-    word = said(Packet(kind, data))
+    word = decode(Packet(kind, data))
     if word is not None:
-        assert said(Packet(kind, data + b"\x01")) == word
+        assert decode(Packet(kind, data + b"\x01")) == word
 
 
 @pytest.mark.parametrize(
@@ -153,13 +153,13 @@ def test_any_packet_is_survived_and_more_bytes_than_expected_change_nothing(kind
     [(0x7B, 33, MotorSensor), (0x7C, 17, CustomSensor), (0x7D, 40, StandardSensor), (0xFF, 1, System)],
 )
 def test_a_packet_that_is_too_short_says_nothing(kind, least, what):
-    assert isinstance(said(Packet(kind, bytes(least))), what)
-    assert said(Packet(kind, bytes(least + 1))) == said(Packet(kind, bytes(least)))
-    assert said(Packet(kind, bytes(least - 1))) is None
+    assert isinstance(decode(Packet(kind, bytes(least))), what)
+    assert decode(Packet(kind, bytes(least + 1))) == decode(Packet(kind, bytes(least)))
+    assert decode(Packet(kind, bytes(least - 1))) is None
 
 
 def test_four_types_say_something_however_long_and_no_other():
-    told = {kind: type(word) for kind in range(256) if (word := said(Packet(kind, bytes(200)))) is not None}
+    told = {kind: type(word) for kind in range(256) if (word := decode(Packet(kind, bytes(200)))) is not None}
     assert told == {0x7B: MotorSensor, 0x7C: CustomSensor, 0x7D: StandardSensor, 0xFF: System}
 
 
@@ -167,7 +167,7 @@ def test_four_types_say_something_however_long_and_no_other():
 def test_both_ends_agree_on_the_motors(counts, speeds, currents):
     amperes = currents[0] / 728, currents[1] / 728
     (packet,) = Deframer(PC).packets(other_end.motor_sensor(counts, speeds, amperes))
-    motors = said(packet)
+    motors = decode(packet)
     assert (motors.counts, motors.speeds) == (counts, speeds)
     assert motors.currents[:2] == pytest.approx(amperes)
 
@@ -175,7 +175,7 @@ def test_both_ends_agree_on_the_motors(counts, speeds, currents):
 @given(st.tuples(*[st.integers(0, 255)] * 6), st.floats(0, 24), st.floats(-30, 80))
 def test_both_ends_agree_on_the_standard_sensors(ultrasonic, battery, degrees):
     (packet,) = Deframer(PC).packets(other_end.standard_sensor(ultrasonic, 0.4, battery, degrees))
-    standard = said(packet)
+    standard = decode(packet)
     assert standard.ultrasonic == ultrasonic
     assert standard.motor_supply == pytest.approx(battery, abs=24 / 4095)
     assert standard.motor_temperatures == pytest.approx((degrees, degrees), abs=0.1)
@@ -186,22 +186,22 @@ def test_both_ends_agree_on_the_standard_sensors(ultrasonic, battery, degrees):
 @given(st.integers(-32767, 32767), st.integers(-32767, 32767), st.none() | st.integers(0, 65535))
 def test_both_ends_agree_on_velocities(left, right, milliseconds):
     (packet,) = Deframer(BOARD).packets(drrobot.command_all(Type.VELOCITY_ALL, left, right, milliseconds))
-    order = other_end.meant(packet)
-    assert order.channels == {0: left, 1: right, **dict.fromkeys(range(2, 6), other_end.KEEP)}
+    order = other_end.decode_command(packet)
+    assert order.channels == {0: left, 1: right, **dict.fromkeys(range(2, 6), other_end.NO_CHANGE)}
     assert order.life == (None if milliseconds is None else pytest.approx(milliseconds / 1e3))
     (packet,) = Deframer(BOARD).packets(drrobot.command_one(Type.VELOCITY_ONE, 1, right, milliseconds))
-    assert other_end.meant(packet).channels == {1: right}
+    assert other_end.decode_command(packet).channels == {1: right}
 
 
 def test_both_ends_agree_on_gains_and_on_disabling():
-    (packet,) = Deframer(BOARD).packets(drrobot.gains("velocity", 1, kp=15, kd=2, ki=3))
-    assert other_end.meant(packet) == other_end.Gains(1, kp=15, kd=2, ki=3)
-    (packet,) = Deframer(BOARD).packets(drrobot.disabled(1))
-    assert other_end.meant(packet) == other_end.Disable(1)
+    (packet,) = Deframer(BOARD).packets(drrobot.set_gains("velocity", 1, kp=15, kd=2, ki=3))
+    assert other_end.decode_command(packet) == other_end.GainsCommand(1, kp=15, kd=2, ki=3)
+    (packet,) = Deframer(BOARD).packets(drrobot.disable_motor(1))
+    assert other_end.decode_command(packet) == other_end.DisableCommand(1)
     (packet,) = Deframer(BOARD).packets(drrobot.acknowledgement())
-    assert other_end.meant(packet) is None
+    assert other_end.decode_command(packet) is None
 
 
 @given(st.integers(0, 255), st.binary(max_size=30))
 def test_the_board_survives_any_packet(kind, data):
-    other_end.meant(Packet(kind, data))
+    other_end.decode_command(Packet(kind, data))

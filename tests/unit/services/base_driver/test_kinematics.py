@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from services.base_driver.kinematics import (
     board_counts,
     body_velocity,
-    counted,
-    fastest_wheel,
+    count_difference,
+    max_wheel_speed,
     wheel_angles,
     wheel_speeds,
 )
@@ -84,22 +84,22 @@ def test_the_motor_direction_turns_both_signs(left, right):
 def test_a_step_is_recovered_across_the_wrap(wrap, data):
     before = data.draw(st.integers(0, wrap - 1))
     step = data.draw(st.integers(-((wrap - 1) // 2), wrap // 2))
-    assert counted(before, (before + step) % wrap, wrap) == step
+    assert count_difference(before, (before + step) % wrap, wrap) == step
 
 
 def test_the_wrap_itself():
-    assert counted(32767, 0, 32768) == 1
-    assert counted(0, 32767, 32768) == -1
-    assert counted(0, 16384, 32768) == 16384, "half way round counts up"
-    assert counted(0, 16385, 32768) == -16383
+    assert count_difference(32767, 0, 32768) == 1
+    assert count_difference(0, 32767, 32768) == -1
+    assert count_difference(0, 16384, 32768) == 16384, "half way round counts up"
+    assert count_difference(0, 16385, 32768) == -16383
 
 
 @given(speeds, speeds, drives)
 def test_no_wheel_turns_faster_than_the_fastest_within_the_limits(v, w, drive: Drive):
     left, right = wheel_speeds(*drive.clamped(v, w), drive)
-    assert max(abs(left), abs(right)) <= fastest_wheel(drive) * (1 + 1e-12)
+    assert max(abs(left), abs(right)) <= max_wheel_speed(drive) * (1 + 1e-12)
     either_way = [wheel_speeds(drive.max_speed, w, drive) for w in (drive.max_turn_rate, -drive.max_turn_rate)]
-    assert fastest_wheel(drive) == pytest.approx(max(max(wheels) for wheels in either_way), rel=1e-12)
+    assert max_wheel_speed(drive) == pytest.approx(max(max(wheels) for wheels in either_way), rel=1e-12)
 
 
 @given(speeds, speeds)

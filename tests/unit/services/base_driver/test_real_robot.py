@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from services.base_driver.service import BaseDriverConfig, BaseDriverService
-from services.odometry.dead_reckoning import OdometryConfig
+from services.base_driver.config import BaseDriverConfig
+from services.base_driver.service import BaseDriverService
+from services.odometry.dead_reckoning import DeadReckoningConfig
 from services.odometry.service import OdometryService
 from services.sim.hardware.drrobot import motor_sensor
 from shared import topics
@@ -58,14 +59,14 @@ SLICE = (
 def poses(times, counts):
     """The pose after each reading, as the robot's own driver computes it. Each packet arrives in two pieces."""
     driver = BaseDriverService(BaseDriverConfig.model_validate({"port": {"device": "wired"}}), ROBOT)
-    odometry = OdometryService(OdometryConfig(integration="document"), ROBOT)
+    odometry = OdometryService(DeadReckoningConfig(integration="document"), ROBOT)
     list(driver.port(PortState(0, "board", True, "")))
     found = []
     for t, (left, right) in zip(times, counts):
         driver.now = odometry.now = round(t * 1e9)
         packet = motor_sensor((left, right), (0.0, 0.0), (0.0, 0.0))
         for part in (packet[:17], packet[17:]):
-            for publication in driver.bytes_came(SerialData(driver.now, "board", part)):
+            for publication in driver.receive_bytes(SerialData(driver.now, "board", part)):
                 if publication.topic is topics.WHEELS:
                     found += [out.message.odom_from_base for out in odometry.wheels(publication.message)]
     assert driver.serial.deframer.n_good == len(times)

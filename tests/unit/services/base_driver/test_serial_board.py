@@ -8,7 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.base_driver.service import BaseDriverConfig, BaseDriverService
+from services.base_driver.config import BaseDriverConfig
+from services.base_driver.service import BaseDriverService
 from services.sim.hardware import drrobot as board
 from shared import topics
 from shared.config import load_robot
@@ -41,10 +42,10 @@ class Wired:
                 assert publication.message.port == "board"
                 self.raw += publication.message.data
                 for packet in self.deframer.packets(publication.message.data):
-                    order = board.meant(packet)
+                    order = board.decode_command(packet)
                     self.acknowledged += order is None
                     self.orders.append(order)
-                    if isinstance(order, board.Velocity):
+                    if isinstance(order, board.VelocityCommand):
                         self.speeds = order.channels[0], order.channels[1]
 
     def port(self, open_=True, detail=""):
@@ -55,7 +56,7 @@ class Wired:
         data = b"".join(packets)
         stamp = self.service.now if stamp is None else stamp
         if data:
-            self.take(self.service.bytes_came(SerialData(stamp, "board", data)))
+            self.take(self.service.receive_bytes(SerialData(stamp, "board", data)))
 
     def motors(self):
         left, right = (round(count) % 32768 for count in self.counts)
@@ -78,7 +79,7 @@ class Wired:
         return next(message for key, message in reversed(self.out) if key == topic.key)
 
     def status(self):
-        self.take(self.service.tell())
+        self.take(self.service.publish_status())
         return self.last(topics.BASE)
 
 
@@ -145,13 +146,13 @@ def test_a_command_goes_to_the_board_with_its_time_limit_and_as_a_message():
     message, order = wired.last(topics.MOTORS), wired.orders[-1]
     expected = 0.4 / 0.085 * 756 / (2 * np.pi)
     assert (message.left, message.right) == pytest.approx((-expected, expected))
-    assert order.channels == {0: -round(expected), 1: round(expected), **dict.fromkeys(range(2, 6), board.KEEP)}
+    assert order.channels == {0: -round(expected), 1: round(expected), **dict.fromkeys(range(2, 6), board.NO_CHANGE)}
     assert order.life == 0.2
 
 
 def test_gains_and_zero_are_the_first_words_after_each_connection():
     wired = Wired().port()
-    gains = [board.Gains(channel, kp=15, kd=0, ki=0) for channel in (0, 1)]
+    gains = [board.GainsCommand(channel, kp=15, kd=0, ki=0) for channel in (0, 1)]
     assert wired.orders[:2] == gains
     assert wired.speeds == (0, 0)
     wired.run(0.5, 0.4).port(False, "unplugged")
@@ -180,7 +181,7 @@ def test_a_board_that_comes_back_from_silence_gets_its_gains_again():
     wired.run(0.6, says=lambda wired, k: ())
     wired.orders.clear()
     wired.run(0.1)
-    assert sum(isinstance(order, board.Gains) for order in wired.orders) == 2
+    assert sum(isinstance(order, board.GainsCommand) for order in wired.orders) == 2
 
 
 def test_every_word_of_the_board_is_acknowledged_once_a_read():
@@ -198,7 +199,7 @@ def test_the_last_words_stop_both_wheels_and_take_their_power():
     wired = Wired().port().run(0.1, 0.0).run(0.2, 0.3)
     wired.take(wired.service.farewell())
     assert wired.speeds == (0, 0)
-    assert wired.orders[-2:] == [board.Disable(0), board.Disable(1)]
+    assert wired.orders[-2:] == [board.DisableCommand(0), board.DisableCommand(1)]
     message = wired.last(topics.MOTORS)
     assert (message.left, message.right) == (0, 0)
 
@@ -208,7 +209,7 @@ def test_without_a_port_the_last_words_are_a_message_and_bytes_say_nothing():
     service.now = T0
     assert [p.topic for p in service.farewell()] == [topics.MOTORS]
     motors = board.motor_sensor((1, 1), (0, 0), (0, 0))
-    assert list(service.bytes_came(SerialData(T0, "board", motors))) == []
+    assert list(service.receive_bytes(SerialData(T0, "board", motors))) == []
     assert list(service.port(PortState(T0, "board", True, ""))) == []
 
 
@@ -217,7 +218,7 @@ def test_with_a_port_reports_of_others_and_other_ports_say_nothing():
     nothing = np.empty(0, np.float32)
     report = BoardReport(T0, 1, 2, 0.0, 0.0, nothing, nothing, 7.0, np.zeros(2, np.float32))
     assert list(wired.service.board(report)) == []
-    assert list(wired.service.bytes_came(SerialData(T0, "laser", wired.motors()))) == []
+    assert list(wired.service.receive_bytes(SerialData(T0, "laser", wired.motors()))) == []
     assert list(wired.service.port(PortState(T0, "laser", False, ""))) == []
     assert wired.service.serial.open
 

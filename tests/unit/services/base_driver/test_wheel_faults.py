@@ -2,9 +2,9 @@
 import pytest
 
 from services.base_driver.encoders import EncoderConfig, Encoders
-from services.base_driver.following import FollowingConfig
-from services.base_driver.stuck import StuckConfig
-from services.base_driver.wheel_faults import PARDONED_FOR, PARDONS, PAUSE, WheelFaults
+from services.base_driver.stuck_detection import StuckConfig
+from services.base_driver.wheel_faults import MAX_RETRIES, RETRY_PAUSE_NS, RETRY_WINDOW_NS, WheelFaults
+from services.base_driver.wheel_tracking import WheelTrackingConfig
 from shared import reasons
 from shared.config import load_robot
 
@@ -17,7 +17,7 @@ class Wheels:
     """Two wheels that are told TOLD, turn as they are made to, and are reported at 50 Hz."""
 
     def __init__(self):
-        self.faults = WheelFaults(StuckConfig(), FollowingConfig(), DRIVE)
+        self.faults = WheelFaults(StuckConfig(), WheelTrackingConfig(), DRIVE)
         self.encoders = Encoders(EncoderConfig(), DRIVE)
         self.now = 100 * S
 
@@ -25,11 +25,11 @@ class Wheels:
         """Turns the wheels by these shares of what is told; stands where it is commanded to."""
         for _ in range(round(seconds * 50)):
             self.now += S // 50
-            stands = self.faults.pausing(self.now) or bool(self.faults.code)
+            stands = self.faults.is_pausing(self.now) or bool(self.faults.code)
             told = 0.0 if stands else TOLD
             self.encoders.left += left * told / 50
             self.encoders.right += right * told / 50
-            self.faults.look(self.now, self.encoders, (told, told), self.now)
+            self.faults.update(self.now, self.encoders, (told, told), self.now)
         return self.faults.code
 
 
@@ -37,7 +37,7 @@ def test_one_wheel_that_stands_is_broken_at_once():
     wheels = Wheels()
     assert wheels.run(1.0, 1.0, 1.0) == ""
     assert wheels.run(0.3, 0.0, 1.0) == reasons.WHEEL_STUCK.code
-    assert wheels.faults.words.startswith("the left wheel")
+    assert wheels.faults.detail.startswith("the left wheel")
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3])
@@ -45,14 +45,14 @@ def test_both_wheels_that_fall_behind_once_make_the_robot_stand_and_try_again(sh
     wheels = Wheels()
     wheels.run(1.0, 1.0, 1.0)
     assert wheels.run(0.3, share, share) == ""
-    assert 0 < wheels.faults.stands_until - wheels.now <= PAUSE
+    assert 0 < wheels.faults.pause_until - wheels.now <= RETRY_PAUSE_NS
     assert wheels.run(3.0, 1.0, 1.0) == ""
-    assert wheels.faults.stands_until < wheels.now
+    assert wheels.faults.pause_until < wheels.now
 
 
 def test_both_wheels_that_fall_behind_again_and_again_are_a_fault_that_stays():
     wheels = Wheels()
-    for _ in range(PARDONS + 1):
+    for _ in range(MAX_RETRIES + 1):
         assert wheels.faults.code == ""
         wheels.run(1.5, 1.0, 1.0)
         wheels.run(0.5, 0.0, 0.0)
@@ -63,18 +63,18 @@ def test_both_wheels_that_fall_behind_again_and_again_are_a_fault_that_stays():
 
 def test_what_happened_long_ago_counts_no_more():
     wheels = Wheels()
-    for _ in range(2 * PARDONS):
+    for _ in range(2 * MAX_RETRIES):
         wheels.run(1.5, 1.0, 1.0)
         assert wheels.run(0.5, 0.0, 0.0) == ""
-        wheels.run(PARDONED_FOR / S, 1.0, 1.0)
+        wheels.run(RETRY_WINDOW_NS / S, 1.0, 1.0)
 
 
 def test_a_clock_that_is_set_back_neither_holds_the_robot_nor_blinds_the_watch():
     wheels = Wheels()
     wheels.run(1.0, 1.0, 1.0)
     wheels.run(0.3, 0.0, 0.0)
-    assert wheels.faults.pausing(wheels.now)
-    assert not wheels.faults.pausing(wheels.now - 3600 * S)
+    assert wheels.faults.is_pausing(wheels.now)
+    assert not wheels.faults.is_pausing(wheels.now - 3600 * S)
     wheels = Wheels()
     wheels.run(0.5, 0.0, 0.0)
     wheels.now -= 60 * S

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.lidar_driver.service import LidarDriverConfig, LidarDriverService
-from services.sim.hardware.lasers import Chunks, LaserEmulator, emulator
+from services.sim.hardware.lasers import Chunks, LaserEmulator, make_emulator
 from shared import topics
 from shared.config import Laser, Robot, load_robot
 from shared.messages import LaserScan, PortState, SerialData
@@ -61,11 +61,11 @@ class Faulty:
         self.rng = np.random.default_rng(seed)
         self.turning = True
 
-    def received(self, data: bytes, now: int) -> bytes:
-        return self.laser.received(data, now)
+    def receive(self, data: bytes, now: int) -> bytes:
+        return self.laser.receive(data, now)
 
-    def swept(self, scan: LaserScan, now: int) -> Chunks:
-        return [(at, self._spoiled(data)) for at, data in self.laser.swept(scan, now)]
+    def sweep_chunks(self, scan: LaserScan, now: int) -> Chunks:
+        return [(at, self._spoiled(data)) for at, data in self.laser.sweep_chunks(scan, now)]
 
     def _spoiled(self, data: bytes) -> bytes:
         half, bad_sum, garbage = self.rng.random(3) < (self.half, self.bad_sum, self.garbage)
@@ -108,15 +108,15 @@ class Line:
     def hear(self, data: bytes) -> None:
         data = self.passes(data)
         if data:
-            self.take(self.driver.received(SerialData(self.driver.now, "laser", data)))
+            self.take(self.driver.receive(SerialData(self.driver.now, "laser", data)))
 
     def step(self, sweeps: list[LaserScan]) -> None:
         """20 ms of true time, and the sweeps that ended in it."""
         self.now += TICK
         orders, self.written = self.written, []
-        answer = b"".join(self.laser.received(order, self.now) for order in orders)
+        answer = b"".join(self.laser.receive(order, self.now) for order in orders)
         for sweep in sweeps:
-            self.leaving += self.laser.swept(sweep, self.now)
+            self.leaving += self.laser.sweep_chunks(sweep, self.now)
         due = [(when, data) for when, data in self.leaving if when <= self.now]
         self.leaving = [(when, data) for when, data in self.leaving if when > self.now]
         self.driver.now = self.stack_time(self.now + self.delay())
@@ -131,7 +131,7 @@ class Line:
 
 
 def line_of(model: str, **settings: Any) -> Line:
-    return Line(made_driver(model, **settings), emulator(model, laser_of(model)))
+    return Line(made_driver(model, **settings), make_emulator(model, laser_of(model)))
 
 
 def sweep_of(laser: Laser, stamp: int, ranges: NDArray[Any]) -> LaserScan:

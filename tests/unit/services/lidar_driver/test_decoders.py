@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from services.lidar_driver import ld06, rplidar, rplidar_capsules, scip, xv11
-from services.lidar_driver.device import Counts, Device, Returns
-from services.lidar_driver.framing import Framing
+from services.lidar_driver.device import LaserDevice, PacketCounts, Returns
+from services.lidar_driver.packet_framing import PacketFramer
 from services.sim.hardware import ld06 as said_by_ld06
 from services.sim.hardware import rplidar as said_by_rplidar
 from services.sim.hardware import scip as said_by_scip
@@ -36,7 +36,7 @@ URG_PARAMETERS = (
 """An URG-04LX, from the protocol's specification (its ARES and MODL lines are printed there with other sums)."""
 
 
-def decoder(model: str) -> Device:
+def decoder(model: str) -> LaserDevice:
     return made_driver(model).device
 
 
@@ -50,7 +50,7 @@ def single(returns: list[Returns]) -> Returns:
 
 def test_an_ld19s_documented_packet_reads_as_its_manual_says():
     device = ld06.Ld06(230400)
-    heard = single(device.received(LD19_MANUAL, 0))
+    heard = single(device.receive(LD19_MANUAL, 0))
     assert device.speed == pytest.approx(2152 / 360)
     assert_allclose(heard.ranges[:3], [0.224, 0.220, 0.217], atol=1e-6)
     assert heard.intensities is not None
@@ -61,7 +61,7 @@ def test_an_ld19s_documented_packet_reads_as_its_manual_says():
 
 
 def test_an_ld06s_published_packet_of_empty_beams_is_whole_and_measures_nothing():
-    heard = single(ld06.Ld06(230400).received(LD06_HEARD, 0))
+    heard = single(ld06.Ld06(230400).receive(LD06_HEARD, 0))
     assert np.isnan(heard.ranges).all()
 
 
@@ -72,7 +72,7 @@ def test_an_xv11s_packet_reads_as_its_reference_says():
     total = sum(word << 9 - i for i, word in enumerate(words))
     check = (total % 32768 + total // 32768) % 32768
     device = xv11.Xv11(115200)
-    heard = single(device.received(bytes.fromhex(body) + check.to_bytes(2, "little"), 0))
+    heard = single(device.receive(bytes.fromhex(body) + check.to_bytes(2, "little"), 0))
     assert device.speed == pytest.approx(5.0)
     assert_allclose(np.degrees(heard.angles), [8, 9, 10, 11])
     assert_allclose(heard.ranges, [1.0, np.nan, 2.0, 16.383], rtol=1e-6)
@@ -81,38 +81,38 @@ def test_an_xv11s_packet_reads_as_its_reference_says():
 
 def test_scip_sums_are_those_of_the_specification():
     for line in (b"DMIN:20;4", b"DMAX:5600;_", b"AMIN:44;7", b"SCAN:600;e"):
-        assert scip.sum_of(line[:-2]) == line[-1]
-    assert scip.sum_of(b"00") == ord("P")
-    assert scip.sum_of(b"99") == ord("b")
+        assert scip.checksum(line[:-2]) == line[-1]
+    assert scip.checksum(b"00") == ord("P")
+    assert scip.checksum(b"99") == ord("b")
 
 
 def test_scip_characters_are_the_specifications():
     # section 6: 1234 is `CB`, 5432 is `1Dh`, 16000000 is `m2@0`
     for text, value in ((b"CB", 1234), (b"1Dh", 5432), (b"m2@0", 16_000_000)):
-        assert scip.decoded(np.frombuffer(text, np.uint8), len(text)).tolist() == [value]
+        assert scip.decode_characters(np.frombuffer(text, np.uint8), len(text)).tolist() == [value]
 
 
 def test_a_hokuyo_is_ordered_the_steps_that_the_grid_asks_of_it():
     device = scip.Scip(laser_of("scip"), False, False)
-    said = [device.due(0)]
+    said = [device.next_command(0)]
     for answer in (b"SCIP2.0\n0Ee\n\n", b"QT\n00P\n\n", URG_PARAMETERS, b"TM0\n00P\n\n", b"TM1\n00P\n00003\n\n"):
-        device.received(answer, 0)
-        said.append(device.due(0))
+        device.receive(answer, 0)
+        said.append(device.next_command(0))
     for answer in (b"TM2\n00P\n\n", b"BM\n00P\n\n"):
-        device.received(answer, 0)
-        said.append(device.due(0))
+        device.receive(answer, 0)
+        said.append(device.next_command(0))
     assert said == [b"SCIP2.0\n", b"QT\n", b"PP\n", b"TM0\n", b"TM1\n", b"TM2\n", b"BM\n", b"MD0044072501000\n"]
-    device.received(b"MD0044072501000\n00P\n\n", 0)
+    device.receive(b"MD0044072501000\n00P\n\n", 0)
     assert device.scanning
     assert device.speed == 10
 
 
 def ordered(device: scip.Scip) -> bytes:
     """Through the start sequence, up to the order to scan."""
-    said = device.due(0)
+    said = device.next_command(0)
     while said[:2] not in (b"ME", b"MD"):
-        device.received(URG_PARAMETERS if said == b"PP\n" else said + b"00P\n\n", 0)
-        said = device.due(0)
+        device.receive(URG_PARAMETERS if said == b"PP\n" else said + b"00P\n\n", 0)
+        said = device.next_command(0)
     return said
 
 
@@ -120,18 +120,18 @@ def test_a_hokuyo_that_knows_no_intensities_is_asked_for_distances():
     device = scip.Scip(laser_of("scip"), False, True)
     order = ordered(device)
     assert order == b"ME0044072501000\n"
-    device.received(order + b"0Ee\n\n", 0)
-    assert device.due(0) == b"MD0044072501000\n"
-    assert device.trouble == ""
+    device.receive(order + b"0Ee\n\n", 0)
+    assert device.next_command(0) == b"MD0044072501000\n"
+    assert device.fault == ""
 
 
 def test_a_hokuyos_intensities_follow_each_distance():
     device = scip.Scip(laser_of("scip"), False, True)
     order = ordered(device)
-    device.received(order + b"00P\n\n", 0)
+    device.receive(order + b"00P\n\n", 0)
     text = b"".join(said_by_scip.encoded(1000 + i, 3) + said_by_scip.encoded(2000 + i, 3) for i in range(682))
     blocks = [said_by_scip.encoded(5, 4), *(text[i : i + 64] for i in range(0, len(text), 64))]
-    heard = single(device.received(said_by_scip.answer(order[:-1], b"99", blocks), 0))
+    heard = single(device.receive(said_by_scip.answer(order[:-1], b"99", blocks), 0))
     assert_allclose(heard.ranges, 1 + 1e-3 * np.arange(682), atol=1e-6)
     assert heard.intensities is not None
     assert_allclose(heard.intensities, 2000 + np.arange(682))
@@ -139,15 +139,15 @@ def test_a_hokuyos_intensities_follow_each_distance():
 
 
 def test_rplidar_requests_with_a_payload_are_slamtecs():
-    assert rplidar.with_payload(0x82, bytes(5)).hex(" ") == "a5 82 05 00 00 00 00 00 22"
-    assert rplidar.with_payload(0xF0, b"\x94\x02").hex(" ") == "a5 f0 02 94 02 c1"
+    assert rplidar.request_with_payload(0x82, bytes(5)).hex(" ") == "a5 82 05 00 00 00 00 00 22"
+    assert rplidar.request_with_payload(0xF0, b"\x94\x02").hex(" ") == "a5 f0 02 94 02 c1"
 
 
 def test_an_rplidar_is_asked_in_order_and_its_answers_are_taken_in_any_pieces():
     device = rplidar.Rplidar(115200, None)
     now = 1_000_000_000
-    assert device.opened(now) == b"\xa5\x25"
-    assert device.due(now) == b""
+    assert device.start(now) == b"\xa5\x25"
+    assert device.next_command(now) == b""
     now += 200_000_000
     dialogue = [
         (b"\xa5\x50", "a5 5a 14 00 00 00 04 18 18 01 00" + "00" * 16),
@@ -156,31 +156,31 @@ def test_an_rplidar_is_asked_in_order_and_its_answers_are_taken_in_any_pieces():
         (b"\xa5\x20", "a5 5a 05 00 00 40 81"),
     ]
     for request, answer in dialogue:
-        assert device.due(now) == request
+        assert device.next_command(now) == request
         for byte in bytes.fromhex("00 ff" + answer):
-            assert device.due(now) == b""
-            device.received(bytes([byte]), now)
+            assert device.next_command(now) == b""
+            device.receive(bytes([byte]), now)
     assert device.scanning
     assert device.sample_times == pytest.approx((504e-6, 252e-6))
 
 
 def test_an_rplidar_that_reports_ill_health_is_reset_and_its_code_told():
     device = rplidar.Rplidar(115200, None)
-    device.opened(0)
+    device.start(0)
     now = 200_000_000
-    device.due(now)
-    device.received(bytes.fromhex("a5 5a 14 00 00 00 04 18") + bytes(19), now)
-    assert device.due(now) == b"\xa5\x52"
-    device.received(bytes.fromhex("a5 5a 03 00 00 00 06 02 2a 01"), now)
-    assert device.due(now) == b"\xa5\x40"
-    assert "298" in device.trouble
+    device.next_command(now)
+    device.receive(bytes.fromhex("a5 5a 14 00 00 00 04 18") + bytes(19), now)
+    assert device.next_command(now) == b"\xa5\x52"
+    device.receive(bytes.fromhex("a5 5a 03 00 00 00 06 02 2a 01"), now)
+    assert device.next_command(now) == b"\xa5\x40"
+    assert "298" in device.fault
 
 
 def test_a_standard_node_reads_as_the_protocol_says():
     # quality 15, not first; 90 degrees; 1 m, in quarters of a mm
     node = bytes([15 << 2 | 2]) + (90 * 64 << 1 | 1).to_bytes(2, "little") + (4000).to_bytes(2, "little")
     device = scanning_rplidar(0x81)
-    heard = single(device.received(node * 8, 0))
+    heard = single(device.receive(node * 8, 0))
     assert_allclose(np.degrees(heard.angles), -90)
     assert_allclose(heard.ranges, 1.0)
     assert heard.intensities is not None
@@ -194,7 +194,7 @@ def test_a_capsule_is_read_between_its_angle_and_the_next_ones():
         for i in range(16)
     )
     capsules = capsule_of(350, cabins) + capsule_of(350 + 32, cabins)
-    heard = single(scanning_rplidar(0x82).received(capsules, 0))
+    heard = single(scanning_rplidar(0x82).receive(capsules, 0))
     assert len(heard.ranges) == 32
     assert_allclose(heard.ranges[:4], [0.5, 0.7, 0.501, 0.701], atol=1e-6)
     offsets = np.tile([(0x1 | 1 << 4) / 8, 0x2 / 8], 16)
@@ -205,7 +205,7 @@ def test_a_dense_capsule_is_read_evenly():
     capsules = b"".join(
         capsule_of(start, b"".join((1000 + i).to_bytes(2, "little") for i in range(40))) for start in (0, 36)
     )
-    heard = single(scanning_rplidar(0x85).received(capsules, 0))
+    heard = single(scanning_rplidar(0x85).receive(capsules, 0))
     assert_allclose(heard.ranges, 1 + 1e-3 * np.arange(40), atol=1e-6)
     assert_allclose(-np.degrees(heard.angles), 0.9 * np.arange(40), atol=1e-9)
 
@@ -217,7 +217,7 @@ def test_an_extended_capsules_distances_are_predicted_from_both_sides():
     words[2] = majors[2] | 0x1FF << 12 | 0x200 << 22  # no prediction, either way
     words[4] = 0 | 3 << 12 | 4 << 22  # nothing seen first: both from the next
     body = b"".join(word.to_bytes(4, "little") for word in words)
-    heard = single(scanning_rplidar(0x84).received(capsule_of(10, body) + capsule_of(82, body), 0))
+    heard = single(scanning_rplidar(0x84).receive(capsule_of(10, body) + capsule_of(82, body), 0))
     mm = heard.ranges.reshape(32, 3) * 1000
     assert_allclose(mm[0], [1000, 1000 + 5 * 2, 3000 - 7 * 4], atol=1e-3)
     assert_allclose(mm[1], [3000, 3000 + 5 * 4, 1000 - 7 * 2], atol=1e-3)
@@ -232,7 +232,7 @@ def test_an_extended_capsules_distances_are_predicted_from_both_sides():
 
 
 def test_scaled_distances_rise_without_a_gap():
-    mm, levels = rplidar_capsules.scaled(np.arange(4096))
+    mm, levels = rplidar_capsules.decode_scaled(np.arange(4096))
     steps = np.diff(mm)
     assert (steps == 2 ** levels[:-1]).all()
     assert mm[0] == 0
@@ -241,7 +241,7 @@ def test_scaled_distances_rise_without_a_gap():
 
 def test_an_a3_is_asked_for_the_mode_that_it_is_made_for():
     device = rplidar.Rplidar(256000, None)
-    device.opened(0)
+    device.start(0)
     now = 200_000_000
     dialogue = [
         ("a5 50", "a5 5a 14 00 00 00 04 31" + "00" * 19),
@@ -252,8 +252,8 @@ def test_an_a3_is_asked_for_the_mode_that_it_is_made_for():
         ("a5 f0 02 94 02 c1 a5 82 05 03 00 00 00 00", "a5 5a 84 00 00 40 84"),
     ]
     for request, answer in dialogue:
-        assert device.due(now).startswith(bytes.fromhex(request))
-        device.received(bytes.fromhex(answer), now)
+        assert device.next_command(now).startswith(bytes.fromhex(request))
+        device.receive(bytes.fromhex(answer), now)
     assert device.scanning
     assert device.sample_times[1] == pytest.approx(62.5e-6)
 
@@ -267,10 +267,10 @@ def capsule_of(degrees: float, cabins: bytes) -> bytes:
 def scanning_rplidar(kind: int) -> rplidar.Rplidar:
     """One whose scan of a type of answers has begun."""
     device = rplidar.Rplidar(115200, kind != 0x81)
-    device.opened(0)
-    device.asked = rplidar.SCAN if kind == 0x81 else rplidar.with_payload(rplidar.EXPRESS, bytes(5))
+    device.start(0)
+    device.last_request = rplidar.SCAN if kind == 0x81 else rplidar.request_with_payload(rplidar.EXPRESS, bytes(5))
     length = 5 if kind == 0x81 else rplidar_capsules.FORMATS[kind].length
-    device.received(said_by_rplidar.descriptor(length | 1 << 30, kind), 0)
+    device.receive(said_by_rplidar.descriptor(length | 1 << 30, kind), 0)
     assert device.scanning
     return device
 
@@ -284,7 +284,7 @@ NOISE = st.lists(st.binary(max_size=90) | LEADS, max_size=12)
 MOST_KEPT = 1 << 17
 
 
-def kept(device: Device) -> int:
+def kept(device: LaserDevice) -> int:
     """Bytes that a decoder holds back."""
     scan = getattr(device, "scan", None)
     parts = [device, *(getattr(owner, name, None) for owner in (device, scan) for name in ("framing", "nodes"))]
@@ -312,9 +312,9 @@ def test_any_bytes_are_survived_and_none_are_hoarded(model, noise, scans):
 def test_a_megabyte_of_noise_leaves_no_megabyte_behind(model):
     device = decoder(model)
     rng = np.random.default_rng(0)
-    device.due(10**9)
+    device.next_command(10**9)
     for _ in range(250):
-        device.received(rng.bytes(4096), 10**9)
+        device.receive(rng.bytes(4096), 10**9)
         assert kept(device) < MOST_KEPT
 
 
@@ -336,10 +336,13 @@ def capsules(n: int, rng: np.random.Generator) -> list[bytes]:
     return [said_by_rplidar.capsule(i * 20 % 360, rng.integers(0, 16384, 32).tolist(), False) for i in range(n)]
 
 
-PACKETS: dict[str, tuple[Callable[[int, np.random.Generator], list[bytes]], Callable[[], Framing]]] = {
-    "ld06": (ld06_packets, lambda: Framing(47, ld06.begins, ld06.sums, Counts())),
-    "xv11": (xv11_packets, lambda: Framing(22, xv11.begins, xv11.sums, Counts())),
-    "rplidar_a2": (capsules, lambda: Framing(84, rplidar_capsules.begins, rplidar_capsules.sums, Counts())),
+PACKETS: dict[str, tuple[Callable[[int, np.random.Generator], list[bytes]], Callable[[], PacketFramer]]] = {
+    "ld06": (ld06_packets, lambda: PacketFramer(47, ld06.is_header, ld06.is_checksum_valid, PacketCounts())),
+    "xv11": (xv11_packets, lambda: PacketFramer(22, xv11.is_header, xv11.is_checksum_valid, PacketCounts())),
+    "rplidar_a2": (
+        capsules,
+        lambda: PacketFramer(84, rplidar_capsules.is_header, rplidar_capsules.is_checksum_valid, PacketCounts()),
+    ),
 }
 
 
@@ -354,16 +357,16 @@ def test_every_good_packet_is_found_whatever_lies_between_and_however_it_is_cut(
     packets = make(6, np.random.default_rng(seed))
     stream = b"".join(noise + packet for noise, packet in zip(between, packets))
     whole = made()
-    alone, _ = whole.cut(stream)
+    alone, _ = whole.extract(stream)
     found = [row.tobytes() for row in alone]
     # noise may hold a packet of its own by accident, and swallow one: then the sum must be right there
     assert all(packet in found for packet in packets) or len(found) >= len(packets)
     pieces = made()
     edges = [0, *sorted(cut % (len(stream) + 1) for cut in cuts), len(stream)]
-    in_pieces = [row.tobytes() for a, b in pairwise(edges) for row in pieces.cut(stream[a:b])[0]]
+    in_pieces = [row.tobytes() for a, b in pairwise(edges) for row in pieces.extract(stream[a:b])[0]]
     assert in_pieces == found
     assert pieces.counts.n_good == whole.counts.n_good == len(found)
-    assert len(pieces.rest) < pieces.length
+    assert len(pieces.buffer) < pieces.length
 
 
 @pytest.mark.parametrize("model", PACKETS)
@@ -373,7 +376,7 @@ def test_resyncs_and_bad_sums_are_counted_once_each(model):
     spoiled = third[:-1] + bytes([third[-1] ^ 4])
     framing = made()
     for piece in (first, b"\x00\x01", second, spoiled[:10], spoiled[10:], fourth):
-        framing.cut(piece)
+        framing.extract(piece)
     assert (framing.counts.n_good, framing.counts.n_bad, framing.counts.n_resyncs) == (3, 1, 2)
 
 
@@ -383,7 +386,7 @@ def test_bytes_after_a_packet_are_counted_to_the_newest_byte(model, n):
     make, made = PACKETS[model]
     packets = make(n, np.random.default_rng(n))
     framing = made()
-    _, after = framing.cut(b"".join(packets) + b"\x01\x02")
+    _, after = framing.extract(b"".join(packets) + b"\x01\x02")
     assert_allclose(after, (n - 1 - np.arange(n)) * len(packets[0]) + 2)
 
 
@@ -395,7 +398,7 @@ def test_nodes_are_found_again_after_noise_and_never_invented_from_it(noise, see
     stream = b"".join(nodes[:60]) + noise + b"".join(nodes[60:])
     device = scanning_rplidar(0x81)
     edges = [0, *sorted(cut % (len(stream) + 1) for cut in cuts), len(stream)]
-    found = [r for a, b in pairwise(edges) for r in device.received(stream[a:b], 0)]
+    found = [r for a, b in pairwise(edges) for r in device.receive(stream[a:b], 0)]
     degrees = -np.degrees(np.concatenate([r.angles for r in found]))
     quantised = np.round(angles * 64) / 64
     hits = np.isclose(degrees[:, None], quantised[None, :], atol=1e-6).any(axis=0)
@@ -412,7 +415,7 @@ def test_a_hokuyos_next_sweep_is_found_after_half_a_one_and_noise(noise, seed, c
     line.run(random_sweeps(laser, 0.6), 0.6)
     before = len(line.scans)
     sweeps = random_sweeps(laser, 0.2, seed, line.now)
-    (_, first), (_, second) = (line.laser.swept(sweep, line.now)[0] for sweep in sweeps)
+    (_, first), (_, second) = (line.laser.sweep_chunks(sweep, line.now)[0] for sweep in sweeps)
     line.driver.now = line.now + 200_000_000
     for piece in (first[: cut % len(first)], noise, second[:1000], second[1000:]):
         line.hear(piece)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.lidar_driver.device import since
-from services.lidar_driver.device_clock import DeviceClock, DeviceClockConfig, middle_slope
+from services.lidar_driver.device import unwrapped_ticks
+from services.lidar_driver.device_clock import DeviceClock, DeviceClockConfig, slope_below_middle
 
 START = 1_700_000_000_000_000_000
 NONE = np.zeros(1)
@@ -76,7 +76,7 @@ def test_a_jump_of_either_clock_is_followed_within_the_patience(jump):
 
 def test_a_meeting_of_the_clocks_takes_the_bytes_delay_out():
     clock = DeviceClock(DeviceClockConfig())
-    clock.meet(0.5, START + 500_000_000 - 300_000, START + 500_000_000 + 300_000)
+    clock.add_clock_reading(0.5, START + 500_000_000 - 300_000, START + 500_000_000 + 300_000)
     for k in range(200):
         clock.observe(START + round((0.6 + k * 0.025 + 0.013) * 1e9), np.array([0.6 + k * 0.025]), NONE)
     assert abs(clock.stack_time(5.0) - START - 5_000_000_000) < 1e6
@@ -89,7 +89,7 @@ def test_a_meeting_of_the_clocks_takes_the_bytes_delay_out():
 )
 def test_the_middle_slope_is_that_of_the_only_edge_under_the_middle(points):
     points = sorted((float(x), float(y)) for x, y in points)
-    slope = middle_slope(points)
+    slope = slope_below_middle(points)
     middle = (points[0][0] + points[-1][0]) / 2
     # brute force: of all lines through two points with no point under them, one that spans the middle
     edges = [
@@ -105,14 +105,16 @@ def test_the_middle_slope_is_that_of_the_only_edge_under_the_middle(points):
 @given(steps=st.lists(st.integers(0, 14_999), min_size=1, max_size=50), first=st.integers(0, 29_999))
 def test_a_wrapping_counter_is_unwrapped(steps, first):
     true = first + np.cumsum([0, *steps])
-    after, back = since(true % 30_000, None, 30_000, 0)
+    after, back = unwrapped_ticks(true % 30_000, None, 30_000, 0)
     assert not back
     assert (after == true - first).all()
-    pieces = [since(true[i + 1 : i + 2] % 30_000, int(true[i] % 30_000), 30_000, 0)[0][0] for i in range(len(steps))]
+    pieces = [
+        unwrapped_ticks(true[i + 1 : i + 2] % 30_000, int(true[i] % 30_000), 30_000, 0)[0][0] for i in range(len(steps))
+    ]
     assert pieces == [b - a for a, b in pairwise(true.tolist())]
 
 
 def test_a_counter_that_goes_back_is_told():
-    assert since(np.array([5]), 400, 30_000, 0)[1]
-    assert not since(np.array([5]), 29_990, 30_000, 0)[1]
-    assert not since(np.array([300]), 400, 1 << 24, 500)[1]
+    assert unwrapped_ticks(np.array([5]), 400, 30_000, 0)[1]
+    assert not unwrapped_ticks(np.array([5]), 29_990, 30_000, 0)[1]
+    assert not unwrapped_ticks(np.array([300]), 400, 1 << 24, 500)[1]

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from services.lidar_driver.service import NO_BYTES, NO_SENSE, STOPPED
-from services.sim.hardware.lasers import emulator
+from services.sim.hardware.lasers import make_emulator
 from services.sim.hardware.xv11 import packet
 from shared import topics
 from shared.config import UserError
@@ -59,7 +59,9 @@ def test_stamps_are_the_first_beams_while_clocks_drift_and_the_port_dawdles(mode
     line, sweeps = line_of(model), random_sweeps(laser_of(model), 14)
     rng = np.random.default_rng(3)
     line.run(sweeps[:0], 1.0)  # the start sequence
-    chunks = sorted((chunk for sweep in sweeps for chunk in line.laser.swept(sweep, line.now)), key=lambda c: c[0])
+    chunks = sorted(
+        (chunk for sweep in sweeps for chunk in line.laser.sweep_chunks(sweep, line.now)), key=lambda c: c[0]
+    )
 
     def clock(true: int) -> int:
         return START + round((true - START) * (1 + drift))
@@ -83,7 +85,7 @@ def test_a_clock_that_wraps_is_not_noticed(model):
     wrap = {"ld06": 30_000, "scip": 1 << 24}[model] * MS
     start = START // wrap * wrap + wrap - 1500 * MS
     laser = laser_of(model)
-    line = Line(made_driver(model), emulator(model, laser))
+    line = Line(made_driver(model), make_emulator(model, laser))
     line.now = start
     line.driver.now = start
     line.take(line.driver.plugged(PortState(start, "laser", True, "")))
@@ -114,7 +116,7 @@ def test_a_bad_line_costs_beams_and_invents_none(model, faults):
     laser = laser_of(model)
     if model == "rplidar":  # a chunk is a node there
         faults = {name: share / 5 for name, share in faults.items()}
-    line = Line(made_driver(model), Faulty(emulator(model, laser), seed=1, **faults))
+    line = Line(made_driver(model), Faulty(make_emulator(model, laser), seed=1, **faults))
     sweeps = random_sweeps(laser, 6)
     line.run(sweeps, 6)
     wrong = heard = 0
@@ -274,7 +276,7 @@ def test_the_laser_is_stopped_at_the_end():
 
 def test_a_port_of_another_name_is_not_the_lasers():
     driver = made_driver("ld06")
-    assert list(driver.received(SerialData(START, "other", b"\x54\x2c"))) == []
+    assert list(driver.receive(SerialData(START, "other", b"\x54\x2c"))) == []
     assert list(driver.plugged(PortState(START, "other", True, ""))) == []
     assert not driver.open
     assert driver.ports["laser"].baud == BAUD["ld06"]
@@ -313,5 +315,5 @@ def test_the_latency_sets_the_stamps_back():
 
 def test_an_unknown_model_is_refused_with_the_nearest_name():
     with pytest.raises(UserError) as refused:
-        emulator("ld66", laser_of("ld06"))
+        make_emulator("ld66", laser_of("ld06"))
     assert "ld06" in refused.value.mend

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.base_driver.service import BaseDriverConfig, BaseDriverService
-from services.odometry.dead_reckoning import OdometryConfig
+from services.base_driver.config import BaseDriverConfig
+from services.base_driver.service import BaseDriverService
+from services.odometry.dead_reckoning import DeadReckoningConfig
 from services.odometry.service import OdometryService
 from shared import topics
 from shared.config import load_robot
@@ -24,7 +25,7 @@ needs_data = pytest.mark.skipif(DATA is None, reason="ZENAV_DATA is not set")
 
 
 def service(**settings):
-    return OdometryService(OdometryConfig(**settings), ROBOT)
+    return OdometryService(DeadReckoningConfig(**settings), ROBOT)
 
 
 def wheels(ms, left, right, epoch=1, left_speed=0.0, right_speed=0.0):
@@ -54,7 +55,7 @@ def test_straight_on():
 
 def test_unequal_wheels_roll_as_far_as_their_radii_say():
     drive = ROBOT.drive.model_copy(update={"wheel_radius_ratio": 1.05})
-    odometry = OdometryService(OdometryConfig(), ROBOT.model_copy(update={"drive": drive}))
+    odometry = OdometryService(DeadReckoningConfig(), ROBOT.model_copy(update={"drive": drive}))
     straight = (1 / drive.left_radius, 1 / drive.right_radius)  # rad for a metre on each rim
     moved = fed(odometry, wheels(0, 0.0, 0.0), wheels(1000, *straight, 1, *straight))
     same(moved.odom_from_base, 1.0, 0.0, 0.0)

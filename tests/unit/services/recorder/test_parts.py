@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from services.recorder.recording_store import RecorderConfig, RecordingStore
 from services.recorder.service import RecorderService
-from services.recorder.store import RecorderConfig, RecordingStore
 from shared import topics
 from shared.codec import decode
 from shared.messages import MapUpdate, Message

@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from services.recorder.losses import OVERLOAD, Losses
-from services.recorder.retention import Kept, to_remove
+from services.recorder.message_losses import OVERLOAD, MessageLosses
+from services.recorder.recording_store import RecorderConfig, RecordingStore
+from services.recorder.retention import StoredRecording, recordings_to_remove
 from services.recorder.service import RecorderService
-from services.recorder.store import RecorderConfig, RecordingStore
 from shared import topics
 from shared.codec import Envelope, decode, encode
 from shared.config import UserError, load_robot
@@ -293,19 +293,19 @@ def test_messages_that_never_came_are_counted_and_written_down(recorder, tmp_pat
 
 @given(st.lists(st.integers(0, 60), unique=True, max_size=60))
 def test_what_is_missed_is_what_lies_between_the_first_and_the_last(came):
-    losses = Losses()
+    losses = MessageLosses()
     for sequence in sorted(came):
-        losses.came(("scan", "s"), sequence)
+        losses.record_received(("scan", "s"), sequence)
     expected = max(came) - min(came) + 1 - len(came) if came else 0
     assert losses.n_missed == expected
-    assert sum(drop.n for drop in losses.taken(0)) == expected
-    assert losses.taken(0) == []
+    assert sum(drop.n for drop in losses.take_drops(0)) == expected
+    assert losses.take_drops(0) == []
 
 
 def test_messages_out_of_their_order_are_not_missed_twice():
-    losses = Losses()
+    losses = MessageLosses()
     for sequence in (0, 3, 1, 2, 4, 4):
-        losses.came(("scan", "s"), sequence)
+        losses.record_received(("scan", "s"), sequence)
     assert losses.n_missed == 2
 
 
@@ -332,14 +332,20 @@ def test_the_oldest_parts_go_first_and_marked_ones_never(recorder, tmp_path):
 
 
 recordings = st.lists(
-    st.builds(Kept, st.integers().map(lambda i: Path(str(i))), st.integers(0, 100), st.integers(0, 9), st.booleans()),
+    st.builds(
+        StoredRecording,
+        st.integers().map(lambda i: Path(str(i))),
+        st.integers(0, 100),
+        st.integers(0, 9),
+        st.booleans(),
+    ),
     unique_by=lambda kept: kept.path,
 )
 
 
 @given(recordings, st.integers(0, 500))
 def test_what_is_left_fits_the_budget_and_nothing_goes_needlessly(found, budget):
-    gone = to_remove(found, budget)
+    gone = recordings_to_remove(found, budget)
     own = {kept.path: kept for kept in found if not kept.marked}
     assert set(gone) <= own.keys()
     left = sum(kept.size for kept in own.values() if kept.path not in gone)

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from services.base_driver.kinematics import board_counts, wheel_speeds
-from services.sim.service import SimConfig, SimService
+from services.sim.config import SimConfig
+from services.sim.service import SimService
 from shared.config import Robot, load_robot
 from shared.messages import MotorCommand
 from shared.topics import Publication

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from services.sim.building import HEIGHT, WIDTH, building
-from services.sim.store import load
+from services.sim.world_loader import load_world
 from shared.config import UserError
 from tests.unit.services.sim.scenes import X80SV, simulator
 
@@ -15,7 +15,7 @@ NUMBERS = range(12)
 @pytest.mark.parametrize("number", NUMBERS)
 def test_the_robot_can_drive_to_every_room_however_the_loose_things_stand(number):
     for seed in (0, number + 1):
-        world = load(f"building:{number}", seed, 0.1)
+        world = load_world(f"building:{number}", seed, 0.1)
         reached, x0, y0 = world.reachable(0.05, X80SV.circumscribed_radius + 0.05)
         for name, goal in world.goals.items():
             assert reached[int((goal.y - y0) / 0.05), int((goal.x - x0) / 0.05)], name
@@ -23,7 +23,7 @@ def test_the_robot_can_drive_to_every_room_however_the_loose_things_stand(number
 
 @pytest.mark.parametrize("number", NUMBERS)
 def test_its_size_is_a_building_s_and_its_floor_is_furnished_but_not_blocked(number):
-    world = load(f"building:{number}")
+    world = load_world(f"building:{number}")
     low_x, low_y, high_x, high_y = world.bounds
     width, height = high_x - low_x - 0.6, high_y - low_y - 0.6
     assert WIDTH[0] - 0.1 <= width <= WIDTH[1] + 0.1
@@ -36,15 +36,15 @@ def test_its_size_is_a_building_s_and_its_floor_is_furnished_but_not_blocked(num
 
 def test_the_same_number_is_the_same_building_and_another_one_another():
     assert building(3) == building(3)
-    assert len({load(f"building:{n}").outline().tobytes() for n in NUMBERS}) == len(NUMBERS)
+    assert len({load_world(f"building:{n}").outline().tobytes() for n in NUMBERS}) == len(NUMBERS)
 
 
 def test_another_seed_moves_what_is_loose_and_nothing_else():
-    here, there = load("building:3", 1, 0.1), load("building:3", 2, 0.1)
+    here, there = load_world("building:3", 1, 0.1), load_world("building:3", 2, 0.1)
     assert here.start == there.start
     assert here.goals == there.goals
-    moved = sum(not np.array_equal(a, b) for a, b in zip(here.polygons, there.polygons))
-    assert 0 < moved < len(here.polygons) / 2
+    arc_pose = sum(not np.array_equal(a, b) for a, b in zip(here.polygons, there.polygons))
+    assert 0 < arc_pose < len(here.polygons) / 2
     assert not np.array_equal(here.circles, there.circles)
 
 
@@ -62,4 +62,4 @@ def test_the_simulator_starts_in_it():
 @pytest.mark.parametrize("world", ["building:", "building:x", "building:-1", "building:1.5", "building:99999999999"])
 def test_what_is_no_number_is_a_clear_error(world):
     with pytest.raises(UserError, match="there is no world"):
-        load(world)
+        load_world(world)

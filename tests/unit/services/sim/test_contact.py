@@ -6,9 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from services.sim.contact import disc_touches_world, gap, grown, placed, touches_people, touches_world
-from services.sim.dynamics import pushed
-from services.sim.rays import cast, filled, indexed
+from services.sim.contact import (
+    disc_touches_world,
+    distance_to_polygon,
+    offset_polygon,
+    touches_people,
+    touches_world,
+    transform_polygon,
+)
+from services.sim.dynamics import move_until_contact
+from services.sim.rays import cast_ray, index_grid, index_shapes
 from services.sim.world import World
 from shared.geometry import Pose2, inside
 from tests.unit.services.sim.scenes import JACKAL, X80SV
@@ -31,24 +38,24 @@ def surface(corners, n=400):
 @settings(deadline=None)
 @given(footprints, poses, spots, spots, spots, spots)
 def test_a_touched_segment_is_one_that_comes_within_the_footprint(corners, pose, ax, ay, bx, by):
-    at = placed(corners, *pose)
-    cells = indexed(np.array([[ax, ay, bx, by]]), np.zeros((0, 3)), 0.1)
+    at = transform_polygon(corners, *pose)
+    cells = index_shapes(np.array([[ax, ay, bx, by]]), np.zeros((0, 3)), 0.1)
     line = np.array([ax, ay]) + np.linspace(0, 1, 200)[:, None] * np.array([bx - ax, by - ay])
-    if min(gap(placed(grown(corners, -1e-6), *pose), *p) for p in line) == 0:
+    if min(distance_to_polygon(transform_polygon(offset_polygon(corners, -1e-6), *pose), *p) for p in line) == 0:
         assert touches_world(at, cells)
-    elif min(gap(at, *p) for p in line) > hypot(bx - ax, by - ay) / 199:
+    elif min(distance_to_polygon(at, *p) for p in line) > hypot(bx - ax, by - ay) / 199:
         assert not touches_world(at, cells)
 
 
 @settings(deadline=None)
 @given(footprints, poses, spots, spots, st.floats(0.01, 0.5))
 def test_a_touched_disc_is_nearer_than_its_radius(corners, pose, x, y, r):
-    at = placed(corners, *pose)
+    at = transform_polygon(corners, *pose)
     points = surface(at)
     nearest = 0.0 if inside(at, np.array([[x, y]]))[0] else np.hypot(*(points - (x, y)).T).min()
-    assert abs(gap(at, x, y) - nearest) < 0.02
+    assert abs(distance_to_polygon(at, x, y) - nearest) < 0.02
     if abs(nearest - r) > 0.02:
-        cells = indexed(np.zeros((0, 4)), np.array([[x, y, r]]), 0.1)
+        cells = index_shapes(np.zeros((0, 4)), np.array([[x, y, r]]), 0.1)
         assert touches_world(at, cells) == touches_people(at, np.array([[x, y, r]])) == (nearest < r)
 
 
@@ -56,17 +63,17 @@ def test_a_touched_disc_is_nearer_than_its_radius(corners, pose, x, y, r):
 @given(footprints, poses, st.integers(0, 2**32))
 def test_a_touched_map_has_a_solid_cell_under_the_footprint(corners, pose, seed):
     solid = np.random.default_rng(seed).random((20, 20)) < 0.05
-    cells = filled(np.zeros((0, 4)), np.zeros((0, 3)), solid, -1.0, -1.0, 0.1)
+    cells = index_grid(np.zeros((0, 4)), np.zeros((0, 3)), solid, -1.0, -1.0, 0.1)
 
     def covers_solid(outline):
-        place = np.floor((surface(placed(outline, *pose), 2500) + 1.0) / 0.1).astype(int)
+        place = np.floor((surface(transform_polygon(outline, *pose), 2500) + 1.0) / 0.1).astype(int)
         place = place[((place >= 0) & (place < 20)).all(axis=1)]
         return solid[place[:, 1], place[:, 0]].any()
 
-    if covers_solid(grown(corners, -1e-6)):
-        assert touches_world(placed(corners, *pose), cells)
-    if not covers_solid(grown(corners, 0.02)):
-        assert not touches_world(placed(corners, *pose), cells)
+    if covers_solid(offset_polygon(corners, -1e-6)):
+        assert touches_world(transform_polygon(corners, *pose), cells)
+    if not covers_solid(offset_polygon(corners, 0.02)):
+        assert not touches_world(transform_polygon(corners, *pose), cells)
 
 
 @settings(deadline=None)
@@ -80,7 +87,7 @@ def test_a_disc_touches_a_square_and_a_disc_where_it_comes_near(x, y, r, cx, cy,
     )
     if abs(edges - r) > 1e-6:
         assert disc_touches_world(x, y, r, cells) == (edges < r)
-    round_ = indexed(np.zeros((0, 4)), np.array([[cx, cy, size]]), 0.1)
+    round_ = index_shapes(np.zeros((0, 4)), np.array([[cx, cy, size]]), 0.1)
     if abs(hypot(x - cx, y - cy) - r - size) > 1e-6:
         assert disc_touches_world(x, y, r, round_) == (hypot(x - cx, y - cy) < r + size)
 
@@ -88,9 +95,9 @@ def test_a_disc_touches_a_square_and_a_disc_where_it_comes_near(x, y, r, cx, cy,
 @settings(deadline=None)
 @given(footprints, st.floats(0.001, 0.05))
 def test_a_grown_footprint_keeps_its_edges_at_the_margin(corners, margin):
-    larger = grown(corners, margin)
+    larger = offset_polygon(corners, margin)
     middles = (larger + np.roll(larger, -1, axis=0)) / 2
-    assert_allclose([gap(corners, *p) for p in middles], margin, atol=1e-9)
+    assert_allclose([distance_to_polygon(corners, *p) for p in middles], margin, atol=1e-9)
 
 
 walls = st.lists(
@@ -105,29 +112,29 @@ motions = st.lists(st.tuples(st.floats(-0.02, 0.02), st.floats(-0.06, 0.06)), mi
 @settings(max_examples=150, deadline=None)
 @given(walls, motions, footprints)
 def test_no_motion_leads_into_what_stands_there(lines, steps, corners):
-    cells = indexed(np.array(lines, float).reshape(-1, 4), np.array([[0.9, 0.9, 0.2]]), 0.1)
+    cells = index_shapes(np.array(lines, float).reshape(-1, 4), np.array([[0.9, 0.9, 0.2]]), 0.1)
     nobody = np.array([[-0.8, 0.8, 0.15]])
     x = y = yaw = 0.0
-    if touches_world(placed(corners, x, y, yaw), cells) or touches_people(corners, nobody):
+    if touches_world(transform_polygon(corners, x, y, yaw), cells) or touches_people(corners, nobody):
         return
     for forward, turn in steps:
-        x, y, yaw, _ = pushed(x, y, yaw, forward, turn, corners, cells, nobody)
-        at = placed(corners, x, y, yaw)
+        x, y, yaw, _ = move_until_contact(x, y, yaw, forward, turn, corners, cells, nobody)
+        at = transform_polygon(corners, x, y, yaw)
         assert not touches_world(at, cells)
         assert not touches_people(at, nobody)
 
 
 def test_a_robot_against_a_wall_stands_0_1_mm_off_and_may_turn_and_leave():
-    cells = indexed(np.array([[1.0, -2.0, 1.0, 2.0]]), np.zeros((0, 3)), 0.1)
+    cells = index_shapes(np.array([[1.0, -2.0, 1.0, 2.0]]), np.zeros((0, 3)), 0.1)
     nobody = np.zeros((0, 3))
     x = y = yaw = 0.0
     for _ in range(200):
-        x, y, yaw, blocked = pushed(x, y, yaw, 0.01, 0.0, X80SV.corners, cells, nobody)
+        x, y, yaw, blocked = move_until_contact(x, y, yaw, 0.01, 0.0, X80SV.corners, cells, nobody)
     assert blocked
     assert 0.7999 < x < 0.8
-    assert cast(cells, x + 0.2, 0.0, 1.0, 0.0, 1.0) < 1e-4
-    _, _, turned, _ = pushed(x, y, yaw, 0.0, -0.02, X80SV.corners, cells, nobody)
+    assert cast_ray(cells, x + 0.2, 0.0, 1.0, 0.0, 1.0) < 1e-4
+    _, _, turned, _ = move_until_contact(x, y, yaw, 0.0, -0.02, X80SV.corners, cells, nobody)
     assert turned != 0.0
-    back, _, _, blocked = pushed(x, y, yaw, -0.01, 0.0, X80SV.corners, cells, nobody)
+    back, _, _, blocked = move_until_contact(x, y, yaw, -0.01, 0.0, X80SV.corners, cells, nobody)
     assert not blocked
     assert_allclose(back, x - 0.01)

@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from services.base_driver.kinematics import board_counts, counted
+from services.base_driver.kinematics import board_counts, count_difference
 from services.sim.drive import (
     Battery,
     DriveTruth,
+    arc_pose,
     battery_voltage,
     encoder_counts,
-    moved,
-    slip_after,
+    next_slip,
     true_wheels,
     wheel_speed,
     wheel_targets,
@@ -52,14 +52,14 @@ def test_no_wheel_accelerates_over_its_limit_or_past_its_target(speed, target, l
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-3, 3), st.floats(-1, 1), st.floats(-3, 3))
 def test_a_step_is_an_exact_arc(x, y, yaw, forward, turn):
     pose = Pose2(x, y, yaw) @ arc(forward, turn)
-    assert_allclose(moved(x, y, yaw, forward, turn)[:2], (pose.x, pose.y), atol=1e-9)
+    assert_allclose(arc_pose(x, y, yaw, forward, turn)[:2], (pose.x, pose.y), atol=1e-9)
 
 
 def test_slip_has_its_standard_deviation_and_stays_alike_for_its_time():
     wheels = true_wheels(X80SV.drive, DriveTruth(slip=0.03, slip_time=0.1), 0.005)
     slips = np.zeros(60_000)
     for k, draw in enumerate(np.random.default_rng(0).standard_normal(len(slips) - 1)):
-        slips[k + 1] = slip_after(slips[k], draw, wheels)
+        slips[k + 1] = next_slip(slips[k], draw, wheels)
     assert_allclose(slips.std(), 0.03, rtol=0.05)
     assert_allclose(np.corrcoef(slips[:-20], slips[20:])[0, 1], exp(-1), atol=0.05)
 
@@ -69,7 +69,7 @@ def test_slip_has_its_standard_deviation_and_stays_alike_for_its_time():
 def test_encoders_count_whole_steps_and_return_to_0_at_the_wrap(angle, further, first):
     before, after = (encoder_counts(a, first, X80SV.drive) for a in (angle, angle + further))
     assert 0 <= before < 32768
-    assert abs(counted(before, after, 32768) - further * 756 / (2 * pi)) <= 1 + 1e-6
+    assert abs(count_difference(before, after, 32768) - further * 756 / (2 * pi)) <= 1 + 1e-6
 
 
 @pytest.mark.parametrize(("v", "w"), [(0.5, 0.0), (0.4, 0.8), (0.0, 1.5), (-0.3, -0.5)])
@@ -91,8 +91,8 @@ def test_the_left_encoder_counts_down_forward_and_both_tell_the_wheels_way(v, w)
     reports = told(drive(service, 40.0, v, w), "hardware/board")
     turned = [0, 0]
     for before, after in pairwise(reports):
-        turned[0] += counted(before.left_counts, after.left_counts, 32768)
-        turned[1] += counted(before.right_counts, after.right_counts, 32768)
+        turned[0] += count_difference(before.left_counts, after.left_counts, 32768)
+        turned[1] += count_difference(before.right_counts, after.right_counts, 32768)
     dt = (reports[-1].stamp - reports[0].stamp) * 1e-9
     wheel = 756 / (2 * pi * 0.085)
     assert_allclose(turned, (-(v - w * 0.1415) * wheel * dt, (v + w * 0.1415) * wheel * dt), atol=1.5)

@@ -6,9 +6,9 @@ from math import pi
 import numpy as np
 import pytest
 
-from services.sim.breaking import ALL
+from services.sim.fault_requests import ALL_FAULTS
 from services.sim.hardware.faults import Fault
-from services.sim.message_faults import MESSAGE_WORDS, MessageFault
+from services.sim.message_faults import MESSAGE_FAULT_DESCRIPTIONS, MessageFault
 from shared.codec import CodecError, Envelope, decode, encode
 from shared.config import load_robot
 from shared.messages import LaserScan
@@ -24,7 +24,7 @@ def payload(message):
 
 
 def asked(sim, fault, seconds=0.0, mended=False):
-    answering = sim.broken(Break(sim.now, fault, seconds, mended))
+    answering = sim.handle_fault_request(Break(sim.now, fault, seconds, mended))
     with pytest.raises(StopIteration) as end:
         next(answering)
     return end.value.value
@@ -44,8 +44,8 @@ def scans(fault):
 
 
 def test_every_fault_has_its_words_and_is_listed():
-    assert set(MESSAGE_WORDS) == set(MessageFault)
-    assert set(ALL) == {*Fault, *MessageFault}
+    assert set(MESSAGE_FAULT_DESCRIPTIONS) == set(MessageFault)
+    assert set(ALL_FAULTS) == {*Fault, *MessageFault}
 
 
 @pytest.mark.parametrize("fault", MessageFault)
@@ -53,7 +53,7 @@ def test_a_fault_begins_is_told_and_ends_after_its_time(fault):
     sim = simulator("room")
     list(drive(sim, 1.0, 0.0, 0.0))
     reply = asked(sim, fault, seconds=0.4)
-    assert (reply.accepted, reply.detail) == (True, MESSAGE_WORDS[fault])
+    assert (reply.accepted, reply.detail) == (True, MESSAGE_FAULT_DESCRIPTIONS[fault])
     again, whole = list(drive(sim, 2.0, 0.0, 0.0)), simulator("room")
     list(drive(whole, 1.0, 0.0, 0.0))
     sound = list(drive(whole, 2.0, 0.0, 0.0))

@@ -6,14 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.sim.contact import disc_touches_world, gap, placed
-from services.sim.people import BLOCKED, RADIUS, SPEED, X, Y, started, walk
-from services.sim.store import load
-from services.sim.world import Walk
+from services.sim.contact import disc_touches_world, distance_to_polygon, transform_polygon
+from services.sim.people import BLOCKED, RADIUS, SPEED, X, Y, initial_people, step_people
+from services.sim.world import Pedestrian
+from services.sim.world_loader import load_world
 from tests.unit.services.sim.scenes import X80SV
 
-OFFICE = load("office")
-FAR = placed(X80SV.corners, -50.0, -50.0, 0.0)
+OFFICE = load_world("office")
+FAR = transform_polygon(X80SV.corners, -50.0, -50.0, 0.0)
 DT = 0.005
 
 
@@ -21,7 +21,7 @@ def walked(people, robot, cells, seconds):
     """(n, p, 2) positions every 0.1 s, and whether anybody ran into the robot."""
     track, hit = [], False
     for k in range(round(seconds / DT)):
-        hit |= walk(people, robot, cells, DT)
+        hit |= step_people(people, robot, cells, DT)
         if k % 20 == 0:
             track.append(people.state[:, : Y + 1].copy())
     return np.array(track), hit
@@ -29,25 +29,27 @@ def walked(people, robot, cells, seconds):
 
 def corridor_walker(reacts, robot_x=5.0):
     """Somebody at the western end of the corridor of 20 x 2 m, bound for the other; the robot stands in the way."""
-    cells = load("corridor").cells
-    people = started((Walk(np.array([[1.0, 1.3], [18.0, 1.3]]), 1.0, 0.1, 0.25),), reacts, 1, (robot_x, 1.3))
+    cells = load_world("corridor").cells
+    people = initial_people(
+        (Pedestrian(np.array([[1.0, 1.3], [18.0, 1.3]]), 1.0, 0.1, 0.25),), reacts, 1, (robot_x, 1.3)
+    )
     people.state[0, X], people.state[0, Y], people.state[0, 6] = 1.0, 1.3, 1
-    return people, placed(X80SV.corners, robot_x, 1.3, 0.0), cells
+    return people, transform_polygon(X80SV.corners, robot_x, 1.3, 0.0), cells
 
 
 @settings(deadline=None, max_examples=8)
 @given(st.integers(0, 1000), st.booleans(), st.sampled_from([(12.55, 9.95), (16.6, 10.9), (19.9, 4.3), (0.95, 7.0)]))
 def test_people_never_walk_through_walls_or_the_robot(seed, reacts, at):
-    people = started(OFFICE.people, reacts, seed, at)
-    robot = placed(X80SV.corners, *at, 0.5)
+    people = initial_people(OFFICE.people, reacts, seed, at)
+    robot = transform_polygon(X80SV.corners, *at, 0.5)
     track, _ = walked(people, robot, OFFICE.cells, 60.0)
     for place in track.reshape(-1, 2):
         assert not disc_touches_world(place[0], place[1], 0.25, OFFICE.cells)
-        assert gap(robot, place[0], place[1]) >= 0.25
+        assert distance_to_polygon(robot, place[0], place[1]) >= 0.25
 
 
 def test_people_walk_their_whole_route_at_about_their_speed():
-    people = started(OFFICE.people, True, 3, (OFFICE.start.x, OFFICE.start.y))
+    people = initial_people(OFFICE.people, True, 3, (OFFICE.start.x, OFFICE.start.y))
     track, _ = walked(people, FAR, OFFICE.cells, 200.0)
     for i, person in enumerate(OFFICE.people):
         for waypoint in person.route:
@@ -61,8 +63,8 @@ def test_who_reacts_stops_before_the_robot_and_never_touches_it():
     people, robot, cells = corridor_walker(reacts=True)
     nearest = 9.0
     for _ in range(round(4.0 / DT)):
-        assert not walk(people, robot, cells, DT)
-        nearest = min(nearest, gap(robot, *people.state[0, :2]) - 0.25)
+        assert not step_people(people, robot, cells, DT)
+        nearest = min(nearest, distance_to_polygon(robot, *people.state[0, :2]) - 0.25)
     assert 0.3 < nearest < 0.7
     assert people.state[0, SPEED] == 0.0
     assert people.state[0, BLOCKED] > 0.0
@@ -70,7 +72,7 @@ def test_who_reacts_stops_before_the_robot_and_never_touches_it():
 
 def test_who_reacts_walks_around_a_robot_that_leaves_room():
     people, robot, cells = corridor_walker(reacts=True)
-    robot = placed(X80SV.corners, 5.0, 1.75, 0.0)
+    robot = transform_polygon(X80SV.corners, 5.0, 1.75, 0.0)
     track, hit = walked(people, robot, cells, 25.0)
     assert not hit
     assert track[:, 0, 0].max() > 15.0
@@ -78,7 +80,7 @@ def test_who_reacts_walks_around_a_robot_that_leaves_room():
 
 def test_who_finds_no_way_around_turns_back():
     people, _, cells = corridor_walker(reacts=True)
-    wide = placed(np.array([[-0.2, -0.9], [0.2, -0.9], [0.2, 0.6], [-0.2, 0.6]]), 5.0, 1.3, 0.0)
+    wide = transform_polygon(np.array([[-0.2, -0.9], [0.2, -0.9], [0.2, 0.6], [-0.2, 0.6]]), 5.0, 1.3, 0.0)
     track, hit = walked(people, wide, cells, 40.0)
     assert not hit
     farthest = int(np.argmax(track[:, 0, 0]))
@@ -90,16 +92,16 @@ def test_who_does_not_react_runs_into_the_robot_and_stands_there():
     people, robot, cells = corridor_walker(reacts=False)
     track, hit = walked(people, robot, cells, 6.0)
     assert hit
-    assert gap(robot, *track[-1, 0]) - 0.25 < 0.02
+    assert distance_to_polygon(robot, *track[-1, 0]) - 0.25 < 0.02
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_nobody_starts_beside_the_robot_and_seeds_differ(seed):
     start = OFFICE.start.x, OFFICE.start.y
-    people, other = (started(OFFICE.people, True, s, start) for s in (seed, seed + 1))
+    people, other = (initial_people(OFFICE.people, True, s, start) for s in (seed, seed + 1))
     assert all(hypot(p[X] - start[0], p[Y] - start[1]) > 2.0 for p in people.state)
     assert not np.array_equal(people.state, other.state)
-    assert np.array_equal(people.state, started(OFFICE.people, True, seed, start).state)
+    assert np.array_equal(people.state, initial_people(OFFICE.people, True, seed, start).state)
     assert (people.state[:, RADIUS] == 0.25).all()
 
 
@@ -111,4 +113,4 @@ def test_who_touches_the_robot_steps_back(bearing, pause):
     people.state[0, 4] = pause
     _, hit = walked(people, robot, cells, 1.0)
     assert not hit
-    assert gap(robot, *people.state[0, :2]) - 0.25 >= 0.09
+    assert distance_to_polygon(robot, *people.state[0, :2]) - 0.25 >= 0.09

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from services.sim.contact import point_to_segment
-from services.sim.rays import SOLID, cast, filled, indexed
+from services.sim.rays import SOLID, cast_ray, index_grid, index_shapes
 from services.sim.world import Raster, World
 from shared.geometry import Pose2
 
@@ -52,8 +52,8 @@ def grazes(lines, discs, ox, oy, angle):
 @settings(max_examples=300, deadline=None)
 @given(segments, circles, coordinates, coordinates, angles, st.sampled_from([0.1, 0.37, 2.0]))
 def test_a_ray_is_the_nearest_of_all_intersections(lines, discs, ox, oy, angle, size):
-    cells = indexed(np.array(lines, float).reshape(-1, 4), np.array(discs, float).reshape(-1, 3), size)
-    found = cast(cells, ox, oy, cos(angle), sin(angle), 100.0)
+    cells = index_shapes(np.array(lines, float).reshape(-1, 4), np.array(discs, float).reshape(-1, 3), size)
+    found = cast_ray(cells, ox, oy, cos(angle), sin(angle), 100.0)
     if not grazes(lines, discs, ox, oy, angle):
         assert_allclose(found, brute_force(lines, discs, ox, oy, angle), atol=1e-6)
 
@@ -61,9 +61,9 @@ def test_a_ray_is_the_nearest_of_all_intersections(lines, discs, ox, oy, angle, 
 @settings(deadline=None)
 @given(segments, coordinates, coordinates, angles, st.floats(0.1, 20))
 def test_beyond_the_limit_there_is_no_echo(lines, ox, oy, angle, limit):
-    cells = indexed(np.array(lines, float).reshape(-1, 4), np.zeros((0, 3)), 0.5)
-    far = cast(cells, ox, oy, cos(angle), sin(angle), 100.0)
-    near = cast(cells, ox, oy, cos(angle), sin(angle), limit)
+    cells = index_shapes(np.array(lines, float).reshape(-1, 4), np.zeros((0, 3)), 0.5)
+    far = cast_ray(cells, ox, oy, cos(angle), sin(angle), 100.0)
+    near = cast_ray(cells, ox, oy, cos(angle), sin(angle), limit)
     assert near == far if far <= limit else near in (far, inf)
 
 
@@ -71,10 +71,10 @@ def test_corners_where_segments_meet_let_no_ray_through():
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
     cells = World("w", (-1, -1, 1, 1), Pose2(), (square,)).cells
     for angle in np.linspace(-pi, pi, 2000):
-        ray = cast(cells, 0.0, 0.0, cos(angle), sin(angle), 10.0)
+        ray = cast_ray(cells, 0.0, 0.0, cos(angle), sin(angle), 10.0)
         assert_allclose(ray, 1 / max(abs(cos(angle)), abs(sin(angle))), atol=1e-9)
     for corner in square:
-        assert_allclose(cast(cells, 0.0, 0.0, *(corner / np.sqrt(2)), 10.0), np.sqrt(2), atol=1e-6)
+        assert_allclose(cast_ray(cells, 0.0, 0.0, *(corner / np.sqrt(2)), 10.0), np.sqrt(2), atol=1e-6)
 
 
 @settings(deadline=None)
@@ -84,8 +84,8 @@ def test_a_ray_ends_where_the_first_solid_cell_begins(seed, share_x, share_y, an
     solid = rng.random((30, 40)) < 0.08
     size, x0, y0 = 0.05, -1.3, 0.4
     ox, oy = x0 + 40 * size * share_x, y0 + 30 * size * share_y
-    cells = filled(np.zeros((0, 4)), np.zeros((0, 3)), solid, x0, y0, size)
-    found = cast(cells, ox, oy, cos(angle), sin(angle), 10.0)
+    cells = index_grid(np.zeros((0, 4)), np.zeros((0, 3)), solid, x0, y0, size)
+    found = cast_ray(cells, ox, oy, cos(angle), sin(angle), 10.0)
     boxes = []
     for row, column in zip(*np.nonzero(solid)):
         left, low = x0 + column * size, y0 + row * size
@@ -105,24 +105,24 @@ def test_a_ray_ends_where_the_first_solid_cell_begins(seed, share_x, share_y, an
 
 
 def test_a_world_far_away_is_seen_from_outside_its_cells():
-    cells = indexed(np.array([[10.0, -1.0, 10.0, 1.0]]), np.zeros((0, 3)), 0.1)
-    assert_allclose(cast(cells, -40.0, 0.0, 1.0, 0.0, 100.0), 50.0)
-    assert cast(cells, -40.0, 0.0, -1.0, 0.0, 100.0) == inf
-    assert cast(cells, -40.0, 0.0, 0.0, 1.0, 100.0) == inf
+    cells = index_shapes(np.array([[10.0, -1.0, 10.0, 1.0]]), np.zeros((0, 3)), 0.1)
+    assert_allclose(cast_ray(cells, -40.0, 0.0, 1.0, 0.0, 100.0), 50.0)
+    assert cast_ray(cells, -40.0, 0.0, -1.0, 0.0, 100.0) == inf
+    assert cast_ray(cells, -40.0, 0.0, 0.0, 1.0, 100.0) == inf
 
 
 def test_a_map_and_shapes_are_one_world_also_where_shapes_stand_outside_the_map():
     raster = Raster(np.pad(np.zeros((8, 8), bool), 1, constant_values=True), 0.0, 0.0, 0.1)
     beside = np.array([[3.0, 0.0], [3.5, 0.0], [3.5, 1.0], [3.0, 1.0]])
     world = World("w", (0, 0, 4, 1), Pose2(), (beside,), np.array([[0.5, 0.7, 0.1]]), raster)
-    assert_allclose(cast(world.cells, 0.5, 0.5, 1.0, 0.0, 9.0), 0.4)
-    assert_allclose(cast(world.cells, 0.5, 0.5, 0.0, 1.0, 9.0), 0.1)
-    assert_allclose(cast(world.cells, 2.0, 0.5, 1.0, 0.0, 9.0), 1.0)
-    assert_allclose(cast(world.cells, 2.0, 0.5, -1.0, 0.0, 9.0), 1.0)
+    assert_allclose(cast_ray(world.cells, 0.5, 0.5, 1.0, 0.0, 9.0), 0.4)
+    assert_allclose(cast_ray(world.cells, 0.5, 0.5, 0.0, 1.0, 9.0), 0.1)
+    assert_allclose(cast_ray(world.cells, 2.0, 0.5, 1.0, 0.0, 9.0), 1.0)
+    assert_allclose(cast_ray(world.cells, 2.0, 0.5, -1.0, 0.0, 9.0), 1.0)
     assert (world.cells.skip == SOLID).sum() == raster.solid.sum()
 
 
 @pytest.mark.parametrize("shape", [(3, 3), (1, 50)])
 def test_a_world_of_nothing_has_no_echo(shape):
-    cells = filled(np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(shape, bool), 0.0, 0.0, 0.1)
-    assert cast(cells, 0.05, 0.05, 0.6, 0.8, 50.0) == inf
+    cells = index_grid(np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(shape, bool), 0.0, 0.0, 0.1)
+    assert cast_ray(cells, 0.05, 0.05, 0.6, 0.8, 50.0) == inf

@@ -7,13 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from services.sim.rays import cast
-from services.sim.sensors import LaserNoise, RangeNoise, cast_all, cones, measured, sweep
-from services.sim.store import load
+from services.sim.rays import cast_ray
+from services.sim.sensors import LaserNoise, RangeNoise, add_noise, cone_ranges, ray_range, sweep_ranges
+from services.sim.world_loader import load_world
 from shared.geometry import Pose2
 from tests.unit.services.sim.scenes import PERFECT, START, X80SV, XV11, drive, laser, simulator, told, written
 
-ROOM = load("room")
+ROOM = load_world("room")
 
 
 def history_of(pose_at, n, people=()):
@@ -30,18 +30,18 @@ def test_each_beam_is_cast_from_where_the_moving_robot_was_at_its_time(angle_min
     mount, scan_time, begin = (0.13, 0.05, -pi / 2), 0.2, 3.37
     history = history_of(pose_at, 60)
     beam_step = scan_time / (n_beams - 1) / 0.005
-    ranges = sweep(ROOM.cells, history, begin, beam_step, mount, angle_min, increment, n_beams, 20.0)
+    ranges = sweep_ranges(ROOM.cells, history, begin, beam_step, mount, angle_min, increment, n_beams, 20.0)
     for i in range(0, n_beams, 7):
         t = begin * 0.005 + scan_time * i / (n_beams - 1)
         at = Pose2(*pose_at(t)) @ Pose2(*mount)
         angle = at.yaw + angle_min + i * increment
-        assert_allclose(ranges[i], cast(ROOM.cells, at.x, at.y, cos(angle), sin(angle), 20.0), atol=1e-3)
+        assert_allclose(ranges[i], cast_ray(ROOM.cells, at.x, at.y, cos(angle), sin(angle), 20.0), atol=1e-3)
 
 
 def test_people_are_seen_where_they_were_at_the_beams_time():
     walker = lambda t: (3.0 + t, 1.0, 0.25)  # noqa: E731
     history = history_of(lambda t: (1.0, 1.0, 0.0), 60, [walker])
-    ranges = sweep(load("empty").cells, history, 0.0, 2.0, (0.0, 0.0, 0.0), 0.0, 1e-9, 20, 20.0)
+    ranges = sweep_ranges(load_world("empty").cells, history, 0.0, 2.0, (0.0, 0.0, 0.0), 0.0, 1e-9, 20, 20.0)
     assert_allclose(ranges, 1.75 + 0.01 * np.arange(20), atol=1e-6)
 
 
@@ -50,7 +50,7 @@ def test_the_history_is_a_ring():
     later = history_of(lambda t: (1.0 + t, 1.5, 0.1), 100)
     ring = later[64:].copy()
     ring = np.concatenate((ring, later[36:64]))
-    sweep_of = lambda rows, first: sweep(ROOM.cells, rows, first, 0.3, (0, 0, 0), -1.0, 0.02, 100, 9.0)  # noqa: E731
+    sweep_of = lambda rows, first: sweep_ranges(ROOM.cells, rows, first, 0.3, (0, 0, 0), -1.0, 0.02, 100, 9.0)  # noqa: E731
     assert_allclose(sweep_of(ring, 60.0), sweep_of(later, 60.0))
     assert not np.allclose(sweep_of(history, 10.0), sweep_of(later, 60.0))
 
@@ -67,7 +67,7 @@ def test_a_scan_shows_the_room_whatever_the_field_of_view(angle_min, increment, 
     at = service.world.start @ Pose2(0.13, 0.0, -pi / 2)
     for i in range(n_beams):
         angle = at.yaw + angle_min + i * increment
-        ray = cast(service.cells, at.x, at.y, cos(angle), sin(angle), 30.0)
+        ray = cast_ray(service.cells, at.x, at.y, cos(angle), sin(angle), 30.0)
         assert_allclose(scan.ranges[i], ray, atol=1e-4)
 
 
@@ -85,17 +85,17 @@ def test_a_scan_is_stamped_with_its_first_beam_and_comes_after_its_last():
     for publication in drive(service, 2.0, 0.3, 0.5):
         if publication.topic.key == "scan":
             sent.append((service.now, publication.message))
-    sweep = round(X80SV.laser.scan_time * 1e9)
+    sweep_ranges = round(X80SV.laser.scan_time * 1e9)
     assert [scan.stamp for _, scan in sent] == [START + k * 100_000_000 for k in range(len(sent))]
     assert len(sent) == 20
-    assert all(0 <= now - scan.stamp - sweep < 20_000_000 for now, scan in sent)
+    assert all(0 <= now - scan.stamp - sweep_ranges < 20_000_000 for now, scan in sent)
 
 
 def test_noise_grows_with_range_and_readings_come_in_steps():
     noise = LaserNoise(sigma=0.01, sigma_share=0.01, resolution=0.001, dropout=0.1)
     rng = np.random.default_rng(1)
     for true in (0.5, 4.0):
-        read = measured(np.full(40_000, true), noise, 0.06, 5.0, rng).astype(float)
+        read = add_noise(np.full(40_000, true), noise, 0.06, 5.0, rng).astype(float)
         heard = read[np.isfinite(read)]
         assert_allclose(len(heard) / len(read), 0.9, atol=0.01)
         assert_allclose(heard.std(), 0.01 + 0.01 * true, rtol=0.03)
@@ -106,7 +106,7 @@ def test_noise_grows_with_range_and_readings_come_in_steps():
 @settings(deadline=None)
 @given(st.lists(st.one_of(st.floats(0, 20), st.just(inf)), min_size=1, max_size=50), st.integers(0, 99))
 def test_a_reading_is_in_reach_or_nothing(true, seed):
-    read = measured(np.array(true), LaserNoise(), 0.1, 5.0, np.random.default_rng(seed))
+    read = add_noise(np.array(true), LaserNoise(), 0.1, 5.0, np.random.default_rng(seed))
     near = read[np.isfinite(read)]
     assert near.size == 0 or (near.min() >= np.float32(0.1) and near.max() <= np.float32(5.0))
     assert np.isnan(read[np.array(true) > 5.5]).all()
@@ -118,8 +118,8 @@ def test_a_cone_reads_the_shortest_of_its_rays(yaw, view, reach):
     sensors = np.array([[0.1, 0.05, yaw, view, reach]])
     row = np.array([4.0, 3.4, 0.3, 4.5, 2.9, 0.2])
     at = Pose2(*row[:3]) @ Pose2(0.1, 0.05, yaw)
-    fine = [cast_all(ROOM.cells, row[3:], at.x, at.y, at.yaw + a, reach) for a in np.linspace(-view / 2, view / 2, 9)]
-    assert_allclose(cones(ROOM.cells, row, sensors, 9)[0], min(fine), rtol=1e-9)
+    fine = [ray_range(ROOM.cells, row[3:], at.x, at.y, at.yaw + a, reach) for a in np.linspace(-view / 2, view / 2, 9)]
+    assert_allclose(cone_ranges(ROOM.cells, row, sensors, 9)[0], min(fine), rtol=1e-9)
 
 
 def test_ultrasonic_and_infrared_come_in_the_boards_order_with_nothing_as_nan(tmp_path):
@@ -135,7 +135,7 @@ def test_ultrasonic_and_infrared_come_in_the_boards_order_with_nothing_as_nan(tm
 
 
 def test_range_noise_has_its_own_size():
-    read = measured(
+    read = add_noise(
         np.full(20_000, 0.5), RangeNoise(sigma=0.02, resolution=0), 0.0, np.full(20_000, 0.8), np.random.default_rng(0)
     )
     assert_allclose(read.std(), 0.02, rtol=0.03)

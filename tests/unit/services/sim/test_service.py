@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from services.sim.contact import placed, touches_people, touches_world
+from services.sim.contact import touches_people, touches_world, transform_polygon
 from shared.codec import Envelope, encode
 from shared.messages import LaserScan, MotorCommand
 from shared.service import outputs
@@ -119,7 +119,7 @@ def test_however_it_is_driven_nothing_is_ever_penetrated(commands, world, robot,
     for v, w, seconds in commands:
         for _ in drive(service, seconds, v, w):
             state = service.state_now
-            at = placed(robot.corners, *state[:3])
+            at = transform_polygon(robot.corners, *state[:3])
             assert not touches_world(at, service.cells)
             assert not touches_people(at, service.people.state[:, :3])
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from services.sim.rays import cast
-from services.sim.store import load
+from services.sim.rays import cast_ray
+from services.sim.world_loader import load_world
 from shared.config import UserError
 from shared.geometry import Pose2
 from tests.unit.services.sim.scenes import simulator, written
@@ -15,19 +15,19 @@ SQUARE = "walls:\n  - points: [[0, 0], [4, 0], [4, 4], [0, 4]]\n    closed: true
 
 
 def test_walls_have_thickness_square_corners_and_doors(tmp_path):
-    world = load(str(written(tmp_path, SQUARE + "    thickness: 0.2\n    doors: [{at: [2, 0], width: 1}]\n")))
+    world = load_world(str(written(tmp_path, SQUARE + "    thickness: 0.2\n    doors: [{at: [2, 0], width: 1}]\n")))
     inside = {"up": (0, 1), "left": (-1, 0), "right": (1, 0)}
     for c, s in inside.values():
-        assert_allclose(cast(world.cells, 2.0, 2.0, c, s, 9.0), 1.9)
-    assert cast(world.cells, 2.0, 2.0, 0.0, -1.0, 9.0) == np.inf
-    assert_allclose(cast(world.cells, 1.49, 2.0, 0.0, -1.0, 9.0), 1.9)
-    assert_allclose(cast(world.cells, -5.0, -5.0, 0.5**0.5, 0.5**0.5, 20.0), 4.9 * 2**0.5)
+        assert_allclose(cast_ray(world.cells, 2.0, 2.0, c, s, 9.0), 1.9)
+    assert cast_ray(world.cells, 2.0, 2.0, 0.0, -1.0, 9.0) == np.inf
+    assert_allclose(cast_ray(world.cells, 1.49, 2.0, 0.0, -1.0, 9.0), 1.9)
+    assert_allclose(cast_ray(world.cells, -5.0, -5.0, 0.5**0.5, 0.5**0.5, 20.0), 4.9 * 2**0.5)
     assert world.bounds == pytest.approx((-0.1, -0.1, 4.1, 4.1))
 
 
 def test_the_raster_is_every_cell_into_which_something_reaches(tmp_path):
     things = "boxes: [{x: 1, y: 1, size: [0.02, 0.02]}]\ncylinders: [{x: 3, y: 3, radius: 0.3}]\nstart: {x: 2, y: 2}\n"
-    world = load(str(written(tmp_path, SQUARE + things)))
+    world = load_world(str(written(tmp_path, SQUARE + things)))
     occupied, x0, y0 = world.occupied(0.05)
     assert (x0, y0) == pytest.approx((-0.05, -0.05))
     assert occupied.shape == (82, 82)
@@ -44,7 +44,7 @@ def test_the_raster_is_every_cell_into_which_something_reaches(tmp_path):
 def test_what_lies_behind_a_narrow_door_is_not_reachable(tmp_path):
     def world(width):
         wall = f"  - {{points: [[2, 0], [2, 4]], doors: [{{at: [2, 2], width: {width}}}]}}\n"
-        return load(str(written(tmp_path, SQUARE + wall + "start: {x: 1, y: 1}\n")))
+        return load_world(str(written(tmp_path, SQUARE + wall + "start: {x: 1, y: 1}\n")))
 
     for width, through in ((0.9, True), (0.3, False)):
         reached, x0, y0 = world(width).reachable(0.05, 0.217)
@@ -52,7 +52,7 @@ def test_what_lies_behind_a_narrow_door_is_not_reachable(tmp_path):
 
 
 def test_outlines_enclose_what_is_solid():
-    world = load("room")
+    world = load_world("room")
     ends = world.outline()
     low_x, _, _, high_y = world.bounds
     assert ends.shape[1] == 4
@@ -66,13 +66,13 @@ def test_loose_things_move_with_the_seed_and_others_stay(tmp_path):
         "cylinders: [{x: 0, y: 3, radius: 0.2, loose: true}]\n"
     )
     path = str(written(tmp_path, text))
-    worlds = [load(path, seed, jitter=0.2) for seed in range(10)]
+    worlds = [load_world(path, seed, jitter=0.2) for seed in range(10)]
     places = np.array([w.polygons[0].mean(axis=0) for w in worlds])
     assert len(np.unique(places, axis=0)) == 10
     assert np.abs(places - (2, 0)).max() <= 0.2
     assert all(np.array_equal(w.polygons[1], worlds[0].polygons[1]) for w in worlds)
-    assert np.array_equal(load(path, 3, 0.2).circles, worlds[3].circles)
-    assert load(path, 3, 0.0).circles.tolist() == [[0, 3, 0.2]]
+    assert np.array_equal(load_world(path, 3, 0.2).circles, worlds[3].circles)
+    assert load_world(path, 3, 0.0).circles.tolist() == [[0, 3, 0.2]]
 
 
 def test_loose_things_leave_routes_goals_and_the_start_free(tmp_path):
@@ -82,7 +82,7 @@ def test_loose_things_leave_routes_goals_and_the_start_free(tmp_path):
     )
     path = str(written(tmp_path, text.replace("[1, 0]", "[1.4, 0]")))
     for seed in range(30):
-        circles = load(path, seed, jitter=0.4).circles
+        circles = load_world(path, seed, jitter=0.4).circles
         assert hypot(*circles[0, :2]) >= 0.7
         assert circles[1, 1] >= 0.46
 
@@ -111,7 +111,7 @@ BAD = [
 def test_a_bad_world_is_told_with_its_line_and_its_mend(tmp_path, text, what, mend):
     path = written(tmp_path, text)
     with pytest.raises(UserError) as error:
-        load(str(path))
+        load_world(str(path))
     assert what in error.value.what
     assert mend in error.value.mend or mend in error.value.what
     assert error.value.mend

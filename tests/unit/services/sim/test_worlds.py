@@ -3,7 +3,7 @@
 
 import pytest
 
-from services.sim.store import WORLDS, load
+from services.sim.world_loader import WORLDS, load_world
 from tests.unit.services.sim.scenes import X80SV, simulator
 
 NAMES = sorted(path.stem for path in WORLDS.glob("*.yaml"))
@@ -20,13 +20,13 @@ def test_every_goal_can_be_reached_from_a_start_where_the_robot_fits(name):
 
 
 def test_every_seed_of_the_office_is_another_and_none_blocks_a_goal():
-    offices = [load("office", seed, 0.1) for seed in range(10)]
+    offices = [load_world("office", seed, 0.1) for seed in range(10)]
     assert len({world.circles.tobytes() for world in offices}) == 10
     assert all(can_reach_its_goals(world) for world in offices)
 
 
 def test_the_office_has_ten_rooms_two_loops_two_people_and_five_goals():
-    world = load("office")
+    world = load_world("office")
     low_x, low_y, high_x, high_y = world.bounds
     assert high_x - low_x >= 25
     assert high_y - low_y >= 15

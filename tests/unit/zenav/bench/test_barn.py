@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from services.sim.store import cylinder_file
+from services.sim.world_loader import read_cylinder_file
 from shared import requests, topics
 from shared.config import Section, UserError, load_robot
 from shared.geometry import inside
@@ -111,7 +111,7 @@ def test_a_trajectory_is_written_as_the_others_read_it(tmp_path):
 def test_noise_is_a_skid_steered_robots(tmp_path):
     path = tmp_path / "w.json"
     path.write_text(json.dumps(FILE))
-    course = course_of(path, cylinder_file(path, BarnFile), "7")
+    course = course_of(path, read_cylinder_file(path, BarnFile), "7")
     true, ideal = (made("sim", file, file.robot).config.drive for file in (
         robot_file(Trial(course, 0, "jackal", settings)) for settings in (NOISE, ())
     ))  # fmt: skip

@@ -57,7 +57,7 @@ def test_a_report_s_bytes_are_the_board_s(tmp_path):
         assert far.report(0.0) is None  # nobody makes a WheelState of it
         report = None
         while report is None:
-            report, _ = board.heard(SerialData(1, "board", near.read()), 1)
+            report, _ = board.receive(SerialData(1, "board", near.read()), 1)
     assert (report.left_counts, report.right_counts) == (0, 0)
     assert len(report.ultrasonic) + len(report.infrared) == len(ROBOT.ranges)
 

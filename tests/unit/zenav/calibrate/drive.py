@@ -4,7 +4,8 @@
 from collections.abc import Generator
 from typing import Any
 
-from services.sim.service import SimConfig, SimService
+from services.sim.config import SimConfig
+from services.sim.service import SimService
 from shared import topics
 from shared.config import RobotFile, configured
 from shared.messages import EmergencyStop, Message, Velocity

@@ -9,8 +9,8 @@ import pytest
 from mcap.reader import make_reader
 from PIL import Image
 
+from services.recorder.recording_store import RecorderConfig, RecordingStore
 from services.recorder.service import RecorderService
-from services.recorder.store import RecorderConfig, RecordingStore
 from shared import topics
 from shared.codec import Envelope, decode, encode
 from shared.config import UserError

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.base_driver import drrobot as driver
-from services.base_driver.drrobot import CustomSensor, MotorSensor, StandardSensor, System, said
+from services.base_driver.drrobot import CustomSensor, MotorSensor, StandardSensor, System, decode
 from services.sim.hardware import drrobot
 from services.sim.hardware.board import BoardEmulator
-from services.sim.hardware.drrobot import Gains
-from services.sim.hardware.faults import WORDS, Fault, Faults
+from services.sim.hardware.drrobot import GainsCommand
+from services.sim.hardware.faults import FAULT_DESCRIPTIONS, ActiveFaults, Fault
 from shared.drrobot import PC, Deframer, Type
 from shared.messages import BoardReport
 from tests.unit.shared.test_drrobot import EXAMPLES
@@ -34,15 +34,15 @@ def report(now=T0, left=1000, right=32000, **changes):
     return BoardReport(now, left, right, **(values | changes))
 
 
-def emulator(*faults):
-    held = Faults()
+def make_emulator(*faults):
+    held = ActiveFaults()
     for fault in faults:
         held.begin(fault, None)
     return BoardEmulator(held, seed=1)
 
 
 def words(data):
-    return [said(packet) for packet in Deframer(PC).packets(data)]
+    return [decode(packet) for packet in Deframer(PC).packets(data)]
 
 
 def test_the_published_motor_sensor_packet_to_the_byte():
@@ -70,8 +70,8 @@ def test_an_infrared_sensor_that_sees_nothing_reads_nothing(metres, read):
 
 
 def test_motor_packets_come_with_each_report_the_others_at_their_rates():
-    board = emulator()
-    sent = [word for k in range(100) for word in words(board.reported(report(), T0 + k * 20 * MS))]
+    board = make_emulator()
+    sent = [word for k in range(100) for word in words(board.report_bytes(report(), T0 + k * 20 * MS))]
     counts = {
         kind: sum(isinstance(word, kind) for word in sent) for kind in (MotorSensor, StandardSensor, CustomSensor)
     }
@@ -80,13 +80,13 @@ def test_motor_packets_come_with_each_report_the_others_at_their_rates():
 
 
 def test_a_clock_that_was_set_back_does_not_silence_the_sensors():
-    board = emulator()
-    board.reported(report(), T0)
-    assert any(isinstance(word, StandardSensor) for word in words(board.reported(report(), T0 - 10**10)))
+    board = make_emulator()
+    board.report_bytes(report(), T0)
+    assert any(isinstance(word, StandardSensor) for word in words(board.report_bytes(report(), T0 - 10**10)))
 
 
 def test_a_report_becomes_what_the_sensors_would_say():
-    motors, standard, custom, _ = words(emulator().reported(report(), T0))
+    motors, standard, custom, _ = words(make_emulator().report_bytes(report(), T0))
     assert (motors.counts, motors.speeds, motors.currents[:2]) == ((1000, 32000), (-50, 60), (1.0, 0.5))
     assert standard.ultrasonic == (50, 255, 2, 255, 255, 255)
     assert standard.motor_supply == pytest.approx(12.5, abs=0.003)
@@ -95,46 +95,46 @@ def test_a_report_becomes_what_the_sensors_would_say():
 
 
 def test_a_velocity_ends_with_its_time_limit():
-    board = emulator()
-    board.received(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0, 200), T0)
+    board = make_emulator()
+    board.receive(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0, 200), T0)
     assert board.motors(T0) == (-200, 210, 200 * MS)
     assert board.motors(T0 + 199 * MS) == (-200, 210, MS)
     assert board.motors(T0 + 200 * MS) == (0, 0, None)
 
 
 def test_a_velocity_without_a_limit_stands_until_the_next():
-    board = emulator()
-    board.received(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0, 200), T0)
-    board.received(driver.command_all(Type.VELOCITY_ALL, -20.0, 21.0), T0)
+    board = make_emulator()
+    board.receive(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0, 200), T0)
+    board.receive(driver.command_all(Type.VELOCITY_ALL, -20.0, 21.0), T0)
     assert board.motors(T0 + 10**12) == (-20, 21, None)
-    board.received(driver.command_one(Type.VELOCITY_ONE, 1, 5.0, 100), T0)
+    board.receive(driver.command_one(Type.VELOCITY_ONE, 1, 5.0, 100), T0)
     assert board.motors(T0) == (-20, 5, 100 * MS)
     assert board.motors(T0 + 100 * MS) == (-20, 0, None)
-    board.received(driver.command_one(Type.VELOCITY_ONE, 4, 5.0), T0)
+    board.receive(driver.command_one(Type.VELOCITY_ONE, 4, 5.0), T0)
     assert board.motors(T0) == (-20, 0, None)
 
 
 def test_gains_are_taken_and_disabling_stops_each_with_an_acknowledgement():
-    board = emulator()
-    assert words(board.received(driver.gains("velocity", 1, 15, 0, 0), T0)) == [System(1)]
-    assert board.gains == {1: Gains(1, 15, 0, 0)}
-    board.received(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0), T0)
-    assert words(board.received(driver.disabled(0), T0)) == [System(1)]
+    board = make_emulator()
+    assert words(board.receive(driver.set_gains("velocity", 1, 15, 0, 0), T0)) == [System(1)]
+    assert board.gains == {1: GainsCommand(1, 15, 0, 0)}
+    board.receive(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0), T0)
+    assert words(board.receive(driver.disable_motor(0), T0)) == [System(1)]
     assert board.motors(T0) == (0, 210, None)
 
 
 def test_acknowledgements_are_counted_and_not_answered():
-    board = emulator()
-    assert board.received(driver.acknowledgement() * 3, T0) == b""
+    board = make_emulator()
+    assert board.receive(driver.acknowledgement() * 3, T0) == b""
     assert board.n_acknowledged == 3
 
 
 def test_orders_arrive_in_pieces():
-    board = emulator()
+    board = make_emulator()
     data = driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0)
     for i in range(len(data)):
         assert board.motors(T0)[:2] == (0, 0)
-        board.received(data[i : i + 1], T0)
+        board.receive(data[i : i + 1], T0)
     assert board.motors(T0)[:2] == (-200, 210)
 
 
@@ -143,28 +143,28 @@ def test_orders_arrive_in_pieces():
 
 @pytest.mark.parametrize("fault", [Fault.GARBAGE, Fault.HALF_PACKETS, Fault.BAD_CRC, Fault.STALLED])
 def test_of_a_broken_line_nothing_can_be_read(fault):
-    board = emulator(fault)
+    board = make_emulator(fault)
     deframer = Deframer(PC)
-    data = [board.reported(report(), T0 + k * 20 * MS) for k in range(50)]
-    data += [board.received(driver.disabled(0), T0)]
+    data = [board.report_bytes(report(), T0 + k * 20 * MS) for k in range(50)]
+    data += [board.receive(driver.disable_motor(0), T0)]
     assert not any(deframer.packets(piece) for piece in data)
     assert any(data) is (fault is not Fault.STALLED)
     assert (deframer.n_bad_crc > 0) is (fault is Fault.BAD_CRC)
     board.faults.clear(fault)
-    assert len(deframer.packets(board.reported(report(), T0 + 10**10))) == 4
+    assert len(deframer.packets(board.report_bytes(report(), T0 + 10**10))) == 4
 
 
 def test_a_stalled_line_carries_nothing_to_the_board_either():
-    board = emulator(Fault.STALLED)
-    board.received(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0), T0)
+    board = make_emulator(Fault.STALLED)
+    board.receive(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0), T0)
     assert board.motors(T0)[:2] == (0, 0)
 
 
 def test_a_stuck_encoder_stands_and_goes_on_with_the_true_count():
-    board = emulator()
+    board = make_emulator()
 
     def counts(left):
-        return words(board.reported(report(left=left), T0))[0]
+        return words(board.report_bytes(report(left=left), T0))[0]
 
     assert counts(10).counts[0] == 10
     board.faults.begin(Fault.STUCK_ENCODER, None)
@@ -176,22 +176,22 @@ def test_a_stuck_encoder_stands_and_goes_on_with_the_true_count():
 
 
 def test_a_dead_sonar_a_collapsed_battery_and_a_swapped_motor():
-    board = emulator(Fault.DEAD_SONAR, Fault.LOW_BATTERY, Fault.SWAPPED_MOTOR)
-    standard = words(board.reported(report(), T0))[1]
+    board = make_emulator(Fault.DEAD_SONAR, Fault.LOW_BATTERY, Fault.SWAPPED_MOTOR)
+    standard = words(board.report_bytes(report(), T0))[1]
     assert standard.ultrasonic == (50, 0, 2, 255, 255, 255)
     assert standard.motor_supply == pytest.approx(5.5, abs=0.003)
-    board.received(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0), T0)
+    board.receive(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0), T0)
     assert board.motors(T0) == (200, 210, None)
 
 
 def test_faults_end_at_their_time_or_when_they_are_mended():
-    faults = Faults()
+    faults = ActiveFaults()
     faults.begin(Fault.GARBAGE, 100)
     faults.begin(Fault.STALLED, None)
-    faults.pass_to(99)
+    faults.expire(99)
     assert Fault.GARBAGE in faults
     assert str(faults) == "garbage, stalled"
-    faults.pass_to(100)
+    faults.expire(100)
     assert Fault.GARBAGE not in faults
     assert Fault.STALLED in faults
     faults.begin(Fault.BAD_CRC, None)
@@ -203,16 +203,16 @@ def test_faults_end_at_their_time_or_when_they_are_mended():
 
 
 def test_every_fault_has_its_words():
-    assert set(WORDS) == set(Fault)
+    assert set(FAULT_DESCRIPTIONS) == set(Fault)
 
 
 @settings(max_examples=100, deadline=None)
 @given(st.sets(st.sampled_from(Fault)), st.lists(st.binary(max_size=80), max_size=10), st.integers(0, 10**10))
 def test_any_bytes_are_survived_whatever_is_broken(broken, pieces, wait):
-    board = emulator(*broken)
+    board = make_emulator(*broken)
     for k, data in enumerate(pieces):
-        Deframer(PC).packets(board.received(data, T0 + k * wait))
+        Deframer(PC).packets(board.receive(data, T0 + k * wait))
         left, right, life = board.motors(T0 + k * wait)
         assert max(abs(left), abs(right)) <= 32768
         assert life is None or life > 0
-        board.reported(report(), T0 + k * wait)
+        board.report_bytes(report(), T0 + k * wait)

@@ -4,12 +4,12 @@
 import pytest
 
 from services.base_driver import drrobot as driver
-from services.base_driver.drrobot import MotorSensor, said
+from services.base_driver.drrobot import MotorSensor, decode
 from services.base_driver.kinematics import board_counts, wheel_speeds
 from services.lidar_driver import ld06
-from services.lidar_driver.device import Counts
-from services.lidar_driver.framing import Framing
-from services.sim.hardware.faults import OF_LASER, WORDS, Fault
+from services.lidar_driver.device import PacketCounts
+from services.lidar_driver.packet_framing import PacketFramer
+from services.sim.hardware.faults import FAULT_DESCRIPTIONS, LASER_FAULTS, Fault
 from shared import topics
 from shared.drrobot import PC, Deframer, Type
 from shared.messages import MotorCommand, SerialData
@@ -29,7 +29,7 @@ def drive(sim, seconds, data):
     sent = []
     for _ in range(round(seconds * 50)):
         if data:
-            sent += sim.bytes_came(SerialData(sim.now, "board", data))
+            sent += sim.receive_bytes(SerialData(sim.now, "board", data))
         sim.now += TICK
         sent += sim.tick()
     return sent
@@ -37,7 +37,7 @@ def drive(sim, seconds, data):
 
 def asked(sim, fault, seconds=0.0, mended=False):
     """The reply, and what was published before it."""
-    answering, sent = sim.broken(Break(sim.now, fault, seconds, mended)), []
+    answering, sent = sim.handle_fault_request(Break(sim.now, fault, seconds, mended)), []
     while True:
         try:
             sent.append(next(answering))
@@ -51,7 +51,7 @@ def plugs(sent):
 
 def reports(sent):
     deframer = Deframer(PC)
-    words = [said(packet) for data in told(sent, "port/tx") for packet in deframer.packets(data.data)]
+    words = [decode(packet) for data in told(sent, "port/tx") for packet in deframer.packets(data.data)]
     return [word for word in words if isinstance(word, MotorSensor)]
 
 
@@ -90,7 +90,7 @@ def test_motor_messages_move_nothing_and_scans_stay_messages_without_an_emulated
 def test_a_simulator_of_messages_has_no_ports_hears_no_bytes_and_breaks_nothing():
     sim = simulator("room")
     assert sim.ports == {}
-    assert list(sim.bytes_came(SerialData(sim.now, "board", command(0.4, 0.0)))) == []
+    assert list(sim.receive_bytes(SerialData(sim.now, "board", command(0.4, 0.0)))) == []
     reply, _ = asked(sim, "garbage")
     assert (reply.accepted, reply.reason) == (False, "bad_request")
     assert "--hardware emulated" in reply.detail
@@ -100,7 +100,7 @@ def test_a_simulator_of_messages_has_no_ports_hears_no_bytes_and_breaks_nothing(
 def test_every_fault_can_be_asked_for_and_mended(fault):
     sim = simulator("room", **EMULATED)
     reply, _ = asked(sim, fault.value)
-    assert (reply.accepted, reply.detail) == (True, WORDS[fault])
+    assert (reply.accepted, reply.detail) == (True, FAULT_DESCRIPTIONS[fault])
     drive(sim, 0.1, command(0.1, 0.0))
     reply, _ = asked(sim, fault.value, mended=True)
     assert (reply.accepted, reply.detail) == (True, "nothing is broken")
@@ -133,7 +133,7 @@ def test_an_adapter_is_pulled_out_at_once_and_comes_back_at_its_time():
     assert plugs(drive(sim, 0.5, b"")) == []
 
 
-@pytest.mark.parametrize("fault", OF_LASER)
+@pytest.mark.parametrize("fault", LASER_FAULTS)
 def test_a_laser_of_messages_falls_silent_by_each_of_its_faults_and_has_no_adapter(fault):
     sim = simulator("room", **EMULATED)
     drive(sim, 0.5, b"")
@@ -149,21 +149,21 @@ def laser_bytes(sent):
 @pytest.mark.parametrize("fault", [Fault.LASER_GARBAGE, Fault.LASER_STALLED])
 def test_of_a_lasers_broken_line_nothing_can_be_read_until_it_is_mended(fault):
     sim = simulator("room", **EMULATED, emulation={"laser_model": "ld06"})
-    framing = Framing(ld06.LENGTH, ld06.begins, ld06.sums, Counts())
-    assert len(framing.cut(laser_bytes(drive(sim, 0.5, b"")))[0]) > 100
+    framing = PacketFramer(ld06.LENGTH, ld06.is_header, ld06.is_checksum_valid, PacketCounts())
+    assert len(framing.extract(laser_bytes(drive(sim, 0.5, b"")))[0]) > 100
     asked(sim, fault.value, seconds=0.5)
     broken = laser_bytes(drive(sim, 0.48, b""))
     assert bool(broken) is (fault is Fault.LASER_GARBAGE)
-    assert len(framing.cut(broken)[0]) == 0
-    assert len(framing.cut(laser_bytes(drive(sim, 0.5, b"")))[0]) > 100
+    assert len(framing.extract(broken)[0]) == 0
+    assert len(framing.extract(laser_bytes(drive(sim, 0.5, b"")))[0]) > 100
 
 
 def test_a_lasers_stalled_line_carries_nothing_to_it_either():
     sim = simulator("room", **EMULATED, emulation={"laser_model": "rplidar"})
     info = SerialData(sim.now, "laser", b"\xa5\x50")
-    assert laser_bytes(sim.bytes_came(info))
+    assert laser_bytes(sim.receive_bytes(info))
     asked(sim, "laser_stalled")
-    assert laser_bytes(sim.bytes_came(info)) == b""
+    assert laser_bytes(sim.receive_bytes(info)) == b""
 
 
 def test_the_same_seed_and_events_give_the_same_bytes():

@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.lidar_driver.masking import masked_angles, on_robot
+from services.lidar_driver.self_mask import masked_angles, on_robot
 from shared.config import Mount
 
 SQUARE = np.array([(0.2, -0.2), (0.2, 0.2), (-0.2, 0.2), (-0.2, -0.2)])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which beams see the robot itself."""
+"""Which beams hit the robot itself?"""
 
 from math import pi
 
@@ -10,7 +10,7 @@ from shared.config import Mount
 
 
 def masked_angles(angles: Float64s, masks: tuple[tuple[float, float], ...]) -> Bools:
-    """(n,) rad -> (n,): whether an angle lies in a mask (from, to), rad, counter-clockwise, ends included."""
+    """(n,) rad -> (n,): whether an angle is in a mask (from, to), rad, counter-clockwise, both ends included."""
     found = np.zeros(len(angles), bool)
     for begin, end in masks:
         found |= (angles - begin + 1e-9) % (2 * pi) <= (end - begin) % (2 * pi) + 2e-9
@@ -20,7 +20,7 @@ def masked_angles(angles: Float64s, masks: tuple[tuple[float, float], ...]) -> B
 def on_robot(ranges: Float32s, angles: Float64s, mount: Mount, corners: Float64s, margin: float) -> Bools:
     """(n,): whether a beam ends in the footprint, or within `margin` m of it.
 
-    ranges, angles: (n,) m, rad in `laser`.  corners: (c, 2) m in `base`, counter-clockwise.
+    ranges, angles: (n,) m, rad in `laser`.  mount: base_from_laser.  corners: (c, 2) m in `base`, counter-clockwise.
     """
     reach = float(np.hypot(*corners.T).max()) + margin + float(np.hypot(mount.x, mount.y))
     near = np.flatnonzero(ranges <= reach)

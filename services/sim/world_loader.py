@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Worlds on disk: YAML worlds, ROS maps (map_server), cylinder lists (BARN). The simulator's only reader of files."""
+"""Loads worlds: YAML worlds, ROS maps (map_server), cylinder lists (BARN). All file access of the simulator is here."""
 
 import gzip
 import json
@@ -13,17 +13,17 @@ from ruamel.yaml.comments import CommentedMap
 from scipy.ndimage import distance_transform_edt, label
 
 from services.sim.building import building
-from services.sim.crowd import crowd
+from services.sim.crowd import crowd_world
 from services.sim.world import Raster, World
-from services.sim.world_file import built
+from services.sim.world_file import build_world
 from shared.config import CONFIG_DIR, RobotFile, Section, UserError, load_yaml, nearest
 from shared.geometry import Pose2
 from shared.grid import FREE_UP_TO
 from shared.ros_map import read_ros_map
 
 WORLDS = CONFIG_DIR / "worlds"
-ROOM = 1.0  # m about a start that nobody chose: free, and still in sight of something
-PASSAGE = 0.35  # m: floors joined by less are two floors
+START_CLEARANCE_M = 1.0  # m of free space around a start that no file gives
+MIN_PASSAGE_M = 0.35  # m: floors connected by less count as two
 
 
 class CylinderWorld(Section):
@@ -46,7 +46,9 @@ class CylinderFile(Section):
 F = TypeVar("F", bound=CylinderFile)
 
 
-def load(world: str, seed: int = 0, jitter: float = 0.0, barn_file: str = "", start: Pose2 | None = None) -> World:
+def load_world(
+    world: str, seed: int = 0, jitter: float = 0.0, barn_file: str = "", start: Pose2 | None = None
+) -> World:
     """A world by name (`office`), by path (a world's or a ROS map's YAML), or by number, routes checked.
 
     Numbers are `barn:N` of barn_file, `building:N` and `crowd:N`.
@@ -59,7 +61,7 @@ def load(world: str, seed: int = 0, jitter: float = 0.0, barn_file: str = "", st
     elif world.startswith("building:"):
         found, has_start = _building(world, seed, jitter), True
     elif world.startswith("crowd:"):
-        found, has_start = crowd(_number(world)), True
+        found, has_start = crowd_world(_number(world)), True
     else:
         path = _path(world)
         tree = load_yaml(path)
@@ -68,10 +70,10 @@ def load(world: str, seed: int = 0, jitter: float = 0.0, barn_file: str = "", st
             found = World(path.stem, raster.bounds, Pose2(), raster=raster)
         else:
             mapped = _raster(path.parent / str(tree["map"])) if tree.get("map") else None
-            found = built(path.stem, RobotFile(path, tree), mapped, seed, jitter)
+            found = build_world(path.stem, RobotFile(path, tree), mapped, seed, jitter)
         has_start = "start" in tree
     if start is None and not has_start:
-        start = _freest(found)
+        start = _most_open_pose(found)
     return found if start is None else replace(found, start=start)
 
 
@@ -84,7 +86,7 @@ def _path(world: str) -> Path:
 
 
 def _building(world: str, seed: int, jitter: float) -> World:
-    return built(world, RobotFile(Path(world), CommentedMap(building(_number(world)))), None, seed, jitter)
+    return build_world(world, RobotFile(Path(world), CommentedMap(building(_number(world)))), None, seed, jitter)
 
 
 def _number(world: str) -> int:
@@ -95,7 +97,7 @@ def _number(world: str) -> int:
 
 
 def _raster(path: Path) -> Raster:
-    """The solid cells of a ROS map: all that are not free. Nothing drives or sees into what nobody has mapped."""
+    """The solid cells of a ROS map: all that are not free, so also the unknown ones."""
     cells, resolution, x0, y0 = read_ros_map(path)
     return Raster((cells < 0) | (cells > FREE_UP_TO), x0, y0, resolution)
 
@@ -104,7 +106,7 @@ def _cylinders(world: str, barn_file: str) -> World:
     if not barn_file:
         raise UserError(f"world {world}: there is no list of cylinders", "give its file: `barn_file:` in section `sim`")
     path = Path(barn_file)
-    file = cylinder_file(path, CylinderFile)
+    file = read_cylinder_file(path, CylinderFile)
     number = world.partition(":")[2]
     if number not in file.worlds:
         raise UserError(f"{path}: there is no world {number}", nearest(number, tuple(file.worlds)[:12]))
@@ -117,7 +119,7 @@ def _cylinders(world: str, barn_file: str) -> World:
     return World(f"barn_{number}", bounds, Pose2(*file.start), circles=circles, goals={"goal": goal})
 
 
-def cylinder_file(path: Path, model: type[F]) -> F:
+def read_cylinder_file(path: Path, model: type[F]) -> F:
     """A list of worlds of cylinders, also gzipped. Raises UserError where it is missing or wrong."""
     try:
         text = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
@@ -130,12 +132,12 @@ def cylinder_file(path: Path, model: type[F]) -> F:
         raise UserError(f"{path}: not a list of cylinders: {reason}", "see `CylinderFile` in its README") from None
 
 
-def _freest(world: World) -> Pose2:
-    """A place on the largest floor with ROOM to everything, or with the most that there is."""
+def _most_open_pose(world: World) -> Pose2:
+    """A pose on the largest floor with START_CLEARANCE_M, or with the largest clearance that exists."""
     resolution = world.raster.resolution if world.raster else 0.1
     occupied, x0, y0 = world.occupied(resolution)
-    room = np.minimum(distance_transform_edt(np.pad(~occupied, 1))[1:-1, 1:-1] * resolution, ROOM)
-    floors, n_floors = label(room > min(PASSAGE, room.max() / 2))
+    room = np.minimum(distance_transform_edt(np.pad(~occupied, 1))[1:-1, 1:-1] * resolution, START_CLEARANCE_M)
+    floors, n_floors = label(room > min(MIN_PASSAGE_M, room.max() / 2))
     if n_floors:
         room[floors != 1 + np.argmax(np.bincount(floors.ravel())[1:])] = 0.0
     row, column = np.unravel_index(int(np.argmax(room)), room.shape)

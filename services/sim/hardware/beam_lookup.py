@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a laser that has its own angles reads, of a sweep that the simulator made on the robot's grid."""
+"""Ranges and times of an emulated laser's own beams, from a sweep on the robot's grid."""
 
 from math import pi
 
@@ -13,7 +13,7 @@ Int64s = NDArray[np.int64]
 Float64s = NDArray[np.float64]
 
 
-def millimetres(scan: LaserScan, angles: Float64s) -> Float64s:
+def ranges_mm(scan: LaserScan, angles: Float64s) -> Float64s:
     """(n,) rad in `laser` -> (n,) mm of the nearest beam; 0 where it read nothing, or none is near."""
     turn = 2 * pi / abs(scan.angle_increment)
     places = ((angles - scan.angle_min) / scan.angle_increment + 0.5) % turn
@@ -29,11 +29,11 @@ def first_angle(scan: LaserScan, direction: int) -> float:
     return scan.angle_min if forward else scan.angle_min + (len(scan.ranges) - 1) * scan.angle_increment
 
 
-def moments(scan: LaserScan, laser: Laser, shares: Float64s) -> list[int]:
-    """ns when the laser had made these shares of a turn since the sweep's first beam."""
+def turn_times(scan: LaserScan, laser: Laser, shares: Float64s) -> list[int]:
+    """Times (ns) at which the laser has made these shares (n,) of a turn since the sweep's first beam."""
     return [scan.stamp + round(share * 1e9 / laser.rate) for share in shares.tolist()]
 
 
-def left(ready: int, data: bytes, baud: int) -> tuple[int, bytes]:
-    """The chunk, and when its last byte has left on a line of that speed, ns; it began to when it was ready."""
+def timed_chunk(ready: int, data: bytes, baud: int) -> tuple[int, bytes]:
+    """The time (ns) when the last byte of a chunk is sent, and the chunk. ready: ns, start.  baud: bits/s."""
     return ready + len(data) * 10_000_000_000 // baud, data

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does a commanded wheel turn? If not, its motor, encoder or cable is broken, or something holds it."""
+"""Does a commanded wheel turn? If not, its motor, encoder or cable is broken, or the wheel is blocked."""
 
 from pydantic import Field
 
@@ -7,15 +7,15 @@ from shared.config import Section
 
 
 class StuckConfig(Section):
-    """When a wheel counts as stuck."""
+    """Limits of a stuck wheel."""
 
-    commanded_over: float = Field(0.05, gt=0, le=1, description="m/s at the rim; slower commands are not judged")
-    turns_under: float = Field(0.02, gt=0, le=1, description="m/s at the rim, on average, that a stuck wheel shows")
-    longer_than: float = Field(1.0, gt=0.1, le=10, description="s")
+    commanded_over: float = Field(0.05, gt=0, le=1, description="minimum command that is judged, m/s at the rim")
+    turns_under: float = Field(0.02, gt=0, le=1, description="maximum mean speed of a stuck wheel, m/s at the rim")
+    longer_than: float = Field(1.0, gt=0.1, le=10, description="minimum duration, s")
 
 
-class StuckWatch:
-    """Watches one wheel: stuck when it is asked to turn, in one direction, and for `longer_than` hardly does."""
+class StuckDetector:
+    """Judges one wheel: stuck if it is commanded in one direction for `longer_than` and hardly turns."""
 
     def __init__(self, config: StuckConfig) -> None:
         self.config = config
@@ -23,12 +23,12 @@ class StuckWatch:
         self._angle = 0.0
         self._forward = True
 
-    def forget(self) -> None:
-        """Judges from the next report on."""
+    def reset(self) -> None:
+        """Restarts with the next report."""
         self._since = None
 
-    def stuck(self, stamp: int, angle: float, commanded: float, radius: float) -> bool:
-        """After a report: stamp (ns), the wheel's angle (rad), the commanded speed (rad/s), the wheel's radius (m)."""
+    def update(self, stamp: int, angle: float, commanded: float, radius: float) -> bool:
+        """Whether the wheel is stuck after a report; stamp: ns, angle: rad, commanded: rad/s, radius: m."""
         if abs(commanded) * radius <= self.config.commanded_over:
             self._since = None
             return False

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from services.base_driver.following import FollowingConfig, FollowWatch
 from services.base_driver.kinematics import wheel_speeds
+from services.base_driver.wheel_tracking import WheelTrackingConfig, WheelTrackingMonitor
 from shared.config import load_robot
 
 RADIUS = 0.1
@@ -19,11 +19,11 @@ needs_data = pytest.mark.skipif(DATA is None, reason="ZENAV_DATA is not set: the
 
 def astray_after(commanded, turning, seconds=2.0, hz=50, **settings):
     """When (s) a wheel with these rim speeds (m/s, functions of s) is found astray, and its speed; None: never."""
-    watch = FollowWatch(FollowingConfig(**settings))
+    watch = WheelTrackingMonitor(WheelTrackingConfig(**settings))
     way = 0.0
     for k in range(round(seconds * hz) + 1):
         t = k / hz
-        speed = watch.astray(round(t * 1e9), way / RADIUS, commanded(t) / RADIUS, RADIUS)
+        speed = watch.update(round(t * 1e9), way / RADIUS, commanded(t) / RADIUS, RADIUS)
         if not isnan(speed):
             return t, speed
         way += turning(t) / hz
@@ -100,17 +100,17 @@ def test_short_hiccups_are_forgiven():
 
 def test_a_gap_between_reports_and_a_jump_are_not_judged():
     assert astray_after(lambda t: 0.8, lambda t: 0.0, hz=3) is None
-    watch = FollowWatch(FollowingConfig())
+    watch = WheelTrackingMonitor(WheelTrackingConfig())
     for k in range(200):
         if k % 3 == 0:
-            watch.forget()
-        assert isnan(watch.astray(k * 20_000_000, 0.0, 8.0, RADIUS))
+            watch.reset()
+        assert isnan(watch.update(k * 20_000_000, 0.0, 8.0, RADIUS))
 
 
 def test_stamps_that_stand_or_run_back_are_survived():
-    watch = FollowWatch(FollowingConfig())
+    watch = WheelTrackingMonitor(WheelTrackingConfig())
     for stamp in (5, 5, 3, 10**12, 0):
-        assert isnan(watch.astray(stamp * 10**7, 0.0, 8.0, RADIUS))
+        assert isnan(watch.update(stamp * 10**7, 0.0, 8.0, RADIUS))
 
 
 @needs_data
@@ -123,7 +123,7 @@ def test_the_real_robot_s_wheels_follow_what_they_were_told():
             return [[float(value) for value in row] for row in list(csv.reader(file))[1:]]
 
     commands, wrap = rows("cmd_vel"), 32768 * 2 * pi / 756
-    watches = FollowWatch(FollowingConfig()), FollowWatch(FollowingConfig())
+    watches = WheelTrackingMonitor(WheelTrackingConfig()), WheelTrackingMonitor(WheelTrackingConfig())
     angles, alarms, judged = [0.0, 0.0], [], 0
     for (_, *before), (t, *after) in pairwise(rows("wheel_positions")):
         steps = [b - a - wrap * round((b - a) / wrap) for a, b in zip(before, after)]
@@ -131,7 +131,7 @@ def test_the_real_robot_s_wheels_follow_what_they_were_told():
         v, w = next(((v, w) for at, v, w in reversed(commands) if at <= t), (0.0, 0.0))
         for watch, angle, speed in zip(watches, angles, wheel_speeds(v, w, drive)):
             judged += abs(speed) * drive.wheel_radius > 0.05
-            if not isnan(watch.astray(round(t * 1e9), angle, speed, drive.wheel_radius)):
+            if not isnan(watch.update(round(t * 1e9), angle, speed, drive.wheel_radius)):
                 alarms.append(t)
     assert judged > 1000
     assert alarms == []

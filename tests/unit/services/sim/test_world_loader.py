@@ -9,8 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 from PIL import Image
 
-from services.sim.rays import cast
-from services.sim.store import load
+from services.sim.rays import cast_ray
+from services.sim.world_loader import load_world
 from shared.config import UserError
 from shared.geometry import Pose2
 from tests.unit.services.sim.scenes import JACKAL, drive, simulator, told, written
@@ -35,46 +35,46 @@ def ros_map(folder, text=MAP):
 
 
 def test_a_ros_map_lies_where_its_origin_says_with_its_first_row_on_top(tmp_path):
-    world = load(ros_map(tmp_path))
+    world = load_world(ros_map(tmp_path))
     assert world.bounds == pytest.approx((-1, -2, 0.2, -1))
     solid, x0, y0 = world.occupied(0.1)
     assert (x0, y0) == pytest.approx((-1, -2))
     assert solid.sum() == 2 * 12 + 2 * 8 + 2
     assert solid[7, 4]
     assert solid[2, 9]
-    assert_allclose(cast(world.cells, -0.85, -1.25, 1.0, 0.0, 9.0), 0.25)
-    assert_allclose(cast(world.cells, -0.85, -1.85, 1.0, 0.0, 9.0), 0.95)
+    assert_allclose(cast_ray(world.cells, -0.85, -1.25, 1.0, 0.0, 9.0), 0.25)
+    assert_allclose(cast_ray(world.cells, -0.85, -1.85, 1.0, 0.0, 9.0), 0.95)
 
 
 def test_a_small_map_without_a_start_starts_at_its_freest_place(tmp_path):
-    world = load(ros_map(tmp_path))
+    world = load_world(ros_map(tmp_path))
     occupied, x0, y0 = world.occupied(0.1)
     rows, columns = np.nonzero(occupied)
     solid = np.column_stack((x0 + (columns + 0.5) * 0.1, y0 + (rows + 0.5) * 0.1))
     free = np.column_stack(np.nonzero(~occupied))[:, ::-1] * 0.1 + (x0 + 0.05, y0 + 0.05)
     room = [np.hypot(*(solid - p).T).min() for p in free]
     assert_allclose(np.hypot(*(solid - (world.start.x, world.start.y)).T).min(), max(room))
-    assert load(ros_map(tmp_path), start=Pose2(-0.5, -1.5, 1.0)).start == Pose2(-0.5, -1.5, 1.0)
+    assert load_world(ros_map(tmp_path), start=Pose2(-0.5, -1.5, 1.0)).start == Pose2(-0.5, -1.5, 1.0)
 
 
 def test_a_world_may_stand_on_a_ros_map(tmp_path):
     ros_map(tmp_path)
-    world = load(
+    world = load_world(
         str(written(tmp_path, "map: m.yaml\nstart: {x: -0.5, y: -1.5}\ncylinders: [{x: 1, y: 0, radius: 0.2}]"))
     )
     assert world.bounds == pytest.approx((-1, -2, 1.2, 0.2))
-    assert_allclose(cast(world.cells, -0.85, -1.25, 1.0, 0.0, 9.0), 0.25)
-    assert_allclose(cast(world.cells, 1.0, -2.0, 0.0, 1.0, 9.0), 1.8)
+    assert_allclose(cast_ray(world.cells, -0.85, -1.25, 1.0, 0.0, 9.0), 0.25)
+    assert_allclose(cast_ray(world.cells, 1.0, -2.0, 0.0, 1.0, 9.0), 1.8)
 
 
 def test_a_list_of_cylinders_gives_its_worlds_by_number(tmp_path):
     for name, content in (("w.json", json.dumps(CYLINDERS).encode()), ("w.json.gz", None)):
         (tmp_path / name).write_bytes(content or gzip.compress(json.dumps(CYLINDERS).encode()))
-        world = load("barn:1", barn_file=str(tmp_path / name))
+        world = load_world("barn:1", barn_file=str(tmp_path / name))
         assert world.start == Pose2(0, 0, 1.57)
         assert world.goals["goal"].y == 5
-        assert_allclose(cast(world.cells, 0.0, 0.0, 0.0, 1.0, 9.0), 1.9)
-    assert load("barn:7", barn_file=str(tmp_path / "w.json")).circles.shape == (0, 3)
+        assert_allclose(cast_ray(world.cells, 0.0, 0.0, 0.0, 1.0, 9.0), 1.9)
+    assert load_world("barn:7", barn_file=str(tmp_path / "w.json")).circles.shape == (0, 3)
 
 
 def test_what_is_missing_or_broken_is_told_with_its_mend(tmp_path):
@@ -96,7 +96,7 @@ def test_what_is_missing_or_broken_is_told_with_its_mend(tmp_path):
     ]
     for world, file, mend in cases:
         with pytest.raises(UserError) as error:
-            load(world, barn_file=str(tmp_path / file) if file else "")
+            load_world(world, barn_file=str(tmp_path / file) if file else "")
         assert mend in error.value.mend
         assert error.value.mend
 

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
 
-from services.base_driver.stuck import StuckConfig, StuckWatch
+from services.base_driver.stuck_detection import StuckConfig, StuckDetector
 
 RADIUS = 0.1
 
 
 def reports(commanded, turning, seconds=1.5, hz=50):
     """When (s) a wheel that is commanded and turns at these rim speeds (m/s) is found stuck, or None."""
-    watch = StuckWatch(StuckConfig())
+    watch = StuckDetector(StuckConfig())
     for k in range(round(seconds * hz) + 1):
         t = k / hz
-        if watch.stuck(round(t * 1e9), turning * t / RADIUS, commanded / RADIUS, RADIUS):
+        if watch.update(round(t * 1e9), turning * t / RADIUS, commanded / RADIUS, RADIUS):
             return t
     return None
 
@@ -34,25 +34,25 @@ def test_two_centimetres_a_second_is_turning(turning, found):
 
 
 def test_less_than_a_second_of_other_settings_scales_the_way():
-    watch = StuckWatch(StuckConfig(longer_than=0.5))
+    watch = StuckDetector(StuckConfig(longer_than=0.5))
     for t, way in ((0.0, 0.0), (0.25, 0.0), (0.49, 0.0), (0.5, 0.011)):
-        found = watch.stuck(round(t * 1e9), way / RADIUS, 0.2 / RADIUS, RADIUS)
+        found = watch.update(round(t * 1e9), way / RADIUS, 0.2 / RADIUS, RADIUS)
     assert not found, "1.1 cm in half a second is over 2 cm/s"
 
 
 @pytest.mark.parametrize("first", [1, -1])
 def test_a_reversal_begins_anew(first):
-    watch = StuckWatch(StuckConfig())
-    assert not watch.stuck(0, 0.0, first * 2.0, RADIUS)
-    assert not watch.stuck(900_000_000, 0.0, first * 2.0, RADIUS)
-    assert not watch.stuck(1_000_000_000, 0.0, -first * 2.0, RADIUS)
-    assert not watch.stuck(1_900_000_000, 0.0, -first * 2.0, RADIUS)
-    assert watch.stuck(2_000_000_000, 0.0, -first * 2.0, RADIUS)
+    watch = StuckDetector(StuckConfig())
+    assert not watch.update(0, 0.0, first * 2.0, RADIUS)
+    assert not watch.update(900_000_000, 0.0, first * 2.0, RADIUS)
+    assert not watch.update(1_000_000_000, 0.0, -first * 2.0, RADIUS)
+    assert not watch.update(1_900_000_000, 0.0, -first * 2.0, RADIUS)
+    assert watch.update(2_000_000_000, 0.0, -first * 2.0, RADIUS)
 
 
 def test_a_pause_begins_anew():
-    watch = StuckWatch(StuckConfig())
-    assert not watch.stuck(0, 0.0, 2.0, RADIUS)
-    assert not watch.stuck(900_000_000, 0.0, 0.0, RADIUS)
-    assert not watch.stuck(1_100_000_000, 0.0, 2.0, RADIUS)
-    assert watch.stuck(2_100_000_000, 0.0, 2.0, RADIUS)
+    watch = StuckDetector(StuckConfig())
+    assert not watch.update(0, 0.0, 2.0, RADIUS)
+    assert not watch.update(900_000_000, 0.0, 0.0, RADIUS)
+    assert not watch.update(1_100_000_000, 0.0, 2.0, RADIUS)
+    assert watch.update(2_100_000_000, 0.0, 2.0, RADIUS)

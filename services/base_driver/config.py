@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the base driver."""
+
+from pydantic import Field
+
+from services.base_driver.battery import BatteryConfig
+from services.base_driver.encoders import EncoderConfig
+from services.base_driver.serial_board import SerialBoardConfig
+from services.base_driver.stuck_detection import StuckConfig
+from services.base_driver.watchdog import WatchdogConfig
+from services.base_driver.wheel_tracking import WheelTrackingConfig
+from shared.config import Section
+from shared.ports import PortConfig
+
+
+class BaseDriverConfig(Section):
+    """The base driver."""
+
+    port: PortConfig = Field(
+        PortConfig(), description="port of the motion board; no device: messages `hardware/board` and `motors`"
+    )
+    board: SerialBoardConfig = SerialBoardConfig()
+    board_silent: float = Field(0.5, gt=0.05, le=5, description="s without a report after which the link is lost")
+    board_age: float = Field(
+        0.2,
+        gt=0.02,
+        le=1,
+        description="maximum age, s, of a report that is used; `bad_stamps` if all reports are older",
+    )
+    battery: BatteryConfig = BatteryConfig()
+    watchdog: WatchdogConfig = WatchdogConfig()
+    encoders: EncoderConfig = EncoderConfig()
+    stuck: StuckConfig = StuckConfig()
+    following: WheelTrackingConfig = WheelTrackingConfig()
