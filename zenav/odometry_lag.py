@@ -5,9 +5,9 @@ import numpy as np
 
 from shared.geometry import Float64s
 
-LONGEST = 1.0  # s to either side
+MAX_LAG_S = 1.0  # to either side
 STEP = 0.01  # s
-LEAST_TURN = 3.0  # rad in all, under which nothing can be told
+MIN_TURN_RAD = 3.0  # sum of all turns: a drive with less does not determine the lag
 
 
 def odometry_lag(odometry: Float64s, placed: Float64s) -> float | None:
@@ -19,11 +19,11 @@ def odometry_lag(odometry: Float64s, placed: Float64s) -> float | None:
     if len(odometry) < 10 or len(placed) < 10:
         return None
     (stamps, yaw), (at, seen) = ((table[:, 0], np.unwrap(table[:, 1])) for table in (odometry, placed))
-    inside = (at > stamps[0] + LONGEST) & (at < stamps[-1] - LONGEST)
+    inside = (at > stamps[0] + MAX_LAG_S) & (at < stamps[-1] - MAX_LAG_S)
     at, turns = at[inside], np.diff(seen[inside])
-    if len(at) < 10 or np.abs(turns).sum() < LEAST_TURN:
+    if len(at) < 10 or np.abs(turns).sum() < MIN_TURN_RAD:
         return None
-    lags = np.arange(-LONGEST, LONGEST + STEP / 2, STEP)
+    lags = np.arange(-MAX_LAG_S, MAX_LAG_S + STEP / 2, STEP)
     # robust: a wheel that slips must not outweigh all the rest
     misfits = [float(np.abs(np.diff(np.interp(at + lag, stamps, yaw)) - turns).sum()) for lag in lags]
     best = int(np.argmin(misfits))

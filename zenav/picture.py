@@ -13,7 +13,7 @@ Float64s = NDArray[np.float64]
 
 WALL, FREE, UNKNOWN = (25, 28, 36), (250, 250, 248), (188, 192, 198)
 WAY, START, END = (214, 62, 48), (30, 140, 60), (30, 90, 200)
-LONGEST = 2400  # pixels
+MAX_SIDE_PIXELS = 2400  # of an image
 
 
 def map_picture(grid: OccupancyGrid, poses: Float64s) -> bytes:
@@ -31,12 +31,12 @@ def map_picture(grid: OccupancyGrid, poses: Float64s) -> bytes:
     cells[max(-r0, 0) : max(-r0, 0) + inner.shape[0], max(-c0, 0) : max(-c0, 0) + inner.shape[1]] = inner
     shades = np.array(FREE) + np.linspace(0, 1, 101)[:, None] * (np.array(WALL) - np.array(FREE))
     colours = np.vstack((UNKNOWN, shades)).astype(np.uint8)[cells + 1]
-    scale = max(1, min(4, LONGEST // max(cells.shape)))
+    scale = max(1, min(4, MAX_SIDE_PIXELS // max(cells.shape)))
     image = Image.fromarray(colours[::-1]).resize(
         (cells.shape[1] * scale, cells.shape[0] * scale), Image.Resampling.NEAREST
     )
-    if max(image.size) > LONGEST:
-        image.thumbnail((LONGEST, LONGEST), Image.Resampling.BOX)
+    if max(image.size) > MAX_SIDE_PIXELS:
+        image.thumbnail((MAX_SIDE_PIXELS, MAX_SIDE_PIXELS), Image.Resampling.BOX)
     pixel = image.size[0] / cells.shape[1]
     draw = ImageDraw.Draw(image)
     x = ((poses[:, 0] - grid.x0) / grid.resolution - c0) * pixel
@@ -72,7 +72,7 @@ def two_runs(grid: OccupancyGrid, way: Float64s, other_grid: OccupancyGrid, othe
     colours[classes(cells) != classes(others)] = DIFFERS
     rows, columns = np.nonzero((cells >= 0) | (others >= 0))
     r0, r1, c0, c1 = (int(v) for v in (rows.min(), rows.max() + 1, columns.min(), columns.max() + 1))
-    scale = max(1, min(4, LONGEST // max(r1 - r0, c1 - c0)))
+    scale = max(1, min(4, MAX_SIDE_PIXELS // max(r1 - r0, c1 - c0)))
     image = Image.fromarray(colours[r0:r1, c0:c1][::-1])
     image = image.resize((image.size[0] * scale, image.size[1] * scale), Image.Resampling.NEAREST)
     draw, cell = ImageDraw.Draw(image), grid.resolution

@@ -21,7 +21,7 @@ from shared.topics import TOPICS
 
 COMMANDS = frozenset(t.key for t in TOPICS if t.type in (Velocity, MotorCommand, Goal, EmergencyStop))
 """The keys that a robot obeys."""
-LONGEST_SILENCE = 60_000_000_000
+MAX_SILENCE_NS = 60_000_000_000
 """ns without a message, from which the recorder's clock jumped: nobody waits for that."""
 SILENCE = 1_000_000_000  # ns that are waited instead
 SLOWEST, FASTEST = 0.01, 100.0
@@ -129,7 +129,7 @@ def timed(entries: Iterable[Entry], first: int, notes: list[str]) -> Iterator[tu
     place, before = 0, first
     for entry in entries:
         step = max(entry.log_time - before, 0)
-        if step > LONGEST_SILENCE:
+        if step > MAX_SILENCE_NS:
             notes.append(f"{step / 1e9:.0f} s of silence at {place / 1e9:.1f} s are passed over")
             step = SILENCE
         place, before = place + step, max(before, entry.log_time)

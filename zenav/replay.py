@@ -19,7 +19,7 @@ from shared.runners.replay import Build, Gap, JobRun, Progress, Replayed, replay
 from zenav.comparison import Tolerances, TopicReport
 from zenav.playback import contents
 
-MOST_GAPS = 20  # that are told one by one
+MAX_GAPS = 20  # gaps with a line of their own
 
 
 @dataclass(slots=True)
@@ -88,11 +88,11 @@ def replay_file(
 def gap_notes(gaps: list[Gap], began: int) -> list[str]:
     """What is missing, in words; the first of each service is where its equal bytes end. began: the recording, ns."""
     notes, told = [], set[str]()
-    for gap in gaps[:MOST_GAPS]:
+    for gap in gaps[:MAX_GAPS]:
         where = "equal bytes are not promised from here on: " if gap.name not in told else ""
         told.add(gap.name)
         notes.append(f"{where}+{(gap.now - began) / 1e9:.3f} s {gap}")
-    return [*notes, *([f"and {len(gaps) - MOST_GAPS} gaps more"] if len(gaps) > MOST_GAPS else [])]
+    return [*notes, *([f"and {len(gaps) - MAX_GAPS} gaps more"] if len(gaps) > MAX_GAPS else [])]
 
 
 def compare(replayed: Replayed, tolerances: Tolerances = MappingProxyType({}), began: int = 0) -> Report:

@@ -22,7 +22,7 @@ SUCCESS, COLLISIONS, SCORE = 0.995, 0.003, 0.4975
 
 FILE = "barn_worlds.json.gz"
 TRAJECTORY = "t", "x", "y", "heading", "v", "w"
-MOST_ROWS = 40  # of the table: runs that failed, else those that came nearest to something
+MAX_ROWS = 40  # of the table: runs that failed, else those that came nearest to something
 COLUMNS = "world, seed", "", "time, s", "score", "clearance, m", "recoveries", "what was said at the end"
 
 NOISE = (
@@ -96,7 +96,7 @@ def barn(
     figures = summary(told)
     failed = [run for run in told if run["status"] != "success"]
     shown = failed or sorted(told, key=lambda run: float(run["clearance"]))[:5]
-    table(f"{'crowds' if crowd else 'BARN'}, {figures['runs']} runs", COLUMNS, [_row(run) for run in shown[:MOST_ROWS]])
+    table(f"{'crowds' if crowd else 'BARN'}, {figures['runs']} runs", COLUMNS, [_row(run) for run in shown[:MAX_ROWS]])
     table("all", tuple(figures), [tuple(str(value) for value in figures.values())])
     write(out, {"summary": figures, "robot": robot, "noise": noise, "crowd": crowd, "settings": settings, "runs": told})
     return 0 if kept(figures, crowd) else 1

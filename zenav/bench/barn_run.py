@@ -34,7 +34,7 @@ POLL = 0.1  # s of simulated time between two looks at the true position
 LEFT_START = 0.1  # m off the start at which the clock starts
 FREE_TIME = 30.0  # s that a robot may stand at the start
 FASTEST = 2.0  # m/s: the optimal time is the reference path's length over this
-LEAST_SHARE, MOST_SHARE = 2.0, 8.0  # of the optimal time: between these, the time counts
+MIN_TIME_RATIO, MAX_TIME_RATIO = 2.0, 8.0  # of the optimal time: the rule clips the time to this range
 GOAL_RADIUS, TIME_LIMIT = 1.0, 100.0  # m, s: of a crowd, as in the file of worlds
 STANDS = 0.05  # m/s and rad/s: who is slower stood when it was touched
 BEFORE = 10  # truths, 0.2 s, before a touch in which it is looked whether the robot stood
@@ -120,7 +120,7 @@ class Driven:
 def score(status: str, time: float, optimal_length: float) -> float:
     """The challenge's: success * OT / clip(AT, 2 OT, 8 OT), at most 0.5."""
     optimal = optimal_length / FASTEST
-    return optimal / min(max(time, LEAST_SHARE * optimal), MOST_SHARE * optimal) if status == "success" else 0.0
+    return optimal / min(max(time, MIN_TIME_RATIO * optimal), MAX_TIME_RATIO * optimal) if status == "success" else 0.0
 
 
 def course_of(path: Path, file: BarnFile, world: str) -> Course:

@@ -29,7 +29,10 @@ MAX_GOAL_DISTANCE = GOAL_TOLERANCE + 2 * ARRIVED  # m from the goal that count a
 LOOK = 0.45  # m: how far down the way it heads for
 TURN_FROM, TURN_UNTIL = 0.9, 0.25  # rad off the way at which a robot turns on the spot
 TURN_RATE = 1.5  # rad/s at most, on the spot
-FULL_SPEED, LEAST_SPEED = 0.3, 0.25  # m of clearance that allow full speed; share of that at no clearance
+FULL_SPEED_CLEARANCE_M, MIN_SPEED_SHARE = (
+    0.3,
+    0.25,
+)  # m of clearance that allow full speed; share of that at no clearance
 ACROSS, BRAKING = 2.0, 0.5  # m/s^2 at most in a bend: v^2 times the curvature; before the end of a way
 CREEP = 0.1  # m/s, from a stand and at the end
 AHEAD = 0.9  # m of the way that must be free of people
@@ -137,7 +140,7 @@ class Chauffeur:
         self.waited = 0.0
         curvature = 2 * sin(off) / max(hypot(carrot[0] - pose.x, carrot[1] - pose.y), 0.2)
         room = min(self.ways.clear_at(pose.x, pose.y), self.ways.clear_at(*carrot.tolist()))
-        v = self.drive.max_speed * min(max(room / FULL_SPEED, LEAST_SPEED), 1.0)
+        v = self.drive.max_speed * min(max(room / FULL_SPEED_CLEARANCE_M, MIN_SPEED_SHARE), 1.0)
         v = min(v, (ACROSS / max(abs(curvature), 1e-3)) ** 0.5, (CREEP + 2 * BRAKING * left) ** 0.5)
         v = min(v, max(truth.v, CREEP) + self.drive.max_acceleration * seconds * 1.5)  # more, as the motors lag
         return self.drive.clamped(v, curvature * v)

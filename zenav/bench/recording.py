@@ -47,17 +47,17 @@ DRIVE = 40.0  # s
 FLUSH_EACH = 450  # messages: about a second of the stack
 START = 60.0  # s that the recorder may take to answer
 SECOND = 1_000_000_000
-LEAST, MOST = "at least", "at most"
+MINIMUM, MAXIMUM = "at least", "at most"
 LIMITS: dict[str, tuple[str, str, float]] = {
-    "written_a_second": ("scans written a second of CPU", LEAST, 20_000),
-    "read_a_second": ("scans read a second of CPU", LEAST, 50_000),
-    "open_s": ("open an hour, s", MOST, 1.0),
-    "seek_s": ("seek in it, s", MOST, 1.0),
-    "info_s": ("info of it, s", MOST, 1.0),
-    "mapper_times_real_time": ("replay with the mapper, times real time", LEAST, 50),
-    "replay_times_real_time": ("replay without the mapper's work, times real time", LEAST, 50),
-    "recorder_share": ("recorder, share of a core", MOST, 0.05),
-    "recorder_missed": ("recorder, messages missed", MOST, 0),
+    "written_a_second": ("scans written a second of CPU", MINIMUM, 20_000),
+    "read_a_second": ("scans read a second of CPU", MINIMUM, 50_000),
+    "open_s": ("open an hour, s", MAXIMUM, 1.0),
+    "seek_s": ("seek in it, s", MAXIMUM, 1.0),
+    "info_s": ("info of it, s", MAXIMUM, 1.0),
+    "mapper_times_real_time": ("replay with the mapper, times real time", MINIMUM, 50),
+    "replay_times_real_time": ("replay without the mapper's work, times real time", MINIMUM, 50),
+    "recorder_share": ("recorder, share of a core", MAXIMUM, 0.05),
+    "recorder_missed": ("recorder, messages missed", MAXIMUM, 0),
 }
 """What is required of each figure of the summary. The limits are fixed: none follows another figure of the run."""
 
@@ -103,7 +103,7 @@ def recording(hours: float, out: Path | None) -> int:
 def kept(summary: dict[str, float]) -> dict[str, bool]:
     """Whether each figure of the summary keeps its limit."""
     return {
-        name: summary[name] >= limit if side == LEAST else summary[name] <= limit
+        name: summary[name] >= limit if side == MINIMUM else summary[name] <= limit
         for name, (_, side, limit) in LIMITS.items()
     }
 

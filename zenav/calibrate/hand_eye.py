@@ -21,13 +21,13 @@ Bools = NDArray[np.bool_]
 
 STEP = 0.3  # m driven that make an interval: slips of one spell fall into one interval, not into two
 STEP_TURN = 0.5  # rad turned that make one
-LONGEST = 3.0  # s of an interval: a wheel that creeps slips unseen
+MAX_INTERVAL_S = 3.0  # of an interval: odometry does not see the slip of a slowly turning wheel
 MATCH_SIGMA, MATCH_SIGMA_TURN = 0.003, 0.0015  # m, rad: of the motion between two scans, until it is measured
 SLIP = 4e-5  # m^2 of variance for each m that a wheel rolls, until it is measured
 ROBUST = 2.0  # standard deviations from which a residual counts less
 TAILS = 10  # degrees of freedom of Student's t that the scatter is fitted with: a slip now and then is no surprise
-LEAST_INTERVALS = 12
-LEAST_TRAVEL, LEAST_TURNING = 2.0, 2 * pi  # m, rad
+MIN_INTERVALS = 12
+MIN_TRAVEL_M, MIN_TURNING_RAD = 2.0, 2 * pi
 NAMES = ("left radius", "right radius", "wheel distance", "laser x", "laser y", "laser yaw")
 
 
@@ -107,7 +107,7 @@ def intervals(rolled: Rolled, track: ScanTrack) -> Intervals:
         if begin is not None:
             dx, dy, dyaw = (float(v) for v in track.poses[i] - track.poses[i - 1])
             travel, turn = travel + hypot(dx, dy), turn + abs(dyaw)
-            late = track.stamps[i] - track.stamps[begin] > LONGEST * 1e9
+            late = track.stamps[i] - track.stamps[begin] > MAX_INTERVAL_S * 1e9
             if travel < STEP and turn < STEP_TURN and not late:
                 continue
             if not late or travel > STEP / 2 or turn > STEP_TURN / 2:
@@ -126,22 +126,23 @@ def _enough(found: Intervals) -> None:
     """Raises UserError where a drive cannot tell what is asked of it."""
     travel = float(np.hypot(found.laser[:, 0], found.laser[:, 1]).sum())
     turning = float(np.abs(found.laser[:, 2]).sum())
-    if turning < LEAST_TURNING:
+    if turning < MIN_TURNING_RAD:
         raise UserError(
-            f"the drive turns by {np.degrees(turning):.0f} degrees in all, {np.degrees(LEAST_TURNING):.0f} are needed",
+            f"the drive turns by {np.degrees(turning):.0f} degrees in all, "
+            f"{np.degrees(MIN_TURNING_RAD):.0f} are needed",
             "record again with turns on the spot and curves, to both sides",
         )
     straight = np.abs(found.laser[:, 2]) < 0.5 * STEP_TURN
     driven = float(np.hypot(found.laser[straight, 0], found.laser[straight, 1]).sum())
-    if min(travel, driven) < LEAST_TRAVEL:
+    if min(travel, driven) < MIN_TRAVEL_M:
         raise UserError(
-            f"the drive goes straight on for {driven:.1f} m in all, {LEAST_TRAVEL:g} are needed",
+            f"the drive goes straight on for {driven:.1f} m in all, {MIN_TRAVEL_M:g} are needed",
             "record again with some metres straight on between the turns",
         )
-    if len(found.begin) < LEAST_INTERVALS:
+    if len(found.begin) < MIN_INTERVALS:
         raise UserError(
             f"the drive has {len(found.begin)} usable pieces of {STEP} m or {np.degrees(STEP_TURN):.0f} degrees",
-            f"drive for longer: {LEAST_INTERVALS} are the least, 100 are good",
+            f"drive for longer: {MIN_INTERVALS} are the least, 100 are good",
         )
 
 

@@ -19,7 +19,7 @@ from zenav.calibrate.rolling import Float64s, Int64s, Rolled
 WHEELS = ("left", "right")
 TURNS = 0.25  # of what was asked for: less is no turning
 GRID = 0.005  # s
-LONGEST_DELAY = 0.4  # s
+MAX_DELAY_S = 0.4
 STOPPED = 0.01  # m/s
 SETTLED = 0.5  # s at the end of a step that its steady speed is taken from
 
@@ -191,7 +191,7 @@ def lags(log: Log, phases: Sequence[Phase], drive: Drive) -> list[Lag]:
         def off(p: Float64s, parts: list[tuple[Float64s, Float64s]] = parts) -> Float64s:
             return np.concatenate([first_order(asked, p[0], p[1], p[2]) - seen for asked, seen in parts])
 
-        bounds = ([0.0, 0.0, 0.001], [3.0, LONGEST_DELAY, 2.0])
+        bounds = ([0.0, 0.0, 0.001], [3.0, MAX_DELAY_S, 2.0])
         starts = [(1.0, delay, 0.1) for delay in (0.02, 0.1, 0.2)]
         fits = [least_squares(off, s, bounds=bounds, x_scale=(1, 0.05, 0.05), diff_step=1e-3) for s in starts]
         gain, delay, lag = min(fits, key=lambda fit: fit.cost).x

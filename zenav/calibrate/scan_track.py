@@ -15,7 +15,7 @@ from zenav.slam import Run
 
 Float64s = NDArray[np.float64]
 
-LEAST_SCANS = 20
+MIN_SCANS = 20
 
 
 class ScanTrack(NamedTuple):
@@ -41,7 +41,7 @@ def scan_track(scans: list[LaserScan], rolled: Rolled, robot: Robot, wheels: Whe
 
     Raises UserError where there are too few scans, or too few of them find their place.
     """
-    if len(scans) < LEAST_SCANS:
+    if len(scans) < MIN_SCANS:
         raise UserError(f"there are {len(scans)} scans", "record scan and base/wheels together for half a minute")
     run = Run(MapperConfig(), alone(robot))
     run.mapper.warm()
@@ -66,7 +66,7 @@ def scan_track(scans: list[LaserScan], rolled: Rolled, robot: Robot, wheels: Whe
     poses = np.array([(e.map_from_base.x, e.map_from_base.y, e.map_from_base.yaw) for e in estimates]).reshape(-1, 3)
     poses[:, 2] = np.unwrap(poses[:, 2])
     good = np.array([e.state is Localization.GOOD for e in estimates], bool)
-    if good.sum() < LEAST_SCANS or good.mean() < 0.5:
+    if good.sum() < MIN_SCANS or good.mean() < 0.5:
         raise UserError(
             f"only {int(good.sum())} of {len(scans)} scans find their place among the others",
             "record in a room with walls within the laser's range, and drive slowly",

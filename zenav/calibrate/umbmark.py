@@ -20,11 +20,13 @@ Float64s = NDArray[np.float64]
 
 STANDS = 1.0  # s without motion that part one run from the next; at corners the robot stands for less
 MOVES = 0.002  # m at a wheel's rim within that time that count as motion
-LEAST_SIDE = 0.5  # m
+MIN_SIDE_M = 0.5
 ROUND = 0.6  # rad by which a run's whole turn may differ from a full one
 OPEN = 0.25  # share of its length by which a run's end may lie off its start
 ROUNDS = 10  # of correcting what is left after the last: the paper's equations hold for small angles
-LARGEST = pi / 8  # rad of turning error a corner, or a side, beyond which the method's small angles do not hold
+MAX_TURNING_ERROR_RAD = (
+    pi / 8
+)  # rad of turning error a corner, or a side, beyond which the method's small angles do not hold
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +79,7 @@ def runs(rolled: Rolled, wheels: Wheels) -> list[Run]:
         side = float(steps.sum()) / 4
         turn = float(way[-1, 2] - way[0, 2])
         off = float(np.hypot(*(way[-1, :2] - way[0, :2])))
-        if side >= LEAST_SIDE and abs(abs(turn) - 2 * pi) < ROUND and off < OPEN * 4 * side:
+        if side >= MIN_SIDE_M and abs(abs(turn) - 2 * pi) < ROUND and off < OPEN * 4 * side:
             found.append(Run(int(begin), int(end), side, turn < 0))
     return found
 
@@ -120,7 +122,7 @@ def umbmark(true: Float64s, rolled: Rolled, found: Sequence[Run], wheels: Wheels
     off = errors(true, rolled, found, wheels)
     side = float(np.mean([run.side for run in found]))
     alpha, beta = angles(off[clockwise], off[~clockwise], side)
-    if max(abs(alpha), abs(beta)) > LARGEST:
+    if max(abs(alpha), abs(beta)) > MAX_TURNING_ERROR_RAD:
         raise UserError(
             f"the squares end {largest_error(off[clockwise], off[~clockwise]):.1f} m off",
             "measure wheel_radius and wheel_distance with a tape, put them into the robot's file, and drive again",

@@ -11,7 +11,7 @@ from shared.geometry import Pose2
 Float64s = NDArray[np.float64]
 Int64s = NDArray[np.int64]
 
-FARTHEST = 1e6  # m
+MAX_COORDINATE = 1e6  # m
 LEVEL = cos(np.radians(20.0))  # of the vertical: a laser tilted by more does not measure the plane
 
 
@@ -27,7 +27,7 @@ class Frames:
 
         Raises ValueError where it is none.
         """
-        sane = parent != child and bool((np.abs(transform) <= FARTHEST).all())  # NaN is not
+        sane = parent != child and bool((np.abs(transform) <= MAX_COORDINATE).all())  # NaN is not
         norm = float(np.linalg.norm(transform[3:])) if sane else 0.0
         if not 0.5 < norm < 2:
             raise ValueError("a transform that is none")

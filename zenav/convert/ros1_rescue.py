@@ -19,12 +19,12 @@ from shared.config import UserError
 
 MESSAGE, CHUNK, CONNECTION = 2, 5, 7
 OPS = range(2, 8)
-LARGEST_HEADER = 1 << 20  # bytes: a connection's holds names only
+MAX_HEADER_BYTES = 1 << 20  # a connection's header holds names only
 MARK = re.compile(rb"\x04\x00\x00\x00op=[\x02-\x07]")  # a field that every header has
 BEFORE = 512  # bytes of other fields before the mark
-SHORTEST = 64  # bytes of a header with its lengths, about
+MIN_HEADER_BYTES = 64  # about: a header with its lengths
 LENGTH = struct.Struct("<I")
-LARGEST_CHUNK = 1 << 28  # bytes, unpacked; what claims to be larger is damage
+MAX_CHUNK_BYTES = 1 << 28  # unpacked; a larger size in a header is damage
 SLICE = 1 << 14  # bytes that are unpacked at a time: what comes before damage is kept
 DECOMPRESSORS = {b"lz4": lz4.frame.LZ4FrameDecompressor, b"bz2": bz2.BZ2Decompressor}
 Bytes: TypeAlias = bytes | mmap.mmap
@@ -118,7 +118,7 @@ def _unpacked(data: bytes, compression: bytes) -> tuple[bytes, bool]:
         for at in range(0, len(data), SLICE):
             pieces.append(decompressor.decompress(data[at : at + SLICE]))
             size += len(pieces[-1])
-            if decompressor.eof or size > LARGEST_CHUNK:
+            if decompressor.eof or size > MAX_CHUNK_BYTES:
                 break
     except (RuntimeError, OSError, ValueError, EOFError, MemoryError):
         return b"".join(pieces), False
@@ -148,7 +148,7 @@ def _header(content: Bytes, at: int) -> tuple[dict[bytes, bytes], int] | None:
         return None
     (length,) = LENGTH.unpack_from(content, at)
     start = at + 8 + length
-    if not 0 < length <= LARGEST_HEADER or start > len(content):
+    if not 0 < length <= MAX_HEADER_BYTES or start > len(content):
         return None
     fields = _fields(content[at + 4 : start - 4])
     if fields is None or len(op := fields.get(b"op", b"")) != 1 or op[0] not in OPS:
@@ -158,7 +158,7 @@ def _header(content: Bytes, at: int) -> tuple[dict[bytes, bytes], int] | None:
 
 def _followed(content: Bytes, at: int) -> bool:
     """Whether a header stands at a place, or so little that it may be the beginning of one."""
-    return len(content) - at < SHORTEST or _header(content, at) is not None
+    return len(content) - at < MIN_HEADER_BYTES or _header(content, at) is not None
 
 
 def _next(content: Bytes, at: int) -> int | None:

@@ -35,7 +35,7 @@ LATEST = frozenset({"nav_msgs/msg/OccupancyGrid"})
 ZSTD = b"\x28\xb5\x2f\xfd"
 SLICE = 1 << 20  # bytes
 
-LONGEST = 300  # characters of what rosbags says
+MAX_ERROR_LENGTH = 300  # characters of what rosbags says
 
 
 class Raw(NamedTuple):
@@ -179,7 +179,7 @@ def _thinned(messages: Iterable[Raw]) -> list[Raw]:
 
 def _short(error: Exception) -> str:
     text = " ".join(str(error).split()).rstrip(".")
-    return text[:LONGEST] if text else f"its index makes no sense ({type(error).__name__})"
+    return text[:MAX_ERROR_LENGTH] if text else f"its index makes no sense ({type(error).__name__})"
 
 
 def _plain(data: bytes) -> bytes:

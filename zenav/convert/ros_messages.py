@@ -27,11 +27,11 @@ POSE, POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/Pose
 GRID = "nav_msgs/msg/OccupancyGrid"
 WANTED = frozenset({SCAN, ECHOES, ODOM, TF, OLD_TF, POSE, POSE_COVARIANCE, GRID})
 
-FARTHEST = 250.0  # m, of a range in a LaserScan of the stack
-MOST_BEAMS = 20_000
-FARTHEST_MAP = 1e4  # m
-LONGEST_SWEEP = 2.0  # s
-MOST_TURNS = 10  # of the first beam's angle
+MAX_RANGE_M = 250.0  # of a range in a LaserScan of the stack
+MAX_BEAMS = 20_000
+MAX_MAP_COORDINATE_M = 1e4
+MAX_SWEEP_S = 2.0
+MAX_TURNS = 10  # of the first beam's angle
 PLANE = np.add.outer(np.array((0, 1, 5)) * 6, (0, 1, 5)).ravel()  # x, y, yaw of the six by six that ROS has
 
 
@@ -73,18 +73,18 @@ def laser_scan(message: Any, stamp: int, mirrored: bool) -> LaserScan:
     ranges = _ranges(message)
     increment, first, step = float(message.angle_increment), float(message.angle_min), float(message.time_increment)
     n = len(ranges)
-    if not 2 <= n <= MOST_BEAMS or not isfinite(increment) or not abs(first) <= 2 * pi * MOST_TURNS:
+    if not 2 <= n <= MAX_BEAMS or not isfinite(increment) or not abs(first) <= 2 * pi * MAX_TURNS:
         raise ValueError("a scan without beams, or without angles")
     low, high = float(message.range_min), float(message.range_max)
     largest = float(np.nanmax(ranges, initial=0.0))
-    if not 0 < high <= FARTHEST:  # some drivers leave it 0, or say infinity
-        high = min(max(largest, 1.0), FARTHEST)
+    if not 0 < high <= MAX_RANGE_M:  # some drivers leave it 0, or say infinity
+        high = min(max(largest, 1.0), MAX_RANGE_M)
     if not 0 <= low < high:
         low = 0.0
     ranges = np.where(ranges <= np.float32(high), ranges, np.nan).astype(np.float32)
     intensities = _intensities(message, n)
     taken = step * (n - 1)
-    if not abs(taken) <= LONGEST_SWEEP:
+    if not abs(taken) <= MAX_SWEEP_S:
         step = taken = 0.0
     if step < 0:
         ranges, intensities = ranges[::-1].copy(), intensities[::-1].copy()
@@ -147,7 +147,7 @@ def occupancy(message: Any, stamp: int) -> MapUpdate:
     x0, y0 = origin.x, origin.y
     if abs(origin.yaw) > 1e-6:
         cells, x0, y0 = turned(cells, resolution, x0, y0, origin.yaw)
-    if max(abs(x0), abs(y0), resolution * max(cells.shape)) > FARTHEST_MAP:
+    if max(abs(x0), abs(y0), resolution * max(cells.shape)) > MAX_MAP_COORDINATE_M:
         raise ValueError("a map that is too far away")
     update = update_of_cells(cells, round(resolution, 9), x0, y0, stamp)
     if (problem := update.problem()) is not None:

@@ -16,7 +16,7 @@ Message = tuple[str, str, int, bytes]
 """Topic, type, ns when it was recorded, and the message's bytes."""
 
 HEADER = struct.Struct(">16xH10xI")  # the size of a page, and how many there are
-MOST_HOLES = 200  # places at which a damaged database is tried again
+MAX_HOLES = 200  # places at which a damaged database is tried again
 
 
 def check(path: Path) -> None:
@@ -55,7 +55,7 @@ def _rows(database: sqlite3.Connection, lost: list[str]) -> Iterator[Message]:
         return
     topics = {id_: (str(name), str(type_)) for id_, name, type_ in rows}
     last, step, n_holes = -1, 1, 0
-    while n_holes < MOST_HOLES:
+    while n_holes < MAX_HOLES:
         try:
             for id_, topic, received, data in database.execute(
                 "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id", (last,)

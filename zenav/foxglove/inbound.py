@@ -25,9 +25,9 @@ SCHEMAS: dict[What, tuple[str, ...]] = {
     "pose": ("geometry_msgs/PoseWithCovarianceStamped", "geometry_msgs/PoseStamped", "foxglove.PoseInFrame"),
     "teleop": ("geometry_msgs/Twist", "geometry_msgs/TwistStamped"),
 }
-MOST_BYTES = 64 * 1024  # of a message: a pose with its covariance is 1 kB
-FARTHEST = 1e6  # m: farther out than any map
-FASTEST, FASTEST_TURN = 20.0, 50.0  # m/s, rad/s: shared/messages.py
+MAX_MESSAGE_BYTES = 64 * 1024  # of a message: a pose with its covariance is 1 kB
+MAX_COORDINATE_M = 1e6  # farther out than any map
+MAX_SPEED, MAX_TURN_RATE = 20.0, 50.0  # m/s, rad/s: shared/messages.py
 TILTED = 0.1  # of a quaternion's x and y, and of its length off 1: about 11 degrees
 
 
@@ -74,7 +74,7 @@ def pose_from(inlet: Inlet, data: bytes) -> Pose2:
         pose = _part(inlet, pose, "pose")
     position, turn = _part(inlet, pose, "position"), _part(inlet, pose, "orientation")
     x, y = (_number(inlet, position, axis) for axis in "xy")
-    if max(abs(x), abs(y)) > FARTHEST:
+    if max(abs(x), abs(y)) > MAX_COORDINATE_M:
         raise RefusedError(f"{inlet.topic}: ({x:g}, {y:g}) is farther out than any map")
     qx, qy, qz, qw = (_number(inlet, turn, axis) for axis in "xyzw")
     if hypot(qx, qy) > TILTED or abs(hypot(qx, qy, qz, qw) - 1) > TILTED:
@@ -91,13 +91,13 @@ def velocity_from(inlet: Inlet, data: bytes) -> tuple[float, float]:
     v, w = _number(inlet, linear, "x"), _number(inlet, angular, "z")
     if any(_number(inlet, part, axis, 0.0) for part, axes in ((linear, "yz"), (angular, "xy")) for axis in axes):
         raise RefusedError(f"{inlet.topic}: this robot drives forward (linear.x) and turns (angular.z), nothing else")
-    if abs(v) > FASTEST or abs(w) > FASTEST_TURN:
+    if abs(v) > MAX_SPEED or abs(w) > MAX_TURN_RATE:
         raise RefusedError(f"{inlet.topic}: {v:g} m/s, {w:g} rad/s is faster than any robot")
     return v, w
 
 
 def _tree(inlet: Inlet, data: bytes) -> dict[str, Any]:
-    if len(data) > MOST_BYTES:
+    if len(data) > MAX_MESSAGE_BYTES:
         raise RefusedError(f"{inlet.topic}: a message of {len(data)} bytes")
     try:
         tree = json.loads(data)

@@ -25,7 +25,7 @@ from zenav.recording.chosen import SECOND, begin_of, end_of, opened
 
 Int64s = NDArray[np.int64]
 
-PERIODS, SHORTEST = 5, 1.0  # a silence is a gap from so many of the topic's periods, and so many s
+PERIODS, MIN_GAP_S = 5, 1.0  # a silence is a gap from so many of the topic's periods, and so many s
 LAST = 2**63 - 1  # ns: what claims to be later is damage, or a clock's
 _ROWS = np.dtype([("channel", "<u2"), ("place", "<u8")])
 
@@ -98,7 +98,7 @@ def info(path: Path) -> Info:
 
 @dataclass
 class Silences:
-    """When a key spoke: its first and last log_time, and every silence of SHORTEST or more, (from, to) in ns."""
+    """When a key spoke: its first and last log_time, and every silence of MIN_GAP_S or more, (from, to) in ns."""
 
     first: int = 0
     last: int = 0
@@ -111,7 +111,7 @@ class Silences:
         if not expected or not n:
             return hz, 0, 0.0
         gaps = [(b - a) / SECOND for a, b in (*self.long, (self.last, end))]
-        gaps = [gap for gap in gaps if gap > max(PERIODS / expected, SHORTEST)]
+        gaps = [gap for gap in gaps if gap > max(PERIODS / expected, MIN_GAP_S)]
         return hz, len(gaps), max(gaps, default=0.0)
 
 
@@ -142,7 +142,7 @@ def _by_index(recording: Recording, rows: dict[str, Row]) -> dict[str, Silences]
             if not len(at) or source.recorded.latched:
                 continue
             topic = topics.topic_of(source.recorded.key)
-            least = max(PERIODS / topic.hz, SHORTEST) * SECOND if topic and topic.hz else np.inf
+            least = max(PERIODS / topic.hz, MIN_GAP_S) * SECOND if topic and topic.hz else np.inf
             ahead, behind = times(int(at[0]), number), times(int(at[-1]), number)
             if not len(ahead) or not len(behind):
                 continue
@@ -168,7 +168,7 @@ def _by_reading(recording: Recording, rows: dict[str, Row]) -> dict[str, Silence
         rows.setdefault(key, Row(key, "")).n = len(times)
         if times:
             sorted_times = np.sort(np.array([min(time, LAST) for time in times], np.int64))
-            long = _between(sorted_times, SHORTEST * SECOND)
+            long = _between(sorted_times, MIN_GAP_S * SECOND)
             found[key] = Silences(int(sorted_times[0]), int(sorted_times[-1]), long)
     return found
 

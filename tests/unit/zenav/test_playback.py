@@ -24,7 +24,7 @@ from tests.toys import build, eventful
 from zenav.play import refusal
 from zenav.playback import (
     COMMANDS,
-    LONGEST_SILENCE,
+    MAX_SILENCE_NS,
     Playhead,
     Wish,
     anew,
@@ -87,7 +87,7 @@ def test_places_follow_the_times_of_logging_and_never_go_back(times):
     entries = [Entry(channel, t, 0, 0, b"") for t in times]
     places = [place for place, _ in timed(entries, times[0], notes)]
     assert places == sorted(places)
-    assert all(b - a <= LONGEST_SILENCE for a, b in itertools.pairwise(places))
+    assert all(b - a <= MAX_SILENCE_NS for a, b in itertools.pairwise(places))
     if not notes and times == sorted(times):
         assert places == [t - times[0] for t in times]
 
