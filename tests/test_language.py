@@ -51,7 +51,6 @@ ALLOWED: dict[str, tuple[int, int, int]] = {
     "services/mapper": (65, 29, 16),
     "shared": (81, 18, 7),
     "tests": (101, 6, 4),
-    "zenav": (53, 6, 0),
     "zenav/bench": (28, 10, 0),
     "zenav/calibrate": (24, 3, 0),
     "zenav/commands": (9, 0, 0),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: what can be asked for, and how what goes wrong is told."""
+"""The command line: its commands, and the report of their errors."""
 
 import shared.repeatable  # noqa: F401  # before numpy
 
@@ -37,7 +37,7 @@ app.add_typer(bench, name="bench", rich_help_panel=FILES)
 
 
 def _status(arguments: list[str] | None) -> int:
-    """Runs a command; errors that the user can mend become one line and a hint."""
+    """Runs a command and returns its exit status. An error that the user can fix becomes one line and a hint."""
     try:
         result = app(arguments, standalone_mode=False, prog_name="zenav")
         return result if isinstance(result, int) else 0

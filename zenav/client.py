@@ -37,7 +37,7 @@ CLOCK_AGE = 2.0  # s without `sim/clock` after which the stack's clock is taken 
 
 
 class Timekeeper:
-    """The stack's clock as a tool sees it: the wall's, until the simulator tells another; runs on between its ticks."""
+    """The stack's clock in a tool: the wall clock, or the simulator's where it publishes one. It runs on between ticks."""
 
     def __init__(self) -> None:
         self._first: tuple[float, int] | None = None
@@ -145,7 +145,7 @@ class Client:
             return self.changed.wait_for(found, timeout)
 
     def kept(self, topic: Topic[M], timeout: float = 3.0) -> M | None:
-        """The value that a latched topic's publisher keeps for late joiners; None where nobody has one."""
+        """The value that a latched topic's publisher keeps for late joiners; None where no publisher has one."""
         best: tuple[int, M] | None = None
         for reply in self.session.get(f"{self.robot}/{topic.key}", timeout=timeout):
             if reply.ok is None:
@@ -221,7 +221,7 @@ def _sized(key: str, payload: bytes) -> bytes:
 
 
 def refused(service: str, refusal: bytes) -> UserError:
-    """The error that tells why a request had no reply: `refusal` is the error's bytes, empty where nobody answered."""
+    """The error of a request without reply. refusal: the error's bytes, empty where no service answered."""
     if refusal == b"Timeout":
         return UserError(
             f"{service} does not answer in time", f"is it busy or stopped? zenav topic hz health/{service}"

@@ -181,7 +181,7 @@ def _off_array(name: str, before: Any, now: Any) -> Iterator[Off]:
 
 
 def table(reports: Iterable[TopicReport], epoch: int) -> list[str]:
-    """A line a field that is off: how often, where first, where most. epoch: ns from which times are told."""
+    """Lines for each field that differs: how often, where first, where most. epoch: ns, zero of the printed times."""
     lines = []
     for topic in reports:
         for row in topic.fields.values():

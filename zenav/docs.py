@@ -78,7 +78,7 @@ def messages_page() -> str:
     lines += table(("key", "request", "reply", "answered by"), rows)
     lines += ["", "## Why the robot stands\n"]
     rows = [(f"`{code}`", reason.text, reason.mend, reason.severity) for code, reason in REASONS.items()]
-    lines += table(("code", "what people read", "what mends it", "severity"), rows)
+    lines += table(("code", "text", "hint", "severity"), rows)
     lines += ["", "## Every message\n", "Each begins with `stamp`: when it was true, ns on the stack's clock.\n"]
     for class_ in (*classes(messages), *classes(requests)):
         lines += message_section(class_)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav doctor`: what this machine gives the stack, what is wrong, and what mends it."""
+"""`zenav doctor`: what this machine offers the stack, what is wrong with it, and how to fix that."""
 
 import os
 import platform
@@ -23,7 +23,7 @@ ROUND_TRIPS = 50
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One row: what was looked at, `ok`, `warning` or `bad`, what was found, and how to mend it."""
+    """One row: the subject, `ok`, `warning` or `bad`, the finding, and a hint."""
 
     name: str
     verdict: str
@@ -39,7 +39,7 @@ def doctor(stack: str) -> int:
     where = where_from(stack)
     colours = {OK: "green", WARNING: "yellow", BAD: "bold red"}
     table = Table(box=None, pad_edge=False)
-    for column in ("", "", "found", "how to mend it"):
+    for column in ("", "", "found", "how to fix it"):
         table.add_column(column, overflow="fold")
     worst = OK
     for finding in findings(where):
@@ -108,7 +108,7 @@ def realtime() -> Iterator[Finding]:
         os.sched_setscheduler(0, before, parameter)
         yield Finding("real time", OK, "SCHED_RR is allowed: the velocity path does not wait for other load")
     except (OSError, AttributeError):
-        mend = "echo '* - rtprio 10' | sudo tee /etc/security/limits.d/zenav.conf; then log in anew"
+        mend = "echo '* - rtprio 10' | sudo tee /etc/security/limits.d/zenav.conf; then log in again"
         yield Finding("real time", WARNING, "SCHED_RR is not allowed: latency depends on other load", mend)
 
 

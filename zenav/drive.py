@@ -211,7 +211,7 @@ class RefusedError(UserError):
 
 
 def refusal(reply: Reply | MapPart) -> RefusedError:
-    """What a refusing reply says, with its mend."""
+    """The error of a refusing reply, with its hint."""
     reason = REASONS.get(reply.reason)
     if reason is None:
         return RefusedError(reply.reason, reply.detail or reply.reason or "refused", "see nav/status")
@@ -221,7 +221,7 @@ def refusal(reply: Reply | MapPart) -> RefusedError:
 
 
 def _task(robot: str, stack: str, start: Callable[[Client], Reply], where: str = "") -> int:
-    """Starts a task and shows its progress to its end; `where` is told when it is reached."""
+    """Starts a task, shows its progress and returns the exit status. where: the goal's words for the last line."""
     with stopping() as stop, _connected(robot, stack) as client:
         client.follow(topics.NAV, topics.GUARD)
         client.answers(requests.NAVIGATE, WAIT_FOR_STACK)
@@ -237,7 +237,7 @@ def _task(robot: str, stack: str, start: Callable[[Client], Reply], where: str =
                     end = ending(nav, task_id)
                     progress.show(nav, why_standing(nav, client.latest(topics.GUARD)))
                 elif nav is not None and fresh and time.monotonic() - begun > 2.0:
-                    end = ending(nav, task_id)  # a status from before the reply is over by now
+                    end = ending(nav, task_id)  # a status from before the reply has been replaced
                 elif time.monotonic() - begun > SILENT and not fresh:
                     end = Ending(False, "the navigator is silent", "is it running? zenav topic hz nav/status")
         if end is None:

@@ -12,7 +12,7 @@ from zenav.client import Client
 
 
 def fault(robot: str, stack: str, name: str, seconds: float, mend: bool) -> int:
-    """Breaks or mends; without either, lists what can break. Raises UserError where the simulator refuses."""
+    """Injects or ends a fault; without either, lists the faults. Raises UserError where the simulator refuses."""
     if name and name not in tuple(ALL_FAULTS):
         raise UserError(f"no fault {name}", nearest(name, tuple(ALL_FAULTS)))
     if not name and not mend:

@@ -33,9 +33,9 @@ Figures = dict[str, float]
 """By name with its unit, like `pose path, m`."""
 
 OF_A_CLOCK = (topics.HEALTH, topics.JOURNAL, topics.LOG)
-"""What tells of the machine, not of the robot."""
+"""Topics that describe the machine, not the robot."""
 LATE = ("odom", "pose", "plan", "cmd/nav", "cmd/vel")
-"""Keys whose delay from stamp to sending is told."""
+"""Keys whose delay from stamp to sending is a figure."""
 
 
 @dataclass
@@ -102,7 +102,7 @@ def heard(entries: Iterable[Entry]) -> Run:
 
 
 def figures(run: Run, lives: Iterable[Life] = ()) -> Figures:
-    """What can be told of a run alone. lives: its journals' sessions, for the jobs."""
+    """The figures of one run, without a reference. lives: its journals' sessions, for the jobs."""
     told: Figures = {f"{key}, messages": n for key, n in sorted(run.counts.items())}
     for name, poses in (("odom", run.odoms), ("pose", run.poses)):
         if poses:

@@ -12,7 +12,7 @@ from shared.config import UserError
 if TYPE_CHECKING:
     from zenav.convert.content import Choice
 
-NOTICED = 0.05  # s between odometry and laser, from which it is told
+NOTICED = 0.05  # s between odometry and laser, from which a note is printed
 
 
 @contextmanager

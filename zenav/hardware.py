@@ -13,7 +13,7 @@ from shared.topics import SERVICES
 from zenav.classes import built
 
 DRIVERS = {"board": "base_driver", "laser": "lidar_driver"}
-"""By port: who speaks with it."""
+"""By port: the driver that opens it."""
 WIRED = "wired"
 """The device of a port whose other end is in the same process."""
 

@@ -65,15 +65,16 @@ def service_command(
 
 @dataclass
 class Launcher:
-    """Use as a context: leaving it ends every process within 3 s. `step` is called a few times a second.
+    """Starts and supervises the processes of a stack.
 
+    Use it as a context: leaving it ends every process within 3 s. Its user calls `step` a few times a second.
     commands: by service's name, in the order of starting; a recorder goes first.   logs: folder of NAME.log.
-    tell: gets each line of the services' logs, and what the launcher does.   slowness: real seconds in a stack's one.
+    show_line: receives each log line of the services and of the launcher.   slowness: real seconds per stack second.
     """
 
     commands: dict[str, list[str]]
     logs: Path
-    tell: Teller = field(default=lambda name, line: None)
+    show_line: Teller = field(default=lambda name, line: None)
     slowness: float = 1.0
 
     def __post_init__(self) -> None:
@@ -106,7 +107,7 @@ class Launcher:
     ) -> None:
         """Starts every service, the recorder first; the others wait until `ready("recorder")`, for a while.
 
-        Ends at once when `given_up()`: whoever interrupts a start does not wait for its end.
+        Returns at once when `given_up()`, so that an interrupt also ends a start.
         """
         if "recorder" in self.children:
             self.start("recorder")
@@ -125,9 +126,9 @@ class Launcher:
                 child.heard = time.monotonic()
 
     def step(self) -> None:
-        """Tells what the services wrote, kills hung ones, starts dead ones again.
+        """Passes on the services' log lines, kills hung services, restarts dead ones.
 
-        Raises UserError in a service's own words where it refuses to start with what it was given.
+        Raises UserError in a service's own words where the service refuses its configuration at the start.
         """
         for child in self.children.values():
             self._show(child)
@@ -173,7 +174,7 @@ class Launcher:
             silent = now - (child.heard or child.started)
             limit = SILENT * max(self.slowness, 1.0) if child.heard else START_LIMIT
         if silent > limit:
-            self.tell(child.name, f"hung: no health message for {silent:.0f} s; it is killed and started again")
+            self.show_line(child.name, f"hung: no health message for {silent:.0f} s; it is killed and started again")
             child.cause = "hung"
             self.kill(child.name)
 
@@ -187,7 +188,9 @@ class Launcher:
         wait = BACK_OFF[min(child.n_deaths - 1, len(BACK_OFF) - 1)]
         child.process, child.due = None, time.monotonic() + wait
         child.cause = child.cause if child.cause == "hung" else _told(status)
-        self.tell(child.name, f"{child.cause} after {lived:.1f} s; started again" + (f" in {wait:g} s" if wait else ""))
+        self.show_line(
+            child.name, f"{child.cause} after {lived:.1f} s; started again" + (f" in {wait:g} s" if wait else "")
+        )
         if child.cause == "hung":
             child.cause = ""
 
@@ -203,7 +206,7 @@ class Launcher:
         if whole:
             child.told += len(whole) + 1
             for line in whole.decode(errors="replace").splitlines():
-                self.tell(child.name, line)
+                self.show_line(child.name, line)
 
 
 def last_lines(log: Path, n: int = 20) -> list[str]:
@@ -228,7 +231,7 @@ class Claim:
 
 
 def claimed(domain: int) -> Claim:
-    """This stack's number. Raises UserError, with who holds it, where another launcher or a service has it."""
+    """The claim on a stack number. Raises UserError, with the holder's name, where another process has it."""
     port = BASE_PORT + PORTS_A_STACK * (domain + 1) - 1  # the block's last: no service has it
     lock = socket.socket()
     try:
@@ -245,7 +248,7 @@ def claimed(domain: int) -> Claim:
 
 
 def free_stack() -> Claim:
-    """A stack number that nobody has. Raises UserError where all are taken."""
+    """The claim on a stack number that no process has. Raises UserError where all are taken."""
     first = os.getpid()  # two that look at the same time do not look at the same numbers
     for i in range(MAX_DOMAIN):
         try:
@@ -269,7 +272,7 @@ def taken(where: Where, names: tuple[str, ...] = SERVICES) -> list[int]:
 
 
 def holder(port: int) -> str:
-    """Who listens on a loopback port, as far as this user may see: `python3 (pid 4711)`."""
+    """The process that listens on a loopback port, as far as this user may see: `python3 (pid 4711)`."""
     import psutil
 
     try:
@@ -291,7 +294,7 @@ def _taken(domain: int, port: int) -> UserError:
 
 
 def _own_words(name: str, words: list[str]) -> tuple[str, str]:
-    """(what, mend) of the UserError that a service ended with."""
+    """(what, hint) of the UserError that a service ended with."""
     mend = next((line.removeprefix("hint: ") for line in reversed(words) if line.startswith("hint: ")), "see its log")
     what = next((line for line in reversed(words) if line.startswith(f"{name}: ")), f"{name} ended with status 2")
     return what, mend

@@ -59,12 +59,12 @@ class Processes:
 
 
 class View:
-    """What a display sees of a run; `tell` gets log lines, `look` is called ten times a second."""
+    """The display's side of a run: `show_line` receives log lines, `look` is called ten times a second."""
 
     def start(self, scene: Scene, launcher: Launcher, processes: Processes) -> None:
         """The run begins."""
 
-    def tell(self, name: str, line: str) -> None:
+    def show_line(self, name: str, line: str) -> None:
         """A line of a service's log, or of the launcher's."""
 
     def look(self, client: Client, pilot: Pilot, seconds: float) -> None:
@@ -95,7 +95,7 @@ def run(
             name: service_command(name, scene.robot, str(claim.where.domain), settings, memory=folder / "memory")
             for name in scene.names
         }
-        launcher = Launcher(commands, folder, view.tell)
+        launcher = Launcher(commands, folder, view.show_line)
         with launcher, Client(scene.file.robot.name, claim.where) as client:
             client.follow(topics.GUARD, *NEEDED)
             for topic in tracked:

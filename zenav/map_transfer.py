@@ -12,7 +12,7 @@ from shared.reasons import BUSY
 from shared.requests import MAP_PART, MOST_PARTS, FetchMap, GiveMap, MapPart, Reply, Request, StartMap
 from zenav.drive import refusal
 
-PATIENCE = 60.0  # s that a mapper may be busy: it draws its map anew, or checks what it was given
+PATIENCE = 60.0  # s that a mapper may be busy: it redraws its map, or checks the map that it received
 AGAIN = 0.2  # s
 
 Wait = Callable[[float], object]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How late odometry tells what the laser has seen: a driver's buffer, or two clocks."""
+"""How late is odometry against the laser? Causes are a driver's buffer, or two clocks."""
 
 import numpy as np
 
@@ -13,8 +13,8 @@ MIN_TURN_RAD = 3.0  # sum of all turns: a drive with less does not determine the
 def odometry_lag(odometry: Float64s, placed: Float64s) -> float | None:
     """s by which odometry's stamps are late against the poses of scans; negative: they are early. None: too few turns.
 
-    odometry: (n, 2) stamp (s) and yaw (rad); placed: (m, 2) the same of the placed scans; both rise in time.  It is the
-    shift at which the turns of both between scans agree best; turns tell it best, because matching sees them best.
+    odometry: (n, 2) stamp (s) and yaw (rad); placed: (m, 2) the same of the placed scans; both rise in time.
+    The lag is the shift at which the turns of both between scans agree best. Scan matching measures turns best.
     """
     if len(odometry) < 10 or len(placed) < 10:
         return None

@@ -14,7 +14,7 @@ from shared.requests import Explore, Navigate, Reply
 from zenav.drive import ENDED
 
 Ask = Callable[[requests.Request[Any, Reply], Any], Reply]
-"""(row, request) -> reply; UserError where nobody answers."""
+"""(row, request) -> reply; UserError where no service answers."""
 
 RETRIED = {
     reason.code

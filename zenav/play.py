@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav replay FILE`: a recording onto Zenoh, as the robot said it, at any pace and under the hands of a person.
+"""`zenav replay FILE`: publishes a recording on Zenoh, at any rate, with keys for pause and seek.
 
-Recorded stamps stay, bytes and all, and `sim/clock` tells the recorded time, so that tools know it: for people, viewers
-and recorders. Live services refuse that: their inputs are hours old. With `now`, what is played says that it happens
-now. Every message keeps its age (time of logging minus stamp), sessions are new in each pass, sequences stay: so what
-live services check (publisher, session, sequence, age) holds as it held on the robot. Journals name recorded bytes, so
-they are left out then.
+Messages keep their bytes and stamps. `sim/clock` carries the recorded time for viewers, recorders and other tools.
+Live services refuse these messages, because their stamps are old.
+With `now`, every message gets a new stamp and keeps its age (time of logging minus stamp). Sessions are new in each
+pass, sequences stay. So the checks of live services (publisher, session, sequence, age) give what they gave on the
+robot. Journals name recorded bytes and are left out then.
 """
 
 import os
@@ -35,7 +35,7 @@ from zenav.playback import Contents, Playhead, Wish
 from zenav.stopping import Stop, stopping
 from zenav.teleop import raw_terminal
 
-SETTLE = 1.3  # s until all have found the player: who looks for a service tries again after a second at most
+SETTLE = 1.3  # s until all clients have found the player: a client looks for a service once a second
 LOOK = 0.05  # s between two looks at keys, clock and progress
 BETWEEN = 0.5  # s between two passes: a new session is taken once the one before has been silent for 0.3 s
 STEERS = {topics.PLAN.key: "local_ctrl"}
@@ -93,7 +93,7 @@ def play(path: Path, robot: str, stack: str, wish: Wish) -> int:
 
 
 def running(robot: str, where: Where, stop: Stop) -> set[str]:
-    """The services that run now: those that hold their ports, or, behind a router, those that tell their health."""
+    """The services that run: those that hold their ports or, behind a router, those that publish their health."""
     if not where.router:
         return {name for name in SERVICES if taken(where, (name,))}
     found: set[str] = set()
@@ -155,7 +155,7 @@ def refusal(key: str, wish: Wish, runs: set[str]) -> tuple[str, str] | None:
     if wish.now and topic is topics.JOURNAL:
         return "journals hold for recorded stamps only", "leave out --now"
     if topic is topics.CLOCK:
-        return "the clock is told anew" if not wish.now else "now is now", "leave it out"
+        return "the player publishes its own clock" if not wish.now else "now is now", "leave it out"
     return None
 
 
@@ -186,7 +186,7 @@ class Player:
         self._publishers = {key: self._publisher(topics.topic_of(key), key) for key in playing.values()}
         self._clock = None if wish.now else self._publisher(topics.CLOCK, topics.CLOCK.key)
         self._clock_due = self._n_clocks = 0
-        self._sessions: set[str] = set()  # under which health is played: who else tells of it has come to life
+        self._sessions: set[str] = set()  # of the played health messages: another session is a live service
         self._came: set[str] = set()
         client.listen(topics.HEALTH, lambda health, envelope: self._hear(envelope))
 

@@ -22,7 +22,7 @@ from shared.topics import TOPICS
 COMMANDS = frozenset(t.key for t in TOPICS if t.type in (Velocity, MotorCommand, Goal, EmergencyStop))
 """The keys that a robot obeys."""
 MAX_SILENCE_NS = 60_000_000_000
-"""ns without a message, from which the recorder's clock jumped: nobody waits for that."""
+"""A longer silence is a jump of the recorder's clock: playback skips it."""
 SILENCE = 1_000_000_000  # ns that are waited instead
 SLOWEST, FASTEST = 0.01, 100.0
 FASTER = 1.1  # what a key press makes of the rate
@@ -144,7 +144,7 @@ class Playhead:
         self.rate, self.paused = rate, paused
 
     def place(self, now: int) -> int:
-        """What is reached by now."""
+        """The place that playing has reached at `now`."""
         return self._place if self.paused else self._place + round((now - self._now) * self.rate)
 
     def wait(self, place: int, now: int) -> float:

@@ -60,11 +60,11 @@ def replay_file(
     tolerances: Tolerances = MappingProxyType({}),
     config: str = "",
 ) -> Report:
-    """Replays services of a recording, writes what comes out of it, and compares.
+    """Replays services of a recording, writes their messages, and compares them with the recorded ones.
 
-    `out` is the recording with the named services' messages in place of the recorded ones, all else as it was; config:
-    the configuration that it is made with, where that is another than the recorded one. Raises UserError where the file
-    or the names are wrong; what a service raises passes.
+    out: the recording with the named services' messages in place of the recorded ones.   config: the configuration of
+    the replay, where it differs from the recorded one.
+    Raises UserError where the file or the names are wrong. Exceptions of a service pass.
     """
     for name in names:
         if name not in topics.SERVICES:
@@ -96,7 +96,7 @@ def gap_notes(gaps: list[Gap], began: int) -> list[str]:
 
 
 def compare(replayed: Replayed, tolerances: Tolerances = MappingProxyType({}), began: int = 0) -> Report:
-    """Recorded against published anew, by topic, and by sequence within each session. began: the recording, ns."""
+    """Compares recorded and replayed messages by topic, session and sequence. began: ns, the recording's start."""
     found: dict[str, TopicReport] = {}
     pending = {source: dict(payloads) for source, payloads in replayed.recorded.items()}
     for sent in (sent for of_name in replayed.sent.values() for sent in of_name):
@@ -162,9 +162,9 @@ def _by_key(recording: Recording, names: list[str] | None) -> dict[str, dict[tup
 
 
 def write(out: Path, recording: Recording, replayed: Replayed, attachments: Mapping[str, bytes]) -> None:
-    """The recording, with what the replayed sessions published anew where their own messages lay. Raises OSError.
+    """Writes the recording with the replayed sessions' messages in place of their recorded ones. Raises OSError.
 
-    What was not recorded comes in where it was sent. attachments: those that are others than the recording's.
+    A message that was not recorded is placed by its send time. attachments: they replace the recording's of that name.
     """
     anew = {
         (sent.key, sent.envelope.session, sent.envelope.sequence): sent

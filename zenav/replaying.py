@@ -105,7 +105,7 @@ def _through(path: Path, robot: str, rerun: Rerun) -> int:
 
 
 def crashed(error: Exception, recording: "Recording", names: list[str], debug: bool) -> int:
-    """Tells where a service raised, and whether it is what the recording is of; then, if asked for, the debugger."""
+    """Prints where a service raised, and whether the recording has the same crash. debug: then opens the debugger."""
     from shared.runners.blackbox import crash_in, crash_of
 
     traceback.print_exception(error)

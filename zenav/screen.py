@@ -28,7 +28,7 @@ class Lines(View):
         self._told = float("-inf")
         self._states: list[LegState] = []
 
-    def tell(self, name: str, line: str) -> None:
+    def show_line(self, name: str, line: str) -> None:
         if not (" INFO " in line or " DEBUG " in line):
             sys.stderr.write(f"{name:<12} {line}\n")
 
@@ -61,7 +61,7 @@ class Table(View):
         self._launcher, self._processes = launcher, processes
         self._live.start()
 
-    def tell(self, name: str, line: str) -> None:
+    def show_line(self, name: str, line: str) -> None:
         if not (" INFO " in line or " DEBUG " in line):
             self._lines.append(f"{name}: {line}")
 

@@ -38,7 +38,7 @@ Mode = Literal["map", "localise", "continue"]
 
 SECOND = 1_000_000_000
 NOTHING = Choice()
-MAP_EVERY = 500  # scans between looks at the map: a log has no one who waits for it
+MAP_EVERY = 500  # scans between two maps: no client of a log needs them sooner
 
 
 class Run:
@@ -137,12 +137,13 @@ def slam(
     saved_map: Path | None = None,
     choice: Choice = NOTHING,
 ) -> dict[str, Any]:
-    """Runs the mapper over a log (convert/source.py) and writes its map (see saved_map.py), trajectory.tum and
-    report.json into `out`.
+    """Runs the mapper over a log (convert/source.py) and writes map, trajectory and report into `out`.
 
-    progress is called with the share that is done, 0..1.  saved_map: the folder in which the robot is localised, or
-    which is continued.  choice: topics and frames of a bag. Returns the report. Raises UserError where the log cannot
-    be read or holds no scan, the robot is not found on the saved map, or `out` cannot be written.
+    The files are the map's (see saved_map.py), trajectory.tum and report.json.
+    progress: called with the share that is done, 0..1.   choice: topics and frames of a bag.
+    saved_map: folder of the map on which the robot is localised, or which is continued.
+    Returns the report. Raises UserError where the log cannot be read or holds no scan. Raises it too where the robot is
+    not found on the saved map, or where `out` cannot be written.
     """
     config = config or MapperConfig()
     saved = _loaded(mode, saved_map, config)
@@ -191,7 +192,7 @@ def _loaded(mode: Mode, folder: Path | None, config: MapperConfig) -> SavedMap |
 
 
 def robot_of(scans: list[LoggedScan]) -> Robot:
-    """The log's robot, as far as the log tells: its laser; a drive that can do whatever was driven."""
+    """The log's robot, as far as the log describes it: its laser, and a drive whose limits allow every logged motion."""
     first = scans[0]
     return Robot(
         name="log",
@@ -241,7 +242,7 @@ def _feed(run: Run, log: Log, first: int, progress: Callable[[float], None]) -> 
     run.take(run.mapper.release())
     run.take(run.mapper.settle())
     run.work()
-    run.mapper.now += 3600 * SECOND  # the map may be drawn anew
+    run.mapper.now += 3600 * SECOND  # the map may be redrawn
     run.take(run.mapper.publish_map())
     run.work()
     run.take(run.mapper.publish_map())

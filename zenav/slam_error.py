@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How wrong a trajectory is: by relative displacements, never by absolute places (Kuemmerle et al. 2009).
+"""How wrong is a trajectory, by relative displacements instead of absolute positions?
 
-"On measuring the accuracy of SLAM algorithms": of each pair of moments, the displacement is left that the estimated
-relative pose needs to become the reference's. So one early error of heading is counted where it happened, and not in
-every pose after it.
+Kuemmerle et al. 2009, "On measuring the accuracy of SLAM algorithms". The error of a pair of moments is the
+displacement between its estimated relative pose and the reference's. So an early heading error counts once, where it
+happened, and not in every later pose.
 """
 
 import warnings
@@ -140,7 +140,7 @@ def _at(stamps: Float64s, poses: Float64s, times: Float64s) -> Float64s:
 def _numbers(path: Path, columns: int, form: str) -> Float64s:
     """A file's rows of numbers, (n, columns), without its comments."""
     try:
-        with warnings.catch_warnings(action="ignore", category=UserWarning):  # of a file without rows: told below
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # of a file without rows: reported below
             rows = np.loadtxt(path, comments="#", ndmin=2)
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror or error}", "check the path") from None

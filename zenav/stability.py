@@ -87,13 +87,14 @@ class Ride:
 
 
 def stability(motion: Float64s, spans: list[Span], plans: list[tuple[float, Float64s]]) -> dict[str, float | None]:
-    """How steadily it was driven; every figure is None where there is nothing to tell it from.
+    """Figures of how steadily the robot drove; a figure is None where its input is empty.
 
     motion: (n, 3) s, m/s, rad/s, rising in time.  plans: s, and (k, 2) m from the robot on.
 
-    side_changes_per_min: plans that lead to where the last one did, but beside it; stops_per_min: times that it stood
-    and went on; standing_share: of the time from its first motion to its last; jerk m/s^3, turning acceleration
-    rad/s^2, root mean square and the value that one in a hundred moments exceeds.
+    side_changes_per_min: plans that end where the last plan ended, but lie beside it.
+    stops_per_min: how often the robot stopped and went on.
+    standing_share: share of standing in the time from first motion to last.
+    Of jerk (m/s^3) and turning acceleration (rad/s^2): root mean square and 99th percentile.
     """
     rides = [ride for span in spans if (ride := _ride(motion, span)) is not None]
     seconds = sum(STEP * len(ride) for ride in rides)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files of a folder that are replaced together: a crash or a full disk leaves all old ones, or all new ones.
 
-New files are written into `.saving` and brought to the disk. Renaming that to `.saved` is the one step in which the new
-ones become the folder's; then each is moved to its place. Whoever finds a `.saved` finishes that, or reads from it.
+New files are written into `.saving` and synchronised to the disk. Renaming that folder to `.saved` is the one step in
+which the new files replace the old ones. Then each file is moved to its place. A process that finds a `.saved` finishes
+the move, or reads from it.
 """
 
 import os

@@ -22,7 +22,7 @@ from zenav.client import Client
 from zenav.stopping import stopping
 
 FEW = 8  # array values that people see
-PATIENCE = 5.0  # s of silence after which a person is told that nothing comes
+PATIENCE = 5.0  # s of silence after which the command says that no message comes
 
 
 def listed(as_json: bool) -> None:

@@ -84,8 +84,8 @@ def up(
     checked(file)
     names = chosen(only, services_for(hardware, file))
     if "sim" in names:
-        world_of(file)  # one that is wrong is told before anything starts
-    saved = None if on_map is None else on_map.read(file)  # what is damaged too
+        world_of(file)  # a wrong world is an error before any process starts
+    saved = None if on_map is None else on_map.read(file)  # so is a damaged map
     if on_map is not None and not any(setting.startswith("recorder.attach=") for setting in settings):
         settings.append(f"recorder.attach={json.dumps(on_map.files())}")
     where = where_from(stack)

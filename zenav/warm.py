@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiles every kernel into numba's cache, so that no service does it while somebody waits: `python -m zenav.warm`.
+"""Compiles every kernel into numba's cache, so that no service compiles while the robot drives: `python -m zenav.warm`.
 
-numba notices a change of a kernel's own file, not of a kernel that it calls in another file: the cached code of the
-caller would go on running the old one. So any change of a file with kernels clears the whole cache first.
+numba notices a change in a kernel's own file. It does not notice a change of a kernel that it calls in another file,
+and runs the old code of that one. So any change of a file with kernels clears the whole cache first.
 """
 
 import shared.repeatable  # noqa: F401  # before numpy; numba compiles for the machine that it names

@@ -29,10 +29,7 @@ MAX_GOAL_DISTANCE = GOAL_TOLERANCE + 2 * ARRIVED  # m from the goal that count a
 LOOK = 0.45  # m: how far down the way it heads for
 TURN_FROM, TURN_UNTIL = 0.9, 0.25  # rad off the way at which a robot turns on the spot
 TURN_RATE = 1.5  # rad/s at most, on the spot
-FULL_SPEED_CLEARANCE_M, MIN_SPEED_SHARE = (
-    0.3,
-    0.25,
-)  # m of clearance that allow full speed; share of that at no clearance
+FULL_SPEED_CLEARANCE_M, MIN_SPEED_SHARE = 0.3, 0.25  # full speed from this clearance; share of it at no clearance
 ACROSS, BRAKING = 2.0, 0.5  # m/s^2 at most in a bend: v^2 times the curvature; before the end of a way
 CREEP = 0.1  # m/s, from a stand and at the end
 AHEAD = 0.9  # m of the way that must be free of people

@@ -24,9 +24,7 @@ MIN_SIDE_M = 0.5
 ROUND = 0.6  # rad by which a run's whole turn may differ from a full one
 OPEN = 0.25  # share of its length by which a run's end may lie off its start
 ROUNDS = 10  # of correcting what is left after the last: the paper's equations hold for small angles
-MAX_TURNING_ERROR_RAD = (
-    pi / 8
-)  # rad of turning error a corner, or a side, beyond which the method's small angles do not hold
+MAX_TURNING_ERROR_RAD = pi / 8  # per corner or side: the equations assume small angles
 
 
 @dataclass(frozen=True, slots=True)
