@@ -37,7 +37,7 @@ CLOCK_AGE = 2.0  # s without `sim/clock` after which the stack's clock is taken 
 
 
 class Timekeeper:
-    """The stack's clock in a tool: the wall clock, or the simulator's where it publishes one. It runs on between ticks."""
+    """The stack's clock in a tool: the wall clock, or the simulator's where one runs. It runs on between ticks."""
 
     def __init__(self) -> None:
         self._first: tuple[float, int] | None = None

@@ -192,7 +192,7 @@ def _loaded(mode: Mode, folder: Path | None, config: MapperConfig) -> SavedMap |
 
 
 def robot_of(scans: list[LoggedScan]) -> Robot:
-    """The log's robot, as far as the log describes it: its laser, and a drive whose limits allow every logged motion."""
+    """The log's robot, as far as the log describes it: its laser, and a drive whose limits allow each logged motion."""
     first = scans[0]
     return Robot(
         name="log",

@@ -33,15 +33,15 @@ NOISE = (
     "sim.drive.turn_slip=0.4728",
     "sim.drive.slip=0.05",
 )
-"""What is not the challenge's: see docs/benchmarks.md.
+"""Settings of `--noise`, which the challenge does not have: see docs/benchmarks.md.
 
-Skid steering acts as if its wheels were farther apart: Clearpath tells a Jackal's controller 1.5 times their distance
-(jackal_control, `wheel_separation_multiplier`), which `config/jackal.yaml` has. That is a calibration on one floor.
-distance_error: a Pioneer 3-AT had 1.31 to 1.44 with six pairs of tyre and floor, 5 % about their middle (Mandow et al.
-2007).
-turn_slip: how the widening depends on the path, as Wang et al. measured it (2015).
-slip: what is left at random, of each wheel: 3.5 % of the speed, and 0.25 rad/s of turn rate at 2 m/s. A Jackal's motion
-on grass differed from a calibrated model by 6 % of its speed and 19 % of its turn rate (Trivedi et al. 2024, table I).
+Skid steering acts as if its wheels were farther apart. Clearpath gives a Jackal's controller 1.5 times their distance
+(jackal_control, `wheel_separation_multiplier`), and so does `config/jackal.yaml`. That is a calibration on one floor.
+distance_error: a Pioneer 3-AT had factors of 1.31 to 1.44 on six pairs of tyre and floor, 5 % about their middle
+(Mandow et al. 2007).
+turn_slip: the dependence of this factor on the path, as Wang et al. measured it (2015).
+slip: the random rest of each wheel, 3.5 % of the speed, and 0.25 rad/s of turn rate at 2 m/s. A Jackal's motion on
+grass differed from a calibrated model by 6 % of its speed and 19 % of its turn rate (Trivedi et al. 2024, table I).
 """
 NOISE_DELAY = 0.05  # s
 CROWDS = "0-49"
@@ -79,7 +79,7 @@ def barn(
     if trajectories is not None:
         usable(trajectories)
     changed = (*(NOISE if noise else ()), *settings)
-    robot_file(Trial(course_at(path, names[0]), 0, robot, changed))  # a wrong setting is told before the first process
+    robot_file(Trial(course_at(path, names[0]), 0, robot, changed))  # a wrong setting is an error here
     asked = Asked(path, robot, changed, NOISE_DELAY if noise else 0.0, trajectories, run_folder("bench-barn"))
     items = [(name, seed) for seed in range(runs) for name in names]
     told: list[dict[str, Any]] = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a BARN run failed, as a picture: the world, the way driven, the plan, the robot then, and who said what."""
+"""A failed BARN run as a picture: the world, the driven path, the plan, the robot at the end, and the reasons."""
 
 from io import BytesIO
 from math import cos, sin

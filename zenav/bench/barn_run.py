@@ -36,9 +36,9 @@ FREE_TIME = 30.0  # s that a robot may stand at the start
 FASTEST = 2.0  # m/s: the optimal time is the reference path's length over this
 MIN_TIME_RATIO, MAX_TIME_RATIO = 2.0, 8.0  # of the optimal time: the rule clips the time to this range
 GOAL_RADIUS, TIME_LIMIT = 1.0, 100.0  # m, s: of a crowd, as in the file of worlds
-STANDS = 0.05  # m/s and rad/s: who is slower stood when it was touched
+STANDS = 0.05  # m/s and rad/s: a slower robot counts as standing at a contact
 BEFORE = 10  # truths, 0.2 s, before a touch in which it is looked whether the robot stood
-READY = 1.0  # s until the goal is told; and again where the stack is not ready yet
+READY = 1.0  # s until the goal is sent; and again where the stack is not ready yet
 FINE = 4  # parts of a truth's 20 ms in which the clearance is looked at
 ROUND_M = 4  # decimals of metres in a report
 
@@ -59,9 +59,10 @@ class BarnFile(CylinderFile):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Course:
-    """Where a run is scored: cylinders (n, 3) x, y, radius m; start; goal m; the rule's figures.
+    """The world of a run, with the figures of its rule.
 
-    place, file: the simulator's `world` and `barn_file`.  walkers: radius of those who move, m.
+    cylinders: (n, 3) x, y, radius, m.  start: pose.  goal: m.
+    place, file: the simulator's `world` and `barn_file`.  walkers: radius of the moving cylinders, m.
     """
 
     world: str
@@ -89,9 +90,9 @@ class Trial:
 
 @dataclass(slots=True)
 class Driven:
-    """What came of a run.
+    """The result of a run.
 
-    rows: (n, 6) s since the goal was told; x, y m and heading rad in the world; v m/s; w rad/s.
+    rows: (n, 6) s since the goal was sent; x, y m and heading rad in the world; v m/s; w rad/s.
     """
 
     course: Course
@@ -172,7 +173,7 @@ def run(trial: Trial, record: Path | None = None) -> Driven:
 
 
 class Referee:
-    """Tells the goal, polls the true position, ends the run. delay: s that what the motors are told comes later."""
+    """Sends the goal, polls the true position, ends the run. delay: s between a motor command and its arrival."""
 
     def __init__(self, course: Course, robot: Robot, lockstep: Lockstep, delay: float = 0.0) -> None:
         self.course, self.robot, self.lockstep = course, robot, lockstep
@@ -262,7 +263,7 @@ class Referee:
 
 
 def _late(delay: float) -> Callable[[Sent, str], float]:
-    """What the motors are told comes later."""
+    """The delays of a wire, s: motor commands arrive `delay` later, all else at once."""
     return lambda sent, _: delay if sent.topic is topics.MOTORS else 0.0
 
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long a scan takes to become a velocity at the base, by a recording: journals say when each service took what.
+"""How long does a scan take to become a velocity at the base? A recording's journals have the times of each event.
 
     sim sends scan -> local_ctrl takes it ... its next tick begins -> guard takes cmd/nav -> base_driver takes cmd/vel
 
-Between taking a scan and the tick that plans with it lies up to one control period: that wait is the rate's, not the
-transport's: figures are given with it and without. Everything else counts: encoding, Zenoh, queues, the solver, the
-guard. A scan that leads to no command is counted, by where it ended.
+A scan waits up to one control period for the tick that plans with it. The rate causes that wait, not the transport, so
+there are figures with it and without. Everything else counts: encoding, Zenoh, queues, the solver, the guard.
+A scan that leads to no command is counted, by where it ended.
 """
 
 from bisect import bisect_left

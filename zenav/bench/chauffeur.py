@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who drives the simulated robot where only the mapper is measured: it knows the true world and the true pose.
+"""The driver of the simulated robot in benchmarks of the mapper alone. It knows the true world and the true pose.
 
-The ways are the planner's, on the true map; speeds are those that local control keeps. Wheels, encoders, odometry and
-laser are the simulator's, so that the mapper gets what it gets on a drive of the whole stack, at a tenth of its cost.
+The planner plans its paths on the true map. Its speeds are those of local control. The simulator gives wheels,
+encoders, odometry and laser. So the mapper's inputs are like those of a drive of the whole stack, at a tenth of the
+cost.
 """
 
 from math import atan2, copysign, hypot, sin
@@ -55,9 +56,9 @@ class Ways:
         self._cells = np.column_stack((rows, columns))
 
     def way(self, start: Pose2, goal: Pose2, people: Float64s | None = None) -> Float64s:
-        """(n, 2) m, points of a way from start to goal, or as near as it gets; n = 0 without one.
+        """(n, 2) m, points of a path from start to the goal, or as near as it gets; n = 0 without one.
 
-        people: (p, 2) m, who stand in the way too.
+        people: (p, 2) m, further obstacles.
         """
         terrain = self.terrain if people is None else self._with(people)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A function once an item, some at a time, each in a process of its own; who interrupts it leaves nothing running."""
+"""Calls a function once for each item, in several processes. An interrupt leaves no process behind."""
 
 import multiprocessing
 import os
@@ -24,7 +24,7 @@ def results(one: Callable[[A], T], items: Sequence[A], jobs: int) -> Iterator[T]
     try:
         for future in as_completed([pool.submit(one, item) for item in items]):
             yield future.result()
-    finally:  # interrupted: an item takes minutes, and nobody waits for it any more
+    finally:  # an interrupt does not wait for items, which take minutes
         for process in multiprocessing.active_children():
             process.kill()
         pool.shutdown(cancel_futures=True)

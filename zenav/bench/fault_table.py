@@ -88,7 +88,7 @@ ROWS: tuple[Row, ...] = (
     _killed("mapper", {"pose_old"}, 1100.0, BY_ITSELF),  # navigator and guard let it be silent for a second
     _killed("planner", set(), stops=frozenset()),  # a plan counts for 2 s: the robot may be there before
     _killed("local_ctrl", {"command_old"}, AT_ONCE, BY_ITSELF),
-    _killed("guard", set()),  # the one that tells is the one that died
+    _killed("guard", set()),  # the service that reports reasons is the one that died
     _killed("base_driver", {"odom_old", "base_silent", "board_silent"}, SOON, frozenset()),  # no command comes at all
 )
 """In the order of the table."""

@@ -39,7 +39,7 @@ FASTEST_REACHED = 0.6  # of the top speed, from which the random phase counts
 LASTS = 4.0  # s
 KILLED_FOR = 0.5, 3.0  # s, at least and at most
 RESUMES_WITHIN = 12.0  # s after the fault
-HEARS_WITHIN = 1.0  # s after the fault's end in which its reason may still be told
+HEARS_WITHIN = 1.0  # s after the fault's end in which its reason still counts
 WRONG = 0.3  # m
 POSE_AGE = 1.0  # s: an older pose, or status of the navigator, is none
 MOVES = 0.05  # m/s, or rad/s
@@ -72,7 +72,7 @@ class Result:
     driven: float = 0.0  # m during the whole fault
     contacts: int = 0
     reasons: list[str] = field(default_factory=list)
-    right: bool | None = None  # the true reason was told; None: not judged
+    right: bool | None = None  # the true reason was published; None: not judged
     wrong_while_good: float = 0.0  # s, the longest
     resumed: bool = False
     trouble: str = ""

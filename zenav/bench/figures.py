@@ -152,9 +152,9 @@ def chosen(only: str, rows: Sequence[FigureRow] = ROWS) -> list[FigureRow]:
 
 
 def measured(bench: Bench, rows: Sequence[FigureRow], again: bool = False) -> bool:
-    """Runs the rows one after the other and writes each into file and documents; whether all are measured now.
+    """Runs the rows in order and writes each into file and documents. Returns whether all are measured now.
 
-    A row that lacks its data or fails is told, and the next one is run.
+    A row that lacks its data or fails is reported, and the next one runs.
     """
     good = True
     for row in rows:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav bench localise`: found from nowhere on the saved maps of made-up buildings, then carried away and found again.
+"""`zenav bench localise`: global localisation and the kidnapped robot on saved maps of generated buildings.
 
-The building is the one of the map, but for what is loose in it and who walks there. From a random pose the robot drives
-from one random place to the next; "right" is a pose within RIGHT of the truth, and stays that.
+The building is the map's, except for loose objects and walking people. The robot starts at a random pose and drives
+from one random place to the next. A pose is "right" where it is within RIGHT of the truth and stays within it.
 """
 
 import statistics

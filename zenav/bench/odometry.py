@@ -55,7 +55,7 @@ def odometry(directory: Path | None, out: Path | None) -> int:
 
 def default_folder() -> Path:
     """$ZENAV_DATA/x80sv. Raises UserError where that is not set."""
-    data = os.environ.get("ZENAV_DATA")  # noqa: TID251  # where benchmarks' data lies is told by the environment alone
+    data = os.environ.get("ZENAV_DATA")  # noqa: TID251  # only the environment has the folder of benchmark data
     if not data:
         raise UserError("there is no folder of the recorded drive", "give DIR with odom.csv.gz, or set ZENAV_DATA")
     return Path(data) / "x80sv"

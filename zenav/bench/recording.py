@@ -289,7 +289,7 @@ def _cpu(process: psutil.Process) -> float:
 
 
 def _hour(driven: Path, path: Path, hours: float) -> dict[str, float]:
-    """A long recording: opened, sought in its middle, its info; each once, as somebody does who looks into it."""
+    """Times, s, of a long recording: its opening, a seek into its middle, its info; each once."""
     n = make_hour(driven, path, hours)
     begun = time.perf_counter()
     found = Recording(path)

@@ -57,7 +57,7 @@ class Rig:
         self.sim = SimService(file.section("sim", SimConfig), file.robot)
         self.world = self.sim.world
         for _ in self.mapper.go_on(saved, fixed=True) if saved is not None else ():
-            pass  # nobody is there to hear of the map
+            pass  # no service subscribes to the map yet
         services: dict[str, Service] = {"sim": self.sim, "mapper": self.mapper}
         services |= {name: made(name, file, file.robot) for name in ("base_driver", "odometry")}
         begun = process_time()
@@ -109,6 +109,6 @@ class Rig:
         sim.history[:, :3] = pose.x, pose.y, pose.yaw
 
     def free_of_people(self, pose: Pose2, away: float) -> bool:
-        """Whether nobody is within `away` m of a pose."""
+        """Whether no walking person is within `away` m of a pose."""
         distances = np.hypot(self.truth.people_x - pose.x, self.truth.people_y - pose.y)
         return bool((distances > away).all())

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav bench serial`: the base driver's process on a line of ours, and how many bytes a second the decoders take.
+"""`zenav bench serial`: the latency of the base driver's process on an emulated line, and the rate of the decoders.
 
-    cmd/vel is published -> base_driver's process -> its bytes are read at the line's far end
-    the board's bytes are written there -> base_driver's process -> base/wheels is heard
+    cmd/vel is published -> base_driver's process -> bytes at the line's far end
 
-Both are measured in this process, by one clock, with Zenoh's hop between the processes in them.
+    the board's bytes at the far end -> base_driver's process -> base/wheels is received
+
+This process measures both by one clock. Both include Zenoh's hop between the processes.
 """
 
 import os
@@ -95,7 +96,7 @@ def measured(seconds: float, folder: Path, stop: Stop) -> dict[str, list[float]]
 
 
 class FarEnd:
-    """The line's far end: an emulated board whose wheels turn as they are told. Use as a context."""
+    """The line's far end: an emulated board whose wheels turn as commanded. Use it as a context."""
 
     def __init__(self, link: Path, robot: Robot) -> None:
         self._line = PseudoTerminal(link)

@@ -88,14 +88,14 @@ def chosen(directory: Path, names: Sequence[str] = ()) -> list[Logged]:
 
 
 def alone(logged: Logged, folder: Path, registrar: "Registrar" = "line") -> dict[str, Any]:
-    """`measured` in a process of its own; its `trouble` is told also where the process dies."""
+    """`measured` in a process of its own. A process that dies gives a report with `trouble`."""
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(1, context, die_with_parent, (os.getpid(),))
     try:
         return pool.submit(measured, logged, folder, registrar).result()
     except BrokenProcessPool:
         return {"trouble": "its process died"}
-    finally:  # interrupted: a log takes a minute, and nobody waits for it any more
+    finally:  # an interrupt does not wait for a log, which takes a minute
         for process in multiprocessing.active_children():
             process.kill()
         pool.shutdown(cancel_futures=True)

@@ -60,8 +60,8 @@ def stack(robot: str, world: str, seconds: float, out: Path | None, settings: li
 def figures(found: Chain) -> dict[str, Any]:
     """Percentiles of the chain and its parts, ms.
 
-    The ratio compares the same scans: from scan to cmd/vel, without the wait for the tick, to the handlers that made
-    that command, run alone; 99th percentile to 99th percentile.
+    The ratio compares equal percentiles over the same scans. Its numerator is the time from scan to cmd/vel without the
+    wait for the tick. Its denominator is the time of that command's handlers, run alone.
     """
     known = np.isfinite(found.handlers)
     parts = {

@@ -19,7 +19,7 @@ def calibrate_odometry(
     side: Annotated[float, typer.Option(min=0.5, max=20, help="m: the square's side.")] = 2.0,
     runs: Annotated[int, typer.Option(min=1, max=50, help="Squares each way round.")] = 5,
     measured: Annotated[bool, typer.Option("--measured", help="Type where each square ended, by a tape.")] = False,
-    truth: Annotated[Literal["scans", "pose", "sim"], typer.Option(help="What tells where it really was.")] = "scans",
+    truth: Annotated[Literal["scans", "pose", "sim"], typer.Option(help="Source of the true poses.")] = "scans",
     method: Annotated[
         Literal["best", "umbmark", "scans"],
         typer.Option(help="umbmark: by the squares' ends; scans: by the whole way; best: scans where they suffice."),

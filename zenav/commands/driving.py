@@ -101,8 +101,8 @@ def cancel(robot: RobotName = "x80sv", stack: Stack = "0") -> None:
 @app.command(cls=Command, rich_help_panel=DRIVE)
 def fault(
     name: Annotated[str, typer.Argument(help="What breaks; without it: what can.", autocompletion=_faults)] = "",
-    seconds: Annotated[float, typer.Option(min=0, help="s until it is mended; 0: until --mend.")] = 0.0,
-    mend: Annotated[bool, typer.Option("--mend", help="Mend it; without a name: all.")] = False,
+    seconds: Annotated[float, typer.Option(min=0, help="Duration, s; 0: until it is repaired.")] = 0.0,
+    mend: Annotated[bool, typer.Option("--mend", help="Repair it; without a name: all.")] = False,
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:

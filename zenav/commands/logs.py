@@ -59,12 +59,12 @@ def convert(
         Path, typer.Argument(help="CARMEN log, ROS 1 or 2 bag (file or folder), or recording.", metavar="IN")
     ],
     out: Annotated[
-        Path, typer.Argument(help="Its name tells the format: .mcap .bag .tum .log, or a folder: ROS 2.", metavar="OUT")
+        Path, typer.Argument(help="Its name gives the format: .mcap .bag .tum .log, or a folder: ROS 2.", metavar="OUT")
     ],
     to: Annotated[
         str,
         typer.Option(
-            help="Format, where the name does not tell: ros2, ros2-sqlite, ros1, zenav, tum, carmen, foxglove, map.",
+            help="Format, where the name has none: ros2, ros2-sqlite, ros1, zenav, tum, carmen, foxglove, map.",
             autocompletion=_formats,
         ),
     ] = "",

@@ -14,7 +14,7 @@ config = group("Look at the configuration.")
 
 @topic.command("list", cls=Command)
 def topic_list(as_json: Json = False) -> None:
-    """Every topic: key, type, rate (Hz), who publishes it, what it carries.
+    """Every topic: key, type, rate (Hz), publisher, description.
 
     Example: zenav topic list --json
     """
@@ -81,7 +81,7 @@ def config_check(robot: RobotName = "x80sv", set_: Setting = None) -> None:
 
 @app.command(cls=Command, rich_help_panel=LOOK)
 def doctor(stack: Stack = "0") -> None:
-    """What is wrong on this machine, and how to mend it.
+    """What is wrong on this machine, and how to fix it.
 
     Example: zenav doctor
     """

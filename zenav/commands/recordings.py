@@ -45,7 +45,7 @@ def recording_repair(
     file: RecordingFile,
     out: Annotated[Path | None, typer.Option(help="Here, not in its place.", metavar="OUT.mcap")] = None,
 ) -> None:
-    """Give a recording that was not closed, or is damaged, its index back, and tell what is lost.
+    """Rebuild the index of a recording that was not closed or is damaged, and list what is lost.
 
     Example: zenav recording repair run.mcap
     """

@@ -126,7 +126,7 @@ def _numbers(words: list[str], n: int) -> list[float]:
 
 
 def _stamp(word: str) -> int:
-    """ns, of the whole microseconds that a line tells: a float's last bits are none."""
+    """The stamp, ns, of a line's seconds, rounded to microseconds: a float's last bits are noise."""
     stamp = float(word)
     if not 0 <= stamp < 1e10:
         raise ValueError("a stamp out of bounds")

@@ -11,9 +11,11 @@ from zenav.convert.content import Content
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """source: the file that was read, whose messages content holds.   out: where to write, nothing is there yet.
+    """One conversion of a log.
 
-    trajectory: whose poses a file of poses gets: pose, odom or truth.   progress: is told the share done, 0..1.
+    source: the file that was read.   content: its messages.   out: the path to write, which does not exist yet.
+    trajectory: the source of the poses in a file of poses: pose, odom or truth.   progress: called with the share
+    done, 0..1.
     """
 
     source: Path
@@ -23,7 +25,7 @@ class Conversion:
     progress: Callable[[float], None]
 
     def messages(self) -> Iterator[tuple[str, Message]]:
-        """The content's messages, as the progress is told."""
+        """The content's messages, with calls of `progress`."""
         rows = self.content.messages
         for i, row in enumerate(rows):
             if i % 200 == 0:

@@ -84,7 +84,7 @@ def convert(
 
 
 def named(to: str, out: Path) -> str:
-    """The format's name: told, or by the file's name. Raises UserError."""
+    """The format's name: `to`, or by the file's name. Raises UserError where there is none."""
     if to:
         if to not in FORMATS:
             raise UserError(f"{to} is not a format", nearest(to, tuple(FORMATS)))
@@ -92,7 +92,7 @@ def named(to: str, out: Path) -> str:
     for name, format_ in FORMATS.items():
         if (out.suffix and out.name.endswith(format_.suffixes)) or (format_.folder and not out.suffix):
             return name
-    raise UserError(f"the name {out.name} does not tell a format", f"say it: --to {', '.join(FORMATS)}")
+    raise UserError(f"the name {out.name} has no known format", f"give the format: --to {', '.join(FORMATS)}")
 
 
 def _check(source: Path, out: Path, force: bool) -> None:
@@ -132,7 +132,7 @@ def _put(fresh: Path, out: Path) -> None:
 
 
 def _recording(task: Conversion) -> Counter[str]:
-    """A recording of the stack; with the robot that the log tells, so that services replay it."""
+    """Writes a recording of the stack, with the log's robot, so that services replay it."""
     if not task.source.is_dir() and is_recording(task.source):
         raise UserError(f"{task.source} is a recording of the stack already", "take another format: --to ros2")
     from zenav.slam import robot_of  # the mapper behind it takes long to load

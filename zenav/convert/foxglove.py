@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recording with Foxglove's schemas: an MCAP file that Foxglove and Lichtblick open. See zenav/foxglove/schemas.py.
 
-The schemas and the bytes of their messages are foxglove-sdk's; the file is written by the `mcap` package, because the
-SDK's own writer logs a full disk and goes on.
+The schemas and the bytes of their messages are foxglove-sdk's. The `mcap` package writes the file: the SDK's own writer
+does not raise when the disk is full.
 """
 
 from collections import Counter

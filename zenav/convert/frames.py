@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tree of frames that /tf and /tf_static tell, in three dimensions. Source: REP 105, tf2."""
+"""The tree of frames in /tf and /tf_static, in three dimensions. Source: REP 105, tf2."""
 
 from math import atan2, cos, degrees
 
@@ -16,11 +16,11 @@ LEVEL = cos(np.radians(20.0))  # of the vertical: a laser tilted by more does no
 
 
 class Frames:
-    """Transforms as they were told; `find` gives one frame in another at any time."""
+    """The logged transforms; `find` gives one frame in another at any time."""
 
     def __init__(self) -> None:
         self._edges: dict[str, dict[str, list[tuple[int, Float64s]]]] = {}  # by child and parent: stamp, 7 numbers
-        self._fixed: set[str] = set()  # children that /tf_static told
+        self._fixed: set[str] = set()  # children of /tf_static
 
     def add(self, parent: str, child: str, stamp: int, transform: Float64s, static: bool) -> None:
         """Takes `parent_from_child`. stamp: ns.   transform: (7,) x y z, m, and the quaternion x y z w.
@@ -37,9 +37,9 @@ class Frames:
         self._edges.setdefault(child, {}).setdefault(parent, []).append((stamp, row))
 
     def parent(self, child: str) -> str | None:
-        """The frame that a frame is told in; where several are, that which is told most often."""
-        told = self._edges.get(child)
-        return max(told, key=lambda name: len(told[name])) if told else None
+        """The parent of a frame; where the log has several, the one with the most transforms."""
+        edges = self._edges.get(child)
+        return max(edges, key=lambda name: len(edges[name])) if edges else None
 
     def ancestors(self, frame: str) -> list[str]:
         """The frame itself, its parent, and so on up to the root."""
@@ -49,12 +49,12 @@ class Frames:
         return found
 
     def moves(self, child: str) -> bool:
-        """Whether a frame may move in its parent: it was told again and again."""
+        """Whether a frame may move in its parent: the log has several transforms, none of them static."""
         parent = self.parent(child)
         return child not in self._fixed and parent is not None and len(self._edges[child][parent]) > 1
 
     def stamps(self, child: str) -> Int64s:
-        """(n,) ns, when a frame was told in its parent, in order."""
+        """(n,) ns, the stamps of a frame's transforms in its parent, in order."""
         parent = self.parent(child)
         return np.unique([stamp for stamp, _ in self._edges[child][parent]]) if parent else np.empty(0, np.int64)
 

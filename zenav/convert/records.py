@@ -23,7 +23,7 @@ class LoggedPose:
 
 @dataclass(frozen=True, slots=True)
 class LoggedScan:
-    """A sweep, with the odometry at its first beam. range_max: m, 0 where the log does not tell.
+    """A sweep, with the odometry at its first beam. range_max: m, 0 where the log does not have it.
 
     ranges: (n,) m, NaN where nothing was measured.   scan_time: s from the first beam to the last.
     """

@@ -85,7 +85,7 @@ def _written(task: Conversion, writer: Any, ros1: bool) -> Counter[str]:
 
 
 def _qos(topic: str) -> Qos:
-    """What subscribers expect: who comes late still gets the map and the static frames."""
+    """The quality of service that subscribers expect: a late subscriber still gets the map and the static frames."""
     latched = topic in LATCHED
     return Qos(
         QosHistory.KEEP_LAST, 1 if latched else 10, QosReliability.RELIABLE,

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files that ROS records: ROS 1 bags, rosbag2 folders, bare .mcap and .db3. Told apart by content, never by name.
+"""The files that ROS records: ROS 1 bags, rosbag2 folders, bare .mcap and .db3. Their content decides, not their name.
 
-The `rosbags` package reads them. What it refuses (no index, a damaged or truncated file, no metadata.yaml) is read from
-its beginning instead, message by message, and what is lost is told.
+The `rosbags` package reads them. It refuses a file without index or metadata.yaml, or with damage. Such a file is read
+from its beginning instead, message by message, and a note gives what is lost.
 """
 
 import tempfile

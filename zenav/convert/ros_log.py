@@ -117,7 +117,7 @@ class _Reading:
         return by_topic[fit[-1]]
 
     def _scan_rank(self, raws: list[Raw]) -> Any:
-        """Lasers that are level, see far around, and are told often."""
+        """Rank of a laser: level, with a wide field of view, and with many scans."""
         for raw in raws[:20]:
             try:
                 message = ros.read(raw)
@@ -156,7 +156,7 @@ class _Reading:
             return None
 
     def _clock(self, told: list[Told]) -> bool:
-        """Whether the times of recording must do, because headers tell none, or two clocks."""
+        """Whether the times of recording replace the stamps, because headers have none, or those of two clocks."""
         bare = [topic.topic for topic in told if topic.unstamped]
         if bare:
             self.notes.append(
@@ -216,7 +216,7 @@ class _Reading:
         return frames
 
     def _odom_frame(self, of: str) -> str | None:
-        """The frame of odometry among those that a frame is told in."""
+        """The frame of odometry among a frame's ancestors."""
         if self.choice.odom_frame:
             return ros.frame(self.choice.odom_frame)
         above = self.frames.ancestors(of)
@@ -238,7 +238,7 @@ class _Reading:
         return self._holder(leaf) or above[-1]
 
     def _holder(self, laser: str) -> str | None:
-        """The robot's frame as the laser's place in tf tells it, if it does."""
+        """The robot's frame among the laser's ancestors, by its usual names; None without one."""
         above = self.frames.ancestors(laser)[1:]
         return next((frame for name in BASES for frame in above if frame.rpartition("/")[2] == name), None)
 
@@ -304,7 +304,7 @@ class _Reading:
         return [Odometry(stamp, pose, *speed, np.zeros(9)) for (stamp, pose), speed in zip(rows, _speeds(rows))]
 
     def _moving(self, target: str, source: str) -> list[tuple[int, Pose2]]:
-        """A frame in another one, at every stamp at which tf told anything between them that moves."""
+        """Poses of a frame in another one, at every stamp of a moving transform between them."""
         above = self.frames.ancestors(source)
         between = above[: above.index(target)] if target in above else []
         moving = [frame for frame in between if self.frames.moves(frame)]

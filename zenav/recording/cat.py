@@ -38,9 +38,9 @@ def cat(path: Path, patterns: list[str], begin: float | None, end: float | None,
 
 
 def shown(entry: Entry) -> dict[str, Any]:
-    """A message as JSON: its key, when it was recorded (ns), its fields; who sent it, when (ns), as which one.
+    """A message as JSON: key, time of recording (ns), fields, publisher, send time (ns) and sequence.
 
-    One that this version does not know is told as far as it is msgpack; else by its size, and why.
+    A message that this version does not know has its msgpack content; without that, its size and the cause.
     """
     head = {"key": entry.key, "log_time": entry.log_time} | ({"latched": True} if entry.latched else {})
     topic = topics.topic_of(entry.key)
@@ -65,7 +65,7 @@ def _foreign(entry: Entry) -> dict[str, Any]:
         return {}
     try:
         return {"message": _plain(msgpack.unpackb(entry.payload, strict_map_key=False))}
-    except Exception:  # msgpack raises a dozen kinds on foreign bytes; its size was told
+    except Exception:  # msgpack raises a dozen kinds on foreign bytes; the size is shown
         return {}
 
 

@@ -47,7 +47,7 @@ class Row:
 
 @dataclass
 class Info:
-    """What `info` tells. Times in s; begin: ns on the stack's clock."""
+    """The result of `info`. Times in s; begin: ns on the stack's clock."""
 
     path: str
     size: int
@@ -74,7 +74,7 @@ def show(paths: list[Path], as_json: bool) -> int:
 
 
 def info(path: Path) -> Info:
-    """All that is told of a recording. Raises UserError where it is none."""
+    """The summary of a recording. Raises UserError where the file is none."""
     recording = opened(path)
     rows = {source.recorded.key: Row(source.recorded.key, "") for source in recording.sources.values()}
     if recording.statistics is not None:
@@ -255,5 +255,5 @@ def _date(ns: int) -> str:
 
 
 def rows_of(rows: list[list[str]], found: Info) -> list[list[Any]]:
-    """The table's rows, without the notes where nobody has one."""
+    """The table's rows, without the column of notes where all are empty."""
     return rows if any(row.note for row in found.topics) else [row[:-1] for row in rows]

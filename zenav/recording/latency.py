@@ -49,7 +49,7 @@ def latency(path: Path, patterns: list[str], as_json: bool) -> int:
         shown = [(name, *(f"{row[f'p{p}']:.1f}" for p in PERCENTILES)) for name, row in parts.items()]
         table("ms from scan to cmd/vel, by the journals", ("", *map(_name, PERCENTILES)), shown)
     else:
-        sys.stdout.write("scan to cmd/vel: no journals of local_ctrl, guard and base_driver that tell it\n")
+        sys.stdout.write("scan to cmd/vel: the journals of local_ctrl, guard and base_driver do not contain it\n")
     return 0
 
 

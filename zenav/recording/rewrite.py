@@ -95,10 +95,10 @@ def _free(path: Path) -> Path:
 
 
 def trim(path: Path, out: Path, begin: float | None, end: float | None, patterns: list[str]) -> int:
-    """The part from `begin` to `end` (s since the start), of all topics or some, that still replays.
+    """Writes the part from `begin` to `end` (s since the start), of all topics or some, so that it still replays.
 
-    It keeps the configuration, what was latched when it begins, and the journals. A journal comes once a second and
-    tells of the second before it: what is left of the last second is there, but not replayed.
+    The part keeps the configuration, the latched messages of its beginning, and the journals. A journal comes once a
+    second, for the second before it. So the rest of the last second is written, but does not replay.
     """
     writable(out, path)
     recording = opened(path)
@@ -174,8 +174,10 @@ def merge(paths: list[Path], out: Path) -> int:
 
 
 def _in_order(recordings: list[Recording]) -> Iterator[tuple[Entry, int]]:
-    """Their messages, each with its recording's index; what a later part repeats of what was latched is left out,
-    where the part before it is there."""
+    """The messages of all recordings, each with its recording's index.
+
+    A later part repeats latched messages. They are left out where the part before it is there.
+    """
     streams: list[Iterable[tuple[Entry, int]]] = []
     ends, alone = [end_of(recording) for recording in recordings], True
     for i, recording in enumerate(recordings):

@@ -26,7 +26,7 @@ def stability(path: Path, as_json: bool) -> int:
 
 
 def ride_of(path: Path) -> Ride:
-    """What a recording tells of a ride. Raises UserError where it is none."""
+    """The ride in a recording. Raises UserError where the file is none."""
     ride = Ride()
     for entry in opened(path).entries(KEYS):
         topic = topic_of(entry.key)

@@ -72,8 +72,11 @@ def _cell(place: "np.ndarray[tuple[int, ...], np.dtype[np.int64]]") -> Cell:
 
 
 def _compare(row: Row, terrain: GlobalCostmap, path: Float64s, equally: bool) -> None:
-    """The figures `length`, against the shortest path that comes as near to obstacles, and, where asked, `equal`,
-    against the shortest that also keeps as far from them in the mean."""
+    """Notes the figures `length` and, where asked, `equal`.
+
+    length: over the shortest path with the same least clearance.
+    equal: over the shortest path with the same least clearance and the same mean clearance.
+    """
     away, size = clearance(terrain, path) / terrain.resolution, length(path)
     least = least_clearance(terrain, path, float(away.min()))
     shorter = over_least(terrain, path, size, least)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shortest path with the same clearance as a given one: nowhere nearer to obstacles than that at its nearest, and
-in the mean as far from them.
+"""The length of the shortest path with the same least clearance and the same mean clearance as a given path.
 
-A path of length L whose clearance is d along it has the mean m where the integral of m - d is 0. By Lagrange, for any
-share k >= 0 the least of the integral of 1 + k (m - d) over all paths that keep the least clearance is no more than the
-length of any of them with that mean or a greater one. So the largest of these leasts is what no such path undercuts.
+A path with clearance d along it has the mean clearance m where the integral of m - d is 0. Take any k >= 0, and the
+minimum of the integral of 1 + k (m - d) over all paths with the least clearance. By Lagrangian duality, this minimum is
+no more than the length of any such path with the mean m or more. So the largest minimum over k is a lower bound of
+these lengths.
 """
 
 import heapq
@@ -50,10 +50,10 @@ def over_least(terrain: GlobalCostmap, path: Float64s, length: float, least: flo
 def over_equal(
     terrain: GlobalCostmap, path: Float64s, length: float, least: float, mean: float, shorter: float
 ) -> float:
-    """At most so many times the length of the shortest path with this least and this mean clearance, cells; as exact
-    as steps between cells tell, whose surplus over lines is taken off.
+    """Upper bound of the length over that of the shortest path with this least and this mean clearance.
 
-    shorter: what `over_least` gave, the same for k = 0.
+    length, least, mean: cells.   shorter: the result of `over_least`, which is the bound for k = 0.
+    Steps between cells are longer than lines: their largest surplus, OFF, is divided out.
     """
     free, most = _kept(terrain, least), float(terrain.distance.max())
     best = length / shorter

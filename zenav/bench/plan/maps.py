@@ -69,7 +69,7 @@ def read_movingai(folder: Path, name: str, limit: int) -> Benchmark:
         if free.shape != (height, width) or not all(free[s.start] and free[s.goal] for s in all_):
             raise ValueError("the rows do not fit the map")
     except (OSError, EOFError, ValueError, IndexError) as error:
-        raise UserError(f"{folder / name}: {error}", "fetch the map and its .scen anew from movingai.com") from None
+        raise UserError(f"{folder / name}: {error}", "fetch the map and its .scen again from movingai.com") from None
     return Benchmark(name, free, all_[:: max(-(-len(all_) // limit), 1)])
 
 

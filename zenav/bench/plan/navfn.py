@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""NavFn, the planner of move_base and Nav2, by its published method: what ours is compared with, and nothing else.
+"""NavFn, the planner of move_base and Nav2, by its published method (Konolige's `navfn`, 2008), for comparison only.
 
-A potential spreads from the goal over the four neighbours of a cell by a quadratic that interpolates between the two
-lowest (Konolige's `navfn`, 2008), in blocks of rising priority; the path descends its interpolated gradient by half
-cells. `A*` adds the straight distance to the start to what decides a block, and stops when the start has its potential.
+A potential spreads from the goal over the four neighbours of a cell, in blocks of rising priority. A quadratic
+interpolates between the two lowest neighbours. The path descends the interpolated gradient by half cells.
+`A*` adds the straight distance to the start to a cell's priority, and stops when the start has its potential.
 """
 
 from math import hypot

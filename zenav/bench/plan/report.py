@@ -49,7 +49,7 @@ def plan(directory: Path | None, limit: int, robot: str, out: Path | None) -> in
 
 
 def _default() -> Path:
-    data = os.environ.get("ZENAV_DATA")  # noqa: TID251  # where benchmarks' data lies is told by the environment alone
+    data = os.environ.get("ZENAV_DATA")  # noqa: TID251  # only the environment has the folder of benchmark data
     if not data:
         raise UserError("there is no folder of maps", "give DIR with movingai/ and ros_maps/, or set ZENAV_DATA")
     return Path(data) / "planning"

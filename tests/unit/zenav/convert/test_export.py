@@ -359,7 +359,7 @@ def test_what_cannot_be_converted_is_told_in_a_line(source, out, what, tmp_path)
 def test_the_help_names_every_format(capsys):
     assert _status(["convert", "--help"]) == 0
     told = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert f"tell: {', '.join(FORMATS)}." in told
+    assert f"none: {', '.join(FORMATS)}." in told
 
 
 def test_the_command_says_what_it_wrote(tmp_path, capsys):
