@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav calibrate`: drive or read, compute, tell, plot, and write where it is wanted."""
+"""`zenav calibrate`: drives or reads a recording, computes, reports, plots, and writes the robot's file on request."""
 
 import sys
 from pathlib import Path
@@ -162,7 +162,10 @@ def _driven_squares(
 
 
 def _solution(log: Log, robot: Robot, method: str) -> tuple[Solution | None, ScanTrack | None, UserError]:
-    """What the scans tell, or why they do not."""
+    """(solution, track of the scans, error to raise where no other method has a solution); None where the scans fail.
+
+    Raises UserError where `method` is "scans" and has no certain solution.
+    """
     nothing = UserError("no method was tried", "take --method best")
     if method == "umbmark":
         return None, None, nothing

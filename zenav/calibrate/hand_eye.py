@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which wheels, and which laser mount, make the wheels' motion and the laser's motion one? All six numbers together.
+"""Which wheels, and which laser mount, make the wheels' motion and the laser's motion agree? All six numbers together.
 
-Censi, Franchi, Marchionni, Oriolo 2013, "Simultaneous calibration of odometry and sensor parameters for mobile robots":
-its closed form is the start, robust least squares with each motion's own uncertainty the end.
+Source: Censi, Franchi, Marchionni, Oriolo 2013, "Simultaneous calibration of odometry and sensor parameters for mobile
+robots". Its closed form gives the initial values. Robust least squares, weighted by each motion's own uncertainty,
+gives the result.
 """
 
 from dataclasses import dataclass
@@ -123,7 +124,7 @@ def intervals(rolled: Rolled, track: ScanTrack) -> Intervals:
 
 
 def _enough(found: Intervals) -> None:
-    """Raises UserError where a drive cannot tell what is asked of it."""
+    """Raises UserError where a drive does not determine the six numbers."""
     travel = float(np.hypot(found.laser[:, 0], found.laser[:, 1]).sum())
     turning = float(np.abs(found.laser[:, 2]).sum())
     if turning < MIN_TURNING_RAD:
@@ -147,10 +148,11 @@ def _enough(found: Intervals) -> None:
 
 
 def closed_form(pieces: Intervals) -> tuple[Wheels, Float64s] | None:
-    """Wheels and mount (3,) by linear least squares; None where the motion does not tell. Censi 2013, section IV.
+    """Wheels and mount (3,) by linear least squares; None where the motion does not determine them.
 
-    Turning gives radius over distance for each wheel. With these, the way is known up to the distance b, and
-    (R - I) l + b c = R(l_yaw) m is linear in b, l, cos l_yaw, sin l_yaw: the smallest eigenvector after elimination.
+    Turning gives radius over distance for each wheel. With these, the path is known up to the distance b.
+    (R - I) l + b c = R(l_yaw) m is linear in b, l, cos l_yaw and sin l_yaw. Elimination leaves an eigenvalue problem,
+    whose smallest eigenvector is the solution. Censi 2013, section IV.
     """
     left, right = pieces.turned()
     wheels = np.column_stack((left, right))
@@ -277,7 +279,7 @@ def _observed(information: Float64s, scale: Float64s) -> None:
     if values[0] <= 0 or values[-1] / max(values[0], 1e-300) > 1e8:
         least = NAMES[int(np.argmax(np.abs(vectors[:, 0])))]
         raise UserError(
-            f"this drive does not tell the {least}: every piece of it moves alike",
+            f"this drive does not determine the {least}: every piece of it moves alike",
             "record again with some metres straight on, and turns on the spot to both sides",
         )
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav calibrate laser`: what a drive tells about where the laser sits and looks."""
+"""`zenav calibrate laser`: the laser's pose on the robot, from a drive."""
 
 import numpy as np
 

@@ -22,12 +22,12 @@ LAST_WORDS = 5  # zeros that are sent at the end, one a step: a lost one must no
 
 
 def confirmed(what: str, yes: bool) -> None:
-    """Tells the operator what the robot will do, and asks. Raises UserError where the answer is not yes."""
+    """Shows the operator what the robot will do, and asks. Raises UserError where the answer is not yes."""
     sys.stderr.write(f"{what}\nCtrl-C stops it at any time; keep the STOP button at hand.\n")
     if yes:
         return
     if not sys.stdin.isatty():
-        raise UserError("nobody is there to say yes", "say --yes where the floor is free")
+        raise UserError("no terminal to confirm the drive", "say --yes where the floor is free")
     sys.stderr.write("Go? [y/N] ")
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
@@ -70,7 +70,7 @@ class Operator:
             try:
                 return self._performed(manoeuvre, stop)
             except KeyboardInterrupt:
-                sys.stderr.write("interrupted: the robot is told to stand\n")
+                sys.stderr.write("interrupted: the robot is commanded to stop\n")
                 raise
             finally:
                 self._stand()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a calibration drives: manoeuvres as generators that are told what is seen, and yield what they ask for.
+"""Manoeuvres of a calibration: generators that receive what is seen, and yield what they ask for.
 
-They know no transport and no clock, so that a running stack and the virtual clock drive the same ones.
+They use no transport and no clock. So a running stack and the virtual clock drive the same manoeuvres.
 """
 
 from collections.abc import Generator
@@ -17,7 +17,7 @@ from shared.reasons import REASONS
 T = TypeVar("T")
 
 HZ = 20
-FRESH = 0.5  # s after its stamp that a message still tells how things are
+FRESH = 0.5  # s after its stamp that a message counts as current
 PATIENCE = 4.0  # s that the guard may hold the robot, or an input be missing, before the manoeuvre gives up
 GENTLE = 0.5  # of the drive's accelerations: a wheel that slips measures nothing
 NEAR, NEAR_TURN = 0.004, 0.004  # m, rad: arrived
@@ -37,7 +37,7 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """A velocity (m/s, rad/s), whether STOP is to be pressed, and what the operator is told, if anything."""
+    """A velocity (m/s, rad/s), whether to press STOP, and a line for the operator, or none."""
 
     v: float = 0.0
     w: float = 0.0

@@ -30,9 +30,9 @@ Wheel = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Turned:
-    """A wheel that was asked to turn alone. asked, left, right: m at the rims, by the command and by the encoders.
+    """A wheel that was commanded to turn alone. asked, left, right: m at the rims, by the command and by the encoders.
 
-    seen: the wheel that really turned, by the scans or by people who looked; None where nobody knows.
+    seen: the wheel that really turned, by the scans or by the operator; None where it is unknown.
     """
 
     wheel: int
@@ -109,7 +109,7 @@ def turned(log: Log, phases: Sequence[Phase], drive: Drive) -> list[Turned]:
 
 
 def directions(found: Sequence[Turned], drive: Drive) -> list[tuple[str, str]]:
-    """What is wrong with motors and encoders, each with its mend; empty where nothing is."""
+    """Errors of motors and encoders, each with its hint; empty where there is none."""
     wrong: list[tuple[str, str]] = []
     if found and all(t.counted is not None and t.counted[0] != t.wheel for t in found):
         told = "the encoders are exchanged: one counts when the other wheel is asked to turn"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav calibrate motors`: who really turned, how hard the base brakes, and the curves of it."""
+"""`zenav calibrate motors`: which wheel turned, how hard the base brakes, and the curves of both."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -30,12 +30,12 @@ FINEST = 0.05  # m/s^2 to which the braking is rounded, downward
 
 
 def by_motion(found: Sequence[Turned], log: Log, phases: Sequence[Phase], robot: Robot) -> list[Turned]:
-    """With the wheel that must have turned to move the robot as its scans saw; unchanged where they do not tell."""
+    """`found`, each with the wheel that turned according to the scans; unchanged where they do not determine it."""
     alone = [p for p in phases if p.kind is Kind.ALONE]
     if not alone:
         return list(found)
     part = log.during(alone[0].begin - 1_000_000_000, alone[-1].end + 1_000_000_000)
-    # the wheels may lie, that is what is asked: the scans are placed as if nothing had been told
+    # the encoders are what is tested: the scans are placed without them
     still = [replace(state, left=0.0, right=0.0) for state in part.wheels]
     try:
         known = truth(replace(part, wheels=still), robot, "scans", None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a calibration tells: on stdout, as comments of the YAML that follows, so that both can be pasted together."""
+"""The report of a calibration: on stdout, as comments of the YAML that follows, so that both can be pasted together."""
 
 import sys
 from collections.abc import Sequence
@@ -90,8 +90,8 @@ def motors_told(
         tell(f"WRONG: {what}")
         tell(f"       {mend}")
     if not wrong:
-        nobody = "" if all(t.seen is not None for t in found) else "; whether both run backward, nobody has seen"
-        tell(f"directions: each wheel turns as asked, and its encoder counts with it{nobody}")
+        unseen = "" if all(t.seen is not None for t in found) else "; it is unknown whether both run backward"
+        tell(f"directions: each wheel turns as asked, and its encoder counts with it{unseen}")
     for (wheel, sign), speed in sorted(bands.items()):
         way = "forward" if sign > 0 else "backward"
         told = "did not turn at all" if isnan(speed) else f"turns from {speed:.3f} m/s on"

@@ -16,7 +16,7 @@ from shared.messages import WheelState
 Float64s = NDArray[np.float64]
 Int64s = NDArray[np.int64]
 
-GAP = 0.25  # s between two wheel states beyond which nobody knows how the robot got from one to the other
+GAP = 0.25  # s between two wheel states beyond which the motion between them is unknown
 
 
 class Wheels(NamedTuple):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which way did the laser go, by its scans alone? The mapper's own code, told that the laser were the robot."""
+"""Which path did the laser take, by its scans alone? The mapper's own code, with the laser as the robot's frame."""
 
 from typing import NamedTuple
 

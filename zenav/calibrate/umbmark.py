@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""UMBmark: what do squares, driven both ways round, tell about the wheels?
+"""UMBmark: which wheel radii and wheel distance follow from squares that were driven in both directions?
 
-Borenstein & Feng 1996, "Measurement and correction of systematic odometry errors in mobile robots", IEEE Transactions
-on Robotics and Automation 12 (6). x points along the first side, y to its left; an error is where the robot really
-ended less where odometry says that it ended. Equation numbers are the paper's.
+Source: Borenstein & Feng 1996, "Measurement and correction of systematic odometry errors in mobile robots".
+It is in IEEE Transactions on Robotics and Automation 12 (6). Equation numbers are the paper's.
+x points along the first side, y to its left. An error is the true end position minus odometry's.
 """
 
 from collections.abc import Sequence
@@ -141,8 +141,10 @@ def angles(clockwise: Float64s, counterclockwise: Float64s, side: float) -> tupl
 
 
 def corrected(wheels: Wheels, alpha: float, beta: float, side: float) -> Wheels:
-    """The wheels from the angles: E_d = (R + b / 2) / (R - b / 2), R = (L / 2) / sin(beta / 2) (15 to 18); the mean
-    radius stays, as no square tells it (13, 14)."""
+    """The wheels from the angles: E_d = (R + b / 2) / (R - b / 2), R = (L / 2) / sin(beta / 2) (15 to 18).
+
+    The mean radius stays, because squares do not determine it (13, 14).
+    """
     bend = 2 * sin(beta / 2) / side  # 1 / R, 1/m
     ratio = wheels.ratio * (1 + bend * wheels.distance / 2) / (1 - bend * wheels.distance / 2)
     distance = wheels.distance * (pi / 2) / (pi / 2 - alpha)

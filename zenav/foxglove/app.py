@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What comes from the app, into the stack: through the requests and topics that `zenav goto`, `teleop`, `estop` use.
+"""Input of the app to the stack, through the requests and topics that `zenav goto`, `teleop` and `estop` use.
 
-The SDK calls from threads of its own. Poses go to one worker, so that a slow answer holds nothing up; velocities to the
-Commander, which the server's loop publishes; a service call waits for its answer.
+The SDK calls from threads of its own. Poses go to one worker, so that a slow answer blocks nothing. Velocities go to
+the Commander, and the server's loop publishes them. A service call waits for its answer.
 """
 
 import json
@@ -29,10 +29,10 @@ from zenav.foxglove.commander import Commander
 from zenav.foxglove.inbound import Inlet, RefusedError, inlet_of, pose_from, velocity_from
 
 Say = Callable[[str, bool], None]
-"""Tells people a line; True: it is trouble."""
+"""Shows a line to the user; True: it is an error."""
 
 WAITING = 8  # requests that may wait for the worker
-REPEATED = 1.0  # s in which the same refusal of a channel is told once
+REPEATED = 1.0  # s in which the same refusal of a channel is shown once
 
 TRIGGER = {"type": "object", "title": "std_srvs/Trigger_Request", "properties": {}}
 TRIGGERED = {

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The channels that clients see: one a Foxglove topic, told as soon as there is something for it, with its last value.
+"""The channels that clients see: one per Foxglove topic, advertised at its first message, with its last value.
 
-A message is decoded and made only where a client has asked for what it shows.
+A message is decoded and converted only where a client has subscribed to its channel.
 """
 
 from collections import deque
@@ -58,7 +58,7 @@ class Channels:
             self.declare(row).log(encoded(value), log_time=max(0, at))
 
     def show(self, key: str, payload: bytes) -> None:
-        """Shows a payload on a key to who wants it."""
+        """Sends a payload on a key to the clients that subscribed."""
         outlets = self._outlets_of(key)
         if self._overtaken(key, payload):
             return
@@ -95,7 +95,7 @@ class Channels:
         try:
             before, now = envelope_of(last), envelope_of(payload)
         except CodecError:
-            return False  # told where it is decoded
+            return False  # its decoder reports the error
         return now.session == before.session and now.sequence < before.sequence
 
     def _outlets_of(self, key: str) -> tuple[Outlet, ...]:
@@ -110,7 +110,7 @@ class Channels:
         try:
             message, envelope = decode(topic.type, payload)
         except CodecError:
-            return  # its reader among the services counts and tells it
+            return  # its reader among the services counts and reports it
         seen = Seen(envelope.publisher, self._robot)
         for row in rows:
             self.send(row, row.make(message, seen), envelope.sent)

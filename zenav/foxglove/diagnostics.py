@@ -58,7 +58,7 @@ class Diagnostics:
 
 
 def diagnostics_of(message: Message) -> Diagnostics | None:
-    """The state that a guard's, navigator's or base's status, or a health message, tells; None of other messages."""
+    """The state in a status of guard, navigator or base, or in a health message; None for other messages."""
     if isinstance(message, GuardStatus):
         level = _level(message.reason) if message.state is not GuardState.IDLE else OK
         return _state(message, "guard", level, f"{message.state}", message.reason, message.detail)

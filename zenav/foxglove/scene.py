@@ -14,7 +14,7 @@ MAP, ODOM, BASE, LASER = "map", "odom", "base_link", "laser"
 """Frames, as REP 105 calls them."""
 
 _LATEST = 2**32 - 1  # s: what Foxglove's times can hold, the year 2106
-_LIFETIME = fox.Duration(sec=2, nsec=0)  # what its publisher no longer tells goes off the screen
+_LIFETIME = fox.Duration(sec=2, nsec=0)  # an entity without update disappears
 _FLAT = 0.02  # m above the floor, so that lines lie on the map and not in it
 _PERSON_WIDTH, _PERSON_HEIGHT = 0.4, 1.7  # m
 _CONE_STEPS = 8
@@ -56,7 +56,7 @@ def _line(
 
 
 def _entity(stamp: int, frame: str, name: str, lines: list[fox.LinePrimitive], locked: bool = False) -> fox.SceneUpdate:
-    """locked: it moves with its frame until it is drawn anew."""
+    """A scene with one entity of lines. locked: it moves with its frame until its next update."""
     entity = fox.SceneEntity(
         timestamp=stamp_of(stamp), frame_id=frame, id=name, lifetime=_LIFETIME, frame_locked=locked, lines=lines
     )
@@ -93,7 +93,7 @@ def cones(readings: RangeReadings) -> fox.SceneUpdate:
 
 
 def zones(held: Zones) -> fox.SceneUpdate:
-    """The zones' outlines in `map`: red keeps out, yellow is slow. They stay until others are told."""
+    """The zones' outlines in `map`: keep-out zones are red, speed zones yellow. They stay until the next update."""
     lines = [
         _line(list(zip(z.xs.tolist(), z.ys.tolist(), strict=True)), _ZONE_COLOURS[z.kind], 0.05, closed=True)
         for z in held.zones

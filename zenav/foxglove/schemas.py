@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of Foxglove's schemas shows which of the stack's messages: one table, for files and for the live view.
+"""Which of Foxglove's schemas shows which of the stack's messages? One table, for files and for the live view.
 
-A row is a Foxglove topic, the type that it carries, and a function of (message, Seen) that makes it, or None where this
-message has nothing to show there. Frames are REP 105's: map, odom, base_link, and laser. What Foxglove's schema of a
-message leaves out is told beside it under /zenav; what has no schema goes out as JSON (as_json.py).
+A row is a Foxglove topic, the type that it carries, and a function of (message, Seen). The function makes that type, or
+None where the message has no content for it. Frames are REP 105's: map, odom, base_link, and laser.
+Where Foxglove's schema leaves out fields, the whole message also goes out as JSON under /zenav. A message without
+schema goes out as JSON only (as_json.py).
 """
 
 from collections.abc import Callable
@@ -40,7 +41,7 @@ _LEVELS = {
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Beside the message: who published it, and the robot, where it is known."""
+    """Context of a message: its publisher, and the robot, where it is known."""
 
     publisher: str
     robot: Robot | None
@@ -120,7 +121,7 @@ def _transform(stamp: int, parent: str, child: str, parent_from_child: Pose2) ->
 
 
 def laser_transform(scan: m.LaserScan, seen: Seen) -> fox.FrameTransforms | None:
-    """base_link -> laser, told with each sweep: whoever joins has it with the first."""
+    """base_link -> laser, with each sweep, so that a late client has it with its first sweep."""
     if seen.robot is None:
         return None
     mount = seen.robot.laser.mount
@@ -318,4 +319,4 @@ ALSO: dict[str, tuple[Row, ...]] = {
 """Beside that."""
 
 LEAVES_OUT = (topics.POSE, topics.PLAN, topics.GOAL)
-"""What Foxglove's schema does not hold all of: told as JSON too."""
+"""Topics with fields that Foxglove's schema does not have: they go out as JSON too."""

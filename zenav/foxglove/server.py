@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """`zenav foxglove`: the running stack on a Foxglove WebSocket, until Ctrl-C.
 
-One loop shows what comes, publishes what the Commander says, and notices who falls silent. It only reads the stack, but
-for what app.py lets through. A slow client loses messages, oldest first: the SDK keeps a bounded queue for each.
+One loop sends messages to the clients, publishes the Commander's velocities, and reports silent services. It only reads
+from the stack, except for the input that app.py accepts. A slow client loses messages, oldest first: the SDK has a
+bounded queue for each.
 """
 
 import sys
@@ -34,7 +35,7 @@ HERE = ("127.0.0.1", "localhost", "::1")
 PERIOD = 0.05  # s between two commands, and two ticks of the clock
 SILENT = 3.0  # s without health after which a service counts as silent: three are missing
 ENDING = 2.0  # s within which a stack's services end one after the other
-FIRST_WORD = 3.0  # s that a stack has to be heard in before its absence is told
+FIRST_WORD = 3.0  # s without any message after which the stack is reported as absent
 BACKLOG = 128  # messages that wait for a slow client: under half a second of everything
 WAITING = 64  # messages of a key that may wait for this loop
 WATCH_EVERY, WATCH_FOR = 2.0, 10.0  # s: how often local control is asked to show what it sees, and for how long
@@ -53,7 +54,7 @@ def serve(robot: str, stack: str, host: str, port: int) -> None:
     ):
         sys.stderr.write(f"{described.name} is at ws://{host}:{view.port}: in Foxglove, open a Foxglove WebSocket\n")
         if host not in HERE:
-            sys.stderr.write("whoever reaches this port can drive the robot: mind the network\n")
+            sys.stderr.write("every client that reaches this port can drive the robot: limit access to the network\n")
         view.run(stop)
 
 
@@ -205,7 +206,7 @@ class LiveView:
         return newest is not None
 
     def _look_around(self, now: float) -> None:
-        """Who has fallen silent, and whether there is a stack at all."""
+        """Reports services that fell silent, and a stack that is absent."""
         quiet = {name: now - heard for name, heard in self._health.items() if now - heard > SILENT}
         at = self.client.now()
         for name, seconds in quiet.items():
@@ -224,7 +225,7 @@ class LiveView:
             self._say(words, not there)
 
     def _say(self, text: str, trouble: bool) -> None:
-        """A line for who started this, and for every client."""
+        """Shows a line on the terminal and to every client."""
         sys.stderr.write(f"{text}\n")
         sys.stderr.flush()
         if self._server is not None:

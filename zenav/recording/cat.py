@@ -38,9 +38,9 @@ def cat(path: Path, patterns: list[str], begin: float | None, end: float | None,
 
 
 def shown(entry: Entry) -> dict[str, Any]:
-    """A message as JSON: key, time of recording (ns), fields, publisher, send time (ns) and sequence.
+    """A message as JSON: key, time of recording (ns), fields, publisher, session, sequence and send time (ns).
 
-    A message that this version does not know has its msgpack content; without that, its size and the cause.
+    A message that this version does not know has the problem, its size and, of msgpack and JSON, its content.
     """
     head = {"key": entry.key, "log_time": entry.log_time} | ({"latched": True} if entry.latched else {})
     topic = topics.topic_of(entry.key)

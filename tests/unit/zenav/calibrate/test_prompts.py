@@ -53,7 +53,7 @@ def test_only_a_yes_starts_the_robot(types, typed, capsys):
 
 def test_nobody_there_starts_nothing_but_with_yes(types):
     types("", False)
-    with pytest.raises(UserError, match="nobody is there"):
+    with pytest.raises(UserError, match="no terminal"):
         confirmed("it drives", False)
     confirmed("it drives", True)
 
@@ -63,6 +63,6 @@ def test_a_drive_without_a_stack_or_a_yes_ends_in_one_line(types, command, capsy
     types("", False)
     assert _status(["calibrate", *command.split()]) == 2
     lines = capsys.readouterr().err.splitlines()
-    assert lines[-2:] == ["nobody is there to say yes", "hint: say --yes where the floor is free"]
+    assert lines[-2:] == ["no terminal to confirm the drive", "hint: say --yes where the floor is free"]
     types("", False)
     assert _status(["calibrate", "odometry", "--measured", "--yes"]) == 2
