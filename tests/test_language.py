@@ -47,10 +47,10 @@ MAX_WORDS = 25
 BOUNDS = {"MOST", "LEAST", "LONGEST", "FARTHEST", "SHORTEST", "LARGEST", "SMALLEST", "HIGHEST", "LOWEST", "FEWEST"}
 
 ALLOWED: dict[str, tuple[int, int, int]] = {
-    "docs": (105, 0, 0),
+    "docs": (104, 0, 0),
     "services/mapper": (65, 29, 16),
     "shared": (81, 18, 7),
-    "tests": (101, 6, 4),
+    "tests": (99, 6, 4),
 }
 """Folder: banned words, sentences that are too long, constants without MAX_ or MIN_."""
 
