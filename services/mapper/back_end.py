@@ -18,6 +18,7 @@ from services.mapper.parts import Gap, gap_information, joined_nodes, joint_of
 from services.mapper.pose_graph import Graph, Optimised, PoseGraph, still
 from services.mapper.registration import Match, RegistrationConfig
 from services.mapper.saved_map import SavedMap
+from services.mapper.slip import widened
 from services.mapper.submap import Submap
 from services.mapper.surroundings import BETWEEN, Held, Surroundings, surroundings
 from services.mapper.thinning import crowded
@@ -170,21 +171,20 @@ class BackEnd:
 
         doubt: how much wider odometry's standard deviations are, on the worst of the steps since the last keyframe.
         """
-        if self.session == len(self.keyframes):
-            node = self.graph.add(self.map_from_local @ keyframe.local_from_base)
+        row, node = self.session, self.graph.add(self.map_from_local @ keyframe.local_from_base)
+        if row == len(self.keyframes):
             if self.gap is not None:
                 self._bridge(int(self.graph.nodes[-2]), node, self.gap)
             self.driven.append(self.driven[-1] + self.loops.apart + 2 * self.loops.view if self.driven else 0.0)
         else:
             before = self.keyframes[-1].local_from_base
             step = before.inverse() @ keyframe.local_from_base
-            node = self.graph.add(self.map_from_local @ keyframe.local_from_base)
             prior = odometry.prior(self._settings[0], before, step, doubt)
             known = np.diag((prior.sigma**-2, prior.sigma**-2, prior.sigma_turn**-2))
             information = in_own_frame(
                 match.information, keyframe.local_from_base.yaw, known, self.config.noise, self.config.noise_turn
             )
-            self.graph.connect(node - 1, node, step, information, loop=False)
+            self.graph.connect(node - 1, node, step, widened(information, step, keyframe.off), loop=False)
             self.driven.append(self.driven[-1] + hypot(step.x, step.y))
         self.keyframes.append(keyframe)
         self.n_new += 1

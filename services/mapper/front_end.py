@@ -17,6 +17,7 @@ from services.mapper.motion_check import MotionCheck
 from services.mapper.occupancy import OccupancyConfig
 from services.mapper.odometry_error import MAX_JITTER_S, SPAN, OdometryError
 from services.mapper.registration import Match, Prior, RegistrationConfig
+from services.mapper.slip import Slip
 from services.mapper.submap import Submap
 from services.mapper.surface import sweep_lone, sweep_normals, sweep_usable
 from services.mapper.tracking_result import MIN_BEAMS, Placed, Tracked
@@ -38,8 +39,8 @@ WALKING_SPEED = 1.5  # m/s: a person who walks briskly
 MOST_WALKING = 0.9  # share of a sweep that may be left out: the rest, and odometry, still tell the place
 PATIENCE = 10  # scans that fit, but not well, until they are drawn all the same
 STRAYED = 0.3  # m that one who did not fit, or stood, may be off odometry where he fits again: rooms look alike
-DOUBT = 0.1  # share of the beams that must speak for a place as far off odometry as the drive goes meanwhile
-LATE = 0.03  # m, rad: what odometry that is late or comes in steps is off besides
+DOUBT = 0.1  # share of the beams that must speak for a place as far off odometry as the robot moved meanwhile
+NEAR = 3.0  # standard deviations of odometry within which a place is followed that fits badly
 BEYOND = 0.15  # m, rad: lag and steps of odometry, beyond what the drive can do
 REACH, REACH_TURN = 0.2, 0.1  # m, rad, standard deviations of where odometry led while scans told another motion
 JUMP = 3.0  # standard deviations of a step from which a match is followed at once: no jitter is so large
@@ -84,9 +85,10 @@ class FrontEnd:
         self.submap, self.graphed = Submap(*self._settings), True
         self.local_from_base = local_from_base
         self.keyframe: Pose2 | None = None  # of the last scan that joined the submap
+        self.since_keyframe = self.off = Pose2()  # the motion by odometry since then; what matches differed by
         self.belief = Belief()
         self.state = Localization.STARTING
-        self.motion = Pose2()  # between the last two sweeps
+        self.motion = self.step = Pose2()  # between the last two sweeps, by matches and by odometry
         self.smoothed = local_from_base  # the pose, less what odometry's jitter makes of it: the next prior starts here
         self.n_bad = 0  # scans that did not fit, since one fitted well
         self.n_poor = 0  # scans in a row that did not fit well
@@ -133,6 +135,7 @@ class FrontEnd:
         self.odometry_error.hear(step, seconds)
         measured, step = step, self.odometry_error.corrected(step)
         measures = doubt <= 1  # else it is no odometry
+        self.step, self.since_keyframe = step, self.since_keyframe @ step
         sweep, told, placed, n_moving, n_free = self._matched(
             origins, ends, step, doubt, skew if measures else 0.0, stamp
         )
@@ -176,17 +179,17 @@ class FrontEnd:
             self.unfit_path = self.unfit_turn = self.unfit_seconds = 0.0
         joins = trusted and self._moved_on() and len(sweep.points) > 0
         if joins:
-            self.keyframe = self.local_from_base
+            if self.keyframe is not None and measures:
+                self.off = self.since_keyframe.inverse() @ (self.keyframe.inverse() @ self.local_from_base)
+            self.keyframe, self.since_keyframe = self.local_from_base, Pose2()
             self.submap.forget()
             self.submap.extend(self.local_from_base, sweep.points, sweep.normals)
             self.submap.sign(self.local_from_base, self.belief.carried, stamp)
         if trusted:
             self.submap.draw(self.local_from_base @ origins, self.local_from_base @ ends)
-        keyframe = sweep if joins else None
         return Tracked(
             self.local_from_base, self.belief.covariance, quality, self.state, placed.match,
-            trusted and not self.at_odds, keyframe,
-            origins, ends,
+            trusted and not self.at_odds, sweep if joins else None, origins, ends,
         )  # fmt: skip
 
     def _smooth(self, step: Pose2, placed: Placed, measures: bool) -> None:
@@ -294,6 +297,8 @@ class FrontEnd:
             other = self._aligned(sweep, guess, prior)
             if not other.tells:  # out in the unknown nothing speaks against a place
                 continue
+            if odometry is not None and other.quality < self.config.good and not _is_near(odometry, other):
+                continue  # the pose never jumps to a place that fits badly
             doubt = self._doubt(other, odometry)
             if doubt < inf and other.balance - doubt > best.balance - best_doubt + self.search.gain:
                 best, best_doubt = other, doubt
@@ -309,12 +314,13 @@ class FrontEnd:
             return 0.0
         seconds = self.unfit_seconds + self.seconds
         far, turned = self.drive.max_speed * seconds, self.drive.max_turn_rate * seconds
+        path = self.unfit_path + hypot(self.step.x, self.step.y) + hypot(self.motion.x, self.motion.y)
+        slip = Slip(path, self.unfit_turn + abs(self.step.yaw) + abs(self.motion.yaw))
         least = inf
         for known in (odometry.map_from_base, self.local_from_base):
             off = known.inverse() @ placed.match.map_from_base
-            way = hypot(off.x, off.y)
-            if way <= BEYOND + 1.5 * far and abs(off.yaw) <= BEYOND + 1.5 * turned:
-                least = min(least, (way / (LATE + far)) ** 2 + (off.yaw / (LATE + turned)) ** 2)
+            if hypot(off.x, off.y) <= BEYOND + 1.5 * far and abs(off.yaw) <= BEYOND + 1.5 * turned:
+                least = min(least, slip.surprise(off, far, turned))
         return DOUBT * least
 
     def _aligned(self, sweep: Sweep, guess: Pose2, prior: Prior) -> Placed:
@@ -380,6 +386,13 @@ class FrontEnd:
             return True
         moved = self.keyframe.inverse() @ self.local_from_base
         return hypot(moved.x, moved.y) >= self.config.keyframe_distance or abs(moved.yaw) >= self.config.keyframe_turn
+
+
+def _is_near(unsure: Prior, placed: Placed) -> bool:
+    """Whether a place is where odometry leads. unsure: its prior, LIED times as wide as it is."""
+    off = unsure.map_from_base.inverse() @ placed.match.map_from_base
+    near, near_turn = NEAR / LIED * unsure.sigma, NEAR / LIED * unsure.sigma_turn
+    return hypot(off.x, off.y) <= near and abs(off.yaw) <= near_turn
 
 
 def _back(n: int) -> Float64s:

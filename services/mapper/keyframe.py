@@ -50,6 +50,7 @@ class Keyframe:
     (n, 2) m in `base`, ends NaN without an echo.  points, normals: (k, 2) m in `base`, what is matched.
     silent: (n, 2) m in `base`, up to where a beam without an echo is free, NaN elsewhere; or (0, 2): they say nothing.
     doubt: (3, 3), how unsure a map is that was drawn from it, until the graph is optimised; see `Belief`.
+    off: what matches and odometry differ by, from the keyframe before to this one, in this one's axes.
     """
 
     stamp: int
@@ -60,15 +61,16 @@ class Keyframe:
     normals: Float32s
     silent: Float32s
     doubt: Float32s = field(default_factory=lambda: SETTLED, kw_only=True)
+    off: Pose2 = field(default_factory=Pose2, kw_only=True)
 
     @classmethod
     def of(
         cls, stamp: int, local_from_base: Pose2, origins: Float64s, ends: Float64s, silent: Float64s, sweep: Sweep,
-        doubt: Float64s,
+        doubt: Float64s, off: Pose2,
     ) -> "Keyframe":  # fmt: skip
         told = silent if not np.isnan(silent).all() else silent[:0]
         seen = (array.astype(np.float32) for array in (origins, ends, sweep.points, sweep.normals, told))
-        return cls(stamp, local_from_base, *seen, doubt=doubt.astype(np.float32))
+        return cls(stamp, local_from_base, *seen, doubt=doubt.astype(np.float32), off=off)
 
     @property
     def origin(self) -> Float64s:

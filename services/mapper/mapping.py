@@ -107,7 +107,7 @@ class Mapping:
         if tracked.keyframe is not None and self.front_end.graphed:
             keyframe = Keyframe.of(
                 arrival.end, tracked.local_from_base, tracked.origins, tracked.ends, arrival.silent, tracked.keyframe,
-                self.front_end.belief.carried,
+                self.front_end.belief.carried, self.front_end.off,
             )  # fmt: skip
             if not self.placed:
                 yield from self.finder.keep(keyframe, tracked.match, self.doubt)

@@ -7,6 +7,7 @@ from math import hypot, inf, sqrt
 import numpy as np
 
 from services.mapper.registration import Float64s, Prior, RegistrationConfig
+from services.mapper.slip import TURN_PER_M
 from shared.geometry import Pose2
 
 OBSERVED = 0.012  # m, standard deviation up to which the beams fix a direction
@@ -29,6 +30,8 @@ MAX_LONG = 50  # of SPAN
 MAX_JITTER_S = 0.15  # s between two scans up to which odometry that is late, or comes in steps, shows
 OUTLIER = 9.0  # variances: a slip, or a match that is wrong, tells no more of how far off odometry is as a rule
 EVEN = 3  # steps that are compared
+MAX_SHARE = 0.5  # of a motion, as odometry's standard deviation: else scans that lie teach that it says nothing
+MAX_STANDING = 0.03  # m, rad: the same of a robot that stands
 UNEVEN = 0.5  # of what they differ by, is the standard deviation of the next one
 NO_JITTER = 4.0  # var(w) / var(n) from which odometry is followed as it is
 LEAST_JITTER_RATIO = 0.02
@@ -108,6 +111,7 @@ class OdometryError:
         self.jitter, self.jitter_turn = Jitter(self.squared), Jitter(self.squared_turn)
         self.compared_s = SPAN  # s, mean time over which motions were compared
         self._forget_long()
+        self.last_path = self.last_turn = 0.0  # m, rad: the last motion by a match
         self.recent: deque[tuple[float, float, float]] = deque(maxlen=EVEN)  # s, m, rad of the last steps
         self.uneven = self.uneven_turn = 0.0  # m, rad, standard deviations of the next one besides
 
@@ -128,6 +132,7 @@ class OdometryError:
 
         seconds: that it took.
         """
+        self.last_path, self.last_turn = hypot(moved.x, moved.y), abs(moved.yaw)
         if float(np.linalg.eigvalsh(information[:2, :2])[0]) < 1 / OBSERVED**2:
             self.measured, self.moved, self.seconds = Pose2(), Pose2(), 0.0
             self.jitter.last = self.jitter_turn.last = None
@@ -181,9 +186,12 @@ class OdometryError:
         share, known = min(seconds / SPAN, 1.0), config.trust * min(seconds / self.compared_s, 1.0)
         least = share * config.prior + config.prior_share * hypot(step.x, step.y)
         least_turn = share * config.prior_turn + config.prior_turn_share * abs(step.yaw)
+        path, turn = max(hypot(step.x, step.y), self.last_path), max(abs(step.yaw), self.last_turn)
+        most = MAX_STANDING + MAX_SHARE * path
+        most_turn = MAX_STANDING + MAX_SHARE * turn + TURN_PER_M * path
         return Prior(
             before @ step,
-            doubt * (max(least, known * sqrt(self.squared)) + uneven),
-            doubt * (max(least_turn, known * sqrt(self.squared_turn)) + uneven_turn),
+            doubt * (max(least, min(known * sqrt(self.squared), most)) + uneven),
+            doubt * (max(least_turn, min(known * sqrt(self.squared_turn), most_turn)) + uneven_turn),
             skew,
         )

@@ -49,7 +49,9 @@ class Robot:
         valid = sweep_usable(origins, ends) | normals.any(axis=1)
         found = Sweep(origins, ends, normals, np.zeros(len(ends))).only(valid)
         self.true_at[self.now] = self.true
-        return Keyframe.of(self.now, self.local, origins, ends, np.full_like(ends, np.nan), found, np.zeros((3, 3)))
+        return Keyframe.of(
+            self.now, self.local, origins, ends, np.full_like(ends, np.nan), found, np.zeros((3, 3)), Pose2()
+        )
 
     def stands(self):
         match = Match(self.local, SURE, np.ones(1, bool), 1.0)
