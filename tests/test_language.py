@@ -47,7 +47,7 @@ MAX_WORDS = 25
 BOUNDS = {"MOST", "LEAST", "LONGEST", "FARTHEST", "SHORTEST", "LARGEST", "SMALLEST", "HIGHEST", "LOWEST", "FEWEST"}
 
 ALLOWED: dict[str, tuple[int, int, int]] = {
-    "docs": (104, 0, 0),
+    "docs": (102, 0, 0),
     "services/mapper": (65, 29, 16),
     "shared": (81, 18, 7),
     "tests": (99, 6, 4),
