@@ -179,8 +179,8 @@ class FrontEnd:
             self.unfit_path = self.unfit_turn = self.unfit_seconds = 0.0
         joins = trusted and self._moved_on() and len(sweep.points) > 0
         if joins:
-            if self.keyframe is not None and measures:
-                self.off = self.since_keyframe.inverse() @ (self.keyframe.inverse() @ self.local_from_base)
+            last = self.local_from_base if self.keyframe is None else self.keyframe
+            self.off = self.since_keyframe.inverse() @ (last.inverse() @ self.local_from_base) if measures else Pose2()
             self.keyframe, self.since_keyframe = self.local_from_base, Pose2()
             self.submap.forget()
             self.submap.extend(self.local_from_base, sweep.points, sweep.normals)
