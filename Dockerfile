@@ -1,4 +1,5 @@
-# One image for the router, every service and the command line; the container's command says which.
+# One image for the router, every service and the command line; the container's command says which. Builds on amd64 and
+# arm64: every dependency has wheels for both.
 #
 # Kernels are compiled for any x86-64 processor with AVX2 (shared/repeatable.py), or for the ARM that builds the image. On
 # another one the first start compiles them again: the cache is the user's own, so it can.
@@ -14,16 +15,25 @@ RUN python -m venv .venv
 COPY requirements.txt ./
 RUN .venv/bin/pip install --no-cache-dir --disable-pip-version-check -q -r requirements.txt
 
-COPY pyproject.toml README.md ./
-COPY config config
-COPY shared shared
-COPY services services
-COPY zenav zenav
-# numba's cache holds for the exact time of a source file, and image layers keep whole seconds only
-RUN .venv/bin/pip install --no-deps --no-build-isolation --disable-pip-version-check -q -e . \
- && find . -path ./.venv -prune -o -name '*.py' -exec touch -d 2020-01-01 {} + \
- && .venv/bin/python -m compileall -q shared services zenav \
- && NUMBA_CACHE_DIR=/opt/zenav/kernels .venv/bin/python -m zenav.warm
+COPY pyproject.toml README.md LICENSE src/
+COPY docs src/docs
+COPY shared src/shared
+COPY services src/services
+COPY zenav src/zenav
+# what nothing needs at run time is left out, a quarter of the packages; libraries in numpy, scipy and *.libs do not survive strip
+ARG STRIP="llvmlite foxglove zenoh zstandard lz4 apsw pydantic_core"
+RUN .venv/bin/pip install --no-deps --no-build-isolation --disable-pip-version-check -q ./src \
+ && rm -rf src && .venv/bin/pip uninstall -q -y setuptools pip \
+ && { command -v strip > /dev/null || { apt-get update -qq && apt-get install -y -qq --no-install-recommends binutils; }; } \
+ && cd .venv/lib/python3*/site-packages \
+ && find $STRIP -name '*.so' -exec strip --strip-unneeded {} + \
+ && find . -type d \( -name tests -o -name test -o -name __pycache__ \) -prune -exec rm -rf {} + \
+ && find . -type f \( -name '*.pyi' -o -name '*.h' -o -name '*.pxd' -o -name '*.a' \) -delete
+# compiles the kernels, and the bytecode of what is imported
+RUN .venv/bin/python -P -m compileall -q .venv/lib/python3*/site-packages/services .venv/lib/python3*/site-packages/shared \
+      .venv/lib/python3*/site-packages/zenav \
+ && NUMBA_CACHE_DIR=/opt/zenav/kernels .venv/bin/python -P -m zenav.stack.warm \
+ && .venv/bin/python -P -m zenav --help > /dev/null
 
 FROM python:3.11-slim-bookworm
 

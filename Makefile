@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-docker mutants check fix lock docs figures record-references warm clean
+.PHONY: help venv demo test test-docker test-wheel mutants check fix lock docs figures record-references warm wheel clean
 
 PYTHON ?=
 JOBS ?= 3 # one more than two cores: who tests processes waits half of the time
@@ -28,10 +28,13 @@ demo: venv ## the whole stack explores an office and drives to its goals: make d
 	@$(BIN)/zenav demo $(ARGS)
 
 test: venv ## everything that needs no Docker: make test ARGS="-k planner"
-	@$(BIN)/python -m pytest -n $(JOBS) --ignore tests/docker $(ARGS)
+	@$(BIN)/python -m pytest -n $(JOBS) --ignore tests/docker --ignore tests/wheel $(ARGS)
 
 test-docker: venv ## the Compose file on a real engine
 	@$(BIN)/python -m pytest tests/docker -rs $(ARGS)
+
+test-wheel: .venv/.made ## the wheel in an empty environment, some minutes; needs a package index
+	@$(BIN)/python -m pytest -n0 tests/wheel -rs $(ARGS)
 
 mutants: venv ## a test fails for each small change of the wheels' equations and the codec: make mutants ARGS="codec"
 	@work=$$(mktemp -d); trap 'rm -rf "$$work"' EXIT
@@ -49,7 +52,7 @@ check: venv ## lint, format, types, architecture, language
 	run format $(BIN)/ruff format --check .
 	run types $(BIN)/mypy
 	run imports $(BIN)/lint-imports --no-cache
-	run architecture $(BIN)/python -m pytest --tb=short -rN tests/test_architecture.py
+	run architecture $(BIN)/python -m pytest --tb=short -rN tests/test_architecture.py tests/test_docs.py
 	run language $(BIN)/python -m pytest --tb=short -rN tests/test_language.py
 	exit $$status
 
@@ -64,13 +67,13 @@ docs: venv ## write docs/messages.md, docs/configuration.md and the tables of fi
 figures: venv ## rerun the published figures, some hours, resumable: make figures ARGS="--only sim,odometry"
 	@$(BIN)/zenav bench figures $(ARGS)
 
-record-references: venv ## run the stack anew for the recordings that the replay tests compare with
+record-references: venv ## run the stack again for the recordings that the replay tests compare with
 	@$(BIN)/python -m tests.replay.record $(ARGS)
 
-warm: ## compile the kernels anew where the code changed
-	@$(BIN)/python -m zenav.warm
+warm: ## compile the kernels again where the code changed
+	@$(BIN)/python -m zenav.stack.warm
 
-lock: ## write requirements*.txt anew from pyproject.toml, with the newest versions that it allows
+lock: ## write requirements*.txt again from pyproject.toml, with the newest versions that it allows
 	@work=$$(mktemp -d); trap 'rm -rf "$$work"' EXIT
 	$(find_python)
 	"$$python" -m venv "$$work/venv"
@@ -85,6 +88,13 @@ lock: ## write requirements*.txt anew from pyproject.toml, with the newest versi
 	{ echo '# What tests and checks it, on top. Written by `make lock`.'; echo '-r requirements.txt'
 	  comm -13 <(sort "$$work/lock") <(sort "$$work/lock[dev]"); } > requirements-dev.txt
 	rm -rf build zenav.egg-info
+
+wheel: .venv/.made ## the wheel and the source distribution, in dist/
+	@rm -rf dist build
+	# setuptools of .venv, as pinned; a warning of it is an error's first half, so it is shown
+	$(BIN)/python -c 'from setuptools.build_meta import build_sdist, build_wheel; build_sdist("dist"); build_wheel("dist")' > /dev/null
+	rm -rf build zenav.egg-info
+	ls dist
 
 clean: ## remove all that was made, .venv too
 	@rm -rf .venv build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
@@ -117,5 +127,5 @@ endef
 	touch $@
 
 .venv/.warm: .venv/.made $(KERNELS)
-	@$(BIN)/python -m zenav.warm
+	@$(BIN)/python -m zenav.stack.warm
 	touch $@

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much room around the robot's circles a path keeps."""
+"""Clearance of a path around the circles of the footprint."""
 
 
-def kept_free(margin: float, resolution: float) -> float:
-    """m around the footprint's circles: the margin, and by how much cells of this size, m, hide more than 5 cm do.
+def required_clearance(margin: float, resolution: float) -> float:
+    """Clearance (m) around the footprint's circles: the margin, and an addition for cells (m) larger than 5 cm.
 
-    How far a path is from an obstacle is known from cell's centre to cell's centre, to half a diagonal at either end:
-    1.4 cells, which the margin covers with cells of 5 cm.
+    A distance between cell centres is uncertain by half a diagonal at both ends: 1.4 cells. With cells of 5 cm the
+    margin covers that.
     """
     return margin + 1.4 * max(resolution - 0.05, 0.0)

@@ -33,7 +33,7 @@ _DTYPES: dict[int, np.dtype[Any]] = {
     4: np.dtype("<i4"),
 }
 _CODES = {dtype: code for code, dtype in _DTYPES.items()}
-_MAX_COORDINATE = 1e6  # m: a pose farther out is a fault of its sender, not a place
+_MAX_COORDINATE = 1e6  # m: a pose farther out is a fault of its sender
 
 
 class CodecError(ValueError):
@@ -41,7 +41,7 @@ class CodecError(ValueError):
 
 
 class Envelope(NamedTuple):
-    """Who sent a message and when: `sent` ns on the stack's clock, `sequence` from 0 per key and session."""
+    """Sender and send time of a message: `sent` ns on the stack's clock, `sequence` from 0 per key and session."""
 
     publisher: str
     session: str
@@ -53,12 +53,12 @@ Check = Callable[[Any], Any]
 
 
 def _once_per_class(function: F) -> F:
-    """functools.cache, whose own type does not take classes of dataclasses for hashable."""
+    """functools.cache with a type that accepts dataclass classes as arguments."""
     return cast(F, cache(function))
 
 
 class Field(NamedTuple):
-    """One field as declared: its plain type and its marks."""
+    """A declared field: its plain type and its annotations."""
 
     name: str
     kind: Any
@@ -103,7 +103,7 @@ def fields_of(type_: type[Any]) -> tuple[Field, ...]:
 
 
 def encode(message: Message, envelope: Envelope) -> bytes:
-    """The message's bytes. The sender's own mistakes (a wrong type) raise TypeError, ValueError or AttributeError."""
+    """The message as bytes. Raises TypeError, ValueError or AttributeError where a field has a wrong type."""
     tree = {"@": (envelope.publisher, envelope.session, envelope.sequence, envelope.sent)}
     for name, pack, optional in _packers(type(message)):
         value = getattr(message, name)
@@ -212,7 +212,7 @@ def _packer(kind: Any) -> Callable[[Any], Any] | None:
 
 
 def _dtype(kind: Any) -> np.dtype[Any]:
-    """Of an NDArray[...], as it is sent."""
+    """The dtype of an NDArray[...] on the wire: little-endian."""
     _, dtype = get_args(kind)
     (scalar,) = get_args(dtype)
     return cast(np.dtype[Any], np.dtype(scalar).newbyteorder("<"))

@@ -15,20 +15,20 @@ from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.error import YAMLError
 
-from shared.geometry import inside, to_outline
+from shared.polygon import signed_area, signed_distances
+from shared.robot_files import ROBOTS_DIR, manual_page, robot_files
 
 CIRCLE_CORNERS = 32  # of the polygon around a round robot: it reaches 0.5 % beyond the circle
-CONFIG_DIR = Path(__file__).resolve().parent.parent / "config"
 
 _log = logging.getLogger("zenav.config")
 
 
 class UserError(Exception):
-    """Something that the user can mend: shown as one line and a `hint:`, never as a traceback."""
+    """Something that the user can fix: shown as one line and a `hint:`, never as a traceback."""
 
-    def __init__(self, what: str, mend: str) -> None:
+    def __init__(self, what: str, hint: str) -> None:
         super().__init__(what)
-        self.what, self.mend = what, mend
+        self.what, self.hint = what, hint
 
 
 class Section(BaseModel):
@@ -139,7 +139,7 @@ class RangeSensor(Section):
 
 
 class Robot(Section):
-    """The robot as its hardware is: what every service may know."""
+    """The robot's hardware. Every service may read it."""
 
     name: str = Field(pattern="^[a-z][a-z0-9_]*$", description="first part of every key")
     footprint: tuple[tuple[float, float], ...] = Field(
@@ -157,8 +157,7 @@ class Robot(Section):
         if self.radius is None and len(self.footprint) < 3:
             raise ValueError("footprint: three corners at least")
         corners = self.corners
-        x, y = corners[:, 0], corners[:, 1]
-        if 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) <= 0:
+        if signed_area(corners) <= 0:
             raise ValueError("footprint: corners must run counter-clockwise and enclose an area")
         if not np.all(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T) > 1e-6):
             raise ValueError("footprint: a corner repeats its neighbour; the outline closes by itself")
@@ -177,8 +176,7 @@ class Robot(Section):
     @property
     def inscribed_radius(self) -> float:
         """m: the largest circle about `base` inside the footprint (negative when base lies outside)."""
-        nearest = to_outline(self.corners, 0.0, 0.0)
-        return nearest if inside(self.corners, np.zeros((1, 2)))[0] else -nearest
+        return -float(signed_distances(self.corners, np.zeros((1, 2)))[0])
 
     @property
     def circumscribed_radius(self) -> float:
@@ -190,7 +188,7 @@ T = TypeVar("T", bound=Section)
 
 
 class RobotFile:
-    """A robot's YAML, parsed once; sections are taken out of it by name and type."""
+    """A robot's YAML, parsed once; `section` reads one by name and type."""
 
     def __init__(self, path: Path, tree: CommentedMap) -> None:
         self.path, self.tree = path, tree
@@ -250,7 +248,7 @@ class RobotFile:
         return self.section("robot", Robot)
 
     def unknown_sections(self, known: tuple[str, ...]) -> None:
-        """Raises UserError where the file has a section that nobody reads."""
+        """Raises UserError where the file has a section outside `known`."""
         for name in self.tree:
             if name not in known:
                 raise UserError(f"{self.place((name,))}: {name} is not a section", nearest(str(name), known))
@@ -294,16 +292,22 @@ class RobotFile:
             fields = _fields_at(model, error["loc"][:-1])
             return UserError(f"{self.place(location)}: {key} is not a setting", nearest(str(error["loc"][-1]), fields))
         wrong = "" if error["type"] == "missing" else f" (it is {error['input']!r})"
-        hint = _description_at(model, error["loc"]) or "see docs/configuration.md"
+        hint = _description_at(model, error["loc"]) or f"see {manual_page('configuration.md')}"
         return UserError(f"{self.place(location)}: {key}: {error['msg'][:1].lower()}{error['msg'][1:]}{wrong}", hint)
 
 
 def robot_path(robot: str) -> Path:
-    """The file of a robot given by name (`x80sv`) or as a path. Raises UserError where there is none."""
-    path = Path(robot) if robot.endswith((".yaml", ".yml")) else CONFIG_DIR / f"{robot}.yaml"
+    """The file of a robot given as a path, or by name (`x80sv`): NAME.yaml in the current folder, else a built-in one.
+
+    Raises UserError where there is none.
+    """
+    if robot.endswith((".yaml", ".yml")):
+        path = Path(robot)
+    else:
+        path = next((p for p in (Path(f"{robot}.yaml"), ROBOTS_DIR / f"{robot}.yaml") if p.is_file()), Path(robot))
     if not path.is_file():
-        known = tuple(p.stem for p in sorted(CONFIG_DIR.glob("*.yaml")))
-        raise UserError(f"there is no robot file {_short(path)}", nearest(robot, known))
+        known = tuple(sorted(robot_files()))
+        raise UserError(f"there is no robot {robot}", nearest(robot, known))
     return path
 
 
@@ -314,7 +318,7 @@ def load_robot(robot: str) -> RobotFile:
 
 
 def configured(robot: str, overrides: list[str]) -> RobotFile:
-    """A robot's file with overrides (`section.key=value`) applied."""
+    """A robot's file with overrides (`section.key=value`) applied. Raises UserError."""
     file = load_robot(robot)
     for assignment in overrides:
         file.override(assignment)

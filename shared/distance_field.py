@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far is each cell from the nearest occupied one: the exact Euclidean distance transform of a grid."""
+"""Exact Euclidean distance transform of a grid: distance of each cell to the nearest occupied one."""
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Bools = NDArray[np.bool_]
-Float32s = NDArray[np.float32]
-Int32s = NDArray[np.int32]
-Int64s = NDArray[np.int64]
+from shared.types import Bools, Float32s, Int32s, Int64s
 
 NONE = 1 << 30  # cells: 'no occupied cell in this column'
 
@@ -18,8 +14,8 @@ def distance_field(occupied: Bools, resolution: float) -> Float32s:
 
     occupied: (h, w) bool, row 0 at the lower edge.  resolution: m a cell.
     Returns (h, w) float32 m, 0 in occupied cells; inf where nothing is occupied.
-    Felzenszwalb & Huttenlocher 2012, one dimension after the other; the first, whose input is binary, by two sweeps as
-    in Meijster et al. 2000. All in integers until the last root, so equal distances are equal numbers.
+    Felzenszwalb & Huttenlocher 2012, section 2: one dimension after the other. The first one has binary input and takes
+    two sweeps as in Meijster et al. 2000. Integers up to the last square root make equal distances equal numbers.
     """
     out = np.empty(occupied.shape, np.float32)
     distance_field_into(occupied, resolution, out)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The DrRobot board's framing, both ways; what the packets carry is said where they are read and written.
+"""Packet framing of the DrRobot board, in both directions. Readers and writers define the content of the packets.
 
     5E 02 | DEST | SEQ | TYPE | LEN | DATA[LEN] | CRC | 5E 0D
 
-Shared by the driver and by the emulated board: both need it whole, and its bytes are tested against the protocol's
-published examples. The layouts of DATA are written twice, once for each direction, so that a wrong one is seen.
+The driver and the emulated board share it. Tests compare its bytes with the protocol's published examples. The layouts
+of DATA are written twice, once for each direction, so that a test shows a wrong one.
 """
 
 from enum import IntEnum
@@ -12,22 +12,20 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-UInt8s = NDArray[np.uint8]
-Int64s = NDArray[np.int64]
+from shared.types import Int64s, UInt8s
 
 PC, BOARD = 0x00, 0x01
-"""DEST: for whom a packet is."""
+"""DEST: receiver of a packet."""
 
 ADC_FULL = 4095
-"""What an A/D channel reads at its full scale."""
+"""Reading of an A/D channel at full scale."""
 
 OVERHEAD = 9  # bytes of a packet around its DATA
 
 
 class Type(IntEnum):
-    """What a packet is about."""
+    """TYPE of a packet: subject of its DATA."""
 
     POSITION_ONE = 0x03
     POSITION_ALL = 0x04
@@ -48,7 +46,7 @@ class Type(IntEnum):
 
 
 class Packet(NamedTuple):
-    """A packet that arrived whole. `type` may be one that nobody knows."""
+    """A complete packet. `type` may be outside `Type`."""
 
     type: int
     data: bytes
@@ -83,8 +81,8 @@ GOOD, INCOMPLETE, WRONG, BAD_CRC = range(4)
 
 
 @njit(cache=True, nogil=True)
-def _judged(data: UInt8s, i: int, dest: int) -> int:
-    """What begins at byte i: a packet, one whose end has not come yet, or none."""
+def _classify_at(data: UInt8s, i: int, dest: int) -> int:
+    """GOOD, INCOMPLETE, WRONG or BAD_CRC: kind of the packet that begins at byte i."""
     n = len(data)
     if data[i] != 0x5E or (i + 1 < n and data[i + 1] != 0x02) or (i + 2 < n and data[i + 2] != dest):
         return WRONG
@@ -99,19 +97,19 @@ def _judged(data: UInt8s, i: int, dest: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _packets_in(data: UInt8s, dest: int, lost: bool, starts: Int64s) -> tuple[int, int, int, int, bool]:
+def _find_packets(data: UInt8s, dest: int, lost: bool, starts: Int64s) -> tuple[int, int, int, int, bool]:
     """Fills `starts` with where packets for `dest` begin.
 
-    lost: whether the bytes before `data` were no packet.  Returns how many packets, how many bytes are done with, how
-    many had a bad CRC, how often something lay between packets, and whether the bytes done with end in no packet.
+    lost: whether the bytes before `data` were no packet.
+    Returns the number of packets, of used bytes, of bad CRCs and of gaps between packets, and the next value of `lost`.
 
-    A header whose end is not there yet waits; a whole packet after it proves that it was none. So no header by chance,
-    however long it says it is, holds back the packets that follow it.
+    A header without its end waits. A complete packet after it proves that it was none. So a header by chance cannot
+    hold back the packets after it, whatever its length field says.
     """
     n_good = n_bad = n_resyncs = i = 0
     waiting = -1
     while i < len(data):
-        verdict = _judged(data, i, dest)
+        verdict = _classify_at(data, i, dest)
         if verdict == GOOD:
             n_resyncs += waiting >= 0 and not lost
             lost, waiting = False, -1
@@ -131,7 +129,7 @@ def _packets_in(data: UInt8s, dest: int, lost: bool, starts: Int64s) -> tuple[in
 
 
 class Deframer:
-    """Bytes in any pieces to packets for `dest`; keeps less than one packet. Never fails, whatever comes."""
+    """Converts bytes, in pieces of any size, to packets for `dest`. Keeps less than one packet and never raises."""
 
     def __init__(self, dest: int) -> None:
         self.n_good = self.n_bad_crc = self.n_resyncs = self.n_bytes = self.n_skipped = 0
@@ -140,16 +138,16 @@ class Deframer:
         self._lost = False
 
     def forget(self) -> None:
-        """Drops what has come of a packet: its rest will not come."""
+        """Discards the beginning of an incomplete packet."""
         self.n_skipped += len(self._kept)
         self._kept, self._lost = b"", False
 
     def packets(self, data: bytes) -> list[Packet]:
-        """The packets that are whole with these bytes."""
+        """The packets that these bytes complete, in order."""
         self.n_bytes += len(data)
         data = self._kept + data
-        starts = np.empty(len(data), np.int64)  # more than there can be
-        n, used, n_bad, n_resyncs, self._lost = _packets_in(
+        starts = np.empty(len(data), np.int64)  # an upper bound
+        n, used, n_bad, n_resyncs, self._lost = _find_packets(
             np.frombuffer(data, np.uint8), self._dest, self._lost, starts
         )
         found = [Packet(data[i + 4], data[i + 6 : i + 6 + data[i + 5]]) for i in starts[:n].tolist()]
@@ -162,5 +160,5 @@ class Deframer:
 
     @property
     def n_kept(self) -> int:
-        """Bytes that wait for the rest of their packet."""
+        """Number of bytes of the incomplete packet."""
         return len(self._kept)

@@ -6,20 +6,18 @@ from math import atan2, cos, pi, sin, sqrt
 from typing import overload
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float64s = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from shared.types import Float64s
 
 
 def wrapped(angle: float) -> float:
-    """The same direction in [-pi, pi)."""
+    """The angle (rad) in [-pi, pi)."""
     turned = (angle + pi) % (2 * pi) - pi
     return turned if turned < pi else -pi
 
 
 def wrapped_all(angles: Float64s) -> Float64s:
-    """`wrapped`, for an array of any shape."""
+    """The angles (rad) in [-pi, pi), for an array of any shape."""
     return (angles + pi) % (2 * pi) - pi
 
 
@@ -60,7 +58,7 @@ class Pose2:
         return sqrt((other.x - self.x) ** 2 + (other.y - self.y) ** 2)
 
     def bearing(self, other: "Pose2") -> float:
-        """Direction from here to the other position, in the frame that both are given in."""
+        """Direction (rad) from this position to the other, in the frame of both."""
         return atan2(other.y - self.y, other.x - self.x)
 
 
@@ -75,21 +73,3 @@ def interpolated(a: Pose2, b: Pose2, share: float) -> Pose2:
     """The pose at `share` of the constant-velocity motion's chord from a (0) to b (1); beyond 1 it extrapolates."""
     turn = wrapped(b.yaw - a.yaw)
     return Pose2(a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), wrapped(a.yaw + share * turn))
-
-
-def inside(polygon: Float64s, points: Float64s) -> Bools:
-    """Which points (n, 2) lie in the simple polygon (k, 2): (n,) bool, even-odd rule."""
-    x, y = points[:, 0][:, None], points[:, 1][:, None]
-    x0, y0 = polygon[:, 0], polygon[:, 1]
-    x1, y1 = np.roll(x0, -1), np.roll(y0, -1)
-    crosses = (y0 > y) != (y1 > y)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # of edges that do not cross
-        left_of = x < x0 + (y - y0) * (x1 - x0) / (y1 - y0)
-    return np.asarray((crosses & left_of).sum(axis=1) % 2 == 1)
-
-
-def to_outline(polygon: Float64s, x: float, y: float) -> float:
-    """m from a point, inside or outside, to the nearest edge of the polygon (k, 2)."""
-    edges, away = np.roll(polygon, -1, axis=0) - polygon, np.array((x, y)) - polygon
-    along = np.clip((away * edges).sum(axis=1) / (edges * edges).sum(axis=1), 0.0, 1.0)
-    return float(np.hypot(*(away - along[:, None] * edges).T).min())

@@ -1,18 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The occupancy grid as its readers and its writer see it: dense, grown by whole tiles, row 0 at the lowest y."""
+"""Dense occupancy grid that grows by whole tiles. Row 0 has the lowest y."""
 
 from math import floor
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shared.messages import TILE_CELLS, MapUpdate, fitting
-
-Int8s = NDArray[np.int8]
-Int32s = NDArray[np.int32]
-Int64s = NDArray[np.int64]
-Bools = NDArray[np.bool_]
-Float64s = NDArray[np.float64]
+from shared.types import Bools, Float64s, Int8s, Int32s, Int64s
 
 UNKNOWN = -1
 OCCUPIED_FROM = 65  # percent: ROS map_server's occupied_thresh 0.65
@@ -46,10 +40,10 @@ class OccupancyGrid:
         return self.cells.size == 0
 
     def apply(self, update: MapUpdate) -> Bools:
-        """Takes the update's tiles; returns (h, w) bool, which cells of the new `cells` differ from before.
+        """Copies the update's tiles. Returns (h, w) bool: the cells of the new `cells` that changed.
 
-        An update with another map_id or resolution starts a new map. Tiles with which it would span more than a map
-        may are left out.
+        An update with another map_id or resolution starts a new map. Tiles that would make the map span more than
+        MAX_SPAN tiles are left out.
         """
         if update.map_id != self.map_id or update.resolution != self.resolution:
             self.__init__(update.resolution, update.map_id)  # type: ignore[misc]  # a new map: nothing of the old one stays
@@ -72,7 +66,7 @@ class OccupancyGrid:
         return changed
 
     def _fitting(self, update: MapUpdate) -> Bools:
-        """(k,) bool: the update's tiles that this map has room for."""
+        """(k,) bool: the update's tiles within MAX_SPAN of this map."""
         if self.empty:
             return np.ones(len(update.rows), bool)
         h, w = self.cells.shape[0] // TILE_CELLS, self.cells.shape[1] // TILE_CELLS
@@ -99,7 +93,7 @@ class OccupancyGrid:
         return grown
 
     def update_of(self, changed: Bools, stamp: int) -> MapUpdate:
-        """The message that carries every tile in which a cell of `changed` (h, w) is set."""
+        """Message with every tile that has a cell of `changed` (h, w) set."""
         h, w = self.cells.shape[0] // TILE_CELLS, self.cells.shape[1] // TILE_CELLS
         blocks = changed.reshape(h, TILE_CELLS, w, TILE_CELLS).any(axis=(1, 3))
         rows, columns = np.nonzero(blocks)
@@ -142,12 +136,12 @@ class OccupancyGrid:
 
     @property
     def unknown(self) -> Bools:
-        """(h, w) bool: never seen, or seen too little to tell."""
+        """(h, w) bool: cells with too few observations."""
         return np.asarray(~(self.occupied | self.free))
 
 
 def update_of_cells(cells: Int8s, resolution: float, x0: float, y0: float, stamp: int = 0) -> MapUpdate:
-    """Cells (h, w), row 0 lowest, with their lower left corner (m), as the message that carries them.
+    """Message with cells (h, w), row 0 lowest, whose lower left corner lies at (x0, y0) m in `map`.
 
     The corner is moved by up to half a cell onto the tiles' cells.
     """

@@ -14,16 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.geometry import Pose2
-
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
-Int8s = NDArray[np.int8]
-Int32s = NDArray[np.int32]
+from shared.types import Float32s, Float64s, Int8s, Int32s
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """The field's unit, as people read it; "1" where it has none."""
+    """The field's unit in words; "1" where it has none."""
 
     name: str
 
@@ -112,7 +108,7 @@ class SerialData(Message):
 
 @dataclass(frozen=True, slots=True)
 class PortState(Message):
-    """Whether a service's port is open; where it is not, `detail` says why and what mends it."""
+    """Whether a service's port is open; where it is not, `detail` gives the cause and a hint."""
 
     port: Text
     open: Flag
@@ -258,9 +254,11 @@ MAX_SPAN = 256  # tiles that a map is long and wide at most, 819 m at 0.05 m/cel
 
 @dataclass(frozen=True, slots=True)
 class MapUpdate(Message):
-    """Changed tiles of the occupancy grid. Cell (row, column) of tile (i, j) is a square whose lower left corner lies
-    at ((j * 64 + column) * resolution, (i * 64 + row) * resolution) in `map`. -1 unknown, 0 free .. 100 occupied. A map
-    spans at most 256 tiles each way; tiles that would make it span more are no part of it.
+    """Changed tiles of the occupancy grid. -1 unknown, 0 free .. 100 occupied.
+
+    Cell (row, column) of tile (i, j) is a square. Its lower left corner in `map` is at
+    ((j * 64 + column) * resolution, (i * 64 + row) * resolution). A map spans at most 256 tiles each way. Tiles that
+    would make it span more are no part of it.
     """
 
     map_id: Stamp
@@ -275,7 +273,7 @@ class MapUpdate(Message):
         return f"the tiles span more than {MAX_SPAN}" if max(spans, default=0) > MAX_SPAN else None
 
     def merged(self, later: "MapUpdate") -> "MapUpdate":
-        """The whole map after `later` came: its tiles replace ours; another map_id starts anew."""
+        """The whole map after `later`: its tiles replace those of one place. Another map_id starts a new map."""
         if later.map_id != self.map_id or later.resolution != self.resolution:
             return later
         fit = np.ones(len(later.rows), bool)
@@ -297,9 +295,9 @@ class MapUpdate(Message):
 
 
 def fitting(places: Int32s, first: int, last: int) -> NDArray[np.bool_]:
-    """(k,) bool: with which of the rows (or columns) a map from `first` to `last` spans at most MAX_SPAN.
+    """(k,) bool: rows (or columns) that extend a map from `first` to `last` to at most MAX_SPAN tiles.
 
-    All of them together fit too, where they span no more than that themselves.
+    All of them together fit, too, where they span at most MAX_SPAN themselves.
     """
     return np.asarray((places > last - MAX_SPAN) & (places < first + MAX_SPAN))
 
@@ -307,27 +305,36 @@ def fitting(places: Int32s, first: int, last: int) -> NDArray[np.bool_]:
 # --- navigation -----------------------------------------------------------------------------------------------------
 
 
-class GoalKind(StrEnum):
-    """What the navigator wants of planner and local control."""
+@dataclass(frozen=True, slots=True)
+class Goal(Message):
+    """The pose to plan and drive to, or, when it is not active, the order to stand.
 
-    NONE = "none"  # stand
-    DRIVE = "drive"  # plan to the pose and follow
+    Goals and recoveries have one count: the highest `id` of both holds. `clear_costmap` forgets obstacles.
+    """
+
+    id: Count
+    active: Flag
+    map_from_goal: Pose
+    tolerance: Annotated[float, Unit("m"), Within(0.01, 5)]
+    yaw_tolerance: Annotated[float, Unit("rad; over pi: any heading"), Within(0.01, 10)]
+    clear_costmap: Flag
+
+
+class RecoveryKind(StrEnum):
+    """What local control does to free a robot without progress."""
+
     BACK_UP = "back_up"  # straight back by `amount` m
     TURN = "turn"  # on the spot by `amount` rad
     WAIT = "wait"  # stand for `amount` s
 
 
 @dataclass(frozen=True, slots=True)
-class Goal(Message):
-    """The present task of planner and local control. A higher `id` pre-empts; `clear_costmap` forgets obstacles."""
+class Recovery(Message):
+    """A motion that frees a robot without progress. It holds until a goal or a recovery with a higher `id` comes."""
 
     id: Count
-    kind: Annotated[GoalKind, Unit("1")]
-    map_from_goal: Pose
-    tolerance: Annotated[float, Unit("m"), Within(0.01, 5)]
-    yaw_tolerance: Annotated[float, Unit("rad; over pi: any heading"), Within(0.01, 10)]
+    kind: Annotated[RecoveryKind, Unit("1")]
     amount: Annotated[float, Unit("m, rad or s by kind"), Within(-100, 100)]
-    clear_costmap: Flag
 
 
 @dataclass(frozen=True, slots=True)
@@ -349,9 +356,9 @@ class Path(Message):
 
 @dataclass(frozen=True, slots=True)
 class GoalLimits(Message):
-    """What the planner asks of any goal, whatever the way: the navigator refuses others in its reply.
+    """Conditions of the planner for any goal. The navigator refuses other goals in its reply.
 
-    The margins are around the footprint's inscribed circle, with cells of 5 cm: one with room for `margin` within
+    The margins are around the footprint's inscribed circle, with cells of 5 cm. There must be room for `margin` within
     `reach` of the goal, or for `least_margin` at the goal itself.
     """
 
@@ -362,13 +369,13 @@ class GoalLimits(Message):
 
 
 class ZoneKind(StrEnum):
-    """What a zone asks of the robot."""
+    """Kind of a zone."""
 
     KEEP_OUT = "keep_out"  # no part of it may enter
     SLOW = "slow"  # while its middle is inside it is slow
 
 
-MOST_CORNERS, MOST_ZONES = 256, 256
+MAX_CORNERS, MAX_ZONES = 256, 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -386,7 +393,7 @@ class Zone(Message):
     share: Annotated[float, Unit("1"), Within(0.01, 1)] = 1.0
 
     def problem(self) -> str | None:
-        return None if 3 <= len(self.xs) <= MOST_CORNERS else f"a zone of {len(self.xs)} corners"
+        return None if 3 <= len(self.xs) <= MAX_CORNERS else f"a zone of {len(self.xs)} corners"
 
 
 @dataclass(frozen=True, slots=True)
@@ -396,7 +403,7 @@ class Zones(Message):
     zones: Annotated[tuple[Zone, ...], Unit("1")]
 
     def problem(self) -> str | None:
-        return f"more than {MOST_ZONES} zones" if len(self.zones) > MOST_ZONES else None
+        return f"more than {MAX_ZONES} zones" if len(self.zones) > MAX_ZONES else None
 
 
 class FollowState(StrEnum):
@@ -411,7 +418,10 @@ class FollowState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class FollowStatus(Message):
-    """Local control's progress on the goal with this id. `reason` is a code of reasons.py while it does not move."""
+    """Local control's progress on the goal or recovery with this id.
+
+    `reason` is a code of reasons.py while it does not move.
+    """
 
     goal_id: Count
     state: Annotated[FollowState, Unit("1")]
@@ -420,7 +430,7 @@ class FollowStatus(Message):
 
 
 class NavState(StrEnum):
-    """What the navigator is doing, as people see it."""
+    """State of the navigator."""
 
     IDLE = "idle"
     NAVIGATING = "navigating"
@@ -456,7 +466,7 @@ class NavStatus(Message):
 
 
 class TaskKind(StrEnum):
-    """What the navigator was asked for."""
+    """Kind of a navigator's task."""
 
     NONE = "none"
     ROUTE = "route"  # a goal is a route of one pose
@@ -513,7 +523,7 @@ class EmergencyStop(Message):
 
 
 class GuardState(StrEnum):
-    """Who moves the robot, or why nobody does."""
+    """Why the robot moves or stands."""
 
     IDLE = "idle"
     ACTIVE = "active"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of old recordings as today's: one row a schema that was, with a recording of its time as its test.
+"""Conversion of messages in old recordings: one row for each former schema, with an old recording as its test.
 
-A field that came with a default needs no row: its schema's id is the same. Everything else does: a field that went,
-came without a default, or has another type. A row takes the message's msgpack map, envelope and all, to today's.
+A new field with a default needs no row: the schema's id stays. A removed field, a new field without a default and
+another type of a field need one. A row converts the message's msgpack map, with its envelope.
 """
 
 import json
@@ -15,37 +15,48 @@ import msgpack
 
 from shared import messages
 from shared.codec import fields_of, schema_id
-from shared.messages import FollowStatus, Message
+from shared.messages import FollowStatus, Goal, Message
 
 Tree = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Migration:
-    """From one schema to today's of `type`."""
+    """Conversion from one schema to the present one of `type`."""
 
     type: type[Message]
     change: Callable[[Tree], Tree]
 
     def __call__(self, payload: bytes) -> bytes:
-        """The payload as today's; what is no message of the old schema is left as it is."""
+        """The payload in the present schema. A payload of another schema is returned unchanged."""
         try:
             tree = msgpack.unpackb(payload)
             return bytes(msgpack.packb(self.change(tree)))
-        except Exception:  # msgpack raises a dozen kinds on foreign bytes; whoever decodes them tells it
+        except Exception:  # msgpack raises a dozen kinds on foreign bytes; their decoder reports it
             return payload
 
 
 def without(*names: str) -> Callable[[Tree], Tree]:
-    """Leaves out fields that are no more."""
+    """A conversion that removes these fields."""
     return lambda tree: {name: value for name, value in tree.items() if name not in names}
 
 
+def without_recovery(tree: Tree) -> Tree:
+    """A goal of the time when a recovery was a goal with a kind. A recovery becomes an inactive goal.
+
+    It cannot become a `Recovery`: a recording's journals name each message by its key.
+    """
+    renamed = {"active" if name == "kind" else name: value for name, value in without("amount")(tree).items()}
+    return renamed | {"active": tree["kind"] == "drive"}
+
+
 MIGRATIONS: dict[str, Migration] = {
-    # local_ctrl told how long it had computed; since then health tells it for every service
+    # local_ctrl published its computation time; now health contains it for every service
     "FollowStatus-ee5971bf": Migration(FollowStatus, without("solve_time")),
+    # goals and recoveries were one message; since then they are two, on two topics
+    "Goal-4cd8f1ba": Migration(Goal, without_recovery),
 }
-"""By the id of the old schema."""
+"""By the id of the former schema."""
 
 
 @cache
@@ -56,9 +67,9 @@ def today() -> dict[str, type[Message]]:
 
 
 def unknown_version(name: str, schema: bytes) -> str:
-    """Why this version cannot read messages of a schema, in words; empty where it can, or knows no such message at all.
+    """Why this version cannot read messages of a schema, in words; empty where it can, or knows no such message.
 
-    name: the schema's id.   schema: its text, which tells its fields.
+    name: the schema's id.   schema: its text with the fields.
     """
     type_ = today().get(name.rpartition("-")[0])
     if type_ is None or name in MIGRATIONS:
@@ -66,8 +77,8 @@ def unknown_version(name: str, schema: bytes) -> str:
     if name != schema_id(type_):
         return f"{name}; this version knows {schema_id(type_)}"
     try:
-        told = {str(row["name"]) for row in json.loads(schema)["fields"]}
+        recorded = {str(row["name"]) for row in json.loads(schema)["fields"]}
     except (ValueError, TypeError, KeyError, IndexError, RecursionError):
         return ""  # the id says enough
-    new = sorted(told - {row.name for row in fields_of(type_)})
+    new = sorted(recorded - {row.name for row in fields_of(type_)})
     return f"{name} with {', '.join(new)}, which this version does not know" if new else ""

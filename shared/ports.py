@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A service's ports: where bytes come from and go to. They are messages (topics RX, TX, PORT), so that they are
-recorded and replayed as all else; only shared/runners/port.py opens the devices.
+"""Configuration of a service's ports: serial devices and sockets.
+
+Their bytes are messages (topics RX, TX, PORT), so they are recorded and replayed. Only shared/runners/port.py opens the
+devices.
 """
 
 from pydantic import Field
@@ -9,7 +11,7 @@ from shared.config import Section
 
 
 class PortConfig(Section):
-    """One port."""
+    """One port: its device and line settings."""
 
     device: str = Field(
         "",
@@ -24,15 +26,15 @@ class PortConfig(Section):
 
     @property
     def given(self) -> bool:
-        """Whether there is a device at all."""
+        """Whether a device is configured."""
         return bool(self.device or self.serial_number)
 
     @property
     def by_number(self) -> bool:
-        """Whether the device is found by its adapter's number. Behind an address or a wire there is no adapter."""
+        """Whether the device is identified by the serial number of its USB adapter."""
         return bool(self.serial_number) and (not self.device or self.device.startswith("/"))
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Name of the device in messages to the user."""
         return f"the adapter {self.serial_number}" if self.by_number else self.device

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Why a robot stands: one row a reason, with the words that the user reads and what mends it.
+"""Why a robot stands: one row for each reason, with the words and the hint that the user reads.
 
-Messages carry the `code`; `REASONS[code]` gives the rest. Guard, planner, local control and navigator cannot stop
-without one. Add rows here, never texts elsewhere.
+Messages contain the `code`; `REASONS[code]` has the rest. Guard, planner, local control and navigator cannot stop the
+robot without one. The texts are published: a change of one changes the bytes of recordings.
 """
 
 from dataclasses import dataclass
@@ -11,23 +11,23 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """severity: info (part of normal driving), hold (clears by itself), stop (needs a person), fault (hardware)."""
+    """One row. severity: info (normal driving), hold (clears by itself), stop (needs a person), fault (hardware)."""
 
     code: str
     text: str
-    mend: str
+    hint: str
     severity: Literal["info", "hold", "stop", "fault"]
 
 
 # fmt: off
 ESTOP           = Reason("estop", "STOP is pressed", "release it: zenav estop --release", "stop")
-FAULT           = Reason("base_fault", "the base reports a fault", "see base/status; mend it, then: zenav estop --release", "fault")
+FAULT           = Reason("base_fault", "the base reports a fault", "see base/status; repair it, then: zenav estop --release", "fault")
 WHEEL_STUCK     = Reason("wheel_stuck", "a wheel is commanded but does not turn", "free the wheel or check its encoder and motor; then: zenav estop --release", "fault")
 ENCODERS_BROKEN = Reason("encoders_broken", "the wheels' encoder counts jump again and again", "check the encoders' cables and power; then: zenav estop --release", "fault")
 ENCODERS_JUMP   = Reason("encoders_jump", "the wheels' encoder counts jump", "check the encoders' cables and robot.drive.encoder_wrap; it tries again", "hold")
 BAD_STAMPS      = Reason("bad_stamps", "an input's stamps or sequence numbers are wrong", "stamps are ns of this stack's clock and rise with each message: see the detail, and zenav topic hz health", "hold")
 BASE_SILENT     = Reason("base_silent", "the base driver is silent", "is base_driver running? zenav doctor", "hold")
-WHEEL_ASTRAY    = Reason("wheel_astray", "a wheel does not turn as it is told", "is it blocked, or its motor's direction swapped? zenav calibrate motors; then: zenav estop --release", "fault")
+WHEEL_ASTRAY    = Reason("wheel_astray", "a wheel does not turn as commanded", "is it blocked, or its motor's direction swapped? zenav calibrate motors; then: zenav estop --release", "fault")
 NOT_OBEYED      = Reason("not_obeyed", "both wheels fall behind their commands", "is this computer or the board's line overloaded, or the robot against a wall? it tries again", "hold")
 PORT_CLOSED     = Reason("port_closed", "the motion board's port is away", "plug its adapter in, or see base/status for what is wrong", "fault")
 BATTERY_EMPTY   = Reason("battery_empty", "the battery is empty", "charge it", "fault")
@@ -42,9 +42,9 @@ SCAN_BLIND      = Reason("scan_blind", "the laser sees nothing where the robot d
 SCAN_EMPTY      = Reason("scan_empty", "slowed: nothing returns from where the robot drives", "in halls wider than the laser's range and in open air set guard.view.min_ahead to 0", "info")
 POSE_OLD        = Reason("pose_old", "the pose on the map is missing or old", "is the mapper running? zenav topic hz pose", "hold")
 POSE_LOST       = Reason("pose_lost", "the robot does not know where it is", "drive a few metres by hand, or give its pose: zenav map mode localise --at X Y DEG", "stop")
-POSE_JUMPED     = Reason("pose_jumped", "the pose jumped by over 0.5 m", "the goal is planned anew; nothing to do", "hold")
+POSE_JUMPED     = Reason("pose_jumped", "the pose jumped by over 0.5 m", "a new plan to the goal is made; nothing to do", "hold")
 COMMAND_OLD     = Reason("command_old", "the command source fell silent", "is local_ctrl running? zenav topic hz cmd/nav", "hold")
-NO_COMMAND      = Reason("no_command", "nobody commands the robot", "send a goal: zenav goto X Y", "info")
+NO_COMMAND      = Reason("no_command", "no source commands the robot", "send a goal: zenav goto X Y", "info")
 OBSTACLE        = Reason("obstacle", "something is inside the protective field", "clear the way, or drive away by hand", "hold")
 NO_REVERSE      = Reason("no_reverse", "this robot may not drive backward", "set robot.drive.max_reverse_speed", "info")
 NO_TURN_IN_PLACE = Reason("no_turn_in_place", "this robot may not turn on the spot", "drive while it turns, or set robot.drive.turns_in_place", "info")
@@ -56,12 +56,12 @@ NO_PLAN         = Reason("no_plan", "there is no plan yet", "wait for the planne
 NO_MAP          = Reason("no_map", "there is no map yet", "is the mapper running? zenav topic hz map", "hold")
 GOAL_OUTSIDE    = Reason("goal_outside", "the goal lies outside the map", "choose a goal on the map", "info")
 GOAL_BLOCKED    = Reason("goal_blocked", "the goal lies in or beside an obstacle", "choose a goal with room for the robot", "info")
-GOAL_UNKNOWN    = Reason("goal_unknown", "the goal lies in space that nobody has seen", "explore first: zenav explore", "info")
+GOAL_UNKNOWN    = Reason("goal_unknown", "the goal lies in unknown space", "explore first: zenav explore", "info")
 GOAL_KEEP_OUT   = Reason("goal_keep_out", "the goal lies in a keep-out zone", "choose another goal, or take the zone away: zenav zones list", "info")
 START_BLOCKED   = Reason("start_blocked", "the robot stands in an obstacle of the map", "drive it free by hand", "hold")
 UNREACHABLE     = Reason("unreachable", "no way leads to the goal", "open a way or choose another goal", "info")
 NO_ROOM_TO_TURN = Reason("no_room_to_turn", "no way leads to the goal on arcs that the robot drives", "move it or the goal, take any heading, or set a smaller robot.drive.min_turning_radius", "info")
-HEADING_MISSED  = Reason("heading_missed", "the robot arrived with another heading and may not turn on the spot", "the navigator lets it approach anew", "hold")
+HEADING_MISSED  = Reason("heading_missed", "the robot arrived with another heading and may not turn on the spot", "the navigator lets it approach again", "hold")
 BLOCKED         = Reason("blocked", "no safe way forward right now", "the navigator tries its recoveries", "hold")
 NO_WAY_THROUGH  = Reason("no_way_through", "the way turns out to be closed, again and again", "open it wider, or choose another goal", "hold")
 NO_PROGRESS     = Reason("no_progress", "the robot has not come closer for a while", "the navigator tries its recoveries", "hold")
@@ -79,7 +79,7 @@ TOO_LARGE       = Reason("too_large", "the message is too large", "send less at 
 NOT_RUNNING     = Reason("not_running", "no service answers", "start the stack: zenav up", "stop")
 BAD_REQUEST     = Reason("bad_request", "the request is not valid", "see the detail", "info")
 NO_SUCH_MAP     = Reason("no_such_map", "there is no saved map of that name", "list them: zenav map load --help", "info")
-NO_GRAPH        = Reason("no_graph", "the mapper keeps no pose graph of this map", "tiles alone are saved and loaded all the same; a graph is there after mapping anew", "info")
+NO_GRAPH        = Reason("no_graph", "the mapper keeps no pose graph of this map", "tiles alone are saved and loaded all the same; a graph is there after mapping again", "info")
 MAP_REFUSED     = Reason("map_refused", "the saved map cannot be taken", "the map in use is untouched; see the detail", "info")
 TRANSFER_BROKEN = Reason("transfer_broken", "a part of the map is missing", "the map in use is untouched; do it again", "info")
 STARTING        = Reason("starting", "the stack is starting", "wait a moment", "info")
@@ -91,6 +91,6 @@ SERVICE_DIED    = Reason("service_died", "a service died and is being restarted"
 REASONS: dict[str, Reason] = {r.code: r for r in list(globals().values()) if isinstance(r, Reason)}
 
 
-def told(code: str) -> str:
-    """The words for a code, for people; the code itself where it is not in the table."""
+def reason_text(code: str) -> str:
+    """The words of a reason's code; the code itself where it is not in the table."""
     return REASONS[code].text if code in REASONS else code

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings: MCAP files that hold every message as it went on the wire, in the order in which the recorder took them.
+"""Recordings: MCAP files of the messages as they were sent, in the order in which the recorder received them.
 
-A channel is a key without the robot's name; message encoding `msgpack`, the schema's text beside it. `log_time` is when
-the recorder took a message, `publish_time` when it was sent. What was written until the last `flush` can be read
-whatever happens to the writer; the same input gives the same file.
+A channel is a key without the robot's name. Its message encoding is `msgpack`, with a schema in JSON. `log_time` is the
+time of recording, `publish_time` the time of sending. Data before the last `flush` survives a crash of the writer. The
+same input gives the same file.
 
-A recording may be split into parts. Each can be read alone: it begins with the configuration and with what was latched
-then (`Channel.latched`).
+A recording may consist of parts. Each part can be read alone: it begins with the configuration and the latched values
+(`Channel.latched`).
 """
 
 import platform
@@ -25,7 +25,7 @@ __all__ = ["ABOUT", "CONFIG", "Channel", "Drop", "Entry", "Recording", "Writer",
 
 
 def sink(writer: Writer) -> Callable[[Sent], None]:
-    """Records what a runner publishes, with the time of sending as the time of logging: Lockstep(record=sink(w))."""
+    """A function that records publications, with the send time as log time: Lockstep(record=sink(writer))."""
 
     def record(sent: Sent) -> None:
         envelope = sent.envelope
@@ -35,25 +35,28 @@ def sink(writer: Writer) -> Callable[[Sent], None]:
 
 
 def about(robot: str) -> dict[str, str]:
-    """Metadata of a recording that is made here and now: robot, versions, machine, git commit where there is one.
+    """Metadata of a new recording: robot, versions, machine, git commit where there is one.
 
-    Where `arithmetic()` is the same, the last bits of a replay are.
+    A replay gives the same last bits where `arithmetic()` is the same.
     """
     return {"robot": robot, **{name: version(name) for name in ("msgpack", "mcap")}, **arithmetic(), **_commit()}
 
 
 def arithmetic() -> dict[str, str]:
-    """What the last bits of a computation depend on here: processor, C library, numpy, numba."""
+    """Processor, C library, numpy and numba of this machine: the last bits of results depend on them."""
     libc = " ".join(platform.libc_ver())
     return {"processor": processor(), "libc": libc, "numpy": version("numpy"), "numba": version("numba")}
 
 
 @cache
 def _commit() -> dict[str, str]:
+    root = Path(__file__).resolve().parents[1]
+    if not (root / ".git").exists():  # installed, perhaps inside of a checkout of something else
+        return {}
     try:
         found = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
-            cwd=Path(__file__).parent,
+            cwd=root,
             capture_output=True,
             text=True,
             timeout=5,

@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Imported before numpy by every entry point and by the tests: the same input gives the same bytes.
+"""Settings with which the same input gives the same bytes. Entry points and tests import it before numpy.
 
-The last bits of numpy's exp, log and tan change with AVX-512, those of BLAS with the core type and the number of
-threads (measured). So all compute as an x86-64-v3 machine does (AVX2 and FMA: Haswell of 2013 and later, Zen), on one
-thread. numba compiles for that machine too: its cache then serves every host that an image runs on. What is set from
-outside stays, but for the threads. On aarch64 only the threads and OpenBLAS's generic core are set.
+The last bits of numpy's exp, log and tan depend on AVX-512. Those of BLAS depend on the core type and the number of
+threads (measured). So all machines compute as x86-64-v3 (AVX2 and FMA: Haswell of 2013 and later, Zen), on one thread.
+numba compiles for that machine, too: its cache then serves every host of an image. Variables that are already set stay,
+except the number of threads. On aarch64 only the threads and OpenBLAS's generic core are set.
 """
 
 import os
 import platform
+import re
 import sys
 import warnings
-from importlib.metadata import version
+from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
+
+from shared.kernel_cache import installed_cache
 
 THREADS = {
     "OPENBLAS_NUM_THREADS": "1",
@@ -32,7 +36,7 @@ def settings(machine: str, cpu_flags: frozenset[str], numpy_version: tuple[int, 
             if numpy_version >= (2, 4)
             else "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR"
         )
-        if {"avx2", "fma", "bmi2"} <= cpu_flags:  # OpenBLAS and numba believe what they are told
+        if {"avx2", "fma", "bmi2"} <= cpu_flags:  # OpenBLAS and numba do not check these
             wanted |= {"OPENBLAS_CORETYPE": "Haswell", "NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": ""}
     elif machine in ("aarch64", "arm64"):
         wanted["OPENBLAS_CORETYPE"] = "ARMV8"
@@ -48,14 +52,32 @@ def _cpu_flags() -> frozenset[str]:
 
 
 def processor() -> str:
-    """What this process's kernels are compiled for, like `x86_64 x86-64-v3`; where that is equal, so are last bits."""
+    """Target of this process's kernels, like `x86_64 x86-64-v3`. Equal targets give equal last bits."""
     return f"{platform.machine()} {os.environ.get('NUMBA_CPU_NAME', 'as it is')}"  # noqa: TID251
 
 
+def _numpy_version() -> tuple[int, int]:
+    """Major and minor, from numpy's own file: importing numpy, or importlib.metadata, costs a command its answer."""
+    spec = find_spec("numpy")
+    found = None
+    if spec is not None and spec.origin is not None:
+        with suppress(OSError):
+            text = Path(spec.origin).with_name("version.py").read_text(encoding="utf-8")
+            found = re.search(r'^version = "(\d+)\.(\d+)', text, re.MULTILINE)
+    if found is None:
+        from importlib.metadata import version
+
+        found = re.match(r"(\d+)\.(\d+)", version("numpy"))
+    assert found is not None
+    return int(found[1]), int(found[2])
+
+
 def _set() -> None:
-    major, minor = (int(part) for part in version("numpy").split(".")[:2])
+    major, minor = _numpy_version()
     before = dict(os.environ)  # noqa: TID251  # here the environment is the subject
-    after = {**settings(platform.machine(), _cpu_flags(), (major, minor)), **before, **THREADS}
+    cache = installed_cache()
+    kept = {"NUMBA_CACHE_DIR": str(cache)} if cache else {}
+    after = {**settings(platform.machine(), _cpu_flags(), (major, minor)), **kept, **before, **THREADS}
     if "numpy" in sys.modules and after != before:
         warnings.warn(
             "numpy was imported before shared.repeatable: results may differ in their last bits", stacklevel=2

@@ -13,7 +13,7 @@ R = TypeVar("R", bound=Message)
 
 @dataclass(frozen=True, slots=True)
 class Reply(Message):
-    """Taken, or refused with the reason and its mend; `task_id` is the navigator's number for what was started."""
+    """Accepted, or refused with the reason and a hint; `task_id` is the navigator's number of the new task."""
 
     accepted: Flag
     reason: Text
@@ -23,8 +23,8 @@ class Reply(Message):
 
 MAX_ROUTE_POSES = 10_000
 """poses of one route: some 0.4 MiB on the wire, which carries 4."""
-LEAST_TOLERANCE = 0.01
-"""m or rad: no robot is nearer to its goal than it knows where it is."""
+MIN_TOLERANCE = 0.01
+"""m or rad: localization is not more exact."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +46,8 @@ class Navigate(Message):
     def problem(self) -> str | None:
         if self.dwells and len(self.dwells) != len(self.poses):
             return f"{len(self.dwells)} stays for {len(self.poses)} poses"
-        if 0 < self.tolerance < LEAST_TOLERANCE or 0 < self.yaw_tolerance < LEAST_TOLERANCE:
-            return f"a tolerance under {LEAST_TOLERANCE}"
+        if 0 < self.tolerance < MIN_TOLERANCE or 0 < self.yaw_tolerance < MIN_TOLERANCE:
+            return f"a tolerance under {MIN_TOLERANCE}"
         if len(self.poses) > MAX_ROUTE_POSES:
             return f"a route of {len(self.poses)} poses, where {MAX_ROUTE_POSES} are the limit"
         return None if self.poses else "a route of no poses"
@@ -60,7 +60,7 @@ class SetZones(Message):
     zones: Annotated[tuple[m.Zone, ...], Unit("1")]
 
     def problem(self) -> str | None:
-        return f"more than {m.MOST_ZONES} zones" if len(self.zones) > m.MOST_ZONES else None
+        return f"more than {m.MAX_ZONES} zones" if len(self.zones) > m.MAX_ZONES else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +80,8 @@ class Pause(Message):
     paused: Flag
 
 
-MOST_OVERRIDE = 2.0
-"""s that one request overrides at most: who wants more asks again and again, and whoever is gone does not."""
+MAX_OVERRIDE_S = 2.0
+"""s that one request overrides. A client repeats the request, so an override ends with its client."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class Override(Message):
     STOP and the base's faults still hold, and STOP ends it. Nothing else does anything about what is in the way.
     """
 
-    seconds: Annotated[float, Unit("s"), m.Within(0, MOST_OVERRIDE)]
+    seconds: Annotated[float, Unit("s"), m.Within(0, MAX_OVERRIDE_S)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,8 +111,8 @@ class LoadMap(Message):
 
 MAP_PART = 2**20
 """bytes of a saved map that one message carries at most."""
-MOST_PARTS = 512
-"""of one map: 512 MiB, some 30 000 keyframes of 450 beams."""
+MAX_MAP_PARTS = 512
+"""parts of one map: 512 MiB, some 30 000 keyframes of 450 beams."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +140,8 @@ class GiveMap(Message):
     """A part of a file graph.msgpack for the mapper, from the first to the last; `transfer` is the giver's number."""
 
     transfer: Count
-    part: Annotated[int, Unit("1"), m.Within(0, MOST_PARTS - 1)]
-    parts: Annotated[int, Unit("1"), m.Within(1, MOST_PARTS)]
+    part: Annotated[int, Unit("1"), m.Within(0, MAX_MAP_PARTS - 1)]
+    parts: Annotated[int, Unit("1"), m.Within(1, MAX_MAP_PARTS)]
     data: Annotated[bytes, Unit("bytes")]
 
     def problem(self) -> str | None:
@@ -154,8 +154,8 @@ class GiveMap(Message):
 class StartMap(Message):
     """Go on in a mode: on the map of a transfer, or on the present one (`transfer` 0).
 
-    at: where the robot is on it, which is checked against the scan; or none: wherever it is, and on the present map,
-    where it is by now. A new map starts where the robot stands.
+    at: the robot's pose on it, which is checked against the scan. Without it the robot is searched on the whole map. On
+    the present map it is where it was tracked. A new map starts where the robot stands.
     """
 
     mode: Annotated[m.MapMode, Unit("1")]
@@ -172,7 +172,7 @@ class StartMap(Message):
 class Break(Message):
     """Let this fault of the simulated hardware begin, for so many seconds (0: until it is ended), or end it (`mended`).
 
-    `fault` is a name that `zenav fault` lists; to mend, it may be empty: all of them.
+    `fault` is a name that `zenav fault` lists. To end all faults it is empty.
     """
 
     fault: Text

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Maps as ROS map_server keeps them: a grey picture (map.pgm) and its YAML. Picture row 0 is the highest y."""
+"""Maps in the format of ROS map_server: a grey picture (map.pgm) and its YAML. Picture row 0 has the highest y."""
 
 import os
 import tempfile
@@ -8,14 +8,10 @@ from math import isfinite
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shared.config import UserError, load_yaml
 from shared.grid import FREE_UP_TO, OCCUPIED_FROM, UNKNOWN
-
-Int8s = NDArray[np.int8]
-UInt8s = NDArray[np.uint8]
-Bools = NDArray[np.bool_]
+from shared.types import Bools, Int8s, UInt8s
 
 MODES = ("trinary", "scale", "raw")
 OCCUPIED_SHARE, FREE_SHARE = 0.65, 0.196  # map_saver's thresholds
@@ -24,7 +20,7 @@ KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thre
 
 
 def read_ros_map(path: Path) -> tuple[Int8s, float, float, float]:
-    """Cells (h, w) int8 in percent, -1 unknown, row 0 at the lowest y; m a cell; x and y (m) of the lower left corner.
+    """Cells (h, w) int8 in percent, -1 unknown, row 0 at the lowest y; resolution (m); lower left corner x, y (m).
 
     Raises UserError as `read_turned_ros_map` does, and for a map that is turned.
     """
@@ -35,10 +31,10 @@ def read_ros_map(path: Path) -> tuple[Int8s, float, float, float]:
 
 
 def read_turned_ros_map(path: Path) -> tuple[Int8s, float, float, float, float]:
-    """As `read_ros_map`; and the yaw, rad, by which the cells are turned about their lower left corner.
+    """As `read_ros_map`, and the yaw (rad) of the cells about their lower left corner.
 
-    `mode: trinary` (the default), `scale` and `raw` as http://wiki.ros.org/map_server has them. Raises UserError where
-    the YAML or the picture cannot be read or does not make sense.
+    `mode: trinary` (the default), `scale` and `raw` as in http://wiki.ros.org/map_server. Raises UserError where the
+    YAML or the picture cannot be read or is not valid.
     """
     tree = load_yaml(path)
     missing = [key for key in KEYS if key not in tree and key != "negate"]
@@ -92,9 +88,12 @@ def ros_map_files(
 ) -> dict[str, bytes]:
     """The content of NAME.pgm and NAME.yaml. cells: (h, w) int8 percent, -1 unknown, row 0 lowest; m a cell; m, m.
 
-    trinary: cells between the thresholds become unknown, as map_saver does. scale and raw keep every percent, but 99
-    becomes 98 with scale: no grey says it. scale's unknown cells are transparent, so its picture is NAME.png. negate:
-    white is occupied; raw has no such thing.
+    - trinary: cells between the thresholds become unknown, as in map_saver.
+    - scale: keeps every percent except 99, which has no grey value and becomes 98. Unknown cells are transparent, so
+      the picture is NAME.png.
+    - raw: keeps every percent and ignores `negate`.
+
+    negate: white is occupied.
     """
     grey = _grey_of(cells, mode)[::-1]
     if negate and mode != "raw":
@@ -117,7 +116,7 @@ def _grey_of(cells: Int8s, mode: str) -> UInt8s:
         return np.where(cells == UNKNOWN, 255, cells).astype(np.uint8)
     grey = np.full(cells.shape, UNKNOWN_GREY, np.uint8)
     if mode == "scale":
-        every = np.arange(255, -1, -1, dtype=np.uint8)[None]  # the darkest counts that is read as a percent
+        every = np.arange(255, -1, -1, dtype=np.uint8)[None]  # of several greys with one percent, the darkest
         read = _cells(every, np.full_like(every, 255), "scale", False, OCCUPIED_SHARE, FREE_SHARE)[0]
         table = every[0][np.abs(read[None].astype(int) - np.arange(101)[:, None]).argmin(axis=1)]
         table[0] = FREE_GREY

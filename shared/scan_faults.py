@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Is a scan what the laser measured just now? Beams unlike the configured ones, and a buffer that repeats."""
+"""Is a scan a new measurement of the configured laser? Checks of its beams, and of a repeated buffer."""
 
 from math import hypot, pi, radians
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shared.config import Laser, Mount
 from shared.geometry import Pose2, wrapped
 from shared.messages import LaserScan
-
-Bools = NDArray[np.bool_]
-Float64s = NDArray[np.float64]
+from shared.types import Bools
 
 MAX_UNLIKE_SHARE = 0.1
 """Of beam count and increment, between the configuration and a scan that is followed: a motor's speed varies."""
@@ -21,7 +18,7 @@ MAX_UNLIKE_ARC = radians(3.0)
 MIN_REPEATS = 2
 MIN_REPEATED_NS = 250_000_000
 MAX_USUAL_REPEATS = 3
-"""A driver may publish one sweep several times, always: more than it usually does is a fault."""
+"""A driver may publish each sweep several times. Only more repeats than usual are a fault."""
 MAX_GAP_NS = 1_000_000_000
 """Between two scans that belong to one stream."""
 MIN_RETURNS = 30
@@ -34,7 +31,7 @@ MIN_SECTORS_SHARE = 0.75
 """Noise is everywhere, people are not: of the sectors, those in which readings changed over N_PAIRS standing scans."""
 STANDING_M, STANDING_RAD = 0.001, 0.001
 SETTLING_NS = 500_000_000
-"""Of standing, before scans tell of noise: under the encoders' resolution a robot still moves."""
+"""Of standing, before scans count for noise: below the encoders' resolution a robot may still move."""
 MIN_NOISE_M = 0.0005
 """By which two readings differ; a device has steps of 1 mm or more."""
 MOVED_M, MOVED_RAD = 0.15, 0.1
@@ -45,10 +42,10 @@ AGREES_M = 0.06
 
 
 def mismatch(scan: LaserScan, laser: Laser) -> str:
-    """How a scan's beams differ from `robot.laser`, with both numbers; empty where the scan is to be followed.
+    """Difference of a scan's beams from `robot.laser`, in words with both numbers; empty where the scan is usable.
 
-    A scan says itself where its beams point, and small differences are followed: beam count and increment within 10 %,
-    the ends of the sweep within 3 degrees and one increment. Beams may run either way.
+    A scan contains its own angles, so small differences are accepted. They are 10 % of beam count and increment, and
+    3 degrees and one increment at the ends of the sweep. Beams may run in either direction.
     """
     n, step = len(scan.ranges), abs(scan.angle_increment)
     wanted, wanted_step = laser.n_beams, abs(laser.angle_increment)
@@ -72,11 +69,13 @@ def mismatch(scan: LaserScan, laser: Laser) -> str:
 
 
 class RepeatedScans:
-    """Finds a laser that publishes one buffer again and again with fresh stamps.
+    """Detects a laser that publishes one buffer repeatedly with new stamps.
 
-    Equal ranges alone prove nothing: a simulated laser without noise repeats while the robot stands, and in a corridor
-    without ends also while it drives. A repetition is a fault where this laser has noise, learned from scans of a
-    standing robot that differ in all directions, or where the motion by odometry contradicts it.
+    Equal ranges alone are no fault: a simulated laser without noise repeats while the robot stands. In an endless
+    corridor it repeats also while the robot drives. A repetition is a fault in two cases:
+
+    - The laser has noise. Scans of a standing robot that differ in all directions show it.
+    - The motion by odometry contradicts the repetition.
     """
 
     def __init__(self, mount: Mount) -> None:
@@ -94,11 +93,11 @@ class RepeatedScans:
         self._usual_repeats = 0  # in a row, of a stream that went on by itself
 
     def restart(self) -> None:
-        """Odometry began again, or the clock was set back: earlier scans and poses say nothing. Noise stays known."""
+        """Forgets earlier scans and poses, after odometry restarted or the clock was set back. Noise stays known."""
         self._first, self.n_repeats, self.frozen = None, 0, False
 
     def take(self, scan: LaserScan, odom_from_base: Pose2) -> bool:
-        """Takes the next scan, with the newest pose by odometry. Returns whether the laser repeats itself."""
+        """Adds the next scan with the newest pose by odometry. Returns whether the laser repeats one scan."""
         first = self._first
         self._stand(scan, odom_from_base)
         if first is None or not 0 < scan.stamp - self._newest <= MAX_GAP_NS or len(first.ranges) != len(scan.ranges):
@@ -174,5 +173,5 @@ class RepeatedScans:
 
 
 def returns(scan: LaserScan) -> Bools:
-    """(n,) which beams measured something: neither NaN nor infinite, from range_min to range_max."""
+    """(n,) bool: beams with a range from range_min to range_max."""
     return np.asarray((scan.ranges >= scan.range_min) & (scan.ranges <= scan.range_max))

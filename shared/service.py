@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A service is an object with handlers; a runner calls it. Four kinds of event enter: message, tick, job done, request;
-and a farewell at the end.
+"""A service is an object with handlers that a runner calls. There are four kinds of event: message, tick, job result
+and request. At the end comes `on_shutdown`.
 
     class OdometryService(Service):
         config_type = OdometryConfig
@@ -17,8 +17,8 @@ and a farewell at the end.
             yield topics.MAP(...)
             return Reply(...)
 
-Handlers read nothing but their arguments, their state and `self.now`; they open nothing, sleep never, and publish by
-yielding. Slow work is yielded as a `Job`: a pure function of a snapshot whose result comes back as an event.
+Handlers read only their arguments, their state and `self.now`. They open no file or socket, never sleep, and publish by
+yielding. Slow work is yielded as a `Job`: a pure function of a snapshot. Its result is an event.
 """
 
 from collections.abc import Callable, Generator, Iterable, Iterator
@@ -42,7 +42,7 @@ S = TypeVar("S", bound="Service")
 class Job:
     """Work off the event path: `function(*arguments)` is pure; its result calls the method named `done`.
 
-    takes: s, the duration that lockstep gives it. One job of a `done` name runs at a time; a newer one waits.
+    takes: s, its duration in lockstep. One job of a `done` name runs at a time; a newer one waits.
     """
 
     function: Callable[..., Any]
@@ -53,7 +53,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """A line for people, by way of the runner. level: "INFO", "WARNING" or "ERROR"."""
+    """A line of the service's log. level: "INFO", "WARNING" or "ERROR"."""
 
     level: str
     text: str
@@ -73,22 +73,22 @@ class Service:
         self.config = config
         self.robot = robot
         self.rejections = Rejections()
-        """Messages that it did not use: its own handlers judge stamps, the runner adds what it rejects itself."""
+        """Messages that it did not use: its handlers judge stamps, the runner adds its own rejections."""
 
-    def warm(self) -> None:
-        """Compile and touch everything that the first events need; changes no state. Called before the first event."""
+    def warm_up(self) -> None:
+        """Compiles the kernels that events need, without a change of state. Called before the first event."""
 
     @property
     def ports(self) -> dict[str, PortConfig]:
-        """Its ports by name. It hears them on topics.RX and topics.PORT and speaks to them on topics.TX."""
+        """Its ports by name. It reads them on topics.RX and topics.PORT, and writes to them on topics.TX."""
         return {}
 
-    def farewell(self) -> Out:
-        """The last words, when the process is asked to end: an event like the others."""
+    def on_shutdown(self) -> Out:
+        """Publications at the end of the process. An event like the others."""
         return ()
 
     def state(self) -> str:
-        """A few words for the health message: what the service is doing."""
+        """The service's activity in a few words, for the health message."""
         return "running"
 
 
@@ -103,9 +103,9 @@ def on(topic: Topic[M]) -> Callable[[Callable[[S, M], Out]], Callable[[S, M], Ou
 
 
 def every(hz: float, after: "Topic[Any] | None" = None) -> Callable[[Callable[[S], Out]], Callable[[S], Out]]:
-    """Marks a handler called at a fixed rate on the stack's clock; a missed tick is skipped, never made up for.
+    """Marks a handler called at a fixed rate on the stack's clock. A missed tick is skipped.
 
-    after: a topic that the service listens to; the ticks keep in step with it, one right after each message.
+    after: a topic that the service subscribes to. A tick then comes right after each of its messages.
     """
 
     def mark(handler: Callable[[S], Out]) -> Callable[[S], Out]:
@@ -127,15 +127,15 @@ def answer(request: Request[Q, R]) -> Callable[[Callable[[S, Q], Answer[R]]], Ca
 
 @dataclass(frozen=True, slots=True)
 class Handlers:
-    """What a service class listens to, in the order of its source."""
+    """Handlers of a service class, in the order of its source."""
 
     topics: dict[str, tuple[Topic[Message], str]]  # topic key -> topic, method
-    ticks: tuple[tuple[float, str, str], ...]  # Hz, method, key of the topic that it keeps in step with
+    ticks: tuple[tuple[float, str, str], ...]  # Hz, method, key of the topic that it follows
     requests: dict[str, tuple[Request[Message, Message], str]]  # request key -> request, method
 
 
 def handlers(service: type[Service]) -> Handlers:
-    """The handlers of a service class, read from its marks."""
+    """The handlers of a service class, from the decorators."""
     found: dict[str, Any] = {}
     for base in reversed(service.__mro__):
         found.update({name: f.event for name, f in vars(base).items() if hasattr(f, "event")})
@@ -148,5 +148,5 @@ def handlers(service: type[Service]) -> Handlers:
 
 
 def outputs(result: Out | None) -> Iterator[Publication | Job | Log]:
-    """What a handler produced, one by one; a handler that returns nothing produced nothing."""
+    """The outputs of a handler, one by one; none for None."""
     return iter(result or ())

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a stamp says: how old a thing is, and which of two things came first, also after a clock was set back."""
+"""Age and order of stamps, also after a clock was set back."""
 
 FUTURE = 100_000_000
-"""ns that a stamp may lie ahead of our clock: the skew of two machines' clocks."""
+"""ns that a stamp may lie ahead of our clock: the offset of two machines' clocks."""
 
 
 def fresh(stamp: int, now: int, age: float) -> bool:
-    """Whether what was true at `stamp` is at most `age` s old, and not from the future."""
+    """Whether `stamp` (ns) is at most `age` s old at `now` (ns), and at most FUTURE ahead."""
     return -FUTURE <= now - stamp <= round(age * 1e9)
 
 
 def precedes(stamp: int, other: int, now: int) -> bool:
-    """Whether it is from before the other; nothing is where the other is from the future: the clock was set back."""
+    """Whether `stamp` is before `other` (ns). False where `other` is in the future: the clock was set back."""
     return stamp < other <= now + FUTURE
 
 

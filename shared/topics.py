@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""THE list: every key, what it carries, who publishes it, how often, what may be lost, and how late it may be.
+"""The registry of topics: key, message type, publishers, rate, queue and maximum latency.
 
-From it come subscriptions, recording channels, health limits, lockstep delays, docs, completion and the diagram.
+Subscriptions, recording channels, health limits, lockstep delays, docs, completion and the diagram come from it.
 """
 
 from dataclasses import dataclass
@@ -24,12 +24,12 @@ SERVICES = (
     "recorder",
     "dashboard",
 )
-"""Fixed order: a service's place is its port offset, and the tie-break of the lockstep runner."""
+"""Fixed order: a service's index is its port offset, and the tie-break of the lockstep runner."""
 
 
 @dataclass(frozen=True, slots=True)
 class Publication:
-    """What a handler yields: a message for a topic. `key` is the topic's, with the name filled in for families."""
+    """A message for a topic, which a handler yields."""
 
     topic: "Topic[m.Message]"
     message: m.Message
@@ -39,15 +39,17 @@ class Publication:
 class Topic(Generic[M]):
     """One row of the registry.
 
-    by: names of the services that may publish, space separated; "operator" is a person's tool, "*" any service (a
-        family: the key ends in the publisher's name).
-    hz: expected rate, 0 for events.   keep: "latest" (an unread older one is worth nothing) or "all" (bounded).
-    within: s, the latency promise; health watches it live, lockstep inserts it.
-    latched: a late joiner gets the last value at once (the merged one, where the message says how); a publisher that
-        listens to its own latched topic gets, after a restart, what it published last, and nothing else.
-    people: has no reader among the services, on purpose.
-    RX and PORT are what a service's own ports say (shared/ports.py): its runner publishes them and gives them to it,
-    and to nobody else; TX and PLUG are what it says to them.
+    - by: services that may publish, space separated. "operator" is a user's tool. "*" is any service: then the key ends
+      in the publisher's name.
+    - hz: expected rate, 0 for events.
+    - keep: "latest" (a new message replaces an unread one) or "all" (a bounded queue).
+    - within: s, maximum latency. Health checks it in a live stack, lockstep delays messages by it.
+    - latched: a late subscriber gets the last value at once, merged where the message class can. A publisher that
+      subscribes to its own latched topic gets its last value after a restart, and nothing else.
+    - people: without a subscriber among the services, on purpose.
+
+    RX and PORT are data and state of a service's own ports (shared/ports.py). Its runner publishes them and gives them to
+    this service only. TX and PLUG are data and plugs that the service writes to its ports.
     """
 
     key: str
@@ -69,40 +71,41 @@ class Topic(Generic[M]):
 
 
 # fmt: off
-BOARD    = Topic("hardware/board",  m.BoardReport,   by="sim",                    hz=50, keep="all",    within=0.002)
-MOTORS   = Topic("hardware/motors", m.MotorCommand,  by="base_driver",            hz=50, keep="latest", within=0.002)
-RX       = Topic("port/rx",         m.SerialData,    by="*",                      hz=0,  keep="all",    within=0.001, people=True)
-TX       = Topic("port/tx",         m.SerialData,    by="*",                      hz=0,  keep="all",    within=0.001, people=True)
-PORT     = Topic("port/state",      m.PortState,     by="*",                      hz=0,  keep="all",    within=0.001, people=True)
-PLUG     = Topic("port/plug",       m.PortState,     by="*",                      hz=0,  keep="all",    within=0.001, people=True)
-WHEELS   = Topic("base/wheels",     m.WheelState,    by="base_driver",            hz=50, keep="all",    within=0.002)
-RANGES   = Topic("base/ranges",     m.RangeReadings, by="base_driver",            hz=10, keep="latest", within=0.003)
-BASE     = Topic("base/status",     m.BaseStatus,    by="base_driver",            hz=2,  keep="latest", within=0.010, latched=True)
-REPORT   = Topic("base/report",     m.BoardReport,   by="base_driver",            hz=50, keep="all",    within=0.002, people=True)
-BOARD_IS = Topic("base/board",      m.BoardStatus,   by="base_driver",            hz=2,  keep="latest", within=0.010, latched=True, people=True)
-SCAN     = Topic("scan",            m.LaserScan,     by="lidar_driver sim",       hz=10, keep="latest", within=0.005)
-ODOM     = Topic("odom",            m.Odometry,      by="odometry",               hz=50, keep="all",    within=0.003)
-POSE     = Topic("pose",            m.PoseEstimate,  by="mapper",                 hz=10, keep="latest", within=0.025, latched=True)
-MAP      = Topic("map",             m.MapUpdate,     by="mapper",                 hz=2,  keep="all",    within=0.050, latched=True)
-GOAL     = Topic("goal",            m.Goal,          by="navigator",              hz=0,  keep="all",    within=0.005, latched=True)
-ZONES    = Topic("zones",           m.Zones,         by="navigator",              hz=0,  keep="latest", within=0.010, latched=True)
-PLAN     = Topic("plan",            m.Path,          by="planner",                hz=2,  keep="latest", within=0.100, latched=True)
-LIMITS   = Topic("plan/limits",     m.GoalLimits,    by="planner",                hz=0,  keep="latest", within=0.010, latched=True)
-FOLLOW   = Topic("follow/status",   m.FollowStatus,  by="local_ctrl",             hz=20, keep="latest", within=0.005)
-NAV      = Topic("nav/status",      m.NavStatus,     by="navigator",              hz=5,  keep="latest", within=0.010, latched=True, people=True)
-TASK     = Topic("nav/task",        m.NavTask,       by="navigator",              hz=0,  keep="latest", within=0.010, latched=True)
-CMD_NAV  = Topic("cmd/nav",         m.Velocity,      by="local_ctrl",             hz=20, keep="latest", within=0.030)
-TELEOP   = Topic("cmd/teleop",      m.Velocity,      by="operator dashboard",     hz=20, keep="latest", within=0.005)
-ESTOP    = Topic("estop",           m.EmergencyStop, by="operator dashboard",     hz=0,  keep="all",    within=0.005, latched=True)
-COSTMAP  = Topic("debug/costmap",   m.Costmap,       by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
-ROLLOUTS = Topic("debug/rollouts",  m.Rollouts,      by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
-GUARD    = Topic("guard/status",    m.GuardStatus,   by="guard",                  hz=10, keep="latest", within=0.005, latched=True)
-CMD_VEL  = Topic("cmd/vel",         m.Velocity,      by="guard",                  hz=20, keep="latest", within=0.003)
-HEALTH   = Topic("health",          m.Health,        by="*",                      hz=1,  keep="latest", within=0.100, people=True)
-LOG      = Topic("log",             m.LogLine,       by="*",                      hz=0,  keep="all",    within=0.100, people=True)
-JOURNAL  = Topic("journal",         m.Journal,       by="*",                      hz=1,  keep="all",    within=0.100, people=True)
-CLOCK    = Topic("sim/clock",       m.Clock,         by="sim",                    hz=50, keep="latest", within=0.002, people=True)
-TRUTH    = Topic("sim/truth",       m.Truth,         by="sim",                    hz=50, keep="all",    within=0.002, people=True)
+BOARD       = Topic("hardware/board",  m.BoardReport,   by="sim",                    hz=50, keep="all",    within=0.002)
+MOTORS      = Topic("hardware/motors", m.MotorCommand,  by="base_driver",            hz=50, keep="latest", within=0.002)
+RX          = Topic("port/rx",         m.SerialData,    by="*",                      hz=0,  keep="all",    within=0.001, people=True)
+TX          = Topic("port/tx",         m.SerialData,    by="*",                      hz=0,  keep="all",    within=0.001, people=True)
+PORT        = Topic("port/state",      m.PortState,     by="*",                      hz=0,  keep="all",    within=0.001, people=True)
+PLUG        = Topic("port/plug",       m.PortState,     by="*",                      hz=0,  keep="all",    within=0.001, people=True)
+WHEELS      = Topic("base/wheels",     m.WheelState,    by="base_driver",            hz=50, keep="all",    within=0.002)
+RANGES      = Topic("base/ranges",     m.RangeReadings, by="base_driver",            hz=10, keep="latest", within=0.003)
+BASE_STATUS = Topic("base/status",     m.BaseStatus,    by="base_driver",            hz=2,  keep="latest", within=0.010, latched=True)
+REPORT      = Topic("base/report",     m.BoardReport,   by="base_driver",            hz=50, keep="all",    within=0.002, people=True)
+BOARD_IS    = Topic("base/board",      m.BoardStatus,   by="base_driver",            hz=2,  keep="latest", within=0.010, latched=True, people=True)
+SCAN        = Topic("scan",            m.LaserScan,     by="lidar_driver sim",       hz=10, keep="latest", within=0.005)
+ODOM        = Topic("odom",            m.Odometry,      by="odometry",               hz=50, keep="all",    within=0.003)
+POSE        = Topic("pose",            m.PoseEstimate,  by="mapper",                 hz=10, keep="latest", within=0.025, latched=True)
+MAP         = Topic("map",             m.MapUpdate,     by="mapper",                 hz=2,  keep="all",    within=0.050, latched=True)
+GOAL        = Topic("goal",            m.Goal,          by="navigator",              hz=0,  keep="all",    within=0.005, latched=True)
+RECOVERY = Topic("recovery",        m.Recovery,      by="navigator",              hz=0,  keep="all",    within=0.005, latched=True)
+ZONES       = Topic("zones",           m.Zones,         by="navigator",              hz=0,  keep="latest", within=0.010, latched=True)
+PLAN        = Topic("plan",            m.Path,          by="planner",                hz=2,  keep="latest", within=0.100, latched=True)
+LIMITS      = Topic("plan/limits",     m.GoalLimits,    by="planner",                hz=0,  keep="latest", within=0.010, latched=True)
+FOLLOW      = Topic("follow/status",   m.FollowStatus,  by="local_ctrl",             hz=20, keep="latest", within=0.005)
+NAV_STATUS  = Topic("nav/status",      m.NavStatus,     by="navigator",              hz=5,  keep="latest", within=0.010, latched=True, people=True)
+TASK        = Topic("nav/task",        m.NavTask,       by="navigator",              hz=0,  keep="latest", within=0.010, latched=True)
+CMD_NAV     = Topic("cmd/nav",         m.Velocity,      by="local_ctrl",             hz=20, keep="latest", within=0.030)
+TELEOP      = Topic("cmd/teleop",      m.Velocity,      by="operator dashboard",     hz=20, keep="latest", within=0.005)
+ESTOP       = Topic("estop",           m.EmergencyStop, by="operator dashboard",     hz=0,  keep="all",    within=0.005, latched=True)
+COSTMAP     = Topic("debug/costmap",   m.Costmap,       by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
+ROLLOUTS    = Topic("debug/rollouts",  m.Rollouts,      by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
+GUARD       = Topic("guard/status",    m.GuardStatus,   by="guard",                  hz=10, keep="latest", within=0.005, latched=True)
+CMD_VEL     = Topic("cmd/vel",         m.Velocity,      by="guard",                  hz=20, keep="latest", within=0.003)
+HEALTH      = Topic("health",          m.Health,        by="*",                      hz=1,  keep="latest", within=0.100, people=True)
+LOG         = Topic("log",             m.LogLine,       by="*",                      hz=0,  keep="all",    within=0.100, people=True)
+JOURNAL     = Topic("journal",         m.Journal,       by="*",                      hz=1,  keep="all",    within=0.100, people=True)
+CLOCK       = Topic("sim/clock",       m.Clock,         by="sim",                    hz=50, keep="latest", within=0.002, people=True)
+TRUTH       = Topic("sim/truth",       m.Truth,         by="sim",                    hz=50, keep="all",    within=0.002, people=True)
 # fmt: on
 
 TOPICS: tuple[Topic[m.Message], ...] = tuple(t for t in list(globals().values()) if isinstance(t, Topic))

@@ -1,28 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Zones on the map: as a person writes them, as cells, and which keep-out zones hold for a robot that stands in one."""
+"""Zones on the map: their settings, their cells, and the active keep-out zones of a robot that stands in one."""
 
 from itertools import combinations
 from math import floor
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from shared.config import Section
-from shared.geometry import Pose2, inside
+from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import MOST_CORNERS, Zone, ZoneKind, Zones
+from shared.messages import MAX_CORNERS, Zone, ZoneKind, Zones
+from shared.polygon import contains, distances_to_outline, signed_area
+from shared.types import Bools, Float64s, Int8s
 
-Bools = NDArray[np.bool_]
-Int8s = NDArray[np.int8]
-Float64s = NDArray[np.float64]
 Corner = tuple[float, float]
 
 OBSTACLE = np.int8(100)  # percent
 
-LEAST_AREA = 1e-4
-"""m^2: what is smaller is a line or a point, and nobody's intention."""
+MIN_ZONE_AREA_M2 = 1e-4
+"""m^2: a smaller zone is a line or a point."""
 
 
 class ZoneConfig(Section):
@@ -40,18 +38,17 @@ class ZoneConfig(Section):
     def _is_a_polygon(self) -> "ZoneConfig":
         if self.speed is not None and self.percent is not None:
             raise ValueError("give speed or percent, not both")
-        if not 3 <= len(self.corners) <= MOST_CORNERS:
-            raise ValueError(f"a zone has 3 to {MOST_CORNERS} corners, not {len(self.corners)}")
+        if not 3 <= len(self.corners) <= MAX_CORNERS:
+            raise ValueError(f"a zone has 3 to {MAX_CORNERS} corners, not {len(self.corners)}")
         corners = np.array(self.corners)
         if not np.abs(corners).max() <= 1e6:
             raise ValueError("a corner lies farther out than any map")
-        x, y = corners.T
-        if abs(0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))) < LEAST_AREA or _crosses(corners):
+        if abs(signed_area(corners)) < MIN_ZONE_AREA_M2 or _crosses(corners):
             raise ValueError("the corners enclose no area, or its edges cross: give them in order around it")
         return self
 
     def zone(self, name: str) -> Zone:
-        """The message that says it."""
+        """The zone as a message."""
         kind = ZoneKind.KEEP_OUT if self.speed is None and self.percent is None else ZoneKind.SLOW
         xs, ys = np.array(self.corners, float).T.copy()
         speed = 20.0 if self.speed is None else self.speed
@@ -59,7 +56,7 @@ class ZoneConfig(Section):
 
 
 class NamedZoneConfig(ZoneConfig):
-    """The same with its name."""
+    """A zone with its name."""
 
     name: str = Field(min_length=1, max_length=64, description="of the zone, its own among all")
 
@@ -80,13 +77,13 @@ def _side(a: Float64s, b: Float64s, c: Float64s) -> float:
 
 
 def polygon_of(zone: Zone) -> Float64s:
-    """(n, 2) m in `map`."""
+    """Corners (n, 2) of a zone, m in `map`."""
     return np.column_stack((zone.xs, zone.ys))
 
 
-def holds(polygon: Float64s, x: float, y: float) -> bool:
-    """Whether the point lies in the polygon (n, 2)."""
-    return bool(inside(polygon, np.array([[x, y]], float))[0])
+def position(pose: Pose2) -> Float64s:
+    """(1, 2) m: the point at which a pose lies."""
+    return np.array([[pose.x, pose.y]], float)
 
 
 def keep_outs(zones: Zones) -> tuple[Float64s, ...]:
@@ -97,13 +94,13 @@ def keep_outs(zones: Zones) -> tuple[Float64s, ...]:
 def forbidding(zones: tuple[Zone, ...], pose: Pose2) -> Zone | None:
     """The keep-out zone in which a pose lies, if any."""
     barred = (zone for zone in zones if zone.kind is ZoneKind.KEEP_OUT)
-    return next((zone for zone in barred if holds(polygon_of(zone), pose.x, pose.y)), None)
+    return next((zone for zone in barred if contains(polygon_of(zone), position(pose))[0]), None)
 
 
 class KeepOut:
-    """Which keep-out zones hold for a robot: all but those that it stands in, so that it may drive out.
+    """The active keep-out zones of a robot: all except those that it stands in, so that it may drive out.
 
-    It stands in one from when its middle is inside until its whole outline, `reach` m about it, is out again.
+    It stands in a zone from when its centre is inside until its whole outline (radius `reach`, m) is outside again.
     """
 
     def __init__(self, reach: float) -> None:
@@ -112,16 +109,16 @@ class KeepOut:
         self.polygons: tuple[Float64s, ...] = ()
 
     def take(self, zones: Zones) -> None:
-        """Other zones hold from now on."""
+        """Replaces the zones."""
         self.polygons, self._entered = keep_outs(zones), frozenset()
 
     def moved(self, pose: Pose2) -> bool:
-        """The robot is at a pose in `map`; whether other zones hold now."""
-        before = self._entered
+        """Updates the zones for the robot's pose in `map`. Returns whether the active ones changed."""
+        before, at = self._entered, position(pose)
         self._entered = frozenset(
             i
             for i, polygon in enumerate(self.polygons)
-            if holds(polygon, pose.x, pose.y) or (i in before and distance_to(polygon, pose.x, pose.y) < self._reach)
+            if contains(polygon, at)[0] or (i in before and distances_to_outline(polygon, at)[0] < self._reach)
         )
         return self._entered != before
 
@@ -132,19 +129,12 @@ class KeepOut:
 
     @property
     def entered(self) -> list[Float64s]:
-        """The polygons that it stands in and should leave."""
+        """The polygons that the robot stands in and should leave."""
         return [self.polygons[i] for i in sorted(self._entered)]
 
 
-def distance_to(polygon: Float64s, x: float, y: float) -> float:
-    """m from a point to the nearest edge of a polygon (n, 2)."""
-    edges, there = np.roll(polygon, -1, axis=0) - polygon, np.array((x, y)) - polygon
-    along = np.clip((there * edges).sum(axis=1) / np.maximum((edges * edges).sum(axis=1), 1e-12), 0, 1)
-    return float(np.hypot(*(there - along[:, None] * edges).T).min())
-
-
 def marked(grid: OccupancyGrid, polygons: list[Float64s], pad: int = 0) -> Bools:
-    """(h + 2 pad, w + 2 pad) bool: the cells of a grid, and of `pad` cells around it, that polygons touch."""
+    """(h + 2 pad, w + 2 pad) bool: cells that polygons touch, of a grid and `pad` cells around it."""
     h, w = grid.cells.shape
     cells = np.zeros((h + 2 * pad, w + 2 * pad), bool)
     for polygon in polygons:
@@ -153,7 +143,7 @@ def marked(grid: OccupancyGrid, polygons: list[Float64s], pad: int = 0) -> Bools
 
 
 def laid(grid: OccupancyGrid, polygons: list[Float64s]) -> Int8s:
-    """(h, w) int8: the grid's cells with an obstacle wherever a polygon touches one; they themselves without any."""
+    """(h, w) int8: the grid's cells, with an obstacle in every cell that a polygon touches."""
     return np.where(marked(grid, polygons), OBSTACLE, grid.cells) if polygons else grid.cells
 
 

@@ -3,8 +3,8 @@
 
 cosmic-ray makes the mutants; each is imported in place of its module by a process of its own, that runs the module's
 unit tests. Nothing is written: the checkout stays as it is. A mutant is killed when a test fails or time runs out.
-Those that change nothing that anybody could see are listed in mutants.toml, each with its reason; a listed one that
-is killed, or that is none any more, is as much a failure as one that survives.
+Mutants without an observable effect are listed in mutants.toml, each with its reason. A listed mutant that is killed,
+or that is no longer made, fails as one that survives does.
 
     make mutants ARGS="codec odometry"      only files with these words in their path
 """
@@ -59,7 +59,7 @@ TESTS: dict[str, Sequence[str]] = {
     "shared/codec.py": ["tests/unit/test_wire_format.py", "tests/unit/test_codec.py", "-k", WITHOUT_FUZZING],
 }
 CPU_SECONDS = 20  # the unchanged code's tests need 1 to 3; of the processor's time, since others may use it too
-LARGEST_MEMORY = 4 << 30
+MAX_MEMORY_BYTES = 4 << 30
 
 
 class Change(NamedTuple):
@@ -88,7 +88,7 @@ def mutants(file: str, source: str) -> Iterator[tuple[Change, str]]:
     """Every mutant that cosmic-ray's operators make, and its whole source."""
     provider = OperatorProvider()
     for kind in [provider[name] for name in provider if not crosses(name)]:
-        if kind.arguments():  # one that has to be told which variables to mix up
+        if kind.arguments():  # it needs the names of the variables to exchange
             continue
         operator, nodes = kind(), ast_nodes(get_ast(source))
         for n in range(sum(len(list(operator.mutation_positions(node))) for node in nodes)):
@@ -138,7 +138,7 @@ def tested(file: str, source: str) -> None:
     os.dup2(nothing, 1)
     os.dup2(nothing, 2)
     resource.setrlimit(resource.RLIMIT_CPU, (CPU_SECONDS, CPU_SECONDS))
-    resource.setrlimit(resource.RLIMIT_AS, (LARGEST_MEMORY, LARGEST_MEMORY))
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
     sys.meta_path.insert(0, InPlace(file, source))  # type: ignore[arg-type]  # it finds, and it loads
     options = ["-x", "-p", "no:cacheprovider", "-p", "no:xdist", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
     os._exit(pytest.main([*options, *TESTS[file]], [FirstFailure()]))

@@ -46,7 +46,7 @@ def _all(data: bytes, number: int) -> list[Any]:
     return [value for n, _, value in _wire(data) if n == number]
 
 
-class Field(NamedTuple):
+class ProtobufField(NamedTuple):
     """A field of a message type; `type` is the full name where it is a message itself."""
 
     name: str
@@ -66,7 +66,7 @@ class Schema:
 
     def __init__(self, descriptor_set: bytes) -> None:
         self.types: dict[str, bytes] = {}
-        self._known: dict[str, dict[int, Field]] = {}
+        self._known: dict[str, dict[int, ProtobufField]] = {}
         for file in _all(descriptor_set, 1):
             package = b"".join(_all(file, 2)).decode()
             for message in _all(file, 4):
@@ -97,16 +97,17 @@ class Schema:
                 found[field.name] = values[-1]
         return found
 
-    def _fields(self, name: str) -> dict[int, Field]:
+    def _fields(self, name: str) -> dict[int, ProtobufField]:
         name = f".{name.lstrip('.')}"
         if name not in self._known:
             rows = ({n: v for n, _, v in _wire(field)} for field in _all(self.types[name], 2))
             self._known[name] = {
-                row[3]: Field(row[1].decode(), row[5], row[4] == REPEATED, row.get(6, b"").decode()) for row in rows
+                row[3]: ProtobufField(row[1].decode(), row[5], row[4] == REPEATED, row.get(6, b"").decode())
+                for row in rows
             }
         return self._known[name]
 
-    def _packed(self, field: Field, data: bytes) -> Iterator[Any]:
+    def _packed(self, field: ProtobufField, data: bytes) -> Iterator[Any]:
         kind, at = field.kind, 0
         while at < len(data):
             if kind in FIXED:
@@ -116,7 +117,7 @@ class Schema:
                 raw, at = _varint(data, at)
             yield self._value(field, raw)
 
-    def _value(self, field: Field, raw: Any) -> Any:
+    def _value(self, field: ProtobufField, raw: Any) -> Any:
         kind = field.kind
         if kind == MESSAGE:
             return self.decode(field.type, raw)

@@ -18,10 +18,12 @@ DATA = Need(("ZENAV_DATA", "slam_eval.py"), "set ZENAV_DATA to the folder with s
 NEEDS = (
     DATA,
     Need(("Docker", "docker"), "install Docker with Compose, and run make test-docker"),
+    Need(("package index",), "run make test-wheel where pip reaches a package index"),
     Need(("evo",), "pip install -r requirements-dev.txt"),
     Need(("x86-64",), "run them on an x86-64 processor"),
     Need(("another processor",), "run them where the recordings were made, or make record-references"),
     Need(("cannot fork",), "run them on Linux"),
+    Need(("systemd-analyze",), "install systemd, which has systemd-analyze"),
 )
 
 

@@ -26,7 +26,7 @@ from shared.topics import TOPICS
 
 M = TypeVar("M", bound=Message)
 
-LONGEST_AXIS = 12  # entries along a named axis: enough for every branch, few enough to shrink
+MAX_AXIS = 12  # entries along a named axis: enough for every branch, few enough to shrink
 
 
 def messages(kind: type[M], **given: st.SearchStrategy[Any]) -> st.SearchStrategy[M]:
@@ -64,7 +64,7 @@ def _dataclass(kind: Any, given: dict[str, st.SearchStrategy[Any]]) -> st.Search
     unknown = set(given) - set(hints)
     assert not unknown, f"{kind.__name__} has no {unknown}"
     axes = sorted({axis for hint in hints.values() for axis in _axes(hint) if not axis.isdigit()})
-    lengths = st.fixed_dictionaries({axis: st.integers(_least(kind), LONGEST_AXIS) for axis in axes})
+    lengths = st.fixed_dictionaries({axis: st.integers(_least(kind), MAX_AXIS) for axis in axes})
 
     def of_lengths(length: dict[str, int]) -> st.SearchStrategy[Any]:
         drawn = {

@@ -15,7 +15,7 @@ ROBOT = load_robot("x80sv").robot
 DEFAULTS = Section()
 
 
-class Base(Service):
+class ToyBase(Service):
     """Wheels that turn ever faster."""
 
     def __init__(self, config: Section = DEFAULTS, robot: Robot = ROBOT) -> None:
@@ -118,7 +118,7 @@ class Plan(Service):
         yield topics.PLAN(Path(self.now, 1, version, "", xs, np.zeros(2), np.zeros(2), length, 0.0))
 
 
-TOYS: dict[str, type[Service]] = {"base_driver": Base, "odometry": Dead, "mapper": Tiles, "planner": Plan}
+TOYS: dict[str, type[Service]] = {"base_driver": ToyBase, "odometry": Dead, "mapper": Tiles, "planner": Plan}
 
 
 def build(name: str) -> Service:

@@ -12,20 +12,22 @@ import typer
 
 # isort: off
 # in the order in which `zenav --help` lists them
-from zenav.commands import starting, driving, looking, logs  # noqa: F401  # their commands are the app's
-from zenav.commands.looking import config, topic
-from zenav.commands.maps import map_
-from zenav.commands.places import places
-from zenav.commands.zones import zones
-from zenav.commands.calibrating import calibrate
-from zenav.commands.recordings import recording
-from zenav.commands.measuring import bench
+from zenav.cli import starting, robots, services, driving, looking, logs  # noqa: F401  # their commands are the app's
+from zenav.cli.looking import config, topic
+from zenav.cli.robots import robot
+from zenav.cli.maps import map_
+from zenav.cli.places import places
+from zenav.cli.zones import zones
+from zenav.cli.calibrating import calibrate
+from zenav.cli.recordings import recording
+from zenav.cli.measuring import bench
 
 # isort: on
-from zenav.commands.parts import DRIVE, FILES, LOOK, app
+from zenav.cli.parts import DRIVE, FILES, LOOK, MAIN, app
 
 USAGE_ERROR: Any = typer.BadParameter.__base__  # typer's public names have only its descendants
 
+app.add_typer(robot, name="robot", rich_help_panel=MAIN)
 app.add_typer(topic, name="topic", rich_help_panel=LOOK)
 app.add_typer(map_, name="map", rich_help_panel=LOOK)
 app.add_typer(places, name="places", rich_help_panel=DRIVE)
@@ -59,7 +61,7 @@ def _status(arguments: list[str] | None) -> int:
 
         if not isinstance(error, UserError):
             raise
-        sys.stderr.write(f"{_one_line(error.what)}\nhint: {_one_line(error.mend)}\n")
+        sys.stderr.write(f"{_one_line(error.what)}\nhint: {_one_line(error.hint)}\n")
         return 2
 
 

@@ -22,7 +22,8 @@ from shared.messages import Message
 from shared.reasons import REASONS
 from shared.requests import REQUESTS
 from shared.topics import TOPICS
-from zenav.classes import built, service_class
+from zenav.console.table import markdown_table
+from zenav.stack.service_loader import existing_services, service_class
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 Rows = list[tuple[str, ...]]
@@ -33,12 +34,12 @@ def main() -> None:
     """Writes every page, and the figures of the others."""
     from zenav.bench.figure_pages import PAGES as MEASURED  # it needs `table`
     from zenav.bench.figure_pages import write_pages
-    from zenav.bench.published import load
+    from zenav.bench.published import load_published
 
     for name, page in PAGES.items():
         (DOCS / name).write_text(page(), encoding="utf-8")
         sys.stdout.write(f"docs/{name}\n")
-    write_pages(load())
+    write_pages(load_published())
     sys.stdout.write("".join(f"{page}, its figures\n" for page in MEASURED))
 
 
@@ -63,7 +64,7 @@ def messages_page() -> str:
         )
         for topic in TOPICS
     ]
-    lines += table(("key", "message", "published by", "Hz", "kept unread", "within, ms"), rows)
+    lines += markdown_table(("key", "message", "published by", "Hz", "kept unread", "within, ms"), rows)
     lines += ["", "`latched`: a late joiner gets the last value at once (of the map: all of it).\n"]
     lines += ["## Requests\n"]
     rows = [
@@ -75,10 +76,10 @@ def messages_page() -> str:
         )
         for row in REQUESTS
     ]
-    lines += table(("key", "request", "reply", "answered by"), rows)
+    lines += markdown_table(("key", "request", "reply", "answered by"), rows)
     lines += ["", "## Why the robot stands\n"]
-    rows = [(f"`{code}`", reason.text, reason.mend, reason.severity) for code, reason in REASONS.items()]
-    lines += table(("code", "text", "hint", "severity"), rows)
+    rows = [(f"`{code}`", reason.text, reason.hint, reason.severity) for code, reason in REASONS.items()]
+    lines += markdown_table(("code", "text", "hint", "severity"), rows)
     lines += ["", "## Every message\n", "Each begins with `stamp`: when it was true, ns on the stack's clock.\n"]
     for class_ in (*classes(messages), *classes(requests)):
         lines += message_section(class_)
@@ -114,7 +115,7 @@ def message_section(class_: type[Message]) -> list[str]:
         kind = types[field.name] + (f" ({field.shape.axes})" if field.shape else "")
         rows.append((f"`{field.name}`", kind, "" if field.unit == "1" else field.unit, bounds))
     head = [f"### {class_.__name__}\n", inspect.cleandoc(class_.__doc__ or ""), ""]
-    return head + ([*table(("field", "type", "unit", "bounds"), rows), ""] if rows else [])
+    return head + ([*markdown_table(("field", "type", "unit", "bounds"), rows), ""] if rows else [])
 
 
 def configuration_page() -> str:
@@ -122,11 +123,14 @@ def configuration_page() -> str:
     lines = [
         "# Configuration\n",
         MADE,
-        "One YAML file a robot (`config/x80sv.yaml`): `robot` says what the hardware is, each other section is one",
-        "service's. A section or a setting that is left out has its default; a wrong name is an error that says which",
-        "name is meant. `zenav config show` prints what holds.\n",
+        "One YAML file a robot (`shared/robots/x80sv.yaml`): `robot` says what the hardware is, each other section is",
+        "one service's. A section or a setting that is left out has its default; a wrong name is an error that says",
+        "which name is meant. `zenav config show` prints what holds.\n",
     ]
-    models: dict[str, type[Section]] = {"robot": Robot, **{name: service_class(name).config_type for name in built()}}
+    models: dict[str, type[Section]] = {
+        "robot": Robot,
+        **{name: service_class(name).config_type for name in existing_services()},
+    }
     for name, model in models.items():
         lines += [f"## {name}\n"]
         if model.__doc__ and model is not Section:
@@ -135,7 +139,9 @@ def configuration_page() -> str:
             (f"`{key}`", kind_of(field), default_of(field), bounds(field), field.description or "")
             for key, field in settings(model)
         ]
-        lines += table(("setting", "type", "default", "bounds", "what it is"), rows) if rows else ["No settings."]
+        lines += (
+            markdown_table(("setting", "type", "default", "bounds", "what it is"), rows) if rows else ["No settings."]
+        )
         lines += [""]
     return "\n".join(lines).rstrip("\n") + "\n"
 
@@ -196,12 +202,6 @@ def default_of(field: FieldInfo) -> str:
     if value in (None, ()):
         return "none"
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def table(head: tuple[str, ...], rows: Rows) -> list[str]:
-    """A Markdown table."""
-    lines = [head, tuple("---" for _ in head), *rows]
-    return ["| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in row) + " |" for row in lines]
 
 
 PAGES: dict[str, Callable[[], str]] = {"messages.md": messages_page, "configuration.md": configuration_page}

@@ -4,7 +4,8 @@
 import numpy as np
 
 from shared.config import Robot
-from shared.messages import BoardReport, Float32s, RangeReadings
+from shared.messages import BoardReport, RangeReadings
+from shared.types import Float32s
 
 DEAD_SONAR_NS = 250_000_000
 """ns for which a broken sonar reads 0 m; a working one never does."""

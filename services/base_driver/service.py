@@ -14,7 +14,7 @@ from shared import reasons, topics
 from shared.config import Robot
 from shared.messages import BaseStatus, BoardReport, EmergencyStop, MotorCommand, PortState, SerialData, Velocity
 from shared.ports import PortConfig
-from shared.rejections import Kind
+from shared.rejections import RejectionCause
 from shared.service import Out, Service, every, on
 from shared.stamps import FUTURE, precedes, supersedes
 from shared.topics import Publication
@@ -42,7 +42,7 @@ class BaseDriverService(Service):
         self.published: tuple[str, bool, bool] | None = None  # fault, is_linked, waits of the last status
         self.ranges_stamp = 0  # ns, of the last report with published ranges
 
-    def warm(self) -> None:
+    def warm_up(self) -> None:
         if self.serial is not None:
             self.serial.warm_up()
 
@@ -90,7 +90,7 @@ class BaseDriverService(Service):
         yield from self._motor_commands()
         yield from self._status_if_changed()
 
-    @on(topics.BASE)
+    @on(topics.BASE_STATUS)
     def restore_faults(self, status: BaseStatus) -> Out:
         """Restores e-stop and latched faults from the status of the previous process.
 
@@ -145,7 +145,7 @@ class BaseDriverService(Service):
         range_sensors = self.diagnosis.range_sensors
         range_sensors.update(report)
         if range_sensors.mismatch:
-            self.rejections.count(topics.BOARD.key, Kind.CONTENT, range_sensors.mismatch)
+            self.rejections.count(topics.BOARD.key, RejectionCause.CONTENT, range_sensors.mismatch)
         for state in self.encoders.update(report, self.now):
             yield topics.WHEELS(state)
         self.diagnosis.update(report, self.encoders, self.wheel_command, self.now)
@@ -174,7 +174,7 @@ class BaseDriverService(Service):
         if self.serial is not None:
             yield topics.BOARD_IS(self.serial.status(self.now))
 
-    def farewell(self) -> Out:
+    def on_shutdown(self) -> Out:
         """Stops the motors; on a serial board, also switches off their power."""
         self.wheel_command = 0.0, 0.0
         yield topics.MOTORS(MotorCommand(self.now, 0.0, 0.0))
@@ -197,7 +197,7 @@ class BaseDriverService(Service):
     def _bad_stamps(self) -> str:
         """What is wrong with the reports' stamps, when no recent report can be used; else empty."""
         is_recent = self.report is not None and self.now - self.report.stamp <= self.config.board_age * 1e9
-        return "" if is_recent else self.rejections.refused(topics.BOARD.key, self.now)
+        return "" if is_recent else self.rejections.stamp_problem(topics.BOARD.key, self.now)
 
     def _status_if_changed(self) -> Out:
         fault = self.fault
@@ -221,7 +221,7 @@ class BaseDriverService(Service):
             battery=battery,
             refused=self.watchdog.refused,
         )
-        return topics.BASE(
+        return topics.BASE_STATUS(
             BaseStatus(
                 stamp=self.now,
                 battery=battery,

@@ -8,19 +8,16 @@ more. It stays dark until returns come back in it. The points seen there are kep
 from math import pi, radians
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from services.guard.obstacles import MAX_BEAMS, NO_POINTS, beam_ends, is_supported
 from services.guard.odometry_buffer import OdometryBuffer
 from shared.config import Robot, Section
-from shared.geometry import Pose2, arc, inside
+from shared.geometry import Pose2, arc
 from shared.messages import LaserScan
+from shared.polygon import contains
 from shared.scan_faults import returns
-
-Bools = NDArray[np.bool_]
-Int64s = NDArray[np.int64]
-Float64s = NDArray[np.float64]
+from shared.types import Bools, Float64s, Int64s
 
 MIN_DIRECTION_RAD = radians(3.0)  # width of a direction; two beams at least
 SECTOR_HALF_WIDTH_RAD = radians(15.0)  # of the sector about a direction
@@ -110,7 +107,7 @@ class LaserVisibility:
         """Takes the next scan."""
         stride = -(-len(scan.ranges) // MAX_BEAMS)
         ends, in_base, radius = beam_ends(scan, track, self.base_from_laser, stride)
-        own = np.isfinite(ends[:, 0]) & inside(self.robot.corners, in_base)
+        own = np.isfinite(ends[:, 0]) & contains(self.robot.corners, in_base)
         hit = np.isfinite(ends[:, 0]) & ~own
         ends[~hit] = np.nan
         seen = hit | (self.config.inf_is_free & np.isposinf(scan.ranges[::stride]))
@@ -251,7 +248,7 @@ class LaserVisibility:
         seconds = min(seconds, MAX_TURN_AHEAD_RAD / max(abs(w), 1e-6))
         steps = seconds * np.arange(1, N_STEPS + 1) / N_STEPS
         swept = np.concatenate([arc(v * t, w * t) @ self.outline for t in steps.tolist()])
-        swept = swept[~inside(self.robot.corners, swept)]
+        swept = swept[~contains(self.robot.corners, swept)]
         in_laser = self.base_from_laser.inverse() @ swept
         bins = np.unique(self._directions_of(_bearings(in_laser)))
         return bins[self._covered[bins]]

@@ -4,16 +4,14 @@
 from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from services.guard.odometry_buffer import OdometryBuffer
 from shared.config import Robot, Section
-from shared.geometry import Pose2, inside
+from shared.geometry import Pose2
 from shared.messages import LaserScan, RangeReadings
-
-Float64s = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from shared.polygon import contains
+from shared.types import Bools, Float64s
 
 ECHO_MATCH_M = 0.08  # between a range reading and a laser echo of the same object
 MAX_BEAMS = 1440  # of one scan, 0.25 degrees of a full turn; of a finer scan each second, third ... beam is used
@@ -89,7 +87,7 @@ class Obstacles:
         """Ends (n, 2) and radius (n,) of `beam_ends`; NaN where the end is out of reach or on the robot, too."""
         ends, in_base, radius = beam_ends(scan, track, self.base_from_laser, stride)
         if covered:
-            ends[inside(self.robot.corners, in_base)] = np.nan
+            ends[contains(self.robot.corners, in_base)] = np.nan
         ends[~(np.hypot(in_base[:, 0], in_base[:, 1]) <= self.reach)] = np.nan
         return ends, self.config.support_radius + radius
 

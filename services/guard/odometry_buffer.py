@@ -4,13 +4,11 @@
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shared.config import Drive
 from shared.geometry import Pose2, wrapped
 from shared.messages import Odometry
-
-Float64s = NDArray[np.float64]
+from shared.types import Float64s
 
 MAX_MESSAGES = 150  # 3 s at 50 Hz: the longest sweep and its delay
 

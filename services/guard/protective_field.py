@@ -11,14 +11,11 @@ from math import inf, pi, sqrt
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from shared.config import Drive, Section
-from shared.geometry import inside
-
-Float64s = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from shared.polygon import contains, offsets_from_outline, signed_distances
+from shared.types import Float64s
 
 TOUCHING_M = 0.005  # nearer than this the direction of motion decides, not the distance
 MIN_CURVATURE = 1e-4  # 1/m; flatter arcs count as lines: over 3 m they differ by less than a millimetre
@@ -120,7 +117,7 @@ def times_to_contact(
     reach = max(margin, TOUCHING_M)
     met = np.flatnonzero((lane >= low - reach) & (lane <= high + reach))
     points = points[met]
-    depth, outward = signed_distances(points, corners)
+    depth, outward = distances_and_directions(points, corners)
     offsets = np.clip(depth - TOUCHING_M, 0.0, margin)
     with np.errstate(all="ignore"):
         if straight:
@@ -136,20 +133,15 @@ def times_to_contact(
     return times
 
 
-def signed_distances(points: Float64s, corners: Float64s) -> tuple[Float64s, Float64s]:
-    """Distance (n,) of points (n, 2) to the polygon's outline, negative inside, and the unit direction (n, 2) out of
-    it.
+def distances_and_directions(points: Float64s, corners: Float64s) -> tuple[Float64s, Float64s]:
+    """Distance (n,) of points (n, 2) to the polygon's outline, m, negative inside, and the unit direction (n, 2) out
+    of it.
     """
-    edges = np.roll(corners, -1, axis=0) - corners
-    away = points[:, None, :] - corners
-    along = np.clip((away * edges).sum(axis=2) / (edges**2).sum(axis=1), 0.0, 1.0)
-    away = away - along[:, :, None] * edges
-    nearest = (away**2).sum(axis=2).argmin(axis=1)
-    away = away[np.arange(len(points)), nearest]
+    away, nearest = offsets_from_outline(corners, points)
     distance = np.hypot(away[:, 0], away[:, 1])
+    edges = np.roll(corners, -1, axis=0) - corners
     normals = np.column_stack((edges[:, 1], -edges[:, 0])) / np.hypot(edges[:, 0], edges[:, 1])[:, None]
-    within = inside(corners, points)
-    sign = np.where(within, -1.0, 1.0)
+    sign = np.where(contains(corners, points), -1.0, 1.0)
     # on the outline itself the direction is the edge's normal
     far = distance > 1e-9
     outward = np.where(far[:, None], away / np.where(far, distance * sign, 1.0)[:, None], normals[nearest])
@@ -165,7 +157,7 @@ def _lane_of_arc(points: Float64s, corners: Float64s, v: float, w: float) -> tup
     """Distance (n,) of each point from the arc's centre, m, and the range of distances that meet the outline."""
     centre = np.array([[0.0, v / w]])
     spokes, hubs = points - centre, corners - centre
-    nearest = max(float(signed_distances(centre, corners)[0][0]), 0.0)
+    nearest = max(float(signed_distances(corners, centre)[0]), 0.0)
     return np.hypot(spokes[:, 0], spokes[:, 1]), (nearest, float(np.hypot(hubs[:, 0], hubs[:, 1]).max()))
 
 

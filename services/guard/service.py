@@ -73,7 +73,7 @@ class GuardService(Service):
         self.published: tuple[GuardState, str, str] | None = None  # state, source and reason of the last status
         self.stopped_at = 0  # ns, the last time with an e-stop or a fault
 
-    def warm(self) -> None:
+    def warm_up(self) -> None:
         """Runs the protective field once, on a line and on an arc."""
         far = np.full((2, 2), 0.5 + self.robot.circumscribed_radius)
         for w in (0.0, 0.1):
@@ -111,7 +111,7 @@ class GuardService(Service):
             self.inputs.set_estop(EmergencyStop(status.stamp, True, "from before a restart"), self.now)
             yield from self.drive()
 
-    @on(topics.BASE)
+    @on(topics.BASE_STATUS)
     def base_status(self, status: BaseStatus) -> Out:
         """Takes the base driver's status."""
         if supersedes(status.stamp, self.inputs.base_stamp, self.now):
@@ -176,7 +176,7 @@ class GuardService(Service):
         """Lets teleoperation drive slowly without the protective field for a while."""
         refusal = self.inputs.set_override(request.seconds, self.now)
         yield from self.drive()
-        detail = f"{refusal.text}: {refusal.mend}" if refusal else ""
+        detail = f"{refusal.text}: {refusal.hint}" if refusal else ""
         return Reply(self.now, refusal is None, refusal.code if refusal else "", detail)
 
     @every(hz=50)
@@ -217,7 +217,7 @@ class GuardService(Service):
         return self.rejections.judge(topic.key, command.stamp, last, self.now, self.config.arbitration.command_age)
 
     def _evaluate(self) -> GuardDecision:
-        """The decision for now: a stop, or the active source's command within limits and field."""
+        """The decision at `self.now`: a stop, or the active source's command within limits and field."""
         source = self.inputs.source(self.now)
         name = source.name if self.inputs.has_command(self.now) else ""
         stop = self._stop_reason()

@@ -148,7 +148,7 @@ class StopInputs:
 
     def scan_mismatch(self, now: int) -> str:
         """Difference between the received scans and the configured beams, in words; empty without one."""
-        return self.rejections.unfit(topics.SCAN.key, now)
+        return self.rejections.content_problem(topics.SCAN.key, now)
 
     def is_odom_old(self, now: int) -> bool:
         """Whether odometry is missing or too old to drive on."""
@@ -162,8 +162,8 @@ class StopInputs:
         if self.base is not None and self.fault == reasons.BAD_STAMPS.code:
             return self.base.detail or reasons.BAD_STAMPS.text
         if self.is_odom_old(now):
-            return self.rejections.told(topics.ODOM.key, now)
-        return self.rejections.told(topics.SCAN.key, now) if self.is_scan_old(now) else ""
+            return self.rejections.late_cause(topics.ODOM.key, now)
+        return self.rejections.late_cause(topics.SCAN.key, now) if self.is_scan_old(now) else ""
 
     def detail(self, reason: Reason, state: GuardState, now: int) -> str:
         """Detail of a stop reason: the base's words for its faults, the causes of rejection for an input."""
@@ -174,7 +174,8 @@ class StopInputs:
         if self.base is not None and (state is GuardState.FAULT or reason.code == self.fault != reasons.ESTOP.code):
             return self.base.detail
         if reason in (reasons.COMMAND_OLD, reasons.NO_COMMAND):
-            return self.rejections.told(topics.TELEOP.key, now) or self.rejections.told(topics.CMD_NAV.key, now)
+            causes = (self.rejections.late_cause(topic.key, now) for topic in (topics.TELEOP, topics.CMD_NAV))
+            return next(filter(None, causes), "")
         return ""
 
     @property

@@ -7,11 +7,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
-Int64s = NDArray[np.int64]
-Uint8s = NDArray[np.uint8]
-Bools = NDArray[np.bool_]
+from shared.types import Float32s, Float64s, Int64s
 
 
 @dataclass(frozen=True, slots=True)

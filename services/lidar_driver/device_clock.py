@@ -12,8 +12,8 @@ from itertools import pairwise
 import numpy as np
 from pydantic import Field
 
-from services.lidar_driver.device import Float64s
 from shared.config import Section
+from shared.types import Float64s
 
 N_SLOTS = 20  # slots of the window; each keeps its earliest arrival
 MAX_READING_AGE_S = 3.0  # age up to which a clock reading is used; later the clocks drift apart

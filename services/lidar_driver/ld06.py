@@ -11,8 +11,9 @@ from typing import cast
 
 import numpy as np
 
-from services.lidar_driver.device import Bools, Float64s, Returns, Uint8s, unwrapped_ticks
+from services.lidar_driver.device import Returns, unwrapped_ticks
 from services.lidar_driver.packet_device import PacketDevice
+from shared.types import Bools, Float64s, UInt8s
 
 LENGTH = 47
 N_BEAMS = 12
@@ -27,7 +28,7 @@ PACKET = np.dtype(
 MAX_BEAM_STEP = 900  # 0.01 degree between two beams; more is not plausible
 
 
-def _tables() -> Uint8s:
+def _tables() -> UInt8s:
     """(46, 256): contribution of each byte at each position to the CRC; a CRC is linear, so contributions are xored."""
     one = np.zeros(256, np.uint8)
     for value in range(256):
@@ -46,12 +47,12 @@ PLACES = np.arange(LENGTH - 1)
 FROM_FIRST, TO_LAST = np.arange(N_BEAMS), np.arange(1 - N_BEAMS, 1)  # beams
 
 
-def is_checksum_valid(packets: Uint8s) -> Bools:
+def is_checksum_valid(packets: UInt8s) -> Bools:
     """(p, 47) -> (p,): whether the CRC is correct."""
     return cast(Bools, np.bitwise_xor.reduce(TABLES[PLACES, packets[:, :-1]], axis=1) == packets[:, -1])
 
 
-def is_header(first: Uint8s, second: Uint8s) -> Bools:
+def is_header(first: UInt8s, second: UInt8s) -> Bools:
     """(k,), (k,) -> (k,): whether two bytes are the header and the version with 12 beams."""
     return cast(Bools, (first == 0x54) & (second == 0x2C))
 

@@ -3,8 +3,9 @@
 
 from collections.abc import Callable
 
-from services.lidar_driver.device import Bools, PacketCounts, Uint8s
+from services.lidar_driver.device import PacketCounts
 from services.lidar_driver.packet_framing import PacketFramer
+from shared.types import Bools, UInt8s
 
 
 class PacketDevice:
@@ -21,8 +22,8 @@ class PacketDevice:
         self,
         baud: int,
         length: int,
-        is_header: Callable[[Uint8s, Uint8s], Bools],
-        is_checksum_valid: Callable[[Uint8s], Bools],
+        is_header: Callable[[UInt8s, UInt8s], Bools],
+        is_checksum_valid: Callable[[UInt8s], Bools],
     ) -> None:
         self.counts = PacketCounts()
         self.byte_time = 10.0 / baud  # s

@@ -5,7 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from services.lidar_driver.device import Bools, Int64s, PacketCounts, Uint8s
+from services.lidar_driver.device import PacketCounts
+from shared.types import Bools, Int64s, UInt8s
 
 
 class PacketFramer:
@@ -17,15 +18,15 @@ class PacketFramer:
     def __init__(
         self,
         length: int,
-        is_header: Callable[[Uint8s, Uint8s], Bools],
-        is_checksum_valid: Callable[[Uint8s], Bools],
+        is_header: Callable[[UInt8s, UInt8s], Bools],
+        is_checksum_valid: Callable[[UInt8s], Bools],
         counts: PacketCounts,
     ) -> None:
         self.length, self.is_header, self.is_checksum_valid, self.counts = length, is_header, is_checksum_valid, counts
         self.buffer = b""
         self.is_synchronized = True  # False when bytes were skipped since the last packet
 
-    def extract(self, data: bytes) -> tuple[Uint8s, Int64s]:
+    def extract(self, data: bytes) -> tuple[UInt8s, Int64s]:
         """The packets (p, length), and the number of bytes after each (p,)."""
         self.buffer += data
         n, length = len(self.buffer), self.length
@@ -48,7 +49,7 @@ class PacketFramer:
         packets_found = windows[np.searchsorted(starts, packet_starts)]
         return packets_found, n - packet_starts - length
 
-    def _take_contiguous(self, packets: Uint8s) -> Uint8s:
+    def _take_contiguous(self, packets: UInt8s) -> UInt8s:
         """Takes packets without bytes before or between them: the frequent case, without a search."""
         self.counts.n_resyncs += self.counts.n_good > 0 and not self.is_synchronized
         self.counts.n_good += len(packets)

@@ -15,7 +15,7 @@ from typing import cast
 
 import numpy as np
 
-from services.lidar_driver.device import Bools, Float64s, Int64s, Uint8s
+from shared.types import Bools, Float64s, Int64s, UInt8s
 
 SCALES = ((3328, 1 << 14, 4), (1792, 1 << 12, 3), (1280, 1 << 11, 2), (512, 1 << 9, 1), (0, 0, 0))
 """Scales of extended distances: first code, its distance in mm, and level; a step is 2 ** level mm."""
@@ -25,18 +25,18 @@ NO_PREDICTION = (-512, 511)
 MIN_OFFSET_DISTANCE = 200  # 1/4 mm; the offset is constant for shorter distances
 
 
-def is_header(first: Uint8s, second: Uint8s) -> Bools:
+def is_header(first: UInt8s, second: UInt8s) -> Bools:
     """(k,), (k,) -> (k,): whether two bytes have the sync nibbles."""
     return cast(Bools, (first >> 4 == 0xA) & (second >> 4 == 0x5))
 
 
-def is_checksum_valid(packets: Uint8s) -> Bools:
+def is_checksum_valid(packets: UInt8s) -> Bools:
     """(p, n) -> (p,): whether the low nibbles of the first two bytes are the xor of all others."""
     total = np.bitwise_xor.reduce(packets[:, 2:], axis=1)
     return cast(Bools, total == (packets[:, 0] & 0xF | (packets[:, 1] & 0xF) << 4))
 
 
-def decode_legacy(capsules: Uint8s, _: Uint8s) -> tuple[Int64s, Float64s]:
+def decode_legacy(capsules: UInt8s, _: UInt8s) -> tuple[Int64s, Float64s]:
     """(p, 84) -> (p, 32) mm, degrees of offset; 16 cabins of 5 bytes.
 
     Cabin: two words of a distance (14 bits, mm) and the offset's high bits (2), then the offsets' low nibbles.
@@ -47,13 +47,13 @@ def decode_legacy(capsules: Uint8s, _: Uint8s) -> tuple[Int64s, Float64s]:
     return (pairs >> 2).reshape(-1, 32), (offsets / 8).reshape(-1, 32)
 
 
-def decode_dense(capsules: Uint8s, _: Uint8s) -> tuple[Int64s, Float64s]:
+def decode_dense(capsules: UInt8s, _: UInt8s) -> tuple[Int64s, Float64s]:
     """(p, 84) -> (p, 40) mm, degrees of offset (0); 40 distances, u16 mm."""
     mm = capsules[:, 4::2].astype(np.int64) | capsules[:, 5::2].astype(np.int64) << 8
     return mm, np.zeros(mm.shape)
 
 
-def decode_extended(capsules: Uint8s, following: Uint8s) -> tuple[Int64s, Float64s]:
+def decode_extended(capsules: UInt8s, following: UInt8s) -> tuple[Int64s, Float64s]:
     """(p, 132) and the capsules after them -> (p, 96) mm, degrees of offset; 32 words of 32 bits.
 
     Word: a scaled distance (12 bits), and two signed differences (10 bits each) to it and to the next word's distance.
@@ -85,7 +85,7 @@ def decode_scaled(codes: Int64s) -> tuple[Int64s, Int64s]:
     return mm, levels
 
 
-def _words(capsules: Uint8s) -> Int64s:
+def _words(capsules: UInt8s) -> Int64s:
     """(p, 132) -> (p, 32) words of 32 bits."""
     parts = capsules[:, 4:].reshape(-1, 32, 4).astype(np.int64)
     return cast(Int64s, (parts << np.array([0, 8, 16, 24])).sum(axis=2))
@@ -100,7 +100,7 @@ class CapsuleFormat:
 
     length: int
     n_beams: int
-    beams: Callable[[Uint8s, Uint8s], tuple[Int64s, Float64s]]
+    beams: Callable[[UInt8s, UInt8s], tuple[Int64s, Float64s]]
 
 
 FORMATS = {

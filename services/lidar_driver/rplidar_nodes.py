@@ -6,7 +6,8 @@ Node: quality << 2 | not start << 1 | start; angle (1/64 degree) << 1 | 1, u16; 
 
 import numpy as np
 
-from services.lidar_driver.device import Bools, Int64s, PacketCounts, Uint8s, differences
+from services.lidar_driver.device import PacketCounts, differences
+from shared.types import Bools, Int64s, UInt8s
 
 LENGTH = 5
 MIN_PLAUSIBLE_NODES = 8  # plausible nodes in a row that synchronize
@@ -23,7 +24,7 @@ class NodeFramer:
         self.buffer = b""
         self.last_angle: int | None = None  # 1/64 degree; None while not synchronized
 
-    def extract(self, data: bytes) -> tuple[Uint8s, Int64s, Bools]:
+    def extract(self, data: bytes) -> tuple[UInt8s, Int64s, Bools]:
         """The nodes (p, 5), the number of bytes after each (p,), and whether nodes were lost before each (p,)."""
         self.buffer += data
         found, after, first = [], [], []
@@ -73,7 +74,7 @@ class NodeFramer:
         return False
 
 
-def plausible_nodes(nodes: Uint8s, last_angle: int | None) -> tuple[Bools, Int64s]:
+def plausible_nodes(nodes: UInt8s, last_angle: int | None) -> tuple[Bools, Int64s]:
     """(p, 5) -> (p,), (p,): whether each node can follow the previous one (or `last_angle`); its angle, 1/64 degree."""
     flags = nodes[:, 0] & 3
     angles = (nodes[:, 1:3].view("<u2")[:, 0] >> 1).astype(np.int64)

@@ -6,10 +6,11 @@ from typing import Protocol
 
 import numpy as np
 
-from services.lidar_driver.device import Float64s, PacketCounts, Returns, Uint8s, differences
+from services.lidar_driver.device import PacketCounts, Returns, differences
 from services.lidar_driver.packet_framing import PacketFramer
 from services.lidar_driver.rplidar_capsules import CapsuleFormat, is_checksum_valid, is_header
 from services.lidar_driver.rplidar_nodes import LENGTH, NodeFramer
+from shared.types import Float64s, UInt8s
 
 MAX_CAPSULE_DEG = 120.0  # maximum angle of a capsule
 MIN_SPEED_TIME_S = 0.2  # s of nodes that give the speed
@@ -75,7 +76,7 @@ class CapsuleStream:
         self.sample_time, self.byte_time = sample_time, byte_time
         self.speed: float | None = None
         self.time = 0.0  # s on the clock of its samples
-        self.last_capsule: Uint8s | None = None  # its beams need the angle of the next one
+        self.last_capsule: UInt8s | None = None  # its beams need the angle of the next one
         self.recent: list[float] = []  # degrees from capsule to capsule
 
     def receive(self, data: bytes) -> list[Returns]:

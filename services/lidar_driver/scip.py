@@ -12,8 +12,9 @@ from math import pi
 
 import numpy as np
 
-from services.lidar_driver.device import Float32s, Int64s, PacketCounts, Returns, Uint8s, unwrapped_ticks
+from services.lidar_driver.device import PacketCounts, Returns, unwrapped_ticks
 from shared.config import Laser
+from shared.types import Float32s, Int64s, UInt8s
 
 MS = 1_000_000
 TIME_WRAP = 1 << 24  # ticks
@@ -35,13 +36,13 @@ def checksum(characters: bytes) -> int:
     return (sum(characters) & 0x3F) + 0x30
 
 
-def decode_characters(characters: Uint8s, width: int) -> Int64s:
+def decode_characters(characters: UInt8s, width: int) -> Int64s:
     """(n * width,) characters -> (n,): 6 bits each, the most significant first."""
     digits = (characters.reshape(-1, width).astype(np.int64) - 0x30) & 0x3F
     return np.asarray((digits << 6 * np.arange(width - 1, -1, -1)).sum(axis=1), np.int64)
 
 
-def block_characters(lines: bytes) -> Uint8s | None:
+def block_characters(lines: bytes) -> UInt8s | None:
     """The characters of all blocks without checksums and line ends; None if a checksum is wrong."""
     stream = np.frombuffer(lines + b"\n", np.uint8)
     n_whole = len(stream) // (BLOCK + 2) * (BLOCK + 2)

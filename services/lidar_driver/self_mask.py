@@ -5,8 +5,9 @@ from math import pi
 
 import numpy as np
 
-from services.lidar_driver.device import Bools, Float32s, Float64s
 from shared.config import Mount
+from shared.polygon import signed_distances
+from shared.types import Bools, Float32s, Float64s
 
 
 def masked_angles(angles: Float64s, masks: tuple[tuple[float, float], ...]) -> Bools:
@@ -29,15 +30,5 @@ def on_robot(ranges: Float32s, angles: Float64s, mount: Mount, corners: Float64s
         return found
     heading = angles[near] + mount.yaw
     x, y = mount.x + ranges[near] * np.cos(heading), mount.y + ranges[near] * np.sin(heading)
-    ends = np.roll(corners, -1, axis=0)
-    inside = np.zeros(len(near), bool)
-    closest = np.full(len(near), np.inf)
-    for (ax, ay), (bx, by) in zip(corners, ends):
-        crosses = (ay > y) != (by > y)
-        slope = (bx - ax) / (by - ay) if by != ay else 0.0
-        inside ^= crosses & (x < ax + slope * (y - ay))
-        edge_x, edge_y = bx - ax, by - ay
-        share = np.clip(((x - ax) * edge_x + (y - ay) * edge_y) / (edge_x**2 + edge_y**2), 0, 1)
-        closest = np.minimum(closest, np.hypot(x - ax - share * edge_x, y - ay - share * edge_y))
-    found[near] = inside | (closest < margin)
+    found[near] = signed_distances(corners, np.column_stack((x, y))) < margin
     return found

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from services.lidar_driver.device import Float64s, LaserDevice
+from services.lidar_driver.device import LaserDevice
 from services.lidar_driver.device_clock import DeviceClock, DeviceClockConfig
 from services.lidar_driver.ld06 import Ld06
 from services.lidar_driver.rplidar import Rplidar
@@ -21,6 +21,7 @@ from shared.config import Laser, Robot, Section
 from shared.messages import LaserScan, PortState, SerialData
 from shared.ports import PortConfig
 from shared.service import Log, Out, Service, every, on
+from shared.types import Float64s
 
 PORT = "laser"
 MAX_SPEED_ERROR = 0.15  # share of the rate; a larger error is shown in the state
@@ -157,7 +158,7 @@ class LidarDriverService(Service):
             yield from self._send(self.device.next_command(self.now))
         yield from self._log_fault_change()
 
-    def farewell(self) -> Out:
+    def on_shutdown(self) -> Out:
         return self._send(self.device.stop_command()) if self.open else ()
 
     def _start(self) -> Out:

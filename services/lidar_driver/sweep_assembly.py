@@ -6,8 +6,9 @@ from math import pi
 
 import numpy as np
 
-from services.lidar_driver.device import Float32s, Float64s, Returns, differences
+from services.lidar_driver.device import Returns, differences
 from shared.config import Laser
+from shared.types import Float32s, Float64s
 
 MIN_GAP_RAD = pi / 15  # a larger angle without a beam counts as lost beams
 MIN_COVERAGE = 0.5  # minimum share of a sweep's angle with beams; others are dropped

@@ -13,8 +13,9 @@ from typing import cast
 
 import numpy as np
 
-from services.lidar_driver.device import Bools, Returns, Uint8s, differences
+from services.lidar_driver.device import Returns, differences
 from services.lidar_driver.packet_device import PacketDevice
+from shared.types import Bools, UInt8s
 
 LENGTH = 22
 N_PACKETS = 90  # packets a turn
@@ -31,12 +32,12 @@ INVALID = 0x8000
 SHIFTS = np.arange(9, -1, -1)
 
 
-def is_header(first: Uint8s, second: Uint8s) -> Bools:
+def is_header(first: UInt8s, second: UInt8s) -> Bools:
     """(k,), (k,) -> (k,): whether two bytes are the start byte and a valid index."""
     return cast(Bools, (first == 0xFA) & (second >= 0xA0) & (second < 0xA0 + N_PACKETS))
 
 
-def is_checksum_valid(packets: Uint8s) -> Bools:
+def is_checksum_valid(packets: UInt8s) -> Bools:
     """(p, 22) -> (p,): whether the checksum of the ten words before it is correct."""
     words = packets.view("<u2").astype(np.int64)
     total = (words[:, :10] << SHIFTS).sum(axis=1)

@@ -4,16 +4,13 @@
 from math import cos, hypot, inf, sin, sqrt
 from typing import NamedTuple
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from services.local_ctrl.controller import APPROACH_BRAKING_SHARE, ControlScene
 from services.local_ctrl.footprint import Footprint, clearance, touches
 from services.local_ctrl.manoeuvres import MAX_CLEARANCE_LOSS_M
 from services.local_ctrl.rollout import DT, Limits, arc_step, limited_turn_rate, speed_after, turn_rate_after
-
-Float64s = NDArray[np.float64]
+from shared.types import Float64s
 
 END_CUT_DISTANCE_M = 0.5  # from the path's end within which an arc that leads away from it is cut
 

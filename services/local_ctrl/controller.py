@@ -6,14 +6,10 @@ return.
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from services.local_ctrl.footprint import Footprint
 from services.local_ctrl.rollout import Limits
-
-Bools = NDArray[np.bool_]
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
+from shared.types import Bools, Float32s, Float64s
 
 APPROACH_BRAKING_SHARE = 0.5  # of the drive's braking that stopping at the goal uses: the rest is reserve for delay
 NO_DYNAMIC_OBSTACLES = np.zeros((0, 6))

@@ -11,16 +11,12 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from pydantic import Field
 
 from services.local_ctrl.footprint import bilinear
 from shared.config import Section
 from shared.distance_field import distance_field_into
-
-Bools = NDArray[np.bool_]
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
+from shared.types import Bools, Float32s, Float64s
 
 COARSE_CELLS = 2  # cells of the costmap along a side of one of the field
 END_MARGIN_POINTS = 3  # points of the path between the robot and the blocked point

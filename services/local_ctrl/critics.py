@@ -7,10 +7,11 @@ from typing import ClassVar, NamedTuple
 from numba import njit
 from pydantic import Field
 
-from services.local_ctrl.controller import ControlScene, Float64s
+from services.local_ctrl.controller import ControlScene
 from services.local_ctrl.footprint import Footprint, bilinear
 from services.local_ctrl.rollout import Limits
 from shared.config import Section
+from shared.types import Float64s
 
 REACTION_S = 0.2  # delay between a command and the wheels' motion, as in the guard's field
 

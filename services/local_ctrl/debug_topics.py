@@ -9,8 +9,7 @@ from services.local_ctrl.footprint import Footprint
 from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.rollout import DT, Motion
 from shared.messages import Costmap, Rollouts
-
-Float32s = NDArray[np.float32]
+from shared.types import Float32s
 
 PERIOD_NS = 200_000_000  # between two messages
 MAX_SHOWN = 24  # of some hundred rollouts

@@ -10,7 +10,6 @@ from math import hypot, inf
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from pydantic import Field
 
 from services.local_ctrl.arcs import fill_rollout, max_speed_to_end, simulated_arc
@@ -19,8 +18,7 @@ from services.local_ctrl.cost_to_go import carrot, to_go_at
 from services.local_ctrl.footprint import Footprint
 from services.local_ctrl.rollout import DT, Limits, speed_after, turn_rate_after
 from shared.config import Section
-
-Float64s = NDArray[np.float64]
+from shared.types import Float64s
 
 
 class DwaConfig(Section):

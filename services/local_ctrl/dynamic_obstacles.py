@@ -13,16 +13,12 @@ from typing import ClassVar
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from pydantic import Field
 
 from services.local_ctrl.rollout import DT
 from shared.config import Section
+from shared.types import NS_PER_S, Float64s, Int64s
 
-Int64s = NDArray[np.int64]
-Float64s = NDArray[np.float64]
-
-NS_PER_S = 1_000_000_000  # ns
 MAX_GAP_M = 0.25  # between the ends of neighbouring beams on one object
 MIN_NOTCH_M = 0.045  # depth of a notch that separates two objects, below the outline NOTCH_SIDE_M to both sides
 NOTCH_SIDE_M = 0.25  # m along the outline

@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Collision test of the footprint: circles over a distance field, and the polygon where the circles may touch."""
 
-from math import ceil, hypot, inf, sqrt
+from math import ceil, hypot, sqrt
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from shared.config import Robot
-from shared.geometry import inside, to_outline
+from shared.polygon import contains, signed_distances
+from shared.polygon_kernels import distance_to_polygon
+from shared.types import Bools, Float32s, Float64s
 
-Bools = NDArray[np.bool_]
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
 Circle = tuple[float, float, float]  # x, y, radius m
 
 
@@ -57,7 +55,7 @@ def _tile_circles(corners: Float64s, overreach: float) -> list[Circle]:
     for i in range(nx):
         for j in range(ny):
             centre = low + (np.array((i, j)) + 0.5) * (width, height)
-            touched = inside(corners, centre + fine * (width, height)).any()
+            touched = contains(corners, centre + fine * (width, height)).any()
             crossed = (np.abs(edges - centre) <= np.array((width, height)) / 2 + 1e-9).all(axis=1).any()
             if touched or crossed:
                 found.append((float(centre[0]), float(centre[1]), hypot(width, height) / 2))
@@ -67,8 +65,7 @@ def _tile_circles(corners: Float64s, overreach: float) -> list[Circle]:
 def _merged_circles(corners: Float64s, inscribed: float, tiles: list[Circle]) -> list[Circle]:
     """Fewer circles with the same cover, the one about the origin first: large ones inside, the tiles' at the rim."""
     large, rim = [(0.0, 0.0, inscribed)], []
-    within = inside(corners, np.array([(x, y) for x, y, _ in tiles]))
-    depths = [to_outline(corners, x, y) if deep else 0.0 for (x, y, _), deep in zip(tiles, within, strict=True)]
+    depths = np.maximum(-signed_distances(corners, np.array([(x, y) for x, y, _ in tiles])), 0.0).tolist()
     for depth, (x, y, radius) in sorted(zip(depths, tiles, strict=True), reverse=True):
         if any(hypot(x - a, y - b) + radius <= covered for a, b, covered in large):
             continue
@@ -138,27 +135,9 @@ def touches(occupied: Bools, resolution: float, x: float, y: float, c: float, s:
         for column in range(first_column, last_column + 1):
             if occupied[row, column]:
                 dx, dy = column * resolution - x, row * resolution - y
-                if polygon_distance(shape.corners, c * dx + s * dy, c * dy - s * dx) <= shape.padding:
+                if distance_to_polygon(shape.corners, c * dx + s * dy, c * dy - s * dx) <= shape.padding:
                     return True
     return False
-
-
-@njit(cache=True, nogil=True)
-def polygon_distance(corners: Float64s, x: float, y: float) -> float:
-    """Distance of a point from the polygon, m; 0 inside (even-odd rule)."""
-    within = False
-    squared = inf
-    n = len(corners)
-    for i in range(n):
-        ax, ay = corners[i, 0], corners[i, 1]
-        bx, by = corners[(i + 1) % n, 0], corners[(i + 1) % n, 1]
-        ex, ey, px, py = bx - ax, by - ay, x - ax, y - ay
-        if (ay > y) != (by > y) and px < py * ex / ey:
-            within = not within
-        along = min(max((px * ex + py * ey) / (ex * ex + ey * ey), 0.0), 1.0)
-        gx, gy = px - along * ex, py - along * ey
-        squared = min(squared, gx * gx + gy * gy)
-    return 0.0 if within else sqrt(squared)
 
 
 @njit(cache=True, nogil=True)

@@ -5,7 +5,6 @@ from collections import deque
 from math import cos, sin
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from shared import reasons, topics
@@ -14,9 +13,7 @@ from shared.geometry import Pose2
 from shared.messages import LaserScan, Localization, Odometry, PoseEstimate
 from shared.reasons import Reason
 from shared.rejections import Rejections
-
-Float64s = NDArray[np.float64]
-NS_PER_S = 1_000_000_000  # ns
+from shared.types import NS_PER_S, Float64s
 
 
 class AgesConfig(Section):
@@ -120,9 +117,9 @@ class ControlInputs:
     def stale_input(self, now: int, rejections: Rejections) -> Reason | None:
         """The reason to stand: odometry or scan is missing or too old; else None. rejections: of these inputs."""
         if not self.history or abs(now - self.history[-1].stamp) > self.ages.odometry * NS_PER_S:
-            return reasons.BAD_STAMPS if rejections.told(topics.ODOM.key, now) else reasons.ODOM_OLD
+            return reasons.BAD_STAMPS if rejections.late_cause(topics.ODOM.key, now) else reasons.ODOM_OLD
         if self.scan is None or abs(now - scan_end(self.scan)) > self.ages.scan * NS_PER_S:
-            return reasons.BAD_STAMPS if rejections.told(topics.SCAN.key, now) else reasons.SCAN_OLD
+            return reasons.BAD_STAMPS if rejections.late_cause(topics.SCAN.key, now) else reasons.SCAN_OLD
         return None
 
     def localization_fault(self, now: int) -> Reason | None:

@@ -12,19 +12,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from services.local_ctrl.dynamic_obstacles import DynamicObstacles, DynamicObstaclesConfig
-from services.local_ctrl.footprint import Footprint, polygon_distance
+from services.local_ctrl.footprint import Footprint
 from shared.config import Mount, Section
 from shared.distance_field import distance_field_into
 from shared.geometry import Pose2
 from shared.grid import FREE_UP_TO, OCCUPIED_FROM, OccupancyGrid
 from shared.messages import LaserScan, RangeReadings
-
-Bools = NDArray[np.bool_]
-Int8s = NDArray[np.int8]
-Int64s = NDArray[np.int64]
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
-
+from shared.polygon_kernels import contains_point
+from shared.types import Bools, Float32s, Float64s, Int8s, Int64s
 
 HIT_EVIDENCE, PASS_EVIDENCE, NO_ECHO_EVIDENCE = 4, 2, 1
 """Evidence of an obstacle: a hit sets the first. A beam beyond, and one without echo, subtract the others a scan."""
@@ -388,5 +383,5 @@ def _clear_footprint(
     for row in range(max(0, int((y - reach) / resolution)), min(n, int((y + reach) / resolution) + 2)):
         for column in range(max(0, int((x - reach) / resolution)), min(n, int((x + reach) / resolution) + 2)):
             dx, dy = column * resolution - x, row * resolution - y
-            if occupied[row, column] and polygon_distance(footprint.corners, c * dx + s * dy, c * dy - s * dx) == 0.0:
+            if occupied[row, column] and contains_point(footprint.corners, c * dx + s * dy, c * dy - s * dx):
                 evidence[row, column], echo_at[row, column], occupied[row, column] = 0, 0, False

@@ -4,11 +4,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shared.geometry import Pose2
-
-Float64s = NDArray[np.float64]
+from shared.types import Float64s
 
 SPACING = 0.05  # m between the resampled points
 MAX_ADVANCE_M = 3.0  # along the path within which the robot is searched for, so that no loop of the path is skipped

@@ -7,13 +7,14 @@ from typing import NamedTuple
 from numba import njit
 from pydantic import Field
 
-from services.local_ctrl.footprint import Bools, Float32s, Footprint, clearance, collides
+from services.local_ctrl.footprint import Footprint, clearance, collides
 from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.rollout import DT, Limits, Motion, speed_after, turn_rate_after
 from shared import reasons
 from shared.config import Section
 from shared.geometry import Pose2, wrapped
-from shared.messages import FollowState, Goal, GoalKind
+from shared.messages import FollowState, Recovery, RecoveryKind
+from shared.types import Bools, Float32s
 
 BRAKING_SHARE = 0.6  # of the drive's braking that the speed profile uses: the rest is reserve for delay
 CHECK_STEP_M = 0.02  # along the rim between tested poses
@@ -50,8 +51,8 @@ def braking(motion: Motion, limits: Limits, state: FollowState, reason: str = ""
 class Manoeuvre:
     """One BACK_UP, TURN or WAIT. After its end it returns ARRIVED."""
 
-    def __init__(self, goal: Goal, start: Pose2, now: int, config: ManoeuvreConfig) -> None:
-        self.goal, self.start, self.since, self.config = goal, start, now, config
+    def __init__(self, recovery: Recovery, start: Pose2, now: int, config: ManoeuvreConfig) -> None:
+        self.recovery, self.start, self.since, self.config = recovery, start, now, config
         self.turned, self.last_yaw = 0.0, start.yaw
         self.done = False
 
@@ -61,13 +62,13 @@ class Manoeuvre:
         self.last_yaw = motion.pose.yaw
         if self.done:
             return braking(motion, limits, FollowState.ARRIVED)
-        if self.goal.kind is GoalKind.TURN and not limits.spins:
+        if self.recovery.kind is RecoveryKind.TURN and not limits.spins:
             return braking(motion, limits, FollowState.FAILED, reasons.NO_TURN_IN_PLACE.code)
         x, y, yaw = motion.pose.x - costmap.x0, motion.pose.y - costmap.y0, motion.pose.yaw
         scene = costmap.field, costmap.occupied, costmap.resolution, x, y, yaw
-        if self.goal.kind is GoalKind.BACK_UP:
+        if self.recovery.kind is RecoveryKind.BACK_UP:
             there = self.start.inverse() @ motion.pose
-            left = -self.goal.amount - there.x
+            left = -self.recovery.amount - there.x
             look = copysign(
                 min(abs(left), BACK_UP_LOOKAHEAD_M + motion.v**2 / (2 * BRAKING_SHARE * limits.braking)), left
             )
@@ -75,15 +76,15 @@ class Manoeuvre:
             speed = min(self.config.back_up_speed, -limits.v_min if left < 0 else limits.v_max)
             v, w = straight_command(left, motion.v, limits, DT, speed), turn_rate_after(motion.w, 0.0, limits, DT)
             self.done = abs(left) < 0.01
-        elif self.goal.kind is GoalKind.TURN:
-            left = self.goal.amount - self.turned
+        elif self.recovery.kind is RecoveryKind.TURN:
+            left = self.recovery.amount - self.turned
             look = copysign(min(abs(left), TURN_LOOKAHEAD_RAD), left)
             free = abs(free_angle(*scene, look, shape)) >= 0.5 * abs(look)
             v = speed_after(motion.v, 0.0, limits, DT)
             w = turn_command(left, motion.w, limits, DT, min(self.config.turn_rate, limits.w_max))
             self.done = abs(left) < 0.02
         else:
-            left = self.goal.amount - (now - self.since) / 1e9
+            left = self.recovery.amount - (now - self.since) / 1e9
             self.done = left <= 0.0
             return braking(motion, limits, FollowState.ARRIVED if self.done else FollowState.FOLLOWING)
         if self.done:

@@ -11,7 +11,6 @@ from typing import ClassVar
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from pydantic import Field
 
 from services.local_ctrl.controller import (
@@ -27,10 +26,7 @@ from services.local_ctrl.dynamic_obstacles import predicted_discs
 from services.local_ctrl.footprint import Footprint, clearance, touches
 from services.local_ctrl.rollout import DT, Limits, arc_step, limited_turn_rate, speed_after, turn_rate_after
 from shared.config import Section
-
-Bools = NDArray[np.bool_]
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
+from shared.types import Float32s, Float64s
 
 
 class MppiConfig(Section):

@@ -11,7 +11,7 @@ from pydantic import Field
 from services.local_ctrl.controller import APPROACH_BRAKING_SHARE, Controller, ControlScene
 from services.local_ctrl.cost_to_go import CostToGoConfig, cost_to_go
 from services.local_ctrl.dynamic_obstacles import predicted_discs
-from services.local_ctrl.footprint import Float64s, Footprint, bilinear
+from services.local_ctrl.footprint import Footprint, bilinear
 from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.local_plan import MAX_ADVANCE_M, SPACING, LocalPlan, PathAhead, cut_at_turn
 from services.local_ctrl.manoeuvres import TURN_LOOKAHEAD_RAD, ControlOutcome, braking, free_angle, turn_command
@@ -21,6 +21,7 @@ from shared import reasons
 from shared.config import Section
 from shared.geometry import Pose2, wrapped
 from shared.messages import FollowState, Goal
+from shared.types import Float64s
 
 STANDING_SPEED = 0.05  # m/s
 BRAKING_MARGIN_M = 0.3  # m

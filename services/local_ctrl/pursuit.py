@@ -9,7 +9,6 @@ from math import cos, hypot, sin
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from pydantic import Field
 
 from services.local_ctrl.arcs import Arc, fill_rollout, max_speed_to_end, simulated_arc
@@ -18,8 +17,7 @@ from services.local_ctrl.cost_to_go import to_go_at
 from services.local_ctrl.footprint import Footprint, clearance
 from services.local_ctrl.rollout import DT, Limits, speed_after
 from shared.config import Section
-
-Float64s = NDArray[np.float64]
+from shared.types import Float64s
 
 N_SPEEDS = 10  # tested on a blocked arc, from the wanted one down to zero
 MIN_SPEED = 1e-3  # m/s, for the time that an arc takes

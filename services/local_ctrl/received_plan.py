@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plan that is followed: the newest message of the planner, and whether it is valid for the present goal."""
 
-from services.local_ctrl.inputs import NS_PER_S, AgesConfig
+from services.local_ctrl.inputs import AgesConfig
 from services.local_ctrl.local_plan import LocalPlan
 from shared import reasons
 from shared.messages import Goal, Path
+from shared.types import NS_PER_S
 
 
 class ReceivedPlan:
@@ -23,6 +24,10 @@ class ReceivedPlan:
         if not keeps_plan:
             self.local_plan = None
         self._update()
+
+    def clear_goal(self) -> None:
+        """Ends the goal: a recovery begins, and no plan is followed."""
+        self._goal = self.local_plan = None
 
     def set_message(self, path: Path) -> None:
         """Takes a message of the planner, also one for another goal."""

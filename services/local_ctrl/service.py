@@ -9,7 +9,7 @@ from services.local_ctrl import warm_up
 from services.local_ctrl.config import CONTROLLERS, LocalCtrlConfig
 from services.local_ctrl.debug_topics import DebugTopics
 from services.local_ctrl.footprint import footprint_of
-from services.local_ctrl.inputs import NS_PER_S, ControlInputs, scan_end
+from services.local_ctrl.inputs import ControlInputs, scan_end
 from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.manoeuvres import ControlOutcome, Manoeuvre, braking
 from services.local_ctrl.path_following import PathFollower
@@ -25,20 +25,21 @@ from shared.messages import (
     FollowState,
     FollowStatus,
     Goal,
-    GoalKind,
     LaserScan,
     MapUpdate,
     Odometry,
     Path,
     PoseEstimate,
     RangeReadings,
+    Recovery,
     Velocity,
     Zones,
 )
+from shared.orders import Order, is_newer
 from shared.requests import Reply, Watch
 from shared.scan_faults import mismatch
 from shared.service import Answer, Out, Service, answer, every, on
-from shared.stamps import precedes
+from shared.types import NS_PER_S
 
 MAX_AGE_S = 1.0  # of an input at its arrival
 WINDOW_MARGIN_M = 1.0  # of the costmap beyond the robot's centre at the end of the longest rollout, at least
@@ -71,7 +72,7 @@ class LocalCtrlService(Service):
             zones=self.zones,
         )
         self.grid = OccupancyGrid()
-        self.goal: Goal | None = None
+        self.order: Order | None = None  # the one with the highest id
         self.manoeuvre: Manoeuvre | None = None
         self.plan = ReceivedPlan(config.ages)
         self.estimate = StateEstimate(self.limits, config.latency, config.speed_settling)
@@ -138,17 +139,11 @@ class LocalCtrlService(Service):
 
     @on(topics.GOAL)
     def new_goal(self, goal: Goal) -> Out:
-        """Begins a newer goal. Between two goals of kind DRIVE the robot keeps driving."""
-        if self.goal is not None and (goal.id, goal.kind, goal.amount) == (
-            self.goal.id,
-            self.goal.kind,
-            self.goal.amount,
-        ):
+        """Begins a newer goal. Between two active goals the robot keeps driving."""
+        if not is_newer(goal, self.order, self.now):
             return ()
-        if self.goal is not None and goal.id < self.goal.id and precedes(goal.stamp, self.goal.stamp, self.now):
-            return ()
-        driving = self.goal is not None and self.goal.kind is goal.kind is GoalKind.DRIVE
-        self.goal, self.manoeuvre = goal, None
+        driving = isinstance(self.order, Goal) and self.order.active and goal.active
+        self.order, self.manoeuvre = goal, None
         if goal.clear_costmap:
             self.costmap.clear()
         keeps_plan = driving and not self.path_follower.missed
@@ -157,6 +152,15 @@ class LocalCtrlService(Service):
         else:
             self.path_follower.reset()
         self.plan.set_goal(goal, self.now, keeps_plan)
+        return ()
+
+    @on(topics.RECOVERY)
+    def new_recovery(self, recovery: Recovery) -> Out:
+        """Begins a newer recovery."""
+        if is_newer(recovery, self.order, self.now):
+            self.order, self.manoeuvre = recovery, None
+            self.path_follower.reset()
+            self.plan.clear_goal()
         return ()
 
     @on(topics.PLAN)
@@ -174,7 +178,7 @@ class LocalCtrlService(Service):
         outcome = outcome._replace(w=self.robot.drive.bent(outcome.v, outcome.w))
         self.estimate.add_command(self.now, outcome.v, outcome.w)
         yield topics.CMD_NAV(Velocity(self.now, outcome.v, outcome.w, outcome.reason))
-        goal_id = self.goal.id if self.goal is not None else 0
+        goal_id = self.order.id if self.order is not None else 0
         yield topics.FOLLOW(FollowStatus(self.now, goal_id, outcome.state, outcome.reason, outcome.left))
         if self.debug_topics.due(self.now) and self.inputs.history:
             costmap = deepcopy(self.costmap)  # the update changes it, and a spectator must not change the drive
@@ -193,30 +197,30 @@ class LocalCtrlService(Service):
 
     def _control_outcome(self, n_elapsed: int) -> ControlOutcome:
         """The command and the state of the goal. n_elapsed: steps of DT since the last tick."""
-        goal = self.goal
-        if goal is None or goal.kind is GoalKind.NONE:
+        order = self.order
+        if order is None or (isinstance(order, Goal) and not order.active):
             return ControlOutcome(0.0, 0.0, FollowState.IDLE)
         stop = self.inputs.stale_input(self.now, self.rejections)
-        if stop is None and goal.kind is GoalKind.DRIVE:
+        if stop is None and isinstance(order, Goal):
             stop = self.inputs.localization_fault(self.now)
         if stop is not None:
             self.path_follower.reset()
             return ControlOutcome(0.0, 0.0, FollowState.BLOCKED, stop.code)
         motion = self.start = self.estimate.at_command_time(self.now)
         self._update_costmap(self.costmap)
-        if goal.kind is not GoalKind.DRIVE:
+        if isinstance(order, Recovery):
             if self.manoeuvre is None:
-                self.manoeuvre = Manoeuvre(goal, motion.pose, self.now, self.config.manoeuvres)
+                self.manoeuvre = Manoeuvre(order, motion.pose, self.now, self.config.manoeuvres)
             limits = self.limits
             if self.inputs.pose is not None:
                 limits = self.zones.limits_in_zones(limits, np.empty((0, 2)), motion, self.inputs.odom_from_map)
             return self.manoeuvre.step(self.costmap, motion, limits, self.footprint, self.now)
-        reason, plan = self.plan.fault(goal, self.inputs.jumped_at, self.now), self.plan.local_plan
+        reason, plan = self.plan.fault(order, self.inputs.jumped_at, self.now), self.plan.local_plan
         if reason is not None or plan is None:
             self.path_follower.reset()
             return braking(motion, self.limits, FollowState.BLOCKED, reason or reasons.NO_PLAN.code)
-        outcome = self.path_follower.follow(plan, goal, self.costmap, motion, self.inputs.odom_from_map, n_elapsed)
-        if outcome.state in (FollowState.ARRIVED, FollowState.FAILED) and not self.plan.is_for(goal):
+        outcome = self.path_follower.follow(plan, order, self.costmap, motion, self.inputs.odom_from_map, n_elapsed)
+        if outcome.state in (FollowState.ARRIVED, FollowState.FAILED) and not self.plan.is_for(order):
             self.path_follower.missed = False
             outcome = outcome._replace(state=FollowState.FOLLOWING, reason="")  # the end of the plan before
         return outcome
@@ -234,7 +238,7 @@ class LocalCtrlService(Service):
             costmap.forbidden_cells = None
         costmap.refresh(self.now, here, self.footprint)
 
-    def warm(self) -> None:
+    def warm_up(self) -> None:
         """Compiles the kernels: a second service with each controller follows, turns and backs up once."""
         for controller in CONTROLLERS:
             config = self.config.model_copy(update={"controller": controller})
@@ -242,4 +246,6 @@ class LocalCtrlService(Service):
 
     def state(self) -> str:
         """State for the health message."""
-        return "idle" if self.goal is None else str(self.goal.kind)
+        if isinstance(self.order, Recovery):
+            return str(self.order.kind)
+        return "idle" if self.order is None else "drive" if self.order.active else "none"

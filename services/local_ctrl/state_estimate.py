@@ -6,8 +6,8 @@ from collections import deque
 from services.local_ctrl.rollout import Limits, Motion, SentCommand, predicted_motion
 from shared.geometry import Pose2
 from shared.messages import Odometry
+from shared.types import NS_PER_S
 
-NS_PER_S = 1_000_000_000
 MAX_FUSED_GAP_S = 0.5  # a longer gap of odometry resets the estimate to the measurement
 MAX_COMMANDS = 64  # 3.2 s at 20 Hz, over six times the longest latency
 

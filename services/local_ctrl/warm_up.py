@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Made-up messages of each kind, and a drive with them: all kernels compile before the robot moves."""
 
+from math import pi
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from shared import messages as m
 from shared.config import Laser
 from shared.geometry import Pose2
-from shared.messages import TILE_CELLS, GoalKind
+from shared.messages import TILE_CELLS, RecoveryKind
 
 if TYPE_CHECKING:
     from services.local_ctrl.service import LocalCtrlService
@@ -36,8 +37,8 @@ def scan(laser: Laser) -> m.LaserScan:
 
 
 def readings(n: int) -> m.RangeReadings:
-    """n sensors that look forward and see 0.5 m."""
-    return m.RangeReadings(NOW, *(np.full(n, value, np.float32) for value in (0.1, 0.0, 0.0, 0.5, 0.5)))
+    """n sensors that look back and see 0.5 m: an obstacle ahead would keep the controllers from their kernels."""
+    return m.RangeReadings(NOW, *(np.full(n, value, np.float32) for value in (-0.1, 0.0, pi, 0.5, 0.5)))
 
 
 def map_update() -> m.MapUpdate:
@@ -55,9 +56,9 @@ def zones() -> m.Zones:
     return m.Zones(NOW, (keep_out, m.Zone(0, "slow", m.ZoneKind.SLOW, 3.0 * xs + 2.0, 3.0 * ys - 3.5, 0.3)))
 
 
-def goal(goal_id: int, kind: GoalKind, amount: float = 0.0) -> m.Goal:
+def goal(goal_id: int) -> m.Goal:
     """A metre ahead."""
-    return m.Goal(NOW, goal_id, kind, Pose2(1.0), 0.1, 0.1, amount, False)
+    return m.Goal(NOW, goal_id, True, Pose2(1.0), 0.1, 0.1, False)
 
 
 def path(goal_id: int, x: float) -> m.Path:
@@ -77,9 +78,9 @@ def drive(service: "LocalCtrlService") -> None:
     list(service.map(map_update()))
     list(service.new_zones(zones()))
     for goal_id, x in enumerate((1.0, -1.0)):  # ahead: follow; behind: turn in place
-        list(service.new_goal(goal(goal_id, GoalKind.DRIVE)))
+        list(service.new_goal(goal(goal_id)))
         list(service.new_plan(path(goal_id, x)))
         list(service.tick())
-    for kind in (GoalKind.BACK_UP, GoalKind.TURN):
-        list(service.new_goal(goal(2, kind, amount=0.3)))
+    for order_id, kind in enumerate((RecoveryKind.BACK_UP, RecoveryKind.TURN), 2):
+        list(service.new_recovery(m.Recovery(NOW, order_id, kind, 0.3)))
         list(service.tick())

@@ -8,16 +8,14 @@ driven.
 from math import inf, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from services.local_ctrl.controller import APPROACH_BRAKING_SHARE
 from services.local_ctrl.rollout import Limits, Motion
-from shared.geometry import Pose2, inside
+from shared.geometry import Pose2
 from shared.messages import ZoneKind, Zones
+from shared.polygon import contains
+from shared.types import Bools, Float64s
 from shared.zones import KeepOut, mark_cells, polygon_of
-
-Bools = NDArray[np.bool_]
-Float64s = NDArray[np.float64]
 
 MARGIN_S = 0.25  # at the present speed, by which a zone begins earlier and ends later: ticks, cells, late commands
 
@@ -70,7 +68,7 @@ class LocalZones:
         for polygon, speed, share in self._slow:
             low, high = polygon.min(axis=0), polygon.max(axis=0)
             near = ((in_map >= low) & (in_map <= high)).all(axis=1)
-            entered = np.flatnonzero(near)[inside(polygon, in_map[near])] if near.any() else near[:0]
+            entered = np.flatnonzero(near)[contains(polygon, in_map[near])] if near.any() else near[:0]
             if len(entered):
                 most = min(speed, share * limits.v_max)
                 way = max(float(along[entered[0]]), 0.0)

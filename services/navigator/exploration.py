@@ -4,16 +4,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from services.navigator.frontiers import Frontier, FrontierConfig, Frontiers
+from services.navigator.frontiers import Frontier, FrontierConfig, Frontiers, Snapshot, find_frontiers
 from services.navigator.tour import tours
 from shared.config import Section
 from shared.geometry import Pose2, wrapped
+from shared.messages import TILE_CELLS
+from shared.types import Float64s, Int64s
 
-Int64s = NDArray[np.int64]
-Float64s = NDArray[np.float64]
 Cell = tuple[int, int]
 
 _SAME_TARGET_M = 0.5  # between a frontier and the target that are the same
@@ -192,3 +191,22 @@ def _distances_to(cells: Int64s, target: FrontierTarget, resolution: float) -> F
 def _centres(cells: Int64s, resolution: float) -> tuple[Float64s, Float64s]:
     rows, columns = cells.astype(np.float64).T
     return (columns + 0.5) * resolution, (rows + 0.5) * resolution
+
+
+def warm_up_search(config: FrontierConfig) -> None:
+    """Compiles the search on a small map."""
+    cells = np.full((TILE_CELLS, TILE_CELLS), -1, np.int8)
+    cells[10:40, 10:40] = 0
+    cells[10:40, 40] = 100
+    snapshot = Snapshot(
+        cells=cells,
+        first_row=0,
+        first_column=0,
+        resolution=0.05,
+        x=1.0,
+        y=1.0,
+        robot_radius=0.2,
+        dropped=np.zeros((1, 2), np.int64),
+    )
+    found = find_frontiers(snapshot, config)
+    tours(np.array([f.distance for f in found.frontiers]), found.between)

@@ -8,19 +8,12 @@ from typing import ClassVar
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from pydantic import Field
 
 from shared.config import Section
 from shared.distance_field import distance_field
 from shared.grid import FREE_UP_TO, OCCUPIED_FROM
-
-Bools = NDArray[np.bool_]
-Int8s = NDArray[np.int8]
-Int32s = NDArray[np.int32]
-Int64s = NDArray[np.int64]
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
+from shared.types import Bools, Float32s, Float64s, Int8s, Int32s, Int64s
 
 _STRAIGHT, _DIAGONAL = 70, 99  # of a step, in 1/70 cells
 _UNREACHED = 2**30
@@ -335,7 +328,7 @@ def _split_border(border: Bools, deep: Bools, n_min: float, n_max: int) -> tuple
             todo[whole[i] // w, whole[i] % w] = True
         for i in range(n):
             if todo[whole[i] // w, whole[i] % w]:
-                n_cells += _flood(todo, whole[i], cells[n_cells:], n_max)
+                n_cells += _flood(todo, int(np.int64(whole[i])), cells[n_cells:], n_max)
                 ends.append(n_cells)
     return cells, ends
 

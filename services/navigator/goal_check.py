@@ -4,17 +4,15 @@
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shared import reasons
-from shared.clearance import kept_free
+from shared.clearance import required_clearance
 from shared.distance_field import distance_field
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import GoalLimits
 from shared.reasons import Reason
-
-Bools = NDArray[np.bool_]
+from shared.types import Bools
 
 MAX_SINGLE_CHECKS = 20  # poses for which single checks are faster than one of the whole map
 
@@ -34,7 +32,7 @@ def refusal_reason(
     if not (-beyond <= row < h + beyond and -beyond <= column < w + beyond):
         return reasons.GOAL_OUTSIDE
     reach = max(tolerance, limits.reach)
-    clearance = inscribed_radius + kept_free(limits.margin, resolution)
+    clearance = inscribed_radius + required_clearance(limits.margin, resolution)
     n, around = ceil(reach / resolution) + 1, ceil(clearance / resolution) + 1
     distance = _distances(grid, row, column, n + around)[around:-around, around:-around] * resolution
     rows, columns = np.ogrid[row - n : row + n + 1, column - n : column + n + 1]
@@ -44,7 +42,7 @@ def refusal_reason(
     x, y = (goal.x - grid.x0) / resolution, (goal.y - grid.y0) / resolution
     near = np.hypot(columns + 0.5 - x, rows + 0.5 - y) * resolution <= reach
     near[n, n] = True
-    least = inscribed_radius + kept_free(min(limits.least_margin, limits.margin), resolution)
+    least = inscribed_radius + required_clearance(min(limits.least_margin, limits.margin), resolution)
     if (room & near).any() or distance[n, n] >= least - 1e-6:
         return None
     return reasons.GOAL_BLOCKED
@@ -58,7 +56,7 @@ def needs_check(grid: OccupancyGrid, limits: GoalLimits, inscribed_radius: float
     rows, columns = grid.cells_of(np.array([(pose.x, pose.y) for pose in poses])).T
     h, w = grid.cells.shape
     inside = (rows >= 0) & (rows < h) & (columns >= 0) & (columns < w)
-    clearance = inscribed_radius + kept_free(limits.margin, grid.resolution)
+    clearance = inscribed_radius + required_clearance(limits.margin, grid.resolution)
     room = distance[np.clip(rows, 0, h - 1), np.clip(columns, 0, w - 1)] >= clearance
     return np.asarray(~(inside & room))
 

@@ -3,7 +3,6 @@
 
 from math import inf
 
-import numpy as np
 from pydantic import Field
 
 from services.navigator.exploration import Exploration, ExplorationConfig
@@ -12,15 +11,15 @@ from services.navigator.goal_attempt import AttemptAction, GoalAttempt, GoalAtte
 from services.navigator.recovery import RecoveryConfig, RecoverySequence
 from services.navigator.route import Route
 from services.navigator.status_cache import StatusCache
-from services.navigator.tour import tours
 from shared import reasons, topics
 from shared.config import Robot, Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import MOST_ZONES, TILE_CELLS, FollowState, FollowStatus, Goal, GoalKind, NavState
+from shared.messages import MAX_ZONES, TILE_CELLS, FollowState, FollowStatus, Goal, NavState, Recovery, RecoveryKind
+from shared.orders import Order
+from shared.pose_tracker import PoseTracker
 from shared.reasons import Reason
 from shared.service import Job, Out
-from shared.whereabouts import Whereabouts
 from shared.zones import KeepOut, NamedZoneConfig, laid
 
 _ANY_HEADING_RAD = 10.0  # rad of tolerance
@@ -36,7 +35,7 @@ class NavigatorConfig(Section):
     tolerance: float = Field(0.15, ge=0.01, le=5, description="m to the goal at which it is reached")
     yaw_tolerance: float = Field(0.25, ge=0.01, le=3.14, description="rad to the goal's heading at which it is reached")
     zones: tuple[NamedZoneConfig, ...] = Field(
-        (), max_length=MOST_ZONES, description="keep-out and speed zones on every map; those of one map: zenav zones"
+        (), max_length=MAX_ZONES, description="keep-out and speed zones on every map; those of one map: zenav zones"
     )
     lost_time: float = Field(
         2.0, ge=0, le=60, description="s for which the pose may be lost until the robot is stopped"
@@ -54,14 +53,14 @@ class Navigation:
 
     def __init__(self, config: NavigatorConfig, robot: Robot) -> None:
         self.config, self.robot = config, robot
-        self.grid, self.pose_tracker, self.statuses = OccupancyGrid(), Whereabouts(), StatusCache()
+        self.grid, self.pose_tracker, self.statuses = OccupancyGrid(), PoseTracker(), StatusCache()
         self.keep_out = KeepOut(robot.circumscribed_radius)
         self.task: Route | Exploration | None = None
         self.task_id = 0
         self.state = NavState.IDLE
         self.reason: Reason | None = None  # how the last task ended
         self.detail = ""
-        self.goal: Goal | None = None  # the last one published
+        self.order: Order | None = None  # the last one published
         self.attempt: GoalAttempt | None = None
         self.recoveries = self._new_recoveries()
         self.attempt_config = config.leg  # of the present task
@@ -85,7 +84,7 @@ class Navigation:
         if isinstance(task, Route):
             yield from self._to_waypoint(task, now)
         else:
-            yield self._goal(now, GoalKind.NONE)
+            yield self._standstill(now)
 
     def resume(self, task: Route | Exploration, dwell: float | None, paused: bool, now: int) -> Out:
         """Continues the task of a navigator before this one, under its number; recoveries start again.
@@ -100,7 +99,7 @@ class Navigation:
         if self.attempt and not paused:
             yield from self._drive(now, self.attempt)
         else:
-            yield self._goal(now, GoalKind.NONE)
+            yield self._standstill(now)
 
     def _take(self, task: Route | Exploration) -> None:
         explores = isinstance(task, Exploration)
@@ -118,7 +117,7 @@ class Navigation:
         self.task = self.attempt = None
         self.state, self.reason, self.detail = state, reason, detail
         self.recovery, self.action, self.paused, self.suspended = "", 0.0, False, False
-        yield self._goal(now, GoalKind.NONE)
+        yield self._standstill(now)
 
     def pause(self, now: int, paused: bool) -> Out:
         """Stops and keeps the task, or continues it."""
@@ -126,7 +125,7 @@ class Navigation:
             return
         self.paused, self.action, self.recovery = paused, 0.0, ""
         if paused:
-            yield self._goal(now, GoalKind.NONE)
+            yield self._standstill(now)
         elif self.attempt and not self.suspended:
             self.attempt.reset_clocks()
             yield from self._drive(now, self.attempt)
@@ -135,7 +134,7 @@ class Navigation:
 
     def on_follow_status(self, follow: FollowStatus, now: int) -> Out:
         """Takes local control's status: an arrival, or the end of a recovery."""
-        if self.goal is None or follow.goal_id != self.goal.id or self.paused or self.attempt is None:
+        if self.order is None or follow.goal_id != self.order.id or self.paused or self.attempt is None:
             return
         if self.action and follow.state in (FollowState.ARRIVED, FollowState.FAILED):
             yield from self._drive(now, self.attempt)
@@ -157,10 +156,10 @@ class Navigation:
 
     def passed(self, seconds: float, now: int) -> Out:
         """Advances the clocks by `seconds` and the task with them."""
-        if self.goal is None:  # a goal of a navigator before this one is not supervised any more
-            yield self._goal(now, GoalKind.NONE)
+        if self.order is None:  # a goal of a navigator before this one is not supervised any more
+            yield self._standstill(now)
         self.jumped = max(self.jumped - seconds, 0.0)
-        self.lost = self.lost + seconds if self.pose_tracker.lost else 0.0
+        self.lost = self.lost + seconds if self.pose_tracker.is_lost else 0.0
         self.searching += seconds
         self.searched += seconds
         self.age += seconds
@@ -193,7 +192,7 @@ class Navigation:
         if target is None:
             if self.attempt:
                 self.attempt = None
-                yield self._goal(now, GoalKind.NONE)
+                yield self._standstill(now)
             yield from self._without_frontier(exploration, found, now)
         elif target is not before:
             exploration.without = 0.0
@@ -205,8 +204,8 @@ class Navigation:
 
     def left(self, attempt: GoalAttempt, now: int) -> float:
         """Remaining m to the attempt's target: by local control, else by the planner, else straight."""
-        if self.goal is not None and self.goal.kind is GoalKind.DRIVE:
-            follow, plan = self.statuses.follow_for(self.goal, now), self.statuses.plan_for(self.goal, now)
+        if (goal := self.goal) is not None:
+            follow, plan = self.statuses.follow_for(goal, now), self.statuses.plan_for(goal, now)
             if follow is not None and follow.state is FollowState.FOLLOWING:
                 return max(follow.distance_left, 0.0)
             if plan is not None and not plan.reason:
@@ -217,8 +216,8 @@ class Navigation:
     def _watch_pose(self, now: int) -> Out:
         if self.lost > self.config.lost_time and not self.suspended:
             self.suspended, self.action = True, 0.0
-            yield self._goal(now, GoalKind.NONE)
-        elif self.suspended and not self.pose_tracker.lost:
+            yield self._standstill(now)
+        elif self.suspended and not self.pose_tracker.is_lost:
             self.suspended = False
             if self.attempt:
                 yield from self._drive(now, self.attempt, clear_costmap=True)
@@ -228,8 +227,8 @@ class Navigation:
             yield from self.end(now, NavState.FAILED, reasons.POSE_LOST)
 
     def _watch_attempt(self, attempt: GoalAttempt, seconds: float, now: int) -> Out:
-        assert self.goal is not None  # an attempt has published one
-        plan, follow = self.statuses.plan_for(self.goal, now), self.statuses.follow_for(self.goal, now)
+        assert self.order is not None  # an attempt has published one
+        plan, follow = self.statuses.plan_for(self.order, now), self.statuses.follow_for(self.order, now)
         held = reasons.POSE_LOST if self.suspended else self.statuses.hold_reason(now)
         if held:
             attempt.add_hold_time(seconds, held)
@@ -263,9 +262,9 @@ class Navigation:
         attempt.n_recoveries += 1
         attempt.reset_clocks()
         self.recovery = step.name
-        if step.takes:
+        if step.kind is not None:
             self.action = step.takes
-            yield self._goal(now, step.kind, pose or attempt.target, amount=step.amount)
+            yield self._recovery(now, step.kind, step.amount)
         else:
             yield from self._drive(now, attempt, step.clear_costmap)
 
@@ -275,7 +274,7 @@ class Navigation:
             self.task.failed(self.grid.resolution)
             self.task.without = 0.0
             self.attempt, self.recovery = None, ""
-            yield self._goal(now, GoalKind.NONE)
+            yield self._standstill(now)
         else:
             yield from self.end(now, NavState.FAILED, reason)
 
@@ -286,7 +285,7 @@ class Navigation:
             self.searched = inf
         elif isinstance(self.task, Route) and self.task.dwell > 0:
             self.dwell = self.task.dwell
-            yield self._goal(now, GoalKind.NONE)
+            yield self._standstill(now)
         elif isinstance(self.task, Route):
             yield from self._next_waypoint(self.task, now)
 
@@ -302,24 +301,37 @@ class Navigation:
 
     def _drive(self, now: int, attempt: GoalAttempt, clear_costmap: bool = False) -> Out:
         self.action = 0.0
-        yield self._goal(now, GoalKind.DRIVE, attempt.target, clear_costmap=clear_costmap)
+        yield self._publication(now, attempt.target, clear_costmap)
 
-    def _goal(
-        self, now: int, kind: GoalKind, pose: Pose2 | None = None, amount: float = 0.0, clear_costmap: bool = False
-    ) -> topics.Publication:
-        """A new goal. Numbers from the clock are larger than those of a navigator before a restart."""
+    @property
+    def goal(self) -> Goal | None:
+        """The goal that the robot drives to; None while it stands or recovers."""
+        return self.order if isinstance(self.order, Goal) and self.order.active else None
+
+    def _standstill(self, now: int) -> topics.Publication:
+        return self._publication(now, None)
+
+    def _publication(self, now: int, target: Pose2 | None, clear_costmap: bool = False) -> topics.Publication:
+        """A new goal; without a target the robot stands."""
         tolerance, yaw_tolerance = self._tolerances()
-        self.goal = Goal(
+        goal = self.order = Goal(
             stamp=now,
-            id=max(self.goal.id + 1 if self.goal else 1, now // 1_000_000),
-            kind=kind,
-            map_from_goal=pose or Pose2(),
+            id=self._next_id(now),
+            active=target is not None,
+            map_from_goal=target or Pose2(),
             tolerance=tolerance,
             yaw_tolerance=yaw_tolerance,
-            amount=amount,
             clear_costmap=clear_costmap,
         )
-        return topics.GOAL(self.goal)
+        return topics.GOAL(goal)
+
+    def _recovery(self, now: int, kind: RecoveryKind, amount: float) -> topics.Publication:
+        recovery = self.order = Recovery(stamp=now, id=self._next_id(now), kind=kind, amount=amount)
+        return topics.RECOVERY(recovery)
+
+    def _next_id(self, now: int) -> int:
+        """Of goals and recoveries. Numbers from the clock are larger than those of a navigator before a restart."""
+        return max(self.order.id + 1 if self.order else 1, now // 1_000_000)
 
     def _tolerances(self) -> tuple[float, float]:
         """m and rad to a pose of the task at which it is reached."""
@@ -379,22 +391,3 @@ class Navigation:
 def search(task_id: int, map_id: int, snapshot: Snapshot, config: FrontierConfig) -> tuple[int, int, Frontiers]:
     """Job: the frontiers, with the task and the map that they were searched for."""
     return task_id, map_id, find_frontiers(snapshot, config)
-
-
-def warm_up_search(config: NavigatorConfig) -> None:
-    """Compiles the search on a small map."""
-    cells = np.full((TILE_CELLS, TILE_CELLS), -1, np.int8)
-    cells[10:40, 10:40] = 0
-    cells[10:40, 40] = 100
-    snapshot = Snapshot(
-        cells=cells,
-        first_row=0,
-        first_column=0,
-        resolution=0.05,
-        x=1.0,
-        y=1.0,
-        robot_radius=0.2,
-        dropped=np.zeros((1, 2), np.int64),
-    )
-    found = find_frontiers(snapshot, config.exploration.frontier)
-    tours(np.array([f.distance for f in found.frontiers]), found.between)

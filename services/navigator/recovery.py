@@ -9,7 +9,7 @@ from pydantic import Field
 from shared import reasons
 from shared.config import Drive, Section
 from shared.geometry import Pose2
-from shared.messages import GoalKind
+from shared.messages import RecoveryKind
 from shared.reasons import Reason
 
 
@@ -27,17 +27,17 @@ class RecoveryConfig(Section):
 
 @dataclass(frozen=True, slots=True)
 class RecoveryStep:
-    """One recovery. takes: s after which it ends in any case; 0: driving continues at once."""
+    """One recovery. kind: None when the robot drives on at once. takes: s after which any other one ends."""
 
     name: str
-    kind: GoalKind = GoalKind.DRIVE
+    kind: RecoveryKind | None = None
     amount: float = 0.0
     clear_costmap: bool = False
     takes: float = 0.0
 
     @property
     def moves(self) -> bool:
-        return self.kind in (GoalKind.BACK_UP, GoalKind.TURN)
+        return self.kind in (RecoveryKind.BACK_UP, RecoveryKind.TURN)
 
 
 def recovery_steps(config: RecoveryConfig, drive: Drive) -> tuple[RecoveryStep, ...]:
@@ -45,14 +45,14 @@ def recovery_steps(config: RecoveryConfig, drive: Drive) -> tuple[RecoveryStep, 
     every = (
         RecoveryStep("replan"),
         RecoveryStep("clear_costmap", clear_costmap=True),
-        RecoveryStep("back_up", GoalKind.BACK_UP, config.back_up, takes=config.deadline),
-        RecoveryStep("turn_left", GoalKind.TURN, config.turn, takes=config.deadline),
-        RecoveryStep("turn_right", GoalKind.TURN, -config.turn, takes=config.deadline),
-        RecoveryStep("wait", GoalKind.WAIT, config.wait, takes=config.wait + 1),
+        RecoveryStep("back_up", RecoveryKind.BACK_UP, config.back_up, takes=config.deadline),
+        RecoveryStep("turn_left", RecoveryKind.TURN, config.turn, takes=config.deadline),
+        RecoveryStep("turn_right", RecoveryKind.TURN, -config.turn, takes=config.deadline),
+        RecoveryStep("wait", RecoveryKind.WAIT, config.wait, takes=config.wait + 1),
     )
-    cannot = {GoalKind.BACK_UP} if drive.max_reverse_speed == 0 else set()
-    cannot |= set() if drive.turns_in_place else {GoalKind.TURN}
-    return tuple(s for s in every if s.kind is GoalKind.DRIVE or (s.amount and s.kind not in cannot))
+    cannot = {RecoveryKind.BACK_UP} if drive.max_reverse_speed == 0 else set()
+    cannot |= set() if drive.turns_in_place else {RecoveryKind.TURN}
+    return tuple(s for s in every if s.kind is None or (s.amount and s.kind not in cannot))
 
 
 class RecoverySequence:

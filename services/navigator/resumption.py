@@ -97,11 +97,11 @@ class Resumption:
         guard = guard if guard is not None and fresh(guard.stamp, now, _MAX_GUARD_AGE_S) else None
         if (stopped := navigation.statuses.stop_reason(now)) and guard is not None:
             state = NavState.CANCELED if guard.state is GuardState.STOPPED else NavState.FAILED
-            return ResumeRefusal(stopped, f"{stopped.text} since the navigator was restarted: {stopped.mend}", state)
+            return ResumeRefusal(stopped, f"{stopped.text} since the navigator was restarted: {stopped.hint}", state)
         disarmed = guard is not None and guard.reason == reasons.ESTOP_RELEASED.code
         if guard is not None and (disarmed or guard.stopped > before.stamp - FUTURE):
             released = reasons.ESTOP_RELEASED
-            words = f"while the navigator was restarted; {released.mend}"
+            words = f"while the navigator was restarted; {released.hint}"
             return ResumeRefusal(released, f"{released.text} {words}", NavState.CANCELED)
         if before.map_id and grid.map_id not in (0, before.map_id):
             return ResumeRefusal(reasons.OTHER_MAP, "", NavState.CANCELED)

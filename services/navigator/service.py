@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.navigator.exploration import Exploration
+from services.navigator.exploration import Exploration, warm_up_search
 from services.navigator.frontiers import Frontiers
-from services.navigator.goal_check import Bools, needs_check, refusal_reason
-from services.navigator.navigation import Navigation, NavigatorConfig, warm_up_search
+from services.navigator.goal_check import needs_check, refusal_reason
+from services.navigator.navigation import Navigation, NavigatorConfig
 from services.navigator.resumption import Resumption
 from services.navigator.route import Route
 from services.navigator.status_message import Speedometer, status
@@ -16,7 +16,7 @@ from services.navigator.zones import ActiveZones
 from shared import reasons, requests, topics
 from shared.config import Robot
 from shared.messages import (
-    MOST_ZONES,
+    MAX_ZONES,
     FollowStatus,
     GoalLimits,
     GuardState,
@@ -33,6 +33,7 @@ from shared.messages import (
 from shared.requests import Cancel, Explore, Navigate, Pause, Reply, SetZones
 from shared.service import Answer, Log, Out, Service, answer, every, on
 from shared.topics import Publication
+from shared.types import Bools
 from shared.zones import forbidding
 
 _MAX_TICK_S = 1.0  # a longer step is a jump of the clock
@@ -56,8 +57,8 @@ class NavigatorService(Service):
         self.velocity = 0.0  # m/s
         self.ticked: int | None = None
 
-    def warm(self) -> None:
-        warm_up_search(self.config)
+    def warm_up(self) -> None:
+        warm_up_search(self.config.exploration.frontier)
 
     def state(self) -> str:
         return str(self.navigation.state)
@@ -72,14 +73,14 @@ class NavigatorService(Service):
 
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:
-        self.navigation.pose_tracker.moved(odometry)
+        self.navigation.pose_tracker.add_odometry(odometry)
         self.velocity = odometry.v
         return ()
 
     @on(topics.POSE)
     def pose(self, estimate: PoseEstimate) -> Out:
         self.maps = estimate.mode is not MapMode.LOCALISE
-        if self.navigation.pose_tracker.estimated(estimate):
+        if self.navigation.pose_tracker.add_estimate(estimate):
             yield from self.navigation.on_pose_jump(self.now)
 
     @on(topics.PLAN)
@@ -115,7 +116,7 @@ class NavigatorService(Service):
     @on(topics.ZONES)
     def zones_before_the_restart(self, zones: Zones) -> Out:
         if dropped := self.zones.remember(zones):
-            words = f"with the configuration's they are more than {MOST_ZONES}: {', '.join(dropped)} hold no more"
+            words = f"with the configuration's they are more than {MAX_ZONES}: {', '.join(dropped)} hold no more"
             yield Log("WARNING", f"zones: {words}")
 
     @every(hz=5)
@@ -154,7 +155,7 @@ class NavigatorService(Service):
     @answer(requests.SET_ZONES)
     def set_zones(self, request: SetZones) -> Answer[Reply]:
         if not self.zones.set(request):
-            most = f"with those of the configuration they are more than {MOST_ZONES}"
+            most = f"with those of the configuration they are more than {MAX_ZONES}"
             return replace(self._reply(reasons.BAD_REQUEST), detail=most)
         yield self._zones()
         return self._reply(None)
@@ -208,7 +209,7 @@ class NavigatorService(Service):
         return self._reply(None)
 
     def _reply(self, refusal_reason: reasons.Reason | None) -> Reply:
-        why = f"{refusal_reason.text}: {refusal_reason.mend}" if refusal_reason else ""
+        why = f"{refusal_reason.text}: {refusal_reason.hint}" if refusal_reason else ""
         return Reply(
             self.now,
             refusal_reason is None,
@@ -228,4 +229,4 @@ class NavigatorService(Service):
         yield self._status()
 
     def _status(self) -> Publication:
-        return topics.NAV(status(self.navigation, self.speedometer, self.now))
+        return topics.NAV_STATUS(status(self.navigation, self.speedometer, self.now))

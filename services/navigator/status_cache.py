@@ -2,7 +2,8 @@
 """The newest messages of planner, local control and guard, as far as they are recent and about the present goal."""
 
 from shared import reasons
-from shared.messages import FollowState, FollowStatus, Goal, GuardState, GuardStatus, Path
+from shared.messages import FollowState, FollowStatus, GuardState, GuardStatus, Path
+from shared.orders import Order
 from shared.reasons import REASONS, Reason
 
 _MAX_GUARD_AGE_NS = 1_500_000_000
@@ -51,13 +52,13 @@ class StatusCache:
     def add_guard(self, guard: GuardStatus, now: int) -> None:
         self._guard = guard, now
 
-    def plan_for(self, goal: Goal, now: int) -> Path | None:
+    def plan_for(self, goal: Order, now: int) -> Path | None:
         """The plan for this goal, or None."""
         if self._plan is None or self._plan[0].goal_id != goal.id or abs(now - self._plan[1]) > _MAX_PLAN_AGE_NS:
             return None
         return self._plan[0]
 
-    def follow_for(self, goal: Goal, now: int) -> FollowStatus | None:
+    def follow_for(self, goal: Order, now: int) -> FollowStatus | None:
         """Local control's status for this goal, or None."""
         if (
             self._follow is None
@@ -89,7 +90,7 @@ class StatusCache:
             return reasons.BY_HAND
         return REASONS[guard.reason] if guard.state is GuardState.HOLD and guard.reason in _WAIT_FOR_END else None
 
-    def blocking_reason(self, goal: Goal | None, now: int) -> str:
+    def blocking_reason(self, goal: Order | None, now: int) -> str:
         """The code of the reason that keeps the robot from its goal, the gravest first; empty without one."""
         guard = self.recent_guard(now)
         if guard is not None and guard.state in (GuardState.STOPPED, GuardState.FAULT):

@@ -38,7 +38,7 @@ def status(navigation: Navigation, speedometer: Speedometer, now: int) -> NavSta
     stays = route.stays_beyond() + (route.dwell if attempt else navigation.dwell) if route else 0.0
     code = _reason_code(navigation, now)
     known = REASONS.get(code)
-    words = f"{known.text}: {known.mend}" if known else ""
+    words = f"{known.text}: {known.hint}" if known else ""
     return NavStatus(
         stamp=now,
         task_id=navigation.task_id,
@@ -83,6 +83,6 @@ def _reason_code(navigation: Navigation, now: int) -> str:
         return reasons.POSE_JUMPED.code
     if isinstance(navigation.task, Route) and navigation.attempt is None:
         return reasons.DWELLING.code
-    driving = navigation.goal if navigation.attempt and not navigation.action else None
+    driving = navigation.order if navigation.attempt and not navigation.action else None
     recovering_from = navigation.recoveries.last.code if navigation.recovery else ""
     return navigation.statuses.blocking_reason(driving, now) or recovering_from

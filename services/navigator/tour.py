@@ -3,10 +3,8 @@
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Float64s = NDArray[np.float64]
-Int64s = NDArray[np.int64]
+from shared.types import Float64s, Int64s
 
 _MIN_GAIN_M = 1e-9  # of an improvement
 

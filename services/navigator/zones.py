@@ -3,7 +3,7 @@
 
 from itertools import islice
 
-from shared.messages import MOST_ZONES, Zone, Zones
+from shared.messages import MAX_ZONES, Zone, Zones
 from shared.requests import SetZones
 from shared.zones import NamedZoneConfig
 
@@ -23,7 +23,7 @@ class ActiveZones:
     def set(self, request: SetZones) -> bool:
         """Sets these zones with the configuration's of other names. Returns False where there are too many."""
         zones = self._configured | {zone.name: zone for zone in request.zones}
-        if len(zones) > MOST_ZONES:
+        if len(zones) > MAX_ZONES:
             return False
         self._zones = zones
         return True
@@ -36,6 +36,6 @@ class ActiveZones:
         if self._zones is not self._configured:
             return ()
         zones = self._configured | {zone.name: zone for zone in before.zones}
-        self._zones = dict(islice(zones.items(), MOST_ZONES))
+        self._zones = dict(islice(zones.items(), MAX_ZONES))
         self.is_published = False
         return tuple(name for name in zones if name not in self._zones)

@@ -8,13 +8,11 @@ from math import atan2, cos, sin
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from shared.config import Section
 from shared.geometry import Pose2, arc
-
-Float64s = NDArray[np.float64]
+from shared.types import Float64s
 
 
 class DeadReckoningConfig(Section):

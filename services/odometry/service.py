@@ -8,7 +8,7 @@ from shared import topics
 from shared.config import Robot
 from shared.geometry import Pose2
 from shared.messages import Odometry, WheelState
-from shared.rejections import Kind
+from shared.rejections import RejectionCause
 from shared.service import Log, Out, Service, on
 from shared.stamps import precedes
 
@@ -35,7 +35,7 @@ class OdometryService(Service):
         if last_wheels is not None and last_wheels.epoch == wheels.epoch:
             if wheels.stamp <= last_wheels.stamp:
                 words = "stamps stand still" if wheels.stamp == last_wheels.stamp else "stamps go back"
-                self.rejections.reject(topics.WHEELS.key, Kind.SEQUENCE, words, self.now)
+                self.rejections.reject(topics.WHEELS.key, RejectionCause.SEQUENCE, words, self.now)
                 return
             yield from self._integrate(last_wheels, wheels)
         elif last_wheels is not None and precedes(wheels.epoch, last_wheels.epoch, self.now):

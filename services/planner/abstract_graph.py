@@ -8,13 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-UInt8s = NDArray[np.uint8]
-UInt16s = NDArray[np.uint16]
-UInt32s = NDArray[np.uint32]
-Int32s = NDArray[np.int32]
-Int64s = NDArray[np.int64]
+from shared.types import Int32s, Int64s, UInt8s, UInt16s, UInt32s
 
 BLOCK_CELLS = 8
 """Cells along a block's side."""

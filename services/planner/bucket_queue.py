@@ -8,10 +8,8 @@ holds both. The arrays are separate arguments and all is inlined: as a tuple the
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Int32s = NDArray[np.int32]
-Int64s = NDArray[np.int64]
+from shared.types import Int32s, Int64s
 
 
 @njit(cache=True, nogil=True)

@@ -6,10 +6,9 @@ After a change only its tiles are labelled again, and all edges are joined again
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-UInt16s = NDArray[np.uint16]
-Int32s = NDArray[np.int32]
+from shared.types import Int32s, UInt16s
+
 ComponentArrays = tuple[UInt16s, int, Int32s, Int32s]
 
 TILE = 64

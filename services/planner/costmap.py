@@ -6,24 +6,18 @@ from typing import ClassVar, Literal
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy import ndimage
 
 from services.planner.abstract_graph import AbstractGraph
 from services.planner.connected_components import ConnectedComponents
-from shared.clearance import kept_free
+from shared.clearance import required_clearance
 from shared.config import Robot, Section
 from shared.distance_field import distance_field
 from shared.grid import FREE_UP_TO, OCCUPIED_FROM, OccupancyGrid
 from shared.messages import TILE_CELLS
+from shared.types import Bools, Float32s, Float64s, Int8s, UInt16s, UInt64s
 
-Bools = NDArray[np.bool_]
-Int8s = NDArray[np.int8]
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
-UInt16s = NDArray[np.uint16]
-UInt64s = NDArray[np.uint64]
 Window = tuple[int, int, int, int]  # first row, first column, last row + 1, last column + 1
 
 UNIT_COST = 50
@@ -85,7 +79,7 @@ class GlobalCostmap:
     def __init__(self, config: CostConfig, robot: Robot, resolution: float) -> None:
         self.config, self.robot = config, robot
         self.resolution = resolution
-        margin = kept_free(config.margin, resolution)
+        margin = required_clearance(config.margin, resolution)
         self.min_clearance = robot.inscribed_radius + margin
         radius = max(config.inflation_radius, self.min_clearance, robot.circumscribed_radius + margin)
         self.reach_cells = ceil(radius / resolution)
@@ -270,7 +264,7 @@ def cost_by_distance(config: CostConfig, robot: Robot, resolution: float, reach_
     0 under the inscribed radius with margin. Beyond it `1 + weight * exp(-falloff * d)`, as in Nav2's inflation layer,
     shifted to reach 1 at the inflation radius. Under the circumscribed radius `narrow_weight` is added.
     """
-    margin = kept_free(config.margin, resolution)
+    margin = required_clearance(config.margin, resolution)
     nearest, turning = robot.inscribed_radius + margin, robot.circumscribed_radius + margin
     end = exp(-config.clearance_falloff * max(config.inflation_radius - nearest, 0.0))
     distance = np.sqrt(np.arange(reach_cells**2 + 1)) * resolution

@@ -7,11 +7,9 @@ three pieces (curvature, length): positive curvature turns left; any unit of len
 
 from math import acos, atan2, cos, hypot, pi, sin, sqrt
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Float64s = NDArray[np.float64]
+from shared.types import Float64s
 
 N_WORDS = 6
 _MIN_CURVATURE = 1e-9  # curvature below which a piece is a line

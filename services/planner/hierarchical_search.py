@@ -8,7 +8,6 @@ looks at a 64th of the cells.
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from services.planner.abstract_graph import (
     BLOCK_CELLS,
@@ -34,13 +33,7 @@ from services.planner.search import (
     traced_path,
     width_bits,
 )
-
-UInt16s = NDArray[np.uint16]
-UInt32s = NDArray[np.uint32]
-Int8s = NDArray[np.int8]
-Int32s = NDArray[np.int32]
-Int64s = NDArray[np.int64]
-Float64s = NDArray[np.float64]
+from shared.types import Float64s, Int8s, Int32s, Int64s, UInt16s, UInt32s
 
 _DETOUR_WEIGHT = (
     0.4  # extra cost of a step, in the lowest cost, at an offset from the straight line equal to the line's length
@@ -231,7 +224,7 @@ def _refine_over_cells(
         if there == here or component_at(components, row, column) != region:
             continue
         x, y = column + 0.5, row + 0.5
-        if line_cost(costs, points[n_points - 1, 0], points[n_points - 1, 1], x, y) >= 0:
+        if line_cost(costs, points[n_points - 1, 0], points[n_points - 1, 1], x, y, np.inf) >= 0:
             if n_points == len(points):
                 points = _grown(points, 2 * n_points)
             points[n_points, 0], points[n_points, 1] = x, y

@@ -11,14 +11,10 @@ from math import ceil, hypot, inf, pi
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from services.planner.dubins import N_WORDS, dubins_word, pose_after
 from services.planner.ray_cost import BLOCKED, line_cost
-
-UInt16s = NDArray[np.uint16]
-Float64s = NDArray[np.float64]
-Int64s = NDArray[np.int64]
+from shared.types import Float64s, Int64s, UInt16s
 
 HEURISTIC_CELLS = 4  # cells along a side of the heuristic's blocks
 HEURISTIC_SLACK_RADII = 30.0  # detour beyond the start for which the heuristic is computed
@@ -104,7 +100,7 @@ def _piece_cost(costs: UInt16s, pose: Float64s, curvature: float, length: float,
     for _ in range(n):
         here[:] = out
         pose_after(here, curvature, length / n, out)
-        cost = line_cost(costs, here[0], here[1], out[0], out[1])
+        cost = line_cost(costs, here[0], here[1], out[0], out[1], np.inf)
         if cost < 0:
             return BLOCKED
         total += cost

@@ -4,17 +4,15 @@
 from copy import copy
 
 import numpy as np
-from numpy.typing import NDArray
 
 from services.planner.costmap import GlobalCostmap
 from shared.distance_field import distance_field
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import Zones
-from shared.zones import OBSTACLE, KeepOut, holds, marked
-
-Bools = NDArray[np.bool_]
-Int64s = NDArray[np.int64]
+from shared.polygon import contains
+from shared.types import Bools, Int64s
+from shared.zones import OBSTACLE, KeepOut, marked, position
 
 
 class KeepOutLayer:
@@ -42,7 +40,7 @@ class KeepOutLayer:
 
     def is_forbidden(self, pose: Pose2) -> bool:
         """Whether a pose lies in a keep-out zone, also in one that the robot stands in."""
-        return any(holds(polygon, pose.x, pose.y) for polygon in self._keep_out.polygons)
+        return any(contains(polygon, position(pose))[0] for polygon in self._keep_out.polygons)
 
     def update(self, costmap: GlobalCostmap, grid: OccupancyGrid, changed: Bools | None) -> None:
         """Updates the costmap to the map with the zones.

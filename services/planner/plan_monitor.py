@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from services.planner.costmap import UNIT_COST, GlobalCostmap
@@ -13,9 +12,7 @@ from services.planner.planning import GlobalPlan
 from services.planner.ray_cost import path_cost
 from shared.config import Section
 from shared.geometry import Pose2
-
-Bools = NDArray[np.bool_]
-Float64s = NDArray[np.float64]
+from shared.types import Bools, Float64s
 
 SEARCH_AHEAD_M = 3.0  # along the plan from the last pose: not on the other side of a wall
 _SEARCH_BEHIND_M = 0.5

@@ -7,7 +7,6 @@ from math import ceil, cos, hypot, sin
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from services.planner.costmap import UNIT_COST, GlobalCostmap
@@ -19,8 +18,8 @@ from shared import reasons
 from shared.config import Section
 from shared.geometry import Pose2, wrapped, wrapped_all
 from shared.reasons import Reason
+from shared.types import Float64s
 
-Float64s = NDArray[np.float64]
 Cell = tuple[int, int]
 
 NO_POINTS = np.empty((0, 2))
@@ -172,7 +171,7 @@ def _plan_arcs(
         run = 0.0 if turning.any_heading else straight
         x, y, yaw = goal
         before = x - run * cos(yaw), y - run * sin(yaw), yaw
-        if line_cost(costs, before[0], before[1], x, y) < 0:
+        if line_cost(costs, before[0], before[1], x, y, np.inf) < 0:
             continue
         poses = hybrid_astar_path(
             costs, np.array(start), np.array(before), wider * radius, turning.any_heading, UNIT_COST, spacing
@@ -180,7 +179,7 @@ def _plan_arcs(
         if len(poses):
             rest = resampled_path(np.array([before[:2], (x, y)]), spacing)[1:] if run else np.empty((0, 2))
             poses = np.concatenate((poses, np.column_stack((rest, np.full(len(rest), yaw)))))
-            cost = path_cost(costs, poses[:, :2])
+            cost = path_cost(costs, np.ascontiguousarray(poses[:, :2]))
         if cost >= 0:
             break
     if cost < 0:

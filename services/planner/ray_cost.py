@@ -8,10 +8,8 @@ from math import hypot
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-UInt16s = NDArray[np.uint16]
-Float64s = NDArray[np.float64]
+from shared.types import Float64s, UInt16s
 
 BLOCKED = -1.0
 """The cost of a line that touches a blocked cell."""
@@ -22,7 +20,7 @@ def path_cost(costs: UInt16s, points: Float64s) -> float:
     """The cost of the polyline through points (n, 2), BLOCKED where it touches a blocked cell."""
     total = 0.0
     for i in range(len(points) - 1):
-        cost = line_cost(costs, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1])
+        cost = line_cost(costs, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1], np.inf)
         if cost < 0:
             return BLOCKED
         total += cost

@@ -12,11 +12,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from services.planner.bucket_queue import empty_ring, pop_entry, push_entry
+from shared.types import Int8s, Int32s, Int64s, UInt16s
 
-UInt16s = NDArray[np.uint16]
-Int8s = NDArray[np.int8]
-Int32s = NDArray[np.int32]
-Int64s = NDArray[np.int64]
 Origin = TypeVar("Origin", np.int8, np.int32)
 
 STRAIGHT, DIAGONAL = 2378, 3363

@@ -5,7 +5,6 @@ from math import pi
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from services.planner.costmap import CostConfig, GlobalCostmap
 from services.planner.hierarchical_search import HierarchicalSearch
@@ -19,25 +18,24 @@ from shared.grid import OccupancyGrid
 from shared.messages import (
     TILE_CELLS,
     Goal,
-    GoalKind,
     GoalLimits,
     Localization,
     MapUpdate,
     Odometry,
     Path,
     PoseEstimate,
+    Recovery,
     Zone,
     ZoneKind,
     Zones,
 )
+from shared.orders import Order, is_newer
+from shared.pose_tracker import PoseTracker
 from shared.service import Out, Service, every, on
-from shared.stamps import precedes
-from shared.whereabouts import Whereabouts
+from shared.types import Bools
 
 PERIOD_NS = 500_000_000
 """Period of the plan messages. Local control does not follow a plan that is older than 2 s."""
-
-Bools = NDArray[np.bool_]
 
 
 class PlannerConfig(Section):
@@ -51,7 +49,7 @@ class PlannerConfig(Section):
 
 
 class PlannerService(Service):
-    """Plans while the goal is of kind DRIVE. Publishes the plan at 2 Hz, and at once where it changed."""
+    """Plans while there is an active goal. Publishes the plan at 2 Hz, and at once where it changed."""
 
     config_type = PlannerConfig
     config: PlannerConfig
@@ -62,15 +60,16 @@ class PlannerService(Service):
         self.costmap: GlobalCostmap | None = None
         self.search = HierarchicalSearch()
         self.keep_out = KeepOutLayer(robot.circumscribed_radius)
-        self.pose_tracker = Whereabouts()
+        self.pose_tracker = PoseTracker()
         self.monitor = PlanMonitor(config.replanning, _search_ahead(robot.drive))
-        self.goal: Goal | None = None
+        self.goal: Goal | None = None  # that is planned to
+        self.order: Order | None = None  # the one with the highest id
         self.changed: Bools | None = None  # cells of the map since the costmap's update; None: all
         self.is_costmap_current = True
         self.updated_at = -PERIOD_NS  # of the costmap
         self.limits_published = False
 
-    def warm(self) -> None:
+    def warm_up(self) -> None:
         """Compiles the kernels: a second service plans on a small map."""
         other = PlannerService(self.config, self.robot)
         cells = np.zeros((1, TILE_CELLS, TILE_CELLS), np.int8)
@@ -106,11 +105,10 @@ class PlannerService(Service):
                         Goal(
                             stamp=0,
                             id=round(10 * x),
-                            kind=GoalKind.DRIVE,
+                            active=True,
                             map_from_goal=Pose2(x, 1.6),
                             tolerance=0.1,
                             yaw_tolerance=0.1,
-                            amount=0.0,
                             clear_costmap=False,
                         )
                     )
@@ -154,26 +152,32 @@ class PlannerService(Service):
     @on(topics.POSE)
     def pose(self, estimate: PoseEstimate) -> Out:
         """Takes the pose, and plans again at once where the robot is off the plan."""
-        self.pose_tracker.estimated(estimate)
+        self.pose_tracker.add_estimate(estimate)
         here = self.pose_tracker.map_from_base
-        if self.goal and not self.pose_tracker.lost and here is not None and self.monitor.is_off_plan(here):
+        if self.goal and not self.pose_tracker.is_lost and here is not None and self.monitor.is_off_plan(here):
             yield from self._publish_plan(always=False)
 
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:
         """Takes odometry."""
-        self.pose_tracker.moved(odometry)
+        self.pose_tracker.add_odometry(odometry)
         return ()
 
     @on(topics.GOAL)
     def new_goal(self, goal: Goal) -> Out:
         """Begins a newer goal."""
-        last = self.goal
-        if last and (goal.id == last.id or (goal.id < last.id and precedes(goal.stamp, last.stamp, self.now))):
-            return
-        self.goal = goal if goal.kind is GoalKind.DRIVE else None
-        self.monitor.clear()
-        yield from self._publish_plan(always=True)
+        if is_newer(goal, self.order, self.now):
+            self.order, self.goal = goal, goal if goal.active else None
+            self.monitor.clear()
+            yield from self._publish_plan(always=True)
+
+    @on(topics.RECOVERY)
+    def new_recovery(self, recovery: Recovery) -> Out:
+        """Ends planning: a goal follows after a recovery."""
+        if is_newer(recovery, self.order, self.now):
+            self.order, self.goal = recovery, None
+            self.monitor.clear()
+        return ()
 
     @every(hz=2)
     def confirm(self) -> Out:
@@ -202,7 +206,7 @@ class PlannerService(Service):
             self.monitor.replace(no_plan(reasons.POSE_OLD))
         elif self.keep_out.is_forbidden(goal.map_from_goal):
             self.monitor.replace(no_plan(reasons.GOAL_KEEP_OUT))
-        elif not (self.monitor.drivable_plan and self.pose_tracker.lost):
+        elif not (self.monitor.drivable_plan and self.pose_tracker.is_lost):
             costmap = self._present_costmap(pose)
             self.monitor.update(self._new_plan(costmap, pose, goal), costmap, pose, self.now)
 

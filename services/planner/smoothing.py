@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 
 from services.planner.costmap import UNIT_COST
 from services.planner.ray_cost import BLOCKED, line_cost
-
-UInt16s = NDArray[np.uint16]
-Float64s = NDArray[np.float64]
+from shared.types import Float64s, UInt16s
 
 _RELAX_STEPS = ((3.0, 4), (1.0, 2), (0.4, 2))  # cells that a corner is moved, coarse to fine; number of directions
 _MAX_BEND_CELLS = 10.0  # of the path before and after a corner
@@ -89,7 +87,7 @@ def resampled_path(corners: Float64s, spacing: float) -> Float64s:
         n += _n_pieces(corners[i], corners[i + 1], spacing)
     path = np.empty((n, 2))
     path[0] = corners[0]
-    n = 1
+    n = int(np.int64(1))  # a literal would compile what it is given to once more
     for i in range(1, len(corners)):
         n = _append_line(path, n, corners[i], spacing)
     return path[:n]
@@ -116,9 +114,12 @@ def _string_pulled(costs: UInt16s, points: Float64s) -> NDArray[np.int64]:
     n = len(points)
     so_far = np.zeros(n)
     for i in range(1, n):
-        so_far[i] = so_far[i - 1] + line_cost(costs, points[i - 1, 0], points[i - 1, 1], points[i, 0], points[i, 1])
+        so_far[i] = so_far[i - 1] + line_cost(
+            costs, points[i - 1, 0], points[i - 1, 1], points[i, 0], points[i, 1], np.inf
+        )
     kept = np.zeros(n, np.int64)
-    n_kept, i = 1, 0
+    n_kept = 1
+    i = int(np.int64(0))
     while i < n - 1:
         good, bad, step = i + 1, n, 2
         while i + step < n:
@@ -195,7 +196,8 @@ def _round_corners(costs: UInt16s, corners: Float64s, spacing: float) -> tuple[F
         n += _n_pieces(corners[i], corners[i + 1], spacing)
     path, bend = np.empty((n, 2)), np.empty((max_cost, 2))
     path[0] = corners[0]
-    n, total = 1, 0.0
+    n = int(np.int64(1))
+    total = 0.0
     for i in range(1, len(corners) - 1):
         bx, by = corners[i - 1, 0] - corners[i, 0], corners[i - 1, 1] - corners[i, 1]
         ax, ay = corners[i + 1, 0] - corners[i, 0], corners[i + 1, 1] - corners[i, 1]
@@ -245,7 +247,7 @@ def _append_line(path: Float64s, n: int, end: Float64s, spacing: float) -> int:
 
 @njit(cache=True, nogil=True)
 def _leg_cost(costs: UInt16s, start: Float64s, end: Float64s) -> float:
-    return line_cost(costs, start[0], start[1], end[0], end[1])
+    return line_cost(costs, start[0], start[1], end[0], end[1], np.inf)
 
 
 @njit(cache=True, nogil=True)
@@ -253,7 +255,7 @@ def _bend_cost(costs: UInt16s, bend: Float64s, corner: Float64s) -> float:
     """The cost of a bend; BLOCKED where it touches a blocked cell or costs much more than its corner."""
     limit, total = _MAX_BEND_COST_RATIO * (_leg_cost(costs, bend[0], corner) + _leg_cost(costs, corner, bend[-1])), 0.0
     for k in range(len(bend) - 1):
-        cost = line_cost(costs, bend[k, 0], bend[k, 1], bend[k + 1, 0], bend[k + 1, 1])
+        cost = line_cost(costs, bend[k, 0], bend[k, 1], bend[k + 1, 0], bend[k + 1, 1], np.inf)
         total += cost
         if cost < 0 or total > limit:
             return BLOCKED

@@ -19,7 +19,7 @@ from shared.codec import Envelope
 from shared.config import Section, UserError, nearest
 from shared.messages import Message
 from shared.recording import CONFIG, Drop
-from shared.recordings.held import Value
+from shared.recordings.latched_state import Value
 from shared.topics import KEYS
 
 MB = 1e6

@@ -10,13 +10,13 @@ from shared.codec import Envelope
 from shared.config import Robot
 from shared.messages import Message
 from shared.reasons import DISK_FULL, NOT_RECORDED, Reason
-from shared.recordings.held import Held
+from shared.recordings.latched_state import LatchedState
 from shared.service import Log, Out, Service, every
 from shared.topics import Topic
+from shared.types import NS_PER_S
 
-SECOND_NS = 1_000_000_000
-MAX_RETRY_WAIT_NS = 32 * SECOND_NS  # maximum time between two tries after a disk error
-MIN_STABLE_NS = 10 * SECOND_NS  # a part that grew for so long resets the wait between tries
+MAX_RETRY_WAIT_NS = 32 * NS_PER_S  # maximum time between two tries after a disk error
+MIN_STABLE_NS = 10 * NS_PER_S  # a part that grew for so long resets the wait between tries
 
 
 class RecorderService(Service):
@@ -33,10 +33,10 @@ class RecorderService(Service):
         super().__init__(config, robot)
         self._store = store
         self._wanted = config.wanted()
-        self._latched, self._losses = Held(), MessageLosses()
+        self._latched, self._losses = LatchedState(), MessageLosses()
         self._part_start: int | None = None  # ns, start of the open part
         self._failure: Reason | None = None
-        self._retry_at, self._retry_wait = 0, SECOND_NS  # ns: time of the next try, wait after the next disk error
+        self._retry_at, self._retry_wait = 0, NS_PER_S  # ns: time of the next try, wait after the next disk error
         self._unflushed: list[tuple[MessageSource, int]] = []
         self._pending_logs: list[Log] = []
         self._n_recorded = self._n_unknown = 0
@@ -74,7 +74,7 @@ class RecorderService(Service):
                 self._store.flush()
                 self._unflushed.clear()
                 if self.now - self._part_start >= MIN_STABLE_NS:
-                    self._retry_wait = SECOND_NS
+                    self._retry_wait = NS_PER_S
                 if self._store.is_full(self.now):
                     self._store.end()
                     self._begin_part(self.now)
@@ -137,7 +137,7 @@ class RecorderService(Service):
         reason = DISK_FULL if full else NOT_RECORDED
         if self._failure is None:
             text = reason.text if full else f"{reason.text}: {error.strerror or error}"
-            self._pending_logs.append(Log("ERROR", f"{text}. {reason.mend}"))
+            self._pending_logs.append(Log("ERROR", f"{text}. {reason.hint}"))
         self._failure, self._part_start = reason, None
         for source, sequence in self._unflushed:
             self._losses.record_unwritten(reason.code, source, sequence)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from services.sim.furniture import Rectangle, furnish_room, on_walls
-from shared.geometry import Float64s
+from shared.types import Float64s
 
 CorridorLine = tuple[Float64s, float]  # a corridor's middle line, (2, 2) m, and half its width
 Opening = tuple[float, float, float]  # x, y of a door's middle, its width, m

@@ -25,7 +25,7 @@ class SimConfig(Section):
 
     world: str = Field(
         "office",
-        description="a name in config/worlds, the path of a world or of a ROS map, barn:N, building:N or crowd:N",
+        description="empty, room, corridor, office, the path of a world or a ROS map, barn:N, building:N or crowd:N",
     )
     barn_file: str = Field("", description="path of the list of cylinders for `world: barn:N`")
     seed: int = Field(0, ge=0, le=2**31, description="of noise, slip, people and loose things")

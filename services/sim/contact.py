@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Collision checks of the robot's true footprint, a simple polygon, with shapes, solid cells and people."""
 
-from math import cos, floor, hypot, inf, sin
+from math import cos, floor, hypot, sin
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from services.sim.rays import SOLID, Cells, segment_in_box
-
-Float64s = NDArray[np.float64]
+from shared.polygon_kernels import contains_point, distance_to_polygon, distance_to_segment
+from shared.types import Float64s
 
 
 def offset_polygon(corners: Float64s, margin: float) -> Float64s:
@@ -34,44 +33,9 @@ def transform_polygon(corners: Float64s, x: float, y: float, yaw: float) -> Floa
 
 
 @njit(cache=True, nogil=True)
-def contains(corners: Float64s, x: float, y: float) -> bool:
-    """Whether the polygon holds a point (even-odd rule)."""
-    odd = False
-    j = len(corners) - 1
-    for i in range(len(corners)):
-        if (corners[i, 1] > y) != (corners[j, 1] > y):
-            t = (y - corners[i, 1]) / (corners[j, 1] - corners[i, 1])
-            odd ^= x < corners[i, 0] + t * (corners[j, 0] - corners[i, 0])
-        j = i
-    return odd
-
-
-@njit(cache=True, nogil=True)
-def point_to_segment(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> float:
-    """Metres from a point to a segment."""
-    ex, ey = bx - ax, by - ay
-    square = ex * ex + ey * ey
-    share = min(max(((x - ax) * ex + (y - ay) * ey) / square, 0.0), 1.0) if square > 0.0 else 0.0
-    return hypot(x - ax - share * ex, y - ay - share * ey)
-
-
-@njit(cache=True, nogil=True)
-def distance_to_polygon(corners: Float64s, x: float, y: float) -> float:
-    """Metres from a point to the polygon; 0 inside."""
-    if contains(corners, x, y):
-        return 0.0
-    nearest = inf
-    j = len(corners) - 1
-    for i in range(len(corners)):
-        nearest = min(nearest, point_to_segment(x, y, corners[j, 0], corners[j, 1], corners[i, 0], corners[i, 1]))
-        j = i
-    return nearest
-
-
-@njit(cache=True, nogil=True)
 def _crosses_segment(corners: Float64s, ax: float, ay: float, bx: float, by: float) -> bool:
     """Whether a segment touches the polygon's area."""
-    if contains(corners, ax, ay):
+    if contains_point(corners, ax, ay):
         return True
     j = len(corners) - 1
     for i in range(len(corners)):
@@ -89,7 +53,7 @@ def _crosses_segment(corners: Float64s, ax: float, ay: float, bx: float, by: flo
 @njit(cache=True, nogil=True)
 def _crosses_box(corners: Float64s, left: float, low: float, right: float, high: float) -> bool:
     """Whether a box touches the polygon's area."""
-    if contains(corners, left, low):
+    if contains_point(corners, left, low):
         return True
     j = len(corners) - 1
     for i in range(len(corners)):
@@ -161,7 +125,7 @@ def disc_touches_world(x: float, y: float, r: float, cells: Cells) -> bool:
                 i = cells.items[k]
                 if i >= 0:
                     ax, ay, bx, by = cells.segments[i]
-                    if point_to_segment(x, y, ax, ay, bx, by) <= r:
+                    if distance_to_segment(x, y, ax, ay, bx, by) <= r:
                         return True
                 else:
                     if hypot(x - cells.circles[~i, 0], y - cells.circles[~i, 1]) <= r + cells.circles[~i, 2]:

@@ -4,12 +4,10 @@
 from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 
 from services.sim.world import Pedestrian, World
 from shared.geometry import Pose2
-
-Float64s = NDArray[np.float64]
+from shared.types import Float64s
 
 SIDE = 20.0  # m of the square; the robot starts in the middle of one side, its goal is across
 MIN_DISCS, MAX_DISCS = 5, 24  # discs

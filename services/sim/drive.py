@@ -6,14 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from pydantic import Field
 
 from shared.config import Drive, Section
-
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
-
+from shared.types import Float32s, Float64s
 
 CURVE = 0.0538  # how fast the widening falls with the straightness of the path: Wang et al. 2015
 

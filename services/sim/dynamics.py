@@ -5,14 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from services.sim.contact import touches_people, touches_world, transform_polygon
 from services.sim.drive import Wheels, acting_distance, arc_pose, next_slip, wheel_speed
 from services.sim.people import RADIUS, People, step_people
 from services.sim.rays import Cells
-
-Float64s = NDArray[np.float64]
+from shared.types import Float64s
 
 DT_NS = 5_000_000
 DT = 0.005  # s: a step of the physics

@@ -6,12 +6,11 @@ from math import cos, radians, sin
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label
 
-from shared.geometry import Float64s, Pose2
+from shared.geometry import Pose2
+from shared.types import Bools, Float64s
 
-Bools = NDArray[np.bool_]
 Rectangle = tuple[float, float, float, float]  # left, low, right, high, m
 
 CELL = 0.05  # m: side of the cells in which room is counted

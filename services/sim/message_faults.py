@@ -13,10 +13,8 @@ from services.sim.hardware.faults import ActiveFaults
 from shared.config import Robot
 from shared.geometry import wrapped_all
 from shared.messages import BoardReport, LaserScan
+from shared.types import NS_PER_S, Float64s
 
-Float64s = NDArray[np.float64]
-
-SECOND = 1_000_000_000
 DARK_HALF_ANGLE_RAD = pi / 6  # rad to either side of straight ahead that a dark sector covers
 RETURN_SHARE = 0.05  # share of the beams that return while most do not
 BODY_INSET_M = 0.02  # m inside the outline at which a part of the robot's own body is seen
@@ -82,11 +80,11 @@ Restamp = Callable[[int, int], int]
 
 
 def _shift(seconds: float) -> Restamp:
-    return lambda stamp, start: max(stamp + round(seconds * SECOND), 0)
+    return lambda stamp, start: max(stamp + round(seconds * NS_PER_S), 0)
 
 
 STAMPS: dict[str, Restamp] = {
-    "seconds": lambda stamp, start: stamp // SECOND,
+    "seconds": lambda stamp, start: stamp // NS_PER_S,
     "1970": lambda stamp, start: max(stamp - start, 0),
     "late": _shift(-0.5),
     "old": _shift(-10.0),

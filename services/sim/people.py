@@ -6,14 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from services.sim.contact import disc_touches_world, distance_to_polygon
+from services.sim.contact import disc_touches_world
 from services.sim.rays import Cells
 from services.sim.world import Pedestrian
-
-Float64s = NDArray[np.float64]
-Int64s = NDArray[np.int64]
+from shared.polygon_kernels import distance_to_polygon
+from shared.types import Float64s, Int64s
 
 N_PAUSES = 64  # random pauses of each person, then repeated
 LOOK_AHEAD_M = 0.6  # m: look-ahead on the route

@@ -10,13 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt
 
-Bools = NDArray[np.bool_]
-Float64s = NDArray[np.float64]
-Int16s = NDArray[np.int16]
-Int32s = NDArray[np.int32]
+from shared.types import Bools, Float64s, Int16s, Int32s
 
 SOLID = -1  # Cells.skip: the whole cell is solid
 MAX_CELLS = 16_000_000  # 80 MB of index; larger worlds get larger cells

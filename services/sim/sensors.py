@@ -5,14 +5,11 @@ from math import cos, floor, inf, sin
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from pydantic import Field
 
 from services.sim.rays import Cells, cast_ray, ray_to_circle
 from shared.config import Robot, Section
-
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
+from shared.types import Float32s, Float64s
 
 
 class LaserNoise(Section):

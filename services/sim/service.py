@@ -76,7 +76,7 @@ class SimService(Service):
         self.step = 0
         self.sweep = 0  # number of the next sweep since the epoch
 
-    def warm(self) -> None:
+    def warm_up(self) -> None:
         """Compiles the kernels on copies."""
         dyn.advance(
             0, 1, self.state_now.copy(), self.targets, 1, np.zeros((1, 2)), self.wheels, self.body, self.cells,

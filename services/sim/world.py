@@ -7,14 +7,13 @@ from functools import cached_property, partial
 from math import ceil, pi
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label
 
 from services.sim.rays import Cells, extent, index_grid, index_shapes, shapes_by_cell
-from shared.geometry import Pose2, inside
+from shared.geometry import Pose2
+from shared.polygon import contains
+from shared.types import Bools, Float64s
 
-Bools = NDArray[np.bool_]
-Float64s = NDArray[np.float64]
 Box = tuple[float, float, float, float]  # low x, low y, high x, high y
 
 SHAPE_CELL = 0.1  # m: side of an index cell in worlds of shapes; short rays dominate, and walls are about as thick
@@ -101,7 +100,7 @@ class World:
     def _solids(self) -> Iterator[tuple[Box, Callable[[Float64s], Bools]]]:
         """Everything solid: the box around it, and which points (n, 2) it holds."""
         for polygon in self.polygons:
-            yield (*polygon.min(axis=0), *polygon.max(axis=0)), partial(inside, polygon)
+            yield (*polygon.min(axis=0), *polygon.max(axis=0)), partial(contains, polygon)
         for x, y, r in self.circles:
             yield (x - r, y - r, x + r, y + r), partial(_in_circle, x, y, r)
         if self.raster is not None:

@@ -5,15 +5,14 @@ from itertools import pairwise
 from math import hypot, pi, radians
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from services.sim.contact import disc_touches_world
 from services.sim.world import Pedestrian, Raster, World
 from shared.config import RobotFile, Section, UserError
 from shared.geometry import Pose2
+from shared.types import Float64s
 
-Float64s = NDArray[np.float64]
 Point = tuple[float, float]
 
 TURN_JITTER = 2.0  # rad a metre of jitter: 0.1 m also turns a chair by up to 0.2 rad

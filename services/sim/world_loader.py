@@ -16,12 +16,12 @@ from services.sim.building import building
 from services.sim.crowd import crowd_world
 from services.sim.world import Raster, World
 from services.sim.world_file import build_world
-from shared.config import CONFIG_DIR, RobotFile, Section, UserError, load_yaml, nearest
+from shared.config import RobotFile, Section, UserError, load_yaml, nearest
 from shared.geometry import Pose2
 from shared.grid import FREE_UP_TO
 from shared.ros_map import read_ros_map
 
-WORLDS = CONFIG_DIR / "worlds"
+WORLDS_DIR = Path(__file__).resolve().parent / "worlds"  # data of this package
 START_CLEARANCE_M = 1.0  # m of free space around a start that no file gives
 MIN_PASSAGE_M = 0.35  # m: floors connected by less count as two
 
@@ -78,9 +78,9 @@ def load_world(
 
 
 def _path(world: str) -> Path:
-    path = Path(world) if world.endswith((".yaml", ".yml")) else WORLDS / f"{world}.yaml"
+    path = Path(world) if world.endswith((".yaml", ".yml")) else WORLDS_DIR / f"{world}.yaml"
     if not path.is_file():
-        known = (*(p.stem for p in sorted(WORLDS.glob("*.yaml"))), "barn:N", "building:N", "crowd:N")
+        known = (*(p.stem for p in sorted(WORLDS_DIR.glob("*.yaml"))), "barn:N", "building:N", "crowd:N")
         raise UserError(f"there is no world {world}", nearest(world, known))
     return path
 

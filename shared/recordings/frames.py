@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An MCAP file's records as bytes: where they lie, by its index or by walking through it. https://mcap.dev/spec
+"""Places of an MCAP file's records, from its index or by reading the whole file. https://mcap.dev/spec
 
-The index is believed where its checksum is right. Without one, or with a damaged one, the file is walked record by
-record; where that makes no sense any more, it goes on at the next chunk that does.
+An index with a right checksum is used. Otherwise the file is read record by record. After damage, reading continues at
+the next whole chunk. A chunk that is cut off by the end of the file is read as far as it unpacks.
 """
 
 import mmap
 import struct
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import IO, Any
@@ -24,7 +25,7 @@ MAGIC = mcap.writer.MCAP0_MAGIC
 FRAME = struct.Struct("<BQ")  # opcode, length
 MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log_time, publish_time
 DAMAGE = (McapError, struct.error, ValueError, OverflowError, MemoryError, RuntimeError, zstandard.ZstdError)
-"""What the decoders of records and chunks raise on bytes that are not what they say."""
+"""Exceptions of the decoders of records and chunks on damaged bytes."""
 
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, place of the summary, of its offsets, CRC
 _TIMES = struct.Struct("<QQ")
@@ -32,16 +33,18 @@ _CHUNK_INDEX = struct.Struct("<QQQQI")  # first and last log_time, chunk's place
 _INDEX_ROW = 16  # bytes of a message in a message index: log_time, place
 _COMPRESSIONS = (b"\x04\0\0\0zstd", b"\x03\0\0\0lz4")
 _BEFORE_COMPRESSION = FRAME.size + 28  # bytes of a chunk: its frame, two times, size and CRC
-_LARGEST_CHUNK = 1 << 30  # bytes; what claims to be larger is damage, not a chunk
+_MAX_CHUNK_BYTES = 1 << 30  # bytes; a larger size in a record is damage
 _KNOWN = range(Opcode.HEADER, Opcode.DATA_END + 1)
+_CHUNK_HEAD = struct.Struct("<QQQI")  # first and last log_time, size, CRC
+_SLICE = 1 << 14  # bytes that are decompressed at a time, so the data before a cut is kept
 _NOTED = (Opcode.METADATA, Opcode.ATTACHMENT, Opcode.SCHEMA, Opcode.CHANNEL)
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """What holds messages, a chunk or one bare message: the place and length of its body, its log_times in ns.
+    """A chunk or a single message: place and length (bytes) of its body, first and last log_time (ns).
 
-    channels: of an indexed chunk, pairs of channel (2 bytes) and place (8 bytes).
+    channels: of an indexed chunk, pairs of channel (2 bytes) and place (8 bytes).   cut: the file ends inside it.
     """
 
     opcode: int
@@ -50,9 +53,10 @@ class Block:
     begin: int
     end: int
     channels: bytes | None = None
+    cut: bool = False
 
     def holds(self, channels: set[int]) -> bool:
-        """Whether messages of these channels may be in it."""
+        """Whether the block may contain messages of these channels."""
         if self.channels is None:
             return True
         return any(number in channels for number, _ in struct.iter_unpack("<HQ", self.channels))
@@ -60,9 +64,9 @@ class Block:
 
 @dataclass(slots=True)
 class Layout:
-    """What a file holds and where. statistics: only from an index.
+    """Blocks and other records of a file. statistics: only from an index.
 
-    problems: by place, what is damaged or missing; harmless: the places of those that cost nothing.
+    problems: damaged or missing parts by place.   harmless: places of the problems without a lost message.
     """
 
     profile: str = ""
@@ -79,13 +83,13 @@ def layout(file: IO[bytes], size: int) -> Layout:
         indexed = _by_index(file, size)
     except DAMAGE:
         indexed = None
-    found = indexed or _by_walking(file, size)
+    found = indexed or _by_reading(file, size)
     found.profile = _profile(file)
     return found
 
 
 def _profile(file: IO[bytes]) -> str:
-    """Of the header: who made the file, or for whom."""
+    """The profile in the header: the program that the file is for; empty where the header is damaged."""
     file.seek(len(MAGIC))
     opcode, length = FRAME.unpack(file.read(FRAME.size).ljust(FRAME.size, b"\0"))
     try:
@@ -98,7 +102,7 @@ def _profile(file: IO[bytes]) -> str:
 
 
 def _by_index(file: IO[bytes], size: int) -> Layout | None:
-    """None where there is no index that holds everything. Raises one of DAMAGE."""
+    """The layout from the index; None where the index is missing or incomplete. Raises one of DAMAGE."""
     end = size - len(MAGIC) - _FOOTER.size
     if end < len(MAGIC):
         return None
@@ -131,19 +135,21 @@ def _by_index(file: IO[bytes], size: int) -> Layout | None:
             file.seek(offset)
             record = file.read(min(whole, size))
             found.notes.append((record[0], record[FRAME.size :], offset))
-    told = found.statistics
-    if told is None or told.channel_count != n_channels or told.chunk_count != len(found.blocks):
+    statistics = found.statistics
+    if statistics is None:
         return None
-    if told.message_count and not told.chunk_count:
+    if statistics.channel_count != n_channels or statistics.chunk_count != len(found.blocks):
+        return None
+    if statistics.message_count and not statistics.chunk_count:
         return None
     found.blocks.sort(key=lambda block: block.place)
     return found
 
 
-# --- by walking -----------------------------------------------------------------------------------------------------
+# --- by reading -----------------------------------------------------------------------------------------------------
 
 
-def _by_walking(file: IO[bytes], size: int) -> Layout:
+def _by_reading(file: IO[bytes], size: int) -> Layout:
     found = Layout()
     place = before = len(MAGIC)
     while place + FRAME.size <= size:
@@ -167,6 +173,7 @@ def _by_walking(file: IO[bytes], size: int) -> Layout:
         elif opcode in _NOTED:
             found.notes.append((opcode, file.read(length), body))
         before, place = place, body + length
+    _add_cut_chunk(file, place, size, found)
     rest = size - min(place, size)
     found.harmless |= set() if rest else {size}
     found.problems[size] = "the recording was not closed" + (
@@ -179,8 +186,21 @@ def _block(opcode: int, place: int, length: int, head: bytes) -> Block:
     try:
         times = _TIMES.unpack_from(head) if opcode == Opcode.CHUNK else (MESSAGE.unpack_from(head)[2],) * 2
     except struct.error:
-        times = 0, 2**64 - 1  # damaged: told when it is read
+        times = 0, 2**64 - 1  # damaged: reported when it is read
     return Block(opcode, place, length, *times)
+
+
+def _add_cut_chunk(file: IO[bytes], place: int, size: int, layout: Layout) -> None:
+    """Adds the chunk at `place` that the end of the file cuts off, if it has a whole record."""
+    if place + FRAME.size + _CHUNK_HEAD.size > size:
+        return
+    file.seek(place)
+    if FRAME.unpack(file.read(FRAME.size))[0] != Opcode.CHUNK:
+        return
+    begin, end = _TIMES.unpack(file.read(_TIMES.size))
+    block = Block(Opcode.CHUNK, place + FRAME.size, size - place - FRAME.size, begin, end, cut=True)
+    if records_of(file, block):
+        layout.blocks.append(block)
 
 
 def _next_chunk(file: IO[bytes], start: int, size: int) -> int | None:
@@ -203,7 +223,10 @@ def _next_chunk(file: IO[bytes], start: int, size: int) -> int | None:
 
 
 def records_of(file: IO[bytes], block: Block) -> bytes:
-    """A block's records. Raises one of DAMAGE."""
+    """The decompressed records of a block, as bytes. Raises one of DAMAGE."""
+    if block.cut:
+        file.seek(block.place)
+        return _whole_records(file.read(block.length))
     file.seek(max(block.place - FRAME.size, 0))
     frame = file.read(FRAME.size)
     if len(frame) < FRAME.size or FRAME.unpack(frame) != (block.opcode, block.length):
@@ -213,7 +236,7 @@ def records_of(file: IO[bytes], block: Block) -> bytes:
         return frame + body
     chunk = mc.Chunk.read(ReadDataStream(BytesIO(body)))
     size = chunk.uncompressed_size
-    if size > _LARGEST_CHUNK:
+    if size > _MAX_CHUNK_BYTES:
         raise ValueError(f"it claims {size} bytes")
     records: Any
     if chunk.compression == "zstd":
@@ -229,6 +252,34 @@ def records_of(file: IO[bytes], block: Block) -> bytes:
     if chunk.uncompressed_crc and zlib.crc32(records) != chunk.uncompressed_crc:
         raise ValueError("its checksum is wrong")
     return bytes(records)
+
+
+def _whole_records(body: bytes) -> bytes:
+    """The whole records at the beginning of a chunk whose end is missing."""
+    at = _CHUNK_HEAD.size + 4
+    if len(body) < at:
+        return b""
+    (n_bytes,) = struct.unpack_from("<I", body, _CHUNK_HEAD.size)
+    compression, data = body[at : at + n_bytes], body[at + n_bytes + 8 :]  # between them: the length of the data
+    if compression == b"":
+        records = data
+    elif compression in (b"zstd", b"lz4"):
+        zstd = compression == b"zstd"
+        unpack: Any = zstandard.ZstdDecompressor().decompressobj() if zstd else lz4.frame.LZ4FrameDecompressor()
+        pieces = []
+        with suppress(*DAMAGE, EOFError):
+            for k in range(0, len(data), _SLICE):
+                pieces.append(unpack.decompress(data[k : k + _SLICE]))
+        records = b"".join(pieces)
+    else:
+        return b""
+    end = 0
+    while end + FRAME.size <= len(records):
+        after = end + FRAME.size + FRAME.unpack_from(records, end)[1]
+        if after > len(records):
+            break
+        end = after
+    return records[:end]
 
 
 def indexes_after(file: IO[bytes], block: Block) -> dict[int, bytes]:

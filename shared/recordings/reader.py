@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording that is read: its messages in the order in which they were taken, whatever is damaged around them."""
+"""Reader of recordings: the messages in the order of recording, also of a damaged file."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -36,18 +36,18 @@ CONFIG = "config.yaml"
 ABOUT = "zenav"
 """The metadata record with robot, versions and commit."""
 DROPS = "zenav.drops"
-"""The metadata records that tell what the recorder could not record."""
+"""The metadata records with the messages that the recorder missed."""
 LATCHED = ("latched", "yes")
-"""In a channel's metadata."""
+"""Entry in the metadata of a channel of latched values."""
 ENCODING = "zenav"
-"""Of the schemas that this stack writes."""
+"""Encoding of the schemas that this stack writes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """Where messages of one type went: the key without the robot's name, and how they are written.
+    """A channel: the key without the robot's name, and the encoding of its messages.
 
-    `latched`: holds what was kept for late joiners when this file began, not what was published in its time.
+    `latched`: contains values for late subscribers from before the file began, not publications of its time.
     """
 
     key: str
@@ -78,13 +78,13 @@ class Entry:
 
     @property
     def latched(self) -> bool:
-        """Kept for late joiners when the file began: see Channel."""
+        """A value for late subscribers from before the file began: see Channel."""
         return self.channel.latched
 
 
 @dataclass(frozen=True, slots=True)
 class Drop:
-    """Messages of one session on one key that the recorder missed, noticed at `at` (ns): `n` from sequence `first`."""
+    """`n` missed messages of one session on one key, from sequence `first` on. at: ns, time of the discovery."""
 
     at: int
     why: str
@@ -96,7 +96,7 @@ class Drop:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A channel as it is read: as today's where it was migrated; refused: why this version cannot read it."""
+    """A channel and its migrated form. refused: why this version cannot read it, else empty."""
 
     recorded: Channel
     channel: Channel
@@ -105,12 +105,14 @@ class Source:
 
 
 class Recording:
-    """A recording that is read. A damaged file gives what is there; `problems` says what is not.
+    """An open recording. Of a damaged file it gives the undamaged messages, and `problems`.
 
-    about: like robot and versions; metadata: of other programs.   attachments: by name.   drops: what the recorder
-    missed.   indexed: has a whole index, so that seeking and counting take no reading.   n_lost: messages that are
-    known to be lost, complete with `problems`.
-    Raises UserError where there is no file, nothing in it, or something else than MCAP.
+    - about: metadata of this stack, as robot and versions; metadata: that of other programs.
+    - attachments: by name.   drops: messages that the recorder missed.
+    - indexed: whether the index is complete, so that seeking and counting need no reading.
+    - n_lost: known number of lost messages, complete when `problems` is.
+
+    Raises UserError where the file is missing, empty or no MCAP.
     """
 
     def __init__(self, path: Path) -> None:
@@ -120,7 +122,7 @@ class Recording:
         self.metadata: list[tuple[str, dict[str, str]]] = []
         self.drops: list[Drop] = []
         self.n_lost = 0
-        self._problems: dict[int, str] = {}  # by place in the file: reading twice tells once
+        self._problems: dict[int, str] = {}  # by place in the file, so that each is listed once
         self._schemas: dict[int, mc.Schema] = {}
         self._sources: dict[int, Source] = {}
         try:
@@ -133,31 +135,31 @@ class Recording:
         self.indexed = self._layout.statistics is not None
         for opcode, body, place in self._layout.notes:
             self._note(opcode, body, place)
-        self._tell_drops()
+        self._note_drops()
 
     @property
     def problems(self) -> list[str]:
-        """What is damaged or missing, as far as it was read: complete after `entries` ran to its end."""
+        """Damaged or missing parts, as far as the file was read: complete after `entries` ran to its end."""
         return [text for _, text in sorted(self._problems.items())]
 
     @property
     def damage(self) -> list[str]:
-        """Those of the problems that cost something that was recorded."""
+        """The problems that lose recorded data."""
         return [text for place, text in sorted(self._problems.items()) if place not in self._harmless]
 
     @property
     def profile(self) -> str:
-        """For whom it was made, by its header."""
+        """The profile in the header: the program that the file is for."""
         return self._layout.profile
 
     @property
     def blocks(self) -> list[Block]:
-        """Where its messages lie, in their order."""
+        """The blocks with its messages, in order."""
         return self._layout.blocks
 
     @property
     def sources(self) -> dict[int, Source]:
-        """Its channels by number; complete where it is `indexed`, else as far as it was read."""
+        """The channels by number; complete where it is `indexed`, else as far as it was read."""
         return self._sources
 
     @property
@@ -195,14 +197,14 @@ class Recording:
                         yield entry
 
     def lives(self) -> dict[str, list[Life]]:
-        """By service, its sessions in the order in which they began, each with the events that its journals tell."""
+        """By service, its sessions in the order in which they began, each with the events of its journals."""
         parts: dict[tuple[str, str], list[Journal]] = {}
         names = {key_of(topics.JOURNAL, name): name for name in SERVICES}
         for entry in self.entries(names):
             try:
                 journal, _ = decode(Journal, entry.payload)
             except CodecError:
-                continue  # a hole, told where its events are missed
+                continue  # a hole, reported where its events are missing
             parts.setdefault((names[entry.key], journal.session), []).append(journal)
         found: dict[str, list[Life]] = {}
         for (name, session), journals in parts.items():
@@ -213,8 +215,8 @@ class Recording:
         size = file.seek(0, 2)
         file.seek(0)
         if size == 0:
-            mend = "its recorder was stopped before it wrote anything: record again"
-            raise UserError(f"{self.path} is empty", mend)
+            hint = "its recorder was stopped before it wrote anything: record again"
+            raise UserError(f"{self.path} is empty", hint)
         if file.read(len(MAGIC)) != MAGIC:
             raise UserError(f"{self.path} is no MCAP file", "name a recording, like recordings/x80-*.mcap")
         return layout(file, size)
@@ -239,8 +241,8 @@ class Recording:
             elif opcode == Opcode.CHANNEL:
                 channel = mc.Channel.read(stream)
                 of = self._schemas.get(channel.schema_id) or mc.Schema(0, b"", "", "")
-                told = tuple(sorted(channel.metadata.items()))
-                recorded = Channel(channel.topic, channel.message_encoding, of.name, of.encoding, of.data, told)
+                metadata = tuple(sorted(channel.metadata.items()))
+                recorded = Channel(channel.topic, channel.message_encoding, of.name, of.encoding, of.data, metadata)
                 self._sources[channel.id] = _as_today(recorded)
         except DAMAGE as error:
             self._problems[place] = f"a record at byte {place} is damaged: {error}"
@@ -279,7 +281,7 @@ class Recording:
             self._problems[block.place] = f"{n_orphans} messages at byte {block.place} belong to channels that are lost"
 
     def _lose(self, file: IO[bytes], block: Block, what: str) -> None:
-        """Tells once of a chunk that cannot be read."""
+        """Notes a chunk that cannot be read, once."""
         if block.place in self._problems:
             return
         try:
@@ -292,21 +294,21 @@ class Recording:
 
     def _refuse(self, source: Source) -> None:
         commit = self.about.get("commit", "")
-        mend = f"use the version that recorded it{f': commit {commit}' if commit else ''}"
-        raise UserError(f"{self.path}: {source.channel.key} is of another version: {source.refused}", mend)
+        hint = f"use the version that recorded it{f': commit {commit}' if commit else ''}"
+        raise UserError(f"{self.path}: {source.channel.key} is of another version: {source.refused}", hint)
 
-    def _tell_drops(self) -> None:
-        """Among the problems: the promise of equal bytes ends there."""
+    def _note_drops(self) -> None:
+        """Adds the drops to the problems: equal bytes are promised up to the first one."""
         places: dict[tuple[int, str], Counter[str]] = {}
         for drop in self.drops:
             places.setdefault((drop.at, drop.why), Counter())[drop.key] += drop.n
         zero = min((block.begin for block in self._layout.blocks), default=0)
         for i, ((at, why), counts) in enumerate(sorted(places.items())):
-            told = ", ".join(f"{n} {key}" for key, n in counts.most_common())
+            counted = ", ".join(f"{n} {key}" for key, n in counts.most_common())
             self._harmless.add(-len(places) + i)
             self._problems[-len(places) + i] = (
                 f"{(at - zero) / 1e9:.1f} s after the start the recorder had missed {counts.total()} messages "
-                f"({why}): {told}; a replay is equal to the byte up to there"
+                f"({why}): {counted}; a replay is equal to the byte up to there"
             )
 
 
@@ -322,7 +324,7 @@ def _as_today(recorded: Channel) -> Source:
 
 
 def drops_from(record: dict[str, str]) -> list[Drop]:
-    """A DROPS record read; lines that make no sense are left out."""
+    """The drops of a DROPS record, without lines that are not valid."""
     found = []
     for name, value in record.items():
         key, _, session = name.partition(" ")
@@ -333,7 +335,7 @@ def drops_from(record: dict[str, str]) -> list[Drop]:
 
 
 def drops_record(drops: Iterable[Drop]) -> dict[str, str]:
-    """Drops that were noticed together, for one of one reason, as a DROPS record."""
+    """A DROPS record of drops with one time and one reason."""
     record: dict[str, str] = {}
     for drop in drops:
         record |= {"at": str(drop.at), "why": drop.why, f"{drop.key} {drop.session}": f"{drop.first} {drop.n}"}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording that is written: MCAP by the `mcap` package, and what a refusing disk leaves of it."""
+"""Writer of recordings (MCAP, by the `mcap` package), also onto a disk that is full or fails."""
 
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -20,8 +20,8 @@ _CHUNK_BYTES = 64 * 1024
 class Writer:
     """Writes a recording. Every method may raise OSError; the file is then cut back to the last `flush` and closed.
 
-    about: metadata, like robot and versions.   attachments: by name.   exclusive: never over another file.
-    profile: another one than this stack's, where the file is a copy of another program's.
+    about: metadata, like robot and versions.   attachments: by name.   exclusive: never replaces a file.
+    profile: of another program, where the file is a copy of its file.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Writer:
         sequence: int,
         latched: bool = False,
     ) -> None:
-        """Adds a message as it went on the wire: key without the robot's name, times in ns. latched: see Channel."""
+        """Adds an encoded message: key without the robot's name, times in ns. latched: see Channel."""
         number = self._own.get((key, type_, latched))
         if number is None:
             metadata = (LATCHED,) if latched else ()
@@ -79,25 +79,25 @@ class Writer:
         self._add(number, payload, log_time, sent, sequence)
 
     def copy(self, entry: Entry) -> None:
-        """Adds a message of another recording, with its own schema, also one that today's stack does not know."""
+        """Adds a message of another recording with its schema, which this stack need not know."""
         number = self._declared(entry.channel)
         self._add(number, entry.payload, entry.log_time, entry.sent, entry.sequence)
 
     def note_drops(self, drops: Iterable[Drop]) -> None:
-        """Writes down what was missed."""
+        """Adds records of missed messages."""
         for _, together in groupby(drops, key=lambda drop: (drop.at, drop.why)):
             self.note(DROPS, drops_record(together))
 
-    def note(self, name: str, told: Mapping[str, str]) -> None:
-        """Adds metadata of another program."""
+    def note(self, name: str, metadata: Mapping[str, str]) -> None:
+        """Adds a metadata record."""
         try:
-            self._mcap.add_metadata(name, dict(told))
+            self._mcap.add_metadata(name, dict(metadata))
         except OSError:
             self._file.cut()
             raise
 
     def flush(self) -> None:
-        """Ends the open chunk and hands everything to the system: it outlives this process from here on."""
+        """Ends the open chunk and writes it to the operating system: it survives the end of this process."""
         try:
             self._mcap.flush()  # type: ignore[no-untyped-call]  # mcap's own
         except OSError:
@@ -120,10 +120,10 @@ class Writer:
         """The channel's number in this file."""
         number = self._channels.get(channel)
         if number is None:
-            of, told = (channel.schema_name, channel.schema), dict(channel.metadata)
+            of, metadata = (channel.schema_name, channel.schema), dict(channel.metadata)
             if channel.schema_name and of not in self._schemas:
                 self._schemas[of] = self._mcap.register_schema(of[0], channel.schema_encoding, of[1])
-            number = self._mcap.register_channel(channel.key, channel.encoding, self._schemas.get(of, 0), told)
+            number = self._mcap.register_channel(channel.key, channel.encoding, self._schemas.get(of, 0), metadata)
             self._channels[channel] = number
         return number
 
@@ -159,12 +159,12 @@ class _File:
         return self.size
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Does nothing: the file has no buffer."""
 
     def cut(self) -> None:
-        """Gives up: nothing stays that was not flushed."""
+        """Cuts the file back to the last flush and closes it."""
         if not self._raw.closed:
-            with suppress(OSError):  # the first error is the one to tell
+            with suppress(OSError):  # the first error is the informative one
                 self._raw.truncate(self.kept)
             self._raw.close()
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which messages on a key are taken: in order, from its publisher, and from one at a time.
+"""Which messages on a key are accepted: those in order, from the registered publisher, from one process at a time.
 
-Arrival proves nothing: after a partition heals, old messages come in a burst, and a forgotten process may publish
-beside the right one. Sender's session, sequence and stamp decide.
+The order of arrival is not enough. After a network fault old messages arrive in a burst. A second process may publish
+on the key. The sender's session, sequence and send time decide.
 """
 
 from enum import Enum, auto
@@ -17,7 +17,7 @@ SILENT_AFTER = 300_000_000
 
 
 class Verdict(Enum):
-    """TAKE; GAP: take, but some before it were lost; OLD: out of order or twice; INTRUDER: not the publisher."""
+    """TAKE; GAP: take, messages before it were lost; OLD: out of order or repeated; INTRUDER: another publisher."""
 
     TAKE = auto()
     GAP = auto()
@@ -26,7 +26,7 @@ class Verdict(Enum):
 
 
 class Admission:
-    """Judges the messages of one key, one after the other."""
+    """Filter of the messages of one key, in the order of arrival."""
 
     def __init__(self, topic: Topic[Message]) -> None:
         self._topic = topic
@@ -35,15 +35,15 @@ class Admission:
         self._sent = 0
         self._heard = 0
         self.words = ""
-        """What was wrong with the last message that was OLD."""
+        """Fault of the last message that was OLD."""
         self.complete = True
-        """Nothing of the publisher's session is missing: heard from its first message on, or from a kept value on."""
+        """Whether no message of the publisher's session is missing since its first one, or since a latched value."""
 
     def judge(self, envelope: Envelope, now: int, kept: bool = False) -> Verdict:
         """The verdict on a message that is handled at `now` (ns, the stack's clock).
 
-        kept: it is what the publisher keeps for late joiners, so it holds all that was sent up to its sequence. It is
-        taken also where its last part was heard already, if what came before that is missing.
+        kept: a latched value for late subscribers, which contains all messages up to its sequence. It is accepted also
+        where its last message was accepted before, if an earlier one is missing.
         """
         if envelope.publisher not in self._topic.publishers:
             return Verdict.INTRUDER
@@ -69,5 +69,5 @@ class Admission:
         if envelope.session != self._session:
             self.complete = kept or envelope.sequence == 0
         self._session, self._sequence, self._heard = envelope.session, envelope.sequence, now
-        self._sent = min(envelope.sent, now)  # a clock that is ahead makes nothing old that comes after
+        self._sent = min(envelope.sent, now)  # a clock that is ahead must not make later messages old
         return Verdict.GAP if gap else Verdict.TAKE

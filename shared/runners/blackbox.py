@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A live service's black box: what it took in this life, so that its death by an exception can be replayed.
+"""A live service's black box: a recording of its inputs, so that a crash by an exception can be replayed.
 
-The service's loop only appends to a list. A thread writes, once a second, into `life-NAME-PID.part`; an end in order
-removes the file, an exception makes it `crash-NAME-STAMP.mcap`: every message that the journals name, the journals with
-the requests, the configuration, and, as latched, the values that the service was given whole. Where a life
-outgrows SEGMENT bytes, the file begins anew and the one before stays beside it (`-before`): then the beginning is
-missing, and whether the replay comes to the same exception depends on how much of it the service still needs.
+The service's loop only appends to a list. A thread writes the list once a second into `life-NAME-PID.part`. A normal
+end removes the file. An exception renames it to `crash-NAME-STAMP.mcap`.
+
+The file has every message that the journals name, the journals with the requests, the configuration, and the latched
+values that the service received. After SEGMENT bytes a new file begins, and the one before stays beside it (`-before`).
+Then the beginning is missing. The replay gives the same exception if the service does not need the missing part.
 """
 
 import logging
@@ -23,15 +24,15 @@ from shared import topics
 from shared.codec import CodecError, Envelope, decode
 from shared.messages import LogLine, Message
 from shared.recording import CONFIG, Recording, Writer, about
-from shared.runners.clock import SECOND
 from shared.topics import key_of
+from shared.types import NS_PER_S
 
 SEGMENT = 100_000_000  # bytes: an hour of the mapper's life
 RESERVE = 500_000_000  # bytes that stay free on the disk
-CRASHES = 5  # recordings that are kept of one service: it may die again and again
-LATEST = 30  # lists that wait for a slow disk; what comes after is thrown away, and said to be missing
-PATIENCE = 3.0  # s that a dying process waits for its disk
-SHORT = 0.3  # s that one waits that ends in order
+CRASHES = 5  # recordings that are kept of one service, which may crash repeatedly
+LATEST = 30  # lists that wait for a slow disk; later ones are dropped, and reported as missing
+PATIENCE = 3.0  # s that a crashed process waits for its disk
+SHORT = 0.3  # s that a process waits at a normal end
 
 _EVENT = re.compile(r"event \d+ at (\d+) ns")
 
@@ -39,7 +40,7 @@ log = logging.getLogger("zenav")
 
 
 class Taken(NamedTuple):
-    """One message as it came, and when (ns). latched: the whole value that is kept for late joiners."""
+    """A received message and its arrival (ns). latched: a whole value for late subscribers."""
 
     key: str
     type: type[Message]
@@ -50,7 +51,7 @@ class Taken(NamedTuple):
 
 
 class BlackBox:
-    """Never raises, and never waits for the disk until the end. folder: where the files go."""
+    """Recorder of one service's inputs into `folder`. It never raises, and waits for the disk only in `close`."""
 
     def __init__(self, folder: Path, name: str, robot: str, config: str) -> None:
         self.folder, self.name = folder, name
@@ -65,17 +66,17 @@ class BlackBox:
         self._thread.start()
 
     def take(self, taken: Taken) -> None:
-        """Keeps a message that the service is about to take, or its journal."""
+        """Adds an input of the service, before the service handles it, or its journal."""
         self._now.append(taken)
 
     def hand_over(self) -> None:
-        """Gives what was taken to the thread."""
+        """Passes the new inputs to the thread."""
         if self._waiting.qsize() < LATEST:
             self._waiting.put(self._now)
         self._now = []
 
     def close(self, crashed: int | None) -> Path | None:
-        """Ends the life; `crashed`: when (ns), if by an exception. Returns the crash's recording, if there is one."""
+        """Ends the recording. crashed: time (ns) of an exception, else None. Returns the path of the crash file."""
         self.hand_over()
         self._unwanted = crashed is None
         self._waiting.put(None)
@@ -90,7 +91,7 @@ class BlackBox:
             return None
 
     def _write_all(self) -> None:
-        with suppress(OSError, AttributeError):  # its place in the velocity path is not for writing files
+        with suppress(OSError, AttributeError):  # real-time priority is not for writing files
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         while (taken := self._waiting.get()) is not None:
             if self._broken or self._unwanted or not taken:
@@ -125,7 +126,7 @@ class BlackBox:
             self._remove()
             return None
         self._writer.close()
-        stamp = f"{datetime.fromtimestamp(crashed / SECOND, UTC):%Y%m%d-%H%M%S}"
+        stamp = f"{datetime.fromtimestamp(crashed / NS_PER_S, UTC):%Y%m%d-%H%M%S}"
         path = self.folder / f"crash-{self.name}-{stamp}.mcap"
         self._part.replace(path)
         if self._before.exists():
@@ -136,7 +137,7 @@ class BlackBox:
         return path
 
     def _give_up(self, error: Exception) -> None:
-        """The service goes on without; what was written makes room."""
+        """Stops recording and removes the files. The service goes on."""
         self._broken = True
         log.warning("a crash of %s could not be recorded: %s", self.name, error)
         self._remove()
@@ -152,7 +153,7 @@ class BlackBox:
 
 
 def _remove_orphans(folder: Path, name: str) -> None:
-    """Removes what killed processes of this service left behind."""
+    """Removes files of killed processes of this service."""
     for path in [*folder.glob(f"life-{name}-*.part"), *folder.glob(f"life-{name}-*.before")]:
         number = path.stem.rpartition("-")[2]
         if number.isdigit() and not _lives(int(number)):
@@ -167,22 +168,22 @@ def _lives(pid: int) -> bool:
         return False
     except OSError:
         return True
-    return pid != os.getpid()  # a number that is used again is not the one that wrote it
+    return pid != os.getpid()  # our own pid may have been that of the dead process
 
 
 def crash_line(error: BaseException, now: int) -> str:
-    """What a service's log says of the exception that ended it, in the event that it took at `now` (ns)."""
+    """The log line for an exception in the event at `now` (ns)."""
     return f"crashed at {now} ns: {type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def crash_of(error: BaseException) -> str:
-    """The same of an exception that a replay raised, whose note names the event."""
+    """The log line for an exception of a replay, whose note names the event; empty without such a note."""
     found = [_EVENT.search(note) for note in getattr(error, "__notes__", ())]
     return next((crash_line(error, int(match[1])) for match in found if match), "")
 
 
 def crash_in(recording: Recording, name: str) -> str:
-    """How a service's last session in a recording ended, by its log; empty where it did not by an exception."""
+    """The line of the last crash in a service's log of a recording; empty without a crash."""
     last = ""
     for entry in recording.entries([key_of(topics.LOG, name)]):
         with suppress(CodecError):

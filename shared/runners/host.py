@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all runners share: one service, fed one event at a time, its publications encoded, its events journalled.
+"""The part that all runners share: it feeds a service with events, encodes its publications and writes its journal.
 
-The journal is a list of entries, in the order in which the service took them; `now` is ns, a pair (key, session) is
-named by a small number, anew in each journal message, so that each can be read alone:
+The journal is a list of entries, in the order in which the service handled them. `now` is in ns. A small number stands
+for a pair (key, session). Each journal message defines its numbers, so it can be read alone.
 
-    [0, now, source, sequence]   a message      [1, now, tick]         a tick, by its place among the handlers
-    [2, now, job]                a job's result  [3, now, key, bytes]   a request, as its bytes
-    [4, source, key, session]    names a source
-    [5, now, source, sequence]   a latched value, to a late joiner: all that the source sent up to there, merged
-    [6, now]                     the farewell
-    [7, now, key, why, words, n] the runner rejected n messages on a key (shared/rejections.py)
+    [0, now, source, sequence]: a message.
+    [1, now, tick]: a tick, by its index among the handlers.
+    [2, now, job]: the result of a job.
+    [3, now, key, bytes]: a request, as its bytes.
+    [4, source, key, session]: the number of a source.
+    [5, now, source, sequence]: a latched value for a late subscriber, with all messages of the source up to there.
+    [6, now]: the shutdown.
+    [7, now, key, why, words, n]: n messages on a key that the runner rejected (shared/rejections.py).
 
-What a service's ports say is published for the recorder, in a session of its own: a replay takes it as recorded.
+Data from a service's ports is published for the recorder, in a session of its own. A replay uses the recorded data.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,15 +25,15 @@ import msgpack
 from shared import topics
 from shared.codec import Envelope, encode
 from shared.messages import Journal, LogLine, Message
-from shared.rejections import Kind
+from shared.rejections import RejectionCause
 from shared.requests import REQUESTS, Request
 from shared.service import Job, Log, Out, Service, handlers, outputs
 from shared.topics import Publication, Topic, key_of
 
 JOURNAL_FULL = 2**20
-"""bytes of requests from which a journal goes on in a further message: the wire carries 4 MiB in one."""
+"""bytes of requests in one journal message; the journal continues in the next. A message may have 4 MiB."""
 
-MESSAGE, TICK, DONE, REQUEST, SOURCE, LATCHED, FAREWELL, REJECTED = range(8)
+MESSAGE, TICK, DONE, REQUEST, SOURCE, LATCHED, SHUTDOWN, REJECTED = range(8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +59,9 @@ Effect = Sent | JobOrder
 
 
 class Host:
-    """Feeds one service. Every event sets `service.now`, is journalled, and returns its effects in order.
+    """Feeds one service. Every event sets `service.now`, enters the journal, and returns its effects in order.
 
-    sequences: by key, where counting goes on, for the replay of a session whose beginning is not known.
+    sequences: first sequence number by key, for the replay of a session without its beginning.
     """
 
     def __init__(self, service: Service, name: str, session: str, sequences: dict[str, int] | None = None) -> None:
@@ -67,7 +69,7 @@ class Host:
         self.handlers = handlers(type(service))
         self.n_events = 0
         self.before_port: Callable[[Sent], None] = lambda sent: None
-        """Is called with what a port says before the service takes it."""
+        """Called with a message of a port, before the service handles it."""
         self._sequences = dict(sequences or {})
         self._n_jobs = 0
         self._sources: dict[tuple[str, str], int] = {}
@@ -77,7 +79,7 @@ class Host:
         self._first = 0
 
     def message(self, key: str, message: Message, envelope: Envelope, now: int, latched: bool = False) -> list[Effect]:
-        """A message arrived on a key (without the robot's name); `latched`: kept for us from before we listened."""
+        """Handles a message of a key (without the robot's name). latched: a value from before the subscription."""
         topic = topics.topic_of(key)
         if topic is None:
             raise KeyError(key)
@@ -86,21 +88,21 @@ class Host:
         return self._effects(getattr(self.service, self.handlers.topics[topic.key][1])(message))
 
     def tick(self, index: int, now: int) -> list[Effect]:
-        """The tick at this place among the service's ticks is due."""
+        """Handles the tick with this index among the service's ticks."""
         self._note((TICK, now, index), now)
         return self._effects(getattr(self.service, self.handlers.ticks[index][1])())
 
     def done(self, order: JobOrder, result: Any, now: int) -> list[Effect]:
-        """A job's result came back."""
+        """Handles the result of a job."""
         self._note((DONE, now, order.index), now)
         return self._effects(getattr(self.service, order.job.done)(result))
 
     def failed(self, order: JobOrder, now: int) -> None:
-        """A job raised: that is where its result would have come, and the last event of this life."""
+        """Notes a job that raised an exception, in place of its result, as the last event of the session."""
         self._note((DONE, now, order.index), now)
 
     def request(self, key: str, request: Message, payload: bytes, now: int) -> tuple[list[Effect], Message]:
-        """A request wants its reply: the handler's effects and the reply."""
+        """Handles a request. Returns the handler's effects and the reply."""
         if self._n_bytes + len(payload) > JOURNAL_FULL:
             self._end_journal(now)
         self._n_bytes += len(payload)
@@ -113,12 +115,12 @@ class Host:
             except StopIteration as end:
                 return effects, end.value
 
-    def farewell(self, now: int) -> list[Effect]:
+    def shutdown(self, now: int) -> list[Effect]:
         """The process is asked to end."""
-        self._note((FAREWELL, now), now)
-        return self._effects(self.service.farewell())
+        self._note((SHUTDOWN, now), now)
+        return self._effects(self.service.on_shutdown())
 
-    def rejected(self, key: str, kind: Kind, words: str, n: int, now: int) -> None:
+    def rejected(self, key: str, kind: RejectionCause, words: str, n: int, now: int) -> None:
         """The runner rejected messages of a key that the service listens to: that is an event too, so it replays."""
         self._note((REJECTED, now, key, str(kind), words, n), now)
         self.service.rejections.reject(key, kind, words, now, n)
@@ -194,6 +196,6 @@ def request_of(key: str) -> Request[Message, Message] | None:
 
 
 def merged(before: Message | None, message: Message) -> Message:
-    """What a late joiner of a latched topic gets: the message, merged into the earlier ones where its class can."""
+    """The latched value after a message: the message, merged into the earlier value where its class can."""
     merge = getattr(before, "merged", None)
     return message if merge is None else cast(Message, merge(message))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where Zenoh's callbacks file bytes and a service's loop picks them up: one place a key, bounded, never blocking."""
+"""Queue between Zenoh's callbacks and a service's loop: one bounded slot for each key, which never blocks."""
 
 import threading
 from collections import deque
@@ -10,7 +10,7 @@ CAPACITY = 1024  # messages a key with keep="all": 20 s of a 50 Hz topic
 
 
 @dataclass(slots=True)
-class Place:
+class Slot:
     """One key's waiting items."""
 
     key: str
@@ -21,44 +21,44 @@ class Place:
 
 
 class Inbox:
-    """Items in the order of their arrival; an unread older one of a keep="latest" key gives way to the newer."""
+    """Items in the order of arrival. In a slot with keep="latest" a new item replaces an unread one."""
 
     def __init__(self) -> None:
         self._ready = threading.Condition()
-        self._order: deque[Place] = deque()
+        self._order: deque[Slot] = deque()
         self._open = True
 
-    def place(self, key: str, keep: Literal["latest", "all"], capacity: int = CAPACITY) -> Place:
-        """A new place for a key's items."""
-        return Place(key, keep, capacity, deque())
+    def slot(self, key: str, keep: Literal["latest", "all"], capacity: int = CAPACITY) -> Slot:
+        """A new slot for a key's items."""
+        return Slot(key, keep, capacity, deque())
 
-    def file(self, place: Place, item: Any) -> bool:
+    def file(self, slot: Slot, item: Any) -> bool:
         """Files an item; False when something was dropped for it."""
         with self._ready:
-            if place.keep == "latest" and place.items:
-                place.items[0] = item
-                place.dropped += 1
+            if slot.keep == "latest" and slot.items:
+                slot.items[0] = item
+                slot.dropped += 1
                 return False
-            if len(place.items) >= place.capacity:
-                place.items.popleft()
-                place.items.append(item)
-                place.dropped += 1
+            if len(slot.items) >= slot.capacity:
+                slot.items.popleft()
+                slot.items.append(item)
+                slot.dropped += 1
                 return False
-            place.items.append(item)
-            self._order.append(place)
+            slot.items.append(item)
+            self._order.append(slot)
             self._ready.notify()
             return True
 
-    def take(self, timeout: float) -> tuple[Place, Any] | None:
+    def take(self, timeout: float) -> tuple[Slot, Any] | None:
         """The next item, waiting at most `timeout` s; None when there is none, or on `wake`."""
         with self._ready:
             if not self._order and timeout > 0 and self._open:
                 self._ready.wait(timeout)
             if not self._order:
                 return None
-            place = self._order.popleft()
-            return place, place.items.popleft()
+            slot = self._order.popleft()
+            return slot, slot.items.popleft()
 
     def close(self) -> None:
-        """Ends all waiting: safe to call from a signal handler's thread."""
+        """Ends all waiting. A signal handler may call it."""
         self._open = False

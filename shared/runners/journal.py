@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Journals read back: the events that a service took, in its order. shared/runners/host.py writes them."""
+"""Reader of journals: the events of a service in their order. shared/runners/host.py writes them."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -8,18 +8,18 @@ from typing import Any
 import msgpack
 
 from shared.messages import Journal
-from shared.rejections import Kind
-from shared.runners.host import DONE, FAREWELL, LATCHED, MESSAGE, REJECTED, REQUEST, SOURCE, TICK
+from shared.rejections import RejectionCause
+from shared.runners.host import DONE, LATCHED, MESSAGE, REJECTED, REQUEST, SHUTDOWN, SOURCE, TICK
 
 HOLE = -1
-"""The kind of an event that stands for journal entries that were lost: `number` of them."""
+"""Kind of an event in place of lost journal entries, `number` of them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One event that a service took, see shared/runners/host.py.
+    """One event of a service, see shared/runners/host.py.
 
-    number: sequence, tick, job, length of a hole, or how many messages were rejected.  why, words: of rejected ones.
+    number: sequence, tick, job, length of a hole, or number of rejected messages.  why, words: cause of a rejection.
     """
 
     kind: int
@@ -42,7 +42,7 @@ class Life:
 
 
 def events_of(journals: Iterable[Journal]) -> list[Event]:
-    """The events of one session's journals, in any order, with a hole where some are missing or make no sense."""
+    """The events of one session's journals, in any order, with a hole where some are missing or not valid."""
     events: list[Event] = []
     expected = 0
     for journal in sorted(journals, key=lambda j: j.first):
@@ -78,7 +78,7 @@ def _event(entry: Any, sources: dict[int, tuple[str, str]]) -> Event | None:
         return Event(kind, int(now), key=str(key), payload=bytes(payload))
     if kind == REJECTED:
         _, now, key, why, words, n = entry
-        return Event(kind, int(now), int(n), str(key), why=str(Kind(why)), words=str(words))
-    if kind == FAREWELL:
+        return Event(kind, int(now), int(n), str(key), why=str(RejectionCause(why)), words=str(words))
+    if kind == SHUTDOWN:
         return Event(kind, int(entry[1]))
     raise ValueError(f"unknown event {kind!r}")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs one service as a process over Zenoh: its callbacks only file bytes, its loop takes them one by one.
+"""Runs one service as a process over Zenoh. Callbacks only queue bytes; one loop handles them in order.
 
-The process ends on SIGINT and SIGTERM within milliseconds, on an exception with the traceback and status 1.
+The process ends within milliseconds on SIGINT and SIGTERM. An exception ends it with the traceback and status 1.
 """
 
 import argparse
@@ -24,22 +24,25 @@ import zenoh
 from shared import reasons, topics
 from shared.codec import CodecError, Envelope, decode, encode, envelope_of
 from shared.config import UserError, configured
+from shared.kernel_cache import warm_up
 from shared.messages import LogLine, Message
 from shared.requests import Request
 from shared.runners import transport
 from shared.runners.admission import Admission, Verdict
+from shared.runners.arguments import PRELOADED, arguments
 from shared.runners.blackbox import BlackBox, Taken, crash_line
-from shared.runners.clock import SECOND, Clock, clock_from
+from shared.runners.clock import StackClock, clock_from
 from shared.runners.host import Effect, Host, JobOrder, Sent
-from shared.runners.inbox import Inbox, Place
-from shared.runners.kept import Kept
-from shared.runners.memory import Memory
-from shared.runners.metronome import Metronome
+from shared.runners.inbox import Inbox, Slot
+from shared.runners.latched_disk import LatchedDisk
+from shared.runners.latched_store import LatchedStore
+from shared.runners.link_stats import LinkStats
 from shared.runners.port import Port
 from shared.runners.refusals import Refusals
-from shared.runners.traffic import Traffic
+from shared.runners.tick_timer import TickTimer
 from shared.service import Service
 from shared.topics import TOPICS, Topic, key_of
+from shared.types import NS_PER_S
 
 VELOCITY_PATH = ("base_driver", "odometry", "local_ctrl", "guard")
 MAX_REQUESTS = 8
@@ -56,31 +59,28 @@ class Live:
         name: str,
         robot: str,
         session: zenoh.Session,
-        clock: Clock,
-        memory: Memory | None = None,
+        clock: StackClock,
+        disk: LatchedDisk | None = None,
         box: BlackBox | None = None,
     ) -> None:
-        self.clock, self.session = clock, session
-        self.name, self.robot = name, robot
+        self.clock, self.session, self.name, self.robot = clock, session, name, robot
         self.host = Host(service, name, f"{time.time_ns():x}-{os.getpid():x}")
-        self.inbox = Inbox()
-        self.traffic = Traffic()
-        self._stopping = False
-        self._box = box
+        self.inbox, self.stats = Inbox(), LinkStats()
+        self._stopping, self._box = False, box
         self.host.before_port = lambda sent: self._boxed(sent.key, sent.payload, sent.envelope, sent.envelope.sent)
         self._everything = transport.Everything(session, robot) if hasattr(service, "raw") else None
-        self._patience = 0.25 if self._everything is None else 0.1  # s; nothing wakes who takes hundreds a second
-        self._requests = self.inbox.place("requests", "all", MAX_REQUESTS)
-        self._results = self.inbox.place("jobs", "all")
+        self._patience = 0.25 if self._everything is None else 0.1  # s; the recorder polls
+        self._requests = self.inbox.slot("requests", "all", MAX_REQUESTS)
+        self._results = self.inbox.slot("jobs", "all")
         self._admissions: dict[str, Admission] = {}
         self._refusals = Refusals()
         self._latched_readers: dict[str, transport.LatchedReader] = {}
-        self._from_ports = self.inbox.place("ports", "all")
-        self._places: list[Place] = [self._requests, self._from_ports]
+        self._from_ports = self.inbox.slot("ports", "all")
+        self._slots: list[Slot] = [self._requests, self._from_ports]
         self._workers = ThreadPoolExecutor(1, thread_name_prefix="job")
-        self._kept = Kept(memory, self._own_latched(), self._workers)
+        self._latched = LatchedStore(disk, self._own_latched(), self._workers)
         self._publishers: dict[str, zenoh.Publisher] = {}
-        self._metronomes: list[Metronome] = []
+        self._timers: list[TickTimer] = []
         self._ports = {
             port: Port(port, config, clock, partial(self.inbox.file, self._from_ports))
             for port, config in service.ports.items()
@@ -98,22 +98,22 @@ class Live:
         """Feeds the service until `stop`."""
         crashed: int | None = None
         now = report = self.clock.now()
-        self._metronomes = [Metronome(hz, follows, now) for hz, _, follows in self.host.handlers.ticks]
+        self._timers = [TickTimer(hz, follows, now) for hz, _, follows in self.host.handlers.ticks]
         self._restore(now)
         for port in self._ports.values():
             port.start()
         try:
             self._feed(report)
             self._take_raws()
-            self._apply([effect for effect in self.host.farewell(self.clock.now()) if isinstance(effect, Sent)])
+            self._apply([effect for effect in self.host.shutdown(self.clock.now()) if isinstance(effect, Sent)])
         except Exception as error:
             crashed = self.host.service.now
             line = topics.LOG(LogLine(crashed, "ERROR", crash_line(error, crashed)))
-            told = self.host.publish(line, crashed)
-            self._publish(told)
-            self._boxed(told.key, told.payload, told.envelope, crashed)
+            sent = self.host.publish(line, crashed)
+            self._publish(sent)
+            self._boxed(sent.key, sent.payload, sent.envelope, crashed)
             raise
-        finally:  # also when a handler raised: its last events tell why
+        finally:  # also after an exception of a handler: its last events explain it
             self._workers.shutdown(wait=False, cancel_futures=True)
             for port in self._ports.values():
                 port.close()
@@ -122,20 +122,20 @@ class Live:
                 log.error("%s replays the crash: zenav replay %s --through %s", path, path, self.name)
 
     def _feed(self, report: int) -> None:
-        """Event by event; `report`: when the first health message is due."""
+        """Handles events until `stop`. report: ns, when the first health message is due."""
         while not self._stopping:
             self._take_raws()
             now = self.clock.now()
-            self._refusals.tell(self.host, now)
+            self._refusals.report(self.host, now)
             if now >= report:
                 self._report(now)
-                report = now + SECOND
-            first = min(self._metronomes, key=attrgetter("due"), default=None)
+                report = now + NS_PER_S
+            first = min(self._timers, key=attrgetter("due"), default=None)
             if first is not None and first.is_due(now):
-                first.ticked(now)
+                first.advance(now)
                 begun = time.perf_counter()
-                self._apply(self.host.tick(self._metronomes.index(first), now))
-                self.traffic.slowest = max(self.traffic.slowest, time.perf_counter() - begun)
+                self._apply(self.host.tick(self._timers.index(first), now))
+                self.stats.slowest = max(self.stats.slowest, time.perf_counter() - begun)
                 continue
             until = report if first is None else min(report, first.due)
             item = self.inbox.take(min(self._patience, self.clock.seconds(until - now)))
@@ -143,8 +143,8 @@ class Live:
                 self._handle(*item)
 
     def _restore(self, now: int) -> None:
-        """Gives the service what it published last before a restart, on the latched topics that it listens to."""
-        for key, message, envelope in self._kept.restored(now, self.traffic.wrong):
+        """Gives the service its last values before a restart, of the latched topics that it subscribes to itself."""
+        for key, message, envelope in self._latched.restore(now, self.stats.record_error):
             self._boxed(key, encode(message, envelope), envelope, now, kept=True)
             self._apply(self.host.message(key, message, envelope, now, latched=True))
 
@@ -173,27 +173,27 @@ class Live:
             express=topic.hz >= 5,
         )
         if topic.latched:
-            self._kept.publishers[key] = transport.LatchedPublisher(self.session, f"{self.robot}/{key}")
+            self._latched.publishers[key] = transport.LatchedPublisher(self.session, f"{self.robot}/{key}")
 
     def _declare_subscriber(self, topic: Topic[Message]) -> None:
         keys = [topic.key] if topic.by != "*" else [f"{topic.key}/{name}" for name in topic.publishers]
         for key in keys:
-            place = self.inbox.place(key, topic.keep)
-            self._places.append(place)
+            slot = self.inbox.slot(key, topic.keep)
+            self._slots.append(slot)
             self._admissions[key] = Admission(topic)
-            file = partial(self._file_sample, place)
+            file = partial(self._file_sample, slot)
             self._declared.append(self.session.declare_subscriber(f"{self.robot}/{key}", file))
             if topic.latched:
-                kept = self.inbox.place(key, "latest")
+                kept = self.inbox.slot(key, "latest")
                 reader = transport.LatchedReader(self.session, f"{self.robot}/{key}", partial(self._file_kept, kept))
                 self._latched_readers[key] = reader
 
-    def _file_sample(self, place: Place, sample: zenoh.Sample) -> None:
-        if not self._refusals.oversized(place.key, sample.payload):
-            self.inbox.file(place, sample.payload.to_bytes())
+    def _file_sample(self, slot: Slot, sample: zenoh.Sample) -> None:
+        if not self._refusals.oversized(slot.key, sample.payload):
+            self.inbox.file(slot, sample.payload.to_bytes())
 
-    def _file_kept(self, place: Place, payload: bytes) -> None:
-        self.inbox.file(place, (payload,))
+    def _file_kept(self, slot: Slot, payload: bytes) -> None:
+        self.inbox.file(slot, (payload,))
 
     def _file_request(self, request: Request[Message, Message], query: zenoh.Query) -> None:
         if words := self._refusals.oversized(request.key, query.payload or b""):
@@ -203,23 +203,23 @@ class Live:
         else:
             self.inbox.file(self._requests, (request, query))
 
-    def _handle(self, place: Place, item: Any) -> None:
+    def _handle(self, slot: Slot, item: Any) -> None:
         now = self.clock.now()
         begun = time.perf_counter()
-        if place is self._requests:
+        if slot is self._requests:
             request, query = item
             self._answer(request, query, now)
-        elif place is self._results:
+        elif slot is self._results:
             order, future = item
             if future.exception() is not None:
                 self.host.failed(order, now)
             self._apply(self.host.done(order, future.result(), now))
-        elif place is self._from_ports:
+        elif slot is self._from_ports:
             self._apply(self.host.from_port(item, now))
         elif isinstance(item, tuple):
-            self._message(place.key, item[0], now, begun, latched=True)
+            self._message(slot.key, item[0], now, begun, latched=True)
         else:
-            self._message(place.key, item, now, begun, latched=False)
+            self._message(slot.key, item, now, begun, latched=False)
 
     def _message(self, key: str, payload: bytes, now: int, begun: float, latched: bool) -> None:
         topic = topics.topic_of(key)
@@ -228,35 +228,36 @@ class Live:
         try:
             message, envelope = decode(topic.type, payload)
         except CodecError as error:
-            self.traffic.bad += 1
-            self.traffic.wrong(f"{key}: a bad message was dropped: {error}", now)
+            self.stats.bad += 1
+            self.stats.record_error(f"{key}: a bad message was dropped: {error}", now)
             return
         verdict = self._admissions[key].judge(envelope, now, latched)
         if verdict is Verdict.INTRUDER:
-            self.traffic.intruders += 1
-            self.traffic.wrong(f"{key}: a second publisher ({envelope.publisher} {envelope.session}) is ignored", now)
+            self.stats.intruders += 1
+            sender = f"{envelope.publisher} {envelope.session}"
+            self.stats.record_error(f"{key}: a second publisher ({sender}) is ignored", now)
             return
         if topic.latched and not self._admissions[key].complete:
             self._latched_readers[key].refresh()
         if verdict is Verdict.OLD:
             if not latched:
-                self.traffic.old += 1
+                self.stats.old += 1
                 self._refusals.sequence(key, self._admissions[key].words)
             return
         self._boxed(key, payload, envelope, now, latched)
         self._apply(self.host.message(key, message, envelope, now, latched))
-        for metronome in self._metronomes:
-            metronome.heard(topic.key, now)
-        self.traffic.took(key, (now - message.stamp) / SECOND, time.perf_counter() - begun)
+        for timer in self._timers:
+            timer.follow(topic.key, now)
+        self.stats.count_message(key, (now - message.stamp) / NS_PER_S, time.perf_counter() - begun)
 
     def _take_raws(self) -> None:
-        for full_key, payload, at, latched in self._everything.taken() if self._everything is not None else ():
+        for full_key, payload, at, latched in self._everything.take_all() if self._everything is not None else ():
             key, now = full_key.removeprefix(f"{self.robot}/"), self.clock.at(at)
             try:
                 envelope = envelope_of(payload)
             except CodecError as error:
-                self.traffic.bad += 1
-                self.traffic.wrong(f"{key}: not a message: {error}", now)
+                self.stats.bad += 1
+                self.stats.record_error(f"{key}: not a message: {error}", now)
                 continue
             if not latched and self._refusals.oversized(key, payload):
                 continue
@@ -269,8 +270,8 @@ class Live:
         try:
             message, _ = decode(request.request, payload)
         except CodecError as error:
-            self.traffic.bad += 1
-            self.traffic.wrong(f"{request.key}: a bad request was refused: {error}", now)
+            self.stats.bad += 1
+            self.stats.record_error(f"{request.key}: a bad request was refused: {error}", now)
             transport.refuse(query, reasons.BAD_REQUEST, str(error))
             return
         effects, reply = self.host.request(request.key, message, payload, now)
@@ -283,7 +284,7 @@ class Live:
         self._apply(effects)
 
     def _apply(self, effects: list[Effect]) -> None:
-        for effect in effects:  # the devices first: they do not wait until everybody has been told
+        for effect in effects:  # devices first: they do not wait for the publications
             if isinstance(effect, Sent):
                 self._to_port(effect)
         for effect in effects:
@@ -309,7 +310,7 @@ class Live:
             line = cast(LogLine, sent.message)
             log.log(logging.getLevelNamesMapping().get(line.level, logging.INFO), line.text)
         if sent.topic.latched:
-            self._kept.publish(sent)
+            self._latched.publish(sent)
         if not self._refusals.oversized(sent.key, sent.payload):
             self._publishers[sent.key].put(sent.payload)
 
@@ -317,11 +318,11 @@ class Live:
         self._publish_journals(now)
         if self._box is not None:
             self._box.hand_over()
-        self._kept.save()
-        dropped = sum(place.dropped for place in self._places if place.keep == "all")
+        self._latched.save()
+        dropped = sum(slot.dropped for slot in self._slots if slot.keep == "all")
         rejections = self.host.service.rejections
-        self.traffic.tell_rejected(rejections, now)
-        health = self.traffic.health(self.name, self.host.service.state(), self.host.n_events, dropped, rejections, now)
+        self.stats.log_rejections(rejections, now)
+        health = self.stats.health(self.name, self.host.service.state(), self.host.n_events, dropped, rejections, now)
         self._publish(self.host.publish(topics.HEALTH(health), now))
 
     def _publish_journals(self, now: int) -> None:
@@ -335,21 +336,8 @@ class Live:
             self._box.take(Taken(key, topic.type, payload, envelope, now, kept))
 
 
-def arguments(name: str) -> argparse.ArgumentParser:
-    """The options of every service's process."""
-    parser = argparse.ArgumentParser(prog=f"zenav run {name}", description=f"Runs {name} alone, in the foreground.")
-    parser.add_argument("--robot", default="x80sv", help="robot's name in config/, or a YAML file")
-    parser.add_argument("--stack", default="0", help="number of the stack on this host, or a router: tcp/router:7447")
-    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="override a setting")
-    parser.add_argument("--clock", default="", metavar="EPOCH:SPEED", help="simulated time: ns, times as fast as real")
-    parser.add_argument("--memory", default="", metavar="FOLDER", help="keep what a restart must not lose, as the map")
-    parser.add_argument("--crashes", default="recordings", metavar="FOLDER", help="where crash-NAME-STAMP.mcap goes")
-    parser.add_argument("--log", default="INFO", choices=["DEBUG", "INFO", "WARNING", "ERROR"], help="log level")
-    return parser
-
-
 def main(service_class: type[Service], **sinks: Callable[[Any], Any]) -> None:
-    """The whole process of one service. A sink is made from the service's configuration and handed to it by name."""
+    """The whole process of one service. A sink is built from the service's configuration and passed by name."""
     name = service_class.__module__.split(".")[1]
     options = arguments(name).parse_args()
     logging.basicConfig(level=options.log, stream=sys.stderr, format=f"%(asctime)s {name} %(levelname)s %(message)s")
@@ -358,7 +346,7 @@ def main(service_class: type[Service], **sinks: Callable[[Any], Any]) -> None:
         _serve(service_class, name, options, sinks)
         status = 0
     except UserError as error:
-        sys.stderr.write(f"{name}: {error.what}\nhint: {error.mend}\n")
+        sys.stderr.write(f"{name}: {error.what}\nhint: {error.hint}\n")
         status = 2
     except KeyboardInterrupt:
         status = 0
@@ -375,21 +363,22 @@ def _serve(
 ) -> None:
     file = configured(options.robot, options.set)
     config, robot = file.section(name, service_class.config_type), file.robot
-    where, clock = transport.where_from(options.stack), clock_from(options.clock)
+    where, clock = transport.stack_address(options.stack), clock_from(options.clock)
     opened = {key: sink(config) for key, sink in sinks.items()}
     service = service_class(config, robot, **opened)
     if hasattr(service, "robot_file"):
         service.robot_file = file.text
-    service.warm()
+    if name not in PRELOADED:
+        warm_up(service)
     if name in VELOCITY_PATH and not transport.asks_for_realtime():
         log.info("no real-time priority (SCHED_RR) here: latency depends on other load")
     gc.collect()
     gc.freeze()
     sys.setswitchinterval(0.0005)
     with transport.opened(where, name, everything=hasattr(service, "raw")) as session:
-        memory = Memory(Path(options.memory), name) if options.memory else None
+        disk = LatchedDisk(Path(options.memory), name) if options.memory else None
         box = None if hasattr(service, "raw") else BlackBox(Path(options.crashes), name, robot.name, file.text)
-        live = Live(service, name, robot.name, session, clock, memory, box)
+        live = Live(service, name, robot.name, session, clock, disk, box)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: live.stop())
         log.info("started")

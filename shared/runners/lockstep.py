@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """All services in one process on a virtual clock, as fast as it goes: the same seed gives the same bytes.
 
-Events are ordered by (time, cause), a total order. A message arrives `topic.within` after it was published; a job's
-result comes `job.takes` after the job could start. Faults are injected at virtual times. As live, what is not above
-its session's last sequence number is rejected; a test may publish in another service's name, so none is an intruder.
+Events are ordered by (time, cause), a total order. A message arrives `topic.within` after its publication. A job's
+result comes `job.takes` after the job could start. Faults are injected at virtual times. As in a live stack, sequence
+numbers of a session must rise. A test may publish in another service's name, so there are no intruders.
 """
 
 import heapq
@@ -13,20 +13,22 @@ from typing import Any, TypeVar, cast
 
 from shared import topics
 from shared.codec import CodecError, Envelope, decode, encode
+from shared.kernel_cache import warm_up
 from shared.messages import Message, PortState, SerialData, Stamp
-from shared.rejections import Kind
+from shared.rejections import RejectionCause
 from shared.requests import Request
 from shared.runners.admission import Admission, Verdict
 from shared.runners.host import Effect, Host, JobOrder, Sent, merged
-from shared.runners.metronome import Metronome
+from shared.runners.tick_timer import TickTimer
 from shared.service import Service
 from shared.topics import SERVICES, Publication, key_of
+from shared.types import NS_PER_S
 
 Q = TypeVar("Q", bound=Message)
 R = TypeVar("R", bound=Message)
 
 START: Stamp = 1_000_000_000_000_000_000
-"""ns: where virtual time begins; a plausible wall clock, so that stamps look alike in every runner."""
+"""ns: start of virtual time, a plausible time of a wall clock."""
 
 Sink = Callable[[Sent], None]
 Filter = Callable[[Sent, str], float | None]
@@ -38,7 +40,7 @@ Port = tuple[str, str]
 class Lockstep:
     """Runs services on the virtual clock. `record` sees every publication, in order.
 
-    wires: pairs of ports; what a service says to one end comes out of the other, `topics.RX.within` later.
+    wires: pairs of ports. Data that a service writes to one end arrives at the other, `topics.RX.within` later.
     """
 
     def __init__(
@@ -47,12 +49,12 @@ class Lockstep:
         self.now: int = START
         self.filters: list[Filter] = []
         self.latched: dict[str, Sent] = {}
-        self.n_bad = 0  # messages that no reader takes: a field is out of its bounds
+        self.n_bad = 0  # messages that readers drop: a field is out of its bounds
         self._record = record
         self._hosts: dict[str, Host] = {}
         self._admissions: dict[tuple[str, str], Admission] = {}  # by the listening service's name, and the key
         self._lives: dict[str, int] = {}
-        self._metronomes: dict[str, list[Metronome]] = {}
+        self._timers: dict[str, list[TickTimer]] = {}
         self._busy_until: dict[str, int] = {}
         self._watchers: dict[str, list[Callable[[Any], None]]] = {}
         self._heap: list[tuple[int, int, Callable[[], None]]] = []
@@ -64,21 +66,23 @@ class Lockstep:
             self.start(name, services[name])
 
     def start(self, name: str, service: Service) -> None:
-        """Starts a service now, also in place of a killed one: first it gets back what it had latched itself, at once,
-        then the latched values of the others."""
+        """Starts a service now, also in place of a killed one.
+
+        It gets its own latched values at once, then those of the others.
+        """
         life = self._lives[name] = self._lives.get(name, 0) + 1
         host = self._hosts[name] = Host(service, name, f"{name}-{life}")
         self._admissions = {of: admission for of, admission in self._admissions.items() if of[0] != name}
-        service.warm()
+        warm_up(service)
         self._busy_until[name] = self.now
         before = list(self.latched.values())
         for sent in before:
             if sent.envelope.publisher == name and sent.topic.key in host.handlers.topics:
                 self._take(host, host.message(sent.key, sent.message, sent.envelope, self.now, latched=True))
-        metronomes = [Metronome(hz, follows, self.now) for hz, _, follows in host.handlers.ticks]
-        self._metronomes[name] = metronomes
-        for index, metronome in enumerate(metronomes):
-            self._schedule_tick(name, life, index, metronome)
+        timers = [TickTimer(hz, follows, self.now) for hz, _, follows in host.handlers.ticks]
+        self._timers[name] = timers
+        for index, timer in enumerate(timers):
+            self._schedule_tick(name, life, index, timer)
         self._schedule_journal(name, life)
         for sent in before:
             if sent.envelope.publisher != name:
@@ -88,12 +92,12 @@ class Lockstep:
                 self._from_port(end, topics.PORT(PortState(self.now, end[1], True, "")))
 
     def kill(self, name: str) -> None:
-        """The service is gone: nothing that it ordered or waits for happens any more."""
+        """Removes a service. Its jobs and events are discarded."""
         self._lives[name] += 1
         del self._hosts[name]
 
     def service(self, name: str) -> Service:
-        """The running service object, for looking into it in tests."""
+        """The running service object, for tests."""
         return self._hosts[name].service
 
     def at(self, seconds: float, action: Callable[[], None]) -> None:
@@ -105,14 +109,14 @@ class Lockstep:
         self._watchers.setdefault(key, []).append(watcher)
 
     def publish(self, publication: Publication, publisher: str = "operator") -> None:
-        """Publishes from outside of the services: an operator's command, a test's fault."""
+        """Publishes a message from outside the services: an operator's command, or a fault."""
         key = key_of(publication.topic, publisher)
         sequence = self._operator[key] = self._operator.get(key, -1) + 1
         envelope = Envelope(publisher, f"{publisher}-0", sequence, self.now)
         self._send(Sent(publication.topic, key, publication.message, envelope, encode(publication.message, envelope)))
 
     def ask(self, request: Request[Q, R], message: Q) -> R:
-        """The reply of the service that answers this request, now. KeyError when it does not run."""
+        """The reply of the service for this request, at the present time. KeyError when the service does not run."""
         host = self._hosts[request.by]
         payload = encode(message, Envelope("operator", "operator-0", 0, self.now))
         effects, reply = host.request(request.key, decode(request.request, payload)[0], payload, self.now)
@@ -122,7 +126,7 @@ class Lockstep:
         return reply
 
     def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Runs for this much virtual time, or until the condition holds after an event; says whether it held."""
+        """Runs for a virtual time (s), or until the condition holds after an event. Returns whether it held."""
         end = self.now + round(seconds * 1e9)
         while self._heap and self._heap[0][0] <= end:
             self.now, _, event = heapq.heappop(self._heap)
@@ -133,7 +137,7 @@ class Lockstep:
         return until()
 
     def flush(self) -> None:
-        """Writes the journals of what happened since the last second: call before the recording is closed."""
+        """Publishes the journals of the last events. Call it before the recording is closed."""
         for host in self._hosts.values():
             self._send_journals(host)
 
@@ -148,23 +152,23 @@ class Lockstep:
     def _alive(self, name: str, life: int) -> Host | None:
         return self._hosts.get(name) if self._lives.get(name) == life else None
 
-    def _schedule_tick(self, name: str, life: int, index: int, metronome: Metronome) -> None:
+    def _schedule_tick(self, name: str, life: int, index: int, timer: TickTimer) -> None:
         def tick() -> None:
             host = self._alive(name, life)
-            if host is not None and metronome.due == self.now:  # else it was called earlier meanwhile
-                metronome.ticked(self.now)
-                self._schedule_tick(name, life, index, metronome)
+            if host is not None and timer.due == self.now:  # else another tick was scheduled
+                timer.advance(self.now)
+                self._schedule_tick(name, life, index, timer)
                 self._take(host, host.tick(index, self.now))
 
-        self._push(metronome.due, tick)
+        self._push(timer.due, tick)
 
     def _keep_step(self, name: str, life: int, key: str) -> None:
-        """The ticks that follow a topic are due now that the service took a message of it."""
-        for index, metronome in enumerate(self._metronomes[name]):
-            due = metronome.due
-            metronome.heard(key, self.now)
-            if metronome.due != due:
-                self._schedule_tick(name, life, index, metronome)
+        """Reschedules the ticks that follow a topic, after a message of it."""
+        for index, timer in enumerate(self._timers[name]):
+            due = timer.due
+            timer.follow(key, self.now)
+            if timer.due != due:
+                self._schedule_tick(name, life, index, timer)
 
     def _schedule_journal(self, name: str, life: int) -> None:
         def write() -> None:
@@ -173,7 +177,7 @@ class Lockstep:
                 self._schedule_journal(name, life)
                 self._send_journals(host)
 
-        self._push(self.now + 1_000_000_000, write)
+        self._push(self.now + NS_PER_S, write)
 
     def _take(self, host: Host, effects: list[Effect]) -> None:
         for effect in effects:
@@ -219,7 +223,7 @@ class Lockstep:
                 self._deliver(sent, name)
 
     def _to_port(self, name: str, message: SerialData | PortState) -> None:
-        """Through the wire, where the port has one."""
+        """Passes data or a plug of a port to the other end of its wire, if it has one."""
         end = name, message.port
         other = self._wires.get(end)
         if other is None:
@@ -260,7 +264,7 @@ class Lockstep:
             admission = self._admissions.setdefault((name, sent.key), Admission(sent.topic))
             if admission.judge(sent.envelope, self.now, latched) is Verdict.OLD:
                 if not latched:
-                    host.rejected(sent.key, Kind.SEQUENCE, admission.words, 1, self.now)
+                    host.rejected(sent.key, RejectionCause.SEQUENCE, admission.words, 1, self.now)
                 return
             self._take(host, host.message(sent.key, sent.message, sent.envelope, self.now, latched))
             self._keep_step(name, life, sent.topic.key)

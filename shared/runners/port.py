@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ports of a live service: one thread reads, one writes; a device that went away is looked for until it is back.
+"""The ports of a live service: one thread reads, one writes. An unplugged device is opened again when it is back.
 
-Nothing here knows what the bytes mean, and nothing blocks the service: what could not be written within LIFE is thrown
-away, because an old command must not reach a robot.
+This module does not interpret the bytes, and it never blocks the service. Data that could not be written within LIFE is
+dropped, because an old command must not reach a robot.
 """
 
 import errno
@@ -28,7 +28,8 @@ from serial.tools import list_ports
 from shared import topics
 from shared.messages import PortState, SerialData
 from shared.ports import PortConfig
-from shared.runners.clock import Clock
+from shared.robot_files import manual_page
+from shared.runners.clock import StackClock
 from shared.topics import Publication
 
 LIFE = 0.1  # s from an order to write until it is void
@@ -42,25 +43,27 @@ class Line(Protocol):
     """An open device."""
 
     def read(self) -> bytes:
-        """What arrived, waiting at most PATIENCE s for the first byte. Raises OSError when the device is gone."""
+        """Received bytes, after at most PATIENCE s. Raises OSError when the device is gone."""
 
     def write(self, data: bytes) -> None:
-        """Writes all, or nothing more after LIFE s. Raises OSError when the device is gone."""
+        """Writes the data, for at most LIFE s. Raises OSError when the device is gone."""
 
     def close(self) -> None: ...
 
 
 class Port:
-    """One port of a service. `tell` files topics.RX and topics.PORT for the service's loop."""
+    """One port of a service. publish: called with messages of topics.RX and topics.PORT, from any thread."""
 
-    def __init__(self, name: str, config: PortConfig, clock: Clock, tell: Callable[[Publication], object]) -> None:
-        self.name, self.config, self._clock, self._tell = name, config, clock, tell
+    def __init__(
+        self, name: str, config: PortConfig, clock: StackClock, publish: Callable[[Publication], object]
+    ) -> None:
+        self.name, self.config, self._clock, self._publish = name, config, clock, publish
         self._line: Line | None = None
         self._waiting: deque[tuple[float, bytes]] = deque()
         self._changed = threading.Condition()
         self._writing = threading.Lock()  # nothing is written to a line that is being closed
         self._plugged, self._closing = True, False
-        self._told: tuple[bool, str] | None = None
+        self._state: tuple[bool, str] | None = None
         self._threads = [
             threading.Thread(target=work, name=f"{name} {work.__name__.strip('_')}", daemon=True)
             for work in (self._read, self._write)
@@ -71,19 +74,19 @@ class Port:
             thread.start()
 
     def write(self, data: bytes) -> None:
-        """Writes soon, in order; thrown away where the device is not there, or does not take it in time."""
+        """Queues data for writing. It is dropped where the device is missing, or too slow."""
         with self._changed:
             self._waiting.append((time.monotonic() + LIFE, data))
             self._changed.notify_all()
 
     def plug(self, plugged: bool) -> None:
-        """Takes the device away, or brings it back: what an emulator does to its pseudo-terminal."""
+        """Removes or restores the device, for an emulator's pseudo-terminal."""
         with self._changed:
             self._plugged = plugged
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Writes what waits, then closes."""
+        """Writes the queued data, then closes."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
@@ -94,35 +97,35 @@ class Port:
     def _read(self) -> None:
         while not self._closing:
             if not self._plugged:
-                self._say(False, "unplugged")
+                self._publish_state(False, "unplugged")
                 self._pause()
                 continue
             try:
                 line = opened(self.config)
             except OSError as error:
-                self._say(False, trouble(self.config, error))
+                self._publish_state(False, trouble(self.config, error))
                 self._pause()
                 continue
             with self._changed:
                 self._waiting.clear()
                 self._line = line
-            self._say(True, "")
+            self._publish_state(True, "")
             try:
                 while self._wanted():
                     data = line.read()
                     if data:
-                        self._tell(topics.RX(SerialData(self._clock.now(), self.name, data)))
-                if not self._closing:  # said before it closes, or one plugged in again at once was never away
-                    self._say(False, "unplugged")
+                        self._publish(topics.RX(SerialData(self._clock.now(), self.name, data)))
+                if not self._closing:  # published before closing, so that a quick unplug is visible
+                    self._publish_state(False, "unplugged")
             except OSError as error:
-                self._say(False, trouble(self.config, error))
+                self._publish_state(False, trouble(self.config, error))
             finally:
                 with self._writing:
                     self._line = None
                     line.close()
 
     def _wanted(self) -> bool:
-        """Whether the device stays open: until the last order is written."""
+        """Whether the device stays open: until the queued data is written."""
         return self._plugged and (not self._closing or self._threads[1].is_alive())
 
     def _write(self) -> None:
@@ -134,7 +137,7 @@ class Port:
                     self._changed.wait(PATIENCE)
                 until, data = self._waiting.popleft()
                 line = self._line
-            with self._writing, suppress(OSError):  # the reader finds out too, and opens anew
+            with self._writing, suppress(OSError):  # the reader notices it, too, and opens the device again
                 if line is not None and line is self._line and time.monotonic() < until:
                     line.write(data)
 
@@ -143,10 +146,10 @@ class Port:
             if not self._closing:
                 self._changed.wait(AGAIN)
 
-    def _say(self, open_: bool, detail: str) -> None:
-        if self._told != (open_, detail):
-            self._told = open_, detail
-            self._tell(topics.PORT(PortState(self._clock.now(), self.name, open_, detail)))
+    def _publish_state(self, open_: bool, detail: str) -> None:
+        if self._state != (open_, detail):
+            self._state = open_, detail
+            self._publish(topics.PORT(PortState(self._clock.now(), self.name, open_, detail)))
 
 
 # --- devices --------------------------------------------------------------------------------------------------------
@@ -167,7 +170,7 @@ def opened(config: PortConfig) -> Line:
 
 
 def found(config: PortConfig) -> str:
-    """The device's name today: by its USB serial number where that is given."""
+    """The device's present path, by its USB serial number where that is given. Raises FileNotFoundError."""
     if not config.by_number:
         return config.device
     for candidate in list_ports.comports():
@@ -184,13 +187,13 @@ class SerialLine:
             self._port = serial.serial_for_url(
                 device, baud, timeout=PATIENCE, write_timeout=LIFE, exclusive=True, do_not_open=True
             )
-            self._port.dtr = dtr  # as it shall be from the first moment on
+            self._port.dtr = dtr  # set before opening, so that the line never has another level
             self._port.open()
         except ValueError as error:
             raise OSError(errno.EINVAL, str(error)) from None
 
     def read(self) -> bytes:
-        """All that is there in one call: pyserial reads a socket byte by byte, and a device in two steps."""
+        """All received bytes in one call: pyserial reads a socket byte by byte, and a device in two steps."""
         descriptor: int = self._port.fileno()
         ready, _, _ = select.select([descriptor], [], [], PATIENCE)
         if not ready:
@@ -204,7 +207,7 @@ class SerialLine:
         try:
             self._port.write(data)
         except serial.SerialTimeoutException:
-            self._port.reset_output_buffer()  # the line stalls: an old command must not come out later
+            self._port.reset_output_buffer()  # the line stalls: an old command must not be sent later
 
     def close(self) -> None:
         with suppress(OSError, termios.error):
@@ -212,7 +215,7 @@ class SerialLine:
 
 
 class Datagrams:
-    """A board behind UDP: what comes from its address."""
+    """A board behind UDP, at one address."""
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -223,7 +226,7 @@ class Datagrams:
         try:
             return self._socket.recv(65536)
         except (TimeoutError, ConnectionRefusedError):
-            return b""  # nobody there yet
+            return b""  # the board does not listen yet
 
     def write(self, data: bytes) -> None:
         with suppress(ConnectionRefusedError):
@@ -234,7 +237,7 @@ class Datagrams:
 
 
 class Listener:
-    """The far end of a `socket://`: one driver at a time, the newest."""
+    """The server end of a `socket://`, for one driver at a time: the newest."""
 
     def __init__(self, host: str, port: int) -> None:
         self._server = socket.create_server((host, port))
@@ -258,7 +261,7 @@ class Listener:
 
     def write(self, data: bytes) -> None:
         if self._client is not None:
-            with suppress(BlockingIOError, ConnectionError):  # nobody reads: as on a real line, it is lost
+            with suppress(BlockingIOError, ConnectionError):  # without a reader the data is lost, as on a real line
                 self._client.send(data)
 
     def close(self) -> None:
@@ -272,11 +275,11 @@ class Listener:
 
 
 class PseudoTerminal:
-    """The far end of a serial line of our own: others open `link` as their device."""
+    """The far end of an emulated serial line. A driver opens `link` as its device."""
 
     def __init__(self, link: Path) -> None:
         self._link = link
-        self._master, self._slave = pty.openpty()  # our own slave end keeps it alive while nobody else has it open
+        self._master, self._slave = pty.openpty()  # our slave end keeps it alive while no driver has it open
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         with suppress(FileNotFoundError):
@@ -288,7 +291,7 @@ class PseudoTerminal:
         return os.read(self._master, CHUNK) if ready else b""
 
     def write(self, data: bytes) -> None:
-        with suppress(BlockingIOError):  # nobody reads: as on a real line, it is lost
+        with suppress(BlockingIOError):  # without a reader the data is lost, as on a real line
             os.write(self._master, data)
 
     def close(self) -> None:
@@ -298,11 +301,11 @@ class PseudoTerminal:
         os.close(self._slave)
 
 
-# --- what is wrong --------------------------------------------------------------------------------------------------
+# --- errors ---------------------------------------------------------------------------------------------------------
 
 
 def trouble(config: PortConfig, error: OSError) -> str:
-    """Why a port cannot be used and what mends it, in one line."""
+    """Why a port cannot be used, with a hint, in one line."""
     device = config.name
     number = error.errno if error.errno is not None else _number_in(error)
     if number == errno.ENOENT:
@@ -310,39 +313,39 @@ def trouble(config: PortConfig, error: OSError) -> str:
     if number == errno.EACCES:
         return f"no permission for {device}: {admission(_path(config))}"
     if number in (errno.EBUSY, errno.EAGAIN):
-        return f"{device} is in use{_by_whom(_path(config))}: end that, or name another device"
+        return f"{device} is in use{_holders(_path(config))}: end that, or name another device"
     if number in (errno.EIO, errno.ENXIO, errno.ENODEV, errno.EBADF) or "disconnected" in str(error):
         return f"{device} went away: plug it in again"
     return f"{device}: {error.strerror or error}"
 
 
 def _number_in(error: OSError) -> int:
-    """pyserial tells errors of a lock only as text."""
+    """The errno of a pyserial error without one: a lock is only in its text."""
     return errno.EBUSY if "exclusively lock" in str(error) else 0
 
 
 def admission(device: str) -> str:
-    """What lets this account use a serial device, as a command or where it is described."""
+    """Hint that gives this account access to a serial device: a command, or a page."""
     try:
         state = os.stat(device)
         group = grp.getgrgid(state.st_gid).gr_name
     except (OSError, KeyError):
         return "sudo usermod -aG dialout $USER, then log in again"
     if group == "root" or state.st_mode & GROUP_MAY != GROUP_MAY:
-        return "give it to a group by a udev rule, as docs/hardware.md says"
+        return f"give it to a group by a udev rule: see {manual_page('hardware.md')}"
     return f"sudo usermod -aG {group} $USER, then log in again"
 
 
 def _path(config: PortConfig) -> str:
-    """Where the device is now; empty where it cannot be found."""
+    """The device's present path; empty where it is missing."""
     try:
         return os.path.realpath(found(config))
     except OSError:
         return ""
 
 
-def _by_whom(device: str) -> str:
-    """` by NAME (PID)` of each other process that has the device open, as far as that can be seen."""
+def _holders(device: str) -> str:
+    """` by NAME (PID)` of each other process that has the device open, as far as /proc shows it."""
     holders = set()
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         with suppress(OSError):

@@ -1,47 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a live runner rejects before its service sees it: it tells the service a few times a second."""
+"""Messages that a live runner rejects before its service. It reports them to the service a few times a second."""
 
 from collections import deque
 from collections.abc import Sized
 
-from shared.rejections import Kind
+from shared.rejections import RejectionCause
 from shared.runners import transport
 from shared.runners.host import Host
 from shared.runners.inbox import CAPACITY
 
-TELL = 50_000_000
-"""ns between two tellings: a flood must not fill the journal."""
+REPORT_PERIOD_NS = 50_000_000
+"""Between two reports: a flood of bad messages must not fill the journal."""
 
 
 class Refusals:
-    """Counts of rejected messages, by key and kind, until the service is told."""
+    """Counts of rejected messages by key and cause, until the next report."""
 
     def __init__(self) -> None:
         self._oversized: deque[tuple[str, str]] = deque(maxlen=CAPACITY)  # key, words: filed by Zenoh's threads
-        self._untold: dict[tuple[str, Kind], tuple[int, str]] = {}
-        self._told_at = 0
+        self._unreported: dict[tuple[str, RejectionCause], tuple[int, str]] = {}
+        self._reported_at = 0
 
     def oversized(self, key: str, payload: Sized) -> str:
-        """Notes a message that is too large, and returns what is wrong in words; empty where it is not. Any thread."""
+        """Notes a message that is too large. Returns the fault in words, else an empty string. Thread-safe."""
         words = transport.oversize(payload)
         if words:
             self._oversized.append((key, words))
         return words
 
     def sequence(self, key: str, words: str) -> None:
-        """Notes a message that was sent before one that was used, or is one of them."""
-        self._note(key, Kind.SEQUENCE, words)
+        """Notes a message that is repeated, or older than one that was used."""
+        self._note(key, RejectionCause.SEQUENCE, words)
 
-    def tell(self, host: Host, now: int) -> None:
-        """Tells the service of `host` what was noted since the last time: it may stand because of that. now: ns."""
+    def report(self, host: Host, now: int) -> None:
+        """Reports the new rejections to the service of `host`, which may stop because of them. now: ns."""
         while self._oversized:
             key, words = self._oversized.popleft()
-            self._note(key, Kind.SIZE, words)
-        if self._untold and not 0 <= now - self._told_at < TELL:
-            self._told_at = now
-            for (key, kind), (n, words) in self._untold.items():
+            self._note(key, RejectionCause.SIZE, words)
+        if self._unreported and not 0 <= now - self._reported_at < REPORT_PERIOD_NS:
+            self._reported_at = now
+            for (key, kind), (n, words) in self._unreported.items():
                 host.rejected(key, kind, words, n, now)
-            self._untold.clear()
+            self._unreported.clear()
 
-    def _note(self, key: str, kind: Kind, words: str) -> None:
-        self._untold[key, kind] = self._untold.get((key, kind), (0, ""))[0] + 1, words
+    def _note(self, key: str, kind: RejectionCause, words: str) -> None:
+        self._unreported[key, kind] = self._unreported.get((key, kind), (0, ""))[0] + 1, words

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs services on the events that their journals tell: the same events in the same order give the same bytes.
+"""Runs services on the events of their journals: the same events in the same order give the same bytes.
 
-Several services are replayed as a chain: what one publishes now is what the next one takes, at the event where its
-journal says so. The promise of equal bytes ends at the first `Gap`; the replay goes on behind it as well as it can.
+Several services are replayed as a chain: a publication of one is the input of the next, at the event that its journal
+names. Equal bytes are promised up to the first `ReplayGap`. Behind it the replay goes on with the messages that it has.
 """
 
 import time
@@ -13,16 +13,17 @@ from typing import Any, TypeVar
 from shared import topics
 from shared.codec import CodecError, Envelope, decode, envelope_of
 from shared.config import UserError, nearest
+from shared.kernel_cache import warm_up
 from shared.messages import Message
 from shared.recording import Recording
-from shared.rejections import Kind
+from shared.rejections import RejectionCause
 from shared.runners.host import (
     DONE,
-    FAREWELL,
     LATCHED,
     MESSAGE,
     REJECTED,
     REQUEST,
+    SHUTDOWN,
     TICK,
     Effect,
     Host,
@@ -39,18 +40,18 @@ from shared.topics import Publication, Topic
 T = TypeVar("T")
 
 DAY = 86_400_000_000_000
-AT_ONCE = 500
-"""Events of one session between two looks at the others, and at the progress."""
+MAX_BATCH = 500
+"""Events of one session before the other sessions and the progress."""
 
 Build = Callable[[str], Service]
-"""A new service of this name, as it stood at its start."""
+"""A function that builds a service by name, in its initial state."""
 Progress = Callable[[int, int], None]
-"""Called now and then with the events done and all events."""
+"""A function of the number of handled events and of all events."""
 
 
 @dataclass(frozen=True, slots=True)
-class Gap:
-    """Where something is missing: the event's place in its session's journal, its time in ns, and what."""
+class ReplayGap:
+    """A missing input: index of the event in its session's journal, its time (ns), and what is missing."""
 
     name: str
     session: str
@@ -64,7 +65,7 @@ class Gap:
 
 @dataclass(frozen=True, slots=True)
 class JobRun:
-    """A job of a service: by its handler's name, when (ns) it was ordered and ended, and how long (s) it took here."""
+    """A job of a service: name of its handler, times of order and end (ns), and computation time (s)."""
 
     name: str
     done: str
@@ -75,16 +76,16 @@ class JobRun:
 
 @dataclass(slots=True)
 class Replayed:
-    """What came out: per service, the publications of its handlers in order.
+    """Result of a replay: the publications of each service, in order.
 
-    recorded: what the replayed sessions had published, by (key, session) and sequence.
-    until: by session, the time (ns) of the last event that its journal tells: what was sent later is not replayed.
-    journalled: False where the recording has no journals and was fed in the order of the stamps.
-    jobs: those that ended, where there are journals.
+    recorded: recorded publications of the replayed sessions, by (key, session) and sequence.
+    until: time (ns) of the last event in a session's journal; later publications are not replayed.
+    journalled: False where the recording has no journals, so messages were replayed in the order of their stamps.
+    jobs: completed jobs, where there are journals.
     """
 
     sent: dict[str, list[Sent]]
-    gaps: list[Gap] = field(default_factory=list)
+    gaps: list[ReplayGap] = field(default_factory=list)
     recorded: dict[tuple[str, str], dict[int, bytes]] = field(default_factory=dict)
     until: dict[str, int] = field(default_factory=dict)
     journalled: bool = True
@@ -96,7 +97,7 @@ def replay(
 ) -> Replayed:
     """Replays these services, each session with a new object from `build`.
 
-    Raises UserError where the recording does not hold what is asked; what a handler raises passes, with a note that
+    Raises UserError where the recording lacks the journals or messages. Exceptions of handlers pass, with a note that
     names the event.
     """
     lives = recording.lives()
@@ -106,12 +107,12 @@ def replay(
         if name not in lives:
             raise UserError(f"{recording.path} has no journal of {name}", nearest(name, tuple(lives)))
     began = next((entry.log_time for entry in recording.entries()), 0)
-    chosen = [_heard(life, began) for name in names for life in lives[name]]
+    chosen = [_since(life, began) for name in names for life in lives[name]]
     traffic = ReplayTraffic(recording, chosen, [life for of_name in lives.values() for life in of_name])
     runs = [_Run(life, build(life.name), traffic) for life in chosen]
     waiting = [run for run in runs if run.life.events]
     while waiting:
-        if not any(run.go() for run in waiting):  # a circle, in which nobody sends what the next one needs
+        if not any(run.go() for run in waiting):  # a cycle: each one waits for a message of another
             min(waiting, key=lambda run: run.next.now).go(patient=False)
         progress(sum(run.at for run in runs), sum(len(life.events) for life in chosen))
         waiting = [run for run in waiting if not run.finished]
@@ -124,19 +125,19 @@ def replay(
     )
 
 
-def _heard(life: Life, began: int) -> Life:
-    """Of a session that is older than the recording, what happened since the recording began (ns)."""
+def _since(life: Life, began: int) -> Life:
+    """The session without events before the recording began (ns)."""
     hole = life.events[0] if life.events else None
     if hole is None or hole.kind != HOLE:
         return life
     later = [event for event in life.events[1:] if event.now >= began]
-    n_unheard = hole.number + len(life.events) - 1 - len(later)
-    return replace(life, events=[Event(HOLE, began, n_unheard), *later])
+    n_missing = hole.number + len(life.events) - 1 - len(later)
+    return replace(life, events=[Event(HOLE, began, n_missing), *later])
 
 
 @dataclass(frozen=True, slots=True)
 class _Computed:
-    """A job that has been run: its result, or what it raised; when it is over off the recorded course; s it took."""
+    """A computed job: result or exception, end (ns) where the replay deviates from the recording, duration (s)."""
 
     order: JobOrder
     ordered: int
@@ -147,19 +148,19 @@ class _Computed:
 
 
 class _Run:
-    """One session on its way through its journal."""
+    """The replay of one session."""
 
     def __init__(self, life: Life, service: Service, traffic: ReplayTraffic) -> None:
         self.life, self.at = life, 0
         self.sent: list[Sent] = []
-        self.gaps: list[Gap] = []
+        self.gaps: list[ReplayGap] = []
         self._traffic = traffic
-        self._astray = False
+        self._deviates = False
         self.jobs: list[JobRun] = []
         self._jobs: dict[int, _Computed] = {}
         self._ending = {event.number for event in life.events if event.kind == DONE}
         self._host = Host(service, life.name, life.session, self._first_sequences())
-        service.warm()
+        warm_up(service)
 
     @property
     def finished(self) -> bool:
@@ -170,12 +171,12 @@ class _Run:
         return self.life.events[self.at]
 
     def go(self, patient: bool = True) -> bool:
-        """Takes events until the end, for a while, or until one needs what others will publish; False: it took none.
+        """Handles events until the end, MAX_BATCH, or one that waits for another session. False if it handled none.
 
-        Not patient: does without what the first event needs.
+        patient: False to handle the first event without the message that it waits for.
         """
         begun = self.at
-        while not self.finished and self.at < begun + AT_ONCE:
+        while not self.finished and self.at < begun + MAX_BATCH:
             event = self.next
             try:
                 self._take(event)
@@ -193,8 +194,8 @@ class _Run:
 
     def _take(self, event: Event) -> None:
         host = self._host
-        if self._astray:
-            self._end_strays(event.now)
+        if self._deviates:
+            self._end_unrecorded_jobs(event.now)
         if event.kind in (MESSAGE, LATCHED):
             topic = _known(topics.topic_of(event.key), event.key)
             message, envelope = self._message(topic, event)
@@ -218,16 +219,16 @@ class _Run:
         elif event.kind == DONE:
             self._gap(f"job {event.number} is done but was not ordered")
         elif event.kind == REJECTED:
-            host.rejected(event.key, Kind(event.why), event.words, event.number, event.now)
-        elif event.kind == FAREWELL:
-            self._apply(host.farewell(event.now))
+            host.rejected(event.key, RejectionCause(event.why), event.words, event.number, event.now)
+        elif event.kind == SHUTDOWN:
+            self._apply(host.shutdown(event.now))
         elif event.kind == HOLE:
             self._gap(f"{event.number} entries of the journal are missing")
             if self.at == 0:
                 self._hold(event.now)
 
     def _hold(self, now: int) -> None:
-        """A session whose beginning is not known gets what was latched when the recording began, as a late joiner."""
+        """Gives a session without its beginning the latched values from when the recording began."""
         for key, (message, envelope) in self._traffic.held.items():
             if key in self._host.handlers.topics:
                 self._apply(self._host.message(key, message, envelope, now, latched=True))
@@ -246,28 +247,28 @@ class _Run:
         for effect in effects:
             if isinstance(effect, Sent):
                 self.sent.append(effect)
-                self._astray |= not self._traffic.publish(effect)
+                self._deviates |= not self._traffic.publish(effect)
             else:
                 self._jobs[effect.index] = _computed(effect, self._host.service.now)
 
-    def _end_strays(self, now: int) -> None:
-        """Off the recorded course, jobs that the journal does not end are done when their time is over."""
+    def _end_unrecorded_jobs(self, now: int) -> None:
+        """Ends jobs that the journal does not end, at their due time, where the replay deviates from the recording."""
         for index, job in sorted(self._jobs.items()):
             if index not in self._ending and job.due <= now:
                 self._done(self._jobs.pop(index), now)
 
     def _done(self, job: _Computed, now: int) -> None:
-        if job.error is not None:  # as live: it is raised where its result would have come
+        if job.error is not None:  # as live: raised in place of its result
             raise job.error
         self.jobs.append(JobRun(self.life.name, job.order.job.done, job.ordered, now, job.spent))
         self._apply(self._host.done(job.order, job.result, now))
 
     def _gap(self, what: str) -> None:
-        self._astray = True
-        self.gaps.append(Gap(self.life.name, self.life.session, self.at, self.next.now, what))
+        self._deviates = True
+        self.gaps.append(ReplayGap(self.life.name, self.life.session, self.at, self.next.now, what))
 
     def _first_sequences(self) -> dict[str, int]:
-        """Where each key's count stood when the journal begins in the middle: at what was recorded first after it."""
+        """First sequence number of each key, where the journal lacks its beginning: that of the first later message."""
         events = self.life.events
         if len(events) < 2 or events[0].kind != HOLE:
             return {}
@@ -298,7 +299,7 @@ def _known(row: T | None, key: str) -> T:
 
 
 def _in_stamp_order(recording: Recording, names: list[str], build: Build, progress: Progress) -> Replayed:
-    """The services on a virtual clock, fed with what was recorded in the order of the stamps."""
+    """Replays the recorded messages in the order of their stamps, on a virtual clock."""
     services = {name: build(name) for name in names}
     inputs = {key for service in services.values() for key in handlers(type(service)).topics}
     messages: list[tuple[int, Publication, str]] = []
@@ -332,7 +333,7 @@ def _in_stamp_order(recording: Recording, names: list[str], build: Build, progre
     for done, (stamp, publication, publisher) in enumerate(messages):
         lockstep.run((stamp - lockstep.now) / 1e9)
         lockstep.publish(publication, publisher)
-        if done % AT_ONCE == 0:
+        if done % MAX_BATCH == 0:
             progress(done, len(messages))
     lockstep.run(1.0)
     progress(len(messages), len(messages))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who takes what in a replay: the recorded payloads, and in their place what the replayed services publish anew."""
+"""Messages of a replay: the recorded ones, and in place of some the new publications of replayed services."""
 
 from collections.abc import Iterator
 from typing import TypeVar
@@ -17,21 +17,21 @@ M = TypeVar("M", bound=Message)
 
 
 class ReplayTraffic:
-    """Who takes what: messages by (key, session) and sequence, recorded or published anew.
+    """Messages by (key, session) and sequence, recorded or published by a replayed service.
 
-    ended: the replayed sessions that will publish no more, and the time of their last event.
+    ended: the completed sessions, and the time (ns) of their last event.
     """
 
     def __init__(self, recording: Recording, lives: list[Life], all_lives: list[Life]) -> None:
         self.sessions = {life.session for life in lives}
         self.ended = {life.session: 0 for life in lives if not life.events}
         self.recorded: dict[tuple[str, str], dict[int, bytes]] = {}
-        self.held: dict[str, tuple[Message, Envelope]] = {}  # by key, what was latched when the recording began
+        self.held: dict[str, tuple[Message, Envelope]] = {}  # by key, the latched values when the recording began
         self._payloads: dict[tuple[str, str], dict[int, bytes]] = {}
         self._kept: dict[tuple[str, str, int], bytes] = {}
-        self._taken_up = dict(_taken_up(all_lives))
+        self._restored = dict(_restored_values(all_lives))
         taken = {(e.key, e.session) for life in lives for e in life.events if e.kind in (MESSAGE, LATCHED)}
-        for source, event in self._taken_up.items():
+        for source, event in self._restored.items():
             if source in taken:
                 taken.add((event.key, event.session))
         said = {key_of(t, life.name) for life in lives for t in TOPICS if life.name in t.publishers}
@@ -41,7 +41,7 @@ class ReplayTraffic:
             try:
                 envelope = envelope_of(entry.payload)
             except CodecError:
-                continue  # nobody took it
+                continue  # no service accepted it
             source, topic = (entry.key, envelope.session), topics.topic_of(entry.key)
             if entry.latched and topic is not None:
                 self.held.setdefault(entry.key, (valid(topic.type, entry.payload), envelope))
@@ -56,13 +56,13 @@ class ReplayTraffic:
             self._payloads[source] = payloads | self._payloads.get(source, {})
 
     def publish(self, sent: Sent) -> bool:
-        """Takes a message that was published anew; False where it is not what was recorded."""
+        """Adds a publication of a replayed service. Returns whether it equals the recorded one."""
         source, sequence = (sent.key, sent.envelope.session), sent.envelope.sequence
         self._payloads.setdefault(source, {})[sequence] = sent.payload
         return self.recorded.get(source, {}).get(sequence, sent.payload) == sent.payload
 
     def payload(self, key: str, session: str, sequence: int) -> bytes:
-        """The bytes of a message. What a killed service sent after its last journal is taken as recorded."""
+        """The bytes of a message; the recorded ones after the last journal of a killed service. Raises MissingError."""
         source = (key, session)
         found = self._payloads.get(source, {}).get(sequence)
         if found is None and session in self.ended:
@@ -74,16 +74,16 @@ class ReplayTraffic:
         return found
 
     def kept(self, key: str, session: str, sequence: int) -> bytes | None:
-        """A latched value that was recorded whole, as it was given; None where its publisher speaks anew."""
+        """A recorded latched value; None where its publisher is replayed."""
         return None if session in self.sessions else self._kept.get((key, session, sequence))
 
     def latched(self, topic: Topic[Message], key: str, session: str, sequence: int) -> Message:
-        """The value kept for late joiners when this message was sent: all of its session's up to there, merged.
+        """The latched value after a message: all messages of its session up to there, merged. Raises MissingError.
 
-        What a restarted publisher took up from its predecessor is part of it.
+        It includes the value that a restarted publisher restored.
         """
         kept, first, held = None, 0, self.held.get(key)
-        before = self._taken_up.get((key, session))
+        before = self._restored.get((key, session))
         if held is not None and held[1].session == session and held[1].sequence <= sequence:
             kept, first = held[0], held[1].sequence + 1
         elif before is not None:
@@ -95,7 +95,7 @@ class ReplayTraffic:
         return kept
 
 
-def _taken_up(lives: list[Life]) -> Iterator[tuple[tuple[str, str], Event]]:
+def _restored_values(lives: list[Life]) -> Iterator[tuple[tuple[str, str], Event]]:
     """By (key, session): the event in which a restarted service got its own latched value back."""
     for life in lives:
         for event in life.events:
@@ -105,7 +105,7 @@ def _taken_up(lives: list[Life]) -> Iterator[tuple[tuple[str, str], Event]]:
 
 
 class MissingError(Exception):
-    """A message that is not in the recording, or not yet published."""
+    """The message is not in the recording, or not yet published."""
 
     def __init__(self, key: str, session: str, sequence: int) -> None:
         super().__init__(f"{key} #{sequence} of {session} is missing")
@@ -113,7 +113,7 @@ class MissingError(Exception):
 
 
 def valid(type_: type[M], payload: bytes) -> M:
-    """A recorded message. Raises UserError where this version does not take it."""
+    """A decoded message of a recording. Raises UserError where it is not valid in this version."""
     try:
         return decode(type_, payload)[0]
     except CodecError as error:

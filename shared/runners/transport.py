@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How processes find each other with Zenoh: a fixed list of loopback ports a stack, or one router.
+"""Zenoh sessions: a fixed list of loopback ports for each stack, or one router.
 
-Kind A of the measured configurations: no holder to lose, no multicast, and a second instance of a service is refused at
-open because its port is taken. Shared memory is off: it drops and delays what is over 3 kB.
+There is no central process and no multicast. A second instance of a service cannot open its port. Shared memory is off:
+it drops and delays messages over 3 kB (docs/decisions.md).
 """
 
 import json
@@ -27,19 +27,20 @@ from shared.topics import SERVICES, TOPICS
 BASE_PORT = 17400
 PORTS_A_STACK = 40
 MAX_DOMAIN = 200
-LOG = "error,zenoh::api::session=off"  # goes to stdout, where tools write data; the session complains while it closes
+LOG = "error,zenoh::api::session=off"  # goes to stdout, where tools write data; a session logs errors while it closes
 MAX_PAYLOAD = 4 * 2**20  # bytes of a message, a request or a reply; a whole map of 1000 tiles
-MAX_MESSAGE = (
-    4 * MAX_PAYLOAD
-)  # bytes that Zenoh takes; it drops larger ones without a word, and here is who can refuse them
-RING = 50_000  # messages that wait for who hears everything: 100 s of a stack, 13 MB
+MAX_MESSAGE = 4 * MAX_PAYLOAD  # bytes that Zenoh accepts; it drops larger messages silently, so we refuse them first
+RING = 50_000  # messages that wait for the recorder: 100 s of a stack, 13 MB
 ONE_THREAD = "(rx: (handover: net))"  # the thread that waits for the sockets also reads them
-DATA_QUEUE = 16  # batches of 64 kB a link: two, the default, overflow when a busy machine lets a process wait for 40 ms
+DATA_QUEUE = 16  # batches of 64 kB a link: two, the default, overflow when a process waits 40 ms for a busy CPU
+
+TOOL_OPEN_MS = 200  # ms that opening waits for links: a tool asks at once, and has no second try
+SERVICE_OPEN_MS = 80  # ms: what a service misses of its first links it asks for again; a restart waits for this
 
 
 @dataclass(frozen=True, slots=True)
-class Where:
-    """Which stack to join: a block of loopback ports by number (`domain`), or a router's endpoint."""
+class StackAddress:
+    """Address of a stack: a block of loopback ports by number (`domain`), or a router's endpoint."""
 
     domain: int = 0
     router: str = ""
@@ -49,16 +50,16 @@ class Where:
         return BASE_PORT + PORTS_A_STACK * self.domain + SERVICES.index(name)
 
 
-def where_from(text: str) -> Where:
-    """A domain's number, or a router's endpoint like tcp/router:7447. Raises UserError on anything else."""
+def stack_address(text: str) -> StackAddress:
+    """The address from a domain's number, or a router's endpoint like tcp/router:7447. Raises UserError."""
     if text.isdigit() and int(text) <= MAX_DOMAIN:
-        return Where(int(text))
+        return StackAddress(int(text))
     if "/" in text and ":" in text:
-        return Where(router=text)
+        return StackAddress(router=text)
     raise UserError(f"{text!r} names no stack", f"give a number 0 to {MAX_DOMAIN}, or a router like tcp/router:7447")
 
 
-def configuration(where: Where, name: str = "") -> zenoh.Config:
+def configuration(where: StackAddress, name: str = "") -> zenoh.Config:
     """The session's configuration: as service `name`, or as a tool where it is empty."""
     config = zenoh.Config()
 
@@ -78,7 +79,7 @@ def configuration(where: Where, name: str = "") -> zenoh.Config:
         put("connect/timeout_ms", -1 if name else 3000)
         return config
     put("mode", "peer")
-    put("scouting/delay", 200)
+    put("scouting/delay", SERVICE_OPEN_MS if name else TOOL_OPEN_MS)
     put("listen/endpoints", [f"tcp/127.0.0.1:{where.port(name) if name else 0}"])
     put("connect/endpoints", [f"tcp/127.0.0.1:{where.port(other)}" for other in SERVICES if other != name])
     put("connect/timeout_ms", -1)
@@ -93,15 +94,15 @@ def router_configuration(endpoint: str) -> zenoh.Config:
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("transport/shared_memory/enabled", "false")
     config.insert_json5("transport/link/rx/max_message_size", json.dumps(MAX_MESSAGE))
-    config.insert_json5("timestamping/enabled", "false")  # who wants to know when a message came, stamps it there
+    config.insert_json5("timestamping/enabled", "false")  # receivers stamp messages themselves
     return config
 
 
-def opened(where: Where, name: str = "", everything: bool = False) -> zenoh.Session:
+def opened(where: StackAddress, name: str = "", everything: bool = False) -> zenoh.Session:
     """An open session. Raises UserError when the service's port is taken or the router does not answer.
 
-    everything: what comes is stamped on arrival, for `Everything`; and this process receives on one thread, where
-    Zenoh would wake three for each message. It holds for the process, from its first session on.
+    everything: messages get a stamp on arrival, for `Everything`. This process then receives on one thread, where Zenoh
+    would wake three for each message. That holds for the process, from its first session on.
     """
     if name and name not in SERVICES:
         raise UserError(f"{name} is not a service", nearest(name, SERVICES))
@@ -109,18 +110,18 @@ def opened(where: Where, name: str = "", everything: bool = False) -> zenoh.Sess
     config = configuration(where, name)
     if everything:
         config.insert_json5("timestamping/enabled", "true")
-        os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # noqa: TID251  # Zenoh has no other way to be told
+        os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # noqa: TID251  # Zenoh reads it from the environment only
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
         if where.router:
             raise UserError(f"no router answers at {where.router}", "is it running? see docker compose ps") from error
-        mend = f"is another {name} running in domain {where.domain}? see who: ss -tlnp | grep {where.port(name)}"
-        raise UserError(f"port {where.port(name)} is taken", mend) from error
+        hint = f"is another {name} running in domain {where.domain}? find it: ss -tlnp | grep {where.port(name)}"
+        raise UserError(f"port {where.port(name)} is taken", hint) from error
 
 
 def asks_for_realtime(priority: int = 5) -> bool:
-    """SCHED_RR for this process and the threads that it starts; False where the system does not allow it."""
+    """Sets SCHED_RR for this process and its threads. Returns False where the system does not allow it."""
     try:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
     except (OSError, AttributeError):
@@ -129,19 +130,19 @@ def asks_for_realtime(priority: int = 5) -> bool:
 
 
 def oversize(payload: Sized) -> str:
-    """What is wrong with the size of a message, in words; empty where it is within `MAX_PAYLOAD`."""
+    """Words for a message over `MAX_PAYLOAD`; empty for a smaller one."""
     n = len(payload)
     return f"{n / 2**20:.1f} MiB where a message may have {MAX_PAYLOAD // 2**20}" if n > MAX_PAYLOAD else ""
 
 
 def refuse(query: zenoh.Query, reason: Reason, text: str) -> None:
-    """Answers a request with an error, at once."""
+    """Answers a request with an error: the code of a reason and a text."""
     with query:
         query.reply_err(msgpack.packb({"code": reason.code, "text": text}))
 
 
 class LatchedPublisher:
-    """Keeps a key's last value for late joiners: they ask with a query and get it at once."""
+    """Serves a key's last value to late subscribers, which ask with a query."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self._key, self._lock = key, threading.Lock()
@@ -149,7 +150,7 @@ class LatchedPublisher:
         self._queryable = session.declare_queryable(key, self._answer, complete=True)
 
     def keep(self, value: Callable[[], bytes]) -> None:
-        """The value that the next late joiner gets; encoded when somebody asks."""
+        """Sets the value: a function that encodes it when a subscriber asks."""
         with self._lock:
             self._value = value
 
@@ -162,7 +163,7 @@ class LatchedPublisher:
 
 
 class LatchedReader:
-    """Asks for a key's kept value at start, whenever a publisher appears, and on `refresh`; `file` gets the bytes."""
+    """Reads a key's latched value at start, when a publisher appears, and on `refresh`. file: called with the bytes."""
 
     def __init__(self, session: zenoh.Session, key: str, file: Callable[[bytes], None]) -> None:
         self._file = file
@@ -173,7 +174,7 @@ class LatchedReader:
         self.refresh()
 
     def refresh(self) -> None:
-        """Asks again: something was missed."""
+        """Asks for the value again, after a missed message."""
         self._querier.get(self._reply)
 
     def _changed(self, status: zenoh.MatchingStatus) -> None:
@@ -186,8 +187,8 @@ class LatchedReader:
             self._file(reply.ok.payload.to_bytes())
 
 
-class Arrival(NamedTuple):
-    """A payload as it came in. at: ns on the wall's clock; latched: kept for late joiners."""
+class RawSample(NamedTuple):
+    """A received payload. at: ns on the wall clock.  latched: a value for late subscribers."""
 
     key: str
     payload: bytes
@@ -196,28 +197,28 @@ class Arrival(NamedTuple):
 
 
 class Everything:
-    """Hears every key of a robot, for who looks now and then: Python is not woken for each message.
+    """Subscribes to every key of a robot, for a reader that polls: Python does not wake up for each message.
 
-    Zenoh files them in a ring, the oldest gives way, and stamps each on arrival (`opened(..., everything=True)`).
+    Zenoh stores the messages in a ring, drops the oldest, and stamps each on arrival (`opened(..., everything=True)`).
     """
 
     def __init__(self, session: zenoh.Session, robot: str) -> None:
-        self._kept: deque[Arrival] = deque()
+        self._kept: deque[RawSample] = deque()
         self._ring = session.declare_subscriber(f"{robot}/**", zenoh.handlers.RingChannel(RING))
         keys = [f"{robot}/{topic.key}" for topic in TOPICS if topic.latched]
         self._readers = [LatchedReader(session, key, partial(self._keep, key)) for key in keys]
 
     def _keep(self, key: str, payload: bytes) -> None:
-        self._kept.append(Arrival(key, payload, time.time_ns(), True))
+        self._kept.append(RawSample(key, payload, time.time_ns(), True))
 
-    def taken(self) -> list[Arrival]:
-        """What came since the last call, in the order of its times."""
+    def take_all(self) -> list[RawSample]:
+        """The messages since the last call, in the order of their times."""
         samples = list(iter(self._ring.try_recv, None))
         now = time.time_ns()
         found = [self._kept.popleft() for _ in range(len(self._kept))]
         for sample in samples:
             stamp = sample.timestamp
-            # a clock that was set back is behind its stamps, a router without stamps of its own leaves them to us
+            # after the clock was set back a stamp may be ahead; a router may give none
             at = now if stamp is None else min(now, stamp.get_time_as_ntp64().as_nanos())
-            found.append(Arrival(str(sample.key_expr), sample.payload.to_bytes(), at, False))
+            found.append(RawSample(str(sample.key_expr), sample.payload.to_bytes(), at, False))
         return sorted(found, key=attrgetter("at"))

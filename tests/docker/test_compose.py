@@ -107,7 +107,7 @@ def test_the_image_runs_as_nobody_special_and_holds_its_kernels():
     compiled = "find /opt/zenav/kernels -name '*.nbc' | wc -l"
     before = int(run("sh", "-c", compiled))
     assert before > 20
-    assert int(run("sh", "-c", f"python -m zenav.warm > /dev/null && {compiled}")) == before
+    assert int(run("sh", "-c", f"python -m zenav.stack.warm > /dev/null && {compiled}")) == before
 
 
 def test_the_stack_is_healthy_and_a_goal_from_the_command_line_is_reached(down):
@@ -117,7 +117,7 @@ def test_the_stack_is_healthy_and_a_goal_from_the_command_line_is_reached(down):
     told = compose("run", "--rm", "-T", "cli", "goto", "1.5", "0")
     assert "reached" in told.lower()
     with events("health_status", 120) as heard:
-        compose("exec", "-T", "odometry", "python", "-c", DIES)  # the engine starts it anew
+        compose("exec", "-T", "odometry", "python", "-c", DIES)  # the engine starts it again
         assert healthy({"odometry"}, heard) == {"odometry"}
     compose("run", "--rm", "-T", "cli", "goto", "0", "0")
     assert ".mcap" in compose("exec", "-T", "recorder", "ls", "recordings")

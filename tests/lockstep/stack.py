@@ -15,20 +15,20 @@ from shared.messages import EmergencyStop, GuardStatus, Message, MotorCommand, N
 from shared.requests import Navigate
 from shared.runners.host import Sent
 from shared.runners.lockstep import Lockstep
-from zenav.classes import made
+from zenav.stack.service_loader import build_service
 
 STACK = ("sim", "base_driver", "odometry", "mapper", "planner", "local_ctrl", "guard", "navigator")
 DRIVERS = {"board": "base_driver", "laser": "lidar_driver"}
-"""Who speaks with which of the simulated robot's ports."""
+"""Which driver or simulated device uses which port of the robot."""
 MS = 1_000_000
 KEPT = (
-    topics.BASE,
+    topics.BASE_STATUS,
     topics.WHEELS,
     topics.BOARD_IS,
     topics.TRUTH,
     topics.GUARD,
     topics.MOTORS,
-    topics.NAV,
+    topics.NAV_STATUS,
     topics.CMD_VEL,
     topics.ODOM,
     topics.SCAN,
@@ -47,7 +47,7 @@ boxes:
 """Ten metres to drive at full speed, with two boxes to see by where one is."""
 
 
-class Stack:
+class LockstepStack:
     """All services in a world. Poses are in `map`, whose origin is the robot's start."""
 
     def __init__(
@@ -61,7 +61,7 @@ class Stack:
         path = folder / "world.yaml"
         path.write_text(world)
         self.file = configured("x80sv", [f"sim.world={path}", "sim.clutter_jitter=0", *settings])
-        services = {name: made(name, self.file, self.file.robot) for name in names if name != "sim"}
+        services = {name: build_service(name, self.file, self.file.robot) for name in names if name != "sim"}
         services |= {"sim": sim(self.file.section("sim", SimConfig), self.file.robot)}
         wires = tuple(((name, port), ("sim", port)) for port, name in DRIVERS.items() if port in services["sim"].ports)
         self.lockstep = Lockstep(services, wires=wires)
@@ -101,7 +101,7 @@ class Stack:
 
     @property
     def commanded(self) -> bool:
-        """Whether the board was last told to turn a wheel."""
+        """Whether the board's last command turns a wheel."""
         return bool(self.motors.left or self.motors.right)
 
     def go(self, x: float, y: float = 0.0) -> None:
@@ -137,8 +137,8 @@ class Stack:
         return self.newest["nav/status"].state
 
     def start(self, name: str) -> None:
-        """Starts a service anew."""
-        self.lockstep.start(name, made(name, self.file, self.file.robot))
+        """Starts a service again after it was killed."""
+        self.lockstep.start(name, build_service(name, self.file, self.file.robot))
 
     def stop(self, pressed: bool) -> None:
         self.lockstep.publish(topics.ESTOP(EmergencyStop(self.now, pressed, "test")))

@@ -12,7 +12,7 @@ from shared.geometry import Pose2
 from shared.grid import update_of_cells
 from shared.messages import LaserScan, NavState
 from shared.reasons import REASONS
-from tests.lockstep.stack import MS, Stack
+from tests.lockstep.stack import MS, LockstepStack
 from tests.lockstep.test_faults import Pose
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
@@ -33,13 +33,13 @@ boxes:
 """Two halves of a room, and between them a corridor as wide as the robot's footprint."""
 
 
-def ends_with(stack: Stack, state: NavState, *reasons: str, seconds: float = 60.0) -> None:
-    """The task ends so, its reason has words and a mend, and the robot stands."""
+def ends_with(stack: LockstepStack, state: NavState, *reasons: str, seconds: float = 60.0) -> None:
+    """The task ends so, its reason has words and a hint, and the robot stands."""
     stack.until(stack.ended, seconds)
     status = stack.newest["nav/status"]
     assert status.state is state
     assert status.reason in reasons, status
-    assert REASONS[status.reason].mend
+    assert REASONS[status.reason].hint
     stack.until(lambda: not stack.commanded, 1.0)
     stack.until(lambda: abs(stack.truth.v) < 0.01, 1.0)
     stack.stands_for(1.0)
@@ -47,7 +47,7 @@ def ends_with(stack: Stack, state: NavState, *reasons: str, seconds: float = 60.
 
 
 def test_a_corridor_as_narrow_as_the_robot_is_no_way_and_what_lies_beyond_is_unreachable(tmp_path):
-    stack = Stack(tmp_path, NARROW, settings=QUICK)
+    stack = LockstepStack(tmp_path, NARROW, settings=QUICK)
     begun = stack.truth.world_from_base
     stack.go(4.0)
     ends_with(stack, NavState.FAILED, "unreachable", seconds=10.0)
@@ -58,7 +58,7 @@ def test_a_corridor_as_narrow_as_the_robot_is_no_way_and_what_lies_beyond_is_unr
 
 
 def test_a_map_that_changes_under_the_plan_stops_the_robot_or_ends_the_task(tmp_path):
-    stack = Stack(tmp_path, settings=QUICK)
+    stack = LockstepStack(tmp_path, settings=QUICK)
     stack.go(6.5)
     stack.drives(0.6)
     grid = stack.lockstep.service("navigator").navigation.grid
@@ -80,7 +80,7 @@ def test_a_map_that_changes_under_the_plan_stops_the_robot_or_ends_the_task(tmp_
 
 
 def test_a_pose_that_jumps_by_a_metre_holds_the_robot_until_it_has_planned_anew(tmp_path):
-    stack = Stack(tmp_path, settings=QUICK)
+    stack = LockstepStack(tmp_path, settings=QUICK)
     stack.go(4.0)
     stack.drives()
     pose = Pose(stack)
@@ -116,7 +116,7 @@ class Walled(SimService):
 
 
 def test_where_there_is_nothing_but_obstacles_the_robot_stands_and_gives_up_with_the_reason(tmp_path):
-    stack = Stack(tmp_path, sim=Walled, settings=QUICK)
+    stack = LockstepStack(tmp_path, sim=Walled, settings=QUICK)
     stack.go(6.5)
     stack.drives()
     Pose(stack)  # the mapper would be lost, and that a reason of its own

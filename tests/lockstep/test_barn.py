@@ -15,10 +15,10 @@ from services.sim.world_loader import read_cylinder_file
 from shared import topics
 from shared.messages import PoseEstimate
 from shared.runners.lockstep import START, Lockstep
-from zenav.bench.barn_run import BarnFile, Referee, Trial, course_of, robot_file, run
-from zenav.classes import made
-from zenav.hardware import Hardware, services_for
-from zenav.lockstep_run import RECORDER
+from zenav.bench.barn_run import BarnFile, BarnTrial, Referee, barn_robot_file, course_of, run_barn
+from zenav.scenario.lockstep_run import RECORDER
+from zenav.stack.hardware import Hardware, services_for
+from zenav.stack.service_loader import build_service
 
 DATA = os.environ.get("ZENAV_DATA")  # noqa: TID251
 WORLDS = Path(DATA or "") / "barn" / "barn_worlds.json.gz"
@@ -29,19 +29,19 @@ DELAY = 0.05  # s, of the motors' commands
 RUNAWAY = 0.5  # m from the truth
 
 
-def trial(world: str, seed: int, folder: Path, settings: tuple[str, ...], delay: float = 0.0) -> Trial:
+def trial(world: str, seed: int, folder: Path, settings: tuple[str, ...], delay: float = 0.0) -> BarnTrial:
     file = read_cylinder_file(WORLDS, BarnFile)
     path = folder / "one.json"  # a file of one world: reading all 250 takes a tenth of a run
     path.write_text(json.dumps(file.model_dump(include={*type(file).model_fields} - {"worlds"}) | {
         "worlds": {world: file.worlds[world].model_dump()}
     }))  # fmt: skip
-    return Trial(course_of(path, file, world), seed, "jackal", settings, delay)
+    return BarnTrial(course_of(path, file, world), seed, "jackal", settings, delay)
 
 
 @pytest.mark.skipif(not WORLDS.is_file(), reason="ZENAV_DATA names no folder with barn/barn_worlds.json.gz")
 @pytest.mark.parametrize("world", ["1", "163", "242", "275", "287", "299"])
 def test_the_stack_gets_through_a_cluttered_world(world, tmp_path):
-    done = run(trial(world, 0, tmp_path, CHEAP))
+    done = run_barn(trial(world, 0, tmp_path, CHEAP))
     assert done.status == "success", done.why
     assert done.score == 0.5
     assert done.clearance > ROOM
@@ -53,13 +53,13 @@ def test_the_stack_gets_through_a_cluttered_world(world, tmp_path):
 def test_noise_at_50_hz_does_not_take_the_pose_away_among_thin_cylinders(tmp_path):
     """Seed 1 of world 242: with motions compared over 0.05 s, odometry's doubt fed on the matches: 0.79 m, now 0.31."""
     noisy = trial("242", 1, tmp_path, NOISY, DELAY)
-    file = robot_file(noisy)
+    file = barn_robot_file(noisy)
     names = [name for name in services_for(Hardware.MESSAGES, file) if name != RECORDER]
-    lockstep = Lockstep({name: made(name, file, file.robot) for name in names})
+    lockstep = Lockstep({name: build_service(name, file, file.robot) for name in names})
     estimates: list[PoseEstimate] = []
     lockstep.watch(topics.POSE.key, estimates.append)
     referee = Referee(noisy.course, file.robot, lockstep, noisy.delay)
-    done = referee.driven()
+    done = referee.result()
     assert done.status == "success", done.why
     times, xs, ys = np.array(referee.rows)[:, :3].T
     stamps = np.array([(estimate.stamp - START) / 1e9 for estimate in estimates])

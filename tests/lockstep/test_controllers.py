@@ -3,7 +3,7 @@
 
 import pytest
 
-from tests.lockstep.stack import Stack
+from tests.lockstep.stack import LockstepStack
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 
@@ -18,7 +18,7 @@ boxes:
 
 @pytest.mark.parametrize("name", ["dwa", "pursuit"])
 def test_it_drives_to_a_goal_without_contact(tmp_path, name):
-    stack = Stack(tmp_path, ROOM, settings=(f"local_ctrl.controller={name}",))
+    stack = LockstepStack(tmp_path, ROOM, settings=(f"local_ctrl.controller={name}",))
     stack.go(3.8)
     stack.until(stack.ended, 40.0)
     assert stack.reached()

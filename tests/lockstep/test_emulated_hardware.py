@@ -10,7 +10,7 @@ from services.sim.hardware.faults import Fault
 from shared import requests
 from shared.recording import Recording
 from shared.requests import Break
-from tests.lockstep.stack import MS, STACK, Stack
+from tests.lockstep.stack import MS, STACK, LockstepStack
 from tests.lockstep.test_board_faults import STOPS
 from zenav.__main__ import _status
 
@@ -19,8 +19,8 @@ pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are com
 EMULATED = ("sim.hardware=emulated", "base_driver.port.device=wired", "lidar_driver.port.device=wired")
 
 
-def wired(folder: Path) -> Stack:
-    return Stack(folder, settings=EMULATED, names=(*STACK, "lidar_driver"))
+def wired(folder: Path) -> LockstepStack:
+    return LockstepStack(folder, settings=EMULATED, names=(*STACK, "lidar_driver"))
 
 
 def test_on_emulated_hardware_the_robot_reaches_its_goal(tmp_path):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever fails while the robot drives at full speed: the motors are told to stand within the promised time."""
+"""Whatever fails while the robot drives at full speed, the motors get a zero command within the promised time."""
 
 from dataclasses import replace
 from functools import partial
@@ -10,7 +10,7 @@ from services.sim.service import SimService
 from shared import topics
 from shared.geometry import Pose2
 from shared.messages import BoardReport, GuardState, Localization, PoseEstimate, Velocity
-from tests.lockstep.stack import MS, Stack
+from tests.lockstep.stack import MS, LockstepStack
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 
@@ -20,13 +20,13 @@ SLACK = 50  # ms on top of an age limit: from noticing to the motors' zero
 @pytest.fixture
 def driving(tmp_path):
     """At full speed towards a goal four metres ahead."""
-    stack = Stack(tmp_path)
+    stack = LockstepStack(tmp_path)
     stack.go(4.0)
     stack.drives()
     return stack
 
 
-def zero_within(stack: Stack, ms: float) -> None:
+def zero_within(stack: LockstepStack, ms: float) -> None:
     assert stack.until(lambda: not stack.commanded, 5.0) <= ms * MS
 
 
@@ -92,13 +92,13 @@ def test_an_old_plan_stops_the_robot_with_its_reason(driving):
     zero_within(driving, plan_age + braking)
     driving.lockstep.run(0.1)
     assert driving.guard.reason == "plan_old"
-    driving.stands_for(6.0)  # also when the navigator has it planned anew
+    driving.stands_for(6.0)  # also when the navigator has it planned again
 
 
 class Pose:
     """In the place of a killed mapper: the last map_from_odom goes on, 10 times a second, moved and in a state."""
 
-    def __init__(self, stack: Stack) -> None:
+    def __init__(self, stack: LockstepStack) -> None:
         self.stack, self.shift, self.state = stack, 0.0, Localization.GOOD
         stack.lockstep.kill("mapper")
         self.last: PoseEstimate = stack.newest["pose"]
@@ -144,7 +144,7 @@ def test_stop_outlives_guard_and_base_and_releasing_it_moves_nothing(driving):
     driving.stop(True)
     zero_within(driving, 20)
     driving.until(lambda: abs(driving.truth.v) < 0.01, 1.0)
-    del driving.lockstep.latched["estop"]  # who pressed it is gone, as `zenav estop` is at once
+    del driving.lockstep.latched["estop"]  # its publisher has ended, as `zenav estop` does at once
     for name in ("guard", "base_driver"):
         driving.lockstep.kill(name)
         driving.stands_for(0.5)
@@ -186,14 +186,14 @@ class HeldWheel(SimService):
         return replace(report, left_counts=self.held, left_speed=0.0)
 
 
-def by_hand(stack: Stack) -> None:
+def by_hand(stack: LockstepStack) -> None:
     """Drives straight on by hand from now on, 20 commands a second."""
     stack.lockstep.publish(topics.TELEOP(Velocity(stack.now, 0.4, 0.0, "")))
     stack.lockstep.at(0.05, partial(by_hand, stack))
 
 
 def test_a_wheel_that_does_not_turn_is_named_and_stays_a_fault_over_a_restart(tmp_path):
-    stack = Stack(tmp_path, sim=HeldWheel)
+    stack = LockstepStack(tmp_path, sim=HeldWheel)
     by_hand(stack)
     stack.drives(0.35)
     stack.lockstep.service("sim").holds = True

@@ -4,11 +4,11 @@
 from math import hypot
 
 from shared.messages import Localization
-from tests.lockstep.stack import Stack
+from tests.lockstep.stack import LockstepStack
 
 
 def test_the_robot_drives_to_its_goal_and_back_with_the_kiss_registrar(tmp_path):
-    stack = Stack(tmp_path, settings=("mapper.registration.registrar=kiss",))
+    stack = LockstepStack(tmp_path, settings=("mapper.registration.registrar=kiss",))
     worst = 0.0
 
     def follow(estimate) -> None:

@@ -20,7 +20,7 @@ from shared.runners.lockstep import Lockstep
 from shared.runners.replay import replay
 from shared.service import Out, every, on
 from tests.lockstep.stack import HALL
-from tests.lockstep.test_ports import Kept
+from tests.lockstep.test_ports import KeptBytes
 from tests.unit.services.lidar_driver.bench import BAUD, MODELS, laser_of, robot_with
 
 MS = 1_000_000
@@ -101,7 +101,7 @@ def test_the_driver_replays_to_the_bit_from_the_bytes_of_its_port(tmp_path):
     scans, recorded, lockstep = scans_of(tmp_path, "rplidar", speaking=True)
     lockstep.flush()
     driver = LidarDriverService(driver_config("rplidar"), robot_with(laser_of("rplidar")))
-    replayed = replay(Kept(recorded, "lidar_driver"), ["lidar_driver"], lambda name: driver)
+    replayed = replay(KeptBytes(recorded, "lidar_driver"), ["lidar_driver"], lambda name: driver)
     assert not replayed.gaps
     spoken = {"scan", "log/lidar_driver", "port/tx/lidar_driver"}
     assert [s.payload for s in replayed.sent["lidar_driver"]] == [s.payload for s in recorded if s.key in spoken]

@@ -3,21 +3,21 @@
 
 import pytest
 
-from services.mapper.saved_map import unpacked
+from services.mapper.maps.map_file import unpack_map
 from shared import reasons, topics
 from shared.messages import Localization, MapMode, NavState, Velocity
 from shared.recording import CONFIG, Writer, sink
 from shared.runners.lockstep import Lockstep
-from tests.lockstep.stack import HALL, Stack
-from zenav.classes import made
-from zenav.drive import RefusedError
-from zenav.map_transfer import fetched, given, started
-from zenav.replay import replay_file
+from tests.lockstep.stack import HALL, LockstepStack
+from zenav.client.map_transfer import fetch_map, give_map, start_mode
+from zenav.client.navigation_client import RequestRefusedError
+from zenav.replay.reprocess import replay_file
+from zenav.stack.service_loader import build_service
 
 ELSEWHERE = HALL.replace("start: {x: 1.0, y: 2.0}", "start: {x: 6.5, y: 1.6, yaw_deg: 115}")
 
 
-class Asker:
+class StackMapClient:
     """A tool on a lockstep stack."""
 
     def __init__(self, lockstep: Lockstep) -> None:
@@ -31,18 +31,18 @@ class Asker:
         return self.lockstep.ask(request, message)
 
 
-def fetch(stack: Stack) -> bytes:
-    asker = Asker(stack.lockstep)
-    return fetched(asker, asker.wait)
+def fetch(stack: LockstepStack) -> bytes:
+    asker = StackMapClient(stack.lockstep)
+    return fetch_map(asker, asker.wait)
 
 
-def start(stack: Stack, mode: MapMode, content: bytes = b"", at=None) -> None:
-    asker = Asker(stack.lockstep)
-    transfer = given(asker, asker.wait, content) if content else 0
-    assert started(asker, asker.wait, mode, transfer, at).accepted
+def start(stack: LockstepStack, mode: MapMode, content: bytes = b"", at=None) -> None:
+    asker = StackMapClient(stack.lockstep)
+    transfer = give_map(asker, asker.wait, content) if content else 0
+    assert start_mode(asker, asker.wait, mode, transfer, at).accepted
 
 
-def by_hand(stack: Stack, v: float, w: float, seconds: float) -> None:
+def by_hand(stack: LockstepStack, v: float, w: float, seconds: float) -> None:
     for _ in range(round(seconds * 20)):
         stack.lockstep.publish(topics.TELEOP(Velocity(stack.now, v, w, "")))
         stack.lockstep.run(0.05)
@@ -51,28 +51,28 @@ def by_hand(stack: Stack, v: float, w: float, seconds: float) -> None:
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory) -> bytes:
     """A map of the hall, saved while the robot drives on."""
-    stack = Stack(tmp_path_factory.mktemp("saved"))
+    stack = LockstepStack(tmp_path_factory.mktemp("saved"))
     stack.go(7.0)
     stack.drives()
-    early = unpacked(fetch(stack), "early")
+    early = unpack_map(fetch(stack), "early")
     stack.until(stack.reached, 40.0)
     stack.go(0.5, 0.5)
     stack.drives()
     content = fetch(stack)
     assert stack.commanded, "it was not stopped for that"
-    assert len(unpacked(content, "late").keyframes) > len(early.keyframes) > 0
+    assert len(unpack_map(content, "late").keyframes) > len(early.keyframes) > 0
     return content
 
 
 def test_on_a_loaded_map_nothing_drives_until_the_robot_was_driven_to_be_found(saved, tmp_path):
-    stack = Stack(tmp_path, ELSEWHERE)
+    stack = LockstepStack(tmp_path, ELSEWHERE)
     start(stack, MapMode.LOCALISE, saved)
     stack.lockstep.run(0.5)
     assert stack.newest["pose"].state is Localization.LOST
     stack.go(2.0)
     stack.stands_for(5.0)
     assert stack.newest["nav/status"].reason == reasons.POSE_LOST.code
-    assert stack.newest["pose"].state is Localization.LOST, "standing tells too little"
+    assert stack.newest["pose"].state is Localization.LOST, "a standing robot sees too little"
     for k in range(40):
         by_hand(stack, 0.25, 0.35 if k % 4 < 2 else -0.35, 1.0)
         if stack.newest["pose"].state is Localization.GOOD:
@@ -87,17 +87,17 @@ def test_on_a_loaded_map_nothing_drives_until_the_robot_was_driven_to_be_found(s
 
 
 def test_a_map_that_is_refused_stops_nothing(saved, tmp_path):
-    stack = Stack(tmp_path)
+    stack = LockstepStack(tmp_path)
     stack.go(4.0)
     stack.drives()
-    with pytest.raises(RefusedError, match="checksum"):
+    with pytest.raises(RequestRefusedError, match="checksum"):
         start(stack, MapMode.LOCALISE, saved[:-1] + b"?")
     assert stack.commanded
     stack.until(stack.reached, 30.0)
 
 
 def test_a_task_ends_with_its_map(tmp_path):
-    stack = Stack(tmp_path)
+    stack = LockstepStack(tmp_path)
     stack.go(7.0)
     stack.drives()
     start(stack, MapMode.LOCALISE)
@@ -115,20 +115,22 @@ def test_a_run_in_which_maps_come_and_go_is_replayed_to_the_byte(saved, tmp_path
     path, names = tmp_path / "run.mcap", ("sim", "base_driver", "odometry", "mapper")
     world = tmp_path / "world.yaml"
     world.write_text(HALL)
-    file = Stack(tmp_path).file
+    file = LockstepStack(tmp_path).file
     with Writer(path, {"robot": file.robot.name}, {CONFIG: file.text.encode()}) as writer:
-        lockstep = Lockstep({name: made(name, file, file.robot) for name in names}, sink(writer))
-        asker = Asker(lockstep)
+        lockstep = Lockstep({name: build_service(name, file, file.robot) for name in names}, sink(writer))
+        asker = StackMapClient(lockstep)
         lockstep.run(2.0)
         parts = saved + bytes(3 * 2**20)  # what is no map, in more parts than one journal message holds
-        with pytest.raises(RefusedError):
-            started(asker, asker.wait, MapMode.CONTINUE, given(asker, asker.wait, parts))
-        started(asker, asker.wait, MapMode.LOCALISE, given(asker, asker.wait, saved))
+        with pytest.raises(RequestRefusedError):
+            start_mode(asker, asker.wait, MapMode.CONTINUE, give_map(asker, asker.wait, parts))
+        start_mode(asker, asker.wait, MapMode.LOCALISE, give_map(asker, asker.wait, saved))
         lockstep.run(1.5)
-        assert fetched(asker, asker.wait) == saved
-        started(asker, asker.wait, MapMode.MAP)
+        assert fetch_map(asker, asker.wait) == saved
+        start_mode(asker, asker.wait, MapMode.MAP)
         lockstep.run(1.5)
         lockstep.flush()
-    report = replay_file(path, ["mapper"], None, lambda name: made(name, file, file.robot), lambda done, of: None)
+    report = replay_file(
+        path, ["mapper"], None, lambda name: build_service(name, file, file.robot), lambda done, of: None
+    )
     assert report.notes == []
     assert report.equal, report.topics

@@ -8,10 +8,10 @@ from shared.config import load_robot
 from shared.geometry import Pose2, wrapped
 from shared.messages import Localization, PoseEstimate, Velocity
 from shared.runners.lockstep import Lockstep
-from zenav.classes import made
+from zenav.stack.service_loader import build_service
 
 
-class Drive:
+class RestartDrive:
     """The lower half of the stack in a room, commanded in the guard's name."""
 
     def __init__(self, world: str) -> None:
@@ -19,7 +19,7 @@ class Drive:
         self.file.override(f"sim.world={world}")
         self.robot = self.file.robot
         names = ("sim", "base_driver", "odometry", "mapper")
-        self.stack = Lockstep({name: made(name, self.file, self.robot) for name in names})
+        self.stack = Lockstep({name: build_service(name, self.file, self.robot) for name in names})
         self.velocity = (0.0, 0.0)
         self.stack.watch("sim/truth", lambda truth: setattr(self, "truth", truth))
         self.command()
@@ -34,7 +34,7 @@ class Drive:
         self.stack.run(seconds)
 
     def restart(self, name: str) -> None:
-        self.stack.start(name, made(name, self.file, self.robot))
+        self.stack.start(name, build_service(name, self.file, self.robot))
 
     @property
     def estimate(self) -> PoseEstimate:
@@ -48,14 +48,14 @@ class Drive:
 
 
 def test_a_restarted_mapper_has_its_map_and_knows_how_far_the_robot_came_meanwhile():
-    drive = Drive("room")
+    drive = RestartDrive("room")
     drive.go(0.0, 0.0, 1.0)
     drive.go(0.2, 0.3, 6.0)
     before, tiles = drive.stack.latched["map"].message, drive.estimate.stamp
     drive.stack.kill("mapper")
     drive.go(0.2, -0.3, 2.0)
     drive.go(0.0, 0.0, 0.5)
-    assert drive.estimate.stamp == pytest.approx(tiles, abs=2e8)  # nobody estimates meanwhile
+    assert drive.estimate.stamp == pytest.approx(tiles, abs=2e8)  # no estimate is published meanwhile
     drive.restart("mapper")
     drive.go(0.0, 0.0, 2.0)
     after = drive.stack.latched["map"].message
@@ -72,7 +72,7 @@ def test_a_restarted_mapper_has_its_map_and_knows_how_far_the_robot_came_meanwhi
 
 
 def test_odometry_that_was_restarted_too_does_not_carry_the_robot_away():
-    drive = Drive("room")
+    drive = RestartDrive("room")
     drive.go(0.0, 0.0, 1.0)
     drive.go(0.2, 0.3, 6.0)
     drive.go(0.0, 0.0, 0.5)

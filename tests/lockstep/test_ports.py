@@ -19,7 +19,7 @@ from shared.service import Log, Out, Service, every, on
 ROBOT = load_robot("x80sv").robot
 
 
-class Driver(Service):
+class EchoingDriver(Service):
     """Counts aloud over its port, and says what it hears."""
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ class Driver(Service):
     def port(self, state: PortState) -> Out:
         yield Log("INFO", f"{state.port} {'open' if state.open else state.detail}")
 
-    def farewell(self) -> Out:
+    def on_shutdown(self) -> Out:
         yield topics.TX(SerialData(self.now, "board", b"bye"))
 
 
@@ -69,7 +69,7 @@ class Echo(Service):
 def driven() -> tuple[Lockstep, list[Sent]]:
     recorded: list[Sent] = []
     wires = ((("base_driver", "board"), ("sim", "board")),)
-    lockstep = Lockstep({"base_driver": Driver(), "sim": Echo()}, recorded.append, wires)
+    lockstep = Lockstep({"base_driver": EchoingDriver(), "sim": Echo()}, recorded.append, wires)
     lockstep.run(1.25)
     return lockstep, recorded
 
@@ -93,7 +93,7 @@ def test_the_same_run_gives_the_same_bytes():
     assert [sent.payload for sent in driven()[1]] == [sent.payload for sent in driven()[1]]
 
 
-class Kept:
+class KeptBytes:
     """A recording in memory."""
 
     path = Path("kept.mcap")
@@ -116,7 +116,7 @@ class Kept:
 def test_a_driver_replays_to_the_byte_from_the_bytes_of_its_port():
     lockstep, recorded = driven()
     lockstep.flush()
-    replayed = replay(Kept(recorded), ["base_driver"], lambda name: Driver())
+    replayed = replay(KeptBytes(recorded), ["base_driver"], lambda name: EchoingDriver())
     assert not replayed.gaps
     spoken = {"log/base_driver", "port/tx/base_driver"}
     assert [s.payload for s in replayed.sent["base_driver"]] == [s.payload for s in recorded if s.key in spoken]
@@ -127,6 +127,6 @@ def test_a_restarted_end_finds_its_port_open(name):
     lockstep, recorded = driven()
     lockstep.kill(name)
     before = len(recorded)
-    lockstep.start(name, Driver() if name == "base_driver" else Echo())
+    lockstep.start(name, EchoingDriver() if name == "base_driver" else Echo())
     lockstep.run(0.5)
     assert any(s.key == f"port/state/{name}" and s.message.open for s in recorded[before:])

@@ -4,31 +4,31 @@
 import numpy as np
 import pytest
 
-from services.mapper.saved_map import packed, unpacked
-from shared.geometry import Bools
+from services.mapper.maps.map_file import pack_map, unpack_map
 from shared.grid import OccupancyGrid
 from shared.messages import Localization, MapMode
 from shared.ros_map import write_ros_map
-from tests.lockstep.stack import Stack
+from shared.types import Bools
+from tests.lockstep.stack import LockstepStack
 from tests.lockstep.test_map_modes import ELSEWHERE, by_hand, fetch, start
-from zenav.foreign_map import read_map
-from zenav.maps import coarse, grown
+from zenav.maps.foreign_map import read_map
+from zenav.maps.map_files import coarse_cells, grid_from_update
 
 
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory):
     """Folders with the hall's map as pgm and yaml alone, of 5 and 10 cm a cell."""
-    stack = Stack(tmp_path_factory.mktemp("drawn"))
+    stack = LockstepStack(tmp_path_factory.mktemp("drawn"))
     stack.go(7.0)
     stack.until(stack.reached, 40.0)
-    grid = grown(unpacked(fetch(stack), "the mapper's").tiles)
+    grid = grid_from_update(unpack_map(fetch(stack), "the mapper's").tiles)
     folder = tmp_path_factory.mktemp("ros")
     for step in (1, 2):
-        write_ros_map(folder / str(step), coarse(grid.cells, step), step * grid.resolution, grid.x0, grid.y0)
+        write_ros_map(folder / str(step), coarse_cells(grid.cells, step), step * grid.resolution, grid.x0, grid.y0)
     return folder
 
 
-def driven_until_good(stack: Stack) -> None:
+def driven_until_good(stack: LockstepStack) -> None:
     for k in range(40):
         by_hand(stack, 0.25, 0.35 if k % 4 < 2 else -0.35, 1.0)
         if stack.newest["pose"].state is Localization.GOOD:
@@ -41,8 +41,8 @@ def driven_until_good(stack: Stack) -> None:
 
 @pytest.mark.parametrize("step", [1, 2])
 def test_the_robot_is_found_without_a_pose_and_drives_to_a_goal(pictures, tmp_path, step):
-    content = packed(read_map(pictures / str(step), 0.05))
-    stack = Stack(tmp_path, ELSEWHERE)
+    content = pack_map(read_map(pictures / str(step), 0.05))
+    stack = LockstepStack(tmp_path, ELSEWHERE)
     start(stack, MapMode.LOCALISE, content)
     stack.lockstep.run(0.5)
     assert stack.newest["pose"].state is Localization.LOST
@@ -54,17 +54,17 @@ def test_the_robot_is_found_without_a_pose_and_drives_to_a_goal(pictures, tmp_pa
 
 def test_mapping_goes_on_with_it(pictures, tmp_path):
     loaded = read_map(pictures / "1", 0.05)
-    stack = Stack(tmp_path, ELSEWHERE)
-    start(stack, MapMode.CONTINUE, packed(loaded))
+    stack = LockstepStack(tmp_path, ELSEWHERE)
+    start(stack, MapMode.CONTINUE, pack_map(loaded))
     driven_until_good(stack)
     stack.go(2.0)
     stack.until(stack.reached, 60.0)
-    gone_on = unpacked(fetch(stack), "the mapper's")
+    gone_on = unpack_map(fetch(stack), "the mapper's")
     new = gone_on.graph.nodes > loaded.graph.nodes[-1]
     assert new.sum() > 5
     joined = gone_on.graph.loop & gone_on.graph.on & (gone_on.graph.i <= loaded.graph.nodes[-1])
     assert joined.sum() > 5, "new keyframes are tied to the map"
-    before, after = grown(loaded.tiles), grown(gone_on.tiles)
+    before, after = grid_from_update(loaded.tiles), grid_from_update(gone_on.tiles)
     assert share_near(surface_of(before), before, after) > 0.97, "no wall is lost"
     assert share_near(after.occupied, after, before) > 0.97, "and none doubled"
 

@@ -6,7 +6,7 @@ import pytest
 from shared import requests
 from shared.geometry import Pose2
 from shared.requests import Navigate
-from tests.lockstep.stack import Stack
+from tests.lockstep.stack import LockstepStack
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 
@@ -15,7 +15,7 @@ QUICK = ("local_ctrl.mppi.rollouts=200",)
 
 
 def test_a_pose_on_the_way_is_passed_and_a_new_goal_ahead_is_taken_at_speed(tmp_path):
-    stack = Stack(tmp_path, settings=QUICK)
+    stack = LockstepStack(tmp_path, settings=QUICK)
     speeds: list[tuple[float, float]] = []
     stack.lockstep.watch("sim/truth", lambda truth: speeds.append((truth.world_from_base.x, truth.v)))
     poses = (Pose2(1.5, 0.0), Pose2(6.0, 0.0))
@@ -31,7 +31,7 @@ def test_a_pose_on_the_way_is_passed_and_a_new_goal_ahead_is_taken_at_speed(tmp_
 
 
 def test_every_pose_of_a_route_with_headings_is_driven_to(tmp_path):
-    stack = Stack(tmp_path, settings=QUICK)
+    stack = LockstepStack(tmp_path, settings=QUICK)
     nearest = [9.0, 9.0, 9.0]
     poses = (Pose2(1.5, 0.0, 0.0), Pose2(3.0, 0.0, 0.0), Pose2(2.0, 0.0, 0.0))
 

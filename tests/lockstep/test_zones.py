@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot that drives arcs like a car's, and zones that are set under way: around the one, slowly through the other,
-no goal in the first; the goal with its heading, and not one command outside of the arcs.
+"""A robot with a minimum turning radius, and zones that are set while it drives.
+
+It drives around the keep-out zone and slowly through the speed zone. A goal in the keep-out zone is refused. It
+reaches its goal with the heading, and no command is tighter than the radius.
 """
 
 from math import pi
@@ -11,7 +13,7 @@ from shared import requests
 from shared.geometry import Pose2, wrapped
 from shared.requests import Navigate, SetZones
 from shared.zones import ZoneConfig
-from tests.lockstep.stack import Stack
+from tests.lockstep.stack import LockstepStack
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 
@@ -24,7 +26,7 @@ CAR = (
 
 
 def test_in_arcs_like_a_car_s_zones_set_under_way_are_kept_out_of_and_slow(tmp_path):
-    stack = Stack(tmp_path, settings=CAR)
+    stack = LockstepStack(tmp_path, settings=CAR)
     driven: list[tuple[float, float, float]] = []
     commands: list[tuple[float, float]] = []
     goal = Pose2(4.6, 0.2, pi / 2)

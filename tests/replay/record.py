@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes tests/replay/recordings anew: `make record-references`, after a change that is meant to change what they say.
+"""Makes tests/replay/recordings again: `make record-references`, after a change that is meant to change what they say.
 
-Each is a short run of the whole stack in lockstep, with all topics and journals: at once the input of the replays and,
-in what the services published, their reference. `make record-references ARGS="driving exploring"` makes only these.
-Whatever figure of a run is another than before is printed.
+Each is a short run of the whole stack in lockstep, with all topics and journals. It is the input of the replays, and
+what the services published is their reference. `make record-references ARGS="driving exploring"` makes only these.
+Figures of a run that changed are printed.
 """
 
 import shared.repeatable  # noqa: F401  # before numpy
@@ -21,9 +21,9 @@ from shared.recording import CONFIG, Recording, Writer, about, sink
 from shared.requests import Explore, Navigate
 from shared.runners.host import Sent
 from shared.runners.lockstep import Lockstep
-from zenav.classes import made
-from zenav.figures import Figures, figures, heard, side_by_side
-from zenav.hardware import Hardware, services_for, settings_for, wires
+from zenav.metrics.run_metrics import Metrics, comparison_table, run_from_entries, run_metrics
+from zenav.stack.hardware import Hardware, services_for, settings_for, wires
+from zenav.stack.service_loader import build_service
 
 FOLDER = Path(__file__).parent / "recordings"
 WORLDS = Path("tests/replay/worlds")  # from the checkout's root: a recording holds no path of a machine
@@ -34,14 +34,14 @@ def path_of(name: str) -> Path:
     return FOLDER / f"{name}.mcap"
 
 
-class Run:
+class ReferenceRun:
     """The whole stack but for the recorder, in lockstep, recorded."""
 
     def __init__(self, record: Callable[[Sent], None], world: str, robot: str, hardware: Hardware) -> None:
         file = configured(robot, [f"sim.world={world}"])
         file = configured(robot, [f"sim.world={world}", "sim.seed=3", *settings_for(hardware, file, None)])
         self.file, self.names = file, [name for name in services_for(hardware, file) if name != "recorder"]
-        services = {name: made(name, file, file.robot) for name in self.names}
+        services = {name: build_service(name, file, file.robot) for name in self.names}
         self.lockstep = Lockstep(services, record, wires(hardware, file))
         self.lockstep.run(1.0)
 
@@ -53,28 +53,28 @@ class Run:
     def restart(self, name: str, after: float) -> None:
         self.lockstep.kill(name)
         self.lockstep.run(after)
-        self.lockstep.start(name, made(name, self.file, self.file.robot))
+        self.lockstep.start(name, build_service(name, self.file, self.file.robot))
 
 
-def driving(run: Run) -> None:
+def driving(run: ReferenceRun) -> None:
     """Around the table of a room."""
     run.go(3.2, 0.6)
     run.lockstep.run(SECONDS)
 
 
-def exploring(run: Run) -> None:
+def exploring(run: ReferenceRun) -> None:
     """The first metres of an office."""
     assert run.lockstep.ask(requests.EXPLORE, Explore(run.lockstep.now)).accepted
     run.lockstep.run(SECONDS)
 
 
-def person_crossing(run: Run) -> None:
+def person_crossing(run: ReferenceRun) -> None:
     """Somebody walks through before the robot."""
     run.go(4.5, 0.0)
     run.lockstep.run(SECONDS)
 
 
-def goal_refused(run: Run) -> None:
+def goal_refused(run: ReferenceRun) -> None:
     """A goal in the table, to whose edge the robot drives; then one outside of all walls, which is refused."""
     run.go(2.1, -0.4)
     run.lockstep.run(2.5)
@@ -82,7 +82,7 @@ def goal_refused(run: Run) -> None:
     run.lockstep.run(2.0)
 
 
-def killed_service(run: Run) -> None:
+def killed_service(run: ReferenceRun) -> None:
     """The mapper is killed while the robot drives and comes back; under STOP, guard and base_driver are."""
     run.go(3.2, 0.6)
     run.lockstep.run(2.7)
@@ -95,13 +95,13 @@ def killed_service(run: Run) -> None:
     run.lockstep.run(0.5)
 
 
-def swapped_laser(run: Run) -> None:
+def swapped_laser(run: ReferenceRun) -> None:
     """Another laser, and board and laser behind ports that speak their bytes."""
     run.go(3.2, 0.6)
     run.lockstep.run(SECONDS)
 
 
-SCENES: dict[str, tuple[Callable[[Run], None], str, str, Hardware]] = {
+SCENES: dict[str, tuple[Callable[[ReferenceRun], None], str, str, Hardware]] = {
     "driving": (driving, "room", "x80sv", Hardware.MESSAGES),
     "exploring": (exploring, "office", "x80sv", Hardware.MESSAGES),
     "person_crossing": (person_crossing, str(WORLDS / "crossing.yaml"), "x80sv", Hardware.MESSAGES),
@@ -117,7 +117,7 @@ def record(name: str, path: Path) -> None:
     happens, world, robot, hardware = SCENES[name]
     file = configured(robot, [])
     written: list[Sent] = []
-    run = Run(written.append, world, robot, hardware)
+    run = ReferenceRun(written.append, world, robot, hardware)
     happens(run)
     run.lockstep.flush()
     with Writer(path, about(file.robot.name), {CONFIG: run.file.text.encode()}) as writer:
@@ -125,10 +125,10 @@ def record(name: str, path: Path) -> None:
             sink(writer)(sent)
 
 
-def told(path: Path) -> Figures:
+def told(path: Path) -> Metrics:
     recording = Recording(path)
     lives = [life for of_name in recording.lives().values() for life in of_name]
-    return {"size, kB": path.stat().st_size // 1000, **figures(heard(recording.entries()), lives)}
+    return {"size, kB": path.stat().st_size // 1000, **run_metrics(run_from_entries(recording.entries()), lives)}
 
 
 def main(names: list[str]) -> None:
@@ -138,7 +138,7 @@ def main(names: list[str]) -> None:
         path.parent.mkdir(exist_ok=True)
         record(name, path)
         now = told(path)
-        changed = side_by_side(now if before is None else before, now, ("before", "now"), only_changed=True)
+        changed = comparison_table(now if before is None else before, now, ("before", "now"), only_changed=True)
         state = "new" if before is None else "changed" if len(changed) > 1 else "as before"
         lines = [f"{name}: {state}, {now['size, kB']:g} kB", *(changed if len(changed) > 1 else ())]
         sys.stdout.write("\n".join(lines) + "\n")

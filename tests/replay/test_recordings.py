@@ -16,11 +16,12 @@ from shared.recording import Recording, arithmetic
 from shared.runners.host import LATCHED
 from shared.service import Service
 from tests.replay.record import SCENES, path_of, record
-from zenav.comparison import tolerances_from
-from zenav.replay import Report, replay_file, robot_file
-from zenav.replaying import builder
+from zenav.recording.opening import recorded_robot_file
+from zenav.replay.comparison import tolerances_from
+from zenav.replay.report import service_builder
+from zenav.replay.reprocess import ReplayReport, replay_file
 
-MEND = (
+HINT = (
     "services say something else than when this was recorded. If a change is meant to do that: make record-references"
 )
 TOLERANCES = tolerances_from(
@@ -47,24 +48,24 @@ def names_in(name: str) -> tuple[str, ...]:
 
 
 def build_for(name: str) -> Callable[[str], Service]:
-    file = robot_file(Recording(path_of(name)))
+    file = recorded_robot_file(Recording(path_of(name)))
     assert file is not None
-    return builder(file)
+    return service_builder(file)
 
 
-def replayed(name: str, services: tuple[str, ...], out: Path | None = None) -> Report:
+def replayed(name: str, services: tuple[str, ...], out: Path | None = None) -> ReplayReport:
     """What comes out of it today. Fails where it is not what came out then."""
     try:
         tolerances = {} if made_here(name) else TOLERANCES
         report = replay_file(path_of(name), list(services), out, build_for(name), lambda done, of: None, tolerances)
     except UserError as error:
-        pytest.fail(f"{error.what}: {MEND}")
-    assert report.notes == [], MEND
+        pytest.fail(f"{error.what}: {HINT}")
+    assert report.notes == [], HINT
     for topic in report.topics:
         n = topic.n_equal + topic.n_within + topic.n_different
         most = 0 if made_here(name) else FEW * n
-        assert topic.n_different <= most, f"{topic.key} {topic.first}: {MEND}"
-        assert topic.n_lacking == topic.n_new == 0, f"{topic.key} {topic.first}: {MEND}"
+        assert topic.n_different <= most, f"{topic.key} {topic.first}: {HINT}"
+        assert topic.n_lacking == topic.n_new == 0, f"{topic.key} {topic.first}: {HINT}"
     return report
 
 
@@ -90,7 +91,7 @@ def test_the_run_itself_comes_out_again_to_the_byte(tmp_path):
     record("killed_service", tmp_path / "again.mcap")
     again, before = (Recording(path).entries() for path in (tmp_path / "again.mcap", path_of("killed_service")))
     for entry, kept in zip(again, before, strict=True):
-        assert entry == kept, MEND
+        assert entry == kept, HINT
 
 
 @pytest.mark.parametrize(("name", "key"), [("guard", "guard/status"), ("base_driver", "base/status")])

@@ -17,7 +17,7 @@ from PIL import Image
 from shared.recording import CONFIG, Recording, Writer
 from tests.replay.record import path_of
 from zenav.__main__ import _status
-from zenav.figures import apart, figures, heard, side_by_side
+from zenav.metrics.run_metrics import comparison_table, run_differences, run_from_entries, run_metrics
 
 FILE = path_of("driving")
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,7 +44,7 @@ def test_another_setting_is_compared_in_figures_message_by_message_and_as_a_pict
     assert now - before == pytest.approx(change, rel=0.01)
     assert change
     assert 0 < float(row(told, "pose apart most, m:")[0]) < 0.1
-    assert any(line.startswith("mapper looked: ") for line in told)
+    assert any(line.startswith("mapper on_constraints: ") for line in told)
     image = np.asarray(Image.open(io.BytesIO(picture.read_bytes())))
     assert (image == (240, 150, 30)).all(axis=-1).sum() > 20  # cells that differ
     assert b"noise: 0.2" in Recording(noisy).attachments[CONFIG]
@@ -66,10 +66,10 @@ def test_within_a_tolerance_two_settings_are_alike(capsys):
 
 
 def test_figures_of_a_run_against_itself_do_not_differ():
-    a = heard(Recording(FILE).entries())
-    assert apart(a, a)["pose apart most, m"] == apart(a, a)["map differs, cells"] == 0
-    assert side_by_side(figures(a), figures(a), ("a", "b"), only_changed=True)[1:] == []
-    assert figures(a)["truly driven, m"] == pytest.approx(figures(a)["pose path, m"], rel=0.05)
+    a = run_from_entries(Recording(FILE).entries())
+    assert run_differences(a, a)["pose apart most, m"] == run_differences(a, a)["map differs, cells"] == 0
+    assert comparison_table(run_metrics(a), run_metrics(a), ("a", "b"), only_changed=True)[1:] == []
+    assert run_metrics(a)["truly driven, m"] == pytest.approx(run_metrics(a)["pose path, m"], rel=0.05)
 
 
 def test_another_robot_s_configuration_can_be_taken_and_must_be_where_there_is_none(tmp_path, capsys):
@@ -93,7 +93,12 @@ def test_a_foreign_recording_without_journals_goes_in_the_order_of_its_stamps_an
         assert _status(["replay", str(foreign), "--through", "mapper", "--robot", "x80sv", "--out", str(out)]) == 0
     assert "no journals: fed in the order of the stamps" in capsys.readouterr().err
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
-    assert apart(heard(Recording(FILE).entries()), heard(Recording(out).entries()))["pose apart most, m"] < 0.1
+    assert (
+        run_differences(run_from_entries(Recording(FILE).entries()), run_from_entries(Recording(out).entries()))[
+            "pose apart most, m"
+        ]
+        < 0.1
+    )
 
 
 def test_two_runs_without_maps_are_no_picture(tmp_path, capsys):
@@ -145,7 +150,7 @@ def test_a_replay_on_another_processor_gives_the_same_bytes_or_what_is_stated(ot
 
 
 @pytest.mark.parametrize(
-    ("arguments", "what", "mend"),
+    ("arguments", "what", "hint"),
     [
         (["--through", "mapper", "--set", "mapper.registration.nois=1"], "nois is not a setting", "`noise`"),
         (["--through", "mapper", "--set", "mapper.registration.noise=x"], "mapper.registration.noise", "m"),
@@ -166,11 +171,11 @@ def test_a_replay_on_another_processor_gives_the_same_bytes_or_what_is_stated(ot
         (["--remap", "scan=odom"], "LaserScan", "choose"),
     ],
 )
-def test_what_cannot_be_asked_is_one_line_and_a_hint(arguments, what, mend, capsys):
+def test_what_cannot_be_asked_is_one_line_and_a_hint(arguments, what, hint, capsys):
     assert run(*arguments) == 2
     out, err = capsys.readouterr()
     assert out == ""
     first, second = err.splitlines()
     assert what in first
     assert second.startswith("hint: ")
-    assert mend in second
+    assert hint in second

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What local control showed to who watched comes out of a replay too, to the byte: being watched is an event."""
+"""A replay gives local control's debug topics again, to the byte: that a client listens is an event."""
 
 from collections import Counter
 from pathlib import Path
@@ -11,9 +11,9 @@ from shared.config import load_robot
 from shared.recording import CONFIG, Recording, Writer, sink
 from shared.requests import Explore, Watch
 from shared.runners.lockstep import Lockstep
-from zenav.classes import made
 from zenav.convert.foxglove import to_foxglove
-from zenav.replay import replay_file
+from zenav.replay.reprocess import replay_file
+from zenav.stack.service_loader import build_service
 
 STACK = ("sim", "base_driver", "odometry", "mapper", "planner", "local_ctrl", "guard", "navigator")
 
@@ -24,7 +24,7 @@ def test_a_replay_shows_what_was_shown(tmp_path: Path):
     file = load_robot("x80sv")
     robot = file.robot
     with Writer(tmp_path / "a.mcap", {"robot": robot.name}, {CONFIG: file.text.encode()}) as writer:
-        lockstep = Lockstep({name: made(name, file, robot) for name in STACK}, sink(writer))
+        lockstep = Lockstep({name: build_service(name, file, robot) for name in STACK}, sink(writer))
         lockstep.run(1.0)
         lockstep.ask(requests.EXPLORE, Explore(lockstep.now))
         lockstep.run(1.5)
@@ -35,7 +35,9 @@ def test_a_replay_shows_what_was_shown(tmp_path: Path):
     shown = Counter(entry.key for entry in recording.entries(["debug/costmap", "debug/rollouts"]))
     assert shown["debug/costmap"] == 5
     assert shown["debug/rollouts"] > 0
-    report = replay_file(recording.path, ["local_ctrl"], None, lambda n: made(n, file, robot), lambda done, of: None)
+    report = replay_file(
+        recording.path, ["local_ctrl"], None, lambda n: build_service(n, file, robot), lambda done, of: None
+    )
     assert report.equal, report.topics
     assert {topic.key: topic.n_equal for topic in report.topics if topic.key in shown} == dict(shown)
     assert to_foxglove(recording, tmp_path / "b.mcap", lambda share: None)[1] == []

@@ -20,7 +20,7 @@ CLOSING = 0.5  # s that the server's goodbye may take: it stands behind what was
 MESSAGE, TIME, SERVICE_RESPONSE = 1, 2, 3  # opcodes of the server's binary messages
 
 
-class App:
+class FakeApp:
     """One client. Everything that comes is kept: `messages` by topic as (log time, content), `statuses`, `times`."""
 
     def __init__(self, port: int) -> None:
@@ -39,14 +39,14 @@ class App:
         self._n_calls = 0
         self.until(lambda: self.services)
 
-    def __enter__(self) -> "App":
+    def __enter__(self) -> "FakeApp":
         return self
 
     def __exit__(self, *_: object) -> None:
         self._open.close()
 
     def until(self, holds: Callable[[], Any], seconds: float = 20.0, meanwhile: Callable[[], Any] | None = None) -> Any:
-        """Receives until the condition holds; fails with what was told."""
+        """Receives until the condition holds; fails with the received statuses and channels."""
         limit = time.monotonic() + seconds
         while not (found := holds()):
             assert time.monotonic() < limit, (self.statuses, sorted(self.channels))

@@ -14,19 +14,19 @@ from shared.config import load_robot
 from shared.geometry import Pose2
 from shared.messages import Health, NavState
 from shared.requests import Navigate
-from shared.runners.transport import Where
+from shared.runners.transport import StackAddress
 from zenav.client import Client
-from zenav.launch import Launcher, free_stack, service_command
+from zenav.stack.launch import Launcher, free_stack, service_command
 
 ROBOT = load_robot("x80sv").robot
 ALL = ("sim", "base_driver", "odometry", "mapper", "planner", "local_ctrl", "guard", "navigator")
 AHEAD = Pose2(0.5, 0.0, 0.0)
 
 
-class Stack:
+class StackProcesses:
     """The running stack of a test. Every wait has a deadline, and steps the launcher meanwhile."""
 
-    def __init__(self, launcher: Launcher, client: Client, where: Where, told: list[tuple[str, str]]) -> None:
+    def __init__(self, launcher: Launcher, client: Client, where: StackAddress, told: list[tuple[str, str]]) -> None:
         self.launcher, self.client, self.where, self.told = launcher, client, where, told
         self.healths: dict[str, Health] = {}
 
@@ -51,7 +51,7 @@ class Stack:
     def up(self) -> bool:
         """Every service has sent its health, and the navigator has all that it needs."""
         current = [n for n, child in self.launcher.children.items() if child.process and child.heard]
-        needed = (topics.NAV, topics.POSE, topics.MAP) if "navigator" in self.launcher.children else ()
+        needed = (topics.NAV_STATUS, topics.POSE, topics.MAP) if "navigator" in self.launcher.children else ()
         return len(current) == len(self.launcher.children) and all(self.client.latest(t) is not None for t in needed)
 
     def go(self, pose: Pose2 = AHEAD) -> int:
@@ -68,7 +68,7 @@ class Stack:
 
     def reached(self, task: int) -> Callable[[], bool]:
         def holds() -> bool:
-            nav = self.client.latest(topics.NAV)
+            nav = self.client.latest(topics.NAV_STATUS)
             return nav is not None and nav.task_id == task and nav.state is NavState.REACHED
 
         return holds
@@ -77,7 +77,7 @@ class Stack:
 @contextmanager
 def running(
     folder: Path, names: tuple[str, ...] = ALL, world: str = "room", order: int = 0, settings: tuple[str, ...] = ()
-) -> Iterator[Stack]:
+) -> Iterator[StackProcesses]:
     """Starts the services in an order drawn from the seed `order`, and waits until they are up."""
     told: list[tuple[str, str]] = []
     with free_stack() as claim:
@@ -89,9 +89,9 @@ def running(
         }
         launcher = Launcher(commands, folder, lambda name, line: told.append((name, line)))
         with launcher, Client(ROBOT.name, claim.where) as client:
-            stack = Stack(launcher, client, claim.where, told)
+            stack = StackProcesses(launcher, client, claim.where, told)
             client.listen(topics.HEALTH, lambda health, _: stack.hear(health))
-            client.follow(topics.NAV, topics.POSE, topics.MAP, topics.GUARD, topics.TRUTH)
+            client.follow(topics.NAV_STATUS, topics.POSE, topics.MAP, topics.GUARD, topics.TRUTH)
             launcher.start_all(lambda name: name in stack.healths)
             stack.until(stack.up, 90)
             yield stack

@@ -11,12 +11,12 @@ from shared import topics
 from shared.codec import Envelope, encode
 from shared.messages import EmergencyStop, GuardState, Velocity
 from shared.runners import transport
-from tests.stack.processes import ROBOT, Stack, running
+from tests.stack.processes import ROBOT, StackProcesses, running
 from zenav.client import Client
 
 
 @pytest.fixture(scope="module")
-def bare(tmp_path_factory) -> Iterator[Stack]:
+def bare(tmp_path_factory) -> Iterator[StackProcesses]:
     """No service that sends the robot anywhere."""
     with running(tmp_path_factory.mktemp("bare"), ("sim", "base_driver", "odometry", "guard")) as stack:
         stack.until(lambda: None not in (stack.client.latest(topics.GUARD), stack.client.latest(topics.TRUTH)))

@@ -13,15 +13,15 @@ from shared import topics
 from shared.config import UserError
 from shared.geometry import Pose2
 from shared.messages import EmergencyStop, GuardState, Truth
-from tests.stack.processes import ROBOT, Stack, running
-from zenav.calibrate.live import Operator
-from zenav.calibrate.manoeuvre import Ask, Manoeuvre, stand, turn_to
+from tests.stack.processes import ROBOT, StackProcesses, running
+from zenav.calibrate.live import ManoeuvreRunner
+from zenav.calibrate.manoeuvre import Manoeuvre, VelocityStep, stand, turn_to
 
 DRIVERS = ("sim", "base_driver", "odometry", "guard")
 
 
 @pytest.fixture(scope="module")
-def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StackProcesses]:
     folder: Path = tmp_path_factory.mktemp("calibrate")
     with running(folder, DRIVERS, "empty") as stack:
         stack.until(lambda: stack.client.latest(topics.GUARD) and stack.client.latest(topics.TRUTH))
@@ -29,12 +29,12 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
 
 
 @pytest.fixture
-def operator(stack: Stack) -> Iterator[Operator]:
-    with Operator(ROBOT, str(stack.where.domain)) as operator:
+def operator(stack: StackProcesses) -> Iterator[ManoeuvreRunner]:
+    with ManoeuvreRunner(ROBOT, str(stack.where.domain)) as operator:
         yield operator
 
 
-def truth(stack: Stack) -> Truth:
+def truth(stack: StackProcesses) -> Truth:
     found = stack.client.latest(topics.TRUTH)
     assert found is not None
     return found
@@ -43,12 +43,12 @@ def truth(stack: Stack) -> Truth:
 def spin(press: bool = False) -> Manoeuvre[None]:
     """Turns for ever, after a while with STOP pressed."""
     for _ in range(40):
-        yield Ask(0.0, 0.5)
+        yield VelocityStep(0.0, 0.5)
     while True:
-        yield Ask(0.0, 0.5, stop=press)
+        yield VelocityStep(0.0, 0.5, stop=press)
 
 
-def when_it_turns(stack: Stack, action: Callable[[], None]) -> threading.Thread:
+def when_it_turns(stack: StackProcesses, action: Callable[[], None]) -> threading.Thread:
     def wait() -> None:
         stack.client.wait(topics.TRUTH, lambda t: abs(t.w) > 0.3, 10.0)
         action()
@@ -58,7 +58,7 @@ def when_it_turns(stack: Stack, action: Callable[[], None]) -> threading.Thread:
     return thread
 
 
-def stands(stack: Stack) -> None:
+def stands(stack: StackProcesses) -> None:
     stack.until(lambda: truth(stack).w == pytest.approx(0, abs=0.01), 3.0)
     yaw = truth(stack).world_from_base.yaw
     threading.Event().wait(0.5)

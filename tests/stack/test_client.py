@@ -10,14 +10,13 @@ import threading
 import numpy as np
 import pytest
 
-from services.mapper.saved_map import unpacked
+from services.mapper.maps.map_file import unpack_map
 from shared import requests, topics
 from shared.config import Section, UserError
 from shared.geometry import Pose2
 from shared.messages import (
     EmergencyStop,
     Goal,
-    GoalKind,
     GuardState,
     GuardStatus,
     MapMode,
@@ -32,10 +31,10 @@ from shared.service import Answer, Out, Service, answer, every, on
 from tests.stack.test_live import ROBOT, running
 from zenav.__main__ import _status
 from zenav.client import Client
-from zenav.launch import free_stack
+from zenav.stack.launch import free_stack
 
 
-class Navigator(Service):
+class ReachingNavigator(Service):
     """Reaches every goal after a few ticks, unless `slow`."""
 
     slow = False
@@ -65,7 +64,7 @@ class Navigator(Service):
             return Reply(self.now, False, "goal_outside", "")
         self.asked.append(request)
         self.task, self.left, self.state_now = self.task + 1, 4, NavState.NAVIGATING
-        yield topics.GOAL(Goal(self.now, self.task, GoalKind.DRIVE, request.poses[0], 0.1, 0.1, 0.0, False))
+        yield topics.GOAL(Goal(self.now, self.task, True, request.poses[0], 0.1, 0.1, False))
         return Reply(self.now, True, "", "", self.task)
 
     @answer(requests.CANCEL)
@@ -83,10 +82,12 @@ class Navigator(Service):
         yield self.status()
 
     def status(self):  # type: ignore[no-untyped-def]
-        return topics.NAV(NavStatus(self.now, self.task, self.state_now, "", "", "", Pose2(), self.left, 1.0, 0, 1, 0))
+        return topics.NAV_STATUS(
+            NavStatus(self.now, self.task, self.state_now, "", "", "", Pose2(), self.left, 1.0, 0, 1, 0)
+        )
 
 
-class Guard(Service):
+class StopGuard(Service):
     """Obeys STOP."""
 
     def __init__(self) -> None:
@@ -110,7 +111,7 @@ class Guard(Service):
         yield topics.GUARD(GuardStatus(self.now, state, "", "", "", 0.5))
 
 
-class Mapper(Service):
+class TileMapper(Service):
     """A new tile each tick, three in all, and no pose graph."""
 
     def __init__(self) -> None:
@@ -153,7 +154,7 @@ def where():
 
 
 def test_goto_succeeds_where_the_navigator_says_so(where, capsys):
-    with running(Navigator(), "navigator", where):
+    with running(ReachingNavigator(), "navigator", where):
         assert _status(["goto", "1", "-2", "--stack", str(where.domain)]) == 0
         assert "(1.00, -2.00)" in capsys.readouterr().out
         assert _status(["goto", "101", "0", "--stack", str(where.domain)]) == 2
@@ -161,7 +162,7 @@ def test_goto_succeeds_where_the_navigator_says_so(where, capsys):
 
 
 def test_a_route_is_driven_paused_and_gone_on_with(where, capsys):
-    navigator, stack = Navigator(), ["--stack", str(where.domain)]
+    navigator, stack = ReachingNavigator(), ["--stack", str(where.domain)]
     with running(navigator, "navigator", where):
         assert _status(["route", "1,-2,90", "3,4,-90", "--loops", "2", "--dwell", "1.5", *stack]) == 0
         assert _status(["route", "--pause", *stack]) == 0
@@ -174,14 +175,14 @@ def test_a_route_is_driven_paused_and_gone_on_with(where, capsys):
 
 
 def test_explore_waits_for_its_end(where, capsys):
-    navigator = Navigator()
+    navigator = ReachingNavigator()
     with running(navigator, "navigator", where):
         assert _status(["explore", "--stack", str(where.domain)]) == 0
     assert [type(request) for request in navigator.asked] == [Explore]
 
 
 def test_ctrl_c_cancels_the_goal_and_says_so(where, capsys):
-    navigator = Navigator()
+    navigator = ReachingNavigator()
     navigator.slow = True
     with running(navigator, "navigator", where):
         threading.Timer(1.5, os.kill, (os.getpid(), signal.SIGINT)).start()
@@ -191,7 +192,7 @@ def test_ctrl_c_cancels_the_goal_and_says_so(where, capsys):
 
 
 def test_keys_drive_and_their_end_stands(where, capsys, monkeypatch):
-    guard = Guard()
+    guard = StopGuard()
     terminal, keyboard = os.openpty()
     typed = [(0.6, b"w"), (0.8, b"\x1b[D"), (2.0, b"q")]
     with running(guard, "guard", where), os.fdopen(keyboard) as keys:
@@ -207,7 +208,7 @@ def test_keys_drive_and_their_end_stands(where, capsys, monkeypatch):
 
 def test_a_map_is_saved_shown_and_given_back(where, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    mapper, stack = Mapper(), ["--stack", str(where.domain)]
+    mapper, stack = TileMapper(), ["--stack", str(where.domain)]
     with running(mapper, "mapper", where):
         with Client(ROBOT.name, where) as client:
             client.follow(topics.MAP)
@@ -223,13 +224,13 @@ def test_a_map_is_saved_shown_and_given_back(where, capsys, monkeypatch, tmp_pat
     (at,) = near.at
     assert (at.x, at.y, round(at.yaw, 4)) == (2, -1, 1.5708)
     assert anywhere.at == ()
-    tiles = unpacked(mapper.parts[0], "what was given").tiles
+    tiles = unpack_map(mapper.parts[0], "what was given").tiles
     saved = [tuple(tile) for tile in zip(tiles.rows, tiles.columns, tiles.cells[:, 0])]
     assert saved == [(1, 1, 100), (2, 2, 0), (3, 3, 100)]
 
 
 def test_a_canceled_goto_is_no_success(where, capsys):
-    navigator = Navigator()
+    navigator = ReachingNavigator()
     navigator.slow = True
     with running(navigator, "navigator", where):
         ends = threading.Timer(1.0, lambda: _cancel(where))
@@ -246,7 +247,7 @@ def _cancel(where) -> None:  # type: ignore[no-untyped-def]
 
 
 def test_stop_is_confirmed_and_released(where, capsys):
-    guard = Guard()
+    guard = StopGuard()
     with running(guard, "guard", where):
         assert _status(["estop", "--stack", str(where.domain)]) == 0
         assert guard.pressed
@@ -260,7 +261,7 @@ def test_a_stop_that_nobody_confirms_is_an_error(where, capsys):
 
 
 def test_a_tool_that_comes_late_gets_the_whole_map(where):
-    with running(Mapper(), "mapper", where) as live:
+    with running(TileMapper(), "mapper", where) as live:
         with Client(ROBOT.name, where) as early:
             early.follow(topics.MAP)
             assert early.wait(topics.MAP, lambda m: m.version == 3, 10) is not None
@@ -269,11 +270,11 @@ def test_a_tool_that_comes_late_gets_the_whole_map(where):
         with Client(ROBOT.name, where) as late:
             late.follow(topics.MAP)
             assert late.wait(topics.MAP, lambda m: len(m.rows) == 3, 10) is not None
-            assert len(late.kept(topics.MAP).rows) == 3
+            assert len(late.latched_value(topics.MAP).rows) == 3
 
 
 def test_echo_and_hz_are_data(where, capsys):
-    with running(Guard(), "guard", where):
+    with running(StopGuard(), "guard", where):
         assert _status(["topic", "echo", "guard/status", "-n", "3", "--json", "--stack", str(where.domain)]) == 0
         rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
         assert [row["state"] for row in rows] == ["idle"] * 3
@@ -287,7 +288,7 @@ def test_a_request_that_nobody_answers_is_an_error_at_once(where):
 
 
 def test_two_stacks_do_not_hear_each_other(where):
-    with free_stack() as other, running(Guard(), "guard", where), Client(ROBOT.name, other.where) as client:
+    with free_stack() as other, running(StopGuard(), "guard", where), Client(ROBOT.name, other.where) as client:
         client.follow(topics.GUARD)
         with Client(ROBOT.name, where) as same:
             same.follow(topics.GUARD)

@@ -20,20 +20,20 @@ from shared.recording import Recording
 from shared.requests import LoadMap
 from shared.runners import transport
 from shared.runners.blackbox import BlackBox, crash_in, crash_of
-from shared.runners.clock import Clock
+from shared.runners.clock import StackClock
 from shared.runners.journal import HOLE
+from shared.runners.latched_disk import LatchedDisk
 from shared.runners.live import Live
-from shared.runners.memory import Memory
 from shared.runners.replay import replay
 from shared.service import Answer, Job, Out, Service, answer, every, on
 from tests.stack.test_live import free_stack, running
 from tests.stack.test_live_recording import Watched
 from tests.toys import DEFAULTS, ROBOT, Plan, Tiles, build, tile
-from zenav import replaying
-from zenav.launch import ROOT
-from zenav.playback import Wish
-from zenav.replay import robot_file
-from zenav.replaying import crashed
+from zenav.recording.opening import recorded_robot_file
+from zenav.replay import report
+from zenav.replay.player_clock import PlaybackOptions
+from zenav.replay.report import print_crash
+from zenav.stack.launch import ROOT
 
 
 class DyingPlan(Plan):
@@ -82,11 +82,11 @@ def divided(n: int) -> int:
 
 
 @contextmanager
-def dying(service: Service, name: str, where: transport.Where, folder: Path) -> Iterator[threading.Thread]:
+def dying(service: Service, name: str, where: transport.StackAddress, folder: Path) -> Iterator[threading.Thread]:
     """Runs it until it dies; the traceback goes nowhere."""
     box = BlackBox(folder, name, ROBOT.name, "")
     with transport.opened(where, name) as session:
-        live = Live(service, name, ROBOT.name, session, Clock(), Memory(folder / "memory", name), box)
+        live = Live(service, name, ROBOT.name, session, StackClock(), LatchedDisk(folder / "memory", name), box)
 
         def run() -> None:
             with suppress(ZeroDivisionError, RuntimeError, ArithmeticError):
@@ -110,8 +110,8 @@ def crash(folder: Path, name: str) -> Recording:
 
 
 @pytest.fixture
-def where() -> transport.Where:
-    return transport.Where(free_stack())
+def where() -> transport.StackAddress:
+    return transport.StackAddress(free_stack())
 
 
 def test_a_late_joiner_that_dies_in_a_tick_is_replayed_from_its_black_box(tmp_path, where, capsys):
@@ -132,7 +132,7 @@ def test_a_late_joiner_that_dies_in_a_tick_is_replayed_from_its_black_box(tmp_pa
         replay(recording, ["planner"], lambda name: DyingPlan())
     assert f"event {len(life.events) - 1} at {life.events[-1].now} ns" in raised.value.__notes__[0]
     assert crash_of(raised.value) == crash_in(recording, "planner") != ""
-    assert crashed(raised.value, recording, ["planner"], False) == 1
+    assert print_crash(raised.value, recording, ["planner"], False) == 1
     assert "as recorded, the same exception in the same event" in capsys.readouterr().err
 
 
@@ -205,9 +205,9 @@ def test_the_debugger_opens_where_it_was_raised(tmp_path, where, monkeypatch, ca
     with running(build("mapper"), "mapper", where), dying(DyingPlan(), "planner", where, tmp_path) as thread:
         thread.join(20)
     path = crash(tmp_path, "planner").path
-    monkeypatch.setattr(replaying, "builder", lambda file: lambda name: DyingPlan())
+    monkeypatch.setattr(report, "service_builder", lambda file: lambda name: DyingPlan())
     monkeypatch.setattr("sys.stdin", io.StringIO("p self.n_plans\nq\n"))
-    assert replaying.replay(path, "x80sv", "0", Wish(), replaying.Rerun("planner", pdb=True)) == 1
+    assert report.replay(path, "x80sv", "0", PlaybackOptions(), report.ReplayOptions("planner", pdb=True)) == 1
     assert "(Pdb) 5" in capsys.readouterr().out
 
 
@@ -243,4 +243,4 @@ def test_a_process_that_dies_tells_its_traceback_its_recording_and_ends(tmp_path
     assert 'raise ZeroDivisionError("twenty")' in done.stderr or "ZeroDivisionError: twenty" in done.stderr
     assert crash_in(recording, "odometry").endswith("ZeroDivisionError: twenty")
     assert len(recording.lives()["odometry"][0].events) == 20
-    assert robot_file(recording) is not None
+    assert recorded_robot_file(recording) is not None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who hears everything looks now and then: what came meanwhile is there, in order, with the time when it came."""
+"""A receiver of all keys polls: the messages since the last poll are there, in order, with their times of arrival."""
 
 import socket
 import threading
@@ -19,20 +19,20 @@ KEY = f"{ROBOT.name}/odom"
 
 
 @pytest.fixture(params=["peers", "router"])
-def where(request) -> Iterator[transport.Where]:
+def where(request) -> Iterator[transport.StackAddress]:
     if request.param == "peers":
-        yield transport.Where(free_stack())
+        yield transport.StackAddress(free_stack())
         return
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     with zenoh.open(transport.router_configuration(endpoint)):
-        yield transport.where_from(endpoint)
+        yield transport.stack_address(endpoint)
 
 
 @pytest.fixture
 def link(where, monkeypatch) -> Iterator[tuple[zenoh.Session, zenoh.Publisher]]:
-    """Who hears everything, and a publisher of another session."""
+    """A receiver of all keys, and a publisher of another session."""
     monkeypatch.setenv("ZENOH_RUNTIME", transport.ONE_THREAD)  # not for the processes of other tests
     with ExitStack() as stack:
         sender = stack.enter_context(transport.opened(where, "odometry"))
@@ -47,13 +47,13 @@ def matched(publisher: zenoh.Publisher) -> None:
     assert getattr(there, "matching", False) or found.wait(20)
 
 
-def taken(everything: transport.Everything, last: bytes) -> list[transport.Arrival]:
+def taken(everything: transport.Everything, last: bytes) -> list[transport.RawSample]:
     """What came, until this payload did."""
-    found, limit = list[transport.Arrival](), time.monotonic() + 20
+    found, limit = list[transport.RawSample](), time.monotonic() + 20
     while not found or found[-1].payload != last:
         assert time.monotonic() < limit
         wait(0.001)
-        found += [arrival for arrival in everything.taken() if arrival.key == KEY]
+        found += [arrival for arrival in everything.take_all() if arrival.key == KEY]
     return found
 
 
@@ -77,7 +77,7 @@ def test_what_nobody_looked_at_has_the_time_when_it_came(link, monkeypatch):
     assert not any(arrival.latched for arrival in found)
     for before, arrival, after in zip(sent, found, came):
         assert before <= arrival.at <= after
-    assert everything.taken() == []
+    assert everything.take_all() == []
 
     publisher.put(b"set back")
     assert heard.acquire(timeout=20)

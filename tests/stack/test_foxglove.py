@@ -19,33 +19,33 @@ from shared.config import Section
 from shared.geometry import Pose2
 from shared.messages import MapMode, NavState, Odometry, Velocity
 from shared.requests import Reply, StartMap
-from shared.runners.transport import Where
+from shared.runners.transport import StackAddress
 from shared.service import Answer, Out, Service, answer, every
-from tests.stack.foxglove_app import App, stamped, twist
+from tests.stack.foxglove_app import FakeApp, stamped, twist
 from tests.stack.processes import running as stack_of
 from tests.stack.processes import wait
-from tests.stack.test_client import Guard, Navigator
+from tests.stack.test_client import ReachingNavigator, StopGuard
 from tests.stack.test_live import ROBOT, running
 from tests.unit.zenav.foxglove.test_layout import named_topics
 from tests.unit.zenav.foxglove.test_schemas import cell_at
 from zenav.__main__ import _status
 from zenav.client import Client
-from zenav.foxglove.server import live
-from zenav.launch import free_stack
-from zenav.stopping import Stop
+from zenav.console.shutdown import StopFlag
+from zenav.foxglove.server import live_view
+from zenav.stack.launch import free_stack
 
 
 @pytest.fixture
-def where() -> Iterator[Where]:
+def where() -> Iterator[StackAddress]:
     with free_stack() as claim:
         yield claim.where
 
 
 @contextmanager
-def served(where: Where) -> Iterator[int]:
+def served(where: StackAddress) -> Iterator[int]:
     """A live view of a stack, in a thread; its port."""
-    stop = Stop()
-    with Client(ROBOT.name, where) as client, live(client, ROBOT, "127.0.0.1", 0) as view:
+    stop = StopFlag()
+    with Client(ROBOT.name, where) as client, live_view(client, ROBOT, "127.0.0.1", 0) as view:
         thread = threading.Thread(target=view.run, args=(stop,))
         thread.start()
         try:
@@ -57,8 +57,8 @@ def served(where: Where) -> Iterator[int]:
 
 
 def test_a_goal_of_the_3d_panel_is_given_to_the_navigator_and_shown(where):
-    navigator = Navigator()
-    with running(navigator, "navigator", where), served(where) as port, App(port) as app:
+    navigator = ReachingNavigator()
+    with running(navigator, "navigator", where), served(where) as port, FakeApp(port) as app:
         app.announce("/move_base_simple/goal", "geometry_msgs/PoseStamped")
         app.publish("/move_base_simple/goal", stamped(2.0, -1.0, z=sqrt(0.5), w=sqrt(0.5)))
         app.until(lambda: app.told("task 1"))
@@ -85,8 +85,8 @@ BAD = [
 
 
 def test_bad_messages_are_refused_and_told_and_the_next_good_one_is_taken(where, capsys):
-    navigator = Navigator()
-    with running(navigator, "navigator", where), served(where) as port, App(port) as app:
+    navigator = ReachingNavigator()
+    with running(navigator, "navigator", where), served(where) as port, FakeApp(port) as app:
         app.announce("/goal", "geometry_msgs/PoseStamped")
         for content, words in BAD:
             app.statuses.clear()
@@ -108,7 +108,7 @@ def test_bad_messages_are_refused_and_told_and_the_next_good_one_is_taken(where,
     assert "refused from client" in capsys.readouterr().err
 
 
-class Mapper(Service):
+class AppMapper(Service):
     """Takes any pose."""
 
     def __init__(self) -> None:
@@ -123,8 +123,8 @@ class Mapper(Service):
 
 
 def test_a_pose_estimate_tells_the_mapper_where_the_robot_is(where):
-    mapper = Mapper()
-    with running(mapper, "mapper", where), served(where) as port, App(port) as app:
+    mapper = AppMapper()
+    with running(mapper, "mapper", where), served(where) as port, FakeApp(port) as app:
         app.announce("/initialpose", "geometry_msgs/PoseWithCovarianceStamped")
         there = stamped(3.0, 4.0)
         app.publish("/initialpose", {**there, "pose": {"pose": there["pose"], "covariance": [0] * 36}})
@@ -133,13 +133,13 @@ def test_a_pose_estimate_tells_the_mapper_where_the_robot_is(where):
     assert (request.mode, request.transfer, request.at) == (MapMode.CONTINUE, 0, (Pose2(3.0, 4.0, 0.0),))
 
 
-def drives(guard: Guard, v: float) -> bool:
+def drives(guard: StopGuard, v: float) -> bool:
     return bool(guard.driven) and guard.driven[-1] == (v, 0.0)
 
 
 def test_teleop_drives_while_it_sends_and_stands_when_it_stops_sending(where):
-    guard = Guard()
-    with running(guard, "guard", where), served(where) as port, App(port) as app:
+    guard = StopGuard()
+    with running(guard, "guard", where), served(where) as port, FakeApp(port) as app:
         app.announce("/teleop", "geometry_msgs/Twist")
         app.until(lambda: drives(guard, 0.3), meanwhile=lambda: app.publish("/teleop", twist(0.3, 0.0)))
         app.until(lambda: drives(guard, 0.0))
@@ -147,9 +147,9 @@ def test_teleop_drives_while_it_sends_and_stands_when_it_stops_sending(where):
 
 
 def test_teleop_stands_at_once_when_its_client_is_gone(where):
-    guard = Guard()
-    with running(guard, "guard", where), served(where) as port, App(port) as watcher:
-        app = App(port)
+    guard = StopGuard()
+    with running(guard, "guard", where), served(where) as port, FakeApp(port) as watcher:
+        app = FakeApp(port)
         app.announce("/cmd_vel", "geometry_msgs/Twist")
         app.until(lambda: drives(guard, 0.3), meanwhile=lambda: app.publish("/cmd_vel", twist(0.3, 0.0)))
         app.publish("/cmd_vel", twist(0.3, 0.0))
@@ -162,8 +162,8 @@ def test_teleop_stands_at_once_when_its_client_is_gone(where):
 
 
 def test_one_client_drives_and_another_is_refused_until_it_lets_go(where):
-    guard = Guard()
-    with running(guard, "guard", where), served(where) as port, App(port) as first, App(port) as second:
+    guard = StopGuard()
+    with running(guard, "guard", where), served(where) as port, FakeApp(port) as first, FakeApp(port) as second:
         for app in (first, second):
             app.announce("/teleop", "geometry_msgs/Twist")
 
@@ -178,8 +178,13 @@ def test_one_client_drives_and_another_is_refused_until_it_lets_go(where):
 
 
 def test_another_tool_that_drives_has_the_robot_whoever_came_first(where):
-    guard = Guard()
-    with running(guard, "guard", where), served(where) as port, App(port) as app, Client(ROBOT.name, where) as keyboard:
+    guard = StopGuard()
+    with (
+        running(guard, "guard", where),
+        served(where) as port,
+        FakeApp(port) as app,
+        Client(ROBOT.name, where) as keyboard,
+    ):
         app.announce("/teleop", "geometry_msgs/Twist")
         app.until(lambda: drives(guard, -0.3), meanwhile=lambda: app.publish("/teleop", twist(-0.3, 0.0)))
 
@@ -207,8 +212,8 @@ def test_another_tool_that_drives_has_the_robot_whoever_came_first(where):
     ],
 )
 def test_a_velocity_that_is_none_drives_nothing(where, content, words):
-    guard = Guard()
-    with running(guard, "guard", where), served(where) as port, App(port) as app:
+    guard = StopGuard()
+    with running(guard, "guard", where), served(where) as port, FakeApp(port) as app:
         app.announce("/teleop", "geometry_msgs/Twist")
         app.publish("/teleop", content)
         app.until(lambda: app.told(words))
@@ -216,13 +221,13 @@ def test_a_velocity_that_is_none_drives_nothing(where, content, words):
 
 
 def test_services_stop_release_explore_and_cancel(where):
-    guard, navigator = Guard(), Navigator()
+    guard, navigator = StopGuard(), ReachingNavigator()
     navigator.slow = True
     with (
         running(guard, "guard", where),
         running(navigator, "navigator", where),
         served(where) as port,
-        App(port) as app,
+        FakeApp(port) as app,
     ):
         assert app.call("/estop") == {"success": True, "message": "STOP is pressed"}
         assert guard.pressed
@@ -235,10 +240,10 @@ def test_services_stop_release_explore_and_cancel(where):
 
 
 def test_without_a_stack_it_says_so_and_waits_for_it(where):
-    with served(where) as port, App(port) as app:
+    with served(where) as port, FakeApp(port) as app:
         app.until(lambda: app.told("no stack answers"))
         assert not app.call("/cancel")["success"]
-        with running(Navigator(), "navigator", where):
+        with running(ReachingNavigator(), "navigator", where):
             app.until(lambda: app.told("the stack is there"))
             app.subscribe("/nav/status", "/health/navigator")
             app.until(lambda: app.last("/nav/status") and app.last("/health/navigator"))
@@ -254,12 +259,12 @@ def test_without_a_stack_it_says_so_and_waits_for_it(where):
 
 
 def test_a_service_that_falls_silent_is_named_and_told_when_it_is_back(where):
-    with running(Guard(), "guard", where), served(where) as port, App(port) as app:
-        with running(Navigator(), "navigator", where):
+    with running(StopGuard(), "guard", where), served(where) as port, FakeApp(port) as app:
+        with running(ReachingNavigator(), "navigator", where):
             app.subscribe("/health/navigator")
             app.until(lambda: app.last("/health/navigator"))
         app.until(lambda: app.told("navigator is silent"))
-        with running(Navigator(), "navigator", where):
+        with running(ReachingNavigator(), "navigator", where):
             app.until(lambda: app.told("navigator is back"))
 
 
@@ -270,9 +275,9 @@ class Odometer(Service):
 
 
 def test_a_client_that_does_not_read_holds_nobody_up(where):
-    with running(Odometer(Section(), ROBOT), "odometry", where), served(where) as port, App(port) as quick:
+    with running(Odometer(Section(), ROBOT), "odometry", where), served(where) as port, FakeApp(port) as quick:
         quick.subscribe("/odom", "/tf")
-        stuck = App(port)
+        stuck = FakeApp(port)
         stuck.subscribe("/odom", "/tf", "/health/odometry")
         n_before = len(quick.messages.get("/odom", []))
         quick.until(lambda: len(quick.messages.get("/odom", [])) > n_before + 100)
@@ -298,20 +303,20 @@ def test_the_command_ends_on_a_signal_and_frees_its_port(where, number):
         assert process.stderr is not None
         line = process.stderr.readline()
         port = int(line.split("ws://127.0.0.1:")[1].split(":")[0])
-        with App(port) as app:
+        with FakeApp(port) as app:
             assert "/map" in app.channels
             os.kill(process.pid, number)
             assert process.wait(10) == 0
         opened_on(where, port)
 
 
-def opened_on(where: Where, port: int) -> None:
-    with Client(ROBOT.name, where) as client, live(client, ROBOT, "127.0.0.1", port) as view:
+def opened_on(where: StackAddress, port: int) -> None:
+    with Client(ROBOT.name, where) as client, live_view(client, ROBOT, "127.0.0.1", port) as view:
         assert view.port == port
 
 
 def test_the_app_sees_a_simulated_robot_and_sends_it_to_a_goal(tmp_path):
-    with stack_of(tmp_path) as stack, served(stack.where) as port, App(port) as app:
+    with stack_of(tmp_path) as stack, served(stack.where) as port, FakeApp(port) as app:
         app.subscribe("/map", "/scan", "/pose", "/tf", "/plan", "/robot", "/debug/costmap", "/debug/rollouts")
         for topic in ("/map", "/scan", "/pose", "/robot", "/debug/costmap"):
             app.until(lambda topic=topic: app.last(topic), meanwhile=stack.launcher.step)
@@ -327,7 +332,7 @@ def test_the_app_sees_a_simulated_robot_and_sends_it_to_a_goal(tmp_path):
         app.publish("/goal", {"timestamp": {"sec": 0, "nsec": 0}, "frame_id": "map", "pose": stamped(0.5, 0.0)["pose"]})
 
         def there() -> bool:
-            nav = stack.client.latest(topics.NAV)
+            nav = stack.client.latest(topics.NAV_STATUS)
             return nav is not None and nav.task_id > 0 and nav.state is NavState.REACHED
 
         app.until(there, 60, stack.launcher.step)

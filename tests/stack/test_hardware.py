@@ -23,7 +23,7 @@ from shared.requests import Navigate
 from tests.stack.processes import ROBOT
 from zenav.__main__ import _status
 from zenav.client import Client
-from zenav.launch import ROOT, free_stack
+from zenav.stack.launch import ROOT, free_stack
 
 START, SOON = 180.0, 60.0  # s that a busy machine may take; nothing here is expected to
 THERE, BACK = (0.8, 0.0), (0.0, 0.0)
@@ -42,8 +42,8 @@ class Up:
 
     def listen(self) -> None:
         client = self.client
-        client.follow(topics.NAV, topics.POSE, topics.MAP, topics.BASE, topics.TRUTH)
-        client.listen(topics.BASE, lambda status, _: self.statuses.append(status))
+        client.follow(topics.NAV_STATUS, topics.POSE, topics.MAP, topics.BASE_STATUS, topics.TRUTH)
+        client.listen(topics.BASE_STATUS, lambda status, _: self.statuses.append(status))
         client.listen(topics.TRUTH, lambda truth, _: self.truths.append(truth))
         client.listen(topics.HEALTH, lambda health, _: self._hear(health))
         client.listen(topics.RX, lambda data, envelope: self._read(data, envelope.publisher))
@@ -71,7 +71,7 @@ class Up:
         return truth is not None and truth.v > 0.1
 
     def in_order(self) -> bool:
-        status = self.client.latest(topics.BASE)
+        status = self.client.latest(topics.BASE_STATUS)
         return status is not None and status.link and not status.fault
 
     def farther(self) -> tuple[float, float]:
@@ -116,7 +116,7 @@ def running(folder: Path) -> Iterator[Up]:
         try:
             up.listen()
             up.until(lambda: any("every service runs" in line for line in up.lines), START)
-            up.until(lambda: all(client.latest(t) is not None for t in (topics.NAV, topics.POSE, topics.MAP)))
+            up.until(lambda: all(client.latest(t) is not None for t in (topics.NAV_STATUS, topics.POSE, topics.MAP)))
             up.until(up.in_order)
             yield up
         finally:

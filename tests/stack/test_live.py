@@ -13,10 +13,10 @@ from shared import requests, topics
 from shared.codec import Envelope, decode, encode
 from shared.config import Section, UserError, load_robot
 from shared.geometry import Pose2
-from shared.messages import Goal, GoalKind, WheelState
+from shared.messages import Goal, WheelState
 from shared.requests import Cancel, Reply
 from shared.runners import transport
-from shared.runners.clock import Clock
+from shared.runners.clock import StackClock
 from shared.runners.live import Live
 from shared.service import Answer, Job, Out, Service, answer, every, on
 
@@ -25,7 +25,7 @@ ROBOT = load_robot("x80sv").robot
 
 def free_stack() -> int:
     for domain in range(transport.MAX_DOMAIN, 100, -1):
-        where = transport.Where(domain)
+        where = transport.StackAddress(domain)
         try:
             for name in topics.SERVICES:
                 with socket.socket() as s:
@@ -36,13 +36,13 @@ def free_stack() -> int:
     raise RuntimeError("no free ports")
 
 
-class Base(Service):
+class TickingBase(Service):
     @every(hz=50)
     def tick(self) -> Out:
         yield topics.WHEELS(WheelState(self.now, 0, 0.1, 0.2, 0.0, 0.0))
 
 
-class Odometry(Service):
+class CountingOdometry(Service):
     def __init__(self) -> None:
         super().__init__(Section(), ROBOT)
         self.seen: list[WheelState] = []
@@ -61,7 +61,7 @@ class Odometry(Service):
         return ()
 
 
-class Navigator(Service):
+class CancellingNavigator(Service):
     def __init__(self) -> None:
         super().__init__(Section(), ROBOT)
         self.cancelled = 0
@@ -69,11 +69,11 @@ class Navigator(Service):
     @answer(requests.CANCEL)
     def cancel(self, request: Cancel) -> Answer[Reply]:
         self.cancelled += 1
-        yield topics.GOAL(Goal(self.now, self.cancelled, GoalKind.NONE, Pose2(1, 2, 0), 0.1, 0.1, 0.0, False))
+        yield topics.GOAL(Goal(self.now, self.cancelled, False, Pose2(1, 2, 0), 0.1, 0.1, False))
         return Reply(self.now, True, "", "stopped", 7)
 
 
-class Planner(Service):
+class GoalListener(Service):
     def __init__(self) -> None:
         super().__init__(Section(), ROBOT)
         self.goals: list[int] = []
@@ -87,9 +87,9 @@ class Planner(Service):
 
 
 @contextmanager
-def running(service: Service, name: str, where: transport.Where) -> Iterator[Live]:
+def running(service: Service, name: str, where: transport.StackAddress) -> Iterator[Live]:
     with transport.opened(where, name) as session:
-        live = Live(service, name, ROBOT.name, session, Clock())
+        live = Live(service, name, ROBOT.name, session, StackClock())
         thread = threading.Thread(target=live.run)
         thread.start()
         try:
@@ -101,8 +101,8 @@ def running(service: Service, name: str, where: transport.Where) -> Iterator[Liv
 
 
 @pytest.fixture
-def where() -> transport.Where:
-    return transport.Where(free_stack())
+def where() -> transport.StackAddress:
+    return transport.StackAddress(free_stack())
 
 
 def wait_for(condition: Callable[[], bool], event: threading.Event, seconds: float = 10.0) -> None:
@@ -111,29 +111,29 @@ def wait_for(condition: Callable[[], bool], event: threading.Event, seconds: flo
 
 
 def test_messages_and_jobs_arrive_whoever_starts_first(where):
-    odometry = Odometry()
-    with running(odometry, "odometry", where), running(Base(Section(), ROBOT), "base_driver", where):
+    odometry = CountingOdometry()
+    with running(odometry, "odometry", where), running(TickingBase(Section(), ROBOT), "base_driver", where):
         wait_for(lambda: odometry.totals == [6], odometry.enough)
     stamps = [wheels.stamp for wheels in odometry.seen]
     assert stamps == sorted(set(stamps))
 
 
 def test_random_bytes_and_intruders_are_counted_and_the_service_goes_on(where):
-    odometry = Odometry()
+    odometry = CountingOdometry()
     with running(odometry, "odometry", where) as live, transport.opened(where) as tool:
         key = f"{ROBOT.name}/base/wheels"
         good = WheelState(1, 0, 0.0, 0.0, 0.0, 0.0)
         for junk in (b"", b"\xc1", b"\xff" * 4000, encode(good, Envelope("sim", "s", 0, 0)), b"\x81\xa5stamp\x01"):
             tool.put(key, junk)
-        with running(Base(Section(), ROBOT), "base_driver", where):
+        with running(TickingBase(Section(), ROBOT), "base_driver", where):
             wait_for(lambda: True, odometry.enough)
-        assert live.traffic.bad == 4
-        assert live.traffic.intruders == 1
+        assert live.stats.bad == 4
+        assert live.stats.intruders == 1
 
 
 def test_a_late_joiner_has_the_goal_at_once_and_a_request_is_answered(where):
-    planner = Planner()
-    with running(Navigator(), "navigator", where), transport.opened(where) as tool:
+    planner = GoalListener()
+    with running(CancellingNavigator(), "navigator", where), transport.opened(where) as tool:
         payload = encode(Cancel(1), Envelope("operator", "o", 0, 1))
         replies = [
             decode(Reply, r.ok.payload.to_bytes())[0]
@@ -148,12 +148,12 @@ def test_a_late_joiner_has_the_goal_at_once_and_a_request_is_answered(where):
 
 
 def test_a_second_instance_is_refused_with_the_port(where):
-    with running(Planner(), "planner", where), pytest.raises(UserError, match=str(where.port("planner"))):
+    with running(GoalListener(), "planner", where), pytest.raises(UserError, match=str(where.port("planner"))):
         transport.opened(where, "planner")
 
 
 def test_the_configuration_is_the_one_that_zenoh_keeps():
-    config = transport.configuration(transport.Where(3), "mapper")
+    config = transport.configuration(transport.StackAddress(3), "mapper")
     assert config.get_json("transport/shared_memory/enabled") == "false"
     assert config.get_json("scouting/multicast/enabled") == "false"
     assert "127.0.0.1" in config.get_json("listen/endpoints")

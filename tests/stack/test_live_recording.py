@@ -18,17 +18,18 @@ from shared.geometry import Pose2
 from shared.messages import MapUpdate
 from shared.recording import Recording
 from shared.runners import transport
-from shared.runners.clock import Clock
+from shared.runners.clock import StackClock
 from shared.runners.host import LATCHED
+from shared.runners.latched_disk import LatchedDisk
 from shared.runners.live import Live
-from shared.runners.memory import Memory
 from shared.service import Service
 from tests.stack import processes
 from tests.stack.processes import ALL, wait
 from tests.stack.test_live import free_stack
 from tests.toys import ROBOT, build
-from zenav.replay import replay_file, robot_file
-from zenav.replaying import builder
+from zenav.recording.opening import recorded_robot_file
+from zenav.replay.report import service_builder
+from zenav.replay.reprocess import replay_file
 
 CHAIN = ["base_driver", "odometry", "mapper", "planner"]
 
@@ -62,9 +63,11 @@ def recorded(session: zenoh.Session, name: str) -> bool:
 
 
 @contextmanager
-def running(service: Service, name: str, where: transport.Where, memory: Memory | None = None) -> Iterator[Live]:
+def running(
+    service: Service, name: str, where: transport.StackAddress, memory: LatchedDisk | None = None
+) -> Iterator[Live]:
     with transport.opened(where, name) as session:
-        live = Live(service, name, ROBOT.name, session, Clock(), memory)
+        live = Live(service, name, ROBOT.name, session, StackClock(), memory)
         if not isinstance(service, RecorderService):
             assert recorded(session, name)
         thread = threading.Thread(target=live.run)
@@ -78,7 +81,7 @@ def running(service: Service, name: str, where: transport.Where, memory: Memory 
 
 
 def test_a_live_run_replays_to_the_byte(tmp_path):
-    where, memory = transport.Where(free_stack()), Memory(tmp_path, "mapper")
+    where, memory = transport.StackAddress(free_stack()), LatchedDisk(tmp_path, "mapper")
     config = RecorderConfig(file=str(tmp_path / "a.mcap"))
     store = RecordingStore(config)
     recorder = Watched(config, store)
@@ -90,7 +93,7 @@ def test_a_live_run_replays_to_the_byte(tmp_path):
                 assert recorder.hears(map=2)
                 with running(build("planner"), "planner", where):
                     assert recorder.hears(plan=3)
-        assert live.traffic.bad == 0
+        assert live.stats.bad == 0
     store.close()
 
     recording = Recording(tmp_path / "a.mcap")
@@ -111,18 +114,18 @@ def test_the_real_stack_driving_replays_to_the_byte_service_by_service_and_as_a_
     with processes.running(tmp_path / "logs", ("recorder", *ALL), settings=(f"recorder.file={path}",)) as stack:
         stack.until(stack.reached(stack.go(Pose2(1.0, 0.2, 0.0))))
     recording = Recording(path)
-    file = robot_file(recording)
+    file = recorded_robot_file(recording)
     assert file is not None
     for names in (*([name] for name in ALL), list(ALL)):
-        report = replay_file(path, names, None, builder(file), lambda done, of: None)
+        report = replay_file(path, names, None, service_builder(file), lambda done, of: None)
         assert report.notes == [], names
-        assert report.equal, [topic for topic in report.topics if not topic.alike]
+        assert report.equal, [topic for topic in report.topics if not topic.equal]
         assert sum(topic.n_equal for topic in report.topics) > 4
     assert sum(topic.n_equal for topic in report.topics) > 500
 
 
 def test_a_recorder_that_comes_late_records_what_was_latched_before(tmp_path):
-    where = transport.Where(free_stack())
+    where = transport.StackAddress(free_stack())
     store = RecordingStore(RecorderConfig(file=str(tmp_path / "a.mcap")))
     early = Watched(RecorderConfig(), RecordingStore(RecorderConfig(file=str(tmp_path / "first.mcap"))))
     with (
@@ -133,12 +136,12 @@ def test_a_recorder_that_comes_late_records_what_was_latched_before(tmp_path):
         transport.opened(where) as session,
     ):
         assert early.hears(map=3, pose=1)
-        everything, heard = transport.Everything(session, ROBOT.name), list[transport.Arrival]()
+        everything, heard = transport.Everything(session, ROBOT.name), list[transport.RawSample]()
         limit = time.monotonic() + 20
         while not any(arrival.latched and arrival.key == f"{ROBOT.name}/map" for arrival in heard):
             assert time.monotonic() < limit
             wait(0.05)
-            heard += everything.taken()
+            heard += everything.take_all()
     late = RecorderService(RecorderConfig(), ROBOT, store)
     for full_key, payload, at, latched in heard:  # as the runner's loop: one by one
         late.raw(full_key.removeprefix(f"{ROBOT.name}/"), payload, envelope_of(payload), at, latched)

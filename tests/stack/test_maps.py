@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""zenav map over Zenoh: a map is saved from a running mapper, given back, left as it is, and begun anew."""
+"""zenav map over Zenoh: a map is saved from a running mapper, loaded, kept as it is, and started afresh."""
 
 import os
 import signal
@@ -13,11 +13,11 @@ import pytest
 from shared import topics
 from shared.messages import Localization, MapMode
 from tests.stack.processes import running
-from tests.unit.services.mapper.test_saved_map import made
-from zenav.launch import free_stack
-from zenav.map_modes import GRAPH, change, load, save
-from zenav.saved_map import write_saved_map
-from zenav.store import SAVED, SAVING
+from tests.unit.services.mapper.maps.test_map_file import made
+from zenav.client.map_modes import GRAPH, change_mode, load_map, save_map
+from zenav.maps.atomic_folder import SAVED, SAVING
+from zenav.maps.saved_map import write_saved_map
+from zenav.stack.launch import free_stack
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -39,20 +39,20 @@ def test_a_map_is_saved_loaded_and_begun_anew(tmp_path, capsys):
             stack.until(holds)
 
         told(MapMode.MAP)
-        save("x80sv", where, str(saved))
+        save_map("x80sv", where, str(saved))
         content = (saved / GRAPH).read_bytes()
         files = {path.name for path in saved.iterdir()}
         assert {"map.pgm", "map.yaml", "map.png", GRAPH} <= files
         assert not {SAVED, SAVING} & files
-        load("x80sv", where, str(saved), MapMode.LOCALISE, (0.1, 0.0, 2.0))
+        load_map("x80sv", where, str(saved), MapMode.LOCALISE, (0.1, 0.0, 2.0))
         told(MapMode.LOCALISE)
-        save("x80sv", where, str(saved))
+        save_map("x80sv", where, str(saved))
         assert (saved / GRAPH).read_bytes() == content, "it was left as it is"
-        change("x80sv", where, MapMode.CONTINUE, None)
+        change_mode("x80sv", where, MapMode.CONTINUE, None)
         told(MapMode.CONTINUE)
-        change("x80sv", where, MapMode.MAP, None)
+        change_mode("x80sv", where, MapMode.MAP, None)
         told(MapMode.MAP)
-        load("x80sv", where, str(saved / "map.yaml"), MapMode.LOCALISE, (0.1, 0.0, 2.0))
+        load_map("x80sv", where, str(saved / "map.yaml"), MapMode.LOCALISE, (0.1, 0.0, 2.0))
         told(MapMode.LOCALISE)
     assert "localise: the robot is at" in capsys.readouterr().out
 

@@ -18,16 +18,16 @@ from shared.messages import EmergencyStop, Health
 from shared.reasons import DISK_FULL
 from shared.recording import CONFIG, Recording
 from shared.topics import Publication
-from tests.stack.processes import ROBOT, Stack, wait
+from tests.stack.processes import ROBOT, StackProcesses, wait
 from zenav.__main__ import _status
 from zenav.client import Client
-from zenav.launch import Launcher, free_stack, service_command
+from zenav.stack.launch import Launcher, free_stack, service_command
 
 PACE = 0.004  # s: a link drops what is put faster than its thread runs on a busy machine
 
 
 @contextmanager
-def recorder(folder: Path, *settings: str) -> Iterator[Stack]:
+def recorder(folder: Path, *settings: str) -> Iterator[StackProcesses]:
     """The recorder's process alone, heard by a tool that publishes in the place of others."""
     told: list[tuple[str, str]] = []
     with free_stack() as claim:
@@ -35,7 +35,7 @@ def recorder(folder: Path, *settings: str) -> Iterator[Stack]:
         commands = {"recorder": service_command("recorder", "x80sv", str(claim.where.domain), chosen)}
         launcher = Launcher(commands, folder, lambda name, line: told.append((name, line)))
         with launcher, Client(ROBOT.name, claim.where) as client:
-            stack = Stack(launcher, client, claim.where, told)
+            stack = StackProcesses(launcher, client, claim.where, told)
             client.listen(topics.HEALTH, lambda health, _: stack.hear(health))
             launcher.start_all(lambda name: name in stack.healths)
             stack.until(lambda: "recorder" in stack.healths, 60)
@@ -44,11 +44,11 @@ def recorder(folder: Path, *settings: str) -> Iterator[Stack]:
             yield stack
 
 
-def health(stack: Stack) -> Health:
+def health(stack: StackProcesses) -> Health:
     return stack.healths["recorder"]
 
 
-def publish(stack: Stack, n: int, size: int = 100) -> None:
+def publish(stack: StackProcesses, n: int, size: int = 100) -> None:
     for _ in range(n):
         text = os.urandom(size // 2).hex()  # nothing that a compressor could make smaller
         stack.client.publish(Publication(topics.ESTOP, EmergencyStop(stack.client.now(), True, text)))
@@ -133,7 +133,7 @@ def test_a_full_disk_is_a_reason_in_its_health_and_recording_goes_on_with_room(t
         full = 40_000  # bytes: as a full disk, no file can grow beyond
         before = resource.prlimit(pid, resource.RLIMIT_FSIZE, (full, resource.RLIM_INFINITY))
         stack.until(lambda: publish(stack, 20, 2000) or health(stack).state.startswith(DISK_FULL.text))
-        assert any(DISK_FULL.mend in line for _, line in stack.told)
+        assert any(DISK_FULL.hint in line for _, line in stack.told)
         assert stack.launcher.children["recorder"].n_restarts == 0
         resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
         stack.until(lambda: publish(stack, 1) or health(stack).state.startswith("recording"), 60)

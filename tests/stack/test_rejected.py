@@ -19,7 +19,7 @@ from shared.messages import Health, MapUpdate, WheelState
 from shared.requests import MAX_ROUTE_POSES, FetchMap, LoadMap, MapPart, Navigate, Reply
 from shared.runners import transport
 from shared.service import Answer, Out, Service, answer, every
-from tests.stack.test_live import ROBOT, Navigator, Odometry, running, where
+from tests.stack.test_live import ROBOT, CancellingNavigator, CountingOdometry, running, where
 from zenav.client import Client
 
 __all__ = ["where"]
@@ -35,14 +35,14 @@ def tiles(n: int, stamp: int = 1) -> MapUpdate:
     return MapUpdate(stamp, 1, 1, 0.05, places // 200, places % 200, np.zeros((n, 4096), np.int8))
 
 
-class Route(Navigator):
+class RoutePublisher(CancellingNavigator):
     @answer(requests.NAVIGATE)
     def navigate(self, request: Navigate) -> Answer[Reply]:
         yield from ()
         return Reply(self.now, True, "", f"{len(request.poses)} poses")
 
 
-class Mapper(Service):
+class RejectingMapper(Service):
     """Its map, its replies and the maps it takes are as large as they are made."""
 
     n_tiles = 1
@@ -91,7 +91,7 @@ class Healths:
 
 
 @contextmanager
-def watched(service: Service, name: str, where: transport.Where) -> Iterator[tuple[zenoh.Session, Healths]]:
+def watched(service: Service, name: str, where: transport.StackAddress) -> Iterator[tuple[zenoh.Session, Healths]]:
     with running(service, name, where), transport.opened(where) as tool:
         yield tool, Healths(tool, name)
 
@@ -107,7 +107,7 @@ def error_of(tool: zenoh.Session, key: str, payload: bytes) -> dict[str, str]:
 
 
 def test_a_request_over_the_limit_is_refused_at_once_and_counted(where):
-    with watched(Navigator(), "navigator", where) as (tool, healths):
+    with watched(CancellingNavigator(), "navigator", where) as (tool, healths):
         assert error_of(tool, "request/cancel", bytes(LARGE)) == {
             "code": "too_large",
             "text": "4.0 MiB where a message may have 4",
@@ -118,7 +118,7 @@ def test_a_request_over_the_limit_is_refused_at_once_and_counted(where):
 
 
 def test_the_client_refuses_what_is_over_the_limit_before_it_is_sent(where):
-    with running(Mapper(), "mapper", where), Client(ROBOT.name, where) as client:
+    with running(RejectingMapper(), "mapper", where), Client(ROBOT.name, where) as client:
         assert client.ask(requests.LOAD_MAP, LoadMap(1, tiles(900), Pose2())).accepted
         begun = time.monotonic()
         with pytest.raises(UserError, match=r"request/load_map: the message is too large: 4\.3 MiB .* may have 4"):
@@ -127,14 +127,14 @@ def test_the_client_refuses_what_is_over_the_limit_before_it_is_sent(where):
 
 
 def test_a_reply_over_the_limit_is_an_error_at_once_and_counted(where):
-    with watched(Mapper(), "mapper", where) as (tool, healths):
+    with watched(RejectingMapper(), "mapper", where) as (tool, healths):
         payload = encode(FetchMap(1, 1, LARGE), Envelope("operator", "o", 0, 1))
         assert error_of(tool, "request/fetch_map", payload)["code"] == "too_large"
         healths.has("request/fetch_map", "size", 1)
 
 
 def test_a_route_of_too_many_poses_is_refused_with_the_limit(where):
-    with running(Route(), "navigator", where), Client(ROBOT.name, where) as client:
+    with running(RoutePublisher(), "navigator", where), Client(ROBOT.name, where) as client:
         poses = tuple(Pose2(0.1 * i, 0.0, 0.0) for i in range(MAX_ROUTE_POSES + 1))
         reply = client.ask(requests.NAVIGATE, Navigate(1, poses[:-1], 0.0, 1, True))
         assert reply.detail == "10000 poses"
@@ -143,7 +143,7 @@ def test_a_route_of_too_many_poses_is_refused_with_the_limit(where):
 
 
 def test_a_message_over_the_limit_is_counted_where_it_comes_and_the_next_is_taken(where):
-    odometry = Odometry()
+    odometry = CountingOdometry()
     with watched(odometry, "odometry", where) as (tool, healths):
         key = f"{ROBOT.name}/base/wheels"
         for _ in range(3):
@@ -155,7 +155,7 @@ def test_a_message_over_the_limit_is_counted_where_it_comes_and_the_next_is_take
 
 
 def test_a_service_s_own_message_over_the_limit_is_counted_and_the_next_goes_out(where):
-    mapper = Mapper()
+    mapper = RejectingMapper()
     mapper.n_tiles = 1100
     arrived = threading.Event()
     with watched(mapper, "mapper", where) as (tool, healths):
@@ -174,7 +174,7 @@ def test_a_service_s_own_message_over_the_limit_is_counted_and_the_next_goes_out
 
 @pytest.mark.parametrize(("sequences", "words"), [([0, 0, 0, 0], "stands still"), ([3, 2, 1, 0], "goes back")])
 def test_sequences_that_do_not_rise_are_counted_and_the_service_knows(where, sequences, words):
-    odometry = Odometry()
+    odometry = CountingOdometry()
     told = threading.Event()
     with watched(odometry, "odometry", where) as (tool, healths):
         for sequence in sequences:
@@ -183,5 +183,5 @@ def test_sequences_that_do_not_rise_are_counted_and_the_service_knows(where, seq
             told.wait(0.08)
         health = healths.has("base/wheels", "sequence", 3)
         assert f"the sequence {words}" in health.last_error
-        assert odometry.rejections.why("base/wheels") == f"the sequence {words}"
+        assert odometry.rejections.last_problem("base/wheels") == f"the sequence {words}"
         assert len(odometry.seen) == 1

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from shared.runners.transport import opened, where_from
-from zenav.healthcheck import verdict
+from shared.runners.transport import opened, stack_address
+from zenav.stack.healthcheck import health_problem
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def endpoint() -> str:
 
 @pytest.fixture
 def router(endpoint: str) -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, "-m", "zenav.router", endpoint]
+    command = [sys.executable, "-m", "zenav.stack.router", endpoint]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         assert process.stderr.readline() == f"router: listening on {endpoint}\n"
@@ -34,7 +34,7 @@ def router(endpoint: str) -> Iterator[subprocess.Popen[str]]:
 @pytest.fixture
 def odometry(router: subprocess.Popen[str], endpoint: str) -> Iterator[subprocess.Popen[bytes]]:
     heard = threading.Event()
-    with opened(where_from(endpoint)) as session:
+    with opened(stack_address(endpoint)) as session:
         session.declare_subscriber("*/health/odometry", lambda _: heard.set())
         with subprocess.Popen([sys.executable, "-m", "services.odometry", "--stack", endpoint]) as process:
             try:
@@ -45,17 +45,17 @@ def odometry(router: subprocess.Popen[str], endpoint: str) -> Iterator[subproces
 
 
 def test_a_service_that_works_is_healthy_and_one_that_hangs_is_not(odometry, endpoint):
-    assert verdict("odometry", endpoint) == ""
+    assert health_problem("odometry", endpoint) == ""
     odometry.send_signal(signal.SIGSTOP)
     try:
-        assert verdict("odometry", endpoint) == "no health message of odometry within 3 s"
+        assert health_problem("odometry", endpoint) == "no health message of odometry within 3 s"
     finally:
         odometry.send_signal(signal.SIGCONT)
 
 
 def test_the_health_check_is_a_command_with_a_status_and_a_line(router, endpoint):
     def check(name: str, stack: str) -> tuple[int, str]:
-        command = [sys.executable, "-m", "zenav.healthcheck", name]
+        command = [sys.executable, "-m", "zenav.stack.healthcheck", name]
         done = subprocess.run(command, env={"ZENAV_STACK": stack}, capture_output=True, text=True, timeout=30)
         return done.returncode, done.stdout
 
@@ -71,7 +71,7 @@ def test_the_router_ends_at_once_when_it_is_told_to(router):
 
 
 def test_a_router_whose_port_is_taken_says_so(router, endpoint):
-    command = [sys.executable, "-m", "zenav.router", endpoint]
+    command = [sys.executable, "-m", "zenav.stack.router", endpoint]
     done = subprocess.run(command, capture_output=True, text=True, timeout=30)
     assert done.returncode == 2
     assert done.stderr.startswith(f"router: cannot listen on {endpoint}: ")

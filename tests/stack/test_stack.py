@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import threading
+from itertools import takewhile
 
 import numpy as np
 import psutil
@@ -17,12 +18,12 @@ from shared.config import UserError
 from shared.messages import NavState
 from shared.requests import REQUESTS
 from shared.topics import SERVICES, TOPICS
-from tests.stack.processes import ALL, ROBOT, Stack, running, wait
-from zenav.drive import confirm_stop
-from zenav.launch import ROOT, Launcher, free_stack, service_command
+from tests.stack.processes import ALL, ROBOT, StackProcesses, running, wait
+from zenav.client.navigation_client import confirm_stop
+from zenav.stack.launch import ROOT, Launcher, free_stack, service_command
 
 
-def near_truth(stack: Stack) -> bool:
+def near_truth(stack: StackProcesses) -> bool:
     """The mapper's pose is the true one, within what a moving robot's delay explains."""
     pose, truth = stack.client.latest(topics.POSE), stack.client.latest(topics.TRUTH)
     if pose is None or truth is None:
@@ -30,7 +31,7 @@ def near_truth(stack: Stack) -> bool:
     return (truth.start @ pose.map_from_base).distance(truth.world_from_base) < 0.3
 
 
-def stands(stack: Stack) -> bool:
+def stands(stack: StackProcesses) -> bool:
     truth = stack.client.latest(topics.TRUTH)
     return truth is not None and abs(truth.v) < 0.01 and abs(truth.w) < 0.02
 
@@ -47,11 +48,13 @@ def test_services_that_start_in_another_order_drive_to_a_goal(tmp_path):
 def test_a_killed_mapper_comes_back_with_its_map_and_the_robot_goes_on(tmp_path):
     with running(tmp_path) as stack:
         stack.until(stack.reached(stack.go()))
-        before, tiles = stack.pid("mapper"), stack.client.kept(topics.MAP)
+        before, tiles = stack.pid("mapper"), stack.client.latched_value(topics.MAP)
         os.kill(before, signal.SIGKILL)
         stack.until(lambda: stack.healths["mapper"].pid not in (before, 0) and stack.launcher.children["mapper"].heard)
         assert any(name == "mapper" and "killed by SIGKILL" in line for name, line in stack.told)
-        stack.until(lambda: (m := stack.client.kept(topics.MAP)) is not None and len(m.rows) >= len(tiles.rows))
+        stack.until(
+            lambda: (m := stack.client.latched_value(topics.MAP)) is not None and len(m.rows) >= len(tiles.rows)
+        )
         stack.until(lambda: near_truth(stack) and stack.client.age(topics.POSE) < 1, 10)
         task = stack.go(stack.client.latest(topics.POSE).map_from_base)
         stack.until(stack.reached(task))
@@ -82,8 +85,8 @@ def test_a_stop_while_the_navigator_is_dead_wins_and_after_its_release_nothing_m
         os.kill(stack.pid("navigator"), signal.SIGKILL)
         confirm_stop(stack.client, True, "test")
         confirm_stop(stack.client, False, "test")
-        stack.until(lambda: stack.client.latest(topics.NAV).state is NavState.CANCELED)
-        nav = stack.client.latest(topics.NAV)
+        stack.until(lambda: stack.client.latest(topics.NAV_STATUS).state is NavState.CANCELED)
+        nav = stack.client.latest(topics.NAV_STATUS)
         assert (nav.task_id, nav.reason) == (task, "estop_released")
         stack.until(lambda: stands(stack))
         driven = stack.client.latest(topics.TRUTH).distance
@@ -160,3 +163,34 @@ def test_ctrl_c_ends_zenav_up_and_every_process(tmp_path):
         killer.cancel()
     assert up.returncode == 0, rest
     assert not any(psutil.pid_exists(pid) for pid in pids)
+
+
+def test_systemd_hears_that_the_stack_is_ready_lives_and_ends(tmp_path):
+    with free_stack() as claim:
+        domain = claim.where.domain
+    address = tmp_path / "notify"
+    environment = {
+        **os.environ,  # noqa: TID251
+        "PYTHONPATH": str(ROOT), "NOTIFY_SOCKET": str(address), "WATCHDOG_USEC": "1000000",
+    }  # fmt: skip
+    only = "sim,base_driver,odometry"
+    command = [sys.executable, "-m", "zenav", "up", "--world", "room", "--only", only, "--stack", str(domain)]
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(address))
+        systemd.settimeout(90)
+        with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=environment) as up:
+            killer = threading.Timer(110, up.kill)
+            killer.start()
+            words = iter(lambda: systemd.recv(4096).decode(), "")
+            before = list(takewhile(lambda word: word != "READY=1", words))
+            assert set(before) <= {"WATCHDOG=1"}
+            assert next(words).startswith("STATUS=3 services run")
+            assert [next(words) for _ in range(4)] == ["WATCHDOG=1"] * 4
+            up.send_signal(signal.SIGTERM)
+            up.stderr.read()
+            killer.cancel()
+        systemd.settimeout(1)
+        while (word := systemd.recv(4096).decode()) == "WATCHDOG=1":
+            pass
+    assert word == "STOPPING=1"
+    assert up.returncode == 0

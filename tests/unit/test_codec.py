@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bytes to messages and back: what is encoded decodes to the same, what is wrong is told, nothing else happens."""
+"""Bytes to messages and back: a message decodes to itself, and the error of invalid bytes says what is wrong."""
 
 import msgpack
 import numpy as np

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A configuration's fault is told with file, line, key and the nearest valid name."""
+"""An error of a configuration names file, line, key and the nearest valid name."""
 
 from pathlib import Path
 from typing import ClassVar
@@ -9,16 +9,17 @@ from pydantic import Field, ValidationError
 
 from services.local_ctrl.footprint import footprint_of
 from shared.config import Robot, Section, UserError, configured, load_robot
+from shared.robot_files import ROBOTS_DIR
 
-X80SV = Path(__file__).parents[2] / "config" / "x80sv.yaml"
+X80SV = ROBOTS_DIR / "x80sv.yaml"
 
 
-class Limits(Section):
+class LimitsSection(Section):
     stop_margin: float = Field(0.1, ge=0.02, le=1, description="m free in front")
 
 
-class Guard(Section):
-    limits: Limits = Limits()
+class GuardSection(Section):
+    limits: LimitsSection = LimitsSection()
 
 
 def robot_with(tmp_path: Path, old: str, new: str) -> Path:
@@ -39,15 +40,15 @@ def test_a_typo_names_its_line_and_the_nearest_setting(tmp_path):
     path = tmp_path / "robot.yaml"
     path.write_text("guard:\n  limits:\n    stop_margn: 0.2\n")
     with pytest.raises(UserError, match=r"robot\.yaml:3: guard\.limits\.stop_margn is not a setting") as error:
-        load_robot(str(path)).section("guard", Guard)
-    assert "stop_margin" in error.value.mend
+        load_robot(str(path)).section("guard", GuardSection)
+    assert "stop_margin" in error.value.hint
 
 
 def test_a_typo_in_a_setting_that_must_be_there_is_told_as_a_typo(tmp_path):
     path = robot_with(tmp_path, "wheel_radius: 0.085", "wheel_raduis: 0.085")
     with pytest.raises(UserError, match=r"robot\.yaml:\d+: robot\.drive\.wheel_raduis is not a setting") as error:
         _ = load_robot(str(path)).robot
-    assert "wheel_radius" in error.value.mend
+    assert "wheel_radius" in error.value.hint
 
 
 def test_a_negative_radius_is_an_error_with_its_line(tmp_path):
@@ -102,16 +103,16 @@ def test_an_unknown_section_names_the_nearest(tmp_path):
     path.write_text("gaurd:\n  limits: {}\n")
     with pytest.raises(UserError, match="gaurd") as error:
         load_robot(str(path)).unknown_sections(("robot", "guard"))
-    assert "`guard`" in error.value.mend
+    assert "`guard`" in error.value.hint
 
 
 def test_overrides_are_checked_like_the_file():
     file = load_robot("x80sv")
     file.override("guard.limits.stop_margin=0.3")
-    assert file.section("guard", Guard).limits.stop_margin == 0.3
+    assert file.section("guard", GuardSection).limits.stop_margin == 0.3
     file.override("guard.limits.stop_margin=-1")
     with pytest.raises(UserError, match=r"^--set: guard\.limits\.stop_margin"):
-        file.section("guard", Guard)
+        file.section("guard", GuardSection)
 
 
 @pytest.mark.parametrize("assignment", ["", "guard", "guard=1", "a.b", ".=1", "a.=2", "a.b=[", "robot.name.x=1"])
@@ -131,7 +132,7 @@ def test_a_file_that_is_no_configuration_is_told(tmp_path, text):
 def test_a_robot_that_does_not_exist_names_the_nearest():
     with pytest.raises(UserError) as error:
         load_robot("x80s")
-    assert "x80sv" in error.value.mend
+    assert "x80sv" in error.value.hint
 
 
 def test_a_robot_that_may_not_turn_on_the_spot_needs_a_turning_radius():

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from shared.geometry import Pose2, arc, inside, interpolated, wrapped, wrapped_all
+from shared.geometry import Pose2, arc, interpolated, wrapped, wrapped_all
 
 coordinates = st.floats(-100, 100)
 poses = st.builds(Pose2, coordinates, coordinates, st.floats(-10, 10))
@@ -59,14 +59,3 @@ def test_an_arc_stays_on_its_circle(forward, turn):
 def test_interpolation_begins_and_ends_at_its_poses(a, b):
     assert_allclose(array(interpolated(a, b, 0.0)), array(a), atol=1e-9)
     assert_allclose(array(interpolated(a, b, 1.0)), array(b), atol=1e-9)
-
-
-def test_inside_follows_the_winding_of_a_concave_polygon():
-    polygon = np.array([[0, 0], [4, 0], [4, 4], [2, 1], [0, 4]], float)
-    assert inside(polygon, np.array([[1, 1], [3, 1], [2, 3], [5, 1], [2, 0.5]])).tolist() == [
-        True,
-        True,
-        False,
-        False,
-        True,
-    ]

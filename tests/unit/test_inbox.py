@@ -21,9 +21,9 @@ def emptied(inbox: Inbox) -> list[tuple[str, int]]:
 @given(filed)
 def test_all_keeps_everything_in_order_and_latest_the_last(items):
     inbox = Inbox()
-    places = {"scan": inbox.place("scan", "latest"), "odom": inbox.place("odom", "all")}
+    slots = {"scan": inbox.slot("scan", "latest"), "odom": inbox.slot("odom", "all")}
     for key, n in items:
-        inbox.file(places[key], n)
+        inbox.file(slots[key], n)
     taken = emptied(inbox)
     assert [n for key, n in taken if key == "odom"] == [n for key, n in items if key == "odom"]
     assert [n for key, n in taken if key == "scan"] == [n for key, n in items if key == "scan"][-1:]
@@ -32,19 +32,19 @@ def test_all_keeps_everything_in_order_and_latest_the_last(items):
 @given(st.integers(1, 5), st.integers(0, 30))
 def test_a_full_place_drops_its_oldest_and_counts(capacity, n):
     inbox = Inbox()
-    place = inbox.place("odom", "all", capacity)
+    slot = inbox.slot("odom", "all", capacity)
     for i in range(n):
-        assert inbox.file(place, i) == (i < capacity)
+        assert inbox.file(slot, i) == (i < capacity)
     assert [i for _, i in emptied(inbox)] == list(range(n))[-capacity:]
-    assert place.dropped == max(0, n - capacity)
+    assert slot.dropped == max(0, n - capacity)
 
 
 def test_a_waiting_reader_wakes_when_something_is_filed():
     inbox = Inbox()
-    place = inbox.place("odom", "all")
+    slot = inbox.slot("odom", "all")
     found: list[object] = []
     reader = threading.Thread(target=lambda: found.append(inbox.take(10)))
     reader.start()
-    inbox.file(place, 5)
+    inbox.file(slot, 5)
     reader.join(5)
-    assert found == [(place, 5)]
+    assert found == [(slot, 5)]

@@ -150,4 +150,4 @@ def test_what_is_not_above_its_session_s_last_sequence_is_rejected_and_counted()
     lockstep.run(0.5)
     assert len(counter.seen) == n_seen + 2  # one was on its way, after one the count is set back
     assert counter.rejections.counts == {("base/wheels", "sequence"): 23}
-    assert counter.rejections.refused("base/wheels", lockstep.now) == "wheels: the sequence goes back"
+    assert counter.rejections.stamp_problem("base/wheels", lockstep.now) == "wheels: the sequence goes back"

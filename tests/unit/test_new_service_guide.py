@@ -33,7 +33,7 @@ def followed(project: Path) -> list[str]:
 
 
 def test_the_guide_to_a_new_service_works_as_written(tmp_path, monkeypatch):
-    for name in ("shared", "services", "zenav", "config", "docs", "tests", "README.md", "pyproject.toml"):
+    for name in ("shared", "services", "zenav", "docs", "tests", "README.md", "pyproject.toml"):
         source = ROOT / name
         if source.is_dir():
             shutil.copytree(source, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__", "stack", "docker"))

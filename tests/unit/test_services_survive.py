@@ -11,7 +11,7 @@ from shared.config import configured, load_robot
 from shared.service import Job, Log, handlers
 from shared.topics import Publication
 from tests.strategies import faults, publications
-from zenav.classes import built, made, service_class
+from zenav.stack.service_loader import build_service, existing_services, service_class
 
 ARCS = ["robot.drive.min_turning_radius=0.5", "robot.drive.turns_in_place=false"]
 ROBOTS = [load_robot("x80sv"), load_robot("jackal"), configured("x80sv", ARCS)]
@@ -34,7 +34,7 @@ def outcome(service, result, todo):
             assert isinstance(produced, Log)
 
 
-@pytest.mark.parametrize("name", tuple(built()))
+@pytest.mark.parametrize("name", tuple(existing_services()))
 def test_any_valid_messages_are_survived(name):
     kind = service_class(name)
     requested = [method for _, method in handlers(kind).requests.values()]
@@ -45,12 +45,12 @@ def test_any_valid_messages_are_survived(name):
         st.lists(st.tuples(publications(kind), st.integers(-50, 400), st.none() | st.integers(-300, 120)), max_size=25),
     )
     def survives(robot, events):
-        service = made(name, robot, robot.robot)
+        service = build_service(name, robot, robot.robot)
         todo = []
         now = 1_000_000_000
         for (method, message), wait, late in events:
             now = max(0, now + wait * 1_000_000)
-            if message is not None and late is not None:  # as young as messages are, so that they count
+            if message is not None and late is not None:  # as recent as messages are, so that it is not rejected
                 message = replace(message, stamp=max(0, now + late * 1_000_000))
             service.now = now
             handler = getattr(service, method)

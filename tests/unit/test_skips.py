@@ -111,7 +111,7 @@ def test_a_seed_draws_its_own_examples_again_and_is_printed(runs):
 
 
 def ci(checkout, **environment):
-    """What .ci/run tells make of: the environment of each call, by what it makes."""
+    """The environment that .ci/run passes to each call of make, by target."""
     (checkout / ".ci").mkdir(parents=True, exist_ok=True)
     shutil.copy(ROOT / ".ci" / "run", checkout / ".ci" / "run")
     make = checkout / "bin" / "make"

@@ -24,12 +24,12 @@ class Mood(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Part(Message):
+class InnerMessage(Message):
     size: Annotated[int, Unit("m"), Within(1, 3)]
 
 
 @dataclass(frozen=True, slots=True)
-class Everything(Message):
+class AllKinds(Message):
     """One field
     of each kind."""
 
@@ -42,9 +42,9 @@ class Everything(Message):
     raw: bytes
     mood: Mood
     pose: Pose2
-    part: Part
+    part: InnerMessage
     pair: tuple[str, Annotated[float, Within(0, 1)]]
-    parts: tuple[Part, ...]
+    parts: tuple[InnerMessage, ...]
     names: tuple[str, ...]
     ranges: Annotated[NDArray[np.float32], Unit("m"), Shape("n"), Within(-1, 8, nan=True)]
     points: Annotated[NDArray[np.float64], Shape("n 2")]
@@ -97,7 +97,7 @@ TREE = {
     "bits": bytes.fromhex("03 01 0000 03000000 00000000 00000000 01 fe ff"),
     "late": 9,
 }
-MESSAGE = Everything(
+MESSAGE = AllKinds(
     stamp=5,
     number=1.5,
     gap=2.0,
@@ -108,9 +108,9 @@ MESSAGE = Everything(
     raw=b"\x00\xff",
     mood=Mood.BAD,
     pose=Pose2(1.0, 0.0, -3.0),
-    part=Part(6, 2),
+    part=InnerMessage(6, 2),
     pair=("a", 0.0),
-    parts=(Part(7, 1), Part(8, 3)),
+    parts=(InnerMessage(7, 1), InnerMessage(8, 3)),
     names=("b", "c"),
     ranges=np.array([1, nan], np.float32),
     points=np.array([[1.0, 2.0], [3.0, 4.0]]),
@@ -125,8 +125,8 @@ def wire(**changes: object) -> bytes:
     return msgpack.packb({name: value for name, value in {**TREE, **changes}.items() if value is not ...})
 
 
-def decoded(**changes: object) -> Everything:
-    return decode(Everything, wire(**changes))[0]
+def decoded(**changes: object) -> AllKinds:
+    return decode(AllKinds, wire(**changes))[0]
 
 
 def array(code: int, shape: list[int], values: bytes) -> bytes:
@@ -147,9 +147,9 @@ def test_a_message_is_the_bytes_that_are_described():
 
 
 def test_the_bytes_that_are_described_are_the_message():
-    message, envelope = decode(Everything, wire())
+    message, envelope = decode(AllKinds, wire())
     assert envelope == envelope_of(wire()) == ENVELOPE
-    for one in fields_of(Everything):
+    for one in fields_of(AllKinds):
         value, expected = getattr(message, one.name), getattr(MESSAGE, one.name)
         assert type(value) is type(expected)
         if isinstance(expected, np.ndarray):
@@ -179,33 +179,33 @@ def test_what_has_a_default_may_be_missing():
 
 @pytest.mark.parametrize("n", [1, 2])
 def test_an_optional_array_is_sent_unless_it_is_empty(n):
-    values = {one.name: getattr(MESSAGE, one.name) for one in fields_of(Everything)}
-    payload = encode(Everything(**{**values, "extra": np.zeros(n, np.float32)}), ENVELOPE)
+    values = {one.name: getattr(MESSAGE, one.name) for one in fields_of(AllKinds)}
+    payload = encode(AllKinds(**{**values, "extra": np.zeros(n, np.float32)}), ENVELOPE)
     assert msgpack.unpackb(payload)["extra"] == f4(*[0] * n)
-    empty = Everything(**{**values, "names": (), "bits": np.empty(0, np.uint8)})
+    empty = AllKinds(**{**values, "names": (), "bits": np.empty(0, np.uint8)})
     tree = msgpack.unpackb(encode(empty, ENVELOPE))
     assert {"names", "bits"} <= tree.keys(), "only what has a default may be missing"
 
 
 def test_numpy_s_own_numbers_are_sent_as_plain_ones():
-    part = Part(np.int64(1), np.int64(2))  # type: ignore[arg-type]  # that is the point
-    assert encode(part, ENVELOPE) == encode(Part(1, 2), ENVELOPE)
+    part = InnerMessage(np.int64(1), np.int64(2))  # type: ignore[arg-type]  # that is the point
+    assert encode(part, ENVELOPE) == encode(InnerMessage(1, 2), ENVELOPE)
     refined = Refined(1, np.float64(0.5))
     assert encode(refined, ENVELOPE) == encode(Refined(1, 0.5), ENVELOPE)
 
 
 def test_arrays_are_sent_in_the_declared_type_and_order():
-    values = {one.name: getattr(MESSAGE, one.name) for one in fields_of(Everything)}
+    values = {one.name: getattr(MESSAGE, one.name) for one in fields_of(AllKinds)}
     other = {**values, "points": np.asfortranarray(MESSAGE.points), "ranges": MESSAGE.ranges.astype(">f8")}
-    assert encode(Everything(**other), ENVELOPE) == wire()
+    assert encode(AllKinds(**other), ENVELOPE) == wire()
 
 
 def test_a_fault_of_the_sender_s_own_is_no_codec_error():
     with pytest.raises(TypeError):
-        encode(Part(None, 2), ENVELOPE)  # type: ignore[arg-type]  # that is the point
-    values = {one.name: getattr(MESSAGE, one.name) for one in fields_of(Everything)}
+        encode(InnerMessage(None, 2), ENVELOPE)  # type: ignore[arg-type]  # that is the point
+    values = {one.name: getattr(MESSAGE, one.name) for one in fields_of(AllKinds)}
     with pytest.raises(ValueError):
-        encode(Everything(**{**values, "pair": ("a", 0.0, 1.0)}), ENVELOPE)
+        encode(AllKinds(**{**values, "pair": ("a", 0.0, 1.0)}), ENVELOPE)
 
 
 @pytest.mark.parametrize(
@@ -355,7 +355,7 @@ def test_every_fault_names_its_field_and_what_was_expected(changes, told):
     [(b"", "not msgpack: "), (b"\xc1", "not msgpack: "), (b"\x81\x01\x02", "not msgpack: "), (b"\x90", "not a map")],
 )
 def test_what_is_no_map_of_names_is_told(payload, told):
-    for read in (envelope_of, lambda data: decode(Everything, data)):
+    for read in (envelope_of, lambda data: decode(AllKinds, data)):
         with pytest.raises(CodecError, match=told):
             read(payload)
 
@@ -370,7 +370,7 @@ def test_the_last_mark_of_a_kind_holds():
     (_, speed) = fields_of(Refined)
     assert (speed.name, speed.kind, speed.unit, speed.within) == ("speed", float, "m/s", Within(-1, 1))
     assert (speed.shape, speed.nonzero, speed.required) == (None, False, True)
-    marks = {one.name: one for one in fields_of(Everything)}
+    marks = {one.name: one for one in fields_of(AllKinds)}
     assert marks["divisor"].nonzero
     assert marks["divisor"].unit == ""
     assert marks["points"].shape == Shape("n 2")
@@ -381,10 +381,10 @@ def test_the_last_mark_of_a_kind_holds():
 
 
 def test_the_schema_says_all_that_is_declared():
-    described = json.loads(schema(Everything))
+    described = json.loads(schema(AllKinds))
     rows = {row.pop("name"): row for row in described.pop("fields")}
-    assert described == {"name": "Everything", "doc": "One field of each kind.", "encoding": "zenav msgpack"}
-    assert list(rows) == [one.name for one in fields_of(Everything)]
+    assert described == {"name": "AllKinds", "doc": "One field of each kind.", "encoding": "zenav msgpack"}
+    assert list(rows) == [one.name for one in fields_of(AllKinds)]
     assert rows["stamp"] == {"type": "int", "unit": "ns", "within": [0, 2**62]}
     assert rows["number"] == {"type": "float", "unit": "m", "within": [-2, 5]}
     assert rows["gap"] == {"type": "float", "unit": "", "within": [0, 9], "nan": True}
@@ -393,22 +393,22 @@ def test_the_schema_says_all_that_is_declared():
     assert rows["points"] == {"type": "float64[]", "unit": "", "shape": "n 2"}
     assert rows["cells"]["type"] == "int8[]"
     assert rows["pair"]["type"] == "[str, float]"
-    assert rows["parts"]["type"] == "[Part, ...]"
+    assert rows["parts"]["type"] == "[InnerMessage, ...]"
     assert rows["pose"]["type"] == "Pose2"
     assert json.loads(schema(Refined))["doc"] == " ".join((Refined.__doc__ or "").split())
 
 
 def test_a_schema_s_name_tells_incompatible_versions_apart():
     rows = [("stamp", "int"), ("size", "int")]
-    assert schema_id(Part) == f"Part-{hashlib.sha256(repr(rows).encode()).hexdigest()[:8]}"
+    assert schema_id(InnerMessage) == f"InnerMessage-{hashlib.sha256(repr(rows).encode()).hexdigest()[:8]}"
 
     @dataclass(frozen=True, slots=True)
-    class Grown(Part):
+    class Grown(InnerMessage):
         colour: Annotated[int, Within(0, 1)] = 0
 
     @dataclass(frozen=True, slots=True)
-    class Changed(Part):
+    class Changed(InnerMessage):
         colour: Annotated[int, Within(0, 1)]
 
-    assert schema_id(Grown)[-8:] == schema_id(Part)[-8:], "a field with a default is compatible"
-    assert schema_id(Changed)[-8:] != schema_id(Part)[-8:]
+    assert schema_id(Grown)[-8:] == schema_id(InnerMessage)[-8:], "a field with a default is compatible"
+    assert schema_id(Changed)[-8:] != schema_id(InnerMessage)[-8:]

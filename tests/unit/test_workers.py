@@ -14,7 +14,7 @@ def test_processes_and_sockets_run_one_after_the_other():
 
 
 def test_what_a_module_makes_once_stays_on_one_worker_and_others_go_anywhere():
-    shared, single = "tests/unit/zenav/test_replay.py", "tests/unit/test_workers.py"
+    shared, single = "tests/unit/zenav/replay/test_reprocess.py", "tests/unit/test_workers.py"
     assert group_of(f"{shared}::test_a") == group_of(f"{shared}::test_b[x]") == shared
     assert group_of(f"{single}::test_a") != group_of(f"{single}::test_b")
 

@@ -10,12 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from shared.config import UserError
-from zenav.bench.each import results
-from zenav.bench.table import seeds_from, table, writable, write
-from zenav.up import run_folder
+from zenav.bench.process_pool import pool_results
+from zenav.bench.seeds import seeds_from
+from zenav.console.json_report import check_writable, write_report
+from zenav.console.run_folder import new_run_folder
+from zenav.console.table import show_table
 
 if TYPE_CHECKING:
-    from zenav.bench.barn_run import BarnFile, Course
+    from zenav.bench.barn_run import BarnFile
+    from zenav.metrics.barn import BarnCourse
 
 SUCCESS, COLLISIONS, SCORE = 0.995, 0.003, 0.4975
 """What all runs together must reach: shares of success, at least, and of collisions, at most; mean score, at least."""
@@ -36,7 +39,7 @@ NOISE = (
 """Settings of `--noise`, which the challenge does not have: see docs/benchmarks.md.
 
 Skid steering acts as if its wheels were farther apart. Clearpath gives a Jackal's controller 1.5 times their distance
-(jackal_control, `wheel_separation_multiplier`), and so does `config/jackal.yaml`. That is a calibration on one floor.
+(jackal_control, `wheel_separation_multiplier`), and so does the robot `jackal`. That is a calibration on one floor.
 distance_error: a Pioneer 3-AT had factors of 1.31 to 1.44 on six pairs of tyre and floor, 5 % about their middle
 (Mandow et al. 2007).
 turn_slip: the dependence of this factor on the path, as Wang et al. measured it (2015).
@@ -51,7 +54,7 @@ CROWD_SUCCESS = 0.9  # share of the runs through crowds, at least
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class BarnOptions:
     """What the command was asked for, as the processes that run it need it."""
 
     path: Path | None  # of the worlds; without it, crowds
@@ -67,24 +70,24 @@ def barn(
     noise: bool, crowd: bool, settings: list[str],
 ) -> int:  # fmt: skip
     """Runs every world `runs` times, shows the table, writes the JSON; 0 when all together reach what is asked."""
-    from zenav.bench.barn_run import Trial, robot_file
-    from zenav.files import progress_bar
+    from zenav.bench.barn_run import BarnTrial, barn_robot_file
+    from zenav.console.progress import progress_bar
 
-    path = file_of(worlds, crowd)
+    path = barn_file_of(worlds, crowd)
     if path is None:
         names = [str(number) for number in seeds_from(chosen or CROWDS, "crowds")]
     else:
         names = worlds_from(chosen, tuple(worlds_of(path).worlds))
-    writable(out)
+    check_writable(out)
     if trajectories is not None:
-        usable(trajectories)
+        create_folder(trajectories)
     changed = (*(NOISE if noise else ()), *settings)
-    robot_file(Trial(course_at(path, names[0]), 0, robot, changed))  # a wrong setting is an error here
-    asked = Asked(path, robot, changed, NOISE_DELAY if noise else 0.0, trajectories, run_folder("bench-barn"))
+    barn_robot_file(BarnTrial(course_at(path, names[0]), 0, robot, changed))  # a wrong setting is an error here
+    asked = BarnOptions(path, robot, changed, NOISE_DELAY if noise else 0.0, trajectories, new_run_folder("bench-barn"))
     items = [(name, seed) for seed in range(runs) for name in names]
     told: list[dict[str, Any]] = []
     with progress_bar(f"{len(names)} worlds, {runs} runs each") as progress:
-        for run in results(partial(driven, asked), items, jobs):
+        for run in pool_results(partial(run_row, asked), items, jobs):
             told.append(run)
             progress(len(told) / len(items))
             if run["status"] != "success" or not sys.stderr.isatty():  # where there is no bar
@@ -96,20 +99,24 @@ def barn(
     figures = summary(told)
     failed = [run for run in told if run["status"] != "success"]
     shown = failed or sorted(told, key=lambda run: float(run["clearance"]))[:5]
-    table(f"{'crowds' if crowd else 'BARN'}, {figures['runs']} runs", COLUMNS, [_row(run) for run in shown[:MAX_ROWS]])
-    table("all", tuple(figures), [tuple(str(value) for value in figures.values())])
-    write(out, {"summary": figures, "robot": robot, "noise": noise, "crowd": crowd, "settings": settings, "runs": told})
-    return 0 if kept(figures, crowd) else 1
+    show_table(
+        f"{'crowds' if crowd else 'BARN'}, {figures['runs']} runs", COLUMNS, [_row(run) for run in shown[:MAX_ROWS]]
+    )
+    show_table("all", tuple(figures), [tuple(str(value) for value in figures.values())])
+    write_report(
+        out, {"summary": figures, "robot": robot, "noise": noise, "crowd": crowd, "settings": settings, "runs": told}
+    )
+    return 0 if reaches_targets(figures, crowd) else 1
 
 
-def kept(figures: dict[str, Any], crowd: bool) -> bool:
+def reaches_targets(figures: dict[str, Any], crowd: bool) -> bool:
     """Whether all runs together reach what is asked."""
     if crowd:
         return bool(figures["success"] >= CROWD_SUCCESS)
     return bool(figures["success"] >= SUCCESS and figures["collision"] <= COLLISIONS and figures["score"] >= SCORE)
 
 
-def file_of(worlds: Path | None, crowd: bool) -> Path | None:
+def barn_file_of(worlds: Path | None, crowd: bool) -> Path | None:
     """The file of worlds, None where crowds are asked for. Raises UserError where it is neither, or both."""
     if crowd and worlds is not None:
         raise UserError("--crowd makes its own worlds", f"leave {worlds} out, or --crowd")
@@ -118,7 +125,7 @@ def file_of(worlds: Path | None, crowd: bool) -> Path | None:
     return worlds / FILE if worlds is not None and worlds.is_dir() else worlds
 
 
-def course_at(path: Path | None, world: str) -> "Course":
+def course_at(path: Path | None, world: str) -> "BarnCourse":
     """The world of the file, or the crowd of this number."""
     from zenav.bench.barn_run import course_of, crowd_course
 
@@ -142,15 +149,15 @@ def worlds_from(text: str, known: tuple[str, ...]) -> list[str]:
     numbers = {str(number) for number in seeds_from(text, "worlds")}
     names = sorted(numbers & set(known), key=int)
     if not names:
-        raise UserError(f"none of the worlds {text} is in the file", f"it holds {len(known)}: {_some(known)}")
+        raise UserError(f"none of the worlds {text} is in the file", f"it holds {len(known)}: {_examples(known)}")
     return names
 
 
-def _some(known: tuple[str, ...]) -> str:
+def _examples(known: tuple[str, ...]) -> str:
     return ", ".join(known[:8]) + (", ..." if len(known) > 8 else "")
 
 
-def usable(folder: Path) -> None:
+def create_folder(folder: Path) -> None:
     """Makes the folder. Raises UserError where it cannot be written to."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -160,15 +167,16 @@ def usable(folder: Path) -> None:
         raise UserError(f"cannot write to {folder}: {error.strerror}", "choose another --trajectories") from None
 
 
-def driven(asked: Asked, item: tuple[str, int]) -> dict[str, Any]:
+def run_row(asked: BarnOptions, item: tuple[str, int]) -> dict[str, Any]:
     """One run's row of the report; where it failed, again with a recording, and a picture."""
     import shared.repeatable  # noqa: F401  # a spawned process begins here
-    from zenav.bench.barn_picture import failure_picture
-    from zenav.bench.barn_run import ROUND_M, Trial, run
+    from zenav.bench.barn_run import BarnTrial, run_barn
+    from zenav.metrics.barn import N_DECIMALS_M
+    from zenav.render.barn_picture import failure_picture
 
     world, seed = item
-    trial = Trial(course_at(asked.path, world), seed, asked.robot, asked.settings, asked.delay)
-    done = run(trial)
+    trial = BarnTrial(course_at(asked.path, world), seed, asked.robot, asked.settings, asked.delay)
+    done = run_barn(trial)
     name = f"world-{world}-seed-{seed}"
     told = {
         "world": int(world),
@@ -176,7 +184,7 @@ def driven(asked: Asked, item: tuple[str, int]) -> dict[str, Any]:
         "status": done.status,
         "time": done.time,
         "score": round(done.score, 5),
-        "clearance": round(done.clearance, ROUND_M),
+        "clearance": round(done.clearance, N_DECIMALS_M),
         "recoveries": done.n_recoveries,
         "length": done.length,
         "said": done.why,
@@ -191,7 +199,7 @@ def driven(asked: Asked, item: tuple[str, int]) -> dict[str, Any]:
     if done.status != "success":
         picture, recording = asked.failures / f"{name}.png", asked.failures / f"{name}.mcap"
         picture.write_bytes(failure_picture(done))
-        run(trial, recording)  # the same seed gives the same run: only failures are worth a file
+        run_barn(trial, recording)  # the same seed gives the same run: only failures are worth a file
         told |= {"picture": str(picture), "recording": str(recording)}
     return told
 

@@ -3,44 +3,41 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import hypot, inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from services.sim.crowd import RADIUS, crowd_world
 from services.sim.world_loader import CylinderFile, CylinderWorld
 from shared import requests, topics
 from shared.config import Robot, RobotFile, configured
-from shared.geometry import Pose2, inside
+from shared.geometry import Pose2
 from shared.messages import FollowStatus, GuardStatus, Message, NavState, NavStatus, Truth
 from shared.messages import Path as Plan
+from shared.polygon import signed_distances
 from shared.recording import CONFIG, Writer, about, sink
 from shared.runners.host import Sent
 from shared.runners.lockstep import START, Lockstep
 from shared.service import Service
-from zenav.classes import made
-from zenav.hardware import Hardware, services_for, settings_for
-from zenav.lockstep_run import RECORDER
-from zenav.settings import checked
-
-Float64s = NDArray[np.float64]
+from shared.types import Float64s
+from zenav.metrics.barn import BarnCourse, BarnResult
+from zenav.scenario.lockstep_run import RECORDER
+from zenav.stack.config_report import read_sections
+from zenav.stack.hardware import Hardware, services_for, settings_for
+from zenav.stack.service_loader import build_service
 
 POLL = 0.1  # s of simulated time between two looks at the true position
 LEFT_START = 0.1  # m off the start at which the clock starts
 FREE_TIME = 30.0  # s that a robot may stand at the start
-FASTEST = 2.0  # m/s: the optimal time is the reference path's length over this
-MIN_TIME_RATIO, MAX_TIME_RATIO = 2.0, 8.0  # of the optimal time: the rule clips the time to this range
 GOAL_RADIUS, TIME_LIMIT = 1.0, 100.0  # m, s: of a crowd, as in the file of worlds
 STANDS = 0.05  # m/s and rad/s: a slower robot counts as standing at a contact
 BEFORE = 10  # truths, 0.2 s, before a touch in which it is looked whether the robot stood
 READY = 1.0  # s until the goal is sent; and again where the stack is not ready yet
 FINE = 4  # parts of a truth's 20 ms in which the clearance is looked at
-ROUND_M = 4  # decimals of metres in a report
 
 
 class BarnWorld(CylinderWorld):
@@ -57,77 +54,21 @@ class BarnFile(CylinderFile):
     worlds: dict[str, BarnWorld]  # type: ignore[assignment]  # narrower: read only
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Course:
-    """The world of a run, with the figures of its rule.
-
-    cylinders: (n, 3) x, y, radius, m.  start: pose.  goal: m.
-    place, file: the simulator's `world` and `barn_file`.  walkers: radius of the moving cylinders, m.
-    """
-
-    world: str
-    place: str
-    file: str
-    cylinders: Float64s
-    start: Pose2
-    goal: tuple[float, float]
-    goal_radius: float
-    time_limit: float
-    optimal_length: float
-    walkers: float = 0.0
-
-
 @dataclass(frozen=True, slots=True)
-class Trial:
+class BarnTrial:
     """What is run. settings: as for `--set`; delay: s that every command to the motors comes later."""
 
-    course: Course
+    course: BarnCourse
     seed: int
     robot: str
     settings: tuple[str, ...] = ()
     delay: float = 0.0
 
 
-@dataclass(slots=True)
-class Driven:
-    """The result of a run.
-
-    rows: (n, 6) s since the goal was sent; x, y m and heading rad in the world; v m/s; w rad/s.
-    """
-
-    course: Course
-    robot: Robot
-    status: str  # success, collision or timeout
-    time: float  # s on the challenge's clock
-    clearance: float  # m, the smallest
-    rows: Float64s
-    plan: Float64s = field(default_factory=lambda: np.empty((0, 2)))  # (k, 2) m in the world, the last one
-    n_recoveries: int = 0
-    why: str = ""  # what the stack said at the end
-    stood: bool = False  # when it was touched
-    walkers: Float64s = field(default_factory=lambda: np.empty((0, 2)))  # (p, 2) m, where they were at the end
-
-    @property
-    def length(self) -> float:
-        """m driven."""
-        return round(float(np.hypot(*np.diff(self.rows[:, 1:3], axis=0).T).sum()), ROUND_M)
-
-    @property
-    def score(self) -> float:
-        """The challenge's."""
-        return score(self.status, self.time, self.course.optimal_length)
-
-
-def score(status: str, time: float, optimal_length: float) -> float:
-    """The challenge's: success * OT / clip(AT, 2 OT, 8 OT), at most 0.5."""
-    optimal = optimal_length / FASTEST
-    return optimal / min(max(time, MIN_TIME_RATIO * optimal), MAX_TIME_RATIO * optimal) if status == "success" else 0.0
-
-
-def course_of(path: Path, file: BarnFile, world: str) -> Course:
+def course_of(path: Path, file: BarnFile, world: str) -> BarnCourse:
     """A world of the file that was read from `path`."""
     places = np.array(file.worlds[world].cylinders, float).reshape(-1, 2)
-    return Course(
+    return BarnCourse(
         world,
         f"barn:{world}",
         str(path),
@@ -140,51 +81,51 @@ def course_of(path: Path, file: BarnFile, world: str) -> Course:
     )
 
 
-def crowd_course(number: str) -> Course:
+def crowd_course(number: str) -> BarnCourse:
     """A made-up crowd: across a square of 20 m, by the same rule."""
     world = crowd_world(int(number))
     goal = world.goals["goal"]
     length = world.start.distance(goal)
-    return Course(
+    return BarnCourse(
         number, f"crowd:{number}", "", world.circles, world.start, (goal.x, goal.y), GOAL_RADIUS, TIME_LIMIT, length,
         RADIUS,
     )  # fmt: skip
 
 
-def robot_file(trial: Trial) -> RobotFile:
+def barn_robot_file(trial: BarnTrial) -> RobotFile:
     """The robot in its world. Raises UserError where a setting is wrong."""
     settings = [f"sim.world={trial.course.place}", f"sim.barn_file={json.dumps(trial.course.file)}"]
     settings += [f"sim.seed={trial.seed}", "sim.people_react=false", *trial.settings]
     file = configured(trial.robot, settings)
     file = configured(trial.robot, settings + settings_for(Hardware.MESSAGES, file, None))
-    checked(file)
+    read_sections(file)
     return file
 
 
-def run(trial: Trial, record: Path | None = None) -> Driven:
+def run_barn(trial: BarnTrial, record: Path | None = None) -> BarnResult:
     """Drives to the goal, or until the rule ends it; `record`: the MCAP file that replays it."""
-    file = robot_file(trial)
+    file = barn_robot_file(trial)
     names = [name for name in services_for(Hardware.MESSAGES, file) if name != RECORDER]
-    services: dict[str, Service] = {name: made(name, file, file.robot) for name in names}
+    services: dict[str, Service] = {name: build_service(name, file, file.robot) for name in names}
     if record is None:
-        return Referee(trial.course, file.robot, Lockstep(services), trial.delay).driven()
+        return Referee(trial.course, file.robot, Lockstep(services), trial.delay).result()
     with Writer(record, about(file.robot.name), {CONFIG: file.text.encode()}) as writer:
-        return Referee(trial.course, file.robot, Lockstep(services, sink(writer)), trial.delay).driven()
+        return Referee(trial.course, file.robot, Lockstep(services, sink(writer)), trial.delay).result()
 
 
 class Referee:
     """Sends the goal, polls the true position, ends the run. delay: s between a motor command and its arrival."""
 
-    def __init__(self, course: Course, robot: Robot, lockstep: Lockstep, delay: float = 0.0) -> None:
+    def __init__(self, course: BarnCourse, robot: Robot, lockstep: Lockstep, delay: float = 0.0) -> None:
         self.course, self.robot, self.lockstep = course, robot, lockstep
         self.rows: list[tuple[float, ...]] = []
         self.walkers: list[Float64s] = []  # (p, 2) m, one a row
         self.newest: dict[type[Message], Any] = {}
         self.told = False
         if delay:
-            lockstep.filters.append(_late(delay))
+            lockstep.filters.append(_wire_delays(delay))
         lockstep.watch(topics.TRUTH.key, self._moved)
-        for topic in (topics.PLAN, topics.NAV, topics.FOLLOW, topics.GUARD):
+        for topic in (topics.PLAN, topics.NAV_STATUS, topics.FOLLOW, topics.GUARD):
             lockstep.watch(topic.key, self._heard)
 
     def _heard(self, message: Message) -> None:
@@ -196,7 +137,7 @@ class Referee:
         self.rows.append(((truth.stamp - START) / 1e9, at.x, at.y, at.yaw, truth.v, truth.w))
         self.walkers.append(np.column_stack((truth.people_x, truth.people_y)).astype(float))
 
-    def driven(self) -> Driven:
+    def result(self) -> BarnResult:
         """The whole run."""
         course, lockstep = self.course, self.lockstep
         lockstep.run(READY)
@@ -226,7 +167,7 @@ class Referee:
         nav = self.newest.get(NavStatus)
         # the touch stops the robot: how it drove is to be seen a moment earlier
         stood = status == "collision" and bool((np.abs(rows[-BEFORE:, 4:]) < STANDS).all())
-        return Driven(
+        return BarnResult(
             course, self.robot, status, round(time, 3), 0.0 if status == "collision" else clearance, rows, self._plan(),
             nav.n_recoveries if nav else 0, self._why(), stood, walkers[-1],
         )  # fmt: skip
@@ -262,7 +203,7 @@ class Referee:
         return ", ".join(told)
 
 
-def _late(delay: float) -> Callable[[Sent, str], float]:
+def _wire_delays(delay: float) -> Callable[[Sent, str], float]:
     """The delays of a wire, s: motor commands arrive `delay` later, all else at once."""
     return lambda sent, _: delay if sent.topic is topics.MOTORS else 0.0
 
@@ -285,7 +226,7 @@ def smallest_clearance(poses: Float64s, cylinders: Float64s, corners: Float64s) 
         near = np.hypot(dx, dy) - radius - reach < least
         if near.any():
             points = np.column_stack((c * dx + s * dy, c * dy - s * dx))[near]
-            least = min(least, float(outline_distance(points, corners).min()) - radius)
+            least = min(least, max(float(signed_distances(corners, points).min()), 0.0) - radius)
     return least
 
 
@@ -296,14 +237,4 @@ def smallest_gap(poses: Float64s, walkers: Float64s, corners: Float64s) -> float
     away = walkers - poses[:, None, :2]
     c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
     x, y = c * away[..., 0] + s * away[..., 1], c * away[..., 1] - s * away[..., 0]
-    return float(outline_distance(np.column_stack((x.ravel(), y.ravel())), corners).min())
-
-
-def outline_distance(points: Float64s, corners: Float64s) -> Float64s:
-    """(n,) m from points (n, 2) to the polygon (c, 2), 0 inside."""
-    edges = np.roll(corners, -1, axis=0) - corners
-    away = points[:, None, :] - corners
-    along = np.clip((away * edges).sum(axis=2) / (edges**2).sum(axis=1), 0.0, 1.0)
-    gaps = away - along[:, :, None] * edges
-    distance = np.hypot(gaps[..., 0], gaps[..., 1]).min(axis=1)
-    return np.where(inside(corners, points), 0.0, distance)
+    return max(float(signed_distances(corners, np.column_stack((x.ravel(), y.ravel()))).min()), 0.0)

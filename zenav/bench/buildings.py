@@ -12,13 +12,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from shared.config import UserError
-from shared.geometry import Float64s, Pose2
-from zenav.bench.each import results
-from zenav.bench.table import seeds_from, table, writable, write
-from zenav.up import run_folder
+from shared.geometry import Pose2
+from shared.types import Float64s
+from zenav.bench.process_pool import pool_results
+from zenav.bench.seeds import seeds_from
+from zenav.console.json_report import check_writable, write_report
+from zenav.console.run_folder import new_run_folder
+from zenav.console.table import show_table
 
 if TYPE_CHECKING:
-    from zenav.bench.rig import Rig
+    from zenav.bench.sim_slam_harness import SimSlamHarness
 
 POSE_M, WITHIN = 0.03, 0.97
 """What each building must keep: mean pose error, m; share of the map's occupied cells within 5 cm of a true surface.
@@ -36,19 +39,19 @@ COLUMNS = (
 def buildings(robot: str, numbers: str, jobs: int, out: Path | None, settings: list[str]) -> int:
     """Tours every building, shows the table, writes the JSON; 0 when every building kept every promise."""
     chosen = seeds_from(numbers)
-    writable(out)
-    folder = run_folder("bench-buildings")
+    check_writable(out)
+    folder = new_run_folder("bench-buildings")
     runs: list[dict[str, Any]] = []
-    for run in results(partial(toured, robot, folder, settings), chosen, jobs):
+    for run in pool_results(partial(tour_building, robot, folder, settings), chosen, jobs):
         runs.append(run)
         sys.stderr.write(f"building {run['building']}: {_ended(run)}\n")
     runs.sort(key=lambda run: int(run["building"]))
-    table(f"buildings, pictures and maps in {folder}", COLUMNS, [_row(run) for run in runs])
-    write(out, {"summary": summary(runs), "runs": runs})
-    return 0 if all(kept(run) for run in runs) else 1
+    show_table(f"buildings, pictures and maps in {folder}", COLUMNS, [_row(run) for run in runs])
+    write_report(out, {"summary": summary(runs), "runs": runs})
+    return 0 if all(reaches_targets(run) for run in runs) else 1
 
 
-def kept(run: dict[str, Any]) -> bool:
+def reaches_targets(run: dict[str, Any]) -> bool:
     """Whether a building kept every promise."""
     complete = not run["trouble"] and not run["not_reached"] and not run["collisions"]
     return bool(complete and run["pose_error_mean_m"] < POSE_M and run["map_within_5_cm"] > WITHIN)
@@ -67,7 +70,7 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
     rows = [run for run in runs if not run["trouble"]]
     told: dict[str, Any] = {
         "buildings": len(runs),
-        "kept": sum(kept(run) for run in runs),
+        "kept": sum(reaches_targets(run) for run in runs),
         "not_reached": sum(len(row["not_reached"]) for row in rows),
         "collisions": sum(row["collisions"] for row in rows),
     }
@@ -102,51 +105,57 @@ def _row(run: dict[str, Any]) -> tuple[str, ...]:
         number("keyframe_error_max_m", 100, 1), number("map_within_5_cm", 100, 1),
         number("aligned_within_5_cm", 100, 1), number("map_completeness", 100, 1), number("map_error_mean_m", 100, 2),
         number("distance_m", 1, 0), number("seconds", 1, 0), str(run["loops"]), number("cpu_s", 1, 1),
-        "kept" if kept(run) else "not kept",
+        "kept" if reaches_targets(run) else "not kept",
     )  # fmt: skip
 
 
-def toured(robot: str, folder: Path, settings: list[str], number: int) -> dict[str, Any]:
+def tour_building(robot: str, folder: Path, settings: list[str], number: int) -> dict[str, Any]:
     """The figures of one building; only `trouble` where it is wrong."""
     import shared.repeatable  # noqa: F401  # a spawned process begins here
-    from zenav.bench.rig import Rig, robot_file
-    from zenav.floor_plan import floor_plan
-    from zenav.saved_map import write_saved_map
+    from zenav.bench.sim_slam_harness import SimSlamHarness, harness_robot_file
+    from zenav.maps.saved_map import write_saved_map
+    from zenav.render.floor_plan import floor_plan
 
     begun = process_time()
     try:
-        rig = Rig(robot_file(robot, f"building:{number}", number, None, settings))
+        harness = SimSlamHarness(harness_robot_file(robot, f"building:{number}", number, None, settings))
     except UserError as error:
         return {"building": number, "trouble": error.what}
-    not_reached = tour(rig, np.random.default_rng(number))
-    cpu = process_time() - begun - rig.warming
+    not_reached = drive_tour(harness, np.random.default_rng(number))
+    cpu = process_time() - begun - harness.warming
     place = folder / f"building-{number}"
-    if rig.mapper.back_end.keyframes:
-        write_saved_map(place, rig.mapper.mapping.snapshot())
+    if harness.mapper.back_end.keyframes:
+        write_saved_map(place, harness.mapper.slam.snapshot())
     place.mkdir(exist_ok=True)
-    (place / "picture.png").write_bytes(floor_plan(rig.track, rig.world, []))
-    return {"building": number, "trouble": "", "not_reached": not_reached, **figures(rig), "cpu_s": round(cpu, 1)}
+    (place / "picture.png").write_bytes(floor_plan(harness.track, harness.world, []))
+    return {
+        "building": number,
+        "trouble": "",
+        "not_reached": not_reached,
+        **building_figures(harness),
+        "cpu_s": round(cpu, 1),
+    }
 
 
-def tour(rig: "Rig", rng: np.random.Generator) -> list[str]:
+def drive_tour(harness: "SimSlamHarness", rng: np.random.Generator) -> list[str]:
     """Drives through all rooms, the nearest first, then through some again in any order, and back to the start.
 
     Returns a line for each goal that was not reached: its name and how the drive ended.
     """
-    from zenav.bench.rig import DriveResult
+    from zenav.bench.sim_slam_harness import DriveResult
 
-    left, here = dict(rig.world.goals), rig.world.start
+    left, here = dict(harness.world.goals), harness.world.start
     order: list[tuple[str, Pose2]] = []
     while left:
-        name = min(left, key=lambda name: _length(rig.ways.way(here, left[name])))
+        name = min(left, key=lambda name: _length(harness.paths.path(here, left[name])))
         here = left.pop(name)
         order.append((name, here))
     again = rng.permutation(len(order))[: round(AGAIN * len(order))].tolist()
     not_reached = []
-    for name, goal in (*order, *(order[i] for i in again), ("start", rig.world.start)):
-        if (result := rig.drive(goal)) is not DriveResult.REACHED:
+    for name, goal in (*order, *(order[i] for i in again), ("start", harness.world.start)):
+        if (result := harness.drive(goal)) is not DriveResult.REACHED:
             not_reached.append(f"{name}: {result.value}")
-    rig.stand(4.0)
+    harness.stand(4.0)
     return not_reached
 
 
@@ -154,32 +163,32 @@ def _length(way: Float64s) -> float:
     return float(np.hypot(*np.diff(way, axis=0).T).sum()) if len(way) else float("inf")
 
 
-def figures(rig: "Rig") -> dict[str, Any]:
+def building_figures(harness: "SimSlamHarness") -> dict[str, Any]:
     """What is known of a run in a building."""
-    from zenav.score import NEAR, aligned_map_errors, pose_errors, summary
+    from zenav.metrics.evaluation import MAX_WALL_ERROR_M, aligned_map_errors, evaluation_summary, pose_errors
 
-    track, world = rig.track, rig.world
+    track, world = harness.track, harness.world
     metres, _ = pose_errors(track)
-    keyframes = keyframe_errors(rig)
+    keyframes = keyframe_errors(harness)
     aligned, shift = aligned_map_errors(track.grid, world, track.world_from_map)
     low_x, low_y, high_x, high_y = world.bounds
-    robot = rig.ways.robot
-    told = summary(track, world, robot.circumscribed_radius, robot.laser.range_max)
+    robot = harness.paths.robot
+    told = evaluation_summary(track, world, robot.circumscribed_radius, robot.laser.range_max)
     return told | {
         "size": f"{high_x - low_x:.0f} x {high_y - low_y:.0f}",
         "rooms": len(world.goals),
         "pose_error_p99_m": round(float(np.percentile(metres, 99)), 4) if len(metres) else None,
         "keyframe_error_mean_m": round(float(keyframes.mean()), 4) if len(keyframes) else None,
         "keyframe_error_max_m": round(float(keyframes.max()), 4) if len(keyframes) else None,
-        "aligned_within_5_cm": round(float((aligned <= NEAR).mean()), 4) if len(aligned) else None,
+        "aligned_within_5_cm": round(float((aligned <= MAX_WALL_ERROR_M).mean()), 4) if len(aligned) else None,
         "frame_off": [round(shift.x, 4), round(shift.y, 4), round(shift.yaw, 5)],
-        "loops": rig.mapper.back_end.n_loops,
+        "loops": harness.mapper.back_end.n_loops,
     }
 
 
-def keyframe_errors(rig: "Rig") -> Float64s:
+def keyframe_errors(harness: "SimSlamHarness") -> Float64s:
     """(n,) m: the keyframes of the pose graph, as it is at the end, against the truth of their time."""
-    back_end, track = rig.mapper.back_end, rig.track
+    back_end, track = harness.mapper.back_end, harness.track
     if not back_end.keyframes:
         return np.zeros(0)
     truths = np.array(track.truths)

@@ -17,16 +17,16 @@ from shared.codec import Envelope, encode
 from shared.config import RobotFile, UserError, configured
 from shared.messages import Health, LaserScan, Velocity
 from shared.runners.lockstep import Lockstep
-from zenav.bench.fault_trial import KEYS, Meter
-from zenav.classes import made
+from zenav.bench.fault_trial import KEYS, FaultMeter
 from zenav.client import Client
-from zenav.hardware import Hardware, services_for
-from zenav.launch import Launcher, free_stack, service_command
-from zenav.lockstep_run import RECORDER
+from zenav.scenario.lockstep_run import RECORDER
+from zenav.stack.hardware import Hardware, services_for
+from zenav.stack.launch import Launcher, free_stack, service_command
+from zenav.stack.service_loader import build_service
 
 COMMANDS_EVERY = 0.05  # s between two commands of a hand
-SETTLES = 2.0  # s until the first command
-STARTS_WITHIN = 120.0  # s: a first start may compile kernels
+SETTLE_S = 2.0  # s until the first command
+MAX_START_S = 120.0  # s: a first start may compile kernels
 
 Until = Callable[[], bool] | None
 
@@ -35,26 +35,26 @@ def _names(file: RobotFile) -> list[str]:
     return [name for name in services_for(Hardware.MESSAGES, file) if name != RECORDER]
 
 
-def _meter(file: RobotFile) -> Meter:
-    return Meter(file.section("guard", GuardConfig).field.blind_speed)
+def _meter(file: RobotFile) -> FaultMeter:
+    return FaultMeter(file.section("guard", GuardConfig).field.blind_speed)
 
 
-class LockstepRig:
+class LockstepStack:
     """All services in this process on the virtual clock."""
 
     def __init__(self, robot: str, settings: list[str]) -> None:
         self.file = configured(robot, settings)
-        self.lockstep = Lockstep({name: made(name, self.file, self.file.robot) for name in _names(self.file)})
+        self.lockstep = Lockstep({name: build_service(name, self.file, self.file.robot) for name in _names(self.file)})
         self.meter = _meter(self.file)
         self.hand: tuple[float, float] | None = None
         self.repeats_sequence = False
         for topic in KEYS:
             self.lockstep.watch(topic.key, partial(self._hear, topic.key))
         self._command()
-        self.run(SETTLES)
+        self.run(SETTLE_S)
 
     def _hear(self, key: str, message: Any) -> None:
-        self.meter.take(key, message, self.lockstep.now)
+        self.meter.add(key, message, self.lockstep.now)
 
     def _command(self) -> None:
         if self.hand is not None:
@@ -76,10 +76,10 @@ class LockstepRig:
         self.lockstep.kill(name)
 
     def start(self, name: str) -> None:
-        self.lockstep.start(name, made(name, self.file, self.file.robot))
+        self.lockstep.start(name, build_service(name, self.file, self.file.robot))
 
 
-class LiveRig:
+class LiveStack:
     """Processes over Zenoh in real time; the launcher starts again what is killed."""
 
     def __init__(self, file: RobotFile, client: Client, launcher: Launcher) -> None:
@@ -94,7 +94,7 @@ class LiveRig:
             client.listen(topic, partial(self._hear, topic.key))
 
     def _hear(self, key: str, message: Any, envelope: Any) -> None:
-        self.meter.take(key, message, envelope.sent)
+        self.meter.add(key, message, envelope.sent)
 
     def _hear_scan(self, scan: LaserScan, envelope: Envelope) -> None:
         if not self.repeats_sequence:
@@ -145,11 +145,11 @@ class LiveRig:
         def back() -> bool:
             return child.heard > 0 and child.process is not None and child.process.pid != self._killed
 
-        self.run(STARTS_WITHIN, back)
+        self.run(MAX_START_S, back)
 
 
 @contextmanager
-def live_rig(robot: str, settings: list[str], folder: Path) -> Iterator[LiveRig]:
+def live_stack(robot: str, settings: list[str], folder: Path) -> Iterator[LiveStack]:
     """A stack of its own, up and heard. Raises UserError where it does not start."""
     file, heard = configured(robot, settings), set[str]()
     with free_stack() as claim:
@@ -165,10 +165,10 @@ def live_rig(robot: str, settings: list[str], folder: Path) -> Iterator[LiveRig]
                 heard.add(health.name)
 
             client.listen(topics.HEALTH, lambda health, _: hear(health))
-            rig = LiveRig(file, client, launcher)
+            stack = LiveStack(file, client, launcher)
             launcher.start_all(lambda name: name in heard)
-            if not rig.run(STARTS_WITHIN, lambda: len(heard) == len(commands) and len(rig.meter.newest) == len(KEYS)):
-                missing = sorted({topic.key for topic in KEYS} - set(rig.meter.newest))
+            if not stack.run(MAX_START_S, lambda: len(heard) == len(commands) and len(stack.meter.newest) == len(KEYS)):
+                missing = sorted({topic.key for topic in KEYS} - set(stack.meter.newest))
                 raise UserError(f"the stack does not start; still nothing on {', '.join(missing)}", "zenav doctor")
-            rig.run(SETTLES)
-            yield rig
+            stack.run(SETTLE_S)
+            yield stack

@@ -8,7 +8,7 @@ AT_ONCE, SOON = 250.0, 600.0
 """ms to the zero command: where one message shows the fault, and where several must."""
 
 
-class Mode(StrEnum):
+class DriveMode(StrEnum):
     """What the robot is doing when the fault begins."""
 
     TELEOP = "teleop"
@@ -16,12 +16,12 @@ class Mode(StrEnum):
     EXPLORATION = "exploration"
 
 
-ALL = frozenset(Mode)
-BY_ITSELF = ALL - {Mode.TELEOP}
+ALL = frozenset(DriveMode)
+BY_ITSELF = ALL - {DriveMode.TELEOP}
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class FaultRow:
     """One fault.
 
     name: of `zenav fault`, of a service after `kill `, or SEQUENCE.
@@ -35,25 +35,25 @@ class Row:
     name: str
     reasons: frozenset[str]
     limit: float = SOON
-    stops: frozenset[Mode] = ALL
-    creeps: frozenset[Mode] = frozenset()
+    stops: frozenset[DriveMode] = ALL
+    creeps: frozenset[DriveMode] = frozenset()
     detail: str = ""
     resumes: bool = True
     live_only: bool = False
 
 
-def _blind(name: str, limit: float = SOON) -> Row:
+def _blind(name: str, limit: float = SOON) -> FaultRow:
     """A hand may creep without a view; what drives by itself must stand."""
-    return Row(name, frozenset({"scan_blind"}), limit, BY_ITSELF, frozenset({Mode.TELEOP}))
+    return FaultRow(name, frozenset({"scan_blind"}), limit, BY_ITSELF, frozenset({DriveMode.TELEOP}))
 
 
-def _stamped(source: str, kind: str) -> Row:
+def _stamped(source: str, kind: str) -> FaultRow:
     detail = rf"{source}: stamps are {STAMP_WORDS[kind]}"
-    return Row(f"{source}_{kind}", frozenset({"bad_stamps"}), SOON, detail=detail)
+    return FaultRow(f"{source}_{kind}", frozenset({"bad_stamps"}), SOON, detail=detail)
 
 
-def _killed(name: str, reasons: set[str], limit: float = AT_ONCE, stops: frozenset[Mode] = ALL) -> Row:
-    return Row(f"kill {name}", frozenset(reasons), limit, stops)
+def _killed(name: str, reasons: set[str], limit: float = AT_ONCE, stops: frozenset[DriveMode] = ALL) -> FaultRow:
+    return FaultRow(f"kill {name}", frozenset(reasons), limit, stops)
 
 
 SEQUENCE = "scan_sequence"
@@ -69,20 +69,20 @@ STAMP_WORDS = {
 }
 """Kind of wrong stamp -> how far off the detail must say that it is; a scan's age counts from its last beam."""
 
-ROWS: tuple[Row, ...] = (
+FAULT_ROWS: tuple[FaultRow, ...] = (
     _blind("scan_nan"),
     _blind("scan_mostly_nan"),
     _blind("scan_inf"),
     _blind("scan_dark_ahead"),
     _blind("scan_body"),
-    Row("scan_frozen", frozenset({"scan_frozen"})),
-    Row("scan_beams", frozenset({"scan_unlike"}), AT_ONCE, detail=r"\d+ beams came, robot.laser.n_beams is \d+"),
-    Row("scan_silent", frozenset({"scan_old"}), SOON),
-    Row("encoder_jumps", frozenset({"encoders_jump"}), SOON),
-    Row("sonar_dead", frozenset({"sensor_dead"}), SOON, resumes=False),
-    Row("ranges_missing", frozenset({"wrong_ranges"}), SOON, resumes=False),
+    FaultRow("scan_frozen", frozenset({"scan_frozen"})),
+    FaultRow("scan_beams", frozenset({"scan_unlike"}), AT_ONCE, detail=r"\d+ beams came, robot.laser.n_beams is \d+"),
+    FaultRow("scan_silent", frozenset({"scan_old"}), SOON),
+    FaultRow("encoder_jumps", frozenset({"encoders_jump"}), SOON),
+    FaultRow("sonar_dead", frozenset({"sensor_dead"}), SOON, resumes=False),
+    FaultRow("ranges_missing", frozenset({"wrong_ranges"}), SOON, resumes=False),
     *(_stamped(source, kind) for source in ("scan", "board") for kind in STAMP_WORDS),
-    Row(SEQUENCE, frozenset({"bad_stamps"}), SOON, detail="scan: the sequence stands still", live_only=True),
+    FaultRow(SEQUENCE, frozenset({"bad_stamps"}), SOON, detail="scan: the sequence stands still", live_only=True),
     _killed("navigator", set(), stops=frozenset()),
     _killed("odometry", {"odom_old"}),
     _killed("mapper", {"pose_old"}, 1100.0, BY_ITSELF),  # navigator and guard let it be silent for a second

@@ -18,7 +18,7 @@ from shared.geometry import Pose2
 from shared.messages import GuardStatus, Localization, Message, MotorCommand, NavState, NavStatus, PoseEstimate, Truth
 from shared.requests import Break, Explore, Navigate
 from shared.topics import Topic
-from zenav.bench.fault_table import ROWS, SEQUENCE, Mode, Row
+from zenav.bench.fault_table import FAULT_ROWS, SEQUENCE, DriveMode, FaultRow
 
 WORLD = """
 start: {x: 1.0, y: 3.0}
@@ -44,22 +44,22 @@ WRONG = 0.3  # m
 POSE_AGE = 1.0  # s: an older pose, or status of the navigator, is none
 MOVES = 0.05  # m/s, or rad/s
 KEYS: tuple[Topic[Any], ...] = (
-    topics.TRUTH, topics.MOTORS, topics.CMD_VEL, topics.GUARD, topics.NAV, topics.POSE, topics.BASE,
+    topics.TRUTH, topics.MOTORS, topics.CMD_VEL, topics.GUARD, topics.NAV_STATUS, topics.POSE, topics.BASE_STATUS,
 )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class FaultTrial:
     """A place in the matrix: row of ROWS, mode, top speed (m/s), and the seed of world, noise and phase."""
 
     row: int
-    mode: Mode
+    mode: DriveMode
     speed: float
     seed: int
 
 
 @dataclass(slots=True)
-class Result:
+class FaultResult:
     """What came of a trial; times in ms from the fault on, infinite where it never came. `trouble`: no trial at all."""
 
     fault: str
@@ -82,7 +82,7 @@ class Result:
         return {name: None if value == inf else value for name, value in asdict(self).items()}
 
 
-class Meter:
+class FaultMeter:
     """Hears the stack; measures from `begin` on."""
 
     def __init__(self, blind_speed: float) -> None:
@@ -100,7 +100,7 @@ class Meter:
         self.wrong_longest = 0
         self.posed: int = 0  # ns, when the newest pose came
 
-    def take(self, key: str, message: Message, now: int) -> None:
+    def add(self, key: str, message: Message, now: int) -> None:
         """A message that was published at `now`, ns."""
         with self.lock:
             self.newest[key] = message
@@ -139,10 +139,10 @@ class Meter:
         self.wrong_longest = max(self.wrong_longest, now - self.wrong_since)
 
 
-class Rig(Protocol):
+class StackUnderTest(Protocol):
     """A stack that can be driven and broken; in lockstep, or live."""
 
-    meter: Meter
+    meter: FaultMeter
     hand: tuple[float, float] | None
     """m/s and rad/s that a hand commands twenty times a second, or None."""
     repeats_sequence: bool
@@ -160,7 +160,7 @@ class Rig(Protocol):
     def start(self, name: str) -> None: ...
 
 
-def settings_of(trial: Trial, folder: Path) -> list[str]:
+def settings_of(trial: FaultTrial, folder: Path) -> list[str]:
     """As for `--set`; the world is written into `folder`."""
     path = folder / "world.yaml"
     path.write_text(WORLD)
@@ -168,48 +168,48 @@ def settings_of(trial: Trial, folder: Path) -> list[str]:
     return [f"sim.world={path}", f"sim.seed={trial.seed}", "sim.clutter_jitter=0", speed]
 
 
-def run(rig: Rig, trial: Trial) -> Result:
+def run_trial(stack: StackUnderTest, trial: FaultTrial) -> FaultResult:
     """The whole trial on a stack that has just started."""
-    row, random = ROWS[trial.row], np.random.default_rng([trial.seed, trial.row])
-    result = Result(row.name, str(trial.mode), trial.speed, trial.seed)
+    row, random = FAULT_ROWS[trial.row], np.random.default_rng([trial.seed, trial.row])
+    result = FaultResult(row.name, str(trial.mode), trial.speed, trial.seed)
     try:
-        _under_way(rig, trial, random)
+        _start_driving(stack, trial, random)
     except UserError as error:
         result.trouble = error.what
         return result
-    meter, contacts = rig.meter, rig.meter.newest["sim/truth"].n_contacts
-    ends = _break(rig, row, random)
-    rig.run(ends)
-    rig.repeats_sequence = False
+    meter, contacts = stack.meter, stack.meter.newest["sim/truth"].n_contacts
+    ends = _inject_fault(stack, row, random)
+    stack.run(ends)
+    stack.repeats_sequence = False
     fault_end: Truth = meter.newest["sim/truth"]
     if row.name.startswith("kill "):
-        rig.start(row.name.removeprefix("kill "))
-    rig.run(HEARS_WITHIN)
+        stack.start(row.name.removeprefix("kill "))
+    stack.run(HEARS_WITHIN)
     meter.hears = False
-    result.resumed = _resumes(rig, trial)
-    _measured(result, row, meter, fault_end)
+    result.resumed = _resumes_work(stack, trial)
+    _fill_in(result, row, meter, fault_end)
     result.contacts = meter.newest["sim/truth"].n_contacts - contacts
     return result
 
 
-def _under_way(rig: Rig, trial: Trial, random: np.random.Generator) -> None:
+def _start_driving(stack: StackUnderTest, trial: FaultTrial, random: np.random.Generator) -> None:
     """Starts to drive, and waits for the random moment. Raises UserError where the robot does not get going."""
-    if trial.mode is Mode.TELEOP:
-        rig.hand = trial.speed, 0.0
-    elif trial.mode is Mode.NAVIGATION:
+    if trial.mode is DriveMode.TELEOP:
+        stack.hand = trial.speed, 0.0
+    elif trial.mode is DriveMode.NAVIGATION:
         poses = Pose2(9.5, 0.0, 0.0), Pose2(0.5, 0.0, 0.0)
-        _accepted(rig.ask(requests.NAVIGATE, Navigate(rig.now, poses, 0.0, 0, True)))
+        _accepted(stack.ask(requests.NAVIGATE, Navigate(stack.now, poses, 0.0, 0, True)))
     else:
-        _accepted(rig.ask(requests.EXPLORE, Explore(rig.now)))
+        _accepted(stack.ask(requests.EXPLORE, Explore(stack.now)))
 
     def drives() -> bool:
-        return bool(abs(rig.meter.newest["sim/truth"].v) >= FASTEST_REACHED * trial.speed)
+        return bool(abs(stack.meter.newest["sim/truth"].v) >= FASTEST_REACHED * trial.speed)
 
-    if not rig.run(15.0, drives):
+    if not stack.run(15.0, drives):
         raise UserError("the robot did not get going", "see the services' logs")
-    ahead = 6.0 / trial.speed if trial.mode is not Mode.EXPLORATION else 4.0
-    rig.run(float(random.uniform(0.0, ahead)))
-    if not rig.run(15.0, drives):
+    ahead = 6.0 / trial.speed if trial.mode is not DriveMode.EXPLORATION else 4.0
+    stack.run(float(random.uniform(0.0, ahead)))
+    if not stack.run(15.0, drives):
         raise UserError("the robot did not get going again", "see the services' logs")
 
 
@@ -218,38 +218,38 @@ def _accepted(reply: Any) -> None:
         raise UserError(f"refused: {reply.detail}", "see the services' logs")
 
 
-def _break(rig: Rig, row: Row, random: np.random.Generator) -> float:
+def _inject_fault(stack: StackUnderTest, row: FaultRow, random: np.random.Generator) -> float:
     """The fault begins; for how many s."""
     if row.name.startswith("kill "):
-        rig.meter.begin(rig.now)
-        rig.kill(row.name.removeprefix("kill "))
+        stack.meter.begin(stack.now)
+        stack.kill(row.name.removeprefix("kill "))
         return float(random.uniform(*KILLED_FOR))
-    rig.meter.begin(rig.now)
+    stack.meter.begin(stack.now)
     name = "scan_silent" if row.name == SEQUENCE else row.name
-    _accepted(rig.ask(requests.FAULT, Break(rig.now, name, LASTS, False)))
-    rig.repeats_sequence = row.name == SEQUENCE
+    _accepted(stack.ask(requests.FAULT, Break(stack.now, name, LASTS, False)))
+    stack.repeats_sequence = row.name == SEQUENCE
     return LASTS
 
 
-def _resumes(rig: Rig, trial: Trial) -> bool:
+def _resumes_work(stack: StackUnderTest, trial: FaultTrial) -> bool:
     """Whether work goes on by itself: the robot moves for its task, or has ended it well; a hand may turn it."""
-    if trial.mode is Mode.TELEOP:
-        rig.hand = 0.0, 0.5
+    if trial.mode is DriveMode.TELEOP:
+        stack.hand = 0.0, 0.5
 
     def works() -> bool:
-        truth, nav = rig.meter.newest["sim/truth"], rig.meter.newest["nav/status"]
+        truth, nav = stack.meter.newest["sim/truth"], stack.meter.newest["nav/status"]
         moves = bool(abs(truth.v) > MOVES or abs(truth.w) > MOVES)
-        if trial.mode is Mode.TELEOP:
+        if trial.mode is DriveMode.TELEOP:
             return moves
-        if rig.now - nav.stamp > POSE_AGE * 1e9:
+        if stack.now - nav.stamp > POSE_AGE * 1e9:
             return False  # from a navigator that is no more
         working = nav.state in (NavState.NAVIGATING, NavState.EXPLORING, NavState.RECOVERING)
         return (working and moves) or bool(nav.state is NavState.REACHED)
 
-    return rig.run(RESUMES_WITHIN, works)
+    return stack.run(RESUMES_WITHIN, works)
 
 
-def _measured(result: Result, row: Row, meter: Meter, fault_end: Truth) -> None:
+def _fill_in(result: FaultResult, row: FaultRow, meter: FaultMeter, fault_end: Truth) -> None:
     began, first = meter.began or 0, meter.at_begin
     assert first is not None
     if meter.zero is not None:
@@ -264,20 +264,20 @@ def _measured(result: Result, row: Row, meter: Meter, fault_end: Truth) -> None:
     result.wrong_while_good = meter.wrong_longest * 1e-9
 
 
-def lockstep(robot: str, trial: Trial) -> Result:
+def lockstep(robot: str, trial: FaultTrial) -> FaultResult:
     """A trial on the virtual clock."""
-    from zenav.bench.fault_rigs import LockstepRig
+    from zenav.bench.fault_rigs import LockstepStack
 
     with tempfile.TemporaryDirectory() as folder:
-        return run(LockstepRig(robot, settings_of(trial, Path(folder))), trial)
+        return run_trial(LockstepStack(robot, settings_of(trial, Path(folder))), trial)
 
 
-def live(robot: str, trial: Trial) -> Result:
+def live(robot: str, trial: FaultTrial) -> FaultResult:
     """A trial with processes over Zenoh, in real time."""
-    from zenav.bench.fault_rigs import live_rig
+    from zenav.bench.fault_rigs import live_stack
 
     with (
         tempfile.TemporaryDirectory() as folder,
-        live_rig(robot, settings_of(trial, Path(folder)), Path(folder)) as rig,
+        live_stack(robot, settings_of(trial, Path(folder)), Path(folder)) as stack,
     ):
-        return run(rig, trial)
+        return run_trial(stack, trial)

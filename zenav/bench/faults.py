@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from shared.config import UserError, nearest
-from zenav.bench.each import results
-from zenav.bench.fault_table import ROWS, Mode, Row
-from zenav.bench.fault_trial import SPEEDS, Result, Trial
-from zenav.bench.table import table, writable, write
+from zenav.bench.fault_table import FAULT_ROWS, DriveMode, FaultRow
+from zenav.bench.fault_trial import SPEEDS, FaultResult, FaultTrial
+from zenav.bench.process_pool import pool_results
+from zenav.console.json_report import check_writable, write_report
+from zenav.console.table import show_table
 
-MODES = tuple(Mode)
+MODES = tuple(DriveMode)
 MAX_WRONG_S = 1.0  # s that a pose over 0.3 m wrong may be good
 COLUMNS = (
     "fault", "n", "median, ms to zero", "max", "limit", "most m after it", "contacts", "right reason", "resumed",
@@ -24,45 +25,45 @@ COLUMNS = (
 
 def faults(robot: str, n: int, seed: int, jobs: int, only: str, out: Path | None, live: bool) -> int:
     """Runs n trials of the matrix, shows a row a fault, writes the JSON; 0 where every target is kept."""
-    writable(out)
-    wanted = matrix(n, seed, chosen(only, live))
+    check_writable(out)
+    wanted = matrix(n, seed, selected_rows(only, live))
     one = partial(_live if live else _lockstep, robot)
-    found: list[Result] = []
-    for result in results(one, wanted, 1 if live else jobs):
+    found: list[FaultResult] = []
+    for result in pool_results(one, wanted, 1 if live else jobs):
         found.append(result)
-        row = next(row for row in ROWS if row.name == result.fault)
-        words = "; ".join(broken(result, row)) or "good"
+        row = next(row for row in FAULT_ROWS if row.name == result.fault)
+        words = "; ".join(missed_targets(result, row)) or "good"
         sys.stderr.write(f"{len(found)}/{n} {result.fault}, {result.mode}, {result.speed} m/s: {words}\n")
-    lines = [shown(row, of(found, row)) for row in _rows(found)]
-    table(f"faults, {'live' if live else 'lockstep'}", COLUMNS, lines)
-    sums = summary(found)
+    lines = [table_row(row, results_of(found, row)) for row in _rows(found)]
+    show_table(f"faults, {'live' if live else 'lockstep'}", COLUMNS, lines)
+    sums = fault_summary(found)
     report = {"summary": sums, "live": live, "seed": seed, "rows": lines, "trials": [r.as_json() for r in found]}
-    write(out, report)
+    write_report(out, report)
     return 0 if len(found) == n and sums["good"] == n else 1
 
 
-def chosen(only: str, live: bool) -> list[int]:
+def selected_rows(only: str, live: bool) -> list[int]:
     """The rows' places of names separated by commas; all where there are none. Raises UserError on an unknown one."""
-    names = [row.name for row in ROWS if live or not row.live_only]
+    names = [row.name for row in FAULT_ROWS if live or not row.live_only]
     wanted = [name.strip() for name in only.split(",") if name.strip()]
     for name in wanted:
         if name not in names:
             raise UserError(f"no fault {name!r}", nearest(name, tuple(names)))
-    return [i for i, row in enumerate(ROWS) if row.name in (wanted or names)]
+    return [i for i, row in enumerate(FAULT_ROWS) if row.name in (wanted or names)]
 
 
-def matrix(n: int, seed: int, rows: list[int]) -> list[Trial]:
+def matrix(n: int, seed: int, rows: list[int]) -> list[FaultTrial]:
     """n trials: each fault equally often, and each in all modes and speeds before one comes again."""
     combinations = [(mode, speed) for speed in reversed(SPEEDS) for mode in MODES]
     trials = []
     for i in range(n):
         place, turn = i % len(rows), i // len(rows)
         mode, speed = combinations[(place + 4 * turn) % len(combinations)]
-        trials.append(Trial(rows[place], mode, speed, seed + i))
+        trials.append(FaultTrial(rows[place], mode, speed, seed + i))
     return trials
 
 
-def broken(result: Result, row: Row) -> list[str]:
+def missed_targets(result: FaultResult, row: FaultRow) -> list[str]:
     """Which targets a trial missed, in words."""
     if result.trouble:
         return [f"no trial: {result.trouble}"]
@@ -80,27 +81,27 @@ def broken(result: Result, row: Row) -> list[str]:
     return missed
 
 
-def judged_ms(result: Result, row: Row) -> float | None:
+def judged_ms(result: FaultResult, row: FaultRow) -> float | None:
     """ms to the zero command, or to a creep where that will do; None where nothing has to stop."""
     if result.mode in row.stops:
         return result.zero_ms
     return min(result.creep_ms, result.zero_ms) if result.mode in row.creeps else None
 
 
-def of(found: list[Result], row: Row) -> list[Result]:
+def results_of(found: list[FaultResult], row: FaultRow) -> list[FaultResult]:
     return [result for result in found if result.fault == row.name]
 
 
-def _rows(found: list[Result]) -> list[Row]:
-    return [row for row in ROWS if of(found, row)]
+def _rows(found: list[FaultResult]) -> list[FaultRow]:
+    return [row for row in FAULT_ROWS if results_of(found, row)]
 
 
-def shown(row: Row, found: list[Result]) -> tuple[str, ...]:
+def table_row(row: FaultRow, found: list[FaultResult]) -> tuple[str, ...]:
     """A fault's line of the table."""
     times = [ms for result in found if (ms := judged_ms(result, row)) is not None]
     sayers = [result for result in found if result.right is not None and result.mode in row.stops | row.creeps]
     told = sorted({reason for result in found for reason in result.reasons})
-    bad = sum(bool(broken(result, row)) for result in found)
+    bad = sum(bool(missed_targets(result, row)) for result in found)
     return (
         row.name,
         str(len(found)),
@@ -117,10 +118,10 @@ def shown(row: Row, found: list[Result]) -> tuple[str, ...]:
     )
 
 
-def summary(found: list[Result]) -> dict[str, Any]:
+def fault_summary(found: list[FaultResult]) -> dict[str, Any]:
     """Over all trials, and by fault."""
-    by_name = {row.name: row for row in ROWS}
-    good = [not broken(result, by_name[result.fault]) for result in found]
+    by_name = {row.name: row for row in FAULT_ROWS}
+    good = [not missed_targets(result, by_name[result.fault]) for result in found]
     return {
         "trials": len(found),
         "good": sum(good),
@@ -129,10 +130,10 @@ def summary(found: list[Result]) -> dict[str, Any]:
         "resumed": sum(result.resumed for result in found),
         "faults": {
             row.name: {
-                "n": len(of(found, row)),
-                "good": sum(not broken(result, row) for result in of(found, row)),
+                "n": len(results_of(found, row)),
+                "good": sum(not missed_targets(result, row) for result in results_of(found, row)),
                 "limit_ms": row.limit,
-                "missed": sorted({words for result in of(found, row) for words in broken(result, row)}),
+                "missed": sorted({words for result in results_of(found, row) for words in missed_targets(result, row)}),
             }
             for row in _rows(found)
         },
@@ -143,14 +144,14 @@ def _ms(value: float) -> str:
     return "never" if value == inf else f"{value:.0f}"
 
 
-def _lockstep(robot: str, trial: Trial) -> Result:
+def _lockstep(robot: str, trial: FaultTrial) -> FaultResult:
     import shared.repeatable  # noqa: F401  # a spawned process begins here
     from zenav.bench.fault_trial import lockstep
 
     return lockstep(robot, trial)
 
 
-def _live(robot: str, trial: Trial) -> Result:
+def _live(robot: str, trial: FaultTrial) -> FaultResult:
     from zenav.bench.fault_trial import live
 
     return live(robot, trial)

@@ -18,7 +18,7 @@ from zenav.bench import slam
 from zenav.bench.faults import COLUMNS as FAULT_COLUMNS
 from zenav.bench.figure_rows import README, ROWS, SIZES
 from zenav.bench.published import ROOT, Published, PublishedFigure
-from zenav.docs import table
+from zenav.console.table import markdown_table
 
 PAGES = "README.md", "docs/benchmarks.md"
 MARKED = re.compile(r"(<!-- figures: ([\w-]+) -->\n).*?(<!-- end -->\n)", re.DOTALL)
@@ -111,12 +111,12 @@ def write_pages(published: Published, root: Path = ROOT) -> None:
     for page in PAGES:
         path = root / page
         text = path.read_text(encoding="utf-8")
-        now = filled(text, published)
+        now = page_with_tables(text, published)
         if now != text:
             replace_file(path, now.encode())
 
 
-def filled(text: str, published: Published) -> str:
+def page_with_tables(text: str, published: Published) -> str:
     """A document's text with what stands between its markers written from the figures. Raises UserError."""
 
     def written(match: re.Match[str]) -> str:
@@ -140,15 +140,15 @@ def _measured(published: Published) -> list[str]:
         figure = entry.cells.get(README, [[MISSING]])[0][0] if entry else MISSING
         command = entry.command if entry else row.command
         if row.what:
-            lines.append((row.what, figure, f"`{command}`", when(entry, len(row.parts)) if entry else "-"))
+            lines.append((row.what, figure, f"`{command}`", when_measured(entry, len(row.parts)) if entry else "-"))
     machines = dict.fromkeys(entry.machine for entry in published.values() if entry.machine)
     told = (
         [f"Load is the machine's average of a minute at begin and end: {' and '.join(machines)}."] if machines else []
     )
-    return [*table(("what", "figure", "command", "commit, date, load"), lines), *([""] if told else []), *told]
+    return [*markdown_table(("what", "figure", "command", "commit, date, load"), lines), *([""] if told else []), *told]
 
 
-def when(entry: PublishedFigure, n_parts: int = 1) -> str:
+def when_measured(entry: PublishedFigure, n_parts: int = 1) -> str:
     """Commit, date and load of a row, in a cell."""
     told = [f"`{entry.commit}`" + (" with uncommitted changes" if entry.dirty else ""), entry.ended[:10]]
     told += [BEFORE] if entry.entered else [f"load {entry.load[0]:.1f} to {entry.load[-1]:.1f}"]
@@ -160,7 +160,7 @@ def _table_of(name: str, published: Published) -> list[str]:
     """A place's table, with where each row is from below it."""
     place = PLACES[name]
     lines = [tuple(cells) for row in place.rows if row in published for cells in published[row].cells.get(name, [])]
-    return [*table(place.head, lines), "", *_sources(place.rows, published)]
+    return [*markdown_table(place.head, lines), "", *_sources(place.rows, published)]
 
 
 def _sources(names: tuple[str, ...], published: Published) -> list[str]:
@@ -174,11 +174,11 @@ def _sources(names: tuple[str, ...], published: Published) -> list[str]:
             told.append(f"- `{commands[name]}`: {MISSING}")
         else:
             about = f"; {entry.machine}; {entry.seconds:.0f} s" if entry.machine else "; machine and load are not known"
-            told.append(f"- `{entry.command}`: {when(entry, parts[name])}{about}")
+            told.append(f"- `{entry.command}`: {when_measured(entry, parts[name])}{about}")
     return told
 
 
-def _beside(published: Published) -> list[str]:
+def _comparison(published: Published) -> list[str]:
     """The logs by this mapper, with both registrars, and by others."""
     ours = [_by_log(published, name) for name in ("line", "kiss")]
     lines = []
@@ -186,7 +186,7 @@ def _beside(published: Published) -> list[str]:
         name = f"{log} ({ABOUT_LOGS[log]})" if log in ABOUT_LOGS else log
         lines.append((name, *(found[log][0] if log in found else "-" for found in ours), *peers))
     head = "mean error, m", "zenav", "zenav with `--registrar kiss`", *PEER_COLUMNS
-    return [*table(head, lines), "", *_sources(("slam", "slam-kiss"), published)]
+    return [*markdown_table(head, lines), "", *_sources(("slam", "slam-kiss"), published)]
 
 
 def _registrars(published: Published) -> list[str]:
@@ -194,7 +194,7 @@ def _registrars(published: Published) -> list[str]:
     ours = [_by_log(published, name) for name in ("line", "kiss")]
     lines = [(log, *(cell for found in ours for cell in found.get(log, ("-", "-", "-")))) for log in PEERS]
     head = "log", "`line`: mean, m", "max, m", "CPU, s", "`kiss`: mean, m", "max, m", "CPU, s"
-    return table(head, lines)
+    return markdown_table(head, lines)
 
 
 def _intel(published: Published) -> list[str]:
@@ -204,7 +204,7 @@ def _intel(published: Published) -> list[str]:
         for name, key in (("zenav", "line"), ("zenav with `--registrar kiss`", "kiss"))
         if "intel" in (found := _by_log(published, key))
     ]
-    return table(("intel", "mean error, m", "CPU, s"), [*ours, *INTEL_PEERS])
+    return markdown_table(("intel", "mean error, m", "CPU, s"), [*ours, *INTEL_PEERS])
 
 
 def _by_log(published: Published, registrar: str) -> dict[str, tuple[str, ...]]:
@@ -215,7 +215,7 @@ def _by_log(published: Published, registrar: str) -> dict[str, tuple[str, ...]]:
 
 TABLES: dict[str, Callable[[Published], list[str]]] = {
     README: _measured,
-    "beside": _beside,
+    "beside": _comparison,
     "registrars": _registrars,
     "intel": _intel,
     **{name: partial(_table_of, name) for name in PLACES},

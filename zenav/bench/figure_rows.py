@@ -133,7 +133,7 @@ def _localise(name: str) -> Callable[[Sequence[Report]], Cells]:
     """Cells of trials on maps of one kind, whose line in the table begins with its name."""
 
     def cells(reports: Sequence[Report]) -> Cells:
-        trials = [localise.Trial(**row) for row in _joined(reports, "trials")]
+        trials = [localise.LocalizationTrial(**row) for row in _joined(reports, "trials")]
         s = localise.summary(trials)
         off = [t.found_error_m for t in trials if t.found_error_m is not None]
         found = round(s["found_share"] * s["poses"])
@@ -214,6 +214,15 @@ def _stack(reports: Sequence[Report]) -> Cells:
     )
     lines = [[name, *(f"{row[p]:.1f}" for p in ("p50", "p95", "p99", "p100"))] for name, row in parts.items()]
     return {README: [[figure]], "stack": lines}
+
+
+def _footprint(reports: Sequence[Report]) -> Cells:
+    s = reports[0]["summary"]
+    return {README: [[
+        f"PSS {s['pss_mb']:.0f} MB without the simulator; {s['cpu'] * 100:.0f} % of a core without simulator and "
+        f"recorder; a killed service speaks again after {s['restart_s_slowest_median']:.2f} s (median of the slowest); "
+        f"first motion after {s['first_motion_s']:.1f} s"
+    ]]}  # fmt: skip
 
 
 def _serial(reports: Sequence[Report]) -> Cells:
@@ -362,6 +371,7 @@ ROWS: tuple[FigureRow, ...] = (
     FigureRow("faults-live", "the same live", "zenav bench faults --live", _faults("faults-live")),
     FigureRow("sim", "simulator, 720 beams at 40 Hz in a 1000 x 1000 cell map", "zenav bench sim", _sim),
     FigureRow("stack", "scan to `cmd/vel` across processes", "zenav bench stack --seconds 25", _stack),
+    FigureRow("footprint", "memory, CPU and restarts of the live stack", "zenav bench footprint", _footprint),
     FigureRow("serial", "`cmd/vel` to the serial line, and the line to `base/wheels`", "zenav bench serial", _serial),
 )  # fmt: skip
 """In the order of the README."""

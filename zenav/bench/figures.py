@@ -21,8 +21,17 @@ from shared.config import UserError, nearest
 from shared.ros_map import replace_file
 from zenav.bench.figure_pages import write_pages
 from zenav.bench.figure_rows import ROWS, FigureRow, Report
-from zenav.bench.published import FILE, Published, PublishedFigure, State, load, machine, save, state_of
-from zenav.bench.table import table
+from zenav.bench.published import (
+    FILE,
+    CheckoutState,
+    Published,
+    PublishedFigure,
+    checkout_state,
+    load_published,
+    machine,
+    save_published,
+)
+from zenav.console.table import show_table
 
 Execute = Callable[[list[str], Path], int]
 """Runs a command's arguments (without `zenav`) in a folder; its exit status."""
@@ -31,7 +40,7 @@ LISTED = "row", "command", "parts", "measured on", "state"
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class PartialRun:
     """One run of a command: what it was asked on which code, what it said, and how busy the machine was."""
 
     arguments: list[str]
@@ -52,10 +61,10 @@ class Bench:
 
     folder: Path
     data: Path | None
-    state: State
+    state: CheckoutState
     jobs: int
     execute: Execute
-    look: Callable[[], State] = state_of
+    look: Callable[[], CheckoutState] = checkout_state
     file: Path = FILE
     pages: Callable[[Published], None] = write_pages
 
@@ -79,21 +88,21 @@ class Bench:
         words = [folder if word == "DIR" else word.replace("{work}", str(self.work())) for word in words]
         return [*words, "--jobs", str(self.jobs)] if row.jobs else words
 
-    def kept_part(self, row: FigureRow, part: str) -> Part | None:
+    def kept_part(self, row: FigureRow, part: str) -> PartialRun | None:
         """The part's run on the present code, if there was one and the code has no other changes."""
         path = self._path(row, part)
         if self.state.dirty or not path.exists():
             return None
         try:
             tree = json.loads(path.read_text(encoding="utf-8"))
-            found = Part(**tree | {"load": tuple(tree["load"])})
+            found = PartialRun(**tree | {"load": tuple(tree["load"])})
         except (OSError, ValueError, TypeError, KeyError):
             return None  # half a file: it is run again
         asked = _figures_of(self.arguments(row, part))
         same = found.code == self.state.code and not found.dirty
         return found if same and _figures_of(found.arguments) == asked else None
 
-    def run_part(self, row: FigureRow, part: str) -> Part | None:
+    def run_part(self, row: FigureRow, part: str) -> PartialRun | None:
         """Runs a part and keeps it; None where it left no report.
 
         Raises UserError where the code changed meanwhile: the report would be of neither state.
@@ -115,7 +124,7 @@ class Bench:
             raise UserError(
                 f"the code changed while {row.name} ran", "measure in a checkout of its own; finished parts are kept"
             )
-        done = Part(
+        done = PartialRun(
             arguments, self.state.code, self.state.dirty, report, status == 0, began, _utc(),
             round(time.monotonic() - begun, 1), (round(busy, 2), round(os.getloadavg()[0], 2)), machine(),
         )  # fmt: skip
@@ -130,18 +139,18 @@ class Bench:
 
 def figures(only: str, again: bool, listed: bool, folder: Path, jobs: int, data: Path | None) -> int:
     """Runs what is not measured on the present code, or shows what is; 0 when no row failed or lacks its data."""
-    bench = Bench(folder.resolve(), data and data.resolve(), state_of(), jobs, _executed)
-    rows = chosen(only)
+    bench = Bench(folder.resolve(), data and data.resolve(), checkout_state(), jobs, _executed)
+    rows = selected_rows(only)
     if listed:
-        show(bench, rows)
+        show_rows(bench, rows)
         return 0
     if bench.state.dirty:
         sys.stderr.write("the code has changes that are not committed: figures say so, and nothing is taken over\n")
         shutil.rmtree(bench.work(), ignore_errors=True)
-    return 0 if measured(bench, rows, again) else 1
+    return 0 if measure_rows(bench, rows, again) else 1
 
 
-def chosen(only: str, rows: Sequence[FigureRow] = ROWS) -> list[FigureRow]:
+def selected_rows(only: str, rows: Sequence[FigureRow] = ROWS) -> list[FigureRow]:
     """The rows of names separated by commas; all where there are none. Raises UserError on an unknown one."""
     known = {row.name: row for row in rows}
     names = [name.strip() for name in only.split(",") if name.strip()]
@@ -151,7 +160,7 @@ def chosen(only: str, rows: Sequence[FigureRow] = ROWS) -> list[FigureRow]:
     return [row for row in rows if row.name in (names or known)]
 
 
-def measured(bench: Bench, rows: Sequence[FigureRow], again: bool = False) -> bool:
+def measure_rows(bench: Bench, rows: Sequence[FigureRow], again: bool = False) -> bool:
     """Runs the rows in order and writes each into file and documents. Returns whether all are measured now.
 
     A row that lacks its data or fails is reported, and the next one runs.
@@ -161,11 +170,11 @@ def measured(bench: Bench, rows: Sequence[FigureRow], again: bool = False) -> bo
         if lack := bench.needs(row):
             sys.stderr.write(f"{row.name}: {lack}\n")
             good = False
-        elif not again and current(bench, row, load(bench.file)):
+        elif not again and current(bench, row, load_published(bench.file)):
             sys.stderr.write(f"{row.name}: measured on this code already\n")
         elif (entry := _row(bench, row, again)) is not None:
-            published = load(bench.file) | {row.name: entry}
-            save(published, bench.file)
+            published = load_published(bench.file) | {row.name: entry}
+            save_published(published, bench.file)
             bench.pages(published)
         else:
             good = False
@@ -181,7 +190,7 @@ def current(bench: Bench, row: FigureRow, published: Published) -> bool:
 
 
 def _row(bench: Bench, row: FigureRow, again: bool) -> PublishedFigure | None:
-    parts: list[Part] = []
+    parts: list[PartialRun] = []
     for i, name in enumerate(row.parts):
         done = None if again else bench.kept_part(row, name)
         words = "kept from before" if done else "runs"
@@ -194,7 +203,7 @@ def _row(bench: Bench, row: FigureRow, again: bool) -> PublishedFigure | None:
     return entry_of(row, parts, bench.state)
 
 
-def entry_of(row: FigureRow, parts: Sequence[Part], state: State) -> PublishedFigure:
+def entry_of(row: FigureRow, parts: Sequence[PartialRun], state: CheckoutState) -> PublishedFigure:
     """What all parts together say."""
     machines = " and ".join(dict.fromkeys(part.machine for part in parts))
     first, last = min(parts, key=lambda part: part.began), max(parts, key=lambda part: part.ended)
@@ -213,9 +222,9 @@ def entry_of(row: FigureRow, parts: Sequence[Part], state: State) -> PublishedFi
     )
 
 
-def show(bench: Bench, rows: Sequence[FigureRow]) -> None:
+def show_rows(bench: Bench, rows: Sequence[FigureRow]) -> None:
     """A table of the rows: what is measured on which commit, and what would run."""
-    published = load(bench.file)
+    published = load_published(bench.file)
     lines = []
     for row in rows:
         entry = published.get(row.name)
@@ -225,7 +234,7 @@ def show(bench: Bench, rows: Sequence[FigureRow]) -> None:
         else:
             words = bench.needs(row) or (f"{n_kept} of {len(row.parts)} parts are kept" if n_kept else "to be run")
         lines.append((row.name, row.command, str(len(row.parts)), entry.commit if entry else "-", words))
-    table("published figures", LISTED, lines)
+    show_table("published figures", LISTED, lines)
 
 
 def _figures_of(arguments: list[str]) -> list[str]:
@@ -235,7 +244,7 @@ def _figures_of(arguments: list[str]) -> list[str]:
 
 def _executed(arguments: list[str], folder: Path) -> int:
     """Runs zenav in a process that ends with this one; its status. Interrupting this one interrupts it."""
-    command = [sys.executable, "-P", "-m", "zenav.child", str(os.getpid()), "zenav", *arguments]
+    command = [sys.executable, "-P", "-m", "zenav.stack.process_guard", str(os.getpid()), "zenav", *arguments]
     with subprocess.Popen(command, cwd=folder, stdin=subprocess.DEVNULL, stdout=sys.stderr) as process:
         try:
             return process.wait()

@@ -19,13 +19,15 @@ import numpy as np
 
 from shared.geometry import Pose2, wrapped
 from shared.messages import Localization, PoseEstimate
-from zenav.bench.each import results
-from zenav.bench.table import seeds_from, table, writable, write
-from zenav.up import run_folder
+from zenav.bench.process_pool import pool_results
+from zenav.bench.seeds import seeds_from
+from zenav.console.json_report import check_writable, write_report
+from zenav.console.run_folder import new_run_folder
+from zenav.console.table import show_table
 
 if TYPE_CHECKING:
-    from services.mapper.saved_map import SavedMap
-    from zenav.bench.rig import Rig
+    from services.mapper.maps.map_file import SavedMap
+    from zenav.bench.sim_slam_harness import SimSlamHarness
 
 RIGHT, RIGHT_DEG = 0.3, 5.0  # m, degrees
 FOUND_WITHIN, FOUND_SHARE = 10.0, 0.95  # m of driving; of the poses
@@ -41,7 +43,7 @@ COLUMNS = (
 
 
 @dataclass
-class Trial:
+class LocalizationTrial:
     """One random pose. Metres of driving until found and right, s until noticed; None: never.
 
     wrong_s: s for which it called a wrong pose good, but for those until it noticed that it was carried.
@@ -75,25 +77,25 @@ def localise(
     the stack's own.
     """
     chosen = seeds_from(numbers)
-    writable(out)
-    folder = run_folder("bench-localise") if maps is None else maps
+    check_writable(out)
+    folder = new_run_folder("bench-localise") if maps is None else maps
     shares = {number: poses // len(chosen) + (i < poses % len(chosen)) for i, number in enumerate(chosen)}
-    trials: list[Trial] = []
-    for found in results(
-        partial(_tried, robot, folder, shares, settings, cell), [n for n in chosen if shares[n]], jobs
+    trials: list[LocalizationTrial] = []
+    for found in pool_results(
+        partial(_building_trials, robot, folder, shares, settings, cell), [n for n in chosen if shares[n]], jobs
     ):
         trials += found
         sys.stderr.write(f"building {found[0].building}: {sum(t.found_m is not None for t in found)} found\n")
     trials.sort(key=lambda trial: (trial.building, trial.trial))
     rows = [_row(str(n), [t for t in trials if t.building == n]) for n in chosen if shares[n]]
     kind = f", as pgm and yaml of {cell:g} m a cell" if cell else ""
-    table(f"global localisation, maps in {folder}{kind}", COLUMNS, [*rows, _row("all", trials)])
+    show_table(f"global localisation, maps in {folder}{kind}", COLUMNS, [*rows, _row("all", trials)])
     told = summary(trials)
-    write(out, {"summary": told, "trials": [asdict(trial) for trial in trials]})
-    return 0 if kept(told) else 1
+    write_report(out, {"summary": told, "trials": [asdict(trial) for trial in trials]})
+    return 0 if reaches_targets(told) else 1
 
 
-def kept(told: dict[str, Any]) -> bool:
+def reaches_targets(told: dict[str, Any]) -> bool:
     """Whether the summary keeps every promise."""
     return bool(
         told["found_share"] >= FOUND_SHARE
@@ -102,7 +104,7 @@ def kept(told: dict[str, Any]) -> bool:
     )
 
 
-def summary(trials: list[Trial]) -> dict[str, Any]:
+def summary(trials: list[LocalizationTrial]) -> dict[str, Any]:
     """Shares, medians and counts over all trials."""
     found = [t.found_m for t in trials if t.found_m is not None]
     carried = [t for t in trials if t.carried]
@@ -127,7 +129,7 @@ def _median(values: list[float]) -> float | None:
     return round(statistics.median(values), 2) if values else None
 
 
-def _row(name: str, trials: list[Trial]) -> tuple[str, ...]:
+def _row(name: str, trials: list[LocalizationTrial]) -> tuple[str, ...]:
     s = summary(trials)
 
     def number(key: str) -> str:
@@ -140,107 +142,113 @@ def _row(name: str, trials: list[Trial]) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def _tried(
+def _building_trials(
     robot: str, folder: Path, shares: dict[int, int], settings: list[str], cell: float, number: int
-) -> list[Trial]:
+) -> list[LocalizationTrial]:
     """All trials of one building."""
     import shared.repeatable  # noqa: F401  # a spawned process begins here
-    from zenav.bench.buildings import toured
-    from zenav.saved_map import GRAPH, read_saved_map
+    from zenav.bench.buildings import tour_building
+    from zenav.maps.saved_map import GRAPH, read_saved_map
 
     place = folder / f"building-{number}"
     if not (place / GRAPH).exists():
-        toured(robot, folder, settings, number)
+        tour_building(robot, folder, settings, number)
     saved = read_saved_map(place)
     if cell:
-        saved = foreign(saved, cell, folder / f"building-{number}-ros-{round(100 * cell)}cm")
+        saved = ros_copy_of(saved, cell, folder / f"building-{number}-ros-{round(100 * cell)}cm")
     return [
-        replace(trial(robot, f"building:{number}", 1000 * (i + 1) + number, saved, settings), building=number, trial=i)
+        replace(
+            run_trial(robot, f"building:{number}", 1000 * (i + 1) + number, saved, settings), building=number, trial=i
+        )
         for i in range(shares[number])
     ]
 
 
-def foreign(saved: "SavedMap", cell: float, folder: Path) -> "SavedMap":
+def ros_copy_of(saved: "SavedMap", cell: float, folder: Path) -> "SavedMap":
     """A map as another program's: written for ROS map_server with cells of `cell` m into a folder, and read from there.
 
     A larger cell is as occupied as the most occupied in it.
     """
     from shared.ros_map import write_ros_map
-    from zenav.foreign_map import read_map
-    from zenav.maps import coarse, grown
+    from zenav.maps.foreign_map import read_map
+    from zenav.maps.map_files import coarse_cells, grid_from_update
 
-    grid = grown(saved.tiles)
+    grid = grid_from_update(saved.tiles)
     step = round(cell / grid.resolution)
-    write_ros_map(folder, coarse(grid.cells, step), step * grid.resolution, grid.x0, grid.y0)
+    write_ros_map(folder, coarse_cells(grid.cells, step), step * grid.resolution, grid.x0, grid.y0)
     return read_map(folder, grid.resolution)
 
 
-def trial(robot: str, world_name: str, seed: int, saved: "SavedMap", settings: list[str]) -> Trial:
+def run_trial(robot: str, world_name: str, seed: int, saved: "SavedMap", settings: list[str]) -> LocalizationTrial:
     """Found from nowhere in a world with a saved map, then carried elsewhere and found again; all by the seed."""
-    from zenav.bench.chauffeur import Ways
-    from zenav.bench.rig import Rig, robot_file
-    from zenav.scene import world_of
+    from zenav.bench.ground_truth_driver import PathFinder
+    from zenav.bench.sim_slam_harness import SimSlamHarness, harness_robot_file
+    from zenav.stack.hardware import simulated_world
 
-    begun, told = process_time(), Trial()
-    file = robot_file(robot, world_name, seed, None, settings)
-    world, rng = world_of(file), np.random.default_rng(seed)
-    ways = Ways(world, file.robot)
-    rig = Rig(robot_file(robot, world_name, seed, ways.anywhere(rng), settings), ways, saved)
-    watch = Watch(rig, world.start)
+    begun, told = process_time(), LocalizationTrial()
+    file = harness_robot_file(robot, world_name, seed, None, settings)
+    world, rng = simulated_world(file), np.random.default_rng(seed)
+    paths = PathFinder(world, file.robot)
+    harness = SimSlamHarness(
+        harness_robot_file(robot, world_name, seed, paths.random_pose(rng), settings), paths, saved
+    )
+    watch = PoseMonitor(harness, world.start)
     told.found_m = watch.driven_until_right(rng)
     if told.found_m is not None:
         told.found_error_m = round(watch.error[0], 3)
         told.carried = True
-        told.noticed_s, told.back_m = _carried(rig, watch, rng)
+        told.noticed_s, told.back_m = _kidnap(harness, watch, rng)
     told.wrong_s = round(watch.wrong_s, 2)
     told.cpu_s = round(process_time() - begun, 1)
     return told
 
 
-def _carried(rig: "Rig", watch: "Watch", rng: np.random.Generator) -> tuple[float | None, float | None]:
+def _kidnap(
+    harness: "SimSlamHarness", watch: "PoseMonitor", rng: np.random.Generator
+) -> tuple[float | None, float | None]:
     """Sets the robot down elsewhere: s until it noticed, m until it was right again."""
-    rig.stand(STANDS)
-    here = rig.truth.world_from_base
-    while (there := rig.ways.anywhere(rng)).distance(here) < AWAY or not rig.free_of_people(there, 1.0):
+    harness.stand(STANDS)
+    here = harness.truth.world_from_base
+    while (there := harness.paths.random_pose(rng)).distance(here) < AWAY or not harness.free_of_people(there, 1.0):
         pass
-    rig.carry(there)
-    watch.carried()
-    rig.stand(STANDS)
+    harness.carry(there)
+    watch.on_kidnapped()
+    harness.stand(STANDS)
     back = watch.driven_until_right(rng)
     return watch.noticed_s, back
 
 
-class Watch:
+class PoseMonitor:
     """Compares each of the mapper's poses with the truth. error: m and degrees, of the last one."""
 
-    def __init__(self, rig: "Rig", world_from_map: Pose2) -> None:
-        self.rig, self.world_from_map = rig, world_from_map
+    def __init__(self, harness: "SimSlamHarness", world_from_map: Pose2) -> None:
+        self.harness, self.world_from_map = harness, world_from_map
         self.error = inf, inf
         self.sure = False  # it calls its pose good
         self.wrong_s = 0.0
         self.noticed_s: float | None = None
         self._carried: int | None = None  # ns, when it was; until that was noticed
         self.last = 0
-        rig.watch(self.take)
+        harness.watch(self.add)
 
     @property
     def right(self) -> bool:
         """Whether the last pose was called good, and is."""
         return self.sure and self._carried is None and self.error[0] <= RIGHT and self.error[1] <= RIGHT_DEG
 
-    def carried(self) -> None:
+    def on_kidnapped(self) -> None:
         """The robot stands elsewhere from now on."""
-        self._carried, self.noticed_s = self.rig.lockstep.now, None
+        self._carried, self.noticed_s = self.harness.lockstep.now, None
 
     def driven_until_right(self, rng: np.random.Generator) -> float | None:
         """Drives from one random place to the next until the pose is right, and then a little further; m until then.
 
         None where it never was.
         """
-        begun = self.rig.truth.distance
+        begun = self.harness.truth.distance
 
         def driven() -> float:
-            return self.rig.truth.distance - begun
+            return self.harness.truth.distance - begun
 
         self._drive(rng, lambda: self.right or driven() > GIVES_UP)
         if not self.right:
@@ -251,15 +259,15 @@ class Watch:
         return round(found, 2)
 
     def _drive(self, rng: np.random.Generator, until: Callable[[], bool]) -> None:
-        from zenav.bench.rig import DriveResult
+        from zenav.bench.sim_slam_harness import DriveResult
 
         while not until():
-            if self.rig.drive(self.rig.ways.anywhere(rng), until) is DriveResult.NO_PATH:
-                self.rig.stand(1.0)  # somebody is all around
+            if self.harness.drive(self.harness.paths.random_pose(rng), until) is DriveResult.NO_PATH:
+                self.harness.stand(1.0)  # somebody is all around
 
-    def take(self, estimate: PoseEstimate) -> None:
+    def add(self, estimate: PoseEstimate) -> None:
         """One of the mapper's poses."""
-        truths = self.rig.track.truths[-100:]
+        truths = self.harness.track.truths[-100:]
         at = np.array([row[0] - estimate.stamp for row in truths], float)
         x, y, yaw = np.array([row[1:] for row in truths]).T
         true = Pose2(*(float(np.interp(0.0, at, column)) for column in (x, y, np.unwrap(yaw))))
@@ -268,7 +276,7 @@ class Watch:
         self.sure = estimate.state is Localization.GOOD
         if self._carried is not None:
             if estimate.state in (Localization.LOST, Localization.STARTING):
-                self.noticed_s, self._carried = round((self.rig.lockstep.now - self._carried) * 1e-9, 2), None
+                self.noticed_s, self._carried = round((self.harness.lockstep.now - self._carried) * 1e-9, 2), None
         elif self.sure and not self.right and self.last:
             self.wrong_s += (estimate.stamp - self.last) * 1e-9
         self.last = estimate.stamp

@@ -22,7 +22,8 @@ from shared.geometry import Pose2, wrapped
 from shared.messages import BoardReport, WheelState
 from shared.service import Out
 from shared.topics import Publication
-from zenav.bench.table import table, writable, write
+from zenav.console.json_report import check_writable, write_report
+from zenav.console.table import show_table
 
 MAX_DISTANCE, MAX_TURN = 1.5e-4, 0.01
 """m and degrees: by the driver's own integration, at most so far from what it recorded.
@@ -39,8 +40,8 @@ COLUMNS = "integration, from", "seconds", "driven, m", "off at most, mm", "at th
 
 def odometry(directory: Path | None, out: Path | None) -> int:
     """Shows the table, writes the JSON; 0 when the driver's own integration is within its limits."""
-    writable(out)
-    report = measured(directory or default_folder())
+    check_writable(out)
+    report = integration_errors(directory or default_folder())
     rows = [
         (
             name, f"{row['seconds']:.0f}", f"{row['driven_m']:.1f}", f"{row['distance_max_m'] * 1e3:.3f}",
@@ -48,8 +49,8 @@ def odometry(directory: Path | None, out: Path | None) -> int:
         )
         for name, row in report["rows"].items()
     ]  # fmt: skip
-    table("against the odometry that the X80SV recorded", COLUMNS, rows)
-    write(out, report)
+    show_table("against the odometry that the X80SV recorded", COLUMNS, rows)
+    write_report(out, report)
     return 0 if report["summary"]["kept"] else 1
 
 
@@ -61,24 +62,24 @@ def default_folder() -> Path:
     return Path(data) / "x80sv"
 
 
-def measured(folder: Path) -> dict[str, Any]:
+def integration_errors(folder: Path) -> dict[str, Any]:
     """Each integration from the wheels' angles, and from encoder counts through the base driver. Raises UserError."""
     robot = load_robot("x80sv").robot
-    wheels, recorded = rows_of(folder / "wheel_positions.csv.gz"), rows_of(folder / "odom.csv.gz")
+    wheels, recorded = table_numbers(folder / "wheel_positions.csv.gz"), table_numbers(folder / "odom.csv.gz")
     if min(len(wheels), len(recorded)) < MIN_ROWS:
         raise UserError(f"{folder} holds {len(wheels)} rows of wheels", f"the drive has more than {MIN_ROWS}")
     truth = [Pose2(*row[2:5]) for row in recorded]
     rows = {}
     for integration in INTEGRATIONS:
-        rows[f"{integration}, wheel angles"] = compared(by_angles(wheels, robot, integration), truth, wheels)
-        rows[f"{integration}, encoder counts"] = compared(by_counts(wheels, robot, integration), truth, wheels)
+        rows[f"{integration}, wheel angles"] = pose_differences(by_angles(wheels, robot, integration), truth, wheels)
+        rows[f"{integration}, encoder counts"] = pose_differences(by_counts(wheels, robot, integration), truth, wheels)
     same = [row for name, row in rows.items() if name.startswith(SAME)]
     worst = {key: max(row[key] for row in same) for key in ("distance_max_m", "turn_max_deg")}
     kept = worst["distance_max_m"] < MAX_DISTANCE and worst["turn_max_deg"] < MAX_TURN
     return {"summary": {"integration": SAME, **worst, "kept": kept}, "rows": rows}
 
 
-def rows_of(path: Path) -> list[list[float]]:
+def table_numbers(path: Path) -> list[list[float]]:
     """The numbers of a table of the recording, without its head. Raises UserError where there is none."""
     try:
         with gzip.open(path, "rt", encoding="utf-8") as file:
@@ -91,7 +92,7 @@ def by_angles(wheels: list[list[float]], robot: Robot, integration: str) -> list
     """odom_from_base after each row of wheels: t s, left and right rad, of which the left counts down going forward."""
     service = OdometryService(DeadReckoningConfig.model_validate({"integration": integration}), robot)
     times, left, right = np.array(wheels).T
-    rolled = zip(times, -unwrapped(left), unwrapped(right))
+    rolled = zip(times, -unwrapped_angles(left), unwrapped_angles(right))
     states = [WheelState(round(t * 1e9), 1, float(a), float(b), 0.0, 0.0) for t, a, b in rolled]
     return [pose for state in states for pose in poses_in(service.wheels(state))]
 
@@ -119,14 +120,14 @@ def poses_in(out: Out) -> Iterable[Pose2]:
             yield said.message.odom_from_base  # type: ignore[attr-defined]  # the topic's type
 
 
-def unwrapped(angles: np.ndarray) -> np.ndarray:
+def unwrapped_angles(angles: np.ndarray) -> np.ndarray:
     """(n,) rad: encoder angles that wrap at WRAP counts, made continuous."""
     wrap = WRAP * 2 * pi / COUNTS
     steps = np.diff(angles)
     return np.concatenate([[angles[0]], angles[0] + np.cumsum(steps - wrap * np.round(steps / wrap))])
 
 
-def compared(poses: list[Pose2], truth: list[Pose2], wheels: list[list[float]]) -> dict[str, float]:
+def pose_differences(poses: list[Pose2], truth: list[Pose2], wheels: list[list[float]]) -> dict[str, float]:
     """How far poses are from the recorded ones, whose row 0 has no row of wheels: m, and degrees."""
     ours = [truth[1] @ pose for pose in poses]
     pairs = list(zip(truth[1:], ours))

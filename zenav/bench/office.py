@@ -7,11 +7,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from zenav.bench.each import results
-from zenav.bench.table import seeds_from, table, writable, write
-from zenav.scene import scene
-from zenav.stability import FIGURES, rows
-from zenav.stopping import stopping
+from zenav.bench.process_pool import pool_results
+from zenav.bench.seeds import seeds_from
+from zenav.console.json_report import check_writable, write_report
+from zenav.console.shutdown import stop_on_signal
+from zenav.console.table import show_table
+from zenav.metrics.stability import FIGURES, figure_rows
+from zenav.scenario.scenario import load_scenario
 
 POSE_M, POSE_DEG, EXPLORED = 0.05, 1.0, 0.98
 """What each run must keep: mean pose error in m and degrees; share of the reachable floor that is explored."""
@@ -22,22 +24,22 @@ def office(
 ) -> int:
     """Runs every seed, shows the table, writes the JSON; 0 when every run kept every promise."""
     numbers = seeds_from(seeds)
-    writable(out)
+    check_writable(out)
     one = partial(_live if live else _lockstep, robot, world, seconds=seconds, settings=settings)
     runs: list[dict[str, Any]] = []
-    for report in results(one, numbers, 1 if live else jobs):
+    for report in pool_results(one, numbers, 1 if live else jobs):
         runs.append(report)
         s = report["summary"]
-        words = "good" if kept(report) else f"not good {report['trouble']}"
+        words = "good" if reaches_targets(report) else f"not good {report['trouble']}"
         sys.stderr.write(f"seed {report['seed']}: {words}, {s['seconds']:.0f} s driven in {s['wall_seconds']:.0f} s\n")
     runs.sort(key=lambda report: int(report["seed"]))
-    table(f"{world}, {'live' if live else 'lockstep'}", COLUMNS, [_row(report) for report in runs])
-    table("while a task was under way", ("seed", *FIGURES.values()), [_steady_row(report) for report in runs])
-    write(out, {"summary": summary(runs), "live": live, "runs": runs})
-    return 0 if len(runs) == len(numbers) and all(kept(report) for report in runs) else 1
+    show_table(f"{world}, {'live' if live else 'lockstep'}", COLUMNS, [_row(report) for report in runs])
+    show_table("while a task was under way", ("seed", *FIGURES.values()), [_steady_row(report) for report in runs])
+    write_report(out, {"summary": summary(runs), "live": live, "runs": runs})
+    return 0 if len(runs) == len(numbers) and all(reaches_targets(report) for report in runs) else 1
 
 
-def kept(report: dict[str, Any]) -> bool:
+def reaches_targets(report: dict[str, Any]) -> bool:
     """Whether a run kept every promise."""
     s = report["summary"]
     return bool(
@@ -58,7 +60,7 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
 
     return {
         "runs": len(runs),
-        "good": sum(kept(report) for report in runs),
+        "good": sum(reaches_targets(report) for report in runs),
         "collisions": sum(of("collisions")),
         "goals_reached": sum(of("goals_reached")),
         "goals": sum(of("goals")),
@@ -82,7 +84,7 @@ COLUMNS = (
 
 
 def _steady_row(report: dict[str, Any]) -> tuple[str, ...]:
-    return str(report["seed"]), *(value for _, value in rows(report["summary"]))
+    return str(report["seed"]), *(value for _, value in figure_rows(report["summary"]))
 
 
 def _mean(values: list[float]) -> float | None:
@@ -101,25 +103,27 @@ def _row(report: dict[str, Any]) -> tuple[str, ...]:
         number("pose_error_mean_deg", 1, 2), number("pose_error_max_deg", 1, 2), number("map_within_5_cm", 100, 1),
         number("map_completeness", 100, 1), number("distance_m", 1, 0), number("seconds", 1, 0),
         number("wall_seconds", 1, 0), str(sum(leg["recoveries"] for leg in report["legs"])),
-        "good" if kept(report) else report["trouble"] or "not good",
+        "good" if reaches_targets(report) else report["trouble"] or "not good",
     )  # fmt: skip
 
 
 def _lockstep(robot: str, world: str, seed: int, seconds: float, settings: list[str]) -> dict[str, Any]:
     import shared.repeatable  # noqa: F401  # a spawned process begins here
-    from zenav.lockstep_run import run
+    from zenav.scenario.lockstep_run import run_lockstep
 
-    return run(scene(robot, world, seed, settings), seconds, None).report()
+    return run_lockstep(load_scenario(robot, world, seed, settings), seconds, None).report()
 
 
 def _live(robot: str, world: str, seed: int, seconds: float, settings: list[str]) -> dict[str, Any]:
-    from zenav.demo import left_behind
-    from zenav.live_run import View, run
-    from zenav.up import run_folder
+    from zenav.console.run_folder import new_run_folder
+    from zenav.scenario.demo import write_results
+    from zenav.scenario.live_run import RunView, run_live
 
-    folder = run_folder(f"office-{seed}")
-    with stopping() as stop:
-        outcome = run(scene(robot, world, seed, settings), seconds, folder, folder / "run.mcap", stop, View())
+    folder = new_run_folder(f"office-{seed}")
+    with stop_on_signal() as stop:
+        outcome = run_live(
+            load_scenario(robot, world, seed, settings), seconds, folder, folder / "run.mcap", stop, RunView()
+        )
         if stop.is_set():
             raise KeyboardInterrupt
-    return left_behind(outcome, folder, folder / "run.mcap")
+    return write_results(outcome, folder, folder / "run.mcap")

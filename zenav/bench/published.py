@@ -15,14 +15,14 @@ from zenav.bench.figure_rows import Cells
 
 ROOT = Path(__file__).resolve().parents[2]
 FILE = ROOT / "docs" / "figures.json"
-CODE = "services", "shared", "zenav", "config", "requirements.txt"
+CODE = "services", "shared", "zenav", "requirements.txt"
 """What figures depend on: a commit that changes none of it leaves them as they are."""
 WORDS = "zenav/bench/figure"
 """Files that begin so only choose and write rows; they are no part of what is measured."""
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class CheckoutState:
     """The checkout. code: a digest of the committed CODE; dirty: there are changes of it that are not committed."""
 
     commit: str
@@ -56,7 +56,7 @@ class PublishedFigure:
 Published = dict[str, PublishedFigure]
 
 
-def load(path: Path = FILE) -> Published:
+def load_published(path: Path = FILE) -> Published:
     """All rows by name; none where there is no file. Raises UserError where it is damaged."""
     if not path.exists():
         return {}
@@ -67,7 +67,7 @@ def load(path: Path = FILE) -> Published:
         raise UserError(f"{path} is damaged: {error}", "git checkout it") from None
 
 
-def save(published: Published, path: Path = FILE) -> None:
+def save_published(published: Published, path: Path = FILE) -> None:
     """Writes all rows, sorted by name. Raises UserError where the file refuses."""
     tree = {name: asdict(published[name]) for name in sorted(published)}
     try:
@@ -76,13 +76,17 @@ def save(published: Published, path: Path = FILE) -> None:
         raise UserError(f"cannot write {path}: {error.strerror}", "check the folder and the disk") from None
 
 
-def state_of(root: Path = ROOT) -> State:
+def checkout_state(root: Path = ROOT) -> CheckoutState:
     """The checkout's state. Raises UserError where there is no git."""
+    if not (root / ".git").exists():
+        raise UserError("no commit to measure", "run it in a git checkout of zenav")
     tree = _git(root, "ls-tree", "-r", "HEAD", "--", *CODE).splitlines()
     code = "\n".join(line for line in tree if not line.partition("\t")[2].startswith(WORDS))
     changed = [line[3:] for line in _git(root, "status", "--porcelain", "--", *CODE).splitlines()]
     dirty = any(not name.startswith(WORDS) for name in changed)
-    return State(_git(root, "rev-parse", "--short=7", "HEAD").strip(), hashlib.sha1(code.encode()).hexdigest(), dirty)
+    return CheckoutState(
+        _git(root, "rev-parse", "--short=7", "HEAD").strip(), hashlib.sha1(code.encode()).hexdigest(), dirty
+    )
 
 
 def _git(root: Path, *arguments: str) -> str:

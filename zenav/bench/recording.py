@@ -27,18 +27,20 @@ from shared.messages import LaserScan
 from shared.recording import Entry, Recording, Writer
 from shared.runners.replay import Build, Replayed, replay
 from shared.service import Service, every, handlers, on
-from zenav.bench.table import table, writable, write
-from zenav.classes import service_class
+from shared.types import NS_PER_S
 from zenav.client import Client
-from zenav.files import progress_bar
-from zenav.launch import Launcher, free_stack, service_command
-from zenav.lockstep_run import run as drive
-from zenav.recording.info import info
-from zenav.replay import robot_file
-from zenav.replaying import builder
-from zenav.scene import scene
-from zenav.stopping import Stop, stopping
-from zenav.up import run_folder
+from zenav.console.json_report import check_writable, write_report
+from zenav.console.progress import progress_bar
+from zenav.console.run_folder import new_run_folder
+from zenav.console.shutdown import StopFlag, stop_on_signal
+from zenav.console.table import show_table
+from zenav.recording.info import recording_info
+from zenav.recording.opening import recorded_robot_file
+from zenav.replay.report import service_builder
+from zenav.scenario.lockstep_run import run_lockstep as drive
+from zenav.scenario.scenario import load_scenario
+from zenav.stack.launch import Launcher, free_stack, service_command
+from zenav.stack.service_loader import service_class
 
 N_SCANS, N_BEAMS, RATE = 20_000, 720, 40.0
 REPEATS = 5
@@ -46,7 +48,6 @@ CHUNK_BYTES = 64 * 1024
 DRIVE = 40.0  # s
 FLUSH_EACH = 450  # messages: about a second of the stack
 START = 60.0  # s that the recorder may take to answer
-SECOND = 1_000_000_000
 MINIMUM, MAXIMUM = "at least", "at most"
 LIMITS: dict[str, tuple[str, str, float]] = {
     "written_a_second": ("scans written a second of CPU", MINIMUM, 20_000),
@@ -61,28 +62,28 @@ LIMITS: dict[str, tuple[str, str, float]] = {
 }
 """What is required of each figure of the summary. The limits are fixed: none follows another figure of the run."""
 
-Row = tuple[bytes, int]
+ScanRow = tuple[bytes, int]
 """A scan's bytes and time, ns."""
 
 
 def recording(hours: float, out: Path | None) -> int:
     """Measures, shows and writes the figures; 0 when every limit is kept."""
-    writable(out)
-    logs = run_folder("recording")
-    with tempfile.TemporaryDirectory() as name, stopping() as stop, progress_bar("recording") as progress:
+    check_writable(out)
+    logs = new_run_folder("recording")
+    with tempfile.TemporaryDirectory() as name, stop_on_signal() as stop, progress_bar("recording") as progress:
         folder = Path(name)
-        report: dict[str, Any] = {"scans": _scans(folder)}
+        report: dict[str, Any] = {"scans": _scan_figures(folder)}
         progress(0.2)
         driven = folder / "drive.mcap"
-        drive(scene("x80sv", "office", 0, []), DRIVE, driven)
+        drive(load_scenario("x80sv", "office", 0, []), DRIVE, driven)
         progress(0.4)
-        report["replay"] = _replayed(driven)
+        report["replay"] = _replay_figures(driven)
         progress(0.5)
-        report["recorder"] = _recorder(driven, logs, folder / "live.mcap", stop)
+        report["recorder"] = _recorder_figures(driven, logs, folder / "live.mcap", stop)
         if stop.is_set():
             return 130
         progress(0.7)
-        report["hour"] = _hour(driven, folder / "hour.mcap", hours)
+        report["hour"] = _hour_figures(driven, folder / "hour.mcap", hours)
         progress(1.0)
     report["summary"] = {
         "written_a_second": report["scans"]["write"]["ours"],
@@ -95,12 +96,12 @@ def recording(hours: float, out: Path | None) -> int:
         "recorder_share": report["recorder"]["share"],
         "recorder_missed": report["recorder"]["missed"],
     }
-    show(report)
-    write(out, report)
-    return 0 if all(kept(report["summary"]).values()) else 1
+    show_figures(report)
+    write_report(out, report)
+    return 0 if all(within_limits(report["summary"]).values()) else 1
 
 
-def kept(summary: dict[str, float]) -> dict[str, bool]:
+def within_limits(summary: dict[str, float]) -> dict[str, bool]:
     """Whether each figure of the summary keeps its limit."""
     return {
         name: summary[name] >= limit if side == MINIMUM else summary[name] <= limit
@@ -111,30 +112,30 @@ def kept(summary: dict[str, float]) -> dict[str, bool]:
 # --- scans ----------------------------------------------------------------------------------------------------------
 
 
-def _scans(folder: Path) -> dict[str, Any]:
-    rows = scans()
+def _scan_figures(folder: Path) -> dict[str, Any]:
+    rows = scan_rows()
     ours, peers = folder / "ours.mcap", folder / "peers.mcap"
     return {
         "bytes": len(rows[0][0]),
-        "write": _compared({"ours": lambda: write_ours(ours, rows), "mcap": lambda: write_peers(peers, rows)}),
-        "read": _compared({"ours": lambda: read_ours(ours), "mcap": lambda: read_peers(ours)}),
+        "write": _rates({"ours": lambda: write_ours(ours, rows), "mcap": lambda: write_peers(peers, rows)}),
+        "read": _rates({"ours": lambda: read_ours(ours), "mcap": lambda: read_peers(ours)}),
         "size_ratio": round(ours.stat().st_size / peers.stat().st_size, 3),
     }
 
 
-def scans(n: int = N_SCANS) -> list[Row]:
+def scan_rows(n: int = N_SCANS) -> list[ScanRow]:
     """Sweeps of a room with a laser's noise, rounded to the mm as lasers do."""
     rng, found = np.random.default_rng(0), []
     room = 4 + 2 * np.sin(np.arange(N_BEAMS) / 50)
     for i in range(n):
-        at = round(i * SECOND / RATE)
+        at = round(i * NS_PER_S / RATE)
         ranges = (room + rng.normal(0, 0.01, N_BEAMS)).round(3).astype(np.float32)
         scan = LaserScan(at, -np.pi, 2 * np.pi / N_BEAMS, 1 / RATE, 0.05, 12.0, ranges)
         found.append((encode(scan, Envelope("sim", "bench", i, at)), at))
     return found
 
 
-def _compared(calls: dict[str, Callable[[], None]]) -> dict[str, float]:
+def _rates(calls: dict[str, Callable[[], None]]) -> dict[str, float]:
     """Scans a second of CPU, medians of runs in turn; ratio: ours to the peer's, of each round."""
     seconds: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(REPEATS):
@@ -147,13 +148,13 @@ def _compared(calls: dict[str, Callable[[], None]]) -> dict[str, float]:
     return rates | {"ratio": round(median(ratios), 2)}
 
 
-def write_ours(path: Path, rows: list[Row]) -> None:
+def write_ours(path: Path, rows: list[ScanRow]) -> None:
     with Writer(path) as writer:
         for i, (payload, at) in enumerate(rows):
             writer.write("scan", LaserScan, payload, at, at, i)
 
 
-def write_peers(path: Path, rows: list[Row]) -> None:
+def write_peers(path: Path, rows: list[ScanRow]) -> None:
     with path.open("wb") as file:
         writer = mcap.writer.Writer(cast(IO[Any], file), chunk_size=CHUNK_BYTES)
         writer.start()
@@ -180,18 +181,21 @@ def read_peers(path: Path) -> None:
 # --- the drive ------------------------------------------------------------------------------------------------------
 
 
-def _replayed(path: Path) -> dict[str, float]:
+def _replay_figures(path: Path) -> dict[str, float]:
     """The mapper in process, on its journal: seconds of the drive a CPU second, its second time round."""
     found = Recording(path)
-    file = robot_file(found)
+    file = recorded_robot_file(found)
     if file is None:
         raise RuntimeError("the drive has no configuration")
     events = [event for life in found.lives()["mapper"] for event in life.events]
-    seconds = (events[-1].now - events[0].now) / SECOND
-    _, (took, replayed) = _timed(found, builder(file)), _timed(found, builder(file))  # the first loads the kernels
+    seconds = (events[-1].now - events[0].now) / NS_PER_S
+    _, (took, replayed) = (
+        _timed(found, service_builder(file)),
+        _timed(found, service_builder(file)),
+    )  # the first loads the kernels
     if replayed.gaps:
         raise RuntimeError(f"the drive does not replay: {replayed.gaps[0]}")
-    runner, _ = _timed(found, lambda name: idle(service_class(name)))
+    runner, _ = _timed(found, lambda name: idle_service(service_class(name)))
     return {
         "seconds": round(seconds, 1), "cpu_s": round(took, 3), "runner_cpu_s": round(runner, 3),
         "ratio": round(seconds / took, 1), "own_ratio": round(seconds / max(took - runner, 1e-9), 1),
@@ -205,7 +209,7 @@ def _timed(found: Recording, build: Build) -> tuple[float, Replayed]:
     return time.process_time() - begun, replayed
 
 
-def idle(class_: type[Service]) -> Service:
+def idle_service(class_: type[Service]) -> Service:
     """A service that listens to what this one does, and does nothing: what is left is the runner's own work."""
     marked = handlers(class_)
     methods: dict[str, Any] = {name: on(topic)(lambda self, message: ()) for topic, name in marked.topics.values()}
@@ -214,7 +218,7 @@ def idle(class_: type[Service]) -> Service:
     return cast(Service, made(None, None))
 
 
-def _recorder(path: Path, logs: Path, live: Path, stop: Stop) -> dict[str, float]:
+def _recorder_figures(path: Path, logs: Path, live: Path, stop: StopFlag) -> dict[str, float]:
     """The recorder's process while the drive is published at its own pace: its share of a core, and what it missed.
 
     Shares are medians of the drive's parts, as other load comes and goes; ratio: the recorder's to the bare
@@ -239,7 +243,7 @@ def _recorder(path: Path, logs: Path, live: Path, stop: Stop) -> dict[str, float
             begun = time.monotonic()
             seen = [(begun, _cpu(process), _cpu(bare))]
             for entry in entries:
-                late = begun + (entry.log_time - zero) / SECOND - time.monotonic()
+                late = begun + (entry.log_time - zero) / NS_PER_S - time.monotonic()
                 if late > 0 and stop.wait(late):
                     break
                 client.session.put(f"x80/{entry.key}", entry.payload)
@@ -261,9 +265,9 @@ def _recorder(path: Path, logs: Path, live: Path, stop: Stop) -> dict[str, float
 
 BARE = """
 import sys
-from shared.runners.transport import where_from
+from shared.runners.transport import stack_address
 from zenav.client import Client
-with Client("x80", where_from(sys.argv[1])) as client:
+with Client("x80", stack_address(sys.argv[1])) as client:
     client.listen_raw("**", lambda key, payload: None)
     sys.stdin.read()
 """
@@ -288,7 +292,7 @@ def _cpu(process: psutil.Process) -> float:
 # --- the hour -------------------------------------------------------------------------------------------------------
 
 
-def _hour(driven: Path, path: Path, hours: float) -> dict[str, float]:
+def _hour_figures(driven: Path, path: Path, hours: float) -> dict[str, float]:
     """Times, s, of a long recording: its opening, a seek into its middle, its info; each once."""
     n = make_hour(driven, path, hours)
     begun = time.perf_counter()
@@ -300,7 +304,7 @@ def _hour(driven: Path, path: Path, hours: float) -> dict[str, float]:
     next(found.entries(["scan"], middle))
     sought = time.perf_counter() - begun
     begun = time.perf_counter()
-    told = info(path)
+    told = recording_info(path)
     informed = time.perf_counter() - begun
     if told.messages != n:
         raise RuntimeError(f"info counts {told.messages} of {n} messages")
@@ -318,13 +322,13 @@ def _hour(driven: Path, path: Path, hours: float) -> dict[str, float]:
 def make_hour(driven: Path, path: Path, hours: float) -> int:
     """The drive again and again; the number of messages. Payloads stay: their stamps are the drive's."""
     entries = list(Recording(driven).entries(as_recorded=True))
-    zero, length = entries[0].log_time, entries[-1].log_time - entries[0].log_time + SECOND // 50
+    zero, length = entries[0].log_time, entries[-1].log_time - entries[0].log_time + NS_PER_S // 50
     n, shift = 0, 0
     with Writer(path, {"robot": "x80"}) as writer:
-        while shift < hours * 3600 * SECOND:
+        while shift < hours * 3600 * NS_PER_S:
             for entry in entries:
                 at = entry.log_time + shift
-                if at - zero >= hours * 3600 * SECOND:
+                if at - zero >= hours * 3600 * NS_PER_S:
                     break
                 writer.copy(Entry(entry.channel, at, entry.sent + shift, entry.sequence, entry.payload))
                 n += 1
@@ -337,18 +341,18 @@ def make_hour(driven: Path, path: Path, hours: float) -> int:
 # --- shown ----------------------------------------------------------------------------------------------------------
 
 
-def show(report: dict[str, Any]) -> None:
+def show_figures(report: dict[str, Any]) -> None:
     """The figures as tables."""
     rates = [
         (f"{kind}, scans/s of CPU", f"{row['ours']:.0f}", f"{row['mcap']:.0f}", f"{row['ratio']:.2f}")
         for kind, row in (("write", report["scans"]["write"]), ("read", report["scans"]["read"]))
     ]
-    table(f"scans of {N_BEAMS} beams, {report['scans']['bytes']} bytes", ("", "ours", "mcap", "ratio"), rates)
+    show_table(f"scans of {N_BEAMS} beams, {report['scans']['bytes']} bytes", ("", "ours", "mcap", "ratio"), rates)
     hour, live, again = report["hour"], report["recorder"], report["replay"]
     title = f"a recording of {hour['hours']:g} h: {hour['messages']} messages, {hour['mb']:.0f} MB"
     rows = [(name, f"{hour[f'{name}_s']:.3f}") for name in ("open", "seek", "info")]
-    table(title, ("s", ""), [*rows, ("info as a command, with its start", f"{hour['command_s']:.2f}")])
-    table(
+    show_table(title, ("s", ""), [*rows, ("info as a command, with its start", f"{hour['command_s']:.2f}")])
+    show_table(
         "the drive",
         ("", ""),
         [
@@ -362,8 +366,8 @@ def show(report: dict[str, Any]) -> None:
             ("recorder, messages missed", f"{live['missed']}"),
         ],
     )
-    holds = kept(report["summary"])
-    table(
+    holds = within_limits(report["summary"])
+    show_table(
         "limits",
         ("", "", "limit", "measured", ""),
         [

@@ -29,11 +29,12 @@ from shared.config import Drive, Robot, UserError, load_robot
 from shared.messages import BoardReport, Velocity, WheelState
 from shared.runners.port import PseudoTerminal
 from zenav.bench.decoding import decoding
-from zenav.bench.table import table, writable, write
 from zenav.client import Client
-from zenav.launch import Launcher, free_stack, service_command
-from zenav.stopping import Stop, stopping
-from zenav.up import run_folder
+from zenav.console.json_report import check_writable, write_report
+from zenav.console.run_folder import new_run_folder
+from zenav.console.shutdown import StopFlag, stop_on_signal
+from zenav.console.table import show_table
+from zenav.stack.launch import Launcher, free_stack, service_command
 
 AIM_COMMAND, AIM_WHEELS = 2.0, 3.0  # ms, p99
 AIM_DECODING = 1.0  # MB/s on one core
@@ -45,21 +46,21 @@ LIMITS = {"command_p99_ms": AIM_COMMAND, "wheels_p99_ms": AIM_WHEELS, "decoding_
 
 def serial(seconds: float, out: Path | None) -> int:
     """Measures for `seconds`, shows and writes the figures; 0 when the aims are met."""
-    writable(out)
-    folder = run_folder("serial")
-    with stopping() as stop:
-        delays = measured(seconds, folder, stop)
+    check_writable(out)
+    folder = new_run_folder("serial")
+    with stop_on_signal() as stop:
+        delays = measure_delays(seconds, folder, stop)
         if stop.is_set():
             return 130
-    report = figures(delays, decoding())
-    show(report)
-    write(out, report)
+    report = serial_figures(delays, decoding())
+    show_figures(report)
+    write_report(out, report)
     s = report["summary"]
     met = s["command_p99_ms"] < AIM_COMMAND and s["wheels_p99_ms"] < AIM_WHEELS
     return 0 if met and s["decoding_slowest_mb_s"] >= AIM_DECODING else 1
 
 
-def measured(seconds: float, folder: Path, stop: Stop) -> dict[str, list[float]]:
+def measure_delays(seconds: float, folder: Path, stop: StopFlag) -> dict[str, list[float]]:
     """Runs base_driver on a pseudo-terminal; the delays, s, of each command, and of each report to its WheelState.
 
     `taken` is the part of the latter until the process had the bytes. Raises UserError where it does not answer.
@@ -72,7 +73,7 @@ def measured(seconds: float, folder: Path, stop: Stop) -> dict[str, list[float]]
     with free_stack() as claim, FarEnd(link, robot) as board, Client(robot.name, claim.where) as client:
         command = service_command("base_driver", "x80sv", str(claim.where.domain), settings)
         with Launcher({"base_driver": command}, folder) as launcher:
-            commander = Commander(client, robot.drive)
+            commander = CommandPublisher(client, robot.drive)
             client.listen(topics.WHEELS, board.hear)
             launcher.start_all()
             limit, until, answered = time.monotonic() + START, 0.0, 0
@@ -154,7 +155,7 @@ class FarEnd:
         with self._lock:
             self._expected = left, right
 
-    def obeyed(self, patience: float) -> int | None:
+    def time_obeyed(self, patience: float) -> int | None:
         """ns when the bytes of what is expected had been read; None where they did not come."""
         try:
             return self._obeyed.get(timeout=patience)
@@ -176,7 +177,7 @@ class FarEnd:
                     self._obeyed.put(at)
 
 
-class Commander:
+class CommandPublisher:
     """Publishes cmd/vel in the guard's place, each time another one."""
 
     def __init__(self, client: Client, drive: Drive) -> None:
@@ -200,7 +201,7 @@ class Commander:
         left, right = board_counts(*wheel_speeds(v, w, self._drive), self._drive)
         board.expect(round(left), round(right))
         begun = self._publish(v, w)
-        at = board.obeyed(patience)
+        at = board.time_obeyed(patience)
         return (at - begun) * 1e-9 if at is not None else None
 
     def _publish(self, v: float, w: float) -> int:
@@ -210,7 +211,7 @@ class Commander:
         return now
 
 
-def figures(delays: dict[str, list[float]], rates: dict[str, dict[str, float]]) -> dict[str, Any]:
+def serial_figures(delays: dict[str, list[float]], rates: dict[str, dict[str, float]]) -> dict[str, Any]:
     """Percentiles of the delays, ms, and the decoders' rates."""
     names = {
         "command": "cmd/vel to bytes on the line",
@@ -231,14 +232,14 @@ def figures(delays: dict[str, list[float]], rates: dict[str, dict[str, float]]) 
     return {"summary": summary, "limits": LIMITS, "delays": rows, "decoding_mb_s": rates}
 
 
-def show(report: dict[str, Any]) -> None:
+def show_figures(report: dict[str, Any]) -> None:
     """The figures as tables, the aims below them."""
     s = report["summary"]
     rows = [(name, *(f"{row[p]:.2f}" for p in ("p50", "p95", "p99", "p100"))) for name, row in report["delays"].items()]
-    table(f"{s['n']} commands and reports, {s['n_lost']} lost", ("ms", "p50", "p95", "p99", "max"), rows)
+    show_table(f"{s['n']} commands and reports, {s['n_lost']} lost", ("ms", "p50", "p95", "p99", "max"), rows)
     sizes = list(next(iter(report["decoding_mb_s"].values())))
     rates = [(name, *(f"{row[size]:.1f}" for size in sizes)) for name, row in report["decoding_mb_s"].items()]
-    table("decoders on one core", ("MB/s", *(f"in readings of {size} bytes" for size in sizes)), rates)
+    show_table("decoders on one core", ("MB/s", *(f"in readings of {size} bytes" for size in sizes)), rates)
     sys.stdout.write(
         f"aims: p99 under {AIM_COMMAND:g} ms to the line and {AIM_WHEELS:g} ms from it, {AIM_DECODING:g} MB/s decoded; "
         f"the machine's load is {s['load_per_core']:.1f} a core\n"

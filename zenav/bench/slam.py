@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from shared.config import UserError, nearest
-from zenav.bench.table import table, writable, write
-from zenav.child import die_with_parent
-from zenav.up import run_folder
+from zenav.console.json_report import check_writable, write_report
+from zenav.console.run_folder import new_run_folder
+from zenav.console.table import show_table
+from zenav.stack.process_guard import die_with_parent
 
 if TYPE_CHECKING:
-    from services.mapper.registration import Registrar
+    from services.mapper.front_end.registration import Registrar
 
 # What maps and scores is imported in each log's own process: Linux counts a child's peak memory from its parent's.
 
@@ -34,7 +35,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Logged:
+class ReferenceLog:
     """A log and what it is scored against."""
 
     name: str
@@ -44,39 +45,39 @@ class Logged:
 
 def slam(directory: Path, names: Sequence[str], out: Path | None, registrar: "Registrar" = "line") -> int:
     """Maps the logs of a folder, shows the figures, writes JSON and Markdown; 0 when all were mapped and scored."""
-    logs = chosen(directory, names)
+    logs = selected_logs(directory, names)
     markdown = out and out.with_suffix(".md")
     if out is not None and out == markdown:
         raise UserError(f"{out} is where the Markdown table goes", "call the JSON file F.json")
-    writable(out)
-    writable(markdown)
-    folder = run_folder("bench-slam")
+    check_writable(out)
+    check_writable(markdown)
+    folder = new_run_folder("bench-slam")
     runs: dict[str, dict[str, Any]] = {}
     for logged in logs:
-        runs[logged.name] = run = alone(logged, folder / logged.name, registrar)
+        runs[logged.name] = run = map_in_process(logged, folder / logged.name, registrar)
         sys.stderr.write(f"{logged.name}: {run.get('trouble', 'done')}; {folder / logged.name}\n")
     figures = {name: summary(run) for name, run in runs.items() if "trouble" not in run}
     rows = [row for name, figure in figures.items() for row in rows_of(name, figure)]
-    table(f"{directory}, pictures in {folder}", COLUMNS, rows)
-    write(out, {"summary": figures, "runs": runs})
+    show_table(f"{directory}, pictures in {folder}", COLUMNS, rows)
+    write_report(out, {"summary": figures, "runs": runs})
     write_markdown(markdown, rows)
     return 0 if len(figures) == len(logs) else 1
 
 
-def chosen(directory: Path, names: Sequence[str] = ()) -> list[Logged]:
+def selected_logs(directory: Path, names: Sequence[str] = ()) -> list[ReferenceLog]:
     """The folder's logs that have a reference, by name; only `names`, where there are any.
 
     Raises UserError where there is none, or a name is not among them.
     """
     if not directory.is_dir():
         raise UserError(f"there is no folder {directory}", "give the folder that holds the logs")
-    found: dict[str, Logged] = {}
+    found: dict[str, ReferenceLog] = {}
     for suffix in LOGS:
         for log in directory.glob(f"*{suffix}"):
             name = log.name.removesuffix(suffix)
             references = tuple(path for end in REFERENCES if (path := directory / f"{name}{end}").is_file())
             if references:
-                found.setdefault(name, Logged(name, log, references))
+                found.setdefault(name, ReferenceLog(name, log, references))
     if not found:
         raise UserError(
             f"{directory} holds no log with a reference", "NAME.log.gz or NAME.log, and NAME.relations or NAME.ref.tum"
@@ -87,12 +88,12 @@ def chosen(directory: Path, names: Sequence[str] = ()) -> list[Logged]:
     return [found[name] for name in sorted(found) if name in (names or found)]
 
 
-def alone(logged: Logged, folder: Path, registrar: "Registrar" = "line") -> dict[str, Any]:
+def map_in_process(logged: ReferenceLog, folder: Path, registrar: "Registrar" = "line") -> dict[str, Any]:
     """`measured` in a process of its own. A process that dies gives a report with `trouble`."""
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(1, context, die_with_parent, (os.getpid(),))
     try:
-        return pool.submit(measured, logged, folder, registrar).result()
+        return pool.submit(map_log, logged, folder, registrar).result()
     except BrokenProcessPool:
         return {"trouble": "its process died"}
     finally:  # an interrupt does not wait for a log, which takes a minute
@@ -101,20 +102,22 @@ def alone(logged: Logged, folder: Path, registrar: "Registrar" = "line") -> dict
         pool.shutdown(cancel_futures=True)
 
 
-def measured(logged: Logged, folder: Path, registrar: "Registrar" = "line") -> dict[str, Any]:
+def map_log(logged: ReferenceLog, folder: Path, registrar: "Registrar" = "line") -> dict[str, Any]:
     """Maps one log into a folder: the report of `zenav slam`, the `errors` by kind of pair, peak `memory_mb`.
 
     Only `trouble`, what was wrong, where that failed: the other logs are to be measured all the same.
     """
     import shared.repeatable  # noqa: F401  # a spawned process begins here
-    from zenav.slam import registering
-    from zenav.slam import slam as mapped
-    from zenav.slam_error import score
+    from zenav.slam.offline_slam import config_with_registrar
+    from zenav.slam.offline_slam import offline_slam as mapped
+    from zenav.slam.slam_error import slam_errors
 
     try:
-        report = mapped(logged.log, folder, config=registering(registrar))
+        report = mapped(logged.log, folder, config=config_with_registrar(registrar))
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # before scoring takes some
-        found = {kind: row for path in logged.references for kind, row in score(folder / TRAJECTORY, path).items()}
+        found = {
+            kind: row for path in logged.references for kind, row in slam_errors(folder / TRAJECTORY, path).items()
+        }
     except UserError as error:
         return {"trouble": error.what}
     except Exception as error:
@@ -156,10 +159,10 @@ def write_markdown(out: Path | None, rows: list[tuple[str, ...]]) -> None:
     """Writes the table as Markdown. Raises UserError where the file refuses."""
     if out is None:
         return
-    from zenav.docs import table as lines_of
+    from zenav.console.table import markdown_table
 
     try:
-        out.write_text("\n".join(lines_of(COLUMNS, rows)) + "\n", encoding="utf-8")
+        out.write_text("\n".join(markdown_table(COLUMNS, rows)) + "\n", encoding="utf-8")
     except OSError as error:
         raise UserError(f"cannot write {out}: {error.strerror}", "choose another --out") from None
     sys.stderr.write(f"{out}\n")

@@ -8,17 +8,17 @@ import numpy as np
 
 from shared.config import Robot, UserError, load_robot
 from shared.ros_map import replace_file
+from shared.types import Float64s
 from zenav.calibrate import laser as laser_
 from zenav.calibrate import motor_response, motors, odometry, report
-from zenav.calibrate.chart import Chart, figure
-from zenav.calibrate.hand_eye import Solution, doubts
-from zenav.calibrate.log import Log, read
+from zenav.calibrate.hand_eye import HandEyeSolution, uncertain_values
+from zenav.calibrate.log import CalibrationLog, read_calibration_log
 from zenav.calibrate.manoeuvre import ready, square, stand, umbmark_drive
-from zenav.calibrate.motor_test import motor_drive, room
+from zenav.calibrate.motor_test import motor_drive, stopping_room
 from zenav.calibrate.odometry import BasePoses, Squares
-from zenav.calibrate.robot_file import Values, to_paste, write
-from zenav.calibrate.rolling import Float64s
+from zenav.calibrate.robot_file import Values, write, yaml_snippet
 from zenav.calibrate.scan_track import ScanTrack
+from zenav.render.chart import Chart, charts_png
 
 TURN_RATE = 1.0  # rad/s on the spot at most
 SPEED = 0.3  # m/s of a square's sides
@@ -40,7 +40,7 @@ def calibrate_odometry(
     known_robot = load_robot(robot).robot
     ends: Float64s | None = None
     if recording is not None:
-        log = read(recording, known_robot)
+        log = read_calibration_log(recording, known_robot)
     else:
         log, ends = _driven_squares(known_robot, stack, side, n_runs, measured, yes)
     solution, track, why_not = _solution(log, known_robot, method)
@@ -57,7 +57,7 @@ def calibrate_odometry(
                 raise
     if solution is None and squares is None:
         raise why_not
-    after = report.odometry_told(log, known_robot, known, squares, solution, why_not if method != "umbmark" else None)
+    after = report.print_odometry(log, known_robot, known, squares, solution, why_not if method != "umbmark" else None)
     values: Values = {
         "robot.drive.wheel_radius": round(after.radius, 5),
         "robot.drive.wheel_radius_ratio": round(after.ratio, 5),
@@ -66,17 +66,17 @@ def calibrate_odometry(
     if solution is None:
         values = {key: value for key, value in values.items() if key != "robot.drive.wheel_radius"}
     picture = odometry.charts(log, known_robot, known, squares, after)
-    return _ended(robot, known_robot, values, picture, "odometry", writes)
+    return _write_results(robot, known_robot, values, picture, "odometry", writes)
 
 
 def calibrate_laser(robot: str, recording: Path, writes: bool) -> int:
     """The laser's mount, of a recording."""
     known_robot = load_robot(robot).robot
-    log = read(recording, known_robot)
+    log = read_calibration_log(recording, known_robot)
     solution, pieces, _ = odometry.by_scans(log, known_robot)
-    if open_ := [doubt for doubt in doubts(solution) if doubt.startswith("mount")]:
+    if open_ := [doubt for doubt in uncertain_values(solution) if doubt.startswith("mount")]:
         raise UserError(open_[0], "record for longer, with more turns on the spot and more metres straight on")
-    report.laser_told(known_robot, solution, pieces)
+    report.print_laser(known_robot, solution, pieces)
     x, y, yaw = (float(v) for v in solution.mount)
     values = {
         "robot.laser.mount.x": round(x, 4) + 0.0,  # no -0.0
@@ -84,12 +84,12 @@ def calibrate_laser(robot: str, recording: Path, writes: bool) -> int:
         "robot.laser.mount.yaw": round(yaw, 5) + 0.0,
     }
     picture = laser_.charts(log, known_robot, solution, pieces)
-    return _ended(robot, known_robot, values, picture, "laser", writes)
+    return _write_results(robot, known_robot, values, picture, "laser", writes)
 
 
 def calibrate_motors(robot: str, stack: str, blocks: bool, speed: float | None, writes: bool, yes: bool) -> int:
     """Directions, dead band, step response and braking, driven now."""
-    from zenav.calibrate.live import Operator, confirmed
+    from zenav.calibrate.live import ManoeuvreRunner, confirm
 
     known_robot = load_robot(robot).robot
     drive = known_robot.drive
@@ -98,32 +98,32 @@ def calibrate_motors(robot: str, stack: str, blocks: bool, speed: float | None, 
         what = "On blocks, wheels in the air: each wheel turns alone, then both, up to 0.2 m/s, for half a minute."
     else:
         what = (
-            f"On free floor, {room(drive, speed):.1f} m ahead and 1 m around: the robot turns on the spot, and drives "
-            f"{motors_stops()} times at {speed:g} m/s into STOP, to and fro; about a minute."
+            f"On free floor, {stopping_room(drive, speed):.1f} m ahead and 1 m around: the robot turns on the spot, "
+            f"and drives {motor_stops()} times at {speed:g} m/s into STOP, to and fro; about a minute."
         )
-    confirmed(what, yes)
-    with Operator(known_robot, stack) as operator:
+    confirm(what, yes)
+    with ManoeuvreRunner(known_robot, stack) as operator:
         phases = operator.perform(motor_drive(drive, blocks, speed))
         log = operator.log
-    found = motor_response.turned(log, phases, drive)
+    found = motor_response.wheel_turns(log, phases, drive)
     if not blocks:
         found = motors.by_motion(found, log, phases, known_robot)
     elif sys.stdin.isatty():
-        found = motors.looked(found, [asked(t) for t in found])
+        found = motors.with_answers(found, [ask_answers(t) for t in found])
     answers = motor_response.lags(log, phases, drive)
     stops = motor_response.brakings(log, phases, drive)
     values: dict[str, float | int] = {}
     if motor_response.reversed_motors(found):
         values["robot.drive.motor_direction"] = -drive.motor_direction
-    if (braking := motors.reached(stops)) is not None:
+    if (braking := motors.reached_braking(stops)) is not None:
         values["robot.drive.max_braking"] = braking
     wrong = motor_response.directions(found, drive)
-    report.motors_told(drive, found, wrong, answers, stops, motor_response.dead_band(log, phases, drive))
-    _ended(robot, known_robot, values, motors.charts(log, phases, known_robot, answers), "motors", writes)
+    report.print_motors(drive, found, wrong, answers, stops, motor_response.dead_band(log, phases, drive))
+    _write_results(robot, known_robot, values, motors.charts(log, phases, known_robot, answers), "motors", writes)
     return 1 if wrong else 0
 
 
-def motors_stops() -> int:
+def motor_stops() -> int:
     """How often STOP is tried."""
     from zenav.calibrate.motor_test import N_STOPS
 
@@ -132,21 +132,21 @@ def motors_stops() -> int:
 
 def _driven_squares(
     robot: Robot, stack: str, side: float, n_runs: int, measured: bool, yes: bool
-) -> tuple[Log, Float64s | None]:
+) -> tuple[CalibrationLog, Float64s | None]:
     """The log of squares that are driven now, and their ends where people measure them."""
-    from zenav.calibrate.live import Operator, confirmed
+    from zenav.calibrate.live import ManoeuvreRunner, confirm
 
     if measured and not sys.stdin.isatty():
         raise UserError("--measured needs somebody to type what was measured", "run it in a terminal, or leave it out")
     drive, speed = robot.drive, min(SPEED, robot.drive.max_speed)
     rate = min(TURN_RATE, drive.max_turn_rate / 2)
     minutes = 2 * n_runs * (4 * side / speed + 25) / 60
-    confirmed(
+    confirm(
         f"The robot drives a square of {side:g} m {n_runs} times each way round, about {minutes:.0f} minutes.\n"
         f"It needs free floor: {side + 0.5:g} m ahead, and as much to its left and to its right.",
         yes,
     )
-    with Operator(robot, stack) as operator:
+    with ManoeuvreRunner(robot, stack) as operator:
         if not measured:
             operator.perform(umbmark_drive(side, n_runs, speed, rate, drive, again=True))
             return operator.log, None
@@ -156,12 +156,14 @@ def _driven_squares(
             operator.perform(stand(1.5, f"square {i + 1} of {2 * n_runs}"))
             operator.perform(square(side, i % 2 == 0, speed, rate, drive))
             operator.perform(stand(1.5))
-            ends.append(typed_end())
+            ends.append(read_end_pose())
         operator.perform(ready())
         return operator.log, np.array(ends)
 
 
-def _solution(log: Log, robot: Robot, method: str) -> tuple[Solution | None, ScanTrack | None, UserError]:
+def _solution(
+    log: CalibrationLog, robot: Robot, method: str
+) -> tuple[HandEyeSolution | None, ScanTrack | None, UserError]:
     """(solution, track of the scans, error to raise where no other method has a solution); None where the scans fail.
 
     Raises UserError where `method` is "scans" and has no certain solution.
@@ -175,7 +177,7 @@ def _solution(log: Log, robot: Robot, method: str) -> tuple[Solution | None, Sca
         if method == "scans":
             raise
         return None, None, error
-    open_ = [doubt for doubt in doubts(solution) if doubt.startswith("wheel")]
+    open_ = [doubt for doubt in uncertain_values(solution) if doubt.startswith("wheel")]
     if not open_:
         return solution, track, nothing
     unsure = UserError(open_[0], "record for longer, with more turns on the spot and more metres straight on")
@@ -184,21 +186,21 @@ def _solution(log: Log, robot: Robot, method: str) -> tuple[Solution | None, Sca
     return None, track, unsure
 
 
-def _ended(robot: str, before: Robot, values: Values, charts: list[Chart], name: str, writes: bool) -> int:
+def _write_results(robot: str, before: Robot, values: Values, charts: list[Chart], name: str, writes: bool) -> int:
     """Writes the plot, the YAML, and the robot's file where it is wanted."""
-    from zenav.up import run_folder
+    from zenav.console.run_folder import new_run_folder
 
-    place = run_folder("calibrate") / f"{name}.png"
-    replace_file(place, figure(charts))
-    report.tell(f"plot: {place}")
-    sys.stdout.write(to_paste(values, before))
+    place = new_run_folder("calibrate") / f"{name}.png"
+    replace_file(place, charts_png(charts))
+    report.print_line(f"plot: {place}")
+    sys.stdout.write(yaml_snippet(values, before))
     if writes and values:
         path = write(robot, values)
         sys.stderr.write(f"{path} is written; restart the stack to use it\n")
     return 0
 
 
-def asked(turned: motor_response.Turned) -> str:
+def ask_answers(turned: motor_response.WheelTurn) -> str:
     """What people saw turn, as a key of motors.KEYS, or nothing."""
     way = "forward" if turned.asked > 0 else "backward"
     while True:
@@ -210,7 +212,7 @@ def asked(turned: motor_response.Turned) -> str:
             return told
 
 
-def typed_end() -> tuple[float, float]:
+def read_end_pose() -> tuple[float, float]:
     """Where the robot ended, as measured with a tape."""
     while True:
         told = _line("Where is it now, from the mark? X Y in m, X along the first side, Y to its left: ").split()

@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 
 from shared.config import UserError
 from shared.geometry import wrapped
-from zenav.calibrate.rolling import Rolled, Wheels, between, composed
+from shared.types import Bools, Float64s
+from zenav.calibrate.rolling import WheelGeometry, WheelTravel, composed_poses, relative_poses
 from zenav.calibrate.scan_track import ScanTrack
-
-Float64s = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 STEP = 0.3  # m driven that make an interval: slips of one spell fall into one interval, not into two
 STEP_TURN = 0.5  # rad turned that make one
@@ -33,21 +31,21 @@ NAMES = ("left radius", "right radius", "wheel distance", "laser x", "laser y", 
 
 
 @dataclass(frozen=True, slots=True)
-class Intervals:
+class MotionIntervals:
     """Pieces of a drive. path: the wheels, sampled at each piece's ends begin and end (n,), indices into it.
 
     laser: (n, 3) the laser's motion in each piece by its scans, yaw not wrapped.
     """
 
-    path: Rolled
+    path: WheelTravel
     begin: NDArray[np.intp]
     end: NDArray[np.intp]
     laser: Float64s
 
-    def base(self, wheels: Wheels) -> Float64s:
+    def base(self, wheels: WheelGeometry) -> Float64s:
         """(n, 3) the base's motion in each piece, had it these wheels."""
         poses = self.path.poses(wheels)
-        return between(poses[self.begin], poses[self.end])
+        return relative_poses(poses[self.begin], poses[self.end])
 
     def turned(self) -> tuple[Float64s, Float64s]:
         """(n,) rad by which each wheel turned in each piece."""
@@ -56,19 +54,19 @@ class Intervals:
             self.path.right[self.end] - self.path.right[self.begin],
         )
 
-    def only(self, chosen: Bools) -> "Intervals":
+    def only(self, chosen: Bools) -> "MotionIntervals":
         """Some of the pieces."""
-        return Intervals(self.path, self.begin[chosen], self.end[chosen], self.laser[chosen])
+        return MotionIntervals(self.path, self.begin[chosen], self.end[chosen], self.laser[chosen])
 
 
 @dataclass(frozen=True, slots=True)
-class Solution:
+class HandEyeSolution:
     """What fits best: wheels, mount (3,) base_from_laser, and covariance (6, 6) in the order of NAMES.
 
     residuals: (n, 3) m, m, rad, the laser's motion less what wheels and mount make of it.
     """
 
-    wheels: Wheels
+    wheels: WheelGeometry
     mount: Float64s
     covariance: Float64s
     residuals: Float64s
@@ -94,7 +92,7 @@ class Solution:
         return sqrt(max(float(gradient @ self.covariance @ gradient), 0.0))
 
 
-def intervals(rolled: Rolled, track: ScanTrack) -> Intervals:
+def intervals(rolled: WheelTravel, track: ScanTrack) -> MotionIntervals:
     """Cuts a drive into pieces of enough motion, from scan to scan. Raises UserError where it does not hold enough."""
     path = rolled.with_samples(track.stamps)
     index = np.searchsorted(path.stamps, track.stamps)
@@ -115,15 +113,18 @@ def intervals(rolled: Rolled, track: ScanTrack) -> Intervals:
                 pairs.append((begin, i))
         begin, travel, turn = i, 0.0, 0.0
     chosen = np.array(pairs, np.intp).reshape(-1, 2)
-    chosen = chosen[rolled.known(track.stamps[chosen[:, 0]], track.stamps[chosen[:, 1]])]
-    found = Intervals(
-        path, index[chosen[:, 0]], index[chosen[:, 1]], between(track.poses[chosen[:, 0]], track.poses[chosen[:, 1]])
+    chosen = chosen[rolled.is_known(track.stamps[chosen[:, 0]], track.stamps[chosen[:, 1]])]
+    found = MotionIntervals(
+        path,
+        index[chosen[:, 0]],
+        index[chosen[:, 1]],
+        relative_poses(track.poses[chosen[:, 0]], track.poses[chosen[:, 1]]),
     )
     _enough(found)
     return found
 
 
-def _enough(found: Intervals) -> None:
+def _enough(found: MotionIntervals) -> None:
     """Raises UserError where a drive does not determine the six numbers."""
     travel = float(np.hypot(found.laser[:, 0], found.laser[:, 1]).sum())
     turning = float(np.abs(found.laser[:, 2]).sum())
@@ -147,7 +148,7 @@ def _enough(found: Intervals) -> None:
         )
 
 
-def closed_form(pieces: Intervals) -> tuple[Wheels, Float64s] | None:
+def closed_form(pieces: MotionIntervals) -> tuple[WheelGeometry, Float64s] | None:
     """Wheels and mount (3,) by linear least squares; None where the motion does not determine them.
 
     Turning gives radius over distance for each wheel. With these, the path is known up to the distance b.
@@ -159,7 +160,7 @@ def closed_form(pieces: Intervals) -> tuple[Wheels, Float64s] | None:
     shares, _, rank, _ = np.linalg.lstsq(wheels, pieces.laser[:, 2], rcond=1e-6)
     if rank < 2 or abs(shares[1] - shares[0]) < 1e-9:
         return None
-    unit = pieces.base(Wheels(-shares[0], shares[1], 1.0))
+    unit = pieces.base(WheelGeometry(-shares[0], shares[1], 1.0))
     c, s = np.cos(unit[:, 2]), np.sin(unit[:, 2])
     mx, my = pieces.laser[:, 0], pieces.laser[:, 1]
     rows = np.concatenate(
@@ -179,24 +180,26 @@ def closed_form(pieces: Intervals) -> tuple[Wheels, Float64s] | None:
     if distance < 0:
         distance, x, y, heading = -distance, -x, -y, -heading
     yaw = float(np.arctan2(heading[1], heading[0]))
-    return Wheels(float(-shares[0] * distance), float(shares[1] * distance), float(distance)), np.array((x, y, yaw))
+    return WheelGeometry(float(-shares[0] * distance), float(shares[1] * distance), float(distance)), np.array(
+        (x, y, yaw)
+    )
 
 
-def predicted(pieces: Intervals, wheels: Wheels, mount: Float64s) -> Float64s:
+def predicted_motion(pieces: MotionIntervals, wheels: WheelGeometry, mount: Float64s) -> Float64s:
     """(n, 3) the laser's motion in each piece, had the robot these wheels and this base_from_laser (3,)."""
     base = pieces.base(wheels)
-    moved = composed(base, mount)
-    return between(np.broadcast_to(mount, moved.shape), moved)
+    moved = composed_poses(base, mount)
+    return relative_poses(np.broadcast_to(mount, moved.shape), moved)
 
 
-def residuals(pieces: Intervals, wheels: Wheels, mount: Float64s) -> Float64s:
+def residuals(pieces: MotionIntervals, wheels: WheelGeometry, mount: Float64s) -> Float64s:
     """(n, 3) m, m, rad: by the scans less `predicted`."""
-    off = pieces.laser - predicted(pieces, wheels, mount)
+    off = pieces.laser - predicted_motion(pieces, wheels, mount)
     off[:, 2] = (off[:, 2] + pi) % (2 * pi) - pi
     return off
 
 
-def solved(pieces: Intervals, wheels: Wheels, mount: Float64s) -> Solution:
+def solve(pieces: MotionIntervals, wheels: WheelGeometry, mount: Float64s) -> HandEyeSolution:
     """The best wheels and mount; `wheels` and `mount` (3,) are what is believed so far.
 
     Raises UserError where the motion leaves them open, or a wheel counts backwards.
@@ -210,16 +213,16 @@ def solved(pieces: Intervals, wheels: Wheels, mount: Float64s) -> Solution:
     match, slip = 1.0, SLIP
 
     def cost(p: Float64s) -> Float64s:
-        off = residuals(pieces, Wheels(*p[:3]), p[3:])
+        off = residuals(pieces, WheelGeometry(*p[:3]), p[3:])
         return np.asarray(np.einsum("nij,nj->ni", whitening, off).ravel())
 
     for _ in range(3):  # the second and third time with the scatter that the one before found
-        covariances = _scatter(pieces, Wheels(*starts[0][:3]), starts[0][3:])
+        covariances = _scatter(pieces, WheelGeometry(*starts[0][:3]), starts[0][3:])
         whitening = np.linalg.inv(np.linalg.cholesky(match * covariances[0] + slip * covariances[1]))
         fits = [least_squares(cost, p, loss="soft_l1", f_scale=ROBUST, x_scale=x_scale) for p in starts]
         best = min(fits, key=lambda fit: float(fit.cost))
         starts = [best.x]
-        match, slip = _noise(residuals(pieces, Wheels(*best.x[:3]), best.x[3:]), *covariances, match, slip)
+        match, slip = _noise(residuals(pieces, WheelGeometry(*best.x[:3]), best.x[3:]), *covariances, match, slip)
     information = best.jac.T @ best.jac
     _observed(information, x_scale)
     # all lengths negative, and the laser turned about: the same motion. Distances are positive
@@ -228,9 +231,9 @@ def solved(pieces: Intervals, wheels: Wheels, mount: Float64s) -> Solution:
     n = 3 * len(pieces.begin)
     covariance = np.linalg.inv(information) * np.outer(mirror, mirror) * n / (n - 6)
     yaw = wrapped(float(x[5]) + (pi if best.x[2] < 0 else 0.0))
-    found, place = Wheels(*(float(v) for v in x[:3])), np.array((x[3], x[4], yaw))
+    found, place = WheelGeometry(*(float(v) for v in x[:3])), np.array((x[3], x[4], yaw))
     _forward(found)
-    return Solution(found, place, covariance, residuals(pieces, found, place), slip)
+    return HandEyeSolution(found, place, covariance, residuals(pieces, found, place), slip)
 
 
 def _noise(off: Float64s, scans: Float64s, wheels: Float64s, match: float, slip: float) -> tuple[float, float]:
@@ -249,7 +252,7 @@ def _noise(off: Float64s, scans: Float64s, wheels: Float64s, match: float, slip:
     return float(np.exp(fit.x[0])), float(np.exp(fit.x[1]))
 
 
-def _scatter(pieces: Intervals, wheels: Wheels, mount: Float64s) -> tuple[Float64s, Float64s]:
+def _scatter(pieces: MotionIntervals, wheels: WheelGeometry, mount: Float64s) -> tuple[Float64s, Float64s]:
     """Covariances (n, 3, 3) of the residuals: of the scans' noise, and of 1 m^2 of slip for each m that a wheel rolls.
 
     Slip moves the base forward and turns it, halfway through the piece; the laser swings with it.
@@ -284,7 +287,7 @@ def _observed(information: Float64s, scale: Float64s) -> None:
         )
 
 
-def _forward(wheels: Wheels) -> None:
+def _forward(wheels: WheelGeometry) -> None:
     for name, radius in (("left", wheels.left_radius), ("right", wheels.right_radius)):
         if radius <= 0:
             raise UserError(
@@ -293,7 +296,7 @@ def _forward(wheels: Wheels) -> None:
             )
 
 
-def doubts(found: Solution) -> list[str]:
+def uncertain_values(found: HandEyeSolution) -> list[str]:
     """What is not known well enough to be written, in words; empty where all is."""
     limits = {"wheel_radius": (found.sigma_radius / found.wheels.radius, 0.02),
               "wheel_radius_ratio": (found.sigma_ratio, 0.02),
@@ -303,6 +306,6 @@ def doubts(found: Solution) -> list[str]:
     return [f"{name} is known to {sigma:.3f} only" for name, (sigma, limit) in limits.items() if sigma > limit]
 
 
-def turned_by(mount: Float64s, other: Float64s) -> tuple[float, float]:
+def mount_difference(mount: Float64s, other: Float64s) -> tuple[float, float]:
     """m and rad between two mounts (3,)."""
     return hypot(mount[0] - other[0], mount[1] - other[1]), abs(wrapped(float(mount[2] - other[2])))

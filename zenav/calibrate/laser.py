@@ -5,11 +5,12 @@ import numpy as np
 
 from shared.config import Robot
 from shared.messages import LaserScan
-from zenav.calibrate.chart import AFTER, BEFORE, Chart
-from zenav.calibrate.hand_eye import Intervals, Solution, residuals
-from zenav.calibrate.log import Log
+from shared.types import Float64s
+from zenav.calibrate.hand_eye import HandEyeSolution, MotionIntervals, residuals
+from zenav.calibrate.log import CalibrationLog
 from zenav.calibrate.odometry import mount_of
-from zenav.calibrate.rolling import Float64s, Wheels, composed
+from zenav.calibrate.rolling import WheelGeometry, composed_poses
+from zenav.render.chart import AFTER, BEFORE, Chart
 
 SHOWN = 25  # scans whose points are drawn
 TURNING = 1.5  # rad that these scans turn by, if the drive has it: a wrong mount shows when the robot turns
@@ -22,21 +23,21 @@ def rms(off: Float64s) -> tuple[float, float]:
     return float(np.sqrt(np.mean(way[:n] ** 2))), float(np.sqrt(np.mean(turn[:n] ** 2)))
 
 
-def charts(log: Log, robot: Robot, found: Solution, pieces: Intervals) -> list[Chart]:
+def charts(log: CalibrationLog, robot: Robot, found: HandEyeSolution, pieces: MotionIntervals) -> list[Chart]:
     """How far off each piece of the drive was, and the walls as the robot saw them, with the old mount and the new."""
     before = residuals(pieces, found.wheels, mount_of(robot))
     spread = Chart("Each piece of the way: scans less wheels", "forward of the laser, mm", "to its left, mm", True)
     spread.dots(1e3 * before[:, 0], 1e3 * before[:, 1], BEFORE, "mount before")
     spread.dots(1e3 * found.residuals[:, 0], 1e3 * found.residuals[:, 1], AFTER, "mount after")
-    scans = turning_scans(log, found.wheels)
+    scans = scans_while_turning(log, found.wheels)
     walls = Chart("The walls while the robot turns", "x, m", "y, m", True)
     for mount, colour, name in ((mount_of(robot), BEFORE, "mount before"), (found.mount, AFTER, "mount after")):
-        points = seen(scans, log, found.wheels, mount)
+        points = scan_points(scans, log, found.wheels, mount)
         walls.dots(points[:, 0], points[:, 1], colour, name)
     return [spread, walls]
 
 
-def turning_scans(log: Log, wheels: Wheels) -> list[LaserScan]:
+def scans_while_turning(log: CalibrationLog, wheels: WheelGeometry) -> list[LaserScan]:
     """Some scans in a row, while the robot turns most."""
     stamps = np.array([scan.stamp for scan in log.scans], np.int64)
     poses = log.rolled.with_samples(stamps)
@@ -48,14 +49,14 @@ def turning_scans(log: Log, wheels: Wheels) -> list[LaserScan]:
     return log.scans[first : first + n]
 
 
-def seen(scans: list[LaserScan], log: Log, wheels: Wheels, mount: Float64s) -> Float64s:
+def scan_points(scans: list[LaserScan], log: CalibrationLog, wheels: WheelGeometry, mount: Float64s) -> Float64s:
     """(n, 2) m: the scans' points where wheels and mount put them, each beam at its own time."""
     points = []
     stamps = [s.stamp + np.linspace(0, s.scan_time * 1e9, len(s.ranges)).astype(np.int64) for s in scans]
     path = log.rolled.with_samples(np.unique(np.concatenate(stamps)))
     poses = path.poses(wheels)
     for scan, times in zip(scans, stamps):
-        laser = composed(poses[np.searchsorted(path.stamps, times)], mount)
+        laser = composed_poses(poses[np.searchsorted(path.stamps, times)], mount)
         ranges = np.where((scan.ranges > scan.range_min) & (scan.ranges < scan.range_max), scan.ranges, np.nan)
         angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges)) + laser[:, 2]
         points.append(laser[:, :2] + ranges[:, None] * np.column_stack((np.cos(angles), np.sin(angles))))

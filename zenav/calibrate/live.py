@@ -9,11 +9,11 @@ from typing import Any
 from shared import topics
 from shared.config import Robot, UserError
 from shared.messages import EmergencyStop, Message, NavState, Velocity
-from shared.runners.transport import where_from
-from zenav.calibrate.log import KEPT, Log
-from zenav.calibrate.manoeuvre import HZ, Ask, Manoeuvre, Seen, T
+from shared.runners.transport import stack_address
+from zenav.calibrate.log import TOPICS, CalibrationLog
+from zenav.calibrate.manoeuvre import HZ, Manoeuvre, StackState, T, VelocityStep
 from zenav.client import Client
-from zenav.stopping import Stop, stopping
+from zenav.console.shutdown import StopFlag, stop_on_signal
 
 BY = "zenav calibrate"
 WAIT = 5.0  # s for the stack to answer
@@ -21,7 +21,7 @@ BUSY = (NavState.NAVIGATING, NavState.EXPLORING, NavState.RECOVERING)
 LAST_WORDS = 5  # zeros that are sent at the end, one a step: a lost one must not matter
 
 
-def confirmed(what: str, yes: bool) -> None:
+def confirm(what: str, yes: bool) -> None:
     """Shows the operator what the robot will do, and asks. Raises UserError where the answer is not yes."""
     sys.stderr.write(f"{what}\nCtrl-C stops it at any time; keep the STOP button at hand.\n")
     if yes:
@@ -34,21 +34,21 @@ def confirmed(what: str, yes: bool) -> None:
         raise UserError("not started", "answer y when the floor is free")
 
 
-class Operator:
+class ManoeuvreRunner:
     """A session that drives manoeuvres and keeps what is heard meanwhile."""
 
     def __init__(self, robot: Robot, stack: str) -> None:
-        self.log = Log()
-        self._client = Client(robot.name, where_from(stack))
+        self.log = CalibrationLog()
+        self._client = Client(robot.name, stack_address(stack))
         self._lock = threading.Lock()
         self._pressed = False  # by us
         self._others = False  # somebody else pressed STOP
 
-    def __enter__(self) -> "Operator":
+    def __enter__(self) -> "ManoeuvreRunner":
         self._client.__enter__()
-        for topic in KEPT:
+        for topic in TOPICS:
             self._client.listen(topic, lambda message, _: self._keep(message))
-        self._client.follow(topics.ODOM, topics.POSE, topics.GUARD, topics.NAV)
+        self._client.follow(topics.ODOM, topics.POSE, topics.GUARD, topics.NAV_STATUS)
         self._client.listen(topics.ESTOP, lambda stop, _: self._hear(stop))
         return self
 
@@ -63,10 +63,10 @@ class Operator:
         client = self._client
         if client.wait(topics.GUARD, lambda _: True, WAIT) is None:
             raise UserError("the guard does not answer", "start the stack: zenav up")
-        nav = client.latest(topics.NAV) or client.kept(topics.NAV, 1.0)
+        nav = client.latest(topics.NAV_STATUS) or client.latched_value(topics.NAV_STATUS, 1.0)
         if nav is not None and nav.state in BUSY:
             raise UserError(f"the robot is {nav.state}", "end its task first: zenav cancel")
-        with stopping() as stop:
+        with stop_on_signal() as stop:
             try:
                 return self._performed(manoeuvre, stop)
             except KeyboardInterrupt:
@@ -75,7 +75,7 @@ class Operator:
             finally:
                 self._stand()
 
-    def _performed(self, manoeuvre: Manoeuvre[T], stop: Stop) -> T:
+    def _performed(self, manoeuvre: Manoeuvre[T], stop: StopFlag) -> T:
         ask, due = next(manoeuvre), time.monotonic()
         while True:
             self._send(ask)
@@ -89,11 +89,11 @@ class Operator:
             except StopIteration as end:
                 return end.value  # type: ignore[no-any-return]  # the generator's own type
 
-    def _seen(self) -> Seen:
+    def _seen(self) -> StackState:
         latest = self._client.latest
-        return Seen(self._client.now(), latest(topics.ODOM), latest(topics.POSE), latest(topics.GUARD))
+        return StackState(self._client.now(), latest(topics.ODOM), latest(topics.POSE), latest(topics.GUARD))
 
-    def _send(self, ask: Ask) -> None:
+    def _send(self, ask: VelocityStep) -> None:
         client = self._client
         if ask.say:
             sys.stderr.write(f"{ask.say}\n")
@@ -113,7 +113,7 @@ class Operator:
 
     def _keep(self, message: Message) -> None:
         with self._lock:
-            self.log.take(message)
+            self.log.add(message)
 
     def _hear(self, stop: EmergencyStop) -> None:
         self._others = stop.pressed and (stop.by != BY or self._others)

@@ -5,9 +5,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from shared import topics
 from shared.codec import CodecError, decode
 from shared.config import Laser, Robot, UserError
@@ -15,19 +12,17 @@ from shared.geometry import Pose2
 from shared.messages import LaserScan, Message, MotorCommand, PoseEstimate, Truth, Velocity, WheelState
 from shared.recording import Recording
 from shared.topics import Topic
-from zenav.calibrate.rolling import Rolled
+from shared.types import NS_PER_S
+from zenav.calibrate.rolling import WheelTravel
 
-Float64s = NDArray[np.float64]
-
-KEPT: tuple[Topic[Any], ...] = (
+TOPICS: tuple[Topic[Any], ...] = (
     topics.WHEELS, topics.SCAN, topics.POSE, topics.TRUTH, topics.CMD_VEL, topics.MOTORS,
 )  # fmt: skip
-SECOND = 1_000_000_000
-SET_BACK = SECOND  # ns that a stamp may lie before the last one's until it is another run of the clock
+CLOCK_RESET_S = NS_PER_S  # ns that a stamp may lie before the last one's until it is another run of the clock
 
 
 @dataclass
-class Log:
+class CalibrationLog:
     """The messages of one drive. `take` files one; whatever comes late or twice is left out."""
 
     wheels: list[WheelState] = field(default_factory=list)
@@ -38,7 +33,7 @@ class Log:
     motors: list[MotorCommand] = field(default_factory=list)
     n_late: int = 0
 
-    def take(self, message: Message) -> None:
+    def add(self, message: Message) -> None:
         """Files a message of one of the KEPT topics."""
         place = self._place(message)
         if place and message.stamp <= place[-1].stamp:
@@ -54,33 +49,33 @@ class Log:
         return places[type(message)]
 
     @property
-    def rolled(self) -> Rolled:
+    def rolled(self) -> WheelTravel:
         """How the wheels turned. Raises UserError where there is nothing."""
         if len(self.wheels) < 2:
             raise UserError("there are no wheel states", "record base/wheels: is base_driver running?")
-        return Rolled.of(self.wheels)
+        return WheelTravel.of(self.wheels)
 
-    def during(self, begin: int, end: int) -> "Log":
+    def during(self, begin: int, end: int) -> "CalibrationLog":
         """The part of the log from `begin` to `end` (ns), both included."""
-        part = Log()
+        part = CalibrationLog()
         for messages in (self.wheels, self.scans, self.poses, self.truth, self.commands, self.motors):
             for message in messages:
                 if begin <= message.stamp <= end:
-                    part.take(message)
+                    part.add(message)
         return part
 
 
-def read(path: Path, robot: Robot) -> Log:
+def read_calibration_log(path: Path, robot: Robot) -> CalibrationLog:
     """The log in a recording of this robot. Raises UserError where it is damaged beyond use, or another robot's."""
     recording = Recording(path)
     name = recording.about.get("robot", "")
     if name and name != robot.name:
         raise UserError(f"{path} is a recording of {name}, not of {robot.name}", "name its robot: --robot")
-    log = Log()
-    for entry in recording.entries([topic.key for topic in KEPT]):
+    log = CalibrationLog()
+    for entry in recording.entries([topic.key for topic in TOPICS]):
         topic = topics.BY_KEY[entry.key]
         try:
-            log.take(decode(topic.type, entry.payload)[0])
+            log.add(decode(topic.type, entry.payload)[0])
         except CodecError:
             continue  # a message of another version, or damaged: the others count
     if not log.wheels and not log.scans:
@@ -105,7 +100,7 @@ def same_laser(scans: list[LaserScan], laser: Laser) -> None:
         )
 
 
-def true_poses(log: Log) -> tuple[list[int], list[Pose2]]:
+def true_poses(log: CalibrationLog) -> tuple[list[int], list[Pose2]]:
     """Stamps and poses by the simulator, in the frame of the first one."""
     start = log.truth[0].world_from_base.inverse() if log.truth else Pose2()
     return [t.stamp for t in log.truth], [start @ t.world_from_base for t in log.truth]

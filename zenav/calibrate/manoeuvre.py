@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 HZ = 20
 FRESH = 0.5  # s after its stamp that a message counts as current
-PATIENCE = 4.0  # s that the guard may hold the robot, or an input be missing, before the manoeuvre gives up
+MAX_WAIT_S = 4.0  # s that the guard may hold the robot, or an input be missing, before the manoeuvre gives up
 GENTLE = 0.5  # of the drive's accelerations: a wheel that slips measures nothing
 NEAR, NEAR_TURN = 0.004, 0.004  # m, rad: arrived
 CREEP, CREEP_TURN = 0.03, 0.06  # m/s, rad/s: the last of the way
@@ -26,7 +26,7 @@ BEHIND = 0.15  # s from a command to the wheels' answer
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class StackState:
     """What is known at a step: ns on the stack's clock, and the newest of each message."""
 
     now: int
@@ -36,7 +36,7 @@ class Seen:
 
 
 @dataclass(frozen=True, slots=True)
-class Ask:
+class VelocityStep:
     """A velocity (m/s, rad/s), whether to press STOP, and a line for the operator, or none."""
 
     v: float = 0.0
@@ -45,10 +45,10 @@ class Ask:
     say: str = ""
 
 
-Manoeuvre = Generator[Ask, Seen, T]
+Manoeuvre = Generator[VelocityStep, StackState, T]
 
 
-class Patience:
+class Deadline:
     """Raises UserError where the guard holds the robot, or odometry is silent, for too long."""
 
     def __init__(self, seconds: float = float("inf")) -> None:
@@ -56,7 +56,7 @@ class Patience:
         self._begun: int | None = None
         self._seconds = seconds
 
-    def check(self, seen: Seen) -> None:
+    def check(self, seen: StackState) -> None:
         """Once a step. After `seconds` in all, the manoeuvre has failed."""
         self._begun = seen.now if self._begun is None else self._begun
         silent = seen.odom is None or seen.now - seen.odom.stamp > FRESH * 1e9
@@ -64,7 +64,7 @@ class Patience:
         held = guard is None or guard.state in (GuardState.HOLD, GuardState.STOPPED, GuardState.FAULT)
         if not silent and not held:
             self._good = seen.now
-        stuck = seen.now - (self._begun if self._good is None else self._good) > PATIENCE * 1e9
+        stuck = seen.now - (self._begun if self._good is None else self._good) > MAX_WAIT_S * 1e9
         over = seen.now - self._begun > self._seconds * 1e9
         if not stuck and not over:
             return
@@ -74,61 +74,61 @@ class Patience:
             raise UserError("odometry is silent", "is odometry running? zenav topic hz odom")
         reason = REASONS.get(guard.reason)
         why = f": {reason.text}" if reason else ""
-        mend = reason.mend if reason else "see guard/status: zenav topic echo guard/status"
-        raise UserError(f"the robot does not get where it should{why}", mend)
+        hint = reason.hint if reason else "see guard/status: zenav topic echo guard/status"
+        raise UserError(f"the robot does not get where it should{why}", hint)
 
 
-def stand(seconds: float, say: str = "") -> Manoeuvre[Seen]:
+def stand(seconds: float, say: str = "") -> Manoeuvre[StackState]:
     """Stands for so long; returns what is seen at the end."""
-    seen = yield Ask(say=say)
+    seen = yield VelocityStep(say=say)
     end = seen.now + round(seconds * 1e9)
     while seen.now < end:
-        seen = yield Ask()
+        seen = yield VelocityStep()
     return seen
 
 
-def ready() -> Manoeuvre[Seen]:
+def ready() -> Manoeuvre[StackState]:
     """Stands until odometry and guard answer."""
-    patience = Patience()
+    patience = Deadline()
     seen = yield from stand(0.3)
     while seen.odom is None or seen.guard is None:
         patience.check(seen)
-        seen = yield Ask()
+        seen = yield VelocityStep()
     patience.check(seen)
     return seen
 
 
-def asked(ask: Ask, patience: Patience) -> Manoeuvre[Odometry]:
+def ask_once(ask: VelocityStep, patience: Deadline) -> Manoeuvre[Odometry]:
     """Asks it once, then stands until there is odometry, and returns that."""
     seen = yield ask
     patience.check(seen)
     while seen.odom is None:
-        seen = yield Ask()
+        seen = yield VelocityStep()
         patience.check(seen)
     return seen.odom
 
 
 def turn_to(yaw: float, rate: float, drive: Drive, start: Pose2) -> Manoeuvre[None]:
     """Turns on the spot to a heading by odometry, seen from `start` (odom_from_start), the short way round."""
-    patience = Patience(3 * pi / rate + 10)
-    ask = Ask()
+    patience = Deadline(3 * pi / rate + 10)
+    ask = VelocityStep()
     while True:
-        odom = yield from asked(ask, patience)
+        odom = yield from ask_once(ask, patience)
         left = wrapped(yaw - (start.inverse() @ odom.odom_from_base).yaw)
         ahead = left - odom.w * BEHIND
         if abs(left) < NEAR_TURN and abs(odom.w) < CREEP_TURN / 2:
             return
         w = min(rate, sqrt(2 * GENTLE * drive.max_turn_acceleration * abs(ahead)), 2.5 * abs(ahead))
         w = max(w, CREEP_TURN) if abs(left) >= NEAR_TURN else 0.0
-        ask = Ask(0.0, copysign(w, ahead))
+        ask = VelocityStep(0.0, copysign(w, ahead))
 
 
 def line_to(a: Pose2, length: float, speed: float, drive: Drive, start: Pose2) -> Manoeuvre[None]:
     """Drives along a line by odometry: from `a` (start_from_a), ahead by `length` m."""
-    patience = Patience(3 * length / speed + 10)
-    ask = Ask()
+    patience = Deadline(3 * length / speed + 10)
+    ask = VelocityStep()
     while True:
-        odom = yield from asked(ask, patience)
+        odom = yield from ask_once(ask, patience)
         here = (start @ a).inverse() @ odom.odom_from_base
         left = length - here.x - odom.v * BEHIND
         if left < NEAR:
@@ -136,7 +136,7 @@ def line_to(a: Pose2, length: float, speed: float, drive: Drive, start: Pose2) -
         v = max(min(speed, sqrt(2 * GENTLE * drive.max_braking * left), 2.5 * left), CREEP)
         # to the line, within half a metre of way: a slow S, no corner
         w = -v * (here.y * 8.0 + wrapped(here.yaw) * 4.0)
-        ask = Ask(v, max(-0.5, min(0.5, w)))
+        ask = VelocityStep(v, max(-0.5, min(0.5, w)))
 
 
 def square(side: float, clockwise: bool, speed: float, rate: float, drive: Drive) -> Manoeuvre[None]:

@@ -12,9 +12,10 @@ import numpy as np
 
 from shared.config import Drive, UserError
 from shared.messages import MotorCommand
-from zenav.calibrate.log import Log
-from zenav.calibrate.motor_test import Kind, Phase
-from zenav.calibrate.rolling import Float64s, Int64s, Rolled
+from shared.types import Float64s, Int64s
+from zenav.calibrate.log import CalibrationLog
+from zenav.calibrate.motor_test import MotorPhase, PhaseKind
+from zenav.calibrate.rolling import WheelTravel
 
 WHEELS = ("left", "right")
 TURNS = 0.25  # of what was asked for: less is no turning
@@ -29,7 +30,7 @@ Wheel = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Turned:
+class WheelTurn:
     """A wheel that was commanded to turn alone. asked, left, right: m at the rims, by the command and by the encoders.
 
     seen: the wheel that really turned, by the scans or by the operator; None where it is unknown.
@@ -48,10 +49,10 @@ class Turned:
     @property
     def counted(self) -> Wheel | None:
         """The wheel whose encoder counted; None where none did."""
-        return most(self.left, self.right, self.asked)
+        return faster_wheel(self.left, self.right, self.asked)
 
 
-def most(left: float, right: float, asked: float) -> Wheel | None:
+def faster_wheel(left: float, right: float, asked: float) -> Wheel | None:
     """The wheel that turned more, of the ways (m) of both; None where neither turned as if it had been asked to."""
     ways = (left, right)
     i = int(np.argmax(np.abs(ways)))
@@ -60,11 +61,11 @@ def most(left: float, right: float, asked: float) -> Wheel | None:
 
 def wheel_of_motion(forward: float, turn: float, asked: float, distance: float) -> Wheel | None:
     """The wheel that moved the base by `forward` m and `turn` rad: a wheel alone swings it around the other one."""
-    return most(forward - turn * distance / 2, forward + turn * distance / 2, asked)
+    return faster_wheel(forward - turn * distance / 2, forward + turn * distance / 2, asked)
 
 
 @dataclass(frozen=True, slots=True)
-class Lag:
+class FirstOrderLag:
     """A wheel's answer: m/s out for m/s in, dead time and time constant (s), overshoot and steady error (shares)."""
 
     gain: float
@@ -80,7 +81,7 @@ class Lag:
 
 
 @dataclass(frozen=True, slots=True)
-class Braking:
+class BrakingRun:
     """A stop by STOP: from which speed (m/s), over which distance (m) and time (s) since the motors' first zero."""
 
     speed: float
@@ -93,22 +94,22 @@ class Braking:
         return self.speed**2 / (2 * self.distance) if self.distance > 0 else float("inf")
 
 
-def turned(log: Log, phases: Sequence[Phase], drive: Drive) -> list[Turned]:
+def wheel_turns(log: CalibrationLog, phases: Sequence[MotorPhase], drive: Drive) -> list[WheelTurn]:
     """What each wheel did when it was asked to turn alone, by the encoders."""
     rolled, found = log.rolled, []
-    for phase in (p for p in phases if p.kind is Kind.ALONE):
+    for phase in (p for p in phases if p.kind is PhaseKind.ALONE):
         left, right = rolled.at(np.array([phase.begin, phase.end + 500_000_000], np.int64))
         wheel = 0 if phase.left else 1
         seconds = (phase.end - phase.begin) * 1e-9
         asked = (phase.left, phase.right)[wheel] * seconds
         found.append(
-            Turned(wheel, asked, float(left[1] - left[0]) * drive.left_radius,
+            WheelTurn(wheel, asked, float(left[1] - left[0]) * drive.left_radius,
                    float(right[1] - right[0]) * drive.right_radius)
         )  # fmt: skip
     return found
 
 
-def directions(found: Sequence[Turned], drive: Drive) -> list[tuple[str, str]]:
+def directions(found: Sequence[WheelTurn], drive: Drive) -> list[tuple[str, str]]:
     """Errors of motors and encoders, each with its hint; empty where there is none."""
     wrong: list[tuple[str, str]] = []
     if found and all(t.counted is not None and t.counted[0] != t.wheel for t in found):
@@ -137,16 +138,16 @@ def directions(found: Sequence[Turned], drive: Drive) -> list[tuple[str, str]]:
     return list(dict.fromkeys(wrong))
 
 
-def reversed_motors(found: Sequence[Turned]) -> bool:
+def reversed_motors(found: Sequence[WheelTurn]) -> bool:
     """Whether both wheels turn the other way, and their encoders with them: a matter of the sign alone."""
     return bool(found) and all(t.seen == (t.wheel, -t.commanded[1]) and t.counted == t.commanded for t in found)
 
 
-def dead_band(log: Log, phases: Sequence[Phase], drive: Drive) -> dict[tuple[int, int], float]:
+def dead_band(log: CalibrationLog, phases: Sequence[MotorPhase], drive: Drive) -> dict[tuple[int, int], float]:
     """(wheel, sign) -> m/s at the rim, the smallest command that turned it; nan where none did."""
     rolled, found = log.rolled, {}
     count = 2 * pi / drive.counts_per_turn
-    for phase in (p for p in phases if p.kind is Kind.STAIRS):
+    for phase in (p for p in phases if p.kind is PhaseKind.STAIRS):
         stamps = np.arange(phase.begin, phase.end + 100_000_000, 20_000_000)
         command = rims_asked(log.motors, stamps - 100_000_000, drive)
         for wheel, angles in enumerate(rolled.at(stamps)):
@@ -166,7 +167,7 @@ def rims_asked(motors: Sequence[MotorCommand], stamps: Int64s, drive: Drive) -> 
     return np.asarray(np.where(index[:, None] >= 0, rows[np.maximum(index, 0)], 0.0))
 
 
-def rim_speeds(rolled: Rolled, stamps: Int64s, drive: Drive, window: float = 0.06) -> Float64s:
+def rim_speeds(rolled: WheelTravel, stamps: Int64s, drive: Drive, window: float = 0.06) -> Float64s:
     """(n, 2) m/s at the rims by the encoders around times (ns), over `window` s."""
     half = round(window * 5e8)
     after, before = rolled.at(stamps + half), rolled.at(stamps - half)
@@ -174,11 +175,11 @@ def rim_speeds(rolled: Rolled, stamps: Int64s, drive: Drive, window: float = 0.0
     return np.column_stack([(a - b) * r / window for a, b, r in zip(after, before, radii)])
 
 
-def lags(log: Log, phases: Sequence[Phase], drive: Drive) -> list[Lag]:
+def lags(log: CalibrationLog, phases: Sequence[MotorPhase], drive: Drive) -> list[FirstOrderLag]:
     """Each wheel's answer to all steps: gain, dead time and lag of first order, by least squares."""
     from scipy.optimize import least_squares
 
-    steps = [p for p in phases if p.kind is Kind.STEP]
+    steps = [p for p in phases if p.kind is PhaseKind.STEP]
     if not steps:
         return []
     rolled, found = log.rolled, []
@@ -195,8 +196,8 @@ def lags(log: Log, phases: Sequence[Phase], drive: Drive) -> list[Lag]:
         starts = [(1.0, delay, 0.1) for delay in (0.02, 0.1, 0.2)]
         fits = [least_squares(off, s, bounds=bounds, x_scale=(1, 0.05, 0.05), diff_step=1e-3) for s in starts]
         gain, delay, lag = min(fits, key=lambda fit: fit.cost).x
-        overshoots, errors = zip(*(_held(rolled, phase, wheel, drive) for phase in steps))
-        found.append(Lag(float(gain), float(delay), float(lag), max(overshoots), float(np.mean(errors))))
+        overshoots, errors = zip(*(_steady_state(rolled, phase, wheel, drive) for phase in steps))
+        found.append(FirstOrderLag(float(gain), float(delay), float(lag), max(overshoots), float(np.mean(errors))))
     return found
 
 
@@ -213,7 +214,7 @@ def first_order(asked: Float64s, gain: float, delay: float, lag: float) -> Float
     return np.asarray(answer)
 
 
-def _held(rolled: Rolled, phase: Phase, wheel: int, drive: Drive) -> tuple[float, float]:
+def _steady_state(rolled: WheelTravel, phase: MotorPhase, wheel: int, drive: Drive) -> tuple[float, float]:
     """Overshoot and steady error of one step, as shares of what was asked for."""
     asked = (phase.left, phase.right)[wheel]
     radius = (drive.left_radius, drive.right_radius)[wheel]
@@ -225,10 +226,10 @@ def _held(rolled: Rolled, phase: Phase, wheel: int, drive: Drive) -> tuple[float
     return max(float(speeds.max()) - steady - count, 0.0), steady - 1.0
 
 
-def brakings(log: Log, phases: Sequence[Phase], drive: Drive) -> list[Braking]:
+def brakings(log: CalibrationLog, phases: Sequence[MotorPhase], drive: Drive) -> list[BrakingRun]:
     """Each stop, from the motors' first zero to standstill."""
     rolled, found = log.rolled, []
-    for phase in (p for p in phases if p.kind is Kind.STOP):
+    for phase in (p for p in phases if p.kind is PhaseKind.STOP):
         zero = next((m.stamp for m in log.motors if m.stamp >= phase.begin and not (m.left or m.right)), None)
         if zero is None:
             continue
@@ -240,5 +241,5 @@ def brakings(log: Log, phases: Sequence[Phase], drive: Drive) -> list[Braking]:
             continue
         left, right = rolled.at(np.array([zero, phase.end], np.int64))
         way = ((left[1] - left[0]) * drive.left_radius + (right[1] - right[0]) * drive.right_radius) / 2
-        found.append(Braking(speed, float(way), float(times[stands[0]] - zero) * 1e-9))
+        found.append(BrakingRun(speed, float(way), float(times[stands[0]] - zero) * 1e-9))
     return found

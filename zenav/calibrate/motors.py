@@ -8,30 +8,32 @@ from math import floor
 import numpy as np
 
 from shared.config import Robot, UserError
-from zenav.calibrate.chart import AFTER, BEFORE, OTHER, TRUE, Chart
-from zenav.calibrate.log import Log
+from zenav.calibrate.log import CalibrationLog
 from zenav.calibrate.motor_response import (
     GRID,
-    Braking,
-    Lag,
-    Turned,
+    BrakingRun,
+    FirstOrderLag,
     Wheel,
+    WheelTurn,
     first_order,
     rim_speeds,
     rims_asked,
     wheel_of_motion,
 )
-from zenav.calibrate.motor_test import Kind, Phase
+from zenav.calibrate.motor_test import MotorPhase, PhaseKind
 from zenav.calibrate.odometry import truth
-from zenav.calibrate.rolling import between
+from zenav.calibrate.rolling import relative_poses
+from zenav.render.chart import AFTER, BEFORE, OTHER, TRUE, Chart
 
 KEYS: dict[str, Wheel | None] = {"lf": (0, 1), "lb": (0, -1), "rf": (1, 1), "rb": (1, -1), "-": None}
 FINEST = 0.05  # m/s^2 to which the braking is rounded, downward
 
 
-def by_motion(found: Sequence[Turned], log: Log, phases: Sequence[Phase], robot: Robot) -> list[Turned]:
+def by_motion(
+    found: Sequence[WheelTurn], log: CalibrationLog, phases: Sequence[MotorPhase], robot: Robot
+) -> list[WheelTurn]:
     """`found`, each with the wheel that turned according to the scans; unchanged where they do not determine it."""
-    alone = [p for p in phases if p.kind is Kind.ALONE]
+    alone = [p for p in phases if p.kind is PhaseKind.ALONE]
     if not alone:
         return list(found)
     part = log.during(alone[0].begin - 1_000_000_000, alone[-1].end + 1_000_000_000)
@@ -47,7 +49,7 @@ def by_motion(found: Sequence[Turned], log: Log, phases: Sequence[Phase], robot:
         if i >= len(known.stamps) or j >= len(known.stamps):
             told.append(turned)
             continue
-        forward, _, turn = between(known.poses[i : i + 1], known.poses[j : j + 1])[0]
+        forward, _, turn = relative_poses(known.poses[i : i + 1], known.poses[j : j + 1])[0]
         # along the arc, not its chord
         way = float(forward / np.sinc(turn / np.pi)) if abs(turn) < 2 else float(forward)
         distance = robot.drive.wheel_distance
@@ -55,24 +57,26 @@ def by_motion(found: Sequence[Turned], log: Log, phases: Sequence[Phase], robot:
     return told
 
 
-def looked(found: Sequence[Turned], answers: Sequence[str]) -> list[Turned]:
+def with_answers(found: Sequence[WheelTurn], answers: Sequence[str]) -> list[WheelTurn]:
     """With what people saw: `lf`, `lb`, `rf`, `rb`, `-`, or nothing for: as asked."""
     return [replace(t, seen=KEYS[a] if a else t.commanded) for t, a in zip(found, answers)]
 
 
-def reached(stops: Sequence[Braking]) -> float | None:
+def reached_braking(stops: Sequence[BrakingRun]) -> float | None:
     """m/s^2 that the base reached in every stop, rounded down; None where none was measured."""
     if not stops:
         return None
     return max(round(floor(min(s.deceleration for s in stops) / FINEST) * FINEST, 2), FINEST)
 
 
-def charts(log: Log, phases: Sequence[Phase], robot: Robot, answers: Sequence[Lag]) -> list[Chart]:
+def charts(
+    log: CalibrationLog, phases: Sequence[MotorPhase], robot: Robot, answers: Sequence[FirstOrderLag]
+) -> list[Chart]:
     """The steps with the fitted answer; and the stops, or the dead band's stairs where there are none."""
     rolled, drive = log.rolled, robot.drive
     step = Chart("Steps, on the spot: the right wheel", "s", "m/s at the rim")
     begin = 0.0
-    for phase in (p for p in phases if p.kind is Kind.STEP):
+    for phase in (p for p in phases if p.kind is PhaseKind.STEP):
         times = np.arange(phase.begin - 200_000_000, phase.end + 500_000_000, round(GRID * 1e9))
         seconds = begin + (times - times[0]) * 1e-9
         asked = rims_asked(log.motors, times, drive)[:, 1]
@@ -82,7 +86,7 @@ def charts(log: Log, phases: Sequence[Phase], robot: Robot, answers: Sequence[La
             fit = answers[1]
             step.line(seconds, first_order(asked, fit.gain, fit.delay, fit.lag), TRUE, "fitted")
         begin = float(seconds[-1]) + 0.3
-    stops = [p for p in phases if p.kind is Kind.STOP]
+    stops = [p for p in phases if p.kind is PhaseKind.STOP]
     if stops:
         brake = Chart("Stops by STOP", "s since STOP", "m/s")
         for phase in stops:
@@ -92,7 +96,7 @@ def charts(log: Log, phases: Sequence[Phase], robot: Robot, answers: Sequence[La
             brake.line(seconds, rim_speeds(rolled, times, drive).mean(axis=1), BEFORE, "measured")
         return [step, brake]
     stairs = Chart("Slower than any wheel turns, then faster: the right wheel", "s", "m/s at the rim")
-    for phase in (p for p in phases if p.kind is Kind.STAIRS):
+    for phase in (p for p in phases if p.kind is PhaseKind.STAIRS):
         times = np.arange(phase.begin, phase.end, 20_000_000)
         seconds = (times - phase.begin) * 1e-9
         stairs.line(seconds, rims_asked(log.motors, times, drive)[:, 1], OTHER, "asked")

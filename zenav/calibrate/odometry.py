@@ -8,12 +8,13 @@ import numpy as np
 
 from shared.config import Robot, UserError
 from shared.geometry import Pose2
-from zenav.calibrate.chart import AFTER, BEFORE, OTHER, TRUE, Chart
-from zenav.calibrate.hand_eye import Intervals, Solution, intervals, solved
-from zenav.calibrate.log import Log, true_poses
-from zenav.calibrate.rolling import Float64s, Int64s, Rolled, Wheels, between, composed
+from shared.types import Float64s, Int64s
+from zenav.calibrate.hand_eye import HandEyeSolution, MotionIntervals, intervals, solve
+from zenav.calibrate.log import CalibrationLog, true_poses
+from zenav.calibrate.rolling import WheelGeometry, WheelTravel, composed_poses, relative_poses
 from zenav.calibrate.scan_track import ScanTrack, scan_track
-from zenav.calibrate.umbmark import Run, Umbmark, ends_at, errors, largest_error, runs, umbmark
+from zenav.calibrate.umbmark import SquareRun, UmbmarkResult, ends_at, errors, largest_error, square_runs, umbmark
+from zenav.render.chart import AFTER, BEFORE, OTHER, TRUE, Chart
 
 WINDOW = 2.0  # m that drift is measured over
 PASSES = 2  # scans are placed again with what the first pass found
@@ -31,19 +32,19 @@ class BasePoses:
 class Squares:
     """UMBmark's runs, with each one's true motion (k, 3), and what it found."""
 
-    runs: Sequence[Run]
+    runs: Sequence[SquareRun]
     true: Float64s
-    result: Umbmark
+    result: UmbmarkResult
 
 
-def by_scans(log: Log, robot: Robot) -> tuple[Solution, Intervals, ScanTrack]:
+def by_scans(log: CalibrationLog, robot: Robot) -> tuple[HandEyeSolution, MotionIntervals, ScanTrack]:
     """Wheels and laser mount that make the wheels' motion and the scans' one. Raises UserError where it cannot."""
     rolled, mount = log.rolled, mount_of(robot)
-    wheels = Wheels.of(robot.drive)
+    wheels = WheelGeometry.of(robot.drive)
     for _ in range(PASSES):
         track = scan_track(log.scans, rolled, robot, wheels, mount)
         pieces = intervals(rolled, track)
-        solution = solved(pieces, wheels, mount)
+        solution = solve(pieces, wheels, mount)
         wheels, mount = solution.wheels, solution.mount
     return solution, pieces, track
 
@@ -54,16 +55,18 @@ def mount_of(robot: Robot) -> Float64s:
     return np.array((mount.x, mount.y, mount.yaw))
 
 
-def truth(log: Log, robot: Robot, source: str, track: ScanTrack | None, mount: Float64s | None = None) -> BasePoses:
+def truth(
+    log: CalibrationLog, robot: Robot, source: str, track: ScanTrack | None, mount: Float64s | None = None
+) -> BasePoses:
     """The base's poses by the `scans` (track, where they are placed already), the mapper's `pose`, or the `sim`.
 
     mount: (3,) base_from_laser, if it is known better than configured.
     """
     if source == "scans":
         mount = mount_of(robot) if mount is None else mount
-        track = track or scan_track(log.scans, log.rolled, robot, Wheels.of(robot.drive), mount)
+        track = track or scan_track(log.scans, log.rolled, robot, WheelGeometry.of(robot.drive), mount)
         back = Pose2(*(float(v) for v in mount)).inverse()
-        return BasePoses(track.stamps, composed(track.poses, np.array((back.x, back.y, back.yaw))))
+        return BasePoses(track.stamps, composed_poses(track.poses, np.array((back.x, back.y, back.yaw))))
     if source == "pose":
         stamps, poses = [e.stamp for e in log.poses], [e.map_from_base for e in log.poses]
     else:
@@ -76,13 +79,13 @@ def truth(log: Log, robot: Robot, source: str, track: ScanTrack | None, mount: F
     return BasePoses(np.array(stamps, np.int64), rows)
 
 
-def by_squares(log: Log, robot: Robot, known: BasePoses | None, measured: Float64s | None = None) -> Squares:
+def by_squares(log: CalibrationLog, robot: Robot, known: BasePoses | None, measured: Float64s | None = None) -> Squares:
     """UMBmark over the squares in a drive; their ends by `known`, or as `measured` (k, 2) m with a tape.
 
     Raises UserError where there are none, or not both ways round.
     """
-    rolled, wheels = log.rolled, Wheels.of(robot.drive)
-    found = runs(rolled, wheels)
+    rolled, wheels = log.rolled, WheelGeometry.of(robot.drive)
+    found = square_runs(rolled, wheels)
     if not found:
         raise UserError(
             "there is no square in this drive",
@@ -100,14 +103,14 @@ def by_squares(log: Log, robot: Robot, known: BasePoses | None, measured: Float6
     return Squares(found, true, umbmark(true, rolled, found, wheels))
 
 
-def square_error(squares: Squares, rolled: Rolled, wheels: Wheels) -> float:
+def square_error(squares: Squares, rolled: WheelTravel, wheels: WheelGeometry) -> float:
     """m: E_max,syst of these squares, had the robot had these wheels."""
     off = errors(squares.true, rolled, squares.runs, wheels)
     clockwise = np.array([run.clockwise for run in squares.runs], bool)
     return largest_error(off[clockwise], off[~clockwise])
 
 
-def drift(rolled: Rolled, known: BasePoses, wheels: Wheels) -> tuple[float, float] | None:
+def drift(rolled: WheelTravel, known: BasePoses, wheels: WheelGeometry) -> tuple[float, float] | None:
     """Odometry's error with these wheels: m a metre and rad a metre, over WINDOW m, rms; None in a shorter drive."""
     path = rolled.with_samples(known.stamps)
     inside = (known.stamps >= rolled.stamps[0]) & (known.stamps <= rolled.stamps[-1])
@@ -117,10 +120,10 @@ def drift(rolled: Rolled, known: BasePoses, wheels: Wheels) -> tuple[float, floa
     if len(marks) < 2:
         return None
     begin, end = marks[:-1], marks[1:]
-    whole = rolled.known(known.stamps[begin], known.stamps[end])
+    whole = rolled.is_known(known.stamps[begin], known.stamps[end])
     begin, end = begin[whole], end[whole]
     poses, index = path.poses(wheels), np.searchsorted(path.stamps, known.stamps)
-    off = between(known.poses[begin], known.poses[end]) - between(poses[index[begin]], poses[index[end]])
+    off = relative_poses(known.poses[begin], known.poses[end]) - relative_poses(poses[index[begin]], poses[index[end]])
     if not len(off):
         return None
     return float(np.sqrt(np.mean(off[:, 0] ** 2 + off[:, 1] ** 2))) / WINDOW, float(
@@ -128,9 +131,11 @@ def drift(rolled: Rolled, known: BasePoses, wheels: Wheels) -> tuple[float, floa
     ) / WINDOW
 
 
-def charts(log: Log, robot: Robot, known: BasePoses | None, squares: Squares | None, after: Wheels) -> list[Chart]:
+def charts(
+    log: CalibrationLog, robot: Robot, known: BasePoses | None, squares: Squares | None, after: WheelGeometry
+) -> list[Chart]:
     """Where the squares ended, and the way by odometry before and after."""
-    rolled, before = log.rolled, Wheels.of(robot.drive)
+    rolled, before = log.rolled, WheelGeometry.of(robot.drive)
     made = []
     if squares is not None:
         ends = Chart("End of each square less odometry's (UMBmark)", "m along the first side", "m to its left", True)
@@ -161,4 +166,4 @@ def charts(log: Log, robot: Robot, known: BasePoses | None, squares: Squares | N
 
 def from_start(poses: Float64s) -> Float64s:
     """(n, 3) poses seen from the first one."""
-    return between(np.broadcast_to(poses[0], poses.shape), poses)
+    return relative_poses(np.broadcast_to(poses[0], poses.shape), poses)

@@ -10,6 +10,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 
 from shared.config import Robot, RobotFile, UserError, load_robot
+from shared.robot_files import is_installed
 from shared.ros_map import replace_file
 
 Values = Mapping[str, float | int]
@@ -27,7 +28,7 @@ def value_of(robot: Robot, key: str) -> Any:
     return node
 
 
-def to_paste(values: Values, robot: Robot) -> str:
+def yaml_snippet(values: Values, robot: Robot) -> str:
     """The settings as YAML, each with what it was."""
     lines: list[str] = []
     open_: list[str] = []
@@ -47,12 +48,14 @@ def write(robot: str, values: Values) -> Path:
     Raises UserError where the values are not valid, or the file cannot be written or rewritten without a loss.
     """
     file = load_robot(robot)
+    if is_installed(file.path):
+        raise UserError(f"{file.path} belongs to the installed package", f"zenav robot new NAME --from {robot}")
     before = file.path.read_text(encoding="utf-8")
     yaml = layout(before, file.tree)
     for key, value in values.items():
         _put(file.tree, key.split("."), value)
     file.section("robot", Robot)  # raises where it is not valid
-    text = dumped(yaml, file.tree)
+    text = yaml_text(yaml, file.tree)
     again = RobotFile(file.path, YAML(typ="rt").load(text))
     if again.tree != file.tree:
         raise UserError(f"{file.path} cannot be rewritten without a loss", "paste the lines above into it by hand")
@@ -71,10 +74,10 @@ def layout(text: str, tree: CommentedMap) -> YAML:
         yaml.width, yaml.preserve_quotes = 100_000, True
         yaml.indent(mapping=2, sequence=sequence, offset=offset)
         writers.append(yaml)
-    return next((yaml for yaml in writers if dumped(yaml, tree) == text), writers[0])
+    return next((yaml for yaml in writers if yaml_text(yaml, tree) == text), writers[0])
 
 
-def dumped(yaml: YAML, tree: CommentedMap) -> str:
+def yaml_text(yaml: YAML, tree: CommentedMap) -> str:
     """The tree as text."""
     stream = StringIO()
     yaml.dump(tree, stream)

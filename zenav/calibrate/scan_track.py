@@ -6,14 +6,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.service import MapperConfig
+from services.mapper.config import MapperConfig
 from shared.config import Laser, Mount, Robot, UserError
 from shared.geometry import Pose2
 from shared.messages import LaserScan, Localization, Odometry
-from zenav.calibrate.rolling import Int64s, Rolled, Wheels, composed
-from zenav.slam import Run
-
-Float64s = NDArray[np.float64]
+from shared.types import Float64s, Int64s
+from zenav.calibrate.rolling import WheelGeometry, WheelTravel, composed_poses
+from zenav.slam.offline_slam import OfflineRun
 
 MIN_SCANS = 20
 
@@ -36,17 +35,19 @@ class ScanTrack(NamedTuple):
         return float(np.abs(np.diff(self.poses[:, 2])).sum())
 
 
-def scan_track(scans: list[LaserScan], rolled: Rolled, robot: Robot, wheels: Wheels, mount: Float64s) -> ScanTrack:
+def scan_track(
+    scans: list[LaserScan], rolled: WheelTravel, robot: Robot, wheels: WheelGeometry, mount: Float64s
+) -> ScanTrack:
     """Places the scans from odometry's guess by `wheels` and base_from_laser `mount` (3,), which need not be right.
 
     Raises UserError where there are too few scans, or too few of them find their place.
     """
     if len(scans) < MIN_SCANS:
         raise UserError(f"there are {len(scans)} scans", "record scan and base/wheels together for half a minute")
-    run = Run(MapperConfig(), alone(robot))
-    run.mapper.warm()
+    run = OfflineRun(MapperConfig(), laser_at_origin(robot))
+    run.mapper.warm_up()
     map_from_base = rolled.poses(wheels)
-    start_from_laser = composed(_inverse(mount), composed(map_from_base, mount))
+    start_from_laser = composed_poses(_inverse(mount), composed_poses(map_from_base, mount))
     i_odometry = 0
     for scan in scans:
         end = scan.stamp + round(scan.scan_time * 1e9)
@@ -54,14 +55,14 @@ def scan_track(scans: list[LaserScan], rolled: Rolled, robot: Robot, wheels: Whe
             stamp = int(rolled.stamps[i_odometry])
             x, y, yaw = (float(v) for v in start_from_laser[i_odometry])
             run.mapper.now = max(run.mapper.now, stamp)
-            run.take(run.mapper.odometry(Odometry(stamp, Pose2(x, y, yaw), 0.0, 0.0, np.zeros(9))))
+            run.add(run.mapper.odometry(Odometry(stamp, Pose2(x, y, yaw), 0.0, 0.0, np.zeros(9))))
             i_odometry += 1
             if stamp >= end:
                 break
         run.mapper.now = max(run.mapper.now, end)
-        run.take(run.mapper.scan(scan))
+        run.add(run.mapper.scan(scan))
     run.mapper.now += 1_000_000_000
-    run.take(run.mapper.release())
+    run.add(run.mapper.release())
     estimates = run.estimates
     poses = np.array([(e.map_from_base.x, e.map_from_base.y, e.map_from_base.yaw) for e in estimates]).reshape(-1, 3)
     poses[:, 2] = np.unwrap(poses[:, 2])
@@ -74,7 +75,7 @@ def scan_track(scans: list[LaserScan], rolled: Rolled, robot: Robot, wheels: Whe
     return ScanTrack(np.array([e.stamp for e in estimates], np.int64), poses, good)
 
 
-def alone(robot: Robot) -> Robot:
+def laser_at_origin(robot: Robot) -> Robot:
     """The robot as if its laser sat at its origin, looking ahead."""
     laser = Laser(**(robot.laser.model_dump() | {"mount": Mount()}))
     return robot.model_copy(update={"laser": laser})

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from math import pi, sin
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shared.config import UserError
-from zenav.calibrate.rolling import Int64s, Rolled, Wheels, between
-
-Float64s = NDArray[np.float64]
+from shared.types import Float64s, Int64s
+from zenav.calibrate.rolling import WheelGeometry, WheelTravel, relative_poses
 
 STANDS = 1.0  # s without motion that part one run from the next; at corners the robot stands for less
 MOVES = 0.002  # m at a wheel's rim within that time that count as motion
@@ -28,7 +26,7 @@ MAX_TURNING_ERROR_RAD = pi / 8  # per corner or side: the equations assume small
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class SquareRun:
     """One way round a square. begin, end: indices into the wheels' samples; side: m; clockwise or not."""
 
     begin: int
@@ -38,10 +36,10 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
-class Umbmark:
+class UmbmarkResult:
     """The result: wheels, and the errors (n, 2) m of each way round, from which they come."""
 
-    wheels: Wheels
+    wheels: WheelGeometry
     side: float
     clockwise: Float64s
     counterclockwise: Float64s
@@ -64,7 +62,7 @@ def largest_error(clockwise: Float64s, counterclockwise: Float64s) -> float:
     return float(np.hypot(centres[:, 0], centres[:, 1]).max())
 
 
-def runs(rolled: Rolled, wheels: Wheels) -> list[Run]:
+def square_runs(rolled: WheelTravel, wheels: WheelGeometry) -> list[SquareRun]:
     """The ways round a square in a drive: from standstill to standstill, once round, back to where they began."""
     poses = rolled.poses(wheels)
     found = []
@@ -78,11 +76,11 @@ def runs(rolled: Rolled, wheels: Wheels) -> list[Run]:
         turn = float(way[-1, 2] - way[0, 2])
         off = float(np.hypot(*(way[-1, :2] - way[0, :2])))
         if side >= MIN_SIDE_M and abs(abs(turn) - 2 * pi) < ROUND and off < OPEN * 4 * side:
-            found.append(Run(int(begin), int(end), side, turn < 0))
+            found.append(SquareRun(int(begin), int(end), side, turn < 0))
     return found
 
 
-def moving(rolled: Rolled, radius: float) -> list[tuple[int, int]]:
+def moving(rolled: WheelTravel, radius: float) -> list[tuple[int, int]]:
     """(begin, end) samples of each stretch that stands before and after it for STANDS, and moves between."""
     window = np.searchsorted(rolled.stamps, rolled.stamps + round(STANDS * 1e9), "right") - 1
     away = np.maximum(np.abs(rolled.left[window] - rolled.left), np.abs(rolled.right[window] - rolled.right)) * radius
@@ -97,15 +95,15 @@ def moving(rolled: Rolled, radius: float) -> list[tuple[int, int]]:
     return list(zip(starts, ends))  # a drive that ends while it moves has a start without an end
 
 
-def errors(true: Float64s, rolled: Rolled, found: Sequence[Run], wheels: Wheels) -> Float64s:
+def errors(true: Float64s, rolled: WheelTravel, found: Sequence[SquareRun], wheels: WheelGeometry) -> Float64s:
     """(k, 2) m: each run's end as it was less as these wheels say. true: (k, 3) motion from start to end."""
     poses = rolled.poses(wheels)
     begin = poses[[run.begin for run in found]]
     end = poses[[run.end for run in found]]
-    return np.asarray((true - between(begin, end))[:, :2])
+    return np.asarray((true - relative_poses(begin, end))[:, :2])
 
 
-def umbmark(true: Float64s, rolled: Rolled, found: Sequence[Run], wheels: Wheels) -> Umbmark:
+def umbmark(true: Float64s, rolled: WheelTravel, found: Sequence[SquareRun], wheels: WheelGeometry) -> UmbmarkResult:
     """Wheels that explain the errors. true: (k, 3) each run's motion from start to end; `wheels`: as believed so far.
 
     Raises UserError where one way round is missing, or the errors are too large for the method.
@@ -129,7 +127,7 @@ def umbmark(true: Float64s, rolled: Rolled, found: Sequence[Run], wheels: Wheels
     for _ in range(ROUNDS):
         left = errors(true, rolled, found, better)
         better = corrected(better, *angles(left[clockwise], left[~clockwise], side), side)
-    return Umbmark(better, side, off[clockwise], off[~clockwise], alpha, beta)
+    return UmbmarkResult(better, side, off[clockwise], off[~clockwise], alpha, beta)
 
 
 def angles(clockwise: Float64s, counterclockwise: Float64s, side: float) -> tuple[float, float]:
@@ -140,7 +138,7 @@ def angles(clockwise: Float64s, counterclockwise: Float64s, side: float) -> tupl
     return float(alpha), float(beta)
 
 
-def corrected(wheels: Wheels, alpha: float, beta: float, side: float) -> Wheels:
+def corrected(wheels: WheelGeometry, alpha: float, beta: float, side: float) -> WheelGeometry:
     """The wheels from the angles: E_d = (R + b / 2) / (R - b / 2), R = (L / 2) / sin(beta / 2) (15 to 18).
 
     The mean radius stays, because squares do not determine it (13, 14).
@@ -149,10 +147,10 @@ def corrected(wheels: Wheels, alpha: float, beta: float, side: float) -> Wheels:
     ratio = wheels.ratio * (1 + bend * wheels.distance / 2) / (1 - bend * wheels.distance / 2)
     distance = wheels.distance * (pi / 2) / (pi / 2 - alpha)
     left = 2 * wheels.radius / (1 + ratio)
-    return Wheels(left, left * ratio, distance)
+    return WheelGeometry(left, left * ratio, distance)
 
 
-def ends_at(track_stamps: Int64s, track_poses: Float64s, rolled: Rolled, found: Sequence[Run]) -> Float64s:
+def ends_at(track_stamps: Int64s, track_poses: Float64s, rolled: WheelTravel, found: Sequence[SquareRun]) -> Float64s:
     """(k, 3) each run's motion by poses (n, 3) of a truth: the mean of those taken while the robot stood, or the last.
 
     Raises UserError where there is none at a standstill.
@@ -169,7 +167,7 @@ def ends_at(track_stamps: Int64s, track_poses: Float64s, rolled: Rolled, found: 
             )
         )
     starts, ends = (np.array(part).reshape(-1, 3) for part in zip(*rows))
-    by_edges = dict(zip(edges, between(starts, ends)))
+    by_edges = dict(zip(edges, relative_poses(starts, ends)))
     return np.array([by_edges[(run.begin, run.end)] for run in found]).reshape(-1, 3)
 
 

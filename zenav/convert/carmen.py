@@ -11,17 +11,18 @@ import numpy as np
 
 from shared.config import UserError
 from shared.geometry import Pose2
-from zenav.convert.records import Float32s, Log, LoggedPose, LoggedScan
+from shared.types import Float32s
+from zenav.convert.records import DriveLog, LoggedPose, LoggedScan
 
 BOUND = 1e6  # m, rad, s: farther is a damaged number (stamps: 1e10 s, the year 2286)
 
 
-def read_carmen(path: Path) -> Log:
+def read_carmen(path: Path) -> DriveLog:
     """Reads ODOM, FLASER and ROBOTLASER1 lines; others are skipped, and damaged ones are counted.
 
     Raises UserError where the file cannot be read at all.
     """
-    log = Log([])
+    log = DriveLog([])
     try:
         for line in _lines(path, log):
             kind, _, rest = line.partition(" ")
@@ -39,7 +40,7 @@ def read_carmen(path: Path) -> Log:
     return log
 
 
-def _lines(path: Path, log: Log) -> Iterator[str]:
+def _lines(path: Path, log: DriveLog) -> Iterator[str]:
     with path.open("rb") as raw:
         zipped = raw.read(2) == b"\x1f\x8b"
     with gzip.open(path, "rb") if zipped else path.open("rb") as file:
@@ -81,7 +82,7 @@ def _robotlaser(words: list[str]) -> LoggedScan:
     )
 
 
-def carmen_lines(log: Log) -> Iterator[str]:
+def carmen_lines(log: DriveLog) -> Iterator[str]:
     """A log as ODOM and ROBOTLASER1 lines. A beam without an echo is at the largest range, as CARMEN has it.
 
     What the format has no place for: how long a sweep took.

@@ -8,7 +8,7 @@ import numpy as np
 from shared.config import Mount
 from shared.geometry import Pose2, interpolated
 from shared.messages import LaserScan, Message, Odometry
-from zenav.convert.records import Log, LoggedPose, LoggedScan
+from zenav.convert.records import DriveLog, LoggedPose, LoggedScan
 
 MAX_MOUNT_M = 2.0  # from the base to its laser; what is farther off is another thing
 ROUNDING_M = 1e-4  # of poses in a log, seen from each other
@@ -40,7 +40,7 @@ class Content:
     lacks: str = ""
 
 
-def content_of(log: Log) -> Content:
+def content_of(log: DriveLog) -> Content:
     """A log's records as messages."""
     messages: list[tuple[str, Message]] = []
     scans = [record for record in log.records if isinstance(record, LoggedScan)]
@@ -79,7 +79,7 @@ def mount_of(scans: list[LoggedScan]) -> Mount:
     return Mount(x=float(middle[0]), y=float(middle[1]), yaw=float(middle[2]))
 
 
-def log_of(content: Content) -> Log:
+def log_of(content: Content) -> DriveLog:
     """The records that a mapper takes: odometry, and each scan with the odometry at its first beam.
 
     A scan comes when its last beam was taken. Readings under range_min are no measurements.
@@ -100,7 +100,7 @@ def log_of(content: Content) -> Log:
     taken = {scan.stamp for scan in scans}
     records += [LoggedPose(o.stamp, o.odom_from_base, o.v, o.w) for o in track if o.stamp not in taken]
     records.sort(key=lambda record: record.end if isinstance(record, LoggedScan) else record.stamp)
-    return Log(records, content.n_bad, False, "messages", bool(track), list(content.notes))
+    return DriveLog(records, content.n_bad, False, "messages", bool(track), list(content.notes))
 
 
 def odometry_at(stamps: list[int], track: list[Odometry]) -> list[Pose2]:

@@ -35,7 +35,7 @@ TRAJECTORIES = "pose", "odom", "truth"
 
 
 @dataclass(frozen=True, slots=True)
-class Format:
+class ExportFormat:
     """suffixes: of the files that are taken for this format.   write: writes `Conversion.out`; counts by what it wrote.
 
     folder: a name without a suffix is taken for it.
@@ -60,7 +60,7 @@ def convert(
 
     Returns how many messages went where, and what people must know. Raises UserError; then nothing was written.
     """
-    chosen = FORMATS[named(to, out)]
+    chosen = FORMATS[format_name(to, out)]
     _check(source, out, force)
     content = read_content(source, choice)
     n_read = len(content.messages)
@@ -83,7 +83,7 @@ def convert(
     return counts, notes
 
 
-def named(to: str, out: Path) -> str:
+def format_name(to: str, out: Path) -> str:
     """The format's name: `to`, or by the file's name. Raises UserError where there is none."""
     if to:
         if to not in FORMATS:
@@ -135,13 +135,13 @@ def _recording(task: Conversion) -> Counter[str]:
     """Writes a recording of the stack, with the log's robot, so that services replay it."""
     if not task.source.is_dir() and is_recording(task.source):
         raise UserError(f"{task.source} is a recording of the stack already", "take another format: --to ros2")
-    from zenav.slam import robot_of  # the mapper behind it takes long to load
+    from zenav.convert.log_robot import robot_of_log  # the mapper behind it takes long to load
 
     scans = [record for record in log_of(task.content).records if isinstance(record, LoggedScan)]
     attachments = {}
     if scans:
         text = StringIO()
-        YAML(typ="safe").dump({"robot": robot_of(scans).model_dump(mode="json")}, text)
+        YAML(typ="safe").dump({"robot": robot_of_log(scans).model_dump(mode="json")}, text)
         attachments[CONFIG] = text.getvalue().encode()
     counts: Counter[str] = Counter()
     with Writer(task.out, {**about("log"), "converted": task.source.name}, attachments) as writer:
@@ -195,9 +195,9 @@ def _map(task: Conversion) -> Counter[str]:
             grid.apply(message)
             n += 1
     if n:
-        from zenav.maps import write  # with Zenoh behind it
+        from zenav.maps.map_files import write_map  # with Zenoh behind it
 
-        write(grid, task.out)
+        write_map(grid, task.out)
     return Counter({"map updates": n})
 
 
@@ -216,13 +216,13 @@ def _foxglove(task: Conversion) -> Counter[str]:
 
 
 FORMATS = {
-    "ros2": Format("a ROS 2 bag, MCAP storage", (), write_ros2, folder=True),
-    "ros2-sqlite": Format("a ROS 2 bag, sqlite3 storage", (), write_ros2_sqlite),
-    "ros1": Format("a ROS 1 bag", (".bag",), write_ros1),
-    "zenav": Format("a recording of the stack", (".mcap",), _recording),
-    "tum": Format("a trajectory for evo", (".tum", ".txt"), _tum),
-    "carmen": Format("a CARMEN log", (".log", ".log.gz", ".clf"), _carmen),
-    "foxglove": Format("what Foxglove opens", (), _foxglove),
-    "map": Format("a map's folder, for map_server", (), _map),
+    "ros2": ExportFormat("a ROS 2 bag, MCAP storage", (), write_ros2, folder=True),
+    "ros2-sqlite": ExportFormat("a ROS 2 bag, sqlite3 storage", (), write_ros2_sqlite),
+    "ros1": ExportFormat("a ROS 1 bag", (".bag",), write_ros1),
+    "zenav": ExportFormat("a recording of the stack", (".mcap",), _recording),
+    "tum": ExportFormat("a trajectory for evo", (".tum", ".txt"), _tum),
+    "carmen": ExportFormat("a CARMEN log", (".log", ".log.gz", ".clf"), _carmen),
+    "foxglove": ExportFormat("what Foxglove opens", (), _foxglove),
+    "map": ExportFormat("a map's folder, for map_server", (), _map),
 }
 """By the name that --to takes; the first whose suffix fits is taken for a file's name."""

@@ -17,8 +17,8 @@ from shared.codec import CodecError, decode
 from shared.config import Robot, UserError
 from shared.recording import Recording
 from shared.topics import topic_of
-from zenav.foxglove.schemas import MAP_ROW, MapPicture, Row, Seen, encoded, kind_of, rows_of
-from zenav.replay import robot_file
+from zenav.foxglove.schemas import MAP_ROW, MapPicture, MessageContext, SchemaRow, encode_message, encoding_of, rows_of
+from zenav.recording.opening import recorded_robot_file
 
 _CHUNK_BYTES = 1024 * 1024
 _PROGRESS_EVERY = 1000  # messages
@@ -32,7 +32,7 @@ def to_foxglove(recording: Recording, out: Path, progress: Callable[[float], Non
     """
     if out.exists() and out.samefile(recording.path):
         raise UserError(f"{out} is the recording itself", "choose another name")
-    file = robot_file(recording)
+    file = recorded_robot_file(recording)
     partial = out.with_name(f".{out.name}.part")
     try:
         with partial.open("wb") as stream:
@@ -67,9 +67,9 @@ def _written(
             continue
         at, sent = entry.log_time, entry.sent
         if topic is topics.MAP:
-            picture.take(cast(Any, message))
+            picture.add(cast(Any, message))
             sheet.add(MAP_ROW, picture.due(at), at, sent)
-        seen = Seen(envelope.publisher, robot)
+        seen = MessageContext(envelope.publisher, robot)
         for row in rows_of(entry.key):
             sheet.add(row, row.make(message, seen), at, sent)
     sheet.add(MAP_ROW, picture.last(), at, sent)
@@ -98,16 +98,16 @@ class _Sheet:
             kind = "application/yaml" if name.endswith(".yaml") else "application/octet-stream"
             self._mcap.add_attachment(0, 0, name, kind, text)
 
-    def add(self, row: Row, value: Any, log_time: int, sent: int) -> None:
+    def add(self, row: SchemaRow, value: Any, log_time: int, sent: int) -> None:
         """Adds what a row shows; None shows nothing. Raises OSError."""
         if value is None:
             return
         if row.topic not in self._channels:
-            encoding, schema = kind_of(row.type)
+            encoding, schema = encoding_of(row.type)
             if schema.name not in self._schemas:
                 self._schemas[schema.name] = self._mcap.register_schema(schema.name, schema.encoding, schema.data)
             self._channels[row.topic] = self._mcap.register_channel(row.topic, encoding, self._schemas[schema.name])
-        self._mcap.add_message(self._channels[row.topic], log_time, encoded(value), sent)
+        self._mcap.add_message(self._channels[row.topic], log_time, encode_message(value), sent)
         self.counts[row.topic] += 1
 
     def close(self) -> None:

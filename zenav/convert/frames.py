@@ -4,12 +4,9 @@
 from math import atan2, cos, degrees
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shared.geometry import Pose2
-
-Float64s = NDArray[np.float64]
-Int64s = NDArray[np.int64]
+from shared.types import Float64s, Int64s
 
 MAX_COORDINATE = 1e6  # m
 LEVEL = cos(np.radians(20.0))  # of the vertical: a laser tilted by more does not measure the plane

@@ -3,12 +3,8 @@
 
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from shared.geometry import Pose2
-
-Float32s = NDArray[np.float32]
+from shared.types import Float32s
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +40,7 @@ class LoggedScan:
 
 
 @dataclass(slots=True)
-class Log:
+class DriveLog:
     """A log's records in their order, and what was wrong with it.
 
     unit: what the log consists of, of which n_bad could not be read.   has_odometry: where it has none, the records'

@@ -32,7 +32,7 @@ Message: TypeAlias = tuple[str, str, int, bytes]
 """Topic, type, ns when it was recorded, and the message's bytes."""
 
 
-class Record(NamedTuple):
+class BagRecord(NamedTuple):
     """op, fields by name, and where the data lie."""
 
     op: int
@@ -41,7 +41,7 @@ class Record(NamedTuple):
     end: int
 
 
-def records(content: Bytes, at: int, lost: list[int]) -> Iterator[Record]:
+def records(content: Bytes, at: int, lost: list[int]) -> Iterator[BagRecord]:
     """The records of `content` from a place on. Bytes that are none are counted in `lost`.
 
     The data of an uncompressed chunk are records themselves and are gone through as such: so a chunk whose length is
@@ -60,7 +60,7 @@ def records(content: Bytes, at: int, lost: list[int]) -> Iterator[Record]:
         at = found
 
 
-def rescued(path: Path) -> tuple[Iterator[Message], list[str]]:
+def rescue_messages(path: Path) -> tuple[Iterator[Message], list[str]]:
     """The messages of a bag, one by one, and what was lost, in words: complete when they are through."""
     lost: list[str] = []
     return _messages(path, lost), lost
@@ -95,7 +95,7 @@ def _messages(path: Path, lost: list[str]) -> Iterator[Message]:
         lost.append(f"{n_orphans} messages belong to topics that are lost")
 
 
-def _flat(content: Bytes, begin: int, gaps: list[int]) -> Iterator[tuple[Bytes | None, Record]]:
+def _flat(content: Bytes, begin: int, gaps: list[int]) -> Iterator[tuple[Bytes | None, BagRecord]]:
     """Every record with the bytes that it lies in, those of chunks too; None after a chunk that breaks off."""
     for record in records(content, begin, gaps):
         compression = record.fields.get(b"compression", b"none")
@@ -129,7 +129,7 @@ def _text(name: bytes) -> str:
     return name.decode(errors="replace")
 
 
-def _record(content: Bytes, at: int) -> Record | None:
+def _record(content: Bytes, at: int) -> BagRecord | None:
     """The record that begins at a place, or None. A chunk may reach beyond the end."""
     header = _header(content, at)
     if header is None:
@@ -139,7 +139,7 @@ def _record(content: Bytes, at: int) -> Record | None:
     end = start + LENGTH.unpack_from(content, start - 4)[0]
     if end > len(content) and op != CHUNK:
         return None
-    return Record(op, fields, start, min(end, len(content)))
+    return BagRecord(op, fields, start, min(end, len(content)))
 
 
 def _header(content: Bytes, at: int) -> tuple[dict[bytes, bytes], int] | None:

@@ -11,7 +11,6 @@ from math import cos, sin
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -28,10 +27,9 @@ from shared.config import Mount
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapUpdate, Message, Odometry, Path, PoseEstimate, Truth
+from shared.types import Float64s
 from zenav.convert.conversion import Conversion
 from zenav.convert.ros_messages import GRID, ODOM, POSE, POSE_COVARIANCE, SCAN, TF, typestore
-
-Float64s = NDArray[np.float64]
 
 MAP, ODOM_FRAME, BASE, LASER = "map", "odom", "base_link", "laser"
 PATH = "nav_msgs/msg/Path"

@@ -22,7 +22,6 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from shared.config import UserError
 from shared.recording import Recording
 from zenav.convert import ros1_rescue, sqlite_rescue
-from zenav.convert.mcap_rescue import with_last_chunk
 
 MAGICS = {
     b"#ROSBAG V": "ROS 1 bag",
@@ -38,7 +37,7 @@ SLICE = 1 << 20  # bytes
 MAX_ERROR_LENGTH = 300  # characters of what rosbags says
 
 
-class Raw(NamedTuple):
+class RawMessage(NamedTuple):
     """A message as it lies in a bag. received: ns, when the recorder took it."""
 
     topic: str
@@ -49,14 +48,14 @@ class Raw(NamedTuple):
 
 
 @dataclass(slots=True)
-class Bag:
+class BagContent:
     """What was read: messages of the wanted types; every topic with its type and count; what people must know."""
 
-    messages: list[Raw] = field(default_factory=list)
+    messages: list[RawMessage] = field(default_factory=list)
     topics: dict[str, tuple[str, int]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
-    def add(self, other: "Bag") -> None:
+    def add(self, other: "BagContent") -> None:
         """Takes in what another file of the same bag holds."""
         self.messages += other.messages
         self.notes += other.notes
@@ -76,7 +75,7 @@ def kind_of(path: Path) -> str:
     return next((kind for magic, kind in MAGICS.items() if head.startswith(magic)), "")
 
 
-def read_bag(path: Path, wanted: frozenset[str]) -> Bag:
+def read_bag(path: Path, wanted: frozenset[str]) -> BagContent:
     """Everything of some types (`sensor_msgs/msg/LaserScan`) in a file or a folder.
 
     Raises UserError where that is nothing that ROS records, or nothing in it can be read.
@@ -84,16 +83,16 @@ def read_bag(path: Path, wanted: frozenset[str]) -> Bag:
     return _folder(path, wanted) if path.is_dir() else _file(path, wanted)
 
 
-def _folder(path: Path, wanted: frozenset[str]) -> Bag:
+def _folder(path: Path, wanted: frozenset[str]) -> BagContent:
     if (path / "metadata.yaml").is_file():
         try:
             return _by_rosbags(Reader2(path), wanted, ros1=False)
         except Exception as error:  # whatever the reader stumbles over: the files themselves may be sound
-            bag = Bag(
+            bag = BagContent(
                 notes=[f"{path.name}/metadata.yaml was not used ({_short(error)}): the files were read one by one"]
             )
     else:
-        bag = Bag(notes=[f"{path.name} has no metadata.yaml: its files were read one by one"])
+        bag = BagContent(notes=[f"{path.name} has no metadata.yaml: its files were read one by one"])
     files = [file for file in sorted(path.iterdir()) if file.is_file() and file.stat().st_size and kind_of(file)]
     if not files:
         raise UserError(
@@ -104,7 +103,7 @@ def _folder(path: Path, wanted: frozenset[str]) -> Bag:
     return bag
 
 
-def _file(path: Path, wanted: frozenset[str]) -> Bag:
+def _file(path: Path, wanted: frozenset[str]) -> BagContent:
     kind = kind_of(path)
     if kind in READERS:
         return _read(path, kind, wanted)
@@ -116,38 +115,38 @@ def _file(path: Path, wanted: frozenset[str]) -> Bag:
     )
 
 
-Rescued = tuple[Iterable[Raw], list[str]]
+RescuedMessages = tuple[Iterable[RawMessage], list[str]]
 """Messages one by one, and what was lost, complete when they are through."""
 
 
-def _read(path: Path, kind: str, wanted: frozenset[str]) -> Bag:
+def _read(path: Path, kind: str, wanted: frozenset[str]) -> BagContent:
     try:
         return _by_rosbags(READERS[kind](path), wanted, ros1=kind == "ROS 1 bag")
     except Exception as error:  # rosbags raises two dozen kinds on damage, from AssertionError to zlib.error
         cause = _short(error)
     messages, lost = RESCUES[kind](path)
-    bag = Bag()
+    bag = BagContent()
     counts: Counter[tuple[str, str]] = Counter()
 
-    def counted() -> Iterator[Raw]:
+    def counted() -> Iterator[RawMessage]:
         for raw in messages:
             counts[raw.topic, raw.type] += 1
             if raw.type in wanted:
                 yield raw
 
-    bag.messages = _thinned(counted())
+    bag.messages = _last_of_latest(counted())
     bag.topics = {topic: (type_, n) for (topic, type_), n in counts.items()}
     if not counts:
-        raise UserError(f"{path}: nothing in it can be read: {'; '.join([cause, *lost])}", MEND)
+        raise UserError(f"{path}: nothing in it can be read: {'; '.join([cause, *lost])}", HINT)
     n, told = sum(counts.values()), "; ".join(lost) or "nothing is missing"
     bag.notes.append(f"{path.name}: {cause}; read from its beginning instead: {n} messages; {told}")
     return bag
 
 
-MEND = "record it again, or copy it again from where it came"
+HINT = "record it again, or copy it again from where it came"
 
 
-def _by_rosbags(reader: Any, wanted: frozenset[str], ros1: bool) -> Bag:
+def _by_rosbags(reader: Any, wanted: frozenset[str], ros1: bool) -> BagContent:
     """Raises whatever rosbags raises."""
     reader.open()
     try:
@@ -156,19 +155,19 @@ def _by_rosbags(reader: Any, wanted: frozenset[str], ros1: bool) -> Bag:
         topics = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
         chosen = [c for c in reader.connections if c.msgtype in wanted]
         rows = reader.messages(chosen) if chosen else ()
-        found = _thinned(Raw(c.topic, c.msgtype, t, _plain(bytes(data)), ros1) for c, t, data in rows)
+        found = _last_of_latest(RawMessage(c.topic, c.msgtype, t, _plain(bytes(data)), ros1) for c, t, data in rows)
         if not all(isinstance(raw.received, int) for raw in found):
             raise ValueError("a message without its time")
     finally:
         with suppress(Exception):
             reader.close()
-    return Bag(found, topics)
+    return BagContent(found, topics)
 
 
-def _thinned(messages: Iterable[Raw]) -> list[Raw]:
+def _last_of_latest(messages: Iterable[RawMessage]) -> list[RawMessage]:
     """All messages; of LATEST, the last of each topic."""
-    found: list[Raw] = []
-    last: dict[str, Raw] = {}
+    found: list[RawMessage] = []
+    last: dict[str, RawMessage] = {}
     for raw in messages:
         if raw.type in LATEST:
             last[raw.topic] = raw
@@ -191,7 +190,7 @@ def _plain(data: bytes) -> bytes:
     return data
 
 
-def _unpacked(path: Path, wanted: frozenset[str]) -> Bag:
+def _unpacked(path: Path, wanted: frozenset[str]) -> BagContent:
     """A file that was compressed as a whole (rosbag2's mode `file`), read as far as it unpacks."""
     with tempfile.TemporaryDirectory() as folder:
         plain = Path(folder) / path.stem
@@ -199,29 +198,28 @@ def _unpacked(path: Path, wanted: frozenset[str]) -> Bag:
             for piece in zstandard.ZstdDecompressor().read_to_iter(source, read_size=SLICE):
                 target.write(piece)
         if plain.stat().st_size == 0 or kind_of(plain) in ("", "zstd"):
-            raise UserError(f"{path}: what is compressed in it is no bag", MEND)
+            raise UserError(f"{path}: what is compressed in it is no bag", HINT)
         return _file(plain, wanted)
 
 
-def _rescued_ros1(path: Path) -> Rescued:
-    messages, lost = ros1_rescue.rescued(path)
-    return (Raw(topic, _normal(type_), received, data, True) for topic, type_, received, data in messages), lost
+def _rescued_ros1(path: Path) -> RescuedMessages:
+    messages, lost = ros1_rescue.rescue_messages(path)
+    return (RawMessage(topic, _normal(type_), received, data, True) for topic, type_, received, data in messages), lost
 
 
-def _rescued_mcap(path: Path) -> Rescued:
+def _rescued_mcap(path: Path) -> RescuedMessages:
     lost: list[str] = []
 
-    def messages() -> Iterator[Raw]:
+    def messages() -> Iterator[RawMessage]:
         foreign: Counter[str] = Counter()
-        with tempfile.TemporaryDirectory() as folder:
-            recording = Recording(with_last_chunk(path, Path(folder) / "copy.mcap"))
-            for entry in recording.entries():
-                encoding = entry.channel.encoding
-                if encoding in ("cdr", "ros1"):
-                    type_ = _normal(entry.channel.schema_name)
-                    yield Raw(entry.key, type_, entry.log_time, _plain(entry.payload), encoding == "ros1")
-                else:
-                    foreign[encoding] += 1
+        recording = Recording(path)
+        for entry in recording.entries():
+            encoding = entry.channel.encoding
+            if encoding in ("cdr", "ros1"):
+                type_ = _normal(entry.channel.schema_name)
+                yield RawMessage(entry.key, type_, entry.log_time, _plain(entry.payload), encoding == "ros1")
+            else:
+                foreign[encoding] += 1
         lost.extend(f"{n} messages are {encoding or 'of no encoding'}, not ROS's" for encoding, n in foreign.items())
         lost.extend(recording.problems)
 
@@ -233,10 +231,10 @@ def _normal(type_: str) -> str:
     return type_ if "/" in name or not name else f"{package}/msg/{name}"
 
 
-def _rescued_sqlite(path: Path) -> Rescued:
-    messages, lost = sqlite_rescue.rescued(path)
+def _rescued_sqlite(path: Path) -> RescuedMessages:
+    messages, lost = sqlite_rescue.rescue_messages(path)
     return (
-        Raw(topic, _normal(type_), received, _plain(data), False) for topic, type_, received, data in messages
+        RawMessage(topic, _normal(type_), received, _plain(data), False) for topic, type_, received, data in messages
     ), lost
 
 
@@ -250,7 +248,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "ROS 2 bag (sqlite3)": _sqlite_reader,
     "MCAP": McapReader,
 }
-RESCUES: dict[str, Callable[[Path], Rescued]] = {
+RESCUES: dict[str, Callable[[Path], RescuedMessages]] = {
     "ROS 1 bag": _rescued_ros1,
     "ROS 2 bag (sqlite3)": _rescued_sqlite,
     "MCAP": _rescued_mcap,

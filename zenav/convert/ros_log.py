@@ -8,18 +8,16 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shared.config import Mount, UserError, nearest
 from shared.geometry import Pose2
 from shared.messages import LaserScan, Localization, MapUpdate, Message, Odometry, PoseEstimate
+from shared.types import Float64s, Int64s
 from zenav.convert import ros_messages as ros
 from zenav.convert.content import Choice, Content, odometry_at
 from zenav.convert.frames import Frames, level, planar, tilt, upside_down
-from zenav.convert.ros_files import Bag, Raw, read_bag
+from zenav.convert.ros_files import BagContent, RawMessage, read_bag
 
-Float64s = NDArray[np.float64]
-Int64s = NDArray[np.int64]
 M = TypeVar("M", bound=Message)
 T = TypeVar("T")
 
@@ -29,7 +27,7 @@ MOVED = 0.01  # m, rad of a laser on its robot
 
 
 @dataclass(slots=True)
-class Told:
+class TopicTimes:
     """The messages of one topic: when each was recorded and, by its header, true, ns; and what it says."""
 
     topic: str
@@ -50,11 +48,11 @@ def read_ros(path: Path, choice: Choice) -> Content:
 
     Raises UserError where it cannot be read, or does not hold what was chosen.
     """
-    return _Reading(path, read_bag(path, ros.WANTED), choice).content()
+    return _LogReader(path, read_bag(path, ros.WANTED), choice).content()
 
 
-class _Reading:
-    def __init__(self, path: Path, bag: Bag, choice: Choice) -> None:
+class _LogReader:
+    def __init__(self, path: Path, bag: BagContent, choice: Choice) -> None:
         self.path, self.bag, self.choice = path, bag, choice
         self.n_bad = 0
         self.notes = list(bag.notes)
@@ -91,10 +89,10 @@ class _Reading:
     # --- which topics -----------------------------------------------------------------------------------------------
 
     def _chosen(
-        self, named: str, types: tuple[str, ...], rank: Callable[[list[Raw]], Any], what: str, option: str
-    ) -> list[Raw]:
+        self, named: str, types: tuple[str, ...], rank: Callable[[list[RawMessage]], Any], what: str, option: str
+    ) -> list[RawMessage]:
         """The messages of the topic that was named, or of the best one; none where there is none."""
-        by_topic: dict[str, list[Raw]] = {}
+        by_topic: dict[str, list[RawMessage]] = {}
         for raw in self.bag.messages:
             if raw.type in types:
                 by_topic.setdefault(raw.topic, []).append(raw)
@@ -116,7 +114,7 @@ class _Reading:
             )
         return by_topic[fit[-1]]
 
-    def _scan_rank(self, raws: list[Raw]) -> Any:
+    def _scan_rank(self, raws: list[RawMessage]) -> Any:
         """Rank of a laser: level, with a wide field of view, and with many scans."""
         for raw in raws[:20]:
             try:
@@ -132,7 +130,7 @@ class _Reading:
 
     # --- messages and clocks ----------------------------------------------------------------------------------------
 
-    def _told(self, raws: list[Raw]) -> Told | None:
+    def _told(self, raws: list[RawMessage]) -> TopicTimes | None:
         rows = []
         for raw in raws:
             message = self._good(ros.read, raw)
@@ -142,7 +140,7 @@ class _Reading:
             return None
         received, header = (np.array(column, np.int64) for column in list(zip(*rows))[:2])
         first = rows[0][2]
-        return Told(
+        return TopicTimes(
             raws[0].topic, ros.frame(first.header.frame_id), received, header, [row[2] for row in rows],
             ros.frame(getattr(first, "child_frame_id", "")),
         )  # fmt: skip
@@ -155,7 +153,7 @@ class _Reading:
             self.n_bad += 1
             return None
 
-    def _clock(self, told: list[Told]) -> bool:
+    def _clock(self, told: list[TopicTimes]) -> bool:
         """Whether the times of recording replace the stamps, because headers have none, or those of two clocks."""
         bare = [topic.topic for topic in told if topic.unstamped]
         if bare:
@@ -172,7 +170,7 @@ class _Reading:
                 return True
         return False
 
-    def _made(self, told: Told | None, make: Callable[[Any, int], M], by_receipt: bool) -> list[M]:
+    def _made(self, told: TopicTimes | None, make: Callable[[Any, int], M], by_receipt: bool) -> list[M]:
         """A topic's messages as the stack's, in time; those with a stamp that cannot be are bad ones."""
         if told is None:
             return []
@@ -222,7 +220,7 @@ class _Reading:
         above = self.frames.ancestors(of)
         return next((frame for frame in above[1:] if "odom" in frame.rpartition("/")[2]), None)
 
-    def _base(self, scan: Told | None, odom: Told | None) -> str:
+    def _base(self, scan: TopicTimes | None, odom: TopicTimes | None) -> str:
         """The robot's frame: named, odometry's, below odometry's in tf, or by its usual names."""
         if self.choice.base_frame:
             return ros.frame(self.choice.base_frame)
@@ -244,7 +242,7 @@ class _Reading:
 
     # --- what comes out ---------------------------------------------------------------------------------------------
 
-    def _scans(self, told: Told | None, base: str, by_receipt: bool) -> tuple[list[LaserScan], Mount]:
+    def _scans(self, told: TopicTimes | None, base: str, by_receipt: bool) -> tuple[list[LaserScan], Mount]:
         if told is None:
             return [], Mount()
         stamps = np.sort(told.received if by_receipt else told.header)
@@ -286,7 +284,7 @@ class _Reading:
             )
         return scans, Mount(x=mount.x, y=mount.y, yaw=mount.yaw)
 
-    def _odometry(self, told: Told | None, base: str, by_receipt: bool) -> list[Odometry]:
+    def _odometry(self, told: TopicTimes | None, base: str, by_receipt: bool) -> list[Odometry]:
         track = self._made(told, ros.odometry, by_receipt)
         if told is None or base == told.other or not told.other:
             return track
@@ -323,7 +321,7 @@ class _Reading:
         told = self._told(self._chosen("", (ros.GRID,), _map_rank, "map", ""))
         return self._made(told, ros.occupancy, by_receipt)
 
-    def _poses(self, told: Told | None, base: str, by_receipt: bool, track: list[Odometry]) -> list[PoseEstimate]:
+    def _poses(self, told: TopicTimes | None, base: str, by_receipt: bool, track: list[Odometry]) -> list[PoseEstimate]:
         """The pose on the map: of its topic, or in tf; with what that corrects of odometry."""
 
         def made(message: Any, stamp: int) -> PoseEstimate:
@@ -343,7 +341,7 @@ def _estimate(stamp: int, map_from_base: Pose2, spread: Float64s) -> PoseEstimat
     return PoseEstimate(stamp, map_from_base, map_from_base, spread, 1.0, Localization.GOOD)
 
 
-def _odometry_rank(raws: list[Raw]) -> Any:
+def _odometry_rank(raws: list[RawMessage]) -> Any:
     """Dead reckoning rather than a pose on the map or a simulator's truth; then the more usual name, then how much."""
     topic = raws[0].topic
     try:
@@ -354,7 +352,7 @@ def _odometry_rank(raws: list[Raw]) -> Any:
     return drifts, "odom" in topic, topic.rpartition("/")[2] == "odom", len(raws)
 
 
-def _pose_rank(raws: list[Raw]) -> Any:
+def _pose_rank(raws: list[RawMessage]) -> Any:
     """What localises the robot; goals and first guesses are poses too, and no place of it."""
     topic = raws[0].topic
     if any(word in topic for word in ("goal", "initial", "clicked", "target", "truth")):
@@ -362,7 +360,7 @@ def _pose_rank(raws: list[Raw]) -> Any:
     return "amcl" in topic or topic.rpartition("/")[2] == "pose", raws[0].type == ros.POSE_COVARIANCE, len(raws)
 
 
-def _map_rank(raws: list[Raw]) -> Any:
+def _map_rank(raws: list[RawMessage]) -> Any:
     topic = raws[0].topic
     return None if "cost" in topic else (topic.rpartition("/")[2] == "map", topic.endswith("map"))
 

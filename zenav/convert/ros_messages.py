@@ -15,10 +15,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from shared.geometry import Pose2
 from shared.grid import update_of_cells
 from shared.messages import LaserScan, MapUpdate, Odometry
-from zenav.convert.ros_files import Raw
-from zenav.convert.turned_map import turned
-
-Float64s = NDArray[np.float64]
+from shared.types import Float64s
+from zenav.convert.ros_files import RawMessage
+from zenav.maps.rotated_map import axis_aligned
 
 SCAN, ECHOES = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan"
 ODOM = "nav_msgs/msg/Odometry"
@@ -44,7 +43,7 @@ def typestore(ros1: bool) -> Any:
     return store
 
 
-def read(raw: Raw) -> Any:
+def read(raw: RawMessage) -> Any:
     """A message of a bag, with the attributes that ROS gives it. Raises ValueError where the bytes are none."""
     store = typestore(raw.ros1)
     type_ = TF if raw.type == OLD_TF else raw.type
@@ -146,7 +145,7 @@ def occupancy(message: Any, stamp: int) -> MapUpdate:
     cells = np.where((cells < 0) | (cells > 100), -1, cells).astype(np.int8).reshape(height, width)
     x0, y0 = origin.x, origin.y
     if abs(origin.yaw) > 1e-6:
-        cells, x0, y0 = turned(cells, resolution, x0, y0, origin.yaw)
+        cells, x0, y0 = axis_aligned(cells, resolution, x0, y0, origin.yaw)
     if max(abs(x0), abs(y0), resolution * max(cells.shape)) > MAX_MAP_COORDINATE_M:
         raise ValueError("a map that is too far away")
     update = update_of_cells(cells, round(resolution, 9), x0, y0, stamp)

@@ -9,7 +9,7 @@ from pathlib import Path
 from shared.config import UserError
 from zenav.convert.carmen import read_carmen
 from zenav.convert.content import Choice, Content, content_of, log_of
-from zenav.convert.records import Log, LoggedScan
+from zenav.convert.records import DriveLog, LoggedScan
 from zenav.convert.ros_files import MAGICS, kind_of
 from zenav.convert.ros_log import read_ros
 from zenav.convert.stack_log import is_recording, read_recording
@@ -19,7 +19,7 @@ GZIP = b"\x1f\x8b"
 TEXT = 1024  # bytes in which text has no zero
 
 
-def read_log(path: Path, choice: Choice) -> Log:
+def read_log(path: Path, choice: Choice) -> DriveLog:
     """What a mapper takes of any log. Raises UserError where it cannot be read, or holds no scan."""
     if _carmen(path):
         log = read_carmen(path)

@@ -27,7 +27,7 @@ def check(path: Path) -> None:
         raise ValueError("its recorder was killed: a part is still in the -wal file")
 
 
-def rescued(path: Path) -> tuple[Iterator[Message], list[str]]:
+def rescue_messages(path: Path) -> tuple[Iterator[Message], list[str]]:
     """The messages, one by one, and what was lost, in words: complete when they are through."""
     lost: list[str] = []
     return _messages(path, lost), lost

@@ -11,7 +11,7 @@ from shared.messages import LaserScan, Message
 from shared.recording import Recording
 from shared.topics import topic_of
 from zenav.convert.content import Choice, Content
-from zenav.replay import robot_file
+from zenav.recording.opening import recorded_robot_file
 
 PROFILE = 8 + 1 + 8 + 4  # bytes before the profile's name: magic, opcode and length of the header, length of the name
 KEYS = frozenset(topic.key for topic in (topics.SCAN, topics.ODOM, topics.POSE, topics.MAP, topics.PLAN, topics.TRUTH))
@@ -57,7 +57,7 @@ def read_recording(path: Path, choice: Choice) -> Content:
 def _mount(recording: Recording) -> Mount | None:
     """The laser's place in the configuration that the recording was made with."""
     try:
-        file = robot_file(recording)
+        file = recorded_robot_file(recording)
         return file.robot.laser.mount if file is not None else None
     except UserError:  # it is damaged, and the messages need not be
         return None

@@ -24,9 +24,9 @@ from shared.geometry import Pose2
 from shared.messages import MapMode
 from shared.requests import Cancel, Explore, Navigate, Pause, Reply, StartMap, Watch
 from zenav.client import Client
-from zenav.drive import confirm_stop, place, refusal
-from zenav.foxglove.commander import Commander
-from zenav.foxglove.inbound import Inlet, RefusedError, inlet_of, pose_from, velocity_from
+from zenav.client.navigation_client import confirm_stop, refusal_error, target_text
+from zenav.foxglove.commander import TeleopArbiter
+from zenav.foxglove.inbound import Inlet, InvalidMessageError, inlet_of, pose_from, velocity_from
 
 Say = Callable[[str, bool], None]
 """Shows a line to the user; True: it is an error."""
@@ -47,7 +47,7 @@ class App(ServerListener):
 
     def __init__(self, client: Client, say: Say, asked: Callable[[str], None]) -> None:
         """asked: gets the topic that a client begins to listen to."""
-        self.commander = Commander()
+        self.commander = TeleopArbiter()
         self._client, self._say, self._asked = client, say, asked
         self._inlets: dict[tuple[int, int], Inlet] = {}
         self._told: dict[str, float] = {}
@@ -73,7 +73,7 @@ class App(ServerListener):
     def on_client_advertise(self, client: Viewer, channel: ClientChannel) -> None:
         try:
             self._inlets[client.id, channel.id] = inlet_of(channel.topic, channel.encoding, channel.schema_name)
-        except RefusedError as error:
+        except InvalidMessageError as error:
             self._refuse(client.id, str(error))
 
     def on_client_unadvertise(self, client: Viewer, client_channel_id: int) -> None:
@@ -82,19 +82,19 @@ class App(ServerListener):
         if inlet is not None and inlet.what == "teleop":
             if self.commander.driver == client.id:
                 self._say(f"client {client.id} let go: the robot stands", False)
-            self.commander.gone(client.id, time.monotonic())
+            self.commander.remove_client(client.id, time.monotonic())
 
     def on_message_data(self, client: Viewer, client_channel_id: int, data: bytes) -> None:
         inlet = self._inlets.get((client.id, client_channel_id))
         try:
             if inlet is None:
-                raise RefusedError("a message on a channel that was refused")
+                raise InvalidMessageError("a message on a channel that was refused")
             if inlet.what == "teleop":
                 self._teleop(client.id, *velocity_from(inlet, data))
             else:
                 pose = pose_from(inlet, data)
                 self._later(client.id, lambda: (self._goal if inlet.what == "goal" else self._here)(client.id, pose))
-        except RefusedError as error:
+        except InvalidMessageError as error:
             self._refuse(client.id, str(error))
 
     # --- what they do -----------------------------------------------------------------------------------------------
@@ -136,12 +136,12 @@ class App(ServerListener):
             except (ValueError, RecursionError):
                 tree = None
             if not isinstance(tree, dict):
-                raise RefusedError(f"{name}: the request is no JSON object")
+                raise InvalidMessageError(f"{name}: the request is no JSON object")
             try:
                 answer = {"success": True, "message": act()}
                 self._say(f"{name} by client {request.client_id}: {answer['message']}", False)
             except UserError as error:
-                answer = {"success": False, "message": f"{error.what}: {error.mend}"}
+                answer = {"success": False, "message": f"{error.what}: {error.hint}"}
                 self._refuse(request.client_id, f"{name}: {error.what}")
             except zenoh.ZError as error:
                 answer = {"success": False, "message": f"no connection to the stack: {error}"}
@@ -151,7 +151,7 @@ class App(ServerListener):
 
     def _teleop(self, client: int, v: float, w: float) -> None:
         new = self.commander.driver is None
-        self.commander.take(client, v, w, time.monotonic())
+        self.commander.request(client, v, w, time.monotonic())
         if new:
             self._say(f"client {client} drives by hand", False)
 
@@ -170,7 +170,7 @@ class App(ServerListener):
 
     def _accepted(self, reply: Reply, words: str) -> str:
         if not reply.accepted:
-            raise refusal(reply)
+            raise refusal_error(reply)
         return words
 
     # --- the worker -------------------------------------------------------------------------------------------------
@@ -180,12 +180,12 @@ class App(ServerListener):
             try:
                 act()
             except UserError as error:
-                self._refuse(client, f"{error.what}: {error.mend}")
+                self._refuse(client, f"{error.what}: {error.hint}")
 
         try:
             self._work.put_nowait(guarded)
         except queue.Full:
-            raise RefusedError("too many requests at once") from None
+            raise InvalidMessageError("too many requests at once") from None
 
     def _run(self) -> None:
         while (act := self._work.get()) is not None:
@@ -210,7 +210,7 @@ class App(ServerListener):
 
 
 def _words(pose: Pose2) -> str:
-    return place((pose.x, pose.y, degrees(pose.yaw)))
+    return target_text((pose.x, pose.y, degrees(pose.yaw)))
 
 
 def _described(schema: dict[str, Any]) -> MessageSchema:

@@ -15,14 +15,14 @@ from shared import topics
 from shared.codec import CodecError, decode, envelope_of
 from shared.config import Robot
 from shared.topics import topic_of
-from zenav.foxglove.schemas import Row, Seen, encoded, kind_of, rows_of
+from zenav.foxglove.schemas import MessageContext, SchemaRow, encode_message, encoding_of, rows_of
 
 
 @dataclass(frozen=True, slots=True)
 class Outlet:
     """A row and the channel that carries it."""
 
-    row: Row
+    row: SchemaRow
     channel: Channel
 
 
@@ -37,10 +37,10 @@ class Channels:
         self._makers: dict[str, Callable[[], Any]] = {}
         self._asked: deque[str] = deque()
 
-    def declare(self, row: Row, last: Callable[[], Any] | None = None) -> Channel:
+    def declare(self, row: SchemaRow, last: Callable[[], Any] | None = None) -> Channel:
         """A row's channel. last: makes the value that a late client gets, or None."""
         if row.topic not in self._channels:
-            encoding, schema = kind_of(row.type)
+            encoding, schema = encoding_of(row.type)
             self._channels[row.topic] = Channel(
                 row.topic, schema=schema, message_encoding=encoding, context=self._context
             )
@@ -52,10 +52,10 @@ class Channels:
         """Whether a client listens to a Foxglove topic."""
         return topic in self._channels and self._channels[topic].has_sinks()
 
-    def send(self, row: Row, value: Any, at: int) -> None:
+    def send(self, row: SchemaRow, value: Any, at: int) -> None:
         """Sends a value of a row at `at` (ns, the stack's clock); None is nothing to send."""
         if value is not None:
-            self.declare(row).log(encoded(value), log_time=max(0, at))
+            self.declare(row).log(encode_message(value), log_time=max(0, at))
 
     def show(self, key: str, payload: bytes) -> None:
         """Sends a payload on a key to the clients that subscribed."""
@@ -81,7 +81,7 @@ class Channels:
             if topic in self._makers:
                 value = self._makers[topic]()
                 if value is not None:
-                    self._channels[topic].log(encoded(value), log_time=max(0, now))
+                    self._channels[topic].log(encode_message(value), log_time=max(0, now))
             for key, payload in self._last.items():
                 rows = [outlet.row for outlet in self._outlets_of(key) if outlet.row.topic == topic]
                 if rows:
@@ -103,7 +103,7 @@ class Channels:
             self._outlets[key] = tuple(Outlet(row, self.declare(row)) for row in rows_of(key))
         return self._outlets[key]
 
-    def _shown(self, key: str, payload: bytes, rows: list[Row]) -> None:
+    def _shown(self, key: str, payload: bytes, rows: list[SchemaRow]) -> None:
         topic = topic_of(key)
         if topic is None:
             return
@@ -111,7 +111,7 @@ class Channels:
             message, envelope = decode(topic.type, payload)
         except CodecError:
             return  # its reader among the services counts and reports it
-        seen = Seen(envelope.publisher, self._robot)
+        seen = MessageContext(envelope.publisher, self._robot)
         for row in rows:
             self.send(row, row.make(message, seen), envelope.sent)
 

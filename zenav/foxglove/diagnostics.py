@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from shared.messages import BaseStatus, GuardState, GuardStatus, Health, Message, NavState, NavStatus
-from shared.reasons import REASONS, told
+from shared.reasons import REASONS, reason_text
 from zenav.foxglove import as_json
 
 OK, WARN, ERROR, STALE = range(4)
@@ -83,7 +83,7 @@ def _level(reason: str) -> int:
 
 
 def _state(message: Message, name: str, level: int, state: str, reason: str, detail: str) -> Diagnostics:
-    words = [state, told(reason), detail]
+    words = [state, reason_text(reason), detail]
     values = {
         key: f"{value:.6g}" if isinstance(value, float) else str(value)
         for key, value in as_json.document(message).items()

@@ -40,22 +40,22 @@ _LEVELS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class MessageContext:
     """Context of a message: its publisher, and the robot, where it is known."""
 
     publisher: str
     robot: Robot | None
 
 
-class Row(NamedTuple):
+class SchemaRow(NamedTuple):
     """What a message shows on one of Foxglove's topics."""
 
     topic: str
     type: Any
-    make: Callable[[Any, Seen], Any]
+    make: Callable[[Any, MessageContext], Any]
 
 
-class Kind(NamedTuple):
+class ChannelEncoding(NamedTuple):
     """How a topic's messages are written: the encoding, and the schema with its name and its own encoding."""
 
     encoding: str
@@ -63,18 +63,20 @@ class Kind(NamedTuple):
 
 
 @cache
-def kind_of(type_: Any) -> Kind:
+def encoding_of(type_: Any) -> ChannelEncoding:
     """How values of a type of this table are written."""
     if issubclass(type_, Message):
         schema = as_json.json_schema(type_)
-        return Kind("json", Schema(name=schema["title"], encoding="jsonschema", data=as_json.compact(schema)))
+        return ChannelEncoding(
+            "json", Schema(name=schema["title"], encoding="jsonschema", data=as_json.compact(schema))
+        )
     if type_ is Diagnostics:
         name = "diagnostic_msgs/DiagnosticArray"  # what Foxglove's diagnostics panels look for, in JSON too
-        return Kind("json", Schema(name=name, encoding="jsonschema", data=as_json.compact(DIAGNOSTICS)))
-    return Kind("protobuf", type_.get_schema())
+        return ChannelEncoding("json", Schema(name=name, encoding="jsonschema", data=as_json.compact(DIAGNOSTICS)))
+    return ChannelEncoding("protobuf", type_.get_schema())
 
 
-def encoded(value: Any) -> bytes:
+def encode_message(value: Any) -> bytes:
     """The bytes of a value of this table."""
     if isinstance(value, Message):
         return as_json.compact(as_json.document(value))
@@ -82,20 +84,20 @@ def encoded(value: Any) -> bytes:
 
 
 @cache
-def rows_of(key: str) -> tuple[Row, ...]:
+def rows_of(key: str) -> tuple[SchemaRow, ...]:
     """What messages on a key (without the robot's name) show. The map's tiles are not here: see MapPicture."""
     topic = topics.topic_of(key)
     if topic is None or topic in (topics.MAP, topics.JOURNAL):
         return ()
-    own = ROWS.get(topic.key, (Row(f"/{key}", topic.type, _itself),))
-    whole = (Row(f"/zenav/{key}", topic.type, _itself),) if topic in LEAVES_OUT else ()
+    own = ROWS.get(topic.key, (SchemaRow(f"/{key}", topic.type, _itself),))
+    whole = (SchemaRow(f"/zenav/{key}", topic.type, _itself),) if topic in LEAVES_OUT else ()
     return own + ALSO.get(topic.key, ()) + whole
 
 
 # --- the makers -----------------------------------------------------------------------------------------------------
 
 
-def laser_scan(scan: m.LaserScan, seen: Seen) -> fox.LaserScan:
+def laser_scan(scan: m.LaserScan, seen: MessageContext) -> fox.LaserScan:
     """The sweep in `laser`. Readings outside its limits become NaN: Foxglove's schema has no limits."""
     good = (scan.ranges >= scan.range_min) & (scan.ranges <= scan.range_max)
     return fox.LaserScan(
@@ -120,7 +122,7 @@ def _transform(stamp: int, parent: str, child: str, parent_from_child: Pose2) ->
     return fox.FrameTransforms(transforms=[transform])
 
 
-def laser_transform(scan: m.LaserScan, seen: Seen) -> fox.FrameTransforms | None:
+def laser_transform(scan: m.LaserScan, seen: MessageContext) -> fox.FrameTransforms | None:
     """base_link -> laser, with each sweep, so that a late client has it with its first sweep."""
     if seen.robot is None:
         return None
@@ -128,15 +130,15 @@ def laser_transform(scan: m.LaserScan, seen: Seen) -> fox.FrameTransforms | None
     return _transform(scan.stamp, BASE, LASER, Pose2(mount.x, mount.y, mount.yaw))
 
 
-def odom_transform(odometry: m.Odometry, seen: Seen) -> fox.FrameTransforms:
+def odom_transform(odometry: m.Odometry, seen: MessageContext) -> fox.FrameTransforms:
     return _transform(odometry.stamp, ODOM, BASE, odometry.odom_from_base)
 
 
-def map_transform(estimate: m.PoseEstimate, seen: Seen) -> fox.FrameTransforms:
+def map_transform(estimate: m.PoseEstimate, seen: MessageContext) -> fox.FrameTransforms:
     return _transform(estimate.stamp, MAP, ODOM, estimate.map_from_odom)
 
 
-def odometry(odometry: m.Odometry, seen: Seen) -> fox.Odometry:
+def odometry(odometry: m.Odometry, seen: MessageContext) -> fox.Odometry:
     covariance = [0.0] * 36
     for place, value in zip(_COVARIANCE, odometry.covariance.tolist(), strict=True):
         covariance[place] = value
@@ -155,24 +157,24 @@ def _pose_in_map(stamp: int, pose: Pose2) -> fox.PoseInFrame:
     return fox.PoseInFrame(timestamp=stamp_of(stamp), frame_id=MAP, pose=pose_of(pose))
 
 
-def pose(estimate: m.PoseEstimate, seen: Seen) -> fox.PoseInFrame:
+def pose(estimate: m.PoseEstimate, seen: MessageContext) -> fox.PoseInFrame:
     return _pose_in_map(estimate.stamp, estimate.map_from_base)
 
 
-def goal(goal: m.Goal, seen: Seen) -> fox.PoseInFrame | None:
-    return _pose_in_map(goal.stamp, goal.map_from_goal) if goal.kind is m.GoalKind.DRIVE else None
+def goal(goal: m.Goal, seen: MessageContext) -> fox.PoseInFrame | None:
+    return _pose_in_map(goal.stamp, goal.map_from_goal) if goal.active else None
 
 
-def true_pose(truth: m.Truth, seen: Seen) -> fox.PoseInFrame:
+def true_pose(truth: m.Truth, seen: MessageContext) -> fox.PoseInFrame:
     return _pose_in_map(truth.stamp, truth.start.inverse() @ truth.world_from_base)
 
 
-def robot(status: m.GuardStatus, seen: Seen) -> fox.SceneUpdate | None:
+def robot(status: m.GuardStatus, seen: MessageContext) -> fox.SceneUpdate | None:
     """The outline, in a colour that says whether it may drive."""
     return scene.footprint(status, seen.robot) if seen.robot is not None else None
 
 
-def plan(path: m.Path, seen: Seen) -> fox.PosesInFrame:
+def plan(path: m.Path, seen: MessageContext) -> fox.PosesInFrame:
     """The way; no poses where there is none, which takes an old one off the screen."""
     places = zip(path.xs.tolist(), path.ys.tolist(), path.yaws.tolist(), strict=True)
     return fox.PosesInFrame(
@@ -180,12 +182,12 @@ def plan(path: m.Path, seen: Seen) -> fox.PosesInFrame:
     )
 
 
-def log(line: m.LogLine, seen: Seen) -> fox.Log:
+def log(line: m.LogLine, seen: MessageContext) -> fox.Log:
     level = _LEVELS.get(line.level, fox.LogLevel.Unknown)
     return fox.Log(timestamp=stamp_of(line.stamp), level=level, message=line.text, name=seen.publisher)
 
 
-def _itself(message: Message, seen: Seen) -> Message:
+def _itself(message: Message, seen: MessageContext) -> Message:
     return message
 
 
@@ -240,7 +242,7 @@ def grid_of(
     )
 
 
-def costmap(costmap: m.Costmap, seen: Seen) -> fox.Grid:
+def costmap(costmap: m.Costmap, seen: MessageContext) -> fox.Grid:
     x, y = costmap.x, costmap.y
     return grid_of(costmap.stamp, ODOM, x, y, costmap.resolution, costmap.cells, COST_COLOURS)
 
@@ -253,7 +255,7 @@ class MapPicture:
         self._stamp = self._shown_at = 0
         self._changed = False
 
-    def take(self, update: m.MapUpdate) -> None:
+    def add(self, update: m.MapUpdate) -> None:
         """Tiles that changed, or all of them."""
         other = update.map_id != self._grid.map_id or update.resolution != self._grid.resolution
         self._changed |= bool(self._grid.apply(update).any()) or other
@@ -288,32 +290,35 @@ class MapPicture:
 # --- the table ------------------------------------------------------------------------------------------------------
 
 TF = "/tf"
-MAP_ROW = Row("/map", fox.Grid, lambda grid, _: grid)
+MAP_ROW = SchemaRow("/map", fox.Grid, lambda grid, _: grid)
 """Of the pictures that a MapPicture makes."""
 
-ROWS: dict[str, tuple[Row, ...]] = {
-    topics.SCAN.key: (Row(TF, fox.FrameTransforms, laser_transform), Row("/scan", fox.LaserScan, laser_scan)),
-    topics.ODOM.key: (Row(TF, fox.FrameTransforms, odom_transform), Row("/odom", fox.Odometry, odometry)),
-    topics.POSE.key: (Row(TF, fox.FrameTransforms, map_transform), Row("/pose", fox.PoseInFrame, pose)),
-    topics.PLAN.key: (Row("/plan", fox.PosesInFrame, plan),),
-    topics.GOAL.key: (Row("/nav/goal", fox.PoseInFrame, goal),),
-    topics.LOG.key: (Row("/log", fox.Log, log),),
-    topics.COSTMAP.key: (Row("/debug/costmap", fox.Grid, costmap),),
-    topics.ROLLOUTS.key: (Row("/debug/rollouts", fox.SceneUpdate, lambda rollouts, _: scene.rollouts(rollouts)),),
+ROWS: dict[str, tuple[SchemaRow, ...]] = {
+    topics.SCAN.key: (
+        SchemaRow(TF, fox.FrameTransforms, laser_transform),
+        SchemaRow("/scan", fox.LaserScan, laser_scan),
+    ),
+    topics.ODOM.key: (SchemaRow(TF, fox.FrameTransforms, odom_transform), SchemaRow("/odom", fox.Odometry, odometry)),
+    topics.POSE.key: (SchemaRow(TF, fox.FrameTransforms, map_transform), SchemaRow("/pose", fox.PoseInFrame, pose)),
+    topics.PLAN.key: (SchemaRow("/plan", fox.PosesInFrame, plan),),
+    topics.GOAL.key: (SchemaRow("/nav/goal", fox.PoseInFrame, goal),),
+    topics.LOG.key: (SchemaRow("/log", fox.Log, log),),
+    topics.COSTMAP.key: (SchemaRow("/debug/costmap", fox.Grid, costmap),),
+    topics.ROLLOUTS.key: (SchemaRow("/debug/rollouts", fox.SceneUpdate, lambda rollouts, _: scene.rollouts(rollouts)),),
 }
 """By the registry's key. What is not here goes out as JSON on its own key."""
 
-STATE = Row("/diagnostics", Diagnostics, lambda message, seen: diagnostics_of(message))
-ALSO: dict[str, tuple[Row, ...]] = {
-    topics.GUARD.key: (Row("/robot", fox.SceneUpdate, robot), STATE),
-    topics.NAV.key: (STATE,),
-    topics.BASE.key: (STATE,),
+STATE = SchemaRow("/diagnostics", Diagnostics, lambda message, seen: diagnostics_of(message))
+ALSO: dict[str, tuple[SchemaRow, ...]] = {
+    topics.GUARD.key: (SchemaRow("/robot", fox.SceneUpdate, robot), STATE),
+    topics.NAV_STATUS.key: (STATE,),
+    topics.BASE_STATUS.key: (STATE,),
     topics.HEALTH.key: (STATE,),
-    topics.ZONES.key: (Row("/map/zones", fox.SceneUpdate, lambda zones, _: scene.zones(zones)),),
-    topics.RANGES.key: (Row("/base/cones", fox.SceneUpdate, lambda readings, _: scene.cones(readings)),),
+    topics.ZONES.key: (SchemaRow("/map/zones", fox.SceneUpdate, lambda zones, _: scene.zones(zones)),),
+    topics.RANGES.key: (SchemaRow("/base/cones", fox.SceneUpdate, lambda readings, _: scene.cones(readings)),),
     topics.TRUTH.key: (
-        Row("/sim/pose", fox.PoseInFrame, true_pose),
-        Row("/sim/people", fox.SceneUpdate, lambda truth, _: scene.people(truth)),
+        SchemaRow("/sim/pose", fox.PoseInFrame, true_pose),
+        SchemaRow("/sim/people", fox.SceneUpdate, lambda truth, _: scene.people(truth)),
     ),
 }
 """Beside that."""

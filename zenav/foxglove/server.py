@@ -20,16 +20,16 @@ from shared import topics
 from shared.codec import CodecError, envelope_of
 from shared.config import Robot, UserError, load_robot
 from shared.messages import MapUpdate, Velocity
-from shared.runners.inbox import Inbox, Place
-from shared.runners.transport import LatchedReader, where_from
+from shared.runners.inbox import Inbox, Slot
+from shared.runners.transport import LatchedReader, stack_address
 from shared.stamps import precedes
 from shared.topics import TOPICS, topic_of
 from zenav.client import Client
+from zenav.console.shutdown import StopFlag, stop_on_signal
 from zenav.foxglove.app import App
 from zenav.foxglove.channels import Channels
 from zenav.foxglove.diagnostics import silent
 from zenav.foxglove.schemas import MAP_ROW, STATE, MapPicture, rows_of
-from zenav.stopping import Stop, stopping
 
 HERE = ("127.0.0.1", "localhost", "::1")
 PERIOD = 0.05  # s between two commands, and two ticks of the clock
@@ -40,7 +40,9 @@ BACKLOG = 128  # messages that wait for a slow client: under half a second of ev
 WAITING = 64  # messages of a key that may wait for this loop
 WATCH_EVERY, WATCH_FOR = 2.0, 10.0  # s: how often local control is asked to show what it sees, and for how long
 WATCHED = (topics.COSTMAP, topics.ROLLOUTS)
-EXPECTED = (topics.SCAN, topics.ODOM, topics.POSE, topics.PLAN, topics.GOAL, topics.NAV, topics.GUARD, topics.LOG)
+EXPECTED = (
+    topics.SCAN, topics.ODOM, topics.POSE, topics.PLAN, topics.GOAL, topics.NAV_STATUS, topics.GUARD, topics.LOG,
+)  # fmt: skip
 """What clients may listen to before anything of it has come."""
 
 
@@ -48,9 +50,9 @@ def serve(robot: str, stack: str, host: str, port: int) -> None:
     """Serves until SIGINT or SIGTERM. Raises UserError where the port is taken, or the stack is named wrongly."""
     described = load_robot(robot).robot
     with (
-        stopping() as stop,
-        Client(described.name, where_from(stack)) as client,
-        live(client, described, host, port) as view,
+        stop_on_signal() as stop,
+        Client(described.name, stack_address(stack)) as client,
+        live_view(client, described, host, port) as view,
     ):
         sys.stderr.write(f"{described.name} is at ws://{host}:{view.port}: in Foxglove, open a Foxglove WebSocket\n")
         if host not in HERE:
@@ -59,7 +61,7 @@ def serve(robot: str, stack: str, host: str, port: int) -> None:
 
 
 @contextmanager
-def live(client: Client, robot: Robot, host: str, port: int) -> Iterator["LiveView"]:
+def live_view(client: Client, robot: Robot, host: str, port: int) -> Iterator["LiveView"]:
     """A server on a port (0: any free one) that shows an open client's stack; `run` feeds it. Raises UserError."""
     view = LiveView(client, robot)
     try:
@@ -79,7 +81,7 @@ class LiveView:
         self._app = App(client, self._say, self._channels.ask)
         self._server: WebSocketServer | None = None
         self._inbox = Inbox()
-        self._places: dict[str, Place] = {}
+        self._places: dict[str, Slot] = {}
         self._picture = MapPicture()
         self._map: MapUpdate | None = None
         self._health: dict[str, float] = {}  # monotonic s, by service
@@ -134,7 +136,7 @@ class LiveView:
             if self._server is not None:
                 self._server.stop()
 
-    def run(self, stop: Stop) -> None:
+    def run(self, stop: StopFlag) -> None:
         """Serves until `stop` is set."""
         due = second = time.monotonic()
         while not stop.is_set():
@@ -155,13 +157,13 @@ class LiveView:
     def _file(self, key: str, payload: bytes) -> None:
         """On Zenoh's thread: files, and returns."""
         if key == topics.TELEOP.key and self._is_anothers(payload):  # here: filed, our own next one would hide it
-            self._app.commander.elsewhere(time.monotonic())
+            self._app.commander.on_other_command(time.monotonic())
         place = self._places.get(key)
         if place is None:
             topic = topic_of(key)
             if topic is None or topic in (topics.MAP, topics.JOURNAL):
                 return
-            place = self._places[key] = self._inbox.place(key, topic.keep, WAITING)
+            place = self._places[key] = self._inbox.slot(key, topic.keep, WAITING)
         self._inbox.file(place, payload)
 
     def _take(self, key: str, payload: bytes) -> None:
@@ -202,7 +204,7 @@ class LiveView:
         newest = self.client.latest(topics.MAP)
         if newest is not None and newest is not self._map:
             self._map = newest
-            self._picture.take(newest)
+            self._picture.add(newest)
         return newest is not None
 
     def _look_around(self, now: float) -> None:

@@ -13,8 +13,9 @@ from shared import topics
 from shared.codec import CodecError, decode
 from shared.config import UserError, nearest
 from shared.recording import Entry
-from zenav.recording.chosen import keys_in, opened, span
-from zenav.topic import plain
+from zenav.console.message_text import json_value
+from zenav.recording.opening import open_recording
+from zenav.recording.selection import keys_in, time_range
 
 
 def cat(path: Path, patterns: list[str], begin: float | None, end: float | None, number: int, attached: str) -> int:
@@ -22,22 +23,22 @@ def cat(path: Path, patterns: list[str], begin: float | None, end: float | None,
 
     1 where something of the recording could not be read.
     """
-    recording = opened(path)
+    recording = open_recording(path)
     if attached:
         if attached not in recording.attachments:
             raise UserError(f"{path} has no {attached} attached", nearest(attached, tuple(recording.attachments)))
         sys.stdout.buffer.write(recording.attachments[attached])
         return 0
-    since, until = span(recording, begin, end)
+    since, until = time_range(recording, begin, end)
     entries = recording.entries(keys_in(recording, patterns), since, until)
     for entry in islice(entries, number or None):
-        sys.stdout.write(json.dumps(shown(entry)) + "\n")
+        sys.stdout.write(json.dumps(entry_json(entry)) + "\n")
     for problem in recording.problems:
         sys.stderr.write(f"{problem}\n")
     return 1 if recording.problems else 0
 
 
-def shown(entry: Entry) -> dict[str, Any]:
+def entry_json(entry: Entry) -> dict[str, Any]:
     """A message as JSON: key, time of recording (ns), fields, publisher, session, sequence and send time (ns).
 
     A message that this version does not know has the problem, its size and, of msgpack and JSON, its content.
@@ -51,7 +52,7 @@ def shown(entry: Entry) -> dict[str, Any]:
     except CodecError as error:
         return head | {"problem": str(error), "size": len(entry.payload)} | _foreign(entry)
     about = {"publisher": envelope.publisher, "session": envelope.session, "sequence": envelope.sequence}
-    fields: dict[str, Any] = plain(message)
+    fields: dict[str, Any] = json_value(message)
     return head | fields | {"@": about | {"sent": envelope.sent}}
 
 

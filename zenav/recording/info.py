@@ -13,17 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shared import topics
 from shared.config import UserError
 from shared.migrations import MIGRATIONS
 from shared.recording import Recording
 from shared.recordings.frames import indexes_after
-from zenav.bench.table import table
-from zenav.recording.chosen import SECOND, begin_of, end_of, opened
-
-Int64s = NDArray[np.int64]
+from shared.types import NS_PER_S, Int64s
+from zenav.console.table import show_table
+from zenav.recording.opening import open_recording
+from zenav.recording.selection import begin_of, end_of
 
 PERIODS, MIN_GAP_S = 5, 1.0  # a silence is a gap from so many of the topic's periods, and so many s
 LAST = 2**63 - 1  # ns: what claims to be later is damage, or a clock's
@@ -31,7 +30,7 @@ _ROWS = np.dtype([("channel", "<u2"), ("place", "<u8")])
 
 
 @dataclass
-class Row:
+class TopicInfo:
     """One key. gaps: silences longer than its rate explains, how many and the longest in s."""
 
     key: str
@@ -46,7 +45,7 @@ class Row:
 
 
 @dataclass
-class Info:
+class RecordingInfo:
     """The result of `info`. Times in s; begin: ns on the stack's clock."""
 
     path: str
@@ -58,13 +57,13 @@ class Info:
     about: dict[str, str]
     attachments: dict[str, int]
     parts: list[str]
-    topics: list[Row] = field(default_factory=list)
+    topics: list[TopicInfo] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
 
-def show(paths: list[Path], as_json: bool) -> int:
+def show_info(paths: list[Path], as_json: bool) -> int:
     """Writes what each recording holds; 1 where something is wrong with one."""
-    found = [info(path) for path in paths]
+    found = [recording_info(path) for path in paths]
     for row in found:
         if as_json:
             sys.stdout.write(json.dumps(asdict(row)) + "\n")
@@ -73,10 +72,10 @@ def show(paths: list[Path], as_json: bool) -> int:
     return 1 if any(row.problems for row in found) else 0
 
 
-def info(path: Path) -> Info:
+def recording_info(path: Path) -> RecordingInfo:
     """The summary of a recording. Raises UserError where the file is none."""
-    recording = opened(path)
-    rows = {source.recorded.key: Row(source.recorded.key, "") for source in recording.sources.values()}
+    recording = open_recording(path)
+    rows = {source.recorded.key: TopicInfo(source.recorded.key, "") for source in recording.sources.values()}
     if recording.statistics is not None:
         times = _by_index(recording, rows)
     else:
@@ -86,11 +85,11 @@ def info(path: Path) -> Info:
     for key, row in rows.items():
         topic = topics.topic_of(key)
         row.expected_hz = topic.hz if topic else 0.0
-        row.hz, row.gaps, row.longest_gap = times.get(key, Silences()).told(row.n, row.expected_hz, end)
+        row.hz, row.gaps, row.longest_gap = times.get(key, Silences()).summary(row.n, row.expected_hz, end)
         row.missed = sum(drop.n for drop in recording.drops if drop.key == key)
     begin = begin_of(recording)
-    return Info(
-        str(path), path.stat().st_size, begin, (end - begin) / SECOND, sum(row.n for row in rows.values()),
+    return RecordingInfo(
+        str(path), path.stat().st_size, begin, (end - begin) / NS_PER_S, sum(row.n for row in rows.values()),
         recording.indexed, recording.about, {name: len(data) for name, data in recording.attachments.items()},
         _parts(recording), sorted(rows.values(), key=lambda row: row.key), recording.problems,
     )  # fmt: skip
@@ -104,18 +103,18 @@ class Silences:
     last: int = 0
     long: list[tuple[int, int]] = field(default_factory=list)
 
-    def told(self, n: int, expected: float, end: int) -> tuple[float, int, float]:
+    def summary(self, n: int, expected: float, end: int) -> tuple[float, int, float]:
         """Rate, and number and length of its gaps; nothing where only events speak."""
-        seconds = (self.last - self.first) / SECOND
+        seconds = (self.last - self.first) / NS_PER_S
         hz = (n - 1) / seconds if n > 1 and seconds > 0 else 0.0
         if not expected or not n:
             return hz, 0, 0.0
-        gaps = [(b - a) / SECOND for a, b in (*self.long, (self.last, end))]
+        gaps = [(b - a) / NS_PER_S for a, b in (*self.long, (self.last, end))]
         gaps = [gap for gap in gaps if gap > max(PERIODS / expected, MIN_GAP_S)]
         return hz, len(gaps), max(gaps, default=0.0)
 
 
-def _by_index(recording: Recording, rows: dict[str, Row]) -> dict[str, Silences]:
+def _by_index(recording: Recording, rows: dict[str, TopicInfo]) -> dict[str, Silences]:
     """Counts, and when each key spoke, without reading a message."""
     statistics, blocks, found = recording.statistics, recording.blocks, dict[str, Silences]()
     counts = statistics.channel_message_counts if statistics else {}
@@ -142,7 +141,7 @@ def _by_index(recording: Recording, rows: dict[str, Row]) -> dict[str, Silences]
             if not len(at) or source.recorded.latched:
                 continue
             topic = topics.topic_of(source.recorded.key)
-            least = max(PERIODS / topic.hz, MIN_GAP_S) * SECOND if topic and topic.hz else np.inf
+            least = max(PERIODS / topic.hz, MIN_GAP_S) * NS_PER_S if topic and topic.hz else np.inf
             ahead, behind = times(int(at[0]), number), times(int(at[-1]), number)
             if not len(ahead) or not len(behind):
                 continue
@@ -157,7 +156,7 @@ def _by_index(recording: Recording, rows: dict[str, Row]) -> dict[str, Silences]
     return found
 
 
-def _by_reading(recording: Recording, rows: dict[str, Row]) -> dict[str, Silences]:
+def _by_reading(recording: Recording, rows: dict[str, TopicInfo]) -> dict[str, Silences]:
     stamps: dict[str, list[int]] = {}
     for entry in recording.entries(as_recorded=True):
         stamps.setdefault(entry.key, [])
@@ -165,10 +164,10 @@ def _by_reading(recording: Recording, rows: dict[str, Row]) -> dict[str, Silence
             stamps[entry.key].append(entry.log_time)
     found = {}
     for key, times in stamps.items():
-        rows.setdefault(key, Row(key, "")).n = len(times)
+        rows.setdefault(key, TopicInfo(key, "")).n = len(times)
         if times:
             sorted_times = np.sort(np.array([min(time, LAST) for time in times], np.int64))
-            long = _between(sorted_times, MIN_GAP_S * SECOND)
+            long = _between(sorted_times, MIN_GAP_S * NS_PER_S)
             found[key] = Silences(int(sorted_times[0]), int(sorted_times[-1]), long)
     return found
 
@@ -179,7 +178,7 @@ def _between(times: Int64s, least: float) -> list[tuple[int, int]]:
     return [(int(times[i]), int(times[i + 1])) for i in where]
 
 
-def _name(recording: Recording, rows: dict[str, Row]) -> None:
+def _name(recording: Recording, rows: dict[str, TopicInfo]) -> None:
     """Types, and what this version makes of them."""
     for source in recording.sources.values():
         row, name = rows[source.recorded.key], source.recorded.schema_name
@@ -214,7 +213,7 @@ def _plain(name: str) -> str:
     return "".join(f"[{c}]" if c in "*?[" else c for c in name)
 
 
-def _write(found: Info) -> None:
+def _write(found: RecordingInfo) -> None:
     about = dict(found.about)
     lines = {
         "recording": f"{found.path}, {found.size / 1e6:.1f} MB, {found.seconds:.1f} s, {found.messages} messages",
@@ -244,16 +243,16 @@ def _write(found: Info) -> None:
         ]
         for row in found.topics
     ]  # fmt: skip
-    table("", columns if any(row.note for row in found.topics) else columns[:-1], rows_of(rows, found))
+    show_table("", columns if any(row.note for row in found.topics) else columns[:-1], info_rows(rows, found))
 
 
 def _date(ns: int) -> str:
     try:
-        return f"{datetime.fromtimestamp(ns / SECOND, UTC):%Y-%m-%d %H:%M:%S} UTC" if ns else ""
+        return f"{datetime.fromtimestamp(ns / NS_PER_S, UTC):%Y-%m-%d %H:%M:%S} UTC" if ns else ""
     except (ValueError, OverflowError, OSError):
         return f"{ns} ns, which no calendar has"
 
 
-def rows_of(rows: list[list[str]], found: Info) -> list[list[Any]]:
+def info_rows(rows: list[list[str]], found: RecordingInfo) -> list[list[Any]]:
     """The table's rows, without the column of notes where all are empty."""
     return rows if any(row.note for row in found.topics) else [row[:-1] for row in rows]

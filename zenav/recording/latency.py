@@ -10,17 +10,17 @@ import msgpack
 import numpy as np
 
 from shared.config import UserError
-from zenav.bench.chain import chain
-from zenav.bench.stack import figures
-from zenav.bench.table import table
-from zenav.recording.chosen import keys_in, opened
+from zenav.console.table import show_table
+from zenav.metrics.latency import latency_chain, latency_figures
+from zenav.recording.opening import open_recording
+from zenav.recording.selection import keys_in
 
 PERCENTILES = (50, 95, 99, 100)
 
 
 def latency(path: Path, patterns: list[str], as_json: bool) -> int:
     """Writes percentiles, ms: from a message's stamp, and from its sending, to its recording; from scan to cmd/vel."""
-    recording = opened(path)
+    recording = open_recording(path)
     ages: dict[str, tuple[list[int], list[int]]] = {}
     for entry in recording.entries(keys_in(recording, patterns)):
         stamp = stamp_of(entry.payload)
@@ -44,10 +44,10 @@ def latency(path: Path, patterns: list[str], as_json: bool) -> int:
         *(f"stamp {_name(p)}" for p in PERCENTILES),
         *(f"sent {_name(p)}" for p in PERCENTILES),
     )
-    table("ms from stamp, and from sending, to recording", columns, [_row(key, row) for key, row in rows.items()])
+    show_table("ms from stamp, and from sending, to recording", columns, [_row(key, row) for key, row in rows.items()])
     if parts:
         shown = [(name, *(f"{row[f'p{p}']:.1f}" for p in PERCENTILES)) for name, row in parts.items()]
-        table("ms from scan to cmd/vel, by the journals", ("", *map(_name, PERCENTILES)), shown)
+        show_table("ms from scan to cmd/vel, by the journals", ("", *map(_name, PERCENTILES)), shown)
     else:
         sys.stdout.write("scan to cmd/vel: the journals of local_ctrl, guard and base_driver do not contain it\n")
     return 0
@@ -69,8 +69,8 @@ def _percentiles(ages: list[int]) -> dict[str, float]:
 
 
 def _chain(path: Path) -> dict[str, Any]:
-    found = chain(path)
-    parts: dict[str, Any] = figures(found)["parts"] if len(found.latency) else {}
+    found = latency_chain(path)
+    parts: dict[str, Any] = latency_figures(found)["parts"] if len(found.latency) else {}
     return parts
 
 

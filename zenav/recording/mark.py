@@ -6,13 +6,13 @@ from pathlib import Path
 
 from services.recorder.retention import KEEP_SUFFIX
 from shared.config import UserError
-from zenav.recording.chosen import opened
+from zenav.recording.opening import open_recording
 
 
 def mark(paths: list[Path], remove: bool) -> int:
     """Marks recordings, or takes their marks away. Raises UserError where one is none, or its folder refuses."""
     for path in paths:
-        opened(path)
+        open_recording(path)
         keep = path.with_name(path.name + KEEP_SUFFIX)
         try:
             if remove:

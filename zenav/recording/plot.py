@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shared import topics
 from shared.codec import CodecError, Field, decode, fields_of
@@ -17,10 +16,10 @@ from shared.config import UserError, nearest
 from shared.geometry import Pose2
 from shared.messages import Message
 from shared.recording import Recording
-from zenav.calibrate.chart import AFTER, BEFORE, OTHER, TRUE, Chart, figure, text_of
-from zenav.recording.chosen import SECOND, begin_of, keys_in, opened, span
-
-Float64s = NDArray[np.float64]
+from shared.types import NS_PER_S, Float64s
+from zenav.recording.opening import open_recording
+from zenav.recording.selection import begin_of, keys_in, time_range
+from zenav.render.chart import AFTER, BEFORE, OTHER, TRUE, Chart, charts_png, tick_text
 
 COLOURS = AFTER, BEFORE, TRUE, OTHER
 NAMES = "blue", "red", "green", "yellow"
@@ -31,7 +30,7 @@ _PATH = re.compile(r"(\w+)((?:\.\w+)*)(?:\[(\d+)\])?")
 
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class PlotSeries:
     """One number over time: (n,) s since the start, (n,) in its unit; NaN where it was not a number."""
 
     name: str
@@ -42,15 +41,15 @@ class Series:
 
 def plot(path: Path, fields: list[str], out: Path | None, begin: float | None, end: float | None) -> int:
     """Draws fields like pose:map_from_base.x; into the PNG `out`, or into the terminal."""
-    recording = opened(path)
-    found = series(recording, fields, *span(recording, begin, end))
+    recording = open_recording(path)
+    found = series(recording, fields, *time_range(recording, begin, end))
     units = dict.fromkeys(row.unit for row in found)
     if out is None:
         from rich.console import Console
 
         console = Console()
         for unit in units:
-            for line in drawn([row for row in found if row.unit == unit], min(console.width - MARGIN, WIDTH)):
+            for line in braille_lines([row for row in found if row.unit == unit], min(console.width - MARGIN, WIDTH)):
                 console.print(line, no_wrap=True, overflow="crop")
         return 0
     charts = []
@@ -60,14 +59,14 @@ def plot(path: Path, fields: list[str], out: Path | None, begin: float | None, e
             chart.line(row.times, row.values, COLOURS[i % len(COLOURS)], row.name)
         charts.append(chart)
     try:
-        out.write_bytes(figure(charts))
+        out.write_bytes(charts_png(charts))
     except OSError as error:
         raise UserError(f"cannot write {out}: {error.strerror}", "choose another --out") from None
     sys.stdout.write(f"{out}\n")
     return 0
 
 
-def series(recording: Recording, fields: list[str], begin: int | None, end: int | None) -> list[Series]:
+def series(recording: Recording, fields: list[str], begin: int | None, end: int | None) -> list[PlotSeries]:
     """The fields' numbers between two log_times. Raises UserError where one is not in it, or is no number."""
     wanted = [_asked(field) for field in fields]
     keys_in(recording, [key for key, *_ in wanted])
@@ -81,14 +80,14 @@ def series(recording: Recording, fields: list[str], begin: int | None, end: int 
             continue
         for i, (key, field, path, index) in enumerate(wanted):
             if key == entry.key:
-                times[i].append((entry.log_time - zero) / SECOND)
+                times[i].append((entry.log_time - zero) / NS_PER_S)
                 values[i].append(_number(getattr(message, field.name), path, index))
     found = []
     for (_, field, *_), text, t, v in zip(wanted, fields, times, values):
         if not t or not np.isfinite(v).any():
-            mend = f"of an array say which: {text}[0], {text}.min, .max, .mean; zenav recording cat shows what it holds"
-            raise UserError(f"{recording.path} has no number for {text}", mend)
-        found.append(Series(text, _unit(field, text), np.array(t), np.array(v)))
+            hint = f"of an array say which: {text}[0], {text}.min, .max, .mean; zenav recording cat shows what it holds"
+            raise UserError(f"{recording.path} has no number for {text}", hint)
+        found.append(PlotSeries(text, _unit(field, text), np.array(t), np.array(v)))
     return found
 
 
@@ -128,7 +127,7 @@ def _unit(field: Field, text: str) -> str:
     return field.unit
 
 
-def drawn(rows: list[Series], width: int) -> list[str]:
+def braille_lines(rows: list[PlotSeries], width: int) -> list[str]:
     """Curves of one unit as lines for rich: two by four dots a character."""
     width = max(width, 20)
     times = np.concatenate([row.times for row in rows])
@@ -146,10 +145,10 @@ def drawn(rows: list[Series], width: int) -> list[str]:
         y = ((high - row.values[fine]) / (high - low) * (4 * HEIGHT - 1)).round().astype(int)
         np.bitwise_or.at(dots, (y // 4, x // 2), bits[y % 4, x % 2])
         colour[y // 4, x // 2] = i
-    edge = max(len(text_of(low)), len(text_of(high)))
+    edge = max(len(tick_text(low)), len(tick_text(high)))
     lines = [", ".join(f"[{NAMES[i % len(NAMES)]}]{row.name}[/]" for i, row in enumerate(rows)) + f", {rows[0].unit}"]
     for line in range(HEIGHT):
-        label = text_of(high) if line == 0 else text_of(low) if line == HEIGHT - 1 else ""
+        label = tick_text(high) if line == 0 else tick_text(low) if line == HEIGHT - 1 else ""
         cells = "".join(
             f"[{NAMES[of % len(NAMES)]}]{chr(BRAILLE + dot)}[/]" if dot else " "
             for dot, of in zip(dots[line].tolist(), colour[line].tolist())

@@ -13,17 +13,21 @@ from pathlib import Path
 
 from shared.config import UserError
 from shared.recording import CONFIG, Drop, Entry, Recording, Writer
-from shared.recordings.held import Held
+from shared.recordings.latched_state import LatchedState
 from shared.recordings.reader import LATCHED
-from zenav.recording.chosen import OUT, SECOND, begin_of, end_of, keys_in, opened, span, writable
+from shared.types import NS_PER_S
+from zenav.recording.opening import open_recording
+from zenav.recording.selection import OUT_HINT, begin_of, check_new_recording, end_of, keys_in, time_range
 
 Same = tuple[str, bool, int, int, bytes]
 """What is alike where two recordings hold one message: key, whether it is latched, sequence, time of sending, bytes."""
-APART = 10 * SECOND  # at most, between what two recorders say when it came
+APART = 10 * NS_PER_S  # at most, between what two recorders say when it came
 
 
 @contextmanager
-def written(out: Path, source: Recording, about: dict[str, str], attachments: dict[str, bytes]) -> Iterator[Writer]:
+def new_recording(
+    out: Path, source: Recording, about: dict[str, str], attachments: dict[str, bytes]
+) -> Iterator[Writer]:
     """A copy of another recording that takes its name when it is whole. Raises UserError where the disk refuses."""
     part = out.with_name(f"{out.name}.writing")
     try:
@@ -36,7 +40,7 @@ def written(out: Path, source: Recording, about: dict[str, str], attachments: di
             os.fsync(file.fileno())
         part.replace(out)
     except OSError as error:
-        raise UserError(f"cannot write {out}: {error.strerror}", OUT) from None
+        raise UserError(f"cannot write {out}: {error.strerror}", OUT_HINT) from None
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
@@ -50,12 +54,12 @@ def repair(path: Path, out: Path | None) -> int:
 
     Where something is lost, the damaged file stays beside it as NAME.damaged. 1 where something is lost.
     """
-    recording = opened(path)
+    recording = open_recording(path)
     if out is not None:
-        writable(out, path)
+        check_new_recording(out, path)
     n = 0
     to = out or path.with_name(f"{path.name}.repaired")
-    with written(to, recording, recording.about, recording.attachments) as writer:
+    with new_recording(to, recording, recording.about, recording.attachments) as writer:
         writer.note_drops(recording.drops)
         for entry in recording.entries(as_recorded=True):
             writer.copy(entry)
@@ -100,14 +104,14 @@ def trim(path: Path, out: Path, begin: float | None, end: float | None, patterns
     The part keeps the configuration, the latched messages of its beginning, and the journals. A journal comes once a
     second, for the second before it. So the rest of the last second is written, but does not replay.
     """
-    writable(out, path)
-    recording = opened(path)
+    check_new_recording(out, path)
+    recording = open_recording(path)
     keys = keys_in(recording, patterns)
-    since, until = span(recording, begin, end)
+    since, until = time_range(recording, begin, end)
     first = begin_of(recording) if since is None else since
-    held, n = Held(), 0
-    about = recording.about | {"trimmed": f"{(first - begin_of(recording)) / SECOND:g} s on, from {path.name}"}
-    with written(out, recording, about, recording.attachments) as writer:
+    held, n = LatchedState(), 0
+    about = recording.about | {"trimmed": f"{(first - begin_of(recording)) / NS_PER_S:g} s on, from {path.name}"}
+    with new_recording(out, recording, about, recording.attachments) as writer:
         writer.note_drops(drop for drop in recording.drops if first <= drop.at and (until is None or drop.at < until))
         begun = since is None
         for entry in recording.entries(as_recorded=True):
@@ -127,7 +131,7 @@ def trim(path: Path, out: Path, begin: float | None, end: float | None, patterns
     return 0
 
 
-def _begin(writer: Writer, held: Held, at: int, recording: Recording) -> int:
+def _begin(writer: Writer, held: LatchedState, at: int, recording: Recording) -> int:
     """Writes what was latched at `at` (ns), each with the schema that it was recorded with."""
     channels = {source.recorded.key: source.recorded for source in recording.sources.values()}
     values = held.values()
@@ -148,15 +152,15 @@ def merge(paths: list[Path], out: Path) -> int:
     if len(paths) < 2:
         raise UserError("merging takes two recordings or more", "zenav recording merge A.mcap B.mcap --out C.mcap")
     for path in paths:
-        writable(out, path)
-    recordings = sorted((opened(path) for path in paths), key=begin_of)
+        check_new_recording(out, path)
+    recordings = sorted((open_recording(path) for path in paths), key=begin_of)
     robots = dict.fromkeys(name for r in recordings if (name := r.about.get("robot")))
     if len(robots) > 1:
         raise UserError(f"these are recordings of {' and '.join(robots)}", "merge those of one robot")
     about = {name: text for name, text in recordings[0].about.items() if name not in ("part", "recording")}
     about["merged"] = ", ".join(recording.path.name for recording in recordings)
     n = n_twice = 0
-    with written(out, recordings[0], about, _attachments(recordings)) as writer:
+    with new_recording(out, recordings[0], about, _attachments(recordings)) as writer:
         writer.note_drops(_drops(recordings))
         for entry, again in _known(_in_order(recordings)):
             if again:

@@ -4,13 +4,10 @@
 from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shared.config import Laser
 from shared.messages import LaserScan
-
-Int64s = NDArray[np.int64]
-Float64s = NDArray[np.float64]
+from shared.types import Float64s
 
 
 def ranges_mm(scan: LaserScan, angles: Float64s) -> Float64s:

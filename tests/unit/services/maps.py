@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from shared.grid import OccupancyGrid
 from shared.messages import TILE_CELLS, MapUpdate
+from shared.types import Int8s
 
-Int8s = NDArray[np.int8]
 LETTERS = {".": 0, "#": 100, "?": -1}
 
 

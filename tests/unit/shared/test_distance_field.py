@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_array_equal
 
-from shared.distance_field import Bools, Float32s, distance_field
+from shared.distance_field import distance_field
+from shared.types import Bools, Float32s
 
 small_grids = st.tuples(st.integers(1, 12), st.integers(1, 12)).flatmap(
     lambda shape: arrays(np.bool_, shape, elements=st.integers(0, 5).map(lambda n: n == 0))

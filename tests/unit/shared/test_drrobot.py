@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from shared.drrobot import ADC_FULL, BOARD, PC, Deframer, Packet, Type, framed
 
-LONGEST = 264  # bytes of a packet
+MAX_PACKET_BYTES = 264  # bytes of a packet
 
 EXAMPLES = {
     "acknowledge": "5e 02 01 00 ff 01 01 85 5e 0d",
@@ -105,11 +105,11 @@ def test_a_packet_is_found_at_once_whatever_comes_before_and_after(before, packe
     found = []
     for piece in pieces(before + framed(PC, *packet), cuts):
         found += deframer.packets(piece)
-        assert deframer.n_kept < LONGEST
+        assert deframer.n_kept < MAX_PACKET_BYTES
     assert packet in found
     for piece in pieces(after, cuts):
         deframer.packets(piece)
-        assert deframer.n_kept < LONGEST
+        assert deframer.n_kept < MAX_PACKET_BYTES
     assert deframer.n_bytes == len(before) + len(framed(PC, *packet)) + len(after)
 
 
@@ -188,5 +188,5 @@ def test_noise_in_megabytes_leaves_nothing_behind():
     deframer = Deframer(PC)
     for i in range(0, len(noise), 65536):
         deframer.packets(noise[i : i + 65536])
-        assert deframer.n_kept < LONGEST
+        assert deframer.n_kept < MAX_PACKET_BYTES
     assert deframer.n_good < 5

@@ -9,15 +9,18 @@ import pytest
 from shared import messages
 from shared.codec import Envelope, decode, encode, fields_of, schema, schema_id
 from shared.config import UserError
-from shared.messages import FollowStatus, LogLine
+from shared.messages import FollowStatus, Goal, LogLine
 from shared.migrations import MIGRATIONS, today, unknown_version
 from shared.recording import Channel, Entry, Recording, Writer
 from tests.toys import build
 from zenav.__main__ import _status
-from zenav.replay import replay_file
+from zenav.replay.reprocess import replay_file
 
 DATA = Path(__file__).parent / "data"
-OLD = {"FollowStatus-ee5971bf": DATA / "follow-with-solve-time.mcap"}
+OLD = {
+    "FollowStatus-ee5971bf": DATA / "follow-with-solve-time.mcap",
+    "Goal-4cd8f1ba": DATA / "goal-with-recovery.mcap",
+}
 """By old schema, a recording of its time: made by the stack, cut by zenav recording trim."""
 
 
@@ -40,6 +43,13 @@ def test_the_old_progress_is_as_it_was_told():
     left = [decode(FollowStatus, entry.payload)[0].distance_left for entry in entries]
     assert left[0] == pytest.approx(3.50, abs=0.01)
     assert len(left) == 60
+
+
+def test_an_old_recovery_is_an_inactive_goal():
+    entries = [entry for entry in Recording(OLD["Goal-4cd8f1ba"]).entries() if entry.key == "goal"]
+    active = [decode(Goal, entry.payload)[0].active for entry in entries]
+    # stand, three goals, and back up, turn, turn and wait with a goal after each; then stand
+    assert active == [False, True, True, True, *4 * [False, True], False]
 
 
 @pytest.mark.parametrize("name", MIGRATIONS)
@@ -84,7 +94,7 @@ def test_a_newer_recording_is_refused_by_its_name(tmp_path, capsys, name, fields
     with pytest.raises(UserError, match=words) as error:
         list(Recording(path).entries())
     assert "log/mapper" in error.value.what
-    assert "commit 0123abc" in error.value.mend
+    assert "commit 0123abc" in error.value.hint
     with pytest.raises(UserError, match=words):
         replay_file(path, ["mapper"], None, build, lambda done, of: None)
     assert _status(["recording", "cat", str(path)]) == 2

@@ -96,10 +96,10 @@ def test_a_transparent_png_is_unknown_where_one_sees_through_in_scale_mode(tmp_p
         ({"mode": "grey"}, "mode grey"),
     ],
 )
-def test_a_yaml_that_makes_no_sense_is_refused_with_a_mend(tmp_path, changes, says):
+def test_a_yaml_that_makes_no_sense_is_refused_with_a_hint(tmp_path, changes, says):
     with pytest.raises(UserError, match=says) as error:
         read_ros_map(saved(tmp_path, **changes))
-    assert error.value.mend
+    assert error.value.hint
 
 
 def test_a_yaml_that_is_not_there_and_a_picture_that_is_cut_are_refused(tmp_path):

@@ -66,7 +66,7 @@ def test_a_sweep_that_begins_elsewhere_is_told_unless_it_is_a_full_turn():
 # --- repeated scans --------------------------------------------------------------------------------------------------
 
 
-class Room:
+class ScannedRoom:
     """A laser in a rectangle of 6 m by 4 m with a robot that stands or drives along x, ten scans a second."""
 
     def __init__(self, sigma=0.01, step=0.001, seed=0, half_length=3.0):
@@ -100,7 +100,7 @@ class Room:
 @pytest.mark.parametrize("speed", [0.0, 0.3])
 @pytest.mark.parametrize(("sigma", "step"), [(0.01, 0.001), (0.001, 0.01), (0.005, 0.05)])
 def test_a_buffer_of_a_laser_with_noise_is_found_within_half_a_second_standing_or_driving(speed, sigma, step):
-    room = Room(sigma, step)
+    room = ScannedRoom(sigma, step)
     assert not room.run(30)
     frozen = room.measured()
     room.run(1, ranges=frozen)
@@ -110,7 +110,7 @@ def test_a_buffer_of_a_laser_with_noise_is_found_within_half_a_second_standing_o
 
 @pytest.mark.parametrize("speed", [0.2, 0.5])
 def test_without_known_noise_motion_that_should_have_changed_the_scan_finds_it(speed):
-    room = Room(0.0, 0.0)
+    room = ScannedRoom(0.0, 0.0)
     assert not room.run(10, speed)
     frozen = room.measured()
     assert 0 < room.run(20, speed, frozen) <= 0.2 / (0.1 * speed) + 1
@@ -118,20 +118,20 @@ def test_without_known_noise_motion_that_should_have_changed_the_scan_finds_it(s
 
 @pytest.mark.parametrize("step", [0.0, 0.001, 0.05])
 def test_a_laser_without_noise_may_repeat_while_the_robot_stands(step):
-    room = Room(0.0, step)
+    room = ScannedRoom(0.0, step)
     assert not room.run(10)
     assert not room.run(20, 0.1)
     assert not room.run(100)
 
 
 def test_a_laser_without_noise_may_repeat_in_a_corridor_whose_ends_it_does_not_see():
-    room = Room(0.0, 0.001, half_length=60.0)
+    room = ScannedRoom(0.0, 0.001, half_length=60.0)
     assert not room.run(10)
     assert not room.run(50, 0.5)
 
 
 def test_a_driver_that_publishes_each_sweep_twice_is_no_fault_and_its_buffer_still_is():
-    room = Room()
+    room = ScannedRoom()
     for _ in range(40):
         ranges = room.measured()
         assert not room.run(3, ranges=ranges)
@@ -139,7 +139,7 @@ def test_a_driver_that_publishes_each_sweep_twice_is_no_fault_and_its_buffer_sti
 
 
 def test_few_returns_and_constant_ones_prove_no_repetition():
-    room = Room()
+    room = ScannedRoom()
     room.run(30)
     assert not room.run(20, ranges=np.full(LASER.n_beams, np.nan, np.float32))
     assert not room.run(20, ranges=np.full(LASER.n_beams, 0.06, np.float32))

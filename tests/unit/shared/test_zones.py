@@ -7,9 +7,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from shared.geometry import Pose2, inside
+from shared.geometry import Pose2
 from shared.messages import ZoneKind, Zones
-from shared.zones import KeepOut, ZoneConfig, distance_to, forbidding, mark_cells, polygon_of
+from shared.polygon import contains, distances_to_outline
+from shared.zones import KeepOut, ZoneConfig, forbidding, mark_cells, polygon_of
 
 coordinates = st.floats(-3, 9)
 polygons = st.lists(st.tuples(coordinates, coordinates), min_size=3, max_size=8).map(np.array)
@@ -30,8 +31,8 @@ def test_cells_are_marked_whose_centre_is_inside_and_those_that_the_outline_goes
     mark_cells(cells, x0, y0, resolution, polygon)
     rows, columns = np.indices(cells.shape)
     centres = np.column_stack((x0 + (columns.ravel() + 0.5) * resolution, y0 + (rows.ravel() + 0.5) * resolution))
-    within = inside(polygon, centres).reshape(cells.shape)
-    near = np.array([distance_to(polygon, x, y) for x, y in centres]).reshape(cells.shape)
+    within = contains(polygon, centres).reshape(cells.shape)
+    near = distances_to_outline(polygon, centres).reshape(cells.shape)
     sure = near > 1e-9  # at an edge through a centre either answer is right
     assert cells[within & sure].all()
     assert (near[cells & ~within] <= resolution * 0.5**0.5 + 1e-9).all()

@@ -16,13 +16,14 @@ from shared.grid import OccupancyGrid
 from shared.messages import GuardState, GuardStatus, Health, LaserScan, NavState, NavStatus
 from shared.topics import TOPICS
 from tests.strategies import messages
-from zenav.bench.table import seeds_from
-from zenav.client import CLOCK_AGE, Timekeeper, refused
-from zenav.drive import Arrival, ending, navigate, place, poses_from, why_standing
-from zenav.maps import coarse, update_of, write
-from zenav.screen import row
-from zenav.teleop import HOLD, Keys
-from zenav.topic import plain, rates, text_of
+from zenav.bench.seeds import seeds_from
+from zenav.client.client import CLOCK_AGE, Timekeeper, request_error
+from zenav.client.navigation_client import ArrivalTolerance, navigate, poses_from, stop_reason, target_text, task_result
+from zenav.client.teleop import KEY_HOLD_S, TeleopKeys
+from zenav.client.topic import rates
+from zenav.console.message_text import json_value, message_text
+from zenav.maps.map_files import coarse_cells, update_of, write_map
+from zenav.scenario.live_table import service_row
 
 NAV = NavStatus(1, 4, NavState.NAVIGATING, "", "", "", Pose2(1, 2, 0), 3.0, 4.0, 0, 1, 0)
 GUARD = GuardStatus(1, GuardState.ACTIVE, "nav", "", "", 0.5)
@@ -33,7 +34,7 @@ def test_the_stack_s_clock_runs_on_at_the_simulator_s_rate(rate, heard_for, late
     keeper = Timekeeper()
     for i in range(11):
         at = heard_for * i / 10
-        keeper.heard(10**18 + round(at * rate * 1e9), at)
+        keeper.add_clock(10**18 + round(at * rate * 1e9), at)
     told = keeper.now(0, heard_for + later)
     assert abs(told - (10**18 + round((heard_for + later) * rate * 1e9))) < 1e9 * 1e-6 * (1 + rate * heard_for)
 
@@ -41,15 +42,15 @@ def test_the_stack_s_clock_runs_on_at_the_simulator_s_rate(rate, heard_for, late
 def test_without_a_simulator_the_clock_is_the_wall_s():
     keeper = Timekeeper()
     assert keeper.now(5, 100.0) == 5
-    keeper.heard(10**18, 100.0)
+    keeper.add_clock(10**18, 100.0)
     assert keeper.now(5, 100.1) > 5
     assert keeper.now(5, 100.0 + 2 * CLOCK_AGE) == 5
 
 
 def test_a_clock_that_was_set_back_is_followed():
     keeper = Timekeeper()
-    keeper.heard(10**18, 0.0)
-    keeper.heard(5 * 10**17, 1.0)
+    keeper.add_clock(10**18, 0.0)
+    keeper.add_clock(5 * 10**17, 1.0)
     assert keeper.now(0, 1.0) == 5 * 10**17
 
 
@@ -61,16 +62,16 @@ def test_a_clock_that_was_set_back_is_followed():
     ],
 )  # fmt: skip
 def test_keys_point_the_way(sent, way):
-    keys = Keys()
-    keys.pressed(sent, 10.0)
-    assert keys.way(10.0 + HOLD / 2) == way
-    assert keys.way(10.0 + 2 * HOLD) == (0, 0)
+    keys = TeleopKeys()
+    keys.press(sent, 10.0)
+    assert keys.direction(10.0 + KEY_HOLD_S / 2) == way
+    assert keys.direction(10.0 + 2 * KEY_HOLD_S) == (0, 0)
 
 
 @pytest.mark.parametrize("sent", ["q", "\x03", "wwq"])
 def test_q_ends(sent):
-    keys = Keys()
-    keys.pressed(sent, 0.0)
+    keys = TeleopKeys()
+    keys.press(sent, 0.0)
     assert keys.ended
 
 
@@ -79,18 +80,18 @@ def test_q_ends(sent):
 @given(data=st.data())
 def test_every_message_is_text_and_json(topic, data):
     message = data.draw(messages(topic.type))
-    text = text_of(message, Envelope("p", "s", 1, 2))
+    text = message_text(message, Envelope("p", "s", 1, 2))
     assert len(text.splitlines()) >= 2
-    json.loads(json.dumps(plain(message), allow_nan=False))
+    json.loads(json.dumps(json_value(message), allow_nan=False))
 
 
 def test_long_arrays_are_cut_for_people_and_whole_in_json():
     ranges = np.full(360, np.nan, np.float32)
     ranges[:2] = 1.5, 2.25
     scan = LaserScan(1, 0.0, 0.01, 0.1, 0.1, 5.0, ranges)
-    assert plain(scan)["ranges"][:3] == [1.5, 2.25, None]
-    assert len(plain(scan)["ranges"]) == 360
-    assert "[1.5, 2.25, -" in text_of(scan, Envelope("p", "s", 1, 2))
+    assert json_value(scan)["ranges"][:3] == [1.5, 2.25, None]
+    assert len(json_value(scan)["ranges"]) == 360
+    assert "[1.5, 2.25, -" in message_text(scan, Envelope("p", "s", 1, 2))
 
 
 def test_rates_of_a_steady_stream():
@@ -122,14 +123,14 @@ def test_a_map_is_written_with_its_picture(tmp_path):
     from shared.ros_map import write_ros_map
 
     grid.apply(update_of(write_ros_map(tmp_path / "a", cells, 0.05, 0.0, 0.0)))
-    write(grid, tmp_path / "b")
+    write_map(grid, tmp_path / "b")
     assert {p.name for p in (tmp_path / "b").iterdir()} == {"map.pgm", "map.yaml", "map.png"}
 
 
 def test_coarse_cells_keep_walls():
     cells = np.zeros((5, 7), np.int8)
     cells[3, 4] = 100
-    assert coarse(cells, 3).tolist() == [[0, 0, 0], [0, 100, 0]]
+    assert coarse_cells(cells, 3).tolist() == [[0, 0, 0], [0, 100, 0]]
 
 
 @pytest.mark.parametrize(
@@ -150,68 +151,68 @@ def test_poses_may_carry_a_heading():
 
 
 def test_a_pose_is_told_as_it_was_given():
-    assert [place(target) for target in poses_from(["1,2", "-3,4,-90"])] == [
+    assert [target_text(target) for target in poses_from(["1,2", "-3,4,-90"])] == [
         "(1.00, 2.00)",
         "(-3.00, 4.00, -90 degrees)",
     ]
 
 
-def test_a_refusal_tells_its_reason_and_mend():
+def test_a_refusal_tells_its_reason_and_hint():
     import msgpack
 
-    error = refused("mapper", msgpack.packb({"code": "busy", "text": "8 wait"}))
+    error = request_error("mapper", msgpack.packb({"code": "busy", "text": "8 wait"}))
     assert "mapper" in error.what
     assert "8 wait" in error.what
     for noise in (b"", b"\xc1", b"\x90", msgpack.packb({"code": "?"}), msgpack.packb([1])):
-        assert "does not run" in refused("mapper", noise).what
-    assert "in time" in refused("mapper", b"Timeout").what
+        assert "does not run" in request_error("mapper", noise).what
+    assert "in time" in request_error("mapper", b"Timeout").what
 
 
 def test_a_task_ends_as_its_status_says():
-    assert ending(NAV, 4) is None
-    assert ending(replace(NAV, state=NavState.REACHED), 4).good
-    failed = ending(replace(NAV, state=NavState.FAILED, reason="unreachable"), 4)
+    assert task_result(NAV, 4) is None
+    assert task_result(replace(NAV, state=NavState.REACHED), 4).good
+    failed = task_result(replace(NAV, state=NavState.FAILED, reason="unreachable"), 4)
     assert not failed.good
     assert failed.text == "no way leads to the goal"
     repeated = "no way leads to the goal: choose another"
-    assert ending(replace(NAV, state=NavState.FAILED, reason="unreachable", detail=repeated), 4) == failed
-    detailed = ending(replace(NAV, state=NavState.FAILED, reason="unreachable", detail="0.4 m short"), 4)
+    assert task_result(replace(NAV, state=NavState.FAILED, reason="unreachable", detail=repeated), 4) == failed
+    detailed = task_result(replace(NAV, state=NavState.FAILED, reason="unreachable", detail="0.4 m short"), 4)
     assert detailed.text == "no way leads to the goal (0.4 m short)"
-    assert "another task" in ending(NAV, 3).text
-    assert "started again" in ending(NAV, 5).text
+    assert "another task" in task_result(NAV, 3).text
+    assert "started again" in task_result(NAV, 5).text
 
 
 def test_why_the_robot_stands_is_the_guard_s_word_before_the_navigator_s():
-    assert why_standing(NAV, GUARD) == ""
-    assert why_standing(replace(NAV, reason="no_plan"), GUARD) == "there is no plan yet"
-    told = why_standing(replace(NAV, reason="no_plan"), replace(GUARD, reason="obstacle", detail="0.1 m ahead"))
+    assert stop_reason(NAV, GUARD) == ""
+    assert stop_reason(replace(NAV, reason="no_plan"), GUARD) == "there is no plan yet"
+    told = stop_reason(replace(NAV, reason="no_plan"), replace(GUARD, reason="obstacle", detail="0.1 m ahead"))
     assert told == "something is inside the protective field (0.1 m ahead)"
 
 
 def test_a_row_says_when_a_service_is_dead_silent_or_in_trouble():
     health = Health(0, "sim", 1, "running", 10, 2, 0, 1, "", 0.25, 50.0, 3.21, (("odom", 50.0, 0.004),))
-    assert row(health, 0.5, True, 0) == ("running", "50", "4", "3.2", "25", "50", "2 bad, 1 intruders")
-    assert row(None, 1e9, True, 0)[0] == "starting"
-    assert row(health, 9.0, True, 3)[0] == "silent for 9 s"
-    assert row(health, 9.0, False, 3)[0] == "dead"
-    assert "3 restarts" in row(health, 9.0, False, 3)[-1]
+    assert service_row(health, 0.5, True, 0) == ("running", "50", "4", "3.2", "25", "50", "2 bad, 1 intruders")
+    assert service_row(None, 1e9, True, 0)[0] == "starting"
+    assert service_row(health, 9.0, True, 3)[0] == "silent for 9 s"
+    assert service_row(health, 9.0, False, 3)[0] == "dead"
+    assert "3 restarts" in service_row(health, 9.0, False, 3)[-1]
 
 
 def test_a_goal_s_tolerances_and_any_heading_are_in_the_request():
     target = (1.0, 2.0, 90.0)
-    request = navigate([target], 0.0, 1, (), Arrival(0.05, 3.0))
+    request = navigate([target], 0.0, 1, (), ArrivalTolerance(0.05, 3.0))
     assert (request.tolerance, request.any_heading) == (0.05, False)
     assert request.yaw_tolerance == pytest.approx(0.05236, abs=1e-5)
-    assert navigate([target], 0.0, 1, (), Arrival(any_heading=True)).any_heading
-    assert navigate([target], 0.0, 1) == navigate([target], 0.0, 1, (), Arrival())
+    assert navigate([target], 0.0, 1, (), ArrivalTolerance(any_heading=True)).any_heading
+    assert navigate([target], 0.0, 1) == navigate([target], 0.0, 1, (), ArrivalTolerance())
 
 
 @pytest.mark.parametrize(
     ("yaw", "arrival", "words"),
     [
-        (90.0, Arrival(0.001), "a tolerance under"),
-        (90.0, Arrival(heading_tolerance=5, any_heading=True), "any heading"),
-        (None, Arrival(heading_tolerance=5), "without a heading"),
+        (90.0, ArrivalTolerance(0.001), "a tolerance under"),
+        (90.0, ArrivalTolerance(heading_tolerance=5, any_heading=True), "any heading"),
+        (None, ArrivalTolerance(heading_tolerance=5), "without a heading"),
     ],
 )
 def test_tolerances_that_mean_nothing_are_told(yaw, arrival, words):

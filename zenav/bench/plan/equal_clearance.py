@@ -12,23 +12,20 @@ from math import gcd, hypot
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from services.planner.costmap import GlobalCostmap
 from services.planner.ray_cost import path_cost
-from zenav.bench.plan.shortest import corners_of, shortest
-
-Bools = NDArray[np.bool_]
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
-Int64s = NDArray[np.int64]
+from shared.types import Bools, Float32s, Float64s, Int64s
+from zenav.bench.plan.shortest import corners_of, shortest_length
 
 SHARES = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9)
 """Of the k at which the farthest cell costs nothing. The least is concave in k: once it falls, it goes on falling."""
 
-REACH = 4  # cells along which one step goes, at most
-OFF = 1 / float(np.cos(0.5 * np.arctan(1 / REACH)))  # by how much a way of such steps is longer than a line, at most
-SAMPLES = 4  # of a step, per cell
+MAX_STEP = 4  # cells along which one step goes, at most
+MAX_STEP_SURPLUS = 1 / float(
+    np.cos(0.5 * np.arctan(1 / MAX_STEP))
+)  # by how much a way of such steps is longer than a line, at most
+N_SAMPLES = 4  # of a step, per cell
 _HAIR = 1e-6  # cells
 
 
@@ -36,18 +33,22 @@ def least_clearance(terrain: GlobalCostmap, path: Float64s, sampled: float) -> f
     """Cells from the nearest obstacle to the nearest cell that the path touches; sampled: a bound, found by looking."""
     distances = np.unique(terrain.distance[terrain.distance <= sampled + _HAIR])
     for least in distances[::-1]:
-        if path_cost(_kept(terrain, float(least)).astype(np.uint16), path - terrain.pad) >= 0:
+        if path_cost(_cells_with_clearance(terrain, float(least)).astype(np.uint16), path - terrain.pad) >= 0:
             return float(least)
     return 0.0
 
 
-def over_least(terrain: GlobalCostmap, path: Float64s, length: float, least: float) -> float:
-    """The length, cells, over that of the shortest path that comes nowhere nearer than `least`, cells."""
-    free = _kept(terrain, least)
-    return length / shortest(free, corners_of(free), path[[0, -1]] - terrain.pad, length)
+def ratio_to_least_clearance(terrain: GlobalCostmap, path: Float64s, length: float, least: float) -> float | None:
+    """The length, cells, over that of the shortest path that comes nowhere nearer to obstacles than `least`, cells.
+
+    None if that search is too large.
+    """
+    free = _cells_with_clearance(terrain, least)
+    best = shortest_length(free, corners_of(free), path[[0, -1]] - terrain.pad, length)
+    return None if best is None else length / best
 
 
-def over_equal(
+def ratio_to_equal_clearance(
     terrain: GlobalCostmap, path: Float64s, length: float, least: float, mean: float, shorter: float
 ) -> float:
     """Upper bound of the length over that of the shortest path with this least and this mean clearance.
@@ -55,16 +56,21 @@ def over_equal(
     length, least, mean: cells.   shorter: the result of `over_least`, which is the bound for k = 0.
     Steps between cells are longer than lines: their largest surplus, OFF, is divided out.
     """
-    free, most = _kept(terrain, least), float(terrain.distance.max())
+    free, most = _cells_with_clearance(terrain, least), float(terrain.distance.max())
     best = length / shorter
     offsets = np.array(
-        [(r, c) for r in range(-REACH, REACH + 1) for c in range(-REACH, REACH + 1) if gcd(r, c) == 1], np.int64
+        [(r, c) for r in range(-MAX_STEP, MAX_STEP + 1) for c in range(-MAX_STEP, MAX_STEP + 1) if gcd(r, c) == 1],
+        np.int64,
     )
     ends = np.floor(path[[0, -1]] - terrain.pad).astype(np.int64)
     before = 0.0
     for share in SHARES if most - mean > _HAIR else ():
         k = share / (most - mean)
-        found = min(_cheapest(free, terrain.distance, mean, k, 1 - share, offsets, ends, length * OFF) / OFF, length)
+        found = min(
+            _min_integral(free, terrain.distance, mean, k, 1 - share, offsets, ends, length * MAX_STEP_SURPLUS)
+            / MAX_STEP_SURPLUS,
+            length,
+        )
         best = max(best, found)
         if found < before:
             break
@@ -72,14 +78,14 @@ def over_equal(
     return length / best
 
 
-def _kept(terrain: GlobalCostmap, least: float) -> Bools:
+def _cells_with_clearance(terrain: GlobalCostmap, least: float) -> Bools:
     """The map's cells that the robot may be in and that are no nearer to obstacles."""
     inside = slice(terrain.pad, -terrain.pad)
     return np.asarray((terrain.distance >= least - _HAIR) & (terrain.costs[inside, inside] > 0))
 
 
 @njit(cache=True, nogil=True)
-def _cheapest(
+def _min_integral(
     free: Bools, distance: Float32s, mean: float, k: float, low: float, offsets: Int64s, ends: Int64s, known: float
 ) -> float:
     """The least integral of 1 + k (mean - distance) by steps of `offsets` from cell to cell, (x, y); inf above known.
@@ -108,7 +114,7 @@ def _cheapest(
             rest = low * hypot(x1 - c, y1 - r)
             if best[cell] + low * hypot(dr, dc) + rest > min(known, best[r * w + c] + rest):
                 continue
-            n, total, blocked = SAMPLES * max(abs(dr), abs(dc)), 0.0, False
+            n, total, blocked = N_SAMPLES * max(abs(dr), abs(dc)), 0.0, False
             for i in range(n):
                 share = (i + 0.5) / n
                 at = int(row + 0.5 + share * dr), int(column + 0.5 + share * dc)

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from services.planner.costmap import CostConfig, GlobalCostmap
 from shared.config import Robot, UserError
 from shared.grid import OccupancyGrid, update_of_cells
+from shared.types import Bools, Int8s
 
-Bools = NDArray[np.bool_]
-Int8s = NDArray[np.int8]
 Cell = tuple[int, int]  # row, column
 
 RESOLUTION = 0.05  # m a cell, where a map does not say
@@ -22,8 +20,11 @@ ENLARGED, TIMES = "Milan_0_1024", 4  # what the class of 4096 is made of: none i
 
 
 @dataclass(frozen=True, slots=True)
-class Scenario:
-    """From a cell to a cell, (row, column); `optimum`: the published octile length, cells, `rounded` by as much."""
+class PlanQuery:
+    """From a cell to a cell, (row, column).
+
+    optimum: the published octile length, cells.   rounded: its largest error, cells.
+    """
 
     start: Cell
     goal: Cell
@@ -32,60 +33,88 @@ class Scenario:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Benchmark:
-    """free: (h, w) bool, row 0 as in the file; times: how much larger than the published map."""
+class BenchmarkMap:
+    """A map and its scenarios.
+
+    free: (h, w) bool, row 0 as in the file.   times: how much larger than the published map.
+    notes: one line for each thing that is left out.
+    """
 
     name: str
     free: Bools
-    scenarios: list[Scenario]
+    scenarios: list[PlanQuery]
     times: int = 1
+    notes: tuple[str, ...] = ()
 
     @property
     def size(self) -> int:
-        """Its class."""
-        return next(size for size, most in SIZES.items() if max(self.free.shape) <= most)
+        """Its class: a key of SIZES."""
+        return next(size for size, max_cells in SIZES.items() if max(self.free.shape) <= max_cells)
 
 
-def movingai(folder: Path, limit: int) -> list[Benchmark]:
-    """The folder's maps, each with at most `limit` scenarios spread over the buckets, and one enlarged.
+def read_movingai_maps(folder: Path, limit: int) -> tuple[list[BenchmarkMap], list[str]]:
+    """The folder's maps, each with at most `limit` scenarios spread over the buckets, and one enlarged map.
 
-    Raises UserError where there is none, or one makes no sense.
+    The second value has a line for each map that is left out because it cannot be read.
+    Raises UserError if no map remains.
     """
     names = sorted(path.name.removesuffix(".map.gz") for path in folder.glob("*.map.gz"))
     if not names:
         raise UserError(f"{folder} holds no NAME.map.gz", "give the folder with movingai/, or set ZENAV_DATA")
-    found = [read_movingai(folder, name, limit) for name in names]
-    return found + [enlarged(one, TIMES) for one in found if one.name == ENLARGED]
+    benchmarks, left_out, first_error = [], [], None
+    for name in names:
+        try:
+            benchmarks.append(read_movingai_map(folder, name, limit))
+        except UserError as error:
+            first_error = first_error or error
+            left_out.append(f"{name}: left out, {error.what}")
+    if first_error is not None and not benchmarks:
+        raise first_error
+    return benchmarks + [enlarged_map(one, TIMES) for one in benchmarks if one.name == ENLARGED], left_out
 
 
-def read_movingai(folder: Path, name: str, limit: int) -> Benchmark:
-    """A map and some of its scenarios. Raises UserError where a file cannot be read or makes no sense."""
+def read_movingai_map(folder: Path, name: str, limit: int) -> BenchmarkMap:
+    """A map and at most `limit` of its scenarios; those that begin or end in water are left out, with a note.
+
+    Land is `.`, `G` and `S`. Water `W` is passable among itself, but not from land, so it is blocked here.
+    Raises UserError if a file cannot be read, does not fit, is larger than any class or has no scenario on land.
+    """
     try:
         lines = gzip.decompress((folder / f"{name}.map.gz").read_bytes()).decode().splitlines()
         height, width = int(lines[1].split()[1]), int(lines[2].split()[1])
-        free = np.array([[letter in ".GS" for letter in line[:width]] for line in lines[4 : 4 + height]])
-        rows = gzip.decompress((folder / f"{name}.map.scen.gz").read_bytes()).decode().splitlines()[1:]
-        all_ = [_scenario(row) for row in rows if row.strip()]
-        if free.shape != (height, width) or not all(free[s.start] and free[s.goal] for s in all_):
+        letters = np.array([list(line[:width]) for line in lines[4 : 4 + height]])
+        if letters.shape != (height, width):
             raise ValueError("the rows do not fit the map")
+        free, water = np.isin(letters, list(".GS")), letters == "W"
+        rows = gzip.decompress((folder / f"{name}.map.scen.gz").read_bytes()).decode().splitlines()[1:]
+        scenarios = [_query(row) for row in rows if row.strip()]
+        on_land = [s for s in scenarios if not (water[s.start] or water[s.goal])]
+        if not all(free[s.start] and free[s.goal] for s in on_land):
+            raise ValueError("a scenario begins or ends in a blocked cell")
     except (OSError, EOFError, ValueError, IndexError) as error:
         raise UserError(f"{folder / name}: {error}", "fetch the map and its .scen again from movingai.com") from None
-    return Benchmark(name, free, all_[:: max(-(-len(all_) // limit), 1)])
+    if max(free.shape) > max(SIZES.values()):
+        raise UserError(f"{folder / name}: {height} x {width} cells", f"at most {max(SIZES.values())} along a side")
+    if not on_land:
+        raise UserError(f"{folder / name}: no scenario on land", "take a map with land `.`, `G` or `S`")
+    n_water = len(scenarios) - len(on_land)
+    notes = (f"{name}: {n_water} of {len(scenarios)} scenarios begin or end in water (W), left out",) if n_water else ()
+    return BenchmarkMap(name, free, on_land[:: max(-(-len(on_land) // limit), 1)], notes=notes)
 
 
-def _scenario(row: str) -> Scenario:
+def _query(row: str) -> PlanQuery:
     """Columns: bucket, map, width, height, start x, start y, goal x, goal y, optimum; x is the column."""
     fields = row.split()
     x0, y0, x1, y1 = map(int, fields[4:8])
     digits = len(fields[8].partition(".")[2])
-    return Scenario((y0, x0), (y1, x1), float(fields[8]), 0.5 * 10.0**-digits)
+    return PlanQuery((y0, x0), (y1, x1), float(fields[8]), 0.5 * 10.0**-digits)
 
 
-def enlarged(benchmark: Benchmark, times: int) -> Benchmark:
+def enlarged_map(benchmark: BenchmarkMap, times: int) -> BenchmarkMap:
     """Each cell as a square of cells; from and to the middle of what was a cell."""
     half = times // 2
     scenarios = [
-        Scenario(
+        PlanQuery(
             (s.start[0] * times + half, s.start[1] * times + half),
             (s.goal[0] * times + half, s.goal[1] * times + half),
             s.optimum * times,
@@ -94,16 +123,16 @@ def enlarged(benchmark: Benchmark, times: int) -> Benchmark:
         for s in benchmark.scenarios
     ]
     free = np.kron(benchmark.free, np.ones((times, times), bool))
-    return Benchmark(f"{benchmark.name} x {times}", free, scenarios, times)
+    return BenchmarkMap(f"{benchmark.name} x {times}", free, scenarios, times)
 
 
-def cell_sized(robot: Robot) -> Robot:
+def cell_sized_robot(robot: Robot) -> Robot:
     """The robot with a body no larger than a cell: games' maps have gaps of one."""
     half = 0.4 * RESOLUTION
     return robot.model_copy(update={"footprint": ((half, -half), (half, half), (-half, half), (-half, -half))})
 
 
-def terrain_of(cells: Int8s, resolution: float, config: CostConfig, robot: Robot) -> GlobalCostmap:
+def costmap_of(cells: Int8s, resolution: float, config: CostConfig, robot: Robot) -> GlobalCostmap:
     """What the planner makes of cells in percent, row 0 lowest; cells[0, 0] lies at (pad, pad) of its costs."""
     grid = OccupancyGrid(resolution)
     grid.apply(update_of_cells(cells, resolution, 0.0, 0.0))

@@ -10,13 +10,8 @@ from math import hypot
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Bools = NDArray[np.bool_]
-UInt16s = NDArray[np.uint16]
-Int64s = NDArray[np.int64]
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
+from shared.types import Bools, Float32s, Float64s, Int64s, UInt16s
 
 NEUTRAL = 50.0  # NavFn's COST_NEUTRAL
 _HIGH = np.float32(1e10)  # POT_HIGH
@@ -36,14 +31,16 @@ class NavFn:
         """From start to goal, (row, column): (n, 2) points (x, y) in cells, n = 0 where it finds none."""
         w = self._costs.shape[1]
         start_cell, goal_cell = start[0] * w + start[1], goal[0] * w + goal[1]
-        _spread(self._costs.reshape(-1), w, start_cell, goal_cell, astar, self._potential, self._pending, *self._queues)
+        _propagate(
+            self._costs.reshape(-1), w, start_cell, goal_cell, astar, self._potential, self._pending, *self._queues
+        )
         if self._potential[start_cell] >= _HIGH:
             return np.empty((0, 2))
-        return _descended(self._potential, w, start_cell, goal_cell, 4 * sum(self._costs.shape))
+        return _descend(self._potential, w, start_cell, goal_cell, 4 * sum(self._costs.shape))
 
 
 @njit(cache=True, nogil=True)
-def _spread(
+def _propagate(
     costs: UInt16s,
     w: int,
     start: int,
@@ -111,7 +108,7 @@ def _spread(
 
 
 @njit(cache=True, nogil=True)
-def _descended(potential: Float32s, w: int, start: int, goal: int, most: int) -> Float64s:
+def _descend(potential: Float32s, w: int, start: int, goal: int, most: int) -> Float64s:
     path = np.empty((most, 2))
     cell, dx, dy, n = start, 0.0, 0.0, 0
     while n < most - 1:

@@ -11,11 +11,14 @@ from math import hypot
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Bools = NDArray[np.bool_]
-Int64s = NDArray[np.int64]
-Float64s = NDArray[np.float64]
+from shared.types import Bools, Float64s, Int64s
+
+MAX_PAIRS = 2 * 10**8
+"""Pairs of corners that one search examines: about 4 s of CPU.
+
+The maps of the benchmark need half of it, a maze of 512 x 512 cells with corridors of one cell ten times as many.
+"""
 
 _HAIR = 1e-7  # cells; coordinates are halves, and slopes ratios of at most 10^4, so what differs differs by more
 
@@ -41,22 +44,24 @@ def corners_of(free: Bools) -> Int64s:
     return np.concatenate(found).astype(np.int64)
 
 
-def shortest(free: Bools, corners: Int64s, ends: Float64s, known: float) -> float:
-    """The length of the shortest path between the two points of ends (2, 2), (x, y) in cells.
+def shortest_length(free: Bools, corners: Int64s, ends: Float64s, upper_bound: float) -> float | None:
+    """Length of the shortest path, cells; inf if there is none, None if the search would examine over MAX_PAIRS pairs.
 
-    corners: of `corners_of`. known: the length of some path; what lies outside of that ellipse is not looked at.
+    corners: result of `corners_of`.   ends: (2, 2) float64, (x, y) in cells.
+    upper_bound: length of any path, cells. Corners outside of the ellipse with this sum of distances are left out.
     """
     (x0, y0), (x1, y1) = ends
     x, y = corners[:, 0], corners[:, 1]
-    around = np.hypot(x - x0, y - y0) + np.hypot(x - x1, y - y1) <= known + _HAIR
-    return float(_shortest(free, corners[around], x0, y0, x1, y1))
+    around = np.hypot(x - x0, y - y0) + np.hypot(x - x1, y - y1) <= upper_bound + _HAIR
+    length = float(_shortest_length(free, corners[around], x0, y0, x1, y1, MAX_PAIRS))
+    return None if np.isnan(length) else length
 
 
 @njit(cache=True, nogil=True)
-def _shortest(free: Bools, corners: Int64s, x0: float, y0: float, x1: float, y1: float) -> float:
+def _shortest_length(free: Bools, corners: Int64s, x0: float, y0: float, x1: float, y1: float, max_pairs: int) -> float:
     if sees(free, x0, y0, x1, y1):
         return hypot(x1 - x0, y1 - y0)
-    n = len(corners)
+    n, pairs = len(corners), 0
     best = np.full(n + 2, np.inf)
     settled = np.zeros(n + 2, np.bool_)
     best[n] = 0.0
@@ -67,6 +72,9 @@ def _shortest(free: Bools, corners: Int64s, x0: float, y0: float, x1: float, y1:
             return float(best[i])
         if settled[i]:
             continue
+        pairs += n
+        if pairs > max_pairs:
+            return np.nan
         settled[i] = True
         x, y = (x0, y0) if i == n else (float(corners[i, 0]), float(corners[i, 1]))
         for j in range(n + 1):

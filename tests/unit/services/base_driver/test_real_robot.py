@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a real X80SV recorded on 2014-12-17, from its encoders as board packets to the pose: emulated board, base driver
-and odometry give the poses that the robot's own driver computed.
+"""A drive of a real X80SV on 2014-12-17, from its encoder counts to the pose.
+
+The emulated board, base driver and odometry give the poses that the robot's own driver computed.
 """
 
 import csv

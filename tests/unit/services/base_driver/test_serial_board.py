@@ -24,7 +24,7 @@ CONFIG = BaseDriverConfig.model_validate({"port": {"device": "/dev/ttyUSB0"}, "b
 
 
 class Wired:
-    """A base driver and the far end of its port: a board whose wheels stand, or turn as they are told."""
+    """A base driver and the far end of its port: a board whose wheels stand, or turn as commanded."""
 
     def __init__(self, config=CONFIG):
         self.service = BaseDriverService(config, ROBOT)
@@ -80,7 +80,7 @@ class Wired:
 
     def status(self):
         self.take(self.service.publish_status())
-        return self.last(topics.BASE)
+        return self.last(topics.BASE_STATUS)
 
 
 def test_a_report_holds_what_the_packets_said():
@@ -113,8 +113,8 @@ def test_what_has_not_been_measured_is_not_made_up():
     assert np.isnan(report.ultrasonic).all()
     assert np.isnan(report.infrared).all()
     assert isnan(report.battery)
-    assert isnan(wired.last(topics.BASE).battery)
-    assert "battery" not in wired.last(topics.BASE).detail
+    assert isnan(wired.last(topics.BASE_STATUS).battery)
+    assert "battery" not in wired.last(topics.BASE_STATUS).detail
 
 
 def test_old_ranges_are_forgotten():
@@ -170,10 +170,10 @@ def test_gains_and_zero_are_the_first_words_after_each_connection():
 
 def test_it_says_that_it_waits_for_zero_until_it_has_it():
     wired = Wired().run(0.1).port().run(0.1, 0.4)
-    assert wired.last(topics.BASE).waits
-    assert wired.last(topics.BASE).fault == ""
+    assert wired.last(topics.BASE_STATUS).waits
+    assert wired.last(topics.BASE_STATUS).fault == ""
     wired.run(0.1, 0.0)
-    assert not wired.last(topics.BASE).waits
+    assert not wired.last(topics.BASE_STATUS).waits
 
 
 def test_a_board_that_comes_back_from_silence_gets_its_gains_again():
@@ -197,7 +197,7 @@ def test_every_word_of_the_board_is_acknowledged_once_a_read():
 
 def test_the_last_words_stop_both_wheels_and_take_their_power():
     wired = Wired().port().run(0.1, 0.0).run(0.2, 0.3)
-    wired.take(wired.service.farewell())
+    wired.take(wired.service.on_shutdown())
     assert wired.speeds == (0, 0)
     assert wired.orders[-2:] == [board.DisableCommand(0), board.DisableCommand(1)]
     message = wired.last(topics.MOTORS)
@@ -207,7 +207,7 @@ def test_the_last_words_stop_both_wheels_and_take_their_power():
 def test_without_a_port_the_last_words_are_a_message_and_bytes_say_nothing():
     service = BaseDriverService(BaseDriverConfig(), ROBOT)
     service.now = T0
-    assert [p.topic for p in service.farewell()] == [topics.MOTORS]
+    assert [p.topic for p in service.on_shutdown()] == [topics.MOTORS]
     motors = board.motor_sensor((1, 1), (0, 0), (0, 0))
     assert list(service.receive_bytes(SerialData(T0, "board", motors))) == []
     assert list(service.port(PortState(T0, "board", True, ""))) == []
@@ -223,7 +223,7 @@ def test_with_a_port_reports_of_others_and_other_ports_say_nothing():
     assert wired.service.serial.open
 
 
-# --- what people are told -------------------------------------------------------------------------------------------
+# --- published status -----------------------------------------------------------------------------------------------
 
 
 def test_counters_rate_supplies_and_temperatures_are_published():
@@ -286,7 +286,7 @@ def test_a_port_that_is_away_says_why_at_once():
     wired = Wired().port().run(0.1, 0.0).run(0.3, 0.3)
     assert wired.speeds[1] > 0
     wired.port(False, "/dev/ttyUSB0 is away: plug it in")
-    status = wired.last(topics.BASE)
+    status = wired.last(topics.BASE_STATUS)
     assert (status.fault, status.detail) == ("port_closed", "/dev/ttyUSB0 is away: plug it in")
     message = wired.last(topics.MOTORS)
     assert (message.left, message.right) == (0, 0)
@@ -295,7 +295,7 @@ def test_a_port_that_is_away_says_why_at_once():
     wired.service.now += 100 * MS
     wired.port()
     wired.run(0.04)
-    assert wired.last(topics.BASE).fault == ""
+    assert wired.last(topics.BASE_STATUS).fault == ""
 
 
 def test_a_port_that_never_opened_says_why():
@@ -326,14 +326,14 @@ def test_a_sonar_that_reads_zero_twice_is_dead_and_its_return_moves_nothing(sona
 
     wired = Wired().port().run(0.1, 0.0).run(0.3, 0.3)
     wired.run(0.02, 0.3, says=dead)
-    assert wired.last(topics.BASE).fault == ""
+    assert wired.last(topics.BASE_STATUS).fault == ""
     wired.run(0.02, 0.3, says=dead)
-    status = wired.last(topics.BASE)
+    status = wired.last(topics.BASE_STATUS)
     assert (status.fault, status.detail) == ("sensor_dead", f"ultrasonic {sonar} does not answer")
     wired.run(0.1, 0.3, says=dead)
     assert wired.speeds == (0, 0)
     wired.run(0.3, 0.3)
-    assert wired.last(topics.BASE).fault == ""
+    assert wired.last(topics.BASE_STATUS).fault == ""
     assert wired.speeds == (0, 0)
     wired.run(0.1, 0.0).run(0.1, 0.3)
     assert wired.speeds[1] > 0
@@ -362,7 +362,7 @@ def test_sensors_that_the_board_does_not_send_are_dead_after_half_a_second():
 def test_an_empty_battery_stands_until_it_has_recovered():
     wired = Wired().port().run(0.1, 0.0).run(0.3, 0.3)
     wired.run(0.2, 0.3, says=lambda wired, k: (wired.sensors(battery=5.5), wired.motors()))
-    status = wired.last(topics.BASE)
+    status = wired.last(topics.BASE_STATUS)
     assert (status.fault, status.detail) == ("battery_empty", "battery low: 5.5 V")
     assert wired.speeds == (0, 0)
     wired.run(0.1, 0.0)

@@ -10,11 +10,11 @@ from shared.config import load_robot
 
 DRIVE = load_robot("x80sv").robot.drive
 S = 1_000_000_000
-TOLD = 0.6 / DRIVE.wheel_radius  # rad/s
+COMMAND_M_S = 0.6 / DRIVE.wheel_radius  # rad/s
 
 
-class Wheels:
-    """Two wheels that are told TOLD, turn as they are made to, and are reported at 50 Hz."""
+class FaultyWheels:
+    """Two wheels with the command COMMAND_M_S. Each turns at a share of it, and is reported at 50 Hz."""
 
     def __init__(self):
         self.faults = WheelFaults(StuckConfig(), WheelTrackingConfig(), DRIVE)
@@ -22,19 +22,19 @@ class Wheels:
         self.now = 100 * S
 
     def run(self, seconds, left, right):
-        """Turns the wheels by these shares of what is told; stands where it is commanded to."""
+        """Turns the wheels by these shares of the command. The command is zero during a pause and after a fault."""
         for _ in range(round(seconds * 50)):
             self.now += S // 50
             stands = self.faults.is_pausing(self.now) or bool(self.faults.code)
-            told = 0.0 if stands else TOLD
-            self.encoders.left += left * told / 50
-            self.encoders.right += right * told / 50
-            self.faults.update(self.now, self.encoders, (told, told), self.now)
+            command = 0.0 if stands else COMMAND_M_S
+            self.encoders.left += left * command / 50
+            self.encoders.right += right * command / 50
+            self.faults.update(self.now, self.encoders, (command, command), self.now)
         return self.faults.code
 
 
 def test_one_wheel_that_stands_is_broken_at_once():
-    wheels = Wheels()
+    wheels = FaultyWheels()
     assert wheels.run(1.0, 1.0, 1.0) == ""
     assert wheels.run(0.3, 0.0, 1.0) == reasons.WHEEL_STUCK.code
     assert wheels.faults.detail.startswith("the left wheel")
@@ -42,7 +42,7 @@ def test_one_wheel_that_stands_is_broken_at_once():
 
 @pytest.mark.parametrize("share", [0.0, 0.3])
 def test_both_wheels_that_fall_behind_once_make_the_robot_stand_and_try_again(share):
-    wheels = Wheels()
+    wheels = FaultyWheels()
     wheels.run(1.0, 1.0, 1.0)
     assert wheels.run(0.3, share, share) == ""
     assert 0 < wheels.faults.pause_until - wheels.now <= RETRY_PAUSE_NS
@@ -51,7 +51,7 @@ def test_both_wheels_that_fall_behind_once_make_the_robot_stand_and_try_again(sh
 
 
 def test_both_wheels_that_fall_behind_again_and_again_are_a_fault_that_stays():
-    wheels = Wheels()
+    wheels = FaultyWheels()
     for _ in range(MAX_RETRIES + 1):
         assert wheels.faults.code == ""
         wheels.run(1.5, 1.0, 1.0)
@@ -62,7 +62,7 @@ def test_both_wheels_that_fall_behind_again_and_again_are_a_fault_that_stays():
 
 
 def test_what_happened_long_ago_counts_no_more():
-    wheels = Wheels()
+    wheels = FaultyWheels()
     for _ in range(2 * MAX_RETRIES):
         wheels.run(1.5, 1.0, 1.0)
         assert wheels.run(0.5, 0.0, 0.0) == ""
@@ -70,12 +70,12 @@ def test_what_happened_long_ago_counts_no_more():
 
 
 def test_a_clock_that_is_set_back_neither_holds_the_robot_nor_blinds_the_watch():
-    wheels = Wheels()
+    wheels = FaultyWheels()
     wheels.run(1.0, 1.0, 1.0)
     wheels.run(0.3, 0.0, 0.0)
     assert wheels.faults.is_pausing(wheels.now)
     assert not wheels.faults.is_pausing(wheels.now - 3600 * S)
-    wheels = Wheels()
+    wheels = FaultyWheels()
     wheels.run(0.5, 0.0, 0.0)
     wheels.now -= 60 * S
     assert wheels.run(10.0, 0.0, 0.0) == reasons.WHEEL_STUCK.code

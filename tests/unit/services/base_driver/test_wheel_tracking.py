@@ -18,7 +18,7 @@ needs_data = pytest.mark.skipif(DATA is None, reason="ZENAV_DATA is not set: the
 
 
 def astray_after(commanded, turning, seconds=2.0, hz=50, **settings):
-    """When (s) a wheel with these rim speeds (m/s, functions of s) is found astray, and its speed; None: never."""
+    """When (s) a wheel with these rim speeds (m/s, functions of s) has a tracking fault, and its speed; None: never."""
     watch = WheelTrackingMonitor(WheelTrackingConfig(**settings))
     way = 0.0
     for k in range(round(seconds * hz) + 1):

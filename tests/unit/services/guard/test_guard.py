@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.guard.protective_field import signed_distances
 from services.guard.service import GuardConfig, GuardService
 from services.guard.stop_conditions import STOPS
 from shared import topics
@@ -24,6 +23,7 @@ from shared.messages import (
     RangeReadings,
     Velocity,
 )
+from shared.polygon import signed_distances
 from shared.requests import Override
 from shared.service import Log
 
@@ -33,7 +33,7 @@ MS = 1_000_000
 T0 = 1_000_000 * MS
 
 
-class Drive:
+class GuardDrive:
     """A guard with everything alive around it: a perfect base, odometry, laser, pose; inputs can be cut one by one."""
 
     def __init__(self, robot=ROBOT, obstacles=(), config=None):
@@ -161,12 +161,12 @@ class Drive:
             self.odom_from_base = self.odom_from_base @ arc(v * 0.01, w * 0.01)
             if len(self.obstacles):
                 in_base = self.odom_from_base.inverse() @ self.obstacles
-                self.closest = min(self.closest, signed_distances(in_base, self.robot.corners)[0].min())
+                self.closest = min(self.closest, signed_distances(self.robot.corners, in_base).min())
         return self
 
 
 def driving(**settings):
-    drive = Drive(**settings)
+    drive = GuardDrive(**settings)
     drive.nav = (0.5, 0.0)
     return drive.run(1.0)
 
@@ -199,7 +199,7 @@ def test_commands_pass_at_once_and_at_least_twenty_times_a_second():
 
 
 def test_speed_rises_and_falls_within_the_robot_s_accelerations():
-    drive = Drive()
+    drive = GuardDrive()
     drive.nav = (0.8, 1.0)
     drive.run(0.1)
     before = drive.velocity
@@ -216,21 +216,21 @@ def test_speed_rises_and_falls_within_the_robot_s_accelerations():
 
 
 def test_commands_beyond_the_robot_s_limits_are_clamped_on_their_arc():
-    drive = Drive()
+    drive = GuardDrive()
     drive.nav = (3.0, 1.5)
     drive.run(2.0)
     assert drive.velocity == pytest.approx((0.8, 0.4))
 
 
 def test_nobody_commands_is_idle_with_its_reason():
-    drive = Drive().run(0.5)
+    drive = GuardDrive().run(0.5)
     assert drive.decision == (GuardState.IDLE, "no_command")
     assert drive.status.source == ""
     assert drive.last(topics.CMD_VEL).reason == "no_command"
 
 
 def test_a_source_that_asks_for_zero_is_idle_and_its_own_reason_is_told():
-    drive = Drive()
+    drive = GuardDrive()
     drive.nav = (0.0, 0.0)
     drive.run(0.2)
     assert drive.decision == (GuardState.IDLE, "no_command")
@@ -242,7 +242,7 @@ def test_a_source_that_asks_for_zero_is_idle_and_its_own_reason_is_told():
 
 def test_backward_where_the_robot_may_not_has_its_reason():
     only_forward = ROBOT.drive.model_copy(update={"max_reverse_speed": 0.0})
-    drive = Drive(ROBOT.model_copy(update={"drive": only_forward}))
+    drive = GuardDrive(ROBOT.model_copy(update={"drive": only_forward}))
     drive.nav = (-0.2, 0.5)
     drive.run(0.3)
     assert drive.velocity == (0, 0)
@@ -252,7 +252,7 @@ def test_backward_where_the_robot_may_not_has_its_reason():
 @pytest.mark.parametrize("source", ["nav", "teleop"])
 def test_a_robot_that_drives_arcs_like_a_car_s_is_held_to_them_whoever_commands(source):
     arcs = ROBOT.drive.model_copy(update={"min_turning_radius": 0.5, "turns_in_place": False})
-    drive = Drive(ROBOT.model_copy(update={"drive": arcs}))
+    drive = GuardDrive(ROBOT.model_copy(update={"drive": arcs}))
     setattr(drive, source, (0.0, 1.0))
     drive.run(0.5)
     assert drive.velocity == (0, 0)
@@ -297,7 +297,7 @@ def test_teleop_goes_before_nav_and_gives_back_when_it_falls_silent():
 def test_stop_outlives_the_guard_until_a_later_release():
     before = driving()
     before.stop(True)
-    drive = Drive()
+    drive = GuardDrive()
     drive.guard.now += 100_000 * MS
     released = EmergencyStop(drive.now - MS, False, "before our last word")
     drive.call(drive.guard.status_before_restart(replace(before.status, stamp=drive.now)))
@@ -318,7 +318,7 @@ def test_stop_outlives_the_guard_until_a_later_release():
 
 
 def test_a_guard_that_was_not_stopped_starts_anew():
-    drive = Drive()
+    drive = GuardDrive()
     drive.call(drive.guard.status_before_restart(driving().status))
     drive.nav = (0.5, 0.0)
     drive.run(1.0)
@@ -414,7 +414,7 @@ def test_an_input_that_falls_silent_stops_the_robot_and_its_return_lets_it_go_on
 
 @pytest.mark.parametrize("cut", ["odom", "scan", "base", "pose"])
 def test_without_an_input_the_robot_never_starts(cut):
-    drive = Drive()
+    drive = GuardDrive()
     drive.cut = {cut}
     drive.nav = (0.5, 0.0)
     drive.run(1.0)
@@ -453,7 +453,7 @@ def test_a_scan_s_age_counts_from_its_last_beam(age_ms, moves):
 
 
 def test_a_slow_laser_of_five_sweeps_a_second_does_not_hold_the_robot():
-    drive = Drive()
+    drive = GuardDrive()
     drive.cut = {"scan"}
     drive.nav = (0.3, 0.0)
     for k in range(15):
@@ -492,7 +492,7 @@ def test_a_cover_that_measures_the_same_always_is_named_and_forgotten_with_it():
 
 
 def test_a_hand_creeps_from_the_moment_on_at_which_the_view_counts_as_lost():
-    drive = Drive()
+    drive = GuardDrive()
     drive.teleop = (0.8, 0.0)
     drive.run(2.0)
     assert drive.velocity == pytest.approx((0.8, 0.0))
@@ -549,7 +549,7 @@ def test_stop_of_which_only_the_base_knows_is_stop_until_it_says_otherwise_or_is
     assert drive.decision == (GuardState.HOLD, "base_silent")
     drive.cut, drive.fault = set(), ""
     drive.run(1.0)
-    assert drive.velocity == (0, 0), "it was released, and nobody has asked for zero since"
+    assert drive.velocity == (0, 0), "it was released, and no source has sent zero since"
     drive.nav = (0.0, 0.0)
     drive.run(0.2)
     drive.nav = (0.5, 0.0)
@@ -604,7 +604,7 @@ def test_scans_that_are_late_when_they_come_are_named():
     ("shift", "detail"), [(1.0, "teleop: stamps are 1.0 s ahead"), (-1.0, "teleop: stamps are 1.0 s old")]
 )
 def test_commands_of_another_clock_are_named(shift, detail):
-    drive = Drive()
+    drive = GuardDrive()
     for _ in range(20):
         drive.call(drive.guard.command_teleop(Velocity(drive.now + round(shift * 1e9), 0.3, 0.0, "")))
         drive.run(0.05)
@@ -631,7 +631,7 @@ def test_after_the_clock_was_set_back_everything_goes_on():
     drive.guard.now = 5_000 * MS
     drive.nav = (0.5, 0.0)
     drive.run(1.5)
-    assert drive.velocity == (0, 0), "nobody has asked for zero since STOP was released"
+    assert drive.velocity == (0, 0), "no source has sent zero since STOP was released"
     drive.nav = None
     drive.run(0.6)
     drive.nav = (0.5, 0.0)
@@ -727,7 +727,7 @@ def test_a_far_origin_that_turns_is_no_jump_where_the_robot_is():
 
 @pytest.mark.parametrize("robot", [ROBOT, JACKAL], ids=lambda robot: robot.name)
 def test_before_a_wall_the_robot_slows_and_stands_without_touching(robot):
-    drive = Drive(robot, wall(2.0, 0.6))
+    drive = GuardDrive(robot, wall(2.0, 0.6))
     drive.nav = (robot.drive.max_speed, 0.0)
     reasons_told = []
     for _ in range(60):
@@ -755,7 +755,7 @@ def test_something_that_steps_in_front_stops_the_robot_with_the_scan():
 
 
 def test_teleop_is_guarded_too():
-    drive = Drive(obstacles=wall(0.8))
+    drive = GuardDrive(obstacles=wall(0.8))
     drive.teleop = (0.8, 0.0)
     drive.run(5.0)
     assert drive.velocity == (0, 0)
@@ -764,7 +764,7 @@ def test_teleop_is_guarded_too():
 
 def before_a_wall():
     """Driven by hand, and stopped by the field."""
-    drive = Drive(obstacles=wall(0.8))
+    drive = GuardDrive(obstacles=wall(0.8))
     drive.teleop = (0.8, 0.4)
     drive.run(4.0)
     assert drive.decision == (GuardState.HOLD, "obstacle")
@@ -785,7 +785,7 @@ def test_an_override_lets_a_hand_creep_on_tells_it_and_ends_by_itself():
 
 
 def test_an_override_moves_nothing_by_itself_and_not_for_the_navigator():
-    drive = Drive(obstacles=wall(0.3))
+    drive = GuardDrive(obstacles=wall(0.3))
     drive.override(2.0)
     drive.run(0.5)
     assert drive.velocity == (0, 0)
@@ -861,11 +861,11 @@ def test_a_range_sensor_alone_stops_the_robot():
 
 
 def test_where_no_sensor_looks_the_robot_is_slow():
-    drive = Drive(JACKAL)
+    drive = GuardDrive(JACKAL)
     drive.nav = (-0.5, 0.0)
     drive.run(1.0)
     assert drive.velocity == pytest.approx((-0.15, 0.0)), "nothing looks back on a Jackal"
-    drive = Drive(ROBOT)
+    drive = GuardDrive(ROBOT)
     drive.nav = (-0.3, 0.0)
     drive.run(1.0)
     assert drive.velocity == pytest.approx((-0.3, 0.0)), "the X80SV's laser looks all around"
@@ -874,7 +874,7 @@ def test_where_no_sensor_looks_the_robot_is_slow():
 def test_a_range_sensor_that_looks_back_allows_full_speed_while_it_lives():
     rear = ROBOT.ranges[8]
     robot = JACKAL.model_copy(update={"ranges": (rear,)})
-    drive = Drive(robot)
+    drive = GuardDrive(robot)
     drive.nav = (-0.5, 0.0)
     drive.run(1.0)
     assert drive.velocity == pytest.approx((-0.15, 0.0))
@@ -886,7 +886,7 @@ def test_a_range_sensor_that_looks_back_allows_full_speed_while_it_lives():
 
 
 def test_restarted_odometry_forgets_what_was_seen_in_the_old_frame():
-    drive = Drive(obstacles=wall(0.6))
+    drive = GuardDrive(obstacles=wall(0.6))
     drive.run(0.5)
     assert len(drive.guard.obstacles.points(Pose2(), drive.now))
     drive.odom_from_base = Pose2(5.0, 5.0, 1.0)
@@ -905,7 +905,7 @@ def test_whatever_is_commanded_nothing_standing_is_touched(course, places):
     centres = np.array([place for place in places if hypot(*place) > 0.4]).reshape(-1, 2)
     around = np.linspace(0, 2 * pi, 24)
     rim = 0.03 * np.column_stack((np.cos(around), np.sin(around)))
-    drive = Drive(obstacles=(centres[:, None, :] + rim).reshape(-1, 2))
+    drive = GuardDrive(obstacles=(centres[:, None, :] + rim).reshape(-1, 2))
     drive.scan = lambda: _scan_of_posts(drive, centres, 0.03)
     for v, w, seconds in course:
         drive.nav = (v, w)

@@ -18,7 +18,7 @@ BEARINGS = (LASER.mount.yaw + LASER.angle_min + LASER.angle_increment * np.arang
 OPEN_AIR = VisibilityConfig(min_share=0.0, min_ahead=0.0)
 
 
-class Watch:
+class VisibilityWatch:
     """A view that is given ten scans a second; nan: beams without a return."""
 
     def __init__(self, config=None):
@@ -69,7 +69,7 @@ def disc(distance, bearing, radius):
 def test_a_scan_without_returns_is_blind_after_three_tenths_of_a_second_also_where_open_air_is_configured(
     value, config
 ):
-    watch = Watch(config)
+    watch = VisibilityWatch(config)
     watch.scans(10, watch.hall)
     assert not watch.blind()
     watch.scans(3, np.full(N, value))
@@ -83,7 +83,7 @@ def test_a_scan_without_returns_is_blind_after_three_tenths_of_a_second_also_whe
 
 
 def test_plus_infinity_is_a_view_where_the_laser_means_it_so():
-    watch = Watch(VisibilityConfig(inf_is_free=True))
+    watch = VisibilityWatch(VisibilityConfig(inf_is_free=True))
     watch.scans(10, watch.hall)
     assert not watch.scans(10, np.full(N, np.inf)).blind()
     assert not watch.view.is_empty(0.0, watch.now)
@@ -92,7 +92,7 @@ def test_plus_infinity_is_a_view_where_the_laser_means_it_so():
 
 @pytest.mark.parametrize("half", [pi / 6, pi / 4])
 def test_a_sector_that_goes_dark_blinds_motion_into_it_alone_until_it_is_back(half):
-    watch = Watch()
+    watch = VisibilityWatch()
     watch.scans(10, watch.hall)
     watch.scans(5, lambda: sector(watch.hall(), 0.0, half))
     assert watch.blind()
@@ -103,7 +103,7 @@ def test_a_sector_that_goes_dark_blinds_motion_into_it_alone_until_it_is_back(ha
 
 
 def test_what_stood_in_the_dark_stays_where_it_was_while_the_robot_drives_on():
-    watch = Watch()
+    watch = VisibilityWatch()
     watch.scans(10, watch.hall)
     watch.scans(30, lambda: sector(watch.hall(), 0.0, pi / 6), v=0.3)
     points = watch.view.points(watch.odom_from_base)
@@ -113,7 +113,7 @@ def test_what_stood_in_the_dark_stays_where_it_was_while_the_robot_drives_on():
 
 
 def test_one_bad_scan_among_good_ones_blinds_nothing():
-    watch = Watch()
+    watch = VisibilityWatch()
     for _ in range(10):
         watch.scans(2, watch.hall)
         watch.scans(1, np.full(N, np.nan))
@@ -122,7 +122,7 @@ def test_one_bad_scan_among_good_ones_blinds_nothing():
 
 def test_most_beams_lost_is_blind_and_every_second_one_is_not():
     rng = np.random.default_rng(0)
-    watch = Watch()
+    watch = VisibilityWatch()
     watch.scans(10, watch.hall)
     assert not watch.scans(10, lambda: np.where(np.arange(N) % 2, np.nan, watch.hall())).blind()
     assert watch.scans(5, lambda: np.where(rng.random(N) < 0.9, np.nan, watch.hall())).blind()
@@ -130,7 +130,7 @@ def test_most_beams_lost_is_blind_and_every_second_one_is_not():
 
 def test_in_open_air_a_thing_left_behind_or_turned_away_from_is_no_dark_sector():
     """Nothing stands there but a post, which the robot passes while it turns."""
-    watch = Watch(OPEN_AIR)
+    watch = VisibilityWatch(OPEN_AIR)
 
     def post():
         at = (watch.odom_from_base @ watch.view.base_from_laser).inverse() @ np.array([[1.2, 0.6]])
@@ -146,7 +146,7 @@ def test_in_open_air_a_thing_left_behind_or_turned_away_from_is_no_dark_sector()
 
 @pytest.mark.parametrize("speed", [0.5, 1.5])
 def test_a_person_who_walks_by_in_open_air_leaves_no_dark_sector(speed):
-    watch, y = Watch(OPEN_AIR), -4.0
+    watch, y = VisibilityWatch(OPEN_AIR), -4.0
     while y < 4.0:
         y += 0.1 * speed
         distance, bearing = np.hypot(1.0, y), np.arctan2(y, 1.0)
@@ -155,9 +155,9 @@ def test_a_person_who_walks_by_in_open_air_leaves_no_dark_sector(speed):
 
 
 def test_nothing_ahead_from_the_start_is_empty_and_no_dark_sector():
-    watch = Watch()
+    watch = VisibilityWatch()
     watch.scans(10, lambda: sector(watch.hall(), 0.0, pi / 6))
     assert watch.view.is_empty(0.0, watch.now)
     assert not watch.view.is_empty(pi, watch.now)
     assert not watch.blind()
-    assert not Watch(OPEN_AIR).scans(10, sector(np.full(N, 3.0), 0.0, pi / 6)).view.is_empty(0.0, watch.now)
+    assert not VisibilityWatch(OPEN_AIR).scans(10, sector(np.full(N, 3.0), 0.0, pi / 6)).view.is_empty(0.0, watch.now)

@@ -10,12 +10,13 @@ from hypothesis.extra.numpy import arrays
 from services.guard.protective_field import (
     TOUCHING_M,
     FieldConfig,
+    distances_and_directions,
     safe_speed,
-    signed_distances,
     times_to_contact,
 )
 from shared.config import load_robot
-from shared.geometry import arc, inside
+from shared.geometry import arc
+from shared.polygon import contains, signed_distances
 
 X80, JACKAL = (load_robot(name).robot for name in ("x80sv", "jackal"))
 L_SHAPE = np.array([(-0.2, -0.3), (0.5, -0.3), (0.5, -0.1), (0.1, -0.1), (0.1, 0.2), (-0.2, 0.2)])
@@ -31,13 +32,13 @@ near_clouds = arrays(np.float64, (6, 2), elements=st.floats(-0.5, 0.5))
 
 
 def outside(points, corners):
-    return points[signed_distances(points, corners)[0] > 1e-3]
+    return points[signed_distances(corners, points) > 1e-3]
 
 
 def distances_at(points, corners, v, w, times):
     """Signed distances (t, n) to the outline after each time (s) at (v, w)."""
     moved = [arc(v * t, w * t).inverse() @ points for t in times]
-    return signed_distances(np.concatenate(moved), corners)[0].reshape(len(times), len(points))
+    return signed_distances(corners, np.concatenate(moved)).reshape(len(times), len(points))
 
 
 def front(distance, corners=X80.corners, n=3):
@@ -50,13 +51,13 @@ def test_distances_are_the_brute_force_minimum_over_the_outline(points, corners)
     edges = np.roll(corners, -1, axis=0) - corners
     outline = np.concatenate([corners + share * edges for share in np.linspace(0, 1, 2001)])
     brute = np.array([np.hypot(*(outline - point).T).min() for point in points])
-    distance, outward = signed_distances(points, corners)
+    distance, outward = distances_and_directions(points, corners)
     np.testing.assert_allclose(np.abs(distance), brute, atol=1e-3)
     clear = np.abs(distance) > 1e-9
-    assert np.array_equal(distance[clear] < 0, inside(corners, points)[clear])
+    assert np.array_equal(distance[clear] < 0, contains(corners, points)[clear])
     np.testing.assert_allclose(np.hypot(*outward.T), 1.0)
     # the way out ends on the outline
-    np.testing.assert_allclose(signed_distances(points - distance[:, None] * outward, corners)[0], 0, atol=1e-9)
+    np.testing.assert_allclose(signed_distances(corners, points - distance[:, None] * outward), 0, atol=1e-9)
 
 
 @settings(max_examples=100, deadline=None)
@@ -65,7 +66,7 @@ def test_contact_is_where_small_steps_find_it(points, corners, v, w, margin):
     assume(abs(v) + abs(w) > 1e-3)
     points = outside(points, corners)
     times = times_to_contact(points, corners, v, w, margin, 0.03)
-    start = signed_distances(points, corners)[0]
+    start = signed_distances(corners, points)
     limits = np.clip(start - TOUCHING_M, 0.0, margin)
     judged = start > TOUCHING_M  # of what touches, the direction decides: its own test
     clock = np.arange(0, min(2 * pi / max(abs(w), 0.1), 1.5), 0.004 / (abs(v) + abs(w) * 0.6))
@@ -86,7 +87,7 @@ def test_braking_from_the_permitted_speed_the_outline_reaches_no_point(points, c
     assert 0 <= share <= 1
     if share == 0 or not len(points):
         return
-    start = signed_distances(points, corners)[0]
+    start = signed_distances(corners, points)
     creeps = share * abs(v) <= FIELD.creep_speed + 1e-9 and share * abs(w) <= FIELD.creep_turn_rate + 1e-9
     kept = np.minimum(start - TOUCHING_M, 0.0 if creeps else FIELD.side_margin)
     braking = share * max(abs(v) / DRIVE.max_braking, abs(w) / DRIVE.max_turn_acceleration)

@@ -14,10 +14,10 @@ from shared import topics
 from shared.config import Laser, Robot, load_robot
 from shared.messages import LaserScan, PortState, SerialData
 from shared.service import Log, Out
+from shared.types import NS_PER_S
 
-SECOND = 1_000_000_000
 MS = 1_000_000
-START = 1_700_000_000 * SECOND
+START = 1_700_000_000 * NS_PER_S
 TICK = 20 * MS
 
 SWEEPS: dict[str, dict[str, Any]] = {
@@ -80,7 +80,7 @@ class Faulty:
         return data
 
 
-class Line:
+class DeviceLine:
     """Laser and driver, the stack's clock, and all that either says."""
 
     def __init__(self, driver: LidarDriverService, laser: LaserEmulator) -> None:
@@ -124,14 +124,14 @@ class Line:
         self.take(self.driver.watch())
 
     def run(self, sweeps: list[LaserScan], seconds: float) -> None:
-        end = self.now + round(seconds * SECOND)
+        end = self.now + round(seconds * NS_PER_S)
         while self.now < end:
-            ended = [s for s in sweeps if self.now < s.stamp + round(s.scan_time * SECOND) <= self.now + TICK]
+            ended = [s for s in sweeps if self.now < s.stamp + round(s.scan_time * NS_PER_S) <= self.now + TICK]
             self.step(ended)
 
 
-def line_of(model: str, **settings: Any) -> Line:
-    return Line(made_driver(model, **settings), make_emulator(model, laser_of(model)))
+def line_of(model: str, **settings: Any) -> DeviceLine:
+    return DeviceLine(made_driver(model, **settings), make_emulator(model, laser_of(model)))
 
 
 def sweep_of(laser: Laser, stamp: int, ranges: NDArray[Any]) -> LaserScan:
@@ -148,10 +148,10 @@ def random_sweeps(laser: Laser, seconds: float, seed: int = 0, start: int = STAR
     for k in range(int(seconds * laser.rate)):
         ranges = np.round(rng.uniform(0.1, 11.9, laser.n_beams), 3)
         ranges[rng.random(laser.n_beams) < 0.02] = np.nan
-        sweeps.append(sweep_of(laser, start + round(k * SECOND / laser.rate), ranges))
+        sweeps.append(sweep_of(laser, start + round(k * NS_PER_S / laser.rate), ranges))
     return sweeps
 
 
 def truth_of(scan: LaserScan, sweeps: list[LaserScan]) -> LaserScan:
-    """The sweep that a scan tells: the one nearest in time."""
+    """The sweep that a scan reports: the one nearest in time."""
     return min(sweeps, key=lambda sweep: abs(sweep.stamp - scan.stamp))

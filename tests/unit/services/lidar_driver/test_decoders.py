@@ -281,7 +281,7 @@ LEADS = st.sampled_from(
     [b"\x54\x2c", b"\xfa\xa0", b"\xa5\x5a", b"\xa1\x5b", b"MD0044072501000\n99b\n", b"\n\n", b"PP\n00P\nARES:9999999;"]
 )
 NOISE = st.lists(st.binary(max_size=90) | LEADS, max_size=12)
-MOST_KEPT = 1 << 17
+MAX_HELD_BYTES = 1 << 17
 
 
 def kept(device: LaserDevice) -> int:
@@ -302,7 +302,7 @@ def test_any_bytes_are_survived_and_none_are_hoarded(model, noise, scans):
         line.driver.now += i * 7_000_000
         line.hear(piece)
         line.take(line.driver.watch())
-    assert kept(line.driver.device) < MOST_KEPT
+    assert kept(line.driver.device) < MAX_HELD_BYTES
     for scan in line.scans:
         assert scan.problem() is None
         assert 0 < scan.scan_time <= 2
@@ -315,7 +315,7 @@ def test_a_megabyte_of_noise_leaves_no_megabyte_behind(model):
     device.next_command(10**9)
     for _ in range(250):
         device.receive(rng.bytes(4096), 10**9)
-        assert kept(device) < MOST_KEPT
+        assert kept(device) < MAX_HELD_BYTES
 
 
 # --- good packets among others --------------------------------------------------------------------------------------

@@ -13,14 +13,14 @@ from services.sim.hardware.xv11 import packet
 from shared import topics
 from shared.config import UserError
 from shared.messages import LaserScan, PortState, SerialData
+from shared.types import NS_PER_S
 from tests.unit.services.lidar_driver.bench import (
     BAUD,
     MODELS,
     MS,
-    SECOND,
     START,
+    DeviceLine,
     Faulty,
-    Line,
     laser_of,
     line_of,
     made_driver,
@@ -72,7 +72,7 @@ def test_stamps_are_the_first_beams_while_clocks_drift_and_the_port_dawdles(mode
         newest = max(newest, clock(some[-1][0] + round(rng.exponential(1.5) * MS)))
         line.driver.now = newest
         line.hear(b"".join(data for _, data in some))
-    late = [scan for scan in line.scans if scan.stamp > START + 6 * SECOND]
+    late = [scan for scan in line.scans if scan.stamp > START + 6 * NS_PER_S]
     assert len(late) > 20
     stamps = [clock(sweep.stamp) for sweep in sweeps]
     errors = [min((scan.stamp - stamp for stamp in stamps), key=abs) for scan in late]
@@ -85,7 +85,7 @@ def test_a_clock_that_wraps_is_not_noticed(model):
     wrap = {"ld06": 30_000, "scip": 1 << 24}[model] * MS
     start = START // wrap * wrap + wrap - 1500 * MS
     laser = laser_of(model)
-    line = Line(made_driver(model), make_emulator(model, laser))
+    line = DeviceLine(made_driver(model), make_emulator(model, laser))
     line.now = start
     line.driver.now = start
     line.take(line.driver.plugged(PortState(start, "laser", True, "")))
@@ -103,9 +103,9 @@ def test_a_clock_that_wraps_is_not_noticed(model):
 def test_scans_go_on_when_the_stacks_clock_jumps(model, jump):
     line, sweeps = line_of(model), random_sweeps(laser_of(model), 8)
     line.run(sweeps, 3)
-    line.stack_time = lambda true: true + round(jump * SECOND)
+    line.stack_time = lambda true: true + round(jump * NS_PER_S)
     line.run(sweeps, 5)
-    moved = [scan.stamp - round(jump * SECOND) for scan in line.scans[-5:]]
+    moved = [scan.stamp - round(jump * NS_PER_S) for scan in line.scans[-5:]]
     for stamp in moved:
         assert min(abs(stamp - sweep.stamp) for sweep in sweeps) < 5 * MS
 
@@ -116,7 +116,7 @@ def test_a_bad_line_costs_beams_and_invents_none(model, faults):
     laser = laser_of(model)
     if model == "rplidar":  # a chunk is a node there
         faults = {name: share / 5 for name, share in faults.items()}
-    line = Line(made_driver(model), Faulty(make_emulator(model, laser), seed=1, **faults))
+    line = DeviceLine(made_driver(model), Faulty(make_emulator(model, laser), seed=1, **faults))
     sweeps = random_sweeps(laser, 6)
     line.run(sweeps, 6)
     wrong = heard = 0
@@ -255,7 +255,7 @@ def test_a_closed_port_is_named_and_scans_return_with_it(model):
     line.take(line.driver.plugged(PortState(line.now, "laser", False, "/dev/laser went away: plug it in again")))
     assert line.driver.state() == "/dev/laser went away: plug it in again"
     assert "plug it in again" in line.lines[-1]
-    line.now += SECOND
+    line.now += NS_PER_S
     line.driver.now = line.now
     assert [out for out in line.driver.watch() if getattr(out, "topic", None) is topics.TX] == []
     line.take(line.driver.plugged(PortState(line.now, "laser", True, "")))
@@ -270,7 +270,7 @@ def test_the_laser_is_stopped_at_the_end():
         line = line_of(model)
         line.run(random_sweeps(laser_of(model), 1.5), 2)
         line.written = []
-        line.take(line.driver.farewell())
+        line.take(line.driver.on_shutdown())
         assert b"".join(line.written) == stops.get(model, b"")
 
 
@@ -299,7 +299,7 @@ def test_a_scan_is_never_from_the_future():
     for sweep in sweeps:
         before = len(line.scans)
         line.run([sweep], 0.1)
-        ends += [line.driver.now - scan.stamp - round(scan.scan_time * SECOND) for scan in line.scans[before:]]
+        ends += [line.driver.now - scan.stamp - round(scan.scan_time * NS_PER_S) for scan in line.scans[before:]]
     assert ends
     assert min(ends) >= 0
 
@@ -310,10 +310,10 @@ def test_the_latency_sets_the_stamps_back():
     plain, back = line_of("xv11"), line_of("xv11", latency=latency)
     for line in (plain, back):
         line.run(sweeps, 1.2)
-    assert back.scans[-1].stamp == plain.scans[-1].stamp - round(latency * SECOND)
+    assert back.scans[-1].stamp == plain.scans[-1].stamp - round(latency * NS_PER_S)
 
 
 def test_an_unknown_model_is_refused_with_the_nearest_name():
     with pytest.raises(UserError) as refused:
         make_emulator("ld66", laser_of("ld06"))
-    assert "ld06" in refused.value.mend
+    assert "ld06" in refused.value.hint

@@ -24,7 +24,7 @@ def laser(angle_min: float = 0.0, increment: float = 2 * pi / N, n: int = N) -> 
 
 
 def turning(turns: float, direction: int = 1, n: int = N, first: float = 0.0) -> Returns:
-    """Beams of a steady device from an angle on; the range tells the angle: 1 m + degrees (0 to 359.99) in mm."""
+    """Beams of a steady device from an angle on; the range encodes the angle: 1 m + degrees (0 to 359.99) in mm."""
     k = np.arange(int(turns * n))
     angles = first + direction * 2 * pi * k / n
     degrees = np.degrees(angles + 1e-9) % 360

@@ -14,10 +14,10 @@ from services.local_ctrl.rollout import DT, limits_of
 from shared import reasons
 from shared.config import load_robot
 from shared.geometry import Pose2
-from shared.messages import FollowState, GoalKind
+from shared.messages import FollowState, RecoveryKind
 from tests.unit.services.local_ctrl.test_controllers import config
 from tests.unit.services.local_ctrl.test_mppi import SHAPE, clutter, scene
-from tests.unit.services.local_ctrl.tiny_world import Loop, World, drive_goal, recovery
+from tests.unit.services.local_ctrl.tiny_world import ControlLoop, TinyWorld, drive_goal, recovery
 
 X80 = load_robot("x80sv").robot
 RADIUS = 0.5
@@ -66,7 +66,7 @@ def arc_to_the_left(n=60):
 
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_a_half_circle_is_driven_round_and_not_cut_across(name):
-    loop = Loop(CAR, World(6, 6), Pose2(1.0, 2.0, 0.0), config(name))
+    loop = ControlLoop(CAR, TinyWorld(6, 6), Pose2(1.0, 2.0, 0.0), config(name))
     goal = Pose2(0.5, 3.4, pi)
     run = loop.give(drive_goal(goal, yaw_tolerance=10.0), arc_to_the_left()).drive(15)
     assert run.reached
@@ -77,21 +77,21 @@ def test_a_half_circle_is_driven_round_and_not_cut_across(name):
 
 @pytest.mark.parametrize("name", ["dwa", "pursuit"])
 def test_a_plan_that_begins_behind_is_not_taken_by_turning_on_the_spot(name):
-    loop = Loop(CAR, World(6, 6), Pose2(3.0, 3.0, 0.0), config(name))
+    loop = ControlLoop(CAR, TinyWorld(6, 6), Pose2(3.0, 3.0, 0.0), config(name))
     loop.give(drive_goal(Pose2(1.0, 3.0, pi)), np.array([[3.0, 3.0], [1.0, 3.0]])).drive(2)
     assert keeps_its_arcs([(command.v, command.w) for command in loop.run.commands])
 
 
 def test_the_recovery_that_turns_is_refused_by_name():
-    loop = Loop(CAR, World(6, 6), Pose2(3.0, 3.0, 0.0), config("pursuit"))
-    loop.give(recovery(GoalKind.TURN, 1.0)).drive(1)
+    loop = ControlLoop(CAR, TinyWorld(6, 6), Pose2(3.0, 3.0, 0.0), config("pursuit"))
+    loop.give(recovery(RecoveryKind.TURN, 1.0)).drive(1)
     status = loop.run.statuses[-1]
     assert (status.state, status.reason) == (FollowState.FAILED, reasons.NO_TURN_IN_PLACE.code)
     assert not any(command.w for command in loop.run.commands)
 
 
 def test_at_the_goal_with_another_heading_it_says_so_instead_of_turning():
-    loop = Loop(CAR, World(6, 6), Pose2(1.0, 3.0, 0.0), config("pursuit"))
+    loop = ControlLoop(CAR, TinyWorld(6, 6), Pose2(1.0, 3.0, 0.0), config("pursuit"))
     loop.give(drive_goal(Pose2(3.0, 3.0, pi / 2)), np.array([[1.0, 3.0], [3.0, 3.0]])).drive(8)
     status = loop.run.statuses[-1]
     assert (status.state, status.reason) == (FollowState.FAILED, reasons.HEADING_MISSED.code)

@@ -23,7 +23,7 @@ from shared.messages import FollowState
 from tests.unit.services.local_ctrl.test_debug_topics import pictures, watched
 from tests.unit.services.local_ctrl.test_driving import arrived, cluttered
 from tests.unit.services.local_ctrl.test_mppi import LIMITS, RESOLUTION, ROBOT, SHAPE, N, clutter, scene
-from tests.unit.services.local_ctrl.tiny_world import Loop, World, drive_goal, off, planned
+from tests.unit.services.local_ctrl.tiny_world import ControlLoop, TinyWorld, drive_goal, off, planned
 
 JACKAL = load_robot("jackal").robot
 NAMES = tuple(CONTROLLERS)
@@ -138,8 +138,8 @@ def test_the_point_steered_for_is_on_the_path_and_as_far_away_as_it_should_be(lo
 
 @pytest.mark.parametrize("name", SIMPLE)
 def test_an_open_floor_is_crossed_fast_and_smoothly(name: str) -> None:
-    world, start, goal = World(10, 4), Pose2(1.0, 2.0, 0.0), Pose2(8.0, 2.0, 1.0)
-    loop = Loop(ROBOT, world, start, config(name)).give(drive_goal(goal), planned(world, start, goal, 0.28))
+    world, start, goal = TinyWorld(10, 4), Pose2(1.0, 2.0, 0.0), Pose2(8.0, 2.0, 1.0)
+    loop = ControlLoop(ROBOT, world, start, config(name)).give(drive_goal(goal), planned(world, start, goal, 0.28))
     run = loop.drive(20)
     arrived(loop, run, goal)
     assert run.seconds < 13.5
@@ -151,17 +151,17 @@ def test_an_open_floor_is_crossed_fast_and_smoothly(name: str) -> None:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_between_what_the_plan_knows_it_touches_nothing(name: str, seed: int) -> None:
     world, start, goal = cluttered(seed), Pose2(0.6, 2.0, 0.0), Pose2(5.4, 2.0, 0.0)
-    loop = Loop(ROBOT, world, start, config(name)).give(drive_goal(goal), planned(world, start, goal, 0.28))
+    loop = ControlLoop(ROBOT, world, start, config(name)).give(drive_goal(goal), planned(world, start, goal, 0.28))
     arrived(loop, loop.drive(25), goal)
 
 
 def test_dwa_goes_around_what_the_plan_does_not_know_and_pursuit_waits_before_it_for_another_plan() -> None:
     start, goal = Pose2(1.0, 2.0, 0.0), Pose2(4.4, 2.0, 0.0)
-    world = World(6, 4).box(2.6, 1.7, 3.0, 2.3)
+    world = TinyWorld(6, 4).box(2.6, 1.7, 3.0, 2.3)
     straight = np.array([[1.0, 2.0], [4.4, 2.0]])
-    loop = Loop(ROBOT, world, start, config("dwa")).give(drive_goal(goal), straight)
+    loop = ControlLoop(ROBOT, world, start, config("dwa")).give(drive_goal(goal), straight)
     arrived(loop, loop.drive(20), goal)
-    loop = Loop(ROBOT, world, start, config("pursuit")).give(drive_goal(goal), straight)
+    loop = ControlLoop(ROBOT, world, start, config("pursuit")).give(drive_goal(goal), straight)
     loop.drive(6)
     status = loop.run.statuses[-1]
     assert (status.state, status.reason) == (FollowState.BLOCKED, reasons.BLOCKED.code)
@@ -175,8 +175,8 @@ def test_dwa_goes_around_what_the_plan_does_not_know_and_pursuit_waits_before_it
 @pytest.mark.parametrize("name", SIMPLE)
 @pytest.mark.parametrize("lost", ["odometry", "scan", "pose"])
 def test_without_knowledge_there_is_no_motion(name: str, lost: str) -> None:
-    world, start, goal = World(8, 4), Pose2(1.0, 2.0, 0.0), Pose2(6.0, 2.0, 0.0)
-    loop = Loop(ROBOT, world, start, config(name)).give(drive_goal(goal), planned(world, start, goal, 0.25))
+    world, start, goal = TinyWorld(8, 4), Pose2(1.0, 2.0, 0.0), Pose2(6.0, 2.0, 0.0)
+    loop = ControlLoop(ROBOT, world, start, config(name)).give(drive_goal(goal), planned(world, start, goal, 0.25))
     loop.drive(1.5)
     assert loop.run.commands[-1].v > 0.3
     loop.lost = {lost}
@@ -188,10 +188,12 @@ def test_without_knowledge_there_is_no_motion(name: str, lost: str) -> None:
 
 @pytest.mark.parametrize("reverse", [0.3, 0.0])
 def test_where_there_is_no_room_to_turn_pursuit_backs_out_if_it_may(reverse: float) -> None:
-    world = World(6, 3).box(0, 0, 6, 1.2).box(0, 1.8, 6, 3)  # the jackal's diagonal is longer than 0.6 m
+    world = TinyWorld(6, 3).box(0, 0, 6, 1.2).box(0, 1.8, 6, 3)  # the jackal's diagonal is longer than 0.6 m
     start, goal = Pose2(4.0, 1.5, 0.0), Pose2(2.0, 1.5, 0.0)
     driver = config("pursuit", max_reverse_speed=reverse)
-    loop = Loop(JACKAL, world, start, driver).give(drive_goal(goal, yaw_tolerance=10.0), np.array([[4, 1.5], [2, 1.5]]))
+    loop = ControlLoop(JACKAL, world, start, driver).give(
+        drive_goal(goal, yaw_tolerance=10.0), np.array([[4, 1.5], [2, 1.5]])
+    )
     run = loop.drive(20 if reverse else 4)
     assert run.least_clearance > 0
     if reverse:
@@ -206,8 +208,8 @@ def test_where_there_is_no_room_to_turn_pursuit_backs_out_if_it_may(reverse: flo
 
 @pytest.mark.parametrize("name", NAMES)
 def test_who_watches_sees_what_was_weighed_up(name: str) -> None:
-    world, start, goal = World(8, 4), Pose2(1.0, 2.0, 0.0), Pose2(6.0, 2.0, 0.0)
-    loop = Loop(ROBOT, world, start, config(name)).give(drive_goal(goal), planned(world, start, goal, 0.25))
+    world, start, goal = TinyWorld(8, 4), Pose2(1.0, 2.0, 0.0), Pose2(6.0, 2.0, 0.0)
+    loop = ControlLoop(ROBOT, world, start, config(name)).give(drive_goal(goal), planned(world, start, goal, 0.25))
     loop.drive(1.5)
     watched(loop)
     shown = pictures(loop)["debug/rollouts"]
@@ -221,9 +223,9 @@ def test_a_robot_with_its_axle_far_behind_its_bumper_sees_what_is_before_that(na
     outline = ((-0.3, -0.2), (2.0, -0.2), (2.0, 0.2), (-0.3, 0.2))
     drive = {**ROBOT.drive.model_dump(), "max_speed": 0.3}
     long = Robot.model_validate({**ROBOT.model_dump(), "footprint": outline, "drive": drive})
-    world = World(8, 4).box(3.8, 1.0, 4.0, 3.0)
+    world = TinyWorld(8, 4).box(3.8, 1.0, 4.0, 3.0)
     ahead = np.column_stack((np.linspace(1.0, 7.0, 120), np.full(120, 2.0)))
-    loop = Loop(long, world, Pose2(1.0, 2.0), LocalCtrlConfig(controller=name, mppi=MppiConfig(rollouts=128)))
+    loop = ControlLoop(long, world, Pose2(1.0, 2.0), LocalCtrlConfig(controller=name, mppi=MppiConfig(rollouts=128)))
     loop.give(drive_goal(Pose2(7.0, 2.0)), ahead)
     loop.drive(8.0)
     assert loop.run.least_clearance > 0.0

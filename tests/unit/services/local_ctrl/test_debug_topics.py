@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What local control shows to who watches, and that being watched changes nothing."""
+"""The debug topics of local control. A client that listens to them changes no command."""
 
 import numpy as np
 
@@ -9,29 +9,29 @@ from shared.geometry import Pose2
 from shared.messages import Costmap, Rollouts
 from shared.requests import Watch
 from shared.topics import Publication
-from tests.unit.services.local_ctrl.tiny_world import Loop, World, drive_goal, planned
+from tests.unit.services.local_ctrl.tiny_world import ControlLoop, TinyWorld, drive_goal, planned
 
 ROBOT = load_robot("x80sv").robot
 START, GOAL = Pose2(1.0, 2.0, 0.0), Pose2(6.0, 2.0, 0.0)
 
 
-def watched(loop: Loop, seconds: float = 5.0) -> None:
+def watched(loop: ControlLoop, seconds: float = 5.0) -> None:
     loop.service.now = loop.now
     asked = loop.service.watch(Watch(loop.now, seconds))
     assert list(asked) == []
 
 
-def pictures(loop: Loop) -> dict[str, Costmap | Rollouts]:
+def pictures(loop: ControlLoop) -> dict[str, Costmap | Rollouts]:
     """What the next tick shows."""
     loop.service.now = loop.now
     sent = [out for out in loop.service.tick() if isinstance(out, Publication)]
     return {p.topic.key: p.message for p in sent if p.topic in (topics.COSTMAP, topics.ROLLOUTS)}
 
 
-def driving(seconds: float = 1.5) -> Loop:
-    world = World(8, 4)
+def driving(seconds: float = 1.5) -> ControlLoop:
+    world = TinyWorld(8, 4)
     world.box(3.8, 2.8, 4.2, 3.2)
-    loop = Loop(ROBOT, world, START).give(drive_goal(GOAL), planned(world, START, GOAL, 0.25))
+    loop = ControlLoop(ROBOT, world, START).give(drive_goal(GOAL), planned(world, START, GOAL, 0.25))
     loop.drive(seconds)
     return loop
 

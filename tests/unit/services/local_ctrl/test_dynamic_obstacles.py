@@ -20,9 +20,9 @@ from services.local_ctrl.rollout import Motion, limits_of
 from services.local_ctrl.zones import LocalZones
 from shared.config import Mount, load_robot
 from shared.geometry import Pose2
-from shared.messages import Goal, GoalKind, LaserScan
+from shared.messages import Goal, LaserScan
+from shared.types import NS_PER_S
 
-NS_PER_S = 10**9
 MS = 10**6
 PERIOD_NS = 50 * MS
 N = 720
@@ -218,7 +218,7 @@ def test_out_of_sight_it_goes_on_for_a_while_and_is_forgotten():
 
 
 def followed(comes: bool) -> tuple[float, float]:
-    """m/s and rad/s that a robot which stands is told, with its plan behind it; comes: something comes at it."""
+    """Command (m/s, rad/s) for a standing robot whose plan leads backwards. comes: an obstacle approaches it."""
     robot = load_robot("jackal").robot
     limits, footprint = limits_of(robot.drive, 10.0, 0.15), footprint_of(robot, 0.03)
     costmap = made()
@@ -227,7 +227,7 @@ def followed(comes: bool) -> tuple[float, float]:
     controller, zones = Mppi(MppiConfig(), limits), LocalZones(robot.circumscribed_radius)
     follower = PathFollower(PathFollowingConfig(), CostToGoConfig(), controller, limits, footprint, zones)
     xs = np.linspace(0.0, -3.0, 31)
-    goal = Goal(0, 1, GoalKind.DRIVE, Pose2(-3.0, 0.0, pi), 0.2, 0.2, 0.0, False)
+    goal = Goal(0, 1, True, Pose2(-3.0, 0.0, pi), 0.2, 0.2, False)
     outcome = follower.follow(LocalPlan(xs, 0 * xs, pi), goal, costmap, Motion(Pose2(), 0.0, 0.0), Pose2(), 1)
     return outcome.v, outcome.w
 

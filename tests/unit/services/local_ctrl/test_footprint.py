@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.local_ctrl.footprint import bilinear, clearance, collides, footprint_of, polygon_distance, touches
+from services.local_ctrl.footprint import clearance, collides, footprint_of
 from shared.config import Robot, load_robot
 from shared.distance_field import distance_field
-from shared.geometry import Pose2, inside
+from shared.geometry import Pose2
+from shared.polygon import contains
 
 N, RESOLUTION = 40, 0.05
 
@@ -38,7 +39,7 @@ def distance_to_polygon(robot: Robot, place: tuple[float, float, float], occupie
     rows, columns = np.nonzero(occupied)
     centres = np.column_stack((columns, rows)) * RESOLUTION
     corners = Pose2(*place) @ robot.corners
-    if inside(corners, centres).any():
+    if contains(corners, centres).any():
         return 0.0
     ends = np.roll(corners, -1, axis=0)
     outline = np.concatenate([a + np.linspace(0, 1, 400)[:, None] * (b - a) for a, b in zip(corners, ends)])
@@ -80,7 +81,7 @@ def test_circles_cover_the_outline_and_reach_little_beyond_its_box(robot: Robot)
     corners = robot.corners
     low, high = corners.min(axis=0), corners.max(axis=0)
     fine = np.stack(np.meshgrid(np.linspace(low[0], high[0], 90), np.linspace(low[1], high[1], 90)), -1).reshape(-1, 2)
-    body = fine[inside(corners, fine)]
+    body = fine[contains(corners, fine)]
     away = np.hypot(*(body[:, None] - circles[None, :, :2]).reshape(-1, 2).T).reshape(len(body), -1) - circles[:, 2]
     assert away.min(axis=1).max() <= 0
     assert (circles[:, :2] - circles[:, 2:] >= low - 0.0401).all()
@@ -88,22 +89,3 @@ def test_circles_cover_the_outline_and_reach_little_beyond_its_box(robot: Robot)
     gaps = np.hypot(*(circles[:, None, :2] - circles[None, :, :2]).transpose(2, 0, 1))
     holds = gaps + circles[None, :, 2] <= circles[:, None, 2]
     assert (holds == np.eye(len(circles), dtype=bool)).all(), "a circle in another is looked at for nothing"
-
-
-@settings(deadline=None)
-@given(st.sampled_from([LONG, ELL]), st.floats(-1, 1), st.floats(-1, 1))
-def test_gap_is_zero_inside_and_the_distance_outside(robot: Robot, x: float, y: float) -> None:
-    corners = robot.corners
-    ends = np.roll(corners, -1, axis=0)
-    outline = np.concatenate([a + np.linspace(0, 1, 2000)[:, None] * (b - a) for a, b in zip(corners, ends)])
-    away = float(np.hypot(*(outline - (x, y)).T).min())
-    if inside(corners, np.array([[x, y]]))[0]:
-        assert polygon_distance(corners, x, y) <= 1e-9
-    else:
-        assert polygon_distance(corners, x, y) == pytest.approx(away, abs=2e-3)
-
-
-def test_an_obstacle_outside_the_grid_s_rim_is_no_reading_beyond_it() -> None:
-    field = distance_field(occupied_at([(0, 0)]), RESOLUTION)
-    assert bilinear(field, -50.0, -50.0) == pytest.approx(0.0, abs=1e-6)
-    assert not touches(occupied_at([(0, 0)]), RESOLUTION, -3.0, -3.0, 1.0, 0.0, footprint_of(ROBOTS[0], 0.0))

@@ -15,9 +15,9 @@ from shared.config import Mount, load_robot
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import TILE_CELLS, LaserScan, MapUpdate, RangeReadings
+from shared.types import NS_PER_S
 
 SHAPE = footprint_of(load_robot("x80sv").robot, 0.03)
-NS_PER_S = 1_000_000_000
 NOW = 100 * NS_PER_S
 N_BEAMS = 360
 

@@ -14,44 +14,52 @@ from shared import messages as m
 from shared import reasons, topics
 from shared.config import load_robot
 from shared.geometry import Pose2
-from shared.messages import FollowState, GoalKind
+from shared.messages import FollowState, RecoveryKind
 from shared.service import handlers
-from tests.unit.services.local_ctrl.tiny_world import Loop, World, drive_goal, off, path_message, planned, recovery
+from shared.types import NS_PER_S
+from tests.unit.services.local_ctrl.tiny_world import (
+    ControlLoop,
+    TinyWorld,
+    drive_goal,
+    off,
+    path_message,
+    planned,
+    recovery,
+)
 
 ROBOT = load_robot("x80sv").robot
 START, GOAL = Pose2(1.0, 2.0, 0.0), Pose2(6.0, 2.0, 0.0)
-NS_PER_S = 1_000_000_000
 
 
-def moving(seconds: float = 2.0) -> Loop:
+def moving(seconds: float = 2.0) -> ControlLoop:
     """In the open, at speed, on the way."""
-    world = World(8, 4)
-    loop = Loop(ROBOT, world, START).give(drive_goal(GOAL), planned(world, START, GOAL, 0.25))
+    world = TinyWorld(8, 4)
+    loop = ControlLoop(ROBOT, world, START).give(drive_goal(GOAL), planned(world, START, GOAL, 0.25))
     loop.drive(seconds)
     assert loop.run.commands[-1].v > 0.5
     return loop
 
 
-def last(loop: Loop) -> tuple[m.Velocity, m.FollowStatus]:
+def last(loop: ControlLoop) -> tuple[m.Velocity, m.FollowStatus]:
     return loop.run.commands[-1], loop.run.statuses[-1]
 
 
 def test_it_listens_and_ticks_as_the_registry_says() -> None:
     found = handlers(LocalCtrlService)
-    assert set(found.topics) == {"scan", "base/ranges", "odom", "pose", "map", "plan", "goal", "zones"}
+    assert set(found.topics) == {"scan", "base/ranges", "odom", "pose", "map", "plan", "goal", "recovery", "zones"}
     assert found.ticks == ((topics.CMD_NAV.hz, "tick", "scan"),)
 
 
 def test_without_a_goal_it_is_idle_and_stands() -> None:
-    loop = Loop(ROBOT, World(4, 4), Pose2(2, 2))
+    loop = ControlLoop(ROBOT, TinyWorld(4, 4), Pose2(2, 2))
     loop.drive(0.3)
     command, status = last(loop)
     assert (command.v, command.w, command.reason, status.state) == (0, 0, "", FollowState.IDLE)
 
 
-def test_the_goal_none_stops_at_once() -> None:
+def test_an_inactive_goal_stops_at_once() -> None:
     loop = moving()
-    loop.give(recovery(GoalKind.NONE, 0.0, goal_id=2))
+    loop.give(replace(drive_goal(GOAL, goal_id=2), active=False))
     loop.drive(0.1)
     command, status = last(loop)
     assert (command.v, command.w, status.state, status.goal_id) == (0, 0, FollowState.IDLE, 2)
@@ -145,7 +153,7 @@ def test_a_plan_for_nothing_stops_with_the_planner_s_reason() -> None:
 
 
 def test_without_any_plan_it_waits_for_one() -> None:
-    loop = Loop(ROBOT, World(4, 4), Pose2(2, 2)).give(drive_goal(Pose2(3, 2)))
+    loop = ControlLoop(ROBOT, TinyWorld(4, 4), Pose2(2, 2)).give(drive_goal(Pose2(3, 2)))
     loop.drive(0.6)
     command, status = last(loop)
     assert (command.v, command.w, command.reason, status.state) == (0, 0, reasons.NO_PLAN.code, FollowState.BLOCKED)
@@ -195,7 +203,7 @@ def test_what_was_no_plan_to_follow_is_none_for_a_new_goal_either(reason: reason
     loop.drive(4.0, until=lambda loop: loop.run.commands[-1].reason == reason.code)
     loop.drive(1.0)
     there = loop.truth
-    loop.give(drive_goal(GOAL, goal_id=2))  # as the navigator's recovery has it planned anew
+    loop.give(drive_goal(GOAL, goal_id=2))  # as after a recovery, when the navigator asks for a new plan
     loop.drive(1.5)
     assert loop.truth == there
     assert loop.run.commands[-1].reason == reasons.NO_PLAN.code
@@ -212,10 +220,10 @@ def test_the_same_goal_told_again_changes_nothing() -> None:
 def test_an_older_goal_that_comes_late_is_ignored_and_a_restarted_navigator_is_not() -> None:
     loop = moving()
     loop.send("new_goal", replace(drive_goal(GOAL, goal_id=0), stamp=NS_PER_S))
-    assert loop.service.goal is not None
-    assert loop.service.goal.id == 1
+    assert loop.service.order is not None
+    assert loop.service.order.id == 1
     loop.send("new_goal", replace(drive_goal(GOAL, goal_id=0), stamp=loop.now))
-    assert loop.service.goal.id == 0
+    assert loop.service.order.id == 0
 
 
 def test_clearing_the_costmap_forgets_what_was_seen() -> None:
@@ -237,7 +245,7 @@ def test_odometry_that_starts_anew_forgets_the_costmap_and_waits_for_a_pose_in_i
     assert (command.v, command.reason) == (0, reasons.POSE_OLD.code)
 
 
-def scan_of(loop: Loop) -> m.LaserScan:
+def scan_of(loop: ControlLoop) -> m.LaserScan:
     laser = loop.robot.laser
     ranges = np.full(laser.n_beams, 2.0, np.float32)
     return m.LaserScan(loop.now, laser.angle_min, laser.angle_increment, laser.scan_time, 0.06, 5.0, ranges)
@@ -246,7 +254,7 @@ def scan_of(loop: Loop) -> m.LaserScan:
 @pytest.mark.parametrize("amount", [0.3, 0.1])
 def test_backing_up_goes_back_by_the_amount_slowly(amount: float) -> None:
     start = Pose2(4, 2, 0.5)
-    loop = Loop(ROBOT, World(8, 4), start).give(recovery(GoalKind.BACK_UP, amount))
+    loop = ControlLoop(ROBOT, TinyWorld(8, 4), start).give(recovery(RecoveryKind.BACK_UP, amount))
     run = loop.drive(8)
     moved = start.inverse() @ loop.truth
     assert run.reached
@@ -255,19 +263,31 @@ def test_backing_up_goes_back_by_the_amount_slowly(amount: float) -> None:
     assert min(run.v) >= -0.13
 
 
+def test_a_recovery_that_arrives_after_a_later_goal_is_ignored() -> None:
+    loop = moving()
+    loop.give(drive_goal(GOAL, goal_id=3), loop.plan)
+    sent_before = loop.goal.stamp - NS_PER_S // 50
+    loop.send("new_recovery", replace(recovery(RecoveryKind.TURN, 1.0, order_id=2), stamp=sent_before))
+    loop.drive(0.1)
+    assert last(loop)[1].goal_id == 3
+    assert last(loop)[1].state is FollowState.FOLLOWING
+
+
 def test_backing_up_stops_before_what_stands_behind() -> None:
-    loop = Loop(ROBOT, World(8, 4).box(3.2, 1.5, 3.3, 2.5), Pose2(3.9, 2, 0)).give(recovery(GoalKind.BACK_UP, 1.0))
+    loop = ControlLoop(ROBOT, TinyWorld(8, 4).box(3.2, 1.5, 3.3, 2.5), Pose2(3.9, 2, 0)).give(
+        recovery(RecoveryKind.BACK_UP, 1.0)
+    )
     run = loop.drive(6)
     assert run.statuses[-1].reason == run.commands[-1].reason == reasons.BLOCKED.code
     assert 0.02 < run.least_clearance < 0.15
 
 
 def test_backing_up_stops_before_what_lies_in_the_blind_sector_and_was_seen_before() -> None:
-    world, start = World(8, 4).box(5.2, 1.5, 5.4, 2.5), Pose2(4.0, 2.0, 0.0)
-    loop = Loop(load_robot("jackal").robot, world, start).give(recovery(GoalKind.TURN, pi))
+    world, start = TinyWorld(8, 4).box(5.2, 1.5, 5.4, 2.5), Pose2(4.0, 2.0, 0.0)
+    loop = ControlLoop(load_robot("jackal").robot, world, start).give(recovery(RecoveryKind.TURN, pi))
     loop.drive(8)
     assert loop.run.reached
-    loop.give(recovery(GoalKind.BACK_UP, 2.0, goal_id=2))
+    loop.give(recovery(RecoveryKind.BACK_UP, 2.0, order_id=2))
     run = loop.drive(8, until=lambda loop: loop.run.commands[-1].reason != "")
     assert run.commands[-1].reason == reasons.BLOCKED.code
     assert loop.truth.x > 4.2
@@ -278,7 +298,7 @@ def test_backing_up_stops_before_what_lies_in_the_blind_sector_and_was_seen_befo
 @pytest.mark.parametrize("infrared", [True, False])
 def test_only_the_chosen_range_sensors_mark_obstacles(ultrasonic: bool, infrared: bool) -> None:
     chosen = {"ultrasonic": ultrasonic, "infrared": infrared}
-    loop = Loop(ROBOT, World(4, 4), Pose2(2, 2), LocalCtrlConfig.model_validate({"costmap": chosen}))
+    loop = ControlLoop(ROBOT, TinyWorld(4, 4), Pose2(2, 2), LocalCtrlConfig.model_validate({"costmap": chosen}))
     loop.drive(0.1)
     sensors = ROBOT.ranges
     columns = np.array([[s.mount.x, s.mount.y, s.mount.yaw, s.field_of_view] for s in sensors], np.float32).T.copy()
@@ -293,7 +313,7 @@ def test_only_the_chosen_range_sensors_mark_obstacles(ultrasonic: bool, infrared
 
 def test_a_robot_that_must_not_reverse_does_not_back_up() -> None:
     robot = ROBOT.model_copy(update={"drive": ROBOT.drive.model_copy(update={"max_reverse_speed": 0.0})})
-    loop = Loop(robot, World(8, 4), Pose2(4, 2)).give(recovery(GoalKind.BACK_UP, 0.3))
+    loop = ControlLoop(robot, TinyWorld(8, 4), Pose2(4, 2)).give(recovery(RecoveryKind.BACK_UP, 0.3))
     run = loop.drive(1)
     assert run.statuses[-1].reason == reasons.BLOCKED.code
     assert set(run.v) == {0.0}
@@ -301,7 +321,7 @@ def test_a_robot_that_must_not_reverse_does_not_back_up() -> None:
 
 @pytest.mark.parametrize("amount", [1.57, -2.5, 2 * pi, -0.2])
 def test_turning_goes_round_by_the_amount_on_the_spot(amount: float) -> None:
-    loop = Loop(ROBOT, World(8, 4), Pose2(4, 2, 3.0)).give(recovery(GoalKind.TURN, amount))
+    loop = ControlLoop(ROBOT, TinyWorld(8, 4), Pose2(4, 2, 3.0)).give(recovery(RecoveryKind.TURN, amount))
     run = loop.drive(12)
     turned = np.unwrap([pose.yaw for pose in [Pose2(4, 2, 3.0), *run.poses]])
     assert run.reached
@@ -310,7 +330,7 @@ def test_turning_goes_round_by_the_amount_on_the_spot(amount: float) -> None:
 
 
 def test_waiting_takes_its_time_and_moves_nothing() -> None:
-    loop = Loop(ROBOT, World(8, 4), Pose2(4, 2)).give(recovery(GoalKind.WAIT, 1.0))
+    loop = ControlLoop(ROBOT, TinyWorld(8, 4), Pose2(4, 2)).give(recovery(RecoveryKind.WAIT, 1.0))
     run = loop.drive(5)
     assert run.reached
     assert run.seconds == pytest.approx(1.3, abs=0.15)  # its first scan comes 0.2 s after the start
@@ -318,11 +338,11 @@ def test_waiting_takes_its_time_and_moves_nothing() -> None:
 
 
 def test_arrived_stays_arrived_until_the_next_goal() -> None:
-    loop = Loop(ROBOT, World(8, 4), Pose2(4, 2)).give(recovery(GoalKind.TURN, 0.3))
+    loop = ControlLoop(ROBOT, TinyWorld(8, 4), Pose2(4, 2)).give(recovery(RecoveryKind.TURN, 0.3))
     loop.drive(4)
     loop.drive(1, until=lambda _: False)
     assert loop.run.reached
-    loop.give(recovery(GoalKind.TURN, 0.3, goal_id=2))
+    loop.give(recovery(RecoveryKind.TURN, 0.3, order_id=2))
     loop.drive(0.2)
     assert loop.run.statuses[-1].state is FollowState.FOLLOWING
 
@@ -339,16 +359,16 @@ def test_scans_of_any_length_and_content_are_survived() -> None:
 
 
 def test_a_robot_without_range_sensors_ignores_readings() -> None:
-    loop = Loop(load_robot("jackal").robot, World(4, 4), Pose2(2, 2))
+    loop = ControlLoop(load_robot("jackal").robot, TinyWorld(4, 4), Pose2(2, 2))
     loop.send("ranges", m.RangeReadings(loop.now, *(np.zeros(1, np.float32) for _ in range(5))))
     loop.drive(0.1)
     assert loop.run.statuses[-1].state is FollowState.IDLE
 
 
 def test_warming_changes_no_state() -> None:
-    loop = Loop(ROBOT, World(4, 4), Pose2(2, 2))
-    loop.service.warm()
-    assert loop.service.goal is None
+    loop = ControlLoop(ROBOT, TinyWorld(4, 4), Pose2(2, 2))
+    loop.service.warm_up()
+    assert loop.service.order is None
     assert not loop.service.inputs.history
     assert loop.service.last_tick == 0
 
@@ -357,23 +377,25 @@ AFTER_WARMING = """
 import shared.repeatable
 from shared.config import load_robot
 from shared.geometry import Pose2
-from shared.messages import GoalKind, Zones
+from shared.messages import RecoveryKind, Zones
 from shared.zones import ZoneConfig
 from tests.compiling import nothing_compiles
-from tests.unit.services.local_ctrl.tiny_world import Loop, World, drive_goal, planned, recovery
+from tests.unit.services.local_ctrl.tiny_world import ControlLoop, TinyWorld, drive_goal, planned, recovery
 
 def zone(name, **asks):
     return ZoneConfig(corners=((1.0, 0.5), (2.5, 0.5), (2.5, 1.2), (1.0, 1.2)), **asks).zone(name)
 
-world, start, goal = World(6, 4), Pose2(1, 2, 2), Pose2(4, 2, 0)
-loop = Loop(load_robot("x80sv").robot, world, start)
-loop.service.warm()
+world, start, goal = TinyWorld(6, 4), Pose2(1, 2, 2), Pose2(4, 2, 0)
+robot = load_robot("x80sv").robot
+loop = ControlLoop(robot, world, start)
+loop.service.warm_up()
+world.clearance(robot, start)  # a kernel of the test: its compilation in the loop would load one of shared
 with nothing_compiles():
     loop.give(drive_goal(goal), planned(world, start, goal, 0.25)).drive(1)
     loop.send("new_zones", Zones(0, (zone("stairs"), zone("hall", speed=0.3))))
     loop.drive(1)
-    loop.give(recovery(GoalKind.BACK_UP, 0.1, 2)).drive(0.5)
-    loop.give(recovery(GoalKind.TURN, 0.2, 3)).drive(0.5)
+    loop.give(recovery(RecoveryKind.BACK_UP, 0.1, 2)).drive(0.5)
+    loop.give(recovery(RecoveryKind.TURN, 0.2, 3)).drive(0.5)
 """
 
 
@@ -383,9 +405,9 @@ def test_after_warming_nothing_is_compiled_while_the_robot_moves() -> None:
 
 
 def test_a_robot_walled_in_stands_and_says_blocked() -> None:
-    world = World(6, 4).box(1.5, 1.5, 2.5, 2.5).box(1.65, 1.65, 2.35, 2.35, full=False)
+    world = TinyWorld(6, 4).box(1.5, 1.5, 2.5, 2.5).box(1.65, 1.65, 2.35, 2.35, full=False)
     start = Pose2(2.0, 2.0, 0.0)
-    loop = Loop(ROBOT, world, start).give(drive_goal(GOAL), np.array([[2.0, 2.0], [6.0, 2.0]]))
+    loop = ControlLoop(ROBOT, world, start).give(drive_goal(GOAL), np.array([[2.0, 2.0], [6.0, 2.0]]))
     run = loop.drive(3)
     assert run.commands[-1].reason == reasons.BLOCKED.code
     assert run.least_clearance > 0.03
@@ -393,15 +415,15 @@ def test_a_robot_walled_in_stands_and_says_blocked() -> None:
 
 def test_the_same_events_give_the_same_bytes() -> None:
     def commands() -> list[tuple[float, float]]:
-        world = World(8, 4).box(3.5, 1.8, 3.8, 2.2)
-        loop = Loop(ROBOT, world, START).give(drive_goal(GOAL), planned(World(8, 4), START, GOAL, 0.25))
+        world = TinyWorld(8, 4).box(3.5, 1.8, 3.8, 2.2)
+        loop = ControlLoop(ROBOT, world, START).give(drive_goal(GOAL), planned(TinyWorld(8, 4), START, GOAL, 0.25))
         return [(command.v, command.w) for command in loop.drive(4).commands]
 
     assert commands() == commands()
 
 
 def test_the_path_of_another_goal_is_not_followed() -> None:
-    loop = Loop(ROBOT, World(8, 4), START).give(drive_goal(GOAL, goal_id=5))
+    loop = ControlLoop(ROBOT, TinyWorld(8, 4), START).give(drive_goal(GOAL, goal_id=5))
     other = drive_goal(GOAL, goal_id=4)
     loop.send("new_plan", path_message(planned(loop.world, START, GOAL, 0.25), other, loop.now))
     loop.drive(0.6)

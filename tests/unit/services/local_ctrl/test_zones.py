@@ -9,18 +9,19 @@ import pytest
 from services.local_ctrl.controller import APPROACH_BRAKING_SHARE
 from shared import reasons
 from shared.config import load_robot
-from shared.geometry import Pose2, inside
-from shared.messages import FollowState, GoalKind, Zones
-from shared.zones import ZoneConfig, distance_to
+from shared.geometry import Pose2
+from shared.messages import FollowState, RecoveryKind, Zones
+from shared.polygon import contains, distances_to_outline
+from shared.zones import ZoneConfig
 from tests.unit.services.local_ctrl.test_controllers import config
-from tests.unit.services.local_ctrl.tiny_world import Loop, World, drive_goal, off, recovery
+from tests.unit.services.local_ctrl.tiny_world import ControlLoop, TinyWorld, drive_goal, off, recovery
 
 X80 = load_robot("x80sv").robot
 HALL = ((4.0, -1.0), (5.0, -1.0), (5.0, 5.0), (4.0, 5.0))
 
 
 def loop_with(controller, *zones, x=1.0):
-    loop = Loop(X80, World(10, 4), Pose2(x, 2.0, 0.0), config(controller))
+    loop = ControlLoop(X80, TinyWorld(10, 4), Pose2(x, 2.0, 0.0), config(controller))
     loop.send("new_zones", Zones(0, tuple(zones)))
     return loop
 
@@ -62,7 +63,7 @@ def test_of_zones_that_overlap_the_slowest_counts_and_a_recovery_is_slow_too():
     )
     loop.give(drive_goal(Pose2(8.5, 2.0, 0.0)), np.array([[4.5, 2.0], [8.5, 2.0]])).drive(3)
     assert 0.03 < max(loop.run.v) < 0.06
-    loop.give(recovery(GoalKind.BACK_UP, 0.3, goal_id=2)).drive(3)
+    loop.give(recovery(RecoveryKind.BACK_UP, 0.3, order_id=2)).drive(3)
     assert -0.06 < min(loop.run.v) < -0.03
 
 
@@ -71,7 +72,7 @@ def test_no_part_of_the_robot_enters_a_keep_out_zone_that_lies_on_the_plan(name)
     loop = loop_with(name, ZoneConfig(corners=HALL).zone("hall"), x=2.0)
     run = loop.give(drive_goal(Pose2(8.5, 2.0, 0.0)), np.array([[2.0, 2.0], [8.5, 2.0]])).drive(5)
     corners = np.concatenate([outline(pose) for pose in run.poses])
-    assert not inside(np.array(HALL), corners).any()
+    assert not contains(np.array(HALL), corners).any()
     assert loop.truth.x > 3.0
     assert (run.statuses[-1].state, run.statuses[-1].reason) == (FollowState.BLOCKED, reasons.BLOCKED.code)
 
@@ -83,7 +84,7 @@ def test_from_a_keep_out_zone_it_drives_out(name):
     run = loop.give(drive_goal(goal), np.array([[4.5, 2.0], [6.5, 2.0]])).drive(15)
     assert run.reached
     assert off(loop.truth, goal)[0] < 0.15
-    assert distance_to(np.array(HALL), loop.truth.x, loop.truth.y) > 1.0
+    assert distances_to_outline(np.array(HALL), np.array([[loop.truth.x, loop.truth.y]]))[0] > 1.0
 
 
 def test_a_zone_of_one_place_bounds_the_speed_by_the_way_that_is_left_to_it():

@@ -9,28 +9,23 @@ from math import cos, hypot, inf, pi, sin
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from services.local_ctrl.footprint import polygon_distance
 from services.local_ctrl.mppi import MppiConfig
 from services.local_ctrl.service import LocalCtrlConfig, LocalCtrlService
 from shared import messages as m
 from shared.config import Robot
 from shared.distance_field import distance_field
 from shared.geometry import Pose2, arc
-from shared.messages import FollowState, GoalKind
+from shared.messages import FollowState, RecoveryKind
+from shared.polygon_kernels import distance_to_polygon
+from shared.types import NS_PER_S, Bools, Float32s, Float64s
 
-Bools = NDArray[np.bool_]
-Float32s = NDArray[np.float32]
-Float64s = NDArray[np.float64]
-
-NS_PER_S = 1_000_000_000
 START = 100 * NS_PER_S  # ns: the clock is not at its zero
 MAP_FROM_ODOM = Pose2(0.7, -0.4, 0.3)
 QUICK = LocalCtrlConfig(mppi=MppiConfig(rollouts=300))  # a quarter of the usual rollouts: what holds with these holds
 
 
-class World:
+class TinyWorld:
     """(h, w) cells of `cell` m, lower left corner at the origin of `map`; its rim is wall."""
 
     def __init__(self, width: float, height: float, cell: float = 0.025) -> None:
@@ -46,13 +41,13 @@ class World:
             self._room = distance_field(self.occupied, self.cell)
         return self._room
 
-    def box(self, x0: float, y0: float, x1: float, y1: float, full: bool = True) -> "World":
+    def box(self, x0: float, y0: float, x1: float, y1: float, full: bool = True) -> "TinyWorld":
         c = self.cell
         self.occupied[max(0, round(y0 / c)) : round(y1 / c), max(0, round(x0 / c)) : round(x1 / c)] = full
         self._room = None
         return self
 
-    def disc(self, x: float, y: float, radius: float) -> "World":
+    def disc(self, x: float, y: float, radius: float) -> "TinyWorld":
         row, column = np.indices(self.occupied.shape)
         self.occupied |= np.hypot((column + 0.5) * self.cell - x, (row + 0.5) * self.cell - y) <= radius
         self._room = None
@@ -73,7 +68,7 @@ def _clearance(occupied: Bools, cell: float, corners: Float64s, x: float, y: flo
         for j in range(max(0, column - reach), min(len(occupied[0]), column + reach)):
             if occupied[i, j]:
                 dx, dy = (j + 0.5) * cell - x, (i + 0.5) * cell - y
-                least = min(least, polygon_distance(corners, c * dx + s * dy, c * dy - s * dx))
+                least = min(least, distance_to_polygon(corners, c * dx + s * dy, c * dy - s * dx))
     return least
 
 
@@ -95,7 +90,7 @@ def cast(room: Float32s, cell: float, poses: Float64s, angles: Float64s, range_m
     return out
 
 
-def planned(world: World, start: Pose2, goal: Pose2, radius: float, cell: float = 0.05) -> Float64s:
+def planned(world: TinyWorld, start: Pose2, goal: Pose2, radius: float, cell: float = 0.05) -> Float64s:
     """(n, 2) m: cost-aware A* over the 8-connected grid for a disc; raises ValueError without a way."""
     step = round(cell / world.cell)
     h, w = world.occupied.shape[0] // step, world.occupied.shape[1] // step
@@ -137,15 +132,15 @@ def path_message(points: Float64s, goal: m.Goal, stamp: int) -> m.Path:
 
 
 def drive_goal(pose: Pose2, goal_id: int = 1, tolerance: float = 0.15, yaw_tolerance: float = 0.2) -> m.Goal:
-    return m.Goal(START, goal_id, GoalKind.DRIVE, pose, tolerance, yaw_tolerance, 0.0, False)
+    return m.Goal(START, goal_id, True, pose, tolerance, yaw_tolerance, False)
 
 
-def recovery(kind: GoalKind, amount: float, goal_id: int = 1) -> m.Goal:
-    return m.Goal(START, goal_id, kind, Pose2(), 0.15, 0.2, amount, False)
+def recovery(kind: RecoveryKind, amount: float, order_id: int = 1) -> m.Recovery:
+    return m.Recovery(START, order_id, kind, amount)
 
 
 @dataclass
-class Run:
+class TinyRun:
     """What happened: truth and commands at every tick."""
 
     poses: list[Pose2] = field(default_factory=list)
@@ -163,11 +158,11 @@ class Run:
         return len(self.commands) * 0.05
 
 
-class Loop:
+class ControlLoop:
     """Robot, world and service, stepped by 10 ms."""
 
     def __init__(
-        self, robot: Robot, world: World, start: Pose2, config: LocalCtrlConfig | None = None, delay: float = 0.1
+        self, robot: Robot, world: TinyWorld, start: Pose2, config: LocalCtrlConfig | None = None, delay: float = 0.1
     ) -> None:
         self.robot, self.world, self.truth, self.delay = robot, world, start, round(delay * NS_PER_S)
         self.service = LocalCtrlService(config or QUICK, robot)
@@ -176,7 +171,7 @@ class Loop:
         self.trace: deque[tuple[int, Pose2]] = deque(maxlen=64)
         self.sent: deque[tuple[int, float, float]] = deque([(0, 0.0, 0.0)])
         self.rng = np.random.default_rng(7)
-        self.run = Run()
+        self.run = TinyRun()
         self.lost: set[str] = set()  # inputs that no longer come
         self.goal: m.Goal | None = None
         self.plan: Float64s | None = None
@@ -187,9 +182,10 @@ class Loop:
             self.service.now = self.now
             list(getattr(self.service, method)(message))
 
-    def give(self, goal: m.Goal, plan: Float64s | None = None) -> "Loop":
-        self.goal, self.plan = replace(goal, stamp=self.now), plan
-        self.send("new_goal", self.goal)
+    def give(self, order: m.Goal | m.Recovery, plan: Float64s | None = None) -> "ControlLoop":
+        order = replace(order, stamp=self.now)
+        self.goal, self.plan = order if isinstance(order, m.Goal) else None, plan
+        self.send("new_goal" if isinstance(order, m.Goal) else "new_recovery", order)
         self._publish_plan()
         return self
 
@@ -197,7 +193,7 @@ class Loop:
         if self.plan is not None and self.goal is not None:
             self.send("new_plan", path_message(self.plan, self.goal, self.now))
 
-    def drive(self, seconds: float, until: Callable[["Loop"], bool] | None = None) -> Run:
+    def drive(self, seconds: float, until: Callable[["ControlLoop"], bool] | None = None) -> TinyRun:
         """Runs on for so long, or until the service says ARRIVED or the condition holds."""
         for _ in range(round(seconds * 100)):
             since_start = self.now - START

@@ -8,9 +8,10 @@ from math import atan2, ceil, hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.saved_map import SavedMap
+from services.mapper.config import MapperConfig
+from services.mapper.maps.map_file import SavedMap
 from shared.geometry import Pose2, wrapped
-from tests.unit.services.mapper.rooms import Driven, box
+from tests.unit.services.mapper.rooms import RoomDrive, box
 
 CELL, CLEAR = 0.25, 0.45  # m; m to the nearest wall that a way keeps
 STEP, TURN = 0.2, 0.35  # m, rad between scans
@@ -25,6 +26,9 @@ def room(x: float) -> list[tuple[float, float, float, float]]:
 CORRIDOR = [(-1, 7, 14, 7), (-1, 5, -1, 7), (-1, 5, 0, 5), (6, 5, 7, 5), (13, 5, 14, 5), (14, 5, 14, 7)]
 ALIKE = np.array([*room(0), *room(7), *CORRIDOR, *box(11, 6.6, 12, 7)], float)
 """Two rooms that look alike at a corridor that does not."""
+SHUT = np.array([*ALIKE, (2.0, 5, 4.0, 5), (9.0, 5, 11, 5)])
+"""The same with both doors closed."""
+START = Pose2(6.5, 6.0, 0.0)
 
 
 class Building:
@@ -90,7 +94,7 @@ def towards(pose: Pose2, place: Pose2) -> list[Pose2]:
     return [Pose2(0, 0, turn / n_turns)] * n_turns + [Pose2(away / n_steps, 0, 0)] * n_steps
 
 
-def drives(driven: Driven, building: Building, metres: float, rng: np.random.Generator) -> Iterator[float]:
+def drives(driven: RoomDrive, building: Building, metres: float, rng: np.random.Generator) -> Iterator[float]:
     """Drives so far; after each scan, m driven."""
     way = 0.0
     for motion in building.way(driven.true, rng):
@@ -101,11 +105,25 @@ def drives(driven: Driven, building: Building, metres: float, rng: np.random.Gen
             return
 
 
-def saved_by(driven: Driven) -> SavedMap:
+def saved_by(driven: RoomDrive) -> SavedMap:
     """The map that a mapper has made."""
     driven.now += 3600_000_000_000
     driven.mapper.now = driven.now
-    driven.take(driven.mapper.settle())
+    driven.take(driven.mapper.slam.jobs.optimize())
     driven.publish_map()
     driven.publish_map()
-    return driven.mapper.mapping.snapshot()
+    return driven.mapper.slam.snapshot()
+
+
+def put(segments, saved, pose, fixed=True, **config):
+    """A robot at `pose` on a saved map, whose pose it is not given."""
+    driven = RoomDrive(segments, MapperConfig.model_validate(config), noise=0.01)
+    driven.true = pose
+    driven.take(driven.mapper.use_map(saved, fixed))
+    return driven
+
+
+def off(driven, first):
+    """Error of the published pose: m, rad."""
+    rest = (first.inverse() @ driven.true).inverse() @ driven.poses[-1].map_from_base
+    return hypot(rest.x, rest.y), abs(rest.yaw)

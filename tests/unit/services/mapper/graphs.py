@@ -3,8 +3,9 @@
 
 import numpy as np
 
-from services.mapper.pose_graph import PoseGraph
-from shared.geometry import Float64s, Pose2
+from services.mapper.back_end.pose_graph import PoseGraph
+from shared.geometry import Pose2
+from shared.types import Float64s
 
 ODOMETRY = np.array((0.01, 0.01, 0.005))  # m, m, rad
 CLOSURE = np.array((0.03, 0.03, 0.01))
@@ -37,13 +38,13 @@ def driven(
     truth = eight(n)
     graph = PoseGraph()
     pose = truth[0]
-    graph.add(pose)
+    graph.add_node(pose)
     for k in range(1, n):
         step = truth[k - 1].inverse() @ truth[k]
         step = step if exact else step @ noise(rng, ODOMETRY)
         pose = truth[k] if exact else pose @ step
-        graph.add(pose)
-        graph.connect(k - 1, k, step, information(ODOMETRY), loop=False)
+        graph.add_node(pose)
+        graph.add_edge(k - 1, k, step, information(ODOMETRY), loop=False)
     is_wrong = rng.random(n_loops) < wrong
     for bad in is_wrong:
         j = int(rng.integers(LAP + 5, n))
@@ -54,5 +55,5 @@ def driven(
             seen = Pose2(*rng.uniform(-1.5, 1.5, 3).tolist())
         elif not exact:
             seen = seen @ noise(rng, CLOSURE)
-        graph.connect(i, j, seen, information(CLOSURE), loop=True)
+        graph.add_edge(i, j, seen, information(CLOSURE), loop=True)
     return graph, np.array([(p.x, p.y, p.yaw) for p in truth]), is_wrong

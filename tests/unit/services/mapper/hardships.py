@@ -13,11 +13,12 @@ from math import atan2, ceil, hypot, pi
 
 import numpy as np
 
-from services.mapper.service import MapperConfig
+from services.mapper.config import MapperConfig
 from shared.config import Laser, Mount
 from shared.geometry import Pose2, wrapped
 from shared.messages import Localization
-from tests.unit.services.mapper.rooms import CORRIDOR, LAP, RING, ROBOT, SECOND, START, Driven, Float64s, box, laps
+from shared.types import NS_PER_S, Float64s
+from tests.unit.services.mapper.rooms import CORRIDOR, LAP, RING, ROBOT, START, RoomDrive, box, laps
 
 WRONG = 0.3  # m from the truth, from where on the state may not be good
 STANDING = (Pose2(),) * 3  # no sweep is bent before the robot drives
@@ -105,7 +106,7 @@ def clutter(k: int, _pose: Pose2) -> Float64s:
 
 @dataclass(frozen=True)
 class Hardship:
-    """One row: where and how a robot drives, what it is told, and what it sees."""
+    """One row: where and how a robot drives, its odometry, and its scans."""
 
     laser: Laser = field(default_factory=laser)
     motions: tuple[Pose2, ...] = tuple(along(ROUND))
@@ -115,13 +116,13 @@ class Hardship:
     dropped: Callable[[int], bool] = lambda _k: False
     company: Callable[[int, Pose2], Float64s] | None = None
     noise: float = 0.01
-    observed: bool = True  # whether the beams tell enough to be right
+    observed: bool = True  # whether the beams constrain the pose in all directions
     far: float = 0.04  # m from the truth at most, where they do: over five seeds the worst is 0.035
     seed: int = 1
 
 
 @dataclass(frozen=True)
-class Course:
+class HardshipRun:
     """Of each scan: m and rad from the truth, whether the state was good, and m, the largest standard deviation."""
 
     away: Float64s
@@ -134,12 +135,12 @@ class Course:
         return int((self.good.astype(bool) & (self.away > WRONG)).sum())
 
 
-def course(row: Hardship) -> Course:
+def course(row: Hardship) -> HardshipRun:
     """Drives a row."""
     robot = ROBOT.model_copy(update={"laser": row.laser})
-    driven = Driven(row.segments, MapperConfig(), row.noise, robot)
+    driven = RoomDrive(row.segments, MapperConfig(), row.noise, robot)
     driven.true, driven.rng = row.start, np.random.default_rng(row.seed)
-    odom, period = Pose2(), round(SECOND / row.laser.rate)
+    odom, period = Pose2(), round(NS_PER_S / row.laser.rate)
     rows = []
     for k, motion in enumerate((*STANDING, *row.motions)):
         begin, start, before = driven.now, driven.true, odom
@@ -165,17 +166,17 @@ def course(row: Hardship) -> Course:
             (hypot(driven.error.x, driven.error.y), abs(driven.error.yaw),
              driven.poses[-1].state is Localization.GOOD, np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
         )  # fmt: skip
-    return Course(*np.array(rows, float).T)
+    return HardshipRun(*np.array(rows, float).T)
 
 
 def people(k: int, pose: Pose2) -> Float64s:
-    """Three people about the robot: one who crosses, one who overtakes, one who comes towards it."""
+    """Three people near the robot: one crosses its path, one overtakes it, one comes towards it."""
     at = pose @ np.array([(1.2, 1.5 - 0.2 * (k % 16)), (-2.0 + 0.15 * (k % 30), 0.7), (4.0 - 0.3 * (k % 18), -0.6)])
     return np.concatenate([person(x, y) for x, y in at])
 
 
 def leader(_k: int, pose: Pose2) -> Float64s:
-    """Somebody who walks a metre before the robot, as fast as it drives."""
+    """A person that walks a metre ahead of the robot, as fast as it drives."""
     ((x, y),) = (pose @ np.array(((1.0, 0.1),))).tolist()
     return np.array(box(x - 0.2, y - 0.25, x + 0.2, y + 0.25))
 
@@ -325,7 +326,7 @@ def table(n_seeds: int = 0) -> Iterator[str]:
         )
 
 
-def longest_wrong(c: Course, rate: float) -> float:
+def longest_wrong(c: HardshipRun, rate: float) -> float:
     """s, the longest time in which a pose over WRONG from the truth was good."""
     longest = run = 0
     for wrong in c.good.astype(bool) & (c.away > WRONG):

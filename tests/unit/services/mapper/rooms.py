@@ -6,18 +6,16 @@ from math import hypot, pi
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from services.mapper.service import MapperConfig, MapperService
+from services.mapper.config import MapperConfig
+from services.mapper.service import MapperService
 from shared.config import Laser, Mount, Robot, load_robot
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapUpdate, Odometry, PoseEstimate
 from shared.service import Job, Log, handlers
 from shared.topics import Publication
-
-Float64s = NDArray[np.float64]
-SECOND = 1_000_000_000
+from shared.types import NS_PER_S, Float64s
 
 
 def box(x0: float, y0: float, x1: float, y1: float) -> list[tuple[float, float, float, float]]:
@@ -81,8 +79,8 @@ ROBOT = load_robot("x80sv_xv11").robot.model_copy(
 )  # fmt: skip
 
 
-class Driven:
-    """A mapper, told what a robot in a room measures; `true` is where it is, in the room."""
+class RoomDrive:
+    """A mapper with the measurements of a robot in a room; `true` is the robot's pose in the room."""
 
     def __init__(
         self, segments: Float64s, config: MapperConfig | None = None, noise: float = 0.0, robot: Robot = ROBOT
@@ -90,7 +88,7 @@ class Driven:
         self.mapper = MapperService(config or MapperConfig(), robot)
         self.segments, self.noise = segments, noise
         self.rng = np.random.default_rng(1)
-        self.now = 10 * SECOND
+        self.now = 10 * NS_PER_S
         self.true = self.first = Pose2()
         self.odom_from_start = Pose2(3.0, -1.0, 2.0)
         self.poses: list[PoseEstimate] = []
@@ -131,12 +129,12 @@ class Driven:
             start @ Pose2(motion.x * k / parts, motion.y * k / parts, motion.yaw * k / parts) for k in range(parts + 1)
         ]
         for k in range(1, parts + 1):
-            self.now = begin + k * SECOND // 100
+            self.now = begin + k * NS_PER_S // 100
             if with_odometry:
                 self.odometry(self.now, moved[k])
         self.true = moved[-1]
         self.mapper.now = self.now
-        self.take(self.mapper.scan(self.scan(moved[parts // 2 :], self.now - SECOND // 10)))
+        self.take(self.mapper.scan(self.scan(moved[parts // 2 :], self.now - NS_PER_S // 10)))
         if len(self.poses) == 1 and not self.maps:
             self.first = self.true
 
@@ -177,10 +175,10 @@ class Driven:
         return grid
 
 
-class Asker:
+class MapRequester:
     """A tool that talks to a mapper directly."""
 
-    def __init__(self, driven: Driven) -> None:
+    def __init__(self, driven: RoomDrive) -> None:
         self.driven = driven
 
     def now(self) -> int:
@@ -197,6 +195,6 @@ class Asker:
                 return end.value
 
     def wait(self, seconds: float) -> None:
-        self.driven.now += round(seconds * SECOND)
+        self.driven.now += round(seconds * NS_PER_S)
         self.driven.publish_map()
         self.driven.work()

@@ -3,27 +3,29 @@ from dataclasses import replace
 from importlib import import_module
 from itertools import islice
 from math import cos, hypot, sin
-from pkgutil import iter_modules
+from pkgutil import walk_packages
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
 import services.mapper
-from services.mapper.back_end import BackEndConfig
-from services.mapper.loop_closure import LoopConfig
-from services.mapper.occupancy import OccupancyConfig
-from services.mapper.service import MapperConfig, MapperService
+from services.mapper.back_end.config import BackEndConfig
+from services.mapper.back_end.loop_closure import LoopClosureConfig
+from services.mapper.config import MapperConfig
+from services.mapper.grid.occupancy import OccupancyConfig
+from services.mapper.service import MapperService
 from shared.geometry import Pose2, arc, wrapped
 from shared.messages import Localization, Odometry
 from shared.requests import LoadMap
-from tests.unit.services.mapper.rooms import CORRIDOR, LAP, RING, ROBOT, ROOM, SECOND, START, Driven, laps
+from shared.types import NS_PER_S
+from tests.unit.services.mapper.rooms import CORRIDOR, LAP, RING, ROBOT, ROOM, START, RoomDrive, laps
 
 ROUND = [arc(0.06, 0.12 + 0.08 * sin(k / 3)) for k in range(40)]
 
 
 def driven(motions=ROUND, config=None, noise=0.01, with_odometry=True, segments=ROOM):
-    robot = Driven(segments, config, noise)
+    robot = RoomDrive(segments, config, noise)
     for motion in motions:
         robot.step(motion, with_odometry)
     return robot
@@ -35,7 +37,8 @@ def small(error, metres=0.03, radians=0.015):
 
 def kernels():
     """All that is compiled in the mapper, by name."""
-    modules = [import_module(f"services.mapper.{module.name}") for module in iter_modules(services.mapper.__path__)]
+    found = walk_packages(services.mapper.__path__, "services.mapper.")
+    modules = [import_module(module.name) for module in found if not module.name.endswith("__main__")]
     return {
         f"{module.__name__}.{name}": kernel
         for module in modules
@@ -72,15 +75,15 @@ def test_the_same_events_give_the_same_bytes_twice():
 
 
 def test_nothing_is_compiled_after_warming_up():
-    MapperService(MapperConfig(), ROBOT).warm()
+    MapperService(MapperConfig(), ROBOT).warm_up()
     before = {name: list(kernel.signatures) for name, kernel in kernels().items()}
     assert len(before) >= 30
     robot = driven(ROUND[:15], with_odometry=True)
     for _ in range(5):
         robot.step(arc(0.05, 0.1), with_odometry=False)
     robot.publish_map()
-    often = BackEndConfig(off=0.0, redraw=0.0)
-    lap = Driven(RING, MapperConfig(loops=LoopConfig(apart=8.0), back_end=often))
+    often = BackEndConfig(urgent_error=0.0, redraw_interval=0.0)
+    lap = RoomDrive(RING, MapperConfig(loop_closure=LoopClosureConfig(min_path_between=8.0), back_end=often))
     lap.true = START
     for motion in islice(laps(), LAP + 10):
         lap.step(motion)
@@ -91,15 +94,15 @@ def test_nothing_is_compiled_after_warming_up():
 
 def test_warming_up_changes_nothing():
     cold, warm = MapperService(MapperConfig(), ROBOT), MapperService(MapperConfig(), ROBOT)
-    warm.warm()
+    warm.warm_up()
     assert warm.state() == cold.state()
-    assert not warm.grid.places
-    assert not warm.arrivals.track.samples
+    assert not warm.grid.tile_index
+    assert not warm.scan_queue.odometry.samples
 
 
 def test_a_restarted_odometry_does_not_move_the_pose_on_the_map():
     robot = driven(ROUND[:20])
-    robot.odom_from_start = robot.true.inverse()  # the publisher starts anew at 0
+    robot.odom_from_start = robot.true.inverse()  # the publisher starts again at 0
     for motion in ROUND[20:]:
         robot.step(motion)
     assert small(robot.error)
@@ -126,24 +129,24 @@ def test_a_robot_that_never_had_odometry_is_followed():
 
 
 def test_odometry_ten_percent_wrong_is_made_good():
-    robot = Driven(ROOM, noise=0.01)
+    robot = RoomDrive(ROOM, noise=0.01)
     wrong, true = Pose2(), robot.true
     for motion in ROUND * 2:
         begin, start = robot.now, robot.true
         for k in range(1, 21):
-            robot.now = begin + k * SECOND // 100
+            robot.now = begin + k * NS_PER_S // 100
             pose = wrong @ Pose2(motion.x * 1.1 * k / 20, motion.y * 1.1 * k / 20, motion.yaw * 0.9 * k / 20)
             robot.mapper.now = robot.now
             robot.take(robot.mapper.odometry(Odometry(robot.now, pose, 0.0, 0.0, np.zeros(9))))
         wrong = pose
         parts = [start @ Pose2(motion.x * k / 20, motion.y * k / 20, motion.yaw * k / 20) for k in range(10, 21)]
         robot.true = start @ motion
-        robot.take(robot.mapper.scan(robot.scan(parts, robot.now - SECOND // 10)))
+        robot.take(robot.mapper.scan(robot.scan(parts, robot.now - NS_PER_S // 10)))
         if len(robot.poses) == 1:
             robot.first = robot.true
     assert true != robot.true
     assert small(robot.error)
-    assert robot.mapper.front_end.odometry_error.forward.gain == pytest.approx(1 / 1.1, abs=0.04)
+    assert robot.mapper.front_end.odometry_error.forward_scale.value == pytest.approx(1 / 1.1, abs=0.04)
 
 
 def test_in_a_corridor_the_covariance_grows_along_it_alone():
@@ -159,7 +162,7 @@ def test_in_a_corridor_without_odometry_the_graph_is_unsure_along_it():
     along = []
     for with_odometry in (True, False):
         robot = driven([Pose2()], MapperConfig(), 0.01, with_odometry, CORRIDOR)
-        robot.mapper.arrivals.velocity = Pose2(0.5, 0.0, 0.0)  # it comes from where it could see how fast it is
+        robot.mapper.scan_queue.velocity = Pose2(0.5, 0.0, 0.0)  # it comes from where it could see how fast it is
         for _ in range(12):
             robot.step(arc(0.1, 0.0), with_odometry)
         graph = robot.mapper.back_end.graph.snapshot()
@@ -171,47 +174,47 @@ def test_a_scan_waits_for_odometry_to_cover_its_end_but_not_for_ever():
     robot = driven(ROUND[:5])
     n = len(robot.poses)
     scan = robot.scan([robot.true, robot.true], robot.now)
-    robot.now += SECOND // 10
+    robot.now += NS_PER_S // 10
     robot.mapper.now = robot.now
     robot.take(robot.mapper.scan(scan))
     assert len(robot.poses) == n
     robot.odometry(robot.now, robot.true)
     assert len(robot.poses) == n + 1
     late = robot.scan([robot.true, robot.true], robot.now)
-    robot.now += SECOND // 10
+    robot.now += NS_PER_S // 10
     robot.mapper.now = robot.now
     robot.take(robot.mapper.scan(late))
     robot.take(robot.mapper.release())
     assert len(robot.poses) == n + 1
-    robot.mapper.now += SECOND // 10
+    robot.mapper.now += NS_PER_S // 10
     robot.take(robot.mapper.release())
     assert len(robot.poses) == n + 2
 
 
 @pytest.mark.parametrize(
-    ("shift", "why"), [(-SECOND // 5, "sequence"), (0, "sequence"), (-5 * SECOND, "old"), (5 * SECOND, "ahead")]
+    ("shift", "why"), [(-NS_PER_S // 5, "sequence"), (0, "sequence"), (-5 * NS_PER_S, "old"), (5 * NS_PER_S, "ahead")]
 )
 def test_scans_from_another_time_are_dropped_and_counted(shift, why):
     robot = driven(ROUND[:5])
     n = len(robot.poses)
-    stamp = robot.poses[-1].stamp - SECOND // 10
+    stamp = robot.poses[-1].stamp - NS_PER_S // 10
     robot.take(robot.mapper.scan(robot.scan([robot.true, robot.true], stamp + shift)))
     assert len(robot.poses) == n
-    assert robot.mapper.arrivals.n_dropped[why] == 1
+    assert robot.mapper.scan_queue.n_dropped[why] == 1
     assert any("dropped" in line for line in robot.logs)
 
 
 def test_a_burst_of_stale_scans_is_dropped():
     robot = driven(ROUND[:5])
-    robot.now += 10 * SECOND
+    robot.now += 10 * NS_PER_S
     robot.mapper.now = robot.now
-    robot.take(robot.mapper.scan(robot.scan([robot.true, robot.true], robot.now - 5 * SECOND)))
-    assert robot.mapper.arrivals.n_dropped["old"] == 1
+    robot.take(robot.mapper.scan(robot.scan([robot.true, robot.true], robot.now - 5 * NS_PER_S)))
+    assert robot.mapper.scan_queue.n_dropped["old"] == 1
 
 
 def test_a_clock_that_is_set_back_stops_nothing():
     robot = driven(ROUND[:20])
-    robot.now = SECOND
+    robot.now = NS_PER_S
     n = len(robot.poses)
     for motion in ROUND[20:]:
         robot.step(motion)
@@ -239,7 +242,7 @@ def test_a_robot_that_is_carried_away_is_lost_and_does_not_spoil_the_map():
     robot = driven(ROUND)
     robot.publish_map()
     before = robot.grid.cells
-    elsewhere = Driven(np.array([(-1.0, -9.0, -0.4, 9.0), (0.8, -9.0, 1.6, 9.0), (-2, 0.7, 2, 0.8)]))
+    elsewhere = RoomDrive(np.array([(-1.0, -9.0, -0.4, 9.0), (0.8, -9.0, 1.6, 9.0), (-2, 0.7, 2, 0.8)]))
     elsewhere.mapper, elsewhere.now, elsewhere.poses = robot.mapper, robot.now, robot.poses
     elsewhere.odom_from_start = robot.odom_from_start @ robot.true
     for _ in range(30):
@@ -273,9 +276,9 @@ def test_the_map_shows_the_room():
 def test_a_loaded_map_is_localised_in_and_extended():
     robot = driven()
     robot.publish_map()
-    saved = robot.mapper.grid.whole(robot.now)
+    saved = robot.mapper.grid.all_tiles(robot.now)
     cells = robot.grid.cells
-    fresh = Driven(ROOM, noise=0.01)
+    fresh = RoomDrive(ROOM, noise=0.01)
     fresh.now, fresh.true = robot.now, robot.true
     fresh.odom_from_start = Pose2(-7, 2, 1)
     fresh.step(Pose2())
@@ -302,7 +305,7 @@ def test_a_loaded_map_is_localised_in_and_extended():
 def test_a_map_that_cannot_be_used_is_refused_and_changes_nothing(what):
     robot = driven(ROUND[:3])
     robot.publish_map()
-    saved = robot.mapper.grid.whole(robot.now)
+    saved = robot.mapper.grid.all_tiles(robot.now)
     if what == "empty":
         saved = replace(saved, cells=np.zeros_like(saved.cells))
     else:
@@ -318,7 +321,7 @@ def test_a_map_that_cannot_be_used_is_refused_and_changes_nothing(what):
 def test_a_laser_that_knows_no_echo_may_carve_free_space():
     config = MapperConfig(occupancy=OccupancyConfig(no_echo_free=0.9))
     hall = np.array([(-1.0, -30.0, -1.0, 30.0)])
-    silent, carving = Driven(hall, None), Driven(hall, config)
+    silent, carving = RoomDrive(hall, None), RoomDrive(hall, config)
     for robot in (silent, carving):
         for _ in range(3):
             robot.step(Pose2())
@@ -329,15 +332,15 @@ def test_a_laser_that_knows_no_echo_may_carve_free_space():
     assert carving.grid.free[carving.grid.cell(*ahead)]
     for _ in range(8):
         carving.step(Pose2(0.15, 0.0, 0.0))
-    carving.mapper.back_end.moved = 1.0  # drawn anew, from five keyframes, it says the same
+    carving.mapper.back_end.map_shift = 1.0  # redrawn from five keyframes, it says the same
     carving.publish_map()
     carving.publish_map()
-    assert not carving.mapper.back_end.outdated
+    assert not carving.mapper.back_end.needs_redraw
     assert carving.grid.free[carving.grid.cell(*ahead)]
 
 
 def test_someone_who_walks_down_a_corridor_does_not_pull_the_robot_along():
-    robot = Driven(CORRIDOR, noise=0.01)
+    robot = RoomDrive(CORRIDOR, noise=0.01)
     for _ in range(25):
         robot.step(Pose2(0.1, 0, 0))
     for k in range(20):  # overtakes the robot at 0.6 m/s, an arm's length away

@@ -6,13 +6,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from services.mapper.parts import MIN_KEYFRAMES
-from services.mapper.saved_map import packed, unpacked
+from services.mapper.back_end.map_parts import MIN_KEYFRAMES
+from services.mapper.maps.map_file import pack_map, unpack_map
 from shared.geometry import Pose2, wrapped
 from shared.messages import Localization, MapMode
 from tests.unit.services.mapper.buildings import ALIKE, Building, drives
-from tests.unit.services.mapper.rooms import LAP, RING, START, Asker, Driven, box, laps
-from zenav.map_transfer import fetched, given, started
+from tests.unit.services.mapper.rooms import LAP, RING, START, MapRequester, RoomDrive, box, laps
+from zenav.client.map_transfer import fetch_map, give_map, start_mode
 
 LOST, GOOD = Localization.LOST, Localization.GOOD
 
@@ -21,9 +21,9 @@ class Lap:
     """A robot that drives round the ring, and can be put anywhere on its way."""
 
     def __init__(self):
-        self.driven = Driven(RING, noise=0.01)
+        self.driven = RoomDrive(RING, noise=0.01)
         self.driven.true = START
-        self.asker = Asker(self.driven)
+        self.asker = MapRequester(self.driven)
         self.at = 0
 
     def go(self, n):
@@ -42,11 +42,11 @@ class Lap:
         self.at += n
 
     def start(self, mode, content=b"", at=None):
-        transfer = given(self.asker, self.asker.wait, content) if content else 0
-        return started(self.asker, self.asker.wait, mode, transfer, at)
+        transfer = give_map(self.asker, self.asker.wait, content) if content else 0
+        return start_mode(self.asker, self.asker.wait, mode, transfer, at)
 
     def fetched(self):
-        return fetched(self.asker, self.asker.wait)
+        return fetch_map(self.asker, self.asker.wait)
 
     @property
     def state(self):
@@ -68,7 +68,7 @@ def mapped():
 
 
 def drawn(lap):
-    return lap.driven.mapper.grid.whole(0)
+    return lap.driven.mapper.grid.all_tiles(0)
 
 
 def test_near_a_given_pose_the_robot_is_found_without_driving(mapped):
@@ -128,8 +128,8 @@ def test_what_was_just_mapped_can_be_left_as_it_is_and_the_pose_goes_on(mapped):
 
     lap.start(MapMode.CONTINUE)
     lap.go(60)
-    again = unpacked(lap.fetched(), "again")
-    assert len(again.keyframes) > len(unpacked(content, "before").keyframes)
+    again = unpack_map(lap.fetched(), "again")
+    assert len(again.keyframes) > len(unpack_map(content, "before").keyframes)
     assert lap.off()[0] < 0.08
     assert lap.state is GOOD
     assert lap.driven.maps[-1].map_id == map_id, "it is one map"
@@ -140,7 +140,7 @@ def test_what_was_just_mapped_can_be_left_as_it_is_and_the_pose_goes_on(mapped):
 def test_who_is_carried_away_while_mapping_is_found_on_the_own_map(seed):
     rooms = Building(ALIKE, (6.5, 6.0))
     rng = np.random.default_rng(seed)
-    driven = Driven(ALIKE, noise=0.01)
+    driven = RoomDrive(ALIKE, noise=0.01)
     driven.true = Pose2(6.5, 6.0, 0.0)
     for _ in drives(driven, rooms, 60, rng):
         driven.publish_map()
@@ -151,8 +151,8 @@ def test_who_is_carried_away_while_mapping_is_found_on_the_own_map(seed):
     for _ in drives(driven, rooms, 10, rng):
         driven.publish_map()
         back_end = driven.mapper.back_end
-        if not back_end.joined and back_end.n_in_part < MIN_KEYFRAMES:
-            now = driven.mapper.grid.whole(0).cells
+        if not back_end.is_joined and back_end.n_in_part < MIN_KEYFRAMES:
+            now = driven.mapper.grid.all_tiles(0).cells
             assert cells is None or np.array_equal(now, cells), "nothing is drawn from a wrong place"
             cells = now
     states = [pose.state for pose in driven.poses[n:]]
@@ -160,8 +160,8 @@ def test_who_is_carried_away_while_mapping_is_found_on_the_own_map(seed):
     assert cells is not None
     assert states[-1] is GOOD
     assert (driven.first.inverse() @ driven.true).distance(driven.poses[-1].map_from_base) < 0.1
-    asker = Asker(driven)
-    saved = unpacked(fetched(asker, asker.wait), "own")
+    asker = MapRequester(driven)
+    saved = unpack_map(fetch_map(asker, asker.wait), "own")
     assert len(saved.keyframes) == len(saved.graph.nodes)
 
 
@@ -191,7 +191,7 @@ def test_a_new_map_begins_where_the_robot_is():
     assert lap.driven.maps[-1].map_id > before
     assert lap.off(first)[0] < 0.1
     assert lap.driven.poses[-1].mode is MapMode.MAP
-    assert len(unpacked(lap.fetched(), "new").keyframes) < 25
+    assert len(unpack_map(lap.fetched(), "new").keyframes) < 25
 
 
 def test_a_restarted_mapper_still_leaves_the_map_as_it_is(mapped):
@@ -235,4 +235,4 @@ def test_what_is_saved_of_a_map_that_stays_is_what_was_loaded(mapped):
     lap.start(MapMode.LOCALISE, content)
     lap.go(40)
     assert lap.fetched() == content
-    assert packed(lap.driven.mapper.mapping.snapshot()) == content
+    assert pack_map(lap.driven.mapper.slam.snapshot()) == content

@@ -11,8 +11,8 @@ from tests.unit.services.mapper.hardships import (
     NO_ODOMETRY_NOISE,
     ROWS,
     WRONG,
-    Course,
     Hardship,
+    HardshipRun,
     course,
     laser,
     thronged,
@@ -30,7 +30,7 @@ def test_the_pose_is_right_or_says_that_it_is_not(name):
         check_honest(driven)
 
 
-def check_right(row: Hardship, driven: Course) -> None:
+def check_right(row: Hardship, driven: HardshipRun) -> None:
     assert driven.n_confidently_wrong == 0
     assert driven.away.max() < row.far
     assert driven.away.mean() < row.far / 2
@@ -38,7 +38,7 @@ def check_right(row: Hardship, driven: Course) -> None:
     assert driven.good[3:].mean() > 0.95
 
 
-def check_honest(driven: Course) -> None:
+def check_honest(driven: HardshipRun) -> None:
     """Where the pose is wrong, its state is not good and its standard deviation is large."""
     wrong = driven.away > WRONG
     assert driven.n_confidently_wrong == 0

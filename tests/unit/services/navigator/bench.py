@@ -15,7 +15,6 @@ from shared.messages import (
     FollowState,
     FollowStatus,
     Goal,
-    GoalKind,
     GuardState,
     GuardStatus,
     Localization,
@@ -24,6 +23,7 @@ from shared.messages import (
     Odometry,
     Path,
     PoseEstimate,
+    Recovery,
 )
 from shared.requests import Cancel, Explore, Navigate, Pause, Reply
 from shared.service import Job
@@ -35,14 +35,14 @@ X80 = load_robot("x80sv").robot
 COVARIANCE = np.zeros(9)
 
 
-class Bench:
+class NavigatorBench:
     """Steps of 50 ms. What the planner, local control and the guard say can be set between them."""
 
     def __init__(self, config=None, speed=0.5):
         self.navigator = NavigatorService(config or NavigatorConfig(), X80)
         self.now = 1000 * S
         self.pose, self.speed, self.moved = Pose2(), speed, 0.0
-        self.goals: list[Goal] = []
+        self.orders: list[Goal | Recovery] = []
         self.statuses: list[NavStatus] = []
         self.tasks: list[NavTask] = []
         self.jobs: list[tuple[int, Job]] = []
@@ -57,15 +57,20 @@ class Bench:
 
     @property
     def goal(self):
-        return self.goals[-1] if self.goals else None
+        """The last goal; None while the robot recovers."""
+        return self.orders[-1] if self.orders and isinstance(self.orders[-1], Goal) else None
+
+    @property
+    def goals(self):
+        return [order for order in self.orders if isinstance(order, Goal)]
+
+    @property
+    def recoveries(self):
+        return [order for order in self.orders if isinstance(order, Recovery)]
 
     @property
     def status(self):
         return self.statuses[-1]
-
-    @property
-    def kinds(self):
-        return [goal.kind for goal in self.goals]
 
     def take(self, effects):
         for effect in effects:
@@ -73,9 +78,9 @@ class Bench:
                 self.jobs.append((self.now + round(effect.takes * S), effect))
                 continue
             assert list(faults(effect.message)) == []
-            if effect.topic is topics.GOAL:
-                assert not self.goals or effect.message.id > self.goals[-1].id
-                self.goals.append(effect.message)
+            if effect.topic in (topics.GOAL, topics.RECOVERY):
+                assert not self.orders or effect.message.id > self.orders[-1].id
+                self.orders.append(effect.message)
             elif effect.topic is topics.TASK:
                 self.tasks.append(effect.message)
             else:
@@ -139,10 +144,10 @@ class Bench:
         return FollowState.FOLLOWING, left
 
     def act(self) -> FollowState:
-        """Local control on any other goal: a manoeuvre is done after a second."""
-        if self.goal.kind is GoalKind.NONE:
+        """Local control without an active goal: a recovery is done after a second."""
+        if self.goal is not None:
             return FollowState.IDLE
-        return FollowState.ARRIVED if self.now - self.goal.stamp >= S else FollowState.FOLLOWING
+        return FollowState.ARRIVED if self.now - self.orders[-1].stamp >= S else FollowState.FOLLOWING
 
     def jump(self, correction: Pose2):
         """The mapper finds out that the robot is elsewhere."""
@@ -163,9 +168,9 @@ class Bench:
             self.call("pose", pose)
         if self.guard is not None:
             self.call("guard", self.guard)
-        if self.goal is not None:
+        if self.orders:
             state, left = self.act(), 0.0
-            if self.goal.kind is GoalKind.DRIVE:
+            if self.goal is not None and self.goal.active:
                 path = self.path()
                 if "plan" not in self.silent:
                     self.call("plan", path)
@@ -174,7 +179,7 @@ class Bench:
                 else:
                     state, left = self.follow_state, path.length
             if "follow" not in self.silent:
-                self.call("follow", FollowStatus(self.now, self.goal.id, state, self.follow_reason, left))
+                self.call("follow", FollowStatus(self.now, self.orders[-1].id, state, self.follow_reason, left))
         if self.n_steps % 4 == 0:
             self.call("tick")
 
@@ -190,7 +195,7 @@ class Bench:
 
 def stopped(bench):
     """Whether the navigator wants the robot to stand."""
-    return bench.goal.kind is GoalKind.NONE
+    return bench.goal is not None and not bench.goal.active
 
 
 OK = GuardState.ACTIVE

@@ -13,9 +13,9 @@ from services.navigator.navigation import NavigatorConfig
 from shared import reasons
 from shared.distance_field import distance_field
 from shared.geometry import Pose2
-from shared.messages import FollowState, GoalKind, GuardState, Localization, NavState, Path
+from shared.messages import FollowState, GuardState, Localization, NavState, Path
 from tests.unit.services.maps import drawn, message
-from tests.unit.services.navigator.bench import Bench
+from tests.unit.services.navigator.bench import NavigatorBench
 
 R = 0.1  # m a cell
 ENDS = {NavState.REACHED, NavState.FAILED, NavState.CANCELED}
@@ -37,7 +37,7 @@ OFFICE = """
     """
 
 
-class Explorer(Bench):
+class Explorer(NavigatorBench):
     """A robot that sees 3 m around itself in a building it does not know, and plans on the true one."""
 
     def __init__(self, text, x, y, sees=3.0, config=None):
@@ -123,15 +123,15 @@ def test_it_explores_a_whole_office_and_says_that_nothing_is_left():
     assert (robot.status.state, robot.status.reason) == (NavState.REACHED, reasons.NO_FRONTIER.code)
     assert robot.covered > 0.99
     assert robot.moved < 90  # m; the building is 14 x 7 m
-    assert robot.goal.kind is GoalKind.NONE
+    assert not robot.goal.active
 
 
 def test_a_frontier_that_was_seen_on_the_way_is_left_for_the_next_without_a_stop():
     robot = Explorer(OFFICE, 1.2, 3.3)
     robot.explore()
     robot.run(20)
-    assert robot.kinds.count(GoalKind.DRIVE) >= 3
-    assert GoalKind.NONE not in robot.kinds[1:]
+    assert sum(goal.active for goal in robot.goals) >= 3
+    assert all(order.active for order in robot.orders[1:])
     assert robot.moved > 14  # of 20 m at most
 
 
@@ -158,7 +158,7 @@ def test_frontiers_that_cannot_be_reached_are_tried_once_more_and_then_left():
     robot.explore()
     assert robot.run(300, until=ENDS) < 120
     assert (robot.status.state, robot.status.reason) == (NavState.REACHED, reasons.NO_FRONTIER.code)
-    places = [(g.map_from_goal.x, g.map_from_goal.y) for g in robot.goals if g.kind is GoalKind.DRIVE]
+    places = [(g.map_from_goal.x, g.map_from_goal.y) for g in robot.goals if g.active]
     assert len(places) < 30
     assert any(places.count(place) > 1 for place in places)
 
@@ -196,7 +196,7 @@ def test_a_blocked_frontier_costs_two_recoveries_and_a_few_seconds():
     robot.run(1.5)
     first = robot.goal.map_from_goal
     n = round(robot.run(60, until={NavState.FAILED, NavState.REACHED}))
-    others = [g for g in robot.goals if g.kind is GoalKind.DRIVE and g.map_from_goal != first]
+    others = [g for g in robot.goals if g.active and g.map_from_goal != first]
     assert n
     assert robot.status.n_recoveries >= 2
     assert (others[0].stamp - robot.goals[0].stamp) / 1e9 < 10
@@ -217,7 +217,7 @@ def test_a_search_whose_result_never_comes_is_asked_for_again():
         robot.step()
     robot.jobs.clear()
     robot.run(12)
-    assert GoalKind.DRIVE in robot.kinds
+    assert any(goal.active for goal in robot.goals)
 
 
 def test_the_result_of_a_former_tasks_search_is_not_taken():
@@ -231,7 +231,7 @@ def test_the_result_of_a_former_tasks_search_is_not_taken():
     robot.call("frontiers_found", job.function(*job.arguments))
     robot.explore()
     robot.call("frontiers_found", job.function(*job.arguments))
-    assert GoalKind.DRIVE not in robot.kinds
+    assert not any(goal.active for goal in robot.goals)
 
 
 def test_exploring_can_be_paused_and_goes_on():

@@ -12,11 +12,11 @@ from services.navigator.recovery import RecoveryConfig, recovery_steps
 from services.navigator.service import NavigatorService
 from shared import reasons
 from shared.geometry import Pose2
-from shared.messages import FollowState, FollowStatus, GoalKind, GuardState, Localization, NavState, Path
+from shared.messages import FollowState, FollowStatus, GuardState, Localization, NavState, Path, RecoveryKind
 from shared.requests import Navigate
 from shared.service import Job
 from tests.strategies import faults, publications
-from tests.unit.services.navigator.bench import X80, Bench, S, stopped
+from tests.unit.services.navigator.bench import X80, NavigatorBench, S, stopped
 
 ENDS = {NavState.REACHED, NavState.FAILED, NavState.CANCELED}
 FAR, NEAR = Pose2(5.0, 1.0, 1.0), Pose2(1.0, 0.0)
@@ -30,27 +30,27 @@ def names(bench):
 
 
 def test_a_fresh_navigator_stops_whatever_one_before_it_had_started():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.run(0.2)
-    assert bench.kinds == [GoalKind.NONE]
+    assert [goal.active for goal in bench.goals] == [False]
     assert bench.status.state is NavState.IDLE
 
 
 def test_a_restarted_navigators_goals_have_larger_numbers():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(*[FAR, NEAR] * 20)
     bench.run(10)
-    after = Bench()
+    after = NavigatorBench()
     after.now = bench.now
     after.go(NEAR)
     assert after.goal.id > bench.goal.id
 
 
 def test_it_goes_to_a_pose_and_says_so():
-    bench = Bench()
+    bench = NavigatorBench()
     reply = bench.go(FAR)
     assert (reply.accepted, reply.task_id) == (True, 1)
-    assert (bench.goal.kind, bench.goal.map_from_goal) == (GoalKind.DRIVE, FAR)
+    assert (bench.goal.active, bench.goal.map_from_goal) == (True, FAR)
     bench.run(3)
     assert bench.status.state is NavState.NAVIGATING
     assert bench.status.reason == ""
@@ -64,7 +64,7 @@ def test_it_goes_to_a_pose_and_says_so():
 
 
 def test_feedback_comes_five_times_a_second():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(FAR)
     n = len(bench.statuses)
     bench.run(4)
@@ -72,17 +72,17 @@ def test_feedback_comes_five_times_a_second():
 
 
 def test_a_new_task_takes_the_place_of_the_old_without_a_stop():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(FAR)
     bench.run(2)
     assert bench.go(Pose2(-3.0, 0.0)).task_id == 2
-    assert bench.kinds == [GoalKind.DRIVE, GoalKind.DRIVE]
+    assert [order.active for order in bench.orders] == [True, True]
     bench.run(30, until=ENDS)
     assert bench.pose.x == pytest.approx(-3.0, abs=0.2)
 
 
 def test_arriving_at_a_former_goal_is_not_arriving():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(NEAR)
     bench.run(1)
     late = bench.goal.id
@@ -94,27 +94,27 @@ def test_arriving_at_a_former_goal_is_not_arriving():
 
 
 def test_a_route_is_followed_in_rounds_with_a_stay_at_each_pose():
-    bench = Bench()
+    bench = NavigatorBench()
     poses = (Pose2(1.0, 0.0), Pose2(1.0, 1.0), Pose2(0.0, 1.0))
     bench.go(*poses, dwell=2.0, loops=2)
     bench.run(1)
     assert (bench.status.waypoint, bench.status.n_waypoints) == (0, 3)
     bench.run(60, until=ENDS)
     assert bench.status.state is NavState.REACHED
-    driven = [goal.map_from_goal for goal in bench.goals if goal.kind is GoalKind.DRIVE]
+    driven = [goal.map_from_goal for goal in bench.goals if goal.active]
     assert driven == [*poses, *poses]
-    stays = [b.stamp - a.stamp for a, b in pairwise(bench.goals) if a.kind is GoalKind.NONE]
+    stays = [b.stamp - a.stamp for a, b in pairwise(bench.goals) if not a.active]
     assert all(2.0 <= stay / S <= 2.4 for stay in stays)
     assert len(stays) == 6
 
 
 def test_each_pose_has_its_own_stay_and_the_robot_says_that_it_stays():
-    bench = Bench()
+    bench = NavigatorBench()
     poses = (Pose2(1.0, 0.0), Pose2(1.0, 1.0), Pose2(0.0, 1.0))
     bench.ask("navigate", Navigate(bench.now, poses, 0.0, 2, True, (3.0, 0.0, 1.0)))
     bench.run(60, until=ENDS)
     assert bench.status.state is NavState.REACHED
-    stays = [b.stamp - a.stamp for a, b in pairwise(bench.goals) if a.kind is GoalKind.NONE]
+    stays = [b.stamp - a.stamp for a, b in pairwise(bench.goals) if not a.active]
     assert [round(stay / S) for stay in stays] == [3, 1, 3, 1]
     waits = [s for s in bench.statuses if s.reason == reasons.DWELLING.code]
     assert {(s.waypoint, s.round, s.n_rounds) for s in waits} == {(0, 0, 2), (2, 0, 2), (0, 1, 2), (2, 1, 2)}
@@ -123,7 +123,7 @@ def test_each_pose_has_its_own_stay_and_the_robot_says_that_it_stays():
 
 
 def test_a_pose_without_stay_or_heading_is_passed_and_the_last_is_stopped_at():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.follow_state = FollowState.FOLLOWING  # local control never says that it arrived
     bench.go(Pose2(1.0, 0.0), Pose2(2.0, 0.0), any_heading=True)
     bench.pose = Pose2(0.8, 0.0)
@@ -131,7 +131,7 @@ def test_a_pose_without_stay_or_heading_is_passed_and_the_last_is_stopped_at():
     assert bench.status.waypoint == 0
     bench.pose = Pose2(0.9, 0.0)
     bench.run(1)
-    assert bench.kinds == [GoalKind.DRIVE, GoalKind.DRIVE]
+    assert [order.active for order in bench.orders] == [True, True]
     assert bench.status.waypoint == 1
     bench.pose = Pose2(1.95, 0.0)
     bench.run(1)
@@ -140,16 +140,16 @@ def test_a_pose_without_stay_or_heading_is_passed_and_the_last_is_stopped_at():
 
 def test_a_pose_that_wants_a_heading_and_a_patrol_of_one_place_are_not_passed():
     for poses, any_heading in (((Pose2(1.0, 0.0), Pose2(2.0, 0.0)), False), ((Pose2(1.0, 0.0),), True)):
-        bench = Bench()
+        bench = NavigatorBench()
         bench.follow_state = FollowState.FOLLOWING
         bench.go(*poses, any_heading=any_heading, loops=0)
         bench.pose = Pose2(0.9, 0.0)
         bench.run(1)
-        assert len(bench.goals) == 1
+        assert len(bench.orders) == 1
 
 
 def test_a_recovery_is_told_with_its_place_in_the_order_and_its_cause():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.follow_state, bench.follow_reason = FollowState.BLOCKED, reasons.BLOCKED.code
     bench.go(FAR)
     bench.run(300, until=ENDS)
@@ -160,10 +160,10 @@ def test_a_recovery_is_told_with_its_place_in_the_order_and_its_cause():
 
 
 def test_a_patrol_goes_on_until_it_is_canceled():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(Pose2(0.6, 0.0), Pose2(0.0, 0.6), loops=0)
     bench.run(60)
-    assert bench.kinds.count(GoalKind.DRIVE) > 10
+    assert sum(goal.active for goal in bench.goals) > 10
     assert bench.status.state is NavState.NAVIGATING
     assert bench.cancel().accepted
     assert (bench.status.state, bench.status.reason) == (NavState.CANCELED, reasons.CANCELED.code)
@@ -171,7 +171,7 @@ def test_a_patrol_goes_on_until_it_is_canceled():
 
 
 def test_a_pause_keeps_the_task_and_stops_the_clocks():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(FAR)
     bench.run(2)
     assert bench.pause().accepted
@@ -188,25 +188,25 @@ def test_a_pause_keeps_the_task_and_stops_the_clocks():
 
 
 def test_without_a_task_there_is_nothing_to_pause_and_cancel_is_granted():
-    bench = Bench()
+    bench = NavigatorBench()
     assert not bench.pause().accepted
     assert bench.cancel().accepted
-    assert not bench.goals
+    assert not bench.orders
 
 
 @pytest.mark.parametrize("reason", [reasons.GOAL_OUTSIDE, reasons.GOAL_BLOCKED, reasons.GOAL_UNKNOWN])
 def test_a_goal_that_the_planner_refuses_fails_promptly_with_its_reason(reason):
-    bench = Bench()
+    bench = NavigatorBench()
     bench.refusal = reason.code
     bench.go(FAR)
     assert bench.run(10, until=ENDS) < 2
     assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reason.code)
-    assert reason.mend in bench.status.detail
+    assert reason.hint in bench.status.detail
     assert stopped(bench)
 
 
 def test_an_unreachable_goal_fails_after_a_short_while():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.refusal = reasons.UNREACHABLE.code
     bench.go(FAR)
     assert 2 < bench.run(10, until=ENDS) < 5
@@ -215,7 +215,7 @@ def test_an_unreachable_goal_fails_after_a_short_while():
 
 
 def test_a_person_in_the_doorway_for_ten_seconds_does_not_end_the_task():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(FAR)
     bench.run(2)
     bench.refusal = reasons.UNREACHABLE.code
@@ -224,11 +224,11 @@ def test_a_person_in_the_doorway_for_ten_seconds_does_not_end_the_task():
     bench.refusal = ""
     bench.run(30, until=ENDS)
     assert bench.status.state is NavState.REACHED
-    assert not {GoalKind.BACK_UP, GoalKind.TURN} & set(bench.kinds)
+    assert not {RecoveryKind.BACK_UP, RecoveryKind.TURN} & {recovery.kind for recovery in bench.recoveries}
 
 
 def test_a_way_that_stays_closed_fails_with_the_planners_reason():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(FAR)
     bench.run(2)
     bench.refusal = reasons.UNREACHABLE.code
@@ -237,7 +237,7 @@ def test_a_way_that_stays_closed_fails_with_the_planners_reason():
 
 
 def test_while_the_stack_starts_it_waits_with_the_reason_and_not_for_ever():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.refusal = reasons.NO_MAP.code
     bench.go(FAR)
     bench.run(15)
@@ -247,7 +247,7 @@ def test_while_the_stack_starts_it_waits_with_the_reason_and_not_for_ever():
 
 
 def test_after_a_late_start_of_the_planner_no_recovery_is_needed():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.refusal = reasons.NO_MAP.code
     bench.go(FAR)
     bench.run(15)
@@ -258,7 +258,7 @@ def test_after_a_late_start_of_the_planner_no_recovery_is_needed():
 
 @pytest.mark.parametrize("state", [FollowState.FOLLOWING, FollowState.BLOCKED, FollowState.FAILED, FollowState.IDLE])
 def test_a_robot_that_never_comes_closer_tries_every_recovery_in_order_and_fails(state):
-    bench = Bench()
+    bench = NavigatorBench()
     bench.follow_state = state
     bench.go(FAR)
     assert bench.run(300, until=ENDS) < 120
@@ -266,19 +266,19 @@ def test_a_robot_that_never_comes_closer_tries_every_recovery_in_order_and_fails
     assert names(bench) == LADDER
     assert bench.status.n_recoveries == len(LADDER)
     assert stopped(bench)
-    actions = [(goal.kind, round(goal.amount, 2)) for goal in bench.goals if goal.amount]
+    actions = [(recovery.kind, round(recovery.amount, 2)) for recovery in bench.recoveries]
     assert actions == [
-        (GoalKind.BACK_UP, 0.3),
-        (GoalKind.TURN, 1.57),
-        (GoalKind.TURN, -1.57),
-        (GoalKind.WAIT, 5.0),
+        (RecoveryKind.BACK_UP, 0.3),
+        (RecoveryKind.TURN, 1.57),
+        (RecoveryKind.TURN, -1.57),
+        (RecoveryKind.WAIT, 5.0),
     ]
-    assert [goal.clear_costmap for goal in bench.goals if goal.kind is GoalKind.DRIVE][:3] == [False, False, True]
+    assert [goal.clear_costmap for goal in bench.goals if goal.active][:3] == [False, False, True]
 
 
 @pytest.mark.parametrize("silent", ["plan", "follow", "pose", "odom"])
 def test_whoever_falls_silent_the_task_ends(silent):
-    bench = Bench()
+    bench = NavigatorBench()
     bench.follow_state = FollowState.FOLLOWING
     bench.go(FAR)
     bench.run(1)
@@ -289,7 +289,7 @@ def test_whoever_falls_silent_the_task_ends(silent):
 
 
 def test_local_control_that_never_finishes_a_recovery_does_not_hold_it_up():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.follow_state = FollowState.BLOCKED
     bench.act = lambda: FollowState.FOLLOWING
     bench.go(FAR)
@@ -298,7 +298,7 @@ def test_local_control_that_never_finishes_a_recovery_does_not_hold_it_up():
 
 
 def test_only_real_progress_earns_the_recoveries_anew():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(Pose2(20.0, 0.0))
     bench.run(2)
     bench.follow_state = FollowState.BLOCKED
@@ -318,7 +318,7 @@ def test_only_real_progress_earns_the_recoveries_anew():
 
 
 def test_a_plan_that_swings_between_two_lengths_is_no_progress_for_ever():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.follow_state = FollowState.BLOCKED
     straight = bench.path
     bench.go(FAR)
@@ -358,7 +358,7 @@ def path_of(length):
 
 
 def test_stop_ends_the_task_and_its_release_moves_nothing():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(FAR)
     bench.run(2)
     bench.guarded(GuardState.STOPPED, reasons.ESTOP.code)
@@ -373,7 +373,7 @@ def test_stop_ends_the_task_and_its_release_moves_nothing():
 
 
 def test_a_fault_of_the_base_fails_the_task_with_the_fault():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(FAR)
     bench.guarded(GuardState.FAULT, reasons.WHEEL_STUCK.code)
     bench.run(1)
@@ -381,7 +381,7 @@ def test_a_fault_of_the_base_fails_the_task_with_the_fault():
 
 
 def test_stop_also_ends_a_paused_task():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(FAR)
     bench.pause()
     bench.guarded(GuardState.STOPPED, reasons.ESTOP.code)
@@ -391,7 +391,7 @@ def test_stop_also_ends_a_paused_task():
 
 
 def test_an_obstacle_that_the_guard_holds_for_is_shown_and_leads_to_recoveries():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(FAR)
     bench.run(1)
     bench.guarded(GuardState.HOLD, reasons.OBSTACLE.code)
@@ -404,7 +404,7 @@ def test_an_obstacle_that_the_guard_holds_for_is_shown_and_leads_to_recoveries()
 
 @pytest.mark.parametrize("reason", [reasons.SCAN_OLD, reasons.ODOM_OLD, reasons.POSE_OLD, reasons.BASE_SILENT])
 def test_a_missing_input_is_waited_for_without_recoveries_and_not_for_ever(reason):
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(FAR)
     bench.run(1)
     bench.guarded(GuardState.HOLD, reason.code)
@@ -417,7 +417,7 @@ def test_a_missing_input_is_waited_for_without_recoveries_and_not_for_ever(reaso
 
 
 def test_a_pose_lost_for_two_seconds_stops_the_robot_and_found_again_it_goes_on():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(FAR)
     bench.run(2)
     bench.localization = Localization.LOST
@@ -432,7 +432,7 @@ def test_a_pose_lost_for_two_seconds_stops_the_robot_and_found_again_it_goes_on(
 
 
 def test_a_pose_lost_for_good_fails_the_task():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(FAR)
     bench.run(2)
     bench.localization = Localization.LOST
@@ -441,7 +441,7 @@ def test_a_pose_lost_for_good_fails_the_task():
 
 
 def test_whose_pose_is_lost_at_a_pose_of_the_route_stays_there_until_it_is_found():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(Pose2(), FAR, dwell=4.0)
     bench.run(1)
     bench.localization = Localization.LOST
@@ -453,7 +453,7 @@ def test_whose_pose_is_lost_at_a_pose_of_the_route_stays_there_until_it_is_found
 
 
 def test_whose_pose_stays_lost_at_a_pose_of_the_route_gives_up_with_the_reason():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(Pose2(), FAR, dwell=4.0)
     bench.run(1)
     bench.localization = Localization.LOST
@@ -462,7 +462,7 @@ def test_whose_pose_stays_lost_at_a_pose_of_the_route_gives_up_with_the_reason()
 
 
 def test_while_a_person_drives_by_hand_that_is_the_reason():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(FAR)
     bench.run(2)
     bench.guarded(GuardState.ACTIVE, source="teleop")
@@ -481,7 +481,7 @@ def test_while_a_person_drives_by_hand_that_is_the_reason():
 
 
 def test_a_jump_of_the_pose_is_shown_and_planned_anew():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(FAR)
     bench.run(2)
     before = bench.goal.id
@@ -495,7 +495,7 @@ def test_a_jump_of_the_pose_is_shown_and_planned_anew():
 
 
 def test_a_clock_that_jumps_is_no_time_that_passed():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(FAR)
     bench.run(2)
     for leap in (3600, -4000):
@@ -514,7 +514,7 @@ def test_what_makes_no_sense_for_a_robot_is_left_out():
 
 def test_warming_up_changes_no_state():
     navigator = NavigatorService(NavigatorConfig(), X80)
-    navigator.warm()
+    navigator.warm_up()
     assert navigator.navigation.task is None
     assert navigator.navigation.grid.empty
 
@@ -539,7 +539,7 @@ def test_any_valid_messages_are_survived(events, seed):
 
 
 def test_a_task_s_own_tolerances_count_and_without_them_the_configured_ones():
-    bench = Bench()
+    bench = NavigatorBench()
     for own, wanted in (((0.05, 0.1), (0.05, 0.1)), ((0.0, 0.0), (0.15, 0.25)), ((0.4, 0.0), (0.4, 0.25))):
         bench.ask("navigate", Navigate(bench.now, (FAR, NEAR), 0.0, 1, False, (), *own))
         assert (bench.goal.tolerance, bench.goal.yaw_tolerance) == wanted

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The navigator keeps the zones: it tells them, refuses goals in them, and has them again after a restart."""
+"""The navigator owns the zones: it publishes them, refuses goals in them, and restores them after a restart."""
 
 import numpy as np
 
@@ -7,11 +7,11 @@ from services.navigator.navigation import NavigatorConfig
 from services.navigator.service import NavigatorService
 from shared import reasons, topics
 from shared.geometry import Pose2
-from shared.messages import MOST_ZONES, NavState, Path, Zones
+from shared.messages import MAX_ZONES, NavState, Path, Zones
 from shared.requests import Navigate, SetZones
 from shared.zones import NamedZoneConfig, ZoneConfig
 from tests.strategies import faults
-from tests.unit.services.navigator.bench import X80, Bench
+from tests.unit.services.navigator.bench import X80, NavigatorBench
 
 SQUARE = ((2.0, -1.0), (4.0, -1.0), (4.0, 1.0), (2.0, 1.0))
 S = 1_000_000_000
@@ -67,7 +67,7 @@ def test_after_a_restart_those_of_before_hold_again():
 def test_more_zones_than_a_message_holds_are_refused_and_the_others_stay():
     service = fresh(NamedZoneConfig(name="stairs", corners=SQUARE))
     told(service, service.set_zones, SetZones(S, (zone("old"),)))
-    many = tuple(zone(f"zone {i}") for i in range(MOST_ZONES))
+    many = tuple(zone(f"zone {i}") for i in range(MAX_ZONES))
     reply = told(service, service.set_zones, SetZones(S, many))[1]
     assert (reply.accepted, reply.reason) == (False, reasons.BAD_REQUEST.code)
     assert [z.name for z in service.zones.zones] == ["stairs", "old"]
@@ -78,7 +78,7 @@ def test_more_zones_than_a_message_holds_are_refused_and_the_others_stay():
 
 
 def test_a_route_through_a_keep_out_zone_is_refused_with_the_pose_and_the_present_task_goes_on():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.ask("set_zones", SetZones(bench.now, (zone(), zone("hall", speed=0.3))))
     bench.go(Pose2(6.0, 2.0))
     reply = bench.ask("navigate", Navigate(bench.now, (Pose2(1.0, 0.0), Pose2(3.0, 0.5)), 0.0, 1, True))
@@ -89,7 +89,7 @@ def test_a_route_through_a_keep_out_zone_is_refused_with_the_pose_and_the_presen
 
 
 def test_a_goal_that_becomes_forbidden_under_way_ends_the_task_with_the_reason_and_without_recoveries():
-    bench = Bench()
+    bench = NavigatorBench()
     bench.go(Pose2(3.0, 0.0))
     bench.run(1)
     bench.refusal = reasons.GOAL_KEEP_OUT.code

@@ -108,7 +108,7 @@ def test_regions_are_what_the_search_can_reach(seed, share):
     st.sampled_from([X80, JACKAL]),
 )
 def test_updating_by_changes_equals_starting_anew(changes, share, robot):
-    """Costs, what hangs together, and the blocks that ways are sought in; with the margin and with the least."""
+    """Costs, connected components and the abstract graph, with the margin and with the minimum clearance."""
     rng = np.random.default_rng(len(changes))
     resolution = 0.05 if share < 0.1 else 0.4
     cells = np.where(rng.random((192, 128)) < share, 100, 0).astype(np.int8)
@@ -120,8 +120,8 @@ def test_updating_by_changes_equals_starting_anew(changes, share, robot):
         before = cells.copy()
         cells[row : row + 3, column : column + 3] = percent
         costmap.update(grid, grid.apply(message(cells, resolution, version=version + 2, since=before)))
-    anew = terrain_of(cells, robot, resolution)
-    for one, other in ((costmap, anew), (costmap.with_min_margin(), anew.with_min_margin())):
+    rebuilt = terrain_of(cells, robot, resolution)
+    for one, other in ((costmap, rebuilt), (costmap.with_min_margin(), rebuilt.with_min_margin())):
         whole = 0, 0, *other.costs.shape
         assert (one.costs == other.costs).all()
         assert (one.components.labels_in(*whole) == other.components.labels_in(*whole)).all()

@@ -31,7 +31,7 @@ def clutter(seed, share, shape=(70, 90)):
 
 
 def pairs(costs, n, seed=0):
-    """Pairs of cells that hang together."""
+    """Pairs of cells in one connected component."""
     rng = np.random.default_rng(seed)
     regions = ConnectedComponents(costs).labels_in(0, 0, *costs.shape)
     free = np.argwhere(regions)
@@ -74,7 +74,7 @@ def test_the_same_question_has_the_same_answer():
 
 
 def test_in_clutter_the_way_keeps_near_the_straight_line():
-    """Over blocks many ways are equally long, as only eighths of a turn count; smoothing cannot mend the wrong one."""
+    """Many paths of the abstract graph are equally long: it has eight directions. Smoothing repairs no wrong one."""
     costs = np.pad(np.where(np.random.default_rng(3).random((200, 300)) < 0.1, 0, 50).astype(np.uint16), 1)
     blocks, regions = AbstractGraph.of(costs), ConnectedComponents(costs)
     ratios = []

@@ -13,7 +13,7 @@ from services.planner.service import PlannerConfig, PlannerService
 from shared import reasons, topics
 from shared.config import Robot, load_robot
 from shared.geometry import Pose2
-from shared.messages import TILE_CELLS, Goal, GoalKind, Localization, MapUpdate, Odometry, PoseEstimate
+from shared.messages import TILE_CELLS, Goal, Localization, MapUpdate, Odometry, PoseEstimate, Recovery, RecoveryKind
 from tests.strategies import faults, publications
 from tests.unit.services.maps import message, room
 
@@ -25,7 +25,7 @@ COVARIANCE = np.zeros(9)
 AT = Pose2(1.0, 2.0)
 
 
-class Bench:
+class PlannerBench:
     """A planner with a clock and a map that changes; the robot stands where it is put."""
 
     def __init__(self, cells, pose=AT, **cost):
@@ -54,9 +54,13 @@ class Bench:
             self.planner.odometry(Odometry(now, Pose2(), 0.0, 0.0, COVARIANCE))
         )
 
-    def go(self, pose, number=1, kind=GoalKind.DRIVE):
+    def recover(self, number):
+        recovery = Recovery(self.planner.now, number, RecoveryKind.BACK_UP, 0.3)
+        return self.take(self.planner.new_recovery(recovery))
+
+    def go(self, pose, number=1, active=True):
         now = self.planner.now
-        return self.take(self.planner.new_goal(Goal(now, number, kind, pose, 0.15, 0.25, 0.0, False)))
+        return self.take(self.planner.new_goal(Goal(now, number, active, pose, 0.15, 0.25, False)))
 
     def pass_time(self, seconds):
         """The confirmations of that time; the last one's path."""
@@ -82,7 +86,7 @@ def goes_above(path):
 
 
 def test_a_new_goal_is_answered_at_once_and_confirmed_twice_a_second():
-    bench = Bench(room(4, 8))
+    bench = PlannerBench(room(4, 8))
     (path,) = bench.go(Pose2(6.0, 2.0, 1.0), number=7)
     assert (path.goal_id, path.map_version, path.reason) == (7, 1, "")
     assert path.length == pytest.approx(5.0, abs=0.02)
@@ -92,27 +96,43 @@ def test_a_new_goal_is_answered_at_once_and_confirmed_twice_a_second():
     assert all((p.xs == path.xs).all() for p in bench.out)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in GoalKind if kind is not GoalKind.DRIVE])
-def test_for_any_other_kind_of_goal_it_says_nothing(kind):
-    bench = Bench(room(4, 8))
+@pytest.mark.parametrize("recovers", [False, True])
+def test_while_the_robot_stands_or_recovers_it_publishes_nothing(recovers):
+    bench = PlannerBench(room(4, 8))
     bench.go(Pose2(6.0, 2.0))
     n = len(bench.out)
-    bench.go(Pose2(6.0, 2.0), number=2, kind=kind)
+    if recovers:
+        bench.recover(2)
+    else:
+        bench.go(Pose2(6.0, 2.0), number=2, active=False)
     bench.pass_time(3.0)
     bench.show(room(4, 9))
     assert len(bench.out) == n
+    bench.go(Pose2(6.0, 2.0), number=3)
+    assert len(bench.out) == n + 1
+
+
+def test_an_order_that_arrives_after_a_later_one_is_ignored():
+    bench = PlannerBench(room(4, 8))
+    bench.go(Pose2(6.0, 2.0), number=3)
+    n = len(bench.out)
+    bench.planner.now += S // 100
+    late = Recovery(bench.planner.now - S // 50, 2, RecoveryKind.TURN, 1.0)
+    bench.take(bench.planner.new_recovery(late))
+    bench.pass_time(3.0)
+    assert len(bench.out) > n
 
 
 def test_an_older_goal_that_arrives_late_is_not_taken():
-    bench = Bench(room(4, 8))
-    late = Goal(bench.planner.now - S, 1, GoalKind.DRIVE, Pose2(2.0, 2.0), 0.1, 0.1, 0.0, False)
+    bench = PlannerBench(room(4, 8))
+    late = Goal(bench.planner.now - S, 1, True, Pose2(2.0, 2.0), 0.1, 0.1, False)
     bench.go(Pose2(6.0, 2.0), number=2)
     assert not bench.take(bench.planner.new_goal(late))
     assert bench.pass_time(0.5).goal_id == 2
 
 
 def test_the_path_begins_at_the_robot_as_it_drives():
-    bench = Bench(room(4, 8))
+    bench = PlannerBench(room(4, 8))
     bench.go(Pose2(6.0, 2.0))
     bench.put(Pose2(3.0, 2.1))
     path = bench.pass_time(0.5)
@@ -121,7 +141,7 @@ def test_the_path_begins_at_the_robot_as_it_drives():
 
 
 def test_odometry_carries_the_pose_on():
-    bench = Bench(room(4, 8), pose=Pose2(1.0, 2.0, np.pi / 2))
+    bench = PlannerBench(room(4, 8), pose=Pose2(1.0, 2.0, np.pi / 2))
     for step in range(1, 11):  # 2 m to the right, 0.4 m ahead
         bench.planner.odometry(Odometry(bench.planner.now, Pose2(0.04 * step, -0.2 * step), 0.5, 0.0, COVARIANCE))
     (path,) = bench.go(Pose2(6.0, 2.0))
@@ -130,7 +150,7 @@ def test_odometry_carries_the_pose_on():
 
 def test_without_map_or_pose_it_says_so():
     planner = PlannerService(PlannerConfig(), X80)
-    goal = Goal(0, 1, GoalKind.DRIVE, Pose2(6.0, 2.0), 0.15, 0.25, 0.0, False)
+    goal = Goal(0, 1, True, Pose2(6.0, 2.0), 0.15, 0.25, False)
 
     def told(effects):
         return [effect.message.reason for effect in effects if effect.topic is topics.PLAN]
@@ -141,7 +161,7 @@ def test_without_map_or_pose_it_says_so():
 
 
 def test_a_robot_off_the_plan_gets_a_new_one_at_once():
-    bench = Bench(room(4, 8))
+    bench = PlannerBench(room(4, 8))
     bench.go(Pose2(6.0, 2.0))
     (path,) = bench.put(Pose2(2.0, 3.0))
     assert (path.xs[0], path.ys[0]) == pytest.approx((2.0, 3.0))
@@ -151,7 +171,7 @@ def test_a_robot_off_the_plan_gets_a_new_one_at_once():
 def test_a_wall_that_is_discovered_on_the_way_changes_the_plan_at_once():
     unseen, seen = two_ways(), two_ways(upper=False)
     unseen[130:, 85:] = -1
-    bench = Bench(unseen, pose=Pose2(3.0, 7.0), unknown="allowed")
+    bench = PlannerBench(unseen, pose=Pose2(3.0, 7.0), unknown="allowed")
     bench.go(Pose2(8.0, 7.0))
     assert goes_above(bench.out[-1])
     bench.planner.now += S
@@ -161,7 +181,7 @@ def test_a_wall_that_is_discovered_on_the_way_changes_the_plan_at_once():
 
 
 def test_a_way_closed_in_space_that_was_seen_free_changes_the_plan_after_a_while():
-    bench = Bench(two_ways(), pose=Pose2(3.0, 7.0))
+    bench = PlannerBench(two_ways(), pose=Pose2(3.0, 7.0))
     bench.go(Pose2(8.0, 7.0))
     bench.show(two_ways(upper=False))
     assert goes_above(bench.pass_time(2.0))
@@ -169,7 +189,7 @@ def test_a_way_closed_in_space_that_was_seen_free_changes_the_plan_after_a_while
 
 
 def test_a_map_that_shuts_the_goal_off_is_answered_with_the_reason_and_its_opening_with_a_path():
-    bench = Bench(two_ways(), pose=Pose2(3.0, 4.0))
+    bench = PlannerBench(two_ways(), pose=Pose2(3.0, 4.0))
     bench.go(Pose2(8.0, 4.0))
     bench.show(two_ways(upper=False, lower=False))
     path = bench.pass_time(5.0)
@@ -179,7 +199,7 @@ def test_a_map_that_shuts_the_goal_off_is_answered_with_the_reason_and_its_openi
 
 
 def test_a_slightly_shorter_other_side_does_not_change_the_plan():
-    bench = Bench(two_ways(), pose=Pose2(1.0, 4.3))
+    bench = PlannerBench(two_ways(), pose=Pose2(1.0, 4.3))
     bench.go(Pose2(8.0, 4.1))
     assert goes_above(bench.out[-1])
     for y in (3.9, 4.2, 3.8, 4.3, 3.9):
@@ -191,7 +211,7 @@ def test_a_person_far_ahead_on_the_way_does_not_send_the_robot_around_the_house(
     cells = room(8, 12)
     cells[80:84, :200] = 100  # two long halves, joined at the far end only
     cells[80:84, 60:80] = 0  # and by a door
-    bench = Bench(cells, pose=Pose2(1.0, 1.0))
+    bench = PlannerBench(cells, pose=Pose2(1.0, 1.0))
     bench.go(Pose2(1.5, 7.0))
     direct = bench.out[-1].length
     crossed = cells.copy()
@@ -206,7 +226,7 @@ def test_a_person_far_ahead_on_the_way_does_not_send_the_robot_around_the_house(
 
 def test_people_walking_through_do_not_make_the_plan_change_sides():
     rng = np.random.default_rng(3)
-    bench = Bench(two_ways(), pose=Pose2(1.0, 4.3))
+    bench = PlannerBench(two_ways(), pose=Pose2(1.0, 4.3))
     bench.go(Pose2(9.0, 4.1))
     sides = []
     for step in range(120):
@@ -214,7 +234,7 @@ def test_people_walking_through_do_not_make_the_plan_change_sides():
         for walker in range(4):
             row, column = 20 + 30 * walker + int(rng.integers(-5, 5)), (7 * step + 53 * walker) % 180 + 10
             cells[row : row + 6, column : column + 6] = 100
-        cells[60:110, 4:40] = 0  # nobody walks into the robot
+        cells[60:110, 4:40] = 0  # no person walks into the robot
         bench.show(cells)
         path = bench.pass_time(0.5)
         if not path.reason:
@@ -224,14 +244,14 @@ def test_people_walking_through_do_not_make_the_plan_change_sides():
 
 
 def test_while_the_pose_is_lost_the_plan_stays_what_it_was():
-    bench = Bench(room(4, 8))
+    bench = PlannerBench(room(4, 8))
     (path,) = bench.go(Pose2(6.0, 2.0))
     bench.put(Pose2(2.0, 3.5), Localization.LOST)
     assert (bench.pass_time(1.0).ys == path.ys).all()
 
 
 def test_another_map_is_planned_on_from_scratch():
-    bench = Bench(room(4, 8))
+    bench = PlannerBench(room(4, 8))
     bench.go(Pose2(6.0, 2.0))
     bench.planner.now += S
     (path,) = bench.take(bench.planner.map(message(room(3, 5), version=1, map_id=2)))
@@ -241,7 +261,7 @@ def test_another_map_is_planned_on_from_scratch():
 @pytest.mark.parametrize("robot", ["x80sv", "jackal"])
 def test_warming_up_changes_no_state(robot):
     planner = PlannerService(PlannerConfig(), load_robot(robot).robot)
-    planner.warm()
+    planner.warm_up()
     assert planner.grid.empty
     assert planner.goal is planner.monitor.plan is planner.costmap is None
 
@@ -266,7 +286,7 @@ def test_a_robot_on_the_edge_of_its_cell_has_a_path_of_no_negative_cost(resoluti
         places = np.array([0, 0], np.int32), np.array([0, column], np.int32)
         list(planner.map(MapUpdate(0, 0, 0, resolution, *places, cells)))
         list(planner.pose(PoseEstimate(0, Pose2(), Pose2(), np.zeros(9), 0.0, Localization.STARTING)))
-        sent = list(planner.new_goal(Goal(0, 0, GoalKind.DRIVE, Pose2(), 3.93, 4.0, 0.0, False)))
+        sent = list(planner.new_goal(Goal(0, 0, True, Pose2(), 3.93, 4.0, False)))
         assert [fault for publication in sent for fault in faults(publication.message)] == []
 
 
@@ -282,7 +302,7 @@ def test_a_robot_that_is_on_its_plan_keeps_it_however_tight_its_arcs(radius):
         list(planner.odometry(Odometry(planner.now, Pose2(x, 2.0), 1.0, 0.0, COVARIANCE)))
 
     put(1.0)
-    list(planner.new_goal(Goal(planner.now, 1, GoalKind.DRIVE, Pose2(10.5, 2.0), 0.15, 0.25, 0.0, False)))
+    list(planner.new_goal(Goal(planner.now, 1, True, Pose2(10.5, 2.0), 0.15, 0.25, False)))
     plan = planner.monitor.plan
     for step in range(1, 80):
         planner.now += S // 10
@@ -297,11 +317,11 @@ import shared.repeatable
 from shared.geometry import Pose2
 from tests.compiling import nothing_compiles
 from tests.unit.services.maps import room
-from tests.unit.services.planner.test_planner import Bench
+from tests.unit.services.planner.test_planner import PlannerBench
 from tests.unit.services.planner.test_keep_out_layer import MIDDLE, hold
 
-bench = Bench(room(4, 8))
-bench.planner.warm()
+bench = PlannerBench(room(4, 8))
+bench.planner.warm_up()
 with nothing_compiles():
     bench.go(Pose2(6.0, 2.0))
     bench.go(Pose2(7.97, 2.0), 2)

@@ -84,7 +84,7 @@ def test_so_many_metres_of_detour_are_driven_rather_than_one_where_the_robot_jus
 
 
 def through_the_unknown():
-    """Two halves, joined by a corridor that nobody has seen and, far around, by one that somebody has."""
+    """Two halves, joined by an unknown corridor and, far around, by a known one."""
     text = """
     ############
     #..........#

@@ -15,7 +15,7 @@ from shared.runners.host import Sent, merged
 from shared.runners.journal import HOLE
 from shared.runners.replay import replay
 from tests.toys import ROBOT, build, eventful
-from zenav.replay import compare, replay_file
+from zenav.replay.reprocess import compare_replayed, replay_file
 
 PART = 1.2  # s
 
@@ -81,7 +81,7 @@ def test_the_first_part_replays_to_the_byte(run):
     recording = Recording(run[0][0])
     replayed = replay(recording, ["base_driver", "odometry", "mapper"], build)
     assert replayed.gaps == []
-    report = compare(replayed)
+    report = compare_replayed(replayed)
     assert report.equal, report
 
 
@@ -94,7 +94,7 @@ def test_a_later_part_replays_from_what_was_latched(run, name):
     assert len(replayed.gaps) >= len(older)
     assert replayed.sent[name]
     if name == "planner":  # all that it knows is latched: so it says the same again
-        report = compare(replayed)
+        report = compare_replayed(replayed)
         assert report.equal, report
         assert sum(topic.n_equal for topic in report.topics) >= 2
 

@@ -23,10 +23,10 @@ from shared.messages import EmergencyStop, LogLine, MapUpdate
 from shared.reasons import DISK_FULL, NOT_RECORDED
 from shared.recording import CONFIG, Drop, Recording
 from shared.service import Log
+from shared.types import NS_PER_S
 from tests.disks import no_file_longer_than
 
 ROBOT = load_robot("x80sv").robot
-SECOND = 1_000_000_000
 START = 1_700_000_000_000_000_000  # 2023-11-14 22:13:20 UTC
 
 Make = Callable[..., RecorderService]
@@ -146,14 +146,14 @@ def test_a_full_disk_is_told_counted_and_recording_goes_on_when_there_is_room(re
     logs = flushed(service)
     assert [log.level for log in logs] == ["ERROR"]
     assert DISK_FULL.text in logs[0].text
-    assert DISK_FULL.mend in logs[0].text
+    assert DISK_FULL.hint in logs[0].text
     assert service.state() == f"{DISK_FULL.text}, 10 not recorded"
     assert payloads_in(tmp_path / "a.mcap") == payloads
-    take(service, 1, first=20, at=START + 2 * SECOND)  # still full
-    assert flushed(service) == []  # told once
+    take(service, 1, first=20, at=START + 2 * NS_PER_S)  # still full
+    assert flushed(service) == []  # logged once
 
     service._store.full_disk = False
-    later = take(service, 5, first=21, at=START + 5 * SECOND)
+    later = take(service, 5, first=21, at=START + 5 * NS_PER_S)
     assert [log.level for log in flushed(service)] == ["INFO"]
     assert service.state() == "recording, 15 messages, 11 not recorded"
     part = Recording(tmp_path / "a.part002.mcap")
@@ -162,7 +162,7 @@ def test_a_full_disk_is_told_counted_and_recording_goes_on_when_there_is_room(re
         (True, take(service, 1, first=20)[0]),
         *((False, p) for p in later),
     ]
-    assert part.drops == [Drop(START + 5 * SECOND, DISK_FULL.code, "estop", "s", 10, 11)]
+    assert part.drops == [Drop(START + 5 * NS_PER_S, DISK_FULL.code, "estop", "s", 10, 11)]
     assert "11 estop" in part.problems[0]
 
 
@@ -173,12 +173,12 @@ def test_a_disk_that_stays_full_is_tried_ever_more_seldom(recorder, tmp_path):
         full_disk = True
 
         def begin(self, now: int, *row: object) -> None:
-            tried.append((now - START) // SECOND)
+            tried.append((now - START) // NS_PER_S)
             super().begin(now, *row)
 
     service = recorder(Counting, file=str(tmp_path / "a.mcap"))
     for second in range(100):
-        take(service, 1, first=second, at=START + second * SECOND)
+        take(service, 1, first=second, at=START + second * NS_PER_S)
     assert tried == [0, 1, 3, 7, 15, 31, 63, 95]
     assert not list(tmp_path.iterdir())
 
@@ -188,7 +188,7 @@ def test_a_clock_that_jumps_back_does_not_keep_it_from_trying(recorder, tmp_path
     service._store.full_disk = True
     take(service, 1)
     service._store.full_disk = False
-    take(service, 1, first=1, at=START - 3600 * SECOND)
+    take(service, 1, first=1, at=START - 3600 * NS_PER_S)
     flushed(service)
     assert service.state() == "recording, 1 messages, 1 not recorded"
 
@@ -198,9 +198,9 @@ def test_what_the_system_refuses_costs_a_second_and_not_the_recording(recorder, 
     recorded: list[bytes] = []
     with no_file_longer_than(30_000):
         for second in range(40):
-            recorded += shout(service, 5, first=5 * second, at=START + second * SECOND)
+            recorded += shout(service, 5, first=5 * second, at=START + second * NS_PER_S)
             flushed(service)
-    recorded += shout(service, 5, first=200, at=START + 100 * SECOND)
+    recorded += shout(service, 5, first=200, at=START + 100 * NS_PER_S)
     flushed(service)
     found = [payload for path in sorted(tmp_path.iterdir()) for payload in payloads_in(path)]
     drops = [drop for path in sorted(tmp_path.iterdir()) for drop in Recording(path).drops]
@@ -262,7 +262,7 @@ def test_files_are_attached_to_every_part(recorder, tmp_path):
     service = recorder(folder=str(tmp_path), attach=(str(tmp_path / "map.yaml"),), split_time=1)
     service.robot_file = "robot: {}\n"
     for second in range(3):
-        take(service, 1, first=second, at=START + second * SECOND)
+        take(service, 1, first=second, at=START + second * NS_PER_S)
         flushed(service)
     parts = sorted(tmp_path.glob("*.mcap"))
     assert len(parts) == 3
@@ -281,11 +281,11 @@ def test_an_attachment_that_is_not_there_is_told_at_the_start(recorder, tmp_path
 def test_messages_that_never_came_are_counted_and_written_down(recorder, tmp_path):
     service = recorder(file=str(tmp_path / "a.mcap"))
     take(service, 3, first=40)  # it joined late: the first 40 are not missed
-    take(service, 2, first=50, at=START + 10 * SECOND)
+    take(service, 2, first=50, at=START + 10 * NS_PER_S)
     flushed(service)
     assert service.state() == "recording, 5 messages, 7 missed"
     recording = Recording(tmp_path / "a.mcap")
-    assert recording.drops == [Drop(START + 10 * SECOND, OVERLOAD, "estop", "s", 43, 7)]
+    assert recording.drops == [Drop(START + 10 * NS_PER_S, OVERLOAD, "estop", "s", 43, 7)]
     assert len(recording.problems) == 2  # and it is not closed
     assert "10.0 s after the start" in recording.problems[0]
     assert "7 estop" in recording.problems[0]
@@ -317,7 +317,7 @@ def test_the_oldest_parts_go_first_and_marked_ones_never(recorder, tmp_path):
     (tmp_path / "notes.txt").write_text("of the user")
     (tmp_path / "other-20231114-221320.mcap").write_bytes(b"of another robot" * 10_000)
     for second in range(12):
-        shout(service, 60, 60 * second, START + second * SECOND)
+        shout(service, 60, 60 * second, START + second * NS_PER_S)
         flushed(service)
         if second == 1:
             (tmp_path / "x80-20231114-221320.part002.mcap.keep").touch()
@@ -366,7 +366,7 @@ def test_a_part_that_is_over_half_of_the_budget_is_refused():
 
 def test_what_is_kept_for_late_joiners_is_recorded_once_and_as_that(recorder, tmp_path):
     service = recorder(file=str(tmp_path / "a.mcap"))
-    envelope = Envelope("operator", "s", 7, START - SECOND)
+    envelope = Envelope("operator", "s", 7, START - NS_PER_S)
     kept = encode(EmergencyStop(START, True, "before"), envelope)
     for _ in range(2):
         service.raw("estop", kept, envelope, START, latched=True)
@@ -385,8 +385,8 @@ def test_what_is_kept_stands_in_the_next_part_too(recorder, tmp_path):
     whole = MapUpdate(START, 1, 5, 0.05, row, row, np.zeros((2, 4096), np.int8))
     envelope = Envelope("mapper", "m", 5, START)
     service.raw("map", encode(whole, envelope), envelope, START, latched=True)
-    take(service, 1, "log/guard", first=1, at=START + SECOND)
+    take(service, 1, "log/guard", first=1, at=START + NS_PER_S)
     flushed(service)
     (kept,) = [entry for entry in Recording(sorted(tmp_path.iterdir())[1]).entries() if entry.latched]
     assert decode(MapUpdate, kept.payload)[0].rows.tolist() == [1, 2]
-    assert (kept.sequence, kept.log_time) == (5, START + SECOND)
+    assert (kept.sequence, kept.log_time) == (5, START + NS_PER_S)

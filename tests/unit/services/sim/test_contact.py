@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 
 from services.sim.contact import (
     disc_touches_world,
-    distance_to_polygon,
     offset_polygon,
     touches_people,
     touches_world,
@@ -17,7 +16,9 @@ from services.sim.contact import (
 from services.sim.dynamics import move_until_contact
 from services.sim.rays import cast_ray, index_grid, index_shapes
 from services.sim.world import World
-from shared.geometry import Pose2, inside
+from shared.geometry import Pose2
+from shared.polygon import contains
+from shared.polygon_kernels import distance_to_polygon
 from tests.unit.services.sim.scenes import JACKAL, X80SV
 
 L_SHAPE = np.array([[-0.3, -0.2], [0.4, -0.2], [0.4, 0.0], [0.0, 0.0], [0.0, 0.3], [-0.3, 0.3]])
@@ -32,7 +33,7 @@ def surface(corners, n=400):
     edge = np.concatenate([a + np.linspace(0, 1, 60)[:, None] * (b - a) for a, b in zip(corners, after)])
     low, high = corners.min(axis=0), corners.max(axis=0)
     grid = np.stack(np.meshgrid(*(np.linspace(a, b, int(n**0.5)) for a, b in zip(low, high))), -1).reshape(-1, 2)
-    return np.concatenate((edge, grid[inside(corners, grid)]))
+    return np.concatenate((edge, grid[contains(corners, grid)]))
 
 
 @settings(deadline=None)
@@ -52,7 +53,7 @@ def test_a_touched_segment_is_one_that_comes_within_the_footprint(corners, pose,
 def test_a_touched_disc_is_nearer_than_its_radius(corners, pose, x, y, r):
     at = transform_polygon(corners, *pose)
     points = surface(at)
-    nearest = 0.0 if inside(at, np.array([[x, y]]))[0] else np.hypot(*(points - (x, y)).T).min()
+    nearest = 0.0 if contains(at, np.array([[x, y]]))[0] else np.hypot(*(points - (x, y)).T).min()
     assert abs(distance_to_polygon(at, x, y) - nearest) < 0.02
     if abs(nearest - r) > 0.02:
         cells = index_shapes(np.zeros((0, 4)), np.array([[x, y, r]]), 0.1)

@@ -13,10 +13,10 @@ from shared.codec import CodecError, Envelope, decode, encode
 from shared.config import load_robot
 from shared.messages import LaserScan
 from shared.requests import Break
+from shared.types import NS_PER_S
 from tests.unit.services.sim.scenes import drive, simulator, told
 
 X80SV = load_robot("x80sv").robot
-SECOND = 1_000_000_000
 
 
 def payload(message):
@@ -130,15 +130,15 @@ OFFSETS = {"late": -0.5, "old": -10.0, "ahead": 1.0, "future": 3600.0}
 def test_stamps_are_off_by_so_much(source, key, name):
     before, during = under(f"{source}_{name}")
     first = told(during, key)[0].stamp - told(before, key)[-1].stamp
-    assert first / SECOND - OFFSETS[name] == pytest.approx(0.1 if source == "scan" else 0.02, abs=0.03)
+    assert first / NS_PER_S - OFFSETS[name] == pytest.approx(0.1 if source == "scan" else 0.02, abs=0.03)
 
 
 @pytest.mark.parametrize(("source", "key"), [("scan", "scan"), ("board", "hardware/board")])
 def test_stamps_may_be_seconds_or_count_from_the_start(source, key):
     before, during = under(f"{source}_seconds")
-    assert told(during, key)[-1].stamp == pytest.approx(told(before, key)[-1].stamp / SECOND, abs=1)
+    assert told(during, key)[-1].stamp == pytest.approx(told(before, key)[-1].stamp / NS_PER_S, abs=1)
     _, during = under(f"{source}_1970")
-    assert 0 < told(during, key)[-1].stamp < 3 * SECOND
+    assert 0 < told(during, key)[-1].stamp < 3 * NS_PER_S
 
 
 def test_the_board_counts_at_random_or_its_sensors_fail():

@@ -6,10 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.sim.contact import disc_touches_world, distance_to_polygon, transform_polygon
+from services.sim.contact import disc_touches_world, transform_polygon
 from services.sim.people import BLOCKED, RADIUS, SPEED, X, Y, initial_people, step_people
 from services.sim.world import Pedestrian
 from services.sim.world_loader import load_world
+from shared.polygon_kernels import distance_to_polygon
 from tests.unit.services.sim.scenes import X80SV
 
 OFFICE = load_world("office")

@@ -7,10 +7,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from services.sim.contact import point_to_segment
 from services.sim.rays import SOLID, cast_ray, index_grid, index_shapes
 from services.sim.world import Raster, World
 from shared.geometry import Pose2
+from shared.polygon_kernels import distance_to_segment
 
 coordinates = st.floats(-8, 8).map(lambda v: round(v, 3))
 ends = st.tuples(coordinates, coordinates, coordinates, coordinates)
@@ -45,7 +45,7 @@ def grazes(lines, discs, ox, oy, angle):
     off = [abs((x - ox) * s - (y - oy) * c) for x, y in points]
     along = [abs(abs((x - ox) * s - (y - oy) * c) - r) for x, y, r in discs]
     touching = [abs(hypot(x - ox, y - oy) - r) for x, y, r in discs]
-    touching += [point_to_segment(ox, oy, *line) for line in lines]
+    touching += [distance_to_segment(ox, oy, *line) for line in lines]
     return min([*off, *along, *touching, inf]) < 1e-4
 
 

@@ -40,7 +40,7 @@ def test_the_same_seed_and_events_give_the_same_bytes_and_another_seed_others():
 
 def test_warming_up_changes_nothing():
     warm = simulator("office")
-    warm.warm()
+    warm.warm_up()
     assert payloads(drive(warm, 1.0, 0.3, 0.3)) == payloads(drive(simulator("office"), 1.0, 0.3, 0.3))
 
 

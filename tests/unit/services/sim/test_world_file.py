@@ -107,14 +107,14 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(("text", "what", "mend"), BAD)
-def test_a_bad_world_is_told_with_its_line_and_its_mend(tmp_path, text, what, mend):
+@pytest.mark.parametrize(("text", "what", "hint"), BAD)
+def test_a_bad_world_is_told_with_its_line_and_its_hint(tmp_path, text, what, hint):
     path = written(tmp_path, text)
     with pytest.raises(UserError) as error:
         load_world(str(path))
     assert what in error.value.what
-    assert mend in error.value.mend or mend in error.value.what
-    assert error.value.mend
+    assert hint in error.value.hint or hint in error.value.what
+    assert error.value.hint
 
 
 def test_a_robot_that_starts_in_a_wall_or_inside_a_box_is_refused(tmp_path):

@@ -77,7 +77,7 @@ def test_a_list_of_cylinders_gives_its_worlds_by_number(tmp_path):
     assert load_world("barn:7", barn_file=str(tmp_path / "w.json")).circles.shape == (0, 3)
 
 
-def test_what_is_missing_or_broken_is_told_with_its_mend(tmp_path):
+def test_what_is_missing_or_broken_is_told_with_its_hint(tmp_path):
     (tmp_path / "w.json").write_text(json.dumps(CYLINDERS))
     (tmp_path / "half.json.gz").write_bytes(gzip.compress(b"{}" * 99)[:20])
     (tmp_path / "no.json.gz").write_bytes(b"no gzip")
@@ -94,11 +94,11 @@ def test_what_is_missing_or_broken_is_told_with_its_mend(tmp_path):
         (ros_map(tmp_path, MAP.replace("m.pgm", "x.pgm")), "", ""),
         (ros_map(tmp_path, MAP.replace("-2, 0]", "-2, 1]")), "", ""),
     ]
-    for world, file, mend in cases:
+    for world, file, hint in cases:
         with pytest.raises(UserError) as error:
             load_world(world, barn_file=str(tmp_path / file) if file else "")
-        assert mend in error.value.mend
-        assert error.value.mend
+        assert hint in error.value.hint
+        assert error.value.hint
 
 
 @needs_data

@@ -3,10 +3,10 @@
 
 import pytest
 
-from services.sim.world_loader import WORLDS, load_world
+from services.sim.world_loader import WORLDS_DIR, load_world
 from tests.unit.services.sim.scenes import X80SV, simulator
 
-NAMES = sorted(path.stem for path in WORLDS.glob("*.yaml"))
+NAMES = sorted(path.stem for path in WORLDS_DIR.glob("*.yaml"))
 
 
 def can_reach_its_goals(world):

@@ -123,7 +123,7 @@ def test_a_disk_that_hangs_holds_up_neither_life_nor_death(tmp_path, monkeypatch
 
 
 def test_words_of_a_crash_are_one_line_and_the_same_live_and_replayed():
-    error = UserError("two\nlines", "mend")
+    error = UserError("two\nlines", "hint")
     error.add_note("replaying mapper (a-1): event 7 at 123 ns")
     assert crash_of(error) == crash_line(error, 123)
     assert "\n" not in crash_of(error)

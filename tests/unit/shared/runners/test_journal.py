@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from shared import requests, topics
 from shared.geometry import Pose2
 from shared.messages import Journal, MapUpdate
-from shared.rejections import Kind
+from shared.rejections import RejectionCause
 from shared.requests import LoadMap
 from shared.runners.host import JOURNAL_FULL, REJECTED, REQUEST, Host, Sent
 from shared.runners.journal import HOLE, Event, events_of
@@ -95,7 +95,7 @@ def test_large_requests_are_told_in_several_journals_and_read_as_one():
 
 def test_what_the_runner_rejected_comes_back_as_it_was_told_to_the_service():
     host = Host(build("odometry"), "odometry", "s")
-    host.rejected("base/wheels", Kind.SEQUENCE, "the sequence stands still", 3, 5)
+    host.rejected("base/wheels", RejectionCause.SEQUENCE, "the sequence stands still", 3, 5)
     assert host.service.rejections.counts == {("base/wheels", "sequence"): 3}
     journal = host.journal(6)
     assert journal is not None

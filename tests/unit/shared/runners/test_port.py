@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ports on real pseudo-terminals and sockets: bytes pass in order, devices come back, errors say the mend."""
+"""Ports on real pseudo-terminals and sockets: bytes pass in order, devices come back, errors say the hint."""
 
 import errno
 import os
@@ -20,14 +20,14 @@ import pytest
 from shared.messages import PortState, SerialData
 from shared.ports import PortConfig
 from shared.runners import port as ports
-from shared.runners.clock import Clock
+from shared.runners.clock import StackClock
 from shared.runners.port import Port, opened, trouble
 
 SOON = 30.0  # s that a busy machine may take
 
 
 class Heard:
-    """What a port told, one by one."""
+    """The messages of a port, one by one."""
 
     def __init__(self) -> None:
         self.messages: queue.Queue[SerialData | PortState] = queue.Queue()
@@ -53,7 +53,7 @@ class Heard:
 @contextmanager
 def running(device: str, serial_number: str = "") -> Iterator[tuple[Port, Heard]]:
     heard = Heard()
-    port = Port("board", PortConfig(device=device, serial_number=serial_number), Clock(), heard.file)
+    port = Port("board", PortConfig(device=device, serial_number=serial_number), StackClock(), heard.file)
     port.start()
     try:
         yield port, heard
@@ -90,7 +90,7 @@ def test_an_unplugged_adapter_is_named_and_found_again(tmp_path):
         gone = at_near.state()
         assert not gone.open
         assert "plug it in" in gone.detail
-        near.write(b"an old command")  # nobody must ever get it
+        near.write(b"an old command")  # it must never arrive
         assert at_far.state().open
         assert not at_far.state().open
         far.plug(True)
@@ -132,7 +132,7 @@ def test_a_line_that_nobody_reads_holds_up_neither_the_service_nor_later_bytes(t
     os.close(master)
 
 
-def test_a_device_that_is_not_there_is_named_with_the_mend(tmp_path):
+def test_a_device_that_is_not_there_is_named_with_the_hint(tmp_path):
     with running(f"{tmp_path}/nothing") as (_, heard):
         state = heard.state()
     assert not state.open
@@ -171,7 +171,7 @@ def test_a_device_in_use_by_another_process_names_it(tmp_path, monkeypatch, numb
 
 
 @pytest.mark.parametrize(
-    ("group", "mode", "mend"),
+    ("group", "mode", "hint"),
     [
         ("dialout", 0o660, "sudo usermod -aG dialout $USER, then log in again"),
         ("uucp", 0o660, "sudo usermod -aG uucp $USER, then log in again"),
@@ -179,14 +179,14 @@ def test_a_device_in_use_by_another_process_names_it(tmp_path, monkeypatch, numb
         ("root", 0o660, "udev rule"),
     ],
 )
-def test_who_may_not_open_a_device_is_told_its_own_group_or_that_it_needs_one(tmp_path, monkeypatch, group, mode, mend):
+def test_who_may_not_open_a_device_is_told_its_own_group_or_that_it_needs_one(tmp_path, monkeypatch, group, mode, hint):
     device = tmp_path / "ttyUSB0"
     device.touch()
     device.chmod(mode)
     monkeypatch.setattr(ports.grp, "getgrgid", lambda number: SimpleNamespace(gr_name=group))
     text = trouble(PortConfig(device=str(device)), PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
     assert text.startswith(f"no permission for {device}: ")
-    assert mend in text
+    assert hint in text
 
 
 def test_an_adapter_that_is_away_is_named_by_its_number_and_a_name_beside_it_is_not_taken(tmp_path, monkeypatch):
@@ -201,11 +201,11 @@ def test_what_is_no_adapter_is_not_looked_for_by_a_number(device):
 
 
 @pytest.mark.parametrize(
-    ("number", "mend"), [(errno.EACCES, "usermod -aG dialout"), (errno.EIO, "plug it in again"), (errno.ENOSPC, "left")]
+    ("number", "hint"), [(errno.EACCES, "usermod -aG dialout"), (errno.EIO, "plug it in again"), (errno.ENOSPC, "left")]
 )
-def test_each_error_of_a_device_is_one_line(number, mend):
+def test_each_error_of_a_device_is_one_line(number, hint):
     text = trouble(PortConfig(device="/dev/ttyUSB0"), OSError(number, os.strerror(number)))
-    assert mend in text
+    assert hint in text
     assert "/dev/ttyUSB0" in text
     assert "\n" not in text
 

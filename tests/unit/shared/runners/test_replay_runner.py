@@ -16,7 +16,7 @@ from shared.runners.host import Sent
 from shared.runners.lockstep import Lockstep, Sink
 from shared.runners.replay import Replayed, replay
 from shared.service import Job, Log, Out, Service, every, on
-from tests.toys import DEFAULTS, ROBOT, Base, Dead, Tiles, build, eventful
+from tests.toys import DEFAULTS, ROBOT, Dead, Tiles, ToyBase, build, eventful
 
 CHAIN = ("base_driver", "odometry", "mapper", "planner")
 
@@ -70,7 +70,7 @@ def test_replaying_a_service_gives_what_it_published_to_the_byte(run, name):
 
 
 def journalled(published: list[Sent], name: str) -> list[bytes]:
-    """What a service published before its last journal: of what a killed one did later, no journal tells."""
+    """What a service published before its last journal. A killed service has no journal of its last second."""
     last = {s.message.session: i for i, s in enumerate(published) if isinstance(s.message, Journal)}
     return [
         s.payload
@@ -189,10 +189,10 @@ class Busier(Tiles):
 
 def test_jobs_that_the_journal_does_not_end_are_done_after_their_time(run):
     replayed = replay(run[0], ["mapper"], lambda name: Busier())
-    assert len(replayed.sent["mapper"]) > 100  # each tells its bonus
+    assert len(replayed.sent["mapper"]) > 100  # each contains its bonus
 
 
-class Deaf(Service):
+class PlannerWithoutInputs(Service):
     """A planner that listens to nothing any more."""
 
     @every(hz=5)
@@ -201,7 +201,7 @@ class Deaf(Service):
 
 
 def test_events_that_the_service_takes_no_more_are_gaps(run):
-    replayed = replay(run[0], ["planner"], lambda name: Deaf(DEFAULTS, ROBOT))
+    replayed = replay(run[0], ["planner"], lambda name: PlannerWithoutInputs(DEFAULTS, ROBOT))
     assert {gap.what for gap in replayed.gaps} == {
         "planner does not listen to map any more",
         "planner does not listen to pose any more",
@@ -240,7 +240,7 @@ def test_a_crash_is_replayed_with_the_place_of_its_event(run):
 # --- circles --------------------------------------------------------------------------------------------------------
 
 
-class Obedient(Base):
+class Obedient(ToyBase):
     """The wheels follow the guard."""
 
     @on(topics.CMD_VEL)
@@ -249,7 +249,7 @@ class Obedient(Base):
         return ()
 
 
-class Guard(Service):
+class CircleGuard(Service):
     def __init__(self, share: float = 0.1) -> None:
         super().__init__(DEFAULTS, ROBOT)
         self.share = share
@@ -260,13 +260,13 @@ class Guard(Service):
 
 
 def circle(record: Sink) -> None:
-    lockstep = Lockstep({"base_driver": Obedient(), "guard": Guard()}, record)
+    lockstep = Lockstep({"base_driver": Obedient(), "guard": CircleGuard()}, record)
     lockstep.run(2.0)
     lockstep.flush()
 
 
 def in_circle(name: str) -> Service:
-    return Obedient() if name == "base_driver" else Guard()
+    return Obedient() if name == "base_driver" else CircleGuard()
 
 
 def test_services_that_feed_each_other_replay_together(tmp_path):
@@ -341,7 +341,7 @@ class Refusing(Dead):
 
     @every(hz=10)
     def why(self) -> Out:
-        yield Log("INFO", f"{self.x} {self.rejections.refused('base/wheels', self.now)}")
+        yield Log("INFO", f"{self.x} {self.rejections.stamp_problem('base/wheels', self.now)}")
 
 
 def test_messages_that_are_rejected_by_their_sequence_are_so_in_the_replay(tmp_path):

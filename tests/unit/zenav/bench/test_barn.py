@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""BARN's referee: the score, exact clearance, which worlds, and what is told of wrong arguments."""
+"""BARN's referee: the score, exact clearance, which worlds, and the errors of wrong arguments."""
 
 import csv
 import json
@@ -15,7 +15,6 @@ from numpy.testing import assert_allclose
 from services.sim.world_loader import read_cylinder_file
 from shared import requests, topics
 from shared.config import Section, UserError, load_robot
-from shared.geometry import inside
 from shared.messages import MotorCommand
 from shared.requests import Reply
 from shared.runners.lockstep import Lockstep
@@ -25,16 +24,14 @@ from zenav.bench.barn import NOISE, summary, worlds_from, write_trajectory
 from zenav.bench.barn_run import (
     FREE_TIME,
     BarnFile,
-    Driven,
+    BarnTrial,
     Referee,
-    Trial,
+    barn_robot_file,
     course_of,
-    outline_distance,
-    robot_file,
-    score,
     smallest_clearance,
 )
-from zenav.classes import made
+from zenav.metrics.barn import BarnResult, barn_score
+from zenav.stack.service_loader import build_service
 
 JACKAL = load_robot("jackal").robot
 FILE = {
@@ -49,21 +46,12 @@ FILE = {
 
 @given(st.floats(0.01, 300), st.floats(2, 30))
 def test_the_score_is_half_at_most_and_falls_to_an_eighth_with_time(time, length):
-    scored = score("success", time, length)
+    scored = barn_score("success", time, length)
     assert 0.125 <= scored <= 0.5
-    assert scored >= score("success", 1.5 * time, length)
-    assert score("success", length, length) == 0.5  # 1 m/s on the reference path
-    assert_allclose(score("success", 2 * length, length), 0.25)
-    assert score("collision", time, length) == score("timeout", time, length) == 0.0
-
-
-@given(st.floats(-1, 1), st.floats(-1, 1))
-def test_the_distance_from_the_outline_is_that_from_its_nearest_point(x, y):
-    corners = JACKAL.corners
-    share = np.linspace(0, 1, 400)[:, None]
-    rim = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0))])
-    expected = 0.0 if inside(corners, np.array([[x, y]]))[0] else np.hypot(*(rim - (x, y)).T).min()
-    assert_allclose(outline_distance(np.array([[x, y]]), corners)[0], expected, atol=2e-3)
+    assert scored >= barn_score("success", 1.5 * time, length)
+    assert barn_score("success", length, length) == 0.5  # 1 m/s on the reference path
+    assert_allclose(barn_score("success", 2 * length, length), 0.25)
+    assert barn_score("collision", time, length) == barn_score("timeout", time, length) == 0.0
 
 
 def test_the_clearance_on_a_way_is_found_between_its_poses_too():
@@ -112,8 +100,8 @@ def test_noise_is_a_skid_steered_robots(tmp_path):
     path = tmp_path / "w.json"
     path.write_text(json.dumps(FILE))
     course = course_of(path, read_cylinder_file(path, BarnFile), "7")
-    true, ideal = (made("sim", file, file.robot).config.drive for file in (
-        robot_file(Trial(course, 0, "jackal", settings)) for settings in (NOISE, ())
+    true, ideal = (build_service("sim", file, file.robot).config.drive for file in (
+        barn_robot_file(BarnTrial(course, 0, "jackal", settings)) for settings in (NOISE, ())
     ))  # fmt: skip
     assert true.distance_error >= 0.04 > ideal.distance_error  # what a calibration on another floor leaves
     assert true.turn_slip > 0.4 > ideal.turn_slip
@@ -141,7 +129,7 @@ def test_a_wrong_argument_is_told_before_anything_runs(tmp_path, monkeypatch, ca
     assert not Path("out").exists()
 
 
-class Driver(Service):
+class ConstantDriver(Service):
     """In the place of the base driver: straight on, from the start."""
 
     speed = 1.0  # m/s
@@ -153,13 +141,13 @@ class Driver(Service):
         yield topics.MOTORS(MotorCommand(self.now, -counts, counts))
 
 
-class Slow(Driver):
+class Slow(ConstantDriver):
     """Not 10 cm in half a minute."""
 
     speed = 0.002
 
 
-class Navigator(Service):
+class RefereedNavigator(Service):
     """In the navigator's place: takes every goal."""
 
     @answer(requests.NAVIGATE)
@@ -168,23 +156,23 @@ class Navigator(Service):
         return Reply(self.now, True, "", "")
 
 
-def refereed(tmp_path, driver: type[Service], *cylinders: list[float], delay: float = 0.0) -> Driven:
+def refereed(tmp_path, driver: type[Service], *cylinders: list[float], delay: float = 0.0) -> BarnResult:
     path = tmp_path / "w.json"
     worlds = {"1": {"cylinders": [[2.0, 0.0], *cylinders], "optimal_length_m": 10.0}}
     path.write_text(json.dumps(FILE | {"worlds": worlds, "time_limit_s": 20.0}))
     course = course_of(path, BarnFile.model_validate(json.loads(path.read_text())), "1")
-    file = robot_file(
-        Trial(course, 0, "jackal", ("sim.drive.slip=0", "sim.drive.radius_error=0", "robot.laser.rate=1"))
+    file = barn_robot_file(
+        BarnTrial(course, 0, "jackal", ("sim.drive.slip=0", "sim.drive.radius_error=0", "robot.laser.rate=1"))
     )
-    services = {"sim": made("sim", file, file.robot)}
-    services |= {"base_driver": driver(Section(), file.robot), "navigator": Navigator(Section(), file.robot)}
-    return Referee(course, file.robot, Lockstep(services), delay).driven()
+    services = {"sim": build_service("sim", file, file.robot)}
+    services |= {"base_driver": driver(Section(), file.robot), "navigator": RefereedNavigator(Section(), file.robot)}
+    return Referee(course, file.robot, Lockstep(services), delay).result()
 
 
 def test_the_clock_starts_a_tenth_of_a_metre_off_and_ends_a_metre_before_the_goal(tmp_path):
-    driven = refereed(tmp_path, Driver)
+    driven = refereed(tmp_path, ConstantDriver)
     assert driven.status == "success"
-    # it drives from 1 s before the goal is told: 8.9 m of its way count, to the next poll
+    # it drives from 1 s before the goal is sent: 8.9 m of its path count, to the next poll
     assert 8.0 <= driven.time <= 9.0
     assert driven.rows[0, 0] == 0.0
     assert_allclose(driven.rows[-1, 2], 9.0, atol=0.15)
@@ -192,11 +180,11 @@ def test_the_clock_starts_a_tenth_of_a_metre_off_and_ends_a_metre_before_the_goa
 
 
 def test_a_touch_ends_the_run_at_once(tmp_path):
-    driven = refereed(tmp_path, Driver, [0.28, 5.0])
+    driven = refereed(tmp_path, ConstantDriver, [0.28, 5.0])
     assert driven.status == "collision"
     assert driven.score == driven.clearance == 0.0
     assert 4.5 < driven.rows[-1, 2] < 5.0
-    free = refereed(tmp_path, Driver, [0.208 + 0.075 + 0.004, 5.0])
+    free = refereed(tmp_path, ConstantDriver, [0.208 + 0.075 + 0.004, 5.0])
     assert free.status == "success"
     assert_allclose(free.clearance, 0.004, atol=5e-4)
 
@@ -208,5 +196,5 @@ def test_who_does_not_leave_the_start_has_run_out_of_time(tmp_path):
 
 
 def test_what_is_told_to_the_motors_comes_later_by_the_delay(tmp_path):
-    early, late = (refereed(tmp_path, Driver, [0.0, 2.0], delay=delay) for delay in (0.0, 0.5))
-    assert_allclose(early.rows[0, 2] - late.rows[0, 2], 0.5, atol=0.03)  # m at 1 m/s, when the goal is told
+    early, late = (refereed(tmp_path, ConstantDriver, [0.0, 2.0], delay=delay) for delay in (0.0, 0.5))
+    assert_allclose(early.rows[0, 2] - late.rows[0, 2], 0.5, atol=0.03)  # m at 1 m/s, when the goal is sent

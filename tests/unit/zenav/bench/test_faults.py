@@ -24,40 +24,40 @@ from shared.messages import (
 from shared.topics import SERVICES
 from zenav.__main__ import _status
 from zenav.bench import fault_trial
-from zenav.bench.fault_table import ROWS, SEQUENCE, Mode, Row
-from zenav.bench.fault_trial import SPEEDS, Meter, Result, Trial
-from zenav.bench.faults import broken, chosen, matrix, shown, summary
+from zenav.bench.fault_table import FAULT_ROWS, SEQUENCE, DriveMode, FaultRow
+from zenav.bench.fault_trial import SPEEDS, FaultMeter, FaultResult, FaultTrial
+from zenav.bench.faults import fault_summary, matrix, missed_targets, selected_rows, table_row
 
 MS, S = 1_000_000, 1_000_000_000
-ROW = Row("scan_nan", frozenset({"scan_old"}), 250.0)
-GOOD = Result("scan_nan", Mode.NAVIGATION, 0.5, 0, 120.0, 60.0, 0.1, 0.1, 0, ["scan_old"], True, 0.2, True)
+ROW = FaultRow("scan_nan", frozenset({"scan_old"}), 250.0)
+GOOD = FaultResult("scan_nan", DriveMode.NAVIGATION, 0.5, 0, 120.0, 60.0, 0.1, 0.1, 0, ["scan_old"], True, 0.2, True)
 
 
 def test_every_row_breaks_what_there_is():
-    names = {row.name for row in ROWS}
-    assert len(names) == len(ROWS)
+    names = {row.name for row in FAULT_ROWS}
+    assert len(names) == len(FAULT_ROWS)
     assert {name for name in names if not name.startswith("kill ")} == {*MessageFault, SEQUENCE}
-    assert {ROWS[i].name for i in chosen("", live=False)} == names - {SEQUENCE}
+    assert {FAULT_ROWS[i].name for i in selected_rows("", live=False)} == names - {SEQUENCE}
     assert {name.removeprefix("kill ") for name in names if name.startswith("kill ")} < set(SERVICES)
 
 
 def test_each_fault_comes_equally_often_and_in_every_mode_and_speed():
-    rows = chosen("", live=True)
+    rows = selected_rows("", live=True)
     trials = matrix(9 * len(rows), 0, rows)
     assert set(Counter(trial.row for trial in trials).values()) == {9}
     for row in rows:
-        assert {(t.mode, t.speed) for t in trials if t.row == row} == {(m, s) for m in Mode for s in SPEEDS}
+        assert {(t.mode, t.speed) for t in trials if t.row == row} == {(m, s) for m in DriveMode for s in SPEEDS}
     assert len({trial.seed for trial in trials}) == len(trials)
     fifty = matrix(50, 0, rows)
     assert {trial.row for trial in fifty} == set(rows)
-    assert set(Counter((t.mode, t.speed) for t in fifty)) == {(m, s) for m in Mode for s in SPEEDS}
+    assert set(Counter((t.mode, t.speed) for t in fifty)) == {(m, s) for m in DriveMode for s in SPEEDS}
 
 
 def test_an_unknown_fault_is_told_with_the_nearest():
     with pytest.raises(UserError) as error:
-        chosen("scan_nam", live=False)
-    assert "scan_nan" in error.value.mend
-    assert [ROWS[i].name for i in chosen("sonar_dead, scan_nan", live=False)] == ["scan_nan", "sonar_dead"]
+        selected_rows("scan_nam", live=False)
+    assert "scan_nan" in error.value.hint
+    assert [FAULT_ROWS[i].name for i in selected_rows("sonar_dead, scan_nan", live=False)] == ["scan_nan", "sonar_dead"]
 
 
 @pytest.mark.parametrize(
@@ -75,22 +75,22 @@ def test_an_unknown_fault_is_told_with_the_nearest():
 )
 def test_each_target_that_is_missed_is_named(change, words):
     result = replace(GOOD, **change)
-    assert broken(result, ROW) == words
-    assert shown(ROW, [result])[-2] == ("1 not good" if words else "good")
+    assert missed_targets(result, ROW) == words
+    assert table_row(ROW, [result])[-2] == ("1 not good" if words else "good")
 
 
 def test_where_nothing_has_to_stand_time_is_not_judged_and_a_hand_may_creep():
-    by_hand = replace(GOOD, mode=Mode.TELEOP, zero_ms=inf)
-    creeps = replace(ROW, stops=frozenset({Mode.NAVIGATION}), creeps=frozenset({Mode.TELEOP}))
-    assert broken(by_hand, creeps) == []
-    assert broken(replace(by_hand, creep_ms=400.0), creeps) == ["400 ms"]
-    assert broken(replace(by_hand, right=False), replace(ROW, stops=frozenset())) == []
+    by_hand = replace(GOOD, mode=DriveMode.TELEOP, zero_ms=inf)
+    creeps = replace(ROW, stops=frozenset({DriveMode.NAVIGATION}), creeps=frozenset({DriveMode.TELEOP}))
+    assert missed_targets(by_hand, creeps) == []
+    assert missed_targets(replace(by_hand, creep_ms=400.0), creeps) == ["400 ms"]
+    assert missed_targets(replace(by_hand, right=False), replace(ROW, stops=frozenset())) == []
 
 
 def test_the_summary_counts_and_json_has_no_infinity():
     found = [GOOD, replace(GOOD, zero_ms=inf)]
-    told = summary(found)
-    assert (told["trials"], told["good"]) == (2, 1 if ROWS[0].limit >= 120 else 0)
+    told = fault_summary(found)
+    assert (told["trials"], told["good"]) == (2, 1 if FAULT_ROWS[0].limit >= 120 else 0)
     assert json.loads(json.dumps([r.as_json() for r in found], allow_nan=False))[1]["zero_ms"] is None
 
 
@@ -100,23 +100,23 @@ def truth(at: Pose2, distance: float = 0.0) -> Truth:
 
 
 def test_times_count_from_the_fault_and_the_distance_to_the_first_zero():
-    meter = Meter(0.1)
-    meter.take("hardware/motors", MotorCommand(0, 0.0, 0.0), 1 * S)
-    meter.take("sim/truth", truth(Pose2(), 1.0), 1 * S)
+    meter = FaultMeter(0.1)
+    meter.add("hardware/motors", MotorCommand(0, 0.0, 0.0), 1 * S)
+    meter.add("sim/truth", truth(Pose2(), 1.0), 1 * S)
     meter.begin(2 * S)
-    meter.take("hardware/motors", MotorCommand(0, -100.0, 100.0), 2 * S + 10 * MS)
-    meter.take("sim/truth", truth(Pose2(), 1.2), 2 * S + 100 * MS)
-    meter.take("cmd/vel", Velocity(0, 0.08, 0.0, ""), 2 * S + 120 * MS)
-    meter.take("hardware/motors", MotorCommand(0, 0.0, 0.0), 2 * S + 200 * MS)
-    meter.take("hardware/motors", MotorCommand(0, 0.0, 0.0), 2 * S + 300 * MS)
-    meter.take("guard/status", GuardStatus(0, GuardState.HOLD, "", "scan_old", "stamps", 0.0), 2 * S + 200 * MS)
+    meter.add("hardware/motors", MotorCommand(0, -100.0, 100.0), 2 * S + 10 * MS)
+    meter.add("sim/truth", truth(Pose2(), 1.2), 2 * S + 100 * MS)
+    meter.add("cmd/vel", Velocity(0, 0.08, 0.0, ""), 2 * S + 120 * MS)
+    meter.add("hardware/motors", MotorCommand(0, 0.0, 0.0), 2 * S + 200 * MS)
+    meter.add("hardware/motors", MotorCommand(0, 0.0, 0.0), 2 * S + 300 * MS)
+    meter.add("guard/status", GuardStatus(0, GuardState.HOLD, "", "scan_old", "stamps", 0.0), 2 * S + 200 * MS)
     result = replace(GOOD)
-    fault_trial._measured(result, replace(ROW, detail="stamp"), meter, truth(Pose2(), 1.5))
+    fault_trial._fill_in(result, replace(ROW, detail="stamp"), meter, truth(Pose2(), 1.5))
     assert (result.zero_ms, result.creep_ms) == (200.0, 120.0)
     assert result.distance == pytest.approx(0.2)
     assert result.driven == pytest.approx(0.5)
     assert (result.reasons, result.right) == (["scan_old"], True)
-    fault_trial._measured(result, replace(ROW, detail="are they ns"), meter, truth(Pose2(), 1.5))
+    fault_trial._fill_in(result, replace(ROW, detail="are they ns"), meter, truth(Pose2(), 1.5))
     assert result.right is False
 
 
@@ -128,25 +128,25 @@ def test_only_a_wrong_pose_that_is_good_and_fresh_counts():
         ("poor", 0.4, 5, 0.0),
         ("good", 0.4, 60, 0.0),
     ):
-        meter = Meter(0.1)
-        meter.take("sim/truth", truth(Pose2()), 0)
+        meter = FaultMeter(0.1)
+        meter.add("sim/truth", truth(Pose2()), 0)
         meter.begin(0)
         for i in range(101):
             now = i * 20 * MS
-            meter.take("sim/truth", truth(Pose2(away, 0.0, 0.0)), now)
+            meter.add("sim/truth", truth(Pose2(away, 0.0, 0.0)), now)
             if i % every == 0:
                 pose = PoseEstimate(now, Pose2(), Pose2(), covariance, 1.0, Localization(state))
-                meter.take("pose", pose, now)
+                meter.add("pose", pose, now)
         assert meter.wrong_longest / S == pytest.approx(longest, abs=0.05)
 
 
 @pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 def test_a_trial_in_lockstep_gives_the_same_twice_and_the_command_its_json(tmp_path, capsys):
-    row = [row.name for row in ROWS].index("scan_silent")
-    trial = Trial(row, Mode.NAVIGATION, 0.5, 3)
+    row = [row.name for row in FAULT_ROWS].index("scan_silent")
+    trial = FaultTrial(row, DriveMode.NAVIGATION, 0.5, 3)
     first = fault_trial.lockstep("x80sv", trial)
     assert first == fault_trial.lockstep("x80sv", trial)
-    assert broken(first, ROWS[row]) == []
+    assert missed_targets(first, FAULT_ROWS[row]) == []
     assert 0 < first.zero_ms < 600
     assert 0 < first.distance < 0.4
     out = tmp_path / "faults.json"

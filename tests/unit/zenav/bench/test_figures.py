@@ -13,16 +13,26 @@ import typer
 
 from shared.config import UserError
 from zenav.__main__ import app
-from zenav.bench import serial, stack
-from zenav.bench.chain import Chain
-from zenav.bench.figure_pages import MISSING, PAGES, PEERS, PLACES, TABLES, filled, tables_in, when, write_pages
+from zenav.bench import footprint, serial
+from zenav.bench.figure_pages import (
+    MISSING,
+    PAGES,
+    PEERS,
+    PLACES,
+    TABLES,
+    page_with_tables,
+    tables_in,
+    when_measured,
+    write_pages,
+)
 from zenav.bench.figure_rows import README, ROWS, FigureRow
-from zenav.bench.figures import Bench, chosen, current, measured
-from zenav.bench.localise import Trial
-from zenav.bench.published import ROOT, PublishedFigure, State, load, save, state_of
-from zenav.pilot import Pilot
+from zenav.bench.figures import Bench, current, measure_rows, selected_rows
+from zenav.bench.localise import LocalizationTrial
+from zenav.bench.published import ROOT, CheckoutState, PublishedFigure, checkout_state, load_published, save_published
+from zenav.metrics.latency import LatencyChain, latency_figures
+from zenav.scenario.mission import Mission
 
-STATE = State("abc1234", "c0de", False)
+STATE = CheckoutState("abc1234", "c0de", False)
 
 
 def summed(reports):
@@ -60,8 +70,8 @@ def bench(folder, execute, state=STATE, **other):
 
 def test_the_parts_of_a_row_make_one_entry(tmp_path):
     commands = Commands()
-    assert measured(bench(tmp_path, commands), [THREE])
-    entry = load(tmp_path / "figures.json")["three"]
+    assert measure_rows(bench(tmp_path, commands), [THREE])
+    entry = load_published(tmp_path / "figures.json")["three"]
     assert entry.cells == {README: [["1110"]]}
     assert (entry.commit, entry.command, entry.dirty, entry.entered) == ("abc1234", "zenav bench sim", False, False)
     assert len(entry.load) == 2
@@ -72,28 +82,30 @@ def test_the_parts_of_a_row_make_one_entry(tmp_path):
 
 def test_what_was_interrupted_goes_on_after_the_last_finished_part(tmp_path):
     with pytest.raises(KeyboardInterrupt):
-        measured(bench(tmp_path, Commands({3: KeyboardInterrupt()})), [THREE, ONE])
-    assert load(tmp_path / "figures.json") == {}
+        measure_rows(bench(tmp_path, Commands({3: KeyboardInterrupt()})), [THREE, ONE])
+    assert load_published(tmp_path / "figures.json") == {}
     commands = Commands()
-    assert measured(bench(tmp_path, commands), [THREE, ONE])
+    assert measure_rows(bench(tmp_path, commands), [THREE, ONE])
     assert [asked[:-2] for asked in commands.asked] == [
         ["bench", "sim", "--a", "3"], ["bench", "serial", "--jobs", "1"],
     ]  # fmt: skip
-    assert load(tmp_path / "figures.json")["three"].cells == {README: [["120"]]}  # 10 + 100 of before, 10 of now
+    assert load_published(tmp_path / "figures.json")["three"].cells == {
+        README: [["120"]]
+    }  # 10 + 100 of before, 10 of now
 
 
 def test_a_finished_row_is_in_the_file_before_the_next_one_runs(tmp_path):
     with pytest.raises(KeyboardInterrupt):
-        measured(bench(tmp_path, Commands({2: KeyboardInterrupt()})), [ONE, THREE])
-    assert set(load(tmp_path / "figures.json")) == {"one"}
+        measure_rows(bench(tmp_path, Commands({2: KeyboardInterrupt()})), [ONE, THREE])
+    assert set(load_published(tmp_path / "figures.json")) == {"one"}
 
 
 def test_a_row_of_the_same_code_is_not_run_again_unless_it_is_asked_for(tmp_path):
-    measured(bench(tmp_path, Commands()), [THREE])
+    measure_rows(bench(tmp_path, Commands()), [THREE])
     commands = Commands()
-    assert measured(bench(tmp_path, commands, replace(STATE, commit="def5678")), [THREE])  # a commit of words
+    assert measure_rows(bench(tmp_path, commands, replace(STATE, commit="def5678")), [THREE])  # a commit of words
     assert commands.asked == []
-    assert measured(bench(tmp_path, commands), [THREE], again=True)
+    assert measure_rows(bench(tmp_path, commands), [THREE], again=True)
     assert len(commands.asked) == 3
 
 
@@ -101,87 +113,87 @@ def test_a_row_of_the_same_code_is_not_run_again_unless_it_is_asked_for(tmp_path
 def test_other_code_measures_everything_and_takes_no_old_part(tmp_path, finished):
     first = Commands({} if finished else {3: KeyboardInterrupt()})
     try:
-        measured(bench(tmp_path, first), [THREE])
+        measure_rows(bench(tmp_path, first), [THREE])
     except KeyboardInterrupt:
         assert not finished
     commands = Commands()
-    assert measured(bench(tmp_path, commands, State("def5678", "0ther", False)), [THREE])
+    assert measure_rows(bench(tmp_path, commands, CheckoutState("def5678", "0ther", False)), [THREE])
     assert len(commands.asked) == 3
-    assert load(tmp_path / "figures.json")["three"].commit == "def5678"
+    assert load_published(tmp_path / "figures.json")["three"].commit == "def5678"
 
 
 def test_with_changes_that_are_not_committed_nothing_is_taken_over_and_the_row_says_so(tmp_path):
     dirty = replace(STATE, dirty=True)
     for _ in range(2):
         commands = Commands()
-        measured(bench(tmp_path, commands, dirty), [ONE])
+        measure_rows(bench(tmp_path, commands, dirty), [ONE])
         assert len(commands.asked) == 1
-    entry = load(tmp_path / "figures.json")["one"]
-    assert "`abc1234` with uncommitted changes" in when(entry)
+    entry = load_published(tmp_path / "figures.json")["one"]
+    assert "`abc1234` with uncommitted changes" in when_measured(entry)
     commands = Commands()
-    measured(bench(tmp_path, commands), [ONE])
+    measure_rows(bench(tmp_path, commands), [ONE])
     assert len(commands.asked) == 1
 
 
 def test_a_row_whose_command_changed_is_run_again(tmp_path):
-    measured(bench(tmp_path, Commands()), [THREE])
+    measure_rows(bench(tmp_path, Commands()), [THREE])
     commands = Commands()
-    measured(bench(tmp_path, commands), [replace(THREE, command="zenav bench sim --faster")])
+    measure_rows(bench(tmp_path, commands), [replace(THREE, command="zenav bench sim --faster")])
     assert len(commands.asked) == 3
 
 
 def test_other_jobs_are_the_same_figures(tmp_path):
-    measured(bench(tmp_path, Commands()), [ONE])
+    measure_rows(bench(tmp_path, Commands()), [ONE])
     (tmp_path / "figures.json").unlink()
     commands = Commands()
-    measured(bench(tmp_path, commands, jobs=2), [ONE])
+    measure_rows(bench(tmp_path, commands, jobs=2), [ONE])
     assert commands.asked == []
 
 
 @pytest.mark.parametrize("trouble", ["no report", "half a report"])
 def test_a_row_that_fails_is_told_and_the_next_one_is_run(tmp_path, capsys, trouble):
-    assert not measured(bench(tmp_path, Commands({2: trouble})), [THREE, ONE])
-    assert set(load(tmp_path / "figures.json")) == {"one"}
+    assert not measure_rows(bench(tmp_path, Commands({2: trouble})), [THREE, ONE])
+    assert set(load_published(tmp_path / "figures.json")) == {"one"}
     assert "three: failed: bench sim --a 2" in capsys.readouterr().err
 
 
 def test_a_row_without_its_data_is_told_and_the_next_one_is_run(tmp_path, capsys):
     commands = Commands()
-    assert not measured(bench(tmp_path, commands), [LOGS, ONE])
+    assert not measure_rows(bench(tmp_path, commands), [LOGS, ONE])
     assert "logs: needs data: set ZENAV_DATA" in capsys.readouterr().err
-    assert set(load(tmp_path / "figures.json")) == {"one"}
-    assert not measured(bench(tmp_path, commands, data=tmp_path), [LOGS])
+    assert set(load_published(tmp_path / "figures.json")) == {"one"}
+    assert not measure_rows(bench(tmp_path, commands, data=tmp_path), [LOGS])
     assert f"there is no {tmp_path / 'slam'}" in capsys.readouterr().err
 
 
 def test_the_data_s_folder_stands_where_the_command_shows_dir(tmp_path):
     (tmp_path / "slam").mkdir()
     commands = Commands()
-    assert measured(bench(tmp_path, commands, data=tmp_path), [LOGS])
+    assert measure_rows(bench(tmp_path, commands, data=tmp_path), [LOGS])
     assert commands.asked[0][:3] == ["bench", "slam", str(tmp_path / "slam")]
-    assert load(tmp_path / "figures.json")["logs"].command == "zenav bench slam DIR"
+    assert load_published(tmp_path / "figures.json")["logs"].command == "zenav bench slam DIR"
 
 
 def test_a_missed_target_is_published_as_one(tmp_path):
-    assert measured(bench(tmp_path, Commands({1: "target missed"})), [ONE])
-    entry = load(tmp_path / "figures.json")["one"]
+    assert measure_rows(bench(tmp_path, Commands({1: "target missed"})), [ONE])
+    entry = load_published(tmp_path / "figures.json")["one"]
     assert not entry.kept
-    assert when(entry).endswith("missed its target")
+    assert when_measured(entry).endswith("missed its target")
 
 
-@pytest.mark.parametrize("now", [State("abc1234", "0ther", False), State("abc1234", "c0de", True)])
+@pytest.mark.parametrize("now", [CheckoutState("abc1234", "0ther", False), CheckoutState("abc1234", "c0de", True)])
 def test_code_that_changes_while_a_part_runs_ends_it_and_the_part_is_not_kept(tmp_path, now):
     states = iter([STATE, now])
     with pytest.raises(UserError, match="changed while three ran"):
-        measured(bench(tmp_path, Commands(), look=lambda: next(states)), [THREE])
-    assert load(tmp_path / "figures.json") == {}
+        measure_rows(bench(tmp_path, Commands(), look=lambda: next(states)), [THREE])
+    assert load_published(tmp_path / "figures.json") == {}
     commands = Commands()
-    measured(bench(tmp_path, commands), [THREE])
+    measure_rows(bench(tmp_path, commands), [THREE])
     assert [asked[3] for asked in commands.asked] == ["2", "3"]
 
 
 def test_a_commit_of_words_meanwhile_is_no_change_of_the_code(tmp_path):
-    assert measured(bench(tmp_path, Commands(), look=lambda: replace(STATE, commit="def5678")), [THREE])
+    assert measure_rows(bench(tmp_path, Commands(), look=lambda: replace(STATE, commit="def5678")), [THREE])
 
 
 def test_what_runs_leave_for_each_other_is_apart_for_code_with_changes(tmp_path):
@@ -192,11 +204,11 @@ def test_what_runs_leave_for_each_other_is_apart_for_code_with_changes(tmp_path)
 
 def test_a_damaged_part_is_run_again(tmp_path):
     there = bench(tmp_path, Commands())
-    measured(there, [THREE])
+    measure_rows(there, [THREE])
     (tmp_path / "figures.json").unlink()
     (there.work() / "three" / "part-01.json").write_text('{"arguments": []')
     commands = Commands()
-    measured(bench(tmp_path, commands), [THREE])
+    measure_rows(bench(tmp_path, commands), [THREE])
     assert [asked[3] for asked in commands.asked] == ["2"]
 
 
@@ -209,15 +221,15 @@ def test_an_entered_row_counts_as_not_measured(tmp_path):
 
 def test_the_pages_are_written_after_each_row(tmp_path):
     written = []
-    measured(bench(tmp_path, Commands(), pages=lambda published: written.append(set(published))), [ONE, THREE])
+    measure_rows(bench(tmp_path, Commands(), pages=lambda published: written.append(set(published))), [ONE, THREE])
     assert written == [{"one"}, {"one", "three"}]
 
 
 def test_rows_are_chosen_by_name_and_a_wrong_one_is_refused():
-    assert [row.name for row in chosen("sim,office")] == ["office", "sim"]
-    assert chosen("") == list(ROWS)
+    assert [row.name for row in selected_rows("sim,office")] == ["office", "sim"]
+    assert selected_rows("") == list(ROWS)
     with pytest.raises(UserError, match="'ofice'"):
-        chosen("ofice")
+        selected_rows("ofice")
 
 
 # --- the checkout
@@ -229,7 +241,7 @@ def checkout(tmp_path):
         identity = "-c", "user.name=a", "-c", "user.email=a@b"
         subprocess.run(("git", *identity, *arguments), cwd=tmp_path, check=True, capture_output=True)
 
-    for folder in ("services", "shared", "zenav/bench", "config", "docs"):
+    for folder in ("services", "shared", "zenav/bench", "shared/robots", "docs"):
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / "a").write_text("1")
     (tmp_path / "requirements.txt").write_text("1")
@@ -241,17 +253,17 @@ def checkout(tmp_path):
 
 @pytest.mark.parametrize(
     ("path", "counts"),
-    [("services/a", True), ("requirements.txt", True), ("config/new", True), ("docs/a", False), ("README.md", False),
-     ("zenav/bench/figure_rows.py", False), ("zenav/bench/a", True)],
+    [("services/a", True), ("requirements.txt", True), ("shared/robots/new", True), ("docs/a", False),
+     ("README.md", False),     ("zenav/bench/figure_rows.py", False), ("zenav/bench/a", True)],
 )  # fmt: skip
 def test_a_commit_of_code_is_another_code_and_one_of_words_is_not(checkout, path, counts):
     root, git = checkout
-    before = state_of(root)
+    before = checkout_state(root)
     (root / path).write_text("2")
     git("add", "-A")
-    assert state_of(root).dirty is counts
+    assert checkout_state(root).dirty is counts
     git("commit", "-qm", "second")
-    now = state_of(root)
+    now = checkout_state(root)
     assert not now.dirty
     assert now.commit != before.commit
     assert (now.code != before.code) is counts
@@ -259,7 +271,7 @@ def test_a_commit_of_code_is_another_code_and_one_of_words_is_not(checkout, path
 
 def test_outside_of_a_checkout_there_is_nothing_to_measure(tmp_path):
     with pytest.raises(UserError, match="no commit"):
-        state_of(tmp_path)
+        checkout_state(tmp_path)
 
 
 # --- the documents
@@ -268,7 +280,7 @@ def test_outside_of_a_checkout_there_is_nothing_to_measure(tmp_path):
 @pytest.mark.parametrize("page", PAGES)
 def test_the_documents_say_what_the_file_of_figures_says(page):
     text = (ROOT / page).read_text(encoding="utf-8")
-    assert filled(text, load()) == text, "make docs, or make figures; no row is edited by hand"
+    assert page_with_tables(text, load_published()) == text, "make docs, or make figures; no row is edited by hand"
 
 
 def test_every_table_has_one_place_in_the_documents():
@@ -280,21 +292,21 @@ def test_an_edited_row_is_not_what_the_file_says(tmp_path):
     entry = PublishedFigure(
         "zenav bench sim", {README: [["85 times"]]}, "abc1234", "2026-11-20 10:00:00", load=(0.1, 0.2)
     )
-    text = filled(f"before\n\n<!-- figures: {README} -->\n<!-- end -->\n\nafter\n", {"sim": entry})
+    text = page_with_tables(f"before\n\n<!-- figures: {README} -->\n<!-- end -->\n\nafter\n", {"sim": entry})
     assert "| 85 times | `zenav bench sim` | `abc1234`, 2026-11-20, load 0.1 to 0.2 |" in text
     assert text.startswith("before\n")
     assert text.endswith("\nafter\n")
-    assert filled(text.replace("85", "95"), {"sim": entry}) == text
+    assert page_with_tables(text.replace("85", "95"), {"sim": entry}) == text
 
 
 def test_a_row_that_was_never_measured_says_so():
-    text = filled(f"<!-- figures: {README} -->\n<!-- end -->\n", {})
+    text = page_with_tables(f"<!-- figures: {README} -->\n<!-- end -->\n", {})
     assert text.count(f"| {MISSING} |") == sum(bool(row.what) for row in ROWS)
 
 
 def test_a_marker_that_names_no_figures_is_refused():
     with pytest.raises(UserError, match="'speed'"):
-        filled("<!-- figures: speed -->\n<!-- end -->\n", {})
+        page_with_tables("<!-- figures: speed -->\n<!-- end -->\n", {})
 
 
 def test_writing_leaves_documents_that_say_it_already_alone(tmp_path):
@@ -302,13 +314,13 @@ def test_writing_leaves_documents_that_say_it_already_alone(tmp_path):
     for page in PAGES:
         (tmp_path / page).write_text((ROOT / page).read_text(encoding="utf-8"), encoding="utf-8")
     before = {page: (tmp_path / page).stat().st_mtime_ns for page in PAGES}
-    write_pages(load(), tmp_path)
+    write_pages(load_published(), tmp_path)
     assert {page: (tmp_path / page).stat().st_mtime_ns for page in PAGES} == before
 
 
 def test_every_entry_is_a_row_s_and_fits_its_table():
     rows = {row.name: row for row in ROWS}
-    for name, entry in load().items():
+    for name, entry in load_published().items():
         assert name in rows
         assert entry.commit
         for place, lines in entry.cells.items():
@@ -329,11 +341,11 @@ def test_the_file_comes_back_as_it_was_written(tmp_path):
             "c", {"a": [["1", "2"]]}, "abc", "2026-11-20", "c0de", True, "b", 1.5, "m", (0.1, 2.0), False
         )
     }
-    save(entries, tmp_path / "f.json")
-    assert load(tmp_path / "f.json") == entries
+    save_published(entries, tmp_path / "f.json")
+    assert load_published(tmp_path / "f.json") == entries
     (tmp_path / "f.json").write_text('{"sim": {"command": 3}}')
     with pytest.raises(UserError, match="damaged"):
-        load(tmp_path / "f.json")
+        load_published(tmp_path / "f.json")
 
 
 # --- the table of rows
@@ -349,24 +361,24 @@ LOG = {"errors": {"loops": ERRORS, "neighbours": ERRORS}, "cpu_s": 7.4, "cpu_s_o
 
 def nothing_seen():
     """A run of the office in which nothing was heard."""
-    from zenav.scene import Outcome, scene
-    from zenav.score import Track
+    from zenav.metrics.evaluation import RunTrack
+    from zenav.scenario.scenario import ScenarioResult, load_scenario
 
-    chosen = scene("x80sv", "room", 0, [])
-    return Outcome(chosen, Track(), Pilot(chosen.goals, lambda *_: None), 1.0).report()
+    chosen = load_scenario("x80sv", "room", 0, [])
+    return ScenarioResult(chosen, RunTrack(), Mission(chosen.goals, lambda *_: None), 1.0).report()
 
 
 def of_fault():
-    from zenav.bench.fault_table import ROWS as FAULTS
-    from zenav.bench.fault_trial import Result
-    from zenav.bench.faults import shown, summary
+    from zenav.bench.fault_table import FAULT_ROWS as FAULTS
+    from zenav.bench.fault_trial import FaultResult
+    from zenav.bench.faults import fault_summary, table_row
 
-    result = Result(FAULTS[0].name, "navigation", 0.5, 0)
-    return {"summary": summary([result]), "rows": [shown(FAULTS[0], [result])]}
+    result = FaultResult(FAULTS[0].name, "navigation", 0.5, 0)
+    return {"summary": fault_summary([result]), "rows": [table_row(FAULTS[0], [result])]}
 
 
 def of_plan():
-    from zenav.bench.plan.measure import Row as Planned
+    from zenav.bench.plan.measure import PlannerRow as Planned
 
     def planned(**figures):
         row = Planned([0.1, 0.2], 2, 2, 0)
@@ -382,8 +394,8 @@ def of_plan():
 
 
 def of_stack():
-    chain = Chain(*np.full((4, 9), 0.003), np.full(9, 0.006), {}, 9)
-    told = stack.figures(chain)
+    chain = LatencyChain(*np.full((4, 9), 0.003), np.full(9, 0.006), {}, 9)
+    told = latency_figures(chain)
     return told | {"summary": told["summary"] | {"first_motion_s": 8.5}}
 
 
@@ -391,7 +403,8 @@ REPORTS = {
     "office": lambda: {"runs": [nothing_seen()]},
     "demo": nothing_seen,
     "buildings": lambda: {"runs": [{"building": 3, "trouble": "no way to a room"}]},
-    "localise": lambda: {"trials": [asdict(Trial(3, 0, 1.9, 0.01, 0.0, 0.5, 2.7, True)), asdict(Trial(3, 1))]},
+    "localise": lambda: {"trials": [asdict(LocalizationTrial(3, 0, 1.9, 0.01, 0.0, 0.5, 2.7, True)),
+                                     asdict(LocalizationTrial(3, 1))]},
     "barn": lambda: {"runs": [RUN, RUN | {"status": "collision", "score": 0.0, "stood": True}]},
     "slam": lambda: {"summary": {"intel-sparse": LOG}},
     "odometry": lambda: {"rows": {f"{name}, encoder counts": {"distance_max_m": 1e-4, "distance_end_m": 1e-4,
@@ -400,7 +413,9 @@ REPORTS = {
     "faults": of_fault,
     "sim": lambda: {"summary": {"ratio": 85.4}},
     "stack": of_stack,
-    "serial": lambda: serial.figures({key: [0.001] for key in ("command", "wheels", "taken")}, {"a": {"1": 2.0}}),
+    "footprint": lambda: footprint.figures({"guard": footprint.Usage(30, 20, 90)}, {"guard": [0.3]}, 3.9, {}),
+    "serial": lambda: serial.serial_figures({key: [0.001] for key in ("command", "wheels", "taken")},
+                                            {"a": {"1": 2.0}}),
 }  # fmt: skip
 
 
@@ -424,7 +439,7 @@ def test_what_a_benchmark_reports_becomes_cells_that_fit_their_tables(row):
             assert name == README or name.startswith("beside-")
     text = "".join(f"<!-- figures: {name} -->\n<!-- end -->\n" for name in TABLES)
     entry = PublishedFigure(row.command, cells, "abc1234", "2026-11-20", load=(0.1, 0.2))
-    assert MISSING in filled(text, {row.name: entry})
+    assert MISSING in page_with_tables(text, {row.name: entry})
 
 
 def test_a_collision_is_in_the_figure():
@@ -456,7 +471,7 @@ def test_every_part_of_a_row_is_a_command_that_writes_json(row):
 
 
 def parsed_numbers(row, option):
-    from zenav.bench.table import seeds_from
+    from zenav.bench.seeds import seeds_from
 
     words = [shlex.split(part) for part in row.parts]
     return sorted(number for part in words for number in seeds_from(part[part.index(option) + 1]))
@@ -477,7 +492,7 @@ def test_the_parts_of_a_row_are_the_whole_command(name, option, numbers):
 
 
 def published_option(command, option):
-    from zenav.bench.table import seeds_from
+    from zenav.bench.seeds import seeds_from
 
     words = shlex.split(command)
     return seeds_from(words[words.index(option) + 1]) if option in words else None
@@ -485,7 +500,7 @@ def published_option(command, option):
 
 def test_crowds_that_are_called_unseen_are_none_of_those_used():
     from zenav.bench.barn import CROWDS, CROWDS_FITTED, CROWDS_UNSEEN
-    from zenav.bench.table import seeds_from
+    from zenav.bench.seeds import seeds_from
 
     used = {*seeds_from(CROWDS), *seeds_from(CROWDS_FITTED)}
     assert not used & set(seeds_from(CROWDS_UNSEEN))

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from shared.config import UserError
-from zenav.bench.odometry import MAX_DISTANCE, MAX_TURN, measured, odometry, rows_of
+from zenav.bench.odometry import MAX_DISTANCE, MAX_TURN, integration_errors, odometry, table_numbers
 
 DATA = os.environ.get("ZENAV_DATA")  # noqa: TID251
 needs_data = pytest.mark.skipif(DATA is None, reason="ZENAV_DATA names no real logs")
@@ -26,7 +26,7 @@ def drive(folder: Path, change=lambda row: row) -> Path:
     with gzip.open(folder / "wheel_positions.csv.gz", "wt", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(("t", "left", "right"))
-        writer.writerows(change(row) for row in rows_of(real / "wheel_positions.csv.gz"))
+        writer.writerows(change(row) for row in table_numbers(real / "wheel_positions.csv.gz"))
     return folder
 
 
@@ -46,7 +46,7 @@ def test_the_real_robot_s_drive_is_within_the_limits_by_its_driver_s_integration
 @needs_data
 def test_one_lost_encoder_count_of_the_real_robot_s_exceeds_the_limits(tmp_path):
     lost = drive(tmp_path, lambda row: [row[0], row[1] - (COUNT if row[0] > 100 else 0), row[2]])
-    summary = measured(lost)["summary"]
+    summary = integration_errors(lost)["summary"]
     assert not summary["kept"]
     assert summary["distance_max_m"] > MAX_DISTANCE
     assert summary["turn_max_deg"] > MAX_TURN
@@ -57,7 +57,7 @@ def test_a_drive_that_is_cut_short_is_refused(tmp_path):
     with gzip.open(drive(tmp_path) / "wheel_positions.csv.gz", "wt") as file:
         file.write("t,left,right\n0.1,0,0\n")
     with pytest.raises(UserError, match="1 rows"):
-        measured(tmp_path)
+        integration_errors(tmp_path)
 
 
 def test_without_data_the_command_says_what_it_needs(monkeypatch):

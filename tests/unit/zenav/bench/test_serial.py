@@ -12,7 +12,7 @@ from shared.drrobot import Type
 from shared.messages import SerialData
 from shared.runners.port import SerialLine
 from zenav.bench.decoding import LASERS, SIZES, _laser, decoding
-from zenav.bench.serial import LOST, FarEnd, figures
+from zenav.bench.serial import LOST, FarEnd, serial_figures
 
 ROBOT = load_robot("x80sv").robot
 
@@ -45,16 +45,16 @@ def test_the_far_end_tells_when_the_bytes_of_the_expected_command_came(tmp_path)
     with line(tmp_path) as (far, near):
         far.expect(-100, 200)
         near.write(command_all(Type.VELOCITY_ALL, 1, 2, 200))
-        assert far.obeyed(0.05) is None
+        assert far.time_obeyed(0.05) is None
         far.expect(-100, 200)
         near.write(command_all(Type.VELOCITY_ALL, -100, 200, 200))
-        assert far.obeyed(10.0) is not None
+        assert far.time_obeyed(10.0) is not None
 
 
 def test_a_report_s_bytes_are_the_board_s(tmp_path):
     board = SerialBoard(SerialBoardConfig(), ROBOT, 0.5)
     with line(tmp_path) as (far, near):
-        assert far.report(0.0) is None  # nobody makes a WheelState of it
+        assert far.report(0.0) is None  # no WheelState comes of it
         report = None
         while report is None:
             report, _ = board.receive(SerialData(1, "board", near.read()), 1)
@@ -65,7 +65,7 @@ def test_a_report_s_bytes_are_the_board_s(tmp_path):
 def test_the_summary_holds_the_tails_and_what_was_lost_counts():
     delays = {"command": [0.001] * 97 + [LOST] * 3, "wheels": [0.002] * 100, "taken": [0.0005] * 100}
     rates = {"board": {"4096": 9.0, "64": 3.0}, "ld06": {"4096": 20.0, "64": 1.5}}
-    summary = figures(delays, rates)["summary"]
+    summary = serial_figures(delays, rates)["summary"]
     assert summary["n_lost"] == 3
     assert summary["command_p50_ms"] == pytest.approx(1.0)
     assert summary["command_p99_ms"] == pytest.approx(LOST * 1e3)

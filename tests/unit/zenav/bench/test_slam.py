@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bench takes the logs that have a reference, each in a process of its own, and tells what came of each."""
+"""The bench takes the logs that have a reference, each in a process of its own, and reports each result."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from shared.config import UserError
 from shared.geometry import Pose2
 from tests.unit.zenav.logs import room_log
 from zenav.__main__ import _status
-from zenav.bench.slam import Logged, alone, chosen, measured, summary
+from zenav.bench.slam import ReferenceLog, map_in_process, map_log, selected_logs, summary
 
 
 @pytest.fixture
@@ -70,25 +70,25 @@ def dies(logged, folder, registrar):
 
 
 def test_a_process_that_dies_takes_no_other_along(folder, monkeypatch):
-    monkeypatch.setattr("zenav.bench.slam.measured", dies)
-    assert alone(chosen(folder, ["room"])[0], folder / "out") == {"trouble": "its process died"}
+    monkeypatch.setattr("zenav.bench.slam.map_log", dies)
+    assert map_in_process(selected_logs(folder, ["room"])[0], folder / "out") == {"trouble": "its process died"}
 
 
 def test_a_log_that_the_mapper_cannot_bear_is_told_with_its_error(folder, monkeypatch, capsys):
-    monkeypatch.setattr("zenav.slam.slam", lambda log, out, config: {}["lacking"])
-    assert measured(chosen(folder, ["room"])[0], folder / "out") == {"trouble": "KeyError('lacking')"}
+    monkeypatch.setattr("zenav.slam.offline_slam.offline_slam", lambda log, out, config: {}["lacking"])
+    assert map_log(selected_logs(folder, ["room"])[0], folder / "out") == {"trouble": "KeyError('lacking')"}
     assert "Traceback" in capsys.readouterr().err
 
 
 def test_only_logs_with_a_reference_are_taken(folder):
     (folder / "room.log.gz").write_bytes(b"")
-    assert [logged.name for logged in chosen(folder)] == ["room", "torn"]
-    assert chosen(folder, ["room"]) == [
-        Logged("room", folder / "room.log.gz", (folder / "room.relations", folder / "room.ref.tum"))
+    assert [logged.name for logged in selected_logs(folder)] == ["room", "torn"]
+    assert selected_logs(folder, ["room"]) == [
+        ReferenceLog("room", folder / "room.log.gz", (folder / "room.relations", folder / "room.ref.tum"))
     ]
     with pytest.raises(UserError, match="no log rom") as error:
-        chosen(folder, ["rom"])
-    assert error.value.mend == "did you mean `room`?"
+        selected_logs(folder, ["rom"])
+    assert error.value.hint == "did you mean `room`?"
 
 
 def test_the_markdown_never_overwrites_the_json(folder):

@@ -10,14 +10,14 @@ from shared import topics
 from shared.config import RobotFile, configured
 from shared.messages import EmergencyStop, Message, Velocity
 from shared.runners.lockstep import Lockstep
-from zenav.calibrate.log import KEPT, Log
-from zenav.calibrate.manoeuvre import HZ, Ask, Seen
-from zenav.classes import made
+from zenav.calibrate.log import TOPICS, CalibrationLog
+from zenav.calibrate.manoeuvre import HZ, StackState, VelocityStep
+from zenav.stack.service_loader import build_service
 
 SERVICES = ("base_driver", "odometry", "guard")
 
 
-class Bench:
+class CalibrationBench:
     """The stack without navigation. truth: of the laser's mount; motor_direction: of the motors; the file may err."""
 
     def __init__(
@@ -39,22 +39,22 @@ class Bench:
         sim = SimService(
             self.file.section("sim", SimConfig), self.robot.model_copy(update={"laser": laser, "drive": drive})
         )
-        built = {name: made(name, self.file, self.robot) for name in services}
+        built = {name: build_service(name, self.file, self.robot) for name in services}
         self.lockstep = Lockstep({"sim": sim, **built}, record=record)
-        self.log = Log()
+        self.log = CalibrationLog()
         self.newest: dict[str, Message] = {}
         self.pressed = False
-        for topic in KEPT:
-            self.lockstep.watch(topic.key, self.log.take)
+        for topic in TOPICS:
+            self.lockstep.watch(topic.key, self.log.add)
         for topic in (topics.ODOM, topics.POSE, topics.GUARD, topics.TRUTH):
             self.lockstep.watch(topic.key, lambda m, key=topic.key: self.newest.__setitem__(key, m))
         self.lockstep.run(1.0)
 
     @property
-    def seen(self) -> Seen:
-        return Seen(self.lockstep.now, *(self.newest.get(key) for key in ("odom", "pose", "guard/status")))  # type: ignore[arg-type]
+    def seen(self) -> StackState:
+        return StackState(self.lockstep.now, *(self.newest.get(key) for key in ("odom", "pose", "guard/status")))  # type: ignore[arg-type]
 
-    def perform(self, manoeuvre: Generator[Ask, Seen, Any], seconds: float = 600.0) -> Any:
+    def perform(self, manoeuvre: Generator[VelocityStep, StackState, Any], seconds: float = 600.0) -> Any:
         """Drives a manoeuvre to its end, and returns what it returns."""
         end = self.lockstep.now + seconds * 1e9
         ask = next(manoeuvre)

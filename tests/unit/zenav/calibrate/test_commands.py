@@ -9,15 +9,16 @@ import pytest
 from PIL import Image
 from ruamel.yaml import YAML
 
-from shared.config import CONFIG_DIR, Robot, UserError, load_robot
+from shared.config import Robot, UserError, load_robot
 from shared.recording import Recording, Writer, about, sink
-from tests.unit.zenav.calibrate.drive import Bench
+from shared.robot_files import ROBOTS_DIR
+from tests.unit.zenav.calibrate.drive import CalibrationBench
 from zenav.__main__ import _status
 from zenav.calibrate import odometry
-from zenav.calibrate.log import KEPT, Log, read
+from zenav.calibrate.log import TOPICS, CalibrationLog, read_calibration_log
 from zenav.calibrate.manoeuvre import square, stand, turn_to
 from zenav.calibrate.odometry import by_squares, drift, truth
-from zenav.calibrate.rolling import Wheels
+from zenav.calibrate.rolling import WheelGeometry
 
 HALL = """
 start: {x: 3.0, y: 3.0}
@@ -40,7 +41,7 @@ def drive_of_squares(tmp_path_factory) -> Path:
     (folder / "hall.yaml").write_text(HALL)
     path = folder / "squares.mcap"
     with Writer(path, about("x80")) as writer:
-        bench = Bench(*ERRORS, world=str(folder / "hall.yaml"), truth=MOUNT, record=sink(writer))
+        bench = CalibrationBench(*ERRORS, world=str(folder / "hall.yaml"), truth=MOUNT, record=sink(writer))
         for clockwise in (True, False):
             bench.perform(stand(1.5))
             bench.perform(square(1.2, clockwise, 0.4, 1.2, bench.robot.drive))
@@ -58,7 +59,7 @@ def solutions() -> dict[Any, Any]:
 def solved_once(solutions, monkeypatch) -> None:
     """Two commands place the same scans of the same robot: the second takes what the first one found."""
 
-    def by_scans(log: Log, robot: Robot) -> Any:
+    def by_scans(log: CalibrationLog, robot: Robot) -> Any:
         scans = tuple((scan.stamp, scan.ranges.tobytes()) for scan in log.scans)
         rolled = tuple(column.tobytes() for column in log.rolled)
         key = scans, rolled, robot.model_dump_json()
@@ -75,7 +76,7 @@ def robot(tmp_path, monkeypatch) -> Path:
     """A copy of the robot's file, in a folder of its own where plots may land."""
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "mine.yaml"
-    path.write_text((CONFIG_DIR / "x80sv.yaml").read_text())
+    path.write_text((ROBOTS_DIR / "x80sv.yaml").read_text())
     return path
 
 
@@ -124,10 +125,10 @@ def test_umbmark_alone_leaves_the_mean_radius(drive_of_squares, robot, capsys):
 
 def test_the_error_that_is_left_is_a_fraction_of_the_first_one(drive_of_squares, robot):
     configured = load_robot(str(robot)).robot
-    log = read(drive_of_squares, configured)
+    log = read_calibration_log(drive_of_squares, configured)
     known = truth(log, configured, "sim", None)
     squares = by_squares(log, configured, known)
-    before, after = (drift(log.rolled, known, w) for w in (Wheels.of(configured.drive), squares.result.wheels))
+    before, after = (drift(log.rolled, known, w) for w in (WheelGeometry.of(configured.drive), squares.result.wheels))
     assert before is not None
     assert after is not None
     assert after[1] < before[1] / 3
@@ -135,7 +136,7 @@ def test_the_error_that_is_left_is_a_fraction_of_the_first_one(drive_of_squares,
 
 def test_ends_that_were_measured_with_a_tape_tell_the_same(drive_of_squares, robot):
     configured = load_robot(str(robot)).robot
-    log = read(drive_of_squares, configured)
+    log = read_calibration_log(drive_of_squares, configured)
     by_truth = by_squares(log, configured, truth(log, configured, "sim", None))
     by_tape = by_squares(log, configured, None, by_truth.true[:, :2].round(3))
     assert tuple(by_tape.result.wheels) == pytest.approx(tuple(by_truth.result.wheels), rel=1e-3)
@@ -151,20 +152,20 @@ def test_the_laser_s_mount_is_found_and_written(drive_of_squares, robot, capsys,
     plotted(tmp_path, "laser")
 
 
-class Driven(Bench):
+class CalibrationDrive(CalibrationBench):
     """In the place of the operator at a running stack."""
 
     def __init__(self, robot: object, stack: str) -> None:
         super().__init__()
 
-    def __enter__(self) -> "Driven":
+    def __enter__(self) -> "CalibrationDrive":
         return self
 
     def __exit__(self, *error: object) -> None: ...
 
 
 def test_the_motors_are_tried_and_what_they_did_is_told_plotted_and_written(robot, capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr("zenav.calibrate.live.Operator", Driven)
+    monkeypatch.setattr("zenav.calibrate.live.ManoeuvreRunner", CalibrationDrive)
     before = load_robot(str(robot)).robot.drive.max_braking
     report, tree = told(capsys, "motors", "--robot", robot, "--yes", "--write")
     braking = load_robot(str(robot)).robot.drive.max_braking
@@ -188,7 +189,7 @@ def part_of(recording: Path, to: Path, keys: tuple[str, ...], seconds: float, ro
     return to
 
 
-EVERY = tuple(topic.key for topic in KEPT)
+EVERY = tuple(topic.key for topic in TOPICS)
 
 
 @pytest.mark.parametrize(
@@ -232,17 +233,17 @@ def test_turning_on_the_spot_alone_does_not_tell_the_laser_s_heading(robot, tmp_
     (tmp_path / "hall.yaml").write_text(HALL)
     path = tmp_path / "spin.mcap"
     with Writer(path, about("x80")) as writer:
-        bench = Bench(*ERRORS, world=str(tmp_path / "hall.yaml"), record=sink(writer))
+        bench = CalibrationBench(*ERRORS, world=str(tmp_path / "hall.yaml"), record=sink(writer))
         for yaw in (2.0, -2.0) * 4:
             bench.perform(turn_to(yaw, 1.5, bench.robot.drive, bench.newest["odom"].odom_from_base))
-    what, mend = complaint(capsys, "laser", path, "--robot", robot)
+    what, hint = complaint(capsys, "laser", path, "--robot", robot)
     assert "straight on for 0" in what
-    assert "metres straight on" in mend
+    assert "metres straight on" in hint
 
 
 def test_late_and_repeated_messages_are_left_out(drive_of_squares, robot):
-    log = read(drive_of_squares, load_robot(str(robot)).robot)
-    again = Log()
+    log = read_calibration_log(drive_of_squares, load_robot(str(robot)).robot)
+    again = CalibrationLog()
     for message in [*log.scans[:3], log.scans[1], *log.wheels[:5], log.wheels[0]]:
-        again.take(message)
+        again.add(message)
     assert (len(again.scans), len(again.wheels), again.n_late) == (3, 5, 2)

@@ -9,10 +9,10 @@ import pytest
 from shared.config import UserError
 from shared.geometry import Pose2, wrapped
 from shared.messages import GuardState, GuardStatus, Odometry
-from tests.unit.zenav.calibrate.drive import Bench
-from zenav.calibrate.manoeuvre import PATIENCE, Seen, back_to, ready, square, stand, turn_to
-from zenav.calibrate.motor_response import directions, reversed_motors, turned
-from zenav.calibrate.motor_test import Kind, motor_drive, room
+from tests.unit.zenav.calibrate.drive import CalibrationBench
+from zenav.calibrate.manoeuvre import MAX_WAIT_S, StackState, back_to, ready, square, stand, turn_to
+from zenav.calibrate.motor_response import directions, reversed_motors, wheel_turns
+from zenav.calibrate.motor_test import PhaseKind, motor_drive, stopping_room
 from zenav.calibrate.motors import by_motion
 
 WALL = """
@@ -29,7 +29,7 @@ def off(a: Pose2, b: Pose2) -> tuple[float, float]:
 
 @pytest.mark.parametrize("clockwise", [True, False])
 def test_a_square_ends_where_odometry_says_that_it_began_and_drives_its_corners(clockwise):
-    bench = Bench("sim.drive.radius_error=0.01")
+    bench = CalibrationBench("sim.drive.radius_error=0.01")
     ways: list[Pose2] = []
     bench.lockstep.watch("odom", lambda m: ways.append(m.odom_from_base))
     bench.perform(square(1.0, clockwise, 0.4, 1.0, bench.robot.drive))
@@ -43,7 +43,7 @@ def test_a_square_ends_where_odometry_says_that_it_began_and_drives_its_corners(
 
 
 def test_turning_goes_the_short_way_round_and_stops_there():
-    bench = Bench()
+    bench = CalibrationBench()
     for yaw in (3.0, -3.0, 0.0):
         bench.perform(turn_to(yaw, 1.0, bench.robot.drive, Pose2()))
         bench.lockstep.run(0.5)
@@ -52,7 +52,7 @@ def test_turning_goes_the_short_way_round_and_stops_there():
 
 
 def test_it_finds_back_by_the_map():
-    bench = Bench(world="room", services=("base_driver", "odometry", "guard", "mapper"))
+    bench = CalibrationBench(world="room", services=("base_driver", "odometry", "guard", "mapper"))
     bench.perform(ready())
     home = bench.newest["pose"].map_from_base
     bench.perform(turn_to(0.5, 1.0, bench.robot.drive, Pose2()))
@@ -67,7 +67,7 @@ def test_it_finds_back_by_the_map():
 def test_a_wall_in_the_way_ends_it_with_its_reason(tmp_path):
     world = tmp_path / "world.yaml"
     world.write_text(WALL)
-    bench = Bench(world=str(world))
+    bench = CalibrationBench(world=str(world))
     with pytest.raises(UserError, match="protective field"):
         bench.perform(square(2.0, True, 0.3, 1.0, bench.robot.drive))
     assert bench.newest["sim/truth"].n_contacts == 0
@@ -86,7 +86,7 @@ IDLE, STOPPED = ((GuardState.IDLE, ""), (GuardState.STOPPED, "estop"))
     ],
 )
 def test_what_does_not_answer_is_named_after_a_few_seconds(odom_age, guard, told):
-    manoeuvre = turn_to(pi, 1.0, Bench().robot.drive, Pose2())
+    manoeuvre = turn_to(pi, 1.0, CalibrationBench().robot.drive, Pose2())
     next(manoeuvre)
     now = 10**18
 
@@ -95,12 +95,12 @@ def test_what_does_not_answer_is_named_after_a_few_seconds(odom_age, guard, told
         for _ in range(1000):
             odom = None if odom_age is None else Odometry(now - round(odom_age * 1e9), Pose2(), 0.0, 0.0, np.zeros(9))
             status = None if guard is None else GuardStatus(now, guard[0], "", guard[1], "", 0.0)
-            manoeuvre.send(Seen(now, odom, None, status))
+            manoeuvre.send(StackState(now, odom, None, status))
             now += 50_000_000
 
     with pytest.raises(UserError, match=told):
         send_until_it_gives_up()
-    assert PATIENCE <= (now - 10**18) * 1e-9 <= PATIENCE + 1
+    assert MAX_WAIT_S <= (now - 10**18) * 1e-9 <= MAX_WAIT_S + 1
 
 
 def test_standing_asks_for_nothing_and_ends():
@@ -108,7 +108,7 @@ def test_standing_asks_for_nothing_and_ends():
     asked.append(next(manoeuvre))
     while True:
         try:
-            asked.append(manoeuvre.send(Seen(now)))
+            asked.append(manoeuvre.send(StackState(now)))
         except StopIteration:
             break
         now += 50_000_000
@@ -117,20 +117,20 @@ def test_standing_asks_for_nothing_and_ends():
 
 
 def test_on_blocks_nothing_but_wheels_turns_and_stop_is_never_pressed():
-    bench = Bench()
+    bench = CalibrationBench()
     presses = []
     bench.lockstep.watch("estop", presses.append)
     phases = bench.perform(motor_drive(bench.robot.drive, True, 0.5))
-    assert [p.kind for p in phases] == [Kind.ALONE] * 4 + [Kind.STAIRS] * 2 + [Kind.STEP] * 4
+    assert [p.kind for p in phases] == [PhaseKind.ALONE] * 4 + [PhaseKind.STAIRS] * 2 + [PhaseKind.STEP] * 4
     assert presses == []
 
 
 @pytest.mark.parametrize("direction", [1, -1])
 def test_the_scans_tell_which_way_the_robot_really_drives(direction):
-    bench = Bench(world="room", motor_direction=direction)
+    bench = CalibrationBench(world="room", motor_direction=direction)
     drive = bench.robot.drive
     phases = bench.perform(motor_drive(drive, True, 0.5))
-    found = by_motion(turned(bench.log, phases, drive), bench.log, phases, bench.robot)
+    found = by_motion(wheel_turns(bench.log, phases, drive), bench.log, phases, bench.robot)
     assert [t.counted for t in found] == [t.commanded for t in found]
     assert [t.seen for t in found] == [(t.wheel, direction * t.commanded[1]) for t in found]
     assert reversed_motors(found) == (direction == -1)
@@ -138,8 +138,8 @@ def test_the_scans_tell_which_way_the_robot_really_drives(direction):
 
 
 def test_the_stop_needs_no_more_room_than_it_says():
-    bench = Bench()
+    bench = CalibrationBench()
     bench.perform(motor_drive(bench.robot.drive, False, 0.5))
     assert bench.newest["guard/status"].state is not GuardState.STOPPED
     ways = [t.world_from_base for t in bench.log.truth]
-    assert max(abs(pose.x) for pose in ways) < room(bench.robot.drive, 0.5) + 0.2
+    assert max(abs(pose.x) for pose in ways) < stopping_room(bench.robot.drive, 0.5) + 0.2

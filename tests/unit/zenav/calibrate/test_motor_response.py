@@ -8,39 +8,39 @@ from hypothesis import strategies as st
 
 from shared.config import load_robot
 from shared.messages import MotorCommand, WheelState
-from zenav.calibrate.log import Log
+from shared.types import NS_PER_S
+from zenav.calibrate.log import CalibrationLog
 from zenav.calibrate.motor_response import (
     GRID,
-    Turned,
+    WheelTurn,
     brakings,
     dead_band,
     directions,
     first_order,
     lags,
     reversed_motors,
-    turned,
     wheel_of_motion,
+    wheel_turns,
 )
-from zenav.calibrate.motor_test import Kind, Phase
-from zenav.calibrate.motors import KEYS, looked, reached
+from zenav.calibrate.motor_test import MotorPhase, PhaseKind
+from zenav.calibrate.motors import KEYS, reached_braking, with_answers
 
 DRIVE = load_robot("x80sv").robot.drive
 PER_METRE = DRIVE.counts_per_turn / (2 * pi * 0.085)
-SECOND = 1_000_000_000
-START = 10 * SECOND
+START = 10 * NS_PER_S
 
 
-def log_of(command, answer, seconds) -> Log:
+def log_of(command, answer, seconds) -> CalibrationLog:
     """command(t), answer(t): (left, right) m/s asked and driven, t in s from START; counts are whole numbers."""
-    log, ways = Log(), np.zeros(2)
+    log, ways = CalibrationLog(), np.zeros(2)
     for i in range(round(seconds / 0.02)):
         t = i * 0.02
         left, right = command(t)
-        log.take(MotorCommand(START + round(t * 1e9), -left * PER_METRE, right * PER_METRE))
+        log.add(MotorCommand(START + round(t * 1e9), -left * PER_METRE, right * PER_METRE))
         for k in range(4):
             ways += np.array(answer(t + k * 0.005)) * 0.005
         angles = np.floor(ways * PER_METRE) / PER_METRE / 0.085
-        log.take(WheelState(START + round((t + 0.02) * 1e9), 1, *angles, 0.0, 0.0))
+        log.add(WheelState(START + round((t + 0.02) * 1e9), 1, *angles, 0.0, 0.0))
     return log
 
 
@@ -58,7 +58,7 @@ def test_gain_dead_time_and_lag_are_found(gain, delay, lag):
         speed = 0.2 * gain * (rise - fall)
         return -speed, speed
 
-    phase = Phase(Kind.STEP, START + SECOND // 2, START + 21 * SECOND // 10, -0.2, 0.2)
+    phase = MotorPhase(PhaseKind.STEP, START + NS_PER_S // 2, START + 21 * NS_PER_S // 10, -0.2, 0.2)
     for found in lags(log_of(command, answer, 4.0), [phase], DRIVE):
         assert found.gain == pytest.approx(gain, abs=0.02)
         assert found.delay + found.lag == pytest.approx(delay + lag, abs=0.025)
@@ -79,7 +79,7 @@ def test_overshoot_is_seen():
         speed = 0.2 * (1 - exp(-t / 0.1) * (np.cos(12 * t) + np.sin(12 * t) / 1.2)) if 0 <= t < 1.6 else 0.0
         return -speed, speed
 
-    phase = Phase(Kind.STEP, START + SECOND // 2, START + 21 * SECOND // 10, -0.2, 0.2)
+    phase = MotorPhase(PhaseKind.STEP, START + NS_PER_S // 2, START + 21 * NS_PER_S // 10, -0.2, 0.2)
     true = max(answer(0.5 + t)[1] for t in np.arange(0, 1.6, 0.01)) / 0.2 - 1
     assert true > 0.05
     for found in lags(log_of(command, answer, 3.0), [phase], DRIVE):
@@ -108,19 +108,19 @@ def test_braking_is_the_distance_since_the_motors_zero(speed, deceleration):
         now = max(speed - deceleration * max(t - 1.0, 0), 0.0)
         return now, now
 
-    phase = Phase(Kind.STOP, START + SECOND - 50_000_000, START + 4 * SECOND, speed, speed)
+    phase = MotorPhase(PhaseKind.STOP, START + NS_PER_S - 50_000_000, START + 4 * NS_PER_S, speed, speed)
     (stop,) = brakings(log_of(command, answer, 5.0), [phase], DRIVE)
     assert stop.speed == pytest.approx(speed, abs=0.01)
     summed = speed * 0.005 / 2  # m that the log's steps of 5 ms go too far
     assert stop.distance == pytest.approx(speed**2 / (2 * deceleration) + summed, abs=1.5 / PER_METRE)
     assert stop.seconds == pytest.approx(speed / deceleration, abs=0.1)
-    braking = reached([stop])
+    braking = reached_braking([stop])
     assert braking is not None
     assert braking <= stop.deceleration
 
 
 def test_the_weakest_stop_counts_and_none_gives_nothing():
-    assert reached([]) is None
+    assert reached_braking([]) is None
 
 
 @pytest.mark.parametrize("band", [0.006, 0.02, 0.05])
@@ -135,7 +135,7 @@ def test_the_dead_band_is_the_first_command_that_turns_the_wheel(band):
         left, right = command(t)
         return (left if -left > 2 * band else 0.0), (right if right > band else 0.0)
 
-    phase = Phase(Kind.STAIRS, START, START + 6 * SECOND, -1, 1)
+    phase = MotorPhase(PhaseKind.STAIRS, START, START + 6 * NS_PER_S, -1, 1)
     found = dead_band(log_of(command, answer, 6.0), [phase], DRIVE)
     first = next(s for s in stairs if s > band)
     assert found[(1, 1)] == pytest.approx(first, rel=0.31)
@@ -143,15 +143,15 @@ def test_the_dead_band_is_the_first_command_that_turns_the_wheel(band):
 
 
 def test_a_wheel_that_never_turns_has_no_dead_band():
-    phase = Phase(Kind.STAIRS, START, START + 2 * SECOND, -1, 1)
+    phase = MotorPhase(PhaseKind.STAIRS, START, START + 2 * NS_PER_S, -1, 1)
     found = dead_band(log_of(lambda t: (-0.05, 0.05), lambda t: (0, 0), 2.0), [phase], DRIVE)
     assert all(np.isnan(speed) for speed in found.values())
 
 
-def trials(counted, seen=lambda wheel, sign: (wheel, sign)) -> list[Turned]:
+def trials(counted, seen=lambda wheel, sign: (wheel, sign)) -> list[WheelTurn]:
     """Each wheel alone, both ways; counted(wheel, sign) gives the encoders' ways (m) for 0.08 m asked."""
     return [
-        Turned(wheel, 0.08 * sign, *counted(wheel, 0.08 * sign), seen(wheel, sign))
+        WheelTurn(wheel, 0.08 * sign, *counted(wheel, 0.08 * sign), seen(wheel, sign))
         for wheel in (0, 1) for sign in (1, -1)
     ]  # fmt: skip
 
@@ -177,12 +177,12 @@ def own(wheel, way):
         (trials(own, lambda w, s: (w, -s if w == 1 else s)), ["the right motor runs backward"]),
     ],
 )
-def test_wrong_wiring_is_named_with_its_mend(found, told):
+def test_wrong_wiring_is_named_with_its_hint(found, told):
     wrong = directions(found, DRIVE)
     assert len(wrong) == len(told)
-    for (what, mend), expected in zip(wrong, told):
+    for (what, hint), expected in zip(wrong, told):
         assert what.startswith(expected)
-        assert mend
+        assert hint
 
 
 def test_only_motors_and_encoders_reversed_together_are_a_matter_of_the_sign():
@@ -202,13 +202,13 @@ def test_a_wheel_alone_is_known_by_how_it_swings_the_robot(wheel, sign):
 
 
 def test_what_people_saw_counts():
-    found = looked(trials(own, lambda w, s: None), ["", "lb", "rb", "-"])
+    found = with_answers(trials(own, lambda w, s: None), ["", "lb", "rb", "-"])
     assert [t.seen for t in found] == [(0, 1), (0, -1), (1, -1), None]
     assert set(KEYS) == {"lf", "lb", "rf", "rb", "-"}
 
 
 def test_turning_alone_is_read_from_the_encoders():
     log = log_of(lambda t: (0.1, 0.0), lambda t: (0.1, 0.0) if t < 0.8 else (0.0, 0.0), 2.0)
-    (found,) = turned(log, [Phase(Kind.ALONE, START, START + 4 * SECOND // 5, 0.1, 0.0)], DRIVE)
+    (found,) = wheel_turns(log, [MotorPhase(PhaseKind.ALONE, START, START + 4 * NS_PER_S // 5, 0.1, 0.0)], DRIVE)
     assert (found.left, found.right) == pytest.approx((0.08, 0.0), abs=0.002)
     assert found.counted == found.commanded == (0, 1)

@@ -7,9 +7,9 @@ import pytest
 
 from shared.config import UserError
 from zenav.__main__ import _status
-from zenav.calibrate.commands import asked, typed_end
-from zenav.calibrate.live import confirmed
-from zenav.calibrate.motor_response import Turned
+from zenav.calibrate.commands import ask_answers, read_end_pose
+from zenav.calibrate.live import confirm
+from zenav.calibrate.motor_response import WheelTurn
 
 
 class Terminal(StringIO):
@@ -25,37 +25,37 @@ def types(monkeypatch):
 @pytest.mark.parametrize(("typed", "answer"), [("\n", ""), ("LB\n", "lb"), ("what?\n\n", ""), ("x\n-\n", "-")])
 def test_what_turned_is_asked_until_it_is_an_answer(types, typed, answer):
     types(typed)
-    assert asked(Turned(0, 0.08, 0.08, 0.0)) == answer
+    assert ask_answers(WheelTurn(0, 0.08, 0.08, 0.0)) == answer
 
 
 @pytest.mark.parametrize("typed", ["0.1 -0.25\n", "0.1, -0.25\n", "no idea\n0.1 -0.25\n", "1\n9 9\n0.1 -0.25\n"])
 def test_an_end_is_asked_until_it_is_two_metres(types, typed):
     types(typed)
-    assert typed_end() == (0.1, -0.25)
+    assert read_end_pose() == (0.1, -0.25)
 
 
 def test_an_input_that_ends_is_told(types):
     types("")
     with pytest.raises(UserError, match="input has ended"):
-        typed_end()
+        read_end_pose()
 
 
 @pytest.mark.parametrize("typed", ["y\n", "Yes\n"])
 def test_only_a_yes_starts_the_robot(types, typed, capsys):
     types(typed)
-    confirmed("it drives", False)
+    confirm("it drives", False)
     assert "it drives" in capsys.readouterr().err
     for other in ("\n", "n\n", "", "go\n"):
         types(other)
         with pytest.raises(UserError, match="not started"):
-            confirmed("it drives", False)
+            confirm("it drives", False)
 
 
 def test_nobody_there_starts_nothing_but_with_yes(types):
     types("", False)
     with pytest.raises(UserError, match="no terminal"):
-        confirmed("it drives", False)
-    confirmed("it drives", True)
+        confirm("it drives", False)
+    confirm("it drives", True)
 
 
 @pytest.mark.parametrize("command", ["odometry", "motors", "motors --blocks"])

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from shared.config import CONFIG_DIR, UserError, load_robot
-from zenav.calibrate.robot_file import to_paste, write
+from shared.config import UserError, load_robot
+from shared.robot_files import ROBOTS_DIR
+from zenav.calibrate.robot_file import write, yaml_snippet
 
 VALUES = {
     "robot.drive.wheel_radius": 0.0851,
@@ -13,12 +14,12 @@ VALUES = {
     "robot.drive.wheel_distance": 0.28572,
     "robot.laser.mount.yaw": -1.5701,
 }
-ROBOTS = sorted(path.stem for path in CONFIG_DIR.glob("*.yaml"))
+ROBOTS = sorted(path.stem for path in ROBOTS_DIR.glob("*.yaml"))
 
 
 def copied(folder: Path, robot: str) -> Path:
     path = folder / f"{robot}.yaml"
-    path.write_text((CONFIG_DIR / f"{robot}.yaml").read_text())
+    path.write_text((ROBOTS_DIR / f"{robot}.yaml").read_text())
     return path
 
 
@@ -43,7 +44,7 @@ def test_what_is_pasted_reads_as_what_is_written(tmp_path):
     from ruamel.yaml import YAML
 
     robot = load_robot("x80sv").robot
-    text = to_paste(VALUES, robot)
+    text = yaml_snippet(VALUES, robot)
     assert YAML(typ="safe").load(text) == {
         "robot": {
             "drive": {"wheel_radius": 0.0851, "wheel_radius_ratio": 1.0052, "wheel_distance": 0.28572},

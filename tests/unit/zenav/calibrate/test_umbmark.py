@@ -7,19 +7,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shared.config import UserError
-from zenav.calibrate.rolling import Rolled, Wheels
-from zenav.calibrate.umbmark import angles, corrected, ends_at, errors, largest_error, runs, umbmark
+from zenav.calibrate.rolling import WheelGeometry, WheelTravel
+from zenav.calibrate.umbmark import angles, corrected, ends_at, errors, largest_error, square_runs, umbmark
 
-NOMINAL = Wheels(0.085, 0.085, 0.283)
+NOMINAL = WheelGeometry(0.085, 0.085, 0.283)
 DT = 20_000_000  # ns
 
 
-def wheels_of(ratio: float, distance: float) -> Wheels:
+def wheels_of(ratio: float, distance: float) -> WheelGeometry:
     left = 2 * 0.085 / (1 + ratio)
-    return Wheels(left, left * ratio, 0.283 * distance)
+    return WheelGeometry(left, left * ratio, 0.283 * distance)
 
 
-def drive(ways: str, side: float = 2.0, pause: float = 1.5) -> Rolled:
+def drive(ways: str, side: float = 2.0, pause: float = 1.5) -> WheelTravel:
     """Squares by odometry with the nominal wheels: r clockwise, l counter-clockwise."""
     left, right = [0.0] * 80, [0.0] * 80
     for way in ways:
@@ -30,13 +30,13 @@ def drive(ways: str, side: float = 2.0, pause: float = 1.5) -> Rolled:
         left += [0.0] * round(pause / 0.02)
         right += [0.0] * round(pause / 0.02)
     stamps = 10**18 + np.arange(len(left) + 1) * DT
-    return Rolled(
+    return WheelTravel(
         stamps, np.concatenate(([0], np.cumsum(left))), np.concatenate(([0], np.cumsum(right))),
         np.zeros(len(stamps), bool),
     )  # fmt: skip
 
 
-def truth(rolled: Rolled, found, wheels: Wheels):
+def truth(rolled: WheelTravel, found, wheels: WheelGeometry):
     return ends_at(rolled.stamps, rolled.poses(wheels), rolled, found)
 
 
@@ -46,7 +46,7 @@ def test_ratio_and_distance_are_found(ratio, distance, side):
     side = min(side, 0.03 / max(abs(ratio - 1), 0.0075))  # the squares must end near their start
     side = max(side, 0.6)
     rolled = drive("rl", side)
-    found = runs(rolled, NOMINAL)
+    found = square_runs(rolled, NOMINAL)
     wheels = wheels_of(ratio, distance)
     true = truth(rolled, found, wheels)
     result = umbmark(true, rolled, found, NOMINAL)
@@ -59,7 +59,7 @@ def test_ratio_and_distance_are_found(ratio, distance, side):
 
 def test_the_error_at_the_squares_ends_shrinks_by_an_order_as_the_paper_promises():
     rolled = drive("rlrl")
-    found = runs(rolled, NOMINAL)
+    found = square_runs(rolled, NOMINAL)
     true = truth(rolled, found, wheels_of(1.01, 1.02))
     result = umbmark(true, rolled, found, NOMINAL)
     before = largest_error(result.clockwise, result.counterclockwise)
@@ -71,7 +71,7 @@ def test_the_error_at_the_squares_ends_shrinks_by_an_order_as_the_paper_promises
 
 def test_a_longer_axle_alone_is_alpha_and_a_larger_wheel_alone_is_beta():
     rolled = drive("rl")
-    found = runs(rolled, NOMINAL)
+    found = square_runs(rolled, NOMINAL)
     for wheels, alpha, beta in (
         (wheels_of(1, 1.01), pi / 2 * 0.01 / 1.01, 0),
         (wheels_of(1.01, 1), 0, 0.01 * 2 / 0.283),
@@ -94,32 +94,32 @@ def test_the_paper_s_equations():
 
 def test_squares_are_told_from_other_drives():
     rolled = drive("rll", side=1.0)
-    found = runs(rolled, NOMINAL)
+    found = square_runs(rolled, NOMINAL)
     assert [run.clockwise for run in found] == [True, False, False]
     assert [run.side for run in found] == pytest.approx([1.0] * 3)
-    there = Rolled(rolled.stamps[:300], rolled.left[:300], rolled.right[:300], rolled.broken[:300])
-    assert runs(there, NOMINAL) == []
+    there = WheelTravel(rolled.stamps[:300], rolled.left[:300], rolled.right[:300], rolled.broken[:300])
+    assert square_runs(there, NOMINAL) == []
     together = drive("rl", pause=0.3)
-    assert runs(together, NOMINAL) == []
+    assert square_runs(together, NOMINAL) == []
 
 
 def test_a_square_with_a_hole_in_its_wheels_does_not_count():
     rolled = drive("rl")
     broken = rolled.broken.copy()
     broken[400] = True
-    assert [run.clockwise for run in runs(rolled._replace(broken=broken), NOMINAL)] == [False]
+    assert [run.clockwise for run in square_runs(rolled._replace(broken=broken), NOMINAL)] == [False]
 
 
 def test_one_way_round_is_not_enough():
     rolled = drive("rr")
-    found = runs(rolled, NOMINAL)
+    found = square_runs(rolled, NOMINAL)
     with pytest.raises(UserError, match="no square counter-clockwise"):
         umbmark(truth(rolled, found, NOMINAL), rolled, found, NOMINAL)
 
 
 def test_what_is_far_off_is_refused():
     rolled = drive("rl")
-    found = runs(rolled, NOMINAL)
+    found = square_runs(rolled, NOMINAL)
     true = truth(rolled, found, NOMINAL) + np.array((8.0, -8.0, 0.0))
     with pytest.raises(UserError, match=r"end 11\.3 m off"):
         umbmark(true, rolled, found, NOMINAL)
@@ -127,7 +127,7 @@ def test_what_is_far_off_is_refused():
 
 def test_scatter_gives_the_uncertainty_and_one_run_each_way_gives_none():
     rolled = drive("rl" * 4)
-    found = runs(rolled, NOMINAL)
+    found = square_runs(rolled, NOMINAL)
     rng = np.random.default_rng(0)
     wheels = wheels_of(1.005, 1.01)
     true = truth(rolled, found, wheels)

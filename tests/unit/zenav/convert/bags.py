@@ -8,10 +8,10 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 
+from shared.types import NS_PER_S
 from zenav.convert.ros_messages import ECHOES, GRID, ODOM, POSE, SCAN, TF, typestore
 
 KINDS = "ros1", "ros1-lz4", "ros1-bz2", "mcap", "mcap-zstd", "mcap-file", "sqlite", "sqlite-messages"
-SECOND = 10**9
 
 
 class BagOf:
@@ -26,7 +26,7 @@ class BagOf:
 
     def header(self, stamp, frame):
         more = {"seq": 0} if self.kind.startswith("ros1") else {}
-        time = self.new("builtin_interfaces/msg/Time", sec=stamp // SECOND, nanosec=stamp % SECOND)
+        time = self.new("builtin_interfaces/msg/Time", sec=stamp // NS_PER_S, nanosec=stamp % NS_PER_S)
         return self.new("std_msgs/msg/Header", stamp=time, frame_id=frame, **more)
 
     def add(self, topic, type_, message, received):
@@ -124,12 +124,12 @@ def file_of(path):
     return path if path.is_file() else next(p for p in path.iterdir() if p.name != "metadata.yaml")
 
 
-def small(kind="mcap", n=8, first=1_700_000_000 * SECOND):
+def small(kind="mcap", n=8, first=1_700_000_000 * NS_PER_S):
     """n scans of 16 beams, odometry at and between them, the laser 0.2 m ahead."""
     bag = BagOf(kind)
     bag.tf(first, "base_link", "laser", (0.2, 0, 0.3), static=True)
     for k in range(n):
-        stamp = first + k * SECOND // 5
+        stamp = first + k * NS_PER_S // 5
         bag.odom(stamp, 0.1 * k, 0.01 * k, 0.02 * k)
         bag.tf(stamp, "odom", "base_link", (0.1 * k, 0.01 * k, 0), (0, 0, sin(0.01 * k), cos(0.01 * k)))
         bag.scan(stamp, 2 + 0.1 * np.arange(16) + 0.01 * k)

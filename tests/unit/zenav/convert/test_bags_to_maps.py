@@ -9,12 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from shared.geometry import Pose2
+from shared.types import NS_PER_S
 from tests.unit.services.mapper.rooms import ROOM, cast
-from tests.unit.zenav.convert.bags import SECOND, BagOf
+from tests.unit.zenav.convert.bags import BagOf
 from zenav.__main__ import _status
-from zenav.slam_error import read_tum
+from zenav.slam.slam_error import read_tum
 
-FIRST = 1_700_000_000 * SECOND
+FIRST = 1_700_000_000 * NS_PER_S
 N, PERIOD, SWEEP = 40, 0.2, 0.1  # scans; s between them; s from the first beam to the last
 STEP, TURN = 0.06, 0.1  # m and rad a period
 ANGLES = np.radians(np.arange(-120, 120, 2.0))
@@ -34,10 +35,10 @@ def bag_of_a_drive(kind, roll, yaw, odometry="topic"):
     bag.tf(FIRST, "base_link", "laser", (0.2, 0.05, 0.3), mount.as_quat(), static=True)
     rays = mount.apply(np.column_stack((np.cos(ANGLES), np.sin(ANGLES), np.zeros(len(ANGLES)))))
     for k in range(N):
-        stamp, seconds = FIRST + round(k * PERIOD * SECOND), k * PERIOD
+        stamp, seconds = FIRST + round(k * PERIOD * NS_PER_S), k * PERIOD
         for share in (0.0, 0.5):
             late = pose_at(1.03 * (seconds + share * PERIOD))  # the wheels are 3 % too small
-            at = stamp + round(share * PERIOD * SECOND)
+            at = stamp + round(share * PERIOD * NS_PER_S)
             if odometry == "topic":
                 bag.odom(at, late.x, late.y, late.yaw)
             elif odometry == "tf":

@@ -109,7 +109,7 @@ def test_a_zipped_log_that_ends_early_gives_what_it_holds(tmp_path):
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(UserError, match="cannot read") as error:
         read_carmen(tmp_path / "nothing.log")
-    assert error.value.mend
+    assert error.value.hint
 
 
 @settings(max_examples=60)

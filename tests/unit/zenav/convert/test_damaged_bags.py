@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags that were cut off, flipped or lost their index: what is whole comes out, and what is lost is told."""
+"""Bags that were cut off, flipped or lost their index: intact messages are read, and losses are reported."""
 
 import sqlite3
 import subprocess
@@ -49,14 +49,14 @@ def scans_of(path):
 
 
 def unless_refused(read, otherwise):
-    """What is read, or `otherwise` after an error in one line with its mend. Any other exception is the test's."""
+    """What is read, or `otherwise` after an error in one line with its hint. Any other exception is the test's."""
     try:
         return read()
     except UserError as error:
         refused = error
     assert refused.what
     assert "\n" not in refused.what
-    assert refused.mend
+    assert refused.hint
     return otherwise
 
 
@@ -127,7 +127,7 @@ def test_a_chunk_with_an_unknown_compression_is_told(tmp_path):
     path.write_bytes(path.read_bytes().replace(b"compression=lz4", b"compression=xyz"))
     with pytest.raises(UserError, match="'xyz' is not supported; 1 chunks do not unpack to their end") as error:
         read_log(path, Choice())
-    assert error.value.mend
+    assert error.value.hint
 
 
 def in_chunks(path, size):

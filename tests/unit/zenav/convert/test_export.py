@@ -21,17 +21,17 @@ from shared.messages import LaserScan, Localization, MapUpdate, Odometry, PoseEs
 from shared.messages import Path as Plan
 from shared.recording import Recording
 from shared.ros_map import read_ros_map
+from shared.types import NS_PER_S
 from tests.unit.zenav.convert.bags import small
 from zenav.__main__ import _status
 from zenav.convert.content import Choice, Content
 from zenav.convert.conversion import Conversion
-from zenav.convert.export import FORMATS, convert, named
+from zenav.convert.export import FORMATS, convert, format_name
 from zenav.convert.source import read_content
 
 ROOT = Path(__file__).resolve().parents[4]
 ROOM = ROOT / "tests" / "replay" / "recordings" / "driving.mcap"
 EVO = Path(sys.executable).parent / "evo_ape"
-SECOND = 10**9
 NAMES = {"ros2": "out", "ros2-sqlite": "out", "ros1": "out.bag", "zenav": "out.mcap", "carmen": "out.log"}
 
 poses = st.builds(Pose2, st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.floats(-3.14, 3.14))
@@ -42,7 +42,9 @@ far = 29.0
 def contents(draw):
     """A few scans and odometry messages, at stamps of today with every last nanosecond."""
     n = draw(st.integers(1, 4))
-    stamps = sorted(draw(st.sets(st.integers(1_700_000_000 * SECOND, 1_700_000_009 * SECOND), min_size=n, max_size=n)))
+    stamps = sorted(
+        draw(st.sets(st.integers(1_700_000_000 * NS_PER_S, 1_700_000_009 * NS_PER_S), min_size=n, max_size=n))
+    )
     n_beams = draw(st.integers(2, 30))
     increment, scan_time = draw(st.sampled_from((-0.1, 0.0625, 0.2))), draw(st.sampled_from((0.0, 0.1)))
     messages = []
@@ -60,7 +62,7 @@ def contents(draw):
 
 def far_out():
     """A laser as far from its base as one may be, on a base that has turned."""
-    stamp = 1_700_000_000 * SECOND
+    stamp = 1_700_000_000 * NS_PER_S
     odometry = Odometry(stamp, Pose2(0.0, 150.0, 2.0), 0.0, 0.0, np.arange(9.0))
     scan = LaserScan(stamp, -1.5, -0.1, 0.0, 0.0625, 30.0, np.ones(2, np.float32))
     return Content([("odom", odometry), ("scan", scan)], Mount(x=0.0, y=2.0, yaw=0.0))
@@ -120,7 +122,7 @@ def drive():
     """Everything that goes into a ROS bag, in three seconds."""
     messages = []
     for k in range(4):
-        stamp = SECOND + k * SECOND
+        stamp = NS_PER_S + k * NS_PER_S
         odom, correction = Pose2(0.5 * k, 0, 0.1 * k), Pose2(1, 2, 0.3)
         messages.append(("odom", Odometry(stamp, odom, 0.5, 0.1, np.eye(3).ravel())))
         messages.append(("scan", LaserScan(stamp, -1.5, 0.1, 0.09, 0.1, 12.0, np.float32([1, np.nan, 3]))))
@@ -148,7 +150,7 @@ def test_rosbags_reads_the_exported_bag_with_equal_values(to, drive, tmp_path):
         "/tf_static": 1, "/odom": 4, "/tf": 8, "/scan": 4, "/pose": 4, "/map": 2, "/plan": 4, "/ground_truth": 4,
     }  # fmt: skip
     stamp, scan = found["/scan"][1]
-    assert stamp == scan.header.stamp.sec * SECOND + scan.header.stamp.nanosec == 2 * SECOND
+    assert stamp == scan.header.stamp.sec * NS_PER_S + scan.header.stamp.nanosec == 2 * NS_PER_S
     assert_array_equal(scan.ranges, np.float32([1, np.inf, 3]))
     assert (scan.header.frame_id, scan.time_increment) == ("laser", np.float32(0.045))
     odom = found["/odom"][2][1]
@@ -202,7 +204,7 @@ def test_a_recording_of_the_stack_becomes_a_bag_that_maps_alike(tmp_path):
 
 @pytest.mark.parametrize("to", ["ros1", "ros2", "tum", "carmen"])
 def test_a_stamp_that_no_format_has_costs_its_message_and_is_told(to, tmp_path):
-    rows = [("odom", Odometry(stamp, Pose2(), 0.0, 0.0, np.zeros(9))) for stamp in (SECOND, 2 * SECOND, 2**62)]
+    rows = [("odom", Odometry(stamp, Pose2(), 0.0, 0.0, np.zeros(9))) for stamp in (NS_PER_S, 2 * NS_PER_S, 2**62)]
     source = written(Content(rows), "zenav", tmp_path)
     counts, notes = convert(source, tmp_path / "target", to, Choice(), "", False)
     assert max(counts.values()) == 2
@@ -238,7 +240,7 @@ def test_a_trajectory_that_is_not_there_is_refused_by_what_is(tmp_path):
     bag = small().write(tmp_path / "bag")
     with pytest.raises(UserError, match="no truth in it") as error:
         convert(bag, tmp_path / "a.tum", "", Choice(), "truth", False)
-    assert "odom" in error.value.mend
+    assert "odom" in error.value.hint
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag"]
 
 
@@ -274,7 +276,7 @@ def test_nothing_is_written_over_unless_that_is_said(tmp_path):
         convert(bag, out, "", Choice(), "", False)
         with pytest.raises(UserError, match="exists") as error:
             convert(bag, out, "", Choice(), "", False)
-        assert "--force" in error.value.mend
+        assert "--force" in error.value.hint
         convert(bag, out, "", Choice(), "", True)
     assert len(gzip.decompress((tmp_path / "out.log.gz").read_bytes()).splitlines()) == 2 + 8
     assert len(list(tmp_path.iterdir())) == 5
@@ -337,12 +339,12 @@ def test_a_full_disk_is_told_in_a_line_and_leaves_nothing(to, tmp_path):
 
 def test_the_name_tells_the_format(tmp_path):
     told = {"a.mcap": "zenav", "a.bag": "ros1", "a.tum": "tum", "a.log.gz": "carmen", "folder": "ros2"}
-    assert {name: named("", tmp_path / name) for name in told} == told
-    assert named("ros2-sqlite", tmp_path / "a.mcap") == "ros2-sqlite"
-    for to, name, mend in (("", "a.xyz", "--to"), ("ros3", "a", "did you mean")):
+    assert {name: format_name("", tmp_path / name) for name in told} == told
+    assert format_name("ros2-sqlite", tmp_path / "a.mcap") == "ros2-sqlite"
+    for to, name, hint in (("", "a.xyz", "--to"), ("ros3", "a", "did you mean")):
         with pytest.raises(UserError) as error:
-            named(to, tmp_path / name)
-        assert mend in error.value.mend
+            format_name(to, tmp_path / name)
+        assert hint in error.value.hint
 
 
 @pytest.mark.parametrize(
@@ -353,7 +355,7 @@ def test_what_cannot_be_converted_is_told_in_a_line(source, out, what, tmp_path)
     small().write(tmp_path / "bag")
     with pytest.raises(UserError, match=what) as error:
         convert(tmp_path / source, tmp_path / out, "", Choice(), "", False)
-    assert error.value.mend
+    assert error.value.hint
 
 
 def test_the_help_names_every_format(capsys):

@@ -12,14 +12,14 @@ from scipy.ndimage import distance_transform_edt
 from shared.config import UserError
 from shared.geometry import wrapped
 from shared.ros_map import read_ros_map
-from zenav import slam as slam_module
 from zenav.convert.carmen import read_carmen
 from zenav.convert.content import Choice
 from zenav.convert.export import convert
-from zenav.convert.records import Log, LoggedScan
+from zenav.convert.records import DriveLog, LoggedScan
 from zenav.convert.source import read_log
-from zenav.slam import slam
-from zenav.slam_error import read_tum, score
+from zenav.slam import offline_slam as slam_module
+from zenav.slam.offline_slam import offline_slam
+from zenav.slam.slam_error import read_tum, slam_errors
 
 DATA = os.environ.get("ZENAV_DATA")  # noqa: TID251  # where the machine keeps its logs
 BAGS, LOGS = Path(str(DATA)) / "bags", Path(str(DATA)) / "slam"
@@ -59,9 +59,9 @@ def test_the_map_of_a_ros1_bag_is_that_of_the_carmen_log_of_the_same_scans(tmp_p
     """The first 500 scans, for time."""
     logs = {"bag": read_log(BAGS / "fr079_part.bag", Choice()), "carmen": read_carmen(LOGS / "fr079-raw.log.gz")}
     for name, log in logs.items():
-        cut = Log(list(scans_of(log, 500)))
+        cut = DriveLog(list(scans_of(log, 500)))
         monkeypatch.setattr(slam_module, "read_log", lambda path, choice, cut=cut: cut)
-        slam(Path(name), tmp_path / name)
+        offline_slam(Path(name), tmp_path / name)
     (_, mine), (_, theirs) = (read_tum(tmp_path / name / "trajectory.tum") for name in logs)
     assert np.hypot(*(mine - theirs)[:, :2].T).mean() < 0.01
     (cells, *place), (others, *elsewhere) = (read_ros_map(tmp_path / name / "map.yaml") for name in logs)
@@ -72,17 +72,17 @@ def test_the_map_of_a_ros1_bag_is_that_of_the_carmen_log_of_the_same_scans(tmp_p
 
 
 def test_a_ros2_bag_is_mapped_as_well_as_its_carmen_log(tmp_path):
-    report = slam(BAGS / "belgioioso_sqlite", tmp_path)
+    report = offline_slam(BAGS / "belgioioso_sqlite", tmp_path)
     assert report["loops"] > 0
     assert report["scans_placed"] == report["scans"]
     assert report["notes"] == []
-    figures = score(tmp_path / "trajectory.tum", LOGS / "belgioioso.ref.tum")
+    figures = slam_errors(tmp_path / "trajectory.tum", LOGS / "belgioioso.ref.tum")
     assert figures["loops"]["trans_mean_m"] < 0.05
     assert figures["neighbours"]["trans_mean_m"] < 0.05
 
 
 def test_scans_alone_give_a_map_of_the_turtlebots_world(tmp_path):
-    report = slam(BAGS / "turtlebot3_scan2.bag", tmp_path)
+    report = offline_slam(BAGS / "turtlebot3_scan2.bag", tmp_path)
     assert report["scans_placed"] == report["scans"] == 538
     assert any("scans alone" in note for note in report["notes"])
     assert report["quality"]["mean"] > 0.9
@@ -93,7 +93,7 @@ def test_scans_alone_give_a_map_of_the_turtlebots_world(tmp_path):
 
 
 def test_of_a_bag_whose_index_does_not_read_the_sound_messages_are_mapped(tmp_path):
-    report = slam(BAGS / "laser_demo.bag", tmp_path)
+    report = offline_slam(BAGS / "laser_demo.bag", tmp_path)
     assert report["scans_placed"] == report["scans"] == 360
     assert any("360 messages; 4430 bytes in 2 places are no records" in note for note in report["notes"])
 
@@ -101,10 +101,10 @@ def test_of_a_bag_whose_index_does_not_read_the_sound_messages_are_mapped(tmp_pa
 def test_a_bag_without_scans_gives_trajectories_and_says_why_it_gives_no_map(tmp_path):
     bag = BAGS / "nav2_turtlebot.mcap"
     with pytest.raises(UserError, match="no LaserScan in it") as error:
-        slam(bag, tmp_path / "map")
-    assert "/amcl_pose" in error.value.mend
+        offline_slam(bag, tmp_path / "map")
+    assert "/amcl_pose" in error.value.hint
     for trajectory, n in (("pose", 135), ("odom", 2639)):
         convert(bag, tmp_path / f"{trajectory}.tum", "", Choice(), trajectory, False)
         stamps, _ = read_tum(tmp_path / f"{trajectory}.tum")
         assert len(stamps) == n
-        assert 900 < stamps[0] < 1000  # the simulator's clock, which the headers tell
+        assert 900 < stamps[0] < 1000  # the simulator's clock, which the headers contain

@@ -14,18 +14,19 @@ from scipy.spatial.transform import Rotation
 
 from shared.config import UserError, load_robot
 from shared.geometry import Pose2
+from shared.types import NS_PER_S
 from tests.unit.services.mapper.rooms import ROOM, cast
-from tests.unit.zenav.convert.bags import KINDS, SECOND, BagOf, file_of, small
+from tests.unit.zenav.convert.bags import KINDS, BagOf, file_of, small
 from zenav.convert.content import Choice
 from zenav.convert.export import convert
 from zenav.convert.records import LoggedPose, LoggedScan
 from zenav.convert.ros_files import MAGICS, read_bag
 from zenav.convert.ros_messages import OLD_TF, WANTED, typestore
 from zenav.convert.source import read_content, read_log
-from zenav.maps import grid_of
+from zenav.maps.map_files import grid_of
 
 ROOT = Path(__file__).resolve().parents[4]
-FIRST = 1_700_000_000 * SECOND + 123_456_789
+FIRST = 1_700_000_000 * NS_PER_S + 123_456_789
 
 
 def scans_of(log):
@@ -43,7 +44,7 @@ def test_every_kind_of_bag_gives_the_same_records_whatever_it_is_called(tmp_path
         log = read_log(given_path, Choice())
         scans = scans_of(log)
         assert (len(scans), log.n_bad, log.has_odometry, log.notes) == (8, 0, True, [])
-        assert [scan.stamp for scan in scans] == [1_700_000_000 * SECOND + k * SECOND // 5 for k in range(8)]
+        assert [scan.stamp for scan in scans] == [1_700_000_000 * NS_PER_S + k * NS_PER_S // 5 for k in range(8)]
         assert_allclose(scans[3].ranges, np.float32(2 + 0.1 * np.arange(16) + 0.03))
         assert (scans[3].angle_min, scans[3].angle_increment) == (np.float32(-1.5), np.float32(0.1))
         assert_allclose(as_row(scans[3].odom_from_base), (0.3, 0.03, 0.06), atol=1e-12)
@@ -62,7 +63,7 @@ def as_row(pose):
 def test_a_folder_without_metadata_is_read_file_by_file_and_says_so(tmp_path):
     folder = tmp_path / "parts"
     folder.mkdir()
-    for name, kind, first in (("a_0.mcap", "mcap", 0), ("a_1.db3", "sqlite", 60 * SECOND)):
+    for name, kind, first in (("a_0.mcap", "mcap", 0), ("a_1.db3", "sqlite", 60 * NS_PER_S)):
         file_of(small(kind, first=FIRST + first).write(tmp_path / name)).rename(folder / name)
     (folder / "notes.txt").write_text("of the day")
     log = read_log(folder, Choice())
@@ -125,7 +126,7 @@ def test_walls_are_where_they_are_however_the_laser_is_mounted(
     bag = BagOf()
     between = (split.inv() * mount).as_quat(), split.inv().apply((0.1 * x, 0.1 * y, 0.0))  # a bracket, turned anyhow
     bag.tf(FIRST, "base_link", "bracket", (0, 0, 0), split.as_quat(), static=True)
-    if inverted:  # told the other way about: the laser is the bracket's parent in tf
+    if inverted:  # published in the other direction: the laser is the bracket's parent in tf
         turn = Rotation.from_quat(between[0]).inv()
         bag.tf(FIRST, "laser", "bracket", -turn.apply(between[1]), turn.as_quat(), static=True)
         del bag.rows[0]
@@ -134,9 +135,9 @@ def test_walls_are_where_they_are_however_the_laser_is_mounted(
     else:
         bag.tf(FIRST, "bracket", "laser", between[1], between[0], static=True)
     bag.odom(FIRST, robot.x, robot.y, robot.yaw)
-    bag.odom(FIRST + SECOND, robot.x, robot.y, robot.yaw)
+    bag.odom(FIRST + NS_PER_S, robot.x, robot.y, robot.yaw)
     more = {"time_increment": -1e-3 if backwards else 1e-3}
-    bag.scan(FIRST + SECOND // 2, ranges, angles=(angles[0], increment), **more)
+    bag.scan(FIRST + NS_PER_S // 2, ranges, angles=(angles[0], increment), **more)
 
     (scan,) = scans_of(read(bag, tmp_path_factory.mktemp("bag")))
     seen = scan.odom_from_laser.yaw + scan.angle_min + scan.angle_increment * np.arange(30)
@@ -144,7 +145,7 @@ def test_walls_are_where_they_are_however_the_laser_is_mounted(
     found += (scan.odom_from_laser.x, scan.odom_from_laser.y)
     assert_allclose(found[::-1] if backwards else found, walls, atol=2e-4)
     assert scan.scan_time == pytest.approx(0.029)
-    assert scan.stamp == pytest.approx(FIRST + SECOND // 2 - (29_000_000 if backwards else 0), abs=1000)
+    assert scan.stamp == pytest.approx(FIRST + NS_PER_S // 2 - (29_000_000 if backwards else 0), abs=1000)
 
 
 def test_a_laser_that_looks_at_the_ground_is_refused_unless_another_one_is_level(tmp_path):
@@ -154,7 +155,7 @@ def test_a_laser_that_looks_at_the_ground_is_refused_unless_another_one_is_level
     bag.tf(FIRST, "base_link", "laser", (0, 0, 0.2), static=True)
     bag.odom(FIRST, 0, 0, 0)
     for k in range(3):
-        bag.scan(FIRST + k * SECOND, [2.0] * 90, topic="/tilted", frame="tilted", angles=(-3, 0.06))
+        bag.scan(FIRST + k * NS_PER_S, [2.0] * 90, topic="/tilted", frame="tilted", angles=(-3, 0.06))
     bag.scan(FIRST, [1.0] * 9)
     path = bag.write(tmp_path / "bag")
     log = read_log(path, Choice())
@@ -162,7 +163,7 @@ def test_a_laser_that_looks_at_the_ground_is_refused_unless_another_one_is_level
     assert any("laser from /scan; there is /tilted too (--topic-scan TOPIC)" in note for note in log.notes)
     with pytest.raises(UserError, match="tilted by 46 degrees") as error:
         read_log(path, Choice(scan="/tilted"))
-    assert error.value.mend
+    assert error.value.hint
 
 
 def test_without_tf_the_laser_is_taken_to_sit_on_the_axis_and_that_is_said(tmp_path):
@@ -202,14 +203,14 @@ def test_odometry_comes_from_tf_where_there_is_no_topic_and_is_interpolated_at_t
     for k in range(5):
         yaw = 3.0 + 0.1 * k  # across the place where a heading wraps
         place = (0.5 * k, 0, 0)
-        bag.tf(FIRST + k * SECOND, "odom", "base_footprint", place, (0, 0, sin(yaw / 2), cos(yaw / 2)))
-        bag.tf(FIRST + k * SECOND, "map", "odom", (9, 9, 0))
-    bag.scan(FIRST + 3 * SECOND // 2, [1.0] * 9)
+        bag.tf(FIRST + k * NS_PER_S, "odom", "base_footprint", place, (0, 0, sin(yaw / 2), cos(yaw / 2)))
+        bag.tf(FIRST + k * NS_PER_S, "map", "odom", (9, 9, 0))
+    bag.scan(FIRST + 3 * NS_PER_S // 2, [1.0] * 9)
     log = read(bag, tmp_path)
     (scan,) = scans_of(log)
     assert_allclose(as_row(scan.odom_from_base), (0.75, 0, 3.15 - 2 * pi), atol=1e-4)
     poses = [record for record in log.records if isinstance(record, LoggedPose)]
-    assert [pose.stamp for pose in poses] == [FIRST + k * SECOND for k in range(5)]
+    assert [pose.stamp for pose in poses] == [FIRST + k * NS_PER_S for k in range(5)]
     assert poses[2].w == pytest.approx(0.1, abs=1e-6)
     assert any("odometry from tf: odom to base_footprint" in note for note in log.notes)
 
@@ -218,7 +219,7 @@ def test_a_robot_that_stands_has_odometry_too(tmp_path):
     bag = BagOf()
     bag.tf(FIRST, "base_link", "laser", static=True)
     for k in range(3):
-        bag.tf(FIRST + k * SECOND, "odom", "base_link", (1, 2, 0))
+        bag.tf(FIRST + k * NS_PER_S, "odom", "base_link", (1, 2, 0))
     bag.scan(FIRST, [1.0] * 9)
     log = read(bag, tmp_path)
     assert log.has_odometry
@@ -249,7 +250,7 @@ def test_wheel_odometry_is_taken_before_truth_and_before_poses_on_the_map(tmp_pa
     assert as_row(scans_of(chosen)[0].odom_from_base)[:2] == (7, 7)
     with pytest.raises(UserError, match="no topic /wheel/odm") as error:
         read_log(path, Choice(odom="/wheel/odm"))
-    assert "/wheel/odom" in error.value.mend
+    assert "/wheel/odom" in error.value.hint
 
 
 def test_of_two_lasers_the_one_that_sees_farther_round_is_taken(tmp_path):
@@ -279,10 +280,10 @@ def test_stamps_of_zero_give_way_to_the_times_of_recording(tmp_path):
     bag = BagOf()
     bag.tf(0, "base_link", "laser", (0.2, 0, 0), static=True, received=FIRST)
     for k in range(4):
-        bag.odom(FIRST - 50 * SECOND + k * SECOND, 0.1 * k, 0, 0, received=FIRST + k * SECOND)
-        bag.scan(0, [1.0] * 9, received=FIRST + k * SECOND)
+        bag.odom(FIRST - 50 * NS_PER_S + k * NS_PER_S, 0.1 * k, 0, 0, received=FIRST + k * NS_PER_S)
+        bag.scan(0, [1.0] * 9, received=FIRST + k * NS_PER_S)
     log = read(bag, tmp_path)
-    assert [scan.stamp for scan in scans_of(log)] == [FIRST + k * SECOND for k in range(4)]
+    assert [scan.stamp for scan in scans_of(log)] == [FIRST + k * NS_PER_S for k in range(4)]
     assert [scan.odom_from_base.x for scan in scans_of(log)] == pytest.approx([0, 0.1, 0.2, 0.3])
     assert any("/scan without stamps" in note for note in log.notes)
 
@@ -290,8 +291,8 @@ def test_stamps_of_zero_give_way_to_the_times_of_recording(tmp_path):
 def test_two_clocks_give_way_to_the_times_of_recording(tmp_path):
     bag = BagOf()
     for k in range(4):
-        bag.odom(FIRST + k * SECOND, 0.1 * k, 0, 0)
-        bag.scan((17 + k) * SECOND, [1.0] * 9, received=FIRST + k * SECOND)
+        bag.odom(FIRST + k * NS_PER_S, 0.1 * k, 0, 0)
+        bag.scan((17 + k) * NS_PER_S, [1.0] * 9, received=FIRST + k * NS_PER_S)
     log = read(bag, tmp_path)
     assert [scan.odom_from_base.x for scan in scans_of(log)] == pytest.approx([0, 0.1, 0.2, 0.3])
     assert any("different clocks" in note for note in log.notes)
@@ -301,7 +302,7 @@ def test_a_stamp_that_cannot_be_costs_its_message_alone(tmp_path):
     bag = BagOf()
     bag.odom(FIRST, 0, 0, 0)
     for k in range(9):
-        bag.scan(FIRST + k * SECOND if k != 4 else FIRST // 2, [1.0] * 9, received=FIRST + k * SECOND)
+        bag.scan(FIRST + k * NS_PER_S if k != 4 else FIRST // 2, [1.0] * 9, received=FIRST + k * NS_PER_S)
     log = read(bag, tmp_path)
     assert (len(scans_of(log)), log.n_bad) == (8, 1)
 
@@ -353,7 +354,7 @@ def test_a_bag_without_a_scan_says_what_is_in_it(tmp_path):
     bag.odom(FIRST, 0, 0, 0)
     with pytest.raises(UserError, match="no LaserScan in it") as error:
         read(bag, tmp_path)
-    assert "/odom (nav_msgs/Odometry)" in error.value.mend
+    assert "/odom (nav_msgs/Odometry)" in error.value.hint
 
 
 def test_the_pose_on_the_map_is_of_its_topic_and_goals_are_none(tmp_path):
@@ -367,8 +368,8 @@ def test_the_pose_on_the_map_is_of_its_topic_and_goals_are_none(tmp_path):
 def test_the_pose_on_the_map_is_of_tf_where_no_topic_tells_it(tmp_path):
     bag = BagOf()
     for k in range(3):
-        bag.tf(FIRST + k * SECOND, "map", "odom", (10, 0, 0))
-        bag.tf(FIRST + k * SECOND, "odom", "base_link", (0.5 * k, 0, 0))
+        bag.tf(FIRST + k * NS_PER_S, "map", "odom", (10, 0, 0))
+        bag.tf(FIRST + k * NS_PER_S, "odom", "base_link", (0.5 * k, 0, 0))
     messages = read_content(bag.write(tmp_path / "bag"), Choice()).messages
     poses = [message for key, message in messages if key == "pose"]
     assert [pose.map_from_base.x for pose in poses] == pytest.approx([10, 10.5, 11])
@@ -378,8 +379,8 @@ def test_the_pose_on_the_map_is_of_tf_where_no_topic_tells_it(tmp_path):
 def test_a_pose_tells_what_it_corrects_of_odometry(tmp_path):
     bag = BagOf()
     for k in range(2):
-        bag.odom(FIRST + k * SECOND, 4.0 * k, 0, 0.5)
-    bag.goal(FIRST + SECOND // 2, 5, 5, "/pose")
+        bag.odom(FIRST + k * NS_PER_S, 4.0 * k, 0, 0.5)
+    bag.goal(FIRST + NS_PER_S // 2, 5, 5, "/pose")
     messages = read_content(bag.write(tmp_path / "bag"), Choice()).messages
     pose = next(message for key, message in messages if key == "pose")
     assert as_row(pose.map_from_odom @ Pose2(2, 0, 0.5)) == pytest.approx((5, 5, 0))
@@ -414,13 +415,13 @@ def test_the_map_is_the_last_one_of_its_topic_turned_back_and_costmaps_are_none(
         (b"SQLite format 3\x00" + b"\0" * 100, r"file\.bag"),
     ],
 )
-def test_what_is_no_bag_is_refused_in_a_line_with_its_mend(tmp_path, content, what):
+def test_what_is_no_bag_is_refused_in_a_line_with_its_hint(tmp_path, content, what):
     path = tmp_path / "file.bag"
     path.write_bytes(content)
     with pytest.raises(UserError, match=what) as error:
         read_log(path, Choice())
     assert "\n" not in error.value.what
-    assert error.value.mend
+    assert error.value.hint
 
 
 def test_a_folder_without_a_bag_is_refused(tmp_path):

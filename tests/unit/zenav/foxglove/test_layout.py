@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from shared.topics import SERVICES, TOPICS, key_of
-from zenav.foxglove.commander import HOLD
+from zenav.foxglove.commander import COMMAND_HOLD_S
 from zenav.foxglove.inbound import TOPICS as TAKEN
 from zenav.foxglove.layout import layout
-from zenav.foxglove.schemas import MAP_ROW, kind_of, rows_of
+from zenav.foxglove.schemas import MAP_ROW, encoding_of, rows_of
 
 ROOT = Path(__file__).resolve().parents[4]
 DOCS = ROOT / "docs" / "foxglove-layout.json"
@@ -37,7 +37,7 @@ def test_every_topic_and_field_that_it_names_is_there():
     for path in named_topics(json.loads(layout())) - IGNORED - CALLS - set(TAKEN):
         topic, *fields = re.split(r"\.", path)
         assert topic in rows, path
-        encoding, schema = kind_of(rows[topic].type)
+        encoding, schema = encoding_of(rows[topic].type)
         if fields and encoding == "json":
             assert fields[0] in json.loads(schema.data)["properties"], path
         elif fields:
@@ -56,10 +56,10 @@ def test_every_panel_has_one_place():
 def test_its_teleop_sends_often_enough_to_drive():
     teleop = json.loads(layout())["configById"]["Teleop!drive"]
     assert TAKEN[teleop["topic"]] == "teleop"
-    assert 1 / teleop["publishRate"] < HOLD / 2
+    assert 1 / teleop["publishRate"] < COMMAND_HOLD_S / 2
 
 
 def test_the_file_in_docs_is_the_present_one():
     assert DOCS.read_text(encoding="utf-8") == layout(), (
-        "write it anew: zenav foxglove --layout > docs/foxglove-layout.json"
+        "write it again: zenav foxglove --layout > docs/foxglove-layout.json"
     )

@@ -18,25 +18,25 @@ from shared.geometry import Pose2, wrapped
 from shared.topics import SERVICES, TOPICS, key_of
 from tests.protobuf import schema_of
 from tests.strategies import messages
-from zenav.foxglove.schemas import MAP_ROW, MapPicture, Row, Seen, encoded, kind_of, rows_of
+from zenav.foxglove.schemas import MAP_ROW, MapPicture, MessageContext, SchemaRow, encode_message, encoding_of, rows_of
 
 ROBOT = load_robot("x80sv").robot
-SEEN = Seen("mapper", ROBOT)
+SEEN = MessageContext("mapper", ROBOT)
 S = 1_000_000_000
 EYE = np.eye(3).ravel()
 poses = st.builds(Pose2, st.floats(-50, 50), st.floats(-50, 50), st.floats(-pi, pi))
 stamps = st.integers(0, 2**32 * S - 1)
 
 
-def told(row: Row, value: Any) -> dict[str, Any]:
+def told(row: SchemaRow, value: Any) -> dict[str, Any]:
     """A value as a reader of the channel has it."""
-    encoding, schema = kind_of(row.type)
+    encoding, schema = encoding_of(row.type)
     if encoding == "json":
-        return dict(json.loads(encoded(value)))
-    return schema_of(schema.data).decode(schema.name, encoded(value))
+        return dict(json.loads(encode_message(value)))
+    return schema_of(schema.data).decode(schema.name, encode_message(value))
 
 
-def shown(key: str, message: m.Message, seen: Seen = SEEN) -> dict[str, dict[str, Any]]:
+def shown(key: str, message: m.Message, seen: MessageContext = SEEN) -> dict[str, dict[str, Any]]:
     """What a message shows, by Foxglove's topics."""
     values = [(row, row.make(message, seen)) for row in rows_of(key)]
     return {row.topic: told(row, value) for row, value in values if value is not None}
@@ -122,7 +122,7 @@ def test_a_beam_lies_where_the_scan_says(first, n, clockwise, data):
 
 def test_a_turned_laser_is_turned_in_the_frames_and_not_in_the_scan():
     laser = ROBOT.laser.model_copy(update={"mount": Mount(x=0.1, y=-0.05, yaw=pi / 2)})
-    seen = Seen("sim", ROBOT.model_copy(update={"laser": laser}))
+    seen = MessageContext("sim", ROBOT.model_copy(update={"laser": laser}))
     scan = m.LaserScan(7, 0.0, 0.1, 0.1, 0.1, 12.0, np.ones(3, np.float32))
     found = shown("scan", scan, seen)
     base_from_laser = pose2(found["/tf"]["transforms"][0])
@@ -133,7 +133,7 @@ def test_a_turned_laser_is_turned_in_the_frames_and_not_in_the_scan():
 
 def test_without_a_robot_the_laser_has_no_place():
     scan = m.LaserScan(7, 0.0, 0.1, 0.1, 0.1, 12.0, np.ones(3, np.float32))
-    assert "/tf" not in shown("scan", scan, Seen("sim", None))
+    assert "/tf" not in shown("scan", scan, MessageContext("sim", None))
 
 
 def cell_at(grid: dict[str, Any], x: float, y: float) -> tuple[tuple[int, ...], int] | None:
@@ -161,7 +161,7 @@ def test_a_cell_of_any_tile_lands_where_it_is_on_the_map(values, data):
         cells = np.full((1, 4096), -1, np.int8)
         cells[0, 64 * 5 + 9] = value  # row 5, column 9
         place = np.array([row], np.int32), np.array([column], np.int32)
-        picture.take(m.MapUpdate(S, 1, version, 0.05, *place, cells))
+        picture.add(m.MapUpdate(S, 1, version, 0.05, *place, cells))
     grid = told(MAP_ROW, picture.due(S))
     assert grid["frame_id"] == "map"
     assert ns(grid["timestamp"]) == S
@@ -183,14 +183,14 @@ def update(version: int, value: int, map_id: int = 1) -> m.MapUpdate:
 def test_the_map_is_shown_when_it_changed_and_not_more_than_once_a_second():
     picture = MapPicture()
     assert picture.due(100 * S) is None
-    picture.take(update(1, 0))
+    picture.add(update(1, 0))
     assert picture.due(100 * S) is not None
     assert picture.due(200 * S) is None
-    picture.take(update(2, 0))
+    picture.add(update(2, 0))
     assert picture.due(200 * S) is None, "nothing in it changed"
-    picture.take(update(3, 100))
+    picture.add(update(3, 100))
     assert picture.due(200 * S) is not None
-    picture.take(update(4, 0))
+    picture.add(update(4, 0))
     assert picture.due(200 * S + S // 2) is None
     assert picture.last() is not None
     assert picture.due(201 * S) is not None
@@ -199,9 +199,9 @@ def test_the_map_is_shown_when_it_changed_and_not_more_than_once_a_second():
 
 def test_a_new_map_takes_the_old_one_off_the_screen():
     picture = MapPicture()
-    picture.take(update(1, 100))
+    picture.add(update(1, 100))
     picture.due(S)
-    picture.take(update(1, -1, map_id=2))
+    picture.add(update(1, -1, map_id=2))
     grid = told(MAP_ROW, picture.due(9 * S))
     assert cell_at(grid, 0.01, 0.01) == ((0, 0, 0, 0), -1)
 
@@ -282,7 +282,7 @@ def test_any_valid_message_is_shown_and_fits_its_schema(key, data):
     found = shown(key, message)
     assert found or topic in (topics.MAP, topics.JOURNAL)
     for row in rows_of(key):
-        encoding, schema = kind_of(row.type)
+        encoding, schema = encoding_of(row.type)
         if encoding == "json" and row.topic in found:
             fits(found[row.topic], json.loads(schema.data))
 

@@ -15,14 +15,14 @@ from shared.recording import CONFIG, Recording, Writer, sink
 from shared.runners.lockstep import Lockstep
 from tests.toys import ROBOT, build
 from zenav.__main__ import _status
-from zenav.replay import replay_file
+from zenav.replay.reprocess import replay_file
 
 slow = settings(
     max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
 
 
-class Content(bytes):
+class Written(bytes):
     """Of a file; an example that fails shows where it was damaged, and not this."""
 
     def __repr__(self) -> str:
@@ -46,7 +46,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> bytes:
         lockstep = Lockstep({name: build(name) for name in ("base_driver", "odometry")}, take)
         lockstep.run(1.2)
         lockstep.flush()
-    return Content(path.read_bytes())
+    return Written(path.read_bytes())
 
 
 def survived(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -122,7 +122,7 @@ def test_a_tail_of_zeros_as_a_power_failure_leaves_it_is_told_and_repaired(small
 
 
 def test_a_chunk_whose_length_is_damaged_costs_itself_alone(small, tmp_path):
-    """Without an index, the walk would go astray: it finds the next chunk by its looks."""
+    """Without an index a wrong length misleads the walk: it finds the next chunk by its signature."""
     path = tmp_path / "a.mcap"
     path.write_bytes(small)
     blocks, expected = Recording(path).blocks, [e.payload for e in Recording(path).entries()]
@@ -133,7 +133,7 @@ def test_a_chunk_whose_length_is_damaged_costs_itself_alone(small, tmp_path):
         recording = Recording(path)
         found = [e.payload for e in recording.entries()]
         lost = len(expected) - len(found)
-        assert lost <= 40  # its messages, or none: where it ends is told inside too
+        assert lost <= 40  # its messages, or none: its end is stated inside too
         payloads = iter(expected)
         assert all(payload in payloads for payload in found)
         assert recording.damage

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav recording`: what it tells of a recording is what was published; what it makes of one still replays."""
+"""`zenav recording`: its reports agree with what was published, and the recordings that it writes replay."""
 
 import json
 from pathlib import Path
@@ -17,15 +17,15 @@ from shared.config import UserError
 from shared.messages import LogLine, MapMode, Odometry, Velocity
 from shared.recording import CONFIG, Drop, Recording, Writer, sink
 from shared.runners.replay import replay
+from shared.types import NS_PER_S
 from tests.toys import ROBOT, build, eventful
 from zenav.__main__ import _status
-from zenav.map_modes import OnMap
+from zenav.client.map_modes import OnMap
 from zenav.recording import rewrite
-from zenav.recording.info import Silences, info
+from zenav.recording.info import Silences, recording_info
 from zenav.recording.plot import series
-from zenav.replay import compare
+from zenav.replay.reprocess import compare_replayed
 
-SECOND = 1_000_000_000
 CHAIN = ["base_driver", "odometry", "mapper", "planner"]
 
 
@@ -60,16 +60,16 @@ def test_info_counts_what_is_read_with_an_index_and_without(run, tmp_path):
     counts: dict[str, int] = {}
     for entry in entries:
         counts[entry.key] = counts.get(entry.key, 0) + 1
-    whole = info(run)
+    whole = recording_info(run)
     assert whole.indexed
     assert {row.key: row.n for row in whole.topics} == counts
     assert whole.messages == len(entries)
-    assert whole.seconds == pytest.approx((entries[-1].log_time - entries[0].log_time) / SECOND, abs=0.05)
+    assert whole.seconds == pytest.approx((entries[-1].log_time - entries[0].log_time) / NS_PER_S, abs=0.05)
     assert whole.about["robot"] == ROBOT.name
     assert whole.attachments == {CONFIG: 10}
     assert whole.problems == []
 
-    cut = info(unclosed(run, tmp_path / "cut.mcap"))
+    cut = recording_info(unclosed(run, tmp_path / "cut.mcap"))
     assert not cut.indexed
     assert {row.key: row.n for row in cut.topics if row.n} != counts
     assert sum(row.n for row in cut.topics) == len(rows(tmp_path / "cut.mcap"))
@@ -81,16 +81,16 @@ def test_info_finds_the_silences_of_a_topic(tmp_path, closed):
     writer = Writer(path)
     for i in range(1000):  # 20 s at 50 Hz, silent from 4 to 7 s and from 12 to 13.5 s
         if not 200 <= i < 350 and not 600 <= i < 675:
-            writer.write("odom", Odometry, b"x", i * SECOND // 50, 0, i)
+            writer.write("odom", Odometry, b"x", i * NS_PER_S // 50, 0, i)
             n += 1
         if i % 50 == 0:
-            writer.write("health/mapper", LogLine, b"x", i * SECOND // 50, 0, i)
+            writer.write("health/mapper", LogLine, b"x", i * NS_PER_S // 50, 0, i)
             writer.flush()
     if closed:
         writer.close()
     else:
         writer.flush()
-    found = {row.key: row for row in info(path).topics}
+    found = {row.key: row for row in recording_info(path).topics}
     writer.close()
     assert (found["odom"].n, found["odom"].gaps) == (n, 2)
     assert found["odom"].longest_gap == pytest.approx(3.02)
@@ -100,9 +100,9 @@ def test_info_finds_the_silences_of_a_topic(tmp_path, closed):
 
 
 def test_a_topic_that_fell_silent_before_the_end_is_a_gap():
-    told = Silences(first=0, last=10 * SECOND).told(101, 10.0, 14 * SECOND)
+    told = Silences(first=0, last=10 * NS_PER_S).summary(101, 10.0, 14 * NS_PER_S)
     assert told == (10.0, 1, 4.0)
-    assert Silences(first=0, last=10 * SECOND).told(101, 0.0, 14 * SECOND) == (10.0, 0, 0.0)  # only events
+    assert Silences(first=0, last=10 * NS_PER_S).summary(101, 0.0, 14 * NS_PER_S) == (10.0, 0, 0.0)  # only events
 
 
 def test_info_names_the_parts_of_a_recording_in_order(tmp_path):
@@ -111,18 +111,18 @@ def test_info_names_the_parts_of_a_recording_in_order(tmp_path):
             pass
     with Writer(tmp_path / "runner.mcap", {"recording": "runner", "part": "1"}):
         pass
-    assert info(tmp_path / "run.part2.mcap").parts == ["run.part1.mcap", "run.part2.mcap", "run.part3.mcap"]
-    assert info(tmp_path / "runner.mcap").parts == []
+    assert recording_info(tmp_path / "run.part2.mcap").parts == ["run.part1.mcap", "run.part2.mcap", "run.part3.mcap"]
+    assert recording_info(tmp_path / "runner.mcap").parts == []
 
 
 def test_info_tells_what_was_missed_and_its_status_is_1(tmp_path, capsys):
     path = tmp_path / "a.mcap"
     with Writer(path, {"robot": "x80"}) as writer:
-        writer.write("scan", LogLine, b"x", 5 * SECOND, 0, 0)
+        writer.write("scan", LogLine, b"x", 5 * NS_PER_S, 0, 0)
         writer.note_drops(
-            [Drop(7 * SECOND, "overload", "scan", "s", 1, 4), Drop(7 * SECOND, "overload", "odom", "s", 9, 1)]
+            [Drop(7 * NS_PER_S, "overload", "scan", "s", 1, 4), Drop(7 * NS_PER_S, "overload", "odom", "s", 9, 1)]
         )
-    assert [(row.key, row.missed) for row in info(path).topics] == [("scan", 4)]
+    assert [(row.key, row.missed) for row in recording_info(path).topics] == [("scan", 4)]
     assert _status(["recording", "info", str(path)]) == 1
     out = capsys.readouterr().out
     assert "2.0 s after the start the recorder had missed 5 messages (overload): 4 scan, 1 odom" in out
@@ -142,7 +142,7 @@ def test_cat_writes_the_fields_of_the_messages_that_are_asked_for(run, capsys):
     assert _status(["recording", "cat", str(run), "odom", "map", "--begin", "1", "--end", "2"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     zero = rows(run)[0][1]
-    expected = [r for r in rows(run) if r[0] in ("odom", "map") and zero + SECOND <= r[1] < zero + 2 * SECOND]
+    expected = [r for r in rows(run) if r[0] in ("odom", "map") and zero + NS_PER_S <= r[1] < zero + 2 * NS_PER_S]
     assert [(line["key"], line["log_time"]) for line in lines] == [(key, time) for key, time, _ in expected]
     first = next(line for line in lines if line["key"] == "odom")
     odom, envelope = decode(Odometry, next(p for key, _, p in expected if key == "odom"))
@@ -309,14 +309,14 @@ def test_a_trimmed_beginning_replays_to_the_byte(run, tmp_path):
     assert rows(out) == [row for row in rows(run) if row[1] < rows(run)[0][1] + 2_050_000_000]
     replayed = replay(Recording(out), ["base_driver", "odometry", "mapper"], build)
     assert replayed.gaps == []
-    report = compare(replayed)
+    report = compare_replayed(replayed)
     assert report.equal, report
 
 
 def test_a_trimmed_middle_begins_with_what_was_latched_and_replays(run, tmp_path):
     out = tmp_path / "t.mcap"
     assert _status(["recording", "trim", str(run), "--begin", "1.5", "--out", str(out)]) == 0
-    begin = rows(run)[0][1] + SECOND * 3 // 2
+    begin = rows(run)[0][1] + NS_PER_S * 3 // 2
     recording = Recording(out)
     entries = list(recording.entries())
     assert [(e.key, e.log_time, e.payload) for e in entries if not e.latched] == [r for r in rows(run) if r[1] >= begin]
@@ -324,14 +324,14 @@ def test_a_trimmed_middle_begins_with_what_was_latched_and_replays(run, tmp_path
     assert all(e.log_time == begin for e in entries if e.latched)
     assert recording.attachments[CONFIG] == b"robot: {}\n"
     replayed = replay(recording, ["planner"], build)
-    assert compare(replayed).equal
+    assert compare_replayed(replayed).equal
 
 
 def test_trimming_topics_keeps_the_journals(run, tmp_path):
     out = tmp_path / "t.mcap"
     assert _status(["recording", "trim", str(run), "--topics", "odom,base/*", "--out", str(out)]) == 0
     assert {key for key, *_ in rows(out)} == {"odom", "base/wheels", *(f"journal/{name}" for name in CHAIN)}
-    assert compare(replay(Recording(out), ["odometry"], build)).equal
+    assert compare_replayed(replay(Recording(out), ["odometry"], build)).equal
 
 
 def test_merged_parts_are_what_was_published_and_replay_to_the_byte(tmp_path, capsys):
@@ -356,7 +356,7 @@ def test_merged_parts_are_what_was_published_and_replay_to_the_byte(tmp_path, ca
     assert [entry.payload for entry in recording.entries()] == published
     replayed = replay(recording, CHAIN, build)
     assert replayed.gaps == []
-    assert compare(replayed).equal
+    assert compare_replayed(replayed).equal
 
 
 def test_recordings_that_were_taken_side_by_side_are_merged_by_their_times(tmp_path):
@@ -377,7 +377,7 @@ def test_a_message_that_stands_in_two_recordings_is_merged_once(run, tmp_path, c
     assert rewrite.merge([part, run, run], out) == 0
     assert [entry for entry in Recording(out).entries() if not entry.latched] == list(Recording(run).entries())
     assert f"{len(said) + len(rows(run))} messages stood in two of them" in capsys.readouterr().err
-    assert compare(replay(Recording(out), CHAIN, build)).equal
+    assert compare_replayed(replay(Recording(out), CHAIN, build)).equal
 
 
 def test_what_one_recording_holds_twice_stays_twice(tmp_path):
@@ -436,7 +436,7 @@ def test_latency_is_from_stamp_and_from_sending_to_recording(tmp_path, capsys):
     path = tmp_path / "a.mcap"
     with Writer(path) as writer:
         for i in range(100):
-            stamp, sent = i * SECOND, i * SECOND + 4_000_000
+            stamp, sent = i * NS_PER_S, i * NS_PER_S + 4_000_000
             payload = encode(Velocity(stamp, 0.0, 0.0, ""), Envelope("guard", "s", i, sent))
             writer.write("cmd/vel", Velocity, payload, sent + 1_000_000 * (1 + (i == 99)), sent, i)
     assert _status(["recording", "latency", str(path), "--json"]) == 0
@@ -456,7 +456,7 @@ def test_a_stack_on_a_saved_map_attaches_its_files(tmp_path):
     on_map = OnMap(tmp_path, MapMode.LOCALISE, None)
     config = RecorderConfig(file=str(tmp_path / "a.mcap"), attach=tuple(on_map.files()))
     store = RecordingStore(config)
-    store.begin(SECOND, "x80", "robot: {}\n", [])
+    store.begin(NS_PER_S, "x80", "robot: {}\n", [])
     store.close()
     attached = Recording(tmp_path / "a.mcap").attachments
     assert attached == {name: name.encode() for name in ("graph.msgpack", "map.yaml", "map.pgm")} | {

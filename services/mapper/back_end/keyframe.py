@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keyframes: the scans that are nodes of the pose graph, and the sweeps that they are made of."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from services.mapper.front_end.deskew import remove_twist
+from services.mapper.grid.occupancy import Occupancy
+from shared.geometry import Pose2, wrapped_all
+from shared.types import Bools, Float32s, Float64s
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """Beams of a sweep with an echo: origins, points and normals (n, 2) in `base`, m.
+
+    back: (n,) fraction of the sweep time from each beam to the end of the sweep.
+    """
+
+    origins: Float64s
+    points: Float64s
+    normals: Float64s
+    back: Float64s
+
+    def only(self, which: Bools) -> "Sweep":
+        """Returns the beams that a mask (n,) selects."""
+        return Sweep(self.origins[which], self.points[which], self.normals[which], self.back[which])
+
+    def turned_back(self, twist: float) -> "Sweep":
+        """Returns the sweep de-skewed for a turn that is greater by `twist` rad."""
+        origins, points, normals = (
+            remove_twist(array, self.back, twist) for array in (self.origins, self.points, self.normals)
+        )
+        return Sweep(origins, points, normals, self.back)
+
+
+NO_COVARIANCE = np.zeros((3, 3), np.float32)
+"""Covariance of a keyframe that the graph was optimized with."""
+
+
+@dataclass(frozen=True, slots=True)
+class Keyframe:
+    """A sweep and the pose where it was measured. Arrays are float32, as a map holds thousands.
+
+    stamp: ns, end of the sweep.  local_from_base: in the front end's frame, which no closure moves.
+    origins, ends: (n, 2) m in `base`, ends NaN without an echo.
+    points, normals: (k, 2) m in `base`, for registration.
+    silent: (n, 2) m in `base`, free range of each beam without an echo, NaN elsewhere; or (0, 2) if they have none.
+    covariance: (3, 3) of the pose relative to the local map, until the graph is optimized (see `pose_covariance`).
+    odometry_residual: odometry^-1 @ match for the motion from the keyframe before, in this one's axes.
+    """
+
+    stamp: int
+    local_from_base: Pose2
+    origins: Float32s
+    ends: Float32s
+    points: Float32s
+    normals: Float32s
+    silent: Float32s
+    covariance: Float32s = field(default_factory=lambda: NO_COVARIANCE, kw_only=True)
+    odometry_residual: Pose2 = field(default_factory=Pose2, kw_only=True)
+
+    @classmethod
+    def of(
+        cls, stamp: int, local_from_base: Pose2, origins: Float64s, ends: Float64s, silent: Float64s, sweep: Sweep,
+        covariance: Float64s, odometry_residual: Pose2,
+    ) -> "Keyframe":  # fmt: skip
+        """Returns the keyframe of a placed scan, with arrays as float32."""
+        free = silent if not np.isnan(silent).all() else silent[:0]
+        arrays = (array.astype(np.float32) for array in (origins, ends, sweep.points, sweep.normals, free))
+        return cls(
+            stamp,
+            local_from_base,
+            *arrays,
+            covariance=covariance.astype(np.float32),
+            odometry_residual=odometry_residual,
+        )
+
+    @property
+    def origin(self) -> Float64s:
+        """Mean origin of the beams, (2,) m in `base`."""
+        return np.asarray(np.nanmean(self.origins, axis=0, dtype=np.float64))
+
+    def draw(self, grid: Occupancy, pose: Pose2) -> None:
+        """Draws all beams into a grid.  pose: of `base` in the grid's frame."""
+        origins, ends = self.origins.astype(np.float64), self.ends.astype(np.float64)
+        silent = pose @ self.silent.astype(np.float64) if len(self.silent) else np.full_like(ends, np.nan)
+        grid.insert_scan(pose @ origins, pose @ ends, silent)
+
+    def surface(self) -> tuple[Float64s, Float64s]:
+        """Returns points and normals (k, 2) in `base`, float64 for the kernels."""
+        return self.points.astype(np.float64), self.normals.astype(np.float64)
+
+
+def mean_map_from_local(keyframes: Sequence[Keyframe], poses: Float64s) -> Pose2:
+    """Returns the mean map_from_local of keyframes, as the yaw of a single one would turn all that is far away.
+
+    keyframes: (n,).  poses: (n, 3) of them in `map`.
+    """
+    local = np.array([(k.local_from_base.x, k.local_from_base.y) for k in keyframes])
+    turns = wrapped_all(poses[:, 2] - np.array([k.local_from_base.yaw for k in keyframes]))
+    yaw = float(turns[-1] + wrapped_all(turns - turns[-1]).mean())
+    x, y = (poses[:, :2] - Pose2(0, 0, yaw) @ local).mean(axis=0)
+    return Pose2(float(x), float(y), yaw)

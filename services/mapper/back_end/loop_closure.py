@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loop closure: matches the newest keyframe with submaps of earlier visits, and rejects doubtful matches.
+
+Candidates come from the covariances of the pose graph (Olson, "Robust and efficient robotic mapping", 2008).
+Branch and bound gives start poses (Hess et al., ICRA 2016, section V-B), and registration refines them. A closure is
+rejected where too few beams agree, where beams contradict the submap, or where another pose fits nearly as well.
+The pose graph's robust kernel rejects closures that contradict the others.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import sqrt
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from services.mapper.back_end.branch_and_bound import BranchAndBoundConfig, Pyramid, build_pyramid, search
+from services.mapper.back_end.keyframe import Keyframe
+from services.mapper.back_end.pose_graph import Graph, pose_of, rotate_matrix
+from services.mapper.front_end.registration import Match, Prior, RegistrationConfig
+from services.mapper.front_end.submap import Submap
+from services.mapper.front_end.tracking_result import MIN_BEAMS
+from services.mapper.grid.occupancy import OccupancyConfig
+from shared.config import Section
+from shared.geometry import Pose2, wrapped
+from shared.types import Float64s, Int64s
+
+WEAK_INFORMATION = 1e-2 * np.eye(3)
+"""Information of an unknown pose: standard deviations of 10 m and 10 rad."""
+MIN_RIVAL_M, MIN_RIVAL_RAD = 0.3, 0.2  # distance from the best pose from which another pose is a rival
+
+
+class LoopClosureConfig(Section):
+    """Loop closure."""
+
+    RENAMED: ClassVar[dict[str, str]] = {
+        "every": "search_interval", "apart": "min_path_between", "view": "view_radius", "passes": "max_visits",
+        "around": "block_size", "sigmas": "window_sigmas", "least": "min_window", "farthest": "max_window",
+        "share": "min_inlier_ratio", "balance": "min_inlier_margin", "unlike": "max_rival_ratio", "score": "min_score",
+        "noise": "min_sigma", "noise_turn": "min_sigma_turn",
+    }  # fmt: skip
+
+    search_interval: float = Field(0.5, ge=0.05, le=20, description="m driven between two searches for closures")
+    min_path_between: float = Field(12.0, ge=1, le=1000, description="m, path length that separates two visits")
+    view_radius: float = Field(3.0, ge=0.2, le=50, description="m between two places from where the same is seen")
+    max_visits: int = Field(2, ge=1, le=20, description="earlier visits that a search tries")
+    block_size: int = Field(10, ge=1, le=100, description="keyframes before and after a place that are matched with it")
+    window_sigmas: float = Field(2.0, ge=0.5, le=6, description="standard deviations about the guess that are searched")
+    min_window: float = Field(1.5, ge=0.1, le=30, description="m about the guess that are searched, at least")
+    max_window: float = Field(3.0, ge=0.3, le=30, description="m about the guess that are searched, at most")
+    min_inlier_ratio: float = Field(0.65, ge=0, le=1, description="minimum share of the beams that agree")
+    min_inlier_margin: float = Field(
+        0.55, ge=0, le=1, description="minimum of agreeing beams less contradicting ones, as a share of all"
+    )
+    max_rival_ratio: float = Field(
+        0.9, ge=0, le=1, description="maximum margin of another pose, as a share of the best pose's"
+    )
+    min_score: float = Field(0.3, ge=0, le=1, description="minimum score of a start pose from branch and bound")
+    min_sigma: float = Field(0.04, ge=0.001, le=1, description="m, minimum standard deviation of a closure")
+    min_sigma_turn: float = Field(0.01, ge=0.0005, le=1, description="rad, the same for its turn")
+    search: BranchAndBoundConfig = BranchAndBoundConfig()
+
+
+@dataclass(frozen=True, slots=True)
+class Constraint:
+    """The pose of node j in the frame of node i, with information (3, 3) of (x, y, yaw) in the frame of j."""
+
+    i: int
+    j: int
+    i_from_j: Pose2
+    information: Float64s
+
+
+class SubmapCache:
+    """Submaps of the keyframes around a place, in `local`, with their pyramids; built on demand.
+
+    Only jobs use it, and jobs run one by one in the order in which they were ordered, live as in a replay. So a submap
+    has the same content in both, whether it was built before or after one of its keyframes was removed.
+    """
+
+    MAX_BYTES = 60_000_000  # about 60 submaps in a room, 8 in a hall
+
+    def __init__(
+        self, registration: RegistrationConfig, occupancy: OccupancyConfig, range_max: float, config: LoopClosureConfig
+    ) -> None:
+        self._settings, self._config = (registration, occupancy, range_max), config
+        self._cached: dict[int, tuple[Submap, Pyramid]] = {}
+
+    def around(self, nodes: Int64s, keyframes: Sequence[Keyframe], row: int) -> tuple[Submap, Pyramid]:
+        """Returns the submap, and its pyramid, that holds the node of a row in its middle third.
+
+        nodes, keyframes: (n,) names of the nodes, and their keyframes.
+        """
+        block_size = self._config.block_size
+        block = int(nodes[row]) // block_size
+        begin, end = (int(np.searchsorted(nodes, (block + k) * block_size)) for k in (-1, 2))
+        is_complete = end < len(nodes)
+        entry = self._cached.pop(block, None)
+        if entry is None:
+            submap = Submap(*self._settings)
+            for keyframe in keyframes[begin:end]:
+                submap.add_keyframe(keyframe, keyframe.local_from_base)
+            submap.remove_crossed_points()
+            submap.grid.make_read_only()
+            points = submap.registrar.map.points[: submap.registrar.map.n, :2]
+            points = points[np.isfinite(points[:, 0])]
+            entry = submap, build_pyramid(np.ascontiguousarray(points), self._config.search)
+        if is_complete:
+            self._cached[block] = entry
+            while len(self._cached) > 1 and self.n_bytes > self.MAX_BYTES:
+                del self._cached[next(iter(self._cached))]
+        return entry
+
+    @property
+    def n_bytes(self) -> int:
+        """Memory of the cached submaps, bytes."""
+        return sum(submap.n_bytes + pyramid.levels.nbytes for submap, pyramid in self._cached.values())
+
+
+def find_loop_closures(
+    graph: Graph,
+    covariances: Float64s,
+    keyframes: Sequence[Keyframe],
+    driven: Float64s,
+    submaps: SubmapCache,
+    config: LoopClosureConfig,
+) -> list[Constraint]:
+    """Returns the loop closures of the newest keyframe, one for each earlier visit at most.
+
+    covariances: (n, 3, 3) of the nodes relative to the newest.
+    keyframes, driven: (n,) of the graph's nodes; driven is the path length up to each, m.
+    """
+    last = len(graph.nodes) - 1
+    closures = []
+    for row in earlier_visits(graph.poses, covariances, driven, config):
+        closure = match_loop_closure(graph, keyframes, row, last, covariances[row], submaps, config)
+        if closure is not None:
+            closures.append(closure)
+    return closures
+
+
+def earlier_visits(poses: Float64s, covariances: Float64s, driven: Float64s, config: LoopClosureConfig) -> list[int]:
+    """Returns rows of the nodes, one for each visit, that the last node may be near; most certain and nearest first.
+
+    poses: (n, 3) in `map`.  covariances: (n, 3, 3) relative to the last node.  driven: (n,) m.
+    """
+    distance = np.hypot(*(poses[:, :2] - poses[-1, :2]).T)
+    sigma = np.sqrt(np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]))
+    reach = np.minimum(config.window_sigmas * sigma, config.max_window)
+    is_earlier = driven[-1] - driven > config.min_path_between
+    near: Int64s = np.flatnonzero(is_earlier & (distance < config.view_radius + reach))
+    if not len(near):
+        return []
+    visits = np.split(near, np.flatnonzero(np.diff(driven[near]) > config.view_radius) + 1)
+    nearest = [int(visit[np.argmin(distance[visit])]) for visit in visits]
+    nearest.sort(key=lambda row: (config.window_sigmas * sigma[row] + distance[row], row))
+    return nearest[: config.max_visits]
+
+
+def match_loop_closure(
+    graph: Graph,
+    keyframes: Sequence[Keyframe],
+    row: int,
+    last: int,
+    covariance: Float64s,
+    submaps: SubmapCache,
+    config: LoopClosureConfig,
+) -> Constraint | None:
+    """Matches keyframe `last` with the submap around keyframe `row`; None if the match is rejected.
+
+    covariance: (3, 3) of node `row` relative to node `last`.
+    """
+    if len(keyframes[last].points) < MIN_BEAMS:
+        return None
+    submap, pyramid = submaps.around(graph.nodes, keyframes, row)
+    keyframe, local_from_row = keyframes[last], keyframes[row].local_from_base
+    guess = local_from_row @ (pose_of(graph.poses[row]).inverse() @ pose_of(graph.poses[last]))
+    # a wrong closure makes the graph too certain; a wide window still finds the closures that outvote it
+    sigma = max(sqrt(max(covariance[0, 0], covariance[1, 1])), config.min_window / config.window_sigmas)
+    sigma_turn = sqrt(covariance[2, 2])
+    prior = Prior(guess, sigma, max(sigma_turn, 0.03))
+    reach = min(config.window_sigmas * sigma, config.max_window)
+    turn = min(max(config.window_sigmas * sigma_turn, 0.1), 0.5)
+    points, normals = keyframe.surface()
+    candidates = search(points, pyramid, guess, reach, turn, config.min_score, config.search)
+    best: tuple[float, Match] | None = None
+    tried = []
+    for start in (guess, *(candidate.pose for candidate in candidates)):
+        match = submap.registrar.register(points, normals, start, prior)
+        margin = submap.inlier_margin(match, keyframe.origin, points)
+        tried.append((margin, match.map_from_base))
+        if best is None or margin > best[0]:
+            best = margin, match
+    if best is None or best[1].inlier_ratio < config.min_inlier_ratio or best[0] < config.min_inlier_margin:
+        return None
+    margin, match = best
+    pose = match.map_from_base
+    for other_margin, other in tried:
+        is_rival = other.distance(pose) > MIN_RIVAL_M or abs(wrapped(other.yaw - pose.yaw)) > MIN_RIVAL_RAD
+        if is_rival and other_margin > config.max_rival_ratio * margin:
+            return None
+    information = information_in_own_frame(
+        match.information, pose.yaw, WEAK_INFORMATION, config.min_sigma, config.min_sigma_turn
+    )
+    return Constraint(int(graph.nodes[row]), int(graph.nodes[last]), local_from_row.inverse() @ pose, information)
+
+
+def information_in_own_frame(
+    information: Float64s, yaw: float, known: Float64s, min_sigma: float, min_sigma_turn: float
+) -> Float64s:
+    """Returns the information (3, 3) of a pose in its own axes, limited by a minimum noise.
+
+    information: (3, 3) in the axes of the map, in which the pose has this yaw, rad.
+    known: (3, 3) further information, in the pose's own axes.
+    min_sigma, min_sigma_turn: standard deviations that are added, m and rad.
+    """
+    own = rotate_matrix(information, -yaw) + known
+    covariance = np.linalg.inv(own) + np.diag((min_sigma**2, min_sigma**2, min_sigma_turn**2))
+    out = np.linalg.inv(covariance)
+    return np.asarray((out + out.T) / 2)

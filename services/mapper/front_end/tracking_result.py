@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results of the front end for one scan: the pose with its quality, and a match with the beams that contradict it."""
+
+from dataclasses import dataclass
+
+from services.mapper.back_end.keyframe import Sweep
+from services.mapper.front_end.registration import Match
+from shared.geometry import Pose2
+from shared.messages import Localization
+from shared.types import Float64s
+
+MIN_BEAMS = 15  # inliers and contradictions that make a match informative
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingResult:
+    """The pose of a scan, and what follows from it.
+
+    local_from_base: at the end of the sweep.  covariance: (3, 3) of (x, y, yaw) in `local`, m and rad.
+    quality: share of the informative beams that are inliers, 0..1.
+    trusted: whether the scan may be drawn into maps.  keyframe: the beams that joined the submap, or None.
+    origins, ends: (n, 2) m in `base`, the de-skewed sweep, ends NaN without an echo.
+    """
+
+    local_from_base: Pose2
+    covariance: Float64s
+    quality: float
+    state: Localization
+    match: Match
+    trusted: bool
+    keyframe: Sweep | None
+    origins: Float64s
+    ends: Float64s
+
+
+@dataclass(frozen=True, slots=True)
+class ScoredMatch:
+    """A match, and the number of its beams that contradict the submap. A beam into unknown space is not informative."""
+
+    match: Match
+    n_contradictions: int
+
+    @property
+    def n_inliers(self) -> int:
+        """Beams that lie on surfaces of the submap."""
+        return int(self.match.inliers.sum())
+
+    @property
+    def quality(self) -> float:
+        """Share of the informative beams that are inliers, 0..1."""
+        return self.n_inliers / max(self.n_inliers + self.n_contradictions, MIN_BEAMS)
+
+    @property
+    def is_informative(self) -> bool:
+        """Whether enough beams are inliers or contradictions."""
+        return self.n_inliers + self.n_contradictions >= MIN_BEAMS
+
+    @property
+    def inlier_margin(self) -> float:
+        """Inliers less contradictions, as a share of all beams, -1..1."""
+        return (self.n_inliers - self.n_contradictions) / max(len(self.match.inliers), 1)

@@ -1,0 +1,316 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Global localization: the robot's pose on a saved map without a first guess.
+
+The newest keyframes are matched together with the whole map, by branch and bound and registration. A pose is accepted
+after several searches along a path gave the same pose, and no other pose fits nearly as well.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import hypot, inf, pi, sqrt
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from services.mapper.back_end.branch_and_bound import (
+    BranchAndBoundConfig,
+    Pyramid,
+    build_pyramid,
+    search_cost,
+    search_counted,
+)
+from services.mapper.back_end.keyframe import Keyframe
+from services.mapper.front_end.registration import Match, Prior, RegistrationConfig
+from services.mapper.front_end.submap import Submap
+from services.mapper.grid.occupancy import OccupancyConfig
+from services.mapper.maps.map_file import SavedMap
+from shared.config import Section
+from shared.geometry import Pose2, wrapped
+from shared.service import Job, Out
+from shared.types import Float64s
+
+MAX_POINTS = 2000  # of all keyframes together, for registration
+MIN_POINTS = 30  # of a keyframe that is evaluated
+MAX_SAME_POSE_M, MAX_SAME_POSE_RAD = 0.3, 0.15  # difference of two hypotheses that count as one
+CLUTTER_RATIO = 0.02  # share of the beams that may contradict any pose
+LOOKUPS_PER_S = 1e10  # cells that a search reads in a second of CPU
+WINDOWS_PER_S = 1.4e6  # windows that it evaluates in a second of CPU
+MAX_PART_WINDOWS = 1_000_000  # of a search for a part of the map
+MAX_LOOKUPS = 2e10  # of a search for a part; a wider window is reduced to this
+MAX_REST_NS = 60_000_000_000  # between two searches
+REST_RATIO = 1.0  # rest per CPU time of a search, while the robot waits for its pose
+PART_REST_RATIO = 10.0  # the same while the robot maps meanwhile
+
+
+class GlobalLocalizationConfig(Section):
+    """Global localization on a saved map."""
+
+    RENAMED: ClassVar[dict[str, str]] = {
+        "every": "search_interval", "keyframes": "n_keyframes", "looks": "min_searches", "way": "min_path",
+        "alone": "min_unrivalled", "score": "min_score", "share": "min_inlier_ratio", "balance": "min_inlier_margin",
+        "worst": "min_keyframe_margin", "unlike": "max_rival_ratio", "sureness": "min_eigenvalue_ratio",
+        "wide": "far_rival_distance", "near": "window", "near_turn": "window_turn",
+        "near_looks": "max_window_searches", "kept": "max_pending_keyframes",
+    }  # fmt: skip
+
+    search_interval: float = Field(0.4, ge=0, le=20, description="m driven between two searches")
+    n_keyframes: int = Field(15, ge=1, le=100, description="newest keyframes that are matched together")
+    min_searches: int = Field(3, ge=1, le=100, description="searches in a row that must give the same pose")
+    min_path: float = Field(1.2, ge=0, le=100, description="m driven during these searches, at least")
+    min_unrivalled: int = Field(
+        2, ge=1, le=100, description="of these searches, the last in a row that must give no other pose"
+    )
+    min_score: float = Field(0.5, ge=0, le=1, description="minimum score of a start pose from branch and bound")
+    min_inlier_ratio: float = Field(0.65, ge=0, le=1, description="minimum share of the beams that agree")
+    min_inlier_margin: float = Field(
+        0.6, ge=0, le=1, description="minimum of agreeing beams less contradicting ones, as a share of all"
+    )
+    min_keyframe_margin: float = Field(0.35, ge=0, le=1, description="minimum of the same for each keyframe")
+    max_rival_ratio: float = Field(
+        0.35, ge=0, le=1, description="evidence against the best pose, as a share of that against the second best"
+    )
+    min_eigenvalue_ratio: float = Field(
+        0.01, ge=0, le=1, description="minimum ratio of the eigenvalues of the position's information"
+    )
+    far_rival_distance: float = Field(
+        3.0, ge=0.5, le=100, description="m from the best pose beyond which a second rival is searched"
+    )
+    window: float = Field(1.5, ge=0.1, le=20, description="m, maximum error of a given pose")
+    window_turn: float = Field(0.6, ge=0.05, le=3.1, description="rad, maximum error of its yaw")
+    max_window_searches: int = Field(
+        3, ge=1, le=100, description="failed searches about a given pose, until the whole map is searched"
+    )
+    max_pending_keyframes: int = Field(
+        200, ge=10, le=100_000, description="keyframes that are stored until the robot is localized"
+    )
+    search: BranchAndBoundConfig = BranchAndBoundConfig(min_rival_ratio=0.7, max_windows=50_000_000)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseHypothesis:
+    """A pose that was evaluated.
+
+    margin: mean over the keyframes of inliers less contradicting beams, as a share of all.
+    is_plausible: all criteria hold that concern this pose alone.
+    """
+
+    map_from_local: Pose2
+    margin: float
+    is_plausible: bool
+
+
+class MapSurface:
+    """A whole saved map for matching, in `map`, built at the first use.
+
+    It caches what can be computed again, so a job that uses it stays pure.
+    """
+
+    def __init__(
+        self, saved: SavedMap, registration: RegistrationConfig, occupancy: OccupancyConfig, range_max: float
+    ) -> None:
+        self._saved, self._settings = saved, (registration, occupancy, range_max)
+        self._cached: tuple[Submap, Pyramid] | None = None
+
+    def submap_and_pyramid(self, config: BranchAndBoundConfig) -> tuple[Submap, Pyramid]:
+        """Returns the submap for registration and the pyramid for the search."""
+        if self._cached is None:
+            submap = Submap(*self._settings)
+            for keyframe, row in zip(self._saved.keyframes, self._saved.graph.poses.tolist()):
+                submap.add_points(Pose2(*row), *keyframe.surface())
+            submap.grid.load(self._saved.tiles)
+            points = submap.registrar.map.points[: submap.registrar.map.n, :2]
+            self._cached = submap, build_pyramid(np.ascontiguousarray(points), config)
+        return self._cached
+
+
+def find_poses(
+    surface: MapSurface,
+    keyframes: Sequence[Keyframe],
+    guesses: Sequence[Pose2],
+    config: GlobalLocalizationConfig,
+    window_about: Pose2 | None = None,
+    part_about: Pose2 | None = None,
+) -> tuple[list[PoseHypothesis], float]:
+    """Returns hypotheses of map_from_local for all keyframes together, best first, and the CPU time, s, by estimate.
+
+    guesses: map_from_local that are evaluated too.
+    window_about: a given map_from_local; only `window` about it is searched.
+    part_about: map_from_local of a part; its surroundings are searched where the whole map is too large.
+    """
+    submap, pyramid = surface.submap_and_pyramid(config.search)
+    newest = keyframes[-1].local_from_base
+    newest_from_each = [newest.inverse() @ keyframe.local_from_base for keyframe in keyframes]
+    surfaces = [keyframe.surface() for keyframe in keyframes]
+    points = np.concatenate([pose @ p for pose, (p, _) in zip(newest_from_each, surfaces)])
+    normals = np.concatenate([Pose2(0, 0, pose.yaw) @ n for pose, (_, n) in zip(newest_from_each, surfaces)])
+    if len(points) < MIN_POINTS or submap.registrar.map.n < MIN_POINTS:
+        return [], 0.0
+    stride = -(-len(points) // MAX_POINTS)
+    some, some_normals = np.ascontiguousarray(points[::stride]), np.ascontiguousarray(normals[::stride])
+    height, width = pyramid.levels[0].shape
+    centre = Pose2(width * pyramid.resolution / 2 + pyramid.x0, height * pyramid.resolution / 2 + pyramid.y0)
+    reach, turn = max(width, height) * pyramid.resolution / 2, pi
+    if window_about is not None:
+        centre, reach, turn = window_about @ newest, config.window, config.window_turn
+    starts = [guess @ newest for guess in guesses]
+    cost = search_cost(points, pyramid, reach, turn, config.search)
+    max_windows = config.search.max_windows if part_about is None else MAX_PART_WINDOWS
+    if part_about is not None and cost > MAX_LOOKUPS:
+        centre, reach, cost = part_about @ newest, reach * sqrt(MAX_LOOKUPS / cost), round(MAX_LOOKUPS)
+    seconds = 0.0
+    for rival_distance in (config.search.min_rival_distance, config.far_rival_distance):
+        settings = config.search.model_copy(update={"min_rival_distance": rival_distance, "max_windows": max_windows})
+        candidates, n_windows = search_counted(points, pyramid, centre, reach, turn, config.min_score, settings)
+        seconds += cost / LOOKUPS_PER_S + n_windows / WINDOWS_PER_S
+        starts += [candidate.pose for candidate in candidates if candidate.pose not in starts]
+        if len(candidates) < 2:  # no rival near the best pose, so none farther off
+            break
+    hypotheses: list[PoseHypothesis] = []
+    for start in starts:
+        match = submap.registrar.register(some, some_normals, start, Prior(start, 0.5, 0.2))
+        hypothesis = _evaluate(match, submap, keyframes, newest_from_each, surfaces, newest, config)
+        if not any(is_same_pose(hypothesis.map_from_local, other.map_from_local, newest) for other in hypotheses):
+            hypotheses.append(hypothesis)
+    return sorted(hypotheses, key=lambda hypothesis: -hypothesis.margin), seconds
+
+
+def _evaluate(
+    match: Match,
+    submap: Submap,
+    keyframes: Sequence[Keyframe],
+    newest_from_each: Sequence[Pose2],
+    surfaces: Sequence[tuple[Float64s, Float64s]],
+    newest: Pose2,
+    config: GlobalLocalizationConfig,
+) -> PoseHypothesis:
+    """Returns the hypothesis of a match of all keyframes, evaluated by each keyframe."""
+    margins, inlier_ratios = [], []
+    for keyframe, newest_from_base, (points, normals) in zip(keyframes, newest_from_each, surfaces):
+        if len(points) < MIN_POINTS:
+            continue
+        measured = submap.registrar.evaluate(points, normals, match.map_from_base @ newest_from_base)
+        margins.append(submap.inlier_margin(measured, keyframe.origin, points))
+        inlier_ratios.append(measured.inlier_ratio)
+    map_from_local = match.map_from_base @ newest.inverse()
+    if not margins:
+        return PoseHypothesis(map_from_local, 0.0, False)
+    eigenvalues = np.linalg.eigvalsh(match.information[:2, :2])
+    margin = float(np.mean(margins))
+    is_plausible = (
+        margin >= config.min_inlier_margin
+        and float(np.mean(inlier_ratios)) >= config.min_inlier_ratio
+        and min(margins) >= config.min_keyframe_margin
+        and float(eigenvalues[0]) >= config.min_eigenvalue_ratio * float(eigenvalues[1])
+    )
+    return PoseHypothesis(map_from_local, margin, bool(is_plausible))
+
+
+def is_same_pose(a: Pose2, b: Pose2, local_from_base: Pose2) -> bool:
+    """Whether two map_from_local put the robot at the same pose."""
+    pose_a, pose_b = a @ local_from_base, b @ local_from_base
+    return pose_a.distance(pose_b) <= MAX_SAME_POSE_M and abs(wrapped(pose_a.yaw - pose_b.yaw)) <= MAX_SAME_POSE_RAD
+
+
+class GlobalLocalizer:
+    """Collects keyframes while the pose is unknown, orders searches, and decides when the pose is certain."""
+
+    def __init__(
+        self,
+        config: GlobalLocalizationConfig,
+        registration: RegistrationConfig,
+        occupancy: OccupancyConfig,
+        range_max: float,
+    ) -> None:
+        self.config = config
+        self._settings = registration, occupancy, range_max
+        self.epoch = 0
+        self.rests_until: int | None = None  # ns, of a keyframe's stamp
+        self.load(None)
+
+    def load(self, saved: SavedMap | None, rest_ratio: float = REST_RATIO) -> None:
+        """Searches the robot on this map; None ends all searches.  rest_ratio: pause per CPU time of a search."""
+        self.surface = MapSurface(saved, *self._settings) if saved is not None else None
+        self.rest_ratio = rest_ratio
+        self.start()
+
+    def start(self, window_about: Pose2 | None = None) -> None:
+        """Begins to search: the whole map, or about a given map_from_local, where one search is enough."""
+        self.epoch += 1
+        self.is_searching = self.surface is not None
+        self.has_job = False
+        self.pending: list[tuple[Keyframe, Match, float]] = []  # arguments of `BackEnd.add_keyframe`
+        self.driven = 0.0  # m
+        self.searched_at = -inf  # m driven, at the last search
+        self.guesses: tuple[Pose2, ...] = ()
+        self.window_about, self.n_failed = window_about, 0  # searches there
+        self.part_about: Pose2 | None = None  # map_from_local to search about on a large map
+        self.tracks: list[tuple[Pose2, float, int]] = []  # pose, m driven at its first search, number of searches
+        self.n_unrivalled = 0  # searches in a row that gave one pose alone
+
+    def add_keyframe(self, keyframe: Keyframe, match: Match, odometry_scale: float) -> Out:
+        """Stores a keyframe, with the arguments of `BackEnd.add_keyframe`, and orders a search when due."""
+        if self.pending:
+            step = self.pending[-1][0].local_from_base.inverse() @ keyframe.local_from_base
+            self.driven += hypot(step.x, step.y)
+        self.pending.append((keyframe, match, odometry_scale))
+        del self.pending[: -self.config.max_pending_keyframes]
+        is_due = self.driven - self.searched_at >= self.config.search_interval and not self._rests(keyframe.stamp)
+        if self.surface is not None and not self.has_job and is_due:
+            self.searched_at, self.has_job = self.driven, True
+            newest = tuple(pending for pending, _, _ in self.pending[-self.config.n_keyframes :])
+            order = self.epoch, self.surface, newest, self.guesses, self.config, self.window_about, self.part_about
+            yield Job(_search, order, "on_localized", 0.5)
+
+    def _rests(self, stamp: int) -> bool:
+        """Whether the next search waits because the last one was long; never after the clock was set back."""
+        until = self.rests_until
+        return until is not None and until - MAX_REST_NS <= stamp < until
+
+    def accepted_pose(self, result: tuple[int, list[PoseHypothesis], float]) -> Pose2 | None:
+        """Applies the result of a search; returns map_from_local once it is certain."""
+        epoch, hypotheses, seconds = result
+        if epoch != self.epoch:
+            return None
+        self.has_job = False
+        self.rests_until = self.pending[-1][0].stamp + min(round(self.rest_ratio * seconds * 1e9), MAX_REST_NS)
+        self.guesses = tuple(hypothesis.map_from_local for hypothesis in hypotheses[:4])
+        local_from_base, before, self.tracks = self.pending[-1][0].local_from_base, self.tracks, []
+        for pose in (hypothesis.map_from_local for hypothesis in hypotheses if hypothesis.is_plausible):
+            new = pose, self.searched_at, 0
+            _, since, n = next((old for old in before if is_same_pose(pose, old[0], local_from_base)), new)
+            self.tracks.append((pose, since, n + 1))
+        if not hypotheses or not hypotheses[0].is_plausible or not self._is_unrivalled(hypotheses):
+            self.n_unrivalled = 0
+            self.n_failed += 1
+            if self.n_failed >= self.config.max_window_searches:
+                self.window_about = None
+            return None
+        pose, since, n = self.tracks[0]
+        self.n_unrivalled = min(self.n_unrivalled + 1, n)
+        is_stable = n >= self.config.min_searches and self.searched_at - since >= self.config.min_path
+        if self.window_about is None and (self.n_unrivalled < self.config.min_unrivalled or not is_stable):
+            return None
+        self.is_searching = False
+        return pose
+
+    def _is_unrivalled(self, hypotheses: Sequence[PoseHypothesis]) -> bool:
+        """Whether the evidence against every other pose exceeds what moved furniture explains.
+
+        In a row of similar rooms, the right one may fit worse than its neighbour after a box was moved. So the evidence
+        against the best pose must be a small share of that against the next.
+        """
+        best, rival = hypotheses[0].margin, hypotheses[1].margin if len(hypotheses) > 1 else 0.0
+        return 1 - best + CLUTTER_RATIO <= self.config.max_rival_ratio * (1 - rival)
+
+
+def _search(
+    epoch: int,
+    surface: MapSurface,
+    keyframes: Sequence[Keyframe],
+    guesses: Sequence[Pose2],
+    config: GlobalLocalizationConfig,
+    window_about: Pose2 | None,
+    part_about: Pose2 | None,
+) -> tuple[int, list[PoseHypothesis], float]:
+    return epoch, *find_poses(surface, keyframes, guesses, config, window_about, part_about)

@@ -1,0 +1,367 @@
+# SPDX-License-Identifier: Apache-2.0
+"""SLAM: tracks the robot on one map, updates the map and its graph, and relocalizes the robot after it is lost.
+
+The front end places each scan. While the mode is to map, the scan is drawn and its keyframe is added to the back end.
+A robot that is lost on a map is searched by global localization; a robot that is lost while mapping begins a new part.
+"""
+
+from math import hypot, inf
+
+import numpy as np
+
+from services.mapper.back_end.back_end import BackEnd
+from services.mapper.back_end.constraint_search import FoundConstraints
+from services.mapper.back_end.keyframe import Keyframe
+from services.mapper.back_end.local_map import LocalMap
+from services.mapper.back_end.map_jobs import MapJobs
+from services.mapper.back_end.map_parts import MIN_FIT, MIN_KEYFRAMES, OdometryGap, fits_grid, gap_information
+from services.mapper.back_end.pose_graph import OptimizationResult, rotate_matrix
+from services.mapper.front_end.front_end import FrontEnd
+from services.mapper.front_end.scan_queue import SyncedScan
+from services.mapper.front_end.tracking_result import TrackingResult
+from services.mapper.grid.map_drawing import Drawing
+from services.mapper.grid.occupancy import Occupancy, OccupancyConfig
+from services.mapper.localization.global_localization import PART_REST_RATIO, GlobalLocalizer, PoseHypothesis
+from services.mapper.localization.kidnap_detection import KidnapDetector
+from services.mapper.maps.map_file import SavedMap
+from shared import topics
+from shared.geometry import Pose2
+from shared.grid import OccupancyGrid
+from shared.messages import Localization, MapMode, MapUpdate, PoseEstimate
+from shared.service import Log, Out
+from shared.types import Float64s
+
+UNKNOWN_POSE_COVARIANCE = np.diag((1e6, 1e6, 10.0))
+"""Covariance (m^2, rad^2) of a robot that is not localized yet."""
+N_AVERAGED_SCANS = 20.0  # of an unjoined part, over which the share that fits the map is averaged
+MAX_LOST_PATH_M = 0.3
+"""Path while lost, after which the whole map is searched. Before, a laser that was covered may see its place again."""
+
+
+class Slam:
+    """One map at a time, and the pose of the robot on it.
+
+    max_path_without_closure: m driven on a saved map without a closure, until the pose is poor.
+    """
+
+    def __init__(
+        self,
+        front_end: FrontEnd,
+        back_end: BackEnd,
+        localizer: GlobalLocalizer,
+        kidnap_detector: KidnapDetector,
+        occupancy: OccupancyConfig,
+        max_path_without_closure: float,
+    ) -> None:
+        self.front_end, self.back_end, self.localizer = front_end, back_end, localizer
+        self.kidnap_detector = kidnap_detector
+        self.jobs = MapJobs(back_end)
+        self.occupancy, self.max_path_without_closure = occupancy, max_path_without_closure
+        self.grid = Occupancy(occupancy, 0)
+        self.tracked: TrackingResult | None = None
+        self.odometry_scale = 1.0  # of odometry's standard deviations, the largest since the last keyframe
+        self.mode = MapMode.MAP
+        self.saved: SavedMap | None = None  # the map of localization, which does not change
+        self.known_map_from_local: Pose2 | None = None  # of the next keyframe, which begins a session
+        self.lost_path = 0.0  # m driven since the robot was lost
+        self.searches_part = False  # global localization searches an unjoined part, which is mapped meanwhile
+        self.part_fit = 1.0  # share of the last scans of an unjoined part that fit the map
+
+    @property
+    def changes_map(self) -> bool:
+        """Whether scans change the map."""
+        return self.mode is not MapMode.LOCALISE
+
+    @property
+    def map_from_base(self) -> Pose2:
+        """Present pose of the robot on the map."""
+        return self.back_end.map_from_local @ self.front_end.local_from_base
+
+    def track(self, scan: SyncedScan, now: int) -> TrackingResult:
+        """Places a scan, and draws it where the pose is trusted.  now: ns."""
+        if self.tracked is None and not self.grid.tile_index:
+            self.grid = Occupancy(self.occupancy, max(now, 1))
+        self.odometry_scale = max(self.odometry_scale, scan.sigma_factor)
+        tracked = self.front_end.track(
+            scan.origins, scan.ends, scan.step, scan.sigma_factor, scan.skew, scan.end, scan.seconds
+        )
+        if tracked.trusted and self.is_localized and self.changes_map:
+            self._draw(scan, tracked)
+        self.tracked = tracked
+        return tracked
+
+    @property
+    def is_localized(self) -> bool:
+        """Whether the pose on the map is known well enough to map on."""
+        return self.searches_part or not self.localizer.is_searching
+
+    @property
+    def is_in_part(self) -> bool:
+        """Whether the robot is in a part that only odometry joins to the rest of the map."""
+        return not self.back_end.is_joined
+
+    def _draw(self, scan: SyncedScan, tracked: TrackingResult) -> None:
+        """Draws a scan. A scan of an unjoined part must fit the map."""
+        pose = self.map_from_base
+        origins, ends = pose @ tracked.origins, pose @ tracked.ends
+        if self.is_in_part:
+            self.part_fit += (float(fits_grid(self.grid, origins, ends)) - self.part_fit) / N_AVERAGED_SCANS
+            if self.back_end.n_in_part < MIN_KEYFRAMES or not fits_grid(self.grid, origins, ends):
+                return
+        self.grid.insert_scan(origins, ends, pose @ scan.silent)
+
+    def update_graph(self, scan: SyncedScan, tracked: TrackingResult) -> Out:
+        """Adds a keyframe to the graph, or to global localization, and reacts to a lost or kidnapped robot."""
+        if tracked.keyframe is not None and self.front_end.from_keyframes:
+            yield from self._add_keyframe(scan, tracked)
+        self.lost_path += hypot(scan.step.x, scan.step.y)
+        if tracked.state is not Localization.LOST or not self.is_localized or self.front_end.motions_disagree:
+            self.lost_path = 0.0
+        is_lost = self.lost_path >= MAX_LOST_PATH_M and self.has_graph
+        if is_lost and not self.back_end.is_fixed:
+            yield from self._begin_part()
+        elif is_lost or self._is_kidnapped(tracked):
+            yield from self._start_global_localization()
+
+    def _add_keyframe(self, scan: SyncedScan, tracked: TrackingResult) -> Out:
+        assert tracked.keyframe is not None
+        keyframe = Keyframe.of(
+            stamp=scan.end,
+            local_from_base=tracked.local_from_base,
+            origins=tracked.origins,
+            ends=tracked.ends,
+            silent=scan.silent,
+            sweep=tracked.keyframe,
+            covariance=self.front_end.uncertainty.map_covariance,
+            odometry_residual=self.front_end.keyframe_off,
+        )
+        odometry = self.front_end.odometry_error
+        if not self.is_localized:
+            yield from self.localizer.add_keyframe(keyframe, tracked.match, self.odometry_scale)
+        elif self.known_map_from_local is not None:
+            pending = [(keyframe, tracked.match, self.odometry_scale)]
+            self.back_end.start_localized(self.known_map_from_local, pending, odometry)
+            self.known_map_from_local = None
+        else:
+            yield from self.jobs.add_keyframe(keyframe, tracked.match, odometry, self.odometry_scale)
+            yield from self._localize_part(keyframe, tracked)
+        self.odometry_scale = 1.0
+
+    def _begin_part(self) -> Out:
+        """Goes on by odometry in a new part of the map, as scans do not fit."""
+        front_end, back_end = self.front_end, self.back_end
+        motion = back_end.keyframes[-1].local_from_base.inverse() @ front_end.dead_reckoned
+        back_end.begin_part(OdometryGap(motion, front_end.unmatched.path, front_end.unmatched.turn))
+        front_end.start(front_end.dead_reckoned)
+        self._end_part_search()
+        self.part_fit, self.lost_path = 1.0, 0.0
+        yield Log("WARNING", "scans do not fit: going on by odometry in a new part of the map")
+
+    def _end_part_search(self) -> None:
+        self.localizer.load(None)
+        self.searches_part = False
+
+    def _localize_part(self, keyframe: Keyframe, tracked: TrackingResult) -> Out:
+        """Searches an unjoined part on the whole map, where it does not fit at its pose by odometry."""
+        if not self.is_in_part:
+            if self.searches_part:
+                self._end_part_search()
+            return
+        is_long = self.back_end.n_in_part >= MIN_KEYFRAMES
+        if not self.localizer.is_searching and self.part_fit < MIN_FIT and is_long:
+            self.localizer.load(self._map_without_part(), PART_REST_RATIO)
+            self.localizer.part_about = self.back_end.map_from_local
+            self.searches_part = True
+        if self.searches_part:
+            yield from self.localizer.add_keyframe(keyframe, tracked.match, self.odometry_scale)
+
+    def _is_kidnapped(self, tracked: TrackingResult) -> bool:
+        """Whether a map that does not change contradicts the scans."""
+        if self.localizer.is_searching or not self.back_end.is_fixed or self.known_map_from_local is not None:
+            return False
+        pose = self.map_from_base
+        return self.kidnap_detector.is_kidnapped(self.grid, pose @ tracked.origins, pose @ tracked.ends)
+
+    def estimate(self, scan: SyncedScan, tracked: TrackingResult) -> PoseEstimate:
+        """Returns the pose on the map at the end of a scan, with its covariance and state."""
+        back_end = self.back_end
+        covariance, state = rotate_matrix(tracked.covariance, back_end.map_from_local.yaw), tracked.state
+        if not self.is_localized:
+            covariance, state = UNKNOWN_POSE_COVARIANCE, Localization.LOST
+        elif self.is_in_part:
+            covariance, state = self._certainty_in_part(covariance, state)
+        elif back_end.is_fixed and back_end.path_since_closure > self.max_path_without_closure:
+            state = Localization.POOR if state is Localization.GOOD else state
+        return PoseEstimate(
+            stamp=scan.end,
+            map_from_base=self.map_from_base,
+            map_from_odom=self.map_from_base @ scan.odom_from_base.inverse(),
+            covariance=np.clip(covariance, -1e12, 1e12).reshape(9),
+            quality=tracked.quality,
+            state=state,
+            mode=self.mode,
+        )
+
+    def _certainty_in_part(self, covariance: Float64s, state: Localization) -> tuple[Float64s, Localization]:
+        """Returns covariance and state in a part that only odometry joins to the rest of the map."""
+        gap = self.back_end.gap or self.back_end.part_gap
+        covariance = covariance + np.linalg.inv(gap_information(gap.path, gap.turn))
+        fits = self.back_end.n_in_part >= MIN_KEYFRAMES and self.part_fit >= MIN_FIT
+        is_lost = state is Localization.LOST or not fits
+        return covariance, Localization.LOST if is_lost else Localization.POOR
+
+    def changed_tiles(self, now: int) -> Out:
+        """Publishes the tiles that changed.  now: ns."""
+        update = self.grid.next_update(now)
+        if update is not None:
+            yield topics.MAP(update)
+
+    @property
+    def has_graph(self) -> bool:
+        """Whether the map has keyframes, which saving and global localization need."""
+        return self.front_end.from_keyframes and bool(self.back_end.keyframes)
+
+    @property
+    def is_drawing(self) -> bool:
+        """Whether the map does not show the present graph yet."""
+        return self.jobs.is_drawing or self.back_end.needs_redraw
+
+    def snapshot(self) -> SavedMap:
+        """Returns the present map; during localization, the map that was loaded."""
+        if self.saved is not None:
+            return self.saved
+        back_end = self.back_end
+        self.grid.update_cells()  # the scans since the last publication
+        whole = self.grid.all_tiles(0)
+        return SavedMap(back_end.graph.snapshot(), tuple(back_end.keyframes), np.array(back_end.driven), whole)
+
+    def _map_without_part(self) -> SavedMap:
+        """Returns the present map without the unjoined part."""
+        saved, n = self.snapshot(), self.back_end.first_row
+        graph = saved.graph.subgraph_before(self.back_end.first_node)
+        return SavedMap(graph, saved.keyframes[:n], saved.driven[:n], saved.tiles)
+
+    def start_map(self, now: int) -> None:
+        """Begins an empty map at the robot.  now: ns."""
+        self._reset(max(now, self.grid.map_id + 1), None, MapMode.MAP)
+        self.front_end.start(Pose2())
+        self.localizer.load(None)
+        self.tracked = None
+
+    def use_map(self, saved: SavedMap, mode: MapMode, now: int, at: Pose2 | None = None) -> None:
+        """Uses a saved map, with the robot near a pose, or anywhere on it.  at: map_from_base.  now: ns."""
+        self._reset(max(now, self.grid.map_id + 1), saved.tiles, mode)
+        self.front_end.start(at or Pose2())
+        self._load_back_end(saved)
+        self.localizer.load(saved)
+        if at is not None:
+            self.localizer.start(window_about=Pose2())
+        self.tracked = None
+
+    def switch_mode(self, mode: MapMode) -> None:
+        """Keeps the map and the robot's pose, in another mode."""
+        if self.changes_map == (mode is not MapMode.LOCALISE):
+            return
+        saved = self.snapshot() if self.has_graph else None
+        self.mode = mode
+        if saved is None:
+            return
+        if self.localizer.is_searching:
+            window_about = self.localizer.window_about
+            self.jobs.reset()
+            self._load_back_end(saved)
+            self.localizer.load(saved)
+            self.front_end.start(self.front_end.local_from_base)
+            self.localizer.start(window_about)
+            return
+        map_from_local = self.known_map_from_local or self.back_end.map_from_local
+        self.jobs.reset()
+        self._load_back_end(saved)
+        self.back_end.map_from_local = self.known_map_from_local = map_from_local
+        self.localizer.load(saved if not self.changes_map else None)
+        self.localizer.is_searching = False
+
+    def _load_back_end(self, saved: SavedMap) -> None:
+        self.back_end.load(saved, fixed=not self.changes_map)
+        self.kidnap_detector.reset()
+        self.saved = saved if not self.changes_map else None
+
+    def use_grid(self, tiles: MapUpdate, grid: OccupancyGrid, map_id: int, map_from_base: Pose2, mode: MapMode) -> None:
+        """Uses a map without a graph, with the robot near a pose.  grid: of the tiles."""
+        self._reset(map_id, tiles, mode)
+        self.front_end.load(grid, tiles, map_from_base)
+        self.localizer.load(None)
+
+    def on_virtual_keyframes(self, result: tuple[int, SavedMap | None]) -> Out:
+        """Gives a map that was loaded without a graph its keyframes; the robot keeps its pose."""
+        map_id, saved = result
+        if saved is not None and map_id == self.grid.map_id and not self.front_end.from_keyframes:
+            self.jobs.reset()
+            self._load_back_end(saved)
+            self.known_map_from_local = self.back_end.map_from_local  # `local` is the map's frame
+            self.front_end.from_keyframes = True
+            self.localizer.load(saved if not self.changes_map else None)
+            self.localizer.is_searching = False
+        return ()
+
+    def on_localized(self, result: tuple[int, list[PoseHypothesis], float]) -> Out:
+        """Applies the result of a global localization: joins the part, or begins a session at the pose."""
+        window_about = self.localizer.window_about
+        map_from_local = self.localizer.accepted_pose(result)
+        if map_from_local is not None and self.is_in_part:
+            self.back_end.join_localized(map_from_local)
+            yield Log("INFO", f"the new part of the map was found on the rest after {self.localizer.driven:.1f} m")
+            self._end_part_search()
+            yield from self.jobs.optimize()
+        elif map_from_local is not None:
+            self.kidnap_detector.reset()
+            self.back_end.start_localized(map_from_local, self.localizer.pending, self.front_end.odometry_error)
+            yield Log("INFO", f"found on the map after {self.localizer.driven:.1f} m")
+            self.localizer.pending = []
+            if self.changes_map:
+                self.back_end.map_shift = inf  # redrawn as a job, as there may be many pending keyframes
+                self.localizer.surface = None  # the map will have changed when the robot is lost again
+        elif window_about is not None and self.localizer.window_about is None:
+            yield Log("WARNING", "the robot is not near the given pose: looking for it on the whole map")
+
+    def on_constraints(self, result: tuple[int, FoundConstraints]) -> Out:
+        """Adds the constraints that a search found."""
+        yield from self.jobs.on_constraints(result)
+        if self.back_end.is_confirmed:
+            self.front_end.reset_uncertainty()
+
+    def on_graph_optimized(self, result: tuple[int, OptimizationResult]) -> Out:
+        """Applies an optimum: the pose on the map moves now, the map when it is redrawn."""
+        self.front_end.reset_uncertainty()
+        return self.jobs.on_graph_optimized(result)
+
+    def on_local_map(self, result: tuple[int, LocalMap]) -> Out:
+        """Replaces the submap that the next scans are matched with."""
+        submap = self.jobs.on_local_map(result)
+        if submap is not None:
+            self.front_end.submap = submap
+        return ()
+
+    def on_map_drawn(self, result: tuple[int, Drawing], now: int) -> Out:
+        """Goes on redrawing the map, and replaces it when the drawing is complete.  now: ns."""
+        grid = yield from self.jobs.on_map_drawn(result, now)
+        if grid is not None:
+            self.grid.replace_with(grid)
+
+    def _reset(self, map_id: int, tiles: MapUpdate | None, mode: MapMode) -> None:
+        self.grid = Occupancy(self.occupancy, map_id)
+        if tiles is not None:
+            self.grid.load(tiles)
+        self.jobs.reset()
+        self.mode, self.saved, self.known_map_from_local, self.lost_path = mode, None, None, 0.0
+        self.searches_part = False
+
+    def _start_global_localization(self) -> Out:
+        """Searches the robot on the whole map, as it is lost."""
+        if self.localizer.surface is None:
+            self.localizer.load(self.snapshot())
+        self.front_end.start(self.front_end.local_from_base)
+        self.back_end.start_unlocalized()
+        self.known_map_from_local = None
+        self.localizer.start()
+        yield Log("WARNING", "lost: looking for the robot on the whole map")

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files with a service's last latched values, for its next process after a crash."""
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+from shared.types import NS_PER_S
+
+MAX_RESTART_AGE_NS = 30 * NS_PER_S  # the robot may have been moved since an older value
+
+log = logging.getLogger("zenav")
+
+
+class LatchedDisk:
+    """The last values of a service's latched topics, in files of `folder`."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self._folder, self._name = folder, name
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def write(self, key: str, value: Callable[[], bytes]) -> None:
+        """Replaces a key's value as a whole. An error is logged."""
+        path = self._path(key)
+        part = path.with_suffix(".part")
+        try:
+            part.write_bytes(value())
+            part.replace(path)
+        except OSError as error:
+            log.warning("%s cannot be kept for a restart: %s", key, error)
+
+    def read(self, key: str) -> bytes | None:
+        """A key's value as bytes, or None."""
+        try:
+            return self._path(key).read_bytes()
+        except FileNotFoundError:
+            return None
+
+    def _path(self, key: str) -> Path:
+        return self._folder / f"{self._name}-{key.replace('/', '-')}.msgpack"

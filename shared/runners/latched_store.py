@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The latched values of a live service: for late subscribers, and on disk for its next process."""
+
+import logging
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from dataclasses import replace
+from functools import partial
+
+from shared import topics
+from shared.codec import CodecError, Envelope, decode, encode
+from shared.messages import Message
+from shared.runners.host import Sent, merged
+from shared.runners.latched_disk import MAX_RESTART_AGE_NS, LatchedDisk
+from shared.runners.transport import LatchedPublisher
+
+log = logging.getLogger("zenav")
+
+
+class LatchedStore:
+    """Latched values of one service. own: the keys that it subscribes to itself: only these are on disk.
+
+    workers: the executor that writes the files.
+    """
+
+    def __init__(self, disk: LatchedDisk | None, own: list[str], workers: Executor) -> None:
+        self.publishers: dict[str, LatchedPublisher] = {}
+        self._disk, self._own, self._workers = disk, own, workers
+        self._values: dict[str, Message] = {}
+        self._unsaved: dict[str, Callable[[], bytes]] = {}
+
+    def restore(self, now: int, wrong: Callable[[str, int], None]) -> Iterator[tuple[str, Message, Envelope]]:
+        """The last messages before a restart, up to MAX_RESTART_AGE_NS old. wrong: called with damage and `now`."""
+        for key in self._own:
+            payload = self._disk.read(key) if self._disk is not None else None
+            if payload is None:
+                continue
+            try:
+                message, envelope = decode(topics.BY_KEY[key].type, payload)
+            except CodecError as error:
+                wrong(f"{key}: what was kept from before the restart is damaged: {error}", now)
+                continue
+            if 0 <= now - envelope.sent <= MAX_RESTART_AGE_NS:
+                log.info("taking up %s from before the restart", key)
+                self._values[key] = message
+                yield key, message, envelope
+
+    def publish(self, sent: Sent) -> None:
+        """Stores a publication of a latched topic."""
+        before = self._values.get(sent.key)
+        whole = self._values[sent.key] = merged(before, sent.message)
+        value = partial(encode, whole, sent.envelope)
+        self.publishers[sent.key].keep(value)
+        self._unsaved[sent.key] = value
+        if not hasattr(sent.message, "merged") and not _same(before, whole):
+            self.save()  # a small new value, as a pressed STOP, is saved at once: the next event may crash
+
+    def save(self) -> None:
+        """Orders the writing of new values to disk."""
+        if self._disk is not None:
+            for key in set(self._own) & set(self._unsaved):
+                self._workers.submit(self._disk.write, key, self._unsaved.pop(key))
+
+
+def _same(before: Message | None, message: Message) -> bool:
+    """Whether two messages are equal apart from their stamps."""
+    envelope = Envelope("", "", 0, 0)
+    return before is not None and encode(replace(before, stamp=message.stamp), envelope) == encode(message, envelope)

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What commands share: how they are parsed, and the options that several take."""
+
+import os
+import re
+import sys
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, Literal, NoReturn
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+NEGATIVE = re.compile(r"-\.?\d")
+
+
+MAIN, DRIVE, LOOK, FILES = "Start", "Drive", "Look", "Logs, recordings, measurements"
+
+
+class Command(TyperCommand):
+    """A command that takes negative numbers for arguments, not for options, and whose reader may leave."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        # a number may begin with a space, an option may not
+        return super().parse_args(ctx, [f" {a}" if NEGATIVE.match(a) else a for a in args])
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            try:
+                return super().invoke(ctx)
+            finally:
+                sys.stdout.flush()
+        except BrokenPipeError:  # `zenav topic echo scan | head`: the reader has gone; typer would make it status 1
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+
+
+class Group(TyperGroup):
+    """Commands that take negative numbers, and a hint for a mistyped one."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
+            known = self.list_commands(ctx)
+            close = get_close_matches(args[0], known, n=1, cutoff=0.5)
+            hint = f"did you mean `{close[0]}`?" if close else f"known: {', '.join(known)}"
+            complain(f"{args[0]} is not a command of {ctx.command_path}", hint)
+        return super().resolve_command(ctx, args)
+
+
+def group(text: str) -> typer.Typer:
+    return typer.Typer(cls=Group, help=text, no_args_is_help=True, rich_markup_mode="rich")
+
+
+app = group(
+    "A navigation stack for wheeled robots. Distances are in m, times in s, angles on this command line in degrees.\n\n"
+    "Examples: zenav demo; zenav up --world office; zenav goto 3.5 -1.2 90; zenav topic echo pose"
+)
+
+
+def _keys() -> list[str]:
+    from shared.topics import KEYS
+
+    return list(KEYS)
+
+
+def complete_robot() -> list[str]:
+    from shared.robot_files import robot_files
+
+    return sorted(robot_files())
+
+
+def _worlds() -> list[str]:
+    folder = Path(__file__).resolve().parents[2] / "services" / "sim" / "worlds"
+    return sorted(path.stem for path in folder.glob("*.yaml"))
+
+
+RobotName = Annotated[
+    str,
+    typer.Option(
+        "--robot",
+        envvar="ZENAV_ROBOT",
+        help="Name of a robot (see `zenav robots`), or a YAML file.",
+        autocompletion=complete_robot,
+    ),
+]
+
+
+Stack = Annotated[
+    str,
+    typer.Option(
+        "--stack", envvar="ZENAV_STACK", help="Number of the stack on this host, or a router: tcp/router:7447."
+    ),
+]
+
+
+Simulated = Literal["messages", "emulated"]
+
+
+World = Annotated[
+    str,
+    typer.Option(
+        help="Simulate this world: empty, room, corridor, office, a YAML file, or barn:N.",
+        autocompletion=_worlds,
+    ),
+]
+
+
+Setting = Annotated[
+    list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Override a setting; may be repeated.")
+]
+
+
+Json = Annotated[bool, typer.Option("--json", help="JSON, one object a line.")]
+
+
+Key = Annotated[str, typer.Argument(help="Topic, like scan or health/mapper.", autocompletion=_keys)]
+
+
+Seconds = Annotated[float, typer.Option(min=0.1, help="s")]
+
+
+Out = Annotated[Path | None, typer.Option("--out", help="JSON file for the results.")]
+
+
+At = Annotated[
+    tuple[float, float, float] | None,
+    typer.Option(metavar="X Y DEG", help="Where the robot stands on the map, roughly; without it: found by driving."),
+]
+
+
+MapName = Annotated[
+    str,
+    typer.Option(
+        "--map", envvar="ZENAV_MAP", help="The saved map whose places or zones are meant; without it: those in maps/."
+    ),
+]
+
+
+SavedMapMode = Annotated[
+    Literal["localise", "continue"], typer.Option(help="Leave the map as it is, or go on mapping.")
+]
+
+
+Registrar = Annotated[
+    Literal["line", "kiss"],
+    typer.Option(help="Scan alignment: point to line (ours), or the kiss-icp package."),
+]
+
+
+Write = Annotated[bool, typer.Option("--write", help="Put the result into the robot's file.")]
+
+
+Yes = Annotated[bool, typer.Option("--yes", help="Do not ask before the robot moves.")]
+
+
+TopicScan = Annotated[str, typer.Option(help="Of a bag: the laser's topic; without it: the best by type.")]
+
+
+TopicOdom = Annotated[str, typer.Option(help="Of a bag: odometry's topic; without it: the best by type, or tf.")]
+
+
+BaseFrame = Annotated[str, typer.Option(help="Of a bag: the robot's frame; without it: odometry's child frame.")]
+
+
+OdomFrame = Annotated[str, typer.Option(help="Of a bag: odometry's frame in tf; without it: found by its name.")]
+
+
+RecordingFile = Annotated[Path, typer.Argument(help="Recording.", metavar="FILE.mcap")]
+
+
+Recordings = Annotated[list[Path], typer.Argument(help="Recordings.", metavar="FILE.mcap...")]
+
+
+NewRecording = Annotated[Path, typer.Option("--out", help="The new recording.", metavar="OUT.mcap")]
+
+
+Begin = Annotated[float | None, typer.Option(min=0, help="s since its start.")]
+
+
+End = Annotated[float | None, typer.Option(min=0, help="s since its start.")]
+
+
+Seeds = Annotated[str, typer.Option(help="Like 3, 0-9 or 0,4,7-9.")]
+
+
+def complain(what: str, hint: str) -> NoReturn:
+    sys.stderr.write(f"{what}\nhint: {hint}\n")
+    raise typer.Exit(2)

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav demo`, `up` and `run`. Only parsing; work is imported when it is due."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from zenav.cli.parts import (
+    MAIN,
+    At,
+    Command,
+    Out,
+    RobotName,
+    SavedMapMode,
+    Setting,
+    Simulated,
+    Stack,
+    World,
+    app,
+)
+
+
+def _services() -> list[str]:
+    from shared.topics import SERVICES
+
+    return list(SERVICES)
+
+
+@app.command(cls=Command, rich_help_panel=MAIN)
+def demo(
+    headless: Annotated[bool, typer.Option("--headless", help="Plain lines instead of a live table.")] = False,
+    seconds: Annotated[float, typer.Option(min=5, help="s: give up after this long.")] = 1800.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of noise, slip, people and loose things.")] = 0,
+    record: Annotated[
+        Path | None, typer.Option(help="Recording; without it: in the run's folder.", metavar="FILE.mcap")
+    ] = None,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="In one process on the virtual clock, repeatable.")
+    ] = False,
+    hardware: Annotated[
+        Simulated, typer.Option(help="What the simulator stands behind: its messages, or ports that speak bytes.")
+    ] = "messages",
+    out: Out = None,
+    robot: RobotName = "x80sv",
+    world: World = "office",
+    set_: Setting = None,
+) -> None:
+    """Explore an unknown office, then drive to five goals and back.
+
+    Example: zenav demo --headless --seed 3
+    """
+    from zenav.scenario.demo import demo
+    from zenav.stack.hardware import Hardware
+
+    chosen = Hardware(hardware)
+    raise typer.Exit(demo(robot, world, seed, seconds, headless, record, lockstep, set_ or [], chosen, out))
+
+
+@app.command(cls=Command, rich_help_panel=MAIN)
+def up(
+    robot: RobotName = "x80sv",
+    world: World = "",
+    hardware: Annotated[
+        Simulated | None,
+        typer.Option(help="What the simulator stands behind: its messages (default), or ports that speak bytes."),
+    ] = None,
+    only: Annotated[str, typer.Option(help="Only these services: a,b", metavar="A,B")] = "",
+    saved_map: Annotated[
+        str, typer.Option("--map", help="Begin on this saved map: a name below maps/, or a folder.", metavar="DIR")
+    ] = "",
+    mode: SavedMapMode = "localise",
+    at: At = None,
+    speed: Annotated[float, typer.Option(min=0.01, max=100, help="Simulated seconds in a real one.")] = 1.0,
+    stack: Stack = "0",
+    set_: Setting = None,
+) -> None:
+    """Start the services as processes, and bring dead ones back, until Ctrl-C.
+
+    Example: zenav up --world office
+    """
+    from shared.messages import MapMode
+    from zenav.client.map_modes import OnMap
+    from zenav.stack.hardware import Hardware
+    from zenav.stack.up import up
+
+    up(
+        robot,
+        world,
+        Hardware(hardware) if hardware else None,
+        [name for name in only.split(",") if name],
+        speed,
+        stack,
+        set_ or [],
+        OnMap.of(saved_map, MapMode(mode), at) if saved_map else None,
+    )
+
+
+@app.command(cls=Command, rich_help_panel=MAIN)
+def warm(
+    robot: RobotName = "x80sv",
+    set_: Setting = None,
+    every: Annotated[bool, typer.Option("--all", help="For every controller and kind of robot.")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Remove what is compiled first.")] = False,
+    times: Annotated[bool, typer.Option("--times", help="List what each kernel took, in s of CPU.")] = False,
+) -> None:
+    """Compile the kernels of a robot ahead, so that `zenav up` starts at once.
+
+    Example: zenav warm --robot jackal
+    """
+    from zenav.stack.warm import report
+
+    report(robot, set_ or [], every, again, times)
+
+
+@app.command(cls=Command, rich_help_panel=MAIN)
+def run(
+    service: Annotated[str, typer.Argument(help="Name of the service.", autocompletion=_services)],
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+    set_: Setting = None,
+    clock: Annotated[str, typer.Option(metavar="EPOCH:SPEED", help="Simulated time: ns, times as fast as real.")] = "",
+    log: Annotated[str, typer.Option(help="DEBUG, INFO, WARNING or ERROR.")] = "INFO",
+) -> None:
+    """Run one service alone in the foreground, against whatever else runs; also under a debugger.
+
+    Example: zenav run mapper --log DEBUG
+    """
+    from zenav.stack.up import run_service
+
+    run_service(service, robot, stack, set_ or [], clock, log)

@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tools need of a running stack: publish as the operator, listen, read kept values, ask.
+
+with Client("x80", where) as client:
+    client.follow(topics.NAV_STATUS)
+    client.ask(requests.CANCEL, Cancel(client.now()))
+"""
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+from types import TracebackType
+from typing import Any, TypeVar, cast
+
+import msgpack
+import zenoh
+
+from shared import topics
+from shared.codec import CodecError, Envelope, decode, encode
+from shared.config import UserError
+from shared.messages import Clock, Message
+from shared.reasons import NOT_RUNNING, REASONS, TOO_LARGE
+from shared.requests import Request
+from shared.runners import transport
+from shared.runners.host import merged
+from shared.runners.transport import StackAddress
+from shared.topics import SERVICES, Publication, Topic, key_of
+
+M = TypeVar("M", bound=Message)
+Q = TypeVar("Q", bound=Message)
+R = TypeVar("R", bound=Message)
+Callback = Callable[[M, Envelope], None]
+
+CLOCK_AGE = 2.0  # s without `sim/clock` after which the stack's clock is taken for the wall's again
+
+
+class Timekeeper:
+    """The stack's clock in a tool: the wall clock, or the simulator's where one runs. It runs on between ticks."""
+
+    def __init__(self) -> None:
+        self._first: tuple[float, int] | None = None
+        self._last = (0.0, 0)
+
+    def add_clock(self, stamp: int, at: float) -> None:
+        """The simulator's clock showed `stamp` (ns) at `at` (s, monotonic)."""
+        if self._first is None or stamp < self._last[1]:
+            self._first = (at, stamp)
+        self._last = (at, stamp)
+
+    def now(self, wall: int, at: float) -> int:
+        """ns, when the wall's clock shows `wall` (ns) and the monotonic one `at` (s)."""
+        if self._first is None or at - self._last[0] > CLOCK_AGE:
+            return wall
+        elapsed = self._last[0] - self._first[0]
+        rate = (self._last[1] - self._first[1]) / 1e9 / elapsed if elapsed > 0.5 else 1.0
+        return self._last[1] + round((at - self._last[0]) * rate * 1e9)
+
+
+class Client:
+    """A tool's session. Everything is closed when its `with` block ends.
+
+    instead_of: a service whose port it takes, and with it the place where all others look for that service.
+    """
+
+    def __init__(self, robot: str, where: StackAddress, instead_of: str = "") -> None:
+        self.robot, self.where, self._instead_of = robot, where, instead_of
+        self.changed = threading.Condition()
+        self.n_bad = 0
+        self._time = Timekeeper()
+        self._latest: dict[str, tuple[Message, Envelope, float]] = {}
+        self._sequences: dict[str, int] = {}
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._declared: list[Any] = []
+        self.session_name = f"{time.time_ns():x}-{os.getpid():x}"
+
+    def __enter__(self) -> "Client":
+        self.session = transport.opened(self.where, self._instead_of)
+        self.listen(topics.CLOCK, lambda clock, _: self._hear_clock(clock))
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.session.close()  # type: ignore[no-untyped-call]  # zenoh's own
+
+    def now(self) -> int:
+        """ns on the stack's clock."""
+        return self._time.now(time.time_ns(), time.monotonic())
+
+    def publish(self, publication: Publication) -> None:
+        """Publishes as `operator`. Raises UserError where the message is too large."""
+        key = key_of(publication.topic, "operator")
+        if key not in self._publishers:
+            self._publishers[key] = self.session.declare_publisher(
+                f"{self.robot}/{key}",
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.REAL_TIME,
+                express=True,
+            )
+        sequence = self._sequences[key] = self._sequences.get(key, -1) + 1
+        envelope = Envelope("operator", self.session_name, sequence, self.now())
+        self._publishers[key].put(_sized(key, encode(publication.message, envelope)))
+
+    def listen(self, topic: Topic[M], callback: Callback[M]) -> None:
+        """Calls back with each message on a topic, all of a family's keys too; the kept value first, if it has one.
+
+        The callback runs on a thread of Zenoh's: it files, and returns.
+        """
+        for key in [topic.key] if topic.by != "*" else [f"{topic.key}/{name}" for name in SERVICES]:
+            self._listen_key(key, topic, callback)
+
+    def listen_raw(self, key: str, callback: Callable[[str, bytes], None]) -> None:
+        """Calls back with the key (without the robot's name) and the bytes of whatever comes; `**` is every key."""
+
+        def file(sample: zenoh.Sample) -> None:
+            callback(str(sample.key_expr).removeprefix(f"{self.robot}/"), sample.payload.to_bytes())
+
+        self._declared.append(self.session.declare_subscriber(f"{self.robot}/{key}", file))
+
+    def follow(self, *followed: Topic[Any]) -> None:
+        """Keeps the newest message of these topics (the merged one, where its class can) for `latest` and `wait`."""
+        for topic in followed:
+            self.listen(topic, partial(self._keep, topic))
+
+    def latest(self, topic: Topic[M], publisher: str = "") -> M | None:
+        """The newest message of a followed topic; `publisher` names the service where the topic is a family."""
+        with self.changed:
+            found = self._latest.get(key_of(topic, publisher))
+        return cast(M, found[0]) if found else None
+
+    def age(self, topic: Topic[Any], publisher: str = "") -> float:
+        """Real seconds since the newest message of a followed topic came; infinite before the first."""
+        with self.changed:
+            found = self._latest.get(key_of(topic, publisher))
+        return time.monotonic() - found[2] if found else float("inf")
+
+    def wait(self, topic: Topic[M], holds: Callable[[M], bool], timeout: float, publisher: str = "") -> M | None:
+        """The newest message of a followed topic as soon as the condition holds for it; None after `timeout` s."""
+
+        def found() -> M | None:
+            kept = self._latest.get(key_of(topic, publisher))
+            return cast(M, kept[0]) if kept and holds(cast(M, kept[0])) else None
+
+        with self.changed:
+            return self.changed.wait_for(found, timeout)
+
+    def latched_value(self, topic: Topic[M], timeout: float = 3.0) -> M | None:
+        """The value that a latched topic's publisher keeps for late joiners; None where no publisher has one."""
+        best: tuple[int, M] | None = None
+        for reply in self.session.get(f"{self.robot}/{topic.key}", timeout=timeout):
+            if reply.ok is None:
+                continue
+            try:
+                message, envelope = decode(topic.type, reply.ok.payload.to_bytes())
+            except CodecError:
+                self.n_bad += 1
+                continue
+            if best is None or envelope.sent > best[0]:
+                best = envelope.sent, message
+        return best[1] if best else None
+
+    def ask(self, request: Request[Q, R], message: Q, timeout: float = 5.0) -> R:
+        """The reply to a request. Raises UserError where it is too large or refused, or no reply comes in time."""
+        envelope = Envelope("operator", self.session_name, 0, self.now())
+        key = f"{self.robot}/{request.key}"
+        refusal = b""
+        payload = _sized(request.key, encode(message, envelope))
+        for reply in self.session.get(key, payload=payload, timeout=timeout):
+            if reply.ok is None:
+                refusal = reply.err.payload.to_bytes() if reply.err is not None else b""
+                continue
+            try:
+                return decode(request.reply, reply.ok.payload.to_bytes())[0]
+            except CodecError as error:
+                raise UserError(
+                    f"{request.by} sent a reply that cannot be read: {error}", "same version on both sides?"
+                ) from None
+        raise request_error(request.by, refusal)
+
+    def answers(self, request: Request[Any, Any], timeout: float) -> bool:
+        """Whether a service that answers this request is there within `timeout` s."""
+        querier = self.session.declare_querier(f"{self.robot}/{request.key}")
+        found = threading.Event()
+        querier.declare_matching_listener(lambda status: found.set() if status.matching else None)
+        there: Any = querier.matching_status  # zenoh calls it a bool; it is a MatchingStatus
+        return there.matching or found.wait(timeout)
+
+    def _listen_key(self, key: str, topic: Topic[M], callback: Callback[M]) -> None:
+        def take(payload: bytes) -> None:
+            try:
+                message, envelope = decode(topic.type, payload)
+            except CodecError:
+                self.n_bad += 1
+                return
+            callback(message, envelope)
+
+        self.listen_raw(key, lambda _, payload: take(payload))
+        if topic.latched:
+            self._declared.append(transport.LatchedReader(self.session, f"{self.robot}/{key}", take))
+
+    def _hear_clock(self, clock: Clock) -> None:
+        self._time.add_clock(clock.stamp, time.monotonic())
+
+    def _keep(self, topic: Topic[Any], message: Message, envelope: Envelope) -> None:
+        key = key_of(topic, envelope.publisher)
+        with self.changed:
+            before = self._latest.get(key)
+            if before is not None and topic.latched:
+                late = envelope.sent < before[1].sent  # the kept whole, overtaken by an update
+                message = merged(message, before[0]) if late else merged(before[0], message)
+                envelope = before[1] if late else envelope
+            self._latest[key] = (message, envelope, time.monotonic())
+            self.changed.notify_all()
+
+
+def _sized(key: str, payload: bytes) -> bytes:
+    """The payload. Raises UserError where it is larger than a message may be: it would be lost without a word."""
+    if words := transport.oversize(payload):
+        raise UserError(f"{key}: {TOO_LARGE.text}: {words}", TOO_LARGE.hint)
+    return payload
+
+
+def request_error(service: str, refusal: bytes) -> UserError:
+    """The error of a request without reply. refusal: the error's bytes, empty where no service answered."""
+    if refusal == b"Timeout":
+        return UserError(
+            f"{service} does not answer in time", f"is it busy or stopped? zenav topic hz health/{service}"
+        )
+    try:
+        told = msgpack.unpackb(refusal)
+        reason = REASONS[told["code"]]
+        return UserError(f"{service}: {reason.text}" + (f": {told['text']}" if told["text"] else ""), reason.hint)
+    except (ValueError, KeyError, TypeError, msgpack.UnpackException):
+        return UserError(f"{service} does not run: {NOT_RUNNING.text}", NOT_RUNNING.hint)

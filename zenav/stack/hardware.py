@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What stands behind the drivers: the real devices, the simulator's messages, or its emulated ports."""
+
+import json
+from enum import StrEnum
+from pathlib import Path
+
+from services.lidar_driver.service import LidarDriverConfig
+from services.sim.config import SimConfig
+from services.sim.world import World
+from services.sim.world_loader import load_world
+from shared.config import RobotFile
+from shared.geometry import Pose2
+from shared.runners.lockstep import Port
+from shared.topics import SERVICES
+from zenav.stack.service_loader import existing_services
+
+DRIVERS = {"board": "base_driver", "laser": "lidar_driver"}
+"""By port: the driver that opens it."""
+WIRED = "wired"
+"""The device of a port whose other end is in the same process."""
+
+
+class Hardware(StrEnum):
+    """What a stack runs on."""
+
+    REAL = "real"  # the robot's devices
+    MESSAGES = "messages"  # a simulator that takes and gives messages
+    EMULATED = "emulated"  # a simulator behind ports that speak the devices' bytes
+
+
+def emulated_ports(file: RobotFile) -> tuple[str, ...]:
+    """The ports of the robot's emulated hardware. A robot without a laser that is emulated gets scans as messages."""
+    has_laser = bool(file.section("sim", SimConfig).emulation.laser_model)
+    return tuple(DRIVERS) if has_laser else ("board",)
+
+
+def services_for(hardware: Hardware, file: RobotFile) -> list[str]:
+    """The services of a whole stack, in the registry's order."""
+    wanted = set(existing_services()) - {"sim", "lidar_driver"}
+    if hardware is not Hardware.REAL:
+        wanted.add("sim")
+    if hardware is Hardware.EMULATED:
+        wanted |= {DRIVERS[port] for port in emulated_ports(file)}
+    elif hardware is Hardware.REAL and file.section("lidar_driver", LidarDriverConfig).port.given:
+        wanted.add("lidar_driver")
+    return [name for name in SERVICES if name in wanted]
+
+
+def settings_for(hardware: Hardware, file: RobotFile, links: Path | None) -> list[str]:
+    """What `--set` makes of the robot's file. links: the folder of the pseudo-terminals; None: all in one process."""
+    if hardware is Hardware.REAL:
+        return []
+    if hardware is Hardware.MESSAGES:
+        settings = ["sim.hardware=messages"]
+        for driver in DRIVERS.values():
+            settings += [f"{driver}.port.device=''", f"{driver}.port.serial_number=''"]
+        return settings
+    settings = ["sim.hardware=emulated"]
+    for port in emulated_ports(file):
+        far, near = (f"pty:{links.resolve()}/{port}", f"{links.resolve()}/{port}") if links else (WIRED, WIRED)
+        settings.append(f"sim.emulation.{port}.device={json.dumps(far)}")
+        settings.append(f"{DRIVERS[port]}.port.device={json.dumps(near)}")
+        settings.append(f"{DRIVERS[port]}.port.serial_number=''")
+    return settings
+
+
+def wires(hardware: Hardware, file: RobotFile) -> tuple[tuple[Port, Port], ...]:
+    """Which ports are joined when all runs in one process."""
+    if hardware is not Hardware.EMULATED:
+        return ()
+    return tuple(((DRIVERS[port], port), ("sim", port)) for port in emulated_ports(file))
+
+
+def simulated_world(file: RobotFile) -> World:
+    """The world that a robot's file names. Raises UserError where there is none, or it is wrong."""
+    config = file.section("sim", SimConfig)
+    start = Pose2(config.start.x, config.start.y, config.start.yaw) if config.start else None
+    return load_world(config.world, config.seed, config.clutter_jitter, config.barn_file, start)

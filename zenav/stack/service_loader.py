@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The service classes by name: what lies at `services/NAME/service.py`."""
+
+import inspect
+from collections.abc import Iterator
+from importlib import import_module
+from importlib.util import find_spec
+
+from shared.config import Robot, RobotFile
+from shared.service import Service
+from shared.topics import SERVICES
+
+
+def existing_services() -> Iterator[str]:
+    """The registry's services that exist here, in its order."""
+    return (name for name in SERVICES if find_spec("services." + name) and find_spec(f"services.{name}.service"))
+
+
+def service_class(name: str) -> type[Service]:
+    """The one Service of `services/NAME/service.py`."""
+    module = import_module(f"services.{name}.service")
+    found = [
+        value
+        for value in vars(module).values()
+        if inspect.isclass(value) and issubclass(value, Service) and value.__module__ == module.__name__
+    ]
+    if len(found) != 1:
+        raise TypeError(f"services/{name}/service.py defines {len(found)} services, not one")
+    return found[0]
+
+
+def build_service(name: str, file: RobotFile, robot: Robot) -> Service:
+    """The service with its section of a robot's file. Its sinks, if it has any, lead nowhere."""
+    class_ = service_class(name)
+    sinks = list(inspect.signature(class_.__init__).parameters)[3:]
+    return class_(file.section(name, class_.config_type), robot, **dict.fromkeys(sinks, _nowhere))
+
+
+def _nowhere(*_: object) -> None:
+    return None

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav up`: the services as processes, until Ctrl-C. `zenav run`: one of them, in this process."""
+
+import json
+import runpy
+import sys
+import time
+from contextlib import ExitStack
+
+from shared import requests, topics
+from shared.config import UserError, configured, nearest
+from shared.messages import Health
+from shared.runners.clock import clock_from
+from shared.runners.transport import stack_address
+from shared.topics import SERVICES
+from zenav.client import Client
+from zenav.client.map_modes import OnMap
+from zenav.console.run_folder import new_run_folder
+from zenav.console.shutdown import stop_on_signal
+from zenav.stack.config_report import read_sections
+from zenav.stack.hardware import Hardware, emulated_ports, services_for, settings_for, simulated_world
+from zenav.stack.launch import START_LIMIT, Launcher, claim_stack, service_command
+from zenav.stack.sd_notify import Notifier
+from zenav.stack.service_loader import existing_services
+from zenav.stack.warm import warm_first
+
+MAX_SILENCE_S = 5.0
+"""Without a health message of any service for so long, the launcher gives systemd no sign of life."""
+
+PERIOD_S = 0.1  # between two looks at the services
+
+
+def run_service(service: str, robot: str, stack: str, settings: list[str], clock: str, log: str) -> None:
+    """One service in this process, as `python -m services.NAME` runs it. Does not return."""
+    names = tuple(existing_services())
+    if service not in names:
+        raise UserError(f"{service} is not a service", nearest(service, names))
+    warm_first(robot, settings, [service])
+    sys.argv[:] = [service, "--robot", robot, "--stack", stack, "--log", log, "--clock", clock]
+    for setting in settings:
+        sys.argv += ["--set", setting]
+    runpy.run_module(f"services.{service}", run_name="__main__", alter_sys=True)
+
+
+def selected_services(only: list[str], whole: list[str]) -> list[str]:
+    """The services to start, in the registry's order. Raises UserError on a name that is none."""
+    names = tuple(existing_services())
+    for name in only:
+        if name not in names:
+            raise UserError(f"{name} is not a service", nearest(name, names))
+    return [name for name in names if name in (only or whole)]
+
+
+def up(
+    robot: str,
+    world: str,
+    hardware: Hardware | None,
+    only: list[str],
+    speed: float,
+    stack: str,
+    settings: list[str],
+    on_map: OnMap | None,
+) -> None:
+    """Runs the services until Ctrl-C. hardware: None is the simulator's messages with a world, else the real robot.
+
+    on_map: what the mapper begins with; a new map without it.
+    """
+    hardware = hardware or (Hardware.MESSAGES if world else Hardware.REAL)
+    if (hardware is Hardware.REAL) == bool(world):
+        hint = "leave out --world" if world else "name one: --world office"
+        raise UserError(f"{hardware} hardware is {'not ' if world else ''}in a simulated world", hint)
+    if speed != 1.0 and not world:
+        raise UserError("--speed needs the simulator's time", "name a world: --world office")
+    settings = [*settings, *([f"sim.world={world}"] if world else [])]
+    file = configured(robot, settings)
+    read_sections(file)
+    names = selected_services(only, services_for(hardware, file))
+    if "sim" in names:
+        simulated_world(file)  # a wrong world is an error before any process starts
+    saved = None if on_map is None else on_map.read(file)  # so is a damaged map
+    if on_map is not None and not any(setting.startswith("recorder.attach=") for setting in settings):
+        settings.append(f"recorder.attach={json.dumps(on_map.files())}")
+    warm_first(robot, [*settings, *settings_for(hardware, file, None)], names)
+    where = stack_address(stack)
+    clock = "" if speed == 1.0 else f"{time.time_ns()}:{speed:g}"
+    clock_from(clock)
+    with stop_on_signal() as stop, ExitStack() as open_things:
+        if not where.router:
+            open_things.enter_context(claim_stack(where.domain))
+        folder = new_run_folder("up")
+        settings += settings_for(hardware, file, folder)
+        commands = {name: service_command(name, robot, stack, settings, clock, folder / "memory") for name in names}
+        _print_line("zenav", f"{', '.join(names)}; logs in {folder}; Ctrl-C ends them")
+        if not world and not only:
+            _print_line("zenav", "no world: expects the robot's hardware; simulate with --world office")
+        if hardware is Hardware.EMULATED:
+            ports = ", ".join(str(folder / port) for port in emulated_ports(file))
+            _print_line("zenav", f"ports: {ports}; zenav fault breaks them")
+        launcher = open_things.enter_context(Launcher(commands, folder, _print_line, 1 / speed))
+        client = open_things.enter_context(Client(file.robot.name, where))
+        ready: set[str] = set()
+        systemd, heard = Notifier(), [0.0]  # s, monotonic: of the last health of any service
+
+        def hear(health: Health) -> None:
+            launcher.hear(health)
+            heard[0] = time.monotonic()
+            if health.name not in ready and health.name in commands:
+                ready.add(health.name)
+                if len(ready) == len(commands):
+                    _print_line("zenav", "every service runs")
+
+        client.listen(topics.HEALTH, lambda health, _: hear(health))
+        launcher.start_all(lambda name: name in ready, stop.is_set)
+        if on_map is not None and saved is not None and not stop.is_set():
+            client.answers(requests.GIVE_MAP, START_LIMIT)
+            on_map.give(client, saved)
+            _print_line("zenav", f"the mapper has the map of {on_map.folder}: {on_map.mode}")
+        is_ready = False
+        while not stop.is_set():
+            launcher.step()
+            if not is_ready and len(ready) == len(commands):
+                is_ready = True
+                systemd.ready()
+                systemd.status(f"{len(ready)} services run; logs in {folder}")
+            if time.monotonic() - heard[0] < MAX_SILENCE_S:
+                systemd.alive()
+            launcher.pause(PERIOD_S)
+        systemd.stopping()
+        _print_line("zenav", "ending")
+
+
+def _print_line(name: str, line: str) -> None:
+    colour = 31 + (SERVICES.index(name) + 1) % 6 if name in SERVICES else 1
+    prefix = f"{name:<12}"
+    sys.stderr.write(f"\033[{colour}m{prefix}\033[0m {line}\n" if sys.stderr.isatty() else f"{prefix} {line}\n")
+    sys.stderr.flush()
