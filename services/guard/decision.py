@@ -10,13 +10,13 @@ from services.guard.arbitration import CommandSource
 from services.guard.laser_visibility import LaserVisibility
 from services.guard.limits import ramped_velocity
 from services.guard.obstacles import Obstacles, is_in_sweep
-from services.guard.odometry_buffer import OdometryBuffer
 from services.guard.protective_field import NO_LIMIT, FieldConfig, SafeSpeed, safe_speed
 from services.guard.stop_conditions import StopInputs
 from shared import reasons
 from shared.config import Robot
 from shared.geometry import wrapped
 from shared.messages import GuardState, Velocity
+from shared.odometry_buffer import OdometryBuffer
 from shared.reasons import Reason
 from shared.stamps import fresh
 

@@ -11,10 +11,10 @@ import numpy as np
 from pydantic import Field
 
 from services.guard.obstacles import MAX_BEAMS, NO_POINTS, beam_ends, is_supported
-from services.guard.odometry_buffer import OdometryBuffer
 from shared.config import Robot, Section
 from shared.geometry import Pose2, arc
 from shared.messages import LaserScan
+from shared.odometry_buffer import OdometryBuffer
 from shared.polygon import contains
 from shared.scan_faults import returns
 from shared.types import Bools, Float64s, Int64s

@@ -6,10 +6,10 @@ from math import pi
 import numpy as np
 from pydantic import Field
 
-from services.guard.odometry_buffer import OdometryBuffer
 from shared.config import Robot, Section
 from shared.geometry import Pose2
 from shared.messages import LaserScan, RangeReadings
+from shared.odometry_buffer import OdometryBuffer
 from shared.polygon import contains
 from shared.types import Bools, Float64s
 

@@ -9,7 +9,6 @@ from services.guard.arbitration import ArbitrationConfig, CommandSource
 from services.guard.decision import GuardDecision, VelocityLimiter
 from services.guard.laser_visibility import LaserVisibility, VisibilityConfig
 from services.guard.obstacles import Obstacles, ObstaclesConfig
-from services.guard.odometry_buffer import OdometryBuffer
 from services.guard.protective_field import FieldConfig, safe_speed
 from services.guard.stop_conditions import StopConditionsConfig, StopInputs, scan_end
 from shared import reasons, requests, topics
@@ -25,6 +24,7 @@ from shared.messages import (
     RangeReadings,
     Velocity,
 )
+from shared.odometry_buffer import OdometryBuffer
 from shared.reasons import Reason
 from shared.requests import Override, Reply
 from shared.scan_faults import RepeatedScans, mismatch

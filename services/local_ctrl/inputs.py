@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The newest inputs of local control, their ages, the history of odometry, and whether the robot may move on them."""
-
-from collections import deque
-from math import cos, sin
+"""The newest inputs of local control, their ages, and whether the robot may move on them."""
 
 import numpy as np
 from pydantic import Field
 
 from shared import reasons, topics
-from shared.config import Section
+from shared.config import Drive, Section
 from shared.geometry import Pose2
 from shared.messages import LaserScan, Localization, Odometry, PoseEstimate
+from shared.odometry_buffer import OdometryBuffer
 from shared.reasons import Reason
 from shared.rejections import Rejections
 from shared.types import NS_PER_S, Float64s
@@ -30,52 +28,35 @@ class AgesConfig(Section):
 
 
 class ControlInputs:
-    """The last second of odometry, the newest scan, and the newest pose."""
+    """The last seconds of odometry, the newest scan, and the newest pose."""
 
-    def __init__(self, ages: AgesConfig) -> None:
+    def __init__(self, ages: AgesConfig, drive: Drive) -> None:
         self.ages = ages
-        self.history: deque[Odometry] = deque(maxlen=256)
+        self.odometry = OdometryBuffer(drive)
         self.scan: LaserScan | None = None
         self.pose: PoseEstimate | None = None
         self.restarted_at = 0  # ns, last restart of odometry: poses from before belong to another `odom`
         self.jumped_at = 0  # ns, last jump of the pose: plans from before start elsewhere
 
-    def add_odometry(self, odometry: Odometry, top_speed: float) -> bool:
-        """Takes odometry unless it is out of order. Returns whether it does not continue the last one: its publisher
-        restarted.
-
-        top_speed: m/s.
-        """
-        if not self.history:
-            self.history.append(odometry)
-            return False
-        last = self.history[-1]
-        elapsed = (odometry.stamp - last.stamp) / NS_PER_S
-        if -1.0 < elapsed <= 0.0:
-            return False
-        distance = last.odom_from_base.distance(odometry.odom_from_base)
-        restarted = elapsed < 0.0 or distance > 0.2 + 2.0 * top_speed * elapsed
-        if restarted:
-            self.history.clear()
+    def add_odometry(self, odometry: Odometry) -> bool:
+        """Takes the newest odometry. Returns False where it does not continue the last one: odometry restarted."""
+        continues = self.odometry.add(odometry)
+        if not continues:
             self.scan, self.pose = None, None
             self.restarted_at = self.jumped_at = odometry.stamp
-        self.history.append(odometry)
-        while self.history[0].stamp < odometry.stamp - NS_PER_S:
-            self.history.popleft()
-        return restarted
+        return continues
 
     def add_scan(self, scan: LaserScan) -> Float64s | None:
         """Takes a scan unless it is out of order or odometry does not cover it.
 
         Returns (n, 3) float64 x, y, yaw of the base in `odom` at each beam; None for a rejected scan.
         """
-        if not self.history or (self.scan is not None and -NS_PER_S < scan.stamp - self.scan.stamp <= 0):
+        if self.scan is not None and -NS_PER_S < scan.stamp - self.scan.stamp <= 0:
             return None
-        n = len(scan.ranges)
-        stamps = scan.stamp + np.linspace(0.0, scan.scan_time * NS_PER_S, n)
-        odom_from_base = self._odom_from_base_at(stamps)
-        self.scan = self.scan if odom_from_base is None else scan
-        return odom_from_base
+        if not self.odometry.covers(scan.stamp, scan_end(scan)):
+            return None
+        self.scan = scan
+        return self.odometry.poses(np.linspace(0.0, scan.scan_time, len(scan.ranges)), scan.stamp)
 
     def add_pose(self, pose: PoseEstimate) -> None:
         """Takes a pose unless it is out of order or older than the last restart of odometry."""
@@ -90,33 +71,17 @@ class ControlInputs:
 
     def map_from_base(self, pose: PoseEstimate) -> Pose2:
         """The robot's pose in `map` now, by `pose`."""
-        return pose.map_from_odom @ (self.history[-1].odom_from_base if self.history else Pose2())
+        return pose.map_from_odom @ self.odometry.odom_from_base
 
     @property
     def odom_from_map(self) -> Pose2:
         """By the newest pose; the identity without one."""
         return self.pose.map_from_odom.inverse() if self.pose is not None else Pose2()
 
-    def _odom_from_base_at(self, stamps: Float64s) -> Float64s | None:
-        """(n, 3) float64 x, y, yaw at stamps (n,), ns, ascending; None where odometry does not cover them.
-
-        The last twist is extrapolated for 0.1 s.
-        """
-        last = self.history[-1]
-        if stamps[0] < self.history[0].stamp - NS_PER_S // 10 or stamps[-1] > last.stamp + NS_PER_S // 5:
-            return None
-        c, s = cos(last.odom_from_base.yaw), sin(last.odom_from_base.yaw)
-        poses = [(o.odom_from_base.x, o.odom_from_base.y, o.odom_from_base.yaw) for o in self.history]
-        x, y, yaw = poses[-1]
-        poses.append((x + 0.1 * last.v * c, y + 0.1 * last.v * s, yaw + 0.1 * last.w))
-        known = np.array([*(o.stamp for o in self.history), last.stamp + NS_PER_S // 10]) - last.stamp
-        columns = np.array(poses).T
-        columns[2] = np.unwrap(columns[2])
-        return np.column_stack([np.interp(stamps - last.stamp, known, column) for column in columns])
-
     def stale_input(self, now: int, rejections: Rejections) -> Reason | None:
         """The reason to stand: odometry or scan is missing or too old; else None. rejections: of these inputs."""
-        if not self.history or abs(now - self.history[-1].stamp) > self.ages.odometry * NS_PER_S:
+        odometry = self.odometry.latest
+        if odometry is None or abs(now - odometry.stamp) > self.ages.odometry * NS_PER_S:
             return reasons.BAD_STAMPS if rejections.late_cause(topics.ODOM.key, now) else reasons.ODOM_OLD
         if self.scan is None or abs(now - scan_end(self.scan)) > self.ages.scan * NS_PER_S:
             return reasons.BAD_STAMPS if rejections.late_cause(topics.SCAN.key, now) else reasons.SCAN_OLD

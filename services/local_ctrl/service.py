@@ -60,7 +60,7 @@ class LocalCtrlService(Service):
         travelled = self.limits.v_max * max(horizon, 0.5 * self.limits.v_max / self.limits.braking)
         reach = travelled + max(WINDOW_MARGIN_M, self.footprint.circumscribed + OUTLINE_MARGIN_M)
         self.costmap = LocalCostmap(config.costmap, reach, config.latency)
-        self.inputs = ControlInputs(config.ages)
+        self.inputs = ControlInputs(config.ages, robot.drive)
         controller = CONTROLLERS[config.controller](config, self.limits)
         self.zones = LocalZones(robot.circumscribed_radius)
         self.path_follower = PathFollower(
@@ -86,15 +86,16 @@ class LocalCtrlService(Service):
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:
         """Takes odometry. A restart of odometry clears the costmap and the state of path following."""
-        known = self.inputs.history[-1].stamp if self.inputs.history else None
+        last = self.inputs.odometry.latest
+        known = last.stamp if last is not None else None
         if not self.rejections.judge(topics.ODOM.key, odometry.stamp, known, self.now, MAX_AGE_S):
             return ()
-        before = odometry.stamp if known is None else known
-        if self.inputs.add_odometry(odometry, self.robot.drive.max_speed):
+        continues = self.inputs.add_odometry(odometry)
+        if not continues:
             self.costmap.clear()
             self.path_follower.reset()
             self.manoeuvre = None
-        self.estimate.add_odometry(self.inputs.history[-1], before, is_first=len(self.inputs.history) == 1)
+        self.estimate.add_odometry(odometry, last if continues else None)
         return ()
 
     @on(topics.SCAN)
@@ -113,8 +114,8 @@ class LocalCtrlService(Service):
     @on(topics.RANGES)
     def ranges(self, readings: RangeReadings) -> Out:
         """Takes the echoes of the range sensors into the costmap."""
-        if len(readings.ranges) == len(self.ranges_wanted) and self.inputs.history:
-            here = self.inputs.history[-1].odom_from_base
+        if len(readings.ranges) == len(self.ranges_wanted) and self.inputs.odometry.latest is not None:
+            here = self.inputs.odometry.odom_from_base
             self.costmap.recentre(here.x, here.y)
             self.costmap.add_ranges(readings, here, self.ranges_wanted, self.ranges_limits)
         return ()
@@ -180,7 +181,7 @@ class LocalCtrlService(Service):
         yield topics.CMD_NAV(Velocity(self.now, outcome.v, outcome.w, outcome.reason))
         goal_id = self.order.id if self.order is not None else 0
         yield topics.FOLLOW(FollowStatus(self.now, goal_id, outcome.state, outcome.reason, outcome.left))
-        if self.debug_topics.due(self.now) and self.inputs.history:
+        if self.debug_topics.due(self.now) and self.inputs.odometry.latest is not None:
             costmap = deepcopy(self.costmap)  # the update changes it, and a spectator must not change the drive
             self._update_costmap(costmap)
             yield topics.COSTMAP(self.debug_topics.costmap(self.now, costmap, self.footprint))
@@ -227,7 +228,7 @@ class LocalCtrlService(Service):
 
     def _update_costmap(self, costmap: LocalCostmap) -> None:
         """Centres a costmap on the robot and updates its map, zones and distances."""
-        here = self.inputs.history[-1].odom_from_base
+        here = self.inputs.odometry.odom_from_base
         costmap.recentre(here.x, here.y)
         if self.inputs.pose is not None:
             costmap.set_static_map(self.grid, self.inputs.odom_from_map)

@@ -27,20 +27,21 @@ class StateEstimate:
         """Registers a command (m/s, rad/s) sent at `stamp`, ns."""
         self._commands.append(SentCommand(stamp, v, w))
 
-    def add_odometry(self, last: Odometry, before: int, is_first: bool) -> None:
-        """Fuses the newest odometry. before: ns, stamp of the one before. is_first: since the start or a restart.
+    def add_odometry(self, odometry: Odometry, before: Odometry | None) -> None:
+        """Fuses the newest odometry. before: the message that it continues; None at the start and after a restart.
 
         Wheel speeds come in whole encoder counts, so a first-order filter joins them with the predicted speeds.
         """
-        elapsed = (last.stamp - before) / NS_PER_S
-        if elapsed < 0.0 or elapsed > MAX_FUSED_GAP_S or is_first:
-            self.motion = Motion(last.odom_from_base, last.v, last.w)
-        elif elapsed > 0.0:
-            prediction = self._predicted(before, last.stamp)
+        elapsed = (odometry.stamp - before.stamp) / NS_PER_S if before is not None else 0.0
+        if before is None or elapsed > MAX_FUSED_GAP_S:
+            self.motion = Motion(odometry.odom_from_base, odometry.v, odometry.w)
+        else:
+            prediction = self._predicted(before.stamp, odometry.stamp)
             gain = elapsed / (elapsed + self.settling_time)
-            v, w = prediction.v + gain * (last.v - prediction.v), prediction.w + gain * (last.w - prediction.w)
-            self.motion = Motion(last.odom_from_base, v, w)
-        self._stamp = last.stamp
+            v = prediction.v + gain * (odometry.v - prediction.v)
+            w = prediction.w + gain * (odometry.w - prediction.w)
+            self.motion = Motion(odometry.odom_from_base, v, w)
+        self._stamp = odometry.stamp
 
     def at_command_time(self, now: int) -> Motion:
         """The predicted motion at the time when a command that is sent at `now` (ns) acts."""

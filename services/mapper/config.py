@@ -8,9 +8,9 @@ from pydantic import Field
 from services.mapper.back_end.config import BackEndConfig
 from services.mapper.back_end.loop_closure import LoopClosureConfig
 from services.mapper.back_end.solver.optimize import PoseGraphConfig
+from services.mapper.front_end.continuous_odometry import OdometryConfig
 from services.mapper.front_end.correlative_match import SearchConfig
 from services.mapper.front_end.front_end import FrontEndConfig
-from services.mapper.front_end.odometry_buffer import OdometryConfig
 from services.mapper.front_end.registration import RegistrationConfig
 from services.mapper.grid.occupancy import OccupancyConfig
 from services.mapper.localization.global_localization import GlobalLocalizationConfig

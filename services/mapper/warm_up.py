@@ -11,8 +11,8 @@ from services.mapper.back_end.loop_closure import match_loop_closure
 from services.mapper.back_end.relative_covariance import relative_covariances
 from services.mapper.back_end.solver.optimize import optimize
 from services.mapper.grid.map_drawing import draw_slice
+from shared import sample_messages as sample
 from shared.geometry import Pose2
-from shared.messages import LaserScan, Odometry
 from shared.requests import LoadMap
 from shared.service import Job
 from shared.types import NS_PER_S
@@ -28,20 +28,11 @@ def warm_up(mapper: "MapperService") -> None:
     laser = mapper.robot.laser
     angles = laser.angle_min + laser.angle_increment * np.arange(laser.n_beams)
     for i in range(N_SCANS):
-        ranges = np.minimum(2.0 + 0.01 * i, 1.0 / np.maximum(np.abs(np.cos(angles)), 0.2)).astype(np.float32)
         stamp = (i + 1) * NS_PER_S
         mapper.now = stamp + NS_PER_S
-        list(mapper.odometry(Odometry(stamp, Pose2(0.3 * i, 0, 0), 0.3, 0.0, np.zeros(9))))
-        scan = LaserScan(
-            stamp=stamp,
-            angle_min=laser.angle_min,
-            angle_increment=laser.angle_increment,
-            scan_time=0.0,
-            range_min=laser.range_min,
-            range_max=laser.range_max,
-            ranges=ranges,
-        )
-        list(mapper.scan(scan))
+        ranges = np.minimum(2.0 + 0.01 * i, 1.0 / np.maximum(np.abs(np.cos(angles)), 0.2))  # two walls
+        list(mapper.odometry(sample.odometry(stamp, Pose2(0.3 * i), v=0.3)))
+        list(mapper.scan(sample.scan(stamp, laser, ranges)))
         mapper.front_end.aligner.searches_next = True
     beams = np.zeros((laser.n_beams, 2))
     mapper.grid.contradicts(beams, beams)

@@ -12,6 +12,7 @@ from services.planner.keep_out_layer import KeepOutLayer
 from services.planner.plan_monitor import SEARCH_AHEAD_M, PlanMonitor, PlanMonitorConfig, path_length
 from services.planner.planning import GlobalPlan, PlanningConfig, TurningLimits, no_plan, plan_path
 from shared import reasons, topics
+from shared import sample_messages as sample
 from shared.config import Drive, Robot, Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
@@ -19,14 +20,11 @@ from shared.messages import (
     TILE_CELLS,
     Goal,
     GoalLimits,
-    Localization,
     MapUpdate,
     Odometry,
     Path,
     PoseEstimate,
     Recovery,
-    Zone,
-    ZoneKind,
     Zones,
 )
 from shared.orders import Order, is_newer
@@ -72,50 +70,18 @@ class PlannerService(Service):
     def warm_up(self) -> None:
         """Compiles the kernels: a second service plans on a small map."""
         other = PlannerService(self.config, self.robot)
-        cells = np.zeros((1, TILE_CELLS, TILE_CELLS), np.int8)
-        cells[0, 20:, 32] = 100
+        start = Pose2(0.6, 1.6)
+        cells = np.zeros((TILE_CELLS, TILE_CELLS), np.int8)
+        cells[20:, 32] = 100
         for version in (1, 2):
-            cells[0, 10, 10 * version] = 100
-            tile = cells.reshape(1, -1).copy()
-            place = np.zeros(1, np.int32)
-            list(
-                other.map(
-                    MapUpdate(
-                        stamp=0, map_id=1, version=version, resolution=0.05, rows=place, columns=place, cells=tile
-                    )
-                )
-            )
-            pose, covariance = Pose2(0.6, 1.6), np.zeros(9)
-            list(
-                other.pose(
-                    PoseEstimate(
-                        stamp=0,
-                        map_from_base=pose,
-                        map_from_odom=Pose2(),
-                        covariance=covariance,
-                        quality=1.0,
-                        state=Localization.GOOD,
-                    )
-                )
-            )
-            list(other.odometry(Odometry(0, pose, 0.0, 0.0, covariance)))
+            cells[10, 10 * version] = 100
+            list(other.map(sample.map_update(0, cells, version)))
+            list(other.pose(sample.pose_estimate(0, start)))
+            list(other.odometry(sample.odometry(0, start)))
             for x in (1.625, 2.6):  # in the wall, behind it
-                list(
-                    other.new_goal(
-                        Goal(
-                            stamp=0,
-                            id=round(10 * x),
-                            active=True,
-                            map_from_goal=Pose2(x, 1.6),
-                            tolerance=0.1,
-                            yaw_tolerance=0.1,
-                            clear_costmap=False,
-                        )
-                    )
-                )
+                list(other.new_goal(sample.goal(0, round(10 * x), Pose2(x, 1.6))))
                 list(other.confirm())
-            square = np.array([0.2, 0.4, 0.4, 0.2]), np.array([2.0, 2.0, 2.2, 2.2])
-            list(other.zones(Zones(0, (Zone(0, "keep out", ZoneKind.KEEP_OUT, *square),))))
+            list(other.zones(sample.zones(0, 0.2, 2.0)))
 
     def state(self) -> str:
         """State for the health message."""

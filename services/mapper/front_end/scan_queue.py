@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from services.mapper.front_end.continuous_odometry import ContinuousOdometry, OdometryConfig
 from services.mapper.front_end.deskew import deskew
-from services.mapper.front_end.odometry_buffer import ContinuousOdometry, OdometryConfig
 from services.mapper.front_end.odometry_error import OdometryError
 from services.mapper.grid.occupancy import OccupancyConfig
 from shared import topics

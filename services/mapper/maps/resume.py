@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Resumption after a restart: the last published map and pose, and the pose that odometry gives since then."""
 
-from services.mapper.front_end.odometry_buffer import ContinuousOdometry
+from services.mapper.front_end.continuous_odometry import ContinuousOdometry
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import MapUpdate, PoseEstimate

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from services.guard.laser_visibility import LaserVisibility, VisibilityConfig
-from services.guard.odometry_buffer import OdometryBuffer
 from shared.config import load_robot
 from shared.geometry import Pose2, arc
 from shared.messages import LaserScan, Odometry
+from shared.odometry_buffer import OdometryBuffer
 
 ROBOT = load_robot("x80sv").robot
 LASER = ROBOT.laser

@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.guard.obstacles import Obstacles, ObstaclesConfig, is_in_sweep, is_supported
-from services.guard.odometry_buffer import OdometryBuffer
 from shared.config import load_robot
 from shared.geometry import Pose2
 from shared.messages import LaserScan, Odometry, RangeReadings
+from shared.odometry_buffer import OdometryBuffer
 
 X80, JACKAL = (load_robot(name).robot for name in ("x80sv_xv11", "jackal"))  # a beam each degree, 0.06 to 5 m
 MS = 1_000_000

@@ -50,7 +50,7 @@ def test_an_obstacle_and_the_robot_stand_in_the_costmap_where_they_are():
     loop = driving()
     watched(loop)
     costmap = pictures(loop)["debug/costmap"]
-    odom_from_world = loop.service.inputs.history[-1].odom_from_base @ loop.truth.inverse()
+    odom_from_world = loop.service.inputs.odometry.odom_from_base @ loop.truth.inverse()
 
     def cost(x: float, y: float) -> int:
         at = odom_from_world @ Pose2(x, y, 0.0)

@@ -303,7 +303,7 @@ def test_only_the_chosen_range_sensors_mark_obstacles(ultrasonic: bool, infrared
     sensors = ROBOT.ranges
     columns = np.array([[s.mount.x, s.mount.y, s.mount.yaw, s.field_of_view] for s in sensors], np.float32).T.copy()
     loop.send("ranges", m.RangeReadings(loop.now, *columns, np.full(len(sensors), 0.3, np.float32)))
-    costmap, here = loop.service.costmap, loop.service.inputs.history[-1].odom_from_base
+    costmap, here = loop.service.costmap, loop.service.inputs.odometry.odom_from_base
     for sensor in sensors:
         at = here @ Pose2(sensor.mount.x, sensor.mount.y, sensor.mount.yaw) @ Pose2(0.3, 0.0, 0.0)
         row, column = (round((v - v0) / costmap.resolution) for v, v0 in ((at.y, costmap.y0), (at.x, costmap.x0)))
@@ -369,7 +369,7 @@ def test_warming_changes_no_state() -> None:
     loop = ControlLoop(ROBOT, TinyWorld(4, 4), Pose2(2, 2))
     loop.service.warm_up()
     assert loop.service.order is None
-    assert not loop.service.inputs.history
+    assert loop.service.inputs.odometry.latest is None
     assert loop.service.last_tick == 0
 
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from services.mapper.front_end.odometry_buffer import MAX_SAMPLES, ContinuousOdometry, OdometryConfig
+from services.mapper.front_end.continuous_odometry import MAX_SAMPLES, ContinuousOdometry, OdometryConfig
 from shared.geometry import Pose2, arc
 from shared.messages import Odometry
 from shared.types import NS_PER_S
