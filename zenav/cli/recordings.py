@@ -49,7 +49,7 @@ def recording_repair(
 
     Example: zenav recording repair run.mcap
     """
-    from zenav.recording.rewrite import repair
+    from zenav.recording.repair import repair
 
     raise typer.Exit(repair(file, out))
 
@@ -66,7 +66,7 @@ def recording_trim(
 
     Example: zenav recording trim run.mcap --begin 10 --end 70 --out minute.mcap
     """
-    from zenav.recording.rewrite import trim
+    from zenav.recording.trim import trim
 
     raise typer.Exit(trim(file, out, begin, end, [key for key in topics.split(",") if key]))
 
@@ -77,7 +77,7 @@ def recording_merge(files: Recordings, out: NewRecording) -> None:
 
     Example: zenav recording merge run.mcap run.part002.mcap --out whole.mcap
     """
-    from zenav.recording.rewrite import merge
+    from zenav.recording.merge import merge
 
     raise typer.Exit(merge(files, out))
 

@@ -21,9 +21,11 @@ from shared.types import NS_PER_S
 from tests.toys import ROBOT, build, eventful
 from zenav.__main__ import _status
 from zenav.client.map_modes import OnMap
-from zenav.recording import rewrite
 from zenav.recording.info import Silences, recording_info
+from zenav.recording.merge import merge
 from zenav.recording.plot import series
+from zenav.recording.repair import repair
+from zenav.recording.trim import trim
 from zenav.replay.reprocess import compare_replayed
 
 CHAIN = ["base_driver", "odometry", "mapper", "planner"]
@@ -268,7 +270,7 @@ def test_a_disk_that_refuses_leaves_the_damaged_file_as_it_is(run, tmp_path, mon
 
     monkeypatch.setattr(Writer, "close", refuse)
     with pytest.raises(UserError, match="No space left"):
-        rewrite.repair(path, None)
+        repair(path, None)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["run.mcap"]
 
@@ -365,16 +367,16 @@ def test_recordings_that_were_taken_side_by_side_are_merged_by_their_times(tmp_p
             for i in range(first, 20, 2):
                 writer.write(f"log/{name}", LogLine, b"x", i, i, i)
     out = tmp_path / "c.mcap"
-    assert rewrite.merge([tmp_path / "b.mcap", tmp_path / "a.mcap"], out) == 0
+    assert merge([tmp_path / "b.mcap", tmp_path / "a.mcap"], out) == 0
     assert [time for _, time, _ in rows(out)] == list(range(20))
     assert Recording(out).attachments == {CONFIG: b"a", f"b-{CONFIG}": b"b"}
 
 
 def test_a_message_that_stands_in_two_recordings_is_merged_once(run, tmp_path, capsys):
     part, out = tmp_path / "part.mcap", tmp_path / "whole.mcap"
-    assert rewrite.trim(run, part, 0.5, 1.5, []) == 0
+    assert trim(run, part, 0.5, 1.5, []) == 0
     said = [entry for entry in Recording(part).entries() if not entry.latched]
-    assert rewrite.merge([part, run, run], out) == 0
+    assert merge([part, run, run], out) == 0
     assert [entry for entry in Recording(out).entries() if not entry.latched] == list(Recording(run).entries())
     assert f"{len(said) + len(rows(run))} messages stood in two of them" in capsys.readouterr().err
     assert compare_replayed(replay(Recording(out), CHAIN, build)).equal
@@ -385,7 +387,7 @@ def test_what_one_recording_holds_twice_stays_twice(tmp_path):
         with Writer(tmp_path / f"{name}.mcap", {"robot": "x80"}) as writer:
             for at in (1, 1, 2):
                 writer.write("log/a", LogLine, b"x", at, 0, 7)
-    assert rewrite.merge([tmp_path / "a.mcap", tmp_path / "b.mcap"], tmp_path / "c.mcap") == 0
+    assert merge([tmp_path / "a.mcap", tmp_path / "b.mcap"], tmp_path / "c.mcap") == 0
     assert [time for _, time, _ in rows(tmp_path / "c.mcap")] == [1, 1, 2]
 
 
@@ -394,7 +396,7 @@ def test_recordings_of_two_robots_are_not_merged(tmp_path):
         with Writer(tmp_path / f"{name}.mcap", {"robot": name}):
             pass
     with pytest.raises(UserError, match="recordings of a and b"):
-        rewrite.merge([tmp_path / "a.mcap", tmp_path / "b.mcap"], tmp_path / "c.mcap")
+        merge([tmp_path / "a.mcap", tmp_path / "b.mcap"], tmp_path / "c.mcap")
     assert not (tmp_path / "c.mcap").exists()
 
 
