@@ -46,6 +46,7 @@ from shared.types import NS_PER_S
 
 VELOCITY_PATH = ("base_driver", "odometry", "local_ctrl", "guard")
 MAX_REQUESTS = 8
+FIRST_INTERVAL_NS = NS_PER_S // 10  # between the first health messages: the links to their readers may not stand yet
 
 log = logging.getLogger("zenav")
 
@@ -123,13 +124,14 @@ class Live:
 
     def _feed(self, report: int) -> None:
         """Handles events until `stop`. report: ns, when the first health message is due."""
+        interval = FIRST_INTERVAL_NS
         while not self._stopping:
             self._take_raws()
             now = self.clock.now()
             self._refusals.report(self.host, now)
             if now >= report:
                 self._report(now)
-                report = now + NS_PER_S
+                report, interval = now + interval, min(2 * interval, NS_PER_S)
             first = min(self._timers, key=attrgetter("due"), default=None)
             if first is not None and first.is_due(now):
                 first.advance(now)

@@ -30,13 +30,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
+from zenav.stack.heap import limit_heap, release_free_memory
 from zenav.stack.process_guard import die_with_parent
 
 MODULE = "zenav.stack.fork_server"
 READY = b"ready"
 MAX_REQUEST = 2**17  # bytes: a command line; within the default size of a socket's buffer
 PR_SET_NAME = 15
-M_ARENA_MAX = -8  # malloc.h
 MADV_DONTNEED = 4
 NO_WARM_UP = ("sim",)  # builds its world, which costs more than the kernels that it would load
 MAX_NAME_BYTES = 15  # of a process
@@ -51,6 +51,7 @@ def serve(connection: socket.socket, launcher: int, commands: dict[str, list[str
     os.setsid()  # a terminal's Ctrl-C is the launcher's affair
     _reset(connection.fileno())
     title(MODULE, [])
+    limit_heap()
     preload(commands)
     if not is_single_threaded():
         os._exit(3)  # the launcher starts the services without this process
@@ -99,8 +100,7 @@ def preload(commands: dict[str, list[str]]) -> None:
 
 def share_pages() -> None:
     """Keeps memory shared with the processes that are forked from here on, and gives back what only loading needed."""
-    ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)  # or each of Zenoh's threads would have a heap of its own
-    gc.collect()
+    release_free_memory()
     gc.freeze()  # a collection would write to each object that it visits
     unmap_clean_pages()
 

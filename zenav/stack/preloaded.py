@@ -17,6 +17,7 @@ from contextlib import contextmanager, suppress
 from typing import BinaryIO
 
 from zenav.stack import fork_server
+from zenav.stack.heap import limit_heap, release_free_memory
 
 GUARD = (sys.executable, "-P", "-m", "zenav.stack.process_guard")
 """How a service's command begins; then come the launcher's number, the module and its arguments."""
@@ -112,6 +113,7 @@ class Preloaded:
         if sys.platform != "linux" or not any(module.startswith("services.") for module in self._commands):
             return
         self.close()
+        limit_heap()
         self._started = time.monotonic()
         here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         if fork_server.is_single_threaded():
@@ -183,7 +185,7 @@ class Preloaded:
         launcher = os.getpid()
         sys.stdout.flush()
         sys.stderr.flush()
-        gc.collect()
+        release_free_memory()
         gc.freeze()  # what both have stays shared, also when the launcher collects
         pid = os.fork()
         if pid == 0:

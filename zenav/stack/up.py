@@ -19,6 +19,7 @@ from zenav.console.run_folder import new_run_folder
 from zenav.console.shutdown import stop_on_signal
 from zenav.stack.config_report import read_sections
 from zenav.stack.hardware import Hardware, emulated_ports, services_for, settings_for, simulated_world
+from zenav.stack.heap import release_free_memory
 from zenav.stack.launch import START_LIMIT, Launcher, claim_stack, service_command
 from zenav.stack.sd_notify import Notifier
 from zenav.stack.service_loader import existing_services
@@ -114,6 +115,8 @@ def up(
         if on_map is not None and saved is not None and not stop.is_set():
             client.answers(requests.GIVE_MAP, START_LIMIT)
             on_map.give(client, saved)
+            saved = None
+            release_free_memory()
             _print_line("zenav", f"the mapper has the map of {on_map.folder}: {on_map.mode}")
         is_ready = False
         while not stop.is_set():

@@ -11,7 +11,6 @@ from math import pi, sqrt
 
 import numpy as np
 from numba import njit
-from scipy.spatial import cKDTree
 
 from services.mapper.back_end.keyframe import Keyframe
 from services.mapper.back_end.pose_graph import Graph, relative_poses
@@ -157,13 +156,32 @@ def _add_hidden_cells(keyframes: list[Keyframe], grid: OccupancyGrid) -> list[Ke
     gaps = np.argwhere(grid.free & ((shown < 0) | (shown > FREE_UP_TO)))
     centres = (np.concatenate((walls, gaps))[:, ::-1] + 0.5) * grid.resolution + (grid.x0, grid.y0)
     at = np.array([(k.local_from_base.x, k.local_from_base.y) for k in keyframes])
-    _, nearest = cKDTree(at).query(centres, np.arange(1, min(N_SWEEPS, len(at)) + 1))
+    nearest = nearest_places(centres, at, min(N_SWEEPS, len(at)))
     is_wall = np.arange(len(centres)) < len(walls)
     return [
         _add_beams(keyframe, centres[mine & is_wall], centres[mine & ~is_wall], grid.resolution)
         for k, keyframe in enumerate(keyframes)
         for mine in [(nearest == k).any(axis=1)]
     ]
+
+
+@njit(cache=True, nogil=True)
+def nearest_places(points, places, count):  # type: ignore[no-untyped-def]  # compiled
+    """(n, count) int64: rows of the places (k, 2) nearest to each point (n, 2), from near to far."""
+    nearest = np.empty((len(points), count), np.int64)
+    distances = np.empty(count)
+    for i in range(len(points)):
+        distances[:] = np.inf
+        for k in range(len(places)):
+            distance = (points[i, 0] - places[k, 0]) ** 2 + (points[i, 1] - places[k, 1]) ** 2
+            place = count
+            while place > 0 and distance < distances[place - 1]:
+                if place < count:
+                    distances[place], nearest[i, place] = distances[place - 1], nearest[i, place - 1]
+                place -= 1
+            if place < count:
+                distances[place], nearest[i, place] = distance, k
+    return nearest
 
 
 def _add_beams(keyframe: Keyframe, walls: Float64s, gaps: Float64s, resolution: float) -> Keyframe:

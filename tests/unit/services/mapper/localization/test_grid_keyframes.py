@@ -6,9 +6,11 @@ from math import hypot
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from services.mapper.grid.occupancy import Occupancy, OccupancyConfig
-from services.mapper.localization.grid_keyframes import saved_map_from_tiles, viewpoints
+from services.mapper.localization.grid_keyframes import nearest_places, saved_map_from_tiles, viewpoints
 from services.mapper.maps.map_file import pack_map, unpack_map
 from shared import requests
 from shared.config import UserError
@@ -296,3 +298,12 @@ def test_a_map_whose_tiles_lie_too_far_apart_is_refused():
     tiles = drawn_from(ROOM, 0.05)
     with pytest.raises(UserError, match="too far apart"):
         saved_map_from_tiles(replace(tiles, rows=np.linspace(-30000, 30000, len(tiles.rows)).astype(np.int32)), 0.05)
+
+
+@settings(deadline=None)
+@given(st.integers(1, 12), st.integers(1, 4), st.integers(0, 2**32 - 1))
+def test_the_nearest_places_are_those_of_a_sorted_list(n_places, count, seed):
+    rng, count = np.random.default_rng(seed), min(count, n_places)
+    points, places = rng.uniform(-5, 5, (7, 2)), rng.uniform(-5, 5, (n_places, 2))
+    distances = np.hypot(*(points[:, None] - places).transpose(2, 0, 1))
+    assert np.array_equal(nearest_places(points, places, count), np.argsort(distances, axis=1)[:, :count])
