@@ -137,12 +137,17 @@ class MapPart(Message):
 
 @dataclass(frozen=True, slots=True)
 class GiveMap(Message):
-    """A part of a file graph.msgpack for the mapper, from the first to the last; `transfer` is the giver's number."""
+    """A part of a file graph.msgpack for the mapper, from the first to the last; `transfer` is the giver's number.
+
+    With `resumes` it is the graph of the present map, from before a restart, and `transfer` is the map's id. The mapper
+    then takes it up without a further request.
+    """
 
     transfer: Count
     part: Annotated[int, Unit("1"), m.Within(0, MAX_MAP_PARTS - 1)]
     parts: Annotated[int, Unit("1"), m.Within(1, MAX_MAP_PARTS)]
     data: Annotated[bytes, Unit("bytes")]
+    resumes: Flag = False
 
     def problem(self) -> str | None:
         if len(self.data) > MAP_PART:

@@ -63,6 +63,19 @@ Out = Iterable[Publication | Job | Log]
 Answer = Generator[Publication | Job | Log, None, R]
 
 
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """State for a service's next process that is too large for a latched topic.
+
+    version: another one where the content is another.  function(*arguments) is pure, and runs off the event path. It
+    gives the requests that the next process gets after its latched values. As events they are in its journal.
+    """
+
+    version: object
+    function: Callable[..., list[tuple[Request[Any, Any], Message]]]
+    arguments: tuple[Any, ...]
+
+
 class Service:
     """Base of all services. The runner sets `now` (ns, the stack's clock) before each event."""
 
@@ -86,6 +99,10 @@ class Service:
     def on_shutdown(self) -> Out:
         """Publications at the end of the process. An event like the others."""
         return ()
+
+    def checkpoint(self) -> Checkpoint | None:
+        """Returns what its next process needs after a crash, beside latched values. It reads only: it is no event."""
+        return None
 
     def state(self) -> str:
         """The service's activity in a few words, for the health message."""

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mapper service: scans and odometry in; the robot's pose on the map, and the map, out."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from services.mapper.back_end.back_end import BackEnd
@@ -14,7 +16,7 @@ from services.mapper.localization.grid_keyframes import add_virtual_keyframes
 from services.mapper.localization.kidnap_detection import KidnapDetector
 from services.mapper.maps.map_file import SavedMap
 from services.mapper.maps.map_transfer import MapDownload, MapUpload
-from services.mapper.maps.resume import PreviousRun
+from services.mapper.maps.resume import PreviousRun, graph_checkpoint
 from services.mapper.slam import Slam
 from services.mapper.warm_up import warm_up
 from shared import requests, topics
@@ -24,7 +26,7 @@ from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapMode, MapUpdate, Odometry, PoseEstimate
 from shared.reasons import BAD_REQUEST, BUSY, MAP_REFUSED
 from shared.requests import FetchMap, GiveMap, LoadMap, MapPart, Reply, StartMap
-from shared.service import Answer, Job, Log, Out, Service, answer, every, on
+from shared.service import Answer, Checkpoint, Job, Log, Out, Service, answer, every, on
 
 MAX_TILES = 20_000  # of a saved map, 80 MB of cells: a square of 450 m at 0.05 m per cell
 
@@ -75,7 +77,7 @@ class MapperService(Service):
         self.on_constraints, self.on_graph_optimized = slam.on_constraints, slam.on_graph_optimized
         self.on_local_map, self.on_localized = slam.on_local_map, slam.on_localized
         self.on_virtual_keyframes = slam.on_virtual_keyframes
-        self.on_map_packed, self.on_map_validated = self.download.on_map_packed, self.upload.on_map_validated
+        self.on_map_packed = self.download.on_map_packed
 
     def warm_up(self) -> None:
         """Compiles all kernels, on a copy of the service."""
@@ -173,6 +175,20 @@ class MapperService(Service):
     @answer(requests.GIVE_MAP)
     def give_map(self, request: GiveMap) -> Answer[Reply]:
         return self.upload.add(request, self.now)
+
+    def on_map_validated(self, result: tuple[int, SavedMap | str]) -> Out:
+        """Stores a given map; the graph of the present map, from before a restart, is taken up at once."""
+        self.upload.on_map_validated(result)
+        map_id = self.upload.transfer
+        if not self.upload.resumes or map_id != self.grid.map_id:
+            return
+        saved = self.upload.take_map(map_id, self.now)
+        self.grid.update_cells()  # those of the latched map may not be published yet
+        if isinstance(saved, SavedMap) and self.slam.add_graph(replace(saved, tiles=self.grid.all_tiles(self.now))):
+            yield Log("INFO", f"going on with the pose graph from before the restart: {len(saved.keyframes)} keyframes")
+
+    def checkpoint(self) -> Checkpoint | None:
+        return graph_checkpoint(self.slam)
 
     @answer(requests.START_MAP)
     def start_map(self, request: StartMap) -> Answer[Reply]:

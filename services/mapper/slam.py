@@ -293,16 +293,23 @@ class Slam:
         self.localizer.load(None)
 
     def on_virtual_keyframes(self, result: tuple[int, SavedMap | None]) -> Out:
-        """Gives a map that was loaded without a graph its keyframes; the robot keeps its pose."""
+        """Gives a map that was loaded without a graph its keyframes."""
         map_id, saved = result
-        if saved is not None and map_id == self.grid.map_id and not self.front_end.from_keyframes:
-            self.jobs.reset()
-            self._load_back_end(saved)
-            self.known_map_from_local = self.back_end.map_from_local  # `local` is the map's frame
-            self.front_end.from_keyframes = True
-            self.localizer.load(saved if not self.changes_map else None)
-            self.localizer.is_searching = False
+        if saved is not None and map_id == self.grid.map_id:
+            self.add_graph(saved)
         return ()
+
+    def add_graph(self, saved: SavedMap) -> bool:
+        """Gives a map of tiles its graph and keyframes; the robot keeps its pose. Returns False if it has a graph."""
+        if self.front_end.from_keyframes:
+            return False
+        self.jobs.reset()
+        self._load_back_end(saved)
+        self.known_map_from_local = self.back_end.map_from_local  # `local` is the map's frame
+        self.front_end.from_keyframes = True
+        self.localizer.load(saved if not self.changes_map else None)
+        self.localizer.is_searching = False
+        return True
 
     def on_localized(self, result: tuple[int, list[PoseHypothesis], float]) -> Out:
         """Applies the result of a global localization: joins the part, or begins a session at the pose."""

@@ -16,7 +16,7 @@ class LatchedDisk:
     """The last values of a service's latched topics, in files of `folder`."""
 
     def __init__(self, folder: Path, name: str) -> None:
-        self._folder, self._name = folder, name
+        self.folder, self._name = folder, name
         folder.mkdir(parents=True, exist_ok=True)
 
     def write(self, key: str, value: Callable[[], bytes]) -> None:
@@ -37,4 +37,4 @@ class LatchedDisk:
             return None
 
     def _path(self, key: str) -> Path:
-        return self._folder / f"{self._name}-{key.replace('/', '-')}.msgpack"
+        return self.folder / f"{self._name}-{key.replace('/', '-')}.msgpack"

@@ -31,6 +31,7 @@ from shared.runners import transport
 from shared.runners.admission import Admission, Verdict
 from shared.runners.arguments import PRELOADED, arguments
 from shared.runners.blackbox import BlackBox, Taken, crash_line
+from shared.runners.checkpoint_disk import CheckpointDisk
 from shared.runners.clock import StackClock, clock_from
 from shared.runners.host import Effect, Host, JobOrder, Sent
 from shared.runners.inbox import Inbox, Slot
@@ -80,6 +81,7 @@ class Live:
         self._slots: list[Slot] = [self._requests, self._from_ports]
         self._workers = ThreadPoolExecutor(1, thread_name_prefix="job")
         self._latched = LatchedStore(disk, self._own_latched(), self._workers)
+        self._checkpoints = CheckpointDisk(disk.folder, name, self._workers) if disk is not None else None
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._timers: list[TickTimer] = []
         self._ports = {
@@ -145,10 +147,14 @@ class Live:
                 self._handle(*item)
 
     def _restore(self, now: int) -> None:
-        """Gives the service its last values before a restart, of the latched topics that it subscribes to itself."""
+        """Gives the service its state before a restart: its own latched topics, and its checkpoint."""
         for key, message, envelope in self._latched.restore(now, self.stats.record_error):
             self._boxed(key, encode(message, envelope), envelope, now, kept=True)
             self._apply(self.host.message(key, message, envelope, now, latched=True))
+        if self._checkpoints is not None:
+            for row, request, payload in self._checkpoints.restored(lambda words: self.stats.record_error(words, now)):
+                effects, _ = self.host.request(row.key, request, payload, now)
+                self._apply(effects)
 
     def _own_latched(self) -> list[str]:
         listened = self.host.handlers.topics.values()
@@ -321,6 +327,8 @@ class Live:
         if self._box is not None:
             self._box.hand_over()
         self._latched.save()
+        if self._checkpoints is not None:
+            self._checkpoints.step(self.host.service, now)
         dropped = sum(slot.dropped for slot in self._slots if slot.keep == "all")
         rejections = self.host.service.rejections
         self.stats.log_rejections(rejections, now)

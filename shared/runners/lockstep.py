@@ -20,7 +20,7 @@ from shared.requests import Request
 from shared.runners.admission import Admission, Verdict
 from shared.runners.host import Effect, Host, JobOrder, Sent, merged
 from shared.runners.tick_timer import TickTimer
-from shared.service import Service
+from shared.service import Checkpoint, Service
 from shared.topics import SERVICES, Publication, key_of
 from shared.types import NS_PER_S
 
@@ -62,13 +62,14 @@ class Lockstep:
         self._operator: dict[str, int] = {}
         self._wires = {end: other for a, b in wires for end, other in ((a, b), (b, a))}
         self._unplugged: set[Port] = set()
+        self._checkpoints: dict[str, Checkpoint] = {}  # of killed services
         for name in sorted(services, key=SERVICES.index):
             self.start(name, services[name])
 
     def start(self, name: str, service: Service) -> None:
         """Starts a service now, also in place of a killed one.
 
-        It gets its own latched values at once, then those of the others.
+        It gets its own latched values at once, then its checkpoint from before, then the latched values of the others.
         """
         life = self._lives[name] = self._lives.get(name, 0) + 1
         host = self._hosts[name] = Host(service, name, f"{name}-{life}")
@@ -79,6 +80,10 @@ class Lockstep:
         for sent in before:
             if sent.envelope.publisher == name and sent.topic.key in host.handlers.topics:
                 self._take(host, host.message(sent.key, sent.message, sent.envelope, self.now, latched=True))
+        checkpoint = self._checkpoints.pop(name, None)
+        for row, request in checkpoint.function(*checkpoint.arguments) if checkpoint is not None else ():
+            payload = encode(request, Envelope(name, host.session, 0, self.now))
+            self._take(host, host.request(row.key, request, payload, self.now)[0])
         timers = [TickTimer(hz, follows, self.now) for hz, _, follows in host.handlers.ticks]
         self._timers[name] = timers
         for index, timer in enumerate(timers):
@@ -92,7 +97,10 @@ class Lockstep:
                 self._from_port(end, topics.PORT(PortState(self.now, end[1], True, "")))
 
     def kill(self, name: str) -> None:
-        """Removes a service. Its jobs and events are discarded."""
+        """Removes a service. Its jobs and events are discarded; its checkpoint is kept."""
+        checkpoint = self._hosts[name].service.checkpoint()
+        if checkpoint is not None:
+            self._checkpoints[name] = checkpoint
         self._lives[name] += 1
         del self._hosts[name]
 

@@ -8,17 +8,22 @@ import subprocess
 import sys
 import threading
 from itertools import takewhile
+from pathlib import Path
 
+import msgpack
 import numpy as np
 import psutil
 import pytest
 
+from services.mapper.maps.map_file import unpack_map
 from shared import topics
+from shared.codec import decode
 from shared.config import UserError
 from shared.messages import NavState
-from shared.requests import REQUESTS
+from shared.requests import REQUESTS, GiveMap
 from shared.topics import SERVICES, TOPICS
 from tests.stack.processes import ALL, ROBOT, StackProcesses, running, wait
+from zenav.client.map_transfer import fetch_map
 from zenav.client.navigation_client import confirm_stop
 from zenav.stack.launch import ROOT, Launcher, free_stack, service_command
 
@@ -36,6 +41,21 @@ def stands(stack: StackProcesses) -> bool:
     return truth is not None and abs(truth.v) < 0.01 and abs(truth.w) < 0.02
 
 
+def graph_nodes(stack: StackProcesses) -> set[int]:
+    """Names of the nodes of the mapper's pose graph."""
+    saved = unpack_map(fetch_map(stack.client, threading.Event().wait), "the mapper's map")
+    return set(saved.graph.nodes.tolist())
+
+
+def checkpoint_nodes(folder: Path) -> set[int]:
+    """Names of the nodes in the mapper's checkpoint below a folder."""
+    paths = list(folder.rglob("mapper-checkpoint.msgpack"))
+    if not paths:
+        return set()
+    parts = [decode(GiveMap, payload)[0].data for _, payload in msgpack.unpackb(paths[0].read_bytes())]
+    return set(unpack_map(b"".join(parts), "the checkpoint").graph.nodes.tolist())
+
+
 def test_services_that_start_in_another_order_drive_to_a_goal(tmp_path):
     with running(tmp_path, order=1) as stack:
         stack.until(stack.reached(stack.go()))
@@ -49,6 +69,8 @@ def test_a_killed_mapper_comes_back_with_its_map_and_the_robot_goes_on(tmp_path)
     with running(tmp_path) as stack:
         stack.until(stack.reached(stack.go()))
         before, tiles = stack.pid("mapper"), stack.client.latched_value(topics.MAP)
+        nodes = graph_nodes(stack)
+        stack.until(lambda: checkpoint_nodes(tmp_path) >= nodes, 10)
         os.kill(before, signal.SIGKILL)
         stack.until(lambda: stack.healths["mapper"].pid not in (before, 0) and stack.launcher.children["mapper"].heard)
         assert any(name == "mapper" and "killed by SIGKILL" in line for name, line in stack.told)
@@ -58,6 +80,7 @@ def test_a_killed_mapper_comes_back_with_its_map_and_the_robot_goes_on(tmp_path)
         stack.until(lambda: near_truth(stack) and stack.client.age(topics.POSE) < 1, 10)
         task = stack.go(stack.client.latest(topics.POSE).map_from_base)
         stack.until(stack.reached(task))
+        assert graph_nodes(stack) >= nodes
 
 
 def test_a_killed_navigator_comes_back_with_its_task_and_the_robot_gets_there(tmp_path):

@@ -80,6 +80,7 @@ class MapUpload:
         """Drops the parts."""
         self.transfer = 0  # its number
         self.n_parts = 0
+        self.resumes = False  # the graph of the present map, from before a restart
         self.parts: list[bytes] = []
         self.requested_at: Stamp = 0
         self.result: SavedMap | str | None = None  # of the validation
@@ -92,7 +93,7 @@ class MapUpload:
             if request.transfer == 0 or request.part:
                 return self._failure(now, f"part {request.part + 1} came without those before it")
             self.reset()
-            self.transfer, self.n_parts = request.transfer, request.parts
+            self.transfer, self.n_parts, self.resumes = request.transfer, request.parts, request.resumes
         at, n = request.part, self.n_parts
         if request.parts != n or at > len(self.parts) or (at < len(self.parts) and self.parts[at] != request.data):
             detail = f"part {at + 1} of {request.parts} came, where part {len(self.parts) + 1} of {n} was expected"

@@ -1,12 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Resumption after a restart: the last published map and pose, and the pose that odometry gives since then."""
+"""Resumption after a restart: the last published map and pose, the pose by odometry since then, and the pose graph."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
 
 from services.mapper.front_end.continuous_odometry import ContinuousOdometry
+from services.mapper.maps.map_file import SavedMap, pack_map
+from services.mapper.slam import Slam
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import MapUpdate, PoseEstimate
+from shared.messages import TILE_CELLS, MapUpdate, Message, PoseEstimate
+from shared.requests import GIVE_MAP, MAP_PART, GiveMap, Request
+from shared.service import Checkpoint
 from shared.types import NS_PER_S
 
+NO_TILES = MapUpdate(
+    stamp=0,
+    map_id=0,
+    version=0,
+    resolution=0.05,
+    rows=np.zeros(0, np.int32),
+    columns=np.zeros(0, np.int32),
+    cells=np.zeros((0, TILE_CELLS**2), np.int8),
+)
 MAX_JUMP_M = 0.5  # of the resumed pose, beyond what the robot can drive
 
 
@@ -36,3 +54,23 @@ class PreviousRun:
         guess = last.map_from_odom @ track.odom_from_start(end) @ track.start_from_base(end)
         max_distance = max_speed * max(end - last.stamp, 0) / NS_PER_S + MAX_JUMP_M
         return (guess, last.map_from_base) if guess.distance(last.map_from_base) <= max_distance else None
+
+
+def graph_checkpoint(slam: Slam) -> Checkpoint | None:
+    """Returns the pose graph with its keyframes as parts for the next process; None where there is none to go on with.
+
+    The tiles are in the latched map. An unjoined part is left out: its place is not known.
+    """
+    if not slam.has_graph or not slam.is_localized or slam.is_in_part:
+        return None
+    back_end, saved = slam.back_end, slam.saved
+    if saved is None:
+        saved = SavedMap(back_end.graph.snapshot(), tuple(back_end.keyframes), np.array(back_end.driven), NO_TILES)
+    version = slam.grid.map_id, saved.graph.nodes.tobytes(), saved.graph.poses.tobytes()
+    return Checkpoint(version, _requests, (saved, slam.grid.map_id, slam.grid.resolution))
+
+
+def _requests(saved: SavedMap, map_id: int, resolution: float) -> list[tuple[Request[Any, Any], Message]]:
+    content = pack_map(replace(saved, tiles=replace(NO_TILES, resolution=resolution)))
+    parts = [content[i : i + MAP_PART] for i in range(0, len(content), MAP_PART)]
+    return [(GIVE_MAP, GiveMap(0, map_id, i, len(parts), part, resumes=True)) for i, part in enumerate(parts)]

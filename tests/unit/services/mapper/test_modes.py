@@ -8,6 +8,7 @@ import pytest
 
 from services.mapper.back_end.map_parts import MIN_KEYFRAMES
 from services.mapper.maps.map_file import pack_map, unpack_map
+from shared import requests
 from shared.geometry import Pose2, wrapped
 from shared.messages import Localization, MapMode
 from tests.unit.services.mapper.buildings import ALIKE, Building, drives
@@ -211,6 +212,67 @@ def test_a_restarted_mapper_still_leaves_the_map_as_it_is(mapped):
     assert again.off(first)[0] < 0.1
     assert again.driven.poses[-1].mode is MapMode.LOCALISE
     np.testing.assert_array_equal(drawn(again).cells, cells.cells)
+
+
+def restarted(lap, checkpoint=None):
+    """Another process of the lap's mapper, with its latched map and pose, and a checkpoint."""
+    again = Lap()
+    again.driven.now, again.driven.true, again.at = lap.driven.now, lap.driven.true, lap.at
+    again.driven.odom_from_start = lap.driven.odom_from_start
+    mapper = again.driven.mapper
+    mapper.now = again.driven.now
+    again.driven.take(mapper.remember_map(drawn(lap)))
+    again.driven.take(mapper.remember_pose(lap.driven.poses[-1]))
+    for row, request in checkpoint.function(*checkpoint.arguments) if checkpoint else ():
+        assert row is requests.GIVE_MAP
+        again.driven.take(mapper.give_map(request))
+    return again
+
+
+@pytest.mark.parametrize("mode", [MapMode.MAP, MapMode.CONTINUE, MapMode.LOCALISE])
+def test_a_restarted_mapper_goes_on_with_its_pose_graph(mapped, mode):
+    content, first = mapped
+    lap = Lap()
+    if mode is not MapMode.MAP:
+        lap.start(mode, content, Pose2())
+    lap.go(40)
+    first = lap.driven.first if mode is MapMode.MAP else first
+    before = unpack_map(lap.fetched(), "before")
+    again = restarted(lap, lap.driven.mapper.checkpoint())
+    after = unpack_map(again.fetched(), "after")
+    assert after.graph.nodes.tolist() == before.graph.nodes.tolist()
+    np.testing.assert_array_equal(after.graph.poses, before.graph.poses)
+    np.testing.assert_array_equal(after.tiles.cells, before.tiles.cells)
+    assert again.driven.mapper.grid.map_id == lap.driven.mapper.grid.map_id
+    again.go(60)
+    assert again.state is GOOD
+    assert again.off(first)[0] < 0.1
+    if mode is not MapMode.LOCALISE:
+        graph = unpack_map(again.fetched(), "later").graph
+        joins = (graph.i <= before.graph.nodes[-1]) & (graph.j > before.graph.nodes[-1])
+        assert (joins & graph.loop).any()  # closures between what was mapped before and after
+
+
+def test_the_graph_of_another_map_is_not_taken_up():
+    lap, other = Lap(), Lap()
+    lap.go(20)
+    checkpoint = lap.driven.mapper.checkpoint()
+    other.driven.now += 10**9
+    other.go(20)
+    again = restarted(other, checkpoint)
+    assert not again.driven.mapper.slam.has_graph
+    again.go(10)
+    assert again.state is GOOD
+
+
+def test_a_checkpoint_has_another_version_when_the_graph_has_grown():
+    lap = Lap()
+    assert lap.driven.mapper.checkpoint() is None
+    lap.go(10)
+    first = lap.driven.mapper.checkpoint()
+    assert lap.driven.mapper.checkpoint().version == first.version
+    lap.go(10)
+    assert lap.driven.mapper.checkpoint().version != first.version
 
 
 def test_tiles_alone_are_left_as_they_are_and_gone_on_with():
