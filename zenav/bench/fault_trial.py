@@ -94,7 +94,7 @@ class FaultMeter:
         self.zero: int | None = None
         self.creep: int | None = None
         self.zero_at: float | None = None  # m, the odometer then
-        self.told: dict[str, str] = {}  # code -> all its details
+        self.details: dict[str, str] = {}  # code -> all its details
         self.hears = False
         self.wrong_since: int | None = None
         self.wrong_longest = 0
@@ -124,7 +124,7 @@ class FaultMeter:
 
     def _tell(self, code: str, detail: str) -> None:
         if code:
-            self.told[code] = f"{self.told.get(code, '')} {detail}"
+            self.details[code] = f"{self.details.get(code, '')} {detail}"
 
     def _pose_error(self, pose: PoseEstimate, now: int) -> None:
         """By when the pose came, not by its stamp, which may be what is wrong; 0.1 s of driving is far under WRONG."""
@@ -258,9 +258,11 @@ def _fill_in(result: FaultResult, row: FaultRow, meter: FaultMeter, fault_end: T
         result.creep_ms = (meter.creep - began) * 1e-6
     zero_at = fault_end.distance if meter.zero_at is None else min(meter.zero_at, fault_end.distance)
     result.distance, result.driven = zero_at - first.distance, fault_end.distance - first.distance
-    result.reasons = sorted(meter.told)
+    result.reasons = sorted(meter.details)
     if row.reasons:
-        result.right = any(re.search(row.detail, words) for code, words in meter.told.items() if code in row.reasons)
+        result.right = any(
+            re.search(row.detail, detail) for code, detail in meter.details.items() if code in row.reasons
+        )
     result.wrong_while_good = meter.wrong_longest * 1e-9
 
 

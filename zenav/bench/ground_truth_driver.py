@@ -105,8 +105,8 @@ class GroundTruthDriver:
         self._follow(self.paths.path(truth.world_from_base, goal))
         return len(self.points) > 0
 
-    def _follow(self, way: Float64s) -> None:
-        self.points, self.at = way, 0
+    def _follow(self, path: Float64s) -> None:
+        self.points, self.at = path, 0
         self.turning = False
 
     def command(self, truth: Truth, seconds: float) -> tuple[float, float] | None:
@@ -142,9 +142,9 @@ class GroundTruthDriver:
         return self.drive.clamped(v, curvature * v)
 
     def _is_person_ahead(self, truth: Truth) -> bool:
-        way = self.points[self.at : self.at + round(AHEAD / CELL) : 2]
-        away = np.hypot(way[:, :1] - truth.people_x, way[:, 1:] - truth.people_y)
-        return bool((away < PERSON + self.paths.robot.inscribed_radius + 0.05).any())
+        ahead = self.points[self.at : self.at + round(AHEAD / CELL) : 2]
+        distances = np.hypot(ahead[:, :1] - truth.people_x, ahead[:, 1:] - truth.people_y)
+        return bool((distances < PERSON + self.paths.robot.inscribed_radius + 0.05).any())
 
 
 def _true_map(world: World) -> OccupancyGrid:
