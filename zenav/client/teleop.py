@@ -40,19 +40,19 @@ class TeleopKeys:
         while text:
             key = next((k for k in KEYS if text.startswith(k)), text[0])
             text = text[len(key) :]
-            way = KEYS.get(key, (0, 0))
-            if way is None:
+            direction = KEYS.get(key, (0, 0))
+            if direction is None:
                 self.ended = True
-            elif way == (0, 0):  # space, or any other key: stand
+            elif direction == (0, 0):  # space, or any other key: stand
                 self._forward = self._turn = (0, now)
-            elif way[0]:
-                self._forward = way[0], now
+            elif direction[0]:
+                self._forward = direction[0], now
             else:
-                self._turn = way[1], now
+                self._turn = direction[1], now
 
     def direction(self, now: float) -> tuple[int, int]:
         """(forward, turn), each -1, 0 or 1, at `now` s; a key that is no longer held counts for nothing."""
-        return tuple(way if now - at < KEY_HOLD_S else 0 for way, at in (self._forward, self._turn))  # type: ignore[return-value]  # two in, two out
+        return tuple(sign if now - at < KEY_HOLD_S else 0 for sign, at in (self._forward, self._turn))  # type: ignore[return-value]  # two in, two out
 
 
 def teleop(robot: str, stack: str, speed: float, turn: float, override: bool) -> None:
