@@ -33,8 +33,8 @@ def new_recording(
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with Writer(part, about, attachments, profile=source.profile) as writer:
-            for name, told in source.metadata:
-                writer.note(name, told)
+            for name, values in source.metadata:
+                writer.note(name, values)
             yield writer
         with part.open("rb") as file:
             os.fsync(file.fileno())
@@ -71,9 +71,9 @@ def repair(path: Path, out: Path | None) -> int:
     for problem in recording.problems:
         sys.stderr.write(f"{problem}\n")
     if lost:
-        known = f"{recording.n_lost} messages are known to be lost" if recording.n_lost else "something is lost"
-        kept = "" if out else f"; the damaged file is {path}.damaged"
-        sys.stderr.write(f"{known}{kept}\n")
+        loss = f"{recording.n_lost} messages are known to be lost" if recording.n_lost else "something is lost"
+        backup = "" if out else f"; the damaged file is {path}.damaged"
+        sys.stderr.write(f"{loss}{backup}\n")
     return 1 if lost else 0
 
 
@@ -109,7 +109,7 @@ def trim(path: Path, out: Path, begin: float | None, end: float | None, patterns
     keys = keys_in(recording, patterns)
     since, until = time_range(recording, begin, end)
     first = begin_of(recording) if since is None else since
-    held, n = LatchedState(), 0
+    latched, n = LatchedState(), 0
     about = recording.about | {"trimmed": f"{(first - begin_of(recording)) / NS_PER_S:g} s on, from {path.name}"}
     with new_recording(out, recording, about, recording.attachments) as writer:
         writer.note_drops(drop for drop in recording.drops if first <= drop.at and (until is None or drop.at < until))
@@ -119,9 +119,9 @@ def trim(path: Path, out: Path, begin: float | None, end: float | None, patterns
                 continue
             if not begun and entry.log_time >= first:
                 begun = True
-                n += _begin(writer, held, first, recording)
+                n += _begin(writer, latched, first, recording)
             if not begun:
-                held.take(entry.key, entry.payload)
+                latched.take(entry.key, entry.payload)
             elif until is None or entry.log_time < until:
                 writer.copy(entry)
                 n += 1
@@ -131,10 +131,10 @@ def trim(path: Path, out: Path, begin: float | None, end: float | None, patterns
     return 0
 
 
-def _begin(writer: Writer, held: LatchedState, at: int, recording: Recording) -> int:
+def _begin(writer: Writer, latched: LatchedState, at: int, recording: Recording) -> int:
     """Writes what was latched at `at` (ns), each with the schema that it was recorded with."""
     channels = {source.recorded.key: source.recorded for source in recording.sources.values()}
-    values = held.values()
+    values = latched.values()
     for value in values:
         channel = replace(channels[value.key], metadata=(LATCHED,))
         writer.copy(Entry(channel, at, value.envelope.sent, value.envelope.sequence, value.payload))
@@ -191,7 +191,7 @@ def _in_order(recordings: list[Recording]) -> Iterator[tuple[Entry, int]]:
         for stream in streams:
             yield from stream
     else:
-        yield from merged_by(*streams, key=lambda found: found[0].log_time)
+        yield from merged_by(*streams, key=lambda item: item[0].log_time)
 
 
 def _known(entries: Iterable[tuple[Entry, int]]) -> Iterator[tuple[Entry, bool]]:
@@ -221,14 +221,14 @@ def _follows(before: Recording, after: Recording) -> bool:
 
 def _attachments(recordings: list[Recording]) -> dict[str, bytes]:
     """All of them; another one of the same name has its recording's name before its own."""
-    found: dict[str, bytes] = {}
+    attachments: dict[str, bytes] = {}
     for recording in recordings:
         for name, content in recording.attachments.items():
-            if found.setdefault(name, content) != content:
-                found[f"{recording.path.stem}-{name}"] = content
-    if CONFIG in found and f"{recordings[-1].path.stem}-{CONFIG}" in found:
+            if attachments.setdefault(name, content) != content:
+                attachments[f"{recording.path.stem}-{name}"] = content
+    if CONFIG in attachments and f"{recordings[-1].path.stem}-{CONFIG}" in attachments:
         sys.stderr.write("their configurations differ: a replay takes the first one's\n")
-    return found
+    return attachments
 
 
 def _drops(recordings: list[Recording]) -> list[Drop]:
