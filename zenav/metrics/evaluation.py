@@ -61,12 +61,12 @@ class RunTrack:
         return self.truth.start if self.truth is not None else Pose2()
 
     @property
-    def true_way(self) -> Float64s:
+    def true_trajectory(self) -> Float64s:
         """(n, 3) world_from_base."""
         return np.array([row[1:] for row in self.truths]).reshape(-1, 3)
 
     @property
-    def estimated_way(self) -> Float64s:
+    def estimated_trajectory(self) -> Float64s:
         """(n, 3) the mapper's poses, in the world."""
         poses = (self.world_from_map @ pose for _, _, pose, _ in self.poses)
         return np.array([(p.x, p.y, p.yaw) for p in poses]).reshape(-1, 3)

@@ -47,7 +47,7 @@ class RecordedRun:
     poses: list[tuple[int, Pose2]] = field(default_factory=list)
     grid: OccupancyGrid = field(default_factory=OccupancyGrid)
     n_lost: int = 0
-    n_ways: int = 0
+    n_plans: int = 0
     n_refused: int = 0
     n_reached: int = 0
     n_recoveries: int = 0
@@ -75,7 +75,7 @@ class RecordedRun:
         elif isinstance(message, MapUpdate):
             self.grid.apply(message)
         elif isinstance(message, Path):
-            self.n_ways += not message.reason
+            self.n_plans += not message.reason
             self.n_refused += bool(message.reason)
         elif isinstance(message, NavStatus):
             self.n_reached += message.state is NavState.REACHED and self._nav is not NavState.REACHED
@@ -120,8 +120,8 @@ def run_metrics(run: RecordedRun, lives: Iterable[Life] = ()) -> Metrics:
     if not run.grid.empty:
         metrics["map known, m2"] = float((run.grid.cells >= 0).sum()) * run.grid.resolution**2
         metrics["map occupied, cells"] = int(run.grid.occupied.sum())
-    if run.n_ways or run.n_refused:
-        metrics |= {"plan ways, messages": run.n_ways, "plan without a way, messages": run.n_refused}
+    if run.n_plans or run.n_refused:
+        metrics |= {"plan ways, messages": run.n_plans, "plan without a way, messages": run.n_refused}
     if run._nav is not None:
         metrics |= {"goals reached": run.n_reached, "recoveries": run.n_recoveries}
     metrics |= {f"guard {reason}, messages": n for reason, n in sorted(run.standing.items())}

@@ -29,7 +29,7 @@ def toured():
 
 
 def test_the_tour_visits_every_goal_touches_nothing_and_ends_where_it_began(toured):
-    way = toured.track.true_way
+    way = toured.track.true_trajectory
     for goal in (*toured.world.goals.values(), toured.world.start):
         assert np.hypot(*(way[:, :2] - (goal.x, goal.y)).T).min() < 0.4
     assert np.hypot(*(way[-1, :2] - way[0, :2])) < 0.4
