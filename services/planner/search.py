@@ -173,10 +173,10 @@ def expand(
 
 
 @njit(cache=True, nogil=True)
-def width_bits(least: int) -> int:
-    """Bits of a cost that lie within one bucket, for steps that cost at least `least`."""
+def width_bits(min_cost: int) -> int:
+    """Bits of a cost that lie within one bucket, for steps that cost at least `min_cost`."""
     shift = 0
-    while least >> shift > 1:
+    while min_cost >> shift > 1:
         shift += 1
     return shift
 
