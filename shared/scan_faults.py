@@ -168,8 +168,8 @@ class RepeatedScans:
         near[:, ~np.isfinite(near).all(axis=0)] = np.nan  # beside a beam without a return nothing is known
         distance = np.hypot(moved[met, 0], moved[met, 1])
         off = (distance < near.min(axis=0) - AGREES_M) | (distance > near.max(axis=0) + AGREES_M)
-        known = np.count_nonzero(np.isfinite(near[0]))
-        return bool(known >= MIN_RETURNS and np.count_nonzero(off) >= MIN_CONTRADICTIONS * known)
+        n_known = np.count_nonzero(np.isfinite(near[0]))
+        return bool(n_known >= MIN_RETURNS and np.count_nonzero(off) >= MIN_CONTRADICTIONS * n_known)
 
 
 def returns(scan: LaserScan) -> Bools:
