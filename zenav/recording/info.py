@@ -97,14 +97,14 @@ def recording_info(path: Path) -> RecordingInfo:
 
 @dataclass
 class Silences:
-    """When a key spoke: its first and last log_time, and every silence of MIN_GAP_S or more, (from, to) in ns."""
+    """First and last log_time of a key, and every silence of MIN_GAP_S or more, (from, to) in ns."""
 
     first: int = 0
     last: int = 0
     long: list[tuple[int, int]] = field(default_factory=list)
 
     def summary(self, n: int, expected: float, end: int) -> tuple[float, int, float]:
-        """Rate, and number and length of its gaps; nothing where only events speak."""
+        """Rate, and number and length of its gaps; nothing for a topic without a rate."""
         seconds = (self.last - self.first) / NS_PER_S
         hz = (n - 1) / seconds if n > 1 and seconds > 0 else 0.0
         if not expected or not n:
@@ -115,7 +115,7 @@ class Silences:
 
 
 def _by_index(recording: Recording, rows: dict[str, TopicInfo]) -> dict[str, Silences]:
-    """Counts, and when each key spoke, without reading a message."""
+    """Message counts and silences of each key, without reading a message."""
     statistics, blocks, silences_by_key = recording.statistics, recording.blocks, dict[str, Silences]()
     counts = statistics.channel_message_counts if statistics else {}
     for number, source in recording.sources.items():
