@@ -77,7 +77,7 @@ class GridSearch:
             return np.empty((0, 2), np.int32)
         while True:
             marks.begin(flat.size)
-            found = expand(
+            outcome = expand(
                 flat,
                 w,
                 start_cell,
@@ -89,10 +89,10 @@ class GridSearch:
                 marks.origins,
                 *self.entries,
             )
-            if found != QUEUE_FULL:
+            if outcome != QUEUE_FULL:
                 break
             self.reserve(2 * len(self.entries[0]))
-        return traced_path(marks.origins, w, start_cell, goal_cell) if found else np.empty((0, 2), np.int32)
+        return traced_path(marks.origins, w, start_cell, goal_cell) if outcome else np.empty((0, 2), np.int32)
 
 
 @njit(cache=True, nogil=True)

@@ -75,10 +75,10 @@ def building(number: int) -> dict[str, Any]:
             tree["boxes"] += _cabinets(room.at, openings, rng)
             continue
         taste = np.random.default_rng([number, 8, room.like]) if room.like >= 0 else rng
-        found = furnish_room(room.at, here, taste)
-        tree["boxes"] += found.boxes
-        tree["cylinders"] += found.cylinders
-        x, y = found.middle
+        furniture = furnish_room(room.at, here, taste)
+        tree["boxes"] += furniture.boxes
+        tree["cylinders"] += furniture.cylinders
+        x, y = furniture.middle
         yaw = int(rng.integers(-180, 181))
         tree["goals"].append({"name": f"room {i}", "x": round(x, 2), "y": round(y, 2), "yaw_deg": yaw})
     return tree

@@ -69,11 +69,11 @@ def furnish_room(room: Rectangle, gaps: list[tuple[float, float, float]], rng: n
         kind = rng.random()
         beside = kind < 0.55
         piece = _wall_furniture(room, rng) if beside else _middle_furniture(room, rng, kind > 0.8)
-        taken = _area(x, y, piece.boxes, piece.cylinders)
-        claimed = taken | _area(x, y, piece.top, [])
+        piece_area = _area(x, y, piece.boxes, piece.cylinders)
+        claimed = piece_area | _area(x, y, piece.top, [])
         barred = doorways | (solid & ~walls if beside else solid)
-        if not (claimed & barred).any() and _passable(solid | taken, door_areas, walls):
-            solid |= taken
+        if not (claimed & barred).any() and _passable(solid | piece_area, door_areas, walls):
+            solid |= piece_area
             furniture.boxes += piece.boxes
             furniture.cylinders += piece.cylinders
     room_left = distance_transform_edt(np.pad(~solid, 1))[1:-1, 1:-1]
