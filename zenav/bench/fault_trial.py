@@ -95,7 +95,7 @@ class FaultMeter:
         self.creep: int | None = None
         self.zero_at: float | None = None  # m, the odometer then
         self.details: dict[str, str] = {}  # code -> all its details
-        self.hears = False
+        self.is_recording_reasons = False
         self.wrong_since: int | None = None
         self.wrong_longest = 0
         self.posed: int = 0  # ns, when the newest pose came
@@ -112,15 +112,15 @@ class FaultMeter:
                 self.zero, self.zero_at = now, self.newest["sim/truth"].distance
             if key == "cmd/vel" and self.creep is None and abs(self.newest[key].v) <= self.blind_speed + 1e-6:
                 self.creep = now
-            if self.hears and isinstance(message, GuardStatus | NavStatus):
+            if self.is_recording_reasons and isinstance(message, GuardStatus | NavStatus):
                 self._tell(message.reason, message.detail)
-            if self.hears and key == "base/status":
+            if self.is_recording_reasons and key == "base/status":
                 self._tell(self.newest[key].fault, self.newest[key].detail)
 
     def begin(self, now: int) -> None:
         """The fault begins."""
         with self.lock:
-            self.began, self.hears, self.at_begin = now, True, self.newest["sim/truth"]
+            self.began, self.is_recording_reasons, self.at_begin = now, True, self.newest["sim/truth"]
 
     def _tell(self, code: str, detail: str) -> None:
         if code:
@@ -185,7 +185,7 @@ def run_trial(stack: StackUnderTest, trial: FaultTrial) -> FaultResult:
     if row.name.startswith("kill "):
         stack.start(row.name.removeprefix("kill "))
     stack.run(HEARS_WITHIN)
-    meter.hears = False
+    meter.is_recording_reasons = False
     result.resumed = _resumes_work(stack, trial)
     _fill_in(result, row, meter, fault_end)
     result.contacts = meter.newest["sim/truth"].n_contacts - contacts

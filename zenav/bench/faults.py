@@ -26,10 +26,10 @@ COLUMNS = (
 def faults(robot: str, n: int, seed: int, jobs: int, only: str, out: Path | None, live: bool) -> int:
     """Runs n trials of the matrix, shows a row a fault, writes the JSON; 0 where every target is kept."""
     check_writable(out)
-    wanted = matrix(n, seed, selected_rows(only, live))
+    trials = matrix(n, seed, selected_rows(only, live))
     run_one = partial(_live if live else _lockstep, robot)
     results: list[FaultResult] = []
-    for result in pool_results(run_one, wanted, 1 if live else jobs):
+    for result in pool_results(run_one, trials, 1 if live else jobs):
         results.append(result)
         row = next(row for row in FAULT_ROWS if row.name == result.fault)
         verdict = "; ".join(missed_targets(result, row)) or "good"
@@ -99,7 +99,7 @@ def _rows(results: list[FaultResult]) -> list[FaultRow]:
 def table_row(row: FaultRow, results: list[FaultResult]) -> tuple[str, ...]:
     """A fault's line of the table."""
     times = [ms for result in results if (ms := judged_ms(result, row)) is not None]
-    sayers = [result for result in results if result.right is not None and result.mode in row.stops | row.creeps]
+    with_reason = [result for result in results if result.right is not None and result.mode in row.stops | row.creeps]
     reasons = sorted({reason for result in results for reason in result.reasons})
     bad = sum(bool(missed_targets(result, row)) for result in results)
     return (
@@ -110,7 +110,7 @@ def table_row(row: FaultRow, results: list[FaultResult]) -> tuple[str, ...]:
         f"{row.limit:.0f}" if row.stops | row.creeps else "-",
         f"{max(result.distance for result in results):.2f}",
         str(sum(result.contacts for result in results)),
-        f"{sum(bool(result.right) for result in sayers)}/{len(sayers)}" if sayers else "-",
+        f"{sum(bool(result.right) for result in with_reason)}/{len(with_reason)}" if with_reason else "-",
         f"{sum(result.resumed for result in results)}/{len(results)}",
         f"{max(result.wrong_while_good for result in results):.1f}",
         f"{bad} not good" if bad else "good",

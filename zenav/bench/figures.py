@@ -98,9 +98,9 @@ class Bench:
             run = PartialRun(**tree | {"load": tuple(tree["load"])})
         except (OSError, ValueError, TypeError, KeyError):
             return None  # half a file: it is run again
-        asked = _figures_of(self.arguments(row, part))
+        wanted = _figures_of(self.arguments(row, part))
         same = run.code == self.state.code and not run.dirty
-        return run if same and _figures_of(run.arguments) == asked else None
+        return run if same and _figures_of(run.arguments) == wanted else None
 
     def run_part(self, row: FigureRow, part: str) -> PartialRun | None:
         """Runs a part and keeps it; None where it left no report.

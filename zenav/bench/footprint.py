@@ -220,17 +220,17 @@ def memory(pid: int) -> Usage:
 
 def restart_times(stack: MeasuredStack, rounds: int) -> dict[str, list[float]]:
     """s from the SIGKILL of each service to the first message of its next process."""
-    taken: dict[str, list[float]] = {}
+    times: dict[str, list[float]] = {}
     for _ in range(rounds):
         begun = time.monotonic()
         for name in [name for name in stack.pids if name not in NOT_ON_THE_ROBOT]:
             pid, killed = stack.pids[name], time.monotonic()
             os.kill(pid, signal.SIGKILL)
             stack.until(partial(stack.is_replaced, name, pid), RESTART_LIMIT_S, f"{name} stays away")
-            taken.setdefault(name, []).append(stack.first_health_s[name, stack.pids[name]] - killed)
+            times.setdefault(name, []).append(stack.first_health_s[name, stack.pids[name]] - killed)
             time.sleep(BETWEEN_KILLS_S)  # noqa: TID251  # each is killed while the others are well
         time.sleep(max(0.0, 31.0 - (time.monotonic() - begun)))  # noqa: TID251  # the next death counts as the first
-    return taken
+    return times
 
 
 def command_times(command: str) -> tuple[float, float]:

@@ -67,10 +67,10 @@ class PathFinder:
         grid.first_row, grid.first_column = self.grid.first_row, self.grid.first_column
         rows, columns = np.indices(self.grid.cells.shape)
         x, y = self.grid.x0 + (columns + 0.5) * CELL, self.grid.y0 + (rows + 0.5) * CELL
-        taken = np.zeros(x.shape, bool)
+        occupied_by_people = np.zeros(x.shape, bool)
         for person in people:
-            taken |= np.hypot(x - person[0], y - person[1]) <= PERSON
-        grid.cells = np.where(taken, np.int8(100), self.grid.cells)
+            occupied_by_people |= np.hypot(x - person[0], y - person[1]) <= PERSON
+        grid.cells = np.where(occupied_by_people, np.int8(100), self.grid.cells)
         terrain = GlobalCostmap(self.terrain.config, self.robot, CELL)
         terrain.update(grid, None)
         return terrain

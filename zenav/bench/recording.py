@@ -214,8 +214,8 @@ def idle_service(class_: type[Service]) -> Service:
     marked = handlers(class_)
     methods: dict[str, Any] = {name: on(topic)(lambda self, message: ()) for topic, name in marked.topics.values()}
     methods |= {name: every(hz)(lambda self: ()) for hz, name, _ in marked.ticks}
-    made: Any = type("Idle", (Service,), methods)
-    return cast(Service, made(None, None))
+    idle_type: Any = type("Idle", (Service,), methods)
+    return cast(Service, idle_type(None, None))
 
 
 def _recorder_figures(path: Path, logs: Path, live: Path, stop: StopFlag) -> dict[str, float]:

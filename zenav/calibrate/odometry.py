@@ -136,7 +136,7 @@ def charts(
 ) -> list[Chart]:
     """Where the squares ended, and the way by odometry before and after."""
     rolled, before = log.rolled, WheelGeometry.of(robot.drive)
-    made = []
+    drawn_charts = []
     if squares is not None:
         ends = Chart("End of each square less odometry's (UMBmark)", "m along the first side", "m to its left", True)
         clockwise = np.array([run.clockwise for run in squares.runs], bool)
@@ -145,7 +145,7 @@ def charts(
             ends.dots(off[clockwise, 0], off[clockwise, 1], colours[0], f"clockwise, {name}")
             ends.dots(off[~clockwise, 0], off[~clockwise, 1], colours[1], f"counter-clockwise, {name}")
         ends.dots([0], [0], (0, 0, 0))
-        made.append(ends)
+        drawn_charts.append(ends)
     path_chart = Chart("The way, all begun alike", "x, m", "y, m", True)
     if track is not None:
         inside = np.flatnonzero((track.stamps >= rolled.stamps[0]) & (track.stamps <= rolled.stamps[-1]))
@@ -161,7 +161,7 @@ def charts(
         for wheels, colour, name in ((before, BEFORE, "odometry before"), (after, AFTER, "odometry after")):
             poses = rolled.poses(wheels)
             path_chart.line(poses[:, 0], poses[:, 1], colour, name)
-    return [*made, path_chart]
+    return [*drawn_charts, path_chart]
 
 
 def from_start(poses: Float64s) -> Float64s:

@@ -61,7 +61,7 @@ def teleop(robot: str, stack: str, speed: float, turn: float, override: bool) ->
     override: nothing but the driver keeps the robot from what is in its way. Raises UserError where the guard refuses.
     """
     keys = TeleopKeys()
-    asked = float("-inf")
+    last_override = float("-inf")
     with (
         raw_terminal() as terminal,
         stop_on_signal() as stop,
@@ -76,9 +76,9 @@ def teleop(robot: str, stack: str, speed: float, turn: float, override: bool) ->
                 keys.press(os.read(terminal, 256).decode(errors="replace") or "q", time.monotonic())
                 continue
             due += PERIOD
-            if override and due - asked >= AGAIN:
+            if override and due - last_override >= AGAIN:
                 _override(client, OVERRIDE)
-                asked = due
+                last_override = due
             forward, turning = keys.direction(time.monotonic())
             client.publish(topics.TELEOP(Velocity(client.now(), forward * speed, turning * radians(turn), "")))
             _show(client)

@@ -97,8 +97,8 @@ def log_of(content: Content) -> DriveLog:
                 scan.range_max, ranges, scan.scan_time,
             )
         )  # fmt: skip
-    taken = {scan.stamp for scan in scans}
-    records += [LoggedPose(o.stamp, o.odom_from_base, o.v, o.w) for o in track if o.stamp not in taken]
+    scan_stamps = {scan.stamp for scan in scans}
+    records += [LoggedPose(o.stamp, o.odom_from_base, o.v, o.w) for o in track if o.stamp not in scan_stamps]
     records.sort(key=lambda record: record.end if isinstance(record, LoggedScan) else record.stamp)
     return DriveLog(records, content.n_bad, False, "messages", bool(track), list(content.notes))
 

@@ -330,12 +330,12 @@ class _LogReader:
     ) -> list[PoseEstimate]:
         """The pose on the map: of its topic, or in tf; with what that corrects of odometry."""
 
-        def made(message: Any, stamp: int) -> PoseEstimate:
+        def pose_estimate(message: Any, stamp: int) -> PoseEstimate:
             pose = message.pose
             spread = ros.covariance(pose.covariance) if hasattr(pose, "covariance") else np.zeros(9)
             return _estimate(stamp, ros.pose2(pose.pose if hasattr(pose, "covariance") else pose), spread)
 
-        poses = self._made(topic, made, by_receipt)
+        poses = self._made(topic, pose_estimate, by_receipt)
         maps = [frame for frame in self.frames.ancestors(base) if frame.rpartition("/")[2] == "map"]
         if topic is None and maps:
             poses = [_estimate(stamp, pose, np.zeros(9)) for stamp, pose in self._moving(maps[0], base)]

@@ -140,9 +140,9 @@ class LiveView:
         """Serves until `stop` is set."""
         due = second = time.monotonic()
         while not stop.is_set():
-            taken = self._inbox.take(max(0.0, min(due - time.monotonic(), PERIOD)))
-            if taken is not None:
-                place, payload = taken
+            entry = self._inbox.take(max(0.0, min(due - time.monotonic(), PERIOD)))
+            if entry is not None:
+                place, payload = entry
                 self._take(place.key, payload)
             now = time.monotonic()
             if now >= due:

@@ -175,8 +175,8 @@ def visible_surface(world: World, radius: float, reach: float) -> Float64s:
         ends.append(place + ranges[hit, None] * unit[hit])
     x, y = np.rint(np.concatenate(ends).T / OUTLINE_STEP)
     once = np.unique(x + 1j * y) * OUTLINE_STEP
-    found = np.column_stack((once.real, once.imag))
-    away, _ = cKDTree(found).query(outline, distance_upper_bound=BESIDE_BEAM)
+    visible_points = np.column_stack((once.real, once.imag))
+    away, _ = cKDTree(visible_points).query(outline, distance_upper_bound=BESIDE_BEAM)
     return np.asarray(outline[np.isfinite(away)])
 
 

@@ -75,26 +75,26 @@ def latency_chain(path: Path, since: int = 0, spent: HandlerTimes = MappingProxy
         if name in ("local_ctrl", "guard", "base_driver")
     }
     control = events.get("local_ctrl", [])
-    at_control = _times_taken(control, "scan")
-    at_guard = _times_taken(events.get("guard", []), "cmd/nav")
-    at_base = _times_taken(events.get("base_driver", []), "cmd/vel")
+    times_at_control = _times_taken(control, "scan")
+    times_at_guard = _times_taken(events.get("guard", []), "cmd/nav")
+    times_at_base = _times_taken(events.get("base_driver", []), "cmd/vel")
     by_time = {key: {when: source for source, when in sent[key].items()} for key in ("cmd/nav", "cmd/vel")}
     ticks = [event.now for event in control if event.kind == TICK]
-    until = max(at_base.values(), default=0) - round(END_S * NS_PER_S)
+    until = max(times_at_base.values(), default=0) - round(END_S * NS_PER_S)
     rows: list[tuple[int, int, int, int]] = []
     spent_by: list[float] = []
     lost = dict.fromkeys((NOT_TAKEN, NO_COMMAND, NOT_AT_BASE), 0)
     for begun, source in sorted((when, source) for source, when in sent["scan"].items() if when >= since):
-        taken = at_control.get(source)
-        i = bisect_left(ticks, taken) if taken is not None else len(ticks)
-        guarded = at_guard.get(by_time["cmd/nav"].get(ticks[i], NO_SOURCE)) if i < len(ticks) else None
-        based = at_base.get(by_time["cmd/vel"].get(guarded, NO_SOURCE)) if guarded is not None else None
-        if taken is not None and guarded is not None and based is not None:
-            rows.append((taken - begun, ticks[i] - taken, guarded - ticks[i], based - guarded))
-            begins = zip(CHAIN_SERVICES, (begun, ticks[i], guarded))
+        control_at = times_at_control.get(source)
+        i = bisect_left(ticks, control_at) if control_at is not None else len(ticks)
+        guard_at = times_at_guard.get(by_time["cmd/nav"].get(ticks[i], NO_SOURCE)) if i < len(ticks) else None
+        base_at = times_at_base.get(by_time["cmd/vel"].get(guard_at, NO_SOURCE)) if guard_at is not None else None
+        if control_at is not None and guard_at is not None and base_at is not None:
+            rows.append((control_at - begun, ticks[i] - control_at, guard_at - ticks[i], base_at - guard_at))
+            begins = zip(CHAIN_SERVICES, (begun, ticks[i], guard_at))
             spent_by.append(sum(spent.get(name, {}).get(when, nan) for name, when in begins))
         elif begun <= until:
-            lost[NOT_TAKEN if taken is None else NO_COMMAND if guarded is None else NOT_AT_BASE] += 1
+            lost[NOT_TAKEN if control_at is None else NO_COMMAND if guard_at is None else NOT_AT_BASE] += 1
     to_control, wait, solved, guarded_for = np.array(rows, float).reshape(-1, 4).T / NS_PER_S
     n_scans = len(rows) + sum(lost.values())
     return LatencyChain(to_control, wait, solved, guarded_for, np.array(spent_by, float), lost, n_scans)

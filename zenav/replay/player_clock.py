@@ -97,10 +97,10 @@ def selected_keys(text: str, keys: Iterable[str]) -> list[str]:
         return there
     selected = dict[str, None]()
     for word in filter(None, text.split(",")):
-        meant = [key for key in there if key == word or key.startswith(f"{word}/")]
-        if not meant:
+        matching = [key for key in there if key == word or key.startswith(f"{word}/")]
+        if not matching:
             raise UserError(f"the recording has no topic {word}", nearest(word, tuple(there)))
-        selected |= dict.fromkeys(meant)
+        selected |= dict.fromkeys(matching)
     return list(selected)
 
 

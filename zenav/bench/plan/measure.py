@@ -83,10 +83,10 @@ class PlannerRow:
         return summary
 
 
-def timed_call(work: Callable[..., T], *given: Any) -> tuple[T, float]:
+def timed_call(work: Callable[..., T], *arguments: Any) -> tuple[T, float]:
     """What it gives, and its CPU time, ms."""
     begun = process_time()
-    result = work(*given)
+    result = work(*arguments)
     return result, (process_time() - begun) * 1e3
 
 
@@ -189,8 +189,8 @@ def any_angle_lengths(benchmark: BenchmarkMap, some: list[PlanQuery], paths: lis
     """
     times = benchmark.times
     free = benchmark.free[::times, ::times]
-    corners, asked = corners_of(free), set(map(id, some))
-    solved = [(path_length(path), s) for s, path in zip(benchmark.scenarios, paths) if id(s) in asked and len(path)]
+    corners, ids = corners_of(free), set(map(id, some))
+    solved = [(path_length(path), s) for s, path in zip(benchmark.scenarios, paths) if id(s) in ids and len(path)]
     optima = {}
     for upper_bound, scenario in sorted(solved, key=lambda pair: -pair[0]):  # the longest first: it fails early
         ends = np.array([scenario.start[::-1], scenario.goal[::-1]], float) + 0.5
