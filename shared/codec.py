@@ -77,7 +77,7 @@ class Field(NamedTuple):
 def fields_of(type_: type[Any]) -> tuple[Field, ...]:
     """The declared fields of a message class, in order."""
     hints = get_type_hints(type_, include_extras=True)
-    found = []
+    declared = []
     for field in fields(type_):
         hint = hints[field.name]
         marks: tuple[Any, ...] = getattr(hint, "__metadata__", ())
@@ -88,7 +88,7 @@ def fields_of(type_: type[Any]) -> tuple[Field, ...]:
 
         unit = mark(Unit)
         default = field.default if field.default_factory is MISSING else field.default_factory()
-        found.append(
+        declared.append(
             Field(
                 field.name,
                 kind,
@@ -99,7 +99,7 @@ def fields_of(type_: type[Any]) -> tuple[Field, ...]:
                 default,
             )
         )
-    return tuple(found)
+    return tuple(declared)
 
 
 def encode(message: Message, envelope: Envelope) -> bytes:

@@ -111,8 +111,8 @@ class Drive(Section):
         """The turn rate, rad/s, that is nearest to w at a speed of v m/s and on an arc that the robot drives."""
         if not self.min_turning_radius or (v == 0 and self.turns_in_place):
             return w
-        most = abs(v) / self.min_turning_radius
-        return min(max(w, -most), most)
+        max_turn_rate = abs(v) / self.min_turning_radius
+        return min(max(w, -max_turn_rate), max_turn_rate)
 
 
 class Laser(Section):
@@ -207,7 +207,7 @@ class RobotFile:
         try:
             return model.model_validate(_plain(values))
         except ValidationError as errors:
-            raise self._told((name,), model, errors) from None
+            raise self._validation_error((name,), model, errors) from None
 
     def whole(self, model: type[T]) -> T:
         """The whole file as one `model`, for files without sections. Raises UserError on the first fault."""
@@ -215,7 +215,7 @@ class RobotFile:
         try:
             return model.model_validate(_plain(self.tree))
         except ValidationError as errors:
-            raise self._told((), model, errors) from None
+            raise self._validation_error((), model, errors) from None
 
     def override(self, assignment: str) -> None:
         """Sets one value from `section.key=value`, the value as YAML. Raises UserError where it does not read so."""
@@ -247,11 +247,11 @@ class RobotFile:
         """The `robot` section."""
         return self.section("robot", Robot)
 
-    def unknown_sections(self, known: tuple[str, ...]) -> None:
-        """Raises UserError where the file has a section outside `known`."""
+    def unknown_sections(self, names: tuple[str, ...]) -> None:
+        """Raises UserError where the file has a section outside `names`."""
         for name in self.tree:
-            if name not in known:
-                raise UserError(f"{self.place((name,))}: {name} is not a section", nearest(str(name), known))
+            if name not in names:
+                raise UserError(f"{self.place((name,))}: {name} is not a section", nearest(str(name), names))
 
     def place(self, location: tuple[Any, ...]) -> str:
         """`file:line` of a key given as its path in the tree; `--set` where it was overridden."""
@@ -283,7 +283,7 @@ class RobotFile:
             if field is not None:
                 self._warn_of_renamed(here, _item_type(field.annotation), value)
 
-    def _told(self, above: tuple[str, ...], model: type[Section], errors: ValidationError) -> UserError:
+    def _validation_error(self, above: tuple[str, ...], model: type[Section], errors: ValidationError) -> UserError:
         # a mistyped name of a setting that must be there is two errors: the name is the one that helps
         error = min(errors.errors(), key=lambda e: e["type"] != "extra_forbidden")
         location = (*above, *error["loc"])
@@ -306,8 +306,8 @@ def robot_path(robot: str) -> Path:
     else:
         path = next((p for p in (Path(f"{robot}.yaml"), ROBOTS_DIR / f"{robot}.yaml") if p.is_file()), Path(robot))
     if not path.is_file():
-        known = tuple(sorted(robot_files()))
-        raise UserError(f"there is no robot {robot}", nearest(robot, known))
+        names = tuple(sorted(robot_files()))
+        raise UserError(f"there is no robot {robot}", nearest(robot, names))
     return path
 
 
@@ -342,10 +342,10 @@ def load_yaml(path: Path) -> CommentedMap:
     return tree
 
 
-def nearest(wrong: str, known: tuple[str, ...]) -> str:
+def nearest(wrong: str, valid: tuple[str, ...]) -> str:
     """A hint that names the valid word nearest to a wrong one."""
-    close = difflib.get_close_matches(wrong, known, n=1, cutoff=0.5)
-    return f"did you mean `{close[0]}`?" if close else f"known: {', '.join(known) or 'nothing'}"
+    close = difflib.get_close_matches(wrong, valid, n=1, cutoff=0.5)
+    return f"did you mean `{close[0]}`?" if close else f"known: {', '.join(valid) or 'nothing'}"
 
 
 def _plain(node: Any) -> Any:

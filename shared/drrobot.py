@@ -150,13 +150,13 @@ class Deframer:
         n, used, n_bad, n_resyncs, self._lost = _find_packets(
             np.frombuffer(data, np.uint8), self._dest, self._lost, starts
         )
-        found = [Packet(data[i + 4], data[i + 6 : i + 6 + data[i + 5]]) for i in starts[:n].tolist()]
+        packets = [Packet(data[i + 4], data[i + 6 : i + 6 + data[i + 5]]) for i in starts[:n].tolist()]
         self.n_good += n
         self.n_bad_crc += n_bad
         self.n_resyncs += n_resyncs
-        self.n_skipped += used - sum(OVERHEAD + len(packet.data) for packet in found)
+        self.n_skipped += used - sum(OVERHEAD + len(packet.data) for packet in packets)
         self._kept = data[used:]
-        return found
+        return packets
 
     @property
     def n_kept(self) -> int:

@@ -62,8 +62,8 @@ MIGRATIONS: dict[str, Migration] = {
 @cache
 def today() -> dict[str, type[Message]]:
     """The message classes of this version by name."""
-    found = (value for value in vars(messages).values() if isinstance(value, type) and issubclass(value, Message))
-    return {class_.__name__: class_ for class_ in found if class_ is not Message}
+    classes = (value for value in vars(messages).values() if isinstance(value, type) and issubclass(value, Message))
+    return {class_.__name__: class_ for class_ in classes if class_ is not Message}
 
 
 def unknown_version(name: str, schema: bytes) -> str:

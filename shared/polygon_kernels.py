@@ -42,11 +42,11 @@ def distance_to_polygon(polygon: Float64s, x: float, y: float) -> float:
     """m from the point (x, y) to the polygon (k, 2) m; 0 inside."""
     if contains_point(polygon, x, y):
         return 0.0
-    nearest_x, nearest_y, least = inf, inf, inf
+    nearest_x, nearest_y, min_squared = inf, inf, inf
     n = len(polygon)
     for i in range(n):
         j = (i + 1) % n
         dx, dy = offset_from_segment(x, y, polygon[i, 0], polygon[i, 1], polygon[j, 0], polygon[j, 1])
-        if dx * dx + dy * dy < least:
-            least, nearest_x, nearest_y = dx * dx + dy * dy, dx, dy
+        if dx * dx + dy * dy < min_squared:
+            min_squared, nearest_x, nearest_y = dx * dx + dy * dy, dx, dy
     return hypot(nearest_x, nearest_y)

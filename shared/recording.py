@@ -54,7 +54,7 @@ def _commit() -> dict[str, str]:
     if not (root / ".git").exists():  # installed, perhaps inside of a checkout of something else
         return {}
     try:
-        found = subprocess.run(
+        result = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
             cwd=root,
             capture_output=True,
@@ -63,4 +63,4 @@ def _commit() -> dict[str, str]:
         )
     except (OSError, subprocess.TimeoutExpired):
         return {}
-    return {"commit": found.stdout.strip()} if found.returncode == 0 else {}
+    return {"commit": result.stdout.strip()} if result.returncode == 0 else {}

@@ -38,7 +38,7 @@ class _Arrival:
     at: int
     age: int
     kind: RejectionCause | None
-    words: str
+    detail: str
     since: int
 
 
@@ -60,35 +60,35 @@ class Rejections:
         """
         age = now - stamp
         if age < -FUTURE:
-            kind, words = RejectionCause.AHEAD, f"stamps are {duration(-age)} ahead"
+            kind, detail = RejectionCause.AHEAD, f"stamps are {duration(-age)} ahead"
         elif age > round(max_age * 1e9):
-            kind, words = RejectionCause.OLD, _old(age)
+            kind, detail = RejectionCause.OLD, _old(age)
         elif not supersedes(stamp, last, now):
-            kind, words = RejectionCause.SEQUENCE, "stamps stand still" if stamp == last else "stamps go back"
+            kind, detail = RejectionCause.SEQUENCE, "stamps stand still" if stamp == last else "stamps go back"
         elif unfit:
-            kind, words = RejectionCause.CONTENT, unfit
+            kind, detail = RejectionCause.CONTENT, unfit
         else:
             self._arrivals[key] = _Arrival(now, age, None, "", now)
             return True
-        self.reject(key, kind, words, now, age=age)
+        self.reject(key, kind, detail, now, age=age)
         return False
 
-    def reject(self, key: str, kind: RejectionCause, words: str, now: int, n: int = 1, age: int = 0) -> None:
-        """Counts `n` messages until `now` (ns) that are not used. words: their fault."""
-        self.count(key, kind, words, n)
+    def reject(self, key: str, kind: RejectionCause, detail: str, now: int, n: int = 1, age: int = 0) -> None:
+        """Counts `n` messages until `now` (ns) that are not used. detail: their fault."""
+        self.count(key, kind, detail, n)
         before = self._arrivals.get(key)
         since = before.since if before is not None and before.kind and _within(now - before.at) else now
-        self._arrivals[key] = _Arrival(now, age, kind, words, since)
+        self._arrivals[key] = _Arrival(now, age, kind, detail, since)
 
-    def count(self, key: str, kind: RejectionCause, words: str, n: int = 1) -> None:
+    def count(self, key: str, kind: RejectionCause, detail: str, n: int = 1) -> None:
         """Counts messages with a part that is not used. The input itself stays valid."""
         self.counts[key, kind] = self.counts.get((key, kind), 0) + n
-        self.words[key, kind] = words
+        self.words[key, kind] = detail
 
     def last_problem(self, key: str) -> str:
         """Fault of the newest message of an input; empty where it was used."""
         arrival = self._arrivals.get(key)
-        return arrival.words if arrival is not None else ""
+        return arrival.detail if arrival is not None else ""
 
     def stamp_problem(self, key: str, now: int) -> str:
         """Fault of this input's stamps, sequence or size, as `scan: stamps are 1.0 s ahead`.
@@ -96,12 +96,12 @@ class Rejections:
         Empty while messages are used, when they were wrong for less than `LASTING`, and when none arrives.
         """
         arrival = self._lasting(key, now)
-        return _named(key, arrival.words) if arrival and arrival.kind is not RejectionCause.CONTENT else ""
+        return _named(key, arrival.detail) if arrival and arrival.kind is not RejectionCause.CONTENT else ""
 
     def content_problem(self, key: str, now: int) -> str:
         """Contradiction of this input's messages to the configuration; empty in the cases of `stamp_problem`."""
         arrival = self._lasting(key, now)
-        return arrival.words if arrival and arrival.kind is RejectionCause.CONTENT else ""
+        return arrival.detail if arrival and arrival.kind is RejectionCause.CONTENT else ""
 
     def late_cause(self, key: str, now: int) -> str:
         """Why an input with messages is old: its `stamp_problem`, or messages that arrive late.
@@ -137,8 +137,8 @@ def _old(age: int) -> str:
     return f"stamps are {duration(age)} old" + ("; are they ns?" if age > YEAR * 1e9 else "")
 
 
-def _named(key: str, words: str) -> str:
-    return f"{key.rpartition('/')[2]}: {words}"
+def _named(key: str, detail: str) -> str:
+    return f"{key.rpartition('/')[2]}: {detail}"
 
 
 def _within(silence: int) -> bool:

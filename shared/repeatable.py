@@ -59,25 +59,25 @@ def processor() -> str:
 def _numpy_version() -> tuple[int, int]:
     """Major and minor, from numpy's own file: importing numpy, or importlib.metadata, costs a command its answer."""
     spec = find_spec("numpy")
-    found = None
+    match = None
     if spec is not None and spec.origin is not None:
         with suppress(OSError):
             text = Path(spec.origin).with_name("version.py").read_text(encoding="utf-8")
-            found = re.search(r'^version = "(\d+)\.(\d+)', text, re.MULTILINE)
-    if found is None:
+            match = re.search(r'^version = "(\d+)\.(\d+)', text, re.MULTILINE)
+    if match is None:
         from importlib.metadata import version
 
-        found = re.match(r"(\d+)\.(\d+)", version("numpy"))
-    assert found is not None
-    return int(found[1]), int(found[2])
+        match = re.match(r"(\d+)\.(\d+)", version("numpy"))
+    assert match is not None
+    return int(match[1]), int(match[2])
 
 
 def _set() -> None:
     major, minor = _numpy_version()
     before = dict(os.environ)  # noqa: TID251  # here the environment is the subject
     cache = installed_cache()
-    kept = {"NUMBA_CACHE_DIR": str(cache)} if cache else {}
-    after = {**settings(platform.machine(), _cpu_flags(), (major, minor)), **kept, **before, **THREADS}
+    cache_setting = {"NUMBA_CACHE_DIR": str(cache)} if cache else {}
+    after = {**settings(platform.machine(), _cpu_flags(), (major, minor)), **cache_setting, **before, **THREADS}
     if "numpy" in sys.modules and after != before:
         warnings.warn(
             "numpy was imported before shared.repeatable: results may differ in their last bits", stacklevel=2

@@ -18,8 +18,8 @@ def robot_files(folder: Path = Path()) -> dict[str, Path]:
 
     A YAML file of `folder` is a robot file where it has a section `robot`.
     """
-    found = {path.stem: path for path in sorted(ROBOTS_DIR.glob("*.yaml"))}
-    return found | {path.stem: path for path in sorted(folder.glob("*.yaml")) if _is_robot(path)}
+    built_in = {path.stem: path for path in sorted(ROBOTS_DIR.glob("*.yaml"))}
+    return built_in | {path.stem: path for path in sorted(folder.glob("*.yaml")) if _is_robot(path)}
 
 
 def is_installed(path: Path) -> bool:

@@ -48,23 +48,23 @@ def mismatch(scan: LaserScan, laser: Laser) -> str:
     3 degrees and one increment at the ends of the sweep. Beams may run in either direction.
     """
     n, step = len(scan.ranges), abs(scan.angle_increment)
-    wanted, wanted_step = laser.n_beams, abs(laser.angle_increment)
-    if abs(n - wanted) > max(1.0, MAX_UNLIKE_SHARE * wanted):
-        return f"{n} beams came, robot.laser.n_beams is {wanted}"
-    if abs(step - wanted_step) > MAX_UNLIKE_SHARE * wanted_step:
-        return f"beams {step:.6g} rad apart came, robot.laser.angle_increment is {wanted_step:.6g}"
-    slack = MAX_UNLIKE_ARC + wanted_step
-    sweep, wanted_sweep = step * (n - 1), wanted_step * (wanted - 1)
-    if abs(sweep - wanted_sweep) > slack:
+    n_configured, configured_step = laser.n_beams, abs(laser.angle_increment)
+    if abs(n - n_configured) > max(1.0, MAX_UNLIKE_SHARE * n_configured):
+        return f"{n} beams came, robot.laser.n_beams is {n_configured}"
+    if abs(step - configured_step) > MAX_UNLIKE_SHARE * configured_step:
+        return f"beams {step:.6g} rad apart came, robot.laser.angle_increment is {configured_step:.6g}"
+    slack = MAX_UNLIKE_ARC + configured_step
+    sweep, configured_sweep = step * (n - 1), configured_step * (n_configured - 1)
+    if abs(sweep - configured_sweep) > slack:
         return (
             f"a sweep of {sweep:.4g} rad came ({n} beams, {step:.6g} rad apart), "
-            f"robot.laser has {wanted_sweep:.4g} ({wanted} beams, {wanted_step:.6g} rad apart)"
+            f"robot.laser has {configured_sweep:.4g} ({n_configured} beams, {configured_step:.6g} rad apart)"
         )
     first = min(scan.angle_min, scan.angle_min + (n - 1) * scan.angle_increment)
-    wanted_first = min(laser.angle_min, laser.angle_min + (wanted - 1) * laser.angle_increment)
-    full_turn = wanted_sweep > 2 * pi - slack
-    if not full_turn and abs(wrapped(first - wanted_first)) > slack:
-        return f"a sweep from {first:.4g} rad came, robot.laser begins at {wanted_first:.4g}"
+    configured_first = min(laser.angle_min, laser.angle_min + (n_configured - 1) * laser.angle_increment)
+    full_turn = configured_sweep > 2 * pi - slack
+    if not full_turn and abs(wrapped(first - configured_first)) > slack:
+        return f"a sweep from {first:.4g} rad came, robot.laser begins at {configured_first:.4g}"
     return ""
 
 
@@ -168,8 +168,8 @@ class RepeatedScans:
         near[:, ~np.isfinite(near).all(axis=0)] = np.nan  # beside a beam without a return nothing is known
         distance = np.hypot(moved[met, 0], moved[met, 1])
         off = (distance < near.min(axis=0) - AGREES_M) | (distance > near.max(axis=0) + AGREES_M)
-        known = np.count_nonzero(np.isfinite(near[0]))
-        return bool(known >= MIN_RETURNS and np.count_nonzero(off) >= MIN_CONTRADICTIONS * known)
+        n_known = np.count_nonzero(np.isfinite(near[0]))
+        return bool(n_known >= MIN_RETURNS and np.count_nonzero(off) >= MIN_CONTRADICTIONS * n_known)
 
 
 def returns(scan: LaserScan) -> Bools:

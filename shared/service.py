@@ -153,10 +153,10 @@ class Handlers:
 
 def handlers(service: type[Service]) -> Handlers:
     """The handlers of a service class, from the decorators."""
-    found: dict[str, Any] = {}
+    events: dict[str, Any] = {}
     for base in reversed(service.__mro__):
-        found.update({name: f.event for name, f in vars(base).items() if hasattr(f, "event")})
-    marks = [(kind, what, name) for name, (kind, what) in found.items()]
+        events.update({name: f.event for name, f in vars(base).items() if hasattr(f, "event")})
+    marks = [(kind, what, name) for name, (kind, what) in events.items()]
     return Handlers(
         {what.key: (what, name) for kind, what, name in marks if kind == "on"},
         tuple((what[0], name, what[1]) for kind, what, name in marks if kind == "every"),

@@ -159,15 +159,15 @@ def mark_cells(cells: Bools, x0: float, y0: float, resolution: float, polygon: F
     crossings = np.empty(n)
     for row in range(max(0, floor((low - y0) / resolution)), min(h, floor((high - y0) / resolution) + 1)):
         y = y0 + (row + 0.5) * resolution
-        found = 0
+        n_crossings = 0
         for i in range(n):
             ax, ay = polygon[i, 0], polygon[i, 1]
             bx, by = polygon[(i + 1) % n, 0], polygon[(i + 1) % n, 1]
             if (ay > y) != (by > y):
-                crossings[found] = ax + (y - ay) * (bx - ax) / (by - ay)
-                found += 1
-        crossings[:found].sort()
-        for k in range(0, found - 1, 2):
+                crossings[n_crossings] = ax + (y - ay) * (bx - ax) / (by - ay)
+                n_crossings += 1
+        crossings[:n_crossings].sort()
+        for k in range(0, n_crossings - 1, 2):
             # floats, until they are known to be in the window: a corner may lie a million metres out
             first = max(0.0, np.ceil((crossings[k] - x0) / resolution - 0.5))
             last = min(w - 1.0, np.floor((crossings[k + 1] - x0) / resolution - 0.5))

@@ -50,6 +50,7 @@ FILES = (
     "shared/kernel_cache.py",  # the lock of a kernel's index
     "shared/ros_map.py",
     "shared/runners/latched_disk.py",  # what a restart must not lose
+    "shared/runners/checkpoint_disk.py",  # the same, where it is large
     "shared/runners/blackbox.py",  # what a crash must not lose
     "zenav/",
 )

@@ -30,15 +30,15 @@ MAX_BEAM_STEP = 900  # 0.01 degree between two beams; more is not plausible
 
 def _tables() -> UInt8s:
     """(46, 256): contribution of each byte at each position to the CRC; a CRC is linear, so contributions are xored."""
-    one = np.zeros(256, np.uint8)
+    last_byte = np.zeros(256, np.uint8)
     for value in range(256):
         crc = value
         for _ in range(8):
             crc = (crc << 1 ^ (0x4D if crc & 0x80 else 0)) & 0xFF
-        one[value] = crc
-    rows = [one]
+        last_byte[value] = crc
+    rows = [last_byte]
     for _ in range(LENGTH - 2):
-        rows.append(one[rows[-1]])
+        rows.append(last_byte[rows[-1]])
     return np.array(rows[::-1])
 
 

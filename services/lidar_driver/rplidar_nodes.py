@@ -27,7 +27,7 @@ class NodeFramer:
     def extract(self, data: bytes) -> tuple[UInt8s, Int64s, Bools]:
         """The nodes (p, 5), the number of bytes after each (p,), and whether nodes were lost before each (p,)."""
         self.buffer += data
-        found, after, first = [], [], []
+        plausible_runs, after, first = [], [], []
         while True:
             is_resync = self.last_angle is None
             if is_resync and not self._synchronize():
@@ -38,7 +38,7 @@ class NodeFramer:
                 break
             plausible, angles = plausible_nodes(nodes, self.last_angle)
             n = len(nodes) if plausible.all() else int(np.argmin(plausible))
-            found.append(nodes[:n])
+            plausible_runs.append(nodes[:n])
             after.append(len(stream) - LENGTH * np.arange(1, n + 1))
             first.append(is_resync & (np.arange(n) == 0))
             self.counts.n_good += n
@@ -49,11 +49,11 @@ class NodeFramer:
             self.last_angle = None
             self.counts.n_bad += 1
             self.counts.n_resyncs += 1
-        if not found:
+        if not plausible_runs:
             return np.empty((0, LENGTH), np.uint8), np.empty(0, np.int64), np.empty(0, bool)
-        if len(found) == 1:
-            return found[0], after[0], first[0]
-        return np.concatenate(found), np.concatenate(after), np.concatenate(first)
+        if len(plausible_runs) == 1:
+            return plausible_runs[0], after[0], first[0]
+        return np.concatenate(plausible_runs), np.concatenate(after), np.concatenate(first)
 
     def _synchronize(self) -> bool:
         """Drops bytes up to the first row of plausible nodes; False without one."""

@@ -110,11 +110,11 @@ class Scip:
         if len(self.buffer) > MAX_ANSWER_BYTES:
             self.buffer = self.buffer[-BLOCK:]
             self.counts.n_resyncs += 1
-        found = []
+        sweeps = []
         for answer in answers:
-            found += self._handle_message(answer, now)
+            sweeps += self._handle_message(answer, now)
             self.answer_start = now
-        return found
+        return sweeps
 
     def _handle_message(self, answer: bytes, now: int) -> list[Returns]:
         answer = answer.replace(b"\r", b"").lstrip(b"\n")
@@ -141,8 +141,8 @@ class Scip:
 
     def _handle_answer(self, kind: bytes, status: str, buffer: bytes) -> None:
         if kind == b"PP":
-            found = re.findall(rb"([A-Z]{4}): *(\d{1,9})", buffer)
-            self.parameters = {key.decode(): int(value) for key, value in found}
+            pairs = re.findall(rb"([A-Z]{4}): *(\d{1,9})", buffer)
+            self.parameters = {key.decode(): int(value) for key, value in pairs}
             if not self._plan_scan():
                 return
         if self.command_sent == "TM1" and status == "00":

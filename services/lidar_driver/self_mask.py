@@ -12,10 +12,10 @@ from shared.types import Bools, Float32s, Float64s
 
 def masked_angles(angles: Float64s, masks: tuple[tuple[float, float], ...]) -> Bools:
     """(n,) rad -> (n,): whether an angle is in a mask (from, to), rad, counter-clockwise, both ends included."""
-    found = np.zeros(len(angles), bool)
+    is_masked = np.zeros(len(angles), bool)
     for begin, end in masks:
-        found |= (angles - begin + 1e-9) % (2 * pi) <= (end - begin) % (2 * pi) + 2e-9
-    return found
+        is_masked |= (angles - begin + 1e-9) % (2 * pi) <= (end - begin) % (2 * pi) + 2e-9
+    return is_masked
 
 
 def on_robot(ranges: Float32s, angles: Float64s, mount: Mount, corners: Float64s, margin: float) -> Bools:
@@ -25,10 +25,10 @@ def on_robot(ranges: Float32s, angles: Float64s, mount: Mount, corners: Float64s
     """
     reach = float(np.hypot(*corners.T).max()) + margin + float(np.hypot(mount.x, mount.y))
     near = np.flatnonzero(ranges <= reach)
-    found = np.zeros(len(ranges), bool)
+    is_on_robot = np.zeros(len(ranges), bool)
     if not len(near):
-        return found
+        return is_on_robot
     heading = angles[near] + mount.yaw
     x, y = mount.x + ranges[near] * np.cos(heading), mount.y + ranges[near] * np.sin(heading)
-    found[near] = signed_distances(corners, np.column_stack((x, y))) < margin
-    return found
+    is_on_robot[near] = signed_distances(corners, np.column_stack((x, y))) < margin
+    return is_on_robot

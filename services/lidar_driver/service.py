@@ -133,10 +133,10 @@ class LidarDriverService(Service):
             self.open, self.opened_at = True, self.now
         self.bytes_at = self.now
         met = self.device.clock_reading
-        found = self.device.receive(data.data, data.stamp)
+        decoded = self.device.receive(data.data, data.stamp)
         if self.device.clock_reading is not None and self.device.clock_reading != met:
             self.clock.add_clock_reading(*self.device.clock_reading)
-        for returns in found:
+        for returns in decoded:
             if returns.restarted:
                 self.clock.restart()
             self.clock.observe(data.stamp, returns.sent, returns.ages)

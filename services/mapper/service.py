@@ -93,10 +93,10 @@ class MapperService(Service):
         if self.slam.tracked is None:
             return "waiting for a scan"
         pose = "looking for the robot on the map" if not self.slam.is_localized else str(self.slam.tracked.state)
-        words = f"{self.slam.mode}: {pose}, {len(self.grid.tile_index)} tiles"
+        text = f"{self.slam.mode}: {pose}, {len(self.grid.tile_index)} tiles"
         dropped = sum(self.scan_queue.n_dropped.values())
-        words += f", {dropped} scans dropped" if dropped else ""
-        return words + (", no odometry: scan matching alone" if self.scan_queue.is_blind else "")
+        text += f", {dropped} scans dropped" if dropped else ""
+        return text + (", no odometry: scan matching alone" if self.scan_queue.is_blind else "")
 
     def _process_scan(self) -> Out:
         """Takes the waiting scan through the pipeline, from the queue to the map."""

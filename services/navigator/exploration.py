@@ -76,14 +76,14 @@ class Exploration:
         """(n, 2) int64 rows and columns of `map` that are no frontier any more."""
         return np.array(sorted(self._given_up | self._failed), np.int64).reshape(-1, 2)
 
-    def choose_target(self, found: Frontiers, pose: Pose2, resolution: float) -> FrontierTarget | None:
+    def choose_target(self, result: Frontiers, pose: Pose2, resolution: float) -> FrontierTarget | None:
         """The target among the found frontiers: the same object, or another where it vanished or is worse."""
-        costs = self._costs(found, pose)
-        ranked = sorted(found.frontiers, key=lambda f: costs[id(f)])
+        costs = self._costs(result, pose)
+        ranked = sorted(result.frontiers, key=lambda f: costs[id(f)])
         if self.target is not None:
-            same = _same_frontier(found, self.target, resolution)
+            same = _same_frontier(result, self.target, resolution)
             if same is None:
-                if self.looking is None and _is_unreachable(found, self.target, resolution):
+                if self.looking is None and _is_unreachable(result, self.target, resolution):
                     return self.target  # planner and local control decide whether it can be reached
             elif self.looking is None:
                 gain = costs[id(same)] - costs[id(ranked[0])]
@@ -132,15 +132,15 @@ class Exploration:
         self._last_try = True
         return True
 
-    def _costs(self, found: Frontiers, pose: Pose2) -> dict[int, float]:
+    def _costs(self, result: Frontiers, pose: Pose2) -> dict[int, float]:
         """Cost (m, weighted) by id of a tour through all frontiers that begins with this one.
 
         A small corner that is left behind costs the way back, so it is seen while the robot is near.
         """
-        first = np.array([self._cost(f, pose) for f in found.frontiers])
-        k = len(found.between)
-        lengths = np.concatenate((tours(first[:k], found.between), first[k:] + _BEYOND_TOUR_COST_M))
-        return {id(f): float(length) for f, length in zip(found.frontiers, lengths)}
+        first = np.array([self._cost(f, pose) for f in result.frontiers])
+        k = len(result.between)
+        lengths = np.concatenate((tours(first[:k], result.between), first[k:] + _BEYOND_TOUR_COST_M))
+        return {id(f): float(length) for f, length in zip(result.frontiers, lengths)}
 
     def _cost(self, frontier: Frontier, pose: Pose2) -> float:
         turn = abs(wrapped(pose.bearing(Pose2(frontier.x, frontier.y)) - pose.yaw))
@@ -164,16 +164,16 @@ def _visit_cell(target: FrontierTarget) -> Cell:
     return round(target.x / _VISIT_CELL_M), round(target.y / _VISIT_CELL_M)
 
 
-def _same_frontier(found: Frontiers, target: FrontierTarget, resolution: float) -> Frontier | None:
+def _same_frontier(result: Frontiers, target: FrontierTarget, resolution: float) -> Frontier | None:
     """The found frontier at the target's place, or None."""
-    near = [(float(_distances_to(f.cells, target, resolution).min()), i) for i, f in enumerate(found.frontiers)]
-    least, nearest = min(near, default=(_SAME_TARGET_M + 1, 0))
-    return found.frontiers[nearest] if least <= _SAME_TARGET_M else None
+    near = [(float(_distances_to(f.cells, target, resolution).min()), i) for i, f in enumerate(result.frontiers)]
+    distance, nearest = min(near, default=(_SAME_TARGET_M + 1, 0))
+    return result.frontiers[nearest] if distance <= _SAME_TARGET_M else None
 
 
-def _is_unreachable(found: Frontiers, target: FrontierTarget, resolution: float) -> bool:
+def _is_unreachable(result: Frontiers, target: FrontierTarget, resolution: float) -> bool:
     """Whether the target is still a frontier, but without a path."""
-    return any(_distances_to(cells, target, resolution).min() <= _SAME_TARGET_M for cells in found.unreachable)
+    return any(_distances_to(cells, target, resolution).min() <= _SAME_TARGET_M for cells in result.unreachable)
 
 
 def _target_of(frontier: Frontier, resolution: float) -> FrontierTarget:
@@ -208,5 +208,5 @@ def warm_up_search(config: FrontierConfig) -> None:
         robot_radius=0.2,
         dropped=np.zeros((1, 2), np.int64),
     )
-    found = find_frontiers(snapshot, config)
-    tours(np.array([f.distance for f in found.frontiers]), found.between)
+    result = find_frontiers(snapshot, config)
+    tours(np.array([f.distance for f in result.frontiers]), result.between)

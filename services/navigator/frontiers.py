@@ -123,7 +123,7 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     pieces, ends = _split_border(border & (seen_from >= 0), deep, n_min, n_max)
     others, other_ends = _split_border(border & (seen_from < 0) & (cut_off_from >= 0), deep, n_min, n_max)
     unknown = np.pad((cells < 0) | ((cells > FREE_UP_TO) & (cells < OCCUPIED_FROM)), 1, constant_values=True)
-    found = sorted(
+    frontiers = sorted(
         (
             _frontier(pieces[begin:end], snapshot, unknown, seen_from, travelled)
             for begin, end in zip((0, *ends[:-1]), ends)
@@ -134,10 +134,10 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
         _map_cells(others[begin:end], snapshot) for begin, end in zip((0, *other_ends[:-1]), other_ends)
     )
     return Frontiers(
-        tuple(found),
+        tuple(frontiers),
         unreachable,
         enclosed,
-        _distances_between(np.asarray(travelled < _UNREACHED), snapshot, found[:_MAX_TOURED]),
+        _distances_between(np.asarray(travelled < _UNREACHED), snapshot, frontiers[:_MAX_TOURED]),
     )
 
 

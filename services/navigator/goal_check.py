@@ -42,8 +42,8 @@ def refusal_reason(
     x, y = (goal.x - grid.x0) / resolution, (goal.y - grid.y0) / resolution
     near = np.hypot(columns + 0.5 - x, rows + 0.5 - y) * resolution <= reach
     near[n, n] = True
-    least = inscribed_radius + required_clearance(min(limits.least_margin, limits.margin), resolution)
-    if (room & near).any() or distance[n, n] >= least - 1e-6:
+    min_clearance = inscribed_radius + required_clearance(min(limits.least_margin, limits.margin), resolution)
+    if (room & near).any() or distance[n, n] >= min_clearance - 1e-6:
         return None
     return reasons.GOAL_BLOCKED
 

@@ -179,7 +179,7 @@ class Navigation:
             if self.dwell <= 0:
                 yield from self._next_waypoint(self.task, now)
 
-    def frontiers_found(self, task_id: int, map_id: int, found: Frontiers, now: int) -> Out:
+    def frontiers_found(self, task_id: int, map_id: int, result: Frontiers, now: int) -> Out:
         """Takes the result of a search."""
         self.searching, self.searched = inf, 0.0
         exploration, pose = self.task, self.pose_tracker.map_from_base
@@ -188,12 +188,12 @@ class Navigation:
         if pose is None or self.paused or self.suspended or self.action:
             return
         before = exploration.target
-        target = exploration.choose_target(found, pose, self.grid.resolution)
+        target = exploration.choose_target(result, pose, self.grid.resolution)
         if target is None:
             if self.attempt:
                 self.attempt = None
                 yield self._standstill(now)
-            yield from self._without_frontier(exploration, found, now)
+            yield from self._without_frontier(exploration, result, now)
         elif target is not before:
             exploration.without = 0.0
             frontier = target.frontier
@@ -229,9 +229,9 @@ class Navigation:
     def _watch_attempt(self, attempt: GoalAttempt, seconds: float, now: int) -> Out:
         assert self.order is not None  # an attempt has published one
         plan, follow = self.statuses.plan_for(self.order, now), self.statuses.follow_for(self.order, now)
-        held = reasons.POSE_LOST if self.suspended else self.statuses.hold_reason(now)
-        if held:
-            attempt.add_hold_time(seconds, held)
+        hold_reason = reasons.POSE_LOST if self.suspended else self.statuses.hold_reason(now)
+        if hold_reason:
+            attempt.add_hold_time(seconds, hold_reason)
         else:
             attempt.update(seconds, self.left(attempt, now), plan, follow, self.attempt_config.progress)
             if attempt.has_progressed:
@@ -242,7 +242,7 @@ class Navigation:
         if verdict is AttemptAction.RECOVER:
             yield from self._recover(attempt, reason, now)
         elif verdict is AttemptAction.FAIL:
-            yield from self._give_up(reason, now, whole=held is not None)
+            yield from self._give_up(reason, now, whole=hold_reason is not None)
 
     def _recover(self, attempt: GoalAttempt, reason: Reason, now: int) -> Out:
         explores = isinstance(self.task, Exploration)
@@ -372,14 +372,14 @@ class Navigation:
             arguments = self.task_id, grid.map_id, snapshot, self.config.exploration.frontier
             yield Job(search, arguments, done="frontiers_found", takes=0.05)
 
-    def _without_frontier(self, exploration: Exploration, found: Frontiers, now: int) -> Out:
+    def _without_frontier(self, exploration: Exploration, result: Frontiers, now: int) -> Out:
         config = self.config.exploration
-        uncertain = found.enclosed or bool(found.unreachable)
+        uncertain = result.enclosed or bool(result.unreachable)
         if exploration.without < (config.blocked_time if uncertain else config.settle_time):
             return
         if exploration.retry_failed():
             exploration.without = 0.0
-        elif found.enclosed:
+        elif result.enclosed:
             yield from self.end(now, NavState.FAILED, reasons.START_BLOCKED)
         elif self.recoveries.used_up and exploration.moved < self.config.recovery.earned_by:
             cause = f"{reasons.RECOVERIES_USED.text}; the last cause: {self.recoveries.last.text}"

@@ -36,7 +36,7 @@ class Resumption:
         self.navigation = navigation
         self.before: NavTask | None = None  # until its resumption is decided
         self._began = 0  # ns, when it was remembered
-        self._told: NavTask | None = None
+        self._published: NavTask | None = None
 
     @property
     def pending(self) -> bool:
@@ -48,7 +48,7 @@ class Resumption:
         navigation = self.navigation
         if navigation.task is not None or navigation.task_id >= task.task_id:
             return
-        navigation.task_id, self._told = task.task_id, task
+        navigation.task_id, self._published = task.task_id, task
         if task.kind is not TaskKind.NONE:
             self.before, self._began = task, now
             working = NavState.EXPLORING if task.kind is TaskKind.EXPLORE else NavState.NAVIGATING
@@ -82,12 +82,12 @@ class Resumption:
         if self.before is not None:
             return
         message = _message(self.navigation, now)
-        told = self._told
-        if _key(message) == (_key(told) if told else _NOTHING):
-            alive = told is not None and 0 <= now - told.stamp < round(PUBLISH_PERIOD_S * 1e9)
+        published = self._published
+        if _key(message) == (_key(published) if published else _NOTHING):
+            alive = published is not None and 0 <= now - published.stamp < round(PUBLISH_PERIOD_S * 1e9)
             if alive or message.kind is TaskKind.NONE:
                 return
-        self._told = message
+        self._published = message
         yield topics.TASK(message)
 
     def _refusal(self, before: NavTask, now: int) -> ResumeRefusal | None:
@@ -101,8 +101,8 @@ class Resumption:
         disarmed = guard is not None and guard.reason == reasons.ESTOP_RELEASED.code
         if guard is not None and (disarmed or guard.stopped > before.stamp - FUTURE):
             released = reasons.ESTOP_RELEASED
-            words = f"while the navigator was restarted; {released.hint}"
-            return ResumeRefusal(released, f"{released.text} {words}", NavState.CANCELED)
+            detail = f"while the navigator was restarted; {released.hint}"
+            return ResumeRefusal(released, f"{released.text} {detail}", NavState.CANCELED)
         if before.map_id and grid.map_id not in (0, before.map_id):
             return ResumeRefusal(reasons.OTHER_MAP, "", NavState.CANCELED)
         away = (self._began - before.stamp) * 1e-9
@@ -114,13 +114,13 @@ class Resumption:
             "the map": bool(before.map_id) and grid.empty and not late,
             "the pose": navigation.pose_tracker.map_from_base is None and not late,
         }
-        missing = [words for words, lacks in lacking.items() if lacks]
+        missing = [name for name, lacks in lacking.items() if lacks]
         if missing and not waited:
             return ResumeRefusal(reasons.STARTING, "", waits=True)
         if late:
-            most = navigation.config.resume_within
-            words = f"it was away for {away:.1f} s, and a task goes on after at most {most:g} s: give it again"
-            return ResumeRefusal(reasons.INTERRUPTED, words)
+            max_away = navigation.config.resume_within
+            detail = f"it was away for {away:.1f} s, and a task goes on after at most {max_away:g} s: give it again"
+            return ResumeRefusal(reasons.INTERRUPTED, detail)
         if missing:
             return ResumeRefusal(
                 reasons.INTERRUPTED, f"{' and '.join(missing)} missing since then: give the task again"

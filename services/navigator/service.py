@@ -116,8 +116,8 @@ class NavigatorService(Service):
     @on(topics.ZONES)
     def zones_before_the_restart(self, zones: Zones) -> Out:
         if dropped := self.zones.remember(zones):
-            words = f"with the configuration's they are more than {MAX_ZONES}: {', '.join(dropped)} hold no more"
-            yield Log("WARNING", f"zones: {words}")
+            detail = f"with the configuration's they are more than {MAX_ZONES}: {', '.join(dropped)} hold no more"
+            yield Log("WARNING", f"zones: {detail}")
 
     @every(hz=5)
     def tick(self) -> Out:
@@ -130,7 +130,7 @@ class NavigatorService(Service):
         if not self.resumption.pending:  # else its goal stays until its resumption is decided
             yield from self.navigation.passed(seconds, self.now)
         self.speedometer.passed(seconds, self.velocity)
-        yield from self._told()
+        yield from self._publish_status()
 
     def frontiers_found(self, result: tuple[int, int, Frontiers]) -> Out:
         """Takes the result of a search: task, map, frontiers."""
@@ -155,8 +155,8 @@ class NavigatorService(Service):
     @answer(requests.SET_ZONES)
     def set_zones(self, request: SetZones) -> Answer[Reply]:
         if not self.zones.set(request):
-            most = f"with those of the configuration they are more than {MAX_ZONES}"
-            return replace(self._reply(reasons.BAD_REQUEST), detail=most)
+            detail = f"with those of the configuration they are more than {MAX_ZONES}"
+            return replace(self._reply(reasons.BAD_REQUEST), detail=detail)
         yield self._zones()
         return self._reply(None)
 
@@ -169,7 +169,7 @@ class NavigatorService(Service):
         if self.navigation.task or self.resumption.before:
             self.resumption.forget()
             yield from self.navigation.end(self.now, NavState.CANCELED, reasons.CANCELED)
-            yield from self._told()
+            yield from self._publish_status()
         return self._reply(None)
 
     @answer(requests.PAUSE)
@@ -179,7 +179,7 @@ class NavigatorService(Service):
         elif self.navigation.task is None:
             return self._reply(reasons.NO_COMMAND)
         yield from self.navigation.pause(self.now, request.paused)
-        yield from self._told()
+        yield from self._publish_status()
         return self._reply(None)
 
     def _doubts(self, request: Navigate) -> Bools:
@@ -205,7 +205,7 @@ class NavigatorService(Service):
             return self._reply(stopped)
         self.resumption.forget()
         yield from self.navigation.begin(task, self.now)
-        yield from self._told()
+        yield from self._publish_status()
         return self._reply(None)
 
     def _reply(self, refusal_reason: reasons.Reason | None) -> Reply:
@@ -219,12 +219,12 @@ class NavigatorService(Service):
         )
 
     def _zones(self) -> Publication:
-        held = Zones(self.now, self.zones.zones)
+        message = Zones(self.now, self.zones.zones)
         self.zones.is_published = True
-        self.navigation.keep_out.take(held)
-        return topics.ZONES(held)
+        self.navigation.keep_out.take(message)
+        return topics.ZONES(message)
 
-    def _told(self) -> Out:
+    def _publish_status(self) -> Out:
         yield from self.resumption.tell(self.now)
         yield self._status()
 

@@ -37,15 +37,15 @@ def status(navigation: Navigation, speedometer: Speedometer, now: int) -> NavSta
     left = min(left, 1e6)
     stays = route.stays_beyond() + (route.dwell if attempt else navigation.dwell) if route else 0.0
     code = _reason_code(navigation, now)
-    known = REASONS.get(code)
-    words = f"{known.text}: {known.hint}" if known else ""
+    reason = REASONS.get(code)
+    reason_detail = f"{reason.text}: {reason.hint}" if reason else ""
     return NavStatus(
         stamp=now,
         task_id=navigation.task_id,
         state=_state(navigation),
         recovery=navigation.recovery,
         reason=code,
-        detail=navigation.detail or (_recovery_text(navigation) if navigation.recovery else words),
+        detail=navigation.detail or (_recovery_text(navigation) if navigation.recovery else reason_detail),
         goal=attempt.target if attempt else route.target if route else Pose2(),
         distance_left=left,
         time_left=min(speedometer.time_for(left) + max(stays, 0.0), 1e7),

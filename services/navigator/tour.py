@@ -42,10 +42,10 @@ def _nearest_neighbour_order(start: int, between: Float64s) -> Int64s:
     for i in range(n):
         order[i] = here
         todo[here] = False
-        nearest, least = -1, np.inf
+        nearest, min_distance = -1, np.inf
         for k in range(n):
-            if todo[k] and between[here, k] < least:
-                nearest, least = k, between[here, k]
+            if todo[k] and between[here, k] < min_distance:
+                nearest, min_distance = k, between[here, k]
         here = nearest
     return order
 

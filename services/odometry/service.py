@@ -34,8 +34,8 @@ class OdometryService(Service):
         last_wheels = self.last_wheels
         if last_wheels is not None and last_wheels.epoch == wheels.epoch:
             if wheels.stamp <= last_wheels.stamp:
-                words = "stamps stand still" if wheels.stamp == last_wheels.stamp else "stamps go back"
-                self.rejections.reject(topics.WHEELS.key, RejectionCause.SEQUENCE, words, self.now)
+                detail = "stamps stand still" if wheels.stamp == last_wheels.stamp else "stamps go back"
+                self.rejections.reject(topics.WHEELS.key, RejectionCause.SEQUENCE, detail, self.now)
                 return
             yield from self._integrate(last_wheels, wheels)
         elif last_wheels is not None and precedes(wheels.epoch, last_wheels.epoch, self.now):

@@ -112,27 +112,27 @@ def _label_blocks(
             parts[r0:r1, c0:c1] = 0
             for i in range(MAX_PARTS):
                 representatives[i * n + block] = crossing[i * n + block] = 0
-            found = 0
+            n_parts = 0
             for row in range(r0, r1):
                 for column in range(c0, c1):
                     if costs[row, column] == 0 or parts[row, column]:
                         continue
-                    found = min(found + 1, MAX_PARTS)
-                    parts[row, column] = found
-                    cells[0], done, known = row * w + column, 0, 1
-                    while done < known:
+                    n_parts = min(n_parts + 1, MAX_PARTS)
+                    parts[row, column] = n_parts
+                    cells[0], done, n_cells = row * w + column, 0, 1
+                    while done < n_cells:
                         r, c = cells[done] // w, cells[done] % w
                         done += 1
                         for direction in range(4):
                             nr = r + (0, 1, 0, -1)[direction]
                             nc = c + (1, 0, -1, 0)[direction]
                             if r0 <= nr < r1 and c0 <= nc < c1 and costs[nr, nc] and parts[nr, nc] == 0:
-                                parts[nr, nc] = found
-                                cells[known] = nr * w + nc
-                                known += 1
-                    node = (found - 1) * n + block
+                                parts[nr, nc] = n_parts
+                                cells[n_cells] = nr * w + nc
+                                n_cells += 1
+                    node = (n_parts - 1) * n + block
                     if representatives[node] == 0:
-                        best = _representative_cell(costs, cells[:known])
+                        best = _representative_cell(costs, cells[:n_cells])
                         representatives[node] = packed_cell(best // w, best % w)
                         crossing[node] = costs[best // w, best % w]
 
@@ -142,14 +142,14 @@ def _representative_cell(costs: UInt16s, cells: Int64s) -> int:
     """The cheapest of cells (row * w + column); of equal ones the nearest to their mean."""
     w = costs.shape[1]
     row, column = np.mean(cells // w), np.mean(cells % w)
-    best, least, nearest = 0, 1 << 16, np.inf
+    best, min_cost, min_offset = 0, 1 << 16, np.inf
     for i in range(len(cells)):
         cell = int(cells[i])
         r, c = cell // w, cell % w
         cost = int(np.int64(costs[r, c]))
         away = (r - row) ** 2 + (c - column) ** 2
-        if cost < least or (cost == least and away < nearest):
-            best, least, nearest = cell, cost, away
+        if cost < min_cost or (cost == min_cost and away < min_offset):
+            best, min_cost, min_offset = cell, cost, away
     return best
 
 
@@ -204,10 +204,10 @@ def _parts_across(edge_bits: int, edges: UInt32s, n: int, block: int, n_columns:
     """Parts across the side `then` of the parts that a node meets across the side `first`, as bits."""
     bits = (edge_bits >> SIDE_BITS * first) & PART_MASK
     node = block + ROW_STEP[first] * n_columns + COLUMN_STEP[first]
-    found = 0
+    across = 0
     while bits:
         if bits & 1:
-            found |= int((np.int64(edges[node]) >> SIDE_BITS * then) & PART_MASK)
+            across |= int((np.int64(edges[node]) >> SIDE_BITS * then) & PART_MASK)
         bits >>= 1
         node += n
-    return found
+    return across

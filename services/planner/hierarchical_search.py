@@ -125,7 +125,7 @@ def _expand_nodes(
     base = next_base_key(stamp)
     n = len(representatives) // MAX_PARTS
     start_x, start_y = start & _COLUMN_MASK, start >> COLUMN_BITS
-    least = 2 * min_cost * STRAIGHT
+    min_cell_cost = 2 * min_cost * STRAIGHT
     # far less than a step to the next block, as many paths cost almost the same
     shift = width_bits(min_cost * STRAIGHT)
     heads = empty_ring((8 * BLOCK_CELLS * max_cost * DIAGONAL) >> shift)
@@ -134,7 +134,7 @@ def _expand_nodes(
     per_offset = _DETOUR_WEIGHT * 2 * min_cost / max(line_x * line_x + line_y * line_y, 1)
     max_offset_cost = _DETOUR_WEIGHT * 2 * min_cost * _MAX_DETOUR_SHARE
     keys[goal_node], nexts[goal_node] = base, goal_node
-    bucket = _min_line_cost(start_x - (goal & _COLUMN_MASK), start_y - (goal >> COLUMN_BITS), least) >> shift
+    bucket = _min_line_cost(start_x - (goal & _COLUMN_MASK), start_y - (goal >> COLUMN_BITS), min_cell_cost) >> shift
     free, n_used = push_entry(bucket & mask, goal_node, base, -1, 0, heads, nodes, entry_keys, links)
     n_open = 1
     while n_open:
@@ -166,7 +166,7 @@ def _expand_nodes(
                     so_far = key + np.int64((here + crossing[there] + offset_cost) * STRAIGHT * far)
                     if so_far < keys[there]:
                         keys[there], nexts[there] = so_far, node
-                        total = so_far - base + _min_line_cost(tx - start_x, ty - start_y, least)
+                        total = so_far - base + _min_line_cost(tx - start_x, ty - start_y, min_cell_cost)
                         # the estimate may fall between uneven cells; the ring bounds how far ahead an entry lies
                         due = min(max(int(total >> shift), bucket), bucket + mask)
                         free, n_used = push_entry(
@@ -179,13 +179,13 @@ def _expand_nodes(
 
 
 @njit(cache=True, nogil=True)
-def _min_line_cost(dx: int, dy: int, least: int) -> int:
+def _min_line_cost(dx: int, dy: int, min_cell_cost: int) -> int:
     """Lower bound of the cost over (dx, dy) cells: the Euclidean one.
 
     Octile distance would exceed the cost between cells that lie unevenly. Then nodes of a large map would be opened
     many times.
     """
-    return int(least * np.sqrt(np.float64(dx * dx + dy * dy)))
+    return int(min_cell_cost * np.sqrt(np.float64(dx * dx + dy * dy)))
 
 
 @njit(cache=True, nogil=True)

@@ -67,16 +67,16 @@ def _cost_to_go(costs: UInt16s, goal: Float64s, start: Float64s, max_excess: flo
     last = int(start[1]) // HEURISTIC_CELLS * w + int(start[0]) // HEURISTIC_CELLS
     cost_to_go[first // w, first % w] = 0.0
     queue = [(0.0, first)]
-    most = inf
+    max_cost = inf
     while len(queue):
         cost, cell = heapq.heappop(queue)
-        if cost > most:
+        if cost > max_cost:
             break
         row, column = cell // w, cell % w
         if cost > cost_to_go[row, column]:
             continue
         if cell == last:
-            most = cost + max_excess
+            max_cost = cost + max_excess
         for dr in range(-1, 2):
             for dc in range(-1, 2):
                 i, j = row + dr, column + dc
@@ -109,16 +109,16 @@ def _piece_cost(costs: UInt16s, pose: Float64s, curvature: float, length: float,
 
 @njit(cache=True, nogil=True)
 def _analytic_expansion(
-    costs: UInt16s, start: Float64s, end: Float64s, radius: float, any_heading: bool, most: float, min_cost: int,
+    costs: UInt16s, start: Float64s, end: Float64s, radius: float, any_heading: bool, max_cost: float, min_cost: int,
     pieces: Float64s,
 ) -> float:  # fmt: skip
-    """Cost, under `most`, of the cheapest free Dubins word, which fills pieces (3, 2); or BLOCKED."""
+    """Cost, under `max_cost`, of the cheapest free Dubins word, which fills pieces (3, 2); or BLOCKED."""
     best = BLOCKED
     tried, out = np.empty((3, 2)), np.empty(3)
     for i in range(N_WORDS):
         if not dubins_word(i, start, end, radius, any_heading, tried):
             continue
-        if tried[:, 1].sum() * min_cost >= most:
+        if tried[:, 1].sum() * min_cost >= max_cost:
             continue
         total, here = 0.0, start.copy()
         for k in range(3):
@@ -130,8 +130,8 @@ def _analytic_expansion(
                 break
             total += cost * (1.0 + TURN_PENALTY * abs(tried[k, 0]) * radius)
             here[:] = out
-        if total < most:
-            best = most = total
+        if total < max_cost:
+            best = max_cost = total
             pieces[:] = tried
     return best
 
@@ -243,34 +243,38 @@ def _shortcut(
             n += 1
     out = np.empty((3 * n, 2))
     n_out, i = 0, 0
-    shot, kept = np.empty((3, 2)), np.empty((3, 2))
+    shot, shortcut = np.empty((3, 2)), np.empty((3, 2))
     while i < n - 1:
-        good, bad, step, found = i + 1, n, 2, False
+        good, bad, step, has_shortcut = i + 1, n, 2, False
         while i + step < n:
             k = i + step
-            most = (so_far[k] - so_far[i]) * (1 + 1e-9) + 1e-9
+            max_cost = (so_far[k] - so_far[i]) * (1 + 1e-9) + 1e-9
             if (
-                _analytic_expansion(costs, poses[i], poses[k], radius, any_heading and k == n - 1, most, min_cost, shot)
+                _analytic_expansion(
+                    costs, poses[i], poses[k], radius, any_heading and k == n - 1, max_cost, min_cost, shot
+                )
                 < 0
             ):
                 bad = k
                 break
-            good, found = k, True
-            kept[:] = shot
+            good, has_shortcut = k, True
+            shortcut[:] = shot
             step *= 2
         while bad - good > 1:
             k = (good + bad) // 2
-            most = (so_far[k] - so_far[i]) * (1 + 1e-9) + 1e-9
+            max_cost = (so_far[k] - so_far[i]) * (1 + 1e-9) + 1e-9
             if (
-                _analytic_expansion(costs, poses[i], poses[k], radius, any_heading and k == n - 1, most, min_cost, shot)
+                _analytic_expansion(
+                    costs, poses[i], poses[k], radius, any_heading and k == n - 1, max_cost, min_cost, shot
+                )
                 < 0
             ):
                 bad = k
             else:
-                good, found = k, True
-                kept[:] = shot
-        for k in range(3 if found else 1):
-            out[n_out] = kept[k] if found else steps[i + 1]
+                good, has_shortcut = k, True
+                shortcut[:] = shot
+        for k in range(3 if has_shortcut else 1):
+            out[n_out] = shortcut[k] if has_shortcut else steps[i + 1]
             n_out += 1
         i = good
     return out[:n_out]

@@ -196,7 +196,7 @@ def _escape_paths(costmap: GlobalCostmap, start: Pose2, start_cell: Cell, radius
     """
     if costmap.costs[start_cell]:
         return {costmap.components.at(*start_cell): [start_cell]}
-    found: dict[int, list[Cell]] = {}
+    paths: dict[int, list[Cell]] = {}
     parents: dict[Cell, Cell] = {start_cell: start_cell}
     settled: set[Cell] = set()
     queue: list[tuple[float, Cell]] = [(0.0, start_cell)]
@@ -207,7 +207,7 @@ def _escape_paths(costmap: GlobalCostmap, start: Pose2, start_cell: Cell, radius
         settled.add(cell)
         region = costmap.components.at(*cell)
         if region:
-            found.setdefault(region, _trace_back(parents, cell))
+            paths.setdefault(region, _trace_back(parents, cell))
             continue
         for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0)):
             there = cell[0] + dr, cell[1] + dc
@@ -219,7 +219,7 @@ def _escape_paths(costmap: GlobalCostmap, start: Pose2, start_cell: Cell, radius
                 continue
             heapq.heappush(queue, (travelled + 1 + away, there))  # prefers straight lines
             parents.setdefault(there, cell)
-    return found
+    return paths
 
 
 def _trace_back(parents: dict[Cell, Cell], cell: Cell) -> list[Cell]:

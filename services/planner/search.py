@@ -77,7 +77,7 @@ class GridSearch:
             return np.empty((0, 2), np.int32)
         while True:
             marks.begin(flat.size)
-            found = expand(
+            outcome = expand(
                 flat,
                 w,
                 start_cell,
@@ -89,10 +89,10 @@ class GridSearch:
                 marks.origins,
                 *self.entries,
             )
-            if found != QUEUE_FULL:
+            if outcome != QUEUE_FULL:
                 break
             self.reserve(2 * len(self.entries[0]))
-        return traced_path(marks.origins, w, start_cell, goal_cell) if found else np.empty((0, 2), np.int32)
+        return traced_path(marks.origins, w, start_cell, goal_cell) if outcome else np.empty((0, 2), np.int32)
 
 
 @njit(cache=True, nogil=True)
@@ -173,10 +173,10 @@ def expand(
 
 
 @njit(cache=True, nogil=True)
-def width_bits(least: int) -> int:
-    """Bits of a cost that lie within one bucket, for steps that cost at least `least`."""
+def width_bits(min_cost: int) -> int:
+    """Bits of a cost that lie within one bucket, for steps that cost at least `min_cost`."""
     shift = 0
-    while least >> shift > 1:
+    while min_cost >> shift > 1:
         shift += 1
     return shift
 

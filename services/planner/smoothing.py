@@ -117,7 +117,7 @@ def _string_pulled(costs: UInt16s, points: Float64s) -> NDArray[np.int64]:
         so_far[i] = so_far[i - 1] + line_cost(
             costs, points[i - 1, 0], points[i - 1, 1], points[i, 0], points[i, 1], np.inf
         )
-    kept = np.zeros(n, np.int64)
+    indices = np.zeros(n, np.int64)
     n_kept = 1
     i = int(np.int64(0))
     while i < n - 1:
@@ -135,9 +135,9 @@ def _string_pulled(costs: UInt16s, points: Float64s) -> NDArray[np.int64]:
             else:
                 bad = middle
         i = good
-        kept[n_kept] = i
+        indices[n_kept] = i
         n_kept += 1
-    return kept[:n_kept]
+    return indices[:n_kept]
 
 
 @njit(cache=True, nogil=True)

@@ -33,9 +33,9 @@ class MessageLosses:
 
     def take_drops(self, now: int) -> list[Drop]:
         """The messages missed since the last call, by reason and source, stamped `now` (ns)."""
-        found = [Drop(now, reason, *source, first, n) for (reason, source), (first, n) in sorted(self._missed.items())]
+        drops = [Drop(now, reason, *source, first, n) for (reason, source), (first, n) in sorted(self._missed.items())]
         self._missed = {}
-        return found
+        return drops
 
     def restore_drops(self, drops: list[Drop]) -> None:
         """Counts drops again that could not be written."""

@@ -88,7 +88,7 @@ class RecordingStore:
         """Path of the open part; None without one."""
         return self._writer.path if self._writer is not None else None
 
-    def begin(self, now: int, robot: str, robot_file: str, held: Iterable[Value]) -> None:
+    def begin(self, now: int, robot: str, robot_file: str, latched: Iterable[Value]) -> None:
         """Begins a part at `now` (ns) with the latched values. Raises OSError."""
         suffix = Path(self._config.file).suffix or ".mcap"
         if not self._stem:
@@ -98,7 +98,7 @@ class RecordingStore:
         attachments = self._attachments | ({CONFIG: robot_file.encode()} if robot_file else {})
         writer = self._open_writer(suffix, metadata, attachments)
         try:
-            for value in held:
+            for value in latched:
                 sent, sequence = value.envelope.sent, value.envelope.sequence
                 writer.write(value.key, value.type, value.payload, now, sent, sequence, latched=True)
             writer.flush()

@@ -75,10 +75,10 @@ def building(number: int) -> dict[str, Any]:
             tree["boxes"] += _cabinets(room.at, openings, rng)
             continue
         taste = np.random.default_rng([number, 8, room.like]) if room.like >= 0 else rng
-        found = furnish_room(room.at, here, taste)
-        tree["boxes"] += found.boxes
-        tree["cylinders"] += found.cylinders
-        x, y = found.middle
+        furniture = furnish_room(room.at, here, taste)
+        tree["boxes"] += furniture.boxes
+        tree["cylinders"] += furniture.cylinders
+        x, y = furniture.middle
         yaw = int(rng.integers(-180, 181))
         tree["goals"].append({"name": f"room {i}", "x": round(x, 2), "y": round(y, 2), "yaw_deg": yaw})
     return tree
@@ -113,11 +113,13 @@ def _rooms(width: float, height: float, rng: np.random.Generator) -> tuple[list[
     return rooms, lines
 
 
-def _strips(length: float, least: float, most: float, rng: np.random.Generator) -> list[tuple[float, float, bool]]:
+def _strips(
+    length: float, min_width: float, max_width: float, rng: np.random.Generator
+) -> list[tuple[float, float, bool]]:
     """Blocks and the corridors between them, from 0 to length: low, high, whether it is a corridor; at least one is."""
     widths = rng.uniform(*CORRIDOR, 9)
     n = 1
-    while (length - widths[:n].sum()) / (n + 1) > (least + most) / 2:
+    while (length - widths[:n].sum()) / (n + 1) > (min_width + max_width) / 2:
         n += 1
     shares = rng.uniform(0.75, 1.25, n + 1)
     blocks = shares / shares.sum() * (length - widths[:n].sum())
@@ -154,27 +156,27 @@ def _split(block: Rectangle, rng: np.random.Generator) -> list[Rectangle]:
 
 def _shared_walls(rooms: list[Room]) -> list[SharedWall]:
     """The pieces of wall between rooms; two corridors have none."""
-    found = []
+    shared = []
     for (i, a), (j, b) in combinations(enumerate(rooms), 2):
         if a.corridor and b.corridor:
             continue
         x0, x1 = max(a.at[0], b.at[0]), min(a.at[2], b.at[2])
         y0, y1 = max(a.at[1], b.at[1]), min(a.at[3], b.at[3])
         if abs(y1 - y0) < 1e-6 and x1 - x0 > 1e-6:
-            found.append(SharedWall(i, j, x0, y0, True, x1 - x0))
+            shared.append(SharedWall(i, j, x0, y0, True, x1 - x0))
         elif abs(x1 - x0) < 1e-6 and y1 - y0 > 1e-6:
-            found.append(SharedWall(i, j, x0, y0, False, y1 - y0))
-    return found
+            shared.append(SharedWall(i, j, x0, y0, False, y1 - y0))
+    return shared
 
 
 def _corridor_openings(rooms: list[Room]) -> list[Opening]:
     """The crossings of corridors."""
-    found = []
+    openings = []
     for a, b in combinations((room.at for room in rooms if room.corridor), 2):
         x0, x1, y0, y1 = max(a[0], b[0]), min(a[2], b[2]), max(a[1], b[1]), min(a[3], b[3])
         if x1 >= x0 and y1 >= y0:
-            found.append(((x0 + x1) / 2, (y0 + y1) / 2, x1 - x0 + y1 - y0))
-    return found
+            openings.append(((x0 + x1) / 2, (y0 + y1) / 2, x1 - x0 + y1 - y0))
+    return openings
 
 
 def _doors(rooms: list[Room], edges: list[SharedWall], rng: np.random.Generator) -> dict[SharedWall, list[Opening]]:
@@ -197,10 +199,10 @@ def _doors(rooms: list[Room], edges: list[SharedWall], rng: np.random.Generator)
             reached.add(edge.b)
             door(edge)
     while len(reached) < len(rooms):
-        ways = [edge for edge in wide if (edge.a in reached) != (edge.b in reached)]
-        if not ways:
+        connecting = [edge for edge in wide if (edge.a in reached) != (edge.b in reached)]
+        if not connecting:
             raise ValueError("a room shares no wall that is long enough for a door")
-        edge = ways[int(rng.integers(len(ways)))]
+        edge = connecting[int(rng.integers(len(connecting)))]
         reached |= {edge.a, edge.b}
         door(edge)
     for edge in wide:
@@ -228,7 +230,7 @@ def _walls(edges: list[SharedWall], doors: dict[SharedWall, list[Opening]]) -> l
 
 def _people(lines: list[CorridorLine], gaps: list[Opening], rng: np.random.Generator) -> list[dict[str, Any]]:
     """One to three people, each along a corridor and back, with a step into one of its doors, if it has any."""
-    found = []
+    people = []
     for i in rng.permutation(len(lines))[: int(rng.integers(1, 4))].tolist():
         line, half = lines[i]
         (x0, y0), (x1, y1) = line.tolist()
@@ -242,8 +244,8 @@ def _people(lines: list[CorridorLine], gaps: list[Opening], rng: np.random.Gener
             here, there = ([x, y0], [x, y + into]) if flat else ([x0, y], [x + into, y])
             route[1:1] = [here, there, here]
         speed, pause = float(rng.uniform(0.7, 1.2)), float(rng.uniform(1, 4))
-        found.append({"route": route, "speed": round(speed, 2), "pause": round(pause, 1)})
-    return found
+        people.append({"route": route, "speed": round(speed, 2), "pause": round(pause, 1)})
+    return people
 
 
 def _start(lines: list[CorridorLine], rng: np.random.Generator) -> dict[str, float]:
@@ -258,7 +260,7 @@ def _cabinets(corridor: Rectangle, openings: list[Opening], rng: np.random.Gener
     left, low, right, high = corridor
     flat = right - left > high - low
     length, width = (right - left, high - low) if flat else (high - low, right - left)
-    found = []
+    cabinets = []
     for _ in range(ceil(length / 6)):
         size, depth = float(rng.uniform(0.4, 1.2)), float(rng.uniform(0.2, min(0.4, width / 2 - 0.65)))
         along = float(rng.uniform(size / 2 + 0.3, length - size / 2 - 0.3))
@@ -266,5 +268,5 @@ def _cabinets(corridor: Rectangle, openings: list[Opening], rng: np.random.Gener
         x, y = (left + along, low + off) if flat else (left + off, low + along)
         if all(abs(x - at) + abs(y - to) > size / 2 + wide + 0.8 for at, to, wide in openings):
             box = [size, depth] if flat else [depth, size]
-            found.append({"x": round(x, 3), "y": round(y, 3), "size": [round(box[0], 3), round(box[1], 3)]})
-    return found
+            cabinets.append({"x": round(x, 3), "y": round(y, 3), "size": [round(box[0], 3), round(box[1], 3)]})
+    return cabinets

@@ -44,7 +44,8 @@ def _crosses_segment(corners: Float64s, ax: float, ay: float, bx: float, by: flo
         b = (qx - px) * (by - py) - (qy - py) * (bx - px)
         p = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
         q = (bx - ax) * (qy - ay) - (by - ay) * (qx - ax)
-        if a * b <= 0.0 and p * q <= 0.0 and (a != 0.0 or b != 0.0):
+        # by signs: a product of two tiny numbers is zero
+        if (a <= 0.0 <= b or b <= 0.0 <= a) and (p <= 0.0 <= q or q <= 0.0 <= p) and (a != 0.0 or b != 0.0):
             return True
         j = i
     return False

@@ -63,23 +63,23 @@ def furnish_room(room: Rectangle, gaps: list[tuple[float, float, float]], rng: n
         half, on_side = width / 2 + DOOR_SIDE_M, min(abs(door_x - left), abs(door_x - right)) < 0.01
         deep, wide = (DOOR_DEPTH_M, half) if on_side else (half, DOOR_DEPTH_M)
         door_areas.append((abs(x - door_x) < deep) & (abs(y - door_y) < wide))
-    kept = np.logical_or.reduce(door_areas)
-    found, solid = Furniture(), walls.copy()
+    doorways = np.logical_or.reduce(door_areas)
+    furniture, solid = Furniture(), walls.copy()
     for _ in range(3 + int(w * h / 3)):
         kind = rng.random()
         beside = kind < 0.55
         piece = _wall_furniture(room, rng) if beside else _middle_furniture(room, rng, kind > 0.8)
-        taken = _area(x, y, piece.boxes, piece.cylinders)
-        claimed = taken | _area(x, y, piece.top, [])
-        barred = kept | (solid & ~walls if beside else solid)
-        if not (claimed & barred).any() and _passable(solid | taken, door_areas, walls):
-            solid |= taken
-            found.boxes += piece.boxes
-            found.cylinders += piece.cylinders
+        piece_area = _area(x, y, piece.boxes, piece.cylinders)
+        claimed = piece_area | _area(x, y, piece.top, [])
+        barred = doorways | (solid & ~walls if beside else solid)
+        if not (claimed & barred).any() and _passable(solid | piece_area, door_areas, walls):
+            solid |= piece_area
+            furniture.boxes += piece.boxes
+            furniture.cylinders += piece.cylinders
     room_left = distance_transform_edt(np.pad(~solid, 1))[1:-1, 1:-1]
     row, column = np.unravel_index(int(np.argmax(room_left)), solid.shape)
-    found.middle = float(x[row, column]), float(y[row, column])
-    return found
+    furniture.middle = float(x[row, column]), float(y[row, column])
+    return furniture
 
 
 def _area(x: Float64s, y: Float64s, boxes: list[dict[str, Any]], cylinders: list[dict[str, Any]]) -> Bools:

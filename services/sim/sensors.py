@@ -100,13 +100,13 @@ def add_noise(
     """(n,) float32 readings of true ranges: noisy, in steps, NaN where dropped or not within range_min..range_max."""
     share = noise.sigma_share if isinstance(noise, LaserNoise) else 0.0
     draws, drops = rng.standard_normal(len(true)), rng.random(len(true))
-    heard = np.isfinite(true) & (drops >= noise.dropout)
-    ranges = np.where(heard, true, 0.0)
+    is_valid = np.isfinite(true) & (drops >= noise.dropout)
+    ranges = np.where(is_valid, true, 0.0)
     ranges = ranges + (noise.sigma + share * ranges) * draws
     if noise.resolution > 0:
         ranges = np.round(ranges / noise.resolution) * noise.resolution
-    heard &= (ranges >= range_min) & (ranges <= range_max)
-    return np.where(heard, ranges, np.nan).astype(np.float32)
+    is_valid &= (ranges >= range_min) & (ranges <= range_max)
+    return np.where(is_valid, ranges, np.nan).astype(np.float32)
 
 
 def cone_table(robot: Robot) -> Float64s:

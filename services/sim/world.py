@@ -37,9 +37,9 @@ class Raster:
         """Which points (n, 2) lie in solid cells: (n,) bool."""
         h, w = self.solid.shape
         place = np.floor((points - (self.x0, self.y0)) / self.resolution).astype(np.int64)
-        known = ((place >= 0) & (place < (w, h))).all(axis=1)
+        inside = ((place >= 0) & (place < (w, h))).all(axis=1)
         out = np.zeros(len(points), bool)
-        out[known] = self.solid[place[known, 1], place[known, 0]]
+        out[inside] = self.solid[place[inside, 1], place[inside, 0]]
         return out
 
 

@@ -57,31 +57,31 @@ def load_world(
     Raises UserError, naming file and line, where something is missing or wrong.
     """
     if world.startswith("barn:"):
-        found, has_start = _cylinders(world, barn_file), True
+        loaded, has_start = _cylinders(world, barn_file), True
     elif world.startswith("building:"):
-        found, has_start = _building(world, seed, jitter), True
+        loaded, has_start = _building(world, seed, jitter), True
     elif world.startswith("crowd:"):
-        found, has_start = crowd_world(_number(world)), True
+        loaded, has_start = crowd_world(_number(world)), True
     else:
         path = _path(world)
         tree = load_yaml(path)
         if "image" in tree:
             raster = _raster(path)
-            found = World(path.stem, raster.bounds, Pose2(), raster=raster)
+            loaded = World(path.stem, raster.bounds, Pose2(), raster=raster)
         else:
             mapped = _raster(path.parent / str(tree["map"])) if tree.get("map") else None
-            found = build_world(path.stem, RobotFile(path, tree), mapped, seed, jitter)
+            loaded = build_world(path.stem, RobotFile(path, tree), mapped, seed, jitter)
         has_start = "start" in tree
     if start is None and not has_start:
-        start = _most_open_pose(found)
-    return found if start is None else replace(found, start=start)
+        start = _most_open_pose(loaded)
+    return loaded if start is None else replace(loaded, start=start)
 
 
 def _path(world: str) -> Path:
     path = Path(world) if world.endswith((".yaml", ".yml")) else WORLDS_DIR / f"{world}.yaml"
     if not path.is_file():
-        known = (*(p.stem for p in sorted(WORLDS_DIR.glob("*.yaml"))), "barn:N", "building:N", "crowd:N")
-        raise UserError(f"there is no world {world}", nearest(world, known))
+        names = (*(p.stem for p in sorted(WORLDS_DIR.glob("*.yaml"))), "barn:N", "building:N", "crowd:N")
+        raise UserError(f"there is no world {world}", nearest(world, names))
     return path
 
 

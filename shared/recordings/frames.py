@@ -83,9 +83,9 @@ def layout(file: IO[bytes], size: int) -> Layout:
         indexed = _by_index(file, size)
     except DAMAGE:
         indexed = None
-    found = indexed or _by_reading(file, size)
-    found.profile = _profile(file)
-    return found
+    file_layout = indexed or _by_reading(file, size)
+    file_layout.profile = _profile(file)
+    return file_layout
 
 
 def _profile(file: IO[bytes]) -> str:
@@ -115,42 +115,42 @@ def _by_index(file: IO[bytes], size: int) -> Layout | None:
     summary = file.read(end - start)
     if crc and zlib.crc32(foot[:-4], zlib.crc32(summary)) != crc:
         return None
-    found, n_channels, at = Layout(), 0, 0
+    file_layout, n_channels, at = Layout(), 0, 0
     while at + FRAME.size <= len(summary):
         opcode, length = FRAME.unpack_from(summary, at)
         place, at = at + FRAME.size, at + FRAME.size + length
         body = summary[place:at]
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            found.notes.append((opcode, body, start + place))
+            file_layout.notes.append((opcode, body, start + place))
             n_channels += opcode == Opcode.CHANNEL
         elif opcode == Opcode.STATISTICS:
-            found.statistics = mc.Statistics.read(ReadDataStream(BytesIO(body)))
+            file_layout.statistics = mc.Statistics.read(ReadDataStream(BytesIO(body)))
         elif opcode == Opcode.CHUNK_INDEX:
             begin, last, chunk, chunk_length, n_bytes = _CHUNK_INDEX.unpack_from(body)
             channels = body[_CHUNK_INDEX.size : _CHUNK_INDEX.size + n_bytes]
             block = chunk + FRAME.size, chunk_length - FRAME.size
-            found.blocks.append(Block(Opcode.CHUNK, *block, begin, last, channels or None))
+            file_layout.blocks.append(Block(Opcode.CHUNK, *block, begin, last, channels or None))
         elif opcode in (Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX):
             offset, whole = _TIMES.unpack_from(body)
             file.seek(offset)
             record = file.read(min(whole, size))
-            found.notes.append((record[0], record[FRAME.size :], offset))
-    statistics = found.statistics
+            file_layout.notes.append((record[0], record[FRAME.size :], offset))
+    statistics = file_layout.statistics
     if statistics is None:
         return None
-    if statistics.channel_count != n_channels or statistics.chunk_count != len(found.blocks):
+    if statistics.channel_count != n_channels or statistics.chunk_count != len(file_layout.blocks):
         return None
     if statistics.message_count and not statistics.chunk_count:
         return None
-    found.blocks.sort(key=lambda block: block.place)
-    return found
+    file_layout.blocks.sort(key=lambda block: block.place)
+    return file_layout
 
 
 # --- by reading -----------------------------------------------------------------------------------------------------
 
 
 def _by_reading(file: IO[bytes], size: int) -> Layout:
-    found = Layout()
+    file_layout = Layout()
     place = before = len(MAGIC)
     while place + FRAME.size <= size:
         file.seek(place)
@@ -160,26 +160,26 @@ def _by_reading(file: IO[bytes], size: int) -> Layout:
             after = _next_chunk(file, before + 1, size)
             if after is None:
                 break
-            found.problems[place] = f"{after - place} bytes at byte {place} make no sense and are left out"
+            file_layout.problems[place] = f"{after - place} bytes at byte {place} make no sense and are left out"
             before = place = after
             continue
         if opcode == Opcode.FOOTER:
             if length == _FOOTER.size - FRAME.size and _TIMES.unpack(file.read(_TIMES.size))[0]:
-                found.problems[place] = "its index is damaged or not whole: it was read from begin to end"
-                found.harmless.add(place)
-            return found
+                file_layout.problems[place] = "its index is damaged or not whole: it was read from begin to end"
+                file_layout.harmless.add(place)
+            return file_layout
         if opcode in (Opcode.CHUNK, Opcode.MESSAGE):
-            found.blocks.append(_block(opcode, body, length, file.read(min(length, MESSAGE.size))))
+            file_layout.blocks.append(_block(opcode, body, length, file.read(min(length, MESSAGE.size))))
         elif opcode in _NOTED:
-            found.notes.append((opcode, file.read(length), body))
+            file_layout.notes.append((opcode, file.read(length), body))
         before, place = place, body + length
-    _add_cut_chunk(file, place, size, found)
+    _add_cut_chunk(file, place, size, file_layout)
     rest = size - min(place, size)
-    found.harmless |= set() if rest else {size}
-    found.problems[size] = "the recording was not closed" + (
+    file_layout.harmless |= set() if rest else {size}
+    file_layout.problems[size] = "the recording was not closed" + (
         f": its last {rest} bytes are the beginning of a record whose end is missing" if rest else ""
     )
-    return found
+    return file_layout
 
 
 def _block(opcode: int, place: int, length: int, head: bytes) -> Block:
@@ -284,7 +284,7 @@ def _whole_records(body: bytes) -> bytes:
 
 def indexes_after(file: IO[bytes], block: Block) -> dict[int, bytes]:
     """The message indexes behind a chunk: by channel, rows of log_time and place (8 bytes each). Raises DAMAGE."""
-    found: dict[int, bytes] = {}
+    rows_by_channel: dict[int, bytes] = {}
     file.seek(block.place + block.length)
     while len(head := file.read(FRAME.size + 6)) == FRAME.size + 6:
         opcode, length, channel, n_bytes = struct.unpack("<BQHI", head)
@@ -293,8 +293,8 @@ def indexes_after(file: IO[bytes], block: Block) -> dict[int, bytes]:
         rows = file.read(n_bytes)
         if len(rows) < n_bytes:
             break
-        found[channel] = rows
-    return found
+        rows_by_channel[channel] = rows
+    return rows_by_channel
 
 
 def messages_in(file: IO[bytes], block: Block) -> int | None:

@@ -51,8 +51,8 @@ class LatchedState:
             message, envelope = decode(topic.type, payload)
         except CodecError:
             return False
-        known = self._envelope(key)
-        if known is not None and known.sent >= envelope.sent:
+        present = self._envelope(key)
+        if present is not None and present.sent >= envelope.sent:
             return False
         if hasattr(topic.type, "merged"):
             self._merged[key] = message, envelope
@@ -62,12 +62,12 @@ class LatchedState:
 
     def values(self) -> list[Value]:
         """The present values, sorted by key."""
-        found = []
+        values = []
         for key in sorted({*self._payloads, *self._merged}):
             envelope = self._envelope(key)
             if envelope is not None:  # a late subscriber would drop it, too
-                found.append(Value(key, topics.BY_KEY[key].type, self.value(key)(), envelope))
-        return found
+                values.append(Value(key, topics.BY_KEY[key].type, self.value(key)(), envelope))
+        return values
 
     def value(self, key: str) -> Callable[[], bytes]:
         """A function that returns the bytes of a key's present value, also later. KeyError where there is none."""

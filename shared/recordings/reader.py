@@ -206,10 +206,10 @@ class Recording:
             except CodecError:
                 continue  # a hole, reported where its events are missing
             parts.setdefault((names[entry.key], journal.session), []).append(journal)
-        found: dict[str, list[Life]] = {}
+        lives: dict[str, list[Life]] = {}
         for (name, session), journals in parts.items():
-            found.setdefault(name, []).append(Life(name, session, events_of(journals)))
-        return found
+            lives.setdefault(name, []).append(Life(name, session, events_of(journals)))
+        return lives
 
     def _opened(self, file: IO[bytes]) -> Layout:
         size = file.seek(0, 2)
@@ -236,8 +236,8 @@ class Recording:
                 attachment = mc.Attachment.read(stream)
                 self.attachments[attachment.name] = attachment.data
             elif opcode == Opcode.SCHEMA:
-                found = mc.Schema.read(stream)
-                self._schemas[found.id] = found
+                schema = mc.Schema.read(stream)
+                self._schemas[schema.id] = schema
             elif opcode == Opcode.CHANNEL:
                 channel = mc.Channel.read(stream)
                 of = self._schemas.get(channel.schema_id) or mc.Schema(0, b"", "", "")
@@ -289,8 +289,8 @@ class Recording:
         except DAMAGE:
             n = None
         self.n_lost += n or 0
-        held = f"{n} messages are lost" if n is not None else "how many messages it held is not known"
-        self._problems[block.place] = f"a chunk of {block.length} bytes at byte {block.place} {what}: {held}"
+        loss = f"{n} messages are lost" if n is not None else "how many messages it held is not known"
+        self._problems[block.place] = f"a chunk of {block.length} bytes at byte {block.place} {what}: {loss}"
 
     def _refuse(self, source: Source) -> None:
         commit = self.about.get("commit", "")
@@ -325,13 +325,13 @@ def _as_today(recorded: Channel) -> Source:
 
 def drops_from(record: dict[str, str]) -> list[Drop]:
     """The drops of a DROPS record, without lines that are not valid."""
-    found = []
+    drops = []
     for name, value in record.items():
         key, _, session = name.partition(" ")
         first, _, n = value.partition(" ")
         if session and first.isdigit() and n.isdigit() and record.get("at", "").isdigit():
-            found.append(Drop(int(record["at"]), record.get("why", ""), key, session, int(first), int(n)))
-    return found
+            drops.append(Drop(int(record["at"]), record.get("why", ""), key, session, int(first), int(n)))
+    return drops
 
 
 def drops_record(drops: Iterable[Drop]) -> dict[str, str]:

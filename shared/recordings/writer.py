@@ -103,7 +103,7 @@ class Writer:
         except OSError:
             self._file.cut()
             raise
-        self._file.kept = self._file.size
+        self._file.flushed_size = self._file.size
 
     def close(self) -> None:
         """Writes the index and closes; may be called twice."""
@@ -141,7 +141,7 @@ class _File:
 
     def __init__(self, path: Path, mode: str) -> None:
         self._raw = cast(IO[bytes], path.open(mode, buffering=0))
-        self.size = self.kept = 0
+        self.size = self.flushed_size = 0
 
     @property
     def closed(self) -> bool:
@@ -165,7 +165,7 @@ class _File:
         """Cuts the file back to the last flush and closes it."""
         if not self._raw.closed:
             with suppress(OSError):  # the first error is the informative one
-                self._raw.truncate(self.kept)
+                self._raw.truncate(self.flushed_size)
             self._raw.close()
 
     def close(self) -> None:

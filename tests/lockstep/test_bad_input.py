@@ -79,7 +79,7 @@ def test_a_map_that_changes_under_the_plan_stops_the_robot_or_ends_the_task(tmp_
     ends_with(stack, NavState.CANCELED, "other_map", seconds=1.0)
 
 
-def test_a_pose_that_jumps_by_a_metre_holds_the_robot_until_it_has_planned_anew(tmp_path):
+def test_a_pose_that_jumps_by_a_metre_holds_the_robot_until_it_has_planned_again(tmp_path):
     stack = LockstepStack(tmp_path, settings=QUICK)
     stack.go(4.0)
     stack.drives()

@@ -132,7 +132,7 @@ def test_a_pose_that_is_lost_for_two_seconds_stops_the_robot_with_its_reason(dri
     driving.stands_for(1.0)
 
 
-def test_a_pose_that_jumps_stops_the_robot_until_it_has_planned_anew(driving):
+def test_a_pose_that_jumps_stops_the_robot_until_it_has_planned_again(driving):
     pose = Pose(driving)
     driving.lockstep.run(0.3)
     pose.shift = 0.6

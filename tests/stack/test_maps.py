@@ -25,7 +25,7 @@ NAMES = ("sim", "base_driver", "odometry", "mapper", "guard")
 pytestmark = pytest.mark.timeout(300)
 
 
-def test_a_map_is_saved_loaded_and_begun_anew(tmp_path, capsys):
+def test_a_map_is_saved_loaded_and_begun_from_the_start(tmp_path, capsys):
     saved = tmp_path / "room"
     with running(tmp_path, NAMES) as stack:
         where, client = str(stack.where.domain), stack.client

@@ -54,7 +54,7 @@ def test_a_job_is_done_after_its_modelled_duration():
     assert lockstep.service("odometry").jobs == [START + 2_000_000 + 500_000_000]
 
 
-def test_a_killed_service_hears_and_says_nothing_and_its_successor_starts_anew():
+def test_a_killed_service_hears_and_says_nothing_and_its_successor_starts_from_the_start():
     lockstep = Lockstep(stack())
     lockstep.run(0.5)
     lockstep.kill("odometry")

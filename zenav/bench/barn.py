@@ -83,28 +83,30 @@ def barn(
         create_folder(trajectories)
     changed = (*(NOISE if noise else ()), *settings)
     barn_robot_file(BarnTrial(course_at(path, names[0]), 0, robot, changed))  # a wrong setting is an error here
-    asked = BarnOptions(path, robot, changed, NOISE_DELAY if noise else 0.0, trajectories, new_run_folder("bench-barn"))
+    options = BarnOptions(
+        path, robot, changed, NOISE_DELAY if noise else 0.0, trajectories, new_run_folder("bench-barn")
+    )
     items = [(name, seed) for seed in range(runs) for name in names]
-    told: list[dict[str, Any]] = []
+    results: list[dict[str, Any]] = []
     with progress_bar(f"{len(names)} worlds, {runs} runs each") as progress:
-        for run in pool_results(partial(run_row, asked), items, jobs):
-            told.append(run)
-            progress(len(told) / len(items))
+        for run in pool_results(partial(run_row, options), items, jobs):
+            results.append(run)
+            progress(len(results) / len(items))
             if run["status"] != "success" or not sys.stderr.isatty():  # where there is no bar
                 left = run["picture"] or f"{run['time']:.1f} s, {run['clearance']:.3f} m"
                 sys.stderr.write(f"world {run['world']}, seed {run['seed']}: {run['status']}, {left}\n")
-    if not any(asked.failures.iterdir()):
-        asked.failures.rmdir()
-    told.sort(key=lambda run: (int(run["world"]), int(run["seed"])))
-    figures = summary(told)
-    failed = [run for run in told if run["status"] != "success"]
-    shown = failed or sorted(told, key=lambda run: float(run["clearance"]))[:5]
+    if not any(options.failures.iterdir()):
+        options.failures.rmdir()
+    results.sort(key=lambda run: (int(run["world"]), int(run["seed"])))
+    figures = summary(results)
+    failed = [run for run in results if run["status"] != "success"]
+    listed = failed or sorted(results, key=lambda run: float(run["clearance"]))[:5]
     show_table(
-        f"{'crowds' if crowd else 'BARN'}, {figures['runs']} runs", COLUMNS, [_row(run) for run in shown[:MAX_ROWS]]
+        f"{'crowds' if crowd else 'BARN'}, {figures['runs']} runs", COLUMNS, [_row(run) for run in listed[:MAX_ROWS]]
     )
     show_table("all", tuple(figures), [tuple(str(value) for value in figures.values())])
     write_report(
-        out, {"summary": figures, "robot": robot, "noise": noise, "crowd": crowd, "settings": settings, "runs": told}
+        out, {"summary": figures, "robot": robot, "noise": noise, "crowd": crowd, "settings": settings, "runs": results}
     )
     return 0 if reaches_targets(figures, crowd) else 1
 
@@ -142,19 +144,21 @@ def worlds_of(path: Path) -> "BarnFile":
     return read_cylinder_file(path, BarnFile)
 
 
-def worlds_from(text: str, known: tuple[str, ...]) -> list[str]:
+def worlds_from(text: str, available: tuple[str, ...]) -> list[str]:
     """The file's worlds among `1-20` or `3,7`; all where nothing is chosen. Raises UserError where none is."""
     if not text:
-        return sorted(known, key=int)
+        return sorted(available, key=int)
     numbers = {str(number) for number in seeds_from(text, "worlds")}
-    names = sorted(numbers & set(known), key=int)
+    names = sorted(numbers & set(available), key=int)
     if not names:
-        raise UserError(f"none of the worlds {text} is in the file", f"it holds {len(known)}: {_examples(known)}")
+        raise UserError(
+            f"none of the worlds {text} is in the file", f"it holds {len(available)}: {_examples(available)}"
+        )
     return names
 
 
-def _examples(known: tuple[str, ...]) -> str:
-    return ", ".join(known[:8]) + (", ..." if len(known) > 8 else "")
+def _examples(available: tuple[str, ...]) -> str:
+    return ", ".join(available[:8]) + (", ..." if len(available) > 8 else "")
 
 
 def create_folder(folder: Path) -> None:
@@ -167,7 +171,7 @@ def create_folder(folder: Path) -> None:
         raise UserError(f"cannot write to {folder}: {error.strerror}", "choose another --trajectories") from None
 
 
-def run_row(asked: BarnOptions, item: tuple[str, int]) -> dict[str, Any]:
+def run_row(options: BarnOptions, item: tuple[str, int]) -> dict[str, Any]:
     """One run's row of the report; where it failed, again with a recording, and a picture."""
     import shared.repeatable  # noqa: F401  # a spawned process begins here
     from zenav.bench.barn_run import BarnTrial, run_barn
@@ -175,10 +179,10 @@ def run_row(asked: BarnOptions, item: tuple[str, int]) -> dict[str, Any]:
     from zenav.render.barn_picture import failure_picture
 
     world, seed = item
-    trial = BarnTrial(course_at(asked.path, world), seed, asked.robot, asked.settings, asked.delay)
+    trial = BarnTrial(course_at(options.path, world), seed, options.robot, options.settings, options.delay)
     done = run_barn(trial)
     name = f"world-{world}-seed-{seed}"
-    told = {
+    row = {
         "world": int(world),
         "seed": seed,
         "status": done.status,
@@ -193,15 +197,15 @@ def run_row(asked: BarnOptions, item: tuple[str, int]) -> dict[str, Any]:
         "picture": None,
         "recording": None,
     }
-    if asked.trajectories is not None:
-        told["trajectory"] = f"{name}.csv"
-        write_trajectory(asked.trajectories / f"{name}.csv", done.rows.tolist())
+    if options.trajectories is not None:
+        row["trajectory"] = f"{name}.csv"
+        write_trajectory(options.trajectories / f"{name}.csv", done.rows.tolist())
     if done.status != "success":
-        picture, recording = asked.failures / f"{name}.png", asked.failures / f"{name}.mcap"
+        picture, recording = options.failures / f"{name}.png", options.failures / f"{name}.mcap"
         picture.write_bytes(failure_picture(done))
         run_barn(trial, recording)  # the same seed gives the same run: only failures are worth a file
-        told |= {"picture": str(picture), "recording": str(recording)}
-    return told
+        row |= {"picture": str(picture), "recording": str(recording)}
+    return row
 
 
 def write_trajectory(path: Path, rows: list[list[float]]) -> None:

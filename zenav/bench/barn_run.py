@@ -121,7 +121,7 @@ class Referee:
         self.rows: list[tuple[float, ...]] = []
         self.walkers: list[Float64s] = []  # (p, 2) m, one a row
         self.newest: dict[type[Message], Any] = {}
-        self.told = False
+        self.goal_accepted = False
         if delay:
             lockstep.filters.append(_wire_delays(delay))
         lockstep.watch(topics.TRUTH.key, self._moved)
@@ -156,7 +156,7 @@ class Referee:
                 status = "success"
             elif time >= course.time_limit or (not clock and lockstep.now >= deadline):
                 status, time = "timeout", course.time_limit
-            elif not self.told:
+            elif not self.goal_accepted:
                 self._tell()
         lockstep.flush()
         rows, walkers = np.array(self.rows[begun:]), np.array(self.walkers[begun:])
@@ -184,7 +184,7 @@ class Referee:
         """The goal, in the frame whose origin is the start."""
         goal = self.course.start.inverse() @ Pose2(*self.course.goal, self.course.start.yaw)
         request = requests.Navigate(self.lockstep.now, (Pose2(goal.x, goal.y),), 0.0, 1, True)
-        self.told = self.lockstep.ask(requests.NAVIGATE, request).accepted
+        self.goal_accepted = self.lockstep.ask(requests.NAVIGATE, request).accepted
 
     def _plan(self) -> Float64s:
         plan = self.newest.get(Plan)
@@ -193,14 +193,14 @@ class Referee:
     def _why(self) -> str:
         """What navigator, local control and guard said last."""
         nav, follow, guard = (self.newest.get(kind) for kind in (NavStatus, FollowStatus, GuardStatus))
-        told = [
+        states = [
             f"{name} {message.state} {message.reason}".strip()
             for name, message in (("navigator", nav), ("local_ctrl", follow), ("guard", guard))
             if message is not None
         ]
         if nav is not None and nav.state is NavState.FAILED and nav.detail:
-            told.append(nav.detail)
-        return ", ".join(told)
+            states.append(nav.detail)
+        return ", ".join(states)
 
 
 def _wire_delays(delay: float) -> Callable[[Sent, str], float]:
@@ -220,14 +220,14 @@ def smallest_clearance(poses: Float64s, cylinders: Float64s, corners: Float64s) 
     x, y, yaw = np.append(x, poses[-1, 0]), np.append(y, poses[-1, 1]), np.append(yaw, poses[-1, 2])
     reach = float(np.hypot(*corners.T).max())
     c, s = np.cos(yaw), np.sin(yaw)
-    least = inf
+    clearance = inf
     for cx, cy, radius in cylinders:
         dx, dy = cx - x, cy - y
-        near = np.hypot(dx, dy) - radius - reach < least
+        near = np.hypot(dx, dy) - radius - reach < clearance
         if near.any():
             points = np.column_stack((c * dx + s * dy, c * dy - s * dx))[near]
-            least = min(least, max(float(signed_distances(corners, points).min()), 0.0) - radius)
-    return least
+            clearance = min(clearance, max(float(signed_distances(corners, points).min()), 0.0) - radius)
+    return clearance
 
 
 def smallest_gap(poses: Float64s, walkers: Float64s, corners: Float64s) -> float:

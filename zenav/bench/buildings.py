@@ -68,7 +68,7 @@ def _ended(run: dict[str, Any]) -> str:
 def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
     """The figures over all buildings: mean, median and worst."""
     rows = [run for run in runs if not run["trouble"]]
-    told: dict[str, Any] = {
+    figures: dict[str, Any] = {
         "buildings": len(runs),
         "kept": sum(reaches_targets(run) for run in runs),
         "not_reached": sum(len(row["not_reached"]) for row in rows),
@@ -85,10 +85,10 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
     for key in (*worst, "cpu_s", "distance_m", "seconds"):
         values = [row[key] for row in rows if row[key] is not None]
         if values:
-            told[key] = {"mean": round(statistics.fmean(values), 4), "median": round(statistics.median(values), 4)}
+            figures[key] = {"mean": round(statistics.fmean(values), 4), "median": round(statistics.median(values), 4)}
             if key in worst:
-                told[key]["worst"] = worst[key](values)
-    return told
+                figures[key]["worst"] = worst[key](values)
+    return figures
 
 
 def _row(run: dict[str, Any]) -> tuple[str, ...]:
@@ -159,8 +159,8 @@ def drive_tour(harness: "SimSlamHarness", rng: np.random.Generator) -> list[str]
     return not_reached
 
 
-def _length(way: Float64s) -> float:
-    return float(np.hypot(*np.diff(way, axis=0).T).sum()) if len(way) else float("inf")
+def _length(path: Float64s) -> float:
+    return float(np.hypot(*np.diff(path, axis=0).T).sum()) if len(path) else float("inf")
 
 
 def building_figures(harness: "SimSlamHarness") -> dict[str, Any]:
@@ -173,8 +173,8 @@ def building_figures(harness: "SimSlamHarness") -> dict[str, Any]:
     aligned, shift = aligned_map_errors(track.grid, world, track.world_from_map)
     low_x, low_y, high_x, high_y = world.bounds
     robot = harness.paths.robot
-    told = evaluation_summary(track, world, robot.circumscribed_radius, robot.laser.range_max)
-    return told | {
+    figures = evaluation_summary(track, world, robot.circumscribed_radius, robot.laser.range_max)
+    return figures | {
         "size": f"{high_x - low_x:.0f} x {high_y - low_y:.0f}",
         "rooms": len(world.goals),
         "pose_error_p99_m": round(float(np.percentile(metres, 99)), 4) if len(metres) else None,

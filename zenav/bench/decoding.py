@@ -30,11 +30,11 @@ Decoder = Callable[[bytes], object]
 
 def decoding(n_bytes: int = 200_000) -> dict[str, dict[str, float]]:
     """MB a second of CPU time, by decoder and size of the readings."""
-    found = {}
+    rates = {}
     for name in ("board", *LASERS):
         decoder, stream = _board(n_bytes) if name == "board" else _laser(name, n_bytes)
-        found[name] = {str(size): round(_rate(decoder, stream, size), 2) for size in SIZES}
-    return found
+        rates[name] = {str(size): round(_rate(decoder, stream, size), 2) for size in SIZES}
+    return rates
 
 
 def _rate(decoder: Decoder, stream: bytes, size: int) -> float:
@@ -86,13 +86,13 @@ def _laser(model: str, n_bytes: int) -> tuple[Decoder, bytes]:
     emulated = make_emulator(model, laser)
     config = LidarDriverConfig(model=model.removesuffix("_a2"))
     decoder = DEVICES[config.model](config, laser)
-    now, words = START, decoder.start(START)
+    now, command = START, decoder.start(START)
     for _ in range(DIALOGUE):
-        answer = emulated.receive(words, now) if words else b""
+        answer = emulated.receive(command, now) if command else b""
         if answer:
             decoder.receive(answer, now)
         now += TICK
-        words = decoder.next_command(now)
+        command = decoder.next_command(now)
     rng, stream = np.random.default_rng(0), bytearray()
     while len(stream) < n_bytes:
         ranges = rng.uniform(0.1, 11.9, n).astype(np.float32)

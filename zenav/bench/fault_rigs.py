@@ -151,7 +151,7 @@ class LiveStack:
 @contextmanager
 def live_stack(robot: str, settings: list[str], folder: Path) -> Iterator[LiveStack]:
     """A stack of its own, up and heard. Raises UserError where it does not start."""
-    file, heard = configured(robot, settings), set[str]()
+    file, names_seen = configured(robot, settings), set[str]()
     with free_stack() as claim:
         where = str(claim.where.domain)
         commands = {
@@ -162,12 +162,14 @@ def live_stack(robot: str, settings: list[str], folder: Path) -> Iterator[LiveSt
 
             def hear(health: Health) -> None:
                 launcher.hear(health)
-                heard.add(health.name)
+                names_seen.add(health.name)
 
             client.listen(topics.HEALTH, lambda health, _: hear(health))
             stack = LiveStack(file, client, launcher)
-            launcher.start_all(lambda name: name in heard)
-            if not stack.run(MAX_START_S, lambda: len(heard) == len(commands) and len(stack.meter.newest) == len(KEYS)):
+            launcher.start_all(lambda name: name in names_seen)
+            if not stack.run(
+                MAX_START_S, lambda: len(names_seen) == len(commands) and len(stack.meter.newest) == len(KEYS)
+            ):
                 missing = sorted({topic.key for topic in KEYS} - set(stack.meter.newest))
                 raise UserError(f"the stack does not start; still nothing on {', '.join(missing)}", "zenav doctor")
             stack.run(SETTLE_S)

@@ -94,8 +94,8 @@ class FaultMeter:
         self.zero: int | None = None
         self.creep: int | None = None
         self.zero_at: float | None = None  # m, the odometer then
-        self.told: dict[str, str] = {}  # code -> all its details
-        self.hears = False
+        self.details: dict[str, str] = {}  # code -> all its details
+        self.is_recording_reasons = False
         self.wrong_since: int | None = None
         self.wrong_longest = 0
         self.posed: int = 0  # ns, when the newest pose came
@@ -112,19 +112,19 @@ class FaultMeter:
                 self.zero, self.zero_at = now, self.newest["sim/truth"].distance
             if key == "cmd/vel" and self.creep is None and abs(self.newest[key].v) <= self.blind_speed + 1e-6:
                 self.creep = now
-            if self.hears and isinstance(message, GuardStatus | NavStatus):
+            if self.is_recording_reasons and isinstance(message, GuardStatus | NavStatus):
                 self._tell(message.reason, message.detail)
-            if self.hears and key == "base/status":
+            if self.is_recording_reasons and key == "base/status":
                 self._tell(self.newest[key].fault, self.newest[key].detail)
 
     def begin(self, now: int) -> None:
         """The fault begins."""
         with self.lock:
-            self.began, self.hears, self.at_begin = now, True, self.newest["sim/truth"]
+            self.began, self.is_recording_reasons, self.at_begin = now, True, self.newest["sim/truth"]
 
     def _tell(self, code: str, detail: str) -> None:
         if code:
-            self.told[code] = f"{self.told.get(code, '')} {detail}"
+            self.details[code] = f"{self.details.get(code, '')} {detail}"
 
     def _pose_error(self, pose: PoseEstimate, now: int) -> None:
         """By when the pose came, not by its stamp, which may be what is wrong; 0.1 s of driving is far under WRONG."""
@@ -185,7 +185,7 @@ def run_trial(stack: StackUnderTest, trial: FaultTrial) -> FaultResult:
     if row.name.startswith("kill "):
         stack.start(row.name.removeprefix("kill "))
     stack.run(HEARS_WITHIN)
-    meter.hears = False
+    meter.is_recording_reasons = False
     result.resumed = _resumes_work(stack, trial)
     _fill_in(result, row, meter, fault_end)
     result.contacts = meter.newest["sim/truth"].n_contacts - contacts
@@ -258,9 +258,11 @@ def _fill_in(result: FaultResult, row: FaultRow, meter: FaultMeter, fault_end: T
         result.creep_ms = (meter.creep - began) * 1e-6
     zero_at = fault_end.distance if meter.zero_at is None else min(meter.zero_at, fault_end.distance)
     result.distance, result.driven = zero_at - first.distance, fault_end.distance - first.distance
-    result.reasons = sorted(meter.told)
+    result.reasons = sorted(meter.details)
     if row.reasons:
-        result.right = any(re.search(row.detail, words) for code, words in meter.told.items() if code in row.reasons)
+        result.right = any(
+            re.search(row.detail, detail) for code, detail in meter.details.items() if code in row.reasons
+        )
     result.wrong_while_good = meter.wrong_longest * 1e-9
 
 

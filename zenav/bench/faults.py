@@ -26,20 +26,20 @@ COLUMNS = (
 def faults(robot: str, n: int, seed: int, jobs: int, only: str, out: Path | None, live: bool) -> int:
     """Runs n trials of the matrix, shows a row a fault, writes the JSON; 0 where every target is kept."""
     check_writable(out)
-    wanted = matrix(n, seed, selected_rows(only, live))
-    one = partial(_live if live else _lockstep, robot)
-    found: list[FaultResult] = []
-    for result in pool_results(one, wanted, 1 if live else jobs):
-        found.append(result)
+    trials = matrix(n, seed, selected_rows(only, live))
+    run_one = partial(_live if live else _lockstep, robot)
+    results: list[FaultResult] = []
+    for result in pool_results(run_one, trials, 1 if live else jobs):
+        results.append(result)
         row = next(row for row in FAULT_ROWS if row.name == result.fault)
-        words = "; ".join(missed_targets(result, row)) or "good"
-        sys.stderr.write(f"{len(found)}/{n} {result.fault}, {result.mode}, {result.speed} m/s: {words}\n")
-    lines = [table_row(row, results_of(found, row)) for row in _rows(found)]
+        verdict = "; ".join(missed_targets(result, row)) or "good"
+        sys.stderr.write(f"{len(results)}/{n} {result.fault}, {result.mode}, {result.speed} m/s: {verdict}\n")
+    lines = [table_row(row, results_of(results, row)) for row in _rows(results)]
     show_table(f"faults, {'live' if live else 'lockstep'}", COLUMNS, lines)
-    sums = fault_summary(found)
-    report = {"summary": sums, "live": live, "seed": seed, "rows": lines, "trials": [r.as_json() for r in found]}
+    sums = fault_summary(results)
+    report = {"summary": sums, "live": live, "seed": seed, "rows": lines, "trials": [r.as_json() for r in results]}
     write_report(out, report)
-    return 0 if len(found) == n and sums["good"] == n else 1
+    return 0 if len(results) == n and sums["good"] == n else 1
 
 
 def selected_rows(only: str, live: bool) -> list[int]:
@@ -88,54 +88,56 @@ def judged_ms(result: FaultResult, row: FaultRow) -> float | None:
     return min(result.creep_ms, result.zero_ms) if result.mode in row.creeps else None
 
 
-def results_of(found: list[FaultResult], row: FaultRow) -> list[FaultResult]:
-    return [result for result in found if result.fault == row.name]
+def results_of(results: list[FaultResult], row: FaultRow) -> list[FaultResult]:
+    return [result for result in results if result.fault == row.name]
 
 
-def _rows(found: list[FaultResult]) -> list[FaultRow]:
-    return [row for row in FAULT_ROWS if results_of(found, row)]
+def _rows(results: list[FaultResult]) -> list[FaultRow]:
+    return [row for row in FAULT_ROWS if results_of(results, row)]
 
 
-def table_row(row: FaultRow, found: list[FaultResult]) -> tuple[str, ...]:
+def table_row(row: FaultRow, results: list[FaultResult]) -> tuple[str, ...]:
     """A fault's line of the table."""
-    times = [ms for result in found if (ms := judged_ms(result, row)) is not None]
-    sayers = [result for result in found if result.right is not None and result.mode in row.stops | row.creeps]
-    told = sorted({reason for result in found for reason in result.reasons})
-    bad = sum(bool(missed_targets(result, row)) for result in found)
+    times = [ms for result in results if (ms := judged_ms(result, row)) is not None]
+    with_reason = [result for result in results if result.right is not None and result.mode in row.stops | row.creeps]
+    reasons = sorted({reason for result in results for reason in result.reasons})
+    bad = sum(bool(missed_targets(result, row)) for result in results)
     return (
         row.name,
-        str(len(found)),
+        str(len(results)),
         _ms(statistics.median(times)) if times else "-",
         _ms(max(times)) if times else "-",
         f"{row.limit:.0f}" if row.stops | row.creeps else "-",
-        f"{max(result.distance for result in found):.2f}",
-        str(sum(result.contacts for result in found)),
-        f"{sum(bool(result.right) for result in sayers)}/{len(sayers)}" if sayers else "-",
-        f"{sum(result.resumed for result in found)}/{len(found)}",
-        f"{max(result.wrong_while_good for result in found):.1f}",
+        f"{max(result.distance for result in results):.2f}",
+        str(sum(result.contacts for result in results)),
+        f"{sum(bool(result.right) for result in with_reason)}/{len(with_reason)}" if with_reason else "-",
+        f"{sum(result.resumed for result in results)}/{len(results)}",
+        f"{max(result.wrong_while_good for result in results):.1f}",
         f"{bad} not good" if bad else "good",
-        " ".join(told),
+        " ".join(reasons),
     )
 
 
-def fault_summary(found: list[FaultResult]) -> dict[str, Any]:
+def fault_summary(results: list[FaultResult]) -> dict[str, Any]:
     """Over all trials, and by fault."""
     by_name = {row.name: row for row in FAULT_ROWS}
-    good = [not missed_targets(result, by_name[result.fault]) for result in found]
+    good = [not missed_targets(result, by_name[result.fault]) for result in results]
     return {
-        "trials": len(found),
+        "trials": len(results),
         "good": sum(good),
-        "contacts": sum(result.contacts for result in found),
-        "wrong_while_good_s": round(max((result.wrong_while_good for result in found), default=0.0), 2),
-        "resumed": sum(result.resumed for result in found),
+        "contacts": sum(result.contacts for result in results),
+        "wrong_while_good_s": round(max((result.wrong_while_good for result in results), default=0.0), 2),
+        "resumed": sum(result.resumed for result in results),
         "faults": {
             row.name: {
-                "n": len(results_of(found, row)),
-                "good": sum(not missed_targets(result, row) for result in results_of(found, row)),
+                "n": len(results_of(results, row)),
+                "good": sum(not missed_targets(result, row) for result in results_of(results, row)),
                 "limit_ms": row.limit,
-                "missed": sorted({words for result in results_of(found, row) for words in missed_targets(result, row)}),
+                "missed": sorted(
+                    {target for result in results_of(results, row) for target in missed_targets(result, row)}
+                ),
             }
-            for row in _rows(found)
+            for row in _rows(results)
         },
     }
 

@@ -142,18 +142,22 @@ def _measured(published: Published) -> list[str]:
         if row.what:
             lines.append((row.what, figure, f"`{command}`", when_measured(entry, len(row.parts)) if entry else "-"))
     machines = dict.fromkeys(entry.machine for entry in published.values() if entry.machine)
-    told = (
+    footnote = (
         [f"Load is the machine's average of a minute at begin and end: {' and '.join(machines)}."] if machines else []
     )
-    return [*markdown_table(("what", "figure", "command", "commit, date, load"), lines), *([""] if told else []), *told]
+    return [
+        *markdown_table(("what", "figure", "command", "commit, date, load"), lines),
+        *([""] if footnote else []),
+        *footnote,
+    ]
 
 
 def when_measured(entry: PublishedFigure, n_parts: int = 1) -> str:
     """Commit, date and load of a row, in a cell."""
-    told = [f"`{entry.commit}`" + (" with uncommitted changes" if entry.dirty else ""), entry.ended[:10]]
-    told += [BEFORE] if entry.entered else [f"load {entry.load[0]:.1f} to {entry.load[-1]:.1f}"]
+    parts = [f"`{entry.commit}`" + (" with uncommitted changes" if entry.dirty else ""), entry.ended[:10]]
+    parts += [BEFORE] if entry.entered else [f"load {entry.load[0]:.1f} to {entry.load[-1]:.1f}"]
     missed = "missed its target" if n_parts == 1 else "a part missed its target"
-    return ", ".join([*told, *([] if entry.kept else [missed])])
+    return ", ".join([*parts, *([] if entry.kept else [missed])])
 
 
 def _table_of(name: str, published: Published) -> list[str]:
@@ -167,15 +171,15 @@ def _sources(names: tuple[str, ...], published: Published) -> list[str]:
     """A line a row: command, commit, date, machine, load."""
     parts = {row.name: len(row.parts) for row in ROWS}
     commands = {row.name: row.command for row in ROWS}
-    told = []
+    lines = []
     for name in names:
         entry = published.get(name)
         if entry is None:
-            told.append(f"- `{commands[name]}`: {MISSING}")
+            lines.append(f"- `{commands[name]}`: {MISSING}")
         else:
             about = f"; {entry.machine}; {entry.seconds:.0f} s" if entry.machine else "; machine and load are not known"
-            told.append(f"- `{entry.command}`: {when_measured(entry, parts[name])}{about}")
-    return told
+            lines.append(f"- `{entry.command}`: {when_measured(entry, parts[name])}{about}")
+    return lines
 
 
 def _comparison(published: Published) -> list[str]:
@@ -184,7 +188,7 @@ def _comparison(published: Published) -> list[str]:
     lines = []
     for log, peers in PEERS.items():
         name = f"{log} ({ABOUT_LOGS[log]})" if log in ABOUT_LOGS else log
-        lines.append((name, *(found[log][0] if log in found else "-" for found in ours), *peers))
+        lines.append((name, *(by_log[log][0] if log in by_log else "-" for by_log in ours), *peers))
     head = "mean error, m", "zenav", "zenav with `--registrar kiss`", *PEER_COLUMNS
     return [*markdown_table(head, lines), "", *_sources(("slam", "slam-kiss"), published)]
 
@@ -192,7 +196,7 @@ def _comparison(published: Published) -> list[str]:
 def _registrars(published: Published) -> list[str]:
     """Both registrars: error and cost of the same run."""
     ours = [_by_log(published, name) for name in ("line", "kiss")]
-    lines = [(log, *(cell for found in ours for cell in found.get(log, ("-", "-", "-")))) for log in PEERS]
+    lines = [(log, *(cell for by_log in ours for cell in by_log.get(log, ("-", "-", "-")))) for log in PEERS]
     head = "log", "`line`: mean, m", "max, m", "CPU, s", "`kiss`: mean, m", "max, m", "CPU, s"
     return markdown_table(head, lines)
 
@@ -200,9 +204,9 @@ def _registrars(published: Published) -> list[str]:
 def _intel(published: Published) -> list[str]:
     """Error and CPU time of the same run on one log."""
     ours = [
-        (name, found["intel"][0], found["intel"][2])
+        (name, by_log["intel"][0], by_log["intel"][2])
         for name, key in (("zenav", "line"), ("zenav with `--registrar kiss`", "kiss"))
-        if "intel" in (found := _by_log(published, key))
+        if "intel" in (by_log := _by_log(published, key))
     ]
     return markdown_table(("intel", "mean error, m", "CPU, s"), [*ours, *INTEL_PEERS])
 

@@ -136,15 +136,15 @@ def _localise(name: str) -> Callable[[Sequence[Report]], Cells]:
         trials = [localise.LocalizationTrial(**row) for row in _joined(reports, "trials")]
         s = localise.summary(trials)
         off = [t.found_error_m for t in trials if t.found_error_m is not None]
-        found = round(s["found_share"] * s["poses"])
+        n_found = round(s["found_share"] * s["poses"])
         line = [
-            name, str(s["poses"]), str(found), _number(s["found_m_median"]), _number(s["found_m_p95"]),
+            name, str(s["poses"]), str(n_found), _number(s["found_m_median"]), _number(s["found_m_p95"]),
             f"{sum(off) / len(off) * 100:.1f}, {max(off) * 100:.1f} at most" if off else "-", str(s["wrongly_sure"]),
             f"{s['noticed']} of {s['carried']}", _number(s["noticed_s_median"]), str(s["back"]),
             _number(s["back_m_median"]),
         ]  # fmt: skip
         figure = (
-            f"found within 10 m {found} of {s['poses']}, wrongly sure {s['wrongly_sure']}; carried away: noticed "
+            f"found within 10 m {n_found} of {s['poses']}, wrongly sure {s['wrongly_sure']}; carried away: noticed "
             f"within 3 s {s['noticed']} of {s['carried']}, back within 10 m {s['back']}"
         )
         return {README: [[figure]], "localise": [line]}

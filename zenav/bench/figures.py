@@ -83,10 +83,10 @@ class Bench:
 
     def arguments(self, row: FigureRow, part: str) -> list[str]:
         """A part's command without `zenav` and --out."""
-        words = shlex.split(f"{row.command} {part} {row.hidden}")[1:]
+        arguments = shlex.split(f"{row.command} {part} {row.hidden}")[1:]
         folder = str((self.data or Path()) / row.data)
-        words = [folder if word == "DIR" else word.replace("{work}", str(self.work())) for word in words]
-        return [*words, "--jobs", str(self.jobs)] if row.jobs else words
+        arguments = [folder if word == "DIR" else word.replace("{work}", str(self.work())) for word in arguments]
+        return [*arguments, "--jobs", str(self.jobs)] if row.jobs else arguments
 
     def kept_part(self, row: FigureRow, part: str) -> PartialRun | None:
         """The part's run on the present code, if there was one and the code has no other changes."""
@@ -95,12 +95,12 @@ class Bench:
             return None
         try:
             tree = json.loads(path.read_text(encoding="utf-8"))
-            found = PartialRun(**tree | {"load": tuple(tree["load"])})
+            run = PartialRun(**tree | {"load": tuple(tree["load"])})
         except (OSError, ValueError, TypeError, KeyError):
             return None  # half a file: it is run again
-        asked = _figures_of(self.arguments(row, part))
-        same = found.code == self.state.code and not found.dirty
-        return found if same and _figures_of(found.arguments) == asked else None
+        wanted = _figures_of(self.arguments(row, part))
+        same = run.code == self.state.code and not run.dirty
+        return run if same and _figures_of(run.arguments) == wanted else None
 
     def run_part(self, row: FigureRow, part: str) -> PartialRun | None:
         """Runs a part and keeps it; None where it left no report.
@@ -152,12 +152,12 @@ def figures(only: str, again: bool, listed: bool, folder: Path, jobs: int, data:
 
 def selected_rows(only: str, rows: Sequence[FigureRow] = ROWS) -> list[FigureRow]:
     """The rows of names separated by commas; all where there are none. Raises UserError on an unknown one."""
-    known = {row.name: row for row in rows}
+    by_name = {row.name: row for row in rows}
     names = [name.strip() for name in only.split(",") if name.strip()]
     for name in names:
-        if name not in known:
-            raise UserError(f"no row {name!r}", nearest(name, tuple(known)))
-    return [row for row in rows if row.name in (names or known)]
+        if name not in by_name:
+            raise UserError(f"no row {name!r}", nearest(name, tuple(by_name)))
+    return [row for row in rows if row.name in (names or by_name)]
 
 
 def measure_rows(bench: Bench, rows: Sequence[FigureRow], again: bool = False) -> bool:
@@ -193,8 +193,8 @@ def _row(bench: Bench, row: FigureRow, again: bool) -> PublishedFigure | None:
     parts: list[PartialRun] = []
     for i, name in enumerate(row.parts):
         done = None if again else bench.kept_part(row, name)
-        words = "kept from before" if done else "runs"
-        sys.stderr.write(f"{row.name}, part {i + 1} of {len(row.parts)}: {words}\n")
+        state = "kept from before" if done else "runs"
+        sys.stderr.write(f"{row.name}, part {i + 1} of {len(row.parts)}: {state}\n")
         done = done or bench.run_part(row, name)
         if done is None:
             sys.stderr.write(f"{row.name}: failed: {shlex.join(bench.arguments(row, name))}\n")
@@ -230,10 +230,10 @@ def show_rows(bench: Bench, rows: Sequence[FigureRow]) -> None:
         entry = published.get(row.name)
         n_kept = sum(bench.kept_part(row, part) is not None for part in row.parts)
         if current(bench, row, published):
-            words = "measured on this code"
+            state = "measured on this code"
         else:
-            words = bench.needs(row) or (f"{n_kept} of {len(row.parts)} parts are kept" if n_kept else "to be run")
-        lines.append((row.name, row.command, str(len(row.parts)), entry.commit if entry else "-", words))
+            state = bench.needs(row) or (f"{n_kept} of {len(row.parts)} parts are kept" if n_kept else "to be run")
+        lines.append((row.name, row.command, str(len(row.parts)), entry.commit if entry else "-", state))
     show_table("published figures", LISTED, lines)
 
 

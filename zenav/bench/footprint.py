@@ -70,12 +70,12 @@ class MeasuredStack:
     client: Client
     begun: float  # s, monotonic, when the command was given
     pids: dict[str, int] = field(default_factory=dict)
-    heard: dict[tuple[str, int], float] = field(default_factory=dict)  # s, monotonic: first health of a process
+    first_health_s: dict[tuple[str, int], float] = field(default_factory=dict)  # by service and pid; monotonic
     moved: float = 0.0  # s, monotonic: first motion
 
     def hear(self, health: Health) -> None:
         self.pids[health.name] = health.pid
-        self.heard.setdefault((health.name, health.pid), time.monotonic())
+        self.first_health_s.setdefault((health.name, health.pid), time.monotonic())
 
     def see(self, truth: Truth) -> None:
         if not self.moved and abs(truth.v) + 0.1 * abs(truth.w) > MOVING:
@@ -110,10 +110,10 @@ class MeasuredStack:
         """By name: the services, the launcher, and what else it started."""
         launcher = psutil.Process(self.process.pid)
         names = {pid: name for name, pid in self.pids.items()}
-        found = {LAUNCHER: launcher}
+        by_name = {LAUNCHER: launcher}
         for child in launcher.children(recursive=True):
-            found[names.get(child.pid, PRELOADED)] = child
-        return found
+            by_name[names.get(child.pid, PRELOADED)] = child
+        return by_name
 
 
 def footprint(
@@ -220,17 +220,17 @@ def memory(pid: int) -> Usage:
 
 def restart_times(stack: MeasuredStack, rounds: int) -> dict[str, list[float]]:
     """s from the SIGKILL of each service to the first message of its next process."""
-    taken: dict[str, list[float]] = {}
+    times: dict[str, list[float]] = {}
     for _ in range(rounds):
         begun = time.monotonic()
         for name in [name for name in stack.pids if name not in NOT_ON_THE_ROBOT]:
             pid, killed = stack.pids[name], time.monotonic()
             os.kill(pid, signal.SIGKILL)
             stack.until(partial(stack.is_replaced, name, pid), RESTART_LIMIT_S, f"{name} stays away")
-            taken.setdefault(name, []).append(stack.heard[name, stack.pids[name]] - killed)
+            times.setdefault(name, []).append(stack.first_health_s[name, stack.pids[name]] - killed)
             time.sleep(BETWEEN_KILLS_S)  # noqa: TID251  # each is killed while the others are well
         time.sleep(max(0.0, 31.0 - (time.monotonic() - begun)))  # noqa: TID251  # the next death counts as the first
-    return taken
+    return times
 
 
 def command_times(command: str) -> tuple[float, float]:

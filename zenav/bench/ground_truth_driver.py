@@ -67,10 +67,10 @@ class PathFinder:
         grid.first_row, grid.first_column = self.grid.first_row, self.grid.first_column
         rows, columns = np.indices(self.grid.cells.shape)
         x, y = self.grid.x0 + (columns + 0.5) * CELL, self.grid.y0 + (rows + 0.5) * CELL
-        taken = np.zeros(x.shape, bool)
+        occupied_by_people = np.zeros(x.shape, bool)
         for person in people:
-            taken |= np.hypot(x - person[0], y - person[1]) <= PERSON
-        grid.cells = np.where(taken, np.int8(100), self.grid.cells)
+            occupied_by_people |= np.hypot(x - person[0], y - person[1]) <= PERSON
+        grid.cells = np.where(occupied_by_people, np.int8(100), self.grid.cells)
         terrain = GlobalCostmap(self.terrain.config, self.robot, CELL)
         terrain.update(grid, None)
         return terrain
@@ -105,8 +105,8 @@ class GroundTruthDriver:
         self._follow(self.paths.path(truth.world_from_base, goal))
         return len(self.points) > 0
 
-    def _follow(self, way: Float64s) -> None:
-        self.points, self.at = way, 0
+    def _follow(self, path: Float64s) -> None:
+        self.points, self.at = path, 0
         self.turning = False
 
     def command(self, truth: Truth, seconds: float) -> tuple[float, float] | None:
@@ -142,9 +142,9 @@ class GroundTruthDriver:
         return self.drive.clamped(v, curvature * v)
 
     def _is_person_ahead(self, truth: Truth) -> bool:
-        way = self.points[self.at : self.at + round(AHEAD / CELL) : 2]
-        away = np.hypot(way[:, :1] - truth.people_x, way[:, 1:] - truth.people_y)
-        return bool((away < PERSON + self.paths.robot.inscribed_radius + 0.05).any())
+        ahead = self.points[self.at : self.at + round(AHEAD / CELL) : 2]
+        distances = np.hypot(ahead[:, :1] - truth.people_x, ahead[:, 1:] - truth.people_y)
+        return bool((distances < PERSON + self.paths.robot.inscribed_radius + 0.05).any())
 
 
 def _true_map(world: World) -> OccupancyGrid:

@@ -81,40 +81,42 @@ def localise(
     folder = new_run_folder("bench-localise") if maps is None else maps
     shares = {number: poses // len(chosen) + (i < poses % len(chosen)) for i, number in enumerate(chosen)}
     trials: list[LocalizationTrial] = []
-    for found in pool_results(
+    for building_trials in pool_results(
         partial(_building_trials, robot, folder, shares, settings, cell), [n for n in chosen if shares[n]], jobs
     ):
-        trials += found
-        sys.stderr.write(f"building {found[0].building}: {sum(t.found_m is not None for t in found)} found\n")
+        trials += building_trials
+        sys.stderr.write(
+            f"building {building_trials[0].building}: {sum(t.found_m is not None for t in building_trials)} found\n"
+        )
     trials.sort(key=lambda trial: (trial.building, trial.trial))
     rows = [_row(str(n), [t for t in trials if t.building == n]) for n in chosen if shares[n]]
     kind = f", as pgm and yaml of {cell:g} m a cell" if cell else ""
     show_table(f"global localisation, maps in {folder}{kind}", COLUMNS, [*rows, _row("all", trials)])
-    told = summary(trials)
-    write_report(out, {"summary": told, "trials": [asdict(trial) for trial in trials]})
-    return 0 if reaches_targets(told) else 1
+    figures = summary(trials)
+    write_report(out, {"summary": figures, "trials": [asdict(trial) for trial in trials]})
+    return 0 if reaches_targets(figures) else 1
 
 
-def reaches_targets(told: dict[str, Any]) -> bool:
+def reaches_targets(figures: dict[str, Any]) -> bool:
     """Whether the summary keeps every promise."""
     return bool(
-        told["found_share"] >= FOUND_SHARE
-        and not told["wrongly_sure"]
-        and told["noticed"] == told["back"] == told["carried"]
+        figures["found_share"] >= FOUND_SHARE
+        and not figures["wrongly_sure"]
+        and figures["noticed"] == figures["back"] == figures["carried"]
     )
 
 
 def summary(trials: list[LocalizationTrial]) -> dict[str, Any]:
     """Shares, medians and counts over all trials."""
-    found = [t.found_m for t in trials if t.found_m is not None]
+    found_m = [t.found_m for t in trials if t.found_m is not None]
     carried = [t for t in trials if t.carried]
     noticed = [t.noticed_s for t in carried if t.noticed_s is not None]
     back = [t.back_m for t in carried if t.back_m is not None]
     return {
         "poses": len(trials),
-        "found_share": round(sum(m <= FOUND_WITHIN for m in found) / max(len(trials), 1), 4),
-        "found_m_median": _median(found),
-        "found_m_p95": round(float(np.percentile(found, 95)), 2) if found else None,
+        "found_share": round(sum(m <= FOUND_WITHIN for m in found_m) / max(len(trials), 1), 4),
+        "found_m_median": _median(found_m),
+        "found_m_p95": round(float(np.percentile(found_m, 95)), 2) if found_m else None,
         "wrongly_sure": sum(t.wrong_s > 0 for t in trials),
         "carried": len(carried),
         "noticed": sum(s <= NOTICED_WITHIN for s in noticed),
@@ -185,7 +187,7 @@ def run_trial(robot: str, world_name: str, seed: int, saved: "SavedMap", setting
     from zenav.bench.sim_slam_harness import SimSlamHarness, harness_robot_file
     from zenav.stack.hardware import simulated_world
 
-    begun, told = process_time(), LocalizationTrial()
+    begun, trial = process_time(), LocalizationTrial()
     file = harness_robot_file(robot, world_name, seed, None, settings)
     world, rng = simulated_world(file), np.random.default_rng(seed)
     paths = PathFinder(world, file.robot)
@@ -193,14 +195,14 @@ def run_trial(robot: str, world_name: str, seed: int, saved: "SavedMap", setting
         harness_robot_file(robot, world_name, seed, paths.random_pose(rng), settings), paths, saved
     )
     watch = PoseMonitor(harness, world.start)
-    told.found_m = watch.driven_until_right(rng)
-    if told.found_m is not None:
-        told.found_error_m = round(watch.error[0], 3)
-        told.carried = True
-        told.noticed_s, told.back_m = _kidnap(harness, watch, rng)
-    told.wrong_s = round(watch.wrong_s, 2)
-    told.cpu_s = round(process_time() - begun, 1)
-    return told
+    trial.found_m = watch.driven_until_right(rng)
+    if trial.found_m is not None:
+        trial.found_error_m = round(watch.error[0], 3)
+        trial.carried = True
+        trial.noticed_s, trial.back_m = _kidnap(harness, watch, rng)
+    trial.wrong_s = round(watch.wrong_s, 2)
+    trial.cpu_s = round(process_time() - begun, 1)
+    return trial
 
 
 def _kidnap(
@@ -253,10 +255,10 @@ class PoseMonitor:
         self._drive(rng, lambda: self.right or driven() > GIVES_UP)
         if not self.right:
             return None
-        found, error = driven(), self.error
-        self._drive(rng, lambda: driven() > found + AFTERWARDS)
+        driven_m, error = driven(), self.error
+        self._drive(rng, lambda: driven() > driven_m + AFTERWARDS)
         self.error = error
-        return round(found, 2)
+        return round(driven_m, 2)
 
     def _drive(self, rng: np.random.Generator, until: Callable[[], bool]) -> None:
         from zenav.bench.sim_slam_harness import DriveResult

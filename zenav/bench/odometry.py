@@ -75,8 +75,8 @@ def integration_errors(folder: Path) -> dict[str, Any]:
         rows[f"{integration}, encoder counts"] = pose_differences(by_counts(wheels, robot, integration), truth, wheels)
     same = [row for name, row in rows.items() if name.startswith(SAME)]
     worst = {key: max(row[key] for row in same) for key in ("distance_max_m", "turn_max_deg")}
-    kept = worst["distance_max_m"] < MAX_DISTANCE and worst["turn_max_deg"] < MAX_TURN
-    return {"summary": {"integration": SAME, **worst, "kept": kept}, "rows": rows}
+    is_within = worst["distance_max_m"] < MAX_DISTANCE and worst["turn_max_deg"] < MAX_TURN
+    return {"summary": {"integration": SAME, **worst, "kept": is_within}, "rows": rows}
 
 
 def table_numbers(path: Path) -> list[list[float]]:
@@ -115,9 +115,9 @@ def by_counts(wheels: list[list[float]], robot: Robot, integration: str) -> list
 
 def poses_in(out: Out) -> Iterable[Pose2]:
     """The poses among what the odometry says."""
-    for said in out:
-        if isinstance(said, Publication) and said.topic is topics.ODOM:
-            yield said.message.odom_from_base  # type: ignore[attr-defined]  # the topic's type
+    for output in out:
+        if isinstance(output, Publication) and output.topic is topics.ODOM:
+            yield output.message.odom_from_base  # type: ignore[attr-defined]  # the topic's type
 
 
 def unwrapped_angles(angles: np.ndarray) -> np.ndarray:

@@ -25,13 +25,15 @@ def office(
     """Runs every seed, shows the table, writes the JSON; 0 when every run kept every promise."""
     numbers = seeds_from(seeds)
     check_writable(out)
-    one = partial(_live if live else _lockstep, robot, world, seconds=seconds, settings=settings)
+    run_one = partial(_live if live else _lockstep, robot, world, seconds=seconds, settings=settings)
     runs: list[dict[str, Any]] = []
-    for report in pool_results(one, numbers, 1 if live else jobs):
+    for report in pool_results(run_one, numbers, 1 if live else jobs):
         runs.append(report)
         s = report["summary"]
-        words = "good" if reaches_targets(report) else f"not good {report['trouble']}"
-        sys.stderr.write(f"seed {report['seed']}: {words}, {s['seconds']:.0f} s driven in {s['wall_seconds']:.0f} s\n")
+        verdict = "good" if reaches_targets(report) else f"not good {report['trouble']}"
+        sys.stderr.write(
+            f"seed {report['seed']}: {verdict}, {s['seconds']:.0f} s driven in {s['wall_seconds']:.0f} s\n"
+        )
     runs.sort(key=lambda report: int(report["seed"]))
     show_table(f"{world}, {'live' if live else 'lockstep'}", COLUMNS, [_row(report) for report in runs])
     show_table("while a task was under way", ("seed", *FIGURES.values()), [_steady_row(report) for report in runs])
@@ -53,10 +55,10 @@ def reaches_targets(report: dict[str, Any]) -> bool:
 
 def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
     """The figures over all runs: the worst of what is promised, the mean of the rest."""
-    found = [report["summary"] for report in runs]
+    summaries = [report["summary"] for report in runs]
 
     def of(key: str) -> list[float]:
-        return [row[key] for row in found if row[key] is not None]
+        return [row[key] for row in summaries if row[key] is not None]
 
     return {
         "runs": len(runs),
@@ -70,10 +72,10 @@ def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
         "pose_error_max_m_worst": max(of("pose_error_max_m"), default=None),
         "map_within_5_cm_min": min(of("map_within_5_cm"), default=None),
         "map_completeness_min": min(of("map_completeness"), default=None),
-        "seconds_mean": round(statistics.fmean(of("seconds")), 1) if found else None,
-        "distance_m_mean": round(statistics.fmean(of("distance_m")), 1) if found else None,
+        "seconds_mean": round(statistics.fmean(of("seconds")), 1) if summaries else None,
+        "distance_m_mean": round(statistics.fmean(of("distance_m")), 1) if summaries else None,
         **{f"{key}_mean": _mean(of(key)) for key in FIGURES},
-        "wall_seconds_mean": round(statistics.fmean(of("wall_seconds")), 1) if found else None,
+        "wall_seconds_mean": round(statistics.fmean(of("wall_seconds")), 1) if summaries else None,
     }
 
 

@@ -13,16 +13,16 @@ A = TypeVar("A")
 T = TypeVar("T")
 
 
-def pool_results(one: Callable[[A], T], items: Sequence[A], jobs: int) -> Iterator[T]:
-    """The results as they come; `one` and they go from process to process where there is more than one job."""
+def pool_results(work: Callable[[A], T], items: Sequence[A], jobs: int) -> Iterator[T]:
+    """The results as they come; `work` and they go from process to process where there is more than one job."""
     if jobs == 1:
         for item in items:
-            yield one(item)
+            yield work(item)
         return
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(jobs, len(items)), context, die_with_parent, (os.getpid(),))
     try:
-        for future in as_completed([pool.submit(one, item) for item in items]):
+        for future in as_completed([pool.submit(work, item) for item in items]):
             yield future.result()
     finally:  # an interrupt does not wait for items, which take minutes
         for process in multiprocessing.active_children():

@@ -93,8 +93,8 @@ def _git(root: Path, *arguments: str) -> str:
     try:
         return subprocess.run(("git", *arguments), cwd=root, check=True, capture_output=True, text=True).stdout
     except (OSError, subprocess.CalledProcessError) as error:
-        told = getattr(error, "stderr", "") or str(error)
-        raise UserError(f"no commit to measure: {told.strip()}", "run it in a git checkout of zenav") from None
+        message = getattr(error, "stderr", "") or str(error)
+        raise UserError(f"no commit to measure: {message.strip()}", "run it in a git checkout of zenav") from None
 
 
 def machine() -> str:

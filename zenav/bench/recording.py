@@ -125,14 +125,14 @@ def _scan_figures(folder: Path) -> dict[str, Any]:
 
 def scan_rows(n: int = N_SCANS) -> list[ScanRow]:
     """Sweeps of a room with a laser's noise, rounded to the mm as lasers do."""
-    rng, found = np.random.default_rng(0), []
+    rng, rows = np.random.default_rng(0), []
     room = 4 + 2 * np.sin(np.arange(N_BEAMS) / 50)
     for i in range(n):
         at = round(i * NS_PER_S / RATE)
         ranges = (room + rng.normal(0, 0.01, N_BEAMS)).round(3).astype(np.float32)
         scan = LaserScan(at, -np.pi, 2 * np.pi / N_BEAMS, 1 / RATE, 0.05, 12.0, ranges)
-        found.append((encode(scan, Envelope("sim", "bench", i, at)), at))
-    return found
+        rows.append((encode(scan, Envelope("sim", "bench", i, at)), at))
+    return rows
 
 
 def _rates(calls: dict[str, Callable[[], None]]) -> dict[str, float]:
@@ -183,19 +183,19 @@ def read_peers(path: Path) -> None:
 
 def _replay_figures(path: Path) -> dict[str, float]:
     """The mapper in process, on its journal: seconds of the drive a CPU second, its second time round."""
-    found = Recording(path)
-    file = recorded_robot_file(found)
+    recording = Recording(path)
+    file = recorded_robot_file(recording)
     if file is None:
         raise RuntimeError("the drive has no configuration")
-    events = [event for life in found.lives()["mapper"] for event in life.events]
+    events = [event for life in recording.lives()["mapper"] for event in life.events]
     seconds = (events[-1].now - events[0].now) / NS_PER_S
     _, (took, replayed) = (
-        _timed(found, service_builder(file)),
-        _timed(found, service_builder(file)),
+        _timed(recording, service_builder(file)),
+        _timed(recording, service_builder(file)),
     )  # the first loads the kernels
     if replayed.gaps:
         raise RuntimeError(f"the drive does not replay: {replayed.gaps[0]}")
-    runner, _ = _timed(found, lambda name: idle_service(service_class(name)))
+    runner, _ = _timed(recording, lambda name: idle_service(service_class(name)))
     return {
         "seconds": round(seconds, 1), "cpu_s": round(took, 3), "runner_cpu_s": round(runner, 3),
         "ratio": round(seconds / took, 1), "own_ratio": round(seconds / max(took - runner, 1e-9), 1),
@@ -203,9 +203,9 @@ def _replay_figures(path: Path) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _timed(found: Recording, build: Build) -> tuple[float, Replayed]:
+def _timed(recording: Recording, build: Build) -> tuple[float, Replayed]:
     begun = time.process_time()
-    replayed = replay(found, ["mapper"], build)
+    replayed = replay(recording, ["mapper"], build)
     return time.process_time() - begun, replayed
 
 
@@ -214,8 +214,8 @@ def idle_service(class_: type[Service]) -> Service:
     marked = handlers(class_)
     methods: dict[str, Any] = {name: on(topic)(lambda self, message: ()) for topic, name in marked.topics.values()}
     methods |= {name: every(hz)(lambda self: ()) for hz, name, _ in marked.ticks}
-    made: Any = type("Idle", (Service,), methods)
-    return cast(Service, made(None, None))
+    idle_type: Any = type("Idle", (Service,), methods)
+    return cast(Service, idle_type(None, None))
 
 
 def _recorder_figures(path: Path, logs: Path, live: Path, stop: StopFlag) -> dict[str, float]:
@@ -229,11 +229,11 @@ def _recorder_figures(path: Path, logs: Path, live: Path, stop: StopFlag) -> dic
     with free_stack() as claim, Client("x80", claim.where) as client, subscriber(claim.where.domain) as bare:
         command = service_command("recorder", "x80sv", str(claim.where.domain), [f"recorder.file={live}"])
         with Launcher({"recorder": command}, logs) as launcher:
-            heard: list[str] = []
-            client.listen_raw("health/recorder", lambda key, _: heard.append(key))
+            health_keys: list[str] = []
+            client.listen_raw("health/recorder", lambda key, _: health_keys.append(key))
             launcher.start_all()
             limit = time.monotonic() + START
-            while not heard and not stop.is_set():
+            while not health_keys and not stop.is_set():
                 if time.monotonic() > limit:
                     raise UserError("the recorder does not answer", f"see {logs}/recorder.log")
                 stop.wait(0.1)
@@ -251,8 +251,8 @@ def _recorder_figures(path: Path, logs: Path, live: Path, stop: StopFlag) -> dic
                     seen.append((time.monotonic(), _cpu(process), _cpu(bare)))
             wall = time.monotonic() - begun
             stop.wait(1.5)  # it flushes twice a second
-    found = Recording(live)
-    n = sum(not entry.key.endswith("/recorder") for entry in found.entries())
+    recording = Recording(live)
+    n = sum(not entry.key.endswith("/recorder") for entry in recording.entries())
     parts = [(cpu / took, bare_cpu / took) for took, cpu, bare_cpu in np.diff(seen, axis=0)]
     shares, bare_shares = zip(*(parts or [(0.0, 0.0)]))
     return {
@@ -296,18 +296,18 @@ def _hour_figures(driven: Path, path: Path, hours: float) -> dict[str, float]:
     """Times, s, of a long recording: its opening, a seek into its middle, its info; each once."""
     n = make_hour(driven, path, hours)
     begun = time.perf_counter()
-    found = Recording(path)
+    recording = Recording(path)
     opened = time.perf_counter() - begun
-    blocks = found.blocks
+    blocks = recording.blocks
     middle = (blocks[0].begin + blocks[-1].end) // 2
     begun = time.perf_counter()
-    next(found.entries(["scan"], middle))
+    next(recording.entries(["scan"], middle))
     sought = time.perf_counter() - begun
     begun = time.perf_counter()
-    told = recording_info(path)
+    info = recording_info(path)
     informed = time.perf_counter() - begun
-    if told.messages != n:
-        raise RuntimeError(f"info counts {told.messages} of {n} messages")
+    if info.messages != n:
+        raise RuntimeError(f"info counts {info.messages} of {n} messages")
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     begun = time.perf_counter()
     subprocess.run([sys.executable, "-m", "zenav", "recording", "info", str(path)], stdout=subprocess.DEVNULL)

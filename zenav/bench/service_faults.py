@@ -49,7 +49,7 @@ class FaultReport:
         return self.service in VELOCITY_PATH
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         return f"{self.kind} {self.service}" + (f" for {self.lasts:.1f} s" if self.lasts else "")
 
     def as_json(self) -> dict[str, Any]:

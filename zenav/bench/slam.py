@@ -71,21 +71,21 @@ def selected_logs(directory: Path, names: Sequence[str] = ()) -> list[ReferenceL
     """
     if not directory.is_dir():
         raise UserError(f"there is no folder {directory}", "give the folder that holds the logs")
-    found: dict[str, ReferenceLog] = {}
+    logs: dict[str, ReferenceLog] = {}
     for suffix in LOGS:
         for log in directory.glob(f"*{suffix}"):
             name = log.name.removesuffix(suffix)
             references = tuple(path for end in REFERENCES if (path := directory / f"{name}{end}").is_file())
             if references:
-                found.setdefault(name, ReferenceLog(name, log, references))
-    if not found:
+                logs.setdefault(name, ReferenceLog(name, log, references))
+    if not logs:
         raise UserError(
             f"{directory} holds no log with a reference", "NAME.log.gz or NAME.log, and NAME.relations or NAME.ref.tum"
         )
     for name in names:
-        if name not in found:
-            raise UserError(f"{directory} holds no log {name} with a reference", nearest(name, tuple(sorted(found))))
-    return [found[name] for name in sorted(found) if name in (names or found)]
+        if name not in logs:
+            raise UserError(f"{directory} holds no log {name} with a reference", nearest(name, tuple(sorted(logs))))
+    return [logs[name] for name in sorted(logs) if name in (names or logs)]
 
 
 def map_in_process(logged: ReferenceLog, folder: Path, registrar: "Registrar" = "line") -> dict[str, Any]:
@@ -115,7 +115,7 @@ def map_log(logged: ReferenceLog, folder: Path, registrar: "Registrar" = "line")
     try:
         report = mapped(logged.log, folder, config=config_with_registrar(registrar))
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # before scoring takes some
-        found = {
+        errors_by_kind = {
             kind: row for path in logged.references for kind, row in slam_errors(folder / TRAJECTORY, path).items()
         }
     except UserError as error:
@@ -123,7 +123,11 @@ def map_log(logged: ReferenceLog, folder: Path, registrar: "Registrar" = "line")
     except Exception as error:
         traceback.print_exc()
         return {"trouble": repr(error)}
-    errors = {kind: {key: round(value, 5) for key, value in found[kind].items()} for kind in KINDS if kind in found}
+    errors = {
+        kind: {key: round(value, 5) for key, value in errors_by_kind[kind].items()}
+        for kind in KINDS
+        if kind in errors_by_kind
+    }
     return report | {"memory_mb": round(memory, 1), "errors": errors}
 
 

@@ -84,9 +84,9 @@ class SoakView(RunView):
             self._sampled = seconds
             for name, child in self._launcher.children.items():
                 if child.running and child.process is not None:
-                    found = sample(child.process.pid, seconds)
-                    if found is not None:
-                        self.samples.setdefault(name, []).append(found)
+                    newest = sample(child.process.pid, seconds)
+                    if newest is not None:
+                        self.samples.setdefault(name, []).append(newest)
 
     def end(self) -> None:
         if self.faults is not None:
@@ -110,7 +110,7 @@ def growths(samples: dict[str, list[ProcessSample]], since: float) -> list[Growt
 
     Medians of the first and of the last fifth of its samples; processes with under ten of them are left out.
     """
-    found = []
+    growing = []
     for name, rows in samples.items():
         life = [row for row in rows if row.pid == rows[-1].pid and row.at >= since]
         n = len(life) // 5
@@ -118,8 +118,8 @@ def growths(samples: dict[str, list[ProcessSample]], since: float) -> list[Growt
             continue
         first, last = _medians(life[:n]), _medians(life[-n:])
         files, threads = round(last[1] - first[1]), round(last[2] - first[2])
-        found.append(Growth(name, round(first[0], 1), round(last[0], 1), files, threads))
-    return found
+        growing.append(Growth(name, round(first[0], 1), round(last[0], 1), files, threads))
+    return growing
 
 
 def _medians(rows: list[ProcessSample]) -> tuple[float, float, float]:
@@ -151,7 +151,7 @@ def soak(robot: str, world: str, minutes: float, every: float, seed: int, out: P
 def report_of(outcome: ScenarioResult, view: SoakView, recording: Path, minutes: float) -> dict[str, Any]:
     """The figures, and under `broken` each promise that did not hold."""
     since, window = min(WARM_UP, 20 * minutes), min(WINDOW, 20 * minutes)
-    found = growths(view.samples, since)
+    growth = growths(view.samples, since)
     p99 = latency_drift(recording, outcome, window)
     faults = view.faults.reports if view.faults is not None else []
     contacts = outcome.track.truth.n_contacts if outcome.track.truth is not None else 0
@@ -159,13 +159,13 @@ def report_of(outcome: ScenarioResult, view: SoakView, recording: Path, minutes:
     stood = [row for row in faults if row.resumed_s > MAX_RESUME_S]
     broken = [
         *([f"{contacts} contacts"] if contacts else []),
-        *([] if view.faults else [f"{row.name} grows" for row in found if not row.holds]),
+        *([] if view.faults else [f"{row.name} grows" for row in growth if not row.holds]),
         *([f"latency p99 went from {p99[0]:.1f} to {p99[1]:.1f} ms"] if p99[1] > MAX_DRIFT * p99[0] > 0 else []),
-        *(f"{row.words} after {row.at:.0f} s: zero command after {row.zero_s:.2f} s" for row in slow),
-        *(f"{row.words} after {row.at:.0f} s: the robot stood for {row.resumed_s:.1f} s" for row in stood),
+        *(f"{row.description} after {row.at:.0f} s: zero command after {row.zero_s:.2f} s" for row in slow),
+        *(f"{row.description} after {row.at:.0f} s: the robot stood for {row.resumed_s:.1f} s" for row in stood),
         *([f"the run ended: {outcome.trouble}"] if outcome.trouble not in ("", "out of time") else []),
     ]
-    told = outcome.report()
+    figures = outcome.report()
     return {
         "summary": {
             "minutes": minutes,
@@ -178,13 +178,13 @@ def report_of(outcome: ScenarioResult, view: SoakView, recording: Path, minutes:
             "not_resumed": len(stood),
             "latency_p99_ms_first": round(p99[0], 2),
             "latency_p99_ms_last": round(p99[1], 2),
-            "map_error_mean_m": told["summary"]["map_error_mean_m"],
-            "map_within_5_cm": told["summary"]["map_within_5_cm"],
-            "pose_error_mean_m": told["summary"]["pose_error_mean_m"],
+            "map_error_mean_m": figures["summary"]["map_error_mean_m"],
+            "map_within_5_cm": figures["summary"]["map_within_5_cm"],
+            "pose_error_mean_m": figures["summary"]["pose_error_mean_m"],
         },
-        "growth": [asdict(row) for row in found],
+        "growth": [asdict(row) for row in growth],
         "faults": [row.as_json() for row in faults],
-        "legs": told["legs"],
+        "legs": figures["legs"],
         "restarts": outcome.restarts,
         "broken": broken,
     }
@@ -195,11 +195,11 @@ def latency_drift(recording: Path, outcome: ScenarioResult, window: float) -> tu
     first = outcome.track.first_motion
     if first is None:
         return 0.0, 0.0
-    found = latency_chain(recording, first)
-    if not len(found.latency):
+    chain = latency_chain(recording, first)
+    if not len(chain.latency):
         return 0.0, 0.0
-    n = max(1, round(len(found.latency) * min(0.5, window / max(outcome.wall_seconds, 1.0))))
-    first_ms, last_ms = (float(np.percentile(part, 99)) * 1e3 for part in (found.latency[:n], found.latency[-n:]))
+    n = max(1, round(len(chain.latency) * min(0.5, window / max(outcome.wall_seconds, 1.0))))
+    first_ms, last_ms = (float(np.percentile(part, 99)) * 1e3 for part in (chain.latency[:n], chain.latency[-n:]))
     return first_ms, last_ms
 
 

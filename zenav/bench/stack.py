@@ -34,10 +34,10 @@ def stack(robot: str, world: str, seconds: float, out: Path | None, settings: li
         raise UserError(f"the robot did not move: {outcome.trouble}", f"see the logs in {folder}")
     file = chosen.file
     spent = handler_times(recording, lambda name: build_service(name, file, file.robot))
-    found = latency_chain(recording, outcome.track.first_motion, spent)
-    if not len(found.latency):
+    chain = latency_chain(recording, outcome.track.first_motion, spent)
+    if not len(chain.latency):
         raise UserError("no scan led to a command", f"see the logs in {folder}")
-    report = latency_figures(found)
+    report = latency_figures(chain)
     report["summary"] |= {
         "first_motion_s": round(outcome.first_motion or 0.0, 2),
         "cpu_total": round(sum(row["cpu"] for row in outcome.processes.values()), 3),

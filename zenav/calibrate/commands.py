@@ -44,20 +44,20 @@ def calibrate_odometry(
     else:
         log, ends = _driven_squares(known_robot, stack, side, n_runs, measured, yes)
     solution, track, why_not = _solution(log, known_robot, method)
-    known: BasePoses | None = None
+    truth: BasePoses | None = None
     if ends is None or solution is not None:
         mount = None if solution is None else solution.mount
-        known = odometry.truth(log, known_robot, source, track, mount)
+        truth = odometry.truth(log, known_robot, source, track, mount)
     squares: Squares | None = None
     if method != "scans":
         try:
-            squares = odometry.by_squares(log, known_robot, known, ends)
+            squares = odometry.by_squares(log, known_robot, truth, ends)
         except UserError:
             if method == "umbmark" or solution is None:
                 raise
     if solution is None and squares is None:
         raise why_not
-    after = report.print_odometry(log, known_robot, known, squares, solution, why_not if method != "umbmark" else None)
+    after = report.print_odometry(log, known_robot, truth, squares, solution, why_not if method != "umbmark" else None)
     values: Values = {
         "robot.drive.wheel_radius": round(after.radius, 5),
         "robot.drive.wheel_radius_ratio": round(after.ratio, 5),
@@ -65,7 +65,7 @@ def calibrate_odometry(
     }
     if solution is None:
         values = {key: value for key, value in values.items() if key != "robot.drive.wheel_radius"}
-    picture = odometry.charts(log, known_robot, known, squares, after)
+    picture = odometry.charts(log, known_robot, truth, squares, after)
     return _write_results(robot, known_robot, values, picture, "odometry", writes)
 
 
@@ -105,20 +105,20 @@ def calibrate_motors(robot: str, stack: str, blocks: bool, speed: float | None, 
     with ManoeuvreRunner(known_robot, stack) as operator:
         phases = operator.perform(motor_drive(drive, blocks, speed))
         log = operator.log
-    found = motor_response.wheel_turns(log, phases, drive)
+    turns = motor_response.wheel_turns(log, phases, drive)
     if not blocks:
-        found = motors.by_motion(found, log, phases, known_robot)
+        turns = motors.by_motion(turns, log, phases, known_robot)
     elif sys.stdin.isatty():
-        found = motors.with_answers(found, [ask_answers(t) for t in found])
+        turns = motors.with_answers(turns, [ask_answers(t) for t in turns])
     answers = motor_response.lags(log, phases, drive)
     stops = motor_response.brakings(log, phases, drive)
     values: dict[str, float | int] = {}
-    if motor_response.reversed_motors(found):
+    if motor_response.reversed_motors(turns):
         values["robot.drive.motor_direction"] = -drive.motor_direction
     if (braking := motors.reached_braking(stops)) is not None:
         values["robot.drive.max_braking"] = braking
-    wrong = motor_response.directions(found, drive)
-    report.print_motors(drive, found, wrong, answers, stops, motor_response.dead_band(log, phases, drive))
+    wrong = motor_response.directions(turns, drive)
+    report.print_motors(drive, turns, wrong, answers, stops, motor_response.dead_band(log, phases, drive))
     _write_results(robot, known_robot, values, motors.charts(log, phases, known_robot, answers), "motors", writes)
     return 1 if wrong else 0
 
@@ -202,22 +202,22 @@ def _write_results(robot: str, before: Robot, values: Values, charts: list[Chart
 
 def ask_answers(turned: motor_response.WheelTurn) -> str:
     """What people saw turn, as a key of motors.KEYS, or nothing."""
-    way = "forward" if turned.asked > 0 else "backward"
+    direction = "forward" if turned.asked > 0 else "backward"
     while True:
-        told = _line(
-            f"'the {motor_response.WHEELS[turned.wheel]} wheel alone, {way}': what turned? "
+        answer = _line(
+            f"'the {motor_response.WHEELS[turned.wheel]} wheel alone, {direction}': what turned? "
             "Enter: just that; lf, lb, rf, rb: left or right, forward or backward; -: nothing: "
         ).lower()
-        if not told or told in motors.KEYS:
-            return told
+        if not answer or answer in motors.KEYS:
+            return answer
 
 
 def read_end_pose() -> tuple[float, float]:
     """Where the robot ended, as measured with a tape."""
     while True:
-        told = _line("Where is it now, from the mark? X Y in m, X along the first side, Y to its left: ").split()
+        parts = _line("Where is it now, from the mark? X Y in m, X along the first side, Y to its left: ").split()
         try:
-            x, y = (float(part.rstrip(",")) for part in told)
+            x, y = (float(part.rstrip(",")) for part in parts)
         except ValueError:
             continue
         if max(abs(x), abs(y)) < 5:

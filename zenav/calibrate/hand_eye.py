@@ -114,36 +114,36 @@ def intervals(rolled: WheelTravel, track: ScanTrack) -> MotionIntervals:
         begin, travel, turn = i, 0.0, 0.0
     chosen = np.array(pairs, np.intp).reshape(-1, 2)
     chosen = chosen[rolled.is_known(track.stamps[chosen[:, 0]], track.stamps[chosen[:, 1]])]
-    found = MotionIntervals(
+    motions = MotionIntervals(
         path,
         index[chosen[:, 0]],
         index[chosen[:, 1]],
         relative_poses(track.poses[chosen[:, 0]], track.poses[chosen[:, 1]]),
     )
-    _enough(found)
-    return found
+    _enough(motions)
+    return motions
 
 
-def _enough(found: MotionIntervals) -> None:
+def _enough(motions: MotionIntervals) -> None:
     """Raises UserError where a drive does not determine the six numbers."""
-    travel = float(np.hypot(found.laser[:, 0], found.laser[:, 1]).sum())
-    turning = float(np.abs(found.laser[:, 2]).sum())
+    travel = float(np.hypot(motions.laser[:, 0], motions.laser[:, 1]).sum())
+    turning = float(np.abs(motions.laser[:, 2]).sum())
     if turning < MIN_TURNING_RAD:
         raise UserError(
             f"the drive turns by {np.degrees(turning):.0f} degrees in all, "
             f"{np.degrees(MIN_TURNING_RAD):.0f} are needed",
             "record again with turns on the spot and curves, to both sides",
         )
-    straight = np.abs(found.laser[:, 2]) < 0.5 * STEP_TURN
-    driven = float(np.hypot(found.laser[straight, 0], found.laser[straight, 1]).sum())
+    straight = np.abs(motions.laser[:, 2]) < 0.5 * STEP_TURN
+    driven = float(np.hypot(motions.laser[straight, 0], motions.laser[straight, 1]).sum())
     if min(travel, driven) < MIN_TRAVEL_M:
         raise UserError(
             f"the drive goes straight on for {driven:.1f} m in all, {MIN_TRAVEL_M:g} are needed",
             "record again with some metres straight on between the turns",
         )
-    if len(found.begin) < MIN_INTERVALS:
+    if len(motions.begin) < MIN_INTERVALS:
         raise UserError(
-            f"the drive has {len(found.begin)} usable pieces of {STEP} m or {np.degrees(STEP_TURN):.0f} degrees",
+            f"the drive has {len(motions.begin)} usable pieces of {STEP} m or {np.degrees(STEP_TURN):.0f} degrees",
             f"drive for longer: {MIN_INTERVALS} are the least, 100 are good",
         )
 
@@ -231,9 +231,9 @@ def solve(pieces: MotionIntervals, wheels: WheelGeometry, mount: Float64s) -> Ha
     n = 3 * len(pieces.begin)
     covariance = np.linalg.inv(information) * np.outer(mirror, mirror) * n / (n - 6)
     yaw = wrapped(float(x[5]) + (pi if best.x[2] < 0 else 0.0))
-    found, place = WheelGeometry(*(float(v) for v in x[:3])), np.array((x[3], x[4], yaw))
-    _forward(found)
-    return HandEyeSolution(found, place, covariance, residuals(pieces, found, place), slip)
+    fitted, fitted_mount = WheelGeometry(*(float(v) for v in x[:3])), np.array((x[3], x[4], yaw))
+    _forward(fitted)
+    return HandEyeSolution(fitted, fitted_mount, covariance, residuals(pieces, fitted, fitted_mount), slip)
 
 
 def _noise(off: Float64s, scans: Float64s, wheels: Float64s, match: float, slip: float) -> tuple[float, float]:
@@ -280,9 +280,9 @@ def _observed(information: Float64s, scale: Float64s) -> None:
     """Raises UserError where the motion leaves a combination of the six numbers open."""
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     if values[0] <= 0 or values[-1] / max(values[0], 1e-300) > 1e8:
-        least = NAMES[int(np.argmax(np.abs(vectors[:, 0])))]
+        unobserved = NAMES[int(np.argmax(np.abs(vectors[:, 0])))]
         raise UserError(
-            f"this drive does not determine the {least}: every piece of it moves alike",
+            f"this drive does not determine the {unobserved}: every piece of it moves alike",
             "record again with some metres straight on, and turns on the spot to both sides",
         )
 
@@ -296,13 +296,13 @@ def _forward(wheels: WheelGeometry) -> None:
             )
 
 
-def uncertain_values(found: HandEyeSolution) -> list[str]:
+def uncertain_values(solution: HandEyeSolution) -> list[str]:
     """What is not known well enough to be written, in words; empty where all is."""
-    limits = {"wheel_radius": (found.sigma_radius / found.wheels.radius, 0.02),
-              "wheel_radius_ratio": (found.sigma_ratio, 0.02),
-              "wheel_distance": (found.sigmas[2] / found.wheels.distance, 0.02),
-              "mount.x": (found.sigmas[3], 0.02), "mount.y": (found.sigmas[4], 0.02),
-              "mount.yaw": (found.sigmas[5], radians(1.0))}  # fmt: skip
+    limits = {"wheel_radius": (solution.sigma_radius / solution.wheels.radius, 0.02),
+              "wheel_radius_ratio": (solution.sigma_ratio, 0.02),
+              "wheel_distance": (solution.sigmas[2] / solution.wheels.distance, 0.02),
+              "mount.x": (solution.sigmas[3], 0.02), "mount.y": (solution.sigmas[4], 0.02),
+              "mount.yaw": (solution.sigmas[5], radians(1.0))}  # fmt: skip
     return [f"{name} is known to {sigma:.3f} only" for name, (sigma, limit) in limits.items() if sigma > limit]
 
 

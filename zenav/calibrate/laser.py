@@ -18,21 +18,21 @@ TURNING = 1.5  # rad that these scans turn by, if the drive has it: a wrong moun
 
 def rms(off: Float64s) -> tuple[float, float]:
     """m and rad, root mean square of residuals (n, 3); what the worst twentieth does (a slip) is left out."""
-    way, turn = np.sort(np.hypot(off[:, 0], off[:, 1])), np.sort(np.abs(off[:, 2]))
+    distances, turns = np.sort(np.hypot(off[:, 0], off[:, 1])), np.sort(np.abs(off[:, 2]))
     n = max(1, round(0.95 * len(off)))
-    return float(np.sqrt(np.mean(way[:n] ** 2))), float(np.sqrt(np.mean(turn[:n] ** 2)))
+    return float(np.sqrt(np.mean(distances[:n] ** 2))), float(np.sqrt(np.mean(turns[:n] ** 2)))
 
 
-def charts(log: CalibrationLog, robot: Robot, found: HandEyeSolution, pieces: MotionIntervals) -> list[Chart]:
+def charts(log: CalibrationLog, robot: Robot, solution: HandEyeSolution, pieces: MotionIntervals) -> list[Chart]:
     """How far off each piece of the drive was, and the walls as the robot saw them, with the old mount and the new."""
-    before = residuals(pieces, found.wheels, mount_of(robot))
+    before = residuals(pieces, solution.wheels, mount_of(robot))
     spread = Chart("Each piece of the way: scans less wheels", "forward of the laser, mm", "to its left, mm", True)
     spread.dots(1e3 * before[:, 0], 1e3 * before[:, 1], BEFORE, "mount before")
-    spread.dots(1e3 * found.residuals[:, 0], 1e3 * found.residuals[:, 1], AFTER, "mount after")
-    scans = scans_while_turning(log, found.wheels)
+    spread.dots(1e3 * solution.residuals[:, 0], 1e3 * solution.residuals[:, 1], AFTER, "mount after")
+    scans = scans_while_turning(log, solution.wheels)
     walls = Chart("The walls while the robot turns", "x, m", "y, m", True)
-    for mount, colour, name in ((mount_of(robot), BEFORE, "mount before"), (found.mount, AFTER, "mount after")):
-        points = scan_points(scans, log, found.wheels, mount)
+    for mount, colour, name in ((mount_of(robot), BEFORE, "mount before"), (solution.mount, AFTER, "mount after")):
+        points = scan_points(scans, log, solution.wheels, mount)
         walls.dots(points[:, 0], points[:, 1], colour, name)
     return [spread, walls]
 
@@ -60,5 +60,5 @@ def scan_points(scans: list[LaserScan], log: CalibrationLog, wheels: WheelGeomet
         ranges = np.where((scan.ranges > scan.range_min) & (scan.ranges < scan.range_max), scan.ranges, np.nan)
         angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges)) + laser[:, 2]
         points.append(laser[:, :2] + ranges[:, None] * np.column_stack((np.cos(angles), np.sin(angles))))
-    found = np.concatenate(points)
-    return np.asarray(found[np.isfinite(found).all(axis=1)])
+    stacked = np.concatenate(points)
+    return np.asarray(stacked[np.isfinite(stacked).all(axis=1)])

@@ -93,9 +93,9 @@ def same_laser(scans: list[LaserScan], laser: Laser) -> None:
         return
     scan = scans[len(scans) // 2]
     if abs(scan.angle_increment - laser.angle_increment) > 1e-3 or abs(scan.angle_min - laser.angle_min) > 1e-2:
-        told = f"first beam {scan.angle_min:.3f}, step {scan.angle_increment:.5f} rad"
+        geometry = f"first beam {scan.angle_min:.3f}, step {scan.angle_increment:.5f} rad"
         raise UserError(
-            f"the scans are of another laser ({told}) than robot.laser says",
+            f"the scans are of another laser ({geometry}) than robot.laser says",
             "name the robot that recorded: --robot, or correct robot.laser",
         )
 

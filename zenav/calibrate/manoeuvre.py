@@ -61,8 +61,8 @@ class Deadline:
         self._begun = seen.now if self._begun is None else self._begun
         silent = seen.odom is None or seen.now - seen.odom.stamp > FRESH * 1e9
         guard = seen.guard
-        held = guard is None or guard.state in (GuardState.HOLD, GuardState.STOPPED, GuardState.FAULT)
-        if not silent and not held:
+        is_stopped = guard is None or guard.state in (GuardState.HOLD, GuardState.STOPPED, GuardState.FAULT)
+        if not silent and not is_stopped:
             self._good = seen.now
         stuck = seen.now - (self._begun if self._good is None else self._good) > MAX_WAIT_S * 1e9
         over = seen.now - self._begun > self._seconds * 1e9
@@ -178,7 +178,7 @@ def umbmark_drive(side: float, n_runs: int, speed: float, rate: float, drive: Dr
     for i in range(2 * n_runs):
         if i and again and home is not None:
             yield from back_to(home, speed, rate, drive)
-        way = "clockwise" if i % 2 == 0 else "counter-clockwise"
-        yield from stand(1.5, f"square {i + 1} of {2 * n_runs}, {way}")
+        direction = "clockwise" if i % 2 == 0 else "counter-clockwise"
+        yield from stand(1.5, f"square {i + 1} of {2 * n_runs}, {direction}")
         yield from square(side, i % 2 == 0, speed, rate, drive)
         yield from stand(1.5)

@@ -54,9 +54,9 @@ class WheelTurn:
 
 def faster_wheel(left: float, right: float, asked: float) -> Wheel | None:
     """The wheel that turned more, of the ways (m) of both; None where neither turned as if it had been asked to."""
-    ways = (left, right)
-    i = int(np.argmax(np.abs(ways)))
-    return (i, 1 if ways[i] > 0 else -1) if abs(ways[i]) > TURNS * abs(asked) else None
+    distances = (left, right)
+    i = int(np.argmax(np.abs(distances)))
+    return (i, 1 if distances[i] > 0 else -1) if abs(distances[i]) > TURNS * abs(asked) else None
 
 
 def wheel_of_motion(forward: float, turn: float, asked: float, distance: float) -> Wheel | None:
@@ -96,56 +96,58 @@ class BrakingRun:
 
 def wheel_turns(log: CalibrationLog, phases: Sequence[MotorPhase], drive: Drive) -> list[WheelTurn]:
     """What each wheel did when it was asked to turn alone, by the encoders."""
-    rolled, found = log.rolled, []
+    rolled, turns = log.rolled, []
     for phase in (p for p in phases if p.kind is PhaseKind.ALONE):
         left, right = rolled.at(np.array([phase.begin, phase.end + 500_000_000], np.int64))
         wheel = 0 if phase.left else 1
         seconds = (phase.end - phase.begin) * 1e-9
         asked = (phase.left, phase.right)[wheel] * seconds
-        found.append(
+        turns.append(
             WheelTurn(wheel, asked, float(left[1] - left[0]) * drive.left_radius,
                    float(right[1] - right[0]) * drive.right_radius)
         )  # fmt: skip
-    return found
+    return turns
 
 
-def directions(found: Sequence[WheelTurn], drive: Drive) -> list[tuple[str, str]]:
+def directions(turns: Sequence[WheelTurn], drive: Drive) -> list[tuple[str, str]]:
     """Errors of motors and encoders, each with its hint; empty where there is none."""
     wrong: list[tuple[str, str]] = []
-    if found and all(t.counted is not None and t.counted[0] != t.wheel for t in found):
-        told = "the encoders are exchanged: one counts when the other wheel is asked to turn"
-        wrong.append((told, "exchange the encoders' plugs; if the robot also turns the wrong way, the motors' instead"))
+    if turns and all(t.counted is not None and t.counted[0] != t.wheel for t in turns):
+        error = "the encoders are exchanged: one counts when the other wheel is asked to turn"
+        wrong.append(
+            (error, "exchange the encoders' plugs; if the robot also turns the wrong way, the motors' instead")
+        )
     else:
-        for t in found:
-            name, way = WHEELS[t.wheel], "forward" if t.asked > 0 else "backward"
+        for t in turns:
+            name, direction = WHEELS[t.wheel], "forward" if t.asked > 0 else "backward"
             if t.counted is None:
-                told = f"the {name} wheel does not turn {way}, or its encoder does not count"
-                wrong.append((told, "check its motor, its encoder and their plugs"))
+                error = f"the {name} wheel does not turn {direction}, or its encoder does not count"
+                wrong.append((error, "check its motor, its encoder and their plugs"))
             elif t.counted == (t.wheel, -t.commanded[1]):
                 wrong.append((f"the {name} encoder counts against its motor", "exchange its channels A and B"))
-    known = [(t.seen, t.commanded) for t in found if t.seen is not None]
-    if known and all(seen == (wheel, -sign) for seen, (wheel, sign) in known):
-        told = "the robot drives backward when it is asked to drive forward"
-        wrong.append((told, f"set robot.drive.motor_direction: {-drive.motor_direction}"))
-    elif known and all(seen[0] != wheel for seen, (wheel, _) in known):
-        same = all(seen[1] == sign for seen, (_, sign) in known)
-        told = "the motors are exchanged" + ("" if same else ", and run backward")
-        wrong.append((told, "exchange the motors' plugs, and the encoders'" + ("" if same else "; then try again")))
+    seen_and_commanded = [(t.seen, t.commanded) for t in turns if t.seen is not None]
+    if seen_and_commanded and all(seen == (wheel, -sign) for seen, (wheel, sign) in seen_and_commanded):
+        error = "the robot drives backward when it is asked to drive forward"
+        wrong.append((error, f"set robot.drive.motor_direction: {-drive.motor_direction}"))
+    elif seen_and_commanded and all(seen[0] != wheel for seen, (wheel, _) in seen_and_commanded):
+        same = all(seen[1] == sign for seen, (_, sign) in seen_and_commanded)
+        error = "the motors are exchanged" + ("" if same else ", and run backward")
+        wrong.append((error, "exchange the motors' plugs, and the encoders'" + ("" if same else "; then try again")))
     else:
-        for seen, (wheel, sign) in known:
+        for seen, (wheel, sign) in seen_and_commanded:
             if seen == (wheel, -sign):
                 wrong.append((f"the {WHEELS[wheel]} motor runs backward", "exchange the two wires of this motor"))
     return list(dict.fromkeys(wrong))
 
 
-def reversed_motors(found: Sequence[WheelTurn]) -> bool:
+def reversed_motors(turns: Sequence[WheelTurn]) -> bool:
     """Whether both wheels turn the other way, and their encoders with them: a matter of the sign alone."""
-    return bool(found) and all(t.seen == (t.wheel, -t.commanded[1]) and t.counted == t.commanded for t in found)
+    return bool(turns) and all(t.seen == (t.wheel, -t.commanded[1]) and t.counted == t.commanded for t in turns)
 
 
 def dead_band(log: CalibrationLog, phases: Sequence[MotorPhase], drive: Drive) -> dict[tuple[int, int], float]:
     """(wheel, sign) -> m/s at the rim, the smallest command that turned it; nan where none did."""
-    rolled, found = log.rolled, {}
+    rolled, bands = log.rolled, {}
     count = 2 * pi / drive.counts_per_turn
     for phase in (p for p in phases if p.kind is PhaseKind.STAIRS):
         stamps = np.arange(phase.begin, phase.end + 100_000_000, 20_000_000)
@@ -153,8 +155,8 @@ def dead_band(log: CalibrationLog, phases: Sequence[MotorPhase], drive: Drive) -
         for wheel, angles in enumerate(rolled.at(stamps)):
             sign = 1 if (phase.left, phase.right)[wheel] > 0 else -1
             moving = np.flatnonzero(sign * (angles - angles[0]) >= 1.5 * count)
-            found[(wheel, sign)] = abs(float(command[moving[0], wheel])) if len(moving) else float("nan")
-    return found
+            bands[(wheel, sign)] = abs(float(command[moving[0], wheel])) if len(moving) else float("nan")
+    return bands
 
 
 def rims_asked(motors: Sequence[MotorCommand], stamps: Int64s, drive: Drive) -> Float64s:
@@ -182,7 +184,7 @@ def lags(log: CalibrationLog, phases: Sequence[MotorPhase], drive: Drive) -> lis
     steps = [p for p in phases if p.kind is PhaseKind.STEP]
     if not steps:
         return []
-    rolled, found = log.rolled, []
+    rolled, fitted = log.rolled, []
     for wheel in (0, 1):
         parts = []
         for phase in steps:
@@ -197,8 +199,8 @@ def lags(log: CalibrationLog, phases: Sequence[MotorPhase], drive: Drive) -> lis
         fits = [least_squares(off, s, bounds=bounds, x_scale=(1, 0.05, 0.05), diff_step=1e-3) for s in starts]
         gain, delay, lag = min(fits, key=lambda fit: fit.cost).x
         overshoots, errors = zip(*(_steady_state(rolled, phase, wheel, drive) for phase in steps))
-        found.append(FirstOrderLag(float(gain), float(delay), float(lag), max(overshoots), float(np.mean(errors))))
-    return found
+        fitted.append(FirstOrderLag(float(gain), float(delay), float(lag), max(overshoots), float(np.mean(errors))))
+    return fitted
 
 
 def first_order(asked: Float64s, gain: float, delay: float, lag: float) -> Float64s:
@@ -228,7 +230,7 @@ def _steady_state(rolled: WheelTravel, phase: MotorPhase, wheel: int, drive: Dri
 
 def brakings(log: CalibrationLog, phases: Sequence[MotorPhase], drive: Drive) -> list[BrakingRun]:
     """Each stop, from the motors' first zero to standstill."""
-    rolled, found = log.rolled, []
+    rolled, runs = log.rolled, []
     for phase in (p for p in phases if p.kind is PhaseKind.STOP):
         zero = next((m.stamp for m in log.motors if m.stamp >= phase.begin and not (m.left or m.right)), None)
         if zero is None:
@@ -240,6 +242,6 @@ def brakings(log: CalibrationLog, phases: Sequence[MotorPhase], drive: Drive) ->
         if not len(stands) or speed < 0.05:
             continue
         left, right = rolled.at(np.array([zero, phase.end], np.int64))
-        way = ((left[1] - left[0]) * drive.left_radius + (right[1] - right[0]) * drive.right_radius) / 2
-        found.append(BrakingRun(speed, float(way), float(times[stands[0]] - zero) * 1e-9))
-    return found
+        distance = ((left[1] - left[0]) * drive.left_radius + (right[1] - right[0]) * drive.right_radius) / 2
+        runs.append(BrakingRun(speed, float(distance), float(times[stands[0]] - zero) * 1e-9))
+    return runs

@@ -54,15 +54,15 @@ def motor_drive(drive: Drive, blocks: bool, speed: float) -> Manoeuvre[list[Moto
     signs = (1.0, -1.0) if drive.max_reverse_speed >= ALONE_SPEED / 2 else (1.0,)
     for name, left, right in (("left", 1.0, 0.0), ("right", 0.0, 1.0)):
         for sign in signs:
-            way = "forward" if sign > 0 else "backward"
+            direction = "forward" if sign > 0 else "backward"
             rim = (sign * ALONE_SPEED * left, sign * ALONE_SPEED * right)
-            yield from _hold(phases, PhaseKind.ALONE, *rim, ALONE_FOR, drive, f"the {name} wheel alone, {way}")
+            yield from _hold(phases, PhaseKind.ALONE, *rim, ALONE_FOR, drive, f"the {name} wheel alone, {direction}")
     for sign in (1.0, -1.0):
         yield from _stairs(phases, sign, drive)
     for rim_speed in STEPS:
         for sign in (1.0, -1.0):
-            told = f"a step to {rim_speed:g} m/s, on the spot"
-            yield from _hold(phases, PhaseKind.STEP, -sign * rim_speed, sign * rim_speed, STEP_FOR, drive, told)
+            label = f"a step to {rim_speed:g} m/s, on the spot"
+            yield from _hold(phases, PhaseKind.STEP, -sign * rim_speed, sign * rim_speed, STEP_FOR, drive, label)
     if not blocks:
         for i in range(N_STOPS):
             yield from _stop(phases, speed, drive, f"a stop from {speed:g} m/s, {i + 1} of {N_STOPS}")

@@ -30,36 +30,36 @@ FINEST = 0.05  # m/s^2 to which the braking is rounded, downward
 
 
 def by_motion(
-    found: Sequence[WheelTurn], log: CalibrationLog, phases: Sequence[MotorPhase], robot: Robot
+    turns: Sequence[WheelTurn], log: CalibrationLog, phases: Sequence[MotorPhase], robot: Robot
 ) -> list[WheelTurn]:
-    """`found`, each with the wheel that turned according to the scans; unchanged where they do not determine it."""
+    """`turns`, each with the wheel that turned according to the scans; unchanged where they do not determine it."""
     alone = [p for p in phases if p.kind is PhaseKind.ALONE]
     if not alone:
-        return list(found)
+        return list(turns)
     part = log.during(alone[0].begin - 1_000_000_000, alone[-1].end + 1_000_000_000)
     # the encoders are what is tested: the scans are placed without them
     still = [replace(state, left=0.0, right=0.0) for state in part.wheels]
     try:
-        known = truth(replace(part, wheels=still), robot, "scans", None)
+        track = truth(replace(part, wheels=still), robot, "scans", None)
     except UserError:
-        return list(found)
-    told = []
-    for turned, phase in zip(found, alone):
-        i, j = np.searchsorted(known.stamps, (phase.begin, phase.end))
-        if i >= len(known.stamps) or j >= len(known.stamps):
-            told.append(turned)
+        return list(turns)
+    corrected = []
+    for turned, phase in zip(turns, alone):
+        i, j = np.searchsorted(track.stamps, (phase.begin, phase.end))
+        if i >= len(track.stamps) or j >= len(track.stamps):
+            corrected.append(turned)
             continue
-        forward, _, turn = relative_poses(known.poses[i : i + 1], known.poses[j : j + 1])[0]
+        forward, _, turn = relative_poses(track.poses[i : i + 1], track.poses[j : j + 1])[0]
         # along the arc, not its chord
-        way = float(forward / np.sinc(turn / np.pi)) if abs(turn) < 2 else float(forward)
+        forward_arc = float(forward / np.sinc(turn / np.pi)) if abs(turn) < 2 else float(forward)
         distance = robot.drive.wheel_distance
-        told.append(replace(turned, seen=wheel_of_motion(way, float(turn), turned.asked, distance)))
-    return told
+        corrected.append(replace(turned, seen=wheel_of_motion(forward_arc, float(turn), turned.asked, distance)))
+    return corrected
 
 
-def with_answers(found: Sequence[WheelTurn], answers: Sequence[str]) -> list[WheelTurn]:
+def with_answers(turns: Sequence[WheelTurn], answers: Sequence[str]) -> list[WheelTurn]:
     """With what people saw: `lf`, `lb`, `rf`, `rb`, `-`, or nothing for: as asked."""
-    return [replace(t, seen=KEYS[a] if a else t.commanded) for t, a in zip(found, answers)]
+    return [replace(t, seen=KEYS[a] if a else t.commanded) for t, a in zip(turns, answers)]
 
 
 def reached_braking(stops: Sequence[BrakingRun]) -> float | None:

@@ -79,28 +79,28 @@ def truth(
     return BasePoses(np.array(stamps, np.int64), rows)
 
 
-def by_squares(log: CalibrationLog, robot: Robot, known: BasePoses | None, measured: Float64s | None = None) -> Squares:
-    """UMBmark over the squares in a drive; their ends by `known`, or as `measured` (k, 2) m with a tape.
+def by_squares(log: CalibrationLog, robot: Robot, track: BasePoses | None, measured: Float64s | None = None) -> Squares:
+    """UMBmark over the squares in a drive; their ends by `track`, or as `measured` (k, 2) m with a tape.
 
     Raises UserError where there are none, or not both ways round.
     """
     rolled, wheels = log.rolled, WheelGeometry.of(robot.drive)
-    found = square_runs(rolled, wheels)
-    if not found:
+    runs = square_runs(rolled, wheels)
+    if not runs:
         raise UserError(
             "there is no square in this drive",
             "UMBmark wants squares both ways round, the robot standing for 1.5 s between two; or take --method scans",
         )
     if measured is not None:
-        if len(measured) != len(found):
+        if len(measured) != len(runs):
             raise UserError(
-                f"{len(found)} squares were driven, {len(measured)} measured", "do not move the robot while it drives"
+                f"{len(runs)} squares were driven, {len(measured)} measured", "do not move the robot while it drives"
             )
         true = np.column_stack((measured, np.zeros(len(measured))))
     else:
-        assert known is not None
-        true = ends_at(known.stamps, known.poses, rolled, found)
-    return Squares(found, true, umbmark(true, rolled, found, wheels))
+        assert track is not None
+        true = ends_at(track.stamps, track.poses, rolled, runs)
+    return Squares(runs, true, umbmark(true, rolled, runs, wheels))
 
 
 def square_error(squares: Squares, rolled: WheelTravel, wheels: WheelGeometry) -> float:
@@ -110,20 +110,20 @@ def square_error(squares: Squares, rolled: WheelTravel, wheels: WheelGeometry) -
     return largest_error(off[clockwise], off[~clockwise])
 
 
-def drift(rolled: WheelTravel, known: BasePoses, wheels: WheelGeometry) -> tuple[float, float] | None:
+def drift(rolled: WheelTravel, track: BasePoses, wheels: WheelGeometry) -> tuple[float, float] | None:
     """Odometry's error with these wheels: m a metre and rad a metre, over WINDOW m, rms; None in a shorter drive."""
-    path = rolled.with_samples(known.stamps)
-    inside = (known.stamps >= rolled.stamps[0]) & (known.stamps <= rolled.stamps[-1])
+    path = rolled.with_samples(track.stamps)
+    inside = (track.stamps >= rolled.stamps[0]) & (track.stamps <= rolled.stamps[-1])
     rows = np.flatnonzero(inside)
-    way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(known.poses[rows, :2], axis=0).T))))
-    marks = rows[np.searchsorted(way, np.arange(0.0, way[-1] if len(way) else 0.0, WINDOW))]
+    distances = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(track.poses[rows, :2], axis=0).T))))
+    marks = rows[np.searchsorted(distances, np.arange(0.0, distances[-1] if len(distances) else 0.0, WINDOW))]
     if len(marks) < 2:
         return None
     begin, end = marks[:-1], marks[1:]
-    whole = rolled.is_known(known.stamps[begin], known.stamps[end])
+    whole = rolled.is_known(track.stamps[begin], track.stamps[end])
     begin, end = begin[whole], end[whole]
-    poses, index = path.poses(wheels), np.searchsorted(path.stamps, known.stamps)
-    off = relative_poses(known.poses[begin], known.poses[end]) - relative_poses(poses[index[begin]], poses[index[end]])
+    poses, index = path.poses(wheels), np.searchsorted(path.stamps, track.stamps)
+    off = relative_poses(track.poses[begin], track.poses[end]) - relative_poses(poses[index[begin]], poses[index[end]])
     if not len(off):
         return None
     return float(np.sqrt(np.mean(off[:, 0] ** 2 + off[:, 1] ** 2))) / WINDOW, float(
@@ -132,11 +132,11 @@ def drift(rolled: WheelTravel, known: BasePoses, wheels: WheelGeometry) -> tuple
 
 
 def charts(
-    log: CalibrationLog, robot: Robot, known: BasePoses | None, squares: Squares | None, after: WheelGeometry
+    log: CalibrationLog, robot: Robot, track: BasePoses | None, squares: Squares | None, after: WheelGeometry
 ) -> list[Chart]:
     """Where the squares ended, and the way by odometry before and after."""
     rolled, before = log.rolled, WheelGeometry.of(robot.drive)
-    made = []
+    drawn_charts = []
     if squares is not None:
         ends = Chart("End of each square less odometry's (UMBmark)", "m along the first side", "m to its left", True)
         clockwise = np.array([run.clockwise for run in squares.runs], bool)
@@ -145,23 +145,23 @@ def charts(
             ends.dots(off[clockwise, 0], off[clockwise, 1], colours[0], f"clockwise, {name}")
             ends.dots(off[~clockwise, 0], off[~clockwise, 1], colours[1], f"counter-clockwise, {name}")
         ends.dots([0], [0], (0, 0, 0))
-        made.append(ends)
-    way = Chart("The way, all begun alike", "x, m", "y, m", True)
-    if known is not None:
-        inside = np.flatnonzero((known.stamps >= rolled.stamps[0]) & (known.stamps <= rolled.stamps[-1]))
+        drawn_charts.append(ends)
+    path_chart = Chart("The way, all begun alike", "x, m", "y, m", True)
+    if track is not None:
+        inside = np.flatnonzero((track.stamps >= rolled.stamps[0]) & (track.stamps <= rolled.stamps[-1]))
         if len(inside):
-            path = rolled.with_samples(known.stamps)
-            index = np.searchsorted(path.stamps, known.stamps[inside])
+            path = rolled.with_samples(track.stamps)
+            index = np.searchsorted(path.stamps, track.stamps[inside])
             for wheels, colour, name in ((before, BEFORE, "odometry before"), (after, AFTER, "odometry after")):
                 poses = from_start(path.poses(wheels)[index])
-                way.line(poses[:, 0], poses[:, 1], colour, name)
-            true = from_start(known.poses[inside])
-            way.line(true[:, 0], true[:, 1], TRUE, "truth")
+                path_chart.line(poses[:, 0], poses[:, 1], colour, name)
+            true = from_start(track.poses[inside])
+            path_chart.line(true[:, 0], true[:, 1], TRUE, "truth")
     else:
         for wheels, colour, name in ((before, BEFORE, "odometry before"), (after, AFTER, "odometry after")):
             poses = rolled.poses(wheels)
-            way.line(poses[:, 0], poses[:, 1], colour, name)
-    return [*made, way]
+            path_chart.line(poses[:, 0], poses[:, 1], colour, name)
+    return [*drawn_charts, path_chart]
 
 
 def from_start(poses: Float64s) -> Float64s:

@@ -21,7 +21,7 @@ def print_line(text: str) -> None:
 def print_odometry(
     log: CalibrationLog,
     robot: Robot,
-    known: BasePoses | None,
+    track: BasePoses | None,
     squares: Squares | None,
     solution: HandEyeSolution | None,
     why_not: UserError | None,
@@ -37,8 +37,8 @@ def print_odometry(
             f"{n} squares clockwise, {len(squares.runs) - n} counter-clockwise, {squares.result.side:.2f} m a side"
         )
     if solution is not None:
-        told = (solution.sigma_radius, solution.sigma_ratio, float(solution.sigmas[2]))
-        columns.append(("scans", solution.wheels, told))
+        sigmas_of_scans = (solution.sigma_radius, solution.sigma_ratio, float(solution.sigmas[2]))
+        columns.append(("scans", solution.wheels, sigmas_of_scans))
     elif why_not is not None:
         print_line(f"not by the scans: {why_not.what}")
     print_line(f"{'':26}" + "".join(f"{name:<22}" for name, _, _ in columns))
@@ -51,10 +51,10 @@ def print_odometry(
     if squares is not None:
         cells = [f"{odometry.square_error(squares, rolled, wheels):.3f}" for _, wheels, _ in columns]
         print_line(f"{'end of a square, m off':<26}" + "".join(f"{cell:<22}" for cell in cells))
-    if known is not None and (first := odometry.drift(rolled, known, before)) is not None:
-        drifts = [odometry.drift(rolled, known, wheels) or first for _, wheels, _ in columns]
+    if track is not None and (first := odometry.drift(rolled, track, before)) is not None:
+        drifts = [odometry.drift(rolled, track, wheels) or first for _, wheels, _ in columns]
         for name, texts in (
-            (f"off by, over {odometry.WINDOW:g} m", [f"{1e2 * way:.2f} cm a metre" for way, _ in drifts]),
+            (f"off by, over {odometry.WINDOW:g} m", [f"{1e2 * drift:.2f} cm a metre" for drift, _ in drifts]),
             ("", [f"{degrees(turn):.2f} degrees a metre" for _, turn in drifts]),
         ):
             print_line(f"{name:<26}" + "".join(f"{text:<22}" for text in texts))
@@ -63,25 +63,25 @@ def print_odometry(
     return columns[-1][1]
 
 
-def print_laser(robot: Robot, found: HandEyeSolution, pieces: MotionIntervals) -> None:
+def print_laser(robot: Robot, solution: HandEyeSolution, pieces: MotionIntervals) -> None:
     """The mount, how sure it is, and what it changes."""
     old = odometry.mount_of(robot)
-    sx, sy, syaw = (float(s) for s in found.sigmas[3:])
-    x, y, yaw = (float(v) for v in found.mount)
+    sx, sy, syaw = (float(s) for s in solution.sigmas[3:])
+    x, y, yaw = (float(v) for v in solution.mount)
     print_line(f"{len(pieces.begin)} pieces of the way, each by the scans and by the wheels")
     print_line(f"laser {x:.4f} +- {sx:.4f} m ahead of the axis, {y:.4f} +- {sy:.4f} m to the left")
     print_line(f"turned by {degrees(yaw):.2f} +- {degrees(syaw):.2f} degrees, {yaw:.5f} +- {syaw:.5f} rad")
-    moved, turned = mount_difference(found.mount, old)
+    moved, turned = mount_difference(solution.mount, old)
     print_line(f"that is {1e3 * moved:.1f} mm and {degrees(turned):.2f} degrees from the configured mount")
-    way, turn = laser.rms(residuals(pieces, found.wheels, old))
-    way_after, turn_after = laser.rms(found.residuals)
-    print_line(f"scans less wheels, a piece: {1e3 * way:.1f} mm, {degrees(turn):.2f} degrees before")
-    print_line(f"                            {1e3 * way_after:.1f} mm, {degrees(turn_after):.2f} degrees after")
+    distance, turn = laser.rms(residuals(pieces, solution.wheels, old))
+    distance_after, turn_after = laser.rms(solution.residuals)
+    print_line(f"scans less wheels, a piece: {1e3 * distance:.1f} mm, {degrees(turn):.2f} degrees before")
+    print_line(f"                            {1e3 * distance_after:.1f} mm, {degrees(turn_after):.2f} degrees after")
 
 
 def print_motors(
     drive: Drive,
-    found: Sequence[motor_response.WheelTurn],
+    turns: Sequence[motor_response.WheelTurn],
     wrong: Sequence[tuple[str, str]],
     answers: Sequence[motor_response.FirstOrderLag],
     stops: Sequence[motor_response.BrakingRun],
@@ -92,12 +92,12 @@ def print_motors(
         print_line(f"WRONG: {what}")
         print_line(f"       {hint}")
     if not wrong:
-        unseen = "" if all(t.seen is not None for t in found) else "; it is unknown whether both run backward"
+        unseen = "" if all(t.seen is not None for t in turns) else "; it is unknown whether both run backward"
         print_line(f"directions: each wheel turns as asked, and its encoder counts with it{unseen}")
     for (wheel, sign), speed in sorted(bands.items()):
-        way = "forward" if sign > 0 else "backward"
-        told = "did not turn at all" if isnan(speed) else f"turns from {speed:.3f} m/s on"
-        print_line(f"dead band: the {motor_response.WHEELS[wheel]} wheel {told}, {way}")
+        direction = "forward" if sign > 0 else "backward"
+        response = "did not turn at all" if isnan(speed) else f"turns from {speed:.3f} m/s on"
+        print_line(f"dead band: the {motor_response.WHEELS[wheel]} wheel {response}, {direction}")
     for name, answer in zip(motor_response.WHEELS, answers):
         print_line(
             f"steps: the {name} wheel reaches {100 * answer.gain:.1f} %, dead time {1e3 * answer.delay:.0f} ms, "

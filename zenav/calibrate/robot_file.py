@@ -93,8 +93,8 @@ def _put(tree: CommentedMap, path: list[str], value: float | int) -> None:
     if name in tree or not len(tree):
         tree[name] = value
     else:  # beside its kin, not behind the comments that may follow the last key
-        kin = max(range(len(tree)), key=lambda i: _alike(name, str(list(tree)[i])))
-        tree.insert(kin + 1, name, value)
+        i_nearest = max(range(len(tree)), key=lambda i: _alike(name, str(list(tree)[i])))
+        tree.insert(i_nearest + 1, name, value)
 
 
 def _alike(a: str, b: str) -> int:

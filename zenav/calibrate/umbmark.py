@@ -65,19 +65,19 @@ def largest_error(clockwise: Float64s, counterclockwise: Float64s) -> float:
 def square_runs(rolled: WheelTravel, wheels: WheelGeometry) -> list[SquareRun]:
     """The ways round a square in a drive: from standstill to standstill, once round, back to where they began."""
     poses = rolled.poses(wheels)
-    found = []
+    runs = []
     for begin, end in moving(rolled, wheels.radius):
         if rolled.broken[begin + 1 : end + 1].any():
             continue
-        way = poses[begin : end + 1]
-        steps = np.hypot(*np.diff(way[:, :2], axis=0).T)
+        path = poses[begin : end + 1]
+        steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
         # on the spot the base stands but for slip: only what is driven straight on makes the sides
         side = float(steps.sum()) / 4
-        turn = float(way[-1, 2] - way[0, 2])
-        off = float(np.hypot(*(way[-1, :2] - way[0, :2])))
+        turn = float(path[-1, 2] - path[0, 2])
+        off = float(np.hypot(*(path[-1, :2] - path[0, :2])))
         if side >= MIN_SIDE_M and abs(abs(turn) - 2 * pi) < ROUND and off < OPEN * 4 * side:
-            found.append(SquareRun(int(begin), int(end), side, turn < 0))
-    return found
+            runs.append(SquareRun(int(begin), int(end), side, turn < 0))
+    return runs
 
 
 def moving(rolled: WheelTravel, radius: float) -> list[tuple[int, int]]:
@@ -95,28 +95,28 @@ def moving(rolled: WheelTravel, radius: float) -> list[tuple[int, int]]:
     return list(zip(starts, ends))  # a drive that ends while it moves has a start without an end
 
 
-def errors(true: Float64s, rolled: WheelTravel, found: Sequence[SquareRun], wheels: WheelGeometry) -> Float64s:
+def errors(true: Float64s, rolled: WheelTravel, runs: Sequence[SquareRun], wheels: WheelGeometry) -> Float64s:
     """(k, 2) m: each run's end as it was less as these wheels say. true: (k, 3) motion from start to end."""
     poses = rolled.poses(wheels)
-    begin = poses[[run.begin for run in found]]
-    end = poses[[run.end for run in found]]
+    begin = poses[[run.begin for run in runs]]
+    end = poses[[run.end for run in runs]]
     return np.asarray((true - relative_poses(begin, end))[:, :2])
 
 
-def umbmark(true: Float64s, rolled: WheelTravel, found: Sequence[SquareRun], wheels: WheelGeometry) -> UmbmarkResult:
+def umbmark(true: Float64s, rolled: WheelTravel, runs: Sequence[SquareRun], wheels: WheelGeometry) -> UmbmarkResult:
     """Wheels that explain the errors. true: (k, 3) each run's motion from start to end; `wheels`: as believed so far.
 
     Raises UserError where one way round is missing, or the errors are too large for the method.
     """
-    clockwise = np.array([run.clockwise for run in found], bool)
-    for way, there in (("clockwise", clockwise.any()), ("counter-clockwise", (~clockwise).any())):
-        if not there:
+    clockwise = np.array([run.clockwise for run in runs], bool)
+    for direction, is_driven in (("clockwise", clockwise.any()), ("counter-clockwise", (~clockwise).any())):
+        if not is_driven:
             raise UserError(
-                f"there is no square {way} round in this drive",
+                f"there is no square {direction} round in this drive",
                 "UMBmark needs both: zenav calibrate odometry drives them, stand for a second between two squares",
             )
-    off = errors(true, rolled, found, wheels)
-    side = float(np.mean([run.side for run in found]))
+    off = errors(true, rolled, runs, wheels)
+    side = float(np.mean([run.side for run in runs]))
     alpha, beta = angles(off[clockwise], off[~clockwise], side)
     if max(abs(alpha), abs(beta)) > MAX_TURNING_ERROR_RAD:
         raise UserError(
@@ -125,7 +125,7 @@ def umbmark(true: Float64s, rolled: WheelTravel, found: Sequence[SquareRun], whe
         )
     better = wheels
     for _ in range(ROUNDS):
-        left = errors(true, rolled, found, better)
+        left = errors(true, rolled, runs, better)
         better = corrected(better, *angles(left[clockwise], left[~clockwise], side), side)
     return UmbmarkResult(better, side, off[clockwise], off[~clockwise], alpha, beta)
 
@@ -150,13 +150,13 @@ def corrected(wheels: WheelGeometry, alpha: float, beta: float, side: float) -> 
     return WheelGeometry(left, left * ratio, distance)
 
 
-def ends_at(track_stamps: Int64s, track_poses: Float64s, rolled: WheelTravel, found: Sequence[SquareRun]) -> Float64s:
+def ends_at(track_stamps: Int64s, track_poses: Float64s, rolled: WheelTravel, runs: Sequence[SquareRun]) -> Float64s:
     """(k, 3) each run's motion by poses (n, 3) of a truth: the mean of those taken while the robot stood, or the last.
 
     Raises UserError where there is none at a standstill.
     """
     rows = []
-    edges = sorted({(run.begin, run.end) for run in found})
+    edges = sorted({(run.begin, run.end) for run in runs})
     for k, (begin, end) in enumerate(edges):
         before = edges[k - 1][1] if k else 0
         after = edges[k + 1][0] if k + 1 < len(edges) else len(rolled.stamps) - 1
@@ -168,7 +168,7 @@ def ends_at(track_stamps: Int64s, track_poses: Float64s, rolled: WheelTravel, fo
         )
     starts, ends = (np.array(part).reshape(-1, 3) for part in zip(*rows))
     by_edges = dict(zip(edges, relative_poses(starts, ends)))
-    return np.array([by_edges[(run.begin, run.end)] for run in found]).reshape(-1, 3)
+    return np.array([by_edges[(run.begin, run.end)] for run in runs]).reshape(-1, 3)
 
 
 def _standing(stamps: Int64s, poses: Float64s, begin: int, end: int, first: bool) -> Float64s:

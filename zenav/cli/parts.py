@@ -40,9 +40,9 @@ class Group(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
-            known = self.list_commands(ctx)
-            close = get_close_matches(args[0], known, n=1, cutoff=0.5)
-            hint = f"did you mean `{close[0]}`?" if close else f"known: {', '.join(known)}"
+            commands = self.list_commands(ctx)
+            close = get_close_matches(args[0], commands, n=1, cutoff=0.5)
+            hint = f"did you mean `{close[0]}`?" if close else f"known: {', '.join(commands)}"
             complain(f"{args[0]} is not a command of {ctx.command_path}", hint)
         return super().resolve_command(ctx, args)
 

@@ -14,7 +14,7 @@ ZoneName = Annotated[str, typer.Argument(help="A letter first; then letters, dig
 
 @zones.command("list", cls=Command)
 def list_(
-    held: Annotated[bool, typer.Option("--held", help="Those that the running stack keeps.")] = False,
+    active: Annotated[bool, typer.Option("--held", help="Those that the running stack keeps.")] = False,
     map_: MapName = "",
     robot: RobotName = "x80sv",
     stack: Stack = "0",
@@ -25,7 +25,7 @@ def list_(
     """
     from zenav.client.zones import show_active, show_zones
 
-    if held:
+    if active:
         show_active(robot, stack)
     else:
         show_zones(map_)

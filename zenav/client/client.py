@@ -125,24 +125,24 @@ class Client:
     def latest(self, topic: Topic[M], publisher: str = "") -> M | None:
         """The newest message of a followed topic; `publisher` names the service where the topic is a family."""
         with self.changed:
-            found = self._latest.get(key_of(topic, publisher))
-        return cast(M, found[0]) if found else None
+            newest = self._latest.get(key_of(topic, publisher))
+        return cast(M, newest[0]) if newest else None
 
     def age(self, topic: Topic[Any], publisher: str = "") -> float:
         """Real seconds since the newest message of a followed topic came; infinite before the first."""
         with self.changed:
-            found = self._latest.get(key_of(topic, publisher))
-        return time.monotonic() - found[2] if found else float("inf")
+            newest = self._latest.get(key_of(topic, publisher))
+        return time.monotonic() - newest[2] if newest else float("inf")
 
     def wait(self, topic: Topic[M], holds: Callable[[M], bool], timeout: float, publisher: str = "") -> M | None:
         """The newest message of a followed topic as soon as the condition holds for it; None after `timeout` s."""
 
-        def found() -> M | None:
-            kept = self._latest.get(key_of(topic, publisher))
-            return cast(M, kept[0]) if kept and holds(cast(M, kept[0])) else None
+        def newest_that_holds() -> M | None:
+            newest = self._latest.get(key_of(topic, publisher))
+            return cast(M, newest[0]) if newest and holds(cast(M, newest[0])) else None
 
         with self.changed:
-            return self.changed.wait_for(found, timeout)
+            return self.changed.wait_for(newest_that_holds, timeout)
 
     def latched_value(self, topic: Topic[M], timeout: float = 3.0) -> M | None:
         """The value that a latched topic's publisher keeps for late joiners; None where no publisher has one."""
@@ -180,10 +180,10 @@ class Client:
     def answers(self, request: Request[Any, Any], timeout: float) -> bool:
         """Whether a service that answers this request is there within `timeout` s."""
         querier = self.session.declare_querier(f"{self.robot}/{request.key}")
-        found = threading.Event()
-        querier.declare_matching_listener(lambda status: found.set() if status.matching else None)
+        is_matched = threading.Event()
+        querier.declare_matching_listener(lambda status: is_matched.set() if status.matching else None)
         there: Any = querier.matching_status  # zenoh calls it a bool; it is a MatchingStatus
-        return there.matching or found.wait(timeout)
+        return there.matching or is_matched.wait(timeout)
 
     def _listen_key(self, key: str, topic: Topic[M], callback: Callback[M]) -> None:
         def take(payload: bytes) -> None:
@@ -215,8 +215,8 @@ class Client:
 
 def _sized(key: str, payload: bytes) -> bytes:
     """The payload. Raises UserError where it is larger than a message may be: it would be lost without a word."""
-    if words := transport.oversize(payload):
-        raise UserError(f"{key}: {TOO_LARGE.text}: {words}", TOO_LARGE.hint)
+    if reason := transport.oversize(payload):
+        raise UserError(f"{key}: {TOO_LARGE.text}: {reason}", TOO_LARGE.hint)
     return payload
 
 
@@ -227,8 +227,8 @@ def request_error(service: str, refusal: bytes) -> UserError:
             f"{service} does not answer in time", f"is it busy or stopped? zenav topic hz health/{service}"
         )
     try:
-        told = msgpack.unpackb(refusal)
-        reason = REASONS[told["code"]]
-        return UserError(f"{service}: {reason.text}" + (f": {told['text']}" if told["text"] else ""), reason.hint)
+        error = msgpack.unpackb(refusal)
+        reason = REASONS[error["code"]]
+        return UserError(f"{service}: {reason.text}" + (f": {error['text']}" if error["text"] else ""), reason.hint)
     except (ValueError, KeyError, TypeError, msgpack.UnpackException):
         return UserError(f"{service} does not run: {NOT_RUNNING.text}", NOT_RUNNING.hint)

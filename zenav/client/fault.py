@@ -16,7 +16,7 @@ def fault(robot: str, stack: str, name: str, seconds: float, repair: bool) -> in
     if name and name not in tuple(ALL_FAULTS):
         raise UserError(f"no fault {name}", nearest(name, tuple(ALL_FAULTS)))
     if not name and not repair:
-        sys.stdout.write("".join(f"{one:<16} {words}\n" for one, words in ALL_FAULTS.items()))
+        sys.stdout.write("".join(f"{key:<16} {description}\n" for key, description in ALL_FAULTS.items()))
         return 0
     with Client(load_robot(robot).robot.name, stack_address(stack)) as client:
         reply = client.ask(requests.FAULT, Break(client.now(), name, seconds, repair))

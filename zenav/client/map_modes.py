@@ -73,18 +73,18 @@ class OnMap:
 def save_map(robot: str, stack: str, place: str) -> None:
     """Writes the present map into a folder: see saved_map.py; without a pose graph, where the mapper keeps none."""
     folder = MAPS_FOLDER / place if place.replace("_", "").replace("-", "").isalnum() else Path(place)
-    told = ""
+    summary = ""
     with _client(robot, stack) as client:
         try:
             saved = unpack_map(fetch_map(client, Event().wait), "the mapper's map")
-            files, told = map_files(saved, saved.graph.poses), f" ({len(saved.keyframes)} keyframes)"
+            files, summary = map_files(saved, saved.graph.poses), f" ({len(saved.keyframes)} keyframes)"
         except RequestRefusedError as refused:
             if refused.code != NO_GRAPH.code:
                 raise
             sys.stderr.write(f"{refused.what}: only its picture is saved\nhint: {refused.hint}\n")
             files = picture_files(current_map(client))
     replace_together(folder, files)
-    sys.stdout.write(f"{folder / 'map.yaml'}{told}\n")
+    sys.stdout.write(f"{folder / 'map.yaml'}{summary}\n")
 
 
 def load_map(robot: str, stack: str, place: str, mode: MapMode, at: At | None) -> int:
@@ -110,10 +110,10 @@ def _print_pose(client: Client) -> int:
     client.follow(topics.POSE)
     begun = client.now()
 
-    def told(estimate: PoseEstimate) -> bool:
+    def is_localized(estimate: PoseEstimate) -> bool:
         return estimate.stamp >= begun and estimate.state is not Localization.LOST
 
-    estimate = client.wait(topics.POSE, told, MAX_LOCALIZATION_S) or client.latest(topics.POSE)
+    estimate = client.wait(topics.POSE, is_localized, MAX_LOCALIZATION_S) or client.latest(topics.POSE)
     sys.stdout.write(f"{pose_text(estimate) if estimate else POSE_OLD.text}\n")
     return 0
 

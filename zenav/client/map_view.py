@@ -20,14 +20,14 @@ MAX_WIDTH = 100  # characters of a map in the terminal
 
 def show_map(robot: str, stack: str, place: str) -> None:
     """Draws a map with half blocks: two cells above each other are one character."""
-    told = ""
+    pose_line = ""
     if place:
         grid = grid_of(find_map(place))
     else:
         with Client(load_robot(robot).robot.name, stack_address(stack)) as client:
             grid = current_map(client)
             estimate = client.latched_value(topics.POSE)
-            told = pose_text(estimate) + "\n" if estimate is not None else ""
+            pose_line = pose_text(estimate) + "\n" if estimate is not None else ""
     rows, columns = np.nonzero(grid.cells >= 0)
     if not len(rows):
         raise UserError("the map is empty", "nothing was seen yet")
@@ -40,7 +40,7 @@ def show_map(robot: str, stack: str, place: str) -> None:
         sys.stdout.write(_coloured(*line) if colour else "".join(" .#"[_shade(v)] for v in np.maximum(*line)) + "\n")
     size = cells.shape[1] * grid.resolution, cells.shape[0] * grid.resolution
     sys.stdout.write(f"{size[0]:.1f} x {size[1]:.1f} m, a character is {step * grid.resolution:.2f} m wide\n")
-    sys.stdout.write(told)
+    sys.stdout.write(pose_line)
 
 
 def pose_text(estimate: PoseEstimate) -> str:

@@ -39,11 +39,11 @@ class NamedItems(Generic[T]):
 
     def item(self, folder: Path, name: str) -> T:
         """One of them. Raises UserError that names the nearest."""
-        known = self.read(folder)
-        if name not in known:
-            hint = nearest(name, tuple(known)) if known else f"keep one: {self.example}"
+        items = self.read(folder)
+        if name not in items:
+            hint = nearest(name, tuple(items)) if items else f"keep one: {self.example}"
             raise UserError(f"{name!r} is no {self.word} in {folder / self.file}", hint)
-        return known[name]
+        return items[name]
 
     def write(self, folder: Path, name: str, values: dict[str, Any]) -> bool:
         """Writes one; True where it takes the place of one of that name. Comments in the file stay."""

@@ -36,7 +36,7 @@ class TaskResult:
 
 def poses_from(texts: list[str]) -> list[Target]:
     """Targets from `X,Y[,YAW]`. Raises UserError on the first that is none."""
-    found: list[Target] = []
+    targets: list[Target] = []
     for text in texts:
         parts = text.strip().split(",")
         try:
@@ -45,8 +45,8 @@ def poses_from(texts: list[str]) -> list[Target]:
             numbers = []
         if len(numbers) not in (2, 3) or not all(abs(n) < 1e6 for n in numbers):
             raise UserError(f"{text.strip()!r} is no pose", "write X,Y or X,Y,YAW: m, m, degrees, like 4,-2,90")
-        found.append((numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else None))
-    return found
+        targets.append((numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else None))
+    return targets
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,8 +176,8 @@ def stop_reason(nav: NavStatus | None, guard: GuardStatus | None) -> str:
         return reason_text(guard.reason) + (f" ({guard.detail})" if guard.detail else "")
     if nav is None or not nav.reason:
         return f"recovery: {nav.recovery}" if nav is not None and nav.recovery else ""
-    words = reason_text(nav.reason)
-    return f"{words}; recovery: {nav.recovery}" if nav.recovery else words
+    reason = reason_text(nav.reason)
+    return f"{reason}; recovery: {nav.recovery}" if nav.recovery else reason
 
 
 def task_result(nav: NavStatus, task_id: int) -> TaskResult | None:
@@ -191,12 +191,12 @@ def task_result(nav: NavStatus, task_id: int) -> TaskResult | None:
     if nav.state not in FINAL_STATES:
         return None
     reason = REASONS.get(nav.reason)
-    words = reason.text if reason else nav.reason
+    text = reason.text if reason else nav.reason
     if nav.detail and not (reason and nav.detail.startswith(reason.text)):  # a detail that only repeats it
-        words += f" ({nav.detail})"
+        text += f" ({nav.detail})"
     if nav.state is NavState.REACHED:
-        return TaskResult(True, words or "reached")
-    return TaskResult(False, words or str(nav.state), reason.hint if reason else "")
+        return TaskResult(True, text or "reached")
+    return TaskResult(False, text or str(nav.state), reason.hint if reason else "")
 
 
 def _connected(robot: str, stack: str) -> Client:

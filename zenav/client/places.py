@@ -54,19 +54,19 @@ def write_place(folder: Path, name: str, place: NamedPlace) -> bool:
 def show_places(map_name: str) -> None:
     """Every place, one a line."""
     folder = folder_of(map_name)
-    found = read(folder)
-    for name, known in found.items():
-        sys.stdout.write(f"{name:<16}{_told(known)}\n")
-    if not found:
+    places = read(folder)
+    for name, target in places.items():
+        sys.stdout.write(f"{name:<16}{_place_text(target)}\n")
+    if not places:
         sys.stderr.write(f"no places in {folder / FILE} yet; keep one: zenav places save NAME\n")
 
 
 def save_place(robot: str, stack: str, name: str, at: NamedPlace | None, map_name: str) -> None:
     """Keeps a place: the given one, or where the robot stands now."""
     folder = folder_of(map_name)
-    kept = at or _here(robot, stack)
-    replaced = write_place(folder, name, kept)
-    sys.stdout.write(f"{name} is {_told(kept)}{', no longer what it was' if replaced else ''}\n")
+    saved = at or _here(robot, stack)
+    replaced = write_place(folder, name, saved)
+    sys.stdout.write(f"{name} is {_place_text(saved)}{', no longer what it was' if replaced else ''}\n")
 
 
 def remove_place(name: str, map_name: str) -> None:
@@ -81,19 +81,19 @@ def target_from(text: str, map_name: str) -> Target:
     return place(folder_of(map_name), name).target if NAME.fullmatch(name) else poses_from([name])[0]
 
 
-def goal_from(words: list[str], map_name: str) -> Target:
+def goal_from(arguments: list[str], map_name: str) -> Target:
     """The goal of `zenav goto`: X Y [YAW], or a place's name. Raises UserError."""
-    if NAME.fullmatch(words[0].strip()) and len(words) == 1:
-        return target_from(words[0], map_name)
+    if NAME.fullmatch(arguments[0].strip()) and len(arguments) == 1:
+        return target_from(arguments[0], map_name)
     hint = "write X Y or X Y YAW: m, m, degrees; or the name of a place"
-    if not 2 <= len(words) <= 3:
+    if not 2 <= len(arguments) <= 3:
         raise UserError("a goal needs 'x' and 'y', and takes 'yaw'", hint)
     numbers = []
-    for axis, word in zip(("x", "y", "yaw"), words, strict=False):
+    for axis, argument in zip(("x", "y", "yaw"), arguments, strict=False):
         try:
-            numbers.append(float(word))
+            numbers.append(float(argument))
         except ValueError:
-            raise UserError(f"{word.strip()!r} is no number for '{axis}'", hint) from None
+            raise UserError(f"{argument.strip()!r} is no number for '{axis}'", hint) from None
     return numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else None
 
 
@@ -124,6 +124,6 @@ def _here(robot: str, stack: str) -> NamedPlace:
     return NamedPlace(x=round(pose.x, 3), y=round(pose.y, 3), yaw=round(degrees(pose.yaw), 1))
 
 
-def _told(place: NamedPlace) -> str:
+def _place_text(place: NamedPlace) -> str:
     heading = "" if place.yaw is None else f" {place.yaw:g}"
     return f"{place.x:g} {place.y:g}{heading}"

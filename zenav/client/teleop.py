@@ -40,19 +40,19 @@ class TeleopKeys:
         while text:
             key = next((k for k in KEYS if text.startswith(k)), text[0])
             text = text[len(key) :]
-            way = KEYS.get(key, (0, 0))
-            if way is None:
+            direction = KEYS.get(key, (0, 0))
+            if direction is None:
                 self.ended = True
-            elif way == (0, 0):  # space, or any other key: stand
+            elif direction == (0, 0):  # space, or any other key: stand
                 self._forward = self._turn = (0, now)
-            elif way[0]:
-                self._forward = way[0], now
+            elif direction[0]:
+                self._forward = direction[0], now
             else:
-                self._turn = way[1], now
+                self._turn = direction[1], now
 
     def direction(self, now: float) -> tuple[int, int]:
         """(forward, turn), each -1, 0 or 1, at `now` s; a key that is no longer held counts for nothing."""
-        return tuple(way if now - at < KEY_HOLD_S else 0 for way, at in (self._forward, self._turn))  # type: ignore[return-value]  # two in, two out
+        return tuple(sign if now - at < KEY_HOLD_S else 0 for sign, at in (self._forward, self._turn))  # type: ignore[return-value]  # two in, two out
 
 
 def teleop(robot: str, stack: str, speed: float, turn: float, override: bool) -> None:
@@ -61,7 +61,7 @@ def teleop(robot: str, stack: str, speed: float, turn: float, override: bool) ->
     override: nothing but the driver keeps the robot from what is in its way. Raises UserError where the guard refuses.
     """
     keys = TeleopKeys()
-    asked = float("-inf")
+    last_override = float("-inf")
     with (
         raw_terminal() as terminal,
         stop_on_signal() as stop,
@@ -76,9 +76,9 @@ def teleop(robot: str, stack: str, speed: float, turn: float, override: bool) ->
                 keys.press(os.read(terminal, 256).decode(errors="replace") or "q", time.monotonic())
                 continue
             due += PERIOD
-            if override and due - asked >= AGAIN:
+            if override and due - last_override >= AGAIN:
                 _override(client, OVERRIDE)
-                asked = due
+                last_override = due
             forward, turning = keys.direction(time.monotonic())
             client.publish(topics.TELEOP(Velocity(client.now(), forward * speed, turning * radians(turn), "")))
             _show(client)

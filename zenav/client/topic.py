@@ -42,7 +42,7 @@ def echo(robot: str, stack: str, key: str, number: int, as_json: bool) -> int:
 
     with stop_on_signal() as stop, Client(load_robot(robot).robot.name, stack_address(stack)) as client:
         client.listen_raw(key, lambda _, payload: file(payload))
-        kept = LatchedReader(client.session, f"{client.robot}/{key}", file) if topic.latched else None
+        latched_reader = LatchedReader(client.session, f"{client.robot}/{key}", file) if topic.latched else None
         last = time.monotonic()
         while not stop.is_set() and (number == 0 or n_shown < number):
             with ready:
@@ -56,7 +56,7 @@ def echo(robot: str, stack: str, key: str, number: int, as_json: bool) -> int:
             for payload in payloads[: number - n_shown if number else None]:
                 n_shown, last = n_shown + 1, time.monotonic()
                 _write(topic, payload, as_json)
-        del kept
+        del latched_reader
     if not n_shown and number:
         raise UserError(f"nothing came on {key}", _does_it_run(key, topic))
     return 0

@@ -46,10 +46,10 @@ def zones_in(folder: Path) -> tuple[Zone, ...]:
 def show_zones(map_name: str) -> None:
     """Every zone of the file, one a line."""
     folder = folder_of(map_name)
-    found = zones_in(folder)
-    for zone in found:
+    zones = zones_in(folder)
+    for zone in zones:
         sys.stdout.write(f"{zone_text(zone)}\n")
-    if not found:
+    if not zones:
         sys.stderr.write(f"no zones in {folder / FILE} yet; keep one: {ZONES.example}\n")
 
 
@@ -57,10 +57,10 @@ def show_active(robot: str, stack: str) -> None:
     """Every zone that the running stack keeps, one a line."""
     with _connected(robot, stack) as client:
         _running(client)
-        held = client.latched_value(topics.ZONES)
-    for zone in held.zones if held is not None else ():
+        active = client.latched_value(topics.ZONES)
+    for zone in active.zones if active is not None else ():
         sys.stdout.write(f"{zone_text(zone)}\n")
-    if held is None or not held.zones:
+    if active is None or not active.zones:
         sys.stderr.write("no zones hold; give it those of a map: zenav zones use --map NAME\n")
 
 
@@ -112,11 +112,11 @@ def follow_map(client: Client, folder: Path | None) -> None:
 
 def zone_text(zone: Zone) -> str:
     """A zone for people: name, what it asks, its corners."""
-    asks = "keep out"
+    rule = "keep out"
     if zone.kind is ZoneKind.SLOW:
-        asks = f"{zone.speed:g} m/s" if zone.share == 1 else f"{100 * zone.share:g} percent"
+        rule = f"{zone.speed:g} m/s" if zone.share == 1 else f"{100 * zone.share:g} percent"
     corners = " ".join(f"{x:g},{y:g}" for x, y in zip(zone.xs.tolist(), zone.ys.tolist(), strict=True))
-    return f"{zone.name:<16}{asks:<12}{corners}"
+    return f"{zone.name:<16}{rule:<12}{corners}"
 
 
 def _number(zones: tuple[Zone, ...]) -> str:

@@ -9,15 +9,15 @@ def show_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]
     from rich.console import Console
     from rich.table import Table
 
-    shown = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     for i, column in enumerate(columns):
-        shown.add_column(column, justify="right" if i else "left", overflow="fold")
+        table.add_column(column, justify="right" if i else "left", overflow="fold")
     for row in rows:
-        shown.add_row(*row)
+        table.add_row(*row)
     console = Console()
     if not console.is_terminal:
         console.width = 160  # a log's lines do not wrap
-    console.print(shown)
+    console.print(table)
 
 
 def markdown_table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:

@@ -51,29 +51,29 @@ def _lines(path: Path, log: DriveLog) -> Iterator[str]:
             log.truncated = True
 
 
-def _odom(words: list[str]) -> LoggedPose:
-    x, y, yaw, v, w = _numbers(words[:5], 5)
-    return LoggedPose(_stamp(words[6]), Pose2(x, y, yaw), v, w)
+def _odom(cells: list[str]) -> LoggedPose:
+    x, y, yaw, v, w = _numbers(cells[:5], 5)
+    return LoggedPose(_stamp(cells[6]), Pose2(x, y, yaw), v, w)
 
 
-def _flaser(words: list[str]) -> LoggedScan:
-    n = _count(words[0])
-    ranges = _ranges(words[1 : 1 + n], n)
-    x, y, yaw, base_x, base_y, base_yaw = _numbers(words[1 + n : 7 + n], 6)
+def _flaser(cells: list[str]) -> LoggedScan:
+    n = _count(cells[0])
+    ranges = _ranges(cells[1 : 1 + n], n)
+    x, y, yaw, base_x, base_y, base_yaw = _numbers(cells[1 + n : 7 + n], 6)
     # 181 and 361 beams hold both ends of the half circle, 180 and 360 leave out the last
     increment = radians(1.0) if n < 270 else radians(0.5)
     if n not in (180, 181, 360, 361):
         increment = pi / (n - 1)
     return LoggedScan(
-        _stamp(words[7 + n]), Pose2(base_x, base_y, base_yaw), Pose2(x, y, yaw), -pi / 2, increment, 0.0, ranges
+        _stamp(cells[7 + n]), Pose2(base_x, base_y, base_yaw), Pose2(x, y, yaw), -pi / 2, increment, 0.0, ranges
     )
 
 
-def _robotlaser(words: list[str]) -> LoggedScan:
-    start, _, increment, range_max = _numbers(words[1:5], 4)
-    n = _count(words[7])
-    ranges = _ranges(words[8 : 8 + n], n)
-    rest = words[9 + n + _count(words[8 + n], least=0) :]
+def _robotlaser(cells: list[str]) -> LoggedScan:
+    start, _, increment, range_max = _numbers(cells[1:5], 4)
+    n = _count(cells[7])
+    ranges = _ranges(cells[8 : 8 + n], n)
+    rest = cells[9 + n + _count(cells[8 + n], minimum=0) :]
     x, y, yaw, base_x, base_y, base_yaw = _numbers(rest[:6], 6)
     if increment == 0 or abs(increment) * (n - 1) > 2 * pi + 1e-3 or not 0 < range_max <= 250:
         raise ValueError("a scan of no angles")
@@ -119,8 +119,8 @@ READERS: dict[str, Callable[[list[str]], LoggedPose | LoggedScan]] = {
 }
 
 
-def _numbers(words: list[str], n: int) -> list[float]:
-    numbers = [float(word) for word in words]
+def _numbers(cells: list[str], n: int) -> list[float]:
+    numbers = [float(cell) for cell in cells]
     if len(numbers) != n or not all(isfinite(v) and abs(v) <= BOUND for v in numbers):
         raise ValueError("a number is missing or out of bounds")
     return numbers
@@ -134,15 +134,15 @@ def _stamp(word: str) -> int:
     return round(stamp * 1e6) * 1000
 
 
-def _count(word: str, least: int = 2) -> int:
+def _count(word: str, minimum: int = 2) -> int:
     n = int(word)
-    if not least <= n <= 20000:
+    if not minimum <= n <= 20000:
         raise ValueError("a count out of bounds")
     return n
 
 
-def _ranges(words: list[str], n: int) -> Float32s:
-    ranges = np.array(words, np.float64)
+def _ranges(cells: list[str], n: int) -> Float32s:
+    ranges = np.array(cells, np.float64)
     if len(ranges) != n:
         raise ValueError("fewer ranges than the line says")
     # a range that is no number is a beam without a measurement, not a reason to lose the others

@@ -63,9 +63,9 @@ def _scan(record: LoggedScan, range_max: float) -> LaserScan:
 
 def range_max_of(scans: list[LoggedScan]) -> float:
     """m, from which on nothing came back."""
-    told = max(scan.range_max for scan in scans)
+    nominal = max(scan.range_max for scan in scans)
     largest = max(float(np.max(scan.ranges, initial=0.0, where=np.isfinite(scan.ranges))) for scan in scans)
-    return max(min(told or 250.0, NO_RETURN * largest), 0.1)
+    return max(min(nominal or 250.0, NO_RETURN * largest), 0.1)
 
 
 def mount_of(scans: list[LoggedScan]) -> Mount:
@@ -97,8 +97,8 @@ def log_of(content: Content) -> DriveLog:
                 scan.range_max, ranges, scan.scan_time,
             )
         )  # fmt: skip
-    taken = {scan.stamp for scan in scans}
-    records += [LoggedPose(o.stamp, o.odom_from_base, o.v, o.w) for o in track if o.stamp not in taken]
+    scan_stamps = {scan.stamp for scan in scans}
+    records += [LoggedPose(o.stamp, o.odom_from_base, o.v, o.w) for o in track if o.stamp not in scan_stamps]
     records.sort(key=lambda record: record.end if isinstance(record, LoggedScan) else record.stamp)
     return DriveLog(records, content.n_bad, False, "messages", bool(track), list(content.notes))
 
@@ -108,13 +108,13 @@ def odometry_at(stamps: list[int], track: list[Odometry]) -> list[Pose2]:
     if not track:
         return [Pose2()] * len(stamps)
     times = np.array([odometry.stamp for odometry in track])
-    found = []
+    poses = []
     for stamp, after in zip(stamps, np.searchsorted(times, stamps)):
         late = track[min(int(after), len(track) - 1)]
         early = track[max(int(after) - 1, 0)]
         if late.stamp == stamp or late.stamp <= early.stamp:
-            found.append(late.odom_from_base)
+            poses.append(late.odom_from_base)
             continue
         share = min(max((stamp - early.stamp) / (late.stamp - early.stamp), 0.0), 1.0)
-        found.append(interpolated(early.odom_from_base, late.odom_from_base, share))
-    return found
+        poses.append(interpolated(early.odom_from_base, late.odom_from_base, share))
+    return poses

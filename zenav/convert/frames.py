@@ -40,10 +40,10 @@ class Frames:
 
     def ancestors(self, frame: str) -> list[str]:
         """The frame itself, its parent, and so on up to the root."""
-        found = [frame]
-        while (above := self.parent(found[-1])) is not None and above not in found:
-            found.append(above)
-        return found
+        chain = [frame]
+        while (above := self.parent(chain[-1])) is not None and above not in chain:
+            chain.append(above)
+        return chain
 
     def moves(self, child: str) -> bool:
         """Whether a frame may move in its parent: the log has several transforms, none of them static."""
@@ -67,20 +67,20 @@ class Frames:
 
     def _chain(self, frames: list[str], stamps: Int64s) -> Float64s:
         """The last one's parent from the first of the frames: (n, 4, 4)."""
-        found = np.tile(np.eye(4), (len(stamps), 1, 1))
+        transforms = np.tile(np.eye(4), (len(stamps), 1, 1))
         for child in frames:
-            found = self._edge(child, stamps) @ found
-        return found
+            transforms = self._edge(child, stamps) @ transforms
+        return transforms
 
     def _edge(self, child: str, stamps: Int64s) -> Float64s:
         parent = self.parent(child)
         assert parent is not None
-        told = self._edges[child][parent]
-        if child in self._fixed or len(told) == 1:
-            return np.tile(matrices(told[-1][1][None])[0], (len(stamps), 1, 1))
-        told = sorted(told, key=lambda row: row[0])
-        times = np.array([stamp for stamp, _ in told])
-        rows = np.array([row for _, row in told])
+        edge = self._edges[child][parent]
+        if child in self._fixed or len(edge) == 1:
+            return np.tile(matrices(edge[-1][1][None])[0], (len(stamps), 1, 1))
+        edge = sorted(edge, key=lambda row: row[0])
+        times = np.array([stamp for stamp, _ in edge])
+        rows = np.array([row for _, row in edge])
         turned = np.einsum("ij,ij->i", rows[1:, 3:], rows[:-1, 3:]) < 0  # q and -q are the same turn
         rows[1:, 3:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
         first = int(times[0])  # differences fit a float, stamps of today do not

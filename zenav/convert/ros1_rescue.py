@@ -53,11 +53,11 @@ def records(content: Bytes, at: int, lost: list[int]) -> Iterator[BagRecord]:
             yield record
             at = record.start if record.op == CHUNK and record.fields.get(b"compression") == b"none" else record.end
             continue
-        found = _next(content, at + 1)
-        lost.append((len(content) if found is None else found) - at)
-        if found is None:
+        next_at = _next(content, at + 1)
+        lost.append((len(content) if next_at is None else next_at) - at)
+        if next_at is None:
             return
-        at = found
+        at = next_at
 
 
 def rescue_messages(path: Path) -> tuple[Iterator[Message], list[str]]:
@@ -172,12 +172,12 @@ def _next(content: Bytes, at: int) -> int | None:
 
 
 def _fields(header: bytes) -> dict[bytes, bytes] | None:
-    found, at = {}, 0
+    fields, at = {}, 0
     while at + 4 <= len(header):
         (length,) = LENGTH.unpack_from(header, at)
         name, equals, value = header[at + 4 : at + 4 + length].partition(b"=")
         at += 4 + length
         if not equals or at > len(header):
             return None
-        found[name] = value
-    return found if at == len(header) else None
+        fields[name] = value
+    return fields if at == len(header) else None

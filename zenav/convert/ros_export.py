@@ -111,7 +111,7 @@ class Ros:
             if first:
                 yield "/tf_static", stamp, self._static(stamp, content.mount)
                 first = False
-            yield from ((topic, stamp, made) for topic, made in self._of(key, message))
+            yield from ((topic, stamp, converted) for topic, converted in self._of(key, message))
         if self._map_waits is not None:
             yield "/map", stamp, self._occupancy(self._map_waits.stamp)
 

@@ -138,8 +138,8 @@ def _read(path: Path, kind: str, wanted: frozenset[str]) -> BagContent:
     bag.topics = {topic: (type_, n) for (topic, type_), n in counts.items()}
     if not counts:
         raise UserError(f"{path}: nothing in it can be read: {'; '.join([cause, *lost])}", HINT)
-    n, told = sum(counts.values()), "; ".join(lost) or "nothing is missing"
-    bag.notes.append(f"{path.name}: {cause}; read from its beginning instead: {n} messages; {told}")
+    n, losses = sum(counts.values()), "; ".join(lost) or "nothing is missing"
+    bag.notes.append(f"{path.name}: {cause}; read from its beginning instead: {n} messages; {losses}")
     return bag
 
 
@@ -155,25 +155,25 @@ def _by_rosbags(reader: Any, wanted: frozenset[str], ros1: bool) -> BagContent:
         topics = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
         chosen = [c for c in reader.connections if c.msgtype in wanted]
         rows = reader.messages(chosen) if chosen else ()
-        found = _last_of_latest(RawMessage(c.topic, c.msgtype, t, _plain(bytes(data)), ros1) for c, t, data in rows)
-        if not all(isinstance(raw.received, int) for raw in found):
+        messages = _last_of_latest(RawMessage(c.topic, c.msgtype, t, _plain(bytes(data)), ros1) for c, t, data in rows)
+        if not all(isinstance(raw.received, int) for raw in messages):
             raise ValueError("a message without its time")
     finally:
         with suppress(Exception):
             reader.close()
-    return BagContent(found, topics)
+    return BagContent(messages, topics)
 
 
 def _last_of_latest(messages: Iterable[RawMessage]) -> list[RawMessage]:
     """All messages; of LATEST, the last of each topic."""
-    found: list[RawMessage] = []
+    others: list[RawMessage] = []
     last: dict[str, RawMessage] = {}
     for raw in messages:
         if raw.type in LATEST:
             last[raw.topic] = raw
         else:
-            found.append(raw)
-    return found + list(last.values())
+            others.append(raw)
+    return others + list(last.values())
 
 
 def _short(error: Exception) -> str:

@@ -60,14 +60,16 @@ class _LogReader:
         self.frames = self._frames(by_receipt=False)
 
     def content(self) -> Content:
-        odom = self._told(self._chosen(self.choice.odom, (ros.ODOM,), _odometry_rank, "odometry", "--topic-odom"))
-        scan = self._told(
+        odom = self._topic_times(
+            self._chosen(self.choice.odom, (ros.ODOM,), _odometry_rank, "odometry", "--topic-odom")
+        )
+        scan = self._topic_times(
             self._chosen(self.choice.scan, (ros.SCAN, ros.ECHOES), self._scan_rank, "laser", "--topic-scan")
         )
-        pose = self._told(
+        pose = self._topic_times(
             self._chosen(self.choice.pose, (ros.POSE_COVARIANCE, ros.POSE), _pose_rank, "pose", "--topic-pose")
         )
-        by_receipt = self._clock([told for told in (scan, odom) if told is not None])
+        by_receipt = self._clock([times for times in (scan, odom) if times is not None])
         if by_receipt:
             self.frames = self._frames(by_receipt=True)
         base = self._base(scan, odom)
@@ -130,7 +132,7 @@ class _LogReader:
 
     # --- messages and clocks ----------------------------------------------------------------------------------------
 
-    def _told(self, raws: list[RawMessage]) -> TopicTimes | None:
+    def _topic_times(self, raws: list[RawMessage]) -> TopicTimes | None:
         rows = []
         for raw in raws:
             message = self._good(ros.read, raw)
@@ -153,40 +155,40 @@ class _LogReader:
             self.n_bad += 1
             return None
 
-    def _clock(self, told: list[TopicTimes]) -> bool:
+    def _clock(self, topics: list[TopicTimes]) -> bool:
         """Whether the times of recording replace the stamps, because headers have none, or those of two clocks."""
-        bare = [topic.topic for topic in told if topic.unstamped]
+        bare = [topic.topic for topic in topics if topic.unstamped]
         if bare:
             self.notes.append(
                 f"{' and '.join(bare)} without stamps: the times at which messages were recorded were taken"
             )
             return True
-        for other in told[1:]:
-            if _apart(told[0].header, other.header) and not _apart(told[0].received, other.received):
+        for other in topics[1:]:
+            if _apart(topics[0].header, other.header) and not _apart(topics[0].received, other.received):
                 self.notes.append(
-                    f"{told[0].topic} and {other.topic} are stamped by different clocks: the times at which "
+                    f"{topics[0].topic} and {other.topic} are stamped by different clocks: the times at which "
                     "messages were recorded were taken"
                 )
                 return True
         return False
 
-    def _made(self, told: TopicTimes | None, make: Callable[[Any, int], M], by_receipt: bool) -> list[M]:
+    def _made(self, topic: TopicTimes | None, make: Callable[[Any, int], M], by_receipt: bool) -> list[M]:
         """A topic's messages as the stack's, in time; those with a stamp that cannot be are bad ones."""
-        if told is None:
+        if topic is None:
             return []
-        by_receipt = by_receipt or told.unstamped
-        stamps = told.received if by_receipt else told.header
-        late = told.header - told.received
+        by_receipt = by_receipt or topic.unstamped
+        stamps = topic.received if by_receipt else topic.header
+        late = topic.header - topic.received
         sane = (stamps > 0) | by_receipt
         if not by_receipt:
             sane &= np.abs(late - np.median(late)) <= ANOTHER_CLOCK
-        found = []
-        for stamp, message, is_sane in zip(stamps.tolist(), told.messages, sane):
+        converted = []
+        for stamp, message, is_sane in zip(stamps.tolist(), topic.messages, sane):
             self.n_bad += not is_sane
             made = self._good(make, message, stamp) if is_sane else None
             if made is not None:
-                found.append(made)
-        return sorted(found, key=lambda message: message.stamp)
+                converted.append(made)
+        return sorted(converted, key=lambda message: message.stamp)
 
     # --- frames -----------------------------------------------------------------------------------------------------
 
@@ -198,10 +200,10 @@ class _LogReader:
                 continue
             message = self._good(ros.read, raw) if 0 <= raw.received < 2**62 else None
             static = raw.topic.endswith("tf_static")
-            for told in message.transforms if message is not None else ():
-                parent, child = ros.frame(told.header.frame_id), ros.frame(told.child_frame_id)
-                stamp = ros.stamp_of(told.header)
-                rows.append((parent, child, stamp, raw.received, ros.transform(told.transform), static))
+            for transform in message.transforms if message is not None else ():
+                parent, child = ros.frame(transform.header.frame_id), ros.frame(transform.child_frame_id)
+                stamp = ros.stamp_of(transform.header)
+                rows.append((parent, child, stamp, raw.received, ros.transform(transform.transform), static))
         return rows
 
     def _frames(self, by_receipt: bool) -> Frames:
@@ -242,41 +244,41 @@ class _LogReader:
 
     # --- what comes out ---------------------------------------------------------------------------------------------
 
-    def _scans(self, told: TopicTimes | None, base: str, by_receipt: bool) -> tuple[list[LaserScan], Mount]:
-        if told is None:
+    def _scans(self, topic: TopicTimes | None, base: str, by_receipt: bool) -> tuple[list[LaserScan], Mount]:
+        if topic is None:
             return [], Mount()
-        stamps = np.sort(told.received if by_receipt else told.header)
-        poses = self.frames.find(base, told.frame, stamps) if told.frame else None
-        holder = self._holder(told.frame)
+        stamps = np.sort(topic.received if by_receipt else topic.header)
+        poses = self.frames.find(base, topic.frame, stamps) if topic.frame else None
+        holder = self._holder(topic.frame)
         if poses is None and holder and not self.choice.base_frame:
-            self.notes.append(f"no tf leads from {base or 'the base'} to {told.frame}: its place on {holder} is taken")
-            poses = self.frames.find(holder, told.frame, stamps)
+            self.notes.append(f"no tf leads from {base or 'the base'} to {topic.frame}: its place on {holder} is taken")
+            poses = self.frames.find(holder, topic.frame, stamps)
         if poses is None:
             if self.choice.base_frame:
                 raise UserError(
-                    f"{self.path}: no tf leads from {base} to {told.frame}, the frame of {told.topic}",
+                    f"{self.path}: no tf leads from {base} to {topic.frame}, the frame of {topic.topic}",
                     nearest(
                         base, tuple(sorted({row[0] for row in self.transforms} | {row[1] for row in self.transforms}))
                     ),
                 )
             self.notes.append(
-                f"no tf leads from {base or 'the base'} to {told.frame or 'the laser'}: "
+                f"no tf leads from {base or 'the base'} to {topic.frame or 'the laser'}: "
                 "the laser is taken to sit on the axis and look ahead"
             )
             poses = np.eye(4)[None]
         if not level(poses[0]):
             raise UserError(
-                f"{self.path}: the laser of {told.topic} is tilted by {tilt(poses[0]):.0f} degrees, off the plane",
+                f"{self.path}: the laser of {topic.topic} is tilted by {tilt(poses[0]):.0f} degrees, off the plane",
                 "choose another one: --topic-scan TOPIC",
             )
         places = [planar(pose) for pose in poses]
         mount = places[len(places) // 2]
         if any(mount.distance(place) > MOVED or abs((mount.inverse() @ place).yaw) > MOVED for place in places):
-            self.notes.append(f"{told.frame} moves on {base}: its place in the middle of the bag is taken")
+            self.notes.append(f"{topic.frame} moves on {base}: its place in the middle of the bag is taken")
         mirrored = upside_down(poses[0])
         if mirrored:
-            self.notes.append(f"the laser of {told.topic} hangs upside-down: its beams were turned about")
-        scans = self._made(told, lambda m, stamp: ros.laser_scan(m, stamp, mirrored), by_receipt)
+            self.notes.append(f"the laser of {topic.topic} hangs upside-down: its beams were turned about")
+        scans = self._made(topic, lambda m, stamp: ros.laser_scan(m, stamp, mirrored), by_receipt)
         if max(abs(mount.x), abs(mount.y)) > 5:
             raise UserError(
                 f"{self.path}: by tf the laser sits at {mount.x:.1f} {mount.y:.1f} m of {base}",
@@ -284,11 +286,11 @@ class _LogReader:
             )
         return scans, Mount(x=mount.x, y=mount.y, yaw=mount.yaw)
 
-    def _odometry(self, told: TopicTimes | None, base: str, by_receipt: bool) -> list[Odometry]:
-        track = self._made(told, ros.odometry, by_receipt)
-        if told is None or base == told.other or not told.other:
+    def _odometry(self, topic: TopicTimes | None, base: str, by_receipt: bool) -> list[Odometry]:
+        track = self._made(topic, ros.odometry, by_receipt)
+        if topic is None or base == topic.other or not topic.other:
             return track
-        poses = self.frames.find(told.other, base, np.zeros(1, np.int64))
+        poses = self.frames.find(topic.other, base, np.zeros(1, np.int64))
         if poses is None:
             return track
         other_from_base = planar(poses[0])
@@ -308,33 +310,37 @@ class _LogReader:
         moving = [frame for frame in between if self.frames.moves(frame)]
         if not moving:
             return []
-        told = [stamps[stamps > 0] for stamps in map(self.frames.stamps, moving)]
-        if any(not len(stamps) for stamps in told):
+        stamps_by_frame = [stamps[stamps > 0] for stamps in map(self.frames.stamps, moving)]
+        if any(not len(stamps) for stamps in stamps_by_frame):
             return []
-        stamps = np.unique(np.concatenate(told))
-        stamps = stamps[(stamps >= max(s[0] for s in told)) & (stamps <= min(s[-1] for s in told))]
+        stamps = np.unique(np.concatenate(stamps_by_frame))
+        stamps = stamps[
+            (stamps >= max(s[0] for s in stamps_by_frame)) & (stamps <= min(s[-1] for s in stamps_by_frame))
+        ]
         poses = self.frames.find(target, source, stamps)
         return [(int(t), planar(pose)) for t, pose in zip(stamps, poses)] if poses is not None else []
 
     def _map(self, by_receipt: bool) -> list[MapUpdate]:
         """The last map; costmaps are none."""
-        told = self._told(self._chosen("", (ros.GRID,), _map_rank, "map", ""))
-        return self._made(told, ros.occupancy, by_receipt)
+        topic = self._topic_times(self._chosen("", (ros.GRID,), _map_rank, "map", ""))
+        return self._made(topic, ros.occupancy, by_receipt)
 
-    def _poses(self, told: TopicTimes | None, base: str, by_receipt: bool, track: list[Odometry]) -> list[PoseEstimate]:
+    def _poses(
+        self, topic: TopicTimes | None, base: str, by_receipt: bool, track: list[Odometry]
+    ) -> list[PoseEstimate]:
         """The pose on the map: of its topic, or in tf; with what that corrects of odometry."""
 
-        def made(message: Any, stamp: int) -> PoseEstimate:
+        def pose_estimate(message: Any, stamp: int) -> PoseEstimate:
             pose = message.pose
             spread = ros.covariance(pose.covariance) if hasattr(pose, "covariance") else np.zeros(9)
             return _estimate(stamp, ros.pose2(pose.pose if hasattr(pose, "covariance") else pose), spread)
 
-        found = self._made(told, made, by_receipt)
+        poses = self._made(topic, pose_estimate, by_receipt)
         maps = [frame for frame in self.frames.ancestors(base) if frame.rpartition("/")[2] == "map"]
-        if told is None and maps:
-            found = [_estimate(stamp, pose, np.zeros(9)) for stamp, pose in self._moving(maps[0], base)]
-        odom_from_base = odometry_at([pose.stamp for pose in found], track)
-        return [replace(p, map_from_odom=p.map_from_base @ o.inverse()) for p, o in zip(found, odom_from_base)]
+        if topic is None and maps:
+            poses = [_estimate(stamp, pose, np.zeros(9)) for stamp, pose in self._moving(maps[0], base)]
+        odom_from_base = odometry_at([pose.stamp for pose in poses], track)
+        return [replace(p, map_from_odom=p.map_from_base @ o.inverse()) for p, o in zip(poses, odom_from_base)]
 
 
 def _estimate(stamp: int, map_from_base: Pose2, spread: Float64s) -> PoseEstimate:
@@ -372,9 +378,9 @@ def _apart(a: Int64s, b: Int64s) -> bool:
 
 def _speeds(rows: list[tuple[int, Pose2]]) -> list[tuple[float, float]]:
     """m/s and rad/s by the motion since the row before."""
-    found = [(0.0, 0.0)]
+    speeds = [(0.0, 0.0)]
     for (before, a), (now, b) in pairwise(rows):
         step, seconds = a.inverse() @ b, max((now - before) * 1e-9, 1e-3)
         v, w = step.x / seconds, step.yaw / seconds
-        found.append((v, w) if abs(v) <= 20 and abs(w) <= 50 else (0.0, 0.0))
-    return found[: len(rows)]
+        speeds.append((v, w) if abs(v) <= 20 and abs(w) <= 50 else (0.0, 0.0))
+    return speeds[: len(rows)]

@@ -82,17 +82,17 @@ def laser_scan(message: Any, stamp: int, mirrored: bool) -> LaserScan:
         low = 0.0
     ranges = np.where(ranges <= np.float32(high), ranges, np.nan).astype(np.float32)
     intensities = _intensities(message, n)
-    taken = step * (n - 1)
-    if not abs(taken) <= MAX_SWEEP_S:
-        step = taken = 0.0
+    scan_time = step * (n - 1)
+    if not abs(scan_time) <= MAX_SWEEP_S:
+        step = scan_time = 0.0
     if step < 0:
         ranges, intensities = ranges[::-1].copy(), intensities[::-1].copy()
         first, increment = first + increment * (n - 1), -increment
-        stamp, taken = stamp + round(taken * 1e9), -taken
+        stamp, scan_time = stamp + round(scan_time * 1e9), -scan_time
     if mirrored:
         first, increment = -first, -increment
     turns = round(first / (2 * pi))
-    scan = LaserScan(max(stamp, 0), first - 2 * pi * turns, increment, taken, low, high, ranges, intensities)
+    scan = LaserScan(max(stamp, 0), first - 2 * pi * turns, increment, scan_time, low, high, ranges, intensities)
     if not abs(increment) <= pi or increment == 0 or (problem := scan.problem()):
         raise ValueError("the angles are none" if increment == 0 or abs(increment) > pi else problem)
     return scan

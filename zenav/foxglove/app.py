@@ -168,10 +168,10 @@ class App(ServerListener):
         reply = self._client.ask(requests.START_MAP, StartMap(self._client.now(), mode, 0, (pose,)), timeout=20.0)
         self._say(f"pose {_words(pose)} of client {client}: {self._accepted(reply, str(mode))}", False)
 
-    def _accepted(self, reply: Reply, words: str) -> str:
+    def _accepted(self, reply: Reply, text: str) -> str:
         if not reply.accepted:
             raise refusal_error(reply)
-        return words
+        return text
 
     # --- the worker -------------------------------------------------------------------------------------------------
 

@@ -40,13 +40,13 @@ def time_of(ns: int) -> dict[str, int]:
 
 def document(message: Message) -> dict[str, Any]:
     """The message as JSON's types."""
-    found: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     type_: Any = type(message)  # a class of dataclasses, which `cache` does not take for hashable
     for name, turn in _turners(type_):
         value = turn(getattr(message, name))
         if value is not None:
-            found[name] = value
-    return found
+            fields[name] = value
+    return fields
 
 
 def compact(document: dict[str, Any]) -> bytes:

@@ -83,10 +83,10 @@ def _level(reason: str) -> int:
 
 
 def _state(message: Message, name: str, level: int, state: str, reason: str, detail: str) -> Diagnostics:
-    words = [state, reason_text(reason), detail]
+    parts = [state, reason_text(reason), detail]
     values = {
         key: f"{value:.6g}" if isinstance(value, float) else str(value)
         for key, value in as_json.document(message).items()
         if isinstance(value, str | int | float)
     }
-    return Diagnostics(message.stamp, name, level, ": ".join(word for word in words if word) or "good", values)
+    return Diagnostics(message.stamp, name, level, ": ".join(part for part in parts if part) or "good", values)

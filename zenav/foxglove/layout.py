@@ -92,10 +92,12 @@ def layout() -> str:
         _split("row", 50, "CallService!stop", "CallService!release"),
         _split("row", 50, "CallService!explore", "CallService!cancel"),
     )  # fmt: skip
-    hands = _split("column", 70, "Teleop!drive", buttons)
-    told = _split("column", 40, "DiagnosticSummary!state", _split("column", 35, "StateTransitions!tasks", "RosOut!log"))
+    controls = _split("column", 70, "Teleop!drive", buttons)
+    status = _split(
+        "column", 40, "DiagnosticSummary!state", _split("column", 35, "StateTransitions!tasks", "RosOut!log")
+    )
     plots = _split("row", 50, "Plot!speed", "Plot!health")
-    arranged = _split("row", 68, _split("column", 75, "3D!scene", plots), _split("column", 40, hands, told))
+    arranged = _split("row", 68, _split("column", 75, "3D!scene", plots), _split("column", 40, controls, status))
     whole = {
         "configById": PANELS,
         "globalVariables": {},

@@ -92,13 +92,13 @@ def cones(readings: RangeReadings) -> fox.SceneUpdate:
     return _entity(readings.stamp, BASE, "cones", lines, locked=True)
 
 
-def zones(held: Zones) -> fox.SceneUpdate:
+def zones(message: Zones) -> fox.SceneUpdate:
     """The zones' outlines in `map`: keep-out zones are red, speed zones yellow. They stay until the next update."""
     lines = [
         _line(list(zip(z.xs.tolist(), z.ys.tolist(), strict=True)), _ZONE_COLOURS[z.kind], 0.05, closed=True)
-        for z in held.zones
+        for z in message.zones
     ]
-    entity = fox.SceneEntity(timestamp=stamp_of(held.stamp), frame_id=MAP, id="zones", lines=lines)
+    entity = fox.SceneEntity(timestamp=stamp_of(message.stamp), frame_id=MAP, id="zones", lines=lines)
     return fox.SceneUpdate(entities=[entity])
 
 

@@ -140,9 +140,9 @@ class LiveView:
         """Serves until `stop` is set."""
         due = second = time.monotonic()
         while not stop.is_set():
-            taken = self._inbox.take(max(0.0, min(due - time.monotonic(), PERIOD)))
-            if taken is not None:
-                place, payload = taken
+            entry = self._inbox.take(max(0.0, min(due - time.monotonic(), PERIOD)))
+            if entry is not None:
+                place, payload = entry
                 self._take(place.key, payload)
             now = time.monotonic()
             if now >= due:
@@ -209,7 +209,7 @@ class LiveView:
 
     def _look_around(self, now: float) -> None:
         """Reports services that fell silent, and a stack that is absent."""
-        quiet = {name: now - heard for name, heard in self._health.items() if now - heard > SILENT}
+        quiet = {name: now - received for name, received in self._health.items() if now - received > SILENT}
         at = self.client.now()
         for name, seconds in quiet.items():
             self._channels.send(STATE, silent(name, at, seconds), at)
@@ -223,8 +223,8 @@ class LiveView:
         self._missing = missing
         if there != self._there and (there or now - self._begun >= FIRST_WORD):
             self._there = there
-            words = "the stack is there" if there else "no stack answers: waiting for it (start one: zenav up)"
-            self._say(words, not there)
+            text = "the stack is there" if there else "no stack answers: waiting for it (start one: zenav up)"
+            self._say(text, not there)
 
     def _say(self, text: str, trouble: bool) -> None:
         """Shows a line on the terminal and to every client."""

@@ -30,15 +30,15 @@ def replace_together(folder: Path, contents: Mapping[str, bytes]) -> None:
         ) from None
 
 
-def read_together(folder: Path, name: str, most: int = 1 << 31) -> bytes:
-    """A file's content. Raises UserError where it cannot be read or is over `most` bytes."""
+def read_together(folder: Path, name: str, max_bytes: int = 1 << 31) -> bytes:
+    """A file's content. Raises UserError where it cannot be read or is over `max_bytes`."""
     with suppress(OSError):  # where nothing may be written, it is read from where it is
         finish_replacing(folder)
     moved = folder / SAVED / name
     path = moved if moved.exists() else folder / name
     try:
-        if path.stat().st_size > most:
-            raise UserError(f"{path}: larger than {most} bytes", "this is no file that zenav wrote")
+        if path.stat().st_size > max_bytes:
+            raise UserError(f"{path}: larger than {max_bytes} bytes", "this is no file that zenav wrote")
         return path.read_bytes()
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror}", "give the folder of a saved map") from None

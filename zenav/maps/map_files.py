@@ -20,8 +20,8 @@ MAPS_FOLDER = Path("maps")
 
 def picture_files(grid: OccupancyGrid) -> dict[str, bytes]:
     """The files of a map without a pose graph, for zenav.maps.atomic_folder; one that lies there is of another map."""
-    drawn = ros_map_files(grid.cells, grid.resolution, grid.x0, grid.y0)
-    return drawn | {"map.png": map_picture(grid, np.zeros((0, 3))), GRAPH: b""}
+    ros_files = ros_map_files(grid.cells, grid.resolution, grid.x0, grid.y0)
+    return ros_files | {"map.png": map_picture(grid, np.zeros((0, 3))), GRAPH: b""}
 
 
 def write_map(grid: OccupancyGrid, folder: Path) -> Path:

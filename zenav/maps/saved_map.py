@@ -13,12 +13,12 @@ from zenav.render.map_picture import map_picture
 GRAPH = "graph.msgpack"
 
 
-def map_files(saved: SavedMap, way: Float64s) -> dict[str, bytes]:
-    """The folder's files; `way` (n, 3) is drawn into the picture."""
+def map_files(saved: SavedMap, trajectory: Float64s) -> dict[str, bytes]:
+    """The folder's files; `trajectory` (n, 3) is drawn into the picture."""
     grid = OccupancyGrid(saved.tiles.resolution, saved.tiles.map_id)
     grid.apply(saved.tiles)
-    drawn = ros_map_files(grid.cells, grid.resolution, grid.x0, grid.y0)
-    return drawn | {GRAPH: pack_map(saved), "map.png": map_picture(grid, way)}
+    ros_files = ros_map_files(grid.cells, grid.resolution, grid.x0, grid.y0)
+    return ros_files | {GRAPH: pack_map(saved), "map.png": map_picture(grid, trajectory)}
 
 
 def write_saved_map(folder: Path, saved: SavedMap) -> None:

@@ -61,12 +61,12 @@ class RunTrack:
         return self.truth.start if self.truth is not None else Pose2()
 
     @property
-    def true_way(self) -> Float64s:
+    def true_trajectory(self) -> Float64s:
         """(n, 3) world_from_base."""
         return np.array([row[1:] for row in self.truths]).reshape(-1, 3)
 
     @property
-    def estimated_way(self) -> Float64s:
+    def estimated_trajectory(self) -> Float64s:
         """(n, 3) the mapper's poses, in the world."""
         poses = (self.world_from_map @ pose for _, _, pose, _ in self.poses)
         return np.array([(p.x, p.y, p.yaw) for p in poses]).reshape(-1, 3)
@@ -83,10 +83,10 @@ def pose_errors(track: RunTrack) -> tuple[Float64s, Float64s]:
     epoch = track.truths[0][0]
     true_stamps = np.array([row[0] - epoch for row in track.truths], float)
     stamps = np.array([row[1] - epoch for row in track.odoms], float)
-    known = np.searchsorted([row[0] for row in track.poses], [row[0] for row in track.odoms], side="right") - 1
-    used = (known >= 0) & (stamps >= true_stamps[0]) & (stamps <= true_stamps[-1])
+    i_pose = np.searchsorted([row[0] for row in track.poses], [row[0] for row in track.odoms], side="right") - 1
+    used = (i_pose >= 0) & (stamps >= true_stamps[0]) & (stamps <= true_stamps[-1])
     corrections = [track.world_from_map @ row[3] for row in track.poses]
-    world_from_odom = np.array([(p.x, p.y, p.yaw) for p in corrections])[known[used]]
+    world_from_odom = np.array([(p.x, p.y, p.yaw) for p in corrections])[i_pose[used]]
     c, s = np.cos(world_from_odom[:, 2]), np.sin(world_from_odom[:, 2])
     x = world_from_odom[:, 0] + c * odom[used, 2] - s * odom[used, 3]
     y = world_from_odom[:, 1] + s * odom[used, 2] + c * odom[used, 3]
@@ -106,9 +106,9 @@ def explored_share(grid: OccupancyGrid, world: World, world_from_map: Pose2, rad
     in_world = np.column_stack((x0 + (columns + 0.5) * FLOOR_CELL, y0 + (rows + 0.5) * FLOOR_CELL))
     cells = grid.cells_of(world_from_map.inverse() @ in_world)
     h, w = grid.cells.shape
-    held = (cells >= 0).all(axis=1) & (cells[:, 0] < h) & (cells[:, 1] < w)
+    inside = (cells >= 0).all(axis=1) & (cells[:, 0] < h) & (cells[:, 1] < w)
     known = np.zeros(len(cells), bool)
-    known[held] = grid.cells[cells[held, 0], cells[held, 1]] >= 0
+    known[inside] = grid.cells[cells[inside, 0], cells[inside, 1]] >= 0
     return float(known.mean())
 
 
@@ -175,8 +175,8 @@ def visible_surface(world: World, radius: float, reach: float) -> Float64s:
         ends.append(place + ranges[hit, None] * unit[hit])
     x, y = np.rint(np.concatenate(ends).T / OUTLINE_STEP)
     once = np.unique(x + 1j * y) * OUTLINE_STEP
-    found = np.column_stack((once.real, once.imag))
-    away, _ = cKDTree(found).query(outline, distance_upper_bound=BESIDE_BEAM)
+    visible_points = np.column_stack((once.real, once.imag))
+    away, _ = cKDTree(visible_points).query(outline, distance_upper_bound=BESIDE_BEAM)
     return np.asarray(outline[np.isfinite(away)])
 
 

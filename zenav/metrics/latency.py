@@ -75,26 +75,26 @@ def latency_chain(path: Path, since: int = 0, spent: HandlerTimes = MappingProxy
         if name in ("local_ctrl", "guard", "base_driver")
     }
     control = events.get("local_ctrl", [])
-    at_control = _times_taken(control, "scan")
-    at_guard = _times_taken(events.get("guard", []), "cmd/nav")
-    at_base = _times_taken(events.get("base_driver", []), "cmd/vel")
+    times_at_control = _times_taken(control, "scan")
+    times_at_guard = _times_taken(events.get("guard", []), "cmd/nav")
+    times_at_base = _times_taken(events.get("base_driver", []), "cmd/vel")
     by_time = {key: {when: source for source, when in sent[key].items()} for key in ("cmd/nav", "cmd/vel")}
     ticks = [event.now for event in control if event.kind == TICK]
-    until = max(at_base.values(), default=0) - round(END_S * NS_PER_S)
+    until = max(times_at_base.values(), default=0) - round(END_S * NS_PER_S)
     rows: list[tuple[int, int, int, int]] = []
     spent_by: list[float] = []
     lost = dict.fromkeys((NOT_TAKEN, NO_COMMAND, NOT_AT_BASE), 0)
     for begun, source in sorted((when, source) for source, when in sent["scan"].items() if when >= since):
-        taken = at_control.get(source)
-        i = bisect_left(ticks, taken) if taken is not None else len(ticks)
-        guarded = at_guard.get(by_time["cmd/nav"].get(ticks[i], NO_SOURCE)) if i < len(ticks) else None
-        based = at_base.get(by_time["cmd/vel"].get(guarded, NO_SOURCE)) if guarded is not None else None
-        if taken is not None and guarded is not None and based is not None:
-            rows.append((taken - begun, ticks[i] - taken, guarded - ticks[i], based - guarded))
-            begins = zip(CHAIN_SERVICES, (begun, ticks[i], guarded))
+        control_at = times_at_control.get(source)
+        i = bisect_left(ticks, control_at) if control_at is not None else len(ticks)
+        guard_at = times_at_guard.get(by_time["cmd/nav"].get(ticks[i], NO_SOURCE)) if i < len(ticks) else None
+        base_at = times_at_base.get(by_time["cmd/vel"].get(guard_at, NO_SOURCE)) if guard_at is not None else None
+        if control_at is not None and guard_at is not None and base_at is not None:
+            rows.append((control_at - begun, ticks[i] - control_at, guard_at - ticks[i], base_at - guard_at))
+            begins = zip(CHAIN_SERVICES, (begun, ticks[i], guard_at))
             spent_by.append(sum(spent.get(name, {}).get(when, nan) for name, when in begins))
         elif begun <= until:
-            lost[NOT_TAKEN if taken is None else NO_COMMAND if guarded is None else NOT_AT_BASE] += 1
+            lost[NOT_TAKEN if control_at is None else NO_COMMAND if guard_at is None else NOT_AT_BASE] += 1
     to_control, wait, solved, guarded_for = np.array(rows, float).reshape(-1, 4).T / NS_PER_S
     n_scans = len(rows) + sum(lost.values())
     return LatencyChain(to_control, wait, solved, guarded_for, np.array(spent_by, float), lost, n_scans)
@@ -130,11 +130,11 @@ def _timed_handler(service: Service, handler: Callable[..., Out], spent: dict[in
 
 def _times_sent(recording: Recording, key: str) -> dict[tuple[str, int], int]:
     """(session, sequence) -> ns of every message on a key."""
-    found = {}
+    times = {}
     for entry in recording.entries((key,)):
         envelope = envelope_of(entry.payload)
-        found[(envelope.session, envelope.sequence)] = envelope.sent
-    return found
+        times[(envelope.session, envelope.sequence)] = envelope.sent
+    return times
 
 
 def _times_taken(events: list[Event], key: str) -> dict[tuple[str, int], int]:
@@ -142,43 +142,43 @@ def _times_taken(events: list[Event], key: str) -> dict[tuple[str, int], int]:
     return {(e.session, e.number): e.now for e in events if e.kind == MESSAGE and e.key == key}
 
 
-def latency_figures(found: LatencyChain) -> dict[str, Any]:
+def latency_figures(chain: LatencyChain) -> dict[str, Any]:
     """Percentiles of the chain and its parts, ms.
 
     The ratio compares equal percentiles over the same scans. Its numerator is the time from scan to cmd/vel without the
     wait for the tick. Its denominator is the time of that command's handlers, run alone.
     """
-    known = np.isfinite(found.handlers)
+    is_timed = np.isfinite(chain.handlers)
     parts = {
-        "scan to cmd/vel, with the wait for the control tick": found.total,
-        "without that wait": found.latency,
-        **({"the handlers on the way, alone": found.handlers[known]} if known.any() else {}),
-        "scan to local_ctrl": found.to_control, "wait for the control tick": found.wait,
-        "tick to guard": found.control, "guard to base_driver": found.guard,
+        "scan to cmd/vel, with the wait for the control tick": chain.total,
+        "without that wait": chain.latency,
+        **({"the handlers on the way, alone": chain.handlers[is_timed]} if is_timed.any() else {}),
+        "scan to local_ctrl": chain.to_control, "wait for the control tick": chain.wait,
+        "tick to guard": chain.control, "guard to base_driver": chain.guard,
     }  # fmt: skip
     rows = {name: {f"p{p}": round(_ms(values, p), 2) for p in (50, 95, 99, 100)} for name, values in parts.items()}
     return {
         "summary": {
-            "n_scans": found.n_scans,
-            "n_scans_without_command": sum(found.lost.values()),
-            "with_wait_p50_ms": round(_ms(found.total, 50), 2),
-            "with_wait_p99_ms": round(_ms(found.total, 99), 2),
-            "latency_p50_ms": round(_ms(found.latency, 50), 2),
-            "latency_p99_ms": round(_ms(found.latency, 99), 2),
-            "handlers_p50_ms": round(_ms(found.handlers[known], 50), 2),
-            "handlers_p99_ms": round(_ms(found.handlers[known], 99), 2),
-            "ratio_to_handlers_p50": _ratio(found, known, 50),
-            "ratio_to_handlers": _ratio(found, known, 99),
+            "n_scans": chain.n_scans,
+            "n_scans_without_command": sum(chain.lost.values()),
+            "with_wait_p50_ms": round(_ms(chain.total, 50), 2),
+            "with_wait_p99_ms": round(_ms(chain.total, 99), 2),
+            "latency_p50_ms": round(_ms(chain.latency, 50), 2),
+            "latency_p99_ms": round(_ms(chain.latency, 99), 2),
+            "handlers_p50_ms": round(_ms(chain.handlers[is_timed], 50), 2),
+            "handlers_p99_ms": round(_ms(chain.handlers[is_timed], 99), 2),
+            "ratio_to_handlers_p50": _ratio(chain, is_timed, 50),
+            "ratio_to_handlers": _ratio(chain, is_timed, 99),
         },
         "parts": rows,
-        "scans_without_command": found.lost,
+        "scans_without_command": chain.lost,
     }
 
 
-def _ratio(found: LatencyChain, known: Bools, percentile: float) -> float | None:
+def _ratio(chain: LatencyChain, is_timed: Bools, percentile: float) -> float | None:
     """Latency to handlers, of the same scans; None where no handler's time is known."""
-    handlers = _ms(found.handlers[known], percentile)
-    return round(_ms(found.latency[known], percentile) / handlers, 2) if handlers else None
+    handlers = _ms(chain.handlers[is_timed], percentile)
+    return round(_ms(chain.latency[is_timed], percentile) / handlers, 2) if handlers else None
 
 
 def _ms(values: Float64s, percentile: float) -> float:

@@ -47,7 +47,7 @@ class RecordedRun:
     poses: list[tuple[int, Pose2]] = field(default_factory=list)
     grid: OccupancyGrid = field(default_factory=OccupancyGrid)
     n_lost: int = 0
-    n_ways: int = 0
+    n_plans: int = 0
     n_refused: int = 0
     n_reached: int = 0
     n_recoveries: int = 0
@@ -75,7 +75,7 @@ class RecordedRun:
         elif isinstance(message, MapUpdate):
             self.grid.apply(message)
         elif isinstance(message, Path):
-            self.n_ways += not message.reason
+            self.n_plans += not message.reason
             self.n_refused += bool(message.reason)
         elif isinstance(message, NavStatus):
             self.n_reached += message.state is NavState.REACHED and self._nav is not NavState.REACHED
@@ -88,7 +88,7 @@ class RecordedRun:
             self.truth = message
 
     @property
-    def way(self) -> Float64s:
+    def trajectory(self) -> Float64s:
         """(n, 3) map_from_base."""
         return _array(self.poses)
 
@@ -103,51 +103,55 @@ def run_from_entries(entries: Iterable[Entry]) -> RecordedRun:
 
 def run_metrics(run: RecordedRun, lives: Iterable[Life] = ()) -> Metrics:
     """The figures of one run, without a reference. lives: its journals' sessions, for the jobs."""
-    told: Metrics = {f"{key}, messages": n for key, n in sorted(run.counts.items())}
+    metrics: Metrics = {f"{key}, messages": n for key, n in sorted(run.counts.items())}
     for name, poses in (("odom", run.odoms), ("pose", run.poses)):
         if poses:
             path = _array(poses)
-            told[f"{name} path, m"] = float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum())
-            told[f"{name} turned, deg"] = degrees(float(np.abs(wrapped_all(np.diff(path[:, 2]))).sum()))
+            metrics[f"{name} path, m"] = float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum())
+            metrics[f"{name} turned, deg"] = degrees(float(np.abs(wrapped_all(np.diff(path[:, 2]))).sum()))
     if run.poses:
         end = run.poses[-1][1]
-        told |= {"pose at the end x, m": end.x, "pose at the end y, m": end.y, "pose at the end, deg": degrees(end.yaw)}
-        told["pose lost, messages"] = run.n_lost
+        metrics |= {
+            "pose at the end x, m": end.x,
+            "pose at the end y, m": end.y,
+            "pose at the end, deg": degrees(end.yaw),
+        }
+        metrics["pose lost, messages"] = run.n_lost
     if not run.grid.empty:
-        told["map known, m2"] = float((run.grid.cells >= 0).sum()) * run.grid.resolution**2
-        told["map occupied, cells"] = int(run.grid.occupied.sum())
-    if run.n_ways or run.n_refused:
-        told |= {"plan ways, messages": run.n_ways, "plan without a way, messages": run.n_refused}
+        metrics["map known, m2"] = float((run.grid.cells >= 0).sum()) * run.grid.resolution**2
+        metrics["map occupied, cells"] = int(run.grid.occupied.sum())
+    if run.n_plans or run.n_refused:
+        metrics |= {"plan ways, messages": run.n_plans, "plan without a way, messages": run.n_refused}
     if run._nav is not None:
-        told |= {"goals reached": run.n_reached, "recoveries": run.n_recoveries}
-    told |= {f"guard {reason}, messages": n for reason, n in sorted(run.standing.items())}
+        metrics |= {"goals reached": run.n_reached, "recoveries": run.n_recoveries}
+    metrics |= {f"guard {reason}, messages": n for reason, n in sorted(run.standing.items())}
     if run.truth is not None:
-        told |= {"truly driven, m": run.truth.distance, "contacts": run.truth.n_contacts}
+        metrics |= {"truly driven, m": run.truth.distance, "contacts": run.truth.n_contacts}
     for key, delays in run.delays.items():
-        told |= {f"{key} delay {p} %, ms": float(np.percentile(delays, p)) for p in (50, 95)}
+        metrics |= {f"{key} delay {p} %, ms": float(np.percentile(delays, p)) for p in (50, 95)}
     for life in lives:
         n = sum(event.kind == DONE for event in life.events)
         if n:
-            told[f"{life.name} jobs done"] = told.get(f"{life.name} jobs done", 0) + n
-    return told
+            metrics[f"{life.name} jobs done"] = metrics.get(f"{life.name} jobs done", 0) + n
+    return metrics
 
 
 def run_differences(a: RecordedRun, b: RecordedRun) -> Metrics:
     """How far two runs on the same inputs are apart: poses by their stamps, odometry, maps cell by cell."""
-    told: Metrics = {}
+    metrics: Metrics = {}
     for name, of_a, of_b in (("odom", a.odoms, b.odoms), ("pose", a.poses, b.poses)):
         second = dict(of_b)
         pairs = [(pose, second[stamp]) for stamp, pose in of_a if stamp in second]
         if pairs:
             off = np.array([pose.distance(other) for pose, other in pairs])
             turned = np.abs(wrapped_all(np.array([other.yaw - pose.yaw for pose, other in pairs])))
-            told[f"{name} apart mean, m"], told[f"{name} apart most, m"] = float(off.mean()), float(off.max())
-            told[f"{name} apart most, deg"] = degrees(float(turned.max()))
+            metrics[f"{name} apart mean, m"], metrics[f"{name} apart most, m"] = float(off.mean()), float(off.max())
+            metrics[f"{name} apart most, deg"] = degrees(float(turned.max()))
     if a.grid.resolution == b.grid.resolution and not (a.grid.empty and b.grid.empty):
         first, second_, _ = on_one_window(a.grid, b.grid)
-        told["map differs, cells"] = int((cell_classes(first) != cell_classes(second_)).sum())
-        told["map known in both, cells"] = int(((first >= 0) & (second_ >= 0)).sum())
-    return told
+        metrics["map differs, cells"] = int((cell_classes(first) != cell_classes(second_)).sum())
+        metrics["map known in both, cells"] = int(((first >= 0) & (second_ >= 0)).sum())
+    return metrics
 
 
 def on_one_window(a: OccupancyGrid, b: OccupancyGrid) -> tuple[NDArray[np.int8], NDArray[np.int8], tuple[int, int]]:
@@ -169,8 +173,8 @@ def on_one_window(a: OccupancyGrid, b: OccupancyGrid) -> tuple[NDArray[np.int8],
 
 def cell_classes(cells: NDArray[np.int8]) -> NDArray[np.int8]:
     """Per cell 0 unknown, 1 free, 2 in between, 3 occupied."""
-    told = np.where(cells >= OCCUPIED_FROM, 3, np.where(cells > FREE_UP_TO, 2, 1))
-    return np.where(cells < 0, 0, told).astype(np.int8)
+    classes = np.where(cells >= OCCUPIED_FROM, 3, np.where(cells > FREE_UP_TO, 2, 1))
+    return np.where(cells < 0, 0, classes).astype(np.int8)
 
 
 def comparison_table(a: Metrics, b: Metrics, names: tuple[str, str], only_changed: bool = False) -> list[str]:

@@ -180,4 +180,4 @@ def _p99(values: Float64s) -> float | None:
 
 def figure_rows(figures: dict[str, Any]) -> list[tuple[str, str]]:
     """Name and value of each figure, for a table."""
-    return [(words, "-" if figures[name] is None else f"{figures[name]:.3g}") for name, words in FIGURES.items()]
+    return [(label, "-" if figures[name] is None else f"{figures[name]:.3g}") for name, label in FIGURES.items()]

@@ -63,13 +63,13 @@ class RecordingInfo:
 
 def show_info(paths: list[Path], as_json: bool) -> int:
     """Writes what each recording holds; 1 where something is wrong with one."""
-    found = [recording_info(path) for path in paths]
-    for row in found:
+    rows = [recording_info(path) for path in paths]
+    for row in rows:
         if as_json:
             sys.stdout.write(json.dumps(asdict(row)) + "\n")
         else:
             _write(row)
-    return 1 if any(row.problems for row in found) else 0
+    return 1 if any(row.problems for row in rows) else 0
 
 
 def recording_info(path: Path) -> RecordingInfo:
@@ -97,14 +97,14 @@ def recording_info(path: Path) -> RecordingInfo:
 
 @dataclass
 class Silences:
-    """When a key spoke: its first and last log_time, and every silence of MIN_GAP_S or more, (from, to) in ns."""
+    """First and last log_time of a key, and every silence of MIN_GAP_S or more, (from, to) in ns."""
 
     first: int = 0
     last: int = 0
     long: list[tuple[int, int]] = field(default_factory=list)
 
     def summary(self, n: int, expected: float, end: int) -> tuple[float, int, float]:
-        """Rate, and number and length of its gaps; nothing where only events speak."""
+        """Rate, and number and length of its gaps; nothing for a topic without a rate."""
         seconds = (self.last - self.first) / NS_PER_S
         hz = (n - 1) / seconds if n > 1 and seconds > 0 else 0.0
         if not expected or not n:
@@ -115,17 +115,17 @@ class Silences:
 
 
 def _by_index(recording: Recording, rows: dict[str, TopicInfo]) -> dict[str, Silences]:
-    """Counts, and when each key spoke, without reading a message."""
-    statistics, blocks, found = recording.statistics, recording.blocks, dict[str, Silences]()
+    """Message counts and silences of each key, without reading a message."""
+    statistics, blocks, silences_by_key = recording.statistics, recording.blocks, dict[str, Silences]()
     counts = statistics.channel_message_counts if statistics else {}
     for number, source in recording.sources.items():
         if not source.recorded.latched:
             rows[source.recorded.key].n += counts.get(number, 0)
     if any(block.channels is None for block in blocks):
-        return found
+        return silences_by_key
     begins = np.array([min(block.begin, LAST) for block in blocks], np.int64)
     ends = np.array([min(block.end, LAST) for block in blocks], np.int64)
-    told = np.frombuffer(b"".join(block.channels or b"" for block in blocks), _ROWS)["channel"]
+    channels = np.frombuffer(b"".join(block.channels or b"" for block in blocks), _ROWS)["channel"]
     sizes = np.array([len(block.channels or b"") // _ROWS.itemsize for block in blocks], np.int64)
     holders = np.repeat(np.arange(len(blocks)), sizes)
     with recording.path.open("rb") as file:
@@ -137,23 +137,23 @@ def _by_index(recording: Recording, rows: dict[str, TopicInfo]) -> dict[str, Sil
             return np.sort(np.frombuffer(read[block].get(number, b""), np.int64)[::2])
 
         for number, source in recording.sources.items():
-            at = holders[told == number]
+            at = holders[channels == number]
             if not len(at) or source.recorded.latched:
                 continue
             topic = topics.topic_of(source.recorded.key)
-            least = max(PERIODS / topic.hz, MIN_GAP_S) * NS_PER_S if topic and topic.hz else np.inf
+            min_gap = max(PERIODS / topic.hz, MIN_GAP_S) * NS_PER_S if topic and topic.hz else np.inf
             ahead, behind = times(int(at[0]), number), times(int(at[-1]), number)
             if not len(ahead) or not len(behind):
                 continue
-            silences = found.setdefault(source.recorded.key, Silences(int(ahead[0]), int(behind[-1])))
+            silences = silences_by_key.setdefault(source.recorded.key, Silences(int(ahead[0]), int(behind[-1])))
             silences.first, silences.last = min(silences.first, int(ahead[0])), max(silences.last, int(behind[-1]))
             # the chunks' whole lengths lie between them: what speaks in both may have been silent for so long
-            for i in np.flatnonzero(ends[at[1:]] - begins[at[:-1]] > least).tolist():
+            for i in np.flatnonzero(ends[at[1:]] - begins[at[:-1]] > min_gap).tolist():
                 pair = np.append(times(int(at[i]), number)[-1:], times(int(at[i + 1]), number)[:1])
-                silences.long += _between(pair, least)
-            for block in at[ends[at] - begins[at] > least].tolist():
-                silences.long += _between(times(block, number), least)
-    return found
+                silences.long += _between(pair, min_gap)
+            for block in at[ends[at] - begins[at] > min_gap].tolist():
+                silences.long += _between(times(block, number), min_gap)
+    return silences_by_key
 
 
 def _by_reading(recording: Recording, rows: dict[str, TopicInfo]) -> dict[str, Silences]:
@@ -162,19 +162,19 @@ def _by_reading(recording: Recording, rows: dict[str, TopicInfo]) -> dict[str, S
         stamps.setdefault(entry.key, [])
         if not entry.latched:
             stamps[entry.key].append(entry.log_time)
-    found = {}
+    silences_by_key = {}
     for key, times in stamps.items():
         rows.setdefault(key, TopicInfo(key, "")).n = len(times)
         if times:
             sorted_times = np.sort(np.array([min(time, LAST) for time in times], np.int64))
             long = _between(sorted_times, MIN_GAP_S * NS_PER_S)
-            found[key] = Silences(int(sorted_times[0]), int(sorted_times[-1]), long)
-    return found
+            silences_by_key[key] = Silences(int(sorted_times[0]), int(sorted_times[-1]), long)
+    return silences_by_key
 
 
-def _between(times: Int64s, least: float) -> list[tuple[int, int]]:
-    """The silences between sorted times that are longer than `least`, ns."""
-    where = np.flatnonzero(np.diff(times) > least)
+def _between(times: Int64s, min_gap: float) -> list[tuple[int, int]]:
+    """The silences between sorted times that are longer than `min_gap`, ns."""
+    where = np.flatnonzero(np.diff(times) > min_gap)
     return [(int(times[i]), int(times[i + 1])) for i in where]
 
 
@@ -196,7 +196,7 @@ def _parts(recording: Recording) -> list[str]:
     name, number = recording.about.get("recording"), recording.about.get("part", "")
     if not name or not number.isdigit():
         return []
-    found = {int(number): recording.path.name}
+    names = {int(number): recording.path.name}
     for path in recording.path.parent.glob(f"{_plain(name)}*{recording.path.suffix}"):
         if path.name == recording.path.name:
             continue
@@ -205,25 +205,25 @@ def _parts(recording: Recording) -> list[str]:
         except UserError:
             continue
         if about.get("recording") == name and about.get("part", "").isdigit():
-            found[int(about["part"])] = path.name
-    return [found[n] for n in sorted(found)] if len(found) > 1 else []
+            names[int(about["part"])] = path.name
+    return [names[n] for n in sorted(names)] if len(names) > 1 else []
 
 
 def _plain(name: str) -> str:
     return "".join(f"[{c}]" if c in "*?[" else c for c in name)
 
 
-def _write(found: RecordingInfo) -> None:
-    about = dict(found.about)
+def _write(info: RecordingInfo) -> None:
+    about = dict(info.about)
     lines = {
-        "recording": f"{found.path}, {found.size / 1e6:.1f} MB, {found.seconds:.1f} s, {found.messages} messages",
-        "recorded": _date(found.begin),
+        "recording": f"{info.path}, {info.size / 1e6:.1f} MB, {info.seconds:.1f} s, {info.messages} messages",
+        "recorded": _date(info.begin),
         "robot": about.pop("robot", ""),
         "commit": about.pop("commit", ""),
         "machine": ", ".join(about.pop(name) for name in ("host", "processor", "libc") if name in about),
-        "part": f"{about.pop('part', '')} of {', '.join(found.parts)}" if found.parts else about.pop("part", "") and "",
-        "attached": ", ".join(f"{name} ({size} bytes)" for name, size in found.attachments.items()),
-        "index": "" if found.indexed else "none: zenav recording repair makes it",
+        "part": f"{about.pop('part', '')} of {', '.join(info.parts)}" if info.parts else about.pop("part", "") and "",
+        "attached": ", ".join(f"{name} ({size} bytes)" for name, size in info.attachments.items()),
+        "index": "" if info.indexed else "none: zenav recording repair makes it",
     }
     lines["made from"] = "; ".join(about.pop(name) for name in ("merged", "trimmed") if name in about)
     for name in ("recording", "replayed"):
@@ -232,7 +232,7 @@ def _write(found: RecordingInfo) -> None:
     for name, text in lines.items():
         if text:
             sys.stdout.write(f"{name:<10} {text}\n")
-    for problem in found.problems:
+    for problem in info.problems:
         sys.stdout.write(f"{'problem':<10} {problem}\n")
     columns = ["topic", "type", "messages", "Hz", "expected", "gaps", "longest, s", "missed", ""]
     rows = [
@@ -241,9 +241,9 @@ def _write(found: RecordingInfo) -> None:
             f"{row.expected_hz:g}" if row.expected_hz else "-", str(row.gaps or "-"),
             f"{row.longest_gap:.1f}" if row.gaps else "-", str(row.missed or "-"), row.note,
         ]
-        for row in found.topics
+        for row in info.topics
     ]  # fmt: skip
-    show_table("", columns if any(row.note for row in found.topics) else columns[:-1], info_rows(rows, found))
+    show_table("", columns if any(row.note for row in info.topics) else columns[:-1], info_rows(rows, info))
 
 
 def _date(ns: int) -> str:
@@ -253,6 +253,6 @@ def _date(ns: int) -> str:
         return f"{ns} ns, which no calendar has"
 
 
-def info_rows(rows: list[list[str]], found: RecordingInfo) -> list[list[Any]]:
+def info_rows(rows: list[list[str]], info: RecordingInfo) -> list[list[Any]]:
     """The table's rows, without the column of notes where all are empty."""
-    return rows if any(row.note for row in found.topics) else [row[:-1] for row in rows]
+    return rows if any(row.note for row in info.topics) else [row[:-1] for row in rows]

@@ -69,8 +69,8 @@ def _percentiles(ages: list[int]) -> dict[str, float]:
 
 
 def _chain(path: Path) -> dict[str, Any]:
-    found = latency_chain(path)
-    parts: dict[str, Any] = latency_figures(found)["parts"] if len(found.latency) else {}
+    chain = latency_chain(path)
+    parts: dict[str, Any] = latency_figures(chain)["parts"] if len(chain.latency) else {}
     return parts
 
 

@@ -42,20 +42,20 @@ class PlotSeries:
 def plot(path: Path, fields: list[str], out: Path | None, begin: float | None, end: float | None) -> int:
     """Draws fields like pose:map_from_base.x; into the PNG `out`, or into the terminal."""
     recording = open_recording(path)
-    found = series(recording, fields, *time_range(recording, begin, end))
-    units = dict.fromkeys(row.unit for row in found)
+    plotted = series(recording, fields, *time_range(recording, begin, end))
+    units = dict.fromkeys(row.unit for row in plotted)
     if out is None:
         from rich.console import Console
 
         console = Console()
         for unit in units:
-            for line in braille_lines([row for row in found if row.unit == unit], min(console.width - MARGIN, WIDTH)):
+            for line in braille_lines([row for row in plotted if row.unit == unit], min(console.width - MARGIN, WIDTH)):
                 console.print(line, no_wrap=True, overflow="crop")
         return 0
     charts = []
     for unit in units:
         chart = Chart(path.name, "s", unit)
-        for i, row in enumerate(row for row in found if row.unit == unit):
+        for i, row in enumerate(row for row in plotted if row.unit == unit):
             chart.line(row.times, row.values, COLOURS[i % len(COLOURS)], row.name)
         charts.append(chart)
     try:
@@ -82,13 +82,13 @@ def series(recording: Recording, fields: list[str], begin: int | None, end: int 
             if key == entry.key:
                 times[i].append((entry.log_time - zero) / NS_PER_S)
                 values[i].append(_number(getattr(message, field.name), path, index))
-    found = []
+    plotted = []
     for (_, field, *_), text, t, v in zip(wanted, fields, times, values):
         if not t or not np.isfinite(v).any():
             hint = f"of an array say which: {text}[0], {text}.min, .max, .mean; zenav recording cat shows what it holds"
             raise UserError(f"{recording.path} has no number for {text}", hint)
-        found.append(PlotSeries(text, _unit(field, text), np.array(t), np.array(v)))
-    return found
+        plotted.append(PlotSeries(text, _unit(field, text), np.array(t), np.array(v)))
+    return plotted
 
 
 def _asked(text: str) -> tuple[str, Field, list[str], int | None]:

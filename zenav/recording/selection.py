@@ -21,15 +21,15 @@ def keys_in(recording: Recording, patterns: Sequence[str]) -> frozenset[str] | N
         for _ in recording.entries(as_recorded=True):
             pass  # without an index, a channel is known when it was read
     there = {source.recorded.key for source in recording.sources.values()}
-    found: set[str] = set()
+    keys: set[str] = set()
     for pattern in patterns:
         named = {key for key in there if fnmatchcase(key, pattern)}
         if not named:
-            known = any(fnmatchcase(key, pattern) for key in KEYS)
-            what = "holds nothing on" if known else "has no topic"
+            is_topic = any(fnmatchcase(key, pattern) for key in KEYS)
+            what = "holds nothing on" if is_topic else "has no topic"
             raise UserError(f"{recording.path} {what} {pattern}", nearest(pattern, tuple(sorted(there))))
-        found |= named
-    return frozenset(found)
+        keys |= named
+    return frozenset(keys)
 
 
 def begin_of(recording: Recording) -> int:

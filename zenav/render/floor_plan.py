@@ -51,9 +51,12 @@ def floor_plan(track: RunTrack, world: World, goals: Sequence[GoalMark]) -> byte
 
     for segment in world.outline():
         draw.line(pixels(segment.reshape(2, 2)), fill=OUTLINE, width=1)
-    for way, colour, width in ((track.true_way, TRUE_WAY, 4), (track.estimated_way, DRIVEN_WAY, 2)):
-        if len(way) > 1:
-            draw.line(pixels(way), fill=colour, width=width, joint="curve")
+    for trajectory, colour, width in (
+        (track.true_trajectory, TRUE_WAY, 4),
+        (track.estimated_trajectory, DRIVEN_WAY, 2),
+    ):
+        if len(trajectory) > 1:
+            draw.line(pixels(trajectory), fill=colour, width=width, joint="curve")
     errors, half = map_errors(track.grid, world, track.world_from_map), track.grid.resolution * scale / 2
     middles = occupied_middles(track.grid, track.world_from_map)
     for x, y in pixels(middles[errors > MAX_WALL_ERROR_M]) if len(errors) else ():
@@ -80,9 +83,9 @@ def _map_pixels(
     points = np.column_stack((corner[0] + (columns.ravel() + 0.5) / scale, corner[1] - (rows.ravel() + 0.5) / scale))
     cells = grid.cells_of(world_from_map.inverse() @ points)
     h, w = grid.cells.shape
-    held = (cells >= 0).all(axis=1) & (cells[:, 0] < h) & (cells[:, 1] < w)
+    inside = (cells >= 0).all(axis=1) & (cells[:, 0] < h) & (cells[:, 1] < w)
     values = np.full(len(cells), -1, np.int8)
-    values[held] = grid.cells[cells[held, 0], cells[held, 1]]
+    values[inside] = grid.cells[cells[inside, 0], cells[inside, 1]]
     share = np.clip(values[:, None] / 100.0, 0, 1)
     colours = np.where(values[:, None] < 0, UNKNOWN, np.array(FREE) + share * (np.array(WALL) - np.array(FREE)))
     return colours.astype(np.uint8).reshape(*shape, 3)

@@ -39,10 +39,10 @@ def map_picture(grid: OccupancyGrid, poses: Float64s) -> bytes:
     draw = ImageDraw.Draw(image)
     x = ((poses[:, 0] - grid.x0) / grid.resolution - c0) * pixel
     y = image.size[1] - ((poses[:, 1] - grid.y0) / grid.resolution - r0) * pixel
-    way = [(float(a), float(b)) for a, b in zip(x, y)]
-    if len(way) > 1:
-        draw.line(way, fill=WAY, width=max(1, round(pixel / 2)), joint="curve")
-    for (a, b), colour in ((way[0], START), (way[-1], END)) if way else ():
+    line = [(float(a), float(b)) for a, b in zip(x, y)]
+    if len(line) > 1:
+        draw.line(line, fill=WAY, width=max(1, round(pixel / 2)), joint="curve")
+    for (a, b), colour in ((line[0], START), (line[-1], END)) if line else ():
         draw.ellipse((a - 5, b - 5, a + 5, b + 5), fill=colour)
     metre = pixel / grid.resolution
     bar = next((m for m in (10, 5, 2, 1) if m * metre < image.size[0] / 3), 1)
@@ -56,10 +56,10 @@ def map_picture(grid: OccupancyGrid, poses: Float64s) -> bytes:
 DIFFERS, OTHER_WAY = (240, 150, 30), (40, 100, 220)
 
 
-def two_runs(grid: OccupancyGrid, way: Float64s, other_grid: OccupancyGrid, other_way: Float64s) -> bytes:
-    """A PNG of two runs: what both maps agree on, in orange the cells that differ; one way red, the other blue.
+def two_runs(grid: OccupancyGrid, trajectory: Float64s, other_grid: OccupancyGrid, other_trajectory: Float64s) -> bytes:
+    """A PNG of two runs: what both maps agree on, in orange the cells that differ; one trajectory red, the other blue.
 
-    way, other_way: (n, 3) map_from_base.
+    trajectory, other_trajectory: (n, 3) map_from_base.
     """
     from PIL import Image, ImageDraw
 
@@ -74,7 +74,7 @@ def two_runs(grid: OccupancyGrid, way: Float64s, other_grid: OccupancyGrid, othe
     image = Image.fromarray(colours[r0:r1, c0:c1][::-1])
     image = image.resize((image.size[0] * scale, image.size[1] * scale), Image.Resampling.NEAREST)
     draw, cell = ImageDraw.Draw(image), grid.resolution
-    for path, colour in ((way, WAY), (other_way, OTHER_WAY)):
+    for path, colour in ((trajectory, WAY), (other_trajectory, OTHER_WAY)):
         x = (path[:, 0] / cell - column * TILE_CELLS - c0) * scale
         y = image.size[1] - (path[:, 1] / cell - row * TILE_CELLS - r0) * scale
         points = [(float(a), float(b)) for a, b in zip(x, y)]

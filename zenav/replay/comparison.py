@@ -25,7 +25,7 @@ class FieldDifference(NamedTuple):
 
     field: str
     by: float
-    words: str
+    text: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,30 +82,30 @@ class TopicReport:
             self.n_within += 1
             return
         self.n_different += 1
-        self.first = self.first or f"#{envelope.sequence}: {beyond[0].field} {beyond[0].words}"
+        self.first = self.first or f"#{envelope.sequence}: {beyond[0].field} {beyond[0].text}"
         for off in beyond:
             place = DifferencePosition(envelope.sequence, envelope.sent, off)
-            known = self.fields.get(off.field)
-            if known is None:
+            report = self.fields.get(off.field)
+            if report is None:
                 self.fields[off.field] = FieldReport(off.field, place, place)
             else:
-                known.n += 1
-                known.largest = place if off.by > known.largest.off.by else known.largest
+                report.n += 1
+                report.largest = place if off.by > report.largest.off.by else report.largest
 
 
-def tolerances_from(words: Iterable[str]) -> Tolerances:
+def tolerances_from(assignments: Iterable[str]) -> Tolerances:
     """From words like `pose.map_from_base=0.01`. Raises UserError on an unknown topic or field, or no number."""
-    found: dict[str, float] = {}
-    for assignment in words:
+    tolerances: dict[str, float] = {}
+    for assignment in assignments:
         name, equals, text = assignment.partition("=")
         try:
-            found[name] = float(text)
+            tolerances[name] = float(text)
         except ValueError:
-            found[name] = -1.0
-        if not equals or not found[name] >= 0:
+            tolerances[name] = -1.0
+        if not equals or not tolerances[name] >= 0:
             raise UserError(f"{assignment!r} is no tolerance", "write TOPIC.FIELD=VALUE, like pose.map_from_base=0.01")
         _check_name(name)
-    return found
+    return tolerances
 
 
 def _check_name(name: str) -> None:
@@ -137,12 +137,14 @@ def differences(key: str, before: bytes, now: bytes) -> list[FieldDifference]:
         is_, sends = _decoded(topic, now)
     except CodecError as error:
         return [FieldDifference("bytes", inf, f"cannot be compared: one is not valid in this version: {error}")]
-    found = [
+    differing = [
         off for row in fields_of(topic.type) for off in _off(row.name, getattr(was, row.name), getattr(is_, row.name))
     ]
     if sends.sent != sent.sent:
-        found.append(FieldDifference("sent", abs(sends.sent - sent.sent), f"is {sends.sent} ns, was {sent.sent} ns"))
-    return found or [FieldDifference("bytes", inf, "differ though every field is the same")]
+        differing.append(
+            FieldDifference("sent", abs(sends.sent - sent.sent), f"is {sends.sent} ns, was {sent.sent} ns")
+        )
+    return differing or [FieldDifference("bytes", inf, "differ though every field is the same")]
 
 
 def _decoded(topic: Topic[Message], payload: bytes) -> tuple[Message, Envelope]:
@@ -176,8 +178,8 @@ def _off_array(name: str, before: Any, now: Any) -> Iterator[FieldDifference]:
     first = tuple(int(i) for i in places[0])
     with np.errstate(invalid="ignore"):
         by = float(np.abs(now[unlike].astype(float) - before[unlike].astype(float)).max())
-    words = f"{list(first)} is {now[first].item()!r}, was {before[first].item()!r} ({len(places)} of {now.size} differ)"
-    yield FieldDifference(name, inf if isnan(by) else by, words)
+    text = f"{list(first)} is {now[first].item()!r}, was {before[first].item()!r} ({len(places)} of {now.size} differ)"
+    yield FieldDifference(name, inf if isnan(by) else by, text)
 
 
 def comparison_lines(reports: Iterable[TopicReport], epoch: int) -> list[str]:
@@ -194,4 +196,4 @@ def comparison_lines(reports: Iterable[TopicReport], epoch: int) -> list[str]:
 
 def _place(place: DifferencePosition, epoch: int) -> str:
     by = "" if place.off.by == inf else f", off by {place.off.by:.6g}"
-    return f"+{(place.sent - epoch) / 1e9:.3f} s #{place.sequence}: {place.off.words}{by}"
+    return f"+{(place.sent - epoch) / 1e9:.3f} s #{place.sequence}: {place.off.text}{by}"

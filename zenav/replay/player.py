@@ -96,11 +96,11 @@ def running(robot: str, where: StackAddress, stop: StopFlag) -> set[str]:
     """The services that run: those that hold their ports or, behind a router, those that publish their health."""
     if not where.router:
         return {name for name in SERVICES if taken_ports(where, (name,))}
-    found: set[str] = set()
+    publishers: set[str] = set()
     with Client(robot, where) as client:
-        client.listen(topics.HEALTH, lambda health, envelope: found.add(envelope.publisher))
+        client.listen(topics.HEALTH, lambda health, envelope: publishers.add(envelope.publisher))
         stop.wait(SETTLE)
-    return found
+    return publishers
 
 
 def played_service(playing: Iterable[str], runs: set[str]) -> str:
@@ -174,7 +174,7 @@ class Player:
     ) -> None:
         self.n_played = self.n_bad = self.n_passes = 0
         self.notes: list[str] = []
-        self.show: Show = lambda seconds, words: None
+        self.show: Show = lambda seconds, text: None
         self._client, self._recording, self._there, self._playing = client, recording, there, playing
         self._wish, self._keys, self._stop = wish, keys, stop
         self._steps = self._recorded = 0
@@ -241,9 +241,9 @@ class Player:
             if not begun:
                 begun = True
                 self._head = Playhead(time.monotonic_ns(), self._wish.rate, paused, round(start))
-                for kept in latched.values():
-                    self._keep(latched, kept.key, round(start))
-                    self._put(kept.key, kept.payload, round(start))
+                for latest in latched.values():
+                    self._keep(latched, latest.key, round(start))
+                    self._put(latest.key, latest.payload, round(start))
             if place > end or not self._reach(place):
                 return
             if latched.take(key, entry.payload):
@@ -357,4 +357,4 @@ def progress_display(name: str, seconds: float) -> Iterator[Show]:
     )
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         task = progress.add_task("", total=seconds)
-        yield lambda at, words: progress.update(task, completed=min(at, seconds), description=words)
+        yield lambda at, text: progress.update(task, completed=min(at, seconds), description=text)

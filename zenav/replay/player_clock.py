@@ -58,10 +58,10 @@ class RecordingContents:
 
 def contents(recording: Recording) -> RecordingContents:
     """From the file's index, or, where it has none, by reading all of it. Raises UserError where nothing is in it."""
-    found = _indexed(recording.path) or _read(recording)
-    if not found.keys:
+    recorded = _indexed(recording.path) or _read(recording)
+    if not recorded.keys:
         raise UserError(f"{recording.path} holds no messages", "name another recording")
-    return found
+    return recorded
 
 
 def _indexed(path: Path) -> RecordingContents | None:
@@ -70,12 +70,12 @@ def _indexed(path: Path) -> RecordingContents | None:
             summary = make_reader(file, validate_crcs=True).get_summary()
     except (McapError, OSError, ValueError, OverflowError, MemoryError, struct.error, KeyError):  # damage
         return None
-    told = summary.statistics if summary is not None else None
-    if summary is None or told is None or not told.message_count:
+    statistics = summary.statistics if summary is not None else None
+    if summary is None or statistics is None or not statistics.message_count:
         return None
-    counts = told.channel_message_counts
+    counts = statistics.channel_message_counts
     keys = {channel.topic for number, channel in summary.channels.items() if counts.get(number)}
-    return RecordingContents(told.message_start_time, told.message_end_time, tuple(sorted(keys)))
+    return RecordingContents(statistics.message_start_time, statistics.message_end_time, tuple(sorted(keys)))
 
 
 def _read(recording: Recording) -> RecordingContents:
@@ -87,32 +87,32 @@ def _read(recording: Recording) -> RecordingContents:
     return RecordingContents(first or 0, last, tuple(sorted(keys)))
 
 
-def selected_keys(words: str, keys: Iterable[str]) -> list[str]:
+def selected_keys(text: str, keys: Iterable[str]) -> list[str]:
     """Which keys are meant by `scan,odom,health`, where a family stands for all of its keys; all where it is empty.
 
     Raises UserError on a word that means none.
     """
     there = sorted(keys)
-    if not words:
+    if not text:
         return there
-    found = dict[str, None]()
-    for word in filter(None, words.split(",")):
-        meant = [key for key in there if key == word or key.startswith(f"{word}/")]
-        if not meant:
+    selected = dict[str, None]()
+    for word in filter(None, text.split(",")):
+        matching = [key for key in there if key == word or key.startswith(f"{word}/")]
+        if not matching:
             raise UserError(f"the recording has no topic {word}", nearest(word, tuple(there)))
-        found |= dict.fromkeys(meant)
-    return list(found)
+        selected |= dict.fromkeys(matching)
+    return list(selected)
 
 
 def renamed_keys(assignments: Iterable[str], keys: Iterable[str]) -> dict[str, str]:
     """By key, the key that it is played as: from words like `scan=scan/rear`. Raises UserError."""
     names, there = dict[str, str](), tuple(keys)
-    for words in assignments:
-        old, equals, new = words.partition("=")
+    for assignment in assignments:
+        old, equals, new = assignment.partition("=")
         if not equals or not new or new.strip("/") != new or set(new) & set("*$?# ") or "//" in new:
-            raise UserError(f"{words!r} renames nothing", "write OLD=NEW, like --remap scan=scan/rear")
+            raise UserError(f"{assignment!r} renames nothing", "write OLD=NEW, like --remap scan=scan/rear")
         if old not in there:
-            raise UserError(f"--remap {words}: {old} is not played", nearest(old, there))
+            raise UserError(f"--remap {assignment}: {old} is not played", nearest(old, there))
         before, after = topics.topic_of(old), topics.topic_of(new)
         if before is not None and after is not None and before.type is not after.type:
             what = f"{old} carries {before.type.__name__}, {new} {after.type.__name__}"

@@ -154,7 +154,7 @@ def _against(path: Path, other: Path, rerun: ReplayOptions, names: list[str] | N
         if a.grid.empty or b.grid.empty or a.grid.resolution != b.grid.resolution:
             raise UserError("there are no two maps of one resolution to draw", "leave out --picture")
         try:
-            rerun.picture.write_bytes(two_runs(b.grid, b.way, a.grid, a.way))
+            rerun.picture.write_bytes(two_runs(b.grid, b.trajectory, a.grid, a.trajectory))
         except OSError as error:
             raise UserError(f"cannot write {rerun.picture}: {error.strerror}", "choose another --picture") from None
     return 0 if report.equal else 1

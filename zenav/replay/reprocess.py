@@ -69,27 +69,27 @@ def replay_file(
 
 def gap_notes(gaps: list[ReplayGap], began: int) -> list[str]:
     """What is missing, in words; the first of each service is where its equal bytes end. began: the recording, ns."""
-    notes, told = [], set[str]()
+    notes, names = [], set[str]()
     for gap in gaps[:MAX_GAPS]:
-        where = "equal bytes are not promised from here on: " if gap.name not in told else ""
-        told.add(gap.name)
+        where = "equal bytes are not promised from here on: " if gap.name not in names else ""
+        names.add(gap.name)
         notes.append(f"{where}+{(gap.now - began) / 1e9:.3f} s {gap}")
     return [*notes, *([f"and {len(gaps) - MAX_GAPS} gaps more"] if len(gaps) > MAX_GAPS else [])]
 
 
 def compare_replayed(replayed: Replayed, tolerances: Tolerances = MappingProxyType({}), began: int = 0) -> ReplayReport:
     """Compares recorded and replayed messages by topic, session and sequence. began: ns, the recording's start."""
-    found: dict[str, TopicReport] = {}
+    reports: dict[str, TopicReport] = {}
     pending = {source: dict(payloads) for source, payloads in replayed.recorded.items()}
     for sent in (sent for of_name in replayed.sent.values() for sent in of_name):
-        topic = found.setdefault(sent.key, TopicReport(sent.key))
+        topic = reports.setdefault(sent.key, TopicReport(sent.key))
         recorded = pending.get((sent.key, sent.envelope.session), {}).pop(sent.envelope.sequence, None)
         if recorded is None:
             topic.n_new += 1
         else:
             topic.add(recorded, sent.payload, tolerances)
     for (key, session), payloads in pending.items():
-        topic = found.setdefault(key, TopicReport(key))
+        topic = reports.setdefault(key, TopicReport(key))
         for sequence, payload in payloads.items():
             if envelope_of(payload).sent >= replayed.until[session]:
                 topic.n_beyond += 1
@@ -99,7 +99,7 @@ def compare_replayed(replayed: Replayed, tolerances: Tolerances = MappingProxyTy
     notes = gap_notes(replayed.gaps, began)
     if not replayed.journalled:
         notes.append("there are no journals: fed in the order of the stamps, so nothing is promised or compared")
-    return ReplayReport([found[key] for key in sorted(found)], notes, replayed.jobs, began)
+    return ReplayReport([reports[key] for key in sorted(reports)], notes, replayed.jobs, began)
 
 
 def compare_files(
@@ -130,7 +130,7 @@ def compare_files(
 
 
 def _by_key(recording: Recording, names: list[str] | None) -> dict[str, dict[tuple[str, int], bytes]]:
-    found: dict[str, dict[tuple[str, int], bytes]] = {}
+    payloads: dict[str, dict[tuple[str, int], bytes]] = {}
     for entry in recording.entries():
         if topics.topic_of(entry.key) in (topics.HEALTH, topics.JOURNAL):
             continue
@@ -139,8 +139,8 @@ def _by_key(recording: Recording, names: list[str] | None) -> dict[str, dict[tup
         except CodecError:
             continue
         if names is None or envelope.publisher in names:
-            found.setdefault(entry.key, {})[(envelope.session, envelope.sequence)] = entry.payload
-    return found
+            payloads.setdefault(entry.key, {})[(envelope.session, envelope.sequence)] = entry.payload
+    return payloads
 
 
 def write_replayed(out: Path, recording: Recording, replayed: Replayed, attachments: Mapping[str, bytes]) -> None:
@@ -153,8 +153,10 @@ def write_replayed(out: Path, recording: Recording, replayed: Replayed, attachme
         for of_name in replayed.sent.values()
         for sent in of_name
     }
-    known = {(*source, sequence) for source, payloads in replayed.recorded.items() for sequence in payloads}
-    extra = sorted((sent for at, sent in reprocessed.items() if at not in known), key=lambda sent: -sent.envelope.sent)
+    recorded = {(*source, sequence) for source, payloads in replayed.recorded.items() for sequence in payloads}
+    extra = sorted(
+        (sent for at, sent in reprocessed.items() if at not in recorded), key=lambda sent: -sent.envelope.sent
+    )
     about = {**recording.about, "replayed": ",".join(replayed.sent)}
     with Writer(out, about, {**recording.attachments, **attachments}) as writer:
         for entry in recording.entries():
@@ -168,9 +170,9 @@ def write_replayed(out: Path, recording: Recording, replayed: Replayed, attachme
                 writer.copy(entry)
                 continue
             at = (entry.key, envelope.session, envelope.sequence)
-            if at in known and at in reprocessed:
+            if at in recorded and at in reprocessed:
                 _write_sent(writer, reprocessed[at], entry.log_time)
-            elif at in known:
+            elif at in recorded:
                 if envelope.sent >= replayed.until[envelope.session]:
                     writer.copy(entry)
             elif replayed.journalled or envelope.publisher not in replayed.sent:

@@ -31,13 +31,13 @@ class ProcessStats:
 
     def __init__(self) -> None:
         self.latest: dict[str, Health] = {}
-        self.heard: dict[str, float] = {}  # s, monotonic
+        self.received_at: dict[str, float] = {}  # s, monotonic
         self._cpu: dict[str, list[float]] = {}
         self._memory: dict[str, float] = {}
 
     def hear(self, health: Health) -> None:
         self.latest[health.name] = health
-        self.heard[health.name] = time.monotonic()
+        self.received_at[health.name] = time.monotonic()
         self._cpu.setdefault(health.name, []).append(health.cpu)
         self._memory[health.name] = max(self._memory.get(health.name, 0.0), health.memory)
 
@@ -126,7 +126,7 @@ def run_live(
 def _steer(
     client: Client,
     launcher: Launcher,
-    heard: ProcessStats,
+    processes: ProcessStats,
     mission: Mission,
     stop: StopFlag,
     limit: float,
@@ -143,7 +143,7 @@ def _steer(
             return "out of time"
         launcher.step()
         if not ready:
-            missing = [name for name in launcher.children if name not in heard.latest]
+            missing = [name for name in launcher.children if name not in processes.latest]
             missing += [topic.key for topic in REQUIRED_TOPICS if client.latest(topic) is None]
             ready = not missing
             if missing and now - begun > MAX_START_S:

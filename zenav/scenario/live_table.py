@@ -88,15 +88,15 @@ class TableView(RunView):
             table.add_column(column, justify="right" if column != "trouble" else "left", no_wrap=True)
         for name, child in self._launcher.children.items():
             health = self._processes.latest.get(name)
-            silent = time.monotonic() - self._processes.heard.get(name, float("-inf"))
+            silent = time.monotonic() - self._processes.received_at.get(name, float("-inf"))
             style = "" if health is not None and silent < MAX_SILENCE_S else "red"
             cells = service_row(health, silent, child.running, child.n_restarts)
             table.add_row(name, *(Text(cell) for cell in cells), style=style)
         nav, guard = client.latest(topics.NAV_STATUS), client.latest(topics.GUARD)
         reason = stop_reason(nav, guard)
         standing = Text(f"stands or slows: {reason}", "yellow") if reason else Text("drives freely", "green")
-        words = [Text(progress_line(mission, nav)), standing, *(Text(line, "dim") for line in self._lines)]
-        return Group(table, Text(), Text(leg_marks(mission)), *words)
+        lines = [Text(progress_line(mission, nav)), standing, *(Text(line, "dim") for line in self._lines)]
+        return Group(table, Text(), Text(leg_marks(mission)), *lines)
 
 
 def service_row(health: Health | None, silent: float, running: bool, n_restarts: int) -> tuple[str, ...]:

@@ -43,12 +43,12 @@ def _run(scenario: Scenario, lockstep: Lockstep, seconds: float, tell: OnStep) -
     begun, cpu = time.monotonic(), time.process_time()
     track, newest = RunTrack(), list[NavStatus]()
 
-    def heard(message: NavStatus) -> None:
+    def keep_newest(message: NavStatus) -> None:
         newest[:] = [message]
 
     for key in TRACK_TOPICS:
         lockstep.watch(key, lambda message: track.add(message, lockstep.now))
-    lockstep.watch("nav/status", heard)
+    lockstep.watch("nav/status", keep_newest)
     mission = Mission(scenario.goals, lockstep.ask, seconds=seconds)
     goes_on = True
     while goes_on and mission.leg is not None and lockstep.now - START < seconds * 1e9:

@@ -115,8 +115,8 @@ class Mission:
             self._over(leg, LegState.FAILED, "another task took its place")
         elif nav.state in FINAL_STATES or nav.state is NavState.IDLE:
             reached = nav.state is NavState.REACHED
-            words = nav.reason + (f": {nav.detail}" if nav.detail else "")
-            self._over(leg, LegState.REACHED if reached else LegState.FAILED, words)
+            detail = nav.reason + (f": {nav.detail}" if nav.detail else "")
+            self._over(leg, LegState.REACHED if reached else LegState.FAILED, detail)
         elif leg.pose is None and leg.seconds > self._explores_for:
             self._over(leg, LegState.CUT, "")  # the next leg's request takes its place
 

@@ -76,7 +76,7 @@ class ScenarioResult:
 
     def report(self) -> dict[str, Any]:
         """Everything that is known of the run, with `summary`."""
-        told = {
+        summary = {
             "good": self.good,
             "goals_reached": self.mission.n_reached,
             "goals": self.mission.n_goals,
@@ -87,9 +87,9 @@ class ScenarioResult:
             "wall_seconds": round(self.wall_seconds, 1),
         }
         if self.first_motion is not None:
-            told["first_motion_s"] = round(self.first_motion, 2)
+            summary["first_motion_s"] = round(self.first_motion, 2)
         return {
-            "summary": told,
+            "summary": summary,
             "robot": self.scenario.robot,
             "world": self.scenario.world.name,
             "seed": self.scenario.seed,

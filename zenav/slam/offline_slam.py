@@ -96,24 +96,24 @@ class OfflineRun:
         if not corrections:
             return self.estimates
         stamps = [keyframe.stamp for keyframe in self.mapper.back_end.keyframes[-len(corrections) :]]
-        found = []
+        corrected = []
         for estimate, place in zip(self.estimates, self.places):
             k = min(max(bisect_right(stamps, estimate.stamp) - 1, 0), len(stamps) - 1)
             after = min(k + 1, len(stamps) - 1)
             share = (estimate.stamp - stamps[k]) / max(stamps[after] - stamps[k], 1)
             pose = interpolated(corrections[k] @ place, corrections[after] @ place, min(max(share, 0.0), 1.0))
-            found.append(_with_pose(estimate, pose))
-        return found
+            corrected.append(_with_pose(estimate, pose))
+        return corrected
 
     def _localized_estimates(self) -> list[PoseEstimate]:
-        found: list[PoseEstimate] = []
+        corrected: list[PoseEstimate] = []
         correction: Pose2 | None = None  # the first one later on
         rows = zip(reversed(self.estimates), reversed(self.places), reversed(self.maps_from_local))
-        for estimate, place, known in rows:
-            correction = known or correction
+        for estimate, place, map_from_local in rows:
+            correction = map_from_local or correction
             if correction is not None:
-                found.append(_with_pose(estimate, correction @ place))
-        return found[::-1]
+                corrected.append(_with_pose(estimate, correction @ place))
+        return corrected[::-1]
 
 
 def _with_pose(estimate: PoseEstimate, pose: Pose2) -> PoseEstimate:

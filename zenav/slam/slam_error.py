@@ -116,8 +116,8 @@ def pair_errors(stamps: Float64s, poses: Float64s, pairs: PosePairs) -> SlamErro
             f"{n_missing} of {len(inside)} pairs lie outside the trajectory's time",
             "the reference is another log's, or the log was not read to its end",
         )
-    found = relative_poses(_at(stamps, poses, pairs.early[inside]), _at(stamps, poses, pairs.late[inside]))
-    left = relative_poses(pairs.early_from_late[inside], found)
+    early_from_late = relative_poses(_at(stamps, poses, pairs.early[inside]), _at(stamps, poses, pairs.late[inside]))
+    left = relative_poses(pairs.early_from_late[inside], early_from_late)
     return SlamErrors(np.hypot(left[:, 0], left[:, 1]), np.abs(np.degrees(left[:, 2])))
 
 

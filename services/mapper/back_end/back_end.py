@@ -174,9 +174,9 @@ class BackEnd:
             before = self.keyframes[-1].local_from_base
             step = before.inverse() @ keyframe.local_from_base
             prior = odometry.prior(self._settings[0], before, step, odometry_scale)
-            known = np.diag((prior.sigma**-2, prior.sigma**-2, prior.sigma_turn**-2))
+            prior_information = np.diag((prior.sigma**-2, prior.sigma**-2, prior.sigma_turn**-2))
             information = information_in_own_frame(
-                match.information, keyframe.local_from_base.yaw, known, c.min_sigma, c.min_sigma_turn
+                match.information, keyframe.local_from_base.yaw, prior_information, c.min_sigma, c.min_sigma_turn
             )
             self.graph.add_edge(
                 node - 1, node, step, widen_beyond_slip(information, step, keyframe.odometry_residual), loop=False

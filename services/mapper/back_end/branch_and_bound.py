@@ -146,7 +146,7 @@ def search_counted(
     levels = pyramid.levels[: top + 1]
     roots = _sorted_roots(_phases(levels[top], 1 << top), top, rows, columns, k, min_sum)
 
-    found: list[Candidate] = []
+    candidates: list[Candidate] = []
     near = np.zeros(len(turns), np.bool_)
     best_i = best_j = n_windows = 0
     for _ in range(2):
@@ -164,10 +164,10 @@ def search_counted(
             centre.y + best_j * pyramid.resolution,
             wrapped(centre.yaw + float(turns[h])),
         )
-        found.append(Candidate(pose, total / (MAX_VALUE * n)))
+        candidates.append(Candidate(pose, total / (MAX_VALUE * n)))
         min_sum = max(min_sum, ceil(config.min_rival_ratio * total))
         near = np.array([abs(wrapped(t - turns[h])) <= config.min_rival_turn for t in turns])
-    return found, n_windows
+    return candidates, n_windows
 
 
 def search_cost(points: Float64s, pyramid: Pyramid, reach: float, turn: float, config: BranchAndBoundConfig) -> int:

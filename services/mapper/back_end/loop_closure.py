@@ -207,15 +207,15 @@ def match_loop_closure(
 
 
 def information_in_own_frame(
-    information: Float64s, yaw: float, known: Float64s, min_sigma: float, min_sigma_turn: float
+    information: Float64s, yaw: float, prior_information: Float64s, min_sigma: float, min_sigma_turn: float
 ) -> Float64s:
     """Returns the information (3, 3) of a pose in its own axes, limited by a minimum noise.
 
     information: (3, 3) in the axes of the map, in which the pose has this yaw, rad.
-    known: (3, 3) further information, in the pose's own axes.
+    prior_information: (3, 3), in the pose's own axes.
     min_sigma, min_sigma_turn: standard deviations that are added, m and rad.
     """
-    own = rotate_matrix(information, -yaw) + known
+    own = rotate_matrix(information, -yaw) + prior_information
     covariance = np.linalg.inv(own) + np.diag((min_sigma**2, min_sigma**2, min_sigma_turn**2))
     out = np.linalg.inv(covariance)
     return np.asarray((out + out.T) / 2)

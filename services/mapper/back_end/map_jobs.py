@@ -54,11 +54,11 @@ class MapJobs:
 
     def on_constraints(self, result: tuple[int, FoundConstraints]) -> Out:
         """Adds the constraints that a search found, and orders an optimization when they ask for one."""
-        epoch, found = result
+        epoch, constraints = result
         if epoch == self.epoch:
             self.is_searching = False
-            self.back_end.add_closures(found.closures)
-            self.back_end.add_pairwise(found.pairwise)
+            self.back_end.add_closures(constraints.closures)
+            self.back_end.add_pairwise(constraints.pairwise)
             if self.back_end.needs_optimization:
                 yield from self.optimize()
 

@@ -54,13 +54,13 @@ class PoseCovariance:
         by_beams = sigmas[:, None] * (axes * np.sqrt(1 - step_share)) @ axes.T / sigmas
         # the covariance that map and pose share counts once; the beams reduce what this step adds
         inherited = before_match if matched is None else matched
-        carried = by_step @ before_match @ by_step.T + by_beams @ inherited @ by_beams.T
+        propagated = by_step @ before_match @ by_step.T + by_beams @ inherited @ by_beams.T
         remaining = by_step @ by_step
-        carried = _positive_semidefinite(carried + remaining @ growth @ remaining.T)
+        propagated = _positive_semidefinite(propagated + remaining @ growth @ remaining.T)
         modes = sigmas[:, None] * axes
         open_share = np.where(step_share > 0.5, step_share, 0)
-        self.covariance = carried + (modes * step_share) @ modes.T
-        self.map_covariance = carried + (modes * open_share) @ modes.T
+        self.covariance = propagated + (modes * step_share) @ modes.T
+        self.map_covariance = propagated + (modes * open_share) @ modes.T
         self.drift = remaining @ drift_after
 
     @property

@@ -154,13 +154,13 @@ class ScanAligner:
         max_path, max_turn = self.drive.max_speed * seconds, self.drive.max_turn_rate * seconds
         path = p.unmatched.path + hypot(p.step.x, p.step.y) + hypot(p.motion.x, p.motion.y)
         bound = SlipBound(path, p.unmatched.turn + abs(p.step.yaw) + abs(p.motion.yaw))
-        least = inf
+        squared_ratio = inf
         for reference in (odometry.map_from_base, p.local_from_base):
             off = reference.inverse() @ scored.match.map_from_base
             is_near = hypot(off.x, off.y) <= ODOMETRY_TOLERANCE + 1.5 * max_path
             if is_near and abs(off.yaw) <= ODOMETRY_TOLERANCE + 1.5 * max_turn:
-                least = min(least, bound.squared_ratio(off, max_path, max_turn))
-        return SLIP_PENALTY * least
+                squared_ratio = min(squared_ratio, bound.squared_ratio(off, max_path, max_turn))
+        return SLIP_PENALTY * squared_ratio
 
 
 def _is_near_prior(wide_prior: Prior, scored: ScoredMatch) -> bool:

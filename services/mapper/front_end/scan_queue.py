@@ -80,8 +80,8 @@ class ScanQueue:
     def add_odometry(self, odometry: Odometry, now: int) -> Out:
         """Adds odometry, unless its stamp lies in the future. Logs a jump. now: ns."""
         if odometry.stamp > now + FUTURE:
-            words = f"stamps are {duration(odometry.stamp - now)} ahead"
-            self.rejections.reject(topics.ODOM.key, RejectionCause.AHEAD, words, now)
+            detail = f"stamps are {duration(odometry.stamp - now)} ahead"
+            self.rejections.reject(topics.ODOM.key, RejectionCause.AHEAD, detail, now)
             return
         if odometry.stamp < self.odometry.newest - NS_PER_S and odometry.stamp > now - NS_PER_S:
             self.odometry.clear()  # the clock was set back

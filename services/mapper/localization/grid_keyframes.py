@@ -131,8 +131,8 @@ def _keyframe(grid: OccupancyGrid, coarsest: float, k: int, pose: Pose2) -> Keyf
     _, first = np.unique(cells, axis=0, return_index=True)
     points, normals = cell_surface(np.ascontiguousarray((cells[np.sort(first)] + 0.5) * size - (pose.x, pose.y)), size)
     silent = np.where(seen[:, None], np.nan, ends) if not seen.all() else np.zeros((0, 2))
-    drawn = np.where(seen[:, None], ends, np.nan)
-    arrays = (array.astype(np.float32) for array in (np.zeros_like(drawn), drawn, points, normals, silent))
+    hit_ends = np.where(seen[:, None], ends, np.nan)
+    arrays = (array.astype(np.float32) for array in (np.zeros_like(hit_ends), hit_ends, points, normals, silent))
     return Keyframe(k + 1, pose, *arrays)
 
 
@@ -142,18 +142,18 @@ def _add_hidden_cells(keyframes: list[Keyframe], grid: OccupancyGrid) -> list[Ke
     The beams begin and end in these cells. So walls behind a gap, where no viewpoint is, stay when the map is redrawn.
     Cells behind a surface are left out.
     """
-    drawn = Occupancy(OccupancyConfig(resolution=grid.resolution), grid.map_id)
+    occupancy = Occupancy(OccupancyConfig(resolution=grid.resolution), grid.map_id)
     for keyframe in keyframes:
-        keyframe.draw(drawn, keyframe.local_from_base)
-    drawn.update_cells()
-    shown = np.full_like(grid.cells, UNKNOWN)
-    for (row, column), i in drawn.tile_index.items():
+        keyframe.draw(occupancy, keyframe.local_from_base)
+    occupancy.update_cells()
+    shown_cells = np.full_like(grid.cells, UNKNOWN)
+    for (row, column), i in occupancy.tile_index.items():
         r, c = (row - grid.first_row) * TILE_CELLS, (column - grid.first_column) * TILE_CELLS
-        shown[r : r + TILE_CELLS, c : c + TILE_CELLS] = drawn.cells[i].reshape(TILE_CELLS, TILE_CELLS) - 1
+        shown_cells[r : r + TILE_CELLS, c : c + TILE_CELLS] = occupancy.cells[i].reshape(TILE_CELLS, TILE_CELLS) - 1
     free = np.pad(grid.free, 1)
     beside = free[2:, 1:-1] | free[:-2, 1:-1] | free[1:-1, 2:] | free[1:-1, :-2]
-    walls = np.argwhere(grid.occupied & beside & (shown < OCCUPIED_FROM))
-    gaps = np.argwhere(grid.free & ((shown < 0) | (shown > FREE_UP_TO)))
+    walls = np.argwhere(grid.occupied & beside & (shown_cells < OCCUPIED_FROM))
+    gaps = np.argwhere(grid.free & ((shown_cells < 0) | (shown_cells > FREE_UP_TO)))
     centres = (np.concatenate((walls, gaps))[:, ::-1] + 0.5) * grid.resolution + (grid.x0, grid.y0)
     at = np.array([(k.local_from_base.x, k.local_from_base.y) for k in keyframes])
     nearest = nearest_places(centres, at, min(N_SWEEPS, len(at)))

@@ -65,14 +65,14 @@ def random_queries(terrain: GlobalCostmap) -> list[PlanQuery]:
     if not regions.any():
         return []
     largest = np.argwhere(regions == np.bincount(regions[regions > 0]).argmax()) - terrain.pad
-    rng, found = np.random.default_rng(1), []
+    rng, queries = np.random.default_rng(1), []
     for _ in range(100 * N_QUERIES):
         start, goal = largest[rng.integers(len(largest), size=2)]
         if np.hypot(*(goal - start)) >= MIN_DISTANCE:
-            found.append(PlanQuery(_cell(start), _cell(goal), 0.0, 0.0))
-        if len(found) == N_QUERIES:
+            queries.append(PlanQuery(_cell(start), _cell(goal), 0.0, 0.0))
+        if len(queries) == N_QUERIES:
             break
-    return found
+    return queries
 
 
 def _cell(place: "np.ndarray[tuple[int, ...], np.dtype[np.int64]]") -> Cell:
@@ -87,10 +87,10 @@ def _add_optimal_lengths(row: PlannerRow, terrain: GlobalCostmap, path: Float64s
     Neither if the search of the first is too large.
     """
     away, size = path_clearance(terrain, path) / terrain.resolution, path_length(path)
-    least = least_clearance(terrain, path, float(away.min()))
-    shorter = ratio_to_least_clearance(terrain, path, size, least)
+    min_clearance = least_clearance(terrain, path, float(away.min()))
+    shorter = ratio_to_least_clearance(terrain, path, size, min_clearance)
     if shorter is None:
         return
     row.note("length", shorter)
     if equally:
-        row.note("equal", ratio_to_equal_clearance(terrain, path, size, least, float(away.mean()), shorter))
+        row.note("equal", ratio_to_equal_clearance(terrain, path, size, min_clearance, float(away.mean()), shorter))

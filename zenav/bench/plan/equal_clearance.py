@@ -32,31 +32,33 @@ _HAIR = 1e-6  # cells
 def least_clearance(terrain: GlobalCostmap, path: Float64s, sampled: float) -> float:
     """Cells from the nearest obstacle to the nearest cell that the path touches; sampled: a bound, found by looking."""
     distances = np.unique(terrain.distance[terrain.distance <= sampled + _HAIR])
-    for least in distances[::-1]:
-        if path_cost(_cells_with_clearance(terrain, float(least)).astype(np.uint16), path - terrain.pad) >= 0:
-            return float(least)
+    for clearance in distances[::-1]:
+        if path_cost(_cells_with_clearance(terrain, float(clearance)).astype(np.uint16), path - terrain.pad) >= 0:
+            return float(clearance)
     return 0.0
 
 
-def ratio_to_least_clearance(terrain: GlobalCostmap, path: Float64s, length: float, least: float) -> float | None:
-    """The length, cells, over that of the shortest path that comes nowhere nearer to obstacles than `least`, cells.
+def ratio_to_least_clearance(
+    terrain: GlobalCostmap, path: Float64s, length: float, min_clearance: float
+) -> float | None:
+    """The length (cells) over that of the shortest path with at least `min_clearance` (cells) to obstacles.
 
     None if that search is too large.
     """
-    free = _cells_with_clearance(terrain, least)
+    free = _cells_with_clearance(terrain, min_clearance)
     best = shortest_length(free, corners_of(free), path[[0, -1]] - terrain.pad, length)
     return None if best is None else length / best
 
 
 def ratio_to_equal_clearance(
-    terrain: GlobalCostmap, path: Float64s, length: float, least: float, mean: float, shorter: float
+    terrain: GlobalCostmap, path: Float64s, length: float, min_clearance: float, mean: float, shorter: float
 ) -> float:
     """Upper bound of the length over that of the shortest path with this least and this mean clearance.
 
-    length, least, mean: cells.   shorter: the result of `over_least`, which is the bound for k = 0.
-    Steps between cells are longer than lines: their largest surplus, OFF, is divided out.
+    length, min_clearance, mean: cells.   shorter: the result of `ratio_to_least_clearance`, the bound for k = 0.
+    Steps between cells are longer than lines: their largest surplus, MAX_STEP_SURPLUS, is divided out.
     """
-    free, most = _cells_with_clearance(terrain, least), float(terrain.distance.max())
+    free, max_distance = _cells_with_clearance(terrain, min_clearance), float(terrain.distance.max())
     best = length / shorter
     offsets = np.array(
         [(r, c) for r in range(-MAX_STEP, MAX_STEP + 1) for c in range(-MAX_STEP, MAX_STEP + 1) if gcd(r, c) == 1],
@@ -64,31 +66,31 @@ def ratio_to_equal_clearance(
     )
     ends = np.floor(path[[0, -1]] - terrain.pad).astype(np.int64)
     before = 0.0
-    for share in SHARES if most - mean > _HAIR else ():
-        k = share / (most - mean)
-        found = min(
+    for share in SHARES if max_distance - mean > _HAIR else ():
+        k = share / (max_distance - mean)
+        bound = min(
             _min_integral(free, terrain.distance, mean, k, 1 - share, offsets, ends, length * MAX_STEP_SURPLUS)
             / MAX_STEP_SURPLUS,
             length,
         )
-        best = max(best, found)
-        if found < before:
+        best = max(best, bound)
+        if bound < before:
             break
-        before = found
+        before = bound
     return length / best
 
 
-def _cells_with_clearance(terrain: GlobalCostmap, least: float) -> Bools:
+def _cells_with_clearance(terrain: GlobalCostmap, min_clearance: float) -> Bools:
     """The map's cells that the robot may be in and that are no nearer to obstacles."""
     inside = slice(terrain.pad, -terrain.pad)
-    return np.asarray((terrain.distance >= least - _HAIR) & (terrain.costs[inside, inside] > 0))
+    return np.asarray((terrain.distance >= min_clearance - _HAIR) & (terrain.costs[inside, inside] > 0))
 
 
 @njit(cache=True, nogil=True)
 def _min_integral(
-    free: Bools, distance: Float32s, mean: float, k: float, low: float, offsets: Int64s, ends: Int64s, known: float
+    free: Bools, distance: Float32s, mean: float, k: float, low: float, offsets: Int64s, ends: Int64s, limit: float
 ) -> float:
-    """The least integral of 1 + k (mean - distance) by steps of `offsets` from cell to cell, (x, y); inf above known.
+    """The least integral of 1 + k (mean - distance) by steps of `offsets` from cell to cell, (x, y); inf above `limit`.
 
     low: the integrand's lowest value.
     """
@@ -112,7 +114,7 @@ def _min_integral(
             if r < 0 or c < 0 or r >= h or c >= w or settled[r * w + c] or not free[r, c]:
                 continue
             rest = low * hypot(x1 - c, y1 - r)
-            if best[cell] + low * hypot(dr, dc) + rest > min(known, best[r * w + c] + rest):
+            if best[cell] + low * hypot(dr, dc) + rest > min(limit, best[r * w + c] + rest):
                 continue
             n, total, blocked = N_SAMPLES * max(abs(dr), abs(dc)), 0.0, False
             for i in range(n):
@@ -123,7 +125,7 @@ def _min_integral(
                     break
                 total += 1 + k * (mean - distance[at])
             total = best[cell] + total / n * hypot(dr, dc)
-            if not blocked and total < best[r * w + c] and total + rest <= known:
+            if not blocked and total < best[r * w + c] and total + rest <= limit:
                 best[r * w + c] = total
                 heapq.heappush(queue, (total + rest, r * w + c))
     return np.inf

@@ -70,7 +70,9 @@ def read_movingai_maps(folder: Path, limit: int) -> tuple[list[BenchmarkMap], li
             left_out.append(f"{name}: left out, {error.what}")
     if first_error is not None and not benchmarks:
         raise first_error
-    return benchmarks + [enlarged_map(one, TIMES) for one in benchmarks if one.name == ENLARGED], left_out
+    return benchmarks + [
+        enlarged_map(benchmark, TIMES) for benchmark in benchmarks if benchmark.name == ENLARGED
+    ], left_out
 
 
 def read_movingai_map(folder: Path, name: str, limit: int) -> BenchmarkMap:

@@ -67,22 +67,26 @@ class PlannerRow:
 
     def summary(self) -> dict[str, Any]:
         """Median and p99 of the time, shares, means."""
-        told: dict[str, Any] = {"n": self.n, "solved": round(self.solved / max(self.n, 1), 4), "touched": self.touched}
+        summary: dict[str, Any] = {
+            "n": self.n,
+            "solved": round(self.solved / max(self.n, 1), 4),
+            "touched": self.touched,
+        }
         if self.ms:
-            told |= {
+            summary |= {
                 "ms_median": round(float(np.median(self.ms)), 3),
                 "ms_p99": round(float(np.percentile(self.ms, 99)), 3),
             }
         for name, values in self.figures.items():
-            told[name] = round(float(np.mean(values)), 4)
-            told[f"{name}_max"] = round(float(np.max(values)), 4)
-        return told
+            summary[name] = round(float(np.mean(values)), 4)
+            summary[f"{name}_max"] = round(float(np.max(values)), 4)
+        return summary
 
 
-def timed_call(work: Callable[..., T], *given: Any) -> tuple[T, float]:
+def timed_call(work: Callable[..., T], *arguments: Any) -> tuple[T, float]:
     """What it gives, and its CPU time, ms."""
     begun = process_time()
-    result = work(*given)
+    result = work(*arguments)
     return result, (process_time() - begun) * 1e3
 
 
@@ -93,11 +97,11 @@ def grid_search_row(benchmark: BenchmarkMap) -> PlannerRow:
     for warm in (True, False):
         for scenario in benchmark.scenarios[:3] if warm else benchmark.scenarios:
             ends = _shifted(scenario.start, 1), _shifted(scenario.goal, 1)
-            way, ms = timed_call(search.cheapest_path, costs, *ends, 1, 1)
+            path, ms = timed_call(search.cheapest_path, costs, *ends, 1, 1)
             if not warm:
-                steps = np.abs(np.diff(way, axis=0)).sum(axis=1)
+                steps = np.abs(np.diff(path, axis=0)).sum(axis=1)
                 octile = np.count_nonzero(steps == 1) + np.count_nonzero(steps == 2) * np.sqrt(2)
-                row.n, row.solved = row.n + 1, row.solved + (len(way) > 0)
+                row.n, row.solved = row.n + 1, row.solved + (len(path) > 0)
                 row.ms.append(ms)
                 row.note("wrong", float(not abs(octile - scenario.optimum) <= MAX_LENGTH_ERROR + scenario.rounded))
     return row
@@ -185,8 +189,8 @@ def any_angle_lengths(benchmark: BenchmarkMap, some: list[PlanQuery], paths: lis
     """
     times = benchmark.times
     free = benchmark.free[::times, ::times]
-    corners, asked = corners_of(free), set(map(id, some))
-    solved = [(path_length(path), s) for s, path in zip(benchmark.scenarios, paths) if id(s) in asked and len(path)]
+    corners, ids = corners_of(free), set(map(id, some))
+    solved = [(path_length(path), s) for s, path in zip(benchmark.scenarios, paths) if id(s) in ids and len(path)]
     optima = {}
     for upper_bound, scenario in sorted(solved, key=lambda pair: -pair[0]):  # the longest first: it fails early
         ends = np.array([scenario.start[::-1], scenario.goal[::-1]], float) + 0.5
@@ -241,15 +245,15 @@ def _peer_row(
 
 def installed_peers() -> dict[str, Callable[[Any, Cell, Cell], Float64s] | None]:
     """The planners of other packages, by name; None where a package is not installed."""
-    found: dict[str, Callable[[Any, Cell, Cell], Float64s] | None] = {"pyastar2d": None, "scikit-image MCP": None}
+    planners: dict[str, Callable[[Any, Cell, Cell], Float64s] | None] = {"pyastar2d": None, "scikit-image MCP": None}
     try:
         import pyastar2d
 
         def astar(weights: Any, start: Cell, goal: Cell) -> Float64s:
-            way = pyastar2d.astar_path(weights, start, goal, allow_diagonal=True)
-            return np.empty((0, 2)) if way is None else way[:, ::-1] + 0.5
+            path = pyastar2d.astar_path(weights, start, goal, allow_diagonal=True)
+            return np.empty((0, 2)) if path is None else path[:, ::-1] + 0.5
 
-        found["pyastar2d"] = astar
+        planners["pyastar2d"] = astar
     except ImportError:
         pass
     try:
@@ -260,10 +264,10 @@ def installed_peers() -> dict[str, Callable[[Any, Cell, Cell], Float64s] | None]
             search.find_costs([start], [goal])
             return np.array(search.traceback(goal), float)[:, ::-1] + 0.5
 
-        found["scikit-image MCP"] = mcp
+        planners["scikit-image MCP"] = mcp
     except ImportError:
         pass
-    return found
+    return planners
 
 
 def tile_updates(terrain: GlobalCostmap, cells: NDArray[np.int8]) -> PlannerRow:

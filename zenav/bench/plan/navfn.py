@@ -108,10 +108,10 @@ def _propagate(
 
 
 @njit(cache=True, nogil=True)
-def _descend(potential: Float32s, w: int, start: int, goal: int, most: int) -> Float64s:
-    path = np.empty((most, 2))
+def _descend(potential: Float32s, w: int, start: int, goal: int, max_points: int) -> Float64s:
+    path = np.empty((max_points, 2))
     cell, dx, dy, n = start, 0.0, 0.0, 0
-    while n < most - 1:
+    while n < max_points - 1:
         x, y = cell % w + dx, cell // w + dy
         path[n, 0], path[n, 1] = x + 0.5, y + 0.5
         n += 1

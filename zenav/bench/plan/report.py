@@ -66,10 +66,10 @@ def _default_folder() -> Path:
 
 
 def _show_rows(title: str, rows: dict[str, PlannerRow]) -> dict[str, Any]:
-    told = {name: row.summary() for name, row in rows.items()}
-    if told:
-        show_table(title, COLUMNS, [_line(name, row) for name, row in told.items()])
-    return told
+    summaries = {name: row.summary() for name, row in rows.items()}
+    if summaries:
+        show_table(title, COLUMNS, [_line(name, row) for name, row in summaries.items()])
+    return summaries
 
 
 def _line(name: str, row: dict[str, Any]) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ def corners_of(free: Bools) -> Int64s:
     free: (h, w) bool; outside is blocked. Cell (row, column) spans x from column to column + 1, y from row to row + 1.
     """
     blocked = np.pad(~free, 1, constant_values=True)
-    found = []
+    corners = []
     for dy in (0, 1):
         for dx in (0, 1):
             only = np.ones((blocked.shape[0] - 1, blocked.shape[1] - 1), bool)
@@ -38,10 +38,10 @@ def corners_of(free: Bools) -> Int64s:
                     cell = blocked[y : y + only.shape[0], x : x + only.shape[1]]
                     only &= cell if (y, x) == (dy, dx) else ~cell
             rows, columns = np.nonzero(only)
-            found.append(
+            corners.append(
                 np.column_stack((columns, rows, np.full(len(rows), 2 * dx - 1), np.full(len(rows), 2 * dy - 1)))
             )
-    return np.concatenate(found).astype(np.int64)
+    return np.concatenate(corners).astype(np.int64)
 
 
 def shortest_length(free: Bools, corners: Int64s, ends: Float64s, upper_bound: float) -> float | None:

@@ -63,17 +63,17 @@ def elimination_order(n, i, j):  # type: ignore[no-untyped-def]  # compiled: num
             rest = begin[v] + n_elements[v]
             stop = begin[v] + count[v]
             # variables of this element are reached through it; the element takes p's own place
-            kept = k
+            end_kept = k
             for q in range(rest, stop):
                 if mark[near[q]] != turn and place[near[q]] < 0:
-                    near[kept] = near[q]
-                    kept += 1
-            for q in range(kept, k, -1):
+                    near[end_kept] = near[q]
+                    end_kept += 1
+            for q in range(end_kept, k, -1):
                 near[q] = near[q - 1]
             near[k] = p
             n_elements[v] = n_live + 1
-            count[v] = kept + 1 - begin[v]
-            degree[v] = min(n - turn - 2, size + kept - k + end - begun - 1)
+            count[v] = end_kept + 1 - begin[v]
+            degree[v] = min(n - turn - 2, size + end_kept - k + end - begun - 1)
             heappush(heap, (degree[v], v))
     rows = place[members[: first[n]]]
     for c in range(n):

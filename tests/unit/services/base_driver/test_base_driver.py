@@ -270,7 +270,7 @@ def test_releasing_stop_moves_nothing_until_zero_was_commanded():
     assert bench.body[0] == pytest.approx(0.4)
 
 
-def test_after_a_release_a_stream_that_begins_anew_counts():
+def test_after_a_release_a_stream_that_begins_again_counts():
     bench = DriverBench().run(0.2, 0.4)
     bench.stop(True)
     bench.stop(False, stamp=bench.now + 1)

@@ -41,7 +41,7 @@ def test_less_than_a_second_of_other_settings_scales_the_way():
 
 
 @pytest.mark.parametrize("first", [1, -1])
-def test_a_reversal_begins_anew(first):
+def test_a_reversal_begins_again(first):
     watch = StuckDetector(StuckConfig())
     assert not watch.update(0, 0.0, first * 2.0, RADIUS)
     assert not watch.update(900_000_000, 0.0, first * 2.0, RADIUS)
@@ -50,7 +50,7 @@ def test_a_reversal_begins_anew(first):
     assert watch.update(2_000_000_000, 0.0, -first * 2.0, RADIUS)
 
 
-def test_a_pause_begins_anew():
+def test_a_pause_begins_again():
     watch = StuckDetector(StuckConfig())
     assert not watch.update(0, 0.0, 2.0, RADIUS)
     assert not watch.update(900_000_000, 0.0, 0.0, RADIUS)

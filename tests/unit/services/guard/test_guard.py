@@ -317,7 +317,7 @@ def test_stop_outlives_the_guard_until_a_later_release():
     assert drive.velocity == pytest.approx((0.5, 0.0))
 
 
-def test_a_guard_that_was_not_stopped_starts_anew():
+def test_a_guard_that_was_not_stopped_begins_from_the_start():
     drive = GuardDrive()
     drive.call(drive.guard.status_before_restart(driving().status))
     drive.nav = (0.5, 0.0)
@@ -356,7 +356,7 @@ def test_releasing_stop_never_moves_the_robot():
     assert drive.velocity == pytest.approx((0.5, 0.0))
 
 
-def test_after_a_release_a_stream_that_begins_anew_drives():
+def test_after_a_release_a_stream_that_begins_again_drives():
     drive = driving()
     drive.stop(True)
     drive.nav = None
@@ -698,7 +698,7 @@ def test_a_pose_lost_for_two_seconds_stops_nav_and_not_teleop():
 
 
 @pytest.mark.parametrize(("jump", "stops"), [(0.49, False), (0.51, True)])
-def test_a_jump_of_the_pose_stops_nav_until_it_planned_anew(jump, stops):
+def test_a_jump_of_the_pose_stops_nav_until_it_planned_again(jump, stops):
     drive = driving()
     drive.map_from_odom = Pose2(0.0, jump, 0.0)
     drive.run(0.1)

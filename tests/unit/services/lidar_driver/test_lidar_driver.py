@@ -191,7 +191,7 @@ def test_intensities_come_where_the_laser_has_them_and_can_be_left_out():
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_silence_is_named_and_the_laser_started_anew(model):
+def test_silence_is_named_and_the_laser_started_again(model):
     line = line_of(model)
     line.run(random_sweeps(laser_of(model), 3), 3.5)
     n, line.written = len(line.scans), []

@@ -129,7 +129,7 @@ def test_a_robot_that_does_not_know_where_it_is_stands() -> None:
     assert loop.run.commands[-1].reason == reasons.POSE_LOST.code
 
 
-def test_a_pose_that_jumps_holds_the_robot_until_it_is_planned_anew() -> None:
+def test_a_pose_that_jumps_holds_the_robot_until_it_is_planned_again() -> None:
     loop = moving()
     loop.lost = {"pose", "new_plan"}
     pose = loop.service.inputs.pose
@@ -233,7 +233,7 @@ def test_clearing_the_costmap_forgets_what_was_seen() -> None:
     assert not loop.service.costmap.evidence.any()
 
 
-def test_odometry_that_starts_anew_forgets_the_costmap_and_waits_for_a_pose_in_it() -> None:
+def test_odometry_that_starts_again_forgets_the_costmap_and_waits_for_a_pose_in_it() -> None:
     loop = moving()
     loop.lost = {"pose"}
     loop.send("odometry", m.Odometry(loop.now + 1, Pose2(30.0, 0.0, 0.0), 0.0, 0.0, np.zeros(9)))

@@ -297,7 +297,7 @@ def test_local_control_that_never_finishes_a_recovery_does_not_hold_it_up():
     assert bench.status.reason == reasons.RECOVERIES_USED.code
 
 
-def test_only_real_progress_earns_the_recoveries_anew():
+def test_only_real_progress_earns_the_recoveries_again():
     bench = NavigatorBench()
     bench.go(Pose2(20.0, 0.0))
     bench.run(2)
@@ -480,7 +480,7 @@ def test_while_a_person_drives_by_hand_that_is_the_reason():
     assert (bench.status.state, bench.status.reason) == (NavState.FAILED, reasons.BY_HAND.code)
 
 
-def test_a_jump_of_the_pose_is_shown_and_planned_anew():
+def test_a_jump_of_the_pose_is_shown_and_planned_again():
     bench = NavigatorBench()
     bench.go(FAR)
     bench.run(2)

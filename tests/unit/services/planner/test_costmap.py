@@ -107,7 +107,7 @@ def test_regions_are_what_the_search_can_reach(seed, share):
     st.sampled_from([0.003, 0.1, 0.5]),
     st.sampled_from([X80, JACKAL]),
 )
-def test_updating_by_changes_equals_starting_anew(changes, share, robot):
+def test_updating_by_changes_equals_starting_from_the_start(changes, share, robot):
     """Costs, connected components and the abstract graph, with the margin and with the minimum clearance."""
     rng = np.random.default_rng(len(changes))
     resolution = 0.05 if share < 0.1 else 0.4

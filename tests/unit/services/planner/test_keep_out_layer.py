@@ -111,7 +111,7 @@ def test_beyond_the_map_a_zone_holds_too():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_following_a_changing_map_under_zones_is_the_same_as_planning_anew(seed):
+def test_following_a_changing_map_under_zones_is_the_same_as_planning_from_the_start(seed):
     rng = np.random.default_rng(seed)
     cells = room(6, 8)
     bench = PlannerBench(cells, pose=Pose2(1.0, 5.0))

@@ -2,7 +2,7 @@
 from math import hypot, pi
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
@@ -38,6 +38,7 @@ def surface(corners, n=400):
 
 @settings(deadline=None)
 @given(footprints, poses, spots, spots, spots, spots)
+@example(JACKAL.corners, (0.0, 0.0, 1e-268), -0.3, 0.3, 0.3, 0.3)  # products of its coordinates underflow
 def test_a_touched_segment_is_one_that_comes_within_the_footprint(corners, pose, ax, ay, bx, by):
     at = transform_polygon(corners, *pose)
     cells = index_shapes(np.array([[ax, ay, bx, by]]), np.zeros((0, 3)), 0.1)

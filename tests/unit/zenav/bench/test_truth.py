@@ -29,10 +29,10 @@ def toured():
 
 
 def test_the_tour_visits_every_goal_touches_nothing_and_ends_where_it_began(toured):
-    way = toured.track.true_way
+    trajectory = toured.track.true_trajectory
     for goal in (*toured.world.goals.values(), toured.world.start):
-        assert np.hypot(*(way[:, :2] - (goal.x, goal.y)).T).min() < 0.4
-    assert np.hypot(*(way[-1, :2] - way[0, :2])) < 0.4
+        assert np.hypot(*(trajectory[:, :2] - (goal.x, goal.y)).T).min() < 0.4
+    assert np.hypot(*(trajectory[-1, :2] - trajectory[0, :2])) < 0.4
     assert toured.truth.n_contacts == 0
 
 

@@ -119,4 +119,4 @@ def test_where_nothing_may_be_written_a_half_moved_folder_is_read_all_the_same(t
 def test_a_file_that_is_far_too_large_is_not_even_read(tmp_path):
     (tmp_path / "a").write_bytes(bytes(2000))
     with pytest.raises(UserError, match="larger"):
-        read_together(tmp_path, "a", most=1000)
+        read_together(tmp_path, "a", max_bytes=1000)

@@ -69,7 +69,7 @@ def test_of_an_array_the_farthest_counts_and_another_length_is_no_number():
     scan = LaserScan(5, 0.0, 0.1, 0.1, 0.05, 12.0, np.array([1, 2, np.nan], np.float32))
     (one,) = off(scan, replace(scan, ranges=np.array([1, 2.5, np.nan], np.float32)), "scan")
     assert (one.field, one.by) == ("ranges", 0.5)
-    assert "1 of 3 differ" in one.words
+    assert "1 of 3 differ" in one.text
     for ranges in ([1, 2], [1, 2, 3], [1, np.nan, np.nan]):
         (one,) = off(scan, replace(scan, ranges=np.array(ranges, np.float32)), "scan")
         assert one.by == inf
@@ -120,7 +120,7 @@ def test_bytes_that_this_version_does_not_know_are_different_and_said_to_be():
     tree = msgpack.unpackb(good)
     tree.pop("v")
     (one,) = differences("odom", msgpack.packb(tree), good)
-    assert "not valid in this version" in one.words
+    assert "not valid in this version" in one.text
     assert differences("nonsense", b"a", b"b")[0].by == inf
 
 

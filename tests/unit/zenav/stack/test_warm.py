@@ -58,7 +58,7 @@ def test_a_configuration_is_compiled_once(compiled, capsys):
     assert compiled[1:] == [["local_ctrl"]]
 
 
-def test_what_is_compiled_anew_is_removed_first(compiled, tmp_path):
+def test_what_is_compiled_again_is_removed_first(compiled, tmp_path):
     tasks = tasks_for("x80sv", [], ["planner"])
     warm(tasks)
     kernel = tmp_path / "cache" / "a.nbc"

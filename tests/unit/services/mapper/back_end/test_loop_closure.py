@@ -132,7 +132,7 @@ def test_where_the_front_end_is_on_the_map_follows_the_newest_keyframe(round_onc
     assert back_end.corrections()[-1].distance(back_end.map_from_local) < 1e-9
 
 
-def test_the_map_is_drawn_anew_from_where_the_keyframes_are_now(round_once):
+def test_the_map_is_drawn_again_from_where_the_keyframes_are_now(round_once):
     round_once.take(round_once.map_jobs.redraw(round_once.now + 10 * NS_PER_S))
     assert not list(round_once.map_jobs.redraw(round_once.now + 20 * NS_PER_S)), "nothing has moved since"
     grid = round_once.drawings[-1]
@@ -289,7 +289,7 @@ def test_what_a_job_finds_for_another_map_is_thrown_away(kind):
     assert robot.back_end.graph.n_edges == len(before.edges)
 
 
-def test_small_corrections_add_up_until_the_map_is_drawn_anew():
+def test_small_corrections_add_up_until_the_map_is_drawn_again():
     robot = DriftingRobot()
     robot.drives(islice(laps(), 12))
     for n in range(3):

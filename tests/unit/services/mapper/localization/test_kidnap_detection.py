@@ -83,7 +83,7 @@ def test_a_crowd_around_the_robot_does_not_make_it_lost(hall):
     assert len(crowd) > 50
 
 
-def test_found_again_it_starts_anew(hall):
+def test_found_again_it_starts_from_the_start(hall):
     detector = KidnapDetector(CONFIG)
     assert weighed(hall, Pose2(), 3, 3, Pose2(), 100, detector) is not None
     detector.reset()
