@@ -38,7 +38,7 @@ def surface(corners, n=400):
 
 @settings(deadline=None)
 @given(footprints, poses, spots, spots, spots, spots)
-@example(JACKAL.corners, (0.0, 0.0, 1e-268), -0.3, 0.3, 0.3, 0.3)  # products of its coordinates underflow
+@example(L_SHAPE, (0.0, 0.0, 1e-268), 0.42, 0.0, 0.6, 0.0)  # products of its coordinates underflow
 def test_a_touched_segment_is_one_that_comes_within_the_footprint(corners, pose, ax, ay, bx, by):
     at = transform_polygon(corners, *pose)
     cells = index_shapes(np.array([[ax, ay, bx, by]]), np.zeros((0, 3)), 0.1)
