@@ -29,6 +29,7 @@ FEEDBACK = {
     ("guard", "base_driver"): "the one way back: the velocity that the base obeys",
     ("planner", "navigator"): "the navigator sees whether there is a way, and how long",
     ("local_ctrl", "navigator"): "the navigator sees the progress, and when it has arrived",
+    ("guard", "dashboard"): "the page shows the source of commands, and sees that STOP holds",
     ("guard", "navigator"): "the navigator reports why the robot stands",
 }
 """(publisher, reader) against the flow, each with its reason. Nothing else may close a circle."""
