@@ -20,9 +20,9 @@ from services.dashboard.field_checks import (
     texts,
     whole_number,
 )
-from shared import requests, topics
+from shared import topics
 from shared.codec import CodecError, Envelope, decode
-from shared.messages import Message
+from shared.requests import REQUESTS, Request
 from shared.roles import REQUEST_ROLES
 from shared.topics import KEYS, topic_of
 
@@ -102,12 +102,12 @@ def checked_operation(op: str, arguments: dict[Any, Any]) -> dict[str, Any]:
     return checked
 
 
-def request_named(key: str) -> "requests.Request[Message, Message] | None":
+def request_named(key: str) -> Request[Any, Any] | None:
     """The request of a key that pages may ask, or None."""
-    return next((row for row in requests.REQUESTS if row.key == key and key in REQUEST_ROLES), None)
+    return next((row for row in REQUESTS if row.key == key and key in REQUEST_ROLES), None)
 
 
-def request_payload(row: "requests.Request[Message, Message]", arguments: dict[Any, Any], now: int) -> bytes:
+def request_payload(row: Request[Any, Any], arguments: dict[Any, Any], now: int) -> bytes:
     """A request as bytes, stamped `now` (ns) and checked as any request is. Raises FrameError."""
     if "@" in arguments or "stamp" in arguments:
         raise FrameError("stamp is filled in by the server")

@@ -32,6 +32,7 @@ from shared.runners.admission import Admission, Verdict
 from shared.runners.arguments import PRELOADED, arguments
 from shared.runners.blackbox import BlackBox, Taken, crash_line
 from shared.runners.clock import StackClock, clock_from
+from shared.runners.devices import NO_DEVICES, DeviceOpener, Devices, device_opener
 from shared.runners.host import Effect, Host, JobOrder, Sent
 from shared.runners.inbox import Inbox, Slot
 from shared.runners.latched_disk import LatchedDisk
@@ -62,6 +63,7 @@ class Live:
         clock: StackClock,
         disk: LatchedDisk | None = None,
         box: BlackBox | None = None,
+        open_device: DeviceOpener = Port,
     ) -> None:
         self.clock, self.session, self.name, self.robot = clock, session, name, robot
         self.host = Host(service, name, f"{time.time_ns():x}-{os.getpid():x}")
@@ -82,7 +84,7 @@ class Live:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._timers: list[TickTimer] = []
         self._ports = {
-            port: Port(port, config, clock, partial(self.inbox.file, self._from_ports))
+            port: open_device(port, config, clock, partial(self.inbox.file, self._from_ports))
             for port, config in service.ports.items()
             if config.given
         }
@@ -336,14 +338,17 @@ class Live:
             self._box.take(Taken(key, topic.type, payload, envelope, now, kept))
 
 
-def main(service_class: type[Service], **sinks: Callable[[Any], Any]) -> None:
-    """The whole process of one service. A sink is built from the service's configuration and passed by name."""
+def main(service_class: type[Service], devices: Devices = NO_DEVICES, **sinks: Callable[[Any], Any]) -> None:
+    """The whole process of one service. A sink is built from the service's configuration and passed by name.
+
+    devices: by kind, like `web` of web://127.0.0.1, the devices that the service brings for its ports.
+    """
     name = service_class.__module__.split(".")[1]
     options = arguments(name).parse_args()
     logging.basicConfig(level=options.log, stream=sys.stderr, format=f"%(asctime)s {name} %(levelname)s %(message)s")
     status = 1
     try:
-        _serve(service_class, name, options, sinks)
+        _serve(service_class, name, options, devices, sinks)
         status = 0
     except UserError as error:
         sys.stderr.write(f"{name}: {error.what}\nhint: {error.hint}\n")
@@ -359,7 +364,7 @@ def main(service_class: type[Service], **sinks: Callable[[Any], Any]) -> None:
 
 
 def _serve(
-    service_class: type[Service], name: str, options: argparse.Namespace, sinks: dict[str, Callable[[Any], Any]]
+    service_class: type[Service], name: str, options: argparse.Namespace, devices: Devices, sinks: dict[str, Any]
 ) -> None:
     file = configured(options.robot, options.set)
     config, robot = file.section(name, service_class.config_type), file.robot
@@ -378,7 +383,8 @@ def _serve(
     with transport.opened(where, name, everything=hasattr(service, "raw")) as session:
         disk = LatchedDisk(Path(options.memory), name) if options.memory else None
         box = None if hasattr(service, "raw") else BlackBox(Path(options.crashes), name, robot.name, file.text)
-        live = Live(service, name, robot.name, session, clock, disk, box)
+        open_device = device_opener(devices, config, robot.name, where, options)
+        live = Live(service, name, robot.name, session, clock, disk, box, open_device)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: live.stop())
         log.info("started")
