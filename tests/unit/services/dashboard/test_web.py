@@ -9,7 +9,7 @@ from contextlib import closing, suppress
 
 import numpy as np
 import pytest
-from websockets.exceptions import InvalidHandshake, InvalidStatus
+from websockets.exceptions import InvalidStatus, WebSocketException
 
 from services.dashboard import web_server
 from services.dashboard.address import page_address
@@ -141,7 +141,7 @@ def test_more_connections_than_the_limit_are_refused(served, monkeypatch):
     monkeypatch.setattr(web_server, "MAX_CONNECTIONS", 3)
     pages = [Browser(served.port) for _ in range(3)]
     try:
-        with pytest.raises(InvalidHandshake):
+        with pytest.raises(WebSocketException):
             Browser(served.port, read=False)
         pages[0].first("hello")
     finally:
@@ -253,13 +253,12 @@ def test_small_events_come_all_and_in_order(served):
 
 def test_a_page_that_does_not_read_gets_the_latest_later_and_holds_up_no_other(served):
     scan = LaserScan(1, 0.0, 0.0001, 0.1, 0.1, 30.0, np.zeros(20_000, np.float32), np.zeros(20_000, np.float32))
-    with Browser(served.port) as quick:
-        slow = Browser(served.port, read=False, max_queue=1)
+    with Browser(served.port) as quick, Browser(served.port, read=False, max_queue=1) as slow:
         for page in (quick, slow):
             page.send("want", keys=["odom", "scan"])
         quick.until(lambda: len(served.link.keys) == 2)
         quick.until(lambda: len(served.device._hub._pages) == 2)
-        for i in range(400):
+        for i in range(150):
             served.link.publish("scan", scan)
             served.link.publish("odom", odometry(float(i)))
             n = len(quick.of("m"))
@@ -268,11 +267,10 @@ def test_a_page_that_does_not_read_gets_the_latest_later_and_holds_up_no_other(s
 
         def newest() -> bool:
             xs = [decode(Odometry, f["b"])[0].odom_from_base.x for f in slow.of("m") if f["k"] == "odom"]
-            return bool(xs) and xs[-1] == 399.0
+            return bool(xs) and xs[-1] == 149.0
 
         slow.until(newest)
-        assert len([f for f in slow.of("m") if f["k"] == "odom"]) < 300, "it got the newest, not all"
-        slow.socket.close()
+        assert len([f for f in slow.of("m") if f["k"] == "odom"]) < 120, "it got the newest, not all"
 
 
 def test_another_tool_that_drives_is_shown(served):
