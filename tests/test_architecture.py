@@ -256,6 +256,14 @@ def test_only_the_transport_and_zenav_speak_zenoh():
             rule(not speaks, f"{short(path)} imports zenoh", "publish by yielding; the live runner sends it")
 
 
+def test_only_the_shell_of_the_page_loads_a_web_library():
+    shell = ("services/dashboard/web_app.py", "services/dashboard/web_server.py")
+    for path in files():
+        if not short(path).startswith(shell):
+            loads = {name.split(".")[0] for name in imported(path)} & {"starlette", "uvicorn", "websockets", "anyio"}
+            rule(not loads, f"{short(path)} imports {loads}", "pass it on to the shell, which is loaded with a browser")
+
+
 def test_only_the_files_that_own_it_open_files():
     for path in files():
         if short(path).startswith(FILES) or path.name in FILES:

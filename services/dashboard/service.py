@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page's server: what pages send comes in on a port, what they show and what the shell shall do goes out on it.
 
-Both directions are streams of msgpack maps. Each map of topics.RX has an `event` of the shell: `open` and `close` of a
-page (`client`), `frame` (`data`: the bytes of a frame of docs/page.md), or `other_teleop`: another tool drives.
+Both directions are streams of msgpack maps. Each map of topics.RX has an `event` of the shell:
+
+- `open` and `close` of a page (`client`);
+- `frame`: `data` has the bytes of a frame (docs/page.md);
+- `other_teleop`: another tool drives.
+
 outgoing.py has the maps of topics.TX. So all commands of pages are in the journal.
 """
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is checked before any request is handled: host, origin and token; and the headers of every answer.
 
-A browser on this computer also shows pages of others. Such a page must not reach the robot: not by a name of its own
-that leads here (Host), not from its own address (Origin), and not by a form (the token).
+A browser on this computer also shows pages of others, which must not reach the robot. They could try it by a name of
+their own that leads here (Host), from their own address (Origin), or by a form (the token).
 """
 
 import hmac
