@@ -10,9 +10,13 @@ from services.dashboard.address import BASE_PORT
 from shared import topics
 from shared.codec import decode
 from shared.messages import GuardState, PoseEstimate, Velocity
+from shared.recording import Recording
 from tests.stack.processes import ROBOT, StackProcesses, running
 from tests.unit.services.dashboard.browser import Browser
 from zenav.client import Client
+from zenav.recording.opening import recorded_robot_file
+from zenav.replay.report import service_builder
+from zenav.replay.reprocess import replay_file
 
 BARE = ("sim", "base_driver", "odometry", "mapper", "guard", "dashboard")
 
@@ -69,7 +73,7 @@ def test_a_page_that_falls_silent_drives_no_more(stack):
         page.first("hello")
         drive(stack, page)
         stack.until(lambda: commanded(stack, 0.0))
-        assert page.of("drivers")[-1]["driver"] is None or page.until(lambda: page.of("drivers")[-1]["driver"] is None)
+        page.until(lambda: page.of("drivers")[-1]["driver"] is None)
 
 
 def test_another_tool_has_the_robot_and_the_page_says_so(stack):
@@ -103,3 +107,28 @@ def test_a_request_reaches_its_service_and_a_service_that_is_missing_is_named(st
         assert (refused["accepted"], refused["reason"]) == (False, "not_running")
         assert "navigator" in refused["detail"]
         assert page.ask("ask", request="request/override", args={"seconds": 0.0})["accepted"]
+
+
+def test_what_pages_did_replays_to_the_byte_and_a_tool_lists_the_recording(tmp_path):
+    path = tmp_path / "page.mcap"
+    with running(tmp_path / "logs", ("recorder", *BARE), settings=(f"recorder.file={path}",)) as stack:
+        stack.client.follow(topics.CMD_VEL)
+        with page_of(stack) as page, page_of(stack) as other:
+            page.first("hello")
+            page.send("want", keys=["pose", "health/sim"], debug=True)
+            drive(stack, page)
+            other.teleop(0.1)
+            other.until(lambda: any("page 1 drives" in f["text"] for f in other.of("note")))
+            other.send("stop")
+            stack.until(lambda: stack.client.latest(topics.GUARD).state is GuardState.STOPPED)
+            page.socket.send(b"junk")
+            page.until(lambda: any("msgpack" in f["text"] for f in page.of("note")))
+            (row,) = [row for row in page.ask("do", op="recordings")["data"] if row["name"] == path.name]
+            assert row["current"]
+    file = recorded_robot_file(Recording(path))
+    assert file is not None
+    report = replay_file(path, ["dashboard"], None, service_builder(file), lambda done, of: None)
+    assert report.notes == []
+    assert report.equal, report
+    counts = {topic.key: topic.n_equal for topic in report.topics}
+    assert min(counts[key] for key in ("cmd/teleop", "estop", "port/tx/dashboard")) >= 1
