@@ -14,10 +14,10 @@ Tile = tuple[int, int]
 
 
 class MapTiles:
-    """The newest state of each tile. `change` counts updates."""
+    """The newest state of each tile. `change` counts updates, `n_maps` the maps that began."""
 
     def __init__(self) -> None:
-        self.map_id, self.resolution, self.change = 0, 0.05, 0
+        self.map_id, self.resolution, self.change, self.n_maps = 0, 0.05, 0, 0
         self._sent = 0
         self._tiles: dict[Tile, tuple[int, Int8s]] = {}  # change and cells, in the order of changes
 
@@ -30,6 +30,7 @@ class MapTiles:
                 return
             self.map_id, self.resolution = update.map_id, update.resolution
             self._tiles.clear()
+            self.n_maps += 1
         self._sent = max(self._sent, sent)
         for row, column, cells in zip(update.rows.tolist(), update.columns.tolist(), update.cells):
             if is_late and (row, column) in self._tiles:
@@ -42,6 +43,7 @@ class MapTiles:
         self._tiles.clear()
         self.map_id = self._sent = 0
         self.change += 1
+        self.n_maps += 1
 
     def since(self, change: int) -> list[Tile]:
         """The tiles that changed after a change, oldest first."""
@@ -62,17 +64,17 @@ class TileFeed:
 
     def __init__(self, tiles: MapTiles) -> None:
         self._tiles = tiles
-        self._map_id: int | None = None
+        self._n_maps: int | None = None
         self._change = 0
 
     def restart(self) -> None:
         """The page has forgotten the map."""
-        self._map_id = None
+        self._n_maps = None
 
     @property
     def is_behind(self) -> bool:
         """Whether the page lacks tiles, or has those of another map."""
-        changed = self._change < self._tiles.change or self._map_id != self._tiles.map_id
+        changed = self._change < self._tiles.change or self._n_maps != self._tiles.n_maps
         return self._tiles.change > 0 and changed
 
     def frames(self) -> Iterator[dict[str, Any]]:
@@ -80,13 +82,13 @@ class TileFeed:
 
         Each is made when it is asked for, so a slow page gets the newest cells.
         """
-        reset = self._map_id != self._tiles.map_id
+        reset = self._n_maps != self._tiles.n_maps
         if reset:
-            self._map_id, self._change = self._tiles.map_id, 0
+            self._n_maps, self._change = self._tiles.n_maps, 0
         places = self._tiles.since(self._change)
         self._change = self._tiles.change
         for begin in range(0, len(places), MAX_TILES) if places or not reset else (0,):
-            if self._map_id != self._tiles.map_id:
+            if self._n_maps != self._tiles.n_maps:
                 return  # another map began meanwhile
             yield self._frame(places[begin : begin + MAX_TILES], reset and begin == 0)
 
