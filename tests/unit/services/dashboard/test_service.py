@@ -4,15 +4,16 @@
 import math
 
 import msgpack
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.dashboard.frames import FRAMES, MAX_FRAME, OPERATIONS, PAGE_KEYS
 from services.dashboard.service import FRAME_HANDLERS
-from shared.codec import decode
-from shared.messages import GuardState, Velocity
-from shared.requests import Navigate
+from shared.codec import Envelope, decode, encode
+from shared.messages import GuardState, PortState, Velocity, Zone, ZoneKind
+from shared.requests import Navigate, SetZones
 from shared.roles import FRAME_ROLES, OPERATION_ROLES, Role
 from tests.unit.services.dashboard.pages import ELSEWHERE, MS, ROBOT, START, Pages
 
@@ -108,8 +109,6 @@ def test_letting_go_and_leaving_are_zero_at_once(pages):
 
 
 def test_the_shell_that_cannot_listen_any_more_is_zero_and_no_page(pages):
-    from shared.messages import PortState
-
     pages.teleop(1, 0.3)
     pages._take(pages.core.port_state(PortState(pages.core.now, "page", False, "port 8600 is taken")))
     assert pages.velocities[-1] == (0.0, 0.0)
@@ -252,6 +251,15 @@ def test_a_request_is_stamped_checked_and_passed_on(pages):
     request, _ = decode(Navigate, order["payload"])
     assert (order["client"], order["id"], order["ask"]) == (1, 7, "request/navigate")
     assert (request.stamp, request.poses[0].x) == (START, 1.0)
+
+
+def test_a_request_with_messages_and_arrays_in_it_passes_as_on_the_wire(pages):
+    corners = [np.array(values, float) for values in ([0, 1, 1], [0, 0, 1])]
+    zones = (Zone(0, "ramp", ZoneKind.SLOW, *corners, speed=0.2),)
+    args = msgpack.unpackb(encode(SetZones(0, zones), Envelope("x", "x", 0, 0)))
+    pages.frame(1, "ask", id=1, request="request/set_zones", args={"zones": args["zones"]})
+    request, _ = decode(SetZones, pages.orders[0]["payload"])
+    assert (request.stamp, request.zones[0].name, request.zones[0].xs.tolist()) == (START, "ramp", [0.0, 1.0, 1.0])
 
 
 ROUTE = {"poses": [[1.0, 2.0, 0.5]], "dwell": 0.0, "loops": 1, "any_heading": False}
