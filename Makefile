@@ -60,9 +60,11 @@ fix: venv ## repair what a tool can: lint, format, generated docs
 	@$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 	$(BIN)/python -m zenav.docs
+	$(BIN)/python -m zenav.web_types
 
-docs: venv ## write docs/messages.md, docs/configuration.md and the tables of figures
+docs: venv ## write docs/messages.md, docs/configuration.md, the tables of figures and the page's types
 	@$(BIN)/python -m zenav.docs
+	$(BIN)/python -m zenav.web_types
 
 figures: venv ## rerun the published figures, some hours, resumable: make figures ARGS="--only sim,odometry"
 	@$(BIN)/zenav bench figures $(ARGS)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Configuration of a service's ports: serial devices and sockets.
 
-Their bytes are messages (topics RX, TX, PORT), so they are recorded and replayed. Only shared/runners/port.py opens the
-devices.
+Their bytes are messages (topics RX, TX, PORT), so they are recorded and replayed. Only shared/runners/port.py opens
+devices, and the shell of a service that brings its own kind of device (shared/runners/devices.py).
 """
 
 from pydantic import Field
@@ -28,6 +28,12 @@ class PortConfig(Section):
     def given(self) -> bool:
         """Whether a device is configured."""
         return bool(self.device or self.serial_number)
+
+    @property
+    def kind(self) -> str:
+        """Kind of a device that is no file: `udp` of udp://HOST:PORT; empty for a path."""
+        kind, separator, _ = self.device.partition("://")
+        return kind if separator else ""
 
     @property
     def by_number(self) -> bool:

@@ -29,6 +29,7 @@ FEEDBACK = {
     ("guard", "base_driver"): "the one way back: the velocity that the base obeys",
     ("planner", "navigator"): "the navigator sees whether there is a way, and how long",
     ("local_ctrl", "navigator"): "the navigator sees the progress, and when it has arrived",
+    ("guard", "dashboard"): "the page shows the source of commands, and sees that STOP holds",
     ("guard", "navigator"): "the navigator reports why the robot stands",
 }
 """(publisher, reader) against the flow, each with its reason. Nothing else may close a circle."""
@@ -38,7 +39,7 @@ LONG = {
 }
 """Files over 400 lines, each with its reason."""
 
-ZENOH = ("shared/runners/live.py", "shared/runners/transport.py", "zenav/")
+ZENOH = ("shared/runners/live_runner.py", "shared/runners/transport.py", "shared/runners/client.py", "zenav/")
 FILES = (
     "port.py",
     "recording_store.py",
@@ -254,6 +255,14 @@ def test_only_the_transport_and_zenav_speak_zenoh():
         if not short(path).startswith(ZENOH):
             speaks = [name for name in imported(path) if name.split(".")[0] == "zenoh"]
             rule(not speaks, f"{short(path)} imports zenoh", "publish by yielding; the live runner sends it")
+
+
+def test_only_the_shell_of_the_page_loads_a_web_library():
+    shell = ("services/dashboard/web_app.py", "services/dashboard/web_server.py")
+    for path in files():
+        if not short(path).startswith(shell):
+            loads = {name.split(".")[0] for name in imported(path)} & {"starlette", "uvicorn", "websockets", "anyio"}
+            rule(not loads, f"{short(path)} imports {loads}", "pass it on to the shell, which is loaded with a browser")
 
 
 def test_only_the_files_that_own_it_open_files():

@@ -21,6 +21,7 @@ from shared.config import Robot, Section
 from shared.messages import Message
 from shared.reasons import REASONS
 from shared.requests import REQUESTS
+from shared.roles import REQUEST_ROLES
 from shared.topics import TOPICS
 from zenav.console.table import markdown_table
 from zenav.stack.service_loader import existing_services, service_class
@@ -73,10 +74,11 @@ def messages_page() -> str:
             f"[{row.request.__name__}](#{row.request.__name__.lower()})",
             f"[{row.reply.__name__}](#{row.reply.__name__.lower()})",
             row.by,
+            str(REQUEST_ROLES.get(row.key, "")),
         )
         for row in REQUESTS
     ]
-    lines += markdown_table(("key", "request", "reply", "answered by"), rows)
+    lines += markdown_table(("key", "request", "reply", "answered by", "a page asks it as"), rows)
     lines += ["", "## Why the robot stands\n"]
     rows = [(f"`{code}`", reason.text, reason.hint, reason.severity) for code, reason in REASONS.items()]
     lines += markdown_table(("code", "text", "hint", "severity"), rows)

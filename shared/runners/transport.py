@@ -177,6 +177,11 @@ class LatchedReader:
         """Asks for the value again, after a missed message."""
         self._querier.get(self._reply)
 
+    def close(self) -> None:
+        """Reads no more."""
+        self._listener.undeclare()  # type: ignore[no-untyped-call]  # zenoh's own
+        self._querier.undeclare()  # type: ignore[no-untyped-call]  # zenoh's own
+
     def _changed(self, status: zenoh.MatchingStatus) -> None:
         if status.matching:
             with suppress(zenoh.ZError):  # the session is being closed

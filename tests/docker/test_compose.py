@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = f"zenavtest{os.getpid()}"
 SERVICES = {"router", "sim", "base_driver", "odometry", "mapper", "planner", "local_ctrl", "guard", "navigator"}
-SERVICES |= {"recorder"}
+SERVICES |= {"recorder", "dashboard"}
 DIES = """
 import os, pathlib
 for process in pathlib.Path("/proc").glob("[0-9]*"):

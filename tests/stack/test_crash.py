@@ -23,7 +23,7 @@ from shared.runners.blackbox import BlackBox, crash_in, crash_of
 from shared.runners.clock import StackClock
 from shared.runners.journal import HOLE
 from shared.runners.latched_disk import LatchedDisk
-from shared.runners.live import Live
+from shared.runners.live_runner import LiveRunner
 from shared.runners.replay import replay
 from shared.service import Answer, Job, Out, Service, answer, every, on
 from tests.stack.test_live import free_stack, running
@@ -86,7 +86,7 @@ def dying(service: Service, name: str, where: transport.StackAddress, folder: Pa
     """Runs it until it dies; the traceback goes nowhere."""
     box = BlackBox(folder, name, ROBOT.name, "")
     with transport.opened(where, name) as session:
-        live = Live(service, name, ROBOT.name, session, StackClock(), LatchedDisk(folder / "memory", name), box)
+        live = LiveRunner(service, name, ROBOT.name, session, StackClock(), LatchedDisk(folder / "memory", name), box)
 
         def run() -> None:
             with suppress(ZeroDivisionError, RuntimeError, ArithmeticError):

@@ -172,7 +172,7 @@ def test_one_client_drives_and_another_is_refused_until_it_lets_go(where):
             second.publish("/teleop", twist(-0.3, 0.0))
 
         first.until(lambda: drives(guard, 0.3), meanwhile=lambda: first.publish("/teleop", twist(0.3, 0.0)))
-        second.until(lambda: second.told("another client drives"), meanwhile=both)
+        second.until(lambda: second.told("drives: it must let go"), meanwhile=both)
         assert (-0.3, 0.0) not in guard.driven
         second.until(lambda: drives(guard, -0.3), meanwhile=lambda: second.publish("/teleop", twist(-0.3, 0.0)))
 

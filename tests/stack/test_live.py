@@ -17,7 +17,7 @@ from shared.messages import Goal, WheelState
 from shared.requests import Cancel, Reply
 from shared.runners import transport
 from shared.runners.clock import StackClock
-from shared.runners.live import Live
+from shared.runners.live_runner import LiveRunner
 from shared.service import Answer, Job, Out, Service, answer, every, on
 
 ROBOT = load_robot("x80sv").robot
@@ -87,9 +87,9 @@ class GoalListener(Service):
 
 
 @contextmanager
-def running(service: Service, name: str, where: transport.StackAddress) -> Iterator[Live]:
+def running(service: Service, name: str, where: transport.StackAddress) -> Iterator[LiveRunner]:
     with transport.opened(where, name) as session:
-        live = Live(service, name, ROBOT.name, session, StackClock())
+        live = LiveRunner(service, name, ROBOT.name, session, StackClock())
         thread = threading.Thread(target=live.run)
         thread.start()
         try:

@@ -21,7 +21,7 @@ from shared.runners import transport
 from shared.runners.clock import StackClock
 from shared.runners.host import LATCHED
 from shared.runners.latched_disk import LatchedDisk
-from shared.runners.live import Live
+from shared.runners.live_runner import LiveRunner
 from shared.service import Service
 from tests.stack import processes
 from tests.stack.processes import ALL, wait
@@ -65,9 +65,9 @@ def recorded(session: zenoh.Session, name: str) -> bool:
 @contextmanager
 def running(
     service: Service, name: str, where: transport.StackAddress, memory: LatchedDisk | None = None
-) -> Iterator[Live]:
+) -> Iterator[LiveRunner]:
     with transport.opened(where, name) as session:
-        live = Live(service, name, ROBOT.name, session, StackClock(), memory)
+        live = LiveRunner(service, name, ROBOT.name, session, StackClock(), memory)
         if not isinstance(service, RecorderService):
             assert recorded(session, name)
         thread = threading.Thread(target=live.run)

@@ -20,6 +20,11 @@ from zenav.cli.parts import (
     app,
 )
 
+Page = Annotated[bool, typer.Option("--dashboard/--no-dashboard", help="Serve the robot's page to browsers.")]
+Browser = Annotated[
+    bool, typer.Option("--browser/--no-browser", help="Open the page in a browser, in a desktop session.")
+]
+
 
 def _services() -> list[str]:
     from shared.topics import SERVICES
@@ -42,6 +47,8 @@ def demo(
         Simulated, typer.Option(help="What the simulator stands behind: its messages, or ports that speak bytes.")
     ] = "messages",
     out: Out = None,
+    page: Page = True,
+    browser: Browser = True,
     robot: RobotName = "x80sv",
     world: World = "office",
     set_: Setting = None,
@@ -54,7 +61,9 @@ def demo(
     from zenav.stack.hardware import Hardware
 
     chosen = Hardware(hardware)
-    raise typer.Exit(demo(robot, world, seed, seconds, headless, record, lockstep, set_ or [], chosen, out))
+    raise typer.Exit(
+        demo(robot, world, seed, seconds, headless, record, lockstep, set_ or [], chosen, out, page, browser)
+    )
 
 
 @app.command(cls=Command, rich_help_panel=MAIN)
@@ -72,6 +81,8 @@ def up(
     mode: SavedMapMode = "localise",
     at: At = None,
     speed: Annotated[float, typer.Option(min=0.01, max=100, help="Simulated seconds in a real one.")] = 1.0,
+    page: Page = True,
+    browser: Browser = True,
     stack: Stack = "0",
     set_: Setting = None,
 ) -> None:
@@ -93,6 +104,8 @@ def up(
         stack,
         set_ or [],
         OnMap.of(saved_map, MapMode(mode), at) if saved_map else None,
+        page,
+        browser,
     )
 
 

@@ -20,7 +20,7 @@ Wait = Callable[[float], object]
 
 
 class Asker(Protocol):
-    """zenav.client.client.Client, as far as it is needed here."""
+    """shared.runners.client.Client, as far as it is needed here."""
 
     def now(self) -> int: ...
 

@@ -25,7 +25,7 @@ from shared.messages import MapMode
 from shared.requests import Cancel, Explore, Navigate, Pause, Reply, StartMap, Watch
 from zenav.client import Client
 from zenav.client.navigation_client import confirm_stop, refusal_error, target_text
-from zenav.foxglove.commander import TeleopArbiter
+from zenav.foxglove.commander import Commander
 from zenav.foxglove.inbound import Inlet, InvalidMessageError, inlet_of, pose_from, velocity_from
 
 Say = Callable[[str, bool], None]
@@ -47,7 +47,7 @@ class App(ServerListener):
 
     def __init__(self, client: Client, say: Say, asked: Callable[[str], None]) -> None:
         """asked: gets the topic that a client begins to listen to."""
-        self.commander = TeleopArbiter()
+        self.commander = Commander()
         self._client, self._say, self._asked = client, say, asked
         self._inlets: dict[tuple[int, int], Inlet] = {}
         self._told: dict[str, float] = {}

@@ -3,6 +3,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from zenav.scenario.live_table import LineView, TableView
 from zenav.scenario.mission import Mission
 from zenav.scenario.scenario import Scenario, ScenarioResult, load_scenario
 from zenav.stack.hardware import Hardware
+from zenav.stack.page import with_page
 from zenav.stack.warm import warm_first
 
 
@@ -34,12 +36,17 @@ def demo(
     settings: list[str],
     hardware: Hardware,
     out: Path | None = None,
+    page: bool = True,
+    browser: bool = True,
 ) -> int:
     """Runs the scenario and writes what came of it; 0 only when every goal was reached without a collision.
 
-    out: where the report goes too, besides the run's folder.
+    out: where the report goes too, besides the run's folder.  page: whether a live run has the page's server, and
+    `browser`: whether a browser shows it in a desktop session.
     """
     chosen = load_scenario(robot, world, seed, settings, hardware)
+    if not lockstep:
+        chosen = replace(chosen, names=with_page(chosen.names, page))
     if record is not None and record.suffix != ".mcap":  # what stands there is written over
         raise UserError(f"{record} is no name for a recording", f"end it in .mcap: --record {record}.mcap")
     check_writable(out)
@@ -58,7 +65,8 @@ def demo(
             from zenav.scenario.live_run import run_live
 
             plain = headless or not sys.stderr.isatty()
-            outcome = run_live(chosen, seconds, folder, record, stop, LineView() if plain else TableView())
+            view = LineView() if plain else TableView()
+            outcome = run_live(chosen, seconds, folder, record, stop, view, browser=browser)
         if stop.is_set():
             sys.stderr.write("interrupted\n")
             return 130

@@ -19,6 +19,7 @@ from zenav.scenario.mission import Mission
 from zenav.scenario.scenario import Scenario, ScenarioResult
 from zenav.stack.hardware import settings_for
 from zenav.stack.launch import Launcher, free_stack, service_command
+from zenav.stack.page import SERVICE, PageOpener, page_url
 
 REQUIRED_TOPICS: tuple[Topic[Any], ...] = (topics.NAV_STATUS, topics.POSE, topics.MAP)
 """What must have come before the mission asks for anything."""
@@ -75,9 +76,19 @@ class RunView:
 
 
 def run_live(
-    scenario: Scenario, seconds: float, folder: Path, record: Path, stop: StopFlag, view: RunView, explores: bool = True
+    scenario: Scenario,
+    seconds: float,
+    folder: Path,
+    record: Path,
+    stop: StopFlag,
+    view: RunView,
+    explores: bool = True,
+    browser: bool = False,
 ) -> ScenarioResult:
-    """Runs the scenario for at most `seconds`, or until `stop`; logs go into `folder`. No process outlives it."""
+    """Runs the scenario for at most `seconds`, or until `stop`; logs go into `folder`. No process outlives it.
+
+    browser: whether a browser shows the page in a desktop session, where the scenario has the page's server.
+    """
     begun = time.monotonic()
     given = psutil.Process().create_time()
     track, processes, lock = RunTrack(), ProcessStats(), threading.Lock()
@@ -97,6 +108,8 @@ def run_live(
             name: service_command(name, scenario.robot, str(claim.where.domain), settings, memory=folder / "memory")
             for name in scenario.names
         }
+        url = page_url(scenario.file, claim.where) if SERVICE in scenario.names else ""
+        opener = PageOpener(url, browser)
         launcher = Launcher(commands, folder, view.show_line)
         with launcher, Client(scenario.file.robot.name, claim.where) as client:
             client.follow(topics.GUARD, *REQUIRED_TOPICS)
@@ -106,8 +119,11 @@ def run_live(
             def hear(health: Health) -> None:
                 processes.hear(health)
                 launcher.hear(health)
+                opener.hear(health)
 
             client.listen(topics.HEALTH, lambda health, _: hear(health))
+            if url:
+                view.show_line("zenav", f"the page is at {url}")
             view.start(scenario, launcher, processes)
             try:
                 launcher.start_all(lambda name: name in processes.latest, stop.is_set)

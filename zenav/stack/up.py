@@ -21,6 +21,7 @@ from zenav.stack.config_report import read_sections
 from zenav.stack.hardware import Hardware, emulated_ports, services_for, settings_for, simulated_world
 from zenav.stack.heap import release_free_memory
 from zenav.stack.launch import START_LIMIT, Launcher, claim_stack, service_command
+from zenav.stack.page import SERVICE, PageOpener, page_url, with_page
 from zenav.stack.sd_notify import Notifier
 from zenav.stack.service_loader import existing_services
 from zenav.stack.warm import warm_first
@@ -61,10 +62,13 @@ def up(
     stack: str,
     settings: list[str],
     on_map: OnMap | None,
+    page: bool = True,
+    browser: bool = True,
 ) -> None:
     """Runs the services until Ctrl-C. hardware: None is the simulator's messages with a world, else the real robot.
 
-    on_map: what the mapper begins with; a new map without it.
+    on_map: what the mapper begins with; a new map without it.  page: whether the page's server runs, and `browser`:
+    whether a browser shows it in a desktop session.
     """
     hardware = hardware or (Hardware.MESSAGES if world else Hardware.REAL)
     if (hardware is Hardware.REAL) == bool(world):
@@ -75,7 +79,7 @@ def up(
     settings = [*settings, *([f"sim.world={world}"] if world else [])]
     file = configured(robot, settings)
     read_sections(file)
-    names = selected_services(only, services_for(hardware, file))
+    names = selected_services(only, with_page(services_for(hardware, file), page))
     if "sim" in names:
         simulated_world(file)  # a wrong world is an error before any process starts
     saved = None if on_map is None else on_map.read(file)  # so is a damaged map
@@ -83,6 +87,7 @@ def up(
         settings.append(f"recorder.attach={json.dumps(on_map.files())}")
     warm_first(robot, [*settings, *settings_for(hardware, file, None)], names)
     where = stack_address(stack)
+    url = page_url(file, where) if SERVICE in names else ""
     clock = "" if speed == 1.0 else f"{time.time_ns()}:{speed:g}"
     clock_from(clock)
     with stop_on_signal() as stop, ExitStack() as open_things:
@@ -92,6 +97,8 @@ def up(
         settings += settings_for(hardware, file, folder)
         commands = {name: service_command(name, robot, stack, settings, clock, folder / "memory") for name in names}
         _print_line("zenav", f"{', '.join(names)}; logs in {folder}; Ctrl-C ends them")
+        if url:
+            _print_line("zenav", f"the page is at {url}")
         if not world and not only:
             _print_line("zenav", "no world: expects the robot's hardware; simulate with --world office")
         if hardware is Hardware.EMULATED:
@@ -100,10 +107,12 @@ def up(
         launcher = open_things.enter_context(Launcher(commands, folder, _print_line, 1 / speed))
         client = open_things.enter_context(Client(file.robot.name, where))
         ready: set[str] = set()
+        opener = PageOpener(url, browser)
         systemd, heard = Notifier(), [0.0]  # s, monotonic: of the last health of any service
 
         def hear(health: Health) -> None:
             launcher.hear(health)
+            opener.hear(health)
             heard[0] = time.monotonic()
             if health.name not in ready and health.name in commands:
                 ready.add(health.name)

@@ -14,10 +14,10 @@ from shared.config import UserError
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import GuardState, GuardStatus, Health, LaserScan, NavState, NavStatus
+from shared.runners.client import CLOCK_AGE, Timekeeper, request_error
 from shared.topics import TOPICS
 from tests.strategies import messages
 from zenav.bench.seeds import seeds_from
-from zenav.client.client import CLOCK_AGE, Timekeeper, request_error
 from zenav.client.navigation_client import ArrivalTolerance, navigate, poses_from, stop_reason, target_text, task_result
 from zenav.client.teleop import KEY_HOLD_S, TeleopKeys
 from zenav.client.topic import rates

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tools need of a running stack: publish as the operator, listen, read kept values, ask.
+"""What tools and the page need of a running stack: publish as the operator, listen, read kept values, ask.
 
 with Client("x80", where) as client:
     client.follow(topics.NAV_STATUS)
@@ -109,13 +109,23 @@ class Client:
         for key in [topic.key] if topic.by != "*" else [f"{topic.key}/{name}" for name in SERVICES]:
             self._listen_key(key, topic, callback)
 
-    def listen_raw(self, key: str, callback: Callable[[str, bytes], None]) -> None:
-        """Calls back with the key (without the robot's name) and the bytes of whatever comes; `**` is every key."""
+    def listen_raw(self, key: str, callback: Callable[[str, bytes], None]) -> Callable[[], None]:
+        """Calls back with the key (without the robot's name) and the bytes of whatever comes; `**` is every key.
+
+        Returns a function that ends it.
+        """
 
         def file(sample: zenoh.Sample) -> None:
             callback(str(sample.key_expr).removeprefix(f"{self.robot}/"), sample.payload.to_bytes())
 
-        self._declared.append(self.session.declare_subscriber(f"{self.robot}/{key}", file))
+        subscriber = self.session.declare_subscriber(f"{self.robot}/{key}", file)
+        self._declared.append(subscriber)
+
+        def end() -> None:
+            self._declared.remove(subscriber)
+            subscriber.undeclare()  # type: ignore[no-untyped-call]  # zenoh's own
+
+        return end
 
     def follow(self, *followed: Topic[Any]) -> None:
         """Keeps the newest message of these topics (the merged one, where its class can) for `latest` and `wait`."""

@@ -1,0 +1,306 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page's server: what pages send comes in on a port, what they show and what the shell shall do goes out on it.
+
+Both directions are streams of msgpack maps. Each map of topics.RX has an `event` of the shell:
+
+- `open` and `close` of a page (`client`);
+- `frame`: `data` has the bytes of a frame (docs/page.md);
+- `other_teleop`: another tool drives.
+
+outgoing.py has the maps of topics.TX. So all commands of pages are in the journal.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import msgpack
+from pydantic import Field
+
+from services.dashboard.driving import PageDriving
+from services.dashboard.field_checks import FrameError
+from services.dashboard.frames import (
+    PAGE_KEYS,
+    checked_frame,
+    checked_operation,
+    request_named,
+    request_payload,
+    unpacked_frame,
+)
+from services.dashboard.outgoing import (
+    PORT,
+    accepting_reply,
+    ask_order,
+    do_order,
+    frame,
+    hello,
+    note,
+    refusing_reply,
+    want_order,
+)
+from services.dashboard.sessions import PageSession, PageSessions
+from services.dashboard.stop_button import StopButton
+from shared import reasons, requests, topics
+from shared.config import Robot, Section
+from shared.messages import GuardStatus, PortState, SerialData, Velocity
+from shared.ports import PortConfig
+from shared.roles import FRAME_ROLES, OPERATION_ROLES, REQUEST_ROLES, may
+from shared.service import Log, Out, Service, every, on
+from shared.teleop_arbiter import TeleopRefusedError
+from shared.types import NS_PER_S
+
+WATCH_EVERY_NS = 2 * NS_PER_S
+"""between two requests that local control shows what it sees."""
+WATCH_FOR_S = 10.0
+DEBUG_KEYS = frozenset((topics.COSTMAP.key, topics.ROLLOUTS.key))
+
+
+class DashboardConfig(Section):
+    """The page."""
+
+    port: PortConfig = Field(
+        PortConfig(device="web://127.0.0.1"),
+        description="web://127.0.0.1:PORT, this computer's own address only; without PORT: 8600 + the stack's number",
+    )
+    tools: str = Field(
+        "zenav.page.tools",
+        pattern=r"^([a-z_]+(\.[a-z_]+)*)?$",
+        description="module of the process that works on maps, places, recordings and settings for pages; empty: none",
+    )
+
+
+class DashboardService(Service):
+    """Decides what each page may do, which page drives, and what goes to which page."""
+
+    config_type = DashboardConfig
+    config: DashboardConfig
+
+    def __init__(self, config: DashboardConfig, robot: Robot) -> None:
+        super().__init__(config, robot)
+        self.pages = PageSessions()
+        self.driving = PageDriving()
+        self.stop_button = StopButton()
+        self.is_open, self.detail = False, ""
+        self.source = ""  # of commands, in the guard
+        self.watched_at: int | None = None  # ns, of the last request to local control
+        self.shown_drivers: dict[str, Any] = {}
+
+    @property
+    def ports(self) -> dict[str, PortConfig]:
+        return {PORT: self.config.port}
+
+    def state(self) -> str:
+        if not self.is_open:
+            return self.detail or "no port: set dashboard.port.device"
+        return f"{len(self.pages)} page{'' if len(self.pages) == 1 else 's'} open"
+
+    @on(topics.PORT)
+    def port_state(self, state: PortState) -> Out:
+        """The shell listens, or cannot: then no page is open."""
+        if state.port != PORT:
+            return
+        self.is_open, self.detail = state.open, state.detail
+        if not state.open:
+            for client in self.pages.clients:
+                yield from self._close(client)
+            if state.detail:
+                yield Log("WARNING", f"page: {state.detail}")
+
+    @on(topics.RX)
+    def receive(self, data: SerialData) -> Out:
+        """Takes events of the shell."""
+        if data.port != PORT:
+            return
+        for event in _maps(data.data):
+            yield from self._event(event)
+        yield from self._drivers()
+
+    @on(topics.GUARD)
+    def guard_status(self, status: GuardStatus) -> Out:
+        """Takes the source of commands, and the guard's confirmation of STOP."""
+        self.source = status.source
+        self.stop_button.confirm(status)
+        yield from self._drivers()
+
+    @every(hz=20)
+    def drive(self) -> Out:
+        """Publishes the driver's command, zero after its end, and STOP until it is confirmed."""
+        yield from _teleop(self.driving.tick(self.now))
+        stop, is_unconfirmed = self.stop_button.tick(self.now)
+        if stop is not None:
+            yield topics.ESTOP(stop)
+        if is_unconfirmed:
+            yield note(self.now, None, "error", "the guard does not confirm", "switch the robot off by hand")
+        yield from self._watch()
+        yield from self._drivers()
+
+    def on_shutdown(self) -> Out:
+        """A robot that a page drives stands."""
+        if self.driving.arbiter.driver is not None:
+            yield topics.TELEOP(Velocity(self.now, 0.0, 0.0, ""))
+
+    # --- events -------------------------------------------------------------------------------------------------------
+
+    def _event(self, event: dict[Any, Any]) -> Out:
+        client, kind = event.get("client"), event.get("event")
+        if kind == "other_teleop":
+            self.driving.on_other_command(self.now)
+        elif kind == "open" and type(client) is int:
+            yield from self._open(client, event)
+        elif kind == "close" and type(client) is int:
+            yield from self._close(client)
+        elif kind == "frame" and type(event.get("data")) is bytes:
+            page = self.pages.get(client)
+            if page is not None:
+                yield from self._frame(page, event["data"])
+
+    def _open(self, client: int, event: dict[Any, Any]) -> Out:
+        page = self.pages.open(client, str(event.get("host", "")))
+        version = str(event.get("version", ""))
+        yield hello(self.now, page, self.robot, event.get("simulated") is True, version)
+        yield self._clients()
+        yield frame(self.now, client, {"t": "drivers", **self._drivers_now()})
+
+    def _close(self, client: int) -> Out:
+        yield from _teleop(self.driving.let_go(client, self.now))
+        if self.pages.close(client):
+            yield self._clients()
+
+    def _frame(self, page: PageSession, data: bytes) -> Out:
+        answered = None
+        try:
+            kind, values = unpacked_frame(data)
+            answered = values.get("id") if kind in ("ask", "do") else None
+            fields = checked_frame(kind, values)
+            if not may(page.role, FRAME_ROLES[kind]):
+                raise FrameError(f"a {page.role} may not send {kind}")
+            yield from FRAME_HANDLERS[kind](self, page, fields)
+        except FrameError as error:
+            if isinstance(answered, int | str):
+                yield refusing_reply(self.now, page.client, answered, reasons.BAD_REQUEST.code, str(error))
+            else:
+                yield note(self.now, page.client, "error", str(error), "reload the page")
+        except TeleopRefusedError as error:
+            yield note(self.now, page.client, "warning", str(error), "ask the driver to let go, or press STOP")
+
+    # --- frames -------------------------------------------------------------------------------------------------------
+
+    def want(self, page: PageSession, fields: dict[str, Any]) -> Out:
+        """The topics that a page shows from now on."""
+        wanted = frozenset(fields["keys"])
+        unknown = sorted(wanted - frozenset(PAGE_KEYS))
+        if unknown:
+            yield note(self.now, page.client, "warning", f"{unknown[0]!r} is no topic of a page", "see keys of hello")
+        page.keys, page.debug = wanted & frozenset(PAGE_KEYS), fields.get("debug", False)
+        yield want_order(self.now, page.client, sorted(page.keys | (DEBUG_KEYS if page.debug else frozenset())))
+        yield from self._watch()
+
+    def teleop(self, page: PageSession, fields: dict[str, Any]) -> Out:
+        """A command of a page that drives, or wants to."""
+        yield from _teleop(self.driving.take(page, fields["v"], fields["w"], fields["n"], self.now))
+
+    def let_go(self, page: PageSession, fields: dict[str, Any]) -> Out:
+        """A page drives no more."""
+        yield from _teleop(self.driving.let_go(page.client, self.now))
+
+    def stop(self, page: PageSession, fields: dict[str, Any]) -> Out:
+        """STOP. Any page may."""
+        yield topics.ESTOP(self.stop_button.set(True, page.name, self.now))
+        yield Log("INFO", f"STOP is pressed by {page.name}")
+
+    def release(self, page: PageSession, fields: dict[str, Any]) -> Out:
+        """Releases STOP. The robot stands until its next command."""
+        yield topics.ESTOP(self.stop_button.set(False, page.name, self.now))
+        yield Log("INFO", f"STOP is released by {page.name}")
+
+    def ask(self, page: PageSession, fields: dict[str, Any]) -> Out:
+        """A request to a service."""
+        row = request_named(fields["request"])
+        if row is None:
+            raise FrameError(f"{fields['request']!r} is no request of a page")
+        needed = REQUEST_ROLES[row.key]
+        if not may(page.role, needed):
+            yield refusing_reply(self.now, page.client, fields["id"], "role", f"{row.key} needs the role {needed}")
+            return
+        payload = request_payload(row, fields.get("args", {}), self.now)
+        yield ask_order(self.now, page.client, fields["id"], row.key, payload)
+
+    def do(self, page: PageSession, fields: dict[str, Any]) -> Out:
+        """An operation of the tools."""
+        op = fields["op"]
+        arguments = checked_operation(op, fields.get("args", {}))
+        needed = OPERATION_ROLES[op]
+        if not may(page.role, needed):
+            yield refusing_reply(self.now, page.client, fields["id"], "role", f"{op} needs the role {needed}")
+        elif op == "recording_mark":  # the log is recorded, so the mark is there
+            yield Log("INFO", f"mark by {page.name}: {arguments['text']}")
+            yield accepting_reply(self.now, page.client, fields["id"])
+        else:
+            yield do_order(self.now, page.client, fields["id"], op, arguments)
+
+    def name(self, page: PageSession, fields: dict[str, Any]) -> Out:
+        """The name that other users see."""
+        page.name = fields["name"].strip() or f"page {page.client}"
+        yield self._clients()
+
+    def ping(self, page: PageSession, fields: dict[str, Any]) -> Out:
+        """The time of a page's link."""
+        yield frame(self.now, page.client, {"t": "pong", "id": fields["id"], "now": self.now})
+
+    # --- what pages see -----------------------------------------------------------------------------------------------
+
+    def _watch(self) -> Out:
+        """Repeats the request to local control while a page shows what it sees."""
+        if not self.pages.is_watching:
+            self.watched_at = None
+        elif self.watched_at is None or not 0 <= self.now - self.watched_at < WATCH_EVERY_NS:
+            self.watched_at = self.now
+            payload = request_payload(requests.WATCH, {"seconds": WATCH_FOR_S}, self.now)
+            yield ask_order(self.now, None, None, requests.WATCH.key, payload)
+
+    def _drivers_now(self) -> dict[str, Any]:
+        driver = self.driving.arbiter.driver
+        return {
+            "driver": None if driver is None else {"client": driver.client, "name": driver.name},
+            "other": self.driving.is_driven_elsewhere(self.now),
+            "source": self.source,
+        }
+
+    def _drivers(self) -> Out:
+        """Shows all pages which one drives, at changes."""
+        shown = self._drivers_now()
+        if len(self.pages) and shown != self.shown_drivers:
+            yield frame(self.now, None, {"t": "drivers", **shown})
+        self.shown_drivers = shown
+
+    def _clients(self) -> Any:
+        return frame(self.now, None, {"t": "clients", "clients": self.pages.listed()})
+
+
+def _teleop(velocity: Velocity | None) -> Out:
+    if velocity is not None:
+        yield topics.TELEOP(velocity)
+
+
+def _maps(data: bytes) -> Iterator[dict[Any, Any]]:
+    """The msgpack maps in some bytes, up to the first fault."""
+    try:
+        unpacker = msgpack.Unpacker()
+        unpacker.feed(data)
+        for event in unpacker:
+            if type(event) is dict:
+                yield event
+    except Exception:  # msgpack raises a dozen kinds on foreign bytes: all mean the same here
+        return
+
+
+FRAME_HANDLERS: dict[str, Callable[[DashboardService, PageSession, dict[str, Any]], Out]] = {
+    "want": DashboardService.want,
+    "teleop": DashboardService.teleop,
+    "let_go": DashboardService.let_go,
+    "stop": DashboardService.stop,
+    "release": DashboardService.release,
+    "ask": DashboardService.ask,
+    "do": DashboardService.do,
+    "name": DashboardService.name,
+    "ping": DashboardService.ping,
+}

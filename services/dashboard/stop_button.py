@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""STOP and its release: published again until the guard confirms it."""
+
+from shared.messages import EmergencyStop, GuardState, GuardStatus
+from shared.types import NS_PER_S
+
+REPEAT_NS = 100_000_000  # between two messages
+LIMIT_NS = 3 * NS_PER_S  # until it counts as unconfirmed
+
+
+class StopButton:
+    """The newest order of any page. Times are ns on the stack's clock."""
+
+    def __init__(self) -> None:
+        self.order: EmergencyStop | None = None
+        """While the guard has not confirmed it: the order as it was first published."""
+        self._sent_at = 0
+
+    def set(self, pressed: bool, by: str, now: int) -> EmergencyStop:
+        """Presses or releases STOP. Returns the message to publish."""
+        self.order, self._sent_at = EmergencyStop(now, pressed, by), now
+        return self.order
+
+    def confirm(self, status: GuardStatus) -> None:
+        """Ends the repetition where the guard's status is newer than the order and shows it."""
+        order = self.order
+        is_stopped = status.state is GuardState.STOPPED
+        if order is not None and status.stamp >= order.stamp and is_stopped == order.pressed:
+            self.order = None
+
+    def tick(self, now: int) -> tuple[EmergencyStop | None, bool]:
+        """The message to publish now, and whether the guard failed to confirm within the limit."""
+        order = self.order
+        if order is None:
+            return None, False
+        if not 0 <= now - order.stamp < LIMIT_NS:
+            self.order = None
+            return None, True
+        if now - self._sent_at < REPEAT_NS:
+            return None, False
+        self._sent_at = now
+        return EmergencyStop(now, order.pressed, order.by), False

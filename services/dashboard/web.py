@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The shell of the page's server: the device `web://` behind the service's port. One thread with a loop of its own.
+
+It listens before it loads the web library: that is done for the first browser, so a stack without pages pays nothing.
+"""
+
+import asyncio
+import secrets
+import socket
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, cast
+
+import msgpack
+
+from services.dashboard.address import page_address
+from services.dashboard.outgoing import PORT
+from services.dashboard.page_hub import PageHub
+from services.dashboard.service import DashboardConfig
+from services.dashboard.stack_link import StackLink
+from services.dashboard.tool_process import ToolProcess
+from shared import topics
+from shared.messages import PortState, SerialData
+from shared.runners.devices import DeviceContext
+
+AGAIN_S = 5.0  # between two tries to get the port
+END_LIMIT_S = 3.0
+
+
+def web_device(context: DeviceContext) -> "WebDevice":
+    """The device of a configuration, not yet open. Raises UserError where its address is not this computer's own."""
+    return WebDevice(context)
+
+
+class WebDevice:
+    """See the module. Its events are messages of topics.RX, and it takes those of topics.TX."""
+
+    def __init__(self, context: DeviceContext) -> None:
+        self._context = context
+        self.address = page_address(context.config.device, context.where)
+        self._thread = threading.Thread(target=self._run, name="web", daemon=True)
+        self._ready = threading.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._ending: asyncio.Event | None = None
+        self._hub: PageHub | None = None
+        self._state: tuple[bool, str] | None = None
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def write(self, data: bytes) -> None:
+        """Orders of the core."""
+        self._call(lambda: self._take(msgpack.unpackb(data)))
+
+    def plug(self, plugged: bool) -> None:
+        """There is nothing to unplug."""
+
+    def close(self) -> None:
+        if self._thread.is_alive() and self._ready.wait(END_LIMIT_S):
+            self._call(lambda: self._ending.set() if self._ending is not None else None)
+            self._thread.join(END_LIMIT_S)
+
+    def _call(self, work: Callable[[], object]) -> None:
+        if self._loop is not None:
+            with suppress(RuntimeError):  # the loop has ended
+                self._loop.call_soon_threadsafe(work)
+
+    def _take(self, order: dict[str, Any]) -> None:
+        if self._hub is not None:
+            self._hub.take(order)
+
+    def _run(self) -> None:
+        asyncio.run(self._serve())
+
+    async def _serve(self) -> None:
+        self._loop, self._ending = asyncio.get_running_loop(), asyncio.Event()
+        self._ready.set()
+        listening = await self._listening()
+        if listening is None:
+            return
+        self._publish_state(True, "")
+        if await _first(self._connection(listening), self._ending.wait()):
+            await self._serve_pages(listening)
+        listening.close()
+
+    async def _serve_pages(self, listening: socket.socket) -> None:
+        from services.dashboard.web_app import web_app
+        from services.dashboard.web_server import WebServer
+
+        section = cast(DashboardConfig, self._context.section)
+        tools = ToolProcess(section.tools, self._context.arguments)
+        make_link = partial(StackLink, self._context.robot, self._context.where)
+        hub = self._hub = PageHub(self._publish_event, make_link, tools, secrets.token_urlsafe(32), _version())
+        server = WebServer(web_app(hub), listening)
+        await server.start()
+        if self._ending is not None:
+            await self._ending.wait()
+        await hub.close()
+        await server.stop()
+
+    async def _listening(self) -> socket.socket | None:
+        """The open port; None where the device was closed before it could be had."""
+        while self._ending is not None and not self._ending.is_set():
+            try:
+                listening = socket.create_server(self.address, family=_family(self.address.host), backlog=64)
+                self.address = self.address._replace(port=listening.getsockname()[1])  # 0 is any free one
+                return listening
+            except OSError as error:
+                self._publish_state(False, f"{self.address.url}: {error.strerror}: end what has the port")
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._ending.wait(), AGAIN_S)
+        return None
+
+    async def _connection(self, listening: socket.socket) -> None:
+        """Returns when a browser connects; the connection itself waits in the socket's queue."""
+        loop, ready = asyncio.get_running_loop(), asyncio.Event()
+        loop.add_reader(listening.fileno(), ready.set)
+        try:
+            await ready.wait()
+        finally:
+            loop.remove_reader(listening.fileno())
+
+    def _publish_event(self, event: dict[str, Any]) -> None:
+        self._publish(topics.RX(SerialData(self._context.clock.now(), PORT, bytes(msgpack.packb(event)))))
+
+    def _publish_state(self, is_open: bool, detail: str) -> None:
+        if self._state != (is_open, detail):
+            self._state = is_open, detail
+            self._publish(topics.PORT(PortState(self._context.clock.now(), PORT, is_open, detail)))
+
+    def _publish(self, publication: topics.Publication) -> None:
+        self._context.publish(publication)
+
+
+async def _first(wanted: Any, other: Any) -> bool:
+    """Whether `wanted` is done before `other`. Both are cancelled afterwards."""
+    tasks = [asyncio.ensure_future(wanted), asyncio.ensure_future(other)]
+    done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    for task in tasks:
+        task.cancel()
+    await asyncio.wait(tasks)
+    return tasks[0] in done
+
+
+def _family(host: str) -> socket.AddressFamily:
+    return socket.AF_INET6 if ":" in host else socket.AF_INET
+
+
+def _version() -> str:
+    try:
+        return version("zenav")
+    except PackageNotFoundError:
+        return ""

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""uvicorn with the limits of the page: connections, time to the first request, sizes. Loaded with the first browser."""
+
+import logging
+import socket
+from asyncio import TimerHandle, Transport
+from typing import Any
+
+import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from services.dashboard.frames import MAX_FRAME
+from services.dashboard.web_guard import App
+
+MAX_CONNECTIONS = 200
+REQUEST_LIMIT_S = 5.0  # from connecting to the whole head of the first request
+KEEP_ALIVE_S = 5  # to the next request
+MAX_HEAD = 16 * 1024  # bytes of a request's head
+PING_S = 20.0
+
+
+class LimitedProtocol(H11Protocol):
+    """A connection that must send the head of a request in time. uvicorn has a limit for the second request only."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._deadline: TimerHandle | None = None
+
+    def connection_made(self, transport: Transport) -> None:  # type: ignore[override]  # as uvicorn's
+        super().connection_made(transport)
+        if len(self.connections) > MAX_CONNECTIONS:
+            transport.abort()
+            return
+        self._deadline = self.loop.call_later(REQUEST_LIMIT_S, self._check_request)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+        super().connection_lost(exc)
+
+    def _check_request(self) -> None:
+        if not self.headers and not self.transport.is_closing():
+            self.transport.abort()
+
+
+class WebServer:
+    """An application on an open socket."""
+
+    def __init__(self, app: App, listening: socket.socket) -> None:
+        for name in ("uvicorn.error", "uvicorn.access"):  # each bad request of a stranger would be a line of the log
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        self._socket = listening
+        self._config = uvicorn.Config(
+            app,
+            http=LimitedProtocol,
+            ws="websockets-sansio",
+            ws_max_size=MAX_FRAME,
+            ws_per_message_deflate=False,
+            ws_ping_interval=PING_S,
+            ws_ping_timeout=PING_S,
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            date_header=False,
+            timeout_keep_alive=KEEP_ALIVE_S,
+            timeout_graceful_shutdown=1,
+            h11_max_incomplete_event_size=MAX_HEAD,
+        )
+        self._server = uvicorn.Server(self._config)
+
+    async def start(self) -> None:
+        """Serves from now on. Unlike `uvicorn.Server.serve`, nothing wakes up while nothing happens."""
+        self._config.load()
+        self._server.lifespan = self._config.lifespan_class(self._config)
+        await self._server.startup(sockets=[self._socket])
+
+    async def stop(self) -> None:
+        """Closes the connections and the socket."""
+        await self._server.shutdown(sockets=[self._socket])

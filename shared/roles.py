@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The role that each frame, request and operation of a page needs at least. One table; a role includes those before it.
+
+A request of shared/requests.py without a row is no business of a page.
+"""
+
+from enum import StrEnum
+
+from shared import requests
+
+
+class Role(StrEnum):
+    """What a user may do, in rising order."""
+
+    VIEWER = "viewer"  # sees everything, and may press STOP
+    OPERATOR = "operator"  # drives and gives goals
+    ADMIN = "admin"  # also replaces and deletes what is saved
+
+
+RANK = {role: rank for rank, role in enumerate(Role)}
+
+FRAME_ROLES = {
+    "want": Role.VIEWER,
+    "name": Role.VIEWER,
+    "ping": Role.VIEWER,
+    "stop": Role.VIEWER,
+    "let_go": Role.VIEWER,
+    "ask": Role.VIEWER,  # and the role of the request
+    "do": Role.VIEWER,  # and the role of the operation
+    "teleop": Role.OPERATOR,
+    "release": Role.OPERATOR,
+}
+
+REQUEST_ROLES = {
+    requests.NAVIGATE.key: Role.OPERATOR,
+    requests.EXPLORE.key: Role.OPERATOR,
+    requests.CANCEL.key: Role.OPERATOR,
+    requests.PAUSE.key: Role.OPERATOR,
+    requests.OVERRIDE.key: Role.OPERATOR,
+    requests.SET_ZONES.key: Role.OPERATOR,
+    requests.START_MAP.key: Role.OPERATOR,
+    requests.WATCH.key: Role.OPERATOR,
+    requests.FAULT.key: Role.ADMIN,
+}
+
+OPERATION_ROLES = {
+    "maps": Role.VIEWER,
+    "places": Role.VIEWER,
+    "recordings": Role.VIEWER,
+    "settings": Role.VIEWER,
+    "map_save": Role.OPERATOR,
+    "map_load": Role.OPERATOR,
+    "place_set": Role.OPERATOR,
+    "place_delete": Role.OPERATOR,
+    "set_pose": Role.OPERATOR,
+    "recording_mark": Role.OPERATOR,
+    "map_rename": Role.ADMIN,
+    "map_delete": Role.ADMIN,
+    "recording_delete": Role.ADMIN,
+}
+"""What the page's tools do (zenav/page)."""
+
+
+def may(role: Role, needed: Role | None) -> bool:
+    """Whether a role suffices; nothing suffices where a table has no row (None)."""
+    return needed is not None and RANK[role] >= RANK[needed]

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page's server as a process of a simulated stack: what a page sees, how it drives, and that it never drives on."""
+
+import socket
+from collections.abc import Iterator
+
+import pytest
+
+from services.dashboard.address import BASE_PORT
+from shared import topics
+from shared.codec import decode
+from shared.messages import GuardState, PoseEstimate, Velocity
+from shared.recording import Recording
+from tests.stack.processes import ROBOT, StackProcesses, running
+from tests.unit.services.dashboard.browser import Browser
+from zenav.client import Client
+from zenav.recording.opening import recorded_robot_file
+from zenav.replay.report import service_builder
+from zenav.replay.reprocess import replay_file
+
+BARE = ("sim", "base_driver", "odometry", "mapper", "guard", "dashboard")
+
+
+@pytest.fixture(scope="module")
+def stack(tmp_path_factory) -> Iterator[StackProcesses]:
+    with running(tmp_path_factory.mktemp("dashboard"), BARE) as stack:
+        stack.client.follow(topics.CMD_VEL)
+        stack.until(lambda: all(stack.client.latest(t) for t in (topics.GUARD, topics.TRUTH, topics.MAP)))
+        yield stack
+
+
+def page_of(stack: StackProcesses) -> Browser:
+    return Browser(BASE_PORT + stack.where.domain)
+
+
+def commanded(stack: StackProcesses, v: float) -> bool:
+    command = stack.client.latest(topics.CMD_VEL)
+    return command is not None and command.v == pytest.approx(v, abs=0.01)
+
+
+def drive(stack: StackProcesses, page: Browser) -> None:
+    """Drives back, until the guard commands it."""
+
+    def driving() -> bool:
+        page.teleop(-0.1)
+        return commanded(stack, -0.1)
+
+    stack.until(driving)
+
+
+def test_a_page_sees_a_simulated_robot_and_its_map(stack):
+    with page_of(stack) as page:
+        hello = page.first("hello")
+        assert (hello["role"], hello["simulated"], hello["robot"]["name"]) == ("admin", True, ROBOT.name)
+        page.send("want", keys=["map", "pose", "scan", "guard/status", "health/sim"])
+        page.until(lambda: sum(len(frame["rows"]) for frame in page.of("tiles")) > 0)
+        page.until(lambda: {f["k"] for f in page.of("m")} == {"pose", "scan", "guard/status", "health/sim"})
+        pose = next(f for f in page.of("m") if f["k"] == "pose")
+        assert decode(PoseEstimate, pose["b"])[0].map_from_base is not None
+    assert stack.healths["dashboard"].bad_messages == 0
+
+
+def test_a_page_whose_connection_is_cut_drives_no_more(stack):
+    with page_of(stack) as page:
+        page.first("hello")
+        drive(stack, page)
+        page.socket.socket.shutdown(socket.SHUT_RDWR)  # no goodbye
+        stack.until(lambda: commanded(stack, 0.0))
+
+
+def test_a_page_that_falls_silent_drives_no_more(stack):
+    with page_of(stack) as page:
+        page.first("hello")
+        drive(stack, page)
+        stack.until(lambda: commanded(stack, 0.0))
+        page.until(lambda: page.of("drivers")[-1]["driver"] is None)
+
+
+def test_another_tool_has_the_robot_and_the_page_says_so(stack):
+    with page_of(stack) as page, Client(ROBOT.name, stack.where) as keyboard:
+        page.first("hello")
+
+        def both() -> bool:
+            keyboard.publish(topics.TELEOP(Velocity(keyboard.now(), 0.05, 0.0, "")))
+            page.teleop(-0.1)
+            return commanded(stack, 0.05)
+
+        stack.until(both)
+        page.until(lambda: any("elsewhere" in f["text"] for f in page.of("note")))
+        assert any(f["other"] for f in page.of("drivers"))
+
+
+def test_stop_of_one_page_holds_until_another_releases_it(stack):
+    with page_of(stack) as first, page_of(stack) as second:
+        for page in (first, second):
+            page.first("hello")
+        first.send("stop")
+        stack.until(lambda: stack.client.latest(topics.GUARD).state is GuardState.STOPPED)
+        second.send("release")
+        stack.until(lambda: stack.client.latest(topics.GUARD).state is not GuardState.STOPPED)
+
+
+def test_a_request_reaches_its_service_and_a_service_that_is_missing_is_named(stack):
+    with page_of(stack) as page:
+        page.first("hello")
+        refused = page.ask("ask", request="request/cancel", args={})
+        assert (refused["accepted"], refused["reason"]) == (False, "not_running")
+        assert "navigator" in refused["detail"]
+        assert page.ask("ask", request="request/override", args={"seconds": 0.0})["accepted"]
+
+
+def test_what_pages_did_replays_to_the_byte_and_a_tool_lists_the_recording(tmp_path):
+    path = tmp_path / "page.mcap"
+    with running(tmp_path / "logs", ("recorder", *BARE), settings=(f"recorder.file={path}",)) as stack:
+        stack.client.follow(topics.CMD_VEL)
+        with page_of(stack) as page, page_of(stack) as other:
+            page.first("hello")
+            page.send("want", keys=["pose", "health/sim"], debug=True)
+            drive(stack, page)
+            other.teleop(0.1)
+            other.until(lambda: any("page 1 drives" in f["text"] for f in other.of("note")))
+            other.send("stop")
+            stack.until(lambda: stack.client.latest(topics.GUARD).state is GuardState.STOPPED)
+            page.socket.send(b"junk")
+            page.until(lambda: any("msgpack" in f["text"] for f in page.of("note")))
+            (row,) = [row for row in page.ask("do", op="recordings")["data"] if row["name"] == path.name]
+            assert row["current"]
+    file = recorded_robot_file(Recording(path))
+    assert file is not None
+    report = replay_file(path, ["dashboard"], None, service_builder(file), lambda done, of: None)
+    assert report.notes == []
+    assert report.equal, report
+    counts = {topic.key: topic.n_equal for topic in report.topics}
+    assert min(counts[key] for key in ("cmd/teleop", "estop", "port/tx/dashboard")) >= 1
