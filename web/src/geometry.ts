@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: Apache-2.0
+// Poses in the plane: [x, y, yaw] in m, m, rad. A pose `a_from_b` maps points of frame b to frame a.
+
+export type Pose = readonly [x: number, y: number, yaw: number];
+export type Point = readonly [x: number, y: number];
+
+/** The pose `a_from_c` of `a_from_b` and `b_from_c`. */
+export function compose(a: Pose, b: Pose): Pose {
+  const c = Math.cos(a[2]);
+  const s = Math.sin(a[2]);
+  return [a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], wrapAngle(a[2] + b[2])];
+}
+
+/** The point of frame b in frame a. */
+export function transformPoint(a: Pose, p: Point): Point {
+  const c = Math.cos(a[2]);
+  const s = Math.sin(a[2]);
+  return [a[0] + c * p[0] - s * p[1], a[1] + s * p[0] + c * p[1]];
+}
+
+/** The angle within -pi .. pi, rad. */
+export function wrapAngle(angle: number): number {
+  return Math.atan2(Math.sin(angle), Math.cos(angle));
+}
+
+/** Whether a point is inside a polygon (even-odd rule). Both in one frame, m. */
+export function insidePolygon(point: Point, xs: ArrayLike<number>, ys: ArrayLike<number>): boolean {
+  let inside = false;
+  for (let i = 0, j = xs.length - 1; i < xs.length; j = i++) {
+    const yi = ys[i]!;
+    const yj = ys[j]!;
+    const crosses = yi > point[1] !== yj > point[1];
+    if (crosses && point[0] < xs[i]! + ((point[1] - yi) / (yj - yi)) * (xs[j]! - xs[i]!)) inside = !inside;
+  }
+  return inside;
+}
+
+export function degrees(radians: number): number {
+  return (radians * 180) / Math.PI;
+}
+
+export function radians(degrees: number): number {
+  return (degrees * Math.PI) / 180;
+}
