@@ -32,6 +32,8 @@ export function App() {
   useEffect(
     () =>
       effect(() => {
+        const onPhone = matchMedia("(max-width: 720px)").matches;
+        if (onPhone && tool.value !== "look") panel.value = null; // its sheet would cover the map
         if (newPlace.value !== null || closedPolygon.value !== null) panel.value = "places"; // its form asks for the name
       }),
     [],

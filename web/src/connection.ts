@@ -102,7 +102,7 @@ function onClose(reason: string): void {
   rtt.value = null;
   pings.clear();
   const delay = retryDelay(attempts++, Math.random());
-  const since = link.peek().state === "open" ? performance.now() : link.peek().since;
+  const since = link.peek().state === "open" ? lastFrameAt : link.peek().since;
   link.value = { state: "waiting", retryAt: performance.now() + delay, since };
   if (reason !== "") notify("warning", reason, "");
   for (const settle of [...pending.values()]) {

@@ -4,6 +4,7 @@
 import { effect, signal } from "@preact/signals";
 
 import { send } from "./connection";
+import { following } from "./map/following";
 import { connected, hello } from "./state";
 import { DRIVE_KEYS, gamepadDeflection, keysDeflection, Teleop, TELEOP_PERIOD_MS } from "./teleop";
 
@@ -62,7 +63,10 @@ export function startDriving(): void {
   effect(() => {
     const on = armed.value && connected.value;
     if (!connected.value) armed.value = false;
-    if (on) teleop.armed = true;
+    if (on) {
+      teleop.armed = true;
+      following.value = true; // the driver sees the robot
+    }
     else {
       pressed.clear();
       teleop.disarm();

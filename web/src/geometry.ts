@@ -23,18 +23,6 @@ export function wrapAngle(angle: number): number {
   return Math.atan2(Math.sin(angle), Math.cos(angle));
 }
 
-/** Whether a point is inside a polygon (even-odd rule). Both in one frame, m. */
-export function insidePolygon(point: Point, xs: ArrayLike<number>, ys: ArrayLike<number>): boolean {
-  let inside = false;
-  for (let i = 0, j = xs.length - 1; i < xs.length; j = i++) {
-    const yi = ys[i]!;
-    const yj = ys[j]!;
-    const crosses = yi > point[1] !== yj > point[1];
-    if (crosses && point[0] < xs[i]! + ((point[1] - yi) / (yj - yi)) * (xs[j]! - xs[i]!)) inside = !inside;
-  }
-  return inside;
-}
-
 export function degrees(radians: number): number {
   return (radians * 180) / Math.PI;
 }

@@ -17,8 +17,8 @@ export interface Situation {
   readonly nav: NavStatus | null;
   readonly follow: FollowStatus | null;
   readonly estop: boolean;
-  /** Name of the page that drives by hand, or "". */
-  readonly driver: string;
+  /** Name of the page that drives by hand, "" for another tool, null for this page. */
+  readonly driver: string | null;
 }
 
 /** Reasons of the guard that are no news while the robot drives or waits for its first goal. */
@@ -30,7 +30,8 @@ export function why({ guard, nav, follow, estop, driver }: Situation): Why {
   if (guard.state === "stopped" || guard.state === "fault") return because(guard.reason, guard.detail, "stop");
   if (guard.state === "hold" && !QUIET.has(guard.reason)) return because(guard.reason, guard.detail, "wait");
   if (guard.source === "teleop") {
-    return { tone: "moving", headline: t("driven_by", { name: driver || t("another_tool") }), hint: slowed(guard) };
+    const headline = driver === null ? t("you_drive") : t("driven_by", { name: driver || t("another_tool") });
+    return { tone: "moving", headline, hint: slowed(guard) };
   }
   if (nav === null) return { tone: "ready", headline: t("ready"), hint: t("ready_hint") };
   const blocked = follow?.state === "blocked" || follow?.state === "failed" ? follow.reason : "";

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Zoom, follow, north, whole map, layers; and the tools that draw on the map.
 
-import { following, view } from "../map/map_view";
+import { following } from "../map/following";
+import { view } from "../map/map_view";
 import { chooseTool, closePolygon, draftCorners, tool, type Tool } from "../map/tools";
 import { layers, LAYERS, type Layer } from "../preferences";
 import { mayOperate } from "../state";

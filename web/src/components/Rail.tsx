@@ -4,7 +4,7 @@
 import { armed } from "../driving";
 import { mayOperate } from "../state";
 import { t } from "../texts";
-import { panel, PANEL_ICONS, PANELS, togglePanel, type PanelName } from "../ui";
+import { layersOpen, panel, PANEL_ICONS, PANELS, togglePanel, type PanelName } from "../ui";
 import { Icon, type IconName } from "./Icon";
 
 const ON_PHONE: ReadonlySet<PanelName> = new Set(["task", "places"]);
@@ -18,7 +18,10 @@ export function Rail() {
         icon="drive"
         pressed={armed.value}
         disabled={!mayOperate.value}
-        onClick={() => (armed.value = !armed.value)}
+        onClick={() => {
+          armed.value = !armed.value;
+          layersOpen.value = false; // they share the corner
+        }}
       />
       {PANELS.filter((name) => name !== "task").map((name) => (
         <Item

@@ -10,12 +10,14 @@ import { Icon, type IconName } from "./Icon";
 const ICONS: Record<Tone, IconName> = { moving: "play", ready: "check", wait: "hold", stop: "stop", unknown: "unknown" };
 
 export function StatusCard() {
+  const guard = latest["guard/status"].value?.message ?? null;
+  const driver = drivers.value?.driver;
   const { tone, headline, hint } = why({
-    guard: latest["guard/status"].value?.message ?? null,
+    guard,
     nav: latest["nav/status"].value?.message ?? null,
     follow: latest["follow/status"].value?.message ?? null,
     estop: stopPressed.value,
-    driver: drivers.value?.driver?.name ?? "",
+    driver: driver?.client === hello.value?.client && driver ? null : (driver?.name ?? ""),
   });
   const old = isOld("guard/status", now.value);
   const age = ageOf("guard/status", now.value);
@@ -31,7 +33,7 @@ export function StatusCard() {
           {hello.value?.robot.name ?? "zenav"}
           {hello.value?.simulated && <span class="tag">{t("simulated")}</span>}
         </p>
-        <p class={old ? "status-headline old" : "status-headline"}>{headline}</p>
+        <p class={old ? "status-headline old" : "status-headline"}>{old && guard ? t("last_known", { text: headline }) : headline}</p>
         {old && age !== null && connected.value && <p class="status-hint">{t("data_is_old", { n: age.toFixed(0) })}</p>}
         {!old && (hint || fault) && <p class="status-hint">{[fault, hint].filter(Boolean).join(" · ")}</p>}
       </div>

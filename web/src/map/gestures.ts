@@ -3,7 +3,8 @@
 
 import { type Point, type Pose } from "../geometry";
 import { panBy, pinch, rotateAt, toMap, toScreen } from "../view_transform";
-import { following, type MapView, view } from "./map_view";
+import { following } from "./following";
+import { type MapView, view } from "./map_view";
 import { addWaypoint, cancelDrawing, closePolygon, draftCorners, draftPose, editedZone, tool } from "./tools";
 import { finishPose } from "./commands";
 

@@ -12,6 +12,7 @@ import { type Tile, type TilesFrame, TileStore } from "../tile_store";
 import { fit, panBy, rotateAt, toScreen, type Size, type View, zoomAt } from "../view_transform";
 import { DRAW, drawRobot } from "./data_layers";
 import { drawDrafts, drawGoal, drawGrid, drawPlaces, drawZoneNames, drawZones } from "./edit_layers";
+import { following } from "./following";
 import { DARK, LIGHT } from "./palette";
 import { Pen } from "./pen";
 import { clearTrail, robotPose } from "./robot_pose";
@@ -21,7 +22,6 @@ const MIN_FRAME_MS = 30; // at most 33 frames a second
 const START_SCALE = 45; // px/m, before a map is there
 const FIT_MARGIN_PX = 100; // room for the status above and the tools below
 
-export const following = signal(false);
 export const view = signal<View>({ x: 0, y: 0, scale: START_SCALE, rotation: 0 });
 export const store = new TileStore();
 
@@ -56,7 +56,7 @@ export class MapView {
     effect(() => {
       for (const key of Object.values(latest)) void key.value;
       for (const drawn of [tool, draftPose, draftCorners, closedPolygon, newPlace, places, route]) void drawn.value;
-      void [layers.value, editedZone.value, link.value, now.value];
+      void [following.value, layers.value, editedZone.value, link.value, now.value];
       this.invalidate(false);
     });
   }
@@ -177,8 +177,8 @@ export class MapView {
     }
     if (shown.has("places")) drawPlaces(pen);
     drawGoal(pen);
-    drawRobot(pen, at, (age) => t("age_seconds", { n: age.toFixed(age < 10 ? 1 : 0) }));
     if (shown.has("zones")) drawZoneNames(pen);
+    drawRobot(pen, at, (age) => t("age_seconds", { n: age.toFixed(age < 10 ? 1 : 0) }));
     drawDrafts(pen);
   }
 

@@ -92,7 +92,7 @@ export class Pen {
   label(point: Point, text: string, dy: number, color = this.palette.label): void {
     const { context } = this;
     const [x, y] = this.screen(point);
-    context.font = "500 12px system-ui, sans-serif";
+    context.font = "500 12px Inter, system-ui, sans-serif";
     context.textAlign = "center";
     context.textBaseline = "middle";
     const half = context.measureText(text).width / 2 + 6;

@@ -9,7 +9,8 @@ import { sampled, samples, times, WINDOW_S, type SeriesName } from "../history";
 import { isDark, language } from "../preferences";
 import { t } from "../texts";
 
-const HEIGHT_PX = 150;
+const HEIGHT_PX = 132;
+const MIN_WINDOW_S = 60; // shown while the page is new
 
 interface ChartProps {
   title: string;
@@ -55,12 +56,12 @@ function Chart({ title, unit, series, range }: ChartProps) {
         cursor: { sync: { key: "history" }, drag: { x: false, y: false } },
         legend: { live: true },
         scales: {
-          x: { range: () => [Date.now() / 1000 - WINDOW_S, Date.now() / 1000] },
+          x: { range: () => [firstTime(), Date.now() / 1000] },
           y: range ? { range } : { range: (_, low, high) => [Math.min(0, low ?? 0), Math.max(0.1, (high ?? 0) * 1.1)] },
         },
         axes: [
-          { ...axis, space: 70, values: "{HH}:{mm}" },
-          { ...axis, size: 38, space: 28 },
+          { ...axis, size: 26, space: 80, values: "{HH}:{mm}:{ss}" },
+          { ...axis, size: 40, space: 26 },
         ],
         series: [
           { value: "{HH}:{mm}:{ss}" },
@@ -95,6 +96,12 @@ function Chart({ title, unit, series, range }: ChartProps) {
       <div ref={box} />
     </section>
   );
+}
+
+/** Where the time axis begins: at the first sample, but one to ten minutes ago. */
+function firstTime(): number {
+  const now = Date.now() / 1000;
+  return Math.max(now - WINDOW_S, Math.min(now - MIN_WINDOW_S, times[0] ?? now));
 }
 
 function data(series: ChartProps["series"]): uPlot.AlignedData {

@@ -17,14 +17,19 @@ export function ServicesPanel() {
   const rows = [...health.value.entries()].sort(([a], [b]) => a.localeCompare(b));
   return (
     <>
-      <Section title={t("services")}>
+      <section class="section">
         {rows.length === 0 && <Empty text={t("no_data_yet")} />}
+        <div class="service-numbers service-head" aria-hidden="true">
+          <span>{t("cpu")}</span>
+          <span>{t("memory")}</span>
+          <span>{t("handler")}</span>
+        </div>
         <ul class="list">
           {rows.map(([name, entry]) => (
             <ServiceItem key={name} name={name} entry={entry} />
           ))}
         </ul>
-      </Section>
+      </section>
       <Section title={t("faults")}>
         {faults.value.length === 0 && <Empty text={t("no_faults")} />}
         <ul class="list">
