@@ -27,7 +27,7 @@ export const store = new TileStore();
 
 export class MapView {
   size: Size = { width: 1, height: 1 };
-  private readonly atlas = new TileAtlas((isDark.peek() ? DARK : LIGHT).cells);
+  private readonly atlas = new TileAtlas(store, (isDark.peek() ? DARK : LIGHT).cells);
   private readonly below: CanvasRenderingContext2D;
   private readonly above: CanvasRenderingContext2D;
   private belowDirty = true;
@@ -46,7 +46,7 @@ export class MapView {
     new ResizeObserver(() => this.resize()).observe(overlayCanvas);
     this.resize();
     effect(() => {
-      this.atlas.recolor((isDark.value ? DARK : LIGHT).cells, store);
+      this.atlas.recolor((isDark.value ? DARK : LIGHT).cells);
       this.invalidate(true);
     });
     effect(() => {
@@ -127,14 +127,16 @@ export class MapView {
     if (following.peek() && pose !== null && Math.hypot(pose[0] - seen.x, pose[1] - seen.y) * seen.scale > 0.5) {
       view.value = { ...seen, x: pose[0], y: pose[1] };
     }
-    if (this.belowDirty || this.changed.length > 0) this.drawTiles();
+    const complete = (!this.belowDirty && this.changed.length === 0) || this.drawTiles();
     if (this.aboveDirty) this.drawOverlay();
-    this.belowDirty = this.aboveDirty = false;
+    this.belowDirty = !complete;
+    this.aboveDirty = false;
     this.changed = [];
+    if (!complete) this.schedule();
   }
 
-  /** Draws all tiles, or only the rectangle around the changed ones. */
-  private drawTiles(): void {
+  /** Draws all tiles, or only the rectangle around the changed ones. False while some wait for another frame. */
+  private drawTiles(): boolean {
     const palette = isDark.peek() ? DARK : LIGHT;
     const { below, size } = this;
     below.save();
@@ -145,8 +147,9 @@ export class MapView {
     }
     below.fillStyle = palette.background;
     below.fillRect(0, 0, size.width, size.height);
-    this.atlas.draw(below, view.peek(), size, store.resolution || 1);
+    const complete = this.atlas.draw(below, view.peek(), size);
     below.restore();
+    return complete;
   }
 
   private clipTile(row: number, column: number): void {
