@@ -47,6 +47,7 @@ export function startDriving(): void {
     if (!armed.peek() || !plain || !DRIVE_KEYS.has(event.code) || isTextInput(event.target)) return;
     if (event.target instanceof HTMLInputElement) return; // arrows move a slider
     event.preventDefault();
+    if (event.repeat) return; // a key that was down before a blur does not drive again
     pressed.add(event.code);
     holdKeys();
   });
@@ -64,19 +65,21 @@ export function startDriving(): void {
     const on = armed.value && connected.value;
     if (!connected.value) armed.value = false;
     if (on) {
-      teleop.armed = true;
+      teleop.arm();
       following.value = true; // the driver sees the robot
     }
     else {
-      pressed.clear();
+      letGo();
       teleop.disarm();
     }
   });
 }
 
-function letGo(): void {
+/** Ends driving now. Each input counts again only after it was released. */
+export function letGo(): void {
   pressed.clear();
   teleop.letGo();
+  teleop.release("keys");
 }
 
 function holdKeys(): void {

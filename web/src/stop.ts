@@ -5,7 +5,7 @@ import { computed, effect, signal } from "@preact/signals";
 
 import { send } from "./connection";
 import { connected, latest } from "./state";
-import { teleop } from "./driving";
+import { letGo } from "./driving";
 
 const REPEAT_MS = 250;
 
@@ -16,7 +16,7 @@ export const stopPressed = computed(() => latest.estop.value?.message.pressed ==
 let pressedAt = 0;
 
 export function pressStop(): void {
-  teleop.letGo();
+  letGo();
   stopPending.value = true;
   pressedAt = performance.now();
   send({ t: "stop" });

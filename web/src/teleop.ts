@@ -24,6 +24,8 @@ export class Teleop {
   /** Share of the top speeds, 0 .. 1. */
   share = 0.5;
   private readonly held = new Map<string, Deflection>();
+  /** Inputs that were let go while they were still deflected: each must be released before it counts again. */
+  private readonly locked = new Set<string>();
   private n = 0;
 
   constructor(
@@ -37,7 +39,7 @@ export class Teleop {
 
   /** An input ("stick", "keys", "gamepad") is held at this deflection. The first one sends a frame at once. */
   hold(source: string, deflection: Deflection): void {
-    if (!this.armed) return;
+    if (!this.armed || this.locked.has(source)) return;
     const starts = !this.driving;
     this.held.set(source, deflection);
     if (starts) this.tick();
@@ -45,14 +47,22 @@ export class Teleop {
 
   /** An input is no longer held. The last one lets go. */
   release(source: string): void {
+    this.locked.delete(source);
     if (this.held.delete(source) && !this.driving) this.send({ t: "let_go" });
   }
 
   /** Lets go of all inputs: blur, hidden page, cancelled pointer, lost link, STOP. */
   letGo(): void {
     if (!this.driving) return;
+    for (const source of this.held.keys()) this.locked.add(source);
     this.held.clear();
     this.send({ t: "let_go" });
+  }
+
+  /** Inputs count from now on, a gamepad only after it was at rest. */
+  arm(): void {
+    if (!this.armed) this.locked.add("gamepad");
+    this.armed = true;
   }
 
   disarm(): void {

@@ -10,7 +10,8 @@ function machine(): { teleop: Teleop; sent: TeleopFrame[] } {
     (frame) => sent.push(frame),
     () => ({ forward: 0.8, reverse: 0.3, turn: 2 }),
   );
-  teleop.armed = true;
+  teleop.arm();
+  teleop.release("gamepad"); // at rest
   teleop.share = 1;
   return { teleop, sent };
 }
@@ -78,6 +79,26 @@ test("any order of events ends in let_go after letGo", () => {
   }
 });
 
+test("an input that was let go counts again only after its release", () => {
+  const { teleop, sent } = machine();
+  teleop.hold("gamepad", AHEAD);
+  teleop.letGo();
+  teleop.hold("gamepad", AHEAD);
+  teleop.tick();
+  assert.equal(sent[sent.length - 1]?.t, "let_go");
+  teleop.release("gamepad");
+  teleop.hold("gamepad", AHEAD);
+  assert.equal(sent[sent.length - 1]?.t, "teleop");
+});
+
+test("a gamepad that is deflected while the page is armed does not drive before it was at rest", () => {
+  const { teleop, sent } = machine();
+  teleop.disarm();
+  teleop.arm();
+  teleop.hold("gamepad", AHEAD);
+  assert.deepEqual(sent, []);
+});
+
 test("the robot drives on while another input is held", () => {
   const { teleop, sent } = machine();
   teleop.hold("stick", AHEAD);
@@ -92,7 +113,7 @@ test("speeds stay within the limits, and backward has its own", () => {
   teleop.hold("stick", AHEAD);
   teleop.hold("keys", { forward: 1, turn: 5 });
   assert.deepEqual(teleop.velocity(), { v: 0.8, w: 2 });
-  teleop.letGo();
+  teleop.release("stick");
   teleop.hold("keys", { forward: -1, turn: 0 });
   assert.equal(teleop.velocity().v, -0.3);
   teleop.share = 0.5;
@@ -103,7 +124,7 @@ test("the number of a frame grows over all drives", () => {
   const { teleop, sent } = machine();
   for (let i = 0; i < 3; i++) {
     teleop.hold("keys", AHEAD);
-    teleop.letGo();
+    teleop.release("keys");
   }
   assert.deepEqual(sent.flatMap((frame) => (frame.t === "teleop" ? [frame.n] : [])), [1, 2, 3]);
 });

@@ -100,7 +100,7 @@ function NewPlace({ pose }: { pose: Pose }) {
       }}
     >
       <Field label={t("name_of_place")}>
-        <input type="text" maxLength={64} value={name.value} autofocus onInput={(event) => (name.value = itemName(event.currentTarget.value))} />
+        <input type="text" maxLength={64} value={name.value} ref={focus} onInput={(event) => (name.value = itemName(event.currentTarget.value))} />
       </Field>
       {name.value !== "" && !isItemName(name.value) && <p class="bad-text">{t("name_rule")}</p>}
       <div class="button-row">
@@ -151,6 +151,10 @@ function NewZone({ corners }: { corners: readonly Point[] }) {
       </div>
     </form>
   );
+}
+
+function focus(input: HTMLInputElement | null): void {
+  input?.focus();
 }
 
 function freeName(): string {
