@@ -5,8 +5,8 @@ import { float64s } from "./stream.mjs";
 
 const now = Date.now() / 1000;
 let maps = [
-  { name: "office", size: 2_400_000, modified: now - 86_400, current: true },
-  { name: "office_old", size: 1_900_000, modified: now - 9 * 86_400, current: false },
+  { name: "office", size: 2_400_000, modified: now - 86_400 },
+  { name: "office_old", size: 1_900_000, modified: now - 9 * 86_400 },
 ];
 let places = [
   { name: "kitchen", pose: [12.6, 5.5, 1.57], map: "office" },
@@ -14,8 +14,8 @@ let places = [
   { name: "meeting_room", pose: [20.6, 6, -1.57], map: "office" },
 ];
 let recordings = [
-  { name: "2026-03-04T09-12-31.mcap", size: 41_000_000, modified: now, current: true },
-  { name: "2026-03-03T16-40-02.mcap", size: 182_000_000, modified: now - 60_000, current: false },
+  { name: "2026-03-04T09-12-31.mcap", size: 41_000_000, modified: now, marked: false, current: true },
+  { name: "2026-03-03T16-40-02.mcap", size: 182_000_000, modified: now - 60_000, marked: true, current: false },
 ];
 const settings = [
   ["robot.name", "x80", "robots/x80sv.yaml:4", "the robot's name on the wire"],
@@ -39,8 +39,8 @@ const ASK = {
 
 const DO = {
   maps: () => ({ data: maps }),
-  map_save: (_, { name }) => void (maps = [...maps.filter((m) => m.name !== name), { name, size: 2_500_000, modified: now, current: false }]),
-  map_load: (_, { name }) => void (maps = maps.map((m) => ({ ...m, current: m.name === name }))),
+  map_save: (_, { name }) => void (maps = [...maps.filter((m) => m.name !== name), { name, size: 2_500_000, modified: now }]),
+  map_load: () => undefined,
   map_rename: (_, { name, to }) => void (maps = maps.map((m) => (m.name === name ? { ...m, name: to } : m))),
   map_delete: (_, { name }) => void (maps = maps.filter((m) => m.name !== name)),
   places: () => ({ data: places }),

@@ -6,13 +6,13 @@ import { batch, effect } from "@preact/signals";
 import { send } from "./connection";
 import { onOdometry } from "./map/robot_pose";
 import { loadPlaces } from "./map/commands";
-import { type Health, type LogLine, type Odometry } from "./message_types";
+import { type Health, type LogLine, type Odometry } from "./messages";
 import { notify } from "./notices";
 import { DEBUG_LAYERS, layers, pageName } from "./preferences";
 import { type Hello, type ServerFrame } from "./protocol";
-import { appendLog, clients, connected, drivers, health, hello, latest, type SingleKey } from "./state";
+import { appendLog, clients, connected, drivers, health, hello, latest, topicOf, type SingleKey } from "./state";
 import { type TilesFrame } from "./tile_store";
-import { decodeMessage, topicOf, WireError } from "./wire";
+import { decodeMessage, WireError } from "./wire";
 
 /** Keys that the page shows whatever panel is open; families by their first part. */
 const WANTED = [

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Lists of the server that panels show: maps, recordings, settings. Loaded when a panel opens and after each change.
 
-import { computed, signal } from "@preact/signals";
+import { signal } from "@preact/signals";
 
 import { run } from "./connection";
 import { report } from "./map/commands";
@@ -11,8 +11,6 @@ import { hello } from "./state";
 export const maps = signal<readonly SavedMap[] | null>(null);
 export const recordings = signal<readonly Recording[] | null>(null);
 export const settings = signal<readonly Setting[] | null>(null);
-/** Name of the saved map in use, or "". */
-export const currentMap = computed(() => maps.value?.find((map) => map.current)?.name ?? "");
 
 export async function loadMaps(): Promise<void> {
   const reply = await run("maps");

@@ -10,13 +10,11 @@ export interface SavedMap {
   readonly size: number | null;
   /** s since 1970 of the last change; null where the server does not say it. */
   readonly modified: number | null;
-  readonly current: boolean;
 }
 
-export interface Recording {
-  readonly name: string;
-  readonly size: number | null;
-  readonly modified: number | null;
+export interface Recording extends SavedMap {
+  /** Whether it is marked, so that it is not deleted for space. */
+  readonly marked: boolean;
   /** Whether it is being written. */
   readonly current: boolean;
 }
@@ -30,19 +28,12 @@ export interface Setting {
 
 type Row = Record<string, unknown>;
 
-/** The rows of a list; of a map with one list in it; or of a map of rows by name. A text is a row with this name. */
-function rows(data: unknown, name: string): Row[] {
-  if (Array.isArray(data)) {
-    return data.map((row: unknown) => (typeof row === "string" ? { name: row } : ((row ?? {}) as Row)));
-  }
-  if (data === null || typeof data !== "object") return [];
-  const inner = (data as Row)[name];
-  if (inner !== undefined) return rows(inner, name);
-  return Object.entries(data).map(([key, row]) => ({ name: key, ...(typeof row === "object" ? (row as Row) : {}) }));
-}
-
-function named(data: unknown, name: string): (Row & { name: string })[] {
-  return rows(data, name).filter((row): row is Row & { name: string } => typeof row["name"] === "string");
+/** The rows of a list that have a name. A text is a row with this name. */
+function named(data: unknown): (Row & { name: string })[] {
+  const rows = Array.isArray(data) ? (data as unknown[]) : [];
+  return rows
+    .map((row) => (typeof row === "string" ? { name: row } : ((row ?? {}) as Row)))
+    .filter((row): row is Row & { name: string } => typeof row["name"] === "string");
 }
 
 function number(value: unknown): number | null {
@@ -50,20 +41,25 @@ function number(value: unknown): number | null {
 }
 
 export function mapsFrom(data: unknown): SavedMap[] {
-  return named(data, "maps").map((row) => ({
+  return named(data).map((row) => ({
     name: row.name,
     size: number(row["size"]),
     modified: number(row["modified"]),
-    current: row["current"] === true,
   }));
 }
 
 export function recordingsFrom(data: unknown): Recording[] {
-  return mapsFrom(Array.isArray(data) ? data : rows(data, "recordings"));
+  return named(data).map((row) => ({
+    name: row.name,
+    size: number(row["size"]),
+    modified: number(row["modified"]),
+    marked: row["marked"] === true,
+    current: row["current"] === true,
+  }));
 }
 
 export function placesFrom(data: unknown): NamedPlace[] {
-  return named(data, "places").flatMap((row) => {
+  return named(data).flatMap((row) => {
     const pose = Array.isArray(row["pose"]) ? (row["pose"] as unknown[]) : [row["x"], row["y"], row["yaw"]];
     const [x, y, yaw] = pose.map(number) as (number | null)[];
     if (x === null || x === undefined || y === null || y === undefined) return [];
@@ -75,7 +71,7 @@ export function placesFrom(data: unknown): NamedPlace[] {
 
 export function settingsFrom(data: unknown): Setting[] {
   const text = (value: unknown): string => (typeof value === "string" ? value : (JSON.stringify(value) ?? ""));
-  return named(data, "settings").map((row) => ({
+  return named(data).map((row) => ({
     name: row.name,
     value: text(row["value"]),
     origin: text(row["origin"] ?? ""),

@@ -3,7 +3,7 @@
 
 import { computed, signal, type Signal } from "@preact/signals";
 
-import { type Health, type Key, type LogLine, type MessageOf } from "./message_types";
+import { type Health, type Key, type LogLine, type MessageOf } from "./messages";
 import { type Drivers, type Hello, type PageClient } from "./protocol";
 import { StackClock } from "./stack_clock";
 
@@ -18,13 +18,14 @@ export interface LogEntry extends LogLine {
   readonly id: number;
 }
 
-export type SingleKey = Exclude<Key, "health" | "log">;
-type Latest = { readonly [K in SingleKey]: Signal<Received<MessageOf[K]> | null> };
-
-const SINGLE_KEYS: readonly SingleKey[] = [
+const SINGLE_KEYS = [
   ...(["scan", "odom", "pose", "goal", "plan", "zones", "follow/status", "nav/status", "nav/task", "cmd/vel"] as const),
   ...(["estop", "guard/status", "base/status", "debug/costmap", "debug/rollouts", "sim/truth"] as const),
-];
+] as const satisfies readonly Key[];
+
+/** Keys that the page reads, but for those of families. */
+export type SingleKey = (typeof SINGLE_KEYS)[number];
+type Latest = { readonly [K in SingleKey]: Signal<Received<MessageOf[K]> | null> };
 
 export const latest = Object.fromEntries(SINGLE_KEYS.map((key) => [key, signal(null)])) as unknown as Latest;
 export const health = signal<ReadonlyMap<string, Received<Health>>>(new Map());
@@ -33,6 +34,14 @@ export const hello = signal<Hello | null>(null);
 export const drivers = signal<Drivers | null>(null);
 export const clients = signal<readonly PageClient[]>([]);
 export const mapId = signal(0);
+
+const TOPICS: ReadonlySet<string> = new Set([...SINGLE_KEYS, "health", "log"]);
+
+/** The topic of a published key: "health" for "health/mapper"; null for topics that the page does not read. */
+export function topicOf(key: string): SingleKey | "health" | "log" | null {
+  const topic = /^(health|log)\//.exec(key)?.[1] ?? key;
+  return TOPICS.has(topic) ? (topic as SingleKey) : null;
+}
 
 /** The link: open, or when the next attempt is (ms of performance.now()). */
 export const link = signal<{ state: "connecting" | "open" | "waiting"; retryAt: number; since: number }>({

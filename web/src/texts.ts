@@ -144,7 +144,6 @@ export const TEXTS = {
   map_loaded: ["Map loaded", "Karte geladen"],
   saved_maps: ["Saved maps", "Gesicherte Karten"],
   no_maps: ["No saved maps.", "Keine gesicherten Karten."],
-  in_use: ["in use", "in Gebrauch"],
   localize: ["Load", "Laden"],
   continue_map: ["Load and extend", "Laden und erweitern"],
   download: ["Download", "Herunterladen"],
@@ -228,6 +227,7 @@ export function t(key: TextKey, values: Readonly<Record<string, string | number>
 /** Words and hint of a reason's code. In English those of the stack, but for hints that name its command line. */
 export function reasonText(code: string): { text: string; hint: string } {
   if (code === "") return { text: "", hint: "" };
+  if (code === "refused") return { text: t("refused"), hint: "" };
   if (code === "page_offline") return { text: t("offline_text"), hint: "" };
   if (code === "page_no_reply") return { text: t("no_reply"), hint: "" };
   const stack = hello.value?.reasons[code];

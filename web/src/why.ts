@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Why the robot stands or moves, in one line and a hint, from the guard's, navigator's and local control's status.
 
-import { type FollowStatus, type GuardStatus, type NavStatus } from "./message_types";
+import { type FollowStatus, type GuardStatus, type NavStatus } from "./messages";
 import { reasonText, t, type TextKey } from "./texts";
 
 export type Tone = "moving" | "ready" | "wait" | "stop" | "unknown";

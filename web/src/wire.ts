@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bytes of a message (docs/messages.md) to an object. The tables of message_types.ts say which fields are arrays.
+// Bytes of a message (docs/messages.md) to an object. The tables of messages.ts say which fields are arrays.
 
 import { decode, encode } from "@msgpack/msgpack";
 
-import { ARRAYS, type Grid, type Key, type MessageOf } from "./message_types";
+import { ARRAYS, type Grid, type Key, type MessageOf } from "./messages";
 
 const HEADER_BYTES = 16; // dtype u8, axes u8, two bytes of padding, three lengths u32, as shared/codec.py packs them
 
@@ -20,18 +20,6 @@ const DTYPES: readonly [string, new (buffer: ArrayBuffer) => Values][] = [
 
 /** The bytes are not a message of the key; the text says why. */
 export class WireError extends Error {}
-
-/** The registry's key of a published key: "health" for "health/mapper"; null for keys that the page does not read. */
-export function topicOf(key: string): Key | null {
-  const topic = /^(health|log)\//.exec(key)?.[1] ?? key;
-  return KEYS.has(topic) ? (topic as Key) : null;
-}
-
-const KEYS: ReadonlySet<string> = new Set<Key>([
-  ...(["scan", "odom", "pose", "goal", "plan", "zones", "follow/status", "nav/status", "nav/task", "cmd/vel"] as const),
-  ...(["estop", "guard/status", "base/status", "debug/costmap", "debug/rollouts", "health", "log"] as const),
-  "sim/truth",
-]);
 
 /** The message in `payload`. Raises WireError. The envelope stays under "@". */
 export function decodeMessage<K extends Key>(topic: K, payload: Uint8Array): MessageOf[K] {

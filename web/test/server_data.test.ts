@@ -31,7 +31,7 @@ test("only offered keys are wanted, families by their members, debug keys on dem
 });
 
 test("lists of the server are read whatever their rows lack", () => {
-  assert.deepEqual(mapsFrom(["office"]), [{ name: "office", size: null, modified: null, current: false }]);
+  assert.deepEqual(mapsFrom(["office"]), [{ name: "office", size: null, modified: null }]);
   assert.deepEqual(placesFrom([{ name: "dock", pose: [1, 2, 0.5], map: "office" }]), [
     { name: "dock", pose: [1, 2, 0.5], map: "office", hasHeading: true },
   ]);

@@ -45,7 +45,7 @@ test("a reason without a row shows its code", () => {
 });
 
 const IDLE: Situation = {
-  guard: { stamp: 1, state: "idle", source: "", reason: "no_command", detail: "", speed_limit: 1 },
+  guard: { stamp: 1, state: "idle", source: "", reason: "no_command", detail: "", speed_limit: 1, stopped: 0 },
   nav: null,
   follow: null,
   estop: false,

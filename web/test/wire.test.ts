@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
+import "./browser_globals";
+
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { type Key, type MessageOf } from "../src/message_types";
-import { decodeMap, decodeMessage, encodeFloat64s, encodeFrame, topicOf, WireError } from "../src/wire";
+import { type Key, type MessageOf } from "../src/messages";
+import { decodeMap, decodeMessage, encodeFloat64s, encodeFrame, WireError } from "../src/wire";
+import { topicOf } from "../src/state";
 import SAMPLES from "./wire_samples.json";
 
 function sample<K extends Key>(key: K, name: keyof typeof SAMPLES = key as keyof typeof SAMPLES): MessageOf[K] {

@@ -3,7 +3,7 @@
 
 import { ask, run } from "../connection";
 import { type Point, type Pose } from "../geometry";
-import { type Zone } from "../message_types";
+import { type Zone } from "../messages";
 import { notify } from "../notices";
 import { type Reply } from "../protocol";
 import { latest } from "../state";
@@ -20,7 +20,7 @@ export function report(reply: Reply, done = ""): boolean {
   }
   const { text, hint } = reasonText(reply.reason);
   const cause = text || t("refused");
-  notify("warning", reply.detail === "" ? cause : `${cause}: ${reply.detail}`, reply.hint || hint);
+  notify("warning", reply.detail === "" ? cause : `${cause}: ${reply.detail}`, hint || reply.hint);
   return false;
 }
 

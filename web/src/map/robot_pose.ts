@@ -2,7 +2,7 @@
 // Where the robot is on the map: the newest correction of the mapper with the newest odometry; and its trail.
 
 import { compose, type Point, type Pose } from "../geometry";
-import { type Odometry } from "../message_types";
+import { type Odometry } from "../messages";
 import { latest } from "../state";
 
 const MAX_ODOMETRY = 100; // 2 s at 50 Hz: longer than a scan is late

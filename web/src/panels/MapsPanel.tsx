@@ -68,10 +68,7 @@ function MapItem({ map }: { map: SavedMap }) {
   return (
     <li class="list-item">
       <button type="button" class="list-row expander" aria-expanded={open.value} onClick={() => (open.value = !open.value)}>
-        <span class="list-name">
-          {map.name}
-          {map.current && <span class="tag">{t("in_use")}</span>}
-        </span>
+        <span class="list-name">{map.name}</span>
         <span class="muted number">{[sizeText(map.size), dateText(map.modified)].filter(Boolean).join(" · ")}</span>
       </button>
       {open.value && (

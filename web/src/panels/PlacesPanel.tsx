@@ -8,7 +8,6 @@ import { degrees, type Point, type Pose } from "../geometry";
 import { deletePlace, goTo, saveEditedZone, savePlace, setZones, zoneRows, type ZoneRow } from "../map/commands";
 import { cancelDrawing, chooseTool, closedPolygon, editedZone, newPlace, places } from "../map/tools";
 import { hello, mayOperate } from "../state";
-import { currentMap } from "../lists";
 import { isItemName, itemName } from "../names";
 import { t } from "../texts";
 
@@ -22,12 +21,13 @@ export function PlacesPanel() {
         {places.value.length === 0 && <Empty text={t("no_places")} />}
         <ul class="list">
           {places.value.map((place) => (
-            <li key={place.name} class="list-row">
+            <li key={`${place.map}/${place.name}`} class="list-row">
               <div class="list-name">
                 <span>{place.name}</span>
                 <span class="muted number">
                   {place.pose[0].toFixed(1)}, {place.pose[1].toFixed(1)}
                   {place.hasHeading && `, ${degrees(place.pose[2]).toFixed(0)}°`}
+                  {place.map !== "" && ` · ${place.map}`}
                 </span>
               </div>
               <Button label={t("go")} onClick={() => void goTo(place.pose, !place.hasHeading)} disabled={off} />
@@ -89,7 +89,7 @@ function ZoneItem({ zone }: { zone: ZoneRow }) {
 function NewPlace({ pose }: { pose: Pose }) {
   const name = useSignal("");
   const save = (): void => {
-    if (isItemName(name.value)) void savePlace({ name: name.value, pose, map: currentMap.value, hasHeading: true });
+    if (isItemName(name.value)) void savePlace({ name: name.value, pose, map: "", hasHeading: true });
   };
   return (
     <form

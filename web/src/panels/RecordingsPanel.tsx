@@ -19,11 +19,12 @@ export function RecordingsPanel() {
         {recordings.value === null && <Empty text={t("loading")} />}
         {recordings.value?.length === 0 && <Empty text={t("no_recordings")} />}
         <ul class="list">
-          {recordings.value?.map(({ name, size, modified, current }) => (
+          {recordings.value?.map(({ name, size, modified, current, marked }) => (
             <li key={name} class="list-item">
               <div class="list-name">
                 <span class="file-name">{name}</span>
                 {current && <span class="tag">{t("being_written")}</span>}
+                {marked && <span class="tag">{t("marked")}</span>}
                 <span class="muted number">{[sizeText(size), dateText(modified)].filter(Boolean).join(" · ")}</span>
               </div>
               <div class="button-row">

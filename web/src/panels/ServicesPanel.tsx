@@ -6,7 +6,7 @@ import { useSignal } from "@preact/signals";
 import { Empty, Section } from "../components/controls";
 import { Icon } from "../components/Icon";
 import { faults } from "../faults";
-import { type Health } from "../message_types";
+import { type Health } from "../messages";
 import { health, now, type Received } from "../state";
 import { clockText, reasonText, t } from "../texts";
 import { capital } from "../why";

@@ -38,8 +38,11 @@ function PlaceList() {
       {places.value.length === 0 && <Empty text={t("no_places")} />}
       <ul class="list">
         {places.value.map((place) => (
-          <li key={place.name} class="list-row">
-            <span class="list-name">{place.name}</span>
+          <li key={`${place.map}/${place.name}`} class="list-row">
+            <span class="list-name">
+              {place.name}
+              {place.map !== "" && <span class="muted"> {place.map}</span>}
+            </span>
             <Button
               label={t("go")}
               onClick={() => void goTo(place.pose, !place.hasHeading)}
