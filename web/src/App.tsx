@@ -69,7 +69,13 @@ function MapCanvas() {
   return (
     <main class="map">
       <canvas ref={below} class="map-canvas" aria-hidden="true" />
-      <canvas ref={above} class={`map-canvas map-overlay tool-${tool.value}`} tabIndex={0} role="application" aria-label={t("map_label")} />
+      <canvas
+        ref={above}
+        class={`map-canvas map-overlay tool-${tool.value}`}
+        tabIndex={0}
+        role="application"
+        aria-label={t("map_label")}
+      />
       <span class="crosshair" aria-hidden="true" />
     </main>
   );

@@ -18,6 +18,11 @@ export function transformPoint(a: Pose, p: Point): Point {
   return [a[0] + c * p[0] - s * p[1], a[1] + s * p[0] + c * p[1]];
 }
 
+/** The pose that is `share` (0 .. 1) of the motion from `a` to `b`; the angle goes the short way. */
+export function interpolate(a: Pose, b: Pose, share: number): Pose {
+  return [a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share, a[2] + wrapAngle(b[2] - a[2]) * share];
+}
+
 /** The angle within -pi .. pi, rad. */
 export function wrapAngle(angle: number): number {
   return Math.atan2(Math.sin(angle), Math.cos(angle));

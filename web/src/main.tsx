@@ -12,7 +12,7 @@ import { onViewKey } from "./map/gestures";
 import { applyPreferences } from "./preferences";
 import { now } from "./state";
 import { pressStop, watchStop } from "./stop";
-import { mapView } from "./ui";
+import { layersOpen, mapView } from "./ui";
 
 const NOW_PERIOD_MS = 250;
 
@@ -45,6 +45,7 @@ window.addEventListener(
 window.addEventListener("keydown", (event) => {
   const plain = !event.ctrlKey && !event.metaKey && !event.altKey && !event.defaultPrevented;
   const map = mapView.peek();
+  if (event.key === "Escape") layersOpen.value = false;
   if (plain && map !== null && !isTextInput(event.target) && onViewKey(map, event)) event.preventDefault();
 });
 

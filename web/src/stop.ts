@@ -32,7 +32,10 @@ export function releaseStop(): void {
 export function watchStop(): void {
   effect(() => {
     const estop = latest.estop.value;
-    if (estop !== null && estop.message.pressed && estop.at >= pressedAt) stopPending.value = false;
+    const guard = latest["guard/status"].value;
+    const published = estop !== null && estop.message.pressed && estop.at >= pressedAt;
+    const confirmed = guard !== null && guard.message.reason === "estop" && guard.at >= pressedAt;
+    if (published || confirmed) stopPending.value = false;
   });
   effect(() => {
     if (!stopPending.value || !connected.value) return undefined;

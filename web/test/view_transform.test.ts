@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { compose, transformPoint, type Point } from "../src/geometry";
+import { compose, interpolate, transformPoint, type Point } from "../src/geometry";
 import { fit, MAX_SCALE, panBy, pinch, rotateAt, toMap, toScreen, type View, visibleBounds, zoomAt } from "../src/view_transform";
 
 const SIZE = { width: 800, height: 600 };
@@ -74,6 +74,11 @@ test("visible bounds contain every corner of the screen", () => {
     const [x, y] = toMap(view, SIZE, [800, 600]);
     assert.ok(x0 <= x + 1e-9 && x <= x1 + 1e-9 && y0 <= y + 1e-9 && y <= y1 + 1e-9);
   }
+});
+
+test("a pose between two turns the short way", () => {
+  near(interpolate([0, 0, 3], [2, 4, -3], 0.5), [1, 2, Math.PI]);
+  near(interpolate([0, 0, 3], [2, 4, -3], 0), [0, 0, 3]);
 });
 
 test("composing poses is applying both", () => {

@@ -17,8 +17,18 @@ export function MapControls() {
     <div class="map-controls">
       {layersOpen.value && <Layers />}
       <div class="card button-stack">
-        <IconButton label={t("layers")} icon="layers" pressed={layersOpen.value} onClick={() => (layersOpen.value = !layersOpen.value)} />
-        <IconButton label={t("follow")} icon="follow" pressed={following.value} onClick={() => (following.value = !following.value)} />
+        <IconButton
+          label={t("layers")}
+          icon="layers"
+          pressed={layersOpen.value}
+          onClick={() => (layersOpen.value = !layersOpen.value)}
+        />
+        <IconButton
+          label={t("follow")}
+          icon="follow"
+          pressed={following.value}
+          onClick={() => (following.value = !following.value)}
+        />
         <IconButton
           label={t("whole_map")}
           icon="fit"

@@ -33,7 +33,9 @@ export function StatusCard() {
           {hello.value?.robot.name ?? "zenav"}
           {hello.value?.simulated && <span class="tag">{t("simulated")}</span>}
         </p>
-        <p class={old ? "status-headline old" : "status-headline"}>{old && guard ? t("last_known", { text: headline }) : headline}</p>
+        <p class={old ? "status-headline old" : "status-headline"}>
+          {old && guard ? t("last_known", { text: headline }) : headline}
+        </p>
         {old && age !== null && connected.value && <p class="status-hint">{t("data_is_old", { n: age.toFixed(0) })}</p>}
         {!old && (hint || fault) && <p class="status-hint">{[fault, hint].filter(Boolean).join(" · ")}</p>}
       </div>

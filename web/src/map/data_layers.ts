@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Layers of what the robot measures and plans: scan, trail, plan, rollouts, costmap, people, robot.
 
-import { transformPoint, type Point, type Pose } from "../geometry";
+import { interpolate, transformPoint, type Point, type Pose } from "../geometry";
 import { hello, isOld, latest } from "../state";
 import { type Layer } from "../preferences";
 import { type Pen, points } from "./pen";
@@ -24,8 +24,9 @@ export function drawScan(pen: Pen, now: number): void {
   const scan = latest.scan.peek()?.message;
   const mount = hello.peek()?.robot.laser_mount;
   if (scan === undefined || mount === undefined || isOld("scan", now) || isOld("pose", now)) return;
-  const middle = poseAt(scan.stamp + (scan.scan_time * 1e9) / 2);
-  if (middle === null) return;
+  const first = poseAt(scan.stamp);
+  const last = poseAt(scan.stamp + scan.scan_time * 1e9);
+  if (first === null || last === null) return;
   const { context } = pen;
   context.fillStyle = pen.palette.scan;
   const side = pen.view.scale > 60 ? 3 : 2;
@@ -34,7 +35,8 @@ export function drawScan(pen: Pen, now: number): void {
     if (!(range >= scan.range_min && range <= scan.range_max)) continue;
     const angle = scan.angle_min + i * scan.angle_increment;
     const inBase = transformPoint(mount, [range * Math.cos(angle), range * Math.sin(angle)]);
-    const [x, y] = pen.screen(transformPoint(middle, inBase));
+    const mapFromBase = interpolate(first, last, i / scan.ranges.length); // each beam from where the robot was
+    const [x, y] = pen.screen(transformPoint(mapFromBase, inBase));
     context.fillRect(x - side / 2, y - side / 2, side, side);
   }
 }
@@ -71,7 +73,10 @@ export function drawCostmap(pen: Pen, now: number): void {
     const context = canvas.getContext("2d");
     if (context === null) return;
     const image = context.createImageData(columns, rows);
-    for (let i = 0; i < values.length; i++) paintCost(image.data, (rows - 1 - Math.floor(i / columns)) * columns + (i % columns), values[i]!);
+    for (let i = 0; i < values.length; i++) {
+      const row = rows - 1 - Math.floor(i / columns); // images grow downward
+      paintCost(image.data, row * columns + (i % columns), values[i]!);
+    }
     context.putImageData(image, 0, 0);
     costmapImage = { message: costmap, canvas };
   }
@@ -128,7 +133,12 @@ export function drawRobot(pen: Pen, now: number, ageText: (seconds: number) => s
     pen.fill(color, old ? 0.35 : 0.92);
     pen.stroke(pen.palette.robotEdge, 2);
     const nose = Math.max(...outline.map(([x]) => x));
-    pen.trace([transformPoint(pose, [0, nose * 0.45]), transformPoint(pose, [nose * 0.7, 0]), transformPoint(pose, [0, -nose * 0.45])]);
+    const chevron: Point[] = [
+      [0, nose * 0.45],
+      [nose * 0.7, 0],
+      [0, -nose * 0.45],
+    ];
+    pen.trace(chevron.map((point) => transformPoint(pose, point)));
     pen.stroke(pen.palette.robotEdge, 2.5);
   }
   const age = old ? (now - (latest.pose.peek()?.at ?? now)) / 1e3 : 0;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Where the robot is on the map: the newest correction of the mapper with the newest odometry; and its trail.
 
-import { compose, type Point, type Pose } from "../geometry";
+import { compose, interpolate, type Point, type Pose } from "../geometry";
 import { type Odometry } from "../messages";
 import { latest } from "../state";
 
@@ -21,15 +21,17 @@ export function robotPose(): Pose | null {
   return odom === undefined ? pose.map_from_base : compose(pose.map_from_odom, odom.odom_from_base);
 }
 
-/** `map_from_base` at a stamp (ns), from the odometry nearest to it. */
+/** `map_from_base` at a stamp (ns), between the two samples of odometry around it. */
 export function poseAt(stamp: number): Pose | null {
   const pose = latest.pose.peek()?.message;
   if (pose === undefined) return null;
-  let best: Odometry | undefined;
-  for (const sample of odometry) {
-    if (best === undefined || Math.abs(sample.stamp - stamp) < Math.abs(best.stamp - stamp)) best = sample;
-  }
-  return best === undefined ? pose.map_from_base : compose(pose.map_from_odom, best.odom_from_base);
+  const next = odometry.findIndex((sample) => sample.stamp >= stamp);
+  const after = odometry[next < 0 ? odometry.length - 1 : next];
+  const before = odometry[Math.max(0, (next < 0 ? odometry.length : next) - 1)];
+  if (after === undefined || before === undefined) return pose.map_from_base;
+  const span = after.stamp - before.stamp;
+  const share = span > 0 ? Math.min(1, Math.max(0, (stamp - before.stamp) / span)) : 0;
+  return compose(pose.map_from_odom, interpolate(before.odom_from_base, after.odom_from_base, share));
 }
 
 export function onOdometry(message: Odometry): void {

@@ -53,7 +53,12 @@ function SaveForm() {
       }}
     >
       <Field label={t("save_as")}>
-        <input type="text" maxLength={64} value={name.value} onInput={(event) => (name.value = itemName(event.currentTarget.value))} />
+        <input
+          type="text"
+          maxLength={64}
+          value={name.value}
+          onInput={(event) => (name.value = itemName(event.currentTarget.value))}
+        />
       </Field>
       <Button label={t("save")} onClick={save} disabled={!mayOperate.value || !isItemName(name.value)} />
     </form>
@@ -82,7 +87,12 @@ function MapItem({ map }: { map: SavedMap }) {
           </div>
           <div class="form-row">
             <Field label={t("rename_to")}>
-              <input type="text" maxLength={64} value={to.value} onInput={(event) => (to.value = itemName(event.currentTarget.value))} />
+              <input
+                type="text"
+                maxLength={64}
+                value={to.value}
+                onInput={(event) => (to.value = itemName(event.currentTarget.value))}
+              />
             </Field>
             <Button
               label={t("rename")}
@@ -117,7 +127,12 @@ function Upload() {
       <Field label={t("upload_hint")}>
         <input type="file" accept=".zip" onChange={(event) => (file.value = event.currentTarget.files?.[0] ?? null)} />
       </Field>
-      <Button label={t("upload")} icon="upload" onClick={() => void send()} disabled={file.value === null || busy.value || !mayOperate.value} />
+      <Button
+        label={t("upload")}
+        icon="upload"
+        onClick={() => void send()}
+        disabled={file.value === null || busy.value || !mayOperate.value}
+      />
     </Section>
   );
 }

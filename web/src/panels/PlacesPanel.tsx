@@ -31,7 +31,12 @@ export function PlacesPanel() {
                 </span>
               </div>
               <Button label={t("go")} onClick={() => void goTo(place.pose, !place.hasHeading)} disabled={off} />
-              <IconButton label={t("delete_named", { name: place.name })} icon="trash" onClick={() => void deletePlace(place)} disabled={off} />
+              <IconButton
+                label={t("delete_named", { name: place.name })}
+                icon="trash"
+                onClick={() => void deletePlace(place)}
+                disabled={off}
+              />
             </li>
           ))}
         </ul>
@@ -79,7 +84,12 @@ function ZoneItem({ zone }: { zone: ZoneRow }) {
               editedZone.value = { name: zone.name, corners: zone.corners };
             }}
           />
-          <IconButton label={t("delete_named", { name: zone.name })} icon="trash" onClick={remove} disabled={!mayOperate.value} />
+          <IconButton
+            label={t("delete_named", { name: zone.name })}
+            icon="trash"
+            onClick={remove}
+            disabled={!mayOperate.value}
+          />
         </>
       )}
     </li>
@@ -100,7 +110,13 @@ function NewPlace({ pose }: { pose: Pose }) {
       }}
     >
       <Field label={t("name_of_place")}>
-        <input type="text" maxLength={64} value={name.value} ref={focus} onInput={(event) => (name.value = itemName(event.currentTarget.value))} />
+        <input
+          type="text"
+          maxLength={64}
+          value={name.value}
+          ref={focus}
+          onInput={(event) => (name.value = itemName(event.currentTarget.value))}
+        />
       </Field>
       {name.value !== "" && !isItemName(name.value) && <p class="bad-text">{t("name_rule")}</p>}
       <div class="button-row">
@@ -129,7 +145,12 @@ function NewZone({ corners }: { corners: readonly Point[] }) {
       }}
     >
       <Field label={t("name_of_zone")}>
-        <input type="text" maxLength={40} value={name.value} onInput={(event) => (name.value = event.currentTarget.value)} />
+        <input
+          type="text"
+          maxLength={40}
+          value={name.value}
+          onInput={(event) => (name.value = event.currentTarget.value)}
+        />
       </Field>
       <Choice
         label={t("kind")}
@@ -142,7 +163,14 @@ function NewZone({ corners }: { corners: readonly Point[] }) {
       />
       {kind.value === "slow" && (
         <Field label={t("speed_limit")}>
-          <input type="number" min="0.01" max="20" step="0.01" value={speed.value} onInput={(event) => (speed.value = event.currentTarget.value)} />
+          <input
+            type="number"
+            min="0.01"
+            max="20"
+            step="0.01"
+            value={speed.value}
+            onInput={(event) => (speed.value = event.currentTarget.value)}
+          />
         </Field>
       )}
       <div class="button-row">

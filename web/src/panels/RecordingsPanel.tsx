@@ -61,9 +61,19 @@ function MarkForm() {
         }}
       >
         <Field label={t("mark_hint")}>
-          <input type="text" maxLength={200} value={text.value} onInput={(event) => (text.value = event.currentTarget.value)} />
+          <input
+            type="text"
+            maxLength={200}
+            value={text.value}
+            onInput={(event) => (text.value = event.currentTarget.value)}
+          />
         </Field>
-        <Button label={t("mark")} icon="flag" onClick={() => void mark()} disabled={!mayOperate.value || text.value.trim() === ""} />
+        <Button
+          label={t("mark")}
+          icon="flag"
+          onClick={() => void mark()}
+          disabled={!mayOperate.value || text.value.trim() === ""}
+        />
       </form>
     </Section>
   );
