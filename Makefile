@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-docker test-wheel mutants check fix lock docs figures record-references warm wheel clean
+.PHONY: help venv demo test test-docker test-wheel mutants check fix lock docs figures record-references warm web wheel clean
 
 PYTHON ?=
 JOBS ?= 3 # one more than two cores: who tests processes waits half of the time
@@ -74,6 +74,13 @@ record-references: venv ## run the stack again for the recordings that the repla
 
 warm: ## compile the kernels again where the code changed
 	@$(BIN)/python -m zenav.stack.warm
+
+web: ## check, test and bundle the page into services/dashboard/static; needs Node 20, users do not
+	@cd web
+	npm ci
+	npm run lint
+	npm test
+	npm run build
 
 lock: ## write requirements*.txt again from pyproject.toml, with the newest versions that it allows
 	@work=$$(mktemp -d); trap 'rm -rf "$$work"' EXIT

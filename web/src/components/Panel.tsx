@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+// The open panel: beside the rail, or a sheet above it on a phone.
+
+import { type ComponentType } from "preact";
+
+import { ChartsPanel } from "../panels/ChartsPanel";
+import { LogPanel } from "../panels/LogPanel";
+import { MapsPanel } from "../panels/MapsPanel";
+import { PlacesPanel } from "../panels/PlacesPanel";
+import { RecordingsPanel } from "../panels/RecordingsPanel";
+import { ServicesPanel } from "../panels/ServicesPanel";
+import { SettingsPanel } from "../panels/SettingsPanel";
+import { TaskPanel } from "../panels/TaskPanel";
+import { t } from "../texts";
+import { panel, PANEL_ICONS, PANELS, type PanelName } from "../ui";
+import { IconButton } from "./controls";
+import { Icon } from "./Icon";
+
+const CONTENT: Readonly<Record<PanelName, ComponentType>> = {
+  task: TaskPanel,
+  places: PlacesPanel,
+  maps: MapsPanel,
+  services: ServicesPanel,
+  charts: ChartsPanel,
+  log: LogPanel,
+  recordings: RecordingsPanel,
+  settings: SettingsPanel,
+};
+
+export function Panel() {
+  const name = panel.value;
+  if (name === null) return null;
+  const Content = name === "more" ? MoreMenu : CONTENT[name];
+  return (
+    <aside class={`panel card panel-${name}`} aria-label={t(`panel_${name}`)}>
+      <header class="panel-head">
+        <h2>{t(`panel_${name}`)}</h2>
+        <IconButton label={t("close")} icon="close" onClick={() => (panel.value = null)} />
+      </header>
+      <div class="panel-body">
+        <Content />
+      </div>
+    </aside>
+  );
+}
+
+function MoreMenu() {
+  return (
+    <div class="more-menu">
+      {PANELS.filter((name) => name !== "task" && name !== "places").map((name) => (
+        <button key={name} type="button" class="more-item" onClick={() => (panel.value = name)}>
+          <Icon name={PANEL_ICONS[name]} size={22} />
+          <span>{t(`panel_${name}`)}</span>
+        </button>
+      ))}
+    </div>
+  );
+}

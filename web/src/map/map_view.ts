@@ -1,0 +1,209 @@
+// SPDX-License-Identifier: Apache-2.0
+// The map on two canvases: tiles below, all that moves above. Each is drawn only after something on it changed.
+
+import { effect, signal } from "@preact/signals";
+
+import { type Point } from "../geometry";
+import { isDark, layers } from "../preferences";
+import { latest, link, mapId, now } from "../state";
+import { t } from "../texts";
+import { TileAtlas } from "../tile_atlas";
+import { type Tile, type TilesFrame, TileStore } from "../tile_store";
+import { fit, panBy, rotateAt, toScreen, type Size, type View, zoomAt } from "../view_transform";
+import { DRAW, drawRobot } from "./data_layers";
+import { drawDrafts, drawGoal, drawGrid, drawPlaces, drawZoneNames, drawZones } from "./edit_layers";
+import { following } from "./following";
+import { DARK, LIGHT } from "./palette";
+import { Pen } from "./pen";
+import { clearTrail, robotPose } from "./robot_pose";
+import { closedPolygon, draftCorners, draftPose, editedZone, newPlace, places, route, tool } from "./tools";
+
+const MIN_FRAME_MS = 30; // at most 33 frames a second
+const START_SCALE = 45; // px/m, before a map is there
+const FIT_MARGIN_PX = 100; // room for the status above and the tools below
+
+export const view = signal<View>({ x: 0, y: 0, scale: START_SCALE, rotation: 0 });
+export const store = new TileStore();
+
+export class MapView {
+  size: Size = { width: 1, height: 1 };
+  private readonly atlas = new TileAtlas(store, (isDark.peek() ? DARK : LIGHT).cells);
+  private readonly below: CanvasRenderingContext2D;
+  private readonly above: CanvasRenderingContext2D;
+  private belowDirty = true;
+  private aboveDirty = true;
+  private changed: Tile[] = [];
+  private fitted = false;
+  private drawnAt = 0;
+  private scheduled = false;
+
+  constructor(
+    private readonly tilesCanvas: HTMLCanvasElement,
+    private readonly overlayCanvas: HTMLCanvasElement,
+  ) {
+    this.below = context(tilesCanvas);
+    this.above = context(overlayCanvas);
+    new ResizeObserver(() => this.resize()).observe(overlayCanvas);
+    this.resize();
+    effect(() => {
+      this.atlas.recolor((isDark.value ? DARK : LIGHT).cells);
+      this.invalidate(true);
+    });
+    effect(() => {
+      void view.value;
+      this.invalidate(true);
+    });
+    effect(() => {
+      for (const key of Object.values(latest)) void key.value;
+      for (const drawn of [tool, draftPose, draftCorners, closedPolygon, newPlace, places, route]) void drawn.value;
+      void [following.value, layers.value, editedZone.value, link.value, now.value];
+      this.invalidate(false);
+    });
+  }
+
+  onTiles(frame: TilesFrame): void {
+    const { reset, changed } = store.apply(frame);
+    if (reset) {
+      this.atlas.clear();
+      if (mapId.peek() !== store.mapId) {
+        clearTrail();
+        this.fitted = false;
+      }
+      mapId.value = store.mapId;
+      this.belowDirty = true;
+    }
+    for (const tile of changed) this.atlas.paint(tile);
+    this.changed.push(...changed);
+    if (!this.fitted && store.size > 0) this.fitted = this.fit();
+    this.schedule();
+  }
+
+  /** Shows the whole map. False while no cell is known. */
+  fit(): boolean {
+    const bounds = store.bounds();
+    if (bounds === null) return false;
+    view.value = fit(this.size, bounds[0], bounds[1], Math.min(FIT_MARGIN_PX, this.size.width / 20));
+    return true;
+  }
+
+  zoom(factor: number, at: Point = this.middle): void {
+    view.value = zoomAt(view.peek(), this.size, following.peek() ? this.middle : at, factor);
+  }
+
+  rotate(angle: number): void {
+    view.value = rotateAt(view.peek(), this.size, this.middle, angle);
+  }
+
+  pan(dx: number, dy: number): void {
+    following.value = false;
+    view.value = panBy(view.peek(), this.size, dx, dy);
+  }
+
+  get middle(): Point {
+    return [this.size.width / 2, this.size.height / 2];
+  }
+
+  private invalidate(tiles: boolean): void {
+    this.belowDirty ||= tiles;
+    this.aboveDirty = true;
+    this.schedule();
+  }
+
+  private schedule(): void {
+    if (this.scheduled) return;
+    this.scheduled = true;
+    requestAnimationFrame((at) => this.frame(at));
+  }
+
+  private frame(at: number): void {
+    this.scheduled = false;
+    if (at - this.drawnAt < MIN_FRAME_MS - 8) {
+      this.schedule();
+      return;
+    }
+    this.drawnAt = at;
+    const pose = robotPose();
+    const seen = view.peek();
+    if (following.peek() && pose !== null && Math.hypot(pose[0] - seen.x, pose[1] - seen.y) * seen.scale > 0.5) {
+      view.value = { ...seen, x: pose[0], y: pose[1] };
+    }
+    const complete = (!this.belowDirty && this.changed.length === 0) || this.drawTiles();
+    if (this.aboveDirty) this.drawOverlay();
+    this.belowDirty = !complete;
+    this.aboveDirty = false;
+    this.changed = [];
+    if (!complete) this.schedule();
+  }
+
+  /** Draws all tiles, or only the rectangle around the changed ones. False while some wait for another frame. */
+  private drawTiles(): boolean {
+    const palette = isDark.peek() ? DARK : LIGHT;
+    const { below, size } = this;
+    below.save();
+    if (!this.belowDirty) {
+      below.beginPath();
+      for (const { row, column } of this.changed) this.clipTile(row, column);
+      below.clip();
+    }
+    below.fillStyle = palette.background;
+    below.fillRect(0, 0, size.width, size.height);
+    const complete = this.atlas.draw(below, view.peek(), size);
+    below.restore();
+    return complete;
+  }
+
+  private clipTile(row: number, column: number): void {
+    const side = store.side;
+    const corners: Point[] = [
+      [column * side, row * side],
+      [(column + 1) * side, row * side],
+      [(column + 1) * side, (row + 1) * side],
+      [column * side, (row + 1) * side],
+    ];
+    const screen = corners.map((corner) => toScreen(view.peek(), this.size, corner));
+    const xs = screen.map((p) => p[0]);
+    const ys = screen.map((p) => p[1]);
+    const [x0, y0] = [Math.floor(Math.min(...xs)) - 1, Math.floor(Math.min(...ys)) - 1];
+    this.below.rect(x0, y0, Math.ceil(Math.max(...xs)) + 1 - x0, Math.ceil(Math.max(...ys)) + 1 - y0);
+  }
+
+  private drawOverlay(): void {
+    const { above, size } = this;
+    above.clearRect(0, 0, size.width, size.height);
+    const pen = new Pen(above, view.peek(), size, isDark.peek() ? DARK : LIGHT);
+    const at = performance.now();
+    const shown = new Set(layers.peek());
+    if (shown.has("grid")) drawGrid(pen);
+    if (shown.has("zones")) drawZones(pen);
+    for (const [layer, draw] of Object.entries(DRAW)) {
+      if (shown.has(layer as keyof typeof DRAW)) draw(pen, at);
+    }
+    if (shown.has("places")) drawPlaces(pen);
+    drawGoal(pen);
+    if (shown.has("zones")) drawZoneNames(pen);
+    drawRobot(pen, at, (age) => t("age_seconds", { n: age.toFixed(age < 10 ? 1 : 0) }));
+    drawDrafts(pen);
+  }
+
+  private resize(): void {
+    const box = this.overlayCanvas.getBoundingClientRect();
+    this.size = { width: Math.max(1, box.width), height: Math.max(1, box.height) };
+    const ratio = Math.min(2, devicePixelRatio);
+    for (const [canvas, target] of [
+      [this.tilesCanvas, this.below],
+      [this.overlayCanvas, this.above],
+    ] as const) {
+      canvas.width = Math.round(this.size.width * ratio);
+      canvas.height = Math.round(this.size.height * ratio);
+      target.setTransform(ratio, 0, 0, ratio, 0, 0);
+    }
+    if (!this.fitted) this.fitted = this.fit();
+    this.invalidate(true);
+  }
+}
+
+function context(canvas: HTMLCanvasElement): CanvasRenderingContext2D {
+  const result = canvas.getContext("2d");
+  if (result === null) throw new Error("this browser has no 2D canvas");
+  return result;
+}

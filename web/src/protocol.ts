@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+// Frames of the WebSocket, as docs/page.md lists them. `t` is the type.
+
+import { type Point, type Pose } from "./geometry";
+import { type TilesFrame } from "./tile_store";
+
+export type Role = "viewer" | "operator" | "admin";
+export type Severity = "info" | "hold" | "stop" | "fault";
+
+export interface Robot {
+  readonly name: string;
+  readonly outline: readonly Point[];
+  readonly laser_mount: Pose;
+  readonly max_speed: number;
+  readonly max_reverse_speed: number;
+  readonly max_turn_rate: number;
+}
+
+export interface Hello {
+  readonly t: "hello";
+  readonly client: number;
+  readonly name: string;
+  readonly role: Role;
+  readonly robot: Robot;
+  readonly simulated: boolean;
+  readonly version: string;
+  readonly csrf: string;
+  readonly keys: readonly string[];
+  readonly reasons: Readonly<Record<string, readonly [text: string, hint: string, severity: Severity]>>;
+}
+
+export interface Drivers {
+  readonly t: "drivers";
+  readonly driver: { readonly client: number; readonly name: string } | null;
+  readonly other: boolean;
+  readonly source: string;
+}
+
+export interface PageClient {
+  readonly client: number;
+  readonly name: string;
+  readonly role: Role;
+}
+
+export interface Reply {
+  readonly t: "reply";
+  readonly id: number;
+  readonly accepted: boolean;
+  readonly reason: string;
+  readonly detail: string;
+  readonly hint: string;
+  readonly data: unknown;
+}
+
+export interface Note {
+  readonly t: "note";
+  readonly level: "info" | "warning" | "error";
+  readonly text: string;
+  readonly hint: string;
+}
+
+export type ServerFrame =
+  | Hello
+  | Drivers
+  | Reply
+  | Note
+  | ({ readonly t: "tiles" } & TilesFrame)
+  | { readonly t: "m"; readonly k: string; readonly b: Uint8Array }
+  | { readonly t: "clients"; readonly clients: readonly PageClient[] }
+  | { readonly t: "pong"; readonly id: number; readonly now: number };
+
+export type ClientFrame =
+  | { t: "want"; keys: string[]; debug: boolean }
+  | { t: "teleop"; v: number; w: number; n: number }
+  | { t: "let_go" }
+  | { t: "stop" }
+  | { t: "release" }
+  | { t: "ask"; id: number; request: string; args: object }
+  | { t: "do"; id: number; op: string; args: object }
+  | { t: "name"; name: string }
+  | { t: "ping"; id: number };

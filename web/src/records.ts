@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: Apache-2.0
+// Lists that the server answers to `do`: maps, places, recordings, settings. Rows with a missing name are left out.
+
+import { type Pose } from "./geometry";
+import { type NamedPlace } from "./map/tools";
+
+export interface SavedMap {
+  readonly name: string;
+  /** bytes; null where the server does not say it. */
+  readonly size: number | null;
+  /** s since 1970 of the last change; null where the server does not say it. */
+  readonly modified: number | null;
+}
+
+export interface Recording extends SavedMap {
+  /** Whether it is marked, so that it is not deleted for space. */
+  readonly marked: boolean;
+  /** Whether it is being written. */
+  readonly current: boolean;
+}
+
+export interface Setting {
+  readonly name: string;
+  readonly value: string;
+  readonly origin: string;
+  readonly description: string;
+}
+
+type Row = Record<string, unknown>;
+
+/** The rows of a list that have a name. A text is a row with this name. */
+function named(data: unknown): (Row & { name: string })[] {
+  const rows = Array.isArray(data) ? (data as unknown[]) : [];
+  return rows
+    .map((row) => (typeof row === "string" ? { name: row } : ((row ?? {}) as Row)))
+    .filter((row): row is Row & { name: string } => typeof row["name"] === "string");
+}
+
+function number(value: unknown): number | null {
+  return typeof value === "number" ? value : null;
+}
+
+export function mapsFrom(data: unknown): SavedMap[] {
+  return named(data).map((row) => ({
+    name: row.name,
+    size: number(row["size"]),
+    modified: number(row["modified"]),
+  }));
+}
+
+export function recordingsFrom(data: unknown): Recording[] {
+  return named(data).map((row) => ({
+    name: row.name,
+    size: number(row["size"]),
+    modified: number(row["modified"]),
+    marked: row["marked"] === true,
+    current: row["current"] === true,
+  }));
+}
+
+export function placesFrom(data: unknown): NamedPlace[] {
+  return named(data).flatMap((row) => {
+    const pose = Array.isArray(row["pose"]) ? (row["pose"] as unknown[]) : [row["x"], row["y"], row["yaw"]];
+    const [x, y, yaw] = pose.map(number) as (number | null)[];
+    if (x === null || x === undefined || y === null || y === undefined) return [];
+    const map = typeof row["map"] === "string" ? row["map"] : "";
+    const hasHeading = yaw !== null && yaw !== undefined;
+    return [{ name: row.name, pose: [x, y, yaw ?? 0] as Pose, map, hasHeading }];
+  });
+}
+
+export function settingsFrom(data: unknown): Setting[] {
+  const text = (value: unknown): string => (typeof value === "string" ? value : (JSON.stringify(value) ?? ""));
+  return named(data).map((row) => ({
+    name: row.name,
+    value: text(row["value"]),
+    origin: text(row["origin"] ?? ""),
+    description: text(row["description"] ?? ""),
+  }));
+}

@@ -1,0 +1,98 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the page knows now: the newest message of each key with the time of its arrival, and what the server said.
+
+import { computed, signal, type Signal } from "@preact/signals";
+
+import { type Health, type Key, type LogLine, type MessageOf } from "./messages";
+import { type Drivers, type Hello, type PageClient } from "./protocol";
+import { StackClock } from "./stack_clock";
+
+/** A message and when it came, ms of performance.now(). */
+export interface Received<M> {
+  readonly message: M;
+  readonly at: number;
+}
+
+export interface LogEntry extends LogLine {
+  readonly service: string;
+  readonly id: number;
+}
+
+const SINGLE_KEYS = [
+  ...(["scan", "odom", "pose", "goal", "plan", "zones", "follow/status", "nav/status", "nav/task", "cmd/vel"] as const),
+  ...(["estop", "guard/status", "base/status", "debug/costmap", "debug/rollouts", "sim/truth"] as const),
+] as const satisfies readonly Key[];
+
+/** Keys that the page reads, but for those of families. */
+export type SingleKey = (typeof SINGLE_KEYS)[number];
+type Latest = { readonly [K in SingleKey]: Signal<Received<MessageOf[K]> | null> };
+
+export const latest = Object.fromEntries(SINGLE_KEYS.map((key) => [key, signal(null)])) as unknown as Latest;
+export const health = signal<ReadonlyMap<string, Received<Health>>>(new Map());
+export const log = signal<readonly LogEntry[]>([]);
+export const hello = signal<Hello | null>(null);
+export const drivers = signal<Drivers | null>(null);
+export const clients = signal<readonly PageClient[]>([]);
+export const mapId = signal(0);
+
+const TOPICS: ReadonlySet<string> = new Set([...SINGLE_KEYS, "health", "log"]);
+
+/** The topic of a published key: "health" for "health/mapper"; null for topics that the page does not read. */
+export function topicOf(key: string): SingleKey | "health" | "log" | null {
+  const topic = /^(health|log)\//.exec(key)?.[1] ?? key;
+  return TOPICS.has(topic) ? (topic as SingleKey) : null;
+}
+
+/** The link: open, or when the next attempt is (ms of performance.now()). */
+export const link = signal<{ state: "connecting" | "open" | "waiting"; retryAt: number; since: number }>({
+  state: "connecting",
+  retryAt: 0,
+  since: 0,
+});
+export const rtt = signal<number | null>(null);
+export const clock = new StackClock();
+
+/** Time of the page in ms, four times a second: ages on the screen follow it. */
+export const now = signal(0);
+
+export const connected = computed(() => link.value.state === "open" && hello.value !== null);
+export const mayOperate = computed(() => connected.value && hello.value?.role !== "viewer");
+
+/** Seconds without a message after which a key's data is shown as old. Events (goal, zones, estop) do not age. */
+const MAX_AGE_S: { readonly [K in SingleKey]?: number } = {
+  pose: 1,
+  odom: 0.6,
+  scan: 1,
+  plan: 6,
+  "guard/status": 1,
+  "nav/status": 2,
+  "follow/status": 2,
+  "base/status": 5,
+  "cmd/vel": 1,
+  "debug/costmap": 1.5,
+  "debug/rollouts": 1.5,
+  "sim/truth": 1,
+};
+
+/** Age of the newest message of a key at `at` (ms), s: since it came, or since its stamp where it came late. */
+export function ageOf(key: SingleKey, at: number): number | null {
+  const entry = latest[key].peek();
+  if (entry === null) return null;
+  const since = (at - entry.at) / 1e3;
+  const byStamp = MAX_AGE_S[key] === undefined ? null : clock.age(entry.message.stamp, at);
+  return Math.max(since, byStamp ?? 0);
+}
+
+/** Whether a key's newest message is missing, too old, or from a link that is lost. */
+export function isOld(key: SingleKey, at: number): boolean {
+  const age = ageOf(key, at);
+  return age === null || link.peek().state !== "open" || age > (MAX_AGE_S[key] ?? Infinity);
+}
+
+const MAX_LOG = 600;
+let nLogged = 0;
+
+export function appendLog(service: string, line: LogLine): void {
+  const kept = log.peek().slice(-MAX_LOG + 1);
+  log.value = [...kept, { ...line, service, id: ++nLogged }];
+}
