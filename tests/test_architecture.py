@@ -306,6 +306,8 @@ def test_a_file_answers_one_question():
     for path in files():
         lines = len(path.read_text(encoding="utf-8").splitlines())
         limit = 10**6 if short(path) in LONG else 400
+        if path.name == "service.py" and path.parent.parent.name == "services":
+            limit = 250  # read in one sitting
         rule(lines <= limit, f"{short(path)} has {lines} lines", "it answers two questions: give each its file")
 
 

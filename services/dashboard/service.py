@@ -10,7 +10,7 @@ Both directions are streams of msgpack maps. Each map of topics.RX has an `event
 outgoing.py has the maps of topics.TX. So all commands of pages are in the journal.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import msgpack
@@ -18,40 +18,24 @@ from pydantic import Field
 
 from services.dashboard.driving import PageDriving
 from services.dashboard.field_checks import FrameError
-from services.dashboard.frames import (
-    PAGE_KEYS,
-    checked_frame,
-    checked_operation,
-    request_named,
-    request_payload,
-    unpacked_frame,
-)
-from services.dashboard.outgoing import (
-    PORT,
-    accepting_reply,
-    ask_order,
-    do_order,
-    frame,
-    hello,
-    note,
-    refusing_reply,
-    want_order,
-)
+from services.dashboard.frame_handlers import FRAME_HANDLERS, teleop_out
+from services.dashboard.frames import checked_frame, request_payload, unpacked_frame
+from services.dashboard.outgoing import PORT, ask_order, frame, hello, note, refusing_reply
 from services.dashboard.sessions import PageSession, PageSessions
 from services.dashboard.stop_button import StopButton
 from shared import reasons, requests, topics
 from shared.config import Robot, Section
 from shared.messages import GuardStatus, PortState, SerialData, Velocity
 from shared.ports import PortConfig
-from shared.roles import FRAME_ROLES, OPERATION_ROLES, REQUEST_ROLES, may
+from shared.roles import FRAME_ROLES, may
 from shared.service import Log, Out, Service, every, on
 from shared.teleop_arbiter import TeleopRefusedError
+from shared.topics import Publication
 from shared.types import NS_PER_S
 
 WATCH_EVERY_NS = 2 * NS_PER_S
 """between two requests that local control shows what it sees."""
 WATCH_FOR_S = 10.0
-DEBUG_KEYS = frozenset((topics.COSTMAP.key, topics.ROLLOUTS.key))
 
 
 class DashboardConfig(Section):
@@ -124,13 +108,13 @@ class DashboardService(Service):
     @every(hz=20)
     def drive(self) -> Out:
         """Publishes the driver's command, zero after its end, and STOP until it is confirmed."""
-        yield from _teleop(self.driving.tick(self.now))
+        yield from teleop_out(self.driving.tick(self.now))
         stop, is_unconfirmed = self.stop_button.tick(self.now)
         if stop is not None:
             yield topics.ESTOP(stop)
         if is_unconfirmed:
             yield note(self.now, None, "error", "the guard does not confirm", "switch the robot off by hand")
-        yield from self._watch()
+        yield from self.watch()
         yield from self._drivers()
 
     def on_shutdown(self) -> Out:
@@ -157,13 +141,13 @@ class DashboardService(Service):
         page = self.pages.open(client, str(event.get("host", "")))
         version = str(event.get("version", ""))
         yield hello(self.now, page, self.robot, event.get("simulated") is True, version)
-        yield self._clients()
+        yield self.clients()
         yield frame(self.now, client, {"t": "drivers", **self._drivers_now()})
 
     def _close(self, client: int) -> Out:
-        yield from _teleop(self.driving.let_go(client, self.now))
+        yield from teleop_out(self.driving.let_go(client, self.now))
         if self.pages.close(client):
-            yield self._clients()
+            yield self.clients()
 
     def _frame(self, page: PageSession, data: bytes) -> Out:
         answered = None
@@ -182,73 +166,9 @@ class DashboardService(Service):
         except TeleopRefusedError as error:
             yield note(self.now, page.client, "warning", str(error), "ask the driver to let go, or press STOP")
 
-    # --- frames -------------------------------------------------------------------------------------------------------
-
-    def want(self, page: PageSession, fields: dict[str, Any]) -> Out:
-        """The topics that a page shows from now on."""
-        wanted = frozenset(fields["keys"])
-        unknown = sorted(wanted - frozenset(PAGE_KEYS))
-        if unknown:
-            yield note(self.now, page.client, "warning", f"{unknown[0]!r} is no topic of a page", "see keys of hello")
-        page.keys, page.debug = wanted & frozenset(PAGE_KEYS), fields.get("debug", False)
-        yield want_order(self.now, page.client, sorted(page.keys | (DEBUG_KEYS if page.debug else frozenset())))
-        yield from self._watch()
-
-    def teleop(self, page: PageSession, fields: dict[str, Any]) -> Out:
-        """A command of a page that drives, or wants to."""
-        yield from _teleop(self.driving.take(page, fields["v"], fields["w"], fields["n"], self.now))
-
-    def let_go(self, page: PageSession, fields: dict[str, Any]) -> Out:
-        """A page drives no more."""
-        yield from _teleop(self.driving.let_go(page.client, self.now))
-
-    def stop(self, page: PageSession, fields: dict[str, Any]) -> Out:
-        """STOP. Any page may."""
-        yield topics.ESTOP(self.stop_button.set(True, page.name, self.now))
-        yield Log("INFO", f"STOP is pressed by {page.name}")
-
-    def release(self, page: PageSession, fields: dict[str, Any]) -> Out:
-        """Releases STOP. The robot stands until its next command."""
-        yield topics.ESTOP(self.stop_button.set(False, page.name, self.now))
-        yield Log("INFO", f"STOP is released by {page.name}")
-
-    def ask(self, page: PageSession, fields: dict[str, Any]) -> Out:
-        """A request to a service."""
-        row = request_named(fields["request"])
-        if row is None:
-            raise FrameError(f"{fields['request']!r} is no request of a page")
-        needed = REQUEST_ROLES[row.key]
-        if not may(page.role, needed):
-            yield refusing_reply(self.now, page.client, fields["id"], "role", f"{row.key} needs the role {needed}")
-            return
-        payload = request_payload(row, fields.get("args", {}), self.now)
-        yield ask_order(self.now, page.client, fields["id"], row.key, payload)
-
-    def do(self, page: PageSession, fields: dict[str, Any]) -> Out:
-        """An operation of the tools."""
-        op = fields["op"]
-        arguments = checked_operation(op, fields.get("args", {}))
-        needed = OPERATION_ROLES[op]
-        if not may(page.role, needed):
-            yield refusing_reply(self.now, page.client, fields["id"], "role", f"{op} needs the role {needed}")
-        elif op == "recording_mark":  # the log is recorded, so the mark is there
-            yield Log("INFO", f"mark by {page.name}: {arguments['text']}")
-            yield accepting_reply(self.now, page.client, fields["id"])
-        else:
-            yield do_order(self.now, page.client, fields["id"], op, arguments)
-
-    def name(self, page: PageSession, fields: dict[str, Any]) -> Out:
-        """The name that other users see."""
-        page.name = fields["name"].strip() or f"page {page.client}"
-        yield self._clients()
-
-    def ping(self, page: PageSession, fields: dict[str, Any]) -> Out:
-        """The time of a page's link."""
-        yield frame(self.now, page.client, {"t": "pong", "id": fields["id"], "now": self.now})
-
     # --- what pages see -----------------------------------------------------------------------------------------------
 
-    def _watch(self) -> Out:
+    def watch(self) -> Out:
         """Repeats the request to local control while a page shows what it sees."""
         if not self.pages.is_watching:
             self.watched_at = None
@@ -272,13 +192,9 @@ class DashboardService(Service):
             yield frame(self.now, None, {"t": "drivers", **shown})
         self.shown_drivers = shown
 
-    def _clients(self) -> Any:
+    def clients(self) -> Publication:
+        """Shows all pages who is there."""
         return frame(self.now, None, {"t": "clients", "clients": self.pages.listed()})
-
-
-def _teleop(velocity: Velocity | None) -> Out:
-    if velocity is not None:
-        yield topics.TELEOP(velocity)
 
 
 def _maps(data: bytes) -> Iterator[dict[Any, Any]]:
@@ -291,16 +207,3 @@ def _maps(data: bytes) -> Iterator[dict[Any, Any]]:
                 yield event
     except Exception:  # msgpack raises a dozen kinds on foreign bytes: all mean the same here
         return
-
-
-FRAME_HANDLERS: dict[str, Callable[[DashboardService, PageSession, dict[str, Any]], Out]] = {
-    "want": DashboardService.want,
-    "teleop": DashboardService.teleop,
-    "let_go": DashboardService.let_go,
-    "stop": DashboardService.stop,
-    "release": DashboardService.release,
-    "ask": DashboardService.ask,
-    "do": DashboardService.do,
-    "name": DashboardService.name,
-    "ping": DashboardService.ping,
-}

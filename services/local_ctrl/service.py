@@ -86,8 +86,7 @@ class LocalCtrlService(Service):
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:
         """Takes odometry. A restart of odometry clears the costmap and the state of path following."""
-        last = self.inputs.odometry.latest
-        known = last.stamp if last is not None else None
+        known = last.stamp if (last := self.inputs.odometry.latest) is not None else None
         if not self.rejections.judge(topics.ODOM.key, odometry.stamp, known, self.now, MAX_AGE_S):
             return ()
         continues = self.inputs.add_odometry(odometry)
@@ -246,7 +245,6 @@ class LocalCtrlService(Service):
             warm_up.drive(LocalCtrlService(config, self.robot))
 
     def state(self) -> str:
-        """State for the health message."""
         if isinstance(self.order, Recovery):
             return str(self.order.kind)
         return "idle" if self.order is None else "drive" if self.order.active else "none"

@@ -13,11 +13,11 @@ from pydantic import Field
 
 from services.sim.crowd import RADIUS, crowd_world
 from services.sim.world_loader import CylinderFile, CylinderWorld
+from shared import messages as m
 from shared import requests, topics
 from shared.config import Robot, RobotFile, configured
 from shared.geometry import Pose2
 from shared.messages import FollowStatus, GuardStatus, Message, NavState, NavStatus, Truth
-from shared.messages import Path as Plan
 from shared.polygon import signed_distances
 from shared.recording import CONFIG, Writer, about, sink
 from shared.runners.host import Sent
@@ -187,7 +187,7 @@ class Referee:
         self.goal_accepted = self.lockstep.ask(requests.NAVIGATE, request).accepted
 
     def _plan(self) -> Float64s:
-        plan = self.newest.get(Plan)
+        plan = self.newest.get(m.Path)
         return self.course.start @ np.column_stack((plan.xs, plan.ys)) if plan is not None else np.empty((0, 2))
 
     def _why(self) -> str:

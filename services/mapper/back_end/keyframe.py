@@ -16,24 +16,24 @@ from shared.types import Bools, Float32s, Float64s
 class Sweep:
     """Beams of a sweep with an echo: origins, points and normals (n, 2) in `base`, m.
 
-    back: (n,) fraction of the sweep time from each beam to the end of the sweep.
+    remaining: (n,) fraction of the sweep time from each beam to the end of the sweep.
     """
 
     origins: Float64s
     points: Float64s
     normals: Float64s
-    back: Float64s
+    remaining: Float64s
 
     def only(self, which: Bools) -> "Sweep":
         """Returns the beams that a mask (n,) selects."""
-        return Sweep(self.origins[which], self.points[which], self.normals[which], self.back[which])
+        return Sweep(self.origins[which], self.points[which], self.normals[which], self.remaining[which])
 
-    def turned_back(self, twist: float) -> "Sweep":
+    def without_twist(self, twist: float) -> "Sweep":
         """Returns the sweep de-skewed for a turn that is greater by `twist` rad."""
         origins, points, normals = (
-            remove_twist(array, self.back, twist) for array in (self.origins, self.points, self.normals)
+            remove_twist(array, self.remaining, twist) for array in (self.origins, self.points, self.normals)
         )
-        return Sweep(origins, points, normals, self.back)
+        return Sweep(origins, points, normals, self.remaining)
 
 
 NO_COVARIANCE = np.zeros((3, 3), np.float32)

@@ -92,7 +92,7 @@ class AlignedSweep:
     def without_twist(self) -> "AlignedSweep":
         """The beams without the twist that registration estimated."""
         twist = self.scored.match.twist
-        return replace(self, static=self.static.turned_back(twist), aligned=self.aligned.turned_back(twist))
+        return replace(self, static=self.static.without_twist(twist), aligned=self.aligned.without_twist(twist))
 
 
 class FrontEnd:

@@ -114,8 +114,8 @@ class ScanAligner:
 
     def match(self, submap: Submap, sweep: Sweep, guess: Pose2, prior: Prior) -> ScoredMatch:
         """The match from one guess, with the number of beams that contradict the submap there."""
-        match = submap.registrar.register(sweep.points, sweep.normals, guess, prior, sweep.back)
-        others, pose = sweep.only(~match.inliers).turned_back(match.twist), match.map_from_base
+        match = submap.registrar.register(sweep.points, sweep.normals, guess, prior, sweep.remaining)
+        others, pose = sweep.only(~match.inliers).without_twist(match.twist), match.map_from_base
         contradictions = submap.grid.contradicts(pose @ others.origins, pose @ others.points)
         return ScoredMatch(match, int(contradictions.sum()))
 

@@ -15,10 +15,10 @@ from mcap.reader import make_reader
 from numpy.testing import assert_allclose, assert_array_equal
 from rosbags.highlevel import AnyReader
 
+from shared import messages as m
 from shared.config import Mount, UserError
 from shared.geometry import Pose2, wrapped
 from shared.messages import LaserScan, Localization, MapUpdate, Odometry, PoseEstimate, Truth
-from shared.messages import Path as Plan
 from shared.recording import Recording
 from shared.ros_map import read_ros_map
 from shared.types import NS_PER_S
@@ -91,7 +91,7 @@ def test_what_is_written_reads_back(to, content, tmp_path_factory):
         after = [message for _, message in back.messages if isinstance(message, type_)]
         assert len(after) == len(before)
         assert max(abs(a.stamp - b.stamp) for a, b in zip(after, before)) <= (0 if exact else 1000)
-    scans = zip(*([m for _, m in c.messages if isinstance(m, LaserScan)] for c in (content, back)))
+    scans = zip(*([scan for _, scan in c.messages if isinstance(scan, LaserScan)] for c in (content, back)))
     for before, after in scans:
         silent = np.isnan(before.ranges)
         largest = np.nanmax(before.ranges, initial=0)
@@ -132,7 +132,7 @@ def drive():
         cells[0, :64] = 100 if k == 3 else 0
         tile = np.array([-1], np.int32)
         messages.append(("map", MapUpdate(stamp, 5, k, 0.05, tile, tile, cells)))
-        messages.append(("plan", Plan(stamp, 1, k, "", np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), 1.0, 1.0)))
+        messages.append(("plan", m.Path(stamp, 1, k, "", np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), 1.0, 1.0)))
         truth = Truth(
             stamp, Pose2(7, 0, 0) @ Pose2(k, 0, 0), Pose2(7, 0, 0), 0, 0, False, 0, 0, *[np.empty(0, np.float32)] * 2
         )

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each type of frame of a page does: docs/page.md has the protocol."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from services.dashboard.field_checks import FrameError
+from services.dashboard.frames import PAGE_KEYS, checked_operation, request_named, request_payload
+from services.dashboard.outgoing import (
+    accepting_reply,
+    ask_order,
+    do_order,
+    frame,
+    note,
+    refusing_reply,
+    want_order,
+)
+from services.dashboard.sessions import PageSession
+from shared import topics
+from shared.messages import Velocity
+from shared.roles import OPERATION_ROLES, REQUEST_ROLES, may
+from shared.service import Log, Out
+
+if TYPE_CHECKING:
+    from services.dashboard.service import DashboardService
+
+DEBUG_KEYS = frozenset((topics.COSTMAP.key, topics.ROLLOUTS.key))
+
+
+def want(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
+    """The topics that a page shows from now on."""
+    wanted = frozenset(fields["keys"])
+    unknown = sorted(wanted - frozenset(PAGE_KEYS))
+    if unknown:
+        yield note(service.now, page.client, "warning", f"{unknown[0]!r} is no topic of a page", "see keys of hello")
+    page.keys, page.debug = wanted & frozenset(PAGE_KEYS), fields.get("debug", False)
+    yield want_order(service.now, page.client, sorted(page.keys | (DEBUG_KEYS if page.debug else frozenset())))
+    yield from service.watch()
+
+
+def teleop(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
+    """A command of a page that drives, or wants to."""
+    yield from teleop_out(service.driving.take(page, fields["v"], fields["w"], fields["n"], service.now))
+
+
+def let_go(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
+    """A page drives no more."""
+    yield from teleop_out(service.driving.let_go(page.client, service.now))
+
+
+def stop(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
+    """STOP. Any page may."""
+    yield topics.ESTOP(service.stop_button.set(True, page.name, service.now))
+    yield Log("INFO", f"STOP is pressed by {page.name}")
+
+
+def release(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
+    """Releases STOP. The robot stands until its next command."""
+    yield topics.ESTOP(service.stop_button.set(False, page.name, service.now))
+    yield Log("INFO", f"STOP is released by {page.name}")
+
+
+def ask(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
+    """A request to a service."""
+    row = request_named(fields["request"])
+    if row is None:
+        raise FrameError(f"{fields['request']!r} is no request of a page")
+    needed = REQUEST_ROLES[row.key]
+    if not may(page.role, needed):
+        yield refusing_reply(service.now, page.client, fields["id"], "role", f"{row.key} needs the role {needed}")
+        return
+    payload = request_payload(row, fields.get("args", {}), service.now)
+    yield ask_order(service.now, page.client, fields["id"], row.key, payload)
+
+
+def do(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
+    """An operation of the tools."""
+    op = fields["op"]
+    arguments = checked_operation(op, fields.get("args", {}))
+    needed = OPERATION_ROLES[op]
+    if not may(page.role, needed):
+        yield refusing_reply(service.now, page.client, fields["id"], "role", f"{op} needs the role {needed}")
+    elif op == "recording_mark":  # the log is recorded, so the mark is there
+        yield Log("INFO", f"mark by {page.name}: {arguments['text']}")
+        yield accepting_reply(service.now, page.client, fields["id"])
+    else:
+        yield do_order(service.now, page.client, fields["id"], op, arguments)
+
+
+def name(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
+    """The name that other users see."""
+    page.name = fields["name"].strip() or f"page {page.client}"
+    yield service.clients()
+
+
+def ping(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
+    """The time of a page's link."""
+    yield frame(service.now, page.client, {"t": "pong", "id": fields["id"], "now": service.now})
+
+
+def teleop_out(velocity: Velocity | None) -> Out:
+    """A command by hand, where there is one."""
+    if velocity is not None:
+        yield topics.TELEOP(velocity)
+
+
+FRAME_HANDLERS: dict[str, Callable[["DashboardService", PageSession, dict[str, Any]], Out]] = {
+    "want": want,
+    "teleop": teleop,
+    "let_go": let_go,
+    "stop": stop,
+    "release": release,
+    "ask": ask,
+    "do": do,
+    "name": name,
+    "ping": ping,
+}
