@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-docker test-wheel mutants check fix lock docs figures record-references warm web wheel clean
+.PHONY: help venv demo test test-docker test-wheel mutants check fix lock docs figures record-references warm web web-check wheel clean
 
 PYTHON ?=
 JOBS ?= 3 # one more than two cores: who tests processes waits half of the time
@@ -81,6 +81,9 @@ web: ## check, test and bundle the page into services/dashboard/static; needs No
 	npm run lint
 	npm test
 	npm run build
+
+web-check: web ## the committed bundle is what its sources make
+	@git diff --exit-code --stat -- services/dashboard/static
 
 lock: ## write requirements*.txt again from pyproject.toml, with the newest versions that it allows
 	@work=$$(mktemp -d); trap 'rm -rf "$$work"' EXIT
