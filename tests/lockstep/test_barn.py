@@ -26,7 +26,7 @@ ROOM = 0.02  # m that must be left to the nearest cylinder
 CHEAP = ("robot.laser.rate=20", "local_ctrl.mppi.rollouts=600")  # of 50 and 1200: half the time
 NOISY = ("sim.laser.sigma=0.02", "sim.laser.dropout=0.01", "sim.drive.size_error=0.05")
 DELAY = 0.05  # s, of the motors' commands
-RUNAWAY = 0.5  # m from the truth
+RUNAWAY = 0.45  # m from the truth, at most, as a mean of runs
 
 
 def trial(world: str, seed: int, folder: Path, settings: tuple[str, ...], delay: float = 0.0) -> BarnTrial:
@@ -51,8 +51,16 @@ def test_the_stack_gets_through_a_cluttered_world(world, tmp_path):
 
 @pytest.mark.skipif(not WORLDS.is_file(), reason="ZENAV_DATA names no folder with barn/barn_worlds.json.gz")
 def test_noise_at_50_hz_does_not_take_the_pose_away_among_thin_cylinders(tmp_path):
-    """Seed 1 of world 242: with motions compared over 0.05 s, odometry's doubt fed on the matches: 0.79 m, now 0.31."""
-    noisy = trial("242", 1, tmp_path, NOISY, DELAY)
+    """World 242: when motions were compared over 0.05 s, odometry's doubt fed on the matches, and seed 1 was 0.79 m off.
+
+    One run is chaotic: a change of the last bits gives another drive. So the mean of three seeds counts, now 0.34 m.
+    """
+    assert np.mean([largest_error(seed, tmp_path) for seed in (1, 2, 3)]) < RUNAWAY
+
+
+def largest_error(seed: int, folder: Path) -> float:
+    """m between the pose and the truth, at most, in a run that succeeds."""
+    noisy = trial("242", seed, folder, NOISY, DELAY)
     file = barn_robot_file(noisy)
     names = [name for name in services_for(Hardware.MESSAGES, file) if name != RECORDER]
     lockstep = Lockstep({name: build_service(name, file, file.robot) for name in names})
@@ -67,4 +75,4 @@ def test_noise_at_50_hz_does_not_take_the_pose_away_among_thin_cylinders(tmp_pat
     away = np.hypot(
         [p.x for p in places] - np.interp(stamps, times, xs), [p.y for p in places] - np.interp(stamps, times, ys)
     )
-    assert away.max() < RUNAWAY
+    return float(away.max())
