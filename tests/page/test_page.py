@@ -14,7 +14,8 @@ from shared.geometry import wrapped
 from shared.messages import GuardState
 from tests.page.browser_page import CHROMIUM, PHONE, SHOWS_CELLS, choose, hold_stick, middle, rail
 
-pytestmark = pytest.mark.skipif(not CHROMIUM, reason="the page's tests need playwright and Chromium")
+if not CHROMIUM:
+    pytest.skip("the page's tests need playwright and Chromium", allow_module_level=True)
 
 MOVED_M = 0.03
 STANDS_MPS = 0.005

@@ -12,7 +12,8 @@ from shared import topics
 from shared.messages import MapMode
 from tests.page.browser_page import CHROMIUM, PHONE, choose, download, rail
 
-pytestmark = pytest.mark.skipif(not CHROMIUM, reason="the page's tests need playwright and Chromium")
+if not CHROMIUM:
+    pytest.skip("the page's tests need playwright and Chromium", allow_module_level=True)
 
 AXE = Path(__file__).parents[2] / "web" / "node_modules" / "axe-core" / "axe.min.js"
 CORNERS = ((1000, 250), (1100, 250), (1100, 330), (1000, 330))  # px, beside what stands above the map
