@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-docker test-wheel mutants check fix lock docs figures record-references warm web web-check wheel clean
+.PHONY: help venv demo test test-docker test-wheel mutants check fix lock docs figures record-references screenshots warm web web-check wheel clean
 
 PYTHON ?=
 JOBS ?= 3 # one more than two cores: who tests processes waits half of the time
@@ -71,6 +71,9 @@ figures: venv ## rerun the published figures, some hours, resumable: make figure
 
 record-references: venv ## run the stack again for the recordings that the replay tests compare with
 	@$(BIN)/python -m tests.replay.record $(ARGS)
+
+screenshots: venv ## pictures of the page for the README, from Chromium: docs/images/page*.png
+	@$(BIN)/python -m tests.page.screenshots
 
 warm: ## compile the kernels again where the code changed
 	@$(BIN)/python -m zenav.stack.warm

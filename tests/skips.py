@@ -23,6 +23,8 @@ NEEDS = (
     Need(("x86-64",), "run them on an x86-64 processor"),
     Need(("another processor",), "run them where the recordings were made, or make record-references"),
     Need(("cannot fork",), "run them on Linux"),
+    Need(("Chromium",), "pip install -r requirements-dev.txt, and install Chromium (apt install chromium)"),
+    Need(("axe-core",), "run npm ci in web/"),
     Need(("systemd-analyze",), "install systemd, which has systemd-analyze"),
 )
 

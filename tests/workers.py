@@ -11,6 +11,7 @@ from xdist.scheduler.loadscope import LoadScopeScheduling
 
 ROOT = Path(__file__).resolve().parents[1]
 STACK = "tests/stack/"
+WITH_STACK = (STACK, "tests/page/test_page")
 
 
 def group_of(test: str) -> str:
@@ -20,7 +21,7 @@ def group_of(test: str) -> str:
     makes once for its tests is made once.
     """
     path = test.partition("::")[0]
-    if path.startswith(STACK):
+    if path.startswith(WITH_STACK):
         return STACK
     return path if _makes_once(path) else test
 

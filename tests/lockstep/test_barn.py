@@ -51,7 +51,7 @@ def test_the_stack_gets_through_a_cluttered_world(world, tmp_path):
 
 @pytest.mark.skipif(not WORLDS.is_file(), reason="ZENAV_DATA names no folder with barn/barn_worlds.json.gz")
 def test_noise_at_50_hz_does_not_take_the_pose_away_among_thin_cylinders(tmp_path):
-    """World 242: when motions were compared over 0.05 s, odometry's doubt fed on the matches, and seed 1 was 0.79 m off.
+    """World 242: with motions compared over 0.05 s, odometry's doubt fed on the matches, and seed 1 was 0.79 m off.
 
     One run is chaotic: a change of the last bits gives another drive. So the mean of three seeds counts, now 0.34 m.
     """

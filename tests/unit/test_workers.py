@@ -8,6 +8,7 @@ from tests.workers import STACK, Groups, group_of
 
 def test_processes_and_sockets_run_one_after_the_other():
     files = [path.as_posix() for path in Path(__file__).parents[1].joinpath("stack").glob("test_*.py")]
+    files += [path.as_posix() for path in Path(__file__).parents[1].joinpath("page").glob("test_page*.py")]
     names = [f"tests/{path.partition('/tests/')[2]}::test_a[b::c]" for path in files]
     assert len(names) > 5
     assert {group_of(name) for name in names} == {STACK}

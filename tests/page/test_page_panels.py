@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page in Chromium: zones, saved maps, the keyboard, and what accessibility tools find."""
+
+import zipfile
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("playwright", reason="the page's tests need playwright and Chromium")
+
+from shared import topics
+from shared.messages import MapMode
+from tests.page.browser_page import CHROMIUM, PHONE, choose, download, rail
+
+if not CHROMIUM:
+    pytest.skip("the page's tests need playwright and Chromium", allow_module_level=True)
+
+AXE = Path(__file__).parents[2] / "web" / "node_modules" / "axe-core" / "axe.min.js"
+CORNERS = ((1000, 250), (1100, 250), (1100, 330), (1000, 330))  # px, beside what stands above the map
+FOCUS = """() => {
+  const style = getComputedStyle(document.activeElement);
+  return [document.activeElement.innerText, style.outlineStyle !== "none" && parseFloat(style.outlineWidth) > 0];
+}"""
+
+
+def zone_names(stack):
+    zones = stack.client.latest(topics.ZONES)
+    return [zone.name for zone in zones.zones] if zones is not None else []
+
+
+def test_a_zone_that_is_drawn_by_clicks_holds_and_is_there_after_a_reload(pages, stack):
+    page = pages.open()
+    choose(page, "Zone")
+    for x, y in CORNERS:
+        page.mouse.click(x, y)
+    page.get_by_role("button", name="Close the zone").click()
+    page.get_by_label("Name of the zone").fill("carpet")
+    page.locator(".draft").get_by_role("button", name="Save").click()
+    pages.until(lambda: "carpet" in zone_names(stack))
+    (zone,) = [zone for zone in stack.client.latest(topics.ZONES).zones if zone.name == "carpet"]
+    width, height = zone.xs.max() - zone.xs.min(), zone.ys.max() - zone.ys.min()
+    assert len(zone.xs) == 4
+    assert width / height == pytest.approx(100 / 80, rel=0.02)
+    page.reload()
+    rail(page, "Places").click()
+    page.locator(".list-row", has_text="carpet").wait_for()
+    page.get_by_role("button", name="Delete carpet").click()
+    pages.until(lambda: "carpet" not in zone_names(stack))
+
+
+def test_a_map_is_saved_loaded_downloaded_uploaded_and_deleted(pages, stack, tmp_path):
+    page = pages.open()
+    rail(page, "Maps").click()
+    page.get_by_label("Save as").fill("attic")
+    page.get_by_role("button", name="Save", exact=True).click()
+    row = page.locator(".list-item", has=page.get_by_text("attic", exact=True))
+    row.locator(".expander").click()
+
+    path = download(page, row.get_by_role("link", name="Download"), tmp_path)
+    with zipfile.ZipFile(path) as archive:
+        assert "attic/map.yaml" in archive.namelist()
+        assert archive.testzip() is None
+
+    copy = path.rename(tmp_path / "cellar.zip")
+    page.locator("input[type=file]").set_input_files(copy)
+    page.get_by_role("button", name="Upload").click()
+    page.locator(".list-name", has_text="cellar").wait_for()
+
+    row.get_by_role("button", name="Load", exact=True).click()
+    pages.until(lambda: stack.client.latest(topics.POSE).mode is MapMode.LOCALISE)
+    page.locator(".notice", has_text="Map loaded").wait_for()
+
+    row.get_by_role("button", name="Delete").click()
+    row.get_by_role("button", name="Really delete?").click()
+    row.wait_for(state="detached")
+    assert page.locator(".list-name").all_inner_texts() == ["cellar"]
+
+
+def test_tab_reaches_stop_and_every_button_of_the_rail_with_a_visible_focus(pages):
+    page = pages.open()
+    wanted = {text.strip() for text in page.locator(".rail-item:visible").all_inner_texts()}
+    assert len(wanted) >= 9
+    focused = {}
+    for _ in range(60):
+        page.keyboard.press("Tab")
+        text, is_visible = page.evaluate(FOCUS)
+        focused[text.strip().split("\n")[0]] = is_visible
+        if wanted | {"STOP"} <= focused.keys():
+            break
+    assert {name: focused.get(name) for name in wanted | {"STOP"}} == dict.fromkeys(wanted | {"STOP"}, True)
+
+
+@pytest.mark.skipif(not AXE.exists(), reason="axe-core is not in web/node_modules")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_serious(pages, scheme):
+    for viewport, panels in ((None, ("Task", "Places", "Maps", "Services", "Settings")), (PHONE, ("Task", "Places"))):
+        page = pages.open(viewport, color_scheme=scheme)
+        page.evaluate(AXE.read_text())
+        for panel in panels:
+            rail(page, panel).click()
+            page.locator(".panel").wait_for()
+            found = page.evaluate("() => axe.run()")
+            assert len(found["passes"]) > 10, "axe saw the page"
+            serious = [row for row in found["violations"] if row["impact"] in ("serious", "critical")]
+            assert [(row["id"], [node["html"][:120] for node in row["nodes"]]) for row in serious] == [], panel
+
+
+def test_an_error_in_the_console_and_a_violation_of_the_policy_are_noticed(pages):
+    page = pages.open()
+    page.evaluate("console.error('made up')")
+    page.evaluate("""() => {
+      const script = document.createElement("script");
+      script.textContent = "document.title = 'inline'";
+      document.body.append(script);
+    }""")
+    page.evaluate("() => { setTimeout(() => { throw new Error('thrown'); }) }")
+    pages.until(lambda: page.title() and len(pages.problems) >= 4)
+    assert page.title() != "inline"
+    for words in ("made up", "CSP violation: script-src", "thrown"):
+        assert any(words in problem for problem in pages.problems), words
+    pages.problems.clear()
