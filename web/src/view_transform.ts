@@ -74,12 +74,13 @@ export function pinch(view: View, size: Size, before: readonly [Point, Point], a
   return pinned({ ...view, scale, rotation: view.rotation + angle }, size, held, middle(after));
 }
 
-/** The view that shows the rectangle `low` .. `high` (m), with `margin` px around it, not turned. */
-export function fit(size: Size, low: Point, high: Point, margin: number): View {
+/** The view that shows the rectangle `low` .. `high` (m), with a `margin` (px) on each side, not turned. */
+export function fit(size: Size, low: Point, high: Point, margin: Size): View {
   const width = Math.max(1, high[0] - low[0]);
   const height = Math.max(1, high[1] - low[1]);
-  const free = { width: Math.max(80, size.width - 2 * margin), height: Math.max(80, size.height - 2 * margin) };
-  const scale = Math.min(MAX_SCALE, Math.max(MIN_SCALE, Math.min(free.width / width, free.height / height)));
+  const across = Math.max(80, size.width - 2 * margin.width) / width;
+  const up = Math.max(80, size.height - 2 * margin.height) / height;
+  const scale = Math.min(MAX_SCALE, Math.max(MIN_SCALE, Math.min(across, up)));
   return { x: (low[0] + high[0]) / 2, y: (low[1] + high[1]) / 2, scale, rotation: 0 };
 }
 

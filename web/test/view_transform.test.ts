@@ -61,7 +61,7 @@ test("two fingers keep their map points", () => {
 });
 
 test("a fitted view shows both corners", () => {
-  const view = fit(SIZE, [-3, 2], [27, 22], 50);
+  const view = fit(SIZE, [-3, 2], [27, 22], { width: 50, height: 50 });
   for (const corner of [[-3, 2], [27, 22]] as Point[]) {
     const [x, y] = toScreen(view, SIZE, corner);
     assert.ok(x >= 49 && x <= 751 && y >= 49 && y <= 551);

@@ -20,7 +20,7 @@ import { closedPolygon, draftCorners, draftPose, editedZone, newPlace, places, r
 
 const MIN_FRAME_MS = 30; // at most 33 frames a second
 const START_SCALE = 45; // px/m, before a map is there
-const FIT_MARGIN_PX = 100; // room for the status above and the tools below
+const FIT_MARGIN: Size = { width: 100, height: 140 }; // px: room for the status above and the tools below
 
 export const view = signal<View>({ x: 0, y: 0, scale: START_SCALE, rotation: 0 });
 export const store = new TileStore();
@@ -82,7 +82,9 @@ export class MapView {
   fit(): boolean {
     const bounds = store.bounds();
     if (bounds === null) return false;
-    view.value = fit(this.size, bounds[0], bounds[1], Math.min(FIT_MARGIN_PX, this.size.width / 20));
+    const { width, height } = this.size;
+    const margin = { width: Math.min(FIT_MARGIN.width, width / 20), height: Math.min(FIT_MARGIN.height, height / 5) };
+    view.value = fit(this.size, bounds[0], bounds[1], margin);
     return true;
   }
 
