@@ -193,7 +193,7 @@ class DashboardService(Service):
         self.shown_drivers = shown
 
     def clients(self) -> Publication:
-        """Shows all pages who is there."""
+        """Shows all pages the list of pages."""
         return frame(self.now, None, {"t": "clients", "clients": self.pages.listed()})
 
 
