@@ -3,6 +3,7 @@
 
 import ast
 import re
+import tomllib
 from functools import cache
 from pathlib import Path
 
@@ -94,6 +95,17 @@ def test_the_table_of_services_lists_each_file():
     for name, _, files in table:
         if name != "`mapper`":
             assert listed(files) == in_folder(ROOT / "services" / name.strip("`")), name
+
+
+def test_the_table_of_the_tools_has_the_packages_in_the_order_of_the_contract():
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
+    layers = next(contract["layers"] for contract in contracts if contract.get("containers") == ["zenav"])
+    packages = {path.parent.name for path in ROOT.glob("zenav/*/__init__.py")}
+    expected = [{name for name in layer.split(" | ") if name in packages} for layer in layers]
+    table = rows(section(ARCHITECTURE, "The tools"))
+    assert [set(names.replace("`", "").split()) for names, _ in table] == [names for names in expected if names]
 
 
 def test_the_table_of_the_mapper_lists_each_file():
