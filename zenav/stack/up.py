@@ -70,12 +70,7 @@ def up(
     on_map: what the mapper begins with; a new map without it.  page: whether the page's server runs, and `browser`:
     whether a browser shows it in a desktop session.
     """
-    hardware = hardware or (Hardware.MESSAGES if world else Hardware.REAL)
-    if (hardware is Hardware.REAL) == bool(world):
-        hint = "leave out --world" if world else "name one: --world office"
-        raise UserError(f"{hardware} hardware is {'not ' if world else ''}in a simulated world", hint)
-    if speed != 1.0 and not world:
-        raise UserError("--speed needs the simulator's time", "name a world: --world office")
+    hardware = _checked_hardware(hardware, world, speed)
     settings = [*settings, *([f"sim.world={world}"] if world else [])]
     file = configured(robot, settings)
     read_sections(file)
@@ -146,3 +141,14 @@ def _print_line(name: str, line: str) -> None:
     prefix = f"{name:<12}"
     sys.stderr.write(f"\033[{colour}m{prefix}\033[0m {line}\n" if sys.stderr.isatty() else f"{prefix} {line}\n")
     sys.stderr.flush()
+
+
+def _checked_hardware(hardware: Hardware | None, world: str, speed: float) -> Hardware:
+    """The hardware that fits the other arguments. Raises UserError where none does."""
+    chosen = hardware or (Hardware.MESSAGES if world else Hardware.REAL)
+    if (chosen is Hardware.REAL) == bool(world):
+        hint = "leave out --world" if world else "name one: --world office"
+        raise UserError(f"{chosen} hardware is {'not ' if world else ''}in a simulated world", hint)
+    if speed != 1.0 and not world:
+        raise UserError("--speed needs the simulator's time", "name a world: --world office")
+    return chosen
