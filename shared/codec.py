@@ -90,13 +90,13 @@ def fields_of(type_: type[Any]) -> tuple[Field, ...]:
         default = field.default if field.default_factory is MISSING else field.default_factory()
         declared.append(
             Field(
-                field.name,
-                kind,
-                unit.name if unit else "",
-                mark(Within),
-                mark(Shape),
-                mark(NonZero) is not None,
-                default,
+                name=field.name,
+                kind=kind,
+                unit=unit.name if unit else "",
+                within=mark(Within),
+                shape=mark(Shape),
+                nonzero=mark(NonZero) is not None,
+                default=default,
             )
         )
     return tuple(declared)

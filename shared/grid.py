@@ -99,13 +99,13 @@ class OccupancyGrid:
         rows, columns = np.nonzero(blocks)
         tiles = self.cells.reshape(h, TILE_CELLS, w, TILE_CELLS).swapaxes(1, 2)[rows, columns]
         return MapUpdate(
-            stamp,
-            self.map_id,
-            self.version,
-            self.resolution,
-            (rows + self.first_row).astype(np.int32),
-            (columns + self.first_column).astype(np.int32),
-            np.ascontiguousarray(tiles.reshape(len(rows), TILE_CELLS * TILE_CELLS)),
+            stamp=stamp,
+            map_id=self.map_id,
+            version=self.version,
+            resolution=self.resolution,
+            rows=(rows + self.first_row).astype(np.int32),
+            columns=(columns + self.first_column).astype(np.int32),
+            cells=np.ascontiguousarray(tiles.reshape(len(rows), TILE_CELLS * TILE_CELLS)),
         )
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
@@ -155,6 +155,6 @@ def update_of_cells(cells: Int8s, resolution: float, x0: float, y0: float, stamp
     rows, columns = np.divmod(np.arange(h * w, dtype=np.int32), np.int32(w))
     seen = (tiles >= 0).any(axis=1)
     return MapUpdate(
-        stamp, 0, 1, resolution, (rows + first_row)[seen].astype(np.int32),
-        (columns + first_column)[seen].astype(np.int32), np.ascontiguousarray(tiles[seen]),
+        stamp=stamp, map_id=0, version=1, resolution=resolution, rows=(rows + first_row)[seen].astype(np.int32),
+        columns=(columns + first_column)[seen].astype(np.int32), cells=np.ascontiguousarray(tiles[seen]),
     )  # fmt: skip

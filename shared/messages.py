@@ -284,13 +284,13 @@ class MapUpdate(Message):
         tiles |= {(int(r), int(c)): cells for r, c, cells in zip(later.rows[fit], later.columns[fit], later.cells[fit])}
         places = sorted(tiles)
         return MapUpdate(
-            later.stamp,
-            later.map_id,
-            later.version,
-            later.resolution,
-            np.array([r for r, _ in places], np.int32),
-            np.array([c for _, c in places], np.int32),
-            np.array([tiles[p] for p in places], np.int8).reshape(len(places), TILE_CELLS * TILE_CELLS),
+            stamp=later.stamp,
+            map_id=later.map_id,
+            version=later.version,
+            resolution=later.resolution,
+            rows=np.array([r for r, _ in places], np.int32),
+            columns=np.array([c for _, c in places], np.int32),
+            cells=np.array([tiles[p] for p in places], np.int8).reshape(len(places), TILE_CELLS * TILE_CELLS),
         )
 
 

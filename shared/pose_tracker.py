@@ -41,12 +41,12 @@ class PoseTracker:
         stays = self.map_from_base
         if last is not None and self._estimate is not None and stays is not None and _has_restarted(last, odometry):
             self._estimate = PoseEstimate(
-                self._estimate.stamp,
-                stays,
-                stays @ odometry.odom_from_base.inverse(),
-                self._estimate.covariance,
-                self._estimate.quality,
-                self._estimate.state,
+                stamp=self._estimate.stamp,
+                map_from_base=stays,
+                map_from_odom=stays @ odometry.odom_from_base.inverse(),
+                covariance=self._estimate.covariance,
+                quality=self._estimate.quality,
+                state=self._estimate.state,
             )
         self._odometry = odometry
 

@@ -52,7 +52,15 @@ class ZoneConfig(Section):
         kind = ZoneKind.KEEP_OUT if self.speed is None and self.percent is None else ZoneKind.SLOW
         xs, ys = np.array(self.corners, float).T.copy()
         speed = 20.0 if self.speed is None else self.speed
-        return Zone(0, name, kind, xs, ys, speed, 1.0 if self.percent is None else self.percent / 100)
+        return Zone(
+            stamp=0,
+            name=name,
+            kind=kind,
+            xs=xs,
+            ys=ys,
+            speed=speed,
+            share=1.0 if self.percent is None else self.percent / 100,
+        )
 
 
 class NamedZoneConfig(ZoneConfig):

@@ -66,7 +66,12 @@ class Encoders:
     def _state(self, epoch: int, report: BoardReport) -> WheelState:
         left_speed, right_speed = wheel_angles(report.left_speed, report.right_speed, self.drive)
         return WheelState(
-            report.stamp, epoch, self.left, self.right, _clamp_speed(left_speed), _clamp_speed(right_speed)
+            stamp=report.stamp,
+            epoch=epoch,
+            left=self.left,
+            right=self.right,
+            left_speed=_clamp_speed(left_speed),
+            right_speed=_clamp_speed(right_speed),
         )
 
 

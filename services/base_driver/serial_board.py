@@ -164,15 +164,15 @@ class SerialBoard:
         ultrasonic = np.where(centimetres < NO_ECHO_CM, centimetres / 100, np.nan).astype(np.float32)
         infrared = (standard.infrared if standard else nan, *(custom.infrared if custom else (nan,) * 6))
         return BoardReport(
-            max(stamp - round(self.config.latency * 1e9), 0),
-            motors.counts[LEFT],
-            motors.counts[RIGHT],
-            float(motors.speeds[LEFT]),
-            float(motors.speeds[RIGHT]),
-            ultrasonic[: self.n_ultrasonic],
-            np.array(infrared[: self.n_infrared], np.float32),
-            standard.motor_supply if standard else nan,
-            np.array(motors.currents[:2], np.float32),
+            stamp=max(stamp - round(self.config.latency * 1e9), 0),
+            left_counts=motors.counts[LEFT],
+            right_counts=motors.counts[RIGHT],
+            left_speed=float(motors.speeds[LEFT]),
+            right_speed=float(motors.speeds[RIGHT]),
+            ultrasonic=ultrasonic[: self.n_ultrasonic],
+            infrared=np.array(infrared[: self.n_infrared], np.float32),
+            battery=standard.motor_supply if standard else nan,
+            currents=np.array(motors.currents[:2], np.float32),
         )
 
     def _record_time(self, what: str, now: int) -> None:

@@ -205,4 +205,14 @@ class Scip:
         middle = self.first + np.arange(self.n) * self.cluster + (self.cluster - 1) / 2
         angles = ((middle - self.front) * self.step).astype(np.float64)
         times = (self.time + TICK / 2 + (angles + pi) / (2 * pi) * self.period).astype(np.float64)
-        return [Returns(angles, ranges, intensities, times, times[-1:] - TICK / 2, np.array([age * 1e-9]), restarted)]
+        return [
+            Returns(
+                angles=angles,
+                ranges=ranges,
+                intensities=intensities,
+                times=times,
+                sent=times[-1:] - TICK / 2,
+                ages=np.array([age * 1e-9]),
+                restarted=restarted,
+            )
+        ]

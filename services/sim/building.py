@@ -163,9 +163,9 @@ def _shared_walls(rooms: list[Room]) -> list[SharedWall]:
         x0, x1 = max(a.at[0], b.at[0]), min(a.at[2], b.at[2])
         y0, y1 = max(a.at[1], b.at[1]), min(a.at[3], b.at[3])
         if abs(y1 - y0) < 1e-6 and x1 - x0 > 1e-6:
-            shared.append(SharedWall(i, j, x0, y0, True, x1 - x0))
+            shared.append(SharedWall(a=i, b=j, x=x0, y=y0, along_x=True, length=x1 - x0))
         elif abs(x1 - x0) < 1e-6 and y1 - y0 > 1e-6:
-            shared.append(SharedWall(i, j, x0, y0, False, y1 - y0))
+            shared.append(SharedWall(a=i, b=j, x=x0, y=y0, along_x=False, length=y1 - y0))
     return shared
 
 

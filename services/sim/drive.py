@@ -67,14 +67,14 @@ def true_wheels(drive: Drive, truth: DriveTruth, dt: float) -> Wheels:
     """The wheels as they are; `dt` is the step of the physics, s."""
     radius = drive.wheel_radius * (1 + truth.size_error)
     return Wheels(
-        radius * (1 - truth.radius_error / 2),
-        radius * (1 + truth.radius_error / 2),
-        drive.wheel_distance * (1 + truth.distance_error),
-        truth.turn_slip,
-        truth.motor_lag,
-        truth.wheel_acceleration / drive.wheel_radius,
-        truth.slip,
-        exp(-dt / truth.slip_time),
+        left_radius=radius * (1 - truth.radius_error / 2),
+        right_radius=radius * (1 + truth.radius_error / 2),
+        distance=drive.wheel_distance * (1 + truth.distance_error),
+        turn_slip=truth.turn_slip,
+        lag=truth.motor_lag,
+        limit=truth.wheel_acceleration / drive.wheel_radius,
+        slip=truth.slip,
+        slip_memory=exp(-dt / truth.slip_time),
     )
 
 

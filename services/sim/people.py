@@ -60,13 +60,13 @@ def initial_people(walks: tuple[Pedestrian, ...], reacts: bool, seed: int, robot
     rng = np.random.default_rng([seed, 2])
     p, k = len(walks), max((len(w.route) for w in walks), default=1)
     people = People(
-        np.zeros((p, 10)),
-        np.zeros((p, k, 2)),
-        np.array([len(w.route) for w in walks], np.int64),
-        np.array([w.speed * rng.uniform(0.9, 1.1) for w in walks], float),
-        np.array([w.pause * rng.uniform(0.5, 1.5, N_PAUSES) for w in walks], float).reshape(p, N_PAUSES),
-        np.zeros(p, np.int64),
-        reacts,
+        state=np.zeros((p, 10)),
+        routes=np.zeros((p, k, 2)),
+        lengths=np.array([len(w.route) for w in walks], np.int64),
+        speeds=np.array([w.speed * rng.uniform(0.9, 1.1) for w in walks], float),
+        pauses=np.array([w.pause * rng.uniform(0.5, 1.5, N_PAUSES) for w in walks], float).reshape(p, N_PAUSES),
+        n_pauses=np.zeros(p, np.int64),
+        reacts=reacts,
     )
     for i, step_people in enumerate(walks):
         n = len(step_people.route)

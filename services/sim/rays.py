@@ -62,7 +62,16 @@ def index_grid(segments: Float64s, circles: Float64s, solid: Bools, x0: float, y
     else:
         skip = np.full((h, w), min(max(h, w), 32000), np.int16)
     skip[solid] = SOLID
-    return Cells(skip, first, items, segments, circles, float(x0), float(y0), float(size))
+    return Cells(
+        skip=skip,
+        first=first,
+        items=items,
+        segments=segments,
+        circles=circles,
+        x0=float(x0),
+        y0=float(y0),
+        size=float(size),
+    )
 
 
 def extent(segments: Float64s, circles: Float64s) -> tuple[float, float, float, float]:

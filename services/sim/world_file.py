@@ -130,14 +130,14 @@ def build_world(name: str, file: RobotFile, raster: Raster | None, seed: int, ji
         i = next(i for i, n in enumerate(names) if n in names[:i])
         raise UserError(f"{file.place(('goals', i))}: a second goal {names[i]!r}", "give each goal its own name")
     whole = World(
-        name,
-        world.bounds or _bounds(polygons, circles, raster, world.start),
-        world.start.pose if world.start else Pose2(),
-        polygons,
-        circles,
-        raster,
-        tuple(_walk(p) for p in world.people),
-        goals,
+        name=name,
+        bounds=world.bounds or _bounds(polygons, circles, raster, world.start),
+        start=world.start.pose if world.start else Pose2(),
+        polygons=polygons,
+        circles=circles,
+        raster=raster,
+        people=tuple(_walk(p) for p in world.people),
+        goals=goals,
     )
     _check_routes(whole, world, file)
     return whole

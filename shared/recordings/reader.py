@@ -242,7 +242,14 @@ class Recording:
                 channel = mc.Channel.read(stream)
                 of = self._schemas.get(channel.schema_id) or mc.Schema(0, b"", "", "")
                 metadata = tuple(sorted(channel.metadata.items()))
-                recorded = Channel(channel.topic, channel.message_encoding, of.name, of.encoding, of.data, metadata)
+                recorded = Channel(
+                    key=channel.topic,
+                    encoding=channel.message_encoding,
+                    schema_name=of.name,
+                    schema_encoding=of.encoding,
+                    schema=of.data,
+                    metadata=metadata,
+                )
                 self._sources[channel.id] = _as_today(recorded)
         except DAMAGE as error:
             self._problems[place] = f"a record at byte {place} is damaged: {error}"
@@ -330,7 +337,16 @@ def drops_from(record: dict[str, str]) -> list[Drop]:
         key, _, session = name.partition(" ")
         first, _, n = value.partition(" ")
         if session and first.isdigit() and n.isdigit() and record.get("at", "").isdigit():
-            drops.append(Drop(int(record["at"]), record.get("why", ""), key, session, int(first), int(n)))
+            drops.append(
+                Drop(
+                    at=int(record["at"]),
+                    why=record.get("why", ""),
+                    key=key,
+                    session=session,
+                    first=int(first),
+                    n=int(n),
+                )
+            )
     return drops
 
 

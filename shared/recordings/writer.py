@@ -74,7 +74,16 @@ class Writer:
         number = self._own.get((key, type_, latched))
         if number is None:
             metadata = (LATCHED,) if latched else ()
-            number = self._declared(Channel(key, "msgpack", schema_id(type_), ENCODING, schema(type_), metadata))
+            number = self._declared(
+                Channel(
+                    key=key,
+                    encoding="msgpack",
+                    schema_name=schema_id(type_),
+                    schema_encoding=ENCODING,
+                    schema=schema(type_),
+                    metadata=metadata,
+                )
+            )
             self._own[(key, type_, latched)] = number
         self._add(number, payload, log_time, sent, sequence)
 

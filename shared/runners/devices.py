@@ -77,6 +77,17 @@ def device_opener(
         make = devices.get(config.kind)
         if make is None:
             return Port(port, config, clock, publish)
-        return make(DeviceContext(port, config, section, robot, where, arguments, clock, publish))
+        return make(
+            DeviceContext(
+                port=port,
+                config=config,
+                section=section,
+                robot=robot,
+                where=where,
+                arguments=arguments,
+                clock=clock,
+                publish=publish,
+            )
+        )
 
     return open_device

@@ -60,6 +60,18 @@ class LinkStats:
         self.slowest, self.counts, self.ages = 0.0, {}, {}
         rejected = rejections.counts
         return Health(
-            now, name, os.getpid(), state, n_events, self.bad, dropped, self.intruders, self.last_error, share, memory,
-            slowest_ms, rates, tuple((key, str(kind), n) for (key, kind), n in sorted(rejected.items())),
-        )  # fmt: skip
+            stamp=now,
+            name=name,
+            pid=os.getpid(),
+            state=state,
+            events=n_events,
+            bad_messages=self.bad,
+            dropped=dropped,
+            intruders=self.intruders,
+            last_error=self.last_error,
+            cpu=share,
+            memory=memory,
+            handler_ms=slowest_ms,
+            rates=rates,
+            rejected=tuple((key, str(kind), n) for (key, kind), n in sorted(rejected.items())),
+        )

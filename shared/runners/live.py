@@ -77,7 +77,16 @@ def _serve(
         disk = LatchedDisk(Path(options.memory), name) if options.memory else None
         box = None if hasattr(service, "raw") else BlackBox(Path(options.crashes), name, robot.name, file.text)
         open_device = device_opener(devices, config, robot.name, where, options)
-        runner = LiveRunner(service, name, robot.name, session, clock, disk, box, open_device)
+        runner = LiveRunner(
+            service=service,
+            name=name,
+            robot=robot.name,
+            session=session,
+            clock=clock,
+            disk=disk,
+            box=box,
+            open_device=open_device,
+        )
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: runner.stop())
         log.info("started")

@@ -331,4 +331,4 @@ class LiveRunner:
     def _boxed(self, key: str, payload: bytes, envelope: Envelope, now: int, kept: bool = False) -> None:
         topic = topics.topic_of(key)
         if self._box is not None and topic is not None:
-            self._box.take(Taken(key, topic.type, payload, envelope, now, kept))
+            self._box.take(Taken(key=key, type=topic.type, payload=payload, envelope=envelope, now=now, latched=kept))

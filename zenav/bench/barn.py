@@ -84,7 +84,12 @@ def barn(
     changed = (*(NOISE if noise else ()), *settings)
     barn_robot_file(BarnTrial(course_at(path, names[0]), 0, robot, changed))  # a wrong setting is an error here
     options = BarnOptions(
-        path, robot, changed, NOISE_DELAY if noise else 0.0, trajectories, new_run_folder("bench-barn")
+        path=path,
+        robot=robot,
+        settings=changed,
+        delay=NOISE_DELAY if noise else 0.0,
+        trajectories=trajectories,
+        failures=new_run_folder("bench-barn"),
     )
     items = [(name, seed) for seed in range(runs) for name in names]
     results: list[dict[str, Any]] = []

@@ -69,15 +69,15 @@ def course_of(path: Path, file: BarnFile, world: str) -> BarnCourse:
     """A world of the file that was read from `path`."""
     places = np.array(file.worlds[world].cylinders, float).reshape(-1, 2)
     return BarnCourse(
-        world,
-        f"barn:{world}",
-        str(path),
-        np.column_stack((places, np.full(len(places), file.cylinder_radius_m))),
-        Pose2(*file.start),
-        file.goal,
-        file.goal_radius_m,
-        file.time_limit_s,
-        file.worlds[world].optimal_length_m,
+        world=world,
+        place=f"barn:{world}",
+        file=str(path),
+        cylinders=np.column_stack((places, np.full(len(places), file.cylinder_radius_m))),
+        start=Pose2(*file.start),
+        goal=file.goal,
+        goal_radius=file.goal_radius_m,
+        time_limit=file.time_limit_s,
+        optimal_length=file.worlds[world].optimal_length_m,
     )
 
 
@@ -87,9 +87,17 @@ def crowd_course(number: str) -> BarnCourse:
     goal = world.goals["goal"]
     length = world.start.distance(goal)
     return BarnCourse(
-        number, f"crowd:{number}", "", world.circles, world.start, (goal.x, goal.y), GOAL_RADIUS, TIME_LIMIT, length,
-        RADIUS,
-    )  # fmt: skip
+        world=number,
+        place=f"crowd:{number}",
+        file="",
+        cylinders=world.circles,
+        start=world.start,
+        goal=(goal.x, goal.y),
+        goal_radius=GOAL_RADIUS,
+        time_limit=TIME_LIMIT,
+        optimal_length=length,
+        walkers=RADIUS,
+    )
 
 
 def barn_robot_file(trial: BarnTrial) -> RobotFile:
@@ -168,9 +176,18 @@ class Referee:
         # the touch stops the robot: how it drove is to be seen a moment earlier
         stood = status == "collision" and bool((np.abs(rows[-BEFORE:, 4:]) < STANDS).all())
         return BarnResult(
-            course, self.robot, status, round(time, 3), 0.0 if status == "collision" else clearance, rows, self._plan(),
-            nav.n_recoveries if nav else 0, self._why(), stood, walkers[-1],
-        )  # fmt: skip
+            course=course,
+            robot=self.robot,
+            status=status,
+            time=round(time, 3),
+            clearance=0.0 if status == "collision" else clearance,
+            rows=rows,
+            plan=self._plan(),
+            n_recoveries=nav.n_recoveries if nav else 0,
+            why=self._why(),
+            stood=stood,
+            walkers=walkers[-1],
+        )
 
     @property
     def truth(self) -> Truth:

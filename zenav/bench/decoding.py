@@ -96,7 +96,15 @@ def _laser(model: str, n_bytes: int) -> tuple[Decoder, bytes]:
     rng, stream = np.random.default_rng(0), bytearray()
     while len(stream) < n_bytes:
         ranges = rng.uniform(0.1, 11.9, n).astype(np.float32)
-        sweep = LaserScan(now, laser.angle_min, laser.angle_increment, laser.scan_time, 0.05, 12.0, ranges)
+        sweep = LaserScan(
+            stamp=now,
+            angle_min=laser.angle_min,
+            angle_increment=laser.angle_increment,
+            scan_time=laser.scan_time,
+            range_min=0.05,
+            range_max=12.0,
+            ranges=ranges,
+        )
         stream += b"".join(data for _, data in emulated.sweep_chunks(sweep, now))
         now += round(1e9 / rate)
         if not stream:

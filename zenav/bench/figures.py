@@ -125,9 +125,17 @@ class Bench:
                 f"the code changed while {row.name} ran", "measure in a checkout of its own; finished parts are kept"
             )
         done = PartialRun(
-            arguments, self.state.code, self.state.dirty, report, status == 0, began, _utc(),
-            round(time.monotonic() - begun, 1), (round(busy, 2), round(os.getloadavg()[0], 2)), machine(),
-        )  # fmt: skip
+            arguments=arguments,
+            code=self.state.code,
+            dirty=self.state.dirty,
+            report=report,
+            kept=status == 0,
+            began=began,
+            ended=_utc(),
+            seconds=round(time.monotonic() - begun, 1),
+            load=(round(busy, 2), round(os.getloadavg()[0], 2)),
+            machine=machine(),
+        )
         replace_file(path, (json.dumps(asdict(done)) + "\n").encode())
         out.unlink()
         return done

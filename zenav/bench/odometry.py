@@ -93,7 +93,10 @@ def by_angles(wheels: list[list[float]], robot: Robot, integration: str) -> list
     service = OdometryService(DeadReckoningConfig.model_validate({"integration": integration}), robot)
     times, left, right = np.array(wheels).T
     rolled = zip(times, -unwrapped_angles(left), unwrapped_angles(right))
-    states = [WheelState(round(t * 1e9), 1, float(a), float(b), 0.0, 0.0) for t, a, b in rolled]
+    states = [
+        WheelState(stamp=round(t * 1e9), epoch=1, left=float(a), right=float(b), left_speed=0.0, right_speed=0.0)
+        for t, a, b in rolled
+    ]
     return [pose for state in states for pose in poses_in(service.wheels(state))]
 
 
@@ -106,7 +109,17 @@ def by_counts(wheels: list[list[float]], robot: Robot, integration: str) -> list
     for t, left, right in wheels:
         driver.now = service.now = round(t * 1e9)
         counts = [round(angle * COUNTS / (2 * pi)) % WRAP for angle in (left, right)]
-        report = BoardReport(driver.now, counts[0], counts[1], 0.0, 0.0, nothing, nothing, 7.2, currents)
+        report = BoardReport(
+            stamp=driver.now,
+            left_counts=counts[0],
+            right_counts=counts[1],
+            left_speed=0.0,
+            right_speed=0.0,
+            ultrasonic=nothing,
+            infrared=nothing,
+            battery=7.2,
+            currents=currents,
+        )
         for publication in driver.board(report):
             if isinstance(publication, Publication) and isinstance(publication.message, WheelState):
                 poses += poses_in(service.wheels(publication.message))

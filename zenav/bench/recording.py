@@ -130,7 +130,15 @@ def scan_rows(n: int = N_SCANS) -> list[ScanRow]:
     for i in range(n):
         at = round(i * NS_PER_S / RATE)
         ranges = (room + rng.normal(0, 0.01, N_BEAMS)).round(3).astype(np.float32)
-        scan = LaserScan(at, -np.pi, 2 * np.pi / N_BEAMS, 1 / RATE, 0.05, 12.0, ranges)
+        scan = LaserScan(
+            stamp=at,
+            angle_min=-np.pi,
+            angle_increment=2 * np.pi / N_BEAMS,
+            scan_time=1 / RATE,
+            range_min=0.05,
+            range_max=12.0,
+            ranges=ranges,
+        )
         rows.append((encode(scan, Envelope("sim", "bench", i, at)), at))
     return rows
 

@@ -134,10 +134,16 @@ class FarEnd:
             self._at = now
             counts = [int(count) % self._wrap for count in self._turned]
             truth = BoardReport(
-                now, counts[0], counts[1], float(left), float(right),
-                np.full(self._n_ultrasonic, 2.0, np.float32), np.full(self._n_infrared, 0.3, np.float32),
-                8.0, np.full(2, 0.5, np.float32),
-            )  # fmt: skip
+                stamp=now,
+                left_counts=counts[0],
+                right_counts=counts[1],
+                left_speed=float(left),
+                right_speed=float(right),
+                ultrasonic=np.full(self._n_ultrasonic, 2.0, np.float32),
+                infrared=np.full(self._n_infrared, 0.3, np.float32),
+                battery=8.0,
+                currents=np.full(2, 0.5, np.float32),
+            )
             packets = self._board.report_bytes(truth, now)
         begun = time.time_ns()
         self._line.write(packets)

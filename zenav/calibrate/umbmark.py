@@ -127,7 +127,9 @@ def umbmark(true: Float64s, rolled: WheelTravel, runs: Sequence[SquareRun], whee
     for _ in range(ROUNDS):
         left = errors(true, rolled, runs, better)
         better = corrected(better, *angles(left[clockwise], left[~clockwise], side), side)
-    return UmbmarkResult(better, side, off[clockwise], off[~clockwise], alpha, beta)
+    return UmbmarkResult(
+        wheels=better, side=side, clockwise=off[clockwise], counterclockwise=off[~clockwise], alpha=alpha, beta=beta
+    )
 
 
 def angles(clockwise: Float64s, counterclockwise: Float64s, side: float) -> tuple[float, float]:

@@ -147,6 +147,25 @@ def replay(
     from zenav.replay.player_clock import PlaybackOptions
     from zenav.replay.report import ReplayOptions, replay
 
-    wish = PlaybackOptions(topics, tuple(remap or ()), rate, start, end, loop, paused, now, commands)
-    rerun = ReplayOptions(through, out, tuple(set_ or ()), compare, tuple(tolerance or ()), against, picture, pdb)
+    wish = PlaybackOptions(
+        keys=topics,
+        remap=tuple(remap or ()),
+        rate=rate,
+        start=start,
+        end=end,
+        loop=loop,
+        paused=paused,
+        now=now,
+        commands=commands,
+    )
+    rerun = ReplayOptions(
+        through=through,
+        out=out,
+        settings=tuple(set_ or ()),
+        compare=compare,
+        tolerances=tuple(tolerance or ()),
+        against=against,
+        picture=picture,
+        pdb=pdb,
+    )
     raise typer.Exit(replay(recording, robot, stack, wish, rerun))

@@ -65,7 +65,13 @@ def _flaser(cells: list[str]) -> LoggedScan:
     if n not in (180, 181, 360, 361):
         increment = pi / (n - 1)
     return LoggedScan(
-        _stamp(cells[7 + n]), Pose2(base_x, base_y, base_yaw), Pose2(x, y, yaw), -pi / 2, increment, 0.0, ranges
+        stamp=_stamp(cells[7 + n]),
+        odom_from_base=Pose2(base_x, base_y, base_yaw),
+        odom_from_laser=Pose2(x, y, yaw),
+        angle_min=-pi / 2,
+        angle_increment=increment,
+        range_max=0.0,
+        ranges=ranges,
     )
 
 
@@ -78,7 +84,13 @@ def _robotlaser(cells: list[str]) -> LoggedScan:
     if increment == 0 or abs(increment) * (n - 1) > 2 * pi + 1e-3 or not 0 < range_max <= 250:
         raise ValueError("a scan of no angles")
     return LoggedScan(
-        _stamp(rest[11]), Pose2(base_x, base_y, base_yaw), Pose2(x, y, yaw), start, increment, range_max, ranges
+        stamp=_stamp(rest[11]),
+        odom_from_base=Pose2(base_x, base_y, base_yaw),
+        odom_from_laser=Pose2(x, y, yaw),
+        angle_min=start,
+        angle_increment=increment,
+        range_max=range_max,
+        ranges=ranges,
     )
 
 

@@ -57,8 +57,14 @@ def content_of(log: DriveLog) -> Content:
 def _scan(record: LoggedScan, range_max: float) -> LaserScan:
     ranges = np.where(record.ranges < range_max, record.ranges, np.float32(np.nan)).astype(np.float32)
     return LaserScan(
-        record.stamp, record.angle_min, record.angle_increment, record.scan_time, 0.0, range_max, ranges
-    )  # fmt: skip
+        stamp=record.stamp,
+        angle_min=record.angle_min,
+        angle_increment=record.angle_increment,
+        scan_time=record.scan_time,
+        range_min=0.0,
+        range_max=range_max,
+        ranges=ranges,
+    )
 
 
 def range_max_of(scans: list[LoggedScan]) -> float:
@@ -93,14 +99,27 @@ def log_of(content: Content) -> DriveLog:
         ranges = np.where(scan.ranges >= scan.range_min, scan.ranges, np.float32(np.nan)).astype(np.float32)
         records.append(
             LoggedScan(
-                scan.stamp, odom_from_base, odom_from_base @ base_from_laser, scan.angle_min, scan.angle_increment,
-                scan.range_max, ranges, scan.scan_time,
+                stamp=scan.stamp,
+                odom_from_base=odom_from_base,
+                odom_from_laser=odom_from_base @ base_from_laser,
+                angle_min=scan.angle_min,
+                angle_increment=scan.angle_increment,
+                range_max=scan.range_max,
+                ranges=ranges,
+                scan_time=scan.scan_time,
             )
-        )  # fmt: skip
+        )
     scan_stamps = {scan.stamp for scan in scans}
     records += [LoggedPose(o.stamp, o.odom_from_base, o.v, o.w) for o in track if o.stamp not in scan_stamps]
     records.sort(key=lambda record: record.end if isinstance(record, LoggedScan) else record.stamp)
-    return DriveLog(records, content.n_bad, False, "messages", bool(track), list(content.notes))
+    return DriveLog(
+        records=records,
+        n_bad=content.n_bad,
+        truncated=False,
+        unit="messages",
+        has_odometry=bool(track),
+        notes=list(content.notes),
+    )
 
 
 def odometry_at(stamps: list[int], track: list[Odometry]) -> list[Pose2]:

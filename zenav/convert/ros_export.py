@@ -86,10 +86,16 @@ def _qos(topic: str) -> Qos:
     """The quality of service that subscribers expect: a late subscriber still gets the map and the static frames."""
     latched = topic in LATCHED
     return Qos(
-        QosHistory.KEEP_LAST, 1 if latched else 10, QosReliability.RELIABLE,
-        QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
-        FOREVER, FOREVER, QosLiveliness.AUTOMATIC, FOREVER, False,
-    )  # fmt: skip
+        history=QosHistory.KEEP_LAST,
+        depth=1 if latched else 10,
+        reliability=QosReliability.RELIABLE,
+        durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+        deadline=FOREVER,
+        lifespan=FOREVER,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=FOREVER,
+        avoid_ros_namespace_conventions=False,
+    )
 
 
 class Ros:

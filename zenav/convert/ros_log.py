@@ -143,9 +143,13 @@ class _LogReader:
         received, header = (np.array(column, np.int64) for column in list(zip(*rows))[:2])
         first = rows[0][2]
         return TopicTimes(
-            raws[0].topic, ros.frame(first.header.frame_id), received, header, [row[2] for row in rows],
-            ros.frame(getattr(first, "child_frame_id", "")),
-        )  # fmt: skip
+            topic=raws[0].topic,
+            frame=ros.frame(first.header.frame_id),
+            received=received,
+            header=header,
+            messages=[row[2] for row in rows],
+            other=ros.frame(getattr(first, "child_frame_id", "")),
+        )
 
     def _good(self, make: Callable[..., T], *arguments: Any) -> T | None:
         """What a function makes of a message; None, and one more bad one, where that makes no sense."""
@@ -344,7 +348,14 @@ class _LogReader:
 
 
 def _estimate(stamp: int, map_from_base: Pose2, spread: Float64s) -> PoseEstimate:
-    return PoseEstimate(stamp, map_from_base, map_from_base, spread, 1.0, Localization.GOOD)
+    return PoseEstimate(
+        stamp=stamp,
+        map_from_base=map_from_base,
+        map_from_odom=map_from_base,
+        covariance=spread,
+        quality=1.0,
+        state=Localization.GOOD,
+    )
 
 
 def _odometry_rank(raws: list[RawMessage]) -> Any:

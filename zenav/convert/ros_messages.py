@@ -92,7 +92,16 @@ def laser_scan(message: Any, stamp: int, mirrored: bool) -> LaserScan:
     if mirrored:
         first, increment = -first, -increment
     turns = round(first / (2 * pi))
-    scan = LaserScan(max(stamp, 0), first - 2 * pi * turns, increment, scan_time, low, high, ranges, intensities)
+    scan = LaserScan(
+        stamp=max(stamp, 0),
+        angle_min=first - 2 * pi * turns,
+        angle_increment=increment,
+        scan_time=scan_time,
+        range_min=low,
+        range_max=high,
+        ranges=ranges,
+        intensities=intensities,
+    )
     if not abs(increment) <= pi or increment == 0 or (problem := scan.problem()):
         raise ValueError("the angles are none" if increment == 0 or abs(increment) > pi else problem)
     return scan

@@ -97,7 +97,15 @@ def latency_chain(path: Path, since: int = 0, spent: HandlerTimes = MappingProxy
             lost[NOT_TAKEN if control_at is None else NO_COMMAND if guard_at is None else NOT_AT_BASE] += 1
     to_control, wait, solved, guarded_for = np.array(rows, float).reshape(-1, 4).T / NS_PER_S
     n_scans = len(rows) + sum(lost.values())
-    return LatencyChain(to_control, wait, solved, guarded_for, np.array(spent_by, float), lost, n_scans)
+    return LatencyChain(
+        to_control=to_control,
+        wait=wait,
+        control=solved,
+        guard=guarded_for,
+        handlers=np.array(spent_by, float),
+        lost=lost,
+        n_scans=n_scans,
+    )
 
 
 def handler_times(path: Path, build: Build) -> HandlerTimes:

@@ -89,10 +89,18 @@ def recording_info(path: Path) -> RecordingInfo:
         row.missed = sum(drop.n for drop in recording.drops if drop.key == key)
     begin = begin_of(recording)
     return RecordingInfo(
-        str(path), path.stat().st_size, begin, (end - begin) / NS_PER_S, sum(row.n for row in rows.values()),
-        recording.indexed, recording.about, {name: len(data) for name, data in recording.attachments.items()},
-        _parts(recording), sorted(rows.values(), key=lambda row: row.key), recording.problems,
-    )  # fmt: skip
+        path=str(path),
+        size=path.stat().st_size,
+        begin=begin,
+        seconds=(end - begin) / NS_PER_S,
+        messages=sum(row.n for row in rows.values()),
+        indexed=recording.indexed,
+        about=recording.about,
+        attachments={name: len(data) for name, data in recording.attachments.items()},
+        parts=_parts(recording),
+        topics=sorted(rows.values(), key=lambda row: row.key),
+        problems=recording.problems,
+    )
 
 
 @dataclass

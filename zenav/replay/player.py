@@ -80,7 +80,9 @@ def play(path: Path, robot: str, stack: str, wish: PlaybackOptions) -> int:
             sys.stderr.write(f"{HELP}\n")
         else:
             type_ = partial(no_keys, stop)
-        player = Player(client, recording, there, playing, wish, type_, stop)
+        player = Player(
+            client=client, recording=recording, there=there, playing=playing, wish=wish, keys=type_, stop=stop
+        )
         with progress_display(path.name, there.seconds) as player.show:
             player.run()
     notes = [*dict.fromkeys(player.notes), *recording.problems]

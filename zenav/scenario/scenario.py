@@ -51,7 +51,14 @@ def load_scenario(
     goals = [(name, built.start.inverse() @ pose) for name, pose in built.goals.items()]
     names = services_for(hardware, file)
     return Scenario(
-        robot, settings, file, built, [*goals, (HOME, Pose2())], names, file.section("sim", SimConfig).seed, hardware
+        robot=robot,
+        settings=settings,
+        file=file,
+        world=built,
+        goals=[*goals, (HOME, Pose2())],
+        names=names,
+        seed=file.section("sim", SimConfig).seed,
+        hardware=hardware,
     )
 
 

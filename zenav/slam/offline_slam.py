@@ -206,11 +206,16 @@ def _feed(run: OfflineRun, log: DriveLog, first: int, progress: Callable[[float]
             run.add(
                 run.mapper.scan(
                     LaserScan(
-                        stamp, record.angle_min, record.angle_increment, record.scan_time, laser.range_min,
-                        laser.range_max, record.ranges,
+                        stamp=stamp,
+                        angle_min=record.angle_min,
+                        angle_increment=record.angle_increment,
+                        scan_time=record.scan_time,
+                        range_min=laser.range_min,
+                        range_max=laser.range_max,
+                        ranges=record.ranges,
                     )
                 )
-            )  # fmt: skip
+            )
             times.append(process_time() - begun)
         elif times:
             times[-1] += process_time() - begun  # a sweep that takes time is placed when odometry reaches its end

@@ -187,9 +187,16 @@ class FrontEnd:
         trusted = self._update_unmatched(prediction)
         is_keyframe = self.tracking.trusts_scan and self._extend_submap(origins, ends, sweep.static, prediction, stamp)
         return TrackingResult(
-            self.local_from_base, self.uncertainty.covariance, quality, self.tracking.state, sweep.scored.match,
-            trusted, sweep.static if is_keyframe else None, origins, ends,
-        )  # fmt: skip
+            local_from_base=self.local_from_base,
+            covariance=self.uncertainty.covariance,
+            quality=quality,
+            state=self.tracking.state,
+            match=sweep.scored.match,
+            trusted=trusted,
+            keyframe=sweep.static if is_keyframe else None,
+            origins=origins,
+            ends=ends,
+        )
 
     def _predict(self, step: Pose2, sigma_factor: float, skew: float, seconds: float) -> Prediction:
         """Corrects the scale of odometry's step, and collects what is known of the pose before the match."""

@@ -151,7 +151,17 @@ class ScanQueue:
         sigma_factor = self.blind_doubt if self.is_blind else 1.0
         silent = self._silent_ends(scan, origins, ends)
         skew = min(scan.scan_time / seconds, 1.0) if seconds > 0 else 0.0
-        return SyncedScan(end, seconds, step, sigma_factor, skew, self._odom_from_base(end), origins, ends, silent)
+        return SyncedScan(
+            end=end,
+            seconds=seconds,
+            step=step,
+            sigma_factor=sigma_factor,
+            skew=skew,
+            odom_from_base=self._odom_from_base(end),
+            origins=origins,
+            ends=ends,
+            silent=silent,
+        )
 
     def set_motion(self, motion: Pose2, seconds: float) -> None:
         """Sets the velocity by the motion that the match measured since the scan before."""

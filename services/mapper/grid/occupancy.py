@@ -197,13 +197,15 @@ class Occupancy:
 
     def _message(self, stamp: int, tiles: list[tuple[int, int]]) -> MapUpdate:
         return MapUpdate(
-            stamp,
-            self.map_id,
-            self.version,
-            self.resolution,
-            np.array([row for row, _ in tiles], np.int32),
-            np.array([column for _, column in tiles], np.int32),
-            (self.cells[[self.tile_index[tile] for tile in tiles]] - np.int8(1)).reshape(len(tiles), TILE_CELLS**2),
+            stamp=stamp,
+            map_id=self.map_id,
+            version=self.version,
+            resolution=self.resolution,
+            rows=np.array([row for row, _ in tiles], np.int32),
+            columns=np.array([column for _, column in tiles], np.int32),
+            cells=(self.cells[[self.tile_index[tile] for tile in tiles]] - np.int8(1)).reshape(
+                len(tiles), TILE_CELLS**2
+            ),
         )
 
     def _directory(self, low: Float64s, high: Float64s) -> tuple[int, int, Int32s]:

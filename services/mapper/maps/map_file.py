@@ -152,7 +152,15 @@ def _saved(arrays: dict[str, NDArray[Any]]) -> SavedMap:
         raise ValueError(f"it has more than {MAX_KEYFRAMES} keyframes")
     if (np.diff(arrays["driven"]) < 0).any():
         raise ValueError("driven decreases")
-    tiles = MapUpdate(0, 0, 1, float(arrays["resolution"]), arrays["rows"], arrays["columns"], arrays["cells"])
+    tiles = MapUpdate(
+        stamp=0,
+        map_id=0,
+        version=1,
+        resolution=float(arrays["resolution"]),
+        rows=arrays["rows"],
+        columns=arrays["columns"],
+        cells=arrays["cells"],
+    )
     if (problem := tiles.problem()) is not None:
         raise ValueError(problem)
     parts = {}

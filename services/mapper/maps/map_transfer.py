@@ -44,7 +44,7 @@ class MapDownload:
             return _refusal(now, TRANSFER_BROKEN, f"there is no part {request.part} of {n}")
         self.is_complete = request.part == n - 1
         part = self.content[request.part * MAP_PART : (request.part + 1) * MAP_PART]
-        return MapPart(now, True, "", "", self.copy, n, part)
+        return MapPart(stamp=now, accepted=True, reason="", detail="", copy=self.copy, parts=n, data=part)
 
     def _begin(self, slam: Slam, now: Stamp) -> Answer[MapPart]:
         if not self.is_complete and 0 <= now - self.requested_at < TAKEOVER_NS:

@@ -63,8 +63,8 @@ def optimize(graph: Graph, config: PoseGraphConfig) -> OptimizationResult:
     weights = np.where(loops, on * (config.max_closure_chi2 / (config.max_closure_chi2 + chi2)) ** 2, 1.0)
     moved = Pose2(*poses[-1].tolist()) @ Pose2(*graph.poses[-1].tolist()).inverse() if len(poses) else Pose2()
     return OptimizationResult(
-        graph.nodes, poses, graph.edges, weights, chi2,
-        float(start[on].sum()), float(chi2[on].sum()), solver.iterations, moved,
+        nodes=graph.nodes, poses=poses, edges=graph.edges, weights=weights, chi2=chi2,
+        before=float(start[on].sum()), after=float(chi2[on].sum()), iterations=solver.iterations, moved=moved,
     )  # fmt: skip
 
 
