@@ -5,6 +5,9 @@ With the last metres alone, scan matching drifts as odometry does, only slower. 
 matches walls that lie half a metre beside the right ones, and distorts the map. The local map is between the two.
 It holds keyframes whose standard deviation, relative to the newest one, is below a gate. Keyframes from long ago drop
 out, and return when a closure makes their relative pose certain.
+
+This choice of keyframes is our own. It is derived from Cartographer's submap (Hess et al., ICRA 2016, section IV-B),
+which holds the newest scans instead.
 """
 
 from collections.abc import Sequence

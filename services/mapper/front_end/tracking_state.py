@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Is the pose good, poor or lost? By the quality of the matches, the covariance, and the agreement with odometry."""
+"""Is the pose good, poor or lost? By the quality of the matches, the covariance, and the agreement with odometry.
+
+The rules are our own: after a scan that did not fit, only a good match makes the pose good again.
+"""
 
 from services.mapper.front_end.motion_check import MotionCheck
 from services.mapper.front_end.pose_covariance import PoseCovariance
