@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Selects the active command source: teleop over navigation. After an e-stop release a source must first send zero."""
+"""Selects the active command source: teleop over navigation. After an e-stop release a source must first send zero.
+
+The priority with a timeout is that of twist_mux of ROS. The first zero is our own rule for ISO 13850, by which a reset
+must not start a motion.
+"""
 
 from pydantic import Field
 

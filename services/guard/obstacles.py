@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles near the robot: points of the scan and the range sensors in `odom`, and remembered ones out of view."""
+"""Obstacles near the robot: points of the scan and the range sensors in `odom`, and remembered ones out of view.
+
+Points without neighbours are noise, as in the radius outlier removal of PCL. Here the neighbours are beams beside the
+point, and points of the scan before. The memory of points out of view is our own.
+"""
 
 from math import pi
 
