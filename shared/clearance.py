@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clearance of a path around the circles of the footprint."""
+"""Clearance of a path around the circles of the footprint.
+
+The bound is our own, from the geometry of square cells.
+"""
 
 
 def required_clearance(margin: float, resolution: float) -> float:

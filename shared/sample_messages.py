@@ -15,7 +15,7 @@ ORIGIN = Pose2()
 
 
 def odometry(stamp: int, odom_from_base: Pose2 = ORIGIN, v: float = 0.0) -> m.Odometry:
-    """v: m/s."""
+    """Odometry without turn rate and covariance. stamp: ns. v: m/s."""
     return m.Odometry(stamp, odom_from_base, v, 0.0, np.zeros(9))
 
 
@@ -71,7 +71,7 @@ def zones(stamp: int, x: float, y: float) -> m.Zones:
 
 
 def goal(stamp: int, goal_id: int, map_from_goal: Pose2) -> m.Goal:
-    """To be reached within 0.1 m and 0.1 rad."""
+    """A goal to be reached within 0.1 m and 0.1 rad. stamp: ns. map_from_goal: its pose."""
     return m.Goal(
         stamp=stamp,
         id=goal_id,

@@ -48,7 +48,7 @@ class TeleopArbiter:
         self._velocity, self._commanded_at = (v, w), at
 
     def remove_client(self, client: int, at: float) -> None:
-        """A client has let go, or is gone: the robot stands."""
+        """A client has let go, or is gone at `at` (s): the robot stands."""
         if self.driver is not None and self.driver.client == client:
             self.driver, self._ended_at = None, at
 
@@ -72,6 +72,6 @@ class TeleopArbiter:
         return (0.0, 0.0) if 0 <= at - self._ended_at < STANDING_S else None
 
     def expire(self, at: float) -> None:
-        """Ends the drive of a client that sent nothing for `hold`."""
+        """Ends the drive of a client that sent nothing for `hold` s until `at` (s)."""
         if self.driver is not None and not 0 <= at - self._commanded_at <= self.hold:
             self.driver, self._ended_at = None, at

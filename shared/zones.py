@@ -132,12 +132,12 @@ class KeepOut:
 
     @property
     def holding(self) -> list[Float64s]:
-        """The polygons that the robot may not enter."""
+        """The polygons, (n, 2) m in `map`, that the robot may not enter."""
         return [polygon for i, polygon in enumerate(self.polygons) if i not in self._entered]
 
     @property
     def entered(self) -> list[Float64s]:
-        """The polygons that the robot stands in and should leave."""
+        """The polygons, (n, 2) m in `map`, that the robot stands in and should leave."""
         return [self.polygons[i] for i in sorted(self._entered)]
 
 

@@ -170,7 +170,7 @@ class Client:
         return best[1] if best else None
 
     def ask(self, request: Request[Q, R], message: Q, timeout: float = 5.0) -> R:
-        """The reply to a request. Raises UserError where it is too large or refused, or no reply comes in time."""
+        """The reply to a request. Raises UserError where it is too large or refused, or none comes in `timeout` s."""
         envelope = Envelope("operator", self.session_name, 0, self.now())
         key = f"{self.robot}/{request.key}"
         refusal = b""
