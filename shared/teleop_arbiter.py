@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who drives by hand: one client at a time, while it keeps sending. The rule of the page and of Foxglove.
+"""Teleop arbitration: one client drives at a time, while it keeps sending. The rule of the page and of Foxglove.
 
 No thread lock and no clock: its user gives the time of each call, in s on a clock of its own.
 """

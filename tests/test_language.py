@@ -37,10 +37,7 @@ BANNED = {
 }
 """Word or phrase that the project does not write, and what it writes instead."""
 
-CORRECT = (
-    r"who(?:ever)? drives",  # arbitration of teleoperation: the term of the page and of its users
-    r"`mended`",  # a field of a request
-)
+CORRECT = (r"`mended`",)  # a field of a request
 """Uses of these words that are right."""
 
 GENERATED = {"messages.md", "configuration.md"}
