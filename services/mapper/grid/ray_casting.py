@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ray casting: beams lower the log odds of the cells that they cross and raise those of the cells that they hit."""
+"""Ray casting: beams lower the log odds of the cells that they cross and raise those of the cells that they hit.
+
+Cells along a beam are those of Amanatides and Woo 1987, here in fixed point.
+"""
 
 import numpy as np
 from numba import njit
