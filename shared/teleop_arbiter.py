@@ -65,7 +65,10 @@ class TeleopArbiter:
         return 0 <= at - self._other_at < OTHER_HOLD_S
 
     def command(self, at: float) -> tuple[float, float] | None:
-        """The velocity (m/s, rad/s) to publish: zero for a while after the end, then None, so that others may drive."""
+        """The velocity (m/s, rad/s) to publish at `at` (s): zero for a while after the end, then None.
+
+        None lets others drive.
+        """
         self.expire(at)
         if self.driver is not None:
             return self._velocity

@@ -52,7 +52,7 @@ class GuardDecision:
 
 
 class VelocityLimiter:
-    """Limits commands by acceleration, protective field and view, from the velocity that was sent last."""
+    """Limits commands by acceleration, protective field and view, from the velocity that was sent last. now: ns."""
 
     def __init__(
         self,

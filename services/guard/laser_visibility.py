@@ -72,7 +72,7 @@ class VisibilityConfig(Section):
 
 
 class LaserVisibility:
-    """Dark directions in `laser`, since when, and the points that stood there."""
+    """Dark directions in `laser`, since when, and the points that stood there. now: ns."""
 
     def __init__(self, config: VisibilityConfig, robot: Robot) -> None:
         self.config, self.robot = config, robot

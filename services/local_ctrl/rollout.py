@@ -50,7 +50,7 @@ class SentCommand(NamedTuple):
 
 
 def limits_of(drive: Drive, max_speed: float, max_reverse_speed: float) -> Limits:
-    """The drive's limits, with the configured speeds where these are lower.
+    """The drive's limits, with the configured speeds (m/s) where these are lower.
 
     A robot with a turning radius brakes no harder than its turn rate can follow.
     """

@@ -78,6 +78,7 @@ class GlobalCostmap:
 
     `costs`: (h + 2 pad, w + 2 pad) uint16, UNIT_COST and more, 0 blocked. Its outermost ring is blocked, so that a
     search needs no bounds. `graph` and `components` follow each update. `max_cost` is an upper bound of the costs.
+    `resolution`: m a cell.
     """
 
     def __init__(self, config: CostConfig, robot: Robot, resolution: float) -> None:

@@ -103,7 +103,7 @@ class PlanMonitor:
         """Updates the progress to a pose in `map`, and takes the new plan where the present one should be replaced.
 
         That is: without a plan, off it, where `new` saves enough, or where the present one is blocked and waiting is
-        not worth while.
+        not worth while. now: ns.
         """
         old = self.drivable_plan
         if old is None:

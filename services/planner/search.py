@@ -125,6 +125,8 @@ def expand(
 
     Returns 1 with a path, 0 without one, or QUEUE_FULL. Exact where no cost is under `min_cost`; a higher bound expands
     fewer cells and gives some path.
+    costs: (h * width,) uint16, otherwise as for `GridSearch.cheapest_path`. start, goal: indices of it. stamp, keys,
+    parents: of its `SearchBuffers`. cells, entry_keys, links: the entries of the queue, see `bucket_queue`.
     """
     base = next_base_key(stamp)
     offsets = _ROW * width + _COLUMN

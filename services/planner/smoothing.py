@@ -45,7 +45,7 @@ def smooth_path_in_map(
 
     All arguments are in cells of the costs, with their lower left corner at `origin`, m. escape: (k, 2), from `here` to
     the first of `points`; empty where the robot stands in that cell. It is not smoothed. end: a point in the last cell.
-    last: rad, heading at the end.
+    spacing: maximum distance between points of the result. last: rad, heading at the end. resolution: m a cell.
     """
     n_lead = 1 if len(escape) == 0 else 0
     whole = np.empty((n_lead + len(points) + 1, 2))

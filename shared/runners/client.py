@@ -155,7 +155,7 @@ class Client:
             return self.changed.wait_for(newest_that_holds, timeout)
 
     def latched_value(self, topic: Topic[M], timeout: float = 3.0) -> M | None:
-        """The value that a latched topic's publisher keeps for late joiners; None where no publisher has one."""
+        """The value that a latched topic's publisher keeps for late joiners; None where none has one in `timeout` s."""
         best: tuple[int, M] | None = None
         for reply in self.session.get(f"{self.robot}/{topic.key}", timeout=timeout):
             if reply.ok is None:

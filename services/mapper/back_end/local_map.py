@@ -68,6 +68,7 @@ def build_local_map(
     max_sigma: maximum standard deviation relative to the newest keyframe, m.
     radius: m, within which no place may be missing; a new local map reaches MARGIN_M farther.
     content: of the present submap; None if its keyframes have moved.
+    settings: of the new submap; the number is `range_max` of the laser, m.
     """
     newest = int(graph.nodes[-1])
     covariances = relative_covariances(graph, newest)

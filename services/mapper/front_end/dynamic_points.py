@@ -57,6 +57,7 @@ class DynamicPointFilter:
         """(n,) bool: beams on free-standing objects that the submap has not shown for long; none if they are too many.
 
         free_standing: (n,) bool, of the sweep's beams.  guess: pose in the submap's frame.  stamp: ns, of the sweep.
+        seconds: since the last sweep.
         """
         registrar, crowded = submap.registrar, self.is_crowded(seconds)
         suspect = np.zeros_like(free_standing)

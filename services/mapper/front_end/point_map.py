@@ -20,6 +20,8 @@ MIN_NORMAL_COSINE = 0.7  # between two normals of one surface
 class PointMap:
     """Points (n, 4) float64: x, y m and normal nx, ny, which is (0, 0) where the surface has no direction.
 
+    spacing: m between two points, at least.
+
     Arrays have room for more than `n` rows. `following` chains the points of a cell; `keys` and `heads` are the hash
     table from cell to first point.
     covariances, positions, stamps: (n, 3, 3) m and rad, (n, 2) m and (n,) ns of the pose at which a point was seen.

@@ -35,7 +35,8 @@ class TrackingState:
     def grade(self, quality: float, is_informative: bool, is_displaced: bool, uncertainty: PoseCovariance) -> None:
         """Sets the state by a scan's match.
 
-        is_displaced: its pose is too far from odometry for a first good match.  uncertainty: of that pose.
+        quality: 0..1.  is_displaced: its pose is too far from odometry for a first good match.  uncertainty: of that
+        pose.
         """
         self.n_poor = self.n_poor + 1 if is_informative and quality < self.good_quality else 0
         self.fits = is_informative and quality >= self.good_quality
