@@ -23,7 +23,7 @@ def wrapped_all(angles: Float64s) -> Float64s:
 
 @dataclass(frozen=True, slots=True)
 class Pose2:
-    """A pose, or the motion that leads to it. Name transforms `target_from_source`.
+    """A pose, or the motion that leads to it: x, y in m, yaw in rad. Name transforms `target_from_source`.
 
     `a_from_b @ b_from_c` is `a_from_c`; `a_from_b @ points_in_b`, with points (n, 2), gives (n, 2) in a.
     """

@@ -29,10 +29,12 @@ class OccupancyGrid:
 
     @property
     def x0(self) -> float:
+        """m in `map`, lower left corner of the first cell."""
         return self.first_column * TILE_CELLS * self.resolution
 
     @property
     def y0(self) -> float:
+        """m in `map`, lower left corner of the first cell."""
         return self.first_row * TILE_CELLS * self.resolution
 
     @property
@@ -93,7 +95,7 @@ class OccupancyGrid:
         return grown
 
     def update_of(self, changed: Bools, stamp: int) -> MapUpdate:
-        """Message with every tile that has a cell of `changed` (h, w) set."""
+        """Message with every tile that has a cell of `changed` (h, w) bool set. stamp: ns."""
         h, w = self.cells.shape[0] // TILE_CELLS, self.cells.shape[1] // TILE_CELLS
         blocks = changed.reshape(h, TILE_CELLS, w, TILE_CELLS).any(axis=(1, 3))
         rows, columns = np.nonzero(blocks)
@@ -109,7 +111,7 @@ class OccupancyGrid:
         )
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
-        """(row, column) of the cell that holds a point of `map`; may lie outside the grid."""
+        """(row, column) of the cell that holds a point (x, y) m in `map`; may lie outside the grid."""
         return floor((y - self.y0) / self.resolution), floor((x - self.x0) / self.resolution)
 
     def cells_of(self, points: Float64s) -> Int64s:
@@ -141,9 +143,9 @@ class OccupancyGrid:
 
 
 def update_of_cells(cells: Int8s, resolution: float, x0: float, y0: float, stamp: int = 0) -> MapUpdate:
-    """Message with cells (h, w), row 0 lowest, whose lower left corner lies at (x0, y0) m in `map`.
+    """Message with cells (h, w) int8 percent, row 0 lowest, whose lower left corner lies at (x0, y0) m in `map`.
 
-    The corner is moved by up to half a cell onto the tiles' cells.
+    resolution: m a cell. stamp: ns. The corner is moved by up to half a cell onto the tiles' cells.
     """
     row, column = round(y0 / resolution), round(x0 / resolution)
     first_row, first_column = row // TILE_CELLS, column // TILE_CELLS

@@ -297,7 +297,7 @@ class MapUpdate(Message):
 def fitting(places: Int32s, first: int, last: int) -> NDArray[np.bool_]:
     """(k,) bool: rows (or columns) that extend a map from `first` to `last` to at most MAX_SPAN tiles.
 
-    All of them together fit, too, where they span at most MAX_SPAN themselves.
+    places: (k,) int32, of tiles. All of them together fit, too, where they span at most MAX_SPAN themselves.
     """
     return np.asarray((places > last - MAX_SPAN) & (places < first + MAX_SPAN))
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The poses of the last seconds of odometry by time, for de-skewing scans."""
+"""The poses of the last seconds of odometry by time, for de-skewing scans.
+
+Poses between messages are linear, as in Cartographer's TransformInterpolationBuffer. The rule for a restart is our own.
+"""
 
 import numpy as np
 

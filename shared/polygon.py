@@ -4,6 +4,9 @@
 A polygon is (k, 2) float64, m, its corners in order; it closes by itself. Points are (n, 2) float64, m, in its frame.
 Compiled loops test single points with shared/polygon_kernels.py, by the same arithmetic. This module does without
 numba, because every process reads a footprint and only some run kernels.
+
+The even-odd test is W. R. Franklin's PNPOLY, the nearest point of an edge that of Ericson, "Real-Time Collision
+Detection", 2005, section 5.1.2.
 """
 
 import numpy as np

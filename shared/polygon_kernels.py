@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""shared/polygon.py for one point, as numba kernels for compiled loops. Both give the same bits."""
+"""shared/polygon.py for one point, as numba kernels for compiled loops. Both give the same bits.
+
+The sources are those of that file.
+"""
 
 from math import hypot, inf
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The newest pose on the map: the mapper's correction combined with odometry."""
+"""The newest pose on the map: the mapper's correction combined with odometry.
+
+Odometry continues the pose between two corrections, as the frames of REP 105 mean it. The rules for jumps are our own.
+"""
 
 from shared.geometry import Pose2
 from shared.messages import Localization, Odometry, PoseEstimate

@@ -43,7 +43,7 @@ class _Arrival:
 
 
 class Rejections:
-    """Rejected messages of one service, by the topic key of the input."""
+    """Rejected messages of one service, by the topic key of the input. now: ns."""
 
     def __init__(self) -> None:
         self.counts: dict[tuple[str, RejectionCause], int] = {}

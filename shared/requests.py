@@ -86,7 +86,7 @@ MAX_OVERRIDE_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Override(Message):
-    """Let who drives by hand creep through the protective field and without scans, for so long from now on; 0: end it.
+    """Let teleoperation creep through the protective field and without scans, for so long from now on; 0: end it.
 
     STOP and the base's faults still hold, and STOP ends it. Nothing else does anything about what is in the way.
     """

@@ -66,6 +66,8 @@ def read_turned_ros_map(path: Path) -> tuple[Int8s, float, float, float, float]:
 def write_ros_map(folder: Path, cells: Int8s, resolution: float, x0: float, y0: float, name: str = "map") -> Path:
     """Writes NAME.pgm and NAME.yaml and returns the YAML's path. Each is replaced whole, the picture first.
 
+    cells, resolution, x0, y0: as for `ros_map_files`.
+
     Raises UserError where the folder cannot be written.
     """
     try:

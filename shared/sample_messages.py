@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Made-up messages of each kind, with which services warm up: their kernels compile before the robot moves."""
+"""Made-up messages of each kind, with which services warm up: their kernels compile before the robot moves.
+
+stamp: ns, of each message.
+"""
 
 from math import pi
 
@@ -15,7 +18,7 @@ ORIGIN = Pose2()
 
 
 def odometry(stamp: int, odom_from_base: Pose2 = ORIGIN, v: float = 0.0) -> m.Odometry:
-    """v: m/s."""
+    """Odometry without turn rate and covariance. v: m/s."""
     return m.Odometry(stamp, odom_from_base, v, 0.0, np.zeros(9))
 
 
@@ -71,7 +74,7 @@ def zones(stamp: int, x: float, y: float) -> m.Zones:
 
 
 def goal(stamp: int, goal_id: int, map_from_goal: Pose2) -> m.Goal:
-    """To be reached within 0.1 m and 0.1 rad."""
+    """A goal to be reached within 0.1 m and 0.1 rad. map_from_goal: its pose."""
     return m.Goal(
         stamp=stamp,
         id=goal_id,

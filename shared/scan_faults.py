@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Is a scan a new measurement of the configured laser? Checks of its beams, and of a repeated buffer."""
+"""Is a scan a new measurement of the configured laser? Checks of its beams, and of a repeated buffer.
+
+Both checks are our own: the first compares with the configuration, the second with noise and motion.
+"""
 
 from math import hypot, pi, radians
 

@@ -11,10 +11,10 @@ def fresh(stamp: int, now: int, age: float) -> bool:
 
 
 def precedes(stamp: int, other: int, now: int) -> bool:
-    """Whether `stamp` is before `other` (ns). False where `other` is in the future: the clock was set back."""
+    """Whether `stamp` is before `other` (ns). False where `other` is ahead of `now` (ns): the clock was set back."""
     return stamp < other <= now + FUTURE
 
 
 def supersedes(stamp: int, last: int | None, now: int) -> bool:
-    """Whether a message is newer than the last one; after the clock was set back any message is."""
+    """Whether a message is newer than the last one; after the clock was set back any message is. Stamps and now: ns."""
     return last is None or stamp > last or last > now + FUTURE

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who drives by hand: one client at a time, while it keeps sending. The rule of the page and of Foxglove.
+"""Teleop arbitration: one client drives at a time, while it keeps sending. The rule of the page and of Foxglove.
 
 No thread lock and no clock: its user gives the time of each call, in s on a clock of its own.
 """
@@ -48,7 +48,7 @@ class TeleopArbiter:
         self._velocity, self._commanded_at = (v, w), at
 
     def remove_client(self, client: int, at: float) -> None:
-        """A client has let go, or is gone: the robot stands."""
+        """A client has let go, or is gone at `at` (s): the robot stands."""
         if self.driver is not None and self.driver.client == client:
             self.driver, self._ended_at = None, at
 
@@ -65,13 +65,16 @@ class TeleopArbiter:
         return 0 <= at - self._other_at < OTHER_HOLD_S
 
     def command(self, at: float) -> tuple[float, float] | None:
-        """The velocity (m/s, rad/s) to publish: zero for a while after the end, then None, so that others may drive."""
+        """The velocity (m/s, rad/s) to publish at `at` (s): zero for a while after the end, then None.
+
+        None lets others drive.
+        """
         self.expire(at)
         if self.driver is not None:
             return self._velocity
         return (0.0, 0.0) if 0 <= at - self._ended_at < STANDING_S else None
 
     def expire(self, at: float) -> None:
-        """Ends the drive of a client that sent nothing for `hold`."""
+        """Ends the drive of a client that sent nothing for `hold` s until `at` (s)."""
         if self.driver is not None and not 0 <= at - self._commanded_at <= self.hold:
             self.driver, self._ended_at = None, at

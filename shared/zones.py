@@ -132,12 +132,12 @@ class KeepOut:
 
     @property
     def holding(self) -> list[Float64s]:
-        """The polygons that the robot may not enter."""
+        """The polygons, (n, 2) m in `map`, that the robot may not enter."""
         return [polygon for i, polygon in enumerate(self.polygons) if i not in self._entered]
 
     @property
     def entered(self) -> list[Float64s]:
-        """The polygons that the robot stands in and should leave."""
+        """The polygons, (n, 2) m in `map`, that the robot stands in and should leave."""
         return [self.polygons[i] for i in sorted(self._entered)]
 
 
@@ -159,7 +159,7 @@ def laid(grid: OccupancyGrid, polygons: list[Float64s]) -> Int8s:
 def mark_cells(cells: Bools, x0: float, y0: float, resolution: float, polygon: Float64s) -> None:
     """Sets the cells (h, w) whose centre lies in a polygon (n, 2) m, or through which its outline goes.
 
-    x0, y0: m, lower left corner of cell (0, 0). Cells beyond the edge are passed over.
+    x0, y0: m, lower left corner of cell (0, 0). resolution: m a cell. Cells beyond the edge are passed over.
     """
     h, w = cells.shape
     n = len(polygon)

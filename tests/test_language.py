@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rules of writing (docs/writing.md) as a test: words, length of sentences, names of bounds, names of classes.
+"""The rules of writing (docs/writing.md) as a test: words, sentences, names of bounds and classes, sources.
 
 `python -m tests.test_language FOLDER ...` lists the violations of folders.
 """
@@ -37,14 +37,24 @@ BANNED = {
 }
 """Word or phrase that the project does not write, and what it writes instead."""
 
-CORRECT = (
-    r"who(?:ever)? drives",  # arbitration of teleoperation: the term of the page and of its users
-    r"`mended`",  # a field of a request
-)
+CORRECT = (r"`mended`",)  # a field of a request
 """Uses of these words that are right."""
 
 GENERATED = {"messages.md", "configuration.md"}
 """Pages of `zenav.docs`: their text is counted where it is written, in the code."""
+
+ALGORITHM_SERVICES = ("mapper", "planner", "local_ctrl", "guard", "odometry")
+"""Services whose algorithm files name the source of their method."""
+
+NO_ALGORITHM = {
+    *("__init__", "__main__", "service", "config", "warm_up"),
+    *("debug_topics", "inputs", "received_plan"),  # of local_ctrl
+    *("map_jobs", "map_file", "map_transfer", "resume"),  # of mapper
+}
+"""Their files that hold no algorithm: processes, handlers, settings, order of jobs, bytes, ages."""
+
+SOURCE = re.compile(r"\b(?:(?:19|20)\d\d|Nav2|Cartographer|Karto|AMCL|PCL|ROS|(?:REP|ISO) \d+|[Oo]ur own)\b")
+"""The source of an algorithm: a year of publication, a program, a standard, or the words that it is our own."""
 
 MAX_WORDS = 25
 BOUNDS = {"MOST", "LEAST", "LONGEST", "FARTHEST", "SHORTEST", "LARGEST", "SMALLEST", "HIGHEST", "LOWEST", "FEWEST"}
@@ -157,6 +167,11 @@ def unnamed_bounds(path: Path) -> Iterator[Violation]:
                         )
 
 
+def names_source(path: Path) -> bool:
+    """Whether a docstring of the file names where its algorithm comes from."""
+    return any(SOURCE.search(text) for _, text in docstrings(path))
+
+
 RULES = (banned_words, long_sentences, unnamed_bounds)
 FOLDERS = sorted({folder_of(path) for path in files()})
 
@@ -174,6 +189,24 @@ def test_a_folder_keeps_the_rules_of_writing(folder):
         if found:
             listed = "\n".join(map(str, found[:20]))
             pytest.fail(f"{folder}: {len(found)} {rule.__name__} (docs/writing.md):\n{listed}", False)
+
+
+def test_an_algorithm_file_names_its_source_or_says_that_it_is_our_own():
+    paths = [path for name in ALGORITHM_SERVICES for path in sorted((ROOT / "services" / name).rglob("*.py"))]
+    algorithms = [path for path in paths if path.stem not in NO_ALGORITHM]
+    unsourced = [str(path.relative_to(ROOT)) for path in algorithms if not names_source(path)]
+    assert not unsourced, f"add the paper, book or program, or 'our own' (docs/writing.md): {unsourced}"
+    assert {path.stem for path in paths} >= NO_ALGORITHM  # no name of a file that is gone
+
+
+def test_a_missing_source_is_found(tmp_path):
+    path = tmp_path / "none.py"
+    path.write_text('"""Sorts 300 poses by their own order."""\n\nBOOK = "Smith 1957"  # Nav2\n')
+    assert not names_source(path)
+    for i, source in enumerate(("As Smith 1957.", "After Nav2's Spin.", "The rule is our own.")):
+        path = tmp_path / f"{i}.py"
+        path.write_text(f'"""Sorts poses. {source}"""\n')
+        assert names_source(path), source
 
 
 def test_a_class_name_has_one_meaning():

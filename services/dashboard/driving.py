@@ -13,7 +13,7 @@ MIN_INTERVAL_NS = 40_000_000
 
 
 class PageDriving:
-    """The rule of who drives, with the commands of pages as messages.
+    """Teleop arbitration among pages, with their commands as messages.
 
     A command carries the time of its frame. So the guard, too, ends it HOLD_S after the frame.
     """

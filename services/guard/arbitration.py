@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Selects the active command source: teleop over navigation. After an e-stop release a source must first send zero."""
+"""Selects the active command source: teleop over navigation. After an e-stop release a source must first send zero.
+
+The priority with a timeout is that of twist_mux of ROS. The first zero is our own rule for ISO 13850, by which a reset
+must not start a motion.
+"""
 
 from pydantic import Field
 
@@ -19,7 +23,10 @@ class ArbitrationConfig(Section):
 
 
 class CommandSource:
-    """One source of commands. After an e-stop release it counts again after a zero command or a silence."""
+    """One source of commands. After an e-stop release it counts again after a zero command or a silence.
+
+    now: ns.
+    """
 
     def __init__(self, name: str, config: ArbitrationConfig) -> None:
         self.name = name
@@ -63,5 +70,5 @@ class CommandSource:
 
 
 def active_source(teleop: CommandSource, nav: CommandSource, now: int) -> CommandSource:
-    """The active source: teleop until it has been silent for `teleop_hold`, else navigation."""
+    """The active source at `now` (ns): teleop until it has been silent for `teleop_hold`, else navigation."""
     return teleop if teleop.is_newer_than(teleop.config.teleop_hold, now) else nav

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which velocity goes to the base: the command within the drive's limits, the protective field and the laser's view."""
+"""Which velocity goes to the base: the command within the drive's limits, the protective field and the laser's view.
+
+The guard has the place of Nav2's collision monitor, between command and base. The order of the limits is our own.
+"""
 
 from dataclasses import dataclass
 from math import pi
@@ -49,7 +52,7 @@ class GuardDecision:
 
 
 class VelocityLimiter:
-    """Limits commands by acceleration, protective field and view, from the velocity that was sent last."""
+    """Limits commands by acceleration, protective field and view, from the velocity that was sent last. now: ns."""
 
     def __init__(
         self,

@@ -3,6 +3,8 @@
 
 Static obstacles do not vanish. A sector goes dark where expected returns vanish at once, over 20 degrees or
 more. It stays dark until returns come back in it. The points seen there are kept.
+
+The method is our own: the returns that a sector should show are those of the last scan, moved by odometry.
 """
 
 from math import pi, radians
@@ -70,7 +72,7 @@ class VisibilityConfig(Section):
 
 
 class LaserVisibility:
-    """Dark directions in `laser`, since when, and the points that stood there."""
+    """Dark directions in `laser`, since when, and the points that stood there. now: ns."""
 
     def __init__(self, config: VisibilityConfig, robot: Robot) -> None:
         self.config, self.robot = config, robot

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Acceleration limits of the velocity, for m/s and rad/s."""
+"""Acceleration limits of the velocity, for m/s and rad/s.
+
+As in Nav2's velocity smoother, with its `scale_velocities` only from standstill.
+"""
 
 from shared.config import Drive
 

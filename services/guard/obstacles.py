@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles near the robot: points of the scan and the range sensors in `odom`, and remembered ones out of view."""
+"""Obstacles near the robot: points of the scan and the range sensors in `odom`, and remembered ones out of view.
+
+Points without neighbours are noise, as in the radius outlier removal of PCL. Here the neighbours are beams beside the
+point, and points of the scan before. The memory of points out of view is our own.
+"""
 
 from math import pi
 
@@ -46,7 +50,7 @@ class Obstacles:
         self._echoes: dict[int, tuple[Float64s, int]] = {}  # sensor -> its points, ns of the reading
 
     def points(self, odom_from_base: Pose2, now: int) -> Float64s:
-        """(n, 2) m in `base` at the given pose."""
+        """(n, 2) m in `base` at the given pose. now: ns."""
         age = self.config.memory * 1e9
         echoes = [points for points, stamp in self._echoes.values() if now - stamp <= age]
         return odom_from_base.inverse() @ np.concatenate([self._solid, self._remembered, *echoes])
@@ -117,7 +121,7 @@ class Obstacles:
 def beam_ends(
     scan: LaserScan, track: OdometryBuffer, base_from_laser: Pose2, stride: int
 ) -> tuple[Float64s, Float64s, Float64s]:
-    """The ends of each `stride`-th beam, de-skewed.
+    """The ends of each `stride`-th beam, de-skewed. base_from_laser: the laser's mount.
 
     Returns (n, 2) m in `odom`, NaN without an echo; (n, 2) m in `base` at that beam; and (n,) m, the distance to a
     neighbour's end on the same surface, as beams spread.

@@ -4,6 +4,10 @@
 The field is the footprint, grown by `side_margin`, swept along the commanded arc over the stopping distance. In `base`
 a static point moves on a circle about the centre of rotation. The first contact is where that circle meets the grown
 outline. This is exact for any simple polygon, without sampled poses.
+
+Unlike the minimum distance of ISO 13855, the field has no approach speed of a person: obstacles are static. The rule
+for the speed is that of admissible velocities (Fox, Burgard and Thrun 1997, equation 14), with a reaction time. The
+contact of any polygon on an arc is our own.
 """
 
 from dataclasses import dataclass

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stop conditions: the newest inputs, and a table of reasons over them, highest first."""
+"""The stop conditions: the newest inputs, and a table of reasons over them, highest first.
+
+The table and its order are our own. The e-stop is latched, and its release starts no motion, as ISO 13850 demands.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace

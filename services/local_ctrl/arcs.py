@@ -40,7 +40,7 @@ def simulated_arc(
     limits: Limits,
     shape: Footprint,
 ) -> Arc:
-    """Simulates a pair of target velocities within the limits for `seconds`.
+    """Simulates a pair of target velocities (m/s, rad/s) within the limits for `seconds`.
 
     reaction: s before braking begins.
 
@@ -96,7 +96,10 @@ def max_speed_to_end(scene: ControlScene, limits: Limits) -> float:
 
 @njit(cache=True, nogil=True)
 def fill_rollout(target_v: float, target_w: float, v: float, w: float, limits: Limits, velocities: Float64s) -> None:
-    """Fills velocities (steps, 2) with those of the drive from (v, w) on, towards the target."""
+    """Fills velocities (steps, 2) float64, m/s and rad/s, with those of the drive from (v, w) on, towards the target.
+
+    target_v, v: m/s. target_w, w: rad/s.
+    """
     for t in range(len(velocities)):
         v, w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
         w = limited_turn_rate(v, w, limits)

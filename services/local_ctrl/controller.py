@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The interface of all controllers (`local_ctrl.controller`): the scene that they get, and the solution that they
 return.
+
+Its role is that of Nav2's `nav2_core::Controller`. Unlike there, a scene holds all inputs, so that a replay repeats
+each solution.
 """
 
 from typing import NamedTuple, Protocol
@@ -20,16 +23,16 @@ class ControlScene(NamedTuple):
 
     field: Float32s  # (n, n) m to the nearest occupied cell
     occupied: Bools  # (n, n)
-    resolution: float
+    resolution: float  # m a cell
     to_go: Float32s  # (n / 2, n / 2) m, see cost_to_go
-    end_x: float
+    end_x: float  # m, end of the path that the field leads to
     end_y: float
     ends: bool  # whether the path's end lies in the window
-    x: float
+    x: float  # m, of the robot
     y: float
-    yaw: float
-    v: float
-    w: float
+    yaw: float  # rad, in `odom`
+    v: float  # m/s
+    w: float  # rad/s
     path: Float64s  # (k, 2) m, k > 0: the plan from beside the robot to (end_x, end_y)
     dynamic_obstacles: Float64s = NO_DYNAMIC_OBSTACLES  # (k, 6) at the begin of the plan, see DynamicObstacles.discs
 
@@ -68,7 +71,7 @@ class Controller(Protocol):
         """
 
     def ahead(self, scene: ControlScene, look: float) -> tuple[float, float]:
-        """The point `look` m ahead on the controller's path: a standing robot turns to it."""
+        """The point (x, y) m `look` m ahead on the controller's path, in the scene: a standing robot turns to it."""
 
     def evaluated_rollouts(self) -> EvaluatedRollouts:
         """The rollouts of the last call, for the debug topics."""

@@ -56,7 +56,7 @@ def cost_to_go(
     """The cost to go in a window: fast sweeping of the eikonal equation (Zhao 2005), started on the plan.
 
     `field`, `unknown`: (n, n), n even, m and bool, of the costmap. `path`: (k, 2) m. `robot`: m. Both are relative to
-    the costmap's lower left centre. `inscribed`: m.
+    the costmap's lower left centre. `inscribed`: m, radius. `resolution`: m a cell of the costmap.
     """
     to_go = np.empty((len(field) // COARSE_CELLS, len(field) // COARSE_CELLS), np.float32)
     settings = (
@@ -211,7 +211,10 @@ def _sweep(corner: int, slowness: Float32s, wanted: Bools, size: float, to_go: F
 
 @njit(cache=True, nogil=True)
 def to_go_at(to_go: Float32s, x: float, y: float, resolution: float) -> float:
-    """The cost to go at (x, y), m from the costmap's lower left centre; m."""
+    """The cost to go, m, at (x, y), m from the costmap's lower left centre.
+
+    to_go: (n / 2, n / 2) float32 m, see `CostToGo`. resolution: m a cell of the costmap.
+    """
     size = COARSE_CELLS * resolution
     rim = 0.5 * (COARSE_CELLS - 1) * resolution
     return bilinear(to_go, (x - rim) / size, (y - rim) / size)
@@ -219,7 +222,10 @@ def to_go_at(to_go: Float32s, x: float, y: float, resolution: float) -> float:
 
 @njit(cache=True, nogil=True)
 def carrot(to_go: Float32s, x: float, y: float, look: float, resolution: float) -> tuple[float, float]:
-    """The point `look` m down the gradient of the cost to go from (x, y); nearer at its minimum."""
+    """The point (x, y) `look` m down the gradient of the cost to go from (x, y); nearer at its minimum.
+
+    Points are m from the costmap's lower left centre. to_go, resolution: as for `to_go_at`.
+    """
     half, step = 0.5 * COARSE_CELLS * resolution, COARSE_CELLS * resolution
     for _ in range(int(look / step) + 1):
         dx = to_go_at(to_go, x - half, y, resolution) - to_go_at(to_go, x + half, y, resolution)

@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The critics of MPPI: their weights, and the cost of being near static and dynamic obstacles (as in Nav2's MPPI)."""
+"""The critics of MPPI: their weights, and the cost of being near static and dynamic obstacles.
+
+`obstacle`, `critical` and `collision` are derived from ObstaclesCritic of Nav2's MPPI, `goal` from its GoalCritic,
+`reverse` from PreferForwardCritic, `twirl` from TwirlingCritic. Unlike there, all costs are metres of path. `progress`
+and `haste` use the cost to go in place of Nav2's path critics. `overspeed`, `headway` and the terms of dynamic
+obstacles are our own; the last two follow the guard's stopping distance.
+"""
 
 from math import hypot
 from typing import ClassVar, NamedTuple
@@ -77,9 +83,8 @@ def dynamic_clearance(
 
     The guard brakes for an obstacle within the stopping distance, and a robot that stands before a moving one is hit.
 
-    ahead: m of stopping distance; negative: backward.
-
-    far: m beyond which the distance does not matter.
+    x, y: m in the frame of the discs. c, s: cosine and sine of the heading. ahead: m of stopping distance; negative:
+    backward. far: m beyond which the distance does not matter.
     """
     least = far
     reach = far + max(footprint.circumscribed, abs(ahead) + footprint.inscribed)
@@ -113,7 +118,10 @@ def obstacle_cost(
     v: float,
     room: float,
 ) -> float:
-    """The cost of this clearance at this speed, m/s."""
+    """The cost, m/s, of a clearance of `room` m at a speed of v m/s.
+
+    x, y: m from the centre of the field's lower left cell. c, s: cosine and sine of the heading.
+    """
     cost = 0.0
     speed = abs(v)
     if room < weights.clearance:

@@ -18,7 +18,7 @@ OCCUPIED, TOUCHING, UNKNOWN = 100, 99, -1
 
 
 class DebugTopics:
-    """Until when a client watches, and which rollouts were published last."""
+    """Until when a client watches, and which rollouts were published last. Times are ns."""
 
     def __init__(self) -> None:
         self._until = self._next = 0  # ns

@@ -104,7 +104,10 @@ class DynamicObstacle:
         return x + hidden * (x - eye[0]) / away, y + hidden * (y - eye[1]) / away
 
     def update(self, stamp: int, segment: Segment, eye: tuple[float, float], min_speed: float) -> None:
-        """Takes the segment that shows it at `stamp` (ns), seen from `eye` (m): track, radius, velocity and class."""
+        """Takes the segment that shows it at `stamp` (ns), seen from `eye` (m): track, radius, velocity and class.
+
+        min_speed: m/s, below which it counts as static.
+        """
         _, _, radius, share, is_round = segment
         self.seen.append((stamp, *self.centre(segment, eye)))
         self.share_in_free += SHARE_GAIN * (share - self.share_in_free)
@@ -149,8 +152,8 @@ class DynamicObstacles:
     ) -> None:
         """Takes the ends of a scan's beams (n, 2), m in `odom`, counter-clockwise about `eye`, m; NaN without an echo.
 
-        `free_at`: ns when each cell was last seen free before. `window`: x, y m of the centre of cell (0, 0), and m a
-        cell.
+        `stamp`: ns. `free_at`: (n, n) ns when each cell was last seen free before. `window`: x, y m of the centre of
+        cell (0, 0), and m a cell.
         """
         if not self.config.enabled:
             return

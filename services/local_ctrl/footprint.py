@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Collision test of the footprint: circles over a distance field, and the polygon where the circles may touch."""
+"""Collision test of the footprint: circles over a distance field, and the polygon where the circles may touch.
+
+Circles that cover the outline: Ziegler and Stiller, "Fast collision checking for intelligent vehicle motion planning",
+IEEE IV 2010. The cover of any polygon by tiles, and the test of the polygon after it, are our own.
+"""
 
 from math import ceil, hypot, sqrt
 from typing import NamedTuple
@@ -20,13 +24,15 @@ class Footprint(NamedTuple):
 
     corners: Float64s  # (n, 2) m, counter-clockwise
     circles: Float64s
-    inscribed: float
-    circumscribed: float
+    inscribed: float  # m, radius about the origin
+    circumscribed: float  # m
     padding: float  # m around the polygon that count as part of the robot
 
 
 def footprint_of(robot: Robot, padding: float, overreach: float = 0.04) -> Footprint:
     """The robot's outline, with circles that cover it and reach beyond its bounding box by at most `overreach` m.
+
+    padding: m around the polygon that count as part of the robot.
 
     A nearly round outline gets one circle. Otherwise each touched tile of the bounding box gets one. Tiles inside the
     inscribed circle, or inside the circle of another tile, get none.
@@ -100,9 +106,8 @@ def clearance(field: Float32s, resolution: float, x: float, y: float, c: float, 
     """Lower bound of the distance (m) from the footprint to the nearest occupied cell's centre; negative at an
     overlap.
 
-    field: (h, w) float32 m.
-
-    x, y: m from the centre of its lower left cell. c, s: cosine and sine of the heading.
+    field: (h, w) float32 m to the nearest occupied cell. resolution: m a cell. x, y: m from the centre of its lower
+    left cell. c, s: cosine and sine of the heading.
 
     Interpolation overstates a distance by up to resolution^2 / (8 radius) at a circle's rim, which is subtracted.
     """
@@ -126,7 +131,10 @@ def _interpolation_error(resolution: float, radius: float) -> float:
 
 @njit(cache=True, nogil=True)
 def touches(occupied: Bools, resolution: float, x: float, y: float, c: float, s: float, shape: Footprint) -> bool:
-    """Whether an occupied cell's centre lies in the padded polygon at (x, y), m from the lower left cell's centre."""
+    """Whether an occupied cell's centre lies in the padded polygon at (x, y), m from the lower left cell's centre.
+
+    occupied: (h, w) bool. resolution: m a cell. c, s: cosine and sine of the heading.
+    """
     h, w = occupied.shape
     reach = shape.circumscribed + shape.padding
     first_row, last_row = max(0, ceil((y - reach) / resolution)), min(h - 1, int((y + reach) / resolution))
@@ -144,7 +152,10 @@ def touches(occupied: Bools, resolution: float, x: float, y: float, c: float, s:
 def collides(
     field: Float32s, occupied: Bools, resolution: float, x: float, y: float, c: float, s: float, shape: Footprint
 ) -> bool:
-    """Whether the padded footprint holds an occupied cell's centre. The polygon is tested where circles may touch."""
+    """Whether the padded footprint holds an occupied cell's centre. The polygon is tested where circles may touch.
+
+    occupied: (h, w) bool. The other arguments are those of `clearance`.
+    """
     if clearance(field, resolution, x, y, c, s, shape) > shape.padding:
         return False
     return touches(occupied, resolution, x, y, c, s, shape)

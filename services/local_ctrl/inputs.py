@@ -28,7 +28,7 @@ class AgesConfig(Section):
 
 
 class ControlInputs:
-    """The last seconds of odometry, the newest scan, and the newest pose."""
+    """The last seconds of odometry, the newest scan, and the newest pose. Times are ns."""
 
     def __init__(self, ages: AgesConfig, drive: Drive) -> None:
         self.ages = ages

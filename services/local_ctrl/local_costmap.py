@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rolling local costmap in `odom`: obstacles marked and cleared by scan and range sensors, with the static map
 below.
+
+The layers are those of Nav2's costmap: obstacle layer, range sensor layer, static layer. Unlike there, a cell counts
+evidence, and forgets an obstacle out of sight after a time.
 """
 
 from math import ceil, cos, floor, hypot, inf, pi, sin
@@ -67,10 +70,12 @@ class LocalCostmap:
 
     @property
     def x0(self) -> float:
+        """m in `odom`, centre of the lower left cell."""
         return (self.column + 0.5) * self.resolution
 
     @property
     def y0(self) -> float:
+        """m in `odom`, centre of the lower left cell."""
         return (self.row + 0.5) * self.resolution
 
     def recentre(self, x: float, y: float) -> None:
@@ -122,7 +127,8 @@ class LocalCostmap:
     def add_ranges(self, readings: RangeReadings, odom_from_base: Pose2, wanted: Bools, limits: Float64s) -> None:
         """Marks the arc of each echo unless a known obstacle explains it, and clears the cone before it.
 
-        wanted: (n,) bool, the sensors in use. limits: (n, 2) m, their least and largest range.
+        odom_from_base: at the readings' stamp. wanted: (n,) bool, the sensors in use. limits: (n, 2) m, their least and
+        largest range.
         """
         _mark_echoes(
             self.echo_at,
@@ -138,7 +144,7 @@ class LocalCostmap:
         )
 
     def set_static_map(self, grid: OccupancyGrid, odom_from_map: Pose2) -> None:
-        """Projects the map into the window; an empty grid clears it."""
+        """Projects the map into the window; an empty grid clears it. odom_from_map: present pose of `map` in `odom`."""
         self.static.fill(-1)
         if self.config.static_map and not grid.empty:
             _project_map(

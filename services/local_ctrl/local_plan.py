@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The part of the plan ahead of the robot, in `odom`: resampled, tracked as the robot advances, cut at the window."""
+"""The part of the plan ahead of the robot, in `odom`: resampled, tracked as the robot advances, cut at the window.
+
+After Nav2's path handler: the nearest point is searched for within a bounded path length (its
+`max_robot_pose_search_dist`), and the path is cut at the costmap. The cut at a turn is our own.
+"""
 
 from typing import NamedTuple
 
@@ -39,7 +43,7 @@ class LocalPlan:
     def ahead(self, odom_from_map: Pose2, here: Pose2, reach: float, leap: float = MAX_ADVANCE_M) -> PathAhead:
         """The path from the point nearest to `here`, in `odom`, until it leaves a square of +-`reach` m about it.
 
-        max_advance: m along the path from the last nearest point within which the next is searched for.
+        leap: m along the path from the last nearest point within which the next is searched for.
         """
         at = odom_from_map.inverse() @ here
         if self.i_nearest is None:

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The navigator's recoveries: straight back or turning in place by a given amount, with a test of the space for it."""
+"""The navigator's recoveries: straight back or turning in place by a given amount, with a test of the space for it.
+
+After Nav2's behaviors BackUp, Spin and Wait. Spin has the same profile, sqrt(2 a s), of the rate over the angle s to
+go. Here driving has it too, with a reserve for delay. That a robot too near an obstacle may leave it is our own.
+"""
 
 from math import copysign, cos, inf, sin, sqrt
 from typing import NamedTuple
@@ -43,13 +47,13 @@ class ControlOutcome(NamedTuple):
 
 
 def braking(motion: Motion, limits: Limits, state: FollowState, reason: str = "", left: float = 0.0) -> ControlOutcome:
-    """The command that stops as fast as the limits allow."""
+    """The command that stops as fast as the limits allow. left: m or rad to go, of the outcome."""
     v, w = speed_after(motion.v, 0.0, limits, DT), turn_rate_after(motion.w, 0.0, limits, DT)
     return ControlOutcome(v, w, state, reason, left)
 
 
 class Manoeuvre:
-    """One BACK_UP, TURN or WAIT. After its end it returns ARRIVED."""
+    """One BACK_UP, TURN or WAIT, from the pose `start` in `odom` at `now` (ns). After its end it returns ARRIVED."""
 
     def __init__(self, recovery: Recovery, start: Pose2, now: int, config: ManoeuvreConfig) -> None:
         self.recovery, self.start, self.since, self.config = recovery, start, now, config
@@ -57,7 +61,7 @@ class Manoeuvre:
         self.done = False
 
     def step(self, costmap: LocalCostmap, motion: Motion, limits: Limits, shape: Footprint, now: int) -> ControlOutcome:
-        """The command of one tick. motion: in `odom`, when the command acts."""
+        """The command of one tick. motion: in `odom`, when the command acts. now: ns."""
         self.turned += wrapped(motion.pose.yaw - self.last_yaw)
         self.last_yaw = motion.pose.yaw
         if self.done:
@@ -95,14 +99,14 @@ class Manoeuvre:
 
 
 def turn_command(left: float, w: float, limits: Limits, dt: float, max_rate: float) -> float:
-    """The turn rate, rad/s, with `left` rad to go, at most `max_rate` and with room to stop."""
+    """The turn rate, rad/s, after w, with `left` rad to go, at most `max_rate` rad/s and with room to stop. dt: s."""
     return turn_rate_after(
         w, copysign(_speed_profile(abs(left), BRAKING_SHARE * limits.turn_acceleration, max_rate, dt), left), limits, dt
     )
 
 
 def straight_command(left: float, v: float, limits: Limits, dt: float, max_rate: float) -> float:
-    """The speed, m/s, with `left` m to go; negative drives back."""
+    """The speed, m/s, after v, with `left` m to go, at most `max_rate` m/s; negative drives back. dt: s."""
     return speed_after(
         v, copysign(_speed_profile(abs(left), BRAKING_SHARE * limits.braking, max_rate, dt), left), limits, dt
     )
@@ -155,7 +159,8 @@ def free_angle(
 ) -> float:
     """The part of `angle`, rad, that the footprint can turn in place from (x, y, yaw) before contact.
 
-    x, y: m from the centre of the lower left cell.
+    field: (h, w) float32 m to the nearest occupied cell. occupied: (h, w) bool. resolution: m a cell. x, y: m from the
+    centre of the lower left cell. yaw: rad.
     """
     min_clearance = _min_clearance(field, occupied, resolution, x, y, cos(yaw), sin(yaw), shape)
     n = int(abs(angle) * shape.circumscribed / CHECK_STEP_M) + 1

@@ -1,6 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Path following: turning to the plan in place, driving it by a controller, stopping at its end, turning to its
 heading.
+
+Turning in place before driving is that of Nav2's RotationShimController, with its two thresholds. The arrival is
+latched as in Nav2's SimpleGoalChecker (`stateful`), but a robot that leaves the tolerance drives back. The choice
+of a free direction and the report of a blocked path are our own. So is the path beyond the goal for a robot with a
+turning radius.
 """
 
 from math import atan2, copysign, hypot, isinf, pi, sqrt

@@ -142,7 +142,7 @@ def _regulated_speed(
 
 @njit(cache=True, nogil=True)
 def lookahead_point(path: Float64s, x: float, y: float, look: float) -> tuple[float, float]:
-    """Where the path first is `look` m away from (x, y), between its points; its end where it never is."""
+    """Where the path (k, 2) m first is `look` m away from (x, y) m, between its points; its end where it never is."""
     before = hypot(path[0, 0] - x, path[0, 1] - y)
     if before >= look:
         return path[0, 0], path[0, 1]

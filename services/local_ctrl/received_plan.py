@@ -9,7 +9,7 @@ from shared.types import NS_PER_S
 
 
 class ReceivedPlan:
-    """The planner's last message, and the local plan made of the last one for the present goal."""
+    """The planner's last message, and the local plan made of the last one for the present goal. Times are ns."""
 
     def __init__(self, ages: AgesConfig) -> None:
         self.ages = ages

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The motion model: limits of velocity and acceleration, exact arcs, delay of actuation."""
+"""The motion model: limits of velocity and acceleration, exact arcs, delay of actuation.
+
+Arcs are those of the velocity motion model without its noise (Thrun et al., "Probabilistic Robotics", 2005, section
+5.3). The steps of speed within the drive's limits are our own.
+"""
 
 from math import cos, inf, sin
 from typing import NamedTuple
@@ -30,7 +34,7 @@ class Limits(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """A pose in `odom` and the robot's twist there."""
+    """A pose in `odom` and the robot's twist there, m/s and rad/s."""
 
     pose: Pose2
     v: float
@@ -46,7 +50,7 @@ class SentCommand(NamedTuple):
 
 
 def limits_of(drive: Drive, max_speed: float, max_reverse_speed: float) -> Limits:
-    """The drive's limits, with the configured speeds where these are lower.
+    """The drive's limits, with the configured speeds (m/s) where these are lower.
 
     A robot with a turning radius brakes no harder than its turn rate can follow.
     """
@@ -65,7 +69,7 @@ def limits_of(drive: Drive, max_speed: float, max_reverse_speed: float) -> Limit
 
 @njit(cache=True, nogil=True)
 def speed_after(v: float, target: float, limits: Limits, dt: float) -> float:
-    """The forward speed after dt of approaching `target`. It needs at least one step to pass zero."""
+    """The forward speed, m/s, `dt` s after v, on the way to `target`. It needs at least one step to pass zero."""
     target = min(max(target, limits.v_min), limits.v_max)
     if v > 0.0:
         if target >= v:
@@ -80,7 +84,7 @@ def speed_after(v: float, target: float, limits: Limits, dt: float) -> float:
 
 @njit(cache=True, nogil=True)
 def turn_rate_after(w: float, target: float, limits: Limits, dt: float) -> float:
-    """The turn rate after dt of approaching `target`."""
+    """The turn rate, rad/s, `dt` s after w, on the way to `target`."""
     target = min(max(target, -limits.w_max), limits.w_max)
     change = limits.turn_acceleration * dt
     return min(max(target, w - change), w + change)
@@ -88,7 +92,7 @@ def turn_rate_after(w: float, target: float, limits: Limits, dt: float) -> float
 
 @njit(cache=True, nogil=True)
 def limited_turn_rate(v: float, w: float, limits: Limits) -> float:
-    """The turn rate nearest to w on an arc that the drive may drive at a speed of v."""
+    """The turn rate, rad/s, nearest to w on an arc that the drive may drive at a speed of v m/s."""
     if limits.curvature == inf:
         return w
     most = abs(v) * limits.curvature
@@ -97,7 +101,7 @@ def limited_turn_rate(v: float, w: float, limits: Limits) -> float:
 
 @njit(cache=True, nogil=True)
 def arc_step(v: float, w: float, dt: float) -> tuple[float, float, float, float]:
-    """Motion along the exact arc for dt: chord (m), and its direction's cosine and sine; then the half turn, rad.
+    """Motion at v m/s and w rad/s for dt s: chord (m), its direction's cosine and sine, and half the turn (rad).
 
     The chord points half the turn away from the first heading; the last heading is as far again.
     """

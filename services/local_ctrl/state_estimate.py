@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pose and velocity of the robot, now and when the next command acts: odometry fused with the sent commands."""
+"""Pose and velocity of the robot, now and when the next command acts: odometry fused with the sent commands.
+
+Commands under way bridge the delay, as in Behnke et al., "Predicting away robot control latency", RoboCup 2003. Their
+models are learned; here the drive's limits are simulated. The first-order filter about this prediction is our own.
+"""
 
 from collections import deque
 

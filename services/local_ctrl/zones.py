@@ -3,6 +3,8 @@
 
 A zone lies in `map`, so its place in `odom` depends on the pose. Without a pose no zone applies, and no plan is
 driven.
+
+After Nav2's KeepoutFilter and SpeedFilter, with polygons in place of a mask. Braking before a speed zone is our own.
 """
 
 from math import inf, sqrt

@@ -3,6 +3,8 @@
 
 The front end places each scan. While the mode is to map, the scan is drawn and its keyframe is added to the back end.
 A robot that is lost on a map is searched by global localization; a robot that is lost while mapping begins a new part.
+
+Parts take the place of Cartographer's trajectories and of the map frames of Atlas (Bosse et al., IJRR 2004).
 """
 
 from math import hypot, inf

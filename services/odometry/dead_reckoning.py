@@ -29,7 +29,8 @@ class DeadReckoningConfig(Section):
 def exact_step(left: float, right: float, distance: float) -> tuple[Pose2, Float64s]:
     """Motion along the circular arc of both wheels' travel, and its Jacobian.
 
-    distance: m between the wheels.  Returns `before_from_after` (m, rad) and (3, 2) d(x, y, yaw) / d(left, right).
+    left, right: m, travel of the wheels.  distance: m between the wheels.
+    Returns `before_from_after` (m, rad) and (3, 2) d(x, y, yaw) / d(left, right).
     """
     forward, turn = (left + right) / 2, (right - left) / distance
     half = turn / 2
@@ -75,7 +76,7 @@ def propagated_covariance(
 
     motion, jacobian: as from `exact_step`.  travel: of the left and the right wheel, m.
     The errors of both wheels are independent, with `variance` m^2 for each m of travel.
-    Siegwart, Nourbakhsh, Scaramuzza 2011, equations 5.8 to 5.11.
+    Siegwart, Nourbakhsh, Scaramuzza 2011, equations 5.8 to 5.11; with the exact arc where they take the mean heading.
     """
     c, s = cos(heading), sin(heading)
     dx, dy = c * motion.x - s * motion.y, s * motion.x + c * motion.y

@@ -23,7 +23,10 @@ def empty_ring(longest: int) -> Int32s:
 
 @njit(cache=True, nogil=True, inline="always")
 def pop_entry(slot: int, free: int, heads: Int32s, links: Int32s) -> int:
-    """Removes an entry from a bucket that is not empty. It becomes the first free one: the caller sets `free` to it."""
+    """Removes an entry from the bucket `slot`, which is not empty. The caller sets `free` to it: the first free one.
+
+    heads: the ring of `empty_ring`.  links: (n,) int32, next entries.
+    """
     entry = heads[slot]
     heads[slot] = links[entry]
     links[entry] = free
@@ -34,7 +37,10 @@ def pop_entry(slot: int, free: int, heads: Int32s, links: Int32s) -> int:
 def push_entry(
     slot: int, node: int, key: int, free: int, n_used: int, heads: Int32s, nodes: Int32s, keys: Int64s, links: Int32s
 ) -> tuple[int, int]:
-    """Adds a node to a bucket. Returns the new `free` and `n_used`. There must be room."""
+    """Adds a node to the bucket `slot`. Returns the new `free` and `n_used`. There must be room.
+
+    heads: the ring of `empty_ring`.  nodes, keys, links: (n,) int32, int64, int32, of the entries.
+    """
     if free >= 0:
         entry = free
         free = links[free]

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which cells can be reached from each other: connected components of tiles, joined across the edges by union-find.
 
-After a change only its tiles are labelled again, and all edges are joined again.
+After a change only its tiles are labelled again, and all edges are joined again. Parts are joined as equivalent labels
+in Rosenfeld and Pfaltz, "Sequential operations in digital picture processing", 1966; union-find with path halving:
+Tarjan and van Leeuwen 1984. The tiles, each with a flood fill of its own, are our own.
 """
 
 import numpy as np

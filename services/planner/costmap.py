@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The global costmap: cost of each cell from the exact distance to obstacles, and from the policy for unknown space."""
+"""The global costmap: cost of each cell from the exact distance to obstacles, and from the policy for unknown space.
+
+The cost by distance is that of Nav2's inflation layer over an exact distance (`cost_by_distance`). The extra cost of
+narrow places, and the second costmap with a smaller margin, are our own.
+"""
 
 from math import ceil, exp, hypot
 from typing import ClassVar, Literal
@@ -74,6 +78,7 @@ class GlobalCostmap:
 
     `costs`: (h + 2 pad, w + 2 pad) uint16, UNIT_COST and more, 0 blocked. Its outermost ring is blocked, so that a
     search needs no bounds. `graph` and `components` follow each update. `max_cost` is an upper bound of the costs.
+    `resolution`: m a cell.
     """
 
     def __init__(self, config: CostConfig, robot: Robot, resolution: float) -> None:
@@ -192,7 +197,7 @@ class GlobalCostmap:
         return bool(self._distance(row, column) * self.resolution < self.min_clearance)
 
     def with_escape_area(self, row: int, column: int, radius: int) -> UInt16s:
-        """A copy of `costs` for a robot in inflated space at a cell.
+        """A copy of `costs`, of the same shape, for a robot in inflated space at a cell.
 
         Within `radius` cells it may cross inflated space at the highest cost, no nearer to an obstacle than it stands.
         """

@@ -17,7 +17,10 @@ _MIN_CURVATURE = 1e-9  # curvature below which a piece is a line
 
 @njit(cache=True, nogil=True)
 def dubins_word(i: int, start: Float64s, end: Float64s, radius: float, any_heading: bool, pieces: Float64s) -> bool:
-    """Fills pieces (3, 2) with word i, 0 to N_WORDS - 1, between poses (x, y, yaw). Returns whether it exists."""
+    """Fills pieces (3, 2) with word i, 0 to N_WORDS - 1, between poses (x, y, yaw). Returns whether it exists.
+
+    radius: of the arcs, in the unit of x and y; yaw: rad. any_heading: the yaw of `end` does not count.
+    """
     dx, dy = end[0] - start[0], end[1] - start[1]
     if any_heading:
         return i < 2 and _arc_and_line(1.0 if i == 0 else -1.0, dx, dy, start[2], radius, pieces)
@@ -101,7 +104,10 @@ def _wrapped_two_pi(angle: float) -> float:
 
 @njit(cache=True, nogil=True)
 def pose_after(pose: Float64s, curvature: float, length: float, out: Float64s) -> None:
-    """Fills `out` with the pose (x, y, yaw) at the end of a piece."""
+    """Fills `out` (3,) with the pose (x, y, yaw) at the end of a piece.
+
+    curvature: rad per unit of length, positive to the left; length: in the unit of x and y.
+    """
     x, y, yaw = pose
     if abs(curvature) < _MIN_CURVATURE:
         out[0], out[1], out[2] = x + length * cos(yaw), y + length * sin(yaw), yaw

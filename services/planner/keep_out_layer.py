@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keep-out zones on the planner's map: their cells are obstacles; those of a zone around the robot only cost more."""
+"""Keep-out zones on the planner's map: their cells are obstacles; those of a zone around the robot only cost more.
+
+After Nav2's KeepoutFilter, with polygons in place of a mask. The cost at which a robot leaves a zone is our own.
+"""
 
 from copy import copy
 

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When is a plan replaced: the robot's progress on the present plan, and the rules by which a new plan replaces it."""
+"""When is a plan replaced: the robot's progress on the present plan, and the rules by which a new plan replaces it.
+
+The rules are our own. To wait before a longer plan is taken is derived from PathLongerOnApproach of Nav2's behavior
+trees, which waits near the goal only.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -99,7 +103,7 @@ class PlanMonitor:
         """Updates the progress to a pose in `map`, and takes the new plan where the present one should be replaced.
 
         That is: without a plan, off it, where `new` saves enough, or where the present one is blocked and waiting is
-        not worth while.
+        not worth while. now: ns.
         """
         old = self.drivable_plan
         if old is None:
@@ -199,5 +203,6 @@ def follows_same_route(old: GlobalPlan, new: GlobalPlan, within: float) -> bool:
 
 
 def distance_along(points: Float64s) -> Float64s:
+    """(n,) m along the polyline to each of its points (n, 2) m, n > 0."""
     legs = np.diff(points, axis=0)
     return np.concatenate(([0.0], np.cumsum(np.hypot(legs[:, 0], legs[:, 1]))))

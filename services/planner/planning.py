@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a pose to a goal: free start and end cells, the search between them, smoothing, or the reason without a path."""
+"""From a pose to a goal: free start and end cells, the search between them, smoothing, or the reason without a path.
+
+A goal without room is moved within a tolerance, as by Nav2's NavFn planner. The path out of inflated space, and the
+second try with a smaller margin, are our own.
+"""
 
 import heapq
 from dataclasses import dataclass

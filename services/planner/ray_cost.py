@@ -17,7 +17,10 @@ BLOCKED = -1.0
 
 @njit(cache=True, nogil=True)
 def path_cost(costs: UInt16s, points: Float64s) -> float:
-    """The cost of the polyline through points (n, 2), BLOCKED where it touches a blocked cell."""
+    """The cost of the polyline through points (n, 2), cost times cells; BLOCKED where it touches a blocked cell.
+
+    costs: (h, w) uint16, 0 blocked.
+    """
     total = 0.0
     for i in range(len(points) - 1):
         cost = line_cost(costs, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1], np.inf)
@@ -29,10 +32,10 @@ def path_cost(costs: UInt16s, points: Float64s) -> float:
 
 @njit(cache=True, nogil=True)
 def line_cost(costs: UInt16s, x0: float, y0: float, x1: float, y1: float, max_cost: float = np.inf) -> float:
-    """The integral of the costs along a line, or BLOCKED (Amanatides and Woo 1987).
+    """The integral of the costs along a line, cost times cells, or BLOCKED (Amanatides and Woo 1987).
 
-    A line through a corner touches all four cells. Where the cost exceeds `max_cost`, the rest of the line is not
-    tested.
+    costs: (h, w) uint16, 0 blocked. x0, y0, x1, y1: cells. A line through a corner touches all four cells. Where the
+    cost exceeds `max_cost`, the rest of the line is not tested.
     """
     column, row = int(np.floor(x0)), int(np.floor(y0))
     last_column, last_row = int(np.floor(x1)), int(np.floor(y1))

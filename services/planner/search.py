@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The cheapest path over an 8-connected cost grid: A* with a circular bucket queue.
 
-Costs are integers, so buckets replace the heap. A bucket is wider than the smallest step; cells that were expanded too
-early are expanded again, so the result is exact. Buffers are never cleared.
+A* is that of Hart, Nilsson and Raphael 1968, with the octile distance as heuristic. Costs are integers, so buckets
+replace the heap (Dial 1969). A bucket holds different totals: cells that were expanded too early are expanded again, as
+in delta-stepping (Meyer and Sanders 2003). So the result is exact. Buffers are never cleared.
 """
 
 from typing import Generic, TypeVar
@@ -97,7 +98,10 @@ class GridSearch:
 
 @njit(cache=True, nogil=True)
 def next_base_key(stamp: Int64s) -> int:
-    """The base of the keys of a new search: lower by 1 << COST_BITS than that of the one before."""
+    """The base of the keys of a new search: lower by 1 << COST_BITS than that of the one before.
+
+    stamp: (1,) number of the latest search, which is counted up.
+    """
     stamp[0] += 1
     return int(-stamp[0] << COST_BITS)
 
@@ -121,6 +125,8 @@ def expand(
 
     Returns 1 with a path, 0 without one, or QUEUE_FULL. Exact where no cost is under `min_cost`; a higher bound expands
     fewer cells and gives some path.
+    costs: (h * width,) uint16, otherwise as for `GridSearch.cheapest_path`. start, goal: indices of it. stamp, keys,
+    parents: of its `SearchBuffers`. cells, entry_keys, links: the entries of the queue, see `bucket_queue`.
     """
     base = next_base_key(stamp)
     offsets = _ROW * width + _COLUMN

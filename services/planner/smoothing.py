@@ -4,6 +4,11 @@
 Points are (x, y) in cells of the costmap: the centre of cell (row, column) is (column + 0.5, row + 0.5). A path's cost
 is the integral of the costs along it (`ray_cost`). A shortcut must not cost more, so smoothing never gives up
 clearance.
+
+String pulling joins points by free lines, as the path smoothing of HPA* (Botea, Mueller and Schaeffer 2004). A corner
+moves across the line between its neighbours where that lowers the cost. This is the relaxation of Thorpe, "Path
+relaxation: path planning for a mobile robot", AAAI 1984. Bends are quadratic Bezier curves. That no shortcut may cost
+more is our own.
 """
 
 from math import atan2, hypot
@@ -40,7 +45,7 @@ def smooth_path_in_map(
 
     All arguments are in cells of the costs, with their lower left corner at `origin`, m. escape: (k, 2), from `here` to
     the first of `points`; empty where the robot stands in that cell. It is not smoothed. end: a point in the last cell.
-    last: rad, heading at the end.
+    spacing: maximum distance between points of the result. last: rad, heading at the end. resolution: m a cell.
     """
     n_lead = 1 if len(escape) == 0 else 0
     whole = np.empty((n_lead + len(points) + 1, 2))

@@ -155,7 +155,7 @@ class Client:
             return self.changed.wait_for(newest_that_holds, timeout)
 
     def latched_value(self, topic: Topic[M], timeout: float = 3.0) -> M | None:
-        """The value that a latched topic's publisher keeps for late joiners; None where no publisher has one."""
+        """The value that a latched topic's publisher keeps for late joiners; None where none has one in `timeout` s."""
         best: tuple[int, M] | None = None
         for reply in self.session.get(f"{self.robot}/{topic.key}", timeout=timeout):
             if reply.ok is None:
@@ -170,7 +170,7 @@ class Client:
         return best[1] if best else None
 
     def ask(self, request: Request[Q, R], message: Q, timeout: float = 5.0) -> R:
-        """The reply to a request. Raises UserError where it is too large or refused, or no reply comes in time."""
+        """The reply to a request. Raises UserError where it is too large or refused, or none comes in `timeout` s."""
         envelope = Envelope("operator", self.session_name, 0, self.now())
         key = f"{self.robot}/{request.key}"
         refusal = b""

@@ -61,7 +61,7 @@ Effect = Sent | JobOrder
 class Host:
     """Feeds one service. Every event sets `service.now`, enters the journal, and returns its effects in order.
 
-    sequences: first sequence number by key, for the replay of a session without its beginning.
+    sequences: first sequence number by key, for the replay of a session without its beginning. now: ns, of an event.
     """
 
     def __init__(self, service: Service, name: str, session: str, sequences: dict[str, int] | None = None) -> None:

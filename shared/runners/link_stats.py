@@ -29,6 +29,7 @@ class LinkStats:
         self._cpu, self._wall = time.process_time(), time.monotonic()
 
     def count_message(self, key: str, age: float, spent: float) -> None:
+        """Counts a message of a key. age: s since its stamp. spent: s in its handler."""
         self.counts[key] = self.counts.get(key, 0) + 1
         self.ages[key] = max(self.ages.get(key, 0.0), age)
         self.slowest = max(self.slowest, spent)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Teleoperation from the app: the common rule of who drives, for calls from several threads."""
+"""Teleoperation from the app: the common teleop arbitration, for calls from several threads."""
 
 import threading
 

@@ -47,6 +47,7 @@ class BackEnd:
     """Keyframes and their pose graph. `map_from_local` is the present pose of the front end's frame on the map.
 
     A session is a run of keyframes in one frame `local`. A part is a session that only odometry joins to the rest.
+    range_max: m, of the laser.
     """
 
     def __init__(

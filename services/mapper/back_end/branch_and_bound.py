@@ -134,7 +134,10 @@ def search_counted(
     min_score: float,
     config: BranchAndBoundConfig,
 ) -> tuple[list[Candidate], int]:
-    """Returns the result of `search`, and the number of windows evaluated; no pose beyond `max_windows`."""
+    """Returns the result of `search`, and the number of windows evaluated. Arguments as for `search`.
+
+    There is no pose where the search needs more than `max_windows`.
+    """
     points = voxel_downsample(points, config.max_points, pyramid.resolution)
     n = len(points)
     if n == 0:
@@ -171,7 +174,7 @@ def search_counted(
 
 
 def search_cost(points: Float64s, pyramid: Pyramid, reach: float, turn: float, config: BranchAndBoundConfig) -> int:
-    """Returns the number of cells that `search` reads for its first bounds: about 1e9 per second."""
+    """Returns the number of cells that `search` reads for its first bounds. Arguments as for `search`."""
     points = voxel_downsample(points, config.max_points, pyramid.resolution)
     if not len(points):
         return 0

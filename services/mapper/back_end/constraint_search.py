@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Search for constraints at the newest keyframes, as a Job: loop closures, and pairwise constraints nearby."""
+"""Search for constraints at the newest keyframes, as a Job: loop closures, and pairwise constraints nearby.
+
+It runs beside the scans, as the constraint builder of Cartographer does (Hess et al., ICRA 2016, section V). The two
+methods and their sources are in loop_closure.py and pairwise_constraints.py.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keyframes: the scans that are nodes of the pose graph, and the sweeps that they are made of."""
+"""Keyframes: the scans that are nodes of the pose graph, and the sweeps that they are made of.
+
+A keyframe is what Cartographer calls a trajectory node; its `silent` are the misses of Cartographer's range data.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -67,7 +70,10 @@ class Keyframe:
         cls, stamp: int, local_from_base: Pose2, origins: Float64s, ends: Float64s, silent: Float64s, sweep: Sweep,
         covariance: Float64s, odometry_residual: Pose2,
     ) -> "Keyframe":  # fmt: skip
-        """Returns the keyframe of a placed scan, with arrays as float32."""
+        """Returns the keyframe of a placed scan, with arrays as float32.
+
+        origins, ends, silent: (n, 2) m in `base`.  covariance: (3, 3) m and rad.  All as the fields of these names.
+        """
         free = silent if not np.isnan(silent).all() else silent[:0]
         arrays = (array.astype(np.float32) for array in (origins, ends, sweep.points, sweep.normals, free))
         return cls(
@@ -90,14 +96,14 @@ class Keyframe:
         grid.insert_scan(pose @ origins, pose @ ends, silent)
 
     def surface(self) -> tuple[Float64s, Float64s]:
-        """Returns points and normals (k, 2) in `base`, float64 for the kernels."""
+        """Returns points (k, 2) m and normals (k, 2) in `base`, float64 for the kernels."""
         return self.points.astype(np.float64), self.normals.astype(np.float64)
 
 
 def mean_map_from_local(keyframes: Sequence[Keyframe], poses: Float64s) -> Pose2:
     """Returns the mean map_from_local of keyframes, as the yaw of a single one would turn all that is far away.
 
-    keyframes: (n,).  poses: (n, 3) of them in `map`.
+    keyframes: (n,).  poses: (n, 3) m, m, rad of them in `map`.
     """
     local = np.array([(k.local_from_base.x, k.local_from_base.y) for k in keyframes])
     turns = wrapped_all(poses[:, 2] - np.array([k.local_from_base.yaw for k in keyframes]))

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Choice of the keyframe to remove, so that the graph grows with the mapped area and not with time."""
+"""Choice of the keyframe to remove, so that the graph grows with the mapped area and not with time.
+
+Each place keeps a bounded number of views, as in Konolige and Bowman, "Towards lifelong visual maps", IROS 2009. Which
+one is removed is our own rule: the oldest. Kretzschmar and Stachniss (IJRR 2012) remove the least informative one.
+"""
 
 from collections.abc import Sequence
 

@@ -5,6 +5,9 @@ With the last metres alone, scan matching drifts as odometry does, only slower. 
 matches walls that lie half a metre beside the right ones, and distorts the map. The local map is between the two.
 It holds keyframes whose standard deviation, relative to the newest one, is below a gate. Keyframes from long ago drop
 out, and return when a closure makes their relative pose certain.
+
+This choice of keyframes is our own. It is derived from Cartographer's submap (Hess et al., ICRA 2016, section IV-B),
+which holds the newest scans instead.
 """
 
 from collections.abc import Sequence
@@ -65,6 +68,7 @@ def build_local_map(
     max_sigma: maximum standard deviation relative to the newest keyframe, m.
     radius: m, within which no place may be missing; a new local map reaches MARGIN_M farther.
     content: of the present submap; None if its keyframes have moved.
+    settings: of the new submap; the number is `range_max` of the laser, m.
     """
     newest = int(graph.nodes[-1])
     covariances = relative_covariances(graph, newest)

@@ -77,6 +77,7 @@ class SubmapCache:
 
     Only jobs use it, and jobs run one by one in the order in which they were ordered, live as in a replay. So a submap
     has the same content in both, whether it was built before or after one of its keyframes was removed.
+    range_max: m, of the laser.
     """
 
     MAX_BYTES = 60_000_000  # about 60 submaps in a room, 8 in a hall
@@ -143,7 +144,7 @@ def find_loop_closures(
 def earlier_visits(poses: Float64s, covariances: Float64s, driven: Float64s, config: LoopClosureConfig) -> list[int]:
     """Returns rows of the nodes, one for each visit, that the last node may be near; most certain and nearest first.
 
-    poses: (n, 3) in `map`.  covariances: (n, 3, 3) relative to the last node.  driven: (n,) m.
+    poses: (n, 3) m, m, rad in `map`.  covariances: (n, 3, 3) relative to the last node.  driven: (n,) m.
     """
     distance = np.hypot(*(poses[:, :2] - poses[-1, :2]).T)
     sigma = np.sqrt(np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]))

@@ -45,7 +45,10 @@ class MapJobs:
     def add_keyframe(
         self, keyframe: Keyframe, match: Match, odometry: OdometryError, odometry_scale: float = 1.0
     ) -> Out:
-        """Adds a keyframe to the graph (see `BackEnd.add_keyframe`), and orders a search for constraints when due."""
+        """Adds a keyframe to the graph, and orders a search for constraints when due.
+
+        Arguments as for `BackEnd.add_keyframe`.
+        """
         self.back_end.add_keyframe(keyframe, match, odometry, odometry_scale)
         if self.back_end.is_search_due and not self.is_searching:
             self.is_searching = True

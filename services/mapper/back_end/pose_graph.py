@@ -183,7 +183,7 @@ class PoseGraph:
         self._next_node = max(self._next_node, until)
 
     def add_node(self, map_from_base: Pose2, fixed: bool = False) -> int:
-        """Adds a node, and returns its name."""
+        """Adds a node at a pose, and returns its name. The first node is always fixed."""
         name = self._next_node
         self._nodes.append(
             node=name, pose=(map_from_base.x, map_from_base.y, map_from_base.yaw), fixed=fixed or self._nodes.n == 0

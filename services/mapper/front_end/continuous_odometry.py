@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The odometry of the last seconds as one continuous motion, across restarts of its publisher."""
+"""The odometry of the last seconds as one continuous motion, across restarts of its publisher.
+
+Poses between samples are linear, as in Cartographer's TransformInterpolationBuffer. Beyond the last one its twist
+continues, as in Cartographer's PoseExtrapolator. To leave out jumps is our own.
+"""
 
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass

@@ -4,6 +4,9 @@
 A point in known free space is dynamic. A person walking ahead of the robot overlaps the newest points of the map, which
 no later beam crosses. So a point on a free-standing object is aligned only if the map has shown the object for some
 time, or from another position.
+
+The rules are our own. They are derived from the distance filter of Fox, Burgard and Thrun, "Markov localization for
+mobile robots in dynamic environments", JAIR 1999. That filter rejects beams which are shorter than the map explains.
 """
 
 from math import exp
@@ -54,6 +57,7 @@ class DynamicPointFilter:
         """(n,) bool: beams on free-standing objects that the submap has not shown for long; none if they are too many.
 
         free_standing: (n,) bool, of the sweep's beams.  guess: pose in the submap's frame.  stamp: ns, of the sweep.
+        seconds: since the last sweep.
         """
         registrar, crowded = submap.registrar, self.is_crowded(seconds)
         suspect = np.zeros_like(free_standing)
@@ -75,7 +79,8 @@ class DynamicPointFilter:
     def update_crowd(self, n_free_standing: int, seconds: float, is_good: bool) -> None:
         """Updates the mean by a sweep. n_free_standing: its free-standing beams on known free space.
 
-        is_good: whether the match is; under a wrong pose static beams fall on free space, too.
+        seconds: since the last sweep.  is_good: whether the match is; under a wrong pose static beams fall on free
+        space, too.
         """
         self.crowd_beams *= exp(-seconds / CROWD_AVERAGE_S)
         if is_good:

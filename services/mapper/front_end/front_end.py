@@ -9,6 +9,9 @@
 4. update the uncertainty, and then the pose, the errors of odometry and the crowd.
 5. classify: good, poor or lost; may the scan be drawn?
 6. extend the submap, with a keyframe where the robot has moved on.
+
+Phases 1, 2 and 6 follow KISS-ICP (Vizzo et al., RA-L 2023, section III) with a submap as in Cartographer's local SLAM.
+Phases 3 to 5 are our own.
 """
 
 from dataclasses import dataclass, replace
@@ -102,6 +105,7 @@ class FrontEnd:
     keyframe_off: motion by matches between the last two keyframes less that by odometry, in axes of the last one.
     dead_reckoned: the pose by odometry alone since the last trusted scan.
     motion: in `base` of the scan before, between the last two scans, by matches.
+    range_max: m, of the laser.
     """
 
     def __init__(
@@ -173,8 +177,8 @@ class FrontEnd:
         """The pose of a sweep, which also extends the submap where the robot has moved on.
 
         origins, ends: (n, 2) m in `base` at the sweep's end, de-skewed, ends NaN without an echo.
-        step: motion by odometry since the last sweep.  sigma_factor: of its standard deviations; over 1 the step is no
-        odometry but an assumption.  skew: share of the step by which the beams were de-skewed.
+        step: motion by odometry since the last sweep, in `base` then.  sigma_factor: of its standard deviations; over 1
+        the step is no odometry but an assumption.  skew: share of the step by which the beams were de-skewed.
         stamp: ns, end of the sweep.  seconds: since the last one; not positive if a clock was set back.
         """
         prediction = self._predict(step, sigma_factor, skew, seconds if seconds > 0 else COMPARISON_S)

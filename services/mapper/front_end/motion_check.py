@@ -3,6 +3,8 @@
 
 Slip of a wheel, or odometry that is a little late, explains a part of a motion. A laser that repeats a scan, or wheels
 that spin at an obstacle, give a larger difference for as long as that lasts.
+
+The method is our own: two motions over a window are compared, with a bound that grows with the motion.
 """
 
 from collections import deque
@@ -33,7 +35,7 @@ class MotionCheck:
         self._motions: deque[tuple[float, Pose2, Pose2]] = deque()
 
     def add(self, odometry_motion: Pose2, match_motion: Pose2, seconds: float) -> None:
-        """Adds the motion since the last scan, in `base` of that scan, by odometry and by the match."""
+        """Adds the motion in the `seconds` since the last scan, in `base` then, by odometry and by the match."""
         self._motions.append((seconds, odometry_motion, match_motion))
         while len(self._motions) > 1 and sum(s for s, _, _ in self._motions) - self._motions[0][0] >= WINDOW_S:
             self._motions.popleft()

@@ -48,12 +48,12 @@ class ScaleEstimate:
 
     @property
     def value(self) -> float:
-        """True motion per measured motion."""
+        """True motion per measured motion, 1 without any."""
         return (self.products + self.stiffness) / (self.squares + self.stiffness)
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of `value`."""
+        """Standard deviation of `value`, a ratio."""
         return UNKNOWN_SCALE_SIGMA * sqrt(self.stiffness / (self.squares + self.stiffness))
 
     def add(self, measured: float, true: float, n: int = 1) -> None:
@@ -123,7 +123,7 @@ class OdometryError:
         return Pose2(forward * step.x, forward * step.y, turn * step.yaw)
 
     def add_step(self, step: Pose2, seconds: float) -> None:
-        """Adds a motion by odometry, to measure how evenly it arrives.
+        """Adds a motion by odometry over `seconds`, to measure how evenly it arrives.
 
         Where odometry comes in steps or late, motions and standstills alternate.
         """
@@ -134,7 +134,7 @@ class OdometryError:
         self.uneven_turn_sigma = UNEVEN_SIGMA_SHARE * float(np.ptp(turns)) if is_even else 0.0
 
     def add_match(self, step: Pose2, motion: Pose2, information: Float64s, seconds: float = COMPARISON_S) -> None:
-        """Adds the same motion by odometry (`step`, unscaled) and by a match, over `seconds`.
+        """Adds the same motion, in `base` before it, by odometry (`step`, unscaled) and by a match, over `seconds`.
 
         information: (3, 3) of the match. A match that leaves a direction open starts the comparison again.
         """
@@ -183,7 +183,7 @@ class OdometryError:
         seconds: float = inf,
         smooth: bool = False,
     ) -> Prior:
-        """The prior after a scaled step from the pose `before`, in its frame.
+        """The prior after a scaled step, in `base`, from the pose `before`, in the frame of that pose.
 
         sigma_factor: multiplies the standard deviations.  skew: see `Prior`.  seconds: duration of the step; if it is
         impossibly short, the step has the sigma of a whole comparison.  smooth: without the sigma of uneven odometry.

@@ -20,6 +20,8 @@ MIN_NORMAL_COSINE = 0.7  # between two normals of one surface
 class PointMap:
     """Points (n, 4) float64: x, y m and normal nx, ny, which is (0, 0) where the surface has no direction.
 
+    spacing: m between two points, at least.
+
     Arrays have room for more than `n` rows. `following` chains the points of a cell; `keys` and `heads` are the hash
     table from cell to first point.
     covariances, positions, stamps: (n, 3, 3) m and rad, (n, 2) m and (n,) ns of the pose at which a point was seen.
@@ -83,7 +85,10 @@ class PointMap:
 
 @njit(cache=True, nogil=True)
 def slot_of(keys, ix, iy):  # type: ignore[no-untyped-def]  # compiled
-    """Slot of a cell in `keys`, or the free one for it, and the key. Linear probing; len(keys) is a power of two."""
+    """Slot in `keys` of the cell at column ix and row iy, or the free one for it, and the key of that cell.
+
+    Linear probing; len(keys) is a power of two.
+    """
     key = (np.int64(ix) << 32) ^ (np.int64(iy) & np.int64(0xFFFFFFFF))
     mask = np.int64(len(keys) - 1)
     mixed = key * np.int64(-7046029254386353131)
@@ -108,7 +113,8 @@ def _rehash(keys, heads, new_keys, new_heads):  # type: ignore[no-untyped-def]  
 def nearest(x, y, nx, ny, gate, points, following, keys, heads):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
     """Index of the nearest point with a compatible normal, and its squared distance, m^2; -1 without one in `gate` m.
 
-    x, y: m.  nx, ny: normal, (0, 0) if unknown.  The search goes ring by ring, until no ring can hold a nearer point.
+    x, y: m.  nx, ny: normal, (0, 0) if unknown.  The last four: `PointMap.index`.  The search goes ring by ring, until
+    no ring can hold a nearer point.
     """
     ix, iy = floor(x / CELL_M), floor(y / CELL_M)
     best, best_d = -1, gate * gate

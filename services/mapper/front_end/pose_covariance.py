@@ -5,6 +5,9 @@ A scan that fits a map drawn a moment ago from an uncertain pose is no more cert
 the map keeps the covariance of the pose at which it was seen (`PointMap.set_pose_of_new_points`). A match inherits it
 in the directions that the beams determine. The map keeps the covariance only of directions that the beams left open.
 Where beams determine all directions, the drift of the map is not counted.
+
+This inheritance is our own. Covariances are compounded to first order (Smith, Self and Cheeseman, "Estimating uncertain
+spatial relationships in robotics", 1990). Directions are separated by eigenvectors as in Zhang et al., ICRA 2016.
 """
 
 import numpy as np

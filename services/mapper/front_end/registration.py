@@ -79,7 +79,10 @@ class Prior:
 
 
 class LineRegistrar:
-    """Point to line where a map point has a normal, point to point elsewhere, with a weak prior."""
+    """Point to line where a map point has a normal, point to point elsewhere, with a weak prior.
+
+    range_max: m, of the laser.
+    """
 
     def __init__(self, config: RegistrationConfig, range_max: float) -> None:
         self.config = config

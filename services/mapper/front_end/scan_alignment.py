@@ -4,6 +4,9 @@
 Odometry can be wrong: a slipping wheel, a stall, a wrong sign. Then the motion before is a guess, and the poses of a
 correlative search. Another pose replaces the first only if clearly more beams support it. The margin grows with the
 offset from odometry that slip must explain.
+
+The guesses are those of KISS-ICP (constant velocity: Vizzo et al., RA-L 2023, section III-A) and of Olson, ICRA 2009.
+The choice between them is our own.
 """
 
 from collections.abc import Sequence
@@ -35,7 +38,7 @@ class UnmatchedMotion:
     seconds: float = 0.0
 
     def extended(self, step: Pose2, seconds: float) -> "UnmatchedMotion":
-        """With a further motion."""
+        """With a further motion, in `base`, that took `seconds`."""
         return UnmatchedMotion(self.path + hypot(step.x, step.y), self.turn + abs(step.yaw), self.seconds + seconds)
 
 
@@ -68,7 +71,8 @@ class Prediction:
 class ScanAligner:
     """Aligns scans with a submap.
 
-    searches_next: the next scan is searched for, whatever its match.  other_starts: further centres of that search.
+    searches_next: the next scan is searched for, whatever its match.  other_starts: further centres of that search, in
+    `local`.  good_quality: minimum quality of a good match, 0..1.
     """
 
     def __init__(

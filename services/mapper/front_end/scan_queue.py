@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Synchronisation of scans with odometry: a scan waits until odometry covers its end, for a bounded time.
 
-A scan leaves the queue de-skewed, with the motion since the last one. As `message_filters` of ROS, with a deadline.
+A scan leaves the queue de-skewed, with the motion since the last one. The wait is that of `tf2_ros::MessageFilter` of
+ROS, with a deadline. The rules for clocks and dropped scans are our own.
 """
 
 from dataclasses import dataclass
@@ -164,7 +165,7 @@ class ScanQueue:
         )
 
     def set_motion(self, motion: Pose2, seconds: float) -> None:
-        """Sets the velocity by the motion that the match measured since the scan before."""
+        """Sets the velocity by the motion, in `base`, that the match measured in `seconds` since the scan before."""
         drivable = 0.02 <= seconds <= 1 and self.odometry.is_drivable(motion, seconds)
         self.velocity = _scaled_motion(motion, 1 / seconds) if drivable else Pose2()
 

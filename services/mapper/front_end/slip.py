@@ -4,6 +4,8 @@
 A wheel that slips or sticks, and a missed count, err by a part of the motion. Late odometry errs by the motion during
 the delay. A match farther off is doubtful, however well its beams fit. Outdoors, for example, the laser may see the
 ground ahead, which moves with the robot.
+
+The bounds are our own, from the kinematics of a differential drive.
 """
 
 from dataclasses import dataclass

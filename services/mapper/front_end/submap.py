@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The submap: surface points to align scans with, and an occupancy grid of the same area (Cartographer's Submap)."""
+"""The submap: surface points to align scans with, and an occupancy grid of the same area.
+
+It has the place of Cartographer's Submap2D, which aligns with the grid instead of points. To remove points that beams
+crossed is our own.
+"""
 
 import numpy as np
 
@@ -20,7 +24,10 @@ FAST_UPDATE = {"hit": 0.7, "miss": 0.36, "hit_depth": 0.0}
 
 
 class Submap:
-    """Surface points and occupancy of the same keyframes, in one frame: `local`, or `map` for a saved map."""
+    """Surface points and occupancy of the same keyframes, in one frame: `local`, or `map` for a saved map.
+
+    range_max: m, of the laser.
+    """
 
     def __init__(self, registration: RegistrationConfig, occupancy: OccupancyConfig, range_max: float) -> None:
         occupancy = occupancy.model_copy(update=FAST_UPDATE)
@@ -37,7 +44,7 @@ class Submap:
         keyframe.draw(self.grid, pose)
 
     def set_uncertainty(self, pose: Pose2, covariance: Float64s | Float32s, stamp: int) -> None:
-        """Sets the pose of the points that are new since the last call, its covariance (3, 3), and its stamp, ns."""
+        """Sets the pose of the points that are new since the last call, its covariance (3, 3) m, rad, and stamp, ns."""
         self.registrar.map.set_pose_of_new_points(pose.x, pose.y, covariance, stamp)
 
     def remove_crossed_points(self) -> None:

@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Surface normals of a sweep and of an occupancy grid, and which beams measured a usable or free-standing point."""
+"""Surface normals of a sweep and of an occupancy grid, and which beams measured a usable or free-standing point.
+
+Normals are those of lines by total least squares, the planar case of Hoppe et al., "Surface reconstruction from
+unorganized points", SIGGRAPH 1992. Gaps are found as by the adaptive breakpoint detector (Borges and Aldon, "Line
+extraction in 2D range images for mobile robotics", 2004). The neighbours in a fit, and free-standing beams, are our
+own.
+"""
 
 from math import hypot, inf, isnan, sqrt
 

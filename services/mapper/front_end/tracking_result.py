@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results of the front end for one scan: the pose with its quality, and a match with the beams that contradict it."""
+"""Results of the front end for one scan: the pose with its quality, and a match with the beams that contradict it.
+
+Both measures of a match, quality and margin, are our own. They extend the inlier ratio of ICP by beams that contradict
+the map.
+"""
 
 from dataclasses import dataclass
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Is the pose good, poor or lost? By the quality of the matches, the covariance, and the agreement with odometry."""
+"""Is the pose good, poor or lost? By the quality of the matches, the covariance, and the agreement with odometry.
+
+The rules are our own: after a scan that did not fit, only a good match makes the pose good again.
+"""
 
 from services.mapper.front_end.motion_check import MotionCheck
 from services.mapper.front_end.pose_covariance import PoseCovariance
@@ -32,7 +35,8 @@ class TrackingState:
     def grade(self, quality: float, is_informative: bool, is_displaced: bool, uncertainty: PoseCovariance) -> None:
         """Sets the state by a scan's match.
 
-        is_displaced: its pose is too far from odometry for a first good match.  uncertainty: of that pose.
+        quality: 0..1.  is_displaced: its pose is too far from odometry for a first good match.  uncertainty: of that
+        pose.
         """
         self.n_poor = self.n_poor + 1 if is_informative and quality < self.good_quality else 0
         self.fits = is_informative and quality >= self.good_quality

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drawing of the map from its keyframes, one slice a job: first joined parts, then parts that must fit them."""
+"""Drawing of the map from its keyframes, one slice a job: first joined parts, then parts that must fit them.
+
+As in Karto (`OccupancyGrid::CreateFromScans`), the grid is drawn again from all scans at their corrected poses. The
+slices, and the test of parts that are not joined, are our own.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -92,7 +92,7 @@ class Occupancy:
                 self.tile_index[int(i) + row0, int(j) + column0] = int(directory[i, j])
 
     def next_update(self, stamp: int) -> MapUpdate | None:
-        """The tiles that changed since the last update, by row and column; None without any."""
+        """The tiles that changed since the last update, by row and column; None without any. stamp: ns."""
         self.update_cells()
         changed = sorted(tile for tile, i in self.tile_index.items() if self.unpublished[i])
         if not changed:
@@ -111,7 +111,7 @@ class Occupancy:
                 self.unpublished[i] = True
 
     def all_tiles(self, stamp: int) -> MapUpdate:
-        """All tiles as last published."""
+        """All tiles as last published. stamp: ns."""
         return self._message(stamp, sorted(p for p, i in self.tile_index.items() if self.cells[i].any()))
 
     def load(self, update: MapUpdate) -> None:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ray casting: beams lower the log odds of the cells that they cross and raise those of the cells that they hit."""
+"""Ray casting: beams lower the log odds of the cells that they cross and raise those of the cells that they hit.
+
+Cells along a beam are those of Amanatides and Woo 1987, here in fixed point.
+"""
 
 import numpy as np
 from numba import njit
@@ -36,8 +39,9 @@ def pull_back_hits(origins, ends, hit_depth, resolution, directory, row0, column
     """Moves each end back, in place, to the first occupied cell on the last `hit_depth` m of its beam, if any.
 
     origins, ends: (n, 2) m.  directory: (rows, columns) int32 index of each tile, from row0 and column0; -1: none.
-    limit: log odds of an occupied cell.  Ranges are noisy. A cell behind a wall that one beam hits would stay occupied,
-    as no later beam crosses it, and walls would grow outwards.
+    limit: log odds of an occupied cell.  log_odds: (tiles, 64, 64) float32.  resolution: m a cell.
+    Ranges are noisy. A cell behind a wall that one beam hits would stay occupied, as no later beam crosses it, and
+    walls would grow outwards.
     """
     for k in range(len(ends)):
         if np.isnan(ends[k, 0]):
@@ -63,7 +67,9 @@ def cast_rays(  # type: ignore[no-untyped-def]  # compiled: numba finds the type
 ):  # fmt: skip
     """Draws a scan, and returns the number of tiles after it.
 
-    origins, ends, silent: (n, 2) m.  directory: as in `pull_back_hits`, new tiles are added.  hit, miss: log odds.
+    origins, ends, silent: (n, 2) m.  directory, row0, column0, resolution, log_odds: as in `pull_back_hits`; new tiles
+    are added to the directory.  n_tiles: before the scan.  hit, miss, min_log_odds, max_log_odds: log odds.
+    observed: (tiles, 64, 64) uint8.  modified: (tiles,) bool, set for the tiles that the scan changes.
     packed_observed: `observed`, eight cells in one uint64.  The beams only mark cells. The log odds of a cell change
     once a scan, as many beams cross the cells near the robot.
     """

@@ -3,6 +3,9 @@
 
 The newest keyframes are matched together with the whole map, by branch and bound and registration. A pose is accepted
 after several searches along a path gave the same pose, and no other pose fits nearly as well.
+
+Start poses: Hess et al., ICRA 2016, section V-B. The acceptance is our own. Its comparison with the second best pose is
+derived from the ratio test of Lowe, IJCV 2004, section 7.1.
 """
 
 from collections.abc import Sequence
@@ -213,7 +216,10 @@ def is_same_pose(a: Pose2, b: Pose2, local_from_base: Pose2) -> bool:
 
 
 class GlobalLocalizer:
-    """Collects keyframes while the pose is unknown, orders searches, and decides when the pose is certain."""
+    """Collects keyframes while the pose is unknown, orders searches, and decides when the pose is certain.
+
+    range_max: m, of the laser.
+    """
 
     def __init__(
         self,

@@ -4,6 +4,8 @@
 A virtual laser at viewpoints all over the free space is ray-cast against the grid's occupied cells. Its sweeps are the
 keyframes, and their poses are exact. With them, the mapper treats the grid as a map of its own. Global localization,
 loop closure, kidnap detection and further mapping work on it.
+
+The method is our own: it makes the scans that would draw the grid again.
 """
 
 from dataclasses import replace

@@ -3,6 +3,9 @@
 
 The front end takes an unknown place for new ground. From the second scan on, it agrees with what it drew there itself.
 The saved map does not agree: there, beams end in free space, or pass through walls.
+
+It is derived from augmented MCL (Thrun et al., "Probabilistic Robotics", 2005, table 8.3), which averages how well
+measurements fit. There a short average is compared with a long one; here one average has a threshold.
 """
 
 from typing import ClassVar

@@ -17,7 +17,8 @@ def levenberg_marquardt(poses, fixed, i, j, relative, information, robust, gate,
     """Returns poses (n, 3) that minimise the sum of chi2 over m edges, or of its Geman-McClure cost; and the steps.
 
     fixed: (n,) bool, which do not move.  i, j: (m,) int64.  relative: (m, 3) i_from_j.  information: (m, 3, 3).
-    robust: (m,) bool, edges with the kernel of squared width `gate`.  tolerance: relative gain of the cost to stop at.
+    robust: (m,) bool, edges with the kernel of squared width `gate`.  iterations: maximum of steps.
+    tolerance: relative gain of the cost to stop at.
     Increments are (x, y, yaw) in each node's own frame. Marquardt 1963; the kernel's weights: Yang et al., RA-L 2020.
     """
     n = len(poses)

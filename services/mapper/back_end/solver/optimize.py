@@ -109,7 +109,10 @@ def _anchors(n: int, i: Int64s, j: Int64s, fixed: Bools) -> Bools:
 
 @njit(cache=True, nogil=True)
 def connected_components(n, i, j):  # type: ignore[no-untyped-def]  # compiled; -> (n,) int64, the first node of each node's component
-    """Union-find by the lower index, with path halving (Tarjan and van Leeuwen 1984)."""
+    """Union-find by the lower index, with path halving (Tarjan and van Leeuwen 1984).
+
+    n: number of nodes.  i, j: (m,) int64, rows of the nodes that each edge joins.
+    """
     parent = np.arange(n)
     for k in range(len(i)):
         a, b = i[k], j[k]

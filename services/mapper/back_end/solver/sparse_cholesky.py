@@ -109,6 +109,7 @@ def factorize(first, rows, diagonal, below, damping):  # type: ignore[no-untyped
     """Returns the factor L of A + damping I: inverted diagonal blocks (n, 3, 3), blocks below, and whether it exists.
 
     diagonal: (n, 3, 3) of A.  below: (len(rows), 3, 3) of A in the pattern of `elimination_order`, 0 where A has none.
+    first, rows: that pattern.
     Left-looking block Cholesky: a column of A less the updates of earlier columns (Davis, Direct Methods, 2006, 4.8).
     """
     n = len(diagonal)
@@ -154,7 +155,11 @@ def factorize(first, rows, diagonal, below, damping):  # type: ignore[no-untyped
 
 
 @njit(cache=True, nogil=True)
-def solve(first, rows, inverse, lower, x):  # type: ignore[no-untyped-def]  # compiled; x (n, 3) in place: b -> A^-1 b
+def solve(first, rows, inverse, lower, x):  # type: ignore[no-untyped-def]  # compiled: numba finds the types
+    """Replaces b by A^-1 b in x (n, 3), by forward and back substitution.
+
+    first, rows: the pattern of `elimination_order`.  inverse, lower: the factor by `factorize`.
+    """
     n = len(inverse)
     for c in range(n):
         y0 = inverse[c, 0, 0] * x[c, 0]

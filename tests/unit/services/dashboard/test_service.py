@@ -160,7 +160,7 @@ steps = st.lists(
 @given(steps)
 def test_what_goes_out_is_one_pages_command_of_the_last_200_ms_or_zero(steps):
     pages = Pages()
-    driver, driven_at, is_open = None, 0, set()  # the model: who drives since when
+    driver, driven_at, is_open = None, 0, set()  # the model: the page that drives, since when
     for client, what, ms in steps:
         pages.core.now += ms * MS + 1000  # never exactly 200 ms after a frame
         now = pages.core.now
