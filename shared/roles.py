@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The role that each frame, request and operation of a page needs at least. One table; a role includes those before it.
 
-A request of shared/requests.py without a row is no business of a page.
+The roles of users of the page and of members of a robot (shared/access_rules.py) are the same.
 """
 
 from enum import StrEnum
@@ -42,6 +42,13 @@ REQUEST_ROLES = {
     requests.WATCH.key: Role.OPERATOR,
     requests.FAULT.key: Role.ADMIN,
 }
+
+TOOL_REQUEST_ROLES = {
+    requests.FETCH_MAP.key: Role.VIEWER,
+    requests.LOAD_MAP.key: Role.OPERATOR,
+    requests.GIVE_MAP.key: Role.OPERATOR,
+}
+"""Requests of tools alone, too large for a page's frames: a page asks for an operation."""
 
 OPERATION_ROLES = {
     "maps": Role.VIEWER,

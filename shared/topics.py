@@ -23,6 +23,7 @@ SERVICES = (
     "navigator",
     "recorder",
     "dashboard",
+    "gateway",
 )
 """Fixed order: a service's index is its port offset, and the tie-break of the lockstep runner."""
 

@@ -20,6 +20,7 @@ from zenav.cli.places import places
 from zenav.cli.zones import zones
 from zenav.cli.calibrating import calibrate
 from zenav.cli.recordings import recording
+from zenav.cli.securing import secure
 from zenav.cli.measuring import bench
 
 # isort: on
@@ -28,6 +29,7 @@ from zenav.cli.parts import DRIVE, FILES, LOOK, MAIN, app
 USAGE_ERROR: Any = typer.BadParameter.__base__  # typer's public names have only its descendants
 
 app.add_typer(robot, name="robot", rich_help_panel=MAIN)
+app.add_typer(secure, name="secure", rich_help_panel=MAIN)
 app.add_typer(topic, name="topic", rich_help_panel=LOOK)
 app.add_typer(map_, name="map", rich_help_panel=LOOK)
 app.add_typer(places, name="places", rich_help_panel=DRIVE)

@@ -83,6 +83,9 @@ def up(
     speed: Annotated[float, typer.Option(min=0.01, max=100, help="Simulated seconds in a real one.")] = 1.0,
     page: Page = True,
     browser: Browser = True,
+    remote: Annotated[
+        bool, typer.Option("--remote", help="Let members in from other computers: see zenav secure.")
+    ] = False,
     stack: Stack = "0",
     set_: Setting = None,
 ) -> None:
@@ -106,6 +109,7 @@ def up(
         OnMap.of(saved_map, MapMode(mode), at) if saved_map else None,
         page,
         browser,
+        remote,
     )
 
 
