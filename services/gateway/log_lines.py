@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the lines say that the gateway's process writes: Zenoh's log, and its own lines on links.
 
-Zenoh drops a message that the access rules do not allow, and only its log shows it, at the level of LOG_FILTER. The patterns hold for the pinned version of Zenoh; tests/stack/test_gateway.py fails where they do not.
+Zenoh drops a message that the access rules do not allow, and only its log shows it, at the level of LOG_FILTER. The
+patterns hold for the pinned version of Zenoh; tests/stack/test_gateway.py fails where they do not.
 """
 
 import re

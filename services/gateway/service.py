@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gateway to other computers: members that are connected, messages that were refused. Its process (router.py) carries the messages.
+"""The gateway to other computers: members that are connected, messages that were refused.
+
+Its process (router.py) carries the messages.
 
 Events of the shell come in on a port as msgpack maps (topics.RX), so the journal has them:
 

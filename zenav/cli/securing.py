@@ -118,7 +118,9 @@ def check(
     json: Json = False,
     folder: Folder = "",
 ) -> None:
-    """Connect as each role, with wrong certificates and with none, and print what is refused. Members are cut off for some seconds.
+    """Connect as each role, with wrong certificates and with none, and print what is refused.
+
+    Members are cut off for some seconds.
 
     Example: zenav secure check robot.local:7448
     """
