@@ -193,7 +193,7 @@ MAX_VALUE_LENGTH = 200
 class SetSettings(Message):
     """Set these settings of a service while it runs: all of them, or none. An empty value: back to that of its start.
 
-    check: change nothing, and say only whether the service would accept it. Without names it tells what holds.
+    check: change nothing, and reply whether the service would accept it. Without names the reply gives what holds.
     """
 
     names: Annotated[tuple[str, ...], Unit("dotted, as in a robot's file")]

@@ -18,6 +18,7 @@ from shared.config import Robot, Section
 from shared.messages import Message
 from shared.service import handlers
 from zenav import docs
+from zenav.console.setting_text import bounds_text
 from zenav.stack.service_loader import existing_services, service_class
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -243,7 +244,7 @@ def test_every_setting_says_what_it_is_and_in_which_bounds(name):
             "Field(..., description='m ahead of the axis'), the unit first",
         )
         if field.annotation in (int, float):
-            rule(docs.bounds(field), f"{name}.{key} has no bounds", "Field(..., ge=..., le=...)")
+            rule(bounds_text(field), f"{name}.{key} has no bounds", "Field(..., ge=..., le=...)")
 
 
 def is_of_sections(field: FieldInfo) -> bool:

@@ -12,7 +12,6 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
-import annotated_types
 from pydantic.fields import FieldInfo
 
 from shared import messages, requests
@@ -23,6 +22,7 @@ from shared.reasons import REASONS
 from shared.requests import REQUESTS
 from shared.roles import REQUEST_ROLES
 from shared.topics import TOPICS
+from zenav.console.setting_text import bounds_text
 from zenav.console.table import markdown_table
 from zenav.stack.service_loader import existing_services, service_class
 
@@ -138,7 +138,7 @@ def configuration_page() -> str:
         if model.__doc__ and model is not Section:
             lines += [inspect.cleandoc(model.__doc__), ""]
         rows: Rows = [
-            (f"`{key}`", kind_of(field), default_of(field), bounds(field), field.description or "")
+            (f"`{key}`", kind_of(field), default_of(field), bounds_text(field), field.description or "")
             for key, field in settings(model)
         ]
         lines += (
@@ -169,21 +169,6 @@ def section_of(field: FieldInfo) -> type[Section] | None:
 def is_list(field: FieldInfo) -> bool:
     """Whether a field holds any number of values."""
     return get_origin(field.annotation) in (tuple, list)
-
-
-def bounds(field: FieldInfo) -> str:
-    """`0 < .. <= 10`, from a field's constraints; empty where it has none."""
-    low = high = ""
-    for mark in field.metadata:
-        if isinstance(mark, annotated_types.Ge):
-            low = f"{mark.ge:g} <= "
-        elif isinstance(mark, annotated_types.Gt):
-            low = f"{mark.gt:g} < "
-        elif isinstance(mark, annotated_types.Le):
-            high = f" <= {mark.le:g}"
-        elif isinstance(mark, annotated_types.Lt):
-            high = f" < {mark.lt:g}"
-    return f"{low}..{high}" if low or high else ""
 
 
 def kind_of(field: FieldInfo) -> str:
