@@ -160,7 +160,10 @@ def value_at(configuration: Configuration, row: RuntimeSetting) -> Any:
 
 
 def field_at(model: type[Section], path: tuple[str, ...]) -> FieldInfo:
-    """The field of a model at a path inside its section: type, bounds and description. KeyError where there is none."""
+    """The field of a model at a path: type, bounds and description. Of what is no section, that of the whole.
+
+    KeyError where there is none.
+    """
     field = model.model_fields[path[0]]
     inner = field.annotation
     if len(path) == 1 or not (isinstance(inner, type) and issubclass(inner, Section)):

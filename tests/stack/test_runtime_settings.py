@@ -10,6 +10,8 @@ import pytest
 from shared.config import UserError, configured, load_robot
 from tests.stack.processes import StackProcesses, running
 from zenav.__main__ import _status
+from zenav.page.target import PageTarget
+from zenav.page.tools import run
 from zenav.stack.runtime_settings import RunningSettings
 
 WEIGHT, SPEED = "planner.cost.clearance_weight", "robot.drive.max_speed"
@@ -94,3 +96,30 @@ def test_where_a_service_fails_amid_a_change_the_others_go_back(stack, monkeypat
     for service in ("local_ctrl", "guard"):
         reply = ask(running_settings, service)
         assert dict(zip(reply.names, reply.values, strict=True))[SPEED] == "0.7"
+
+
+def test_a_page_sees_what_was_set_changes_it_and_goes_back(stack):
+    target = PageTarget("x80sv", str(stack.where.domain), (f"{SPEED}=0.7",))
+
+    def done(op: str, **values: str) -> object:
+        reply = run(target, op, values)
+        assert reply["accepted"], reply
+        return reply["data"]
+
+    def row(name: str) -> dict[str, object]:
+        return next(row for row in done("settings") if row["name"] == name)
+
+    assert done("setting_set", name=SPEED, value="0.5") == f"{SPEED} = 0.5 (was 0.7)"
+    speed = row(SPEED)
+    assert (speed["value"], speed["started"], speed["origin"]) == (0.5, 0.7, "set at run time")
+    assert (speed["kind"], speed["unit"], speed["is_limit"]) == ("number", "m/s", True)
+    assert (speed["low"], speed["high"]) == (0, 10)
+    assert row("planner.cost.unknown")["choices"] == ["allowed", "costly", "forbidden"]
+    assert row("local_ctrl.costmap.scan")["kind"] == "switch"
+    assert "kind" not in row("guard.stops.scan_age"), "it cannot change"
+    assert "kind" not in row("navigator.tolerance"), "its service does not run"
+    refused = run(target, "setting_set", {"name": SPEED, "value": "0.8"})
+    assert "only be lowered" in refused["detail"]
+    assert refused["hint"]
+    done("setting_set", name=SPEED, value="")
+    assert row(SPEED)["origin"] == "--set"
