@@ -73,7 +73,7 @@ function Editor({ row, editor }: { row: Setting; editor: SettingEditor }) {
   }
   if (editor.kind === "choice") {
     const options = editor.choices.map((choice) => [choice, choice] as const);
-    return <Choice label={row.name} value={row.value} options={options} onChange={change} />;
+    return <Choice label={t("setting_value")} value={row.value} options={options} onChange={change} />;
   }
   return <NumberForm row={row} editor={editor} onChange={change} />;
 }
