@@ -191,9 +191,9 @@ class Client:
                 ) from None
         raise request_error(service, refusal)
 
-    def answers(self, request: Request[Any, Any], timeout: float) -> bool:
-        """Whether a service that answers this request is there within `timeout` s."""
-        querier = self.session.declare_querier(f"{self.robot}/{request.key}")
+    def answers(self, request: Request[Any, Any], timeout: float, service: str = "") -> bool:
+        """Whether a service that answers this request is there within `timeout` s. service: where several answer."""
+        querier = self.session.declare_querier(f"{self.robot}/{request.key_of(service)}")
         is_matched = threading.Event()
         querier.declare_matching_listener(lambda status: is_matched.set() if status.matching else None)
         there: Any = querier.matching_status  # zenoh calls it a bool; it is a MatchingStatus

@@ -4,14 +4,20 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 
 import pytest
 
+from shared import requests
 from shared.config import UserError, configured, load_robot
+from shared.requests import SetSettings
 from tests.stack.processes import StackProcesses, running
 from zenav.__main__ import _status
+from zenav.client import Client
 from zenav.page.target import PageTarget
 from zenav.page.tools import run
+from zenav.stack.launch import ROOT, free_stack
 from zenav.stack.runtime_settings import RunningSettings
 
 WEIGHT, SPEED = "planner.cost.clearance_weight", "robot.drive.max_speed"
@@ -123,3 +129,32 @@ def test_a_page_sees_what_was_set_changes_it_and_goes_back(stack):
     assert refused["hint"]
     done("setting_set", name=SPEED, value="")
     assert row(SPEED)["origin"] == "--set"
+
+
+def test_a_service_that_runs_alone_keeps_settings_in_its_memory_folder(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with free_stack() as claim:
+        number = str(claim.where.domain)
+        order = [sys.executable, "-m", "zenav", "run", "guard", "--memory", "memory", "--stack", number]
+
+        def started() -> "subprocess.Popen[bytes]":
+            process = subprocess.Popen(order, env=dict(os.environ, PYTHONPATH=str(ROOT)))  # noqa: TID251
+            with Client("x80", claim.where) as client:
+                assert client.answers(requests.SET, 60.0, "guard")
+            return process
+
+        process = started()
+        try:
+            assert _status(["config", "set", f"{SPEED}=0.3", "--stack", number]) == 2, "local_ctrl does not run"
+            with Client("x80", claim.where) as client:
+                request = SetSettings(client.now(), (SPEED,), ("0.3",), False)
+                assert client.ask(requests.SET, request, service="guard").accepted
+            process.kill()
+            process.wait()
+            process = started()
+            capsys.readouterr()
+            assert _status(["config", "get", SPEED, "--stack", number]) == 0
+            assert json.loads(capsys.readouterr().out) == 0.3
+        finally:
+            process.kill()
+            process.wait()
