@@ -6,13 +6,14 @@ import os
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
 from shared import requests
 from shared.config import UserError, configured, load_robot
 from shared.requests import SetSettings
-from tests.stack.processes import StackProcesses, running
+from tests.stack.processes import StackProcesses, running, wait
 from zenav.__main__ import _status
 from zenav.client import Client
 from zenav.page.target import PageTarget
@@ -149,6 +150,10 @@ def test_a_service_that_runs_alone_keeps_settings_in_its_memory_folder(tmp_path,
             with Client("x80", claim.where) as client:
                 request = SetSettings(client.now(), (SPEED,), ("0.3",), False)
                 assert client.ask(requests.SET, request, service="guard").accepted
+            limit = time.monotonic() + 10
+            while not any(tmp_path.glob("memory/guard-settings-*.msgpack")):  # written right after the reply
+                assert time.monotonic() < limit
+                wait(0.01)
             process.kill()
             process.wait()
             process = started()
