@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 
 from shared import requests
-from shared.recording import CONFIG, Writer, about, sink
+from shared.codec import encode
+from shared.recording import CONFIG, Recording, Writer, about, sink
 from shared.requests import SetSettings
 from shared.runners.lockstep import Lockstep
+from shared.runners.replay import replay
 from tests.lockstep.stack import LockstepStack
 from tests.replay.record import ReferenceRun
 from zenav.replay.report import service_builder
@@ -104,3 +106,26 @@ def test_a_drive_with_changed_settings_and_a_restart_replays_to_the_byte(tmp_pat
     assert counts["cmd/vel"] > 80
     assert counts["settings/planner"] == counts["settings/guard"] == 1
     assert counts["settings/local_ctrl"] == 3  # set twice, and published again after the restart
+
+
+def test_a_recording_that_began_after_a_change_is_replayed_with_the_changed_settings(tmp_path):
+    began, before, after, path = [], [], [], tmp_path / "late.mcap"
+    run = ReferenceRun(lambda sent: (after if began else before).append(sent), "room", "x80sv", Hardware.MESSAGES)
+    put(run.lockstep, "planner", "planner.cost.clearance_weight", "12")
+    run.lockstep.run(1.5)
+    began.append(True)
+    latched = [sent for sent in run.lockstep.latched.values() if sent.key in ("map", "pose", "settings/planner")]
+    run.go(3.2, 0.6)
+    run.lockstep.run(1.5)
+    run.lockstep.flush()
+    with Writer(path, about(run.file.robot.name), {CONFIG: run.file.text.encode()}) as writer:
+        for sent in latched:
+            payload = encode(sent.message, sent.envelope)
+            at, sequence = sent.envelope.sent, sent.envelope.sequence
+            writer.write(sent.key, sent.topic.type, payload, after[0].envelope.sent, at, sequence, latched=True)
+        for sent in after:
+            sink(writer)(sent)
+    services = []
+    build = service_builder(run.file)
+    replay(Recording(path), ["planner", "guard"], lambda name: services.append(build(name)) or services[-1])
+    assert [service.run_time for service in services] == [{"planner.cost.clearance_weight": "12"}, {}]
