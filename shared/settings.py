@@ -60,7 +60,6 @@ RUNTIME_SETTINGS: tuple[RuntimeSetting, ...] = (
     ),
     *_rows("sim.laser", "sigma sigma_share dropout"),
     *_rows("sim.ranges", "sigma dropout"),
-    *_rows("lidar_driver", "mask_footprint footprint_margin"),
     *_rows("odometry", "wheel_variance"),
     *_rows("mapper.front_end", "keyframe_distance keyframe_turn"),
     *_rows("mapper.back_end", "redraw_interval"),
@@ -96,7 +95,7 @@ RUNTIME_SETTINGS: tuple[RuntimeSetting, ...] = (
     *_rows("navigator.exploration.frontier", "margin min_margin goal_margin min_size max_size"),
     *_rows("recorder", "split_size split_time budget"),
 )
-"""The guard's own settings, ages and what is measured (as max_braking) have no row: they are no matter of taste."""
+"""No row for the guard's settings, ages, what is measured (max_braking), or what hides scans from the guard (masks)."""
 
 BY_NAME = {row.name: row for row in RUNTIME_SETTINGS}
 
