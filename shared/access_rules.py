@@ -19,7 +19,7 @@ from typing import Any
 from shared.requests import REQUESTS
 from shared.roles import REQUEST_ROLES, TOOL_REQUEST_ROLES, Role, may
 from shared.secure_folder import Member, MemberRole
-from shared.topics import SERVICES, TOPICS, key_of
+from shared.topics import LATCHED_KEYS, SERVICES, TOPICS, key_of
 
 PUT = ["put", "delete"]
 ASK = ["query"]
@@ -73,10 +73,9 @@ def publishable_keys(kind: str) -> list[str]:
 
 def askable_keys(kind: str) -> list[str]:
     """Keys without the robot's name that it may ask: the latched topics, and requests."""
-    latched = (key_of(topic, name) for topic in TOPICS if topic.latched for name in topic.publishers)
     role = Role.ADMIN if kind in SERVICES else Role(kind)
     roles = REQUEST_ROLES | TOOL_REQUEST_ROLES
-    return [*dict.fromkeys(latched), *(row.key for row in REQUESTS if may(role, roles[row.key]))]
+    return [*LATCHED_KEYS, *(key for row in REQUESTS if may(role, roles[row.key]) for key in row.keys)]
 
 
 def served_keys(kind: str) -> list[str]:
@@ -85,8 +84,8 @@ def served_keys(kind: str) -> list[str]:
     A tool serves the last STOP to late subscribers, as every publisher of a latched topic does.
     """
     own = set(publishable_keys(kind))
-    latched = [topic.key for topic in TOPICS if topic.latched and topic.key in own]
-    return latched + [request.key for request in REQUESTS if request.by == kind]
+    latched = [key for topic in TOPICS if topic.latched and (key := key_of(topic, kind)) in own]
+    return latched + [row.key_of(kind) for row in REQUESTS if kind in row.services]
 
 
 def _rules_of(kind: str, robot: str) -> list[Rule]:

@@ -576,6 +576,17 @@ class Rollouts(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class RuntimeSettings(Message):
+    """The settings of a service that were set while it runs; all others are as it was started with."""
+
+    names: Annotated[tuple[str, ...], Unit("dotted, as in a robot's file")]
+    values: Annotated[tuple[str, ...], Unit("YAML, one a name")]
+
+    def problem(self) -> str | None:
+        return None if len(self.names) == len(self.values) else f"{len(self.values)} values for {len(self.names)} names"
+
+
+@dataclass(frozen=True, slots=True)
 class Health(Message):
     """One service's second, from its own work loop: a hung service falls silent."""
 

@@ -102,6 +102,7 @@ COSTMAP     = Topic("debug/costmap",   m.Costmap,       by="local_ctrl",        
 ROLLOUTS    = Topic("debug/rollouts",  m.Rollouts,      by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
 GUARD       = Topic("guard/status",    m.GuardStatus,   by="guard",                  hz=10, keep="latest", within=0.005, latched=True)
 CMD_VEL     = Topic("cmd/vel",         m.Velocity,      by="guard",                  hz=20, keep="latest", within=0.003)
+SETTINGS    = Topic("settings",        m.RuntimeSettings, by="*",                    hz=0,  keep="latest", within=0.100, latched=True, people=True)
 HEALTH      = Topic("health",          m.Health,        by="*",                      hz=1,  keep="latest", within=0.100, people=True)
 LOG         = Topic("log",             m.LogLine,       by="*",                      hz=0,  keep="all",    within=0.100, people=True)
 JOURNAL     = Topic("journal",         m.Journal,       by="*",                      hz=1,  keep="all",    within=0.100, people=True)
@@ -125,3 +126,5 @@ def topic_of(key: str) -> "Topic[m.Message] | None":
 
 KEYS = tuple(key for topic in TOPICS for key in dict.fromkeys(key_of(topic, name) for name in topic.publishers))
 """Every key without the robot's name, those of families too."""
+LATCHED_KEYS = tuple(key for key in KEYS if (row := topic_of(key)) is not None and row.latched)
+"""Those of latched topics."""

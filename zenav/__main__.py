@@ -12,7 +12,7 @@ import typer
 
 # isort: off
 # in the order in which `zenav --help` lists them
-from zenav.cli import starting, robots, services, driving, looking, logs  # noqa: F401  # their commands are the app's
+from zenav.cli import starting, robots, services, driving, looking, settings, logs  # noqa: F401  # their commands are the app's
 from zenav.cli.looking import config, topic
 from zenav.cli.robots import robot
 from zenav.cli.maps import map_

@@ -18,7 +18,7 @@ from services.dashboard.outgoing import (
 from services.dashboard.sessions import PageSession
 from shared import topics
 from shared.messages import Velocity
-from shared.roles import OPERATION_ROLES, REQUEST_ROLES, may
+from shared.roles import REQUEST_ROLES, may, operation_role
 from shared.service import Log, Out
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def do(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -
     """An operation of the tools."""
     op = fields["op"]
     arguments = checked_operation(op, fields.get("args", {}))
-    needed = OPERATION_ROLES[op]
+    needed = operation_role(op, arguments)
     if not may(page.role, needed):
         yield refusing_reply(service.now, page.client, fields["id"], "role", f"{op} needs the role {needed}")
     elif op == "recording_mark":  # the log is recorded, so the mark is there

@@ -14,6 +14,7 @@ from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.manoeuvres import ControlOutcome, Manoeuvre, braking
 from services.local_ctrl.path_following import PathFollower
 from services.local_ctrl.received_plan import ReceivedPlan
+from services.local_ctrl.reconfiguration import costmap_reach, reconfigure, wanted_ranges
 from services.local_ctrl.rollout import DT, Motion, limits_of
 from services.local_ctrl.state_estimate import StateEstimate
 from services.local_ctrl.zones import LocalZones
@@ -39,11 +40,10 @@ from shared.orders import Order, is_newer
 from shared.requests import Reply, Watch
 from shared.scan_faults import mismatch
 from shared.service import Answer, Out, Service, answer, every, on
+from shared.settings import Configuration
 from shared.types import NS_PER_S
 
 MAX_AGE_S = 1.0  # of an input at its arrival
-WINDOW_MARGIN_M = 1.0  # of the costmap beyond the robot's centre at the end of the longest rollout, at least
-OUTLINE_MARGIN_M = 0.5  # of the costmap beyond the robot's outline there, at least
 
 
 class LocalCtrlService(Service):
@@ -56,10 +56,7 @@ class LocalCtrlService(Service):
         self.config = config
         self.limits = limits_of(robot.drive, config.max_speed, config.max_reverse_speed)
         self.footprint = footprint_of(robot, config.padding)
-        horizon = max(config.mppi.steps * DT, config.dwa.sim_time if config.controller == "dwa" else 0.0)
-        travelled = self.limits.v_max * max(horizon, 0.5 * self.limits.v_max / self.limits.braking)
-        reach = travelled + max(WINDOW_MARGIN_M, self.footprint.circumscribed + OUTLINE_MARGIN_M)
-        self.costmap = LocalCostmap(config.costmap, reach, config.latency)
+        self.costmap = LocalCostmap(config.costmap, costmap_reach(config, self.limits, self.footprint), config.latency)
         self.inputs = ControlInputs(config.ages, robot.drive)
         controller = CONTROLLERS[config.controller](config, self.limits)
         self.zones = LocalZones(robot.circumscribed_radius)
@@ -71,17 +68,20 @@ class LocalCtrlService(Service):
             footprint=self.footprint,
             zones=self.zones,
         )
-        self.grid = OccupancyGrid()
+        self.grid, self.debug_topics = OccupancyGrid(), DebugTopics()
         self.order: Order | None = None  # the one with the highest id
         self.manoeuvre: Manoeuvre | None = None
         self.plan = ReceivedPlan(config.ages)
         self.estimate = StateEstimate(self.limits, config.latency, config.speed_settling)
         self.start = Motion(Pose2(), 0.0, 0.0)  # of the last rollouts
         self.last_tick = 0  # ns
-        self.debug_topics = DebugTopics()
-        kinds = {"ultrasonic": config.costmap.ultrasonic, "infrared": config.costmap.infrared}
-        self.ranges_wanted = np.array([kinds[sensor.kind] for sensor in robot.ranges], bool)
+        self.ranges_wanted = wanted_ranges(config, robot)
         self.ranges_limits = np.array([(s.range_min, s.range_max) for s in robot.ranges], float).reshape(-1, 2)
+
+    def settings_changed(self, old: Configuration, new: Configuration) -> Out:
+        """Takes limits, costs and critics. The content of the costmap and the last solution stay."""
+        reconfigure(self)
+        return ()
 
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:

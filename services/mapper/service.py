@@ -27,6 +27,7 @@ from shared.messages import LaserScan, MapMode, MapUpdate, Odometry, PoseEstimat
 from shared.reasons import BAD_REQUEST, BUSY, MAP_REFUSED
 from shared.requests import FetchMap, GiveMap, LoadMap, MapPart, Reply, StartMap
 from shared.service import Answer, Checkpoint, Job, Log, Out, Service, answer, every, on
+from shared.settings import Configuration
 
 MAX_TILES = 20_000  # of a saved map, 80 MB of cells: a square of 450 m at 0.05 m per cell
 
@@ -82,6 +83,10 @@ class MapperService(Service):
     def warm_up(self) -> None:
         """Compiles all kernels, on a copy of the service."""
         warm_up(type(self)(self.config, self.robot))
+
+    def settings_changed(self, old: Configuration, new: Configuration) -> Out:
+        self.slam.configure(new.config)
+        return ()
 
     @property
     def grid(self) -> Occupancy:

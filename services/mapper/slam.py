@@ -18,6 +18,7 @@ from services.mapper.back_end.local_map import LocalMap
 from services.mapper.back_end.map_jobs import MapJobs
 from services.mapper.back_end.map_parts import MIN_FIT, MIN_KEYFRAMES, OdometryGap, fits_grid, gap_information
 from services.mapper.back_end.pose_graph import OptimizationResult, rotate_matrix
+from services.mapper.config import MapperConfig
 from services.mapper.front_end.front_end import FrontEnd
 from services.mapper.front_end.scan_queue import SyncedScan
 from services.mapper.front_end.tracking_result import TrackingResult
@@ -68,6 +69,12 @@ class Slam:
         self.lost_path = 0.0  # m driven since the robot was lost
         self.searches_part = False  # global localization searches an unjoined part, which is mapped meanwhile
         self.part_fit = 1.0  # share of the last scans of an unjoined part that fit the map
+
+    def configure(self, config: MapperConfig) -> None:
+        """Takes settings of keyframes, closures, drawing and the saved map. Map and pose stay."""
+        self.front_end.config, self.kidnap_detector.config = config.front_end, config.kidnap_detection
+        self.back_end.config, self.back_end.closure_config = config.back_end, config.loop_closure
+        self.max_path_without_closure = config.max_path_without_closure
 
     @property
     def changes_map(self) -> bool:

@@ -30,6 +30,7 @@ from shared.messages import (
 from shared.orders import Order, is_newer
 from shared.pose_tracker import PoseTracker
 from shared.service import Out, Service, every, on
+from shared.settings import Configuration
 from shared.types import Bools
 
 PERIOD_NS = 500_000_000
@@ -89,6 +90,14 @@ class PlannerService(Service):
             return "no goal"
         plan = self.monitor.plan
         return plan.reason.code if plan and plan.reason else "planning"
+
+    def settings_changed(self, old: Configuration, new: Configuration) -> Out:
+        """Computes the costs again where they changed, and plans again at once."""
+        self.monitor.config = new.config.replanning
+        if new.config.cost != old.config.cost:
+            self.costmap, self.limits_published = None, False
+        self.monitor.clear()
+        yield from self._publish_plan(always=True)
 
     @on(topics.MAP)
     def map(self, update: MapUpdate) -> Out:

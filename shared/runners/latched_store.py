@@ -30,17 +30,20 @@ class LatchedStore:
         self._unsaved: dict[str, Callable[[], bytes]] = {}
 
     def restore(self, now: int, wrong: Callable[[str, int], None]) -> Iterator[tuple[str, Message, Envelope]]:
-        """The last messages before a restart, up to MAX_RESTART_AGE_NS old. wrong: called with damage and `now`."""
+        """The last messages before a restart, up to MAX_RESTART_AGE_NS old; settings at any age.
+
+        wrong: called with damage and `now`.
+        """
         for key in self._own:
-            payload = self._disk.read(key) if self._disk is not None else None
-            if payload is None:
+            payload, topic = self._disk.read(key) if self._disk is not None else None, topics.topic_of(key)
+            if payload is None or topic is None:
                 continue
             try:
-                message, envelope = decode(topics.BY_KEY[key].type, payload)
+                message, envelope = decode(topic.type, payload)
             except CodecError as error:
                 wrong(f"{key}: what was kept from before the restart is damaged: {error}", now)
                 continue
-            if 0 <= now - envelope.sent <= MAX_RESTART_AGE_NS:
+            if topic is topics.SETTINGS or 0 <= now - envelope.sent <= MAX_RESTART_AGE_NS:
                 log.info("taking up %s from before the restart", key)
                 self._values[key] = message
                 yield key, message, envelope

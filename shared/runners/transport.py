@@ -25,7 +25,7 @@ from shared.config import UserError, nearest
 from shared.credentials import TLS, Credentials, credentials_for
 from shared.reasons import Reason
 from shared.secure_folder import SecureFolder
-from shared.topics import SERVICES, TOPICS
+from shared.topics import LATCHED_KEYS, SERVICES
 
 BASE_PORT = 17400
 PORTS_A_STACK = 40
@@ -248,7 +248,7 @@ class Everything:
     def __init__(self, session: zenoh.Session, robot: str) -> None:
         self._kept: deque[RawSample] = deque()
         self._ring = session.declare_subscriber(f"{robot}/**", zenoh.handlers.RingChannel(RING))
-        keys = [f"{robot}/{topic.key}" for topic in TOPICS if topic.latched]
+        keys = [f"{robot}/{key}" for key in LATCHED_KEYS]
         self._readers = [LatchedReader(session, key, partial(self._keep, key)) for key in keys]
 
     def _keep(self, key: str, payload: bytes) -> None:

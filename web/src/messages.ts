@@ -414,6 +414,16 @@ export interface GuardStatus {
   readonly stopped: number;
 }
 
+/** The settings of a service that were set while it runs; all others are as it was started with. */
+export interface RuntimeSettings {
+  /** ns */
+  readonly stamp: number;
+  /** dotted, as in a robot's file */
+  readonly names: readonly string[];
+  /** YAML, one a name */
+  readonly values: readonly string[];
+}
+
 /** One service's second, from its own work loop: a hung service falls silent. */
 export interface Health {
   /** ns */
@@ -503,6 +513,7 @@ export interface MessageOf {
   "debug/rollouts": Rollouts;
   "guard/status": GuardStatus;
   "cmd/vel": Velocity;
+  "settings": RuntimeSettings;
   "health": Health;
   "log": LogLine;
   "sim/clock": Clock;
@@ -554,6 +565,7 @@ export const FIELDS: Readonly<Record<string, Readonly<Record<string, string>>>> 
   Costmap: { stamp: "number", x: "number", y: "number", resolution: "number", cells: "array i1 2" },
   Rollouts: { stamp: "number", xs: "array f4 2", ys: "array f4 2", costs: "array f4 1" },
   GuardStatus: { stamp: "number", state: "enum GuardState", source: "string", reason: "string", detail: "string", speed_limit: "number", stopped: "number" },
+  RuntimeSettings: { stamp: "number", names: "list of string", values: "list of string" },
   Health: { stamp: "number", name: "string", pid: "number", state: "string", events: "number", bad_messages: "number", dropped: "number", intruders: "number", last_error: "string", cpu: "number", memory: "number", handler_ms: "number", rates: "list of (string, number, number)", rejected: "list of (string, string, number)" },
   LogLine: { stamp: "number", level: "string", text: "string" },
   Clock: { stamp: "number", rate: "number" },

@@ -41,6 +41,7 @@ ANSWER_S = 1.0
 REFUSED_MS = 1000  # without a connection, it was refused
 MARK_BYTES = 24
 TIMED_OUT = b"Timeout"  # payload of the error that Zenoh itself makes
+REQUEST_KEYS = tuple(key for request in REQUESTS for key in request.keys)
 YES, NO, NO_SERVICE = "yes", "-", "not running"
 
 
@@ -186,9 +187,9 @@ def _actions(watcher: _Watcher, session: zenoh.Session, name: str) -> list[Acces
         session.put(f"{watcher.robot}/{key}", mark)
     answered = _answered(session, watcher.robot, mark)  # takes longer than the messages above
     rows = []
-    for request in REQUESTS:
-        found = YES if request.key in answered else NO if request.key in watcher.running else NO_SERVICE
-        rows.append(AccessRow(f"ask {request.key}", name, found, YES if request.key in askable else NO))
+    for key in REQUEST_KEYS:
+        found = YES if key in answered else NO if key in watcher.running else NO_SERVICE
+        rows.append(AccessRow(f"ask {key}", name, found, YES if key in askable else NO))
     for key in KEYS:
         found = YES if key in watcher.arrived.get(mark, ()) else NO
         rows.append(AccessRow(f"publish {key}", name, found, YES if key in publishable else NO))
@@ -197,7 +198,7 @@ def _actions(watcher: _Watcher, session: zenoh.Session, name: str) -> list[Acces
 
 def _answered(session: zenoh.Session, robot: str, mark: bytes) -> set[str]:
     """The requests without meaning that were answered within ANSWER_S, if only by a refusal."""
-    asked = {row.key: session.get(f"{robot}/{row.key}", payload=mark, timeout=ANSWER_S) for row in REQUESTS}
+    asked = {key: session.get(f"{robot}/{key}", payload=mark, timeout=ANSWER_S) for key in REQUEST_KEYS}
     return {key for key, replies in asked.items() if _has_answer(replies)}
 
 

@@ -33,13 +33,13 @@ MAX_SILENCE_S = 5.0
 PERIOD_S = 0.1  # between two looks at the services
 
 
-def run_service(service: str, robot: str, stack: str, settings: list[str], clock: str, log: str) -> None:
+def run_service(service: str, robot: str, stack: str, settings: list[str], clock: str, memory: str, log: str) -> None:
     """One service in this process, as `python -m services.NAME` runs it. Does not return."""
     names = tuple(existing_services())
     if service not in names:
         raise UserError(f"{service} is not a service", nearest(service, names))
     warm_first(robot, settings, [service])
-    sys.argv[:] = [service, "--robot", robot, "--stack", stack, "--log", log, "--clock", clock]
+    sys.argv[:] = [service, "--robot", robot, "--stack", stack, "--log", log, "--clock", clock, "--memory", memory]
     for setting in settings:
         sys.argv += ["--set", setting]
     runpy.run_module(f"services.{service}", run_name="__main__", alter_sys=True)
