@@ -39,6 +39,7 @@ REQUEST_ROLES = {
     requests.OVERRIDE.key: Role.OPERATOR,
     requests.SET_ZONES.key: Role.OPERATOR,
     requests.START_MAP.key: Role.OPERATOR,
+    requests.EDIT_MAP.key: Role.OPERATOR,
     requests.WATCH.key: Role.OPERATOR,
     requests.FAULT.key: Role.ADMIN,
 }

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from services.local_ctrl.dynamic_obstacles import DynamicObstacles, DynamicObstaclesConfig
 from services.local_ctrl.footprint import Footprint
+from services.local_ctrl.rollout import Limits
 from shared.config import Mount, Section
 from shared.distance_field import distance_field_into
 from shared.geometry import Pose2
@@ -24,6 +25,8 @@ from shared.types import Bools, Float32s, Float64s, Int8s, Int64s
 HIT_EVIDENCE, PASS_EVIDENCE, NO_ECHO_EVIDENCE = 4, 2, 1
 """Evidence of an obstacle: a hit sets the first. A beam beyond, and one without echo, subtract the others a scan."""
 MAX_DISTANCE_M = 20.0  # of the distance field: keeps it finite
+WINDOW_MARGIN_M = 1.0  # of the costmap beyond the robot's centre at the end of the longest rollout, at least
+OUTLINE_MARGIN_M = 0.5  # of the costmap beyond the robot's outline there, at least
 
 
 class CostmapConfig(Section):
@@ -42,6 +45,12 @@ class CostmapConfig(Section):
     infrared: bool = Field(True, description="mark echoes of infrared sensors without a laser obstacle")
     dynamic_obstacles: DynamicObstaclesConfig = DynamicObstaclesConfig()
     static_map: bool = Field(True, description="use obstacles of the map where the laser has no recent view")
+
+
+def window_reach(limits: Limits, horizon: float, circumscribed: float) -> float:
+    """m around the robot that the window must hold.  horizon: s of the longest rollout.  circumscribed: radius, m."""
+    travelled = limits.v_max * max(horizon, 0.5 * limits.v_max / limits.braking)
+    return travelled + max(WINDOW_MARGIN_M, circumscribed + OUTLINE_MARGIN_M)
 
 
 class LocalCostmap:

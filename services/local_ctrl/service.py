@@ -9,8 +9,8 @@ from services.local_ctrl import warm_up
 from services.local_ctrl.config import CONTROLLERS, LocalCtrlConfig
 from services.local_ctrl.debug_topics import DebugTopics
 from services.local_ctrl.footprint import footprint_of
-from services.local_ctrl.inputs import ControlInputs, scan_end
-from services.local_ctrl.local_costmap import LocalCostmap
+from services.local_ctrl.inputs import ControlInputs, scan_end, sensors_in_use
+from services.local_ctrl.local_costmap import LocalCostmap, window_reach
 from services.local_ctrl.manoeuvres import ControlOutcome, Manoeuvre, braking
 from services.local_ctrl.path_following import PathFollower
 from services.local_ctrl.received_plan import ReceivedPlan
@@ -26,6 +26,7 @@ from shared.messages import (
     FollowStatus,
     Goal,
     LaserScan,
+    MapState,
     MapUpdate,
     Odometry,
     Path,
@@ -42,8 +43,6 @@ from shared.service import Answer, Out, Service, answer, every, on
 from shared.types import NS_PER_S
 
 MAX_AGE_S = 1.0  # of an input at its arrival
-WINDOW_MARGIN_M = 1.0  # of the costmap beyond the robot's centre at the end of the longest rollout, at least
-OUTLINE_MARGIN_M = 0.5  # of the costmap beyond the robot's outline there, at least
 
 
 class LocalCtrlService(Service):
@@ -57,8 +56,7 @@ class LocalCtrlService(Service):
         self.limits = limits_of(robot.drive, config.max_speed, config.max_reverse_speed)
         self.footprint = footprint_of(robot, config.padding)
         horizon = max(config.mppi.steps * DT, config.dwa.sim_time if config.controller == "dwa" else 0.0)
-        travelled = self.limits.v_max * max(horizon, 0.5 * self.limits.v_max / self.limits.braking)
-        reach = travelled + max(WINDOW_MARGIN_M, self.footprint.circumscribed + OUTLINE_MARGIN_M)
+        reach = window_reach(self.limits, horizon, self.footprint.circumscribed)
         self.costmap = LocalCostmap(config.costmap, reach, config.latency)
         self.inputs = ControlInputs(config.ages, robot.drive)
         controller = CONTROLLERS[config.controller](config, self.limits)
@@ -79,9 +77,7 @@ class LocalCtrlService(Service):
         self.start = Motion(Pose2(), 0.0, 0.0)  # of the last rollouts
         self.last_tick = 0  # ns
         self.debug_topics = DebugTopics()
-        kinds = {"ultrasonic": config.costmap.ultrasonic, "infrared": config.costmap.infrared}
-        self.ranges_wanted = np.array([kinds[sensor.kind] for sensor in robot.ranges], bool)
-        self.ranges_limits = np.array([(s.range_min, s.range_max) for s in robot.ranges], float).reshape(-1, 2)
+        self.ranges_wanted, self.ranges_limits = sensors_in_use(robot, config.costmap)
 
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:
@@ -129,6 +125,12 @@ class LocalCtrlService(Service):
     def map(self, update: MapUpdate) -> Out:
         """Takes tiles of the map."""
         self.grid.apply(update)
+        return ()
+
+    @on(topics.MAP_STATE)
+    def map_state(self, state: MapState) -> Out:
+        """Takes the virtual walls of the map."""
+        self.zones.set_walls(state)
         return ()
 
     @on(topics.ZONES)
@@ -183,10 +185,7 @@ class LocalCtrlService(Service):
         if self.debug_topics.due(self.now) and self.inputs.odometry.latest is not None:
             costmap = deepcopy(self.costmap)  # the update changes it, and a spectator must not change the drive
             self._update_costmap(costmap)
-            yield topics.COSTMAP(self.debug_topics.costmap(self.now, costmap, self.footprint))
-            rollouts = self.debug_topics.rollouts(self.now, self.path_follower.controller, self.start)
-            if rollouts is not None:
-                yield topics.ROLLOUTS(rollouts)
+            yield from self.debug_topics.publications(self.now, costmap, self.path_follower, self.start)
 
     @answer(requests.WATCH)
     def watch(self, request: Watch) -> Answer[Reply]:
@@ -230,9 +229,10 @@ class LocalCtrlService(Service):
         here = self.inputs.odometry.odom_from_base
         costmap.recentre(here.x, here.y)
         if self.inputs.pose is not None:
-            costmap.set_static_map(self.grid, self.inputs.odom_from_map)
+            odom_from_map, map_id = self.inputs.odom_from_map, self.grid.map_id
+            costmap.set_static_map(self.grid, odom_from_map)
             window = costmap.x0, costmap.y0, costmap.resolution, len(costmap.field)
-            costmap.forbidden_cells = self.zones.forbidden_cells(self.inputs.odom_from_map, here, window)
+            costmap.forbidden_cells = self.zones.forbidden_cells(odom_from_map, here, window, map_id)
         else:
             costmap.set_static_map(OccupancyGrid(), Pose2())
             costmap.forbidden_cells = None
