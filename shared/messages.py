@@ -314,7 +314,7 @@ class EditKind(StrEnum):
 
 
 MAX_EDITS, MAX_EDIT_POINTS = 256, 256
-MAX_EDIT_WIDTH_M = 5
+MAX_EDIT_WIDTH_M, MAX_EDIT_XY_M = 5, 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,8 +327,8 @@ class MapEdit(Message):
 
     id: Count
     kind: Annotated[EditKind, Unit("1")]
-    xs: Annotated[Float64s, Unit("m"), Shape("n"), Within(-1e4, 1e4)]
-    ys: Annotated[Float64s, Unit("m"), Shape("n"), Within(-1e4, 1e4)]
+    xs: Annotated[Float64s, Unit("m"), Shape("n"), Within(-MAX_EDIT_XY_M, MAX_EDIT_XY_M)]
+    ys: Annotated[Float64s, Unit("m"), Shape("n"), Within(-MAX_EDIT_XY_M, MAX_EDIT_XY_M)]
     width: Annotated[float, Unit("m"), Within(0, MAX_EDIT_WIDTH_M)]
 
     def problem(self) -> str | None:

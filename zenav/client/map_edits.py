@@ -12,7 +12,7 @@ import numpy as np
 from services.mapper.grid.map_edits import MapEdits
 from shared import requests, topics
 from shared.config import UserError, load_robot
-from shared.messages import EditKind, MapEdit
+from shared.messages import MAX_EDIT_WIDTH_M, MAX_EDIT_XY_M, EditKind, MapEdit
 from shared.requests import EditMap, Reply
 from shared.runners.transport import stack_address
 from zenav.client import Client
@@ -30,7 +30,11 @@ def edit_of(kind: EditKind, points: list[str], width: float) -> MapEdit:
     if any(point.count(",") != 1 for point in points):
         wrong = next(point for point in points if point.count(",") != 1)
         raise UserError(f"{wrong.strip()!r} is no point", "write X,Y: m, m on the map")
+    if not 0 <= width <= MAX_EDIT_WIDTH_M:
+        raise UserError(f"a width of {width:g} m", f"give a width of 0 to {MAX_EDIT_WIDTH_M} m")
     xs, ys = np.array([(x, y) for x, y, _ in poses_from(points)], float).reshape(-1, 2).T
+    if not max(np.abs(xs).max(), np.abs(ys).max()) <= MAX_EDIT_XY_M:
+        raise UserError("a point lies outside of any map", f"give coordinates up to {MAX_EDIT_XY_M:g} m")
     edit = MapEdit(0, 0, kind, np.ascontiguousarray(xs), np.ascontiguousarray(ys), width)
     if (problem := edit.problem()) is not None:
         hint = "a polygon has three points or more, a wall two: zenav map wall 1,2 4,2"

@@ -21,7 +21,7 @@ from services.mapper.back_end.pose_graph import Graph
 from services.mapper.grid.edit_cells import edits_problem
 from shared.config import UserError
 from shared.geometry import Pose2
-from shared.messages import MAX_EDIT_POINTS, MAX_EDIT_WIDTH_M, TILE_CELLS, EditKind, MapEdit, MapUpdate
+from shared.messages import MAX_EDIT_POINTS, MAX_EDIT_WIDTH_M, MAX_EDIT_XY_M, TILE_CELLS, EditKind, MapEdit, MapUpdate
 from shared.types import Float64s
 
 MAGIC = "zenav saved map"
@@ -75,7 +75,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "resolution": (0.005, 1), "rows": (-MAX_TILE_INDEX, MAX_TILE_INDEX),
     "columns": (-MAX_TILE_INDEX, MAX_TILE_INDEX), "cells": (-1, 100),
     "edit_ids": (0, MAX_NAME), "edit_kinds": (0, len(EDIT_KINDS) - 1), "edit_widths": (0, MAX_EDIT_WIDTH_M),
-    "edit_points": (1, MAX_EDIT_POINTS), "edit_xy": (-1e4, 1e4),
+    "edit_points": (1, MAX_EDIT_POINTS), "edit_xy": (-MAX_EDIT_XY_M, MAX_EDIT_XY_M),
 }  # fmt: skip
 
 
