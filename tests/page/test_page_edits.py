@@ -58,7 +58,7 @@ def test_the_map_in_use_has_the_name_that_it_was_saved_under_and_places_belong_t
     page.get_by_text("Not saved yet · Mapping").wait_for()
     page.get_by_label("Save as").fill("attic")
     page.get_by_role("button", name="Save", exact=True).click()
-    page.locator(".list-item", has_text="attic · in use").wait_for()
+    page.locator(".list-item", has_text="attic").get_by_text("in use · ").wait_for()
     choose(page, "Place")
     page.mouse.click(*SECOND)
     page.get_by_label("Name of the place").fill("desk")

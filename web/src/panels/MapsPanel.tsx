@@ -75,11 +75,10 @@ function MapItem({ map }: { map: SavedMap }) {
   return (
     <li class="list-item">
       <button type="button" class="list-row expander" aria-expanded={open.value} onClick={() => (open.value = !open.value)}>
-        <span class="list-name">
-          {map.name}
-          {map.name === mapName.value && <span class="muted"> · {t("in_use")}</span>}
+        <span class="list-name">{map.name}</span>
+        <span class="muted number">
+          {[map.name === mapName.value ? t("in_use") : "", sizeText(map.size), dateText(map.modified)].filter(Boolean).join(" · ")}
         </span>
-        <span class="muted number">{[sizeText(map.size), dateText(map.modified)].filter(Boolean).join(" · ")}</span>
       </button>
       {open.value && (
         <div class="list-detail">
