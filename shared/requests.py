@@ -162,16 +162,41 @@ class StartMap(Message):
 
     at: the robot's pose on it, which is checked against the scan. Without it the robot is searched on the whole map. On
     the present map it is where it was tracked. A new map starts where the robot stands.
+    name: of the map of a transfer, for `MapState`.
     """
 
     mode: Annotated[m.MapMode, Unit("1")]
     transfer: Count
     at: Annotated[tuple[Pose, ...], Unit("m, m, rad")] = ()
+    name: Text = ""
 
     def problem(self) -> str | None:
         if len(self.at) > 1:
             return "more than one pose"
         return "a new map has no place yet" if self.mode is m.MapMode.MAP and (self.transfer or self.at) else None
+
+
+@dataclass(frozen=True, slots=True)
+class NameMap(Message):
+    """The present map was saved under this name, or its folder was renamed; empty: it has no name any more."""
+
+    name: Text
+
+
+@dataclass(frozen=True, slots=True)
+class EditMap(Message):
+    """Remove edits of the present map by their ids, or all (`clear`), then add others, whose ids the mapper chooses.
+
+    map_id: of the map that they were drawn on, which must be the present one; 0: whichever is present.
+    """
+
+    add: Annotated[tuple[m.MapEdit, ...], Unit("1")]
+    remove: Annotated[tuple[Count, ...], Unit("1")] = ()
+    clear: Flag = False
+    map_id: m.Stamp = 0
+
+    def problem(self) -> str | None:
+        return f"more than {m.MAX_EDITS} edits" if max(len(self.add), len(self.remove)) > m.MAX_EDITS else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,6 +286,8 @@ LOAD_MAP = Request("request/load_map", LoadMap, Reply, by="mapper")
 FETCH_MAP = Request("request/fetch_map", FetchMap, MapPart, by="mapper")
 GIVE_MAP = Request("request/give_map", GiveMap, Reply, by="mapper")
 START_MAP = Request("request/start_map", StartMap, Reply, by="mapper")
+NAME_MAP = Request("request/name_map", NameMap, Reply, by="mapper")
+EDIT_MAP = Request("request/edit_map", EditMap, Reply, by="mapper")
 FAULT = Request("request/fault", Break, Reply, by="sim")
 SET = Request("request/set", SetSettings, SettingsReply, by="*")
 

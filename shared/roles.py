@@ -41,6 +41,7 @@ REQUEST_ROLES = {
     requests.OVERRIDE.key: Role.OPERATOR,
     requests.SET_ZONES.key: Role.OPERATOR,
     requests.START_MAP.key: Role.OPERATOR,
+    requests.EDIT_MAP.key: Role.OPERATOR,
     requests.WATCH.key: Role.OPERATOR,
     requests.FAULT.key: Role.ADMIN,
 }
@@ -49,6 +50,7 @@ TOOL_REQUEST_ROLES = {
     requests.FETCH_MAP.key: Role.VIEWER,
     requests.LOAD_MAP.key: Role.OPERATOR,
     requests.GIVE_MAP.key: Role.OPERATOR,
+    requests.NAME_MAP.key: Role.OPERATOR,
     requests.SET.key: Role.ADMIN,  # Zenoh's access rules do not see which setting; a page's operation does
 }
 """Requests of tools alone: a page asks for an operation."""

@@ -87,6 +87,7 @@ SCAN        = Topic("scan",            m.LaserScan,     by="lidar_driver sim",  
 ODOM        = Topic("odom",            m.Odometry,      by="odometry",               hz=50, keep="all",    within=0.003)
 POSE        = Topic("pose",            m.PoseEstimate,  by="mapper",                 hz=10, keep="latest", within=0.025, latched=True)
 MAP         = Topic("map",             m.MapUpdate,     by="mapper",                 hz=2,  keep="all",    within=0.050, latched=True)
+MAP_STATE   = Topic("map/state",       m.MapState,      by="mapper",                 hz=0,  keep="latest", within=0.050, latched=True, people=True)
 GOAL        = Topic("goal",            m.Goal,          by="navigator",              hz=0,  keep="all",    within=0.005, latched=True)
 RECOVERY = Topic("recovery",        m.Recovery,      by="navigator",              hz=0,  keep="all",    within=0.005, latched=True)
 ZONES       = Topic("zones",           m.Zones,         by="navigator",              hz=0,  keep="latest", within=0.010, latched=True)

@@ -3,13 +3,10 @@
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from services.local_ctrl.config import CONTROLLERS, LocalCtrlConfig
 from services.local_ctrl.footprint import Footprint
+from services.local_ctrl.inputs import sensors_in_use
 from services.local_ctrl.rollout import DT, Limits, limits_of
-from shared.config import Robot
-from shared.types import Bools
 
 if TYPE_CHECKING:
     from services.local_ctrl.service import LocalCtrlService
@@ -25,12 +22,6 @@ def costmap_reach(config: LocalCtrlConfig, limits: Limits, footprint: Footprint)
     return travelled + max(WINDOW_MARGIN_M, footprint.circumscribed + OUTLINE_MARGIN_M)
 
 
-def wanted_ranges(config: LocalCtrlConfig, robot: Robot) -> Bools:
-    """(n,) bool: the range sensors whose echoes are marked."""
-    kinds = {"ultrasonic": config.costmap.ultrasonic, "infrared": config.costmap.infrared}
-    return np.array([kinds[sensor.kind] for sensor in robot.ranges], bool)
-
-
 def reconfigure(service: "LocalCtrlService") -> None:
     """Takes the present settings of a service into its parts.
 
@@ -41,7 +32,7 @@ def reconfigure(service: "LocalCtrlService") -> None:
     limits = service.limits = limits_of(robot.drive, config.max_speed, config.max_reverse_speed)
     service.estimate.limits, service.estimate.settling_time = limits, config.speed_settling
     service.costmap.configure(config.costmap)
-    service.ranges_wanted = wanted_ranges(config, robot)
+    service.ranges_wanted, _ = sensors_in_use(robot, config.costmap)
     controller = CONTROLLERS[config.controller](config, limits)
     controller.resume(service.path_follower.controller)
     service.path_follower.configure(config.path_following, config.cost_to_go, controller, limits)

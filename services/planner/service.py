@@ -20,6 +20,7 @@ from shared.messages import (
     TILE_CELLS,
     Goal,
     GoalLimits,
+    MapState,
     MapUpdate,
     Odometry,
     Path,
@@ -115,6 +116,12 @@ class PlannerService(Service):
         self.is_costmap_current = False
         if self.goal and self.now - self.updated_at >= 0.8 * PERIOD_NS:
             yield from self._publish_plan(always=False)
+
+    @on(topics.MAP_STATE)
+    def map_state(self, state: MapState) -> Out:
+        """Plans again at once: a virtual wall on the present plan does not go away as a person does."""
+        self.monitor.clear()
+        yield from self._publish_plan(always=True)
 
     @on(topics.ZONES)
     def zones(self, zones: Zones) -> Out:

@@ -44,6 +44,11 @@ const ASK = {
   "request/set_zones": (robot, { zones }) => {
     robot.zones = zones.map((zone) => ({ ...zone, xs: float64s(zone.xs), ys: float64s(zone.ys) }));
   },
+  "request/edit_map": (robot, { add, remove = [] }) => {
+    const kept = robot.edits.filter((edit) => !remove.includes(edit.id));
+    const first = Math.max(0, ...kept.map((edit) => edit.id)) + 1;
+    robot.edits = [...kept, ...add.map((edit, i) => ({ ...edit, id: first + i, xs: float64s(edit.xs), ys: float64s(edit.ys) }))];
+  },
 };
 
 const DO = {

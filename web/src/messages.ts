@@ -21,6 +21,9 @@ export type Localization = "starting" | "good" | "poor" | "lost";
 /** What the mapper does with its map. */
 export type MapMode = "map" | "localise" | "continue";
 
+/** Kind of an edit of the map. */
+export type EditKind = "erase" | "wall";
+
 /** What local control does to free a robot without progress. */
 export type RecoveryKind = "back_up" | "turn" | "wait";
 
@@ -212,6 +215,30 @@ export interface MapUpdate {
   readonly columns: Int32Array;
   /** percent, -1 unknown */
   readonly cells: Grid<Int8Array>;
+}
+
+/** A change of the map by a user, over what the laser saw. `id` is its own among the map's; the mapper chooses it. */
+export interface MapEdit {
+  /** ns */
+  readonly stamp: number;
+  readonly id: number;
+  readonly kind: EditKind;
+  /** m */
+  readonly xs: Float64Array;
+  /** m */
+  readonly ys: Float64Array;
+  /** m */
+  readonly width: number;
+}
+
+/** What the tiles of the map do not show: the name under which it was saved or loaded, empty if none, and its edits. */
+export interface MapState {
+  /** ns */
+  readonly stamp: number;
+  /** ns */
+  readonly map_id: number;
+  readonly name: string;
+  readonly edits: readonly MapEdit[];
 }
 
 /** The pose to plan and drive to, or, when it is not active, the order to stand. */
@@ -498,6 +525,7 @@ export interface MessageOf {
   "odom": Odometry;
   "pose": PoseEstimate;
   "map": MapUpdate;
+  "map/state": MapState;
   "goal": Goal;
   "recovery": Recovery;
   "zones": Zones;
@@ -531,6 +559,7 @@ export const ARRAYS: { readonly [K in Key]?: Readonly<Record<string, string>> } 
   "odom": { "covariance": "f8" },
   "pose": { "covariance": "f8" },
   "map": { "rows": "i4", "columns": "i4", "cells": "i1 2" },
+  "map/state": { "edits[].xs": "f8", "edits[].ys": "f8" },
   "zones": { "zones[].xs": "f8", "zones[].ys": "f8" },
   "plan": { "xs": "f8", "ys": "f8", "yaws": "f8" },
   "debug/costmap": { "cells": "i1 2" },
@@ -551,6 +580,8 @@ export const FIELDS: Readonly<Record<string, Readonly<Record<string, string>>>> 
   Odometry: { stamp: "number", odom_from_base: "pose", v: "number", w: "number", covariance: "array f8 1" },
   PoseEstimate: { stamp: "number", map_from_base: "pose", map_from_odom: "pose", covariance: "array f8 1", quality: "number", state: "enum Localization", mode: "enum MapMode" },
   MapUpdate: { stamp: "number", map_id: "number", version: "number", resolution: "number", rows: "array i4 1", columns: "array i4 1", cells: "array i1 2" },
+  MapEdit: { stamp: "number", id: "number", kind: "enum EditKind", xs: "array f8 1", ys: "array f8 1", width: "number" },
+  MapState: { stamp: "number", map_id: "number", name: "string", edits: "list of MapEdit" },
   Goal: { stamp: "number", id: "number", active: "boolean", map_from_goal: "pose", tolerance: "number", yaw_tolerance: "number", clear_costmap: "boolean" },
   Recovery: { stamp: "number", id: "number", kind: "enum RecoveryKind", amount: "number" },
   Zone: { stamp: "number", name: "string", kind: "enum ZoneKind", xs: "array f8 1", ys: "array f8 1", speed: "number", share: "number" },

@@ -71,6 +71,7 @@ class BackEnd:
         self.map_from_local = Pose2()
         self.submaps = SubmapCache(*self._settings, self.closure_config)
         self.is_fixed = False  # localization on a map that does not change
+        self.edit_nodes: frozenset[int] = frozenset()  # names of the nodes that edits of the map are anchored to
         self.first_node = 0  # name of the first node of this session
         self.first_new_node = 0  # name of the first node that is not from a saved map
         # constraints
@@ -201,7 +202,7 @@ class BackEnd:
                 self._remove(self.first_row)
             return
         first = 0 if self.is_joined else self.first_row  # the place of an unjoined part is not known
-        protected = [node for edge in self.gap_edges for node in edge]
+        protected = [*self.edit_nodes, *(node for edge in self.gap_edges for node in edge)]
         min_path = self.closure_config.min_path_between
         row = redundant_keyframe(
             self.graph, self.driven, c.max_keyframes_per_place, c.place_size, min_path, first, protected
