@@ -14,12 +14,7 @@ from services.mapper.back_end.config import BackEndConfig
 from services.mapper.back_end.keyframe import NO_COVARIANCE, Keyframe, mean_map_from_local
 from services.mapper.back_end.keyframe_pruning import redundant_keyframe
 from services.mapper.back_end.local_map import MARGIN_M, LocalMap, LocalMapContent
-from services.mapper.back_end.loop_closure import (
-    Constraint,
-    LoopClosureConfig,
-    SubmapCache,
-    information_in_own_frame,
-)
+from services.mapper.back_end.loop_closure import Constraint, LoopClosureConfig, SubmapCache, information_in_own_frame
 from services.mapper.back_end.map_parts import OdometryGap, find_joint, gap_information, joined_nodes
 from services.mapper.back_end.pose_graph import Graph, OptimizationResult, PoseGraph, fixed_graph
 from services.mapper.back_end.solver.optimize import PoseGraphConfig
