@@ -271,13 +271,13 @@ class LiveRunner:
             transport.refuse(query, reasons.BAD_REQUEST, str(error))
             return
         effects, reply = self.host.request(request.key, message, payload, now)
+        self._apply(effects)  # first: a client that has the reply finds what it asked for
         replied = encode(reply, Envelope(self.name, self.host.session, 0, now))
         if words := self._refusals.oversized(request.key, replied):
             transport.refuse(query, reasons.TOO_LARGE, f"the reply has {words}")
         else:
             with query:
                 query.reply(f"{self.robot}/{request.key_of(self.name)}", replied)
-        self._apply(effects)
 
     def _apply(self, effects: list[Effect]) -> None:
         for effect in effects:  # devices first: they do not wait for the publications
