@@ -20,6 +20,7 @@ from shared.stamps import FUTURE, precedes, supersedes
 from shared.topics import Publication
 
 PORT = "board"
+MAX_PAUSE_NS = 200_000_000  # between two ticks of 50 Hz: after a longer one the process was frozen
 
 
 class BaseDriverService(Service):
@@ -35,7 +36,7 @@ class BaseDriverService(Service):
         self.encoders = Encoders(config.encoders, robot.drive)
         self.diagnosis = Diagnosis(config, robot, self.serial)
         self.report: BoardReport | None = None
-        self.started_at: int | None = None  # ns
+        self.awake_since, self.drove_at = 0, -MAX_PAUSE_NS - 1  # ns: of ticks without a pause the first and the last
         self.is_linked = False
         self.pressed_stop: EmergencyStop | None = None
         self.wheel_command = (0.0, 0.0)  # left, right, rad/s, as last sent to the board
@@ -55,8 +56,7 @@ class BaseDriverService(Service):
         """Code of the present fault, a row of shared/reasons.py; empty without a fault."""
         if self.pressed_stop is not None:
             return reasons.ESTOP.code
-        started_at = self.now if self.started_at is None else self.started_at
-        has_waited = self.now - started_at > self.config.board_silent * 1e9
+        has_waited = self.now - self._awake_since > self.config.board_silent * 1e9
         is_port_closed = self.serial is not None and not self.serial.open
         return self.diagnosis.fault(
             self.now,
@@ -152,9 +152,14 @@ class BaseDriverService(Service):
         self._update_link()
         yield from self._status_if_changed()
 
+    @property
+    def _awake_since(self) -> int:
+        """ns since when this process works without a pause: it does not know whether the board was silent before."""
+        return self.awake_since if 0 <= self.now - self.drove_at <= MAX_PAUSE_NS else self.now
+
     @every(hz=50)
     def drive(self) -> Out:
-        self.started_at = self.now if self.started_at is None else min(self.started_at, self.now)
+        self.awake_since, self.drove_at = self._awake_since, self.now
         self._update_link()
         yield from self._status_if_changed()
         yield from self._motor_commands()

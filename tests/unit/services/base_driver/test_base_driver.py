@@ -410,6 +410,39 @@ def test_a_silent_board_is_a_fault_and_its_return_moves_nothing():
     assert bench.body[0] == pytest.approx(0.4)
 
 
+@pytest.mark.parametrize("first", ["drive", "publish_status", "command", "report"])
+def test_a_driver_that_was_frozen_blames_no_board_and_moves_by_nothing_from_before(first):
+    """The fault: after a pause the board seemed silent, and the navigator gave its task up."""
+    bench = DriverBench().run(0.3, 0.4)
+    before = bench.now
+    bench.service.now += 4000 * MS
+    bench.out = []
+    if first == "command":
+        bench.command(0.4, stamp=before)
+    elif first == "report":
+        bench.report(stamp=before + 100 * MS)
+    else:
+        bench.call(getattr(bench.service, first)())
+    bench.call(bench.service.publish_status())
+    bench.run(0.1, reports=False)
+    bench.run(0.1)
+    assert {message.fault for key, message in bench.out if key == topics.BASE_STATUS.key} == {""}
+    assert bench.motors() == (0, 0)
+    bench.run(0.1, 0.0)
+    bench.run(0.1, 0.4)
+    assert bench.body[0] == pytest.approx(0.4)
+
+
+def test_a_board_that_is_silent_after_a_pause_is_a_fault_in_the_same_time():
+    bench = DriverBench().run(0.3, 0.4)
+    bench.service.now += 4000 * MS
+    bench.run(0.48, 0.4, reports=False)
+    assert bench.last(topics.BASE_STATUS).fault == ""
+    bench.run(0.08, 0.4, reports=False)
+    assert bench.last(topics.BASE_STATUS).fault == "board_silent"
+    assert bench.motors() == (0, 0)
+
+
 def test_without_any_board_the_link_is_missing_from_the_start():
     bench = DriverBench().run(0.3, 0.4, reports=False)
     bench.call(bench.service.publish_status())
