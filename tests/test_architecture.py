@@ -50,6 +50,9 @@ FILES = (
     "shared/robot_files.py",
     "shared/kernel_cache.py",  # the lock of a kernel's index
     "shared/ros_map.py",
+    "shared/secure_folder.py",
+    "services/dashboard/certificate.py",
+    "services/dashboard/login_store.py",
     "shared/runners/latched_disk.py",  # what a restart must not lose
     "shared/runners/checkpoint_disk.py",  # the same, where it is large
     "shared/runners/blackbox.py",  # what a crash must not lose
@@ -258,7 +261,7 @@ def test_only_the_transport_and_zenav_speak_zenoh():
 
 
 def test_only_the_shell_of_the_page_loads_a_web_library():
-    shell = ("services/dashboard/web_app.py", "services/dashboard/web_server.py")
+    shell = tuple(f"services/dashboard/web_{name}.py" for name in ("app", "login", "server"))
     for path in files():
         if not short(path).startswith(shell):
             loads = {name.split(".")[0] for name in imported(path)} & {"starlette", "uvicorn", "websockets", "anyio"}

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """uvicorn with the limits of the page: connections, time to the first request, sizes. Loaded with the first browser."""
 
+import asyncio
 import logging
 import socket
+import ssl
 from asyncio import TimerHandle, Transport
 from typing import Any
 
@@ -13,7 +15,9 @@ from services.dashboard.frames import MAX_FRAME
 from services.dashboard.web_guard import App
 
 MAX_CONNECTIONS = 200
+BACKLOG = 64  # connections that wait to be accepted
 REQUEST_LIMIT_S = 5.0  # from connecting to the whole head of the first request
+HANDSHAKE_LIMIT_S = 5.0  # of TLS
 KEEP_ALIVE_S = 5  # to the next request
 MAX_HEAD = 16 * 1024  # bytes of a request's head
 PING_S = 20.0
@@ -44,12 +48,12 @@ class LimitedProtocol(H11Protocol):
 
 
 class WebServer:
-    """An application on an open socket."""
+    """An application on an open socket. context: TLS; None is plain HTTP."""
 
-    def __init__(self, app: App, listening: socket.socket) -> None:
+    def __init__(self, app: App, listening: socket.socket, context: ssl.SSLContext | None) -> None:
         for name in ("uvicorn.error", "uvicorn.access"):  # each bad request of a stranger would be a line of the log
             logging.getLogger(name).setLevel(logging.CRITICAL)
-        self._socket = listening
+        self._socket, self._context = listening, context
         self._config = uvicorn.Config(
             app,
             http=LimitedProtocol,
@@ -62,6 +66,7 @@ class WebServer:
             log_config=None,
             access_log=False,
             server_header=False,
+            proxy_headers=False,  # a client could name another address as its own
             date_header=False,
             timeout_keep_alive=KEEP_ALIVE_S,
             timeout_graceful_shutdown=1,
@@ -73,7 +78,17 @@ class WebServer:
         """Serves from now on. Unlike `uvicorn.Server.serve`, nothing wakes up while nothing happens."""
         self._config.load()
         self._server.lifespan = self._config.lifespan_class(self._config)
-        await self._server.startup(sockets=[self._socket])
+        await self._server.startup(sockets=[])  # with sockets it would let a TLS handshake take a minute
+
+        def protocol() -> LimitedProtocol:
+            return LimitedProtocol(self._config, self._server.server_state, self._server.lifespan.state)
+
+        limit = HANDSHAKE_LIMIT_S if self._context is not None else None
+        self._server.servers.append(
+            await asyncio.get_running_loop().create_server(
+                protocol, sock=self._socket, ssl=self._context, ssl_handshake_timeout=limit, backlog=BACKLOG
+            )
+        )
 
     async def stop(self) -> None:
         """Closes the connections and the socket."""
