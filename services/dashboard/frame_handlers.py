@@ -82,12 +82,12 @@ def ask(service: "DashboardService", page: PageSession, fields: dict[str, Any]) 
 def do(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
     """An operation of the tools."""
     op = fields["op"]
-    arguments = checked_operation(op, fields.get("args", {}))
-    needed = OPERATION_ROLES[op]
-    if not may(page.role, needed):
+    needed = OPERATION_ROLES.get(op)
+    if needed is not None and not may(page.role, needed):
         yield refusing_reply(service.now, page.client, fields["id"], "role", f"{op} needs the role {needed}")
         yield from _lines(refusal_line(page, op, service.now))
         return
+    arguments = checked_operation(op, fields.get("args", {}))
     if op == "recording_mark":  # the log is recorded, so the mark is there
         yield Log("INFO", f"mark by {page.name}: {arguments['text']}")
         yield accepting_reply(service.now, page.client, fields["id"])

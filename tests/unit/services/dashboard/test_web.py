@@ -103,8 +103,12 @@ def test_no_other_file_is_served(served, path):
 )
 def test_a_foreign_host_is_refused(served, host):
     assert served.request("GET", "/", host=host)[0] in (400, 403)
-    with pytest.raises(InvalidStatus):
-        Browser(served.port, additional_headers={"Host": host or "x"}, read=False)
+    name = host.partition(":")[0].partition("/")[0] or "x"
+    with closing(socket.create_connection(("127.0.0.1", served.port), SOON)) as sock:
+        if name not in ("localhost", "u@localhost"):
+            with pytest.raises(InvalidStatus) as refused:
+                Browser(served.port, name, sock=sock, read=False)
+            assert refused.value.response.status_code == 403
 
 
 def test_a_foreign_origin_is_refused(served):
