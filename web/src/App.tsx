@@ -5,6 +5,7 @@ import { effect } from "@preact/signals";
 import { useEffect, useLayoutEffect, useRef } from "preact/hooks";
 
 import { Chips } from "./components/Chips";
+import { LoginView } from "./components/LoginView";
 import { MapControls, Toolbar } from "./components/MapControls";
 import { Notices } from "./components/Notices";
 import { OfflineBanner } from "./components/OfflineBanner";
@@ -53,6 +54,7 @@ export function App() {
       <TeleopPad />
       <Notices />
       <OfflineBanner />
+      <LoginView />
     </div>
   );
 }

@@ -4,11 +4,12 @@
 import { useComputed, useSignal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 
+import { Account } from "../components/Account";
 import { Choice, Empty, Field, Section } from "../components/controls";
 import { send } from "../connection";
 import { loadSettings, settings } from "../lists";
 import { language, pageName, theme } from "../preferences";
-import { clients, hello } from "../state";
+import { hello } from "../state";
 import { t } from "../texts";
 
 const MAX_NAME = 40; // characters, as the server takes it
@@ -41,7 +42,8 @@ export function SettingsPanel() {
           <input
             type="text"
             maxLength={MAX_NAME}
-            value={pageName.value}
+            value={hello.value?.login ? hello.value.name : pageName.value}
+            disabled={hello.value?.login ?? false}
             placeholder={hello.value?.name ?? ""}
             onChange={(event) => {
               pageName.value = event.currentTarget.value.trim();
@@ -49,14 +51,7 @@ export function SettingsPanel() {
             }}
           />
         </Field>
-        <dl class="facts-list">
-          <dt>{t("role")}</dt>
-          <dd>{hello.value ? t(`role_${hello.value.role}`) : "–"}</dd>
-          <dt>{t("version")}</dt>
-          <dd>{hello.value?.version ?? "–"}</dd>
-          <dt>{t("pages_open")}</dt>
-          <dd>{clients.value.map((client) => client.name).join(", ") || "–"}</dd>
-        </dl>
+        <Account />
       </Section>
       <Configuration />
       <Section title={t("keys")}>
