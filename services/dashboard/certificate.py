@@ -23,16 +23,20 @@ class PageCertificate:
     until: float
 
     def context(self) -> ssl.SSLContext:
-        """TLS 1.2 and newer. Raises UserError where certificate and key do not fit."""
+        """TLS 1.2 and newer. Raises UserError as `load_into` does."""
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
+        self.load_into(context)
+        return context
+
+    def load_into(self, context: ssl.SSLContext) -> None:
+        """Shows this certificate to new connections. Raises UserError where certificate and key do not fit."""
         try:
             context.load_cert_chain(self.certificate, self.key)
         except (OSError, ssl.SSLError) as error:
             raise UserError(
                 f"{self.certificate} and {self.key}: {error.strerror or error}", "name a certificate and its key"
             ) from None
-        return context
 
 
 def read_certificate(certificate: Path, key: Path) -> PageCertificate:

@@ -26,6 +26,7 @@ from services.dashboard.stack_link import StackLink
 from services.dashboard.tool_process import ToolProcess
 from services.dashboard.web_guard import Access
 from shared import topics
+from shared.config import UserError
 from shared.messages import PortState, SerialData
 from shared.runners.devices import DeviceContext
 from shared.secure_folder import secure_folder
@@ -33,6 +34,7 @@ from shared.types import NS_PER_S
 
 AGAIN_S = 5.0  # between two tries to get the port
 END_LIMIT_S = 3.0
+RENEW_EVERY_S = 3600.0
 
 
 def web_device(context: DeviceContext) -> "WebDevice":
@@ -90,9 +92,10 @@ class WebDevice:
         if listening is None:
             return
         self._publish_state(True, "")
-        self._publish_certificate()
+        renewing = asyncio.create_task(self._renew_certificate())
         if await _first(self._connection(listening), self._ending.wait()):
             await self._serve_pages(listening)
+        renewing.cancel()
         listening.close()
 
     async def _serve_pages(self, listening: socket.socket) -> None:
@@ -140,11 +143,16 @@ class WebDevice:
     def _publish_event(self, event: dict[str, Any]) -> None:
         self._publish(topics.RX(SerialData(self._context.clock.now(), PORT, bytes(msgpack.packb(event)))))
 
-    def _publish_certificate(self) -> None:
+    async def _renew_certificate(self) -> None:
+        """Shows a certificate that was renewed on disk to new connections, and reports when the present one ends."""
         certificate = self.address.certificate
-        if certificate is not None:
+        while self._tls is not None and certificate is not None:
             until = round(certificate.until) * NS_PER_S
             self._publish_event({"client": None, "event": "certificate", "until": until})
+            await asyncio.sleep(RENEW_EVERY_S)
+            with suppress(UserError):  # the present one goes on; the health shows its end
+                certificate = page_address(self._section, self._context.where).certificate or certificate
+                certificate.load_into(self._tls)
 
     def _publish_state(self, is_open: bool, detail: str) -> None:
         if self._state != (is_open, detail):

@@ -39,7 +39,10 @@ def login_routes(hub: PageHub, store: LoginStore) -> list[Route]:
         token = _token(await _body(request))
         address = request.client.host if request.client is not None else ""
         async with turn:
-            return await _login(token, address)
+            answer = await _login(token, address)
+        if answer.status_code == 200:  # the new session takes the place of the one that this browser had
+            await _end(request.scope[USER])
+        return answer
 
     async def _login(token: str, address: str) -> Response:
         loop = asyncio.get_running_loop()
@@ -66,13 +69,16 @@ def login_routes(hub: PageHub, store: LoginStore) -> list[Route]:
 
     async def logout(request: Request) -> Response:
         user: PageUser = request.scope[USER]
-        if user.digest:
-            await asyncio.get_running_loop().run_in_executor(None, store.end, user.digest)
-            hub.report("logout", user)
-            hub.end_session(user.digest, SESSION_ENDED)
+        await _end(user)
         answer = Response(status_code=204)
         answer.delete_cookie(COOKIE, path="/", secure=True, httponly=True, samesite="strict")
         return answer
+
+    async def _end(user: PageUser | None) -> None:
+        if user is not None and user.digest:
+            await asyncio.get_running_loop().run_in_executor(None, store.end, user.digest)
+            hub.report("logout", user)
+            hub.end_session(user.digest, SESSION_ENDED)
 
     return [
         Route("/session", session),

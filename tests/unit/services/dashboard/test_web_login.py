@@ -9,7 +9,7 @@ from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from services.dashboard import page_hub
 from services.dashboard.login_store import LoginStore
@@ -217,7 +217,9 @@ def test_a_session_that_is_revoked_while_it_drives_leaves_zero_and_no_page(serve
         other.first("hello")
         page.until(lambda: Velocity in map(type, served.published) or page.teleop(0.3))
         LoginStore(secure_folder()).revoke("anna")
-        page.until(lambda: page.closed or page.teleop(0.3))
+        with suppress(ConnectionClosed):  # while a frame is sent
+            page.until(lambda: page.closed or page.teleop(0.3))
+        page.until(lambda: page.closed)
         assert isinstance(served.published[-1], Velocity)
         assert served.published[-1].v == 0
         assert other.closed is None
@@ -377,6 +379,30 @@ def test_requests_that_are_refused_are_counted_without_a_line_for_each(served, s
     lines = [text for _, text in served.logs if "audit: refused" in text]
     assert 1 <= len(lines) < 20
     assert REMOTE in lines[0]
+
+
+def test_a_certificate_that_was_renewed_is_shown_without_a_restart(monkeypatch, tmp_path):
+    monkeypatch.setattr("services.dashboard.web.RENEW_EVERY_S", 0.05)
+    with serving_remote(monkeypatch, tmp_path, 10.5) as served:
+        computer = logged_in(served, Role.VIEWER)
+        with computer.page() as page:
+            page.until(lambda: "ends in 10 days" in served.core.state())
+            make_credentials(tmp_path, 300.0)
+            page.until(lambda: "ends" not in served.core.state())
+        shown = ssl.get_server_certificate((REMOTE, served.port), timeout=SOON)
+    assert shown.strip() == (tmp_path / "robot.pem").read_text().strip()
+
+
+def test_a_second_login_of_a_browser_ends_its_first_session(served):
+    computer = logged_in(served, Role.ADMIN)
+    first = computer.cookie
+    with computer.page() as page:
+        page.first("hello")
+        assert computer.login(invitation(Role.VIEWER, "ben")) == 200
+        page.until(lambda: page.closed)
+    assert '"ben"' in computer.request("GET", "/session")[1]
+    computer.cookie = first
+    assert computer.request("GET", "/session")[0] == 401
 
 
 @pytest.mark.parametrize(("days", "words"), [(20.5, "ends in 20 days"), (-1.0, "has expired"), (40.0, "")])
