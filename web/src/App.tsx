@@ -4,6 +4,7 @@
 import { effect } from "@preact/signals";
 import { useEffect, useLayoutEffect, useRef } from "preact/hooks";
 
+import { needsLogin } from "./access";
 import { Chips } from "./components/Chips";
 import { LoginView } from "./components/LoginView";
 import { MapControls, Toolbar } from "./components/MapControls";
@@ -39,6 +40,14 @@ export function App() {
       }),
     [],
   );
+  if (needsLogin.value) {
+    return (
+      <div class="app">
+        <LoginView />
+        <Notices />
+      </div>
+    );
+  }
   return (
     <div class={classes.filter(Boolean).join(" ")}>
       <MapCanvas />
@@ -54,7 +63,6 @@ export function App() {
       <TeleopPad />
       <Notices />
       <OfflineBanner />
-      <LoginView />
     </div>
   );
 }

@@ -17,12 +17,12 @@ export function invitationIn(text: string): string {
   return /(?:#invite=|^)([\w-]{20,100})$/.exec(text.trim())?.[1] ?? "";
 }
 
-/** Logs in by the token of the page's address, if it has one. The address loses it, so no history or bookmark has it. */
-export async function logInByAddress(): Promise<void> {
+/** Logs in by the token of the page's address, which loses it: no history or bookmark has it. Returns whether it is in. */
+export async function logInByAddress(): Promise<boolean> {
   const token = location.hash.startsWith("#invite=") ? invitationIn(location.hash) : "";
-  if (token === "") return;
+  if (token === "") return false;
   history.replaceState(null, "", location.pathname);
-  await logIn(token);
+  return logIn(token);
 }
 
 /** Logs in. Returns whether the server gave a session, which is a cookie that scripts do not see. */

@@ -51,5 +51,5 @@ window.addEventListener("keydown", (event) => {
 });
 
 // A link that is opened in a page that is open already changes its address only.
-window.addEventListener("hashchange", () => void logInByAddress().then(() => location.reload()));
+window.addEventListener("hashchange", () => void logInByAddress().then((isIn) => isIn && location.reload()));
 void logInByAddress().then(() => start(dispatcher((frame) => mapView.peek()?.onTiles(frame))));

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a page of another computer shows before its login.
+// What a page of another computer shows before its login: no button of the robot, for none would work.
 
 import { useSignal } from "@preact/signals";
 
-import { invitationIn, logIn, loginProblem, needsLogin } from "../access";
+import { invitationIn, logIn, loginProblem } from "../access";
 import { t } from "../texts";
 import { Button, Field } from "./controls";
 
@@ -11,7 +11,6 @@ const MAX_LINK = 400; // characters
 
 export function LoginView() {
   const text = useSignal("");
-  if (!needsLogin.value) return null;
   const token = invitationIn(text.value);
   const enter = async (): Promise<void> => {
     if (await logIn(token)) location.reload();

@@ -27,8 +27,10 @@ class RemoteComputer:
         self.port, self.address = port, address
         self.host = f"{host}:{port}"
         self.cookie, self.cookie_line = "", ""
-        self.tls = ssl.create_default_context()
-        self.tls.check_hostname, self.tls.verify_mode = False, ssl.CERT_NONE
+        self.tls, self.page_tls = _trusting_context(), _trusting_context()
+        # Browser reads and writes on two threads. OpenSSL does not allow that while it takes a ticket of TLS 1.3:
+        # then the write can wait for ever.
+        self.page_tls.maximum_version = ssl.TLSVersion.TLSv1_2
 
     def request(self, method: str, path: str, body: bytes | None = None, **headers: str) -> tuple[int, str]:
         """Status and text of the answer. A header that is empty is not sent."""
@@ -56,7 +58,12 @@ class RemoteComputer:
         headers = {**self._cookie_header(), **options.pop("headers", {})}
         name = self.host.rpartition(":")[0]
         return Browser(
-            self.port, name, sock=sock, ssl=self.tls, additional_headers=headers, **{"origin": self.origin, **options}
+            self.port,
+            name,
+            sock=sock,
+            ssl=self.page_tls,
+            additional_headers=headers,
+            **{"origin": self.origin, **options},
         )
 
     @property
@@ -70,6 +77,13 @@ class RemoteComputer:
         if line:
             self.cookie_line = line
             self.cookie = SimpleCookie(line)[COOKIE].value
+
+
+def _trusting_context() -> ssl.SSLContext:
+    """TLS that takes any certificate."""
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    return context
 
 
 @contextmanager
