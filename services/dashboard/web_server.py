@@ -11,10 +11,12 @@ from typing import Any
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from services.dashboard.address import is_this_computer
 from services.dashboard.frames import MAX_FRAME
 from services.dashboard.web_guard import App
 
 MAX_CONNECTIONS = 200
+MAX_OF_ADDRESS = 50  # of the connections, for another computer: one alone cannot take all
 BACKLOG = 64  # connections that wait to be accepted
 REQUEST_LIMIT_S = 5.0  # from connecting to the whole head of the first request
 HANDSHAKE_LIMIT_S = 5.0  # of TLS
@@ -32,10 +34,16 @@ class LimitedProtocol(H11Protocol):
 
     def connection_made(self, transport: Transport) -> None:  # type: ignore[override]  # as uvicorn's
         super().connection_made(transport)
-        if len(self.connections) > MAX_CONNECTIONS:
+        if len(self.connections) > MAX_CONNECTIONS or self._is_greedy():
             transport.abort()
             return
         self._deadline = self.loop.call_later(REQUEST_LIMIT_S, self._check_request)
+
+    def _is_greedy(self) -> bool:
+        """Whether this connection's computer has more than its part; on this one many users share a proxy."""
+        address = _peer(self)
+        own = sum(_peer(connection) == address for connection in self.connections)
+        return own > MAX_OF_ADDRESS and not is_this_computer(address)
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._deadline is not None:
@@ -45,6 +53,12 @@ class LimitedProtocol(H11Protocol):
     def _check_request(self) -> None:
         if not self.headers and not self.transport.is_closing():
             self.transport.abort()
+
+
+def _peer(protocol: Any) -> str:
+    """The address at the other end of a protocol of uvicorn; empty once that is gone."""
+    peer = protocol.transport.get_extra_info("peername")
+    return str(peer[0]) if peer else ""
 
 
 class WebServer:

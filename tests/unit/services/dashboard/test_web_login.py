@@ -9,7 +9,7 @@ from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
-from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
 
 from services.dashboard import page_hub
 from services.dashboard.login_store import LoginStore
@@ -83,6 +83,23 @@ def test_on_loopback_without_a_named_certificate_the_page_stays_plain_http_witho
         hello = page.first("hello")
         assert (hello["role"], hello["login"]) == ("admin", False)
         assert served.request("GET", "/session")[0] == 200
+
+
+def test_one_computer_cannot_take_all_connections(served, monkeypatch):
+    monkeypatch.setattr("services.dashboard.web_server.MAX_OF_ADDRESS", 3)
+    computer, friend = logged_in(served, Role.VIEWER), logged_in(served, Role.OPERATOR, "ben")
+    friend.address = "127.0.0.3"
+    pages = [computer.page() for _ in range(3)]
+    try:
+        for page in pages:
+            page.first("hello")
+        with pytest.raises((WebSocketException, OSError)):
+            computer.page(read=False)
+        with friend.page() as page:
+            page.first("hello")
+    finally:
+        for page in pages:
+            page.socket.close()
 
 
 # --- without a session ------------------------------------------------------------------------------------------------
