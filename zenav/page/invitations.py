@@ -27,13 +27,15 @@ def invite(role: str, name: str, minutes: float, host: str, robot: str, stack: s
     name = name or role
     if not LOGIN_NAME.fullmatch(name) or name == ALL:
         raise UserError(f"{name!r} is no name of a user", "a letter, then letters, digits, blanks, . - _; not `all`")
-    address = invited_address(configured(robot, settings).section("dashboard", DashboardConfig), stack_address(stack))
+    config = configured(robot, settings).section("dashboard", DashboardConfig)
+    address = invited_address(config, stack_address(stack))
     with _reporting():
         token = LoginStore(secure_folder()).invite(name, Role(role), minutes)
     link = invitation_link(address, host, token)
     sys.stdout.write(f"{link}\n")
     sys.stdout.flush()
-    lines = [f"{name} is {role} with this link: once, within {minutes:g} min", qr_text(link)]
+    lines = [] if address.host in config.port.device else ["the link needs a stack that runs with --page-host"]
+    lines += [f"{name} is {role} with this link: once, within {minutes:g} min", qr_text(link)]
     others = [
         name for name in address.hosts if name != address.shown_host and "*" not in name and not is_own_name(name)
     ]

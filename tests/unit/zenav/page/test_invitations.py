@@ -49,6 +49,9 @@ def test_the_code_of_the_link_and_the_fingerprint_are_for_the_reader(folder, cap
     assert qr_text(said.out.strip()) in said.err
     assert re.search(r"SHA-256 of robot\.pem, .*: ([0-9A-F]{2}:){31}[0-9A-F]{2}\n", said.err)
     assert "viewer is viewer" in said.err
+    assert "--page-host" in said.err, "the settings name this computer's own address"
+    invite("viewer", "", 15, "", "x80sv", "0", ["dashboard.port.device=web://0.0.0.0"])
+    assert "--page-host" not in capsys.readouterr().err
 
 
 def test_without_a_certificate_there_is_no_invitation(monkeypatch, tmp_path):
