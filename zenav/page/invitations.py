@@ -20,6 +20,7 @@ from shared.runners.transport import StackAddress, stack_address
 from shared.secure_folder import secure_folder
 
 ALL = "all"
+ANY_HOST = "0.0.0.0"
 
 
 def invite(role: str, name: str, minutes: float, host: str, robot: str, stack: str, settings: list[str]) -> None:
@@ -34,7 +35,8 @@ def invite(role: str, name: str, minutes: float, host: str, robot: str, stack: s
     link = invitation_link(address, host, token)
     sys.stdout.write(f"{link}\n")
     sys.stdout.flush()
-    lines = [] if address.host in config.port.device else ["the link needs a stack that runs with --page-host"]
+    is_guess = address.host == ANY_HOST and ANY_HOST not in config.port.device
+    lines = ["the link needs a stack that runs with --page-host"] if is_guess else []
     lines += [f"{name} is {role} with this link: once, within {minutes:g} min", qr_text(link)]
     others = [
         name for name in address.hosts if name != address.shown_host and "*" not in name and not is_own_name(name)
@@ -55,7 +57,7 @@ def invited_address(config: DashboardConfig, where: StackAddress) -> PageAddress
     """
     address = page_address(config, where)
     if is_this_computer(address.host) and config.login == "remote":
-        device = f"web://0.0.0.0:{address.port}"
+        device = f"web://{ANY_HOST}:{address.port}"
         port = config.port.model_copy(update={"device": device})
         address = page_address(config.model_copy(update={"port": port}), where)
     return address
