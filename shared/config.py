@@ -192,7 +192,7 @@ class RobotFile:
 
     def __init__(self, path: Path, tree: CommentedMap) -> None:
         self.path, self.tree = path, tree
-        self.overridden: list[tuple[str, ...]] = []
+        self.overridden: dict[tuple[str, ...], str] = {}  # path of a setting -> where its value comes from
 
     def section(self, name: str, model: type[T]) -> T:
         """The section `name` as `model`; a missing one is the model's defaults. Raises UserError on the first fault."""
@@ -223,17 +223,17 @@ class RobotFile:
         keys = path.strip().split(".")
         if not equals or len(keys) < 2 or not all(keys):
             raise UserError(f"{assignment!r} sets nothing", "write section.key=value, like sim.world=office")
-        try:
-            value = YAML(typ="safe").load(text)
-        except YAMLError:
-            raise UserError(f"{assignment!r}: the value is not valid YAML", "quote it") from None
+        self.put(tuple(keys), yaml_value(text), "--set")
+
+    def put(self, keys: tuple[str, ...], value: Any, origin: str) -> None:
+        """Sets one value by its path. origin: where it comes from, in place of `file:line`. Raises UserError."""
         node = self.tree
         for key in keys[:-1]:
             node = node.setdefault(key, CommentedMap())
             if not isinstance(node, dict):
-                raise UserError(f"{path}: {key} is not a section", "name a setting: zenav config show")
+                raise UserError(f"{'.'.join(keys)}: {key} is not a section", "name a setting: zenav config show")
         node[keys[-1]] = value
-        self.overridden.append(tuple(keys))
+        self.overridden[keys] = origin
 
     @property
     def text(self) -> str:
@@ -254,9 +254,10 @@ class RobotFile:
                 raise UserError(f"{self.place((name,))}: {name} is not a section", nearest(str(name), names))
 
     def place(self, location: tuple[Any, ...]) -> str:
-        """`file:line` of a key given as its path in the tree; `--set` where it was overridden."""
-        if any(location[: len(path)] == path for path in self.overridden):
-            return "--set"
+        """`file:line` of a key given as its path in the tree; the origin, as `--set`, where it was overridden."""
+        for path, origin in self.overridden.items():
+            if location[: len(path)] == path:
+                return origin
         node, line = self.tree, 0
         for key in location:
             try:
@@ -291,7 +292,7 @@ class RobotFile:
         if error["type"] == "extra_forbidden":
             fields = _fields_at(model, error["loc"][:-1])
             return UserError(f"{self.place(location)}: {key} is not a setting", nearest(str(error["loc"][-1]), fields))
-        wrong = "" if error["type"] == "missing" else f" (it is {error['input']!r})"
+        wrong = "" if isinstance(error["input"], dict) else f" (it is {error['input']!r})"  # a section is no value
         hint = _description_at(model, error["loc"]) or f"see {manual_page('configuration.md')}"
         return UserError(f"{self.place(location)}: {key}: {error['msg'][:1].lower()}{error['msg'][1:]}{wrong}", hint)
 
@@ -323,6 +324,14 @@ def configured(robot: str, overrides: list[str]) -> RobotFile:
     for assignment in overrides:
         file.override(assignment)
     return file
+
+
+def yaml_value(text: str) -> Any:
+    """The value of a setting from its text. Raises UserError where it is not valid YAML."""
+    try:
+        return YAML(typ="safe").load(text)
+    except Exception:  # beside YAMLError a ValueError, as for 2001-99-99, or a RecursionError
+        raise UserError(f"{text!r} is not valid YAML", "quote it") from None
 
 
 def load_yaml(path: Path) -> CommentedMap:

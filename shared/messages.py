@@ -5,7 +5,7 @@ Each field declares its unit, shape and bounds once; validation, documentation a
 from here. Numbers are finite unless `Within(..., nan=True)` or `inf=True`. Arrays arrive read-only.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import pi
 from typing import Annotated
@@ -272,6 +272,10 @@ class MapUpdate(Message):
         spans = (int(places.max()) - int(places.min()) + 1 for places in (self.rows, self.columns) if len(places))
         return f"the tiles span more than {MAX_SPAN}" if max(spans, default=0) > MAX_SPAN else None
 
+    def only(self, which: NDArray[np.bool_]) -> "MapUpdate":
+        """The tiles that a mask (k,) selects."""
+        return replace(self, rows=self.rows[which], columns=self.columns[which], cells=self.cells[which])
+
     def merged(self, later: "MapUpdate") -> "MapUpdate":
         """The whole map after `later`: its tiles replace those of one place. Another map_id starts a new map."""
         if later.map_id != self.map_id or later.resolution != self.resolution:
@@ -300,6 +304,53 @@ def fitting(places: Int32s, first: int, last: int) -> NDArray[np.bool_]:
     places: (k,) int32, of tiles. All of them together fit, too, where they span at most MAX_SPAN themselves.
     """
     return np.asarray((places > last - MAX_SPAN) & (places < first + MAX_SPAN))
+
+
+class EditKind(StrEnum):
+    """Kind of an edit of the map."""
+
+    ERASE = "erase"  # its known cells are free
+    WALL = "wall"  # its cells are occupied, whatever the laser sees
+
+
+MAX_EDITS, MAX_EDIT_POINTS = 256, 256
+MAX_EDIT_WIDTH_M, MAX_EDIT_XY_M = 5, 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class MapEdit(Message):
+    """A change of the map by a user, over what the laser saw. `id` is its own among the map's; the mapper chooses it.
+
+    Points are in `map`. With a width it is a stroke along a polyline, without one the inside of a polygon (even-odd
+    rule). A stroke changes every cell that its line crosses, at least.
+    """
+
+    id: Count
+    kind: Annotated[EditKind, Unit("1")]
+    xs: Annotated[Float64s, Unit("m"), Shape("n"), Within(-MAX_EDIT_XY_M, MAX_EDIT_XY_M)]
+    ys: Annotated[Float64s, Unit("m"), Shape("n"), Within(-MAX_EDIT_XY_M, MAX_EDIT_XY_M)]
+    width: Annotated[float, Unit("m"), Within(0, MAX_EDIT_WIDTH_M)]
+
+    def problem(self) -> str | None:
+        if self.kind is EditKind.WALL and self.width == 0:
+            return "a wall without a width"
+        least = 1 if self.width else 3
+        return None if least <= len(self.xs) <= MAX_EDIT_POINTS else f"an edit of {len(self.xs)} points"
+
+
+@dataclass(frozen=True, slots=True)
+class MapState(Message):
+    """What the tiles of the map do not show: the name under which it was saved or loaded, empty if none, and its edits.
+
+    The tiles contain the edits.
+    """
+
+    map_id: Stamp
+    name: Text
+    edits: Annotated[tuple[MapEdit, ...], Unit("1")]
+
+    def problem(self) -> str | None:
+        return f"more than {MAX_EDITS} edits" if len(self.edits) > MAX_EDITS else None
 
 
 # --- navigation -----------------------------------------------------------------------------------------------------
@@ -573,6 +624,17 @@ class Rollouts(Message):
 
 
 # --- stack ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class RuntimeSettings(Message):
+    """The settings of a service that were set while it runs; all others are as it was started with."""
+
+    names: Annotated[tuple[str, ...], Unit("dotted, as in a robot's file")]
+    values: Annotated[tuple[str, ...], Unit("YAML, one a name")]
+
+    def problem(self) -> str | None:
+        return None if len(self.names) == len(self.values) else f"{len(self.values)} values for {len(self.names)} names"
 
 
 @dataclass(frozen=True, slots=True)

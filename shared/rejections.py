@@ -26,6 +26,7 @@ class RejectionCause(StrEnum):
     SIZE = "size"  # over the limit of a message
     CONTENT = "content"  # does not fit the configuration
     REPEATED = "repeated"  # an old measurement under a new stamp
+    ACCESS = "access"  # its sender may not send it
 
 
 @dataclass(frozen=True, slots=True)

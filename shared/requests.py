@@ -6,6 +6,7 @@ from typing import Annotated, Generic, TypeVar
 
 from shared import messages as m
 from shared.messages import Count, Flag, Message, Pose, Text, Unit
+from shared.topics import SERVICES
 
 Q = TypeVar("Q", bound=Message)
 R = TypeVar("R", bound=Message)
@@ -161,16 +162,41 @@ class StartMap(Message):
 
     at: the robot's pose on it, which is checked against the scan. Without it the robot is searched on the whole map. On
     the present map it is where it was tracked. A new map starts where the robot stands.
+    name: of the map of a transfer, for `MapState`.
     """
 
     mode: Annotated[m.MapMode, Unit("1")]
     transfer: Count
     at: Annotated[tuple[Pose, ...], Unit("m, m, rad")] = ()
+    name: Text = ""
 
     def problem(self) -> str | None:
         if len(self.at) > 1:
             return "more than one pose"
         return "a new map has no place yet" if self.mode is m.MapMode.MAP and (self.transfer or self.at) else None
+
+
+@dataclass(frozen=True, slots=True)
+class NameMap(Message):
+    """The present map was saved under this name, or its folder was renamed; empty: it has no name any more."""
+
+    name: Text
+
+
+@dataclass(frozen=True, slots=True)
+class EditMap(Message):
+    """Remove edits of the present map by their ids, or all (`clear`), then add others, whose ids the mapper chooses.
+
+    map_id: of the map that they were drawn on, which must be the present one; 0: whichever is present.
+    """
+
+    add: Annotated[tuple[m.MapEdit, ...], Unit("1")]
+    remove: Annotated[tuple[Count, ...], Unit("1")] = ()
+    clear: Flag = False
+    map_id: m.Stamp = 0
+
+    def problem(self) -> str | None:
+        return f"more than {m.MAX_EDITS} edits" if max(len(self.add), len(self.remove)) > m.MAX_EDITS else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,14 +211,68 @@ class Break(Message):
     mended: Flag
 
 
+MAX_VALUE_LENGTH = 200
+"""characters of the text of one setting."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetSettings(Message):
+    """Set these settings of a service while it runs: all of them, or none. An empty value: back to that of its start.
+
+    check: change nothing, and reply whether the service would accept it. Without names the reply gives what holds.
+    """
+
+    names: Annotated[tuple[str, ...], Unit("dotted, as in a robot's file")]
+    values: Annotated[tuple[str, ...], Unit("YAML, one a name")]
+    check: Flag
+
+    def problem(self) -> str | None:
+        if len(self.names) != len(self.values):
+            return f"{len(self.values)} values for {len(self.names)} names"
+        if len(set(self.names)) < len(self.names):
+            return "one setting twice"
+        long = any(len(text) > MAX_VALUE_LENGTH for text in (*self.names, *self.values))
+        return f"a text of over {MAX_VALUE_LENGTH} characters" if long else None
+
+
+@dataclass(frozen=True, slots=True)
+class SettingsReply(Message):
+    """Accepted, or refused with the fault and a hint; and what holds now of the settings that may change.
+
+    started: the value with which the service was started: that of the robot's file, or of `--set`.
+    """
+
+    accepted: Flag
+    reason: Text
+    detail: Text
+    hint: Text
+    names: Annotated[tuple[str, ...], Unit("dotted, as in a robot's file")]
+    values: Annotated[tuple[str, ...], Unit("YAML, one a name")]
+    started: Annotated[tuple[str, ...], Unit("YAML, one a name")]
+
+
 @dataclass(frozen=True, slots=True)
 class Request(Generic[Q, R]):
-    """One row: `by` is the service that answers."""
+    """One row: `by` is the service that answers; "*" is every service: then the key ends in its name."""
 
     key: str
     request: type[Q]
     reply: type[R]
     by: str
+
+    @property
+    def services(self) -> tuple[str, ...]:
+        """The services that answer."""
+        return SERVICES if self.by == "*" else (self.by,)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """All keys without the robot's name."""
+        return tuple(dict.fromkeys(self.key_of(service) for service in self.services))
+
+    def key_of(self, service: str) -> str:
+        """The key without the robot's name under which this service answers."""
+        return f"{self.key}/{service}" if self.by == "*" else self.key
 
 
 NAVIGATE = Request("request/navigate", Navigate, Reply, by="navigator")
@@ -206,6 +286,9 @@ LOAD_MAP = Request("request/load_map", LoadMap, Reply, by="mapper")
 FETCH_MAP = Request("request/fetch_map", FetchMap, MapPart, by="mapper")
 GIVE_MAP = Request("request/give_map", GiveMap, Reply, by="mapper")
 START_MAP = Request("request/start_map", StartMap, Reply, by="mapper")
+NAME_MAP = Request("request/name_map", NameMap, Reply, by="mapper")
+EDIT_MAP = Request("request/edit_map", EditMap, Reply, by="mapper")
 FAULT = Request("request/fault", Break, Reply, by="sim")
+SET = Request("request/set", SetSettings, SettingsReply, by="*")
 
 REQUESTS: tuple[Request[Message, Message], ...] = tuple(r for r in list(globals().values()) if isinstance(r, Request))

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The role that each frame, request and operation of a page needs at least. One table; a role includes those before it.
 
-A request of shared/requests.py without a row is no business of a page.
+The roles of users of the page and of members of a robot (shared/access_rules.py) are the same.
 """
 
+from collections.abc import Mapping
 from enum import StrEnum
 
 from shared import requests
+from shared.settings import BY_NAME
 
 
 class Role(StrEnum):
@@ -46,9 +48,19 @@ REQUEST_ROLES = {
     requests.OVERRIDE.key: Role.OPERATOR,
     requests.SET_ZONES.key: Role.OPERATOR,
     requests.START_MAP.key: Role.OPERATOR,
+    requests.EDIT_MAP.key: Role.OPERATOR,
     requests.WATCH.key: Role.OPERATOR,
     requests.FAULT.key: Role.ADMIN,
 }
+
+TOOL_REQUEST_ROLES = {
+    requests.FETCH_MAP.key: Role.VIEWER,
+    requests.LOAD_MAP.key: Role.OPERATOR,
+    requests.GIVE_MAP.key: Role.OPERATOR,
+    requests.NAME_MAP.key: Role.OPERATOR,
+    requests.SET.key: Role.ADMIN,  # Zenoh's access rules do not see which setting; a page's operation does
+}
+"""Requests of tools alone: a page asks for an operation."""
 
 OPERATION_ROLES = {
     "maps": Role.VIEWER,
@@ -61,11 +73,18 @@ OPERATION_ROLES = {
     "place_delete": Role.OPERATOR,
     "set_pose": Role.OPERATOR,
     "recording_mark": Role.OPERATOR,
+    "setting_set": Role.OPERATOR,  # of a limit: Role.ADMIN, see operation_role
     "map_rename": Role.ADMIN,
     "map_delete": Role.ADMIN,
     "recording_delete": Role.ADMIN,
 }
 """What the page's tools do (zenav/page)."""
+
+
+def operation_role(op: str, arguments: Mapping[str, object]) -> Role:
+    """The role that an operation with these arguments needs at least: a limit of speed is set by an admin only."""
+    row = BY_NAME.get(str(arguments.get("name"))) if op == "setting_set" else None
+    return Role.ADMIN if row is not None and row.is_limit else OPERATION_ROLES[op]
 
 
 def may(role: Role, needed: Role | None) -> bool:

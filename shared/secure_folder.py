@@ -15,6 +15,8 @@ from shared.config import UserError
 from shared.roles import Role
 
 FOLDER_MODE, FILE_MODE = 0o700, 0o600
+RENEWAL_DAYS = 30
+"""before its end a certificate is renewed, or its user is warned."""
 
 
 class MemberRole(StrEnum):
@@ -68,6 +70,11 @@ class SecureFolder:
         return self.path / "robot.pem"
 
     @property
+    def robot_file(self) -> Path:
+        """What the robot's certificate says: `robot`, `names` of the host, `until` (ISO 8601)."""
+        return self.path / "robot.json"
+
+    @property
     def members_file(self) -> Path:
         return self.path / "members.json"
 
@@ -83,6 +90,7 @@ class SecureFolder:
 
     @property
     def exists(self) -> bool:
+        """Whether it holds the certificate of a robot."""
         return self.robot_certificate.is_file()
 
     def require(self) -> "SecureFolder":
@@ -103,6 +111,13 @@ class SecureFolder:
             return []
         except (ValueError, TypeError, KeyError, AttributeError):
             raise UserError(f"{self.members_file} is no list of members", "restore it from a backup") from None
+
+    def robot_days_left(self, today: date) -> int:
+        """Days until the robot's certificate expires. Raises UserError where robot.json is damaged."""
+        try:
+            return (date.fromisoformat(json.loads(self.robot_file.read_text())["until"]) - today).days
+        except (OSError, ValueError, TypeError, KeyError):
+            raise UserError(f"{self.robot_file} cannot be read", "make it again: zenav secure renew") from None
 
     def write_members(self, members: list[Member]) -> None:
         """Replaces the list."""

@@ -25,11 +25,13 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar
 
-from shared.config import Robot, Section
-from shared.messages import Message
+from shared import reasons, requests, topics
+from shared.config import Robot, Section, UserError
+from shared.messages import Message, RuntimeSettings
 from shared.ports import PortConfig
 from shared.rejections import Rejections
-from shared.requests import Request
+from shared.requests import Request, SetSettings, SettingsReply
+from shared.settings import Configuration, changed_values, present_values, reconfigured, taken_by
 from shared.topics import Publication, Topic
 
 M = TypeVar("M", bound=Message)
@@ -76,39 +78,6 @@ class Checkpoint:
     arguments: tuple[Any, ...]
 
 
-class Service:
-    """Base of all services. The runner sets `now` (ns, the stack's clock) before each event."""
-
-    config_type: ClassVar[type[Section]] = Section
-    now: int = 0
-
-    def __init__(self, config: Any, robot: Robot) -> None:
-        self.config = config
-        self.robot = robot
-        self.rejections = Rejections()
-        """Messages that it did not use: its handlers judge stamps, the runner adds its own rejections."""
-
-    def warm_up(self) -> None:
-        """Compiles the kernels that events need, without a change of state. Called before the first event."""
-
-    @property
-    def ports(self) -> dict[str, PortConfig]:
-        """Its ports by name. It reads them on topics.RX and topics.PORT, and writes to them on topics.TX."""
-        return {}
-
-    def on_shutdown(self) -> Out:
-        """Publications at the end of the process. An event like the others."""
-        return ()
-
-    def checkpoint(self) -> Checkpoint | None:
-        """Returns what its next process needs after a crash, beside latched values. It reads only: it is no event."""
-        return None
-
-    def state(self) -> str:
-        """The service's activity in a few words, for the health message."""
-        return "running"
-
-
 def on(topic: Topic[M]) -> Callable[[Callable[[S, M], Out]], Callable[[S, M], Out]]:
     """Marks the handler of a topic's messages."""
 
@@ -140,6 +109,98 @@ def answer(request: Request[Q, R]) -> Callable[[Callable[[S, Q], Answer[R]]], Ca
         return handler
 
     return mark
+
+
+class Service:
+    """Base of all services. The runner sets `now` (ns, the stack's clock) before each event."""
+
+    config_type: ClassVar[type[Section]] = Section
+    name: str = ""  # set by the runner, as in the registry
+    now: int = 0
+
+    def __init__(self, config: Any, robot: Robot) -> None:
+        self.config = config
+        self.robot = robot
+        self.started = Configuration(config, robot)
+        self.run_time: dict[str, str] = {}
+        """Settings that were set since its start: name -> value as YAML."""
+        self.rejections = Rejections()
+        """Messages that it did not use: its handlers judge stamps, the runner adds its own rejections."""
+
+    def warm_up(self) -> None:
+        """Compiles the kernels that events need, without a change of state. Called before the first event."""
+
+    @property
+    def ports(self) -> dict[str, PortConfig]:
+        """Its ports by name. It reads them on topics.RX and topics.PORT, and writes to them on topics.TX."""
+        return {}
+
+    def on_shutdown(self) -> Out:
+        """Publications at the end of the process. An event like the others."""
+        return ()
+
+    def checkpoint(self) -> Checkpoint | None:
+        """Returns what its next process needs after a crash, beside latched values. It reads only: it is no event."""
+        return None
+
+    def state(self) -> str:
+        """The service's activity in a few words, for the health message."""
+        return "running"
+
+    def settings_changed(self, old: Configuration, new: Configuration) -> Out:
+        """Takes settings that changed while it runs. `config` and `robot` are the new ones already.
+
+        What the constructor made from a setting of shared/settings.py is to be made again here.
+        """
+        return ()
+
+    @answer(requests.SET)
+    def set_settings(self, request: SetSettings) -> Answer[SettingsReply]:
+        """Sets settings, all or none, or says why not."""
+        wanted = self.run_time | dict(zip(request.names, request.values, strict=True))
+        try:
+            for name in request.names:
+                taken_by(self.name, name)
+            values = {name: wanted[name] for name in sorted(wanted) if wanted[name]}
+            new = reconfigured(self.name, self.started, values)
+        except UserError as error:
+            return self._settings_reply(error)
+        if not request.check and values != self.run_time:
+            yield from self._use_settings(values, new)
+            yield topics.SETTINGS(RuntimeSettings(self.now, tuple(values), tuple(values.values())))
+        return self._settings_reply(None)
+
+    @on(topics.SETTINGS)
+    def settings_before_restart(self, settings: RuntimeSettings) -> Out:
+        """Restores the settings that were set before a restart."""
+        values = dict(zip(settings.names, settings.values, strict=True))
+        try:
+            yield from self._use_settings(values, reconfigured(self.name, self.started, values))
+        except UserError as error:  # the robot's file is another one now
+            yield Log("WARNING", f"the settings from before the restart do not hold: {error.what}")
+        yield topics.SETTINGS(RuntimeSettings(self.now, tuple(self.run_time), tuple(self.run_time.values())))
+
+    def _use_settings(self, values: dict[str, str], new: Configuration) -> Out:
+        old = Configuration(self.config, self.robot)
+        changes = changed_values(self.name, old, new)
+        self.run_time, self.config, self.robot = values, new.config, new.robot
+        if changes:
+            yield Log("INFO", f"set at run time: {', '.join(changes)}")
+            yield from self.settings_changed(old, new)
+
+    def _settings_reply(self, error: UserError | None) -> SettingsReply:
+        present = present_values(self.name, Configuration(self.config, self.robot))
+        started = present_values(self.name, self.started)
+        return SettingsReply(
+            stamp=self.now,
+            accepted=error is None,
+            reason=reasons.BAD_REQUEST.code if error else "",
+            detail=error.what if error else "",
+            hint=error.hint if error else "",
+            names=tuple(present),
+            values=tuple(present.values()),
+            started=tuple(started.values()),
+        )
 
 
 @dataclass(frozen=True, slots=True)

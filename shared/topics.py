@@ -23,6 +23,7 @@ SERVICES = (
     "navigator",
     "recorder",
     "dashboard",
+    "gateway",
 )
 """Fixed order: a service's index is its port offset, and the tie-break of the lockstep runner."""
 
@@ -86,6 +87,7 @@ SCAN        = Topic("scan",            m.LaserScan,     by="lidar_driver sim",  
 ODOM        = Topic("odom",            m.Odometry,      by="odometry",               hz=50, keep="all",    within=0.003)
 POSE        = Topic("pose",            m.PoseEstimate,  by="mapper",                 hz=10, keep="latest", within=0.025, latched=True)
 MAP         = Topic("map",             m.MapUpdate,     by="mapper",                 hz=2,  keep="all",    within=0.050, latched=True)
+MAP_STATE   = Topic("map/state",       m.MapState,      by="mapper",                 hz=0,  keep="latest", within=0.050, latched=True, people=True)
 GOAL        = Topic("goal",            m.Goal,          by="navigator",              hz=0,  keep="all",    within=0.005, latched=True)
 RECOVERY = Topic("recovery",        m.Recovery,      by="navigator",              hz=0,  keep="all",    within=0.005, latched=True)
 ZONES       = Topic("zones",           m.Zones,         by="navigator",              hz=0,  keep="latest", within=0.010, latched=True)
@@ -101,6 +103,7 @@ COSTMAP     = Topic("debug/costmap",   m.Costmap,       by="local_ctrl",        
 ROLLOUTS    = Topic("debug/rollouts",  m.Rollouts,      by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
 GUARD       = Topic("guard/status",    m.GuardStatus,   by="guard",                  hz=10, keep="latest", within=0.005, latched=True)
 CMD_VEL     = Topic("cmd/vel",         m.Velocity,      by="guard",                  hz=20, keep="latest", within=0.003)
+SETTINGS    = Topic("settings",        m.RuntimeSettings, by="*",                    hz=0,  keep="latest", within=0.100, latched=True, people=True)
 HEALTH      = Topic("health",          m.Health,        by="*",                      hz=1,  keep="latest", within=0.100, people=True)
 LOG         = Topic("log",             m.LogLine,       by="*",                      hz=0,  keep="all",    within=0.100, people=True)
 JOURNAL     = Topic("journal",         m.Journal,       by="*",                      hz=1,  keep="all",    within=0.100, people=True)
@@ -124,3 +127,5 @@ def topic_of(key: str) -> "Topic[m.Message] | None":
 
 KEYS = tuple(key for topic in TOPICS for key in dict.fromkeys(key_of(topic, name) for name in topic.publishers))
 """Every key without the robot's name, those of families too."""
+LATCHED_KEYS = tuple(key for key in KEYS if (row := topic_of(key)) is not None and row.latched)
+"""Those of latched topics."""

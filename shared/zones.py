@@ -118,7 +118,11 @@ class KeepOut:
 
     def take(self, zones: Zones) -> None:
         """Replaces the zones."""
-        self.polygons, self._entered = keep_outs(zones), frozenset()
+        self.take_polygons(keep_outs(zones))
+
+    def take_polygons(self, polygons: tuple[Float64s, ...]) -> None:
+        """Replaces the zones by these, (n, 2) m in `map`."""
+        self.polygons, self._entered = polygons, frozenset()
 
     def moved(self, pose: Pose2) -> bool:
         """Updates the zones for the robot's pose in `map`. Returns whether the active ones changed."""

@@ -12,7 +12,7 @@ import typer
 
 # isort: off
 # in the order in which `zenav --help` lists them
-from zenav.cli import starting, robots, services, driving, looking, logs  # noqa: F401  # their commands are the app's
+from zenav.cli import starting, robots, services, driving, looking, settings, logs  # noqa: F401  # their commands are the app's
 from zenav.cli.looking import config, topic
 from zenav.cli.robots import robot
 from zenav.cli.maps import map_
@@ -21,6 +21,7 @@ from zenav.cli.zones import zones
 from zenav.cli.pages import page
 from zenav.cli.calibrating import calibrate
 from zenav.cli.recordings import recording
+from zenav.cli.securing import secure
 from zenav.cli.measuring import bench
 
 # isort: on
@@ -29,6 +30,7 @@ from zenav.cli.parts import DRIVE, FILES, LOOK, MAIN, app
 USAGE_ERROR: Any = typer.BadParameter.__base__  # typer's public names have only its descendants
 
 app.add_typer(robot, name="robot", rich_help_panel=MAIN)
+app.add_typer(secure, name="secure", rich_help_panel=MAIN)
 app.add_typer(topic, name="topic", rich_help_panel=LOOK)
 app.add_typer(map_, name="map", rich_help_panel=LOOK)
 app.add_typer(places, name="places", rich_help_panel=DRIVE)

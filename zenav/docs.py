@@ -12,7 +12,6 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
-import annotated_types
 from pydantic.fields import FieldInfo
 
 from shared import messages, requests
@@ -22,7 +21,9 @@ from shared.messages import Message
 from shared.reasons import REASONS
 from shared.requests import REQUESTS
 from shared.roles import REQUEST_ROLES
+from shared.settings import BY_NAME
 from shared.topics import TOPICS
+from zenav.console.setting_text import bounds_text
 from zenav.console.table import markdown_table
 from zenav.stack.service_loader import existing_services, service_class
 
@@ -127,7 +128,9 @@ def configuration_page() -> str:
         MADE,
         "One YAML file a robot (`shared/robots/x80sv.yaml`): `robot` says what the hardware is, each other section is",
         "one service's. A section or a setting that is left out has its default; a wrong name is an error that says",
-        "which name is meant. `zenav config show` prints what holds.\n",
+        "which name is meant. `zenav config show` prints what holds. Settings with an entry under `at run time` may",
+        "change while the robot runs, by [zenav config set](runtime_settings.md). `lower`: never above the first",
+        "value.\n",
     ]
     models: dict[str, type[Section]] = {
         "robot": Robot,
@@ -138,14 +141,26 @@ def configuration_page() -> str:
         if model.__doc__ and model is not Section:
             lines += [inspect.cleandoc(model.__doc__), ""]
         rows: Rows = [
-            (f"`{key}`", kind_of(field), default_of(field), bounds(field), field.description or "")
+            (
+                f"`{key}`",
+                kind_of(field),
+                default_of(field),
+                bounds_text(field),
+                run_time_mark(f"{name}.{key}"),
+                field.description or "",
+            )
             for key, field in settings(model)
         ]
-        lines += (
-            markdown_table(("setting", "type", "default", "bounds", "what it is"), rows) if rows else ["No settings."]
-        )
+        head = "setting", "type", "default", "bounds", "at run time", "what it is"
+        lines += markdown_table(head, rows) if rows else ["No settings."]
         lines += [""]
     return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def run_time_mark(name: str) -> str:
+    """Whether a setting may change while the robot runs: yes, `lower`, or empty."""
+    row = BY_NAME.get(name)
+    return "" if row is None else "lower" if row.is_limit else "yes"
 
 
 def settings(model: type[Section], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
@@ -169,21 +184,6 @@ def section_of(field: FieldInfo) -> type[Section] | None:
 def is_list(field: FieldInfo) -> bool:
     """Whether a field holds any number of values."""
     return get_origin(field.annotation) in (tuple, list)
-
-
-def bounds(field: FieldInfo) -> str:
-    """`0 < .. <= 10`, from a field's constraints; empty where it has none."""
-    low = high = ""
-    for mark in field.metadata:
-        if isinstance(mark, annotated_types.Ge):
-            low = f"{mark.ge:g} <= "
-        elif isinstance(mark, annotated_types.Gt):
-            low = f"{mark.gt:g} < "
-        elif isinstance(mark, annotated_types.Le):
-            high = f" <= {mark.le:g}"
-        elif isinstance(mark, annotated_types.Lt):
-            high = f" < {mark.lt:g}"
-    return f"{low}..{high}" if low or high else ""
 
 
 def kind_of(field: FieldInfo) -> str:

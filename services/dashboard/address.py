@@ -42,10 +42,14 @@ class PageAddress(NamedTuple):
 
     @property
     def shown_host(self) -> str:
-        """The host; where that is any address of this computer, the first name that is not only its own."""
+        """The host; where that is any address of this computer, a name of it that other computers know.
+
+        A whole name (robot.local) is known to more of them than a short one, and lasts longer than an address.
+        """
         if self.host not in ANY_HOSTS:
             return self.host
-        return next((name for name in self.hosts if not is_own_name(name) and "*" not in name), "localhost")
+        names = [name for name in self.hosts if not is_own_name(name) and "*" not in name]
+        return min(names, key=lambda name: (is_ip_address(name), "." not in name), default="localhost")
 
     def url_at(self, host: str) -> str:
         """The address with this host."""
@@ -79,10 +83,18 @@ def is_this_computer(address: str) -> bool:
 
 def is_own_name(name: str) -> bool:
     """Whether a name leads each computer to itself."""
-    try:
+    if is_ip_address(name):
         return ip_address(name).is_loopback
+    return name == "localhost" or name.endswith(".localhost")
+
+
+def is_ip_address(name: str) -> bool:
+    """Whether a name is an IP address."""
+    try:
+        ip_address(name)
     except ValueError:
-        return name == "localhost" or name.endswith(".localhost")
+        return False
+    return True
 
 
 def _certificate(config: DashboardConfig, device: str, host: str) -> PageCertificate | None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The certificate that the page shows to browsers: its names, its end, its fingerprint, and TLS with it."""
+"""The certificate that the page shows to browsers: its names, its end, and TLS with it."""
 
 import ssl
 from dataclasses import dataclass
@@ -52,13 +52,6 @@ def read_certificate(certificate: Path, key: Path) -> PageCertificate:
         dns, addresses = [], []
     until: datetime = parsed.not_valid_after_utc
     return PageCertificate(certificate, key, (*(name.lower() for name in dns), *addresses), until.timestamp())
-
-
-def fingerprint(certificate: Path) -> str:
-    """SHA-256 of a certificate as browsers show it: AB:CD:... Raises UserError."""
-    from cryptography.hazmat.primitives.hashes import SHA256
-
-    return _parsed(certificate).fingerprint(SHA256()).hex(":").upper()
 
 
 def _parsed(file: Path) -> "Certificate":

@@ -19,7 +19,7 @@ from services.dashboard.outgoing import (
 from services.dashboard.sessions import PageSession
 from shared import topics
 from shared.messages import Velocity
-from shared.roles import OPERATION_ROLES, REQUEST_ROLES, may
+from shared.roles import OPERATION_ROLES, REQUEST_ROLES, may, operation_role
 from shared.service import Log, Out
 
 if TYPE_CHECKING:
@@ -82,12 +82,13 @@ def ask(service: "DashboardService", page: PageSession, fields: dict[str, Any]) 
 def do(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
     """An operation of the tools."""
     op = fields["op"]
-    needed = OPERATION_ROLES.get(op)
+    values = fields.get("args", {})
+    needed = operation_role(op, values) if op in OPERATION_ROLES else None
     if needed is not None and not may(page.role, needed):
         yield refusing_reply(service.now, page.client, fields["id"], "role", f"{op} needs the role {needed}")
         yield from _lines(refusal_line(page, op, service.now))
         return
-    arguments = checked_operation(op, fields.get("args", {}))
+    arguments = checked_operation(op, values)
     if op == "recording_mark":  # the log is recorded, so the mark is there
         yield Log("INFO", f"mark by {page.name}: {arguments['text']}")
         yield accepting_reply(service.now, page.client, fields["id"])

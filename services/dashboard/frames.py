@@ -22,7 +22,7 @@ from services.dashboard.field_checks import (
 )
 from shared import topics
 from shared.codec import CodecError, Envelope, decode
-from shared.requests import REQUESTS, Request
+from shared.requests import MAX_VALUE_LENGTH, REQUESTS, Request
 from shared.roles import REQUEST_ROLES
 from shared.topics import KEYS, topic_of
 
@@ -66,6 +66,7 @@ OPERATIONS = {
     "recording_mark": Fields({"text": text(MAX_MARK)}),
     "recording_delete": Fields({"name": recording_name}),
     "settings": Fields(),
+    "setting_set": Fields({"name": text(MAX_VALUE_LENGTH), "value": text(MAX_VALUE_LENGTH)}),
 }
 """By `op`: the arguments."""
 

@@ -141,7 +141,7 @@ class DashboardService(Service):
         yield frame(self.now, client, {"t": "drivers", **self._drivers_now()})
         warning = self.reports.certificate_detail(self.now)
         if warning:
-            yield note(self.now, client, "warning", warning, "renew it: see zenav secure --help")
+            yield note(self.now, client, "warning", warning, "zenav secure renew")
 
     def _close(self, client: int) -> Out:
         yield from teleop_out(self.driving.let_go(client, self.now))

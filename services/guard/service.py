@@ -29,6 +29,7 @@ from shared.reasons import Reason
 from shared.requests import Override, Reply
 from shared.scan_faults import RepeatedScans, mismatch
 from shared.service import Answer, Log, Out, Service, answer, every, on
+from shared.settings import Configuration
 from shared.stamps import supersedes
 from shared.topics import Topic
 
@@ -78,6 +79,11 @@ class GuardService(Service):
         far = np.full((2, 2), 0.5 + self.robot.circumscribed_radius)
         for w in (0.0, 0.1):
             safe_speed(far, self.robot.corners, 0.1, w, self.robot.drive, self.config.field)
+
+    def settings_changed(self, old: Configuration, new: Configuration) -> Out:
+        """Takes lower limits. The reach of obstacles stays: it is enough for the limits of the start."""
+        self.limiter.robot = self.visibility.robot = new.robot
+        return ()
 
     def state(self) -> str:
         """State and reason for the health message."""

@@ -65,6 +65,9 @@ class Controller(Protocol):
     def reset(self) -> None:
         """Forgets the last solution: the next call starts from standstill."""
 
+    def resume(self, before: "Controller") -> None:
+        """Continues from the last solution of a controller of the same class and size, with other settings."""
+
     def solve(self, scene: ControlScene, footprint: Footprint, n_elapsed: int) -> ControlSolution:
         """The velocities from now on. n_elapsed: steps of DT since the last call. Deterministic in the sequence of
         calls.

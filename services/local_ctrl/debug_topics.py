@@ -7,8 +7,11 @@ from numpy.typing import NDArray
 from services.local_ctrl.controller import Controller
 from services.local_ctrl.footprint import Footprint
 from services.local_ctrl.local_costmap import LocalCostmap
+from services.local_ctrl.path_following import PathFollower
 from services.local_ctrl.rollout import DT, Motion
+from shared import topics
 from shared.messages import Costmap, Rollouts
+from shared.service import Out
 from shared.types import Float32s
 
 PERIOD_NS = 200_000_000  # between two messages
@@ -35,6 +38,13 @@ class DebugTopics:
             return False
         self._next = now + PERIOD_NS
         return True
+
+    def publications(self, now: int, costmap: LocalCostmap, path_follower: PathFollower, start: Motion) -> Out:
+        """Both debug topics; the rollouts only if there are new ones."""
+        yield topics.COSTMAP(self.costmap(now, costmap, path_follower.footprint))
+        rollouts = self.rollouts(now, path_follower.controller, start)
+        if rollouts is not None:
+            yield topics.ROLLOUTS(rollouts)
 
     def costmap(self, now: int, costmap: LocalCostmap, footprint: Footprint) -> Costmap:
         """The local costmap, with each cell's cost by its distance to the nearest obstacle."""

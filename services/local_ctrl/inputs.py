@@ -4,14 +4,15 @@
 import numpy as np
 from pydantic import Field
 
+from services.local_ctrl.local_costmap import CostmapConfig
 from shared import reasons, topics
-from shared.config import Drive, Section
+from shared.config import Drive, Robot, Section
 from shared.geometry import Pose2
 from shared.messages import LaserScan, Localization, Odometry, PoseEstimate
 from shared.odometry_buffer import OdometryBuffer
 from shared.reasons import Reason
 from shared.rejections import Rejections
-from shared.types import NS_PER_S, Float64s
+from shared.types import NS_PER_S, Bools, Float64s
 
 
 class AgesConfig(Section):
@@ -97,3 +98,10 @@ class ControlInputs:
 def scan_end(scan: LaserScan) -> int:
     """ns of the last beam."""
     return scan.stamp + round(scan.scan_time * NS_PER_S)
+
+
+def sensors_in_use(robot: Robot, costmap: CostmapConfig) -> tuple[Bools, Float64s]:
+    """(n,) which range sensors of the robot are in use, and (n, 2) m, their least and largest range."""
+    kinds = {"ultrasonic": costmap.ultrasonic, "infrared": costmap.infrared}
+    wanted = np.array([kinds[sensor.kind] for sensor in robot.ranges], bool)
+    return wanted, np.array([(s.range_min, s.range_max) for s in robot.ranges], float).reshape(-1, 2)

@@ -68,6 +68,13 @@ class LocalCostmap:
         self.dynamic_obstacles = DynamicObstacles(config.dynamic_obstacles)
         self.moving_discs: Float64s = self.dynamic_obstacles.discs(0)  # (k, 6) in `odom`, when a command acts
 
+    def configure(self, config: CostmapConfig) -> None:
+        """Takes settings, but for the size of the window and its cells. Content stays until it is too old."""
+        self.config = config
+        self.dynamic_obstacles.config = config.dynamic_obstacles
+        if not config.dynamic_obstacles.enabled:
+            self.dynamic_obstacles.clear()
+
     @property
     def x0(self) -> float:
         """m in `odom`, centre of the lower left cell."""

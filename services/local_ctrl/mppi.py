@@ -16,6 +16,7 @@ from pydantic import Field
 from services.local_ctrl.controller import (
     APPROACH_BRAKING_SHARE,
     NO_DYNAMIC_OBSTACLES,
+    Controller,
     ControlScene,
     ControlSolution,
     EvaluatedRollouts,
@@ -81,6 +82,11 @@ class Mppi:
         self.mean = np.zeros((self.config.steps, 2))
         self.n_solved = 0
         self.predicted_obstacles = predicted_discs(NO_DYNAMIC_OBSTACLES, self.config.steps)
+
+    def resume(self, before: Controller) -> None:
+        """Continues from the last solution of another one."""
+        if isinstance(before, Mppi):
+            self.mean, self.n_solved = before.mean, before.n_solved
 
     def solve(self, scene: ControlScene, footprint: Footprint, n_elapsed: int) -> ControlSolution:
         """The velocities from now on. n_elapsed: steps of DT since the last call. Deterministic in the sequence of

@@ -72,12 +72,18 @@ class PathFollower:
         footprint: Footprint,
         zones: LocalZones,
     ) -> None:
-        self.config, self.limits, self.footprint = config, limits, footprint
+        self.footprint, self.zones = footprint, zones
+        self.configure(config, cost_to_go, controller, limits)
+        self.reset()
+
+    def configure(
+        self, config: PathFollowingConfig, cost_to_go: CostToGoConfig, controller: Controller, limits: Limits
+    ) -> None:
+        """Takes settings and a controller made from them. The state between ticks stays."""
+        self.config, self.controller, self.limits = config, controller, limits
         # a robot with a turning radius must keep a planned arc and cannot drive its chord
         stays = {"beside_plan": ARC_OFF_PATH_COST, "max_beside_plan": ARC_OFF_PATH_COST}
         self.to_go = cost_to_go if isinf(limits.curvature) else cost_to_go.model_copy(update=stays)
-        self.controller, self.zones = controller, zones
-        self.reset()
 
     def reset(self) -> None:
         """The next tick starts from standstill."""

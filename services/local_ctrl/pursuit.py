@@ -12,7 +12,7 @@ from numba import njit
 from pydantic import Field
 
 from services.local_ctrl.arcs import Arc, fill_rollout, max_speed_to_end, simulated_arc
-from services.local_ctrl.controller import ControlScene, ControlSolution, EvaluatedRollouts
+from services.local_ctrl.controller import Controller, ControlScene, ControlSolution, EvaluatedRollouts
 from services.local_ctrl.cost_to_go import to_go_at
 from services.local_ctrl.footprint import Footprint, clearance
 from services.local_ctrl.rollout import DT, Limits, speed_after
@@ -59,6 +59,10 @@ class Pursuit:
     def reset(self) -> None:
         """Restarts the count of calls."""
         self.n_solved = 0
+
+    def resume(self, before: Controller) -> None:
+        """Continues the count of calls: it keeps no solution."""
+        self.n_solved = before.n_solved
 
     def solve(self, scene: ControlScene, footprint: Footprint, n_elapsed: int) -> ControlSolution:
         self.n_solved += 1

@@ -9,11 +9,12 @@ from services.local_ctrl import warm_up
 from services.local_ctrl.config import CONTROLLERS, LocalCtrlConfig
 from services.local_ctrl.debug_topics import DebugTopics
 from services.local_ctrl.footprint import footprint_of
-from services.local_ctrl.inputs import ControlInputs, scan_end
+from services.local_ctrl.inputs import ControlInputs, scan_end, sensors_in_use
 from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.manoeuvres import ControlOutcome, Manoeuvre, braking
 from services.local_ctrl.path_following import PathFollower
 from services.local_ctrl.received_plan import ReceivedPlan
+from services.local_ctrl.reconfiguration import costmap_reach, reconfigure
 from services.local_ctrl.rollout import DT, Motion, limits_of
 from services.local_ctrl.state_estimate import StateEstimate
 from services.local_ctrl.zones import LocalZones
@@ -26,6 +27,7 @@ from shared.messages import (
     FollowStatus,
     Goal,
     LaserScan,
+    MapState,
     MapUpdate,
     Odometry,
     Path,
@@ -39,11 +41,10 @@ from shared.orders import Order, is_newer
 from shared.requests import Reply, Watch
 from shared.scan_faults import mismatch
 from shared.service import Answer, Out, Service, answer, every, on
+from shared.settings import Configuration
 from shared.types import NS_PER_S
 
 MAX_AGE_S = 1.0  # of an input at its arrival
-WINDOW_MARGIN_M = 1.0  # of the costmap beyond the robot's centre at the end of the longest rollout, at least
-OUTLINE_MARGIN_M = 0.5  # of the costmap beyond the robot's outline there, at least
 
 
 class LocalCtrlService(Service):
@@ -53,13 +54,9 @@ class LocalCtrlService(Service):
 
     def __init__(self, config: LocalCtrlConfig, robot: Robot) -> None:
         super().__init__(config, robot)
-        self.config = config
         self.limits = limits_of(robot.drive, config.max_speed, config.max_reverse_speed)
         self.footprint = footprint_of(robot, config.padding)
-        horizon = max(config.mppi.steps * DT, config.dwa.sim_time if config.controller == "dwa" else 0.0)
-        travelled = self.limits.v_max * max(horizon, 0.5 * self.limits.v_max / self.limits.braking)
-        reach = travelled + max(WINDOW_MARGIN_M, self.footprint.circumscribed + OUTLINE_MARGIN_M)
-        self.costmap = LocalCostmap(config.costmap, reach, config.latency)
+        self.costmap = LocalCostmap(config.costmap, costmap_reach(config, self.limits, self.footprint), config.latency)
         self.inputs = ControlInputs(config.ages, robot.drive)
         controller = CONTROLLERS[config.controller](config, self.limits)
         self.zones = LocalZones(robot.circumscribed_radius)
@@ -71,17 +68,19 @@ class LocalCtrlService(Service):
             footprint=self.footprint,
             zones=self.zones,
         )
-        self.grid = OccupancyGrid()
+        self.grid, self.debug_topics = OccupancyGrid(), DebugTopics()
         self.order: Order | None = None  # the one with the highest id
         self.manoeuvre: Manoeuvre | None = None
         self.plan = ReceivedPlan(config.ages)
         self.estimate = StateEstimate(self.limits, config.latency, config.speed_settling)
         self.start = Motion(Pose2(), 0.0, 0.0)  # of the last rollouts
         self.last_tick = 0  # ns
-        self.debug_topics = DebugTopics()
-        kinds = {"ultrasonic": config.costmap.ultrasonic, "infrared": config.costmap.infrared}
-        self.ranges_wanted = np.array([kinds[sensor.kind] for sensor in robot.ranges], bool)
-        self.ranges_limits = np.array([(s.range_min, s.range_max) for s in robot.ranges], float).reshape(-1, 2)
+        self.ranges_wanted, self.ranges_limits = sensors_in_use(robot, config.costmap)
+
+    def settings_changed(self, old: Configuration, new: Configuration) -> Out:
+        """Takes limits, costs and critics. The content of the costmap and the last solution stay."""
+        reconfigure(self)
+        return ()
 
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:
@@ -89,8 +88,7 @@ class LocalCtrlService(Service):
         known = last.stamp if (last := self.inputs.odometry.latest) is not None else None
         if not self.rejections.judge(topics.ODOM.key, odometry.stamp, known, self.now, MAX_AGE_S):
             return ()
-        continues = self.inputs.add_odometry(odometry)
-        if not continues:
+        if not (continues := self.inputs.add_odometry(odometry)):
             self.costmap.clear()
             self.path_follower.reset()
             self.manoeuvre = None
@@ -131,6 +129,12 @@ class LocalCtrlService(Service):
         self.grid.apply(update)
         return ()
 
+    @on(topics.MAP_STATE)
+    def map_state(self, state: MapState) -> Out:
+        """Takes the virtual walls of the map."""
+        self.zones.set_walls(state)
+        return ()
+
     @on(topics.ZONES)
     def new_zones(self, zones: Zones) -> Out:
         """Takes the zones."""
@@ -146,8 +150,7 @@ class LocalCtrlService(Service):
         self.order, self.manoeuvre = goal, None
         if goal.clear_costmap:
             self.costmap.clear()
-        keeps_plan = driving and not self.path_follower.missed
-        if keeps_plan:
+        if keeps_plan := driving and not self.path_follower.missed:
             self.path_follower.at_end = False
         else:
             self.path_follower.reset()
@@ -178,15 +181,12 @@ class LocalCtrlService(Service):
         outcome = outcome._replace(w=self.robot.drive.bent(outcome.v, outcome.w))
         self.estimate.add_command(self.now, outcome.v, outcome.w)
         yield topics.CMD_NAV(Velocity(self.now, outcome.v, outcome.w, outcome.reason))
-        goal_id = self.order.id if self.order is not None else 0
-        yield topics.FOLLOW(FollowStatus(self.now, goal_id, outcome.state, outcome.reason, outcome.left))
+        order_id = self.order.id if self.order is not None else 0
+        yield topics.FOLLOW(FollowStatus(self.now, order_id, outcome.state, outcome.reason, outcome.left))
         if self.debug_topics.due(self.now) and self.inputs.odometry.latest is not None:
             costmap = deepcopy(self.costmap)  # the update changes it, and a spectator must not change the drive
             self._update_costmap(costmap)
-            yield topics.COSTMAP(self.debug_topics.costmap(self.now, costmap, self.footprint))
-            rollouts = self.debug_topics.rollouts(self.now, self.path_follower.controller, self.start)
-            if rollouts is not None:
-                yield topics.ROLLOUTS(rollouts)
+            yield from self.debug_topics.publications(self.now, costmap, self.path_follower, self.start)
 
     @answer(requests.WATCH)
     def watch(self, request: Watch) -> Answer[Reply]:
@@ -197,8 +197,7 @@ class LocalCtrlService(Service):
 
     def _control_outcome(self, n_elapsed: int) -> ControlOutcome:
         """The command and the state of the goal. n_elapsed: steps of DT since the last tick."""
-        order = self.order
-        if order is None or (isinstance(order, Goal) and not order.active):
+        if (order := self.order) is None or (isinstance(order, Goal) and not order.active):
             return ControlOutcome(0.0, 0.0, FollowState.IDLE)
         stop = self.inputs.stale_input(self.now, self.rejections)
         if stop is None and isinstance(order, Goal):
@@ -230,9 +229,10 @@ class LocalCtrlService(Service):
         here = self.inputs.odometry.odom_from_base
         costmap.recentre(here.x, here.y)
         if self.inputs.pose is not None:
-            costmap.set_static_map(self.grid, self.inputs.odom_from_map)
+            odom_from_map, map_id = self.inputs.odom_from_map, self.grid.map_id
+            costmap.set_static_map(self.grid, odom_from_map)
             window = costmap.x0, costmap.y0, costmap.resolution, len(costmap.field)
-            costmap.forbidden_cells = self.zones.forbidden_cells(self.inputs.odom_from_map, here, window)
+            costmap.forbidden_cells = self.zones.forbidden_cells(odom_from_map, here, window, map_id)
         else:
             costmap.set_static_map(OccupancyGrid(), Pose2())
             costmap.forbidden_cells = None

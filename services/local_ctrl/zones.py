@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Zones in local control: a keep-out zone is an obstacle, a speed zone a limit that begins before it.
 
+A virtual wall of the map counts as a keep-out zone: as an obstacle of the map alone, the laser would clear it.
+
 A zone lies in `map`, so its place in `odom` depends on the pose. Without a pose no zone applies, and no plan is
 driven.
 
 After Nav2's KeepoutFilter and SpeedFilter, with polygons in place of a mask. Braking before a speed zone is our own.
 """
 
+from itertools import pairwise
 from math import inf, sqrt
 
 import numpy as np
@@ -14,7 +17,7 @@ import numpy as np
 from services.local_ctrl.controller import APPROACH_BRAKING_SHARE
 from services.local_ctrl.rollout import Limits, Motion
 from shared.geometry import Pose2
-from shared.messages import ZoneKind, Zones
+from shared.messages import EditKind, MapEdit, MapState, ZoneKind, Zones
 from shared.polygon import contains
 from shared.types import Bools, Float64s
 from shared.zones import KeepOut, mark_cells, polygon_of
@@ -27,7 +30,8 @@ class LocalZones:
 
     def __init__(self, reach: float) -> None:
         """reach: circumscribed radius of the robot, m."""
-        self._keep_out = KeepOut(reach)
+        self._keep_out, self._walls = KeepOut(reach), KeepOut(reach)
+        self._map_of_walls = 0  # its id
         self._slow: tuple[tuple[Float64s, float, float], ...] = ()  # polygon in `map`, m/s, share of the top speed
 
     def set_zones(self, zones: Zones) -> None:
@@ -35,18 +39,27 @@ class LocalZones:
         self._keep_out.take(zones)
         self._slow = tuple((polygon_of(z), z.speed, z.share) for z in zones.zones if z.kind is ZoneKind.SLOW)
 
+    def set_walls(self, state: MapState) -> None:
+        """Replaces the virtual walls of the map."""
+        walls = (edit for edit in state.edits if edit.kind is EditKind.WALL)
+        self._walls.take_polygons(tuple(polygon for edit in walls for polygon in wall_polygons(edit)))
+        self._map_of_walls = state.map_id
+
     def forbidden_cells(
-        self, odom_from_map: Pose2, here: Pose2, window: tuple[float, float, float, int]
+        self, odom_from_map: Pose2, here: Pose2, window: tuple[float, float, float, int], map_id: int
     ) -> Bools | None:
-        """(n, n) bool: cells in keep-out zones, for the robot at `here` in `odom`; None without any.
+        """(n, n) bool: cells in keep-out zones and walls, for the robot at `here` in `odom`; None without any.
 
         window: x0, y0 m in `odom` of the centre of its lower left cell; m a cell; cells along a side.
+        map_id: of the present map; walls of another one do not count.
         """
-        self._keep_out.moved(odom_from_map.inverse() @ here)
+        kinds = (self._keep_out, self._walls) if map_id == self._map_of_walls else (self._keep_out,)
+        for kind in kinds:
+            kind.moved(odom_from_map.inverse() @ here)
         x0, y0, resolution, n = window
         low, size = np.array((x0, y0)) - 0.5 * resolution, n * resolution
         cells: Bools | None = None
-        for polygon in self._keep_out.holding:
+        for polygon in (polygon for kind in kinds for polygon in kind.holding):
             in_odom = odom_from_map @ polygon
             if (in_odom.max(axis=0) < low).any() or (in_odom.min(axis=0) > low + size).any():
                 continue
@@ -78,3 +91,18 @@ class LocalZones:
         if least >= limits.v_max:
             return limits
         return limits._replace(v_max=least, v_min=max(limits.v_min, -least))
+
+
+def wall_polygons(wall: MapEdit) -> list[Float64s]:
+    """The rectangle (4, 2), m in `map`, along each piece of a wall."""
+    points = np.column_stack((wall.xs, wall.ys))
+    rectangles = []
+    for start, end in pairwise(points) if len(points) > 1 else ((points[0], points[0]),):
+        along = end - start
+        length = float(np.hypot(*along))
+        along = along / length if length > 0 else np.array((1.0, 0.0))
+        ahead, aside = 0.5 * wall.width * along, 0.5 * wall.width * np.array((-along[1], along[0]))
+        rectangles.append(
+            np.array([start - ahead - aside, end + ahead - aside, end + ahead + aside, start - ahead + aside])
+        )
+    return rectangles

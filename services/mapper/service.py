@@ -1,10 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mapper service: scans and odometry in; the robot's pose on the map, and the map, out."""
 
-from dataclasses import replace
-
-import numpy as np
-
 from services.mapper.back_end.back_end import BackEnd
 from services.mapper.config import MapperConfig
 from services.mapper.front_end.front_end import FrontEnd
@@ -14,21 +10,20 @@ from services.mapper.grid.occupancy import Occupancy
 from services.mapper.localization.global_localization import GlobalLocalizer
 from services.mapper.localization.grid_keyframes import add_virtual_keyframes
 from services.mapper.localization.kidnap_detection import KidnapDetector
+from services.mapper.maps.map_editing import MapEditing
 from services.mapper.maps.map_file import SavedMap
-from services.mapper.maps.map_transfer import MapDownload, MapUpload
-from services.mapper.maps.resume import PreviousRun, graph_checkpoint
+from services.mapper.maps.map_transfer import MapDownload, MapUpload, tiles_problem
+from services.mapper.maps.resume import PreviousRun, graph_checkpoint, resume_graph
 from services.mapper.slam import Slam
 from services.mapper.warm_up import warm_up
 from shared import requests, topics
 from shared.config import Robot
 from shared.geometry import Pose2
-from shared.grid import OccupancyGrid
-from shared.messages import LaserScan, MapMode, MapUpdate, Odometry, PoseEstimate
+from shared.messages import LaserScan, MapEdit, MapMode, MapState, MapUpdate, Odometry, PoseEstimate
 from shared.reasons import BAD_REQUEST, BUSY, MAP_REFUSED
-from shared.requests import FetchMap, GiveMap, LoadMap, MapPart, Reply, StartMap
+from shared.requests import EditMap, FetchMap, GiveMap, LoadMap, MapPart, NameMap, Reply, StartMap
 from shared.service import Answer, Checkpoint, Job, Log, Out, Service, answer, every, on
-
-MAX_TILES = 20_000  # of a saved map, 80 MB of cells: a square of 450 m at 0.05 m per cell
+from shared.settings import Configuration
 
 
 class MapperService(Service):
@@ -72,7 +67,7 @@ class MapperService(Service):
             max_path_without_closure=config.max_path_without_closure,
         )
         self.previous_run = PreviousRun()
-        self.download, self.upload = MapDownload(), MapUpload()
+        self.download, self.upload, self.editing = MapDownload(), MapUpload(), MapEditing()
         # the result of a job goes to the part that ordered it
         self.on_constraints, self.on_graph_optimized = slam.on_constraints, slam.on_graph_optimized
         self.on_local_map, self.on_localized = slam.on_local_map, slam.on_localized
@@ -83,19 +78,22 @@ class MapperService(Service):
         """Compiles all kernels, on a copy of the service."""
         warm_up(type(self)(self.config, self.robot))
 
+    def settings_changed(self, old: Configuration, new: Configuration) -> Out:
+        self.slam.configure(new.config)
+        return ()
+
     @property
     def grid(self) -> Occupancy:
-        """The map."""
         return self.slam.grid
 
     def state(self) -> str:
         """Returns the mode and the state of the pose, for the health message."""
         if self.slam.tracked is None:
             return "waiting for a scan"
-        pose = "looking for the robot on the map" if not self.slam.is_localized else str(self.slam.tracked.state)
+        pose = str(self.slam.tracked.state) if self.slam.is_localized else "looking for the robot on the map"
         text = f"{self.slam.mode}: {pose}, {len(self.grid.tile_index)} tiles"
-        dropped = sum(self.scan_queue.n_dropped.values())
-        text += f", {dropped} scans dropped" if dropped else ""
+        if dropped := sum(self.scan_queue.n_dropped.values()):
+            text += f", {dropped} scans dropped"
         return text + (", no odometry: scan matching alone" if self.scan_queue.is_blind else "")
 
     def _process_scan(self) -> Out:
@@ -141,6 +139,12 @@ class MapperService(Service):
         self.previous_run.pose = estimate
         yield from self._resume()
 
+    @on(topics.MAP_STATE)
+    def remember_map_state(self, state: MapState) -> Out:
+        """Restores name and edits of the map of the run before a restart."""
+        self.previous_run.map_state = state
+        yield from self._resume()
+
     @every(hz=20)
     def release(self) -> Out:
         """Processes a scan for which odometry is late."""
@@ -151,6 +155,7 @@ class MapperService(Service):
     def publish_map(self) -> Out:
         """Publishes changed tiles, and redraws the map where the graph has moved."""
         yield from self.slam.changed_tiles(self.now)
+        yield from self.editing.changes(self.slam, self.now)
         yield from self.slam.jobs.redraw(self.now)
         self.download.tick(self.now)
         self.upload.tick(self.now)
@@ -159,12 +164,13 @@ class MapperService(Service):
         """Goes on redrawing the map, and replaces it when the drawing is complete."""
         return self.slam.on_map_drawn(result, self.now)
 
-    def use_map(self, saved: SavedMap, fixed: bool, at: Pose2 | None = None) -> Out:
+    def use_map(self, saved: SavedMap, fixed: bool, at: Pose2 | None = None, name: str = "") -> Out:
         """Uses a saved map, with the robot near a pose, or anywhere on it.
 
         fixed: the map does not change.  at: map_from_base.
         """
         self.slam.use_map(saved, MapMode.LOCALISE if fixed else MapMode.CONTINUE, self.now, at)
+        self.slam.name = name
         self.scan_queue.reset()
         return self.publish_map()
 
@@ -179,12 +185,10 @@ class MapperService(Service):
     def on_map_validated(self, result: tuple[int, SavedMap | str]) -> Out:
         """Stores a given map; the graph of the present map, from before a restart, is taken up at once."""
         self.upload.on_map_validated(result)
-        map_id = self.upload.transfer
-        if not self.upload.resumes or map_id != self.grid.map_id:
+        if not self.upload.resumes or self.upload.transfer != self.grid.map_id:
             return
-        saved = self.upload.take_map(map_id, self.now)
-        self.grid.update_cells()  # those of the latched map may not be published yet
-        if isinstance(saved, SavedMap) and self.slam.add_graph(replace(saved, tiles=self.grid.all_tiles(self.now))):
+        saved = self.upload.take_map(self.upload.transfer, self.now)
+        if isinstance(saved, SavedMap) and resume_graph(self.slam, saved):
             yield Log("INFO", f"going on with the pose graph from before the restart: {len(saved.keyframes)} keyframes")
 
     def checkpoint(self) -> Checkpoint | None:
@@ -192,8 +196,7 @@ class MapperService(Service):
 
     @answer(requests.START_MAP)
     def start_map(self, request: StartMap) -> Answer[Reply]:
-        saved = self.upload.take_map(request.transfer, self.now) if request.transfer else None
-        if isinstance(saved, Reply):
+        if isinstance(saved := self.upload.take_map(request.transfer, self.now) if request.transfer else None, Reply):
             return saved
         if saved is not None and saved.tiles.resolution != self.config.occupancy.resolution:
             detail = f"it has {saved.tiles.resolution:g} m a cell; set mapper.occupancy.resolution to that"
@@ -207,39 +210,41 @@ class MapperService(Service):
         elif saved is None and at is None:
             self.slam.switch_mode(request.mode)
         elif saved is None and not self.slam.has_graph:
-            whole = self.grid.all_tiles(self.now)
-            return (yield from self._load(whole, at or Pose2(), request.mode))
+            whole = self.grid.tiles_without_edits(self.now)
+            return (yield from self._load(whole, at or Pose2(), request.mode, self.slam.edits.edits, self.slam.name))
         else:
-            yield from self.use_map(saved or self.slam.snapshot(), request.mode is MapMode.LOCALISE, at)
+            name = request.name if saved is not None else self.slam.name
+            yield from self.use_map(saved or self.slam.snapshot(), request.mode is MapMode.LOCALISE, at, name)
         return Reply(self.now, True, "", f"{self.slam.mode}: {len(self.back_end.keyframes)} keyframes")
 
     @answer(requests.LOAD_MAP)
     def load_map(self, request: LoadMap) -> Answer[Reply]:
         return self._load(request.map, request.map_from_base, MapMode.CONTINUE)
 
-    def _load(self, tiles: MapUpdate, at: Pose2, mode: MapMode) -> Answer[Reply]:
-        """Uses a map without a graph, with the robot near a pose.  at: map_from_base."""
-        rows, columns = tiles.rows, tiles.columns
-        if len(rows) and (int(np.ptp(rows)) + 1) * (int(np.ptp(columns)) + 1) > MAX_TILES:
-            return Reply(self.now, False, BAD_REQUEST.code, "the map's tiles lie too far apart to be one building")
-        grid = OccupancyGrid(tiles.resolution, tiles.map_id)
-        grid.apply(tiles)
-        if not grid.occupied.any():
-            return Reply(self.now, False, BAD_REQUEST.code, "the map holds no occupied cell to find the robot by")
-        self.slam.use_grid(tiles, grid, max(self.now, self.grid.map_id + 1), at, mode)
+    @answer(requests.EDIT_MAP)
+    def edit_map(self, request: EditMap) -> Answer[Reply]:
+        return self.editing.edit(request, self.slam, self.now)
+
+    @answer(requests.NAME_MAP)
+    def name_map(self, request: NameMap) -> Answer[Reply]:
+        return self.editing.name(request, self.slam, self.now)
+
+    def _load(
+        self, tiles: MapUpdate, at: Pose2, mode: MapMode, edits: tuple[MapEdit, ...] = (), name: str = ""
+    ) -> Answer[Reply]:
+        """Uses a map without a graph, with the robot near a pose.  tiles: without the edits.  at: map_from_base."""
+        if (problem := tiles_problem(tiles)) is not None:
+            return Reply(self.now, False, BAD_REQUEST.code, problem)
+        self.slam.use_grid(tiles, max(self.now, self.grid.map_id + 1), at, mode, edits)
+        self.slam.name = name
         self.scan_queue.reset()
         yield from self.slam.changed_tiles(self.now)
         if tiles.resolution == self.config.occupancy.resolution:
             yield Job(add_virtual_keyframes, (self.grid.map_id, tiles), "on_virtual_keyframes", 1.0)
-        return Reply(self.now, True, "", f"{len(rows)} tiles")
+        return Reply(self.now, True, "", f"{len(tiles.rows)} tiles")
 
     def _resume(self) -> Out:
         """Uses the map of the run before a restart, once its map and pose are known."""
-        state = self.previous_run.state()
-        if state is not None:
-            update, grid, estimate = state
-            mode = MapMode.LOCALISE if estimate.mode is MapMode.LOCALISE else MapMode.CONTINUE
-            self.slam.use_grid(update, grid, update.map_id, estimate.map_from_base, mode)
-            self.grid.version = update.version
-            self.slam.tracked, self.scan_queue.last_end, self.scan_queue.velocity = None, -1, Pose2()
-            yield Log("INFO", f"going on with the map from before the restart: {len(update.rows)} tiles")
+        if self.previous_run.apply_to(self.slam):
+            self.scan_queue.last_end, self.scan_queue.velocity = -1, Pose2()
+            yield Log("INFO", f"going on with the map from before the restart: {len(self.grid.tile_index)} tiles")

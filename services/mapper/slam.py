@@ -7,6 +7,8 @@ A robot that is lost on a map is searched by global localization; a robot that i
 Parts take the place of Cartographer's trajectories and of the map frames of Atlas (Bosse et al., IJRR 2004).
 """
 
+from collections.abc import Iterable
+from dataclasses import replace
 from math import hypot, inf
 
 import numpy as np
@@ -18,10 +20,12 @@ from services.mapper.back_end.local_map import LocalMap
 from services.mapper.back_end.map_jobs import MapJobs
 from services.mapper.back_end.map_parts import MIN_FIT, MIN_KEYFRAMES, OdometryGap, fits_grid, gap_information
 from services.mapper.back_end.pose_graph import OptimizationResult, rotate_matrix
+from services.mapper.config import MapperConfig
 from services.mapper.front_end.front_end import FrontEnd
 from services.mapper.front_end.scan_queue import SyncedScan
 from services.mapper.front_end.tracking_result import TrackingResult
 from services.mapper.grid.map_drawing import Drawing
+from services.mapper.grid.map_edits import MapEdits
 from services.mapper.grid.occupancy import Occupancy, OccupancyConfig
 from services.mapper.localization.global_localization import PART_REST_RATIO, GlobalLocalizer, PoseHypothesis
 from services.mapper.localization.kidnap_detection import KidnapDetector
@@ -29,7 +33,7 @@ from services.mapper.maps.map_file import SavedMap
 from shared import topics
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import Localization, MapMode, MapUpdate, PoseEstimate
+from shared.messages import Localization, MapEdit, MapMode, MapUpdate, PoseEstimate
 from shared.service import Log, Out
 from shared.types import Float64s
 
@@ -59,7 +63,8 @@ class Slam:
         self.kidnap_detector = kidnap_detector
         self.jobs = MapJobs(back_end)
         self.occupancy, self.max_path_without_closure = occupancy, max_path_without_closure
-        self.grid = Occupancy(occupancy, 0)
+        self.grid, self.edits = Occupancy(occupancy, 0), MapEdits()
+        self.name = ""  # under which the map was saved or loaded; empty: none
         self.tracked: TrackingResult | None = None
         self.odometry_scale = 1.0  # of odometry's standard deviations, the largest since the last keyframe
         self.mode = MapMode.MAP
@@ -68,6 +73,12 @@ class Slam:
         self.lost_path = 0.0  # m driven since the robot was lost
         self.searches_part = False  # global localization searches an unjoined part, which is mapped meanwhile
         self.part_fit = 1.0  # share of the last scans of an unjoined part that fit the map
+
+    def configure(self, config: MapperConfig) -> None:
+        """Takes settings of keyframes, closures, drawing and the saved map. Map and pose stay."""
+        self.front_end.config, self.kidnap_detector.config = config.front_end, config.kidnap_detection
+        self.back_end.config, self.back_end.closure_config = config.back_end, config.loop_closure
+        self.max_path_without_closure = config.max_path_without_closure
 
     @property
     def changes_map(self) -> bool:
@@ -234,14 +245,15 @@ class Slam:
             return self.saved
         back_end = self.back_end
         self.grid.update_cells()  # the scans since the last publication
-        whole = self.grid.all_tiles(0)
-        return SavedMap(back_end.graph.snapshot(), tuple(back_end.keyframes), np.array(back_end.driven), whole)
+        graph, driven = back_end.graph.snapshot(), np.array(back_end.driven)
+        tiles = self.grid.tiles_without_edits(0)
+        return SavedMap(graph, tuple(back_end.keyframes), driven, tiles, self.edits.edits)
 
     def _map_without_part(self) -> SavedMap:
         """Returns the present map without the unjoined part."""
         saved, n = self.snapshot(), self.back_end.first_row
         graph = saved.graph.subgraph_before(self.back_end.first_node)
-        return SavedMap(graph, saved.keyframes[:n], saved.driven[:n], saved.tiles)
+        return SavedMap(graph, saved.keyframes[:n], saved.driven[:n], saved.tiles, saved.edits)
 
     def start_map(self, now: int) -> None:
         """Begins an empty map at the robot.  now: ns."""
@@ -252,7 +264,7 @@ class Slam:
 
     def use_map(self, saved: SavedMap, mode: MapMode, now: int, at: Pose2 | None = None) -> None:
         """Uses a saved map, with the robot near a pose, or anywhere on it.  at: map_from_base.  now: ns."""
-        self._reset(max(now, self.grid.map_id + 1), saved.tiles, mode)
+        self._reset(max(now, self.grid.map_id + 1), saved.tiles, mode, saved.edits)
         self.front_end.start(at or Pose2())
         self._load_back_end(saved)
         self.localizer.load(saved)
@@ -285,12 +297,18 @@ class Slam:
 
     def _load_back_end(self, saved: SavedMap) -> None:
         self.back_end.load(saved, fixed=not self.changes_map)
+        self.edits.anchor(self.back_end.graph.nodes, self.back_end.graph.poses)
+        self.back_end.edit_nodes = self.edits.anchor_nodes
         self.kidnap_detector.reset()
         self.saved = saved if not self.changes_map else None
 
-    def use_grid(self, tiles: MapUpdate, grid: OccupancyGrid, map_id: int, map_from_base: Pose2, mode: MapMode) -> None:
-        """Uses a map without a graph, with the robot near a pose.  grid: of the tiles."""
-        self._reset(map_id, tiles, mode)
+    def use_grid(
+        self, tiles: MapUpdate, map_id: int, map_from_base: Pose2, mode: MapMode, edits: Iterable[MapEdit] = ()
+    ) -> None:
+        """Uses a map without a graph, with the robot near a pose.  tiles: without the edits."""
+        grid = OccupancyGrid(tiles.resolution, tiles.map_id)
+        grid.apply(tiles)
+        self._reset(map_id, tiles, mode, edits)
         self.front_end.load(grid, tiles, map_from_base)
         self.localizer.load(None)
 
@@ -306,6 +324,7 @@ class Slam:
         if self.front_end.from_keyframes:
             return False
         self.jobs.reset()
+        saved = replace(saved, edits=self.edits.edits)
         self._load_back_end(saved)
         self.known_map_from_local = self.back_end.map_from_local  # `local` is the map's frame
         self.front_end.from_keyframes = True
@@ -356,11 +375,14 @@ class Slam:
         grid = yield from self.jobs.on_map_drawn(result, now)
         if grid is not None:
             self.grid.replace_with(grid)
+            self.edits.follow(self.back_end.graph.nodes, self.back_end.graph.poses)
+            self.edits.show(self.grid)
 
-    def _reset(self, map_id: int, tiles: MapUpdate | None, mode: MapMode) -> None:
-        self.grid = Occupancy(self.occupancy, map_id)
+    def _reset(self, map_id: int, tiles: MapUpdate | None, mode: MapMode, edits: Iterable[MapEdit] = ()) -> None:
+        self.grid, self.edits, self.name = Occupancy(self.occupancy, map_id), MapEdits(edits), ""
         if tiles is not None:
             self.grid.load(tiles)
+            self.edits.show(self.grid)
         self.jobs.reset()
         self.mode, self.saved, self.known_map_from_local, self.lost_path = mode, None, None, 0.0
         self.searches_part = False

@@ -75,6 +75,14 @@ class Navigation:
         self.searching = inf  # s since a search for frontiers was asked for; inf: none is
         self.searched = inf  # s since the last one
 
+    def configure(self, config: NavigatorConfig) -> None:
+        """Takes settings, for the present task too."""
+        self.config, self.attempt_config = config, config.leg
+        self.recoveries.configure(config.recovery, self.robot.drive)
+        if isinstance(self.task, Exploration):
+            self.task.config = config.exploration
+            self.attempt_config = config.leg.with_time_share(config.exploration.patience)
+
     # tasks
 
     def begin(self, task: Route | Exploration, now: int) -> Out:
@@ -107,9 +115,7 @@ class Navigation:
         self.reason, self.detail = None, ""
         self.recoveries = self._new_recoveries()
         self.recovery, self.action, self.paused, self.suspended = "", 0.0, False, False
-        self.attempt_config = (
-            self.config.leg.with_time_share(self.config.exploration.patience) if explores else self.config.leg
-        )
+        self.configure(self.config)
         self.state, self.searched = NavState.EXPLORING if explores else NavState.NAVIGATING, inf
 
     def end(self, now: int, state: NavState, reason: Reason | None, detail: str = "") -> Out:

@@ -59,12 +59,16 @@ class RecoverySequence:
     """The next recovery. It starts again only after real progress."""
 
     def __init__(self, config: RecoveryConfig, drive: Drive) -> None:
-        self.config = config
-        self.recovery_steps = recovery_steps(config, drive)
+        self.configure(config, drive)
         self.n_used = 0  # of the task
         self.last: Reason = reasons.NO_PROGRESS  # why the last one was needed
         self._next = 0
         self._from: Pose2 | None = None
+
+    def configure(self, config: RecoveryConfig, drive: Drive) -> None:
+        """Takes settings. How many steps were tried stays."""
+        self.config = config
+        self.recovery_steps = recovery_steps(config, drive)
 
     @property
     def used_up(self) -> bool:

@@ -32,6 +32,7 @@ from shared.messages import (
 )
 from shared.requests import Cancel, Explore, Navigate, Pause, Reply, SetZones
 from shared.service import Answer, Log, Out, Service, answer, every, on
+from shared.settings import Configuration
 from shared.topics import Publication
 from shared.types import Bools
 from shared.zones import forbidding
@@ -62,6 +63,11 @@ class NavigatorService(Service):
 
     def state(self) -> str:
         return str(self.navigation.state)
+
+    def settings_changed(self, old: Configuration, new: Configuration) -> Out:
+        """The present task takes them too, but for the tolerances of a route, which it began with."""
+        self.navigation.configure(new.config)
+        return ()
 
     @on(topics.MAP)
     def map(self, update: MapUpdate) -> Out:

@@ -20,6 +20,7 @@ from shared.messages import (
     TILE_CELLS,
     Goal,
     GoalLimits,
+    MapState,
     MapUpdate,
     Odometry,
     Path,
@@ -30,6 +31,7 @@ from shared.messages import (
 from shared.orders import Order, is_newer
 from shared.pose_tracker import PoseTracker
 from shared.service import Out, Service, every, on
+from shared.settings import Configuration
 from shared.types import Bools
 
 PERIOD_NS = 500_000_000
@@ -90,6 +92,14 @@ class PlannerService(Service):
         plan = self.monitor.plan
         return plan.reason.code if plan and plan.reason else "planning"
 
+    def settings_changed(self, old: Configuration, new: Configuration) -> Out:
+        """Computes the costs again where they changed, and plans again at once."""
+        self.monitor.config = new.config.replanning
+        if new.config.cost != old.config.cost:
+            self.costmap, self.limits_published = None, False
+        self.monitor.clear()
+        yield from self._publish_plan(always=True)
+
     @on(topics.MAP)
     def map(self, update: MapUpdate) -> Out:
         """Takes tiles of the map. The plan follows at once, unless the costmap was just updated."""
@@ -106,6 +116,12 @@ class PlannerService(Service):
         self.is_costmap_current = False
         if self.goal and self.now - self.updated_at >= 0.8 * PERIOD_NS:
             yield from self._publish_plan(always=False)
+
+    @on(topics.MAP_STATE)
+    def map_state(self, state: MapState) -> Out:
+        """Plans again at once: a virtual wall on the present plan does not go away as a person does."""
+        self.monitor.clear()
+        yield from self._publish_plan(always=True)
 
     @on(topics.ZONES)
     def zones(self, zones: Zones) -> Out:

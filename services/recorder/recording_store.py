@@ -70,7 +70,7 @@ class RecordingStore:
     """One recording in its parts. Never overwrites a file: a restarted recorder begins `NAME-2.mcap`."""
 
     def __init__(self, config: RecorderConfig) -> None:
-        self._config = config
+        self.config = config
         self._writer: recording.Writer | None = None
         self._stem = ""  # of the first part
         self._n_parts = 0
@@ -90,10 +90,10 @@ class RecordingStore:
 
     def begin(self, now: int, robot: str, robot_file: str, latched: Iterable[Value]) -> None:
         """Begins a part at `now` (ns) with the latched values. Raises OSError."""
-        suffix = Path(self._config.file).suffix or ".mcap"
+        suffix = Path(self.config.file).suffix or ".mcap"
         if not self._stem:
             start = f"{datetime.fromtimestamp(now / 1e9, UTC):%Y%m%d-%H%M%S}"
-            self._stem = Path(self._config.file).stem or f"{robot}-{start}"
+            self._stem = Path(self.config.file).stem or f"{robot}-{start}"
         metadata = {**recording.about(robot), **_host_metadata(), "part": str(self._n_parts + 1)}
         attachments = self._attachments | ({CONFIG: robot_file.encode()} if robot_file else {})
         writer = self._open_writer(suffix, metadata, attachments)
@@ -133,8 +133,8 @@ class RecordingStore:
         if self._writer is None:
             return False
         seconds = (now - self._part_start) / 1e9
-        long = 0 < self._config.split_time <= seconds
-        return long or self._writer.size >= self._config.split_size * MB
+        long = 0 < self.config.split_time <= seconds
+        return long or self._writer.size >= self.config.split_size * MB
 
     def end(self) -> None:
         """Closes the open part and writes its index. Raises OSError."""
@@ -177,7 +177,7 @@ class RecordingStore:
 
     def _remove_old_recordings(self, robot: str) -> None:
         """Removes the oldest recordings over the budget; ignores disk errors."""
-        own = f"{self._stem}.part[0-9]*" if self._config.file else f"{robot}-[0-9]*"
+        own = f"{self._stem}.part[0-9]*" if self.config.file else f"{robot}-[0-9]*"
         recordings = []
         with suppress(OSError):
             names = set(os.listdir(self._folder))
@@ -186,8 +186,8 @@ class RecordingStore:
                 if path != self.path and path.suffix == ".mcap" and fnmatchcase(name, own):
                     stat, marked = path.stat(), name + KEEP_SUFFIX in names
                     recordings.append(StoredRecording(path, stat.st_size, stat.st_mtime_ns, marked))
-        reserved = min(self._config.split_size, self._config.budget) * MB  # maximum size of the open part
-        for path in recordings_to_remove(recordings, round(self._config.budget * MB - reserved)):
+        reserved = min(self.config.split_size, self.config.budget) * MB  # maximum size of the open part
+        for path in recordings_to_remove(recordings, round(self.config.budget * MB - reserved)):
             with suppress(OSError):
                 path.unlink()
 

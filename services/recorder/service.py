@@ -12,6 +12,7 @@ from shared.messages import Message
 from shared.reasons import DISK_FULL, NOT_RECORDED, Reason
 from shared.recordings.latched_state import LatchedState
 from shared.service import Log, Out, Service, every
+from shared.settings import Configuration
 from shared.topics import Topic
 from shared.types import NS_PER_S
 
@@ -64,6 +65,11 @@ class RecorderService(Service):
         else:
             self._write(topic.type, source, payload, envelope, now)
         self._latched.take(key, payload)
+
+    def settings_changed(self, old: Configuration, new: Configuration) -> Out:
+        """The limits hold for the open part too; the budget is applied when the next part begins."""
+        self._store.config = new.config
+        return ()
 
     @every(hz=2)
     def flush(self) -> Out:

@@ -65,8 +65,9 @@ class LatchedState:
         values = []
         for key in sorted({*self._payloads, *self._merged}):
             envelope = self._envelope(key)
-            if envelope is not None:  # a late subscriber would drop it, too
-                values.append(Value(key, topics.BY_KEY[key].type, self.value(key)(), envelope))
+            topic = topics.topic_of(key)
+            if envelope is not None and topic is not None:  # a late subscriber would drop it, too
+                values.append(Value(key, topic.type, self.value(key)(), envelope))
         return values
 
     def value(self, key: str) -> Callable[[], bytes]:

@@ -169,10 +169,14 @@ class Client:
                 best = envelope.sent, message
         return best[1] if best else None
 
-    def ask(self, request: Request[Q, R], message: Q, timeout: float = 5.0) -> R:
-        """The reply to a request. Raises UserError where it is too large or refused, or none comes in `timeout` s."""
+    def ask(self, request: Request[Q, R], message: Q, timeout: float = 5.0, service: str = "") -> R:
+        """The reply to a request. Raises UserError where it is too large or refused, or no reply comes in time.
+
+        service: the one that is asked, where several answer.
+        """
+        service = service or request.by
         envelope = Envelope("operator", self.session_name, 0, self.now())
-        key = f"{self.robot}/{request.key}"
+        key = f"{self.robot}/{request.key_of(service)}"
         refusal = b""
         payload = _sized(request.key, encode(message, envelope))
         for reply in self.session.get(key, payload=payload, timeout=timeout):
@@ -183,13 +187,13 @@ class Client:
                 return decode(request.reply, reply.ok.payload.to_bytes())[0]
             except CodecError as error:
                 raise UserError(
-                    f"{request.by} sent a reply that cannot be read: {error}", "same version on both sides?"
+                    f"{service} sent a reply that cannot be read: {error}", "same version on both sides?"
                 ) from None
-        raise request_error(request.by, refusal)
+        raise request_error(service, refusal)
 
-    def answers(self, request: Request[Any, Any], timeout: float) -> bool:
-        """Whether a service that answers this request is there within `timeout` s."""
-        querier = self.session.declare_querier(f"{self.robot}/{request.key}")
+    def answers(self, request: Request[Any, Any], timeout: float, service: str = "") -> bool:
+        """Whether a service that answers this request is there within `timeout` s. service: where several answer."""
+        querier = self.session.declare_querier(f"{self.robot}/{request.key_of(service)}")
         is_matched = threading.Event()
         querier.declare_matching_listener(lambda status: is_matched.set() if status.matching else None)
         there: Any = querier.matching_status  # zenoh calls it a bool; it is a MatchingStatus

@@ -66,6 +66,7 @@ class Host:
 
     def __init__(self, service: Service, name: str, session: str, sequences: dict[str, int] | None = None) -> None:
         self.service, self.name, self.session = service, name, session
+        service.name = name
         self.handlers = handlers(type(service))
         self.n_events = 0
         self.before_port: Callable[[Sent], None] = lambda sent: None
@@ -77,6 +78,11 @@ class Host:
         self._n_bytes = 0  # of requests among them
         self._full: list[Journal] = []
         self._first = 0
+
+    def hears(self, key: str) -> bool:
+        """Whether the service takes a key (without the robot's name); of a family only its own."""
+        topic = topics.topic_of(key)
+        return topic is not None and topic.key in self.handlers.topics and key in (topic.key, key_of(topic, self.name))
 
     def message(self, key: str, message: Message, envelope: Envelope, now: int, latched: bool = False) -> list[Effect]:
         """Handles a message of a key (without the robot's name). latched: a value from before the subscription."""

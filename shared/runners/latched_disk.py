@@ -36,5 +36,9 @@ class LatchedDisk:
         except FileNotFoundError:
             return None
 
+    def remove(self, key: str) -> None:
+        """Removes a key's value."""
+        self._path(key).unlink(missing_ok=True)
+
     def _path(self, key: str) -> Path:
         return self.folder / f"{self._name}-{key.replace('/', '-')}.msgpack"

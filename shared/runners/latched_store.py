@@ -30,20 +30,28 @@ class LatchedStore:
         self._unsaved: dict[str, Callable[[], bytes]] = {}
 
     def restore(self, now: int, wrong: Callable[[str, int], None]) -> Iterator[tuple[str, Message, Envelope]]:
-        """The last messages before a restart, up to MAX_RESTART_AGE_NS old. wrong: called with damage and `now`."""
-        for key in self._own:
-            payload = self._disk.read(key) if self._disk is not None else None
-            if payload is None:
+        """The last messages before a restart, if the newest is at most MAX_RESTART_AGE_NS old; else they are removed.
+
+        One that rarely changes, as a map's edits, may be older: the newest shows when the process ended. Settings are
+        taken at any age. wrong: called with damage and `now`.
+        """
+        disk, restored = self._disk, []
+        for key in self._own if disk is not None else ():
+            payload, topic = disk.read(key) if disk is not None else None, topics.topic_of(key)
+            if payload is None or topic is None:
                 continue
             try:
-                message, envelope = decode(topics.BY_KEY[key].type, payload)
+                restored.append((key, *decode(topic.type, payload)))
             except CodecError as error:
                 wrong(f"{key}: what was kept from before the restart is damaged: {error}", now)
-                continue
-            if 0 <= now - envelope.sent <= MAX_RESTART_AGE_NS:
+        newest = max((envelope.sent for _, _, envelope in restored), default=0)
+        for key, message, envelope in restored:
+            if topics.topic_of(key) is topics.SETTINGS or 0 <= now - newest <= MAX_RESTART_AGE_NS:
                 log.info("taking up %s from before the restart", key)
                 self._values[key] = message
                 yield key, message, envelope
+            elif disk is not None:
+                disk.remove(key)
 
     def publish(self, sent: Sent) -> None:
         """Stores a publication of a latched topic."""

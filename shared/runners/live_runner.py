@@ -146,7 +146,7 @@ class LiveRunner:
 
     def _own_latched(self) -> list[str]:
         listened = self.host.handlers.topics.values()
-        return [topic.key for topic, _ in listened if topic.latched and self.name in topic.publishers]
+        return [key_of(topic, self.name) for topic, _ in listened if topic.latched and self.name in topic.publishers]
 
     def _declare(self) -> None:
         for topic in TOPICS:
@@ -157,7 +157,7 @@ class LiveRunner:
                 self._declare_subscriber(topic)
         for request, _ in self.host.handlers.requests.values():
             answer = partial(self._file_request, request)
-            self._declared.append(self.session.declare_queryable(f"{self.robot}/{request.key}", answer))
+            self._declared.append(self.session.declare_queryable(f"{self.robot}/{request.key_of(self.name)}", answer))
 
     def _declare_publisher(self, topic: Topic[Message]) -> None:
         key = key_of(topic, self.name)
@@ -271,13 +271,13 @@ class LiveRunner:
             transport.refuse(query, reasons.BAD_REQUEST, str(error))
             return
         effects, reply = self.host.request(request.key, message, payload, now)
+        self._apply(effects)  # first: a client that has the reply finds what it asked for
         replied = encode(reply, Envelope(self.name, self.host.session, 0, now))
         if words := self._refusals.oversized(request.key, replied):
             transport.refuse(query, reasons.TOO_LARGE, f"the reply has {words}")
         else:
             with query:
-                query.reply(f"{self.robot}/{request.key}", replied)
-        self._apply(effects)
+                query.reply(f"{self.robot}/{request.key_of(self.name)}", replied)
 
     def _apply(self, effects: list[Effect]) -> None:
         for effect in effects:  # devices first: they do not wait for the publications

@@ -78,7 +78,7 @@ class Lockstep:
         self._busy_until[name] = self.now
         before = list(self.latched.values())
         for sent in before:
-            if sent.envelope.publisher == name and sent.topic.key in host.handlers.topics:
+            if sent.envelope.publisher == name and host.hears(sent.key):
                 self._take(host, host.message(sent.key, sent.message, sent.envelope, self.now, latched=True))
         checkpoint = self._checkpoints.pop(name, None)
         for row, request in checkpoint.function(*checkpoint.arguments) if checkpoint is not None else ():
@@ -123,9 +123,9 @@ class Lockstep:
         envelope = Envelope(publisher, f"{publisher}-0", sequence, self.now)
         self._send(Sent(publication.topic, key, publication.message, envelope, encode(publication.message, envelope)))
 
-    def ask(self, request: Request[Q, R], message: Q) -> R:
-        """The reply of the service for this request, at the present time. KeyError when the service does not run."""
-        host = self._hosts[request.by]
+    def ask(self, request: Request[Q, R], message: Q, service: str = "") -> R:
+        """The reply to a request at the present time. service: where several answer. KeyError when it does not run."""
+        host = self._hosts[service or request.by]
         payload = encode(message, Envelope("operator", "operator-0", 0, self.now))
         effects, reply = host.request(request.key, decode(request.request, payload)[0], payload, self.now)
         self._take(host, effects)
@@ -256,7 +256,7 @@ class Lockstep:
 
     def _deliver(self, sent: Sent, name: str, latched: bool = False) -> None:
         host, life = self._hosts[name], self._lives[name]
-        if sent.topic.key not in host.handlers.topics:
+        if not host.hears(sent.key):
             return
         delay = sent.topic.within
         for lost_or_late in self.filters:

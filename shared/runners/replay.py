@@ -230,7 +230,7 @@ class _Run:
     def _hold(self, now: int) -> None:
         """Gives a session without its beginning the latched values from when the recording began."""
         for key, (message, envelope) in self._traffic.held.items():
-            if key in self._host.handlers.topics:
+            if self._host.hears(key):
                 self._apply(self._host.message(key, message, envelope, now, latched=True))
 
     def _message(self, topic: Topic[Message], event: Event) -> tuple[Message, Envelope]:

@@ -35,7 +35,7 @@ class ReplayTraffic:
             if source in taken:
                 taken.add((event.key, event.session))
         said = {key_of(t, life.name) for life in lives for t in TOPICS if life.name in t.publishers}
-        keys = said | {key for key, _ in taken} | {topic.key for topic in TOPICS if topic.latched}
+        keys = said | {key for key, _ in taken} | set(topics.LATCHED_KEYS)
         whole: dict[tuple[str, str], dict[int, bytes]] = {}
         for entry in recording.entries(keys):
             try:

@@ -20,9 +20,12 @@ from typing import Any, NamedTuple
 import msgpack
 import zenoh
 
+from shared.access_rules import access_control
 from shared.config import UserError, nearest
+from shared.credentials import TLS, Credentials, credentials_for
 from shared.reasons import Reason
-from shared.topics import SERVICES, TOPICS
+from shared.secure_folder import SecureFolder
+from shared.topics import LATCHED_KEYS, SERVICES
 
 BASE_PORT = 17400
 PORTS_A_STACK = 40
@@ -40,10 +43,14 @@ SERVICE_OPEN_MS = 80  # ms: what a service misses of its first links it asks for
 
 @dataclass(frozen=True, slots=True)
 class StackAddress:
-    """Address of a stack: a block of loopback ports by number (`domain`), or a router's endpoint."""
+    """Address of a stack: a block of loopback ports by number (`domain`), or a router's endpoint.
+
+    credentials: for a router over TLS; without them those kept for its host.
+    """
 
     domain: int = 0
     router: str = ""
+    credentials: Credentials | None = None
 
     def port(self, name: str) -> int:
         """The loopback port of a service in this domain."""
@@ -56,7 +63,10 @@ def stack_address(text: str) -> StackAddress:
         return StackAddress(int(text))
     if "/" in text and ":" in text:
         return StackAddress(router=text)
-    raise UserError(f"{text!r} names no stack", f"give a number 0 to {MAX_DOMAIN}, or a router like tcp/router:7447")
+    raise UserError(
+        f"{text!r} names no stack",
+        f"give a number 0 to {MAX_DOMAIN}, or a router like tcp/router:7447 or tls/HOST:7448",
+    )
 
 
 def configuration(where: StackAddress, name: str = "") -> zenoh.Config:
@@ -77,12 +87,38 @@ def configuration(where: StackAddress, name: str = "") -> zenoh.Config:
         put("mode", "client")
         put("connect/endpoints", [where.router])
         put("connect/timeout_ms", -1 if name else 3000)
+        if where.router.startswith(TLS):
+            put("transport/link/tls", (where.credentials or credentials_for(where.router)).tls())
         return config
     put("mode", "peer")
     put("scouting/delay", SERVICE_OPEN_MS if name else TOOL_OPEN_MS)
     put("listen/endpoints", [f"tcp/127.0.0.1:{where.port(name) if name else 0}"])
     put("connect/endpoints", [f"tcp/127.0.0.1:{where.port(other)}" for other in SERVICES if other != name])
     put("connect/timeout_ms", -1)
+    return config
+
+
+def gateway_configuration(where: StackAddress, endpoint: str, folder: SecureFolder, robot: str) -> zenoh.Config:
+    """A member of the stack that lets members of the folder in by TLS at `endpoint`, each within its access rules.
+
+    The stack's own traffic does not pass it: without it only other computers are cut off. Raises UserError where the
+    folder is incomplete.
+    """
+    config = configuration(where)
+    if where.router:
+        config.insert_json5("mode", '"router"')
+        config.insert_json5("connect/timeout_ms", "-1")
+    listening = [endpoint] if where.router else ["tcp/127.0.0.1:0", endpoint]
+    config.insert_json5("listen/endpoints", json.dumps(listening))
+    tls = {
+        "enable_mtls": True,
+        "close_link_on_expiration": True,
+        "root_ca_certificate": str(folder.authority_certificate),
+        "listen_certificate": str(folder.robot_certificate),
+        "listen_private_key": str(folder.robot_key),
+    }
+    config.insert_json5("transport/link/tls", json.dumps(tls))
+    config.insert_json5("access_control", json.dumps(access_control(robot, folder.members())))
     return config
 
 
@@ -115,7 +151,9 @@ def opened(where: StackAddress, name: str = "", everything: bool = False) -> zen
         return zenoh.open(config)
     except zenoh.ZError as error:
         if where.router:
-            raise UserError(f"no router answers at {where.router}", "is it running? see docker compose ps") from error
+            hint = "is it running, and are you a member? see zenav secure list on the robot"
+            hint = hint if where.router.startswith(TLS) else "is it running? see docker compose ps"
+            raise UserError(f"no router answers at {where.router}", hint) from error
         hint = f"is another {name} running in domain {where.domain}? find it: ss -tlnp | grep {where.port(name)}"
         raise UserError(f"port {where.port(name)} is taken", hint) from error
 
@@ -210,7 +248,7 @@ class Everything:
     def __init__(self, session: zenoh.Session, robot: str) -> None:
         self._kept: deque[RawSample] = deque()
         self._ring = session.declare_subscriber(f"{robot}/**", zenoh.handlers.RingChannel(RING))
-        keys = [f"{robot}/{topic.key}" for topic in TOPICS if topic.latched]
+        keys = [f"{robot}/{key}" for key in LATCHED_KEYS]
         self._readers = [LatchedReader(session, key, partial(self._keep, key)) for key in keys]
 
     def _keep(self, key: str, payload: bytes) -> None:

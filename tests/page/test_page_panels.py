@@ -8,8 +8,9 @@ import pytest
 
 pytest.importorskip("playwright", reason="the page's tests need playwright and Chromium")
 
-from shared import topics
+from shared import requests, topics
 from shared.messages import MapMode
+from shared.requests import SetSettings
 from tests.page.browser_page import CHROMIUM, PHONE, choose, download, rail
 
 if not CHROMIUM:
@@ -119,3 +120,21 @@ def test_an_error_in_the_console_and_a_violation_of_the_policy_are_noticed(pages
     for words in ("made up", "CSP violation: script-src", "thrown"):
         assert any(words in problem for problem in pages.problems), words
     pages.problems.clear()
+
+
+def test_a_setting_is_changed_while_the_robot_runs_and_goes_back_to_its_value_of_the_start(pages, stack):
+    page = pages.open()
+    rail(page, "Settings").click()
+    page.get_by_label("Filter").fill("clearance_weight")
+    row = page.locator(".setting", has_text="planner.cost.clearance_weight")
+    row.get_by_label("planner.cost.clearance_weight").fill("7")
+    row.get_by_role("button", name="Set").click()
+    row.get_by_text("set at run time").wait_for()
+    reply = stack.client.ask(requests.SET, SetSettings(stack.client.now(), (), (), True), service="planner")
+    assert dict(zip(reply.names, reply.values, strict=True))["planner.cost.clearance_weight"] == "7.0"
+    row.get_by_label("planner.cost.clearance_weight").fill("101")
+    row.get_by_role("button", name="Set").click()
+    assert row.locator(".setting-value").inner_text() == "7", "the browser knows the bounds too"
+    row.get_by_role("button", name="Back to 5").click()
+    row.get_by_text("set at run time").wait_for(state="detached")
+    assert row.locator(".setting-value").inner_text() == "5"

@@ -12,7 +12,17 @@ from ruamel.yaml import YAML
 from zenav.__main__ import app
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = "install", "new_service", "hardware", "calibration", "benchmarks", "maps", "local_control", "planner"
+NAMES = (
+    "install",
+    "new_service",
+    "hardware",
+    "calibration",
+    "benchmarks",
+    "maps",
+    "local_control",
+    "planner",
+    "runtime_settings",
+)
 GUIDES = [ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in NAMES)]
 RECORDINGS = ROOT / "docs" / "recordings.md"  # speaks of commands within its lines too; what it runs stands alone
 SHOWN = [

@@ -17,12 +17,21 @@ let recordings = [
   { name: "2026-03-04T09-12-31.mcap", size: 41_000_000, modified: now, marked: false, current: true },
   { name: "2026-03-03T16-40-02.mcap", size: 182_000_000, modified: now - 60_000, marked: true, current: false },
 ];
+const number = { kind: "number", choices: [], low: 0, high: 100, unit: "", is_limit: false };
 const settings = [
-  ["robot.name", "x80", "robots/x80sv.yaml:4", "the robot's name on the wire"],
-  ["robot.drive.max_speed", 0.8, "robots/x80sv.yaml:13", "m/s, forward"],
-  ["planner.clearance_weight", 4.0, "default", "how much clearance counts against length"],
-  ["guard.view.min_share", 0.2, "--set", "share of beams that must return"],
-].map(([name, value, origin, description]) => ({ name, value, origin, description }));
+  ["robot.name", "x80", "robots/x80sv.yaml:4", "the robot's name on the wire", {}],
+  ["robot.drive.max_speed", 0.8, "robots/x80sv.yaml:13", "m/s, forward", { ...number, unit: "m/s", is_limit: true }],
+  ["planner.cost.clearance_weight", 4.0, "default", "how much clearance counts against length", number],
+  ["planner.cost.unknown", "costly", "default", "paths through unknown space", { kind: "choice", choices: ["allowed", "costly"] }],
+  ["local_ctrl.costmap.scan", true, "default", "mark and clear by the laser scan", { kind: "switch" }],
+  ["guard.view.min_share", 0.2, "--set", "share of beams that must return", {}],
+].map(([name, value, origin, description, editor]) => ({ name, value, origin, description, started: value, file: origin, ...editor }));
+
+function setSetting({ name, value }) {
+  const row = settings.find((setting) => setting.name === name);
+  row.value = value === "" ? row.started : JSON.parse(/^[a-z]+$/.test(value) && row.kind === "choice" ? `"${value}"` : value);
+  row.origin = row.value === row.started ? row.file : "set at run time";
+}
 
 const ASK = {
   "request/navigate": (robot, { poses }) => {
@@ -34,6 +43,11 @@ const ASK = {
   "request/pause": (robot, { paused }) => void (robot.paused = paused),
   "request/set_zones": (robot, { zones }) => {
     robot.zones = zones.map((zone) => ({ ...zone, xs: float64s(zone.xs), ys: float64s(zone.ys) }));
+  },
+  "request/edit_map": (robot, { add, remove = [] }) => {
+    const kept = robot.edits.filter((edit) => !remove.includes(edit.id));
+    const first = Math.max(0, ...kept.map((edit) => edit.id)) + 1;
+    robot.edits = [...kept, ...add.map((edit, i) => ({ ...edit, id: first + i, xs: float64s(edit.xs), ys: float64s(edit.ys) }))];
   },
 };
 
@@ -51,6 +65,7 @@ const DO = {
   recording_mark: () => undefined,
   recording_delete: (_, { name }) => void (recordings = recordings.filter((r) => r.name !== name)),
   settings: () => ({ data: settings }),
+  setting_set: (_, order) => void setSetting(order),
   mock_block: (robot, { seconds }) => void (robot.blockedFor = seconds),
 };
 

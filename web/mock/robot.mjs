@@ -18,6 +18,7 @@ export class Robot {
   paused = false;
   blockedFor = 0;
   teleop = { at: -1, v: 0, w: 0, client: null };
+  edits = [];
   zones = [
     { name: "stairs", kind: "keep_out", xs: [24.6, 29.4, 29.4, 24.6], ys: [4.4, 4.4, 7.6, 7.6], speed: 20, share: 1 },
     { name: "kitchen door", kind: "slow", xs: [11.2, 14, 14, 11.2], ys: [7, 7, 9, 9], speed: 0.25, share: 1 },

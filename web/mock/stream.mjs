@@ -11,7 +11,7 @@ const N_BEAMS = 450;
 const SERVICES = ["sim", "base_driver", "lidar_driver", "odometry", "mapper", "planner", "local_ctrl", "guard", "navigator", "recorder", "dashboard"];
 let sequence = 0;
 
-export const KEYS = ["map", "pose", "odom", "scan", "plan", "goal", "zones", "cmd/vel", "estop", "guard/status", "base/status", "nav/status", "nav/task", "follow/status", "debug/costmap", "debug/rollouts", "sim/truth", ...SERVICES.flatMap((name) => [`health/${name}`, `log/${name}`])];
+export const KEYS = ["map", "pose", "odom", "scan", "plan", "goal", "zones", "map/state", "cmd/vel", "estop", "guard/status", "base/status", "nav/status", "nav/task", "follow/status", "debug/costmap", "debug/rollouts", "sim/truth", ...SERVICES.flatMap((name) => [`health/${name}`, `log/${name}`])];
 
 function array(values, shape = [values.length]) {
   const header = Buffer.alloc(16);
@@ -81,10 +81,12 @@ export function slow(robot) {
 }
 
 export function events(robot) {
+  const edits = robot.edits.map((edit) => ({ stamp: 0, ...edit, xs: array(new Float64Array(edit.xs)), ys: array(new Float64Array(edit.ys)) }));
   const zones = robot.zones.map((zone) => ({ stamp: 0, ...zone, xs: array(new Float64Array(zone.xs)), ys: array(new Float64Array(zone.ys)) }));
   return {
     goal: bytes({ id: robot.goal.id, active: robot.driving, map_from_goal: robot.goal.pose, tolerance: 0.1, yaw_tolerance: 0.2, clear_costmap: false }),
     zones: bytes({ zones }),
+    "map/state": bytes({ map_id: 1, name: "office", edits }),
     estop: bytes({ pressed: robot.estop, by: "page" }),
   };
 }

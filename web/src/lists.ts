@@ -7,6 +7,7 @@ import { run } from "./connection";
 import { report } from "./map/commands";
 import { mapsFrom, recordingsFrom, settingsFrom, type Recording, type SavedMap, type Setting } from "./records";
 import { hello } from "./state";
+import { t } from "./texts";
 
 export const maps = signal<readonly SavedMap[] | null>(null);
 export const recordings = signal<readonly Recording[] | null>(null);
@@ -34,6 +35,11 @@ export async function changeMap(op: string, args: object, done: string): Promise
 
 export async function changeRecording(op: string, args: object, done: string): Promise<void> {
   if (report(await run(op, args), done)) await loadRecordings();
+}
+
+/** Sets one setting of the running robot; "" is the value of its start. Then loads the list again. */
+export async function changeSetting(name: string, value: string): Promise<void> {
+  if (report(await run("setting_set", { name, value }), t("setting_is_set", { name }))) await loadSettings();
 }
 
 /** Sends a ROS map (zip of pgm and yaml) under a name. Returns "" or what went wrong. */

@@ -21,6 +21,9 @@ export type Localization = "starting" | "good" | "poor" | "lost";
 /** What the mapper does with its map. */
 export type MapMode = "map" | "localise" | "continue";
 
+/** Kind of an edit of the map. */
+export type EditKind = "erase" | "wall";
+
 /** What local control does to free a robot without progress. */
 export type RecoveryKind = "back_up" | "turn" | "wait";
 
@@ -212,6 +215,30 @@ export interface MapUpdate {
   readonly columns: Int32Array;
   /** percent, -1 unknown */
   readonly cells: Grid<Int8Array>;
+}
+
+/** A change of the map by a user, over what the laser saw. `id` is its own among the map's; the mapper chooses it. */
+export interface MapEdit {
+  /** ns */
+  readonly stamp: number;
+  readonly id: number;
+  readonly kind: EditKind;
+  /** m */
+  readonly xs: Float64Array;
+  /** m */
+  readonly ys: Float64Array;
+  /** m */
+  readonly width: number;
+}
+
+/** What the tiles of the map do not show: the name under which it was saved or loaded, empty if none, and its edits. */
+export interface MapState {
+  /** ns */
+  readonly stamp: number;
+  /** ns */
+  readonly map_id: number;
+  readonly name: string;
+  readonly edits: readonly MapEdit[];
 }
 
 /** The pose to plan and drive to, or, when it is not active, the order to stand. */
@@ -414,6 +441,16 @@ export interface GuardStatus {
   readonly stopped: number;
 }
 
+/** The settings of a service that were set while it runs; all others are as it was started with. */
+export interface RuntimeSettings {
+  /** ns */
+  readonly stamp: number;
+  /** dotted, as in a robot's file */
+  readonly names: readonly string[];
+  /** YAML, one a name */
+  readonly values: readonly string[];
+}
+
 /** One service's second, from its own work loop: a hung service falls silent. */
 export interface Health {
   /** ns */
@@ -488,6 +525,7 @@ export interface MessageOf {
   "odom": Odometry;
   "pose": PoseEstimate;
   "map": MapUpdate;
+  "map/state": MapState;
   "goal": Goal;
   "recovery": Recovery;
   "zones": Zones;
@@ -503,6 +541,7 @@ export interface MessageOf {
   "debug/rollouts": Rollouts;
   "guard/status": GuardStatus;
   "cmd/vel": Velocity;
+  "settings": RuntimeSettings;
   "health": Health;
   "log": LogLine;
   "sim/clock": Clock;
@@ -520,6 +559,7 @@ export const ARRAYS: { readonly [K in Key]?: Readonly<Record<string, string>> } 
   "odom": { "covariance": "f8" },
   "pose": { "covariance": "f8" },
   "map": { "rows": "i4", "columns": "i4", "cells": "i1 2" },
+  "map/state": { "edits[].xs": "f8", "edits[].ys": "f8" },
   "zones": { "zones[].xs": "f8", "zones[].ys": "f8" },
   "plan": { "xs": "f8", "ys": "f8", "yaws": "f8" },
   "debug/costmap": { "cells": "i1 2" },
@@ -540,6 +580,8 @@ export const FIELDS: Readonly<Record<string, Readonly<Record<string, string>>>> 
   Odometry: { stamp: "number", odom_from_base: "pose", v: "number", w: "number", covariance: "array f8 1" },
   PoseEstimate: { stamp: "number", map_from_base: "pose", map_from_odom: "pose", covariance: "array f8 1", quality: "number", state: "enum Localization", mode: "enum MapMode" },
   MapUpdate: { stamp: "number", map_id: "number", version: "number", resolution: "number", rows: "array i4 1", columns: "array i4 1", cells: "array i1 2" },
+  MapEdit: { stamp: "number", id: "number", kind: "enum EditKind", xs: "array f8 1", ys: "array f8 1", width: "number" },
+  MapState: { stamp: "number", map_id: "number", name: "string", edits: "list of MapEdit" },
   Goal: { stamp: "number", id: "number", active: "boolean", map_from_goal: "pose", tolerance: "number", yaw_tolerance: "number", clear_costmap: "boolean" },
   Recovery: { stamp: "number", id: "number", kind: "enum RecoveryKind", amount: "number" },
   Zone: { stamp: "number", name: "string", kind: "enum ZoneKind", xs: "array f8 1", ys: "array f8 1", speed: "number", share: "number" },
@@ -554,6 +596,7 @@ export const FIELDS: Readonly<Record<string, Readonly<Record<string, string>>>> 
   Costmap: { stamp: "number", x: "number", y: "number", resolution: "number", cells: "array i1 2" },
   Rollouts: { stamp: "number", xs: "array f4 2", ys: "array f4 2", costs: "array f4 1" },
   GuardStatus: { stamp: "number", state: "enum GuardState", source: "string", reason: "string", detail: "string", speed_limit: "number", stopped: "number" },
+  RuntimeSettings: { stamp: "number", names: "list of string", values: "list of string" },
   Health: { stamp: "number", name: "string", pid: "number", state: "string", events: "number", bad_messages: "number", dropped: "number", intruders: "number", last_error: "string", cpu: "number", memory: "number", handler_ms: "number", rates: "list of (string, number, number)", rejected: "list of (string, string, number)" },
   LogLine: { stamp: "number", level: "string", text: "string" },
   Clock: { stamp: "number", rate: "number" },

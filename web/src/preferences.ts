@@ -5,13 +5,13 @@ import { effect, signal, type Signal } from "@preact/signals";
 
 export type Theme = "system" | "light" | "dark";
 export type Language = "en" | "de";
-export const LAYERS = ["trail", "scan", "plan", "zones", "places", "rollouts", "costmap", "people", "grid"] as const;
+export const LAYERS = ["trail", "scan", "plan", "zones", "walls", "places", "rollouts", "costmap", "people", "grid"] as const;
 export type Layer = (typeof LAYERS)[number];
 export const DEBUG_LAYERS: readonly Layer[] = ["rollouts", "costmap"];
 
 export const theme = stored<Theme>("theme", "system");
 export const language = stored<Language>("language", navigator.language.startsWith("de") ? "de" : "en");
-export const layers = stored<readonly Layer[]>("layers", ["trail", "scan", "plan", "zones", "places", "people", "grid"]);
+export const layers = stored<readonly Layer[]>("layers", ["trail", "scan", "plan", "zones", "walls", "places", "people", "grid"]);
 export const pageName = stored<string>("name", "");
 
 /** Whether the dark colours apply. */

@@ -19,11 +19,32 @@ export interface Recording extends SavedMap {
   readonly current: boolean;
 }
 
+/** The origin of a value that was set while the robot runs. */
+export const RUN_TIME = "set at run time";
+
+const KINDS = ["number", "integer", "switch", "choice"] as const;
+
+/** How a setting is edited that may change while the robot runs. */
+export interface SettingEditor {
+  readonly kind: (typeof KINDS)[number];
+  readonly choices: readonly string[];
+  /** Bounds, null without one. */
+  readonly low: number | null;
+  readonly high: number | null;
+  readonly unit: string;
+  /** Whether it may only be lowered below `started`, by an admin. */
+  readonly isLimit: boolean;
+  /** The value with which the robot was started. */
+  readonly started: string;
+}
+
 export interface Setting {
   readonly name: string;
   readonly value: string;
   readonly origin: string;
   readonly description: string;
+  /** null where it needs a restart, or its service does not run. */
+  readonly editor: SettingEditor | null;
 }
 
 type Row = Record<string, unknown>;
@@ -69,12 +90,30 @@ export function placesFrom(data: unknown): NamedPlace[] {
   });
 }
 
+function text(value: unknown): string {
+  return typeof value === "string" ? value : (JSON.stringify(value) ?? "");
+}
+
 export function settingsFrom(data: unknown): Setting[] {
-  const text = (value: unknown): string => (typeof value === "string" ? value : (JSON.stringify(value) ?? ""));
   return named(data).map((row) => ({
     name: row.name,
     value: text(row["value"]),
     origin: text(row["origin"] ?? ""),
     description: text(row["description"] ?? ""),
+    editor: editorFrom(row),
   }));
+}
+
+function editorFrom(row: Row): SettingEditor | null {
+  const kind = KINDS.find((known) => known === row["kind"]);
+  if (kind === undefined) return null;
+  return {
+    kind,
+    choices: Array.isArray(row["choices"]) ? (row["choices"] as unknown[]).map(text) : [],
+    low: number(row["low"]),
+    high: number(row["high"]),
+    unit: text(row["unit"] ?? ""),
+    isLimit: row["is_limit"] === true,
+    started: text(row["started"]),
+  };
 }

@@ -3,7 +3,7 @@
 
 import { computed, signal, type Signal } from "@preact/signals";
 
-import { type Health, type Key, type LogLine, type MessageOf } from "./messages";
+import { type Health, type Key, type LogLine, type MapState, type MessageOf } from "./messages";
 import { type Drivers, type Hello, type PageClient } from "./protocol";
 import { StackClock } from "./stack_clock";
 
@@ -19,7 +19,7 @@ export interface LogEntry extends LogLine {
 }
 
 const SINGLE_KEYS = [
-  ...(["scan", "odom", "pose", "goal", "plan", "zones", "follow/status", "nav/status", "nav/task", "cmd/vel"] as const),
+  ...(["scan", "odom", "pose", "goal", "plan", "zones", "map/state", "follow/status", "nav/status", "nav/task", "cmd/vel"] as const),
   ...(["estop", "guard/status", "base/status", "debug/costmap", "debug/rollouts", "sim/truth"] as const),
 ] as const satisfies readonly Key[];
 
@@ -34,6 +34,13 @@ export const hello = signal<Hello | null>(null);
 export const drivers = signal<Drivers | null>(null);
 export const clients = signal<readonly PageClient[]>([]);
 export const mapId = signal(0);
+/** Name and edits of the map that is shown; null without any, and while those of another map are known. */
+export const mapState = computed<MapState | null>(() => {
+  const state = latest["map/state"].value?.message;
+  return state !== undefined && state.map_id === mapId.value ? state : null;
+});
+/** Name under which the map that is shown was saved or loaded; "" for none. */
+export const mapName = computed(() => mapState.value?.name ?? "");
 
 const TOPICS: ReadonlySet<string> = new Set([...SINGLE_KEYS, "health", "log"]);
 

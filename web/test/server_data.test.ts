@@ -40,6 +40,23 @@ test("lists of the server are read whatever their rows lack", () => {
   assert.equal(settingsFrom([{ name: "a.b", value: [1, 2], origin: "default", description: "m" }])[0]?.value, "[1,2]");
 });
 
+test("a setting has an editor only where it may change while the robot runs", () => {
+  const fixed = { name: "a.b", value: 1, origin: "default", description: "m" };
+  const rows = [fixed, { ...fixed, kind: "number", low: 0, high: null, unit: "m", is_limit: true, started: 2 }];
+  const [first, second] = settingsFrom(rows);
+  assert.equal(first?.editor, null);
+  assert.deepEqual(second?.editor, {
+    kind: "number",
+    choices: [],
+    low: 0,
+    high: null,
+    unit: "m",
+    isLimit: true,
+    started: "2",
+  });
+  assert.equal(settingsFrom([{ ...fixed, kind: "something new" }])[0]?.editor, null);
+});
+
 test("names of maps and places are those that files may have", () => {
   assert.equal(itemName("  meeting room"), "meeting_room");
   assert.ok(isItemName("Küche_2") && isItemName("a-b"));

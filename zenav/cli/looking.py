@@ -59,7 +59,7 @@ def config_show(
     robot: RobotName = "x80sv",
     set_: Setting = None,
 ) -> None:
-    """Print the values that are in force, as YAML.
+    """Print the values that a start uses, as YAML. Those of a running robot: zenav config list.
 
     Example: zenav config show guard --origin
     """

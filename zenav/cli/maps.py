@@ -10,6 +10,10 @@ from zenav.cli.parts import At, Command, RobotName, SavedMapMode, Stack, group
 
 map_ = group("Save, load and look at maps.")
 
+SavedMap = Annotated[
+    str, typer.Option("--map", help="A saved map to edit; without it: the map of the running stack, at once.")
+]
+
 
 @map_.command(cls=Command)
 def save(
@@ -86,6 +90,72 @@ def show(
     from zenav.client.map_view import show_map
 
     show_map(robot, stack, place)
+
+
+@map_.command(cls=Command)
+def erase(
+    points: Annotated[list[str], typer.Argument(metavar="X,Y...", help="m, m on the map: corners, in order.")],
+    width: Annotated[float, typer.Option(help="m, of a brush along the points; without it: all inside them.")] = 0.0,
+    map_: SavedMap = "",
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Erase obstacles that are not there: cells inside become free. Unknown cells stay unknown.
+
+    Example: zenav map erase 3,-1 5,-1 5,1 3,1
+    """
+    from shared.messages import EditKind
+    from zenav.client.map_edits import add_edit, edit_of
+
+    add_edit(robot, stack, map_, edit_of(EditKind.ERASE, points, width))
+
+
+@map_.command(cls=Command)
+def wall(
+    points: Annotated[
+        list[str], typer.Argument(metavar="X,Y...", help="m, m on the map: a line, from point to point.")
+    ],
+    width: Annotated[float, typer.Option(help="m.")] = 0.1,
+    map_: SavedMap = "",
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Draw a virtual wall, which the robot does not cross on its way to a goal.
+
+    Example: zenav map wall 2,0.5 2,3
+    """
+    from shared.messages import EditKind
+    from zenav.client.map_edits import add_edit, edit_of
+
+    add_edit(robot, stack, map_, edit_of(EditKind.WALL, points, width))
+
+
+@map_.command(cls=Command)
+def edits(map_: SavedMap = "", robot: RobotName = "x80sv", stack: Stack = "0") -> None:
+    """List the edits: number, kind, width, points.
+
+    Example: zenav map edits --map office
+    """
+    from zenav.client.map_edits import list_edits
+
+    list_edits(robot, stack, map_)
+
+
+@map_.command(cls=Command)
+def undo(
+    numbers: Annotated[list[int] | None, typer.Argument(help="Of the edits; without one: the last.")] = None,
+    all_: Annotated[bool, typer.Option("--all", help="Every edit.")] = False,
+    map_: SavedMap = "",
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Remove edits: the map shows again what the laser saw.
+
+    Example: zenav map undo 3
+    """
+    from zenav.client.map_edits import undo_edits
+
+    undo_edits(robot, stack, map_, numbers or [], all_)
 
 
 @map_.command("convert", cls=Command)

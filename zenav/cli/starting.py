@@ -86,6 +86,9 @@ def up(
         str, typer.Option(help="Address of the page for other computers, as 0.0.0.0; needs `zenav secure init`.")
     ] = "",
     browser: Browser = True,
+    remote: Annotated[
+        bool, typer.Option("--remote", help="Let members in from other computers: see zenav secure.")
+    ] = False,
     stack: Stack = "0",
     set_: Setting = None,
 ) -> None:
@@ -110,6 +113,7 @@ def up(
         OnMap.of(saved_map, MapMode(mode), at) if saved_map else None,
         page,
         browser,
+        remote,
     )
 
 
@@ -137,6 +141,9 @@ def run(
     stack: Stack = "0",
     set_: Setting = None,
     clock: Annotated[str, typer.Option(metavar="EPOCH:SPEED", help="Simulated time: ns, times as fast as real.")] = "",
+    memory: Annotated[
+        str, typer.Option(metavar="FOLDER", help="Keep what a restart must not lose: the map, settings that were set.")
+    ] = "",
     log: Annotated[str, typer.Option(help="DEBUG, INFO, WARNING or ERROR.")] = "INFO",
 ) -> None:
     """Run one service alone in the foreground, against whatever else runs; also under a debugger.
@@ -145,4 +152,4 @@ def run(
     """
     from zenav.stack.up import run_service
 
-    run_service(service, robot, stack, set_ or [], clock, log)
+    run_service(service, robot, stack, settings=set_ or [], clock=clock, memory=memory, log=log)

@@ -9,17 +9,18 @@ from threading import Event
 
 from services.mapper.config import MapperConfig
 from services.mapper.maps.map_file import pack_map, unpack_map
-from shared import topics
+from shared import requests, topics
 from shared.config import RobotFile, load_robot
 from shared.geometry import Pose2, wrapped
 from shared.messages import Localization, MapMode, PoseEstimate
 from shared.reasons import NO_GRAPH, POSE_OLD
+from shared.requests import NameMap
 from shared.runners.transport import stack_address
 from zenav.client import Client
 from zenav.client.map_transfer import fetch_map, give_map, start_mode
 from zenav.client.map_view import current_map, pose_text
 from zenav.client.navigation_client import RequestRefusedError
-from zenav.client.zones import follow_map, zones_in
+from zenav.client.zones import RUNS, follow_map, zones_in
 from zenav.maps.atomic_folder import replace_together
 from zenav.maps.foreign_map import is_picture, read_map
 from zenav.maps.map_files import MAPS_FOLDER, find_map, picture_files
@@ -66,7 +67,7 @@ class OnMap:
     def give(self, client: Client, content: bytes) -> None:
         """Lets the mapper go on with it. Raises UserError where it refuses."""
         wait = Event().wait
-        start_mode(client, wait, self.mode, give_map(client, wait, content), _pose(self.at))
+        start_mode(client, wait, self.mode, give_map(client, wait, content), _pose(self.at), name_of(self.folder))
         follow_map(client, self.folder)
 
 
@@ -83,8 +84,29 @@ def save_map(robot: str, stack: str, place: str) -> None:
                 raise
             sys.stderr.write(f"{refused.what}: only its picture is saved\nhint: {refused.hint}\n")
             files = picture_files(current_map(client))
-    replace_together(folder, files)
+        replace_together(folder, files)
+        if name_of(folder):
+            name_map(client, name_of(folder))
     sys.stdout.write(f"{folder / 'map.yaml'}{summary}\n")
+
+
+def name_of(folder: Path) -> str:
+    """The name of a saved map below maps/; empty for a folder elsewhere."""
+    return folder.name if folder.resolve().parent == MAPS_FOLDER.resolve() else ""
+
+
+def name_map(client: Client, name: str) -> None:
+    """Gives the present map a name, where the mapper runs; empty: none."""
+    if client.answers(requests.NAME_MAP, RUNS):
+        client.ask(requests.NAME_MAP, NameMap(client.now(), name))
+
+
+def rename_present_map(robot: str, stack: str, name: str, to: str) -> None:
+    """Gives the present map another name if it has this one: its folder was renamed, or deleted (empty)."""
+    with _client(robot, stack) as client:
+        state = client.latched_value(topics.MAP_STATE)
+        if state is not None and state.name == name:
+            name_map(client, to)
 
 
 def load_map(robot: str, stack: str, place: str, mode: MapMode, at: At | None) -> int:

@@ -29,7 +29,7 @@ class Asker(Protocol):
 
 def fetch_map(asker: Asker, wait: Wait) -> bytes:
     """The present map as the content of graph.msgpack. Raises UserError where the mapper refuses."""
-    copy = _answered(asker, wait, requests.FETCH_MAP, FetchMap(asker.now(), 0, 0)).copy
+    copy = ask_until_free(asker, wait, requests.FETCH_MAP, FetchMap(asker.now(), 0, 0)).copy
     content: list[bytes] = []
     parts = 1
     while len(content) < parts:
@@ -47,14 +47,19 @@ def give_map(asker: Asker, wait: Wait, content: bytes) -> int:
     transfer = max(asker.now(), 1)
     for k in range(parts):
         data = content[k * MAP_PART : (k + 1) * MAP_PART]
-        _answered(asker, wait, requests.GIVE_MAP, GiveMap(asker.now(), transfer, k, parts, data))
+        ask_until_free(asker, wait, requests.GIVE_MAP, GiveMap(asker.now(), transfer, k, parts, data))
     return transfer
 
 
-def start_mode(asker: Asker, wait: Wait, mode: MapMode, transfer: int = 0, at: Pose2 | None = None) -> Reply:
-    """Lets the mapper go on in a mode, on a given map or on the present one. Raises UserError where it refuses."""
+def start_mode(
+    asker: Asker, wait: Wait, mode: MapMode, transfer: int = 0, at: Pose2 | None = None, name: str = ""
+) -> Reply:
+    """Lets the mapper go on in a mode, on a given map or on the present one. Raises UserError where it refuses.
+
+    name: of a given map, below maps/.
+    """
     poses = () if at is None else (at,)
-    reply: Reply = _answered(asker, wait, requests.START_MAP, StartMap(asker.now(), mode, transfer, poses))
+    reply: Reply = ask_until_free(asker, wait, requests.START_MAP, StartMap(asker.now(), mode, transfer, poses, name))
     return reply
 
 
@@ -62,7 +67,7 @@ def _made(asker: Asker, wait: Wait, copy: int, k: int) -> MapPart:
     """A part of a copy, which may still have to be made."""
     waited = 0.0
     while True:
-        part: MapPart = _answered(asker, wait, requests.FETCH_MAP, FetchMap(asker.now(), copy, k))
+        part: MapPart = ask_until_free(asker, wait, requests.FETCH_MAP, FetchMap(asker.now(), copy, k))
         if part.parts:
             return part
         if waited >= MAX_WAIT_S:
@@ -71,7 +76,7 @@ def _made(asker: Asker, wait: Wait, copy: int, k: int) -> MapPart:
         waited += RETRY_PERIOD_S
 
 
-def _answered(asker: Asker, wait: Wait, request: Request[Any, Any], message: Message) -> Any:
+def ask_until_free(asker: Asker, wait: Wait, request: Request[Any, Any], message: Message) -> Any:
     """An accepting reply; where the mapper is busy, it is asked again."""
     waited = 0.0
     while True:

@@ -23,7 +23,7 @@ from shared.messages import MapUpdate, Velocity
 from shared.runners.inbox import Inbox, Slot
 from shared.runners.transport import LatchedReader, stack_address
 from shared.stamps import precedes
-from shared.topics import TOPICS, topic_of
+from shared.topics import topic_of
 from zenav.client import Client
 from zenav.console.shutdown import StopFlag, stop_on_signal
 from zenav.foxglove.app import App
@@ -121,9 +121,9 @@ class LiveView:
         self.client.follow(topics.MAP, topics.GUARD, topics.POSE)
         self.client.listen_raw("**", self._file)
         self._readers = [
-            LatchedReader(self.client.session, f"{self.client.robot}/{topic.key}", partial(self._file, topic.key))
-            for topic in TOPICS
-            if topic.latched and topic is not topics.MAP
+            LatchedReader(self.client.session, f"{self.client.robot}/{key}", partial(self._file, key))
+            for key in topics.LATCHED_KEYS
+            if key != topics.MAP.key
         ]
 
     def close(self) -> None:

@@ -3,6 +3,7 @@
 
 from pathlib import Path
 
+from services.mapper.grid.edit_cells import with_edits
 from services.mapper.maps.map_file import SavedMap, pack_map, unpack_map
 from shared.grid import OccupancyGrid
 from shared.ros_map import ros_map_files
@@ -14,9 +15,9 @@ GRAPH = "graph.msgpack"
 
 
 def map_files(saved: SavedMap, trajectory: Float64s) -> dict[str, bytes]:
-    """The folder's files; `trajectory` (n, 3) is drawn into the picture."""
+    """The folder's files; `trajectory` (n, 3) is drawn into the picture. Both pictures contain the edits."""
     grid = OccupancyGrid(saved.tiles.resolution, saved.tiles.map_id)
-    grid.apply(saved.tiles)
+    grid.apply(with_edits(saved.tiles, saved.edits) if saved.edits else saved.tiles)
     ros_files = ros_map_files(grid.cells, grid.resolution, grid.x0, grid.y0)
     return ros_files | {GRAPH: pack_map(saved), "map.png": map_picture(grid, trajectory)}
 

@@ -10,7 +10,6 @@ from io import StringIO
 import segno
 
 from services.dashboard.address import PageAddress, is_own_name, is_this_computer, page_address
-from services.dashboard.certificate import fingerprint
 from services.dashboard.config import DashboardConfig
 from services.dashboard.login_store import LoginStore
 from services.dashboard.logins import LOGIN_NAME, Login
@@ -18,6 +17,7 @@ from shared.config import UserError, configured, nearest
 from shared.roles import Role
 from shared.runners.transport import StackAddress, stack_address
 from shared.secure_folder import secure_folder
+from zenav.secure.authority import fingerprint
 
 ALL = "all"
 ANY_HOST = "0.0.0.0"
@@ -46,7 +46,7 @@ def invite(role: str, name: str, minutes: float, host: str, robot: str, stack: s
     if address.certificate is not None:
         authority = secure_folder().authority_certificate
         shown = authority if authority.is_file() else address.certificate.certificate
-        lines.append(f"SHA-256 of {shown.name}, to compare in the browser: {fingerprint(shown)}")
+        lines.append(f"SHA-256 of {shown.name}, to compare in the browser: {fingerprint(shown.read_bytes())}")
     sys.stderr.write("\n".join(lines) + "\n")
 
 

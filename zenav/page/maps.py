@@ -16,7 +16,7 @@ from shared.messages import MapMode
 from shared.reasons import POSE_OLD
 from shared.runners.transport import stack_address
 from zenav.client import Client
-from zenav.client.map_modes import At, change_mode, load_map, save_map
+from zenav.client.map_modes import At, change_mode, load_map, rename_present_map, save_map
 from zenav.client.map_transfer import start_mode
 from zenav.maps.conversion import convert
 from zenav.maps.map_files import MAPS_FOLDER, find_map
@@ -55,11 +55,14 @@ def rename(target: PageTarget, values: Values) -> None:
     if to.exists():
         raise UserError(f"there is a map {values['to']} already", "choose another name, or delete that one first")
     folder.rename(to)
+    rename_present_map(target.robot, target.stack, folder.name, to.name)
 
 
 def delete(target: PageTarget, values: Values) -> None:
     """Deletes a saved map with its places and zones."""
-    shutil.rmtree(_folder(values["name"]))
+    folder = _folder(values["name"])
+    shutil.rmtree(folder)
+    rename_present_map(target.robot, target.stack, folder.name, "")
 
 
 def download(target: PageTarget, values: Values) -> bytes:

@@ -42,6 +42,7 @@ OPERATIONS: dict[str, Callable[[PageTarget, Values], Any]] = {
     "recording_path": recordings.path_of,
     "recording_delete": recordings.delete,
     "settings": settings.settings,
+    "setting_set": settings.set_setting,
 }
 
 

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from shared.config import UserError
 from shared.kernel_cache import ROOT
 from shared.runners import transport
 from shared.runners.transport import StackAddress, stack_address
+from shared.secure_folder import RENEWAL_DAYS, secure_folder
 from shared.topics import SERVICES
 
 OK, WARNING, BAD = "ok", "warning", "bad"
@@ -59,7 +61,7 @@ def findings(where: StackAddress) -> Iterator[DoctorFinding]:
     """Looks at everything, one after the other; a check that fails is itself a finding."""
     checks: tuple[Callable[[], Iterator[DoctorFinding]], ...] = (
         python, packages, kernels, processor, realtime, clock, lambda: ports(where), lambda: loopback(where), serial,
-        disk, data,
+        disk, data, certificates,
     )  # fmt: skip
     for check in checks:
         try:
@@ -248,3 +250,24 @@ def data() -> Iterator[DoctorFinding]:
         )
     else:
         yield DoctorFinding("ZENAV_DATA", OK, place)
+
+
+def certificates() -> Iterator[DoctorFinding]:
+    """Certificates that end soon; nothing where this computer has no folder of credentials."""
+    folder = secure_folder()
+    if not folder.exists:
+        return
+    day = datetime.now(UTC).date()  # noqa: TID251  # certificates end by the wall clock
+    days_left = {"the robot": folder.robot_days_left(day)}
+    days_left |= {member.name: member.days_left(day) for member in folder.members() if not member.revoked}
+    for name, days in days_left.items():
+        if days <= RENEWAL_DAYS:
+            hint = "zenav secure renew" + ("" if name == "the robot" else f" {name}")
+            found = f"that of {name} ended" if days < 0 else f"that of {name} ends in {days} days"
+            yield DoctorFinding("certificates", BAD if days < 0 else WARNING, found, hint)
+    try:
+        folder.require()
+    except UserError as error:
+        yield DoctorFinding("certificates", BAD, error.what, error.hint)
+    if min(days_left.values()) > RENEWAL_DAYS:
+        yield DoctorFinding("certificates", OK, f"{len(days_left)}, the next ends in {min(days_left.values())} days")

@@ -37,7 +37,7 @@ def emulated_ports(file: RobotFile) -> tuple[str, ...]:
 
 def services_for(hardware: Hardware, file: RobotFile) -> list[str]:
     """The services of a whole stack, in the registry's order; the page is its user's choice, and added by `up`."""
-    wanted = set(existing_services()) - {"sim", "lidar_driver", "dashboard"}
+    wanted = set(existing_services()) - {"sim", "lidar_driver", "dashboard", "gateway"}
     if hardware is not Hardware.REAL:
         wanted.add("sim")
     if hardware is Hardware.EMULATED:

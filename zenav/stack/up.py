@@ -18,6 +18,7 @@ from zenav.client.map_modes import OnMap
 from zenav.console.run_folder import new_run_folder
 from zenav.console.shutdown import stop_on_signal
 from zenav.stack.config_report import read_sections
+from zenav.stack.gateway import GATEWAY, gateway_address, prepare_gateway, with_gateway
 from zenav.stack.hardware import Hardware, emulated_ports, services_for, settings_for, simulated_world
 from zenav.stack.heap import release_free_memory
 from zenav.stack.launch import START_LIMIT, Launcher, claim_stack, service_command
@@ -32,13 +33,13 @@ MAX_SILENCE_S = 5.0
 PERIOD_S = 0.1  # between two looks at the services
 
 
-def run_service(service: str, robot: str, stack: str, settings: list[str], clock: str, log: str) -> None:
+def run_service(service: str, robot: str, stack: str, settings: list[str], clock: str, memory: str, log: str) -> None:
     """One service in this process, as `python -m services.NAME` runs it. Does not return."""
     names = tuple(existing_services())
     if service not in names:
         raise UserError(f"{service} is not a service", nearest(service, names))
     warm_first(robot, settings, [service])
-    sys.argv[:] = [service, "--robot", robot, "--stack", stack, "--log", log, "--clock", clock]
+    sys.argv[:] = [service, "--robot", robot, "--stack", stack, "--log", log, "--clock", clock, "--memory", memory]
     for setting in settings:
         sys.argv += ["--set", setting]
     runpy.run_module(f"services.{service}", run_name="__main__", alter_sys=True)
@@ -64,24 +65,29 @@ def up(
     on_map: OnMap | None,
     page: bool = True,
     browser: bool = True,
+    remote: bool = False,
 ) -> None:
     """Runs the services until Ctrl-C. hardware: None is the simulator's messages with a world, else the real robot.
 
     on_map: what the mapper begins with; a new map without it.  page: whether the page's server runs, and `browser`:
-    whether a browser shows it in a desktop session.
+    whether a browser shows it in a desktop session.  remote: whether members reach the stack from other computers.
     """
     hardware = _checked_hardware(hardware, world, speed)
     settings = [*settings, *([f"sim.world={world}"] if world else [])]
+    where = stack_address(stack)
+    settings = with_gateway(settings, where) if remote else settings
     file = configured(robot, settings)
     read_sections(file)
     names = selected_services(only, with_page(services_for(hardware, file), page))
+    if remote:
+        prepare_gateway(file)
+        names.append(GATEWAY)
     if "sim" in names:
         simulated_world(file)  # a wrong world is an error before any process starts
     saved = None if on_map is None else on_map.read(file)  # so is a damaged map
     if on_map is not None and not any(setting.startswith("recorder.attach=") for setting in settings):
         settings.append(f"recorder.attach={json.dumps(on_map.files())}")
     warm_first(robot, [*settings, *settings_for(hardware, file, None)], names)
-    where = stack_address(stack)
     url = page_url(file, where) if SERVICE in names else ""
     clock = "" if speed == 1.0 else f"{time.time_ns()}:{speed:g}"
     clock_from(clock)
@@ -94,6 +100,8 @@ def up(
         _print_line("zenav", f"{', '.join(names)}; logs in {folder}; Ctrl-C ends them")
         if url:
             _print_line("zenav", f"the page is at {url}")
+        if remote:
+            _print_line("zenav", f"members connect to {gateway_address(file)}")
         if not world and not only:
             _print_line("zenav", "no world: expects the robot's hardware; simulate with --world office")
         if hardware is Hardware.EMULATED:

@@ -14,12 +14,7 @@ from services.mapper.back_end.config import BackEndConfig
 from services.mapper.back_end.keyframe import NO_COVARIANCE, Keyframe, mean_map_from_local
 from services.mapper.back_end.keyframe_pruning import redundant_keyframe
 from services.mapper.back_end.local_map import MARGIN_M, LocalMap, LocalMapContent
-from services.mapper.back_end.loop_closure import (
-    Constraint,
-    LoopClosureConfig,
-    SubmapCache,
-    information_in_own_frame,
-)
+from services.mapper.back_end.loop_closure import Constraint, LoopClosureConfig, SubmapCache, information_in_own_frame
 from services.mapper.back_end.map_parts import OdometryGap, find_joint, gap_information, joined_nodes
 from services.mapper.back_end.pose_graph import Graph, OptimizationResult, PoseGraph, fixed_graph
 from services.mapper.back_end.solver.optimize import PoseGraphConfig
@@ -71,6 +66,7 @@ class BackEnd:
         self.map_from_local = Pose2()
         self.submaps = SubmapCache(*self._settings, self.closure_config)
         self.is_fixed = False  # localization on a map that does not change
+        self.edit_nodes: frozenset[int] = frozenset()  # names of the nodes that edits of the map are anchored to
         self.first_node = 0  # name of the first node of this session
         self.first_new_node = 0  # name of the first node that is not from a saved map
         # constraints
@@ -201,7 +197,7 @@ class BackEnd:
                 self._remove(self.first_row)
             return
         first = 0 if self.is_joined else self.first_row  # the place of an unjoined part is not known
-        protected = [node for edge in self.gap_edges for node in edge]
+        protected = [*self.edit_nodes, *(node for edge in self.gap_edges for node in edge)]
         min_path = self.closure_config.min_path_between
         row = redundant_keyframe(
             self.graph, self.driven, c.max_keyframes_per_place, c.place_size, min_path, first, protected

@@ -41,6 +41,9 @@ class LoopClosureConfig(Section):
         "noise": "min_sigma", "noise_turn": "min_sigma_turn",
     }  # fmt: skip
 
+    enabled: bool = Field(
+        True, description="search earlier visits; without it a map's errors grow, and on a saved map the pose gets poor"
+    )
     search_interval: float = Field(0.5, ge=0.05, le=20, description="m driven between two searches for closures")
     min_path_between: float = Field(12.0, ge=1, le=1000, description="m, path length that separates two visits")
     view_radius: float = Field(3.0, ge=0.2, le=50, description="m between two places from where the same is seen")
@@ -134,7 +137,7 @@ def find_loop_closures(
     """
     last = len(graph.nodes) - 1
     closures = []
-    for row in earlier_visits(graph.poses, covariances, driven, config):
+    for row in earlier_visits(graph.poses, covariances, driven, config) if config.enabled else ():
         closure = match_loop_closure(graph, keyframes, row, last, covariances[row], submaps, config)
         if closure is not None:
             closures.append(closure)

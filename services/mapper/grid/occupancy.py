@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from pydantic import Field
 
+from services.mapper.grid.edit_cells import ERASED, WALL, EditMasks, edited_cells, shown_masks
 from services.mapper.grid.ray_casting import cast_rays, drawable_beams, pull_back_hits
 from shared.config import Section
 from shared.grid import FREE_UP_TO, OCCUPIED_FROM
@@ -48,7 +49,8 @@ class OccupancyConfig(Section):
 class Occupancy:
     """Tiles of log odds, created where beams go. The frame is `map`, or `local` in a submap.
 
-    `insert_scan` draws a scan; `next_update` gives the tiles that changed since the last one.
+    `insert_scan` draws a scan; `next_update` gives the tiles that changed since the last one. A user's edits lie over
+    that: `cells` contain them. Of the log odds, which scans are compared with, only erased cells are changed.
     """
 
     def __init__(self, config: OccupancyConfig, map_id: int) -> None:
@@ -62,6 +64,13 @@ class Occupancy:
         self.modified: Bools = np.zeros(16, np.bool_)  # tiles whose log odds are newer than their `cells`
         self.cells: Int8s = np.zeros((16, TILE_CELLS * TILE_CELLS), np.int8)  # percent plus 1: 0 is unknown
         self.unpublished: Bools = np.zeros(16, np.bool_)  # tiles whose `cells` changed since the last update
+        self.edits: EditMasks = {}
+        self._covered: dict[
+            tuple[int, int], tuple[Bools, Float32s]
+        ] = {}  # erased cells of a tile, their log odds before
+        self._forget_window()
+
+    def _forget_window(self) -> None:
         self._window: tuple[int, int, Int32s] = (0, 0, np.full((1, 1), -1, np.int32))
 
     def insert_scan(self, origins: Float64s, ends: Float64s, silent: Float64s) -> None:
@@ -103,9 +112,11 @@ class Occupancy:
 
     def update_cells(self) -> None:
         """Computes the percentages of modified tiles: most of the work of `next_update`."""
-        for i in np.flatnonzero(self.modified):
+        masks = {self.tile_index[tile]: mask for tile, mask in self.edits.items() if tile in self.tile_index}
+        for i in np.flatnonzero(self.modified).tolist():
             self.modified[i] = False
-            cells = percentages(self.log_odds[i], self.observed[i]).reshape(-1) + np.int8(1)
+            percent = percentages(self.log_odds[i], self.observed[i])
+            cells = (edited_cells(percent, masks[i]) if i in masks else percent).reshape(-1) + np.int8(1)
             if not np.array_equal(cells, self.cells[i]):
                 self.cells[i] = cells
                 self.unpublished[i] = True
@@ -120,13 +131,14 @@ class Occupancy:
         for row, column, cells in zip(update.rows, update.columns, update.cells, strict=True):
             self._grow(1)
             i = self.tile_index.setdefault((int(row), int(column)), len(self.tile_index))
-            known = cells.reshape(TILE_CELLS, TILE_CELLS) >= 0
-            share = np.clip(
-                cells.reshape(TILE_CELLS, TILE_CELLS) / 100, self.config.min_probability, self.config.max_probability
-            )
-            self.log_odds[i] = np.where(known, np.log(share / (1 - share)), 0)
-            self.observed[i] = known
+            self.log_odds[i], self.observed[i] = self._log_odds_of(cells)
             self.modified[i] = True
+
+    def _log_odds_of(self, cells: Int8s) -> tuple[Float64s, Bools]:
+        """(64, 64) log odds of a tile's cells (4096,) in percent, 0 where unknown; and which are known."""
+        cells = cells.reshape(TILE_CELLS, TILE_CELLS)
+        share = np.clip(cells / 100, self.config.min_probability, self.config.max_probability)
+        return np.where(cells >= 0, np.log(share / (1 - share)), 0), cells >= 0
 
     def replace_with(self, other: "Occupancy") -> None:
         """Takes the tiles of another grid of the same area. The next update contains those that differ.
@@ -148,7 +160,51 @@ class Occupancy:
             other.cells,
         )
         self.unpublished = unsent | (self.cells != before).any(axis=1)
-        self._window = (0, 0, np.full((1, 1), -1, np.int32))
+        self.edits, self._covered = {}, {}
+        self._forget_window()
+
+    def set_edits(self, masks: EditMasks) -> None:
+        """Lays edits over the grid, instead of those before."""
+        for tile, (erased, log_odds) in self._covered.items():
+            self.log_odds[self.tile_index[tile]][erased] = log_odds
+        self._covered, masks = {}, shown_masks(masks, self.tile_index)
+        for tile in (tile for tile, mask in masks.items() if (mask == WALL).any()):
+            if tile not in self.tile_index:
+                self._grow(1)
+                self.tile_index[tile] = len(self.tile_index)
+        for tile in self.edits.keys() | masks.keys():
+            if tile in self.tile_index:
+                self.modified[self.tile_index[tile]] = True
+        self.edits = masks
+        for tile in masks.keys() & self.tile_index.keys():
+            i = self.tile_index[tile]
+            erased = (masks[tile] == ERASED) & (self.observed[i] > 0)
+            self._covered[tile] = erased, self.log_odds[i][erased]
+            self.log_odds[i][erased] = _logit(self.config.min_probability)
+        self._forget_window()
+
+    def tiles_without_edits(self, stamp: int) -> MapUpdate:
+        """All tiles as last published, but without the edits."""
+        tiles = self.all_tiles(stamp)
+        for k, tile in enumerate(zip(tiles.rows.tolist(), tiles.columns.tolist())):
+            if tile in self.edits:
+                i = self.tile_index[tile]
+                log_odds = self.log_odds[i].copy()
+                erased, before = self._covered.get(tile, (np.zeros_like(log_odds, np.bool_), log_odds[:0, 0]))
+                log_odds[erased] = before
+                tiles.cells[k] = percentages(log_odds, self.observed[i]).reshape(-1)
+        return tiles.only(np.asarray((tiles.cells >= 0).any(axis=1))) if self.edits else tiles
+
+    def load_below_edits(self, update: MapUpdate) -> None:
+        """Replaces what lies below the edits by the cells of tiles without edits."""
+        edits = self.edits
+        self.set_edits({})
+        for row, column, cells in zip(update.rows.tolist(), update.columns.tolist(), update.cells):
+            if (row, column) in edits and (row, column) in self.tile_index:
+                i, edited = self.tile_index[row, column], edits[row, column] > 0
+                log_odds, observed = self._log_odds_of(cells)
+                self.log_odds[i][edited], self.observed[i][edited] = log_odds[edited], observed[edited]
+        self.set_edits(edits)
 
     def is_free(self, points: Float64s, margin: int) -> Bools:
         """(n,) bool: which points (n, 2) m lie in free cells, with `margin` free cells to each side."""

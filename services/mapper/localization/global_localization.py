@@ -26,6 +26,7 @@ from services.mapper.back_end.branch_and_bound import (
 from services.mapper.back_end.keyframe import Keyframe
 from services.mapper.front_end.registration import Match, Prior, RegistrationConfig
 from services.mapper.front_end.submap import Submap
+from services.mapper.grid.edit_cells import edit_masks, erased_points
 from services.mapper.grid.occupancy import OccupancyConfig
 from services.mapper.maps.map_file import SavedMap
 from shared.config import Section
@@ -104,7 +105,7 @@ class PoseHypothesis:
 
 
 class MapSurface:
-    """A whole saved map for matching, in `map`, built at the first use.
+    """A whole saved map for matching, in `map`, built at the first use: without what was erased, and without walls.
 
     It caches what can be computed again, so a job that uses it stays pure.
     """
@@ -118,10 +119,16 @@ class MapSurface:
     def submap_and_pyramid(self, config: BranchAndBoundConfig) -> tuple[Submap, Pyramid]:
         """Returns the submap for registration and the pyramid for the search."""
         if self._cached is None:
-            submap = Submap(*self._settings)
-            for keyframe, row in zip(self._saved.keyframes, self._saved.graph.poses.tolist()):
-                submap.add_points(Pose2(*row), *keyframe.surface())
-            submap.grid.load(self._saved.tiles)
+            submap, saved = Submap(*self._settings), self._saved
+            edits = edit_masks(saved.edits, saved.tiles.resolution)
+            for keyframe, row in zip(saved.keyframes, saved.graph.poses.tolist()):
+                pose, (points, normals) = Pose2(*row), keyframe.surface()
+                if edits:
+                    remains = ~erased_points(edits, pose @ points, saved.tiles.resolution)
+                    points, normals = points[remains], normals[remains]
+                submap.add_points(pose, points, normals)
+            submap.grid.load(saved.tiles)
+            submap.grid.set_edits(edits)
             points = submap.registrar.map.points[: submap.registrar.map.n, :2]
             self._cached = submap, build_pyramid(np.ascontiguousarray(points), config)
         return self._cached
@@ -239,6 +246,11 @@ class GlobalLocalizer:
         self.surface = MapSurface(saved, *self._settings) if saved is not None else None
         self.rest_ratio = rest_ratio
         self.start()
+
+    def edit(self, saved: SavedMap) -> None:
+        """Goes on with the same map with other edits."""
+        if self.surface is not None:
+            self.surface = MapSurface(saved, *self._settings)
 
     def start(self, window_about: Pose2 | None = None) -> None:
         """Begins to search: the whole map, or about a given map_from_local, where one search is enough."""

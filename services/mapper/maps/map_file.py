@@ -3,6 +3,9 @@
 
 The file is msgpack: [MAGIC, format, SHA-256 of the body, body]. The body is a msgpack map of arrays, each as
 [dtype, shape, little-endian bytes]. A map that was loaded is saved again to the same bytes.
+
+A map with edits has format 2, so that a program that knows no edits refuses it: it would drive through virtual walls.
+Its tiles are without the edits. A map without edits has format 1.
 """
 
 from dataclasses import dataclass
@@ -15,13 +18,14 @@ from numpy.typing import NDArray
 
 from services.mapper.back_end.keyframe import Keyframe
 from services.mapper.back_end.pose_graph import Graph
+from services.mapper.grid.edit_cells import edits_problem
 from shared.config import UserError
 from shared.geometry import Pose2
-from shared.messages import TILE_CELLS, MapUpdate
+from shared.messages import MAX_EDIT_POINTS, MAX_EDIT_WIDTH_M, MAX_EDIT_XY_M, TILE_CELLS, EditKind, MapEdit, MapUpdate
 from shared.types import Float64s
 
 MAGIC = "zenav saved map"
-FORMAT = 1
+FORMAT_WITHOUT_EDITS, FORMAT = 1, 2
 SAVE_AGAIN = "save the map again, or take a copy of it"
 FIRST_BYTES = b"\x94" + bytes(msgpack.packb(MAGIC))
 """Of every saved map of any format: a msgpack list of four, and the magic."""
@@ -48,6 +52,15 @@ ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
 }  # fmt: skip
 """Arrays of the body: dtype and shape. A letter is the same length in all shapes."""
 
+EDIT_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    # of messages.MapEdit; edit k has edit_points[k] rows of edit_xy
+    "edit_ids": ("<i8", ("e",)), "edit_kinds": ("<i8", ("e",)), "edit_widths": ("<f8", ("e",)),
+    "edit_points": ("<i8", ("e",)), "edit_xy": ("<f8", ("p", 2)),
+}  # fmt: skip
+"""Further arrays of a body with edits."""
+EDIT_KINDS = (EditKind.ERASE, EditKind.WALL)
+"""By their number in `edit_kinds`."""
+
 SWEEP = ("origins", "ends", "points", "normals", "silent")
 """Arrays of a keyframe, in the order of its fields."""
 COUNTS = {"beams": ("origins", "ends"), "silences": ("silent",), "surfaces": ("points", "normals")}
@@ -61,6 +74,8 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "points": (-MAX_RANGE_M, MAX_RANGE_M), "normals": (-1.01, 1.01),
     "resolution": (0.005, 1), "rows": (-MAX_TILE_INDEX, MAX_TILE_INDEX),
     "columns": (-MAX_TILE_INDEX, MAX_TILE_INDEX), "cells": (-1, 100),
+    "edit_ids": (0, MAX_NAME), "edit_kinds": (0, len(EDIT_KINDS) - 1), "edit_widths": (0, MAX_EDIT_WIDTH_M),
+    "edit_points": (1, MAX_EDIT_POINTS), "edit_xy": (-MAX_EDIT_XY_M, MAX_EDIT_XY_M),
 }  # fmt: skip
 
 
@@ -69,13 +84,15 @@ class SavedMap:
     """A map with its pose graph.
 
     keyframes, driven: (n,) of the graph's nodes; driven is the path length up to each, m.
-    tiles: the whole grid; its map id and version are not used.
+    tiles: the whole grid without the edits; its map id and version are not used.
+    edits: in `map`, by users.
     """
 
     graph: Graph
     keyframes: tuple[Keyframe, ...]
     driven: Float64s
     tiles: MapUpdate
+    edits: tuple[MapEdit, ...] = ()
 
 
 def pack_map(saved: SavedMap) -> bytes:
@@ -91,16 +108,26 @@ def pack_map(saved: SavedMap) -> bytes:
         "surfaces": [len(k.points) for k in keyframes],
         "resolution": tiles.resolution, "rows": tiles.rows, "columns": tiles.columns, "cells": tiles.cells,
     }  # fmt: skip
+    kinds = ARRAYS | EDIT_ARRAYS if saved.edits else ARRAYS
+    if saved.edits:
+        values |= {
+            "edit_ids": [edit.id for edit in saved.edits],
+            "edit_kinds": [EDIT_KINDS.index(edit.kind) for edit in saved.edits],
+            "edit_widths": [edit.width for edit in saved.edits],
+            "edit_points": [len(edit.xs) for edit in saved.edits],
+            "edit_xy": np.concatenate([np.column_stack((edit.xs, edit.ys)) for edit in saved.edits]),
+        }
     for name in SWEEP:
         values[name] = np.concatenate([np.zeros((0, 2), np.float32), *(getattr(k, name) for k in keyframes)])
     body = {}
-    for name, (dtype, axes) in ARRAYS.items():
+    for name, (dtype, axes) in kinds.items():
         array = np.ascontiguousarray(values[name], dtype).reshape(np.shape(values[name]))
         if not array.size:  # a list of no poses has one axis
             array = array.reshape(tuple(axis if isinstance(axis, int) else 0 for axis in axes))
         body[name] = (dtype, array.shape, array.tobytes())
     content = bytes(msgpack.packb(body))
-    return bytes(msgpack.packb((MAGIC, FORMAT, sha256(content).digest(), content)))
+    number = FORMAT if saved.edits else FORMAT_WITHOUT_EDITS
+    return bytes(msgpack.packb((MAGIC, number, sha256(content).digest(), content)))
 
 
 def unpack_map(content: bytes, source: str) -> SavedMap:
@@ -119,18 +146,19 @@ def unpack_map(content: bytes, source: str) -> SavedMap:
     if type(body) is not bytes or sha256(body).digest() != digest:
         raise UserError(f"{source}: damaged: its checksum is another one", SAVE_AGAIN)
     try:
-        return _saved(_arrays(msgpack.unpackb(body)))
+        kinds = ARRAYS if number <= FORMAT_WITHOUT_EDITS else ARRAYS | EDIT_ARRAYS
+        return _saved(_arrays(msgpack.unpackb(body), kinds))
     except Exception as error:  # a valid checksum does not make the content valid
         raise UserError(f"{source}: not a map that makes sense: {error or type(error).__name__}", SAVE_AGAIN) from None
 
 
-def _arrays(body: Any) -> dict[str, NDArray[Any]]:
+def _arrays(body: Any, kinds: dict[str, tuple[str, tuple[str | int, ...]]]) -> dict[str, NDArray[Any]]:
     """Returns the arrays of the body. Raises ValueError for a wrong dtype, shape or value."""
-    if type(body) is not dict or body.keys() != ARRAYS.keys():
+    if type(body) is not dict or body.keys() != kinds.keys():
         raise ValueError("its arrays are not those of a saved map")
     lengths: dict[str, int] = {}
     arrays = {}
-    for name, (dtype, axes) in ARRAYS.items():
+    for name, (dtype, axes) in kinds.items():
         given, shape, content = body[name]
         wanted = tuple(
             axis if isinstance(axis, int) else lengths.setdefault(axis, length) for axis, length in zip(axes, shape)
@@ -178,4 +206,25 @@ def _saved(arrays: dict[str, NDArray[Any]]) -> SavedMap:
     )
     graph = Graph(*(arrays[name] for name in Graph.__dataclass_fields__))
     graph.check()
-    return SavedMap(graph, keyframes, arrays["driven"], tiles)
+    return SavedMap(graph, keyframes, arrays["driven"], tiles, _edits(arrays) if "edit_ids" in arrays else ())
+
+
+def _edits(arrays: dict[str, NDArray[Any]]) -> tuple[MapEdit, ...]:
+    """Returns the edits. Raises ValueError for edits that the mapper would refuse."""
+    ids, ends = arrays["edit_ids"].tolist(), np.cumsum(arrays["edit_points"])
+    if not ids or len(set(ids)) != len(ids) or ends[-1] != len(arrays["edit_xy"]):
+        raise ValueError("edit_xy are not as many as edit_points says, or two edits have one id")
+    edits = tuple(
+        MapEdit(0, id_, EDIT_KINDS[kind], xy[:, 0].copy(), xy[:, 1].copy(), width)
+        for id_, kind, width, xy in zip(
+            ids,
+            arrays["edit_kinds"].tolist(),
+            arrays["edit_widths"].tolist(),
+            np.split(arrays["edit_xy"], ends[:-1]),
+            strict=True,
+        )
+    )
+    problem = next((p for edit in edits if (p := edit.problem())), None) or edits_problem(edits)
+    if problem is not None:
+        raise ValueError(problem)
+    return edits

@@ -4,10 +4,13 @@
 There is one transfer of each kind at a time, in memory only while its client sends requests.
 """
 
+import numpy as np
+
 from services.mapper.maps.map_file import SavedMap, pack_map, unpack_map
 from services.mapper.slam import Slam
 from shared.config import UserError
-from shared.messages import Stamp
+from shared.grid import OCCUPIED_FROM
+from shared.messages import MapUpdate, Stamp
 from shared.reasons import BUSY, MAP_REFUSED, NO_GRAPH, NO_MAP, TRANSFER_BROKEN, Reason
 from shared.requests import MAP_PART, FetchMap, GiveMap, MapPart, Reply
 from shared.service import Answer, Job
@@ -15,6 +18,15 @@ from shared.types import NS_PER_S
 
 TAKEOVER_NS = 5 * NS_PER_S  # without a request, after which another client may begin a transfer
 TIMEOUT_NS = 60 * NS_PER_S  # without a request, after which a transfer ends
+MAX_TILES = 20_000  # of a saved map, 80 MB of cells: a square of 450 m at 0.05 m per cell
+
+
+def tiles_problem(tiles: MapUpdate) -> str | None:
+    """Returns why no robot can be found on tiles without a graph, or None."""
+    rows, columns = tiles.rows, tiles.columns
+    if len(rows) and (int(np.ptp(rows)) + 1) * (int(np.ptp(columns)) + 1) > MAX_TILES:
+        return "the map's tiles lie too far apart to be one building"
+    return None if (tiles.cells >= OCCUPIED_FROM).any() else "the map holds no occupied cell to find the robot by"
 
 
 class MapDownload:

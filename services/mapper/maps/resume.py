@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 
 from services.mapper.front_end.continuous_odometry import ContinuousOdometry
+from services.mapper.grid.edit_cells import without_walls
+from services.mapper.grid.occupancy import Occupancy
 from services.mapper.maps.map_file import SavedMap, pack_map
 from services.mapper.slam import Slam
 from shared.geometry import Pose2
-from shared.grid import OccupancyGrid
-from shared.messages import TILE_CELLS, MapUpdate, Message, PoseEstimate
+from shared.grid import OCCUPIED_FROM
+from shared.messages import TILE_CELLS, MapMode, MapState, MapUpdate, Message, PoseEstimate
 from shared.requests import GIVE_MAP, MAP_PART, GiveMap, Request
 from shared.service import Checkpoint
 from shared.types import NS_PER_S
@@ -34,14 +36,22 @@ class PreviousRun:
     def __init__(self) -> None:
         self.map: MapUpdate | None = None
         self.pose: PoseEstimate | None = None
+        self.map_state: MapState | None = None
 
-    def state(self) -> tuple[MapUpdate, OccupancyGrid, PoseEstimate] | None:
-        """Returns the map, its grid and the last pose; None until both arrived, or without occupied cells."""
-        if self.map is None or self.pose is None:
-            return None
-        grid = OccupancyGrid(self.map.resolution, self.map.map_id)
-        grid.apply(self.map)
-        return (self.map, grid, self.pose) if grid.occupied.any() else None
+    def apply_to(self, slam: Slam) -> bool:
+        """Goes on with the map, its edits and the pose; False until they arrived, or without occupied cells.
+
+        What lies below the edits follows with the graph. Until then it is unknown below walls, and free where erased.
+        """
+        if self.map is None or self.pose is None or not (self.map.cells >= OCCUPIED_FROM).any():
+            return False
+        state = self.map_state
+        edits, name = ((), "") if state is None or state.map_id != self.map.map_id else (state.edits, state.name)
+        tiles = without_walls(self.map, edits) if edits else self.map
+        mode = MapMode.LOCALISE if self.pose.mode is MapMode.LOCALISE else MapMode.CONTINUE
+        slam.use_grid(tiles, self.map.map_id, self.pose.map_from_base, mode, edits)
+        slam.name, slam.grid.version, slam.tracked = name, self.map.version, None
+        return True
 
     def take_poses(self, track: ContinuousOdometry, end: int, max_speed: float) -> tuple[Pose2, Pose2] | None:
         """Returns the present map_from_base by odometry, and the last published one; once, for the first scan.
@@ -56,21 +66,41 @@ class PreviousRun:
         return (guess, last.map_from_base) if guess.distance(last.map_from_base) <= max_distance else None
 
 
+def resume_graph(slam: Slam, checkpoint: SavedMap) -> bool:
+    """Gives the map from before a restart its graph, and what lies below its edits. Returns False if it has a graph."""
+    if slam.front_end.from_keyframes:
+        return False
+    slam.grid.load_below_edits(checkpoint.tiles)
+    slam.grid.update_cells()  # those of the latched map may not be published yet
+    return slam.add_graph(replace(checkpoint, tiles=slam.grid.tiles_without_edits(0)))
+
+
 def graph_checkpoint(slam: Slam) -> Checkpoint | None:
     """Returns the pose graph with its keyframes as parts for the next process; None where there is none to go on with.
 
-    The tiles are in the latched map. An unjoined part is left out: its place is not known.
+    The tiles are in the latched map; the checkpoint has those below edits, without the edits. An unjoined part is left
+    out: its place is not known.
     """
     if not slam.has_graph or not slam.is_localized or slam.is_in_part:
         return None
     back_end, saved = slam.back_end, slam.saved
     if saved is None:
         saved = SavedMap(back_end.graph.snapshot(), tuple(back_end.keyframes), np.array(back_end.driven), NO_TILES)
-    version = slam.grid.map_id, saved.graph.nodes.tobytes(), saved.graph.poses.tobytes()
-    return Checkpoint(version, _requests, (saved, slam.grid.map_id, slam.grid.resolution))
+    version = slam.grid.map_id, saved.graph.nodes.tobytes(), saved.graph.poses.tobytes(), slam.edits.n_changes
+    saved = replace(saved, tiles=_tiles_below_edits(slam.grid), edits=())
+    return Checkpoint(version, _requests, (saved, slam.grid.map_id))
 
 
-def _requests(saved: SavedMap, map_id: int, resolution: float) -> list[tuple[Request[Any, Any], Message]]:
-    content = pack_map(replace(saved, tiles=replace(NO_TILES, resolution=resolution)))
+def _tiles_below_edits(grid: Occupancy) -> MapUpdate:
+    """Returns the tiles with edits, without the edits."""
+    if not grid.edits:
+        return replace(NO_TILES, resolution=grid.resolution)
+    tiles = grid.tiles_without_edits(0)
+    places = zip(tiles.rows.tolist(), tiles.columns.tolist())
+    return tiles.only(np.array([place in grid.edits for place in places], np.bool_))
+
+
+def _requests(saved: SavedMap, map_id: int) -> list[tuple[Request[Any, Any], Message]]:
+    content = pack_map(saved)
     parts = [content[i : i + MAP_PART] for i in range(0, len(content), MAP_PART)]
     return [(GIVE_MAP, GiveMap(0, map_id, i, len(parts), part, resumes=True)) for i, part in enumerate(parts)]

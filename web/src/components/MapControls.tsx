@@ -3,7 +3,8 @@
 
 import { following } from "../map/following";
 import { view } from "../map/map_view";
-import { chooseTool, closePolygon, draftCorners, tool, type Tool } from "../map/tools";
+import { mapEdits, undoEdit } from "../map/map_edits";
+import { chooseTool, closePolygon, draftCorners, editKind, tool, type Tool } from "../map/tools";
 import { layers, LAYERS, type Layer } from "../preferences";
 import { mayOperate } from "../state";
 import { t } from "../texts";
@@ -66,7 +67,7 @@ function Layers() {
   );
 }
 
-const TOOLS: readonly Tool[] = ["look", "goal", "route", "place", "zone", "pose"];
+const TOOLS: readonly Tool[] = ["look", "goal", "route", "place", "zone", "wall", "erase", "pose"];
 
 export function Toolbar() {
   if (!mayOperate.value) return null;
@@ -98,6 +99,9 @@ function ToolHint() {
       <span>{t(`tool_hint_${tool.value}`)}</span>
       {tool.value === "zone" && draftCorners.value.length >= 3 && (
         <Button label={t("close_polygon")} onClick={closePolygon} kind="primary" />
+      )}
+      {editKind(tool.value) !== null && mapEdits().length > 0 && (
+        <Button label={t("undo")} icon="undo" onClick={() => void undoEdit()} />
       )}
     </div>
   );

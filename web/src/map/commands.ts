@@ -8,7 +8,7 @@ import { notify } from "../notices";
 import { type Reply } from "../protocol";
 import { latest } from "../state";
 import { reasonText, t } from "../texts";
-import { chooseTool, editedZone, newPlace, places, route, type NamedPlace, type Tool } from "./tools";
+import { chooseTool, editedZone, newPlace, route, setPlaces, type NamedPlace, type Tool } from "./tools";
 import { placesFrom } from "../records";
 import { encodeFloat64s } from "../wire";
 
@@ -107,7 +107,7 @@ export async function saveEditedZone(): Promise<void> {
 
 export async function loadPlaces(): Promise<void> {
   const reply = await run("places");
-  if (reply.accepted) places.value = placesFrom(reply.data);
+  if (reply.accepted) setPlaces(placesFrom(reply.data));
 }
 
 export async function savePlace(place: NamedPlace): Promise<void> {

@@ -5,8 +5,20 @@ import { type Point } from "../geometry";
 import { latest } from "../state";
 import { t } from "../texts";
 import { visibleBounds } from "../view_transform";
+import { mapEdits, strokeWidth } from "./map_edits";
 import { centre, type Pen, points } from "./pen";
-import { closedPolygon, draftCorners, draftPose, editedZone, newPlace, places, route, tool } from "./tools";
+import {
+  closedPolygon,
+  draftCorners,
+  draftPose,
+  draftStroke,
+  editedZone,
+  editKind,
+  newPlace,
+  places,
+  route,
+  tool,
+} from "./tools";
 
 const GRID_STEPS_M = [1, 5, 10, 50, 100];
 const MIN_GRID_PX = 40;
@@ -32,6 +44,29 @@ export function drawZones(pen: Pen): void {
     pen.stroke(color, 2, zone.kind === "slow" ? [7, 5] : []);
     if (edited?.name === zone.name) drawCorners(pen, corners, color);
   }
+}
+
+/** Virtual walls; while edits are drawn, erased areas too. */
+export function drawEdits(pen: Pen): void {
+  for (const edit of mapEdits()) {
+    const isWall = edit.kind === "wall";
+    if (!isWall && editKind(tool.peek()) === null) continue;
+    pen.trace(points(edit.xs, edit.ys), edit.width === 0);
+    if (edit.width === 0) pen.fill(pen.palette.erased, 0.25);
+    if (isWall) drawWall(pen, edit.width);
+    else if (edit.width > 0) pen.stroke(translucent(pen.palette.erased), edit.width * pen.view.scale);
+  }
+}
+
+function drawWall(pen: Pen, width: number): void {
+  const thickness = Math.max(4, width * pen.view.scale);
+  pen.stroke(pen.palette.wall, thickness);
+  pen.stroke(pen.palette.labelBack, Math.max(1.5, thickness / 3), [thickness, 1.6 * thickness]);
+}
+
+/** A colour #rrggbb at a quarter of its opacity. */
+function translucent(color: string): string {
+  return `${color}40`;
 }
 
 export function drawZoneNames(pen: Pen): void {
@@ -82,6 +117,14 @@ export function drawDrafts(pen: Pen): void {
     if (corners.length > 2) pen.fill(pen.palette.keepOut, 0.14);
     pen.stroke(pen.palette.keepOut, 2, [5, 4]);
     if (polygon === null) drawCorners(pen, corners, pen.palette.keepOut);
+  }
+  const kind = editKind(tool.peek());
+  const stroke = draftStroke.peek();
+  if (kind !== null && stroke.length > 0) {
+    pen.trace(stroke.length > 1 ? stroke : [stroke[0]!, stroke[0]!]);
+    const width = strokeWidth(kind, pen.view.scale);
+    if (kind === "wall") drawWall(pen, width);
+    else pen.stroke(translucent(pen.palette.erased), width * pen.view.scale);
   }
   if (tool.peek() === "zone" && corners.length >= 3) pen.label(corners[0]!, t("close_polygon"), -20);
 }

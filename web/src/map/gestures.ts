@@ -5,12 +5,24 @@ import { type Point, type Pose } from "../geometry";
 import { panBy, pinch, rotateAt, toMap, toScreen } from "../view_transform";
 import { following } from "./following";
 import { type MapView, view } from "./map_view";
-import { addWaypoint, cancelDrawing, closePolygon, draftCorners, draftPose, editedZone, tool } from "./tools";
 import { finishPose } from "./commands";
+import { addEdit, strokeWidth } from "./map_edits";
+import {
+  addWaypoint,
+  cancelDrawing,
+  closePolygon,
+  draftCorners,
+  draftPose,
+  draftStroke,
+  editedZone,
+  editKind,
+  tool,
+} from "./tools";
 
 const MIN_DRAG_PX = 12; // shorter presses are clicks: the heading is the robot's choice
 const CORNER_PX = 22; // around a corner in which a press takes it
 const WHEEL_FACTOR = 0.0015; // of the logarithm of the scale, a px of the wheel
+const MIN_STROKE_STEP_PX = 4; // between two points of the eraser's stroke
 const KEY_TURN_RAD = Math.PI / 12;
 const KEY_PAN_PX = 60;
 
@@ -30,6 +42,7 @@ export function installGestures(map: MapView, canvas: HTMLCanvasElement): void {
     anchor = null;
     corner = -1;
     draftPose.value = null;
+    draftStroke.value = [];
   };
 
   canvas.addEventListener("pointerdown", (event) => {
@@ -41,6 +54,10 @@ export function installGestures(map: MapView, canvas: HTMLCanvasElement): void {
     corner = cornerAt(map, at(event));
     const chosen = tool.peek();
     if (corner >= 0 || chosen === "look" || chosen === "zone") return;
+    if (editKind(chosen) !== null) {
+      draftStroke.value = [mapPoint(at(event))];
+      return;
+    }
     anchor = mapPoint(at(event));
     draftPose.value = [anchor[0], anchor[1], defaultYaw(chosen)];
   });
@@ -57,6 +74,7 @@ export function installGestures(map: MapView, canvas: HTMLCanvasElement): void {
       const angle = (p: Point): number => Math.atan2(p[1] - map.middle[1], p[0] - map.middle[0]);
       view.value = rotateAt(view.peek(), map.size, map.middle, angle(before) - angle(here));
     } else if (corner >= 0) dragCorner(corner, mapPoint(here));
+    else if (draftStroke.peek().length > 0) extendStroke(map, here);
     else if (anchor !== null) draftPose.value = draggedPose(map, anchor, here);
     else if (Math.hypot(here[0] - before[0], here[1] - before[1]) > 0) {
       following.value = false;
@@ -74,6 +92,7 @@ export function installGestures(map: MapView, canvas: HTMLCanvasElement): void {
     fingers.delete(event.pointerId);
     const pose = draftPose.peek();
     if (alone && anchor !== null && pose !== null) finish(pose, !clicked);
+    else if (alone && draftStroke.peek().length > 0) finishStroke(clicked);
     else if (alone && clicked && event.button === 0 && tool.peek() === "zone") addCorner(map, here);
     abort();
   });
@@ -105,6 +124,7 @@ function onKey(map: MapView, event: KeyboardEvent): void {
   if (event.defaultPrevented) return; // an arrow that drives the robot
   if (pan !== undefined) map.pan(pan[0] * KEY_PAN_PX, pan[1] * KEY_PAN_PX);
   else if (event.key === "Enter" && tool.peek() === "zone") addCorner(map, map.middle);
+  else if (event.key === "Enter" && editKind(tool.peek()) !== null) drawByKey([x, y]);
   else if (event.key === "Enter" && tool.peek() !== "look") finish([x, y, defaultYaw(tool.peek())], false);
   else return;
   event.preventDefault();
@@ -129,6 +149,32 @@ export function onViewKey(map: MapView, event: KeyboardEvent): boolean {
 function finish(pose: Pose, hasHeading: boolean): void {
   if (tool.peek() === "route") addWaypoint(pose);
   else void finishPose(tool.peek(), pose, hasHeading);
+}
+
+/** The eraser follows the pointer; a wall is straight, from where the press began. */
+function extendStroke(map: MapView, here: Point): void {
+  const stroke = draftStroke.peek();
+  const point = toMap(view.peek(), map.size, here);
+  const last = stroke[stroke.length - 1]!;
+  if (tool.peek() === "wall") draftStroke.value = [stroke[0]!, point];
+  else if (Math.hypot(point[0] - last[0], point[1] - last[1]) * view.peek().scale >= MIN_STROKE_STEP_PX) {
+    draftStroke.value = [...stroke, point];
+  }
+}
+
+/** Sends the edit that was drawn. A click erases a dot, and draws no wall. */
+function finishStroke(clicked: boolean): void {
+  const kind = editKind(tool.peek());
+  const stroke = draftStroke.peek();
+  draftStroke.value = [];
+  if (kind === null || (kind === "wall" && clicked)) return;
+  void addEdit(kind, clicked ? stroke.slice(0, 1) : stroke, strokeWidth(kind, view.peek().scale));
+}
+
+/** Enter erases a dot; with the wall it sets one end, and then the other. */
+function drawByKey(point: Point): void {
+  draftStroke.value = [...draftStroke.peek(), point];
+  if (tool.peek() === "erase" || draftStroke.peek().length > 1) finishStroke(tool.peek() === "erase");
 }
 
 /** Heading of a pose that is clicked and not dragged: along the view. */

@@ -11,12 +11,22 @@ import { TileAtlas } from "../tile_atlas";
 import { type Tile, type TilesFrame, TileStore } from "../tile_store";
 import { fit, panBy, rotateAt, toScreen, type Size, type View, zoomAt } from "../view_transform";
 import { DRAW, drawRobot } from "./data_layers";
-import { drawDrafts, drawGoal, drawGrid, drawPlaces, drawZoneNames, drawZones } from "./edit_layers";
+import { drawDrafts, drawEdits, drawGoal, drawGrid, drawPlaces, drawZoneNames, drawZones } from "./edit_layers";
 import { following } from "./following";
 import { DARK, LIGHT } from "./palette";
 import { Pen } from "./pen";
 import { clearTrail, robotPose } from "./robot_pose";
-import { closedPolygon, draftCorners, draftPose, editedZone, newPlace, places, route, tool } from "./tools";
+import {
+  closedPolygon,
+  draftCorners,
+  draftPose,
+  draftStroke,
+  editedZone,
+  newPlace,
+  places,
+  route,
+  tool,
+} from "./tools";
 
 const MIN_FRAME_MS = 30; // at most 33 frames a second
 const START_SCALE = 45; // px/m, before a map is there
@@ -55,7 +65,7 @@ export class MapView {
     });
     effect(() => {
       for (const key of Object.values(latest)) void key.value;
-      for (const drawn of [tool, draftPose, draftCorners, closedPolygon, newPlace, places, route]) void drawn.value;
+      for (const drawn of [tool, draftPose, draftCorners, draftStroke, closedPolygon, newPlace, places, route]) void drawn.value;
       void [following.value, layers.value, editedZone.value, link.value, now.value];
       this.invalidate(false);
     });
@@ -177,6 +187,7 @@ export class MapView {
     const shown = new Set(layers.peek());
     if (shown.has("grid")) drawGrid(pen);
     if (shown.has("zones")) drawZones(pen);
+    if (shown.has("walls")) drawEdits(pen);
     for (const [layer, draw] of Object.entries(DRAW)) {
       if (shown.has(layer as keyof typeof DRAW)) draw(pen, at);
     }

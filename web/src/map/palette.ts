@@ -16,6 +16,9 @@ export interface Palette {
   readonly goal: string;
   readonly keepOut: string;
   readonly slow: string;
+  readonly wall: string;
+  /** #rrggbb */
+  readonly erased: string;
   readonly place: string;
   readonly people: string;
   readonly truth: string;
@@ -39,6 +42,8 @@ export const LIGHT: Palette = {
   goal: "#009e73",
   keepOut: "#d55e00",
   slow: "#b07900",
+  wall: "#a8200d",
+  erased: "#009e73",
   place: "#8a4a73",
   people: "#cc79a7",
   truth: "#e69f00",
@@ -60,6 +65,8 @@ export const DARK: Palette = {
   goal: "#2fc79a",
   keepOut: "#ff7a2e",
   slow: "#f0e442",
+  wall: "#ff5a3c",
+  erased: "#2fc79a",
   place: "#e3a3c6",
   people: "#cc79a7",
   truth: "#e69f00",

@@ -4,8 +4,9 @@
 import { computed, signal } from "@preact/signals";
 
 import { type Point, type Pose } from "../geometry";
+import { mapName } from "../state";
 
-export type Tool = "look" | "goal" | "route" | "pose" | "place" | "zone";
+export type Tool = "look" | "goal" | "route" | "pose" | "place" | "zone" | "erase" | "wall";
 
 export interface Waypoint {
   readonly id: number;
@@ -32,10 +33,25 @@ export const draftCorners = signal<readonly Point[]>([]);
 export const newPlace = signal<Pose | null>(null);
 /** The zone whose corners may be dragged, by its name, and its corners. */
 export const editedZone = signal<{ readonly name: string; readonly corners: readonly Point[] } | null>(null);
-export const places = signal<readonly NamedPlace[]>([]);
+const allPlaces = signal<readonly NamedPlace[]>([]);
+/** Places on the map that is shown, and those of no map; all of them on a map without a name. */
+export const places = computed(() =>
+  allPlaces.value.filter(({ map }) => map === "" || mapName.value === "" || map === mapName.value),
+);
 /** The closed polygon that waits for its name and kind. */
 export const closedPolygon = signal<readonly Point[] | null>(null);
+/** The points of the eraser's stroke, or the ends of the wall, that is being drawn. */
+export const draftStroke = signal<readonly Point[]>([]);
 export const isDrawing = computed(() => tool.value !== "look" || editedZone.value !== null);
+
+export function setPlaces(rows: readonly NamedPlace[]): void {
+  allPlaces.value = rows;
+}
+
+/** The kind of edit that a tool draws; null for other tools. */
+export function editKind(chosen: Tool): "erase" | "wall" | null {
+  return chosen === "erase" || chosen === "wall" ? chosen : null;
+}
 
 let nWaypoints = 0;
 
@@ -64,6 +80,7 @@ export function chooseTool(chosen: Tool): void {
   tool.value = chosen === tool.peek() ? "look" : chosen;
   draftPose.value = null;
   draftCorners.value = [];
+  draftStroke.value = [];
   editedZone.value = null;
 }
 

@@ -11,8 +11,9 @@ import { chooseTool } from "../map/tools";
 import { isItemName, itemName } from "../names";
 import { notify } from "../notices";
 import { type SavedMap } from "../records";
-import { latest, mayAdminister, mayOperate } from "../state";
+import { latest, mapName, mayAdminister, mayOperate } from "../state";
 import { dateText, sizeText, t } from "../texts";
+import { MapEdits } from "./MapEdits";
 
 export function MapsPanel() {
   useEffect(() => void loadMaps(), []);
@@ -22,11 +23,12 @@ export function MapsPanel() {
     <>
       <Section title={t("map_in_use")}>
         <p class="facts">
-          <span>{t(`mode_${mode}`)}</span>
+          <span>{[mapName.value || t("map_without_name"), t(`mode_${mode}`)].join(" · ")}</span>
         </p>
         <SaveForm />
         <Button label={t("tool_hint_pose_short")} icon="pose" onClick={() => chooseTool("pose")} disabled={off} />
       </Section>
+      <MapEdits />
       <Section title={t("saved_maps")}>
         {maps.value === null && <Empty text={t("loading")} />}
         {maps.value?.length === 0 && <Empty text={t("no_maps")} />}
@@ -42,7 +44,7 @@ export function MapsPanel() {
 }
 
 function SaveForm() {
-  const name = useSignal("");
+  const name = useSignal(mapName.peek());
   const save = (): void => void changeMap("map_save", { name: name.value }, t("map_saved"));
   return (
     <form
@@ -74,7 +76,9 @@ function MapItem({ map }: { map: SavedMap }) {
     <li class="list-item">
       <button type="button" class="list-row expander" aria-expanded={open.value} onClick={() => (open.value = !open.value)}>
         <span class="list-name">{map.name}</span>
-        <span class="muted number">{[sizeText(map.size), dateText(map.modified)].filter(Boolean).join(" · ")}</span>
+        <span class="muted number">
+          {[map.name === mapName.value ? t("in_use") : "", sizeText(map.size), dateText(map.modified)].filter(Boolean).join(" · ")}
+        </span>
       </button>
       {open.value && (
         <div class="list-detail">

@@ -7,7 +7,7 @@ import { Button, Choice, Empty, Field, IconButton, Section } from "../components
 import { degrees, type Point, type Pose } from "../geometry";
 import { deletePlace, goTo, saveEditedZone, savePlace, setZones, zoneRows, type ZoneRow } from "../map/commands";
 import { cancelDrawing, chooseTool, closedPolygon, editedZone, newPlace, places } from "../map/tools";
-import { hello, mayOperate } from "../state";
+import { hello, mapName, mayOperate } from "../state";
 import { isItemName, itemName } from "../names";
 import { t } from "../texts";
 
@@ -99,7 +99,7 @@ function ZoneItem({ zone }: { zone: ZoneRow }) {
 function NewPlace({ pose }: { pose: Pose }) {
   const name = useSignal("");
   const save = (): void => {
-    if (isItemName(name.value)) void savePlace({ name: name.value, pose, map: "", hasHeading: true });
+    if (isItemName(name.value)) void savePlace({ name: name.value, pose, map: mapName.peek(), hasHeading: true });
   };
   return (
     <form

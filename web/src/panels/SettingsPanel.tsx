@@ -1,19 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Choices of this browser, and the robot's settings with their origin, read-only.
-
-import { useComputed, useSignal } from "@preact/signals";
-import { useEffect } from "preact/hooks";
+// Choices of this browser, the robot's settings, and the keys.
 
 import { Account } from "../components/Account";
-import { Choice, Empty, Field, Section } from "../components/controls";
+import { Choice, Field, Section } from "../components/controls";
 import { send } from "../connection";
-import { loadSettings, settings } from "../lists";
 import { language, pageName, theme } from "../preferences";
 import { hello } from "../state";
 import { t } from "../texts";
+import { ConfigurationSection } from "./ConfigurationSection";
 
 const MAX_NAME = 40; // characters, as the server takes it
-const MAX_ROWS = 120; // shown at once: a filter finds the others
 
 export function SettingsPanel() {
   return (
@@ -53,7 +49,7 @@ export function SettingsPanel() {
         </Field>
         <Account />
       </Section>
-      <Configuration />
+      <ConfigurationSection />
       <Section title={t("keys")}>
         <dl class="keys">
           {KEYS.map(([keys, text]) => (
@@ -81,32 +77,3 @@ const KEYS = [
   ["Enter", "key_enter"],
   ["Esc", "key_escape"],
 ] as const;
-
-function Configuration() {
-  useEffect(() => void loadSettings(), []);
-  const filter = useSignal("");
-  const rows = useComputed(() => {
-    const wanted = filter.value.trim().toLowerCase();
-    return (settings.value ?? []).filter((row) => `${row.name} ${row.description}`.toLowerCase().includes(wanted));
-  });
-  return (
-    <Section title={t("configuration")}>
-      <Field label={t("filter")}>
-        <input type="search" value={filter.value} onInput={(event) => (filter.value = event.currentTarget.value)} />
-      </Field>
-      {settings.value === null && <Empty text={t("loading")} />}
-      <ul class="list">
-        {rows.value.slice(0, MAX_ROWS).map((row) => (
-          <li key={row.name} class="setting">
-            <div class="setting-line">
-              <span class="setting-name">{row.name}</span>
-              <span class="setting-value number">{row.value}</span>
-            </div>
-            <span class="muted">{[row.description, row.origin].filter(Boolean).join(" · ")}</span>
-          </li>
-        ))}
-      </ul>
-      {rows.value.length > MAX_ROWS && <Empty text={t("more_rows", { n: rows.value.length - MAX_ROWS })} />}
-    </Section>
-  );
-}

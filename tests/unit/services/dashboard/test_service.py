@@ -2,6 +2,7 @@
 """The page's core: one page drives and only while it sends, STOP is everybody's, and bad frames do nothing."""
 
 import math
+from itertools import product
 
 import msgpack
 import numpy as np
@@ -230,7 +231,7 @@ def test_a_viewer_commands_nothing(pages):
     pages.frame(3, "teleop", v=0.1, w=0.0, n=1)
     pages.frame(3, "release")
     for op, fields in OPERATIONS.items():
-        values = {"name": "a", "to": "b", "mode": "map", "pose": [0.0, 0.0, 0.0], "text": "x"}
+        values = {"name": "a", "to": "b", "mode": "map", "pose": [0.0, 0.0, 0.0], "text": "x", "value": "1"}
         args = {key: values[key] for key in fields.required}
         args |= {"name": "a.mcap"} if op == "recording_delete" else {}
         pages.frame(3, "do", id=op, op=op, args=args)
@@ -243,6 +244,14 @@ def test_a_viewer_commands_nothing(pages):
     refused = {f["id"]: f["reason"] for f in pages.sent("reply", 3)}
     assert set(refused.values()) == {"role"}
     assert len(refused) == 9 + len(OPERATIONS) - len(allowed)
+
+
+def test_an_operator_tunes_settings_but_sets_no_limit(pages):
+    pages.core.pages.get(2).role = Role.OPERATOR
+    for client, name in product((1, 2), ("planner.cost.margin", "robot.drive.max_speed", "local_ctrl.max_speed")):
+        pages.frame(client, "do", id=name, op="setting_set", args={"name": name, "value": "0.1"})
+    assert [order["client"] for order in pages.orders] == [1, 1, 1, 2]
+    assert [reply["reason"] for reply in pages.sent("reply", 2)] == ["role", "role"]
 
 
 def test_a_request_is_stamped_checked_and_passed_on(pages):

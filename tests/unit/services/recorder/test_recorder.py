@@ -22,6 +22,7 @@ from shared.config import UserError, load_robot
 from shared.messages import EmergencyStop, LogLine, MapUpdate
 from shared.reasons import DISK_FULL, NOT_RECORDED
 from shared.recording import CONFIG, Drop, Recording
+from shared.requests import SetSettings
 from shared.service import Log
 from shared.types import NS_PER_S
 from tests.disks import no_file_longer_than
@@ -329,6 +330,17 @@ def test_the_oldest_parts_go_first_and_marked_ones_never(recorder, tmp_path):
     assert len(numbers) >= 3
     assert (tmp_path / "notes.txt").exists()
     assert (tmp_path / "other-20231114-221320.mcap").exists()
+
+
+def test_a_lower_maximum_size_of_a_part_holds_for_the_open_one(recorder, tmp_path):
+    service = recorder(folder=str(tmp_path))
+    shout(service, 60, 0, START)
+    flushed(service)
+    assert len(list(tmp_path.glob("*.mcap"))) == 1
+    service.name = "recorder"
+    list(service.set_settings(SetSettings(START, ("recorder.split_size",), ("0.01",), False)))
+    flushed(service)
+    assert len(list(tmp_path.glob("*.mcap"))) == 2
 
 
 recordings = st.lists(

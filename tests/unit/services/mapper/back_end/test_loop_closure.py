@@ -214,7 +214,7 @@ def test_a_closure_of_a_keyframe_that_was_given_up_meanwhile_is_left_out():
 
 
 def test_a_keyframe_of_a_few_beams_fits_anywhere_and_closes_nothing():
-    def closures(n):
+    def closures(n, **settings):
         robot = DriftingRobot(drift=Pose2())
         robot.drives(islice(laps(), LAP + 4))
         graph, keyframes, driven, blocks, config, *_ = robot.back_end.search_arguments()
@@ -223,10 +223,12 @@ def test_a_keyframe_of_a_few_beams_fits_anywhere_and_closes_nothing():
         few = replace(
             last, points=last.points[:: len(last.points) // n][:n], normals=last.normals[:: len(last.points) // n][:n]
         )
+        config = config.model_copy(update=settings)
         return find_loop_closures(graph, covariances, (*keyframes[:-1], few), driven, blocks, config)
 
     assert closures(14) == []
     assert closures(40)
+    assert closures(40, enabled=False) == []
 
 
 def test_blocks_are_kept_within_their_memory_and_are_the_same_when_made_again(monkeypatch):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A saved map loads to the same bytes; whatever else is in the file is a clear error."""
 
+from dataclasses import replace
 from hashlib import sha256
 
 import msgpack
@@ -11,10 +12,10 @@ from hypothesis import strategies as st
 
 from services.mapper.back_end.keyframe import Keyframe
 from services.mapper.back_end.pose_graph import PoseGraph
-from services.mapper.maps.map_file import ARRAYS, FORMAT, MAGIC, SavedMap, pack_map, unpack_map
+from services.mapper.maps.map_file import ARRAYS, EDIT_ARRAYS, FORMAT, MAGIC, SavedMap, pack_map, unpack_map
 from shared.config import UserError
 from shared.geometry import Pose2
-from shared.messages import MapUpdate
+from shared.messages import EditKind, MapEdit, MapUpdate
 
 
 def made(seed, n, n_loops=0, n_tiles=1, removed=()):
@@ -56,7 +57,8 @@ def refusal(content):
     return error.value.what
 
 
-def sealed(body, number=FORMAT):
+def sealed(body):
+    number = 2 if "edit_ids" in body else 1
     content = msgpack.packb(body)
     return msgpack.packb((MAGIC, number, sha256(content).digest(), content))
 
@@ -110,7 +112,48 @@ def test_a_cut_file_says_so():
 
 
 def test_a_newer_program_s_map_is_told_apart_from_a_damaged_one():
-    assert "saved in format 2, this program reads 1" in refusal(msgpack.packb((MAGIC, 2, b"?", {"all": "new"})))
+    newer = msgpack.packb((MAGIC, FORMAT + 1, b"?", {"all": "new"}))
+    assert f"saved in format {FORMAT + 1}, this program reads {FORMAT}" in refusal(newer)
+
+
+def edited():
+    """A map with an erased polygon and a wall."""
+    erase = MapEdit(0, 3, EditKind.ERASE, np.array([0.0, 1, 1]), np.array([0.0, 0, 2]), 0.0)
+    wall = MapEdit(0, 4, EditKind.WALL, np.array([-1.0, 5]), np.array([2.0, 3]), 0.1)
+    return replace(made(5, 4, 2), edits=(erase, wall))
+
+
+def test_edits_are_saved_beside_the_tiles_and_a_program_that_knows_none_refuses_the_map():
+    content = pack_map(edited())
+    loaded = unpack_map(content, "")
+    assert pack_map(loaded) == content
+    assert [(e.id, e.kind, e.xs.tolist(), e.ys.tolist(), e.width) for e in loaded.edits] == [
+        (3, EditKind.ERASE, [0, 1, 1], [0, 0, 2], 0.0), (4, EditKind.WALL, [-1, 5], [2, 3], 0.1),
+    ]  # fmt: skip
+    np.testing.assert_array_equal(loaded.tiles.cells, edited().tiles.cells)
+    assert msgpack.unpackb(content)[1] == 2
+    assert msgpack.unpackb(pack_map(made(5, 4, 2)))[1] == 1, "as before there were edits"
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "words"),
+    [
+        ("edit_ids", [3, 3], "one id"),
+        ("edit_points", [2, 2], "edit_points"),
+        ("edit_points", [2, 3], "2 points"),
+        ("edit_kinds", [0, 2], "edit_kinds"),
+        ("edit_widths", [0.0, 0.0], "width"),
+        ("edit_widths", [0.0, 9.0], "edit_widths"),
+        ("edit_xy", [[0.0, 0], [9e3, 0], [9e3, 9e3], [0, 0], [1, 1]], "m2"),
+        ("edit_xy", [[0.0, 0], [1, 0], [1, 1], [0, np.nan], [1, 1]], "edit_xy"),
+    ],
+)
+def test_edits_that_make_no_sense_are_refused(name, values, words):
+    body = body_of(edited())
+    dtype = EDIT_ARRAYS[name][0]
+    array = np.array(values, dtype)
+    body[name] = (dtype, array.shape, array.tobytes())
+    assert words in refusal(sealed(body))
 
 
 @given(st.sampled_from(sorted(ARRAYS)), st.data())

@@ -115,7 +115,7 @@ def coarse(saved):
     [
         (lambda c: c[:-1], "damaged"),
         (lambda c: c[: len(c) // 2] + bytes((c[len(c) // 2] ^ 1,)) + c[len(c) // 2 + 1 :], "checksum"),
-        (lambda c: msgpack.packb((MAGIC, 2, b"?", b"")), "format 2"),
+        (lambda c: msgpack.packb((MAGIC, 3, b"?", b"")), "format 3"),
         (lambda c: b"P5 a picture", "not a saved map"),
         (lambda c: pack_map(made(0, 0)), "no scan"),
         (lambda c: pack_map(coarse(unpack_map(c, "it"))), "0.1 m a cell"),

@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gateway as a process, over Zenoh: what each member may do arrives, the rest does not, and is logged by name."""
+
+import json
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+import zenoh
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from shared import topics
+from shared.config import UserError, load_robot
+from shared.credentials import Credentials, parsed_credentials
+from shared.messages import Health, LogLine
+from shared.runners import transport
+from shared.runners.transport import StackAddress
+from shared.secure_folder import Member, MemberRole, SecureFolder
+from zenav.client import Client
+from zenav.secure import members
+from zenav.secure.check import check_access
+from zenav.stack.launch import free_stack
+
+ROBOT = load_robot("x80sv").robot.name
+CLOSED_S = 10.0
+"""within which a member is cut off; the gateway looks once a second."""
+
+
+class Gateway:
+    """A gateway on a stack without a robot; this test stands for the robot's services."""
+
+    def __init__(self, where: StackAddress, place: SecureFolder, address: str, client: Client) -> None:
+        self.where, self.place, self.address, self.client = where, place, address, client
+        self.lines: list[str] = []
+        self.health: Health | None = None
+        self.arrived: list[tuple[str, bytes]] = []
+        self._subscriber = client.session.declare_subscriber(
+            f"{ROBOT}/**", lambda sample: self.arrived.append((str(sample.key_expr), sample.payload.to_bytes()))
+        )
+        client.listen(topics.LOG, lambda line, _: self._log(line))
+        client.listen(topics.HEALTH, lambda health, _: self._hear(health))
+
+    def _log(self, line: LogLine) -> None:
+        self.lines.append(line.text)
+
+    def _hear(self, health: Health) -> None:
+        if health.name == "gateway":
+            self.health = health
+
+    def member(self, name: str, role: MemberRole) -> Credentials:
+        out = self.place.path.parent / f"{name}.{len(self.place.members())}.pem"
+        members.add_member(name, role, str(self.place.path), out, 10)
+        return parsed_credentials(out.read_text(), "")
+
+    def open(self, credentials: Credentials, seconds: float = CLOSED_S) -> zenoh.Session:
+        """A member's session, when the gateway lets it in."""
+        limit = time.monotonic() + seconds
+        while True:
+            try:
+                return transport.opened(StackAddress(router=f"tls/{self.address}", credentials=credentials))
+            except UserError:
+                assert time.monotonic() < limit, self.lines
+
+    def has(self, key: str, payload: bytes) -> bool:
+        return (f"{ROBOT}/{key}", payload) in self.arrived
+
+    def until(self, holds: Callable[[], object], seconds: float = CLOSED_S) -> None:
+        limit = time.monotonic() + seconds
+        while not holds():
+            assert time.monotonic() < limit, (self.lines, self.health)
+            threading.Event().wait(0.05)
+
+    def put_until(self, session: zenoh.Session, key: str, payload: bytes) -> None:
+        """Publishes until it arrives: a gateway that starts again does not hold messages."""
+
+        def arrives() -> bool:
+            session.put(f"{ROBOT}/{key}", payload)
+            return self.has(key, payload)
+
+        self.until(arrives)
+
+
+@contextmanager
+def running_gateway(folder: Path) -> Iterator[Gateway]:
+    place = SecureFolder(folder / "secure")
+    members.init_folder("x80sv", str(place.path), [])
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{probe.getsockname()[1]}"
+    with free_stack() as claim:
+        settings = (f"gateway.port.device=tls://{address}", f"gateway.folder={place.path}")
+        command = [sys.executable, "-m", "services.gateway", "--stack", str(claim.where.domain)]
+        for setting in settings:
+            command += ["--set", setting]
+        with Client(ROBOT, claim.where) as client:
+            process = subprocess.Popen(command, cwd=Path(__file__).resolve().parents[2])
+            try:
+                yield Gateway(claim.where, place, address, client)
+            finally:
+                process.terminate()
+                assert process.wait(10) == 0, "the gateway did not end"
+
+
+@pytest.fixture(scope="module")
+def gateway(tmp_path_factory) -> Iterator[Gateway]:
+    with running_gateway(tmp_path_factory.mktemp("gateway")) as gateway:
+        yield gateway
+
+
+def test_an_operator_drives_and_a_viewer_is_refused_counted_and_named(gateway):
+    with gateway.open(gateway.member("anna", MemberRole.OPERATOR)) as anna:
+        gateway.put_until(anna, "cmd/teleop", b"drive")
+        anna.put(f"{ROBOT}/cmd/vel", b"past the guard")
+        anna.put(f"{ROBOT}/cmd/teleop", b"last")
+        gateway.until(lambda: gateway.has("cmd/teleop", b"last"))
+        assert not gateway.has("cmd/vel", b"past the guard")
+        gateway.until(lambda: any("anna (operator) connected" in line for line in gateway.lines))
+    with gateway.open(gateway.member("vera", MemberRole.VIEWER)) as vera:
+        gateway.until(lambda: any("vera (viewer) connected" in line for line in gateway.lines))
+        for key in ("cmd/teleop", "estop", "cmd/vel", "request/navigate"):
+            vera.put(f"{ROBOT}/{key}", b"vera's")
+        gateway.until(lambda: any("refused to vera (viewer): put x80/estop" in line for line in gateway.lines))
+        assert not any(payload == b"vera's" for _, payload in gateway.arrived)
+        gateway.until(lambda: gateway.health and any(row[:2] == ("estop", "access") for row in gateway.health.rejected))
+
+
+def test_members_see_the_robot_and_ask_what_their_role_may(gateway):
+    asked: list[str] = []
+
+    def serve(query: zenoh.Query) -> None:
+        with query:
+            asked.append(str(query.key_expr))
+            query.reply(query.key_expr, b"answer")
+
+    served = [gateway.client.session.declare_queryable(f"{ROBOT}/{key}", serve) for key in ("pose", "request/navigate")]
+    with gateway.open(gateway.member("see", MemberRole.VIEWER)) as viewer:
+        seen: list[bytes] = []
+        viewer.declare_subscriber(f"{ROBOT}/**", lambda sample: seen.append(sample.payload.to_bytes()))
+
+        def shown() -> bool:
+            gateway.client.session.put(f"{ROBOT}/scan", b"a scan")
+            return b"a scan" in seen
+
+        gateway.until(shown)
+        gateway.until(lambda: answers(viewer, "pose"))
+        assert not answers(viewer, "request/navigate")
+    with gateway.open(gateway.member("ask", MemberRole.OPERATOR)) as operator:
+        gateway.until(lambda: answers(operator, "request/navigate"))
+    assert asked.count(f"{ROBOT}/request/navigate") == 1
+    for queryable in served:
+        queryable.undeclare()
+
+
+def answers(session: zenoh.Session, key: str) -> bool:
+    return any(reply.ok is not None for reply in session.get(f"{ROBOT}/{key}", timeout=1.0))
+
+
+def test_a_service_elsewhere_publishes_its_own_topics_alone(gateway):
+    with gateway.open(gateway.member("recorder", MemberRole.SERVICE)) as recorder:
+        gateway.put_until(recorder, "health/recorder", b"mine")
+        for key in ("scan", "cmd/vel", "health/guard", "estop"):
+            recorder.put(f"{ROBOT}/{key}", b"not mine")
+        gateway.until(lambda: any("refused to recorder (service): put x80/estop" in line for line in gateway.lines))
+        assert not any(payload == b"not mine" for _, payload in gateway.arrived)
+
+
+def test_nobody_answers_in_the_place_of_a_service(gateway):
+    with gateway.open(gateway.member("forger", MemberRole.ADMIN)) as forger:
+        forger.declare_queryable(f"{ROBOT}/map", lambda query: query.reply(query.key_expr, b"forged"))
+        gateway.put_until(forger, "cmd/teleop", b"forger is in")
+        replies = gateway.client.session.get(f"{ROBOT}/map", timeout=1.0)
+        assert [reply for reply in replies if reply.ok is not None] == []
+
+
+def test_a_revoked_member_is_cut_off_and_its_name_never_comes_back_by_the_old_file(gateway):
+    old = gateway.member("rita", MemberRole.OPERATOR)
+    with gateway.open(old) as rita:
+        gateway.put_until(rita, "cmd/teleop", b"rita drives")
+        members.revoke_member("rita", str(gateway.place.path))
+        n = 0
+
+        def refused() -> bool:
+            nonlocal n
+            n += 1
+            rita.put(f"{ROBOT}/cmd/teleop", b"rita %d" % n)
+            return any("refused to rita (revoked)" in line for line in gateway.lines)
+
+        gateway.until(refused)
+        before = len(gateway.arrived)
+        new = gateway.member("rita", MemberRole.OPERATOR)
+        with gateway.open(new) as again:
+            gateway.put_until(again, "cmd/teleop", b"new rita")
+            rita.put(f"{ROBOT}/cmd/teleop", b"old rita")
+            gateway.until(lambda: sum("refused to rita (revoked)" in line for line in gateway.lines) > 1)
+        assert not any(payload.startswith((b"rita ", b"old rita")) for _, payload in gateway.arrived[before:])
+
+
+def test_a_link_ends_with_its_certificate_and_nothing_of_it_arrives_afterwards(gateway):
+    place = gateway.place
+    end = datetime.now(UTC) + timedelta(seconds=7)  # noqa: TID251  # certificates end by the wall clock
+    brief = credentials_until(place, "brief.1", end)
+    place.write_members([*place.members(), Member("brief", MemberRole.OPERATOR, "brief.1", end.date().isoformat())])
+    with gateway.open(brief) as session:
+        gateway.put_until(session, "cmd/teleop", b"in time")
+        gateway.until(lambda: any("brief (operator) disconnected" in line for line in gateway.lines), 30)
+        session.put(f"{ROBOT}/cmd/teleop", b"too late")
+        with pytest.raises(UserError):
+            transport.opened(StackAddress(router=f"tls/{gateway.address}", credentials=brief))
+        assert not gateway.has("cmd/teleop", b"too late")
+
+
+def credentials_until(place: SecureFolder, common_name: str, end: datetime) -> Credentials:
+    """Credentials by the robot's authority that end at a time of the day."""
+    authority = x509.load_pem_x509_certificate(place.authority_certificate.read_bytes())
+    signer = serialization.load_pem_private_key(place.authority_key.read_bytes(), None)
+    key = ec.generate_private_key(ec.SECP256R1())
+    certificate = (
+        x509.CertificateBuilder()
+        .subject_name(x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)]))
+        .issuer_name(authority.subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(datetime(1970, 1, 2, tzinfo=UTC))
+        .not_valid_after(end)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH]), critical=False)
+        .sign(signer, hashes.SHA256())
+    )
+    form = (serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+    return Credentials(
+        name="brief",
+        role="operator",
+        robot=ROBOT,
+        until=end.date().isoformat(),
+        key=key.private_bytes(serialization.Encoding.PEM, *form).decode(),
+        certificate=certificate.public_bytes(serialization.Encoding.PEM).decode(),
+        authority=place.authority_certificate.read_text(),
+    )
+
+
+def test_a_member_cannot_stand_in_for_the_robot(gateway, tmp_path):
+    """A man in the middle with a member's certificate: it is one for clients, so no session takes it for the robot."""
+    spy = gateway.member("spy", MemberRole.ADMIN)
+    for name, text in (("key", spy.key), ("certificate", spy.certificate), ("authority", spy.authority)):
+        (tmp_path / name).write_text(text)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{probe.getsockname()[1]}"
+    config = zenoh.Config()
+    tls = {
+        "root_ca_certificate": str(tmp_path / "authority"),
+        "listen_certificate": str(tmp_path / "certificate"),
+        "listen_private_key": str(tmp_path / "key"),
+    }
+    config.insert_json5("mode", '"router"')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("listen/endpoints", json.dumps([f"tls/{address}"]))
+    config.insert_json5("transport/link/tls", json.dumps(tls))
+    victim = gateway.member("victim", MemberRole.OPERATOR)
+    with zenoh.open(config), pytest.raises(UserError, match="no router answers"):
+        transport.opened(StackAddress(router=f"tls/{address}", credentials=victim))
+
+
+def test_check_shows_that_every_cell_is_as_the_registry_says(gateway, capsys):
+    assert check_access(gateway.address, "x80sv", str(gateway.where.domain), str(gateway.place.path), True) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    found = {(row["action"], row["member"]): row["found"] for row in rows}
+    assert {member for action, member in found if action == "connect"} == {
+        "plain TCP", "no certificate", "certificate of another authority", "expired certificate",
+    }  # fmt: skip
+    assert found["publish cmd/teleop", "operator"] == "yes"
+    assert found["publish cmd/teleop", "viewer"] == found["publish cmd/vel", "admin"] == "-"
+    assert found["publish cmd/teleop", "revoked"] == "-"
+    assert not [row.name for row in gateway.place.members() if row.name.startswith("check-")], "left behind"
+
+
+def test_without_certificates_the_gateway_lets_nobody_in_and_says_why(tmp_path):
+    with running_gateway(tmp_path) as gateway:
+        gateway.until(lambda: gateway.health and "members connected" in gateway.health.state)
+        hidden = replace(gateway.place, path=tmp_path / "hidden")
+        gateway.place.path.rename(hidden.path)
+        gateway.until(lambda: gateway.health and "zenav secure init" in gateway.health.state)
+        with pytest.raises(OSError):
+            socket.create_connection(("127.0.0.1", int(gateway.address.rpartition(":")[2])), 1.0).close()
+        hidden.path.rename(gateway.place.path)
+        gateway.until(lambda: gateway.health and "members connected" in gateway.health.state)
