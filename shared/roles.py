@@ -21,6 +21,13 @@ class Role(StrEnum):
 
 RANK = {role: rank for rank, role in enumerate(Role)}
 
+ROUTE_ROLES = {
+    "map_download": Role.VIEWER,
+    "map_upload": Role.OPERATOR,  # as map_save
+    "recording_download": Role.OPERATOR,  # gigabytes on the link that the robot is driven by
+}
+"""Downloads and uploads of pages over HTTP."""
+
 FRAME_ROLES = {
     "want": Role.VIEWER,
     "name": Role.VIEWER,

@@ -59,6 +59,8 @@ FILES = (
     "shared/ros_map.py",
     "shared/secure_folder.py",  # keys and members
     "shared/credentials.py",  # what a member was given
+    "services/dashboard/certificate.py",
+    "services/dashboard/login_store.py",
     "shared/runners/latched_disk.py",  # what a restart must not lose
     "shared/runners/checkpoint_disk.py",  # the same, where it is large
     "shared/runners/blackbox.py",  # what a crash must not lose
@@ -267,7 +269,7 @@ def test_only_the_transport_and_zenav_speak_zenoh():
 
 
 def test_only_the_shell_of_the_page_loads_a_web_library():
-    shell = ("services/dashboard/web_app.py", "services/dashboard/web_server.py")
+    shell = tuple(f"services/dashboard/web_{name}.py" for name in ("app", "login", "server"))
     for path in files():
         if not short(path).startswith(shell):
             loads = {name.split(".")[0] for name in imported(path)} & {"starlette", "uvicorn", "websockets", "anyio"}

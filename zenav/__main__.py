@@ -18,6 +18,7 @@ from zenav.cli.robots import robot
 from zenav.cli.maps import map_
 from zenav.cli.places import places
 from zenav.cli.zones import zones
+from zenav.cli.pages import page
 from zenav.cli.calibrating import calibrate
 from zenav.cli.recordings import recording
 from zenav.cli.securing import secure
@@ -34,6 +35,7 @@ app.add_typer(topic, name="topic", rich_help_panel=LOOK)
 app.add_typer(map_, name="map", rich_help_panel=LOOK)
 app.add_typer(places, name="places", rich_help_panel=DRIVE)
 app.add_typer(zones, name="zones", rich_help_panel=DRIVE)
+app.add_typer(page, name="page", rich_help_panel=LOOK)
 app.add_typer(config, name="config", rich_help_panel=LOOK)
 app.add_typer(calibrate, name="calibrate", rich_help_panel=DRIVE)
 app.add_typer(recording, name="recording", rich_help_panel=FILES)

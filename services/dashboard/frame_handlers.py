@@ -4,6 +4,7 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from services.dashboard.audit import audit, operation_text, refusal_line, request_text
 from services.dashboard.field_checks import FrameError
 from services.dashboard.frames import PAGE_KEYS, checked_operation, request_named, request_payload
 from services.dashboard.outgoing import (
@@ -18,7 +19,7 @@ from services.dashboard.outgoing import (
 from services.dashboard.sessions import PageSession
 from shared import topics
 from shared.messages import Velocity
-from shared.roles import REQUEST_ROLES, may, operation_role
+from shared.roles import OPERATION_ROLES, REQUEST_ROLES, may, operation_role
 from shared.service import Log, Out
 
 if TYPE_CHECKING:
@@ -50,14 +51,16 @@ def let_go(service: "DashboardService", page: PageSession, fields: dict[str, Any
 
 def stop(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
     """STOP. Any page may."""
+    is_repeated = service.stop_button.is_pressing  # a page repeats it until it is confirmed
     yield topics.ESTOP(service.stop_button.set(True, page.name, service.now))
-    yield Log("INFO", f"STOP is pressed by {page.name}")
+    if not is_repeated:
+        yield audit(page, "STOP")
 
 
 def release(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
     """Releases STOP. The robot stands until its next command."""
     yield topics.ESTOP(service.stop_button.set(False, page.name, service.now))
-    yield Log("INFO", f"STOP is released by {page.name}")
+    yield audit(page, "release of STOP")
 
 
 def ask(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
@@ -68,27 +71,37 @@ def ask(service: "DashboardService", page: PageSession, fields: dict[str, Any]) 
     needed = REQUEST_ROLES[row.key]
     if not may(page.role, needed):
         yield refusing_reply(service.now, page.client, fields["id"], "role", f"{row.key} needs the role {needed}")
+        yield from _lines(refusal_line(page, row.key, service.now))
         return
     payload = request_payload(row, fields.get("args", {}), service.now)
+    if text := request_text(row.key, fields.get("args", {})):
+        yield audit(page, text)
     yield ask_order(service.now, page.client, fields["id"], row.key, payload)
 
 
 def do(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
     """An operation of the tools."""
     op = fields["op"]
-    arguments = checked_operation(op, fields.get("args", {}))
-    needed = operation_role(op, arguments)
-    if not may(page.role, needed):
+    values = fields.get("args", {})
+    needed = operation_role(op, values) if op in OPERATION_ROLES else None
+    if needed is not None and not may(page.role, needed):
         yield refusing_reply(service.now, page.client, fields["id"], "role", f"{op} needs the role {needed}")
-    elif op == "recording_mark":  # the log is recorded, so the mark is there
+        yield from _lines(refusal_line(page, op, service.now))
+        return
+    arguments = checked_operation(op, values)
+    if op == "recording_mark":  # the log is recorded, so the mark is there
         yield Log("INFO", f"mark by {page.name}: {arguments['text']}")
         yield accepting_reply(service.now, page.client, fields["id"])
-    else:
-        yield do_order(service.now, page.client, fields["id"], op, arguments)
+        return
+    if text := operation_text(op, arguments):
+        yield audit(page, text)
+    yield do_order(service.now, page.client, fields["id"], op, arguments)
 
 
 def name(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
-    """The name that other users see."""
+    """The name that other users see. A page that has logged in has the name of its login."""
+    if page.is_login:
+        raise FrameError("the name is that of the login")
     page.name = fields["name"].strip() or f"page {page.client}"
     yield service.clients()
 
@@ -96,6 +109,11 @@ def name(service: "DashboardService", page: PageSession, fields: dict[str, Any])
 def ping(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
     """The time of a page's link."""
     yield frame(service.now, page.client, {"t": "pong", "id": fields["id"], "now": service.now})
+
+
+def _lines(line: Log | None) -> Out:
+    if line is not None:
+        yield line
 
 
 def teleop_out(velocity: Velocity | None) -> Out:

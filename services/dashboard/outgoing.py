@@ -49,6 +49,7 @@ def hello(now: int, page: PageSession, robot: Robot, simulated: bool, version: s
         "client": page.client,
         "name": page.name,
         "role": str(page.role),
+        "login": page.is_login,
         "robot": {
             "name": robot.name,
             "outline": robot.corners.tolist(),

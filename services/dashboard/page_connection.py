@@ -9,6 +9,7 @@ import msgpack
 
 from services.dashboard.map_tiles import MapTiles, TileFeed
 from services.dashboard.outbox import Outbox, OutboxFullError
+from services.dashboard.web_guard import PageUser
 from shared import topics
 from shared.topics import topic_of
 
@@ -22,8 +23,8 @@ PAUSE_S = 0.02  # between two rounds of sending: messages of one moment leave to
 class PageConnection:
     """One page. `send_all` runs until `end`."""
 
-    def __init__(self, client: int, tiles: MapTiles) -> None:
-        self.client = client
+    def __init__(self, client: int, tiles: MapTiles, user: PageUser) -> None:
+        self.client, self.user = client, user
         self.keys: frozenset[str] = frozenset()
         self.end_reason = ""
         self._outbox, self._feed = Outbox(), TileFeed(tiles)

@@ -16,16 +16,20 @@ import msgpack
 from services.dashboard.map_tiles import MapTiles
 from services.dashboard.page_connection import EVENT_KEYS, PageConnection
 from services.dashboard.stack_link import Deliver, refusal
+from services.dashboard.web_guard import PageUser
 from shared import topics
 from shared.codec import CodecError, decode
 from shared.config import UserError
 from shared.reasons import BUSY
 from shared.topics import topic_of
 
+SESSION_ENDED = "the login has ended"
 LINGER_S = 5.0
 """for which the session stays open after the last page: a reload needs it again."""
 MAX_INCOMING = 4096  # messages that wait for the loop; then the oldest are dropped
 MAX_ASKS = 16  # requests that wait for services at once
+WATCH_SESSIONS_S = 2.0  # between two looks whether the sessions of open pages still hold
+REFUSALS_S = 1.0  # between two reports of refused requests: a flood of them is one line
 OTHER_TELEOP_S = 0.1  # between two notices that another tool drives
 
 
@@ -51,19 +55,33 @@ class Tools(Protocol):
     async def close(self) -> None: ...
 
 
+class Sessions(Protocol):
+    """services.dashboard.login_store.LoginStore, as far as it is needed here."""
+
+    def is_open(self, digest: str) -> bool: ...
+
+
 MakeLink = Callable[[Deliver, Callable[[], None]], Link]
 
 
 class PageHub:
     """The open pages of a loop.
 
-    to_core: takes an event for the core.  make_link: from `deliver` and `other_teleop`.  version: of this program.
+    to_core: takes an event for the core.  make_link: from `deliver` and `other_teleop`.  csrf: the token of the pages
+    of a session, by its digest.  version: of this program.
     """
 
     def __init__(
-        self, to_core: Callable[[dict[str, Any]], None], make_link: MakeLink, tools: Tools, token: str, version: str
+        self,
+        to_core: Callable[[dict[str, Any]], None],
+        make_link: MakeLink,
+        tools: Tools,
+        sessions: Sessions,
+        csrf: Callable[[str], str],
+        version: str,
     ) -> None:
-        self.tools, self.token = tools, token
+        self.tools = tools
+        self._sessions, self._csrf = sessions, csrf
         self.link = make_link(self.deliver, self.other_teleop)
         self._to_core, self._version = to_core, version
         self._loop = asyncio.get_running_loop()
@@ -80,10 +98,12 @@ class PageHub:
         self._n_asks = 0
         self._closing: asyncio.TimerHandle | None = None
         self._tasks: set[asyncio.Task[None]] = set()
-        self._other_at = float("-inf")
+        self._other_at = self._refused_at = float("-inf")
+        self._n_refused = 0
+        self._watching: asyncio.TimerHandle | None = None
 
-    async def opened(self, host: str) -> PageConnection:
-        """A page of a computer has connected."""
+    async def opened(self, user: PageUser) -> PageConnection:
+        """A page has connected."""
         if self._closing is not None:
             self._closing.cancel()
             self._closing = None
@@ -93,11 +113,13 @@ class PageHub:
         except UserError as error:
             trouble = f"{error.what}: {error.hint}"
         self._n_opened += 1
-        page = self._pages[self._n_opened] = PageConnection(self._n_opened, self._tiles)
-        event = {"event": "open", "host": host, "simulated": self.link.is_simulated, "version": self._version}
+        page = self._pages[self._n_opened] = PageConnection(self._n_opened, self._tiles, user)
+        event = {"event": "open", **_fields(user), "simulated": self.link.is_simulated, "version": self._version}
         self._to_core({"client": page.client, **event})
         if trouble:
             page.reply({"t": "note", "level": "error", "text": trouble, "hint": "reload the page when it runs"})
+        if user.digest and self._watching is None:
+            self._watching = self._loop.call_later(WATCH_SESSIONS_S, self._watch_sessions)
         return page
 
     def closed(self, page: PageConnection) -> None:
@@ -113,8 +135,39 @@ class PageHub:
         """A page has sent a frame."""
         self._to_core({"client": page.client, "event": "frame", "data": data})
 
+    def report(self, event: str, user: PageUser, what: str = "") -> None:
+        """What a user did besides the frames of a page: an event of login_reports.py."""
+        self._to_core({"client": None, "event": event, **_fields(user), "what": what})
+
+    def report_refusal(self, address: str, what: str) -> None:
+        """A request was refused."""
+        self._n_refused += 1
+        now = self._loop.time()
+        if now - self._refused_at >= REFUSALS_S:
+            self._refused_at = now
+            self._to_core({"client": None, "event": "refused", "host": address, "what": what, "n": self._n_refused})
+            self._n_refused = 0
+
+    def end_session(self, digest: str, reason: str) -> None:
+        """Closes the pages of a session. What it drives gets zero at once."""
+        for page in [page for page in self._pages.values() if page.user.digest == digest]:
+            self.closed(page)
+            page.end(reason)
+
+    def _watch_sessions(self) -> None:
+        self._watching = None
+        users = {page.user.digest: page.user for page in self._pages.values() if page.user.digest}
+        ended = [user for digest, user in users.items() if not self._sessions.is_open(digest)]
+        for user in ended:
+            self.report("session_end", user)
+            self.end_session(user.digest, SESSION_ENDED)
+        if len(ended) < len(users):
+            self._watching = self._loop.call_later(WATCH_SESSIONS_S, self._watch_sessions)
+
     async def close(self) -> None:
         """Ends everything."""
+        if self._watching is not None:
+            self._watching.cancel()
         for page in list(self._pages.values()):
             page.end("the page's server ends")
         for task in self._tasks:
@@ -137,7 +190,7 @@ class PageHub:
                 page.take(order["t"], order["frame"])
         elif "hello" in order:
             for page in pages:
-                page.reply({**order["hello"], "csrf": self.token})
+                page.reply({**order["hello"], "csrf": self._csrf(page.user.digest)})
         elif "want" in order:
             for page in pages:
                 self._want(page, frozenset(order["want"]))
@@ -252,3 +305,7 @@ class PageHub:
         for page in self._pages.values():
             if key in page.keys:
                 page.message(key, frame)
+
+
+def _fields(user: PageUser) -> dict[str, str]:
+    return {"host": user.address, "name": user.name, "role": str(user.role)}

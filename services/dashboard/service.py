@@ -3,9 +3,10 @@
 
 Both directions are streams of msgpack maps. Each map of topics.RX has an `event` of the shell:
 
-- `open` and `close` of a page (`client`);
+- `open` and `close` of a page (`client`; `name` and `role` of its login, `host`: its address);
 - `frame`: `data` has the bytes of a frame (docs/page.md);
-- `other_teleop`: another tool drives.
+- `other_teleop`: another tool drives;
+- what login_reports.py takes.
 
 outgoing.py has the maps of topics.TX. So all commands of pages are in the journal.
 """
@@ -14,20 +15,22 @@ from collections.abc import Iterator
 from typing import Any
 
 import msgpack
-from pydantic import Field
 
+from services.dashboard.audit import audit, refusal_line
+from services.dashboard.config import DashboardConfig
 from services.dashboard.driving import PageDriving
 from services.dashboard.field_checks import FrameError
 from services.dashboard.frame_handlers import FRAME_HANDLERS, teleop_out
 from services.dashboard.frames import checked_frame, request_payload, unpacked_frame
+from services.dashboard.login_reports import LoginReports
 from services.dashboard.outgoing import PORT, ask_order, frame, hello, note, refusing_reply
 from services.dashboard.sessions import PageSession, PageSessions
 from services.dashboard.stop_button import StopButton
 from shared import reasons, requests, topics
-from shared.config import Robot, Section
+from shared.config import Robot
 from shared.messages import GuardStatus, PortState, SerialData, Velocity
 from shared.ports import PortConfig
-from shared.roles import FRAME_ROLES, may
+from shared.roles import FRAME_ROLES, Role, may
 from shared.service import Log, Out, Service, every, on
 from shared.teleop_arbiter import TeleopRefusedError
 from shared.topics import Publication
@@ -36,20 +39,6 @@ from shared.types import NS_PER_S
 WATCH_EVERY_NS = 2 * NS_PER_S
 """between two requests that local control shows what it sees."""
 WATCH_FOR_S = 10.0
-
-
-class DashboardConfig(Section):
-    """The page."""
-
-    port: PortConfig = Field(
-        PortConfig(device="web://127.0.0.1"),
-        description="web://127.0.0.1:PORT, this computer's own address only; without PORT: 8600 + the stack's number",
-    )
-    tools: str = Field(
-        "zenav.page.tools",
-        pattern=r"^([a-z_]+(\.[a-z_]+)*)?$",
-        description="module of the process that works on maps, places, recordings and settings for pages; empty: none",
-    )
 
 
 class DashboardService(Service):
@@ -67,6 +56,8 @@ class DashboardService(Service):
         self.source = ""  # of commands, in the guard
         self.watched_at: int | None = None  # ns, of the last request to local control
         self.shown_drivers: dict[str, Any] = {}
+        self.audited_driver: PageSession | None = None
+        self.reports = LoginReports()
 
     @property
     def ports(self) -> dict[str, PortConfig]:
@@ -75,7 +66,8 @@ class DashboardService(Service):
     def state(self) -> str:
         if not self.is_open:
             return self.detail or "no port: set dashboard.port.device"
-        return f"{len(self.pages)} page{'' if len(self.pages) == 1 else 's'} open"
+        pages = f"{len(self.pages)} page{'' if len(self.pages) == 1 else 's'} open"
+        return "; ".join((pages, *self.reports.detail(self.now)))
 
     @on(topics.PORT)
     def port_state(self, state: PortState) -> Out:
@@ -136,13 +128,20 @@ class DashboardService(Service):
             page = self.pages.get(client)
             if page is not None:
                 yield from self._frame(page, event["data"])
+        else:
+            yield from self.reports.take(event, self.now)
 
     def _open(self, client: int, event: dict[Any, Any]) -> Out:
-        page = self.pages.open(client, str(event.get("host", "")))
+        given = event.get("role")
+        role = Role(given) if given in tuple(Role) else None
+        page = self.pages.open(client, str(event.get("host", "")), str(event.get("name", "")), role)
         version = str(event.get("version", ""))
         yield hello(self.now, page, self.robot, event.get("simulated") is True, version)
         yield self.clients()
         yield frame(self.now, client, {"t": "drivers", **self._drivers_now()})
+        warning = self.reports.certificate_detail(self.now)
+        if warning:
+            yield note(self.now, client, "warning", warning, "zenav secure renew")
 
     def _close(self, client: int) -> Out:
         yield from teleop_out(self.driving.let_go(client, self.now))
@@ -156,6 +155,9 @@ class DashboardService(Service):
             answered = values.get("id") if kind in ("ask", "do") else None
             fields = checked_frame(kind, values)
             if not may(page.role, FRAME_ROLES[kind]):
+                line = refusal_line(page, kind, self.now)
+                if line is not None:
+                    yield line
                 raise FrameError(f"a {page.role} may not send {kind}")
             yield from FRAME_HANDLERS[kind](self, page, fields)
         except FrameError as error:
@@ -186,7 +188,13 @@ class DashboardService(Service):
         }
 
     def _drivers(self) -> Out:
-        """Shows all pages which one drives, at changes."""
+        """Shows all pages which one drives, at changes, and the audit when that begins and ends."""
+        driver, before = self.driving.arbiter.driver, self.audited_driver
+        if (driver and driver.client) != (before and before.client):
+            self.audited_driver = self.pages.get(driver.client) if driver else None
+            for page, text in ((before, "teleop ends"), (self.audited_driver, "teleop begins")):
+                if page is not None:
+                    yield audit(page, text)
         shown = self._drivers_now()
         if len(self.pages) and shown != self.shown_drivers:
             yield frame(self.now, None, {"t": "drivers", **shown})

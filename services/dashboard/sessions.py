@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pages that are open: their names, roles, and what each shows."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from ipaddress import ip_address
 from typing import Any
 
@@ -10,14 +10,21 @@ from shared.roles import Role
 
 @dataclass
 class PageSession:
-    """One page. keys: its topics.  debug: it also shows what local control sees.  n: its last teleop frame."""
+    """One page. address: IP address of its computer.  is_login: it has logged in, so its name is that of the login.
+
+    keys: its topics.  debug: it also shows what local control sees.  n: its last teleop frame.  refused_at: ns, of the
+    last line of the audit for each command that it may not give.
+    """
 
     client: int
     name: str
     role: Role
+    address: str
+    is_login: bool = False
     keys: frozenset[str] = frozenset()
     debug: bool = False
     n: int = -1
+    refused_at: dict[str, int] = field(default_factory=dict)
 
 
 class PageSessions:
@@ -26,9 +33,10 @@ class PageSessions:
     def __init__(self) -> None:
         self._sessions: dict[int, PageSession] = {}
 
-    def open(self, client: int, host: str) -> PageSession:
-        """A new page of a computer."""
-        session = self._sessions[client] = PageSession(client, f"page {client}", role_of(host))
+    def open(self, client: int, address: str, name: str, role: Role | None) -> PageSession:
+        """A new page. name: of its login; empty without one.  role: None where the shell's event has none."""
+        session = PageSession(client, name or f"page {client}", role or role_of(address), address, bool(name))
+        self._sessions[client] = session
         return session
 
     def close(self, client: int) -> bool:
@@ -62,7 +70,7 @@ class PageSessions:
 
 
 def role_of(host: str) -> Role:
-    """The role of a computer's pages by its address. Without credentials, this computer's users may do everything."""
+    """The role by the address alone, as recordings from before the login need it."""
     try:
         return Role.ADMIN if ip_address(host).is_loopback else Role.VIEWER
     except ValueError:

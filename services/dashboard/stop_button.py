@@ -16,6 +16,11 @@ class StopButton:
         """While the guard has not confirmed it: the order as it was first published."""
         self._sent_at = 0
 
+    @property
+    def is_pressing(self) -> bool:
+        """Whether STOP is pressed and not yet confirmed."""
+        return self.order is not None and self.order.pressed
+
     def set(self, pressed: bool, by: str, now: int) -> EmergencyStop:
         """Presses or releases STOP. Returns the message to publish."""
         self.order, self._sent_at = EmergencyStop(now, pressed, by), now

@@ -5,6 +5,7 @@ It listens before it loads the web library: that is done for the first browser, 
 """
 
 import asyncio
+import hmac
 import secrets
 import socket
 import threading
@@ -17,21 +18,27 @@ from typing import Any, cast
 import msgpack
 
 from services.dashboard.address import page_address
+from services.dashboard.config import DashboardConfig
+from services.dashboard.login_store import LoginStore
 from services.dashboard.outgoing import PORT
 from services.dashboard.page_hub import PageHub
-from services.dashboard.service import DashboardConfig
 from services.dashboard.stack_link import StackLink
 from services.dashboard.tool_process import ToolProcess
+from services.dashboard.web_guard import Access
 from shared import topics
+from shared.config import UserError
 from shared.messages import PortState, SerialData
 from shared.runners.devices import DeviceContext
+from shared.secure_folder import secure_folder
+from shared.types import NS_PER_S
 
 AGAIN_S = 5.0  # between two tries to get the port
 END_LIMIT_S = 3.0
+RENEW_EVERY_S = 3600.0
 
 
 def web_device(context: DeviceContext) -> "WebDevice":
-    """The device of a configuration, not yet open. Raises UserError where its address is not this computer's own."""
+    """The device of a configuration, not yet open. Raises UserError where its address or certificate is wrong."""
     return WebDevice(context)
 
 
@@ -40,7 +47,10 @@ class WebDevice:
 
     def __init__(self, context: DeviceContext) -> None:
         self._context = context
-        self.address = page_address(context.config.device, context.where)
+        self._section = cast(DashboardConfig, context.section)
+        self.address = page_address(self._section, context.where)
+        certificate = self.address.certificate
+        self._tls = None if certificate is None else certificate.context()
         self._thread = threading.Thread(target=self._run, name="web", daemon=True)
         self._ready = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -82,19 +92,26 @@ class WebDevice:
         if listening is None:
             return
         self._publish_state(True, "")
+        renewing = asyncio.create_task(self._renew_certificate())
         if await _first(self._connection(listening), self._ending.wait()):
             await self._serve_pages(listening)
+        renewing.cancel()
         listening.close()
 
     async def _serve_pages(self, listening: socket.socket) -> None:
         from services.dashboard.web_app import web_app
         from services.dashboard.web_server import WebServer
 
-        section = cast(DashboardConfig, self._context.section)
-        tools = ToolProcess(section.tools, self._context.arguments)
+        tools = ToolProcess(self._section.tools, self._context.arguments)
+        store, key = LoginStore(secure_folder()), secrets.token_bytes(32)
+
+        def csrf(digest: str) -> str:
+            return hmac.new(key, digest.encode(), "sha256").hexdigest()
+
+        access = Access(self.address, self._section.login, store.session, csrf)
         make_link = partial(StackLink, self._context.robot, self._context.where)
-        hub = self._hub = PageHub(self._publish_event, make_link, tools, secrets.token_urlsafe(32), _version())
-        server = WebServer(web_app(hub), listening)
+        hub = self._hub = PageHub(self._publish_event, make_link, tools, store, csrf, _version())
+        server = WebServer(web_app(hub, access, store), listening, self._tls)
         await server.start()
         if self._ending is not None:
             await self._ending.wait()
@@ -105,7 +122,7 @@ class WebDevice:
         """The open port; None where the device was closed before it could be had."""
         while self._ending is not None and not self._ending.is_set():
             try:
-                listening = socket.create_server(self.address, family=_family(self.address.host), backlog=64)
+                listening = socket.create_server(self.address[:2], family=_family(self.address.host), backlog=64)
                 self.address = self.address._replace(port=listening.getsockname()[1])  # 0 is any free one
                 return listening
             except OSError as error:
@@ -125,6 +142,17 @@ class WebDevice:
 
     def _publish_event(self, event: dict[str, Any]) -> None:
         self._publish(topics.RX(SerialData(self._context.clock.now(), PORT, bytes(msgpack.packb(event)))))
+
+    async def _renew_certificate(self) -> None:
+        """Shows a certificate that was renewed on disk to new connections, and reports when the present one ends."""
+        certificate = self.address.certificate
+        while self._tls is not None and certificate is not None:
+            until = round(certificate.until) * NS_PER_S
+            self._publish_event({"client": None, "event": "certificate", "until": until})
+            await asyncio.sleep(RENEW_EVERY_S)
+            with suppress(UserError):  # the present one goes on; the health shows its end
+                certificate = page_address(self._section, self._context.where).certificate or certificate
+                certificate.load_into(self._tls)
 
     def _publish_state(self, is_open: bool, detail: str) -> None:
         if self._state != (is_open, detail):

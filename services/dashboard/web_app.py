@@ -13,9 +13,12 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from services.dashboard.field_checks import FrameError, item_name, recording_name
+from services.dashboard.login_store import LoginStore
 from services.dashboard.page_connection import PageConnection
-from services.dashboard.page_hub import PageHub
-from services.dashboard.web_guard import App, WebGuard
+from services.dashboard.page_hub import SESSION_ENDED, PageHub
+from services.dashboard.web_guard import USER, Access, App, PageUser, WebGuard
+from services.dashboard.web_login import login_routes
+from shared.roles import ROUTE_ROLES, may
 
 STATIC = Path(__file__).resolve().parent / "static"
 MAX_FRAMES = 60
@@ -23,17 +26,18 @@ MAX_FRAMES = 60
 MAX_UPLOAD = 64 * 2**20  # bytes
 UPLOAD_LIMIT_S = 60.0
 TOO_MANY, TOO_SLOW, GOING_AWAY = 1008, 1013, 1001  # RFC 6455, section 7.4
+NO_SESSION = 4401  # of the range for applications: the page shows its login
 
 
-def web_app(hub: PageHub) -> App:
-    """The application of a hub's pages."""
+def web_app(hub: PageHub, access: Access, store: LoginStore) -> App:
+    """The application of a hub's pages. store: of their logins."""
 
     async def index(request: Request) -> Response:
         return FileResponse(STATIC / "index.html", headers={"cache-control": "no-cache"})
 
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
-        page = await hub.opened(websocket.client.host if websocket.client is not None else "")
+        page = await hub.opened(websocket.scope[USER])
         sending = asyncio.create_task(_send(websocket, page))
         try:
             await _receive(websocket, page, hub)
@@ -43,21 +47,32 @@ def web_app(hub: PageHub) -> App:
             await sending
 
     async def map_file(request: Request) -> Response:
+        refused = _role_refusal(request, hub, "map_download")
+        if refused is not None:
+            return refused
         return _file(await _run(hub, "map_download", request.path_params["name"], item_name), "application/zip")
 
     async def upload(request: Request) -> Response:
+        refused = _role_refusal(request, hub, "map_upload")
+        if refused is not None:
+            return refused
         try:
             name = item_name(request.query_params.get("name", ""))
             content = await _body(request)
         except FrameError as error:
             return PlainTextResponse(f"{error}\n", 400)
+        hub.report("upload", request.scope[USER], name)
         return _report(await hub.tools.run("map_upload", {"name": name, "content": content}))
 
     async def recording(request: Request) -> Response:
+        refused = _role_refusal(request, hub, "recording_download")
+        if refused is not None:
+            return refused
         reply = await _run(hub, "recording_path", request.path_params["name"], recording_name)
         if not reply["accepted"]:
             return _report(reply)
         path = Path(reply["data"])
+        hub.report("download", request.scope[USER], path.name)
         return FileResponse(path, filename=path.name, media_type="application/octet-stream")
 
     routes = [
@@ -67,8 +82,19 @@ def web_app(hub: PageHub) -> App:
         Route("/recordings/{name}", recording),
         WebSocketRoute("/ws", socket),
         Mount("/static", StaticFiles(directory=STATIC)),
+        *login_routes(hub, store),
     ]
-    return WebGuard(Starlette(routes=routes), hub.token)
+    return WebGuard(Starlette(routes=routes), access, hub.report_refusal)
+
+
+def _role_refusal(request: Request, hub: PageHub, route: str) -> Response | None:
+    """The answer to a user whose role does not suffice, else None."""
+    user: PageUser = request.scope[USER]
+    needed = ROUTE_ROLES[route]
+    if may(user.role, needed):
+        return None
+    hub.report_refusal(user.address, f"{route} for {user.name} ({user.role})")
+    return PlainTextResponse(f"{route} needs the role {needed}\n", 403)
 
 
 async def _receive(websocket: WebSocket, page: PageConnection, hub: PageHub) -> None:
@@ -95,7 +121,7 @@ async def _receive(websocket: WebSocket, page: PageConnection, hub: PageHub) -> 
 async def _send(websocket: WebSocket, page: PageConnection) -> None:
     try:
         reason = await page.send_all(websocket.send_bytes)
-        code = TOO_MANY if "frame" in reason else GOING_AWAY
+        code = NO_SESSION if reason == SESSION_ENDED else TOO_MANY if "frame" in reason else GOING_AWAY
     except TimeoutError:
         reason, code = "the page does not read", TOO_SLOW
     except (WebSocketDisconnect, RuntimeError):

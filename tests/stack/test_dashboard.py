@@ -3,16 +3,22 @@
 
 import socket
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from services.dashboard.address import BASE_PORT
+from services.dashboard.login_store import LoginStore
 from shared import topics
 from shared.codec import decode
 from shared.messages import GuardState, PoseEstimate, Velocity
 from shared.recording import Recording
+from shared.roles import Role
 from tests.stack.processes import ROBOT, StackProcesses, running
 from tests.unit.services.dashboard.browser import Browser
+from tests.unit.services.dashboard.credentials import REMOTE, make_credentials
+from tests.unit.services.dashboard.remote import RemoteComputer
 from zenav.client import Client
 from zenav.recording.opening import recorded_robot_file
 from zenav.replay.report import service_builder
@@ -125,10 +131,59 @@ def test_what_pages_did_replays_to_the_byte_and_a_tool_lists_the_recording(tmp_p
             page.until(lambda: any("msgpack" in f["text"] for f in page.of("note")))
             (row,) = [row for row in page.ask("do", op="recordings")["data"] if row["name"] == path.name]
             assert row["current"]
+    assert_replays(path, ("cmd/teleop", "estop", "port/tx/dashboard"))
+
+
+def assert_replays(path: Path, keys: tuple[str, ...]) -> None:
+    """The dashboard replays to the byte, with messages of these keys."""
     file = recorded_robot_file(Recording(path))
     assert file is not None
     report = replay_file(path, ["dashboard"], None, service_builder(file), lambda done, of: None)
     assert report.notes == []
     assert report.equal, report
     counts = {topic.key: topic.n_equal for topic in report.topics}
-    assert min(counts[key] for key in ("cmd/teleop", "estop", "port/tx/dashboard")) >= 1
+    assert min(counts[key] for key in keys) >= 1
+
+
+def test_a_recording_of_logins_has_name_role_and_audit_no_token_and_replays_to_the_byte(tmp_path, monkeypatch):
+    path, secure = tmp_path / "page.mcap", tmp_path / "secure"
+    monkeypatch.setenv("ZENAV_SECURE", str(secure))
+    store = LoginStore(make_credentials(secure))
+    settings = (f"recorder.file={path}", f"dashboard.port.device=web://{REMOTE}")
+    secrets = [store.invite("anna", Role.OPERATOR, 15), store.invite("ben", Role.VIEWER, 15)]
+    with running(tmp_path / "logs", ("recorder", *BARE), settings=settings) as stack:
+        stack.client.follow(topics.CMD_VEL)
+        anna, ben = (RemoteComputer(BASE_PORT + stack.where.domain) for _ in range(2))
+        assert anna.login("a-wrong-token-of-a-stranger") == 401
+        assert [anna.login(secrets[0]), ben.login(secrets[1])] == [200, 200]
+        secrets += ["a-wrong-token-of-a-stranger", anna.cookie, ben.cookie]
+        with anna.page() as page, ben.page() as other:
+            secrets += [shown.first("hello")["csrf"] for shown in (page, other)]
+            drive(stack, page)
+            other.teleop(-0.1)
+            other.until(lambda: any("may not send" in f["text"] for f in other.of("note")))
+            store.revoke("anna")
+            page.until(lambda: page.closed)
+            stack.until(lambda: commanded(stack, 0.0))
+            assert ben.request("POST", "/logout", b"", x_csrf=secrets[-1])[0] == 204
+            other.until(lambda: other.closed)
+    assert_replays(path, ("cmd/teleop", "port/tx/dashboard", "log/dashboard"))
+    with path.open("rb") as file:
+        recorded = [(channel.topic, message.data) for _, channel, message in make_reader(file).iter_messages()]
+        file.seek(0)
+        attached = [attachment.data for attachment in make_reader(file).iter_attachments()]
+    logged = b"".join(data for key, data in recorded if key.endswith("log/dashboard"))
+    for line in (
+        f"anna (operator, {REMOTE}): login",
+        f"anna (operator, {REMOTE}): teleop begins",
+        f"anna (operator, {REMOTE}): teleop ends",
+        f"anna (operator, {REMOTE}): the session is revoked",
+        f"ben (viewer, {REMOTE}): refused: teleop",
+        f"ben (viewer, {REMOTE}): logout",
+        f"failed login 1 from {REMOTE}",
+    ):
+        assert line.encode() in logged, line
+    written = [file.read_bytes() for file in (tmp_path / "logs").rglob("*") if file.is_file()]
+    whole = b"".join([*(data for _, data in recorded), *attached, *written])
+    assert b"anna" in whole
+    assert all(secret.encode() not in whole for secret in secrets)

@@ -60,7 +60,7 @@ function hello({ client, name }) {
   const rows = [...text.matchAll(/Reason\("(\w+)", "([^"]*)", "([^"]*)", "(\w+)"\)/g)];
   const outline = [[0.2, -0.085], [0.2, 0.085], [0.085, 0.2], [-0.085, 0.2], [-0.2, 0.085], [-0.2, -0.085], [-0.085, -0.2], [0.085, -0.2]];
   return {
-    t: "hello", client, name, role: "admin", simulated: true, version: "mock", csrf: "mock", keys: KEYS,
+    t: "hello", client, name, role: "admin", login: false, simulated: true, version: "mock", csrf: "mock", keys: KEYS,
     robot: { name: "x80", outline, laser_mount: [0.13, 0, -Math.PI / 2], max_speed: 0.8, max_reverse_speed: 0.3, max_turn_rate: 2 },
     reasons: Object.fromEntries(rows.map(([, code, words, hint, severity]) => [code, [words, hint, severity]])),
   };

@@ -4,7 +4,9 @@
 import { effect } from "@preact/signals";
 import { useEffect, useLayoutEffect, useRef } from "preact/hooks";
 
+import { needsLogin } from "./access";
 import { Chips } from "./components/Chips";
+import { LoginView } from "./components/LoginView";
 import { MapControls, Toolbar } from "./components/MapControls";
 import { Notices } from "./components/Notices";
 import { OfflineBanner } from "./components/OfflineBanner";
@@ -38,6 +40,14 @@ export function App() {
       }),
     [],
   );
+  if (needsLogin.value) {
+    return (
+      <div class="app">
+        <LoginView />
+        <Notices />
+      </div>
+    );
+  }
   return (
     <div class={classes.filter(Boolean).join(" ")}>
       <MapCanvas />

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The WebSocket: connects again by itself with growing pauses, sends commands, and hands each frame to `dispatch`.
 
+import { checkSession, needsLogin, SESSION_ENDED } from "./access";
 import { notify } from "./notices";
 import { type ClientFrame, type Reply, type ServerFrame } from "./protocol";
 import { clock, connected, hello, link, rtt } from "./state";
@@ -92,12 +93,15 @@ function open(): void {
     if (socket === mine) receive(event.data);
   };
   mine.onclose = (event) => {
-    if (socket === mine) onClose(event.reason);
+    if (socket !== mine) return;
+    if (event.code === SESSION_ENDED) location.reload(); // it shows the login, and nothing of the robot
+    else onClose(event.reason);
   };
 }
 
 function onClose(reason: string): void {
   socket = null;
+  if (link.peek().state === "connecting") void stopWithoutSession();
   clock.reset();
   rtt.value = null;
   pings.clear();
@@ -109,6 +113,11 @@ function onClose(reason: string): void {
     settle({ t: "reply", id: 0, accepted: false, reason: "page_offline", detail: "", hint: "", data: null });
   }
   retryTimer = setTimeout(open, delay);
+}
+
+/** A connection that never opened may want a login, which no further attempt replaces. */
+async function stopWithoutSession(): Promise<void> {
+  if (await checkSession()) clearTimeout(retryTimer);
 }
 
 function receive(data: unknown): void {
@@ -123,6 +132,7 @@ function receive(data: unknown): void {
   }
   if (frame.t === "hello") {
     attempts = 0;
+    needsLogin.value = false;
     hello.value = frame;
     link.value = { state: "open", retryAt: 0, since: performance.now() };
     ping();

@@ -49,7 +49,7 @@ export function watchWants(): void {
 }
 
 function onHello(frame: Hello): void {
-  if (pageName.peek() !== "") send({ t: "name", name: pageName.peek() });
+  if (!frame.login && pageName.peek() !== "") send({ t: "name", name: pageName.peek() });
   drivers.value = null;
   document.title = `${frame.robot.name} · zenav`;
   void loadPlaces();

@@ -2,6 +2,7 @@
 import { render } from "preact";
 
 import "./style/app.css";
+import { logInByAddress } from "./access";
 import { App } from "./App";
 import { start } from "./connection";
 import { dispatcher, watchWants } from "./dispatch";
@@ -49,4 +50,6 @@ window.addEventListener("keydown", (event) => {
   if (plain && map !== null && !isTextInput(event.target) && onViewKey(map, event)) event.preventDefault();
 });
 
-start(dispatcher((frame) => mapView.peek()?.onTiles(frame)));
+// A link that is opened in a page that is open already changes its address only.
+window.addEventListener("hashchange", () => void logInByAddress().then((isIn) => isIn && location.reload()));
+void logInByAddress().then(() => start(dispatcher((frame) => mapView.peek()?.onTiles(frame))));

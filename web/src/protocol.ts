@@ -21,6 +21,8 @@ export interface Hello {
   readonly client: number;
   readonly name: string;
   readonly role: Role;
+  /** Whether it has logged in: then its name is that of the login. */
+  readonly login: boolean;
   readonly robot: Robot;
   readonly simulated: boolean;
   readonly version: string;

@@ -63,6 +63,8 @@ export const clock = new StackClock();
 export const now = signal(0);
 
 export const connected = computed(() => link.value.state === "open" && hello.value !== null);
+/** Whether the role of the page suffices, as shared/roles.py has it. The server decides. */
+export const mayAdminister = computed(() => connected.value && hello.value?.role === "admin");
 export const mayOperate = computed(() => connected.value && hello.value?.role !== "viewer");
 
 /** Seconds without a message after which a key's data is shown as old. Events (goal, zones, estop) do not age. */

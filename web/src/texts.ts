@@ -207,6 +207,27 @@ export const TEXTS = {
   theme_dark: ["Dark", "Dunkel"],
   language: ["Language", "Sprache"],
   page_name: ["Name that others see while you drive", "Name, den andere sehen, während du fährst"],
+  log_in: ["Log in", "Anmelden"],
+  log_out: ["Log out", "Abmelden"],
+  login_hint: [
+    "This robot's page wants an invitation. Open its link, scan its code, or paste the link here.",
+    "Die Seite dieses Roboters verlangt eine Einladung. Öffne ihren Link, scanne ihren Code oder füge den Link hier ein.",
+  ],
+  login_link: ["Link of the invitation", "Link der Einladung"],
+  login_refused: [
+    "This invitation is used, has ended or is none. Ask for another one.",
+    "Diese Einladung ist benutzt, abgelaufen oder keine. Bitte um eine neue.",
+  ],
+  login_slowed: ["Too many failed logins. Wait, then try again.", "Zu viele Fehlversuche. Warte, dann versuche es wieder."],
+  login_unreachable: ["The robot does not answer.", "Der Roboter antwortet nicht."],
+  viewer_note: [
+    "You are a viewer: you see everything and may press STOP. Commands need an operator's invitation.",
+    "Du bist Zuschauer: Du siehst alles und darfst STOP drücken. Befehle brauchen die Einladung eines Bedieners.",
+  ],
+  operator_note: [
+    "You are an operator: renaming and deleting need an admin's invitation.",
+    "Du bist Bediener: Umbenennen und Löschen brauchen die Einladung eines Verwalters.",
+  ],
   role: ["Role", "Rolle"],
   role_viewer: ["Viewer", "Zuschauer"],
   role_operator: ["Operator", "Bediener"],

@@ -82,6 +82,9 @@ def up(
     at: At = None,
     speed: Annotated[float, typer.Option(min=0.01, max=100, help="Simulated seconds in a real one.")] = 1.0,
     page: Page = True,
+    page_host: Annotated[
+        str, typer.Option(help="Address of the page for other computers, as 0.0.0.0; needs `zenav secure init`.")
+    ] = "",
     browser: Browser = True,
     remote: Annotated[
         bool, typer.Option("--remote", help="Let members in from other computers: see zenav secure.")
@@ -96,6 +99,7 @@ def up(
     from shared.messages import MapMode
     from zenav.client.map_modes import OnMap
     from zenav.stack.hardware import Hardware
+    from zenav.stack.page import host_settings
     from zenav.stack.up import up
 
     up(
@@ -105,7 +109,7 @@ def up(
         [name for name in only.split(",") if name],
         speed,
         stack,
-        set_ or [],
+        [*(set_ or []), *host_settings(page_host)],
         OnMap.of(saved_map, MapMode(mode), at) if saved_map else None,
         page,
         browser,

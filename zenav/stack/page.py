@@ -7,7 +7,7 @@ import threading
 import webbrowser
 
 from services.dashboard.address import page_address
-from services.dashboard.service import DashboardConfig
+from services.dashboard.config import DashboardConfig
 from shared.config import RobotFile
 from shared.messages import Health
 from shared.runners.transport import StackAddress
@@ -21,8 +21,13 @@ def with_page(names: list[str], page: bool) -> list[str]:
 
 
 def page_url(file: RobotFile, where: StackAddress) -> str:
-    """The address of the page for a browser. Raises UserError where the setting is no address of this computer."""
-    return page_address(file.section(SERVICE, DashboardConfig).port.device, where).url
+    """The address of the page for a browser. Raises UserError where it is none, or lacks a certificate."""
+    return page_address(file.section(SERVICE, DashboardConfig), where).url
+
+
+def host_settings(host: str) -> list[str]:
+    """The setting that serves the page at a host (name or IP address); none for an empty host."""
+    return [f"dashboard.port.device=web://{f'[{host}]' if ':' in host else host}"] if host else []
 
 
 class PageOpener:

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Says large that the link is lost, since when, and when the next attempt is.
 
+import { needsLogin } from "../access";
 import { retryNow } from "../connection";
 import { hello, link, now } from "../state";
 import { stopPending } from "../stop";
@@ -11,7 +12,7 @@ const GRACE_MS = 400; // a link that comes up at once needs no banner
 
 export function OfflineBanner() {
   const { state, retryAt, since } = link.value;
-  if (state === "open" || (hello.value === null && now.value < GRACE_MS)) return null;
+  if (needsLogin.value || state === "open" || (hello.value === null && now.value < GRACE_MS)) return null;
   const seconds = Math.max(0, Math.ceil((retryAt - now.value) / 1000));
   const lost = ((now.value - since) / 1000).toFixed(0);
   return (

@@ -15,6 +15,7 @@ import { t } from "../texts";
 import { panel, PANEL_ICONS, PANELS, type PanelName } from "../ui";
 import { IconButton } from "./controls";
 import { Icon } from "./Icon";
+import { RoleNote } from "./RoleNote";
 
 const CONTENT: Readonly<Record<PanelName, ComponentType>> = {
   task: TaskPanel,
@@ -38,6 +39,7 @@ export function Panel() {
         <IconButton label={t("close")} icon="close" onClick={() => (panel.value = null)} />
       </header>
       <div class="panel-body">
+        <RoleNote panel={name} />
         <Content />
       </div>
     </aside>

@@ -2,7 +2,7 @@
 // The page's navigation: at the left, or at the bottom of a phone, where rarely used panels are behind "more".
 
 import { armed } from "../driving";
-import { mayOperate } from "../state";
+import { hello, mayOperate } from "../state";
 import { t } from "../texts";
 import { layersOpen, panel, PANEL_ICONS, PANELS, togglePanel, type PanelName } from "../ui";
 import { Icon, type IconName } from "./Icon";
@@ -18,6 +18,7 @@ export function Rail() {
         icon="drive"
         pressed={armed.value}
         disabled={!mayOperate.value}
+        title={hello.value?.role === "viewer" ? t("viewer_note") : ""}
         onClick={() => {
           armed.value = !armed.value;
           layersOpen.value = false; // they share the corner
@@ -50,14 +51,15 @@ interface ItemProps {
   pressed: boolean;
   onClick: () => void;
   disabled?: boolean;
+  title?: string;
   wideOnly?: boolean;
   phoneOnly?: boolean;
 }
 
-function Item({ label, icon, pressed, onClick, disabled = false, wideOnly = false, phoneOnly = false }: ItemProps) {
+function Item({ label, icon, pressed, onClick, disabled = false, title = "", wideOnly = false, phoneOnly = false }: ItemProps) {
   const places = `${wideOnly ? " wide-only" : ""}${phoneOnly ? " phone-only" : ""}`;
   return (
-    <button type="button" class={`rail-item${places}`} aria-pressed={pressed} onClick={onClick} disabled={disabled}>
+    <button type="button" class={`rail-item${places}`} aria-pressed={pressed} onClick={onClick} disabled={disabled} title={title}>
       <Icon name={icon} size={21} />
       <span>{label}</span>
     </button>

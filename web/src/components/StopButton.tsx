@@ -47,6 +47,7 @@ function ReleaseButton() {
       type="button"
       class={holding.value ? "release-button holding" : "release-button"}
       disabled={!mayOperate.value}
+      title={mayOperate.value ? "" : t("viewer_note")}
       onPointerDown={begin}
       onPointerUp={end}
       onPointerLeave={end}

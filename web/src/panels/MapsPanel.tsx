@@ -11,7 +11,7 @@ import { chooseTool } from "../map/tools";
 import { isItemName, itemName } from "../names";
 import { notify } from "../notices";
 import { type SavedMap } from "../records";
-import { latest, mapName, mayOperate } from "../state";
+import { latest, mapName, mayAdminister, mayOperate } from "../state";
 import { dateText, sizeText, t } from "../texts";
 import { MapEdits } from "./MapEdits";
 
@@ -100,12 +100,12 @@ function MapItem({ map }: { map: SavedMap }) {
             </Field>
             <Button
               label={t("rename")}
-              disabled={off || !isItemName(to.value) || to.value === map.name}
+              disabled={!mayAdminister.value || !isItemName(to.value) || to.value === map.name}
               onClick={() => void changeMap("map_rename", { name: map.name, to: to.value }, t("renamed"))}
             />
             <Confirm
               label={t("delete")}
-              disabled={off}
+              disabled={!mayAdminister.value}
               onConfirm={() => void changeMap("map_delete", { name: map.name }, t("deleted"))}
             />
           </div>

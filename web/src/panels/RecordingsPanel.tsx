@@ -7,7 +7,7 @@ import { useEffect } from "preact/hooks";
 import { Confirm } from "../components/Confirm";
 import { Button, Empty, Field, Section } from "../components/controls";
 import { changeRecording, loadRecordings, recordings } from "../lists";
-import { mayOperate } from "../state";
+import { mayAdminister, mayOperate } from "../state";
 import { dateText, sizeText, t } from "../texts";
 
 export function RecordingsPanel() {
@@ -28,12 +28,14 @@ export function RecordingsPanel() {
                 <span class="muted number">{[sizeText(size), dateText(modified)].filter(Boolean).join(" · ")}</span>
               </div>
               <div class="button-row">
-                <a class="button plain" href={`/recordings/${encodeURIComponent(name)}`} download>
-                  {t("download")}
-                </a>
+                {mayOperate.value && (
+                  <a class="button plain" href={`/recordings/${encodeURIComponent(name)}`} download>
+                    {t("download")}
+                  </a>
+                )}
                 <Confirm
                   label={t("delete")}
-                  disabled={!mayOperate.value || current}
+                  disabled={!mayAdminister.value || current}
                   onConfirm={() => void changeRecording("recording_delete", { name }, t("deleted"))}
                 />
               </div>

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Choices of this browser, the robot's settings, and the keys.
 
+import { Account } from "../components/Account";
 import { Choice, Field, Section } from "../components/controls";
 import { send } from "../connection";
 import { language, pageName, theme } from "../preferences";
-import { clients, hello } from "../state";
+import { hello } from "../state";
 import { t } from "../texts";
 import { ConfigurationSection } from "./ConfigurationSection";
 
@@ -37,7 +38,8 @@ export function SettingsPanel() {
           <input
             type="text"
             maxLength={MAX_NAME}
-            value={pageName.value}
+            value={hello.value?.login ? hello.value.name : pageName.value}
+            disabled={hello.value?.login ?? false}
             placeholder={hello.value?.name ?? ""}
             onChange={(event) => {
               pageName.value = event.currentTarget.value.trim();
@@ -45,14 +47,7 @@ export function SettingsPanel() {
             }}
           />
         </Field>
-        <dl class="facts-list">
-          <dt>{t("role")}</dt>
-          <dd>{hello.value ? t(`role_${hello.value.role}`) : "–"}</dd>
-          <dt>{t("version")}</dt>
-          <dd>{hello.value?.version ?? "–"}</dd>
-          <dt>{t("pages_open")}</dt>
-          <dd>{clients.value.map((client) => client.name).join(", ") || "–"}</dd>
-        </dl>
+        <Account />
       </Section>
       <ConfigurationSection />
       <Section title={t("keys")}>

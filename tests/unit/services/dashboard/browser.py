@@ -23,6 +23,7 @@ from shared.ports import PortConfig
 from shared.runners.clock import StackClock
 from shared.runners.devices import DeviceContext
 from shared.runners.transport import StackAddress
+from shared.service import Log
 from shared.topics import Publication
 from tests.unit.services.dashboard.pages import ROBOT
 
@@ -31,10 +32,11 @@ DEVICE = "web://127.0.0.1:0"
 
 
 class Browser:
-    """A page's connection. `frames` collects what came, in order."""
+    """A page's connection. `frames` collects what came, in order. options: of websockets; with `ssl` it is TLS."""
 
     def __init__(self, port: int, host: str = "127.0.0.1", read: bool = True, **options: Any) -> None:
-        self._opening = connect(f"ws://{host}:{port}/ws", proxy=None, **options)
+        scheme = "wss" if "ssl" in options else "ws"
+        self._opening = connect(f"{scheme}://{host}:{port}/ws", proxy=None, **options)
         self.socket: ClientConnection = self._opening.__enter__()
         self.frames: list[dict[str, Any]] = []
         self.closed: tuple[int, str] | None = None
@@ -122,12 +124,17 @@ class FakeLink:
 
 
 class Served:
-    """A core and its shell on a free port. The core runs here, a tick each 50 ms."""
+    """A core and its shell on a free port. The core runs here, a tick each 50 ms.
 
-    def __init__(self, monkeypatch: Any, tools: str = "") -> None:
+    settings: of the service.  sent: the bytes of all that the shell and the core exchanged.  logs: of the core.
+    """
+
+    def __init__(self, monkeypatch: Any, **settings: Any) -> None:
         self.links: list[FakeLink] = []
         monkeypatch.setattr("services.dashboard.web.StackLink", self._link)
-        config = DashboardConfig(port=PortConfig(device=DEVICE), tools=tools)
+        config = DashboardConfig(**{"port": PortConfig(device=DEVICE), "tools": "", **settings})
+        self.logs: list[tuple[str, str]] = []
+        self.sent: list[bytes] = []
         self.core = DashboardService(config, ROBOT)
         self.published: list[Message] = []
         self._lock = threading.Lock()
@@ -166,6 +173,8 @@ class Served:
         with self._lock:
             self.core.now = self._clock.now()
             if publication.topic is topics.RX:
+                assert isinstance(publication.message, SerialData)
+                self.sent.append(publication.message.data)
                 self._take(self.core.receive(publication.message))
             else:
                 self._take(self.core.port_state(publication.message))
@@ -175,7 +184,10 @@ class Served:
         for output in out:
             if isinstance(output, Publication) and output.topic is topics.TX:
                 assert isinstance(output.message, SerialData)
+                self.sent.append(output.message.data)
                 self.device.write(output.message.data)
+            elif isinstance(output, Log):
+                self.logs.append((output.level, output.text))
             elif isinstance(output, Publication):
                 self.published.append(output.message)
 
@@ -187,9 +199,9 @@ class Served:
 
 
 @contextmanager
-def serving(monkeypatch: Any, tools: str = "") -> Iterator[Served]:
+def serving(monkeypatch: Any, **settings: Any) -> Iterator[Served]:
     """A running server; it is ended afterwards."""
-    served = Served(monkeypatch, tools)
+    served = Served(monkeypatch, **settings)
     served.device.start()
     assert served._open.wait(SOON)
     served._ticking.start()

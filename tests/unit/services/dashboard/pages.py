@@ -31,8 +31,9 @@ class Pages:
         self.logs: list[str] = []
         self._n = 0
 
-    def open(self, client: int, host: str = LOOPBACK) -> None:
-        self.event(client=client, event="open", host=host, simulated=True, version="1.0")
+    def open(self, client: int, host: str = LOOPBACK, **login: str) -> None:
+        """login: name and role, as the shell has them of a session."""
+        self.event(client=client, event="open", host=host, simulated=True, version="1.0", **login)
 
     def close(self, client: int) -> None:
         self.event(client=client, event="close")

@@ -13,6 +13,7 @@ from websockets.exceptions import InvalidStatus, WebSocketException
 
 from services.dashboard import web_server
 from services.dashboard.address import page_address
+from services.dashboard.config import DashboardConfig
 from services.dashboard.frames import MAX_FRAME
 from services.dashboard.web_app import MAX_FRAMES
 from services.dashboard.web_guard import POLICY
@@ -20,6 +21,7 @@ from shared.codec import decode
 from shared.config import UserError
 from shared.geometry import Pose2
 from shared.messages import EmergencyStop, LaserScan, LogLine, MapUpdate, Odometry, Velocity
+from shared.ports import PortConfig
 from shared.runners.transport import StackAddress
 from tests.unit.services.dashboard.browser import SOON, Browser, Served, serving
 
@@ -28,6 +30,10 @@ from tests.unit.services.dashboard.browser import SOON, Browser, Served, serving
 def served(monkeypatch) -> Iterator[Served]:
     with serving(monkeypatch) as server:
         yield server
+
+
+def config_of(device: str) -> DashboardConfig:
+    return DashboardConfig(port=PortConfig(device=device))
 
 
 def odometry(x: float) -> Odometry:
@@ -52,16 +58,24 @@ def tiles(map_id: int, places: list[tuple[int, int]], value: int) -> MapUpdate:
     ],
 )
 def test_the_port_is_8600_and_the_stacks_number_unless_it_is_named(device, url):
-    assert page_address(device, StackAddress(3)).url == url
+    assert page_address(config_of(device), StackAddress(3)).url == url
 
 
 @pytest.mark.parametrize(
     "device",
-    ["web://0.0.0.0", "web://192.168.1.7:8600", "web://[::]", "web://robot.local", "web://", "web://127.0.0.1:x", "x"],
+    ["web://0.0.0.0", "web://192.168.1.7:8600", "web://[::]", "web://robot.local", "web://127.0.0.2"],
 )
-def test_another_address_than_this_computers_own_is_refused_with_a_hint(device):
+def test_an_address_for_other_computers_is_refused_without_a_certificate(device, monkeypatch, tmp_path):
+    monkeypatch.setenv("ZENAV_SECURE", str(tmp_path / "none"))
     with pytest.raises(UserError, match=r"dashboard\.port\.device") as refused:
-        page_address(device, StackAddress())
+        page_address(config_of(device), StackAddress())
+    assert "zenav secure init" in refused.value.hint
+
+
+@pytest.mark.parametrize("device", ["web://", "web://127.0.0.1:x", "x", "web://127.0.0.1/path"])
+def test_what_is_no_address_is_refused_with_an_example(device):
+    with pytest.raises(UserError, match=r"dashboard\.port\.device") as refused:
+        page_address(config_of(device), StackAddress())
     assert "web://127.0.0.1" in refused.value.hint
 
 
@@ -89,8 +103,12 @@ def test_no_other_file_is_served(served, path):
 )
 def test_a_foreign_host_is_refused(served, host):
     assert served.request("GET", "/", host=host)[0] in (400, 403)
-    with pytest.raises(InvalidStatus):
-        Browser(served.port, additional_headers={"Host": host or "x"}, read=False)
+    name = host.partition(":")[0].partition("/")[0] or "x"
+    with closing(socket.create_connection(("127.0.0.1", served.port), SOON)) as sock:
+        if name not in ("localhost", "u@localhost"):
+            with pytest.raises(InvalidStatus) as refused:
+                Browser(served.port, name, sock=sock, read=False)
+            assert refused.value.response.status_code == 403
 
 
 def test_a_foreign_origin_is_refused(served):

@@ -9,8 +9,9 @@ import pytest
 from shared.config import UserError, configured
 from shared.messages import Health
 from shared.runners.transport import StackAddress
+from tests.unit.services.dashboard.credentials import make_credentials
 from zenav.stack.hardware import Hardware, services_for
-from zenav.stack.page import PageOpener, page_url, with_page
+from zenav.stack.page import PageOpener, host_settings, page_url, with_page
 
 URL = "http://127.0.0.1:8603"
 
@@ -25,11 +26,35 @@ def test_the_address_follows_the_stacks_number_and_the_setting():
     assert page_url(named, StackAddress(3)) == "http://127.0.0.1:9000"
 
 
-def test_an_address_for_other_computers_is_an_error_before_anything_starts():
-    open_to_all = configured("x80sv", ["dashboard.port.device=web://0.0.0.0"])
+def test_an_address_for_other_computers_is_an_error_before_anything_starts(monkeypatch, tmp_path):
+    monkeypatch.setenv("ZENAV_SECURE", str(tmp_path))
+    open_to_all = configured("x80sv", host_settings("0.0.0.0"))
     with pytest.raises(UserError, match=r"own address only") as refused:
         page_url(open_to_all, StackAddress())
+    assert "zenav secure init" in refused.value.hint
     assert "ssh -L" in refused.value.hint
+
+
+def test_with_a_certificate_the_address_has_a_name_that_leads_other_computers_here(monkeypatch, tmp_path):
+    monkeypatch.setenv("ZENAV_SECURE", str(tmp_path))
+    make_credentials(tmp_path)
+    assert page_url(configured("x80sv", host_settings("0.0.0.0")), StackAddress(3)) == "https://robot.local:8603"
+    assert page_url(configured("x80sv", host_settings("::")), StackAddress(3)) == "https://robot.local:8603"
+    assert page_url(configured("x80sv", host_settings("10.0.0.5")), StackAddress(3)) == "https://10.0.0.5:8603"
+    assert page_url(configured("x80sv", host_settings("")), StackAddress(3)) == URL
+
+
+def test_a_key_that_others_may_read_is_refused(monkeypatch, tmp_path):
+    monkeypatch.setenv("ZENAV_SECURE", str(tmp_path))
+    make_credentials(tmp_path).robot_key.chmod(0o644)
+    with pytest.raises(UserError, match="others may read") as refused:
+        page_url(configured("x80sv", host_settings("0.0.0.0")), StackAddress())
+    assert refused.value.hint.startswith("chmod 600")
+
+
+def test_a_certificate_without_its_key_is_an_error_of_the_settings():
+    with pytest.raises(UserError, match="belong together"):
+        page_url(configured("x80sv", ["dashboard.certificate=robot.pem"]), StackAddress())
 
 
 def test_a_whole_stack_has_the_page_only_where_it_is_wanted():
