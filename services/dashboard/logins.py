@@ -52,7 +52,7 @@ class LoginBook:
     def redeem(self, invitation: str, session: str, now: float) -> "tuple[LoginBook, Login] | None":
         """The token of an invitation for that of a session: the book afterwards, and the session. None: refused."""
         invited = match(invitation, self.invitations, now)
-        if invited is None:
+        if invited is None or now < invited.created:  # a clock that was set back brings no invitation back
             return None
         row = Login(digest_of(session), invited.name, invited.role, now, now + SESSION_LIFE_S)
         others = tuple(other for other in self.invitations if other.digest != invited.digest)

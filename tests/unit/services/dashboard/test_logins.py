@@ -75,8 +75,14 @@ def test_a_session_ends_after_its_life():
     sessions = outcome[0].sessions
     assert match("s", sessions, 59.9 + SESSION_LIFE_S - 1) is not None
     assert match("s", sessions, 59.9 + SESSION_LIFE_S) is None
-    assert match("s", sessions, 0.0) is None, "a clock that was set back opens nothing"
+    assert match("s", sessions, 0.0) is not None, "a computer that starts without a clock locks no user out"
     assert book.redeem("i", "s", 60.0) is None
+
+
+def test_a_clock_that_was_set_back_brings_no_invitation_back():
+    book = LoginBook().invite("i", "anna", Role.VIEWER, 1000.0, 60.0)
+    assert book.redeem("i", "s", 999.0) is None
+    assert book.redeem("i", "s", 1059.0) is not None
 
 
 def test_the_list_of_invitations_is_bounded():
