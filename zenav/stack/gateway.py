@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gateway of a stack that `zenav up --remote` starts: its address, and the check of its certificates before."""
+"""The robot's certificate before a start that shows it, and the gateway that `zenav up --remote` starts."""
 
 from services.gateway.link_device import gateway_endpoint
 from services.gateway.service import GatewayConfig
 from shared.config import RobotFile
 from shared.runners.transport import StackAddress
-from shared.secure_folder import secure_folder
+from shared.secure_folder import SecureFolder, secure_folder
 
 GATEWAY = "gateway"
 BASE_PORT = 7448
@@ -19,11 +19,22 @@ def with_gateway(settings: list[str], where: StackAddress) -> list[str]:
 
 def prepare_gateway(file: RobotFile) -> None:
     """Renews the robot's certificate where it ends soon. Raises UserError where there is none, or a wrong address."""
-    from zenav.secure.members import renew_own
-
     config = file.section(GATEWAY, GatewayConfig)
     gateway_endpoint(config.port.device)
-    renew_own(secure_folder(config.folder).require())
+    _renew(secure_folder(config.folder).require())
+
+
+def prepare_page(url: str) -> None:
+    """Renews the robot's certificate where it ends soon, and the page shows it."""
+    folder = secure_folder()
+    if url.startswith("https://") and folder.exists:
+        _renew(folder)
+
+
+def _renew(folder: SecureFolder) -> None:
+    from zenav.secure.members import renew_own  # it loads a library that no other start needs
+
+    renew_own(folder)
 
 
 def gateway_address(file: RobotFile) -> str:

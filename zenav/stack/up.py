@@ -18,7 +18,7 @@ from zenav.client.map_modes import OnMap
 from zenav.console.run_folder import new_run_folder
 from zenav.console.shutdown import stop_on_signal
 from zenav.stack.config_report import read_sections
-from zenav.stack.gateway import GATEWAY, gateway_address, prepare_gateway, with_gateway
+from zenav.stack.gateway import GATEWAY, gateway_address, prepare_gateway, prepare_page, with_gateway
 from zenav.stack.hardware import Hardware, emulated_ports, services_for, settings_for, simulated_world
 from zenav.stack.heap import release_free_memory
 from zenav.stack.launch import START_LIMIT, Launcher, claim_stack, service_command
@@ -89,6 +89,7 @@ def up(
         settings.append(f"recorder.attach={json.dumps(on_map.files())}")
     warm_first(robot, [*settings, *settings_for(hardware, file, None)], names)
     url = page_url(file, where) if SERVICE in names else ""
+    prepare_page(url)
     clock = "" if speed == 1.0 else f"{time.time_ns()}:{speed:g}"
     clock_from(clock)
     with stop_on_signal() as stop, ExitStack() as open_things:
