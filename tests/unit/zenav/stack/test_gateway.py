@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Before a start that shows the robot's certificate: it is there, it is renewed in time, and the user's address counts."""
+"""Before a start that shows the robot's certificate: it is there and renewed, and the user's address counts."""
 
 import json
 from datetime import timedelta
@@ -35,7 +35,7 @@ def test_the_gateway_of_a_stack_has_its_own_port_and_the_users_address_counts():
     assert gateway_address(configured("x80sv", with_gateway(named, StackAddress(3)))) == "tls/192.168.1.20:9000"
 
 
-@pytest.mark.parametrize("device", ["tls://0.0.0.0", "tcp://0.0.0.0:1", "tls://:7448", ""])
+@pytest.mark.parametrize("device", ["tls://0.0.0.0", "tcp://0.0.0.0:1", "tls://:7448", "robot.local"])
 def test_a_wrong_address_is_one_clear_error(device):
     with pytest.raises(UserError, match="is no address"):
         prepare_gateway(configured("x80sv", [f"gateway.port.device={device}"]))
