@@ -110,7 +110,9 @@ class WebDevice:
 
         access = Access(self.address, self._section.login, store.session, csrf)
         make_link = partial(StackLink, self._context.robot, self._context.where)
-        hub = self._hub = PageHub(self._publish_event, make_link, tools, store, csrf, _version())
+        hub = self._hub = PageHub(
+            to_core=self._publish_event, make_link=make_link, tools=tools, sessions=store, csrf=csrf, version=_version()
+        )
         server = WebServer(web_app(hub, access, store), listening, self._tls)
         await server.start()
         if self._ending is not None:

@@ -35,7 +35,7 @@ def edit_of(kind: EditKind, points: list[str], width: float) -> MapEdit:
     xs, ys = np.array([(x, y) for x, y, _ in poses_from(points)], float).reshape(-1, 2).T
     if not max(np.abs(xs).max(), np.abs(ys).max()) <= MAX_EDIT_XY_M:
         raise UserError("a point lies outside of any map", f"give coordinates up to {MAX_EDIT_XY_M:g} m")
-    edit = MapEdit(0, 0, kind, np.ascontiguousarray(xs), np.ascontiguousarray(ys), width)
+    edit = MapEdit(stamp=0, id=0, kind=kind, xs=np.ascontiguousarray(xs), ys=np.ascontiguousarray(ys), width=width)
     if (problem := edit.problem()) is not None:
         hint = "a polygon has three points or more, a wall two: zenav map wall 1,2 4,2"
         raise UserError(problem, hint if width else f"{hint}; or a brush: --width 0.3")

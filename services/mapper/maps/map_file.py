@@ -215,7 +215,7 @@ def _edits(arrays: dict[str, NDArray[Any]]) -> tuple[MapEdit, ...]:
     if not ids or len(set(ids)) != len(ids) or ends[-1] != len(arrays["edit_xy"]):
         raise ValueError("edit_xy are not as many as edit_points says, or two edits have one id")
     edits = tuple(
-        MapEdit(0, id_, EDIT_KINDS[kind], xy[:, 0].copy(), xy[:, 1].copy(), width)
+        MapEdit(stamp=0, id=id_, kind=EDIT_KINDS[kind], xs=xy[:, 0].copy(), ys=xy[:, 1].copy(), width=width)
         for id_, kind, width, xy in zip(
             ids,
             arrays["edit_kinds"].tolist(),
