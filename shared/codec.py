@@ -3,6 +3,7 @@
 
 On the wire: a msgpack map of the fields, and under "@" the envelope [publisher, session, sequence, sent]. An array is
 one bin: 16 bytes of header (dtype, axes, three lengths), then its little-endian bytes; it decodes to a read-only view.
+Unknown fields are ignored, so that messages can grow (shared/unknown_fields.py names them).
 """
 
 import hashlib
@@ -25,14 +26,14 @@ M = TypeVar("M", bound=Message)
 F = TypeVar("F", bound=Callable[..., Any])
 
 _HEADER = struct.Struct("<BBxxIII")
-_DTYPES: dict[int, np.dtype[Any]] = {
+DTYPES: dict[int, np.dtype[Any]] = {
     0: np.dtype("<f4"),
     1: np.dtype("<f8"),
     2: np.dtype("i1"),
     3: np.dtype("u1"),
     4: np.dtype("<i4"),
 }
-_CODES = {dtype: code for code, dtype in _DTYPES.items()}
+_CODES = {dtype: code for code, dtype in DTYPES.items()}
 _MAX_COORDINATE = 1e6  # m: a pose farther out is a fault of its sender
 
 
@@ -158,8 +159,6 @@ def _checked(type_: type[M], tree: dict[str, Any]) -> M:
         if field.shape is not None:
             _check_shape(field, value, lengths)
         values.append(value)
-    if not tree.keys() <= _known(type_):
-        raise CodecError(f"unknown field {next(k for k in tree if k not in _known(type_))!r}")
     message = type_(*values)
     problem = message.problem()
     if problem is not None:
@@ -222,11 +221,6 @@ def _packed_array(array: Any, dtype: np.dtype[Any]) -> bytes:
     array = np.ascontiguousarray(array, dtype)
     shape = (*array.shape, 0, 0)[:3]
     return bytes(_HEADER.pack(_CODES[dtype], array.ndim, *shape) + array.tobytes())
-
-
-@_once_per_class
-def _known(type_: type[Message]) -> frozenset[str]:
-    return frozenset({"@", *(field.name for field in fields_of(type_))})
 
 
 @_once_per_class
@@ -338,7 +332,7 @@ def _array(value: Any, dtype: np.dtype[Any], within: Within | None) -> Any:
     if type(value) is not bytes or len(value) < _HEADER.size:
         raise CodecError("not an array")
     code, n_axes, *lengths = _HEADER.unpack_from(value)
-    if _DTYPES.get(code) != dtype or not 1 <= n_axes <= 3:
+    if DTYPES.get(code) != dtype or not 1 <= n_axes <= 3:
         raise CodecError(f"not a {dtype.name} array")
     shape = tuple(lengths[:n_axes])
     size = 1
