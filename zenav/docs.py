@@ -26,6 +26,7 @@ from shared.topics import TOPICS
 from zenav.console.setting_text import bounds_text
 from zenav.console.table import markdown_table
 from zenav.stack.service_loader import existing_services, service_class
+from zenav.wire.golden import golden_text
 from zenav.wire.page import filled_page
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -51,8 +52,8 @@ def messages_page() -> str:
     lines = ["# Messages\n", MADE]
     lines += [
         "Keys stand under the robot's name: `x80/scan`. A message is a msgpack map of its fields, and under `@` the",
-        "envelope. [wire.md](wire.md) has the bytes and the rules. Fields are checked where a message arrives; one that",
-        "does not hold is dropped and counted in `health`.\n",
+        "envelope. [wire.md](wire.md) has the bytes and the rules. Fields are checked where a message arrives; one",
+        "that does not hold is dropped and counted in `health`.\n",
         "## Topics\n",
     ]
     rows: Rows = [
@@ -215,6 +216,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "messages.md": messages_page,
     "configuration.md": configuration_page,
     "wire.md": wire_page,
+    "wire/golden.json": golden_text,
 }
 
 if __name__ == "__main__":

@@ -8,6 +8,14 @@ import typer
 
 from zenav.cli.parts import LOOK, Command, Json, Key, RobotName, Seconds, Setting, Stack, app, group
 
+
+def _names() -> list[str]:
+    from shared.requests import REQUESTS
+    from shared.topics import TOPICS
+
+    return [*(row.key for row in TOPICS), *(row.key for row in REQUESTS)]
+
+
 topic = group("Look at what goes over the wire.")
 config = group("Look at the configuration.")
 
@@ -50,6 +58,22 @@ def hz(key: Key, seconds: Seconds = 5.0, as_json: Json = False, robot: RobotName
     from zenav.client.topic import measure_rate
 
     raise typer.Exit(measure_rate(robot, stack, key, seconds, as_json))
+
+
+@app.command(cls=Command, rich_help_panel=LOOK)
+def schema(
+    name: Annotated[
+        str, typer.Argument(help="Only this message, topic or request, like LaserScan or scan.", autocompletion=_names)
+    ] = "",
+    as_json: Annotated[bool, typer.Option("--json", help="JSON Schema (2020-12).")] = False,
+) -> None:
+    """Print the fields of messages and requests, with types, units and bounds.
+
+    Example: zenav schema --json
+    """
+    from zenav.wire.json_schema import show_schema
+
+    show_schema(name, as_json)
 
 
 @config.command("show", cls=Command)
