@@ -8,7 +8,7 @@ what is made
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from enum import StrEnum
 from typing import Any
 
@@ -63,8 +63,8 @@ def session_json(where: StackAddress, name: str) -> str:
     return f"```json\n{short}\n```\n"
 
 
-def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    return "".join(f"{line}\n" for line in markdown_table(head, rows))
+def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    return "".join(f"{line}\n" for line in markdown_table(head, list(rows)))
 
 
 def _ports() -> str:
