@@ -3,6 +3,7 @@
 
 On the wire: a msgpack map of the fields, and under "@" the envelope [publisher, session, sequence, sent]. An array is
 one bin: 16 bytes of header (dtype, axes, three lengths), then its little-endian bytes; it decodes to a read-only view.
+Unknown fields are ignored, so that messages can grow (shared/unknown_fields.py names them).
 """
 
 import hashlib
@@ -25,15 +26,15 @@ M = TypeVar("M", bound=Message)
 F = TypeVar("F", bound=Callable[..., Any])
 
 _HEADER = struct.Struct("<BBxxIII")
-_DTYPES: dict[int, np.dtype[Any]] = {
+DTYPES: dict[int, np.dtype[Any]] = {
     0: np.dtype("<f4"),
     1: np.dtype("<f8"),
     2: np.dtype("i1"),
     3: np.dtype("u1"),
     4: np.dtype("<i4"),
 }
-_CODES = {dtype: code for code, dtype in _DTYPES.items()}
-_MAX_COORDINATE = 1e6  # m: a pose farther out is a fault of its sender
+_CODES = {dtype: code for code, dtype in DTYPES.items()}
+MAX_COORDINATE, MAX_YAW = 1e6, 1000  # m, rad: a pose farther out is a fault of its sender
 
 
 class CodecError(ValueError):
@@ -158,8 +159,6 @@ def _checked(type_: type[M], tree: dict[str, Any]) -> M:
         if field.shape is not None:
             _check_shape(field, value, lengths)
         values.append(value)
-    if not tree.keys() <= _known(type_):
-        raise CodecError(f"unknown field {next(k for k in tree if k not in _known(type_))!r}")
     message = type_(*values)
     problem = message.problem()
     if problem is not None:
@@ -188,8 +187,8 @@ def _packers(type_: type[Message]) -> tuple[tuple[str, Callable[[Any], Any] | No
 def _packer(kind: Any) -> Callable[[Any], Any] | None:
     """How a value goes into the msgpack tree; None: as it is."""
     if get_origin(kind) is np.ndarray:
-        dtype = _dtype(kind)
-        return lambda array: _packed_array(array, dtype)
+        dtype = wire_dtype(kind)
+        return lambda array: packed_array(array, dtype)
     if kind is Pose2:
         return lambda pose: (float(pose.x), float(pose.y), float(pose.yaw))
     if kind is float:
@@ -211,22 +210,18 @@ def _packer(kind: Any) -> Callable[[Any], Any] | None:
     return None
 
 
-def _dtype(kind: Any) -> np.dtype[Any]:
+def wire_dtype(kind: Any) -> np.dtype[Any]:
     """The dtype of an NDArray[...] on the wire: little-endian."""
     _, dtype = get_args(kind)
     (scalar,) = get_args(dtype)
     return cast(np.dtype[Any], np.dtype(scalar).newbyteorder("<"))
 
 
-def _packed_array(array: Any, dtype: np.dtype[Any]) -> bytes:
+def packed_array(array: Any, dtype: np.dtype[Any]) -> bytes:
+    """An array as it is on the wire. dtype: of `wire_dtype`."""
     array = np.ascontiguousarray(array, dtype)
     shape = (*array.shape, 0, 0)[:3]
     return bytes(_HEADER.pack(_CODES[dtype], array.ndim, *shape) + array.tobytes())
-
-
-@_once_per_class
-def _known(type_: type[Message]) -> frozenset[str]:
-    return frozenset({"@", *(field.name for field in fields_of(type_))})
 
 
 @_once_per_class
@@ -241,7 +236,7 @@ def _plain(kind: Any) -> Any:
 def _checker(kind: Any, within: Within | None, nonzero: bool) -> Check:
     """Turns a decoded msgpack value into the field's value, or raises CodecError."""
     if get_origin(kind) is np.ndarray:
-        dtype = _dtype(kind)
+        dtype = wire_dtype(kind)
         return lambda value: _array(value, dtype, within)
     if kind is Pose2:
         return _pose
@@ -329,7 +324,7 @@ def _pose(value: Any) -> Pose2:
     if type(value) is not list or len(value) != 3:
         raise CodecError("not [x, y, yaw]")
     x, y, yaw = (_number(v, None, False) for v in value)
-    if abs(x) > _MAX_COORDINATE or abs(y) > _MAX_COORDINATE or abs(yaw) > 1000:
+    if abs(x) > MAX_COORDINATE or abs(y) > MAX_COORDINATE or abs(yaw) > MAX_YAW:
         raise CodecError("farther out than any place")
     return Pose2(x, y, yaw)
 
@@ -338,7 +333,7 @@ def _array(value: Any, dtype: np.dtype[Any], within: Within | None) -> Any:
     if type(value) is not bytes or len(value) < _HEADER.size:
         raise CodecError("not an array")
     code, n_axes, *lengths = _HEADER.unpack_from(value)
-    if _DTYPES.get(code) != dtype or not 1 <= n_axes <= 3:
+    if DTYPES.get(code) != dtype or not 1 <= n_axes <= 3:
         raise CodecError(f"not a {dtype.name} array")
     shape = tuple(lengths[:n_axes])
     size = 1
@@ -394,7 +389,7 @@ def schema_id(type_: type[Message]) -> str:
 
 def _type_name(kind: Any) -> str:
     if get_origin(kind) is np.ndarray:
-        return f"{_dtype(kind).name}[]"
+        return f"{wire_dtype(kind).name}[]"
     if get_origin(kind) is tuple:
         return f"[{', '.join('...' if k is Ellipsis else _type_name(_plain(k)) for k in get_args(kind))}]"
     return str(getattr(kind, "__name__", kind))

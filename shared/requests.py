@@ -2,10 +2,11 @@
 """Requests with an answer: a key, the service that answers, a typed request and a typed reply. Zenoh queries, live."""
 
 from dataclasses import dataclass
-from typing import Annotated, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar, cast
 
 from shared import messages as m
 from shared.messages import Count, Flag, Message, Pose, Text, Unit
+from shared.reasons import Reason
 from shared.topics import SERVICES
 
 Q = TypeVar("Q", bound=Message)
@@ -245,15 +246,18 @@ class SettingsReply(Message):
     accepted: Flag
     reason: Text
     detail: Text
-    hint: Text
-    names: Annotated[tuple[str, ...], Unit("dotted, as in a robot's file")]
-    values: Annotated[tuple[str, ...], Unit("YAML, one a name")]
-    started: Annotated[tuple[str, ...], Unit("YAML, one a name")]
+    hint: Text = ""
+    names: Annotated[tuple[str, ...], Unit("dotted, as in a robot's file")] = ()
+    values: Annotated[tuple[str, ...], Unit("YAML, one a name")] = ()
+    started: Annotated[tuple[str, ...], Unit("YAML, one a name")] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Request(Generic[Q, R]):
-    """One row: `by` is the service that answers; "*" is every service: then the key ends in its name."""
+    """One row: `by` is the service that answers; "*" is every service: then the key ends in its name.
+
+    Each reply begins with `accepted`, `reason` and `detail`, so a refusal has one shape for all.
+    """
 
     key: str
     request: type[Q]
@@ -273,6 +277,11 @@ class Request(Generic[Q, R]):
     def key_of(self, service: str) -> str:
         """The key without the robot's name under which this service answers."""
         return f"{self.key}/{service}" if self.by == "*" else self.key
+
+    def refusal(self, stamp: int, reason: Reason, detail: str) -> Message:
+        """The reply that refuses a request. stamp: ns."""
+        reply: Any = self.reply
+        return cast(Message, reply(stamp, False, reason.code, detail))
 
 
 NAVIGATE = Request("request/navigate", Navigate, Reply, by="navigator")

@@ -24,7 +24,7 @@ NEEDS = (
     Need(("another processor",), "run them where the recordings were made, or make record-references"),
     Need(("cannot fork",), "run them on Linux"),
     Need(("Chromium",), "pip install -r requirements-dev.txt, and install Chromium (apt install chromium)"),
-    Need(("axe-core",), "run npm ci in web/"),
+    Need(("axe-core", "Node"), "run npm ci in web/"),
     Need(("systemd-analyze",), "install systemd, which has systemd-analyze"),
 )
 

@@ -26,6 +26,8 @@ from shared.topics import TOPICS
 from zenav.console.setting_text import bounds_text
 from zenav.console.table import markdown_table
 from zenav.stack.service_loader import existing_services, service_class
+from zenav.wire.golden import golden_text
+from zenav.wire.page import filled_page
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 Rows = list[tuple[str, ...]]
@@ -50,9 +52,8 @@ def messages_page() -> str:
     lines = ["# Messages\n", MADE]
     lines += [
         "Keys stand under the robot's name: `x80/scan`. A message is a msgpack map of its fields, and under `@` the",
-        "envelope `[publisher, session, sequence, sent]`; an array is one bin: 16 bytes of header (dtype u8, axes u8,",
-        "two bytes of padding, three lengths u32), then its little-endian values. Fields are checked where a message",
-        "arrives; one that does not hold is dropped and counted in `health`.\n",
+        "envelope. [wire.md](wire.md) has the bytes and the rules. Fields are checked where a message arrives; one",
+        "that does not hold is dropped and counted in `health`.\n",
         "## Topics\n",
     ]
     rows: Rows = [
@@ -206,7 +207,17 @@ def default_of(field: FieldInfo) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-PAGES: dict[str, Callable[[], str]] = {"messages.md": messages_page, "configuration.md": configuration_page}
+def wire_page() -> str:
+    """The page of the wire protocol with its tables made again."""
+    return filled_page((DOCS / "wire.md").read_text(encoding="utf-8"))
+
+
+PAGES: dict[str, Callable[[], str]] = {
+    "messages.md": messages_page,
+    "configuration.md": configuration_page,
+    "wire.md": wire_page,
+    "wire/golden.json": golden_text,
+}
 
 if __name__ == "__main__":
     main()

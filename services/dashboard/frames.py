@@ -25,6 +25,7 @@ from shared.codec import CodecError, Envelope, decode
 from shared.requests import MAX_VALUE_LENGTH, REQUESTS, Request
 from shared.roles import REQUEST_ROLES
 from shared.topics import KEYS, topic_of
+from shared.unknown_fields import unknown_fields
 
 MAX_FRAME = 64 * 1024
 """bytes of a frame of a page."""
@@ -115,6 +116,8 @@ def request_payload(row: Request[Any, Any], arguments: dict[Any, Any], now: int)
     try:
         payload = bytes(msgpack.packb({**arguments, "stamp": now, "@": Envelope("dashboard", "", 0, now)}))
         decode(row.request, payload)
+        if names := unknown_fields(row.request, payload):
+            raise FrameError(f"unknown field {names[0]!r}")
     except (CodecError, ValueError, TypeError, OverflowError) as error:
         raise FrameError(str(error)) from None
     return payload

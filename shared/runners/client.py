@@ -14,14 +14,13 @@ from functools import partial
 from types import TracebackType
 from typing import Any, TypeVar, cast
 
-import msgpack
 import zenoh
 
 from shared import topics
 from shared.codec import CodecError, Envelope, decode, encode
 from shared.config import UserError
 from shared.messages import Clock, Message
-from shared.reasons import NOT_RUNNING, REASONS, TOO_LARGE
+from shared.reasons import NOT_RUNNING, TOO_LARGE
 from shared.requests import Request
 from shared.runners import transport
 from shared.runners.host import merged
@@ -170,18 +169,18 @@ class Client:
         return best[1] if best else None
 
     def ask(self, request: Request[Q, R], message: Q, timeout: float = 5.0, service: str = "") -> R:
-        """The reply to a request. Raises UserError where it is too large or refused, or no reply comes in time.
+        """The reply to a request, which may refuse it. Raises UserError where it is too large, or no reply comes.
 
         service: the one that is asked, where several answer.
         """
         service = service or request.by
         envelope = Envelope("operator", self.session_name, 0, self.now())
         key = f"{self.robot}/{request.key_of(service)}"
-        refusal = b""
+        words = b""
         payload = _sized(request.key, encode(message, envelope))
         for reply in self.session.get(key, payload=payload, timeout=timeout):
             if reply.ok is None:
-                refusal = reply.err.payload.to_bytes() if reply.err is not None else b""
+                words = reply.err.payload.to_bytes() if reply.err is not None else b""
                 continue
             try:
                 return decode(request.reply, reply.ok.payload.to_bytes())[0]
@@ -189,7 +188,7 @@ class Client:
                 raise UserError(
                     f"{service} sent a reply that cannot be read: {error}", "same version on both sides?"
                 ) from None
-        raise request_error(service, refusal)
+        raise request_error(service, words)
 
     def answers(self, request: Request[Any, Any], timeout: float, service: str = "") -> bool:
         """Whether a service that answers this request is there within `timeout` s. service: where several answer."""
@@ -234,15 +233,10 @@ def _sized(key: str, payload: bytes) -> bytes:
     return payload
 
 
-def request_error(service: str, refusal: bytes) -> UserError:
-    """The error of a request without reply. refusal: the error's bytes, empty where no service answered."""
-    if refusal == b"Timeout":
+def request_error(service: str, error: bytes) -> UserError:
+    """The error of a request without reply. error: Zenoh's own words, empty where no service answered."""
+    if error == b"Timeout":
         return UserError(
             f"{service} does not answer in time", f"is it busy or stopped? zenav topic hz health/{service}"
         )
-    try:
-        error = msgpack.unpackb(refusal)
-        reason = REASONS[error["code"]]
-        return UserError(f"{service}: {reason.text}" + (f": {error['text']}" if error["text"] else ""), reason.hint)
-    except (ValueError, KeyError, TypeError, msgpack.UnpackException):
-        return UserError(f"{service} does not run: {NOT_RUNNING.text}", NOT_RUNNING.hint)
+    return UserError(f"{service} does not run: {NOT_RUNNING.text}", NOT_RUNNING.hint)

@@ -14,6 +14,7 @@ import zenoh
 from shared import reasons, topics
 from shared.codec import CodecError, Envelope, decode, encode, envelope_of
 from shared.messages import LogLine, Message
+from shared.reasons import Reason
 from shared.requests import Request
 from shared.runners import transport
 from shared.runners.admission import Admission, Verdict
@@ -32,6 +33,7 @@ from shared.runners.tick_timer import TickTimer
 from shared.service import Service
 from shared.topics import TOPICS, Topic, key_of
 from shared.types import NS_PER_S
+from shared.unknown_fields import unknown_fields, unknown_text
 
 MAX_REQUESTS = 8
 FIRST_INTERVAL_NS = NS_PER_S // 10  # between the first health messages: the links to their readers may not stand yet
@@ -63,6 +65,7 @@ class LiveRunner:
         self._requests = self.inbox.slot("requests", "all", MAX_REQUESTS)
         self._results = self.inbox.slot("jobs", "all")
         self._admissions: dict[str, Admission] = {}
+        self._senders: dict[str, str] = {}  # by key: the session of its last message
         self._refusals = Refusals()
         self._latched_readers: dict[str, transport.LatchedReader] = {}
         self._from_ports = self.inbox.slot("ports", "all")
@@ -193,9 +196,9 @@ class LiveRunner:
 
     def _file_request(self, request: Request[Message, Message], query: zenoh.Query) -> None:
         if words := self._refusals.oversized(request.key, query.payload or b""):
-            transport.refuse(query, reasons.TOO_LARGE, words)
+            self._refuse(request, query, reasons.TOO_LARGE, words)
         elif len(self._requests.items) >= MAX_REQUESTS:
-            transport.refuse(query, reasons.BUSY, "")
+            self._refuse(request, query, reasons.BUSY, "")
         else:
             self.inbox.file(self._requests, (request, query))
 
@@ -240,6 +243,9 @@ class LiveRunner:
                 self.stats.old += 1
                 self._refusals.sequence(key, self._admissions[key].words)
             return
+        if self._senders.get(key) != envelope.session:
+            self._senders[key] = envelope.session
+            self._report_unknown(key, topic.type, payload, now)
         self._boxed(key, payload, envelope, now, latched)
         self._apply(self.host.message(key, message, envelope, now, latched))
         for timer in self._timers:
@@ -268,16 +274,30 @@ class LiveRunner:
         except CodecError as error:
             self.stats.bad += 1
             self.stats.record_error(f"{request.key}: a bad request was refused: {error}", now)
-            transport.refuse(query, reasons.BAD_REQUEST, str(error))
+            self._refuse(request, query, reasons.BAD_REQUEST, str(error))
             return
+        self._report_unknown(request.key, request.request, payload, now)
         effects, reply = self.host.request(request.key, message, payload, now)
         self._apply(effects)  # first: a client that has the reply finds what it asked for
         replied = encode(reply, Envelope(self.name, self.host.session, 0, now))
         if words := self._refusals.oversized(request.key, replied):
-            transport.refuse(query, reasons.TOO_LARGE, f"the reply has {words}")
+            self._refuse(request, query, reasons.TOO_LARGE, f"the reply has {words}")
         else:
-            with query:
-                query.reply(f"{self.robot}/{request.key_of(self.name)}", replied)
+            self._reply(request, query, replied)
+
+    def _refuse(self, request: Request[Message, Message], query: zenoh.Query, reason: Reason, detail: str) -> None:
+        """Refuses a request before the service sees it, as the service would. Thread-safe."""
+        now = self.clock.now()
+        refusal = request.refusal(now, reason, detail)
+        self._reply(request, query, encode(refusal, Envelope(self.name, self.host.session, 0, now)))
+
+    def _reply(self, request: Request[Message, Message], query: zenoh.Query, payload: bytes) -> None:
+        with query:
+            query.reply(f"{self.robot}/{request.key_of(self.name)}", payload)
+
+    def _report_unknown(self, key: str, type_: type[Message], payload: bytes, now: int) -> None:
+        if names := unknown_fields(type_, payload):
+            self.stats.record_error(f"{key}: {unknown_text(names)}", now)
 
     def _apply(self, effects: list[Effect]) -> None:
         for effect in effects:  # devices first: they do not wait for the publications

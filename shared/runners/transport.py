@@ -17,13 +17,11 @@ from functools import partial
 from operator import attrgetter
 from typing import Any, NamedTuple
 
-import msgpack
 import zenoh
 
 from shared.access_rules import access_control
 from shared.config import UserError, nearest
 from shared.credentials import TLS, Credentials, credentials_for
-from shared.reasons import Reason
 from shared.secure_folder import SecureFolder
 from shared.topics import LATCHED_KEYS, SERVICES
 
@@ -72,30 +70,39 @@ def stack_address(text: str) -> StackAddress:
 def configuration(where: StackAddress, name: str = "") -> zenoh.Config:
     """The session's configuration: as service `name`, or as a tool where it is empty."""
     config = zenoh.Config()
-
-    def put(key: str, value: Any) -> None:
+    for key, value in session_settings(where, name).items():
         config.insert_json5(key, json.dumps(value))
-
-    retry = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2}
-    put("scouting/multicast/enabled", False)
-    put("transport/shared_memory/enabled", False)
-    put("transport/link/rx/max_message_size", MAX_MESSAGE)
-    put("transport/link/tx/queue/size/data", DATA_QUEUE)
-    put("connect/exit_on_failure", False)
-    put("connect/retry", retry)
-    if where.router:
-        put("mode", "client")
-        put("connect/endpoints", [where.router])
-        put("connect/timeout_ms", -1 if name else 3000)
-        if where.router.startswith(TLS):
-            put("transport/link/tls", (where.credentials or credentials_for(where.router)).tls())
-        return config
-    put("mode", "peer")
-    put("scouting/delay", SERVICE_OPEN_MS if name else TOOL_OPEN_MS)
-    put("listen/endpoints", [f"tcp/127.0.0.1:{where.port(name) if name else 0}"])
-    put("connect/endpoints", [f"tcp/127.0.0.1:{where.port(other)}" for other in SERVICES if other != name])
-    put("connect/timeout_ms", -1)
     return config
+
+
+def session_settings(where: StackAddress, name: str = "") -> dict[str, Any]:
+    """The settings of a session by their paths in Zenoh's configuration. name: as in `configuration`."""
+    common = {
+        "scouting/multicast/enabled": False,
+        "transport/shared_memory/enabled": False,
+        "transport/link/rx/max_message_size": MAX_MESSAGE,
+        "transport/link/tx/queue/size/data": DATA_QUEUE,
+        "connect/exit_on_failure": False,
+        "connect/retry": {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2},
+    }
+    if where.router:
+        secured = where.router.startswith(TLS)
+        tls = {"transport/link/tls": (where.credentials or credentials_for(where.router)).tls()} if secured else {}
+        return {
+            "mode": "client",
+            **common,
+            "connect/endpoints": [where.router],
+            "connect/timeout_ms": -1 if name else 3000,
+            **tls,
+        }
+    return {
+        "mode": "peer",
+        **common,
+        "scouting/delay": SERVICE_OPEN_MS if name else TOOL_OPEN_MS,
+        "listen/endpoints": [f"tcp/127.0.0.1:{where.port(name) if name else 0}"],
+        "connect/endpoints": [f"tcp/127.0.0.1:{where.port(other)}" for other in SERVICES if other != name],
+        "connect/timeout_ms": -1,
+    }
 
 
 def gateway_configuration(where: StackAddress, endpoint: str, folder: SecureFolder, robot: str) -> zenoh.Config:
@@ -171,12 +178,6 @@ def oversize(payload: Sized) -> str:
     """Words for a message over `MAX_PAYLOAD`; empty for a smaller one."""
     n = len(payload)
     return f"{n / 2**20:.1f} MiB where a message may have {MAX_PAYLOAD // 2**20}" if n > MAX_PAYLOAD else ""
-
-
-def refuse(query: zenoh.Query, reason: Reason, text: str) -> None:
-    """Answers a request with an error: the code of a reason and a text."""
-    with query:
-        query.reply_err(msgpack.packb({"code": reason.code, "text": text}))
 
 
 class LatchedPublisher:

@@ -141,8 +141,8 @@ def test_a_late_joiner_has_the_goal_at_once_and_a_request_is_answered(where):
             if r.ok is not None
         ]
         assert [(r.accepted, r.task_id) for r in replies] == [(True, 7)]
-        refused = [r.err for r in tool.get(f"{ROBOT.name}/request/cancel", payload=b"\x00", timeout=5.0)]
-        assert b"bad_request" in refused[0].payload.to_bytes()
+        (refused,) = tool.get(f"{ROBOT.name}/request/cancel", payload=b"\x00", timeout=5.0)
+        assert decode(Reply, refused.ok.payload.to_bytes())[0].reason == "bad_request"
         with running(planner, "planner", where):
             wait_for(lambda: planner.goals == [1], planner.got)
 

@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import msgpack
 import numpy as np
@@ -96,24 +97,23 @@ def watched(service: Service, name: str, where: transport.StackAddress) -> Itera
         yield tool, Healths(tool, name)
 
 
-def error_of(tool: zenoh.Session, key: str, payload: bytes) -> dict[str, str]:
-    """The refusal of a request, which comes at once."""
+def refusal_of(tool: zenoh.Session, request: requests.Request[Any, Any], payload: bytes) -> Any:
+    """The refusing reply to a request, which comes at once."""
     begun = time.monotonic()
-    (reply,) = tool.get(f"{ROBOT.name}/{key}", payload=payload, timeout=TIMEOUT)
+    (reply,) = tool.get(f"{ROBOT.name}/{request.key}", payload=payload, timeout=TIMEOUT)
     assert time.monotonic() - begun < AT_ONCE
-    assert reply.err is not None
-    told: dict[str, str] = msgpack.unpackb(reply.err.payload.to_bytes())
-    return told
+    assert reply.ok is not None
+    refusal, _ = decode(request.reply, reply.ok.payload.to_bytes())
+    assert not refusal.accepted
+    return refusal
 
 
 def test_a_request_over_the_limit_is_refused_at_once_and_counted(where):
     with watched(CancellingNavigator(), "navigator", where) as (tool, healths):
-        assert error_of(tool, "request/cancel", bytes(LARGE)) == {
-            "code": "too_large",
-            "text": "4.0 MiB where a message may have 4",
-        }
-        assert error_of(tool, "request/cancel", bytes(2 * LARGE))["code"] == "too_large"
-        assert error_of(tool, "request/cancel", bytes(transport.MAX_PAYLOAD - 100))["code"] == "bad_request"
+        refusal = refusal_of(tool, requests.CANCEL, bytes(LARGE))
+        assert (refusal.reason, refusal.detail) == ("too_large", "4.0 MiB where a message may have 4")
+        assert refusal_of(tool, requests.CANCEL, bytes(2 * LARGE)).reason == "too_large"
+        assert refusal_of(tool, requests.CANCEL, bytes(transport.MAX_PAYLOAD - 100)).reason == "bad_request"
         assert "request/cancel" in healths.has("request/cancel", "size", 2).last_error
 
 
@@ -129,7 +129,7 @@ def test_the_client_refuses_what_is_over_the_limit_before_it_is_sent(where):
 def test_a_reply_over_the_limit_is_an_error_at_once_and_counted(where):
     with watched(RejectingMapper(), "mapper", where) as (tool, healths):
         payload = encode(FetchMap(1, 1, LARGE), Envelope("operator", "o", 0, 1))
-        assert error_of(tool, "request/fetch_map", payload)["code"] == "too_large"
+        assert refusal_of(tool, requests.FETCH_MAP, payload).reason == "too_large"
         healths.has("request/fetch_map", "size", 1)
 
 
@@ -138,8 +138,9 @@ def test_a_route_of_too_many_poses_is_refused_with_the_limit(where):
         poses = tuple(Pose2(0.1 * i, 0.0, 0.0) for i in range(MAX_ROUTE_POSES + 1))
         reply = client.ask(requests.NAVIGATE, Navigate(1, poses[:-1], 0.0, 1, True))
         assert reply.detail == "10000 poses"
-        with pytest.raises(UserError, match="a route of 10001 poses, where 10000 are the limit"):
-            client.ask(requests.NAVIGATE, Navigate(1, poses, 0.0, 1, True))
+        refusal = client.ask(requests.NAVIGATE, Navigate(1, poses, 0.0, 1, True))
+        assert (refusal.accepted, refusal.reason) == (False, "bad_request")
+        assert refusal.detail == "a route of 10001 poses, where 10000 are the limit"
 
 
 def test_a_message_over_the_limit_is_counted_where_it_comes_and_the_next_is_taken(where):
@@ -185,3 +186,18 @@ def test_sequences_that_do_not_rise_are_counted_and_the_service_knows(where, seq
         assert f"the sequence {words}" in health.last_error
         assert odometry.rejections.last_problem("base/wheels") == f"the sequence {words}"
         assert len(odometry.seen) == 1
+
+
+def test_fields_of_a_newer_version_are_ignored_and_named_in_health(where):
+    odometry = CountingOdometry()
+    with watched(odometry, "odometry", where) as (tool, healths):
+        stamp = time.time_ns()
+        tree = msgpack.unpackb(encode(WheelState(stamp, 0, 0.0, 0.0, 0.0, 0.0), Envelope("base_driver", "s", 0, stamp)))
+        for sequence in range(5):
+            grown = {**tree, "stamp": stamp + sequence, "temperature": 40.0, "@": ["base_driver", "s", sequence, stamp]}
+            tool.put(f"{ROBOT.name}/base/wheels", msgpack.packb(grown))
+        with healths.changed:
+            words = "base/wheels: unknown field temperature ignored"
+            assert healths.changed.wait_for(lambda: healths.newest and healths.newest.last_error == words, TIMEOUT)
+        assert healths.newest.bad_messages == 0
+    assert len(odometry.seen) == 5

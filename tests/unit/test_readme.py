@@ -22,6 +22,7 @@ NAMES = (
     "local_control",
     "planner",
     "runtime_settings",
+    "wire",
 )
 GUIDES = [ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in NAMES)]
 RECORDINGS = ROOT / "docs" / "recordings.md"  # speaks of commands within its lines too; what it runs stands alone

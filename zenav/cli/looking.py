@@ -1,14 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav doctor`, `foxglove`, `topic` and `config`. Only parsing; work is imported when it is due."""
+"""`zenav doctor`, `foxglove`, `topic`, `request`, `schema`, `config`. Only parsing; work is imported when it is due."""
 
 import sys
 from typing import Annotated
 
 import typer
 
-from zenav.cli.parts import LOOK, Command, Json, Key, RobotName, Seconds, Setting, Stack, app, group
+from zenav.cli.parts import DRIVE, LOOK, Command, Json, Key, RobotName, Seconds, Setting, Stack, app, group
 
-topic = group("Look at what goes over the wire.")
+Message = Annotated[str, typer.Argument(help="Its fields as JSON; `zenav schema` lists them.", metavar="JSON")]
+
+
+def _requests() -> list[str]:
+    from shared.requests import REQUESTS
+
+    return [key.partition("/")[2] for row in REQUESTS for key in row.keys]
+
+
+def _names() -> list[str]:
+    from shared.requests import REQUESTS
+    from shared.topics import TOPICS
+
+    return [*(row.key for row in TOPICS), *(row.key for row in REQUESTS)]
+
+
+topic = group("Look at what goes over the wire, and publish.")
 config = group("Look at the configuration.")
 
 
@@ -50,6 +66,67 @@ def hz(key: Key, seconds: Seconds = 5.0, as_json: Json = False, robot: RobotName
     from zenav.client.topic import measure_rate
 
     raise typer.Exit(measure_rate(robot, stack, key, seconds, as_json))
+
+
+@topic.command(cls=Command)
+def pub(
+    key: Key,
+    text: Message,
+    hz: Annotated[float, typer.Option(min=0, max=1000, help="Messages a second until Ctrl-C; 0: one.")] = 0.0,
+    publisher: Annotated[str, typer.Option("--as", help="Publish in the place of this service.")] = "",
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Publish a message, given as JSON. Its stamp is the time of sending, unless it is given.
+
+    Example: zenav topic pub cmd/teleop '{"v": 0.1, "w": 0, "reason": ""}' --hz 20
+    """
+    from zenav.client.sending import publish_json
+
+    publish_json(robot, stack, key, text, hz, publisher)
+
+
+@topic.command(cls=Command)
+def check(key: Key, seconds: Seconds = 3.0, robot: RobotName = "x80sv", stack: Stack = "0") -> None:
+    """Give the reasons why the messages on a topic do not pass: publisher, session, sequence, age, sizes.
+
+    Example: zenav topic check scan
+    """
+    from zenav.client.topic_check import check_topic
+
+    raise typer.Exit(check_topic(robot, stack, key, seconds))
+
+
+@app.command(cls=Command, rich_help_panel=DRIVE)
+def request(
+    name: Annotated[str, typer.Argument(help="Request, like navigate or set/planner.", autocompletion=_requests)],
+    text: Message = "{}",
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
+    """Send a request, given as JSON, and print the reply as JSON. Status 1 where it is refused.
+
+    Example: zenav request navigate '{"poses": [[1, 0, 0]], "dwell": 0, "loops": 1, "any_heading": true}'
+    """
+    from zenav.client.sending import request_json
+
+    raise typer.Exit(request_json(robot, stack, name, text))
+
+
+@app.command(cls=Command, rich_help_panel=LOOK)
+def schema(
+    name: Annotated[
+        str, typer.Argument(help="Only this message, topic or request, like LaserScan or scan.", autocompletion=_names)
+    ] = "",
+    as_json: Annotated[bool, typer.Option("--json", help="JSON Schema (2020-12).")] = False,
+) -> None:
+    """Print the fields of messages and requests, with types, units and bounds.
+
+    Example: zenav schema --json
+    """
+    from zenav.wire.json_schema import show_schema
+
+    show_schema(name, as_json)
 
 
 @config.command("show", cls=Command)

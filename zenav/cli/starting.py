@@ -89,6 +89,13 @@ def up(
     remote: Annotated[
         bool, typer.Option("--remote", help="Let members in from other computers: see zenav secure.")
     ] = False,
+    external: Annotated[
+        str,
+        typer.Option(
+            help="Programs of yours take the place of these services. Says what is wrong with their messages.",
+            metavar="A,B",
+        ),
+    ] = "",
     stack: Stack = "0",
     set_: Setting = None,
 ) -> None:
@@ -114,6 +121,7 @@ def up(
         page,
         browser,
         remote,
+        [name for name in external.split(",") if name],
     )
 
 

@@ -58,7 +58,7 @@ def echo(robot: str, stack: str, key: str, number: int, as_json: bool) -> int:
                 _write(topic, payload, as_json)
         del latched_reader
     if not n_shown and number:
-        raise UserError(f"nothing came on {key}", _does_it_run(key, topic))
+        raise UserError(f"nothing came on {key}", does_it_run(key, topic))
     return 0
 
 
@@ -83,7 +83,7 @@ def measure_rate(robot: str, stack: str, key: str, seconds: float, as_json: bool
     if len(arrivals) < 2:
         raise UserError(
             f"{len(arrivals)} message{'s' if len(arrivals) != 1 else ''} on {key} in {seconds:g} s",
-            (f"expected {topic.hz:g} a second; " if topic.hz else "") + _does_it_run(key, topic),
+            (f"expected {topic.hz:g} a second; " if topic.hz else "") + does_it_run(key, topic),
         )
     row = rates(np.array(arrivals), np.array(ages), np.array(sizes))
     expected = f"expected {topic.hz:g}" if topic.hz else "an event"
@@ -98,7 +98,8 @@ def measure_rate(robot: str, stack: str, key: str, seconds: float, as_json: bool
     return 0
 
 
-def _does_it_run(key: str, topic: Topic[Message]) -> str:
+def does_it_run(key: str, topic: Topic[Message]) -> str:
+    """A hint for a key without messages."""
     if not topic.hz:
         return "it comes only when something happens"
     return f"does {topic.by.replace(' ', ' or ') if topic.by != '*' else key.partition('/')[2]} run? zenav doctor"

@@ -5,6 +5,7 @@ import json
 import runpy
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 
 from shared import requests, topics
@@ -18,6 +19,7 @@ from zenav.client.map_modes import OnMap
 from zenav.console.run_folder import new_run_folder
 from zenav.console.shutdown import stop_on_signal
 from zenav.stack.config_report import read_sections
+from zenav.stack.external import ExternalWatch, expected_topics
 from zenav.stack.gateway import GATEWAY, gateway_address, prepare_gateway, prepare_page, with_gateway
 from zenav.stack.hardware import Hardware, emulated_ports, services_for, settings_for, simulated_world
 from zenav.stack.heap import release_free_memory
@@ -45,13 +47,16 @@ def run_service(service: str, robot: str, stack: str, settings: list[str], clock
     runpy.run_module(f"services.{service}", run_name="__main__", alter_sys=True)
 
 
-def selected_services(only: list[str], whole: list[str]) -> list[str]:
-    """The services to start, in the registry's order. Raises UserError on a name that is none."""
+def selected_services(only: list[str], whole: list[str], external: Sequence[str] = ()) -> list[str]:
+    """The services to start, in the registry's order, without the external ones. Raises UserError on a wrong name."""
     names = tuple(existing_services())
-    for name in only:
+    for name in (*only, *external):
         if name not in names:
             raise UserError(f"{name} is not a service", nearest(name, names))
-    return [name for name in names if name in (only or whole)]
+    selected = [name for name in names if name in (only or whole) and name not in external]
+    if not selected:
+        raise UserError("no service is left to start", "name others with --only, or fewer with --external")
+    return selected
 
 
 def up(
@@ -66,19 +71,21 @@ def up(
     page: bool = True,
     browser: bool = True,
     remote: bool = False,
+    external: Sequence[str] = (),
 ) -> None:
     """Runs the services until Ctrl-C. hardware: None is the simulator's messages with a world, else the real robot.
 
     on_map: what the mapper begins with; a new map without it.  page: whether the page's server runs, and `browser`:
     whether a browser shows it in a desktop session.  remote: whether members reach the stack from other computers.
+    external: services that are not started, because programs of the user take their place.
     """
-    hardware = _checked_hardware(hardware, world, speed)
+    hardware = _checked_hardware(hardware, world, speed, external)
     settings = [*settings, *([f"sim.world={world}"] if world else [])]
     where = stack_address(stack)
     settings = with_gateway(settings, where) if remote else settings
     file = configured(robot, settings)
     read_sections(file)
-    names = selected_services(only, with_page(services_for(hardware, file), page))
+    names = selected_services(only, with_page(services_for(hardware, file), page), external)
     if remote:
         prepare_gateway(file)
         names.append(GATEWAY)
@@ -103,7 +110,7 @@ def up(
             _print_line("zenav", f"the page is at {url}")
         if remote:
             _print_line("zenav", f"members connect to {gateway_address(file)}")
-        if not world and not only:
+        if hardware is Hardware.REAL and not only:
             _print_line("zenav", "no world: expects the robot's hardware; simulate with --world office")
         if hardware is Hardware.EMULATED:
             ports = ", ".join(str(folder / port) for port in emulated_ports(file))
@@ -112,6 +119,11 @@ def up(
         client = open_things.enter_context(Client(file.robot.name, where))
         ready: set[str] = set()
         opener = PageOpener(url, browser)
+        expected = expected_topics(names, external, file) if external or not only else []
+        watch = ExternalWatch(client, expected, file.robot, lambda line: _print_line("zenav", line))
+        if external:
+            keys = ", ".join(topic.key for topic in expected) or "no messages"
+            _print_line("zenav", f"{', '.join(external)}: not started here; waits for {keys}")
         systemd, heard = Notifier(), [0.0]  # s, monotonic: of the last health of any service
 
         def hear(health: Health) -> None:
@@ -121,7 +133,7 @@ def up(
             if health.name not in ready and health.name in commands:
                 ready.add(health.name)
                 if len(ready) == len(commands):
-                    _print_line("zenav", "every service runs")
+                    _print_line("zenav", watch.ready_text())
 
         client.listen(topics.HEALTH, lambda health, _: hear(health))
         launcher.start_all(lambda name: name in ready, stop.is_set)
@@ -134,6 +146,7 @@ def up(
         is_ready = False
         while not stop.is_set():
             launcher.step()
+            watch.step()
             if not is_ready and len(ready) == len(commands):
                 is_ready = True
                 systemd.ready()
@@ -152,8 +165,12 @@ def _print_line(name: str, line: str) -> None:
     sys.stderr.flush()
 
 
-def _checked_hardware(hardware: Hardware | None, world: str, speed: float) -> Hardware:
+def _checked_hardware(hardware: Hardware | None, world: str, speed: float, external: Sequence[str]) -> Hardware:
     """The hardware that fits the other arguments. Raises UserError where none does."""
+    if "sim" in external:
+        if world or hardware is not None or speed != 1.0:
+            raise UserError("an external simulator has its own world", "leave out --world, --hardware and --speed")
+        return Hardware.MESSAGES
     chosen = hardware or (Hardware.MESSAGES if world else Hardware.REAL)
     if (chosen is Hardware.REAL) == bool(world):
         hint = "leave out --world" if world else "name one: --world office"
