@@ -89,6 +89,11 @@ class SecureFolder:
         return self.path / "sessions.json"
 
     @property
+    def tokens_file(self) -> Path:
+        """Hashes of the tokens of members, for the Foxglove server."""
+        return self.path / "tokens.json"
+
+    @property
     def exists(self) -> bool:
         """Whether it holds the certificate of a robot."""
         return self.robot_certificate.is_file()

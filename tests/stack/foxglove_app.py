@@ -7,6 +7,7 @@ import time
 from base64 import b64decode
 from collections.abc import Callable
 from contextlib import ExitStack
+from ssl import SSLContext
 from typing import Any
 
 from websockets.exceptions import ConnectionClosed
@@ -23,10 +24,12 @@ MESSAGE, TIME, SERVICE_RESPONSE = 1, 2, 3  # opcodes of the server's binary mess
 class FakeApp:
     """One client. Everything that comes is kept: `messages` by topic as (log time, content), `statuses`, `times`."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, token: str = "", tls: SSLContext | None = None) -> None:
+        """token, tls: for a server that serves TLS."""
         self._open = ExitStack()
+        address = f"ws://127.0.0.1:{port}" if tls is None else f"wss://127.0.0.1:{port}/?token={token}"
         self.socket: ClientConnection = self._open.enter_context(
-            connect(f"ws://127.0.0.1:{port}", subprotocols=[SUBPROTOCOL], max_size=None, close_timeout=CLOSING)
+            connect(address, ssl=tls, subprotocols=[SUBPROTOCOL], max_size=None, close_timeout=CLOSING)
         )
         self.channels: dict[str, dict[str, Any]] = {}
         self.services: dict[str, int] = {}
@@ -37,7 +40,8 @@ class FakeApp:
         self._subscribed: dict[int, str] = {}
         self._announced: dict[str, int] = {}
         self._n_calls = 0
-        self.until(lambda: self.services)
+        self.capabilities: list[str] | None = None
+        self.until(lambda: self.capabilities is not None and (self.services or "services" not in self.capabilities))
 
     def __enter__(self) -> "FakeApp":
         return self
@@ -83,7 +87,7 @@ class FakeApp:
         """The answer of a service; one with the key `failure` where the call failed."""
         self._n_calls += 1
         number = self._n_calls
-        header = struct.pack("<BIII", 2, self.services[service], number, 4)
+        header = struct.pack("<BIII", 2, self.services.get(service, 1), number, 4)
         self.socket.send(header + b"json" + content)
         return dict(self.until(lambda: self.answers.get(number)))
 
@@ -111,7 +115,9 @@ class FakeApp:
             self.answers[call] = json.loads(message[13 + length :])
 
     def _hear(self, message: dict[str, Any]) -> None:
-        if message["op"] == "advertise":
+        if message["op"] == "serverInfo":
+            self.capabilities = message["capabilities"]
+        elif message["op"] == "advertise":
             self.channels |= {channel["topic"]: channel for channel in message["channels"]}
         elif message["op"] == "advertiseServices":
             self.services |= {service["name"]: service["id"] for service in message["services"]}

@@ -2,6 +2,7 @@
 """`zenav doctor`, `foxglove`, `topic`, `request`, `schema`, `config`. Only parsing; work is imported when it is due."""
 
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -170,12 +171,20 @@ def doctor(stack: Stack = "0") -> None:
 @app.command(cls=Command, rich_help_panel=LOOK)
 def foxglove(
     port: Annotated[int, typer.Option(min=0, max=65535, help="0: any free one.")] = 8765,
-    host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0: every network.")] = "127.0.0.1",
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; others than 127.0.0.1 need certificates.")
+    ] = "127.0.0.1",
+    certificate: Annotated[
+        Path | None, typer.Option("--cert", metavar="FILE", help="PEM; without it the robot's own certificate.")
+    ] = None,
+    key: Annotated[Path | None, typer.Option("--key", metavar="FILE", help="PEM, the private key of --cert.")] = None,
     layout: Annotated[bool, typer.Option("--layout", help="Write the layout for the app to stdout, and end.")] = False,
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:
     """Show the running stack in Foxglove or Lichtblick, and take goals and driving from there, until Ctrl-C.
+
+    With --cert, or on an address of a network, it serves TLS, and each client gives a token (zenav secure token).
 
     Example: zenav foxglove --layout > layout.json; zenav foxglove
     """
@@ -186,4 +195,4 @@ def foxglove(
         return
     from zenav.foxglove.server import serve
 
-    serve(robot, stack, host, port)
+    serve(robot, stack, host, port, certificate, key)

@@ -85,6 +85,17 @@ def renew(
     renew_certificates(name, folder, out, days, hosts or [])
 
 
+@secure.command(cls=Command)
+def token(name: Name, folder: Folder = "") -> None:
+    """Print a token of a member for the Foxglove app, once; an older one ends.
+
+    Example: zenav secure token anna
+    """
+    from zenav.secure.tokens import issue_token
+
+    issue_token(name, folder)
+
+
 @secure.command("list", cls=Command)
 def list_(json: Json = False, folder: Folder = "") -> None:
     """List the members, and until when their certificates hold.

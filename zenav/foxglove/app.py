@@ -42,13 +42,24 @@ TRIGGERED = {
 }
 
 
-class App(ServerListener):
+class Onlooker(ServerListener):
+    """Listens to the clients of a server that takes nothing from them."""
+
+    def __init__(self, asked: Callable[[str], None]) -> None:
+        """asked: gets the topic that a client begins to listen to."""
+        self._asked = asked
+
+    def on_subscribe(self, client: Viewer, channel: ChannelView) -> None:
+        self._asked(channel.topic)
+
+
+class App(Onlooker):
     """Listens to the clients of a server. `close` ends its worker."""
 
     def __init__(self, client: Client, say: Say, asked: Callable[[str], None]) -> None:
-        """asked: gets the topic that a client begins to listen to."""
+        super().__init__(asked)
         self.commander = Commander()
-        self._client, self._say, self._asked = client, say, asked
+        self._client, self._say = client, say
         self._inlets: dict[tuple[int, int], Inlet] = {}
         self._told: dict[str, float] = {}
         self._lock = threading.Lock()  # one STOP at a time: its key has one sequence
@@ -66,9 +77,6 @@ class App(ServerListener):
                 self._forget_one()
 
     # --- the SDK's callbacks ----------------------------------------------------------------------------------------
-
-    def on_subscribe(self, client: Viewer, channel: ChannelView) -> None:
-        self._asked(channel.topic)
 
     def on_client_advertise(self, client: Viewer, channel: ClientChannel) -> None:
         try:

@@ -3,7 +3,7 @@
 
 One loop sends messages to the clients, publishes the Commander's velocities, and reports silent services. It only reads
 from the stack, except for the input that app.py accepts. A slow client loses messages, oldest first: the SDK has a
-bounded queue for each.
+bounded queue for each. On a network it serves through the gate (gate.py).
 """
 
 import sys
@@ -11,6 +11,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from ipaddress import ip_address
+from pathlib import Path
 
 import foxglove
 from foxglove import StatusLevel
@@ -22,16 +24,18 @@ from shared.config import Robot, UserError, load_robot
 from shared.messages import MapUpdate, Velocity
 from shared.runners.inbox import Inbox, Slot
 from shared.runners.transport import LatchedReader, stack_address
+from shared.secure_folder import secure_folder
 from shared.stamps import precedes
 from shared.topics import topic_of
 from zenav.client import Client
 from zenav.console.shutdown import StopFlag, stop_on_signal
-from zenav.foxglove.app import App
+from zenav.foxglove.app import App, Onlooker
 from zenav.foxglove.channels import Channels
 from zenav.foxglove.diagnostics import silent
+from zenav.foxglove.gate import Gate, GateCredentials
 from zenav.foxglove.schemas import MAP_ROW, STATE, MapPicture, rows_of
 
-HERE = ("127.0.0.1", "localhost", "::1")
+HERE = "127.0.0.1"
 PERIOD = 0.05  # s between two commands, and two ticks of the clock
 SILENT = 3.0  # s without health after which a service counts as silent: three are missing
 ENDING = 2.0  # s within which a stack's services end one after the other
@@ -46,24 +50,45 @@ EXPECTED = (
 """What clients may listen to before anything of it has come."""
 
 
-def serve(robot: str, stack: str, host: str, port: int) -> None:
-    """Serves until SIGINT or SIGTERM. Raises UserError where the port is taken, or the stack is named wrongly."""
+def serve(robot: str, stack: str, host: str, port: int, certificate: Path | None, key: Path | None) -> None:
+    """Serves until SIGINT or SIGTERM. Raises UserError where the port is taken, or the stack is named wrongly.
+
+    certificate, key: PEM; without them the robot's own, if the host is an address of a network.
+    """
     described = load_robot(robot).robot
+    credentials = gate_credentials(host, certificate, key)
     with (
         stop_on_signal() as stop,
         Client(described.name, stack_address(stack)) as client,
-        live_view(client, described, host, port) as view,
+        live_view(client, described, host, port, credentials) as view,
     ):
-        sys.stderr.write(f"{described.name} is at ws://{host}:{view.port}: in Foxglove, open a Foxglove WebSocket\n")
-        if host not in HERE:
-            sys.stderr.write("every client that reaches this port can drive the robot: limit access to the network\n")
+        address = f"ws://{host}:{view.port}" if credentials is None else f"wss://{host}:{view.port}/?token=TOKEN"
+        sys.stderr.write(f"{described.name} is at {address}: in Foxglove, open a Foxglove WebSocket\n")
         view.run(stop)
 
 
+def gate_credentials(host: str, certificate: Path | None, key: Path | None) -> GateCredentials | None:
+    """What a server on a host's address serves with; None on loopback without a certificate.
+
+    Raises UserError where an address of a network has no certificate.
+    """
+    if (certificate is None) != (key is None):
+        raise UserError("a certificate and its key belong together", "give --cert FILE and --key FILE, or neither")
+    if certificate is None and _is_loopback(host):
+        return None
+    folder = secure_folder().require()
+    return GateCredentials(folder, certificate or folder.robot_certificate, key or folder.robot_key)
+
+
 @contextmanager
-def live_view(client: Client, robot: Robot, host: str, port: int) -> Iterator["LiveView"]:
-    """A server on a port (0: any free one) that shows an open client's stack; `run` feeds it. Raises UserError."""
-    view = LiveView(client, robot)
+def live_view(
+    client: Client, robot: Robot, host: str, port: int, credentials: GateCredentials | None = None
+) -> Iterator["LiveView"]:
+    """A server on a port (0: any free one) that shows an open client's stack; `run` feeds it. Raises UserError.
+
+    credentials: it then serves TLS, and each client gives a token.
+    """
+    view = LiveView(client, robot, credentials)
     try:
         view.open(host, port)
         yield view
@@ -74,12 +99,15 @@ def live_view(client: Client, robot: Robot, host: str, port: int) -> Iterator["L
 class LiveView:
     """See `live`."""
 
-    def __init__(self, client: Client, robot: Robot) -> None:
+    def __init__(self, client: Client, robot: Robot, credentials: GateCredentials | None) -> None:
         self.client = client
+        self.port = 0
+        self._credentials = credentials
         self._context = foxglove.Context()
         self._channels = Channels(self._context, robot)
         self._app = App(client, self._say, self._channels.ask)
-        self._server: WebSocketServer | None = None
+        self._servers: list[WebSocketServer] = []
+        self._gate: Gate | None = None
         self._inbox = Inbox()
         self._places: dict[str, Slot] = {}
         self._picture = MapPicture()
@@ -92,28 +120,14 @@ class LiveView:
         self._told = 0  # ns, the time that the app has
         self._driving = False
 
-    @property
-    def port(self) -> int:
-        return self._server.port if self._server is not None else 0
-
     def open(self, host: str, port: int) -> None:
         """Takes the port and listens to the stack. Raises UserError where the port cannot be had."""
         for row in (row for topic in (*EXPECTED, *WATCHED) for row in rows_of(topic.key)):
             self._channels.declare(row)
         self._channels.declare(MAP_ROW, lambda: self._picture.whole() if self._look() else None)
         try:
-            self._server = foxglove.start_server(
-                name=f"zenav {self.client.robot}",
-                host=host,
-                port=port,
-                context=self._context,
-                capabilities=[Capability.ClientPublish, Capability.Services, Capability.Time],
-                supported_encodings=["json"],
-                server_listener=self._app,
-                services=self._app.services(),
-                message_backlog_size=BACKLOG,
-            )
-        except (RuntimeError, OverflowError, ValueError) as error:
+            self.port = self._listen(host, port)
+        except (RuntimeError, OverflowError, ValueError, OSError) as error:
             why = str(error).rpartition(": ")[2]
             raise UserError(
                 f"cannot listen on {host}:{port}: {why}", "another `zenav foxglove`? choose --port"
@@ -126,6 +140,31 @@ class LiveView:
             if key != topics.MAP.key
         ]
 
+    def _listen(self, host: str, port: int) -> int:
+        """Starts the servers, and the gate before them; returns the port that clients reach."""
+        if self._credentials is None:
+            return self._start(host, port, operator=True)
+        backends = self._start(HERE, 0, operator=False), self._start(HERE, 0, operator=True)
+        self._gate = Gate(self._credentials, backends, self._say)
+        return self._gate.open(host, port)
+
+    def _start(self, host: str, port: int, operator: bool) -> int:
+        """Starts a server of the SDK for operators, or for viewers (they can only look); returns its port."""
+        input_ = [Capability.ClientPublish, Capability.Services] if operator else []
+        server = foxglove.start_server(
+            name=f"zenav {self.client.robot}",
+            host=host,
+            port=port,
+            context=self._context,
+            capabilities=[*input_, Capability.Time],
+            supported_encodings=["json"],
+            server_listener=self._app if operator else Onlooker(self._channels.ask),
+            services=self._app.services() if operator else None,
+            message_backlog_size=BACKLOG,
+        )
+        self._servers.append(server)
+        return server.port
+
     def close(self) -> None:
         """Ends the server; a robot that is driven from it stands."""
         self._app.close()
@@ -133,8 +172,10 @@ class LiveView:
             if self._driving:
                 self.client.publish(topics.TELEOP(Velocity(self.client.now(), 0.0, 0.0, "")))
         finally:
-            if self._server is not None:
-                self._server.stop()
+            if self._gate is not None:
+                self._gate.close()
+            for server in self._servers:
+                server.stop()
 
     def run(self, stop: StopFlag) -> None:
         """Serves until `stop` is set."""
@@ -189,8 +230,8 @@ class LiveView:
         if precedes(at, self._told, at):  # an estimate: it may step back a little, but an app takes that for a seek
             at = self._told
         self._told = at
-        if self._server is not None:
-            self._server.broadcast_time(at)
+        for server in self._servers:
+            server.broadcast_time(at)
         if self._channels.wanted(MAP_ROW.topic) and self._look():
             self._channels.send(MAP_ROW, self._picture.due(time.monotonic_ns()), at)
         self._channels.answer(at)
@@ -230,5 +271,12 @@ class LiveView:
         """Shows a line on the terminal and to every client."""
         sys.stderr.write(f"{text}\n")
         sys.stderr.flush()
-        if self._server is not None:
-            self._server.publish_status(text, StatusLevel.Warning if trouble else StatusLevel.Info)
+        for server in self._servers:
+            server.publish_status(text, StatusLevel.Warning if trouble else StatusLevel.Info)
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

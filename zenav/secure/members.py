@@ -60,7 +60,7 @@ def renew_certificates(name: str, folder: str, out: Path | None, days: int, host
         _issue_robot(place, robot_name, names)
         _say(f"{place.robot_certificate}: for {', '.join(names)}")
         return
-    member = _member(place, name)
+    member = valid_member(place, name)
     _issue_member(place, name, member.role, out, days)
 
 
@@ -78,7 +78,7 @@ def revoke_member(name: str, folder: str) -> None:
     Raises UserError on a wrong name.
     """
     place = secure_folder(folder).require()
-    _member(place, name)
+    valid_member(place, name)
     place.write_members([replace(row, revoked=True) if row.name == name else row for row in place.members()])
     _say(f"{name} has no access any more")
 
@@ -117,6 +117,14 @@ def accept_credentials(file: Path, endpoint_host: str) -> None:
     place.write(target, credentials.text().encode())
     _say(f"{credentials.name} ({credentials.role}) of {credentials.robot}")
     _say(f"try: zenav topic list --stack tls/{endpoint_host}:7448")
+
+
+def valid_member(place: SecureFolder, name: str) -> Member:
+    """The member of a name that is not revoked. Raises UserError where there is none."""
+    valid = {member.name: member for member in place.members() if not member.revoked}
+    if name not in valid:
+        raise UserError(f"{name} is no member", nearest(name, tuple(valid)) if valid else "see zenav secure list")
+    return valid[name]
 
 
 def today() -> date:
@@ -159,13 +167,6 @@ def _robot_of(place: SecureFolder) -> tuple[str, list[str]]:
         return str(row["robot"]), [str(name) for name in row["names"]]
     except (OSError, ValueError, TypeError, KeyError):
         raise UserError(f"{place.robot_file} cannot be read", "restore it from a backup") from None
-
-
-def _member(place: SecureFolder, name: str) -> Member:
-    valid = {member.name: member for member in place.members() if not member.revoked}
-    if name not in valid:
-        raise UserError(f"{name} is no member", nearest(name, tuple(valid)) if valid else "see zenav secure list")
-    return valid[name]
 
 
 def _say(text: str) -> None:
