@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from services.dashboard.field_checks import FrameError
-from services.dashboard.frames import PAGE_KEYS, checked_operation, request_named, request_payload
+from services.dashboard.frames import MARK, PAGE_KEYS, checked_operation, request_named, request_payload
 from services.dashboard.outgoing import (
     accepting_reply,
     ask_order,
@@ -81,7 +81,7 @@ def do(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -
     if not may(page.role, needed):
         yield refusing_reply(service.now, page.client, fields["id"], "role", f"{op} needs the role {needed}")
     elif op == "recording_mark":  # the log is recorded, so the mark is there
-        yield Log("INFO", f"mark by {page.name}: {arguments['text']}")
+        yield Log("INFO", f"{MARK}{page.name}: {arguments['text']}")
         yield accepting_reply(service.now, page.client, fields["id"])
     else:
         yield do_order(service.now, page.client, fields["id"], op, arguments)
