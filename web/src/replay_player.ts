@@ -9,7 +9,7 @@ import { type OpenedReplay, type ReplayState } from "./records";
 export const REPLAY_TICK_MS = 100; // at most 10 orders a second
 export const SPEEDS = ["1", "2", "5", "10"] as const;
 export type Speed = (typeof SPEEDS)[number];
-const OPEN_TIMEOUT_MS = 100_000; // the whole recording is read once
+const TIMEOUT_MS = 100_000; // the whole recording is read once, again after the tools ended for idleness
 
 type Run = (op: string, args: object, timeout?: number) => Promise<Reply>;
 
@@ -47,7 +47,7 @@ export class ReplayPlayer {
   async open(name: string): Promise<void> {
     const n = ++this.n;
     this.opening.value = name;
-    const reply = await this.run("replay_open", { name }, OPEN_TIMEOUT_MS);
+    const reply = await this.run("replay_open", { name }, TIMEOUT_MS);
     if (n !== this.n) return;
     this.opening.value = "";
     if (!reply.accepted) return this.stage.refuse(reply);
@@ -105,7 +105,7 @@ export class ReplayPlayer {
     this.waits = true;
     this.stale = false;
     for (let first = 0, left = 1; left > 0; ) {
-      const reply = await this.run("replay_at", { name, t, first, ...since });
+      const reply = await this.run("replay_at", { name, t, first, ...since }, TIMEOUT_MS);
       if (n !== this.n) return;
       if (!reply.accepted) {
         this.playing.value = false;

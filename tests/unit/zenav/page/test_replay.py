@@ -109,23 +109,22 @@ def test_the_state_at_any_time_is_that_of_all_messages_until_then(tmp_path_facto
         rows.append((event[0], message_of(event, time)))
     path = write(tmp_path_factory.mktemp("replay") / "a.mcap", rows, flush_every, close)
     zero = rows[0][1].stamp
-    replay = OpenReplay(path)
-    assert replay.summary()["length"] == pytest.approx((time - zero) / 1e9)
-    played: dict[tuple[int, int], bytes] = {}
-    since = None
-    for at in range(zero - STEP // 2, time + STEP, STEP // 2):
-        t = (at - zero) / 1e9
-        sought = replay.state(t, None, 0)
-        newest = {key: message.stamp for key, message in rows if message.stamp <= at and key != "map"}
-        stamps = {key: decode(topic_of(key).type, payload)[1].sequence for key, payload in sought["messages"]}
-        expected = {key: max(i for i, (k, m) in enumerate(rows) if k == key and m.stamp <= at) for key in newest}
-        assert stamps == expected
-        truth = map_by_brute_force(rows, at)
-        assert shown_tiles(sought["tiles"], {}) == truth
-        played = shown_tiles(replay.state(t, since, 0)["tiles"], played)
-        assert played == truth, "increments equal a seek"
-        since = t
-    replay.close()
+    with closing(OpenReplay(path)) as replay:
+        assert replay.summary()["length"] == pytest.approx((time - zero) / 1e9)
+        played: dict[tuple[int, int], bytes] = {}
+        since = None
+        for at in range(zero - STEP // 2, time + STEP, STEP // 2):
+            t = (at - zero) / 1e9
+            sought = replay.state(t, None, 0)
+            newest = {key: message.stamp for key, message in rows if message.stamp <= at and key != "map"}
+            stamps = {key: decode(topic_of(key).type, payload)[1].sequence for key, payload in sought["messages"]}
+            expected = {key: max(i for i, (k, m) in enumerate(rows) if k == key and m.stamp <= at) for key in newest}
+            assert stamps == expected
+            truth = map_by_brute_force(rows, at)
+            assert shown_tiles(sought["tiles"], {}) == truth
+            played = shown_tiles(replay.state(t, since, 0)["tiles"], played)
+            assert played == truth, "increments equal a seek"
+            since = t
 
 
 def test_only_the_changed_tiles_come_while_it_plays_and_all_where_the_page_is_ahead_or_has_another_map(
