@@ -67,6 +67,8 @@ OPERATION_ROLES = {
     "places": Role.VIEWER,
     "recordings": Role.VIEWER,
     "settings": Role.VIEWER,
+    "replay_open": Role.VIEWER,
+    "replay_at": Role.VIEWER,
     "map_save": Role.OPERATOR,
     "map_load": Role.OPERATOR,
     "place_set": Role.OPERATOR,

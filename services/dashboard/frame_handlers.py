@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from services.dashboard.audit import audit, operation_text, refusal_line, request_text
 from services.dashboard.field_checks import FrameError
-from services.dashboard.frames import PAGE_KEYS, checked_operation, request_named, request_payload
+from services.dashboard.frames import MARK, PAGE_KEYS, checked_operation, request_named, request_payload
 from services.dashboard.outgoing import (
     accepting_reply,
     ask_order,
@@ -90,7 +90,7 @@ def do(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -
         return
     arguments = checked_operation(op, values)
     if op == "recording_mark":  # the log is recorded, so the mark is there
-        yield Log("INFO", f"mark by {page.name}: {arguments['text']}")
+        yield Log("INFO", f"{MARK}{page.name}: {arguments['text']}")
         yield accepting_reply(service.now, page.client, fields["id"])
         return
     if text := operation_text(op, arguments):

@@ -32,6 +32,9 @@ MAX_FRAME = 64 * 1024
 MAX_NAME = 40  # characters
 MAX_SPEED, MAX_TURN_RATE = 20.0, 50.0  # m/s, rad/s: the bounds of shared/messages.py
 MAX_MARK = 200  # characters
+MARK = "mark by "
+"""Begin of the log line that a mark becomes."""
+MAX_REPLAY_S = 1e7  # s from the begin of a recording
 
 HIDDEN = (topics.JOURNAL, topics.RX, topics.TX, topics.PORT, topics.PLUG)
 """What a page cannot show: bytes of other services, and its own."""
@@ -66,6 +69,11 @@ OPERATIONS = {
     "recordings": Fields(),
     "recording_mark": Fields({"text": text(MAX_MARK)}),
     "recording_delete": Fields({"name": recording_name}),
+    "replay_open": Fields({"name": recording_name}),
+    "replay_at": Fields(
+        {"name": recording_name, "t": number(0, MAX_REPLAY_S)},
+        {"since": number(0, MAX_REPLAY_S), "first": whole_number},
+    ),
     "settings": Fields(),
     "setting_set": Fields({"name": text(MAX_VALUE_LENGTH), "value": text(MAX_VALUE_LENGTH)}),
 }

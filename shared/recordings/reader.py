@@ -186,15 +186,16 @@ class Recording:
             for block in self._layout.blocks:
                 if block.end < since or block.begin >= until or not (wanted is None or block.holds(numbers)):
                     continue
-                try:
-                    records = records_of(file, block)
-                except DAMAGE as error:
-                    self._lose(file, block, f"is damaged: {error}")
-                    continue
                 timed = block.begin < since or block.end >= until
-                for entry in self._messages(records, block, wanted, as_recorded):
+                for entry in self._messages(self._records(file, block), block, wanted, as_recorded):
                     if not timed or since <= entry.log_time < until:
                         yield entry
+
+    def entries_of(self, block: Block, keys: Iterable[str] | None = None, as_recorded: bool = False) -> list[Entry]:
+        """The messages of some keys, or of all, in one of its `blocks`; none where that is damaged. As `entries`."""
+        wanted = None if keys is None else frozenset(keys)
+        with self.path.open("rb") as file:
+            return list(self._messages(self._records(file, block), block, wanted, as_recorded))
 
     def lives(self) -> dict[str, list[Life]]:
         """By service, its sessions in the order in which they began, each with the events of its journals."""
@@ -286,6 +287,14 @@ class Recording:
         if n_orphans and block.place not in self._problems:
             self.n_lost += n_orphans
             self._problems[block.place] = f"{n_orphans} messages at byte {block.place} belong to channels that are lost"
+
+    def _records(self, file: IO[bytes], block: Block) -> bytes:
+        """The records of a block; none where it is damaged, which is noted."""
+        try:
+            return records_of(file, block)
+        except DAMAGE as error:
+            self._lose(file, block, f"is damaged: {error}")
+            return b""
 
     def _lose(self, file: IO[bytes], block: Block, what: str) -> None:
         """Notes a chunk that cannot be read, once."""

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page in Chromium: zones, saved maps, the keyboard, and what accessibility tools find."""
+"""The page in Chromium: zones, saved maps, replays, the keyboard, and what accessibility tools find."""
 
+import re
+import shutil
 import zipfile
+from math import degrees, hypot
 from pathlib import Path
 
 import pytest
@@ -9,7 +12,9 @@ import pytest
 pytest.importorskip("playwright", reason="the page's tests need playwright and Chromium")
 
 from shared import requests, topics
-from shared.messages import MapMode
+from shared.codec import decode
+from shared.messages import GuardState, MapMode
+from shared.recording import Recording
 from shared.requests import SetSettings
 from tests.page.browser_page import CHROMIUM, PHONE, choose, download, rail
 
@@ -22,6 +27,14 @@ FOCUS = """() => {
   const style = getComputedStyle(document.activeElement);
   return [document.activeElement.innerText, style.outlineStyle !== "none" && parseFloat(style.outlineWidth) > 0];
 }"""
+DRIVE = Path(__file__).parents[1] / "replay" / "recordings" / "driving.mcap"
+N_KNOWN = """() => {
+  const canvas = document.querySelector(".map-canvas");
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  const cells = new Uint32Array(data.buffer);
+  return cells.reduce((n, cell) => n + (cell !== cells[0]), 0);
+}"""
+"""Pixels of the map's canvas that are not as its corner, where nothing is known."""
 
 
 def zone_names(stack):
@@ -138,3 +151,70 @@ def test_a_setting_is_changed_while_the_robot_runs_and_goes_back_to_its_value_of
     row.get_by_role("button", name="Back to 5").click()
     row.get_by_text("set at run time").wait_for(state="detached")
     assert row.locator(".setting-value").inner_text() == "5"
+
+
+def recorded_pose(seconds):
+    """The newest pose, with the newest odometry, at a time of the drive."""
+    recording = Recording(DRIVE)
+    end = recording.blocks[0].begin + round(seconds * 1e9) + 1
+    newest = {entry.key: entry for entry in recording.entries(("pose", "odom"), end=end)}
+    pose, _ = decode(topics.POSE.type, newest["pose"].payload)
+    odometry, _ = decode(topics.ODOM.type, newest["odom"].payload)
+    return pose.map_from_odom @ odometry.odom_from_base
+
+
+def seek(page, seconds):
+    page.get_by_label("Time in the recording").evaluate(
+        """(range, t) => {
+          range.value = t;
+          range.dispatchEvent(new Event("input", { bubbles: true }));
+        }""",
+        seconds,
+    )
+
+
+def shown_pose(page):
+    text = page.locator(".replay-pose").inner_text()
+    return [float(number) for number in re.findall(r"-?[\d.]+", text)]
+
+
+def shows(page, seconds):
+    pose, (x, y, yaw) = recorded_pose(seconds), shown_pose(page)
+    return hypot(pose.x - x, pose.y - y) < 0.01 and abs(degrees(pose.yaw) - yaw) < 1
+
+
+def test_a_recording_is_replayed_beside_the_live_robot_which_stop_still_stops(pages, stack):
+    Path("recordings").mkdir(exist_ok=True)
+    shutil.copy(DRIVE, "recordings/drive.mcap")
+    page = pages.open()
+    rail(page, "Records").click()
+    page.locator(".list-item", has_text="drive.mcap").get_by_role("button", name="Replay").click()
+    band = page.get_by_role("region", name="Replay")
+    band.get_by_text("Replay of drive.mcap, not live").wait_for()
+    assert page.locator(".toolbar, .rail, .panel").count() == 0, "nothing commands the robot"
+
+    seek(page, 1.0)
+    pages.until(lambda: shows(page, 1.0))
+    assert hypot(recorded_pose(1.0).x - recorded_pose(5.5).x, recorded_pose(1.0).y - recorded_pose(5.5).y) > 0.5
+    n_known = page.evaluate(N_KNOWN)
+    assert n_known > 0
+    seek(page, 5.5)
+    pages.until(lambda: shows(page, 5.5))
+    pages.until(lambda: page.evaluate(N_KNOWN) > n_known)
+    page.keyboard.press("Tab")  # away from the map, whose keys move it
+    page.get_by_label("Time in the recording").press("ArrowLeft")
+    pages.until(lambda: shows(page, 4.5))
+
+    page.get_by_role("button", name="10×").click()
+    band.get_by_role("button", name="Play").press("Enter")
+    pages.until(lambda: shows(page, 6.0))
+
+    page.keyboard.press("Space")
+    pages.until(lambda: stack.client.latest(topics.GUARD).reason == "estop")
+    assert stack.client.latest(topics.GUARD).state is GuardState.STOPPED
+    assert "STOP" not in page.locator(".status-headline").inner_text(), "the status is the recording's"
+
+    band.get_by_role("button", name="Back to live").click()
+    band.wait_for(state="detached")
+    rail(page, "Task").wait_for()
+    pages.until(lambda: page.locator(".status.tone-stop").count() == 1)

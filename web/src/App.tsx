@@ -12,6 +12,7 @@ import { Notices } from "./components/Notices";
 import { OfflineBanner } from "./components/OfflineBanner";
 import { Panel } from "./components/Panel";
 import { Rail } from "./components/Rail";
+import { ReplayBand } from "./components/ReplayBand";
 import { StatusCard } from "./components/StatusCard";
 import { StopButton } from "./components/StopButton";
 import { TeleopPad } from "./components/TeleopPad";
@@ -19,7 +20,7 @@ import { armed } from "./driving";
 import { installGestures } from "./map/gestures";
 import { MapView } from "./map/map_view";
 import { closedPolygon, newPlace, tool } from "./map/tools";
-import { connected } from "./state";
+import { connected, replaying } from "./state";
 import { t } from "./texts";
 import { mapView, panel } from "./ui";
 
@@ -30,6 +31,7 @@ export function App() {
     panel.value === null ? "" : "has-panel",
     armed.value ? "has-teleop" : "",
     tool.value === "look" ? "" : "has-tool",
+    replaying.value ? "is-replay" : "",
   ];
   useEffect(
     () =>
@@ -51,16 +53,17 @@ export function App() {
   return (
     <div class={classes.filter(Boolean).join(" ")}>
       <MapCanvas />
-      <Rail />
+      {!replaying.value && <Rail />}
       <StatusCard />
       <div class="corner">
-        <Chips />
+        {!replaying.value && <Chips />}
         <StopButton />
       </div>
-      <Panel />
+      {!replaying.value && <Panel />}
       <MapControls />
       <Toolbar />
       <TeleopPad />
+      <ReplayBand />
       <Notices />
       <OfflineBanner />
     </div>

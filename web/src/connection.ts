@@ -3,8 +3,8 @@
 
 import { checkSession, needsLogin, SESSION_ENDED } from "./access";
 import { notify } from "./notices";
-import { type ClientFrame, type Reply, type ServerFrame } from "./protocol";
-import { clock, connected, hello, link, rtt } from "./state";
+import { type ClientFrame, mayReplaySend, type Reply, type ServerFrame } from "./protocol";
+import { clock, connected, hello, link, replaying, rtt } from "./state";
 import { decodeMap, encodeFrame, WireError } from "./wire";
 
 const PING_PERIOD_MS = 2000;
@@ -38,8 +38,9 @@ export function retryNow(): void {
   if (link.peek().state === "waiting") open();
 }
 
-/** Sends a frame; false where there is no connection. */
+/** Sends a frame; false where there is no connection, and for commands during a replay. */
 export function send(frame: ClientFrame): boolean {
+  if (replaying.peek() && !mayReplaySend(frame)) return false;
   if (socket?.readyState !== WebSocket.OPEN) return false;
   socket.send(encodeFrame(frame));
   return true;
@@ -51,11 +52,11 @@ export function ask(request: string, args: object): Promise<Reply> {
 }
 
 /** An operation of the server: maps, places, recordings, settings. Never rejects: see `accepted`. */
-export function run(op: string, args: object = {}): Promise<Reply> {
-  return command((id) => ({ t: "do", id, op, args }));
+export function run(op: string, args: object = {}, timeout = REPLY_TIMEOUT_MS): Promise<Reply> {
+  return command((id) => ({ t: "do", id, op, args }), timeout);
 }
 
-function command(frame: (id: number) => ClientFrame): Promise<Reply> {
+function command(frame: (id: number) => ClientFrame, timeout = REPLY_TIMEOUT_MS): Promise<Reply> {
   const id = nextId++;
   const failed = (reason: string): Reply => ({
     t: "reply",
@@ -66,9 +67,10 @@ function command(frame: (id: number) => ClientFrame): Promise<Reply> {
     hint: "",
     data: null,
   });
+  if (replaying.peek() && !mayReplaySend(frame(id))) return Promise.resolve(failed("page_replay"));
   if (!connected.peek() || !send(frame(id))) return Promise.resolve(failed("page_offline"));
   return new Promise((resolve) => {
-    const timer = setTimeout(() => settle(failed("page_no_reply")), REPLY_TIMEOUT_MS);
+    const timer = setTimeout(() => settle(failed("page_no_reply")), timeout);
     const settle = (reply: Reply): void => {
       clearTimeout(timer);
       pending.delete(id);

@@ -4,7 +4,7 @@
 import { batch, effect } from "@preact/signals";
 
 import { send } from "./connection";
-import { onOdometry } from "./map/robot_pose";
+import { liveTrack } from "./map/robot_pose";
 import { loadPlaces } from "./map/commands";
 import { type Health, type LogLine, type Odometry } from "./messages";
 import { notify } from "./notices";
@@ -69,7 +69,7 @@ function onMessage(key: string, bytes: Uint8Array): void {
         appendLog(service, message as LogLine);
       } else {
         (latest[topic as SingleKey] as { value: unknown }).value = { message, at };
-        if (topic === "odom") onOdometry(message as Odometry);
+        if (topic === "odom") liveTrack.add(message as Odometry);
       }
     });
   } catch (error) {

@@ -11,6 +11,7 @@ import { watchFaults } from "./faults";
 import { startHistory } from "./history";
 import { onViewKey } from "./map/gestures";
 import { applyPreferences } from "./preferences";
+import { startReplays } from "./replay";
 import { now } from "./state";
 import { pressStop, watchStop } from "./stop";
 import { layersOpen, mapView } from "./ui";
@@ -24,6 +25,7 @@ watchStop();
 watchFaults();
 startDriving();
 startHistory();
+startReplays();
 setInterval(() => (now.value = performance.now()), NOW_PERIOD_MS);
 
 // Space is STOP wherever the focus is, except in a field of text. Buttons are worked with Enter.

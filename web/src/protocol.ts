@@ -81,3 +81,11 @@ export type ClientFrame =
   | { t: "do"; id: number; op: string; args: object }
   | { t: "name"; name: string }
   | { t: "ping"; id: number };
+
+const QUIET_FRAMES: ReadonlySet<string> = new Set(["want", "stop", "let_go", "name", "ping"]);
+const QUIET_OPERATIONS: ReadonlySet<string> = new Set(["replay_open", "replay_at", "recordings"]);
+
+/** Whether a frame may be sent while a recording is replayed: it commands nothing, or it stops the robot. */
+export function mayReplaySend(frame: ClientFrame): boolean {
+  return frame.t === "do" ? QUIET_OPERATIONS.has(frame.op) : QUIET_FRAMES.has(frame.t);
+}

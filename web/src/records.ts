@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Lists that the server answers to `do`: maps, places, recordings, settings. Rows with a missing name are left out.
 
-import { type Pose } from "./geometry";
+import { type Point, type Pose } from "./geometry";
 import { type NamedPlace } from "./map/tools";
+import { type TilesFrame } from "./tile_store";
 
 export interface SavedMap {
   readonly name: string;
@@ -116,4 +117,50 @@ function editorFrom(row: Row): SettingEditor | null {
     isLimit: row["is_limit"] === true,
     started: text(row["started"]),
   };
+}
+
+/** The robot with which a recording was made. */
+export interface RecordedRobot {
+  readonly name: string;
+  readonly outline: readonly Point[];
+  readonly laser_mount: Pose;
+}
+
+export interface ReplayMark {
+  /** s since the begin of the recording. */
+  readonly t: number;
+  readonly kind: "fault" | "mark";
+  readonly reason: string;
+  readonly text: string;
+}
+
+/** What `replay_open` answers. Times in s. */
+export interface OpenedReplay {
+  readonly name: string;
+  /** Since 1970, on the recorded clock. */
+  readonly begin: number;
+  readonly length: number;
+  readonly robot: RecordedRobot | null;
+  readonly marks: readonly ReplayMark[];
+  /** t, x, y of each point. */
+  readonly trail: readonly number[];
+  readonly problems: readonly string[];
+}
+
+/** What `replay_at` answers: newest messages and tiles of a moment. */
+export interface ReplayState {
+  readonly t: number;
+  /** ns on the recorded clock. */
+  readonly stamp: number;
+  readonly messages: readonly (readonly [key: string, bytes: Uint8Array])[];
+  readonly tiles: TilesFrame & { readonly left: number; readonly began: number };
+}
+
+/** The parts of a replay's trail until `t` that are on the map that began at `began`, s. */
+export function trailUntil(flat: readonly number[], began: number, t: number): Point[] {
+  const points: Point[] = [];
+  for (let i = 0; i + 2 < flat.length && flat[i]! <= t; i += 3) {
+    if (flat[i]! >= began) points.push([flat[i + 1]!, flat[i + 2]!]);
+  }
+  return points;
 }

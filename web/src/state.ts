@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What the page knows now: the newest message of each key with the time of its arrival, and what the server said.
 
-import { computed, signal, type Signal } from "@preact/signals";
+import { computed, type ReadonlySignal, signal, type Signal } from "@preact/signals";
 
 import { type Health, type Key, type LogLine, type MapState, type MessageOf } from "./messages";
 import { type Drivers, type Hello, type PageClient } from "./protocol";
@@ -25,9 +25,23 @@ const SINGLE_KEYS = [
 
 /** Keys that the page reads, but for those of families. */
 export type SingleKey = (typeof SINGLE_KEYS)[number];
-type Latest = { readonly [K in SingleKey]: Signal<Received<MessageOf[K]> | null> };
+export type Latest = { readonly [K in SingleKey]: Signal<Received<MessageOf[K]> | null> };
 
-export const latest = Object.fromEntries(SINGLE_KEYS.map((key) => [key, signal(null)])) as unknown as Latest;
+function nothing(): Latest {
+  return Object.fromEntries(SINGLE_KEYS.map((key) => [key, signal(null)])) as unknown as Latest;
+}
+
+export const latest = nothing();
+/** A recording is replayed: the page shows `replayed`, and sends the robot no command but STOP. */
+export const replaying = signal(false);
+/** The messages of the moment of a recording that is replayed. */
+export const replayed = nothing();
+/** ns: that moment, on the recorded clock. */
+export const replayStamp = signal(0);
+/** The messages that the page draws: the live ones, or those of the replay. */
+export const shown = Object.fromEntries(
+  SINGLE_KEYS.map((key) => [key, computed(() => (replaying.value ? replayed : latest)[key].value)]),
+) as unknown as { readonly [K in SingleKey]: ReadonlySignal<Received<MessageOf[K]> | null> };
 export const health = signal<ReadonlyMap<string, Received<Health>>>(new Map());
 export const log = signal<readonly LogEntry[]>([]);
 export const hello = signal<Hello | null>(null);
@@ -63,9 +77,9 @@ export const clock = new StackClock();
 export const now = signal(0);
 
 export const connected = computed(() => link.value.state === "open" && hello.value !== null);
-/** Whether the role of the page suffices, as shared/roles.py has it. The server decides. */
-export const mayAdminister = computed(() => connected.value && hello.value?.role === "admin");
-export const mayOperate = computed(() => connected.value && hello.value?.role !== "viewer");
+/** Whether the role of the page suffices, as shared/roles.py has it. The server decides. Nothing is changed in a replay. */
+export const mayAdminister = computed(() => connected.value && hello.value?.role === "admin" && !replaying.value);
+export const mayOperate = computed(() => connected.value && hello.value?.role !== "viewer" && !replaying.value);
 
 /** Seconds without a message after which a key's data is shown as old. Events (goal, zones, estop) do not age. */
 const MAX_AGE_S: { readonly [K in SingleKey]?: number } = {
@@ -96,6 +110,20 @@ export function ageOf(key: SingleKey, at: number): number | null {
 export function isOld(key: SingleKey, at: number): boolean {
   const age = ageOf(key, at);
   return age === null || link.peek().state !== "open" || age > (MAX_AGE_S[key] ?? Infinity);
+}
+
+/** As `ageOf`, of what is shown: in a replay on the recorded clock. */
+export function shownAge(key: SingleKey, at: number): number | null {
+  if (!replaying.peek()) return ageOf(key, at);
+  const entry = replayed[key].peek();
+  return entry === null ? null : Math.max(0, (replayStamp.peek() - entry.message.stamp) / 1e9);
+}
+
+/** As `isOld`, of what is shown. */
+export function isShownOld(key: SingleKey, at: number): boolean {
+  if (!replaying.peek()) return isOld(key, at);
+  const age = shownAge(key, at);
+  return age === null || age > (MAX_AGE_S[key] ?? Infinity);
 }
 
 const MAX_LOG = 600;

@@ -254,6 +254,17 @@ export const TEXTS = {
   key_escape: ["leave the tool", "Werkzeug verlassen"],
   refused: ["Refused", "Abgelehnt"],
   offline_text: ["There is no connection", "Es besteht keine Verbindung"],
+  replay: ["Replay", "Wiedergabe"],
+  replay_of: ["Replay of {name}, not live", "Wiedergabe von {name}, nicht live"],
+  replay_loading: ["Opening {name}…", "Öffnet {name}…"],
+  replay_time: ["Time in the recording", "Zeit im Mitschnitt"],
+  replay_play: ["Play", "Abspielen"],
+  replay_pause: ["Pause", "Anhalten"],
+  replay_speed: ["Speed", "Tempo"],
+  replay_damaged: ["Parts of the recording are damaged", "Teile des Mitschnitts sind beschädigt"],
+  replay_stop: ["the live robot", "der echte Roboter"],
+  back_to_live: ["Back to live", "Zurück zu live"],
+  not_in_replay: ["A recording is replayed: go back to live first", "Ein Mitschnitt läuft: erst zurück zu live"],
   no_reply: ["The robot does not reply", "Der Roboter antwortet nicht"],
 } as const satisfies Record<string, readonly [english: string, german: string]>;
 
@@ -270,6 +281,7 @@ export function reasonText(code: string): { text: string; hint: string } {
   if (code === "") return { text: "", hint: "" };
   if (code === "refused") return { text: t("refused"), hint: "" };
   if (code === "page_offline") return { text: t("offline_text"), hint: "" };
+  if (code === "page_replay") return { text: t("not_in_replay"), hint: "" };
   if (code === "page_no_reply") return { text: t("no_reply"), hint: "" };
   const stack = hello.value?.reasons[code];
   const page = REASON_TEXTS[code];

@@ -2,6 +2,7 @@
 """Recordings for pages: list, path for a download, delete."""
 
 import time
+from functools import cache
 from pathlib import Path
 
 from services.recorder.recording_store import RecorderConfig
@@ -40,6 +41,7 @@ def delete(target: PageTarget, values: Values) -> None:
     path.with_name(path.name + KEEP_SUFFIX).unlink(missing_ok=True)
 
 
+@cache  # a replay asks ten times a second
 def _folder(target: PageTarget) -> Path:
     config = target.file().section("recorder", RecorderConfig)
     return Path(config.file).parent if config.file else Path(config.folder)

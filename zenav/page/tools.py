@@ -20,6 +20,7 @@ import zenoh
 from shared.config import UserError
 from zenav.client.navigation_client import RequestRefusedError
 from zenav.page import maps, places, recordings, settings
+from zenav.page.replay import REPLAYS
 from zenav.page.target import PageTarget, Values
 
 REFUSED = "refused"
@@ -41,6 +42,8 @@ OPERATIONS: dict[str, Callable[[PageTarget, Values], Any]] = {
     "recordings": recordings.recordings,
     "recording_path": recordings.path_of,
     "recording_delete": recordings.delete,
+    "replay_open": REPLAYS.open,
+    "replay_at": REPLAYS.at,
     "settings": settings.settings,
     "setting_set": settings.set_setting,
 }

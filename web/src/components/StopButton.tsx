@@ -4,7 +4,7 @@
 import { useSignal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 
-import { mayOperate } from "../state";
+import { mayOperate, replaying } from "../state";
 import { pressStop, releaseStop, stopPending, stopPressed } from "../stop";
 import { t } from "../texts";
 import { Icon } from "./Icon";
@@ -18,8 +18,8 @@ export function StopButton() {
       <button type="button" class="stop-button" onPointerDown={pressStop} onClick={pressStop} aria-keyshortcuts="Space">
         <Icon name="stop" size={24} />
         <span class="stop-word">STOP</span>
-        <span class={stopPending.value || stopPressed.value ? "stop-state" : "stop-state idle"} role="status">
-          {stopPending.value ? t("stop_pending") : stopPressed.value ? t("stop_holds") : t("stop_key")}
+        <span class={stopPending.value || stopPressed.value || replaying.value ? "stop-state" : "stop-state idle"} role="status">
+          {stopPending.value ? t("stop_pending") : stopPressed.value ? t("stop_holds") : replaying.value ? t("replay_stop") : t("stop_key")}
         </span>
       </button>
     </div>

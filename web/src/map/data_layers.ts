@@ -2,28 +2,28 @@
 // Layers of what the robot measures and plans: scan, trail, plan, rollouts, costmap, people, robot.
 
 import { interpolate, transformPoint, type Point, type Pose } from "../geometry";
-import { hello, isOld, latest } from "../state";
+import { isShownOld, shown, shownAge } from "../state";
 import { type Layer } from "../preferences";
 import { type Pen, points } from "./pen";
-import { poseAt, robotPose, trail } from "./robot_pose";
+import { poseAt, robotPose, shownRobot, trail } from "./robot_pose";
 
 export function drawTrail(pen: Pen): void {
-  pen.trace(trail);
+  pen.trace(trail());
   pen.stroke(pen.palette.trail, 2);
 }
 
 export function drawPlan(pen: Pen, now: number): void {
-  const plan = latest.plan.peek()?.message;
-  if (plan === undefined || plan.xs.length < 2 || latest.goal.peek()?.message.active === false) return;
+  const plan = shown.plan.peek()?.message;
+  if (plan === undefined || plan.xs.length < 2 || shown.goal.peek()?.message.active === false) return;
   pen.trace(points(plan.xs, plan.ys));
   pen.stroke(pen.palette.labelBack, 6);
-  pen.stroke(isOld("plan", now) ? pen.palette.old : pen.palette.plan, 3);
+  pen.stroke(isShownOld("plan", now) ? pen.palette.old : pen.palette.plan, 3);
 }
 
 export function drawScan(pen: Pen, now: number): void {
-  const scan = latest.scan.peek()?.message;
-  const mount = hello.peek()?.robot.laser_mount;
-  if (scan === undefined || mount === undefined || isOld("scan", now) || isOld("pose", now)) return;
+  const scan = shown.scan.peek()?.message;
+  const mount = shownRobot()?.laser_mount;
+  if (scan === undefined || mount === undefined || isShownOld("scan", now) || isShownOld("pose", now)) return;
   const first = poseAt(scan.stamp);
   const last = poseAt(scan.stamp + scan.scan_time * 1e9);
   if (first === null || last === null) return;
@@ -42,9 +42,9 @@ export function drawScan(pen: Pen, now: number): void {
 }
 
 export function drawRollouts(pen: Pen, now: number): void {
-  const rollouts = latest["debug/rollouts"].peek()?.message;
-  const pose = latest.pose.peek()?.message;
-  if (rollouts === undefined || pose === undefined || isOld("debug/rollouts", now)) return;
+  const rollouts = shown["debug/rollouts"].peek()?.message;
+  const pose = shown.pose.peek()?.message;
+  if (rollouts === undefined || pose === undefined || isShownOld("debug/rollouts", now)) return;
   const { rows, columns, values: xs } = rollouts.xs;
   const ys = rollouts.ys.values;
   for (let row = rows - 1; row >= 0; row--) {
@@ -62,9 +62,9 @@ export function drawRollouts(pen: Pen, now: number): void {
 let costmapImage: { message: object; canvas: HTMLCanvasElement } | null = null;
 
 export function drawCostmap(pen: Pen, now: number): void {
-  const costmap = latest["debug/costmap"].peek()?.message;
-  const pose = latest.pose.peek()?.message;
-  if (costmap === undefined || pose === undefined || isOld("debug/costmap", now)) return;
+  const costmap = shown["debug/costmap"].peek()?.message;
+  const pose = shown.pose.peek()?.message;
+  if (costmap === undefined || pose === undefined || isShownOld("debug/costmap", now)) return;
   const { rows, columns, values } = costmap.cells;
   if (costmapImage?.message !== costmap) {
     const canvas = costmapImage?.canvas ?? document.createElement("canvas");
@@ -103,9 +103,9 @@ function paintCost(data: Uint8ClampedArray, i: number, cost: number): void {
 
 /** People and the true pose, in simulation. */
 export function drawTruth(pen: Pen, now: number): void {
-  const truth = latest["sim/truth"].peek()?.message;
-  const outline = hello.peek()?.robot.outline;
-  if (truth === undefined || outline === undefined || isOld("sim/truth", now)) return;
+  const truth = shown["sim/truth"].peek()?.message;
+  const outline = shownRobot()?.outline;
+  if (truth === undefined || outline === undefined || isShownOld("sim/truth", now)) return;
   const [x, y, yaw] = truth.start;
   const c = Math.cos(yaw);
   const s = Math.sin(yaw);
@@ -121,9 +121,9 @@ export function drawTruth(pen: Pen, now: number): void {
 
 export function drawRobot(pen: Pen, now: number, ageText: (seconds: number) => string): void {
   const pose = robotPose();
-  const outline = hello.peek()?.robot.outline;
+  const outline = shownRobot()?.outline;
   if (pose === null || outline === undefined) return;
-  const old = isOld("pose", now);
+  const old = isShownOld("pose", now);
   const color = old ? pen.palette.old : pen.palette.robot;
   const at: Point = [pose[0], pose[1]];
   const radius = Math.max(...outline.map(([x, y]) => Math.hypot(x, y))) * pen.view.scale;
@@ -141,7 +141,7 @@ export function drawRobot(pen: Pen, now: number, ageText: (seconds: number) => s
     pen.trace(chevron.map((point) => transformPoint(pose, point)));
     pen.stroke(pen.palette.robotEdge, 2.5);
   }
-  const age = old ? (now - (latest.pose.peek()?.at ?? now)) / 1e3 : 0;
+  const age = shownAge("pose", now) ?? 0;
   if (old) pen.label(at, ageText(age), Math.max(radius, 9) + 18);
 }
 

@@ -2,7 +2,7 @@
 // Layers of what users set: zones, places, goal, route, and what is being drawn.
 
 import { type Point } from "../geometry";
-import { latest } from "../state";
+import { replaying, shown } from "../state";
 import { t } from "../texts";
 import { visibleBounds } from "../view_transform";
 import { mapEdits, strokeWidth } from "./map_edits";
@@ -35,7 +35,7 @@ export function drawGrid(pen: Pen): void {
 }
 
 export function drawZones(pen: Pen): void {
-  for (const zone of latest.zones.peek()?.message.zones ?? []) {
+  for (const zone of shown.zones.peek()?.message.zones ?? []) {
     const edited = editedZone.peek();
     const corners = edited?.name === zone.name ? edited.corners : [...points(zone.xs, zone.ys)];
     const color = zone.kind === "keep_out" ? pen.palette.keepOut : pen.palette.slow;
@@ -48,7 +48,8 @@ export function drawZones(pen: Pen): void {
 
 /** Virtual walls; while edits are drawn, erased areas too. */
 export function drawEdits(pen: Pen): void {
-  for (const edit of mapEdits()) {
+  const edits = replaying.peek() ? (shown["map/state"].peek()?.message.edits ?? []) : mapEdits();
+  for (const edit of edits) {
     const isWall = edit.kind === "wall";
     if (!isWall && editKind(tool.peek()) === null) continue;
     pen.trace(points(edit.xs, edit.ys), edit.width === 0);
@@ -70,7 +71,7 @@ function translucent(color: string): string {
 }
 
 export function drawZoneNames(pen: Pen): void {
-  for (const zone of latest.zones.peek()?.message.zones ?? []) {
+  for (const zone of shown.zones.peek()?.message.zones ?? []) {
     pen.label(centre([...points(zone.xs, zone.ys)]), zone.name, 0);
   }
 }
@@ -86,8 +87,8 @@ export function drawPlaces(pen: Pen): void {
 }
 
 export function drawGoal(pen: Pen): void {
-  const goal = latest.goal.peek()?.message;
-  const task = latest["nav/task"].peek()?.message;
+  const goal = shown.goal.peek()?.message;
+  const task = shown["nav/task"].peek()?.message;
   if (task?.kind === "route" && task.poses.length > 1) {
     const stops: Point[] = task.poses.map((pose) => [pose[0], pose[1]]);
     pen.trace(stops, task.loops !== 1);

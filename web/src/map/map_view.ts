@@ -5,7 +5,7 @@ import { effect, signal } from "@preact/signals";
 
 import { type Point } from "../geometry";
 import { isDark, layers } from "../preferences";
-import { latest, link, mapId, now } from "../state";
+import { link, mapId, now, replaying, replayStamp, shown as shownMessages } from "../state";
 import { t } from "../texts";
 import { TileAtlas } from "../tile_atlas";
 import { type Tile, type TilesFrame, TileStore } from "../tile_store";
@@ -15,7 +15,7 @@ import { drawDrafts, drawEdits, drawGoal, drawGrid, drawPlaces, drawZoneNames, d
 import { following } from "./following";
 import { DARK, LIGHT } from "./palette";
 import { Pen } from "./pen";
-import { clearTrail, robotPose } from "./robot_pose";
+import { liveTrack, robotPose } from "./robot_pose";
 import {
   closedPolygon,
   draftCorners,
@@ -33,11 +33,19 @@ const START_SCALE = 45; // px/m, before a map is there
 const FIT_MARGIN: Size = { width: 100, height: 140 }; // px: room for the status above and the tools below
 
 export const view = signal<View>({ x: 0, y: 0, scale: START_SCALE, rotation: 0 });
-export const store = new TileStore();
+
+/** A map with its bitmaps. */
+class TileLayer {
+  readonly store = new TileStore();
+  readonly atlas = new TileAtlas(this.store, (isDark.peek() ? DARK : LIGHT).cells);
+}
 
 export class MapView {
   size: Size = { width: 1, height: 1 };
-  private readonly atlas = new TileAtlas(store, (isDark.peek() ? DARK : LIGHT).cells);
+  private readonly live = new TileLayer();
+  /** The map of the replay, null without one. */
+  private replay: TileLayer | null = null;
+  private viewBefore: View | null = null;
   private readonly below: CanvasRenderingContext2D;
   private readonly above: CanvasRenderingContext2D;
   private belowDirty = true;
@@ -56,7 +64,8 @@ export class MapView {
     new ResizeObserver(() => this.resize()).observe(overlayCanvas);
     this.resize();
     effect(() => {
-      this.atlas.recolor((isDark.value ? DARK : LIGHT).cells);
+      const { cells } = isDark.value ? DARK : LIGHT;
+      for (const layer of [this.live, this.replay]) layer?.atlas.recolor(cells);
       this.invalidate(true);
     });
     effect(() => {
@@ -64,33 +73,67 @@ export class MapView {
       this.invalidate(true);
     });
     effect(() => {
-      for (const key of Object.values(latest)) void key.value;
+      for (const key of Object.values(shownMessages)) void key.value;
       for (const drawn of [tool, draftPose, draftCorners, draftStroke, closedPolygon, newPlace, places, route]) void drawn.value;
-      void [following.value, layers.value, editedZone.value, link.value, now.value];
+      void [following.value, layers.value, editedZone.value, link.value, now.value, replaying.value, replayStamp.value];
       this.invalidate(false);
     });
   }
 
   onTiles(frame: TilesFrame): void {
-    const { reset, changed } = store.apply(frame);
-    if (reset) {
-      this.atlas.clear();
-      if (mapId.peek() !== store.mapId) {
-        clearTrail();
-        this.fitted = false;
-      }
-      mapId.value = store.mapId;
-      this.belowDirty = true;
+    const { store } = this.live;
+    const reset = this.apply(this.live, frame);
+    if (reset && mapId.peek() !== store.mapId) {
+      liveTrack.trail = [];
+      this.fitted = false;
     }
-    for (const tile of changed) this.atlas.paint(tile);
-    this.changed.push(...changed);
-    if (!this.fitted && store.size > 0) this.fitted = this.fit();
-    this.schedule();
+    if (reset) mapId.value = store.mapId;
+    if (this.replay === null && !this.fitted && store.size > 0) this.fitted = this.fit();
+  }
+
+  /** From now on the map of a replay is shown, first of all the whole map. */
+  beginReplay(): void {
+    this.viewBefore ??= view.peek();
+    this.replay = new TileLayer();
+    this.fitted = false;
+    this.invalidate(true);
+  }
+
+  onReplayTiles(frame: TilesFrame): void {
+    if (this.replay === null) return;
+    this.apply(this.replay, frame);
+    if (!this.fitted && this.replay.store.size > 0) this.fitted = this.fit();
+  }
+
+  /** The live map is shown again, as it was seen before. */
+  endReplay(): void {
+    this.replay = null;
+    if (this.viewBefore !== null) view.value = this.viewBefore;
+    this.viewBefore = null;
+    this.fitted = this.live.store.size > 0;
+    this.invalidate(true);
+  }
+
+  private get shown(): TileLayer {
+    return this.replay ?? this.live;
+  }
+
+  /** Stores and paints tiles. Returns whether the map of the layer began again. */
+  private apply(layer: TileLayer, frame: TilesFrame): boolean {
+    const { reset, changed } = layer.store.apply(frame);
+    if (reset) layer.atlas.clear();
+    for (const tile of changed) layer.atlas.paint(tile);
+    if (layer === this.shown) {
+      this.belowDirty ||= reset;
+      this.changed.push(...changed);
+      this.schedule();
+    }
+    return reset;
   }
 
   /** Shows the whole map. False while no cell is known. */
   fit(): boolean {
-    const bounds = store.bounds();
+    const bounds = this.shown.store.bounds();
     if (bounds === null) return false;
     const { width, height } = this.size;
     const margin = { width: Math.min(FIT_MARGIN.width, width / 20), height: Math.min(FIT_MARGIN.height, height / 5) };
@@ -159,13 +202,13 @@ export class MapView {
     }
     below.fillStyle = palette.background;
     below.fillRect(0, 0, size.width, size.height);
-    const complete = this.atlas.draw(below, view.peek(), size);
+    const complete = this.shown.atlas.draw(below, view.peek(), size);
     below.restore();
     return complete;
   }
 
   private clipTile(row: number, column: number): void {
-    const side = store.side;
+    const { side } = this.shown.store;
     const corners: Point[] = [
       [column * side, row * side],
       [(column + 1) * side, row * side],
@@ -191,11 +234,11 @@ export class MapView {
     for (const [layer, draw] of Object.entries(DRAW)) {
       if (shown.has(layer as keyof typeof DRAW)) draw(pen, at);
     }
-    if (shown.has("places")) drawPlaces(pen);
+    if (shown.has("places") && !replaying.peek()) drawPlaces(pen);
     drawGoal(pen);
     if (shown.has("zones")) drawZoneNames(pen);
     drawRobot(pen, at, (age) => t("age_seconds", { n: age.toFixed(age < 10 ? 1 : 0) }));
-    drawDrafts(pen);
+    if (!replaying.peek()) drawDrafts(pen);
   }
 
   private resize(): void {

@@ -7,6 +7,7 @@ import { useEffect } from "preact/hooks";
 import { Confirm } from "../components/Confirm";
 import { Button, Empty, Field, Section } from "../components/controls";
 import { changeRecording, loadRecordings, recordings } from "../lists";
+import { player } from "../replay";
 import { mayAdminister, mayOperate } from "../state";
 import { dateText, sizeText, t } from "../texts";
 
@@ -28,6 +29,7 @@ export function RecordingsPanel() {
                 <span class="muted number">{[sizeText(size), dateText(modified)].filter(Boolean).join(" · ")}</span>
               </div>
               <div class="button-row">
+                <Button label={t("replay")} icon="play" onClick={() => void player.open(name)} />
                 {mayOperate.value && (
                   <a class="button plain" href={`/recordings/${encodeURIComponent(name)}`} download>
                     {t("download")}

@@ -231,9 +231,9 @@ def test_a_viewer_commands_nothing(pages):
     pages.frame(3, "teleop", v=0.1, w=0.0, n=1)
     pages.frame(3, "release")
     for op, fields in OPERATIONS.items():
-        values = {"name": "a", "to": "b", "mode": "map", "pose": [0.0, 0.0, 0.0], "text": "x", "value": "1"}
+        values = {"name": "a", "to": "b", "mode": "map", "pose": [0.0, 0.0, 0.0], "text": "x", "value": "1", "t": 0}
         args = {key: values[key] for key in fields.required}
-        args |= {"name": "a.mcap"} if op == "recording_delete" else {}
+        args |= {"name": "a.mcap"} if op.startswith(("recording_d", "replay_")) else {}
         pages.frame(3, "do", id=op, op=op, args=args)
     for request in ("navigate", "explore", "cancel", "pause", "override", "start_map", "fault", "watch", "set_zones"):
         pages.frame(3, "ask", id=request, request=f"request/{request}", args={})
