@@ -10,6 +10,7 @@ from types import TracebackType
 
 from shared import requests, topics
 from shared.config import UserError, load_robot
+from shared.grid import OccupancyGrid
 from shared.messages import NavStatus
 from shared.reasons import NO_MAP, POSE_OLD
 from shared.requests import Cancel, Explore, Reply
@@ -26,7 +27,6 @@ from zenav.client.navigation_client import (
     navigate,
     task_result,
 )
-from zenav.maps.map_files import grid_from_update
 
 START_S = 30.0  # s that `connect` waits for the stack
 
@@ -109,7 +109,8 @@ class RobotConnection:
         update = self.client.latched_value(topics.MAP)
         if update is None:
             raise UserError(NO_MAP.text, NO_MAP.hint)
-        grid = grid_from_update(update)
+        grid = OccupancyGrid(update.resolution, update.map_id)
+        grid.apply(update)
         return MapArray(grid.cells, grid.resolution, grid.x0, grid.y0)
 
     def status(self) -> NavStatus | None:
