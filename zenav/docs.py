@@ -23,6 +23,7 @@ from shared.requests import REQUESTS
 from shared.roles import REQUEST_ROLES
 from shared.settings import BY_NAME
 from shared.topics import TOPICS
+from zenav.client.api_page import api_page
 from zenav.console.setting_text import bounds_text
 from zenav.console.table import markdown_table
 from zenav.stack.service_loader import existing_services, service_class
@@ -217,6 +218,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "configuration.md": configuration_page,
     "wire.md": wire_page,
     "wire/golden.json": golden_text,
+    "api.md": api_page,
 }
 
 if __name__ == "__main__":

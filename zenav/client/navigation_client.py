@@ -123,7 +123,7 @@ def explore(robot: str, stack: str) -> int:
 def cancel(robot: str, stack: str) -> int:
     """Drops the present task."""
     with _connected(robot, stack) as client:
-        _accepted(client.ask(requests.CANCEL, Cancel(client.now())))
+        accepted(client.ask(requests.CANCEL, Cancel(client.now())))
     sys.stdout.write("canceled\n")
     return 0
 
@@ -131,7 +131,7 @@ def cancel(robot: str, stack: str) -> int:
 def request_pause(robot: str, stack: str, pause: bool) -> int:
     """Pauses the present task, or goes on with it."""
     with _connected(robot, stack) as client:
-        _accepted(client.ask(requests.PAUSE, Pause(client.now(), pause)))
+        accepted(client.ask(requests.PAUSE, Pause(client.now(), pause)))
     sys.stdout.write("paused\n" if pause else "going on\n")
     return 0
 
@@ -203,7 +203,7 @@ def _connected(robot: str, stack: str) -> Client:
     return Client(load_robot(robot).robot.name, stack_address(stack))
 
 
-def _accepted(reply: Reply) -> Reply:
+def accepted(reply: Reply) -> Reply:
     if not reply.accepted:
         raise refusal_error(reply)
     return reply
@@ -233,7 +233,7 @@ def _task(robot: str, stack: str, start: Callable[[Client], Reply], where: str =
         client.follow(topics.NAV_STATUS, topics.GUARD)
         client.answers(requests.NAVIGATE, MAX_STACK_WAIT_S)
         begun = time.monotonic()
-        task_id = _accepted(start(client)).task_id
+        task_id = accepted(start(client)).task_id
         end: TaskResult | None = None
         with Progress() as progress:
             while end is None and not stop.is_set():
@@ -248,7 +248,7 @@ def _task(robot: str, stack: str, start: Callable[[Client], Reply], where: str =
                 elif time.monotonic() - begun > MAX_SILENCE_S and not fresh:
                     end = TaskResult(False, "the navigator is silent", "is it running? zenav topic hz nav/status")
         if end is None:
-            _accepted(client.ask(requests.CANCEL, Cancel(client.now())))
+            accepted(client.ask(requests.CANCEL, Cancel(client.now())))
             end = TaskResult(False, "canceled")
     if not end.good:
         sys.stderr.write(f"{end.text}\n" + (f"hint: {end.hint}\n" if end.hint else ""))
