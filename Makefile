@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-docker test-wheel mutants check fix lock docs figures record-references screenshots warm web web-check wheel clean
+.PHONY: help venv demo test test-docker test-wheel mutants check fix lock verify-lock sbom docs figures record-references screenshots warm web web-check wheel clean
 
 PYTHON ?=
 JOBS ?= 3 # one more than two cores: who tests processes waits half of the time
@@ -12,6 +12,10 @@ KERNELS := $(shell find services shared -name '*.py')
 
 # what makes mutants: the rest of cosmic-ray's 22 packages is for its own runner, which is not used
 MUTATORS := cosmic-ray==8.7.0 parso==0.8.7 attrs==26.1.0
+
+# what makes requirements.hashes.txt and the list of software; they run in environments of their own
+HASHER := pip-tools==7.6.2
+LISTER := cyclonedx-bom==7.5.0
 
 # real logs and benchmark worlds, for the tests that use them; they skip where there are none
 ZENAV_DATA ?= $(shell cd ../shared/data 2>/dev/null && pwd)
@@ -103,6 +107,29 @@ lock: ## write requirements*.txt again from pyproject.toml, with the newest vers
 	{ echo '# What tests and checks it, on top. Written by `make lock`.'; echo '-r requirements.txt'
 	  comm -13 <(sort "$$work/lock") <(sort "$$work/lock[dev]"); } > requirements-dev.txt
 	rm -rf build zenav.egg-info
+	"$$python" -m venv "$$work/hasher"
+	"$$work/hasher/bin/pip" install -q $(HASHER)
+	"$$work/hasher/bin/pip-compile" -q --generate-hashes --allow-unsafe --strip-extras --no-header --no-annotate \
+	  --no-emit-options -o "$$work/hashes" requirements.txt
+	{ echo '# The same with the hashes of every file, for pip install --require-hashes. Written by `make lock`.'
+	  cat "$$work/hashes"; } > requirements.hashes.txt
+
+verify-lock: ## install requirements.hashes.txt into an empty environment, each file compared with its hash
+	@work=$$(mktemp -d); trap 'rm -rf "$$work"' EXIT
+	$(find_python)
+	"$$python" -m venv "$$work/venv"
+	"$$work/venv/bin/pip" install -q --disable-pip-version-check --no-deps --require-hashes -r requirements.hashes.txt
+	"$$work/venv/bin/pip" check
+
+sbom: venv ## the list of software of requirements.hashes.txt, CycloneDX 1.6: dist/zenav.cdx.json; needs a package index
+	@work=$$(mktemp -d); trap 'rm -rf "$$work"' EXIT
+	$(find_python)
+	"$$python" -m venv "$$work/venv"
+	"$$work/venv/bin/pip" install -q --disable-pip-version-check $(LISTER)
+	list() { "$$work/venv/bin/cyclonedx-py" "$$@" --spec-version 1.6 --output-reproducible 2> "$$work/log" || { cat "$$work/log"; exit 1; }; }
+	list requirements requirements.hashes.txt -o "$$work/requirements.json"
+	list environment .venv -o "$$work/environment.json"
+	$(BIN)/python -m tests.sbom "$$work/requirements.json" "$$work/environment.json" dist/zenav.cdx.json
 
 wheel: .venv/.made ## the wheel and the source distribution, in dist/
 	@rm -rf dist build

@@ -340,7 +340,7 @@ def load_yaml(path: Path) -> CommentedMap:
         tree = YAML(typ="rt").load(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise UserError(f"cannot read {_short(path)}: {error.strerror}", "check the path and its permissions") from None
-    except (YAMLError, UnicodeDecodeError) as error:
+    except (YAMLError, UnicodeDecodeError, RecursionError) as error:  # the last: thousands of open brackets
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark else ""
         raise UserError(

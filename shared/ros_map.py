@@ -3,6 +3,7 @@
 
 import os
 import tempfile
+import warnings
 from io import BytesIO
 from math import isfinite
 from pathlib import Path
@@ -16,6 +17,8 @@ from shared.types import Bools, Int8s, UInt8s
 MODES = ("trinary", "scale", "raw")
 OCCUPIED_SHARE, FREE_SHARE = 0.65, 0.196  # map_saver's thresholds
 OCCUPIED_GREY, FREE_GREY, UNKNOWN_GREY = 0, 254, 205  # as map_saver writes them
+MAX_PIXELS = 80_000_000  # 450 x 450 m at 5 cm; Pillow warns from 89 million on
+PICTURES = ("PPM", "PNG", "BMP", "GIF", "JPEG", "TIFF")  # as map_server reads; others of Pillow's run programs
 KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 
 
@@ -157,8 +160,15 @@ def _grey(image: Path, path: Path) -> tuple[UInt8s, UInt8s]:
     """Brightness (colours averaged, as map_server does) and opacity of a picture, row 0 on top."""
     from PIL import Image, UnidentifiedImageError
 
+    if image.exists() and not image.is_file():  # reading a device might not end
+        raise UserError(f"{image} is no file", "set `image` to the picture's path, from the YAML")
     try:
-        with Image.open(image) as picture:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            opened = Image.open(image, formats=PICTURES)
+        with opened as picture:
+            if picture.width * picture.height > MAX_PIXELS:
+                raise Image.DecompressionBombError
             if picture.mode in ("L", "I", "I;16", "1", "P") and "transparency" not in picture.info:
                 grey = np.asarray(picture.convert("L"), np.uint8)
                 return grey, np.full(grey.shape, 255, np.uint8)
@@ -167,7 +177,9 @@ def _grey(image: Path, path: Path) -> tuple[UInt8s, UInt8s]:
         raise UserError(
             f"{path}: there is no picture {image}", "set `image` to the picture's path, from the YAML"
         ) from None
-    except (OSError, UnidentifiedImageError, ValueError, Image.DecompressionBombError):
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning):
+        raise UserError(f"{image}: too large", f"a map has at most {MAX_PIXELS} cells: take a coarser one") from None
+    except (OSError, UnidentifiedImageError, ValueError, SyntaxError):
         raise UserError(f"{image}: not a whole picture", "write the map again: zenav map save") from None
     return channels[:, :, :3].mean(axis=2).astype(np.uint8), channels[:, :, 3].astype(np.uint8)
 

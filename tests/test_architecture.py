@@ -57,6 +57,7 @@ FILES = (
     "shared/robot_files.py",
     "shared/kernel_cache.py",  # the lock of a kernel's index
     "shared/ros_map.py",
+    "shared/file_modes.py",
     "shared/secure_folder.py",  # keys and members
     "shared/credentials.py",  # what a member was given
     "services/dashboard/certificate.py",

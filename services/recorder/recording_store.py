@@ -17,6 +17,7 @@ from services.recorder.retention import KEEP_SUFFIX, StoredRecording, recordings
 from shared import recording
 from shared.codec import Envelope
 from shared.config import Section, UserError, nearest
+from shared.file_modes import make_folder
 from shared.messages import Message
 from shared.recording import CONFIG, Drop
 from shared.recordings.latched_state import Value
@@ -78,7 +79,7 @@ class RecordingStore:
         self._attachments = {Path(name).name: _read_attachment(Path(name)) for name in config.attach}
         folder = Path(config.file).parent if config.file else Path(config.folder)
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            make_folder(folder)
         except OSError as error:
             raise UserError(f"cannot make {folder}: {error.strerror}", "set recorder.folder") from None
         self._folder = folder

@@ -244,7 +244,9 @@ def records_of(file: IO[bytes], block: Block) -> bytes:
             raise ValueError("its sizes contradict each other")
         records = zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=size)
     elif chunk.compression == "lz4":
-        records = lz4.frame.decompress(chunk.data)
+        records = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+        if len(records) != size:
+            raise ValueError("its sizes contradict each other")
     elif chunk.compression == "":
         records = chunk.data
     else:
@@ -270,6 +272,8 @@ def _whole_records(body: bytes) -> bytes:
         with suppress(*DAMAGE, EOFError):
             for k in range(0, len(data), _SLICE):
                 pieces.append(unpack.decompress(data[k : k + _SLICE]))
+                if sum(map(len, pieces)) > _MAX_CHUNK_BYTES:
+                    break
         records = b"".join(pieces)
     else:
         return b""

@@ -11,6 +11,7 @@ from typing import IO, Any, cast
 import mcap.writer
 
 from shared.codec import schema, schema_id
+from shared.file_modes import opener
 from shared.messages import Message
 from shared.recordings.reader import ABOUT, DROPS, ENCODING, LATCHED, Channel, Drop, Entry, drops_record
 
@@ -149,7 +150,7 @@ class _File:
     """An unbuffered file for mcap's writer, whose own buffering would keep failing bytes and try them again."""
 
     def __init__(self, path: Path, mode: str) -> None:
-        self._raw = cast(IO[bytes], path.open(mode, buffering=0))
+        self._raw = cast(IO[bytes], open(path, mode, buffering=0, opener=opener))  # noqa: SIM115  # as long as the writer
         self.size = self.flushed_size = 0
 
     @property

@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 from shared import topics
 from shared.codec import CodecError, Envelope, decode
+from shared.file_modes import make_folder
 from shared.messages import LogLine, Message
 from shared.recording import CONFIG, Recording, Writer, about
 from shared.topics import key_of
@@ -103,7 +104,7 @@ class BlackBox:
 
     def _write(self, taken: list[Taken]) -> None:
         if self._writer is None:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            make_folder(self.folder)
             _remove_orphans(self.folder, self.name)
             self._writer = self._begun()
         elif self._writer.size > SEGMENT:

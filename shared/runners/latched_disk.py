@@ -5,6 +5,7 @@ import logging
 from collections.abc import Callable
 from pathlib import Path
 
+from shared.file_modes import make_folder
 from shared.types import NS_PER_S
 
 MAX_RESTART_AGE_NS = 30 * NS_PER_S  # the robot may have been moved since an older value
@@ -17,7 +18,7 @@ class LatchedDisk:
 
     def __init__(self, folder: Path, name: str) -> None:
         self.folder, self._name = folder, name
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
 
     def write(self, key: str, value: Callable[[], bytes]) -> None:
         """Replaces a key's value as a whole. An error is logged."""

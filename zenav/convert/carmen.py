@@ -4,6 +4,7 @@
 import gzip
 import zlib
 from collections.abc import Callable, Iterator
+from functools import partial
 from math import isfinite, pi, radians
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from shared.geometry import Pose2
 from shared.types import Float32s
 from zenav.convert.records import DriveLog, LoggedPose, LoggedScan
 
+MAX_LINE = 1 << 20  # bytes; a longer one is no scan
 BOUND = 1e6  # m, rad, s: farther is a damaged number (stamps: 1e10 s, the year 2286)
 
 
@@ -45,7 +47,7 @@ def _lines(path: Path, log: DriveLog) -> Iterator[str]:
         zipped = raw.read(2) == b"\x1f\x8b"
     with gzip.open(path, "rb") if zipped else path.open("rb") as file:
         try:
-            for line in file:
+            for line in iter(partial(file.readline, MAX_LINE), b""):
                 yield line.decode("ascii", "replace").strip()
         except (EOFError, zlib.error, gzip.BadGzipFile):
             log.truncated = True

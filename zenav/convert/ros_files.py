@@ -33,6 +33,8 @@ LATEST = frozenset({"nav_msgs/msg/OccupancyGrid"})
 """Types of which the last message of a topic says all."""
 ZSTD = b"\x28\xb5\x2f\xfd"
 SLICE = 1 << 20  # bytes
+MAX_MESSAGE = 1 << 26  # bytes of one that was compressed by itself
+FREE_RATIO, FREE_BYTES = 100, 1 << 30  # a file may unpack to so many times its size, and to so many bytes at least
 
 MAX_ERROR_LENGTH = 300  # characters of what rosbags says
 
@@ -143,6 +145,7 @@ def _read(path: Path, kind: str, wanted: frozenset[str]) -> BagContent:
     return bag
 
 
+UNPACK_HINT = "if it is a bag, unpack it yourself: unzstd FILE"
 HINT = "record it again, or copy it again from where it came"
 
 
@@ -186,7 +189,9 @@ def _plain(data: bytes) -> bytes:
     if not data.startswith(ZSTD):
         return data
     with suppress(zstandard.ZstdError, MemoryError):
-        return zstandard.ZstdDecompressor().decompress(data, max_output_size=1 << 26)
+        if zstandard.frame_content_size(data) > MAX_MESSAGE:  # it decides how much is allocated
+            return data
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=MAX_MESSAGE)
     return data
 
 
@@ -197,6 +202,8 @@ def _unpacked(path: Path, wanted: frozenset[str]) -> BagContent:
         with path.open("rb") as source, plain.open("wb") as target, suppress(zstandard.ZstdError):
             for piece in zstandard.ZstdDecompressor().read_to_iter(source, read_size=SLICE):
                 target.write(piece)
+                if target.tell() > max(FREE_BYTES, FREE_RATIO * path.stat().st_size):
+                    raise UserError(f"{path}: unpacks to over {FREE_RATIO} times its size", UNPACK_HINT)
         if plain.stat().st_size == 0 or kind_of(plain) in ("", "zstd"):
             raise UserError(f"{path}: what is compressed in it is no bag", HINT)
         return _file(plain, wanted)

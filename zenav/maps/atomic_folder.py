@@ -13,6 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from shared.config import UserError
+from shared.file_modes import make_folder, opener
 
 SAVING, SAVED = ".saving", ".saved"
 
@@ -20,7 +21,7 @@ SAVING, SAVED = ".saving", ".saved"
 def replace_together(folder: Path, contents: Mapping[str, bytes]) -> None:
     """Writes files by name; one without a content is removed. Raises UserError where the folder refuses."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         finish_replacing(folder)
         _write(folder, contents)
         finish_replacing(folder)
@@ -64,10 +65,10 @@ def finish_replacing(folder: Path) -> None:
 def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
     new = folder / SAVING
     shutil.rmtree(new, ignore_errors=True)  # of a crash
-    new.mkdir()
+    make_folder(new)
     try:
         for name, content in contents.items():
-            with (new / name).open("wb") as file:
+            with open(new / name, "wb", opener=opener) as file:
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())

@@ -18,12 +18,13 @@ from shared.runners.transport import stack_address
 from zenav.client import Client
 from zenav.client.map_modes import At, change_mode, load_map, rename_present_map, save_map
 from zenav.client.map_transfer import start_mode
+from zenav.client.named_items import NAME
 from zenav.maps.conversion import convert
+from zenav.maps.map_archive import unpack_map_archive
 from zenav.maps.map_files import MAPS_FOLDER, find_map
 from zenav.page.target import PageTarget, Values
 
 MODES = {"localize": MapMode.LOCALISE, "continue": MapMode.CONTINUE}
-MAX_UNPACKED = 256 * 2**20  # bytes of an uploaded map: 16 000 x 16 000 cells
 
 
 def maps(target: PageTarget, values: Values) -> list[Values]:
@@ -38,7 +39,7 @@ def maps(target: PageTarget, values: Values) -> list[Values]:
 
 def save(target: PageTarget, values: Values) -> None:
     """Saves the present map."""
-    save_map(target.robot, target.stack, values["name"])
+    save_map(target.robot, target.stack, _new_folder(values["name"]).name)
 
 
 def load(target: PageTarget, values: Values) -> None:
@@ -51,7 +52,7 @@ def load(target: PageTarget, values: Values) -> None:
 
 def rename(target: PageTarget, values: Values) -> None:
     """Gives a saved map another name. Raises UserError where that is in use."""
-    folder, to = _folder(values["name"]), MAPS_FOLDER / values["to"]
+    folder, to = _folder(values["name"]), _new_folder(values["to"])
     if to.exists():
         raise UserError(f"there is a map {values['to']} already", "choose another name, or delete that one first")
     folder.rename(to)
@@ -69,6 +70,8 @@ def download(target: PageTarget, values: Values) -> bytes:
     """A map for ROS as a zip file: NAME/map.yaml and its picture."""
     folder = _folder(values["name"])
     picture = Path(str(load_yaml(folder / "map.yaml")["image"])).name
+    if not (folder / picture).is_file() or (folder / picture).is_symlink():
+        raise UserError(f"{folder} has no picture {picture}", "save the map again: zenav map save")
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
         for file in ("map.yaml", picture):
@@ -78,25 +81,9 @@ def download(target: PageTarget, values: Values) -> bytes:
 
 def upload(target: PageTarget, values: Values) -> None:
     """Saves a map for ROS from a zip file: one YAML and its picture. Raises UserError where it is none."""
-    try:
-        archive = zipfile.ZipFile(io.BytesIO(values["content"]))
-        files = {Path(entry.filename).name: entry for entry in archive.infolist() if not entry.is_dir()}
-        if sum(entry.file_size for entry in files.values()) > MAX_UNPACKED:
-            raise UserError("the map is too large", f"at most {MAX_UNPACKED // 2**20} MiB unpacked")
-        yamls = [name for name in files if name.endswith((".yaml", ".yml"))]
-        if len(yamls) != 1:
-            raise UserError(f"the file holds {len(yamls)} YAML files", "a map is one YAML and its picture")
-        with tempfile.TemporaryDirectory() as unpacked:
-            path = _unpack(archive, files[yamls[0]], Path(unpacked))
-            picture = str(load_yaml(path).get("image", ""))
-            if picture not in files or picture == yamls[0]:
-                raise UserError(
-                    f"its picture {picture!r} is not in the file", "zip the YAML and its picture, side by side"
-                )
-            _unpack(archive, files[picture], Path(unpacked))
-            convert(str(path), MAPS_FOLDER / values["name"], "trinary", False, False)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError) as error:
-        raise UserError(f"this is no zip file of a map: {error}", "zip the YAML and its picture") from None
+    with tempfile.TemporaryDirectory() as unpacked:
+        path = unpack_map_archive(values["content"], Path(unpacked))
+        convert(str(path), _new_folder(values["name"]), "trinary", False, False)
 
 
 def set_pose(target: PageTarget, values: Values) -> None:
@@ -117,17 +104,15 @@ def at_of(pose: list[float] | None) -> At | None:
 
 def _folder(name: str) -> Path:
     """The folder of a saved map below maps/. Raises UserError where there is none."""
+    _new_folder(name)
     path = find_map(name)
     if path.parent != MAPS_FOLDER / name:
         raise UserError(f"{name} is no map of {MAPS_FOLDER}/", "see the list of maps")
     return path.parent
 
 
-def _unpack(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, folder: Path) -> Path:
-    path = folder / Path(entry.filename).name
-    with archive.open(entry) as file:
-        content = file.read(MAX_UNPACKED + 1)
-    if len(content) > MAX_UNPACKED:
-        raise UserError("the map is too large", f"at most {MAX_UNPACKED // 2**20} MiB unpacked")
-    path.write_bytes(content)
-    return path
+def _new_folder(name: str) -> Path:
+    """The folder of a map's name, which may not exist yet. Raises UserError where the name is no map's."""
+    if not NAME.fullmatch(name):
+        raise UserError(f"{name[:80]!r} is no name of a map", "begin with a letter; then letters, digits, - and _")
+    return MAPS_FOLDER / name

@@ -26,9 +26,10 @@ def recordings(target: PageTarget, values: Values) -> list[Values]:
 
 def path_of(target: PageTarget, values: Values) -> str:
     """The path of a recording. Raises UserError where there is none."""
-    path = _folder(target) / str(values["name"])
-    if not path.is_file() or path.is_symlink():
-        raise UserError(f"there is no recording {values['name']}", "see the list of recordings")
+    name = str(values["name"])
+    path = _folder(target) / name
+    if Path(name).name != name or not path.is_file() or path.is_symlink():
+        raise UserError(f"there is no recording {name}", "see the list of recordings")
     return str(path.resolve())
 
 

@@ -118,7 +118,7 @@ def test_an_upload_that_is_no_map_is_refused_and_leaves_nothing(content, words):
 
 
 def test_an_upload_that_grows_beyond_the_limit_is_refused(monkeypatch):
-    monkeypatch.setattr("zenav.page.maps.MAX_UNPACKED", 1000)
+    monkeypatch.setattr("zenav.maps.map_archive.MAX_UNPACKED", 1000)
     content = zipped(a_yaml=YAML.replace(b"{}", b"x.pgm"), x_pgm=bytes(2000))
     assert "too large" in refused("map_upload", name="new", content=content)
 
