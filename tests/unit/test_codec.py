@@ -78,9 +78,9 @@ def scan(**fields: object) -> bytes:
 
 
 def array(values: object, dtype: type = np.float32) -> bytes:
-    from shared.codec import _packed_array
+    from shared.codec import packed_array
 
-    return _packed_array(np.array(values, dtype), np.dtype(dtype))
+    return packed_array(np.array(values, dtype), np.dtype(dtype))
 
 
 def test_a_good_scan_is_good():
