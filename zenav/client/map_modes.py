@@ -19,7 +19,7 @@ from shared.runners.transport import stack_address
 from zenav.client import Client
 from zenav.client.map_transfer import fetch_map, give_map, start_mode
 from zenav.client.map_view import current_map, pose_text
-from zenav.client.navigation_client import RequestRefusedError
+from zenav.client.navigation_client import RequestRefusedError, accepted
 from zenav.client.zones import RUNS, follow_map, zones_in
 from zenav.maps.atomic_folder import replace_together
 from zenav.maps.foreign_map import is_picture, read_map
@@ -96,9 +96,9 @@ def name_of(folder: Path) -> str:
 
 
 def name_map(client: Client, name: str) -> None:
-    """Gives the present map a name, where the mapper runs; empty: none."""
+    """Gives the present map a name, where the mapper runs; empty: none. Raises UserError where it refuses."""
     if client.answers(requests.NAME_MAP, RUNS):
-        client.ask(requests.NAME_MAP, NameMap(client.now(), name))
+        accepted(client.ask(requests.NAME_MAP, NameMap(client.now(), name)))
 
 
 def rename_present_map(robot: str, stack: str, name: str, to: str) -> None:

@@ -204,6 +204,7 @@ def _connected(robot: str, stack: str) -> Client:
 
 
 def accepted(reply: Reply) -> Reply:
+    """The reply. Raises RequestRefusedError where it refuses."""
     if not reply.accepted:
         raise refusal_error(reply)
     return reply
