@@ -118,7 +118,7 @@ class GatewayService(Service):
         self.rejections.count(key, RejectionCause.ACCESS, detail, n)
 
     def _shown(self, common_name: str) -> str:
-        name = self.names.get(common_name, common_name or "nobody")
+        name = self.names.get(common_name, common_name or "an unnamed connection")
         return f"{name} ({self.roles.get(common_name, 'no member')})"
 
 

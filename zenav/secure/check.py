@@ -118,10 +118,10 @@ def _connections(at: str, place: SecureFolder, valid: Credentials) -> Iterator[A
     yesterday = today() - timedelta(days=1)
     expired = Authority(place).credentials("expired", "admin", valid.robot, "expired", yesterday)
     foreign = _foreign(valid, today() + timedelta(days=1))
-    nobody = {**valid.tls(), "connect_certificate_base64": None, "connect_private_key_base64": None}
+    without_certificate = {**valid.tls(), "connect_certificate_base64": None, "connect_private_key_base64": None}
     tries = {
         "plain TCP": ("tcp/" + at, None),
-        "no certificate": (TLS + at, nobody),
+        "no certificate": (TLS + at, without_certificate),
         "certificate of another authority": (TLS + at, foreign.tls()),
         "expired certificate": (TLS + at, expired.tls()),
     }

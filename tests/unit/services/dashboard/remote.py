@@ -100,3 +100,8 @@ def logged_in(served: Served, role: Role, name: str = "anna") -> RemoteComputer:
     computer = RemoteComputer(served.port)
     assert computer.login(LoginStore(secure_folder()).invite(name, role, 15)) == 200
     return computer
+
+
+def invitation(role: Role = Role.OPERATOR, name: str = "anna") -> str:
+    """The token of an invitation for 15 minutes."""
+    return LoginStore(secure_folder()).invite(name, role, 15)

@@ -22,7 +22,7 @@ from shared.roles import Role
 from shared.secure_folder import secure_folder
 from tests.unit.services.dashboard.browser import SOON, Browser, Served, serving
 from tests.unit.services.dashboard.credentials import REMOTE, make_credentials
-from tests.unit.services.dashboard.remote import RemoteComputer, logged_in, serving_remote
+from tests.unit.services.dashboard.remote import RemoteComputer, invitation, logged_in, serving_remote
 
 
 @pytest.fixture
@@ -34,10 +34,6 @@ def served(monkeypatch, tmp_path: Path) -> Iterator[Served]:
 @pytest.fixture
 def stranger(served) -> RemoteComputer:
     return RemoteComputer(served.port)
-
-
-def invitation(role: Role = Role.OPERATOR, name: str = "anna") -> str:
-    return LoginStore(secure_folder()).invite(name, role, 15)
 
 
 def refused_page(computer: RemoteComputer, **options) -> int:

@@ -10,15 +10,13 @@ import pytest
 from services.dashboard.address import page_address
 from services.dashboard.certificate import read_certificate
 from services.dashboard.config import DashboardConfig
-from services.dashboard.login_store import LoginStore
 from shared.config import UserError
 from shared.messages import Velocity
 from shared.roles import FRAME_ROLES, OPERATION_ROLES, REQUEST_ROLES, ROUTE_ROLES, Role, may
 from shared.runners.transport import StackAddress
-from shared.secure_folder import secure_folder
 from tests.unit.services.dashboard.browser import SOON, Served
 from tests.unit.services.dashboard.credentials import REMOTE, make_credentials
-from tests.unit.services.dashboard.remote import RemoteComputer, logged_in, serving_remote
+from tests.unit.services.dashboard.remote import RemoteComputer, invitation, logged_in, serving_remote
 
 
 @pytest.fixture
@@ -30,10 +28,6 @@ def served(monkeypatch, tmp_path: Path) -> Iterator[Served]:
 @pytest.fixture
 def stranger(served) -> RemoteComputer:
     return RemoteComputer(served.port)
-
-
-def invitation(role: Role = Role.OPERATOR, name: str = "anna") -> str:
-    return LoginStore(secure_folder()).invite(name, role, 15)
 
 
 @pytest.mark.parametrize("role", Role)
