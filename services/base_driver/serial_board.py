@@ -136,10 +136,22 @@ class SerialBoard:
         rate = (self._n_reports - self._n_reports_at_status) / elapsed if self._status_at and elapsed > 0 else 0.0
         self._status_at, self._n_reports_at_status = now, self._n_reports
         age = max(now - self._last_at["packet"], 0) * 1e-9 if "packet" in self._last_at else nan
-        s, line = self.standard, self.deframer
-        measured = (s.board_supply, s.motor_supply, s.servo_supply, *s.motor_temperatures, s.temperature) if s else ()
+        standard, line = self.standard, self.deframer
+        left_temperature, right_temperature = standard.motor_temperatures if standard else (nan, nan)
         return BoardStatus(
-            now, line.n_good, line.n_bad_crc, line.n_resyncs, line.n_skipped, age, rate, *(measured or (nan,) * 6)
+            stamp=now,
+            good=line.n_good,
+            bad_crc=line.n_bad_crc,
+            resyncs=line.n_resyncs,
+            skipped=line.n_skipped,
+            last_heard=age,
+            rate=rate,
+            board_supply=standard.board_supply if standard else nan,
+            motor_supply=standard.motor_supply if standard else nan,
+            servo_supply=standard.servo_supply if standard else nan,
+            left_temperature=left_temperature,
+            right_temperature=right_temperature,
+            temperature=standard.temperature if standard else nan,
         )
 
     def _start_bytes(self) -> bytes:
