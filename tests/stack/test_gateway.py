@@ -295,3 +295,22 @@ def test_without_certificates_the_gateway_lets_nobody_in_and_says_why(tmp_path):
             socket.create_connection(("127.0.0.1", int(gateway.address.rpartition(":")[2])), 1.0).close()
         hidden.path.rename(gateway.place.path)
         gateway.until(lambda: gateway.health and "members connected" in gateway.health.state)
+
+
+def test_another_robot_of_the_same_name_is_refused_and_has_no_members_of_this_one(gateway, tmp_path):
+    """Two robots named x80: each has an authority of its own, and that decides."""
+    other = SecureFolder(tmp_path / "other")
+    members.init_folder("x80sv", str(other.path), [])
+    members.add_member("mapper", MemberRole.SERVICE, str(other.path), tmp_path / "mapper.pem", 10)
+    stranger = parsed_credentials((tmp_path / "mapper.pem").read_text(), "")
+    before = len(gateway.lines)
+    with pytest.raises(UserError, match="no router answers"):
+        transport.opened(StackAddress(router=f"tls/{gateway.address}", credentials=stranger))
+    gateway.until(lambda: any("rejected a connection" in line for line in gateway.lines[before:]))
+    ours = gateway.member("ours", MemberRole.OPERATOR)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{probe.getsockname()[1]}"
+    config = transport.gateway_configuration(gateway.where, f"tls/{address}", other, ROBOT)
+    with zenoh.open(config), pytest.raises(UserError, match="no router answers"):
+        transport.opened(StackAddress(router=f"tls/{address}", credentials=ours))

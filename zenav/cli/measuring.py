@@ -25,6 +25,22 @@ def bench_recording(
     raise typer.Exit(run(hours, out))
 
 
+@bench.command("gateway", cls=Command)
+def bench_gateway(
+    seconds: Annotated[float, typer.Option(min=1, max=600, help="s: length of each part.")] = 20.0,
+    out: Out = None,
+) -> None:
+    """The time of a message between services and to a member over TLS; the gateway's CPU and memory.
+
+    As root the member is in a network namespace of its own.
+
+    Example: zenav bench gateway --out gateway.json
+    """
+    from zenav.bench.gateway import gateway
+
+    raise typer.Exit(gateway(out, seconds))
+
+
 @bench.command("office", cls=Command)
 def bench_office(
     seeds: Seeds = "0-9",
