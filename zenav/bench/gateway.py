@@ -8,7 +8,6 @@ member is in a namespace of its own, behind a pair of virtual devices; otherwise
 
 import json
 import os
-import shutil
 import socket
 import subprocess
 import sys
@@ -28,6 +27,7 @@ from shared.config import UserError, load_robot
 from shared.runners import transport
 from shared.secure_folder import MemberRole, SecureFolder
 from zenav.bench.gateway_subscriber import MARK, STAMP
+from zenav.bench.member_namespace import MemberNamespace, member_namespace
 from zenav.console.json_report import check_writable, write_report
 from zenav.console.table import show_table
 from zenav.secure.members import add_member, init_folder
@@ -38,8 +38,9 @@ RATE_HZ = 40.0
 MAX_ADDED_MS, MAX_TLS_MS = 1.0, 3.0  # of p99, over the direct one
 WARM_UP = 40  # messages that are not counted
 READY_S = 20.0
+ROBOT = "x80sv"
 DIRECT = "a service"
-BETWEEN = "198.18.77"  # RFC 2544: addresses of benchmarks
+SUBSCRIBER = sys.executable, "-m", "zenav.bench.gateway_subscriber"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,17 +57,15 @@ class LinkLatency:
 def gateway(out: Path | None, seconds: float) -> int:
     """`zenav bench gateway`; 0 when the limits are kept."""
     check_writable(out)
-    robot = load_robot("x80sv").robot.name
+    robot = load_robot(ROBOT).robot.name
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         claim = stack.enter_context(free_stack())
-        member_in = stack.enter_context(_namespace())
+        members = stack.enter_context(member_namespace())
         place = SecureFolder(folder / "secure")
-        with redirect_stdout(sys.stderr):
-            init_folder("x80sv", str(place.path), [])
-            add_member("bench", MemberRole.VIEWER, str(place.path), folder / "bench.pem", 1)
-        rows, usage = _measure(place, claim.where.domain, robot, member_in, folder / "bench.pem", seconds)
-    report = figures(rows, usage) | {"namespace": bool(member_in), "seconds": seconds, "rate_hz": RATE_HZ}
+        viewer = viewer_credentials(place, ROBOT)
+        rows, usage = _measure(place, claim.where.domain, robot, members, viewer, seconds)
+    report = figures(rows, usage) | {"namespace": bool(members.name), "seconds": seconds, "rate_hz": RATE_HZ}
     show(report)
     write_report(out, report)
     return 0 if report["kept"] else 1
@@ -87,6 +86,32 @@ def figures(rows: dict[str, LinkLatency], usage: dict[str, dict[str, float]]) ->
     }  # fmt: skip
 
 
+def viewer_credentials(place: SecureFolder, robot: str) -> Path:
+    """Makes a secure folder with one member, a viewer; the file of its credentials, beside the folder."""
+    file = place.path.with_name("bench.pem")
+    with redirect_stdout(sys.stderr):
+        init_folder(robot, str(place.path), [])
+        add_member("bench", MemberRole.VIEWER, str(place.path), file, 1)
+    return file
+
+
+def free_endpoint(members: MemberNamespace) -> str:
+    """HOST:PORT at which members can reach a gateway, and no process listens."""
+    with socket.socket() as probe:
+        probe.bind((members.robot, 0))
+        return f"{members.robot}:{probe.getsockname()[1]}"
+
+
+def gateway_settings(place: SecureFolder, address: str) -> list[str]:
+    """The settings of a gateway that listens at HOST:PORT."""
+    return [f"gateway.port.device=tls://{address}", f"gateway.folder={place.path}"]
+
+
+def member_subscriber(members: MemberNamespace, endpoint: str, viewer: Path, robot: str) -> list[str]:
+    """The command of a member that subscribes to every topic."""
+    return members.inside(*SUBSCRIBER, endpoint, str(viewer), f"{robot}/**")
+
+
 def show(report: dict[str, Any]) -> None:
     """Prints the tables."""
     links = [
@@ -103,20 +128,20 @@ def show(report: dict[str, Any]) -> None:
 
 
 def _measure(
-    place: SecureFolder, domain: int, robot: str, namespace: str, pem: Path, seconds: float
+    place: SecureFolder, domain: int, robot: str, members: MemberNamespace, viewer: Path, seconds: float
 ) -> tuple[dict[str, LinkLatency], dict[str, dict[str, float]]]:
     """Latencies by subscriber, and CPU and PSS of the gateway by situation."""
     key, n = f"{robot}/scan", max(round(seconds * RATE_HZ), 1)
-    host, port = (f"{BETWEEN}.1", 7448) if namespace else ("127.0.0.1", 17000 + domain)
+    address = free_endpoint(members)
     usage: dict[str, dict[str, float]] = {}
     with transport.opened(transport.StackAddress(domain), "lidar_driver") as session, ExitStack() as children:
-        local = children.enter_context(_subscriber("", str(domain), "mapper", key))
+        local = children.enter_context(_subscriber([*SUBSCRIBER, str(domain), "mapper", key]))
         rows = {DIRECT: _run(session, key, n, [local])[0]}
-        process = children.enter_context(_gateway(place, domain, f"{host}:{port}"))
-        _wait_for_port(host, port)
+        process = children.enter_context(_gateway(place, domain, address))
+        _wait_for_port(address)
         with _watched(process, usage, "no member"):
             rows["a service, with a gateway"] = _run(session, key, n, [local])[0]
-        member = children.enter_context(_subscriber(namespace, f"tls/{host}:{port}", str(pem), f"{robot}/**"))
+        member = children.enter_context(_subscriber(member_subscriber(members, f"tls/{address}", viewer, robot)))
         with _watched(process, usage, "a member of all topics"):
             both = _run(session, key, n, [local, member])
         rows["a service, with a member of all topics"], rows["that member, over TLS"] = both
@@ -164,9 +189,7 @@ def _report(subscriber: subprocess.Popen[str]) -> dict[str, Any]:
 
 
 @contextmanager
-def _subscriber(namespace: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    inside = ["ip", "netns", "exec", namespace] if namespace else []
-    command = [*inside, sys.executable, "-m", "zenav.bench.gateway_subscriber", *arguments]
+def _subscriber(command: list[str]) -> Iterator[subprocess.Popen[str]]:
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
@@ -179,8 +202,7 @@ def _subscriber(namespace: str, *arguments: str) -> Iterator[subprocess.Popen[st
 
 @contextmanager
 def _gateway(place: SecureFolder, domain: int, address: str) -> Iterator[psutil.Process]:
-    settings = (f"gateway.port.device=tls://{address}", f"gateway.folder={place.path}")
-    options = [word for setting in settings for word in ("--set", setting)]
+    options = [word for setting in gateway_settings(place, address) for word in ("--set", setting)]
     command = [sys.executable, "-m", "services.gateway", "--stack", str(domain), *options]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
@@ -190,13 +212,14 @@ def _gateway(place: SecureFolder, domain: int, address: str) -> Iterator[psutil.
         process.wait(10)
 
 
-def _wait_for_port(host: str, port: int) -> None:
+def _wait_for_port(address: str) -> None:
+    host, _, port = address.rpartition(":")
     limit = time.monotonic() + READY_S
     while True:
-        with suppress(OSError), socket.create_connection((host, port), 1.0):
+        with suppress(OSError), socket.create_connection((host, int(port)), 1.0):
             return
         if time.monotonic() > limit:
-            raise UserError(f"no gateway listens at {host}:{port}", "is the port taken?")
+            raise UserError(f"no gateway listens at {address}", "is the port taken?")
         threading.Event().wait(0.1)
 
 
@@ -213,34 +236,3 @@ def _watched(process: psutil.Process, usage: dict[str, dict[str, float]], situat
 def _cpu_s(process: psutil.Process) -> float:
     times = [p.cpu_times() for p in (process, *process.children(recursive=True))]
     return float(sum(t.user + t.system for t in times))
-
-
-@contextmanager
-def _namespace() -> Iterator[str]:
-    """A network namespace behind a pair of virtual devices; empty where this user cannot make one."""
-    name = f"zenav-{os.getpid()}"
-    outer, inner = f"zb{os.getpid() % 10**6}a", f"zb{os.getpid() % 10**6}b"
-    try:
-        if os.geteuid() or shutil.which("ip") is None or not _ip("netns", "add", name):
-            yield ""
-            return
-        made = all(
-            _ip(*words)
-            for words in (
-                ("link", "add", outer, "type", "veth", "peer", "name", inner, "netns", name),
-                ("addr", "add", f"{BETWEEN}.1/30", "dev", outer),
-                ("link", "set", outer, "up"),
-                ("-n", name, "addr", "add", f"{BETWEEN}.2/30", "dev", inner),
-                ("-n", name, "link", "set", inner, "up"),
-            )
-        )
-        yield name if made else ""
-    finally:
-        _ip("link", "del", outer)
-        _ip("netns", "del", name)
-
-
-def _ip(*words: str) -> bool:
-    with suppress(OSError):
-        return subprocess.run(("ip", *words), capture_output=True).returncode == 0
-    return False

@@ -148,6 +148,7 @@ def bench_stack(
     out: Out = None,
     robot: RobotName = "x80sv",
     world: World = "office",
+    remote: Annotated[bool, typer.Option("--remote", help="With the gateway, and a member of all topics.")] = False,
     set_: Setting = None,
 ) -> None:
     """Latency from scan to cmd/vel across processes, CPU and memory of each, time to first motion.
@@ -156,7 +157,7 @@ def bench_stack(
     """
     from zenav.bench.stack import stack
 
-    raise typer.Exit(stack(robot, world, seconds, out, set_ or []))
+    raise typer.Exit(stack(robot, world, seconds, out, set_ or [], remote))
 
 
 @bench.command("footprint", cls=Command)
