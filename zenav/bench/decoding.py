@@ -8,9 +8,11 @@ from statistics import median
 
 import numpy as np
 
-from services.base_driver.serial_board import SerialBoard, SerialBoardConfig
+from services.base_driver.boards.board_config import SerialBoardConfig
+from services.base_driver.serial_board import SerialBoard
 from services.lidar_driver.service import DEVICES, LidarDriverConfig
 from services.sim.hardware.board import BoardEmulator
+from services.sim.hardware.drrobot_board import DrRobotElectronics
 from services.sim.hardware.faults import ActiveFaults
 from services.sim.hardware.lasers import make_emulator
 from shared.config import Laser, load_robot
@@ -55,7 +57,7 @@ def _board(n_bytes: int) -> tuple[Decoder, bytes]:
     """Bytes to BoardReports, and what the X80SV's board says while it drives."""
     decoder, emulated = (
         SerialBoard(SerialBoardConfig(), load_robot("x80sv").robot, 0.5),
-        BoardEmulator(ActiveFaults(), 0),
+        BoardEmulator(ActiveFaults(), 0, DrRobotElectronics(ActiveFaults())),
     )
     decoder.warm_up()
     stream, i = bytearray(), 0
