@@ -24,6 +24,7 @@ SERVICES = (
     "recorder",
     "dashboard",
     "gateway",
+    "ros2",
 )
 """Fixed order: a service's index is its port offset, and the tie-break of the lockstep runner."""
 
@@ -99,8 +100,8 @@ FOLLOW      = Topic("follow/status",   m.FollowStatus,  by="local_ctrl",        
 NAV_STATUS  = Topic("nav/status",      m.NavStatus,     by="navigator",              hz=5,  keep="latest", within=0.010, latched=True, people=True)
 TASK        = Topic("nav/task",        m.NavTask,       by="navigator",              hz=0,  keep="latest", within=0.010, latched=True)
 CMD_NAV     = Topic("cmd/nav",         m.Velocity,      by="local_ctrl",             hz=20, keep="latest", within=0.030)
-TELEOP      = Topic("cmd/teleop",      m.Velocity,      by="operator dashboard",     hz=20, keep="latest", within=0.005)
-ESTOP       = Topic("estop",           m.EmergencyStop, by="operator dashboard",     hz=0,  keep="all",    within=0.005, latched=True)
+TELEOP      = Topic("cmd/teleop",      m.Velocity,      by="operator dashboard ros2", hz=20, keep="latest", within=0.005)
+ESTOP       = Topic("estop",           m.EmergencyStop, by="operator dashboard ros2", hz=0,  keep="all",    within=0.005, latched=True)
 COSTMAP     = Topic("debug/costmap",   m.Costmap,       by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
 ROLLOUTS    = Topic("debug/rollouts",  m.Rollouts,      by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
 GUARD       = Topic("guard/status",    m.GuardStatus,   by="guard",                  hz=10, keep="latest", within=0.005, latched=True)

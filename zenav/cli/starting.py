@@ -2,7 +2,7 @@
 """`zenav demo`, `up` and `run`. Only parsing; work is imported when it is due."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -96,6 +96,9 @@ def up(
             metavar="A,B",
         ),
     ] = "",
+    ros2: Annotated[
+        str, typer.Option("--ros2", help="Bridge to ROS 2 nodes by their router: tcp/HOST:7447.", metavar="ROUTER")
+    ] = "",
     stack: Stack = "0",
     set_: Setting = None,
 ) -> None:
@@ -122,6 +125,7 @@ def up(
         browser,
         remote,
         [name for name in external.split(",") if name],
+        ros2,
     )
 
 
@@ -161,3 +165,25 @@ def run(
     from zenav.stack.up import run_service
 
     run_service(service, robot, stack, settings=set_ or [], clock=clock, memory=memory, log=log)
+
+
+@app.command(cls=Command, rich_help_panel=MAIN)
+def ros2(
+    router: Annotated[
+        str, typer.Option(help="Router of the ROS 2 nodes: tcp/HOST:7447.", metavar="ROUTER")
+    ] = "tcp/127.0.0.1:7447",
+    domain: Annotated[int, typer.Option(min=0, max=232, help="ROS_DOMAIN_ID of the nodes.")] = 0,
+    distro: Annotated[Literal["humble", "jazzy", "kilted"], typer.Option(help="Their distribution.")] = "jazzy",
+    namespace: Annotated[str, typer.Option(help="Before the names of topics and services, as /robot1.")] = "",
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+    set_: Setting = None,
+    log: Annotated[str, typer.Option(help="DEBUG, INFO, WARNING or ERROR.")] = "INFO",
+) -> None:
+    """Bridge a running stack to ROS 2 nodes that use rmw_zenoh, without ROS here. Until Ctrl-C.
+
+    Example: zenav ros2 --router tcp/192.168.1.7:7447 --domain 0
+    """
+    from zenav.stack.ros2 import run_bridge
+
+    run_bridge(robot, stack, router, domain, distro, namespace, set_ or [], log)

@@ -26,6 +26,7 @@ from zenav.stack.hardware import Hardware, emulated_ports, services_for, setting
 from zenav.stack.heap import release_free_memory
 from zenav.stack.launch import START_LIMIT, Launcher, claim_stack, service_command
 from zenav.stack.page import SERVICE, PageOpener, page_url, with_page
+from zenav.stack.ros2 import ROS2, ros2_settings
 from zenav.stack.sd_notify import Notifier
 from zenav.stack.service_loader import existing_services
 from zenav.stack.warm import warm_first
@@ -73,23 +74,29 @@ def up(
     browser: bool = True,
     remote: bool = False,
     external: Sequence[str] = (),
+    ros2: str = "",
 ) -> None:
     """Runs the services until Ctrl-C. hardware: None is the simulator's messages with a world, else the real robot.
 
     on_map: what the mapper begins with; a new map without it.  page: whether the page's server runs, and `browser`:
     whether a browser shows it in a desktop session.  remote: whether members reach the stack from other computers.
     external: services that are not started, because programs of the user take their place.
+
+    ros2: the router of ROS 2 nodes, as tcp/HOST:7447; empty: no bridge.
     """
     hardware = _checked_hardware(hardware, world, speed, external)
     settings = [*settings, *([f"sim.world={world}"] if world else [])]
     where = stack_address(stack)
     settings = with_gateway(settings, where) if remote else settings
+    settings = [*ros2_settings(ros2), *settings] if ros2 else settings
     file = configured(robot, settings)
     read_sections(file)
     names = selected_services(only, with_page(services_for(hardware, file), page), external)
     if remote:
         prepare_gateway(file)
         names.append(GATEWAY)
+    if ros2:
+        names.append(ROS2)
     if "sim" in names:
         simulated_world(file)  # a wrong world is an error before any process starts
     saved = None if on_map is None else on_map.read(file)  # so is a damaged map

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The requests to the stack behind the services without arguments, and what becomes of a request's outcome."""
+
+from collections.abc import Callable
+from typing import Any
+
+from shared import requests
+from shared.messages import Message
+from shared.requests import Cancel, Explore, Pause, Request
+from shared.service import Log, Out
+
+Done = Callable[[dict[str, Any]], Out]
+"""Takes the outcome of a request: accepted, reason, detail, hint, data."""
+
+
+def task_request(name: str, now: int) -> tuple[Request[Any, Any], Message]:
+    """The request of a service of TRIGGERS that is not STOP. now: ns."""
+    rows: dict[str, tuple[Request[Any, Any], Message]] = {
+        "/explore": (requests.EXPLORE, Explore(now)),
+        "/cancel": (requests.CANCEL, Cancel(now)),
+        "/pause": (requests.PAUSE, Pause(now, True)),
+        "/resume": (requests.PAUSE, Pause(now, False)),
+    }
+    return rows[name]
+
+
+def logged_refusal(what: str) -> Done:
+    """Logs a refusal of a message that has no reply."""
+
+    def done(outcome: dict[str, Any]) -> Out:
+        if not outcome["accepted"]:
+            yield Log("WARNING", f"ROS 2: {what} refused: {refusal_text(outcome)}")
+
+    return done
+
+
+def refusal_text(outcome: dict[str, Any]) -> str:
+    """Reason, detail and hint of a refusal."""
+    return ": ".join(str(outcome[part]) for part in ("reason", "detail", "hint") if outcome.get(part))
