@@ -46,11 +46,12 @@ SERVICE_QOS = Qos(depth=10)  # rmw_qos_profile_services_default
 class WireEvents:
     """What the wire calls, on Zenoh's threads.
 
-    message: name, type, CDR, gid of the publisher.  request: name of the service, its number here, CDR.  wanted: name,
-    and whether a subscription matches.  endpoint: of another node, and whether it is there.  rejected: name and cause.
+    message: name, type, CDR, gid of the publisher, ns on its clock when it was sent.  request: name of the service, its
+    number here, CDR.  wanted: name, and whether a subscription matches.  endpoint: of another node, and whether it is
+    there.  rejected: name and cause.
     """
 
-    message: Callable[[str, str, bytes, bytes], None]
+    message: Callable[[str, str, bytes, bytes, int], None]
     request: Callable[[str, int, bytes], None]
     wanted: Callable[[str, bool], None]
     endpoint: Callable[[Endpoint, bool], None]
@@ -177,7 +178,7 @@ class RosWire:
         elif len(sample.payload) > MAX_BYTES:
             self._events.rejected(name, f"a message of {len(sample.payload)} bytes")
         else:
-            self._events.message(name, type_, sample.payload.to_bytes(), found[2])
+            self._events.message(name, type_, sample.payload.to_bytes(), found[2], found[1])
 
     def _ask(self, name: str, query: zenoh.Query) -> None:
         payload = query.payload
