@@ -216,6 +216,23 @@ def bench_serial(
     raise typer.Exit(serial(seconds, out))
 
 
+@bench.command("gyro", cls=Command)
+def bench_gyro(
+    directory: Annotated[
+        Path | None,
+        typer.Argument(metavar="DIR", help="Folder of logs with corrected trajectories; none: simulation alone."),
+    ] = None,
+    out: Out = None,
+) -> None:
+    """Odometry's heading with and without gyro, over 100 m of simulated drives and of recorded logs.
+
+    Example: zenav bench gyro $ZENAV_DATA/slam --out gyro.json
+    """
+    from zenav.bench.gyro import gyro
+
+    raise typer.Exit(gyro(directory, out))
+
+
 @bench.command("odometry", cls=Command)
 def bench_odometry(
     directory: Annotated[
