@@ -6,6 +6,7 @@ from typing import Any
 
 from shared import requests
 from shared.messages import Message
+from shared.reasons import reason_text
 from shared.requests import Cancel, Explore, Pause, Request
 from shared.service import Log, Out
 
@@ -35,5 +36,7 @@ def logged_refusal(what: str) -> Done:
 
 
 def refusal_text(outcome: dict[str, Any]) -> str:
-    """Reason, detail and hint of a refusal."""
-    return ": ".join(str(outcome[part]) for part in ("reason", "detail", "hint") if outcome.get(part))
+    """Why a request was refused, with its hint."""
+    text = outcome.get("detail") or reason_text(outcome["reason"]) or str(outcome["reason"])
+    hint = outcome.get("hint", "")
+    return text if hint in text else f"{text}: {hint}"
