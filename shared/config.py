@@ -4,184 +4,24 @@
 import difflib
 import logging
 from io import StringIO
-from math import cos, hypot, pi
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
-import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import ValidationError
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.error import YAMLError
 
-from shared.polygon import signed_area, signed_distances
+from shared.robot import Drive, Laser, Mount, RangeSensor, Robot
 from shared.robot_files import ROBOTS_DIR, manual_page, robot_files
+from shared.section import Section, UserError
 
-CIRCLE_CORNERS = 32  # of the polygon around a round robot: it reaches 0.5 % beyond the circle
+__all__ = [
+    "Drive", "Laser", "Mount", "RangeSensor", "Robot", "RobotFile", "Section", "UserError",
+    "configured", "load_robot", "load_yaml", "nearest", "robot_path", "yaml_value",
+]  # fmt: skip
 
 _log = logging.getLogger("zenav.config")
-
-
-class UserError(Exception):
-    """Something that the user can fix: shown as one line and a `hint:`, never as a traceback."""
-
-    def __init__(self, what: str, hint: str) -> None:
-        super().__init__(what)
-        self.what, self.hint = what, hint
-
-
-class Section(BaseModel):
-    """Base of every configuration model: unknown keys are errors, values never change."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    RENAMED: ClassVar[dict[str, str]] = {}
-    """Former name of a setting: its present name. Robot files and recordings may use either, not both."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _rename_settings(cls, values: Any) -> Any:
-        """The values under the present names of the settings. Raises ValueError where both names are given."""
-        if not isinstance(values, dict) or not cls.RENAMED.keys() & values.keys():
-            return values
-        for old, new in cls.RENAMED.items():
-            if old in values and new in values:
-                raise ValueError(f"`{old}` and `{new}` name one setting: give `{new}` only")
-        return {cls.RENAMED.get(name, name): value for name, value in values.items()}
-
-
-class Mount(Section):
-    """Where a sensor sits on the robot: `base_from_sensor`."""
-
-    x: float = Field(0.0, ge=-5, le=5, description="m ahead of the wheel axis")
-    y: float = Field(0.0, ge=-5, le=5, description="m to the left of the centre line")
-    yaw: float = Field(0.0, ge=-2 * pi, le=2 * pi, description="rad, counter-clockwise")
-
-
-class Drive(Section):
-    """The differential drive."""
-
-    wheel_radius: float = Field(gt=0, le=1, description="m, mean of both")
-    wheel_radius_ratio: float = Field(1.0, ge=0.8, le=1.25, description="right wheel's radius over the left one's")
-    wheel_distance: float = Field(
-        gt=0, le=3, description="m between the wheels' contact points, as it acts when turning"
-    )
-    counts_per_turn: int = Field(gt=0, description="encoder counts a turn of the wheel")
-    encoder_wrap: int = Field(gt=0, description="encoder counts at which the counter returns to 0")
-    motor_direction: int = Field(1, ge=-1, le=1, description="+1 or -1: sign of both motors, the document's motorDir")
-    max_speed: float = Field(gt=0, le=10, description="m/s forward")
-    max_reverse_speed: float = Field(0.0, ge=0, le=10, description="m/s backward; 0 forbids reversing")
-    max_turn_rate: float = Field(gt=0, le=20, description="rad/s")
-    max_acceleration: float = Field(gt=0, le=20, description="m/s^2")
-    max_braking: float = Field(gt=0, le=20, description="m/s^2 that the base really reaches")
-    max_turn_acceleration: float = Field(gt=0, le=100, description="rad/s^2")
-    min_turning_radius: float = Field(0.0, ge=0, le=20, description="m: of the tightest arc that it drives; 0: any")
-    turns_in_place: bool = Field(True, description="it may turn on the spot; if not, give min_turning_radius")
-
-    @model_validator(mode="after")
-    def _drivable(self) -> "Drive":
-        if self.motor_direction == 0:
-            raise ValueError("motor_direction is +1 or -1")
-        if not self.turns_in_place and self.min_turning_radius < 0.05:
-            raise ValueError("a robot that may not turn on the spot needs a min_turning_radius of 0.05 m at least")
-        return self
-
-    @property
-    def left_radius(self) -> float:
-        """m; the two have `wheel_radius` as their mean: Borenstein and Feng 1996, equations 13 and 14."""
-        return 2 * self.wheel_radius / (1 + self.wheel_radius_ratio)
-
-    @property
-    def right_radius(self) -> float:
-        """m"""
-        return self.left_radius * self.wheel_radius_ratio
-
-    def clamped(self, v: float, w: float) -> tuple[float, float]:
-        """The velocity (m/s, rad/s) scaled down, on its own arc, until it is within the limits.
-
-        An arc tighter than the robot's is opened to that.
-        """
-        limit = self.max_speed if v >= 0 else self.max_reverse_speed
-        w = self.bent(v, w)
-        share = min(1.0, limit / abs(v) if v else 1.0, self.max_turn_rate / abs(w) if w else 1.0)
-        return v * share, w * share
-
-    def bent(self, v: float, w: float) -> float:
-        """The turn rate, rad/s, that is nearest to w at a speed of v m/s and on an arc that the robot drives."""
-        if not self.min_turning_radius or (v == 0 and self.turns_in_place):
-            return w
-        max_turn_rate = abs(v) / self.min_turning_radius
-        return min(max(w, -max_turn_rate), max_turn_rate)
-
-
-class Laser(Section):
-    """The laser: its mount and its sweep, in its own frame."""
-
-    mount: Mount = Mount()
-    angle_min: float = Field(ge=-2 * pi, le=2 * pi, description="rad, first beam")
-    angle_increment: float = Field(ge=-pi, le=pi, description="rad between beams; negative: clockwise")
-    n_beams: int = Field(ge=2, le=20000, description="beams a sweep")
-    scan_time: float = Field(ge=0, le=2, description="s from the first to the last beam")
-    rate: float = Field(gt=0, le=200, description="sweeps a second")
-    range_min: float = Field(ge=0, description="m; nearer is no measurement")
-    range_max: float = Field(gt=0, le=250, description="m; farther is no echo")
-
-
-class RangeSensor(Section):
-    """One ultrasonic or infrared sensor."""
-
-    kind: str = Field(pattern="^(ultrasonic|infrared)$", description="ultrasonic or infrared")
-    mount: Mount
-    field_of_view: float = Field(gt=0, le=2 * pi, description="rad, whole cone")
-    range_min: float = Field(ge=0, description="m")
-    range_max: float = Field(gt=0, description="m")
-
-
-class Robot(Section):
-    """The robot's hardware. Every service may read it."""
-
-    name: str = Field(pattern="^[a-z][a-z0-9_]*$", description="first part of every key")
-    footprint: tuple[tuple[float, float], ...] = Field(
-        (), description="m, corners in `base`, counter-clockwise, three at least; or give `radius`"
-    )
-    radius: float | None = Field(None, gt=0, le=5, description="m: of a round robot about `base`; or give `footprint`")
-    drive: Drive
-    laser: Laser
-    ranges: tuple[RangeSensor, ...] = Field((), description="ultrasonic and infrared sensors, in the board's order")
-
-    @model_validator(mode="after")
-    def _around_the_origin(self) -> "Robot":
-        if bool(self.footprint) == (self.radius is not None):
-            raise ValueError("give either footprint, as corners, or radius")
-        if self.radius is None and len(self.footprint) < 3:
-            raise ValueError("footprint: three corners at least")
-        corners = self.corners
-        if signed_area(corners) <= 0:
-            raise ValueError("footprint: corners must run counter-clockwise and enclose an area")
-        if not np.all(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T) > 1e-6):
-            raise ValueError("footprint: a corner repeats its neighbour; the outline closes by itself")
-        if self.inscribed_radius <= 0:
-            raise ValueError("footprint: the origin of `base` must lie inside")
-        return self
-
-    @property
-    def corners(self) -> NDArray[np.float64]:
-        """(n, 2) m, in `base`, counter-clockwise; of a round robot, the regular polygon around the circle."""
-        if self.radius is None:
-            return np.array(self.footprint, float)
-        angles = 2 * pi * (np.arange(CIRCLE_CORNERS) + 0.5) / CIRCLE_CORNERS
-        return self.radius / cos(pi / CIRCLE_CORNERS) * np.column_stack((np.cos(angles), np.sin(angles)))
-
-    @property
-    def inscribed_radius(self) -> float:
-        """m: the largest circle about `base` inside the footprint (negative when base lies outside)."""
-        return -float(signed_distances(self.corners, np.zeros((1, 2)))[0])
-
-    @property
-    def circumscribed_radius(self) -> float:
-        """m: the smallest circle about `base` around the footprint."""
-        return max(hypot(x, y) for x, y in self.corners.tolist())
 
 
 T = TypeVar("T", bound=Section)

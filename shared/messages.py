@@ -54,6 +54,7 @@ Radians = Annotated[float, Unit("rad"), Within(-1e6, 1e6)]
 Seconds = Annotated[float, Unit("s"), Within(0, 1e7)]
 Speed = Annotated[float, Unit("m/s"), Within(-20, 20)]
 TurnRate = Annotated[float, Unit("rad/s"), Within(-50, 50)]
+Acceleration = Annotated[float, Unit("m/s^2"), Within(-400, 400, nan=True)]
 Count = Annotated[int, Unit("1"), Within(0, 2**62)]
 Stamp = Annotated[int, Unit("ns"), Within(0, 2**62)]
 Text = Annotated[str, Unit("1")]
@@ -72,6 +73,8 @@ class Message:
         """What is wrong between fields, or None. Called at the boundary, after each field was checked alone."""
         return None
 
+
+MAX_CONTACTS = 64
 
 # --- hardware -------------------------------------------------------------------------------------------------------
 
@@ -96,6 +99,37 @@ class MotorCommand(Message):
 
     left: Annotated[float, Unit("counts/s"), Within(-1e6, 1e6)]
     right: Annotated[float, Unit("counts/s"), Within(-1e6, 1e6)]
+
+
+@dataclass(frozen=True, slots=True)
+class Imu(Message):
+    """What an inertial sensor measures, turned into `base`: turn rate about z (up), and specific force.
+
+    The yaw rate is the mean since the previous message, positive counter-clockwise, with the gyro's bias. The
+    accelerations contain gravity: at rest z is +9.8 (REP 145). NaN where the sensor has no accelerometer.
+    """
+
+    yaw_rate: TurnRate
+    acceleration_x: Acceleration
+    acceleration_y: Acceleration
+    acceleration_z: Acceleration
+
+
+@dataclass(frozen=True, slots=True)
+class Contacts(Message):
+    """The names of the bumpers that are pressed and of the cliff sensors that see no floor, and the e-stop input.
+
+    A publisher sends it 20 times a second, and at once when something changes: a silent one never means free.
+    Names are those of `robot.bumpers` and `robot.cliffs`; the guard stops for any other name, too.
+    """
+
+    bumpers: Annotated[tuple[str, ...], Unit("1")]
+    cliffs: Annotated[tuple[str, ...], Unit("1")]
+    estop: Flag
+
+    def problem(self) -> str | None:
+        most = max(len(self.bumpers), len(self.cliffs))
+        return f"more than {MAX_CONTACTS} contacts" if most > MAX_CONTACTS else None
 
 
 @dataclass(frozen=True, slots=True)

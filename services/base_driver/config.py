@@ -4,8 +4,8 @@
 from pydantic import Field
 
 from services.base_driver.battery import BatteryConfig
+from services.base_driver.boards.board_config import SerialBoardConfig
 from services.base_driver.encoders import EncoderConfig
-from services.base_driver.serial_board import SerialBoardConfig
 from services.base_driver.stuck_detection import StuckConfig
 from services.base_driver.watchdog import WatchdogConfig
 from services.base_driver.wheel_tracking import WheelTrackingConfig

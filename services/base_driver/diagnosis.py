@@ -52,6 +52,7 @@ class Diagnosis:
             (self._jumps.is_active(now), reasons.ENCODERS_JUMP.code),
             (self.wheel_faults.is_pausing(now), reasons.NOT_OBEYED.code),
             (bool(bad_stamps), reasons.BAD_STAMPS.code),
+            (bool(self._board_fault), reasons.FAULT.code),
             (is_port_closed, reasons.PORT_CLOSED.code),
             (is_silent, reasons.BOARD_SILENT.code),
             (self._battery.is_empty, reasons.BATTERY_EMPTY.code),
@@ -67,6 +68,7 @@ class Diagnosis:
             self.wheel_faults.description(now),
             jumps if self._jumps.is_active(now) else "",
             bad_stamps,
+            self._board_fault,
             serial.silence_cause(now) if serial and (not serial.open or not is_linked) else "",
             f"battery low: {battery:.1f} V" if self._battery.is_low(battery) else "",
             self.range_sensors.mismatch,
@@ -75,6 +77,11 @@ class Diagnosis:
             refused,
         )
         return SEPARATOR.join(dict.fromkeys(text for text in parts if text))
+
+    @property
+    def _board_fault(self) -> str:
+        """Fault that the board on the port reports; empty without one."""
+        return self._serial.device.fault if self._serial else ""
 
     def _dead_sensors(self, now: int) -> str:
         """Which range sensors do not answer; empty when all do."""

@@ -109,7 +109,7 @@ class BaseDriverService(Service):
         """Handles a board port that opened or closed. In both cases the robot waits for a new command."""
         if self.serial is None or state.port != PORT:
             return
-        start_bytes = self.serial.update_port(state)
+        start_bytes = self.serial.update_port(state, self.now)
         self.watchdog.disarm(self.now)
         if start_bytes:
             yield topics.TX(SerialData(self.now, PORT, start_bytes))
@@ -121,12 +121,15 @@ class BaseDriverService(Service):
         """Decodes bytes of the board's port, and answers the board."""
         if self.serial is None or data.port != PORT:
             return
-        report, answer = self.serial.receive(data, self.now)
-        if answer:
-            yield topics.TX(SerialData(self.now, PORT, answer))
-        if report is not None:
-            yield topics.REPORT(report)
-            yield from self._process_report(report)
+        received = self.serial.receive(data, self.now)
+        if received.answer:
+            yield topics.TX(SerialData(self.now, PORT, received.answer))
+        if received.restarted:
+            self.encoders.restart()
+            self.diagnosis.wheel_faults.restart()
+        if received.report is not None:
+            yield topics.REPORT(received.report)
+            yield from self._process_report(received.report)
 
     @on(topics.BOARD)
     def board(self, report: BoardReport) -> Out:
@@ -193,7 +196,7 @@ class BaseDriverService(Service):
         command = MotorCommand(self.now, *board_counts(*self.wheel_command, self.robot.drive))
         yield topics.MOTORS(command)
         if self.serial is not None and self.serial.open:
-            yield topics.TX(SerialData(self.now, PORT, self.serial.command(command.left, command.right)))
+            yield topics.TX(SerialData(self.now, PORT, self.serial.command(command.left, command.right, self.now)))
 
     def _update_link(self) -> None:
         silent = round(self.config.board_silent * 1e9)

@@ -59,7 +59,8 @@ class WheelFaults:
         for monitor in self._tracking:
             monitor.reset()
 
-    def _reset(self) -> None:
+    def restart(self) -> None:
+        """The wheel angles began again: the next report is compared with none before."""
         self._reset_tracking()
         for monitor in self._stuck:
             monitor.reset()
@@ -78,7 +79,7 @@ class WheelFaults:
         """Judges a report: its stamp (ns), the wheel angles, and the commanded speeds (left, right, rad/s)."""
         has_jumped, self._n_jumps = encoders.n_jumps != self._n_jumps, encoders.n_jumps
         if self._report_age is not None and now - stamp < self._report_age - MAX_CLOCK_STEP_NS:
-            self._reset()  # the board's clock was ahead: the wheels were not slow
+            self.restart()  # the board's clock was ahead: the wheels were not slow
         self._report_age = now - stamp
         stuck, lagging, any_stuck = [], [], False
         for name, angle, speed, radius, detector, tracker in zip(

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from services.odometry.gyro import GyroConfig
 from shared.config import Section
 from shared.geometry import Pose2, arc
 from shared.types import Float64s
@@ -21,6 +22,7 @@ class DeadReckoningConfig(Section):
     integration: Literal["exact", "document"] = Field(
         "exact", description="exact: circular arc; document: atan2 and the previous heading, as in the X80SV's driver"
     )
+    gyro: GyroConfig = Field(GyroConfig(), description="heading by the gyro of an inertial sensor")
     wheel_variance: float = Field(
         2e-5, ge=0, le=1, description="variance, m^2, for each m of travel of a wheel: slip, radius, floor"
     )
@@ -33,6 +35,12 @@ def exact_step(left: float, right: float, distance: float) -> tuple[Pose2, Float
     Returns `before_from_after` (m, rad) and (3, 2) d(x, y, yaw) / d(left, right).
     """
     forward, turn = (left + right) / 2, (right - left) / distance
+    motion, by_forward, by_turn = arc_motion(forward, turn)
+    return motion, _wheel_jacobian(by_forward, by_turn / distance)
+
+
+def arc_motion(forward: float, turn: float) -> tuple[Pose2, Float64s, Float64s]:
+    """Motion along an arc of length `forward` m that turns by `turn` rad, and its derivatives (3,) by both."""
     half = turn / 2
     if abs(half) > 1e-4:
         chord = sin(half) / half
@@ -42,7 +50,7 @@ def exact_step(left: float, right: float, distance: float) -> tuple[Pose2, Float
     c, s = cos(half), sin(half)
     by_forward = np.array([chord * c, chord * s, 0.0])
     by_turn = np.array([forward * (bend * c - chord * s) / 2, forward * (bend * s + chord * c) / 2, 1.0])
-    return arc(forward, turn), _wheel_jacobian(by_forward, by_turn / distance)
+    return arc(forward, turn), by_forward, by_turn
 
 
 def document_step(left: float, right: float, distance: float) -> tuple[Pose2, Float64s]:
@@ -69,19 +77,18 @@ def propagated_covariance(
     heading: float,
     motion: Pose2,
     jacobian: Float64s,
-    travel: tuple[float, float],
-    variance: float,
+    variances: tuple[float, float],
 ) -> Float64s:
     """Covariance (3, 3) of x, y (m) and yaw (rad) in `odom` after a motion that began at `heading` (rad).
 
-    motion, jacobian: as from `exact_step`.  travel: of the left and the right wheel, m.
-    The errors of both wheels are independent, with `variance` m^2 for each m of travel.
+    motion: m, rad.  jacobian: (3, 2) its derivatives by two independent quantities.  variances: of these.
+    The quantities are the travel of each wheel (m), or the mean travel (m) and the gyro's turn (rad).
     Siegwart, Nourbakhsh, Scaramuzza 2011, equations 5.8 to 5.11; with the exact arc where they take the mean heading.
     """
     c, s = cos(heading), sin(heading)
     dx, dy = c * motion.x - s * motion.y, s * motion.x + c * motion.y
     pose_jacobian = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
     motion_jacobian = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ jacobian
-    noise = np.diag([variance * abs(travel[0]), variance * abs(travel[1])])
+    noise = np.diag(variances)
     after = pose_jacobian @ covariance @ pose_jacobian.T + motion_jacobian @ noise @ motion_jacobian.T
     return np.asarray((after + after.T) / 2)

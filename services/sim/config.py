@@ -8,6 +8,7 @@ from pydantic import Field
 
 from services.sim.drive import Battery, DriveTruth
 from services.sim.hardware.emulation import EmulationConfig
+from services.sim.imu import ImuNoise
 from services.sim.sensors import LaserNoise, RangeNoise
 from shared.config import Section
 
@@ -40,3 +41,4 @@ class SimConfig(Section):
     battery: Battery = Field(Battery(), description="the battery")
     laser: LaserNoise = Field(LaserNoise(), description="errors of the laser")
     ranges: RangeNoise = Field(RangeNoise(), description="errors of ultrasonic and infrared sensors")
+    imu: ImuNoise = Field(ImuNoise(), description="errors of the inertial sensor")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from services.sim.hardware.faults import ActiveFaults
 from shared.config import Robot
 from shared.geometry import wrapped_all
-from shared.messages import BoardReport, LaserScan
+from shared.messages import BoardReport, Contacts, Imu, LaserScan
 from shared.types import NS_PER_S, Float64s
 
 DARK_HALF_ANGLE_RAD = pi / 6  # rad to either side of straight ahead that a dark sector covers
@@ -40,6 +40,12 @@ class MessageFault(StrEnum):
     ENCODER_JUMPS = "encoder_jumps"
     SONAR_DEAD = "sonar_dead"
     RANGES_MISSING = "ranges_missing"
+    BUMPER = "bumper"
+    CLIFF = "cliff"
+    ESTOP_INPUT = "estop_input"
+    CONTACTS_SILENT = "contacts_silent"
+    IMU_SILENT = "imu_silent"
+    IMU_OLD = "imu_old"
     BOARD_SECONDS = "board_seconds"
     BOARD_1970 = "board_1970"
     BOARD_LATE = "board_late"
@@ -66,6 +72,12 @@ MESSAGE_FAULT_DESCRIPTIONS: dict[MessageFault, str] = {
     MessageFault.ENCODER_JUMPS: "the encoders count at random",
     MessageFault.SONAR_DEAD: "all ultrasonic sensors read 0",
     MessageFault.RANGES_MISSING: "the board sends one ultrasonic range fewer",
+    MessageFault.BUMPER: "the first bumper of robot.bumpers is pressed",
+    MessageFault.CLIFF: "the first cliff sensor of robot.cliffs sees no floor",
+    MessageFault.ESTOP_INPUT: "the board's e-stop button is pressed",
+    MessageFault.CONTACTS_SILENT: "bumpers, cliff sensors and e-stop input are not reported",
+    MessageFault.IMU_SILENT: "the inertial sensor sends nothing",
+    MessageFault.IMU_OLD: "the inertial sensor's stamps are 10 s old",
     MessageFault.BOARD_SECONDS: "the board's stamps are seconds, not nanoseconds",
     MessageFault.BOARD_1970: "the board's stamps count from when the simulator started",
     MessageFault.BOARD_LATE: "the board's stamps are 0.5 s old",
@@ -133,6 +145,25 @@ class MessageFaults:
             report = replace(report, ultrasonic=report.ultrasonic[:-1].copy())
         return report
 
+    def imu(self, imu: Imu | None) -> Imu | None:
+        """The reading of the inertial sensor as it is sent, or None where none is."""
+        if imu is None or MessageFault.IMU_SILENT in self.active:
+            return None
+        self._start = imu.stamp if self._start is None else self._start
+        return replace(imu, stamp=self._stamp("imu", imu.stamp))
+
+    def contacts(self, contacts: Contacts) -> Contacts | None:
+        """The contacts as they are sent, or None where they are not."""
+        if MessageFault.CONTACTS_SILENT in self.active:
+            return None
+        bumpers = self._with_first(MessageFault.BUMPER, contacts.bumpers, [b.name for b in self.robot.bumpers])
+        cliffs = self._with_first(MessageFault.CLIFF, contacts.cliffs, [c.name for c in self.robot.cliffs])
+        return replace(contacts, bumpers=bumpers, cliffs=cliffs, estop=MessageFault.ESTOP_INPUT in self.active)
+
+    def _with_first(self, fault: MessageFault, names: tuple[str, ...], all_names: list[str]) -> tuple[str, ...]:
+        """Names of triggered sensors, with the first of all while the fault is active."""
+        return tuple(dict.fromkeys((*names, *all_names[:1]))) if fault in self.active else names
+
     def _ranges(self, scan: LaserScan) -> NDArray[np.float32]:
         """(n,) m: what the beams of a scan read under the faults."""
         n = len(scan.ranges)
@@ -153,7 +184,7 @@ class MessageFaults:
 
     def _stamp(self, source: str, stamp: int) -> int:
         for name, restamp in STAMPS.items():
-            if MessageFault(f"{source}_{name}") in self.active:
+            if f"{source}_{name}" in self.active:
                 return restamp(stamp, self._start or 0)
         return stamp
 

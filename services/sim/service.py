@@ -11,6 +11,7 @@ from services.sim import fault_requests
 from services.sim import people as pedestrians
 from services.sim.config import SimConfig
 from services.sim.contact import offset_polygon, touches_world, transform_polygon
+from services.sim.contact_sensors import ContactSensors
 from services.sim.drive import (
     battery_voltage,
     encoder_counts,
@@ -19,14 +20,16 @@ from services.sim.drive import (
     wheel_targets,
 )
 from services.sim.hardware.emulation import Emulation
+from services.sim.imu import SimulatedImu
+from services.sim.laser import SimulatedLaser
 from services.sim.message_faults import MessageFaults
-from services.sim.sensors import add_noise, cone_ranges, cone_table, sweep_ranges
+from services.sim.sensors import add_noise, cone_ranges, cone_table
 from services.sim.world import World
 from services.sim.world_loader import load_world
 from shared import requests, topics
 from shared.config import Robot, UserError
 from shared.geometry import Pose2, wrapped
-from shared.messages import BoardReport, Clock, LaserScan, MotorCommand, SerialData, Truth
+from shared.messages import BoardReport, Clock, Contacts, LaserScan, MotorCommand, SerialData, Truth
 from shared.ports import PortConfig
 from shared.requests import Break, Reply
 from shared.service import Answer, Out, Service, answer, every, on
@@ -56,7 +59,7 @@ class SimService(Service):
                 "move the world's `start:`, or set `start:` in section `sim`",
             )
         self.wheels = true_wheels(robot.drive, config.drive, dyn.DT)
-        self.slip_rng, self.laser_rng, self.range_rng, once = (
+        self.slip_rng, laser_rng, self.range_rng, once = (
             np.random.default_rng([config.seed, stream]) for stream in (3, 4, 5, 6)
         )
         self.first_counts = [int(n) for n in once.integers(robot.drive.encoder_wrap, size=2)]
@@ -74,7 +77,9 @@ class SimService(Service):
         self.cone_table = cone_table(robot)
         self.epoch: int | None = None  # ns: time of step 0
         self.step = 0
-        self.sweep = 0  # number of the next sweep since the epoch
+        self.laser = SimulatedLaser(robot.laser, config.laser, laser_rng)
+        self.imu = SimulatedImu(config.imu, np.random.default_rng([config.seed, 10])) if robot.imu else None
+        self.contact_sensors = ContactSensors(robot, self.world.cliffs)
 
     def warm_up(self) -> None:
         """Compiles the kernels on copies."""
@@ -82,7 +87,8 @@ class SimService(Service):
             0, 1, self.state_now.copy(), self.targets, 1, np.zeros((1, 2)), self.wheels, self.body, self.cells,
             self._people(), self.history.copy(),
         )  # fmt: skip
-        self._true_sweep(0)
+        self.laser.true_sweep(self.cells, self.history, 0)
+        self._contacts()
         cone_ranges(self.cells, self.history[0], self.cone_table, self.config.ranges.n_rays)
 
     def _people(self) -> pedestrians.People:
@@ -137,6 +143,7 @@ class SimService(Service):
             sent = (self.faults.scan(scan) for scan in self._due_scans())
             yield from (topics.SCAN(scan) for scan in sent if scan is not None)
             yield topics.BOARD(self.faults.board(self._board()))
+            yield from self._body_sensors()
         else:
             yield from self.emulation.update_plugs(self.now)
             self._obey_board(self.emulation)
@@ -144,6 +151,22 @@ class SimService(Service):
             yield from self.emulation.send_report(self._board(), self.now)
         yield topics.TRUTH(self._truth())
         yield topics.CLOCK(Clock(self.now, 1.0))
+
+    def _body_sensors(self) -> Out:
+        """The inertial sensor and the contact sensors of a robot that has them."""
+        s = self.state_now
+        if self.imu is not None:
+            reading = self.imu.measure(self.time, float(s[dyn.YAW]), float(s[dyn.V]))
+            yield from (topics.IMU(imu) for imu in (self.faults.imu(reading),) if imu is not None)
+        if self.robot.has_contacts:
+            yield from (topics.CONTACTS(c) for c in (self.faults.contacts(self._contacts()),) if c is not None)
+
+    def _contacts(self) -> Contacts:
+        s = self.state_now
+        pose = Pose2(float(s[dyn.X]), float(s[dyn.Y]), float(s[dyn.YAW]))
+        return self.contact_sensors.contacts(
+            self.time, pose, self.cells, self.people.state[:, : pedestrians.RADIUS + 1]
+        )
 
     def _obey_board(self, emulation: Emulation) -> None:
         """Sets the wheels' targets from the emulated board's motor command, for its remaining time."""
@@ -168,42 +191,15 @@ class SimService(Service):
         self.used_charge += amperes * n * dyn.DT / 3600
 
     def _restart_time(self) -> None:
-        self.epoch, self.step, self.sweep = self.now, 0, 0
+        self.epoch, self.step, self.laser.sweep = self.now, 0, 0
+        if self.imu is not None:
+            self.imu.restart()
         self.history[:, :3] = self.state_now[:3]
         self.history[:, 3:] = self.people.state[:, :3].ravel()
 
     def _due_scans(self) -> list[LaserScan]:
         """The sweeps that are complete since the last call."""
-        laser, scans = self.robot.laser, []
-        while (begin := int(self.sweep * 1e9 / laser.rate)) + laser.scan_time * 1e9 <= self.step * dyn.DT_NS:
-            self.sweep += 1
-            if begin // dyn.DT_NS < self.step - len(self.history) + 2:
-                continue  # older than the history, after a gap without ticks
-            true = self._true_sweep(begin)
-            ranges = add_noise(true, self.config.laser, laser.range_min, laser.range_max, self.laser_rng)
-            scans.append(
-                LaserScan(
-                    stamp=(self.epoch or 0) + begin,
-                    angle_min=laser.angle_min,
-                    angle_increment=laser.angle_increment,
-                    scan_time=laser.scan_time,
-                    range_min=laser.range_min,
-                    range_max=laser.range_max,
-                    ranges=ranges,
-                )
-            )
-        return scans
-
-    def _true_sweep(self, begin: int) -> NDArray[np.float64]:
-        """The ranges of the sweep that begins `begin` ns after the epoch."""
-        laser = self.robot.laser
-        mount = laser.mount.x, laser.mount.y, laser.mount.yaw
-        beam_step = laser.scan_time / (laser.n_beams - 1) / dyn.DT
-        limit = laser.range_max + 5 * self.config.laser.sigma
-        return sweep_ranges(
-            self.cells, self.history, begin / dyn.DT_NS, beam_step, mount, laser.angle_min, laser.angle_increment,
-            laser.n_beams, limit,
-        )  # fmt: skip
+        return self.laser.due_scans(self.cells, self.history, self.step, self.epoch or 0)
 
     def _currents(self) -> NDArray[np.float32]:
         s = self.state_now

@@ -63,7 +63,10 @@ def _no_circles() -> Float64s:
 
 @dataclass(frozen=True)
 class World:
-    """polygons: solid, each (k, 2).  circles: (m, 3) x, y, radius, solid.  bounds: low x, low y, high x, high y."""
+    """polygons: solid, each (k, 2).  circles: (m, 3) x, y, radius, solid.  bounds: low x, low y, high x, high y.
+
+    cliffs: regions without floor, each (k, 2).
+    """
 
     name: str
     bounds: Box
@@ -72,6 +75,7 @@ class World:
     circles: Float64s = field(default_factory=_no_circles)
     raster: Raster | None = None
     people: tuple[Pedestrian, ...] = ()
+    cliffs: tuple[Float64s, ...] = ()
     goals: dict[str, Pose2] = field(default_factory=dict)
 
     @cached_property

@@ -60,7 +60,7 @@ class Cylinder(Section):
 
 
 class Polygon(Section):
-    """A solid shape of any form."""
+    """A shape of any form."""
 
     points: tuple[Point, ...] = Field(min_length=3, description="m, corners in order; sides may not cross")
 
@@ -107,6 +107,7 @@ class WorldFile(Section):
     cylinders: tuple[Cylinder, ...] = Field((), description="discs")
     polygons: tuple[Polygon, ...] = Field((), description="other shapes")
     people: tuple[Person, ...] = Field((), description="walking people")
+    cliffs: tuple[Polygon, ...] = Field((), description="regions without floor, that only cliff sensors see")
     goals: tuple[WorldGoal, ...] = Field((), description="places to send the robot to")
 
 
@@ -137,6 +138,7 @@ def build_world(name: str, file: RobotFile, raster: Raster | None, seed: int, ji
         circles=circles,
         raster=raster,
         people=tuple(_walk(p) for p in world.people),
+        cliffs=tuple(np.array(c.points, float) for c in world.cliffs),
         goals=goals,
     )
     _check_routes(whole, world, file)

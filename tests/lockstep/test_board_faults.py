@@ -56,7 +56,7 @@ def test_the_robot_reaches_its_goal_and_its_wheels_are_counted_right(tmp_path, h
         status = stack.newest["base/board"]
         assert (status.bad_crc, status.resyncs, status.skipped) == (0, 0, 0)
         assert status.rate == pytest.approx(50, abs=2)
-        emulated = stack.lockstep.service("sim").emulation.board
+        emulated = stack.lockstep.service("sim").emulation.board.electronics
         assert {channel: (g.kp, g.kd, g.ki) for channel, g in emulated.gains.items()} == dict.fromkeys(
             (0, 1), (15, 0, 0)
         )

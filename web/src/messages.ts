@@ -74,6 +74,29 @@ export interface MotorCommand {
   readonly right: number;
 }
 
+/** What an inertial sensor measures, turned into `base`: turn rate about z (up), and specific force. */
+export interface Imu {
+  /** ns */
+  readonly stamp: number;
+  /** rad/s */
+  readonly yaw_rate: number;
+  /** m/s^2 */
+  readonly acceleration_x: number;
+  /** m/s^2 */
+  readonly acceleration_y: number;
+  /** m/s^2 */
+  readonly acceleration_z: number;
+}
+
+/** The names of the bumpers that are pressed and of the cliff sensors that see no floor, and the e-stop input. */
+export interface Contacts {
+  /** ns */
+  readonly stamp: number;
+  readonly bumpers: readonly string[];
+  readonly cliffs: readonly string[];
+  readonly estop: boolean;
+}
+
 /** Both wheels, positive when the robot drives forward. Angles are unwrapped since the driver's start (`epoch`). */
 export interface WheelState {
   /** ns */
@@ -516,6 +539,8 @@ export interface Truth {
 export interface MessageOf {
   "hardware/board": BoardReport;
   "hardware/motors": MotorCommand;
+  "imu": Imu;
+  "hardware/contacts": Contacts;
   "base/wheels": WheelState;
   "base/ranges": RangeReadings;
   "base/status": BaseStatus;
@@ -572,6 +597,8 @@ export const ARRAYS: { readonly [K in Key]?: Readonly<Record<string, string>> } 
 export const FIELDS: Readonly<Record<string, Readonly<Record<string, string>>>> = {
   BoardReport: { stamp: "number", left_counts: "number", right_counts: "number", left_speed: "number", right_speed: "number", ultrasonic: "array f4 1", infrared: "array f4 1", battery: "number", currents: "array f4 1" },
   MotorCommand: { stamp: "number", left: "number", right: "number" },
+  Imu: { stamp: "number", yaw_rate: "number", acceleration_x: "number", acceleration_y: "number", acceleration_z: "number" },
+  Contacts: { stamp: "number", bumpers: "list of string", cliffs: "list of string", estop: "boolean" },
   WheelState: { stamp: "number", epoch: "number", left: "number", right: "number", left_speed: "number", right_speed: "number" },
   RangeReadings: { stamp: "number", x: "array f4 1", y: "array f4 1", yaw: "array f4 1", field_of_view: "array f4 1", ranges: "array f4 1" },
   BaseStatus: { stamp: "number", battery: "number", left_current: "number", right_current: "number", link: "boolean", fault: "string", detail: "string", waits: "boolean" },

@@ -8,9 +8,11 @@ from statistics import median
 
 import numpy as np
 
-from services.base_driver.serial_board import SerialBoard, SerialBoardConfig
+from services.base_driver.boards.board_config import SerialBoardConfig
+from services.base_driver.serial_board import SerialBoard
 from services.lidar_driver.service import DEVICES, LidarDriverConfig
 from services.sim.hardware.board import BoardEmulator
+from services.sim.hardware.drrobot_board import DrRobotElectronics
 from services.sim.hardware.faults import ActiveFaults
 from services.sim.hardware.lasers import make_emulator
 from shared.config import Laser, load_robot
@@ -55,14 +57,21 @@ def _board(n_bytes: int) -> tuple[Decoder, bytes]:
     """Bytes to BoardReports, and what the X80SV's board says while it drives."""
     decoder, emulated = (
         SerialBoard(SerialBoardConfig(), load_robot("x80sv").robot, 0.5),
-        BoardEmulator(ActiveFaults(), 0),
+        BoardEmulator(ActiveFaults(), 0, DrRobotElectronics(ActiveFaults())),
     )
     decoder.warm_up()
     stream, i = bytearray(), 0
     while len(stream) < n_bytes:
-        ranges = np.full(3, 1.0, np.float32), np.full(7, 0.3, np.float32)
         report = BoardReport(
-            START + i * TICK, i % 32768, 7 * i % 32768, 50.0, 350.0, *ranges, 7.2, np.ones(2, np.float32)
+            stamp=START + i * TICK,
+            left_counts=i % 32768,
+            right_counts=7 * i % 32768,
+            left_speed=50.0,
+            right_speed=350.0,
+            ultrasonic=np.full(3, 1.0, np.float32),
+            infrared=np.full(7, 0.3, np.float32),
+            battery=7.2,
+            currents=np.ones(2, np.float32),
         )
         stream += emulated.report_bytes(report, report.stamp)
         i += 1

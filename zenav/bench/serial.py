@@ -22,6 +22,7 @@ import zenoh
 
 from services.base_driver.kinematics import board_counts, wheel_speeds
 from services.sim.hardware.board import BoardEmulator
+from services.sim.hardware.drrobot_board import DrRobotElectronics
 from services.sim.hardware.faults import ActiveFaults
 from shared import topics
 from shared.codec import Envelope, encode
@@ -101,12 +102,13 @@ class FarEnd:
 
     def __init__(self, link: Path, robot: Robot) -> None:
         self._line = PseudoTerminal(link)
-        self._board, self._lock = BoardEmulator(ActiveFaults(), 0), threading.Lock()
+        faults = ActiveFaults()
+        self._board, self._lock = BoardEmulator(faults, 0, DrRobotElectronics(faults)), threading.Lock()
         self._n_ultrasonic = sum(sensor.kind == "ultrasonic" for sensor in robot.ranges)
         self._n_infrared = len(robot.ranges) - self._n_ultrasonic
         self._wrap = robot.drive.encoder_wrap
         self._turned, self._at = np.zeros(2), time.time_ns()
-        self._expected: tuple[int, int] | None = None
+        self._expected: tuple[float, float] | None = None
         self._obeyed: SimpleQueue[int] = SimpleQueue()
         self._wheels: SimpleQueue[tuple[int, int, int]] = SimpleQueue()
         self._closing = False

@@ -25,6 +25,22 @@ def bench_recording(
     raise typer.Exit(run(hours, out))
 
 
+@bench.command("gateway", cls=Command)
+def bench_gateway(
+    seconds: Annotated[float, typer.Option(min=1, max=600, help="s: length of each part.")] = 20.0,
+    out: Out = None,
+) -> None:
+    """The time of a message between services and to a member over TLS; the gateway's CPU and memory.
+
+    As root the member is in a network namespace of its own.
+
+    Example: zenav bench gateway --out gateway.json
+    """
+    from zenav.bench.gateway import gateway
+
+    raise typer.Exit(gateway(out, seconds))
+
+
 @bench.command("office", cls=Command)
 def bench_office(
     seeds: Seeds = "0-9",
@@ -132,6 +148,7 @@ def bench_stack(
     out: Out = None,
     robot: RobotName = "x80sv",
     world: World = "office",
+    remote: Annotated[bool, typer.Option("--remote", help="With the gateway, and a member of all topics.")] = False,
     set_: Setting = None,
 ) -> None:
     """Latency from scan to cmd/vel across processes, CPU and memory of each, time to first motion.
@@ -140,7 +157,7 @@ def bench_stack(
     """
     from zenav.bench.stack import stack
 
-    raise typer.Exit(stack(robot, world, seconds, out, set_ or []))
+    raise typer.Exit(stack(robot, world, seconds, out, set_ or [], remote))
 
 
 @bench.command("footprint", cls=Command)
@@ -214,6 +231,23 @@ def bench_serial(
     from zenav.bench.serial import serial
 
     raise typer.Exit(serial(seconds, out))
+
+
+@bench.command("gyro", cls=Command)
+def bench_gyro(
+    directory: Annotated[
+        Path | None,
+        typer.Argument(metavar="DIR", help="Folder of logs with corrected trajectories; none: simulation alone."),
+    ] = None,
+    out: Out = None,
+) -> None:
+    """Odometry's heading with and without gyro, over 100 m of simulated drives and of recorded logs.
+
+    Example: zenav bench gyro $ZENAV_DATA/slam --out gyro.json
+    """
+    from zenav.bench.gyro import gyro
+
+    raise typer.Exit(gyro(directory, out))
 
 
 @bench.command("odometry", cls=Command)

@@ -5,6 +5,7 @@ import json
 from enum import StrEnum
 from pathlib import Path
 
+from services.base_driver.config import BaseDriverConfig
 from services.lidar_driver.service import LidarDriverConfig
 from services.sim.config import SimConfig
 from services.sim.world import World
@@ -56,7 +57,8 @@ def settings_for(hardware: Hardware, file: RobotFile, links: Path | None) -> lis
         for driver in DRIVERS.values():
             settings += [f"{driver}.port.device=''", f"{driver}.port.serial_number=''"]
         return settings
-    settings = ["sim.hardware=emulated"]
+    model = file.section("base_driver", BaseDriverConfig).board.model
+    settings = ["sim.hardware=emulated", f"sim.emulation.board_model={model}"]
     for port in emulated_ports(file):
         far, near = (f"pty:{links.resolve()}/{port}", f"{links.resolve()}/{port}") if links else (WIRED, WIRED)
         settings.append(f"sim.emulation.{port}.device={json.dumps(far)}")

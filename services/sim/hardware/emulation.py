@@ -4,7 +4,7 @@
 import numpy as np
 from pydantic import Field
 
-from services.sim.hardware.board import BoardEmulator
+from services.sim.hardware.board import make_board
 from services.sim.hardware.faults import LASER_FAULTS, UNPLUGGED_PORTS, ActiveFaults, Fault
 from services.sim.hardware.lasers import LaserEmulator, make_emulator
 from shared import topics
@@ -22,6 +22,7 @@ class EmulationConfig(Section):
 
     board: PortConfig = Field(PortConfig(device="pty:/tmp/zenav-board"), description="where the board is plugged in")
     laser: PortConfig = Field(PortConfig(device="pty:/tmp/zenav-laser"), description="where the laser is plugged in")
+    board_model: str = Field("drrobot", description="model of the emulated board, as base_driver.board.model")
     laser_model: str = Field("", description="model of the emulated laser; empty: the scan stays a message")
 
 
@@ -31,7 +32,7 @@ class Emulation:
     def __init__(self, config: EmulationConfig, robot: Robot, seed: int) -> None:
         self.config = config
         self.faults = ActiveFaults()
-        self.board = BoardEmulator(self.faults, seed)
+        self.board = make_board(config.board_model, self.faults, seed, robot)
         self.laser: LaserEmulator | None = (
             make_emulator(config.laser_model, robot.laser) if config.laser_model else None
         )

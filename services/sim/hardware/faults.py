@@ -64,7 +64,7 @@ class ActiveFaults:
         """Ends the faults that are over at `now` (ns)."""
         self._until = {fault: until for fault, until in self._until.items() if until is None or now < until}
 
-    def __contains__(self, fault: StrEnum) -> bool:
+    def __contains__(self, fault: str) -> bool:
         return fault in self._until
 
     def __bool__(self) -> bool:

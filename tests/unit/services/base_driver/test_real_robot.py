@@ -70,8 +70,8 @@ def poses(times, counts):
             for publication in driver.receive_bytes(SerialData(driver.now, "board", part)):
                 if publication.topic is topics.WHEELS:
                     found += [out.message.odom_from_base for out in odometry.wheels(publication.message)]
-    assert driver.serial.deframer.n_good == len(times)
-    assert driver.serial.deframer.n_skipped == 0
+    assert driver.serial.device.deframer.n_good == len(times)
+    assert driver.serial.device.deframer.n_skipped == 0
     assert driver.encoders.n_jumps == 0
     return found
 

@@ -269,7 +269,7 @@ def silent(wired, says):
         (lambda wired, k: (), "no byte arrives"),
         (
             lambda wired, k: (b"\x55\xaa" * 20,),
-            "bytes arrive, none make sense: check base_driver.port.baud and .device",
+            "bytes arrive, none make sense: check base_driver.port.baud and .device, and .board.model",
         ),
         (lambda wired, k: (wired.motors()[:-3] + b"\x99\x5e\x0d",), "packets arrive, but their checksums are wrong"),
         (lambda wired, k: (wired.sensors(),), "packets arrive, but none of the motors"),
@@ -408,4 +408,4 @@ def test_any_bytes_at_any_time_are_survived_and_the_next_report_counts(sequence)
     wired.out.clear()
     wired.says(board.motor_sensor((4711, 4712), (0, 0), (0, 0)))
     assert wired.last(topics.REPORT).left_counts == 4711
-    assert wired.service.serial.deframer.n_kept < 264
+    assert wired.service.serial.device.deframer.n_kept < 264

@@ -91,7 +91,7 @@ def test_nearly_straight_on_the_jacobian_is_the_arc_s_series(forward, turn):
 def test_covariance_only_grows(left, right, heading):
     before = np.diag([0.01, 0.02, 0.001])
     motion, jacobian = exact_step(left, right, D)
-    after = propagated_covariance(before, heading, motion, jacobian, (left, right), 2e-5)
+    after = propagated_covariance(before, heading, motion, jacobian, (2e-5 * abs(left), 2e-5 * abs(right)))
     assert np.array_equal(after, after.T)
     assert after[2, 2] >= before[2, 2]
     assert np.linalg.det(after) >= np.linalg.det(before) * (1 - 1e-9)
@@ -114,7 +114,9 @@ def test_covariance_is_carried_by_the_motion_s_derivatives(left, right, heading)
     before = np.zeros((5, 5))
     before[:3, :3] = [[0.04, 0.01, 0.02], [0.01, 0.09, -0.03], [0.02, -0.03, 0.05]]
     before[3, 3], before[4, 4] = variance * abs(left), variance * abs(right)
-    covariance = propagated_covariance(before[:3, :3], heading, *exact_step(left, right, D), (left, right), variance)
+    covariance = propagated_covariance(
+        before[:3, :3], heading, *exact_step(left, right, D), (before[3, 3], before[4, 4])
+    )
     np.testing.assert_allclose(covariance, quotients @ before @ quotients.T, atol=1e-6)
 
 
@@ -124,7 +126,7 @@ def test_covariance_is_what_many_noisy_robots_show():
     pose, covariance = Pose2(), np.zeros((3, 3))
     for _ in range(n_steps):
         motion, jacobian = exact_step(left, right, D)
-        covariance = propagated_covariance(covariance, pose.yaw, motion, jacobian, (left, right), variance)
+        covariance = propagated_covariance(covariance, pose.yaw, motion, jacobian, (variance * left, variance * right))
         pose = pose @ motion
     lefts = left + rng.normal(0, np.sqrt(variance * left), (n_robots, n_steps))
     rights = right + rng.normal(0, np.sqrt(variance * right), (n_robots, n_steps))
@@ -143,7 +145,7 @@ def test_covariance_does_not_depend_on_how_often_the_wheels_report():
         pose, covariance = Pose2(yaw=0.4), np.zeros((3, 3))
         for _ in range(n):
             motion, jacobian = exact_step(1.0 / n, 1.4 / n, D)
-            covariance = propagated_covariance(covariance, pose.yaw, motion, jacobian, (1.0 / n, 1.4 / n), 2e-5)
+            covariance = propagated_covariance(covariance, pose.yaw, motion, jacobian, (2e-5 / n, 2.8e-5 / n))
             pose = pose @ motion
         ends.append(covariance)
     np.testing.assert_allclose(ends[0], ends[1], rtol=0.03, atol=1e-9)

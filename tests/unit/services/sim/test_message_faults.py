@@ -13,10 +13,19 @@ from shared.codec import CodecError, Envelope, decode, encode
 from shared.config import load_robot
 from shared.messages import LaserScan
 from shared.requests import Break
+from shared.robot import Bumper, CliffSensor, ImuMount
 from shared.types import NS_PER_S
 from tests.unit.services.sim.scenes import drive, simulator, told
 
 X80SV = load_robot("x80sv").robot
+SENSING = X80SV.model_copy(
+    update={
+        "imu": ImuMount(),
+        "bumpers": (Bumper(name="front", bearing=0.0, width=2.0),),
+        "cliffs": (CliffSensor(name="ahead", x=0.2, y=0.0),),
+        "estop_input": True,
+    }
+)
 
 
 def payload(message):
@@ -50,16 +59,16 @@ def test_every_fault_has_its_words_and_is_listed():
 
 @pytest.mark.parametrize("fault", MessageFault)
 def test_a_fault_begins_is_told_and_ends_after_its_time(fault):
-    sim = simulator("room")
+    sim = simulator("room", SENSING)
     list(drive(sim, 1.0, 0.0, 0.0))
     reply = asked(sim, fault, seconds=0.4)
     assert (reply.accepted, reply.detail) == (True, MESSAGE_FAULT_DESCRIPTIONS[fault])
-    again, whole = list(drive(sim, 2.0, 0.0, 0.0)), simulator("room")
+    again, whole = list(drive(sim, 2.0, 0.0, 0.0)), simulator("room", SENSING)
     list(drive(whole, 1.0, 0.0, 0.0))
     sound = list(drive(whole, 2.0, 0.0, 0.0))
-    for key in ("scan", "hardware/board"):
+    for key in ("scan", "hardware/board", "imu", "hardware/contacts"):
         assert payload(told(again, key)[-1]) == payload(told(sound, key)[-1])
-    assert [payload(p.message) for p in again[:60]] != [payload(p.message) for p in sound[:60]]
+    assert [payload(p.message) for p in again[:90]] != [payload(p.message) for p in sound[:90]]
 
 
 def test_a_fault_is_ended_by_request_and_an_unknown_one_is_refused():

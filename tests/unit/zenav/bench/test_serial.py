@@ -5,8 +5,9 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from services.base_driver.boards.board_config import SerialBoardConfig
 from services.base_driver.drrobot import command_all
-from services.base_driver.serial_board import SerialBoard, SerialBoardConfig
+from services.base_driver.serial_board import SerialBoard
 from shared.config import load_robot
 from shared.drrobot import Type
 from shared.messages import SerialData
@@ -57,7 +58,7 @@ def test_a_report_s_bytes_are_the_board_s(tmp_path):
         assert far.report(0.0) is None  # no WheelState comes of it
         report = None
         while report is None:
-            report, _ = board.receive(SerialData(1, "board", near.read()), 1)
+            report = board.receive(SerialData(1, "board", near.read()), 1).report
     assert (report.left_counts, report.right_counts) == (0, 0)
     assert len(report.ultrasonic) + len(report.infrared) == len(ROBOT.ranges)
 

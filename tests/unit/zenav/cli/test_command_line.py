@@ -23,7 +23,7 @@ COMMANDS = [
     "recording info", "recording cat", "recording repair", "recording trim", "recording merge", "recording latency",
     "recording plot", "recording mark", "recording stability", "bench recording",
     "bench office", "bench sim", "bench stack", "bench serial", "bench slam", "bench plan", "bench barn",
-    "bench odometry", "bench figures",
+    "bench odometry", "bench gyro", "bench figures",
 ]  # fmt: skip
 
 
@@ -130,6 +130,7 @@ def test_a_mistyped_command_is_guessed(typed, meant, capsys):
         ("bench slam nowhere", "nowhere"),
         ("bench plan nowhere", "nowhere"),
         ("bench odometry nowhere", "nowhere"),
+        ("bench gyro nowhere", "nowhere"),
         ("bench figures --only ofice", "'ofice'"),
         ("bench slam .", "no log with a reference"),
         ("demo --lockstep --world nowhere", "nowhere"),

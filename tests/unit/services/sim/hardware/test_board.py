@@ -13,6 +13,7 @@ from services.base_driver.drrobot import CustomSensor, MotorSensor, StandardSens
 from services.sim.hardware import drrobot
 from services.sim.hardware.board import BoardEmulator
 from services.sim.hardware.drrobot import GainsCommand
+from services.sim.hardware.drrobot_board import DrRobotElectronics
 from services.sim.hardware.faults import FAULT_DESCRIPTIONS, ActiveFaults, Fault
 from shared.drrobot import PC, Deframer, Type
 from shared.messages import BoardReport
@@ -38,7 +39,7 @@ def make_emulator(*faults):
     held = ActiveFaults()
     for fault in faults:
         held.begin(fault, None)
-    return BoardEmulator(held, seed=1)
+    return BoardEmulator(held, seed=1, electronics=DrRobotElectronics(held))
 
 
 def words(data):
@@ -117,7 +118,7 @@ def test_a_velocity_without_a_limit_stands_until_the_next():
 def test_gains_are_taken_and_disabling_stops_each_with_an_acknowledgement():
     board = make_emulator()
     assert words(board.receive(driver.set_gains("velocity", 1, 15, 0, 0), T0)) == [System(1)]
-    assert board.gains == {1: GainsCommand(1, 15, 0, 0)}
+    assert board.electronics.gains == {1: GainsCommand(1, 15, 0, 0)}
     board.receive(driver.command_all(Type.VELOCITY_ALL, -200.0, 210.0), T0)
     assert words(board.receive(driver.disable_motor(0), T0)) == [System(1)]
     assert board.motors(T0) == (0, 210, None)
@@ -126,7 +127,7 @@ def test_gains_are_taken_and_disabling_stops_each_with_an_acknowledgement():
 def test_acknowledgements_are_counted_and_not_answered():
     board = make_emulator()
     assert board.receive(driver.acknowledgement() * 3, T0) == b""
-    assert board.n_acknowledged == 3
+    assert board.electronics.n_acknowledged == 3
 
 
 def test_orders_arrive_in_pieces():

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The `velocity` board: one line of text each way. docs/velocity_board.md has the protocol, firmware/ a board's side.
+
+computer: $V,seq,v,w*CRC                                                  mm/s, mrad/s
+board:    $T,seq,ms,ack,flags,battery,gyro,left,right*CRC                 mV, mrad/s, ticks
+"""
+
+from math import nan
+
+from services.base_driver.boards.board_config import SerialBoardConfig
+from services.base_driver.boards.device import BoardInput, WheelDevice
+from shared.board_framing import LineFramer
+from shared.config import Robot
+from shared.velocity_board import (
+    COMMAND,
+    SEQUENCES,
+    TICK_WRAP,
+    TICKS,
+    BoardFlags,
+    framed_line,
+    is_newer,
+    line_fields,
+)
+
+N_TICK_FIELDS = 9
+MOTOR_FAULT = "the board reports a fault of its motor driver"
+
+
+class VelocityBoard(WheelDevice):
+    """Sends velocities; takes ticks. A line that is not newer than the last one is dropped."""
+
+    NAME = "velocity"
+    WRAP = TICK_WRAP
+    starts_again = False  # it reports by itself
+
+    def __init__(self, config: SerialBoardConfig, robot: Robot) -> None:
+        super().__init__(config, robot)
+        self.flags = BoardFlags(0)
+        self.gyro = nan  # rad/s
+        self._reader = LineFramer()
+        self._sequence = 0
+        self._last: tuple[int, int] | None = None  # sequence and ms of the last line
+
+    def forget(self) -> None:
+        super().forget()
+        self._reader.forget()
+        self._last = None
+
+    def start_command(self) -> bytes:
+        return self._velocity(0.0, 0.0)
+
+    def command(self, left: float, right: float) -> bytes:
+        left_rim, right_rim = self.rim_speeds(left, right)
+        return self._velocity((left_rim + right_rim) / 2, (right_rim - left_rim) / self.drive.wheel_distance)
+
+    def stop_command(self) -> bytes:
+        return self._velocity(0.0, 0.0)
+
+    def receive(self, data: bytes, stamp: int, now: int) -> BoardInput:
+        received = BoardInput()
+        for line in self._reader.lines(data):
+            fields = line_fields(line)
+            if fields is None or not self._decode(fields, stamp, received):
+                self.counts.n_bad += fields is not None or b"*" in line
+                self.counts.n_resyncs += 1
+                self.counts.n_skipped += len(line)
+        return received
+
+    def _velocity(self, v: float, w: float) -> bytes:
+        self._sequence = (self._sequence + 1) % SEQUENCES
+        return framed_line(COMMAND, self._sequence, round(v * 1e3), round(w * 1e3))
+
+    def _decode(self, fields: list[bytes], stamp: int, received: BoardInput) -> bool:
+        """Adds a line's content; False where the line cannot be used."""
+        try:
+            kind, sequence, ms, flags = fields[0], int(fields[1]), int(fields[2]), BoardFlags(int(fields[4], 16))
+            battery = int(fields[5]) * 1e-3 if fields[5] else nan
+            gyro = int(fields[6]) * 1e-3 if fields[6] else nan
+            values = [int(field) for field in fields[7:]]
+        except (IndexError, ValueError):
+            return False
+        if kind != TICKS or len(fields) != N_TICK_FIELDS:
+            return False
+        if self._last is not None and ms < self._last[1]:
+            received.restarted = True
+            super().forget()
+        elif self._last is not None and not is_newer(sequence, self._last[0]):
+            return False
+        self._last = sequence, ms
+        self.counts.n_good += 1
+        self.flags, self.gyro = flags, gyro
+        self.battery = battery if 0 <= battery <= 100 else nan
+        self.fault = MOTOR_FAULT if BoardFlags.MOTOR_FAULT in flags else ""
+        received.report = self.report(stamp, values[0], values[1], ms * 1e-3)
+        received.n_reports += 1
+        return True

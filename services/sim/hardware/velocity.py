@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulated `velocity` board: takes velocities, sends its ticks in lines of text (docs/velocity_board.md)."""
+
+from services.sim.hardware.electronics import WheelElectronics
+from shared.board_framing import LineFramer
+from shared.config import Robot
+from shared.messages import BoardReport
+from shared.velocity_board import (
+    COMMAND,
+    SEQUENCES,
+    TICK_WRAP,
+    TICKS,
+    BoardFlags,
+    framed_line,
+    is_newer,
+    line_fields,
+)
+
+MS = 1_000_000
+
+
+class VelocityElectronics(WheelElectronics):
+    """Stands 200 ms after the last command. Drops a command that is not newer than the last one."""
+
+    LIFE_NS = 200 * MS
+    WRAP = TICK_WRAP
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot)
+        self._reader = LineFramer()
+        self._sequence = 0
+        self._accepted: int | None = None
+        self._started_at: int | None = None  # ns
+
+    def restart(self) -> None:
+        super().restart()
+        self._sequence, self._accepted, self._started_at = 0, None, None
+
+    def receive(self, data: bytes, now: int) -> bytes:
+        for line in self._reader.lines(data):
+            fields = line_fields(line)
+            if fields is not None and fields[0] == COMMAND and len(fields) == 4:
+                sequence, v, w = (int(field) for field in fields[1:])
+                is_first = self._accepted is None or self._until is None
+                if is_first or is_newer(sequence, self._accepted or 0):
+                    self._accepted = sequence
+                    half = w * 1e-3 * self.drive.wheel_distance / 2
+                    self.drive_wheels(v * 1e-3 - half, v * 1e-3 + half, now)
+        return b""
+
+    def packets(self, truth: BoardReport, now: int) -> list[bytes]:
+        self._started_at = now if self._started_at is None else self._started_at
+        self._sequence = (self._sequence + 1) % SEQUENCES
+        flags = BoardFlags(0) if self._until is not None else BoardFlags.WATCHDOG
+        return [
+            framed_line(
+                TICKS,
+                self._sequence,
+                (now - self._started_at) // MS,
+                self._accepted or 0,
+                f"{flags:X}",
+                round(truth.battery * 1e3) if truth.battery >= 0 else "",
+                "",
+                *self.counters(truth),
+            )
+        ]

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The base of every configuration model, and the error that a user can fix."""
+
+from typing import Any, ClassVar
+
+from pydantic import BaseModel, ConfigDict, model_validator
+
+
+class UserError(Exception):
+    """Something that the user can fix: shown as one line and a `hint:`, never as a traceback."""
+
+    def __init__(self, what: str, hint: str) -> None:
+        super().__init__(what)
+        self.what, self.hint = what, hint
+
+
+class Section(BaseModel):
+    """Base of every configuration model: unknown keys are errors, values never change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    RENAMED: ClassVar[dict[str, str]] = {}
+    """Former name of a setting: its present name. Robot files and recordings may use either, not both."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _rename_settings(cls, values: Any) -> Any:
+        """The values under the present names of the settings. Raises ValueError where both names are given."""
+        if not isinstance(values, dict) or not cls.RENAMED.keys() & values.keys():
+            return values
+        for old, new in cls.RENAMED.items():
+            if old in values and new in values:
+                raise ValueError(f"`{old}` and `{new}` name one setting: give `{new}` only")
+        return {cls.RENAMED.get(name, name): value for name, value in values.items()}
