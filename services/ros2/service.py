@@ -22,7 +22,7 @@ from services.ros2.incoming_topics import TRIGGER, pose_in_map, velocity
 from services.ros2.orders import PORT, ask_order, publish_order, reply_order
 from services.ros2.outgoing_topics import STATIC_TF
 from services.ros2.ros_types import RosTypes, ros_types
-from services.ros2.task_requests import Done, logged_refusal, refusal_text, task_request
+from services.ros2.task_requests import Done, active_state, logged_refusal, refusal_text, task_request
 from shared import requests, topics
 from shared.codec import Envelope, encode
 from shared.config import Robot
@@ -39,6 +39,7 @@ from shared.teleop_stream import TeleopStream
 from shared.topics import Publication
 
 BY = "ROS 2"
+STATES = frozenset(name for name, _ in incoming.STATE_SERVICES)
 MAX_ASKS = 64  # requests to the stack without an outcome; then the oldest is forgotten
 
 
@@ -169,12 +170,12 @@ class Ros2Service(Service):
             yield self._ask(requests.START_MAP, StartMap(self.now, mode, 0, (pose,)), logged_refusal("initial pose"))
 
     def _request(self, name: str, number: int, data: bytes) -> Out:
-        types, _, actions = self._ros
+        types, make, actions = self._ros
         try:
             if actions.serves(name):
                 yield from actions.request(name, number, data, self.now)
                 return
-            types.decode(data, f"{TRIGGER}_Request")
+            types.decode(data, f"{TRIGGER}_Request")  # as all others: nothing in it
         except GoalRefusedError:
             raise
         except ValueError:
@@ -184,6 +185,8 @@ class Ros2Service(Service):
             self._waiting_stops.append(number)
             yield topics.ESTOP(self.stop_button.set(name == incoming.ESTOP, BY, self.now))
             yield Log("INFO", f"audit: {'STOP' if name == incoming.ESTOP else 'release of STOP'} by {BY}")
+        elif name in STATES:
+            yield reply_order(self.now, number, active_state(types, make, name))
         else:
             row, message = task_request(name, self.now)
             yield self._ask(row, message, lambda outcome: self._trigger_done(number, outcome))

@@ -82,9 +82,7 @@ class RosWire:
         self._queries: dict[int, tuple[str, zenoh.Query, tuple[int, int, bytes]]] = {}
         self._n_queries = 0
         self._lock = threading.Lock()
-        liveliness = self._session.liveliness()
-        self._tokens = [liveliness.declare_token(self._node.token())]
-        self._declared.append(liveliness.declare_subscriber(tokens_key(domain), self._hear_token, history=True))
+        self._tokens = [self._session.liveliness().declare_token(self._node.token())]
 
     @property
     def is_connected(self) -> bool:
@@ -141,6 +139,11 @@ class RosWire:
         answer = partial(self._ask, service.name)
         self._declared.append(self._session.declare_queryable(key, answer, complete=True))
         self._declare_token(Entity.SERVICE, service, SERVICE_QOS)
+
+    def discover(self) -> None:
+        """From now on `endpoint` is called, also for the endpoints that are there already."""
+        liveliness = self._session.liveliness()
+        self._declared.append(liveliness.declare_subscriber(tokens_key(self._domain), self._hear_token, history=True))
 
     def publish(self, name: str, data: bytes) -> None:
         """Sends a message. data: CDR. Called from one thread at a time."""

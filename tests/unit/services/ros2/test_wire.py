@@ -11,7 +11,7 @@ from zenoh.ext import HistoryConfig, declare_advanced_subscriber
 
 from services.ros2.bridge_device import zenoh_endpoint
 from services.ros2.outgoing_topics import OUTGOING
-from services.ros2.rmw_names import ATTACHMENT, attachment, attachment_of, endpoint_of
+from services.ros2.rmw_names import ATTACHMENT, Entity, Qos, RosName, RosNode, attachment, attachment_of, endpoint_of
 from shared import requests, sample_messages, topics
 from shared.codec import Envelope, encode
 from shared.config import UserError, load_robot
@@ -202,6 +202,16 @@ def test_a_message_with_another_hash_is_counted_and_named(bridge, peer):
     key = peer.key(CMD_VEL, TWIST).rpartition("/")[0] + "/RIHS01_0"
     peer.session.put(key, bridge.types.encode(twist(bridge, 1.0)), attachment=attachment(1, 2, GID))
     assert bridge.wait_event("rejected")["text"] == "a message of type geometry_msgs/msg/Twist RIHS01_0"
+
+
+def test_a_subscription_of_another_type_is_reported_in_words(bridge, peer):
+    node = RosNode(0, "ab", "/", "rviz")
+    token = node.endpoint_token(
+        1, Entity.SUBSCRIPTION, RosName("/scan", "sensor_msgs/msg/PointCloud2", "RIHS01_0"), Qos()
+    )
+    with peer.session.liveliness().declare_token(token):
+        event = bridge.wait_event("mismatch")
+    assert event["text"].startswith("/rviz subscribes to /scan as sensor_msgs/msg/PointCloud2")
 
 
 def test_a_request_without_an_attachment_ends_without_a_reply(bridge, peer):
