@@ -85,7 +85,7 @@ class BridgeDevice:
         events = WireEvents(self._on_message, self._on_request, self._on_wanted, self._on_endpoint, self._on_rejected)
         while not self._is_closing:
             try:
-                self._wire = RosWire(self.endpoint, config.domain, config.namespace, config.node, events)
+                self._wire = RosWire(self.endpoint, config.ros_format, events)
             except UserError as error:
                 self._publish_state(False, f"{error.what}: {error.hint}")
                 with self._changed:

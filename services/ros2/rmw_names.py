@@ -176,7 +176,7 @@ def mismatch_text(theirs: Endpoint, ours: RosName, qos: Qos) -> str:
     start = f"{theirs.node} {what} {theirs.topic.name}"
     if theirs.topic.type != ours.type:
         return f"{start} as {theirs.topic.type}, here it is {ours.type}: neither gets a message"
-    if theirs.topic.hash != ours.hash:
+    if theirs.topic.hash not in ("", ours.hash):
         return f"{start} with another definition of {ours.type}: is it of the same distribution? see ros2.distro"
     if theirs.entity is Entity.SUBSCRIPTION and theirs.qos.is_latched and not qos.is_latched:
         return f"{start} as transient local, here it is volatile: it gets no message from before its subscription"

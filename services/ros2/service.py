@@ -68,7 +68,7 @@ class Ros2Service(Service):
     def state(self) -> str:
         if not self.is_open:
             return self.detail or "no router: set ros2.port.device"
-        text = f"in domain {self.config.domain}"
+        text = "with a bridge to DDS" if self.config.bridge == "dds" else f"in domain {self.config.domain}"
         goal = self._loaded[2].state if self._loaded is not None else ""
         return f"{text}; {goal}" if goal else text
 

@@ -172,3 +172,15 @@ class RosPeer:
         with self._changed:
             self.received.append(sample)
             self._changed.notify_all()
+
+
+def repeated(stack: Client, publication_of: Callable[[], Publication], wait: Callable[[float], Any]) -> Any:
+    """Publishes again and again until what is waited for (s) is there: a subscription of the bridge takes a moment."""
+    for _ in range(100):
+        stack.publish(publication_of())
+        try:
+            if found := wait(0.1):
+                return found
+        except AssertionError:
+            continue
+    return wait(1.0)

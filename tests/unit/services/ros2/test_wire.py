@@ -18,7 +18,7 @@ from shared.config import UserError, load_robot
 from shared.geometry import Pose2
 from shared.messages import Path, Zone, ZoneKind, Zones
 from shared.requests import Cancel
-from tests.unit.services.ros2.network import GID, LIMIT_S, Bridge, bridged, free_port, router
+from tests.unit.services.ros2.network import GID, LIMIT_S, Bridge, bridged, free_port, repeated, router
 
 ROBOT = load_robot("x80sv").robot
 CMD_VEL, TWIST = "/cmd_vel", "geometry_msgs/msg/Twist"
@@ -46,17 +46,6 @@ def stack(network):
 def peer(network):
     network[2].received.clear()
     return network[2]
-
-
-def repeated(stack, publication_of, holds):
-    """Publishes again until a subscription of the bridge is there."""
-    for _ in range(100):
-        stack.publish(publication_of())
-        try:
-            return holds(0.1)
-        except AssertionError:
-            continue
-    return holds(1.0)
 
 
 def twist(bridge, v):
