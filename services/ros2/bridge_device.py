@@ -14,9 +14,9 @@ import msgpack
 
 from services.ros2.action_topics import action_services, action_topics
 from services.ros2.config import Ros2Config
-from services.ros2.incoming_topics import INCOMING, TRIGGERS
+from services.ros2.incoming_topics import CMD_VEL, INCOMING, STATE_SERVICES, TRIGGERS
 from services.ros2.outgoing_topics import OUTGOING, STATIC_TF
-from services.ros2.rmw_names import Endpoint, RosName
+from services.ros2.rmw_names import Endpoint, Entity, Qos, RosName, mismatch_text
 from services.ros2.ros_types import ros_types
 from shared import topics
 from shared.config import UserError
@@ -53,6 +53,8 @@ class BridgeDevice:
         self._events: list[dict[str, Any]] = []
         self._orders: list[dict[str, Any]] = []
         self._state: tuple[bool, str] | None = None
+        self._endpoints: dict[tuple[str, Entity], list[tuple[RosName, Qos]]] = {}  # ours, by name and kind of theirs
+        self._mismatches: set[str] = set()
         self._thread = threading.Thread(target=self._run, name="ros2", daemon=True)
 
     def start(self) -> None:
@@ -83,7 +85,7 @@ class BridgeDevice:
         events = WireEvents(self._on_message, self._on_request, self._on_wanted, self._on_endpoint, self._on_rejected)
         while not self._is_closing:
             try:
-                self._wire = RosWire(self.endpoint, config.domain, config.namespace, config.node, events)
+                self._wire = RosWire(self.endpoint, config.ros_format, events)
             except UserError as error:
                 self._publish_state(False, f"{error.what}: {error.hint}")
                 with self._changed:
@@ -141,16 +143,19 @@ class BridgeDevice:
         rows += [(row.name, row.type, row.qos) for row in action_topics(config.distro)]
         self._names = {name: config.name(name) for name, _, _ in rows}
         self._own = {ros: own for own, ros in self._names.items()}
-        for name, type_, qos in rows:
-            self._wire.advertise(ros_name(name, type_), qos)
         for row in INCOMING:
             self._own[config.name(row.name)] = row.name
-            self._wire.subscribe(
-                config.name(row.name), tuple(ros_name(row.name, type_) for type_ in row.types), row.qos
-            )
-        for name, type_ in (*TRIGGERS, *action_services(config.distro)):
+            received = tuple(ros_name(row.name, type_) for type_ in row.types)
+            self._endpoints[row.name, Entity.PUBLISHER] = [(topic, row.qos) for topic in received]
+            self._wire.subscribe(config.name(row.name), received, row.qos)
+        for name, type_, qos in rows:
+            topic = ros_name(name, type_)
+            self._endpoints[name, Entity.SUBSCRIPTION] = [(topic, qos)]
+            self._wire.advertise(topic, qos)
+        for name, type_ in (*TRIGGERS, *STATE_SERVICES, *action_services(config.distro)):
             self._own[config.name(name)] = name
             self._wire.serve(ros_name(name, type_))
+        self._wire.discover()
 
     def _obey(self, order: dict[str, Any]) -> None:
         if "publish" in order:
@@ -181,7 +186,7 @@ class BridgeDevice:
 
     # --- on threads of Zenoh's, of the feed and of requests ---------------------------------------------------------
 
-    def _on_message(self, name: str, type_: str, data: bytes, gid: bytes, sent: int) -> None:
+    def _on_message(self, name: str, type_: str, data: bytes, gid: bytes, sent: int | None) -> None:
         own = self._own.get(name, name)
         with self._changed:
             if own in self._pending:
@@ -198,7 +203,18 @@ class BridgeDevice:
             self._feed.want(own, is_wanted)
 
     def _on_endpoint(self, endpoint: Endpoint, is_there: bool) -> None:
-        """Another node's publisher or subscription came or went."""
+        """Another node's publisher or subscription came or went. What does not match ours is reported once."""
+        own = self._own.get(endpoint.topic.name)
+        if own is None or not is_there:
+            return
+        if own == CMD_VEL and endpoint.entity is Entity.PUBLISHER:
+            self._feed.need()
+        ours = self._endpoints.get((own, endpoint.entity), [])
+        texts = [mismatch_text(endpoint, topic, qos) for topic, qos in ours]
+        is_new = len(self._mismatches) < MAX_KINDS and texts[:1] != [] and texts[0] not in self._mismatches
+        if is_new and all(texts):
+            self._mismatches.add(texts[0])
+            self._file({"event": "mismatch", "name": own, "text": texts[0]})
 
     def _on_rejected(self, name: str, text: str) -> None:
         with self._changed:

@@ -2,9 +2,11 @@
 """Settings of the ROS 2 bridge."""
 
 import re
+from typing import Literal
 
 from pydantic import Field, field_validator
 
+from services.ros2.ros_format import DdsBridgeFormat, RmwZenohFormat, RosFormat
 from services.ros2.ros_types import Distro
 from shared.config import Section
 from shared.ports import PortConfig
@@ -31,6 +33,9 @@ class Ros2Config(Section):
     )
     domain: int = Field(0, ge=0, le=232, description="ROS_DOMAIN_ID of the nodes")
     distro: Distro = Field(Distro.JAZZY, description="distribution of the nodes: humble, jazzy or kilted")
+    bridge: Literal["rmw_zenoh", "dds"] = Field(
+        "rmw_zenoh", description="what the nodes use: rmw_zenoh, or DDS with zenoh-bridge-ros2dds beside them"
+    )
     namespace: str = Field(
         "", pattern=rf"^(/{NAME})*$", description="as /robot1, before the names of topics, services and actions"
     )
@@ -49,6 +54,11 @@ class Ros2Config(Section):
             if not REMAP.fullmatch(rule):
                 raise ValueError(f"{rule!r} is no rule as /scan:=/base_scan")
         return rules
+
+    @property
+    def ros_format(self) -> RosFormat:
+        """The format of the nodes' keys."""
+        return DdsBridgeFormat() if self.bridge == "dds" else RmwZenohFormat(self.domain, self.namespace, self.node)
 
     @property
     def ros_frames(self) -> RosFrames:

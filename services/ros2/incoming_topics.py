@@ -10,7 +10,7 @@ from shared.geometry import Pose2
 from shared.ros_messages import POSE, POSE_COVARIANCE, pose2
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
-TRIGGER = "std_srvs/srv/Trigger"
+TRIGGER, GET_STATE = "std_srvs/srv/Trigger", "lifecycle_msgs/srv/GetState"
 MAX_SPEED, MAX_TURN_RATE = 20.0, 50.0  # m/s, rad/s: the bounds of shared/messages.py
 GOAL_POSE, INITIAL_POSE, CMD_VEL = "/goal_pose", "/initialpose", "/cmd_vel"
 ESTOP, RELEASE = "/estop", "/estop_release"
@@ -34,6 +34,12 @@ INCOMING = (
 
 TRIGGERS = tuple((name, TRIGGER) for name in (ESTOP, RELEASE, "/explore", "/cancel", "/pause", "/resume"))
 """Services, under the names that they have in Foxglove."""
+
+STATE_SERVICES = tuple(
+    [(f"/{node}/get_state", GET_STATE) for node in ("amcl", "bt_navigator")]
+    + [(f"/lifecycle_manager_{part}/is_active", TRIGGER) for part in ("navigation", "localization")]
+)
+"""Services by which Nav2's Simple Commander and RViz panel ask whether Nav2 is active. Here it is."""
 
 
 def pose_in_map(header: Any, pose: Any, frame: str) -> Pose2:

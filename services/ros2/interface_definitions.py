@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Definitions of the services and actions that rosbags lacks: std_srvs, action_msgs, nav2_msgs.
+"""Definitions of the services and actions that rosbags lacks: std_srvs, lifecycle_msgs, action_msgs, nav2_msgs.
 
 Source: docs.ros.org, nav2_msgs of Humble, Jazzy and Kilted. Constants are left out: neither the wire nor a
 type's hash has them. A service is request and response, an action is goal, result and feedback.
@@ -22,6 +22,7 @@ Definition = tuple[str, ...]
 
 SERVICES: dict[str, Definition] = {
     "std_srvs/srv/Trigger": ("", "bool success\nstring message\n"),
+    "lifecycle_msgs/srv/GetState": ("", "lifecycle_msgs/State current_state\n"),
     "action_msgs/srv/CancelGoal": (
         "action_msgs/GoalInfo goal_info\n",
         "int8 return_code\naction_msgs/GoalInfo[] goals_canceling\n",

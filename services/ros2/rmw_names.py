@@ -165,3 +165,19 @@ def attachment_of(data: bytes) -> tuple[int, int, bytes] | None:
         return None
     sequence, stamp, length, gid = ATTACHMENT.unpack(data)
     return (sequence, stamp, gid) if length == GID_BYTES else None
+
+
+def mismatch_text(theirs: Endpoint, ours: RosName, qos: Qos) -> str:
+    """Why an endpoint of another node and ours of the same name do not match; empty where they do.
+
+    rmw_zenoh delivers whatever the reliability. A type or hash is part of the key, so another one gets nothing.
+    """
+    what = "publishes" if theirs.entity is Entity.PUBLISHER else "subscribes to"
+    start = f"{theirs.node} {what} {theirs.topic.name}"
+    if theirs.topic.type != ours.type:
+        return f"{start} as {theirs.topic.type}, here it is {ours.type}: neither gets a message"
+    if theirs.topic.hash not in ("", ours.hash):
+        return f"{start} with another definition of {ours.type}: is it of the same distribution? see ros2.distro"
+    if theirs.entity is Entity.SUBSCRIPTION and theirs.qos.is_latched and not qos.is_latched:
+        return f"{start} as transient local, here it is volatile: it gets no message from before its subscription"
+    return ""

@@ -3,7 +3,8 @@
 
 The shell passes the stack's messages on to ROS (stack_feed.py). Each map of topics.RX has an `event`:
 
-- `message`: `name` of the topic, `type`, `data` in CDR, `gid` of its publisher, ns on its clock when it was `sent`;
+- `message`: `name` of the topic, `type`, `data` in CDR, `gid` of its publisher, ns on its clock when it was `sent`
+  (None: not known);
 - `request`: `name` of the service, its number `id`, `data` in CDR;
 - `outcome` of a request to the stack, by its number `id`;
 - `other_teleop`: another tool drives;
@@ -23,7 +24,7 @@ from services.ros2.orders import PORT, ask_order, publish_order, reply_order
 from services.ros2.outgoing_topics import STATIC_TF
 from services.ros2.ros_types import RosTypes, ros_types
 from services.ros2.sender_clocks import SenderClocks
-from services.ros2.task_requests import Done, logged_refusal, refusal_text, task_request
+from services.ros2.task_requests import Done, active_state, logged_refusal, refusal_text, task_request
 from shared import requests, topics
 from shared.codec import Envelope, encode
 from shared.config import Robot
@@ -43,6 +44,7 @@ from shared.types import NS_PER_S
 BY = "ROS 2"
 MAX_VELOCITY_AGE_S, MAX_AGE_S = 0.3, 2.0
 """of a velocity and of other messages, by their publisher's clock: an older one is from before a broken link."""
+STATES = frozenset(name for name, _ in incoming.STATE_SERVICES)
 MAX_ASKS = 64  # requests to the stack without an outcome; then the oldest is forgotten
 
 
@@ -71,7 +73,7 @@ class Ros2Service(Service):
     def state(self) -> str:
         if not self.is_open:
             return self.detail or "no router: set ros2.port.device"
-        text = f"in domain {self.config.domain}"
+        text = "with a bridge to DDS" if self.config.bridge == "dds" else f"in domain {self.config.domain}"
         goal = self._loaded[2].state if self._loaded is not None else ""
         return f"{text}; {goal}" if goal else text
 
@@ -161,7 +163,8 @@ class Ros2Service(Service):
     def _message(self, name: str, event: dict[Any, Any]) -> Out:
         types, make, _ = self._ros
         message = types.decode(event["data"], event["type"])
-        age = self.sender_clocks.age(event["gid"], event["sent"], self.now) / NS_PER_S
+        sent = event["sent"]
+        age = 0.0 if sent is None else self.sender_clocks.age(event["gid"], sent, self.now) / NS_PER_S
         if age > (MAX_VELOCITY_AGE_S if name == incoming.CMD_VEL else MAX_AGE_S):
             raise ValueError(f"a message that came {age:.1f} s later than others of its publisher")
         if name == incoming.CMD_VEL:
@@ -176,12 +179,12 @@ class Ros2Service(Service):
             yield self._ask(requests.START_MAP, StartMap(self.now, mode, 0, (pose,)), logged_refusal("initial pose"))
 
     def _request(self, name: str, number: int, data: bytes) -> Out:
-        types, _, actions = self._ros
+        types, make, actions = self._ros
         try:
             if actions.serves(name):
                 yield from actions.request(name, number, data, self.now)
                 return
-            types.decode(data, f"{TRIGGER}_Request")
+            types.decode(data, f"{TRIGGER}_Request")  # as all others: nothing in it
         except GoalRefusedError:
             raise
         except ValueError:
@@ -191,6 +194,8 @@ class Ros2Service(Service):
             self._waiting_stops.append(number)
             yield topics.ESTOP(self.stop_button.set(name == incoming.ESTOP, BY, self.now))
             yield Log("INFO", f"audit: {'STOP' if name == incoming.ESTOP else 'release of STOP'} by {BY}")
+        elif name in STATES:
+            yield reply_order(self.now, number, active_state(types, make, name))
         else:
             row, message = task_request(name, self.now)
             yield self._ask(row, message, lambda outcome: self._trigger_done(number, outcome))

@@ -1,14 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The requests to the stack behind the services without arguments, and what becomes of a request's outcome."""
+"""What is behind the services without arguments: requests to the stack, and Nav2's states; outcomes in words."""
 
 from collections.abc import Callable
 from typing import Any
 
+from services.ros2.incoming_topics import GET_STATE, TRIGGER
+from services.ros2.ros_types import RosTypes
 from shared import requests
 from shared.messages import Message
+from shared.reasons import reason_text
 from shared.requests import Cancel, Explore, Pause, Request
+from shared.ros_messages import RosMessages
 from shared.service import Log, Out
 
+ACTIVE = 3  # lifecycle_msgs/State: PRIMARY_STATE_ACTIVE
 Done = Callable[[dict[str, Any]], Out]
 """Takes the outcome of a request: accepted, reason, detail, hint, data."""
 
@@ -24,6 +29,14 @@ def task_request(name: str, now: int) -> tuple[Request[Any, Any], Message]:
     return rows[name]
 
 
+def active_state(types: RosTypes, make: RosMessages, name: str) -> bytes:
+    """The CDR of the response of one of STATE_SERVICES: active."""
+    if name.endswith("/is_active"):
+        return types.encode(make.new(f"{TRIGGER}_Response", success=True, message=""))
+    state = make.new("lifecycle_msgs/msg/State", id=ACTIVE, label="active")
+    return types.encode(make.new(f"{GET_STATE}_Response", current_state=state))
+
+
 def logged_refusal(what: str) -> Done:
     """Logs a refusal of a message that has no reply."""
 
@@ -35,5 +48,7 @@ def logged_refusal(what: str) -> Done:
 
 
 def refusal_text(outcome: dict[str, Any]) -> str:
-    """Reason, detail and hint of a refusal."""
-    return ": ".join(str(outcome[part]) for part in ("reason", "detail", "hint") if outcome.get(part))
+    """Why a request was refused, with its hint."""
+    text = outcome.get("detail") or reason_text(outcome["reason"]) or str(outcome["reason"])
+    hint = outcome.get("hint", "")
+    return text if hint in text else f"{text}: {hint}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The session with the ROS 2 nodes, as rmw_zenoh has it: keys, tokens, attachments, latched topics, services.
+"""The session with the ROS 2 nodes: publishers, subscriptions, services and tokens, in one of the two formats.
 
 Callbacks run on Zenoh's threads: they file, and return. Source: ros2/rmw_zenoh, rmw_zenoh_cpp/src/detail/
 rmw_publisher_data.cpp, rmw_service_data.cpp and rmw_client_data.cpp.
@@ -17,21 +17,8 @@ from typing import Any
 import zenoh
 from zenoh.ext import CacheConfig, MissDetectionConfig, declare_advanced_publisher
 
-from services.ros2.rmw_names import (
-    GID_BYTES,
-    Endpoint,
-    Entity,
-    Qos,
-    Reliability,
-    RosName,
-    RosNode,
-    attachment,
-    attachment_of,
-    endpoint_of,
-    ros_type,
-    tokens_key,
-    topic_key,
-)
+from services.ros2.rmw_names import GID_BYTES, Endpoint, Entity, Qos, Reliability, RosName, ros_type
+from services.ros2.ros_format import Attachment, RosFormat
 from shared.config import UserError
 
 OPEN_LIMIT_MS = 1000
@@ -46,12 +33,12 @@ SERVICE_QOS = Qos(depth=10)  # rmw_qos_profile_services_default
 class WireEvents:
     """What the wire calls, on Zenoh's threads.
 
-    message: name, type, CDR, gid of the publisher, ns on its clock when it was sent.  request: name of the service, its
-    number here, CDR.  wanted: name, and whether a subscription matches.  endpoint: of another node, and whether it is
-    there.  rejected: name and cause.
+    message: name, type, CDR, gid of the publisher, ns on its clock when it was sent (None: unknown).  request: name of
+    the service, its number here, CDR.  wanted: name, and whether a subscription matches.  endpoint: of another node, and
+    whether it is there.  rejected: name and cause.
     """
 
-    message: Callable[[str, str, bytes, bytes, int], None]
+    message: Callable[[str, str, bytes, bytes, int | None], None]
     request: Callable[[str, int, bytes], None]
     wanted: Callable[[str, bool], None]
     endpoint: Callable[[Endpoint, bool], None]
@@ -66,26 +53,25 @@ class _Publisher:
 
 
 class RosWire:
-    """One node on one session. Raises UserError where no router answers at the endpoint."""
+    """One node on one session, in a format. Raises UserError where no router answers at the endpoint."""
 
-    def __init__(self, endpoint: str, domain: int, namespace: str, node: str, events: WireEvents) -> None:
-        self._events, self._domain = events, domain
+    def __init__(self, endpoint: str, ros_format: RosFormat, events: WireEvents) -> None:
+        self._events, self._format = events, ros_format
         try:
             self._session = zenoh.open(_configuration(endpoint))
         except zenoh.ZError as error:
-            hint = "is it running? ros2 run rmw_zenoh_cpp rmw_zenohd"
+            hint = "is it running? ros2 run rmw_zenoh_cpp rmw_zenohd, or zenoh-bridge-ros2dds"
             raise UserError(f"no Zenoh router answers at {endpoint}", hint) from error
-        self._node = RosNode(domain, str(self._session.info.zid()), namespace or "/", node)
+        self._zid = str(self._session.info.zid())
         self._n_entities = 0
         self._declared: list[Any] = []
         self._publishers: dict[str, _Publisher] = {}
         self._services: dict[str, str] = {}  # key by name
-        self._queries: dict[int, tuple[str, zenoh.Query, tuple[int, int, bytes]]] = {}
+        self._queries: dict[int, tuple[str, zenoh.Query, Attachment]] = {}
         self._n_queries = 0
         self._lock = threading.Lock()
         liveliness = self._session.liveliness()
-        self._tokens = [liveliness.declare_token(self._node.token())]
-        self._declared.append(liveliness.declare_subscriber(tokens_key(domain), self._hear_token, history=True))
+        self._tokens = [liveliness.declare_token(token) for token in ros_format.node_tokens(self._zid)]
 
     @property
     def is_connected(self) -> bool:
@@ -102,7 +88,7 @@ class RosWire:
 
     def advertise(self, topic: RosName, qos: Qos) -> None:
         """Declares a publisher. `wanted` is called when a subscription matches, and when none does any more."""
-        key = topic_key(self._domain, topic)
+        key = self._format.key(topic)
         is_reliable = qos.reliability is Reliability.RELIABLE
         options: dict[str, Any] = {
             "congestion_control": zenoh.CongestionControl.DROP,
@@ -131,23 +117,28 @@ class RosWire:
 
     def subscribe(self, name: str, topics: tuple[RosName, ...], qos: Qos) -> None:
         """Declares subscriptions of one name; `rejected` hears of messages of other types and hashes."""
-        hear = partial(self._hear, name, {topic_key(self._domain, topic): topic.type for topic in topics})
-        self._declared.append(self._session.declare_subscriber(f"{self._domain}/{name.strip('/')}/*/*", hear))
+        hear = partial(self._hear, name, topics)
+        self._declared.append(self._session.declare_subscriber(self._format.listening_key(name), hear))
         for topic in topics:
             self._declare_token(Entity.SUBSCRIPTION, topic, qos)
 
     def serve(self, service: RosName) -> None:
         """Declares a service."""
-        key = self._services[service.name] = topic_key(self._domain, service)
+        key = self._services[service.name] = self._format.key(service)
         answer = partial(self._ask, service.name)
         self._declared.append(self._session.declare_queryable(key, answer, complete=True))
         self._declare_token(Entity.SERVICE, service, SERVICE_QOS)
+
+    def discover(self) -> None:
+        """From now on `endpoint` is called, also for the endpoints that are there already."""
+        liveliness = self._session.liveliness()
+        self._declared.append(liveliness.declare_subscriber(self._format.tokens_key(), self._hear_token, history=True))
 
     def publish(self, name: str, data: bytes) -> None:
         """Sends a message. data: CDR. Called from one thread at a time."""
         publisher = self._publishers[name]
         publisher.sequence += 1
-        publisher.put.put(data, attachment=attachment(publisher.sequence, time.time_ns(), publisher.gid))
+        publisher.put.put(data, attachment=self._format.attachment(publisher.sequence, time.time_ns(), publisher.gid))
 
     def reply(self, number: int, data: bytes) -> None:
         """Replies to a request. data: CDR; empty: no reply."""
@@ -155,22 +146,24 @@ class RosWire:
             waiting = self._queries.pop(number, None)
         if waiting is None:
             return
-        name, query, (sequence, _, gid) = waiting
+        name, query, asked = waiting
+        attachment = self._format.attachment(asked.sequence, time.time_ns(), asked.gid)
         with query:
             if data:
-                query.reply(self._services[name], data, attachment=attachment(sequence, time.time_ns(), gid))
+                query.reply(self._services[name], data, attachment=attachment)
 
     def _declare_token(self, entity: Entity, topic: RosName, qos: Qos) -> str:
         self._n_entities += 1
-        token = self._node.endpoint_token(self._n_entities, entity, topic, qos)
-        self._tokens.append(self._session.liveliness().declare_token(token))
+        token = self._format.endpoint_token(self._zid, self._n_entities, entity, topic, qos)
+        if token:
+            self._tokens.append(self._session.liveliness().declare_token(token))
         return token
 
-    def _hear(self, name: str, types: dict[str, str], sample: zenoh.Sample) -> None:
+    def _hear(self, name: str, topics: tuple[RosName, ...], sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
-        type_ = types.get(key)
-        found = attachment_of(sample.attachment.to_bytes()) if sample.attachment is not None else None
-        if type_ is None:
+        type_ = self._format.type_of(key, topics, len(sample.payload))
+        found = self._format.attachment_of(_bytes_of(sample.attachment))
+        if not type_:
             dds, type_hash = key.split("/")[-2:]
             self._events.rejected(name, f"a message of type {ros_type(dds)} {type_hash}")
         elif found is None:
@@ -178,11 +171,11 @@ class RosWire:
         elif len(sample.payload) > MAX_BYTES:
             self._events.rejected(name, f"a message of {len(sample.payload)} bytes")
         else:
-            self._events.message(name, type_, sample.payload.to_bytes(), found[2], found[1])
+            self._events.message(name, type_, sample.payload.to_bytes(), found.gid, found.sent)
 
     def _ask(self, name: str, query: zenoh.Query) -> None:
         payload = query.payload
-        found = attachment_of(query.attachment.to_bytes()) if query.attachment is not None else None
+        found = self._format.attachment_of(_bytes_of(query.attachment))
         if payload is None or found is None or len(payload) > MAX_BYTES:
             self._events.rejected(name, "a request without payload or rmw_zenoh's attachment, or of over 1 MiB")
             query.drop()  # type: ignore[no-untyped-call]  # zenoh's own
@@ -200,10 +193,13 @@ class RosWire:
             self._events.request(name, number, payload.to_bytes())
 
     def _hear_token(self, sample: zenoh.Sample) -> None:
-        endpoint = endpoint_of(str(sample.key_expr))
-        own = f"/{self._node.zid}/"
-        if endpoint is not None and own not in str(sample.key_expr):
+        endpoint = self._format.endpoint_of(str(sample.key_expr))
+        if endpoint is not None and f"/{self._zid}/" not in str(sample.key_expr):
             self._events.endpoint(endpoint, sample.kind == zenoh.SampleKind.PUT)
+
+
+def _bytes_of(attachment: zenoh.ZBytes | None) -> bytes | None:
+    return None if attachment is None else attachment.to_bytes()
 
 
 def _configuration(endpoint: str) -> zenoh.Config:

@@ -172,6 +172,9 @@ def ros2(
     router: Annotated[
         str, typer.Option(help="Router of the ROS 2 nodes: tcp/HOST:7447.", metavar="ROUTER")
     ] = "tcp/127.0.0.1:7447",
+    bridge: Annotated[
+        Literal["rmw_zenoh", "dds"], typer.Option(help="What they use: dds is with zenoh-bridge-ros2dds beside them.")
+    ] = "rmw_zenoh",
     domain: Annotated[int, typer.Option(min=0, max=232, help="ROS_DOMAIN_ID of the nodes.")] = 0,
     distro: Annotated[Literal["humble", "jazzy", "kilted"], typer.Option(help="Their distribution.")] = "jazzy",
     namespace: Annotated[str, typer.Option(help="Before the names of topics and services, as /robot1.")] = "",
@@ -180,10 +183,10 @@ def ros2(
     set_: Setting = None,
     log: Annotated[str, typer.Option(help="DEBUG, INFO, WARNING or ERROR.")] = "INFO",
 ) -> None:
-    """Bridge a running stack to ROS 2 nodes that use rmw_zenoh, without ROS here. Until Ctrl-C.
+    """Bridge a running stack to ROS 2 nodes over Zenoh, without ROS here. Until Ctrl-C.
 
     Example: zenav ros2 --router tcp/192.168.1.7:7447 --domain 0
     """
     from zenav.stack.ros2 import run_bridge
 
-    run_bridge(robot, stack, router, domain, distro, namespace, set_ or [], log)
+    run_bridge(robot, stack, router, bridge, domain, distro, namespace, set_ or [], log)

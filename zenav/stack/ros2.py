@@ -14,10 +14,19 @@ def ros2_settings(router: str) -> list[str]:
 
 
 def run_bridge(
-    robot: str, stack: str, router: str, domain: int, distro: str, namespace: str, settings: list[str], log: str
+    robot: str,
+    stack: str,
+    router: str,
+    bridge: str,
+    domain: int,
+    distro: str,
+    namespace: str,
+    settings: list[str],
+    log: str,
 ) -> None:
     """The bridge in this process, beside a running stack, until Ctrl-C. Does not return."""
     from zenav.stack.up import run_service
 
-    own = [*ros2_settings(router), f"ros2.domain={domain}", f"ros2.distro={distro}", f"ros2.namespace={namespace!r}"]
+    own = [*ros2_settings(router), f"ros2.bridge={bridge}", f"ros2.domain={domain}", f"ros2.distro={distro}"]
+    own.append(f"ros2.namespace={namespace!r}")
     run_service(ROS2, robot, stack, settings=[*own, *settings], clock="", memory="", log=log)

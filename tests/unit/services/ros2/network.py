@@ -14,7 +14,7 @@ import zenoh
 from services.ros2.bridge_device import BridgeDevice
 from services.ros2.config import Ros2Config
 from services.ros2.rmw_names import RosName, attachment, topic_key
-from services.ros2.ros_types import ros_types
+from services.ros2.ros_types import RosTypes, ros_types
 from shared.messages import PortState, SerialData
 from shared.ports import PortConfig
 from shared.runners.client import Client
@@ -112,7 +112,7 @@ def bridged(**section: Any) -> "Iterator[tuple[Bridge, Client, RosPeer]]":
         try:
             bridge.wait_open()
             with session("client", port) as opened:
-                yield bridge, stack, RosPeer(opened, bridge)
+                yield bridge, stack, RosPeer(opened, bridge.types, bridge.config.domain)
         finally:
             bridge.device.close()
 
@@ -120,8 +120,8 @@ def bridged(**section: Any) -> "Iterator[tuple[Bridge, Client, RosPeer]]":
 class RosPeer:
     """A ROS 2 node by Zenoh alone."""
 
-    def __init__(self, opened: zenoh.Session, bridge: Bridge) -> None:
-        self.session, self._types, self._domain = opened, bridge.types, bridge.config.domain
+    def __init__(self, opened: zenoh.Session, types: RosTypes, domain: int = 0) -> None:
+        self.session, self._types, self._domain = opened, types, domain
         self.received: list[zenoh.Sample] = []
         self._changed = threading.Condition()
         self._declared: list[Any] = []
@@ -158,11 +158,11 @@ class RosPeer:
         key = self.key(name, message.__msgtype__)
         self.session.put(key, self._types.encode(message), attachment=attachment(number, 5, GID))
 
-    def call(self, name: str, type_: str, request: Any) -> tuple[Any, bytes]:
+    def call(self, name: str, type_: str, request: Any, limit: float = LIMIT_S) -> tuple[Any, bytes]:
         """Response and attachment."""
         replies = self.session.get(
             self.key(name, type_), payload=self._types.encode(request), attachment=attachment(7, 5, GID),
-            timeout=LIMIT_S, target=zenoh.QueryTarget.ALL_COMPLETE, consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=limit, target=zenoh.QueryTarget.ALL_COMPLETE, consolidation=zenoh.ConsolidationMode.NONE,
         )  # fmt: skip
         [reply] = list(replies)
         assert reply.ok is not None
@@ -172,3 +172,15 @@ class RosPeer:
         with self._changed:
             self.received.append(sample)
             self._changed.notify_all()
+
+
+def repeated(stack: Client, publication_of: Callable[[], Publication], wait: Callable[[float], Any]) -> Any:
+    """Publishes again and again until what is waited for (s) is there: a subscription of the bridge takes a moment."""
+    for _ in range(100):
+        stack.publish(publication_of())
+        try:
+            if found := wait(0.1):
+                return found
+        except AssertionError:
+            continue
+    return wait(1.0)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from services.ros2.rmw_names import (
     Durability,
+    Endpoint,
     Entity,
     Qos,
     Reliability,
@@ -18,6 +19,7 @@ from services.ros2.rmw_names import (
     attachment_of,
     dds_type,
     endpoint_of,
+    mismatch_text,
     qos_of,
     ros_type,
     topic_key,
@@ -117,3 +119,22 @@ def test_an_attachment_has_exactly_33_bytes():
 @pytest.mark.parametrize("data", [b"", bytes(32), bytes(34), bytes(33), struct.pack("<qqB16s", 1, 2, 15, bytes(16))])
 def test_other_bytes_are_no_attachment(data):
     assert attachment_of(data) is None
+
+
+SCAN = RosName("/scan", "sensor_msgs/msg/LaserScan", "RIHS01_1")
+
+
+@pytest.mark.parametrize(
+    ("type_", "type_hash", "qos", "expected"),
+    [
+        (SCAN.type, SCAN.hash, Qos(Reliability.BEST_EFFORT), ""),
+        (SCAN.type, SCAN.hash, Qos(durability=Durability.TRANSIENT_LOCAL), "as transient local, here it is volatile"),
+        (SCAN.type, "RIHS01_2", Qos(), "with another definition of sensor_msgs/msg/LaserScan"),
+        ("sensor_msgs/msg/PointCloud2", "RIHS01_3", Qos(), "as sensor_msgs/msg/PointCloud2"),
+    ],
+)
+def test_an_endpoint_that_does_not_match_is_explained(type_, type_hash, qos, expected):
+    theirs = Endpoint(Entity.SUBSCRIPTION, "/rviz", RosName("/scan", type_, type_hash), qos)
+    text = mismatch_text(theirs, SCAN, Qos())
+    assert text.startswith("/rviz subscribes to /scan") == bool(expected)
+    assert expected in text

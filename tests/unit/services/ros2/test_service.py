@@ -11,6 +11,7 @@ from services.ros2.incoming_topics import INCOMING, TRIGGERS
 from services.ros2.service import Ros2Service
 from shared.geometry import Pose2
 from shared.messages import EmergencyStop, GuardState, GuardStatus, MapMode, PortState, SerialData, Velocity
+from shared.reasons import GOAL_BLOCKED
 from shared.rejections import RejectionCause
 from shared.requests import Cancel, Explore, Navigate, Pause, StartMap
 from shared.sample_messages import pose_estimate
@@ -57,7 +58,7 @@ def test_a_goal_pose_is_a_request_to_the_navigator():
     assert isinstance(request, Navigate)
     assert request.poses[0].distance(Pose2(1.5, -2, 0.25)) == 0
     core.outcome(order, accepted=False)
-    assert core.lines[-1] == "ROS 2: goal refused: goal_blocked"
+    assert core.lines[-1] == f"ROS 2: goal refused: {GOAL_BLOCKED.text}"
 
 
 @pytest.mark.parametrize(("before", "after"), [("map", "continue"), ("localise", "localise"), ("continue", "continue")])
@@ -170,7 +171,21 @@ def test_a_service_without_arguments_is_a_request_and_its_reply_the_outcome(name
     assert getattr(request, "paused", None) == {"/pause": True, "/resume": False}.get(name)
     [reply] = core.outcome(order, accepted=False)
     response = core.response(reply, "std_srvs/srv/Trigger")
-    assert (reply["reply"], response.success, response.message) == (5, False, "goal_blocked")
+    assert (reply["reply"], response.success, response.message) == (5, False, GOAL_BLOCKED.text)
+
+
+@pytest.mark.parametrize("name", ["/amcl/get_state", "/bt_navigator/get_state"])
+def test_nav2s_simple_commander_finds_its_nodes_active(name):
+    core = Core()
+    [order] = core.request(name, 6, core.trigger())
+    state = core.response(order, "lifecycle_msgs/srv/GetState").current_state
+    assert (order["reply"], state.id, state.label) == (6, 3, "active")
+
+
+def test_nav2s_panel_finds_its_lifecycle_managers_active():
+    core = Core()
+    [order] = core.request("/lifecycle_manager_navigation/is_active", 6, core.trigger())
+    assert core.response(order, "std_srvs/srv/Trigger").success
 
 
 def test_what_the_shell_rejects_is_counted_and_told_in_health():

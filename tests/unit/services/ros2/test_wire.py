@@ -11,14 +11,14 @@ from zenoh.ext import HistoryConfig, declare_advanced_subscriber
 
 from services.ros2.bridge_device import zenoh_endpoint
 from services.ros2.outgoing_topics import OUTGOING
-from services.ros2.rmw_names import ATTACHMENT, attachment, attachment_of, endpoint_of
+from services.ros2.rmw_names import ATTACHMENT, Entity, Qos, RosName, RosNode, attachment, attachment_of, endpoint_of
 from shared import requests, sample_messages, topics
 from shared.codec import Envelope, encode
 from shared.config import UserError, load_robot
 from shared.geometry import Pose2
 from shared.messages import Path, Zone, ZoneKind, Zones
 from shared.requests import Cancel
-from tests.unit.services.ros2.network import GID, LIMIT_S, Bridge, bridged, free_port, router
+from tests.unit.services.ros2.network import GID, LIMIT_S, Bridge, bridged, free_port, repeated, router
 
 ROBOT = load_robot("x80sv").robot
 CMD_VEL, TWIST = "/cmd_vel", "geometry_msgs/msg/Twist"
@@ -46,17 +46,6 @@ def stack(network):
 def peer(network):
     network[2].received.clear()
     return network[2]
-
-
-def repeated(stack, publication_of, holds):
-    """Publishes again until a subscription of the bridge is there."""
-    for _ in range(100):
-        stack.publish(publication_of())
-        try:
-            return holds(0.1)
-        except AssertionError:
-            continue
-    return holds(1.0)
 
 
 def twist(bridge, v):
@@ -203,6 +192,16 @@ def test_a_message_with_another_hash_is_counted_and_named(bridge, peer):
     key = peer.key(CMD_VEL, TWIST).rpartition("/")[0] + "/RIHS01_0"
     peer.session.put(key, bridge.types.encode(twist(bridge, 1.0)), attachment=attachment(1, 2, GID))
     assert bridge.wait_event("rejected")["text"] == "a message of type geometry_msgs/msg/Twist RIHS01_0"
+
+
+def test_a_subscription_of_another_type_is_reported_in_words(bridge, peer):
+    node = RosNode(0, "ab", "/", "rviz")
+    token = node.endpoint_token(
+        1, Entity.SUBSCRIPTION, RosName("/scan", "sensor_msgs/msg/PointCloud2", "RIHS01_0"), Qos()
+    )
+    with peer.session.liveliness().declare_token(token):
+        event = bridge.wait_event("mismatch")
+    assert event["text"].startswith("/rviz subscribes to /scan as sensor_msgs/msg/PointCloud2")
 
 
 def test_a_request_without_an_attachment_ends_without_a_reply(bridge, peer):
