@@ -47,7 +47,7 @@ class BridgeDevice:
         self._config = cast(Ros2Config, context.section)
         self._changed = threading.Condition()
         self._is_closing = False
-        self._pending: dict[str, tuple[str, bytes, bytes]] = {}  # newest message by name
+        self._pending: dict[str, dict[str, Any]] = {}  # newest message by name
         self._sent_at: dict[str, float] = {}
         self._counts: Counter[tuple[str, str]] = Counter()
         self._events: list[dict[str, Any]] = []
@@ -171,9 +171,8 @@ class BridgeDevice:
         with self._changed:
             for name in list(self._pending):
                 if self._is_due(name, now):
-                    type_, data, gid = self._pending.pop(name)
+                    due.append({"event": "message", "name": name, **self._pending.pop(name)})
                     self._sent_at[name] = now
-                    due.append({"event": "message", "name": name, "type": type_, "data": data, "gid": gid})
         return due
 
     def _report(self) -> list[dict[str, Any]]:
@@ -187,12 +186,12 @@ class BridgeDevice:
 
     # --- on threads of Zenoh's, of the feed and of requests ---------------------------------------------------------
 
-    def _on_message(self, name: str, type_: str, data: bytes, gid: bytes) -> None:
+    def _on_message(self, name: str, type_: str, data: bytes, gid: bytes, sent: int, came: int) -> None:
         own = self._own.get(name, name)
         with self._changed:
             if own in self._pending:
                 self._count(own, "faster than 50 a second: the newest counts")
-            self._pending[own] = type_, data, gid
+            self._pending[own] = {"type": type_, "data": data, "gid": gid, "sent": sent, "came": came}
             self._changed.notify_all()
 
     def _on_request(self, name: str, number: int, data: bytes) -> None:

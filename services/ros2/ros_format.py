@@ -11,10 +11,14 @@ TWIST_BYTES = 52  # of a geometry_msgs/Twist in CDR; a TwistStamped is longer
 
 
 class Attachment(NamedTuple):
-    """What comes with a message or request: its number, and the 16 bytes of its sender; none in the DDS bridge."""
+    """What comes with a message or request: its number, the 16 bytes of its sender, ns on its clock when it was sent.
+
+    The DDS bridge has none of them: 0, no bytes, None.
+    """
 
     sequence: int
     gid: bytes
+    sent: int | None
 
 
 class RosFormat(Protocol):
@@ -83,7 +87,7 @@ class RmwZenohFormat:
 
     def attachment_of(self, data: bytes | None) -> Attachment | None:
         found = rmw_names.attachment_of(data) if data is not None else None
-        return None if found is None else Attachment(found[0], found[2])
+        return None if found is None else Attachment(found[0], found[2], found[1])
 
 
 class DdsBridgeFormat:
@@ -140,7 +144,7 @@ class DdsBridgeFormat:
         return None
 
     def attachment_of(self, data: bytes | None) -> Attachment | None:
-        return Attachment(0, b"")
+        return Attachment(0, b"", None)
 
 
 def _escaped(name: str) -> str:

@@ -3,7 +3,8 @@
 
 The shell passes the stack's messages on to ROS (stack_feed.py). Each map of topics.RX has an `event`:
 
-- `message`: `name` of the topic, `type`, `data` in CDR, `gid` of its publisher;
+- `message`: `name` of the topic, `type`, `data` in CDR, `gid` of its publisher, ns on its clock when it was
+  `sent`, and ns on this computer's when it `came`;
 - `request`: `name` of the service, its number `id`, `data` in CDR;
 - `outcome` of a request to the stack, by its number `id`;
 - `other_teleop`: another tool drives;
@@ -22,6 +23,7 @@ from services.ros2.incoming_topics import TRIGGER, pose_in_map, velocity
 from services.ros2.orders import PORT, ask_order, publish_order, reply_order
 from services.ros2.outgoing_topics import STATIC_TF
 from services.ros2.ros_types import RosTypes, ros_types
+from services.ros2.sender_clocks import SenderClocks
 from services.ros2.task_requests import Done, active_state, logged_refusal, refusal_text, task_request
 from shared import requests, topics
 from shared.codec import Envelope, encode
@@ -37,9 +39,12 @@ from shared.stop_button import StopButton
 from shared.teleop_arbiter import TeleopRefusedError
 from shared.teleop_stream import TeleopStream
 from shared.topics import Publication
+from shared.types import NS_PER_S
 
 BY = "ROS 2"
 STATES = frozenset(name for name, _ in incoming.STATE_SERVICES)
+MAX_VELOCITY_AGE_S, MAX_AGE_S = 0.3, 2.0
+"""of a velocity and of other messages, by their publisher's clock: an older one is from before a broken link."""
 MAX_ASKS = 64  # requests to the stack without an outcome; then the oldest is forgotten
 
 
@@ -58,7 +63,8 @@ class Ros2Service(Service):
         self._waiting_stops: list[int] = []  # requests that wait until the guard confirms
         self._asks: dict[int, Done] = {}
         self._n_asks = 0
-        self._drivers: dict[bytes, int] = {}  # number by gid
+        self.sender_clocks = SenderClocks()
+        self._logged: dict[str, int] = {}  # ns, of the last line on a name: a flood is one line a second
         self._loaded: tuple[RosTypes, RosMessages, ActionServer] | None = None
 
     @property
@@ -153,13 +159,18 @@ class Ros2Service(Service):
             self._reject(name, str(error))
         except ValueError as error:
             self._reject(name, str(error))
-            yield Log("WARNING", f"ROS 2: {name}: {error}")
+            if not 0 <= self.now - self._logged.get(name, -NS_PER_S) < NS_PER_S:
+                self._logged[name] = self.now
+                yield Log("WARNING", f"ROS 2: {name}: {error}")
 
     def _message(self, name: str, event: dict[Any, Any]) -> Out:
         types, make, _ = self._ros
         message = types.decode(event["data"], event["type"])
+        age = self.sender_clocks.age(event["gid"], event["sent"], event["came"]) / NS_PER_S
+        if age > (MAX_VELOCITY_AGE_S if name == incoming.CMD_VEL else MAX_AGE_S):
+            raise ValueError(f"a message that came {age:.1f} s later than others of its publisher")
         if name == incoming.CMD_VEL:
-            driver = self._drivers.setdefault(event["gid"], len(self._drivers) + 1)
+            driver = int.from_bytes(event["gid"])
             yield from _teleop(self.teleop.take(driver, BY, *velocity(message), self.now))
         elif name == incoming.GOAL_POSE:
             pose = pose_in_map(message.header, message.pose, make.frames.map)

@@ -52,9 +52,11 @@ class Core:
         self.service.now += 100_000_000
         return self.take(self.service.receive(SerialData(self.service.now, "ros", msgpack.packb(fields))))
 
-    def message(self, name: str, message: Any, gid: bytes = GOAL) -> list[Any]:
-        data = self.types.encode(message)
-        return self.event(event="message", name=name, type=message.__msgtype__, data=data, gid=gid)
+    def message(self, name: str, message: Any, gid: bytes = GOAL, delay: float = 0.0) -> list[Any]:
+        """delay: s from its publisher to here. The publisher's clock is an hour behind."""
+        data, came = self.types.encode(message), self.service.now + 100_000_000
+        times = {"sent": came - round((3600 + delay) * 1e9), "came": came}
+        return self.event(event="message", name=name, type=message.__msgtype__, data=data, gid=gid, **times)
 
     def request(self, name: str, number: int, request: Any) -> list[Any]:
         return self.event(event="request", name=name, id=number, data=self.types.encode(request))

@@ -20,13 +20,25 @@ from tests.unit.services.ros2.core import START, Core
 OTHER = bytes(range(100, 116))
 
 
-def drive(core: Core, v: float, w: float = 0.0, gid: bytes = OTHER) -> list[Any]:
-    return core.message("/cmd_vel", core.make.twist(v, w), gid)
+def drive(core: Core, v: float, w: float = 0.0, gid: bytes = OTHER, delay: float = 0.0) -> list[Any]:
+    return core.message("/cmd_vel", core.make.twist(v, w), gid, delay)
 
 
 def confirmed(core: Core, state: GuardState) -> list[Any]:
     core.service.now += 10_000_000
     return core.take(core.service.guard_status(GuardStatus(core.service.now, state, "", "", "", 0.0)))
+
+
+def test_velocities_and_goals_from_before_a_broken_link_are_refused_and_counted():
+    core = Core()
+    assert drive(core, 0.2)
+    assert drive(core, 0.2, delay=0.2)
+    assert drive(core, 0.2, delay=0.4) == []
+    assert core.message("/goal_pose", core.pose(Pose2(1, 2, 0)), OTHER, delay=0.4)
+    assert core.message("/goal_pose", core.pose(Pose2(1, 2, 0)), OTHER, delay=4.0) == []
+    assert drive(core, 0.2)
+    assert sum("later than others of its publisher" in line for line in core.lines) == 2
+    assert {key for key, _ in core.service.rejections.counts} == {"ros/cmd_vel", "ros/goal_pose"}
 
 
 def test_the_static_frames_are_sent_when_the_router_is_there():
@@ -186,7 +198,7 @@ def test_what_the_shell_rejects_is_counted_and_told_in_health():
 def test_any_bytes_of_a_topic_are_survived(data, name):
     types = next(row.types for row in INCOMING if row.name == name)
     core = Core()
-    core.event(event="message", name=name, type=types[0], data=data, gid=OTHER)
+    core.event(event="message", name=name, type=types[0], data=data, gid=OTHER, sent=1, came=1)
 
 
 @given(st.binary(max_size=60), st.sampled_from([name for name, _ in TRIGGERS]))

@@ -160,6 +160,7 @@ def test_a_velocity_comes_in_with_its_publisher(bridge, peer):
     peer.publish(CMD_VEL, twist(bridge, 0.25))
     event = bridge.wait_event("message")
     assert (event["name"], event["type"], event["gid"]) == (CMD_VEL, TWIST, GID)
+    assert event["sent"] == 5, "as the peer writes it"
     assert bridge.types.decode(event["data"], TWIST).linear.x == 0.25
 
 
