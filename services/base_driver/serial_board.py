@@ -58,7 +58,7 @@ class SerialBoard:
         """Bytes that command the wheels' speeds, counts/s with the signs of BoardReport."""
         must_start = self.device.starts_again and not self._is_recent("report", now)
         start = self._start(now) if must_start and not 0 <= now - self._started_at < self.silent else b""
-        return start + self.device.command(left, right)
+        return start + self.device.command(left, right, now)
 
     def stop_bytes(self) -> bytes:
         """Bytes that stop both wheels and switch off their power."""

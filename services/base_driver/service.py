@@ -4,6 +4,7 @@
 from dataclasses import replace
 from math import nan
 
+from services.base_driver.body_sensors import BodySensors
 from services.base_driver.config import BaseDriverConfig
 from services.base_driver.diagnosis import LATCHED_FAULTS, SEPARATOR, Diagnosis
 from services.base_driver.encoders import Encoders
@@ -35,6 +36,7 @@ class BaseDriverService(Service):
         self.watchdog = Watchdog(config.watchdog)
         self.encoders = Encoders(config.encoders, robot.drive)
         self.diagnosis = Diagnosis(config, robot, self.serial)
+        self.body_sensors = BodySensors(robot)
         self.report: BoardReport | None = None
         self.awake_since, self.drove_at = 0, -MAX_PAUSE_NS - 1  # ns: of ticks without a pause the first and the last
         self.is_linked = False
@@ -127,6 +129,7 @@ class BaseDriverService(Service):
         if received.restarted:
             self.encoders.restart()
             self.diagnosis.wheel_faults.restart()
+        yield from self.body_sensors.publications(received, data.stamp)
         if received.report is not None:
             yield topics.REPORT(received.report)
             yield from self._process_report(received.report)

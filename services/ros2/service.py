@@ -3,8 +3,8 @@
 
 The shell passes the stack's messages on to ROS (stack_feed.py). Each map of topics.RX has an `event`:
 
-- `message`: `name` of the topic, `type`, `data` in CDR, `gid` of its publisher, ns on its clock when it was
-  `sent`, and ns on this computer's when it `came`;
+- `message`: `name` of the topic, `type`, `data` in CDR, `gid` of its publisher. `sent` is ns on the publisher's clock,
+  `came` ns on this computer's;
 - `request`: `name` of the service, its number `id`, `data` in CDR;
 - `outcome` of a request to the stack, by its number `id`;
 - `other_teleop`: another tool drives;

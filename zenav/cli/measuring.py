@@ -174,6 +174,23 @@ def bench_stack(
     raise typer.Exit(stack(robot, world, seconds, out, set_ or [], remote))
 
 
+@bench.command("page", cls=Command)
+def bench_page(
+    rounds: Annotated[int, typer.Option(min=1, help="Rounds of all attacks.")] = 3,
+    out: Out = None,
+    robot: RobotName = "x80sv",
+    world: World = "office",
+    set_: Setting = None,
+) -> None:
+    """What hostile clients of the page cost the robot: the time from scan to cmd/vel during attacks and without.
+
+    Example: zenav bench page --out page.json
+    """
+    from zenav.bench.page import page
+
+    raise typer.Exit(page(robot, world, rounds, out, set_ or []))
+
+
 @bench.command("footprint", cls=Command)
 def bench_footprint(
     seconds: Annotated[float, typer.Option(min=5, help="s of driving over which CPU is measured.")] = 60.0,

@@ -4,7 +4,7 @@
 from collections import deque
 from dataclasses import dataclass
 from math import nan
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -20,18 +20,29 @@ MAX_SPEED_STEP_S = 0.5  # s; after a longer pause the speed is not known
 MAX_COUNTS_PER_S = 1e6  # counts/s; bound of BoardReport
 
 
+class BoardContacts(NamedTuple):
+    """Names of the pressed bumpers and of the cliff sensors without floor, and whether the e-stop is pressed."""
+
+    bumpers: tuple[str, ...] = ()
+    cliffs: tuple[str, ...] = ()
+    estop: bool = False
+
+
 @dataclass(slots=True)
 class BoardInput:
     """Content of received bytes.
 
     report: the newest report, None without one.  n_reports: how many there were.  answer: bytes to send.
-    restarted: the board was restarted, so its counters began again.
+    restarted: the board was restarted, so its counters began again.  yaw_rate: rad/s by a gyro, None without one.
+    contacts: pressed bumpers, cliff sensors without floor, and the e-stop input; None where the board has none.
     """
 
     report: BoardReport | None = None
     n_reports: int = 0
     answer: bytes = b""
     restarted: bool = False
+    yaw_rate: float | None = None
+    contacts: BoardContacts | None = None
 
 
 class BoardDevice(Protocol):
@@ -64,8 +75,8 @@ class BoardDevice(Protocol):
     def receive(self, data: bytes, stamp: int, now: int) -> BoardInput:
         """Decodes bytes that arrived at `now` (ns). stamp: of their report, ns."""
 
-    def command(self, left: float, right: float) -> bytes:
-        """The bytes that command the wheels' speeds, counts/s with the signs of BoardReport."""
+    def command(self, left: float, right: float, now: int) -> bytes:
+        """The bytes that command the wheels' speeds at `now` (ns), counts/s with the signs of BoardReport."""
 
     def stop_command(self) -> bytes:
         """The last bytes: the wheels stop, their power is switched off where the board can."""
@@ -121,6 +132,11 @@ class WheelDevice:
         left_rad, right_rad = wheel_angles(left, right, self.drive)
         return left_rad * self.drive.left_radius, right_rad * self.drive.right_radius
 
+    def body_velocity(self, left: float, right: float) -> tuple[float, float]:
+        """v (m/s) and w (rad/s) from the command's counts/s."""
+        left_rim, right_rim = self.rim_speeds(left, right)
+        return (left_rim + right_rim) / 2, (right_rim - left_rim) / self.drive.wheel_distance
+
     def forward_counts(self, left: float, right: float) -> tuple[float, float]:
         """The command's counts/s as the board counts: positive forward, but for `inverted` wheels."""
         return -left * self._sign("left"), right * self._sign("right")
@@ -151,3 +167,8 @@ class WheelDevice:
         steps = count_difference(history[0][1], left, wrap), count_difference(history[0][2], right, wrap)
         left_speed, right_speed = (min(max(n / elapsed, -MAX_COUNTS_PER_S), MAX_COUNTS_PER_S) for n in steps)
         return left_speed, right_speed
+
+
+def bit_names(bits: int, names: dict[str, int]) -> tuple[str, ...]:
+    """The names whose bit is set."""
+    return tuple(name for name, bit in names.items() if bits & bit)

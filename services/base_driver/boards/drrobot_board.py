@@ -61,7 +61,7 @@ class DrRobotBoard:
         """Bytes that set the gains of both wheels and command zero."""
         config = self.config
         gains = [drrobot.set_gains("velocity", wheel, config.kp, config.kd, config.ki) for wheel in (LEFT, RIGHT)]
-        return b"".join(gains) + self.command(0.0, 0.0)
+        return b"".join(gains) + self._velocity(0.0, 0.0)
 
     def receive(self, data: bytes, stamp: int, now: int) -> BoardInput:
         """The newest report in these bytes, and the bytes to answer.
@@ -84,11 +84,14 @@ class DrRobotBoard:
         received.report = self._report(motors, stamp, now) if motors is not None else None
         return received
 
-    def command(self, left: float, right: float) -> bytes:
+    def command(self, left: float, right: float, now: int) -> bytes:
+        return self._velocity(left, right)
+
+    def _velocity(self, left: float, right: float) -> bytes:
         return drrobot.command_all(Type.VELOCITY_ALL, left, right, round(self.config.command_life * 1e3))
 
     def stop_command(self) -> bytes:
-        return self.command(0.0, 0.0) + drrobot.disable_motor(LEFT) + drrobot.disable_motor(RIGHT)
+        return self._velocity(0.0, 0.0) + drrobot.disable_motor(LEFT) + drrobot.disable_motor(RIGHT)
 
     def dead_sensors(self, now: int) -> str:
         since = now - (now if self._first_at is None else self._first_at)

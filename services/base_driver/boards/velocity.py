@@ -8,7 +8,7 @@ board:    $T,seq,ms,ack,flags,battery,gyro,left,right*CRC                 mV, mr
 from math import nan
 
 from services.base_driver.boards.board_config import SerialBoardConfig
-from services.base_driver.boards.device import BoardInput, WheelDevice
+from services.base_driver.boards.device import BoardContacts, BoardInput, WheelDevice
 from shared.board_framing import LineFramer
 from shared.config import Robot
 from shared.velocity_board import (
@@ -23,6 +23,9 @@ from shared.velocity_board import (
 )
 
 N_TICK_FIELDS = 9
+MAX_YAW_RATE = 50.0  # rad/s; bound of Imu
+BUMPERS = {"left": BoardFlags.BUMPER_LEFT, "front": BoardFlags.BUMPER_FRONT, "right": BoardFlags.BUMPER_RIGHT}
+CLIFFS = {"left": BoardFlags.CLIFF_LEFT, "front": BoardFlags.CLIFF_FRONT, "right": BoardFlags.CLIFF_RIGHT}
 MOTOR_FAULT = "the board reports a fault of its motor driver"
 
 
@@ -35,8 +38,6 @@ class VelocityBoard(WheelDevice):
 
     def __init__(self, config: SerialBoardConfig, robot: Robot) -> None:
         super().__init__(config, robot)
-        self.flags = BoardFlags(0)
-        self.gyro = nan  # rad/s
         self._reader = LineFramer()
         self._sequence = 0
         self._last: tuple[int, int] | None = None  # sequence and ms of the last line
@@ -49,9 +50,8 @@ class VelocityBoard(WheelDevice):
     def start_command(self) -> bytes:
         return self._velocity(0.0, 0.0)
 
-    def command(self, left: float, right: float) -> bytes:
-        left_rim, right_rim = self.rim_speeds(left, right)
-        return self._velocity((left_rim + right_rim) / 2, (right_rim - left_rim) / self.drive.wheel_distance)
+    def command(self, left: float, right: float, now: int) -> bytes:
+        return self._velocity(*self.body_velocity(left, right))
 
     def stop_command(self) -> bytes:
         return self._velocity(0.0, 0.0)
@@ -75,7 +75,7 @@ class VelocityBoard(WheelDevice):
         try:
             kind, sequence, ms, flags = fields[0], int(fields[1]), int(fields[2]), BoardFlags(int(fields[4], 16))
             battery = int(fields[5]) * 1e-3 if fields[5] else nan
-            gyro = int(fields[6]) * 1e-3 if fields[6] else nan
+            yaw_rate = int(fields[6]) * 1e-3 if fields[6] else None
             values = [int(field) for field in fields[7:]]
         except (IndexError, ValueError):
             return False
@@ -88,9 +88,16 @@ class VelocityBoard(WheelDevice):
             return False
         self._last = sequence, ms
         self.counts.n_good += 1
-        self.flags, self.gyro = flags, gyro
+        received.contacts = board_contacts(flags)
+        received.yaw_rate = yaw_rate if yaw_rate is None or abs(yaw_rate) <= MAX_YAW_RATE else None
         self.battery = battery if 0 <= battery <= 100 else nan
         self.fault = MOTOR_FAULT if BoardFlags.MOTOR_FAULT in flags else ""
         received.report = self.report(stamp, values[0], values[1], ms * 1e-3)
         received.n_reports += 1
         return True
+
+
+def board_contacts(flags: BoardFlags) -> BoardContacts:
+    """The contacts that the flags of a line report."""
+    bumpers, cliffs = (tuple(name for name, flag in table.items() if flag in flags) for table in (BUMPERS, CLIFFS))
+    return BoardContacts(bumpers, cliffs, BoardFlags.ESTOP in flags)

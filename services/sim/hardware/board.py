@@ -6,14 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 
+from services.sim.hardware.create2 import Create2Electronics
 from services.sim.hardware.drrobot_board import DrRobotElectronics
-from services.sim.hardware.electronics import BoardElectronics
+from services.sim.hardware.electronics import BoardElectronics, BodyTruth
 from services.sim.hardware.faults import ActiveFaults, Fault
+from services.sim.hardware.kobuki import KobukiElectronics
+from services.sim.hardware.odrive import OdriveElectronics
+from services.sim.hardware.roboclaw import RoboclawElectronics
+from services.sim.hardware.ros_arduino_bridge import RosArduinoBridgeElectronics
 from services.sim.hardware.velocity import VelocityElectronics
 from shared.config import Robot, UserError, nearest
 from shared.messages import BoardReport
 
 LOW_BATTERY_V = 5.5  # V of a failed battery
+NO_BODY_SENSORS = BodyTruth()
 
 
 class BoardEmulator:
@@ -35,9 +41,9 @@ class BoardEmulator:
         left, right, life = self.electronics.speeds(now)
         return -left if Fault.SWAPPED_MOTOR in self.faults else left, right, life
 
-    def report_bytes(self, truth: BoardReport, now: int) -> bytes:
-        """What the board sends when it has measured `truth`: each packet when it is due."""
-        packets = self.electronics.packets(self._measured(truth), now)
+    def report_bytes(self, truth: BoardReport, now: int, body: BodyTruth = NO_BODY_SENSORS) -> bytes:
+        """What the board sends when it has measured `truth` and `body`: each packet when it is due."""
+        packets = self.electronics.packets(self._measured(truth), body, now)
         return b"".join(self._line_bytes(packet) for packet in packets)
 
     def _measured(self, truth: BoardReport) -> BoardReport:
@@ -58,7 +64,8 @@ class BoardEmulator:
         if Fault.HALF_PACKETS in self.faults:
             return packet[: len(packet) // 2]
         if Fault.BAD_CRC in self.faults and packet:
-            return packet[:-3] + bytes((packet[-3] ^ 0x10,)) + packet[-2:]
+            i = max(len(packet) - 3, 0)
+            return packet[:i] + bytes((packet[i] ^ 0x10,)) + packet[i + 1 :]
         return packet
 
 
@@ -72,4 +79,9 @@ def make_board(model: str, faults: ActiveFaults, seed: int, robot: Robot) -> Boa
 BOARD_MODELS: dict[str, Callable[[ActiveFaults, Robot], BoardElectronics]] = {
     "drrobot": lambda faults, robot: DrRobotElectronics(faults),
     "velocity": lambda faults, robot: VelocityElectronics(robot),
+    "kobuki": lambda faults, robot: KobukiElectronics(robot),
+    "create2": lambda faults, robot: Create2Electronics(robot),
+    "ros_arduino_bridge": lambda faults, robot: RosArduinoBridgeElectronics(robot),
+    "roboclaw": lambda faults, robot: RoboclawElectronics(robot),
+    "odrive": lambda faults, robot: OdriveElectronics(robot),
 }

@@ -13,6 +13,7 @@ from services.sim.hardware.drrobot import (
     GainsCommand,
     VelocityCommand,
 )
+from services.sim.hardware.electronics import BodyTruth
 from services.sim.hardware.faults import ActiveFaults, Fault
 from shared.drrobot import BOARD, Deframer, Type
 from shared.messages import BoardReport
@@ -65,7 +66,7 @@ class DrRobotElectronics:
         ends = [until for until in self._until.values() if until is not None]
         return self._speeds[LEFT], self._speeds[RIGHT], min(ends) - now if ends else None
 
-    def packets(self, truth: BoardReport, now: int) -> list[bytes]:
+    def packets(self, truth: BoardReport, body: BodyTruth, now: int) -> list[bytes]:
         packets = [self._motor_sensor(truth)]
         if self._sensors_at is None or not 0 <= now - self._sensors_at < SENSOR_PERIOD:
             self._sensors_at = now

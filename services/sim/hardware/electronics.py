@@ -2,10 +2,22 @@
 """Interface of the emulated motion boards, and the base of those whose counters rise when the robot drives forward."""
 
 from math import pi
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from shared.config import Drive, Robot
 from shared.messages import BoardReport
+
+
+class BodyTruth(NamedTuple):
+    """What a board can measure beside its wheels. yaw_rate: rad/s by a gyro, None without one.
+
+    bumpers, cliffs: names of the pressed bumpers, and of the cliff sensors without floor.
+    """
+
+    yaw_rate: float | None = None
+    bumpers: tuple[str, ...] = ()
+    cliffs: tuple[str, ...] = ()
+    estop: bool = False
 
 
 class BoardElectronics(Protocol):
@@ -17,8 +29,8 @@ class BoardElectronics(Protocol):
     def speeds(self, now: int) -> tuple[float, float, int | None]:
         """Counts/s of the left and right motor, with the signs of BoardReport, and the ns that they last; None: on."""
 
-    def packets(self, truth: BoardReport, now: int) -> list[bytes]:
-        """What the board sends when it has measured `truth`."""
+    def packets(self, truth: BoardReport, body: BodyTruth, now: int) -> list[bytes]:
+        """What the board sends when it has measured `truth` and `body`."""
 
 
 class WheelElectronics:
@@ -32,7 +44,9 @@ class WheelElectronics:
 
     def __init__(self, robot: Robot) -> None:
         self.drive: Drive = robot.drive
+        self.life_ns = self.LIFE_NS
         self._zero: tuple[int, int] | None = (0, 0)  # counts at which the counters were 0; None: they are 0 now
+        self.is_awake, self.last_counts = False, (0, 0)  # of a board that is asked; the counts of the last period
         self._left = self._right = 0.0  # counts/s, positive forward
         self._until: int | None = None
 
@@ -45,7 +59,7 @@ class WheelElectronics:
     def turn_wheels(self, left: float, right: float, now: int) -> None:
         """Takes a command: counts/s of both wheels, as the board counts."""
         self._left, self._right = left, right
-        self._until = None if self.LIFE_NS is None else now + self.LIFE_NS
+        self._until = None if self.life_ns is None else now + self.life_ns
 
     def speeds(self, now: int) -> tuple[float, float, int | None]:
         if self._until is not None and now >= self._until:
@@ -58,8 +72,12 @@ class WheelElectronics:
         self._zero = turned if self._zero is None else self._zero
         return (turned[0] - self._zero[0]) % self.WRAP, (turned[1] - self._zero[1]) % self.WRAP
 
+    def read_counters(self, truth: BoardReport) -> None:
+        """Keeps the counters for the requests until the next period; the first time the board wakes up."""
+        self.is_awake, self.last_counts = True, self.counters(truth)
+
     def restart(self) -> None:
         """The board loses its power for a moment: the wheels stand, its counters begin at 0."""
         self._zero = None
         self._left = self._right = 0.0
-        self._until = None
+        self._until, self.life_ns, self.is_awake = None, self.LIFE_NS, False

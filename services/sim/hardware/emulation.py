@@ -5,11 +5,12 @@ import numpy as np
 from pydantic import Field
 
 from services.sim.hardware.board import make_board
+from services.sim.hardware.electronics import BodyTruth
 from services.sim.hardware.faults import LASER_FAULTS, UNPLUGGED_PORTS, ActiveFaults, Fault
 from services.sim.hardware.lasers import LaserEmulator, make_emulator
 from shared import topics
 from shared.config import Robot, Section
-from shared.messages import BoardReport, LaserScan, PortState, SerialData
+from shared.messages import BoardReport, Contacts, Imu, LaserScan, PortState, SerialData
 from shared.ports import PortConfig
 from shared.service import Out
 
@@ -53,9 +54,10 @@ class Emulation:
             received = b"" if Fault.LASER_STALLED in self.faults else data.data
             yield from _send(LASER, self._laser_line_bytes(self.laser.receive(received, now)), now)
 
-    def send_report(self, report: BoardReport, now: int) -> Out:
-        """What the board says of a report."""
-        yield from _send(BOARD, self.board.report_bytes(report, now), now)
+    def send_report(self, report: BoardReport, imu: Imu | None, contacts: Contacts, now: int) -> Out:
+        """What the board says of a report, of its gyro and of its contacts."""
+        body = BodyTruth(imu.yaw_rate if imu else None, contacts.bumpers, contacts.cliffs, contacts.estop)
+        yield from _send(BOARD, self.board.report_bytes(report, now, body), now)
 
     def send_sweeps(self, scans: list[LaserScan], now: int) -> Out:
         """Sends the laser's bytes that are due, and queues those of these sweeps; without a model, sends the scans."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The emulated `velocity` board: takes velocities, sends its ticks in lines of text (docs/velocity_board.md)."""
 
-from services.sim.hardware.electronics import WheelElectronics
+from services.sim.hardware.electronics import BodyTruth, WheelElectronics
 from shared.board_framing import LineFramer
 from shared.config import Robot
 from shared.messages import BoardReport
@@ -48,10 +48,14 @@ class VelocityElectronics(WheelElectronics):
                     self.drive_wheels(v * 1e-3 - half, v * 1e-3 + half, now)
         return b""
 
-    def packets(self, truth: BoardReport, now: int) -> list[bytes]:
+    def packets(self, truth: BoardReport, body: BodyTruth, now: int) -> list[bytes]:
         self._started_at = now if self._started_at is None else self._started_at
         self._sequence = (self._sequence + 1) % SEQUENCES
         flags = BoardFlags(0) if self._until is not None else BoardFlags.WATCHDOG
+        flags |= BoardFlags.ESTOP if body.estop else BoardFlags(0)
+        for kind, names in (("BUMPER", body.bumpers), ("CLIFF", body.cliffs)):
+            for name in names:
+                flags |= BoardFlags[f"{kind}_{name.upper()}"]
         return [
             framed_line(
                 TICKS,
@@ -60,7 +64,7 @@ class VelocityElectronics(WheelElectronics):
                 self._accepted or 0,
                 f"{flags:X}",
                 round(truth.battery * 1e3) if truth.battery >= 0 else "",
-                "",
+                "" if body.yaw_rate is None else round(body.yaw_rate * 1e3),
                 *self.counters(truth),
             )
         ]

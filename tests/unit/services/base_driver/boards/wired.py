@@ -8,6 +8,7 @@ import numpy as np
 from services.base_driver.config import BaseDriverConfig
 from services.base_driver.service import BaseDriverService
 from services.sim.hardware.board import make_board
+from services.sim.hardware.electronics import BodyTruth
 from services.sim.hardware.faults import ActiveFaults
 from shared import topics
 from shared.config import load_robot
@@ -16,7 +17,16 @@ from tests.strategies import faults as message_faults
 
 MS = 1_000_000
 T0 = 1_000_000 * MS
-WRAPS = {"drrobot": 32768, "velocity": 1 << 31}
+WRAPS = {
+    "drrobot": 32768,
+    "velocity": 1 << 31,
+    "kobuki": 65536,
+    "create2": 65536,
+    "ros_arduino_bridge": 1 << 31,
+    "roboclaw": 1 << 31,
+    "odrive": 1 << 31,
+}
+
 MODELS = tuple(WRAPS)
 
 
@@ -42,6 +52,8 @@ class WiredBoard:
         self.battery = 7.4
         self.out = []
         self.is_connected = True
+        self.damage = None  # changes the next bytes for the driver
+        self.body = BodyTruth()
         self.take(self.service.port(PortState(T0, "board", True, "")))
 
     @property
@@ -69,6 +81,8 @@ class WiredBoard:
                 self.say(self.board.receive(publication.message.data, self.now))
 
     def say(self, data):
+        if data and self.damage is not None:
+            data, self.damage = self.damage(data), None
         if data:
             self.take(self.service.receive_bytes(SerialData(self.now, "board", data)))
 
@@ -88,7 +102,7 @@ class WiredBoard:
             self.service.now += 20 * MS
             self.left, self.right = self.left + left * 0.02, self.right + right * 0.02
             if self.is_connected:
-                self.say(self.board.report_bytes(self.truth(), self.now))
+                self.say(self.board.report_bytes(self.truth(), self.now, self.body))
         return self
 
     def last(self, topic):

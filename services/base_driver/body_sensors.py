@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gyro, bumpers, cliff sensors and e-stop input of a board on a port, as messages."""
+
+from math import nan
+
+from services.base_driver.boards.device import BoardContacts, BoardInput
+from shared import topics
+from shared.config import Robot
+from shared.messages import Contacts, Imu
+from shared.service import Out
+
+CONTACTS_PERIOD_NS = 40_000_000  # ns between two messages of the same contacts: 20 a second at least
+
+
+class BodySensors:
+    """Publishes a turn rate with each report, contacts when they change and at their period."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._sign = -1.0 if robot.imu is not None and robot.imu.upside_down else 1.0
+        self._contacts: BoardContacts | None = None
+        self._sent_at = 0  # ns
+
+    def publications(self, received: BoardInput, stamp: int) -> Out:
+        """The messages of what a board sent; stamp: ns."""
+        if received.yaw_rate is not None:
+            yield topics.IMU(Imu(stamp, self._sign * received.yaw_rate, nan, nan, nan))
+        contacts = received.contacts
+        is_due = not 0 <= stamp - self._sent_at < CONTACTS_PERIOD_NS
+        if contacts is not None and (is_due or contacts != self._contacts):
+            self._contacts, self._sent_at = contacts, stamp
+            yield topics.CONTACTS(Contacts(stamp, contacts.bumpers, contacts.cliffs, contacts.estop))
