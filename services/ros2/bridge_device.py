@@ -186,12 +186,12 @@ class BridgeDevice:
 
     # --- on threads of Zenoh's, of the feed and of requests ---------------------------------------------------------
 
-    def _on_message(self, name: str, type_: str, data: bytes, gid: bytes, sent: int | None) -> None:
+    def _on_message(self, name: str, type_: str, data: bytes, gid: bytes, sent: int, came: int) -> None:
         own = self._own.get(name, name)
         with self._changed:
             if own in self._pending:
                 self._count(own, "faster than 50 a second: the newest counts")
-            self._pending[own] = {"type": type_, "data": data, "gid": gid, "sent": sent}
+            self._pending[own] = {"type": type_, "data": data, "gid": gid, "sent": sent, "came": came}
             self._changed.notify_all()
 
     def _on_request(self, name: str, number: int, data: bytes) -> None:

@@ -11,9 +11,9 @@ TWIST_BYTES = 52  # of a geometry_msgs/Twist in CDR; a TwistStamped is longer
 
 
 class Attachment(NamedTuple):
-    """What comes with a message or request: its number, and the 16 bytes of its sender; none in the DDS bridge.
+    """What comes with a message or request: its number, the 16 bytes of its sender, ns on its clock when it was sent.
 
-    sent: ns on the sender's clock; None where it is not known.
+    The DDS bridge has none of them: 0, no bytes, None.
     """
 
     sequence: int

@@ -32,7 +32,7 @@ class SenderClocks:
     def age(self, gid: bytes, sent: int, now: int) -> int:
         """ns by which a message is later than the fastest one of its publisher in the last 10 to 20 s, 0 or more.
 
-        gid: of the publisher.  sent: ns on its clock.  now: ns on ours.
+        gid: of the publisher.  sent: ns on its clock.  now: ns on ours, when the message came.
 
         A clock that was set back makes messages look old until its old minimum is forgotten. The first message of a
         publisher has age 0.

@@ -3,8 +3,8 @@
 
 The shell passes the stack's messages on to ROS (stack_feed.py). Each map of topics.RX has an `event`:
 
-- `message`: `name` of the topic, `type`, `data` in CDR, `gid` of its publisher, ns on its clock when it was `sent`
-  (None: not known);
+- `message`: `name` of the topic, `type`, `data` in CDR, `gid` of its publisher. `sent` is ns on the publisher's clock,
+  `came` ns on this computer's;
 - `request`: `name` of the service, its number `id`, `data` in CDR;
 - `outcome` of a request to the stack, by its number `id`;
 - `other_teleop`: another tool drives;
@@ -42,9 +42,9 @@ from shared.topics import Publication
 from shared.types import NS_PER_S
 
 BY = "ROS 2"
+STATES = frozenset(name for name, _ in incoming.STATE_SERVICES)
 MAX_VELOCITY_AGE_S, MAX_AGE_S = 0.3, 2.0
 """of a velocity and of other messages, by their publisher's clock: an older one is from before a broken link."""
-STATES = frozenset(name for name, _ in incoming.STATE_SERVICES)
 MAX_ASKS = 64  # requests to the stack without an outcome; then the oldest is forgotten
 
 
@@ -64,6 +64,7 @@ class Ros2Service(Service):
         self._asks: dict[int, Done] = {}
         self._n_asks = 0
         self.sender_clocks = SenderClocks()
+        self._logged: dict[str, int] = {}  # ns, of the last line on a name: a flood is one line a second
         self._loaded: tuple[RosTypes, RosMessages, ActionServer] | None = None
 
     @property
@@ -158,13 +159,14 @@ class Ros2Service(Service):
             self._reject(name, str(error))
         except ValueError as error:
             self._reject(name, str(error))
-            yield Log("WARNING", f"ROS 2: {name}: {error}")
+            if not 0 <= self.now - self._logged.get(name, -NS_PER_S) < NS_PER_S:
+                self._logged[name] = self.now
+                yield Log("WARNING", f"ROS 2: {name}: {error}")
 
     def _message(self, name: str, event: dict[Any, Any]) -> Out:
         types, make, _ = self._ros
         message = types.decode(event["data"], event["type"])
-        sent = event["sent"]
-        age = 0.0 if sent is None else self.sender_clocks.age(event["gid"], sent, self.now) / NS_PER_S
+        age = self.sender_clocks.age(event["gid"], event["sent"], event["came"]) / NS_PER_S
         if age > (MAX_VELOCITY_AGE_S if name == incoming.CMD_VEL else MAX_AGE_S):
             raise ValueError(f"a message that came {age:.1f} s later than others of its publisher")
         if name == incoming.CMD_VEL:

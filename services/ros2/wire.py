@@ -33,12 +33,12 @@ SERVICE_QOS = Qos(depth=10)  # rmw_qos_profile_services_default
 class WireEvents:
     """What the wire calls, on Zenoh's threads.
 
-    message: name, type, CDR, gid of the publisher, ns on its clock when it was sent (None: unknown).  request: name of
-    the service, its number here, CDR.  wanted: name, and whether a subscription matches.  endpoint: of another node, and
-    whether it is there.  rejected: name and cause.
+    message: name, type, CDR, gid of the publisher, ns on its clock when it was sent, ns on ours when it came.  request:
+    name of the service, its number here, CDR.  wanted: name, and whether a subscription matches.  endpoint: of another
+    node, and whether it is there.  rejected: name and cause.
     """
 
-    message: Callable[[str, str, bytes, bytes, int | None], None]
+    message: Callable[[str, str, bytes, bytes, int, int], None]
     request: Callable[[str, int, bytes], None]
     wanted: Callable[[str, bool], None]
     endpoint: Callable[[Endpoint, bool], None]
@@ -171,7 +171,9 @@ class RosWire:
         elif len(sample.payload) > MAX_BYTES:
             self._events.rejected(name, f"a message of {len(sample.payload)} bytes")
         else:
-            self._events.message(name, type_, sample.payload.to_bytes(), found.gid, found.sent)
+            data, came = sample.payload.to_bytes(), time.time_ns()
+            sent = came if found.sent is None else found.sent
+            self._events.message(name, type_, data, found.gid, sent, came)
 
     def _ask(self, name: str, query: zenoh.Query) -> None:
         payload = query.payload

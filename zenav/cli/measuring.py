@@ -41,6 +41,20 @@ def bench_gateway(
     raise typer.Exit(gateway(out, seconds))
 
 
+@bench.command("ros2", cls=Command)
+def bench_ros2(
+    seconds: Annotated[float, typer.Option(min=1, max=600, help="s: length of the measurement.")] = 20.0,
+    out: Out = None,
+) -> None:
+    """The time of a message through the bridge to ROS 2, and the bridge's CPU and memory.
+
+    Example: zenav bench ros2 --out ros2.json
+    """
+    from zenav.bench.ros2 import ros2
+
+    raise typer.Exit(ros2(out, seconds))
+
+
 @bench.command("office", cls=Command)
 def bench_office(
     seeds: Seeds = "0-9",

@@ -54,8 +54,9 @@ class Core:
 
     def message(self, name: str, message: Any, gid: bytes = GOAL, delay: float = 0.0) -> list[Any]:
         """delay: s from its publisher to here. The publisher's clock is an hour behind."""
-        data, sent = self.types.encode(message), self.service.now + 100_000_000 - round((3600 + delay) * 1e9)
-        return self.event(event="message", name=name, type=message.__msgtype__, data=data, gid=gid, sent=sent)
+        data, came = self.types.encode(message), self.service.now + 100_000_000
+        times = {"sent": came - round((3600 + delay) * 1e9), "came": came}
+        return self.event(event="message", name=name, type=message.__msgtype__, data=data, gid=gid, **times)
 
     def request(self, name: str, number: int, request: Any) -> list[Any]:
         return self.event(event="request", name=name, id=number, data=self.types.encode(request))

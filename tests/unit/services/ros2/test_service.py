@@ -198,7 +198,7 @@ def test_what_the_shell_rejects_is_counted_and_told_in_health():
 def test_any_bytes_of_a_topic_are_survived(data, name):
     types = next(row.types for row in INCOMING if row.name == name)
     core = Core()
-    core.event(event="message", name=name, type=types[0], data=data, gid=OTHER)
+    core.event(event="message", name=name, type=types[0], data=data, gid=OTHER, sent=1, came=1)
 
 
 @given(st.binary(max_size=60), st.sampled_from([name for name, _ in TRIGGERS]))
