@@ -29,7 +29,7 @@ class BasePose:
         self.v = self.w = 0.0  # m/s, rad/s
         self._wheel_variance, self._wheel_distance = wheel_variance, wheel_distance
         self._last: BaseOdometry | None = None
-        self._odom_from_start = Pose2()  # pose and covariance at the beginning of the epoch, and the base's own pose then
+        self._odom_from_start = Pose2()  # at the beginning of the epoch, as the two below
         self._start_covariance = np.zeros((3, 3))
         self._base_start = Pose2()
 
@@ -82,9 +82,7 @@ class BasePose:
             total = self._wheel_variance * (abs(forward - half) + abs(forward + half))
             variances = total / 4, total / self._wheel_distance**2
         jacobian = np.column_stack((by_forward, by_turn))
-        self.covariance = propagated_covariance(
-            self.covariance, self.odom_from_base.yaw, motion, jacobian, variances
-        )
+        self.covariance = propagated_covariance(self.covariance, self.odom_from_base.yaw, motion, jacobian, variances)
         self.odom_from_base = self.odom_from_base @ motion
 
     def _take_twist(self, message: BaseOdometry, seconds: float, step: Pose2) -> None:
