@@ -29,7 +29,7 @@ from services.sim.world_loader import load_world
 from shared import requests, topics
 from shared.config import Robot, UserError
 from shared.geometry import Pose2, wrapped
-from shared.messages import BoardReport, Clock, Contacts, LaserScan, MotorCommand, SerialData, Truth
+from shared.messages import BoardReport, Clock, Contacts, Imu, LaserScan, MotorCommand, SerialData, Truth
 from shared.ports import PortConfig
 from shared.requests import Break, Reply
 from shared.service import Answer, Out, Service, answer, every, on
@@ -149,17 +149,21 @@ class SimService(Service):
             self._obey_board(self.emulation)
             yield from self.emulation.send_sweeps(self._due_scans(), self.now)
             yield from self.emulation.send_report(self._board(), self.now)
+            if (reading := self._imu()) is not None:
+                yield from self.emulation.send_imu(reading, self.now)
         yield topics.TRUTH(self._truth())
         yield topics.CLOCK(Clock(self.now, 1.0))
 
     def _body_sensors(self) -> Out:
         """The inertial sensor and the contact sensors of a robot that has them."""
+        if (reading := self.faults.imu(self._imu())) is not None:
+            yield topics.IMU(reading)
+        if self.robot.has_contacts and (contacts := self.faults.contacts(self._contacts())) is not None:
+            yield topics.CONTACTS(contacts)
+
+    def _imu(self) -> Imu | None:
         s = self.state_now
-        if self.imu is not None:
-            reading = self.imu.measure(self.time, float(s[dyn.YAW]), float(s[dyn.V]))
-            yield from (topics.IMU(imu) for imu in (self.faults.imu(reading),) if imu is not None)
-        if self.robot.has_contacts:
-            yield from (topics.CONTACTS(c) for c in (self.faults.contacts(self._contacts()),) if c is not None)
+        return self.imu.measure(self.time, float(s[dyn.YAW]), float(s[dyn.V])) if self.imu is not None else None
 
     def _contacts(self) -> Contacts:
         s = self.state_now

@@ -5,6 +5,7 @@ import json
 from enum import StrEnum
 from pathlib import Path
 
+from services.imu_driver.service import ImuDriverConfig
 from services.lidar_driver.service import LidarDriverConfig
 from services.sim.config import SimConfig
 from services.sim.world import World
@@ -15,7 +16,7 @@ from shared.runners.lockstep import Port
 from shared.topics import SERVICES
 from zenav.stack.service_loader import existing_services
 
-DRIVERS = {"board": "base_driver", "laser": "lidar_driver"}
+DRIVERS = {"board": "base_driver", "laser": "lidar_driver", "imu": "imu_driver"}
 """By port: the driver that opens it."""
 WIRED = "wired"
 """The device of a port whose other end is in the same process."""
@@ -30,20 +31,25 @@ class Hardware(StrEnum):
 
 
 def emulated_ports(file: RobotFile) -> tuple[str, ...]:
-    """The ports of the robot's emulated hardware. A robot without a laser that is emulated gets scans as messages."""
-    has_laser = bool(file.section("sim", SimConfig).emulation.laser_model)
-    return tuple(DRIVERS) if has_laser else ("board",)
+    """The ports of the robot's emulated hardware. What is not emulated comes as messages."""
+    emulation = file.section("sim", SimConfig).emulation
+    has_imu = bool(emulation.imu_model) and file.robot.imu is not None
+    has = {"board": True, "laser": bool(emulation.laser_model), "imu": has_imu}
+    return tuple(port for port in DRIVERS if has[port])
 
 
 def services_for(hardware: Hardware, file: RobotFile) -> list[str]:
     """The services of a whole stack, in the registry's order; the page is its user's choice, and added by `up`."""
-    wanted = set(existing_services()) - {"sim", "lidar_driver", "dashboard", "gateway"}
+    wanted = set(existing_services()) - {"sim", "lidar_driver", "imu_driver", "dashboard", "gateway"}
     if hardware is not Hardware.REAL:
         wanted.add("sim")
     if hardware is Hardware.EMULATED:
         wanted |= {DRIVERS[port] for port in emulated_ports(file)}
-    elif hardware is Hardware.REAL and file.section("lidar_driver", LidarDriverConfig).port.given:
-        wanted.add("lidar_driver")
+    elif hardware is Hardware.REAL:
+        if file.section("lidar_driver", LidarDriverConfig).port.given:
+            wanted.add("lidar_driver")
+        if file.section("imu_driver", ImuDriverConfig).port.given:
+            wanted.add("imu_driver")
     return [name for name in SERVICES if name in wanted]
 
 

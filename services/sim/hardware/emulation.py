@@ -6,14 +6,15 @@ from pydantic import Field
 
 from services.sim.hardware.board import BoardEmulator
 from services.sim.hardware.faults import LASER_FAULTS, UNPLUGGED_PORTS, ActiveFaults, Fault
+from services.sim.hardware.imus import ImuEmulator, make_imu_emulator
 from services.sim.hardware.lasers import LaserEmulator, make_emulator
 from shared import topics
 from shared.config import Robot, Section
-from shared.messages import BoardReport, LaserScan, PortState, SerialData
+from shared.messages import BoardReport, Imu, LaserScan, PortState, SerialData
 from shared.ports import PortConfig
 from shared.service import Out
 
-BOARD, LASER = "board", "laser"
+BOARD, LASER, IMU = "board", "laser", "imu"
 """The ports' names."""
 
 
@@ -22,6 +23,8 @@ class EmulationConfig(Section):
 
     board: PortConfig = Field(PortConfig(device="pty:/tmp/zenav-board"), description="where the board is plugged in")
     laser: PortConfig = Field(PortConfig(device="pty:/tmp/zenav-laser"), description="where the laser is plugged in")
+    imu: PortConfig = Field(PortConfig(device="pty:/tmp/zenav-imu"), description="where the inertial sensor is")
+    imu_model: str = Field("", description="model of the emulated inertial sensor; empty: `imu` stays a message")
     laser_model: str = Field("", description="model of the emulated laser; empty: the scan stays a message")
 
 
@@ -35,6 +38,10 @@ class Emulation:
         self.laser: LaserEmulator | None = (
             make_emulator(config.laser_model, robot.laser) if config.laser_model else None
         )
+        self.imu: ImuEmulator | None = None
+        if config.imu_model and robot.imu is not None:
+            self.imu = make_imu_emulator(config.imu_model, robot.imu)
+        self._imu_noise = np.random.default_rng([seed, 12])  # on the inertial sensor's line
         self._noise = np.random.default_rng([seed, 8])  # on the laser's line
         self._queue: list[tuple[int, bytes]] = []  # bytes that the laser sends later, and when (ns)
         self._unplugged: set[str] = set()  # ports with an unplugged adapter
@@ -42,7 +49,12 @@ class Emulation:
     @property
     def ports(self) -> dict[str, PortConfig]:
         """The robot's side of the ports."""
-        return {BOARD: self.config.board, **({LASER: self.config.laser} if self.laser is not None else {})}
+        ports = {BOARD: self.config.board}
+        if self.laser is not None:
+            ports[LASER] = self.config.laser
+        if self.imu is not None:
+            ports[IMU] = self.config.imu
+        return ports
 
     def receive(self, data: SerialData, now: int) -> Out:
         """Passes a driver's bytes to their device, and sends its answer."""
@@ -51,6 +63,23 @@ class Emulation:
         elif data.port == LASER and self.laser is not None:
             received = b"" if Fault.LASER_STALLED in self.faults else data.data
             yield from _send(LASER, self._laser_line_bytes(self.laser.receive(received, now)), now)
+
+        elif data.port == IMU and self.imu is not None:
+            received = b"" if Fault.IMU_STALLED in self.faults else data.data
+            yield from _send(IMU, self._imu_line_bytes(self.imu.receive(received)), now)
+
+    def send_imu(self, imu: Imu, now: int) -> Out:
+        """What the inertial sensor says of a reading; without a model, the reading."""
+        if self.imu is None:
+            yield topics.IMU(imu)
+        else:
+            yield from _send(IMU, self._imu_line_bytes(self.imu.measure(imu)), now)
+
+    def _imu_line_bytes(self, data: bytes) -> bytes:
+        """What arrives of what the inertial sensor says."""
+        if Fault.IMU_STALLED in self.faults:
+            return b""
+        return self._imu_noise.bytes(len(data)) if Fault.IMU_GARBAGE in self.faults else data
 
     def send_report(self, report: BoardReport, now: int) -> Out:
         """What the board says of a report."""
