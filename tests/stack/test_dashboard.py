@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page's server as a process of a simulated stack: what a page sees, how it drives, and that it never drives on."""
 
+import os
+import signal
 import socket
 from collections.abc import Iterator
 
@@ -11,7 +13,7 @@ from services.dashboard.address import BASE_PORT
 from services.dashboard.login_store import LoginStore
 from shared import topics
 from shared.codec import decode
-from shared.messages import GuardState, PoseEstimate, Velocity
+from shared.messages import GuardState, Health, PoseEstimate, Velocity
 from shared.roles import Role
 from tests.stack.processes import ROBOT, StackProcesses, assert_replays, running
 from tests.unit.services.dashboard.browser import Browser
@@ -108,6 +110,26 @@ def test_a_request_reaches_its_service_and_a_service_that_is_missing_is_named(st
         assert (refused["accepted"], refused["reason"]) == (False, "not_running")
         assert "navigator" in refused["detail"]
         assert page.ask("ask", request="request/override", args={"seconds": 0.0})["accepted"]
+
+
+def test_a_page_stays_open_while_each_service_is_killed_and_shows_the_next_process(stack):
+    with page_of(stack) as page:
+        page.first("hello")
+        names = [name for name in BARE if name != "dashboard"]
+        page.send("want", keys=["map", "pose", "scan", *(f"health/{name}" for name in names)])
+
+        def shown_pids(name: str) -> list[int]:
+            return [decode(Health, f["b"])[0].pid for f in page.of("m") if f["k"] == f"health/{name}"]
+
+        for name in names:
+            page.until(lambda name=name: shown_pids(name))
+            before = stack.pid(name)
+            os.kill(before, signal.SIGKILL)
+            stack.until(lambda name=name, before=before: (shown_pids(name) or [before])[-1] != before)
+            assert shown_pids(name)[-1] == stack.pid(name)
+        n_frames = len(page.of("m"))
+        page.until(lambda: {"pose", "scan"} <= {f["k"] for f in page.of("m")[n_frames:]})
+        assert page.closed is None
 
 
 def test_what_pages_did_replays_to_the_byte_and_a_tool_lists_the_recording(tmp_path):

@@ -16,6 +16,7 @@ from zenav.cli.parts import (
     Setting,
     Simulated,
     Stack,
+    With,
     World,
     app,
 )
@@ -49,6 +50,7 @@ def demo(
     out: Out = None,
     page: Page = True,
     browser: Browser = True,
+    with_: With = "",
     robot: RobotName = "x80sv",
     world: World = "office",
     set_: Setting = None,
@@ -96,6 +98,7 @@ def up(
             metavar="A,B",
         ),
     ] = "",
+    with_: With = "",
     ros2: Annotated[
         str, typer.Option("--ros2", help="Bridge to ROS 2 nodes by their router: tcp/HOST:7447.", metavar="ROUTER")
     ] = "",
@@ -151,6 +154,7 @@ def run(
     service: Annotated[str, typer.Argument(help="Name of the service.", autocompletion=_services)],
     robot: RobotName = "x80sv",
     stack: Stack = "0",
+    with_: With = "",
     set_: Setting = None,
     clock: Annotated[str, typer.Option(metavar="EPOCH:SPEED", help="Simulated time: ns, times as fast as real.")] = "",
     memory: Annotated[

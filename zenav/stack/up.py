@@ -11,6 +11,7 @@ from pathlib import Path
 
 from shared import requests, topics
 from shared.config import RobotFile, UserError, configured, nearest
+from shared.extensions import service_module
 from shared.messages import Health
 from shared.runners.clock import clock_from
 from shared.runners.transport import stack_address
@@ -46,7 +47,7 @@ def run_service(service: str, robot: str, stack: str, settings: list[str], clock
     sys.argv[:] = [service, "--robot", robot, "--stack", stack, "--log", log, "--clock", clock, "--memory", memory]
     for setting in settings:
         sys.argv += ["--set", setting]
-    runpy.run_module(f"services.{service}", run_name="__main__", alter_sys=True)
+    runpy.run_module(service_module(service), run_name="__main__", alter_sys=True)
 
 
 def selected_services(only: list[str], whole: list[str], external: Sequence[str] = ()) -> list[str]:
