@@ -101,6 +101,34 @@ class MotorCommand(Message):
     right: Annotated[float, Unit("counts/s"), Within(-1e6, 1e6)]
 
 
+MAX_VY = 1e-3  # m/s; below it, sideways speed is arithmetic noise
+
+
+@dataclass(frozen=True, slots=True)
+class BaseOdometry(Message):
+    """Odometry of a base that controls its own speed: a pose, a twist, or both. Without one of them its fields are 0.
+
+    The pose is continuous while `epoch` stays the same: when the base counted from 0 last. A covariance of zeros is
+    unknown. `vy` must be 0: a holonomic base cannot be driven.
+    """
+
+    epoch: Stamp
+    has_pose: Flag
+    odom_from_base: Pose
+    has_twist: Flag
+    v: Speed
+    vy: Speed
+    w: TurnRate
+    covariance: Covariance
+    twist_covariance: Annotated[Float64s, Unit("m/s, m/s, rad/s squared, row by row"), Shape("9"), Within(-1e12, 1e12)]
+    battery: Annotated[float, Unit("V"), Within(0, 100, nan=True)]
+
+    def problem(self) -> str | None:
+        if abs(self.vy) > MAX_VY:
+            return f"vy is {self.vy:g} m/s: a holonomic base cannot be driven"
+        return None if self.has_pose or self.has_twist else "neither a pose nor a twist"
+
+
 @dataclass(frozen=True, slots=True)
 class Imu(Message):
     """What an inertial sensor measures, turned into `base`: turn rate about z (up), and specific force.

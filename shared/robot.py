@@ -2,15 +2,17 @@
 """The robot's hardware as configured: outline, drive and sensors. shared/config.py reads it from a robot's file."""
 
 from math import cos, hypot, pi
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from shared.polygon import signed_area, signed_distances
 from shared.section import Section
 
 CIRCLE_CORNERS = 32  # of the polygon around a round robot: it reaches 0.5 % beyond the circle
+HOLONOMIC = ("mecanum", "omni", "omnidirectional", "holonomic", "swerve")
 
 
 class Mount(Section):
@@ -24,6 +26,11 @@ class Mount(Section):
 class Drive(Section):
     """The differential drive."""
 
+    kind: Literal["differential", "velocity"] = Field(
+        "differential",
+        description="differential: two wheels with encoders; velocity: the base controls its own speed and does its "
+        "own odometry, as messages `hardware/velocity` and `hardware/odometry` or as a board",
+    )
     wheel_radius: float = Field(gt=0, le=1, description="m, mean of both")
     wheel_radius_ratio: float = Field(1.0, ge=0.8, le=1.25, description="right wheel's radius over the left one's")
     wheel_distance: float = Field(
@@ -40,6 +47,13 @@ class Drive(Section):
     max_turn_acceleration: float = Field(gt=0, le=100, description="rad/s^2")
     min_turning_radius: float = Field(0.0, ge=0, le=20, description="m: of the tightest arc that it drives; 0: any")
     turns_in_place: bool = Field(True, description="it may turn on the spot; if not, give min_turning_radius")
+
+    @field_validator("kind", mode="before")
+    @classmethod
+    def _not_holonomic(cls, value: Any) -> Any:
+        if value in HOLONOMIC:
+            raise ValueError("a holonomic base cannot be driven: zenav plans for bases that drive forward and turn")
+        return value
 
     @model_validator(mode="after")
     def _drivable(self) -> "Drive":
@@ -152,6 +166,12 @@ class Robot(Section):
             raise ValueError("footprint: a corner repeats its neighbour; the outline closes by itself")
         if self.inscribed_radius <= 0:
             raise ValueError("footprint: the origin of `base` must lie inside")
+        return self
+
+    @model_validator(mode="after")
+    def _without_ranges(self) -> "Robot":
+        if self.drive.kind == "velocity" and self.ranges:
+            raise ValueError("ranges: a base of drive.kind velocity sends no ranges")
         return self
 
     @model_validator(mode="after")

@@ -22,6 +22,12 @@ def odometry(stamp: int, odom_from_base: Pose2 = ORIGIN, v: float = 0.0) -> m.Od
     return m.Odometry(stamp, odom_from_base, v, 0.0, np.zeros(9))
 
 
+def base_odometry(stamp: int, odom_from_base: Pose2 = ORIGIN, v: float = 0.0) -> m.BaseOdometry:
+    """Pose and twist of a base that does its own odometry, with a covariance of 1 mm and 1 mrad. v: m/s."""
+    square = np.diag([1e-6, 1e-6, 1e-6]).ravel()
+    return m.BaseOdometry(stamp, stamp, True, odom_from_base, True, v, 0.0, 0.0, square, np.zeros(9), 12.0)
+
+
 def pose_estimate(stamp: int, map_from_base: Pose2 = ORIGIN) -> m.PoseEstimate:
     """A good pose, where `odom` is `map`."""
     return m.PoseEstimate(

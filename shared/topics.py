@@ -79,6 +79,8 @@ class Topic(Generic[M]):
 # fmt: off
 BOARD       = Topic("hardware/board",  m.BoardReport,   by="sim",                    hz=50, keep="all",    within=0.002)
 MOTORS      = Topic("hardware/motors", m.MotorCommand,  by="base_driver",            hz=50, keep="latest", within=0.002)
+BASE_MOTION = Topic("hardware/odometry", m.BaseOdometry, by="sim",                   hz=50, keep="all",    within=0.002)
+VELOCITY    = Topic("hardware/velocity", m.Velocity,    by="base_driver",            hz=50, keep="latest", within=0.002)
 IMU         = Topic("imu",             m.Imu,           by="base_driver sim",        hz=50, keep="all",    within=0.002)
 CONTACTS    = Topic("hardware/contacts", m.Contacts,    by="base_driver sim",        hz=20, keep="all",    within=0.002)
 RX          = Topic("port/rx",         m.SerialData,    by="*",                      hz=0,  keep="all",    within=0.001, people=True)
@@ -86,6 +88,7 @@ TX          = Topic("port/tx",         m.SerialData,    by="*",                 
 PORT        = Topic("port/state",      m.PortState,     by="*",                      hz=0,  keep="all",    within=0.001, people=True)
 PLUG        = Topic("port/plug",       m.PortState,     by="*",                      hz=0,  keep="all",    within=0.001, people=True)
 WHEELS      = Topic("base/wheels",     m.WheelState,    by="base_driver",            hz=50, keep="all",    within=0.002)
+BASE_ODOMETRY = Topic("base/odometry", m.BaseOdometry,  by="base_driver",            hz=50, keep="all",    within=0.002)
 RANGES      = Topic("base/ranges",     m.RangeReadings, by="base_driver",            hz=10, keep="latest", within=0.003)
 BASE_STATUS = Topic("base/status",     m.BaseStatus,    by="base_driver",            hz=2,  keep="latest", within=0.010, latched=True)
 REPORT      = Topic("base/report",     m.BoardReport,   by="base_driver",            hz=50, keep="all",    within=0.002, people=True)

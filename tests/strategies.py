@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from shared.geometry import Pose2
-from shared.messages import LaserScan, MapUpdate, Message, NonZero, Shape, Within
+from shared.messages import BaseOdometry, LaserScan, MapUpdate, Message, NonZero, Shape, Within
 from shared.service import handlers
 from shared.topics import TOPICS
 
@@ -88,6 +88,8 @@ def _field(kind: Any, name: str, hint: Any, length: dict[str, int]) -> st.Search
         return st.floats(0, 1)
     if kind is LaserScan and name == "range_max":
         return st.floats(2, 250)
+    if kind is BaseOdometry and name in ("vy", "has_pose"):  # no holonomic base; a pose or a twist
+        return st.just(0.0 if name == "vy" else True)
     if kind is MapUpdate and name in ("rows", "columns"):  # near enough that a dense grid holds them
         return hnp.arrays(np.int32, length["k"], elements=st.integers(-3, 3))
     return _value(hint, length)

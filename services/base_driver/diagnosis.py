@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which fault does the base have? Wheels, encoders, battery, range sensors and the link, in one order of priority."""
 
+from math import nan
+
 from services.base_driver.battery import BatteryMonitor
 from services.base_driver.config import BaseDriverConfig
 from services.base_driver.encoder_jumps import EncoderJumpDetector
-from services.base_driver.encoders import Encoders
+from services.base_driver.encoders import WheelAngles
 from services.base_driver.range_sensors import RangeSensorMonitor
 from services.base_driver.serial_board import SerialBoard
 from services.base_driver.wheel_faults import WheelFaults
 from shared import reasons
 from shared.config import Robot
-from shared.messages import BoardReport
+from shared.messages import BaseOdometry, BaseStatus, BoardReport
 
 SEPARATOR = "; "  # between the parts of a status's detail; the fault's text comes first
 ENCODERS_BROKEN_DETAIL = "the encoders' counts jump again and again"
@@ -29,7 +31,9 @@ class Diagnosis:
         self._serial = serial
         self._n_jumps = 0
 
-    def update(self, report: BoardReport, encoders: Encoders, wheel_command: tuple[float, float], now: int) -> None:
+    def update(
+        self, report: BoardReport | BaseOdometry, encoders: WheelAngles, wheel_command: tuple[float, float], now: int
+    ) -> None:
         """Judges a report after `encoders` has counted it; wheel_command: left and right, rad/s, as last sent."""
         n_jumps, self._n_jumps = self._n_jumps, encoders.n_jumps
         if encoders.n_jumps > n_jumps and self._jumps.add_jump(now) and not self.wheel_faults.code:
@@ -77,6 +81,21 @@ class Diagnosis:
             refused,
         )
         return SEPARATOR.join(dict.fromkeys(text for text in parts if text))
+
+    def status(
+        self,
+        now: int,
+        report: BoardReport | BaseOdometry | None,
+        state: tuple[str, bool, bool],
+        bad_stamps: str,
+        refused: str,
+    ) -> BaseStatus:
+        """The status after the last report. state: fault, is_linked, waits.  refused: as of `detail`."""
+        fault, is_linked, waits = state
+        battery = report.battery if report is not None else nan
+        currents = report.currents if isinstance(report, BoardReport) else (0.0, 0.0)
+        detail = self.detail(now, bad_stamps=bad_stamps, is_linked=is_linked, battery=battery, refused=refused)
+        return BaseStatus(now, battery, float(currents[0]), float(currents[1]), is_linked, fault, detail, waits)
 
     @property
     def _board_fault(self) -> str:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Wheel angles since the driver's start: wrapping encoder counters in, unwrapped angles out."""
 
+from typing import Protocol
+
 from pydantic import Field
 
 from services.base_driver.kinematics import count_difference, max_wheel_speed, wheel_angles
@@ -8,6 +10,14 @@ from shared.config import Drive, Section
 from shared.messages import BoardReport, WheelState
 
 MAX_ANGLE_RAD = 900_000.0  # rad; below WheelState's bound of 1e6; then a new epoch begins (77 km of an X80SV)
+
+
+class WheelAngles(Protocol):
+    """rad that both wheels have turned in this epoch, and the number of jumps so far."""
+
+    left: float
+    right: float
+    n_jumps: int
 
 
 class EncoderConfig(Section):

@@ -2,7 +2,6 @@
 """Base driver: `cmd/vel` to motor commands, board reports to wheel angles, ranges and status; the last watchdog."""
 
 from dataclasses import replace
-from math import nan
 
 from services.base_driver.body_sensors import BodySensors
 from services.base_driver.config import BaseDriverConfig
@@ -10,10 +9,20 @@ from services.base_driver.diagnosis import LATCHED_FAULTS, SEPARATOR, Diagnosis
 from services.base_driver.encoders import Encoders
 from services.base_driver.kinematics import board_counts, wheel_speeds
 from services.base_driver.serial_board import SerialBoard
+from services.base_driver.velocity_base import VelocityBase
 from services.base_driver.watchdog import Watchdog
 from shared import reasons, topics
 from shared.config import Robot
-from shared.messages import BaseStatus, BoardReport, EmergencyStop, MotorCommand, PortState, SerialData, Velocity
+from shared.messages import (
+    BaseOdometry,
+    BaseStatus,
+    BoardReport,
+    EmergencyStop,
+    MotorCommand,
+    PortState,
+    SerialData,
+    Velocity,
+)
 from shared.ports import PortConfig
 from shared.rejections import RejectionCause
 from shared.service import Out, Service, every, on
@@ -37,7 +46,9 @@ class BaseDriverService(Service):
         self.encoders = Encoders(config.encoders, robot.drive)
         self.diagnosis = Diagnosis(config, robot, self.serial)
         self.body_sensors = BodySensors(robot)
-        self.report: BoardReport | None = None
+        self.velocity_base = VelocityBase(config.encoders, robot.drive) if robot.drive.kind == "velocity" else None
+        self.report_key = topics.BOARD.key if self.velocity_base is None else topics.BASE_MOTION.key
+        self.report: BoardReport | BaseOdometry | None = None
         self.awake_since, self.drove_at = 0, -MAX_PAUSE_NS - 1  # ns: of ticks without a pause the first and the last
         self.is_linked = False
         self.pressed_stop: EmergencyStop | None = None
@@ -108,13 +119,11 @@ class BaseDriverService(Service):
 
     @on(topics.PORT)
     def port(self, state: PortState) -> Out:
-        """Handles a board port that opened or closed. In both cases the robot waits for a new command."""
+        """Handles a board port that opened or closed: the robot waits for a new command."""
         if self.serial is None or state.port != PORT:
             return
-        start_bytes = self.serial.update_port(state, self.now)
         self.watchdog.disarm(self.now)
-        if start_bytes:
-            yield topics.TX(SerialData(self.now, PORT, start_bytes))
+        yield from self._send(self.serial.update_port(state, self.now))
         yield from self._motor_commands()
         yield from self._status_if_changed()
 
@@ -124,37 +133,44 @@ class BaseDriverService(Service):
         if self.serial is None or data.port != PORT:
             return
         received = self.serial.receive(data, self.now)
-        if received.answer:
-            yield topics.TX(SerialData(self.now, PORT, received.answer))
+        yield from self._send(received.answer)
         if received.restarted:
-            self.encoders.restart()
-            self.diagnosis.wheel_faults.restart()
+            self._restart_angles()
         yield from self.body_sensors.publications(received, data.stamp)
         if received.report is not None:
             yield topics.REPORT(received.report)
             yield from self._process_report(received.report)
+        if received.odometry is not None:
+            yield from self._process_report(received.odometry)
 
     @on(topics.BOARD)
     def board(self, report: BoardReport) -> Out:
         """Handles the report of a board that sends messages."""
-        if self.serial is None:
-            yield from self._process_report(report)
+        return self._process_report(report) if self.serial is None else ()
 
-    def _process_report(self, report: BoardReport) -> Out:
-        last = self.report
-        before = last.stamp if last is not None else None
-        if not self.rejections.judge(topics.BOARD.key, report.stamp, before, self.now, self.config.board_age):
+    @on(topics.BASE_MOTION)
+    def base_motion(self, report: BaseOdometry) -> Out:
+        """Handles the odometry of a base that controls its own speed and sends messages."""
+        return self._process_report(report) if self.serial is None else ()
+
+    def _process_report(self, report: BoardReport | BaseOdometry) -> Out:
+        if isinstance(report, BoardReport) == (self.velocity_base is not None):
+            return  # of the other kind of drive
+        last, key = self.report, self.report_key
+        if not self.rejections.judge(key, report.stamp, last.stamp if last else None, self.now, self.config.board_age):
             return
         if last is not None and report.stamp <= last.stamp:
-            self.encoders.restart()  # the stack's clock was set back: a new epoch
+            self._restart_angles()  # the stack's clock was set back: a new epoch
         self.report = report
-        range_sensors = self.diagnosis.range_sensors
-        range_sensors.update(report)
-        if range_sensors.mismatch:
-            self.rejections.count(topics.BOARD.key, RejectionCause.CONTENT, range_sensors.mismatch)
-        for state in self.encoders.update(report, self.now):
-            yield topics.WHEELS(state)
-        self.diagnosis.update(report, self.encoders, self.wheel_command, self.now)
+        if isinstance(report, BoardReport):
+            range_sensors = self.diagnosis.range_sensors
+            range_sensors.update(report)
+            if range_sensors.mismatch:
+                self.rejections.count(key, RejectionCause.CONTENT, range_sensors.mismatch)
+            yield from (topics.WHEELS(state) for state in self.encoders.update(report, self.now))
+        elif self.velocity_base is not None:
+            yield topics.BASE_ODOMETRY(self.velocity_base.update(report, self.now))
+        self.diagnosis.update(report, self.velocity_base or self.encoders, self.wheel_command, self.now)
         self._update_link()
         yield from self._status_if_changed()
 
@@ -172,12 +188,10 @@ class BaseDriverService(Service):
 
     @every(hz=10)
     def publish_ranges(self) -> Out:
-        range_sensors = self.diagnosis.range_sensors
-        if range_sensors.mismatch:
-            return
-        if self.report is not None and self.report.stamp != self.ranges_stamp:
-            self.ranges_stamp = self.report.stamp
-            yield topics.RANGES(range_sensors.readings(self.report))
+        report, range_sensors = self.report, self.diagnosis.range_sensors
+        if isinstance(report, BoardReport) and not range_sensors.mismatch and report.stamp != self.ranges_stamp:
+            self.ranges_stamp = report.stamp
+            yield topics.RANGES(range_sensors.readings(report))
 
     @every(hz=2)
     def publish_status(self) -> Out:
@@ -187,19 +201,30 @@ class BaseDriverService(Service):
 
     def on_shutdown(self) -> Out:
         """Stops the motors; on a serial board, also switches off their power."""
-        self.wheel_command = 0.0, 0.0
-        yield topics.MOTORS(MotorCommand(self.now, 0.0, 0.0))
+        self.watchdog.disarm(self.now)
+        yield from self._motor_commands()
         if self.serial is not None:
-            yield topics.TX(SerialData(self.now, PORT, self.serial.stop_bytes()))
+            yield from self._send(self.serial.stop_bytes())
 
     def _motor_commands(self) -> Out:
         is_stopped = bool(self.fault) or not self.is_linked
         v, w = (0.0, 0.0) if is_stopped else self.robot.drive.clamped(*self.watchdog.velocity(self.now))
         self.wheel_command = wheel_speeds(v, w, self.robot.drive)
-        command = MotorCommand(self.now, *board_counts(*self.wheel_command, self.robot.drive))
-        yield topics.MOTORS(command)
+        left, right = board_counts(*self.wheel_command, self.robot.drive)
+        if self.velocity_base is None:
+            yield topics.MOTORS(MotorCommand(self.now, left, right))
+        else:
+            yield topics.VELOCITY(Velocity(self.now, v, w, ""))
         if self.serial is not None and self.serial.open:
-            yield topics.TX(SerialData(self.now, PORT, self.serial.command(command.left, command.right, self.now)))
+            yield from self._send(self.serial.command(left, right, self.now))
+
+    def _send(self, data: bytes) -> Out:
+        if data:
+            yield topics.TX(SerialData(self.now, PORT, data))
+
+    def _restart_angles(self) -> None:
+        (self.velocity_base or self.encoders).restart()
+        self.diagnosis.wheel_faults.restart()
 
     def _update_link(self) -> None:
         silent = round(self.config.board_silent * 1e9)
@@ -208,7 +233,7 @@ class BaseDriverService(Service):
     def _bad_stamps(self) -> str:
         """What is wrong with the reports' stamps, when no recent report can be used; else empty."""
         is_recent = self.report is not None and self.now - self.report.stamp <= self.config.board_age * 1e9
-        return "" if is_recent else self.rejections.stamp_problem(topics.BOARD.key, self.now)
+        return "" if is_recent else self.rejections.stamp_problem(self.report_key, self.now)
 
     def _status_if_changed(self) -> Out:
         fault = self.fault
@@ -220,27 +245,6 @@ class BaseDriverService(Service):
             yield from self._motor_commands()
 
     def _status(self) -> Publication:
-        fault, report = self.fault, self.report
-        waits = not self.watchdog.armed
-        self.published = fault, self.is_linked, waits
-        battery = report.battery if report else nan
-        left_current, right_current = (float(a) for a in report.currents) if report else (0.0, 0.0)
-        detail = self.diagnosis.detail(
-            self.now,
-            bad_stamps=self._bad_stamps(),
-            is_linked=self.is_linked,
-            battery=battery,
-            refused=self.watchdog.refused,
-        )
-        return topics.BASE_STATUS(
-            BaseStatus(
-                stamp=self.now,
-                battery=battery,
-                left_current=left_current,
-                right_current=right_current,
-                link=self.is_linked,
-                fault=fault,
-                detail=detail,
-                waits=waits,
-            )
-        )
+        self.published = state = self.fault, self.is_linked, not self.watchdog.armed
+        refused = self.watchdog.refused
+        return topics.BASE_STATUS(self.diagnosis.status(self.now, self.report, state, self._bad_stamps(), refused))

@@ -31,13 +31,13 @@ class VelocityBase:
 
     def update(self, report: BaseOdometry, now: int) -> BaseOdometry:
         """The report with the driver's epoch, ns. now: ns."""
-        last = self._last
-        if last is None or last.epoch != report.epoch or not self._add_step(last, report):
-            self.epoch = now if self.epoch is None else max(now, self.epoch + 1)
-        self._last = report
+        last, epoch = self._last, self.epoch
+        if epoch is None or last is None or last.epoch != report.epoch or not self._add_step(last, report):
+            epoch = now if epoch is None else max(now, epoch + 1)
+        self._last, self.epoch = report, epoch
         if max(abs(self.left), abs(self.right)) > MAX_ANGLE_RAD:
             self.left = self.right = 0.0
-        return replace(report, epoch=self.epoch)
+        return replace(report, epoch=epoch)
 
     def _add_step(self, before: BaseOdometry, after: BaseOdometry) -> bool:
         """Adds the motion between two reports; False where no base can move so."""

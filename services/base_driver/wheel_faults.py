@@ -7,7 +7,7 @@ again. More than MAX_RETRIES within RETRY_WINDOW_NS are a latched fault.
 
 from collections import deque
 
-from services.base_driver.encoders import Encoders
+from services.base_driver.encoders import WheelAngles
 from services.base_driver.stuck_detection import StuckConfig, StuckDetector
 from services.base_driver.wheel_tracking import WheelTrackingConfig, WheelTrackingMonitor
 from shared import reasons
@@ -75,7 +75,7 @@ class WheelFaults:
         self._reset_tracking()
         return True
 
-    def update(self, stamp: int, encoders: Encoders, commanded: tuple[float, float], now: int) -> None:
+    def update(self, stamp: int, encoders: WheelAngles, commanded: tuple[float, float], now: int) -> None:
         """Judges a report: its stamp (ns), the wheel angles, and the commanded speeds (left, right, rad/s)."""
         has_jumped, self._n_jumps = encoders.n_jumps != self._n_jumps, encoders.n_jumps
         if self._report_age is not None and now - stamp < self._report_age - MAX_CLOCK_STEP_NS:

@@ -29,9 +29,7 @@ class BasePose:
         self.v = self.w = 0.0  # m/s, rad/s
         self._wheel_variance, self._wheel_distance = wheel_variance, wheel_distance
         self._last: BaseOdometry | None = None
-        self._odom_from_start = (
-            Pose2()
-        )  # pose and covariance at the beginning of the epoch, and the base's own pose then
+        self._odom_from_start = Pose2()  # at the beginning of the epoch, as the two below
         self._start_covariance = np.zeros((3, 3))
         self._base_start = Pose2()
 

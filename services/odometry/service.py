@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Odometry: wheel angles and gyro in; continuous pose with covariance, and twist, out."""
+"""Odometry: wheel angles and gyro, or a base's own odometry, in; continuous pose with covariance, and twist, out."""
 
 import numpy as np
 
+from services.odometry.base_pose import BasePose
 from services.odometry.dead_reckoning import INTEGRATIONS, DeadReckoningConfig, arc_motion, propagated_covariance
 from services.odometry.gyro import Gyro
 from shared import topics
 from shared.config import Robot
 from shared.geometry import Pose2
-from shared.messages import Imu, Odometry, WheelState
+from shared.messages import BaseOdometry, Imu, Odometry, WheelState
 from shared.rejections import RejectionCause
 from shared.service import Log, Out, Service, on
 from shared.stamps import precedes
@@ -35,6 +36,8 @@ class OdometryService(Service):
         self.odom_from_base = Pose2()
         self.covariance = np.zeros((3, 3))
         self.last_wheels: WheelState | None = None
+        self.base_pose = BasePose(config.wheel_variance, robot.drive.wheel_distance)
+        self.last_base: BaseOdometry | None = None
         self.gyro = Gyro(config.gyro)
         self.by_gyro = False  # the last step's heading
         self.slips = False
@@ -70,6 +73,26 @@ class OdometryService(Service):
             self.gyro.skip_turn()
         self.last_wheels = wheels
         yield topics.ODOM(self._odometry(wheels))
+
+    @on(topics.BASE_ODOMETRY)
+    def base_odometry(self, message: BaseOdometry) -> Out:
+        """Passes on the odometry of a base that does its own."""
+        last = self.last_base
+        if last is not None and last.epoch == message.epoch:
+            if message.stamp <= last.stamp:
+                detail = "stamps stand still" if message.stamp == last.stamp else "stamps go back"
+                self.rejections.reject(topics.BASE_ODOMETRY.key, RejectionCause.SEQUENCE, detail, self.now)
+                return
+            self.base_pose.add(message)
+        elif last is not None and precedes(message.epoch, last.epoch, self.now):
+            return  # a late message of the previous driver process
+        else:
+            self.base_pose.begin_epoch(message)
+        self.last_base = message
+        pose = self.base_pose
+        covariance = np.clip(pose.covariance, -MAX_VARIANCE, MAX_VARIANCE)
+        v, w = min(max(pose.v, -20.0), 20.0), min(max(pose.w, -50.0), 50.0)
+        yield topics.ODOM(Odometry(message.stamp, pose.odom_from_base, v, w, covariance.ravel()))
 
     def _integrate(self, before: WheelState, after: WheelState) -> Out:
         drive = self.robot.drive

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulator of the hardware: `hardware/motors` in; `hardware/board`, `scan`, the truth and the clock out."""
 
-from math import ceil, pi
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 from services.sim import dynamics as dyn
 from services.sim import fault_requests
 from services.sim import people as pedestrians
+from services.sim.board import SimulatedBoard
 from services.sim.config import SimConfig
 from services.sim.contact import offset_polygon, touches_world, transform_polygon
 from services.sim.contact_sensors import ContactSensors
 from services.sim.drive import (
-    battery_voltage,
-    encoder_counts,
     motor_currents,
     true_wheels,
     wheel_targets,
@@ -23,13 +22,13 @@ from services.sim.hardware.emulation import Emulation
 from services.sim.imu import SimulatedImu
 from services.sim.laser import SimulatedLaser
 from services.sim.message_faults import MessageFaults
-from services.sim.sensors import add_noise, cone_ranges, cone_table
+from services.sim.velocity_base import rim_turns
 from services.sim.world import World
 from services.sim.world_loader import load_world
 from shared import requests, topics
 from shared.config import Robot, UserError
 from shared.geometry import Pose2, wrapped
-from shared.messages import BoardReport, Clock, Contacts, Imu, LaserScan, MotorCommand, SerialData, Truth
+from shared.messages import BoardReport, Clock, Contacts, Imu, LaserScan, MotorCommand, SerialData, Truth, Velocity
 from shared.ports import PortConfig
 from shared.requests import Break, Reply
 from shared.service import Answer, Out, Service, answer, every, on
@@ -59,10 +58,10 @@ class SimService(Service):
                 "move the world's `start:`, or set `start:` in section `sim`",
             )
         self.wheels = true_wheels(robot.drive, config.drive, dyn.DT)
-        self.slip_rng, laser_rng, self.range_rng, once = (
+        self.slip_rng, laser_rng, range_rng, once = (
             np.random.default_rng([config.seed, stream]) for stream in (3, 4, 5, 6)
         )
-        self.first_counts = [int(n) for n in once.integers(robot.drive.encoder_wrap, size=2)]
+        self.board = SimulatedBoard(config, robot, range_rng, once)
         self.state_now = np.zeros(14)
         self.state_now[:3] = pose.x, pose.y, pose.yaw
         self.targets = np.zeros(2)
@@ -70,11 +69,8 @@ class SimService(Service):
         emulated = config.hardware == "emulated"
         self.emulation = Emulation(config.emulation, robot, config.seed) if emulated else None
         self.faults = MessageFaults(robot, config.seed)
-        self.used_charge = 0.0  # Ah
         steps_back = ceil(robot.laser.scan_time / dyn.DT) + CATCH_UP_STEPS + 4
         self.history = np.zeros((steps_back, 3 + 3 * len(self.world.people)))
-        self.n_ultrasonic = sum(sensor.kind == "ultrasonic" for sensor in robot.ranges)
-        self.cone_table = cone_table(robot)
         self.epoch: int | None = None  # ns: time of step 0
         self.step = 0
         self.laser = SimulatedLaser(robot.laser, config.laser, laser_rng)
@@ -89,7 +85,7 @@ class SimService(Service):
         )  # fmt: skip
         self.laser.true_sweep(self.cells, self.history, 0)
         self._contacts()
-        cone_ranges(self.cells, self.history[0], self.cone_table, self.config.ranges.n_rays)
+        self.board.warm_up(self.cells, self.history[0])
 
     def _people(self) -> pedestrians.People:
         start = self.world.start.x, self.world.start.y
@@ -127,13 +123,23 @@ class SimService(Service):
 
     @on(topics.MOTORS)
     def motors(self, command: MotorCommand) -> Out:
-        if self.emulation is not None:
-            return ()
-        self._catch_up()
-        self.targets[:] = wheel_targets(command.left, command.right, self.robot.drive)
-        command_steps = self.config.drive.command_life
-        self.command_steps = 2**62 if command_steps is None else ceil(command_steps / dyn.DT)
+        if self.emulation is None:
+            self._take_command(*wheel_targets(command.left, command.right, self.robot.drive))
         return ()
+
+    @on(topics.VELOCITY)
+    def velocity(self, command: Velocity) -> Out:
+        """Takes the command of a base that controls its own speed."""
+        if self.emulation is None or self.emulation.board is None:
+            self._take_command(*rim_turns(command.v, command.w, self.robot.drive))
+        return ()
+
+    def _take_command(self, left: float, right: float) -> None:
+        """Sets the speeds of both wheels, rad/s."""
+        self._catch_up()
+        self.targets[:] = left, right
+        life = self.config.drive.command_life
+        self.command_steps = 2**62 if life is None else ceil(life / dyn.DT)
 
     @every(hz=50)
     def tick(self) -> Out:
@@ -142,13 +148,18 @@ class SimService(Service):
             self.faults.active.expire(self.now)
             sent = (self.faults.scan(scan) for scan in self._due_scans())
             yield from (topics.SCAN(scan) for scan in sent if scan is not None)
-            yield topics.BOARD(self.faults.board(self._board()))
+            is_velocity_base = self.robot.drive.kind == "velocity"
+            yield from self._base_motion() if is_velocity_base else (topics.BOARD(self.faults.board(self._board())),)
             yield from self._body_sensors()
         else:
             yield from self.emulation.update_plugs(self.now)
             self._obey_board(self.emulation)
             yield from self.emulation.send_sweeps(self._due_scans(), self.now)
-            yield from self.emulation.send_report(self._board(), self._imu(), self._contacts(), self.now)
+            if self.emulation.board is not None:
+                yield from self.emulation.send_report(self._board(), self._imu(), self._contacts(), self.now)
+            else:
+                yield from self._base_motion()
+                yield from self._body_sensors()
         yield topics.TRUTH(self._truth())
         yield topics.CLOCK(Clock(self.now, 1.0))
 
@@ -173,6 +184,8 @@ class SimService(Service):
 
     def _obey_board(self, emulation: Emulation) -> None:
         """Sets the wheels' targets from the emulated board's motor command, for its remaining time."""
+        if emulation.board is None:
+            return
         left, right, command_steps = emulation.board.motors(self.now)
         self.targets[:] = wheel_targets(left, right, self.robot.drive)
         self.command_steps = 2**62 if command_steps is None else ceil(command_steps / dyn.DT_NS)
@@ -190,8 +203,7 @@ class SimService(Service):
         )  # fmt: skip
         self.step += n
         self.command_steps = max(self.command_steps - n, 0)
-        amperes = float(self._currents().sum()) + self.config.battery.idle_current
-        self.used_charge += amperes * n * dyn.DT / 3600
+        self.board.discharge(self._currents(), n * dyn.DT)
 
     def _restart_time(self) -> None:
         self.epoch, self.step, self.laser.sweep = self.now, 0, 0
@@ -210,26 +222,12 @@ class SimService(Service):
         return motor_currents(s[dyn.LEFT_SPEED : dyn.RIGHT_SPEED + 1], targets, self.wheels.limit, s[dyn.CONTACT] > 0)
 
     def _board(self) -> BoardReport:
-        s, drive = self.state_now, self.robot.drive
-        at = self.history[self.step % len(self.history)]
-        true = cone_ranges(self.cells, at, self.cone_table, self.config.ranges.n_rays)
-        reach = self.cone_table[:, 4]
-        ranges = add_noise(true, self.config.ranges, 0.0, reach, self.range_rng)
-        currents = self._currents()
-        left, right = -drive.motor_direction, drive.motor_direction  # signs of the board's encoders
-        per_radian = drive.counts_per_turn / (2 * pi)
-        idle_current = self.config.battery.idle_current
-        return BoardReport(
-            stamp=self.time,
-            left_counts=encoder_counts(left * s[dyn.LEFT_ANGLE], self.first_counts[0], drive),
-            right_counts=encoder_counts(right * s[dyn.RIGHT_ANGLE], self.first_counts[1], drive),
-            left_speed=float(np.rint(left * s[dyn.LEFT_SPEED] * per_radian)),
-            right_speed=float(np.rint(right * s[dyn.RIGHT_SPEED] * per_radian)),
-            ultrasonic=ranges[: self.n_ultrasonic],
-            infrared=ranges[self.n_ultrasonic :],
-            battery=battery_voltage(self.config.battery, self.used_charge, float(currents.sum()) + idle_current),
-            currents=currents,
-        )
+        row = self.history[self.step % len(self.history)]
+        return self.board.report(self.time, self.state_now, row, self.cells, self._currents())
+
+    def _base_motion(self) -> Out:
+        """Odometry of a base that controls its own speed."""
+        yield topics.BASE_MOTION(self.board.odometry(self.time, self.epoch or 0, self.state_now, self._currents()))
 
     def _truth(self) -> Truth:
         s = self.state_now

@@ -74,6 +74,41 @@ export interface MotorCommand {
   readonly right: number;
 }
 
+/** Odometry of a base that controls its own speed: a pose, a twist, or both. Without one of them its fields are 0. */
+export interface BaseOdometry {
+  /** ns */
+  readonly stamp: number;
+  /** ns */
+  readonly epoch: number;
+  readonly has_pose: boolean;
+  /** m, m, rad */
+  readonly odom_from_base: Pose;
+  readonly has_twist: boolean;
+  /** m/s */
+  readonly v: number;
+  /** m/s */
+  readonly vy: number;
+  /** rad/s */
+  readonly w: number;
+  /** m, m, rad squared, row by row */
+  readonly covariance: Float64Array;
+  /** m/s, m/s, rad/s squared, row by row */
+  readonly twist_covariance: Float64Array;
+  /** V */
+  readonly battery: number;
+}
+
+/** A velocity in `base`. `reason` says why it is zero or slowed, empty when it is neither. */
+export interface Velocity {
+  /** ns */
+  readonly stamp: number;
+  /** m/s */
+  readonly v: number;
+  /** rad/s */
+  readonly w: number;
+  readonly reason: string;
+}
+
 /** What an inertial sensor measures, turned into `base`: turn rate about z (up), and specific force. */
 export interface Imu {
   /** ns */
@@ -406,17 +441,6 @@ export interface NavTask {
   readonly dwell: number;
 }
 
-/** A velocity in `base`. `reason` says why it is zero or slowed, empty when it is neither. */
-export interface Velocity {
-  /** ns */
-  readonly stamp: number;
-  /** m/s */
-  readonly v: number;
-  /** rad/s */
-  readonly w: number;
-  readonly reason: string;
-}
-
 /** STOP, latched: it holds until an operator releases it; releasing never moves the robot. */
 export interface EmergencyStop {
   /** ns */
@@ -539,9 +563,12 @@ export interface Truth {
 export interface MessageOf {
   "hardware/board": BoardReport;
   "hardware/motors": MotorCommand;
+  "hardware/odometry": BaseOdometry;
+  "hardware/velocity": Velocity;
   "imu": Imu;
   "hardware/contacts": Contacts;
   "base/wheels": WheelState;
+  "base/odometry": BaseOdometry;
   "base/ranges": RangeReadings;
   "base/status": BaseStatus;
   "base/report": BoardReport;
@@ -578,6 +605,8 @@ export type Key = keyof MessageOf;
 /** Array fields of each key: dtype, and the number of axes over 1. `zones[].xs`: of each item of a list. */
 export const ARRAYS: { readonly [K in Key]?: Readonly<Record<string, string>> } = {
   "hardware/board": { "ultrasonic": "f4", "infrared": "f4", "currents": "f4" },
+  "hardware/odometry": { "covariance": "f8", "twist_covariance": "f8" },
+  "base/odometry": { "covariance": "f8", "twist_covariance": "f8" },
   "base/ranges": { "x": "f4", "y": "f4", "yaw": "f4", "field_of_view": "f4", "ranges": "f4" },
   "base/report": { "ultrasonic": "f4", "infrared": "f4", "currents": "f4" },
   "scan": { "ranges": "f4", "intensities": "f4" },
@@ -597,6 +626,8 @@ export const ARRAYS: { readonly [K in Key]?: Readonly<Record<string, string>> } 
 export const FIELDS: Readonly<Record<string, Readonly<Record<string, string>>>> = {
   BoardReport: { stamp: "number", left_counts: "number", right_counts: "number", left_speed: "number", right_speed: "number", ultrasonic: "array f4 1", infrared: "array f4 1", battery: "number", currents: "array f4 1" },
   MotorCommand: { stamp: "number", left: "number", right: "number" },
+  BaseOdometry: { stamp: "number", epoch: "number", has_pose: "boolean", odom_from_base: "pose", has_twist: "boolean", v: "number", vy: "number", w: "number", covariance: "array f8 1", twist_covariance: "array f8 1", battery: "number" },
+  Velocity: { stamp: "number", v: "number", w: "number", reason: "string" },
   Imu: { stamp: "number", yaw_rate: "number", acceleration_x: "number", acceleration_y: "number", acceleration_z: "number" },
   Contacts: { stamp: "number", bumpers: "list of string", cliffs: "list of string", estop: "boolean" },
   WheelState: { stamp: "number", epoch: "number", left: "number", right: "number", left_speed: "number", right_speed: "number" },
@@ -618,7 +649,6 @@ export const FIELDS: Readonly<Record<string, Readonly<Record<string, string>>>> 
   FollowStatus: { stamp: "number", goal_id: "number", state: "enum FollowState", reason: "string", distance_left: "number" },
   NavStatus: { stamp: "number", task_id: "number", state: "enum NavState", recovery: "string", reason: "string", detail: "string", goal: "pose", distance_left: "number", time_left: "number", waypoint: "number", n_waypoints: "number", n_recoveries: "number", round: "number", n_rounds: "number" },
   NavTask: { stamp: "number", task_id: "number", kind: "enum TaskKind", age: "number", map_id: "number", paused: "boolean", poses: "list of pose", dwells: "list of number", loops: "number", any_heading: "boolean", tolerance: "number", yaw_tolerance: "number", waypoint: "number", round: "number", dwelling: "boolean", dwell: "number" },
-  Velocity: { stamp: "number", v: "number", w: "number", reason: "string" },
   EmergencyStop: { stamp: "number", pressed: "boolean", by: "string" },
   Costmap: { stamp: "number", x: "number", y: "number", resolution: "number", cells: "array i1 2" },
   Rollouts: { stamp: "number", xs: "array f4 2", ys: "array f4 2", costs: "array f4 1" },

@@ -16,7 +16,7 @@ from zenav.client.topic_check import KeyCheck
 from zenav.stack.service_loader import service_class
 
 PERIOD_S = 2.0  # between two looks at the messages of each topic
-SOURCES = (topics.BOARD, topics.SCAN)
+SOURCES = (topics.BOARD, topics.BASE_MOTION, topics.SCAN)
 ALL_RUN = "every service runs"
 HINT = (
     "connect the robot's devices (base_driver.port, lidar_driver.port), simulate with --world office, "
@@ -31,7 +31,9 @@ def expected_topics(names: Sequence[str], external: Sequence[str], file: RobotFi
     """
     read = {key for name in names for key in handlers(service_class(name)).topics}
     if file.section("base_driver", BaseDriverConfig).port.given:
-        read.discard(topics.BOARD.key)
+        read -= {topics.BOARD.key, topics.BASE_MOTION.key}
+    is_velocity_base = file.robot.drive.kind == "velocity"
+    read.discard((topics.BOARD if is_velocity_base else topics.BASE_MOTION).key)
     return [
         topic
         for topic in TOPICS

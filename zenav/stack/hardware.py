@@ -31,9 +31,17 @@ class Hardware(StrEnum):
 
 
 def emulated_ports(file: RobotFile) -> tuple[str, ...]:
-    """The ports of the robot's emulated hardware. A robot without a laser that is emulated gets scans as messages."""
+    """The ports of the robot's emulated hardware. What has no port there is messages: a laser that is not emulated.
+
+    So is a base that controls its own speed, unless its board is one that sends poses.
+    """
     has_laser = bool(file.section("sim", SimConfig).emulation.laser_model)
-    return tuple(DRIVERS) if has_laser else ("board",)
+    is_board = file.robot.drive.kind == "differential" or _board_model(file) == "velocity"
+    return tuple(port for port, is_emulated in (("board", is_board), ("laser", has_laser)) if is_emulated)
+
+
+def _board_model(file: RobotFile) -> str:
+    return file.section("base_driver", BaseDriverConfig).board.model
 
 
 def services_for(hardware: Hardware, file: RobotFile) -> list[str]:
@@ -57,9 +65,14 @@ def settings_for(hardware: Hardware, file: RobotFile, links: Path | None) -> lis
         for driver in DRIVERS.values():
             settings += [f"{driver}.port.device=''", f"{driver}.port.serial_number=''"]
         return settings
-    model = file.section("base_driver", BaseDriverConfig).board.model
-    settings = ["sim.hardware=emulated", f"sim.emulation.board_model={model}"]
-    for port in emulated_ports(file):
+    ports = emulated_ports(file)
+    settings = [
+        "sim.hardware=emulated",
+        f"sim.emulation.board_model={_board_model(file) if 'board' in ports else repr('')}",
+    ]
+    if "board" not in ports:
+        settings += ["base_driver.port.device=''", "base_driver.port.serial_number=''"]
+    for port in ports:
         far, near = (f"pty:{links.resolve()}/{port}", f"{links.resolve()}/{port}") if links else (WIRED, WIRED)
         settings.append(f"sim.emulation.{port}.device={json.dumps(far)}")
         settings.append(f"{DRIVERS[port]}.port.device={json.dumps(near)}")

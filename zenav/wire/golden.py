@@ -55,6 +55,7 @@ def _from_samples() -> tuple[Message, ...]:
     cells = (np.arange(TILE_CELLS**2) % 102 - 1).astype(np.int8)
     return (
         samples.odometry(STAMP, POSE, 0.25),
+        samples.base_odometry(STAMP, POSE, 0.25),
         samples.pose_estimate(STAMP, POSE),
         samples.scan(STAMP, laser, ranges),
         samples.range_readings(STAMP, 3),

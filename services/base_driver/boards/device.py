@@ -12,7 +12,7 @@ from services.base_driver.boards.board_config import SerialBoardConfig
 from services.base_driver.kinematics import count_difference, wheel_angles
 from shared.board_framing import LineCounts
 from shared.config import Robot, UserError
-from shared.messages import BoardReport
+from shared.messages import BaseOdometry, BoardReport
 
 NO_RANGES = np.empty(0, np.float32)
 MIN_SPEED_STEP_S = 0.06  # s; counts over a shorter time give a coarse speed
@@ -32,12 +32,14 @@ class BoardContacts(NamedTuple):
 class BoardInput:
     """Content of received bytes.
 
-    report: the newest report, None without one.  n_reports: how many there were.  answer: bytes to send.
+    report: the newest report, None without one.  odometry: instead of it, of a board that does its own.
+    n_reports: how many there were.  answer: bytes to send.
     restarted: the board was restarted, so its counters began again.  yaw_rate: rad/s by a gyro, None without one.
     contacts: pressed bumpers, cliff sensors without floor, and the e-stop input; None where the board has none.
     """
 
     report: BoardReport | None = None
+    odometry: BaseOdometry | None = None
     n_reports: int = 0
     answer: bytes = b""
     restarted: bool = False

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """ODrive by its ASCII protocol, over USB or UART: axis 0 is the left wheel, axis 1 the right one.
 
-`v axis turns/s torque`, `f axis` (answer: position in turns and turns/s), `r` and `w` of a property. `*` and the XOR of
-the bytes before it end a request; its answer then has such a checksum, too. "ASCII Protocol" of
+`v axis turns/s torque`, `f axis` (answer: position in turns and turns/s), `r` and `w` of a property. A request ends
+with `*` and the XOR of the bytes before it. Its answer then has such a checksum, too. "ASCII Protocol" of
 docs.odriverobotics.com, firmware 0.5.1 and later, 2020.
 """
 

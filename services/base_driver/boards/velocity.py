@@ -7,12 +7,17 @@ board:    $T,seq,ms,ack,flags,battery,gyro,left,right*CRC                 mV, mr
 
 from math import nan
 
+import numpy as np
+
 from services.base_driver.boards.board_config import SerialBoardConfig
 from services.base_driver.boards.device import BoardContacts, BoardInput, WheelDevice
 from shared.board_framing import LineFramer
 from shared.config import Robot
+from shared.geometry import Pose2, wrapped
+from shared.messages import BaseOdometry
 from shared.velocity_board import (
     COMMAND,
+    POSE,
     SEQUENCES,
     TICK_WRAP,
     TICKS,
@@ -22,7 +27,9 @@ from shared.velocity_board import (
     line_fields,
 )
 
-N_TICK_FIELDS = 9
+N_FIELDS = {TICKS: 9, POSE: 12}
+WRONG_KIND = "the board sends {}: set robot.drive.kind: {}"
+MAX_VALUE = 1 << 31
 MAX_YAW_RATE = 50.0  # rad/s; bound of Imu
 BUMPERS = {"left": BoardFlags.BUMPER_LEFT, "front": BoardFlags.BUMPER_FRONT, "right": BoardFlags.BUMPER_RIGHT}
 CLIFFS = {"left": BoardFlags.CLIFF_LEFT, "front": BoardFlags.CLIFF_FRONT, "right": BoardFlags.CLIFF_RIGHT}
@@ -79,7 +86,7 @@ class VelocityBoard(WheelDevice):
             values = [int(field) for field in fields[7:]]
         except (IndexError, ValueError):
             return False
-        if kind != TICKS or len(fields) != N_TICK_FIELDS:
+        if len(fields) != N_FIELDS.get(kind, 0):
             return False
         if self._last is not None and ms < self._last[1]:
             received.restarted = True
@@ -92,7 +99,12 @@ class VelocityBoard(WheelDevice):
         received.yaw_rate = yaw_rate if yaw_rate is None or abs(yaw_rate) <= MAX_YAW_RATE else None
         self.battery = battery if 0 <= battery <= 100 else nan
         self.fault = MOTOR_FAULT if BoardFlags.MOTOR_FAULT in flags else ""
-        received.report = self.report(stamp, values[0], values[1], ms * 1e-3)
+        if kind == TICKS:
+            received.report = self.report(stamp, values[0], values[1], ms * 1e-3)
+        else:
+            received.odometry = base_odometry(stamp, values, self.battery)
+        if (kind == POSE) != (self.drive.kind == "velocity"):
+            self.fault = WRONG_KIND.format(*(("ticks", "differential") if kind == TICKS else ("poses", "velocity")))
         received.n_reports += 1
         return True
 
@@ -101,3 +113,23 @@ def board_contacts(flags: BoardFlags) -> BoardContacts:
     """The contacts that the flags of a line report."""
     bumpers, cliffs = (tuple(name for name, flag in table.items() if flag in flags) for table in (BUMPERS, CLIFFS))
     return BoardContacts(bumpers, cliffs, BoardFlags.ESTOP in flags)
+
+
+def base_odometry(stamp: int, values: list[int], battery: float) -> BaseOdometry:
+    """The odometry of a pose line: x, y (0.1 mm), yaw (0.1 mrad), v (mm/s), w (mrad/s). battery: V."""
+    x, y, yaw, v, w = (min(max(value, -MAX_VALUE), MAX_VALUE) for value in values)
+    twist = min(max(v * 1e-3, -20.0), 20.0), min(max(w * 1e-3, -50.0), 50.0)
+    pose = Pose2(x * 1e-4, y * 1e-4, wrapped(yaw * 1e-4))
+    return BaseOdometry(
+        stamp=stamp,
+        epoch=0,
+        has_pose=True,
+        odom_from_base=pose,
+        has_twist=True,
+        v=twist[0],
+        vy=0.0,
+        w=twist[1],
+        covariance=np.zeros(9),
+        twist_covariance=np.zeros(9),
+        battery=battery,
+    )

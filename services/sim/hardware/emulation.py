@@ -23,7 +23,9 @@ class EmulationConfig(Section):
 
     board: PortConfig = Field(PortConfig(device="pty:/tmp/zenav-board"), description="where the board is plugged in")
     laser: PortConfig = Field(PortConfig(device="pty:/tmp/zenav-laser"), description="where the laser is plugged in")
-    board_model: str = Field("drrobot", description="model of the emulated board, as base_driver.board.model")
+    board_model: str = Field(
+        "drrobot", description="model of the emulated board, as base_driver.board.model; empty: the base stays messages"
+    )
     laser_model: str = Field("", description="model of the emulated laser; empty: the scan stays a message")
 
 
@@ -33,7 +35,7 @@ class Emulation:
     def __init__(self, config: EmulationConfig, robot: Robot, seed: int) -> None:
         self.config = config
         self.faults = ActiveFaults()
-        self.board = make_board(config.board_model, self.faults, seed, robot)
+        self.board = make_board(config.board_model, self.faults, seed, robot) if config.board_model else None
         self.laser: LaserEmulator | None = (
             make_emulator(config.laser_model, robot.laser) if config.laser_model else None
         )
@@ -44,11 +46,12 @@ class Emulation:
     @property
     def ports(self) -> dict[str, PortConfig]:
         """The robot's side of the ports."""
-        return {BOARD: self.config.board, **({LASER: self.config.laser} if self.laser is not None else {})}
+        emulated = ((BOARD, self.board, self.config.board), (LASER, self.laser, self.config.laser))
+        return {name: port for name, device, port in emulated if device is not None}
 
     def receive(self, data: SerialData, now: int) -> Out:
         """Passes a driver's bytes to their device, and sends its answer."""
-        if data.port == BOARD:
+        if data.port == BOARD and self.board is not None:
             yield from _send(BOARD, self.board.receive(data.data, now), now)
         elif data.port == LASER and self.laser is not None:
             received = b"" if Fault.LASER_STALLED in self.faults else data.data
@@ -57,7 +60,8 @@ class Emulation:
     def send_report(self, report: BoardReport, imu: Imu | None, contacts: Contacts, now: int) -> Out:
         """What the board says of a report, of its gyro and of its contacts."""
         body = BodyTruth(imu.yaw_rate if imu else None, contacts.bumpers, contacts.cliffs, contacts.estop)
-        yield from _send(BOARD, self.board.report_bytes(report, now, body), now)
+        if self.board is not None:
+            yield from _send(BOARD, self.board.report_bytes(report, now, body), now)
 
     def send_sweeps(self, scans: list[LaserScan], now: int) -> Out:
         """Sends the laser's bytes that are due, and queues those of these sweeps; without a model, sends the scans."""

@@ -4,7 +4,7 @@
 from collections.abc import Callable
 from typing import Protocol
 
-from services.sim.hardware.ld06 import Ld06Emulator
+from services.sim.hardware.ld06 import LD08_SAMPLES, Ld06Emulator
 from services.sim.hardware.rplidar import RplidarEmulator
 from services.sim.hardware.scip import ScipEmulator
 from services.sim.hardware.xv11 import Xv11Emulator
@@ -36,6 +36,7 @@ def make_emulator(model: str, laser: Laser) -> LaserEmulator:
 
 MODELS: dict[str, Callable[[Laser], LaserEmulator]] = {
     "ld06": Ld06Emulator,
+    "ld08": lambda laser: Ld06Emulator(laser, LD08_SAMPLES),
     "rplidar": lambda laser: RplidarEmulator(laser, model=0x18),
     "rplidar_a2": lambda laser: RplidarEmulator(laser, model=0x28),  # scans in express mode
     "scip": ScipEmulator,

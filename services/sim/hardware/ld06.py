@@ -13,6 +13,7 @@ from shared.messages import LaserScan
 BAUD = 230400
 N_BEAMS = 12
 SAMPLES = 4500  # a second
+LD08_SAMPLES = 2300  # a second, of the LD08 (LDS-02), at 115200 baud
 MS = 1_000_000
 TIME_WRAP = 30000
 
@@ -47,10 +48,10 @@ class Ld06Emulator:
     A packet is full: the turn's last one, with beams left over, has them finer apart, every other one empty.
     """
 
-    def __init__(self, laser: Laser) -> None:
+    def __init__(self, laser: Laser, samples: int = SAMPLES) -> None:
         self.laser = laser
         self.turning = True
-        self.n = round(SAMPLES / laser.rate)
+        self.n = round(samples / laser.rate)
 
     def receive(self, data: bytes, now: int) -> bytes:
         return b""
