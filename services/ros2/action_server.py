@@ -4,7 +4,6 @@
 Source: design.ros2.org/articles/actions.html; rcl_action, goal_state_machine.c. As in Nav2, a new goal ends the former.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
@@ -15,10 +14,11 @@ from services.ros2.action_messages import feedback, navigate_request, result
 from services.ros2.action_topics import CANCEL_GOAL, CANCEL_TYPE, GET_RESULT, SEND_GOAL, STATUS_TYPE, Action, actions_of
 from services.ros2.orders import publish_order, reply_order
 from services.ros2.ros_types import UUID, RosTypes
+from services.ros2.task_requests import AskStack
 from shared import requests
-from shared.messages import Message, NavState, NavStatus, PoseEstimate
+from shared.messages import NavState, NavStatus, PoseEstimate
 from shared.reasons import reason_text
-from shared.requests import Cancel, Request
+from shared.requests import Cancel
 from shared.ros_messages import RosMessages
 from shared.service import Out
 from shared.topics import Publication
@@ -71,14 +71,10 @@ class ActionGoal:
     error: str = ""
 
 
-Ask = Callable[[Request[Any, Any], Message, Callable[[dict[str, Any]], Out]], Publication]
-"""Makes the order of a request to the stack; the function gets its outcome."""
-
-
 class ActionServer:
     """See the module. ask: makes orders of requests to the stack."""
 
-    def __init__(self, types: RosTypes, make: RosMessages, ask: Ask) -> None:
+    def __init__(self, types: RosTypes, make: RosMessages, ask: AskStack) -> None:
         self._types, self._make, self._ask = types, make, ask
         self._actions = {action.name: action for action in actions_of(types.distro)}
         self._goals: dict[bytes, ActionGoal] = {}

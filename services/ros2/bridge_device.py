@@ -5,6 +5,8 @@ It opens the session with the ROS 2 nodes, passes what comes in to the core, and
 orders are msgpack maps (docs in service.py).
 """
 
+import subprocess
+import sys
 import threading
 import time
 from collections import Counter
@@ -14,7 +16,7 @@ import msgpack
 
 from services.ros2.action_topics import action_services, action_topics
 from services.ros2.config import Ros2Config
-from services.ros2.incoming_topics import CMD_VEL, INCOMING, STATE_SERVICES, TRIGGERS
+from services.ros2.incoming_topics import CMD_VEL, INCOMING, MAP_SERVICES, STATE_SERVICES, TRIGGERS
 from services.ros2.outgoing_topics import OUTGOING, STATIC_TF
 from services.ros2.rmw_names import Endpoint, Entity, Qos, RosName, mismatch_text
 from services.ros2.ros_types import ros_types
@@ -30,6 +32,8 @@ AGAIN_S = 2.0  # between two tries to reach the router
 LOOK_S = 0.5  # between two looks whether it is there
 MIN_INTERVAL_S = 0.02  # between two messages of one topic for the core: 50 a second
 """A node that sends faster gets its newest message through, and the others are counted."""
+LIMIT_S, MAX_TEXT = 120.0, 300  # of a command of zenav: a large map; characters of its error
+N_TARGET = 4  # arguments that name robot and stack; the others are settings
 MAX_KINDS = 100  # of rejections that one report distinguishes
 
 
@@ -152,7 +156,7 @@ class BridgeDevice:
             topic = ros_name(name, type_)
             self._endpoints[name, Entity.SUBSCRIPTION] = [(topic, qos)]
             self._wire.advertise(topic, qos)
-        for name, type_ in (*TRIGGERS, *STATE_SERVICES, *action_services(config.distro)):
+        for name, type_ in (*TRIGGERS, *STATE_SERVICES, *MAP_SERVICES, *action_services(config.distro)):
             self._own[config.name(name)] = name
             self._wire.serve(ros_name(name, type_))
         self._wire.discover()
@@ -162,6 +166,9 @@ class BridgeDevice:
             self._wire.publish(self._names[order["publish"]], order["data"])
         elif "reply" in order:
             self._wire.reply(order["reply"], order["data"])
+        elif "tool" in order:
+            arguments = (tuple(order["tool"]), order["id"])
+            threading.Thread(target=self._run_tool, args=arguments, daemon=True).start()
         elif "ask" in order:
             number = order["id"]
             self._feed.ask(order["ask"], order["payload"], lambda outcome: self._on_outcome(number, outcome))
@@ -225,6 +232,16 @@ class BridgeDevice:
 
     def _on_outcome(self, number: int, outcome: dict[str, Any]) -> None:
         self._file({"event": "outcome", "id": number, **outcome})
+
+    def _run_tool(self, command: tuple[str, ...], number: int) -> None:
+        """A command of zenav in a process of its own, on a thread of its own: it reads and writes files."""
+        started = (sys.executable, "-P", "-m", "zenav", *command, *self._context.arguments[:N_TARGET])
+        try:
+            done = subprocess.run(started, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=LIMIT_S)
+            error = "" if done.returncode == 0 else " ".join(done.stderr.split()) or f"status {done.returncode}"
+        except (OSError, subprocess.TimeoutExpired) as failed:
+            error = str(failed)
+        self._on_outcome(number, {"accepted": not error, "reason": "", "detail": error[-MAX_TEXT:], "hint": ""})
 
     def _file(self, event: dict[str, Any]) -> None:
         with self._changed:

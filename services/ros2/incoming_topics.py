@@ -11,9 +11,11 @@ from shared.ros_messages import POSE, POSE_COVARIANCE, pose2
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 TRIGGER, GET_STATE = "std_srvs/srv/Trigger", "lifecycle_msgs/srv/GetState"
+SAVE_MAP, LOAD_MAP = "nav2_msgs/srv/SaveMap", "nav2_msgs/srv/LoadMap"
 MAX_SPEED, MAX_TURN_RATE = 20.0, 50.0  # m/s, rad/s: the bounds of shared/messages.py
 GOAL_POSE, INITIAL_POSE, CMD_VEL = "/goal_pose", "/initialpose", "/cmd_vel"
 ESTOP, RELEASE = "/estop", "/estop_release"
+SAVE, LOAD = "/map_saver/save_map", "/map_server/load_map"
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +36,8 @@ INCOMING = (
 
 TRIGGERS = tuple((name, TRIGGER) for name in (ESTOP, RELEASE, "/explore", "/cancel", "/pause", "/resume"))
 """Services, under the names that they have in Foxglove."""
+
+MAP_SERVICES = ((SAVE, SAVE_MAP), (LOAD, LOAD_MAP))
 
 STATE_SERVICES = tuple(
     [(f"/{node}/get_state", GET_STATE) for node in ("amcl", "bt_navigator")]

@@ -23,6 +23,12 @@ Definition = tuple[str, ...]
 SERVICES: dict[str, Definition] = {
     "std_srvs/srv/Trigger": ("", "bool success\nstring message\n"),
     "lifecycle_msgs/srv/GetState": ("", "lifecycle_msgs/State current_state\n"),
+    "nav2_msgs/srv/SaveMap": (
+        "string map_topic\nstring map_url\nstring image_format\nstring map_mode\n"
+        "float32 free_thresh\nfloat32 occupied_thresh\n",
+        "bool result\n",
+    ),
+    "nav2_msgs/srv/LoadMap": ("string map_url\n", "nav_msgs/OccupancyGrid map\nuint8 result\n"),
     "action_msgs/srv/CancelGoal": (
         "action_msgs/GoalInfo goal_info\n",
         "int8 return_code\naction_msgs/GoalInfo[] goals_canceling\n",

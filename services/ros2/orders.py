@@ -28,5 +28,10 @@ def ask_order(now: int, number: int, key: str, payload: bytes) -> Publication:
     return _out(now, {"ask": key, "id": number, "payload": payload})
 
 
+def tool_order(now: int, number: int, command: tuple[str, ...]) -> Publication:
+    """The order to run a command of zenav, as ("map", "save", "office"). Its outcome comes as an event too."""
+    return _out(now, {"tool": command, "id": number})
+
+
 def _out(now: int, fields: dict[str, Any]) -> Publication:
     return topics.TX(SerialData(now, PORT, bytes(msgpack.packb(fields))))

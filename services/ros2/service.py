@@ -6,7 +6,7 @@ The shell passes the stack's messages on to ROS (stack_feed.py). Each map of top
 - `message`: `name` of the topic, `type`, `data` in CDR, `gid` of its publisher. `sent` is ns on the publisher's clock,
   `came` ns on this computer's;
 - `request`: `name` of the service, its number `id`, `data` in CDR;
-- `outcome` of a request to the stack, by its number `id`;
+- `outcome` of a request to the stack or of a command, by its number `id`;
 - `other_teleop`: another tool drives;
 - `rejected`: `n` messages of `name` that are not used, `text`: why;
 - `mismatch`: `text` on an endpoint of another node that does not fit ours.
@@ -19,12 +19,13 @@ from typing import Any
 from services.ros2 import incoming_topics as incoming
 from services.ros2.action_server import ActionServer, GoalRefusedError
 from services.ros2.config import Ros2Config
-from services.ros2.incoming_topics import TRIGGER, pose_in_map, velocity
-from services.ros2.orders import PORT, ask_order, publish_order, reply_order
+from services.ros2.incoming_topics import pose_in_map, velocity
+from services.ros2.orders import PORT, ask_order, publish_order, reply_order, tool_order
 from services.ros2.outgoing_topics import STATIC_TF
 from services.ros2.ros_types import RosTypes, ros_types
 from services.ros2.sender_clocks import SenderClocks
-from services.ros2.task_requests import Done, active_state, logged_refusal, refusal_text, task_request
+from services.ros2.service_calls import BY, ServiceCalls
+from services.ros2.task_requests import Done, logged_refusal
 from shared import requests, topics
 from shared.codec import Envelope, encode
 from shared.config import Robot
@@ -35,14 +36,12 @@ from shared.rejections import RejectionCause
 from shared.requests import Navigate, Request, StartMap
 from shared.ros_messages import RosMessages
 from shared.service import Log, Out, Service, every, on
-from shared.stop_button import StopButton
 from shared.teleop_arbiter import TeleopRefusedError
 from shared.teleop_stream import TeleopStream
 from shared.topics import Publication
 from shared.types import NS_PER_S
 
-BY = "ROS 2"
-STATES = frozenset(name for name, _ in incoming.STATE_SERVICES)
+Loaded = tuple[RosTypes, RosMessages, ActionServer, ServiceCalls]
 MAX_VELOCITY_AGE_S, MAX_AGE_S = 0.3, 2.0
 """of a velocity and of other messages, by their publisher's clock: an older one is from before a broken link."""
 MAX_ASKS = 64  # requests to the stack without an outcome; then the oldest is forgotten
@@ -57,15 +56,13 @@ class Ros2Service(Service):
     def __init__(self, config: Ros2Config, robot: Robot) -> None:
         super().__init__(config, robot)
         self.teleop = TeleopStream(config.teleop_hold)
-        self.stop_button = StopButton()
         self.is_open, self.detail = False, ""
         self.mode = MapMode.MAP
-        self._waiting_stops: list[int] = []  # requests that wait until the guard confirms
         self._asks: dict[int, Done] = {}
         self._n_asks = 0
         self.sender_clocks = SenderClocks()
         self._logged: dict[str, int] = {}  # ns, of the last line on a name: a flood is one line a second
-        self._loaded: tuple[RosTypes, RosMessages, ActionServer] | None = None
+        self._loaded: Loaded | None = None
 
     @property
     def ports(self) -> dict[str, PortConfig]:
@@ -85,7 +82,7 @@ class Ros2Service(Service):
             return
         self.is_open, self.detail = state.open, state.detail
         if state.open:
-            types, make, _ = self._ros
+            types, make, _, _ = self._ros
             static = make.transforms(make.mount(self.now, self.robot.laser.mount))
             yield publish_order(self.now, STATIC_TF.name, types.encode(static))
             yield Log("INFO", f"ROS 2: connected, {self.state()}")
@@ -103,10 +100,8 @@ class Ros2Service(Service):
     @on(topics.GUARD)
     def guard_status(self, status: GuardStatus) -> Out:
         """Takes the guard's confirmation of STOP."""
-        was_waiting = self.stop_button.order is not None
-        self.stop_button.confirm(status)
-        if was_waiting and self.stop_button.order is None:
-            yield from self._reply_stops(True, f"the guard is {status.state}")
+        if self._loaded is not None:
+            yield from self._loaded[3].guard_status(status, self.now)
 
     @on(topics.POSE)
     def pose(self, estimate: PoseEstimate) -> Out:
@@ -126,11 +121,8 @@ class Ros2Service(Service):
     def drive(self) -> Out:
         """Publishes the driver's command, zero after its end, and STOP until it is confirmed."""
         yield from _teleop(self.teleop.tick(self.now))
-        stop, is_unconfirmed = self.stop_button.tick(self.now)
-        if stop is not None:
-            yield topics.ESTOP(stop)
-        if is_unconfirmed:
-            yield from self._reply_stops(False, "the guard does not confirm: switch the robot off by hand")
+        if self._loaded is not None:
+            yield from self._loaded[3].tick(self.now)
 
     def on_shutdown(self) -> Out:
         """A robot that ROS drives stands."""
@@ -164,7 +156,7 @@ class Ros2Service(Service):
                 yield Log("WARNING", f"ROS 2: {name}: {error}")
 
     def _message(self, name: str, event: dict[Any, Any]) -> Out:
-        types, make, _ = self._ros
+        types, make, _, _ = self._ros
         message = types.decode(event["data"], event["type"])
         age = self.sender_clocks.age(event["gid"], event["sent"], event["came"]) / NS_PER_S
         if age > (MAX_VELOCITY_AGE_S if name == incoming.CMD_VEL else MAX_AGE_S):
@@ -181,48 +173,29 @@ class Ros2Service(Service):
             yield self._ask(requests.START_MAP, StartMap(self.now, mode, 0, (pose,)), logged_refusal("initial pose"))
 
     def _request(self, name: str, number: int, data: bytes) -> Out:
-        types, make, actions = self._ros
+        _, _, actions, calls = self._ros
         try:
-            if actions.serves(name):
-                yield from actions.request(name, number, data, self.now)
-                return
-            types.decode(data, f"{TRIGGER}_Request")  # as all others: nothing in it
+            yield from (actions if actions.serves(name) else calls).request(name, number, data, self.now)
         except GoalRefusedError:
             raise
         except ValueError:
             yield reply_order(self.now, number, b"")
             raise
-        if name in (incoming.ESTOP, incoming.RELEASE):
-            self._waiting_stops.append(number)
-            yield topics.ESTOP(self.stop_button.set(name == incoming.ESTOP, BY, self.now))
-            yield Log("INFO", f"audit: {'STOP' if name == incoming.ESTOP else 'release of STOP'} by {BY}")
-        elif name in STATES:
-            yield reply_order(self.now, number, active_state(types, make, name))
-        else:
-            row, message = task_request(name, self.now)
-            yield self._ask(row, message, lambda outcome: self._trigger_done(number, outcome))
-
-    def _trigger_done(self, number: int, outcome: dict[str, Any]) -> Out:
-        words = "accepted" if outcome["accepted"] else refusal_text(outcome)
-        yield self._trigger_reply(number, outcome["accepted"], words)
-
-    def _trigger_reply(self, number: int, success: bool, message: str) -> Publication:
-        types, make, _ = self._ros
-        response = make.new(f"{TRIGGER}_Response", success=success, message=message)
-        return reply_order(self.now, number, types.encode(response))
-
-    def _reply_stops(self, success: bool, message: str) -> Out:
-        waiting, self._waiting_stops = self._waiting_stops, []
-        for number in waiting:
-            yield self._trigger_reply(number, success, message)
 
     def _ask(self, row: Request[Any, Any], message: Message, done: Done) -> Publication:
+        number = self._noted(done)
+        return ask_order(self.now, number, row.key, encode(message, Envelope(self.name, "", number, self.now)))
+
+    def _ask_tool(self, command: tuple[str, ...], done: Done) -> Publication:
+        return tool_order(self.now, self._noted(done), command)
+
+    def _noted(self, done: Done) -> int:
+        """The number of an order, whose outcome `done` gets."""
         self._n_asks += 1
         self._asks[self._n_asks] = done
         if len(self._asks) > MAX_ASKS:
             del self._asks[min(self._asks)]
-        payload = encode(message, Envelope(self.name, "", self._n_asks, self.now))
-        return ask_order(self.now, self._n_asks, row.key, payload)
+        return self._n_asks
 
     def _let_go(self) -> Out:
         driver = self.teleop.arbiter.driver
@@ -233,12 +206,13 @@ class Ros2Service(Service):
         self.rejections.count(f"ros{name}", RejectionCause.CONTENT, text, n)
 
     @property
-    def _ros(self) -> tuple[RosTypes, RosMessages, ActionServer]:
-        """Types, messages and actions of the distribution, loaded with the first event."""
+    def _ros(self) -> Loaded:
+        """Types, messages, actions and services of the distribution, loaded with the first event."""
         if self._loaded is None:
             types = ros_types(self.config.distro)
             make = RosMessages(types.types, self.config.ros_frames)
-            self._loaded = types, make, ActionServer(types, make, self._ask)
+            calls = ServiceCalls(types, make, self._ask, self._ask_tool)
+            self._loaded = types, make, ActionServer(types, make, self._ask), calls
         return self._loaded
 
 

@@ -1,21 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is behind the services without arguments: requests to the stack, and Nav2's states; outcomes in words."""
+"""Requests to the stack and commands of zenav that ROS 2 nodes cause, and their outcomes in words."""
 
 from collections.abc import Callable
 from typing import Any
 
-from services.ros2.incoming_topics import GET_STATE, TRIGGER
-from services.ros2.ros_types import RosTypes
 from shared import requests
 from shared.messages import Message
 from shared.reasons import reason_text
 from shared.requests import Cancel, Explore, Pause, Request
-from shared.ros_messages import RosMessages
 from shared.service import Log, Out
+from shared.topics import Publication
 
-ACTIVE = 3  # lifecycle_msgs/State: PRIMARY_STATE_ACTIVE
 Done = Callable[[dict[str, Any]], Out]
-"""Takes the outcome of a request: accepted, reason, detail, hint, data."""
+"""Takes the outcome of a request: accepted, reason, detail, hint, data; `now` in ns."""
+AskStack = Callable[[Request[Any, Any], Message, Done], Publication]
+"""Makes the order of a request to the stack."""
+AskTool = Callable[[tuple[str, ...], Done], Publication]
+"""Makes the order of a command of zenav, by its arguments."""
 
 
 def task_request(name: str, now: int) -> tuple[Request[Any, Any], Message]:
@@ -27,14 +28,6 @@ def task_request(name: str, now: int) -> tuple[Request[Any, Any], Message]:
         "/resume": (requests.PAUSE, Pause(now, False)),
     }
     return rows[name]
-
-
-def active_state(types: RosTypes, make: RosMessages, name: str) -> bytes:
-    """The CDR of the response of one of STATE_SERVICES: active."""
-    if name.endswith("/is_active"):
-        return types.encode(make.new(f"{TRIGGER}_Response", success=True, message=""))
-    state = make.new("lifecycle_msgs/msg/State", id=ACTIVE, label="active")
-    return types.encode(make.new(f"{GET_STATE}_Response", current_state=state))
 
 
 def logged_refusal(what: str) -> Done:

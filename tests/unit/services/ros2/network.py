@@ -65,7 +65,8 @@ class Bridge:
         self.states: list[tuple[bool, str]] = []
         self._changed = threading.Condition()
         context = DeviceContext(
-            port="ros", config=self.config.port, section=self.config, robot=ROBOT, where=where, arguments=(),
+            port="ros", config=self.config.port, section=self.config, robot=ROBOT, where=where,
+            arguments=("--robot", ROBOT, "--stack", str(where.domain if where else 0)),
             clock=clock_from(""), publish=self._take,
         )  # fmt: skip
         self.device = BridgeDevice(context)

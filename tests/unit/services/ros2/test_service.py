@@ -159,6 +159,44 @@ def test_stop_that_no_guard_confirms_is_replied_to_as_failed():
     assert "switch the robot off" in response.message
 
 
+def test_stop_counts_whatever_its_bytes_are():
+    [stop] = Core().event(event="request", name="/estop", id=1, data=b"")
+    assert stop.pressed
+
+
+def test_a_release_of_stop_in_damaged_bytes_is_none():
+    [order] = Core().event(event="request", name="/estop_release", id=1, data=b"")
+    assert order == {"reply": 1, "data": b""}
+
+
+def save_request(core: Core, place: str) -> Any:
+    return core.make.new(
+        "nav2_msgs/srv/SaveMap_Request", map_topic="map", map_url=place, image_format="pgm", map_mode="trinary",
+        free_thresh=0.25, occupied_thresh=0.65,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("is_done", [True, False])
+def test_a_map_is_saved_and_loaded_by_its_name(is_done):
+    core = Core()
+    [order] = core.request("/map_saver/save_map", 2, save_request(core, "office"))
+    assert order["tool"] == ["map", "save", "office"]
+    [reply] = core.outcome(order, accepted=is_done)
+    assert core.response(reply, "nav2_msgs/srv/SaveMap").result is is_done
+    request = core.make.new("nav2_msgs/srv/LoadMap_Request", map_url="office")
+    [order] = core.request("/map_server/load_map", 3, request)
+    assert order["tool"] == ["map", "load", "office"]
+    [reply] = core.outcome(order, accepted=is_done)
+    assert (core.response(reply, "nav2_msgs/srv/LoadMap").result == 0) is is_done
+
+
+@pytest.mark.parametrize("place", ["", "../x", "/etc/passwd", "a b", "--help", "file:///maps/office.yaml", "x" * 65])
+def test_a_path_is_no_name_of_a_map(place):
+    core = Core()
+    assert core.request("/map_saver/save_map", 2, save_request(core, place)) == [{"reply": 2, "data": b""}]
+    assert "is no name of a map" in core.lines[-1]
+
+
 @pytest.mark.parametrize(
     ("name", "request_"),
     [("/explore", Explore), ("/cancel", Cancel), ("/pause", Pause), ("/resume", Pause)],

@@ -233,6 +233,13 @@ def test_a_request_to_the_stack_without_a_service_is_a_refusal(bridge):
     assert (event["id"], event["accepted"]) == (4, False)
 
 
+def test_a_command_that_fails_is_a_refusal_with_its_words(bridge):
+    bridge.order(tool=["map", "save", "no_such_stack"], id=5)
+    event = bridge.wait_event("outcome")
+    assert (event["id"], event["accepted"]) == (5, False)
+    assert "hint:" in event["detail"]
+
+
 def test_names_are_remapped_and_below_the_namespace_but_for_those_of_tf():
     with bridged(namespace="/robot1", remap=("/scan:=/front/scan",), domain=3) as (_, _, peer):
         names = {endpoint.topic.name for endpoint in map(endpoint_of, peer.tokens()) if endpoint is not None}
