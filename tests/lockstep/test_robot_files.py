@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each robot file drives on emulated hardware: its board and its laser as bytes, or as messages where it has no port."""
+"""Each robot file drives on emulated hardware: board and laser as bytes, or as messages where they have no port."""
 
 import pytest
 
