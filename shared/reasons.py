@@ -21,6 +21,11 @@ class Reason:
 
 # fmt: off
 ESTOP           = Reason("estop", "STOP is pressed", "release it: zenav estop --release", "stop")
+ESTOP_INPUT     = Reason("estop_input", "the robot's e-stop button is pressed", "pull it out, then: zenav estop --release", "stop")
+BUMPER          = Reason("bumper", "a bumper is pressed", "a command that leads away is obeyed at creep speed: drive away by hand; a broken one: zenav teleop --override", "hold")
+CLIFF           = Reason("cliff", "a cliff sensor sees no floor", "a command that leads away is obeyed at creep speed: drive away by hand; clean the sensor", "hold")
+LEAVING_CONTACT = Reason("leaving_contact", "slowed: the robot leaves what it touched", "nothing to do", "info")
+CONTACTS_OLD    = Reason("contacts_old", "bumpers, cliff sensors and e-stop input are silent", "does the board send hardware/contacts? check its cable, or take them out of the robot's file", "hold")
 FAULT           = Reason("base_fault", "the base reports a fault", "see base/status; repair it, then: zenav estop --release", "fault")
 WHEEL_STUCK     = Reason("wheel_stuck", "a wheel is commanded but does not turn", "free the wheel or check its encoder and motor; then: zenav estop --release", "fault")
 ENCODERS_BROKEN = Reason("encoders_broken", "the wheels' encoder counts jump again and again", "check the encoders' cables and power; then: zenav estop --release", "fault")

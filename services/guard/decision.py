@@ -74,7 +74,9 @@ class VelocityLimiter:
         """The decision for a command while no stop condition holds."""
         drive, field = self.robot.drive, self.config
         here = self.odometry.odom_from_base
-        wanted, view_reason = self._limited_by_view(*drive.clamped(command.v, command.w), now)
+        clamped = drive.clamped(command.v, command.w)
+        leaves = self.inputs.contacts.touches
+        wanted, view_reason = self._limited_by_view(*(self._crept(*clamped) if leaves else clamped), now)
         points = np.concatenate([self.obstacles.points(here, now), self.visibility.points(here)])
         wanted_limit = safe_speed(points, self.corners, *wanted, drive, field)
         target = wanted[0] * wanted_limit.share, wanted[1] * wanted_limit.share
@@ -92,6 +94,9 @@ class VelocityLimiter:
         state, reason = _state_and_reason(command, wanted, (v, w), wanted_limit, tighter)
         if view_reason is not None and state is GuardState.ACTIVE and tighter.share == 1:
             reason, detail, speed_limit = view_reason.code, self.visibility.detail, field.blind_speed
+        if leaves and state is GuardState.ACTIVE and not reason:
+            reason, speed_limit = reasons.LEAVING_CONTACT.code, field.creep_speed
+            detail = self.inputs.contacts.detail()
         return GuardDecision(
             state=state, reason=reason, source=source, v=v, w=w, speed_limit=speed_limit, detail=detail
         )
@@ -99,10 +104,8 @@ class VelocityLimiter:
     def overridden(self, command: Velocity, source: str, now: int) -> GuardDecision:
         """The decision for a command of teleoperation while the field is overridden: slow, without the field."""
         field = self.config
-        v, w = self.robot.drive.clamped(command.v, command.w)
-        share = min(1.0, *(limit / abs(x) for x, limit in ((v, field.creep_speed), (w, field.creep_turn_rate)) if x))
         detail = "nothing keeps the robot from what is in its way"
-        v, w = self._ramped((v * share, w * share), now)
+        v, w = self._ramped(self._crept(*self.robot.drive.clamped(command.v, command.w)), now)
         w = self.robot.drive.bent(v, w)
         return GuardDecision(
             state=GuardState.ACTIVE,
@@ -113,6 +116,12 @@ class VelocityLimiter:
             speed_limit=field.creep_speed,
             detail=detail,
         )
+
+    def _crept(self, v: float, w: float) -> Twist:
+        """The velocity (m/s, rad/s) scaled down to creep speed."""
+        limits = (v, self.config.creep_speed), (w, self.config.creep_turn_rate)
+        share = min((1.0, *(limit / abs(x) for x, limit in limits if x)))
+        return v * share, w * share
 
     def _ramped(self, target: Twist, now: int) -> Twist:
         """The velocity at `now` on the ramp from the last sent velocity to the target."""

@@ -20,6 +20,7 @@ from shared.types import Bools, Float64s
 ECHO_MATCH_M = 0.08  # between a range reading and a laser echo of the same object
 MAX_BEAMS = 1440  # of one scan, 0.25 degrees of a full turn; of a finer scan each second, third ... beam is used
 MAX_REMEMBERED = 500  # points, the nearest
+MAX_CONTACTS = 8  # places, the newest
 NO_POINTS = np.empty((0, 2))
 
 
@@ -48,12 +49,29 @@ class Obstacles:
         self._remembered = NO_POINTS
         self._remembered_at = np.empty(0)  # s
         self._echoes: dict[int, tuple[Float64s, int]] = {}  # sensor -> its points, ns of the reading
+        self._contacts: list[tuple[Float64s, int]] = []  # points, ns of the contact
 
     def points(self, odom_from_base: Pose2, now: int) -> Float64s:
         """(n, 2) m in `base` at the given pose. now: ns."""
         age = self.config.memory * 1e9
         echoes = [points for points, stamp in self._echoes.values() if now - stamp <= age]
-        return odom_from_base.inverse() @ np.concatenate([self._solid, self._remembered, *echoes])
+        touched = [points for points, stamp in self._contacts if now - stamp <= age]
+        return odom_from_base.inverse() @ np.concatenate([self._solid, self._remembered, *echoes, *touched])
+
+    def add_contacts(self, points: Float64s, odom_from_base: Pose2, is_new: bool, now: int) -> None:
+        """Remembers where the robot touches something, or sees no floor: no other sensor may see it.
+
+        points: (n, 2) m in `base`.  is_new: something more is touched than before.  now: ns.
+        What stays touched is farther on while the robot rolls on, and stays where it is when the robot leaves.
+        """
+        touched = odom_from_base @ points
+        if not is_new and self._contacts:
+            (before, _), middle = self._contacts[-1], touched.mean(axis=0)
+            advance = (middle - before.mean(axis=0)) @ (middle - (odom_from_base.x, odom_from_base.y))
+            if advance <= 0:
+                return
+            self._contacts.pop()
+        self._contacts = [*self._contacts[1 - MAX_CONTACTS :], (touched, now)]
 
     def add_scan(self, scan: LaserScan, track: OdometryBuffer, covered: bool = False) -> None:
         """Replaces the points of the last scan. Points outside the new scan's view are remembered.

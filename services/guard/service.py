@@ -5,16 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.guard.arbitration import ArbitrationConfig, CommandSource
+from services.guard.arbitration import CommandSource
+from services.guard.config import GuardConfig
+from services.guard.contact_stop import ContactStop
 from services.guard.decision import GuardDecision, VelocityLimiter
-from services.guard.laser_visibility import LaserVisibility, VisibilityConfig
-from services.guard.obstacles import Obstacles, ObstaclesConfig
-from services.guard.protective_field import FieldConfig, safe_speed
-from services.guard.stop_conditions import StopConditionsConfig, StopInputs, scan_end
+from services.guard.laser_visibility import LaserVisibility
+from services.guard.obstacles import Obstacles
+from services.guard.protective_field import safe_speed
+from services.guard.stop_conditions import StopInputs, scan_end
 from shared import reasons, requests, topics
-from shared.config import Robot, Section
+from shared.config import Robot
+from shared.contacts import contact_points, new_contacts
 from shared.messages import (
     BaseStatus,
+    Contacts,
     EmergencyStop,
     GuardState,
     GuardStatus,
@@ -36,16 +40,6 @@ from shared.topics import Topic
 MAX_ODOM_AGE_S = 1.0  # after its stamp; late odometry still gives the pose of earlier beams
 
 
-class GuardConfig(Section):
-    """The guard."""
-
-    stops: StopConditionsConfig = StopConditionsConfig()
-    arbitration: ArbitrationConfig = ArbitrationConfig()
-    field: FieldConfig = FieldConfig()
-    obstacles: ObstaclesConfig = ObstaclesConfig()
-    view: VisibilityConfig = VisibilityConfig()
-
-
 class GuardService(Service):
     """Applies arbitration, stop conditions, acceleration limits and the protective field, in this order."""
 
@@ -55,7 +49,8 @@ class GuardService(Service):
     def __init__(self, config: GuardConfig, robot: Robot) -> None:
         super().__init__(config, robot)
         drive = robot.drive
-        self.inputs = StopInputs(config.stops, config.arbitration, self.rejections)
+        self.contacts = ContactStop(config.contacts, robot)
+        self.inputs = StopInputs(config.stops, config.arbitration, self.rejections, self.contacts)
         self.odometry_buffer = OdometryBuffer(drive)
         top_speed = max(drive.max_speed, drive.max_reverse_speed)
         stopping_distance = top_speed * (config.field.reaction + top_speed / drive.max_braking)
@@ -171,6 +166,18 @@ class GuardService(Service):
             self.obstacles.add_ranges(readings, self.odometry_buffer)
         return ()
 
+    @on(topics.CONTACTS)
+    def touch(self, contacts: Contacts) -> Out:
+        """Takes contacts, and stops at once. The places of contacts are remembered as obstacles."""
+        last, max_age = self.contacts.stamp, self.config.contacts.age
+        if self.rejections.judge(topics.CONTACTS.key, contacts.stamp, last, self.now, max_age):
+            begun = new_contacts(contacts, self.contacts.newest)
+            self.inputs.set_contacts(contacts, self.now)
+            if self.contacts.touches and self.odometry_buffer.latest is not None:
+                points, here = contact_points(self.robot, contacts)[0], self.odometry_buffer.odom_from_base
+                self.obstacles.add_contacts(points, here, bool(begun.bumpers or begun.cliffs), self.now)
+            yield from self.watch()
+
     @on(topics.POSE)
     def estimate(self, pose: PoseEstimate) -> Out:
         """Takes the pose estimate."""
@@ -207,15 +214,8 @@ class GuardService(Service):
         """Publishes `guard/status`."""
         decision = self.decision
         self.published = decision.state, decision.source, decision.reason
-        yield topics.GUARD(
-            GuardStatus(
-                self.now,
-                *self.published,
-                detail=decision.detail,
-                speed_limit=decision.speed_limit,
-                stopped=self.stopped_at,
-            )
-        )
+        status = *self.published, decision.detail, decision.speed_limit, self.stopped_at
+        yield topics.GUARD(GuardStatus(self.now, *status))
 
     def _is_usable(self, topic: Topic[Velocity], command: Velocity, source: CommandSource) -> bool:
         """Whether a command's stamp is newer than the last one's and recent."""

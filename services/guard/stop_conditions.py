@@ -10,9 +10,10 @@ from dataclasses import replace
 from pydantic import Field
 
 from services.guard.arbitration import ArbitrationConfig, CommandSource, active_source
+from services.guard.contact_stop import ContactStop
 from shared import reasons, topics
 from shared.config import Section
-from shared.messages import BaseStatus, EmergencyStop, GuardState, LaserScan, Localization, PoseEstimate
+from shared.messages import BaseStatus, Contacts, EmergencyStop, GuardState, LaserScan, Localization, PoseEstimate
 from shared.reasons import Reason
 from shared.rejections import Rejections
 from shared.stamps import fresh, precedes, supersedes
@@ -33,8 +34,14 @@ class StopConditionsConfig(Section):
 class StopInputs:
     """The newest inputs of the guard, and each condition of the table STOPS over them. Times are ns."""
 
-    def __init__(self, config: StopConditionsConfig, arbitration: ArbitrationConfig, rejections: Rejections) -> None:
-        self.config, self.arbitration, self.rejections = config, arbitration, rejections
+    def __init__(
+        self,
+        config: StopConditionsConfig,
+        arbitration: ArbitrationConfig,
+        rejections: Rejections,
+        contacts: ContactStop,
+    ) -> None:
+        self.config, self.arbitration, self.rejections, self.contacts = config, arbitration, rejections, contacts
         self.teleop, self.nav = CommandSource("teleop", arbitration), CommandSource("nav", arbitration)
         self.estop: EmergencyStop | None = None  # while it is pressed
         self.base: BaseStatus | None = None
@@ -63,7 +70,7 @@ class StopInputs:
 
     def set_override(self, seconds: float, now: int) -> Reason | None:
         """Overrides the protective field for `seconds`; 0 ends the override. Returns the reason of a refusal."""
-        if seconds and (self.estop is not None or self.base_in_estop(now)):
+        if seconds and (self.estop is not None or self.base_in_estop(now) or self.contacts.is_estop_pressed):
             return reasons.ESTOP
         self.override = (now, now + round(seconds * 1e9)) if seconds else None
         return None
@@ -82,6 +89,16 @@ class StopInputs:
         if self.estop is not None or self.fault:
             self._disarm(now)
         self.estop = None
+
+    def set_contacts(self, contacts: Contacts, now: int) -> None:
+        """Takes contacts. The hardware e-stop latches as STOP does, and ends an override."""
+        self.contacts.set(contacts, now)
+        if contacts.estop and self.estop is None:
+            self.set_estop(EmergencyStop(contacts.stamp, True, "the robot's button"), now)
+
+    def is_bumped(self, now: int) -> bool:
+        """Whether a bumper is pressed and the active source's command does not lead away."""
+        return self.contacts.holds(self.source(now).command, cliffs=False)
 
     def set_base(self, status: BaseStatus, now: int) -> None:
         """Registers the base driver's status. The end of its e-stop is a release, also where none was received."""
@@ -174,6 +191,8 @@ class StopInputs:
             return self.stamp_fault(now)
         if reason is reasons.SCAN_UNLIKE:
             return self.scan_mismatch(now)
+        if reason in (reasons.BUMPER, reasons.CLIFF):
+            return self.contacts.detail()
         if self.base is not None and (state is GuardState.FAULT or reason.code == self.fault != reasons.ESTOP.code):
             return self.base.detail
         if reason in (reasons.COMMAND_OLD, reasons.NO_COMMAND):
@@ -219,6 +238,7 @@ NO_FAULTS = ("", reasons.ESTOP.code, reasons.BAD_STAMPS.code)
 
 # fmt: off
 STOPS: tuple[tuple[Reason, GuardState, Callable[[StopInputs, int], bool]], ...] = (  # highest rank first
+    (reasons.ESTOP_INPUT,    GuardState.STOPPED, lambda s, t: s.contacts.is_estop_pressed),
     (reasons.ESTOP,          GuardState.STOPPED, lambda s, t: s.estop is not None or s.base_in_estop(t)),
     (reasons.WHEEL_STUCK,    GuardState.FAULT,   lambda s, t: s.fault == reasons.WHEEL_STUCK.code),
     (reasons.WHEEL_ASTRAY,   GuardState.FAULT,   lambda s, t: s.fault == reasons.WHEEL_ASTRAY.code),
@@ -237,6 +257,9 @@ STOPS: tuple[tuple[Reason, GuardState, Callable[[StopInputs, int], bool]], ...] 
     (reasons.SCAN_UNLIKE,    GuardState.HOLD,    lambda s, t: not s.is_overridden(t) and bool(s.scan_mismatch(t))),
     (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s, t: s.is_scan_old(t)),
     (reasons.SCAN_FROZEN,    GuardState.HOLD,    lambda s, t: not s.is_overridden(t) and s.scan_repeats),
+    (reasons.CONTACTS_OLD,   GuardState.HOLD,    lambda s, t: not s.is_overridden(t) and s.contacts.is_old(t)),
+    (reasons.CLIFF,          GuardState.HOLD,    lambda s, t: s.contacts.holds(s.source(t).command, cliffs=True)),
+    (reasons.BUMPER,         GuardState.HOLD,    lambda s, t: not s.is_overridden(t) and s.is_bumped(t)),
     (reasons.COMMAND_OLD,    GuardState.HOLD,    lambda s, t: not s.has_command(t) and s.source(t).wants_motion),
     (reasons.NO_COMMAND,     GuardState.IDLE,    lambda s, t: not s.has_command(t)),
     (reasons.ESTOP_RELEASED, GuardState.HOLD,    lambda s, t: not s.source(t).is_armed),

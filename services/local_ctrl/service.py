@@ -7,6 +7,7 @@ import numpy as np
 
 from services.local_ctrl import warm_up
 from services.local_ctrl.config import CONTROLLERS, LocalCtrlConfig
+from services.local_ctrl.costmap_update import update_costmap
 from services.local_ctrl.debug_topics import DebugTopics
 from services.local_ctrl.footprint import footprint_of
 from services.local_ctrl.inputs import ControlInputs, scan_end, sensors_in_use
@@ -23,6 +24,7 @@ from shared.config import Robot
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import (
+    Contacts,
     FollowState,
     FollowStatus,
     Goal,
@@ -59,7 +61,7 @@ class LocalCtrlService(Service):
         self.costmap = LocalCostmap(config.costmap, costmap_reach(config, self.limits, self.footprint), config.latency)
         self.inputs = ControlInputs(config.ages, robot.drive)
         controller = CONTROLLERS[config.controller](config, self.limits)
-        self.zones = LocalZones(robot.circumscribed_radius)
+        self.zones = LocalZones(robot)
         self.path_follower = PathFollower(
             config=config.path_following,
             cost_to_go=config.cost_to_go,
@@ -135,6 +137,13 @@ class LocalCtrlService(Service):
         self.zones.set_walls(state)
         return ()
 
+    @on(topics.CONTACTS)
+    def contacts(self, contacts: Contacts) -> Out:
+        """Takes the places of contacts as obstacles for a while."""
+        if (pose := self.inputs.pose) is not None:
+            self.zones.add_contacts(contacts, self.inputs.map_from_base(pose), self.now)
+        return ()
+
     @on(topics.ZONES)
     def new_zones(self, zones: Zones) -> Out:
         """Takes the zones."""
@@ -185,7 +194,7 @@ class LocalCtrlService(Service):
         yield topics.FOLLOW(FollowStatus(self.now, order_id, outcome.state, outcome.reason, outcome.left))
         if self.debug_topics.due(self.now) and self.inputs.odometry.latest is not None:
             costmap = deepcopy(self.costmap)  # the update changes it, and a spectator must not change the drive
-            self._update_costmap(costmap)
+            self._update(costmap)
             yield from self.debug_topics.publications(self.now, costmap, self.path_follower, self.start)
 
     @answer(requests.WATCH)
@@ -206,7 +215,7 @@ class LocalCtrlService(Service):
             self.path_follower.reset()
             return ControlOutcome(0.0, 0.0, FollowState.BLOCKED, stop.code)
         motion = self.start = self.estimate.at_command_time(self.now)
-        self._update_costmap(self.costmap)
+        self._update(self.costmap)
         if isinstance(order, Recovery):
             if self.manoeuvre is None:
                 self.manoeuvre = Manoeuvre(order, motion.pose, self.now, self.config.manoeuvres)
@@ -224,19 +233,8 @@ class LocalCtrlService(Service):
             outcome = outcome._replace(state=FollowState.FOLLOWING, reason="")  # the end of the plan before
         return outcome
 
-    def _update_costmap(self, costmap: LocalCostmap) -> None:
-        """Centres a costmap on the robot and updates its map, zones and distances."""
-        here = self.inputs.odometry.odom_from_base
-        costmap.recentre(here.x, here.y)
-        if self.inputs.pose is not None:
-            odom_from_map, map_id = self.inputs.odom_from_map, self.grid.map_id
-            costmap.set_static_map(self.grid, odom_from_map)
-            window = costmap.x0, costmap.y0, costmap.resolution, len(costmap.field)
-            costmap.forbidden_cells = self.zones.forbidden_cells(odom_from_map, here, window, map_id)
-        else:
-            costmap.set_static_map(OccupancyGrid(), Pose2())
-            costmap.forbidden_cells = None
-        costmap.refresh(self.now, here, self.footprint)
+    def _update(self, costmap: LocalCostmap) -> None:
+        update_costmap(costmap, self.inputs, self.grid, self.zones, self.footprint, self.now)
 
     def warm_up(self) -> None:
         """Compiles the kernels: a second service with each controller follows, turns and backs up once."""

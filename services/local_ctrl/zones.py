@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Zones in local control: a keep-out zone is an obstacle, a speed zone a limit that begins before it.
 
-A virtual wall of the map counts as a keep-out zone: as an obstacle of the map alone, the laser would clear it.
+A virtual wall of the map counts as a keep-out zone, and so does the place of a contact. The laser would clear an
+obstacle of the map alone.
 
 A zone lies in `map`, so its place in `odom` depends on the pose. Without a pose no zone applies, and no plan is
 driven.
@@ -16,8 +17,10 @@ import numpy as np
 
 from services.local_ctrl.controller import APPROACH_BRAKING_SHARE
 from services.local_ctrl.rollout import Limits, Motion
+from shared.config import Robot
+from shared.contacts import ContactPlaces
 from shared.geometry import Pose2
-from shared.messages import EditKind, MapEdit, MapState, ZoneKind, Zones
+from shared.messages import Contacts, EditKind, MapEdit, MapState, ZoneKind, Zones
 from shared.polygon import contains
 from shared.types import Bools, Float64s
 from shared.zones import KeepOut, mark_cells, polygon_of
@@ -28,9 +31,10 @@ MARGIN_S = 0.25  # at the present speed, by which a zone begins earlier and ends
 class LocalZones:
     """The present zones, and which keep-out zones the robot stands in."""
 
-    def __init__(self, reach: float) -> None:
-        """reach: circumscribed radius of the robot, m."""
-        self._keep_out, self._walls = KeepOut(reach), KeepOut(reach)
+    def __init__(self, robot: Robot) -> None:
+        reach = robot.circumscribed_radius
+        self._contact_places = ContactPlaces(robot)
+        self._keep_out, self._walls, self._contacts = KeepOut(reach), KeepOut(reach), KeepOut(reach)
         self._map_of_walls = 0  # its id
         self._slow: tuple[tuple[Float64s, float, float], ...] = ()  # polygon in `map`, m/s, share of the top speed
 
@@ -38,6 +42,11 @@ class LocalZones:
         """Replaces the zones."""
         self._keep_out.take(zones)
         self._slow = tuple((polygon_of(z), z.speed, z.share) for z in zones.zones if z.kind is ZoneKind.SLOW)
+
+    def add_contacts(self, contacts: Contacts, map_from_base: Pose2, now: int) -> None:
+        """Takes contacts of the robot at a pose: their places are zones for a while. now: ns."""
+        if self._contact_places.add(contacts, map_from_base, now):
+            self._contacts.take_polygons(self._contact_places.polygons)
 
     def set_walls(self, state: MapState) -> None:
         """Replaces the virtual walls of the map."""
@@ -53,7 +62,8 @@ class LocalZones:
         window: x0, y0 m in `odom` of the centre of its lower left cell; m a cell; cells along a side.
         map_id: of the present map; walls of another one do not count.
         """
-        kinds = (self._keep_out, self._walls) if map_id == self._map_of_walls else (self._keep_out,)
+        walls = (self._walls,) if map_id == self._map_of_walls else ()
+        kinds = (self._keep_out, self._contacts, *walls)
         for kind in kinds:
             kind.moved(odom_from_map.inverse() @ here)
         x0, y0, resolution, n = window

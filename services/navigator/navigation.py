@@ -244,7 +244,9 @@ class Navigation:
                 self.recovery = ""
             if pose := self.pose_tracker.map_from_base:
                 self.recoveries.progressed(pose, attempt.gained)
-        verdict, reason = attempt.next_action(plan, follow, self.attempt_config)
+        contact = self.statuses.contact_reason(now)
+        next_action = attempt.next_action(plan, follow, self.attempt_config)
+        verdict, reason = (AttemptAction.RECOVER, contact) if contact else next_action
         if verdict is AttemptAction.RECOVER:
             yield from self._recover(attempt, reason, now)
         elif verdict is AttemptAction.FAIL:
@@ -256,8 +258,7 @@ class Navigation:
         if explores and (hopeless or attempt.n_recoveries >= self.config.exploration.max_recoveries):
             yield from self._give_up(reason, now, whole=False)
             return
-        pose = self.pose_tracker.map_from_base
-        step = self.recoveries.next(reason, pose, move=reason not in (reasons.UNREACHABLE, reasons.NO_PLAN))
+        step = self.recoveries.next(reason, self.pose_tracker.map_from_base)
         if step is None and explores:
             yield from self._give_up(reason, now, whole=False)
             return

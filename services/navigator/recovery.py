@@ -80,10 +80,10 @@ class RecoverySequence:
         """Number of steps since the last real progress, with those that were skipped."""
         return self._next
 
-    def next(self, reason: Reason, pose: Pose2 | None, move: bool) -> RecoveryStep | None:
-        """The next recovery, or None where all were tried. move: whether recoveries that move the robot make sense."""
+    def next(self, reason: Reason, pose: Pose2 | None) -> RecoveryStep | None:
+        """The next recovery for a reason, or None where all were tried."""
         self.last = reason
-        while self._next < len(self.recovery_steps) and not move and self.recovery_steps[self._next].moves:
+        while not self.used_up and _is_useless(self.recovery_steps[self._next], reason):
             self._next += 1
         if self.used_up:
             return None
@@ -100,3 +100,10 @@ class RecoverySequence:
         away = self._from.distance(pose) if self._from else inf
         if self._next and min(away, gained) >= self.config.earned_by:
             self._next = 0
+
+
+def _is_useless(step: RecoveryStep, reason: Reason) -> bool:
+    """Whether a step does not help: a robot that touches something must move, and no motion makes a path."""
+    if reason in (reasons.BUMPER, reasons.CLIFF):
+        return not step.moves
+    return step.moves and reason in (reasons.UNREACHABLE, reasons.NO_PLAN)

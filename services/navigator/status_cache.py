@@ -24,12 +24,15 @@ _WAIT_FOR_END = {
         reasons.BASE_SILENT,
         reasons.BOARD_SILENT,
         reasons.BAD_STAMPS,
+        reasons.CONTACTS_OLD,
         reasons.ENCODERS_JUMP,
         reasons.STARTING,
         reasons.SERVICE_DIED,
     )
 }
 """Reasons of the guard that no recovery ends: the navigator waits."""
+
+_CONTACTS = {reasons.BUMPER.code, reasons.CLIFF.code}
 
 
 class StatusCache:
@@ -89,6 +92,12 @@ class StatusCache:
         if guard.source == "teleop":
             return reasons.BY_HAND
         return REASONS[guard.reason] if guard.state is GuardState.HOLD and guard.reason in _WAIT_FOR_END else None
+
+    def contact_reason(self, now: int) -> Reason | None:
+        """The reason of a contact that holds the robot, which backing up ends; None without one."""
+        guard = self.recent_guard(now)
+        held = guard is not None and guard.state is GuardState.HOLD and guard.source != "teleop"
+        return REASONS[guard.reason] if guard is not None and held and guard.reason in _CONTACTS else None
 
     def blocking_reason(self, goal: Order | None, now: int) -> str:
         """The code of the reason that keeps the robot from its goal, the gravest first; empty without one."""

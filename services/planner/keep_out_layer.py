@@ -14,8 +14,8 @@ from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import Zones
 from shared.polygon import contains
-from shared.types import Bools, Int64s
-from shared.zones import OBSTACLE, KeepOut, marked, position
+from shared.types import Bools, Float64s, Int64s
+from shared.zones import OBSTACLE, KeepOut, keep_outs, marked, position
 
 
 class KeepOutLayer:
@@ -24,6 +24,8 @@ class KeepOutLayer:
     def __init__(self, reach: float) -> None:
         """reach: circumscribed radius of the robot, m."""
         self._keep_out = KeepOut(reach)
+        self._zones: tuple[Float64s, ...] = ()  # polygons, m in `map`
+        self._contacts: tuple[Float64s, ...] = ()  # the same, of contacts
         self._costmap: GlobalCostmap | None = None  # that the three masks at the end were made for
         self._grid_geometry: object = None  # shape, origin and resolution of the grid that they were made for
         self._blocked_cells: Int64s = np.zeros(0, np.int64)  # flat indices of the cells in zones
@@ -32,7 +34,16 @@ class KeepOutLayer:
 
     def set_zones(self, zones: Zones) -> None:
         """Replaces the zones."""
-        self._keep_out.take(zones)
+        self._zones = keep_outs(zones)
+        self._apply()
+
+    def set_contacts(self, polygons: tuple[Float64s, ...]) -> None:
+        """Replaces the places (n, 2) m in `map` where the robot touched something: they are zones, too."""
+        self._contacts = polygons
+        self._apply()
+
+    def _apply(self) -> None:
+        self._keep_out.take_polygons((*self._zones, *self._contacts))
         self._grid_geometry = self._costmap = None
 
     def update_pose(self, pose: Pose2) -> bool:
@@ -42,8 +53,8 @@ class KeepOutLayer:
         return changed
 
     def is_forbidden(self, pose: Pose2) -> bool:
-        """Whether a pose lies in a keep-out zone, also in one that the robot stands in."""
-        return any(contains(polygon, position(pose))[0] for polygon in self._keep_out.polygons)
+        """Whether a pose lies in a user's keep-out zone, also in one that the robot stands in."""
+        return any(contains(polygon, position(pose))[0] for polygon in self._zones)
 
     def update(self, costmap: GlobalCostmap, grid: OccupancyGrid, changed: Bools | None) -> None:
         """Updates the costmap to the map with the zones.

@@ -14,7 +14,7 @@ from pydantic import Field
 from services.planner.costmap import UNIT_COST, GlobalCostmap
 from services.planner.planning import GlobalPlan
 from services.planner.ray_cost import path_cost
-from shared.config import Section
+from shared.config import Drive, Section
 from shared.geometry import Pose2
 from shared.types import Bools, Float64s
 
@@ -206,3 +206,14 @@ def distance_along(points: Float64s) -> Float64s:
     """(n,) m along the polyline to each of its points (n, 2) m, n > 0."""
     legs = np.diff(points, axis=0)
     return np.concatenate(([0.0], np.cumsum(np.hypot(legs[:, 0], legs[:, 1]))))
+
+
+def search_ahead(drive: Drive, period: float) -> float:
+    """m along the plan within which the robot is searched for: less than a loop of its tightest arc.
+
+    period: s between two searches.
+    """
+    if not drive.min_turning_radius:
+        return SEARCH_AHEAD_M
+    travelled = 2 * period * drive.max_speed
+    return min(SEARCH_AHEAD_M, max(2 * drive.min_turning_radius, travelled))

@@ -9,15 +9,17 @@ import numpy as np
 from services.planner.costmap import CostConfig, GlobalCostmap
 from services.planner.hierarchical_search import HierarchicalSearch
 from services.planner.keep_out_layer import KeepOutLayer
-from services.planner.plan_monitor import SEARCH_AHEAD_M, PlanMonitor, PlanMonitorConfig, path_length
+from services.planner.plan_monitor import PlanMonitor, PlanMonitorConfig, path_length, search_ahead
 from services.planner.planning import GlobalPlan, PlanningConfig, TurningLimits, no_plan, plan_path
 from shared import reasons, topics
 from shared import sample_messages as sample
-from shared.config import Drive, Robot, Section
+from shared.config import Robot, Section
+from shared.contacts import ContactPlaces
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import (
     TILE_CELLS,
+    Contacts,
     Goal,
     GoalLimits,
     MapState,
@@ -61,7 +63,8 @@ class PlannerService(Service):
         self.search = HierarchicalSearch()
         self.keep_out = KeepOutLayer(robot.circumscribed_radius)
         self.pose_tracker = PoseTracker()
-        self.monitor = PlanMonitor(config.replanning, _search_ahead(robot.drive))
+        self.contact_places = ContactPlaces(robot)
+        self.monitor = PlanMonitor(config.replanning, search_ahead(robot.drive, 1e-9 * PERIOD_NS))
         self.goal: Goal | None = None  # that is planned to
         self.order: Order | None = None  # the one with the highest id
         self.changed: Bools | None = None  # cells of the map since the costmap's update; None: all
@@ -107,6 +110,8 @@ class PlannerService(Service):
         changed = self.grid.apply(update)
         if (self.grid.map_id, self.grid.resolution) != (map_id, resolution):
             self.costmap = None
+            self.contact_places.clear()
+            self.keep_out.set_contacts(())
             self.monitor.clear()
         same = self.costmap is not None and changed.shape == shape
         if self.is_costmap_current:
@@ -127,9 +132,20 @@ class PlannerService(Service):
     def zones(self, zones: Zones) -> Out:
         """Takes the zones, and plans again at once: the present plan may cross a new zone."""
         self.keep_out.set_zones(zones)
+        yield from self._zones_changed()
+
+    def _zones_changed(self) -> Out:
         self.changed, self.is_costmap_current = None, False
         self.monitor.clear()
         yield from self._publish_plan(always=True)
+
+    @on(topics.CONTACTS)
+    def contacts(self, contacts: Contacts) -> Out:
+        """Takes the places of contacts as zones for a while, and plans around them at once."""
+        pose = self.pose_tracker.map_from_base
+        if pose is not None and self.contact_places.add(contacts, pose, self.now):
+            self.keep_out.set_contacts(self.contact_places.polygons)
+            yield from self._zones_changed()
 
     @on(topics.POSE)
     def pose(self, estimate: PoseEstimate) -> Out:
@@ -232,11 +248,3 @@ class PlannerService(Service):
             length=path_length(points),
             cost=self.monitor.cost_left,
         )
-
-
-def _search_ahead(drive: Drive) -> float:
-    """m along the plan within which the robot is searched for: less than a loop of its tightest arc."""
-    if not drive.min_turning_radius:
-        return SEARCH_AHEAD_M
-    travelled = 2e-9 * PERIOD_NS * drive.max_speed  # in two periods
-    return min(SEARCH_AHEAD_M, max(2 * drive.min_turning_radius, travelled))

@@ -1,20 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which bumpers of the simulated robot are pressed, and which of its cliff sensors see no floor."""
 
-from math import atan2, cos, pi, sin
-
 import numpy as np
 
 from services.sim.contact import offset_polygon, touches_people, touches_world, transform_polygon
 from services.sim.rays import Cells
-from shared.geometry import Pose2, wrapped
+from shared.contacts import outline_sector
+from shared.geometry import Pose2
 from shared.messages import Contacts
 from shared.polygon import contains
 from shared.robot import Robot
 from shared.types import Float64s
 
 PRESSED_M = 0.005  # m beyond the outline that a bumper feels: a blocked robot stands within 1 mm
-STEP_RAD = pi / 36  # between the points of a bumper's outline
 
 
 class ContactSensors:
@@ -39,24 +37,5 @@ class ContactSensors:
 
 def _strip(inner: Float64s, outer: Float64s, bearing: float, width: float) -> Float64s:
     """(k, 2) m: the area between two outlines around the origin, within a sector (rad)."""
-    half = min(width / 2, pi - STEP_RAD / 4)
-    corners = [atan2(y, x) for x, y in outer.tolist()]
-    offsets = [o for o in (wrapped(a - bearing) for a in corners) if abs(o) < half]
-    angles = bearing + np.array(sorted({*offsets, *np.linspace(-half, half, 2 + round(2 * half / STEP_RAD)).tolist()}))
-    out = [_on_outline(outer, a) for a in angles.tolist()]
-    back = [_on_outline(inner, a) for a in reversed(angles.tolist())]
-    return np.array(out + back)
-
-
-def _on_outline(corners: Float64s, angle: float) -> tuple[float, float]:
-    """The farthest point of the outline in a direction (rad) from the origin, m."""
-    dx, dy = cos(angle), sin(angle)
-    ends = np.roll(corners, -1, axis=0)
-    ex, ey = (ends - corners).T
-    crossing = dx * ey - dy * ex
-    with np.errstate(divide="ignore", invalid="ignore"):
-        along = (corners[:, 0] * ey - corners[:, 1] * ex) / crossing
-        share = (corners[:, 0] * dy - corners[:, 1] * dx) / crossing
-    met = (np.abs(crossing) > 1e-12) & (along > 0) & (share >= -1e-9) & (share <= 1 + 1e-9)
-    far = float(along[met].max())
-    return far * dx, far * dy
+    (out, _), (back, _) = (outline_sector(corners, bearing, width) for corners in (outer, inner))
+    return np.concatenate([out, back[::-1]])

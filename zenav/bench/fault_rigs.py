@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from services.guard.service import GuardConfig
+from services.guard.config import GuardConfig
 from shared import topics
 from shared.codec import Envelope, encode
 from shared.config import RobotFile, UserError, configured

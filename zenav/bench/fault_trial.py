@@ -33,6 +33,14 @@ boxes:
 """
 """Three rooms in a row: eleven metres straight on from the start to a wall."""
 
+SENSORS = (
+    "robot.bumpers=[{name: front, bearing: 0, width: 2.5}]",
+    "robot.cliffs=[{name: ahead, x: 0.2, y: 0}]",
+    "robot.estop_input=true",
+    "robot.imu={}",
+)
+"""What can break, beside the sensors that the robot has anyway."""
+
 SPEEDS = 0.3, 0.5, 0.8
 """m/s, the robot's top speed in a trial."""
 FASTEST_REACHED = 0.6  # of the top speed, from which the random phase counts
@@ -165,7 +173,7 @@ def settings_of(trial: FaultTrial, folder: Path) -> list[str]:
     path = folder / "world.yaml"
     path.write_text(WORLD)
     speed = f"robot.drive.max_speed={trial.speed}"
-    return [f"sim.world={path}", f"sim.seed={trial.seed}", "sim.clutter_jitter=0", speed]
+    return [f"sim.world={path}", f"sim.seed={trial.seed}", "sim.clutter_jitter=0", speed, *SENSORS]
 
 
 def run_trial(stack: StackUnderTest, trial: FaultTrial) -> FaultResult:

@@ -122,16 +122,21 @@ def teleop(
     override: Annotated[
         bool, typer.Option("--override", help="Creep through the guard's protective field: look where you drive.")
     ] = False,
+    gamepad: Annotated[bool, typer.Option("--gamepad", help="Drive with a gamepad: hold LB or L1.")] = False,
+    device: Annotated[str, typer.Option(help="Of the gamepad; empty: the first.", metavar="PATH")] = "",
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:
-    """Drive with the keyboard: w a s d or arrows, space stops, q quits.
+    """Drive with the keyboard: w a s d or arrows, space stops, q quits. Or with a gamepad.
 
     Example: zenav teleop --speed 0.2
     """
-    from zenav.client.teleop import teleop
+    from zenav.client.teleop import teleop, teleop_gamepad
 
-    teleop(robot, stack, speed, turn, override)
+    if gamepad or device:
+        teleop_gamepad(robot, stack, speed, turn, override, device)
+    else:
+        teleop(robot, stack, speed, turn, override)
 
 
 @app.command(cls=Command, rich_help_panel=DRIVE)

@@ -224,7 +224,7 @@ def followed(comes: bool) -> tuple[float, float]:
     costmap = made()
     costmap.refresh(10 * NS_PER_S, Pose2(), footprint)
     costmap.moving_discs = np.array([[0.0, -1.6, 0.0, 1.0, 0.5, 0.0]]) if comes else costmap.dynamic_obstacles.discs(0)
-    controller, zones = Mppi(MppiConfig(), limits), LocalZones(robot.circumscribed_radius)
+    controller, zones = Mppi(MppiConfig(), limits), LocalZones(robot)
     follower = PathFollower(PathFollowingConfig(), CostToGoConfig(), controller, limits, footprint, zones)
     xs = np.linspace(0.0, -3.0, 31)
     goal = Goal(0, 1, True, Pose2(-3.0, 0.0, pi), 0.2, 0.2, False)

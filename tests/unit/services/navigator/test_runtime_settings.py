@@ -31,7 +31,7 @@ def test_a_recovery_that_is_left_out_from_now_on_is_not_tried_and_those_before_c
     navigator = NavigatorService(NavigatorConfig(), ROBOT)
     navigator.name = "navigator"
     recoveries = navigator.navigation.recoveries
-    recoveries.next(BLOCKED, None, True)
+    recoveries.next(BLOCKED, None)
     n = len(recoveries.recovery_steps)
     changed(navigator, recovery__wait="0", recovery__back_up="0.1")
     assert len(recoveries.recovery_steps) == n - 1
