@@ -150,25 +150,24 @@ class SimService(Service):
             yield from (topics.SCAN(scan) for scan in sent if scan is not None)
             is_velocity_base = self.robot.drive.kind == "velocity"
             yield from self._base_motion() if is_velocity_base else (topics.BOARD(self.faults.board(self._board())),)
-            if (reading := self.faults.imu(self._imu())) is not None:
-                yield topics.IMU(reading)
-            yield from self._contact_sensors()
+            yield from self._body_sensors()
         else:
             yield from self.emulation.update_plugs(self.now)
             self._obey_board(self.emulation)
             yield from self.emulation.send_sweeps(self._due_scans(), self.now)
-            reading = self._imu()
+            imu, contacts = self._imu(), self._contacts()
             if self.emulation.board is not None:
-                yield from self.emulation.send_report(self._board(), reading, self._contacts(), self.now)
+                yield from self.emulation.send_report(self._board(), imu, contacts, self.now)
             else:
                 yield from self._base_motion()
-                yield from self._contact_sensors()
-            if reading is not None:
-                yield from self.emulation.send_imu(reading, self.now)
+            yield from self.emulation.send_body(imu, contacts if self.robot.has_contacts else None, self.now)
         yield topics.TRUTH(self._truth())
         yield topics.CLOCK(Clock(self.now, 1.0))
 
-    def _contact_sensors(self) -> Out:
+    def _body_sensors(self) -> Out:
+        """The inertial sensor and the contact sensors of a robot that has them."""
+        if (reading := self.faults.imu(self._imu())) is not None:
+            yield topics.IMU(reading)
         if self.robot.has_contacts and (contacts := self.faults.contacts(self._contacts())) is not None:
             yield topics.CONTACTS(contacts)
 

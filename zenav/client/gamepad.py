@@ -15,6 +15,8 @@ FORWARD_AXIS, TURN_AXIS = 0x01, 0x03  # ABS_Y of the left stick, ABS_RX of the r
 DEAD_MAN_BUTTONS = frozenset((0x136, 0x137))  # BTN_TL, BTN_TR
 STOP_BUTTON = 0x131  # BTN_EAST
 DEAD_ZONE = 0.12  # share of a stick's way around its middle
+STEADY_S = 5.0
+"""Without an event for so long nothing is held: a radio link may be lost while its receiver stays."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +40,7 @@ class Gamepad:
     def __init__(self, ranges: dict[int, AxisRange]) -> None:
         self._ranges = ranges
         self._kept = b""
+        self._event_at = float("-inf")  # s
         self.presses_stop = False
         self.forget()
 
@@ -46,8 +49,10 @@ class Gamepad:
         self._shares = {FORWARD_AXIS: 0.0, TURN_AXIS: 0.0}
         self._held: set[int] = set()
 
-    def take(self, data: bytes) -> None:
-        """Takes bytes of the device, in pieces of any size. `presses_stop` stays set until `take_stop`."""
+    def take(self, data: bytes, now: float) -> None:
+        """Takes bytes of the device at `now` s, in pieces of any size. `presses_stop` stays set until `take_stop`."""
+        if data:
+            self._event_at = now
         data = self._kept + data
         whole = len(data) - len(data) % EVENT.size
         self._kept = data[whole:]
@@ -67,14 +72,14 @@ class Gamepad:
         pressed, self.presses_stop = self.presses_stop, False
         return pressed
 
-    @property
-    def drives(self) -> bool:
-        """Whether the dead-man button is held."""
+    def drives(self, now: float) -> bool:
+        """Whether the dead-man button is held at `now` s."""
+        if now - self._event_at > STEADY_S:
+            self.forget()
         return bool(self._held & DEAD_MAN_BUTTONS)
 
-    @property
-    def direction(self) -> tuple[float, float]:
-        """Forward and counter-clockwise, each -1 to 1; 0 without the dead-man button."""
-        if not self.drives:
+    def direction(self, now: float) -> tuple[float, float]:
+        """Forward and counter-clockwise at `now` s, each -1 to 1; 0 without the dead-man button."""
+        if not self.drives(now):
             return 0.0, 0.0
         return 0.0 - self._shares[FORWARD_AXIS], 0.0 - self._shares[TURN_AXIS]

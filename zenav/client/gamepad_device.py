@@ -74,7 +74,7 @@ class GamepadDevice:
         except OSError:
             data = b""
         if data:
-            self.gamepad.take(data)
+            self.gamepad.take(data, time.monotonic())
         else:
             self._close("the gamepad is gone; connect it again")
 

@@ -120,9 +120,9 @@ def teleop_gamepad(robot: str, stack: str, speed: float, turn: float, device: st
             pressed, _ = stop_button.tick(client.now())
             if pressed is not None:
                 client.publish(topics.ESTOP(pressed))
-            drives = gamepad.gamepad.drives
+            drives = gamepad.gamepad.drives(due)
             if drives or drove:
-                forward, turning = gamepad.gamepad.direction
+                forward, turning = gamepad.gamepad.direction(due)
                 client.publish(topics.TELEOP(Velocity(client.now(), forward * speed, turning * radians(turn), "")))
             drove = drives
             if is_there:

@@ -32,16 +32,14 @@ class Hardware(StrEnum):
 
 
 def emulated_ports(file: RobotFile) -> tuple[str, ...]:
-    """The ports of the robot's emulated hardware. What has no port there comes as messages.
+    """The ports of the robot's emulated hardware. What is not emulated comes as messages.
 
     So does a base that controls its own speed, unless its board is one that sends poses.
     """
     emulation = file.section("sim", SimConfig).emulation
-    has = {
-        "board": file.robot.drive.kind == "differential" or _board_model(file) == "velocity",
-        "laser": bool(emulation.laser_model),
-        "imu": bool(emulation.imu_model) and file.robot.imu is not None,
-    }
+    has_imu = bool(emulation.imu_model) and file.robot.imu is not None
+    has_board = file.robot.drive.kind == "differential" or _board_model(file) == "velocity"
+    has = {"board": has_board, "laser": bool(emulation.laser_model), "imu": has_imu}
     return tuple(port for port in DRIVERS if has[port])
 
 

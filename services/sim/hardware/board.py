@@ -69,10 +69,6 @@ class BoardEmulator:
         return packet
 
 
-BOARDS_WITH_GYRO = ("velocity", "kobuki")
-"""Models whose bytes have the yaw rate of a gyro of their own."""
-
-
 def make_board(model: str, faults: ActiveFaults, seed: int, robot: Robot) -> BoardEmulator:
     """The emulator of a model. Raises UserError where there is none of that name."""
     if model not in BOARD_MODELS:

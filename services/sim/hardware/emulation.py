@@ -4,7 +4,7 @@
 import numpy as np
 from pydantic import Field
 
-from services.sim.hardware.board import BOARDS_WITH_GYRO, make_board
+from services.sim.hardware.board import make_board
 from services.sim.hardware.electronics import BodyTruth
 from services.sim.hardware.faults import LASER_FAULTS, UNPLUGGED_PORTS, ActiveFaults, Fault
 from services.sim.hardware.imus import ImuEmulator, make_imu_emulator
@@ -67,17 +67,18 @@ class Emulation:
         elif data.port == LASER and self.laser is not None:
             received = b"" if Fault.LASER_STALLED in self.faults else data.data
             yield from _send(LASER, self._laser_line_bytes(self.laser.receive(received, now)), now)
-
         elif data.port == IMU and self.imu is not None:
             received = b"" if Fault.IMU_STALLED in self.faults else data.data
             yield from _send(IMU, self._imu_line_bytes(self.imu.receive(received)), now)
 
-    def send_imu(self, imu: Imu, now: int) -> Out:
-        """What the inertial sensor says of a reading; without a model the reading, unless the board has a gyro."""
-        if self.imu is not None:
+    def send_body(self, imu: Imu | None, contacts: Contacts | None, now: int) -> Out:
+        """Sends the inertial sensor's bytes, and as messages what neither it nor the board carries."""
+        if imu is not None and self.imu is not None:
             yield from _send(IMU, self._imu_line_bytes(self.imu.measure(imu)), now)
-        elif self.board is None or self.config.board_model not in BOARDS_WITH_GYRO:
+        elif imu is not None and not (self.board is not None and self.board.electronics.HAS_GYRO):
             yield topics.IMU(imu)
+        if contacts is not None and not (self.board is not None and self.board.electronics.HAS_CONTACTS):
+            yield topics.CONTACTS(contacts)
 
     def _imu_line_bytes(self, data: bytes) -> bytes:
         """What arrives of what the inertial sensor says."""
@@ -86,7 +87,7 @@ class Emulation:
         return self._imu_noise.bytes(len(data)) if Fault.IMU_GARBAGE in self.faults else data
 
     def send_report(self, report: BoardReport, imu: Imu | None, contacts: Contacts, now: int) -> Out:
-        """What the board says of a report, of its gyro and of its contacts."""
+        """What the board says of a report, of its contacts, and of its gyro where that is the inertial sensor."""
         rate = imu.yaw_rate if imu is not None and self.imu is None else None
         body = BodyTruth(rate, contacts.bumpers, contacts.cliffs, contacts.estop)
         if self.board is not None:

@@ -3,6 +3,7 @@
 
 import os
 import threading
+import time
 
 import pytest
 from hypothesis import given
@@ -16,6 +17,7 @@ from zenav.client.gamepad import (
     EV_SYN,
     EVENT,
     FORWARD_AXIS,
+    STEADY_S,
     STOP_BUTTON,
     SYN_DROPPED,
     TURN_AXIS,
@@ -50,20 +52,20 @@ def axis(code: int, value: int) -> bytes:
 @pytest.mark.skipif(EVENT.size != 24, reason="the events are those of a 64-bit computer")
 def test_events_as_the_kernel_lays_them_out_drive_forward():
     pad = Gamepad(RANGES)
-    pad.take(KERNEL)
-    assert pad.direction == (1.0, 0.0)
+    pad.take(KERNEL, 0.0)
+    assert pad.direction(0.0) == (1.0, 0.0)
 
 
 @given(st.lists(st.tuples(st.sampled_from((FORWARD_AXIS, TURN_AXIS)), st.integers(-40_000, 40_000)), max_size=9))
 def test_without_the_dead_man_button_no_stick_drives(moves):
     pad = Gamepad(RANGES)
     for code, value in moves:
-        pad.take(axis(code, value))
-    assert pad.direction == (0.0, 0.0)
-    pad.take(key(RIGHT_SHOULDER, 1))
-    assert all(-1 <= share <= 1 for share in pad.direction)
-    pad.take(key(RIGHT_SHOULDER, 0))
-    assert pad.direction == (0.0, 0.0)
+        pad.take(axis(code, value), 0.0)
+    assert pad.direction(0.0) == (0.0, 0.0)
+    pad.take(key(RIGHT_SHOULDER, 1), 0.0)
+    assert all(-1 <= share <= 1 for share in pad.direction(0.0))
+    pad.take(key(RIGHT_SHOULDER, 0), 0.0)
+    assert pad.direction(0.0) == (0.0, 0.0)
 
 
 @given(st.integers(0, 255), st.integers(0, 255))
@@ -76,18 +78,27 @@ def test_a_stick_is_steady_and_odd_around_its_middle(first, second):
 
 def test_the_sticks_have_the_signs_of_rep_103():
     pad = Gamepad(RANGES)
-    pad.take(key(LEFT_SHOULDER, 1) + axis(FORWARD_AXIS, -32768) + axis(TURN_AXIS, 0))
-    assert pad.direction == (1.0, 1.0), "up is forward, left is counter-clockwise"
+    pad.take(key(LEFT_SHOULDER, 1) + axis(FORWARD_AXIS, -32768) + axis(TURN_AXIS, 0), 0.0)
+    assert pad.direction(0.0) == (1.0, 1.0), "up is forward, left is counter-clockwise"
 
 
 def test_lost_events_release_all_until_a_button_is_pressed_again():
     pad = Gamepad(RANGES)
-    pad.take(key(LEFT_SHOULDER, 1) + axis(FORWARD_AXIS, -32768) + event(EV_SYN, SYN_DROPPED, 0))
-    assert pad.direction == (0.0, 0.0)
-    pad.take(axis(FORWARD_AXIS, -32768) + key(LEFT_SHOULDER, 2))  # it repeats: it was held before
-    assert pad.direction == (0.0, 0.0)
-    pad.take(key(LEFT_SHOULDER, 1))
-    assert pad.direction == (1.0, 0.0)
+    pad.take(key(LEFT_SHOULDER, 1) + axis(FORWARD_AXIS, -32768) + event(EV_SYN, SYN_DROPPED, 0), 0.0)
+    assert pad.direction(0.0) == (0.0, 0.0)
+    pad.take(axis(FORWARD_AXIS, -32768) + key(LEFT_SHOULDER, 2), 0.0)  # it repeats: it was held before
+    assert pad.direction(0.0) == (0.0, 0.0)
+    pad.take(key(LEFT_SHOULDER, 1), 0.0)
+    assert pad.direction(0.0) == (1.0, 0.0)
+
+
+def test_a_gamepad_that_is_silent_for_long_holds_nothing():
+    pad = Gamepad(RANGES)
+    pad.take(key(LEFT_SHOULDER, 1) + axis(FORWARD_AXIS, -32768), 10.0)
+    assert pad.direction(10.0 + STEADY_S) == (1.0, 0.0)
+    assert pad.direction(10.1 + STEADY_S) == (0.0, 0.0)
+    pad.take(axis(FORWARD_AXIS, -32768), 20.0)
+    assert pad.direction(20.0) == (0.0, 0.0), "until the button is pressed again"
 
 
 @given(st.integers(1, 40))
@@ -95,15 +106,15 @@ def test_events_in_pieces_are_the_same_events(n):
     data = key(LEFT_SHOULDER, 1) + axis(FORWARD_AXIS, 32767) + key(STOP_BUTTON, 1) + key(STOP_BUTTON, 0)
     pad = Gamepad(RANGES)
     for i in range(0, len(data), n):
-        pad.take(data[i : i + n])
-    assert pad.direction == (-1.0, 0.0)
+        pad.take(data[i : i + n], 0.0)
+    assert pad.direction(0.0) == (-1.0, 0.0)
     assert pad.take_stop()
     assert not pad.take_stop(), "STOP is one press"
 
 
 @given(st.binary(max_size=200))
 def test_no_bytes_raise(data):
-    Gamepad(RANGES).take(data)
+    Gamepad(RANGES).take(data, 0.0)
 
 
 def test_a_gamepad_that_comes_goes_and_comes_again_holds_nothing(tmp_path, monkeypatch):
@@ -115,13 +126,13 @@ def test_a_gamepad_that_comes_goes_and_comes_again_holds_nothing(tmp_path, monke
         for _ in range(2):
             os.mkfifo(path)
             assert device.open()
-            assert device.gamepad.direction == (0.0, 0.0)
+            assert device.gamepad.direction(0.0) == (0.0, 0.0)
             with open(path, "wb", buffering=0) as sender:
                 sender.write(key(LEFT_SHOULDER, 1))
-                until(device, lambda: device.gamepad.drives)
+                until(device, lambda: device.gamepad.drives(time.monotonic()))
             path.unlink()
             until(device, lambda: device.descriptor is None)
-            assert not device.gamepad.drives
+            assert not device.gamepad.drives(time.monotonic())
             assert "gone" in device.detail
             assert not device.open()
 
