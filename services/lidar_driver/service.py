@@ -8,9 +8,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from services.lidar_driver import ld06
 from services.lidar_driver.device import LaserDevice
 from services.lidar_driver.device_clock import DeviceClock, DeviceClockConfig
-from services.lidar_driver.ld06 import Ld06
 from services.lidar_driver.rplidar import Rplidar
 from services.lidar_driver.scip import Scip
 from services.lidar_driver.self_mask import masked_angles, on_robot
@@ -39,12 +39,14 @@ class LidarDriverConfig(Section):
 
     model: str = Field(
         "ld06",
-        pattern="^(ld06|rplidar|scip|xv11)$",
-        description="ld06 (LDROBOT LD06, LD19), rplidar (SLAMTEC A1 to A3), scip (Hokuyo URG, UTM, UST), xv11 (Neato)",
+        pattern="^(ld06|ld14|stl27l|rplidar|scip|xv11)$",
+        description="ld06 (LDROBOT LD06, LD19), ld14, stl27l (LDROBOT), rplidar (SLAMTEC A1 to A3), "
+        "scip (Hokuyo URG, UTM, UST), xv11 (Neato)",
     )
     port: PortConfig = Field(
         PortConfig(),
-        description="port of the laser; baud: ld06 230400, rplidar 115200 (A3 256000), xv11 115200",
+        description="port of the laser; baud: ld06 230400, stl27l 921600, ld14 and xv11 115200, "
+        "rplidar 115200 (A3 256000)",
     )
     inverted: bool = Field(False, description="whether the laser is mounted upside down")
     masks: tuple[tuple[Angle, Angle], ...] = Field(
@@ -201,7 +203,7 @@ class LidarDriverService(Service):
 
 
 DEVICES: dict[str, Callable[[LidarDriverConfig, Laser], LaserDevice]] = {
-    "ld06": lambda config, laser: Ld06(config.port.baud),
+    **dict.fromkeys(ld06.SAMPLES, lambda config, laser: ld06.Ld06(config.port.baud, ld06.SAMPLES[config.model])),
     "rplidar": lambda config, laser: Rplidar(config.port.baud, config.express),
     "scip": lambda config, laser: Scip(laser, config.inverted, config.intensities),
     "xv11": lambda config, laser: Xv11(config.port.baud),

@@ -73,7 +73,7 @@ class SimService(Service):
         self.history = np.zeros((steps_back, 3 + 3 * len(self.world.people)))
         self.epoch: int | None = None  # ns: time of step 0
         self.step = 0
-        self.laser = SimulatedLaser(robot.laser, config.laser, laser_rng)
+        self.simulated_laser = SimulatedLaser(robot.laser, config.laser, laser_rng)
         self.imu = SimulatedImu(config.imu, np.random.default_rng([config.seed, 10])) if robot.imu else None
         self.contact_sensors = ContactSensors(robot, self.world.cliffs)
 
@@ -83,7 +83,7 @@ class SimService(Service):
             0, 1, self.state_now.copy(), self.targets, 1, np.zeros((1, 2)), self.wheels, self.body, self.cells,
             self._people(), self.history.copy(),
         )  # fmt: skip
-        self.laser.true_sweep(self.cells, self.history, 0)
+        self.simulated_laser.true_sweep(self.cells, self.history, 0)
         self._contacts()
         self.board.warm_up(self.cells, self.history[0])
 
@@ -206,7 +206,7 @@ class SimService(Service):
         self.board.discharge(self._currents(), n * dyn.DT)
 
     def _restart_time(self) -> None:
-        self.epoch, self.step, self.laser.sweep = self.now, 0, 0
+        self.epoch, self.step, self.simulated_laser.sweep = self.now, 0, 0
         if self.imu is not None:
             self.imu.restart()
         self.history[:, :3] = self.state_now[:3]
@@ -214,7 +214,7 @@ class SimService(Service):
 
     def _due_scans(self) -> list[LaserScan]:
         """The sweeps that are complete since the last call."""
-        return self.laser.due_scans(self.cells, self.history, self.step, self.epoch or 0)
+        return self.simulated_laser.due_scans(self.cells, self.history, self.step, self.epoch or 0)
 
     def _currents(self) -> NDArray[np.float32]:
         s = self.state_now

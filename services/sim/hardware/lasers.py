@@ -37,6 +37,8 @@ def make_emulator(model: str, laser: Laser) -> LaserEmulator:
 MODELS: dict[str, Callable[[Laser], LaserEmulator]] = {
     "ld06": Ld06Emulator,
     "ld08": lambda laser: Ld06Emulator(laser, LD08_SAMPLES),
+    "ld14": lambda laser: Ld06Emulator(laser, samples=2304, baud=115200),
+    "stl27l": lambda laser: Ld06Emulator(laser, samples=21600, baud=921600),
     "rplidar": lambda laser: RplidarEmulator(laser, model=0x18),
     "rplidar_a2": lambda laser: RplidarEmulator(laser, model=0x28),  # scans in express mode
     "scip": ScipEmulator,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An LDROBOT LD06 or LD19: 12 beams a packet, clockwise, its own clock in ms; speed 0 while it does not turn."""
+"""LDROBOT LD06, LD19, LD14 and STL-27L: 12 beams a packet, clockwise, a clock in ms; speed 0 while they do not turn."""
 
 import struct
 from math import degrees
@@ -48,8 +48,9 @@ class Ld06Emulator:
     A packet is full: the turn's last one, with beams left over, has them finer apart, every other one empty.
     """
 
-    def __init__(self, laser: Laser, samples: int = SAMPLES) -> None:
-        self.laser = laser
+    def __init__(self, laser: Laser, samples: int = SAMPLES, baud: int = BAUD) -> None:
+        """samples: a second."""
+        self.laser, self.baud = laser, baud
         self.turning = True
         self.n = round(samples / laser.rate)
 
@@ -76,5 +77,5 @@ class Ld06Emulator:
             own = mm[begin : begin + N_BEAMS]
             beams[: len(own) * parts : parts] = own
             data = packet(speed, first + step * begin, first + step * end, beams.tolist(), at // MS)
-            chunks.append(timed_chunk(at, data, BAUD))
+            chunks.append(timed_chunk(at, data, self.baud))
         return chunks

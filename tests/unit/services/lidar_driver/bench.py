@@ -22,6 +22,8 @@ TICK = 20 * MS
 
 SWEEPS: dict[str, dict[str, Any]] = {
     "ld06": {"angle_min": 0.0, "angle_increment": -2 * pi / 450, "n_beams": 450, "rate": 10.0},
+    "ld14": {"angle_min": 0.0, "angle_increment": -2 * pi / 384, "n_beams": 384, "rate": 6.0},
+    "stl27l": {"angle_min": 0.0, "angle_increment": -2 * pi / 2160, "n_beams": 2160, "rate": 10.0},
     "xv11": {"angle_min": 0.0, "angle_increment": pi / 180, "n_beams": 360, "rate": 5.0},
     "scip": {"angle_min": -340 * 2 * pi / 1024, "angle_increment": 2 * pi / 1024, "n_beams": 682, "rate": 10.0},
     "rplidar": {"angle_min": 0.0, "angle_increment": -2 * pi / 360, "n_beams": 360, "rate": 5.0},
@@ -29,7 +31,7 @@ SWEEPS: dict[str, dict[str, Any]] = {
 }
 """Emulated model -> its sweep."""
 MODELS = tuple(SWEEPS)
-BAUD = {"ld06": 230400}
+BAUD = {"ld06": 230400, "stl27l": 921600}
 
 
 def laser_of(model: str) -> Laser:

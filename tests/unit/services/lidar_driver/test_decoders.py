@@ -49,7 +49,7 @@ def single(returns: list[Returns]) -> Returns:
 
 
 def test_an_ld19s_documented_packet_reads_as_its_manual_says():
-    device = ld06.Ld06(230400)
+    device = ld06.Ld06(230400, 4500)
     heard = single(device.receive(LD19_MANUAL, 0))
     assert device.speed == pytest.approx(2152 / 360)
     assert_allclose(heard.ranges[:3], [0.224, 0.220, 0.217], atol=1e-6)
@@ -61,7 +61,7 @@ def test_an_ld19s_documented_packet_reads_as_its_manual_says():
 
 
 def test_an_ld06s_published_packet_of_empty_beams_is_whole_and_measures_nothing():
-    heard = single(ld06.Ld06(230400).receive(LD06_HEARD, 0))
+    heard = single(ld06.Ld06(230400, 4500).receive(LD06_HEARD, 0))
     assert np.isnan(heard.ranges).all()
 
 
