@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-docker test-wheel mutants check fix lock verify-lock sbom docs figures record-references screenshots warm web web-check wheel clean
+.PHONY: help venv demo test test-docker test-ros2 test-wheel mutants check fix lock verify-lock sbom docs figures record-references screenshots warm web web-check wheel clean
 
 PYTHON ?=
 JOBS ?= 3 # one more than two cores: who tests processes waits half of the time
@@ -12,6 +12,11 @@ KERNELS := $(shell find services shared -name '*.py')
 
 # what makes mutants: the rest of cosmic-ray's 22 packages is for its own runner, which is not used
 MUTATORS := cosmic-ray==8.7.0 parso==0.8.7 attrs==26.1.0
+
+# what judges the bridge to ROS 2: an independent rmw_zenoh node, and the decoder of ROS itself; in an environment of its own
+ROS2_PEERS := zenoh-ros2-sdk==0.1.8 ros-jazzy-rclpy==7.1.6 ros-jazzy-rmw-fastrtps-cpp==8.4.3 ros-jazzy-sensor-msgs==5.3.6 \
+  ros-jazzy-nav-msgs==5.3.6 ros-jazzy-geometry-msgs==5.3.6 ros-jazzy-std-srvs==5.3.6 ros-jazzy-action-msgs==2.0.3 \
+  ros-jazzy-diagnostic-msgs==5.3.6 ros-jazzy-visualization-msgs==5.3.6
 
 # what makes requirements.hashes.txt and the list of software; they run in environments of their own
 HASHER := pip-tools==7.6.2
@@ -32,10 +37,18 @@ demo: venv ## the whole stack explores an office and drives to its goals: make d
 	@$(BIN)/zenav demo $(ARGS)
 
 test: venv ## everything that needs no Docker: make test ARGS="-k planner"
-	@$(BIN)/python -m pytest -n $(JOBS) --ignore tests/docker --ignore tests/wheel $(ARGS)
+	@$(BIN)/python -m pytest -n $(JOBS) --ignore tests/docker --ignore tests/ros2 --ignore tests/wheel $(ARGS)
 
 test-docker: venv ## the Compose file on a real engine
 	@$(BIN)/python -m pytest tests/docker -rs $(ARGS)
+
+test-ros2: venv .venv-ros2/.made ## the bridge beside ROS 2's own decoder and an independent node; x86-64, needs a package index
+	@$(BIN)/python -m pytest -n0 tests/ros2 -rs $(ARGS)
+
+.venv-ros2/.made: Makefile
+	@$(BIN)/python -m venv .venv-ros2
+	.venv-ros2/bin/python -m pip install -q --disable-pip-version-check $(ROS2_PEERS)
+	touch $@
 
 test-wheel: .venv/.made ## the wheel in an empty environment, some minutes; needs a package index
 	@$(BIN)/python -m pytest -n0 tests/wheel -rs $(ARGS)
@@ -139,7 +152,7 @@ wheel: .venv/.made ## the wheel and the source distribution, in dist/
 	ls dist
 
 clean: ## remove all that was made, .venv too
-	@rm -rf .venv build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	@rm -rf .venv .venv-ros2 build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 define find_python

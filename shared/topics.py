@@ -5,13 +5,16 @@ Subscriptions, recording channels, health limits, lockstep delays, docs, complet
 """
 
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Generic, Literal, TypeVar
 
 from shared import messages as m
+from shared.extensions import extension_services, packages, topic_modules
+from shared.section import UserError
 
 M = TypeVar("M", bound=m.Message)
 
-SERVICES = (
+OWN_SERVICES = (
     "sim",
     "base_driver",
     "lidar_driver",
@@ -24,8 +27,10 @@ SERVICES = (
     "recorder",
     "dashboard",
     "gateway",
+    "ros2",
     "imu_driver",
 )
+SERVICES = (*OWN_SERVICES, *extension_services(packages()))
 """Fixed order: a service's index is its port offset, and the tie-break of the lockstep runner."""
 
 
@@ -103,8 +108,8 @@ FOLLOW      = Topic("follow/status",   m.FollowStatus,  by="local_ctrl",        
 NAV_STATUS  = Topic("nav/status",      m.NavStatus,     by="navigator",              hz=5,  keep="latest", within=0.010, latched=True, people=True)
 TASK        = Topic("nav/task",        m.NavTask,       by="navigator",              hz=0,  keep="latest", within=0.010, latched=True)
 CMD_NAV     = Topic("cmd/nav",         m.Velocity,      by="local_ctrl",             hz=20, keep="latest", within=0.030)
-TELEOP      = Topic("cmd/teleop",      m.Velocity,      by="operator dashboard",     hz=20, keep="latest", within=0.005)
-ESTOP       = Topic("estop",           m.EmergencyStop, by="operator dashboard",     hz=0,  keep="all",    within=0.005, latched=True)
+TELEOP      = Topic("cmd/teleop",      m.Velocity,      by="operator dashboard ros2", hz=20, keep="latest", within=0.005)
+ESTOP       = Topic("estop",           m.EmergencyStop, by="operator dashboard ros2", hz=0,  keep="all",    within=0.005, latched=True)
 COSTMAP     = Topic("debug/costmap",   m.Costmap,       by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
 ROLLOUTS    = Topic("debug/rollouts",  m.Rollouts,      by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
 GUARD       = Topic("guard/status",    m.GuardStatus,   by="guard",                  hz=10, keep="latest", within=0.005, latched=True)
@@ -117,7 +122,31 @@ CLOCK       = Topic("sim/clock",       m.Clock,         by="sim",               
 TRUTH       = Topic("sim/truth",       m.Truth,         by="sim",                    hz=50, keep="all",    within=0.002, people=True)
 # fmt: on
 
-TOPICS: tuple[Topic[m.Message], ...] = tuple(t for t in list(globals().values()) if isinstance(t, Topic))
+OWN_TOPICS: tuple[Topic[m.Message], ...] = tuple(t for t in list(globals().values()) if isinstance(t, Topic))
+
+
+def _with_extensions() -> tuple[Topic[m.Message], ...]:
+    """The rows of above, and those of users' packages. Raises UserError where names clash or a publisher is unknown."""
+    rows = list(OWN_TOPICS)
+    for service in extension_services(packages()):
+        if service in OWN_SERVICES:
+            raise UserError(f"a package has a service {service}, as zenav has", "give it another name")
+    for module in topic_modules(packages()):
+        for row in vars(import_module(module)).values():
+            if not isinstance(row, Topic) or row in rows:
+                continue
+            if any(row.key == other.key for other in rows):
+                raise UserError(f"{module} has a topic {row.key}, as zenav has", "give it another key")
+            unknown = [name for name in row.publishers if name not in SERVICES]
+            if unknown:
+                raise UserError(
+                    f"{module}: {unknown[0]} publishes {row.key}, and is no service", "see its entry points"
+                )
+            rows.append(row)
+    return tuple(rows)
+
+
+TOPICS = _with_extensions()
 BY_KEY = {topic.key: topic for topic in TOPICS}
 
 

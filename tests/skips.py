@@ -19,6 +19,7 @@ NEEDS = (
     DATA,
     Need(("Docker", "docker"), "install Docker with Compose, and run make test-docker"),
     Need(("package index",), "run make test-wheel where pip reaches a package index"),
+    Need(("ROS 2 environment",), "run make test-ros2 where pip reaches a package index, on x86-64"),
     Need(("evo",), "pip install -r requirements-dev.txt"),
     Need(("x86-64",), "run them on an x86-64 processor"),
     Need(("another processor",), "run them where the recordings were made, or make record-references"),

@@ -32,6 +32,9 @@ FEEDBACK = {
     ("local_ctrl", "navigator"): "the navigator sees the progress, and when it has arrived",
     ("guard", "dashboard"): "the page shows the source of commands, and sees that STOP holds",
     ("guard", "navigator"): "the navigator reports why the robot stands",
+    ("guard", "ros2"): "the reply to a ROS 2 node that presses STOP says whether it holds",
+    ("mapper", "ros2"): "the feedback of a ROS 2 action has the robot's pose",
+    ("navigator", "ros2"): "a ROS 2 action follows the navigator's task",
 }
 """(publisher, reader) against the flow, each with its reason. Nothing else may close a circle."""
 
@@ -45,6 +48,7 @@ ZENOH = (
     "shared/runners/transport.py",
     "shared/runners/client.py",
     "services/gateway/router.py",  # a process of its own, which is no more than a session
+    "services/ros2/wire.py",  # the session with ROS 2 nodes
     "zenav/",
 )
 FILES = (
@@ -270,7 +274,10 @@ def test_only_the_transport_and_zenav_speak_zenoh():
 
 
 def test_only_the_shell_of_the_page_loads_a_web_library():
-    shell = tuple(f"services/dashboard/web_{name}.py" for name in ("app", "login", "server"))
+    shell = (
+        *(f"services/dashboard/web_{name}.py" for name in ("app", "login", "server")),
+        "zenav/bench/hostile_clients.py",  # a process of its own
+    )
     for path in files():
         if not short(path).startswith(shell):
             loads = {name.split(".")[0] for name in imported(path)} & {"starlette", "uvicorn", "websockets", "anyio"}

@@ -72,11 +72,19 @@ def decode(packet: Packet) -> BoardMessage | None:
         return CustomSensor(values[:8], tuple(infrared_metres(value) for value in values[2:8]), values[8])
     if kind == Type.STANDARD_SENSOR and len(data) >= _STANDARD_SENSOR.size:
         values = _STANDARD_SENSOR.unpack_from(data)
-        volts = (value * full / ADC_FULL for value, full in zip(values[16:], (9, 24, 9, 6, 6)))
-        motors = motor_degrees(values[12]), motor_degrees(values[13])
-        ambient = ambient_degrees(values[14])
+        volts = [value * full / ADC_FULL for value, full in zip(values[16:], (9, 24, 9, 6, 6))]
         return StandardSensor(
-            values[:6], values[6:10], values[10:12], motors, ambient, infrared_metres(values[15]), *volts
+            ultrasonic=values[:6],
+            human=values[6:10],
+            tilt=values[10:12],
+            motor_temperatures=(motor_degrees(values[12]), motor_degrees(values[13])),
+            temperature=ambient_degrees(values[14]),
+            infrared=infrared_metres(values[15]),
+            board_supply=volts[0],
+            motor_supply=volts[1],
+            servo_supply=volts[2],
+            reference=volts[3],
+            potentiometer_supply=volts[4],
         )
     if kind == Type.SYSTEM and data:
         return System(data[0])

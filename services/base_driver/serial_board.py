@@ -88,8 +88,21 @@ class SerialBoard:
         self._status_at, self._n_reports_at_status = now, self._n_reports
         age = max(now - self._last_at["packet"], 0) * 1e-9 if "packet" in self._last_at else nan
         line = self.device.counts
+        board_supply, motor_supply, servo_supply, *temperatures = self.device.supplies
         return BoardStatus(
-            now, line.n_good, line.n_bad, line.n_resyncs, line.n_skipped, age, rate, *self.device.supplies
+            stamp=now,
+            good=line.n_good,
+            bad_crc=line.n_bad,
+            resyncs=line.n_resyncs,
+            skipped=line.n_skipped,
+            last_heard=age,
+            rate=rate,
+            board_supply=board_supply,
+            motor_supply=motor_supply,
+            servo_supply=servo_supply,
+            left_temperature=temperatures[0],
+            right_temperature=temperatures[1],
+            temperature=temperatures[2],
         )
 
     def _start(self, now: int) -> bytes:

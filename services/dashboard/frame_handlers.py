@@ -41,7 +41,11 @@ def want(service: "DashboardService", page: PageSession, fields: dict[str, Any])
 
 def teleop(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
     """A command of a page that drives, or wants to."""
-    yield from teleop_out(service.driving.take(page, fields["v"], fields["w"], fields["n"], service.now))
+    if fields["n"] <= page.n:
+        return
+    command = service.driving.take(page.client, page.name, fields["v"], fields["w"], service.now)
+    page.n = fields["n"]
+    yield from teleop_out(command)
 
 
 def let_go(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:

@@ -15,12 +15,13 @@ import msgpack
 
 from services.dashboard.map_tiles import MapTiles
 from services.dashboard.page_connection import EVENT_KEYS, PageConnection
-from services.dashboard.stack_link import Deliver, refusal
+from services.dashboard.stack_link import Deliver
 from services.dashboard.web_guard import PageUser
 from shared import topics
 from shared.codec import CodecError, decode
 from shared.config import UserError
 from shared.reasons import BUSY
+from shared.runners.client import refusal
 from shared.topics import topic_of
 
 SESSION_ENDED = "the login has ended"

@@ -11,34 +11,34 @@ Both directions are streams of msgpack maps. Each map of topics.RX has an `event
 outgoing.py has the maps of topics.TX. So all commands of pages are in the journal.
 """
 
-from collections.abc import Iterator
 from typing import Any
-
-import msgpack
 
 from services.dashboard.audit import audit, refusal_line
 from services.dashboard.config import DashboardConfig
-from services.dashboard.driving import PageDriving
 from services.dashboard.field_checks import FrameError
 from services.dashboard.frame_handlers import FRAME_HANDLERS, teleop_out
 from services.dashboard.frames import checked_frame, request_payload, unpacked_frame
 from services.dashboard.login_reports import LoginReports
 from services.dashboard.outgoing import PORT, ask_order, frame, hello, note, refusing_reply
 from services.dashboard.sessions import PageSession, PageSessions
-from services.dashboard.stop_button import StopButton
 from shared import reasons, requests, topics
 from shared.config import Robot
+from shared.event_maps import event_maps
 from shared.messages import GuardStatus, PortState, SerialData, Velocity
 from shared.ports import PortConfig
 from shared.roles import FRAME_ROLES, Role, may
 from shared.service import Log, Out, Service, every, on
+from shared.stop_button import StopButton
 from shared.teleop_arbiter import TeleopRefusedError
+from shared.teleop_stream import TeleopStream
 from shared.topics import Publication
 from shared.types import NS_PER_S
 
 WATCH_EVERY_NS = 2 * NS_PER_S
 """between two requests that local control shows what it sees."""
 WATCH_FOR_S = 10.0
+TELEOP_HOLD_S = 0.2
+"""s after the last frame of a page at which the robot gets zero."""
 
 
 class DashboardService(Service):
@@ -50,7 +50,7 @@ class DashboardService(Service):
     def __init__(self, config: DashboardConfig, robot: Robot) -> None:
         super().__init__(config, robot)
         self.pages = PageSessions()
-        self.driving = PageDriving()
+        self.driving = TeleopStream(TELEOP_HOLD_S)
         self.stop_button = StopButton()
         self.is_open, self.detail = False, ""
         self.source = ""  # of commands, in the guard
@@ -86,7 +86,7 @@ class DashboardService(Service):
         """Takes events of the shell."""
         if data.port != PORT:
             return
-        for event in _maps(data.data):
+        for event in event_maps(data.data):
             yield from self._event(event)
         yield from self._drivers()
 
@@ -203,15 +203,3 @@ class DashboardService(Service):
     def clients(self) -> Publication:
         """Shows all pages the list of pages."""
         return frame(self.now, None, {"t": "clients", "clients": self.pages.listed()})
-
-
-def _maps(data: bytes) -> Iterator[dict[Any, Any]]:
-    """The msgpack maps in some bytes, up to the first fault."""
-    try:
-        unpacker = msgpack.Unpacker()
-        unpacker.feed(data)
-        for event in unpacker:
-            if type(event) is dict:
-                yield event
-    except Exception:  # msgpack raises a dozen kinds on foreign bytes: all mean the same here
-        return

@@ -11,10 +11,9 @@ from typing import Any
 
 from services.dashboard.frames import request_named
 from shared import requests, topics
-from shared.codec import CodecError, decode, envelope_of
-from shared.config import UserError
-from shared.reasons import BAD_REQUEST, NOT_RUNNING, REASONS
-from shared.runners.client import Client
+from shared.codec import CodecError, envelope_of
+from shared.reasons import NOT_RUNNING
+from shared.runners.client import Client, refusal, request_outcome
 from shared.runners.transport import LatchedReader, StackAddress, oversize
 from shared.topics import topic_of
 
@@ -68,17 +67,7 @@ class StackLink:
         row, client = request_named(key), self._client
         if row is None or client is None:
             return refusal(NOT_RUNNING.code, "no connection to the stack", NOT_RUNNING.hint)
-        limit = MAP_LIMIT_S if row is requests.START_MAP else ASK_LIMIT_S
-        try:
-            reply = client.ask(row, decode(row.request, payload)[0], limit)
-        except UserError as error:
-            return refusal(NOT_RUNNING.code, error.what, error.hint)
-        except CodecError as error:
-            return refusal(BAD_REQUEST.code, str(error), BAD_REQUEST.hint)
-        reason = REASONS.get(reply.reason)
-        data = {"task_id": getattr(reply, "task_id", 0)}
-        outcome = {"accepted": reply.accepted, "reason": reply.reason, "detail": reply.detail}
-        return {**outcome, "hint": reason.hint if reason is not None else "", "data": data}
+        return request_outcome(client, row, payload, MAP_LIMIT_S if row is requests.START_MAP else ASK_LIMIT_S)
 
     def _listen(self, client: Client, key: str) -> list[Callable[[], None]]:
         end = client.listen_raw(key, self._hear)
@@ -102,8 +91,3 @@ class StackLink:
             return
         if is_other:
             self._on_teleop()
-
-
-def refusal(reason: str, detail: str, hint: str) -> dict[str, Any]:
-    """The fields of a refusing `reply` but for its `id`."""
-    return {"accepted": False, "reason": reason, "detail": detail, "hint": hint, "data": None}

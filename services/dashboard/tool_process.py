@@ -12,8 +12,8 @@ from typing import Any
 
 import msgpack
 
-from services.dashboard.stack_link import refusal
 from shared.reasons import BUSY, NOT_RUNNING
+from shared.runners.client import refusal
 
 IDLE_S = 60.0  # after the last operation
 LIMIT_S = 120.0  # of one operation: a large map is packed and checked

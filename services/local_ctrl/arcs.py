@@ -83,7 +83,7 @@ def simulated_arc(
     braking = max(abs(first_v) / limits.braking, abs(first_w) / limits.turn_acceleration)
     moves = first_v != 0.0 or first_w != 0.0
     stops = not moves or contact >= DT + reaction + 0.5 * braking
-    return Arc(x, y, c, s, first_v, first_w, room, contact, n_run * DT, stops)
+    return Arc(x=x, y=y, c=c, s=s, v=first_v, w=first_w, room=room, contact=contact, seconds=n_run * DT, stops=stops)
 
 
 @njit(cache=True, nogil=True)

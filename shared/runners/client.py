@@ -20,7 +20,7 @@ from shared import topics
 from shared.codec import CodecError, Envelope, decode, encode
 from shared.config import UserError
 from shared.messages import Clock, Message
-from shared.reasons import NOT_RUNNING, TOO_LARGE
+from shared.reasons import BAD_REQUEST, NOT_RUNNING, REASONS, TOO_LARGE
 from shared.requests import Request
 from shared.runners import transport
 from shared.runners.host import merged
@@ -224,6 +224,28 @@ class Client:
                 envelope = before[1] if late else envelope
             self._latest[key] = (message, envelope, time.monotonic())
             self.changed.notify_all()
+
+
+def request_outcome(client: Client, row: Request[Any, Any], payload: bytes, limit: float) -> dict[str, Any]:
+    """Sends a request as its bytes: accepted, reason, detail, hint, and `task_id` in `data`. limit: s.
+
+    A request that could not be sent is a refusal.
+    """
+    try:
+        reply = client.ask(row, decode(row.request, payload)[0], limit)
+    except UserError as error:
+        return refusal(NOT_RUNNING.code, error.what, error.hint)
+    except CodecError as error:
+        return refusal(BAD_REQUEST.code, str(error), BAD_REQUEST.hint)
+    reason = REASONS.get(reply.reason)
+    data = {"task_id": getattr(reply, "task_id", 0)}
+    outcome = {"accepted": reply.accepted, "reason": reply.reason, "detail": reply.detail}
+    return {**outcome, "hint": reason.hint if reason is not None else "", "data": data}
+
+
+def refusal(reason: str, detail: str, hint: str) -> dict[str, Any]:
+    """The outcome of a refused request."""
+    return {"accepted": False, "reason": reason, "detail": detail, "hint": hint, "data": None}
 
 
 def _sized(key: str, payload: bytes) -> bytes:

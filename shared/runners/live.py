@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from shared.config import UserError, configured
+from shared.extensions import service_name
 from shared.kernel_cache import warm_up
 from shared.runners import transport
 from shared.runners.arguments import PRELOADED, arguments
@@ -36,7 +37,7 @@ def main(service_class: type[Service], devices: Devices = NO_DEVICES, **sinks: C
 
     devices: by kind, like `web` of web://127.0.0.1, the devices that the service brings for its ports.
     """
-    name = service_class.__module__.split(".")[1]
+    name = service_name(service_class.__module__)
     options = arguments(name).parse_args()
     logging.basicConfig(level=options.log, stream=sys.stderr, format=f"%(asctime)s {name} %(levelname)s %(message)s")
     status = 1

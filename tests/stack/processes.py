@@ -13,9 +13,13 @@ from shared import requests, topics
 from shared.config import load_robot
 from shared.geometry import Pose2
 from shared.messages import Health, NavState
+from shared.recording import Recording
 from shared.requests import Navigate
 from shared.runners.transport import StackAddress
 from zenav.client import Client
+from zenav.recording.opening import recorded_robot_file
+from zenav.replay.report import service_builder
+from zenav.replay.reprocess import replay_file
 from zenav.stack.launch import Launcher, free_stack, service_command
 
 ROBOT = load_robot("x80sv").robot
@@ -100,3 +104,14 @@ def running(
 def wait(seconds: float) -> None:
     """Lets the stack run for a while, where what must not happen could happen."""
     threading.Event().wait(seconds)
+
+
+def assert_replays(path: Path, service: str, keys: tuple[str, ...]) -> None:
+    """A service replays to the byte from a recording, with messages of these keys."""
+    file = recorded_robot_file(Recording(path))
+    assert file is not None
+    report = replay_file(path, [service], None, service_builder(file), lambda done, of: None)
+    assert report.notes == []
+    assert report.equal, report
+    counts = {topic.key: topic.n_equal for topic in report.topics}
+    assert min(counts[key] for key in keys) >= 1

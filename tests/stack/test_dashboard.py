@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page's server as a process of a simulated stack: what a page sees, how it drives, and that it never drives on."""
 
+import os
+import signal
 import socket
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
@@ -12,17 +13,13 @@ from services.dashboard.address import BASE_PORT
 from services.dashboard.login_store import LoginStore
 from shared import topics
 from shared.codec import decode
-from shared.messages import GuardState, PoseEstimate, Velocity
-from shared.recording import Recording
+from shared.messages import GuardState, Health, PoseEstimate, Velocity
 from shared.roles import Role
-from tests.stack.processes import ROBOT, StackProcesses, running
+from tests.stack.processes import ROBOT, StackProcesses, assert_replays, running
 from tests.unit.services.dashboard.browser import Browser
 from tests.unit.services.dashboard.credentials import REMOTE, make_credentials
 from tests.unit.services.dashboard.remote import RemoteComputer
 from zenav.client import Client
-from zenav.recording.opening import recorded_robot_file
-from zenav.replay.report import service_builder
-from zenav.replay.reprocess import replay_file
 
 BARE = ("sim", "base_driver", "odometry", "mapper", "guard", "dashboard")
 
@@ -115,6 +112,26 @@ def test_a_request_reaches_its_service_and_a_service_that_is_missing_is_named(st
         assert page.ask("ask", request="request/override", args={"seconds": 0.0})["accepted"]
 
 
+def test_a_page_stays_open_while_each_service_is_killed_and_shows_the_next_process(stack):
+    with page_of(stack) as page:
+        page.first("hello")
+        names = [name for name in BARE if name != "dashboard"]
+        page.send("want", keys=["map", "pose", "scan", *(f"health/{name}" for name in names)])
+
+        def shown_pids(name: str) -> list[int]:
+            return [decode(Health, f["b"])[0].pid for f in page.of("m") if f["k"] == f"health/{name}"]
+
+        for name in names:
+            page.until(lambda name=name: shown_pids(name))
+            before = stack.pid(name)
+            os.kill(before, signal.SIGKILL)
+            stack.until(lambda name=name, before=before: (shown_pids(name) or [before])[-1] != before)
+            assert shown_pids(name)[-1] == stack.pid(name)
+        n_frames = len(page.of("m"))
+        page.until(lambda: {"pose", "scan"} <= {f["k"] for f in page.of("m")[n_frames:]})
+        assert page.closed is None
+
+
 def test_what_pages_did_replays_to_the_byte_and_a_tool_lists_the_recording(tmp_path):
     path = tmp_path / "page.mcap"
     with running(tmp_path / "logs", ("recorder", *BARE), settings=(f"recorder.file={path}",)) as stack:
@@ -131,18 +148,7 @@ def test_what_pages_did_replays_to_the_byte_and_a_tool_lists_the_recording(tmp_p
             page.until(lambda: any("msgpack" in f["text"] for f in page.of("note")))
             (row,) = [row for row in page.ask("do", op="recordings")["data"] if row["name"] == path.name]
             assert row["current"]
-    assert_replays(path, ("cmd/teleop", "estop", "port/tx/dashboard"))
-
-
-def assert_replays(path: Path, keys: tuple[str, ...]) -> None:
-    """The dashboard replays to the byte, with messages of these keys."""
-    file = recorded_robot_file(Recording(path))
-    assert file is not None
-    report = replay_file(path, ["dashboard"], None, service_builder(file), lambda done, of: None)
-    assert report.notes == []
-    assert report.equal, report
-    counts = {topic.key: topic.n_equal for topic in report.topics}
-    assert min(counts[key] for key in keys) >= 1
+    assert_replays(path, "dashboard", ("cmd/teleop", "estop", "port/tx/dashboard"))
 
 
 def test_a_recording_of_logins_has_name_role_and_audit_no_token_and_replays_to_the_byte(tmp_path, monkeypatch):
@@ -167,7 +173,7 @@ def test_a_recording_of_logins_has_name_role_and_audit_no_token_and_replays_to_t
             stack.until(lambda: commanded(stack, 0.0))
             assert ben.request("POST", "/logout", b"", x_csrf=secrets[-1])[0] == 204
             other.until(lambda: other.closed)
-    assert_replays(path, ("cmd/teleop", "port/tx/dashboard", "log/dashboard"))
+    assert_replays(path, "dashboard", ("cmd/teleop", "port/tx/dashboard", "log/dashboard"))
     with path.open("rb") as file:
         recorded = [(channel.topic, message.data) for _, channel, message in make_reader(file).iter_messages()]
         file.seek(0)

@@ -10,15 +10,10 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 import zenoh
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from shared import topics
 from shared.config import UserError, load_robot
@@ -26,7 +21,8 @@ from shared.credentials import Credentials, parsed_credentials
 from shared.messages import Health, LogLine
 from shared.runners import transport
 from shared.runners.transport import StackAddress
-from shared.secure_folder import Member, MemberRole, SecureFolder
+from shared.secure_folder import MemberRole, SecureFolder
+from tests.stack.brief_certificate import brief_operator
 from zenav.client import Client
 from zenav.secure import members
 from zenav.secure.check import check_access
@@ -208,9 +204,7 @@ def test_a_revoked_member_is_cut_off_and_its_name_never_comes_back_by_the_old_fi
 
 def test_a_link_ends_with_its_certificate_and_nothing_of_it_arrives_afterwards(gateway):
     place = gateway.place
-    end = datetime.now(UTC) + timedelta(seconds=7)  # noqa: TID251  # certificates end by the wall clock
-    brief = credentials_until(place, "brief.1", end)
-    place.write_members([*place.members(), Member("brief", MemberRole.OPERATOR, "brief.1", end.date().isoformat())])
+    brief = brief_operator(place, ROBOT, 7)
     with gateway.open(brief) as session:
         gateway.put_until(session, "cmd/teleop", b"in time")
         gateway.until(lambda: any("brief (operator) disconnected" in line for line in gateway.lines), 30)
@@ -218,35 +212,6 @@ def test_a_link_ends_with_its_certificate_and_nothing_of_it_arrives_afterwards(g
         with pytest.raises(UserError):
             transport.opened(StackAddress(router=f"tls/{gateway.address}", credentials=brief))
         assert not gateway.has("cmd/teleop", b"too late")
-
-
-def credentials_until(place: SecureFolder, common_name: str, end: datetime) -> Credentials:
-    """Credentials by the robot's authority that end at a time of the day."""
-    authority = x509.load_pem_x509_certificate(place.authority_certificate.read_bytes())
-    signer = serialization.load_pem_private_key(place.authority_key.read_bytes(), None)
-    key = ec.generate_private_key(ec.SECP256R1())
-    certificate = (
-        x509.CertificateBuilder()
-        .subject_name(x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)]))
-        .issuer_name(authority.subject)
-        .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(datetime(1970, 1, 2, tzinfo=UTC))
-        .not_valid_after(end)
-        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH]), critical=False)
-        .sign(signer, hashes.SHA256())
-    )
-    form = (serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
-    return Credentials(
-        name="brief",
-        role="operator",
-        robot=ROBOT,
-        until=end.date().isoformat(),
-        key=key.private_bytes(serialization.Encoding.PEM, *form).decode(),
-        certificate=certificate.public_bytes(serialization.Encoding.PEM).decode(),
-        authority=place.authority_certificate.read_text(),
-    )
 
 
 def test_a_member_cannot_stand_in_for_the_robot(gateway, tmp_path):
@@ -295,3 +260,22 @@ def test_without_certificates_the_gateway_lets_nobody_in_and_says_why(tmp_path):
             socket.create_connection(("127.0.0.1", int(gateway.address.rpartition(":")[2])), 1.0).close()
         hidden.path.rename(gateway.place.path)
         gateway.until(lambda: gateway.health and "members connected" in gateway.health.state)
+
+
+def test_another_robot_of_the_same_name_is_refused_and_has_no_members_of_this_one(gateway, tmp_path):
+    """Two robots named x80: each has an authority of its own, and that decides."""
+    other = SecureFolder(tmp_path / "other")
+    members.init_folder("x80sv", str(other.path), [])
+    members.add_member("mapper", MemberRole.SERVICE, str(other.path), tmp_path / "mapper.pem", 10)
+    stranger = parsed_credentials((tmp_path / "mapper.pem").read_text(), "")
+    before = len(gateway.lines)
+    with pytest.raises(UserError, match="no router answers"):
+        transport.opened(StackAddress(router=f"tls/{gateway.address}", credentials=stranger))
+    gateway.until(lambda: any("rejected a connection" in line for line in gateway.lines[before:]))
+    ours = gateway.member("ours", MemberRole.OPERATOR)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{probe.getsockname()[1]}"
+    config = transport.gateway_configuration(gateway.where, f"tls/{address}", other, ROBOT)
+    with zenoh.open(config), pytest.raises(UserError, match="no router answers"):
+        transport.opened(StackAddress(router=f"tls/{address}", credentials=ours))

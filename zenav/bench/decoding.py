@@ -62,9 +62,16 @@ def _board(n_bytes: int) -> tuple[Decoder, bytes]:
     decoder.warm_up()
     stream, i = bytearray(), 0
     while len(stream) < n_bytes:
-        ranges = np.full(3, 1.0, np.float32), np.full(7, 0.3, np.float32)
         report = BoardReport(
-            START + i * TICK, i % 32768, 7 * i % 32768, 50.0, 350.0, *ranges, 7.2, np.ones(2, np.float32)
+            stamp=START + i * TICK,
+            left_counts=i % 32768,
+            right_counts=7 * i % 32768,
+            left_speed=50.0,
+            right_speed=350.0,
+            ultrasonic=np.full(3, 1.0, np.float32),
+            infrared=np.full(7, 0.3, np.float32),
+            battery=7.2,
+            currents=np.ones(2, np.float32),
         )
         stream += emulated.report_bytes(report, report.stamp)
         i += 1

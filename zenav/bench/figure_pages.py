@@ -16,7 +16,8 @@ from shared.config import UserError
 from shared.ros_map import replace_file
 from zenav.bench import slam
 from zenav.bench.faults import COLUMNS as FAULT_COLUMNS
-from zenav.bench.figure_rows import README, ROWS, SIZES
+from zenav.bench.figure_cells import README, SIZES
+from zenav.bench.figure_rows import ROWS
 from zenav.bench.published import ROOT, Published, PublishedFigure
 from zenav.console.table import markdown_table
 

@@ -19,8 +19,9 @@ from typing import Any
 
 from shared.config import UserError, nearest
 from shared.ros_map import replace_file
+from zenav.bench.figure_cells import Report
 from zenav.bench.figure_pages import write_pages
-from zenav.bench.figure_rows import ROWS, FigureRow, Report
+from zenav.bench.figure_rows import ROWS, FigureRow
 from zenav.bench.published import (
     FILE,
     CheckoutState,

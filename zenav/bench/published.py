@@ -11,7 +11,7 @@ from pathlib import Path
 
 from shared.config import UserError
 from shared.ros_map import replace_file
-from zenav.bench.figure_rows import Cells
+from zenav.bench.figure_cells import Cells
 
 ROOT = Path(__file__).resolve().parents[2]
 FILE = ROOT / "docs" / "figures.json"

@@ -2,6 +2,7 @@
 """`zenav bench stack`: the live stack drives; how fast a scan becomes a velocity, and what each process costs."""
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -12,22 +13,30 @@ from zenav.console.shutdown import stop_on_signal
 from zenav.console.table import show_table
 from zenav.metrics.latency import handler_times, latency_chain, latency_figures
 from zenav.scenario.scenario import load_scenario
+from zenav.stack.gateway import GATEWAY
 from zenav.stack.service_loader import build_service
 
 START = 20.0  # s that starting may take on top of the measured driving
 AIM_P99, AIM_RATIO = 0.030, 1.5  # s, without the wait for the tick; times the handlers of the same scans
 
 
-def stack(robot: str, world: str, seconds: float, out: Path | None, settings: list[str]) -> int:
-    """Drives for `seconds`, shows and writes the figures; 0 when nothing was touched and the aims are met."""
+def stack(robot: str, world: str, seconds: float, out: Path | None, settings: list[str], remote: bool) -> int:
+    """Drives for `seconds`, shows and writes the figures; 0 when nothing was touched and the aims are met.
+
+    remote: whether the gateway runs too, with a member of all topics.
+    """
+    from zenav.bench.remote_view import remote_member
     from zenav.scenario.live_run import RunView, run_live
 
     check_writable(out)
     folder = new_run_folder("stack")
     recording = folder / "run.mcap"
-    chosen = load_scenario(robot, world, 0, settings)
-    with stop_on_signal() as stop:
-        outcome = run_live(chosen, seconds + START, folder, recording, stop, RunView())
+    with stop_on_signal() as stop, ExitStack() as open_things:
+        member = open_things.enter_context(remote_member(robot)) if remote else None
+        chosen = load_scenario(robot, world, 0, [*settings, *(member.settings if member else ())])
+        if member:
+            chosen.names.append(GATEWAY)
+        outcome = run_live(chosen, seconds + START, folder, recording, stop, member or RunView())
         if stop.is_set():
             return 130
     if outcome.track.first_motion is None:

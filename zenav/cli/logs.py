@@ -16,6 +16,7 @@ from zenav.cli.parts import (
     Stack,
     TopicOdom,
     TopicScan,
+    With,
     app,
 )
 
@@ -123,6 +124,7 @@ def replay(
     out: Annotated[
         Path | None, typer.Option(help="With --through: recording of what they publish now.", metavar="OUT.mcap")
     ] = None,
+    with_: With = "",
     set_: Setting = None,
     compare: Annotated[
         bool, typer.Option("--compare", help="Field by field: the first difference and the largest.")

@@ -25,6 +25,36 @@ def bench_recording(
     raise typer.Exit(run(hours, out))
 
 
+@bench.command("gateway", cls=Command)
+def bench_gateway(
+    seconds: Annotated[float, typer.Option(min=1, max=600, help="s: length of each part.")] = 20.0,
+    out: Out = None,
+) -> None:
+    """The time of a message between services and to a member over TLS; the gateway's CPU and memory.
+
+    As root the member is in a network namespace of its own.
+
+    Example: zenav bench gateway --out gateway.json
+    """
+    from zenav.bench.gateway import gateway
+
+    raise typer.Exit(gateway(out, seconds))
+
+
+@bench.command("ros2", cls=Command)
+def bench_ros2(
+    seconds: Annotated[float, typer.Option(min=1, max=600, help="s: length of the measurement.")] = 20.0,
+    out: Out = None,
+) -> None:
+    """The time of a message through the bridge to ROS 2, and the bridge's CPU and memory.
+
+    Example: zenav bench ros2 --out ros2.json
+    """
+    from zenav.bench.ros2 import ros2
+
+    raise typer.Exit(ros2(out, seconds))
+
+
 @bench.command("office", cls=Command)
 def bench_office(
     seeds: Seeds = "0-9",
@@ -132,6 +162,7 @@ def bench_stack(
     out: Out = None,
     robot: RobotName = "x80sv",
     world: World = "office",
+    remote: Annotated[bool, typer.Option("--remote", help="With the gateway, and a member of all topics.")] = False,
     set_: Setting = None,
 ) -> None:
     """Latency from scan to cmd/vel across processes, CPU and memory of each, time to first motion.
@@ -140,7 +171,24 @@ def bench_stack(
     """
     from zenav.bench.stack import stack
 
-    raise typer.Exit(stack(robot, world, seconds, out, set_ or []))
+    raise typer.Exit(stack(robot, world, seconds, out, set_ or [], remote))
+
+
+@bench.command("page", cls=Command)
+def bench_page(
+    rounds: Annotated[int, typer.Option(min=1, help="Rounds of all attacks.")] = 3,
+    out: Out = None,
+    robot: RobotName = "x80sv",
+    world: World = "office",
+    set_: Setting = None,
+) -> None:
+    """What hostile clients of the page cost the robot: the time from scan to cmd/vel during attacks and without.
+
+    Example: zenav bench page --out page.json
+    """
+    from zenav.bench.page import page
+
+    raise typer.Exit(page(robot, world, rounds, out, set_ or []))
 
 
 @bench.command("footprint", cls=Command)

@@ -105,6 +105,30 @@ World = Annotated[
 ]
 
 
+def _with_packages(given: str) -> str:
+    """Begins this command again with other packages than those of the environment, which the registry has."""
+    from shared.extensions import VARIABLE, extension_services, packages, topic_modules
+
+    names = tuple(name for name in given.split(",") if name)
+    if names and names != packages():
+        extension_services(names)
+        topic_modules(names)
+        os.environ[VARIABLE] = ",".join(names)  # noqa: TID251  # a child's environment is made here
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
+    return given
+
+
+With = Annotated[
+    str,
+    typer.Option(
+        "--with",
+        envvar="ZENAV_WITH",
+        help="Installed packages with services of your own: see docs/new_service.md.",
+        metavar="PACKAGE,..",
+        callback=_with_packages,
+    ),
+]
+
 Setting = Annotated[
     list[str] | None, typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Override a setting; may be repeated.")
 ]

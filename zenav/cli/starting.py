@@ -2,7 +2,7 @@
 """`zenav demo`, `up` and `run`. Only parsing; work is imported when it is due."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -16,6 +16,7 @@ from zenav.cli.parts import (
     Setting,
     Simulated,
     Stack,
+    With,
     World,
     app,
 )
@@ -49,6 +50,7 @@ def demo(
     out: Out = None,
     page: Page = True,
     browser: Browser = True,
+    with_: With = "",
     robot: RobotName = "x80sv",
     world: World = "office",
     set_: Setting = None,
@@ -96,6 +98,10 @@ def up(
             metavar="A,B",
         ),
     ] = "",
+    with_: With = "",
+    ros2: Annotated[
+        str, typer.Option("--ros2", help="Bridge to ROS 2 nodes by their router: tcp/HOST:7447.", metavar="ROUTER")
+    ] = "",
     stack: Stack = "0",
     set_: Setting = None,
 ) -> None:
@@ -122,6 +128,7 @@ def up(
         browser,
         remote,
         [name for name in external.split(",") if name],
+        ros2,
     )
 
 
@@ -147,6 +154,7 @@ def run(
     service: Annotated[str, typer.Argument(help="Name of the service.", autocompletion=_services)],
     robot: RobotName = "x80sv",
     stack: Stack = "0",
+    with_: With = "",
     set_: Setting = None,
     clock: Annotated[str, typer.Option(metavar="EPOCH:SPEED", help="Simulated time: ns, times as fast as real.")] = "",
     memory: Annotated[
@@ -161,3 +169,28 @@ def run(
     from zenav.stack.up import run_service
 
     run_service(service, robot, stack, settings=set_ or [], clock=clock, memory=memory, log=log)
+
+
+@app.command(cls=Command, rich_help_panel=MAIN)
+def ros2(
+    router: Annotated[
+        str, typer.Option(help="Router of the ROS 2 nodes: tcp/HOST:7447.", metavar="ROUTER")
+    ] = "tcp/127.0.0.1:7447",
+    bridge: Annotated[
+        Literal["rmw_zenoh", "dds"], typer.Option(help="What they use: dds is with zenoh-bridge-ros2dds beside them.")
+    ] = "rmw_zenoh",
+    domain: Annotated[int, typer.Option(min=0, max=232, help="ROS_DOMAIN_ID of the nodes.")] = 0,
+    distro: Annotated[Literal["humble", "jazzy", "kilted"], typer.Option(help="Their distribution.")] = "jazzy",
+    namespace: Annotated[str, typer.Option(help="Before the names of topics and services, as /robot1.")] = "",
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+    set_: Setting = None,
+    log: Annotated[str, typer.Option(help="DEBUG, INFO, WARNING or ERROR.")] = "INFO",
+) -> None:
+    """Bridge a running stack to ROS 2 nodes over Zenoh, without ROS here. Until Ctrl-C.
+
+    Example: zenav ros2 --router tcp/192.168.1.7:7447 --domain 0
+    """
+    from zenav.stack.ros2 import run_bridge
+
+    run_bridge(robot, stack, router, bridge, domain, distro, namespace, set_ or [], log)

@@ -1,69 +1,80 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Events of a gamepad to forward and turn, while its dead-man button is held.
+"""A gamepad's events to velocities. Source: Linux, Documentation/input/event-codes.rst and gamepad.rst.
 
-Linux's joystick interface (Documentation/input/joydev/joystick-api.rst) gives 8 bytes an event: time u32 ms, value i16,
-type u8, number u8. Axes and buttons are numbered as by xpad and hid-playstation: left stick 0 and 1, right stick 3 and
-4; LB or L1 is button 4, B or the circle button 1.
+The left stick drives forward and back, the right one turns. Nothing moves unless a shoulder button is held, as dead-man
+button. East (B, circle) is STOP.
 """
 
 import struct
+from dataclasses import dataclass
 
-EVENT = struct.Struct("<IhBB")
-BUTTON, AXIS, INITIAL = 0x01, 0x02, 0x80  # types; INITIAL is added for the state at opening
-DRIVE_AXIS, TURN_AXIS = 1, 3  # left stick up and down, right stick left and right: both positive down and right
-DEAD_MAN, STOP = 4, 1
-FULL = 32767
-DEAD_ZONE = 0.08  # share of the way of a stick in which it rests
-STEADY_S = 5.0
-"""Without an event the robot stands after this time: a radio link may be lost and its receiver stay."""
-RELEASE_S = 0.5
-"""For which a release sends zero. Then navigation may drive again."""
+EVENT = struct.Struct("@llHHi")  # struct input_event: time s, us; type, code, value
+EV_SYN, EV_KEY, EV_ABS = 0, 1, 3
+SYN_DROPPED = 3  # the kernel dropped events: what is held is not known
+FORWARD_AXIS, TURN_AXIS = 0x01, 0x03  # ABS_Y of the left stick, ABS_RX of the right one; up and left are negative
+DEAD_MAN_BUTTONS = frozenset((0x136, 0x137))  # BTN_TL, BTN_TR
+STOP_BUTTON = 0x131  # BTN_EAST
+DEAD_ZONE = 0.12  # share of a stick's way around its middle
+
+
+@dataclass(frozen=True, slots=True)
+class AxisRange:
+    """The values of an axis, as its device reports them."""
+
+    least: int
+    greatest: int
+
+    def share(self, value: int) -> float:
+        """-1 to 1; 0 within the dead zone, without a step at its edge."""
+        middle, half = (self.least + self.greatest) / 2, (self.greatest - self.least) / 2
+        share = min(max((value - middle) / half, -1.0), 1.0) if half > 0 else 0.0
+        beyond = abs(share) - DEAD_ZONE
+        return 0.0 if beyond <= 0 else beyond / (1 - DEAD_ZONE) * (1 if share > 0 else -1)
 
 
 class Gamepad:
-    """State of a gamepad. Times are s on one monotonic clock."""
+    """What is held. ranges: of the axes by code; an axis without one is not used."""
 
-    def __init__(self) -> None:
-        self.stop_pressed = False
-        """Whether the STOP button was pressed; its reader clears it."""
-        self._buffer = b""
-        self._axes: dict[int, int] = {}
-        self._held = False
-        self._event_at = float("-inf")
-        self._drove_at = float("-inf")
+    def __init__(self, ranges: dict[int, AxisRange]) -> None:
+        self._ranges = ranges
+        self._kept = b""
+        self.presses_stop = False
+        self.forget()
 
-    def feed(self, data: bytes, now: float) -> None:
-        """Takes bytes of the device. A button that is held when the device opens counts from its next press."""
-        self._buffer += data
-        whole = len(self._buffer) // EVENT.size * EVENT.size
-        for _, value, kind, number in EVENT.iter_unpack(self._buffer[:whole]):
-            if kind & ~INITIAL == AXIS:
-                self._axes[number] = value
-            elif kind == BUTTON and number == DEAD_MAN:
-                self._held = bool(value)
-            elif kind == BUTTON and number == STOP and value:
-                self.stop_pressed = True
-            self._event_at = now
-        self._buffer = self._buffer[whole:]
+    def forget(self) -> None:
+        """Nothing is held: the device is gone, or events were lost. A button counts when it is pressed again."""
+        self._shares = {FORWARD_AXIS: 0.0, TURN_AXIS: 0.0}
+        self._held: set[int] = set()
 
-    def unplug(self) -> None:
-        """Lets go of everything: the device is gone."""
-        self._buffer, self._axes, self._held = b"", {}, False
+    def take(self, data: bytes) -> None:
+        """Takes bytes of the device, in pieces of any size. `presses_stop` stays set until `take_stop`."""
+        data = self._kept + data
+        whole = len(data) - len(data) % EVENT.size
+        self._kept = data[whole:]
+        for _, _, kind, code, value in EVENT.iter_unpack(data[:whole]):
+            if kind == EV_SYN and code == SYN_DROPPED:
+                self.forget()
+            elif kind == EV_KEY and value == 1:
+                self._held.add(code)
+                self.presses_stop |= code == STOP_BUTTON
+            elif kind == EV_KEY and value == 0:
+                self._held.discard(code)
+            elif kind == EV_ABS and code in self._shares and code in self._ranges:
+                self._shares[code] = self._ranges[code].share(value)
 
-    def direction(self, now: float) -> tuple[float, float] | None:
-        """Forward and turn, each -1 to 1, forward and left positive; None while the gamepad has nothing to send."""
-        if self._held and now - self._event_at <= STEADY_S:
-            self._drove_at = now
-            return -self._deflection(DRIVE_AXIS), -self._deflection(TURN_AXIS)
-        return (0.0, 0.0) if now - self._drove_at <= RELEASE_S else None
+    def take_stop(self) -> bool:
+        """Whether STOP was pressed since the last call."""
+        pressed, self.presses_stop = self.presses_stop, False
+        return pressed
 
-    def words(self, now: float) -> str:
-        """Why it does not drive; empty while it does."""
-        if not self._held:
-            return "hold LB or L1 to drive"
-        return "" if now - self._event_at <= STEADY_S else "nothing heard for 5 s: move a stick"
+    @property
+    def drives(self) -> bool:
+        """Whether the dead-man button is held."""
+        return bool(self._held & DEAD_MAN_BUTTONS)
 
-    def _deflection(self, axis: int) -> float:
-        share = max(-1.0, min(self._axes.get(axis, 0) / FULL, 1.0))
-        beyond = max(abs(share) - DEAD_ZONE, 0.0) / (1 - DEAD_ZONE)
-        return beyond if share > 0 else -beyond
+    @property
+    def direction(self) -> tuple[float, float]:
+        """Forward and counter-clockwise, each -1 to 1; 0 without the dead-man button."""
+        if not self.drives:
+            return 0.0, 0.0
+        return 0.0 - self._shares[FORWARD_AXIS], 0.0 - self._shares[TURN_AXIS]

@@ -86,8 +86,16 @@ def navigate(
     poses = tuple(Pose2(x, y, wrapped(radians(yaw or 0.0))) for x, y, yaw in targets)
     if arrival.heading_tolerance and targets[0][2] is None:
         raise UserError("a target without a heading has no tolerance of it", "give it one: X Y YAW")
-    tolerances = arrival.tolerance, radians(arrival.heading_tolerance)
-    request = Navigate(0, poses, dwell, loops, targets[0][2] is None, stays, *tolerances)
+    request = Navigate(
+        stamp=0,
+        poses=poses,
+        dwell=dwell,
+        loops=loops,
+        any_heading=targets[0][2] is None,
+        dwells=stays,
+        tolerance=arrival.tolerance,
+        yaw_tolerance=radians(arrival.heading_tolerance),
+    )
     if problem := request.problem():
         raise UserError(problem, "tolerances are m from 0.01 on, and degrees from 0.6 on")
     return request

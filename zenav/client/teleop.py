@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav teleop`: keys, while the terminal is in raw mode, or a gamepad to velocities, 20 times a second."""
+"""`zenav teleop`: keys or a gamepad to velocities, 20 times a second."""
 
 import os
 import select
@@ -12,10 +12,10 @@ from shared.config import load_robot
 from shared.messages import Velocity
 from shared.requests import Override
 from shared.runners.transport import stack_address
+from shared.stop_button import StopButton
 from zenav.client import Client
-from zenav.client.gamepad import Gamepad
 from zenav.client.gamepad_device import GamepadDevice
-from zenav.client.navigation_client import confirm_stop, refusal_error, stop_reason
+from zenav.client.navigation_client import refusal_error, stop_reason
 from zenav.console.raw_terminal import raw_terminal
 from zenav.console.shutdown import stop_on_signal
 
@@ -79,72 +79,77 @@ def teleop(robot: str, stack: str, speed: float, turn: float, override: bool) ->
                 continue
             due += PERIOD
             if override and due - last_override >= AGAIN:
-                ask_override(client, OVERRIDE)
+                _override(client, OVERRIDE)
                 last_override = due
             forward, turning = keys.direction(time.monotonic())
             client.publish(topics.TELEOP(Velocity(client.now(), forward * speed, turning * radians(turn), "")))
-            show_status(client)
+            _show(client)
         client.publish(topics.TELEOP(Velocity(client.now(), 0.0, 0.0, "")))
         if override:
-            ask_override(client, 0.0)
+            _override(client, 0.0)
     sys.stderr.write("\n")
 
 
-def teleop_gamepad(robot: str, stack: str, speed: float, turn: float, override: bool, device: str) -> None:
-    """Drives by a gamepad until Ctrl-C, while its dead-man button is held; speed in m/s, turn in degrees/s.
+def teleop_gamepad(robot: str, stack: str, speed: float, turn: float, device: str) -> None:
+    """Drives by a gamepad until Ctrl-C; speed in m/s, turn in degrees/s, at full stick.
 
-    device: path; empty: the first one. Raises UserError where it may not be opened, and where the guard refuses.
+    It publishes while the dead-man button is held, then zero once. So other tools may drive meanwhile. A gamepad that
+    is gone counts as released. device: its path; empty: the first one.
     """
-    pad, last_override = Gamepad(), float("-inf")
     with (
-        GamepadDevice(device) as port,
         stop_on_signal() as stop,
+        GamepadDevice(device) as gamepad,
         Client(load_robot(robot).robot.name, stack_address(stack)) as client,
     ):
         client.follow(topics.GUARD, topics.ODOM)
-        sys.stderr.write("left stick drives, right stick turns, B or circle is STOP, Ctrl-C quits\n")
-        sys.stderr.write(OVERRIDE_WARNING if override else "")
-        due = time.monotonic()
+        sys.stderr.write("hold a shoulder button and use the sticks; B or circle is STOP; Ctrl-C quits\n")
+        due, drove, stop_button = time.monotonic(), False, StopButton()
         while not stop.is_set():
-            data = port.read(max(0.0, due - time.monotonic()))
-            now = time.monotonic()
-            if data is None:
-                pad.unplug()
-            else:
-                pad.feed(data, now)
-            if pad.stop_pressed:
-                pad.stop_pressed = False
-                confirm_stop(client, True, "gamepad")
-            if now < due:
+            descriptor = gamepad.descriptor
+            waiting = [descriptor] if descriptor is not None else []
+            readable, _, _ = select.select(waiting, [], [], max(0.0, due - time.monotonic()))
+            if readable:
+                gamepad.read()
                 continue
-            due = now + PERIOD
-            direction = pad.direction(now)
-            if override and direction is not None and now - last_override >= AGAIN:
-                ask_override(client, OVERRIDE)
-                last_override = now
-            if direction is not None:
-                v, w = direction[0] * speed, direction[1] * radians(turn)
-                client.publish(topics.TELEOP(Velocity(client.now(), v, w, "")))
-            show_status(client, pad.words(now) if port.is_open else "no gamepad: plug one in")
+            due = max(due + PERIOD, time.monotonic())
+            is_there = gamepad.open()
+            if gamepad.gamepad.take_stop():
+                client.publish(topics.ESTOP(stop_button.set(True, "gamepad", client.now())))
+            if (guard := client.latest(topics.GUARD)) is not None:
+                stop_button.confirm(guard)
+            pressed, _ = stop_button.tick(client.now())
+            if pressed is not None:
+                client.publish(topics.ESTOP(pressed))
+            drives = gamepad.gamepad.drives
+            if drives or drove:
+                forward, turning = gamepad.gamepad.direction
+                client.publish(topics.TELEOP(Velocity(client.now(), forward * speed, turning * radians(turn), "")))
+            drove = drives
+            if is_there:
+                _show(client)
+            else:
+                _show_line(gamepad.detail)
         client.publish(topics.TELEOP(Velocity(client.now(), 0.0, 0.0, "")))
     sys.stderr.write("\n")
 
 
-def ask_override(client: Client, seconds: float) -> None:
+def _override(client: Client, seconds: float) -> None:
     """Asks the guard; a guard that does not answer at once is asked in vain, and the robot stands."""
     reply = client.ask(requests.OVERRIDE, Override(client.now(), seconds), timeout=1.0)
     if not reply.accepted:
         raise refusal_error(reply)
 
 
-def show_status(client: Client, words: str = "") -> None:
-    """Writes speeds, state and reason into the terminal's last line, after words of the device."""
+def _show(client: Client) -> None:
     odom, guard = client.latest(topics.ODOM), client.latest(topics.GUARD)
     if guard is None or client.age(topics.GUARD) > 1.0:
         line = "the guard does not answer: start the stack: zenav up"
     else:
         driven = f"{odom.v:+.2f} m/s {odom.w:+.2f} rad/s" if odom else "no odometry"
         line = f"{driven}  {guard.state}  {stop_reason(None, guard)}"
-    line = f"{words}  {line}" if words else line
+    _show_line(line)
+
+
+def _show_line(line: str) -> None:
     sys.stderr.write(f"\r\033[K{line[:100]}")
     sys.stderr.flush()

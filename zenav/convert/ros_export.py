@@ -7,10 +7,8 @@ A beam without an echo is +inf (REP 117). The laser's mount goes into /tf_static
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from math import cos, sin
 from typing import Any, Literal
 
-import numpy as np
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -23,16 +21,14 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 
-from shared.config import Mount
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import LaserScan, MapUpdate, Message, Odometry, Path, PoseEstimate, Truth
-from shared.types import Float64s
+from shared.ros_messages import GRID, ODOM, PATH, POSE, POSE_COVARIANCE, SCAN, TF, RosFrames, RosMessages
 from zenav.convert.conversion import Conversion
-from zenav.convert.ros_messages import GRID, ODOM, POSE, POSE_COVARIANCE, SCAN, TF, typestore
+from zenav.convert.ros_messages import typestore
 
-MAP, ODOM_FRAME, BASE, LASER = "map", "odom", "base_link", "laser"
-PATH = "nav_msgs/msg/Path"
+FRAMES = RosFrames()
 TYPES = {
     "/scan": SCAN, "/odom": ODOM, "/pose": POSE_COVARIANCE, "/map": GRID, "/plan": PATH, "/ground_truth": POSE,
     "/tf": TF, "/tf_static": TF,
@@ -40,7 +36,6 @@ TYPES = {
 LATCHED = "/map", "/tf_static"
 MAP_EVERY = 5_000_000_000  # ns between whole maps, as slam_toolbox has it
 VERSION: Literal[8] = 8  # of rosbag2's metadata: what ROS 2 Humble to Kilted read
-SIX = np.array((0, 1, 5))  # x, y, yaw in ROS's covariances
 FOREVER = QosTime(2147483647, 4294967295)
 
 
@@ -99,11 +94,11 @@ def _qos(topic: str) -> Qos:
 
 
 class Ros:
-    """Makes ROS messages of one ROS: ROS 1's headers have a number more."""
+    """Makes the messages of a bag of one ROS: ROS 1's headers have a number more."""
 
     def __init__(self, ros1: bool) -> None:
         self.store = typestore(ros1)
-        self._more = {"seq": 0} if ros1 else {}
+        self._make = RosMessages(self.store.types, FRAMES, {"seq": 0} if ros1 else {})
         self._grid = OccupancyGrid()
         self._map_due = -1  # ns, when the next whole map may be written
         self._map_waits: MapUpdate | None = None
@@ -115,113 +110,33 @@ class Ros:
         for key, message in task.messages():
             stamp = message.stamp
             if first:
-                yield "/tf_static", stamp, self._static(stamp, content.mount)
+                yield "/tf_static", stamp, self._make.transforms(self._make.mount(stamp, content.mount))
                 first = False
             yield from ((topic, stamp, converted) for topic, converted in self._of(key, message))
         if self._map_waits is not None:
-            yield "/map", stamp, self._occupancy(self._map_waits.stamp)
+            yield "/map", stamp, self._make.occupancy(self._grid, self._map_waits.stamp)
 
     def _of(self, key: str, message: Message) -> Iterator[tuple[str, Any]]:
+        make = self._make
         if isinstance(message, LaserScan):
-            yield "/scan", self._scan(message)
+            yield "/scan", make.scan(message)
         elif isinstance(message, Odometry):
-            yield "/odom", self._odometry(message)
-            yield "/tf", self._tf(message.stamp, ODOM_FRAME, BASE, message.odom_from_base)
+            yield "/odom", make.odometry(message)
+            yield "/tf", self._tf(message.stamp, FRAMES.odom, FRAMES.base, message.odom_from_base)
         elif isinstance(message, PoseEstimate):
-            pose = self._new(
-                "geometry_msgs/msg/PoseWithCovariance",
-                pose=self._pose(message.map_from_base),
-                covariance=_six(message.covariance),
-            )
-            yield "/pose", self._new(POSE_COVARIANCE, header=self._header(message.stamp, MAP), pose=pose)
-            yield "/tf", self._tf(message.stamp, MAP, ODOM_FRAME, message.map_from_odom)
+            yield "/pose", make.pose_estimate(message)
+            yield "/tf", self._tf(message.stamp, FRAMES.map, FRAMES.odom, message.map_from_odom)
         elif isinstance(message, Truth):
             map_from_base = message.start.inverse() @ message.world_from_base
-            yield "/ground_truth", self._posed(message.stamp, map_from_base)
+            yield "/ground_truth", make.posed(message.stamp, map_from_base, FRAMES.map)
         elif isinstance(message, Path):
-            poses = [self._posed(message.stamp, Pose2(*row)) for row in zip(message.xs, message.ys, message.yaws)]
-            yield "/plan", self._new(PATH, header=self._header(message.stamp, MAP), poses=poses)
+            yield "/plan", make.path(message)
         elif isinstance(message, MapUpdate):
             self._grid.apply(message)
             self._map_waits = message
             if message.stamp >= self._map_due:
                 self._map_due, self._map_waits = message.stamp + MAP_EVERY, None
-                yield "/map", self._occupancy(message.stamp)
-
-    def _new(self, type_: str, **fields: Any) -> Any:
-        return self.store.types[type_](**fields)
-
-    def _time(self, stamp: int) -> Any:
-        return self._new("builtin_interfaces/msg/Time", sec=stamp // 10**9, nanosec=stamp % 10**9)
-
-    def _header(self, stamp: int, frame: str) -> Any:
-        return self._new("std_msgs/msg/Header", stamp=self._time(stamp), frame_id=frame, **self._more)
-
-    def _scan(self, scan: LaserScan) -> Any:
-        n = len(scan.ranges)
-        return self._new(
-            SCAN,
-            header=self._header(scan.stamp, LASER),
-            angle_min=scan.angle_min, angle_max=scan.angle_min + scan.angle_increment * (n - 1),
-            angle_increment=scan.angle_increment, time_increment=scan.scan_time / (n - 1), scan_time=scan.scan_time,
-            range_min=scan.range_min, range_max=scan.range_max,
-            ranges=np.where(np.isnan(scan.ranges), np.float32(np.inf), scan.ranges).astype(np.float32),
-            intensities=np.ascontiguousarray(scan.intensities),
-        )  # fmt: skip
-
-    def _odometry(self, odometry: Odometry) -> Any:
-        pose = self._new(
-            "geometry_msgs/msg/PoseWithCovariance",
-            pose=self._pose(odometry.odom_from_base),
-            covariance=_six(odometry.covariance),
-        )
-        twist = self._new(
-            "geometry_msgs/msg/Twist", linear=self._vector(odometry.v, 0.0), angular=self._vector(0.0, 0.0, odometry.w)
-        )
-        spread = self._new("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36))
-        header = self._header(odometry.stamp, ODOM_FRAME)
-        return self._new(ODOM, header=header, child_frame_id=BASE, pose=pose, twist=spread)
-
-    def _occupancy(self, stamp: int) -> Any:
-        grid = self._grid
-        height, width = grid.cells.shape
-        info = self._new(
-            "nav_msgs/msg/MapMetaData", map_load_time=self._time(stamp), resolution=grid.resolution, width=width,
-            height=height, origin=self._pose(Pose2(grid.x0, grid.y0, 0.0)),
-        )  # fmt: skip
-        return self._new(GRID, header=self._header(stamp, MAP), info=info, data=grid.cells.ravel().copy())
-
-    def _static(self, stamp: int, mount: Mount) -> Any:
-        return self._tf(stamp, BASE, LASER, Pose2(mount.x, mount.y, mount.yaw))
+                yield "/map", make.occupancy(self._grid, message.stamp)
 
     def _tf(self, stamp: int, parent: str, child: str, pose: Pose2) -> Any:
-        transform = self._new(
-            "geometry_msgs/msg/Transform", translation=self._vector(pose.x, pose.y), rotation=self._turn(pose.yaw)
-        )
-        stamped = self._new(
-            "geometry_msgs/msg/TransformStamped",
-            header=self._header(stamp, parent),
-            child_frame_id=child,
-            transform=transform,
-        )
-        return self._new(TF, transforms=[stamped])
-
-    def _posed(self, stamp: int, pose: Pose2) -> Any:
-        return self._new(POSE, header=self._header(stamp, MAP), pose=self._pose(pose))
-
-    def _pose(self, pose: Pose2) -> Any:
-        place = self._new("geometry_msgs/msg/Point", x=pose.x, y=pose.y, z=0.0)
-        return self._new("geometry_msgs/msg/Pose", position=place, orientation=self._turn(pose.yaw))
-
-    def _turn(self, yaw: float) -> Any:
-        return self._new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=sin(yaw / 2), w=cos(yaw / 2))
-
-    def _vector(self, x: float, y: float, z: float = 0.0) -> Any:
-        return self._new("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z))
-
-
-def _six(covariance: Float64s) -> Float64s:
-    """(36,) of ROS from (9,) of x, y, yaw."""
-    out = np.zeros((6, 6))
-    out[np.ix_(SIX, SIX)] = covariance.reshape(3, 3)
-    return out.ravel()
+        return self._make.transforms(self._make.transform(stamp, parent, child, pose))

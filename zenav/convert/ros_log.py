@@ -12,6 +12,7 @@ import numpy as np
 from shared.config import Mount, UserError, nearest
 from shared.geometry import Pose2
 from shared.messages import LaserScan, Localization, MapUpdate, Message, Odometry, PoseEstimate
+from shared.ros_messages import GRID, ODOM, POSE, POSE_COVARIANCE, SCAN, TF, pose2
 from shared.types import Float64s, Int64s
 from zenav.convert import ros_messages as ros
 from zenav.convert.content import Choice, Content, odometry_at
@@ -60,14 +61,12 @@ class _LogReader:
         self.frames = self._frames(by_receipt=False)
 
     def content(self) -> Content:
-        odom = self._topic_times(
-            self._chosen(self.choice.odom, (ros.ODOM,), _odometry_rank, "odometry", "--topic-odom")
-        )
+        odom = self._topic_times(self._chosen(self.choice.odom, (ODOM,), _odometry_rank, "odometry", "--topic-odom"))
         scan = self._topic_times(
-            self._chosen(self.choice.scan, (ros.SCAN, ros.ECHOES), self._scan_rank, "laser", "--topic-scan")
+            self._chosen(self.choice.scan, (SCAN, ros.ECHOES), self._scan_rank, "laser", "--topic-scan")
         )
         pose = self._topic_times(
-            self._chosen(self.choice.pose, (ros.POSE_COVARIANCE, ros.POSE), _pose_rank, "pose", "--topic-pose")
+            self._chosen(self.choice.pose, (POSE_COVARIANCE, POSE), _pose_rank, "pose", "--topic-pose")
         )
         by_receipt = self._clock([times for times in (scan, odom) if times is not None])
         if by_receipt:
@@ -200,7 +199,7 @@ class _LogReader:
         """parent, child, stamp by the header, when it was recorded, the transform, whether it stands for ever."""
         rows = []
         for raw in self.bag.messages:
-            if raw.type not in (ros.TF, ros.OLD_TF):
+            if raw.type not in (TF, ros.OLD_TF):
                 continue
             message = self._good(ros.read, raw) if 0 <= raw.received < 2**62 else None
             static = raw.topic.endswith("tf_static")
@@ -326,7 +325,7 @@ class _LogReader:
 
     def _map(self, by_receipt: bool) -> list[MapUpdate]:
         """The last map; costmaps are none."""
-        topic = self._topic_times(self._chosen("", (ros.GRID,), _map_rank, "map", ""))
+        topic = self._topic_times(self._chosen("", (GRID,), _map_rank, "map", ""))
         return self._made(topic, ros.occupancy, by_receipt)
 
     def _poses(
@@ -337,7 +336,7 @@ class _LogReader:
         def pose_estimate(message: Any, stamp: int) -> PoseEstimate:
             pose = message.pose
             spread = ros.covariance(pose.covariance) if hasattr(pose, "covariance") else np.zeros(9)
-            return _estimate(stamp, ros.pose2(pose.pose if hasattr(pose, "covariance") else pose), spread)
+            return _estimate(stamp, pose2(pose.pose if hasattr(pose, "covariance") else pose), spread)
 
         poses = self._made(topic, pose_estimate, by_receipt)
         maps = [frame for frame in self.frames.ancestors(base) if frame.rpartition("/")[2] == "map"]
@@ -374,7 +373,7 @@ def _pose_rank(raws: list[RawMessage]) -> Any:
     topic = raws[0].topic
     if any(word in topic for word in ("goal", "initial", "clicked", "target", "truth")):
         return None
-    return "amcl" in topic or topic.rpartition("/")[2] == "pose", raws[0].type == ros.POSE_COVARIANCE, len(raws)
+    return "amcl" in topic or topic.rpartition("/")[2] == "pose", raws[0].type == POSE_COVARIANCE, len(raws)
 
 
 def _map_rank(raws: list[RawMessage]) -> Any:

@@ -5,25 +5,21 @@ Each raises ValueError where a message does not make sense.
 """
 
 from functools import cache
-from math import atan2, isfinite, pi
+from math import isfinite, pi
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from shared.geometry import Pose2
 from shared.grid import update_of_cells
 from shared.messages import LaserScan, MapUpdate, Odometry
+from shared.ros_messages import GRID, ODOM, POSE, POSE_COVARIANCE, SCAN, TF, pose2
 from shared.types import Float64s
 from zenav.convert.ros_files import RawMessage
 from zenav.maps.rotated_map import axis_aligned
 
-SCAN, ECHOES = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan"
-ODOM = "nav_msgs/msg/Odometry"
-TF, OLD_TF = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
-POSE, POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
-GRID = "nav_msgs/msg/OccupancyGrid"
+ECHOES, OLD_TF = "sensor_msgs/msg/MultiEchoLaserScan", "tf/msg/tfMessage"
 WANTED = frozenset({SCAN, ECHOES, ODOM, TF, OLD_TF, POSE, POSE_COVARIANCE, GRID})
 
 MAX_RANGE_M = 250.0  # of a range in a LaserScan of the stack
@@ -132,16 +128,6 @@ def odometry(message: Any, stamp: int) -> Odometry:
     if not (abs(v) <= 20 and abs(w) <= 50):
         v = w = 0.0  # the pose counts; speeds are often not filled in
     return Odometry(stamp, pose2(message.pose.pose), v, w, covariance(message.pose.covariance))
-
-
-def pose2(pose: Any) -> Pose2:
-    """A pose in the plane: place and heading of its x axis."""
-    p, q = pose.position, pose.orientation
-    x, y, z, w = (float(value) for value in (q.x, q.y, q.z, q.w))
-    norm = x * x + y * y + z * z + w * w
-    if not (0.25 < norm < 4 and abs(p.x) <= 1e6 and abs(p.y) <= 1e6):
-        raise ValueError("a pose that is none")
-    return Pose2(float(p.x), float(p.y), atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
 def occupancy(message: Any, stamp: int) -> MapUpdate:

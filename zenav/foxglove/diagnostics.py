@@ -4,12 +4,9 @@
 from dataclasses import dataclass
 from typing import Any
 
-from shared.messages import BaseStatus, GuardState, GuardStatus, Health, Message, NavState, NavStatus
-from shared.reasons import REASONS, reason_text
+from shared.messages import Message
+from shared.part_state import STALE, part_state
 from zenav.foxglove import as_json
-
-OK, WARN, ERROR, STALE = range(4)
-"""Levels of diagnostic_msgs/DiagnosticStatus."""
 
 _TEXT = {"type": "string"}
 _PAIR = {"type": "object", "properties": {"key": _TEXT, "value": _TEXT}}
@@ -31,7 +28,6 @@ DIAGNOSTICS: dict[str, Any] = {
         "status": {"type": "array", "items": _STATUS},
     },
 }
-_LEVELS = {"info": OK, "hold": WARN, "stop": ERROR, "fault": ERROR}
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,34 +55,17 @@ class Diagnostics:
 
 def diagnostics_of(message: Message) -> Diagnostics | None:
     """The state in a status of guard, navigator or base, or in a health message; None for other messages."""
-    if isinstance(message, GuardStatus):
-        level = _level(message.reason) if message.state is not GuardState.IDLE else OK
-        return _state(message, "guard", level, f"{message.state}", message.reason, message.detail)
-    if isinstance(message, NavStatus):
-        level = ERROR if message.state is NavState.FAILED else _level(message.reason)
-        return _state(message, "navigator", level, f"{message.state}", message.reason, message.detail)
-    if isinstance(message, BaseStatus):
-        return _state(message, "base", _level(message.fault), "", message.fault, message.detail)
-    if isinstance(message, Health):
-        level = WARN if message.bad_messages or message.intruders else OK
-        return _state(message, f"service {message.name}", level, message.state, "", message.last_error)
-    return None
-
-
-def silent(name: str, now: int, seconds: float) -> Diagnostics:
-    """A service that no longer sends its health."""
-    return Diagnostics(now, f"service {name}", STALE, f"silent for {seconds:.0f} s", {})
-
-
-def _level(reason: str) -> int:
-    return _LEVELS[REASONS[reason].severity] if reason in REASONS else (WARN if reason else OK)
-
-
-def _state(message: Message, name: str, level: int, state: str, reason: str, detail: str) -> Diagnostics:
-    parts = [state, reason_text(reason), detail]
+    state = part_state(message)
+    if state is None:
+        return None
     values = {
         key: f"{value:.6g}" if isinstance(value, float) else str(value)
         for key, value in as_json.document(message).items()
         if isinstance(value, str | int | float)
     }
-    return Diagnostics(message.stamp, name, level, ": ".join(part for part in parts if part) or "good", values)
+    return Diagnostics(message.stamp, *state, values)
+
+
+def silent(name: str, now: int, seconds: float) -> Diagnostics:
+    """A service that no longer sends its health."""
+    return Diagnostics(now, f"service {name}", STALE, f"silent for {seconds:.0f} s", {})

@@ -26,7 +26,7 @@ from shared.runners.host import MESSAGE, TICK
 from shared.runners.journal import Event
 from shared.runners.replay import Build, replay
 from shared.service import Out, Service, handlers
-from shared.types import NS_PER_S, Bools, Float64s
+from shared.types import NS_PER_S, Bools, Float64s, Int64s
 
 HandlerTimes = Mapping[str, Mapping[int, float]]
 
@@ -50,6 +50,7 @@ class LatencyChain:
     control: Float64s  # tick begins -> guard takes cmd/nav: the solver and a hop
     guard: Float64s  # guard takes it -> base_driver takes cmd/vel: the guard and a hop
     handlers: Float64s  # the handlers of sim, local_ctrl and guard that made it, CPU s, run alone; NaN where unknown
+    sent: Int64s  # ns on the stack's clock when the scan was sent
     lost: dict[str, int]  # scans that led to no command, by where they ended
     n_scans: int  # with the lost ones
 
@@ -83,6 +84,7 @@ def latency_chain(path: Path, since: int = 0, spent: HandlerTimes = MappingProxy
     until = max(times_at_base.values(), default=0) - round(END_S * NS_PER_S)
     rows: list[tuple[int, int, int, int]] = []
     spent_by: list[float] = []
+    reached: list[int] = []
     lost = dict.fromkeys((NOT_TAKEN, NO_COMMAND, NOT_AT_BASE), 0)
     for begun, source in sorted((when, source) for source, when in sent["scan"].items() if when >= since):
         control_at = times_at_control.get(source)
@@ -91,6 +93,7 @@ def latency_chain(path: Path, since: int = 0, spent: HandlerTimes = MappingProxy
         base_at = times_at_base.get(by_time["cmd/vel"].get(guard_at, NO_SOURCE)) if guard_at is not None else None
         if control_at is not None and guard_at is not None and base_at is not None:
             rows.append((control_at - begun, ticks[i] - control_at, guard_at - ticks[i], base_at - guard_at))
+            reached.append(begun)
             begins = zip(CHAIN_SERVICES, (begun, ticks[i], guard_at))
             spent_by.append(sum(spent.get(name, {}).get(when, nan) for name, when in begins))
         elif begun <= until:
@@ -103,6 +106,7 @@ def latency_chain(path: Path, since: int = 0, spent: HandlerTimes = MappingProxy
         control=solved,
         guard=guarded_for,
         handlers=np.array(spent_by, float),
+        sent=np.array(reached, np.int64),
         lost=lost,
         n_scans=n_scans,
     )

@@ -14,6 +14,7 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
 from shared.config import UserError
+from shared.extensions import service_module
 from shared.kernel_cache import ROOT
 from shared.runners import transport
 from shared.runners.transport import StackAddress, stack_address
@@ -159,7 +160,7 @@ def ports(where: StackAddress) -> Iterator[DoctorFinding]:
     foreign = []
     for port in held:
         who, service = claim_holder(port), SERVICES[port - low]
-        if f"services.{service}" not in who and "zenav run" not in who:
+        if service_module(service) not in who and "zenav run" not in who:
             foreign.append(
                 DoctorFinding(
                     "ports", BAD, f"{port} ({service}) is taken by {who}", "end it, or use another: --stack 1"

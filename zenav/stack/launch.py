@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from shared.config import UserError
+from shared.extensions import service_module
 from shared.messages import Health
 from shared.runners.transport import BASE_PORT, MAX_DOMAIN, PORTS_A_STACK, StackAddress
 from shared.topics import SERVICES
@@ -57,7 +58,7 @@ def service_command(
 ) -> list[str]:
     """The command line of a process that dies with this one. memory: folder for what a restart must not lose,
     in that of the run, where recordings of crashes go."""
-    command = [*GUARD, str(os.getpid()), f"services.{name}", "--robot", robot, "--stack", stack]
+    command = [*GUARD, str(os.getpid()), service_module(name), "--robot", robot, "--stack", stack]
     for setting in settings:
         command += ["--set", setting]
     command += ["--memory", str(memory), "--crashes", str(memory.parent)] if memory else []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The service classes by name: what lies at `services/NAME/service.py`."""
+"""The service classes by name: what lies at `services/NAME/service.py`, or in a user's package."""
 
 import inspect
 from collections.abc import Iterator
@@ -7,25 +7,27 @@ from importlib import import_module
 from importlib.util import find_spec
 
 from shared.config import Robot, RobotFile
+from shared.extensions import service_module
 from shared.service import Service
 from shared.topics import SERVICES
 
 
 def existing_services() -> Iterator[str]:
     """The registry's services that exist here, in its order."""
-    return (name for name in SERVICES if find_spec("services." + name) and find_spec(f"services.{name}.service"))
+    modules = {name: service_module(name) for name in SERVICES}
+    return (name for name, module in modules.items() if find_spec(module) and find_spec(f"{module}.service"))
 
 
 def service_class(name: str) -> type[Service]:
-    """The one Service of `services/NAME/service.py`."""
-    module = import_module(f"services.{name}.service")
+    """The one Service of its `service.py`."""
+    module = import_module(f"{service_module(name)}.service")
     found = [
         value
         for value in vars(module).values()
         if inspect.isclass(value) and issubclass(value, Service) and value.__module__ == module.__name__
     ]
     if len(found) != 1:
-        raise TypeError(f"services/{name}/service.py defines {len(found)} services, not one")
+        raise TypeError(f"{module.__name__} defines {len(found)} services, not one")
     return found[0]
 
 

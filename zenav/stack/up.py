@@ -7,9 +7,11 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
+from pathlib import Path
 
 from shared import requests, topics
-from shared.config import UserError, configured, nearest
+from shared.config import RobotFile, UserError, configured, nearest
+from shared.extensions import service_module
 from shared.messages import Health
 from shared.runners.clock import clock_from
 from shared.runners.transport import stack_address
@@ -17,7 +19,7 @@ from shared.topics import SERVICES
 from zenav.client import Client
 from zenav.client.map_modes import OnMap
 from zenav.console.run_folder import new_run_folder
-from zenav.console.shutdown import stop_on_signal
+from zenav.console.shutdown import StopFlag, stop_on_signal
 from zenav.stack.config_report import read_sections
 from zenav.stack.external import ExternalWatch, expected_topics
 from zenav.stack.gateway import GATEWAY, gateway_address, prepare_gateway, prepare_page, with_gateway
@@ -25,6 +27,7 @@ from zenav.stack.hardware import Hardware, emulated_ports, services_for, setting
 from zenav.stack.heap import release_free_memory
 from zenav.stack.launch import START_LIMIT, Launcher, claim_stack, service_command
 from zenav.stack.page import SERVICE, PageOpener, page_url, with_page
+from zenav.stack.ros2 import ROS2, ros2_settings
 from zenav.stack.sd_notify import Notifier
 from zenav.stack.service_loader import existing_services
 from zenav.stack.warm import warm_first
@@ -44,7 +47,7 @@ def run_service(service: str, robot: str, stack: str, settings: list[str], clock
     sys.argv[:] = [service, "--robot", robot, "--stack", stack, "--log", log, "--clock", clock, "--memory", memory]
     for setting in settings:
         sys.argv += ["--set", setting]
-    runpy.run_module(f"services.{service}", run_name="__main__", alter_sys=True)
+    runpy.run_module(service_module(service), run_name="__main__", alter_sys=True)
 
 
 def selected_services(only: list[str], whole: list[str], external: Sequence[str] = ()) -> list[str]:
@@ -72,23 +75,29 @@ def up(
     browser: bool = True,
     remote: bool = False,
     external: Sequence[str] = (),
+    ros2: str = "",
 ) -> None:
     """Runs the services until Ctrl-C. hardware: None is the simulator's messages with a world, else the real robot.
 
     on_map: what the mapper begins with; a new map without it.  page: whether the page's server runs, and `browser`:
     whether a browser shows it in a desktop session.  remote: whether members reach the stack from other computers.
     external: services that are not started, because programs of the user take their place.
+
+    ros2: the router of ROS 2 nodes, as tcp/HOST:7447; empty: no bridge.
     """
     hardware = _checked_hardware(hardware, world, speed, external)
     settings = [*settings, *([f"sim.world={world}"] if world else [])]
     where = stack_address(stack)
     settings = with_gateway(settings, where) if remote else settings
+    settings = [*ros2_settings(ros2), *settings] if ros2 else settings
     file = configured(robot, settings)
     read_sections(file)
     names = selected_services(only, with_page(services_for(hardware, file), page), external)
     if remote:
         prepare_gateway(file)
         names.append(GATEWAY)
+    if ros2:
+        names.append(ROS2)
     if "sim" in names:
         simulated_world(file)  # a wrong world is an error before any process starts
     saved = None if on_map is None else on_map.read(file)  # so is a damaged map
@@ -105,57 +114,81 @@ def up(
         folder = new_run_folder("up")
         settings += settings_for(hardware, file, folder)
         commands = {name: service_command(name, robot, stack, settings, clock, folder / "memory") for name in names}
-        _print_line("zenav", f"{', '.join(names)}; logs in {folder}; Ctrl-C ends them")
+        _print_zenav(f"{', '.join(names)}; logs in {folder}; Ctrl-C ends them")
         if url:
-            _print_line("zenav", f"the page is at {url}")
+            _print_zenav(f"the page is at {url}")
         if remote:
-            _print_line("zenav", f"members connect to {gateway_address(file)}")
-        if hardware is Hardware.REAL and not only:
-            _print_line("zenav", "no world: expects the robot's hardware; simulate with --world office")
-        if hardware is Hardware.EMULATED:
-            ports = ", ".join(str(folder / port) for port in emulated_ports(file))
-            _print_line("zenav", f"ports: {ports}; zenav fault breaks them")
+            _print_zenav(f"members connect to {gateway_address(file)}")
+        _print_hardware(hardware, file, folder, is_whole=not only)
         launcher = open_things.enter_context(Launcher(commands, folder, _print_line, 1 / speed))
         client = open_things.enter_context(Client(file.robot.name, where))
-        ready: set[str] = set()
-        opener = PageOpener(url, browser)
         expected = expected_topics(names, external, file) if external or not only else []
-        watch = ExternalWatch(client, expected, file.robot, lambda line: _print_line("zenav", line))
+        watch = ExternalWatch(client, expected, file.robot, _print_zenav)
         if external:
             keys = ", ".join(topic.key for topic in expected) or "no messages"
-            _print_line("zenav", f"{', '.join(external)}: not started here; waits for {keys}")
-        systemd, heard = Notifier(), [0.0]  # s, monotonic: of the last health of any service
-
-        def hear(health: Health) -> None:
-            launcher.hear(health)
-            opener.hear(health)
-            heard[0] = time.monotonic()
-            if health.name not in ready and health.name in commands:
-                ready.add(health.name)
-                if len(ready) == len(commands):
-                    _print_line("zenav", watch.ready_text())
-
-        client.listen(topics.HEALTH, lambda health, _: hear(health))
-        launcher.start_all(lambda name: name in ready, stop.is_set)
+            _print_zenav(f"{', '.join(external)}: not started here; waits for {keys}")
+        running = _RunningStack(launcher, watch, PageOpener(url, browser), folder)
+        client.listen(topics.HEALTH, lambda health, _: running.hear(health))
+        launcher.start_all(lambda name: name in running.ready, stop.is_set)
         if on_map is not None and saved is not None and not stop.is_set():
             client.answers(requests.GIVE_MAP, START_LIMIT)
             on_map.give(client, saved)
             saved = None
             release_free_memory()
-            _print_line("zenav", f"the mapper has the map of {on_map.folder}: {on_map.mode}")
-        is_ready = False
+            _print_zenav(f"the mapper has the map of {on_map.folder}: {on_map.mode}")
+        running.run_until(stop)
+
+
+class _RunningStack:
+    """The launcher's loop: restarts services, and reports their state to the user and to systemd."""
+
+    def __init__(self, launcher: Launcher, watch: ExternalWatch, opener: PageOpener, folder: Path) -> None:
+        self.launcher, self.watch, self.opener, self.folder = launcher, watch, opener, folder
+        self.ready: set[str] = set()  # services of which a health message came
+        self._heard_at = 0.0  # s, monotonic: of the last health of any service
+
+    def hear(self, health: Health) -> None:
+        """Takes a service's health; called in the client's thread."""
+        self.launcher.hear(health)
+        self.opener.hear(health)
+        self._heard_at = time.monotonic()
+        if health.name not in self.ready and health.name in self.launcher.commands:
+            self.ready.add(health.name)
+            if self._is_ready:
+                _print_zenav(self.watch.ready_text())
+
+    def run_until(self, stop: StopFlag) -> None:
+        """Works until `stop` is set."""
+        systemd, is_announced = Notifier(), False
         while not stop.is_set():
-            launcher.step()
-            watch.step()
-            if not is_ready and len(ready) == len(commands):
-                is_ready = True
+            self.launcher.step()
+            self.watch.step()
+            if self._is_ready and not is_announced:
+                is_announced = True
                 systemd.ready()
-                systemd.status(f"{len(ready)} services run; logs in {folder}")
-            if time.monotonic() - heard[0] < MAX_SILENCE_S:
+                systemd.status(f"{len(self.ready)} services run; logs in {self.folder}")
+            if time.monotonic() - self._heard_at < MAX_SILENCE_S:
                 systemd.alive()
-            launcher.pause(PERIOD_S)
+            self.launcher.pause(PERIOD_S)
         systemd.stopping()
-        _print_line("zenav", "ending")
+        _print_zenav("ending")
+
+    @property
+    def _is_ready(self) -> bool:
+        return len(self.ready) == len(self.launcher.commands)
+
+
+def _print_hardware(hardware: Hardware, file: RobotFile, folder: Path, is_whole: bool) -> None:
+    """Says what the stack expects of a real robot, or where emulated ports are."""
+    if hardware is Hardware.REAL and is_whole:
+        _print_zenav("no world: expects the robot's hardware; simulate with --world office")
+    if hardware is Hardware.EMULATED:
+        ports = ", ".join(str(folder / port) for port in emulated_ports(file))
+        _print_zenav(f"ports: {ports}; zenav fault breaks them")
+
+
+def _print_zenav(line: str) -> None:
+    _print_line("zenav", line)
 
 
 def _print_line(name: str, line: str) -> None:

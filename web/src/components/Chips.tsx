@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Link, battery, who drives and who else looks, in short.
+// Link, battery, teleop arbitration and other pages, in short.
 
 import { isOld, clients, drivers, hello, latest, link, now, rtt } from "../state";
 import { t } from "../texts";

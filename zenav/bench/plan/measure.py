@@ -281,8 +281,15 @@ def tile_updates(terrain: GlobalCostmap, cells: NDArray[np.int8]) -> PlannerRow:
         tile = grid.cells[r * TILE_CELLS : (r + 1) * TILE_CELLS, c * TILE_CELLS : (c + 1) * TILE_CELLS].copy()
         flipped = rng.random(tile.shape) < 0.02
         tile[flipped] = np.where(tile[flipped] == 100, 0, 100)
-        place = np.array([r], np.int32), np.array([c], np.int32)
-        update = MapUpdate(0, 0, version + 1, terrain.resolution, *place, tile.reshape(1, -1))
+        update = MapUpdate(
+            stamp=0,
+            map_id=0,
+            version=version + 1,
+            resolution=terrain.resolution,
+            rows=np.array([r], np.int32),
+            columns=np.array([c], np.int32),
+            cells=tile.reshape(1, -1),
+        )
         changed, grid_ms = timed_call(grid.apply, update)
         _, ms = timed_call(terrain.update, grid, changed)
         if version >= 3:

@@ -14,6 +14,7 @@ import typer
 from shared.config import UserError
 from zenav.__main__ import app
 from zenav.bench import footprint, serial
+from zenav.bench.figure_cells import README
 from zenav.bench.figure_pages import (
     MISSING,
     PAGES,
@@ -25,7 +26,7 @@ from zenav.bench.figure_pages import (
     when_measured,
     write_pages,
 )
-from zenav.bench.figure_rows import README, ROWS, FigureRow
+from zenav.bench.figure_rows import ROWS, FigureRow
 from zenav.bench.figures import Bench, current, measure_rows, selected_rows
 from zenav.bench.localise import LocalizationTrial
 from zenav.bench.published import ROOT, CheckoutState, PublishedFigure, checkout_state, load_published, save_published
@@ -394,7 +395,7 @@ def of_plan():
 
 
 def of_stack():
-    chain = LatencyChain(*np.full((4, 9), 0.003), np.full(9, 0.006), {}, 9)
+    chain = LatencyChain(*np.full((4, 9), 0.003), np.full(9, 0.006), np.zeros(9, np.int64), {}, 9)
     told = latency_figures(chain)
     return told | {"summary": told["summary"] | {"first_motion_s": 8.5}}
 

@@ -8,8 +8,9 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 
+from shared.ros_messages import GRID, ODOM, POSE, SCAN, TF
 from shared.types import NS_PER_S
-from zenav.convert.ros_messages import ECHOES, GRID, ODOM, POSE, SCAN, TF, typestore
+from zenav.convert.ros_messages import ECHOES, typestore
 
 KINDS = "ros1", "ros1-lz4", "ros1-bz2", "mcap", "mcap-zstd", "mcap-file", "sqlite", "sqlite-messages"
 

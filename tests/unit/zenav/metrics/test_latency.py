@@ -154,7 +154,16 @@ def test_the_handlers_of_a_scan_are_those_that_made_its_command(tmp_path):
 def of(latency, handlers):
     """A chain with these latencies and handlers, s, of each scan."""
     nothing = np.zeros(len(latency))
-    return LatencyChain(np.array(latency), nothing, nothing, nothing, np.array(handlers), {}, len(latency))
+    return LatencyChain(
+        to_control=np.array(latency),
+        wait=nothing,
+        control=nothing,
+        guard=nothing,
+        handlers=np.array(handlers),
+        sent=np.zeros(len(latency), np.int64),
+        lost={},
+        n_scans=len(latency),
+    )
 
 
 def test_latency_is_compared_with_the_handlers_of_the_same_scans_percentile_by_percentile():

@@ -4,7 +4,7 @@
 import json
 import os
 import stat
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -63,6 +63,15 @@ def test_certificates_hold_for_a_computer_that_begins_in_1970(place):
     robot = x509.load_pem_x509_certificate(place.robot_certificate.read_bytes())
     assert robot.not_valid_before_utc == BEGIN
     assert BEGIN.year == 1970
+    authority = x509.load_pem_x509_certificate(place.authority_certificate.read_bytes())
+    member = x509.load_pem_x509_certificate(parsed_credentials(add(place, "anna").read_text(), "").certificate.encode())
+    builder = PolicyBuilder().store(Store([authority])).time(datetime(1970, 1, 3))
+    builder.build_server_verifier(x509.DNSName("robot.example.org")).verify(robot, [])
+    with pytest.raises(VerificationError):
+        PolicyBuilder().store(Store([authority])).time(datetime(2100, 1, 1)).build_server_verifier(
+            x509.DNSName("robot.example.org")
+        ).verify(robot, [])
+    assert member.not_valid_before_utc == BEGIN
 
 
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -1,39 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Teleoperation from pages: which velocity is published, and when. Times are ns on the stack's clock."""
+"""Teleoperation by the clients of one service: the velocity to publish, and when. Times: ns on the stack's clock."""
 
-from services.dashboard.sessions import PageSession
 from shared.messages import Velocity
 from shared.teleop_arbiter import TeleopArbiter
 from shared.types import NS_PER_S
 
-HOLD_S = 0.2
-"""s after the last frame of a page at which the robot gets zero."""
 MIN_INTERVAL_NS = 40_000_000
-"""between two commands: a page sends 20 a second, and a burst of frames is one command."""
+"""between two commands: a client sends 20 a second, and a burst is one command."""
 
 
-class PageDriving:
-    """Teleop arbitration among pages, with their commands as messages.
+class TeleopStream:
+    """Teleop arbitration among clients, with their commands as messages. hold: s for which a command counts.
 
-    A command carries the time of its frame. So the guard, too, ends it HOLD_S after the frame.
+    A message carries the time of its command. So the guard, too, ends it some time after the command.
     """
 
-    def __init__(self) -> None:
-        self.arbiter = TeleopArbiter(HOLD_S)
-        self._frame_at = 0
+    def __init__(self, hold: float) -> None:
+        self.arbiter = TeleopArbiter(hold)
+        self._commanded_at = 0
         self._published_at = 0
         self._is_unsent = False
 
-    def take(self, page: PageSession, v: float, w: float, n: int, now: int) -> Velocity | None:
-        """A teleop frame. Returns the command to publish at once, if any. Raises TeleopRefusedError."""
-        if n <= page.n:
-            return None
-        self.arbiter.request(page.client, page.name, v, w, now / NS_PER_S)
-        page.n, self._frame_at, self._is_unsent = n, now, True
+    def take(self, client: int, name: str, v: float, w: float, now: int) -> Velocity | None:
+        """A command in m/s and rad/s. Returns the message to publish at once, if any. Raises TeleopRefusedError."""
+        self.arbiter.request(client, name, v, w, now / NS_PER_S)
+        self._commanded_at, self._is_unsent = now, True
         return self._command(now) if not 0 <= now - self._published_at < MIN_INTERVAL_NS else None
 
     def let_go(self, client: int, now: int) -> Velocity | None:
-        """A page lets go, or is gone. Returns zero if it drove."""
+        """A client lets go, or is gone. Returns zero if it drove."""
         driver = self.arbiter.driver
         if driver is None or driver.client != client:
             return None
@@ -62,7 +57,7 @@ class PageDriving:
         if command is None:
             return None
         self._published_at, self._is_unsent = now, False
-        return Velocity(min(self._frame_at, now), *command, reason="")
+        return Velocity(min(self._commanded_at, now), *command, reason="")
 
     def _zero(self, now: int) -> Velocity:
         self._published_at, self._is_unsent = now, False

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The shell of the ROS 2 bridge: the device `zenoh://tcp/HOST:7447` behind the service's port.
+
+It opens the session with the ROS 2 nodes, passes what comes in to the core, and takes the core's orders. Events and
+orders are msgpack maps (docs in service.py).
+"""
+
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from typing import Any, cast
+
+import msgpack
+
+from services.ros2.action_topics import action_services, action_topics
+from services.ros2.config import Ros2Config
+from services.ros2.incoming_topics import CMD_VEL, INCOMING, MAP_SERVICES, STATE_SERVICES, TRIGGERS
+from services.ros2.outgoing_topics import OUTGOING, STATIC_TF
+from services.ros2.rmw_names import Endpoint, Entity, Qos, RosName, mismatch_text
+from services.ros2.ros_types import ros_types
+from shared import topics
+from shared.config import UserError
+from shared.messages import PortState, SerialData
+from shared.runners.devices import DeviceContext
+from shared.topics import Publication
+
+PORT = "ros"
+KIND = "zenoh"
+AGAIN_S = 2.0  # between two tries to reach the router
+LOOK_S = 0.5  # between two looks whether it is there
+MIN_INTERVAL_S = 0.02  # between two messages of one topic for the core: 50 a second
+"""A node that sends faster gets its newest message through, and the others are counted."""
+LIMIT_S, MAX_TEXT = 120.0, 300  # of a command of zenav: a large map; characters of its error
+N_TARGET = 4  # arguments that name robot and stack; the others are settings
+MAX_KINDS = 100  # of rejections that one report distinguishes
+
+
+def bridge_device(context: DeviceContext) -> "BridgeDevice":
+    """The device of a configuration, not yet open. Raises UserError where its address is none."""
+    return BridgeDevice(context)
+
+
+class BridgeDevice:
+    """See the module. Its events are messages of topics.RX, and it takes those of topics.TX."""
+
+    def __init__(self, context: DeviceContext) -> None:
+        self._context = context
+        self.endpoint = zenoh_endpoint(context.config.device)
+        self._config = cast(Ros2Config, context.section)
+        self._changed = threading.Condition()
+        self._is_closing = False
+        self._pending: dict[str, dict[str, Any]] = {}  # newest message by name
+        self._sent_at: dict[str, float] = {}
+        self._counts: Counter[tuple[str, str]] = Counter()
+        self._events: list[dict[str, Any]] = []
+        self._orders: list[dict[str, Any]] = []
+        self._state: tuple[bool, str] | None = None
+        self._endpoints: dict[tuple[str, Entity], list[tuple[RosName, Qos]]] = {}  # ours, by name and kind of theirs
+        self._mismatches: set[str] = set()
+        self._thread = threading.Thread(target=self._run, name="ros2", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def write(self, data: bytes) -> None:
+        """Orders of the core."""
+        with self._changed:
+            self._orders.append(msgpack.unpackb(data))
+            self._changed.notify_all()
+
+    def plug(self, plugged: bool) -> None:
+        """There is nothing to unplug."""
+
+    def close(self) -> None:
+        with self._changed:
+            self._is_closing = True
+            self._changed.notify_all()
+        if self._thread.is_alive():
+            self._thread.join(4.0)
+
+    # --- the thread -----------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        from services.ros2.wire import RosWire, WireEvents  # Zenoh's extension, loaded with the first bridge
+
+        config = self._config
+        events = WireEvents(self._on_message, self._on_request, self._on_wanted, self._on_endpoint, self._on_rejected)
+        while not self._is_closing:
+            try:
+                self._wire = RosWire(self.endpoint, config.ros_format, events)
+            except UserError as error:
+                self._publish_state(False, f"{error.what}: {error.hint}")
+                with self._changed:
+                    self._changed.wait_for(lambda: self._is_closing, AGAIN_S)
+                continue
+            self._serve()
+            return
+
+    def _serve(self) -> None:
+        from services.ros2.stack_feed import StackFeed
+
+        context = self._context
+        self._feed = StackFeed(self._config, context.robot, context.where, self._publish_ros, self._on_teleop)
+        self._declare()
+        self._publish_state(True, "")
+        self._feed.start()
+        look_at = time.monotonic()
+        while True:
+            with self._changed:
+                self._changed.wait_for(self._has_work, MIN_INTERVAL_S if self._pending else LOOK_S)
+                if self._is_closing:
+                    break
+                orders, self._orders = self._orders, []
+                events, self._events = self._events, []
+            for order in orders:
+                self._obey(order)
+            now = time.monotonic()
+            events += self._due_messages(now)
+            if now >= look_at:
+                look_at = now + LOOK_S
+                events += self._report()
+                is_there = self._wire.is_connected
+                self._publish_state(is_there, "" if is_there else f"the router at {self.endpoint} is away")
+            self._publish_events(events)
+        self._feed.close()
+        self._wire.close()
+
+    def _has_work(self) -> bool:
+        now = time.monotonic()
+        return (
+            self._is_closing or bool(self._orders or self._events) or any(self._is_due(n, now) for n in self._pending)
+        )
+
+    def _is_due(self, name: str, now: float) -> bool:
+        return now - self._sent_at.get(name, float("-inf")) >= MIN_INTERVAL_S
+
+    def _declare(self) -> None:
+        """Everything that our node has in ROS 2."""
+        config, types = self._config, ros_types(self._config.distro)
+
+        def ros_name(name: str, type_: str) -> RosName:
+            return RosName(config.name(name), type_, types.hash_of(type_))
+
+        rows = [(row.name, row.type, row.qos) for row in (*OUTGOING, STATIC_TF)]
+        rows += [(row.name, row.type, row.qos) for row in action_topics(config.distro)]
+        self._names = {name: config.name(name) for name, _, _ in rows}
+        self._own = {ros: own for own, ros in self._names.items()}
+        for row in INCOMING:
+            self._own[config.name(row.name)] = row.name
+            received = tuple(ros_name(row.name, type_) for type_ in row.types)
+            self._endpoints[row.name, Entity.PUBLISHER] = [(topic, row.qos) for topic in received]
+            self._wire.subscribe(config.name(row.name), received, row.qos)
+        for name, type_, qos in rows:
+            topic = ros_name(name, type_)
+            self._endpoints[name, Entity.SUBSCRIPTION] = [(topic, qos)]
+            self._wire.advertise(topic, qos)
+        for name, type_ in (*TRIGGERS, *STATE_SERVICES, *MAP_SERVICES, *action_services(config.distro)):
+            self._own[config.name(name)] = name
+            self._wire.serve(ros_name(name, type_))
+        self._wire.discover()
+
+    def _obey(self, order: dict[str, Any]) -> None:
+        if "publish" in order:
+            self._wire.publish(self._names[order["publish"]], order["data"])
+        elif "reply" in order:
+            self._wire.reply(order["reply"], order["data"])
+        elif "tool" in order:
+            arguments = (tuple(order["tool"]), order["id"])
+            threading.Thread(target=self._run_tool, args=arguments, daemon=True).start()
+        elif "ask" in order:
+            number = order["id"]
+            self._feed.ask(order["ask"], order["payload"], lambda outcome: self._on_outcome(number, outcome))
+
+    def _due_messages(self, now: float) -> list[dict[str, Any]]:
+        due = []
+        with self._changed:
+            for name in list(self._pending):
+                if self._is_due(name, now):
+                    due.append({"event": "message", "name": name, **self._pending.pop(name)})
+                    self._sent_at[name] = now
+        return due
+
+    def _report(self) -> list[dict[str, Any]]:
+        with self._changed:
+            counts, self._counts = self._counts, Counter()
+        return [{"event": "rejected", "name": name, "text": text, "n": n} for (name, text), n in counts.items()]
+
+    def _publish_ros(self, name: str, data: bytes) -> None:
+        """On the feed's thread."""
+        self._wire.publish(self._names[name], data)
+
+    # --- on threads of Zenoh's, of the feed and of requests ---------------------------------------------------------
+
+    def _on_message(self, name: str, type_: str, data: bytes, gid: bytes, sent: int, came: int) -> None:
+        own = self._own.get(name, name)
+        with self._changed:
+            if own in self._pending:
+                self._count(own, "faster than 50 a second: the newest counts")
+            self._pending[own] = {"type": type_, "data": data, "gid": gid, "sent": sent, "came": came}
+            self._changed.notify_all()
+
+    def _on_request(self, name: str, number: int, data: bytes) -> None:
+        self._file({"event": "request", "name": self._own[name], "id": number, "data": data})
+
+    def _on_wanted(self, name: str, is_wanted: bool) -> None:
+        own = self._own[name]
+        if any(row.name == own for row in OUTGOING):
+            self._feed.want(own, is_wanted)
+
+    def _on_endpoint(self, endpoint: Endpoint, is_there: bool) -> None:
+        """Another node's publisher or subscription came or went. What does not match ours is reported once."""
+        own = self._own.get(endpoint.topic.name)
+        if own is None or not is_there:
+            return
+        if own == CMD_VEL and endpoint.entity is Entity.PUBLISHER:
+            self._feed.need()
+        ours = self._endpoints.get((own, endpoint.entity), [])
+        texts = [mismatch_text(endpoint, topic, qos) for topic, qos in ours]
+        is_new = len(self._mismatches) < MAX_KINDS and texts[:1] != [] and texts[0] not in self._mismatches
+        if is_new and all(texts):
+            self._mismatches.add(texts[0])
+            self._file({"event": "mismatch", "name": own, "text": texts[0]})
+
+    def _on_rejected(self, name: str, text: str) -> None:
+        with self._changed:
+            self._count(self._own.get(name, name), text)
+
+    def _on_teleop(self) -> None:
+        self._file({"event": "other_teleop"})
+
+    def _on_outcome(self, number: int, outcome: dict[str, Any]) -> None:
+        self._file({"event": "outcome", "id": number, **outcome})
+
+    def _run_tool(self, command: tuple[str, ...], number: int) -> None:
+        """A command of zenav in a process of its own, on a thread of its own: it reads and writes files."""
+        started = (sys.executable, "-P", "-m", "zenav", *command, *self._context.arguments[:N_TARGET])
+        try:
+            done = subprocess.run(started, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=LIMIT_S)
+            error = "" if done.returncode == 0 else " ".join(done.stderr.split()) or f"status {done.returncode}"
+        except (OSError, subprocess.TimeoutExpired) as failed:
+            error = str(failed)
+        self._on_outcome(number, {"accepted": not error, "reason": "", "detail": error[-MAX_TEXT:], "hint": ""})
+
+    def _file(self, event: dict[str, Any]) -> None:
+        with self._changed:
+            self._events.append(event)
+            self._changed.notify_all()
+
+    def _count(self, name: str, text: str) -> None:
+        if len(self._counts) >= MAX_KINDS and (name, text) not in self._counts:
+            text = "other messages"
+        self._counts[name, text] += 1
+
+    def _publish_events(self, events: list[dict[str, Any]]) -> None:
+        if events:
+            data = b"".join(bytes(msgpack.packb(event)) for event in events)
+            self._publish(topics.RX(SerialData(self._context.clock.now(), PORT, data)))
+
+    def _publish_state(self, is_open: bool, detail: str) -> None:
+        if self._state != (is_open, detail):
+            self._state = is_open, detail
+            self._publish(topics.PORT(PortState(self._context.clock.now(), PORT, is_open, detail)))
+
+    def _publish(self, publication: Publication) -> None:
+        self._context.publish(publication)
+
+
+def zenoh_endpoint(device: str) -> str:
+    """Zenoh's endpoint of zenoh://tcp/HOST:7447. Raises UserError where it is none."""
+    kind, _, endpoint = device.partition("://")
+    protocol, _, address = endpoint.partition("/")
+    host, _, port = address.rpartition(":")
+    if kind != KIND or not protocol or not host or not port.isdecimal():
+        raise UserError(f"ros2.port.device: {device!r} is no router", "write zenoh://tcp/HOST:7447")
+    return endpoint

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Definitions of the services and actions that rosbags lacks: std_srvs, lifecycle_msgs, action_msgs, nav2_msgs.
+
+Source: docs.ros.org, nav2_msgs of Humble, Jazzy and Kilted. Constants are left out: neither the wire nor a
+type's hash has them. A service is request and response, an action is goal, result and feedback.
+"""
+
+POSE_FEEDBACK = """\
+geometry_msgs/PoseStamped current_pose
+builtin_interfaces/Duration navigation_time
+builtin_interfaces/Duration estimated_time_remaining
+int16 number_of_recoveries
+float32 distance_remaining
+"""
+THROUGH_FEEDBACK = POSE_FEEDBACK + "int16 number_of_poses_remaining\n"
+TO_POSE_GOAL = "geometry_msgs/PoseStamped pose\nstring behavior_tree\n"
+THROUGH_GOAL = "geometry_msgs/PoseStamped[] poses\nstring behavior_tree\n"
+WAYPOINTS_GOAL = "uint32 number_of_loops\nuint32 goal_index 0\ngeometry_msgs/PoseStamped[] poses\n"
+EMPTY_RESULT, ERROR = "std_msgs/Empty result\n", "uint16 error_code\nstring error_msg\n"
+WAYPOINT = "uint32 current_waypoint\n"
+Definition = tuple[str, ...]
+
+SERVICES: dict[str, Definition] = {
+    "std_srvs/srv/Trigger": ("", "bool success\nstring message\n"),
+    "lifecycle_msgs/srv/GetState": ("", "lifecycle_msgs/State current_state\n"),
+    "nav2_msgs/srv/SaveMap": (
+        "string map_topic\nstring map_url\nstring image_format\nstring map_mode\n"
+        "float32 free_thresh\nfloat32 occupied_thresh\n",
+        "bool result\n",
+    ),
+    "nav2_msgs/srv/LoadMap": ("string map_url\n", "nav_msgs/OccupancyGrid map\nuint8 result\n"),
+    "action_msgs/srv/CancelGoal": (
+        "action_msgs/GoalInfo goal_info\n",
+        "int8 return_code\naction_msgs/GoalInfo[] goals_canceling\n",
+    ),
+}
+
+HUMBLE_ACTIONS: dict[str, Definition] = {
+    "nav2_msgs/action/NavigateToPose": (TO_POSE_GOAL, EMPTY_RESULT, POSE_FEEDBACK),
+    "nav2_msgs/action/NavigateThroughPoses": (THROUGH_GOAL, EMPTY_RESULT, THROUGH_FEEDBACK),
+    "nav2_msgs/action/FollowWaypoints": (
+        "geometry_msgs/PoseStamped[] poses\n",
+        "int32[] missed_waypoints\n",
+        WAYPOINT,
+    ),
+}
+JAZZY_ACTIONS: dict[str, Definition] = {
+    "nav2_msgs/action/NavigateToPose": (TO_POSE_GOAL, ERROR, POSE_FEEDBACK),
+    "nav2_msgs/action/NavigateThroughPoses": (THROUGH_GOAL, ERROR, THROUGH_FEEDBACK),
+    "nav2_msgs/action/FollowWaypoints": (
+        WAYPOINTS_GOAL,
+        "nav2_msgs/MissedWaypoint[] missed_waypoints\n" + ERROR,
+        WAYPOINT,
+    ),
+}
+KILTED_ACTIONS: dict[str, Definition] = {
+    "nav2_msgs/action/NavigateToPose": (TO_POSE_GOAL, ERROR, POSE_FEEDBACK),
+    "nav2_msgs/action/FollowWaypoints": (
+        WAYPOINTS_GOAL,
+        "nav2_msgs/WaypointStatus[] missed_waypoints\n" + ERROR,
+        WAYPOINT,
+    ),
+}
+"""Without NavigateThroughPoses: its definition in Kilted could not be read."""
+
+MESSAGES: dict[str, str] = {
+    "nav2_msgs/msg/MissedWaypoint": "uint32 index\ngeometry_msgs/PoseStamped goal\nuint16 error_code\n",
+    "nav2_msgs/msg/WaypointStatus": (
+        "uint8 waypoint_status\nuint32 waypoint_index\ngeometry_msgs/PoseStamped waypoint_pose\n"
+        "uint16 error_code\nstring error_msg\n"
+    ),
+}

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The topics that ROS 2 nodes see: name, type, quality of service, and the stack's topics that each is made from.
+
+Sensor data is reliable, so that any subscription matches; maps are latched (REP 2003). Others are as Nav2's.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from services.ros2 import outgoing_messages as outgoing
+from services.ros2.rmw_names import Durability, Qos, Reliability
+from shared import messages as m
+from shared import topics
+from shared.geometry import Pose2
+from shared.grid import OccupancyGrid
+from shared.ros_messages import GRID, ODOM, PATH, POSE_COVARIANCE, SCAN, TF, RosMessages
+from shared.topics import Topic
+from shared.types import NS_PER_S
+
+DEFAULT, SENSOR = Qos(depth=10), Qos(depth=5)
+LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+LOG_QOS = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1000)  # rcl's of /rosout
+TF_QOS = Qos(depth=100)  # tf2_ros' DynamicBroadcasterQoS
+CLOCK_QOS = Qos(Reliability.BEST_EFFORT, depth=1)  # rclcpp's ClockQoS
+WATCHED = frozenset((topics.COSTMAP.key, topics.ROLLOUTS.key))
+"""Keys that local control publishes only while it is asked to."""
+MAP_AGAIN_NS = 5 * NS_PER_S
+"""after which the map is sent again: a subscription of ROS may miss the latched one (docs/ros2.md)."""
+
+
+class OutgoingState:
+    """What the messages of ROS need of earlier ones of the stack. map_interval: ns between two maps."""
+
+    def __init__(self, make: RosMessages, map_interval: int) -> None:
+        self.make, self.map_interval = make, map_interval
+        self.grid = OccupancyGrid()
+        self.map_from_odom: Pose2 | None = None
+        self.map_stamp = 0
+        self.map_sent_at: int | None = None  # ns on the stack's clock
+        self.is_map_changed = False
+
+    def map_due(self, now: int) -> Any:
+        """The map, where it is due at `now` (ns); else None."""
+        if self.grid.empty:
+            return None
+        since = None if self.map_sent_at is None else now - self.map_sent_at
+        wait = self.map_interval if self.is_map_changed else MAP_AGAIN_NS
+        if since is not None and 0 <= since < wait:
+            return None
+        self.map_sent_at, self.is_map_changed = now, False
+        return self.make.occupancy(self.grid, self.map_stamp)
+
+
+Make = Callable[[OutgoingState, Any, str], Any]
+"""A message of ROS, or None, from the state, a message of the stack and its publisher."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutgoingTopic:
+    """One row. sources: topics of the stack."""
+
+    name: str
+    type: str
+    qos: Qos
+    sources: tuple[Topic[Any], ...]
+    make: Make
+
+
+def _transforms(state: OutgoingState, message: m.Odometry | m.PoseEstimate, _: str) -> Any:
+    """Both transforms at the rate and with the stamp of odometry: tf2 then finds `map` at any time of `odom`."""
+    make, frames = state.make, state.make.frames
+    if isinstance(message, m.PoseEstimate):
+        state.map_from_odom = message.map_from_odom
+        return None
+    stamped = [make.transform(message.stamp, frames.odom, frames.base, message.odom_from_base)]
+    if state.map_from_odom is not None:
+        stamped.insert(0, make.transform(message.stamp, frames.map, frames.odom, state.map_from_odom))
+    return make.transforms(*stamped)
+
+
+def _map(state: OutgoingState, update: m.MapUpdate, _: str) -> Any:
+    """Takes tiles; `map_due` gives the map."""
+    state.grid.apply(update)
+    state.map_stamp, state.is_map_changed = update.stamp, True
+    return None
+
+
+def _costmap(state: OutgoingState, costmap: m.Costmap, _: str) -> Any:
+    origin, frame = (costmap.x, costmap.y), state.make.frames.odom
+    return state.make.grid(costmap.cells, costmap.resolution, origin, costmap.stamp, frame)
+
+
+def _simply(make: Callable[[RosMessages, Any], Any]) -> Make:
+    return lambda state, message, publisher: make(state.make, message)
+
+
+# fmt: off
+OUTGOING = (
+    OutgoingTopic("/scan", SCAN, SENSOR, (topics.SCAN,), _simply(RosMessages.scan)),
+    OutgoingTopic("/odom", ODOM, DEFAULT, (topics.ODOM,), _simply(RosMessages.odometry)),
+    OutgoingTopic("/tf", TF, TF_QOS, (topics.POSE, topics.ODOM), _transforms),
+    OutgoingTopic("/map", GRID, LATCHED, (topics.MAP,), _map),
+    OutgoingTopic("/amcl_pose", POSE_COVARIANCE, LATCHED, (topics.POSE,), _simply(RosMessages.pose_estimate)),
+    OutgoingTopic("/plan", PATH, DEFAULT, (topics.PLAN,), _simply(RosMessages.path)),
+    OutgoingTopic("/local_plan", PATH, DEFAULT, (topics.ROLLOUTS,), _simply(outgoing.local_plan)),
+    OutgoingTopic("/local_costmap/costmap", GRID, LATCHED, (topics.COSTMAP,), _costmap),
+    OutgoingTopic("/battery_state", "sensor_msgs/msg/BatteryState", DEFAULT, (topics.BASE_STATUS,), _simply(outgoing.battery)),  # noqa: E501  # a table
+    OutgoingTopic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", DEFAULT, (topics.GUARD, topics.NAV_STATUS, topics.BASE_STATUS, topics.HEALTH), _simply(outgoing.diagnostics)),  # noqa: E501
+    OutgoingTopic("/rosout", "rcl_interfaces/msg/Log", LOG_QOS, (topics.LOG,), lambda state, line, publisher: outgoing.log_line(state.make, line, publisher)),  # noqa: E501
+    OutgoingTopic("/clock", "rosgraph_msgs/msg/Clock", CLOCK_QOS, (topics.CLOCK,), lambda state, tick, _: outgoing.clock(state.make, tick.stamp)),  # noqa: E501
+    OutgoingTopic("/zones", "visualization_msgs/msg/MarkerArray", LATCHED, (topics.ZONES,), _simply(outgoing.zone_markers)),  # noqa: E501
+)
+# fmt: on
+STATIC_TF = OutgoingTopic("/tf_static", TF, LATCHED, (), lambda state, message, publisher: None)
+"""The core sends it once: it is of the robot's configuration."""
+MAP_NAME = "/map"
+
+
+def keys_of(names: frozenset[str]) -> frozenset[str]:
+    """The stack's keys (without the robot's name) that these topics need; of families each publisher's."""
+    return frozenset(
+        key for row in OUTGOING if row.name in names for topic in row.sources for key in source_keys(topic)
+    )
+
+
+def source_keys(topic: Topic[Any]) -> tuple[str, ...]:
+    """The keys of a topic of the stack."""
+    return tuple(f"{topic.key}/{name}" for name in topic.publishers) if topic.by == "*" else (topic.key,)
+
+
+def converted(
+    state: OutgoingState, names: frozenset[str], topic: Topic[Any], message: m.Message, publisher: str
+) -> Iterator[tuple[str, Any]]:
+    """Name and message of ROS, for each of these topics that a message of the stack changes."""
+    for row in OUTGOING:
+        if row.name in names and topic in row.sources:
+            made = row.make(state, message, publisher)
+            if made is not None:
+                yield row.name, made

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The services that are no action's: STOP, tasks, Nav2's states, maps. Each request gets one reply. Times are ns."""
+
+from re import fullmatch
+from typing import Any
+
+import numpy as np
+
+from services.ros2 import incoming_topics as incoming
+from services.ros2.incoming_topics import GET_STATE, LOAD_MAP, SAVE_MAP, TRIGGER
+from services.ros2.orders import reply_order
+from services.ros2.ros_types import RosTypes
+from services.ros2.task_requests import AskStack, AskTool, refusal_text, task_request
+from shared import topics
+from shared.messages import GuardStatus
+from shared.ros_messages import RosMessages
+from shared.service import Log, Out
+from shared.stop_button import StopButton
+from shared.topics import Publication
+
+BY = "ROS 2"
+STATES = frozenset(name for name, _ in incoming.STATE_SERVICES)
+ACTIVE = 3  # lifecycle_msgs/State: PRIMARY_STATE_ACTIVE
+MAP_NAME = r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
+LOADED, NOT_LOADED = 0, 255  # nav2_msgs/LoadMap: RESULT_SUCCESS, RESULT_UNDEFINED_FAILURE
+
+
+class ServiceCalls:
+    """See the module. ask: makes the order of a request to the stack.  tool: that of a command of zenav."""
+
+    def __init__(self, types: RosTypes, make: RosMessages, ask: AskStack, tool: AskTool) -> None:
+        self._types, self._make, self._ask, self._tool = types, make, ask, tool
+        self.stop_button = StopButton()
+        self._waiting: list[int] = []  # requests of STOP and its release, until the guard confirms
+
+    def request(self, name: str, number: int, data: bytes, now: int) -> Out:
+        """A request. Raises ValueError where it is none, without a reply. STOP counts whatever its bytes are."""
+        if name in (incoming.ESTOP, incoming.RELEASE):
+            if name == incoming.RELEASE:
+                self._types.decode(data, f"{TRIGGER}_Request")
+            self._waiting.append(number)
+            yield topics.ESTOP(self.stop_button.set(name == incoming.ESTOP, BY, now))
+            yield Log("INFO", f"audit: {'STOP' if name == incoming.ESTOP else 'release of STOP'} by {BY}")
+        elif name in STATES:
+            yield reply_order(now, number, self._active_state(name))
+        elif name in (incoming.SAVE, incoming.LOAD):
+            yield from self._map(name, number, data)
+        else:
+            self._types.decode(data, f"{TRIGGER}_Request")
+            row, message = task_request(name, now)
+            yield self._ask(row, message, lambda outcome: self._task_done(number, outcome))
+
+    def guard_status(self, status: GuardStatus, now: int) -> Out:
+        """The guard's confirmation of STOP."""
+        was_waiting = self.stop_button.order is not None
+        self.stop_button.confirm(status)
+        if was_waiting and self.stop_button.order is None:
+            yield from self._reply_stops(True, f"the guard is {status.state}", now)
+
+    def tick(self, now: int) -> Out:
+        """STOP again until it is confirmed."""
+        stop, is_unconfirmed = self.stop_button.tick(now)
+        if stop is not None:
+            yield topics.ESTOP(stop)
+        if is_unconfirmed:
+            yield from self._reply_stops(False, "the guard does not confirm: switch the robot off by hand", now)
+
+    def _reply_stops(self, success: bool, message: str, now: int) -> Out:
+        waiting, self._waiting = self._waiting, []
+        for number in waiting:
+            yield self._trigger_reply(number, success, message, now)
+
+    def _task_done(self, number: int, outcome: dict[str, Any]) -> Out:
+        words = "accepted" if outcome["accepted"] else refusal_text(outcome)
+        yield self._trigger_reply(number, outcome["accepted"], words, outcome["now"])
+
+    def _trigger_reply(self, number: int, success: bool, message: str, now: int) -> Publication:
+        response = self._make.new(f"{TRIGGER}_Response", success=success, message=message)
+        return reply_order(now, number, self._types.encode(response))
+
+    def _active_state(self, name: str) -> bytes:
+        """The CDR of the response of one of STATE_SERVICES."""
+        if name.endswith("/is_active"):
+            return self._types.encode(self._make.new(f"{TRIGGER}_Response", success=True, message=""))
+        state = self._make.new("lifecycle_msgs/msg/State", id=ACTIVE, label="active")
+        return self._types.encode(self._make.new(f"{GET_STATE}_Response", current_state=state))
+
+    def _map(self, name: str, number: int, data: bytes) -> Out:
+        """Saves or loads a map by its name: a path of another computer means nothing here."""
+        type_ = SAVE_MAP if name == incoming.SAVE else LOAD_MAP
+        place = str(self._types.decode(data, f"{type_}_Request").map_url)
+        command = "save" if name == incoming.SAVE else "load"
+        if fullmatch(MAP_NAME, place) is None:
+            raise ValueError(f"map_url {place!r} is no name of a map: letters, digits, - and _")
+        yield self._tool(("map", command, place), lambda outcome: self._map_done(name, number, outcome))
+
+    def _map_done(self, name: str, number: int, outcome: dict[str, Any]) -> Out:
+        is_done, make = outcome["accepted"], self._make
+        if name == incoming.SAVE:
+            response = make.new(f"{SAVE_MAP}_Response", result=is_done)
+        else:
+            empty = make.grid(np.empty((0, 0), np.int8), 0.0, (0.0, 0.0), 0, make.frames.map)
+            response = make.new(f"{LOAD_MAP}_Response", map=empty, result=LOADED if is_done else NOT_LOADED)
+        yield reply_order(outcome["now"], number, self._types.encode(response))
+        yield Log("INFO" if is_done else "WARNING", f"ROS 2: {name}: {'done' if is_done else refusal_text(outcome)}")

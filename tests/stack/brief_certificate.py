@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Credentials of a member whose certificate ends within a test."""
+
+from datetime import UTC, datetime, timedelta
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from shared.credentials import Credentials
+from shared.secure_folder import Member, MemberRole, SecureFolder
+
+
+def brief_operator(place: SecureFolder, robot: str, seconds: float) -> Credentials:
+    """Credentials of a new member `brief`, an operator, whose certificate ends so many seconds from now."""
+    end = datetime.now(UTC) + timedelta(seconds=seconds)  # noqa: TID251  # certificates end by the wall clock
+    place.write_members([*place.members(), Member("brief", MemberRole.OPERATOR, "brief.1", end.date().isoformat())])
+    return _credentials_until(place, robot, "brief.1", end)
+
+
+def _credentials_until(place: SecureFolder, robot: str, common_name: str, end: datetime) -> Credentials:
+    """Credentials by the robot's authority that end at a time of the day."""
+    authority = x509.load_pem_x509_certificate(place.authority_certificate.read_bytes())
+    signer = serialization.load_pem_private_key(place.authority_key.read_bytes(), None)
+    key = ec.generate_private_key(ec.SECP256R1())
+    certificate = (
+        x509.CertificateBuilder()
+        .subject_name(x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)]))
+        .issuer_name(authority.subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(datetime(1970, 1, 2, tzinfo=UTC))
+        .not_valid_after(end)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH]), critical=False)
+        .sign(signer, hashes.SHA256())
+    )
+    form = (serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+    return Credentials(
+        name="brief",
+        role="operator",
+        robot=robot,
+        until=end.date().isoformat(),
+        key=key.private_bytes(serialization.Encoding.PEM, *form).decode(),
+        certificate=certificate.public_bytes(serialization.Encoding.PEM).decode(),
+        authority=place.authority_certificate.read_text(),
+    )

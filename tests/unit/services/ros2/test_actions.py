@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Actions as rclpy's clients see them: goals, feedback, results and cancellation."""
+
+from typing import Any
+
+import pytest
+
+from services.ros2.action_server import KEPT_NS, MAX_GOALS, CancelCode, GoalState
+from services.ros2.ros_types import Distro
+from shared.geometry import Pose2
+from shared.messages import NavState
+from shared.requests import Cancel, Navigate
+from tests.unit.services.ros2.core import GOAL, Core
+
+TO_POSE, TYPE = "/navigate_to_pose", "nav2_msgs/action/NavigateToPose"
+OTHER = bytes(range(16, 32))
+
+
+def sent(core: Core, number: int = 1, goal: bytes = GOAL, task_id: int = 7, accepted: bool = True) -> list[Any]:
+    """A goal that the navigator accepts, or not."""
+    [ask] = core.send_goal(TO_POSE, TYPE, number, goal, pose=core.pose(Pose2(1, 2, 0.5)), behavior_tree="")
+    return core.outcome(ask, accepted, task_id)
+
+
+def states(core: Core, orders: list[Any], action: str = TO_POSE) -> list[int]:
+    """The states in the newest message of an action's status topic."""
+    [*_, order] = [order for order in orders if order.get("publish") == f"{action}/_action/status"]
+    return [row.status for row in core.types.decode(order["data"], "action_msgs/msg/GoalStatusArray").status_list]
+
+
+def test_a_goal_is_the_navigators_request_and_accepted_when_that_is():
+    core = Core()
+    [ask] = core.send_goal(TO_POSE, TYPE, 1, pose=core.pose(Pose2(1, 2, 0.5)), behavior_tree="")
+    request = core.asked(ask)
+    assert isinstance(request, Navigate)
+    assert (request.poses[0].x, request.poses[0].y) == (1, 2)
+    assert request.poses[0].yaw == pytest.approx(0.5)
+    reply, status = core.outcome(ask)
+    assert reply["reply"] == 1
+    assert core.response(reply, f"{TYPE}_SendGoal").accepted
+    assert states(core, [status]) == [GoalState.EXECUTING]
+
+
+def test_a_goal_that_the_navigator_refuses_is_rejected():
+    core = Core()
+    [reply] = sent(core, accepted=False)
+    assert not core.response(reply, f"{TYPE}_SendGoal").accepted
+
+
+@pytest.mark.parametrize("frame", ["odom", "base_link"])
+def test_a_goal_in_another_frame_is_rejected_and_counted(frame):
+    core = Core()
+    [reply] = core.send_goal(TO_POSE, TYPE, 1, pose=core.pose(Pose2(), frame), behavior_tree="")
+    assert not core.response(reply, f"{TYPE}_SendGoal").accepted
+    assert sum(core.service.rejections.counts.values()) == 1
+    assert f"'{frame}'" in core.lines[-1]
+
+
+def test_feedback_has_the_navigators_progress():
+    core = Core()
+    sent(core)
+    [order] = core.status(NavState.NAVIGATING)
+    assert order["publish"] == f"{TO_POSE}/_action/feedback"
+    message = core.types.decode(order["data"], f"{TYPE}_FeedbackMessage")
+    assert bytes(message.goal_id.uuid) == GOAL
+    assert message.feedback.distance_remaining == 3.5
+    assert message.feedback.estimated_time_remaining.sec == 7
+    assert message.feedback.estimated_time_remaining.nanosec == 250_000_000
+    assert message.feedback.number_of_recoveries == 1
+
+
+@pytest.mark.parametrize(
+    ("end", "state", "error"),
+    [
+        (NavState.REACHED, GoalState.SUCCEEDED, False),
+        (NavState.FAILED, GoalState.ABORTED, True),
+        (NavState.CANCELED, GoalState.ABORTED, True),  # by another user: ROS did not cancel it
+    ],
+)
+def test_the_end_of_the_task_is_the_result_for_all_that_wait(end, state, error):
+    core = Core()
+    sent(core)
+    assert core.get_result(TO_POSE, TYPE, 11) == []
+    assert core.get_result(TO_POSE, TYPE, 12) == []
+    first, second, status = core.status(end, reason="goal_blocked" if error else "")
+    assert (first["reply"], second["reply"]) == (11, 12)
+    response = core.response(first, f"{TYPE}_GetResult")
+    assert response.status == state
+    assert bool(response.result.error_msg) == error
+    assert bool(response.result.error_code) == error
+    assert states(core, [status]) == [state]
+    [later] = core.get_result(TO_POSE, TYPE, 13)
+    assert core.response(later, f"{TYPE}_GetResult").status == state
+
+
+def test_the_result_of_an_unknown_goal_is_unknown():
+    core = Core()
+    [reply] = core.get_result(TO_POSE, TYPE, 3)
+    assert core.response(reply, f"{TYPE}_GetResult").status == GoalState.UNKNOWN
+
+
+def test_a_canceled_goal_ends_when_the_navigator_stands():
+    core = Core()
+    sent(core)
+    reply, status, ask = core.cancel(TO_POSE, 5, GOAL)
+    response = core.response(reply, "action_msgs/srv/CancelGoal")
+    assert response.return_code == CancelCode.NONE
+    assert [bytes(info.goal_id.uuid) for info in response.goals_canceling] == [GOAL]
+    assert states(core, [status]) == [GoalState.CANCELING]
+    assert isinstance(core.asked(ask), Cancel)
+    core.outcome(ask)
+    assert states(core, core.status(NavState.CANCELED)) == [GoalState.CANCELED]
+
+
+def test_a_cancel_without_an_id_is_for_all_goals():
+    core = Core()
+    sent(core)
+    reply, *_ = core.cancel(TO_POSE, 5)
+    assert len(core.response(reply, "action_msgs/srv/CancelGoal").goals_canceling) == 1
+
+
+@pytest.mark.parametrize(("goal", "code"), [(OTHER, CancelCode.UNKNOWN_GOAL), (GOAL, CancelCode.TERMINATED)])
+def test_a_cancel_of_no_running_goal_is_refused_with_its_code(goal, code):
+    core = Core()
+    sent(core)
+    core.status(NavState.REACHED)
+    [reply] = core.cancel(TO_POSE, 5, goal)
+    assert core.response(reply, "action_msgs/srv/CancelGoal").return_code == code
+
+
+def test_a_new_goal_ends_the_former_one():
+    core = Core()
+    sent(core)
+    orders = sent(core, 2, OTHER, task_id=8)
+    assert states(core, orders) == [GoalState.ABORTED, GoalState.EXECUTING]
+    [feedback] = core.status(NavState.NAVIGATING, task_id=8)
+    assert bytes(core.types.decode(feedback["data"], f"{TYPE}_FeedbackMessage").goal_id.uuid) == OTHER
+
+
+def test_the_status_of_an_earlier_task_is_not_the_goals():
+    core = Core()
+    core.status(NavState.REACHED, task_id=6)
+    sent(core)
+    assert core.status(NavState.REACHED, task_id=6) == []
+
+
+def test_a_task_of_another_user_ends_the_goal():
+    core = Core()
+    sent(core)
+    assert states(core, core.status(NavState.NAVIGATING, task_id=8)) == [GoalState.ABORTED]
+
+
+def test_one_goal_id_is_accepted_once():
+    core = Core()
+    sent(core)
+    [reply] = core.send_goal(TO_POSE, TYPE, 2, pose=core.pose(Pose2()), behavior_tree="")
+    assert not core.response(reply, f"{TYPE}_SendGoal").accepted
+
+
+def test_old_results_are_forgotten():
+    core = Core()
+    for i in range(MAX_GOALS + 5):
+        sent(core, i, bytes([i] * 16), task_id=7 + i)
+        orders = core.status(NavState.REACHED, task_id=7 + i)
+    assert len(states(core, orders)) == MAX_GOALS
+    core.service.now += KEPT_NS
+    assert len(states(core, sent(core, 99, bytes([99] * 16), task_id=99))) == 1
+
+
+def test_waypoints_are_a_route_with_its_loops():
+    core = Core()
+    poses = [core.pose(Pose2(x, 0, 0)) for x in (1, 2, 3)]
+    type_ = "nav2_msgs/action/FollowWaypoints"
+    [ask] = core.send_goal("/follow_waypoints", type_, 1, number_of_loops=2, goal_index=1, poses=poses)
+    request = core.asked(ask)
+    assert isinstance(request, Navigate)
+    assert [pose.x for pose in request.poses] == [2, 3]
+    assert request.loops == 3
+    core.outcome(ask)
+    [order] = core.status(NavState.NAVIGATING, waypoint=1)
+    assert core.types.decode(order["data"], f"{type_}_FeedbackMessage").feedback.current_waypoint == 1
+
+
+def test_a_route_through_no_poses_is_rejected():
+    core = Core()
+    type_ = "nav2_msgs/action/NavigateThroughPoses"
+    [reply] = core.send_goal("/navigate_through_poses", type_, 1, poses=[], behavior_tree="")
+    assert not core.response(reply, f"{type_}_SendGoal").accepted
+
+
+@pytest.mark.parametrize("distro", Distro)
+def test_the_result_has_the_shape_of_the_distribution(distro):
+    core = Core(distro=distro)
+    sent(core)
+    core.get_result(TO_POSE, TYPE, 4)
+    reply, _ = core.status(NavState.REACHED)
+    assert core.response(reply, f"{TYPE}_GetResult").status == GoalState.SUCCEEDED
+
+
+def test_a_damaged_request_is_ended_and_counted():
+    core = Core()
+    [order] = core.event(event="request", name=f"{TO_POSE}/_action/send_goal", id=9, data=b"\x00\x01\x00\x00\xff")
+    assert order == {"reply": 9, "data": b""}
+    assert sum(core.service.rejections.counts.values()) == 1

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of the stack as ROS 2 sees them: every row converts, encodes, and comes back the same."""
+
+import numpy as np
+import pytest
+
+from services.ros2.outgoing_topics import MAP_AGAIN_NS, OUTGOING, OutgoingState, converted, keys_of
+from services.ros2.ros_types import Distro, ros_types
+from shared import messages as m
+from shared import sample_messages, topics
+from shared.config import load_robot
+from shared.geometry import Pose2
+from shared.ros_messages import RosFrames, RosMessages, pose2
+
+ROBOT = load_robot("x80sv").robot
+STAMP = 1_700_000_000_123_456_789
+XS = np.array([0.0, 1.0, 2.0])
+ONES = np.ones((2, 5), np.float32)
+FRAMES = RosFrames()
+SAMPLES = {
+    "scan": sample_messages.scan(STAMP, ROBOT.laser),
+    "odom": sample_messages.odometry(STAMP, Pose2(1, 2, 3), 0.4),
+    "pose": sample_messages.pose_estimate(STAMP, Pose2(1, 2, 3)),
+    "plan": m.Path(STAMP, 1, 1, "", XS, XS, XS, 3.0, 3.0),
+    "debug/rollouts": m.Rollouts(
+        STAMP, np.ones((2, 5), np.float32), np.ones((2, 5), np.float32), np.ones(2, np.float32)
+    ),
+    "debug/costmap": m.Costmap(STAMP, -1.0, -2.0, 0.05, np.full((4, 6), 99, np.int8)),
+    "base/status": m.BaseStatus(STAMP, 12.5, 0.0, 0.0, True, "", ""),
+    "guard/status": m.GuardStatus(STAMP, m.GuardState.STOPPED, "", "estop", "", 0.0),
+    "nav/status": m.NavStatus(STAMP, 1, m.NavState.FAILED, "", "", "", Pose2(), 0.0, 0.0, 0, 1, 0),
+    "health": m.Health(STAMP, "mapper", 1, "running", 1, 0, 0, 0, "", 0.1, 50.0, 1.0, ()),
+    "log": m.LogLine(STAMP, "WARNING", "a wheel slips"),
+    "sim/clock": m.Clock(STAMP, 1.0),
+    "zones": m.Zones(STAMP, (m.Zone(STAMP, "hall", m.ZoneKind.KEEP_OUT, XS, XS**2),)),
+}
+
+
+def state(distro: Distro = Distro.JAZZY, frames: RosFrames = FRAMES) -> OutgoingState:
+    return OutgoingState(RosMessages(ros_types(distro).types, frames), 1_000_000_000)
+
+
+def rows_with_sources():
+    return [(row, topic) for row in OUTGOING for topic in row.sources if topic is not topics.MAP]
+
+
+@pytest.mark.parametrize("distro", Distro)
+@pytest.mark.parametrize(
+    ("row", "topic"), rows_with_sources(), ids=lambda part: getattr(part, "name", getattr(part, "key", ""))
+)
+def test_a_message_comes_back_the_same_from_cdr(distro, row, topic):
+    types = ros_types(distro)
+    made = list(converted(state(distro), frozenset((row.name,)), topic, SAMPLES[topic.key], "mapper"))
+    if (row.name, topic) == ("/tf", topics.POSE):
+        assert made == []  # it is sent with odometry
+        return
+    [(name, message)] = made
+    assert name == row.name
+    assert message.__msgtype__ == row.type
+    data = types.encode(message)
+    assert data[:4] == b"\x00\x01\x00\x00"
+    assert types.encode(types.decode(data, row.type)) == data
+
+
+def converted_one(name: str, topic, message, **options):
+    return next(iter(converted(state(**options), frozenset((name,)), topic, message, "mapper")))[1]
+
+
+def test_a_stamp_is_seconds_and_nanoseconds_and_the_frames_are_the_configurations():
+    frames = RosFrames("world", "wheel_odom", "base_footprint", "lidar")
+    odometry = converted_one("/odom", topics.ODOM, SAMPLES["odom"], frames=frames)
+    assert (odometry.header.stamp.sec, odometry.header.stamp.nanosec) == (1_700_000_000, 123_456_789)
+    assert (odometry.header.frame_id, odometry.child_frame_id) == ("wheel_odom", "base_footprint")
+    assert converted_one("/scan", topics.SCAN, SAMPLES["scan"], frames=frames).header.frame_id == "lidar"
+    back = pose2(odometry.pose.pose)
+    assert back.distance(Pose2(1, 2, 3)) < 1e-9
+    assert odometry.twist.twist.linear.x == 0.4
+
+
+def test_a_stop_is_an_error_in_diagnostics():
+    array = converted_one("/diagnostics", topics.GUARD, SAMPLES["guard/status"])
+    assert (array.status[0].name, array.status[0].level) == ("zenav: guard", 2)
+    assert "STOP is pressed" in array.status[0].message
+
+
+def test_the_log_names_the_service():
+    line = converted_one("/rosout", topics.LOG, SAMPLES["log"])
+    assert (line.level, line.name, line.msg) == (30, "zenav.mapper", "a wheel slips")
+
+
+def test_a_zone_is_a_closed_line_after_the_removal_of_the_former_ones():
+    first, zone = converted_one("/zones", topics.ZONES, SAMPLES["zones"]).markers
+    assert first.action == first.DELETEALL
+    assert (zone.points[0].x, zone.points[0].y) == (zone.points[-1].x, zone.points[-1].y)
+    assert len(zone.points) == 4
+
+
+def test_the_map_is_due_after_a_change_once_an_interval_and_again_after_a_while():
+    one = state()
+    assert one.map_due(STAMP) is None
+    update = sample_messages.map_update(STAMP, np.zeros((64, 64), np.int8))
+    list(converted(one, frozenset(("/map",)), topics.MAP, update, "mapper"))
+    assert one.map_due(STAMP).info.width == 64
+    assert one.map_due(STAMP + 10) is None
+    list(converted(one, frozenset(("/map",)), topics.MAP, update, "mapper"))
+    assert one.map_due(STAMP + 500_000_000) is None
+    assert one.map_due(STAMP + 1_000_000_000) is not None
+    assert one.map_due(STAMP + MAP_AGAIN_NS) is None
+    assert one.map_due(STAMP + 1_000_000_000 + MAP_AGAIN_NS) is not None
+
+
+def test_only_the_keys_of_the_wanted_topics_are_listened_to():
+    assert keys_of(frozenset()) == frozenset()
+    assert keys_of(frozenset(("/scan", "/tf"))) == {"scan", "odom", "pose"}
+    assert "log/mapper" in keys_of(frozenset(("/rosout",)))

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The subscriber of `zenav bench gateway`, a process: `python -m zenav.bench.gateway_subscriber STACK AS KEY`.
+
+AS: the service that it stands for, or with a router as STACK the file of a member. It says `ready`. For each line on
+stdin it writes the times since the last one, ms, and the CPU that it used, s. It ends with its stdin.
+"""
+
+import json
+import os
+import struct
+import sys
+import threading
+import time
+from pathlib import Path
+
+import zenoh
+
+from shared.config import UserError
+from shared.credentials import parsed_credentials
+from shared.runners import transport
+from shared.runners.transport import StackAddress
+
+STAMP = struct.Struct("<8sQ")  # MARK, and ns of CLOCK_MONOTONIC at which the message was sent
+MARK = b"bench-ns"
+OPEN_LIMIT_S = 20.0
+
+
+def main(stack: str, as_: str, key: str) -> None:
+    """Measures until stdin ends."""
+    times: list[float] = []
+
+    def take(sample: zenoh.Sample) -> None:
+        payload = sample.payload.to_bytes()
+        now = time.monotonic_ns()
+        if payload.startswith(MARK):
+            times.append((now - STAMP.unpack_from(payload)[1]) / 1e6)
+
+    session = _opened(stack, as_)
+    subscriber = session.declare_subscriber(key, take)
+    used = time.process_time()
+    _say("ready")
+    for _ in sys.stdin:
+        before, used = used, time.process_time()
+        n = len(times)
+        _say(json.dumps({"times": times[:n], "cpu_s": used - before}))
+        del times[:n]
+    subscriber.undeclare()  # type: ignore[no-untyped-call]  # zenoh's own
+    os._exit(0)  # Zenoh's threads are not daemons
+
+
+def _opened(stack: str, as_: str) -> zenoh.Session:
+    if stack.isdigit():
+        return transport.opened(StackAddress(int(stack)), as_)
+    credentials = parsed_credentials(Path(as_).read_text(), as_)
+    limit = time.monotonic() + OPEN_LIMIT_S
+    while True:
+        try:
+            return transport.opened(StackAddress(router=stack, credentials=credentials))
+        except UserError:
+            if time.monotonic() > limit:
+                raise
+            threading.Event().wait(0.2)  # the gateway is starting
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A member of the gateway beside a live run: it subscribes to every topic, over TLS."""
+
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from shared.config import load_robot
+from shared.runners.client import Client
+from shared.secure_folder import SecureFolder
+from zenav.bench.gateway import free_endpoint, gateway_settings, member_subscriber, viewer_credentials
+from zenav.bench.member_namespace import member_namespace
+from zenav.scenario.live_run import RunView
+from zenav.scenario.mission import Mission
+
+
+class MemberView(RunView):
+    """Starts the member once the stack runs. settings: of the gateway."""
+
+    def __init__(self, settings: list[str], command: list[str]) -> None:
+        self.settings, self._command = settings, command
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def look(self, client: Client, mission: Mission, seconds: float) -> None:
+        if self._process is None:
+            self._process = subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+
+    def end(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+
+@contextmanager
+def remote_member(robot: str) -> Iterator[MemberView]:
+    """As root the member is in a network namespace of its own."""
+    with tempfile.TemporaryDirectory() as folder, member_namespace() as members:
+        place = SecureFolder(Path(folder) / "secure")
+        viewer, address = viewer_credentials(place, robot), free_endpoint(members)
+        name = load_robot(robot).robot.name
+        yield MemberView(gateway_settings(place, address), member_subscriber(members, f"tls/{address}", viewer, name))
