@@ -20,7 +20,7 @@ SOURCES = (topics.BOARD, topics.BASE_MOTION, topics.SCAN)
 ALL_RUN = "every service runs"
 HINT = (
     "connect the robot's devices (base_driver.port, lidar_driver.port), simulate with --world office, "
-    "or start a program of your own with --external sim"
+    "take a ROS 2 robot's with --ros2 and --set ros2.drives=true, or start a program of your own with --external sim"
 )
 
 
@@ -34,13 +34,14 @@ def expected_topics(names: Sequence[str], external: Sequence[str], file: RobotFi
         read -= {topics.BOARD.key, topics.BASE_MOTION.key}
     is_velocity_base = file.robot.drive.kind == "velocity"
     read.discard((topics.BOARD if is_velocity_base else topics.BASE_MOTION).key)
+    sources = set(names) - {"ros2"}  # which passes on what a robot sends, if any does
     return [
         topic
         for topic in TOPICS
         if topic.key in read
         and topic.hz
         and topic.by != "*"
-        and not set(topic.publishers) & set(names)
+        and not set(topic.publishers) & sources
         and (set(topic.publishers) & set(external) or topic in SOURCES)
     ]
 
