@@ -80,7 +80,7 @@ class Topic(Generic[M]):
 # fmt: off
 BOARD       = Topic("hardware/board",  m.BoardReport,   by="sim",                    hz=50, keep="all",    within=0.002)
 MOTORS      = Topic("hardware/motors", m.MotorCommand,  by="base_driver",            hz=50, keep="latest", within=0.002)
-BASE_MOTION = Topic("hardware/odometry", m.BaseOdometry, by="sim",                   hz=50, keep="all",    within=0.002)
+BASE_MOTION = Topic("hardware/odometry", m.BaseOdometry, by="sim ros2",              hz=50, keep="all",    within=0.002)
 VELOCITY    = Topic("hardware/velocity", m.Velocity,    by="base_driver",            hz=50, keep="latest", within=0.002)
 IMU         = Topic("imu",             m.Imu,           by="base_driver sim imu_driver", hz=50, keep="all", within=0.002)
 CONTACTS    = Topic("hardware/contacts", m.Contacts,    by="base_driver sim",        hz=20, keep="all",    within=0.002)
@@ -94,7 +94,7 @@ RANGES      = Topic("base/ranges",     m.RangeReadings, by="base_driver",       
 BASE_STATUS = Topic("base/status",     m.BaseStatus,    by="base_driver",            hz=2,  keep="latest", within=0.010, latched=True)
 REPORT      = Topic("base/report",     m.BoardReport,   by="base_driver",            hz=50, keep="all",    within=0.002, people=True)
 BOARD_IS    = Topic("base/board",      m.BoardStatus,   by="base_driver",            hz=2,  keep="latest", within=0.010, latched=True, people=True)
-SCAN        = Topic("scan",            m.LaserScan,     by="lidar_driver sim",       hz=10, keep="latest", within=0.005)
+SCAN        = Topic("scan",            m.LaserScan,     by="lidar_driver sim ros2",  hz=10, keep="latest", within=0.005)
 ODOM        = Topic("odom",            m.Odometry,      by="odometry",               hz=50, keep="all",    within=0.003)
 POSE        = Topic("pose",            m.PoseEstimate,  by="mapper",                 hz=10, keep="latest", within=0.025, latched=True)
 MAP         = Topic("map",             m.MapUpdate,     by="mapper",                 hz=2,  keep="all",    within=0.050, latched=True)

@@ -33,6 +33,7 @@ FEEDBACK = {
     ("guard", "dashboard"): "the page shows the source of commands, and sees that STOP holds",
     ("guard", "navigator"): "the navigator reports why the robot stands",
     ("guard", "ros2"): "the reply to a ROS 2 node that presses STOP says whether it holds",
+    ("base_driver", "ros2"): "the one way back: the velocity of a robot with ROS 2",
     ("mapper", "ros2"): "the feedback of a ROS 2 action has the robot's pose",
     ("navigator", "ros2"): "a ROS 2 action follows the navigator's task",
 }

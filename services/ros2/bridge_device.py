@@ -16,9 +16,10 @@ import msgpack
 
 from services.ros2.action_topics import action_services, action_topics
 from services.ros2.config import Ros2Config
-from services.ros2.incoming_topics import CMD_VEL, INCOMING, MAP_SERVICES, STATE_SERVICES, TRIGGERS
-from services.ros2.outgoing_topics import OUTGOING, STATIC_TF
+from services.ros2.incoming_topics import CMD_VEL, INCOMING, MAP_SERVICES, STATE_SERVICES, TRIGGERS, IncomingTopic
+from services.ros2.outgoing_topics import OUTGOING, STATIC_TF, OutgoingTopic
 from services.ros2.rmw_names import Endpoint, Entity, Qos, RosName, mismatch_text
+from services.ros2.robot_input import COMMAND_TOPICS, ROBOT_TOPICS
 from services.ros2.ros_types import ros_types
 from shared import topics
 from shared.config import UserError
@@ -27,11 +28,13 @@ from shared.runners.devices import DeviceContext
 from shared.topics import Publication
 
 PORT = "ros"
+ROBOT_NAMES = frozenset(row.name for row in ROBOT_TOPICS)
 KIND = "zenoh"
 AGAIN_S = 2.0  # between two tries to reach the router
 LOOK_S = 0.5  # between two looks whether it is there
 MIN_INTERVAL_S = 0.02  # between two messages of one topic for the core: 50 a second
 """A node that sends faster gets its newest message through, and the others are counted."""
+ROBOT_INTERVAL_S = 0.004  # the same of a robot's sensors: some have odometry of 100 Hz, and messages come unevenly
 LIMIT_S, MAX_TEXT = 120.0, 300  # of a command of zenav: a large map; characters of its error
 N_TARGET = 4  # arguments that name robot and stack; the others are settings
 MAX_KINDS = 100  # of rejections that one report distinguishes
@@ -109,7 +112,7 @@ class BridgeDevice:
         look_at = time.monotonic()
         while True:
             with self._changed:
-                self._changed.wait_for(self._has_work, MIN_INTERVAL_S if self._pending else LOOK_S)
+                self._changed.wait_for(self._has_work, min(map(_interval, self._pending), default=LOOK_S))
                 if self._is_closing:
                     break
                 orders, self._orders = self._orders, []
@@ -134,7 +137,7 @@ class BridgeDevice:
         )
 
     def _is_due(self, name: str, now: float) -> bool:
-        return now - self._sent_at.get(name, float("-inf")) >= MIN_INTERVAL_S
+        return now - self._sent_at.get(name, float("-inf")) >= _interval(name)
 
     def _declare(self) -> None:
         """Everything that our node has in ROS 2."""
@@ -143,11 +146,10 @@ class BridgeDevice:
         def ros_name(name: str, type_: str) -> RosName:
             return RosName(config.name(name), type_, types.hash_of(type_))
 
-        rows = [(row.name, row.type, row.qos) for row in (*OUTGOING, STATIC_TF)]
+        rows = [(row.name, row.type, row.qos) for row in (*published_rows(config.drives), STATIC_TF)]
         rows += [(row.name, row.type, row.qos) for row in action_topics(config.distro)]
-        self._names = {name: config.name(name) for name, _, _ in rows}
-        self._own = {ros: own for own, ros in self._names.items()}
-        for row in INCOMING:
+        self._own = {config.name(name): name for name, _, _ in rows}
+        for row in received_rows(config.drives):
             self._own[config.name(row.name)] = row.name
             received = tuple(ros_name(row.name, type_) for type_ in row.types)
             self._endpoints[row.name, Entity.PUBLISHER] = [(topic, row.qos) for topic in received]
@@ -155,7 +157,7 @@ class BridgeDevice:
         for name, type_, qos in rows:
             topic = ros_name(name, type_)
             self._endpoints[name, Entity.SUBSCRIPTION] = [(topic, qos)]
-            self._wire.advertise(topic, qos)
+            self._wire.advertise(name, topic, qos)
         for name, type_ in (*TRIGGERS, *STATE_SERVICES, *MAP_SERVICES, *action_services(config.distro)):
             self._own[config.name(name)] = name
             self._wire.serve(ros_name(name, type_))
@@ -163,7 +165,7 @@ class BridgeDevice:
 
     def _obey(self, order: dict[str, Any]) -> None:
         if "publish" in order:
-            self._wire.publish(self._names[order["publish"]], order["data"])
+            self._wire.publish(order["publish"], order["data"])
         elif "reply" in order:
             self._wire.reply(order["reply"], order["data"])
         elif "tool" in order:
@@ -189,7 +191,7 @@ class BridgeDevice:
 
     def _publish_ros(self, name: str, data: bytes) -> None:
         """On the feed's thread."""
-        self._wire.publish(self._names[name], data)
+        self._wire.publish(name, data)
 
     # --- on threads of Zenoh's, of the feed and of requests ---------------------------------------------------------
 
@@ -197,7 +199,7 @@ class BridgeDevice:
         own = self._own.get(name, name)
         with self._changed:
             if own in self._pending:
-                self._count(own, "faster than 50 a second: the newest counts")
+                self._count(own, f"faster than {1 / _interval(own):.0f} a second: the newest counts")
             self._pending[own] = {"type": type_, "data": data, "gid": gid, "sent": sent, "came": came}
             self._changed.notify_all()
 
@@ -205,9 +207,8 @@ class BridgeDevice:
         self._file({"event": "request", "name": self._own[name], "id": number, "data": data})
 
     def _on_wanted(self, name: str, is_wanted: bool) -> None:
-        own = self._own[name]
-        if any(row.name == own for row in OUTGOING):
-            self._feed.want(own, is_wanted)
+        if any(row.name == name for row in OUTGOING):
+            self._feed.want(name, is_wanted)
 
     def _on_endpoint(self, endpoint: Endpoint, is_there: bool) -> None:
         """Another node's publisher or subscription came or went. What does not match ours is reported once."""
@@ -265,6 +266,21 @@ class BridgeDevice:
 
     def _publish(self, publication: Publication) -> None:
         self._context.publish(publication)
+
+
+def _interval(name: str) -> float:
+    """s between two messages of a topic for the core."""
+    return ROBOT_INTERVAL_S if name in ROBOT_NAMES else MIN_INTERVAL_S
+
+
+def published_rows(drives: bool) -> tuple[OutgoingTopic, ...]:
+    """The topics of our node but for those of actions. drives: a robot with ROS 2, which has sensors of its own."""
+    return (*(row for row in OUTGOING if row.name not in ROBOT_NAMES), *COMMAND_TOPICS) if drives else OUTGOING
+
+
+def received_rows(drives: bool) -> tuple[IncomingTopic, ...]:
+    """The topics that our node subscribes to."""
+    return (*(row for row in INCOMING if row.name != CMD_VEL), *ROBOT_TOPICS) if drives else INCOMING
 
 
 def zenoh_endpoint(device: str) -> str:

@@ -40,6 +40,9 @@ class Ros2Config(Section):
         "", pattern=rf"^(/{NAME})*$", description="as /robot1, before the names of topics, services and actions"
     )
     node: str = Field("zenav", pattern=rf"^{NAME}$", description="name of the bridge's node")
+    drives: bool = Field(
+        False, description="the robot is one with ROS 2: its /scan and /odom come in, and /cmd_vel goes out"
+    )
     remap: tuple[str, ...] = Field((), description="other names of topics and services, as /scan:=/base_scan")
     frames: FrameConfig = FrameConfig()
     teleop_hold: float = Field(
@@ -67,6 +70,7 @@ class Ros2Config(Section):
 
     def name(self, name: str) -> str:
         """The name in ROS of one of our topics, services and actions: remapped, below the namespace."""
+        name = name.partition(" ")[0]  # of two types under one name
         rules = dict(rule.split(":=") for rule in self.remap)
         action, separator, part = name.partition("/_action/")
         renamed = rules.get(action)

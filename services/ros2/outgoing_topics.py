@@ -30,10 +30,13 @@ MAP_AGAIN_NS = 5 * NS_PER_S
 
 
 class OutgoingState:
-    """What the messages of ROS need of earlier ones of the stack. map_interval: ns between two maps."""
+    """What the messages of ROS need of earlier ones of the stack. map_interval: ns between two maps.
 
-    def __init__(self, make: RosMessages, map_interval: int) -> None:
-        self.make, self.map_interval = make, map_interval
+    has_own_odometry: the robot publishes `odom -> base_link` itself.
+    """
+
+    def __init__(self, make: RosMessages, map_interval: int, has_own_odometry: bool = False) -> None:
+        self.make, self.map_interval, self.has_own_odometry = make, map_interval, has_own_odometry
         self.grid = OccupancyGrid()
         self.map_from_odom: Pose2 | None = None
         self.map_stamp = 0
@@ -73,10 +76,11 @@ def _transforms(state: OutgoingState, message: m.Odometry | m.PoseEstimate, _: s
     if isinstance(message, m.PoseEstimate):
         state.map_from_odom = message.map_from_odom
         return None
-    stamped = [make.transform(message.stamp, frames.odom, frames.base, message.odom_from_base)]
+    own = make.transform(message.stamp, frames.odom, frames.base, message.odom_from_base)
+    stamped = [] if state.has_own_odometry else [own]
     if state.map_from_odom is not None:
         stamped.insert(0, make.transform(message.stamp, frames.map, frames.odom, state.map_from_odom))
-    return make.transforms(*stamped)
+    return make.transforms(*stamped) if stamped else None
 
 
 def _map(state: OutgoingState, update: m.MapUpdate, _: str) -> Any:

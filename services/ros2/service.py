@@ -14,7 +14,7 @@ The shell passes the stack's messages on to ROS (stack_feed.py). Each map of top
 orders.py has the maps of topics.TX.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from services.ros2 import incoming_topics as incoming
 from services.ros2.action_server import ActionServer, GoalRefusedError
@@ -22,6 +22,7 @@ from services.ros2.config import Ros2Config
 from services.ros2.incoming_topics import pose_in_map, velocity
 from services.ros2.orders import PORT, ask_order, publish_order, reply_order, tool_order
 from services.ros2.outgoing_topics import STATIC_TF
+from services.ros2.robot_input import ROBOT_TOPICS, RobotInput
 from services.ros2.ros_types import RosTypes, ros_types
 from services.ros2.sender_clocks import SenderClocks
 from services.ros2.service_calls import BY, ServiceCalls
@@ -41,9 +42,20 @@ from shared.teleop_stream import TeleopStream
 from shared.topics import Publication
 from shared.types import NS_PER_S
 
-Loaded = tuple[RosTypes, RosMessages, ActionServer, ServiceCalls]
+
+class Loaded(NamedTuple):
+    """What needs the types of the distribution."""
+
+    types: RosTypes
+    make: RosMessages
+    actions: ActionServer
+    calls: ServiceCalls
+    robot: RobotInput
+
+
 MAX_VELOCITY_AGE_S, MAX_AGE_S = 0.3, 2.0
 """of a velocity and of other messages, by their publisher's clock: an older one is from before a broken link."""
+ROBOT_NAMES = frozenset(row.name for row in ROBOT_TOPICS)
 MAX_ASKS = 64  # requests to the stack without an outcome; then the oldest is forgotten
 
 
@@ -72,7 +84,7 @@ class Ros2Service(Service):
         if not self.is_open:
             return self.detail or "no router: set ros2.port.device"
         text = "with a bridge to DDS" if self.config.bridge == "dds" else f"in domain {self.config.domain}"
-        goal = self._loaded[2].state if self._loaded is not None else ""
+        goal = self._loaded.actions.state if self._loaded is not None else ""
         return f"{text}; {goal}" if goal else text
 
     @on(topics.PORT)
@@ -82,7 +94,7 @@ class Ros2Service(Service):
             return
         self.is_open, self.detail = state.open, state.detail
         if state.open:
-            types, make, _, _ = self._ros
+            types, make = self._ros.types, self._ros.make
             static = make.transforms(make.mount(self.now, self.robot.laser.mount))
             yield publish_order(self.now, STATIC_TF.name, types.encode(static))
             yield Log("INFO", f"ROS 2: connected, {self.state()}")
@@ -101,28 +113,35 @@ class Ros2Service(Service):
     def guard_status(self, status: GuardStatus) -> Out:
         """Takes the guard's confirmation of STOP."""
         if self._loaded is not None:
-            yield from self._loaded[3].guard_status(status, self.now)
+            yield from self._loaded.calls.guard_status(status, self.now)
 
     @on(topics.POSE)
     def pose(self, estimate: PoseEstimate) -> Out:
         """Takes the pose, for the feedback of goals."""
         self.mode = estimate.mode
         if self._loaded is not None:
-            self._loaded[2].estimate = estimate
+            self._loaded.actions.estimate = estimate
         return ()
 
     @on(topics.NAV_STATUS)
     def nav_status(self, status: NavStatus) -> Out:
         """Takes the navigator's status, for the goals."""
         if self._loaded is not None:
-            yield from self._loaded[2].nav_status(status, self.now)
+            yield from self._loaded.actions.nav_status(status, self.now)
+
+    @on(topics.VELOCITY)
+    def velocity(self, command: Velocity) -> Out:
+        """Passes the velocity on to a robot with ROS 2."""
+        if self.config.drives and self.is_open:
+            yield from self._ros.robot.velocity(command, self.now)
 
     @every(hz=20)
     def drive(self) -> Out:
         """Publishes the driver's command, zero after its end, and STOP until it is confirmed."""
         yield from _teleop(self.teleop.tick(self.now))
         if self._loaded is not None:
-            yield from self._loaded[3].tick(self.now)
+            yield from self._loaded.calls.tick(self.now)
+            yield from self._loaded.robot.tick(self.now)
 
     def on_shutdown(self) -> Out:
         """A robot that ROS drives stands."""
@@ -156,7 +175,10 @@ class Ros2Service(Service):
                 yield Log("WARNING", f"ROS 2: {name}: {error}")
 
     def _message(self, name: str, event: dict[Any, Any]) -> Out:
-        types, make, _, _ = self._ros
+        if name in ROBOT_NAMES:
+            yield from self._ros.robot.message(name, event["type"], event["data"], self.now)
+            return
+        types, make = self._ros.types, self._ros.make
         message = types.decode(event["data"], event["type"])
         age = self.sender_clocks.age(event["gid"], event["sent"], event["came"]) / NS_PER_S
         if age > (MAX_VELOCITY_AGE_S if name == incoming.CMD_VEL else MAX_AGE_S):
@@ -173,9 +195,9 @@ class Ros2Service(Service):
             yield self._ask(requests.START_MAP, StartMap(self.now, mode, 0, (pose,)), logged_refusal("initial pose"))
 
     def _request(self, name: str, number: int, data: bytes) -> Out:
-        _, _, actions, calls = self._ros
+        ros = self._ros
         try:
-            yield from (actions if actions.serves(name) else calls).request(name, number, data, self.now)
+            yield from (ros.actions if ros.actions.serves(name) else ros.calls).request(name, number, data, self.now)
         except GoalRefusedError:
             raise
         except ValueError:
@@ -212,7 +234,8 @@ class Ros2Service(Service):
             types = ros_types(self.config.distro)
             make = RosMessages(types.types, self.config.ros_frames)
             calls = ServiceCalls(types, make, self._ask, self._ask_tool)
-            self._loaded = types, make, ActionServer(types, make, self._ask), calls
+            actions = ActionServer(types, make, self._ask)
+            self._loaded = Loaded(types, make, actions, calls, RobotInput(types, make))
         return self._loaded
 
 

@@ -33,9 +33,10 @@ SERVICE_QOS = Qos(depth=10)  # rmw_qos_profile_services_default
 class WireEvents:
     """What the wire calls, on Zenoh's threads.
 
-    message: name, type, CDR, gid of the publisher, ns on its clock when it was sent, ns on ours when it came.  request:
-    name of the service, its number here, CDR.  wanted: name, and whether a subscription matches.  endpoint: of another
-    node, and whether it is there.  rejected: name and cause.
+    message: name, type, CDR, gid of the publisher, ns on its clock when it was sent, ns on ours when it came.
+    request: name of the service, its number here, CDR.
+    wanted: label of a publisher, and whether a subscription matches.
+    endpoint: of another node, and whether it is there.  rejected: name and cause.
     """
 
     message: Callable[[str, str, bytes, bytes, int, int], None]
@@ -86,8 +87,8 @@ class RosWire:
             query.drop()  # type: ignore[no-untyped-call]  # zenoh's own
         self._session.close()  # type: ignore[no-untyped-call]  # zenoh's own
 
-    def advertise(self, topic: RosName, qos: Qos) -> None:
-        """Declares a publisher. `wanted` is called when a subscription matches, and when none does any more."""
+    def advertise(self, label: str, topic: RosName, qos: Qos) -> None:
+        """Declares a publisher. `wanted` is called with its label when a subscription matches, and when none does."""
         key = self._format.key(topic)
         is_reliable = qos.reliability is Reliability.RELIABLE
         options: dict[str, Any] = {
@@ -107,13 +108,13 @@ class RosWire:
             )
         self._declared += [publisher, plain]
         token = self._declare_token(Entity.PUBLISHER, topic, qos)
-        self._publishers[topic.name] = _Publisher(publisher, _gid(token))
+        self._publishers[label] = _Publisher(publisher, _gid(token))
         self._declared.append(
-            plain.declare_matching_listener(lambda status: self._events.wanted(topic.name, status.matching))
+            plain.declare_matching_listener(lambda status: self._events.wanted(label, status.matching))
         )
         status: Any = plain.matching_status  # zenoh calls it a bool; it is a MatchingStatus
         if status.matching:
-            self._events.wanted(topic.name, True)
+            self._events.wanted(label, True)
 
     def subscribe(self, name: str, topics: tuple[RosName, ...], qos: Qos) -> None:
         """Declares subscriptions of one name; `rejected` hears of messages of other types and hashes."""
@@ -134,9 +135,9 @@ class RosWire:
         liveliness = self._session.liveliness()
         self._declared.append(liveliness.declare_subscriber(self._format.tokens_key(), self._hear_token, history=True))
 
-    def publish(self, name: str, data: bytes) -> None:
-        """Sends a message. data: CDR. Called from one thread at a time."""
-        publisher = self._publishers[name]
+    def publish(self, label: str, data: bytes) -> None:
+        """Sends a message of a publisher. data: CDR. Called from one thread at a time."""
+        publisher = self._publishers[label]
         publisher.sequence += 1
         publisher.put.put(data, attachment=self._format.attachment(publisher.sequence, time.time_ns(), publisher.gid))
 

@@ -13,6 +13,7 @@ from shared.config import Mount, UserError, nearest
 from shared.geometry import Pose2
 from shared.messages import LaserScan, Localization, MapUpdate, Message, Odometry, PoseEstimate
 from shared.ros_messages import GRID, ODOM, POSE, POSE_COVARIANCE, SCAN, TF, pose2
+from shared.ros_readings import covariance, laser_scan
 from shared.types import Float64s, Int64s
 from zenav.convert import ros_messages as ros
 from zenav.convert.content import Choice, Content, odometry_at
@@ -120,7 +121,7 @@ class _LogReader:
         for raw in raws[:20]:
             try:
                 message = ros.read(raw)
-                scan = ros.laser_scan(message, 0, mirrored=False)
+                scan = laser_scan(message, 0, mirrored=False)
             except ValueError:
                 continue
             laser = ros.frame(message.header.frame_id)
@@ -281,7 +282,7 @@ class _LogReader:
         mirrored = upside_down(poses[0])
         if mirrored:
             self.notes.append(f"the laser of {topic.topic} hangs upside-down: its beams were turned about")
-        scans = self._made(topic, lambda m, stamp: ros.laser_scan(m, stamp, mirrored), by_receipt)
+        scans = self._made(topic, lambda m, stamp: laser_scan(m, stamp, mirrored), by_receipt)
         if max(abs(mount.x), abs(mount.y)) > 5:
             raise UserError(
                 f"{self.path}: by tf the laser sits at {mount.x:.1f} {mount.y:.1f} m of {base}",
@@ -335,7 +336,7 @@ class _LogReader:
 
         def pose_estimate(message: Any, stamp: int) -> PoseEstimate:
             pose = message.pose
-            spread = ros.covariance(pose.covariance) if hasattr(pose, "covariance") else np.zeros(9)
+            spread = covariance(pose.covariance) if hasattr(pose, "covariance") else np.zeros(9)
             return _estimate(stamp, pose2(pose.pose if hasattr(pose, "covariance") else pose), spread)
 
         poses = self._made(topic, pose_estimate, by_receipt)

@@ -26,7 +26,7 @@ OF_DRIVE: dict[str, tuple[Topic[Any], ...]] = {
 ALL_RUN = "every service runs"
 HINT = (
     "connect the robot's devices (base_driver.port, lidar_driver.port), simulate with --world office, "
-    "or start a program of your own with --external sim"
+    "take a ROS 2 robot's with --ros2 and --set ros2.drives=true, or start a program of your own with --external sim"
 )
 
 
@@ -39,13 +39,14 @@ def expected_topics(names: Sequence[str], external: Sequence[str], file: RobotFi
     if file.section("base_driver", BaseDriverConfig).port.given:
         read -= {topics.BOARD.key, topics.BASE_MOTION.key}
     read -= {topic.key for kind, used in OF_DRIVE.items() if kind != file.robot.drive.kind for topic in used}
+    sources = set(names) - {"ros2"}  # which passes on what a robot sends, if any does
     return [
         topic
         for topic in TOPICS
         if topic.key in read
         and topic.hz
         and topic.by != "*"
-        and not set(topic.publishers) & set(names)
+        and not set(topic.publishers) & sources
         and (set(topic.publishers) & set(external) or topic in SOURCES)
     ]
 

@@ -41,6 +41,7 @@ def keys(names: tuple[str, ...], external: tuple[str, ...] = (), file: Any = FIL
 def test_without_a_source_board_and_scan_are_expected():
     assert keys(DRIVING) == ["hardware/board", "scan"]
     assert keys(DRIVING, ("sim",)) == ["hardware/board", "scan"]
+    assert keys((*DRIVING, "ros2")) == ["hardware/board", "scan"]
     assert keys((*DRIVING, "sim")) == []
     assert keys((*DRIVING, "lidar_driver")) == ["hardware/board"]
     with_board = configured("x80sv", ["base_driver.port.device=/dev/ttyUSB0"])

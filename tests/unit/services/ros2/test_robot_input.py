@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot with ROS 2 that zenav drives: its sensors come in with our time, and the velocity goes out."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from services.ros2.bridge_device import published_rows, received_rows
+from services.ros2.outgoing_topics import OUTGOING
+from services.ros2.robot_input import COMMAND, STAMPED_COMMAND
+from shared import sample_messages
+from shared.config import load_robot
+from shared.geometry import Pose2
+from shared.messages import BaseOdometry, LaserScan, Odometry, Velocity
+from tests.unit.services.ros2.core import Core
+
+ROBOT = load_robot("x80sv").robot
+HOUR_NS = 3600 * 10**9
+
+
+def stamped(core: Core, message: Any, delay: float = 0.0, clock: int = -HOUR_NS) -> list[Any]:
+    """Sends a message of the robot that comes `delay` s late. clock: ns of the robot's clock, less ours."""
+    at = core.service.now + 100_000_000 - round(delay * 1e9) + clock
+    message.header.stamp = core.make.time(at)
+    name = {"LaserScan": "/scan", "Odometry": "/odom"}[message.__msgtype__.rsplit("/", 1)[1]]
+    return core.message(name, message)
+
+
+def scan_of(core: Core) -> Any:
+    ranges = np.linspace(0.5, 3, ROBOT.laser.n_beams)
+    return core.make.scan(sample_messages.scan(0 + 10**12, ROBOT.laser, ranges))
+
+
+def odometry_of(core: Core, pose: Pose2 = Pose2(1, 2, 0.5), vy: float = 0.0) -> Any:  # noqa: B008  # a value
+    covariance = np.diag([0.01, 0.02, 0.03]).ravel()
+    message = core.make.odometry(Odometry(10**12, pose, 0.2, 0.1, covariance))
+    message.twist.twist.linear.y = vy
+    return message
+
+
+@pytest.fixture
+def core():
+    return Core(drives=True)
+
+
+def test_a_scan_comes_in_with_the_time_of_our_clock_however_wrong_the_robots_is(core):
+    [scan] = stamped(core, scan_of(core))
+    assert isinstance(scan, LaserScan)
+    assert scan.stamp == core.service.now
+    assert scan.angle_increment == pytest.approx(ROBOT.laser.angle_increment)
+    assert scan.ranges[:3] == pytest.approx(np.linspace(0.5, 3, ROBOT.laser.n_beams)[:3], abs=1e-6)
+    [late] = stamped(core, scan_of(core), delay=0.15)
+    assert core.service.now - late.stamp == pytest.approx(150_000_000, abs=10)
+
+
+def test_scan_and_odometry_of_one_moment_have_one_stamp_though_a_scan_comes_later(core):
+    stamped(core, odometry_of(core))
+    [odometry] = stamped(core, odometry_of(core))
+    [scan] = stamped(core, scan_of(core), delay=0.1)  # the next event is 0.1 s later: it is of the same moment
+    assert scan.stamp == pytest.approx(odometry.stamp, abs=10)
+
+
+def test_odometry_comes_in_with_pose_twist_and_covariance(core):
+    [odometry] = stamped(core, odometry_of(core))
+    assert isinstance(odometry, BaseOdometry)
+    assert odometry.odom_from_base.distance(Pose2(1, 2, 0.5)) < 1e-9
+    assert (odometry.v, odometry.w, odometry.has_pose, odometry.has_twist) == (0.2, 0.1, True, True)
+    assert odometry.covariance.reshape(3, 3).diagonal() == pytest.approx([0.01, 0.02, 0.03])
+
+
+def test_a_clock_that_is_set_back_makes_messages_old_until_the_guard_has_stopped(core):
+    stamped(core, odometry_of(core))
+    [odometry] = stamped(core, odometry_of(core), clock=-2 * HOUR_NS)
+    assert core.service.now - odometry.stamp == HOUR_NS
+
+
+def test_a_robot_that_moves_sideways_is_refused_and_counted(core):
+    assert stamped(core, odometry_of(core, vy=0.5)) == []
+    assert "holonomic" in core.lines[-1]
+
+
+@pytest.mark.parametrize("name", ["/scan", "/odom"])
+def test_damaged_bytes_of_a_robot_are_refused_and_counted(core, name):
+    type_ = {"/scan": "sensor_msgs/msg/LaserScan", "/odom": "nav_msgs/msg/Odometry"}[name]
+    assert core.event(event="message", name=name, type=type_, data=b"\x00\x01\x00\x00", gid=b"", sent=1, came=1) == []
+    assert sum(core.service.rejections.counts.values()) == 1
+
+
+def commands(orders: list[Any]) -> dict[str, Any]:
+    return {order["publish"]: order["data"] for order in orders}
+
+
+def velocity(core: Core, v: float, w: float) -> list[Any]:
+    return core.take(core.service.velocity(Velocity(core.service.now, v, w, "")))
+
+
+def test_the_velocity_goes_out_stamped_and_not(core):
+    data = commands(velocity(core, 0.2, -0.3))
+    twist = core.types.decode(data[COMMAND], "geometry_msgs/msg/Twist")
+    assert (twist.linear.x, twist.angular.z) == (0.2, -0.3)
+    stamped_twist = core.types.decode(data[STAMPED_COMMAND], "geometry_msgs/msg/TwistStamped")
+    assert stamped_twist.twist.linear.x == 0.2
+    assert stamped_twist.header.frame_id == "base_link"
+
+
+def test_a_silent_base_driver_is_zero_once(core):
+    velocity(core, 0.2, 0.0)
+    assert core.tick(0.1) == []
+    data = commands(core.tick(0.15))
+    assert core.types.decode(data[COMMAND], "geometry_msgs/msg/Twist").linear.x == 0.0
+    assert core.tick(0.5) == []
+
+
+def test_a_bridge_that_drives_no_robot_of_ros_publishes_no_velocity():
+    assert velocity(Core(), 0.2, 0.0) == []
+
+
+def test_the_robots_own_topics_are_received_and_not_published():
+    published = {row.name for row in published_rows(True)}
+    assert {"/scan", "/odom"}.isdisjoint(published)
+    assert {"/tf", "/map", COMMAND, STAMPED_COMMAND} <= published
+    assert {row.name for row in received_rows(True)} == {"/scan", "/odom", "/goal_pose", "/initialpose"}
+    assert published_rows(False) == OUTGOING
+
+
+def test_two_types_of_one_name_keep_the_name():
+    assert Core(namespace="/robot1").config.name(STAMPED_COMMAND) == "/robot1/cmd_vel"
