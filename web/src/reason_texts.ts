@@ -27,6 +27,23 @@ export const REASON_TEXTS: Readonly<Record<string, ReasonText>> = {
   odom_old: { de: ["Die Odometrie fehlt oder ist alt", "Läuft odometry? Siehe Dienste."], hint: "Does odometry run? See Services." },
   scan_old: { de: ["Der Laserscan fehlt oder ist alt", "Dreht sich der Laser? Siehe Dienste."], hint: "Does the laser turn? See Services." },
   scan_unlike: { de: ["Die Strahlen sind nicht die von robot.laser", "Passe robot.laser oder den Treiber an."] },
+  estop_input: { de: ["Der Not-Halt-Knopf des Roboters ist gedrückt", "Zieh ihn heraus, dann löse STOP."] },
+  bumper: {
+    de: ["Ein Stoßfänger ist gedrückt", "Ein Befehl, der wegführt, wird im Kriechgang befolgt: fahr von Hand weg."],
+  },
+  cliff: {
+    de: [
+      "Ein Absturzsensor sieht keinen Boden",
+      "Ein Befehl, der wegführt, wird im Kriechgang befolgt: fahr von Hand weg; reinige den Sensor.",
+    ],
+  },
+  leaving_contact: { de: ["Langsamer: der Roboter verlässt, was er berührt hat", "Nichts zu tun."] },
+  contacts_old: {
+    de: [
+      "Stoßfänger, Absturzsensoren und Not-Halt-Eingang schweigen",
+      "Sendet die Motorsteuerung hardware/contacts? Prüfe ihr Kabel, oder nimm sie aus der Roboterdatei.",
+    ],
+  },
   scan_frozen: { de: ["Der Laser wiederholt einen Scan", "Starte seinen Treiber neu, prüfe sein Kabel."] },
   scan_blind: { de: ["Der Laser sieht nichts, wohin der Roboter fährt", "Ist er verdeckt, schmutzig oder ausgesteckt?"] },
   scan_empty: { de: ["Langsam: aus der Fahrtrichtung kommt nichts zurück", "In weiten Hallen: guard.view.min_ahead auf 0."] },
