@@ -48,7 +48,8 @@ class SerialBoard:
         if self.device.counts.n_good > n_good:
             self._last_at["packet"] = now
         if received.n_reports:
-            if not self._is_recent("report", now) and not self.device.starts_again:
+            is_first = not self._is_recent("report", now) and not received.ends_with_answer
+            if is_first and not self.device.starts_again:
                 received.answer = self._start(now) + received.answer
             self._last_at["report"] = now
             self._n_reports += received.n_reports

@@ -45,9 +45,9 @@ class OdometryService(Service):
         self._slip_logged_at: int | None = None  # ns
 
     def state(self) -> str:
-        """Source of the heading and the slips, for the health message; empty without an inertial sensor."""
+        """Source of the heading and the slips, for the health message."""
         if self.gyro.stamp is None:
-            return ""
+            return "heading by wheels: no imu"
         source = "gyro" if self.by_gyro else "wheels" if self.gyro.bias is not None else "wheels: no standstill yet"
         return f"heading by {source}, {'slips' if self.slips else f'{self.n_slips} slips'}"
 

@@ -155,21 +155,21 @@ class SimService(Service):
             yield from self.emulation.update_plugs(self.now)
             self._obey_board(self.emulation)
             yield from self.emulation.send_sweeps(self._due_scans(), self.now)
+            imu, contacts = self._imu(), self._contacts()
             if self.emulation.board is not None:
-                yield from self.emulation.send_report(self._board(), self._imu(), self._contacts(), self.now)
+                yield from self.emulation.send_report(self._board(), imu, contacts, self.now)
             else:
                 yield from self._base_motion()
-                yield from self._body_sensors()
+            yield from self.emulation.send_body(imu, contacts if self.robot.has_contacts else None, self.now)
         yield topics.TRUTH(self._truth())
         yield topics.CLOCK(Clock(self.now, 1.0))
 
     def _body_sensors(self) -> Out:
         """The inertial sensor and the contact sensors of a robot that has them."""
-        reading = self._imu()
-        if reading is not None:
-            yield from (topics.IMU(imu) for imu in (self.faults.imu(reading),) if imu is not None)
-        if self.robot.has_contacts:
-            yield from (topics.CONTACTS(c) for c in (self.faults.contacts(self._contacts()),) if c is not None)
+        if (reading := self.faults.imu(self._imu())) is not None:
+            yield topics.IMU(reading)
+        if self.robot.has_contacts and (contacts := self.faults.contacts(self._contacts())) is not None:
+            yield topics.CONTACTS(contacts)
 
     def _imu(self) -> Imu | None:
         s = self.state_now

@@ -18,7 +18,7 @@ from shared.runners.lockstep import Lockstep
 from zenav.stack.service_loader import build_service
 
 STACK = ("sim", "base_driver", "odometry", "mapper", "planner", "local_ctrl", "guard", "navigator")
-DRIVERS = {"board": "base_driver", "laser": "lidar_driver"}
+DRIVERS = {"board": "base_driver", "laser": "lidar_driver", "imu": "imu_driver"}
 """Which driver or simulated device uses which port of the robot."""
 MS = 1_000_000
 KEPT = (

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from services.imu_driver.service import NO_BYTES, NO_SENSE
 from services.sim.hardware.faults import Fault
 from shared import requests
 from shared.recording import Recording
@@ -73,5 +74,35 @@ def test_without_the_laser_the_robot_stands_is_told_why_and_drives_on_when_it_is
     assert stack.truth.n_contacts == 0
 
 
-def test_every_fault_that_can_be_asked_for_is_one_that_is_known_to_stop_the_robot():
-    assert {*STOPS, *LASER_STOPS} == set(Fault)
+def test_every_fault_that_can_be_asked_for_is_known_to_stop_the_robot_or_to_leave_it_its_wheels():
+    assert {*STOPS, *LASER_STOPS, *IMU_FAULTS} == set(Fault)
+
+
+IMU_FAULTS = {
+    "imu_garbage": NO_SENSE,
+    "imu_stalled": NO_BYTES,
+    "imu_unplugged": "unplugged",
+}
+"""Fault, and what the driver says of it: odometry goes on by the wheels."""
+
+
+@pytest.mark.parametrize("model", ["bno055", "bno085"])
+def test_with_an_emulated_inertial_sensor_the_gyro_gives_the_heading(tmp_path, model):
+    sensor = ("robot.imu={yaw: 1.5}", f"sim.emulation.imu_model={model}", "imu_driver.port.device=wired")
+    settings = (*EMULATED, *sensor, f"imu_driver.model={model}")
+    stack = LockstepStack(tmp_path, settings=settings, names=(*STACK, "lidar_driver", "imu_driver"))
+    lines: list[str] = []
+    stack.lockstep.watch("log/imu_driver", lambda line: lines.append(line.text))
+    rates: list[float] = []
+    stack.lockstep.watch("imu", lambda imu: rates.append(imu.yaw_rate))
+    stack.go(6.0, 0.5)
+    stack.drives()
+    for fault, words in IMU_FAULTS.items():
+        assert stack.lockstep.ask(requests.FAULT, Break(stack.now, fault, 1.5, False)).accepted
+        stack.lockstep.run(3.0)
+        assert lines == [f"imu: {words}", "imu: in order again"]
+        lines.clear()
+    stack.until(stack.reached, 30.0)
+    assert stack.truth.n_contacts == 0
+    assert max(rates) > 0.1
+    assert stack.newest["odom"].odom_from_base.yaw == pytest.approx(stack.truth.world_from_base.yaw, abs=0.1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each robot file drives on emulated hardware: its board and its laser as bytes, or as messages where it has no port."""
+"""Each robot file drives on emulated hardware: board and laser as bytes, or as messages where they have no port."""
 
 import pytest
 
@@ -93,3 +93,13 @@ def test_a_broken_line_to_the_board_stops_the_robot_and_it_drives_on(robot, faul
     run.go(0.0, 0.0)
     run.until(lambda: run.newest["nav/status"].state is NavState.REACHED, 40.0)
     assert run.truth.n_contacts == 0
+
+
+@pytest.mark.parametrize("board", ["ros_arduino_bridge", "roboclaw", "odrive"])
+def test_the_boards_of_builders_drive_an_x80sv(board, tmp_path):
+    settings = [f"base_driver.board.model={board}", "robot.ranges=[]", "robot.drive.encoder_wrap=2147483648"]
+    run = RobotRun("x80sv", tmp_path, settings)
+    run.go(1.2, 0.0)
+    run.until(lambda: run.newest["nav/status"].state is NavState.REACHED, 30.0)
+    assert run.truth.n_contacts == 0
+    assert run.newest["base/status"].fault == ""

@@ -3,6 +3,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -13,6 +15,9 @@ from shared.messages import EmergencyStop, GuardState, Velocity
 from shared.runners import transport
 from tests.stack.processes import ROBOT, StackProcesses, running
 from zenav.client import Client
+from zenav.client.gamepad import DEAD_MAN_BUTTONS, EV_KEY, EVENT, STOP_BUTTON
+
+DEAD_MAN = min(DEAD_MAN_BUTTONS)
 
 
 @pytest.fixture(scope="module")
@@ -66,3 +71,28 @@ def test_a_guard_that_is_killed_under_stop_comes_back_stopped(bare):
     status = bare.client.latest(topics.GUARD)
     assert (status.state, status.reason) == (GuardState.STOPPED, "estop")
     stop(False)
+
+
+def test_a_gamepad_drives_while_its_button_is_held_and_one_that_is_gone_stops_the_robot(bare, tmp_path):
+    """FIFO for device: without the ranges of axes, so the robot stands; the commands tell that it drives."""
+    device, sent = tmp_path / "event0", []
+    os.mkfifo(device)
+    bare.client.listen(topics.TELEOP, lambda command, _: sent.append(command))
+    number = str(bare.where.domain)
+    command = [sys.executable, "-m", "zenav", "teleop", "--gamepad", "--device", str(device), "--stack", number]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+        try:
+            with open(device, "wb", buffering=0) as pad:  # opens when the tool has opened it
+                pad.write(EVENT.pack(0, 0, EV_KEY, DEAD_MAN, 1))
+                bare.until(lambda: len(sent) > 5)
+            bare.until(lambda: len(sent) > 5 and bare.client.now() - sent[-1].stamp > 500_000_000)
+            device.unlink()
+            os.mkfifo(device)
+            with open(device, "wb", buffering=0) as pad:
+                pad.write(EVENT.pack(0, 0, EV_KEY, STOP_BUTTON, 1))
+                bare.until(lambda: bare.client.latest(topics.GUARD).state is GuardState.STOPPED)
+        finally:
+            process.terminate()
+    with Client(ROBOT.name, bare.where) as operator:
+        operator.publish(topics.ESTOP(EmergencyStop(operator.now(), False, "test")))
+        bare.until(lambda: bare.client.latest(topics.GUARD).state is not GuardState.STOPPED)

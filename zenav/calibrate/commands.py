@@ -37,7 +37,7 @@ def calibrate_odometry(
     yes: bool,
 ) -> int:
     """Wheel radii and distance, of a recording or of squares that are driven now."""
-    known_robot = load_robot(robot).robot
+    known_robot = _robot_with_wheels(robot)
     ends: Float64s | None = None
     if recording is not None:
         log = read_calibration_log(recording, known_robot)
@@ -91,7 +91,7 @@ def calibrate_motors(robot: str, stack: str, blocks: bool, speed: float | None, 
     """Directions, dead band, step response and braking, driven now."""
     from zenav.calibrate.live import ManoeuvreRunner, confirm
 
-    known_robot = load_robot(robot).robot
+    known_robot = _robot_with_wheels(robot)
     drive = known_robot.drive
     speed = min(speed or drive.max_speed, drive.max_speed)
     if blocks:
@@ -128,6 +128,17 @@ def motor_stops() -> int:
     from zenav.calibrate.motor_test import N_STOPS
 
     return N_STOPS
+
+
+def _robot_with_wheels(robot: str) -> Robot:
+    """The robot of a file. Raises UserError for a base that controls its own speed: it reports no wheels."""
+    known_robot = load_robot(robot).robot
+    if known_robot.drive.kind == "velocity":
+        raise UserError(
+            f"{robot} is a velocity base: its wheels are calibrated in the base itself",
+            "its laser can be calibrated: zenav calibrate laser",
+        )
+    return known_robot
 
 
 def _driven_squares(

@@ -122,16 +122,28 @@ def teleop(
     override: Annotated[
         bool, typer.Option("--override", help="Creep through the guard's protective field: look where you drive.")
     ] = False,
+    gamepad: Annotated[bool, typer.Option("--gamepad", help="Drive with a gamepad: hold a shoulder button.")] = False,
+    device: Annotated[
+        str, typer.Option(help="The gamepad's device; without it: the first gamepad.", metavar="/dev/input/eventN")
+    ] = "",
     robot: RobotName = "x80sv",
     stack: Stack = "0",
 ) -> None:
-    """Drive with the keyboard: w a s d or arrows, space stops, q quits.
+    """Drive with the keyboard (w a s d or arrows, space stops, q quits), or with a gamepad.
 
     Example: zenav teleop --speed 0.2
     """
-    from zenav.client.teleop import teleop
+    from shared.config import UserError
+    from zenav.client.teleop import teleop, teleop_gamepad
 
-    teleop(robot, stack, speed, turn, override)
+    if device and not gamepad:
+        raise UserError("--device is of a gamepad", "add --gamepad")
+    if gamepad and override:
+        raise UserError("--override is for the keyboard", "leave one of both out")
+    if gamepad:
+        teleop_gamepad(robot, stack, speed, turn, device)
+    else:
+        teleop(robot, stack, speed, turn, override)
 
 
 @app.command(cls=Command, rich_help_panel=DRIVE)

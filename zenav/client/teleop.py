@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav teleop`: keys to velocities, 20 times a second, while the terminal is in raw mode."""
+"""`zenav teleop`: keys or a gamepad to velocities, 20 times a second."""
 
 import os
 import select
@@ -12,7 +12,9 @@ from shared.config import load_robot
 from shared.messages import Velocity
 from shared.requests import Override
 from shared.runners.transport import stack_address
+from shared.stop_button import StopButton
 from zenav.client import Client
+from zenav.client.gamepad_device import GamepadDevice
 from zenav.client.navigation_client import refusal_error, stop_reason
 from zenav.console.raw_terminal import raw_terminal
 from zenav.console.shutdown import stop_on_signal
@@ -88,6 +90,49 @@ def teleop(robot: str, stack: str, speed: float, turn: float, override: bool) ->
     sys.stderr.write("\n")
 
 
+def teleop_gamepad(robot: str, stack: str, speed: float, turn: float, device: str) -> None:
+    """Drives by a gamepad until Ctrl-C; speed in m/s, turn in degrees/s, at full stick.
+
+    It publishes while the dead-man button is held, then zero once. So other tools may drive meanwhile. A gamepad that
+    is gone counts as released. device: its path; empty: the first one.
+    """
+    with (
+        stop_on_signal() as stop,
+        GamepadDevice(device) as gamepad,
+        Client(load_robot(robot).robot.name, stack_address(stack)) as client,
+    ):
+        client.follow(topics.GUARD, topics.ODOM)
+        sys.stderr.write("hold a shoulder button and use the sticks; B or circle is STOP; Ctrl-C quits\n")
+        due, drove, stop_button = time.monotonic(), False, StopButton()
+        while not stop.is_set():
+            descriptor = gamepad.descriptor
+            waiting = [descriptor] if descriptor is not None else []
+            readable, _, _ = select.select(waiting, [], [], max(0.0, due - time.monotonic()))
+            if readable:
+                gamepad.read()
+                continue
+            due = max(due + PERIOD, time.monotonic())
+            is_there = gamepad.open()
+            if gamepad.gamepad.take_stop():
+                client.publish(topics.ESTOP(stop_button.set(True, "gamepad", client.now())))
+            if (guard := client.latest(topics.GUARD)) is not None:
+                stop_button.confirm(guard)
+            pressed, _ = stop_button.tick(client.now())
+            if pressed is not None:
+                client.publish(topics.ESTOP(pressed))
+            drives = gamepad.gamepad.drives(due)
+            if drives or drove:
+                forward, turning = gamepad.gamepad.direction(due)
+                client.publish(topics.TELEOP(Velocity(client.now(), forward * speed, turning * radians(turn), "")))
+            drove = drives
+            if is_there:
+                _show(client)
+            else:
+                _show_line(gamepad.detail)
+        client.publish(topics.TELEOP(Velocity(client.now(), 0.0, 0.0, "")))
+    sys.stderr.write("\n")
+
+
 def _override(client: Client, seconds: float) -> None:
     """Asks the guard; a guard that does not answer at once is asked in vain, and the robot stands."""
     reply = client.ask(requests.OVERRIDE, Override(client.now(), seconds), timeout=1.0)
@@ -102,5 +147,9 @@ def _show(client: Client) -> None:
     else:
         driven = f"{odom.v:+.2f} m/s {odom.w:+.2f} rad/s" if odom else "no odometry"
         line = f"{driven}  {guard.state}  {stop_reason(None, guard)}"
+    _show_line(line)
+
+
+def _show_line(line: str) -> None:
     sys.stderr.write(f"\r\033[K{line[:100]}")
     sys.stderr.flush()

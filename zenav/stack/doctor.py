@@ -216,8 +216,10 @@ def serial() -> Iterator[DoctorFinding]:
     from serial.tools import list_ports
 
     from shared.runners.port import admission
+    from zenav.stack.usb_boards import adapter_text
 
-    found = [p.device for p in list_ports.comports() if p.device.startswith(("/dev/ttyUSB", "/dev/ttyACM", "/dev/cu."))]
+    listed = [p for p in list_ports.comports() if p.device.startswith(("/dev/ttyUSB", "/dev/ttyACM", "/dev/cu."))]
+    found = [p.device for p in listed]
     if not found:
         yield DoctorFinding("serial", OK, "no board is plugged in (not needed in simulation)")
         return
@@ -226,7 +228,7 @@ def serial() -> Iterator[DoctorFinding]:
         hints = ", or: ".join(sorted({admission(device) for device in closed}))
         yield DoctorFinding("serial", BAD, f"{', '.join(closed)}: no right to read and write", hints)
     else:
-        yield DoctorFinding("serial", OK, ", ".join(found))
+        yield DoctorFinding("serial", OK, ", ".join(adapter_text(port) for port in listed))
 
 
 def disk() -> Iterator[DoctorFinding]:

@@ -4,6 +4,7 @@
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 from services.base_driver.config import BaseDriverConfig
 from shared import topics
@@ -17,6 +18,11 @@ from zenav.stack.service_loader import service_class
 
 PERIOD_S = 2.0  # between two looks at the messages of each topic
 SOURCES = (topics.BOARD, topics.BASE_MOTION, topics.SCAN)
+OF_DRIVE: dict[str, tuple[Topic[Any], ...]] = {
+    "differential": (topics.BOARD, topics.MOTORS, topics.WHEELS),
+    "velocity": (topics.BASE_MOTION, topics.VELOCITY, topics.BASE_ODOMETRY),
+}
+"""Topics that only robots with this robot.drive.kind have."""
 ALL_RUN = "every service runs"
 HINT = (
     "connect the robot's devices (base_driver.port, lidar_driver.port), simulate with --world office, "
@@ -32,8 +38,7 @@ def expected_topics(names: Sequence[str], external: Sequence[str], file: RobotFi
     read = {key for name in names for key in handlers(service_class(name)).topics}
     if file.section("base_driver", BaseDriverConfig).port.given:
         read -= {topics.BOARD.key, topics.BASE_MOTION.key}
-    is_velocity_base = file.robot.drive.kind == "velocity"
-    read.discard((topics.BOARD if is_velocity_base else topics.BASE_MOTION).key)
+    read -= {topic.key for kind, used in OF_DRIVE.items() if kind != file.robot.drive.kind for topic in used}
     sources = set(names) - {"ros2"}  # which passes on what a robot sends, if any does
     return [
         topic

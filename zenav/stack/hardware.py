@@ -6,6 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from services.base_driver.config import BaseDriverConfig
+from services.imu_driver.service import ImuDriverConfig
 from services.lidar_driver.service import LidarDriverConfig
 from services.sim.config import SimConfig
 from services.sim.world import World
@@ -16,7 +17,7 @@ from shared.runners.lockstep import Port
 from shared.topics import SERVICES
 from zenav.stack.service_loader import existing_services
 
-DRIVERS = {"board": "base_driver", "laser": "lidar_driver"}
+DRIVERS = {"board": "base_driver", "laser": "lidar_driver", "imu": "imu_driver"}
 """By port: the driver that opens it."""
 WIRED = "wired"
 """The device of a port whose other end is in the same process."""
@@ -31,13 +32,15 @@ class Hardware(StrEnum):
 
 
 def emulated_ports(file: RobotFile) -> tuple[str, ...]:
-    """The ports of the robot's emulated hardware. What has no port there is messages: a laser that is not emulated.
+    """The ports of the robot's emulated hardware. What is not emulated comes as messages.
 
-    So is a base that controls its own speed, unless its board is one that sends poses.
+    So does a base that controls its own speed, unless its board is one that sends poses.
     """
-    has_laser = bool(file.section("sim", SimConfig).emulation.laser_model)
-    is_board = file.robot.drive.kind == "differential" or _board_model(file) == "velocity"
-    return tuple(port for port, is_emulated in (("board", is_board), ("laser", has_laser)) if is_emulated)
+    emulation = file.section("sim", SimConfig).emulation
+    has_imu = bool(emulation.imu_model) and file.robot.imu is not None
+    has_board = file.robot.drive.kind == "differential" or _board_model(file) == "velocity"
+    has = {"board": has_board, "laser": bool(emulation.laser_model), "imu": has_imu}
+    return tuple(port for port in DRIVERS if has[port])
 
 
 def _board_model(file: RobotFile) -> str:
@@ -46,13 +49,16 @@ def _board_model(file: RobotFile) -> str:
 
 def services_for(hardware: Hardware, file: RobotFile) -> list[str]:
     """The services of a whole stack, in the registry's order; `up` adds those of its user's choice, as the page."""
-    wanted = set(existing_services()) - {"sim", "lidar_driver", "dashboard", "gateway", "ros2"}
+    wanted = set(existing_services()) - {"sim", "lidar_driver", "imu_driver", "dashboard", "gateway", "ros2"}
     if hardware is not Hardware.REAL:
         wanted.add("sim")
     if hardware is Hardware.EMULATED:
         wanted |= {DRIVERS[port] for port in emulated_ports(file)}
-    elif hardware is Hardware.REAL and file.section("lidar_driver", LidarDriverConfig).port.given:
-        wanted.add("lidar_driver")
+    elif hardware is Hardware.REAL:
+        if file.section("lidar_driver", LidarDriverConfig).port.given:
+            wanted.add("lidar_driver")
+        if file.section("imu_driver", ImuDriverConfig).port.given:
+            wanted.add("imu_driver")
     return [name for name in SERVICES if name in wanted]
 
 

@@ -122,12 +122,12 @@ def unit_text(service: SystemdService) -> str:
 def udev_rules(file: RobotFile) -> str:
     """Rules that name the robot's adapters and let the group dialout open them; a comment where none is configured."""
     rules = ""
-    for section, link in (("base_driver", "board"), ("lidar_driver", "laser")):
+    for section, link in (("base_driver", "board"), ("lidar_driver", "laser"), ("imu_driver", "imu")):
         values = file.tree.get(section) or {}
         port = PortConfig.model_validate({k: v for k, v in (values.get("port") or {}).items() if k == "serial_number"})
         if port.serial_number:
             rules += RULE.format(serial=port.serial_number, link=link)
-    return rules or "# no adapter's serial_number is set in base_driver.port and lidar_driver.port: docs/hardware.md\n"
+    return rules or "# no driver's port has a serial_number: docs/hardware.md\n"
 
 
 def install(service: SystemdService, udev: bool) -> None:

@@ -34,6 +34,7 @@ class BoardInput:
 
     report: the newest report, None without one.  odometry: instead of it, of a board that does its own.
     n_reports: how many there were.  answer: bytes to send.
+    ends_with_answer: the last packet wants the answer alone, without start bytes.
     restarted: the board was restarted, so its counters began again.  yaw_rate: rad/s by a gyro, None without one.
     contacts: pressed bumpers, cliff sensors without floor, and the e-stop input; None where the board has none.
     """
@@ -42,6 +43,7 @@ class BoardInput:
     odometry: BaseOdometry | None = None
     n_reports: int = 0
     answer: bytes = b""
+    ends_with_answer: bool = False
     restarted: bool = False
     yaw_rate: float | None = None
     contacts: BoardContacts | None = None

@@ -76,8 +76,10 @@ class DrRobotBoard:
             message = drrobot.decode(packet)
             if isinstance(message, System):
                 received.answer = drrobot.acknowledgement()  # one for all of them
+                received.ends_with_answer = motors is not None
             elif isinstance(message, MotorSensor):
                 received.n_reports += 1
+                received.ends_with_answer = False
                 motors = message
             else:
                 self._store(message, now)

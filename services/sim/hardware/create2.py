@@ -18,6 +18,7 @@ CLIFFS = ("left", "front_left", "front_right", "right")
 class Create2Electronics(WheelElectronics):
     """State of the interface. Unknown opcodes are skipped."""
 
+    HAS_CONTACTS = True
     WRAP = 65536
 
     def __init__(self, robot: Robot) -> None:

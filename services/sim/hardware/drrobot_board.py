@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The emulated DrRobot board: decodes the driver's packets, and encodes its sensors' at their rates."""
 
+from typing import ClassVar
+
 import numpy as np
 
 from services.sim.hardware import drrobot
@@ -31,6 +33,9 @@ class DrRobotElectronics:
 
     A motor that was disabled has power again with the next velocity command.
     """
+
+    HAS_GYRO: ClassVar[bool] = False
+    HAS_CONTACTS: ClassVar[bool] = False
 
     def __init__(self, faults: ActiveFaults) -> None:
         self.faults = faults

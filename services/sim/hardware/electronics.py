@@ -2,7 +2,7 @@
 """Interface of the emulated motion boards, and the base of those whose counters rise when the robot drives forward."""
 
 from math import pi
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 from shared.config import Drive, Robot
 from shared.messages import BoardReport
@@ -21,7 +21,10 @@ class BodyTruth(NamedTuple):
 
 
 class BoardElectronics(Protocol):
-    """A board's end of its line, without faults."""
+    """A board's end of its line, without faults. HAS_GYRO, HAS_CONTACTS: whether its bytes carry them."""
+
+    HAS_GYRO: ClassVar[bool]
+    HAS_CONTACTS: ClassVar[bool]
 
     def receive(self, data: bytes, now: int) -> bytes:
         """Handles the driver's bytes at `now` (ns). Returns what is answered at once."""
@@ -39,6 +42,8 @@ class WheelElectronics:
     WRAP: counts at which the counters return to 0.
     """
 
+    HAS_GYRO: ClassVar[bool] = False
+    HAS_CONTACTS: ClassVar[bool] = False
     LIFE_NS: int | None = None
     WRAP = 1 << 31
 

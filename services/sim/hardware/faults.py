@@ -20,6 +20,9 @@ class Fault(StrEnum):
     LASER_GARBAGE = "laser_garbage"  # the laser's bytes arrive as noise
     LASER_STALLED = "laser_stalled"  # the laser's line carries nothing, either way
     LASER_UNPLUGGED = "laser_unplugged"  # the laser's adapter is pulled out
+    IMU_GARBAGE = "imu_garbage"  # the inertial sensor's bytes arrive as noise
+    IMU_STALLED = "imu_stalled"  # the inertial sensor's line carries nothing, either way
+    IMU_UNPLUGGED = "imu_unplugged"  # the inertial sensor's adapter is pulled out
 
 
 FAULT_DESCRIPTIONS: dict[Fault, str] = {
@@ -36,12 +39,15 @@ FAULT_DESCRIPTIONS: dict[Fault, str] = {
     Fault.LASER_GARBAGE: "the laser's bytes arrive as noise",
     Fault.LASER_STALLED: "the laser's line carries nothing",
     Fault.LASER_UNPLUGGED: "the laser's adapter is pulled out",
+    Fault.IMU_GARBAGE: "the inertial sensor's bytes arrive as noise",
+    Fault.IMU_STALLED: "the inertial sensor's line carries nothing",
+    Fault.IMU_UNPLUGGED: "the inertial sensor's adapter is pulled out",
 }
 """Fault -> description."""
 
 LASER_FAULTS = (Fault.LASER_STOPPED, Fault.LASER_GARBAGE, Fault.LASER_STALLED, Fault.LASER_UNPLUGGED)
 
-UNPLUGGED_PORTS = {Fault.UNPLUGGED: "board", Fault.LASER_UNPLUGGED: "laser"}
+UNPLUGGED_PORTS = {Fault.UNPLUGGED: "board", Fault.LASER_UNPLUGGED: "laser", Fault.IMU_UNPLUGGED: "imu"}
 """The port that a fault takes away."""
 
 

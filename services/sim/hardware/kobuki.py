@@ -21,6 +21,7 @@ BUMPER_BITS = CLIFF_BITS = {"right": 1, "front": 2, "left": 4}
 class KobukiElectronics(WheelElectronics):
     """State of the base after the driver's commands."""
 
+    HAS_GYRO = HAS_CONTACTS = True
     WRAP = 65536
 
     def __init__(self, robot: Robot) -> None:

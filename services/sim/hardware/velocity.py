@@ -27,6 +27,7 @@ PERIOD_S = 0.02  # s between two lines
 class VelocityElectronics(WheelElectronics):
     """Stands 200 ms after the last command. Drops a command that is not newer than the last one."""
 
+    HAS_GYRO = HAS_CONTACTS = True
     LIFE_NS = 200 * MS
     WRAP = TICK_WRAP
 

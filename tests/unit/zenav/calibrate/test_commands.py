@@ -247,3 +247,10 @@ def test_late_and_repeated_messages_are_left_out(drive_of_squares, robot):
     for message in [*log.scans[:3], log.scans[1], *log.wheels[:5], log.wheels[0]]:
         again.add(message)
     assert (len(again.scans), len(again.wheels), again.n_late) == (3, 5, 2)
+
+
+@pytest.mark.parametrize("command", [("motors", "--yes"), ("odometry", "--yes")])
+def test_the_wheels_of_a_velocity_base_are_not_calibrated_here(command, capsys):
+    what, hint = complaint(capsys, *command, "--robot", "turtlebot3_burger")
+    assert "turtlebot3_burger is a velocity base" in what
+    assert "zenav calibrate laser" in hint

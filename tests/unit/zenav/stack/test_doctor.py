@@ -61,6 +61,23 @@ def test_a_board_without_rights_is_bad(monkeypatch):
     assert one(doctor.serial) == doctor.DoctorFinding("serial", OK, "/dev/ttyUSB0")
 
 
+def test_boards_are_named_by_their_usb_ids(monkeypatch):
+    listed = [
+        SimpleNamespace(device="/dev/ttyACM0", vid=0x2341, pid=0x0042, serial_number="75"),
+        SimpleNamespace(device="/dev/ttyUSB0", vid=0x0403, pid=0x6001, serial_number="kobuki_A6"),
+        SimpleNamespace(device="/dev/ttyUSB1", vid=0x10C4, pid=0xEA60, serial_number=None),
+        SimpleNamespace(device="/dev/ttyACM1", vid=0x1209, pid=0x0D32, serial_number=None),
+    ]
+    monkeypatch.setattr(list_ports, "comports", lambda: listed)
+    monkeypatch.setattr(doctor.os, "access", lambda path, mode: True)
+    arduino, kobuki, other, odrive = one(doctor.serial).found.split(", /dev/")
+    assert "Arduino" in arduino
+    assert "serial number 75" in arduino
+    assert "board.model kobuki" in kobuki
+    assert other == "ttyUSB1"
+    assert "board.model odrive" in odrive
+
+
 def test_boards_of_several_groups_are_told_each_its_hint(monkeypatch, tmp_path):
     boards = {name: tmp_path / name for name in ("ttyUSB0", "ttyUSB1")}
     for board, mode in zip(boards.values(), (0o660, 0o600)):

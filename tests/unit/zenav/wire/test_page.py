@@ -11,6 +11,7 @@ import zenoh
 from shared.codec import Envelope, decode, encode
 from shared.reasons import BUSY
 from shared.requests import REQUESTS
+from shared.topics import SERVICES
 
 PAGE = (Path(__file__).resolve().parents[4] / "docs" / "wire.md").read_text(encoding="utf-8")
 
@@ -19,7 +20,7 @@ def test_the_configurations_to_paste_are_zenoh_s():
     blocks = re.findall(r"```json\n(.*?)```", PAGE, re.DOTALL)
     peer, client = (zenoh.Config.from_json5(block) for block in blocks)
     assert json.loads(peer.get_json("listen/endpoints")) == ["tcp/127.0.0.1:17400"]
-    assert len(json.loads(peer.get_json("connect/endpoints"))) == 11
+    assert len(json.loads(peer.get_json("connect/endpoints"))) == len(SERVICES) - 1
     assert json.loads(client.get_json("mode")) == "client"
     for config in (peer, client):
         assert config.get_json("scouting/multicast/enabled") == "false"

@@ -30,10 +30,10 @@ WRAPS = {
 MODELS = tuple(WRAPS)
 
 
-def robot_of(model):
+def robot_of(model, kind="differential"):
     """An X80SV with another board."""
     robot = load_robot("x80sv").robot
-    drive = robot.drive.model_copy(update={"encoder_wrap": WRAPS[model]})
+    drive = robot.drive.model_copy(update={"encoder_wrap": WRAPS[model], "kind": kind})
     ranges = robot.ranges if model == "drrobot" else ()
     return robot.model_copy(update={"drive": drive, "ranges": ranges})
 
@@ -41,8 +41,8 @@ def robot_of(model):
 class WiredBoard:
     """Both ends of a line, and the wheels. left, right: counts that the wheels have turned, positive forward."""
 
-    def __init__(self, model, left=1000.0, right=2000.0, **board):
-        self.robot = robot_of(model)
+    def __init__(self, model, left=1000.0, right=2000.0, kind="differential", **board):
+        self.robot = robot_of(model, kind)
         values = {"port": {"device": "/dev/ttyUSB0"}, "board": {"model": model, **board}, "battery": {"empty": 6.0}}
         self.service = BaseDriverService(BaseDriverConfig.model_validate(values), self.robot)
         self.service.now = T0
