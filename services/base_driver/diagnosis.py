@@ -95,7 +95,16 @@ class Diagnosis:
         battery = report.battery if report is not None else nan
         currents = report.currents if isinstance(report, BoardReport) else (0.0, 0.0)
         detail = self.detail(now, bad_stamps=bad_stamps, is_linked=is_linked, battery=battery, refused=refused)
-        return BaseStatus(now, battery, float(currents[0]), float(currents[1]), is_linked, fault, detail, waits)
+        return BaseStatus(
+            stamp=now,
+            battery=battery,
+            left_current=float(currents[0]),
+            right_current=float(currents[1]),
+            link=is_linked,
+            fault=fault,
+            detail=detail,
+            waits=waits,
+        )
 
     @property
     def _board_fault(self) -> str:

@@ -74,7 +74,7 @@ def test_a_guard_that_is_killed_under_stop_comes_back_stopped(bare):
 
 
 def test_a_gamepad_drives_while_its_button_is_held_and_one_that_is_gone_stops_the_robot(bare, tmp_path):
-    """FIFO for device: without the ranges of axes, so the robot stands; the commands tell that it drives."""
+    """FIFO for device: without the ranges of axes, so the robot stands; the commands show that it drives."""
     device, sent = tmp_path / "event0", []
     os.mkfifo(device)
     bare.client.listen(topics.TELEOP, lambda command, _: sent.append(command))

@@ -154,7 +154,11 @@ class Twins:
             self.angles[0] += (rolled[0] - rolled[1]) / self.drive.left_radius
             self.angles[1] += (rolled[0] + rolled[1]) / self.drive.right_radius
             self.take(imu.measure(self.now, self.true_yaw, forward / seconds))
-            self.take(WheelState(self.now, 1, self.angles[0], self.angles[1], 0.0, 0.0))
+            self.take(
+                WheelState(
+                    stamp=self.now, epoch=1, left=self.angles[0], right=self.angles[1], left_speed=0.0, right_speed=0.0
+                )
+            )
 
     def take(self, message: Imu | WheelState | None) -> None:
         """Gives a message to both."""

@@ -150,8 +150,18 @@ class WheelDevice:
         left, right = -left * self._sign("left"), right * self._sign("right")
         wrap = self.drive.encoder_wrap
         left, right = left % wrap, right % wrap
-        speeds = self._speeds(seconds, left, right)
-        return BoardReport(stamp, left, right, *speeds, NO_RANGES, NO_RANGES, self.battery, self.currents.copy())
+        left_speed, right_speed = self._speeds(seconds, left, right)
+        return BoardReport(
+            stamp=stamp,
+            left_counts=left,
+            right_counts=right,
+            left_speed=left_speed,
+            right_speed=right_speed,
+            ultrasonic=NO_RANGES,
+            infrared=NO_RANGES,
+            battery=self.battery,
+            currents=self.currents.copy(),
+        )
 
     def _sign(self, wheel: str) -> int:
         return -1 if wheel in self.config.inverted else 1
