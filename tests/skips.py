@@ -26,6 +26,9 @@ NEEDS = (
     Need(("cannot fork",), "run them on Linux"),
     Need(("Chromium",), "pip install -r requirements-dev.txt, and install Chromium (apt install chromium)"),
     Need(("axe-core", "Node"), "run npm ci in web/"),
+    Need(("g++",), "install a C++ compiler (apt install g++)"),
+    Need(("network namespace",), "run them as root, with iproute2"),
+    Need(("64-bit",), "run them on a 64-bit computer"),
     Need(("systemd-analyze",), "install systemd, which has systemd-analyze"),
 )
 

@@ -18,6 +18,7 @@ ROBOT = load_robot("x80sv").robot
 NOW = 1_700_000_000_000_000_000
 STEP = 100_000_000  # ns
 BOARD = BoardReport(NOW, 1, 2, 0.0, 0.0, np.ones(3, np.float32), np.ones(7, np.float32), 7.4, np.zeros(2, np.float32))
+SCAN_PUBLISHERS = "lidar_driver or sim or ros2"
 SCAN = sample_messages.scan(NOW, ROBOT.laser)
 
 
@@ -45,7 +46,7 @@ def test_good_messages_pass_with_their_rate():
 @pytest.mark.parametrize(
     ("topic", "messages", "said"),
     [
-        (topics.SCAN, stream(SCAN, publisher="lasr"), "publisher 'lasr', where lidar_driver or sim publishes (5 of 5)"),
+        (topics.SCAN, stream(SCAN, publisher="lasr"), f"publisher 'lasr', where {SCAN_PUBLISHERS} publishes (5 of 5)"),
         (topics.SCAN, [*stream(SCAN, 2), *stream(SCAN, 4, session="b")[2:]], "session 'b' beside another one (2 of 4)"),
         (topics.SCAN, [(m, e._replace(sequence=3)) for m, e in stream(SCAN)], "the sequence stands still (4 of 5)"),
         (topics.SCAN, stream(replace(SCAN, stamp=NOW - 10 * STEP)), "0.9 s old (5 of 5)"),
