@@ -62,9 +62,7 @@ class OdometryService(Service):
     def wheels(self, wheels: WheelState) -> Out:
         last_wheels = self.last_wheels
         if last_wheels is not None and last_wheels.epoch == wheels.epoch:
-            if wheels.stamp <= last_wheels.stamp:
-                detail = "stamps stand still" if wheels.stamp == last_wheels.stamp else "stamps go back"
-                self.rejections.reject(topics.WHEELS.key, RejectionCause.SEQUENCE, detail, self.now)
+            if self._is_repeated(topics.WHEELS.key, last_wheels.stamp, wheels.stamp):
                 return
             yield from self._integrate(last_wheels, wheels)
         elif last_wheels is not None and precedes(wheels.epoch, last_wheels.epoch, self.now):
@@ -79,9 +77,7 @@ class OdometryService(Service):
         """Passes on the odometry of a base that does its own."""
         last = self.last_base
         if last is not None and last.epoch == message.epoch:
-            if message.stamp <= last.stamp:
-                detail = "stamps stand still" if message.stamp == last.stamp else "stamps go back"
-                self.rejections.reject(topics.BASE_ODOMETRY.key, RejectionCause.SEQUENCE, detail, self.now)
+            if self._is_repeated(topics.BASE_ODOMETRY.key, last.stamp, message.stamp):
                 return
             self.base_pose.add(message)
         elif last is not None and precedes(message.epoch, last.epoch, self.now):
@@ -93,6 +89,14 @@ class OdometryService(Service):
         covariance = np.clip(pose.covariance, -MAX_VARIANCE, MAX_VARIANCE)
         v, w = min(max(pose.v, -20.0), 20.0), min(max(pose.w, -50.0), 50.0)
         yield topics.ODOM(Odometry(message.stamp, pose.odom_from_base, v, w, covariance.ravel()))
+
+    def _is_repeated(self, key: str, before: int, stamp: int) -> bool:
+        """Whether a stamp (ns) is not after the one before in its epoch; then the message is rejected."""
+        if stamp > before:
+            return False
+        detail = "stamps stand still" if stamp == before else "stamps go back"
+        self.rejections.reject(key, RejectionCause.SEQUENCE, detail, self.now)
+        return True
 
     def _integrate(self, before: WheelState, after: WheelState) -> Out:
         drive = self.robot.drive

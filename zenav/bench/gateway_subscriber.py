@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The subscriber of `zenav bench gateway`, a process: `python -m zenav.bench.gateway_subscriber STACK AS KEY`.
 
-AS: the service that it stands for, or with a router as STACK the file of a member. It says `ready`. For each line on
-stdin it writes the times since the last one, ms, and the CPU that it used, s. It ends with its stdin.
+AS: the name of a service; with a router as STACK, the file of a member's credentials. It writes `ready`. For each line
+on stdin it writes the times since the last one, ms, and the CPU that it used, s. It ends with its stdin.
 """
 
 import json
