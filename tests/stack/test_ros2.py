@@ -71,7 +71,7 @@ def test_a_node_sends_a_goal_drives_and_presses_stop_and_that_replays_to_the_byt
         stack.until(driving)
         stack.until(lambda: commanded(stack, 0.0))  # the node is silent
         assert trigger(peer, "/estop").success
-        assert stack.client.latest(topics.GUARD).state is GuardState.STOPPED
+        stack.until(lambda: stack.client.latest(topics.GUARD).state is GuardState.STOPPED)
         assert trigger(peer, "/estop_release").success
         peer.session.put(peer.key("/cmd_vel", "geometry_msgs/msg/Twist"), b"junk")
         peer.session.put(
