@@ -152,11 +152,11 @@ def _run(session: Any, key: str, n: int, subscribers: list[subprocess.Popen[str]
     """Publishes n messages; the latency at each subscriber."""
     _publish(session, key, WARM_UP)
     for subscriber in subscribers:
-        _report(subscriber)
+        subscriber_report(subscriber)
     began = time.monotonic()
     _publish(session, key, n)
     elapsed = time.monotonic() - began
-    return [_latency(_report(subscriber), n, elapsed) for subscriber in subscribers]
+    return [_latency(subscriber_report(subscriber), n, elapsed) for subscriber in subscribers]
 
 
 def _publish(session: Any, key: str, n: int) -> None:
@@ -177,7 +177,8 @@ def _latency(report: dict[str, Any], n: int, seconds: float) -> LinkLatency:
     return LinkLatency(len(times), n - len(times), float(p50), float(p99), report["cpu_s"] / seconds)
 
 
-def _report(subscriber: subprocess.Popen[str]) -> dict[str, Any]:
+def subscriber_report(subscriber: subprocess.Popen[str]) -> dict[str, Any]:
+    """What a subscriber took since its last report."""
     assert subscriber.stdin is not None
     assert subscriber.stdout is not None
     subscriber.stdin.write("report\n")

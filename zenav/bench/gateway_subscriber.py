@@ -2,7 +2,8 @@
 """The subscriber of `zenav bench gateway`, a process: `python -m zenav.bench.gateway_subscriber STACK AS KEY`.
 
 AS: the name of a service; with a router as STACK, the file of a member's credentials. It writes `ready`. For each line
-on stdin it writes the times since the last one, ms, and the CPU that it used, s. It ends with its stdin.
+on stdin it writes the times since the last one, ms, when it took each `cmd/vel`, and the CPU that it used, s. It ends
+with its stdin.
 """
 
 import json
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import zenoh
 
+from shared.codec import envelope_of
 from shared.config import UserError
 from shared.credentials import parsed_credentials
 from shared.runners import transport
@@ -28,12 +30,16 @@ OPEN_LIMIT_S = 20.0
 def main(stack: str, as_: str, key: str) -> None:
     """Measures until stdin ends."""
     times: list[float] = []
+    commands: list[tuple[str, int, int]] = []  # session, sequence, ns of the clock of the day
 
     def take(sample: zenoh.Sample) -> None:
         payload = sample.payload.to_bytes()
         now = time.monotonic_ns()
         if payload.startswith(MARK):
             times.append((now - STAMP.unpack_from(payload)[1]) / 1e6)
+        elif str(sample.key_expr).endswith("/cmd/vel"):
+            envelope = envelope_of(payload)
+            commands.append((envelope.session, envelope.sequence, time.time_ns()))
 
     session = _opened(stack, as_)
     subscriber = session.declare_subscriber(key, take)
@@ -41,9 +47,9 @@ def main(stack: str, as_: str, key: str) -> None:
     _say("ready")
     for _ in sys.stdin:
         before, used = used, time.process_time()
-        n = len(times)
-        _say(json.dumps({"times": times[:n], "cpu_s": used - before}))
-        del times[:n]
+        n, n_commands = len(times), len(commands)
+        _say(json.dumps({"times": times[:n], "commands": commands[:n_commands], "cpu_s": used - before}))
+        del times[:n], commands[:n_commands]
     subscriber.undeclare()  # type: ignore[no-untyped-call]  # zenoh's own
     os._exit(0)  # Zenoh's threads are not daemons
 

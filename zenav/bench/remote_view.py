@@ -1,17 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """A member of the gateway beside a live run: it subscribes to every topic, over TLS."""
 
+import json
 import subprocess
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from shared.config import load_robot
 from shared.runners.client import Client
 from shared.secure_folder import SecureFolder
-from zenav.bench.gateway import free_endpoint, gateway_settings, member_subscriber, viewer_credentials
+from zenav.bench.gateway import (
+    free_endpoint,
+    gateway_settings,
+    member_subscriber,
+    subscriber_report,
+    viewer_credentials,
+)
 from zenav.bench.member_namespace import member_namespace
+from zenav.metrics.latency import Source
 from zenav.scenario.live_run import RunView
 from zenav.scenario.mission import Mission
 
@@ -21,16 +29,23 @@ class MemberView(RunView):
 
     def __init__(self, settings: list[str], command: list[str]) -> None:
         self.settings, self._command = settings, command
-        self._process: subprocess.Popen[bytes] | None = None
+        self.commands: dict[Source, int] = {}  # when the member took each `cmd/vel`, ns of the clock of the day
+        self._process: subprocess.Popen[str] | None = None
 
     def look(self, client: Client, mission: Mission, seconds: float) -> None:
         if self._process is None:
-            self._process = subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+            self._process = subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def end(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
+        if self._process is None:
+            return
+        with suppress(BrokenPipeError, json.JSONDecodeError):  # it reached no gateway, and wrote why
+            assert self._process.stdout is not None
+            self._process.stdout.readline()  # that it is ready
+            report = subscriber_report(self._process)
+            self.commands = {(session, sequence): taken for session, sequence, taken in report["commands"]}
+        self._process.kill()
+        self._process.wait()
 
 
 @contextmanager

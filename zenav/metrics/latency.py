@@ -29,6 +29,8 @@ from shared.service import Out, Service, handlers
 from shared.types import NS_PER_S, Bools, Float64s, Int64s
 
 HandlerTimes = Mapping[str, Mapping[int, float]]
+Source = tuple[str, int]
+"""Session and sequence of a message."""
 
 CHAIN_SERVICES = ("sim", "local_ctrl", "guard")
 """Whose handlers lie on the way: of the tick that sends the scan, the tick that plans, and the command's."""
@@ -37,7 +39,8 @@ CHAIN_SERVICES = ("sim", "local_ctrl", "guard")
 NOT_TAKEN, NO_COMMAND, NOT_AT_BASE = "not taken by local_ctrl", "no cmd/nav at the guard", "no cmd/vel at the base"
 """Where a scan may end without a command at the base."""
 
-NO_SOURCE = "", -1  # the source of nothing
+NO_SOURCE: Source = "", -1  # the source of nothing
+AT_MEMBER = "scan to cmd/vel at the member, without that wait"
 END_S = 0.2  # s before the last command at the base: what was sent later may be cut off by the recording's end
 
 
@@ -49,6 +52,7 @@ class LatencyChain:
     wait: Float64s  # local_ctrl has it -> its tick begins
     control: Float64s  # tick begins -> guard takes cmd/nav: the solver and a hop
     guard: Float64s  # guard takes it -> base_driver takes cmd/vel: the guard and a hop
+    member: Float64s  # guard takes it -> a member of the gateway takes cmd/vel; NaN where it did not
     handlers: Float64s  # the handlers of sim, local_ctrl and guard that made it, CPU s, run alone; NaN where unknown
     sent: Int64s  # ns on the stack's clock when the scan was sent
     lost: dict[str, int]  # scans that led to no command, by where they ended
@@ -59,13 +63,23 @@ class LatencyChain:
         return self.to_control + self.control + self.guard
 
     @property
+    def member_latency(self) -> Float64s:
+        return self.to_control + self.control + self.member
+
+    @property
     def total(self) -> Float64s:
         return self.latency + self.wait
 
 
-def latency_chain(path: Path, since: int = 0, spent: HandlerTimes = MappingProxyType({})) -> LatencyChain:
+def latency_chain(
+    path: Path,
+    since: int = 0,
+    spent: HandlerTimes = MappingProxyType({}),
+    at_member: Mapping[Source, int] = MappingProxyType({}),
+) -> LatencyChain:
     """The chain of every scan that was sent from `since` (ns) on. spent: as from `handler_times`.
 
+    at_member: ns at which a member of the gateway took each `cmd/vel`.
     One that led to no command and was sent within END of the last command at the base is not counted as lost.
     """
     recording = Recording(path)
@@ -82,7 +96,7 @@ def latency_chain(path: Path, since: int = 0, spent: HandlerTimes = MappingProxy
     by_time = {key: {when: source for source, when in sent[key].items()} for key in ("cmd/nav", "cmd/vel")}
     ticks = [event.now for event in control if event.kind == TICK]
     until = max(times_at_base.values(), default=0) - round(END_S * NS_PER_S)
-    rows: list[tuple[int, int, int, int]] = []
+    rows: list[tuple[float, float, float, float, float]] = []
     spent_by: list[float] = []
     reached: list[int] = []
     lost = dict.fromkeys((NOT_TAKEN, NO_COMMAND, NOT_AT_BASE), 0)
@@ -90,21 +104,24 @@ def latency_chain(path: Path, since: int = 0, spent: HandlerTimes = MappingProxy
         control_at = times_at_control.get(source)
         i = bisect_left(ticks, control_at) if control_at is not None else len(ticks)
         guard_at = times_at_guard.get(by_time["cmd/nav"].get(ticks[i], NO_SOURCE)) if i < len(ticks) else None
-        base_at = times_at_base.get(by_time["cmd/vel"].get(guard_at, NO_SOURCE)) if guard_at is not None else None
+        command = by_time["cmd/vel"].get(guard_at, NO_SOURCE) if guard_at is not None else NO_SOURCE
+        base_at = times_at_base.get(command)
         if control_at is not None and guard_at is not None and base_at is not None:
-            rows.append((control_at - begun, ticks[i] - control_at, guard_at - ticks[i], base_at - guard_at))
+            to_member = at_member.get(command, nan) - guard_at
+            rows.append((control_at - begun, ticks[i] - control_at, guard_at - ticks[i], base_at - guard_at, to_member))
             reached.append(begun)
             begins = zip(CHAIN_SERVICES, (begun, ticks[i], guard_at))
             spent_by.append(sum(spent.get(name, {}).get(when, nan) for name, when in begins))
         elif begun <= until:
             lost[NOT_TAKEN if control_at is None else NO_COMMAND if guard_at is None else NOT_AT_BASE] += 1
-    to_control, wait, solved, guarded_for = np.array(rows, float).reshape(-1, 4).T / NS_PER_S
+    to_control, wait, solved, guarded_for, to_member = np.array(rows, float).reshape(-1, 5).T / NS_PER_S
     n_scans = len(rows) + sum(lost.values())
     return LatencyChain(
         to_control=to_control,
         wait=wait,
         control=solved,
         guard=guarded_for,
+        member=to_member,
         handlers=np.array(spent_by, float),
         sent=np.array(reached, np.int64),
         lost=lost,
@@ -140,7 +157,7 @@ def _timed_handler(service: Service, handler: Callable[..., Out], spent: dict[in
     return timed
 
 
-def _times_sent(recording: Recording, key: str) -> dict[tuple[str, int], int]:
+def _times_sent(recording: Recording, key: str) -> dict[Source, int]:
     """(session, sequence) -> ns of every message on a key."""
     times = {}
     for entry in recording.entries((key,)):
@@ -149,7 +166,7 @@ def _times_sent(recording: Recording, key: str) -> dict[tuple[str, int], int]:
     return times
 
 
-def _times_taken(events: list[Event], key: str) -> dict[tuple[str, int], int]:
+def _times_taken(events: list[Event], key: str) -> dict[Source, int]:
     """(session, sequence) -> ns at which a service took a message on a key."""
     return {(e.session, e.number): e.now for e in events if e.kind == MESSAGE and e.key == key}
 
@@ -160,13 +177,14 @@ def latency_figures(chain: LatencyChain) -> dict[str, Any]:
     The ratio compares equal percentiles over the same scans. Its numerator is the time from scan to cmd/vel without the
     wait for the tick. Its denominator is the time of that command's handlers, run alone.
     """
-    is_timed = np.isfinite(chain.handlers)
+    is_timed, came = np.isfinite(chain.handlers), np.isfinite(chain.member)
     parts = {
         "scan to cmd/vel, with the wait for the control tick": chain.total,
         "without that wait": chain.latency,
         **({"the handlers on the way, alone": chain.handlers[is_timed]} if is_timed.any() else {}),
         "scan to local_ctrl": chain.to_control, "wait for the control tick": chain.wait,
         "tick to guard": chain.control, "guard to base_driver": chain.guard,
+        **({AT_MEMBER: chain.member_latency[came]} if came.any() else {}),
     }  # fmt: skip
     rows = {name: {f"p{p}": round(_ms(values, p), 2) for p in (50, 95, 99, 100)} for name, values in parts.items()}
     return {
@@ -181,6 +199,11 @@ def latency_figures(chain: LatencyChain) -> dict[str, Any]:
             "handlers_p99_ms": round(_ms(chain.handlers[is_timed], 99), 2),
             "ratio_to_handlers_p50": _ratio(chain, is_timed, 50),
             "ratio_to_handlers": _ratio(chain, is_timed, 99),
+            **(
+                {"n_member": int(came.sum()), "member_p99_ms": round(_ms(chain.member_latency[came], 99), 2)}
+                if came.any()
+                else {}
+            ),
         },
         "parts": rows,
         "scans_without_command": chain.lost,

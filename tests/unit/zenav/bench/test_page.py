@@ -41,7 +41,7 @@ def phases_and_chain(slow: float):
     frames = phases[names.index("frames")]
     latency[(sent >= frames.begin) & (sent < frames.end)] *= slow
     nothing = np.zeros(len(sent))
-    parts = {"wait": nothing, "control": nothing, "guard": nothing, "handlers": nothing}
+    parts = {"wait": nothing, "control": nothing, "guard": nothing, "member": nothing, "handlers": nothing}
     return phases, LatencyChain(to_control=latency, **parts, sent=sent, lost={}, n_scans=len(sent))
 
 

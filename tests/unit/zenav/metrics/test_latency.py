@@ -8,9 +8,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from shared import topics
+from shared.codec import envelope_of
 from shared.config import Section, load_robot
 from shared.messages import LaserScan, Velocity
-from shared.recording import Writer, sink
+from shared.recording import Recording, Writer, sink
 from shared.runners.lockstep import START, Lockstep
 from shared.service import Out, Service, every, on
 from shared.types import NS_PER_S
@@ -82,6 +83,19 @@ def test_the_parts_are_the_hops_and_the_wait_is_apart(recording):
     assert found.wait.max() <= 0.05
     assert_allclose(found.total, found.latency + found.wait)
     assert latency_figures(found)["summary"]["latency_p99_ms"] == pytest.approx(hops * 1e3, abs=0.01)
+
+
+def test_a_member_s_latency_ends_where_it_took_the_command(recording):
+    taken = {
+        (envelope.session, envelope.sequence): envelope.sent + 3_000_000
+        for envelope in (envelope_of(entry.payload) for entry in Recording(recording).entries(("cmd/vel",)))
+        if envelope.sent >= START + NS_PER_S
+    }
+    figures = latency_figures(latency_chain(recording, at_member=taken))
+    expected = topics.SCAN.within + topics.CMD_NAV.within + 0.003
+    assert figures["summary"]["member_p99_ms"] == pytest.approx(expected * 1e3, abs=0.01)
+    assert figures["summary"]["n_member"] == 8  # of 16: the member came after a second
+    assert "member_p99_ms" not in latency_figures(latency_chain(recording))["summary"]
 
 
 def test_only_what_came_after_the_first_motion_counts(recording):
@@ -159,6 +173,7 @@ def of(latency, handlers):
         wait=nothing,
         control=nothing,
         guard=nothing,
+        member=nothing * np.nan,
         handlers=np.array(handlers),
         sent=np.zeros(len(latency), np.int64),
         lost={},
