@@ -209,7 +209,7 @@ def _sweep(corner: int, slowness: Float32s, wanted: Bools, size: float, to_go: F
     return max_change
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def to_go_at(to_go: Float32s, x: float, y: float, resolution: float) -> float:
     """The cost to go, m, at (x, y), m from the costmap's lower left centre.
 

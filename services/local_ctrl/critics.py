@@ -13,11 +13,10 @@ from typing import ClassVar, NamedTuple
 from numba import njit
 from pydantic import Field
 
-from services.local_ctrl.controller import ControlScene
-from services.local_ctrl.footprint import Footprint, bilinear
+from services.local_ctrl.footprint import bilinear
 from services.local_ctrl.rollout import Limits
 from shared.config import Section
-from shared.types import Float64s
+from shared.types import Float32s, Float64s
 
 REACTION_S = 0.2  # delay between a command and the wheels' motion, as in the guard's field
 
@@ -77,7 +76,15 @@ class Weights(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def dynamic_clearance(
-    discs: Float64s, x: float, y: float, c: float, s: float, ahead: float, footprint: Footprint, far: float
+    discs: Float64s,
+    x: float,
+    y: float,
+    c: float,
+    s: float,
+    ahead: float,
+    inscribed: float,
+    circumscribed: float,
+    far: float,
 ) -> float:
     """m from the outline at (x, y), and from its stopping distance, to discs (k, 3) x, y, radius m at that time.
 
@@ -87,28 +94,30 @@ def dynamic_clearance(
     backward. far: m beyond which the distance does not matter.
     """
     least = far
-    reach = far + max(footprint.circumscribed, abs(ahead) + footprint.inscribed)
+    reach = far + max(circumscribed, abs(ahead) + inscribed)
     for k in range(len(discs)):
         dx, dy = discs[k, 0] - x, discs[k, 1] - y
         if dx * dx + dy * dy >= (reach + discs[k, 2]) ** 2:
             continue
         along = c * dx + s * dy
         nearest = min(max(along, 0.0), ahead) if ahead >= 0.0 else max(min(along, 0.0), ahead)
-        here = hypot(dx, dy) - footprint.circumscribed
-        least = min(least, min(here, hypot(along - nearest, c * dy - s * dx) - footprint.inscribed) - discs[k, 2])
+        here = hypot(dx, dy) - circumscribed
+        least = min(least, min(here, hypot(along - nearest, c * dy - s * dx) - inscribed) - discs[k, 2])
     return least
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def stopping_distance(v: float, limits: Limits, weights: Weights) -> float:
     """m that the guard keeps free ahead at a speed of v m/s."""
     return abs(v) * REACTION_S + v * v / (2.0 * limits.braking) + weights.critical_clearance
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def obstacle_cost(
-    scene: ControlScene,
-    footprint: Footprint,
+    field: Float32s,
+    resolution: float,
+    inscribed: float,
+    circumscribed: float,
     limits: Limits,
     weights: Weights,
     x: float,
@@ -138,9 +147,9 @@ def obstacle_cost(
         cost += weights.overspeed * over * over
     # the guard stops for an obstacle within the braking distance straight ahead
     stopping = stopping_distance(v, limits, weights)
-    if room < stopping + footprint.circumscribed:
+    if room < stopping + circumscribed:
         ahead = stopping if v >= 0.0 else -stopping
-        free = bilinear(scene.field, (x + c * ahead) / scene.resolution, (y + s * ahead) / scene.resolution)
-        short = max(0.0, footprint.inscribed - free)
+        free = bilinear(field, (x + c * ahead) / resolution, (y + s * ahead) / resolution)
+        short = max(0.0, inscribed - free)
         cost += weights.headway * short * short * speed
     return cost

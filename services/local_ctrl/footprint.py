@@ -86,7 +86,7 @@ def _sides(corners: Float64s) -> list[tuple[Float64s, Float64s]]:
     return list(zip(corners, np.roll(corners, -1, axis=0), strict=True))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def bilinear(field: Float32s, x: float, y: float) -> float:
     """The field at (x, y) in cells from the centre of its lower left one, bilinear; beyond its rim, the value at the
     rim.
@@ -101,7 +101,7 @@ def bilinear(field: Float32s, x: float, y: float) -> float:
     return value
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def clearance(field: Float32s, resolution: float, x: float, y: float, c: float, s: float, shape: Footprint) -> float:
     """Lower bound of the distance (m) from the footprint to the nearest occupied cell's centre; negative at an
     overlap.
@@ -111,20 +111,35 @@ def clearance(field: Float32s, resolution: float, x: float, y: float, c: float, 
 
     Interpolation overstates a distance by up to resolution^2 / (8 radius) at a circle's rim, which is subtracted.
     """
+    return circles_clearance(field, resolution, x, y, c, s, shape.circles, shape.circumscribed)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def circles_clearance(
+    field: Float32s,
+    resolution: float,
+    x: float,
+    y: float,
+    c: float,
+    s: float,
+    circles: Float64s,
+    circumscribed: float,
+) -> float:
+    """`clearance` for loops: a footprint's arrays, taken out of it once, cost no reference count in each call."""
     scale = 1.0 / resolution
     centre = bilinear(field, x * scale, y * scale)
-    if centre > shape.circumscribed + SHAPE_DISTANCE_M or len(shape.circles) == 1:
-        least: float = centre - shape.circumscribed - _interpolation_error(resolution, shape.circumscribed)
-        return least
-    least = centre - shape.circles[0, 2] - _interpolation_error(resolution, shape.circles[0, 2])
-    for i in range(1, len(shape.circles)):
-        a, b, radius = shape.circles[i]
-        away = bilinear(field, (x + c * a - s * b) * scale, (y + s * a + c * b) * scale)
-        least = min(least, away - radius - _interpolation_error(resolution, radius))
+    if centre > circumscribed + SHAPE_DISTANCE_M or len(circles) == 1:
+        least = centre - circumscribed - _interpolation_error(resolution, circumscribed)
+    else:
+        least = centre - circles[0, 2] - _interpolation_error(resolution, circles[0, 2])
+        for i in range(1, len(circles)):
+            a, b, radius = circles[i, 0], circles[i, 1], circles[i, 2]
+            away = bilinear(field, (x + c * a - s * b) * scale, (y + s * a + c * b) * scale)
+            least = min(least, away - radius - _interpolation_error(resolution, radius))
     return least
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _interpolation_error(resolution: float, radius: float) -> float:
     return resolution * resolution / (8.0 * max(radius - resolution, 0.25 * resolution))
 

@@ -24,7 +24,7 @@ from services.local_ctrl.controller import (
 from services.local_ctrl.cost_to_go import carrot, to_go_at
 from services.local_ctrl.critics import Critics, Weights, dynamic_clearance, obstacle_cost, stopping_distance
 from services.local_ctrl.dynamic_obstacles import predicted_discs
-from services.local_ctrl.footprint import Footprint, clearance, touches
+from services.local_ctrl.footprint import Footprint, circles_clearance, clearance, touches
 from services.local_ctrl.rollout import DT, Limits, arc_step, limited_turn_rate, speed_after, turn_rate_after
 from shared.config import Section
 from shared.types import Float32s, Float64s
@@ -234,25 +234,23 @@ def _evaluate(
     starts_too_near = least <= footprint.padding and touches(
         scene.occupied, resolution, scene.x, scene.y, c0, s0, footprint
     )
+    # taken out of a tuple in the loop, arrays would cost a count of references each time
+    field, occupied, to_go_field, circles = scene.field, scene.occupied, scene.to_go, footprint.circles
+    inscribed, circumscribed, padding = footprint.inscribed, footprint.circumscribed, footprint.padding
+    motion = np.empty((steps, 6))
     for k in range(n):
-        x, y, c, s, v, w = scene.x, scene.y, c0, s0, scene.v, scene.w
+        _simulate(targets[k], scene.x, scene.y, c0, s0, scene.v, scene.w, limits, executed[k], motion)
         cost, mean_to_go, to_go = 0.0, 0.0, first
         met = False
+        v_before, w_before = scene.v, scene.w
         for t in range(steps):
-            v_before, w_before = v, w
-            v, w = speed_after(v, targets[k, t, 0], limits, DT), turn_rate_after(w, targets[k, t, 1], limits, DT)
-            w = limited_turn_rate(v, w, limits)
-            executed[k, t, 0], executed[k, t, 1] = v, w
-            chord, cosine, sine, _ = arc_step(v, w, DT)
-            c, s = c * cosine - s * sine, s * cosine + c * sine
-            x, y = x + chord * c, y + chord * s
-            c, s = c * cosine - s * sine, s * cosine + c * sine
-            room = clearance(scene.field, resolution, x, y, c, s, footprint)
-            if room <= footprint.padding:
+            x, y, c, s, v, w = motion[t, 0], motion[t, 1], motion[t, 2], motion[t, 3], motion[t, 4], motion[t, 5]
+            room = circles_clearance(field, resolution, x, y, c, s, circles, circumscribed)
+            if room <= padding:
                 if starts_too_near:
                     hit = room < least - 0.005
                 else:
-                    hit = touches(scene.occupied, resolution, x, y, c, s, footprint)
+                    hit = touches(occupied, resolution, x, y, c, s, footprint)
                 if hit:
                     # half of it depends on the time: the later, the cheaper
                     cost += weights.collision * (1.0 - 0.5 * t / steps)
@@ -260,12 +258,14 @@ def _evaluate(
                         executed[k, rest, 0], executed[k, rest, 1] = 0.0, 0.0
                     mean_to_go += to_go * (steps - t)
                     break
-            cost += DT * obstacle_cost(scene, footprint, limits, weights, x, y, c, s, v, room)
+            cost += DT * obstacle_cost(
+                field, resolution, inscribed, circumscribed, limits, weights, x, y, c, s, v, room
+            )
             if predicted_obstacles.shape[1]:
                 ahead = stopping_distance(v, limits, weights)
                 far = weights.dynamic_clearance
                 away = dynamic_clearance(
-                    predicted_obstacles[t], x, y, c, s, ahead if v >= 0.0 else -ahead, footprint, far
+                    predicted_obstacles[t], x, y, c, s, ahead if v >= 0.0 else -ahead, inscribed, circumscribed, far
                 )
                 later = 1.0 - 0.5 * t / steps  # predictions get less certain
                 if away < 0.0 and not met:
@@ -276,8 +276,9 @@ def _evaluate(
                     cost += DT * weights.dynamic_obstacle * later * share * share
             cost += DT * (weights.reverse * max(0.0, -v) + weights.twirl * w * w)
             dv, dw = (v - v_before) / (limits.braking * DT), (w - w_before) / (limits.turn_acceleration * DT)
+            v_before, w_before = v, w
             cost += weights.smooth * DT * (dv * dv + dw * dw)
-            to_go = to_go_at(scene.to_go, x, y, resolution)
+            to_go = to_go_at(to_go_field, x, y, resolution)
             mean_to_go += to_go
             if scene.ends:
                 away = hypot(scene.end_x - x, scene.end_y - y)
@@ -285,6 +286,34 @@ def _evaluate(
                 cost += weights.goal * min(away, 0.5) / steps + DT * weights.overspeed * over * over
         costs[k] = cost + weights.progress * to_go + weights.haste * mean_to_go / steps
         gains[k] = first - to_go
+
+
+@njit(cache=True, nogil=True)
+def _simulate(
+    targets: Float32s,
+    x: float,
+    y: float,
+    c: float,
+    s: float,
+    v: float,
+    w: float,
+    limits: Limits,
+    executed: Float32s,
+    motion: Float64s,
+) -> None:
+    """Fills executed velocities and the motion (steps, 6): x, y, cosine and sine of the heading, v, w.
+
+    Each step waits for the one before. The costs, in a loop of their own, do not.
+    """
+    for t in range(len(targets)):
+        v, w = speed_after(v, targets[t, 0], limits, DT), turn_rate_after(w, targets[t, 1], limits, DT)
+        w = limited_turn_rate(v, w, limits)
+        executed[t, 0], executed[t, 1] = v, w
+        chord, cosine, sine, _ = arc_step(v, w, DT)
+        c, s = c * cosine - s * sine, s * cosine + c * sine
+        x, y = x + chord * c, y + chord * s
+        c, s = c * cosine - s * sine, s * cosine + c * sine
+        motion[t, 0], motion[t, 1], motion[t, 2], motion[t, 3], motion[t, 4], motion[t, 5] = x, y, c, s, v, w
 
 
 @njit(cache=True, nogil=True)

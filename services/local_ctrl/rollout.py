@@ -67,22 +67,16 @@ def limits_of(drive: Drive, max_speed: float, max_reverse_speed: float) -> Limit
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def speed_after(v: float, target: float, limits: Limits, dt: float) -> float:
     """The forward speed, m/s, `dt` s after v, on the way to `target`. It needs at least one step to pass zero."""
     target = min(max(target, limits.v_min), limits.v_max)
-    if v > 0.0:
-        if target >= v:
-            return min(target, v + limits.acceleration * dt)
-        return max(target, v - limits.braking * dt, 0.0 if target < 0.0 else target)
-    if v < 0.0:
-        if target <= v:
-            return max(target, v - limits.acceleration * dt)
-        return min(target, v + limits.braking * dt, 0.0 if target > 0.0 else target)
-    return min(max(target, -limits.acceleration * dt), limits.acceleration * dt)
+    least = max(v - limits.braking * dt, 0.0) if v > 0.0 else v - limits.acceleration * dt
+    most = min(v + limits.braking * dt, 0.0) if v < 0.0 else v + limits.acceleration * dt
+    return min(max(target, least), most)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def turn_rate_after(w: float, target: float, limits: Limits, dt: float) -> float:
     """The turn rate, rad/s, `dt` s after w, on the way to `target`."""
     target = min(max(target, -limits.w_max), limits.w_max)
@@ -90,7 +84,7 @@ def turn_rate_after(w: float, target: float, limits: Limits, dt: float) -> float
     return min(max(target, w - change), w + change)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def limited_turn_rate(v: float, w: float, limits: Limits) -> float:
     """The turn rate, rad/s, nearest to w on an arc that the drive may drive at a speed of v m/s."""
     if limits.curvature == inf:
@@ -99,7 +93,7 @@ def limited_turn_rate(v: float, w: float, limits: Limits) -> float:
     return min(max(w, -most), most)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def arc_step(v: float, w: float, dt: float) -> tuple[float, float, float, float]:
     """Motion at v m/s and w rad/s for dt s: chord (m), its direction's cosine and sine, and half the turn (rad).
 
