@@ -8,6 +8,8 @@ SHELL := /bin/bash
 PYTHON ?=
 JOBS ?= 3 # one more than two cores: who tests processes waits half of the time
 BIN := .venv/bin
+# the tests and the demo start hundreds of processes, which would all compile the code again
+unexport PYTHONDONTWRITEBYTECODE
 KERNELS := $(shell find services shared -name '*.py')
 
 # what makes mutants: the rest of cosmic-ray's 22 packages is for its own runner, which is not used

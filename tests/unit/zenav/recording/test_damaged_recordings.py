@@ -18,7 +18,7 @@ from zenav.__main__ import _status
 from zenav.replay.reprocess import replay_file
 
 slow = settings(
-    max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
 
 

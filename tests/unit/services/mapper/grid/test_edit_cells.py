@@ -92,7 +92,7 @@ def assert_law(edited, raw, edits):
     assert_array_equal(cells_at(edited, others)[0], cells_at(raw, others)[0])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(scans, scans, edits, edits)
 def test_erased_cells_are_free_and_walls_occupied_after_any_change_and_redrawing(before, after, first, second):
     grid = drawn(before)
