@@ -685,6 +685,23 @@ class Rollouts(Message):
     costs: Annotated[Float32s, Unit("1"), Shape("k"), Within(0, 1e12)]
 
 
+@dataclass(frozen=True, slots=True)
+class KeyframeGraph(Message):
+    """Keyframes of the mapper in `map`, and the loop closures between them, while somebody watches.
+
+    from_xs, from_ys, to_xs, to_ys: where the two keyframes of each closure are. accepted: 0 where the optimization
+    rejects the closure.
+    """
+
+    xs: Annotated[Float32s, Unit("m"), Shape("n"), Within(-1e6, 1e6)]
+    ys: Annotated[Float32s, Unit("m"), Shape("n"), Within(-1e6, 1e6)]
+    from_xs: Annotated[Float32s, Unit("m"), Shape("k"), Within(-1e6, 1e6)]
+    from_ys: Annotated[Float32s, Unit("m"), Shape("k"), Within(-1e6, 1e6)]
+    to_xs: Annotated[Float32s, Unit("m"), Shape("k"), Within(-1e6, 1e6)]
+    to_ys: Annotated[Float32s, Unit("m"), Shape("k"), Within(-1e6, 1e6)]
+    accepted: Annotated[Int8s, Unit("1"), Shape("k"), Within(0, 1)]
+
+
 # --- stack ----------------------------------------------------------------------------------------------------------
 
 

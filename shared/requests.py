@@ -98,7 +98,10 @@ class Override(Message):
 
 @dataclass(frozen=True, slots=True)
 class Watch(Message):
-    """Publish `debug/costmap` and `debug/rollouts` for so long from now on; 0: stop. A viewer asks again and again."""
+    """Publish the debug topics for so long from now on; 0: stop. A viewer asks again and again.
+
+    Those of local control are `debug/costmap` and `debug/rollouts`, that of the mapper is `debug/graph`.
+    """
 
     seconds: Annotated[float, Unit("s"), m.Within(0, 60)]
 
@@ -291,6 +294,7 @@ CANCEL = Request("request/cancel", Cancel, Reply, by="navigator")
 PAUSE = Request("request/pause", Pause, Reply, by="navigator")
 OVERRIDE = Request("request/override", Override, Reply, by="guard")
 WATCH = Request("request/watch", Watch, Reply, by="local_ctrl")
+WATCH_GRAPH = Request("request/watch_graph", Watch, Reply, by="mapper")
 LOAD_MAP = Request("request/load_map", LoadMap, Reply, by="mapper")
 FETCH_MAP = Request("request/fetch_map", FetchMap, MapPart, by="mapper")
 GIVE_MAP = Request("request/give_map", GiveMap, Reply, by="mapper")

@@ -50,6 +50,7 @@ REQUEST_ROLES = {
     requests.START_MAP.key: Role.OPERATOR,
     requests.EDIT_MAP.key: Role.OPERATOR,
     requests.WATCH.key: Role.OPERATOR,
+    requests.WATCH_GRAPH.key: Role.OPERATOR,
     requests.FAULT.key: Role.ADMIN,
 }
 

@@ -49,7 +49,7 @@ ALGORITHM_SERVICES = ("mapper", "planner", "local_ctrl", "guard", "odometry")
 NO_ALGORITHM = {
     *("__init__", "__main__", "service", "config", "warm_up"),
     *("debug_topics", "inputs", "received_plan", "reconfiguration"),  # of local_ctrl
-    *("map_jobs", "map_file", "map_transfer", "map_editing", "resume"),  # of mapper
+    *("map_jobs", "map_file", "map_transfer", "map_editing", "resume", "graph_topic"),  # of mapper
 }
 """Their files that hold no algorithm: processes, handlers, settings, order of jobs, bytes, ages."""
 

@@ -25,7 +25,7 @@ from shared.service import Log, Out
 if TYPE_CHECKING:
     from services.dashboard.service import DashboardService
 
-DEBUG_KEYS = frozenset((topics.COSTMAP.key, topics.ROLLOUTS.key))
+DEBUG_KEYS = frozenset((topics.COSTMAP.key, topics.ROLLOUTS.key, topics.GRAPH.key))
 
 
 def want(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:

@@ -35,7 +35,7 @@ from shared.topics import Publication
 from shared.types import NS_PER_S
 
 WATCH_EVERY_NS = 2 * NS_PER_S
-"""between two requests that local control shows what it sees."""
+"""between two requests for debug topics."""
 WATCH_FOR_S = 10.0
 TELEOP_HOLD_S = 0.2
 """s after the last frame of a page at which the robot gets zero."""
@@ -54,7 +54,7 @@ class DashboardService(Service):
         self.stop_button = StopButton()
         self.is_open, self.detail = False, ""
         self.source = ""  # of commands, in the guard
-        self.watched_at: int | None = None  # ns, of the last request to local control
+        self.watched_at: int | None = None  # ns, of the last request for debug topics
         self.shown_drivers: dict[str, Any] = {}
         self.audited_driver: PageSession | None = None
         self.reports = LoginReports()
@@ -171,13 +171,14 @@ class DashboardService(Service):
     # --- what pages see -----------------------------------------------------------------------------------------------
 
     def watch(self) -> Out:
-        """Repeats the request to local control while a page shows what it sees."""
+        """Repeats the requests for debug topics while a page shows them."""
         if not self.pages.is_watching:
             self.watched_at = None
         elif self.watched_at is None or not 0 <= self.now - self.watched_at < WATCH_EVERY_NS:
             self.watched_at = self.now
-            payload = request_payload(requests.WATCH, {"seconds": WATCH_FOR_S}, self.now)
-            yield ask_order(self.now, None, None, requests.WATCH.key, payload)
+            for row in (requests.WATCH, requests.WATCH_GRAPH):
+                payload = request_payload(row, {"seconds": WATCH_FOR_S}, self.now)
+                yield ask_order(self.now, None, None, row.key, payload)
 
     def _drivers_now(self) -> dict[str, Any]:
         driver = self.driving.arbiter.driver

@@ -2,18 +2,18 @@
 """The mapper service: scans and odometry in; the robot's pose on the map, and the map, out."""
 
 from services.mapper.back_end.back_end import BackEnd
+from services.mapper.back_end.graph_topic import GraphTopic
 from services.mapper.config import MapperConfig
 from services.mapper.front_end.front_end import FrontEnd
 from services.mapper.front_end.scan_queue import ScanQueue, SyncedScan
 from services.mapper.grid.map_drawing import Drawing
-from services.mapper.grid.occupancy import Occupancy
 from services.mapper.localization.global_localization import GlobalLocalizer
 from services.mapper.localization.grid_keyframes import add_virtual_keyframes
 from services.mapper.localization.kidnap_detection import KidnapDetector
 from services.mapper.maps.map_editing import MapEditing
 from services.mapper.maps.map_file import SavedMap
 from services.mapper.maps.map_transfer import MapDownload, MapUpload, tiles_problem
-from services.mapper.maps.resume import PreviousRun, graph_checkpoint, resume_graph
+from services.mapper.maps.resume import PreviousRun, graph_checkpoint, resume_from_upload
 from services.mapper.slam import Slam
 from services.mapper.warm_up import warm_up
 from shared import requests, topics
@@ -21,7 +21,7 @@ from shared.config import Robot
 from shared.geometry import Pose2
 from shared.messages import LaserScan, MapEdit, MapMode, MapState, MapUpdate, Odometry, PoseEstimate
 from shared.reasons import BAD_REQUEST, BUSY, MAP_REFUSED
-from shared.requests import EditMap, FetchMap, GiveMap, LoadMap, MapPart, NameMap, Reply, StartMap
+from shared.requests import EditMap, FetchMap, GiveMap, LoadMap, MapPart, NameMap, Reply, StartMap, Watch
 from shared.service import Answer, Checkpoint, Job, Log, Out, Service, answer, every, on
 from shared.settings import Configuration
 
@@ -68,6 +68,7 @@ class MapperService(Service):
         )
         self.previous_run = PreviousRun()
         self.download, self.upload, self.editing = MapDownload(), MapUpload(), MapEditing()
+        self.graph_topic = GraphTopic()
         # the result of a job goes to the part that ordered it
         self.on_constraints, self.on_graph_optimized = slam.on_constraints, slam.on_graph_optimized
         self.on_local_map, self.on_localized = slam.on_local_map, slam.on_localized
@@ -82,16 +83,12 @@ class MapperService(Service):
         self.slam.configure(new.config)
         return ()
 
-    @property
-    def grid(self) -> Occupancy:
-        return self.slam.grid
-
     def state(self) -> str:
         """Returns the mode and the state of the pose, for the health message."""
         if self.slam.tracked is None:
             return "waiting for a scan"
         pose = str(self.slam.tracked.state) if self.slam.is_localized else "looking for the robot on the map"
-        text = f"{self.slam.mode}: {pose}, {len(self.grid.tile_index)} tiles"
+        text = f"{self.slam.mode}: {pose}, {len(self.slam.grid.tile_index)} tiles"
         if dropped := sum(self.scan_queue.n_dropped.values()):
             text += f", {dropped} scans dropped"
         return text + (", no odometry: scan matching alone" if self.scan_queue.is_blind else "")
@@ -159,6 +156,7 @@ class MapperService(Service):
         yield from self.slam.jobs.redraw(self.now)
         self.download.tick(self.now)
         self.upload.tick(self.now)
+        yield from self.graph_topic.publications(self.back_end.graph, self.now)
 
     def on_map_drawn(self, result: tuple[int, Drawing]) -> Out:
         """Goes on redrawing the map, and replaces it when the drawing is complete."""
@@ -185,11 +183,7 @@ class MapperService(Service):
     def on_map_validated(self, result: tuple[int, SavedMap | str]) -> Out:
         """Stores a given map; the graph of the present map, from before a restart, is taken up at once."""
         self.upload.on_map_validated(result)
-        if not self.upload.resumes or self.upload.transfer != self.grid.map_id:
-            return
-        saved = self.upload.take_map(self.upload.transfer, self.now)
-        if isinstance(saved, SavedMap) and resume_graph(self.slam, saved):
-            yield Log("INFO", f"going on with the pose graph from before the restart: {len(saved.keyframes)} keyframes")
+        return resume_from_upload(self.slam, self.upload, self.now)
 
     def checkpoint(self) -> Checkpoint | None:
         return graph_checkpoint(self.slam)
@@ -210,7 +204,7 @@ class MapperService(Service):
         elif saved is None and at is None:
             self.slam.switch_mode(request.mode)
         elif saved is None and not self.slam.has_graph:
-            whole = self.grid.tiles_without_edits(self.now)
+            whole = self.slam.grid.tiles_without_edits(self.now)
             return (yield from self._load(whole, at or Pose2(), request.mode, self.slam.edits.edits, self.slam.name))
         else:
             name = request.name if saved is not None else self.slam.name
@@ -225,6 +219,10 @@ class MapperService(Service):
     def edit_map(self, request: EditMap) -> Answer[Reply]:
         return self.editing.edit(request, self.slam, self.now)
 
+    @answer(requests.WATCH_GRAPH)
+    def watch_graph(self, request: Watch) -> Answer[Reply]:
+        return self.graph_topic.watch(request, self.now)
+
     @answer(requests.NAME_MAP)
     def name_map(self, request: NameMap) -> Answer[Reply]:
         return self.editing.name(request, self.slam, self.now)
@@ -235,16 +233,16 @@ class MapperService(Service):
         """Uses a map without a graph, with the robot near a pose.  tiles: without the edits.  at: map_from_base."""
         if (problem := tiles_problem(tiles)) is not None:
             return Reply(self.now, False, BAD_REQUEST.code, problem)
-        self.slam.use_grid(tiles, max(self.now, self.grid.map_id + 1), at, mode, edits)
+        self.slam.use_grid(tiles, max(self.now, self.slam.grid.map_id + 1), at, mode, edits)
         self.slam.name = name
         self.scan_queue.reset()
         yield from self.slam.changed_tiles(self.now)
         if tiles.resolution == self.config.occupancy.resolution:
-            yield Job(add_virtual_keyframes, (self.grid.map_id, tiles), "on_virtual_keyframes", 1.0)
+            yield Job(add_virtual_keyframes, (self.slam.grid.map_id, tiles), "on_virtual_keyframes", 1.0)
         return Reply(self.now, True, "", f"{len(tiles.rows)} tiles")
 
     def _resume(self) -> Out:
         """Uses the map of the run before a restart, once its map and pose are known."""
         if self.previous_run.apply_to(self.slam):
             self.scan_queue.last_end, self.scan_queue.velocity = -1, Pose2()
-            yield Log("INFO", f"going on with the map from before the restart: {len(self.grid.tile_index)} tiles")
+            yield Log("INFO", f"going on with the map from before the restart: {len(self.slam.grid.tile_index)} tiles")

@@ -35,8 +35,8 @@ def warm_up(mapper: "MapperService") -> None:
         list(mapper.scan(sample.scan(stamp, laser, ranges)))
         mapper.front_end.aligner.searches_next = True
     beams = np.zeros((laser.n_beams, 2))
-    mapper.grid.contradicts(beams, beams)
-    mapper.grid.is_near_occupied(beams)
+    mapper.slam.grid.contradicts(beams, beams)
+    mapper.slam.grid.is_near_occupied(beams)
     points = np.ascontiguousarray(0.3 * np.argwhere(np.ones((60, 60))))  # so many that the point map grows
     mapper.front_end.submap.registrar.add_points(points, np.zeros((len(points), 2)))
     back_end, tracked = mapper.back_end, mapper.slam.tracked
@@ -44,7 +44,7 @@ def warm_up(mapper: "MapperService") -> None:
         back_end.add_keyframe(back_end.keyframes[0], tracked.match, mapper.front_end.odometry_error)
         warm_up_back_end(back_end)
     list(mapper.publish_map())
-    load = LoadMap(mapper.now, mapper.grid.all_tiles(mapper.now), Pose2())
+    load = LoadMap(mapper.now, mapper.slam.grid.all_tiles(mapper.now), Pose2())
     for item in mapper.load_map(load):
         if isinstance(item, Job):
             mapper.on_virtual_keyframes(item.function(*item.arguments))

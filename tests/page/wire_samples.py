@@ -32,6 +32,16 @@ def messages() -> dict[str, m.Message]:
         "debug/rollouts": m.Rollouts(
             STAMP, np.zeros((2, 3), np.float32), np.ones((2, 3), np.float32), np.array([1.0, 2.0], np.float32)
         ),
+        "debug/graph": m.KeyframeGraph(
+            STAMP,
+            xs=np.array([0.0, 1.5], np.float32),
+            ys=np.array([0.0, 2.5], np.float32),
+            from_xs=np.array([0.0], np.float32),
+            from_ys=np.array([0.0], np.float32),
+            to_xs=np.array([1.5], np.float32),
+            to_ys=np.array([2.5], np.float32),
+            accepted=np.array([1], np.int8),
+        ),
         "health/mapper": m.Health(
             STAMP, "mapper", 42, "mapping", 100, 0, 1, 0, "", 0.125, 61.5, 4.5, (("scan", 10.0, 0.004),)
         ),

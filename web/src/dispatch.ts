@@ -19,7 +19,7 @@ const WANTED = [
   ...["map", "map/state", "pose", "odom", "scan", "plan", "goal", "zones", "cmd/vel", "estop", "guard/status", "base/status"],
   ...["nav/status", "nav/task", "follow/status", "health", "log", "sim/truth"],
 ];
-const DEBUG = ["debug/costmap", "debug/rollouts"];
+const DEBUG = ["debug/costmap", "debug/rollouts", "debug/graph"];
 
 /** Of the keys that may be wanted, those that the page shows. A family is offered by its members. */
 export function wantedKeys(offered: readonly string[], debug: boolean): string[] {

@@ -474,6 +474,25 @@ export interface Rollouts {
   readonly costs: Float32Array;
 }
 
+/** Keyframes of the mapper in `map`, and the loop closures between them, while somebody watches. */
+export interface KeyframeGraph {
+  /** ns */
+  readonly stamp: number;
+  /** m */
+  readonly xs: Float32Array;
+  /** m */
+  readonly ys: Float32Array;
+  /** m */
+  readonly from_xs: Float32Array;
+  /** m */
+  readonly from_ys: Float32Array;
+  /** m */
+  readonly to_xs: Float32Array;
+  /** m */
+  readonly to_ys: Float32Array;
+  readonly accepted: Int8Array;
+}
+
 /** The guard's verdict. `source` is the command source in charge ("nav", "teleop" or empty). */
 export interface GuardStatus {
   /** ns */
@@ -591,6 +610,7 @@ export interface MessageOf {
   "estop": EmergencyStop;
   "debug/costmap": Costmap;
   "debug/rollouts": Rollouts;
+  "debug/graph": KeyframeGraph;
   "guard/status": GuardStatus;
   "cmd/vel": Velocity;
   "settings": RuntimeSettings;
@@ -618,6 +638,7 @@ export const ARRAYS: { readonly [K in Key]?: Readonly<Record<string, string>> } 
   "plan": { "xs": "f8", "ys": "f8", "yaws": "f8" },
   "debug/costmap": { "cells": "i1 2" },
   "debug/rollouts": { "xs": "f4 2", "ys": "f4 2", "costs": "f4" },
+  "debug/graph": { "xs": "f4", "ys": "f4", "from_xs": "f4", "from_ys": "f4", "to_xs": "f4", "to_ys": "f4", "accepted": "i1" },
   "sim/truth": { "people_x": "f4", "people_y": "f4" },
 };
 
@@ -652,6 +673,7 @@ export const FIELDS: Readonly<Record<string, Readonly<Record<string, string>>>> 
   EmergencyStop: { stamp: "number", pressed: "boolean", by: "string" },
   Costmap: { stamp: "number", x: "number", y: "number", resolution: "number", cells: "array i1 2" },
   Rollouts: { stamp: "number", xs: "array f4 2", ys: "array f4 2", costs: "array f4 1" },
+  KeyframeGraph: { stamp: "number", xs: "array f4 1", ys: "array f4 1", from_xs: "array f4 1", from_ys: "array f4 1", to_xs: "array f4 1", to_ys: "array f4 1", accepted: "array i1 1" },
   GuardStatus: { stamp: "number", state: "enum GuardState", source: "string", reason: "string", detail: "string", speed_limit: "number", stopped: "number" },
   RuntimeSettings: { stamp: "number", names: "list of string", values: "list of string" },
   Health: { stamp: "number", name: "string", pid: "number", state: "string", events: "number", bad_messages: "number", dropped: "number", intruders: "number", last_error: "string", cpu: "number", memory: "number", handler_ms: "number", rates: "list of (string, number, number)", rejected: "list of (string, string, number)" },

@@ -5,9 +5,9 @@ import { effect, signal, type Signal } from "@preact/signals";
 
 export type Theme = "system" | "light" | "dark";
 export type Language = "en" | "de";
-export const LAYERS = ["trail", "scan", "plan", "zones", "walls", "places", "rollouts", "costmap", "people", "grid"] as const;
+export const LAYERS = ["trail", "scan", "plan", "zones", "walls", "places", "rollouts", "costmap", "closures", "people", "grid"] as const;
 export type Layer = (typeof LAYERS)[number];
-export const DEBUG_LAYERS: readonly Layer[] = ["rollouts", "costmap"];
+export const DEBUG_LAYERS: readonly Layer[] = ["rollouts", "costmap", "closures"];
 
 export const theme = stored<Theme>("theme", "system");
 export const language = stored<Language>("language", navigator.language.startsWith("de") ? "de" : "en");

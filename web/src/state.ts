@@ -20,7 +20,7 @@ export interface LogEntry extends LogLine {
 
 const SINGLE_KEYS = [
   ...(["scan", "odom", "pose", "goal", "plan", "zones", "map/state", "follow/status", "nav/status", "nav/task", "cmd/vel"] as const),
-  ...(["estop", "guard/status", "base/status", "debug/costmap", "debug/rollouts", "sim/truth"] as const),
+  ...(["estop", "guard/status", "base/status", "debug/costmap", "debug/rollouts", "debug/graph", "sim/truth"] as const),
 ] as const satisfies readonly Key[];
 
 /** Keys that the page reads, but for those of families. */
@@ -94,6 +94,7 @@ const MAX_AGE_S: { readonly [K in SingleKey]?: number } = {
   "cmd/vel": 1,
   "debug/costmap": 1.5,
   "debug/rollouts": 1.5,
+  "debug/graph": 6,
   "sim/truth": 1,
 };
 

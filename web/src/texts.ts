@@ -68,6 +68,7 @@ export const TEXTS = {
   layer_places: ["Places", "Orte"],
   layer_rollouts: ["Rollouts", "Rollouts"],
   layer_costmap: ["Local costmap", "Lokale Kostenkarte"],
+  layer_closures: ["Loop closures", "Schleifenschlüsse"],
   layer_people: ["People and true pose", "Personen und wahre Pose"],
   layer_grid: ["Grid", "Raster"],
   follow: ["Follow the robot (F)", "Dem Roboter folgen (F)"],

@@ -108,10 +108,11 @@ class App(Onlooker):
     # --- what they do -----------------------------------------------------------------------------------------------
 
     def watch(self, seconds: float) -> None:
-        """Asks local control to show what it sees for so long (the stack's s)."""
+        """Asks for the debug topics for so long (the stack's s)."""
 
         def ask() -> None:
-            self._client.ask(requests.WATCH, Watch(self._client.now(), seconds))
+            for row in (requests.WATCH, requests.WATCH_GRAPH):
+                self._client.ask(row, Watch(self._client.now(), seconds))
 
         try:
             self._work.put_nowait(ask)

@@ -34,6 +34,7 @@ PANELS: dict[str, dict[str, Any]] = {
             "/map": {"visible": True, "colorMode": "rgba-fields"},
             "/debug/costmap": {"visible": False, "colorMode": "rgba-fields"},
             "/debug/rollouts": {"visible": False},
+            "/debug/graph": {"visible": False},
             "/scan": {"visible": True, "colorMode": "flat", "flatColor": "#e02020", "pointSize": 4},
             "/plan": {"visible": True, "type": "line", "lineWidth": 0.05, "gradient": ["#20c040ff", "#20c04080"]},
             "/pose": {"visible": True, "axisScale": 0.5},

@@ -8,7 +8,7 @@ from foxglove import messages as fox
 
 from shared.config import Robot
 from shared.geometry import Pose2
-from shared.messages import GuardState, GuardStatus, RangeReadings, Rollouts, Truth, ZoneKind, Zones
+from shared.messages import GuardState, GuardStatus, KeyframeGraph, RangeReadings, Rollouts, Truth, ZoneKind, Zones
 
 MAP, ODOM, BASE, LASER = "map", "odom", "base_link", "laser"
 """Frames, as REP 105 calls them."""
@@ -30,6 +30,7 @@ _ZONE_COLOURS = {
     ZoneKind.KEEP_OUT: fox.Color(r=0.9, g=0.1, b=0.1, a=0.9),
     ZoneKind.SLOW: fox.Color(r=0.95, g=0.8, b=0.1, a=0.9),
 }
+_CLOSURE_COLOURS = {1: fox.Color(r=0.1, g=0.7, b=0.3, a=0.8), 0: fox.Color(r=0.9, g=0.2, b=0.1, a=0.8)}
 _TAKEN, _SOUND = fox.Color(r=0.1, g=0.8, b=0.2, a=1.0), fox.Color(r=0.3, g=0.6, b=0.9, a=0.6)
 
 
@@ -79,6 +80,16 @@ def rollouts(rollouts: Rollouts) -> fox.SceneUpdate:
     if len(rollouts.xs):
         lines.append(_line(list(zip(rollouts.xs[0].tolist(), rollouts.ys[0].tolist(), strict=True)), _TAKEN, 0.03))
     return _entity(rollouts.stamp, ODOM, "rollouts", lines)
+
+
+def graph(graph: KeyframeGraph) -> fox.SceneUpdate:
+    """The loop closures between keyframes in `map`: accepted ones green, rejected ones red."""
+    columns = (graph.from_xs, graph.from_ys, graph.to_xs, graph.to_ys, graph.accepted)
+    lines = [
+        _line([(x, y), (to_x, to_y)], _CLOSURE_COLOURS[accepted], 0.02)
+        for x, y, to_x, to_y, accepted in zip(*(column.tolist() for column in columns), strict=True)
+    ]
+    return _entity(graph.stamp, MAP, "graph", lines)
 
 
 def cones(readings: RangeReadings) -> fox.SceneUpdate:

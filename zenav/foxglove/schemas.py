@@ -305,6 +305,7 @@ ROWS: dict[str, tuple[SchemaRow, ...]] = {
     topics.LOG.key: (SchemaRow("/log", fox.Log, log),),
     topics.COSTMAP.key: (SchemaRow("/debug/costmap", fox.Grid, costmap),),
     topics.ROLLOUTS.key: (SchemaRow("/debug/rollouts", fox.SceneUpdate, lambda rollouts, _: scene.rollouts(rollouts)),),
+    topics.GRAPH.key: (SchemaRow("/debug/graph", fox.SceneUpdate, lambda graph, _: scene.graph(graph)),),
 }
 """By the registry's key. What is not here goes out as JSON on its own key."""
 

@@ -42,8 +42,8 @@ ENDING = 2.0  # s within which a stack's services end one after the other
 FIRST_WORD = 3.0  # s without any message after which the stack is reported as absent
 BACKLOG = 128  # messages that wait for a slow client: under half a second of everything
 WAITING = 64  # messages of a key that may wait for this loop
-WATCH_EVERY, WATCH_FOR = 2.0, 10.0  # s: how often local control is asked to show what it sees, and for how long
-WATCHED = (topics.COSTMAP, topics.ROLLOUTS)
+WATCH_EVERY, WATCH_FOR = 2.0, 10.0  # s: how often debug topics are asked for, and for how long
+WATCHED = (topics.COSTMAP, topics.ROLLOUTS, topics.GRAPH)
 EXPECTED = (
     topics.SCAN, topics.ODOM, topics.POSE, topics.PLAN, topics.GOAL, topics.NAV_STATUS, topics.GUARD, topics.LOG,
 )  # fmt: skip

@@ -328,6 +328,6 @@ def _report(
         "keyframes": len(run.mapper.back_end.keyframes),
         "loops": run.mapper.back_end.n_loops,
         "loops_refused": int((~run.mapper.back_end.graph.snapshot().on).sum()),
-        "tiles": len(run.mapper.grid.tile_index),
+        "tiles": len(run.mapper.slam.grid.tile_index),
         "log_lines": run.logs[:20],
     }

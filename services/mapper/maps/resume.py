@@ -10,12 +10,13 @@ from services.mapper.front_end.continuous_odometry import ContinuousOdometry
 from services.mapper.grid.edit_cells import without_walls
 from services.mapper.grid.occupancy import Occupancy
 from services.mapper.maps.map_file import SavedMap, pack_map
+from services.mapper.maps.map_transfer import MapUpload
 from services.mapper.slam import Slam
 from shared.geometry import Pose2
 from shared.grid import OCCUPIED_FROM
-from shared.messages import TILE_CELLS, MapMode, MapState, MapUpdate, Message, PoseEstimate
+from shared.messages import TILE_CELLS, MapMode, MapState, MapUpdate, Message, PoseEstimate, Stamp
 from shared.requests import GIVE_MAP, MAP_PART, GiveMap, Request
-from shared.service import Checkpoint
+from shared.service import Checkpoint, Log, Out
 from shared.types import NS_PER_S
 
 NO_TILES = MapUpdate(
@@ -73,6 +74,15 @@ def resume_graph(slam: Slam, checkpoint: SavedMap) -> bool:
     slam.grid.load_below_edits(checkpoint.tiles)
     slam.grid.update_cells()  # those of the latched map may not be published yet
     return slam.add_graph(replace(checkpoint, tiles=slam.grid.tiles_without_edits(0)))
+
+
+def resume_from_upload(slam: Slam, upload: MapUpload, now: Stamp) -> Out:
+    """Takes up the graph of the present map, from before a restart, where it was given."""
+    if not upload.resumes or upload.transfer != slam.grid.map_id:
+        return
+    saved = upload.take_map(upload.transfer, now)
+    if isinstance(saved, SavedMap) and resume_graph(slam, saved):
+        yield Log("INFO", f"going on with the pose graph from before the restart: {len(saved.keyframes)} keyframes")
 
 
 def graph_checkpoint(slam: Slam) -> Checkpoint | None:

@@ -59,6 +59,25 @@ export function drawRollouts(pen: Pen, now: number): void {
   }
 }
 
+/** Keyframes, and the loop closures between them: rejected ones are dashed. */
+export function drawClosures(pen: Pen, now: number): void {
+  const graph = shown["debug/graph"].peek()?.message;
+  if (graph === undefined || isShownOld("debug/graph", now)) return;
+  const [from, to] = [[...points(graph.from_xs, graph.from_ys)], [...points(graph.to_xs, graph.to_ys)]];
+  const lines: [rejected: (Point | null)[], accepted: (Point | null)[]] = [[], []];
+  from.forEach((place, i) => lines[graph.accepted[i] === 1 ? 1 : 0].push(place, to[i]!, null));
+  pen.trace(lines[1]);
+  pen.stroke(pen.palette.chosen, 1.5);
+  pen.trace(lines[0]);
+  pen.stroke(pen.palette.keepOut, 1.5, [4, 4]);
+  const { context } = pen;
+  context.fillStyle = pen.palette.trail;
+  for (const place of points(graph.xs, graph.ys)) {
+    const [x, y] = pen.screen(place);
+    context.fillRect(x - 1.5, y - 1.5, 3, 3);
+  }
+}
+
 let costmapImage: { message: object; canvas: HTMLCanvasElement } | null = null;
 
 export function drawCostmap(pen: Pen, now: number): void {
@@ -165,6 +184,7 @@ function drawMarker(pen: Pen, pose: Pose, color: string): void {
 
 export const DRAW: Partial<Record<Layer, (pen: Pen, now: number) => void>> = {
   costmap: drawCostmap,
+  closures: drawClosures,
   trail: drawTrail,
   rollouts: drawRollouts,
   plan: drawPlan,

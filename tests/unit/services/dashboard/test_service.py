@@ -66,15 +66,15 @@ def test_a_page_gets_what_it_wants_and_is_told_of_an_unknown_key(pages):
     assert "journal/mapper" in pages.sent("note", 1)[0]["text"]
 
 
-def test_what_local_control_sees_is_asked_for_while_a_page_shows_it(pages):
+def test_debug_topics_are_asked_for_while_a_page_shows_them(pages):
     pages.frame(1, "want", keys=[], debug=True)
-    assert pages.orders[0]["want"] == ["debug/costmap", "debug/rollouts"]
-    assert [order["ask"] for order in pages.orders[1:]] == ["request/watch"]
+    assert pages.orders[0]["want"] == ["debug/costmap", "debug/graph", "debug/rollouts"]
+    assert [order["ask"] for order in pages.orders[1:]] == ["request/watch", "request/watch_graph"]
     pages.run(4000)
-    assert len(pages.orders) == 4
+    assert len(pages.orders) == 7
     pages.frame(1, "want", keys=[], debug=False)
     pages.run(4000)
-    assert len(pages.orders) == 5
+    assert len(pages.orders) == 8
 
 
 # --- driving ----------------------------------------------------------------------------------------------------------

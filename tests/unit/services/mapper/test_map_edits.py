@@ -52,7 +52,7 @@ class EditedLap(Lap):
     @property
     def map_now(self):
         self.driven.publish_map()
-        return self.driven.mapper.grid.all_tiles(0)
+        return self.driven.mapper.slam.grid.all_tiles(0)
 
     def values(self, edit):
         """Percent of an edit's cells on the published map; cells without a tile are left out."""

@@ -96,7 +96,7 @@ def test_warming_up_changes_nothing():
     cold, warm = MapperService(MapperConfig(), ROBOT), MapperService(MapperConfig(), ROBOT)
     warm.warm_up()
     assert warm.state() == cold.state()
-    assert not warm.grid.tile_index
+    assert not warm.slam.grid.tile_index
     assert not warm.scan_queue.odometry.samples
 
 
@@ -276,7 +276,7 @@ def test_the_map_shows_the_room():
 def test_a_loaded_map_is_localised_in_and_extended():
     robot = driven()
     robot.publish_map()
-    saved = robot.mapper.grid.all_tiles(robot.now)
+    saved = robot.mapper.slam.grid.all_tiles(robot.now)
     cells = robot.grid.cells
     fresh = RoomDrive(ROOM, noise=0.01)
     fresh.now, fresh.true = robot.now, robot.true
@@ -305,17 +305,17 @@ def test_a_loaded_map_is_localised_in_and_extended():
 def test_a_map_that_cannot_be_used_is_refused_and_changes_nothing(what):
     robot = driven(ROUND[:3])
     robot.publish_map()
-    saved = robot.mapper.grid.all_tiles(robot.now)
+    saved = robot.mapper.slam.grid.all_tiles(robot.now)
     if what == "empty":
         saved = replace(saved, cells=np.zeros_like(saved.cells))
     else:
         saved = replace(saved, rows=np.linspace(-30000, 30000, len(saved.rows)).astype(np.int32))
         saved = replace(saved, columns=saved.rows)
-    grid = robot.mapper.grid
+    grid = robot.mapper.slam.grid
     with pytest.raises(StopIteration) as end:
         next(robot.mapper.load_map(LoadMap(robot.now, saved, Pose2())))
     assert not end.value.value.accepted
-    assert robot.mapper.grid is grid
+    assert robot.mapper.slam.grid is grid
 
 
 def test_a_laser_that_knows_no_echo_may_carve_free_space():

@@ -69,7 +69,7 @@ def mapped():
 
 
 def drawn(lap):
-    return lap.driven.mapper.grid.all_tiles(0)
+    return lap.driven.mapper.slam.grid.all_tiles(0)
 
 
 def test_near_a_given_pose_the_robot_is_found_without_driving(mapped):
@@ -153,7 +153,7 @@ def test_who_is_carried_away_while_mapping_is_found_on_the_own_map(seed):
         driven.publish_map()
         back_end = driven.mapper.back_end
         if not back_end.is_joined and back_end.n_in_part < MIN_KEYFRAMES:
-            now = driven.mapper.grid.all_tiles(0).cells
+            now = driven.mapper.slam.grid.all_tiles(0).cells
             assert cells is None or np.array_equal(now, cells), "nothing is drawn from a wrong place"
             cells = now
     states = [pose.state for pose in driven.poses[n:]]
@@ -243,7 +243,7 @@ def test_a_restarted_mapper_goes_on_with_its_pose_graph(mapped, mode):
     assert after.graph.nodes.tolist() == before.graph.nodes.tolist()
     np.testing.assert_array_equal(after.graph.poses, before.graph.poses)
     np.testing.assert_array_equal(after.tiles.cells, before.tiles.cells)
-    assert again.driven.mapper.grid.map_id == lap.driven.mapper.grid.map_id
+    assert again.driven.mapper.slam.grid.map_id == lap.driven.mapper.slam.grid.map_id
     again.go(60)
     assert again.state is GOOD
     assert again.off(first)[0] < 0.1

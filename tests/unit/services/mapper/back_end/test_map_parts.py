@@ -115,7 +115,7 @@ def test_what_an_unjoined_part_sees_changes_nothing_that_was_mapped():
     driven = round_the_ring()
     driven.publish_map()
     mapper = driven.mapper
-    before = mapper.grid.all_tiles(0)
+    before = mapper.slam.grid.all_tiles(0)
     known = dict(zip(zip(before.rows.tolist(), before.columns.tolist()), before.cells))
     mapper.back_end.begin_part(OdometryGap(Pose2(1.5, 0.8, 0.6), 1.0, 1.0))
     mapper.front_end.start(mapper.front_end.local_from_base @ Pose2(1.5, 0.8, 0.6))
@@ -126,7 +126,7 @@ def test_what_an_unjoined_part_sees_changes_nothing_that_was_mapped():
         driven.step(step)
         driven.publish_map()
     assert not mapper.back_end.is_joined
-    after = mapper.grid.all_tiles(0)
+    after = mapper.slam.grid.all_tiles(0)
     turned = 0
     for row, column, cells in zip(after.rows.tolist(), after.columns.tolist(), after.cells):
         was = known.get((row, column))

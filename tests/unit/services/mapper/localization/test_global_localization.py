@@ -92,7 +92,7 @@ def test_the_map_stays_to_the_byte_while_the_robot_drives_on_it(building):
     assert driven.mapper.back_end.n_loops > 20
     assert pack_map(saved) == before
     assert len(driven.maps) == n_first == 1
-    np.testing.assert_array_equal(driven.mapper.grid.all_tiles(0).cells, saved.tiles.cells)
+    np.testing.assert_array_equal(driven.mapper.slam.grid.all_tiles(0).cells, saved.tiles.cells)
     back_end = driven.mapper.back_end
     n = len(saved.keyframes)
     np.testing.assert_array_equal(back_end.graph.poses[:n], saved.graph.poses)

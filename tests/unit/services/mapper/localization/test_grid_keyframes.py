@@ -279,7 +279,7 @@ def test_tiles_that_are_loaded_near_a_pose_get_keyframes_and_the_robot_is_looked
     assert found is not None
     assert off(driven, first)[0] < 0.15
     assert ("lost: looking for the robot on the whole map" in driven.logs) is wrong
-    np.testing.assert_array_equal(driven.mapper.grid.all_tiles(0).cells, tiles.cells)
+    np.testing.assert_array_equal(driven.mapper.slam.grid.all_tiles(0).cells, tiles.cells)
 
 
 def test_tiles_that_are_loaded_are_continued(building):

@@ -178,7 +178,7 @@ def test_a_mapper_without_a_graph_says_what_mends_that():
     for _, motion in zip(range(3), laps()):
         driven.step(motion)
         driven.publish_map()
-    grid = driven.mapper.grid
+    grid = driven.mapper.slam.grid
     driven.busy = True  # the keyframes are cast beside the scans
     assert asker.ask(requests.LOAD_MAP, LoadMap(driven.now, grid.all_tiles(driven.now), Pose2())).accepted
     with pytest.raises(RequestRefusedError) as error:

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The debug topic of the mapper: keyframes and loop closures, published only while a client watches."""
+
+import numpy as np
+
+from services.mapper.back_end.pose_graph import PoseGraph
+from shared import topics
+from shared.messages import KeyframeGraph
+from shared.requests import Reply, Watch
+from shared.service import Answer, Out
+
+PERIOD_NS = 2_000_000_000  # between two messages
+
+
+class GraphTopic:
+    """Until when a client watches, and when the next message is due. Times are ns."""
+
+    def __init__(self) -> None:
+        self._until = self._next = 0
+
+    def watch(self, request: Watch, now: int) -> Answer[Reply]:
+        """Begins to publish from `now` on, or ends it."""
+        self._until = now + round(request.seconds * 1e9)
+        self._next = min(self._next, now)
+        yield from ()
+        return Reply(now, True, "", "")
+
+    def publications(self, graph: PoseGraph, now: int) -> Out:
+        """The topic, where it is due."""
+        if now < self._until and now >= self._next:
+            self._next = now + PERIOD_NS
+            yield topics.GRAPH(keyframe_graph(graph, now))
+
+
+def keyframe_graph(graph: PoseGraph, now: int) -> KeyframeGraph:
+    """The message of a graph. Edges between neighbours are left out: they lie along the path."""
+    snapshot = graph.snapshot()
+    places = snapshot.poses[:, :2].astype(np.float32)
+    one, other = (places[rows[snapshot.loop]] for rows in snapshot.rows())
+    return KeyframeGraph(
+        stamp=now, xs=places[:, 0], ys=places[:, 1],
+        from_xs=one[:, 0], from_ys=one[:, 1], to_xs=other[:, 0], to_ys=other[:, 1],
+        accepted=snapshot.on[snapshot.loop].astype(np.int8),
+    )  # fmt: skip
