@@ -17,6 +17,12 @@ def lasers_by_topic(robot: Robot) -> dict[Topic[LaserScan], Laser]:
     return dict(zip(SCAN_TOPICS, robot.all_lasers, strict=False))
 
 
+def laser_mounts(robot: Robot) -> dict[str, list[float]]:
+    """x, y (m) and yaw (rad) of each laser in `base`, under the names of the page's protocol."""
+    poses = [[laser.mount.x, laser.mount.y, laser.mount.yaw] for laser in robot.all_lasers]
+    return dict(zip(("laser_mount", "laser_2_mount"), poses, strict=False))
+
+
 def about_laser(laser: Laser, words: str) -> str:
     """Words about a laser, with its name where it has one."""
     return ": ".join(filter(None, (f"laser {laser.name}" if laser.name else "", words)))
