@@ -18,7 +18,7 @@ from shared.section import Section, UserError
 
 __all__ = [
     "Drive", "Laser", "Mount", "RangeSensor", "Robot", "RobotFile", "Section", "UserError",
-    "configured", "load_robot", "load_yaml", "nearest", "robot_path", "yaml_value",
+    "configured", "load_robot", "load_yaml", "nearest", "robot_path", "section_of", "yaml_value",
 ]  # fmt: skip
 
 _log = logging.getLogger("zenav.config")
@@ -69,7 +69,7 @@ class RobotFile:
         """Sets one value by its path. origin: where it comes from, in place of `file:line`. Raises UserError."""
         node = self.tree
         for key in keys[:-1]:
-            node = node.setdefault(key, CommentedMap())
+            node = section_of(node, key)
             if not isinstance(node, dict):
                 raise UserError(f"{'.'.join(keys)}: {key} is not a section", "name a setting: zenav config show")
         node[keys[-1]] = value
@@ -164,6 +164,13 @@ def configured(robot: str, overrides: list[str]) -> RobotFile:
     for assignment in overrides:
         file.override(assignment)
     return file
+
+
+def section_of(node: Any, key: str) -> Any:
+    """The section of a mapping under a key, made where there is none. `laser` is the first of `lasers`."""
+    if key == "laser" and key not in node and node.get("lasers"):
+        return node["lasers"][0]
+    return node.setdefault(key, CommentedMap())
 
 
 def yaml_value(text: str) -> Any:

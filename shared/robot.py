@@ -12,6 +12,7 @@ from shared.polygon import signed_area, signed_distances
 from shared.section import Section
 
 CIRCLE_CORNERS = 32  # of the polygon around a round robot: it reaches 0.5 % beyond the circle
+MAX_LASERS = 2  # one topic each: shared/lasers.py
 HOLONOMIC = ("mecanum", "omni", "omnidirectional", "holonomic", "swerve")
 
 
@@ -92,8 +93,12 @@ class Drive(Section):
 
 
 class Laser(Section):
-    """The laser: its mount and its sweep, in its own frame."""
+    """A laser: its mount and its sweep, in its own frame."""
 
+    name: str = Field(
+        "", pattern="^([a-z][a-z0-9_]*)?$", description="its own in `robot.lasers`; a single laser needs none"
+    )
+    mapping: bool = Field(True, description="the mapper uses it: true for the first laser, false for another")
     mount: Mount = Mount()
     angle_min: float = Field(ge=-2 * pi, le=2 * pi, description="rad, first beam")
     angle_increment: float = Field(ge=-pi, le=pi, description="rad between beams; negative: clockwise")
@@ -102,6 +107,17 @@ class Laser(Section):
     rate: float = Field(gt=0, le=200, description="sweeps a second")
     range_min: float = Field(ge=0, description="m; nearer is no measurement")
     range_max: float = Field(gt=0, le=250, description="m; farther is no echo")
+
+    @model_validator(mode="after")
+    def _measures(self) -> "Laser":
+        """The rules of `LaserScan.problem`: no scan of another laser would count."""
+        if self.angle_increment == 0:
+            raise ValueError("angle_increment is not 0: it is the angle between two beams")
+        if abs(self.angle_increment) * (self.n_beams - 1) > 2 * pi + 1e-3:
+            raise ValueError("n_beams * angle_increment is more than a full turn")
+        if self.range_min >= self.range_max:
+            raise ValueError("range_min is under range_max")
+        return self
 
 
 class RangeSensor(Section):
@@ -146,12 +162,23 @@ class Robot(Section):
     )
     radius: float | None = Field(None, gt=0, le=5, description="m: of a round robot about `base`; or give `footprint`")
     drive: Drive
+    lasers: tuple[Laser, ...] = Field(
+        (), max_length=MAX_LASERS, description="its lasers, the mapper's first; or give one as `laser`"
+    )
     laser: Laser
     ranges: tuple[RangeSensor, ...] = Field((), description="ultrasonic and infrared sensors, in the board's order")
     imu: ImuMount | None = Field(None, description="its inertial sensor; none: odometry is of the wheels alone")
     bumpers: tuple[Bumper, ...] = Field((), description="its bumpers")
     cliffs: tuple[CliffSensor, ...] = Field((), description="its cliff sensors")
     estop_input: bool = Field(False, description="its board has an input for an e-stop button")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _first_laser(cls, values: Any) -> Any:
+        """`laser` is the first of `lasers`."""
+        if isinstance(values, dict) and "laser" not in values and isinstance(values.get("lasers"), list | tuple):
+            return values | ({"laser": values["lasers"][0]} if values["lasers"] else {})
+        return values
 
     @model_validator(mode="after")
     def _around_the_origin(self) -> "Robot":
@@ -180,6 +207,24 @@ class Robot(Section):
             if len(set(names)) < len(names):
                 raise ValueError(f"{kind}: each has a name of its own")
         return self
+
+    @model_validator(mode="after")
+    def _lasers(self) -> "Robot":
+        names = [laser.name for laser in self.lasers]
+        if not names:
+            return self
+        if self.laser != self.lasers[0]:
+            raise ValueError("lasers: give either laser or lasers, and not both")
+        if "" in names or len(set(names)) < len(names):
+            raise ValueError("lasers: each has a name of its own")
+        if [laser.mapping for laser in self.lasers] != [True, *(False for _ in names[1:])]:
+            raise ValueError("lasers: the mapper uses the first laser alone; set `mapping: false` for the other one")
+        return self
+
+    @property
+    def all_lasers(self) -> tuple[Laser, ...]:
+        """All lasers, `laser` first."""
+        return self.lasers or (self.laser,)
 
     @property
     def has_contacts(self) -> bool:

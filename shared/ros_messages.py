@@ -54,12 +54,17 @@ class RosMessages:
         """std_msgs/Header. stamp: ns."""
         return self.new("std_msgs/msg/Header", stamp=self.time(stamp), frame_id=frame, **self._header_fields)
 
-    def scan(self, scan: LaserScan) -> Any:
-        """sensor_msgs/LaserScan."""
+    @property
+    def laser_frames(self) -> tuple[str, str]:
+        """The frames of the first and of the second laser."""
+        return self.frames.laser, f"{self.frames.laser}_2"
+
+    def scan(self, scan: LaserScan, i_laser: int = 0) -> Any:
+        """sensor_msgs/LaserScan. i_laser: place of the laser in `robot.lasers`."""
         n = len(scan.ranges)
         return self.new(
             SCAN,
-            header=self.header(scan.stamp, self.frames.laser),
+            header=self.header(scan.stamp, self.laser_frames[i_laser]),
             angle_min=scan.angle_min, angle_max=scan.angle_min + scan.angle_increment * (n - 1),
             angle_increment=scan.angle_increment, time_increment=scan.scan_time / (n - 1), scan_time=scan.scan_time,
             range_min=scan.range_min, range_max=scan.range_max,
@@ -111,10 +116,10 @@ class RosMessages:
         )  # fmt: skip
         return self.new(GRID, header=self.header(stamp, frame), info=info, data=cells.ravel().copy())
 
-    def mount(self, stamp: int, mount: Mount) -> Any:
-        """geometry_msgs/TransformStamped of the laser on the robot."""
+    def mount(self, stamp: int, mount: Mount, i_laser: int = 0) -> Any:
+        """geometry_msgs/TransformStamped of a laser on the robot. i_laser: its place in `robot.lasers`."""
         pose = Pose2(mount.x, mount.y, mount.yaw)
-        return self.transform(stamp, self.frames.base, self.frames.laser, pose)
+        return self.transform(stamp, self.frames.base, self.laser_frames[i_laser], pose)
 
     def transform(self, stamp: int, parent: str, child: str, parent_from_child: Pose2) -> Any:
         """geometry_msgs/TransformStamped. stamp: ns."""

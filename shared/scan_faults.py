@@ -45,29 +45,30 @@ AGREES_M = 0.06
 
 
 def mismatch(scan: LaserScan, laser: Laser) -> str:
-    """Difference of a scan's beams from `robot.laser`, in words with both numbers; empty where the scan is usable.
+    """Difference of a scan's beams from its laser's, in words with both numbers; empty where the scan is usable.
 
     A scan contains its own angles, so small differences are accepted. They are 10 % of beam count and increment, and
     3 degrees and one increment at the ends of the sweep. Beams may run in either direction.
     """
     n, step = len(scan.ranges), abs(scan.angle_increment)
+    name = f"robot.lasers.{laser.name}" if laser.name else "robot.laser"
     n_configured, configured_step = laser.n_beams, abs(laser.angle_increment)
     if abs(n - n_configured) > max(1.0, MAX_UNLIKE_SHARE * n_configured):
-        return f"{n} beams came, robot.laser.n_beams is {n_configured}"
+        return f"{n} beams came, {name}.n_beams is {n_configured}"
     if abs(step - configured_step) > MAX_UNLIKE_SHARE * configured_step:
-        return f"beams {step:.6g} rad apart came, robot.laser.angle_increment is {configured_step:.6g}"
+        return f"beams {step:.6g} rad apart came, {name}.angle_increment is {configured_step:.6g}"
     slack = MAX_UNLIKE_ARC + configured_step
     sweep, configured_sweep = step * (n - 1), configured_step * (n_configured - 1)
     if abs(sweep - configured_sweep) > slack:
         return (
             f"a sweep of {sweep:.4g} rad came ({n} beams, {step:.6g} rad apart), "
-            f"robot.laser has {configured_sweep:.4g} ({n_configured} beams, {configured_step:.6g} rad apart)"
+            f"{name} has {configured_sweep:.4g} ({n_configured} beams, {configured_step:.6g} rad apart)"
         )
     first = min(scan.angle_min, scan.angle_min + (n - 1) * scan.angle_increment)
     configured_first = min(laser.angle_min, laser.angle_min + (n_configured - 1) * laser.angle_increment)
     full_turn = configured_sweep > 2 * pi - slack
     if not full_turn and abs(wrapped(first - configured_first)) > slack:
-        return f"a sweep from {first:.4g} rad came, robot.laser begins at {configured_first:.4g}"
+        return f"a sweep from {first:.4g} rad came, {name} begins at {configured_first:.4g}"
     return ""
 
 

@@ -95,6 +95,7 @@ BASE_STATUS = Topic("base/status",     m.BaseStatus,    by="base_driver",       
 REPORT      = Topic("base/report",     m.BoardReport,   by="base_driver",            hz=50, keep="all",    within=0.002, people=True)
 BOARD_IS    = Topic("base/board",      m.BoardStatus,   by="base_driver",            hz=2,  keep="latest", within=0.010, latched=True, people=True)
 SCAN        = Topic("scan",            m.LaserScan,     by="lidar_driver sim ros2",  hz=10, keep="latest", within=0.005)
+SCAN_2      = Topic("scan_2",          m.LaserScan,     by="lidar_driver sim",       hz=10, keep="latest", within=0.005)
 ODOM        = Topic("odom",            m.Odometry,      by="odometry",               hz=50, keep="all",    within=0.003)
 POSE        = Topic("pose",            m.PoseEstimate,  by="mapper",                 hz=10, keep="latest", within=0.025, latched=True)
 MAP         = Topic("map",             m.MapUpdate,     by="mapper",                 hz=2,  keep="all",    within=0.050, latched=True)

@@ -9,6 +9,7 @@ from services.dashboard.frames import PAGE_KEYS
 from services.dashboard.sessions import PageSession
 from shared import topics
 from shared.config import Robot
+from shared.lasers import laser_mounts
 from shared.messages import SerialData
 from shared.reasons import REASONS
 from shared.topics import Publication
@@ -43,7 +44,6 @@ def refusing_reply(now: int, client: int, answered: Id, reason: str, detail: str
 
 def hello(now: int, page: PageSession, robot: Robot, simulated: bool, version: str) -> Publication:
     """The first frame of a page. The shell adds its token against forged requests, which no recording shall hold."""
-    mount = robot.laser.mount
     fields = {
         "t": "hello",
         "client": page.client,
@@ -53,7 +53,7 @@ def hello(now: int, page: PageSession, robot: Robot, simulated: bool, version: s
         "robot": {
             "name": robot.name,
             "outline": robot.corners.tolist(),
-            "laser_mount": [mount.x, mount.y, mount.yaw],
+            **laser_mounts(robot),
             "max_speed": robot.drive.max_speed,
             "max_reverse_speed": robot.drive.max_reverse_speed,
             "max_turn_rate": robot.drive.max_turn_rate,

@@ -10,11 +10,10 @@ from math import pi
 import numpy as np
 
 from services.guard.arbitration import CommandSource
-from services.guard.laser_visibility import LaserVisibility
 from services.guard.limits import ramped_velocity
-from services.guard.obstacles import Obstacles, is_in_sweep
+from services.guard.obstacles import Obstacles
 from services.guard.protective_field import NO_LIMIT, FieldConfig, SafeSpeed, safe_speed
-from services.guard.stop_conditions import StopInputs
+from services.guard.stop_conditions import StopInputs, view_detail
 from shared import reasons
 from shared.config import Robot
 from shared.geometry import wrapped
@@ -61,10 +60,9 @@ class VelocityLimiter:
         inputs: StopInputs,
         odometry: OdometryBuffer,
         obstacles: Obstacles,
-        visibility: LaserVisibility,
     ) -> None:
         self.robot, self.config, self.inputs = robot, config, inputs
-        self.odometry, self.obstacles, self.visibility = odometry, obstacles, visibility
+        self.odometry, self.obstacles = odometry, obstacles
         self.corners = robot.corners
         self.ranges_stamp: int | None = None  # ns, of the newest range readings
         self.sent: Twist = (0.0, 0.0)
@@ -77,7 +75,8 @@ class VelocityLimiter:
         clamped = drive.clamped(command.v, command.w)
         leaves = self.inputs.contacts.touches
         wanted, view_reason = self._limited_by_view(*(self._crept(*clamped) if leaves else clamped), now)
-        points = np.concatenate([self.obstacles.points(here, now), self.visibility.points(here)])
+        hidden = [laser.visibility.points(here) for laser in self.inputs.lasers]
+        points = np.concatenate([self.obstacles.points(here, now), *hidden])
         wanted_limit = safe_speed(points, self.corners, *wanted, drive, field)
         target = wanted[0] * wanted_limit.share, wanted[1] * wanted_limit.share
         v, w = self._ramped(target, now)
@@ -93,7 +92,8 @@ class VelocityLimiter:
         detail = f"contact after {tighter.travel:.2f} m" if tighter.share < 1 else ""
         state, reason = _state_and_reason(command, wanted, (v, w), wanted_limit, tighter)
         if view_reason is not None and state is GuardState.ACTIVE and tighter.share == 1:
-            reason, detail, speed_limit = view_reason.code, self.visibility.detail, field.blind_speed
+            blind = [laser for laser in self.inputs.lasers if laser.is_blind or view_reason is reasons.SCAN_EMPTY]
+            reason, detail, speed_limit = view_reason.code, view_detail(blind), field.blind_speed
         if leaves and state is GuardState.ACTIVE and not reason:
             reason, speed_limit = reasons.LEAVING_CONTACT.code, field.creep_speed
             detail = self.inputs.contacts.detail()
@@ -130,20 +130,23 @@ class VelocityLimiter:
         return ramped_velocity(self.sent, target, elapsed, self.robot.drive)
 
     def _limited_by_view(self, v: float, w: float, now: int) -> tuple[Twist, Reason | None]:
-        """The velocity with at most `blind_speed` in a direction without a view, and the reason of the limit."""
-        blind_speed, scan = self.config.blind_speed, self.inputs.scan
+        """The velocity with at most `blind_speed` in a direction without a view, and the reason of the limit.
+
+        One laser with a view of the direction is enough.
+        """
+        blind_speed = self.config.blind_speed
         if self.inputs.is_blind:
             rim_speed = max(abs(v), abs(w) * self.robot.circumscribed_radius)
             share = min(1.0, blind_speed / rim_speed) if rim_speed else 1.0
             return (v * share, w * share), reasons.SCAN_BLIND
-        if abs(v) <= blind_speed or scan is None:
+        if abs(v) <= blind_speed:
             return (v, w), None
         direction = 0.0 if v > 0 else pi
-        in_sweep = is_in_sweep(scan, np.array([direction - self.robot.laser.mount.yaw])).all()
-        is_empty = self.visibility.is_empty(direction, now)
+        in_sweep = [laser for laser in self.inputs.lasers if laser.covers(direction)]
+        is_seen = any(not laser.visibility.is_empty(direction, now) for laser in in_sweep)
         has_ranges = self.ranges_stamp is not None and fresh(self.ranges_stamp, now, MAX_RANGES_AGE_S)
         is_sensed = has_ranges and any(abs(wrapped(s.mount.yaw - direction)) <= pi / 4 for s in self.robot.ranges)
-        if is_sensed or (in_sweep and not is_empty):
+        if is_sensed or is_seen:
             return (v, w), None
         share = blind_speed / abs(v)
         return (v * share, w * share), reasons.SCAN_EMPTY if in_sweep else None

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from services.guard.obstacles import MAX_BEAMS, NO_POINTS, beam_ends, is_supported
-from shared.config import Robot, Section
+from shared.config import Laser, Robot, Section
 from shared.geometry import Pose2, arc
 from shared.messages import LaserScan
 from shared.odometry_buffer import OdometryBuffer
@@ -74,11 +74,11 @@ class VisibilityConfig(Section):
 class LaserVisibility:
     """Dark directions in `laser`, since when, and the points that stood there. now: ns."""
 
-    def __init__(self, config: VisibilityConfig, robot: Robot) -> None:
+    def __init__(self, config: VisibilityConfig, robot: Robot, laser: Laser) -> None:
         self.config, self.robot = config, robot
-        mount = robot.laser.mount
+        mount = laser.mount
         self.base_from_laser = Pose2(mount.x, mount.y, mount.yaw)
-        self.n_directions = round(2 * pi / max(MIN_DIRECTION_RAD, 2 * abs(robot.laser.angle_increment)))
+        self.n_directions = round(2 * pi / max(MIN_DIRECTION_RAD, 2 * abs(laser.angle_increment)))
         self.sector_half = max(1, round(SECTOR_HALF_WIDTH_RAD * self.n_directions / (2 * pi)))
         corners = robot.corners
         edges = np.roll(corners, -1, axis=0) - corners

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles near the robot: points of the scan and the range sensors in `odom`, and remembered ones out of view.
+"""Obstacles near the robot: points of the scans and the range sensors in `odom`, and remembered ones out of view.
 
 Points without neighbours are noise, as in the radius outlier removal of PCL. Here the neighbours are beams beside the
 point, and points of the scan before. The memory of points out of view is our own.
@@ -10,7 +10,7 @@ from math import pi
 import numpy as np
 from pydantic import Field
 
-from shared.config import Robot, Section
+from shared.config import Laser, Robot, Section
 from shared.geometry import Pose2
 from shared.messages import LaserScan, RangeReadings
 from shared.odometry_buffer import OdometryBuffer
@@ -39,13 +39,13 @@ class Obstacles:
 
     def __init__(self, config: ObstaclesConfig, robot: Robot, reach: float) -> None:
         self.config, self.robot, self.reach = config, robot, reach
-        mount = robot.laser.mount
-        self.base_from_laser = Pose2(mount.x, mount.y, mount.yaw)
         self.clear()
 
     def clear(self) -> None:
         """Drops all points: odometry restarted."""
-        self._seen = self._solid = NO_POINTS  # the last scan's points, and those of them that are not noise
+        # by the laser's name: the last scan's points, and those of them that are not noise
+        self._seen = {laser.name: NO_POINTS for laser in self.robot.all_lasers}
+        self._solid_of = dict(self._seen)
         self._remembered = NO_POINTS
         self._remembered_at = np.empty(0)  # s
         self._echoes: dict[int, tuple[Float64s, int]] = {}  # sensor -> its points, ns of the reading
@@ -73,16 +73,27 @@ class Obstacles:
             self._contacts.pop()
         self._contacts = [*self._contacts[1 - MAX_CONTACTS :], (touched, now)]
 
-    def add_scan(self, scan: LaserScan, track: OdometryBuffer, covered: bool = False) -> None:
-        """Replaces the points of the last scan. Points outside the new scan's view are remembered.
+    @property
+    def _solid(self) -> Float64s:
+        """(n, 2) m in `odom`: the points of each laser's last scan that are not noise."""
+        return np.concatenate(list(self._solid_of.values()))
+
+    def add_scan(
+        self, scan: LaserScan, track: OdometryBuffer, covered: bool = False, laser: Laser | None = None
+    ) -> None:
+        """Replaces the points of a laser's last scan. Points outside the new scan's view are remembered.
 
         covered: hardly any beam leaves the robot, so returns from inside its outline are its own.
+        laser: whose scan it is; none: the first one's.
         """
+        laser = laser or self.robot.laser
+        mount = laser.mount
+        base_from_laser = Pose2(mount.x, mount.y, mount.yaw)
         stride = -(-len(scan.ranges) // MAX_BEAMS)
-        ends, radius = self._ends(scan, track, stride, covered)
-        solid = is_supported(ends, self._seen, radius, self.config.min_points)
-        self._update_remembered(scan, track)
-        self._seen, self._solid = ends[np.isfinite(ends[:, 0])], ends[solid]
+        ends, radius = self._ends(scan, track, base_from_laser, stride, covered)
+        solid = is_supported(ends, self._seen[laser.name], radius, self.config.min_points)
+        self._update_remembered(scan, track, base_from_laser, self._solid_of[laser.name])
+        self._seen[laser.name], self._solid_of[laser.name] = ends[np.isfinite(ends[:, 0])], ends[solid]
 
     def add_ranges(self, readings: RangeReadings, track: OdometryBuffer) -> None:
         """Replaces the echoes of the range sensors.
@@ -105,20 +116,24 @@ class Obstacles:
                 echo = echo[distance <= least + ECHO_MATCH_M]
             self._echoes[i] = echo, readings.stamp
 
-    def _ends(self, scan: LaserScan, track: OdometryBuffer, stride: int, covered: bool) -> tuple[Float64s, Float64s]:
+    def _ends(
+        self, scan: LaserScan, track: OdometryBuffer, base_from_laser: Pose2, stride: int, covered: bool
+    ) -> tuple[Float64s, Float64s]:
         """Ends (n, 2) and radius (n,) of `beam_ends`; NaN where the end is out of reach or on the robot, too."""
-        ends, in_base, radius = beam_ends(scan, track, self.base_from_laser, stride)
+        ends, in_base, radius = beam_ends(scan, track, base_from_laser, stride)
         if covered:
             ends[contains(self.robot.corners, in_base)] = np.nan
         ends[~(np.hypot(in_base[:, 0], in_base[:, 1]) <= self.reach)] = np.nan
         return ends, self.config.support_radius + radius
 
-    def _update_remembered(self, scan: LaserScan, track: OdometryBuffer) -> None:
-        """Keeps the points, of the last scan and of those remembered before, that this scan could not see."""
-        points = np.concatenate([self._solid, self._remembered])
-        seen = np.concatenate([np.full(len(self._solid), scan.stamp * 1e-9), self._remembered_at])
+    def _update_remembered(
+        self, scan: LaserScan, track: OdometryBuffer, base_from_laser: Pose2, before: Float64s
+    ) -> None:
+        """Keeps the points, of the laser's scan before (n, 2) and of those remembered, that this scan could not see."""
+        points = np.concatenate([before, self._remembered])
+        seen = np.concatenate([np.full(len(before), scan.stamp * 1e-9), self._remembered_at])
         odom_from_base = _pose(track.poses(np.array([scan.scan_time / 2]), scan.stamp)[0])
-        distance, bearing = _polar((odom_from_base @ self.base_from_laser).inverse() @ points)
+        distance, bearing = _polar((odom_from_base @ base_from_laser).inverse() @ points)
         looked = is_in_sweep(scan, bearing)
         too_near = looked & (distance < scan.range_min + 0.02)
         is_recent = scan.stamp * 1e-9 - seen <= self.config.memory

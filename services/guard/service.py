@@ -9,13 +9,14 @@ from services.guard.arbitration import CommandSource
 from services.guard.config import GuardConfig
 from services.guard.contact_stop import ContactStop
 from services.guard.decision import GuardDecision, VelocityLimiter
-from services.guard.laser_visibility import LaserVisibility
+from services.guard.laser_input import LaserInput, scan_end
 from services.guard.obstacles import Obstacles
 from services.guard.protective_field import safe_speed
-from services.guard.stop_conditions import StopInputs, scan_end
+from services.guard.stop_conditions import StopInputs
 from shared import reasons, requests, topics
 from shared.config import Robot
 from shared.contacts import contact_points, new_contacts
+from shared.lasers import NO_SECOND_LASER, lasers_by_topic
 from shared.messages import (
     BaseStatus,
     Contacts,
@@ -30,8 +31,9 @@ from shared.messages import (
 )
 from shared.odometry_buffer import OdometryBuffer
 from shared.reasons import Reason
+from shared.rejections import RejectionCause
 from shared.requests import Override, Reply
-from shared.scan_faults import RepeatedScans, mismatch
+from shared.scan_faults import mismatch
 from shared.service import Answer, Log, Out, Service, answer, every, on
 from shared.settings import Configuration
 from shared.stamps import supersedes
@@ -50,21 +52,23 @@ class GuardService(Service):
         super().__init__(config, robot)
         drive = robot.drive
         self.contacts = ContactStop(config.contacts, robot)
-        self.inputs = StopInputs(config.stops, config.arbitration, self.rejections, self.contacts)
+        self.lasers = {
+            topic.key: LaserInput(topic, laser, config.view, robot) for topic, laser in lasers_by_topic(robot).items()
+        }
+        self.inputs = StopInputs(
+            config.stops, config.arbitration, self.rejections, self.contacts, tuple(self.lasers.values())
+        )
         self.odometry_buffer = OdometryBuffer(drive)
         top_speed = max(drive.max_speed, drive.max_reverse_speed)
         stopping_distance = top_speed * (config.field.reaction + top_speed / drive.max_braking)
         self.obstacles = Obstacles(config.obstacles, robot, robot.circumscribed_radius + stopping_distance + 0.5)
-        self.visibility = LaserVisibility(config.view, robot)
         self.limiter = VelocityLimiter(
             robot=robot,
             config=config.field,
             inputs=self.inputs,
             odometry=self.odometry_buffer,
             obstacles=self.obstacles,
-            visibility=self.visibility,
         )
-        self.repeats = RepeatedScans(robot.laser.mount)
         self.decision = GuardDecision(GuardState.IDLE, reasons.STARTING.code)
         self.published: tuple[GuardState, str, str] | None = None  # state, source and reason of the last status
         self.stopped_at = 0  # ns, the last time with an e-stop or a fault
@@ -77,7 +81,9 @@ class GuardService(Service):
 
     def settings_changed(self, old: Configuration, new: Configuration) -> Out:
         """Takes lower limits. The reach of obstacles stays: it is enough for the limits of the start."""
-        self.limiter.robot = self.visibility.robot = new.robot
+        self.limiter.robot = new.robot
+        for laser in self.lasers.values():
+            laser.visibility.robot = new.robot
         return ()
 
     def state(self) -> str:
@@ -131,28 +137,32 @@ class GuardService(Service):
             self.inputs.set_odometry(odometry.stamp, self.now)
             if not self.odometry_buffer.add(odometry):
                 self.obstacles.clear()
-                self.visibility.clear()
-                self.repeats.restart()
-                self.inputs.clear_scan()
+                for laser in self.lasers.values():
+                    laser.clear()
         return ()
 
     @on(topics.SCAN)
     def laser(self, scan: LaserScan) -> Out:
+        """Takes a scan of the first laser."""
+        yield from self._take_scan(topics.SCAN.key, scan)
+
+    @on(topics.SCAN_2)
+    def laser_2(self, scan: LaserScan) -> Out:
+        """Takes a scan of the second laser."""
+        yield from self._take_scan(topics.SCAN_2.key, scan)
+
+    def _take_scan(self, key: str, scan: LaserScan) -> Out:
         """Takes a scan, and decides again at once where it gives a new reason to slow down or stop."""
-        last, max_age = self.inputs.scan, self.config.stops.scan_age
-        last_end = scan_end(last) if last else None
-        fault = mismatch(scan, self.robot.laser)
-        usable = self.rejections.judge(topics.SCAN.key, scan_end(scan), last_end, self.now, max_age, unfit=fault)
+        laser, max_age = self.lasers.get(key), self.config.stops.scan_age
+        if laser is None:
+            self.rejections.reject(key, RejectionCause.CONTENT, NO_SECOND_LASER, self.now)
+            return
+        fault = mismatch(scan, laser.laser)
+        usable = self.rejections.judge(key, scan_end(scan), laser.end, self.now, max_age, unfit=fault)
         if not usable or self.odometry_buffer.latest is None:
             return
-        self.inputs.set_scan(scan, self.now)
-        self.visibility.add_scan(scan, self.odometry_buffer, self.now)
-        self.obstacles.add_scan(scan, self.odometry_buffer, self.visibility.is_covered)
-        # a covered laser measures the same ranges always: then the cover is the cause
-        repeats = self.repeats.take(scan, self.odometry_buffer.odom_from_base) and not self.visibility.is_covered
-        if repeats and not self.inputs.scan_repeats:
-            yield Log("WARNING", f"the laser repeats one scan: {self.repeats.n_repeats} times")
-        self.inputs.scan_repeats = repeats
+        if laser.take(scan, self.odometry_buffer, self.obstacles, self.now):
+            yield Log("WARNING", laser.about(f"the laser repeats one scan: {laser.repeats.n_repeats} times"))
         if self.decision.moves and self._evaluate().reason not in ("", self.decision.reason):
             yield from self.drive()
 
@@ -229,19 +239,12 @@ class GuardService(Service):
         stop = self._stop_reason()
         if stop is not None or source.command is None:
             reason, state = stop or (reasons.NO_COMMAND, GuardState.IDLE)
-            return GuardDecision(state, reason.code, name, detail=self._detail(reason, state))
+            return GuardDecision(state, reason.code, name, detail=self.inputs.detail(reason, state, self.now))
         if self.inputs.is_overridden(self.now):
             return self.limiter.overridden(source.command, name, self.now)
         return self.limiter.limited(source.command, name, self.now)
 
     def _stop_reason(self) -> tuple[Reason, GuardState] | None:
-        """The highest stop condition, with the laser's view in the direction of the command."""
-        command = self.inputs.source(self.now).command
-        self.inputs.is_blind = command is not None and self.visibility.is_blind(command.v, command.w, self.now)
+        """The highest stop condition, with the lasers' views in the direction of the command."""
+        self.inputs.update_views(self.now)
         return self.inputs.stop_reason(self.now)
-
-    def _detail(self, reason: Reason, state: GuardState) -> str:
-        """Detail of a stop for `guard/status`."""
-        if reason is reasons.SCAN_FROZEN:
-            return f"{self.repeats.n_repeats} times the same ranges with new stamps"
-        return self.visibility.detail if reason is reasons.SCAN_BLIND else self.inputs.detail(reason, state, self.now)

@@ -4,16 +4,17 @@
 The table and its order are our own. The e-stop is latched, and its release starts no motion, as ISO 13850 demands.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from pydantic import Field
 
 from services.guard.arbitration import ArbitrationConfig, CommandSource, active_source
 from services.guard.contact_stop import ContactStop
+from services.guard.laser_input import LaserInput
 from shared import reasons, topics
 from shared.config import Section
-from shared.messages import BaseStatus, Contacts, EmergencyStop, GuardState, LaserScan, Localization, PoseEstimate
+from shared.messages import BaseStatus, Contacts, EmergencyStop, GuardState, Localization, PoseEstimate
 from shared.reasons import Reason
 from shared.rejections import Rejections
 from shared.stamps import fresh, precedes, supersedes
@@ -40,17 +41,15 @@ class StopInputs:
         arbitration: ArbitrationConfig,
         rejections: Rejections,
         contacts: ContactStop,
+        lasers: tuple[LaserInput, ...],
     ) -> None:
         self.config, self.arbitration, self.rejections, self.contacts = config, arbitration, rejections, contacts
+        self.lasers = lasers
         self.teleop, self.nav = CommandSource("teleop", arbitration), CommandSource("nav", arbitration)
         self.estop: EmergencyStop | None = None  # while it is pressed
         self.base: BaseStatus | None = None
         self.odom_stamp: int | None = None
         self.odom_valid_from: int | None = None  # start of its age: the stamp, or the arrival where the stamp is ahead
-        self.scan: LaserScan | None = None
-        self.scan_valid_from: int | None = None  # as odom_valid_from, of the last beam
-        self.scan_repeats = False  # the laser repeats one scan
-        self.is_blind = False  # the laser has no view in the direction of the command
         self.pose: PoseEstimate | None = None
         self.lost_since: int | None = None
         self.jumped_at: int | None = None
@@ -59,14 +58,6 @@ class StopInputs:
     def set_odometry(self, stamp: int, now: int) -> None:
         """Registers odometry with this stamp."""
         self.odom_stamp, self.odom_valid_from = stamp, min(stamp, now)
-
-    def set_scan(self, scan: LaserScan, now: int) -> None:
-        """Registers the newest scan."""
-        self.scan, self.scan_valid_from = scan, min(scan_end(scan), now)
-
-    def clear_scan(self) -> None:
-        """Drops the last scan: odometry restarted, so its points have no place in the new frame."""
-        self.scan = self.scan_valid_from = None
 
     def set_override(self, seconds: float, now: int) -> Reason | None:
         """Overrides the protective field for `seconds`; 0 ends the override. Returns the reason of a refusal."""
@@ -162,13 +153,33 @@ class StopInputs:
             return False
         return command.stamp - self.jumped_at <= self.config.replan * 1e9
 
-    def is_scan_old(self, now: int) -> bool:
-        """Whether the last valid scan is missing or too old to drive on."""
-        return not self.is_overridden(now) and self.is_old(self.scan_valid_from, self.config.scan_age, now)
+    def old_lasers(self, now: int) -> list[LaserInput]:
+        """The lasers whose last valid scan is missing or too old to drive on."""
+        if self.is_overridden(now):
+            return []
+        return [laser for laser in self.lasers if self.is_old(laser.valid_from, self.config.scan_age, now)]
+
+    def frozen_lasers(self, now: int) -> list[LaserInput]:
+        """The lasers that repeat one scan."""
+        return [] if self.is_overridden(now) else [laser for laser in self.lasers if laser.is_frozen]
 
     def scan_mismatch(self, now: int) -> str:
         """Difference between the received scans and the configured beams, in words; empty without one."""
-        return self.rejections.content_problem(topics.SCAN.key, now)
+        if self.is_overridden(now):
+            return ""
+        found = ((laser, self.rejections.content_problem(laser.topic.key, now)) for laser in self.lasers)
+        return next((laser.about(problem) for laser, problem in found if problem), "")
+
+    def update_views(self, now: int) -> None:
+        """Finds the lasers without a view in the direction of the command."""
+        command = self.source(now).command
+        for laser in self.lasers:
+            laser.is_blind = command is not None and laser.visibility.is_blind(command.v, command.w, now)
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether a laser has no view in the direction of the command."""
+        return any(laser.is_blind for laser in self.lasers)
 
     def is_odom_old(self, now: int) -> bool:
         """Whether odometry is missing or too old to drive on."""
@@ -183,7 +194,8 @@ class StopInputs:
             return self.base.detail or reasons.BAD_STAMPS.text
         if self.is_odom_old(now):
             return self.rejections.late_cause(topics.ODOM.key, now)
-        return self.rejections.late_cause(topics.SCAN.key, now) if self.is_scan_old(now) else ""
+        found = ((laser, self.rejections.late_cause(laser.topic.key, now)) for laser in self.old_lasers(now))
+        return next((laser.about(cause) for laser, cause in found if cause), "")
 
     def detail(self, reason: Reason, state: GuardState, now: int) -> str:
         """Detail of a stop reason: the base's words for its faults, the causes of rejection for an input."""
@@ -191,6 +203,13 @@ class StopInputs:
             return self.stamp_fault(now)
         if reason is reasons.SCAN_UNLIKE:
             return self.scan_mismatch(now)
+        if reason is reasons.SCAN_OLD:
+            return self.old_lasers(now)[0].about("")
+        if reason is reasons.SCAN_FROZEN:
+            laser = self.frozen_lasers(now)[0]
+            return laser.about(f"{laser.repeats.n_repeats} times the same ranges with new stamps")
+        if reason is reasons.SCAN_BLIND:
+            return view_detail(laser for laser in self.lasers if laser.is_blind)
         if reason in (reasons.BUMPER, reasons.CLIFF):
             return self.contacts.detail()
         if self.base is not None and (state is GuardState.FAULT or reason.code == self.fault != reasons.ESTOP.code):
@@ -228,9 +247,9 @@ class StopInputs:
         return next(((reason, state) for reason, state, holds in STOPS if holds(self, now)), None)
 
 
-def scan_end(scan: LaserScan) -> int:
-    """ns of the last beam."""
-    return scan.stamp + round(scan.scan_time * 1e9)
+def view_detail(lasers: Iterable[LaserInput]) -> str:
+    """What the last scans of these lasers contain, in words."""
+    return "; ".join(laser.about(laser.visibility.detail) for laser in lasers if laser.visibility.detail)
 
 
 NO_FAULTS = ("", reasons.ESTOP.code, reasons.BAD_STAMPS.code)
@@ -254,9 +273,9 @@ STOPS: tuple[tuple[Reason, GuardState, Callable[[StopInputs, int], bool]], ...] 
     (reasons.BASE_SILENT,    GuardState.HOLD,    lambda s, t: s.is_base_old(t)),
     (reasons.BAD_STAMPS,     GuardState.HOLD,    lambda s, t: bool(s.stamp_fault(t))),
     (reasons.ODOM_OLD,       GuardState.HOLD,    lambda s, t: s.is_odom_old(t)),
-    (reasons.SCAN_UNLIKE,    GuardState.HOLD,    lambda s, t: not s.is_overridden(t) and bool(s.scan_mismatch(t))),
-    (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s, t: s.is_scan_old(t)),
-    (reasons.SCAN_FROZEN,    GuardState.HOLD,    lambda s, t: not s.is_overridden(t) and s.scan_repeats),
+    (reasons.SCAN_UNLIKE,    GuardState.HOLD,    lambda s, t: bool(s.scan_mismatch(t))),
+    (reasons.SCAN_OLD,       GuardState.HOLD,    lambda s, t: bool(s.old_lasers(t))),
+    (reasons.SCAN_FROZEN,    GuardState.HOLD,    lambda s, t: bool(s.frozen_lasers(t))),
     (reasons.CONTACTS_OLD,   GuardState.HOLD,    lambda s, t: not s.is_overridden(t) and s.contacts.is_old(t)),
     (reasons.CLIFF,          GuardState.HOLD,    lambda s, t: s.contacts.holds(s.source(t).command, cliffs=True)),
     (reasons.BUMPER,         GuardState.HOLD,    lambda s, t: not s.is_overridden(t) and s.is_bumped(t)),

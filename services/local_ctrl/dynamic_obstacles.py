@@ -17,6 +17,7 @@ from pydantic import Field
 
 from services.local_ctrl.rollout import DT
 from shared.config import Section
+from shared.lasers import SCAN_TOPICS
 from shared.types import NS_PER_S, Float64s, Int64s
 
 MAX_GAP_M = 0.25  # between the ends of neighbouring beams on one object
@@ -187,6 +188,32 @@ class DynamicObstacles:
         """(k, 6) x, y m in `odom`, vx, vy m/s, radius m, turn rate rad/s of the moving obstacles at `now`, ns."""
         rows = [(*obstacle.at(now), obstacle.radius, obstacle.turn_rate) for obstacle in self.all if obstacle.moves]
         return np.array(rows, float).reshape(-1, 6)
+
+
+class TrackersByLaser:
+    """One tracker for each laser, by the key of its topic: the scan of another laser does not show its objects.
+
+    An object that two lasers see is two discs.
+    """
+
+    def __init__(self, config: DynamicObstaclesConfig) -> None:
+        self.by_key = {topic.key: DynamicObstacles(config) for topic in SCAN_TOPICS}
+
+    def configure(self, config: DynamicObstaclesConfig) -> None:
+        """Takes settings. Tracks end where they disable tracking."""
+        for tracker in self.by_key.values():
+            tracker.config = config
+        if not config.enabled:
+            self.clear()
+
+    def clear(self) -> None:
+        """Drops all tracks."""
+        for tracker in self.by_key.values():
+            tracker.clear()
+
+    def discs(self, now: int) -> Float64s:
+        """(k, 6): the moving obstacles of all lasers at `now`, ns, as DynamicObstacles.discs."""
+        return np.concatenate([tracker.discs(now) for tracker in self.by_key.values()])
 
 
 def predicted_discs(discs: Float64s, steps: int) -> Float64s:

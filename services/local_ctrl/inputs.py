@@ -6,13 +6,17 @@ from pydantic import Field
 
 from services.local_ctrl.local_costmap import CostmapConfig
 from shared import reasons, topics
-from shared.config import Drive, Robot, Section
+from shared.config import Robot, Section
 from shared.geometry import Pose2
+from shared.lasers import NO_SECOND_LASER, lasers_by_topic
 from shared.messages import LaserScan, Localization, Odometry, PoseEstimate
 from shared.odometry_buffer import OdometryBuffer
 from shared.reasons import Reason
-from shared.rejections import Rejections
+from shared.rejections import RejectionCause, Rejections
+from shared.scan_faults import mismatch
 from shared.types import NS_PER_S, Bools, Float64s
+
+MAX_SCAN_AGE_S = 1.0  # at its arrival
 
 
 class AgesConfig(Section):
@@ -29,12 +33,13 @@ class AgesConfig(Section):
 
 
 class ControlInputs:
-    """The last seconds of odometry, the newest scan, and the newest pose. Times are ns."""
+    """The last seconds of odometry, the newest scan of each laser, and the newest pose. Times are ns."""
 
-    def __init__(self, ages: AgesConfig, drive: Drive) -> None:
+    def __init__(self, ages: AgesConfig, robot: Robot) -> None:
         self.ages = ages
-        self.odometry = OdometryBuffer(drive)
-        self.scan: LaserScan | None = None
+        self.odometry = OdometryBuffer(robot.drive)
+        self.lasers = {topic.key: laser for topic, laser in lasers_by_topic(robot).items()}
+        self.scans: dict[str, LaserScan] = {}  # by the topic's key
         self.pose: PoseEstimate | None = None
         self.restarted_at = 0  # ns, last restart of odometry: poses from before belong to another `odom`
         self.jumped_at = 0  # ns, last jump of the pose: plans from before start elsewhere
@@ -43,20 +48,29 @@ class ControlInputs:
         """Takes the newest odometry. Returns False where it does not continue the last one: odometry restarted."""
         continues = self.odometry.add(odometry)
         if not continues:
-            self.scan, self.pose = None, None
+            self.scans.clear()
+            self.pose = None
             self.restarted_at = self.jumped_at = odometry.stamp
         return continues
 
-    def add_scan(self, scan: LaserScan) -> Float64s | None:
-        """Takes a scan unless it is out of order or odometry does not cover it.
+    def add_scan(self, key: str, scan: LaserScan, rejections: Rejections, now: int) -> Float64s | None:
+        """Takes a laser's scan unless its stamp or beams are wrong, or odometry does not cover it.
 
-        Returns (n, 3) float64 x, y, yaw of the base in `odom` at each beam; None for a rejected scan.
+        key: of its topic.  Returns (n, 3) float64 x, y, yaw of the base in `odom` at each beam; None for a rejected
+        scan.
         """
-        if self.scan is not None and -NS_PER_S < scan.stamp - self.scan.stamp <= 0:
+        if key not in self.lasers:
+            rejections.reject(key, RejectionCause.CONTENT, NO_SECOND_LASER, now)
+            return None
+        last, unlike = self.scans.get(key), mismatch(scan, self.lasers[key])
+        last_end = scan_end(last) if last is not None else None
+        if not rejections.judge(key, scan_end(scan), last_end, now, MAX_SCAN_AGE_S, unfit=unlike):
+            return None
+        if last is not None and -NS_PER_S < scan.stamp - last.stamp <= 0:
             return None
         if not self.odometry.covers(scan.stamp, scan_end(scan)):
             return None
-        self.scan = scan
+        self.scans[key] = scan
         return self.odometry.poses(np.linspace(0.0, scan.scan_time, len(scan.ranges)), scan.stamp)
 
     def add_pose(self, pose: PoseEstimate) -> None:
@@ -80,12 +94,14 @@ class ControlInputs:
         return self.pose.map_from_odom.inverse() if self.pose is not None else Pose2()
 
     def stale_input(self, now: int, rejections: Rejections) -> Reason | None:
-        """The reason to stand: odometry or scan is missing or too old; else None. rejections: of these inputs."""
+        """The reason to stand: odometry or a scan is missing or too old; else None. rejections: of these inputs."""
         odometry = self.odometry.latest
         if odometry is None or abs(now - odometry.stamp) > self.ages.odometry * NS_PER_S:
             return reasons.BAD_STAMPS if rejections.late_cause(topics.ODOM.key, now) else reasons.ODOM_OLD
-        if self.scan is None or abs(now - scan_end(self.scan)) > self.ages.scan * NS_PER_S:
-            return reasons.BAD_STAMPS if rejections.late_cause(topics.SCAN.key, now) else reasons.SCAN_OLD
+        for key in self.lasers:
+            scan = self.scans.get(key)
+            if scan is None or abs(now - scan_end(scan)) > self.ages.scan * NS_PER_S:
+                return reasons.BAD_STAMPS if rejections.late_cause(key, now) else reasons.SCAN_OLD
         return None
 
     def localization_fault(self, now: int) -> Reason | None:

@@ -14,8 +14,9 @@ from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from services.local_ctrl.dynamic_obstacles import DynamicObstacles, DynamicObstaclesConfig
+from services.local_ctrl.dynamic_obstacles import DynamicObstaclesConfig, TrackersByLaser
 from services.local_ctrl.footprint import Footprint
+from shared import topics
 from shared.config import Mount, Section
 from shared.distance_field import distance_field_into
 from shared.geometry import Pose2
@@ -65,15 +66,13 @@ class LocalCostmap:
         self.unknown: Bools = np.ones((n, n), bool)
         self.forbidden_cells: Bools | None = None  # (n, n) by keep-out zones
         self.field: Float32s = np.full((n, n), MAX_DISTANCE_M, np.float32)
-        self.dynamic_obstacles = DynamicObstacles(config.dynamic_obstacles)
+        self.dynamic_obstacles = TrackersByLaser(config.dynamic_obstacles)
         self.moving_discs: Float64s = self.dynamic_obstacles.discs(0)  # (k, 6) in `odom`, when a command acts
 
     def configure(self, config: CostmapConfig) -> None:
         """Takes settings, but for the size of the window and its cells. Content stays until it is too old."""
         self.config = config
-        self.dynamic_obstacles.config = config.dynamic_obstacles
-        if not config.dynamic_obstacles.enabled:
-            self.dynamic_obstacles.clear()
+        self.dynamic_obstacles.configure(config.dynamic_obstacles)
 
     @property
     def x0(self) -> float:
@@ -107,9 +106,10 @@ class LocalCostmap:
             layer.fill(0)
         self.dynamic_obstacles.clear()
 
-    def add_scan(self, scan: LaserScan, odom_from_base: Float64s, mount: Mount) -> None:
-        """Marks the ends of beams and clears the cells before them. odom_from_base: (n, 3) float64 x, y, yaw at each
-        beam.
+    def add_scan(self, scan: LaserScan, odom_from_base: Float64s, mount: Mount, key: str = topics.SCAN.key) -> None:
+        """Marks the ends of beams and clears the cells before them.
+
+        odom_from_base: (n, 3) float64 x, y, yaw at each beam.  mount: of the laser.  key: of its topic.
         """
         if self.config.scan:
             touched = np.zeros(self.evidence.shape, np.int8)
@@ -126,7 +126,7 @@ class LocalCostmap:
             )
             outline = ends if scan.angle_increment > 0 else np.ascontiguousarray(ends[::-1])  # counter-clockwise
             eye = float(odom_from_base[-1, 0]), float(odom_from_base[-1, 1])
-            self.dynamic_obstacles.add_scan(outline, eye, scan.stamp, self.free_at, window)
+            self.dynamic_obstacles.by_key[key].add_scan(outline, eye, scan.stamp, self.free_at, window)
             _update_evidence(touched, scan.stamp, self.evidence, self.hit_at, self.free_at)
             # dynamic obstacles are no part of the grid: the controllers use their predictions
             _clear_discs(self.evidence, self.dynamic_obstacles.discs(scan.stamp), window)

@@ -10,7 +10,7 @@ from services.local_ctrl.config import CONTROLLERS, LocalCtrlConfig
 from services.local_ctrl.costmap_update import update_costmap
 from services.local_ctrl.debug_topics import DebugTopics
 from services.local_ctrl.footprint import footprint_of
-from services.local_ctrl.inputs import ControlInputs, scan_end, sensors_in_use
+from services.local_ctrl.inputs import ControlInputs, sensors_in_use
 from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.manoeuvres import ControlOutcome, Manoeuvre, braking
 from services.local_ctrl.path_following import PathFollower
@@ -41,7 +41,6 @@ from shared.messages import (
 )
 from shared.orders import Order, is_newer
 from shared.requests import Reply, Watch
-from shared.scan_faults import mismatch
 from shared.service import Answer, Out, Service, answer, every, on
 from shared.settings import Configuration
 from shared.types import NS_PER_S
@@ -59,7 +58,7 @@ class LocalCtrlService(Service):
         self.limits = limits_of(robot.drive, config.max_speed, config.max_reverse_speed)
         self.footprint = footprint_of(robot, config.padding)
         self.costmap = LocalCostmap(config.costmap, costmap_reach(config, self.limits, self.footprint), config.latency)
-        self.inputs = ControlInputs(config.ages, robot.drive)
+        self.inputs = ControlInputs(config.ages, robot)
         controller = CONTROLLERS[config.controller](config, self.limits)
         self.zones = LocalZones(robot)
         self.path_follower = PathFollower(
@@ -99,15 +98,18 @@ class LocalCtrlService(Service):
 
     @on(topics.SCAN)
     def scan(self, scan: LaserScan) -> Out:
-        """Takes a scan into the costmap."""
-        last, unlike = self.inputs.scan, mismatch(scan, self.robot.laser)
-        last_end = scan_end(last) if last is not None else None
-        if not self.rejections.judge(topics.SCAN.key, scan_end(scan), last_end, self.now, MAX_AGE_S, unfit=unlike):
-            return ()
-        odom_from_base = self.inputs.add_scan(scan)
-        if odom_from_base is not None:
+        """Takes a scan of the first laser into the costmap."""
+        return self._take_scan(topics.SCAN.key, scan)
+
+    @on(topics.SCAN_2)
+    def scan_2(self, scan: LaserScan) -> Out:
+        """Takes a scan of the second laser into the costmap."""
+        return self._take_scan(topics.SCAN_2.key, scan)
+
+    def _take_scan(self, key: str, scan: LaserScan) -> Out:
+        if (odom_from_base := self.inputs.add_scan(key, scan, self.rejections, self.now)) is not None:
             self.costmap.recentre(*odom_from_base[-1, :2])
-            self.costmap.add_scan(scan, odom_from_base, self.robot.laser.mount)
+            self.costmap.add_scan(scan, odom_from_base, self.inputs.lasers[key].mount, key)
         return ()
 
     @on(topics.RANGES)

@@ -102,6 +102,7 @@ def _simply(make: Callable[[RosMessages, Any], Any]) -> Make:
 # fmt: off
 OUTGOING = (
     OutgoingTopic("/scan", SCAN, SENSOR, (topics.SCAN,), _simply(RosMessages.scan)),
+    OutgoingTopic("/scan_2", SCAN, SENSOR, (topics.SCAN_2,), lambda state, scan, _: state.make.scan(scan, 1)),
     OutgoingTopic("/odom", ODOM, DEFAULT, (topics.ODOM,), _simply(RosMessages.odometry)),
     OutgoingTopic("/tf", TF, TF_QOS, (topics.POSE, topics.ODOM), _transforms),
     OutgoingTopic("/map", GRID, LATCHED, (topics.MAP,), _map),

@@ -95,7 +95,8 @@ class Ros2Service(Service):
         self.is_open, self.detail = state.open, state.detail
         if state.open:
             types, make = self._ros.types, self._ros.make
-            static = make.transforms(make.mount(self.now, self.robot.laser.mount))
+            mounts = (make.mount(self.now, laser.mount, i) for i, laser in enumerate(self.robot.all_lasers))
+            static = make.transforms(*mounts)
             yield publish_order(self.now, STATIC_TF.name, types.encode(static))
             yield Log("INFO", f"ROS 2: connected, {self.state()}")
         else:

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.sim.hardware.faults import ActiveFaults
-from shared.config import Robot
+from shared.config import Mount, Robot
 from shared.geometry import wrapped_all
+from shared.lasers import lasers_by_topic
 from shared.messages import BoardReport, Contacts, Imu, LaserScan
 from shared.types import NS_PER_S, Float64s
 
@@ -37,6 +38,11 @@ class MessageFault(StrEnum):
     SCAN_OLD = "scan_old"
     SCAN_AHEAD = "scan_ahead"
     SCAN_FUTURE = "scan_future"
+    SCAN_2_NAN = "scan_2_nan"
+    SCAN_2_FROZEN = "scan_2_frozen"
+    SCAN_2_BEAMS = "scan_2_beams"
+    SCAN_2_SILENT = "scan_2_silent"
+    SCAN_2_OLD = "scan_2_old"
     ENCODER_JUMPS = "encoder_jumps"
     SONAR_DEAD = "sonar_dead"
     RANGES_MISSING = "ranges_missing"
@@ -69,6 +75,11 @@ MESSAGE_FAULT_DESCRIPTIONS: dict[MessageFault, str] = {
     MessageFault.SCAN_OLD: "the scans' stamps are 10 s old",
     MessageFault.SCAN_AHEAD: "the scans' stamps are 1 s ahead",
     MessageFault.SCAN_FUTURE: "the scans' stamps are 1 h ahead",
+    MessageFault.SCAN_2_NAN: "no beam of the second laser returns anything (NaN)",
+    MessageFault.SCAN_2_FROZEN: "the second laser repeats its last ranges with fresh stamps",
+    MessageFault.SCAN_2_BEAMS: "the second laser sends every second beam only",
+    MessageFault.SCAN_2_SILENT: "no scan of the second laser comes",
+    MessageFault.SCAN_2_OLD: "the second laser's stamps are 10 s old",
     MessageFault.ENCODER_JUMPS: "the encoders count at random",
     MessageFault.SONAR_DEAD: "all ultrasonic sensors read 0",
     MessageFault.RANGES_MISSING: "the board sends one ultrasonic range fewer",
@@ -106,6 +117,9 @@ STAMPS: dict[str, Restamp] = {
 """By the end of a fault's name."""
 
 
+SECOND_LASER_FAULTS = frozenset(fault for fault in MessageFault if fault.startswith("scan_2_"))
+
+
 class MessageFaults:
     """The active faults, and the messages changed by them. Random only by `seed`."""
 
@@ -113,19 +127,20 @@ class MessageFaults:
         self.robot = robot
         self.active = ActiveFaults()
         self._random = np.random.default_rng([seed, 9])
-        self._last: LaserScan | None = None
+        self._last: dict[str, LaserScan] = {}  # by the topic's key
+        self._lasers = {topic.key: laser for topic, laser in lasers_by_topic(robot).items()}
         self._start: int | None = None
 
-    def scan(self, scan: LaserScan) -> LaserScan | None:
-        """The scan as it is sent, or None where none is."""
+    def scan(self, scan: LaserScan, key: str) -> LaserScan | None:
+        """The scan as it is sent, or None where none is. key: of its topic, with which its faults begin."""
         self._start = scan.stamp if self._start is None else self._start
-        if MessageFault.SCAN_FROZEN not in self.active:
-            self._last = scan
-        if MessageFault.SCAN_SILENT in self.active:
+        if f"{key}_frozen" not in self.active:
+            self._last[key] = scan
+        if f"{key}_silent" in self.active:
             return None
-        ranges = self._ranges(scan)
-        stamp = self._stamp("scan", scan.stamp)
-        if MessageFault.SCAN_BEAMS in self.active:
+        ranges = self._ranges(scan, key)
+        stamp = self._stamp(key, scan.stamp)
+        if f"{key}_beams" in self.active:
             increment = 2 * scan.angle_increment
             return replace(scan, stamp=stamp, angle_increment=increment, ranges=np.ascontiguousarray(ranges[::2]))
         return scan if ranges is scan.ranges and stamp == scan.stamp else replace(scan, stamp=stamp, ranges=ranges)
@@ -164,21 +179,22 @@ class MessageFaults:
         """Names of triggered sensors, with the first of all while the fault is active."""
         return tuple(dict.fromkeys((*names, *all_names[:1]))) if fault in self.active else names
 
-    def _ranges(self, scan: LaserScan) -> NDArray[np.float32]:
+    def _ranges(self, scan: LaserScan, key: str) -> NDArray[np.float32]:
         """(n,) m: what the beams of a scan read under the faults."""
         n = len(scan.ranges)
-        if MessageFault.SCAN_NAN in self.active:
+        laser = self._lasers[key]
+        if f"{key}_nan" in self.active:
             return np.full(n, nan, np.float32)
-        if MessageFault.SCAN_INF in self.active:
+        if f"{key}_inf" in self.active:
             return np.full(n, inf, np.float32)
-        if MessageFault.SCAN_BODY in self.active:
-            return _own_body(scan, self.robot)
-        if MessageFault.SCAN_FROZEN in self.active and self._last is not None:
-            return self._last.ranges
-        if MessageFault.SCAN_MOSTLY_NAN in self.active:
+        if f"{key}_body" in self.active:
+            return _own_body(scan, self.robot, laser.mount)
+        if f"{key}_frozen" in self.active and key in self._last:
+            return self._last[key].ranges
+        if f"{key}_mostly_nan" in self.active:
             return np.where(self._random.random(n) < RETURN_SHARE, scan.ranges, np.float32(nan)).astype(np.float32)
-        if MessageFault.SCAN_DARK_AHEAD in self.active:
-            ahead = np.abs(wrapped_all(_angles(scan) + self.robot.laser.mount.yaw)) <= DARK_HALF_ANGLE_RAD
+        if f"{key}_dark_ahead" in self.active:
+            ahead = np.abs(wrapped_all(_angles(scan) + laser.mount.yaw)) <= DARK_HALF_ANGLE_RAD
             return np.where(ahead, np.float32(nan), scan.ranges).astype(np.float32)
         return scan.ranges
 
@@ -194,9 +210,8 @@ def _angles(scan: LaserScan) -> Float64s:
     return np.asarray(scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges)), np.float64)
 
 
-def _own_body(scan: LaserScan, robot: Robot) -> NDArray[np.float32]:
+def _own_body(scan: LaserScan, robot: Robot, mount: Mount) -> NDArray[np.float32]:
     """(n,) m from the laser to just inside the robot's outline; no nearer than the laser measures."""
-    mount = robot.laser.mount
     directions = _angles(scan) + mount.yaw
     dx, dy = np.cos(directions), np.sin(directions)
     nearest = np.full(len(directions), inf)

@@ -13,14 +13,10 @@ from services.sim.board import SimulatedBoard
 from services.sim.config import SimConfig
 from services.sim.contact import offset_polygon, touches_world, transform_polygon
 from services.sim.contact_sensors import ContactSensors
-from services.sim.drive import (
-    motor_currents,
-    true_wheels,
-    wheel_targets,
-)
+from services.sim.drive import motor_currents, true_wheels, wheel_targets
 from services.sim.hardware.emulation import Emulation
 from services.sim.imu import SimulatedImu
-from services.sim.laser import SimulatedLaser
+from services.sim.laser import simulated_lasers
 from services.sim.message_faults import MessageFaults
 from services.sim.velocity_base import rim_turns
 from services.sim.world import World
@@ -58,9 +54,7 @@ class SimService(Service):
                 "move the world's `start:`, or set `start:` in section `sim`",
             )
         self.wheels = true_wheels(robot.drive, config.drive, dyn.DT)
-        self.slip_rng, laser_rng, range_rng, once = (
-            np.random.default_rng([config.seed, stream]) for stream in (3, 4, 5, 6)
-        )
+        self.slip_rng, range_rng, once = (np.random.default_rng([config.seed, stream]) for stream in (3, 5, 6))
         self.board = SimulatedBoard(config, robot, range_rng, once)
         self.state_now = np.zeros(14)
         self.state_now[:3] = pose.x, pose.y, pose.yaw
@@ -69,11 +63,11 @@ class SimService(Service):
         emulated = config.hardware == "emulated"
         self.emulation = Emulation(config.emulation, robot, config.seed) if emulated else None
         self.faults = MessageFaults(robot, config.seed)
-        steps_back = ceil(robot.laser.scan_time / dyn.DT) + CATCH_UP_STEPS + 4
+        steps_back = ceil(max(laser.scan_time for laser in robot.all_lasers) / dyn.DT) + CATCH_UP_STEPS + 4
         self.history = np.zeros((steps_back, 3 + 3 * len(self.world.people)))
         self.epoch: int | None = None  # ns: time of step 0
         self.step = 0
-        self.simulated_laser = SimulatedLaser(robot.laser, config.laser, laser_rng)
+        self.lasers = simulated_lasers(robot, config.laser, config.seed)
         self.imu = SimulatedImu(config.imu, np.random.default_rng([config.seed, 10])) if robot.imu else None
         self.contact_sensors = ContactSensors(robot, self.world.cliffs)
 
@@ -83,7 +77,8 @@ class SimService(Service):
             0, 1, self.state_now.copy(), self.targets, 1, np.zeros((1, 2)), self.wheels, self.body, self.cells,
             self._people(), self.history.copy(),
         )  # fmt: skip
-        self.simulated_laser.true_sweep(self.cells, self.history, 0)
+        for laser in self.lasers.values():
+            laser.true_sweep(self.cells, self.history, 0)
         self._contacts()
         self.board.warm_up(self.cells, self.history[0])
 
@@ -146,15 +141,16 @@ class SimService(Service):
         self._catch_up()
         if self.emulation is None:
             self.faults.active.expire(self.now)
-            sent = (self.faults.scan(scan) for scan in self._due_scans())
-            yield from (topics.SCAN(scan) for scan in sent if scan is not None)
+            for topic, scans in ((topics.SCAN, self._due_scans()), (topics.SCAN_2, self._due_scans_2())):
+                sent = (self.faults.scan(scan, topic.key) for scan in scans)
+                yield from (topic(scan) for scan in sent if scan is not None)
             is_velocity_base = self.robot.drive.kind == "velocity"
             yield from self._base_motion() if is_velocity_base else (topics.BOARD(self.faults.board(self._board())),)
             yield from self._body_sensors()
         else:
             yield from self.emulation.update_plugs(self.now)
             self._obey_board(self.emulation)
-            yield from self.emulation.send_sweeps(self._due_scans(), self.now)
+            yield from self.emulation.send_sweeps(self._due_scans(), self._due_scans_2(), self.now)
             imu, contacts = self._imu(), self._contacts()
             if self.emulation.board is not None:
                 yield from self.emulation.send_report(self._board(), imu, contacts, self.now)
@@ -206,15 +202,22 @@ class SimService(Service):
         self.board.discharge(self._currents(), n * dyn.DT)
 
     def _restart_time(self) -> None:
-        self.epoch, self.step, self.simulated_laser.sweep = self.now, 0, 0
+        self.epoch, self.step = self.now, 0
+        for laser in self.lasers.values():
+            laser.sweep = 0
         if self.imu is not None:
             self.imu.restart()
         self.history[:, :3] = self.state_now[:3]
         self.history[:, 3:] = self.people.state[:, :3].ravel()
 
     def _due_scans(self) -> list[LaserScan]:
-        """The sweeps that are complete since the last call."""
-        return self.simulated_laser.due_scans(self.cells, self.history, self.step, self.epoch or 0)
+        """The first laser's sweeps that are complete since the last call."""
+        return self.lasers[topics.SCAN.key].due_scans(self.cells, self.history, self.step, self.epoch or 0)
+
+    def _due_scans_2(self) -> list[LaserScan]:
+        """The second laser's; none without one."""
+        laser = self.lasers.get(topics.SCAN_2.key)
+        return laser.due_scans(self.cells, self.history, self.step, self.epoch or 0) if laser is not None else []
 
     def _currents(self) -> NDArray[np.float32]:
         s = self.state_now

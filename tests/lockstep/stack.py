@@ -57,10 +57,11 @@ class LockstepStack:
         sim: type[SimService] = SimService,
         settings: tuple[str, ...] = (),
         names: tuple[str, ...] = STACK,
+        robot: str = "x80sv",
     ) -> None:
         path = folder / "world.yaml"
         path.write_text(world)
-        self.file = configured("x80sv", [f"sim.world={path}", "sim.clutter_jitter=0", *settings])
+        self.file = configured(robot, [f"sim.world={path}", "sim.clutter_jitter=0", *settings])
         services = {name: build_service(name, self.file, self.file.robot) for name in names if name != "sim"}
         services |= {"sim": sim(self.file.section("sim", SimConfig), self.file.robot)}
         wires = tuple(((name, port), ("sim", port)) for port, name in DRIVERS.items() if port in services["sim"].ports)

@@ -16,7 +16,7 @@ from zenav.stack.hardware import Hardware, wires
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 
-ROBOTS = ("x80sv", "jackal", "turtlebot2", "turtlebot3_burger", "create2", "arduino")
+ROBOTS = ("x80sv", "jackal", "turtlebot2", "turtlebot3_burger", "create2", "arduino", "delivery")
 WORLD = """
 start: {x: 1.0, y: 1.5}
 walls:

@@ -98,6 +98,59 @@ def test_a_robot_has_one_outline(footprint, radius, words):
         Robot.model_validate({**robot.model_dump(), "footprint": footprint, "radius": radius})
 
 
+DELIVERY = load_robot("delivery").robot
+FRONT, REAR = (laser.model_dump() for laser in DELIVERY.lasers)
+
+
+def test_the_first_of_two_lasers_is_the_robots_laser_and_a_single_one_is_all():
+    assert [laser.name for laser in DELIVERY.all_lasers] == ["front", "rear"]
+    assert DELIVERY.laser == DELIVERY.lasers[0]
+    x80 = load_robot("x80sv").robot
+    assert (x80.lasers, x80.all_lasers) == ((), (x80.laser,))
+    assert Robot.model_validate(DELIVERY.model_dump()) == DELIVERY
+
+
+@pytest.mark.parametrize(
+    ("lasers", "words"),
+    [
+        ([FRONT, {**REAR, "name": "front"}], "each has a name of its own"),
+        ([FRONT, {**REAR, "name": ""}], "each has a name of its own"),
+        ([FRONT, {**REAR, "mapping": True}], "set `mapping: false` for the other one"),
+        ([{**FRONT, "mapping": False}, REAR], "the mapper uses the first laser alone"),
+        ([FRONT, REAR, {**REAR, "name": "top"}], "at most 2 items"),
+        ([{**FRONT, "n_beams": 1100}, REAR], "more than a full turn"),
+        ([{**FRONT, "angle_increment": 0.0}, REAR], "angle_increment is not 0"),
+        ([{**FRONT, "range_min": 6.0}, REAR], "range_min is under range_max"),
+        ([{**FRONT, "name": "Front!"}, REAR], "match pattern"),
+        ([], "required"),
+    ],
+)
+def test_lasers_that_make_no_sense_are_refused(lasers, words):
+    values = DELIVERY.model_dump(exclude={"laser"})
+    with pytest.raises(ValidationError, match=words):
+        Robot.model_validate({**values, "lasers": lasers})
+
+
+def test_a_robot_has_laser_or_lasers_and_the_error_names_file_and_line(tmp_path):
+    path = tmp_path / "robot.yaml"
+    text = load_robot("delivery").text
+    laser = "{angle_min: 0, angle_increment: 0.1, n_beams: 9, scan_time: 0.1, rate: 10, range_min: 0.1, range_max: 5}"
+    path.write_text(text.replace("  lasers:", f"  laser: {laser}\n  lasers:"))
+    with pytest.raises(UserError, match="give either laser or lasers"):
+        _ = load_robot(str(path)).robot
+    path.write_text(text.replace("n_beams: 681", "n_beams: 1", 1))
+    with pytest.raises(UserError) as error:
+        _ = load_robot(str(path)).robot
+    line = 1 + next(i for i, row in enumerate(path.read_text().splitlines()) if "n_beams" in row)
+    assert error.value.what.startswith(f"{path}:{line}: robot.lasers.0.n_beams")
+
+
+def test_a_setting_of_the_laser_is_one_of_the_first_laser():
+    file = load_robot("delivery")
+    file.override("robot.laser.range_max=4.0")
+    assert [laser.range_max for laser in file.robot.all_lasers] == [4.0, 5.6]
+
+
 def test_an_unknown_section_names_the_nearest(tmp_path):
     path = tmp_path / "robot.yaml"
     path.write_text("gaurd:\n  limits: {}\n")

@@ -16,7 +16,7 @@ import { decodeMessage, WireError } from "./wire";
 
 /** Keys that the page shows whatever panel is open; families by their first part. */
 const WANTED = [
-  ...["map", "map/state", "pose", "odom", "scan", "plan", "goal", "zones", "cmd/vel", "estop", "guard/status", "base/status"],
+  ...["map", "map/state", "pose", "odom", "scan", "scan_2", "plan", "goal", "zones", "cmd/vel", "estop", "guard/status", "base/status"],
   ...["nav/status", "nav/task", "follow/status", "health", "log", "sim/truth"],
 ];
 const DEBUG = ["debug/costmap", "debug/rollouts", "debug/graph"];

@@ -593,6 +593,7 @@ export interface MessageOf {
   "base/report": BoardReport;
   "base/board": BoardStatus;
   "scan": LaserScan;
+  "scan_2": LaserScan;
   "odom": Odometry;
   "pose": PoseEstimate;
   "map": MapUpdate;
@@ -630,6 +631,7 @@ export const ARRAYS: { readonly [K in Key]?: Readonly<Record<string, string>> } 
   "base/ranges": { "x": "f4", "y": "f4", "yaw": "f4", "field_of_view": "f4", "ranges": "f4" },
   "base/report": { "ultrasonic": "f4", "infrared": "f4", "currents": "f4" },
   "scan": { "ranges": "f4", "intensities": "f4" },
+  "scan_2": { "ranges": "f4", "intensities": "f4" },
   "odom": { "covariance": "f8" },
   "pose": { "covariance": "f8" },
   "map": { "rows": "i4", "columns": "i4", "cells": "i1 2" },

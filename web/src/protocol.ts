@@ -11,6 +11,7 @@ export interface Robot {
   readonly name: string;
   readonly outline: readonly Point[];
   readonly laser_mount: Pose;
+  readonly laser_2_mount?: Pose; // of a robot with a second laser
   readonly max_speed: number;
   readonly max_reverse_speed: number;
   readonly max_turn_rate: number;

@@ -124,6 +124,7 @@ export interface RecordedRobot {
   readonly name: string;
   readonly outline: readonly Point[];
   readonly laser_mount: Pose;
+  readonly laser_2_mount?: Pose;
 }
 
 export interface ReplayMark {

@@ -19,7 +19,7 @@ export interface LogEntry extends LogLine {
 }
 
 const SINGLE_KEYS = [
-  ...(["scan", "odom", "pose", "goal", "plan", "zones", "map/state", "follow/status", "nav/status", "nav/task", "cmd/vel"] as const),
+  ...(["scan", "scan_2", "odom", "pose", "goal", "plan", "zones", "map/state", "follow/status", "nav/status", "nav/task", "cmd/vel"] as const),
   ...(["estop", "guard/status", "base/status", "debug/costmap", "debug/rollouts", "debug/graph", "sim/truth"] as const),
 ] as const satisfies readonly Key[];
 
@@ -86,6 +86,7 @@ const MAX_AGE_S: { readonly [K in SingleKey]?: number } = {
   pose: 1,
   odom: 0.6,
   scan: 1,
+  scan_2: 1,
   plan: 6,
   "guard/status": 1,
   "nav/status": 2,

@@ -9,7 +9,7 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 
-from shared.config import Robot, RobotFile, UserError, load_robot
+from shared.config import Robot, RobotFile, UserError, load_robot, section_of
 from shared.robot_files import is_installed
 from shared.ros_map import replace_file
 
@@ -87,9 +87,9 @@ def yaml_text(yaml: YAML, tree: CommentedMap) -> str:
 def _put(tree: CommentedMap, path: list[str], value: float | int) -> None:
     *sections, name = path
     for section in sections:
-        if not isinstance(tree.get(section), CommentedMap):
+        if tree.get(section, {}) is None:
             tree[section] = CommentedMap()
-        tree = tree[section]
+        tree = section_of(tree, section)
     if name in tree or not len(tree):
         tree[name] = value
     else:  # beside its kin, not behind the comments that may follow the last key

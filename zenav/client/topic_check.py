@@ -10,6 +10,7 @@ from services.base_driver.range_sensors import RangeSensorMonitor
 from shared import topics
 from shared.codec import CodecError, decode
 from shared.config import Robot, UserError, load_robot
+from shared.lasers import NO_SECOND_LASER, lasers_by_topic
 from shared.messages import BoardReport, Health, LaserScan, Message
 from shared.reasons import SCAN_UNLIKE, WRONG_RANGES
 from shared.rejections import Rejections
@@ -122,7 +123,8 @@ class KeyCheck:
     def _unfit(self, message: Any) -> tuple[str, str]:
         """Contradiction to the robot's file and its hint; empty without one."""
         if isinstance(message, LaserScan):
-            return mismatch(message, self._robot.laser), SCAN_UNLIKE.hint
+            laser = {topic.key: laser for topic, laser in lasers_by_topic(self._robot).items()}.get(self.key)
+            return (mismatch(message, laser) if laser is not None else NO_SECOND_LASER), SCAN_UNLIKE.hint
         if isinstance(message, BoardReport):
             self._monitor.update(message)
             wrap, counts = self._robot.drive.encoder_wrap, max(message.left_counts, message.right_counts)

@@ -7,6 +7,7 @@ from pathlib import Path
 from shared import topics
 from shared.codec import CodecError, decode
 from shared.config import Mount, UserError, nearest
+from shared.lasers import lasers_by_topic
 from shared.messages import LaserScan, Message
 from shared.recording import Recording
 from shared.topics import topic_of
@@ -47,17 +48,20 @@ def read_recording(path: Path, choice: Choice) -> Content:
     messages.sort(key=lambda row: row[1].stamp)
     notes = list(recording.problems)
     notes += [f"{n} of {seen[key]} messages on {key} are not valid in this version" for key, n in bad.items()]
-    mount = _mount(recording)
+    mount = _mount(recording, choice.scan)
     if mount is None:
         notes.append("no configuration in it that can be read: the laser is taken to sit on the axis and look ahead")
     lacks = f"it was recorded without `scan`; its topics: {', '.join(sorted(seen)) or 'none'}"
     return Content(messages, mount or Mount(), sum(bad.values()), notes, lacks)
 
 
-def _mount(recording: Recording) -> Mount | None:
-    """The laser's place in the configuration that the recording was made with."""
+def _mount(recording: Recording, key: str) -> Mount | None:
+    """The place of the laser with scans on this key, in the configuration that the recording was made with."""
     try:
         file = recorded_robot_file(recording)
-        return file.robot.laser.mount if file is not None else None
+        if file is None:
+            return None
+        lasers = {topic.key: laser for topic, laser in lasers_by_topic(file.robot).items()}
+        return lasers.get(key, file.robot.laser).mount
     except UserError:  # it is damaged, and the messages need not be
         return None

@@ -10,7 +10,8 @@ from shared.config import Robot
 from shared.geometry import Pose2
 from shared.messages import GuardState, GuardStatus, KeyframeGraph, RangeReadings, Rollouts, Truth, ZoneKind, Zones
 
-MAP, ODOM, BASE, LASER = "map", "odom", "base_link", "laser"
+MAP, ODOM, BASE = "map", "odom", "base_link"
+LASERS = "laser", "laser_2"
 """Frames, as REP 105 calls them."""
 
 _LATEST = 2**32 - 1  # s: what Foxglove's times can hold, the year 2106

@@ -25,7 +25,7 @@ from shared.grid import UNKNOWN, OccupancyGrid
 from shared.messages import Message
 from zenav.foxglove import as_json, scene
 from zenav.foxglove.diagnostics import DIAGNOSTICS, Diagnostics, diagnostics_of
-from zenav.foxglove.scene import BASE, LASER, MAP, ODOM, pose_of, quaternion, stamp_of
+from zenav.foxglove.scene import BASE, LASERS, MAP, ODOM, pose_of, quaternion, stamp_of
 
 MAP_PERIOD = 1_000_000_000  # ns between two pictures of the map: each is the whole, megabytes of a large one
 
@@ -97,12 +97,12 @@ def rows_of(key: str) -> tuple[SchemaRow, ...]:
 # --- the makers -----------------------------------------------------------------------------------------------------
 
 
-def laser_scan(scan: m.LaserScan, seen: MessageContext) -> fox.LaserScan:
-    """The sweep in `laser`. Readings outside its limits become NaN: Foxglove's schema has no limits."""
+def laser_scan(scan: m.LaserScan, frame: str) -> fox.LaserScan:
+    """The sweep in the laser's frame. Readings outside its limits become NaN: Foxglove's schema has no limits."""
     good = (scan.ranges >= scan.range_min) & (scan.ranges <= scan.range_max)
     return fox.LaserScan(
         timestamp=stamp_of(scan.stamp),
-        frame_id=LASER,
+        frame_id=frame,
         pose=pose_of(Pose2()),
         start_angle=scan.angle_min,
         end_angle=scan.angle_min + scan.angle_increment * (len(scan.ranges) - 1),
@@ -122,12 +122,12 @@ def _transform(stamp: int, parent: str, child: str, parent_from_child: Pose2) ->
     return fox.FrameTransforms(transforms=[transform])
 
 
-def laser_transform(scan: m.LaserScan, seen: MessageContext) -> fox.FrameTransforms | None:
+def laser_transform(scan: m.LaserScan, seen: MessageContext, i_laser: int) -> fox.FrameTransforms | None:
     """base_link -> laser, with each sweep, so that a late client has it with its first sweep."""
-    if seen.robot is None:
+    if seen.robot is None or i_laser >= len(seen.robot.all_lasers):
         return None
-    mount = seen.robot.laser.mount
-    return _transform(scan.stamp, BASE, LASER, Pose2(mount.x, mount.y, mount.yaw))
+    mount = seen.robot.all_lasers[i_laser].mount
+    return _transform(scan.stamp, BASE, LASERS[i_laser], Pose2(mount.x, mount.y, mount.yaw))
 
 
 def odom_transform(odometry: m.Odometry, seen: MessageContext) -> fox.FrameTransforms:
@@ -295,8 +295,12 @@ MAP_ROW = SchemaRow("/map", fox.Grid, lambda grid, _: grid)
 
 ROWS: dict[str, tuple[SchemaRow, ...]] = {
     topics.SCAN.key: (
-        SchemaRow(TF, fox.FrameTransforms, laser_transform),
-        SchemaRow("/scan", fox.LaserScan, laser_scan),
+        SchemaRow(TF, fox.FrameTransforms, lambda scan, seen: laser_transform(scan, seen, 0)),
+        SchemaRow("/scan", fox.LaserScan, lambda scan, _: laser_scan(scan, LASERS[0])),
+    ),
+    topics.SCAN_2.key: (
+        SchemaRow(TF, fox.FrameTransforms, lambda scan, seen: laser_transform(scan, seen, 1)),
+        SchemaRow("/scan_2", fox.LaserScan, lambda scan, _: laser_scan(scan, LASERS[1])),
     ),
     topics.ODOM.key: (SchemaRow(TF, fox.FrameTransforms, odom_transform), SchemaRow("/odom", fox.Odometry, odometry)),
     topics.POSE.key: (SchemaRow(TF, fox.FrameTransforms, map_transform), SchemaRow("/pose", fox.PoseInFrame, pose)),

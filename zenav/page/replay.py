@@ -9,6 +9,7 @@ from pathlib import Path
 from services.dashboard.frames import PAGE_KEYS
 from shared import topics
 from shared.config import UserError
+from shared.lasers import laser_mounts
 from shared.recording import Recording
 from shared.types import NS_PER_S
 from zenav.page.recordings import path_of
@@ -109,9 +110,8 @@ def _robot(recording: Recording) -> Values | None:
         return None  # a configuration that is damaged, or of another version: the page has the robot of today
     if robot is None:
         return None
-    mount = robot.laser.mount
     return {
         "name": robot.name,
         "outline": robot.corners.tolist(),
-        "laser_mount": [mount.x, mount.y, mount.yaw],
+        **laser_mounts(robot),
     }

@@ -9,6 +9,7 @@ from typing import Any
 from services.base_driver.config import BaseDriverConfig
 from shared import topics
 from shared.config import Robot, RobotFile
+from shared.lasers import SCAN_TOPICS, lasers_by_topic
 from shared.messages import Message
 from shared.service import handlers
 from shared.topics import TOPICS, Topic
@@ -17,7 +18,7 @@ from zenav.client.topic_check import KeyCheck
 from zenav.stack.service_loader import service_class
 
 PERIOD_S = 2.0  # between two looks at the messages of each topic
-SOURCES = (topics.BOARD, topics.BASE_MOTION, topics.SCAN)
+SOURCES = (topics.BOARD, topics.BASE_MOTION, *SCAN_TOPICS)
 OF_DRIVE: dict[str, tuple[Topic[Any], ...]] = {
     "differential": (topics.BOARD, topics.MOTORS, topics.WHEELS),
     "velocity": (topics.BASE_MOTION, topics.VELOCITY, topics.BASE_ODOMETRY),
@@ -39,6 +40,7 @@ def expected_topics(names: Sequence[str], external: Sequence[str], file: RobotFi
     if file.section("base_driver", BaseDriverConfig).port.given:
         read -= {topics.BOARD.key, topics.BASE_MOTION.key}
     read -= {topic.key for kind, used in OF_DRIVE.items() if kind != file.robot.drive.kind for topic in used}
+    read -= {topic.key for topic in SCAN_TOPICS} - {topic.key for topic in lasers_by_topic(file.robot)}
     sources = set(names) - {"ros2"}  # which passes on what a robot sends, if any does
     return [
         topic

@@ -17,8 +17,10 @@ from shared.runners.lockstep import Port
 from shared.topics import SERVICES
 from zenav.stack.service_loader import existing_services
 
-DRIVERS = {"board": "base_driver", "laser": "lidar_driver", "imu": "imu_driver"}
+DRIVERS = {"board": "base_driver", "laser": "lidar_driver", "laser_2": "lidar_driver", "imu": "imu_driver"}
 """By port: the driver that opens it."""
+PORT_SETTINGS = {port: f"{driver}.port" for port, driver in DRIVERS.items()} | {"laser_2": "lidar_driver.laser_2.port"}
+"""By port: its section in a robot's file."""
 WIRED = "wired"
 """The device of a port whose other end is in the same process."""
 
@@ -39,7 +41,8 @@ def emulated_ports(file: RobotFile) -> tuple[str, ...]:
     emulation = file.section("sim", SimConfig).emulation
     has_imu = bool(emulation.imu_model) and file.robot.imu is not None
     has_board = file.robot.drive.kind == "differential" or _board_model(file) == "velocity"
-    has = {"board": has_board, "laser": bool(emulation.laser_model), "imu": has_imu}
+    has_laser_2 = bool(emulation.laser_2_model) and len(file.robot.all_lasers) > 1
+    has = {"board": has_board, "laser": bool(emulation.laser_model), "laser_2": has_laser_2, "imu": has_imu}
     return tuple(port for port in DRIVERS if has[port])
 
 
@@ -55,7 +58,8 @@ def services_for(hardware: Hardware, file: RobotFile) -> list[str]:
     if hardware is Hardware.EMULATED:
         wanted |= {DRIVERS[port] for port in emulated_ports(file)}
     elif hardware is Hardware.REAL:
-        if file.section("lidar_driver", LidarDriverConfig).port.given:
+        lasers = file.section("lidar_driver", LidarDriverConfig)
+        if lasers.port.given or (lasers.laser_2 is not None and lasers.laser_2.port.given):
             wanted.add("lidar_driver")
         if file.section("imu_driver", ImuDriverConfig).port.given:
             wanted.add("imu_driver")
@@ -68,8 +72,9 @@ def settings_for(hardware: Hardware, file: RobotFile, links: Path | None) -> lis
         return []
     if hardware is Hardware.MESSAGES:
         settings = ["sim.hardware=messages"]
-        for driver in DRIVERS.values():
-            settings += [f"{driver}.port.device=''", f"{driver}.port.serial_number=''"]
+        for port, section in PORT_SETTINGS.items():
+            if port != "laser_2" or len(file.robot.all_lasers) > 1:
+                settings += [f"{section}.device=''", f"{section}.serial_number=''"]
         return settings
     ports = emulated_ports(file)
     settings = [
@@ -81,8 +86,8 @@ def settings_for(hardware: Hardware, file: RobotFile, links: Path | None) -> lis
     for port in ports:
         far, near = (f"pty:{links.resolve()}/{port}", f"{links.resolve()}/{port}") if links else (WIRED, WIRED)
         settings.append(f"sim.emulation.{port}.device={json.dumps(far)}")
-        settings.append(f"{DRIVERS[port]}.port.device={json.dumps(near)}")
-        settings.append(f"{DRIVERS[port]}.port.serial_number=''")
+        settings.append(f"{PORT_SETTINGS[port]}.device={json.dumps(near)}")
+        settings.append(f"{PORT_SETTINGS[port]}.serial_number=''")
     return settings
 
 

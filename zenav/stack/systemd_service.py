@@ -122,8 +122,10 @@ def unit_text(service: SystemdService) -> str:
 def udev_rules(file: RobotFile) -> str:
     """Rules that name the robot's adapters and let the group dialout open them; a comment where none is configured."""
     rules = ""
-    for section, link in (("base_driver", "board"), ("lidar_driver", "laser"), ("imu_driver", "imu")):
-        values = file.tree.get(section) or {}
+    lasers = file.tree.get("lidar_driver") or {}
+    sections = (file.tree.get("base_driver"), lasers, lasers.get("laser_2"), file.tree.get("imu_driver"))
+    for section, link in zip(sections, ("board", "laser", "laser_2", "imu"), strict=True):
+        values = section or {}
         port = PortConfig.model_validate({k: v for k, v in (values.get("port") or {}).items() if k == "serial_number"})
         if port.serial_number:
             rules += RULE.format(serial=port.serial_number, link=link)

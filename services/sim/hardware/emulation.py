@@ -6,16 +6,18 @@ from pydantic import Field
 
 from services.sim.hardware.board import make_board
 from services.sim.hardware.electronics import BodyTruth
-from services.sim.hardware.faults import LASER_FAULTS, UNPLUGGED_PORTS, ActiveFaults, Fault
+from services.sim.hardware.faults import UNPLUGGED_PORTS, ActiveFaults, Fault
 from services.sim.hardware.imus import ImuEmulator, make_imu_emulator
-from services.sim.hardware.lasers import LaserEmulator, make_emulator
+from services.sim.hardware.laser_line import LaserLine
+from services.sim.hardware.lasers import make_emulator
 from shared import topics
 from shared.config import Robot, Section
+from shared.lasers import lasers_by_topic
 from shared.messages import BoardReport, Contacts, Imu, LaserScan, PortState, SerialData
 from shared.ports import PortConfig
 from shared.service import Out
 
-BOARD, LASER, IMU = "board", "laser", "imu"
+BOARD, LASER, LASER_2, IMU = "board", "laser", "laser_2", "imu"
 """The ports' names."""
 
 
@@ -30,6 +32,10 @@ class EmulationConfig(Section):
     imu: PortConfig = Field(PortConfig(device="pty:/tmp/zenav-imu"), description="where the inertial sensor is")
     imu_model: str = Field("", description="model of the emulated inertial sensor; empty: `imu` stays a message")
     laser_model: str = Field("", description="model of the emulated laser; empty: the scan stays a message")
+    laser_2: PortConfig = Field(
+        PortConfig(device="pty:/tmp/zenav-laser-2"), description="where the second laser is plugged in"
+    )
+    laser_2_model: str = Field("", description="model of the emulated second laser; empty: its scan stays a message")
 
 
 class Emulation:
@@ -39,15 +45,15 @@ class Emulation:
         self.config = config
         self.faults = ActiveFaults()
         self.board = make_board(config.board_model, self.faults, seed, robot) if config.board_model else None
-        self.laser: LaserEmulator | None = (
-            make_emulator(config.laser_model, robot.laser) if config.laser_model else None
-        )
+        lines = zip((LASER, LASER_2), (config.laser_model, config.laser_2_model), (8, 14), strict=True)
+        self.lasers = {
+            name: LaserLine(name, topic, make_emulator(model, laser) if model else None, self.faults, [seed, stream])
+            for (name, model, stream), (topic, laser) in zip(lines, lasers_by_topic(robot).items(), strict=False)
+        }
         self.imu: ImuEmulator | None = None
         if config.imu_model and robot.imu is not None:
             self.imu = make_imu_emulator(config.imu_model, robot.imu)
         self._imu_noise = np.random.default_rng([seed, 12])  # on the inertial sensor's line
-        self._noise = np.random.default_rng([seed, 8])  # on the laser's line
-        self._queue: list[tuple[int, bytes]] = []  # bytes that the laser sends later, and when (ns)
         self._unplugged: set[str] = set()  # ports with an unplugged adapter
 
     @property
@@ -55,7 +61,8 @@ class Emulation:
         """The robot's side of the ports."""
         emulated = (
             (BOARD, self.board, self.config.board),
-            (LASER, self.laser, self.config.laser),
+            (LASER, self.lasers[LASER].emulator, self.config.laser),
+            (LASER_2, self.lasers[LASER_2].emulator if LASER_2 in self.lasers else None, self.config.laser_2),
             (IMU, self.imu, self.config.imu),
         )
         return {name: port for name, device, port in emulated if device is not None}
@@ -64,9 +71,8 @@ class Emulation:
         """Passes a driver's bytes to their device, and sends its answer."""
         if data.port == BOARD and self.board is not None:
             yield from _send(BOARD, self.board.receive(data.data, now), now)
-        elif data.port == LASER and self.laser is not None:
-            received = b"" if Fault.LASER_STALLED in self.faults else data.data
-            yield from _send(LASER, self._laser_line_bytes(self.laser.receive(received, now)), now)
+        elif data.port in self.lasers:
+            yield from _send(data.port, self.lasers[data.port].receive(data.data, now), now)
         elif data.port == IMU and self.imu is not None:
             received = b"" if Fault.IMU_STALLED in self.faults else data.data
             yield from _send(IMU, self._imu_line_bytes(self.imu.receive(received)), now)
@@ -93,17 +99,11 @@ class Emulation:
         if self.board is not None:
             yield from _send(BOARD, self.board.report_bytes(report, now, body), now)
 
-    def send_sweeps(self, scans: list[LaserScan], now: int) -> Out:
-        """Sends the laser's bytes that are due, and queues those of these sweeps; without a model, sends the scans."""
-        if self.laser is None:
-            if not any(fault in self.faults for fault in LASER_FAULTS):
-                yield from (topics.SCAN(scan) for scan in scans)
-            return
-        self.laser.turning = Fault.LASER_STOPPED not in self.faults
-        self._queue += [chunk for scan in scans for chunk in self.laser.sweep_chunks(scan, now)]
-        due = [data for when, data in self._queue if when <= now]
-        self._queue = [(when, data) for when, data in self._queue if now < when <= now + 1_000_000_000]
-        yield from _send(LASER, self._laser_line_bytes(b"".join(due)), now)
+    def send_sweeps(self, scans: list[LaserScan], scans_2: list[LaserScan], now: int) -> Out:
+        """Sends the lasers' bytes that are due, and queues those of these sweeps; without a model, sends the scans."""
+        for line, sweeps in zip(self.lasers.values(), (scans, scans_2), strict=False):
+            yield from line.messages(sweeps)
+            yield from _send(line.name, line.sweep_bytes(sweeps, now), now)
 
     def update_plugs(self, now: int) -> Out:
         """Faults end when their time is over; adapters are pulled out and plugged in."""
@@ -112,12 +112,6 @@ class Emulation:
         for port in sorted(unplugged ^ self._unplugged):
             yield topics.PLUG(PortState(now, port, port not in unplugged, ""))
         self._unplugged = unplugged
-
-    def _laser_line_bytes(self, data: bytes) -> bytes:
-        """What arrives of what the laser says."""
-        if Fault.LASER_STALLED in self.faults:
-            return b""
-        return self._noise.bytes(len(data)) if Fault.LASER_GARBAGE in self.faults else data
 
 
 def _send(port: str, data: bytes, now: int) -> Out:

@@ -20,6 +20,10 @@ class Fault(StrEnum):
     LASER_GARBAGE = "laser_garbage"  # the laser's bytes arrive as noise
     LASER_STALLED = "laser_stalled"  # the laser's line carries nothing, either way
     LASER_UNPLUGGED = "laser_unplugged"  # the laser's adapter is pulled out
+    LASER_2_STOPPED = "laser_2_stopped"  # the second laser stops turning
+    LASER_2_GARBAGE = "laser_2_garbage"  # the second laser's bytes arrive as noise
+    LASER_2_STALLED = "laser_2_stalled"  # the second laser's line carries nothing, either way
+    LASER_2_UNPLUGGED = "laser_2_unplugged"  # the second laser's adapter is pulled out
     IMU_GARBAGE = "imu_garbage"  # the inertial sensor's bytes arrive as noise
     IMU_STALLED = "imu_stalled"  # the inertial sensor's line carries nothing, either way
     IMU_UNPLUGGED = "imu_unplugged"  # the inertial sensor's adapter is pulled out
@@ -39,15 +43,22 @@ FAULT_DESCRIPTIONS: dict[Fault, str] = {
     Fault.LASER_GARBAGE: "the laser's bytes arrive as noise",
     Fault.LASER_STALLED: "the laser's line carries nothing",
     Fault.LASER_UNPLUGGED: "the laser's adapter is pulled out",
+    Fault.LASER_2_STOPPED: "the second laser stops turning",
+    Fault.LASER_2_GARBAGE: "the second laser's bytes arrive as noise",
+    Fault.LASER_2_STALLED: "the second laser's line carries nothing",
+    Fault.LASER_2_UNPLUGGED: "the second laser's adapter is pulled out",
     Fault.IMU_GARBAGE: "the inertial sensor's bytes arrive as noise",
     Fault.IMU_STALLED: "the inertial sensor's line carries nothing",
     Fault.IMU_UNPLUGGED: "the inertial sensor's adapter is pulled out",
 }
 """Fault -> description."""
 
-LASER_FAULTS = (Fault.LASER_STOPPED, Fault.LASER_GARBAGE, Fault.LASER_STALLED, Fault.LASER_UNPLUGGED)
-
-UNPLUGGED_PORTS = {Fault.UNPLUGGED: "board", Fault.LASER_UNPLUGGED: "laser", Fault.IMU_UNPLUGGED: "imu"}
+UNPLUGGED_PORTS = {
+    Fault.UNPLUGGED: "board",
+    Fault.LASER_UNPLUGGED: "laser",
+    Fault.LASER_2_UNPLUGGED: "laser_2",
+    Fault.IMU_UNPLUGGED: "imu",
+}
 """The port that a fault takes away."""
 
 

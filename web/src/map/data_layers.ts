@@ -21,9 +21,13 @@ export function drawPlan(pen: Pen, now: number): void {
 }
 
 export function drawScan(pen: Pen, now: number): void {
-  const scan = shown.scan.peek()?.message;
-  const mount = shownRobot()?.laser_mount;
-  if (scan === undefined || mount === undefined || isShownOld("scan", now) || isShownOld("pose", now)) return;
+  drawScanOf("scan", shownRobot()?.laser_mount, pen, now);
+  drawScanOf("scan_2", shownRobot()?.laser_2_mount, pen, now);
+}
+
+function drawScanOf(key: "scan" | "scan_2", mount: Pose | undefined, pen: Pen, now: number): void {
+  const scan = shown[key].peek()?.message;
+  if (scan === undefined || mount === undefined || isShownOld(key, now) || isShownOld("pose", now)) return;
   const first = poseAt(scan.stamp);
   const last = poseAt(scan.stamp + scan.scan_time * 1e9);
   if (first === null || last === null) return;

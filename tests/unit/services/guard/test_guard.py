@@ -96,9 +96,13 @@ class GuardDrive:
             except StopIteration as end:
                 return end.value
 
+    @property
+    def base_from_laser(self):
+        return self.guard.lasers["scan"].visibility.base_from_laser
+
     def room(self):
         """What the laser sees of a round hall of 8 m about the place nearby where a coarse grid has a point."""
-        laser, robot = self.robot.laser, self.odom_from_base @ self.guard.obstacles.base_from_laser
+        laser, robot = self.robot.laser, self.odom_from_base @ self.base_from_laser
         x, y = (v - 10 * round(v / 10) for v in (robot.x, robot.y))
         angles = robot.yaw + laser.angle_min + laser.angle_increment * np.arange(laser.n_beams)
         along = x * np.cos(angles) + y * np.sin(angles)
@@ -107,7 +111,7 @@ class GuardDrive:
     def scan(self, **fields):
         laser = self.robot.laser
         n = laser.n_beams
-        in_laser = (self.odom_from_base @ self.guard.obstacles.base_from_laser).inverse() @ self.obstacles
+        in_laser = (self.odom_from_base @ self.base_from_laser).inverse() @ self.obstacles
         ranges = self.room()
         beams = np.round((np.arctan2(in_laser[:, 1], in_laser[:, 0]) - laser.angle_min) / laser.angle_increment)
         for beam, reach in zip(beams.astype(int), np.hypot(*in_laser.T)):
@@ -447,7 +451,7 @@ def test_a_scan_s_age_counts_from_its_last_beam(age_ms, moves):
     """A scan that took 0.2 s is old 0.27 s after its end, so that a robot is stopped within 0.3 s."""
     drive = driving()
     drive.cut = {"scan"}
-    drive.guard.inputs.clear_scan()
+    drive.guard.lasers["scan"].clear()
     drive.scan(stamp=drive.now - age_ms * MS, scan_time=0.2)
     drive.call(drive.guard.watch())
     assert (drive.velocity[0] > 0) is moves
@@ -893,7 +897,7 @@ def test_restarted_odometry_forgets_what_was_seen_in_the_old_frame():
     drive.odom_from_base = Pose2(5.0, 5.0, 1.0)
     drive.odometry()
     assert not len(drive.guard.obstacles.points(Pose2(), drive.now))
-    assert drive.guard.inputs.scan is None
+    assert drive.guard.lasers["scan"].scan is None
 
 
 courses = st.lists(st.tuples(st.floats(-0.3, 0.8), st.floats(-2, 2), st.floats(0.1, 0.8)), min_size=1, max_size=6)
@@ -917,7 +921,7 @@ def test_whatever_is_commanded_nothing_standing_is_touched(course, places):
 def _scan_of_posts(drive, centres, radius):
     """What the laser sees of round posts in the hall."""
     laser = drive.robot.laser
-    in_laser = (drive.odom_from_base @ drive.guard.obstacles.base_from_laser).inverse() @ centres
+    in_laser = (drive.odom_from_base @ drive.base_from_laser).inverse() @ centres
     angles = laser.angle_min + laser.angle_increment * np.arange(laser.n_beams)
     along = np.outer(in_laser[:, 0], np.cos(angles)) + np.outer(in_laser[:, 1], np.sin(angles))
     across = np.outer(in_laser[:, 1], np.cos(angles)) - np.outer(in_laser[:, 0], np.sin(angles))

@@ -22,7 +22,7 @@ class VisibilityWatch:
     """A view that is given ten scans a second; nan: beams without a return."""
 
     def __init__(self, config=None):
-        self.view, self.track = LaserVisibility(config or VisibilityConfig(), ROBOT), OdometryBuffer(ROBOT.drive)
+        self.view, self.track = LaserVisibility(config or VisibilityConfig(), ROBOT, LASER), OdometryBuffer(ROBOT.drive)
         self.now, self.odom_from_base = 1000 * MS, Pose2()
 
     def scans(self, n, ranges, v=0.0, w=0.0):

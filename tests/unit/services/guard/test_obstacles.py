@@ -47,6 +47,56 @@ def beam_at(robot, bearing):
 AHEAD_HALF_WIDTH_RAD = beam_at(X80, 0.0)
 
 
+DELIVERY = load_robot("delivery").robot
+
+
+def laser_scan(laser, ms, points=()):
+    """A sweep of a standing robot's laser at the origin that sees each point (n, 2) in `base` with three beams."""
+    ranges = np.full(laser.n_beams, nan, np.float32)
+    in_laser = Pose2(laser.mount.x, laser.mount.y, laser.mount.yaw).inverse() @ np.reshape(points, (-1, 2))
+    for x, y in in_laser:
+        beam = round((np.arctan2(y, x) - laser.angle_min) / laser.angle_increment)
+        for i in range(beam - 1, beam + 2):
+            if 0 <= i < laser.n_beams:
+                ranges[i] = np.hypot(x, y)
+    sweep = laser.angle_min, laser.angle_increment, 0.0, laser.range_min, laser.range_max
+    return LaserScan(ms * MS, *sweep, ranges)
+
+
+def sees(laser, point):
+    """Whether a point in `base` lies in a laser's sweep."""
+    x, y = (Pose2(laser.mount.x, laser.mount.y, laser.mount.yaw).inverse() @ np.array([point]))[0]
+    return abs(np.arctan2(y, x)) <= abs(laser.angle_min) - 0.02
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_points_of_two_lasers_are_those_that_either_one_sees(seed):
+    rng = np.random.default_rng(seed)
+    angles, reach = 2 * pi * np.arange(12) / 12 + rng.uniform(0, 0.2, 12), rng.uniform(0.9, 1.3, 12)
+    points = np.column_stack((reach * np.cos(angles), reach * np.sin(angles)))
+    track, obstacles = tracked(DELIVERY, odometry(0)), Obstacles(ObstaclesConfig(), DELIVERY, 2.0)
+    for laser in DELIVERY.lasers:
+        obstacles.add_scan(laser_scan(laser, 0, points), track, laser=laser)
+    kept = obstacles.points(track.odom_from_base, 0)
+    for point in points:
+        if any(sees(laser, point) for laser in DELIVERY.lasers):
+            assert np.hypot(*(kept - point).T).min() < 0.05
+    assert all(np.hypot(*(points - point).T).min() < 0.05 for point in kept)
+
+
+def test_a_remembered_point_is_dropped_by_the_laser_that_looks_there_and_kept_by_the_other_one():
+    front, rear = DELIVERY.lasers
+    ahead, both = np.array([[1.2, 0.0]]), np.array([[-0.9, 0.9]])
+    assert [sees(laser, ahead[0]) for laser in (front, rear)] == [True, False]
+    assert [sees(laser, both[0]) for laser in (front, rear)] == [True, True]
+    track, obstacles = tracked(DELIVERY, odometry(0)), Obstacles(ObstaclesConfig(), DELIVERY, 2.0)
+    obstacles.add_scan(laser_scan(front, 0, np.concatenate([ahead, both])), track, laser=front)
+    obstacles.add_scan(laser_scan(rear, 50), track, laser=rear)
+    assert len(obstacles.points(track.odom_from_base, 0)) == 6  # the front laser's newest scan counts
+    obstacles.add_scan(laser_scan(front, 100), track, laser=front)
+    assert not len(obstacles.points(track.odom_from_base, 0))
+
+
 def seen(obstacles, track, now_ms=0):
     points = obstacles.points(track.odom_from_base, now_ms * MS)
     return points[np.lexsort(points.T)]

@@ -37,7 +37,7 @@ URG_PARAMETERS = (
 
 
 def decoder(model: str) -> LaserDevice:
-    return made_driver(model).device
+    return made_driver(model).lasers["laser"].device
 
 
 def single(returns: list[Returns]) -> Returns:
@@ -302,7 +302,7 @@ def test_any_bytes_are_survived_and_none_are_hoarded(model, noise, scans):
         line.driver.now += i * 7_000_000
         line.hear(piece)
         line.take(line.driver.watch())
-    assert kept(line.driver.device) < MAX_HELD_BYTES
+    assert kept(line.driver.lasers["laser"].device) < MAX_HELD_BYTES
     for scan in line.scans:
         assert scan.problem() is None
         assert 0 < scan.scan_time <= 2

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from services.lidar_driver.service import NO_BYTES, NO_SENSE, STOPPED
+from services.lidar_driver.laser_unit import NO_BYTES, NO_SENSE, STOPPED
 from services.sim.hardware.lasers import make_emulator
 from services.sim.hardware.xv11 import packet
 from shared import topics
@@ -103,7 +103,7 @@ def test_a_clock_that_wraps_is_not_noticed(model):
     for scan in line.scans:
         close(scan, truth_of(scan, sweeps), RESOLUTION[model])
         assert abs(scan.stamp - truth_of(scan, sweeps).stamp) < 5 * MS
-    assert line.driver.clock.n_restarts == 0
+    assert line.driver.lasers["laser"].clock.n_restarts == 0
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -227,7 +227,7 @@ def test_bytes_without_sense_are_named():
             line.driver.now = line.now
             line.hear(rng.bytes(200))
             line.take(line.driver.watch())
-        assert line.driver.state() == NO_SENSE, model
+        assert line.driver.state() == NO_SENSE.format("lidar_driver"), model
         assert line.scans == []
 
 
@@ -286,7 +286,7 @@ def test_a_port_of_another_name_is_not_the_lasers():
     driver = made_driver("ld06")
     assert list(driver.receive(SerialData(START, "other", b"\x54\x2c"))) == []
     assert list(driver.plugged(PortState(START, "other", True, ""))) == []
-    assert not driver.open
+    assert not driver.lasers["laser"].open
     assert driver.ports["laser"].baud == BAUD["ld06"]
 
 

@@ -64,6 +64,25 @@ def test_a_beam_marks_the_cell_where_it_ends_and_only_there(
     assert abs(made.y0 + rows[0] * 0.05 - (y + away * sin(direction))) <= 0.0251
 
 
+@settings(deadline=None, max_examples=30)
+@given(st.floats(-3, 3), st.floats(-0.4, 0.4), st.floats(-3, 3), st.floats(0.5, 2.0), st.integers(0, N_BEAMS - 1))
+def test_the_second_laser_marks_and_clears_from_its_own_mount(
+    yaw: float, mount_x: float, mount_yaw: float, away: float, i_beam: int
+) -> None:
+    made, mount = costmap(), Mount(x=mount_x, y=0.2, yaw=mount_yaw)
+    ranges = np.zeros(N_BEAMS, np.float32)
+    ranges[i_beam] = away
+    laser = Pose2(0.0, 0.0, yaw) @ Pose2(mount.x, mount.y, mount.yaw)
+    direction = laser.yaw + i_beam * 2 * pi / N_BEAMS
+    end = at(made, laser.x + away * cos(direction), laser.y + away * sin(direction))
+    made.add_scan(sweep(ranges), standing(0.0, 0.0, yaw), mount, "scan_2")
+    assert set(zip(*np.nonzero(made.evidence))) == {end}
+    ranges[i_beam] = 2.5  # now it looks past
+    for k in range(1, 3):
+        made.add_scan(sweep(ranges, NOW + k * NS_PER_S // 10), standing(0.0, 0.0, yaw), mount, "scan_2")
+    assert made.evidence[end] == 0
+
+
 def test_every_cell_that_a_beam_crosses_becomes_free_and_no_other() -> None:
     made = costmap()
     ranges = np.zeros(N_BEAMS, np.float32)

@@ -66,6 +66,6 @@ def test_range_sensors_and_dynamic_obstacles_are_switched_off_at_once():
     changed(service, local_ctrl__costmap__ultrasonic="false", local_ctrl__costmap__infrared="false")
     assert not service.ranges_wanted.any()
     changed(service, local_ctrl__costmap__dynamic_obstacles__enabled="true")
-    service.costmap.dynamic_obstacles.all.append(object())
+    service.costmap.dynamic_obstacles.by_key["scan"].all.append(object())
     changed(service, local_ctrl__costmap__dynamic_obstacles__enabled="false")
-    assert service.costmap.dynamic_obstacles.all == []
+    assert service.costmap.dynamic_obstacles.by_key["scan"].all == []

@@ -47,7 +47,7 @@ def last(loop: ControlLoop) -> tuple[m.Velocity, m.FollowStatus]:
 def test_it_listens_and_ticks_as_the_registry_says() -> None:
     found = handlers(LocalCtrlService)
     inputs = {"scan", "base/ranges", "odom", "pose", "map", "map/state", "plan", "goal", "recovery", "zones"}
-    inputs |= {"hardware/contacts"}
+    inputs |= {"hardware/contacts", "scan_2"}
     assert set(found.topics) == inputs | {"settings"}  # its own, after a restart
     assert found.ticks == ((topics.CMD_NAV.hz, "tick", "scan"),)
 
@@ -97,7 +97,7 @@ def test_an_input_that_stops_coming_stops_the_robot_and_says_which(
 def test_an_input_from_another_clock_is_old(stamp: int) -> None:
     loop = moving()
     loop.lost = {"scan"}
-    scan = loop.service.inputs.scan
+    scan = loop.service.inputs.scans["scan"]
     assert scan is not None
     loop.service.now = loop.now
     list(loop.service.scan(replace(scan, stamp=stamp)))

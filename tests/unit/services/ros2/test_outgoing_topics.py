@@ -19,6 +19,7 @@ ONES = np.ones((2, 5), np.float32)
 FRAMES = RosFrames()
 SAMPLES = {
     "scan": sample_messages.scan(STAMP, ROBOT.laser),
+    "scan_2": sample_messages.scan(STAMP, ROBOT.laser),
     "odom": sample_messages.odometry(STAMP, Pose2(1, 2, 3), 0.4),
     "pose": sample_messages.pose_estimate(STAMP, Pose2(1, 2, 3)),
     "plan": m.Path(STAMP, 1, 1, "", XS, XS, XS, 3.0, 3.0),

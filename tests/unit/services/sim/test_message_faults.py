@@ -24,6 +24,7 @@ SENSING = X80SV.model_copy(
         "bumpers": (Bumper(name="front", bearing=0.0, width=2.0),),
         "cliffs": (CliffSensor(name="ahead", x=0.2, y=0.0),),
         "estop_input": True,
+        "lasers": (X80SV.laser, X80SV.laser.model_copy(update={"name": "rear", "mapping": False})),
     }
 )
 
@@ -66,7 +67,7 @@ def test_a_fault_begins_is_told_and_ends_after_its_time(fault):
     again, whole = list(drive(sim, 2.0, 0.0, 0.0)), simulator("room", SENSING)
     list(drive(whole, 1.0, 0.0, 0.0))
     sound = list(drive(whole, 2.0, 0.0, 0.0))
-    for key in ("scan", "hardware/board", "imu", "hardware/contacts"):
+    for key in ("scan", "scan_2", "hardware/board", "imu", "hardware/contacts"):
         assert payload(told(again, key)[-1]) == payload(told(sound, key)[-1])
     assert [payload(p.message) for p in again[:90]] != [payload(p.message) for p in sound[:90]]
 
