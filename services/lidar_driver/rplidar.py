@@ -12,6 +12,7 @@ from functools import reduce
 from operator import xor
 
 from services.lidar_driver.device import PacketCounts, Returns
+from services.lidar_driver.request_answers import MAX_BUFFER, find_answer
 from services.lidar_driver.rplidar_capsules import FORMATS
 from services.lidar_driver.rplidar_streams import BeamStream, CapsuleStream, NodeStream
 
@@ -31,9 +32,6 @@ ANSWERS: dict[int, dict[int, int | None]] = {
     EXPRESS: {kind: format_.length for kind, format_ in FORMATS.items()},
 }
 """Request -> types of its answer -> length in bytes; None: not fixed."""
-DESCRIPTOR = struct.Struct("<BBIB")
-MAX_BUFFER = 4096  # bytes that are searched for an answer
-MAX_ANSWER = 128
 FIRST_A2 = 0x20  # first model with a motor speed; its full rate needs express mode
 UNHEALTHY = 2
 
@@ -122,20 +120,12 @@ class Rplidar:
         if expected is None or self.is_answered:
             return b""
         self.buffer = (self.buffer + data)[-MAX_BUFFER:]
-        at = self.buffer.find(b"\xa5\x5a")
-        while 0 <= at <= len(self.buffer) - DESCRIPTOR.size:
-            _, _, size, kind = DESCRIPTOR.unpack_from(self.buffer, at)
-            length = size & 0x3FFFFFFF
-            fits = kind in expected and length == (expected[kind] or min(length, MAX_ANSWER))
-            answer = self.buffer[at + DESCRIPTOR.size :]
-            if fits and (size >> 30 or len(answer) >= length):
-                self.is_answered, self.buffer = True, b""
-                self.counts.n_good += 1
-                return self._handle_answer(kind, answer)
-            if fits:
-                break  # incomplete
-            at = self.buffer.find(b"\xa5\x5a", at + 1)
-        return b""
+        answer = find_answer(self.buffer, expected)
+        if answer is None:
+            return b""
+        self.is_answered, self.buffer = True, b""
+        self.counts.n_good += 1
+        return self._handle_answer(*answer)
 
     def _handle_answer(self, kind: int, answer: bytes) -> bytes:
         """Handles an answer of this type. Returns the first bytes of a scan."""

@@ -16,6 +16,8 @@ from services.lidar_driver.scip import Scip
 from services.lidar_driver.self_mask import masked_angles, on_robot
 from services.lidar_driver.sweep_assembly import GridSweep, SweepAssembler
 from services.lidar_driver.xv11 import Xv11
+from services.lidar_driver.ydlidar import MODELS as YDLIDAR_MODELS
+from services.lidar_driver.ydlidar import Ydlidar
 from shared import topics
 from shared.config import Laser, Robot, Section
 from shared.messages import LaserScan, PortState, SerialData
@@ -39,14 +41,14 @@ class LidarDriverConfig(Section):
 
     model: str = Field(
         "ld06",
-        pattern="^(ld06|ld14|stl27l|rplidar|scip|xv11)$",
+        pattern="^(ld06|ld14|stl27l|rplidar|scip|xv11|ydlidar_x2|ydlidar_x4|ydlidar_g2)$",
         description="ld06 (LDROBOT LD06, LD19), ld14, stl27l (LDROBOT), rplidar (SLAMTEC A1 to A3), "
-        "scip (Hokuyo URG, UTM, UST), xv11 (Neato)",
+        "scip (Hokuyo URG, UTM, UST), xv11 (Neato), ydlidar_x2, ydlidar_x4, ydlidar_g2",
     )
     port: PortConfig = Field(
         PortConfig(),
         description="port of the laser; baud: ld06 230400, stl27l 921600, ld14 and xv11 115200, "
-        "rplidar 115200 (A3 256000)",
+        "rplidar 115200 (A3 256000), ydlidar_x2 115200, ydlidar_x4 128000, ydlidar_g2 230400",
     )
     inverted: bool = Field(False, description="whether the laser is mounted upside down")
     masks: tuple[tuple[Angle, Angle], ...] = Field(
@@ -207,4 +209,5 @@ DEVICES: dict[str, Callable[[LidarDriverConfig, Laser], LaserDevice]] = {
     "rplidar": lambda config, laser: Rplidar(config.port.baud, config.express),
     "scip": lambda config, laser: Scip(laser, config.inverted, config.intensities),
     "xv11": lambda config, laser: Xv11(config.port.baud),
+    **dict.fromkeys(YDLIDAR_MODELS, lambda config, laser: Ydlidar(config.port.baud, YDLIDAR_MODELS[config.model])),
 }

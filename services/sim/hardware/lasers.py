@@ -8,6 +8,7 @@ from services.sim.hardware.ld06 import LD08_SAMPLES, Ld06Emulator
 from services.sim.hardware.rplidar import RplidarEmulator
 from services.sim.hardware.scip import ScipEmulator
 from services.sim.hardware.xv11 import Xv11Emulator
+from services.sim.hardware.ydlidar import YdlidarEmulator
 from shared.config import Laser, UserError, nearest
 from shared.messages import LaserScan
 
@@ -43,4 +44,7 @@ MODELS: dict[str, Callable[[Laser], LaserEmulator]] = {
     "rplidar_a2": lambda laser: RplidarEmulator(laser, model=0x28),  # scans in express mode
     "scip": ScipEmulator,
     "xv11": Xv11Emulator,
+    "ydlidar_x2": lambda laser: YdlidarEmulator(laser, samples=3000, baud=115200, answers=False),
+    "ydlidar_x4": lambda laser: YdlidarEmulator(laser, samples=5000, baud=128000),
+    "ydlidar_g2": lambda laser: YdlidarEmulator(laser, samples=5000, baud=230400, intensity=True),
 }

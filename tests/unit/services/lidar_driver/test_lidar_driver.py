@@ -16,6 +16,7 @@ from shared.messages import LaserScan, PortState, SerialData
 from shared.types import NS_PER_S
 from tests.unit.services.lidar_driver.bench import (
     BAUD,
+    CLOCK_ERROR,
     MODELS,
     MS,
     START,
@@ -36,8 +37,12 @@ RESOLUTION = {
     "scip": 5e-4,
     "rplidar": 1.3e-4,
     "rplidar_a2": 5e-4,
+    "ydlidar_x2": 1.3e-4,
+    "ydlidar_x4": 1.3e-4,
+    "ydlidar_g2": 5e-4,
 }  # m, half a step
-STARTUP = {"scip": 0.4, "rplidar": 0.6, "rplidar_a2": 0.6}  # s
+STARTUP = {"scip": 0.4, "rplidar": 0.6, "rplidar_a2": 0.6, "ydlidar_x4": 0.4, "ydlidar_g2": 0.4}  # s
+TRANSMITTING = ("ld06", "ld14", "stl27l", "xv11", "ydlidar_x2")
 
 
 def close(scan: LaserScan, true: LaserScan, resolution: float) -> None:
@@ -115,7 +120,7 @@ def test_scans_go_on_when_the_stacks_clock_jumps(model, jump):
     line.run(sweeps, 5)
     moved = [scan.stamp - round(jump * NS_PER_S) for scan in line.scans[-5:]]
     for stamp in moved:
-        assert min(abs(stamp - sweep.stamp) for sweep in sweeps) < 5 * MS
+        assert min(abs(stamp - sweep.stamp) for sweep in sweeps) < CLOCK_ERROR.get(model, 5 * MS)
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -185,7 +190,8 @@ def test_a_laser_upside_down_gives_its_beams_mirrored_in_the_order_of_time(model
 
 
 def test_intensities_come_where_the_laser_has_them_and_can_be_left_out():
-    for model, has in (("ld06", True), ("xv11", True), ("rplidar", True), ("rplidar_a2", False), ("scip", False)):
+    without = ("rplidar_a2", "scip", "ydlidar_x2", "ydlidar_x4")
+    for model, has in ((model, model not in without) for model in MODELS):
         for wanted in (True, False):
             line = line_of(model, intensities=wanted)
             line.run(random_sweeps(laser_of(model), 2), 2.2)
@@ -210,7 +216,7 @@ def test_silence_is_named_and_the_laser_started_again(model):
         line.written = []
     assert line.driver.state() == NO_BYTES
     assert line.lines[-1].endswith(NO_BYTES)
-    if model not in ("ld06", "ld14", "stl27l", "xv11"):
+    if model not in TRANSMITTING:
         assert said  # it was asked again
     later = random_sweeps(laser_of(model), 4, start=line.now)
     line.run(later, 4.2)
@@ -233,7 +239,14 @@ def test_bytes_without_sense_are_named():
 
 @pytest.mark.parametrize(
     ("model", "named"),
-    [("ld06", STOPPED), ("xv11", NO_BYTES), ("rplidar", "health error"), ("scip", "fault of its hardware")],
+    [
+        ("ld06", STOPPED),
+        ("xv11", NO_BYTES),
+        ("rplidar", "health error"),
+        ("scip", "fault of its hardware"),
+        ("ydlidar_x2", NO_BYTES),
+        ("ydlidar_x4", "health error"),
+    ],
 )
 def test_a_laser_that_stops_turning_is_named_and_recovers(model, named):
     line = line_of(model)
@@ -274,6 +287,7 @@ def test_a_closed_port_is_named_and_scans_return_with_it(model):
 
 def test_the_laser_is_stopped_at_the_end():
     stops = {"scip": b"QT\n", "rplidar": b"\xa5\x25", "rplidar_a2": b"\xa5\x25" + bytes.fromhex("a5 f0 02 00 00 57")}
+    stops |= {"ydlidar_x4": b"\xa5\x65", "ydlidar_g2": b"\xa5\x65"}
     for model in MODELS:
         line = line_of(model)
         line.run(random_sweeps(laser_of(model), 1.5), 2)
