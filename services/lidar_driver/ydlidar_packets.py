@@ -6,8 +6,8 @@ YDLIDAR, 'YDLidar-SDK Communication Protocol', and the development manuals of X2
     AA 55 | CT u8: bit 0 zero packet, bits 1 to 7 turns/s * 10 or 0 | samples u8
     first angle u16, last angle u16: bit 0 is 1, then 1/64 degree | xor of all words but itself u16 | samples
 
-A sample is a distance (1/4 mm, u16). With intensities it is a byte and a word: the intensity's low 8 bits, then its high
-2 bits below a distance in mm. A zero packet has one sample and marks a new turn. Angles rise clockwise.
+A sample is a distance (1/4 mm, u16). With intensities it is a byte and a word: the intensity's low 8 bits, then its
+high 2 bits below a distance in mm. A zero packet has one sample and marks a new turn. Angles rise clockwise.
 """
 
 import numpy as np

@@ -42,6 +42,9 @@ MODELS: dict[str, Callable[[Laser], LaserEmulator]] = {
     "stl27l": lambda laser: Ld06Emulator(laser, samples=21600, baud=921600),
     "rplidar": lambda laser: RplidarEmulator(laser, model=0x18),
     "rplidar_a2": lambda laser: RplidarEmulator(laser, model=0x28),  # scans in express mode
+    "rplidar_c1": lambda laser: RplidarEmulator(laser, model=0x41, baud=460800),
+    "rplidar_s1": lambda laser: RplidarEmulator(laser, model=0x61, baud=256000),
+    "rplidar_s2": lambda laser: RplidarEmulator(laser, model=0x71, baud=1000000),  # an S3 speaks as it does
     "scip": ScipEmulator,
     "xv11": Xv11Emulator,
     "ydlidar_x2": lambda laser: YdlidarEmulator(laser, samples=3000, baud=115200, answers=False),

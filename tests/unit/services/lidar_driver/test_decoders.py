@@ -308,6 +308,7 @@ def test_an_a3_is_asked_for_the_mode_that_it_is_made_for():
         ("a5 52", "a5 5a 03 00 00 00 06 00 00 00"),
         ("a5 59", "a5 5a 04 00 00 00 15 fc 00 7d 00"),
         ("a5 84 04 7c 00 00 00", "a5 5a 06 00 00 00 20 7c 00 00 00 03 00"),
+        ("a5 84 06 75 00 00 00 03 00", "a5 5a 05 00 00 00 20 75 00 00 00 84"),
         ("a5 84 06 71 00 00 00 03 00", "a5 5a 08 00 00 00 20 71 00 00 00 80 3e 00 00"),
         ("a5 f0 02 94 02 c1 a5 82 05 03 00 00 00 00", "a5 5a 84 00 00 40 84"),
     ]
@@ -316,6 +317,43 @@ def test_an_a3_is_asked_for_the_mode_that_it_is_made_for():
         device.receive(bytes.fromhex(answer), now)
     assert device.scanning
     assert device.sample_times[1] == pytest.approx(62.5e-6)
+
+
+def test_a_c1_whose_typical_mode_has_an_unknown_format_scans_in_standard_mode():
+    device = rplidar.Rplidar(460800, None, rate=8.0)
+    device.start(0)
+    now = 200_000_000
+    for request, answer in (
+        ("a5 50", "a5 5a 14 00 00 00 04 41" + "00" * 19),
+        ("a5 52", "a5 5a 03 00 00 00 06 00 00 00"),
+        ("a5 59", "a5 5a 04 00 00 00 15 c8 00 c8 00"),
+        ("a5 84 04 7c", "a5 5a 06 00 00 00 20 7c 00 00 00 02 00"),
+        ("a5 84 06 75 00 00 00 02 00", "a5 5a 05 00 00 00 20 75 00 00 00 83"),
+        ("a5 84 06 71", "a5 5a 08 00 00 00 20 71 00 00 00 00 64 00 00"),
+        ("a5 a8 02 e0 01 ee a5 20", "a5 5a 05 00 00 40 81"),
+    ):
+        assert device.next_command(now).startswith(bytes.fromhex(request))
+        device.receive(bytes.fromhex(answer), now)
+    assert device.scanning
+    assert device.sample_times[0] == pytest.approx(200e-6)
+
+
+def test_an_ultra_dense_capsule_has_four_scales():
+    # rplidar_sdk: 2 mm a step, from 2046 mm on 3, from 8187 mm on 4, from 24567 mm on 5; quality above the distance
+    words = [5 << 12 | 500 << 2, 3 << 13 | 1000 << 2 | 1, 2 << 14 | 2000 << 2 | 2, 1 << 15 | 1000 << 2 | 3]
+    cabins = b""
+    for a, b in ((words[0], words[1]), (words[2], words[3])) * 16:
+        cabins += (
+            (a & 0xFFFF).to_bytes(2, "little") + (b & 0xFFFF).to_bytes(2, "little") + bytes([a >> 16 | b >> 16 << 4])
+        )
+    capsules = b""
+    for start in (10, 74):
+        body = bytes(6) + (start * 64).to_bytes(2, "little") + cabins
+        total = int(np.bitwise_xor.reduce(np.frombuffer(body, np.uint8)))
+        capsules += bytes([0xA0 | total & 15, 0x50 | total >> 4]) + body
+    heard = single(scanning_rplidar(0x86).receive(capsules, 0))
+    assert_allclose(heard.ranges[:4], [1.0, 2.046 + 3.0, 8.187 + 8.0, 24.567 + 5.0], atol=1e-6)
+    assert_allclose(-np.degrees(heard.angles), 10 + np.arange(64), atol=1e-9)
 
 
 def capsule_of(degrees: float, cabins: bytes) -> bytes:
