@@ -13,16 +13,20 @@ CONTACTS_PERIOD_NS = 40_000_000  # ns between two messages of the same contacts:
 
 
 class BodySensors:
-    """Publishes a turn rate with each report, contacts when they change and at their period."""
+    """Publishes a turn rate with each report, contacts when they change and at their period.
 
-    def __init__(self, robot: Robot) -> None:
+    has_gyro: whether the board's turn rate is published; not beside another inertial sensor.
+    """
+
+    def __init__(self, robot: Robot, has_gyro: bool = True) -> None:
+        self._has_gyro = has_gyro
         self._sign = -1.0 if robot.imu is not None and robot.imu.upside_down else 1.0
         self._contacts: BoardContacts | None = None
         self._sent_at = 0  # ns
 
     def publications(self, received: BoardInput, stamp: int) -> Out:
         """The messages of what a board sent; stamp: ns."""
-        if received.yaw_rate is not None:
+        if received.yaw_rate is not None and self._has_gyro:
             yield topics.IMU(Imu(stamp, self._sign * received.yaw_rate, nan, nan, nan))
         contacts = received.contacts
         is_due = not 0 <= stamp - self._sent_at < CONTACTS_PERIOD_NS

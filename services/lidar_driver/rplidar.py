@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SLAMTEC RPLIDAR A1, A2, A3, S1: requests for health and scan modes, then the scan; turns clockwise.
+"""SLAMTEC RPLIDAR A, S and C series: requests for health and scan modes, then the scan; turns clockwise.
 
-SLAMTEC, 'RPLIDAR interface protocol and application notes', rev. 1.1 (A1, A2) and 2.1:
+The A1 turns by its adapter's line DTR, A2 and A3 by a pulse width. S and C series take a speed.
+SLAMTEC, 'RPLIDAR interface protocol and application notes', rev. 1.1 (A1, A2) and 2.1; rplidar_sdk 2.1 for S and C:
 
     request: A5 | command [| payload length | payload | xor of all bytes]
     answer: A5 5A | u32: length 30 bits, mode 2 bits | type u8 | packets of this length
@@ -12,15 +13,16 @@ from functools import reduce
 from operator import xor
 
 from services.lidar_driver.device import PacketCounts, Returns
+from services.lidar_driver.request_answers import MAX_BUFFER, find_answer
 from services.lidar_driver.rplidar_capsules import FORMATS
 from services.lidar_driver.rplidar_streams import BeamStream, CapsuleStream, NodeStream
 
 MS = 1_000_000
 STOP, RESET, SCAN = b"\xa5\x25", b"\xa5\x40", b"\xa5\x20"
 INFO, HEALTH, SAMPLE_RATE = b"\xa5\x50", b"\xa5\x52", b"\xa5\x59"
-CONFIGURATION, EXPRESS, MOTOR = 0x84, 0x82, 0xF0
-TYPICAL_MODE, MODE_SAMPLE_TIME = 0x7C, 0x71  # entries of the configuration
-MOTOR_SPEED = 660  # of 1023: what SLAMTEC's driver sets
+CONFIGURATION, EXPRESS, MOTOR_PWM, MOTOR_SPEED = 0x84, 0x82, 0xF0, 0xA8
+TYPICAL_MODE, MODE_ANSWER_TYPE, MODE_SAMPLE_TIME = 0x7C, 0x75, 0x71  # entries of the configuration
+MOTOR_PULSE = 660  # of 1023: what SLAMTEC's driver sets
 NODES = 0x81
 ANSWERS: dict[int, dict[int, int | None]] = {
     0x50: {0x04: 20},
@@ -31,11 +33,15 @@ ANSWERS: dict[int, dict[int, int | None]] = {
     EXPRESS: {kind: format_.length for kind, format_ in FORMATS.items()},
 }
 """Request -> types of its answer -> length in bytes; None: not fixed."""
-DESCRIPTOR = struct.Struct("<BBIB")
-MAX_BUFFER = 4096  # bytes that are searched for an answer
-MAX_ANSWER = 128
-FIRST_A2 = 0x20  # first model with a motor speed; its full rate needs express mode
+FIRST_A2 = 0x20  # first model with control of its motor; its full rate needs express mode
+FIRST_C1 = 0x40  # first model with a motor speed in turns a minute; S1 is 0x61, S2 0x71, S3 0x81
+STANDARD_MODE = 0
 UNHEALTHY = 2
+
+
+def mode_entry(entry: int, mode: int) -> bytes:
+    """A request for an entry of the configuration that belongs to a scan mode."""
+    return request_with_payload(CONFIGURATION, struct.pack("<IH", entry, mode))
 
 
 def request_with_payload(request: int, payload: bytes) -> bytes:
@@ -45,14 +51,18 @@ def request_with_payload(request: int, payload: bytes) -> bytes:
 
 
 class Rplidar:
-    """An RPLIDAR on a serial line. express: whether to scan in express mode; None: if the model needs it."""
+    """An RPLIDAR on a serial line. express: whether to scan in express mode; None: if the model needs it.
+
+    rate: turns/s, set in models of the S and C series.
+    """
 
     clockwise = True
 
-    def __init__(self, baud: int, express: bool | None) -> None:
+    def __init__(self, baud: int, express: bool | None, rate: float = 10.0) -> None:
         self.counts = PacketCounts()
         self.byte_time = 10.0 / baud  # s
         self.express_setting = express
+        self.rate = rate
         self.fault = ""
         self.clock_reading = None
         self.start(0)
@@ -63,12 +73,14 @@ class Rplidar:
         self.deadline = now + 100 * MS  # bytes of an earlier scan have passed by then
         self.buffer = b""
         self.model = 0
-        self.mode: int | None = None  # of express scans; None: not reported
+        self.mode: int | None = None  # the scan mode; None: not reported
+        self.mode_answer = 0  # type of its answer; 0: not reported
         self.sample_times = (500e-6, 500e-6)  # s, standard and express; defaults of firmware without the request
         return STOP
 
     def stop_command(self) -> bytes:
-        return STOP + (request_with_payload(MOTOR, bytes(2)) if self.model >= FIRST_A2 else b"")
+        has_pulse = FIRST_A2 <= self.model < FIRST_C1
+        return STOP + (request_with_payload(MOTOR_PWM, bytes(2)) if has_pulse else b"")
 
     @property
     def scanning(self) -> bool:
@@ -96,15 +108,28 @@ class Rplidar:
             return self._ask(RESET, now, 2000) if self.fault else self._ask(SAMPLE_RATE, now, 500)
         if self.last_request == SAMPLE_RATE and self.express:  # firmware before 1.17 does not know the request
             return self._ask(request_with_payload(CONFIGURATION, struct.pack("<I", TYPICAL_MODE)), now, 300)
-        if request == CONFIGURATION and self.mode is not None and len(self.last_request) == 8:
-            return self._ask(
-                request_with_payload(CONFIGURATION, struct.pack("<IH", MODE_SAMPLE_TIME, self.mode)), now, 300
-            )
+        if self.last_request == SAMPLE_RATE and self.model >= FIRST_A2:
+            self.mode, self.mode_answer = STANDARD_MODE, NODES
+            return self._ask(mode_entry(MODE_SAMPLE_TIME, self.mode), now, 300)
+        if request == CONFIGURATION and self.mode is not None:
+            following = {TYPICAL_MODE: MODE_ANSWER_TYPE, MODE_ANSWER_TYPE: MODE_SAMPLE_TIME}.get(self.last_request[3])
+            if following is not None:
+                return self._ask(mode_entry(following, self.mode), now, 300)
         if request in (EXPRESS, SCAN[1]):
             return self.start(now)  # the scan did not begin
-        motor = request_with_payload(MOTOR, struct.pack("<H", MOTOR_SPEED)) if self.model >= FIRST_A2 else b""
-        order = request_with_payload(EXPRESS, struct.pack("<BI", self.mode or 0, 0)) if self.express else SCAN
-        return motor + self._ask(order, now, 2000)
+        return self._motor_command() + self._ask(self._scan_request(), now, 2000)
+
+    def _motor_command(self) -> bytes:
+        if self.model >= FIRST_C1:
+            return request_with_payload(MOTOR_SPEED, struct.pack("<H", round(60 * self.rate)))
+        return request_with_payload(MOTOR_PWM, struct.pack("<H", MOTOR_PULSE)) if self.model >= FIRST_A2 else b""
+
+    def _scan_request(self) -> bytes:
+        """Standard mode where no other is needed, or where the typical one answers in a format that is not known."""
+        is_known = self.mode_answer in FORMATS or not self.mode_answer
+        if not self.express or not is_known:
+            return SCAN
+        return request_with_payload(EXPRESS, struct.pack("<BI", self.mode or 0, 0))
 
     def _ask(self, request: bytes, now: int, timeout_ms: int) -> bytes:
         """Sends a request; `timeout_ms` is the maximum time to its answer."""
@@ -122,20 +147,12 @@ class Rplidar:
         if expected is None or self.is_answered:
             return b""
         self.buffer = (self.buffer + data)[-MAX_BUFFER:]
-        at = self.buffer.find(b"\xa5\x5a")
-        while 0 <= at <= len(self.buffer) - DESCRIPTOR.size:
-            _, _, size, kind = DESCRIPTOR.unpack_from(self.buffer, at)
-            length = size & 0x3FFFFFFF
-            fits = kind in expected and length == (expected[kind] or min(length, MAX_ANSWER))
-            answer = self.buffer[at + DESCRIPTOR.size :]
-            if fits and (size >> 30 or len(answer) >= length):
-                self.is_answered, self.buffer = True, b""
-                self.counts.n_good += 1
-                return self._handle_answer(kind, answer)
-            if fits:
-                break  # incomplete
-            at = self.buffer.find(b"\xa5\x5a", at + 1)
-        return b""
+        answer = find_answer(self.buffer, expected)
+        if answer is None:
+            return b""
+        self.is_answered, self.buffer = True, b""
+        self.counts.n_good += 1
+        return self._handle_answer(*answer)
 
     def _handle_answer(self, kind: int, answer: bytes) -> bytes:
         """Handles an answer of this type. Returns the first bytes of a scan."""
@@ -155,7 +172,11 @@ class Rplidar:
             self.sample_times = max(standard, 20) * 1e-6, max(express, 20) * 1e-6
         elif len(answer) >= 6 and answer[0] == TYPICAL_MODE:
             self.mode = answer[4]
+        elif len(answer) >= 5 and answer[0] == MODE_ANSWER_TYPE:
+            self.mode_answer = answer[4]
         elif len(answer) >= 8 and answer[0] == MODE_SAMPLE_TIME:
-            (sample_time,) = struct.unpack_from("<I", answer, 4)  # 1/256 us
-            self.sample_times = self.sample_times[0], max(sample_time / 256, 20) * 1e-6
+            sample_time = max(struct.unpack_from("<I", answer, 4)[0] / 256, 20) * 1e-6  # from 1/256 us
+            standard, express = self.sample_times
+            is_standard = self.mode_answer == NODES
+            self.sample_times = (sample_time, express) if is_standard else (standard, sample_time)
         return b""

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Express scan packets of an RPLIDAR: legacy (A1, A2), extended (A3) and dense (S1) capsules.
+"""Express scan packets of an RPLIDAR: legacy (A1, A2), extended (A3), dense and ultra-dense (S, C) capsules.
 
-SLAMTEC, 'RPLIDAR interface protocol', rev. 2.1, section 'express scan', and its public driver.
+SLAMTEC, 'RPLIDAR interface protocol', rev. 2.1, section 'express scan', and its public driver. Ultra-dense capsules are
+only in the driver (rplidar_sdk 2.1, handler_capsules.cpp).
 
 A capsule begins with two sync nibbles and the xor of the bytes after them. Then comes the angle of its first beam
 (15 bits, 1/64 degree); bit 15 marks the first capsule of a scan. The beams are spaced evenly between this angle and
@@ -20,6 +21,7 @@ from shared.types import Bools, Float64s, Int64s, UInt8s
 SCALES = ((3328, 1 << 14, 4), (1792, 1 << 12, 3), (1280, 1 << 11, 2), (512, 1 << 9, 1), (0, 0, 0))
 """Scales of extended distances: first code, its distance in mm, and level; a step is 2 ** level mm."""
 CABIN = np.dtype([("mm", "<u2", 2), ("offsets", "u1")])
+ULTRA_DENSE_BASES_MM = np.array([0, 2046, 8187, 24567])  # of the four scales; a step is 2, 3, 4 or 5 mm
 NIBBLES = np.array([0, 4])
 NO_PREDICTION = (-512, 511)
 MIN_OFFSET_DISTANCE = 200  # 1/4 mm; the offset is constant for shorter distances
@@ -51,6 +53,20 @@ def decode_dense(capsules: UInt8s, _: UInt8s) -> tuple[Int64s, Float64s]:
     """(p, 84) -> (p, 40) mm, degrees of offset (0); 40 distances, u16 mm."""
     mm = capsules[:, 4::2].astype(np.int64) | capsules[:, 5::2].astype(np.int64) << 8
     return mm, np.zeros(mm.shape)
+
+
+def decode_ultra_dense(capsules: UInt8s, _: UInt8s) -> tuple[Int64s, Float64s]:
+    """(p, 170) -> (p, 64) mm, degrees of offset (0); 32 cabins of 5 bytes after a time, a status and the angle.
+
+    Cabin: two words and a byte with the high nibbles of both. Word: scale (2 bits), then the distance in its steps
+    (10 to 13 bits), then the quality, which is not used.
+    """
+    cabins = capsules[:, 10:].view(CABIN)
+    words = cabins["mm"].astype(np.int64)
+    scales = words & 3
+    steps = (words | (cabins["offsets"].astype(np.int64)[:, :, None] >> NIBBLES & 0xF) << 16) >> 2
+    mm = (steps & (1 << 10 + scales) - 1) * (scales + 2) + ULTRA_DENSE_BASES_MM[scales]
+    return mm.reshape(-1, 64), np.zeros((len(mm), 64))
 
 
 def decode_extended(capsules: UInt8s, following: UInt8s) -> tuple[Int64s, Float64s]:
@@ -95,17 +111,20 @@ def _words(capsules: UInt8s) -> Int64s:
 class CapsuleFormat:
     """A kind of capsule.
 
-    length: bytes.  beams: capsules (p, length) and the next ones (p, length) -> (p, n_beams) mm, degrees of offset.
+    length: bytes.  angle_at: bytes before its angle.
+    beams: capsules (p, length) and the next ones (p, length) -> (p, n_beams) mm, degrees of offset.
     """
 
     length: int
     n_beams: int
     beams: Callable[[UInt8s, UInt8s], tuple[Int64s, Float64s]]
+    angle_at: int = 2
 
 
 FORMATS = {
     0x82: CapsuleFormat(84, 32, decode_legacy),
     0x84: CapsuleFormat(132, 96, decode_extended),
     0x85: CapsuleFormat(84, 40, decode_dense),
+    0x86: CapsuleFormat(170, 64, decode_ultra_dense, angle_at=8),
 }
 """Type of the answer -> format."""

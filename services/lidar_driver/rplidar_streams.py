@@ -86,7 +86,7 @@ class CapsuleStream:
             return []
         joined = capsules if self.last_capsule is None else np.concatenate([self.last_capsule, capsules])
         self.last_capsule = capsules[-1:]
-        words = joined[:, 2:4].view("<u2")[:, 0]
+        words = joined[:, self.format.angle_at :][:, :2].copy().view("<u2")[:, 0]
         starts, is_resync = (words & 0x7FFF) / 64, words >> 15 > 0
         turned = (starts[1:] - starts[:-1]) % 360
         capsule_steps = self._capsule_steps(turned)

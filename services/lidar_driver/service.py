@@ -14,6 +14,8 @@ from services.lidar_driver.laser_unit import LaserUnit
 from services.lidar_driver.rplidar import Rplidar
 from services.lidar_driver.scip import Scip
 from services.lidar_driver.xv11 import Xv11
+from services.lidar_driver.ydlidar import MODELS as YDLIDAR_MODELS
+from services.lidar_driver.ydlidar import Ydlidar
 from shared import topics
 from shared.config import Laser, Robot, Section, UserError
 from shared.lasers import NO_SECOND_LASER, lasers_by_topic
@@ -31,14 +33,15 @@ class LaserDeviceConfig(Section):
 
     model: str = Field(
         "ld06",
-        pattern="^(ld06|ld14|stl27l|rplidar|scip|xv11)$",
-        description="ld06 (LDROBOT LD06, LD19), ld14, stl27l (LDROBOT), rplidar (SLAMTEC A1 to A3), "
-        "scip (Hokuyo URG, UTM, UST), xv11 (Neato)",
+        pattern="^(ld06|ld14|stl27l|rplidar|scip|xv11|ydlidar_x2|ydlidar_x4|ydlidar_g2)$",
+        description="ld06 (LDROBOT LD06, LD19), ld14, stl27l (LDROBOT), rplidar (SLAMTEC A, S and C series), "
+        "scip (Hokuyo URG, UTM, UST), xv11 (Neato), ydlidar_x2, ydlidar_x4, ydlidar_g2",
     )
     port: PortConfig = Field(
         PortConfig(),
         description="port of the laser; baud: ld06 230400, stl27l 921600, ld14 and xv11 115200, "
-        "rplidar 115200 (A3 256000)",
+        "rplidar 115200 (A3, S1 256000, C1 460800, S2, S3 1000000), "
+        "ydlidar_x2 115200, ydlidar_x4 128000, ydlidar_g2 230400",
     )
     inverted: bool = Field(False, description="whether the laser is mounted upside down")
     masks: tuple[tuple[Angle, Angle], ...] = Field(
@@ -49,7 +52,7 @@ class LaserDeviceConfig(Section):
     mask_footprint: bool = Field(True, description="whether beams that end in the footprint are set to NaN")
     footprint_margin: float = Field(0.0, ge=0, le=1, description="margin, m, around the footprint for `mask_footprint`")
     intensities: bool = Field(True, description="whether scans contain intensities, if the laser has them")
-    express: bool | None = Field(None, description="rplidar: express scan; none: if the model needs it (A2, A3)")
+    express: bool | None = Field(None, description="rplidar: express scan; none: if the model needs it (all but A1)")
     latency: float = Field(0.0, ge=0, le=1, description="s from a beam to its bytes; subtracted from the stamps")
     silence: float = Field(1.0, ge=0.1, le=60, description="s without a byte after which the laser is restarted")
     clock: DeviceClockConfig = Field(DeviceClockConfig(), description="estimation of the laser's clock")
@@ -107,7 +110,8 @@ class LidarDriverService(Service):
 
 DEVICES: dict[str, Callable[[LaserDeviceConfig, Laser], LaserDevice]] = {
     **dict.fromkeys(ld06.SAMPLES, lambda config, laser: ld06.Ld06(config.port.baud, ld06.SAMPLES[config.model])),
-    "rplidar": lambda config, laser: Rplidar(config.port.baud, config.express),
+    "rplidar": lambda config, laser: Rplidar(config.port.baud, config.express, laser.rate),
     "scip": lambda config, laser: Scip(laser, config.inverted, config.intensities),
     "xv11": lambda config, laser: Xv11(config.port.baud),
+    **dict.fromkeys(YDLIDAR_MODELS, lambda config, laser: Ydlidar(config.port.baud, YDLIDAR_MODELS[config.model])),
 }

@@ -26,6 +26,14 @@ class DeadReckoningConfig(Section):
     wheel_variance: float = Field(
         2e-5, ge=0, le=1, description="variance, m^2, for each m of travel of a wheel: slip, radius, floor"
     )
+    base_distance_scale: float = Field(
+        1.0,
+        ge=0.5,
+        le=2,
+        description="of a base with odometry of its own: true distance over the one that it reports; "
+        "measure: zenav calibrate odometry",
+    )
+    base_turn_scale: float = Field(1.0, ge=0.5, le=2, description="the same of its turns")
 
 
 def exact_step(left: float, right: float, distance: float) -> tuple[Pose2, Float64s]:

@@ -4,6 +4,7 @@
 import numpy as np
 
 from services.odometry.base_pose import BasePose
+from services.odometry.base_scale import BaseScale
 from services.odometry.dead_reckoning import INTEGRATIONS, DeadReckoningConfig, arc_motion, propagated_covariance
 from services.odometry.gyro import Gyro
 from shared import topics
@@ -37,6 +38,7 @@ class OdometryService(Service):
         self.covariance = np.zeros((3, 3))
         self.last_wheels: WheelState | None = None
         self.base_pose = BasePose(config.wheel_variance, robot.drive.wheel_distance)
+        self.base_scale = BaseScale(config.base_distance_scale, config.base_turn_scale)
         self.last_base: BaseOdometry | None = None
         self.gyro = Gyro(config.gyro)
         self.by_gyro = False  # the last step's heading
@@ -79,11 +81,11 @@ class OdometryService(Service):
         if last is not None and last.epoch == message.epoch:
             if self._is_repeated(topics.BASE_ODOMETRY.key, last.stamp, message.stamp):
                 return
-            self.base_pose.add(message)
+            self.base_pose.add(self.base_scale.corrected(message))
         elif last is not None and precedes(message.epoch, last.epoch, self.now):
             return  # a late message of the previous driver process
         else:
-            self.base_pose.begin_epoch(message)
+            self.base_pose.begin_epoch(self.base_scale.corrected(message))
         self.last_base = message
         pose = self.base_pose
         covariance = np.clip(pose.covariance, -MAX_VARIANCE, MAX_VARIANCE)

@@ -304,6 +304,20 @@ class PseudoTerminal:
 # --- errors ---------------------------------------------------------------------------------------------------------
 
 
+def access_error(config: PortConfig) -> str:
+    """Why a device file cannot be used, in one line, without opening it; empty where it can, or is no file."""
+    if config.kind or config.device.startswith("pty:"):
+        return ""
+    try:
+        device = found(config)
+        mode = os.stat(device).st_mode
+        if not os.access(device, os.R_OK | os.W_OK):
+            raise PermissionError(errno.EACCES, "")
+    except OSError as error:
+        return trouble(config, error)
+    return "" if stat.S_ISCHR(mode) else f"{config.name} is no serial device: name another"
+
+
 def trouble(config: PortConfig, error: OSError) -> str:
     """Why a port cannot be used, with a hint, in one line."""
     device = config.name

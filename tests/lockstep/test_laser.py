@@ -21,12 +21,10 @@ from shared.runners.replay import replay
 from shared.service import Out, every, on
 from tests.lockstep.stack import HALL
 from tests.lockstep.test_ports import KeptBytes
-from tests.unit.services.lidar_driver.bench import BAUD, MODELS, laser_of, robot_with
+from tests.unit.services.lidar_driver.bench import BAUD, CLOCK_ERROR, MODELS, laser_of, robot_with, spoken
 
 MS = 1_000_000
 SECONDS = 5.0
-CLOCK_ERROR = {"ld14": 12 * MS}
-"""Of the first sweeps: with 4 packets a tick of the simulator, none of the first ones arrives at once."""
 WIRE = (("sim", "laser"), ("lidar_driver", "laser"))
 
 
@@ -63,7 +61,7 @@ def scans_of(folder: Path, model: str, speaking: bool) -> tuple[list[LaserScan],
     path = folder / "world.yaml"
     path.write_text(HALL)
     config = configured("x80sv", [f"sim.world={path}", "sim.clutter_jitter=0"]).section("sim", SimConfig)
-    robot = robot_with(laser_of(model))
+    robot = robot_with(laser_of(model).model_copy(update={"range_min": 0.05}))
     recorded: list[Sent] = []
     if speaking:
         sim: SimService = SpeakingSim(config, robot)
@@ -82,7 +80,7 @@ def scans_of(folder: Path, model: str, speaking: bool) -> tuple[list[LaserScan],
 
 def driver_config(model: str) -> LidarDriverConfig:
     port = PortConfig(device="wired", baud=BAUD.get(model, 115200))
-    return LidarDriverConfig(model=model.removesuffix("_a2"), port=port)
+    return LidarDriverConfig(model=spoken(model), port=port)
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -93,8 +91,14 @@ def test_the_drivers_scans_are_the_simulators(model, tmp_path):
     for scan in heard:
         true = min(sent, key=lambda other: abs(other.stamp - scan.stamp))
         assert abs(scan.stamp - true.stamp) < CLOCK_ERROR.get(model, 5 * MS)
-        assert scan.scan_time == pytest.approx(true.scan_time, abs=3e-4)
+        assert scan.scan_time == pytest.approx(true.scan_time, abs=4e-4)
         assert (scan.angle_min, scan.angle_increment) == pytest.approx((true.angle_min, true.angle_increment))
+        if model.startswith("ydlidar"):  # its samples lie between the beams, and shift with the distance
+            errors = np.abs(scan.ranges - true.ranges)
+            assert np.mean(np.isfinite(errors)) > 0.95
+            assert np.nanpercentile(errors, 95) < 5.1e-4
+            assert np.nanmax(errors) < 0.15
+            continue
         np.testing.assert_array_equal(np.isnan(scan.ranges), np.isnan(true.ranges))
         assert_allclose(scan.ranges, true.ranges, atol=5.1e-4)
 

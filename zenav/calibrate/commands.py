@@ -2,21 +2,24 @@
 """`zenav calibrate`: drives or reads a recording, computes, reports, plots, and writes the robot's file on request."""
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from shared.config import Robot, UserError, load_robot
+from services.odometry.dead_reckoning import DeadReckoningConfig
+from shared.config import Robot, Section, UserError, load_robot
 from shared.ros_map import replace_file
 from shared.types import Float64s
 from zenav.calibrate import laser as laser_
 from zenav.calibrate import motor_response, motors, odometry, report
+from zenav.calibrate.base_motion import BaseScales
 from zenav.calibrate.hand_eye import HandEyeSolution, uncertain_values
 from zenav.calibrate.log import CalibrationLog, read_calibration_log
 from zenav.calibrate.manoeuvre import ready, square, stand, umbmark_drive
 from zenav.calibrate.motor_test import motor_drive, stopping_room
 from zenav.calibrate.odometry import BasePoses, Squares
-from zenav.calibrate.robot_file import Values, write, yaml_snippet
+from zenav.calibrate.robot_file import Values, values_of, write, yaml_snippet
 from zenav.calibrate.scan_track import ScanTrack
 from zenav.render.chart import Chart, charts_png
 
@@ -37,12 +40,19 @@ def calibrate_odometry(
     yes: bool,
 ) -> int:
     """Wheel radii and distance, of a recording or of squares that are driven now."""
-    known_robot = _robot_with_wheels(robot)
+    known_robot = load_robot(robot).robot
+    if known_robot.drive.kind == "velocity" and (measured or method == "umbmark"):
+        raise UserError(
+            f"{robot} is a velocity base: its wheels are calibrated in the base itself",
+            "the scales of its own odometry are found by the scans: leave out --measured and --method umbmark",
+        )
     ends: Float64s | None = None
     if recording is not None:
         log = read_calibration_log(recording, known_robot)
     else:
         log, ends = _driven_squares(known_robot, stack, side, n_runs, measured, yes)
+    if known_robot.drive.kind == "velocity":
+        return _calibrate_base(robot, known_robot, log, writes)
     solution, track, why_not = _solution(log, known_robot, method)
     truth: BasePoses | None = None
     if ends is None or solution is not None:
@@ -66,7 +76,24 @@ def calibrate_odometry(
     if solution is None:
         values = {key: value for key, value in values.items() if key != "robot.drive.wheel_radius"}
     picture = odometry.charts(log, known_robot, truth, squares, after)
-    return _write_results(robot, known_robot, values, picture, "odometry", writes)
+    return _write_results(robot, {"robot": known_robot}, values, picture, "odometry", writes)
+
+
+def _calibrate_base(robot: str, known_robot: Robot, log: CalibrationLog, writes: bool) -> int:
+    """The scales of a base that does its own odometry, by the scans."""
+    solution, pieces, track = odometry.by_scans(log, known_robot)
+    if open_ := [doubt for doubt in uncertain_values(solution) if doubt.startswith("wheel")]:
+        raise UserError(open_[0], "record for longer, with more turns on the spot and more metres straight on")
+    scales = BaseScales.of(solution, known_robot.drive)
+    report.print_base(scales, pieces)
+    values = {
+        "odometry.base_distance_scale": round(scales.distance, 5),
+        "odometry.base_turn_scale": round(scales.turn, 5),
+    }
+    before = {"odometry": load_robot(robot).section("odometry", DeadReckoningConfig)}
+    truth = odometry.truth(log, known_robot, "scans", track, solution.mount)
+    picture = odometry.charts(log, known_robot, truth, None, solution.wheels)
+    return _write_results(robot, before, values, picture, "odometry", writes)
 
 
 def calibrate_laser(robot: str, recording: Path, writes: bool) -> int:
@@ -84,7 +111,7 @@ def calibrate_laser(robot: str, recording: Path, writes: bool) -> int:
         "robot.laser.mount.yaw": round(yaw, 5) + 0.0,
     }
     picture = laser_.charts(log, known_robot, solution, pieces)
-    return _write_results(robot, known_robot, values, picture, "laser", writes)
+    return _write_results(robot, {"robot": known_robot}, values, picture, "laser", writes)
 
 
 def calibrate_motors(robot: str, stack: str, blocks: bool, speed: float | None, writes: bool, yes: bool) -> int:
@@ -119,7 +146,8 @@ def calibrate_motors(robot: str, stack: str, blocks: bool, speed: float | None, 
         values["robot.drive.max_braking"] = braking
     wrong = motor_response.directions(turns, drive)
     report.print_motors(drive, turns, wrong, answers, stops, motor_response.dead_band(log, phases, drive))
-    _write_results(robot, known_robot, values, motors.charts(log, phases, known_robot, answers), "motors", writes)
+    picture = motors.charts(log, phases, known_robot, answers)
+    _write_results(robot, {"robot": known_robot}, values, picture, "motors", writes)
     return 1 if wrong else 0
 
 
@@ -136,7 +164,7 @@ def _robot_with_wheels(robot: str) -> Robot:
     if known_robot.drive.kind == "velocity":
         raise UserError(
             f"{robot} is a velocity base: its wheels are calibrated in the base itself",
-            "its laser can be calibrated: zenav calibrate laser",
+            "its odometry and its laser can be calibrated: zenav calibrate odometry, zenav calibrate laser",
         )
     return known_robot
 
@@ -197,14 +225,16 @@ def _solution(
     return None, track, unsure
 
 
-def _write_results(robot: str, before: Robot, values: Values, charts: list[Chart], name: str, writes: bool) -> int:
+def _write_results(
+    robot: str, before: Mapping[str, Section], values: Values, charts: list[Chart], name: str, writes: bool
+) -> int:
     """Writes the plot, the YAML, and the robot's file where it is wanted."""
     from zenav.console.run_folder import new_run_folder
 
     place = new_run_folder("calibrate") / f"{name}.png"
     replace_file(place, charts_png(charts))
     report.print_line(f"plot: {place}")
-    sys.stdout.write(yaml_snippet(values, before))
+    sys.stdout.write(yaml_snippet(values, values_of(before, values)))
     if writes and values:
         path = write(robot, values)
         sys.stderr.write(f"{path} is written; restart the stack to use it\n")

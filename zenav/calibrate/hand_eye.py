@@ -88,6 +88,12 @@ class HandEyeSolution:
         w = self.wheels
         return self._sigma(np.array((-w.ratio / w.left_radius, 1 / w.left_radius, 0, 0, 0, 0)))
 
+    @property
+    def sigma_turn_share(self) -> float:
+        """of radius over distance, as a share of it"""
+        w = self.wheels
+        return self._sigma(np.array((0.5 / w.radius, 0.5 / w.radius, -1 / w.distance, 0, 0, 0)))
+
     def _sigma(self, gradient: Float64s) -> float:
         return sqrt(max(float(gradient @ self.covariance @ gradient), 0.0))
 

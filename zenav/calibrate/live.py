@@ -10,7 +10,7 @@ from shared import topics
 from shared.config import Robot, UserError
 from shared.messages import EmergencyStop, Message, NavState, Velocity
 from shared.runners.transport import stack_address
-from zenav.calibrate.log import TOPICS, CalibrationLog
+from zenav.calibrate.log import TOPICS, calibration_log
 from zenav.calibrate.manoeuvre import HZ, Manoeuvre, StackState, T, VelocityStep
 from zenav.client import Client
 from zenav.console.shutdown import StopFlag, stop_on_signal
@@ -38,7 +38,7 @@ class ManoeuvreRunner:
     """A session that drives manoeuvres and keeps what is heard meanwhile."""
 
     def __init__(self, robot: Robot, stack: str) -> None:
-        self.log = CalibrationLog()
+        self.log = calibration_log(robot)
         self._client = Client(robot.name, stack_address(stack))
         self._lock = threading.Lock()
         self._pressed = False  # by us

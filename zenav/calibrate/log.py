@@ -7,24 +7,29 @@ from typing import Any
 
 from shared import topics
 from shared.codec import CodecError, decode
-from shared.config import Laser, Robot, UserError
+from shared.config import Drive, Laser, Robot, UserError
 from shared.geometry import Pose2
-from shared.messages import LaserScan, Message, MotorCommand, PoseEstimate, Truth, Velocity, WheelState
+from shared.messages import BaseOdometry, LaserScan, Message, MotorCommand, PoseEstimate, Truth, Velocity, WheelState
 from shared.recording import Recording
 from shared.topics import Topic
 from shared.types import NS_PER_S
+from zenav.calibrate.base_motion import BaseMotion
 from zenav.calibrate.rolling import WheelTravel
 
 TOPICS: tuple[Topic[Any], ...] = (
-    topics.WHEELS, topics.SCAN, topics.POSE, topics.TRUTH, topics.CMD_VEL, topics.MOTORS,
+    topics.WHEELS, topics.BASE_ODOMETRY, topics.SCAN, topics.POSE, topics.TRUTH, topics.CMD_VEL, topics.MOTORS,
 )  # fmt: skip
 CLOCK_RESET_S = NS_PER_S  # ns that a stamp may lie before the last one's until it is another run of the clock
 
 
 @dataclass
 class CalibrationLog:
-    """The messages of one drive. `take` files one; whatever comes late or twice is left out."""
+    """The messages of one drive. `add` files one; whatever comes late or twice is left out.
 
+    drive: of a base with odometry of its own, which is filed as the angles of its wheels.
+    """
+
+    drive: Drive | None = None
     wheels: list[WheelState] = field(default_factory=list)
     scans: list[LaserScan] = field(default_factory=list)
     poses: list[PoseEstimate] = field(default_factory=list)
@@ -33,8 +38,15 @@ class CalibrationLog:
     motors: list[MotorCommand] = field(default_factory=list)
     n_late: int = 0
 
+    def __post_init__(self) -> None:
+        self._base = BaseMotion(self.drive) if self.drive is not None else None
+
     def add(self, message: Message) -> None:
-        """Files a message of one of the KEPT topics."""
+        """Files a message of one of TOPICS."""
+        if isinstance(message, BaseOdometry):
+            if self._base is None or (self.wheels and message.stamp <= self.wheels[-1].stamp):
+                return
+            message = self._base.wheels(message)
         place = self._place(message)
         if place and message.stamp <= place[-1].stamp:
             self.n_late += 1
@@ -52,7 +64,9 @@ class CalibrationLog:
     def rolled(self) -> WheelTravel:
         """How the wheels turned. Raises UserError where there is nothing."""
         if len(self.wheels) < 2:
-            raise UserError("there are no wheel states", "record base/wheels: is base_driver running?")
+            raise UserError(
+                "there is no motion of the base", "record base/wheels or base/odometry: is base_driver running?"
+            )
         return WheelTravel.of(self.wheels)
 
     def during(self, begin: int, end: int) -> "CalibrationLog":
@@ -65,13 +79,18 @@ class CalibrationLog:
         return part
 
 
+def calibration_log(robot: Robot) -> CalibrationLog:
+    """An empty log for this robot."""
+    return CalibrationLog(robot.drive if robot.drive.kind == "velocity" else None)
+
+
 def read_calibration_log(path: Path, robot: Robot) -> CalibrationLog:
     """The log in a recording of this robot. Raises UserError where it is damaged beyond use, or another robot's."""
     recording = Recording(path)
     name = recording.about.get("robot", "")
     if name and name != robot.name:
         raise UserError(f"{path} is a recording of {name}, not of {robot.name}", "name its robot: --robot")
-    log = CalibrationLog()
+    log = calibration_log(robot)
     for entry in recording.entries([topic.key for topic in TOPICS]):
         topic = topics.BY_KEY[entry.key]
         try:
@@ -80,7 +99,7 @@ def read_calibration_log(path: Path, robot: Robot) -> CalibrationLog:
             continue  # a message of another version, or damaged: the others count
     if not log.wheels and not log.scans:
         raise UserError(
-            f"{path} holds neither base/wheels nor scan of this version",
+            f"{path} holds neither base/wheels, base/odometry nor scan of this version",
             "record a drive: zenav up records into recordings/",
         )
     same_laser(log.scans, robot.laser)

@@ -7,10 +7,13 @@ from math import degrees, isnan
 
 from shared.config import Drive, Robot, UserError
 from zenav.calibrate import laser, motor_response, motors, odometry
+from zenav.calibrate.base_motion import BaseScales
 from zenav.calibrate.hand_eye import HandEyeSolution, MotionIntervals, mount_difference, residuals
 from zenav.calibrate.log import CalibrationLog
 from zenav.calibrate.odometry import BasePoses, Squares
 from zenav.calibrate.rolling import WheelGeometry
+
+MAX_BEND_RAD = 0.01  # rad a metre, that a straight drive of the base may turn unsaid
 
 
 def print_line(text: str) -> None:
@@ -61,6 +64,18 @@ def print_odometry(
     if solution is not None:
         print_line(f"slip: {solution.slip:.1e} m^2 a metre that a wheel rolls, the value of odometry.wheel_variance")
     return columns[-1][1]
+
+
+def print_base(scales: BaseScales, pieces: MotionIntervals) -> None:
+    """The scales of a base that does its own odometry, and what they cannot correct."""
+    print_line(f"{len(pieces.begin)} pieces of the way, each by the scans and by the base")
+    print_line(f"distance: {scales.distance:.5f} +- {scales.sigma_distance:.5f} of what the base reports")
+    print_line(f"turn:     {scales.turn:.5f} +- {scales.sigma_turn:.5f} of what the base reports")
+    if abs(scales.bend) > MAX_BEND_RAD:
+        print_line(
+            f"it turns by {degrees(scales.bend):.2f} degrees in a metre that it reports as straight: "
+            "calibrate its wheels in the base itself"
+        )
 
 
 def print_laser(robot: Robot, solution: HandEyeSolution, pieces: MotionIntervals) -> None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was found, into the robot's YAML: as text to paste, or written in place with its comments and its layout."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 
-from shared.config import Robot, RobotFile, UserError, load_robot, section_of
+from shared.config import Robot, RobotFile, Section, UserError, load_robot, section_of
 from shared.robot_files import is_installed
 from shared.ros_map import replace_file
 
@@ -20,15 +20,19 @@ INDENTS = ((4, 2), (2, 0))
 """(spaces to a list's items, of which before the dash), as people write them."""
 
 
-def value_of(robot: Robot, key: str) -> Any:
-    """The value in force of a setting like `robot.drive.wheel_radius`."""
-    node: Any = robot
-    for part in key.split(".")[1:]:
-        node = getattr(node, part)
-    return node
+def values_of(sections: Mapping[str, Section], keys: Iterable[str]) -> Values:
+    """The values in force of settings like `robot.drive.wheel_radius`, from the configuration's sections."""
+    found: dict[str, float | int] = {}
+    for key in keys:
+        section, *parts = key.split(".")
+        node: Any = sections[section]
+        for part in parts:
+            node = getattr(node, part)
+        found[key] = node
+    return found
 
 
-def yaml_snippet(values: Values, robot: Robot) -> str:
+def yaml_snippet(values: Values, before: Values) -> str:
     """The settings as YAML, each with what it was."""
     lines: list[str] = []
     open_: list[str] = []
@@ -38,7 +42,7 @@ def yaml_snippet(values: Values, robot: Robot) -> str:
         for depth in range(n_same, len(sections)):
             lines.append(f"{'  ' * depth}{sections[depth]}:")
         open_ = sections
-        lines.append(f"{'  ' * len(sections)}{name}: {value}  # was {value_of(robot, key):.6g}")
+        lines.append(f"{'  ' * len(sections)}{name}: {value}  # was {before[key]:.6g}")
     return "".join(f"{line}\n" for line in lines)
 
 

@@ -158,14 +158,14 @@ def config_check(robot: RobotName = "x80sv", set_: Setting = None) -> None:
 
 
 @app.command(cls=Command, rich_help_panel=LOOK)
-def doctor(stack: Stack = "0") -> None:
+def doctor(robot: RobotName = "x80sv", stack: Stack = "0") -> None:
     """What is wrong on this machine, and how to fix it.
 
     Example: zenav doctor
     """
     from zenav.stack.doctor import doctor
 
-    raise typer.Exit(doctor(stack))
+    raise typer.Exit(doctor(robot, stack))
 
 
 @app.command(cls=Command, rich_help_panel=LOOK)

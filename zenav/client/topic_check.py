@@ -48,6 +48,7 @@ class KeyCheck:
         self._allowed = (key.rpartition("/")[2],) if topic.by == "*" else topic.publishers
         self._admission, self._rejections = Admission(topic), Rejections()
         self._monitor = RangeSensorMonitor(robot)
+        self.expected_hz = robot.laser.rate if topic is topics.SCAN else topic.hz  # a laser has its own
         self._last: int | None = None
         self._lock = threading.Lock()
         self._found: dict[str, tuple[int, Problem]] = {}  # by kind: number, and the newest
@@ -79,8 +80,8 @@ class KeyCheck:
         with self._lock:
             counted = sorted(self._found.values(), key=lambda row: -row[0])
             found = [Problem(p.kind, f"{self.key}: {p.what} ({n} of {self.n})", p.hint) for n, p in counted]
-        if self.n_passed > 2 and self.topic.hz and self.rate() < MIN_RATE_SHARE * self.topic.hz:
-            slow = f"{self.key}: {self.rate():.1f} Hz, where {self.topic.hz:g} are expected"
+        if self.n_passed > 2 and self.expected_hz and self.rate() < MIN_RATE_SHARE * self.expected_hz:
+            slow = f"{self.key}: {self.rate():.1f} Hz, where {self.expected_hz:g} are expected"
             found.append(Problem("rate", slow, "is its sender or this computer overloaded?"))
         return found
 

@@ -2,7 +2,7 @@
 """`zenav config`: the values in force, where each comes from, and what is wrong with a robot's file."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from shared.config import Robot, RobotFile, Section, UserError, configured, nearest
@@ -20,7 +20,25 @@ def section_models(names: tuple[str, ...] | None = None) -> dict[str, type[Secti
 def read_sections(file: RobotFile, names: tuple[str, ...] | None = None) -> dict[str, Section]:
     """Every section of a robot's file, read. Raises UserError on the first fault, also an unknown section."""
     file.unknown_sections(("robot", *SERVICES))
-    return {name: file.section(name, model) for name, model in section_models(names).items()}
+    sections = {name: file.section(name, model) for name, model in section_models(names).items()}
+    require_one_gyro(file, sections)
+    return sections
+
+
+def require_one_gyro(file: RobotFile, sections: Mapping[str, Section]) -> None:
+    """Raises UserError where both the board and imu_driver would publish `imu`: only one publisher is admitted."""
+    from services.base_driver.boards.models import MODELS_WITH_GYRO
+    from services.base_driver.config import BaseDriverConfig
+    from services.imu_driver.service import ImuDriverConfig
+
+    base, imu = sections.get("base_driver"), sections.get("imu_driver")
+    if not isinstance(base, BaseDriverConfig) or not isinstance(imu, ImuDriverConfig):
+        return
+    if imu.port.given and base.port.given and base.board.model in MODELS_WITH_GYRO and base.board.gyro:
+        raise UserError(
+            f"{file.place(('imu_driver', 'port'))}: imu_driver.port: the board {base.board.model} publishes `imu`, too",
+            "switch off the board's gyro: base_driver.board.gyro: false; or leave out imu_driver.port",
+        )
 
 
 def check_config(robot: str, settings: list[str]) -> None:

@@ -36,7 +36,7 @@ class DoctorFinding:
     hint: str = ""
 
 
-def doctor(stack: str) -> int:
+def doctor(robot: str, stack: str) -> int:
     """Shows every finding; 1 when one is bad."""
     from rich.console import Console
     from rich.table import Table
@@ -47,7 +47,7 @@ def doctor(stack: str) -> int:
     for column in ("", "", "found", "how to fix it"):
         table.add_column(column, overflow="fold")
     worst = OK
-    for finding in findings(where):
+    for finding in findings(where, robot):
         colour = colours[finding.verdict]
         table.add_row(finding.name, f"[{colour}]{finding.verdict}[/]", finding.found, finding.hint)
         worst = BAD if BAD in (worst, finding.verdict) else finding.verdict if worst == OK else worst
@@ -58,11 +58,11 @@ def doctor(stack: str) -> int:
     return 1 if worst == BAD else 0
 
 
-def findings(where: StackAddress) -> Iterator[DoctorFinding]:
+def findings(where: StackAddress, robot: str) -> Iterator[DoctorFinding]:
     """Looks at everything, one after the other; a check that fails is itself a finding."""
     checks: tuple[Callable[[], Iterator[DoctorFinding]], ...] = (
         python, packages, kernels, processor, realtime, clock, lambda: ports(where), lambda: loopback(where), serial,
-        disk, data, certificates,
+        lambda: robot_ports(robot), disk, data, certificates,
     )  # fmt: skip
     for check in checks:
         try:
@@ -229,6 +229,36 @@ def serial() -> Iterator[DoctorFinding]:
         yield DoctorFinding("serial", BAD, f"{', '.join(closed)}: no right to read and write", hints)
     else:
         yield DoctorFinding("serial", OK, ", ".join(adapter_text(port) for port in listed))
+
+
+def robot_ports(robot: str) -> Iterator[DoctorFinding]:
+    """The ports that a robot's file names: whether they are there, and may be opened. They are not opened.
+
+    To open a serial port restarts some boards, so a running stack would lose its own.
+    """
+    from shared.config import load_robot
+    from shared.ports import PortConfig
+    from shared.runners.port import access_error
+    from zenav.stack.config_report import read_sections
+    from zenav.stack.hardware import DRIVERS
+
+    try:
+        file = load_robot(robot)
+        sections = read_sections(file)
+        drivers = [driver for driver in DRIVERS.values() if driver in sections]
+    except UserError as error:
+        yield DoctorFinding("robot", BAD, error.what, error.hint)
+        return
+    ports: dict[str, PortConfig] = {driver: getattr(sections[driver], "port", PortConfig()) for driver in drivers}
+    for driver, port in ports.items():
+        if not port.given:
+            continue
+        if trouble := access_error(port):
+            yield DoctorFinding("robot", BAD, f"{driver}.port: {trouble}", f"{file.place((driver, 'port'))} names it")
+        else:
+            yield DoctorFinding("robot", OK, f"{driver}.port: {port.name}" + " (not tried)" * bool(port.kind))
+    if not any(port.given for port in ports.values()):
+        yield DoctorFinding("robot", OK, f"{file.path.name} names no ports (not needed in simulation)")
 
 
 def disk() -> Iterator[DoctorFinding]:

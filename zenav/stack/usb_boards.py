@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which board is a serial adapter likely to be? By its USB ids, and by the serial number that its maker gave."""
+"""Which board or laser is a serial adapter likely to be? By its USB ids and its maker's serial number."""
 
 from typing import Any
 
@@ -8,6 +8,7 @@ BOARDS_BY_USB_ID: dict[tuple[int, int | None], str] = {
     (0x2A03, None): "Arduino: base_driver.board.model velocity or ros_arduino_bridge",
     (0x2E8A, None): "Raspberry Pi Pico: base_driver.board.model velocity",
     (0x03EB, 0x2404): "RoboClaw: base_driver.board.model roboclaw",
+    (0x10C4, 0xEA60): "CP210x: often a laser's (RPLIDAR, YDLIDAR, LD06)",
     (0x1209, 0x0D32): "ODrive: base_driver.board.model odrive",
 }
 """(vendor, product) by the list of USB ids, linux-usb.org/usb.ids, and pid.codes; product None: any."""

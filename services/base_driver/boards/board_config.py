@@ -41,4 +41,7 @@ class SerialBoardConfig(Section):
     )
     frame_rate: float = Field(30.0, gt=0, le=1000, description="ros_arduino_bridge: its PID_RATE, frames a second")
     address: int = Field(0x80, ge=0x80, le=0x87, description="roboclaw: its address; 128 as delivered")
+    gyro: bool = Field(
+        True, description="velocity, kobuki: whether the board's gyro is published as `imu`; false beside an imu_driver"
+    )
     gear_ratio: float = Field(1.0, gt=0, le=1000, description="odrive: turns of the motor for a turn of the wheel")

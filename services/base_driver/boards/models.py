@@ -23,3 +23,4 @@ BOARDS: dict[str, Callable[[SerialBoardConfig, Robot], BoardDevice]] = {
     "roboclaw": RoboclawBoard,
     "odrive": OdriveBoard,
 }
+MODELS_WITH_GYRO = ("velocity", "kobuki")

@@ -8,6 +8,7 @@ from services.sim.hardware.ld06 import LD08_SAMPLES, Ld06Emulator
 from services.sim.hardware.rplidar import RplidarEmulator
 from services.sim.hardware.scip import ScipEmulator
 from services.sim.hardware.xv11 import Xv11Emulator
+from services.sim.hardware.ydlidar import YdlidarEmulator
 from shared.config import Laser, UserError, nearest
 from shared.messages import LaserScan
 
@@ -41,6 +42,12 @@ MODELS: dict[str, Callable[[Laser], LaserEmulator]] = {
     "stl27l": lambda laser: Ld06Emulator(laser, samples=21600, baud=921600),
     "rplidar": lambda laser: RplidarEmulator(laser, model=0x18),
     "rplidar_a2": lambda laser: RplidarEmulator(laser, model=0x28),  # scans in express mode
+    "rplidar_c1": lambda laser: RplidarEmulator(laser, model=0x41, baud=460800),
+    "rplidar_s1": lambda laser: RplidarEmulator(laser, model=0x61, baud=256000),
+    "rplidar_s2": lambda laser: RplidarEmulator(laser, model=0x71, baud=1000000),  # an S3 speaks as it does
     "scip": ScipEmulator,
     "xv11": Xv11Emulator,
+    "ydlidar_x2": lambda laser: YdlidarEmulator(laser, samples=3000, baud=115200, answers=False),
+    "ydlidar_x4": lambda laser: YdlidarEmulator(laser, samples=5000, baud=128000),
+    "ydlidar_g2": lambda laser: YdlidarEmulator(laser, samples=5000, baud=230400, intensity=True),
 }

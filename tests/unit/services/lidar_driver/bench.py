@@ -28,25 +28,52 @@ SWEEPS: dict[str, dict[str, Any]] = {
     "scip": {"angle_min": -340 * 2 * pi / 1024, "angle_increment": 2 * pi / 1024, "n_beams": 682, "rate": 10.0},
     "rplidar": {"angle_min": 0.0, "angle_increment": -2 * pi / 360, "n_beams": 360, "rate": 5.0},
     "rplidar_a2": {"angle_min": -pi, "angle_increment": -2 * pi / 400, "n_beams": 400, "rate": 10.0},
+    "rplidar_c1": {"angle_min": 0.0, "angle_increment": -2 * pi / 500, "n_beams": 500, "rate": 10.0},
+    "rplidar_s1": {"angle_min": 0.0, "angle_increment": -2 * pi / 920, "n_beams": 920, "rate": 10.0},
+    "rplidar_s2": {"angle_min": 0.0, "angle_increment": -2 * pi / 3200, "n_beams": 3200, "rate": 10.0},
+    "ydlidar_x2": {"angle_min": 0.0, "angle_increment": -2 * pi / 500, "n_beams": 500, "rate": 6.0, "range_min": 2.95},
+    "ydlidar_x4": {"angle_min": 0.0, "angle_increment": -2 * pi / 500, "n_beams": 500, "rate": 10.0, "range_min": 2.95},
+    "ydlidar_g2": {"angle_min": 0.0, "angle_increment": -2 * pi / 500, "n_beams": 500, "rate": 10.0, "range_min": 2.95},
 }
-"""Emulated model -> its sweep."""
+"""Emulated model -> its sweep.
+
+The beams of the YDLIDARs shift with the distance: only from 3 m on does a sample of any beam stay in the beam's place.
+"""
 MODELS = tuple(SWEEPS)
-BAUD = {"ld06": 230400, "stl27l": 921600}
+CLOCK_ERROR = {"ld14": 12 * MS, "ydlidar_x2": 15 * MS, "ydlidar_x4": 8 * MS, "ydlidar_g2": 8 * MS}
+"""ns, of the first sweeps; others 5 ms. With few packets a tick of 20 ms, none of the first ones arrives at once."""
+BAUD = {
+    "ld06": 230400,
+    "stl27l": 921600,
+    "rplidar_c1": 460800,
+    "rplidar_s1": 256000,
+    "rplidar_s2": 1000000,
+    "ydlidar_x4": 128000,
+    "ydlidar_g2": 230400,
+}
 
 
 def laser_of(model: str) -> Laser:
     sweep = SWEEPS[model]
     share = (sweep["n_beams"] - 1) * abs(sweep["angle_increment"]) / (2 * pi)
-    return Laser(range_min=0.05, range_max=12.0, scan_time=share / sweep["rate"], **sweep)
+    return Laser(**{"range_min": 0.05, "range_max": 12.0, "scan_time": share / sweep["rate"]} | sweep)
 
 
 def robot_with(laser: Laser) -> Robot:
     return load_robot("x80sv").robot.model_copy(update={"laser": laser})
 
 
+def spoken(model: str) -> str:
+    """lidar_driver.model of an emulated model."""
+    return "rplidar" if model.startswith("rplidar") else model
+
+
 def made_driver(model: str, laser: Laser | None = None, **settings: Any) -> LidarDriverService:
-    spoken = model.removesuffix("_a2")
-    values = {"model": spoken, "port": {"device": "there", "baud": BAUD.get(model, 115200)}, "mask_footprint": False}
+    values = {
+        "model": spoken(model),
+        "port": {"device": "there", "baud": BAUD.get(model, 115200)},
+        "mask_footprint": False,
+    }
     config = LidarDriverConfig.model_validate(values | settings)
     driver = LidarDriverService(config, robot_with(laser or laser_of(model)))
     driver.now = START
@@ -148,7 +175,7 @@ def random_sweeps(laser: Laser, seconds: float, seed: int = 0, start: int = STAR
     rng = np.random.default_rng(seed)
     sweeps = []
     for k in range(int(seconds * laser.rate)):
-        ranges = np.round(rng.uniform(0.1, 11.9, laser.n_beams), 3)
+        ranges = np.round(rng.uniform(laser.range_min + 0.05, 11.9, laser.n_beams), 3)
         ranges[rng.random(laser.n_beams) < 0.02] = np.nan
         sweeps.append(sweep_of(laser, start + round(k * NS_PER_S / laser.rate), ranges))
     return sweeps

@@ -10,13 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from services.lidar_driver import ld06, rplidar, rplidar_capsules, scip, xv11
+from services.lidar_driver import ld06, rplidar, rplidar_capsules, scip, xv11, ydlidar, ydlidar_packets
 from services.lidar_driver.device import LaserDevice, PacketCounts, Returns
 from services.lidar_driver.packet_framing import PacketFramer
 from services.sim.hardware import ld06 as said_by_ld06
 from services.sim.hardware import rplidar as said_by_rplidar
 from services.sim.hardware import scip as said_by_scip
 from services.sim.hardware import xv11 as said_by_xv11
+from services.sim.hardware import ydlidar as said_by_ydlidar
 from tests.unit.services.lidar_driver.bench import MODELS, laser_of, line_of, made_driver, random_sweeps
 
 LD19_MANUAL = bytes.fromhex(
@@ -138,6 +139,65 @@ def test_a_hokuyos_intensities_follow_each_distance():
     assert_allclose(heard.angles[[0, 340]], [-340 * 2 * np.pi / 1024, 0], atol=1e-12)
 
 
+YDLIDAR_ZERO = bytes.fromhex("AA 55 01 01 53 AE 53 AE AB 54 00 00")
+"""The example of 'YDLidar-SDK Communication Protocol': a zero packet without a measurement."""
+
+
+def test_a_ydlidars_documented_zero_packet_is_whole_and_measures_nothing():
+    heard = single(ydlidar.Ydlidar(115200, ydlidar.MODELS["ydlidar_x2"]).receive(YDLIDAR_ZERO, 0))
+    assert np.isnan(heard.ranges).all()
+    far = np.degrees(np.arctan(-21.8 / 155.3))  # of the formula, for a distance without end
+    assert_allclose(-np.degrees(heard.angles), (0xAE53 >> 1) / 64 + far)
+
+
+def test_a_ydlidars_angles_are_corrected_as_its_protocols_example():
+    # the packet of the example has 40 samples from 223.78 to 243.47 degrees, the first of 1 m, the last of 8 m
+    samples = [(1000.0, 0)] + [(4000.0, 0)] * 38 + [(8000.0, 0)]
+    data = said_by_ydlidar.packet((0x6FE5 >> 1) / 64, (0x79BD >> 1) / 64, samples, None, False)
+    heard = single(ydlidar.Ydlidar(115200, ydlidar.MODELS["ydlidar_x2"]).receive(data, 0))
+    assert_allclose(-np.degrees(heard.angles[[0, 39]]), [217.0178, 235.6326], atol=0.01)
+    assert_allclose(heard.ranges[[0, 39]], [1, 8])
+    assert_allclose(np.diff(heard.times), 1 / 3000)
+
+
+def test_a_ydlidars_sample_with_intensity_reads_as_its_protocol_says():
+    # 1F E5 6F is an intensity of 287 and 7161 mm; the same word without intensity 7161.25 mm
+    body = bytes.fromhex("AA 55 00 01 01 00 01 00")
+    words = [0x55AA, 0x0100, 1, 1, 0x1F, 0x6FE5]
+    check = int(np.bitwise_xor.reduce(words)).to_bytes(2, "little")
+    device = ydlidar.Ydlidar(230400, ydlidar.MODELS["ydlidar_g2"])
+    device.scanning = True
+    heard = single(device.receive(body + check + bytes.fromhex("1F E5 6F"), 0))
+    assert heard.intensities is not None
+    assert (float(heard.ranges[0]), float(heard.intensities[0])) == (pytest.approx(7.161), 287)
+
+
+def test_a_ydlidars_speed_is_the_zero_packets_or_that_of_its_angles():
+    device = ydlidar.Ydlidar(128000, ydlidar.MODELS["ydlidar_x4"])
+    device.scanning = True
+    device.receive(said_by_ydlidar.packet(10, 29.5, [(1000.0, 0)] * 40, None, False), 0)
+    assert device.speed == pytest.approx(0.5 * 5000 / 360)
+    device.receive(said_by_ydlidar.packet(30, 30, [(1000.0, 0)], 7.3, False), 0)
+    assert device.speed == pytest.approx(7.3)
+
+
+def test_a_ydlidar_x4_is_asked_for_its_health_before_it_scans_and_an_x2_nothing():
+    assert ydlidar.Ydlidar(115200, ydlidar.MODELS["ydlidar_x2"]).start(0) == b""
+    device = ydlidar.Ydlidar(128000, ydlidar.MODELS["ydlidar_x4"])
+    now = 10**9
+    assert device.start(now) == b"\xa5\x65"
+    now += 200_000_000
+    for request, answer in (
+        ("a5 90", "a5 5a 14 00 00 00 04 06" + "00" * 19),
+        ("a5 91", "a5 5a 03 00 00 00 06 00 00 00"),
+        ("a5 60", "a5 5a 05 00 00 40 81"),
+    ):
+        assert device.next_command(now) == bytes.fromhex(request)
+        assert device.next_command(now) == b""
+        device.receive(bytes.fromhex(answer), now)
+    assert device.scanning
+
+
 def test_rplidar_requests_with_a_payload_are_slamtecs():
     assert rplidar.request_with_payload(0x82, bytes(5)).hex(" ") == "a5 82 05 00 00 00 00 00 22"
     assert rplidar.request_with_payload(0xF0, b"\x94\x02").hex(" ") == "a5 f0 02 94 02 c1"
@@ -248,6 +308,7 @@ def test_an_a3_is_asked_for_the_mode_that_it_is_made_for():
         ("a5 52", "a5 5a 03 00 00 00 06 00 00 00"),
         ("a5 59", "a5 5a 04 00 00 00 15 fc 00 7d 00"),
         ("a5 84 04 7c 00 00 00", "a5 5a 06 00 00 00 20 7c 00 00 00 03 00"),
+        ("a5 84 06 75 00 00 00 03 00", "a5 5a 05 00 00 00 20 75 00 00 00 84"),
         ("a5 84 06 71 00 00 00 03 00", "a5 5a 08 00 00 00 20 71 00 00 00 80 3e 00 00"),
         ("a5 f0 02 94 02 c1 a5 82 05 03 00 00 00 00", "a5 5a 84 00 00 40 84"),
     ]
@@ -256,6 +317,43 @@ def test_an_a3_is_asked_for_the_mode_that_it_is_made_for():
         device.receive(bytes.fromhex(answer), now)
     assert device.scanning
     assert device.sample_times[1] == pytest.approx(62.5e-6)
+
+
+def test_a_c1_whose_typical_mode_has_an_unknown_format_scans_in_standard_mode():
+    device = rplidar.Rplidar(460800, None, rate=8.0)
+    device.start(0)
+    now = 200_000_000
+    for request, answer in (
+        ("a5 50", "a5 5a 14 00 00 00 04 41" + "00" * 19),
+        ("a5 52", "a5 5a 03 00 00 00 06 00 00 00"),
+        ("a5 59", "a5 5a 04 00 00 00 15 c8 00 c8 00"),
+        ("a5 84 04 7c", "a5 5a 06 00 00 00 20 7c 00 00 00 02 00"),
+        ("a5 84 06 75 00 00 00 02 00", "a5 5a 05 00 00 00 20 75 00 00 00 83"),
+        ("a5 84 06 71", "a5 5a 08 00 00 00 20 71 00 00 00 00 64 00 00"),
+        ("a5 a8 02 e0 01 ee a5 20", "a5 5a 05 00 00 40 81"),
+    ):
+        assert device.next_command(now).startswith(bytes.fromhex(request))
+        device.receive(bytes.fromhex(answer), now)
+    assert device.scanning
+    assert device.sample_times[0] == pytest.approx(200e-6)
+
+
+def test_an_ultra_dense_capsule_has_four_scales():
+    # rplidar_sdk: 2 mm a step, from 2046 mm on 3, from 8187 mm on 4, from 24567 mm on 5; quality above the distance
+    words = [5 << 12 | 500 << 2, 3 << 13 | 1000 << 2 | 1, 2 << 14 | 2000 << 2 | 2, 1 << 15 | 1000 << 2 | 3]
+    cabins = b""
+    for a, b in ((words[0], words[1]), (words[2], words[3])) * 16:
+        cabins += (
+            (a & 0xFFFF).to_bytes(2, "little") + (b & 0xFFFF).to_bytes(2, "little") + bytes([a >> 16 | b >> 16 << 4])
+        )
+    capsules = b""
+    for start in (10, 74):
+        body = bytes(6) + (start * 64).to_bytes(2, "little") + cabins
+        total = int(np.bitwise_xor.reduce(np.frombuffer(body, np.uint8)))
+        capsules += bytes([0xA0 | total & 15, 0x50 | total >> 4]) + body
+    heard = single(scanning_rplidar(0x86).receive(capsules, 0))
+    assert_allclose(heard.ranges[:4], [1.0, 2.046 + 3.0, 8.187 + 8.0, 24.567 + 5.0], atol=1e-6)
+    assert_allclose(-np.degrees(heard.angles), 10 + np.arange(64), atol=1e-9)
 
 
 def capsule_of(degrees: float, cabins: bytes) -> bytes:
@@ -288,7 +386,7 @@ def kept(device: LaserDevice) -> int:
     """Bytes that a decoder holds back."""
     scan = getattr(device, "scan", None)
     parts = [device, *(getattr(owner, name, None) for owner in (device, scan) for name in ("framing", "nodes"))]
-    return sum(len(getattr(part, "rest", b"")) for part in parts if part is not None)
+    return sum(len(getattr(part, "buffer", b"")) for part in parts if part is not None)
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -336,9 +434,27 @@ def capsules(n: int, rng: np.random.Generator) -> list[bytes]:
     return [said_by_rplidar.capsule(i * 20 % 360, rng.integers(0, 16384, 32).tolist(), False) for i in range(n)]
 
 
-PACKETS: dict[str, tuple[Callable[[int, np.random.Generator], list[bytes]], Callable[[], PacketFramer]]] = {
+def ydlidar_packets_of(n: int, rng: np.random.Generator, intensity: bool) -> list[bytes]:
+    return [
+        said_by_ydlidar.packet(
+            20 * i, 20 * i + 19.5, [(mm, mm % 1024) for mm in rng.integers(0, 16384, 40).tolist()], None, intensity
+        )
+        for i in range(n)
+    ]
+
+
+Framer = PacketFramer | ydlidar_packets.YdlidarFramer
+PACKETS: dict[str, tuple[Callable[[int, np.random.Generator], list[bytes]], Callable[[], Framer]]] = {
     "ld06": (ld06_packets, lambda: PacketFramer(47, ld06.is_header, ld06.is_checksum_valid, PacketCounts())),
     "xv11": (xv11_packets, lambda: PacketFramer(22, xv11.is_header, xv11.is_checksum_valid, PacketCounts())),
+    "ydlidar_x4": (
+        lambda n, rng: ydlidar_packets_of(n, rng, False),
+        lambda: ydlidar_packets.YdlidarFramer(ydlidar_packets.PLAIN, PacketCounts()),
+    ),
+    "ydlidar_g2": (
+        lambda n, rng: ydlidar_packets_of(n, rng, True),
+        lambda: ydlidar_packets.YdlidarFramer(ydlidar_packets.WITH_INTENSITY, PacketCounts()),
+    ),
     "rplidar_a2": (
         capsules,
         lambda: PacketFramer(84, rplidar_capsules.is_header, rplidar_capsules.is_checksum_valid, PacketCounts()),
@@ -358,12 +474,12 @@ def test_every_good_packet_is_found_whatever_lies_between_and_however_it_is_cut(
     stream = b"".join(noise + packet for noise, packet in zip(between, packets))
     whole = made()
     alone, _ = whole.extract(stream)
-    found = [row.tobytes() for row in alone]
+    found = [bytes(row) for row in alone]
     # noise may hold a packet of its own by accident, and swallow one: then the sum must be right there
     assert all(packet in found for packet in packets) or len(found) >= len(packets)
     pieces = made()
     edges = [0, *sorted(cut % (len(stream) + 1) for cut in cuts), len(stream)]
-    in_pieces = [row.tobytes() for a, b in pairwise(edges) for row in pieces.extract(stream[a:b])[0]]
+    in_pieces = [bytes(row) for a, b in pairwise(edges) for row in pieces.extract(stream[a:b])[0]]
     assert in_pieces == found
     assert pieces.counts.n_good == whole.counts.n_good == len(found)
     assert len(pieces.buffer) < pieces.length

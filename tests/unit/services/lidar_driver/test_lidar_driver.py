@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 from services.lidar_driver.laser_unit import NO_BYTES, NO_SENSE, STOPPED
 from services.sim.hardware.lasers import make_emulator
+from services.sim.hardware.rplidar import RplidarEmulator
 from services.sim.hardware.xv11 import packet
 from shared import topics
 from shared.config import UserError
@@ -16,6 +17,7 @@ from shared.messages import LaserScan, PortState, SerialData
 from shared.types import NS_PER_S
 from tests.unit.services.lidar_driver.bench import (
     BAUD,
+    CLOCK_ERROR,
     MODELS,
     MS,
     START,
@@ -36,8 +38,16 @@ RESOLUTION = {
     "scip": 5e-4,
     "rplidar": 1.3e-4,
     "rplidar_a2": 5e-4,
+    "rplidar_c1": 5e-4,
+    "rplidar_s1": 5e-4,
+    "rplidar_s2": 5e-4,
+    "ydlidar_x2": 1.3e-4,
+    "ydlidar_x4": 1.3e-4,
+    "ydlidar_g2": 5e-4,
 }  # m, half a step
-STARTUP = {"scip": 0.4, "rplidar": 0.6, "rplidar_a2": 0.6}  # s
+STARTUP = {"scip": 0.4, "ydlidar_x4": 0.4, "ydlidar_g2": 0.4}
+STARTUP |= {model: 0.6 for model in MODELS if model.startswith("rplidar")}  # s
+TRANSMITTING = ("ld06", "ld14", "stl27l", "xv11", "ydlidar_x2")
 
 
 def close(scan: LaserScan, true: LaserScan, resolution: float) -> None:
@@ -115,7 +125,7 @@ def test_scans_go_on_when_the_stacks_clock_jumps(model, jump):
     line.run(sweeps, 5)
     moved = [scan.stamp - round(jump * NS_PER_S) for scan in line.scans[-5:]]
     for stamp in moved:
-        assert min(abs(stamp - sweep.stamp) for sweep in sweeps) < 5 * MS
+        assert min(abs(stamp - sweep.stamp) for sweep in sweeps) < CLOCK_ERROR.get(model, 5 * MS)
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -185,7 +195,8 @@ def test_a_laser_upside_down_gives_its_beams_mirrored_in_the_order_of_time(model
 
 
 def test_intensities_come_where_the_laser_has_them_and_can_be_left_out():
-    for model, has in (("ld06", True), ("xv11", True), ("rplidar", True), ("rplidar_a2", False), ("scip", False)):
+    without = ("rplidar_a2", "rplidar_c1", "rplidar_s1", "rplidar_s2", "scip", "ydlidar_x2", "ydlidar_x4")
+    for model, has in ((model, model not in without) for model in MODELS):
         for wanted in (True, False):
             line = line_of(model, intensities=wanted)
             line.run(random_sweeps(laser_of(model), 2), 2.2)
@@ -210,7 +221,7 @@ def test_silence_is_named_and_the_laser_started_again(model):
         line.written = []
     assert line.driver.state() == NO_BYTES
     assert line.lines[-1].endswith(NO_BYTES)
-    if model not in ("ld06", "ld14", "stl27l", "xv11"):
+    if model not in TRANSMITTING:
         assert said  # it was asked again
     later = random_sweeps(laser_of(model), 4, start=line.now)
     line.run(later, 4.2)
@@ -233,7 +244,14 @@ def test_bytes_without_sense_are_named():
 
 @pytest.mark.parametrize(
     ("model", "named"),
-    [("ld06", STOPPED), ("xv11", NO_BYTES), ("rplidar", "health error"), ("scip", "fault of its hardware")],
+    [
+        ("ld06", STOPPED),
+        ("xv11", NO_BYTES),
+        ("rplidar", "health error"),
+        ("scip", "fault of its hardware"),
+        ("ydlidar_x2", NO_BYTES),
+        ("ydlidar_x4", "health error"),
+    ],
 )
 def test_a_laser_that_stops_turning_is_named_and_recovers(model, named):
     line = line_of(model)
@@ -274,6 +292,8 @@ def test_a_closed_port_is_named_and_scans_return_with_it(model):
 
 def test_the_laser_is_stopped_at_the_end():
     stops = {"scip": b"QT\n", "rplidar": b"\xa5\x25", "rplidar_a2": b"\xa5\x25" + bytes.fromhex("a5 f0 02 00 00 57")}
+    stops |= dict.fromkeys(("rplidar_c1", "rplidar_s1", "rplidar_s2"), b"\xa5\x25")
+    stops |= {"ydlidar_x4": b"\xa5\x65", "ydlidar_g2": b"\xa5\x65"}
     for model in MODELS:
         line = line_of(model)
         line.run(random_sweeps(laser_of(model), 1.5), 2)
@@ -288,6 +308,21 @@ def test_a_port_of_another_name_is_not_the_lasers():
     assert list(driver.plugged(PortState(START, "other", True, ""))) == []
     assert not driver.lasers["laser"].open
     assert driver.ports["laser"].baud == BAUD["ld06"]
+
+
+def test_an_rplidar_of_the_s_and_c_series_is_told_the_speed_of_the_robots_laser():
+    line = line_of("rplidar_c1")
+    line.run(random_sweeps(laser_of("rplidar_c1"), 1), 1.5)
+    assert isinstance(line.laser, RplidarEmulator)
+    assert line.laser.rpm == 600
+
+
+def test_an_rplidar_c1_scans_in_standard_mode_if_asked_to():
+    line = line_of("rplidar_c1", express=False)
+    sweeps = random_sweeps(laser_of("rplidar_c1"), 2)
+    line.run(sweeps, 2.2)
+    close(line.scans[-1], truth_of(line.scans[-1], sweeps), 5e-4)
+    assert len(line.scans[-1].intensities)  # only standard nodes have a quality
 
 
 def test_an_rplidars_port_keeps_dtr_low_for_the_motor_of_an_a1():

@@ -10,7 +10,7 @@ from shared import topics
 from shared.config import RobotFile, configured
 from shared.messages import EmergencyStop, Message, Velocity
 from shared.runners.lockstep import Lockstep
-from zenav.calibrate.log import TOPICS, CalibrationLog
+from zenav.calibrate.log import TOPICS, calibration_log
 from zenav.calibrate.manoeuvre import HZ, StackState, VelocityStep
 from zenav.stack.service_loader import build_service
 
@@ -41,7 +41,7 @@ class CalibrationBench:
         )
         built = {name: build_service(name, self.file, self.robot) for name in services}
         self.lockstep = Lockstep({"sim": sim, **built}, record=record)
-        self.log = CalibrationLog()
+        self.log = calibration_log(self.robot)
         self.newest: dict[str, Message] = {}
         self.pressed = False
         for topic in TOPICS:

@@ -198,8 +198,8 @@ EVERY = tuple(topic.key for topic in TOPICS)
         (EVERY, 6.0, "x80", "the drive turns by"),
         (EVERY, 1.5, "x80", "there are 1"),
         (("base/wheels",), 100.0, "x80", "there are 0 scans"),
-        (("scan",), 100.0, "x80", "there are no wheel states"),
-        (("cmd/vel",), 100.0, "x80", "neither base/wheels nor scan"),
+        (("scan",), 100.0, "x80", "there is no motion of the base"),
+        (("cmd/vel",), 100.0, "x80", "neither base/wheels, base/odometry nor scan"),
         (EVERY, 6.0, "jackal", "is a recording of jackal, not of x80"),
     ],
 )
@@ -249,8 +249,44 @@ def test_late_and_repeated_messages_are_left_out(drive_of_squares, robot):
     assert (len(again.scans), len(again.wheels), again.n_late) == (3, 5, 2)
 
 
-@pytest.mark.parametrize("command", [("motors", "--yes"), ("odometry", "--yes")])
-def test_the_wheels_of_a_velocity_base_are_not_calibrated_here(command, capsys):
+@pytest.mark.parametrize(
+    ("command", "way_out"),
+    [
+        (("motors", "--yes"), "zenav calibrate laser"),
+        (("odometry", "--yes", "--measured"), "leave out --measured"),
+        (("odometry", "--yes", "--method", "umbmark"), "leave out --measured"),
+    ],
+)
+def test_the_wheels_of_a_velocity_base_are_not_calibrated_here(command, way_out, capsys):
     what, hint = complaint(capsys, *command, "--robot", "turtlebot3_burger")
     assert "turtlebot3_burger is a velocity base" in what
-    assert "zenav calibrate laser" in hint
+    assert way_out in hint
+
+
+def test_the_odometry_and_the_laser_of_a_velocity_base_are_calibrated_by_its_scans(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path, robot = tmp_path / "squares.mcap", tmp_path / "mine.yaml"
+    robot.write_text((ROBOTS_DIR / "turtlebot3_burger.yaml").read_text())
+    (tmp_path / "hall.yaml").write_text(HALL)
+    with Writer(path, about("turtlebot3")) as writer:
+        bench = CalibrationBench(
+            "sim.drive.slip=0.005",
+            "sim.drive.radius_error=0",
+            "sim.drive.size_error=0.03",
+            "sim.drive.distance_error=0.05",
+            world=str(tmp_path / "hall.yaml"),
+            robot="turtlebot3_burger",
+            truth={"x": -0.02, "y": 0.01},
+            record=sink(writer),
+        )
+        for clockwise in (True, False):
+            bench.perform(stand(1.5))
+            bench.perform(square(1.2, clockwise, 0.2, 1.2, bench.robot.drive))
+            bench.perform(stand(1.5))
+    assert _status(["calibrate", "odometry", "--recording", str(path), "--robot", str(robot), "--write"]) == 0
+    assert _status(["calibrate", "laser", str(path), "--robot", str(robot), "--write"]) == 0
+    tree = YAML().load(robot.read_text())
+    assert tree["odometry"]["base_distance_scale"] == pytest.approx(1.03, abs=0.005)
+    assert tree["odometry"]["base_turn_scale"] == pytest.approx(1.03 / 1.05, abs=0.005)
+    assert tree["robot"]["laser"]["mount"]["x"] == pytest.approx(-0.02, abs=0.005)
+    assert tree["robot"]["laser"]["mount"]["y"] == pytest.approx(0.01, abs=0.005)

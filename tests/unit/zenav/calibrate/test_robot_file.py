@@ -6,7 +6,7 @@ import pytest
 
 from shared.config import UserError, load_robot
 from shared.robot_files import ROBOTS_DIR
-from zenav.calibrate.robot_file import write, yaml_snippet
+from zenav.calibrate.robot_file import values_of, write, yaml_snippet
 
 VALUES = {
     "robot.drive.wheel_radius": 0.0851,
@@ -44,7 +44,7 @@ def test_what_is_pasted_reads_as_what_is_written(tmp_path):
     from ruamel.yaml import YAML
 
     robot = load_robot("x80sv").robot
-    text = yaml_snippet(VALUES, robot)
+    text = yaml_snippet(VALUES, values_of({"robot": robot}, VALUES))
     assert YAML(typ="safe").load(text) == {
         "robot": {
             "drive": {"wheel_radius": 0.0851, "wheel_radius_ratio": 1.0052, "wheel_distance": 0.28572},

@@ -90,3 +90,9 @@ def test_a_request_is_found_by_its_name_and_its_service():
     assert request_named("request/set/planner")[1] == "planner"
     with pytest.raises(UserError, match="navigat is not a request"):
         request_named("navigat")
+
+
+def test_the_rate_of_scans_is_that_of_the_robots_laser():
+    robot = load_robot("turtlebot3_burger").robot
+    assert KeyCheck("scan", topics.SCAN, robot).expected_hz == robot.laser.rate == 5
+    assert KeyCheck("odom", topics.ODOM, robot).expected_hz == topics.ODOM.hz

@@ -8,8 +8,10 @@ import time
 from types import SimpleNamespace
 
 import pytest
+from ruamel.yaml import YAML
 from serial.tools import list_ports
 
+from shared.robot_files import ROBOTS_DIR
 from shared.runners import port as ports
 from shared.runners.transport import StackAddress
 from zenav.__main__ import _status
@@ -26,8 +28,9 @@ def one(check) -> doctor.DoctorFinding:
 
 def test_a_stack_that_can_start_has_nothing_bad_and_every_part_is_looked_at(capsys):
     with free_stack() as claim:
-        found = {finding.name: finding for finding in findings(claim.where)}
+        found = {finding.name: finding for finding in findings(claim.where, "x80sv")}
         looked_at = {"Python", "packages", "kernels", "CPU", "real time", "clock", "ports", "Zenoh", "serial", "disk"}
+        looked_at |= {"robot"}
         assert looked_at <= set(found)
         assert all(finding.verdict == OK or finding.hint for finding in found.values())
         bad = [name for name, finding in found.items() if finding.verdict == BAD]
@@ -74,8 +77,37 @@ def test_boards_are_named_by_their_usb_ids(monkeypatch):
     assert "Arduino" in arduino
     assert "serial number 75" in arduino
     assert "board.model kobuki" in kobuki
-    assert other == "ttyUSB1"
+    assert other.startswith("ttyUSB1 (CP210x")
     assert "board.model odrive" in odrive
+
+
+def robot_with_ports(folder, **devices: str):
+    path = folder / "mine.yaml"
+    path.write_text((ROBOTS_DIR / "x80sv.yaml").read_text())
+    yaml = YAML()
+    tree = yaml.load(path.read_text())
+    for driver, device in devices.items():
+        tree.setdefault(driver, {}).setdefault("port", {})["device"] = device
+    yaml.dump(tree, path)
+    return str(path)
+
+
+def test_the_ports_that_a_robots_file_names_are_looked_for(tmp_path):
+    (tmp_path / "laser").touch()
+    robot = robot_with_ports(
+        tmp_path, base_driver=str(tmp_path / "board"), lidar_driver=str(tmp_path / "laser"), imu_driver="/dev/null"
+    )
+    board, laser, imu = doctor.robot_ports(robot)
+    assert (board.verdict, "board is not there" in board.found, "mine.yaml:" in board.hint) == (BAD, True, True)
+    assert (laser.verdict, "is no serial device" in laser.found) == (BAD, True)
+    assert imu == doctor.DoctorFinding("robot", OK, "imu_driver.port: /dev/null")
+    (away,) = doctor.robot_ports(robot_with_ports(tmp_path, base_driver="socket://10.0.0.5:10001"))
+    assert away.found == "base_driver.port: socket://10.0.0.5:10001 (not tried)"
+
+
+def test_a_robot_that_is_not_there_is_bad_and_one_without_ports_is_not():
+    assert one(lambda: doctor.robot_ports("x80sw")).verdict == BAD
+    assert one(lambda: doctor.robot_ports("x80sv")).verdict == OK
 
 
 def test_boards_of_several_groups_are_told_each_its_hint(monkeypatch, tmp_path):
@@ -131,7 +163,7 @@ def test_a_check_that_fails_is_itself_a_finding(monkeypatch):
 
     monkeypatch.setattr(doctor, "serial", broken)
     with free_stack() as claim:
-        found = [finding for finding in findings(claim.where) if finding.verdict == WARNING]
+        found = [finding for finding in findings(claim.where, "x80sv") if finding.verdict == WARNING]
     assert "cannot be looked at: no such thing" in [finding.found for finding in found]
 
 

@@ -8,7 +8,8 @@ import pytest
 from services.base_driver.config import BaseDriverConfig
 from services.base_driver.service import BaseDriverService
 from services.lidar_driver.service import LidarDriverConfig
-from shared.config import configured
+from shared.config import UserError, configured
+from zenav.stack.config_report import read_sections
 from zenav.stack.hardware import Hardware, services_for, settings_for
 
 NAMED = ("base_driver.port.device=/dev/ttyUSB0", "lidar_driver.port.device=/dev/ttyUSB1")
@@ -37,3 +38,25 @@ def test_a_simulated_stack_opens_none_of_the_robot_s_devices(ports, hardware):
     assert [port.device for port in used] == (emulated if hardware is Hardware.EMULATED else ["", ""])
     assert ("lidar_driver" in services_for(hardware, file)) is (hardware is Hardware.EMULATED)
     assert "sim" in services_for(hardware, file)
+
+
+GYRO = ("base_driver.port.device=/dev/ttyUSB0", "imu_driver.port.device=/dev/ttyUSB2")
+
+
+def test_a_board_with_a_gyro_beside_an_imu_driver_is_refused_with_the_way_out():
+    with pytest.raises(UserError) as refused:
+        read_sections(configured("turtlebot2", list(GYRO)))
+    assert "the board kobuki publishes `imu`, too" in refused.value.what
+    assert "base_driver.board.gyro: false" in refused.value.hint
+
+
+@pytest.mark.parametrize(
+    ("robot", "settings"),
+    [
+        ("turtlebot2", (*GYRO, "base_driver.board.gyro=false")),
+        ("turtlebot2", GYRO[:1]),
+        ("x80sv", GYRO),  # its board has none
+    ],
+)
+def test_one_publisher_of_imu_is_valid(robot, settings):
+    read_sections(configured(robot, list(settings)))
