@@ -40,7 +40,7 @@ from shared.messages import (
     Zones,
 )
 from shared.orders import Order, is_newer
-from shared.requests import Reply, Watch
+from shared.requests import ClearCostmaps, Reply, Watch
 from shared.scan_faults import mismatch
 from shared.service import Answer, Out, Service, answer, every, on
 from shared.settings import Configuration
@@ -121,13 +121,11 @@ class LocalCtrlService(Service):
 
     @on(topics.POSE)
     def pose(self, pose: PoseEstimate) -> Out:
-        """Takes the pose estimate."""
         self.inputs.add_pose(pose)
         return ()
 
     @on(topics.MAP)
     def map(self, update: MapUpdate) -> Out:
-        """Takes tiles of the map."""
         self.grid.apply(update)
         return ()
 
@@ -146,7 +144,6 @@ class LocalCtrlService(Service):
 
     @on(topics.ZONES)
     def new_zones(self, zones: Zones) -> Out:
-        """Takes the zones."""
         self.zones.set_zones(zones)
         return ()
 
@@ -199,8 +196,13 @@ class LocalCtrlService(Service):
 
     @answer(requests.WATCH)
     def watch(self, request: Watch) -> Answer[Reply]:
-        """Publishes the debug topics for a while."""
         self.debug_topics.watch(self.now, request.seconds)
+        yield from ()
+        return Reply(self.now, True, "", "")
+
+    @answer(requests.CLEAR_COSTMAPS)
+    def clear_costmaps(self, request: ClearCostmaps) -> Answer[Reply]:
+        self.costmap.clear()
         yield from ()
         return Reply(self.now, True, "", "")
 
