@@ -16,7 +16,15 @@ import msgpack
 
 from services.ros2.action_topics import action_services, action_topics
 from services.ros2.config import Ros2Config
-from services.ros2.incoming_topics import CMD_VEL, INCOMING, MAP_SERVICES, STATE_SERVICES, TRIGGERS, IncomingTopic
+from services.ros2.incoming_topics import (
+    CLEAR_SERVICES,
+    CMD_VEL,
+    INCOMING,
+    MAP_SERVICES,
+    STATE_SERVICES,
+    TRIGGERS,
+    IncomingTopic,
+)
 from services.ros2.outgoing_topics import OUTGOING, STATIC_TF, OutgoingTopic
 from services.ros2.rmw_names import Endpoint, Entity, Qos, RosName, mismatch_text
 from services.ros2.robot_input import COMMAND_TOPICS, ROBOT_TF, ROBOT_TOPICS, robot_topics
@@ -159,7 +167,13 @@ class BridgeDevice:
             topic = ros_name(name, type_)
             self._endpoints[name, Entity.SUBSCRIPTION] = [(topic, qos)]
             self._wire.advertise(name, topic, qos)
-        for name, type_ in (*TRIGGERS, *STATE_SERVICES, *MAP_SERVICES, *action_services(config.distro)):
+        for name, type_ in (
+            *TRIGGERS,
+            *STATE_SERVICES,
+            *MAP_SERVICES,
+            *CLEAR_SERVICES,
+            *action_services(config.distro),
+        ):
             self._own[config.name(name)] = name
             self._wire.serve(ros_name(name, type_))
         self._wire.discover()
