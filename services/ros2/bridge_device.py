@@ -71,6 +71,7 @@ class BridgeDevice:
         self._state: tuple[bool, str] | None = None
         self._endpoints: dict[tuple[str, Entity], list[tuple[RosName, Qos]]] = {}  # ours, by name and kind of theirs
         self._mismatches: set[str] = set()
+        self._subscribed: set[tuple[str, str]] = set()  # name and type of others' subscriptions
         self._thread = threading.Thread(target=self._run, name="ros2", daemon=True)
 
     def start(self) -> None:
@@ -180,7 +181,8 @@ class BridgeDevice:
 
     def _obey(self, order: dict[str, Any]) -> None:
         if "publish" in order:
-            self._wire.publish(order["publish"], order["data"])
+            if self._fits_key(order["publish"]):
+                self._wire.publish(order["publish"], order["data"])
         elif "reply" in order:
             self._wire.reply(order["reply"], order["data"])
         elif "tool" in order:
@@ -189,6 +191,13 @@ class BridgeDevice:
         elif "ask" in order:
             number = order["id"]
             self._feed.ask(order["ask"], order["payload"], lambda outcome: self._on_outcome(number, outcome))
+
+    def _fits_key(self, name: str) -> bool:
+        """Whether a message may go out: with the bridge to DDS both types of velocity have one key."""
+        row = next((row for row in COMMAND_TOPICS if row.name == name), None)
+        if row is None or self._config.bridge != "dds":
+            return True
+        return (self._config.name(name), row.type) in self._subscribed
 
     def _due_messages(self, now: float) -> list[dict[str, Any]]:
         due = []
@@ -231,6 +240,8 @@ class BridgeDevice:
         own = self._own.get(endpoint.topic.name)
         if own is None or not is_there:
             return
+        if endpoint.entity is Entity.SUBSCRIPTION:
+            self._subscribed.add((endpoint.topic.name, endpoint.topic.type))
         if own == CMD_VEL and endpoint.entity is Entity.PUBLISHER:
             self._feed.need()
         ours = self._endpoints.get((own, endpoint.entity), [])

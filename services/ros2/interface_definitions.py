@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Definitions of the services and actions that rosbags lacks: std_srvs, lifecycle_msgs, action_msgs, nav2_msgs.
+"""Definitions of the services and actions that rosbags lacks: std_srvs, lifecycle_msgs, nav2_msgs and others.
 
-Source: docs.ros.org, nav2_msgs of Humble, Jazzy and Kilted. Constants are left out: neither the wire nor a
-type's hash has them. A service is request and response, an action is goal, result and feedback.
+Source: docs.ros.org, nav2_msgs of Humble, Jazzy and Kilted; iRobotEducation/irobot_create_msgs. Constants are left out:
+neither the wire nor a type's hash has them. A service is request and response, an action is goal, result and feedback.
 """
 
 POSE_FEEDBACK = """\
@@ -80,6 +80,10 @@ KILTED_ACTIONS: dict[str, Definition] = {
 
 MESSAGES: dict[str, str] = {
     "nav2_msgs/msg/MissedWaypoint": "uint32 index\ngeometry_msgs/PoseStamped goal\nuint16 error_code\n",
+    "irobot_create_msgs/msg/HazardDetection": "std_msgs/Header header\nuint8 type\n",
+    "irobot_create_msgs/msg/HazardDetectionVector": (
+        "std_msgs/Header header\nirobot_create_msgs/HazardDetection[] detections\n"
+    ),
     "nav2_msgs/msg/WaypointStatus": (
         "uint8 waypoint_status\nuint32 waypoint_index\ngeometry_msgs/PoseStamped waypoint_pose\n"
         "uint16 error_code\nstring error_msg\n"

@@ -9,6 +9,7 @@ The laser's mount is the robot file's. /tf_static gives it too: a difference is 
 are turned about.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,23 +23,31 @@ from services.ros2.rmw_names import Qos, Reliability
 from services.ros2.ros_types import RosTypes
 from services.ros2.sender_clocks import SenderClocks
 from shared import topics
-from shared.config import Laser
+from shared.config import Robot
 from shared.geometry import Pose2
-from shared.messages import BaseOdometry, Velocity
+from shared.messages import MAX_CONTACTS, BaseOdometry, Contacts, Velocity
 from shared.ros_messages import ODOM, SCAN, TF, RosMessages, pose2, pose_of_transform
-from shared.ros_readings import covariance, laser_scan, stamp_of
+from shared.ros_readings import covariance, frame_name, laser_scan, stamp_of
 from shared.service import Log, Out
+from shared.topics import Publication
 from shared.types import Float64s
 
+HAZARDS = "irobot_create_msgs/msg/HazardDetectionVector"
 SENSOR_QOS = Qos(Reliability.BEST_EFFORT, depth=5)
 ROBOT_SCAN, ROBOT_ODOM, ROBOT_TF, ROBOT_STATIC_TF = "/scan", "/odom", "/tf", "/tf_static"
+ROBOT_BATTERY, ROBOT_HAZARDS = "/battery_state", "/hazard_detection"
 ROBOT_TOPICS = (
     IncomingTopic(ROBOT_SCAN, (SCAN,), SENSOR_QOS),
     IncomingTopic(ROBOT_ODOM, (ODOM,), SENSOR_QOS),
     IncomingTopic(ROBOT_TF, (TF,), TF_QOS),
     IncomingTopic(ROBOT_STATIC_TF, (TF,), LATCHED),
+    IncomingTopic(ROBOT_BATTERY, ("sensor_msgs/msg/BatteryState",), SENSOR_QOS),
+    IncomingTopic(ROBOT_HAZARDS, (HAZARDS,), SENSOR_QOS),
 )
-"""Of /odom and /tf one is subscribed to (`robot_topics`)."""
+"""Of /odom and /tf one is subscribed to, and /hazard_detection for robots with bumpers (`robot_topics`)."""
+BUMP, CLIFF, WHEEL_DROP = 1, 2, 4
+"""of irobot_create_msgs/HazardDetection. A dropped wheel is a cliff; stalled wheels are base_driver's to detect."""
+MAX_VOLTAGE, MAX_VOLTAGE_AGE_NS = 100.0, 60_000_000_000  # V; ns, of the last message of the battery
 COMMAND, STAMPED_COMMAND = "/cmd_vel", "/cmd_vel of stamped messages"
 COMMAND_TOPICS = (
     OutgoingTopic(COMMAND, TWIST, DEFAULT, (), lambda state, message, publisher: None),
@@ -46,6 +55,7 @@ COMMAND_TOPICS = (
 )
 """Both types of one name: a robot subscribes to one of them."""
 CLOCK = b"robot"  # one for all topics: a scan has the stamp of its first beam, and odometry comes sooner
+BASE_CLOCK = b"base"  # of a board that is a computer of its own, as a Create 3
 MAX_SILENCE_NS = 200_000_000  # without a velocity of base_driver, after which the robot gets zero
 
 
@@ -55,14 +65,24 @@ def robot_topics(odometry: str) -> tuple[IncomingTopic, ...]:
     return tuple(row for row in ROBOT_TOPICS if row.name != left_out)
 
 
+def contacts_of(detections: Any, stamp: int) -> Contacts:
+    """Bumpers and cliff sensors, by the frames in which they detect something. stamp: ns."""
+    names = [(int(row.type), frame_name(row.header.frame_id)) for row in detections[:MAX_CONTACTS]]
+    bumpers = tuple(sorted({name for type_, name in names if type_ == BUMP}))
+    cliffs = tuple(sorted({name for type_, name in names if type_ in (CLIFF, WHEEL_DROP)}))
+    return Contacts(stamp, bumpers, cliffs, False)
+
+
 class RobotInput:
     """Translates between a robot with ROS 2 and the stack. Times are ns on the stack's clock."""
 
-    def __init__(self, config: Ros2Config, types: RosTypes, make: RosMessages, laser: Laser) -> None:
-        self._types, self._make = types, make
+    def __init__(self, config: Ros2Config, types: RosTypes, make: RosMessages, robot: Robot) -> None:
+        self._types, self._make, self._has_contacts = types, make, robot.has_contacts
         self._clocks = SenderClocks()
-        self._mount = LaserMount(laser.mount, config.frames.base)
+        self._mount = LaserMount(robot.laser.mount, config.frames.base)
         self._command: Velocity | None = None  # the newest, while the robot moves by it
+        self._voltage = float("nan")
+        self._voltage_at = 0  # ns, when it came
 
     def message(self, name: str, type_: str, data: bytes, now: int) -> Out:
         """A message of ROBOT_TOPICS. Raises ValueError where it is none."""
@@ -70,11 +90,15 @@ class RobotInput:
         if name == ROBOT_SCAN:
             yield from self._scan(message, now)
         elif name == ROBOT_ODOM:
-            yield topics.BASE_MOTION(_odometry_of_topic(message, self._stamp(message.header, now)))
+            yield self._motion(_odometry_of_topic(message, self._stamp(message.header, now)))
         elif name == ROBOT_TF:
             yield from self._moving(message, now)
-        else:
+        elif name == ROBOT_STATIC_TF:
             self._mount.add(message)
+        elif name == ROBOT_BATTERY:
+            self._voltage, self._voltage_at = float(message.voltage), now
+        elif self._has_contacts:
+            yield topics.CONTACTS(contacts_of(message.detections, self._stamp(message.header, now, BASE_CLOCK)))
 
     def velocity(self, command: Velocity, now: int) -> Out:
         """The velocity of base_driver, for the robot."""
@@ -87,9 +111,16 @@ class RobotInput:
             self._command = None
             yield from self._published(0.0, 0.0, now)
 
-    def _stamp(self, header: Any, now: int) -> int:
+    def _stamp(self, header: Any, now: int, clock: bytes = CLOCK) -> int:
         """The time of a header on our clock."""
-        return now - self._clocks.age(CLOCK, stamp_of(header), now)
+        return now - self._clocks.age(clock, stamp_of(header), now)
+
+    def _motion(self, odometry: BaseOdometry) -> Publication:
+        """Odometry with the battery's voltage, which comes seldom; NaN where it is old or none."""
+        is_recent = 0 <= odometry.stamp - self._voltage_at < MAX_VOLTAGE_AGE_NS
+        is_measured = 0 < self._voltage <= MAX_VOLTAGE
+        battery = self._voltage if is_recent and is_measured else float("nan")
+        return topics.BASE_MOTION(replace(odometry, battery=battery))
 
     def _scan(self, message: Any, now: int) -> Out:
         warning = self._mount.check(message.header.frame_id)
@@ -103,7 +134,7 @@ class RobotInput:
         children = {str(row.child_frame_id): row for row in message.transforms if row.header.frame_id == frames.odom}
         if frames.base in children:
             row = children[frames.base]
-            yield topics.BASE_MOTION(_odometry_of_transform(row.transform, self._stamp(row.header, now)))
+            yield self._motion(_odometry_of_transform(row.transform, self._stamp(row.header, now)))
         elif children:
             child = next(iter(children))
             raise ValueError(f"{frames.odom} has the child {child}, not {frames.base}: set ros2.frames.base={child}")

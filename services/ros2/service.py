@@ -236,7 +236,7 @@ class Ros2Service(Service):
             make = RosMessages(types.types, self.config.ros_frames)
             calls = ServiceCalls(types, make, self._ask, self._ask_tool)
             actions = ActionServer(types, make, self._ask)
-            robot = RobotInput(self.config, types, make, self.robot.laser)
+            robot = RobotInput(self.config, types, make, self.robot)
             self._loaded = Loaded(types, make, actions, calls, robot)
         return self._loaded
 

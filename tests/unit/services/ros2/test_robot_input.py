@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot with ROS 2 that zenav drives: its sensors come in with our time, and the velocity goes out."""
 
+from math import isnan
 from typing import Any
 
 import numpy as np
 import pytest
 
+from services.ros2 import outgoing_messages
 from services.ros2.bridge_device import published_rows, received_rows
 from services.ros2.outgoing_topics import OUTGOING, STATIC_TF
 from services.ros2.robot_input import COMMAND, STAMPED_COMMAND
 from shared import sample_messages
 from shared.config import load_robot
 from shared.geometry import Pose2
-from shared.messages import BaseOdometry, LaserScan, Odometry, Velocity
+from shared.messages import BaseOdometry, BaseStatus, LaserScan, Odometry, Velocity
 from tests.unit.services.ros2.core import Core
 
 ROBOT = load_robot("x80sv").robot
@@ -106,6 +108,49 @@ def test_a_base_of_another_name_in_tf_is_named_with_its_setting():
     assert "ros2.frames.base=base_footprint" in core.lines[-1]
 
 
+def battery_of(core: Core, voltage: float) -> Any:
+    return outgoing_messages.battery(core.make, BaseStatus(10**12, voltage, 0.0, 0.0, True, "", ""))
+
+
+def test_the_battery_comes_in_with_the_odometry_until_it_is_old(core):
+    [odometry] = stamped(core, odometry_of(core))
+    assert isnan(odometry.battery)
+    assert core.message("/battery_state", battery_of(core, 15.5)) == []
+    [odometry] = stamped(core, odometry_of(core))
+    assert odometry.battery == 15.5
+    core.service.now += 100 * 10**9
+    [odometry] = stamped(core, odometry_of(core))
+    assert isnan(odometry.battery)
+
+
+@pytest.mark.parametrize("voltage", [-1.0, float("nan"), float("inf"), 1e9])
+def test_a_voltage_that_is_none_is_not_used(core, voltage):
+    core.message("/battery_state", battery_of(core, voltage))
+    [odometry] = stamped(core, odometry_of(core))
+    assert isnan(odometry.battery)
+
+
+def hazards_of(core: Core, *rows: tuple[int, str]) -> Any:
+    """Type and frame of each detection."""
+    kind = "irobot_create_msgs/msg/HazardDetection"
+    detections = [core.make.new(kind, header=core.make.header(5, frame), type=type_) for type_, frame in rows]
+    return core.make.new(f"{kind}Vector", header=core.make.header(5, "base_link"), detections=detections)
+
+
+def test_hazards_are_contacts_by_their_frames():
+    core = Core(robot="turtlebot4", drives=True)
+    hazards = hazards_of(core, (1, "bump_left"), (2, "cliff_front_left"), (0, "base_link"), (4, "wheel_drop_left"))
+    [contacts] = core.message("/hazard_detection", hazards)
+    assert contacts.bumpers == ("bump_left",)
+    assert contacts.cliffs == ("cliff_front_left", "wheel_drop_left")
+    [free] = core.message("/hazard_detection", hazards_of(core))
+    assert (free.bumpers, free.cliffs, free.estop) == ((), (), False)
+
+
+def test_a_robot_file_without_contacts_takes_no_hazards(core):
+    assert core.message("/hazard_detection", hazards_of(core, (1, "bump_left"))) == []
+
+
 def static(core: Core, *rows: tuple[str, str, Pose2]) -> list[Any]:
     return core.message("/tf_static", core.make.transforms(*(core.make.transform(0, *row) for row in rows)))
 
@@ -170,10 +215,11 @@ def test_a_bridge_that_drives_no_robot_of_ros_publishes_no_velocity():
 
 def test_the_robots_own_topics_are_received_and_not_published():
     published = {row.name for row in published_rows(True)}
-    assert {"/scan", "/odom"}.isdisjoint(published)
+    assert {"/scan", "/odom", "/battery_state"}.isdisjoint(published)
     assert {"/tf", "/map", COMMAND, STAMPED_COMMAND} <= published
     received = {row.name for row in received_rows(Core(drives=True).config)}
-    assert received == {"/scan", "/odom", "/tf_static", "/goal_pose", "/initialpose"}
+    own = {"/scan", "/odom", "/tf_static", "/battery_state", "/hazard_detection"}
+    assert received == own | {"/goal_pose", "/initialpose"}
     by_tf = {row.name for row in received_rows(Core(drives=True, odometry="tf").config)}
     assert by_tf == received - {"/odom"} | {"/tf"}
     assert published_rows(False) == (*OUTGOING, STATIC_TF)
