@@ -82,6 +82,33 @@ class Pause(Message):
     paused: Flag
 
 
+@dataclass(frozen=True, slots=True)
+class Spin(Message):
+    """Turn on the spot by an angle, positive to the left, and stand.
+
+    It ends with a reason where something is in the way, and after `seconds` (0: 30 s). The guard holds as ever.
+    """
+
+    angle: Annotated[float, Unit("rad"), m.Within(-70, 70)]
+    seconds: Annotated[float, Unit("s"), m.Within(0, 300)] = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class DriveStraight(Message):
+    """Drive straight by a distance, negative: backward, and stand. Ends as `Spin`.
+
+    The speed is that of `local_ctrl.manoeuvres.back_up_speed`.
+    """
+
+    distance: Annotated[float, Unit("m"), m.Within(-10, 10)]
+    seconds: Annotated[float, Unit("s"), m.Within(0, 300)] = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ClearCostmaps(Message):
+    """Forget the obstacles and moving objects of the local costmap. The map, the zones and the guard's view stay."""
+
+
 MAX_OVERRIDE_S = 2.0
 """s that one request overrides. A client repeats the request, so an override ends with its client."""
 
@@ -292,6 +319,9 @@ SET_ZONES = Request("request/set_zones", SetZones, Reply, by="navigator")
 EXPLORE = Request("request/explore", Explore, Reply, by="navigator")
 CANCEL = Request("request/cancel", Cancel, Reply, by="navigator")
 PAUSE = Request("request/pause", Pause, Reply, by="navigator")
+SPIN = Request("request/spin", Spin, Reply, by="navigator")
+DRIVE_STRAIGHT = Request("request/drive_straight", DriveStraight, Reply, by="navigator")
+CLEAR_COSTMAPS = Request("request/clear_costmaps", ClearCostmaps, Reply, by="local_ctrl")
 OVERRIDE = Request("request/override", Override, Reply, by="guard")
 WATCH = Request("request/watch", Watch, Reply, by="local_ctrl")
 WATCH_GRAPH = Request("request/watch_graph", Watch, Reply, by="mapper")

@@ -177,7 +177,15 @@ def covariance_of_six(covariance: Float64s) -> Float64s:
 
 def pose2(pose: Any) -> Pose2:
     """geometry_msgs/Pose in the plane: place and heading of its x axis. Raises ValueError where it is no pose."""
-    p, q = pose.position, pose.orientation
+    return _planar(pose.position, pose.orientation)
+
+
+def pose_of_transform(transform: Any) -> Pose2:
+    """geometry_msgs/Transform in the plane, as `pose2`."""
+    return _planar(transform.translation, transform.rotation)
+
+
+def _planar(p: Any, q: Any) -> Pose2:
     x, y, z, w = (float(value) for value in (q.x, q.y, q.z, q.w))
     norm = x * x + y * y + z * z + w * w
     if not (0.25 < norm < 4 and abs(p.x) <= MAX_COORDINATE_M and abs(p.y) <= MAX_COORDINATE_M):

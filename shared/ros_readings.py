@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS's LaserScan and covariances as the stack's. Layouts are those of the `rosbags` package."""
+"""ROS's LaserScan, covariances, stamps and transforms as the stack's. Layouts are those of the `rosbags` package."""
 
 from math import isfinite, pi
 from typing import Any
@@ -83,3 +83,19 @@ def covariance(of_six: Any) -> Float64s:
     """(9,) of x, y, yaw out of ROS's 36; zeros where they are no numbers."""
     values = np.asarray(of_six, np.float64)[PLANE]
     return values if np.isfinite(values).all() and np.abs(values).max() <= 1e12 else np.zeros(9)
+
+
+def stamp_of(header: Any) -> int:
+    """ns; 0 where the publisher set none."""
+    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
+
+
+def frame_name(name: str) -> str:
+    """A frame's name as tf2 has it: tf allowed a leading slash."""
+    return str(name).strip("/")
+
+
+def transform_row(message: Any) -> Float64s:
+    """(7,) x y z and the quaternion x y z w of a geometry_msgs/Transform."""
+    t, q = message.translation, message.rotation
+    return np.array((t.x, t.y, t.z, q.x, q.y, q.z, q.w), np.float64)

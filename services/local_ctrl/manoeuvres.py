@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The navigator's recoveries: straight back or turning in place by a given amount, with a test of the space for it.
+"""The navigator's recoveries and motions: straight or turning in place by an amount, with a test of the space for it.
+
+A negative amount of BACK_UP is straight ahead.
 
 After Nav2's behaviors BackUp, Spin and Wait. Spin has the same profile, sqrt(2 a s), of the rate over the angle s to
 go. Here driving has it too, with a reserve for delay. That a robot too near an obstacle may leave it is our own.
@@ -76,7 +78,7 @@ class Manoeuvre:
             look = copysign(
                 min(abs(left), BACK_UP_LOOKAHEAD_M + motion.v**2 / (2 * BRAKING_SHARE * limits.braking)), left
             )
-            free = abs(free_distance(*scene, look, shape)) >= 0.5 * abs(look) and limits.v_min < 0
+            free = abs(free_distance(*scene, look, shape)) >= 0.5 * abs(look) and (left > 0 or limits.v_min < 0)
             speed = min(self.config.back_up_speed, -limits.v_min if left < 0 else limits.v_max)
             v, w = straight_command(left, motion.v, limits, DT, speed), turn_rate_after(motion.w, 0.0, limits, DT)
             self.done = abs(left) < 0.01

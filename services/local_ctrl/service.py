@@ -40,7 +40,7 @@ from shared.messages import (
     Zones,
 )
 from shared.orders import Order, is_newer
-from shared.requests import Reply, Watch
+from shared.requests import ClearCostmaps, Reply, Watch
 from shared.service import Answer, Out, Service, answer, every, on
 from shared.settings import Configuration
 from shared.types import NS_PER_S
@@ -123,13 +123,11 @@ class LocalCtrlService(Service):
 
     @on(topics.POSE)
     def pose(self, pose: PoseEstimate) -> Out:
-        """Takes the pose estimate."""
         self.inputs.add_pose(pose)
         return ()
 
     @on(topics.MAP)
     def map(self, update: MapUpdate) -> Out:
-        """Takes tiles of the map."""
         self.grid.apply(update)
         return ()
 
@@ -148,7 +146,6 @@ class LocalCtrlService(Service):
 
     @on(topics.ZONES)
     def new_zones(self, zones: Zones) -> Out:
-        """Takes the zones."""
         self.zones.set_zones(zones)
         return ()
 
@@ -201,8 +198,13 @@ class LocalCtrlService(Service):
 
     @answer(requests.WATCH)
     def watch(self, request: Watch) -> Answer[Reply]:
-        """Publishes the debug topics for a while."""
         self.debug_topics.watch(self.now, request.seconds)
+        yield from ()
+        return Reply(self.now, True, "", "")
+
+    @answer(requests.CLEAR_COSTMAPS)
+    def clear_costmaps(self, request: ClearCostmaps) -> Answer[Reply]:
+        self.costmap.clear()
         yield from ()
         return Reply(self.now, True, "", "")
 
@@ -217,7 +219,7 @@ class LocalCtrlService(Service):
             self.path_follower.reset()
             return ControlOutcome(0.0, 0.0, FollowState.BLOCKED, stop.code)
         motion = self.start = self.estimate.at_command_time(self.now)
-        self._update(self.costmap)
+        update_costmap(self.costmap, self.inputs, self.grid, self.zones, self.footprint, self.now)
         if isinstance(order, Recovery):
             if self.manoeuvre is None:
                 self.manoeuvre = Manoeuvre(order, motion.pose, self.now, self.config.manoeuvres)
@@ -234,9 +236,6 @@ class LocalCtrlService(Service):
             self.path_follower.missed = False
             outcome = outcome._replace(state=FollowState.FOLLOWING, reason="")  # the end of the plan before
         return outcome
-
-    def _update(self, costmap: LocalCostmap) -> None:
-        update_costmap(costmap, self.inputs, self.grid, self.zones, self.footprint, self.now)
 
     def warm_up(self) -> None:
         """Compiles the kernels: a second service with each controller follows, turns and backs up once."""

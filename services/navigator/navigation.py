@@ -3,24 +3,24 @@
 
 from math import inf
 
-from pydantic import Field
-
-from services.navigator.exploration import Exploration, ExplorationConfig
+from services.navigator.config import NavigatorConfig
+from services.navigator.exploration import Exploration
 from services.navigator.frontiers import FrontierConfig, Frontiers, Snapshot, find_frontiers
-from services.navigator.goal_attempt import AttemptAction, GoalAttempt, GoalAttemptConfig
-from services.navigator.recovery import RecoveryConfig, RecoverySequence
+from services.navigator.goal_attempt import AttemptAction, GoalAttempt
+from services.navigator.motion import SingleMotion
+from services.navigator.recovery import RecoverySequence
 from services.navigator.route import Route
 from services.navigator.status_cache import StatusCache
 from shared import reasons, topics
-from shared.config import Robot, Section
+from shared.config import Robot
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import MAX_ZONES, TILE_CELLS, FollowState, FollowStatus, Goal, NavState, Recovery, RecoveryKind
+from shared.messages import TILE_CELLS, FollowState, FollowStatus, Goal, NavState, Recovery, RecoveryKind
 from shared.orders import Order
 from shared.pose_tracker import PoseTracker
 from shared.reasons import Reason
 from shared.service import Job, Out
-from shared.zones import KeepOut, NamedZoneConfig, laid
+from shared.zones import KeepOut, laid
 
 _ANY_HEADING_RAD = 10.0  # rad of tolerance
 _FINAL_REASONS = reasons.UNREACHABLE, reasons.START_BLOCKED, reasons.NO_ROOM_TO_TURN
@@ -29,23 +29,7 @@ _SEARCH_PERIOD_S = 0.5  # s
 _SEARCH_TIMEOUT_S = 10.0  # s after which the answer of a search is not waited for any more
 
 
-class NavigatorConfig(Section):
-    """The navigator."""
-
-    tolerance: float = Field(0.15, ge=0.01, le=5, description="m to the goal at which it is reached")
-    yaw_tolerance: float = Field(0.25, ge=0.01, le=3.14, description="rad to the goal's heading at which it is reached")
-    zones: tuple[NamedZoneConfig, ...] = Field(
-        (), max_length=MAX_ZONES, description="keep-out and speed zones on every map; those of one map: zenav zones"
-    )
-    lost_time: float = Field(
-        2.0, ge=0, le=60, description="s for which the pose may be lost until the robot is stopped"
-    )
-    resume_within: float = Field(
-        5.0, ge=0, le=30, description="s that a restart of the navigator may take for its task to continue"
-    )
-    leg: GoalAttemptConfig = GoalAttemptConfig()
-    recovery: RecoveryConfig = RecoveryConfig()
-    exploration: ExplorationConfig = ExplorationConfig()
+Task = Route | Exploration | SingleMotion
 
 
 class Navigation:
@@ -55,7 +39,7 @@ class Navigation:
         self.config, self.robot = config, robot
         self.grid, self.pose_tracker, self.statuses = OccupancyGrid(), PoseTracker(), StatusCache()
         self.keep_out = KeepOut(robot.circumscribed_radius)
-        self.task: Route | Exploration | None = None
+        self.task: Task | None = None
         self.task_id = 0
         self.state = NavState.IDLE
         self.reason: Reason | None = None  # how the last task ended
@@ -85,12 +69,14 @@ class Navigation:
 
     # tasks
 
-    def begin(self, task: Route | Exploration, now: int) -> Out:
+    def begin(self, task: Task, now: int) -> Out:
         """Begins a task in place of the present one. A moving robot continues to the new goal without a stop."""
         self.task_id += 1
         self._take(task)
         if isinstance(task, Route):
             yield from self._to_waypoint(task, now)
+        elif isinstance(task, SingleMotion):
+            yield self._recovery(now, task.kind, task.amount)
         else:
             yield self._standstill(now)
 
@@ -109,7 +95,7 @@ class Navigation:
         else:
             yield self._standstill(now)
 
-    def _take(self, task: Route | Exploration) -> None:
+    def _take(self, task: Task) -> None:
         explores = isinstance(task, Exploration)
         self.task, self.attempt, self.age = task, None, 0.0
         self.reason, self.detail = None, ""
@@ -170,6 +156,11 @@ class Navigation:
         self.searched += seconds
         self.age += seconds
         if self.task is None or self.paused:
+            return
+        if isinstance(self.task, SingleMotion):
+            ending = self.task.ending(seconds, self.order, self.statuses, now)
+            if ending is not None:
+                yield from self.end(now, *ending)
             return
         yield from self._watch_pose(now)
         if isinstance(self.task, Exploration):

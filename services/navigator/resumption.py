@@ -134,14 +134,15 @@ class Resumption:
 def _message(navigation: Navigation, now: int) -> NavTask:
     task = navigation.task
     route = task if isinstance(task, Route) else None
-    kind = TaskKind.NONE if task is None else TaskKind.ROUTE if route else TaskKind.EXPLORE
+    explores = isinstance(task, Exploration)
+    kind = TaskKind.ROUTE if route else TaskKind.EXPLORE if explores else TaskKind.NONE  # a motion does not continue
     dwelling = route is not None and navigation.attempt is None
     return NavTask(
         stamp=now,
         task_id=navigation.task_id,
         kind=kind,
-        age=min(navigation.age, 1e7) if task else 0.0,
-        map_id=navigation.grid.map_id if task else 0,
+        age=min(navigation.age, 1e7) if route or explores else 0.0,
+        map_id=navigation.grid.map_id if route or explores else 0,
         paused=navigation.paused,
         poses=route.poses if route else (),
         dwells=route.dwells if route else (),

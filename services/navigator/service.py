@@ -5,10 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from services.navigator.config import NavigatorConfig
 from services.navigator.exploration import Exploration, warm_up_search
 from services.navigator.frontiers import Frontiers
 from services.navigator.goal_check import needs_check, refusal_reason
-from services.navigator.navigation import Navigation, NavigatorConfig
+from services.navigator.motion import SingleMotion, refusal, straight, turn
+from services.navigator.navigation import Navigation, Task
 from services.navigator.resumption import Resumption
 from services.navigator.route import Route
 from services.navigator.status_message import Speedometer, status
@@ -30,7 +32,7 @@ from shared.messages import (
     PoseEstimate,
     Zones,
 )
-from shared.requests import Cancel, Explore, Navigate, Pause, Reply, SetZones
+from shared.requests import Cancel, DriveStraight, Explore, Navigate, Pause, Reply, SetZones, Spin
 from shared.service import Answer, Log, Out, Service, answer, every, on
 from shared.settings import Configuration
 from shared.topics import Publication
@@ -139,7 +141,6 @@ class NavigatorService(Service):
         yield from self._publish_status()
 
     def frontiers_found(self, result: tuple[int, int, Frontiers]) -> Out:
-        """Takes the result of a search: task, map, frontiers."""
         yield from self.navigation.frontiers_found(*result, self.now)
         yield from self.resumption.tell(self.now)
 
@@ -170,6 +171,14 @@ class NavigatorService(Service):
     def explore(self, request: Explore) -> Answer[Reply]:
         return (yield from self._begin(Exploration(self.config.exploration)))
 
+    @answer(requests.SPIN)
+    def spin(self, request: Spin) -> Answer[Reply]:
+        return (yield from self._begin(turn(request.angle, request.seconds)))
+
+    @answer(requests.DRIVE_STRAIGHT)
+    def drive_straight(self, request: DriveStraight) -> Answer[Reply]:
+        return (yield from self._begin(straight(request.distance, request.seconds)))
+
     @answer(requests.CANCEL)
     def cancel(self, request: Cancel) -> Answer[Reply]:
         if self.navigation.task or self.resumption.before:
@@ -184,6 +193,8 @@ class NavigatorService(Service):
             self.resumption.before = replace(before, paused=request.paused)
         elif self.navigation.task is None:
             return self._reply(reasons.NO_COMMAND)
+        elif isinstance(self.navigation.task, SingleMotion):
+            return replace(self._reply(reasons.BAD_REQUEST), detail="a turn or straight drive is not paused: cancel it")
         yield from self.navigation.pause(self.now, request.paused)
         yield from self._publish_status()
         return self._reply(None)
@@ -206,9 +217,10 @@ class NavigatorService(Service):
         refusal = refusal_reason(navigation.grid, self.limits, radius, pose, tolerance)
         return None if refusal is reasons.GOAL_OUTSIDE and number > 1 and self.maps else refusal
 
-    def _begin(self, task: Route | Exploration) -> Answer[Reply]:
-        if stopped := self.navigation.statuses.stop_reason(self.now):
-            return self._reply(stopped)
+    def _begin(self, task: Task) -> Answer[Reply]:
+        unfit = refusal(task, self.robot.drive) if isinstance(task, SingleMotion) else None
+        if refused := self.navigation.statuses.stop_reason(self.now) or unfit:
+            return self._reply(refused)
         self.resumption.forget()
         yield from self.navigation.begin(task, self.now)
         yield from self._publish_status()

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The status message of the navigator: remaining distance and time, and the reason why the robot stands."""
 
+from services.navigator.motion import SingleMotion
 from services.navigator.navigation import Navigation
 from services.navigator.route import Route
 from shared import reasons
@@ -33,8 +34,9 @@ def status(navigation: Navigation, speedometer: Speedometer, now: int) -> NavSta
     """The message `nav/status`."""
     task, attempt = navigation.task, navigation.attempt
     route = task if isinstance(task, Route) else None
+    motion = task if isinstance(task, SingleMotion) else None
     left = (navigation.left(attempt, now) if attempt else 0.0) + (route.beyond() if route else 0.0)
-    left = min(left, 1e6)
+    left = motion.left if motion else min(left, 1e6)
     stays = route.stays_beyond() + (route.dwell if attempt else navigation.dwell) if route else 0.0
     code = _reason_code(navigation, now)
     reason = REASONS.get(code)
@@ -77,6 +79,8 @@ def _reason_code(navigation: Navigation, now: int) -> str:
         return navigation.reason.code if navigation.reason else ""
     if navigation.paused:
         return reasons.PAUSED.code
+    if isinstance(navigation.task, SingleMotion):
+        return navigation.task.reason.code if navigation.task.reason else ""
     if navigation.suspended:
         return reasons.POSE_LOST.code
     if navigation.jumped:

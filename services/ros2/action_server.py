@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from services.ros2.action_messages import feedback, navigate_request, result
+from services.ros2.action_messages import amount_of, feedback, result, stack_request
 from services.ros2.action_topics import CANCEL_GOAL, CANCEL_TYPE, GET_RESULT, SEND_GOAL, STATUS_TYPE, Action, actions_of
 from services.ros2.orders import publish_order, reply_order
 from services.ros2.ros_types import UUID, RosTypes
@@ -60,7 +60,10 @@ ENDED = (GoalState.SUCCEEDED, GoalState.CANCELED, GoalState.ABORTED)
 
 @dataclass(slots=True)
 class ActionGoal:
-    """A goal. id: 16 bytes, of its client.  begun: ns.  waiting: requests for its result.  error: why it ended."""
+    """A goal. id: 16 bytes, of its client.  begun: ns.  waiting: requests for its result.  error: why it ended.
+
+    reason: the code of that.  amount: rad or m, of a single motion.  ended: ns.
+    """
 
     id: bytes
     action: Action
@@ -69,6 +72,9 @@ class ActionGoal:
     task_id: int | None = None
     waiting: list[int] = field(default_factory=list)
     error: str = ""
+    reason: str = ""
+    amount: float = 0.0
+    ended: int = 0
 
 
 class ActionServer:
@@ -114,14 +120,14 @@ class ActionServer:
         message = self._types.decode(data, f"{action.type}_SendGoal_Request")
         goal_id = bytes(message.goal_id.uuid)
         try:
-            request = navigate_request(now, action, message.goal, self._make.frames.map)
+            row, request = stack_request(now, action, message.goal, self._make.frames.map)
             if goal_id in self._goals:
                 raise ValueError("a goal with this id exists")
         except ValueError as error:
             yield self._goal_reply(action, number, False, now)
             raise GoalRefusedError(str(error)) from None
-        goal = ActionGoal(goal_id, action, now)
-        yield self._ask(requests.NAVIGATE, request, lambda outcome: self._on_accepted(goal, number, outcome))
+        goal = ActionGoal(goal_id, action, now, amount=amount_of(request))
+        yield self._ask(row, request, lambda outcome: self._on_accepted(goal, number, outcome))
 
     def _on_accepted(self, goal: ActionGoal, number: int, outcome: dict[str, Any]) -> Out:
         now = outcome["now"]
@@ -182,14 +188,15 @@ class ActionServer:
             yield from self._end(goal, GoalState.CANCELED, "", now)
         elif status.state in (NavState.FAILED, NavState.CANCELED, NavState.IDLE):
             words = [str(status.state), reason_text(status.reason), status.detail]
+            goal.reason = status.reason
             yield from self._end(goal, GoalState.ABORTED, ": ".join(word for word in words if word), now)
         else:
-            part = feedback(self._make, goal.action, status, self.estimate, goal.begun, now)
+            part = feedback(self._make, goal.action, goal.amount, status, self.estimate, goal.begun, now)
             message = self._make.new(f"{goal.action.type}_FeedbackMessage", goal_id=self._uuid(goal.id), feedback=part)
             yield publish_order(now, goal.action.part("feedback"), self._types.encode(message))
 
     def _end(self, goal: ActionGoal, state: GoalState, error: str, now: int) -> Out:
-        goal.state, goal.error = state, error
+        goal.state, goal.error, goal.ended = state, error, now
         if goal is self._active:
             self._active = None
         waiting, goal.waiting = goal.waiting, []
@@ -213,7 +220,8 @@ class ActionServer:
         return reply_order(now, number, self._types.encode(response))
 
     def _result_reply(self, goal: ActionGoal, number: int, now: int) -> Publication:
-        part = result(self._make, goal.action, self._types.distro, goal.error)
+        took = max(goal.ended - goal.begun, 0)
+        part = result(self._make, goal.action, self._types.distro, goal.error, goal.reason, took)
         type_ = f"{goal.action.type}_GetResult_Response"
         return reply_order(now, number, self._types.encode(self._make.new(type_, status=int(goal.state), result=part)))
 

@@ -23,6 +23,11 @@ class Action:
     name: str
     type: str
 
+    @property
+    def kind(self) -> str:
+        """As NavigateToPose."""
+        return self.type.rpartition("/")[2]
+
     def part(self, part: str) -> str:
         """The name of one of its topics and services."""
         return f"{self.name}/_action/{part}"
@@ -32,6 +37,9 @@ NAMES = {
     "nav2_msgs/action/NavigateToPose": "/navigate_to_pose",
     "nav2_msgs/action/NavigateThroughPoses": "/navigate_through_poses",
     "nav2_msgs/action/FollowWaypoints": "/follow_waypoints",
+    "nav2_msgs/action/Spin": "/spin",
+    "nav2_msgs/action/BackUp": "/backup",
+    "nav2_msgs/action/DriveOnHeading": "/drive_on_heading",
 }
 """The names in Nav2."""
 

@@ -9,17 +9,25 @@ import subprocess
 import sys
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from typing import Any, cast
 
 import msgpack
 
 from services.ros2.action_topics import action_services, action_topics
 from services.ros2.config import Ros2Config
-from services.ros2.incoming_topics import CMD_VEL, INCOMING, MAP_SERVICES, STATE_SERVICES, TRIGGERS, IncomingTopic
+from services.ros2.incoming_topics import (
+    CLEAR_SERVICES,
+    CMD_VEL,
+    INCOMING,
+    MAP_SERVICES,
+    STATE_SERVICES,
+    TRIGGERS,
+    IncomingTopic,
+)
 from services.ros2.outgoing_topics import OUTGOING, STATIC_TF, OutgoingTopic
 from services.ros2.rmw_names import Endpoint, Entity, Qos, RosName, mismatch_text
-from services.ros2.robot_input import COMMAND_TOPICS, ROBOT_TOPICS
+from services.ros2.robot_input import COMMAND_TOPICS, ROBOT_TF, ROBOT_TOPICS, robot_topics
 from services.ros2.ros_types import ros_types
 from shared import topics
 from shared.config import UserError
@@ -35,6 +43,7 @@ LOOK_S = 0.5  # between two looks whether it is there
 MIN_INTERVAL_S = 0.02  # between two messages of one topic for the core: 50 a second
 """A node that sends faster gets its newest message through, and the others are counted."""
 ROBOT_INTERVAL_S = 0.004  # the same of a robot's sensors: some have odometry of 100 Hz, and messages come unevenly
+N_TRANSFORMS = 16  # messages of /tf that wait: it has several publishers, and one of them has the odometry
 LIMIT_S, MAX_TEXT = 120.0, 300  # of a command of zenav: a large map; characters of its error
 N_TARGET = 4  # arguments that name robot and stack; the others are settings
 MAX_KINDS = 100  # of rejections that one report distinguishes
@@ -54,7 +63,7 @@ class BridgeDevice:
         self._config = cast(Ros2Config, context.section)
         self._changed = threading.Condition()
         self._is_closing = False
-        self._pending: dict[str, dict[str, Any]] = {}  # newest message by name
+        self._pending: dict[str, deque[dict[str, Any]]] = {}  # newest messages by name
         self._sent_at: dict[str, float] = {}
         self._counts: Counter[tuple[str, str]] = Counter()
         self._events: list[dict[str, Any]] = []
@@ -62,6 +71,7 @@ class BridgeDevice:
         self._state: tuple[bool, str] | None = None
         self._endpoints: dict[tuple[str, Entity], list[tuple[RosName, Qos]]] = {}  # ours, by name and kind of theirs
         self._mismatches: set[str] = set()
+        self._subscribed: set[tuple[str, str]] = set()  # name and type of others' subscriptions
         self._thread = threading.Thread(target=self._run, name="ros2", daemon=True)
 
     def start(self) -> None:
@@ -146,10 +156,10 @@ class BridgeDevice:
         def ros_name(name: str, type_: str) -> RosName:
             return RosName(config.name(name), type_, types.hash_of(type_))
 
-        rows = [(row.name, row.type, row.qos) for row in (*published_rows(config.drives), STATIC_TF)]
+        rows = [(row.name, row.type, row.qos) for row in published_rows(config.drives)]
         rows += [(row.name, row.type, row.qos) for row in action_topics(config.distro)]
         self._own = {config.name(name): name for name, _, _ in rows}
-        for row in received_rows(config.drives):
+        for row in received_rows(config):
             self._own[config.name(row.name)] = row.name
             received = tuple(ros_name(row.name, type_) for type_ in row.types)
             self._endpoints[row.name, Entity.PUBLISHER] = [(topic, row.qos) for topic in received]
@@ -158,14 +168,21 @@ class BridgeDevice:
             topic = ros_name(name, type_)
             self._endpoints[name, Entity.SUBSCRIPTION] = [(topic, qos)]
             self._wire.advertise(name, topic, qos)
-        for name, type_ in (*TRIGGERS, *STATE_SERVICES, *MAP_SERVICES, *action_services(config.distro)):
+        for name, type_ in (
+            *TRIGGERS,
+            *STATE_SERVICES,
+            *MAP_SERVICES,
+            *CLEAR_SERVICES,
+            *action_services(config.distro),
+        ):
             self._own[config.name(name)] = name
             self._wire.serve(ros_name(name, type_))
         self._wire.discover()
 
     def _obey(self, order: dict[str, Any]) -> None:
         if "publish" in order:
-            self._wire.publish(order["publish"], order["data"])
+            if self._fits_key(order["publish"]):
+                self._wire.publish(order["publish"], order["data"])
         elif "reply" in order:
             self._wire.reply(order["reply"], order["data"])
         elif "tool" in order:
@@ -175,12 +192,19 @@ class BridgeDevice:
             number = order["id"]
             self._feed.ask(order["ask"], order["payload"], lambda outcome: self._on_outcome(number, outcome))
 
+    def _fits_key(self, name: str) -> bool:
+        """Whether a message may go out: with the bridge to DDS both types of velocity have one key."""
+        row = next((row for row in COMMAND_TOPICS if row.name == name), None)
+        if row is None or self._config.bridge != "dds":
+            return True
+        return (self._config.name(name), row.type) in self._subscribed
+
     def _due_messages(self, now: float) -> list[dict[str, Any]]:
         due = []
         with self._changed:
             for name in list(self._pending):
                 if self._is_due(name, now):
-                    due.append({"event": "message", "name": name, **self._pending.pop(name)})
+                    due += [{"event": "message", "name": name, **fields} for fields in self._pending.pop(name)]
                     self._sent_at[name] = now
         return due
 
@@ -198,9 +222,10 @@ class BridgeDevice:
     def _on_message(self, name: str, type_: str, data: bytes, gid: bytes, sent: int, came: int) -> None:
         own = self._own.get(name, name)
         with self._changed:
-            if own in self._pending:
+            waiting = self._pending.setdefault(own, deque(maxlen=N_TRANSFORMS if own == ROBOT_TF else 1))
+            if len(waiting) == waiting.maxlen:
                 self._count(own, f"faster than {1 / _interval(own):.0f} a second: the newest counts")
-            self._pending[own] = {"type": type_, "data": data, "gid": gid, "sent": sent, "came": came}
+            waiting.append({"type": type_, "data": data, "gid": gid, "sent": sent, "came": came})
             self._changed.notify_all()
 
     def _on_request(self, name: str, number: int, data: bytes) -> None:
@@ -215,6 +240,8 @@ class BridgeDevice:
         own = self._own.get(endpoint.topic.name)
         if own is None or not is_there:
             return
+        if endpoint.entity is Entity.SUBSCRIPTION:
+            self._subscribed.add((endpoint.topic.name, endpoint.topic.type))
         if own == CMD_VEL and endpoint.entity is Entity.PUBLISHER:
             self._feed.need()
         ours = self._endpoints.get((own, endpoint.entity), [])
@@ -275,12 +302,16 @@ def _interval(name: str) -> float:
 
 def published_rows(drives: bool) -> tuple[OutgoingTopic, ...]:
     """The topics of our node but for those of actions. drives: a robot with ROS 2, which has sensors of its own."""
-    return (*(row for row in OUTGOING if row.name not in ROBOT_NAMES), *COMMAND_TOPICS) if drives else OUTGOING
+    if not drives:
+        return (*OUTGOING, STATIC_TF)
+    return (*(row for row in OUTGOING if row.name not in ROBOT_NAMES or row.name == ROBOT_TF), *COMMAND_TOPICS)
 
 
-def received_rows(drives: bool) -> tuple[IncomingTopic, ...]:
+def received_rows(config: Ros2Config) -> tuple[IncomingTopic, ...]:
     """The topics that our node subscribes to."""
-    return (*(row for row in INCOMING if row.name != CMD_VEL), *ROBOT_TOPICS) if drives else INCOMING
+    if not config.drives:
+        return INCOMING
+    return (*(row for row in INCOMING if row.name != CMD_VEL), *robot_topics(config.odometry))
 
 
 def zenoh_endpoint(device: str) -> str:

@@ -41,7 +41,10 @@ class Ros2Config(Section):
     )
     node: str = Field("zenav", pattern=rf"^{NAME}$", description="name of the bridge's node")
     drives: bool = Field(
-        False, description="the robot is one with ROS 2: its /scan and /odom come in, and /cmd_vel goes out"
+        False, description="the robot is one with ROS 2: its /scan and odometry come in, and /cmd_vel goes out"
+    )
+    odometry: Literal["odom", "tf"] = Field(
+        "odom", description="of the robot that is driven: its /odom, or its /tf where odometry is only there"
     )
     remap: tuple[str, ...] = Field((), description="other names of topics and services, as /scan:=/base_scan")
     frames: FrameConfig = FrameConfig()

@@ -15,6 +15,7 @@ SAVE_MAP, LOAD_MAP = "nav2_msgs/srv/SaveMap", "nav2_msgs/srv/LoadMap"
 MAX_SPEED, MAX_TURN_RATE = 20.0, 50.0  # m/s, rad/s: the bounds of shared/messages.py
 GOAL_POSE, INITIAL_POSE, CMD_VEL = "/goal_pose", "/initialpose", "/cmd_vel"
 ESTOP, RELEASE = "/estop", "/estop_release"
+CLEAR_COSTMAP = "nav2_msgs/srv/ClearEntireCostmap"
 SAVE, LOAD = "/map_saver/save_map", "/map_server/load_map"
 
 
@@ -36,6 +37,11 @@ INCOMING = (
 
 TRIGGERS = tuple((name, TRIGGER) for name in (ESTOP, RELEASE, "/explore", "/cancel", "/pause", "/resume"))
 """Services, under the names that they have in Foxglove."""
+
+CLEAR_SERVICES = tuple(
+    (f"/{part}_costmap/clear_entirely_{part}_costmap", CLEAR_COSTMAP) for part in ("local", "global")
+)
+"""Both clear the local costmap: the planner's is made of the map, and has nothing to clear."""
 
 MAP_SERVICES = ((SAVE, SAVE_MAP), (LOAD, LOAD_MAP))
 

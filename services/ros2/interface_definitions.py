@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Definitions of the services and actions that rosbags lacks: std_srvs, lifecycle_msgs, action_msgs, nav2_msgs.
+"""Definitions of the services and actions that rosbags lacks: std_srvs, lifecycle_msgs, nav2_msgs and others.
 
-Source: docs.ros.org, nav2_msgs of Humble, Jazzy and Kilted. Constants are left out: neither the wire nor a
-type's hash has them. A service is request and response, an action is goal, result and feedback.
+Source: docs.ros.org, nav2_msgs of Humble, Jazzy and Kilted; iRobotEducation/irobot_create_msgs. Constants are left out:
+neither the wire nor a type's hash has them. A service is request and response, an action is goal, result and feedback.
 """
 
 POSE_FEEDBACK = """\
@@ -18,6 +18,11 @@ THROUGH_GOAL = "geometry_msgs/PoseStamped[] poses\nstring behavior_tree\n"
 WAYPOINTS_GOAL = "uint32 number_of_loops\nuint32 goal_index 0\ngeometry_msgs/PoseStamped[] poses\n"
 EMPTY_RESULT, ERROR = "std_msgs/Empty result\n", "uint16 error_code\nstring error_msg\n"
 WAYPOINT = "uint32 current_waypoint\n"
+SPIN_GOAL = "float32 target_yaw\nbuiltin_interfaces/Duration time_allowance\n"
+STRAIGHT_GOAL = "geometry_msgs/Point target\nfloat32 speed\nbuiltin_interfaces/Duration time_allowance\n"
+UNCHECKED = "bool disable_collision_checks\n"
+ELAPSED = "builtin_interfaces/Duration total_elapsed_time\n"
+TURNED, DRIVEN = "float32 angular_distance_traveled\n", "float32 distance_traveled\n"
 Definition = tuple[str, ...]
 
 SERVICES: dict[str, Definition] = {
@@ -29,6 +34,7 @@ SERVICES: dict[str, Definition] = {
         "bool result\n",
     ),
     "nav2_msgs/srv/LoadMap": ("string map_url\n", "nav_msgs/OccupancyGrid map\nuint8 result\n"),
+    "nav2_msgs/srv/ClearEntireCostmap": ("std_msgs/Empty request\n", "std_msgs/Empty response\n"),
     "action_msgs/srv/CancelGoal": (
         "action_msgs/GoalInfo goal_info\n",
         "int8 return_code\naction_msgs/GoalInfo[] goals_canceling\n",
@@ -43,6 +49,9 @@ HUMBLE_ACTIONS: dict[str, Definition] = {
         "int32[] missed_waypoints\n",
         WAYPOINT,
     ),
+    "nav2_msgs/action/Spin": (SPIN_GOAL, ELAPSED, TURNED),
+    "nav2_msgs/action/BackUp": (STRAIGHT_GOAL, ELAPSED, DRIVEN),
+    "nav2_msgs/action/DriveOnHeading": (STRAIGHT_GOAL, ELAPSED, DRIVEN),
 }
 JAZZY_ACTIONS: dict[str, Definition] = {
     "nav2_msgs/action/NavigateToPose": (TO_POSE_GOAL, ERROR, POSE_FEEDBACK),
@@ -52,6 +61,9 @@ JAZZY_ACTIONS: dict[str, Definition] = {
         "nav2_msgs/MissedWaypoint[] missed_waypoints\n" + ERROR,
         WAYPOINT,
     ),
+    "nav2_msgs/action/Spin": (SPIN_GOAL, ELAPSED + ERROR, TURNED),
+    "nav2_msgs/action/BackUp": (STRAIGHT_GOAL, ELAPSED + ERROR, DRIVEN),
+    "nav2_msgs/action/DriveOnHeading": (STRAIGHT_GOAL, ELAPSED + ERROR, DRIVEN),
 }
 KILTED_ACTIONS: dict[str, Definition] = {
     "nav2_msgs/action/NavigateToPose": (TO_POSE_GOAL, ERROR, POSE_FEEDBACK),
@@ -60,11 +72,18 @@ KILTED_ACTIONS: dict[str, Definition] = {
         "nav2_msgs/WaypointStatus[] missed_waypoints\n" + ERROR,
         WAYPOINT,
     ),
+    "nav2_msgs/action/Spin": (SPIN_GOAL + UNCHECKED, ELAPSED + ERROR, TURNED),
+    "nav2_msgs/action/BackUp": (STRAIGHT_GOAL + UNCHECKED, ELAPSED + ERROR, DRIVEN),
+    "nav2_msgs/action/DriveOnHeading": (STRAIGHT_GOAL + UNCHECKED, ELAPSED + ERROR, DRIVEN),
 }
 """Without NavigateThroughPoses: its definition in Kilted could not be read."""
 
 MESSAGES: dict[str, str] = {
     "nav2_msgs/msg/MissedWaypoint": "uint32 index\ngeometry_msgs/PoseStamped goal\nuint16 error_code\n",
+    "irobot_create_msgs/msg/HazardDetection": "std_msgs/Header header\nuint8 type\n",
+    "irobot_create_msgs/msg/HazardDetectionVector": (
+        "std_msgs/Header header\nirobot_create_msgs/HazardDetection[] detections\n"
+    ),
     "nav2_msgs/msg/WaypointStatus": (
         "uint8 waypoint_status\nuint32 waypoint_index\ngeometry_msgs/PoseStamped waypoint_pose\n"
         "uint16 error_code\nstring error_msg\n"

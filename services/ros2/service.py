@@ -95,9 +95,9 @@ class Ros2Service(Service):
         self.is_open, self.detail = state.open, state.detail
         if state.open:
             types, make = self._ros.types, self._ros.make
-            mounts = (make.mount(self.now, laser.mount, i) for i, laser in enumerate(self.robot.all_lasers))
-            static = make.transforms(*mounts)
-            yield publish_order(self.now, STATIC_TF.name, types.encode(static))
+            if not self.config.drives:  # such a robot has its own
+                mounts = (make.mount(self.now, laser.mount, i) for i, laser in enumerate(self.robot.all_lasers))
+                yield publish_order(self.now, STATIC_TF.name, types.encode(make.transforms(*mounts)))
             yield Log("INFO", f"ROS 2: connected, {self.state()}")
         else:
             yield from self._let_go()
@@ -236,7 +236,8 @@ class Ros2Service(Service):
             make = RosMessages(types.types, self.config.ros_frames)
             calls = ServiceCalls(types, make, self._ask, self._ask_tool)
             actions = ActionServer(types, make, self._ask)
-            self._loaded = Loaded(types, make, actions, calls, RobotInput(types, make))
+            robot = RobotInput(self.config, types, make, self.robot)
+            self._loaded = Loaded(types, make, actions, calls, robot)
         return self._loaded
 
 

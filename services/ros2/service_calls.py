@@ -1,24 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """The services that are no action's: STOP, tasks, Nav2's states, maps. Each request gets one reply. Times are ns."""
 
+from functools import partial
 from re import fullmatch
 from typing import Any
 
 import numpy as np
 
 from services.ros2 import incoming_topics as incoming
-from services.ros2.incoming_topics import GET_STATE, LOAD_MAP, SAVE_MAP, TRIGGER
+from services.ros2.incoming_topics import CLEAR_COSTMAP, GET_STATE, LOAD_MAP, SAVE_MAP, TRIGGER
 from services.ros2.orders import reply_order
 from services.ros2.ros_types import RosTypes
 from services.ros2.task_requests import AskStack, AskTool, refusal_text, task_request
-from shared import topics
+from shared import requests, topics
 from shared.messages import GuardStatus
+from shared.requests import ClearCostmaps
 from shared.ros_messages import RosMessages
 from shared.service import Log, Out
 from shared.stop_button import StopButton
 from shared.topics import Publication
 
 BY = "ROS 2"
+CLEARS = frozenset(name for name, _ in incoming.CLEAR_SERVICES)
 STATES = frozenset(name for name, _ in incoming.STATE_SERVICES)
 ACTIVE = 3  # lifecycle_msgs/State: PRIMARY_STATE_ACTIVE
 MAP_NAME = r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
@@ -45,6 +48,10 @@ class ServiceCalls:
             yield reply_order(now, number, self._active_state(name))
         elif name in (incoming.SAVE, incoming.LOAD):
             yield from self._map(name, number, data)
+        elif name in CLEARS:
+            self._types.decode(data, f"{CLEAR_COSTMAP}_Request")
+            done = partial(self._cleared, name, number)
+            yield self._ask(requests.CLEAR_COSTMAPS, ClearCostmaps(now), done)
         else:
             self._types.decode(data, f"{TRIGGER}_Request")
             row, message = task_request(name, now)
@@ -84,6 +91,14 @@ class ServiceCalls:
             return self._types.encode(self._make.new(f"{TRIGGER}_Response", success=True, message=""))
         state = self._make.new("lifecycle_msgs/msg/State", id=ACTIVE, label="active")
         return self._types.encode(self._make.new(f"{GET_STATE}_Response", current_state=state))
+
+    def _cleared(self, name: str, number: int, outcome: dict[str, Any]) -> Out:
+        """Nav2's response has no field for a refusal: then there is none, and a log line."""
+        empty = self._make.new("std_msgs/msg/Empty")
+        response = self._types.encode(self._make.new(f"{CLEAR_COSTMAP}_Response", response=empty))
+        yield reply_order(outcome["now"], number, response if outcome["accepted"] else b"")
+        if not outcome["accepted"]:
+            yield Log("WARNING", f"ROS 2: {name}: {refusal_text(outcome)}")
 
     def _map(self, name: str, number: int, data: bytes) -> Out:
         """Saves or loads a map by its name: a path of another computer means nothing here."""

@@ -15,7 +15,13 @@ from hashlib import blake2b
 from typing import Any
 
 import zenoh
-from zenoh.ext import CacheConfig, MissDetectionConfig, declare_advanced_publisher
+from zenoh.ext import (
+    CacheConfig,
+    HistoryConfig,
+    MissDetectionConfig,
+    declare_advanced_publisher,
+    declare_advanced_subscriber,
+)
 
 from services.ros2.rmw_names import GID_BYTES, Endpoint, Entity, Qos, Reliability, RosName, ros_type
 from services.ros2.ros_format import Attachment, RosFormat
@@ -92,6 +98,7 @@ class RosWire:
         key = self._format.key(topic)
         is_reliable = qos.reliability is Reliability.RELIABLE
         options: dict[str, Any] = {
+            "allowed_destination": zenoh.Locality.REMOTE,  # our own subscription to /tf is no listener
             "congestion_control": zenoh.CongestionControl.DROP,
             "reliability": zenoh.Reliability.RELIABLE if is_reliable else zenoh.Reliability.BEST_EFFORT,
         }
@@ -117,9 +124,18 @@ class RosWire:
             self._events.wanted(label, True)
 
     def subscribe(self, name: str, topics: tuple[RosName, ...], qos: Qos) -> None:
-        """Declares subscriptions of one name; `rejected` hears of messages of other types and hashes."""
-        hear = partial(self._hear, name, topics)
-        self._declared.append(self._session.declare_subscriber(self._format.listening_key(name), hear))
+        """Declares subscriptions of one name; `rejected` hears of messages of other types and hashes.
+
+        Of a latched topic the messages from before are asked for. Our own messages do not come.
+        """
+        hear, key, remote = partial(self._hear, name, topics), self._format.listening_key(name), zenoh.Locality.REMOTE
+        if qos.is_latched:
+            key, history = self._format.key(topics[0]), HistoryConfig(detect_late_publishers=True)
+            self._declared.append(
+                declare_advanced_subscriber(self._session, key, hear, allowed_origin=remote, history=history)
+            )
+        else:
+            self._declared.append(self._session.declare_subscriber(key, hear, allowed_origin=remote))
         for topic in topics:
             self._declare_token(Entity.SUBSCRIPTION, topic, qos)
 

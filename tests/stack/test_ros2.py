@@ -58,10 +58,24 @@ def reach_goal(peer: RosPeer) -> None:
     assert response.status == GoalState.SUCCEEDED
 
 
+def spin(peer: RosPeer) -> None:
+    """Turns by the action, and waits for its result."""
+    type_ = "nav2_msgs/action/Spin"
+    goal_id = MAKE.new(UUID, uuid=np.arange(1, 17, dtype=np.uint8))
+    allowed = MAKE.new("builtin_interfaces/msg/Duration", sec=20, nanosec=0)
+    goal = MAKE.new(f"{type_}_Goal", target_yaw=0.8, time_allowance=allowed)
+    request = MAKE.new(f"{type_}_SendGoal_Request", goal_id=goal_id, goal=goal)
+    assert peer.call("/spin/_action/send_goal", f"{type_}_SendGoal", request)[0].accepted
+    request = MAKE.new(f"{type_}_GetResult_Request", goal_id=goal_id)
+    response, _ = peer.call("/spin/_action/get_result", f"{type_}_GetResult", request, limit=30.0)
+    assert (response.status, response.result.error_msg) == (GoalState.SUCCEEDED, "")
+
+
 def test_a_node_sends_a_goal_drives_and_presses_stop_and_that_replays_to_the_byte(tmp_path):
     path = tmp_path / "ros2.mcap"
     with joined(tmp_path / "logs", path) as (stack, peer):
         reach_goal(peer)
+        spin(peer)
         numbers = iter(range(10**6))
 
         def driving() -> bool:

@@ -72,6 +72,8 @@ export const REASON_TEXTS: Readonly<Record<string, ReasonText>> = {
   blocked: { de: ["Gerade kein sicherer Weg voraus", "Der Navigator versucht, sich zu befreien."] },
   no_way_through: { de: ["Der Weg erweist sich immer wieder als zu", "Öffne ihn weiter, oder wähle ein anderes Ziel."] },
   no_progress: { de: ["Der Roboter kam eine Weile nicht näher", "Der Navigator versucht, sich zu befreien."] },
+  motion_blocked: { de: ["Der Drehung oder geraden Fahrt ist etwas im Weg", "Mache den Weg frei, oder fahre anderswo."] },
+  motion_too_long: { de: ["Die Drehung oder gerade Fahrt dauerte zu lange", "Wird der Roboter gehalten? Gib ihm mehr Zeit."] },
   recoveries_used: { de: ["Alle Befreiungen wurden versucht", "Sieh nach dem Roboter und seinem Weg."] },
   no_frontier: { de: ["Nichts Erreichbares ist mehr unbekannt", "Nichts zu tun: die Karte ist fertig."] },
   canceled: { de: ["Die Aufgabe wurde abgebrochen", "Setze ein neues Ziel."] },

@@ -12,12 +12,12 @@ import numpy as np
 from shared.config import Mount, UserError, nearest
 from shared.geometry import Pose2
 from shared.messages import LaserScan, Localization, MapUpdate, Message, Odometry, PoseEstimate
+from shared.ros_frames import Frames, level, planar, tilt, upside_down
 from shared.ros_messages import GRID, ODOM, POSE, POSE_COVARIANCE, SCAN, TF, pose2
-from shared.ros_readings import covariance, laser_scan
+from shared.ros_readings import covariance, frame_name, laser_scan, stamp_of, transform_row
 from shared.types import Float64s, Int64s
 from zenav.convert import ros_messages as ros
 from zenav.convert.content import Choice, Content, odometry_at
-from zenav.convert.frames import Frames, level, planar, tilt, upside_down
 from zenav.convert.ros_files import BagContent, RawMessage, read_bag
 
 M = TypeVar("M", bound=Message)
@@ -124,7 +124,7 @@ class _LogReader:
                 scan = laser_scan(message, 0, mirrored=False)
             except ValueError:
                 continue
-            laser = ros.frame(message.header.frame_id)
+            laser = frame_name(message.header.frame_id)
             pose = self.frames.find(self.frames.ancestors(laser)[-1], laser, np.zeros(1, np.int64))
             eighths = int(abs(scan.angle_increment) * len(scan.ranges) / (np.pi / 4) + 0.5)
             return pose is None or level(pose[0]), eighths, len(raws)
@@ -137,18 +137,18 @@ class _LogReader:
         for raw in raws:
             message = self._good(ros.read, raw)
             if message is not None and 0 <= raw.received < 2**62:
-                rows.append((raw.received, ros.stamp_of(message.header), message))
+                rows.append((raw.received, stamp_of(message.header), message))
         if not rows:
             return None
         received, header = (np.array(column, np.int64) for column in list(zip(*rows))[:2])
         first = rows[0][2]
         return TopicTimes(
             topic=raws[0].topic,
-            frame=ros.frame(first.header.frame_id),
+            frame=frame_name(first.header.frame_id),
             received=received,
             header=header,
             messages=[row[2] for row in rows],
-            other=ros.frame(getattr(first, "child_frame_id", "")),
+            other=frame_name(getattr(first, "child_frame_id", "")),
         )
 
     def _good(self, make: Callable[..., T], *arguments: Any) -> T | None:
@@ -205,9 +205,9 @@ class _LogReader:
             message = self._good(ros.read, raw) if 0 <= raw.received < 2**62 else None
             static = raw.topic.endswith("tf_static")
             for transform in message.transforms if message is not None else ():
-                parent, child = ros.frame(transform.header.frame_id), ros.frame(transform.child_frame_id)
-                stamp = ros.stamp_of(transform.header)
-                rows.append((parent, child, stamp, raw.received, ros.transform(transform.transform), static))
+                parent, child = frame_name(transform.header.frame_id), frame_name(transform.child_frame_id)
+                stamp = stamp_of(transform.header)
+                rows.append((parent, child, stamp, raw.received, transform_row(transform.transform), static))
         return rows
 
     def _frames(self, by_receipt: bool) -> Frames:
@@ -222,14 +222,14 @@ class _LogReader:
     def _odom_frame(self, of: str) -> str | None:
         """The frame of odometry among a frame's ancestors."""
         if self.choice.odom_frame:
-            return ros.frame(self.choice.odom_frame)
+            return frame_name(self.choice.odom_frame)
         above = self.frames.ancestors(of)
         return next((frame for frame in above[1:] if "odom" in frame.rpartition("/")[2]), None)
 
     def _base(self, scan: TopicTimes | None, odom: TopicTimes | None) -> str:
         """The robot's frame: named, odometry's, below odometry's in tf, or by its usual names."""
         if self.choice.base_frame:
-            return ros.frame(self.choice.base_frame)
+            return frame_name(self.choice.base_frame)
         if odom is not None and odom.other:
             return odom.other
         leaf = (
@@ -362,7 +362,7 @@ def _odometry_rank(raws: list[RawMessage]) -> Any:
     """Dead reckoning rather than a pose on the map or a simulator's truth; then the more usual name, then how much."""
     topic = raws[0].topic
     try:
-        frame = ros.frame(ros.read(raws[0]).header.frame_id).rpartition("/")[2]
+        frame = frame_name(ros.read(raws[0]).header.frame_id).rpartition("/")[2]
     except ValueError:
         frame = ""
     drifts = frame not in ("map", "world", "earth", "utm") and not any(w in topic for w in ("truth", "gps", "global"))

@@ -14,7 +14,6 @@ from shared.grid import update_of_cells
 from shared.messages import MapUpdate, Odometry
 from shared.ros_messages import GRID, ODOM, POSE, POSE_COVARIANCE, SCAN, TF, pose2
 from shared.ros_readings import covariance
-from shared.types import Float64s
 from zenav.convert.ros_files import RawMessage
 from zenav.maps.rotated_map import axis_aligned
 
@@ -43,16 +42,6 @@ def read(raw: RawMessage) -> Any:
         raise ValueError(f"no {raw.type}: {error}") from None
 
 
-def stamp_of(header: Any) -> int:
-    """ns; 0 where the publisher set none."""
-    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
-
-
-def frame(name: str) -> str:
-    """A frame's name as tf2 has it: tf allowed a leading slash."""
-    return str(name).strip("/")
-
-
 def odometry(message: Any, stamp: int) -> Odometry:
     """Dead reckoning in the plane."""
     twist = message.twist.twist
@@ -79,9 +68,3 @@ def occupancy(message: Any, stamp: int) -> MapUpdate:
     if (problem := update.problem()) is not None:
         raise ValueError(problem)
     return update
-
-
-def transform(message: Any) -> Float64s:
-    """(7,) x y z and the quaternion x y z w of a geometry_msgs/Transform."""
-    t, q = message.translation, message.rotation
-    return np.array((t.x, t.y, t.z, q.x, q.y, q.z, q.w), np.float64)

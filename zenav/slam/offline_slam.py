@@ -79,6 +79,17 @@ class OfflineRun:
             self.add(getattr(self.mapper, job.done)(job.function(*job.arguments)))
         self.job_seconds += process_time() - begun
 
+    def finish(self) -> None:
+        """Places the last scan, optimizes the graph and draws the map by it."""
+        self.mapper.now += NS_PER_S
+        self.add(self.mapper.release())
+        self.add(self.mapper.slam.jobs.optimize())
+        self.run_jobs()
+        self.mapper.now += 3600 * NS_PER_S  # the map may be redrawn
+        self.add(self.mapper.publish_map())
+        self.run_jobs()
+        self.add(self.mapper.publish_map())
+
     def saved(self) -> SavedMap:
         """What another run can go on with; that which was loaded, where it was not to change."""
         return self.mapper.slam.snapshot()
@@ -224,14 +235,7 @@ def _feed(run: OfflineRun, log: DriveLog, first: int, progress: Callable[[float]
             run.add(run.mapper.publish_map())
         if i % 200 == 0:
             progress(i / len(log.records))
-    run.mapper.now += NS_PER_S
-    run.add(run.mapper.release())
-    run.add(run.mapper.slam.jobs.optimize())
-    run.run_jobs()
-    run.mapper.now += 3600 * NS_PER_S  # the map may be redrawn
-    run.add(run.mapper.publish_map())
-    run.run_jobs()
-    run.add(run.mapper.publish_map())
+    run.finish()
     return times
 
 

@@ -6,7 +6,7 @@ from math import atan2, hypot
 
 import numpy as np
 
-from services.navigator.navigation import NavigatorConfig
+from services.navigator.config import NavigatorConfig
 from services.navigator.service import NavigatorService
 from shared import topics
 from shared.config import load_robot

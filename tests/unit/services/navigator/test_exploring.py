@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from services.navigator.config import NavigatorConfig
 from services.navigator.exploration import Exploration, ExplorationConfig
 from services.navigator.frontiers import Frontier, Frontiers
-from services.navigator.navigation import NavigatorConfig
 from shared import reasons
 from shared.distance_field import distance_field
 from shared.geometry import Pose2

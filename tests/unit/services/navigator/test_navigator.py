@@ -6,8 +6,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from services.navigator.config import NavigatorConfig
 from services.navigator.goal_attempt import AttemptAction, GoalAttempt, GoalAttemptConfig
-from services.navigator.navigation import NavigatorConfig
 from services.navigator.recovery import RecoveryConfig, recovery_steps
 from services.navigator.service import NavigatorService
 from shared import reasons

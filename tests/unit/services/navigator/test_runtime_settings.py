@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The navigator takes settings amid a task: its times and recoveries follow, and the sequence goes on where it was."""
 
-from services.navigator.navigation import NavigatorConfig
+from services.navigator.config import NavigatorConfig
 from services.navigator.service import NavigatorService
 from shared.config import load_robot
 from shared.reasons import BLOCKED

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from services.navigator.navigation import NavigatorConfig
+from services.navigator.config import NavigatorConfig
 from services.navigator.service import NavigatorService
 from shared import reasons, topics
 from shared.geometry import Pose2

@@ -26,9 +26,9 @@ GOAL = bytes(range(16))
 class Core:
     """A bridge whose router is there. `now` (ns) advances by a tenth of a second with each event."""
 
-    def __init__(self, **section: Any) -> None:
+    def __init__(self, robot: str = "x80sv", **section: Any) -> None:
         self.config = Ros2Config(**section)
-        self.service = Ros2Service(self.config, load_robot("x80sv").robot)
+        self.service = Ros2Service(self.config, load_robot(robot).robot)
         self.service.name = "ros2"
         self.service.now = START
         self.types: RosTypes = ros_types(self.config.distro)

@@ -6,6 +6,7 @@ import threading
 import pytest
 
 from services.ros2.rmw_names import Durability, Entity, Qos, Reliability, RosName
+from services.ros2.robot_input import COMMAND, STAMPED_COMMAND
 from services.ros2.ros_format import TWIST_BYTES, DdsBridgeFormat
 from services.ros2.ros_types import Distro, ros_types
 from shared import sample_messages, topics
@@ -107,3 +108,30 @@ def test_a_scan_goes_out_a_velocity_comes_in_and_a_service_replies_without_attac
         assert reply.ok.payload.to_bytes() == response
         tokens = [str(r.ok.key_expr) for r in peer.session.liveliness().get("@/*/@ros2_lv/**", timeout=5.0) if r.ok]
         assert any(token.endswith("/AS/follow_waypoints/nav2_msgs§action§FollowWaypoints") for token in tokens)
+
+
+@pytest.mark.parametrize("stamped", [False, True])
+def test_of_both_velocities_the_one_that_the_robot_subscribes_to_goes_out(stamped):
+    twist = MAKE.twist(0.1, 0.2)
+    types = {
+        COMMAND: TYPES.encode(twist),
+        STAMPED_COMMAND: TYPES.encode(MAKE.new(TWISTS[1].type, header=MAKE.header(0, ""), twist=twist)),
+    }
+    wanted = STAMPED_COMMAND if stamped else COMMAND
+    with bridged(bridge="dds", drives=True) as (bridge, _, peer):
+        came, found = threading.Event(), []
+
+        def file(sample) -> None:
+            found.append(sample.payload.to_bytes())
+            came.set()
+
+        peer.session.declare_subscriber("cmd_vel", file)
+        token = FORMAT.endpoint_token(ZID, 1, Entity.SUBSCRIPTION, TWISTS[stamped], Qos())
+        held = peer.session.liveliness().declare_token(token)
+        for _ in range(100):
+            for name, data in types.items():
+                bridge.order(publish=name, data=data)
+            if came.wait(0.1):
+                break
+        assert set(found) == {types[wanted]}
+        held.undeclare()

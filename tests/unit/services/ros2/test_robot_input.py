@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot with ROS 2 that zenav drives: its sensors come in with our time, and the velocity goes out."""
 
+from math import isnan
 from typing import Any
 
 import numpy as np
 import pytest
 
+from services.ros2 import outgoing_messages
 from services.ros2.bridge_device import published_rows, received_rows
-from services.ros2.outgoing_topics import OUTGOING
+from services.ros2.outgoing_topics import OUTGOING, STATIC_TF
 from services.ros2.robot_input import COMMAND, STAMPED_COMMAND
 from shared import sample_messages
 from shared.config import load_robot
 from shared.geometry import Pose2
-from shared.messages import BaseOdometry, LaserScan, Odometry, Velocity
+from shared.messages import BaseOdometry, BaseStatus, LaserScan, Odometry, Velocity
 from tests.unit.services.ros2.core import Core
 
 ROBOT = load_robot("x80sv").robot
@@ -87,6 +89,101 @@ def test_damaged_bytes_of_a_robot_are_refused_and_counted(core, name):
     assert sum(core.service.rejections.counts.values()) == 1
 
 
+def tf_of(core: Core, child: str = "base_link", pose: Pose2 = Pose2(1, 2, 0.5)) -> Any:  # noqa: B008  # a value
+    return core.make.transforms(core.make.transform(core.service.now, "odom", child, pose))
+
+
+def test_odometry_that_is_only_in_tf_comes_in_without_a_velocity():
+    core = Core(drives=True, odometry="tf")
+    assert core.message("/tf", core.make.transforms(core.make.transform(5, "base_link", "wheel", Pose2()))) == []
+    [odometry] = core.message("/tf", tf_of(core))
+    assert isinstance(odometry, BaseOdometry)
+    assert odometry.odom_from_base.distance(Pose2(1, 2, 0.5)) < 1e-9
+    assert (odometry.has_pose, odometry.has_twist) == (True, False)
+
+
+def test_a_base_of_another_name_in_tf_is_named_with_its_setting():
+    core = Core(drives=True, odometry="tf")
+    assert core.message("/tf", tf_of(core, "base_footprint")) == []
+    assert "ros2.frames.base=base_footprint" in core.lines[-1]
+
+
+def battery_of(core: Core, voltage: float) -> Any:
+    return outgoing_messages.battery(core.make, BaseStatus(10**12, voltage, 0.0, 0.0, True, "", ""))
+
+
+def test_the_battery_comes_in_with_the_odometry_until_it_is_old(core):
+    [odometry] = stamped(core, odometry_of(core))
+    assert isnan(odometry.battery)
+    assert core.message("/battery_state", battery_of(core, 15.5)) == []
+    [odometry] = stamped(core, odometry_of(core))
+    assert odometry.battery == 15.5
+    core.service.now += 100 * 10**9
+    [odometry] = stamped(core, odometry_of(core))
+    assert isnan(odometry.battery)
+
+
+@pytest.mark.parametrize("voltage", [-1.0, float("nan"), float("inf"), 1e9])
+def test_a_voltage_that_is_none_is_not_used(core, voltage):
+    core.message("/battery_state", battery_of(core, voltage))
+    [odometry] = stamped(core, odometry_of(core))
+    assert isnan(odometry.battery)
+
+
+def hazards_of(core: Core, *rows: tuple[int, str]) -> Any:
+    """Type and frame of each detection."""
+    kind = "irobot_create_msgs/msg/HazardDetection"
+    detections = [core.make.new(kind, header=core.make.header(5, frame), type=type_) for type_, frame in rows]
+    return core.make.new(f"{kind}Vector", header=core.make.header(5, "base_link"), detections=detections)
+
+
+def test_hazards_are_contacts_by_their_frames():
+    core = Core(robot="turtlebot4", drives=True)
+    hazards = hazards_of(core, (1, "bump_left"), (2, "cliff_front_left"), (0, "base_link"), (4, "wheel_drop_left"))
+    [contacts] = core.message("/hazard_detection", hazards)
+    assert contacts.bumpers == ("bump_left",)
+    assert contacts.cliffs == ("cliff_front_left", "wheel_drop_left")
+    [free] = core.message("/hazard_detection", hazards_of(core))
+    assert (free.bumpers, free.cliffs, free.estop) == ((), (), False)
+
+
+def test_a_robot_file_without_contacts_takes_no_hazards(core):
+    assert core.message("/hazard_detection", hazards_of(core, (1, "bump_left"))) == []
+
+
+def static(core: Core, *rows: tuple[str, str, Pose2]) -> list[Any]:
+    return core.message("/tf_static", core.make.transforms(*(core.make.transform(0, *row) for row in rows)))
+
+
+def test_a_mount_that_differs_from_tf_is_logged_once_with_its_setting(core):
+    shell = Pose2(0.3, 0, 0)
+    assert static(core, ("base_link", "shell", shell), ("shell", "laser", Pose2(-0.1, 0.0, 1.5708))) == []
+    n_lines = len(core.lines)
+    for _ in range(3):
+        [scan] = stamped(core, scan_of(core))
+    assert isinstance(scan, LaserScan)
+    [line] = core.lines[n_lines:]
+    assert "robot.laser.mount={x: 0.200, y: 0.000, yaw: 1.5708}" in line
+
+
+def test_a_mount_that_is_that_of_tf_is_not_logged(core):
+    mount = ROBOT.laser.mount
+    static(core, ("base_link", "laser", Pose2(mount.x + 0.005, mount.y, mount.yaw)))
+    n_lines = len(core.lines)
+    stamped(core, scan_of(core))
+    assert core.lines[n_lines:] == []
+
+
+def test_the_beams_of_a_laser_that_hangs_upside_down_run_the_other_way(core):
+    [upright] = stamped(core, scan_of(core))
+    message = core.make.transforms(core.make.transform(0, "base_link", "laser", Pose2()))
+    turn = message.transforms[0].transform.rotation
+    turn.x, turn.w = 1.0, 0.0
+    core.message("/tf_static", message)
+    [hanging] = stamped(core, scan_of(core))
+    assert hanging.angle_increment == -upright.angle_increment
+
+
 def commands(orders: list[Any]) -> dict[str, Any]:
     return {order["publish"]: order["data"] for order in orders}
 
@@ -118,10 +215,14 @@ def test_a_bridge_that_drives_no_robot_of_ros_publishes_no_velocity():
 
 def test_the_robots_own_topics_are_received_and_not_published():
     published = {row.name for row in published_rows(True)}
-    assert {"/scan", "/odom"}.isdisjoint(published)
+    assert {"/scan", "/odom", "/battery_state"}.isdisjoint(published)
     assert {"/tf", "/map", COMMAND, STAMPED_COMMAND} <= published
-    assert {row.name for row in received_rows(True)} == {"/scan", "/odom", "/goal_pose", "/initialpose"}
-    assert published_rows(False) == OUTGOING
+    received = {row.name for row in received_rows(Core(drives=True).config)}
+    own = {"/scan", "/odom", "/tf_static", "/battery_state", "/hazard_detection"}
+    assert received == own | {"/goal_pose", "/initialpose"}
+    by_tf = {row.name for row in received_rows(Core(drives=True, odometry="tf").config)}
+    assert by_tf == received - {"/odom"} | {"/tf"}
+    assert published_rows(False) == (*OUTGOING, STATIC_TF)
 
 
 def test_two_types_of_one_name_keep_the_name():

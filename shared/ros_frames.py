@@ -13,7 +13,7 @@ LEVEL = cos(np.radians(20.0))  # of the vertical: a laser tilted by more does no
 
 
 class Frames:
-    """The logged transforms; `find` gives one frame in another at any time."""
+    """Transforms of a log or of a robot; `find` gives one frame in another at any time."""
 
     def __init__(self) -> None:
         self._edges: dict[str, dict[str, list[tuple[int, Float64s]]]] = {}  # by child and parent: stamp, 7 numbers
@@ -34,7 +34,7 @@ class Frames:
         self._edges.setdefault(child, {}).setdefault(parent, []).append((stamp, row))
 
     def parent(self, child: str) -> str | None:
-        """The parent of a frame; where the log has several, the one with the most transforms."""
+        """The parent of a frame; where there are several, the one with the most transforms."""
         edges = self._edges.get(child)
         return max(edges, key=lambda name: len(edges[name])) if edges else None
 

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the navigator."""
+
+from pydantic import Field
+
+from services.navigator.exploration import ExplorationConfig
+from services.navigator.goal_attempt import GoalAttemptConfig
+from services.navigator.recovery import RecoveryConfig
+from shared.config import Section
+from shared.messages import MAX_ZONES
+from shared.zones import NamedZoneConfig
+
+
+class NavigatorConfig(Section):
+    """The navigator."""
+
+    tolerance: float = Field(0.15, ge=0.01, le=5, description="m to the goal at which it is reached")
+    yaw_tolerance: float = Field(0.25, ge=0.01, le=3.14, description="rad to the goal's heading at which it is reached")
+    zones: tuple[NamedZoneConfig, ...] = Field(
+        (), max_length=MAX_ZONES, description="keep-out and speed zones on every map; those of one map: zenav zones"
+    )
+    lost_time: float = Field(
+        2.0, ge=0, le=60, description="s for which the pose may be lost until the robot is stopped"
+    )
+    resume_within: float = Field(
+        5.0, ge=0, le=30, description="s that a restart of the navigator may take for its task to continue"
+    )
+    leg: GoalAttemptConfig = GoalAttemptConfig()
+    recovery: RecoveryConfig = RecoveryConfig()
+    exploration: ExplorationConfig = ExplorationConfig()
