@@ -193,7 +193,7 @@ class LocalCtrlService(Service):
         yield topics.FOLLOW(FollowStatus(self.now, order_id, outcome.state, outcome.reason, outcome.left))
         if self.debug_topics.due(self.now) and self.inputs.odometry.latest is not None:
             costmap = deepcopy(self.costmap)  # the update changes it, and a spectator must not change the drive
-            self._update(costmap)
+            update_costmap(costmap, self.inputs, self.grid, self.zones, self.footprint, self.now)
             yield from self.debug_topics.publications(self.now, costmap, self.path_follower, self.start)
 
     @answer(requests.WATCH)

@@ -66,7 +66,7 @@ class SimService(Service):
         steps_back = ceil(max(laser.scan_time for laser in robot.all_lasers) / dyn.DT) + CATCH_UP_STEPS + 4
         self.history = np.zeros((steps_back, 3 + 3 * len(self.world.people)))
         self.epoch: int | None = None  # ns: time of step 0
-        self.step = 0
+        self.step, self.measured_at = 0, -1  # ns: time of the last reports
         self.lasers = simulated_lasers(robot, config.laser, config.seed)
         self.imu = SimulatedImu(config.imu, np.random.default_rng([config.seed, 10])) if robot.imu else None
         self.contact_sensors = ContactSensors(robot, self.world.cliffs)
@@ -139,6 +139,9 @@ class SimService(Service):
     @every(hz=50)
     def tick(self) -> Out:
         self._catch_up()
+        if self.time == self.measured_at:
+            return  # the tick before was late: nothing is measured twice at one time
+        self.measured_at = self.time
         if self.emulation is None:
             self.faults.active.expire(self.now)
             for topic, scans in ((topics.SCAN, self._due_scans()), (topics.SCAN_2, self._due_scans_2())):
@@ -172,8 +175,7 @@ class SimService(Service):
         return self.imu.measure(self.time, float(s[dyn.YAW]), float(s[dyn.V])) if self.imu is not None else None
 
     def _contacts(self) -> Contacts:
-        s = self.state_now
-        pose = Pose2(float(s[dyn.X]), float(s[dyn.Y]), float(s[dyn.YAW]))
+        pose = Pose2(*self.state_now[[dyn.X, dyn.Y, dyn.YAW]].tolist())
         return self.contact_sensors.contacts(
             self.time, pose, self.cells, self.people.state[:, : pedestrians.RADIUS + 1]
         )
@@ -215,7 +217,6 @@ class SimService(Service):
         return self.lasers[topics.SCAN.key].due_scans(self.cells, self.history, self.step, self.epoch or 0)
 
     def _due_scans_2(self) -> list[LaserScan]:
-        """The second laser's; none without one."""
         laser = self.lasers.get(topics.SCAN_2.key)
         return laser.due_scans(self.cells, self.history, self.step, self.epoch or 0) if laser is not None else []
 
@@ -229,7 +230,6 @@ class SimService(Service):
         return self.board.report(self.time, self.state_now, row, self.cells, self._currents())
 
     def _base_motion(self) -> Out:
-        """Odometry of a base that controls its own speed."""
         yield topics.BASE_MOTION(self.board.odometry(self.time, self.epoch or 0, self.state_now, self._currents()))
 
     def _truth(self) -> Truth:

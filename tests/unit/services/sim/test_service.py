@@ -30,6 +30,17 @@ def test_topics_come_at_their_rates():
         assert all(after.stamp > before.stamp for before, after in pairwise(messages))
 
 
+def test_two_ticks_within_one_step_of_the_physics_measure_once():
+    sim = simulator("room")
+    list(drive(sim, 0.1, 0.0, 0.3))
+    at = sim.now
+    for late in (17_000_000, 23_000_000, 40_000_000):  # ns: a late tick, and the next one at once
+        sim.now = at + late
+        first, second = list(outputs(sim.tick())), list(outputs(sim.tick()))
+        assert {p.topic.key for p in first} >= {"hardware/board", "sim/truth"}
+        assert second == []
+
+
 def test_the_same_seed_and_events_give_the_same_bytes_and_another_seed_others():
     def sent(seed):
         return payloads(drive(simulator("office", seed=seed), 4.0, 0.4, 0.3))
