@@ -8,7 +8,7 @@ core, odometry and the mapper. It waits for each message to be mapped, so the re
 import os
 import subprocess
 import sys
-from collections import Counter
+from collections import defaultdict, deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 from services.mapper.config import MapperConfig
 from services.odometry.dead_reckoning import DeadReckoningConfig
 from services.odometry.service import OdometryService
+from services.ros2 import bridge_device
 from services.ros2.service import Ros2Service
 from shared import topics
 from shared.config import Robot
@@ -45,6 +46,12 @@ NETWORK_NS = 8_000_000  # the longest delay of a message
 pytestmark = pytest.mark.skipif(not BAGS.is_dir(), reason="ZENAV_DATA has no bags: they are not on this machine")
 
 
+@pytest.fixture(autouse=True)
+def unlimited(monkeypatch):
+    """A bag is played as fast as it is mapped: the bridge takes more messages a second than of a robot."""
+    monkeypatch.setattr(bridge_device, "_interval", lambda name: 0.0)
+
+
 @contextmanager
 def bridge_of(port: int, odometry: str) -> Iterator[Bridge]:
     """The bridge's shell, joined to the router. Its stack is empty."""
@@ -67,7 +74,8 @@ class BagRun:
         self.ros2.name = "ros2"
         self.run = OfflineRun(MapperConfig(), robot)
         self.logs: list[str] = []
-        self.n_scans, self._n_messages = 0, Counter()
+        self.n_scans, self._n_events = 0, 0
+        self._waiting: defaultdict[str, deque[dict]] = defaultdict(deque)  # messages by topic
         self._delays = np.random.default_rng(1)
         self._step(
             self.ros2,
@@ -77,9 +85,7 @@ class BagRun:
 
     def take(self, topic: str, stamp: int) -> None:
         """The next message of a topic, which its header says is of `stamp` ns. It comes some ms later."""
-        n = self._n_messages[topic]
-        event = self._bridge.wait(lambda: self._messages(topic)[n:])[0]
-        self._n_messages[topic] += 1
+        event = self._bridge.wait(lambda: self._messages(topic)).popleft()
         now = mapper_time(self._first, stamp) + int(self._delays.integers(NETWORK_NS))
         self.run.mapper.now = now
         self.run.add(self.run.mapper.release())
@@ -88,8 +94,12 @@ class BagRun:
         if self.n_scans and self.n_scans % MAP_EVERY == 0:
             self.run.add(self.run.mapper.publish_map())
 
-    def _messages(self, topic: str) -> list[dict]:
-        return [event for event in self._bridge.events if event["event"] == "message" and event["name"] == topic]
+    def _messages(self, topic: str) -> deque[dict]:
+        for event in self._bridge.events[self._n_events :]:
+            self._n_events += 1
+            if event["event"] == "message":
+                self._waiting[event["name"]].append(event)
+        return self._waiting[topic]
 
     def _step(self, service: Service, now: int, out: Out) -> None:
         service.now = self.ros2.now = self.odometry.now = max(now, service.now)
