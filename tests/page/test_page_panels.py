@@ -218,3 +218,13 @@ def test_a_recording_is_replayed_beside_the_live_robot_which_stop_still_stops(pa
     band.wait_for(state="detached")
     rail(page, "Task").wait_for()
     pages.until(lambda: page.locator(".status.tone-stop").count() == 1)
+
+
+def test_loop_closures_come_when_a_page_shows_them(pages, stack):
+    seen = []
+    stack.client.listen(topics.GRAPH, lambda graph, _: seen.append(graph))
+    page = pages.open()
+    page.get_by_role("button", name="Layers").click()
+    page.get_by_role("switch", name="Loop closures").click()
+    pages.until(lambda: seen)
+    assert len(seen[-1].xs) > 0

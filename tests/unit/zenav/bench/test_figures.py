@@ -395,7 +395,8 @@ def of_plan():
 
 
 def of_stack():
-    chain = LatencyChain(*np.full((4, 9), 0.003), np.full(9, 0.006), np.zeros(9, np.int64), {}, 9)
+    parts = dict.fromkeys(("to_control", "wait", "control", "guard", "member"), np.full(9, 0.003))
+    chain = LatencyChain(**parts, handlers=np.full(9, 0.006), sent=np.zeros(9, np.int64), lost={}, n_scans=9)
     told = latency_figures(chain)
     return told | {"summary": told["summary"] | {"first_motion_s": 8.5}}
 

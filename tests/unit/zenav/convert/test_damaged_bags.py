@@ -23,7 +23,7 @@ from zenav.convert.ros_messages import WANTED
 from zenav.convert.source import read_log
 
 STORED = "ros1", "ros1-lz4", "mcap", "mcap-zstd", "sqlite"
-FUZZ = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FUZZ = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @cache
