@@ -2,8 +2,8 @@
 """The subscriber of `zenav bench gateway`, a process: `python -m zenav.bench.gateway_subscriber STACK AS KEY`.
 
 AS: the name of a service; with a router as STACK, the file of a member's credentials. It writes `ready`. For each line
-on stdin it reports times (ms), when it took each `cmd/vel` (ns), and its CPU (s), all since the last report. It ends with
-its stdin.
+on stdin it writes a report of the time since the last one. The report has times (ms), when it took each `cmd/vel` (ns),
+and its CPU (s). It ends with its stdin.
 """
 
 import json
