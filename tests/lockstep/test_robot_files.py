@@ -16,7 +16,10 @@ from zenav.stack.hardware import Hardware, wires
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 
-ROBOTS = ("x80sv", "jackal", "turtlebot2", "turtlebot3_burger", "turtlebot4", "create2", "arduino", "delivery")
+ROBOTS = (
+    "x80sv", "jackal", "turtlebot2", "turtlebot3_burger", "turtlebot3_ros2", "turtlebot4", "create2", "arduino",
+    "delivery",
+)  # fmt: skip
 WORLD = """
 start: {x: 1.0, y: 1.5}
 walls:
@@ -71,7 +74,7 @@ def test_the_robot_reaches_a_goal_without_contact(robot, tmp_path):
     assert 0.8 < run.truth.distance < 2.5
     assert run.newest["base/status"].fault == ""
     assert abs(run.newest["odom"].odom_from_base.x - 1.2) < 0.3
-    is_velocity_base = robot in ("turtlebot3_burger", "turtlebot4")
+    is_velocity_base = robot in ("turtlebot3_burger", "turtlebot3_ros2", "turtlebot4")
     assert ("base/odometry" in run.spoken) is is_velocity_base
     assert ("port/rx/base_driver" in run.spoken) is not is_velocity_base
 

@@ -55,6 +55,18 @@ def test_stop_is_confirmed_and_the_map_is_an_array(robot):
     assert (grid.x, grid.y) == (pytest.approx(3.2), pytest.approx(3.2))
 
 
+def test_no_task_starts_after_stop_even_where_the_navigator_has_not_heard_of_it(robot):
+    last_task = robot.status().task_id
+    robot.estop()
+    for start in (lambda: robot.goto(0, 0), robot.explore):
+        with pytest.raises(UserError, match="STOP is pressed") as refused:
+            start()
+        assert refused.value.hint == "release it: zenav estop --release"
+    robot.estop(press=False)
+    assert robot.goto(0, 0).good
+    assert robot.status().task_id == last_task + 1
+
+
 def test_a_task_may_be_canceled(robot):
     robot.cancel()
     assert robot.client.wait(topics.NAV_STATUS, lambda status: status.state is NavState.CANCELED, 5.0) is not None

@@ -11,8 +11,8 @@ from types import TracebackType
 from shared import requests, topics
 from shared.config import UserError, load_robot
 from shared.grid import OccupancyGrid
-from shared.messages import NavStatus
-from shared.reasons import NO_MAP, POSE_OLD
+from shared.messages import GuardState, NavStatus
+from shared.reasons import ESTOP, NO_MAP, POSE_OLD, REASONS
 from shared.requests import Cancel, Explore, Reply
 from shared.runners.client import Client
 from shared.runners.transport import stack_address
@@ -20,6 +20,7 @@ from shared.types import Int8s
 from zenav.client.navigation_client import (
     FINAL_STATES,
     MAX_SILENCE_S,
+    RequestRefusedError,
     Target,
     TaskResult,
     accepted,
@@ -93,7 +94,10 @@ class RobotConnection:
         accepted(self.client.ask(requests.CANCEL, Cancel(self.client.now())))
 
     def estop(self, press: bool = True) -> None:
-        """Presses STOP, or releases it, and waits until the guard confirms. A release moves nothing."""
+        """Presses STOP, or releases it, and waits until the guard confirms. A release moves nothing.
+
+        While it is pressed, calls that start a task raise UserError.
+        """
         confirm_stop(self.client, press, "zenav.client")
 
     def pose(self) -> RobotPose:
@@ -122,6 +126,10 @@ class RobotConnection:
         self.client.listen(topics.NAV_STATUS, lambda status, _: callback(status))
 
     def _task(self, start: Callable[[], Reply]) -> TaskResult:
+        guard = self.client.latest(topics.GUARD)
+        if guard is not None and guard.state is GuardState.STOPPED:  # the navigator may not have its status yet
+            reason = REASONS.get(guard.reason, ESTOP)
+            raise RequestRefusedError(reason.code, reason.text, reason.hint)
         task_id = accepted(start()).task_id
         begun = time.monotonic()
         while True:

@@ -57,8 +57,8 @@ def test_robots_lists_name_description_and_place(tmp_path, monkeypatch, capsys):
     assert _status(["robots"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == [
-        "arduino", "create2", "delivery", "jackal", "rover", "turtlebot2", "turtlebot3_burger", "turtlebot4", "x80sv",
-        "x80sv_xv11",
+        "arduino", "create2", "delivery", "jackal", "rover", "turtlebot2", "turtlebot3_burger", "turtlebot3_ros2",
+        "turtlebot4", "x80sv", "x80sv_xv11",
     ]  # fmt: skip
     places = {line.split()[0]: line.rpartition("  ")[2] for line in lines}
     assert places == dict.fromkeys(places, "built in") | {"rover": "here: rover.yaml"}
