@@ -62,7 +62,7 @@ def test_from_another_computer_only_the_gateway_is_reached_and_only_with_credent
             assert reached == [int(address.rpartition(":")[2])]
 
             def subscriber(credentials):
-                return member_subscriber(outside, f"tls/{address}", credentials, ROBOT.name)
+                return member_subscriber(outside, f"tls/{address}", credentials, f"{ROBOT.name}/**")
 
             with started(subscriber(other)) as stranger, started(subscriber(viewer)) as member:
                 assert member.stdout.readline() == b"ready\n"

@@ -107,9 +107,9 @@ def gateway_settings(place: SecureFolder, address: str) -> list[str]:
     return [f"gateway.port.device=tls://{address}", f"gateway.folder={place.path}"]
 
 
-def member_subscriber(members: MemberNamespace, endpoint: str, viewer: Path, robot: str) -> list[str]:
-    """The command of a member that subscribes to every topic."""
-    return members.inside(*SUBSCRIBER, endpoint, str(viewer), f"{robot}/**")
+def member_subscriber(members: MemberNamespace, endpoint: str, viewer: Path, key: str) -> list[str]:
+    """The command of a member that subscribes to a key."""
+    return members.inside(*SUBSCRIBER, endpoint, str(viewer), key)
 
 
 def show(report: dict[str, Any]) -> None:
@@ -141,7 +141,9 @@ def _measure(
         _wait_for_port(address)
         with _watched(process, usage, "no member"):
             rows["a service, with a gateway"] = _run(session, key, n, [local])[0]
-        member = children.enter_context(_subscriber(member_subscriber(members, f"tls/{address}", viewer, robot)))
+        member = children.enter_context(
+            _subscriber(member_subscriber(members, f"tls/{address}", viewer, f"{robot}/**"))
+        )
         with _watched(process, usage, "a member of all topics"):
             both = _run(session, key, n, [local, member])
         rows["a service, with a member of all topics"], rows["that member, over TLS"] = both

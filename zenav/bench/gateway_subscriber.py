@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The subscriber of `zenav bench gateway`, a process: `python -m zenav.bench.gateway_subscriber STACK AS KEY`.
+"""A subscriber of benchmarks, a process: `python -m zenav.bench.gateway_subscriber STACK AS KEY [realtime]`.
 
 AS: the name of a service; with a router as STACK, the file of a member's credentials. It writes `ready`. For each line
 on stdin it writes a report of the time since the last one. The report has times (ms), when it took each `cmd/vel` (ns),
@@ -25,10 +25,11 @@ from shared.runners.transport import StackAddress
 STAMP = struct.Struct("<8sQ")  # MARK, and ns of CLOCK_MONOTONIC at which the message was sent
 MARK = b"bench-ns"
 OPEN_LIMIT_S = 20.0
+REALTIME = "realtime"
 
 
-def main(stack: str, as_: str, key: str) -> None:
-    """Measures until stdin ends."""
+def main(stack: str, as_: str, key: str, scheduling: str = "") -> None:
+    """Measures until stdin ends. scheduling: "realtime" for SCHED_RR, as services have it."""
     times: list[float] = []
     commands: list[tuple[str, int, int]] = []  # session, sequence, ns of the clock of the day
 
@@ -41,6 +42,8 @@ def main(stack: str, as_: str, key: str) -> None:
             envelope = envelope_of(payload)
             commands.append((envelope.session, envelope.sequence, time.time_ns()))
 
+    if scheduling == REALTIME:
+        transport.asks_for_realtime()
     session = _opened(stack, as_)
     subscriber = session.declare_subscriber(key, take)
     used = time.process_time()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A member of the gateway beside a live run: it subscribes to every topic, over TLS."""
+"""A member of the gateway beside a live run: it subscribes to `cmd/vel`, over TLS."""
 
 import json
 import subprocess
@@ -18,6 +18,7 @@ from zenav.bench.gateway import (
     subscriber_report,
     viewer_credentials,
 )
+from zenav.bench.gateway_subscriber import REALTIME
 from zenav.bench.member_namespace import member_namespace
 from zenav.metrics.latency import Source
 from zenav.scenario.live_run import RunView
@@ -25,7 +26,7 @@ from zenav.scenario.mission import Mission
 
 
 class MemberView(RunView):
-    """Starts the member once the stack runs. settings: of the gateway."""
+    """Starts the member once the stack runs. settings: of the gateway.  command: of the member's process."""
 
     def __init__(self, settings: list[str], command: list[str]) -> None:
         self.settings, self._command = settings, command
@@ -50,9 +51,13 @@ class MemberView(RunView):
 
 @contextmanager
 def remote_member(robot: str) -> Iterator[MemberView]:
-    """As root the member is in a network namespace of its own."""
+    """As root the member is in a network namespace of its own.
+
+    It has real-time scheduling: on a computer of its own it would not wait for the services' processors.
+    """
     with tempfile.TemporaryDirectory() as folder, member_namespace() as members:
         place = SecureFolder(Path(folder) / "secure")
         viewer, address = viewer_credentials(place, robot), free_endpoint(members)
         name = load_robot(robot).robot.name
-        yield MemberView(gateway_settings(place, address), member_subscriber(members, f"tls/{address}", viewer, name))
+        command = member_subscriber(members, f"tls/{address}", viewer, f"{name}/cmd/vel")
+        yield MemberView(gateway_settings(place, address), [*command, REALTIME])

@@ -24,7 +24,7 @@ AIM_P99, AIM_RATIO = 0.030, 1.5  # s, without the wait for the tick; times the h
 def stack(robot: str, world: str, seconds: float, out: Path | None, settings: list[str], remote: bool) -> int:
     """Drives for `seconds`, shows and writes the figures; 0 when nothing was touched and the aims are met.
 
-    remote: whether the gateway runs too, with a member of all topics. A scan must become a velocity at this member at
+    remote: whether the gateway runs too, with a member of `cmd/vel`. A scan must become a velocity at this member at
     most MAX_TLS_MS later than at the base, at p99.
     """
     from zenav.bench.gateway import MAX_TLS_MS

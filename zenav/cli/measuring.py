@@ -162,7 +162,9 @@ def bench_stack(
     out: Out = None,
     robot: RobotName = "x80sv",
     world: World = "office",
-    remote: Annotated[bool, typer.Option("--remote", help="With the gateway, and a member of all topics.")] = False,
+    remote: Annotated[
+        bool, typer.Option("--remote", help="With the gateway, and a member that takes cmd/vel over TLS.")
+    ] = False,
     set_: Setting = None,
 ) -> None:
     """Latency from scan to cmd/vel across processes, CPU and memory of each, time to first motion.
