@@ -6,14 +6,20 @@ It writes Zenoh's log, and a line for each link over TLS that begins or ends (lo
 
 import json
 import os
+import select
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import zenoh
 
 from services.gateway.log_lines import LINK_MARK, LinkEvent
-from shared.runners.transport import gateway_configuration, stack_address
+from shared.runners.transport import asks_for_realtime, gateway_configuration, stack_address
 from shared.secure_folder import SecureFolder
+
+LOOK_S = 1.0  # between two looks at the threads
+LINK_PRIORITY = 1  # SCHED_RR; below the velocity path's, above all services without it
+ACCEPTOR = "acc-"  # begins the names of Zenoh's threads that do handshakes
 
 
 def main() -> None:
@@ -21,6 +27,7 @@ def main() -> None:
     order = json.loads(sys.stdin.readline())
     zenoh.init_log_from_env_or("error")
     folder = SecureFolder(Path(order["folder"]))
+    is_realtime = asks_for_realtime(LINK_PRIORITY)  # Zenoh's first threads inherit it
     try:
         session = zenoh.open(
             gateway_configuration(stack_address(order["stack"]), order["listen"], folder, order["robot"])
@@ -29,8 +36,24 @@ def main() -> None:
         sys.stderr.write(f"cannot listen on {order['listen']}: {error}\n")
         os._exit(2)
     session.info.declare_link_events_listener(_write_link, history=True)
-    sys.stdin.read()
+    while not select.select([sys.stdin], [], [], LOOK_S)[0]:
+        if is_realtime:
+            _schedule_threads()
     os._exit(0)  # Zenoh's threads are not daemons
+
+
+def _schedule_threads() -> None:
+    """Gives Zenoh's threads real-time scheduling, but not those of handshakes: a flood of strangers shares their time.
+
+    Zenoh begins its threads when it first needs them, also from an acceptor's.
+    """
+    for task in Path("/proc/self/task").iterdir():
+        with suppress(OSError):  # it has ended
+            thread, is_acceptor = int(task.name), (task / "comm").read_text().startswith(ACCEPTOR)
+            if is_acceptor:
+                os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+            else:
+                os.sched_setscheduler(thread, os.SCHED_RR, os.sched_param(LINK_PRIORITY))
 
 
 def _write_link(event: zenoh.LinkEvent) -> None:

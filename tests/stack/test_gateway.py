@@ -2,6 +2,7 @@
 """The gateway as a process, over Zenoh: what each member may do arrives, the rest does not, and is logged by name."""
 
 import json
+import os
 import socket
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import psutil
 import pytest
 import zenoh
 
@@ -36,8 +38,8 @@ CLOSED_S = 10.0
 class Gateway:
     """A gateway on a stack without a robot; this test stands for the robot's services."""
 
-    def __init__(self, where: StackAddress, place: SecureFolder, address: str, client: Client) -> None:
-        self.where, self.place, self.address, self.client = where, place, address, client
+    def __init__(self, where: StackAddress, place: SecureFolder, address: str, client: Client, pid: int) -> None:
+        self.where, self.place, self.address, self.client, self.pid = where, place, address, client, pid
         self.lines: list[str] = []
         self.health: Health | None = None
         self.arrived: list[tuple[str, bytes]] = []
@@ -102,7 +104,7 @@ def running_gateway(folder: Path) -> Iterator[Gateway]:
         with Client(ROBOT, claim.where) as client:
             process = subprocess.Popen(command, cwd=Path(__file__).resolve().parents[2])
             try:
-                yield Gateway(claim.where, place, address, client)
+                yield Gateway(claim.where, place, address, client, process.pid)
             finally:
                 process.terminate()
                 assert process.wait(10) == 0, "the gateway did not end"
@@ -129,6 +131,31 @@ def test_an_operator_drives_and_a_viewer_is_refused_counted_and_named(gateway):
         gateway.until(lambda: any("refused to vera (viewer): put x80/estop" in line for line in gateway.lines))
         assert not any(payload == b"vera's" for _, payload in gateway.arrived)
         gateway.until(lambda: gateway.health and any(row[:2] == ("estop", "access") for row in gateway.health.rejected))
+
+
+def test_messages_go_before_other_load_but_handshakes_do_not(gateway):
+    before = os.sched_getscheduler(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+    except OSError:
+        pytest.skip("SCHED_RR is not allowed here: see `zenav doctor`")
+    finally:
+        os.sched_setscheduler(0, before, os.sched_param(0))
+    with gateway.open(gateway.member("quick", MemberRole.OPERATOR)) as quick:
+        gateway.put_until(quick, "cmd/teleop", b"quick")
+        gateway.until(lambda: schedulers(gateway).keys() >= {"acc", "rx", "tx"})
+        gateway.until(lambda: schedulers(gateway)["acc"] == {os.SCHED_OTHER})
+        gateway.until(lambda: schedulers(gateway)["rx"] == schedulers(gateway)["tx"] == {os.SCHED_RR})
+
+
+def schedulers(gateway: Gateway) -> dict[str, set[int]]:
+    """The schedulers of the threads of the gateway's own process, by the beginning of their names."""
+    found: dict[str, set[int]] = {}
+    (process,) = psutil.Process(gateway.pid).children()
+    for task in Path(f"/proc/{process.pid}/task").iterdir():
+        name = (task / "comm").read_text().partition("-")[0].strip()
+        found.setdefault(name, set()).add(os.sched_getscheduler(int(task.name)))
+    return found
 
 
 def test_members_see_the_robot_and_ask_what_their_role_may(gateway):
