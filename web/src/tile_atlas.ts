@@ -9,7 +9,7 @@ const CHUNK_TILES = 8;
 const CHUNK_CELLS = CHUNK_TILES * TILE_CELLS;
 const OVERVIEW_CELLS = 4; // cells that one pixel of the overview covers, each way
 const MIN_FULL_SCALE = 0.5; // px a cell; smaller, the overview is drawn: thin walls stay visible
-const MAX_FULL_CHUNKS = 24; // of 1 MB each that are stored, beside those on the screen
+const MAX_FULL_CHUNKS = 8; // of 1 MB each that are stored, beside those on the screen
 const MAX_PAINTED_CHUNKS = 4; // in one frame, some 2 ms each; the others show their overview until the next frame
 
 /** Colours of cells: index cell + 1, so unknown, then 0 .. 100; each is 0xAABBGGRR. */
@@ -27,6 +27,8 @@ interface Chunk {
 
 export class TileAtlas {
   private readonly chunks = new Map<string, Chunk>();
+  /** Bitmaps that no chunk needs. A browser frees the memory of a canvas late, so none is thrown away. */
+  private readonly spare: CanvasRenderingContext2D[] = [];
   private readonly cellImage = new ImageData(TILE_CELLS, TILE_CELLS);
   private readonly overviewImage = new ImageData(TILE_CELLS / OVERVIEW_CELLS, TILE_CELLS / OVERVIEW_CELLS);
   private frame = 0;
@@ -37,6 +39,7 @@ export class TileAtlas {
   ) {}
 
   clear(): void {
+    for (const chunk of this.chunks.values()) this.empty(chunk);
     this.chunks.clear();
   }
 
@@ -100,7 +103,7 @@ export class TileAtlas {
 
   /** Paints all tiles of a chunk, one pixel a cell. */
   private fill(chunk: Chunk): void {
-    chunk.full = canvas(CHUNK_CELLS);
+    chunk.full = this.spare.pop() ?? canvas(CHUNK_CELLS);
     for (let i = 0; i < CHUNK_TILES * CHUNK_TILES; i++) {
       const row = chunk.row * CHUNK_TILES + Math.floor(i / CHUNK_TILES);
       const tile = this.store.tile(row, chunk.column * CHUNK_TILES + (i % CHUNK_TILES));
@@ -119,7 +122,15 @@ export class TileAtlas {
   private evict(): void {
     const hidden = [...this.chunks.values()].filter((chunk) => chunk.full !== null && chunk.shown < this.frame);
     hidden.sort((a, b) => a.shown - b.shown);
-    for (const chunk of hidden.slice(0, Math.max(0, hidden.length - MAX_FULL_CHUNKS))) chunk.full = null;
+    for (const chunk of hidden.slice(0, Math.max(0, hidden.length - MAX_FULL_CHUNKS))) this.empty(chunk);
+  }
+
+  /** Takes a chunk's full bitmap. */
+  private empty(chunk: Chunk): void {
+    if (chunk.full === null) return;
+    chunk.full.clearRect(0, 0, CHUNK_CELLS, CHUNK_CELLS);
+    this.spare.push(chunk.full);
+    chunk.full = null;
   }
 }
 

@@ -15,7 +15,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from shared.config import UserError, load_robot
 from shared.runners import transport
 from shared.secure_folder import MemberRole, SecureFolder
 from zenav.bench.gateway_subscriber import MARK, STAMP
+from zenav.bench.listener import wait_for_listener
 from zenav.bench.member_namespace import MemberNamespace, member_namespace
 from zenav.console.json_report import check_writable, write_report
 from zenav.console.table import show_table
@@ -37,7 +38,6 @@ SCAN_BYTES = 3000  # a message of 720 beams
 RATE_HZ = 40.0
 MAX_ADDED_MS, MAX_TLS_MS = 1.0, 3.0  # of p99, over the direct one
 WARM_UP = 40  # messages that are not counted
-READY_S = 20.0
 ROBOT = "x80sv"
 DIRECT = "a service"
 SUBSCRIBER = sys.executable, "-m", "zenav.bench.gateway_subscriber"
@@ -138,7 +138,7 @@ def _measure(
         local = children.enter_context(_subscriber([*SUBSCRIBER, str(domain), "mapper", key]))
         rows = {DIRECT: _run(session, key, n, [local])[0]}
         process = children.enter_context(_gateway(place, domain, address))
-        _wait_for_port(address)
+        wait_for_listener(address)
         with _watched(process, usage, "no member"):
             rows["a service, with a gateway"] = _run(session, key, n, [local])[0]
         member = children.enter_context(
@@ -213,17 +213,6 @@ def _gateway(place: SecureFolder, domain: int, address: str) -> Iterator[psutil.
     finally:
         process.terminate()
         process.wait(10)
-
-
-def _wait_for_port(address: str) -> None:
-    host, _, port = address.rpartition(":")
-    limit = time.monotonic() + READY_S
-    while True:
-        with suppress(OSError), socket.create_connection((host, int(port)), 1.0):
-            return
-        if time.monotonic() > limit:
-            raise UserError(f"no gateway listens at {address}", "is the port taken?")
-        threading.Event().wait(0.1)
 
 
 @contextmanager

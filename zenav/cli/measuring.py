@@ -193,6 +193,20 @@ def bench_page(
     raise typer.Exit(page(robot, world, rounds, out, set_ or []))
 
 
+@bench.command("browser", cls=Command)
+def bench_browser(
+    seconds: Annotated[float, typer.Option(min=1, help="s in which each map is dragged and zoomed.")] = 20.0,
+    out: Out = None,
+) -> None:
+    """Frames and memory of the page in Chromium with a map of 4032 x 4032 cells; each beside its limit.
+
+    Example: zenav bench browser --out browser.json
+    """
+    from zenav.bench.browser import browser
+
+    raise typer.Exit(browser(out, seconds))
+
+
 @bench.command("footprint", cls=Command)
 def bench_footprint(
     seconds: Annotated[float, typer.Option(min=5, help="s of driving over which CPU is measured.")] = 60.0,
