@@ -141,7 +141,7 @@ class StackFeed:
         for key, (message, publisher) in list(self._latched.items()):
             self._convert(added, key, message, publisher)
         if MAP_NAME in added:
-            self._state.map_sent_at = None  # at once
+            self._state.map.send_now()
 
     def _listen(self, client: Client, key: str) -> list[Callable[[], None]]:
         end = client.listen_raw(key, lambda key, payload: self._file(key, payload, False))
@@ -186,7 +186,7 @@ class StackFeed:
             return
         now = self._client.now()
         if MAP_NAME in self._served:
-            grid = self._state.map_due(now)
+            grid = self._state.map.due(now)
             if grid is not None:
                 self._publish(MAP_NAME, self._types.encode(grid))
         if not WATCHED & self._endings.keys():

@@ -157,7 +157,8 @@ class RosPeer:
 
     def publish(self, name: str, message: Any, number: int = 1) -> None:
         key = self.key(name, message.__msgtype__)
-        self.session.put(key, self._types.encode(message), attachment=attachment(number, 5, GID))
+        data, block = self._types.encode(message), zenoh.CongestionControl.BLOCK  # Zenoh drops by default
+        self.session.put(key, data, attachment=attachment(number, 5, GID), congestion_control=block)
 
     def call(self, name: str, type_: str, request: Any, limit: float = LIMIT_S) -> tuple[Any, bytes]:
         """Response and attachment."""

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from services.ros2.outgoing_topics import MAP_AGAIN_NS, OUTGOING, OutgoingState, converted, keys_of
+from services.ros2.outgoing_topics import OUTGOING, OutgoingState, converted, keys_of
 from services.ros2.ros_types import Distro, ros_types
 from shared import messages as m
 from shared import sample_messages, topics
@@ -94,20 +94,6 @@ def test_a_zone_is_a_closed_line_after_the_removal_of_the_former_ones():
     assert first.action == first.DELETEALL
     assert (zone.points[0].x, zone.points[0].y) == (zone.points[-1].x, zone.points[-1].y)
     assert len(zone.points) == 4
-
-
-def test_the_map_is_due_after_a_change_once_an_interval_and_again_after_a_while():
-    one = state()
-    assert one.map_due(STAMP) is None
-    update = sample_messages.map_update(STAMP, np.zeros((64, 64), np.int8))
-    list(converted(one, frozenset(("/map",)), topics.MAP, update, "mapper"))
-    assert one.map_due(STAMP).info.width == 64
-    assert one.map_due(STAMP + 10) is None
-    list(converted(one, frozenset(("/map",)), topics.MAP, update, "mapper"))
-    assert one.map_due(STAMP + 500_000_000) is None
-    assert one.map_due(STAMP + 1_000_000_000) is not None
-    assert one.map_due(STAMP + MAP_AGAIN_NS) is None
-    assert one.map_due(STAMP + 1_000_000_000 + MAP_AGAIN_NS) is not None
 
 
 def test_only_the_keys_of_the_wanted_topics_are_listened_to():
