@@ -114,6 +114,7 @@ ESTOP       = Topic("estop",           m.EmergencyStop, by="operator dashboard r
 COSTMAP     = Topic("debug/costmap",   m.Costmap,       by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
 ROLLOUTS    = Topic("debug/rollouts",  m.Rollouts,      by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
 GRAPH       = Topic("debug/graph",     m.KeyframeGraph, by="mapper",                 hz=0,  keep="latest", within=0.050, people=True)
+GLOBAL_COSTMAP = Topic("debug/global_costmap", m.Costmap, by="planner",              hz=0,  keep="latest", within=0.100, people=True)
 GUARD       = Topic("guard/status",    m.GuardStatus,   by="guard",                  hz=10, keep="latest", within=0.005, latched=True)
 CMD_VEL     = Topic("cmd/vel",         m.Velocity,      by="guard",                  hz=20, keep="latest", within=0.003)
 SETTINGS    = Topic("settings",        m.RuntimeSettings, by="*",                    hz=0,  keep="latest", within=0.100, latched=True, people=True)

@@ -12,8 +12,9 @@ from services.ros2 import outgoing_messages as outgoing
 from services.ros2.outgoing_map import GRID_UPDATE, OutgoingMap
 from services.ros2.rmw_names import Durability, Qos, Reliability
 from shared import messages as m
-from shared import topics
+from shared import requests, topics
 from shared.geometry import Pose2
+from shared.requests import Reply, Request, Watch
 from shared.ros_messages import GRID, ODOM, PATH, POSE_COVARIANCE, SCAN, TF, RosMessages
 from shared.topics import Topic
 
@@ -22,8 +23,13 @@ LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 LOG_QOS = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1000)  # rcl's of /rosout
 TF_QOS = Qos(depth=100)  # tf2_ros' DynamicBroadcasterQoS
 CLOCK_QOS = Qos(Reliability.BEST_EFFORT, depth=1)  # rclcpp's ClockQoS
-WATCHED = frozenset((topics.COSTMAP.key, topics.ROLLOUTS.key))
-"""Keys that local control publishes only while it is asked to."""
+WatchRequest = Request[Watch, Reply]
+WATCHED: dict[str, WatchRequest] = {
+    topics.COSTMAP.key: requests.WATCH,
+    topics.ROLLOUTS.key: requests.WATCH,
+    topics.GLOBAL_COSTMAP.key: requests.WATCH_GLOBAL_COSTMAP,
+}
+"""Keys of debug topics, which are published only while they are asked for, and the request of each."""
 
 
 class OutgoingState:
@@ -75,9 +81,8 @@ def _map_change(state: OutgoingState, update: m.MapUpdate, _: str) -> Any:
     return state.map.change()
 
 
-def _costmap(state: OutgoingState, costmap: m.Costmap, _: str) -> Any:
-    origin, frame = (costmap.x, costmap.y), state.make.frames.odom
-    return state.make.grid(costmap.cells, costmap.resolution, origin, costmap.stamp, frame)
+def _costmap(make: RosMessages, costmap: m.Costmap, frame: str) -> Any:
+    return make.grid(costmap.cells, costmap.resolution, (costmap.x, costmap.y), costmap.stamp, frame)
 
 
 def _simply(make: Callable[[RosMessages, Any], Any]) -> Make:
@@ -95,7 +100,8 @@ OUTGOING = (
     OutgoingTopic("/amcl_pose", POSE_COVARIANCE, LATCHED, (topics.POSE,), _simply(RosMessages.pose_estimate)),
     OutgoingTopic("/plan", PATH, DEFAULT, (topics.PLAN,), _simply(RosMessages.path)),
     OutgoingTopic("/local_plan", PATH, DEFAULT, (topics.ROLLOUTS,), _simply(outgoing.local_plan)),
-    OutgoingTopic("/local_costmap/costmap", GRID, LATCHED, (topics.COSTMAP,), _costmap),
+    OutgoingTopic("/local_costmap/costmap", GRID, LATCHED, (topics.COSTMAP,), _simply(lambda make, costmap: _costmap(make, costmap, make.frames.odom))),  # noqa: E501
+    OutgoingTopic("/global_costmap/costmap", GRID, LATCHED, (topics.GLOBAL_COSTMAP,), _simply(lambda make, costmap: _costmap(make, costmap, make.frames.map))),  # noqa: E501
     OutgoingTopic("/battery_state", "sensor_msgs/msg/BatteryState", DEFAULT, (topics.BASE_STATUS,), _simply(outgoing.battery)),  # noqa: E501  # a table
     OutgoingTopic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", DEFAULT, (topics.GUARD, topics.NAV_STATUS, topics.BASE_STATUS, topics.HEALTH), _simply(outgoing.diagnostics)),  # noqa: E501
     OutgoingTopic("/rosout", "rcl_interfaces/msg/Log", LOG_QOS, (topics.LOG,), lambda state, line, publisher: outgoing.log_line(state.make, line, publisher)),  # noqa: E501

@@ -27,6 +27,7 @@ SAMPLES = {
         STAMP, np.ones((2, 5), np.float32), np.ones((2, 5), np.float32), np.ones(2, np.float32)
     ),
     "debug/costmap": m.Costmap(STAMP, -1.0, -2.0, 0.05, np.full((4, 6), 99, np.int8)),
+    "debug/global_costmap": m.Costmap(STAMP, -1.0, -2.0, 0.05, np.full((4, 6), 99, np.int8)),
     "base/status": m.BaseStatus(STAMP, 12.5, 0.0, 0.0, True, "", ""),
     "guard/status": m.GuardStatus(STAMP, m.GuardState.STOPPED, "", "estop", "", 0.0),
     "nav/status": m.NavStatus(STAMP, 1, m.NavState.FAILED, "", "", "", Pose2(), 0.0, 0.0, 0, 1, 0),
@@ -76,6 +77,13 @@ def test_a_stamp_is_seconds_and_nanoseconds_and_the_frames_are_the_configuration
     back = pose2(odometry.pose.pose)
     assert back.distance(Pose2(1, 2, 3)) < 1e-9
     assert odometry.twist.twist.linear.x == 0.4
+
+
+def test_the_local_costmap_is_in_odom_and_the_global_one_in_the_map():
+    local = converted_one("/local_costmap/costmap", topics.COSTMAP, SAMPLES["debug/costmap"])
+    whole = converted_one("/global_costmap/costmap", topics.GLOBAL_COSTMAP, SAMPLES["debug/global_costmap"])
+    assert (local.header.frame_id, whole.header.frame_id) == ("odom", "map")
+    assert (whole.info.origin.position.x, whole.info.width, whole.data[0]) == (-1.0, 6, 99)
 
 
 def test_a_stop_is_an_error_in_diagnostics():
