@@ -32,9 +32,9 @@ def free_port() -> int:
         return int(server.getsockname()[1])
 
 
-def session(mode: str, port: int, listens: bool = False, **settings: Any) -> zenoh.Session:
+def session(mode: str, port: int, listens: bool = False, protocol: str = "tcp", **settings: Any) -> zenoh.Session:
     config = zenoh.Config()
-    endpoints = [f"tcp/127.0.0.1:{port}"]
+    endpoints = [f"{protocol}/127.0.0.1:{port}"]
     for key, value in {
         "mode": mode,
         "listen/endpoints": endpoints if listens else [],
@@ -49,16 +49,16 @@ def session(mode: str, port: int, listens: bool = False, **settings: Any) -> zen
 
 
 @contextmanager
-def router(port: int) -> Iterator[zenoh.Session]:
-    with session("router", port, listens=True) as opened:
+def router(port: int, protocol: str = "tcp", **settings: Any) -> Iterator[zenoh.Session]:
+    with session("router", port, listens=True, protocol=protocol, **settings) as opened:
         yield opened
 
 
 class Bridge:
     """The shell of the bridge, with what it gave to the core, and the stack that it listens to."""
 
-    def __init__(self, port: int, where: Any, **section: Any) -> None:
-        device = f"zenoh://tcp/127.0.0.1:{port}"
+    def __init__(self, port: int, where: Any, protocol: str = "tcp", **section: Any) -> None:
+        device = f"zenoh://{protocol}/127.0.0.1:{port}"
         self.config = Ros2Config(port=PortConfig(device=device), **section)
         self.types = ros_types(self.config.distro)
         self.events: list[dict[str, Any]] = []
