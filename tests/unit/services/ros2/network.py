@@ -17,6 +17,7 @@ from services.ros2.rmw_names import RosName, attachment, topic_key
 from services.ros2.ros_types import RosTypes, ros_types
 from shared.messages import PortState, SerialData
 from shared.ports import PortConfig
+from shared.ros_messages import RosMessages
 from shared.runners.client import Client
 from shared.runners.clock import clock_from
 from shared.runners.devices import DeviceContext
@@ -61,6 +62,7 @@ class Bridge:
         device = f"zenoh://{protocol}/127.0.0.1:{port}"
         self.config = Ros2Config(port=PortConfig(device=device), **section)
         self.types = ros_types(self.config.distro)
+        self.make = RosMessages(self.types.types, self.config.ros_frames)
         self.events: list[dict[str, Any]] = []
         self.states: list[tuple[bool, str]] = []
         self._changed = threading.Condition()
@@ -74,9 +76,9 @@ class Bridge:
     def order(self, **fields: Any) -> None:
         self.device.write(msgpack.packb(fields))
 
-    def wait(self, holds: Callable[[], Any]) -> Any:
+    def wait(self, holds: Callable[[], Any], limit: float = LIMIT_S) -> Any:
         with self._changed:
-            found = self._changed.wait_for(holds, LIMIT_S)
+            found = self._changed.wait_for(holds, limit)
         assert found, (self.events[-5:], self.states)
         return found
 
