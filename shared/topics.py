@@ -82,7 +82,7 @@ BOARD       = Topic("hardware/board",  m.BoardReport,   by="sim",               
 MOTORS      = Topic("hardware/motors", m.MotorCommand,  by="base_driver",            hz=50, keep="latest", within=0.002)
 BASE_MOTION = Topic("hardware/odometry", m.BaseOdometry, by="sim ros2",              hz=50, keep="all",    within=0.002)
 VELOCITY    = Topic("hardware/velocity", m.Velocity,    by="base_driver",            hz=50, keep="latest", within=0.002)
-IMU         = Topic("imu",             m.Imu,           by="base_driver sim imu_driver", hz=50, keep="all", within=0.002)
+IMU         = Topic("imu",             m.Imu,           by="base_driver sim imu_driver ros2", hz=50, keep="all", within=0.002)
 CONTACTS    = Topic("hardware/contacts", m.Contacts,    by="base_driver sim ros2",   hz=20, keep="all",    within=0.002)
 RX          = Topic("port/rx",         m.SerialData,    by="*",                      hz=0,  keep="all",    within=0.001, people=True)
 TX          = Topic("port/tx",         m.SerialData,    by="*",                      hz=0,  keep="all",    within=0.001, people=True)

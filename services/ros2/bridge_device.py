@@ -313,7 +313,7 @@ def received_rows(config: Ros2Config) -> tuple[IncomingTopic, ...]:
     """The topics that our node subscribes to."""
     if not config.drives:
         return INCOMING
-    return (*(row for row in INCOMING if row.name != CMD_VEL), *robot_topics(config.odometry))
+    return (*(row for row in INCOMING if row.name != CMD_VEL), *robot_topics(config))
 
 
 def zenoh_endpoint(device: str) -> str:

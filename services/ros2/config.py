@@ -57,6 +57,9 @@ class Ros2Config(Section):
     odometry: Literal["odom", "tf"] = Field(
         "odom", description="of the robot that is driven: its /odom, or its /tf where odometry is only there"
     )
+    imu: bool = Field(
+        False, description="whether /imu of the robot that is driven comes in, for its heading; its mount is robot.imu"
+    )
     remap: tuple[str, ...] = Field((), description="other names of topics and services, as /scan:=/base_scan")
     frames: FrameConfig = FrameConfig()
     teleop_hold: float = Field(

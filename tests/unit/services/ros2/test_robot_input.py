@@ -220,6 +220,7 @@ def test_the_robots_own_topics_are_received_and_not_published():
     received = {row.name for row in received_rows(Core(drives=True).config)}
     own = {"/scan", "/odom", "/tf_static", "/battery_state", "/hazard_detection"}
     assert received == own | {"/goal_pose", "/initialpose"}
+    assert {row.name for row in received_rows(Core(drives=True, imu=True).config)} == received | {"/imu"}
     by_tf = {row.name for row in received_rows(Core(drives=True, odometry="tf").config)}
     assert by_tf == received - {"/odom"} | {"/tf"}
     assert published_rows(False) == (*OUTGOING, STATIC_TF)
