@@ -33,7 +33,7 @@ from shared.ros_messages import ODOM, SCAN, TF, RosMessages, pose2, pose_of_tran
 from shared.ros_readings import covariance, frame_name, laser_scan, stamp_of
 from shared.service import Log, Out
 from shared.topics import Publication
-from shared.types import Float64s
+from shared.types import NS_PER_S, Float64s
 
 HAZARDS = "irobot_create_msgs/msg/HazardDetectionVector"
 SENSOR_QOS = Qos(Reliability.BEST_EFFORT, depth=5)
@@ -61,6 +61,7 @@ COMMAND_TOPICS = (
 """Both types of one name: a robot subscribes to one of them."""
 CLOCK = b"robot"  # one for all topics: a scan has the stamp of its first beam, and odometry comes sooner
 BASE_CLOCK = b"base"  # of a board that is a computer of its own, as a Create 3
+MIN_CLOCK_STEP_NS = 1_000_000_000  # by which the robot's clock must differ to be reported
 MAX_SILENCE_NS = 200_000_000  # without a velocity of base_driver, after which the robot gets zero
 
 
@@ -87,6 +88,7 @@ class RobotInput:
         self._frames = StaticFrames(config.frames.base)
         self._mount = LaserMount(robot.laser.mount, self._frames)
         self._imu = ImuInput(robot.imu or ImuMount(), self._frames)
+        self._said_offset = 0  # ns by which our clock is ahead of the robot's, as it was logged last
         self._command: Velocity | None = None  # the newest, while the robot moves by it
         self._voltage = float("nan")
         self._voltage_at = 0  # ns, when it came
@@ -114,8 +116,18 @@ class RobotInput:
         self._command = command if command.v or command.w else None
         yield from self._published(command.v, command.w, now)
 
+    @property
+    def state(self) -> str:
+        """Words for the health on the robot's clock; empty where it is as ours."""
+        return f"its clock is {_offset_text(self._said_offset)} ours" if self._said_offset else ""
+
     def tick(self, now: int) -> Out:
-        """Zero, where base_driver fell silent while the robot moves."""
+        """Zero, where base_driver fell silent while the robot moves; a log line where the robot's clock was set."""
+        offset = self._clocks.offset(CLOCK)
+        if offset is not None and abs(offset - self._said_offset) > MIN_CLOCK_STEP_NS:
+            self._said_offset = offset if abs(offset) > MIN_CLOCK_STEP_NS else 0
+            words = f"{_offset_text(offset)} ours" if self._said_offset else "as ours again"
+            yield Log("WARNING", f"ROS 2: the robot's clock is {words}")
         if self._command is not None and not 0 <= now - self._command.stamp < MAX_SILENCE_NS:
             self._command = None
             yield from self._published(0.0, 0.0, now)
@@ -153,6 +165,11 @@ class RobotInput:
         stamped = self._make.new(TWIST_STAMPED, header=self._make.header(now, self._make.frames.base), twist=twist)
         yield publish_order(now, COMMAND, self._types.encode(twist))
         yield publish_order(now, STAMPED_COMMAND, self._types.encode(stamped))
+
+
+def _offset_text(offset: int) -> str:
+    """offset: ns by which our clock is ahead of the robot's."""
+    return f"{abs(offset) / NS_PER_S:.1f} s {'behind' if offset > 0 else 'ahead of'}"
 
 
 def _odometry_of_topic(message: Any, stamp: int) -> BaseOdometry:
