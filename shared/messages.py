@@ -665,8 +665,9 @@ class GuardStatus(Message):
 
 @dataclass(frozen=True, slots=True)
 class Costmap(Message):
-    """What local control steers by, in `odom`, while somebody watches. Row 0 is lowest, (x, y) its lower left corner.
+    """What local control steers by, in `odom`, or the planner's costs, in `map`, while somebody watches.
 
+    Row 0 is lowest, (x, y) its lower left corner.
     100 occupied, 99 nearer to it than the robot is wide, less with distance; 0 free, -1 unknown.
     """
 

@@ -127,7 +127,8 @@ class Override(Message):
 class Watch(Message):
     """Publish the debug topics for so long from now on; 0: stop. A viewer asks again and again.
 
-    Those of local control are `debug/costmap` and `debug/rollouts`, that of the mapper is `debug/graph`.
+    Those of local control are `debug/costmap` and `debug/rollouts`, that of the mapper is `debug/graph`, that of the
+    planner `debug/global_costmap`.
     """
 
     seconds: Annotated[float, Unit("s"), m.Within(0, 60)]
@@ -325,6 +326,7 @@ CLEAR_COSTMAPS = Request("request/clear_costmaps", ClearCostmaps, Reply, by="loc
 OVERRIDE = Request("request/override", Override, Reply, by="guard")
 WATCH = Request("request/watch", Watch, Reply, by="local_ctrl")
 WATCH_GRAPH = Request("request/watch_graph", Watch, Reply, by="mapper")
+WATCH_GLOBAL_COSTMAP = Request("request/watch_global_costmap", Watch, Reply, by="planner")
 LOAD_MAP = Request("request/load_map", LoadMap, Reply, by="mapper")
 FETCH_MAP = Request("request/fetch_map", FetchMap, MapPart, by="mapper")
 GIVE_MAP = Request("request/give_map", GiveMap, Reply, by="mapper")

@@ -58,6 +58,7 @@ TOOL_REQUEST_ROLES = {
     requests.SPIN.key: Role.OPERATOR,
     requests.DRIVE_STRAIGHT.key: Role.OPERATOR,
     requests.CLEAR_COSTMAPS.key: Role.OPERATOR,
+    requests.WATCH_GLOBAL_COSTMAP.key: Role.OPERATOR,
     requests.FETCH_MAP.key: Role.VIEWER,
     requests.LOAD_MAP.key: Role.OPERATOR,
     requests.GIVE_MAP.key: Role.OPERATOR,

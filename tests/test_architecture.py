@@ -67,6 +67,7 @@ FILES = (
     "shared/credentials.py",  # what a member was given
     "services/dashboard/certificate.py",
     "services/dashboard/login_store.py",
+    "services/ros2/router_tls.py",  # certificates of the router
     "shared/runners/latched_disk.py",  # what a restart must not lose
     "shared/runners/checkpoint_disk.py",  # the same, where it is large
     "shared/runners/blackbox.py",  # what a crash must not lose

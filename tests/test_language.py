@@ -50,6 +50,7 @@ NO_ALGORITHM = {
     *("__init__", "__main__", "service", "config", "warm_up"),
     *("debug_topics", "inputs", "received_plan", "reconfiguration"),  # of local_ctrl
     *("map_jobs", "map_file", "map_transfer", "map_editing", "resume", "graph_topic"),  # of mapper
+    "plan_message",  # of planner
 }
 """Their files that hold no algorithm: processes, handlers, settings, order of jobs, bytes, ages."""
 

@@ -2,7 +2,6 @@
 """Driver of an inertial sensor on one port: its bytes in; `imu` in `base`, and commands to the sensor, out."""
 
 from collections.abc import Callable
-from math import cos, sin
 
 from pydantic import Field
 
@@ -11,6 +10,7 @@ from services.imu_driver.bno085 import Bno085
 from services.imu_driver.device import ImuDevice, Reading
 from shared import topics
 from shared.config import Robot, Section
+from shared.imu_axes import imu_in_base
 from shared.messages import Imu, PortState, SerialData
 from shared.ports import PortConfig
 from shared.robot import ImuMount
@@ -135,10 +135,7 @@ class ImuDriverService(Service):
 
 def in_base(reading: Reading, stamp: int, mount: ImuMount) -> Imu:
     """A reading in the axes of `base`. stamp: ns."""
-    up = -1.0 if mount.upside_down else 1.0  # a sensor upside down is turned about its x axis
-    c, s = cos(mount.yaw), sin(mount.yaw)
-    x, y = reading.x, up * reading.y
-    return Imu(stamp, up * reading.yaw_rate, c * x - s * y, s * x + c * y, up * reading.z)
+    return imu_in_base(mount, stamp, reading.yaw_rate, reading.x, reading.y, reading.z)
 
 
 DEVICES: dict[str, Callable[[int], ImuDevice]] = {"bno055": Bno055, "bno085": Bno085}

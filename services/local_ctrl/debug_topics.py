@@ -13,6 +13,7 @@ from shared import topics
 from shared.messages import Costmap, Rollouts
 from shared.service import Out
 from shared.types import Float32s
+from shared.watched_topic import WatchedTopic
 
 PERIOD_NS = 200_000_000  # between two messages
 MAX_SHOWN = 24  # of some hundred rollouts
@@ -20,24 +21,12 @@ COST_FADE_M = 0.5  # beyond the inscribed radius, over which a cell's cost falls
 OCCUPIED, TOUCHING, UNKNOWN = 100, 99, -1
 
 
-class DebugTopics:
-    """Until when a client watches, and which rollouts were published last. Times are ns."""
+class DebugTopics(WatchedTopic):
+    """When the topics are due, and which rollouts were published last."""
 
     def __init__(self) -> None:
-        self._until = self._next = 0  # ns
+        super().__init__(PERIOD_NS)
         self._n_solved = 0
-
-    def watch(self, now: int, seconds: float) -> None:
-        """Begins to publish for `seconds` from `now` (ns) on."""
-        self._until = now + round(seconds * 1e9)
-        self._next = min(self._next, now)
-
-    def due(self, now: int) -> bool:
-        """Whether messages are due at `now` (ns)."""
-        if now >= self._until or now < self._next:
-            return False
-        self._next = now + PERIOD_NS
-        return True
 
     def publications(self, now: int, costmap: LocalCostmap, path_follower: PathFollower, start: Motion) -> Out:
         """Both debug topics; the rollouts only if there are new ones."""

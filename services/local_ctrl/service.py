@@ -191,16 +191,14 @@ class LocalCtrlService(Service):
         yield topics.CMD_NAV(Velocity(self.now, outcome.v, outcome.w, outcome.reason))
         order_id = self.order.id if self.order is not None else 0
         yield topics.FOLLOW(FollowStatus(self.now, order_id, outcome.state, outcome.reason, outcome.left))
-        if self.debug_topics.due(self.now) and self.inputs.odometry.latest is not None:
+        if self.debug_topics.is_due(self.now) and self.inputs.odometry.latest is not None:
             costmap = deepcopy(self.costmap)  # the update changes it, and a spectator must not change the drive
             update_costmap(costmap, self.inputs, self.grid, self.zones, self.footprint, self.now)
             yield from self.debug_topics.publications(self.now, costmap, self.path_follower, self.start)
 
     @answer(requests.WATCH)
     def watch(self, request: Watch) -> Answer[Reply]:
-        self.debug_topics.watch(self.now, request.seconds)
-        yield from ()
-        return Reply(self.now, True, "", "")
+        return self.debug_topics.watch(request, self.now)
 
     @answer(requests.CLEAR_COSTMAPS)
     def clear_costmaps(self, request: ClearCostmaps) -> Answer[Reply]:

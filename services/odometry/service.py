@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from services.odometry.base_heading import STANDING_M, BaseHeading
 from services.odometry.base_pose import BasePose
 from services.odometry.base_scale import BaseScale
 from services.odometry.dead_reckoning import INTEGRATIONS, DeadReckoningConfig, arc_motion, propagated_covariance
@@ -18,7 +19,6 @@ from shared.stamps import precedes
 MAX_TRAVEL_M = 100.0  # m between two messages; a larger value is an error of the publisher, not motion
 MAX_VARIANCE = 1e11  # m^2, rad^2; below the message's bound of 1e12
 MAX_IMU_AGE_S = 0.5
-STANDING_M = 0.002  # m that a standing wheel's encoder may flicker: a few counts
 SLIP_QUIET_NS = 10_000_000_000  # between two log lines about slip
 
 
@@ -41,6 +41,7 @@ class OdometryService(Service):
         self.base_scale = BaseScale(config.base_distance_scale, config.base_turn_scale)
         self.last_base: BaseOdometry | None = None
         self.gyro = Gyro(config.gyro)
+        self.base_heading = BaseHeading(self.gyro, robot.drive.wheel_distance)
         self.by_gyro = False  # the last step's heading
         self.slips = False
         self.n_slips = 0
@@ -76,21 +77,35 @@ class OdometryService(Service):
 
     @on(topics.BASE_ODOMETRY)
     def base_odometry(self, message: BaseOdometry) -> Out:
-        """Passes on the odometry of a base that does its own."""
+        """Passes on the odometry of a base that does its own, with the gyro's heading where there is one."""
         last = self.last_base
-        if last is not None and last.epoch == message.epoch:
-            if self._is_repeated(topics.BASE_ODOMETRY.key, last.stamp, message.stamp):
-                return
-            self.base_pose.add(self.base_scale.corrected(message))
-        elif last is not None and precedes(message.epoch, last.epoch, self.now):
+        is_next = last is not None and last.epoch == message.epoch
+        if last is not None and is_next and self._is_repeated(topics.BASE_ODOMETRY.key, last.stamp, message.stamp):
+            return
+        if last is not None and not is_next and precedes(message.epoch, last.epoch, self.now):
             return  # a late message of the previous driver process
+        corrected = self.base_scale.corrected(message)
+        if self.config.gyro.use:
+            corrected = self.base_heading.corrected(corrected)
+            yield from self._watch_base_slip()
+        if is_next:
+            self.base_pose.add(corrected)
         else:
-            self.base_pose.begin_epoch(self.base_scale.corrected(message))
+            self.base_pose.begin_epoch(corrected)
         self.last_base = message
         pose = self.base_pose
         covariance = np.clip(pose.covariance, -MAX_VARIANCE, MAX_VARIANCE)
         v, w = min(max(pose.v, -20.0), 20.0), min(max(pose.w, -50.0), 50.0)
         yield topics.ODOM(Odometry(message.stamp, pose.odom_from_base, v, w, covariance.ravel()))
+
+    def _watch_base_slip(self) -> Out:
+        """Compares the turns of gyro and base in its last step."""
+        turns = self.base_heading.turns
+        self.by_gyro = turns is not None
+        if turns is None:
+            self.slips = False
+        else:
+            yield from self._watch_slip(*turns)
 
     def _is_repeated(self, key: str, before: int, stamp: int) -> bool:
         """Whether a stamp (ns) is not after the one before in its epoch; then the message is rejected."""

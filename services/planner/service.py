@@ -7,11 +7,14 @@ from typing import ClassVar
 import numpy as np
 
 from services.planner.costmap import CostConfig, GlobalCostmap
+from services.planner.costmap_topic import PERIOD_NS as COSTMAP_PERIOD_NS
+from services.planner.costmap_topic import costmap_message, separate_costmap
 from services.planner.hierarchical_search import HierarchicalSearch
 from services.planner.keep_out_layer import KeepOutLayer
-from services.planner.plan_monitor import PlanMonitor, PlanMonitorConfig, path_length, search_ahead
+from services.planner.plan_message import plan_message
+from services.planner.plan_monitor import PlanMonitor, PlanMonitorConfig, search_ahead
 from services.planner.planning import GlobalPlan, PlanningConfig, TurningLimits, no_plan, plan_path
-from shared import reasons, topics
+from shared import reasons, requests, topics
 from shared import sample_messages as sample
 from shared.config import Robot, Section
 from shared.contacts import ContactPlaces
@@ -25,16 +28,17 @@ from shared.messages import (
     MapState,
     MapUpdate,
     Odometry,
-    Path,
     PoseEstimate,
     Recovery,
     Zones,
 )
 from shared.orders import Order, is_newer
 from shared.pose_tracker import PoseTracker
-from shared.service import Out, Service, every, on
+from shared.requests import Reply, Watch
+from shared.service import Answer, Out, Service, answer, every, on
 from shared.settings import Configuration
 from shared.types import Bools
+from shared.watched_topic import WatchedTopic
 
 PERIOD_NS = 500_000_000
 """Period of the plan messages. Local control does not follow a plan that is older than 2 s."""
@@ -71,6 +75,7 @@ class PlannerService(Service):
         self.is_costmap_current = True
         self.updated_at = -PERIOD_NS  # of the costmap
         self.limits_published = False
+        self.costmap_topic = WatchedTopic(COSTMAP_PERIOD_NS)
 
     def warm_up(self) -> None:
         """Compiles the kernels: a second service plans on a small map."""
@@ -185,6 +190,14 @@ class PlannerService(Service):
             reach = self.config.path.goal_reach
             yield topics.LIMITS(GoalLimits(self.now, cost.margin, cost.min_margin, reach, cost.beyond))
         yield from self._publish_plan(always=True)
+        if not self.grid.empty and self.costmap_topic.is_due(self.now):
+            current = self.costmap if self.is_costmap_current else None
+            shown = current or separate_costmap(self.config.cost, self.robot, self.grid, self.keep_out)
+            yield topics.GLOBAL_COSTMAP(costmap_message(shown, self.now))
+
+    @answer(requests.WATCH_GLOBAL_COSTMAP)
+    def watch_costmap(self, request: Watch) -> Answer[Reply]:
+        return self.costmap_topic.watch(request, self.now)
 
     def _publish_plan(self, always: bool) -> Out:
         """Updates the plan and publishes it. always: also an unchanged one."""
@@ -193,7 +206,7 @@ class PlannerService(Service):
         before = self.monitor.plan
         self._update_plan(self.goal)
         if self.monitor.plan is not None and (always or self.monitor.plan is not before):
-            yield topics.PLAN(self._message(self.goal, self.monitor.plan))
+            yield topics.PLAN(plan_message(self.monitor, self.monitor.plan, self.goal, self.grid.version, self.now))
 
     def _update_plan(self, goal: Goal) -> None:
         """Lets the monitor keep or replace the plan."""
@@ -233,18 +246,3 @@ class PlannerService(Service):
             self.keep_out.update(self.costmap, self.grid, self.changed)
             self.is_costmap_current, self.updated_at = True, self.now
         return self.costmap
-
-    def _message(self, goal: Goal, plan: GlobalPlan) -> Path:
-        first = self.monitor.index
-        points, yaws = plan.points[first:], plan.yaws[first:]
-        return Path(
-            stamp=self.now,
-            goal_id=goal.id,
-            map_version=self.grid.version,
-            reason=plan.reason.code if plan.reason else "",
-            xs=np.ascontiguousarray(points[:, 0]),
-            ys=np.ascontiguousarray(points[:, 1]),
-            yaws=yaws,
-            length=path_length(points),
-            cost=self.monitor.cost_left,
-        )

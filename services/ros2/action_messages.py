@@ -36,6 +36,23 @@ def stack_request(now: int, action: Action, goal: Any, frame: str) -> tuple[Requ
     return requests.DRIVE_STRAIGHT, DriveStraight(now, _distance(action, goal), seconds)
 
 
+def ignored_fields(action: Action, goal: Any) -> str:
+    """What of an accepted goal does not count, in words; empty where all of it does."""
+    if action.kind not in MOTION_ERRORS:
+        return ""
+    words = []
+    if getattr(goal, "speed", 0.0):
+        words.append(
+            f"its speed of {goal.speed:.2g} m/s does not count: the robot drives at local_ctrl.manoeuvres.back_up_speed"
+        )
+    allowed = goal.time_allowance.sec + goal.time_allowance.nanosec / NS_PER_S
+    if allowed > MAX_TIME_S:
+        words.append(f"it may take {MAX_TIME_S:.0f} s, not {allowed:.0f} s")
+    elif allowed <= 0:
+        words.append("without a time_allowance it may take 30 s")
+    return "; ".join(words)
+
+
 def amount_of(request: Message) -> float:
     """rad or m of a single motion, without its sign; 0 of other requests."""
     if isinstance(request, Spin):
@@ -57,6 +74,8 @@ def _distance(action: Action, goal: Any) -> float:
 
 def navigate_request(now: int, action: Action, goal: Any, frame: str) -> Navigate:
     """The request of a goal. now: ns.  frame: of the map.  Raises ValueError where it is no goal."""
+    if getattr(goal, "behavior_tree", ""):
+        raise ValueError(f"behavior_tree {goal.behavior_tree!r}: there are no behavior trees here, leave it empty")
     loops = 1
     if action.kind == "NavigateToPose":
         stamped = [goal.pose]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from services.ros2.action_messages import amount_of, feedback, result, stack_request
+from services.ros2.action_messages import amount_of, feedback, ignored_fields, result, stack_request
 from services.ros2.action_topics import CANCEL_GOAL, CANCEL_TYPE, GET_RESULT, SEND_GOAL, STATUS_TYPE, Action, actions_of
 from services.ros2.orders import publish_order, reply_order
 from services.ros2.ros_types import UUID, RosTypes
@@ -20,7 +20,7 @@ from shared.messages import NavState, NavStatus, PoseEstimate
 from shared.reasons import reason_text
 from shared.requests import Cancel
 from shared.ros_messages import RosMessages
-from shared.service import Out
+from shared.service import Log, Out
 from shared.topics import Publication
 from shared.types import NS_PER_S
 
@@ -126,6 +126,8 @@ class ActionServer:
         except ValueError as error:
             yield self._goal_reply(action, number, False, now)
             raise GoalRefusedError(str(error)) from None
+        if ignored := ignored_fields(action, message.goal):
+            yield Log("WARNING", f"ROS 2: {action.name}: {ignored}")
         goal = ActionGoal(goal_id, action, now, amount=amount_of(request))
         yield self._ask(row, request, lambda outcome: self._on_accepted(goal, number, outcome))
 

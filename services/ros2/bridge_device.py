@@ -29,6 +29,7 @@ from services.ros2.outgoing_topics import OUTGOING, STATIC_TF, OutgoingTopic
 from services.ros2.rmw_names import Endpoint, Entity, Qos, RosName, mismatch_text
 from services.ros2.robot_input import COMMAND_TOPICS, ROBOT_TF, ROBOT_TOPICS, robot_topics
 from services.ros2.ros_types import ros_types
+from services.ros2.router_tls import router_tls
 from shared import topics
 from shared.config import UserError
 from shared.messages import PortState, SerialData
@@ -50,7 +51,7 @@ MAX_KINDS = 100  # of rejections that one report distinguishes
 
 
 def bridge_device(context: DeviceContext) -> "BridgeDevice":
-    """The device of a configuration, not yet open. Raises UserError where its address is none."""
+    """The device of a configuration, not yet open. Raises UserError where its address or its files of TLS are none."""
     return BridgeDevice(context)
 
 
@@ -61,6 +62,7 @@ class BridgeDevice:
         self._context = context
         self.endpoint = zenoh_endpoint(context.config.device)
         self._config = cast(Ros2Config, context.section)
+        self._tls = router_tls(self.endpoint, self._config.tls)
         self._changed = threading.Condition()
         self._is_closing = False
         self._pending: dict[str, deque[dict[str, Any]]] = {}  # newest messages by name
@@ -102,7 +104,7 @@ class BridgeDevice:
         events = WireEvents(self._on_message, self._on_request, self._on_wanted, self._on_endpoint, self._on_rejected)
         while not self._is_closing:
             try:
-                self._wire = RosWire(self.endpoint, config.ros_format, events)
+                self._wire = RosWire(self.endpoint, self._tls, config.ros_format, events)
             except UserError as error:
                 self._publish_state(False, f"{error.what}: {error.hint}")
                 with self._changed:
@@ -311,7 +313,7 @@ def received_rows(config: Ros2Config) -> tuple[IncomingTopic, ...]:
     """The topics that our node subscribes to."""
     if not config.drives:
         return INCOMING
-    return (*(row for row in INCOMING if row.name != CMD_VEL), *robot_topics(config.odometry))
+    return (*(row for row in INCOMING if row.name != CMD_VEL), *robot_topics(config))
 
 
 def zenoh_endpoint(device: str) -> str:

@@ -25,12 +25,23 @@ class FrameConfig(Section):
     laser: str = Field("laser", min_length=1, description="frame of the laser")
 
 
+class RouterTlsConfig(Section):
+    """TLS to the router, where it is tls/HOST:PORT. Files are PEM."""
+
+    ca: str = Field("", description="certificate of the authority that signed the router's; empty: public authorities")
+    certificate: str = Field("", description="our own certificate, where the router asks for one")
+    key: str = Field("", description="the key of our own certificate, without a passphrase")
+    verify_name: bool = Field(True, description="the router's certificate must have the host of its address")
+
+
 class Ros2Config(Section):
     """The ROS 2 bridge."""
 
     port: PortConfig = Field(
-        PortConfig(), description="zenoh://tcp/HOST:7447, the router of the ROS 2 nodes; without a device: no bridge"
+        PortConfig(),
+        description="zenoh://tcp/HOST:7447 or zenoh://tls/HOST:7447, the router of the ROS 2 nodes; empty: no bridge",
     )
+    tls: RouterTlsConfig = RouterTlsConfig()
     domain: int = Field(0, ge=0, le=232, description="ROS_DOMAIN_ID of the nodes")
     distro: Distro = Field(Distro.JAZZY, description="distribution of the nodes: humble, jazzy or kilted")
     bridge: Literal["rmw_zenoh", "dds"] = Field(
@@ -45,6 +56,9 @@ class Ros2Config(Section):
     )
     odometry: Literal["odom", "tf"] = Field(
         "odom", description="of the robot that is driven: its /odom, or its /tf where odometry is only there"
+    )
+    imu: bool = Field(
+        False, description="whether /imu of the robot that is driven comes in, for its heading; its mount is robot.imu"
     )
     remap: tuple[str, ...] = Field((), description="other names of topics and services, as /scan:=/base_scan")
     frames: FrameConfig = FrameConfig()

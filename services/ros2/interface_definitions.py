@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Definitions of the services and actions that rosbags lacks: std_srvs, lifecycle_msgs, nav2_msgs and others.
+"""Definitions that rosbags lacks: services, actions and messages of std_srvs, nav2_msgs, map_msgs and others.
 
-Source: docs.ros.org, nav2_msgs of Humble, Jazzy and Kilted; iRobotEducation/irobot_create_msgs. Constants are left out:
-neither the wire nor a type's hash has them. A service is request and response, an action is goal, result and feedback.
+Source: docs.ros.org, nav2_msgs of Humble, Jazzy and Kilted; ros-planning/navigation_msgs, map_msgs;
+iRobotEducation/irobot_create_msgs. Constants are left out: neither the wire nor a type's hash has them. A service is
+request and response, an action is goal, result and feedback.
 """
 
 POSE_FEEDBACK = """\
@@ -79,6 +80,9 @@ KILTED_ACTIONS: dict[str, Definition] = {
 """Without NavigateThroughPoses: its definition in Kilted could not be read."""
 
 MESSAGES: dict[str, str] = {
+    "map_msgs/msg/OccupancyGridUpdate": (
+        "std_msgs/Header header\nint32 x\nint32 y\nuint32 width\nuint32 height\nint8[] data\n"
+    ),
     "nav2_msgs/msg/MissedWaypoint": "uint32 index\ngeometry_msgs/PoseStamped goal\nuint16 error_code\n",
     "irobot_create_msgs/msg/HazardDetection": "std_msgs/Header header\nuint8 type\n",
     "irobot_create_msgs/msg/HazardDetectionVector": (

@@ -9,50 +9,39 @@ from dataclasses import dataclass
 from typing import Any
 
 from services.ros2 import outgoing_messages as outgoing
+from services.ros2.outgoing_map import GRID_UPDATE, OutgoingMap
 from services.ros2.rmw_names import Durability, Qos, Reliability
 from shared import messages as m
-from shared import topics
+from shared import requests, topics
 from shared.geometry import Pose2
-from shared.grid import OccupancyGrid
+from shared.requests import Reply, Request, Watch
 from shared.ros_messages import GRID, ODOM, PATH, POSE_COVARIANCE, SCAN, TF, RosMessages
 from shared.topics import Topic
-from shared.types import NS_PER_S
 
 DEFAULT, SENSOR = Qos(depth=10), Qos(depth=5)
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 LOG_QOS = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1000)  # rcl's of /rosout
 TF_QOS = Qos(depth=100)  # tf2_ros' DynamicBroadcasterQoS
 CLOCK_QOS = Qos(Reliability.BEST_EFFORT, depth=1)  # rclcpp's ClockQoS
-WATCHED = frozenset((topics.COSTMAP.key, topics.ROLLOUTS.key))
-"""Keys that local control publishes only while it is asked to."""
-MAP_AGAIN_NS = 5 * NS_PER_S
-"""after which the map is sent again: a subscription of ROS may miss the latched one (docs/ros2.md)."""
+WatchRequest = Request[Watch, Reply]
+WATCHED: dict[str, WatchRequest] = {
+    topics.COSTMAP.key: requests.WATCH,
+    topics.ROLLOUTS.key: requests.WATCH,
+    topics.GLOBAL_COSTMAP.key: requests.WATCH_GLOBAL_COSTMAP,
+}
+"""Keys of debug topics, which are published only while they are asked for, and the request of each."""
 
 
 class OutgoingState:
-    """What the messages of ROS need of earlier ones of the stack. map_interval: ns between two maps.
+    """What the messages of ROS need of earlier ones of the stack. map_interval: ns between two whole maps.
 
     has_own_odometry: the robot publishes `odom -> base_link` itself.
     """
 
     def __init__(self, make: RosMessages, map_interval: int, has_own_odometry: bool = False) -> None:
-        self.make, self.map_interval, self.has_own_odometry = make, map_interval, has_own_odometry
-        self.grid = OccupancyGrid()
+        self.make, self.has_own_odometry = make, has_own_odometry
+        self.map = OutgoingMap(make, map_interval)
         self.map_from_odom: Pose2 | None = None
-        self.map_stamp = 0
-        self.map_sent_at: int | None = None  # ns on the stack's clock
-        self.is_map_changed = False
-
-    def map_due(self, now: int) -> Any:
-        """The map, where it is due at `now` (ns); else None."""
-        if self.grid.empty:
-            return None
-        since = None if self.map_sent_at is None else now - self.map_sent_at
-        wait = self.map_interval if self.is_map_changed else MAP_AGAIN_NS
-        if since is not None and 0 <= since < wait:
-            return None
-        self.map_sent_at, self.is_map_changed = now, False
-        return self.make.occupancy(self.grid, self.map_stamp)
 
 
 Make = Callable[[OutgoingState, Any, str], Any]
@@ -83,16 +72,17 @@ def _transforms(state: OutgoingState, message: m.Odometry | m.PoseEstimate, _: s
     return make.transforms(*stamped) if stamped else None
 
 
-def _map(state: OutgoingState, update: m.MapUpdate, _: str) -> Any:
-    """Takes tiles; `map_due` gives the map."""
-    state.grid.apply(update)
-    state.map_stamp, state.is_map_changed = update.stamp, True
+def _whole_map(state: OutgoingState, update: m.MapUpdate, _: str) -> Any:
+    """The map is sent when it is due, not with each of its tiles."""
     return None
 
 
-def _costmap(state: OutgoingState, costmap: m.Costmap, _: str) -> Any:
-    origin, frame = (costmap.x, costmap.y), state.make.frames.odom
-    return state.make.grid(costmap.cells, costmap.resolution, origin, costmap.stamp, frame)
+def _map_change(state: OutgoingState, update: m.MapUpdate, _: str) -> Any:
+    return state.map.change()
+
+
+def _costmap(make: RosMessages, costmap: m.Costmap, frame: str) -> Any:
+    return make.grid(costmap.cells, costmap.resolution, (costmap.x, costmap.y), costmap.stamp, frame)
 
 
 def _simply(make: Callable[[RosMessages, Any], Any]) -> Make:
@@ -105,11 +95,13 @@ OUTGOING = (
     OutgoingTopic("/scan_2", SCAN, SENSOR, (topics.SCAN_2,), lambda state, scan, _: state.make.scan(scan, 1)),
     OutgoingTopic("/odom", ODOM, DEFAULT, (topics.ODOM,), _simply(RosMessages.odometry)),
     OutgoingTopic("/tf", TF, TF_QOS, (topics.POSE, topics.ODOM), _transforms),
-    OutgoingTopic("/map", GRID, LATCHED, (topics.MAP,), _map),
+    OutgoingTopic("/map", GRID, LATCHED, (topics.MAP,), _whole_map),
+    OutgoingTopic("/map_updates", GRID_UPDATE, DEFAULT, (topics.MAP,), _map_change),
     OutgoingTopic("/amcl_pose", POSE_COVARIANCE, LATCHED, (topics.POSE,), _simply(RosMessages.pose_estimate)),
     OutgoingTopic("/plan", PATH, DEFAULT, (topics.PLAN,), _simply(RosMessages.path)),
     OutgoingTopic("/local_plan", PATH, DEFAULT, (topics.ROLLOUTS,), _simply(outgoing.local_plan)),
-    OutgoingTopic("/local_costmap/costmap", GRID, LATCHED, (topics.COSTMAP,), _costmap),
+    OutgoingTopic("/local_costmap/costmap", GRID, LATCHED, (topics.COSTMAP,), _simply(lambda make, costmap: _costmap(make, costmap, make.frames.odom))),  # noqa: E501
+    OutgoingTopic("/global_costmap/costmap", GRID, LATCHED, (topics.GLOBAL_COSTMAP,), _simply(lambda make, costmap: _costmap(make, costmap, make.frames.map))),  # noqa: E501
     OutgoingTopic("/battery_state", "sensor_msgs/msg/BatteryState", DEFAULT, (topics.BASE_STATUS,), _simply(outgoing.battery)),  # noqa: E501  # a table
     OutgoingTopic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", DEFAULT, (topics.GUARD, topics.NAV_STATUS, topics.BASE_STATUS, topics.HEALTH), _simply(outgoing.diagnostics)),  # noqa: E501
     OutgoingTopic("/rosout", "rcl_interfaces/msg/Log", LOG_QOS, (topics.LOG,), lambda state, line, publisher: outgoing.log_line(state.make, line, publisher)),  # noqa: E501
@@ -138,6 +130,8 @@ def converted(
     state: OutgoingState, names: frozenset[str], topic: Topic[Any], message: m.Message, publisher: str
 ) -> Iterator[tuple[str, Any]]:
     """Name and message of ROS, for each of these topics that a message of the stack changes."""
+    if isinstance(message, m.MapUpdate):
+        state.map.add(message)
     for row in OUTGOING:
         if row.name in names and topic in row.sources:
             made = row.make(state, message, publisher)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot with ROS 2 that zenav drives: its laser and odometry come in, and the velocity goes out as /cmd_vel.
+"""A robot with ROS 2 that zenav drives: its sensors and odometry come in, and the velocity goes out as /cmd_vel.
 
 Stamps are of the robot's clock, which is another computer's. A message is as old as it comes later than the robot's
 fastest one in the last 10 to 20 s (sender_clocks.py). So a clock that differs does no harm. After a clock is set back,
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from services.ros2.config import Ros2Config
+from services.ros2.imu_input import ImuInput
 from services.ros2.incoming_topics import TWIST, TWIST_STAMPED, IncomingTopic
 from services.ros2.laser_mount import LaserMount
 from services.ros2.orders import publish_order
@@ -22,20 +23,23 @@ from services.ros2.outgoing_topics import DEFAULT, LATCHED, TF_QOS, OutgoingTopi
 from services.ros2.rmw_names import Qos, Reliability
 from services.ros2.ros_types import RosTypes
 from services.ros2.sender_clocks import SenderClocks
+from services.ros2.static_frames import StaticFrames
 from shared import topics
 from shared.config import Robot
 from shared.geometry import Pose2
 from shared.messages import MAX_CONTACTS, BaseOdometry, Contacts, Velocity
+from shared.robot import ImuMount
 from shared.ros_messages import ODOM, SCAN, TF, RosMessages, pose2, pose_of_transform
 from shared.ros_readings import covariance, frame_name, laser_scan, stamp_of
 from shared.service import Log, Out
 from shared.topics import Publication
-from shared.types import Float64s
+from shared.types import NS_PER_S, Float64s
 
 HAZARDS = "irobot_create_msgs/msg/HazardDetectionVector"
 SENSOR_QOS = Qos(Reliability.BEST_EFFORT, depth=5)
 ROBOT_SCAN, ROBOT_ODOM, ROBOT_TF, ROBOT_STATIC_TF = "/scan", "/odom", "/tf", "/tf_static"
 ROBOT_BATTERY, ROBOT_HAZARDS = "/battery_state", "/hazard_detection"
+ROBOT_IMU = "/imu"
 ROBOT_TOPICS = (
     IncomingTopic(ROBOT_SCAN, (SCAN,), SENSOR_QOS),
     IncomingTopic(ROBOT_ODOM, (ODOM,), SENSOR_QOS),
@@ -43,8 +47,9 @@ ROBOT_TOPICS = (
     IncomingTopic(ROBOT_STATIC_TF, (TF,), LATCHED),
     IncomingTopic(ROBOT_BATTERY, ("sensor_msgs/msg/BatteryState",), SENSOR_QOS),
     IncomingTopic(ROBOT_HAZARDS, (HAZARDS,), SENSOR_QOS),
+    IncomingTopic(ROBOT_IMU, ("sensor_msgs/msg/Imu",), SENSOR_QOS),
 )
-"""Of /odom and /tf one is subscribed to, and /hazard_detection for robots with bumpers (`robot_topics`)."""
+"""Of /odom and /tf one is subscribed to, and /imu by a setting (`robot_topics`)."""
 BUMP, CLIFF, WHEEL_DROP = 1, 2, 4
 """of irobot_create_msgs/HazardDetection. A dropped wheel is a cliff; stalled wheels are base_driver's to detect."""
 MAX_VOLTAGE, MAX_VOLTAGE_AGE_NS = 100.0, 60_000_000_000  # V; ns, of the last message of the battery
@@ -56,13 +61,14 @@ COMMAND_TOPICS = (
 """Both types of one name: a robot subscribes to one of them."""
 CLOCK = b"robot"  # one for all topics: a scan has the stamp of its first beam, and odometry comes sooner
 BASE_CLOCK = b"base"  # of a board that is a computer of its own, as a Create 3
+MIN_CLOCK_STEP_NS = 1_000_000_000  # by which the robot's clock must differ to be reported
 MAX_SILENCE_NS = 200_000_000  # without a velocity of base_driver, after which the robot gets zero
 
 
-def robot_topics(odometry: str) -> tuple[IncomingTopic, ...]:
-    """What our node subscribes to. odometry: "odom" or "tf", the topic that has it."""
-    left_out = ROBOT_ODOM if odometry == "tf" else ROBOT_TF
-    return tuple(row for row in ROBOT_TOPICS if row.name != left_out)
+def robot_topics(config: Ros2Config) -> tuple[IncomingTopic, ...]:
+    """What our node subscribes to of a robot that is driven."""
+    left_out = {ROBOT_ODOM if config.odometry == "tf" else ROBOT_TF} | (set() if config.imu else {ROBOT_IMU})
+    return tuple(row for row in ROBOT_TOPICS if row.name not in left_out)
 
 
 def contacts_of(detections: Any, stamp: int) -> Contacts:
@@ -79,7 +85,10 @@ class RobotInput:
     def __init__(self, config: Ros2Config, types: RosTypes, make: RosMessages, robot: Robot) -> None:
         self._types, self._make, self._has_contacts = types, make, robot.has_contacts
         self._clocks = SenderClocks()
-        self._mount = LaserMount(robot.laser.mount, config.frames.base)
+        self._frames = StaticFrames(config.frames.base)
+        self._mount = LaserMount(robot.laser.mount, self._frames)
+        self._imu = ImuInput(robot.imu or ImuMount(), self._frames)
+        self._said_offset = 0  # ns by which our clock is ahead of the robot's, as it was logged last
         self._command: Velocity | None = None  # the newest, while the robot moves by it
         self._voltage = float("nan")
         self._voltage_at = 0  # ns, when it came
@@ -94,9 +103,11 @@ class RobotInput:
         elif name == ROBOT_TF:
             yield from self._moving(message, now)
         elif name == ROBOT_STATIC_TF:
-            self._mount.add(message)
+            self._frames.add(message)
         elif name == ROBOT_BATTERY:
             self._voltage, self._voltage_at = float(message.voltage), now
+        elif name == ROBOT_IMU:
+            yield topics.IMU(self._imu.reading(message, self._stamp(message.header, now)))
         elif self._has_contacts:
             yield topics.CONTACTS(contacts_of(message.detections, self._stamp(message.header, now, BASE_CLOCK)))
 
@@ -105,8 +116,18 @@ class RobotInput:
         self._command = command if command.v or command.w else None
         yield from self._published(command.v, command.w, now)
 
+    @property
+    def state(self) -> str:
+        """Words for the health on the robot's clock; empty where it is as ours."""
+        return f"its clock is {_offset_text(self._said_offset)} ours" if self._said_offset else ""
+
     def tick(self, now: int) -> Out:
-        """Zero, where base_driver fell silent while the robot moves."""
+        """Zero, where base_driver fell silent while the robot moves; a log line where the robot's clock was set."""
+        offset = self._clocks.offset(CLOCK)
+        if offset is not None and abs(offset - self._said_offset) > MIN_CLOCK_STEP_NS:
+            self._said_offset = offset if abs(offset) > MIN_CLOCK_STEP_NS else 0
+            words = f"{_offset_text(offset)} ours" if self._said_offset else "as ours again"
+            yield Log("WARNING", f"ROS 2: the robot's clock is {words}")
         if self._command is not None and not 0 <= now - self._command.stamp < MAX_SILENCE_NS:
             self._command = None
             yield from self._published(0.0, 0.0, now)
@@ -144,6 +165,11 @@ class RobotInput:
         stamped = self._make.new(TWIST_STAMPED, header=self._make.header(now, self._make.frames.base), twist=twist)
         yield publish_order(now, COMMAND, self._types.encode(twist))
         yield publish_order(now, STAMPED_COMMAND, self._types.encode(stamped))
+
+
+def _offset_text(offset: int) -> str:
+    """offset: ns by which our clock is ahead of the robot's."""
+    return f"{abs(offset) / NS_PER_S:.1f} s {'behind' if offset > 0 else 'ahead of'}"
 
 
 def _odometry_of_topic(message: Any, stamp: int) -> BaseOdometry:

@@ -84,8 +84,8 @@ class Ros2Service(Service):
         if not self.is_open:
             return self.detail or "no router: set ros2.port.device"
         text = "with a bridge to DDS" if self.config.bridge == "dds" else f"in domain {self.config.domain}"
-        goal = self._loaded.actions.state if self._loaded is not None else ""
-        return f"{text}; {goal}" if goal else text
+        parts = () if self._loaded is None else (self._loaded.robot.state, self._loaded.actions.state)
+        return "; ".join((text, *filter(None, parts)))
 
     @on(topics.PORT)
     def port_state(self, state: PortState) -> Out:

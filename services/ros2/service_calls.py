@@ -25,6 +25,14 @@ CLEARS = frozenset(name for name, _ in incoming.CLEAR_SERVICES)
 STATES = frozenset(name for name, _ in incoming.STATE_SERVICES)
 ACTIVE = 3  # lifecycle_msgs/State: PRIMARY_STATE_ACTIVE
 MAP_NAME = r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
+SAVED: dict[str, tuple[object, ...]] = {
+    "map_topic": ("", "map", "/map"),
+    "image_format": ("", "pgm"),
+    "map_mode": ("", "trinary"),
+    "free_thresh": (0.0, 0.25),
+    "occupied_thresh": (0.0, 0.65),
+}
+"""Fields of nav2_msgs/SaveMap with the values that are a saved map's; the first one is the message's default."""
 LOADED, NOT_LOADED = 0, 255  # nav2_msgs/LoadMap: RESULT_SUCCESS, RESULT_UNDEFINED_FAILURE
 
 
@@ -103,10 +111,13 @@ class ServiceCalls:
     def _map(self, name: str, number: int, data: bytes) -> Out:
         """Saves or loads a map by its name: a path of another computer means nothing here."""
         type_ = SAVE_MAP if name == incoming.SAVE else LOAD_MAP
-        place = str(self._types.decode(data, f"{type_}_Request").map_url)
+        asked = self._types.decode(data, f"{type_}_Request")
+        place = str(asked.map_url)
         command = "save" if name == incoming.SAVE else "load"
         if fullmatch(MAP_NAME, place) is None:
             raise ValueError(f"map_url {place!r} is no name of a map: letters, digits, - and _")
+        if name == incoming.SAVE and (ignored := _ignored_fields(asked)):
+            yield Log("WARNING", f"ROS 2: {name}: {', '.join(ignored)} does not count: maps have one format")
         yield self._tool(("map", command, place), lambda outcome: self._map_done(name, number, outcome))
 
     def _map_done(self, name: str, number: int, outcome: dict[str, Any]) -> Out:
@@ -118,3 +129,10 @@ class ServiceCalls:
             response = make.new(f"{LOAD_MAP}_Response", map=empty, result=LOADED if is_done else NOT_LOADED)
         yield reply_order(outcome["now"], number, self._types.encode(response))
         yield Log("INFO" if is_done else "WARNING", f"ROS 2: {name}: {'done' if is_done else refusal_text(outcome)}")
+
+
+def _ignored_fields(request: Any) -> list[str]:
+    """The fields of a nav2_msgs/SaveMap that ask for another map than the one that is saved."""
+    values = {field: getattr(request, field) for field in SAVED}
+    rounded = {field: round(value, 3) if isinstance(value, float) else value for field, value in values.items()}
+    return [field for field, value in rounded.items() if value not in SAVED[field]]

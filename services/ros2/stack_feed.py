@@ -13,6 +13,7 @@ from services.ros2.outgoing_topics import (
     MAP_NAME,
     WATCHED,
     OutgoingState,
+    WatchRequest,
     converted,
     keys_of,
 )
@@ -59,7 +60,7 @@ class StackFeed:
         self._incoming: list[Payload] = []
         self._changed = threading.Condition()
         self._is_closing = self._is_needed = False
-        self._watched_at: int | None = None
+        self._watched_at: dict[WatchRequest, int] = {}  # ns
         self._thread = threading.Thread(target=self._run, name="feed", daemon=True)
 
     def start(self) -> None:
@@ -141,7 +142,7 @@ class StackFeed:
         for key, (message, publisher) in list(self._latched.items()):
             self._convert(added, key, message, publisher)
         if MAP_NAME in added:
-            self._state.map_sent_at = None  # at once
+            self._state.map.send_now()
 
     def _listen(self, client: Client, key: str) -> list[Callable[[], None]]:
         end = client.listen_raw(key, lambda key, payload: self._file(key, payload, False))
@@ -186,21 +187,22 @@ class StackFeed:
             return
         now = self._client.now()
         if MAP_NAME in self._served:
-            grid = self._state.map_due(now)
+            grid = self._state.map.due(now)
             if grid is not None:
                 self._publish(MAP_NAME, self._types.encode(grid))
-        if not WATCHED & self._endings.keys():
-            self._watched_at = None
-        elif self._watched_at is None or not 0 <= now - self._watched_at < WATCH_EVERY_NS:
-            self._watched_at = now
-            request = Watch(now, WATCH_FOR_S)
-            threading.Thread(target=self._watch, args=(self._client, request), daemon=True).start()
+        rows = {WATCHED[key] for key in WATCHED.keys() & self._endings.keys()}
+        self._watched_at = {row: at for row, at in self._watched_at.items() if row in rows}
+        for row in rows:
+            if not 0 <= now - self._watched_at.get(row, -WATCH_EVERY_NS) < WATCH_EVERY_NS:
+                self._watched_at[row] = now
+                arguments = (self._client, row, Watch(now, WATCH_FOR_S))
+                threading.Thread(target=self._watch, args=arguments, daemon=True).start()
 
-    def _watch(self, client: Client, request: Watch) -> None:
+    def _watch(self, client: Client, row: WatchRequest, request: Watch) -> None:
         try:
-            client.ask(requests.WATCH, request, ASK_LIMIT_S)
+            client.ask(row, request, ASK_LIMIT_S)
         except UserError:
-            return  # no local control, no costmap
+            return  # no such service, no costmap
 
     def _ask(self, key: str, payload: bytes, done: Callable[[dict[str, Any]], None]) -> None:
         self.need()

@@ -60,14 +60,18 @@ class _Publisher:
 
 
 class RosWire:
-    """One node on one session, in a format. Raises UserError where no router answers at the endpoint."""
+    """One node on one session, in a format. Raises UserError where no router answers at the endpoint.
 
-    def __init__(self, endpoint: str, ros_format: RosFormat, events: WireEvents) -> None:
+    tls: Zenoh's settings for a router over TLS (router_tls.py).
+    """
+
+    def __init__(self, endpoint: str, tls: dict[str, Any], ros_format: RosFormat, events: WireEvents) -> None:
         self._events, self._format = events, ros_format
         try:
-            self._session = zenoh.open(_configuration(endpoint))
+            self._session = zenoh.open(_configuration(endpoint, tls))
         except zenoh.ZError as error:
             hint = "is it running? ros2 run rmw_zenoh_cpp rmw_zenohd, or zenoh-bridge-ros2dds"
+            hint = "is it running, and do the settings ros2.tls fit its certificate?" if tls else hint
             raise UserError(f"no Zenoh router answers at {endpoint}", hint) from error
         self._zid = str(self._session.info.zid())
         self._n_entities = 0
@@ -221,7 +225,7 @@ def _bytes_of(attachment: zenoh.ZBytes | None) -> bytes | None:
     return None if attachment is None else attachment.to_bytes()
 
 
-def _configuration(endpoint: str) -> zenoh.Config:
+def _configuration(endpoint: str, tls: dict[str, Any]) -> zenoh.Config:
     """A client of the router; the time stamps are for the caches of latched topics."""
     config = zenoh.Config()
     for key, value in {
@@ -232,6 +236,7 @@ def _configuration(endpoint: str) -> zenoh.Config:
         "scouting/multicast/enabled": False,
         "transport/shared_memory/enabled": False,
         "timestamping/enabled": True,
+        **({"transport/link/tls": tls} if tls else {}),
     }.items():
         config.insert_json5(key, json.dumps(value))
     return config

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A replay gives the debug topics of local control and mapper again, to the byte: that a client listens is an event."""
+"""A replay gives the debug topics again, to the byte: that a client listens is an event."""
 
 from collections import Counter
 from pathlib import Path
@@ -28,17 +28,22 @@ def test_a_replay_shows_what_was_shown(tmp_path: Path):
         lockstep.run(1.0)
         lockstep.ask(requests.EXPLORE, Explore(lockstep.now))
         lockstep.run(1.5)
-        for row in (requests.WATCH, requests.WATCH_GRAPH):
+        for row in (requests.WATCH, requests.WATCH_GRAPH, requests.WATCH_GLOBAL_COSTMAP):
             assert lockstep.ask(row, Watch(lockstep.now, 1.0)).accepted
         lockstep.run(2.0)
         lockstep.flush()
     recording = Recording(tmp_path / "a.mcap")
-    shown = Counter(entry.key for entry in recording.entries(["debug/costmap", "debug/rollouts", "debug/graph"]))
+    keys = ["debug/costmap", "debug/rollouts", "debug/graph", "debug/global_costmap"]
+    shown = Counter(entry.key for entry in recording.entries(keys))
     assert shown["debug/costmap"] == 5
     assert shown["debug/rollouts"] > 0
-    assert shown["debug/graph"] == 1
+    assert shown["debug/graph"] == shown["debug/global_costmap"] == 1
     report = replay_file(
-        recording.path, ["local_ctrl", "mapper"], None, lambda n: build_service(n, file, robot), lambda done, of: None
+        recording.path,
+        ["local_ctrl", "mapper", "planner"],
+        None,
+        lambda n: build_service(n, file, robot),
+        lambda done, of: None,
     )
     assert report.equal, report.topics
     assert {topic.key: topic.n_equal for topic in report.topics if topic.key in shown} == dict(shown)

@@ -11,8 +11,11 @@ import pytest
 
 from services.ros2.action_topics import action_services, action_topics
 from services.ros2.incoming_topics import INCOMING, TRIGGER
+from services.ros2.interface_definitions import MESSAGES
+from services.ros2.outgoing_map import GRID_UPDATE
 from services.ros2.outgoing_topics import OUTGOING, STATIC_TF, converted
 from services.ros2.ros_types import Distro, ros_types
+from shared.ros_messages import TF
 from tests.stack.processes import ALL, running
 from tests.unit.services.ros2.network import free_port, router
 from tests.unit.services.ros2.test_outgoing_topics import SAMPLES, rows_with_sources, state
@@ -22,8 +25,10 @@ ENVIRONMENT = FOLDER.parents[1] / ".venv-ros2"
 PYTHON = ENVIRONMENT / "bin" / "python"
 TYPES = ros_types(Distro.JAZZY)
 GOAL = 0.6, 0.2
-NOT_IN_PIP = {"tf2_msgs/msg/TFMessage"}
+NOT_IN_PIP = {"tf2_msgs/msg/TFMessage", GRID_UPDATE}
 """Types of ours whose ROS package is not in the environment, beside those of nav2_msgs."""
+TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms\n"  # tf2_msgs/TFMessage
+ROS_VARIABLES = {"LD_LIBRARY_PATH": str(ENVIRONMENT / "lib"), "AMENT_PREFIX_PATH": str(ENVIRONMENT)}
 
 pytestmark = [
     pytest.mark.skipif(not PYTHON.exists(), reason=f"no ROS 2 environment in {ENVIRONMENT.name}"),
@@ -46,13 +51,18 @@ def encoded_samples() -> list[tuple[str, bytes]]:
 def judged() -> tuple[dict[str, str], list[str]]:
     """The hashes of ROS's packages, and each sample as rclpy encodes it again."""
     lines = "".join(f"{type_} {data.hex()}\n" for type_, data in encoded_samples())
-    environment = dict(os.environ, LD_LIBRARY_PATH=str(ENVIRONMENT / "lib"), AMENT_PREFIX_PATH=str(ENVIRONMENT))  # noqa: TID251  # of a child
+    first, *rest = judgement("ros_decoder.py", lines).splitlines()
+    return json.loads(first), rest
+
+
+def judgement(script: str, text: str) -> str:
+    """What a script of this folder writes with ROS's packages."""
+    environment = dict(os.environ, **ROS_VARIABLES)  # noqa: TID251  # of a child
     done = subprocess.run(
-        [PYTHON, FOLDER / "ros_decoder.py"], input=lines, capture_output=True, text=True, env=environment, timeout=100
+        [PYTHON, FOLDER / script], input=text, capture_output=True, text=True, env=environment, timeout=100
     )
     assert done.returncode == 0, done.stderr
-    first, *rest = done.stdout.splitlines()
-    return json.loads(first), rest
+    return done.stdout
 
 
 def test_ros_reads_every_message_as_it_was_written(judged):
@@ -73,7 +83,13 @@ def test_the_hashes_of_all_types_are_those_of_ros(judged):
     names |= {type_ for _, type_ in action_services(Distro.JAZZY)}
     known = {name for name in names if name in judged[0]}
     assert {name: TYPES.hash_of(name) for name in known} == {name: judged[0][name] for name in known}
-    assert {name.split("/")[0] for name in names - known} <= {"nav2_msgs", "tf2_msgs"}
+    assert {name.split("/")[0] for name in names - known} <= {"nav2_msgs", "tf2_msgs", "map_msgs"}
+
+
+def test_the_hashes_of_messages_without_a_package_are_those_of_ros_generator():
+    definitions = {**MESSAGES, TF: TF_DEFINITION}
+    hashes = json.loads(judgement("rosidl_hashes.py", json.dumps(definitions)))
+    assert hashes == {name: TYPES.hash_of(name) for name in definitions}
 
 
 def test_a_node_of_others_discovers_subscribes_calls_and_sends_the_robot_to_a_goal(tmp_path):

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from services.ros2.action_server import GoalState
+from services.ros2.outgoing_map import GRID_UPDATE
 from services.ros2.ros_types import UUID, Distro, ros_types
 from shared import topics
 from shared.geometry import Pose2
 from shared.messages import GuardState
-from shared.ros_messages import RosFrames, RosMessages
+from shared.ros_messages import GRID, RosFrames, RosMessages
 from tests.stack.processes import ALL, StackProcesses, assert_replays, running
 from tests.unit.services.ros2.network import RosPeer, free_port, router, session
 
@@ -69,6 +70,23 @@ def spin(peer: RosPeer) -> None:
     request = MAKE.new(f"{type_}_GetResult_Request", goal_id=goal_id)
     response, _ = peer.call("/spin/_action/get_result", f"{type_}_GetResult", request, limit=30.0)
     assert (response.status, response.result.error_msg) == (GoalState.SUCCEEDED, "")
+
+
+def test_a_node_sees_the_map_its_changes_and_the_costs_of_the_planner(tmp_path):
+    with joined(tmp_path / "logs", tmp_path / "ros2.mcap") as (stack, peer):
+        peer.subscribe("/map", GRID)
+        peer.subscribe("/map_updates", GRID_UPDATE)
+        whole, _ = peer.wait(GRID)
+        assert whole.header.frame_id == "map"
+        task = stack.go(Pose2(0.8, 0.3, 0.0))
+        change, _ = peer.wait(GRID_UPDATE, limit=60.0)
+        assert len(change.data) == change.width * change.height
+        assert change.x >= 0
+        stack.until(stack.reached(task), 60)
+        other = RosPeer(peer.session, TYPES)
+        other.subscribe("/global_costmap/costmap", GRID)
+        costs, _ = other.wait(GRID, lambda message: max(message.data) == 100 and 99 in message.data)
+        assert costs.header.frame_id == "map"
 
 
 def test_a_node_sends_a_goal_drives_and_presses_stop_and_that_replays_to_the_byte(tmp_path):

@@ -449,7 +449,7 @@ export interface EmergencyStop {
   readonly by: string;
 }
 
-/** What local control steers by, in `odom`, while somebody watches. Row 0 is lowest, (x, y) its lower left corner. */
+/** What local control steers by, in `odom`, or the planner's costs, in `map`, while somebody watches. */
 export interface Costmap {
   /** ns */
   readonly stamp: number;
@@ -612,6 +612,7 @@ export interface MessageOf {
   "debug/costmap": Costmap;
   "debug/rollouts": Rollouts;
   "debug/graph": KeyframeGraph;
+  "debug/global_costmap": Costmap;
   "guard/status": GuardStatus;
   "cmd/vel": Velocity;
   "settings": RuntimeSettings;
@@ -641,6 +642,7 @@ export const ARRAYS: { readonly [K in Key]?: Readonly<Record<string, string>> } 
   "debug/costmap": { "cells": "i1 2" },
   "debug/rollouts": { "xs": "f4 2", "ys": "f4 2", "costs": "f4" },
   "debug/graph": { "xs": "f4", "ys": "f4", "from_xs": "f4", "from_ys": "f4", "to_xs": "f4", "to_ys": "f4", "accepted": "i1" },
+  "debug/global_costmap": { "cells": "i1 2" },
   "sim/truth": { "people_x": "f4", "people_y": "f4" },
 };
 

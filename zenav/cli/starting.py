@@ -100,7 +100,10 @@ def up(
     ] = "",
     with_: With = "",
     ros2: Annotated[
-        str, typer.Option("--ros2", help="Bridge to ROS 2 nodes by their router: tcp/HOST:7447.", metavar="ROUTER")
+        str,
+        typer.Option(
+            "--ros2", help="Bridge to ROS 2 nodes by their router: tcp/HOST:7447, or tls/HOST:7447.", metavar="ROUTER"
+        ),
     ] = "",
     stack: Stack = "0",
     set_: Setting = None,
@@ -174,7 +177,7 @@ def run(
 @app.command(cls=Command, rich_help_panel=MAIN)
 def ros2(
     router: Annotated[
-        str, typer.Option(help="Router of the ROS 2 nodes: tcp/HOST:7447.", metavar="ROUTER")
+        str, typer.Option(help="Router of the ROS 2 nodes: tcp/HOST:7447 or tls/HOST:7447.", metavar="ROUTER")
     ] = "tcp/127.0.0.1:7447",
     bridge: Annotated[
         Literal["rmw_zenoh", "dds"], typer.Option(help="What they use: dds is with zenoh-bridge-ros2dds beside them.")

@@ -243,8 +243,16 @@ def grid_of(
 
 
 def costmap(costmap: m.Costmap, seen: MessageContext) -> fox.Grid:
+    return _costs_in(ODOM, costmap)
+
+
+def global_costmap(costmap: m.Costmap, seen: MessageContext) -> fox.Grid:
+    return _costs_in(MAP, costmap)
+
+
+def _costs_in(frame: str, costmap: m.Costmap) -> fox.Grid:
     x, y = costmap.x, costmap.y
-    return grid_of(costmap.stamp, ODOM, x, y, costmap.resolution, costmap.cells, COST_COLOURS)
+    return grid_of(costmap.stamp, frame, x, y, costmap.resolution, costmap.cells, COST_COLOURS)
 
 
 class MapPicture:
@@ -308,6 +316,7 @@ ROWS: dict[str, tuple[SchemaRow, ...]] = {
     topics.GOAL.key: (SchemaRow("/nav/goal", fox.PoseInFrame, goal),),
     topics.LOG.key: (SchemaRow("/log", fox.Log, log),),
     topics.COSTMAP.key: (SchemaRow("/debug/costmap", fox.Grid, costmap),),
+    topics.GLOBAL_COSTMAP.key: (SchemaRow("/debug/global_costmap", fox.Grid, global_costmap),),
     topics.ROLLOUTS.key: (SchemaRow("/debug/rollouts", fox.SceneUpdate, lambda rollouts, _: scene.rollouts(rollouts)),),
     topics.GRAPH.key: (SchemaRow("/debug/graph", fox.SceneUpdate, lambda graph, _: scene.graph(graph)),),
 }

@@ -26,19 +26,24 @@ def read_sections(file: RobotFile, names: tuple[str, ...] | None = None) -> dict
 
 
 def require_one_gyro(file: RobotFile, sections: Mapping[str, Section]) -> None:
-    """Raises UserError where both the board and imu_driver would publish `imu`: only one publisher is admitted."""
+    """Raises UserError where something beside imu_driver would publish `imu`: only one publisher is admitted."""
     from services.base_driver.boards.models import MODELS_WITH_GYRO
     from services.base_driver.config import BaseDriverConfig
     from services.imu_driver.service import ImuDriverConfig
+    from services.ros2.config import Ros2Config
 
-    base, imu = sections.get("base_driver"), sections.get("imu_driver")
-    if not isinstance(base, BaseDriverConfig) or not isinstance(imu, ImuDriverConfig):
+    imu, base, ros2 = (sections.get(name) for name in ("imu_driver", "base_driver", "ros2"))
+    if not isinstance(imu, ImuDriverConfig) or not imu.port.given:
         return
-    if imu.port.given and base.port.given and base.board.model in MODELS_WITH_GYRO and base.board.gyro:
+    place = f"{file.place(('imu_driver', 'port'))}: imu_driver.port"
+    board = base.board if isinstance(base, BaseDriverConfig) and base.port.given else None
+    if board is not None and board.model in MODELS_WITH_GYRO and board.gyro:
         raise UserError(
-            f"{file.place(('imu_driver', 'port'))}: imu_driver.port: the board {base.board.model} publishes `imu`, too",
+            f"{place}: the board {board.model} publishes `imu`, too",
             "switch off the board's gyro: base_driver.board.gyro: false; or leave out imu_driver.port",
         )
+    if isinstance(ros2, Ros2Config) and ros2.drives and ros2.imu:
+        raise UserError(f"{place}: ros2 publishes `imu`, too", "leave out ros2.imu, or imu_driver.port")
 
 
 def check_config(robot: str, settings: list[str]) -> None:

@@ -2,15 +2,24 @@
 """The bridge to ROS 2 nodes: `zenav ros2` beside a running stack, and `zenav up --ros2`."""
 
 from services.ros2.bridge_device import KIND, zenoh_endpoint
+from services.ros2.config import Ros2Config
+from services.ros2.router_tls import router_tls
+from shared.config import RobotFile
 
 ROS2 = "ros2"
 
 
 def ros2_settings(router: str) -> list[str]:
-    """The setting of a router, as tcp/HOST:7447. Raises UserError where it is none."""
+    """The setting of a router, as tcp/HOST:7447 or tls/HOST:7447. Raises UserError where it is none."""
     device = f"{KIND}://{router}"
     zenoh_endpoint(device)
     return [f"ros2.port.device={device}"]
+
+
+def check_router(file: RobotFile) -> None:
+    """Raises UserError where the router's address, or a file for TLS to it, is wrong."""
+    config = file.section(ROS2, Ros2Config)
+    router_tls(zenoh_endpoint(config.port.device), config.tls)
 
 
 def run_bridge(

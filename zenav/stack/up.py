@@ -27,7 +27,7 @@ from zenav.stack.hardware import Hardware, emulated_ports, services_for, setting
 from zenav.stack.heap import release_free_memory
 from zenav.stack.launch import START_LIMIT, Launcher, claim_stack, service_command
 from zenav.stack.page import SERVICE, PageOpener, page_url, with_page
-from zenav.stack.ros2 import ROS2, ros2_settings
+from zenav.stack.ros2 import ROS2, check_router, ros2_settings
 from zenav.stack.sd_notify import Notifier
 from zenav.stack.service_loader import existing_services
 from zenav.stack.warm import warm_first
@@ -97,6 +97,7 @@ def up(
         prepare_gateway(file)
         names.append(GATEWAY)
     if ros2:
+        check_router(file)
         names.append(ROS2)
     if "sim" in names:
         simulated_world(file)  # a wrong world is an error before any process starts

@@ -6,29 +6,21 @@ import numpy as np
 from services.mapper.back_end.pose_graph import PoseGraph
 from shared import topics
 from shared.messages import KeyframeGraph
-from shared.requests import Reply, Watch
-from shared.service import Answer, Out
+from shared.service import Out
+from shared.watched_topic import WatchedTopic
 
 PERIOD_NS = 2_000_000_000  # between two messages
 
 
-class GraphTopic:
-    """Until when a client watches, and when the next message is due. Times are ns."""
+class GraphTopic(WatchedTopic):
+    """When the topic is due, and its message."""
 
     def __init__(self) -> None:
-        self._until = self._next = 0
-
-    def watch(self, request: Watch, now: int) -> Answer[Reply]:
-        """Begins to publish from `now` on, or ends it."""
-        self._until = now + round(request.seconds * 1e9)
-        self._next = min(self._next, now)
-        yield from ()
-        return Reply(now, True, "", "")
+        super().__init__(PERIOD_NS)
 
     def publications(self, graph: PoseGraph, now: int) -> Out:
-        """The topic, where it is due."""
-        if now < self._until and now >= self._next:
-            self._next = now + PERIOD_NS
+        """The topic, where it is due at `now` (ns)."""
+        if self.is_due(now):
             yield topics.GRAPH(keyframe_graph(graph, now))
 
 

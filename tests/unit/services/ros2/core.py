@@ -15,6 +15,7 @@ from shared.config import load_robot
 from shared.geometry import Pose2
 from shared.messages import Message, NavState, NavStatus, PortState, SerialData
 from shared.requests import REQUESTS
+from shared.robot import ImuMount
 from shared.ros_messages import RosMessages
 from shared.service import Log, Out
 from shared.topics import Publication
@@ -26,9 +27,9 @@ GOAL = bytes(range(16))
 class Core:
     """A bridge whose router is there. `now` (ns) advances by a tenth of a second with each event."""
 
-    def __init__(self, robot: str = "x80sv", **section: Any) -> None:
+    def __init__(self, robot: str = "x80sv", imu_mount: ImuMount | None = None, **section: Any) -> None:
         self.config = Ros2Config(**section)
-        self.service = Ros2Service(self.config, load_robot(robot).robot)
+        self.service = Ros2Service(self.config, load_robot(robot).robot.model_copy(update={"imu": imu_mount}))
         self.service.name = "ros2"
         self.service.now = START
         self.types: RosTypes = ros_types(self.config.distro)

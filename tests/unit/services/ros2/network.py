@@ -17,6 +17,7 @@ from services.ros2.rmw_names import RosName, attachment, topic_key
 from services.ros2.ros_types import RosTypes, ros_types
 from shared.messages import PortState, SerialData
 from shared.ports import PortConfig
+from shared.ros_messages import RosMessages
 from shared.runners.client import Client
 from shared.runners.clock import clock_from
 from shared.runners.devices import DeviceContext
@@ -32,9 +33,9 @@ def free_port() -> int:
         return int(server.getsockname()[1])
 
 
-def session(mode: str, port: int, listens: bool = False, **settings: Any) -> zenoh.Session:
+def session(mode: str, port: int, listens: bool = False, protocol: str = "tcp", **settings: Any) -> zenoh.Session:
     config = zenoh.Config()
-    endpoints = [f"tcp/127.0.0.1:{port}"]
+    endpoints = [f"{protocol}/127.0.0.1:{port}"]
     for key, value in {
         "mode": mode,
         "listen/endpoints": endpoints if listens else [],
@@ -49,18 +50,19 @@ def session(mode: str, port: int, listens: bool = False, **settings: Any) -> zen
 
 
 @contextmanager
-def router(port: int) -> Iterator[zenoh.Session]:
-    with session("router", port, listens=True) as opened:
+def router(port: int, protocol: str = "tcp", **settings: Any) -> Iterator[zenoh.Session]:
+    with session("router", port, listens=True, protocol=protocol, **settings) as opened:
         yield opened
 
 
 class Bridge:
     """The shell of the bridge, with what it gave to the core, and the stack that it listens to."""
 
-    def __init__(self, port: int, where: Any, **section: Any) -> None:
-        device = f"zenoh://tcp/127.0.0.1:{port}"
+    def __init__(self, port: int, where: Any, protocol: str = "tcp", **section: Any) -> None:
+        device = f"zenoh://{protocol}/127.0.0.1:{port}"
         self.config = Ros2Config(port=PortConfig(device=device), **section)
         self.types = ros_types(self.config.distro)
+        self.make = RosMessages(self.types.types, self.config.ros_frames)
         self.events: list[dict[str, Any]] = []
         self.states: list[tuple[bool, str]] = []
         self._changed = threading.Condition()
@@ -74,9 +76,9 @@ class Bridge:
     def order(self, **fields: Any) -> None:
         self.device.write(msgpack.packb(fields))
 
-    def wait(self, holds: Callable[[], Any]) -> Any:
+    def wait(self, holds: Callable[[], Any], limit: float = LIMIT_S) -> Any:
         with self._changed:
-            found = self._changed.wait_for(holds, LIMIT_S)
+            found = self._changed.wait_for(holds, limit)
         assert found, (self.events[-5:], self.states)
         return found
 
@@ -157,7 +159,8 @@ class RosPeer:
 
     def publish(self, name: str, message: Any, number: int = 1) -> None:
         key = self.key(name, message.__msgtype__)
-        self.session.put(key, self._types.encode(message), attachment=attachment(number, 5, GID))
+        data, block = self._types.encode(message), zenoh.CongestionControl.BLOCK  # Zenoh drops by default
+        self.session.put(key, data, attachment=attachment(number, 5, GID), congestion_control=block)
 
     def call(self, name: str, type_: str, request: Any, limit: float = LIMIT_S) -> tuple[Any, bytes]:
         """Response and attachment."""

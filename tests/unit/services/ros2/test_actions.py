@@ -202,3 +202,10 @@ def test_a_damaged_request_is_ended_and_counted():
     [order] = core.event(event="request", name=f"{TO_POSE}/_action/send_goal", id=9, data=b"\x00\x01\x00\x00\xff")
     assert order == {"reply": 9, "data": b""}
     assert sum(core.service.rejections.counts.values()) == 1
+
+
+def test_a_goal_with_a_behavior_tree_is_refused_in_words():
+    core = Core()
+    [reply] = core.send_goal(TO_POSE, TYPE, 1, pose=core.pose(Pose2()), behavior_tree="/my_tree.xml")
+    assert not core.response(reply, f"{TYPE}_SendGoal").accepted
+    assert "there are no behavior trees here" in core.lines[-1]

@@ -64,6 +64,26 @@ def test_collision_checks_are_not_disabled():
     assert "never disabled" in core.lines[-1]
 
 
+@pytest.mark.parametrize(
+    ("type_", "sec", "words"),
+    [
+        (HEADING, 10, ["speed of 0.1 m/s does not count"]),
+        (BACK_UP, 400, ["speed of 0.1 m/s does not count", "300 s, not 400 s"]),
+        (SPIN, 0, ["without a time_allowance it may take 30 s"]),
+        (SPIN, 10, []),
+    ],
+)
+def test_what_of_a_goal_does_not_count_is_said(type_, sec, words):
+    core = Core()
+    n_lines = len(core.lines)
+    allowed = core.make.new("builtin_interfaces/msg/Duration", sec=sec, nanosec=0)
+    [ask] = sent(core, type_, 0.5, time_allowance=allowed)
+    assert "ask" in ask
+    lines = core.lines[n_lines:]
+    assert len(lines) == bool(words)
+    assert all(word in lines[0] for word in words)
+
+
 def test_feedback_has_what_was_driven_and_the_result_the_time():
     core = Core()
     [ask] = sent(core, SPIN, -2.0)

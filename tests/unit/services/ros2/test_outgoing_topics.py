@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from services.ros2.outgoing_topics import MAP_AGAIN_NS, OUTGOING, OutgoingState, converted, keys_of
+from services.ros2.outgoing_topics import OUTGOING, OutgoingState, converted, keys_of
 from services.ros2.ros_types import Distro, ros_types
 from shared import messages as m
 from shared import sample_messages, topics
@@ -27,6 +27,7 @@ SAMPLES = {
         STAMP, np.ones((2, 5), np.float32), np.ones((2, 5), np.float32), np.ones(2, np.float32)
     ),
     "debug/costmap": m.Costmap(STAMP, -1.0, -2.0, 0.05, np.full((4, 6), 99, np.int8)),
+    "debug/global_costmap": m.Costmap(STAMP, -1.0, -2.0, 0.05, np.full((4, 6), 99, np.int8)),
     "base/status": m.BaseStatus(STAMP, 12.5, 0.0, 0.0, True, "", ""),
     "guard/status": m.GuardStatus(STAMP, m.GuardState.STOPPED, "", "estop", "", 0.0),
     "nav/status": m.NavStatus(STAMP, 1, m.NavState.FAILED, "", "", "", Pose2(), 0.0, 0.0, 0, 1, 0),
@@ -78,6 +79,13 @@ def test_a_stamp_is_seconds_and_nanoseconds_and_the_frames_are_the_configuration
     assert odometry.twist.twist.linear.x == 0.4
 
 
+def test_the_local_costmap_is_in_odom_and_the_global_one_in_the_map():
+    local = converted_one("/local_costmap/costmap", topics.COSTMAP, SAMPLES["debug/costmap"])
+    whole = converted_one("/global_costmap/costmap", topics.GLOBAL_COSTMAP, SAMPLES["debug/global_costmap"])
+    assert (local.header.frame_id, whole.header.frame_id) == ("odom", "map")
+    assert (whole.info.origin.position.x, whole.info.width, whole.data[0]) == (-1.0, 6, 99)
+
+
 def test_a_stop_is_an_error_in_diagnostics():
     array = converted_one("/diagnostics", topics.GUARD, SAMPLES["guard/status"])
     assert (array.status[0].name, array.status[0].level) == ("zenav: guard", 2)
@@ -94,20 +102,6 @@ def test_a_zone_is_a_closed_line_after_the_removal_of_the_former_ones():
     assert first.action == first.DELETEALL
     assert (zone.points[0].x, zone.points[0].y) == (zone.points[-1].x, zone.points[-1].y)
     assert len(zone.points) == 4
-
-
-def test_the_map_is_due_after_a_change_once_an_interval_and_again_after_a_while():
-    one = state()
-    assert one.map_due(STAMP) is None
-    update = sample_messages.map_update(STAMP, np.zeros((64, 64), np.int8))
-    list(converted(one, frozenset(("/map",)), topics.MAP, update, "mapper"))
-    assert one.map_due(STAMP).info.width == 64
-    assert one.map_due(STAMP + 10) is None
-    list(converted(one, frozenset(("/map",)), topics.MAP, update, "mapper"))
-    assert one.map_due(STAMP + 500_000_000) is None
-    assert one.map_due(STAMP + 1_000_000_000) is not None
-    assert one.map_due(STAMP + MAP_AGAIN_NS) is None
-    assert one.map_due(STAMP + 1_000_000_000 + MAP_AGAIN_NS) is not None
 
 
 def test_only_the_keys_of_the_wanted_topics_are_listened_to():

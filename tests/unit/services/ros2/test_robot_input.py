@@ -151,6 +151,22 @@ def test_a_robot_file_without_contacts_takes_no_hazards(core):
     assert core.message("/hazard_detection", hazards_of(core, (1, "bump_left"))) == []
 
 
+def test_the_clock_of_a_robot_that_differs_is_said_once_and_again_after_it_jumps(core):
+    def lines_after(clock: int) -> list[str]:
+        n_lines = len(core.lines)
+        for _ in range(300):  # 30 s: a clock that was set back is believed after 10 to 20
+            stamped(core, odometry_of(core), clock=clock)
+            core.tick(0.0)
+        return core.lines[n_lines:]
+
+    assert lines_after(0) == []
+    assert lines_after(-HOUR_NS) == ["ROS 2: the robot's clock is 3600.0 s behind ours"]
+    assert core.service.state() == "in domain 0; its clock is 3600.0 s behind ours"
+    assert lines_after(2 * 10**9) == ["ROS 2: the robot's clock is 2.0 s ahead of ours"]
+    assert lines_after(0) == ["ROS 2: the robot's clock is as ours again"]
+    assert core.service.state() == "in domain 0"
+
+
 def static(core: Core, *rows: tuple[str, str, Pose2]) -> list[Any]:
     return core.message("/tf_static", core.make.transforms(*(core.make.transform(0, *row) for row in rows)))
 
@@ -220,6 +236,7 @@ def test_the_robots_own_topics_are_received_and_not_published():
     received = {row.name for row in received_rows(Core(drives=True).config)}
     own = {"/scan", "/odom", "/tf_static", "/battery_state", "/hazard_detection"}
     assert received == own | {"/goal_pose", "/initialpose"}
+    assert {row.name for row in received_rows(Core(drives=True, imu=True).config)} == received | {"/imu"}
     by_tf = {row.name for row in received_rows(Core(drives=True, odometry="tf").config)}
     assert by_tf == received - {"/odom"} | {"/tf"}
     assert published_rows(False) == (*OUTGOING, STATIC_TF)

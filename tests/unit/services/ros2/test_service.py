@@ -190,6 +190,18 @@ def test_a_map_is_saved_and_loaded_by_its_name(is_done):
     assert (core.response(reply, "nav2_msgs/srv/LoadMap").result == 0) is is_done
 
 
+def test_what_of_a_map_s_format_does_not_count_is_said():
+    core = Core()
+    request = save_request(core, "office")
+    n_lines = len(core.lines)
+    core.request("/map_saver/save_map", 2, request)
+    assert core.lines[n_lines:] == []
+    request.image_format, request.map_mode = "png", "scale"
+    [order] = core.request("/map_saver/save_map", 3, request)
+    assert order["tool"] == ["map", "save", "office"]
+    assert "image_format, map_mode does not count" in core.lines[n_lines]
+
+
 @pytest.mark.parametrize("place", ["", "../x", "/etc/passwd", "a b", "--help", "file:///maps/office.yaml", "x" * 65])
 def test_a_path_is_no_name_of_a_map(place):
     core = Core()

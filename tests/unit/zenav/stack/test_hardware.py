@@ -50,9 +50,17 @@ def test_a_board_with_a_gyro_beside_an_imu_driver_is_refused_with_the_way_out():
     assert "base_driver.board.gyro: false" in refused.value.hint
 
 
+def test_a_ros_2_robot_with_its_imu_beside_an_imu_driver_is_refused():
+    with pytest.raises(UserError) as refused:
+        read_sections(configured("turtlebot3_ros2", [GYRO[1], "ros2.imu=true"]))
+    assert "ros2 publishes `imu`, too" in refused.value.what
+    assert refused.value.hint == "leave out ros2.imu, or imu_driver.port"
+
+
 @pytest.mark.parametrize(
     ("robot", "settings"),
     [
+        ("turtlebot3_ros2", GYRO[1:]),
         ("turtlebot2", (*GYRO, "base_driver.board.gyro=false")),
         ("turtlebot2", GYRO[:1]),
         ("x80sv", GYRO),  # its board has none
