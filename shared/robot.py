@@ -229,6 +229,11 @@ class Robot(Section):
         return self.lasers or (self.laser,)
 
     @property
+    def laser_2(self) -> Laser:
+        """The second one of `lasers`. Raises IndexError where there is none."""
+        return self.lasers[1]
+
+    @property
     def mapping_lasers(self) -> tuple[Laser, ...]:
         """The lasers that the mapper uses, `laser` first."""
         return self.laser, *(laser for laser in self.all_lasers[1:] if laser.mapping)
