@@ -167,9 +167,10 @@ def configured(robot: str, overrides: list[str]) -> RobotFile:
 
 
 def section_of(node: Any, key: str) -> Any:
-    """The section of a mapping under a key, made where there is none. `laser` is the first of `lasers`."""
-    if key == "laser" and key not in node and node.get("lasers"):
-        return node["lasers"][0]
+    """The section of a mapping under a key, made where there is none. `laser`, `laser_2` are places in `lasers`."""
+    place = {"laser": 0, "laser_2": 1}.get(key)
+    if place is not None and key not in node and len(node.get("lasers") or ()) > place:
+        return node["lasers"][place]
     return node.setdefault(key, CommentedMap())
 
 

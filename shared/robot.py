@@ -98,7 +98,7 @@ class Laser(Section):
     name: str = Field(
         "", pattern="^([a-z][a-z0-9_]*)?$", description="its own in `robot.lasers`; a single laser needs none"
     )
-    mapping: bool = Field(True, description="the mapper uses it: true for the first laser, false for another")
+    mapping: bool = Field(True, description="the mapper uses it; true for the first laser")
     mount: Mount = Mount()
     angle_min: float = Field(ge=-2 * pi, le=2 * pi, description="rad, first beam")
     angle_increment: float = Field(ge=-pi, le=pi, description="rad between beams; negative: clockwise")
@@ -217,14 +217,26 @@ class Robot(Section):
             raise ValueError("lasers: give either laser or lasers, and not both")
         if "" in names or len(set(names)) < len(names):
             raise ValueError("lasers: each has a name of its own")
-        if [laser.mapping for laser in self.lasers] != [True, *(False for _ in names[1:])]:
-            raise ValueError("lasers: the mapper uses the first laser alone; set `mapping: false` for the other one")
+        if not self.lasers[0].mapping:
+            raise ValueError(
+                "lasers: the mapper always uses the first laser; set its `mapping` to true, or list it second"
+            )
         return self
 
     @property
     def all_lasers(self) -> tuple[Laser, ...]:
         """All lasers, `laser` first."""
         return self.lasers or (self.laser,)
+
+    @property
+    def laser_2(self) -> Laser:
+        """The second one of `lasers`. Raises IndexError where there is none."""
+        return self.lasers[1]
+
+    @property
+    def mapping_lasers(self) -> tuple[Laser, ...]:
+        """The lasers that the mapper uses, `laser` first."""
+        return self.laser, *(laser for laser in self.all_lasers[1:] if laser.mapping)
 
     @property
     def has_contacts(self) -> bool:

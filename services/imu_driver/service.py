@@ -14,10 +14,10 @@ from shared.imu_axes import imu_in_base
 from shared.messages import Imu, PortState, SerialData
 from shared.ports import PortConfig
 from shared.robot import ImuMount
-from shared.service import Log, Out, Service, every, on
+from shared.sensor_line import SensorLine
+from shared.service import Out, Service, every, on
 
 PORT = "imu"
-NO_PORT = "no port: set imu_driver.port.device"
 NO_BYTES = "no bytes: is the sensor powered, and its line crossed (TX to RX)?"
 NO_SENSE = "bytes arrive, none make sense: check imu_driver.model, .port.baud and the pins that choose its mode"
 
@@ -45,11 +45,9 @@ class ImuDriverService(Service):
         super().__init__(config, robot)
         self.device: ImuDevice = DEVICES[config.model](config.port.baud)
         self.mount = robot.imu or ImuMount()
-        self.open = False
-        self.why_closed = "" if config.port.given else NO_PORT
-        self.bytes_at, self.reading_at, self.opened_at, self.started_at = 0, 0, 0, 0  # ns
+        self.line = SensorLine(config.port, "imu_driver", "imu", config.silence)
         self.last_stamp = 0  # ns
-        self.logged_fault = ""
+        self.n_readings = 0
 
     @property
     def ports(self) -> dict[str, PortConfig]:
@@ -62,12 +60,11 @@ class ImuDriverService(Service):
 
     def fault(self) -> str:
         """The present fault of port or sensor, for people; empty without one."""
-        if not self.open:
-            return self.why_closed
-        silence = self.config.silence * 1e9
-        if self.now - max(self.bytes_at, self.opened_at) > silence:
+        if not self.line.open:
+            return self.line.why_closed
+        if self.line.is_silent(self.now):
             return NO_BYTES
-        if self.now - max(self.reading_at, self.opened_at) > 2 * silence:
+        if self.line.lacks_readings(self.now):
             return self.device.fault or NO_SENSE
         return ""
 
@@ -76,20 +73,16 @@ class ImuDriverService(Service):
         """Starts the sensor when its port opens."""
         if state.port != PORT:
             return
-        self.open, self.why_closed = state.open, state.detail or "its port is closed"
-        if state.open:
-            self.opened_at = self.now
+        if self.line.update_port(state, self.now):
             yield from self._start()
-        yield from self._log_fault_change()
+        yield from self.line.fault_log(self.fault(), self.n_readings)
 
     @on(topics.RX)
     def receive(self, data: SerialData) -> Out:
         """Decodes the sensor's bytes."""
         if data.port != PORT:
             return
-        if not self.open or self.now - self.bytes_at > self.config.silence * 1e9:
-            self.open, self.opened_at = True, self.now  # it speaks again: what it says may come
-        self.bytes_at = self.now
+        self.line.add_bytes(self.now)
         for reading in self.device.receive(data.data, data.stamp):
             yield from self._publish(reading)
         yield from self._send(self.device.next_command(self.now))
@@ -97,18 +90,15 @@ class ImuDriverService(Service):
     @every(hz=50)
     def watch(self) -> Out:
         """Asks for the next reading; starts a silent sensor again."""
-        times = self.bytes_at, self.reading_at, self.opened_at, self.started_at
-        # the clock may have been set back
-        self.bytes_at, self.reading_at, self.opened_at, self.started_at = (min(at, self.now) for at in times)
-        if self.open:
-            if self.now - max(self.bytes_at, self.started_at) > self.config.silence * 1e9:
-                yield from self._start()
-            else:
-                yield from self._send(self.device.next_command(self.now))
-        yield from self._log_fault_change()
+        self.line.limit_times(self.now)
+        if self.line.is_start_due(self.now):
+            yield from self._start()
+        elif self.line.open:
+            yield from self._send(self.device.next_command(self.now))
+        yield from self.line.fault_log(self.fault(), self.n_readings)
 
     def _start(self) -> Out:
-        self.started_at = self.now
+        self.line.started_at = self.now
         yield from self._send(self.device.start(self.now))
 
     def _send(self, data: bytes) -> Out:
@@ -118,19 +108,12 @@ class ImuDriverService(Service):
     def _publish(self, reading: Reading) -> Out:
         """Publishes a reading whose stamp is newer than the last one's."""
         stamp = max(reading.stamp - round(self.config.latency * 1e9), 0)
-        self.reading_at = self.now
+        self.line.reading_at = self.now
+        self.n_readings += 1
         if stamp <= self.last_stamp <= self.now:
             return
         self.last_stamp = stamp
         yield topics.IMU(in_base(reading, stamp, self.mount))
-
-    def _log_fault_change(self) -> Out:
-        fault = self.fault()
-        if fault and fault != self.logged_fault:
-            yield Log("WARNING", f"imu: {fault}")
-        elif self.logged_fault and not fault:
-            yield Log("INFO", "imu: in order again")
-        self.logged_fault = fault
 
 
 def in_base(reading: Reading, stamp: int, mount: ImuMount) -> Imu:

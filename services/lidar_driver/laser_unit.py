@@ -16,7 +16,8 @@ from shared import topics
 from shared.config import Laser, Robot
 from shared.messages import LaserScan, PortState, SerialData
 from shared.ports import PortConfig
-from shared.service import Log, Out
+from shared.sensor_line import SensorLine
+from shared.service import Out
 from shared.topics import Topic
 from shared.types import Float64s
 
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 MAX_SPEED_ERROR = 0.15  # share of the rate; a larger error is shown in the state
 MIN_TURN_RATE = 0.1  # turns/s; slower counts as stopped
-NO_PORT = "no port: set {}.port.device"
 NO_BYTES = "no bytes: is the laser powered, and does it turn?"
 NO_SENSE = "bytes arrive, none make sense: check {}.model and .port.baud"
 STOPPED = "the laser stopped turning"
@@ -53,12 +53,9 @@ class LaserUnit:
         beams = np.arange(laser.n_beams, dtype=np.float64)
         self.angles: Float64s = self.sweeps.angle_min + self.sweeps.increment * beams
         self.masked = masked_angles(self.angles, config.masks)
-        self.open = False
-        self.why_closed = "" if config.port.given else NO_PORT.format(section)
-        self.bytes_at, self.packet_at, self.opened_at, self.started_at = 0, 0, 0, 0  # ns
+        self.line = SensorLine(config.port, section, self.label, config.silence)
         self.n_good = 0
         self.n_scans = 0
-        self.logged_fault, self.n_scans_at_log = "", 0  # last fault that was logged, and n_scans at that time
 
     @property
     def port(self) -> PortConfig:
@@ -73,7 +70,7 @@ class LaserUnit:
         return f"{self.label}: {words}" if self.laser.name else words
 
     def _state(self, now: int) -> str:
-        if fault := self.fault(now) or self.logged_fault:
+        if fault := self.fault(now) or self.line.logged_fault:
             return fault
         if not self.n_scans:
             return "starting the laser"
@@ -86,12 +83,11 @@ class LaserUnit:
 
     def fault(self, now: int) -> str:
         """The present fault of port or laser, for people; empty without one."""
-        if not self.open:
-            return self.why_closed
-        silence = self.config.silence * 1e9
-        if now - max(self.bytes_at, self.opened_at) > silence:
+        if not self.line.open:
+            return self.line.why_closed
+        if self.line.is_silent(now):
             return self.device.fault or NO_BYTES
-        if now - max(self.packet_at, self.opened_at) > 2 * silence:
+        if self.line.lacks_readings(now):
             return NO_SENSE.format(self.section)
         if self.device.fault:
             return self.device.fault
@@ -100,17 +96,13 @@ class LaserUnit:
 
     def plugged(self, state: PortState, now: int) -> Out:
         """Takes the state of its port."""
-        self.open, self.why_closed = state.open, state.detail or "its port is closed"
-        if state.open:
-            self.opened_at = now
+        if self.line.update_port(state, now):
             yield from self._start(now)
-        yield from self._log_fault_change(now)
+        yield from self.line.fault_log(self.fault(now), self.n_scans)
 
     def receive(self, data: SerialData, now: int) -> Out:
         """Takes bytes of the laser."""
-        if not self.open:
-            self.open, self.opened_at = True, now
-        self.bytes_at = now
+        self.line.add_bytes(now)
         met = self.device.clock_reading
         decoded = self.device.receive(data.data, data.stamp)
         if self.device.clock_reading is not None and self.device.clock_reading != met:
@@ -123,28 +115,24 @@ class LaserUnit:
                 self.topic(scan) for sweep in self.sweeps.add(returns) if (scan := self._scan(sweep, now)) is not None
             )
         if self.device.counts.n_good != self.n_good:
-            self.n_good, self.packet_at = self.device.counts.n_good, now
+            self.n_good, self.line.reading_at = self.device.counts.n_good, now
         yield from self._send(self.device.next_command(now), now)
 
     def watch(self, now: int) -> Out:
         """Starts a silent laser again, and sends what is due; 20 times a second."""
-        times = self.bytes_at, self.packet_at, self.opened_at, self.started_at
-        self.bytes_at, self.packet_at, self.opened_at, self.started_at = (
-            min(at, now)
-            for at in times  # the clock may have been set back
-        )
-        if self.open:
-            if self.device.scanning and now - max(self.bytes_at, self.started_at) > self.config.silence * 1e9:
-                yield from self._start(now)
+        self.line.limit_times(now)
+        if self.device.scanning and self.line.is_start_due(now):
+            yield from self._start(now)
+        if self.line.open:
             yield from self._send(self.device.next_command(now), now)
-        yield from self._log_fault_change(now)
+        yield from self.line.fault_log(self.fault(now), self.n_scans)
 
     def stop(self, now: int) -> Out:
         """Stops the laser: the process ends."""
-        return self._send(self.device.stop_command(), now) if self.open else ()
+        return self._send(self.device.stop_command(), now) if self.line.open else ()
 
     def _start(self, now: int) -> Out:
-        self.started_at = now
+        self.line.started_at = now
         self.clock.reset()
         self.sweeps.restart()
         yield from self._send(self.device.start(now), now)
@@ -152,16 +140,6 @@ class LaserUnit:
     def _send(self, data: bytes, now: int) -> Out:
         if data:
             yield topics.TX(SerialData(now, self.name, data))
-
-    def _log_fault_change(self, now: int) -> Out:
-        """Logs each change of the fault. A fault ends with the next scan, not with an answer of the laser."""
-        fault = self.fault(now)
-        if fault and fault != self.logged_fault:
-            yield Log("WARNING", f"{self.label}: {fault}")
-            self.logged_fault, self.n_scans_at_log = fault, self.n_scans
-        elif self.logged_fault and not fault and self.n_scans > self.n_scans_at_log:
-            yield Log("INFO", f"{self.label}: in order again")
-            self.logged_fault = ""
 
     def _scan(self, sweep: GridSweep, now: int) -> LaserScan | None:
         laser = self.laser

@@ -72,7 +72,8 @@ class LidarDriverService(Service):
 
     def __init__(self, config: LidarDriverConfig, robot: Robot) -> None:
         super().__init__(config, robot)
-        if config.laser_2 is not None and len(robot.all_lasers) < 2:
+        is_set = config.laser_2 not in (None, LaserDeviceConfig())  # Compose gives an empty port without ZENAV_LASER_2
+        if is_set and len(robot.all_lasers) < 2:
             raise UserError(f"lidar_driver.laser_2 is set, but {NO_SECOND_LASER}", "list both in robot.lasers")
         configs = (PORT, "lidar_driver", config), (PORT_2, "lidar_driver.laser_2", config.laser_2)
         self.lasers = {

@@ -34,7 +34,7 @@ class MapperService(Service):
     def __init__(self, config: MapperConfig, robot: Robot) -> None:
         super().__init__(config, robot)
         self.config: MapperConfig = config
-        range_max = robot.laser.range_max
+        range_max = max(laser.range_max for laser in robot.mapping_lasers)
         self.scan_queue = ScanQueue(
             config=config.odometry,
             occupancy=config.occupancy,
@@ -89,9 +89,7 @@ class MapperService(Service):
             return "waiting for a scan"
         pose = str(self.slam.tracked.state) if self.slam.is_localized else "looking for the robot on the map"
         text = f"{self.slam.mode}: {pose}, {len(self.slam.grid.tile_index)} tiles"
-        if dropped := sum(self.scan_queue.n_dropped.values()):
-            text += f", {dropped} scans dropped"
-        return text + (", no odometry: scan matching alone" if self.scan_queue.is_blind else "")
+        return text + self.scan_queue.state() + self.front_end.agreement.state()
 
     def _process_scan(self) -> Out:
         """Takes the waiting scan through the pipeline, from the queue to the map."""
@@ -123,6 +121,10 @@ class MapperService(Service):
         yield from self.scan_queue.add_scan(scan, self.now)
         if self.scan_queue.is_covered or self.scan_queue.lacks_odometry:
             yield from self._process_scan()
+
+    @on(topics.SCAN_2)
+    def second_scan(self, scan: LaserScan) -> Out:
+        return self.scan_queue.add_second_scan(scan, self.now)
 
     @on(topics.MAP)
     def remember_map(self, update: MapUpdate) -> Out:
@@ -244,5 +246,5 @@ class MapperService(Service):
     def _resume(self) -> Out:
         """Uses the map of the run before a restart, once its map and pose are known."""
         if self.previous_run.apply_to(self.slam):
-            self.scan_queue.last_end, self.scan_queue.velocity = -1, Pose2()
+            self.scan_queue.restart()
             yield Log("INFO", f"going on with the map from before the restart: {len(self.slam.grid.tile_index)} tiles")

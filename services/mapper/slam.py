@@ -95,11 +95,9 @@ class Slam:
         if self.tracked is None and not self.grid.tile_index:
             self.grid = Occupancy(self.occupancy, max(now, 1))
         self.odometry_scale = max(self.odometry_scale, scan.sigma_factor)
-        tracked = self.front_end.track(
-            scan.origins, scan.ends, scan.step, scan.sigma_factor, scan.skew, scan.end, scan.seconds
-        )
+        tracked = self.front_end.track(scan.beams, scan.step, scan.sigma_factor, scan.skew, scan.end, scan.seconds)
         if tracked.trusted and self.is_localized and self.changes_map:
-            self._draw(scan, tracked)
+            self._draw(tracked)
         self.tracked = tracked
         return tracked
 
@@ -113,18 +111,19 @@ class Slam:
         """Whether the robot is in a part that only odometry joins to the rest of the map."""
         return not self.back_end.is_joined
 
-    def _draw(self, scan: SyncedScan, tracked: TrackingResult) -> None:
+    def _draw(self, tracked: TrackingResult) -> None:
         """Draws a scan. A scan of an unjoined part must fit the map."""
-        pose = self.map_from_base
-        origins, ends = pose @ tracked.origins, pose @ tracked.ends
+        pose, beams = self.map_from_base, tracked.beams
+        origins, ends = pose @ beams.origins, pose @ beams.ends
         if self.is_in_part:
             self.part_fit += (float(fits_grid(self.grid, origins, ends)) - self.part_fit) / N_AVERAGED_SCANS
             if self.back_end.n_in_part < MIN_KEYFRAMES or not fits_grid(self.grid, origins, ends):
                 return
-        self.grid.insert_scan(origins, ends, pose @ scan.silent)
+        self.grid.insert_scan(origins, ends, pose @ beams.silent)
 
     def update_graph(self, scan: SyncedScan, tracked: TrackingResult) -> Out:
         """Adds a keyframe to the graph, or to global localization, and reacts to a lost or kidnapped robot."""
+        yield from self.front_end.agreement.new_logs()
         if tracked.keyframe is not None and self.front_end.from_keyframes:
             yield from self._add_keyframe(scan, tracked)
         self.lost_path += hypot(scan.step.x, scan.step.y)
@@ -141,9 +140,9 @@ class Slam:
         keyframe = Keyframe.of(
             stamp=scan.end,
             local_from_base=tracked.local_from_base,
-            origins=tracked.origins,
-            ends=tracked.ends,
-            silent=scan.silent,
+            origins=tracked.beams.origins,
+            ends=tracked.beams.ends,
+            silent=tracked.beams.silent,
             sweep=tracked.keyframe,
             covariance=self.front_end.uncertainty.map_covariance,
             odometry_residual=self.front_end.keyframe_off,
@@ -192,8 +191,8 @@ class Slam:
         """Whether a map that does not change contradicts the scans."""
         if self.localizer.is_searching or not self.back_end.is_fixed or self.known_map_from_local is not None:
             return False
-        pose = self.map_from_base
-        return self.kidnap_detector.is_kidnapped(self.grid, pose @ tracked.origins, pose @ tracked.ends)
+        pose, beams = self.map_from_base, tracked.beams
+        return self.kidnap_detector.is_kidnapped(self.grid, pose @ beams.origins, pose @ beams.ends)
 
     def estimate(self, scan: SyncedScan, tracked: TrackingResult) -> PoseEstimate:
         """Returns the pose on the map at the end of a scan, with its covariance and state."""

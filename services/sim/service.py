@@ -111,7 +111,7 @@ class SimService(Service):
         """Begins or ends a fault of the simulated hardware: `zenav fault`."""
         emulation = self.emulation
         faults = emulation.faults if emulation else self.faults.active
-        reply = fault_requests.apply_fault_request(faults, emulation is not None, order, self.now)
+        reply = fault_requests.apply_fault_request(faults, emulation is not None, self.robot, order, self.now)
         if emulation is not None:
             yield from emulation.update_plugs(self.now)
         return reply

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each robot file drives on emulated hardware: board and laser as bytes, or as messages where they have no port."""
 
+import json
+
 import pytest
 
 from services.sim.hardware.faults import Fault
@@ -10,6 +12,7 @@ from shared.messages import NavState
 from shared.requests import Break, Navigate
 from shared.robot_files import ROBOTS_DIR
 from shared.runners.lockstep import Lockstep
+from zenav.__main__ import _status
 from zenav.scenario.lockstep_run import lockstep_services
 from zenav.scenario.scenario import load_scenario
 from zenav.stack.hardware import Hardware, wires
@@ -77,6 +80,20 @@ def test_the_robot_reaches_a_goal_without_contact(robot, tmp_path):
     is_velocity_base = robot in ("turtlebot3_burger", "turtlebot3_ros2", "turtlebot4")
     assert ("base/odometry" in run.spoken) is is_velocity_base
     assert ("port/rx/base_driver" in run.spoken) is not is_velocity_base
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", [*ROBOTS, "x80sv_xv11"])
+def test_the_robot_explores_the_demos_room_and_drives_its_goals_without_contact(robot, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert (
+        _status(["demo", "--lockstep", "--headless", "--hardware", "emulated", "--world", "room", "--robot", robot])
+        == 0
+    )
+    (written,) = tmp_path.glob("out/demo-*/summary.json")
+    summary = json.loads(written.read_text())["summary"]
+    assert (summary["goals_reached"], summary["collisions"]) == (summary["goals"], 0)
+    assert summary["explored_share"] > 0.95
 
 
 @pytest.mark.parametrize("robot", ["turtlebot2", "create2", "arduino"])

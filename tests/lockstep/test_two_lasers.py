@@ -5,6 +5,7 @@ from math import pi
 
 import pytest
 
+from services.sim.message_faults import SECOND_LASER_FAULTS, MessageFault
 from shared import requests, topics
 from shared.config import load_robot
 from shared.geometry import Pose2
@@ -26,21 +27,25 @@ STEP = pi / 225
 HALF_TURN = {"angle_min": -pi / 2, "angle_increment": STEP, "n_beams": 226, "scan_time": 0.05}
 
 
-def robot_file(folder, rear=True):
-    """An X80SV without range sensors, with a laser of 180 degrees ahead and perhaps one back."""
+def robot_file(folder, rear=True, mapping=True):
+    """An X80SV without range sensors, with a laser of 180 degrees ahead and perhaps one back, which may map."""
     file = load_robot("x80sv")
     robot = file.tree["robot"]
     del robot["ranges"]
     both = dict(robot.pop("laser")) | HALF_TURN
     front = both | {"name": "front", "mount": {"x": 0.15, "y": 0.0, "yaw": 0.0}}
-    back = both | {"name": "rear", "mount": {"x": -0.15, "y": 0.0, "yaw": pi}, "mapping": False}
+    back = both | {"name": "rear", "mount": {"x": -0.15, "y": 0.0, "yaw": pi}, "mapping": mapping}
     robot["lasers"] = [front, back] if rear else [front]
     (folder / "robot.yaml").write_text(file.text)
     return str(folder / "robot.yaml")
 
 
-def two_lasers(folder, **options):
-    return LockstepStack(folder, robot=robot_file(folder), **options)
+def two_lasers(folder, mapping=True):
+    return LockstepStack(folder, robot=robot_file(folder, mapping=mapping))
+
+
+def pose_error(stack):
+    return (stack.truth.start @ stack.newest["pose"].map_from_base).distance(stack.truth.world_from_base)
 
 
 def break_(stack, fault, seconds=0.0):
@@ -100,11 +105,26 @@ def test_each_laser_is_watched_although_the_other_one_measures(fault, reason, de
     assert stack.truth.n_contacts == 0
 
 
-def test_the_pose_is_right_by_the_first_laser_alone(tmp_path):
-    stack = two_lasers(tmp_path)
+@pytest.mark.parametrize("mapping", [True, False])
+def test_the_pose_is_right_by_both_lasers_and_by_the_first_one_alone(mapping, tmp_path):
+    stack = two_lasers(tmp_path, mapping)
     stack.go(6.0)
     stack.until(stack.reached, 40.0)
-    assert (stack.truth.start @ stack.newest["pose"].map_from_base).distance(stack.truth.world_from_base) < 0.1
+    assert pose_error(stack) < 0.05
+
+
+@pytest.mark.parametrize("fault", [fault for fault in MessageFault if fault in SECOND_LASER_FAULTS])
+def test_a_second_laser_that_breaks_while_the_robot_drives_does_not_stop_the_mapper(fault, tmp_path):
+    stack, poses = two_lasers(tmp_path), []
+    stack.go(7.0)
+    stack.drives(0.6)
+    stack.lockstep.watch("pose", poses.append)
+    break_(stack, fault, 3.0)
+    stack.lockstep.run(3.0)
+    assert len(poses) >= 29
+    assert {str(pose.state) for pose in poses} == {"good"}
+    stack.until(stack.reached, 40.0)
+    assert pose_error(stack) < 0.05
 
 
 def emulated(folder, recorded):

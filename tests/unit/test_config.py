@@ -110,13 +110,20 @@ def test_the_first_of_two_lasers_is_the_robots_laser_and_a_single_one_is_all():
     assert Robot.model_validate(DELIVERY.model_dump()) == DELIVERY
 
 
+def test_the_mapper_uses_the_first_laser_and_the_other_one_unless_its_mapping_is_off():
+    assert DELIVERY.mapping_lasers == DELIVERY.all_lasers
+    front_only = Robot.model_validate(DELIVERY.model_dump() | {"lasers": [FRONT, {**REAR, "mapping": False}]})
+    assert [laser.name for laser in front_only.mapping_lasers] == ["front"]
+    x80 = load_robot("x80sv").robot
+    assert x80.mapping_lasers == (x80.laser,)
+
+
 @pytest.mark.parametrize(
     ("lasers", "words"),
     [
         ([FRONT, {**REAR, "name": "front"}], "each has a name of its own"),
         ([FRONT, {**REAR, "name": ""}], "each has a name of its own"),
-        ([FRONT, {**REAR, "mapping": True}], "set `mapping: false` for the other one"),
-        ([{**FRONT, "mapping": False}, REAR], "the mapper uses the first laser alone"),
+        ([{**FRONT, "mapping": False}, REAR], "the mapper always uses the first laser"),
         ([FRONT, REAR, {**REAR, "name": "top"}], "at most 2 items"),
         ([{**FRONT, "n_beams": 1100}, REAR], "more than a full turn"),
         ([{**FRONT, "angle_increment": 0.0}, REAR], "angle_increment is not 0"),

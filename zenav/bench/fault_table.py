@@ -96,5 +96,12 @@ FAULT_ROWS: tuple[FaultRow, ...] = (
     _killed("local_ctrl", {"command_old"}, AT_ONCE, BY_ITSELF),
     _killed("guard", set()),  # the service that reports reasons is the one that died
     _killed("base_driver", {"odom_old", "base_silent", "board_silent"}, SOON, frozenset()),  # no command comes at all
+    _blind("scan_2_nan"),
+    FaultRow("scan_2_frozen", frozenset({"scan_frozen"}), detail=r"laser \w+: "),
+    FaultRow(
+        "scan_2_beams", frozenset({"scan_unlike"}), AT_ONCE, detail=r"beams came, robot.lasers.\w+.n_beams is \d+"
+    ),
+    FaultRow("scan_2_silent", frozenset({"scan_old"}), SOON, detail=r"laser \w+"),
+    FaultRow("scan_2_old", frozenset({"bad_stamps"}), SOON, detail=rf"scan_2: stamps are {STAMP_WORDS['old']}"),
 )
-"""In the order of the table."""
+"""In the order of the table. A trial draws its random numbers by the place of its row, so new rows are the last."""

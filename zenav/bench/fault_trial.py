@@ -1,20 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """One fault in one drive: what is done to the stack, and what is measured from the fault on."""
 
+import json
 import re
 import tempfile
 import threading
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from math import inf
+from math import inf, pi
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
+from services.sim.message_faults import SECOND_LASER_FAULTS
 from shared import requests, topics
-from shared.config import UserError
-from shared.geometry import Pose2
+from shared.config import UserError, load_robot
+from shared.geometry import Pose2, wrapped
 from shared.messages import GuardStatus, Localization, Message, MotorCommand, NavState, NavStatus, PoseEstimate, Truth
 from shared.requests import Break, Explore, Navigate
 from shared.topics import Topic
@@ -168,12 +170,24 @@ class StackUnderTest(Protocol):
     def start(self, name: str) -> None: ...
 
 
-def settings_of(trial: FaultTrial, folder: Path) -> list[str]:
+def settings_of(robot: str, trial: FaultTrial, folder: Path) -> list[str]:
     """As for `--set`; the world is written into `folder`."""
     path = folder / "world.yaml"
     path.write_text(WORLD)
     speed = f"robot.drive.max_speed={trial.speed}"
-    return [f"sim.world={path}", f"sim.seed={trial.seed}", "sim.clutter_jitter=0", speed, *SENSORS]
+    lasers = _second_laser(robot) if FAULT_ROWS[trial.row].name in SECOND_LASER_FAULTS else []
+    return [f"sim.world={path}", f"sim.seed={trial.seed}", "sim.clutter_jitter=0", speed, *SENSORS, *lasers]
+
+
+def _second_laser(robot: str) -> list[str]:
+    """Gives a robot with one laser a second one like it, on the other side and turned by half a turn."""
+    lasers = load_robot(robot).robot.all_lasers
+    if len(lasers) > 1:
+        return []
+    front = lasers[0].model_dump() | {"name": "front"}
+    mount = lasers[0].mount
+    rear = front | {"name": "rear", "mount": {"x": -mount.x, "y": -mount.y, "yaw": wrapped(mount.yaw + pi)}}
+    return [f"robot.laser={json.dumps(front)}", f"robot.lasers={json.dumps([front, rear])}"]
 
 
 def run_trial(stack: StackUnderTest, trial: FaultTrial) -> FaultResult:
@@ -279,7 +293,7 @@ def lockstep(robot: str, trial: FaultTrial) -> FaultResult:
     from zenav.bench.fault_rigs import LockstepStack
 
     with tempfile.TemporaryDirectory() as folder:
-        return run_trial(LockstepStack(robot, settings_of(trial, Path(folder))), trial)
+        return run_trial(LockstepStack(robot, settings_of(robot, trial, Path(folder))), trial)
 
 
 def live(robot: str, trial: FaultTrial) -> FaultResult:
@@ -288,6 +302,6 @@ def live(robot: str, trial: FaultTrial) -> FaultResult:
 
     with (
         tempfile.TemporaryDirectory() as folder,
-        live_stack(robot, settings_of(trial, Path(folder)), Path(folder)) as stack,
+        live_stack(robot, settings_of(robot, trial, Path(folder)), Path(folder)) as stack,
     ):
         return run_trial(stack, trial)

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from services.odometry.dead_reckoning import DeadReckoningConfig
-from shared.config import Robot, Section, UserError, load_robot
+from shared.config import Robot, Section, UserError, load_robot, nearest
+from shared.lasers import SCAN_TOPICS
 from shared.ros_map import replace_file
 from shared.types import Float64s
 from zenav.calibrate import laser as laser_
@@ -96,22 +97,34 @@ def _calibrate_base(robot: str, known_robot: Robot, log: CalibrationLog, writes:
     return _write_results(robot, before, values, picture, "odometry", writes)
 
 
-def calibrate_laser(robot: str, recording: Path, writes: bool) -> int:
-    """The laser's mount, of a recording."""
-    known_robot = load_robot(robot).robot
-    log = read_calibration_log(recording, known_robot)
+def calibrate_laser(robot: str, recording: Path, name: str, writes: bool) -> int:
+    """The mount of a laser, of a recording. name: in `robot.lasers`; empty for the first one."""
+    whole_robot = load_robot(robot).robot
+    i_laser = _laser_place(whole_robot, name)
+    known_robot = whole_robot.model_copy(update={"laser": whole_robot.all_lasers[i_laser], "lasers": ()})
+    log = read_calibration_log(recording, known_robot, SCAN_TOPICS[i_laser])
     solution, pieces, _ = odometry.by_scans(log, known_robot)
     if open_ := [doubt for doubt in uncertain_values(solution) if doubt.startswith("mount")]:
         raise UserError(open_[0], "record for longer, with more turns on the spot and more metres straight on")
     report.print_laser(known_robot, solution, pieces)
     x, y, yaw = (float(v) for v in solution.mount)
+    mount = ("robot.laser.mount", "robot.laser_2.mount")[i_laser]
     values = {
-        "robot.laser.mount.x": round(x, 4) + 0.0,  # no -0.0
-        "robot.laser.mount.y": round(y, 4) + 0.0,
-        "robot.laser.mount.yaw": round(yaw, 5) + 0.0,
+        f"{mount}.x": round(x, 4) + 0.0,  # no -0.0
+        f"{mount}.y": round(y, 4) + 0.0,
+        f"{mount}.yaw": round(yaw, 5) + 0.0,
     }
     picture = laser_.charts(log, known_robot, solution, pieces)
-    return _write_results(robot, {"robot": known_robot}, values, picture, "laser", writes)
+    return _write_results(robot, {"robot": whole_robot}, values, picture, "laser", writes)
+
+
+def _laser_place(robot: Robot, name: str) -> int:
+    """Index of a laser in `robot.lasers`; 0 without a name. Raises UserError where there is none of this name."""
+    names = tuple(laser.name for laser in robot.all_lasers)
+    if name and name not in names:
+        known = nearest(name, names) if any(names) else f"{robot.name} has one laser: leave out --laser"
+        raise UserError(f"robot.lasers has no laser {name!r}", known)
+    return names.index(name) if name else 0
 
 
 def calibrate_motors(robot: str, stack: str, blocks: bool, speed: float | None, writes: bool, yes: bool) -> int:

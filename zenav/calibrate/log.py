@@ -84,14 +84,17 @@ def calibration_log(robot: Robot) -> CalibrationLog:
     return CalibrationLog(robot.drive if robot.drive.kind == "velocity" else None)
 
 
-def read_calibration_log(path: Path, robot: Robot) -> CalibrationLog:
-    """The log in a recording of this robot. Raises UserError where it is damaged beyond use, or another robot's."""
+def read_calibration_log(path: Path, robot: Robot, scans: Topic[LaserScan] = topics.SCAN) -> CalibrationLog:
+    """The log in a recording of this robot. Raises UserError where it is damaged beyond use, or another robot's.
+
+    scans: the topic of `robot.laser`.
+    """
     recording = Recording(path)
     name = recording.about.get("robot", "")
     if name and name != robot.name:
         raise UserError(f"{path} is a recording of {name}, not of {robot.name}", "name its robot: --robot")
     log = calibration_log(robot)
-    for entry in recording.entries([topic.key for topic in TOPICS]):
+    for entry in recording.entries([scans.key if topic is topics.SCAN else topic.key for topic in TOPICS]):
         topic = topics.BY_KEY[entry.key]
         try:
             log.add(decode(topic.type, entry.payload)[0])

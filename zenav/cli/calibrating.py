@@ -41,6 +41,7 @@ def calibrate_odometry(
 @calibrate.command("laser", cls=Command)
 def calibrate_laser(
     recording: Annotated[Path, typer.Argument(help="Of a drive with turns and straight ways.", metavar="FILE.mcap")],
+    laser: Annotated[str, typer.Option(help="Its name in robot.lasers; without it: the first.", metavar="NAME")] = "",
     robot: RobotName = "x80sv",
     write: Write = False,
 ) -> None:
@@ -50,7 +51,7 @@ def calibrate_laser(
     """
     from zenav.calibrate.commands import calibrate_laser
 
-    raise typer.Exit(calibrate_laser(robot, recording, write))
+    raise typer.Exit(calibrate_laser(robot, recording, laser, write))
 
 
 @calibrate.command("motors", cls=Command)

@@ -48,7 +48,8 @@ class KeyCheck:
         self._allowed = (key.rpartition("/")[2],) if topic.by == "*" else topic.publishers
         self._admission, self._rejections = Admission(topic), Rejections()
         self._monitor = RangeSensorMonitor(robot)
-        self.expected_hz = robot.laser.rate if topic is topics.SCAN else topic.hz  # a laser has its own
+        laser = next((laser for scans, laser in lasers_by_topic(robot).items() if scans.key == topic.key), None)
+        self.expected_hz = laser.rate if laser is not None else topic.hz  # each laser has its own
         self._last: int | None = None
         self._lock = threading.Lock()
         self._found: dict[str, tuple[int, Problem]] = {}  # by kind: number, and the newest

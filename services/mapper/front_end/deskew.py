@@ -37,12 +37,11 @@ def deskew(scan: LaserScan, mount: Mount, times: Float64s, end_from_base: Float6
     return origins, ends
 
 
-def redeskew(points: Float64s, assumed: Pose2, actual: Pose2, share: float) -> Float64s:
+def redeskew(points: Float64s, assumed: Pose2, actual: Pose2, remaining: Float64s) -> Float64s:
     """Points (n, 2) m in `base`, de-skewed with an assumed motion, as they are with the actual one. NaN stays NaN.
 
-    assumed, actual: motion between the ends of the last two sweeps.  share: part of that time that the sweep took.
+    assumed, actual: motion over some time.  remaining: (n,) share of that time that follows each beam.
     """
-    remaining = share * np.linspace(1, 0, len(points))
     rows = [np.outer(remaining, (p.x, p.y, p.yaw)) for p in (assumed.inverse(), actual.inverse())]
     (x, y, yaw), (x1, y1, yaw1) = rows[0].T, rows[1].T
     dx, dy = points[:, 0] - x, points[:, 1] - y

@@ -4,7 +4,8 @@
 `FrontEnd.track` is the pipeline, one method a phase:
 
 1. predict: the motion by odometry, at its estimated scale.
-2. align: reject dynamic points, align the others with the submap, search if that fails.
+2. align: reject dynamic points, align the others with the submap, search if that fails. A second laser that
+   contradicts the first one is left out.
 3. undistort: remove what de-skewing by odometry left.
 4. update the uncertainty, and then the pose, the errors of odometry and the crowd.
 5. classify: good, poor or lost; may the scan be drawn?
@@ -22,12 +23,13 @@ import numpy as np
 from pydantic import Field
 
 from services.mapper.back_end.keyframe import Sweep
+from services.mapper.front_end.beams import Beams
 from services.mapper.front_end.correlative_match import SearchConfig
-from services.mapper.front_end.deskew import redeskew, remove_twist
 from services.mapper.front_end.dynamic_points import DynamicPointFilter
+from services.mapper.front_end.laser_agreement import LaserAgreement
 from services.mapper.front_end.odometry_error import COMPARISON_S, MAX_JITTER_S, OdometryError
 from services.mapper.front_end.pose_covariance import PoseCovariance, mean_covariance
-from services.mapper.front_end.registration import Prior, RegistrationConfig
+from services.mapper.front_end.registration import Match, Prior, RegistrationConfig
 from services.mapper.front_end.scan_alignment import (
     WRONG_ODOMETRY_FACTOR,
     Prediction,
@@ -35,7 +37,6 @@ from services.mapper.front_end.scan_alignment import (
     UnmatchedMotion,
 )
 from services.mapper.front_end.submap import Submap
-from services.mapper.front_end.surface_normals import free_standing_beams, sweep_normals, usable_beams
 from services.mapper.front_end.tracking_result import MIN_BEAMS, ScoredMatch, TrackingResult
 from services.mapper.front_end.tracking_state import TrackingState
 from services.mapper.grid.occupancy import OccupancyConfig
@@ -43,7 +44,6 @@ from shared.config import Drive, Section
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import Localization, MapUpdate
-from shared.types import Float64s
 
 MAX_SKEW_ERROR_M, MAX_SKEW_ERROR_RAD = 0.02, 0.01  # of the first beam of a sweep against the last
 MAX_DISPLACEMENT_M = 0.3  # from odometry to a first good match after bad ones, or while standing: rooms look alike
@@ -105,7 +105,7 @@ class FrontEnd:
     keyframe_off: motion by matches between the last two keyframes less that by odometry, in axes of the last one.
     dead_reckoned: the pose by odometry alone since the last trusted scan.
     motion: in `base` of the scan before, between the last two scans, by matches.
-    range_max: m, of the laser.
+    range_max: m, the largest of its lasers.
     """
 
     def __init__(
@@ -125,6 +125,7 @@ class FrontEnd:
             config.good_quality, config.good_sigma, config.lost_quality, config.lost_after_scans
         )
         self.uncertainty = PoseCovariance()
+        self.agreement = LaserAgreement(config.good_quality)
         self._submap_settings = registration, occupancy, range_max
         self.start(Pose2())
 
@@ -166,8 +167,7 @@ class FrontEnd:
 
     def track(
         self,
-        origins: Float64s,
-        ends: Float64s,
+        beams: Beams,
         step: Pose2,
         sigma_factor: float,
         skew: float = 0.0,
@@ -176,20 +176,19 @@ class FrontEnd:
     ) -> TrackingResult:
         """The pose of a sweep, which also extends the submap where the robot has moved on.
 
-        origins, ends: (n, 2) m in `base` at the sweep's end, de-skewed, ends NaN without an echo.
         step: motion by odometry since the last sweep, in `base` then.  sigma_factor: of its standard deviations; over 1
         the step is no odometry but an assumption.  skew: share of the step by which the beams were de-skewed.
         stamp: ns, end of the sweep.  seconds: since the last one; not positive if a clock was set back.
         """
         prediction = self._predict(step, sigma_factor, skew, seconds if seconds > 0 else COMPARISON_S)
-        sweep = self._align(origins, ends, prediction, stamp)
-        origins, ends, sweep = self._undistort(origins, ends, sweep, prediction, skew, stamp)
+        beams, sweep = self._align_lasers(beams, prediction, stamp)
+        beams, sweep = self._undistort(beams, sweep, prediction, skew, stamp)
         self._update_uncertainty(sweep, prediction)
         is_standing = self._update_motion(sweep.scored, step, prediction)
         self._update_crowd(sweep, prediction.seconds)
-        quality = self._classify(sweep, prediction, len(origins), is_standing)
+        quality = self._classify(sweep, prediction, len(beams.ends), is_standing)
         trusted = self._update_unmatched(prediction)
-        is_keyframe = self.tracking.trusts_scan and self._extend_submap(origins, ends, sweep.static, prediction, stamp)
+        is_keyframe = self.tracking.trusts_scan and self._extend_submap(beams, sweep.static, prediction, stamp)
         return TrackingResult(
             local_from_base=self.local_from_base,
             covariance=self.uncertainty.covariance,
@@ -198,8 +197,7 @@ class FrontEnd:
             match=sweep.scored.match,
             trusted=trusted,
             keyframe=sweep.static if is_keyframe else None,
-            origins=origins,
-            ends=ends,
+            beams=beams,
         )
 
     def _predict(self, step: Pose2, sigma_factor: float, skew: float, seconds: float) -> Prediction:
@@ -213,17 +211,37 @@ class FrontEnd:
             unmatched=self.unmatched,
         )  # fmt: skip
 
-    def _align(self, origins: Float64s, ends: Float64s, prediction: Prediction, stamp: int) -> AlignedSweep:
+    def _align_lasers(self, beams: Beams, prediction: Prediction, stamp: int) -> tuple[Beams, AlignedSweep]:
+        """Aligns the beams of all lasers; the first laser's alone while the second one contradicts it.
+
+        Returns the beams that were aligned.
+        """
+        if not beams.has_second:
+            return beams, self._align(beams, prediction, stamp)
+        both = self._align(beams, prediction, stamp) if self.agreement.is_trusted else None
+        if both is not None and self.agreement.fits(
+            *(self._score(part, both.scored.match) for part in (beams.first, beams.second))
+        ):
+            return beams, both
+        alone = self._align(beams.first, prediction, stamp)
+        contradicts = self.agreement.contradicts(alone.scored, self._score(beams.second, alone.scored.match))
+        return (beams.first, alone) if both is None or contradicts else (beams, both)
+
+    def _score(self, beams: Beams, match: Match) -> ScoredMatch:
+        """The match of one laser's beams at the pose of a match."""
+        sweep = beams.sweep()[0].without_twist(match.twist)
+        at_pose = self.submap.registrar.evaluate(sweep.points, sweep.normals, match.map_from_base)
+        return self.aligner.scored(self.submap, sweep, at_pose)
+
+    def _align(self, beams: Beams, prediction: Prediction, stamp: int) -> AlignedSweep:
         """Rejects dynamic points, and aligns the others with the submap."""
-        normals = sweep_normals(origins, ends)
-        valid = usable_beams(origins, ends) | normals.any(axis=1)
-        sweep = Sweep(origins, ends, normals, _remaining(len(ends))).only(valid)
+        sweep, valid = beams.sweep()
         suspect = np.zeros(len(sweep.points), np.bool_)
         crowded = self.dynamic_points.is_crowded(prediction.seconds)
-        crowd_free_standing = free_standing_beams(origins, ends, True)[valid]
+        crowd_free_standing = beams.free_standing(True)[valid]
         if prediction.has_odometry:  # else the scan needs all its beams
             guess = self.smoothed @ prediction.step
-            free_standing = crowd_free_standing if crowded else free_standing_beams(origins, ends, False)[valid]
+            free_standing = crowd_free_standing if crowded else beams.free_standing(False)[valid]
             suspect = self.dynamic_points.suspects(self.submap, sweep, free_standing, guess, stamp, prediction.seconds)
         scored = self.aligner.align(self.submap, sweep.only(~suspect), prediction)
         dynamic = self.submap.grid.is_free(scored.match.map_from_base @ sweep.points, self.config.free_margin)
@@ -238,25 +256,23 @@ class FrontEnd:
         return AlignedSweep(sweep, sweep.only(~suspect), scored, n_dynamic, n_free_standing)
 
     def _undistort(
-        self, origins: Float64s, ends: Float64s, sweep: AlignedSweep, prediction: Prediction, skew: float, stamp: int
-    ) -> tuple[Float64s, Float64s, AlignedSweep]:
+        self, beams: Beams, sweep: AlignedSweep, prediction: Prediction, skew: float, stamp: int
+    ) -> tuple[Beams, AlignedSweep]:
         """Removes the error of de-skewing: with odometry the twist only, without it the whole motion of the match.
 
         The forward motion stays odometry's: along a corridor the match of each sweep would distort the next one.
         """
         match = sweep.scored.match
         if prediction.has_odometry:
-            remaining = _remaining(len(ends))
-            origins, ends = (remove_twist(points, remaining, match.twist) for points in (origins, ends))
-            return origins, ends, sweep.without_twist()
+            return beams.without_twist(match.twist), sweep.without_twist()
         step, motion = prediction.step, self.local_from_base.inverse() @ match.map_from_base
         off = step.inverse() @ motion
         is_distorted = skew * hypot(off.x, off.y) > MAX_SKEW_ERROR_M or skew * abs(off.yaw) > MAX_SKEW_ERROR_RAD
         if is_distorted and sweep.scored.quality >= self.config.good_quality:  # else the match is wrong
-            origins, ends = redeskew(origins, step, motion, skew), redeskew(ends, step, motion, skew)
+            beams = beams.redeskewed(step, motion, skew)
             factor = WRONG_ODOMETRY_FACTOR * prediction.sigma_factor
-            sweep = self._align(origins, ends, replace(prediction, sigma_factor=factor, skew=0.0), stamp)
-        return origins, ends, sweep
+            sweep = self._align(beams, replace(prediction, sigma_factor=factor, skew=0.0), stamp)
+        return beams, sweep
 
     def _update_uncertainty(self, sweep: AlignedSweep, prediction: Prediction) -> None:
         """Adds the step and the match to the covariance. The first scan of a submap defines it without uncertainty."""
@@ -347,9 +363,7 @@ class FrontEnd:
             self.unmatched = UnmatchedMotion()
         return trusted
 
-    def _extend_submap(
-        self, origins: Float64s, ends: Float64s, sweep: Sweep, prediction: Prediction, stamp: int
-    ) -> bool:
+    def _extend_submap(self, beams: Beams, sweep: Sweep, prediction: Prediction, stamp: int) -> bool:
         """Inserts the beams into the submap, and the surface points of a keyframe. Returns whether it is a keyframe."""
         pose, is_keyframe = self.local_from_base, self._has_moved_on() and len(sweep.points) > 0
         if is_keyframe:
@@ -359,7 +373,7 @@ class FrontEnd:
             self.submap.remove_crossed_points()
             self.submap.add_points(pose, sweep.points, sweep.normals)
             self.submap.set_uncertainty(pose, self.uncertainty.map_covariance, stamp)
-        self.submap.insert_beams(pose @ origins, pose @ ends)
+        self.submap.insert_beams(pose @ beams.origins, pose @ beams.ends)
         return is_keyframe
 
     def _has_moved_on(self) -> bool:
@@ -368,8 +382,3 @@ class FrontEnd:
             return True
         moved = self.keyframe.inverse() @ self.local_from_base
         return hypot(moved.x, moved.y) >= self.config.keyframe_distance or abs(moved.yaw) >= self.config.keyframe_turn
-
-
-def _remaining(n: int) -> Float64s:
-    """(n,) share of a sweep that follows each of its beams."""
-    return np.linspace(1, 0, n)

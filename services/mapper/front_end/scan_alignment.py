@@ -16,7 +16,7 @@ from math import hypot, inf
 from services.mapper.back_end.keyframe import Sweep
 from services.mapper.front_end.correlative_match import SearchConfig, candidate_poses
 from services.mapper.front_end.odometry_error import OdometryError
-from services.mapper.front_end.registration import Prior, RegistrationConfig
+from services.mapper.front_end.registration import Match, Prior, RegistrationConfig
 from services.mapper.front_end.slip import SlipBound
 from services.mapper.front_end.submap import Submap
 from services.mapper.front_end.tracking_result import MIN_BEAMS, ScoredMatch
@@ -118,7 +118,12 @@ class ScanAligner:
 
     def match(self, submap: Submap, sweep: Sweep, guess: Pose2, prior: Prior) -> ScoredMatch:
         """The match from one guess, with the number of beams that contradict the submap there."""
-        match = submap.registrar.register(sweep.points, sweep.normals, guess, prior, sweep.remaining)
+        return self.scored(
+            submap, sweep, submap.registrar.register(sweep.points, sweep.normals, guess, prior, sweep.remaining)
+        )
+
+    def scored(self, submap: Submap, sweep: Sweep, match: Match) -> ScoredMatch:
+        """A match of a sweep, with the number of beams that contradict the submap there."""
         others, pose = sweep.only(~match.inliers).without_twist(match.twist), match.map_from_base
         contradictions = submap.grid.contradicts(pose @ others.origins, pose @ others.points)
         return ScoredMatch(match, int(contradictions.sum()))

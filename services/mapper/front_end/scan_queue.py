@@ -1,29 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
 """Synchronisation of scans with odometry: a scan waits until odometry covers its end, for a bounded time.
 
-A scan leaves the queue de-skewed, with the motion since the last one. The wait is that of `tf2_ros::MessageFilter` of
-ROS, with a deadline. The rules for clocks and dropped scans are our own.
+A scan leaves the queue de-skewed, with the motion since the last one, and with the newest scan of a second laser. The
+wait is that of `tf2_ros::MessageFilter` of ROS, with a deadline. No scan waits for the second laser. The rule for
+clocks is our own.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from services.mapper.front_end.beams import Beams
 from services.mapper.front_end.continuous_odometry import ContinuousOdometry, OdometryConfig
 from services.mapper.front_end.deskew import deskew
 from services.mapper.front_end.odometry_error import OdometryError
+from services.mapper.front_end.scan_source import ScanSource, scan_end
 from services.mapper.grid.occupancy import OccupancyConfig
 from shared import topics
-from shared.config import Robot
+from shared.config import Mount, Robot
 from shared.geometry import Pose2, interpolated
+from shared.lasers import SCAN_TOPICS
 from shared.messages import LaserScan, Odometry
 from shared.rejections import RejectionCause, Rejections, duration
-from shared.scan_faults import RepeatedScans, mismatch
 from shared.service import Log, Out
 from shared.stamps import FUTURE
 from shared.types import NS_PER_S, Float64s
 
-MAX_AGE_S = 1.0  # of a scan when it arrives: an older one measures a former pose
+MAX_PERIODS_APART = 1.5  # of the slower laser: from the end of the second laser's scan to that of the first one's
+MAX_REMAINING = 2.0  # sweeps of the first laser, from a beam of the second one to the end
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +36,7 @@ class SyncedScan:
 
     end: ns, of the sweep.  seconds: since the end of the last one, 0 for the first.  step: motion in that time, in
     `base`.  sigma_factor: of its standard deviations, over 1 without odometry.  skew: share of the step that the sweep
-    took.  odom_from_base: pose at the end, as published.
-    origins, ends: (n, 2) m in `base` at the end, ends NaN without an echo.
-    silent: (n, 2) m in `base`, end of the free part of a beam without an echo, NaN elsewhere.
+    took.  odom_from_base: pose at the end, as published.  beams: of all lasers, at the end.
     """
 
     end: int
@@ -43,16 +45,14 @@ class SyncedScan:
     sigma_factor: float
     skew: float
     odom_from_base: Pose2
-    origins: Float64s
-    ends: Float64s
-    silent: Float64s
+    beams: Beams
 
 
 class ScanQueue:
-    """Odometry by time, and one scan that waits for it.
+    """Odometry by time, and one scan of the first laser that waits for it.
 
-    velocity: motion a second between the last two scans.  last_end: ns, end of the last scan, -1 without any.
-    is_blind: whether the last scan had no odometry.
+    sources: the lasers that map, one or two.  second_scan: newest one of the second laser that was not used yet.
+    velocity: motion a second between the last two scans.  is_blind: whether the last scan had no odometry.
     """
 
     def __init__(
@@ -65,14 +65,21 @@ class ScanQueue:
     ) -> None:
         """blind_doubt: sigma_factor of a scan without odometry.  rejections: counts the dropped scans."""
         self.config, self.occupancy, self.blind_doubt = config, occupancy, blind_doubt
-        self.laser, self.mount = robot.laser, robot.laser.mount
-        self.repeats = RepeatedScans(robot.laser.mount)
+        lasers = robot.mapping_lasers
+        self.sources = [ScanSource(*pair, rejections) for pair in zip(SCAN_TOPICS, lasers, strict=False)]
+        self.first = self.sources[0]
+        self.max_apart = MAX_PERIODS_APART / min(laser.rate for laser in lasers)  # s
         self.odometry = ContinuousOdometry(config, robot.drive)
         self.pending: tuple[int, LaserScan] | None = None  # ns, time of its arrival; the scan
-        self.last_end = -1
+        self.second_scan: LaserScan | None = None
         self.velocity = Pose2()
         self.is_blind = False
         self.rejections = rejections
+
+    def restart(self) -> None:
+        """Begins without a last scan: the map of a previous run is used."""
+        self.forget_stamps()
+        self.velocity = Pose2()
 
     def reset(self) -> None:
         """Drops the waiting scan and the velocity: another map begins."""
@@ -86,7 +93,8 @@ class ScanQueue:
             return
         if odometry.stamp < self.odometry.newest - NS_PER_S and odometry.stamp > now - NS_PER_S:
             self.odometry.clear()  # the clock was set back
-            self.repeats.restart()
+            for source in self.sources:
+                source.repeats.restart()
             self.is_blind = True
         jumps = self.odometry.n_jumps
         self.odometry.add(odometry, is_restart=self.is_blind and self.odometry.newest <= self.last_end)
@@ -97,43 +105,60 @@ class ScanQueue:
         """Drops the waiting scan and the last stamp if the clock was set back, and logs that. now: ns."""
         if now < self.last_end - NS_PER_S:
             yield Log("WARNING", "the clock was set back: going on from here")
-            self.last_end = -1
+            self.forget_stamps()
             self.pending = None
 
+    def forget_stamps(self) -> None:
+        """The next scans have none before them."""
+        self.second_scan = None
+        for source in self.sources:
+            source.last_end = -1
+
     def add_scan(self, scan: LaserScan, now: int) -> Out:
-        """Adds a scan to the queue, or drops it and logs that. now: ns."""
-        end, key = _end(scan), topics.SCAN.key
-        last, unlike = self.last_end if self.last_end >= 0 else None, mismatch(scan, self.laser)
-        usable = self.rejections.judge(key, end, last, now, MAX_AGE_S, unfit=unlike)
-        if usable and end <= self.last_end:  # the clock was set back by less than a second
-            self.rejections.reject(key, RejectionCause.SEQUENCE, "stamps go back", now)
-        elif usable and self.repeats.take(
-            scan, self.odometry.samples[-1].start_from_base if self.odometry.samples else Pose2()
-        ):
-            self.rejections.reject(
-                key, RejectionCause.REPEATED, f"the laser repeats one scan: {self.repeats.n_repeats} times", now
-            )
-        elif usable:
+        """Adds a scan of the first laser to the queue, or drops it and logs that. now: ns."""
+        if self.first.is_usable(scan, self._base_pose, now):
             self.pending = now, scan
-            return
-        n = sum(self.n_dropped.values())
-        if n == 1 or n % 100 == 0:
-            yield Log("WARNING", f"scan dropped: {self.rejections.last_problem(key)} ({n} so far)")
+        else:
+            yield from self.first.drop_log()
+
+    def add_second_scan(self, scan: LaserScan, now: int) -> Out:
+        """Keeps a scan of the second laser for the next one of the first, or drops it and logs that. now: ns."""
+        for source in self.sources[1:]:
+            if source.is_usable(scan, self._base_pose, now):
+                self.second_scan, source.last_end = scan, scan_end(scan)
+            else:
+                yield from source.drop_log()
+
+    @property
+    def last_end(self) -> int:
+        """ns, end of the last scan; -1 without any."""
+        return self.first.last_end
+
+    @property
+    def _base_pose(self) -> Pose2:
+        """The newest pose by odometry."""
+        return self.odometry.samples[-1].start_from_base if self.odometry.samples else Pose2()
 
     @property
     def n_dropped(self) -> dict[str, int]:
-        """Number of dropped scans by cause."""
-        return {str(kind): self.rejections.counts.get((topics.SCAN.key, kind), 0) for kind in RejectionCause}
+        """Number of dropped scans of the first laser by cause."""
+        return self.first.n_dropped
+
+    def state(self) -> str:
+        """Words for the health message: dropped scans, and missing odometry; empty without them."""
+        n_dropped = sum(sum(source.n_dropped.values()) for source in self.sources)
+        dropped = f", {n_dropped} scans dropped" if n_dropped else ""
+        return dropped + (", no odometry: scan matching alone" if self.is_blind else "")
 
     @property
     def is_covered(self) -> bool:
         """Whether odometry reaches the end of the waiting scan."""
-        return self.pending is not None and self.odometry.newest >= _end(self.pending[1])
+        return self.pending is not None and self.odometry.newest >= scan_end(self.pending[1])
 
     @property
     def lacks_odometry(self) -> bool:
         """Whether a scan waits for odometry that has stopped."""
-        return self.pending is not None and self._has_stopped(_end(self.pending[1]))
+        return self.pending is not None and self._has_stopped(scan_end(self.pending[1]))
 
     def is_overdue(self, now: int) -> bool:
         """Whether a scan has waited for `max_wait`. now: ns."""
@@ -143,14 +168,13 @@ class ScanQueue:
         """Removes the waiting scan, and returns it de-skewed by odometry at its estimated scale."""
         assert self.pending is not None
         scan, self.pending = self.pending[1], None
-        end = _end(scan)
+        end = scan_end(scan)
         self.is_blind = self._has_stopped(end)
         seconds = (end - self.last_end) * 1e-9 if self.last_end >= 0 else 0.0
         step = self._step(end, seconds)
-        origins, ends = deskew(scan, self.mount, *self._motion(scan, end, error))
-        self.last_end = end
+        beams = self._beams(scan, end, error)
+        self.first.last_end = end
         sigma_factor = self.blind_doubt if self.is_blind else 1.0
-        silent = self._silent_ends(scan, origins, ends)
         skew = min(scan.scan_time / seconds, 1.0) if seconds > 0 else 0.0
         return SyncedScan(
             end=end,
@@ -159,9 +183,7 @@ class ScanQueue:
             sigma_factor=sigma_factor,
             skew=skew,
             odom_from_base=self._odom_from_base(end),
-            origins=origins,
-            ends=ends,
-            silent=silent,
+            beams=beams,
         )
 
     def set_motion(self, motion: Pose2, seconds: float) -> None:
@@ -187,6 +209,41 @@ class ScanQueue:
             return _scaled_motion(self.velocity, min(seconds, 1.0))
         return self.odometry.start_from_base(self.last_end).inverse() @ self.odometry.start_from_base(end)
 
+    def _beams(self, scan: LaserScan, end: int, error: OdometryError) -> Beams:
+        """The beams of a scan, and of the newest scan of the second laser, in `base` at `end`, ns."""
+        first = self._deskewed(scan, self.first, error)
+        second, self.second_scan = self.second_scan, None
+        if second is None or abs(scan_end(second) - end) > self.max_apart * NS_PER_S:
+            return first
+        beams = self._deskewed(second, self.sources[1], error)
+        end_from_own = self._motion_to(end, scan_end(second), error)
+        before = (end - scan_end(second)) * 1e-9 + second.scan_time * beams.remaining  # s from each beam to the end
+        remaining = before / scan.scan_time if scan.scan_time > 0 else np.zeros_like(before)
+        return first.joined(
+            Beams(
+                origins=end_from_own @ beams.origins,
+                ends=end_from_own @ beams.ends,
+                silent=end_from_own @ beams.silent,
+                remaining=remaining.clip(-MAX_REMAINING, MAX_REMAINING),
+                n_first=0,
+            )
+        )
+
+    def _deskewed(self, scan: LaserScan, source: ScanSource, error: OdometryError) -> Beams:
+        """The beams of a scan in `base` at its own end."""
+        mount, end = source.laser.mount, scan_end(scan)
+        origins, ends = deskew(scan, mount, *self._motion(scan, end, error))
+        silent, n = self._silent_ends(scan, mount, origins, ends), len(ends)
+        return Beams(origins, ends, silent, np.linspace(1, 0, n), n)
+
+    def _motion_to(self, end: int, other: int, error: OdometryError) -> Pose2:
+        """The transform to `base` at `end` from `base` at another time near it, ns."""
+        if self.is_blind:
+            return _scaled_motion(self.velocity, (other - end) * 1e-9)
+        motion = self.odometry.start_from_base(end).inverse() @ self.odometry.start_from_base(other)
+        forward = error.forward_scale.value
+        return Pose2(motion.x * forward, motion.y * forward, motion.yaw * error.turn_scale.value)
+
     def _motion(self, scan: LaserScan, end: int, error: OdometryError) -> tuple[Float64s, Float64s]:
         if not self.is_blind:
             times, motion = self.odometry.motion_during(scan.stamp, end)
@@ -194,20 +251,16 @@ class ScanQueue:
         back = _scaled_motion(self.velocity, scan.scan_time).inverse()
         return np.array((-scan.scan_time, 0.0)), np.array(((back.x, back.y, back.yaw), (0.0, 0.0, 0.0)))
 
-    def _silent_ends(self, scan: LaserScan, origins: Float64s, ends: Float64s) -> Float64s:
-        """`SyncedScan.silent`; all NaN unless `occupancy.no_echo_free` is set."""
+    def _silent_ends(self, scan: LaserScan, mount: Mount, origins: Float64s, ends: Float64s) -> Float64s:
+        """`Beams.silent`; all NaN unless `occupancy.no_echo_free` is set."""
         out = np.full_like(ends, np.nan)
         share = self.occupancy.no_echo_free
         if share > 0:
             no_echo = np.isnan(scan.ranges) | (scan.ranges >= scan.range_max)
-            angles = self.mount.yaw + scan.angle_min + scan.angle_increment * np.flatnonzero(no_echo)
+            angles = mount.yaw + scan.angle_min + scan.angle_increment * np.flatnonzero(no_echo)
             reach = share * min(scan.range_max, self.occupancy.range_max)
             out[no_echo] = origins[no_echo] + reach * np.column_stack((np.cos(angles), np.sin(angles)))
         return out
-
-
-def _end(scan: LaserScan) -> int:
-    return scan.stamp + round(scan.scan_time * NS_PER_S)
 
 
 def _scaled_motion(motion: Pose2, factor: float) -> Pose2:

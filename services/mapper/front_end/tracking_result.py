@@ -8,6 +8,7 @@ the map.
 from dataclasses import dataclass
 
 from services.mapper.back_end.keyframe import Sweep
+from services.mapper.front_end.beams import Beams
 from services.mapper.front_end.registration import Match
 from shared.geometry import Pose2
 from shared.messages import Localization
@@ -23,7 +24,7 @@ class TrackingResult:
     local_from_base: at the end of the sweep.  covariance: (3, 3) of (x, y, yaw) in `local`, m and rad.
     quality: share of the informative beams that are inliers, 0..1.
     trusted: whether the scan may be drawn into maps.  keyframe: the beams that joined the submap, or None.
-    origins, ends: (n, 2) m in `base`, the de-skewed sweep, ends NaN without an echo.
+    beams: all that were aligned, de-skewed.
     """
 
     local_from_base: Pose2
@@ -33,8 +34,7 @@ class TrackingResult:
     match: Match
     trusted: bool
     keyframe: Sweep | None
-    origins: Float64s
-    ends: Float64s
+    beams: Beams
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from services.imu_driver.bno055 import READ, START, Bno055
 from services.imu_driver.bno085 import LENGTH, Bno085
-from services.imu_driver.service import NO_BYTES, NO_PORT, NO_SENSE, ImuDriverConfig, ImuDriverService
+from services.imu_driver.service import NO_BYTES, NO_SENSE, ImuDriverConfig, ImuDriverService
 from services.sim.hardware.imus import make_imu_emulator
 from shared import topics
 from shared.config import UserError, load_robot
@@ -91,7 +91,7 @@ def test_an_angle_that_wraps_is_no_jump():
 @pytest.mark.parametrize("model", MODELS)
 def test_without_a_port_it_says_so_and_sends_nothing(model):
     driver = ImuDriverService(ImuDriverConfig(model=model), load_robot("x80sv").robot)
-    assert driver.state() == NO_PORT
+    assert driver.state() == "no port: set imu_driver.port.device"
     assert [item for item in driver.watch() if not isinstance(item, Log)] == []
 
 

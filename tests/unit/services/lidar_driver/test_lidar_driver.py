@@ -306,7 +306,7 @@ def test_a_port_of_another_name_is_not_the_lasers():
     driver = made_driver("ld06")
     assert list(driver.receive(SerialData(START, "other", b"\x54\x2c"))) == []
     assert list(driver.plugged(PortState(START, "other", True, ""))) == []
-    assert not driver.lasers["laser"].open
+    assert not driver.lasers["laser"].line.open
     assert driver.ports["laser"].baud == BAUD["ld06"]
 
 

@@ -138,9 +138,9 @@ class RoomDrive:
         if len(self.poses) == 1 and not self.maps:
             self.first = self.true
 
-    def scan(self, poses: list[Pose2], stamp: int) -> LaserScan:
-        """A sweep during which the robot passes `poses` at even times."""
-        laser = self.mapper.robot.laser
+    def scan(self, poses: list[Pose2], stamp: int, laser: Laser | None = None) -> LaserScan:
+        """A sweep of a laser, or of the first one, during which the robot passes `poses` at even times."""
+        laser = laser or self.mapper.robot.laser
         shares = np.linspace(0, len(poses) - 1, laser.n_beams)
         rows = np.array([(p.x, p.y, p.yaw) for p in poses])
         rows[:, 2] = np.unwrap(rows[:, 2])

@@ -10,6 +10,7 @@ from services.sim.config import SimConfig
 from services.sim.service import SimService
 from shared.config import Robot, load_robot
 from shared.messages import MotorCommand
+from shared.robot import Bumper, CliffSensor, ImuMount
 from shared.topics import Publication
 
 TICK = 20_000_000  # ns
@@ -24,6 +25,16 @@ PERFECT: dict[str, Any] = {
     "ranges": {"sigma": 0, "resolution": 0, "n_rays": 9},
 }
 """Settings of a simulator without any error."""
+SENSING = X80SV.model_copy(
+    update={
+        "imu": ImuMount(),
+        "bumpers": (Bumper(name="front", bearing=0.0, width=2.0),),
+        "cliffs": (CliffSensor(name="ahead", x=0.2, y=0.0),),
+        "estop_input": True,
+        "lasers": (X80SV.laser, X80SV.laser.model_copy(update={"name": "rear", "mapping": False})),
+    }
+)
+"""An X80SV with all that a fault can break."""
 
 
 def simulator(world: str | Path, robot: Robot = X80SV, **settings: Any) -> SimService:

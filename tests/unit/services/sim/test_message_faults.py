@@ -10,23 +10,10 @@ from services.sim.fault_requests import ALL_FAULTS
 from services.sim.hardware.faults import Fault
 from services.sim.message_faults import MESSAGE_FAULT_DESCRIPTIONS, MessageFault
 from shared.codec import CodecError, Envelope, decode, encode
-from shared.config import load_robot
 from shared.messages import LaserScan
 from shared.requests import Break
-from shared.robot import Bumper, CliffSensor, ImuMount
 from shared.types import NS_PER_S
-from tests.unit.services.sim.scenes import drive, simulator, told
-
-X80SV = load_robot("x80sv").robot
-SENSING = X80SV.model_copy(
-    update={
-        "imu": ImuMount(),
-        "bumpers": (Bumper(name="front", bearing=0.0, width=2.0),),
-        "cliffs": (CliffSensor(name="ahead", x=0.2, y=0.0),),
-        "estop_input": True,
-        "lasers": (X80SV.laser, X80SV.laser.model_copy(update={"name": "rear", "mapping": False})),
-    }
-)
+from tests.unit.services.sim.scenes import SENSING, X80SV, drive, simulator, told
 
 
 def payload(message):
@@ -40,9 +27,9 @@ def asked(sim, fault, seconds=0.0, mended=False):
     return end.value.value
 
 
-def under(fault, seconds=0.5, v=0.0):
+def under(fault, seconds=0.5, v=0.0, robot=X80SV):
     """What the simulator sends before the fault, and under it: lists of publications."""
-    sim = simulator("room")
+    sim = simulator("room", robot)
     before = list(drive(sim, 1.0, v, 0.0))
     assert asked(sim, fault).accepted
     return before, list(drive(sim, seconds, v, 0.0))
@@ -51,6 +38,24 @@ def under(fault, seconds=0.5, v=0.0):
 def scans(fault):
     before, during = under(fault)
     return told(before, "scan")[-1], told(during, "scan")
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("scan_2_nan", "scan_2_nan has no effect: robot.lasers has no second laser"),
+        ("imu_old", "there is no robot.imu"),
+        ("bumper", "robot.bumpers is empty"),
+        ("cliff", "robot.cliffs is empty"),
+        ("estop_input", "robot.estop_input is false"),
+    ],
+)
+def test_a_fault_of_a_part_that_the_robot_lacks_is_refused_with_a_hint(fault, words):
+    reply = asked(simulator("room"), fault)
+    assert not reply.accepted
+    assert words in reply.detail
+    assert "zenav up --" in reply.detail
+    assert asked(simulator("room", SENSING), fault).accepted
 
 
 def test_every_fault_has_its_words_and_is_listed():
@@ -164,7 +169,7 @@ def test_the_board_counts_at_random_or_its_sensors_fail():
 
 def test_what_a_fault_sends_is_valid_but_for_inf():
     for fault in MessageFault:
-        for publication in under(fault)[1]:
+        for publication in under(fault, robot=SENSING)[1]:
             try:
                 decode(publication.topic.type, payload(publication.message))
             except CodecError:

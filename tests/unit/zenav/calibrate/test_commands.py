@@ -152,6 +152,31 @@ def test_the_laser_s_mount_is_found_and_written(drive_of_squares, robot, capsys,
     plotted(tmp_path, "laser")
 
 
+def test_the_second_laser_is_calibrated_by_its_own_scans(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    path, mine = tmp_path / "squares.mcap", tmp_path / "mine.yaml"
+    (tmp_path / "hall.yaml").write_text(HALL)
+    with Writer(path, about("delivery")) as writer:
+        bench = CalibrationBench(
+            "sim.drive.slip=0.005", world=str(tmp_path / "hall.yaml"), robot="delivery", record=sink(writer)
+        )
+        for clockwise in (True, False):
+            bench.perform(square(1.2, clockwise, 0.4, 1.2, bench.robot.drive))
+    front, rear = load_robot("delivery").robot.lasers
+    text = (ROBOTS_DIR / "delivery.yaml").read_text()
+    mine.write_text(text.replace("{x: -0.38, y: -0.23, yaw: -2.35", "{x: -0.34, y: -0.20, yaw: -2.45"))
+    assert load_robot(str(mine)).robot.laser_2.mount != rear.mount
+    told(capsys, "laser", path, "--robot", mine, "--laser", "rear", "--write")
+    found = load_robot(str(mine)).robot
+    assert (found.laser_2.mount.x, found.laser_2.mount.y) == pytest.approx((rear.mount.x, rear.mount.y), abs=0.01)
+    assert found.laser_2.mount.yaw == pytest.approx(rear.mount.yaw, abs=0.01)
+    assert found.laser == front
+    what, hint = complaint(capsys, "laser", path, "--robot", mine, "--laser", "raer")
+    assert "robot.lasers has no laser 'raer'" in what
+    assert "rear" in hint
+    assert "one laser" in complaint(capsys, "laser", path, "--laser", "rear")[1]
+
+
 class CalibrationDrive(CalibrationBench):
     """In the place of the operator at a running stack."""
 

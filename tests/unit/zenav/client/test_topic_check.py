@@ -96,3 +96,6 @@ def test_the_rate_of_scans_is_that_of_the_robots_laser():
     robot = load_robot("turtlebot3_burger").robot
     assert KeyCheck("scan", topics.SCAN, robot).expected_hz == robot.laser.rate == 5
     assert KeyCheck("odom", topics.ODOM, robot).expected_hz == topics.ODOM.hz
+    front, rear = (robot.laser.model_copy(update={"name": name, "rate": rate}) for name, rate in (("a", 5), ("b", 7)))
+    both = robot.model_copy(update={"laser": front, "lasers": (front, rear)})
+    assert KeyCheck("scan_2", topics.SCAN_2, both).expected_hz == 7

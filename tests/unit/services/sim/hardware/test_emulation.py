@@ -14,7 +14,7 @@ from shared import topics
 from shared.drrobot import PC, Deframer, Type
 from shared.messages import MotorCommand, SerialData
 from shared.requests import Break
-from tests.unit.services.sim.scenes import PERFECT, TICK, X80SV, simulator, told
+from tests.unit.services.sim.scenes import PERFECT, SENSING, TICK, X80SV, simulator, told
 from tests.unit.services.sim.scenes import drive as driven_by_messages
 
 EMULATED = {"hardware": "emulated", **PERFECT}
@@ -98,12 +98,21 @@ def test_a_simulator_of_messages_has_no_ports_hears_no_bytes_and_breaks_nothing(
 
 @pytest.mark.parametrize("fault", Fault)
 def test_every_fault_can_be_asked_for_and_mended(fault):
-    sim = simulator("room", **EMULATED)
+    sim = simulator("room", SENSING, **EMULATED)
     reply, _ = asked(sim, fault.value)
     assert (reply.accepted, reply.detail) == (True, FAULT_DESCRIPTIONS[fault])
     drive(sim, 0.1, command(0.1, 0.0))
     reply, _ = asked(sim, fault.value, mended=True)
     assert (reply.accepted, reply.detail) == (True, "nothing is broken")
+
+
+@pytest.mark.parametrize("fault", [Fault.LASER_2_STALLED, Fault.IMU_UNPLUGGED])
+def test_a_fault_of_a_device_that_the_robot_lacks_is_refused_and_breaks_nothing(fault):
+    sim = simulator("room", **EMULATED)
+    reply, sent = asked(sim, fault.value)
+    assert not reply.accepted
+    assert reply.detail.startswith(f"{fault} has no effect: ")
+    assert sent == []
 
 
 def test_a_fault_that_nobody_knows_is_refused_with_the_nearest_name():
