@@ -66,6 +66,7 @@ FILES = (
     "shared/secure_folder.py",  # keys and members
     "shared/credentials.py",  # what a member was given
     "services/dashboard/certificate.py",
+    "services/gateway/router.py",  # the names of its own threads
     "services/dashboard/login_store.py",
     "services/ros2/router_tls.py",  # certificates of the router
     "shared/runners/latched_disk.py",  # what a restart must not lose
@@ -84,8 +85,9 @@ def rule(holds: object, what: str, hint: str) -> None:
 
 
 @cache
-def source(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    """All that a file consists of."""
+    return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
 
 
 def files(*packages: str) -> list[Path]:
@@ -102,7 +104,7 @@ def module(path: Path) -> str:
 
 def imported(path: Path) -> Iterator[str]:
     """Every module, or name in a module, that a file imports, wherever in the file."""
-    for node in ast.walk(source(path)):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -221,7 +223,7 @@ def test_every_module_of_shared_has_two_users():
 def constants(path: Path, table: str) -> set[str]:
     """The names of a table of `shared` that a file uses: `reasons.BLOCKED`, or BLOCKED imported from it."""
     found = {name.rpartition(".")[2] for name in imported(path) if name.startswith(f"shared.{table}.")}
-    for node in ast.walk(source(path)):
+    for node in nodes(path):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == table:
             found.add(node.attr)
     return found
@@ -290,7 +292,7 @@ def test_only_the_files_that_own_it_open_files():
     for path in files():
         if short(path).startswith(FILES) or path.name in FILES:
             continue
-        for node in ast.walk(source(path)):
+        for node in nodes(path):
             if not isinstance(node, ast.Call):
                 continue
             called = node.func

@@ -80,6 +80,7 @@ def folder_of(path: Path) -> str:
     return "docs" if path.suffix == ".md" else parts[0]
 
 
+@cache
 def files() -> list[Path]:
     code = [p for package in ("shared", "services", "zenav", "tests") for p in (ROOT / package).rglob("*.py")]
     pages = [page for page in (ROOT / "docs").rglob("*.md") if page.name not in GENERATED]
@@ -91,9 +92,15 @@ def tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
+@cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    """All that a file consists of."""
+    return tuple(ast.walk(tree(path)))
+
+
 def docstrings(path: Path) -> Iterator[tuple[int, str]]:
     """(line, text) of each docstring, also of those below a constant or a field."""
-    for node in ast.walk(tree(path)):
+    for node in nodes(path):
         for child in getattr(node, "body", []) if not isinstance(node, ast.Lambda | ast.IfExp) else []:
             text = child.value.value if isinstance(child, ast.Expr) and isinstance(child.value, ast.Constant) else None
             if isinstance(text, str):
@@ -105,7 +112,7 @@ def texts(path: Path) -> Iterator[tuple[int, str]]:
     if path.suffix == ".md":
         yield from enumerate(prose_of_page(path).splitlines(), 1)
         return
-    for node in ast.walk(tree(path)):
+    for node in nodes(path):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and len(node.value.split()) >= 3:
             yield node.lineno, node.value
     for token in tokenize.generate_tokens(io.StringIO(path.read_text(encoding="utf-8")).readline):
@@ -214,7 +221,7 @@ def test_a_class_name_has_one_meaning():
     places = defaultdict(list)
     for path in files():
         if path.suffix == ".py" and folder_of(path) != "tests":
-            for node in ast.walk(tree(path)):
+            for node in nodes(path):
                 if isinstance(node, ast.ClassDef):
                     places[node.name].append(f"{path.relative_to(ROOT)}:{node.lineno}")
     twice = {name: at for name, at in places.items() if len(at) > 1}

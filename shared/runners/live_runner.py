@@ -236,7 +236,7 @@ class LiveRunner:
             sender = f"{envelope.publisher} {envelope.session}"
             self.stats.record_error(f"{key}: a second publisher ({sender}) is ignored", now)
             return
-        if topic.latched and not self._admissions[key].complete:
+        if topic.latched and not latched and not self._admissions[key].complete:  # an answer asks for no other
             self._latched_readers[key].refresh()
         if verdict is Verdict.OLD:
             if not latched:

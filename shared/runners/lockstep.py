@@ -52,6 +52,7 @@ class Lockstep:
         self.n_bad = 0  # messages that readers drop: a field is out of its bounds
         self._record = record
         self._hosts: dict[str, Host] = {}
+        self._listeners: dict[str, tuple[str, ...]] = {}  # by key: which of the hosts take it
         self._admissions: dict[tuple[str, str], Admission] = {}  # by the listening service's name, and the key
         self._lives: dict[str, int] = {}
         self._timers: dict[str, list[TickTimer]] = {}
@@ -73,6 +74,7 @@ class Lockstep:
         """
         life = self._lives[name] = self._lives.get(name, 0) + 1
         host = self._hosts[name] = Host(service, name, f"{name}-{life}")
+        self._listeners.clear()
         self._admissions = {of: admission for of, admission in self._admissions.items() if of[0] != name}
         warm_up(service)
         self._busy_until[name] = self.now
@@ -90,7 +92,7 @@ class Lockstep:
             self._schedule_tick(name, life, index, timer)
         self._schedule_journal(name, life)
         for sent in before:
-            if sent.envelope.publisher != name:
+            if sent.envelope.publisher != name and host.hears(sent.key):
                 self._deliver(sent, name, latched=True)
         for end in self._wires:
             if end[0] == name and not {end, self._wires[end]} & self._unplugged:
@@ -103,6 +105,7 @@ class Lockstep:
             self._checkpoints[name] = checkpoint
         self._lives[name] += 1
         del self._hosts[name]
+        self._listeners.clear()
 
     def service(self, name: str) -> Service:
         """The running service object, for tests."""
@@ -226,7 +229,11 @@ class Lockstep:
             self._to_port(sent.envelope.publisher, cast("SerialData | PortState", message))
         if sent.topic.by == "*":
             return  # for people, or for the service's own ports
-        for name in self._hosts:
+        listeners = self._listeners.get(sent.key)
+        if listeners is None:
+            listeners = tuple(name for name, host in self._hosts.items() if host.hears(sent.key))
+            self._listeners[sent.key] = listeners
+        for name in listeners:
             if name != sent.envelope.publisher:
                 self._deliver(sent, name)
 
@@ -255,10 +262,7 @@ class Lockstep:
         self._push(self.now + round(publication.topic.within * 1e9), arrive)
 
     def _deliver(self, sent: Sent, name: str, latched: bool = False) -> None:
-        host, life = self._hosts[name], self._lives[name]
-        if not host.hears(sent.key):
-            return
-        delay = sent.topic.within
+        life, delay = self._lives[name], sent.topic.within
         for lost_or_late in self.filters:
             extra = lost_or_late(sent, name)
             if extra is None:
@@ -269,7 +273,9 @@ class Lockstep:
             host = self._alive(name, life)
             if host is None:
                 return
-            admission = self._admissions.setdefault((name, sent.key), Admission(sent.topic))
+            admission = self._admissions.get((name, sent.key))
+            if admission is None:
+                admission = self._admissions[name, sent.key] = Admission(sent.topic)
             if admission.judge(sent.envelope, self.now, latched) is Verdict.OLD:
                 if not latched:
                     host.rejected(sent.key, RejectionCause.SEQUENCE, admission.words, 1, self.now)

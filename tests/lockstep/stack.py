@@ -21,6 +21,8 @@ STACK = ("sim", "base_driver", "odometry", "mapper", "planner", "local_ctrl", "g
 DRIVERS = {"board": "base_driver", "laser": "lidar_driver", "imu": "imu_driver"}
 """Which driver or simulated device uses which port of the robot."""
 MS = 1_000_000
+QUICK = ("local_ctrl.mppi.rollouts=200",)
+"""A sixth of the rollouts, for drives on which the way of driving is not the subject."""
 KEPT = (
     topics.BASE_STATUS,
     topics.WHEELS,

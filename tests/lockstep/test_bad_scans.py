@@ -12,7 +12,7 @@ import pytest
 from services.sim.service import SimService
 from shared import topics
 from shared.messages import GuardState, LaserScan, Velocity
-from tests.lockstep.stack import MS, LockstepStack
+from tests.lockstep.stack import MS, QUICK, LockstepStack
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 
@@ -90,7 +90,7 @@ BlindFromTheStart = {"no echo": NothingFromTheStart, "dark ahead": DarkFromTheSt
 
 def spoiled(folder, every: int, ways: list[str], goal: float = 4.5) -> LockstepStack:
     """The stack at full speed, its laser gone wrong from now on. goal: m ahead of the start."""
-    stack = LockstepStack(folder, sim=SpoiledLaser)
+    stack = LockstepStack(folder, sim=SpoiledLaser, settings=QUICK)
     stack.go(goal)
     stack.drives()
     sim = stack.lockstep.service("sim")
@@ -169,7 +169,7 @@ def test_a_laser_that_fails_stops_navigation_in_time_with_the_reason_and_back_it
 def test_a_hand_that_pushes_on_when_the_laser_fails_creeps_at_most_and_meets_no_wall(tmp_path, way):
     """No range sensor helps: only what the laser saw before keeps the robot from the wall, once it is blind."""
     said: set[str] = set()
-    stack = LockstepStack(tmp_path, BY_HAND, sim=SpoiledLaser, settings=("robot.ranges=[]",))
+    stack = LockstepStack(tmp_path, BY_HAND, sim=SpoiledLaser, settings=("robot.ranges=[]", *QUICK))
     by_hand(stack, 0.5)
     stack.drives(0.45)
     sim = stack.lockstep.service("sim")
@@ -189,7 +189,7 @@ def test_a_hand_that_pushes_on_when_the_laser_fails_creeps_at_most_and_meets_no_
 @pytest.mark.parametrize("way", ["no echo", "dark ahead"])
 def test_a_laser_that_never_saw_anything_ahead_lets_nobody_drive_fast_that_way(tmp_path, way):
     """Dark from the start: nothing proves that something is there, and nothing that it is not."""
-    stack = LockstepStack(tmp_path, BY_HAND, sim=BlindFromTheStart[way], settings=("robot.ranges=[]",))
+    stack = LockstepStack(tmp_path, BY_HAND, sim=BlindFromTheStart[way], settings=("robot.ranges=[]", *QUICK))
     by_hand(stack, 0.5)
     fast = stack.lockstep.run(8.0, lambda: stack.newest["cmd/vel"].v > 0.15 + 1e-6)
     assert not fast
@@ -201,7 +201,7 @@ def test_a_laser_that_never_saw_anything_ahead_lets_nobody_drive_fast_that_way(t
 )
 def test_with_a_laser_that_never_saw_anything_ahead_a_goal_is_not_driven_to_fast(tmp_path, way, reason, most):
     """most: m/s."""
-    stack = LockstepStack(tmp_path, sim=BlindFromTheStart[way], settings=("robot.ranges=[]",))
+    stack = LockstepStack(tmp_path, sim=BlindFromTheStart[way], settings=("robot.ranges=[]", *QUICK))
     stack.go(4.5)
     fast = stack.lockstep.run(8.0, lambda: stack.newest["cmd/vel"].v > most + 1e-6)
     assert not fast
@@ -215,7 +215,7 @@ COARSE = ("sim.laser={sigma: 0.002, sigma_share: 0.0, resolution: 0.05, dropout:
 
 @pytest.mark.parametrize("settings", [NOISELESS, COARSE], ids=["noiseless", "steps of 5 cm"])
 def test_a_laser_without_noise_that_really_repeats_is_no_fault(tmp_path, settings):
-    stack = LockstepStack(tmp_path, settings=settings)
+    stack = LockstepStack(tmp_path, settings=(*settings, *QUICK))
     said: set[str] = set()
     stack.lockstep.watch("guard/status", lambda status: said.add(status.reason))
     stack.lockstep.run(5.0)

@@ -12,7 +12,7 @@ from services.sim.service import SimService
 from shared import requests
 from shared.messages import BoardReport, GuardState
 from shared.requests import Break
-from tests.lockstep.stack import MS, LockstepStack
+from tests.lockstep.stack import MS, QUICK, LockstepStack
 from tests.lockstep.test_faults import by_hand
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
@@ -45,7 +45,7 @@ def wheels_agree(stack: LockstepStack) -> None:
 
 @pytest.mark.parametrize("hardware", [EMULATED, ()], ids=["bytes", "messages"])
 def test_the_robot_reaches_its_goal_and_its_wheels_are_counted_right(tmp_path, hardware):
-    stack = LockstepStack(tmp_path, settings=hardware)
+    stack = LockstepStack(tmp_path, settings=(*hardware, *QUICK))
     stack.go(4.5, 0.5)
     stack.until(stack.reached, 30.0)
     stack.lockstep.run(1.0)
@@ -66,7 +66,7 @@ def test_the_robot_reaches_its_goal_and_its_wheels_are_counted_right(tmp_path, h
 @pytest.fixture
 def driving(tmp_path):
     """At full speed towards a goal four metres ahead."""
-    stack = LockstepStack(tmp_path, settings=EMULATED)
+    stack = LockstepStack(tmp_path, settings=(*EMULATED, *QUICK))
     stack.go(4.0)
     stack.drives()
     return stack
@@ -137,7 +137,7 @@ def test_when_the_driver_dies_the_board_s_time_limit_stops_the_wheels_and_a_new_
 def test_the_same_seed_and_faults_give_the_same_bytes(tmp_path):
     def run() -> list[bytes]:
         said: list[bytes] = []
-        stack = LockstepStack(tmp_path, settings=EMULATED)
+        stack = LockstepStack(tmp_path, settings=(*EMULATED, *QUICK))
         for key in ("port/tx/sim", "port/tx/base_driver"):
             stack.lockstep.watch(key, lambda message: said.append(message.data))
         stack.go(3.0)
@@ -200,7 +200,7 @@ def test_a_board_whose_messages_are_wrong_stops_the_robot_says_why_and_drives_on
 ):
     wrong, reason, words = MESSAGES[case]
     rng = np.random.default_rng(3)
-    stack = LockstepStack(tmp_path, sim=BadBoard)
+    stack = LockstepStack(tmp_path, sim=BadBoard, settings=QUICK)
     if how == "teleop":
         by_hand(stack)
         stack.drives(0.38)
@@ -231,7 +231,7 @@ def test_a_board_whose_messages_are_wrong_stops_the_robot_says_why_and_drives_on
 
 
 def test_counts_that_jump_for_a_moment_again_and_again_need_a_person(tmp_path):
-    stack = LockstepStack(tmp_path, sim=BadBoard)
+    stack = LockstepStack(tmp_path, sim=BadBoard, settings=QUICK)
     by_hand(stack)
     sim, rng = stack.lockstep.service("sim"), np.random.default_rng(4)
     for _ in range(3):

@@ -11,7 +11,7 @@ from services.sim.hardware.faults import Fault
 from shared import requests
 from shared.recording import Recording
 from shared.requests import Break
-from tests.lockstep.stack import MS, STACK, LockstepStack
+from tests.lockstep.stack import MS, QUICK, STACK, LockstepStack
 from tests.lockstep.test_board_faults import STOPS
 from zenav.__main__ import _status
 
@@ -21,7 +21,7 @@ EMULATED = ("sim.hardware=emulated", "base_driver.port.device=wired", "lidar_dri
 
 
 def wired(folder: Path) -> LockstepStack:
-    return LockstepStack(folder, settings=EMULATED, names=(*STACK, "lidar_driver"))
+    return LockstepStack(folder, settings=(*EMULATED, *QUICK), names=(*STACK, "lidar_driver"))
 
 
 def test_on_emulated_hardware_the_robot_reaches_its_goal(tmp_path):

@@ -10,7 +10,7 @@ from services.sim.service import SimService
 from shared import topics
 from shared.geometry import Pose2
 from shared.messages import BoardReport, GuardState, Localization, PoseEstimate, Velocity
-from tests.lockstep.stack import MS, LockstepStack
+from tests.lockstep.stack import MS, QUICK, LockstepStack
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
 
@@ -20,7 +20,7 @@ SLACK = 50  # ms on top of an age limit: from noticing to the motors' zero
 @pytest.fixture
 def driving(tmp_path):
     """At full speed towards a goal four metres ahead."""
-    stack = LockstepStack(tmp_path)
+    stack = LockstepStack(tmp_path, settings=QUICK)
     stack.go(4.0)
     stack.drives()
     return stack
@@ -193,7 +193,7 @@ def by_hand(stack: LockstepStack) -> None:
 
 
 def test_a_wheel_that_does_not_turn_is_named_and_stays_a_fault_over_a_restart(tmp_path):
-    stack = LockstepStack(tmp_path, sim=HeldWheel)
+    stack = LockstepStack(tmp_path, sim=HeldWheel, settings=QUICK)
     by_hand(stack)
     stack.drives(0.35)
     stack.lockstep.service("sim").holds = True

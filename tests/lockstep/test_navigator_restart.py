@@ -12,7 +12,7 @@ from shared.messages import MapUpdate, NavState, Velocity
 from shared.reasons import BLOCKED
 from shared.recording import CONFIG, Writer, about, sink
 from shared.requests import Cancel, Explore, Navigate, Pause
-from tests.lockstep.stack import MS, LockstepStack
+from tests.lockstep.stack import MS, QUICK, LockstepStack
 from tests.replay.record import ReferenceRun
 from zenav.replay.report import service_builder
 from zenav.replay.reprocess import replay_file
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are com
 
 @pytest.fixture
 def stack(tmp_path):
-    return LockstepStack(tmp_path)
+    return LockstepStack(tmp_path, settings=QUICK)
 
 
 def route(stack, *xs, dwell=0.0, loops=1):
@@ -135,7 +135,7 @@ def test_a_recovery_is_over_and_the_goal_is_driven_to(stack):
 
 
 def test_exploring_goes_on(tmp_path):
-    stack = LockstepStack(tmp_path)
+    stack = LockstepStack(tmp_path, settings=QUICK)
     task = stack.lockstep.ask(requests.EXPLORE, Explore(stack.now)).task_id
     stack.drives(0.2)
     away(stack, 2.0)

@@ -6,12 +6,9 @@ import pytest
 from shared import requests
 from shared.geometry import Pose2
 from shared.requests import Navigate
-from tests.lockstep.stack import LockstepStack
+from tests.lockstep.stack import QUICK, LockstepStack
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
-
-
-QUICK = ("local_ctrl.mppi.rollouts=200",)
 
 
 def test_a_pose_on_the_way_is_passed_and_a_new_goal_ahead_is_taken_at_speed(tmp_path):

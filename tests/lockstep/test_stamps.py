@@ -9,7 +9,7 @@ import pytest
 from services.sim.service import SimService
 from shared import topics
 from shared.messages import BoardReport, GuardState, LaserScan
-from tests.lockstep.stack import MS, LockstepStack
+from tests.lockstep.stack import MS, QUICK, LockstepStack
 from tests.lockstep.test_faults import by_hand
 
 pytestmark = pytest.mark.timeout(600)  # with an empty cache the kernels are compiled here
@@ -79,7 +79,7 @@ def drives_on(stack: LockstepStack, how: str) -> None:
 @pytest.mark.parametrize("of", ["scan", "board"])
 def test_bad_stamps_stop_the_robot_are_named_and_latch_nothing(tmp_path, of, case, how):
     stamped, words = BAD[case]
-    stack = LockstepStack(tmp_path, sim=OtherClock)
+    stack = LockstepStack(tmp_path, sim=OtherClock, settings=QUICK)
     driven(stack, how)
     seen = faults(stack)
     sim = stack.lockstep.service("sim")
@@ -104,7 +104,7 @@ def test_bad_stamps_stop_the_robot_are_named_and_latch_nothing(tmp_path, of, cas
 @pytest.mark.parametrize("back", [0, 5], ids=["stands still", "goes back"])
 @pytest.mark.parametrize("of", ["scan", "board"])
 def test_a_sequence_that_does_not_rise_stops_the_robot_and_is_named(tmp_path, of, back):
-    stack = LockstepStack(tmp_path)
+    stack = LockstepStack(tmp_path, settings=QUICK)
     driven(stack, "nav")
     seen = faults(stack)
     topic = {"scan": topics.SCAN, "board": topics.BOARD}[of]
@@ -133,7 +133,7 @@ def test_a_sequence_that_does_not_rise_stops_the_robot_and_is_named(tmp_path, of
 
 @pytest.mark.parametrize("of", ["scan", "board"])
 def test_a_moment_of_bad_stamps_stops_nothing(tmp_path, of):
-    stack = LockstepStack(tmp_path, sim=OtherClock)
+    stack = LockstepStack(tmp_path, sim=OtherClock, settings=QUICK)
     driven(stack, "nav")
     seen = faults(stack)
     sim = stack.lockstep.service("sim")

@@ -14,7 +14,7 @@ from shared.requests import Break, Navigate
 from shared.runners.host import Sent
 from shared.runners.lockstep import Lockstep
 from shared.runners.replay import replay
-from tests.lockstep.stack import HALL, MS, STACK, LockstepStack
+from tests.lockstep.stack import HALL, MS, QUICK, STACK, LockstepStack
 from tests.lockstep.test_ports import KeptBytes
 from zenav.scenario.lockstep_run import lockstep_services
 from zenav.scenario.scenario import load_scenario
@@ -41,7 +41,7 @@ def robot_file(folder, rear=True, mapping=True):
 
 
 def two_lasers(folder, mapping=True):
-    return LockstepStack(folder, robot=robot_file(folder, mapping=mapping))
+    return LockstepStack(folder, robot=robot_file(folder, mapping=mapping), settings=QUICK)
 
 
 def pose_error(stack):
@@ -54,7 +54,7 @@ def break_(stack, fault, seconds=0.0):
 
 def backed_off(folder, rear):
     """The stack after teleoperation backs towards the wall behind the start for 6 s."""
-    stack = LockstepStack(folder, robot=robot_file(folder, rear))
+    stack = LockstepStack(folder, robot=robot_file(folder, rear), settings=QUICK)
     for _ in range(120):
         stack.lockstep.publish(topics.TELEOP(Velocity(stack.now, -0.3, 0.0, "")))
         stack.lockstep.run(0.05)

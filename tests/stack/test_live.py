@@ -13,7 +13,7 @@ from shared import requests, topics
 from shared.codec import Envelope, decode, encode
 from shared.config import Section, UserError, load_robot
 from shared.geometry import Pose2
-from shared.messages import Goal, WheelState
+from shared.messages import EmergencyStop, Goal, WheelState
 from shared.requests import Cancel, Reply
 from shared.runners import transport
 from shared.runners.clock import StackClock
@@ -86,6 +86,17 @@ class GoalListener(Service):
         return ()
 
 
+class StopListener(Service):
+    def __init__(self) -> None:
+        super().__init__(Section(), ROBOT)
+        self.got = threading.Semaphore(0)
+
+    @on(topics.ESTOP)
+    def estop(self, stop: EmergencyStop) -> Out:
+        self.got.release()
+        return ()
+
+
 @contextmanager
 def running(service: Service, name: str, where: transport.StackAddress) -> Iterator[LiveRunner]:
     with transport.opened(where, name) as session:
@@ -145,6 +156,34 @@ def test_a_late_joiner_has_the_goal_at_once_and_a_request_is_answered(where):
         assert decode(Reply, refused.ok.payload.to_bytes())[0].reason == "bad_request"
         with running(planner, "planner", where):
             wait_for(lambda: planner.goals == [1], planner.got)
+
+
+def test_a_stop_after_another_client_s_stop_is_asked_for_once_and_not_again_and_again(where):
+    """A session whose first message is unknown makes the listener ask; the answer, another client's stop, is older."""
+    guard, key, asked = StopListener(), f"{ROBOT.name}/estop", threading.Semaphore(0)
+    n_queries, n_stops = 0, 20
+
+    def stop(session: str, sequence: int, sent: int) -> bytes:
+        return encode(EmergencyStop(sent, True, "test"), Envelope("operator", session, sequence, sent))
+
+    def reply(query: zenoh.Query) -> None:
+        nonlocal n_queries
+        n_queries += 1
+        with query:
+            query.reply(key, stop("first", 0, 1_000))
+        asked.release()
+
+    with running(guard, "guard", where), transport.opened(where, "dashboard") as page:
+        queryable = page.declare_queryable(key, reply, complete=True)
+        assert asked.acquire(timeout=10.0)
+        assert guard.got.acquire(timeout=10.0)  # the latched value
+        before = n_queries
+        for sequence in range(1, n_stops + 1):
+            page.put(key, stop("second", sequence, 1_000 + sequence))
+            assert guard.got.acquire(timeout=10.0)
+            assert asked.acquire(timeout=10.0)
+        queryable.undeclare()
+    assert n_stops <= n_queries - before <= n_stops + 1  # the first value may have been asked for twice
 
 
 def test_a_second_instance_is_refused_with_the_port(where):

@@ -9,8 +9,9 @@ import os
 import subprocess
 import sys
 from collections import defaultdict, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import msgpack
@@ -50,6 +51,18 @@ pytestmark = pytest.mark.skipif(not BAGS.is_dir(), reason="ZENAV_DATA has no bag
 def unlimited(monkeypatch):
     """A bag is played as fast as it is mapped: the bridge takes more messages a second than of a robot."""
     monkeypatch.setattr(bridge_device, "_interval", lambda name: 0.0)
+
+
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory) -> Callable[[str], tuple[Path, dict]]:
+    """The map's folder and the report of `zenav slam` over a bag's file; made once for each bag."""
+
+    @cache
+    def of(bag: str) -> tuple[Path, dict]:
+        folder = tmp_path_factory.mktemp(bag) / "file"
+        return folder, offline_slam(BAGS / bag, folder)
+
+    return of
 
 
 @contextmanager
@@ -151,8 +164,8 @@ def walls(folder: Path) -> np.ndarray:
 @pytest.mark.parametrize(
     ("bag", "odometry"), [("belgioioso_sqlite", "odom"), ("belgioioso_sqlite", "tf"), ("intel_sparse_mcap", "odom")]
 )
-def test_a_bag_over_ros_makes_the_map_of_its_file(bag, odometry, tmp_path):
-    report = offline_slam(BAGS / bag, tmp_path / "file")
+def test_a_bag_over_ros_makes_the_map_of_its_file(bag, odometry, mapped, tmp_path):
+    file_map, report = mapped(bag)
     records = read_log(BAGS / bag, Choice()).records
     robot = robot_of_log([record for record in records if isinstance(record, LoggedScan)])
     port = free_port()
@@ -167,7 +180,7 @@ def test_a_bag_over_ros_makes_the_map_of_its_file(bag, odometry, tmp_path):
     assert len(run.estimates) == report["scans_placed"] == report["scans"]
     poses = np.array([(e.map_from_base.x, e.map_from_base.y, e.map_from_base.yaw) for e in run.corrected_estimates()])
     replace_together(tmp_path / "ros", map_files(run.saved(), poses))
-    mine, theirs = walls(tmp_path / "ros"), walls(tmp_path / "file")
+    mine, theirs = walls(tmp_path / "ros"), walls(file_map)
     for these, others in ((mine, theirs), (theirs, mine)):
         away = cKDTree(others).query(these)[0]
         assert away.mean() < 0.01  # m

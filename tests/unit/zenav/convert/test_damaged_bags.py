@@ -60,7 +60,9 @@ def unless_refused(read, otherwise):
     return otherwise
 
 
+@cache
 def whole(kind, folder):
+    """The scans of the sound bag."""
     path = folder / f"{kind}.bag"
     path.write_bytes(content_of(kind, folder))
     return scans_of(path)[0]
