@@ -190,11 +190,11 @@ def load_yaml(path: Path) -> CommentedMap:
         tree = pickle.loads(_parsed(path.read_text(encoding="utf-8")))
     except OSError as error:
         raise UserError(f"cannot read {_short(path)}: {error.strerror}", "check the path and its permissions") from None
-    except (YAMLError, UnicodeDecodeError, RecursionError) as error:  # the last: thousands of open brackets
+    except (YAMLError, ValueError, RecursionError) as error:  # no text, a month 99; thousands of open brackets
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark else ""
         raise UserError(
-            f"{_short(path)}{line}: not valid YAML", getattr(error, "problem", None) or "check this line"
+            f"{_short(path)}{line}: not valid YAML", getattr(error, "problem", None) or str(error).partition("\n")[0]
         ) from None
     if not isinstance(tree, CommentedMap):
         raise UserError(f"{_short(path)}: the top level is not a mapping", "write `key: value` lines")

@@ -101,6 +101,7 @@ BAD = [
     ),
     ("goals:\n  - {name: a, x: 1, y: 1}\n  - {name: a, x: 2, y: 1}\n", ":3: a second goal 'a'", "own name"),
     ("walls: [[\n", ": not valid YAML", ""),
+    ("built: 2001-99-99\n", ": not valid YAML", "month must be in 1..12"),
     ("- 1\n", "not a mapping", ""),
     ("start: {x: .nan, y: 0}\n", ":1: start.x", ""),
     ("map: nowhere.yaml\n", "nowhere.yaml", ""),
