@@ -15,7 +15,7 @@ from ruamel.yaml.comments import CommentedMap
 from ruamel.yaml.error import YAMLError
 
 from shared.robot import Drive, Laser, Mount, RangeSensor, Robot
-from shared.robot_files import ROBOTS_DIR, manual_page, robot_files
+from shared.robot_files import ROBOTS_DIR, manual_page, own_name_and_kind, robot_files
 from shared.section import Section, UserError
 
 __all__ = [
@@ -142,8 +142,9 @@ class RobotFile:
 def robot_path(robot: str) -> Path:
     """The file of a robot given as a path, or by name (`x80sv`): NAME.yaml in the current folder, else a built-in one.
 
-    Raises UserError where there is none.
+    Raises UserError where there is none. What stands before an @ is the robot's own name.
     """
+    _, robot = own_name_and_kind(robot)
     if robot.endswith((".yaml", ".yml")):
         path = Path(robot)
     else:
@@ -155,9 +156,16 @@ def robot_path(robot: str) -> Path:
 
 
 def load_robot(robot: str) -> RobotFile:
-    """A robot's file, by name or path. Raises UserError where it is missing or no YAML."""
+    """A robot's file, by name or path. Raises UserError where it is missing or no YAML.
+
+    `red@x80sv` is the file of x80sv with `red` for the robot's name: robots of one kind have keys of their own.
+    """
     path = robot_path(robot)
-    return RobotFile(path, load_yaml(path))
+    file = RobotFile(path, load_yaml(path))
+    own, _ = own_name_and_kind(robot)
+    if own:
+        file.put(("robot", "name"), own, "--name")
+    return file
 
 
 def configured(robot: str, overrides: list[str]) -> RobotFile:

@@ -10,7 +10,14 @@ ROBOTS_DIR = Path(__file__).resolve().parent / "robots"
 DOCS_DIR = Path(__file__).resolve().parents[1] / "docs"
 """The manual in a checkout; an installed package has it in share/doc/zenav."""
 
+OWN_NAME = re.compile(r"([^/.@]+)@(.+)")
 ROBOT_SECTION = re.compile(r"^robot:", re.MULTILINE)
+
+
+def own_name_and_kind(robot: str) -> tuple[str, str]:
+    """The robot's own name and its kind, from `red@x80sv`; without an own name the first one is empty."""
+    named = OWN_NAME.fullmatch(robot)
+    return (named[1], named[2]) if named else ("", robot)
 
 
 def robot_files(folder: Path = Path()) -> dict[str, Path]:

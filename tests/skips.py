@@ -29,6 +29,7 @@ NEEDS = (
     Need(("g++",), "install a C++ compiler (apt install g++)"),
     Need(("network namespace",), "run them as root, with iproute2"),
     Need(("64-bit",), "run them on a 64-bit computer"),
+    Need(("SCHED_RR",), "allow real-time scheduling: ulimit -r, or run them as root"),
     Need(("systemd-analyze",), "install systemd, which has systemd-analyze"),
 )
 

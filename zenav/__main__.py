@@ -17,6 +17,7 @@ from zenav.cli.looking import config, topic
 from zenav.cli.robots import robot
 from zenav.cli.maps import map_
 from zenav.cli.places import places
+from zenav.cli.fleets import fleet
 from zenav.cli.zones import zones
 from zenav.cli.pages import page
 from zenav.cli.calibrating import calibrate
@@ -34,6 +35,7 @@ app.add_typer(secure, name="secure", rich_help_panel=MAIN)
 app.add_typer(topic, name="topic", rich_help_panel=LOOK)
 app.add_typer(map_, name="map", rich_help_panel=LOOK)
 app.add_typer(places, name="places", rich_help_panel=DRIVE)
+app.add_typer(fleet, name="fleet", rich_help_panel=DRIVE)
 app.add_typer(zones, name="zones", rich_help_panel=DRIVE)
 app.add_typer(page, name="page", rich_help_panel=LOOK)
 app.add_typer(config, name="config", rich_help_panel=LOOK)

@@ -98,9 +98,11 @@ class StopListener(Service):
 
 
 @contextmanager
-def running(service: Service, name: str, where: transport.StackAddress) -> Iterator[LiveRunner]:
+def running(
+    service: Service, name: str, where: transport.StackAddress, robot: str = ROBOT.name
+) -> Iterator[LiveRunner]:
     with transport.opened(where, name) as session:
-        live = LiveRunner(service, name, ROBOT.name, session, StackClock())
+        live = LiveRunner(service, name, robot, session, StackClock())
         thread = threading.Thread(target=live.run)
         thread.start()
         try:

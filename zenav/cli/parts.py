@@ -5,6 +5,7 @@ import os
 import re
 import sys
 from difflib import get_close_matches
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
 
@@ -13,16 +14,31 @@ from typer.core import TyperCommand, TyperGroup
 
 NEGATIVE = re.compile(r"-\.?\d")
 
-
 MAIN, DRIVE, LOOK, FILES = "Start", "Drive", "Look", "Logs, recordings, measurements"
 
 
 class Command(TyperCommand):
-    """A command that takes negative numbers for arguments, not for options, and whose reader may leave."""
+    """A command that takes negative numbers for arguments, not for options, and whose reader may leave.
+
+    Where it has `--robot`, it has `--name` too: its function gets both in `robot`, as NAME@KIND (shared/config.py).
+    """
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        given = [option for param in self.params for option in param.opts]
+        if "--robot" in given and "--name" not in given:
+            after = 1 + next(i for i, param in enumerate(self.params) if "--robot" in param.opts)
+            self.params = [*self.params[:after], _own_name(), *self.params[after:]]  # typer keeps the first list
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         # a number may begin with a space, an option may not
-        return super().parse_args(ctx, [f" {a}" if NEGATIVE.match(a) else a for a in args])
+        rest = super().parse_args(ctx, [f" {a}" if NEGATIVE.match(a) else a for a in args])
+        name = ctx.params.pop("robot_name", "")
+        if name:
+            from shared.robot_files import own_name_and_kind
+
+            ctx.params["robot"] = f"{name}@{own_name_and_kind(ctx.params['robot'])[1]}"
+        return rest
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -33,6 +49,27 @@ class Command(TyperCommand):
         except BrokenPipeError:  # `zenav topic echo scan | head`: the reader has gone; typer would make it status 1
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
+
+
+@cache
+def _own_name() -> Any:
+    """The option `--name`, as typer makes it of a function."""
+    lone = typer.Typer(add_completion=False)
+
+    @lone.command()
+    def named(
+        robot_name: Annotated[
+            str,
+            typer.Option(
+                "--name",
+                envvar="ZENAV_NAME",
+                help="Which one, of several robots of a kind; without it: robot.name of the file.",
+                show_default=False,
+            ),
+        ] = "",
+    ) -> None: ...
+
+    return typer.main.get_command(lone).params[0]
 
 
 class Group(TyperGroup):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from shared.config import RobotFile, UserError, configured, nearest, robot_path
 from shared.ports import PortConfig
-from shared.robot_files import ROBOTS_DIR
+from shared.robot_files import ROBOTS_DIR, own_name_and_kind
 from shared.ros_map import replace_file
 from shared.topics import SERVICES
 from zenav.stack.config_report import read_sections
@@ -76,7 +76,8 @@ class SystemdService:
 
     @property
     def name(self) -> str:
-        return Path(self.robot).stem
+        own, kind = own_name_and_kind(self.robot)
+        return own or Path(kind).stem
 
     @property
     def unit(self) -> Path:
@@ -103,7 +104,8 @@ def unit_folder(scope: str) -> Path:
 def unit_text(service: SystemdService) -> str:
     """The unit file. Raises UserError where the robot is wrong."""
     path = robot_path(service.robot).resolve()
-    robot = service.name if path.parent == ROBOTS_DIR else str(path)
+    own, _ = own_name_and_kind(service.robot)
+    robot = (f"{own}@" if own else "") + (path.stem if path.parent == ROBOTS_DIR else str(path))
     words = [sys.executable, "-P", "-m", "zenav", "up", "--robot", robot]
     words += ["--world", service.world] if service.world else []
     words += [word for setting in service.settings for word in ("--set", setting)]

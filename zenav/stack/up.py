@@ -27,6 +27,7 @@ from zenav.stack.hardware import Hardware, emulated_ports, services_for, setting
 from zenav.stack.heap import release_free_memory
 from zenav.stack.launch import START_LIMIT, Launcher, claim_stack, service_command
 from zenav.stack.page import SERVICE, PageOpener, page_url, with_page
+from zenav.stack.presence import announce
 from zenav.stack.ros2 import ROS2, check_router, ros2_settings
 from zenav.stack.sd_notify import Notifier
 from zenav.stack.service_loader import existing_services
@@ -123,6 +124,8 @@ def up(
         _print_hardware(hardware, file, folder, is_whole=not only)
         launcher = open_things.enter_context(Launcher(commands, folder, _print_line, 1 / speed))
         client = open_things.enter_context(Client(file.robot.name, where))
+        token = announce(client.session, file.robot.name, is_shared=bool(where.router))
+        open_things.callback(token.undeclare)
         expected = expected_topics(names, external, file) if external or not only else []
         watch = ExternalWatch(client, expected, file.robot, _print_zenav)
         if external:

@@ -51,3 +51,20 @@ def test_a_built_in_robot_belongs_to_the_package_where_there_is_no_checkout(tmp_
     monkeypatch.setattr(module, "DOCS_DIR", tmp_path / "docs")
     assert is_installed(built_in)
     assert not is_installed(tmp_path / "x80sv.yaml")
+
+
+def test_what_stands_before_an_at_is_the_robots_own_name(tmp_path, monkeypatch):
+    assert load_robot("red@x80sv").robot.name == "red"
+    assert load_robot("x80sv").robot.name == "x80"
+    folder = tmp_path / "user@host"
+    folder.mkdir()
+    (folder / "mine.yaml").write_text(load_robot("x80sv").text)
+    assert load_robot(str(folder / "mine.yaml")).robot.name == "x80"
+    assert load_robot(f"red@{folder}/mine.yaml").robot.name == "red"
+    monkeypatch.chdir(folder)
+    assert load_robot("red@mine.yaml").robot.name == "red"
+
+
+def test_a_wrong_name_is_told_with_its_option():
+    with pytest.raises(UserError, match=r"^--name: robot\.name"):
+        _ = load_robot("Red!@x80sv").robot

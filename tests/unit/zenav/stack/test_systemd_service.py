@@ -51,6 +51,14 @@ def test_systemd_takes_the_unit(scope, tmp_path):
     assert done.stderr == ""
 
 
+def test_a_robot_with_a_name_of_its_own_has_a_unit_of_its_own(tmp_path):
+    service = SystemdService("red@x80sv", "user", tmp_path)
+    assert service.unit.name == "zenav-red.service"
+    assert options(unit_text(service))["ExecStart"].endswith(" --robot red@x80sv")
+    mine = new_robot("mine", "x80sv", tmp_path)
+    assert f"--robot red@{mine}" in unit_text(SystemdService(f"red@{mine}", "user", tmp_path))
+
+
 def test_the_unit_restarts_is_watched_and_writes_to_the_journal(tmp_path):
     found = options(unit_text(SystemdService("x80sv", "user", tmp_path)))
     assert found["Type"] == "notify"

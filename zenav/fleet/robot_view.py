@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one robot of a fleet said of itself, as far as it was heard. No session: messages in, a row out."""
+
+from dataclasses import dataclass, field
+from math import degrees, isnan
+from typing import Any, TypeVar
+
+from shared import topics
+from shared.codec import Envelope
+from shared.messages import GuardState, Message, NavState
+from shared.topics import Topic
+from zenav.client.navigation_client import FINAL_STATES, stop_reason
+
+FLEET_TOPICS: tuple[Topic[Any], ...] = (
+    topics.NAV_STATUS,
+    topics.GUARD,
+    topics.BASE_STATUS,
+    topics.MAP_STATE,
+    topics.POSE,
+)
+"""What a fleet listens to: one key each, of every robot."""
+LINK_TOPIC = topics.NAV_STATUS  # it comes always, at a fixed rate: its sequence shows what was lost
+SILENT_S = 3.0  # without a message of LINK_TOPIC a robot counts as silent
+NO_TASK = (NavState.IDLE, *FINAL_STATES)
+
+M = TypeVar("M", bound=Message)
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRow:
+    """One robot for people and programs. state: the navigator's, `stopped` by STOP, or `silent`.
+
+    battery: V. x, y: m, yaw: degrees, on its map. received: share of the messages that the robot sent, since it was
+    first heard. delay: s from sending to arrival, median, by both computers' clocks. None is unknown.
+    """
+
+    name: str
+    stack: str
+    state: str
+    reason: str
+    task: str
+    battery: float | None
+    map: str
+    x: float | None
+    y: float | None
+    yaw: float | None
+    pose_state: str
+    received: float | None
+    delay: float | None
+    address: str
+    version: str
+
+
+@dataclass(slots=True)
+class RobotView:
+    """Collects the messages of the robot `name` in a stack. addresses: host and version of each `zenav up` of it."""
+
+    name: str
+    stack: str
+    addresses: list[tuple[str, str]] = field(default_factory=list)
+    heard: float = 0.0  # s, monotonic, of LINK_TOPIC's newest
+    _newest: dict[str, tuple[Message, Envelope]] = field(default_factory=dict)
+    _session: str = ""
+    _sequences: set[int] = field(default_factory=set)
+    _delays: list[float] = field(default_factory=list)
+
+    def add(self, topic: Topic[Any], message: Message, envelope: Envelope, at: float, now: int) -> None:
+        """A message that came at `at` (s, monotonic) and `now` (ns, the wall clock). Older ones change nothing."""
+        before = self._newest.get(topic.key)
+        if before is None or envelope.sent >= before[1].sent:
+            self._newest[topic.key] = message, envelope
+        if topic is LINK_TOPIC:
+            self._count(envelope, at, now)
+
+    def latest(self, topic: Topic[M]) -> M | None:
+        """The newest message of one of FLEET_TOPICS."""
+        newest = self._newest.get(topic.key)
+        return newest[0] if newest else None  # type: ignore[return-value]  # by its topic
+
+    def row(self, at: float) -> FleetRow:
+        """The robot as of `at` (s, monotonic)."""
+        nav, guard, base = self.latest(topics.NAV_STATUS), self.latest(topics.GUARD), self.latest(topics.BASE_STATUS)
+        pose, map_state = self.latest(topics.POSE), self.latest(topics.MAP_STATE)
+        is_silent = at - self.heard > SILENT_S
+        state = "silent" if is_silent or nav is None else str(nav.state)
+        if not is_silent and guard is not None and guard.state is GuardState.STOPPED:
+            state = "stopped"
+        where = pose.map_from_base if pose is not None else None
+        return FleetRow(
+            name=self.name,
+            stack=self.stack,
+            state=state,
+            reason="" if is_silent else stop_reason(nav, guard),
+            task="" if nav is None or nav.state in NO_TASK else f"{nav.distance_left:.1f} m left",
+            battery=None if base is None or isnan(base.battery) else base.battery,
+            map="" if map_state is None else map_state.name,
+            x=None if where is None else where.x,
+            y=None if where is None else where.y,
+            yaw=None if where is None else degrees(where.yaw),
+            pose_state="" if pose is None else str(pose.state),
+            received=self._received(),
+            delay=sorted(self._delays)[len(self._delays) // 2] if self._delays else None,
+            address=", ".join(address for address, _ in self.addresses),
+            version=", ".join(dict.fromkeys(version for _, version in self.addresses)),
+        )
+
+    def _count(self, envelope: Envelope, at: float, now: int) -> None:
+        if envelope.session != self._session:  # the navigator was started again
+            self._session = envelope.session
+            self._sequences.clear()
+        if envelope.sequence in self._sequences:  # a latched value, which was there before
+            return
+        self.heard = at
+        self._sequences.add(envelope.sequence)
+        self._delays = [*self._delays[-99:], (now - envelope.sent) / 1e9]
+
+    def _received(self) -> float | None:
+        if len(self._sequences) < 2:
+            return None
+        return (len(self._sequences) - 1) / (max(self._sequences) - min(self._sequences))
