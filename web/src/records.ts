@@ -141,6 +141,8 @@ export interface OpenedReplay {
   /** Since 1970, on the recorded clock. */
   readonly begin: number;
   readonly length: number;
+  /** The first moment at which state, place and a map are known: before it there is little to see. */
+  readonly start: number;
   readonly robot: RecordedRobot | null;
   readonly marks: readonly ReplayMark[];
   /** t, x, y of each point. */

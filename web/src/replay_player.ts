@@ -54,7 +54,7 @@ export class ReplayPlayer {
     this.opened.value = reply.data as OpenedReplay;
     this.stage.begin(this.opened.value);
     this.waits = this.playing.value = false;
-    this.seek(0);
+    this.seek(this.opened.value.start);
   }
 
   close(): void {

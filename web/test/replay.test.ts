@@ -16,7 +16,7 @@ interface Order {
 }
 
 const ACCEPTED = { t: "reply", id: 0, accepted: true, reason: "", detail: "", hint: "" } as const;
-const OPENED = { name: "a.mcap", begin: 1000, length: 60, robot: null, marks: [], trail: [], problems: [] };
+const OPENED = { name: "a.mcap", begin: 1000, length: 60, start: 0, robot: null, marks: [], trail: [], problems: [] };
 
 /** A player whose orders wait until a test answers them, and what it has shown. */
 function rig() {
@@ -57,6 +57,16 @@ test("a recording opens at its begin, with all tiles", async () => {
   assert.deepEqual(orders.map((order) => order.op), ["replay_open", "replay_at"]);
   assert.deepEqual([orders[1]!.args.t, orders[1]!.args.since], [0, undefined]);
   assert.deepEqual([events, moments()], [["begin"], [0]]);
+});
+
+test("a recording opens where the robot's state is first known", async () => {
+  const { player, orders } = rig();
+  void player.open("a.mcap");
+  await orders[0]!.answer({ data: { ...OPENED, start: 1.5 } });
+  player.tick(100);
+  assert.equal(orders[1]!.args.t, 1.5);
+  player.seek(0);
+  assert.equal(player.position.peek(), 0);
 });
 
 test("playing goes on by the speed, asks only for changed tiles, and stands at the end", async () => {

@@ -21,6 +21,7 @@ from zenav.recording.opening import open_recording, recorded_robot_file
 
 REPLAYED_KEYS = frozenset(key for key in PAGE_KEYS if key != topics.MAP.key and not key.startswith("log/"))
 """Keys whose newest message a page gets: the map comes as tiles, and a log is no state."""
+START_KEYS = frozenset((topics.GUARD.key, topics.POSE.key, topics.MAP.key))
 RECENT_NS = NS_PER_S // 2  # of odometry: a scan is drawn where the robot was
 MAX_PROBLEMS = 3
 
@@ -35,20 +36,27 @@ class OpenReplay:
         if self._index.is_empty:
             raise UserError(f"{path.name} holds no message that can be read", "replay another recording")
         self._tiles, self._marks = TileHistory(), ReplayMarks(self._index.begin)
+        firsts: dict[str, int] = {}
         for entry in recording.entries((MARK_KEYS | {topics.MAP.key}) & self._index.keys):
             (self._tiles if entry.key == topics.MAP.key else self._marks).add(entry)
+            firsts[entry.key] = min(entry.log_time, firsts.get(entry.key, entry.log_time))
+        self._starts = max((firsts[key] for key in START_KEYS & firsts.keys()), default=self._index.begin)
 
     def close(self) -> None:
         """Drops what it holds."""
         self._tiles.close()
 
     def summary(self) -> Values:
-        """What a page needs once: length in s, marks, trail, robot (None: not recorded), and what is damaged."""
+        """What a page needs once: length in s, marks, trail, robot (None: not recorded), and what is damaged.
+
+        start: s, the first moment at which the robot's state, its place and a map are known.
+        """
         recording = self._index.recording
         return {
             "name": self.path.name,
             "begin": self._index.begin / NS_PER_S,
             "length": (self._index.end - self._index.begin) / NS_PER_S,
+            "start": (self._starts - self._index.begin) / NS_PER_S,
             "robot": _robot(recording),
             "marks": self._marks.marks,
             "trail": self._marks.trail,

@@ -192,12 +192,19 @@ def recorded(name: str, size: int | None = None, damage: range = range(0)) -> Pa
     return path
 
 
+def _shows_robot_and_map(t: float) -> bool:
+    state = run(TARGET, "replay_at", {"name": "a.mcap", "t": t})["data"]
+    return {"pose", "guard/status"} <= {key for key, _ in state["messages"]} and bool(state["tiles"]["rows"])
+
+
 def test_a_kept_recording_replays_with_the_odometry_just_before(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     recorded("a.mcap")
     summary = run(TARGET, "replay_open", {"name": "a.mcap"})["data"]
     assert summary["robot"]["name"] == "x80"
     assert summary["problems"] == []
+    assert _shows_robot_and_map(summary["start"])
+    assert not _shows_robot_and_map(summary["start"] - 0.001)
     state = run(TARGET, "replay_at", {"name": "a.mcap", "t": 3.0})["data"]
     keys = [key for key, _ in state["messages"]]
     assert {"pose", "scan", "plan", "goal", "guard/status", "nav/status"} <= set(keys) <= REPLAYED_KEYS
