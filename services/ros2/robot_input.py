@@ -20,7 +20,7 @@ from services.ros2.imu_input import ImuInput
 from services.ros2.incoming_topics import TWIST, TWIST_STAMPED, IncomingTopic
 from services.ros2.laser_mount import LaserMount
 from services.ros2.orders import publish_order
-from services.ros2.outgoing_topics import DEFAULT, LATCHED, TF_QOS, OutgoingTopic
+from services.ros2.outgoing_topics import LATCHED, TF_QOS
 from services.ros2.rmw_names import Qos, Reliability
 from services.ros2.robot_clock import STEADY_NS, RobotClock
 from services.ros2.ros_types import RosTypes
@@ -55,11 +55,8 @@ BUMP, CLIFF, WHEEL_DROP = 1, 2, 4
 """of irobot_create_msgs/HazardDetection. A dropped wheel is a cliff; stalled wheels are base_driver's to detect."""
 MAX_VOLTAGE, MAX_VOLTAGE_AGE_NS = 100.0, 60_000_000_000  # V; ns, of the last message of the battery
 COMMAND, STAMPED_COMMAND = "/cmd_vel", "/cmd_vel of stamped messages"
-COMMAND_TOPICS = (
-    OutgoingTopic(COMMAND, TWIST, DEFAULT, (), lambda state, message, publisher: None),
-    OutgoingTopic(STAMPED_COMMAND, TWIST_STAMPED, DEFAULT, (), lambda state, message, publisher: None),
-)
-"""Both types of one name: a robot subscribes to one of them."""
+COMMAND_TYPES = {COMMAND: TWIST, STAMPED_COMMAND: TWIST_STAMPED}
+"""Both types of one name, by label: a robot subscribes to one of them (command_subscribers.py)."""
 MIN_CLOCK_STEP_NS = 1_000_000_000  # by which the robot's clock must differ to be reported
 MAX_SILENCE_NS = 200_000_000  # without a velocity of base_driver, after which the robot gets zero
 
