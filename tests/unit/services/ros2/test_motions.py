@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from services.ros2.action_server import GoalState
+from services.ros2.action_goal import GoalState
 from services.ros2.action_topics import NAMES
 from services.ros2.incoming_topics import CLEAR_COSTMAP
 from services.ros2.ros_types import Distro
