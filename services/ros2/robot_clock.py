@@ -2,7 +2,7 @@
 """The clock of a driven robot: the age of its messages, and whether it was set.
 
 The method is our own. A clock that is set, forward or back, changes the difference of both clocks at once. Then no
-message tells its age, for a link that is slow may have the same effect. So a new difference is believed after it was
+message shows its age, for a link that is slow may have the same effect. So a new difference is believed after it was
 steady. Until then messages count as old, and the guard stops the robot.
 """
 
