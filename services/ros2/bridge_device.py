@@ -5,8 +5,6 @@ It opens the session with the ROS 2 nodes, passes what comes in to the core, and
 orders are msgpack maps (docs in service.py).
 """
 
-import subprocess
-import sys
 import threading
 import time
 from collections import Counter, deque
@@ -31,6 +29,7 @@ from services.ros2.rmw_names import Endpoint, Entity, Qos, RosName, mismatch_tex
 from services.ros2.robot_input import COMMAND, COMMAND_TYPES, ROBOT_TF, ROBOT_TOPICS, robot_topics
 from services.ros2.ros_types import ros_types
 from services.ros2.router_tls import router_tls
+from services.ros2.zenav_command import run_command
 from shared import topics
 from shared.config import UserError
 from shared.messages import PortState, SerialData
@@ -46,7 +45,6 @@ MIN_INTERVAL_S = 0.02  # between two messages of one topic for the core: 50 a se
 """A node that sends faster gets its newest message through, and the others are counted."""
 ROBOT_INTERVAL_S = 0.004  # the same of a robot's sensors: some have odometry of 100 Hz, and messages come unevenly
 N_TRANSFORMS = 16  # messages of /tf that wait: it has several publishers, and one of them has the odometry
-LIMIT_S, MAX_TEXT = 120.0, 300  # of a command of zenav: a large map; characters of its error
 N_TARGET = 4  # arguments that name robot and stack; the others are settings
 MAX_KINDS = 100  # of rejections that one report distinguishes
 
@@ -273,14 +271,9 @@ class BridgeDevice:
         self._file({"event": "outcome", "id": number, **outcome})
 
     def _run_tool(self, command: tuple[str, ...], number: int) -> None:
-        """A command of zenav in a process of its own, on a thread of its own: it reads and writes files."""
-        started = (sys.executable, "-P", "-m", "zenav", *command, *self._context.arguments[:N_TARGET])
-        try:
-            done = subprocess.run(started, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=LIMIT_S)
-            error = "" if done.returncode == 0 else " ".join(done.stderr.split()) or f"status {done.returncode}"
-        except (OSError, subprocess.TimeoutExpired) as failed:
-            error = str(failed)
-        self._on_outcome(number, {"accepted": not error, "reason": "", "detail": error[-MAX_TEXT:], "hint": ""})
+        """A command of zenav, on a thread of its own."""
+        error = run_command(*command, *self._context.arguments[:N_TARGET]).error
+        self._on_outcome(number, {"accepted": not error, "reason": "", "detail": error, "hint": ""})
 
     def _file(self, event: dict[str, Any]) -> None:
         with self._changed:
