@@ -37,6 +37,8 @@ SERVICES: dict[str, Definition] = {
     ),
     "nav2_msgs/srv/LoadMap": ("string map_url\n", "nav_msgs/OccupancyGrid map\nuint8 result\n"),
     "nav2_msgs/srv/ClearEntireCostmap": ("std_msgs/Empty request\n", "std_msgs/Empty response\n"),
+    "nav2_msgs/srv/ClearCostmapAroundRobot": ("float32 reset_distance\n", "std_msgs/Empty response\n"),
+    "nav2_msgs/srv/ClearCostmapExceptRegion": ("float32 reset_distance\n", "std_msgs/Empty response\n"),
     "action_msgs/srv/CancelGoal": (
         "action_msgs/GoalInfo goal_info\n",
         "int8 return_code\naction_msgs/GoalInfo[] goals_canceling\n",
