@@ -66,16 +66,22 @@ class RobotClock:
         return self._trial is None
 
     @property
+    def off(self) -> int:
+        """ns by which the last message does not fit the clock; 0 where it does."""
+        trial = self._trial
+        return 0 if trial is None or self.offset is None else abs(trial.low - self.offset)
+
+    @property
     def doubt(self) -> str:
         """Why the clock is not believed, in words; empty where it is, and in a short hold-up of messages."""
         trial = self._trial
         if trial is None or self.offset is None:
             return ""
         if trial.was_set_forward:
-            return f"was set forward by {(self.offset - trial.low) / NS_PER_S:.1f} s"
+            return f"was set forward by {self.off / NS_PER_S:.1f} s"
         if trial.last - trial.since < CLEARLY_NS:
             return ""
-        return f"was set back by {(trial.low - self.offset) / NS_PER_S:.1f} s, or its messages come so late"
+        return f"was set back by {self.off / NS_PER_S:.1f} s, or its messages come so late"
 
     def _fits(self, difference: int, now: int) -> bool:
         """Whether a message's difference is that of the clock as it is believed, or becomes that."""

@@ -155,7 +155,9 @@ class RobotInput:
         """The time of a header on our clock. Raises ClockDoubtError where the robot's is not believed."""
         stamp = now - clock.age(stamp_of(header), now)
         if not clock.is_believed:
-            raise ClockDoubtError("its clock was set, or it came too late: its age is not known")
+            raise ClockDoubtError(
+                f"its stamp is {clock.off / NS_PER_S:.1f} s off the robot's clock: its age is not known"
+            )
         return stamp
 
     def _motion(self, odometry: BaseOdometry) -> Publication:

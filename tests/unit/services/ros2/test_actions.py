@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Actions as rclpy's clients see them: goals, feedback, results and cancellation."""
 
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from services.ros2.action_goal import GoalState
 from services.ros2.action_server import KEPT_NS, MAX_GOALS, CancelCode
+from services.ros2.nav2_errors import CONTROLLER_ERRORS, PLANNER_ERRORS, navigation_error
 from services.ros2.ros_types import Distro
 from shared.geometry import Pose2
 from shared.messages import NavState
@@ -351,3 +354,13 @@ def test_a_goal_with_a_behavior_tree_is_refused_in_words():
     [reply] = core.send_goal(TO_POSE, TYPE, 1, pose=core.pose(Pose2()), behavior_tree="/my_tree.xml")
     assert not core.response(reply, f"{TYPE}_SendGoal").accepted
     assert "there are no behavior trees here" in core.lines[-1]
+
+
+def test_the_table_of_the_docs_has_these_codes_and_every_reason_that_has_one():
+    text = (Path(__file__).parents[4] / "docs" / "ros2.md").read_text()
+    rows = re.findall(r"^\| (`.*`) \| (\d+) \| (\d+) \|", text, re.MULTILINE)
+    codes = {code: (int(a), int(b)) for cell, a, b in rows for code in re.findall(r"`(\w+)`", cell)}
+    kinds = "NavigateToPose", "NavigateThroughPoses"
+    known = {code: tuple(navigation_error(kind, code) for kind in kinds) for code in codes}
+    assert known == codes
+    assert codes.keys() == (PLANNER_ERRORS.keys() | CONTROLLER_ERRORS.keys()) - {"recoveries_used"}
