@@ -687,6 +687,17 @@ class Rollouts(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class MovingObstacles(Message):
+    """Discs that local control takes for moving obstacles, in `odom`, while somebody watches. None: nothing moves."""
+
+    xs: Annotated[Float32s, Unit("m"), Shape("k"), Within(-1e6, 1e6)]
+    ys: Annotated[Float32s, Unit("m"), Shape("k"), Within(-1e6, 1e6)]
+    vxs: Annotated[Float32s, Unit("m/s"), Shape("k"), Within(-20, 20)]
+    vys: Annotated[Float32s, Unit("m/s"), Shape("k"), Within(-20, 20)]
+    radii: Annotated[Float32s, Unit("m"), Shape("k"), Within(0, 100)]
+
+
+@dataclass(frozen=True, slots=True)
 class KeyframeGraph(Message):
     """Keyframes of the mapper in `map`, and the loop closures between them, while somebody watches.
 

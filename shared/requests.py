@@ -106,7 +106,13 @@ class DriveStraight(Message):
 
 @dataclass(frozen=True, slots=True)
 class ClearCostmaps(Message):
-    """Forget the obstacles and moving objects of the local costmap. The map, the zones and the guard's view stay."""
+    """Forget the obstacles and moving objects of the local costmap. The map, the zones and the guard's view stay.
+
+    With a side only those in a square about the robot, along the axes of `odom`; with `outside` all others.
+    """
+
+    side: Annotated[float, Unit("m; 0: everything"), m.Within(0, 1000)] = 0.0
+    outside: Flag = False
 
 
 MAX_OVERRIDE_S = 2.0
@@ -127,8 +133,8 @@ class Override(Message):
 class Watch(Message):
     """Publish the debug topics for so long from now on; 0: stop. A viewer asks again and again.
 
-    Those of local control are `debug/costmap` and `debug/rollouts`, that of the mapper is `debug/graph`, that of the
-    planner `debug/global_costmap`.
+    Those of local control are `debug/costmap`, `debug/rollouts` and, where moving obstacles are tracked,
+    `debug/moving_obstacles`. That of the mapper is `debug/graph`, that of the planner `debug/global_costmap`.
     """
 
     seconds: Annotated[float, Unit("s"), m.Within(0, 60)]

@@ -113,6 +113,7 @@ TELEOP      = Topic("cmd/teleop",      m.Velocity,      by="operator dashboard r
 ESTOP       = Topic("estop",           m.EmergencyStop, by="operator dashboard ros2", hz=0,  keep="all",    within=0.005, latched=True)
 COSTMAP     = Topic("debug/costmap",   m.Costmap,       by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
 ROLLOUTS    = Topic("debug/rollouts",  m.Rollouts,      by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
+MOVING      = Topic("debug/moving_obstacles", m.MovingObstacles, by="local_ctrl",    hz=0,  keep="latest", within=0.005, people=True)
 GRAPH       = Topic("debug/graph",     m.KeyframeGraph, by="mapper",                 hz=0,  keep="latest", within=0.050, people=True)
 GLOBAL_COSTMAP = Topic("debug/global_costmap", m.Costmap, by="planner",              hz=0,  keep="latest", within=0.100, people=True)
 GUARD       = Topic("guard/status",    m.GuardStatus,   by="guard",                  hz=10, keep="latest", within=0.005, latched=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The debug topics: local costmap and rollouts as messages, published only while a client watches."""
+"""The debug topics: local costmap, rollouts and moving obstacles, published only while a client watches."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +10,9 @@ from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.path_following import PathFollower
 from services.local_ctrl.rollout import DT, Motion
 from shared import topics
-from shared.messages import Costmap, Rollouts
+from shared.messages import Costmap, MovingObstacles, Rollouts
 from shared.service import Out
-from shared.types import Float32s
+from shared.types import Float32s, Float64s
 from shared.watched_topic import WatchedTopic
 
 PERIOD_NS = 200_000_000  # between two messages
@@ -29,8 +29,10 @@ class DebugTopics(WatchedTopic):
         self._n_solved = 0
 
     def publications(self, now: int, costmap: LocalCostmap, path_follower: PathFollower, start: Motion) -> Out:
-        """Both debug topics; the rollouts only if there are new ones."""
+        """The debug topics; the rollouts only if there are new ones, moving obstacles only where they are tracked."""
         yield topics.COSTMAP(self.costmap(now, costmap, path_follower.footprint))
+        if costmap.config.dynamic_obstacles.enabled:
+            yield topics.MOVING(moving_obstacles(now, costmap.dynamic_obstacles.discs(now)))
         rollouts = self.rollouts(now, path_follower.controller, start)
         if rollouts is not None:
             yield topics.ROLLOUTS(rollouts)
@@ -53,6 +55,12 @@ class DebugTopics(WatchedTopic):
         chosen = np.append(0, np.linspace(1, len(costs) - 1, min(MAX_SHOWN, len(costs) - 1)).astype(int))
         xs, ys = _polylines(velocities[chosen], start)
         return Rollouts(now, xs, ys, np.clip(costs[chosen], 0, 1e12).astype(np.float32))
+
+
+def moving_obstacles(now: int, discs: Float64s) -> MovingObstacles:
+    """discs: (k, 6), see DynamicObstacles.discs.  now: ns."""
+    xs, ys, vxs, vys, radii = (np.ascontiguousarray(column, np.float32) for column in discs.T[:5])
+    return MovingObstacles(now, xs, ys, vxs, vys, radii)
 
 
 def _polylines(velocities: NDArray[np.floating], start: Motion) -> tuple[Float32s, Float32s]:

@@ -211,6 +211,13 @@ class TrackersByLaser:
         for tracker in self.by_key.values():
             tracker.clear()
 
+    def clear_square(self, x: float, y: float, side: float, outside: bool) -> None:
+        """Clears the obstacles in a square about (x, y), m in `odom`, or all others. side: m."""
+        for tracker in self.by_key.values():
+            places = [obstacle.seen[-1][1:] for obstacle in tracker.all]
+            inside = [max(abs(place[0] - x), abs(place[1] - y)) <= side / 2 for place in places]
+            tracker.all = [obstacle for obstacle, is_inside in zip(tracker.all, inside) if is_inside == outside]
+
     def discs(self, now: int) -> Float64s:
         """(k, 6): the moving obstacles of all lasers at `now`, ns, as DynamicObstacles.discs."""
         return np.concatenate([tracker.discs(now) for tracker in self.by_key.values()])

@@ -7,7 +7,7 @@ import numpy as np
 
 from services.local_ctrl import warm_up
 from services.local_ctrl.config import CONTROLLERS, LocalCtrlConfig
-from services.local_ctrl.costmap_update import update_costmap
+from services.local_ctrl.costmap_update import clear_costmap, update_costmap
 from services.local_ctrl.debug_topics import DebugTopics
 from services.local_ctrl.footprint import footprint_of
 from services.local_ctrl.inputs import ControlInputs, sensors_in_use
@@ -202,9 +202,9 @@ class LocalCtrlService(Service):
 
     @answer(requests.CLEAR_COSTMAPS)
     def clear_costmaps(self, request: ClearCostmaps) -> Answer[Reply]:
-        self.costmap.clear()
+        is_cleared = clear_costmap(self.costmap, self.inputs, request.side, request.outside)
         yield from ()
-        return Reply(self.now, True, "", "")
+        return Reply(self.now, is_cleared, "" if is_cleared else reasons.ODOM_OLD.code, "")
 
     def _control_outcome(self, n_elapsed: int) -> ControlOutcome:
         """The command and the state of the goal. n_elapsed: steps of DT since the last tick."""

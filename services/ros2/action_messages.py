@@ -5,27 +5,29 @@ from typing import Any
 
 import numpy as np
 
+from services.ros2.action_goal import ActionGoal, GoalState
 from services.ros2.action_topics import Action
 from services.ros2.incoming_topics import pose_in_map
+from services.ros2.nav2_errors import COLLISION_AHEAD, action_error, navigation_error
 from services.ros2.ros_types import Distro
-from shared import reasons, requests
+from shared import requests
 from shared.geometry import Pose2
 from shared.messages import Message, NavStatus, PoseEstimate
-from shared.requests import DriveStraight, Navigate, Request, Spin
+from shared.requests import MAX_ROUTE_POSES, DriveStraight, Navigate, Request, Spin
 from shared.ros_messages import RosMessages
 from shared.types import NS_PER_S
 
-UNKNOWN_ERROR = 9000
-"""nav2_msgs/NavigateToPose: UNKNOWN. The stack's reason is in the text."""
-MOTION_ERRORS = {"Spin": (700, 701, 703), "BackUp": (710, 711, 714), "DriveOnHeading": (720, 721, 723)}
-"""UNKNOWN, TIMEOUT and COLLISION_AHEAD of the actions of single motions, in nav2_msgs."""
-IN_THE_WAY = (reasons.MOTION_BLOCKED.code, reasons.OBSTACLE.code)
+MOTIONS = frozenset(COLLISION_AHEAD)
 MAX_TIME_S = 300.0  # of Spin and DriveStraight
+MAX_NUMBER = 2**15 - 1  # of an int16
+MAX_ROUNDS = 10**6  # of shared/requests.py, Navigate
+MAX_STATUSES = 200  # of waypoints, in feedback: five times a second
+PENDING, COMPLETED, MISSED = 0, 1, 3  # nav2_msgs/WaypointStatus
 
 
 def stack_request(now: int, action: Action, goal: Any, frame: str) -> tuple[Request[Any, Any], Message]:
     """The request of a goal. now: ns.  frame: of the map.  Raises ValueError where it is no goal."""
-    if action.kind not in MOTION_ERRORS:
+    if action.kind not in MOTIONS:
         return requests.NAVIGATE, navigate_request(now, action, goal, frame)
     if getattr(goal, "disable_collision_checks", False):
         raise ValueError("collision checks are never disabled")
@@ -38,7 +40,7 @@ def stack_request(now: int, action: Action, goal: Any, frame: str) -> tuple[Requ
 
 def ignored_fields(action: Action, goal: Any) -> str:
     """What of an accepted goal does not count, in words; empty where all of it does."""
-    if action.kind not in MOTION_ERRORS:
+    if action.kind not in MOTIONS:
         return ""
     words = []
     if getattr(goal, "speed", 0.0):
@@ -72,80 +74,115 @@ def _distance(action: Action, goal: Any) -> float:
     return x
 
 
+def route_of(action: Action, goal: Any) -> tuple[tuple[Any, ...], int]:
+    """The poses of a goal, geometry_msgs/PoseStamped, and the number of the first one to drive to."""
+    if action.kind in MOTIONS:
+        return (), 0
+    if action.kind == "NavigateToPose":
+        return (goal.pose,), 0
+    if not hasattr(goal.poses, "goals"):
+        return tuple(goal.poses), int(getattr(goal, "goal_index", 0))
+    for pose in goal.poses.goals:  # nav_msgs/Goals: its frame is that of poses without one
+        pose.header.frame_id = pose.header.frame_id or goal.poses.header.frame_id
+    return tuple(goal.poses.goals), 0
+
+
 def navigate_request(now: int, action: Action, goal: Any, frame: str) -> Navigate:
     """The request of a goal. now: ns.  frame: of the map.  Raises ValueError where it is no goal."""
     if getattr(goal, "behavior_tree", ""):
         raise ValueError(f"behavior_tree {goal.behavior_tree!r}: there are no behavior trees here, leave it empty")
-    loops = 1
-    if action.kind == "NavigateToPose":
-        stamped = [goal.pose]
-    elif action.kind == "FollowWaypoints":
-        stamped = list(goal.poses)[getattr(goal, "goal_index", 0) :]
-        loops = int(getattr(goal, "number_of_loops", 0)) + 1
-    else:
-        stamped = list(goal.poses)
+    stamped, first = route_of(action, goal)
     poses = tuple(pose_in_map(pose.header, pose.pose, frame) for pose in stamped)
-    request = Navigate(now, poses, 0.0, loops, False)
+    rounds = int(getattr(goal, "number_of_loops", 0)) + 1
+    if rounds > MAX_ROUNDS:
+        raise ValueError(f"{rounds - 1} loops, where {MAX_ROUNDS - 1} are the limit")
+    if first:  # as in Nav2, the rounds after the first one have all poses
+        n_poses = rounds * len(poses) - first
+        if first >= len(poses) or n_poses > MAX_ROUTE_POSES:
+            raise ValueError(f"goal_index {first} of {len(poses)} poses, {rounds} times")
+        poses, rounds = poses[first:] + (rounds - 1) * poses, 1
+    request = Navigate(now, poses, 0.0, rounds, False)
     if (problem := request.problem()) is not None:
         raise ValueError(problem)
     return request
 
 
 def feedback(
-    make: RosMessages,
-    action: Action,
-    amount: float,
-    status: NavStatus,
-    estimate: PoseEstimate | None,
-    begun: int,
-    now: int,
+    make: RosMessages, distro: Distro, goal: ActionGoal, status: NavStatus, estimate: PoseEstimate | None, now: int
 ) -> Any:
-    """The feedback of a goal that began at `begun` (ns). amount: of a single motion, rad or m."""
+    """The feedback of a goal. now: ns."""
+    action = goal.action
     type_ = f"{action.type}_Feedback"
-    if action.kind in MOTION_ERRORS:
+    if action.kind in MOTIONS:
         field = "angular_distance_traveled" if action.kind == "Spin" else "distance_traveled"
-        return make.new(type_, **{field: max(amount - status.distance_left, 0.0)})
+        return make.new(type_, **{field: max(goal.amount - status.distance_left, 0.0)})
     if action.kind == "FollowWaypoints":
-        return make.new(type_, current_waypoint=status.waypoint)
+        return make.new(type_, current_waypoint=goal.waypoint)
     pose = estimate.map_from_base if estimate is not None else Pose2()
     stamp = estimate.stamp if estimate is not None else now
     fields = {
         "current_pose": make.posed(stamp, pose, make.frames.map),
-        "navigation_time": _duration(make, now - begun),
+        "navigation_time": _duration(make, now - goal.begun),
         "estimated_time_remaining": _duration(make, round(status.time_left * NS_PER_S)),
-        "number_of_recoveries": min(status.n_recoveries, 2**15 - 1),
+        "number_of_recoveries": min(status.n_recoveries, MAX_NUMBER),
         "distance_remaining": status.distance_left,
     }
     if action.kind == "NavigateThroughPoses":
-        fields["number_of_poses_remaining"] = min(max(status.n_waypoints - status.waypoint, 0), 2**15 - 1)
+        fields["number_of_poses_remaining"] = min(len(goal.poses) - goal.waypoint, MAX_NUMBER)
+        fields |= _waypoint_statuses(make, distro, goal, MAX_STATUSES)
     return make.new(type_, **fields)
 
 
-def result(make: RosMessages, action: Action, distro: Distro, error: str, reason: str, took: int) -> Any:
-    """The result of a goal. error: the reason of a failure in words; empty where it was reached.
-
-    reason: its code.  took: ns.
-    """
-    type_ = f"{action.type}_Result"
+def result(make: RosMessages, distro: Distro, goal: ActionGoal) -> Any:
+    """The result of a goal that ended, or of one that is not known."""
+    action = goal.action
     fields: dict[str, Any] = {}
-    if action.kind in MOTION_ERRORS:
-        fields["total_elapsed_time"] = _duration(make, took)
+    if action.kind in MOTIONS:
+        fields["total_elapsed_time"] = _duration(make, goal.ended - goal.begun)
     elif action.kind == "FollowWaypoints":
-        fields["missed_waypoints"] = np.empty(0, np.int32) if distro is Distro.HUMBLE else []
+        fields["missed_waypoints"] = _missed_waypoints(make, distro, goal)
     elif distro is Distro.HUMBLE:
         fields["result"] = make.new("std_msgs/msg/Empty")
     if distro is not Distro.HUMBLE:
-        fields |= {"error_code": _error_code(action, reason) if error else 0, "error_msg": error}
-    return make.new(type_, **fields)
+        code = action_error(action.kind, distro, goal.reason) if goal.error else 0
+        fields |= {"error_code": code, "error_msg": goal.error}
+    if action.kind == "NavigateThroughPoses":
+        fields |= _waypoint_statuses(make, distro, goal, MAX_ROUTE_POSES)
+    return make.new(f"{action.type}_Result", **fields)
 
 
-def _error_code(action: Action, reason: str) -> int:
-    if action.kind not in MOTION_ERRORS:
-        return UNKNOWN_ERROR
-    unknown, timeout, collision = MOTION_ERRORS[action.kind]
-    if reason == reasons.MOTION_TOO_LONG.code:
-        return timeout
-    return collision if reason in IN_THE_WAY else unknown
+def _waypoint_statuses(make: RosMessages, distro: Distro, goal: ActionGoal, limit: int) -> dict[str, Any]:
+    """The state of each pose, of at most `limit` poses; before Kilted there is no such field."""
+    if distro is not Distro.KILTED:
+        return {}
+    n_completed = len(goal.poses) if goal.state is GoalState.SUCCEEDED else goal.waypoint
+    states = [COMPLETED if i < n_completed else PENDING for i in range(len(goal.poses))]
+    if goal.missed is not None:
+        states[goal.missed] = MISSED
+    rows = [_waypoint(make, goal, i, state) for i, state in enumerate(states)] if len(states) <= limit else []
+    return {"waypoint_statuses": rows}
+
+
+def _missed_waypoints(make: RosMessages, distro: Distro, goal: ActionGoal) -> Any:
+    """The waypoint at which a route failed: the stack does not leave it out and go on."""
+    missed = [] if goal.missed is None else [goal.missed]
+    if distro is Distro.HUMBLE:
+        return np.array(missed, np.int32)
+    if distro is Distro.KILTED:
+        return [_waypoint(make, goal, i, MISSED) for i in missed]
+    code = navigation_error(goal.action.kind, goal.reason)
+    type_ = "nav2_msgs/msg/MissedWaypoint"
+    return [make.new(type_, index=i, goal=goal.poses[i], error_code=code) for i in missed]
+
+
+def _waypoint(make: RosMessages, goal: ActionGoal, number: int, status: int) -> Any:
+    """nav2_msgs/WaypointStatus."""
+    is_missed = status == MISSED
+    return make.new(
+        "nav2_msgs/msg/WaypointStatus", waypoint_status=status, waypoint_index=number,
+        waypoint_pose=goal.poses[number], error_msg=goal.error if is_missed else "",
+        error_code=navigation_error(goal.action.kind, goal.reason) if is_missed else 0,
+    )  # fmt: skip
 
 
 def _duration(make: RosMessages, ns: int) -> Any:

@@ -4,13 +4,13 @@
 Source: design.ros2.org/articles/actions.html; rcl_action, goal_state_machine.c. As in Nav2, a new goal ends the former.
 """
 
-from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
-from services.ros2.action_messages import amount_of, feedback, ignored_fields, result, stack_request
+from services.ros2.action_goal import ENDED, ActionGoal, GoalState
+from services.ros2.action_messages import amount_of, feedback, ignored_fields, result, route_of, stack_request
 from services.ros2.action_topics import CANCEL_GOAL, CANCEL_TYPE, GET_RESULT, SEND_GOAL, STATUS_TYPE, Action, actions_of
 from services.ros2.orders import publish_order, reply_order
 from services.ros2.ros_types import UUID, RosTypes
@@ -30,18 +30,6 @@ MAX_GOALS = 32
 NO_ID = bytes(16)
 
 
-class GoalState(IntEnum):
-    """action_msgs/GoalStatus."""
-
-    UNKNOWN = 0
-    ACCEPTED = 1
-    EXECUTING = 2
-    CANCELING = 3
-    SUCCEEDED = 4
-    CANCELED = 5
-    ABORTED = 6
-
-
 class CancelCode(IntEnum):
     """action_msgs/CancelGoal."""
 
@@ -53,28 +41,6 @@ class CancelCode(IntEnum):
 
 class GoalRefusedError(ValueError):
     """A goal that is none; its client has the refusal already."""
-
-
-ENDED = (GoalState.SUCCEEDED, GoalState.CANCELED, GoalState.ABORTED)
-
-
-@dataclass(slots=True)
-class ActionGoal:
-    """A goal. id: 16 bytes, of its client.  begun: ns.  waiting: requests for its result.  error: why it ended.
-
-    reason: the code of that.  amount: rad or m, of a single motion.  ended: ns.
-    """
-
-    id: bytes
-    action: Action
-    begun: int
-    state: GoalState = GoalState.ACCEPTED
-    task_id: int | None = None
-    waiting: list[int] = field(default_factory=list)
-    error: str = ""
-    reason: str = ""
-    amount: float = 0.0
-    ended: int = 0
 
 
 class ActionServer:
@@ -128,7 +94,8 @@ class ActionServer:
             raise GoalRefusedError(str(error)) from None
         if ignored := ignored_fields(action, message.goal):
             yield Log("WARNING", f"ROS 2: {action.name}: {ignored}")
-        goal = ActionGoal(goal_id, action, now, amount=amount_of(request))
+        poses, first = route_of(action, message.goal)
+        goal = ActionGoal(goal_id, action, now, amount=amount_of(request), poses=poses, first=first, waypoint=first)
         yield self._ask(row, request, lambda outcome: self._on_accepted(goal, number, outcome))
 
     def _on_accepted(self, goal: ActionGoal, number: int, outcome: dict[str, Any]) -> Out:
@@ -190,10 +157,12 @@ class ActionServer:
             yield from self._end(goal, GoalState.CANCELED, "", now)
         elif status.state in (NavState.FAILED, NavState.CANCELED, NavState.IDLE):
             words = [str(status.state), reason_text(status.reason), status.detail]
-            goal.reason = status.reason
+            if status.state is NavState.FAILED:
+                goal.fail(status.reason)
             yield from self._end(goal, GoalState.ABORTED, ": ".join(word for word in words if word), now)
         else:
-            part = feedback(self._make, goal.action, goal.amount, status, self.estimate, goal.begun, now)
+            goal.follow(status)
+            part = feedback(self._make, self._types.distro, goal, status, self.estimate, now)
             message = self._make.new(f"{goal.action.type}_FeedbackMessage", goal_id=self._uuid(goal.id), feedback=part)
             yield publish_order(now, goal.action.part("feedback"), self._types.encode(message))
 
@@ -222,8 +191,7 @@ class ActionServer:
         return reply_order(now, number, self._types.encode(response))
 
     def _result_reply(self, goal: ActionGoal, number: int, now: int) -> Publication:
-        took = max(goal.ended - goal.begun, 0)
-        part = result(self._make, goal.action, self._types.distro, goal.error, goal.reason, took)
+        part = result(self._make, self._types.distro, goal)
         type_ = f"{goal.action.type}_GetResult_Response"
         return reply_order(now, number, self._types.encode(self._make.new(type_, status=int(goal.state), result=part)))
 

@@ -5,8 +5,6 @@ It opens the session with the ROS 2 nodes, passes what comes in to the core, and
 orders are msgpack maps (docs in service.py).
 """
 
-import subprocess
-import sys
 import threading
 import time
 from collections import Counter, deque
@@ -15,6 +13,7 @@ from typing import Any, cast
 import msgpack
 
 from services.ros2.action_topics import action_services, action_topics
+from services.ros2.command_subscribers import CommandSubscribers
 from services.ros2.config import Ros2Config
 from services.ros2.incoming_topics import (
     CLEAR_SERVICES,
@@ -25,11 +24,12 @@ from services.ros2.incoming_topics import (
     TRIGGERS,
     IncomingTopic,
 )
-from services.ros2.outgoing_topics import OUTGOING, STATIC_TF, OutgoingTopic
+from services.ros2.outgoing_topics import DEFAULT, OUTGOING, STATIC_TF, OutgoingTopic
 from services.ros2.rmw_names import Endpoint, Entity, Qos, RosName, mismatch_text
-from services.ros2.robot_input import COMMAND_TOPICS, ROBOT_TF, ROBOT_TOPICS, robot_topics
+from services.ros2.robot_input import COMMAND, COMMAND_TYPES, ROBOT_TF, ROBOT_TOPICS, robot_topics
 from services.ros2.ros_types import ros_types
 from services.ros2.router_tls import router_tls
+from services.ros2.zenav_command import run_command
 from shared import topics
 from shared.config import UserError
 from shared.messages import PortState, SerialData
@@ -45,7 +45,6 @@ MIN_INTERVAL_S = 0.02  # between two messages of one topic for the core: 50 a se
 """A node that sends faster gets its newest message through, and the others are counted."""
 ROBOT_INTERVAL_S = 0.004  # the same of a robot's sensors: some have odometry of 100 Hz, and messages come unevenly
 N_TRANSFORMS = 16  # messages of /tf that wait: it has several publishers, and one of them has the odometry
-LIMIT_S, MAX_TEXT = 120.0, 300  # of a command of zenav: a large map; characters of its error
 N_TARGET = 4  # arguments that name robot and stack; the others are settings
 MAX_KINDS = 100  # of rejections that one report distinguishes
 
@@ -73,7 +72,9 @@ class BridgeDevice:
         self._state: tuple[bool, str] | None = None
         self._endpoints: dict[tuple[str, Entity], list[tuple[RosName, Qos]]] = {}  # ours, by name and kind of theirs
         self._mismatches: set[str] = set()
-        self._subscribed: set[tuple[str, str]] = set()  # name and type of others' subscriptions
+        self._commands: dict[str, RosName] = {}  # publishers of velocity that a driven robot may want, by label
+        self._subscribers = CommandSubscribers(self._commands)
+        self._commanded: frozenset[str] = frozenset()  # labels of the publishers of velocity that are there
         self._thread = threading.Thread(target=self._run, name="ros2", daemon=True)
 
     def start(self) -> None:
@@ -129,6 +130,8 @@ class BridgeDevice:
                     break
                 orders, self._orders = self._orders, []
                 events, self._events = self._events, []
+                commanded = self._subscribers.labels
+            self._advertise_commands(commanded)
             for order in orders:
                 self._obey(order)
             now = time.monotonic()
@@ -144,23 +147,22 @@ class BridgeDevice:
 
     def _has_work(self) -> bool:
         now = time.monotonic()
-        return (
-            self._is_closing or bool(self._orders or self._events) or any(self._is_due(n, now) for n in self._pending)
-        )
+        is_told = bool(self._orders or self._events) or self._subscribers.labels != self._commanded
+        return self._is_closing or is_told or any(self._is_due(name, now) for name in self._pending)
 
     def _is_due(self, name: str, now: float) -> bool:
         return now - self._sent_at.get(name, float("-inf")) >= _interval(name)
 
     def _declare(self) -> None:
         """Everything that our node has in ROS 2."""
-        config, types = self._config, ros_types(self._config.distro)
-
-        def ros_name(name: str, type_: str) -> RosName:
-            return RosName(config.name(name), type_, types.hash_of(type_))
-
+        config, ros_name = self._config, self._ros_name
         rows = [(row.name, row.type, row.qos) for row in published_rows(config.drives)]
         rows += [(row.name, row.type, row.qos) for row in action_topics(config.distro)]
         self._own = {config.name(name): name for name, _, _ in rows}
+        if config.drives:
+            self._commands |= {label: ros_name(label, type_) for label, type_ in COMMAND_TYPES.items()}
+            self._own[config.name(COMMAND)] = COMMAND
+            self._endpoints[COMMAND, Entity.SUBSCRIPTION] = [(topic, DEFAULT) for topic in self._commands.values()]
         for row in received_rows(config):
             self._own[config.name(row.name)] = row.name
             received = tuple(ros_name(row.name, type_) for type_ in row.types)
@@ -181,9 +183,20 @@ class BridgeDevice:
             self._wire.serve(ros_name(name, type_))
         self._wire.discover()
 
+    def _ros_name(self, name: str, type_: str) -> RosName:
+        return RosName(self._config.name(name), type_, ros_types(self._config.distro).hash_of(type_))
+
+    def _advertise_commands(self, labels: frozenset[str]) -> None:
+        """Publishers of velocity, of the types that have a subscriber."""
+        for label in self._commanded - labels:
+            self._wire.withdraw(label)
+        for label in labels - self._commanded:
+            self._wire.advertise(label, self._commands[label], DEFAULT)
+        self._commanded = labels
+
     def _obey(self, order: dict[str, Any]) -> None:
         if "publish" in order:
-            if self._fits_key(order["publish"]):
+            if order["publish"] not in self._commands or order["publish"] in self._commanded:
                 self._wire.publish(order["publish"], order["data"])
         elif "reply" in order:
             self._wire.reply(order["reply"], order["data"])
@@ -193,13 +206,6 @@ class BridgeDevice:
         elif "ask" in order:
             number = order["id"]
             self._feed.ask(order["ask"], order["payload"], lambda outcome: self._on_outcome(number, outcome))
-
-    def _fits_key(self, name: str) -> bool:
-        """Whether a message may go out: with the bridge to DDS both types of velocity have one key."""
-        row = next((row for row in COMMAND_TOPICS if row.name == name), None)
-        if row is None or self._config.bridge != "dds":
-            return True
-        return (self._config.name(name), row.type) in self._subscribed
 
     def _due_messages(self, now: float) -> list[dict[str, Any]]:
         due = []
@@ -237,13 +243,14 @@ class BridgeDevice:
         if any(row.name == name for row in OUTGOING):
             self._feed.want(name, is_wanted)
 
-    def _on_endpoint(self, endpoint: Endpoint, is_there: bool) -> None:
+    def _on_endpoint(self, token: str, endpoint: Endpoint, is_there: bool) -> None:
         """Another node's publisher or subscription came or went. What does not match ours is reported once."""
+        with self._changed:
+            self._subscribers.update(token, endpoint, is_there)
+            self._changed.notify_all()
         own = self._own.get(endpoint.topic.name)
         if own is None or not is_there:
             return
-        if endpoint.entity is Entity.SUBSCRIPTION:
-            self._subscribed.add((endpoint.topic.name, endpoint.topic.type))
         if own == CMD_VEL and endpoint.entity is Entity.PUBLISHER:
             self._feed.need()
         ours = self._endpoints.get((own, endpoint.entity), [])
@@ -264,14 +271,9 @@ class BridgeDevice:
         self._file({"event": "outcome", "id": number, **outcome})
 
     def _run_tool(self, command: tuple[str, ...], number: int) -> None:
-        """A command of zenav in a process of its own, on a thread of its own: it reads and writes files."""
-        started = (sys.executable, "-P", "-m", "zenav", *command, *self._context.arguments[:N_TARGET])
-        try:
-            done = subprocess.run(started, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=LIMIT_S)
-            error = "" if done.returncode == 0 else " ".join(done.stderr.split()) or f"status {done.returncode}"
-        except (OSError, subprocess.TimeoutExpired) as failed:
-            error = str(failed)
-        self._on_outcome(number, {"accepted": not error, "reason": "", "detail": error[-MAX_TEXT:], "hint": ""})
+        """A command of zenav, on a thread of its own."""
+        error = run_command(*command, *self._context.arguments[:N_TARGET]).error
+        self._on_outcome(number, {"accepted": not error, "reason": "", "detail": error, "hint": ""})
 
     def _file(self, event: dict[str, Any]) -> None:
         with self._changed:
@@ -303,10 +305,13 @@ def _interval(name: str) -> float:
 
 
 def published_rows(drives: bool) -> tuple[OutgoingTopic, ...]:
-    """The topics of our node but for those of actions. drives: a robot with ROS 2, which has sensors of its own."""
+    """The topics of our node but for those of actions and of COMMAND_TYPES.
+
+    drives: a robot with ROS 2, which has sensors of its own.
+    """
     if not drives:
         return (*OUTGOING, STATIC_TF)
-    return (*(row for row in OUTGOING if row.name not in ROBOT_NAMES or row.name == ROBOT_TF), *COMMAND_TOPICS)
+    return tuple(row for row in OUTGOING if row.name not in ROBOT_NAMES or row.name == ROBOT_TF)
 
 
 def received_rows(config: Ros2Config) -> tuple[IncomingTopic, ...]:

@@ -15,7 +15,9 @@ SAVE_MAP, LOAD_MAP = "nav2_msgs/srv/SaveMap", "nav2_msgs/srv/LoadMap"
 MAX_SPEED, MAX_TURN_RATE = 20.0, 50.0  # m/s, rad/s: the bounds of shared/messages.py
 GOAL_POSE, INITIAL_POSE, CMD_VEL = "/goal_pose", "/initialpose", "/cmd_vel"
 ESTOP, RELEASE = "/estop", "/estop_release"
-CLEAR_COSTMAP = "nav2_msgs/srv/ClearEntireCostmap"
+CLEAR_COSTMAP, CLEAR_AROUND, CLEAR_EXCEPT = (
+    f"nav2_msgs/srv/Clear{what}" for what in ("EntireCostmap", "CostmapAroundRobot", "CostmapExceptRegion")
+)
 SAVE, LOAD = "/map_saver/save_map", "/map_server/load_map"
 
 
@@ -39,9 +41,15 @@ TRIGGERS = tuple((name, TRIGGER) for name in (ESTOP, RELEASE, "/explore", "/canc
 """Services, under the names that they have in Foxglove."""
 
 CLEAR_SERVICES = tuple(
-    (f"/{part}_costmap/clear_entirely_{part}_costmap", CLEAR_COSTMAP) for part in ("local", "global")
+    (f"/{part}_costmap/{verb}_{part}_costmap", type_)
+    for part in ("local", "global")
+    for verb, type_ in (
+        ("clear_entirely", CLEAR_COSTMAP),
+        ("clear_around", CLEAR_AROUND),
+        ("clear_except", CLEAR_EXCEPT),
+    )
 )
-"""Both clear the local costmap: the planner's is made of the map, and has nothing to clear."""
+"""Those of the global costmap clear nothing: the planner's is made of the map and the zones."""
 
 MAP_SERVICES = ((SAVE, SAVE_MAP), (LOAD, LOAD_MAP))
 

@@ -22,6 +22,7 @@ WAYPOINT = "uint32 current_waypoint\n"
 SPIN_GOAL = "float32 target_yaw\nbuiltin_interfaces/Duration time_allowance\n"
 STRAIGHT_GOAL = "geometry_msgs/Point target\nfloat32 speed\nbuiltin_interfaces/Duration time_allowance\n"
 UNCHECKED = "bool disable_collision_checks\n"
+WAYPOINT_STATUSES = "nav2_msgs/WaypointStatus[] waypoint_statuses\n"
 ELAPSED = "builtin_interfaces/Duration total_elapsed_time\n"
 TURNED, DRIVEN = "float32 angular_distance_traveled\n", "float32 distance_traveled\n"
 Definition = tuple[str, ...]
@@ -36,6 +37,8 @@ SERVICES: dict[str, Definition] = {
     ),
     "nav2_msgs/srv/LoadMap": ("string map_url\n", "nav_msgs/OccupancyGrid map\nuint8 result\n"),
     "nav2_msgs/srv/ClearEntireCostmap": ("std_msgs/Empty request\n", "std_msgs/Empty response\n"),
+    "nav2_msgs/srv/ClearCostmapAroundRobot": ("float32 reset_distance\n", "std_msgs/Empty response\n"),
+    "nav2_msgs/srv/ClearCostmapExceptRegion": ("float32 reset_distance\n", "std_msgs/Empty response\n"),
     "action_msgs/srv/CancelGoal": (
         "action_msgs/GoalInfo goal_info\n",
         "int8 return_code\naction_msgs/GoalInfo[] goals_canceling\n",
@@ -68,6 +71,11 @@ JAZZY_ACTIONS: dict[str, Definition] = {
 }
 KILTED_ACTIONS: dict[str, Definition] = {
     "nav2_msgs/action/NavigateToPose": (TO_POSE_GOAL, ERROR, POSE_FEEDBACK),
+    "nav2_msgs/action/NavigateThroughPoses": (
+        "nav_msgs/Goals poses\nstring behavior_tree\n",
+        ERROR + WAYPOINT_STATUSES,
+        THROUGH_FEEDBACK + WAYPOINT_STATUSES,
+    ),
     "nav2_msgs/action/FollowWaypoints": (
         WAYPOINTS_GOAL,
         "nav2_msgs/WaypointStatus[] missed_waypoints\n" + ERROR,
@@ -77,7 +85,6 @@ KILTED_ACTIONS: dict[str, Definition] = {
     "nav2_msgs/action/BackUp": (STRAIGHT_GOAL + UNCHECKED, ELAPSED + ERROR, DRIVEN),
     "nav2_msgs/action/DriveOnHeading": (STRAIGHT_GOAL + UNCHECKED, ELAPSED + ERROR, DRIVEN),
 }
-"""Without NavigateThroughPoses: its definition in Kilted could not be read."""
 
 MESSAGES: dict[str, str] = {
     "map_msgs/msg/OccupancyGridUpdate": (

@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of the stack as those of ROS 2 that only the bridge needs: state, log, clock, markers. Stamps are ns."""
+"""Messages of the stack as those of ROS 2 that only the bridge needs: state, log, clock. Stamps are ns."""
 
 from typing import Any
 
 import numpy as np
 
 from shared.geometry import Pose2
-from shared.messages import BaseStatus, LogLine, Message, Rollouts, ZoneKind, Zones
+from shared.messages import BaseStatus, LogLine, Message, Rollouts
 from shared.part_state import part_state
 from shared.ros_messages import RosMessages
 
 LOG_LEVELS = {"DEBUG": 10, "INFO": 20, "WARNING": 30, "ERROR": 40}  # rcl_interfaces/Log
-LINE_STRIP, ADD, DELETE_ALL = 4, 0, 3  # visualization_msgs/Marker
-ZONE_COLOURS = {ZoneKind.KEEP_OUT: (0.9, 0.1, 0.1), ZoneKind.SLOW: (0.95, 0.7, 0.1)}
-ZONE_LINE_M = 0.05
 
 
 def diagnostics(make: RosMessages, message: Message) -> Any:
@@ -61,31 +58,3 @@ def local_plan(make: RosMessages, rollouts: Rollouts) -> Any:
     yaws = np.arctan2(np.gradient(ys), np.gradient(xs)) if len(xs) > 1 else np.zeros(len(xs))
     poses = (Pose2(*row) for row in zip(xs.tolist(), ys.tolist(), yaws.tolist()))
     return make.path_of(rollouts.stamp, make.frames.odom, poses)
-
-
-def zone_markers(make: RosMessages, zones: Zones) -> Any:
-    """visualization_msgs/MarkerArray: the outline of each zone in `map`. The first marker removes the former ones."""
-    markers = [_marker(make, zones.stamp, 0, DELETE_ALL, (0.0, 0.0, 0.0), [])]
-    for i, zone in enumerate(zones.zones):
-        points = [make.point(x, y) for x, y in zip(zone.xs.tolist(), zone.ys.tolist())]
-        markers.append(_marker(make, zones.stamp, i, ADD, ZONE_COLOURS[zone.kind], [*points, points[0]]))
-    return make.new("visualization_msgs/msg/MarkerArray", markers=markers)
-
-
-def _marker(
-    make: RosMessages, stamp: int, number: int, action: int, colour: tuple[float, float, float], points: list[Any]
-) -> Any:
-    red, green, blue = colour
-    image = make.new(
-        "sensor_msgs/msg/CompressedImage", header=make.header(0, ""), format="", data=np.empty(0, np.uint8)
-    )
-    return make.new(
-        "visualization_msgs/msg/Marker",
-        header=make.header(stamp, make.frames.map), ns="zones", id=number, type=LINE_STRIP, action=action,
-        pose=make.pose(Pose2()), scale=make.vector(ZONE_LINE_M, 0.0),
-        color=make.new("std_msgs/msg/ColorRGBA", r=red, g=green, b=blue, a=1.0),
-        lifetime=make.new("builtin_interfaces/msg/Duration", sec=0, nanosec=0), frame_locked=False, points=points,
-        colors=[], texture_resource="", texture=image, uv_coordinates=[], text="",
-        mesh_resource="", mesh_file=make.new("visualization_msgs/msg/MeshFile", filename="", data=image.data),
-        mesh_use_embedded_materials=False,
-    )  # fmt: skip

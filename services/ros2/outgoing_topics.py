@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from services.ros2 import outgoing_markers as markers
 from services.ros2 import outgoing_messages as outgoing
 from services.ros2.outgoing_map import GRID_UPDATE, OutgoingMap
 from services.ros2.rmw_names import Durability, Qos, Reliability
@@ -23,10 +24,12 @@ LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 LOG_QOS = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1000)  # rcl's of /rosout
 TF_QOS = Qos(depth=100)  # tf2_ros' DynamicBroadcasterQoS
 CLOCK_QOS = Qos(Reliability.BEST_EFFORT, depth=1)  # rclcpp's ClockQoS
+MAP_NAME, PLACES_NAME = "/map", "/places"
 WatchRequest = Request[Watch, Reply]
 WATCHED: dict[str, WatchRequest] = {
     topics.COSTMAP.key: requests.WATCH,
     topics.ROLLOUTS.key: requests.WATCH,
+    topics.MOVING.key: requests.WATCH,
     topics.GLOBAL_COSTMAP.key: requests.WATCH_GLOBAL_COSTMAP,
 }
 """Keys of debug topics, which are published only while they are asked for, and the request of each."""
@@ -42,6 +45,7 @@ class OutgoingState:
         self.make, self.has_own_odometry = make, has_own_odometry
         self.map = OutgoingMap(make, map_interval)
         self.map_from_odom: Pose2 | None = None
+        self.map_name: str | None = None  # of the saved map in use; empty: it is not saved; None: not known yet
 
 
 Make = Callable[[OutgoingState, Any, str], Any]
@@ -81,6 +85,11 @@ def _map_change(state: OutgoingState, update: m.MapUpdate, _: str) -> Any:
     return state.map.change()
 
 
+def _map_name(state: OutgoingState, map_state: m.MapState, _: str) -> Any:
+    """The places are those of the saved map: they are read from its files, and sent then."""
+    state.map_name = map_state.name
+
+
 def _costmap(make: RosMessages, costmap: m.Costmap, frame: str) -> Any:
     return make.grid(costmap.cells, costmap.resolution, (costmap.x, costmap.y), costmap.stamp, frame)
 
@@ -106,12 +115,13 @@ OUTGOING = (
     OutgoingTopic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", DEFAULT, (topics.GUARD, topics.NAV_STATUS, topics.BASE_STATUS, topics.HEALTH), _simply(outgoing.diagnostics)),  # noqa: E501
     OutgoingTopic("/rosout", "rcl_interfaces/msg/Log", LOG_QOS, (topics.LOG,), lambda state, line, publisher: outgoing.log_line(state.make, line, publisher)),  # noqa: E501
     OutgoingTopic("/clock", "rosgraph_msgs/msg/Clock", CLOCK_QOS, (topics.CLOCK,), lambda state, tick, _: outgoing.clock(state.make, tick.stamp)),  # noqa: E501
-    OutgoingTopic("/zones", "visualization_msgs/msg/MarkerArray", LATCHED, (topics.ZONES,), _simply(outgoing.zone_markers)),  # noqa: E501
+    OutgoingTopic("/zones", markers.MARKERS, LATCHED, (topics.ZONES,), _simply(markers.zone_markers)),
+    OutgoingTopic(PLACES_NAME, markers.MARKERS, LATCHED, (topics.MAP_STATE,), _map_name),
+    OutgoingTopic("/dynamic_obstacles", markers.MARKERS, DEFAULT, (topics.MOVING,), _simply(markers.obstacle_markers)),
 )
 # fmt: on
 STATIC_TF = OutgoingTopic("/tf_static", TF, LATCHED, (), lambda state, message, publisher: None)
 """The core sends it once: it is of the robot's configuration."""
-MAP_NAME = "/map"
 
 
 def keys_of(names: frozenset[str]) -> frozenset[str]:

@@ -2,8 +2,9 @@
 """A robot with ROS 2 that zenav drives: its sensors and odometry come in, and the velocity goes out as /cmd_vel.
 
 Stamps are of the robot's clock, which is another computer's. A message is as old as it comes later than the robot's
-fastest one in the last 10 to 20 s (sender_clocks.py). So a clock that differs does no harm. After a clock is set back,
-messages are too old until the former minimum is forgotten, and the guard stops the robot.
+fastest one in the last 10 to 20 s. So a clock that differs does no harm. While a clock that was set is not believed
+(robot_clock.py), the robot gets zero. Odometry passes as too old then, by which the guard says `bad_stamps`, and other
+messages are refused.
 
 The laser's mount is the robot file's. /tf_static gives it too: a difference is logged, and an upside-down laser's beams
 are turned about.
@@ -19,10 +20,10 @@ from services.ros2.imu_input import ImuInput
 from services.ros2.incoming_topics import TWIST, TWIST_STAMPED, IncomingTopic
 from services.ros2.laser_mount import LaserMount
 from services.ros2.orders import publish_order
-from services.ros2.outgoing_topics import DEFAULT, LATCHED, TF_QOS, OutgoingTopic
+from services.ros2.outgoing_topics import LATCHED, TF_QOS
 from services.ros2.rmw_names import Qos, Reliability
+from services.ros2.robot_clock import STEADY_NS, RobotClock
 from services.ros2.ros_types import RosTypes
-from services.ros2.sender_clocks import SenderClocks
 from services.ros2.static_frames import StaticFrames
 from shared import topics
 from shared.config import Robot
@@ -54,13 +55,8 @@ BUMP, CLIFF, WHEEL_DROP = 1, 2, 4
 """of irobot_create_msgs/HazardDetection. A dropped wheel is a cliff; stalled wheels are base_driver's to detect."""
 MAX_VOLTAGE, MAX_VOLTAGE_AGE_NS = 100.0, 60_000_000_000  # V; ns, of the last message of the battery
 COMMAND, STAMPED_COMMAND = "/cmd_vel", "/cmd_vel of stamped messages"
-COMMAND_TOPICS = (
-    OutgoingTopic(COMMAND, TWIST, DEFAULT, (), lambda state, message, publisher: None),
-    OutgoingTopic(STAMPED_COMMAND, TWIST_STAMPED, DEFAULT, (), lambda state, message, publisher: None),
-)
-"""Both types of one name: a robot subscribes to one of them."""
-CLOCK = b"robot"  # one for all topics: a scan has the stamp of its first beam, and odometry comes sooner
-BASE_CLOCK = b"base"  # of a board that is a computer of its own, as a Create 3
+COMMAND_TYPES = {COMMAND: TWIST, STAMPED_COMMAND: TWIST_STAMPED}
+"""Both types of one name, by label: a robot subscribes to one of them (command_subscribers.py)."""
 MIN_CLOCK_STEP_NS = 1_000_000_000  # by which the robot's clock must differ to be reported
 MAX_SILENCE_NS = 200_000_000  # without a velocity of base_driver, after which the robot gets zero
 
@@ -79,16 +75,22 @@ def contacts_of(detections: Any, stamp: int) -> Contacts:
     return Contacts(stamp, bumpers, cliffs, False)
 
 
+class ClockDoubtError(ValueError):
+    """A message whose age is not known, for the robot's clock was set."""
+
+
 class RobotInput:
     """Translates between a robot with ROS 2 and the stack. Times are ns on the stack's clock."""
 
     def __init__(self, config: Ros2Config, types: RosTypes, make: RosMessages, robot: Robot) -> None:
         self._types, self._make, self._has_contacts = types, make, robot.has_contacts
-        self._clocks = SenderClocks()
+        self._clock = RobotClock()  # one for all topics: a scan has the stamp of its first beam, and odometry is sooner
+        self._base_clock = RobotClock()  # of a board that is a computer of its own, as a Create 3
         self._frames = StaticFrames(config.frames.base)
         self._mount = LaserMount(robot.laser.mount, self._frames)
         self._imu = ImuInput(robot.imu or ImuMount(), self._frames)
         self._said_offset = 0  # ns by which our clock is ahead of the robot's, as it was logged last
+        self._said_doubt = ""
         self._command: Velocity | None = None  # the newest, while the robot moves by it
         self._voltage = float("nan")
         self._voltage_at = 0  # ns, when it came
@@ -107,34 +109,56 @@ class RobotInput:
         elif name == ROBOT_BATTERY:
             self._voltage, self._voltage_at = float(message.voltage), now
         elif name == ROBOT_IMU:
-            yield topics.IMU(self._imu.reading(message, self._stamp(message.header, now)))
+            yield topics.IMU(self._imu.reading(message, self._believed_stamp(message.header, now, self._clock)))
         elif self._has_contacts:
-            yield topics.CONTACTS(contacts_of(message.detections, self._stamp(message.header, now, BASE_CLOCK)))
+            stamp = self._believed_stamp(message.header, now, self._base_clock)
+            yield topics.CONTACTS(contacts_of(message.detections, stamp))
 
     def velocity(self, command: Velocity, now: int) -> Out:
-        """The velocity of base_driver, for the robot."""
-        self._command = command if command.v or command.w else None
-        yield from self._published(command.v, command.w, now)
+        """The velocity of base_driver, for the robot. Zero while the robot's clock is not believed."""
+        v, w = (command.v, command.w) if self._clock.is_believed else (0.0, 0.0)
+        self._command = command if v or w else None
+        yield from self._published(v, w, now)
 
     @property
     def state(self) -> str:
         """Words for the health on the robot's clock; empty where it is as ours."""
+        if self._said_doubt:
+            return f"its clock {self._said_doubt}"
         return f"its clock is {_offset_text(self._said_offset)} ours" if self._said_offset else ""
 
     def tick(self, now: int) -> Out:
         """Zero, where base_driver fell silent while the robot moves; a log line where the robot's clock was set."""
-        offset = self._clocks.offset(CLOCK)
-        if offset is not None and abs(offset - self._said_offset) > MIN_CLOCK_STEP_NS:
-            self._said_offset = offset if abs(offset) > MIN_CLOCK_STEP_NS else 0
-            words = f"{_offset_text(offset)} ours" if self._said_offset else "as ours again"
-            yield Log("WARNING", f"ROS 2: the robot's clock is {words}")
+        yield from self._clock_lines()
         if self._command is not None and not 0 <= now - self._command.stamp < MAX_SILENCE_NS:
             self._command = None
             yield from self._published(0.0, 0.0, now)
 
-    def _stamp(self, header: Any, now: int, clock: bytes = CLOCK) -> int:
-        """The time of a header on our clock."""
-        return now - self._clocks.age(clock, stamp_of(header), now)
+    def _clock_lines(self) -> Out:
+        """A line when the clock is doubted, and when it is believed again or differs."""
+        doubt, offset = self._clock.doubt, self._clock.offset or 0
+        if bool(doubt) != bool(self._said_doubt):
+            self._said_doubt = doubt
+            wait = f"the robot stands until it is steady for {STEADY_NS // NS_PER_S} s"
+            yield Log("WARNING", f"ROS 2: the robot's clock {f'{doubt}: {wait}' if doubt else 'is believed again'}")
+        if abs(offset - self._said_offset) > MIN_CLOCK_STEP_NS:
+            self._said_offset = offset if abs(offset) > MIN_CLOCK_STEP_NS else 0
+            words = f"{_offset_text(offset)} ours" if self._said_offset else "as ours again"
+            yield Log("WARNING", f"ROS 2: the robot's clock is {words}")
+
+    def _stamp(self, header: Any, now: int) -> int:
+        """The time of a header on our clock; long ago where the robot's clock is not believed."""
+        return now - self._clock.age(stamp_of(header), now)
+
+    @staticmethod
+    def _believed_stamp(header: Any, now: int, clock: RobotClock) -> int:
+        """The time of a header on our clock. Raises ClockDoubtError where the robot's is not believed."""
+        stamp = now - clock.age(stamp_of(header), now)
+        if not clock.is_believed:
+            raise ClockDoubtError(
+                f"its stamp is {clock.off / NS_PER_S:.1f} s off the robot's clock: its age is not known"
+            )
+        return stamp
 
     def _motion(self, odometry: BaseOdometry) -> Publication:
         """Odometry with the battery's voltage, which comes seldom; NaN where it is old or none."""
@@ -147,7 +171,8 @@ class RobotInput:
         warning = self._mount.check(message.header.frame_id)
         if warning:
             yield Log("WARNING", f"ROS 2: {warning}")
-        yield topics.SCAN(laser_scan(message, self._stamp(message.header, now), self._mount.is_upside_down))
+        stamp = self._believed_stamp(message.header, now, self._clock)
+        yield topics.SCAN(laser_scan(message, stamp, self._mount.is_upside_down))
 
     def _moving(self, message: Any, now: int) -> Out:
         """The odometry among transforms. Raises ValueError where `odom` has another child than the base."""

@@ -48,8 +48,3 @@ class SenderClocks:
         if len(self._minima) > MAX_PUBLISHERS:
             del self._minima[next(iter(self._minima))]
         return difference - min(minima.present, minima.before)
-
-    def offset(self, gid: bytes) -> int | None:
-        """ns by which our clock is ahead of a publisher's, with the delay of its fastest message; None without one."""
-        minima = self._minima.get(gid)
-        return None if minima is None else min(minima.present, minima.before)

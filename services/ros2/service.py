@@ -22,7 +22,7 @@ from services.ros2.config import Ros2Config
 from services.ros2.incoming_topics import pose_in_map, velocity
 from services.ros2.orders import PORT, ask_order, publish_order, reply_order, tool_order
 from services.ros2.outgoing_topics import STATIC_TF
-from services.ros2.robot_input import ROBOT_TOPICS, RobotInput
+from services.ros2.robot_input import ROBOT_TOPICS, ClockDoubtError, RobotInput
 from services.ros2.ros_types import RosTypes, ros_types
 from services.ros2.sender_clocks import SenderClocks
 from services.ros2.service_calls import BY, ServiceCalls
@@ -167,7 +167,7 @@ class Ros2Service(Service):
                 self._reject(name, str(event["text"]), event["n"])
             elif kind == "mismatch":
                 yield Log("WARNING", f"ROS 2: {event['text']}")
-        except TeleopRefusedError as error:
+        except (TeleopRefusedError, ClockDoubtError) as error:
             self._reject(name, str(error))
         except ValueError as error:
             self._reject(name, str(error))

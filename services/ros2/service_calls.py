@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from services.ros2 import incoming_topics as incoming
-from services.ros2.incoming_topics import CLEAR_COSTMAP, GET_STATE, LOAD_MAP, SAVE_MAP, TRIGGER
+from services.ros2.incoming_topics import CLEAR_COSTMAP, CLEAR_EXCEPT, GET_STATE, LOAD_MAP, SAVE_MAP, TRIGGER
 from services.ros2.orders import reply_order
 from services.ros2.ros_types import RosTypes
 from services.ros2.task_requests import AskStack, AskTool, refusal_text, task_request
@@ -21,7 +21,8 @@ from shared.stop_button import StopButton
 from shared.topics import Publication
 
 BY = "ROS 2"
-CLEARS = frozenset(name for name, _ in incoming.CLEAR_SERVICES)
+CLEARS = dict(incoming.CLEAR_SERVICES)
+MAX_SIDE_M = 1000.0  # of shared/requests.py, ClearCostmaps
 STATES = frozenset(name for name, _ in incoming.STATE_SERVICES)
 ACTIVE = 3  # lifecycle_msgs/State: PRIMARY_STATE_ACTIVE
 MAP_NAME = r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
@@ -57,9 +58,7 @@ class ServiceCalls:
         elif name in (incoming.SAVE, incoming.LOAD):
             yield from self._map(name, number, data)
         elif name in CLEARS:
-            self._types.decode(data, f"{CLEAR_COSTMAP}_Request")
-            done = partial(self._cleared, name, number)
-            yield self._ask(requests.CLEAR_COSTMAPS, ClearCostmaps(now), done)
+            yield from self._clear(name, number, data, now)
         else:
             self._types.decode(data, f"{TRIGGER}_Request")
             row, message = task_request(name, now)
@@ -100,12 +99,30 @@ class ServiceCalls:
         state = self._make.new("lifecycle_msgs/msg/State", id=ACTIVE, label="active")
         return self._types.encode(self._make.new(f"{GET_STATE}_Response", current_state=state))
 
+    def _clear(self, name: str, number: int, data: bytes, now: int) -> Out:
+        """Clears the local costmap. Nav2's reset_distance is the side of a square."""
+        type_ = CLEARS[name]
+        asked = self._types.decode(data, f"{type_}_Request")
+        side = 0.0 if type_ == CLEAR_COSTMAP else float(asked.reset_distance)
+        if type_ != CLEAR_COSTMAP and not 0 < side <= MAX_SIDE_M:
+            raise ValueError(f"reset_distance {side:g}: give the side of a square, over 0 and up to {MAX_SIDE_M:g} m")
+        if name.startswith("/global_costmap/"):
+            yield self._cleared_reply(type_, number, now)
+            yield Log("INFO", f"ROS 2: {name}: nothing to clear, for the global costmap is made of the map and zones")
+            return
+        request = ClearCostmaps(now, side, type_ == CLEAR_EXCEPT)
+        yield self._ask(requests.CLEAR_COSTMAPS, request, partial(self._cleared, name, number))
+
+    def _cleared_reply(self, type_: str, number: int, now: int) -> Publication:
+        response = self._make.new(f"{type_}_Response", response=self._make.new("std_msgs/msg/Empty"))
+        return reply_order(now, number, self._types.encode(response))
+
     def _cleared(self, name: str, number: int, outcome: dict[str, Any]) -> Out:
         """Nav2's response has no field for a refusal: then there is none, and a log line."""
-        empty = self._make.new("std_msgs/msg/Empty")
-        response = self._types.encode(self._make.new(f"{CLEAR_COSTMAP}_Response", response=empty))
-        yield reply_order(outcome["now"], number, response if outcome["accepted"] else b"")
-        if not outcome["accepted"]:
+        if outcome["accepted"]:
+            yield self._cleared_reply(CLEARS[name], number, outcome["now"])
+        else:
+            yield reply_order(outcome["now"], number, b"")
             yield Log("WARNING", f"ROS 2: {name}: {refusal_text(outcome)}")
 
     def _map(self, name: str, number: int, data: bytes) -> Out:

@@ -9,8 +9,10 @@ from collections.abc import Callable
 from typing import Any
 
 from services.ros2.config import Ros2Config
+from services.ros2.outgoing_markers import place_markers
 from services.ros2.outgoing_topics import (
     MAP_NAME,
+    PLACES_NAME,
     WATCHED,
     OutgoingState,
     WatchRequest,
@@ -18,6 +20,7 @@ from services.ros2.outgoing_topics import (
     keys_of,
 )
 from services.ros2.ros_types import ros_types
+from services.ros2.zenav_command import saved_places
 from shared import requests, topics
 from shared.codec import CodecError, decode, envelope_of
 from shared.config import UserError
@@ -33,6 +36,7 @@ PERIOD_S = 0.2  # between two looks whether the map is due
 WATCH_EVERY_NS, WATCH_FOR_S = 2 * NS_PER_S, 10.0
 ASK_LIMIT_S, MAP_LIMIT_S = 5.0, 20.0
 AGAIN_S = 2.0  # between two tries to reach the stack
+PLACES_AGAIN_NS = 60 * NS_PER_S  # after which the places are read again: a process of its own, for the files of the map
 Payload = tuple[str, bytes, bool]
 """Key, bytes, and whether it is the value for late subscribers."""
 
@@ -61,6 +65,8 @@ class StackFeed:
         self._changed = threading.Condition()
         self._is_closing = self._is_needed = False
         self._watched_at: dict[WatchRequest, int] = {}  # ns
+        self._places_read: tuple[str, int] | None = None  # name of the map, and when, ns
+        self._places_thread: threading.Thread | None = None
         self._thread = threading.Thread(target=self._run, name="feed", daemon=True)
 
     def start(self) -> None:
@@ -143,6 +149,8 @@ class StackFeed:
             self._convert(added, key, message, publisher)
         if MAP_NAME in added:
             self._state.map.send_now()
+        if PLACES_NAME in added:
+            self._places_read = None
 
     def _listen(self, client: Client, key: str) -> list[Callable[[], None]]:
         end = client.listen_raw(key, lambda key, payload: self._file(key, payload, False))
@@ -190,6 +198,8 @@ class StackFeed:
             grid = self._state.map.due(now)
             if grid is not None:
                 self._publish(MAP_NAME, self._types.encode(grid))
+        if PLACES_NAME in self._served:
+            self._read_places(now)
         rows = {WATCHED[key] for key in WATCHED.keys() & self._endings.keys()}
         self._watched_at = {row: at for row, at in self._watched_at.items() if row in rows}
         for row in rows:
@@ -197,6 +207,20 @@ class StackFeed:
                 self._watched_at[row] = now
                 arguments = (self._client, row, Watch(now, WATCH_FOR_S))
                 threading.Thread(target=self._watch, args=arguments, daemon=True).start()
+
+    def _read_places(self, now: int) -> None:
+        """Sends the places where the map has another name, and again after a while."""
+        name, before = self._state.map_name, self._places_read
+        if name is None or (self._places_thread is not None and self._places_thread.is_alive()):
+            return
+        if before is None or before[0] != name or not 0 <= now - before[1] < PLACES_AGAIN_NS:
+            self._places_read = name, now
+            self._places_thread = threading.Thread(target=self._send_places, args=(name, now), daemon=True)
+            self._places_thread.start()
+
+    def _send_places(self, map_name: str, now: int) -> None:
+        markers = place_markers(self._state.make, saved_places(map_name), now)
+        self._publish(PLACES_NAME, self._types.encode(markers))
 
     def _watch(self, client: Client, row: WatchRequest, request: Watch) -> None:
         try:

@@ -42,13 +42,13 @@ class WireEvents:
     message: name, type, CDR, gid of the publisher, ns on its clock when it was sent, ns on ours when it came.
     request: name of the service, its number here, CDR.
     wanted: label of a publisher, and whether a subscription matches.
-    endpoint: of another node, and whether it is there.  rejected: name and cause.
+    endpoint: a token of another node, what it says, and whether it is there.  rejected: name and cause.
     """
 
     message: Callable[[str, str, bytes, bytes, int, int], None]
     request: Callable[[str, int, bytes], None]
     wanted: Callable[[str, bool], None]
-    endpoint: Callable[[Endpoint, bool], None]
+    endpoint: Callable[[str, Endpoint, bool], None]
     rejected: Callable[[str, str], None]
 
 
@@ -56,6 +56,7 @@ class WireEvents:
 class _Publisher:
     put: Any  # zenoh's, advanced or plain
     gid: bytes
+    parts: list[Any]  # what else is declared for it
     sequence: int = 0
 
 
@@ -117,15 +118,17 @@ class RosWire:
                 sample_miss_detection=MissDetectionConfig(heartbeat=None, sporadic_heartbeat=HEARTBEAT_S),
                 **options,
             )
-        self._declared += [publisher, plain]
-        token = self._declare_token(Entity.PUBLISHER, topic, qos)
-        self._publishers[label] = _Publisher(publisher, _gid(token))
-        self._declared.append(
-            plain.declare_matching_listener(lambda status: self._events.wanted(label, status.matching))
-        )
+        listener = plain.declare_matching_listener(lambda status: self._events.wanted(label, status.matching))
+        token, declared = self._declare_token(Entity.PUBLISHER, topic, qos)
+        self._publishers[label] = _Publisher(publisher, _gid(token), [*declared, listener, plain])
         status: Any = plain.matching_status  # zenoh calls it a bool; it is a MatchingStatus
         if status.matching:
             self._events.wanted(label, True)
+
+    def withdraw(self, label: str) -> None:
+        """Ends a publisher without a cache."""
+        for part in self._publishers.pop(label).parts:
+            part.undeclare()
 
     def subscribe(self, name: str, topics: tuple[RosName, ...], qos: Qos) -> None:
         """Declares subscriptions of one name; `rejected` hears of messages of other types and hashes.
@@ -141,14 +144,14 @@ class RosWire:
         else:
             self._declared.append(self._session.declare_subscriber(key, hear, allowed_origin=remote))
         for topic in topics:
-            self._declare_token(Entity.SUBSCRIPTION, topic, qos)
+            self._declared += self._declare_token(Entity.SUBSCRIPTION, topic, qos)[1]
 
     def serve(self, service: RosName) -> None:
         """Declares a service."""
         key = self._services[service.name] = self._format.key(service)
         answer = partial(self._ask, service.name)
         self._declared.append(self._session.declare_queryable(key, answer, complete=True))
-        self._declare_token(Entity.SERVICE, service, SERVICE_QOS)
+        self._declared += self._declare_token(Entity.SERVICE, service, SERVICE_QOS)[1]
 
     def discover(self) -> None:
         """From now on `endpoint` is called, also for the endpoints that are there already."""
@@ -156,7 +159,7 @@ class RosWire:
         self._declared.append(liveliness.declare_subscriber(self._format.tokens_key(), self._hear_token, history=True))
 
     def publish(self, label: str, data: bytes) -> None:
-        """Sends a message of a publisher. data: CDR. Called from one thread at a time."""
+        """Sends a message of a publisher, which must be there. data: CDR. Called from one thread at a time."""
         publisher = self._publishers[label]
         publisher.sequence += 1
         publisher.put.put(data, attachment=self._format.attachment(publisher.sequence, time.time_ns(), publisher.gid))
@@ -173,12 +176,11 @@ class RosWire:
             if data:
                 query.reply(self._services[name], data, attachment=attachment)
 
-    def _declare_token(self, entity: Entity, topic: RosName, qos: Qos) -> str:
+    def _declare_token(self, entity: Entity, topic: RosName, qos: Qos) -> tuple[str, list[Any]]:
+        """The token of an endpoint, and what is declared for it: nothing where it needs none."""
         self._n_entities += 1
         token = self._format.endpoint_token(self._zid, self._n_entities, entity, topic, qos)
-        if token:
-            self._tokens.append(self._session.liveliness().declare_token(token))
-        return token
+        return token, [self._session.liveliness().declare_token(token)] if token else []
 
     def _hear(self, name: str, topics: tuple[RosName, ...], sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
@@ -216,9 +218,10 @@ class RosWire:
             self._events.request(name, number, payload.to_bytes())
 
     def _hear_token(self, sample: zenoh.Sample) -> None:
-        endpoint = self._format.endpoint_of(str(sample.key_expr))
-        if endpoint is not None and f"/{self._zid}/" not in str(sample.key_expr):
-            self._events.endpoint(endpoint, sample.kind == zenoh.SampleKind.PUT)
+        token = str(sample.key_expr)
+        endpoint = self._format.endpoint_of(token)
+        if endpoint is not None and f"/{self._zid}/" not in token:
+            self._events.endpoint(token, endpoint, sample.kind == zenoh.SampleKind.PUT)
 
 
 def _bytes_of(attachment: zenoh.ZBytes | None) -> bytes | None:

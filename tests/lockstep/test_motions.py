@@ -3,6 +3,7 @@
 
 from math import pi
 
+import numpy as np
 import pytest
 
 from shared import reasons, requests, topics
@@ -119,3 +120,18 @@ def test_cleared_costmaps_hold_nothing_until_the_next_scan(stack):
     assert not costmap.evidence.any()
     stack.lockstep.run(1.0)
     assert costmap.evidence.any()
+
+
+def test_a_cleared_square_is_about_the_robot(stack):
+    local_ctrl = stack.lockstep.service("local_ctrl")
+    stack.lockstep.run(1.0)
+    costmap, n_cells = local_ctrl.costmap, int((local_ctrl.costmap.evidence != 0).sum())
+    assert stack.lockstep.ask(requests.CLEAR_COSTMAPS, ClearCostmaps(stack.now, 2.0)).accepted
+    here = local_ctrl.inputs.odometry.odom_from_base
+    rows, columns = np.nonzero(costmap.evidence)
+    away = np.maximum(
+        np.abs(costmap.x0 + columns * costmap.resolution - here.x),
+        np.abs(costmap.y0 + rows * costmap.resolution - here.y),
+    )
+    assert 0 < len(rows) < n_cells
+    assert away.min() > 1.0

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS's own generator of hashes, in an environment of its own: reads definitions as JSON, writes their hashes.
 
-Definitions are of messages whose package the environment lacks, by name; each may use those before it.
+Definitions are of interfaces whose package the environment lacks: [name, parts], with one part for a message, two for a
+service and three for an action. Each may use those before it. The hashes are also those of all that ROS makes of them.
 """
 
 import contextlib
@@ -10,30 +11,36 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from rosidl_adapter.action import convert_action_to_idl
 from rosidl_adapter.msg import convert_msg_to_idl
+from rosidl_adapter.srv import convert_srv_to_idl
 from rosidl_generator_type_description import generate_type_hash
 
+CONVERTERS = {"msg": convert_msg_to_idl, "srv": convert_srv_to_idl, "action": convert_action_to_idl}
 
-def type_hash(folder: Path, name: str, text: str) -> str:
-    """The hash of one message. folder: of all of them, a folder a package."""
-    package, _, short = name.split("/")
+
+def type_hashes(folder: Path, name: str, parts: list[str]) -> dict[str, str]:
+    """The hashes of one definition by name. folder: of all of them, a folder a package."""
+    package, kind, short = name.split("/")
     home = folder / package
-    (home / "msg").mkdir(parents=True, exist_ok=True)
-    (home / "msg" / f"{short}.msg").write_text(text)
-    convert_msg_to_idl(home, package, Path("msg", f"{short}.msg"), home / "msg")
+    (home / kind).mkdir(parents=True, exist_ok=True)
+    (home / kind / f"{short}.{kind}").write_text("---\n".join(parts))
+    CONVERTERS[kind](home, package, Path(kind, f"{short}.{kind}"), home / kind)
     places = [*Path(sys.prefix, "share").iterdir(), *folder.iterdir()]
     arguments = {
         "package_name": package,
         "output_dir": str(home),
-        "idl_tuples": [f"{home}:msg/{short}.idl"],
+        "idl_tuples": [f"{home}:{kind}/{short}.idl"],
         "include_paths": [f"{place.name}:{place}" for place in places],
     }
     path = home / f"{short}_arguments.json"
     path.write_text(json.dumps(arguments))
-    [written] = generate_type_hash(str(path))
-    return json.loads(Path(written).read_text())["type_hashes"][0]["hash_string"]
+    rows = (row for file in generate_type_hash(str(path)) for row in json.loads(Path(file).read_text())["type_hashes"])
+    return {row["type_name"]: row["hash_string"] for row in rows}
 
 
 with TemporaryDirectory() as made, contextlib.redirect_stdout(sys.stderr):
-    hashes = {name: type_hash(Path(made), name, text) for name, text in json.load(sys.stdin).items()}
+    hashes = {}
+    for name, parts in json.load(sys.stdin):
+        hashes |= type_hashes(Path(made), name, parts)
 sys.stdout.write(json.dumps(hashes))

@@ -11,10 +11,10 @@ import pytest
 
 from services.ros2.action_topics import action_services, action_topics
 from services.ros2.incoming_topics import INCOMING, TRIGGER
-from services.ros2.interface_definitions import MESSAGES
+from services.ros2.interface_definitions import MESSAGES, SERVICES
 from services.ros2.outgoing_map import GRID_UPDATE
 from services.ros2.outgoing_topics import OUTGOING, STATIC_TF, converted
-from services.ros2.ros_types import Distro, ros_types
+from services.ros2.ros_types import ACTIONS, Distro, ros_types
 from shared.ros_messages import TF
 from tests.stack.processes import ALL, running
 from tests.unit.services.ros2.network import free_port, router
@@ -86,10 +86,19 @@ def test_the_hashes_of_all_types_are_those_of_ros(judged):
     assert {name.split("/")[0] for name in names - known} <= {"nav2_msgs", "tf2_msgs", "map_msgs"}
 
 
-def test_the_hashes_of_messages_without_a_package_are_those_of_ros_generator():
-    definitions = {**MESSAGES, TF: TF_DEFINITION}
+@pytest.mark.parametrize("distro", [Distro.JAZZY, Distro.KILTED])
+def test_the_hashes_of_interfaces_without_a_package_are_those_of_ros_generator(distro):
+    """Of messages, services and actions, with all that rosidl makes of an action."""
+    types = ros_types(distro)
+    definitions = [[name, [text]] for name, text in {**MESSAGES, TF: TF_DEFINITION}.items()]
+    definitions += [[name, list(parts)] for name, parts in SERVICES.items() if name.startswith("nav2_msgs/")]
+    definitions += [[name, list(parts)] for name, parts in ACTIONS[distro].items()]
     hashes = json.loads(judgement("rosidl_hashes.py", json.dumps(definitions)))
-    assert hashes == {name: TYPES.hash_of(name) for name in definitions}
+    ours = {name: types.hash_of(name) for name in hashes if name in types.types or f"{name}_Request" in types.types}
+    assert ours == {name: hashes[name] for name in ours}
+    used = {type_ for _, type_ in action_services(distro)} | {row.type for row in action_topics(distro)}
+    assert {name for name in used if name.startswith("nav2_msgs/")} <= ours.keys()
+    assert {name for name, _ in definitions if "/action/" not in name} <= ours.keys()
 
 
 def test_a_node_of_others_discovers_subscribes_calls_and_sends_the_robot_to_a_goal(tmp_path):

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from services.ros2.rmw_names import RosName, attachment, topic_key
+from services.ros2.rmw_names import Entity, Qos, RosName, RosNode, attachment, topic_key
 from services.ros2.ros_types import Distro, ros_types
 from shared import topics
 from shared.config import load_robot
@@ -36,6 +36,9 @@ class RosRobot:
         self.n_commands, self._n = 0, 0
         self._ending = threading.Event()
         self._subscriber = opened.declare_subscriber(self._key("/cmd_vel", TWIST), self._hear)
+        node = RosNode(0, str(opened.info.zid()), "/", "robot")
+        command = RosName("/cmd_vel", TWIST, TYPES.hash_of(TWIST))
+        self._token = opened.liveliness().declare_token(node.endpoint_token(1, Entity.SUBSCRIPTION, command, Qos()))
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 

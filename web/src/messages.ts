@@ -474,6 +474,22 @@ export interface Rollouts {
   readonly costs: Float32Array;
 }
 
+/** Discs that local control takes for moving obstacles, in `odom`, while somebody watches. None: nothing moves. */
+export interface MovingObstacles {
+  /** ns */
+  readonly stamp: number;
+  /** m */
+  readonly xs: Float32Array;
+  /** m */
+  readonly ys: Float32Array;
+  /** m/s */
+  readonly vxs: Float32Array;
+  /** m/s */
+  readonly vys: Float32Array;
+  /** m */
+  readonly radii: Float32Array;
+}
+
 /** Keyframes of the mapper in `map`, and the loop closures between them, while somebody watches. */
 export interface KeyframeGraph {
   /** ns */
@@ -611,6 +627,7 @@ export interface MessageOf {
   "estop": EmergencyStop;
   "debug/costmap": Costmap;
   "debug/rollouts": Rollouts;
+  "debug/moving_obstacles": MovingObstacles;
   "debug/graph": KeyframeGraph;
   "debug/global_costmap": Costmap;
   "guard/status": GuardStatus;
@@ -641,6 +658,7 @@ export const ARRAYS: { readonly [K in Key]?: Readonly<Record<string, string>> } 
   "plan": { "xs": "f8", "ys": "f8", "yaws": "f8" },
   "debug/costmap": { "cells": "i1 2" },
   "debug/rollouts": { "xs": "f4 2", "ys": "f4 2", "costs": "f4" },
+  "debug/moving_obstacles": { "xs": "f4", "ys": "f4", "vxs": "f4", "vys": "f4", "radii": "f4" },
   "debug/graph": { "xs": "f4", "ys": "f4", "from_xs": "f4", "from_ys": "f4", "to_xs": "f4", "to_ys": "f4", "accepted": "i1" },
   "debug/global_costmap": { "cells": "i1 2" },
   "sim/truth": { "people_x": "f4", "people_y": "f4" },
@@ -677,6 +695,7 @@ export const FIELDS: Readonly<Record<string, Readonly<Record<string, string>>>> 
   EmergencyStop: { stamp: "number", pressed: "boolean", by: "string" },
   Costmap: { stamp: "number", x: "number", y: "number", resolution: "number", cells: "array i1 2" },
   Rollouts: { stamp: "number", xs: "array f4 2", ys: "array f4 2", costs: "array f4 1" },
+  MovingObstacles: { stamp: "number", xs: "array f4 1", ys: "array f4 1", vxs: "array f4 1", vys: "array f4 1", radii: "array f4 1" },
   KeyframeGraph: { stamp: "number", xs: "array f4 1", ys: "array f4 1", from_xs: "array f4 1", from_ys: "array f4 1", to_xs: "array f4 1", to_ys: "array f4 1", accepted: "array i1 1" },
   GuardStatus: { stamp: "number", state: "enum GuardState", source: "string", reason: "string", detail: "string", speed_limit: "number", stopped: "number" },
   RuntimeSettings: { stamp: "number", names: "list of string", values: "list of string" },

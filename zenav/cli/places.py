@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from zenav.cli.parts import Command, MapName, RobotName, Stack, group
+from zenav.cli.parts import Command, Json, MapName, RobotName, Stack, group
 
 places = group("Places on a map by name: zenav goto kitchen.")
 
@@ -13,14 +13,14 @@ PlaceName = Annotated[str, typer.Argument(help="A letter first; then letters, di
 
 
 @places.command("list", cls=Command)
-def list_(map_: MapName = "") -> None:
+def list_(map_: MapName = "", as_json: Json = False) -> None:
     """List the places: name, m, m, degrees.
 
     Example: zenav places list --map office
     """
     from zenav.client.places import show_places
 
-    show_places(map_)
+    show_places(map_, as_json)
 
 
 @places.command(cls=Command)

@@ -4,6 +4,7 @@
 kitchen: {x: 3.5, y: -1.2, yaw: 90}   # m, m, degrees; without yaw any heading will do
 """
 
+import json
 import sys
 from math import degrees
 from pathlib import Path
@@ -51,12 +52,13 @@ def write_place(folder: Path, name: str, place: NamedPlace) -> bool:
     return PLACES.write(folder, name, place.model_dump())
 
 
-def show_places(map_name: str) -> None:
+def show_places(map_name: str, as_json: bool) -> None:
     """Every place, one a line."""
     folder = folder_of(map_name)
     places = read(folder)
     for name, target in places.items():
-        sys.stdout.write(f"{name:<16}{_place_text(target)}\n")
+        row = json.dumps({"name": name, **target.model_dump()}) if as_json else f"{name:<16}{_place_text(target)}"
+        sys.stdout.write(f"{row}\n")
     if not places:
         sys.stderr.write(f"no places in {folder / FILE} yet; keep one: zenav places save NAME\n")
 

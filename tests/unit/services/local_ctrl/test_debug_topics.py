@@ -2,7 +2,9 @@
 """The debug topics of local control. A client that listens to them changes no command."""
 
 import numpy as np
+import pytest
 
+from services.local_ctrl.debug_topics import moving_obstacles
 from shared import topics
 from shared.config import load_robot
 from shared.geometry import Pose2
@@ -86,3 +88,26 @@ def test_being_watched_changes_no_command():
         ways.append([(c.stamp, c.v, c.w) for c in loop.run.commands])
     assert ways[0] == ways[1]
     assert len(ways[0]) > 30
+
+
+def keys_shown(loop: ControlLoop) -> set[str]:
+    """Of the next tick in which the debug topics are due."""
+    loop.now += 500_000_000
+    watched(loop)
+    return {out.topic.key for out in loop.service.tick() if isinstance(out, Publication)}
+
+
+def test_moving_obstacles_are_shown_where_they_are_tracked_only():
+    loop = driving()
+    assert "debug/moving_obstacles" not in keys_shown(loop)
+    costmap = loop.service.costmap
+    tracked = costmap.config.dynamic_obstacles.model_copy(update={"enabled": True})
+    costmap.configure(costmap.config.model_copy(update={"dynamic_obstacles": tracked}))
+    assert "debug/moving_obstacles" in keys_shown(loop)
+
+
+def test_a_moving_obstacle_is_shown_with_its_velocity_and_radius():
+    shown = moving_obstacles(5, np.array([[1.0, 2.0, 0.5, -0.5, 0.3, 0.1]]))
+    columns = shown.xs, shown.ys, shown.vxs, shown.vys, shown.radii
+    assert [column.tolist() for column in columns] == [[1.0], [2.0], [0.5], [-0.5], [pytest.approx(0.3)]]
+    assert len(moving_obstacles(5, np.empty((0, 6))).xs) == 0

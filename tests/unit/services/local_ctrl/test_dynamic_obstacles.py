@@ -10,7 +10,12 @@ from numpy.testing import assert_allclose
 
 from services.local_ctrl.controller import ControlScene
 from services.local_ctrl.cost_to_go import CostToGoConfig
-from services.local_ctrl.dynamic_obstacles import DynamicObstacle, DynamicObstaclesConfig, predicted_discs
+from services.local_ctrl.dynamic_obstacles import (
+    DynamicObstacle,
+    DynamicObstaclesConfig,
+    TrackersByLaser,
+    predicted_discs,
+)
 from services.local_ctrl.footprint import footprint_of
 from services.local_ctrl.local_costmap import CostmapConfig, LocalCostmap
 from services.local_ctrl.local_plan import LocalPlan
@@ -269,3 +274,15 @@ def test_a_solution_keeps_off_where_what_moves_will_be(side):
     assert least_before > footprint.inscribed  # or the guard brakes, and leaves it standing in the way
     straight = Mppi(MppiConfig(), limits).solve(scene._replace(dynamic_obstacles=np.zeros((0, 6))), footprint, 1)
     assert straight.velocities[:20, 0].min() > 1.2  # without it, the robot would just have driven on
+
+
+@pytest.mark.parametrize(("outside", "left"), [(False, [5.0]), (True, [1.0])])
+def test_obstacles_in_a_square_are_cleared_or_all_others(outside, left):
+    trackers = TrackersByLaser(DynamicObstaclesConfig(enabled=True))
+    tracker = trackers.by_key["scan"]
+    for x in (1.0, 5.0):
+        obstacle = DynamicObstacle()
+        obstacle.seen.append((5, x, 0.0))
+        tracker.all.append(obstacle)
+    trackers.clear_square(0.0, 0.0, 4.0, outside)
+    assert [obstacle.seen[-1][1] for obstacle in tracker.all] == left

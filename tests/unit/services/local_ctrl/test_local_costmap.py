@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from services.local_ctrl.costmap_update import clear_square
 from services.local_ctrl.footprint import footprint_of
 from services.local_ctrl.local_costmap import CostmapConfig, LocalCostmap
 from shared.config import Mount, load_robot
@@ -269,3 +270,18 @@ def test_forgetting_empties_the_window() -> None:
     look(made)
     assert not made.occupied.any()
     assert made.field.min() == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize(("outside", "is_near_kept"), [(False, False), (True, True)])
+def test_a_square_is_cleared_or_all_but_it(outside, is_near_kept):
+    made = costmap(resolution=0.05)
+    ranges = np.full(N_BEAMS, 0.8, np.float32)
+    ranges[: N_BEAMS // 2] = 1.6  # to the left
+    made.add_scan(sweep(ranges), standing(), Mount())
+    near, far = at(made, 0.0, -0.8), at(made, 0.0, 1.6)
+    assert made.evidence[near] > 0
+    assert made.evidence[far] > 0
+    clear_square(made, 0.0, 0.0, 2.0, outside)
+    assert (made.evidence[near] > 0) == is_near_kept
+    assert (made.evidence[far] > 0) != is_near_kept
+    assert (made.hit_at[near] > 0) == is_near_kept

@@ -1,18 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Actions as rclpy's clients see them: goals, feedback, results and cancellation."""
 
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from services.ros2.action_server import KEPT_NS, MAX_GOALS, CancelCode, GoalState
+from services.ros2.action_goal import GoalState
+from services.ros2.action_server import KEPT_NS, MAX_GOALS, CancelCode
+from services.ros2.nav2_errors import CONTROLLER_ERRORS, PLANNER_ERRORS, navigation_error
 from services.ros2.ros_types import Distro
 from shared.geometry import Pose2
 from shared.messages import NavState
+from shared.reasons import reason_text
 from shared.requests import Cancel, Navigate
 from tests.unit.services.ros2.core import GOAL, Core
 
 TO_POSE, TYPE = "/navigate_to_pose", "nav2_msgs/action/NavigateToPose"
+WAYPOINTS, THROUGH = (f"nav2_msgs/action/{kind}" for kind in ("FollowWaypoints", "NavigateThroughPoses"))
 OTHER = bytes(range(16, 32))
 
 
@@ -167,25 +173,164 @@ def test_old_results_are_forgotten():
     assert len(states(core, sent(core, 99, bytes([99] * 16), task_id=99))) == 1
 
 
-def test_waypoints_are_a_route_with_its_loops():
+def follow_waypoints(core: Core, n_poses: int = 3, **fields: Any) -> list[Any]:
+    poses = [core.pose(Pose2(x, 0, 0)) for x in range(n_poses)]
+    return core.send_goal("/follow_waypoints", WAYPOINTS, 1, poses=poses, **fields)
+
+
+def current_waypoint(core: Core, waypoint: int) -> int:
+    """In the feedback, where the navigator is at this pose of its route."""
+    [order] = core.status(NavState.NAVIGATING, waypoint=waypoint)
+    return core.types.decode(order["data"], f"{WAYPOINTS}_FeedbackMessage").feedback.current_waypoint
+
+
+@pytest.mark.parametrize(
+    ("index", "loops", "xs", "rounds"),
+    [(0, 2, [0, 1, 2], 3), (1, 0, [1, 2], 1), (1, 2, [1, 2, 0, 1, 2, 0, 1, 2], 1), (2, 0, [2], 1)],
+)
+def test_waypoints_are_a_route_with_its_loops(index, loops, xs, rounds):
+    """As in Nav2, the loops after the first one begin with the first pose, and the feedback has the pose's number."""
     core = Core()
-    poses = [core.pose(Pose2(x, 0, 0)) for x in (1, 2, 3)]
-    type_ = "nav2_msgs/action/FollowWaypoints"
-    [ask] = core.send_goal("/follow_waypoints", type_, 1, number_of_loops=2, goal_index=1, poses=poses)
+    [ask] = follow_waypoints(core, number_of_loops=loops, goal_index=index)
     request = core.asked(ask)
     assert isinstance(request, Navigate)
-    assert [pose.x for pose in request.poses] == [2, 3]
-    assert request.loops == 3
+    assert ([pose.x for pose in request.poses], request.loops) == (xs, rounds)
     core.outcome(ask)
-    [order] = core.status(NavState.NAVIGATING, waypoint=1)
-    assert core.types.decode(order["data"], f"{type_}_FeedbackMessage").feedback.current_waypoint == 1
+    assert [current_waypoint(core, i) for i in range(len(xs))] == xs
+
+
+@pytest.mark.parametrize(("index", "loops"), [(3, 0), (1, 2**32 - 1), (0, 2**32 - 1), (1, 9999)])
+def test_waypoints_from_a_pose_that_is_none_or_for_too_long_are_refused(index, loops):
+    core = Core()
+    [reply] = follow_waypoints(core, number_of_loops=loops, goal_index=index)
+    assert not core.response(reply, f"{WAYPOINTS}_SendGoal").accepted
+
+
+@pytest.mark.parametrize("distro", Distro)
+def test_the_waypoint_at_which_a_route_fails_is_missed(distro):
+    core = Core(distro=distro)
+    [ask] = follow_waypoints(core, **({} if distro is Distro.HUMBLE else {"number_of_loops": 0, "goal_index": 1}))
+    core.outcome(ask)
+    core.status(NavState.NAVIGATING, waypoint=1)
+    core.get_result("/follow_waypoints", WAYPOINTS, 4)
+    reply, _ = core.status(NavState.FAILED, reason="unreachable")
+    result = core.response(reply, f"{WAYPOINTS}_GetResult").result
+    [missed] = result.missed_waypoints
+    if distro is Distro.HUMBLE:
+        assert missed == 1
+    elif distro is Distro.JAZZY:
+        assert (missed.index, missed.error_code, missed.goal.pose.position.x) == (2, 208, 2)
+        assert result.error_code == 600
+    else:
+        assert (missed.waypoint_index, missed.waypoint_status, missed.error_code) == (2, 3, 208)
+        assert missed.waypoint_pose.pose.position.x == 2
+        assert result.error_code == 603
+        assert missed.error_msg == result.error_msg != ""
+
+
+@pytest.mark.parametrize(("end", "error"), [(NavState.REACHED, False), (NavState.CANCELED, True)])
+def test_no_waypoint_is_missed_where_the_route_ends_or_another_user_ends_it(end, error):
+    core = Core()
+    [ask] = follow_waypoints(core, number_of_loops=0, goal_index=0)
+    core.outcome(ask)
+    core.get_result("/follow_waypoints", WAYPOINTS, 4)
+    reply, _ = core.status(end)
+    result = core.response(reply, f"{WAYPOINTS}_GetResult").result
+    assert (result.missed_waypoints, bool(result.error_code)) == ([], error)
 
 
 def test_a_route_through_no_poses_is_rejected():
     core = Core()
-    type_ = "nav2_msgs/action/NavigateThroughPoses"
-    [reply] = core.send_goal("/navigate_through_poses", type_, 1, poses=[], behavior_tree="")
-    assert not core.response(reply, f"{type_}_SendGoal").accepted
+    [reply] = core.send_goal("/navigate_through_poses", THROUGH, 1, poses=[], behavior_tree="")
+    assert not core.response(reply, f"{THROUGH}_SendGoal").accepted
+
+
+def goals(core: Core, poses: list[Any], frame: str) -> Any:
+    return core.make.new("nav_msgs/msg/Goals", header=core.make.header(0, frame), goals=poses)
+
+
+def through_poses(core: Core) -> list[Any]:
+    poses = [core.pose(Pose2(x, 0, 0), "") for x in range(3)]
+    return core.send_goal("/navigate_through_poses", THROUGH, 1, poses=goals(core, poses, "map"), behavior_tree="")
+
+
+def test_poses_without_a_frame_have_that_of_their_goals():
+    core = Core(distro=Distro.KILTED)
+    poses = [core.pose(Pose2(), "")]
+    fields = {"poses": goals(core, poses, "odom"), "behavior_tree": ""}
+    [reply] = core.send_goal("/navigate_through_poses", THROUGH, 1, **fields)
+    assert not core.response(reply, f"{THROUGH}_SendGoal").accepted
+    assert "'odom'" in core.lines[-1]
+
+
+@pytest.mark.parametrize(
+    ("end", "reason", "ending"),
+    [
+        (NavState.REACHED, "", [1, 1, 1]),
+        (NavState.FAILED, "goal_blocked", [1, 3, 0]),
+        (NavState.CANCELED, "", [1, 0, 0]),
+    ],
+)
+def test_kilted_has_the_state_of_each_pose_in_feedback_and_result(end, reason, ending):
+    core = Core(distro=Distro.KILTED)
+    [ask] = through_poses(core)
+    request = core.asked(ask)
+    assert isinstance(request, Navigate)
+    assert [pose.x for pose in request.poses] == [0, 1, 2]
+    core.outcome(ask)
+    [order] = core.status(NavState.NAVIGATING, waypoint=1)
+    feedback = core.types.decode(order["data"], f"{THROUGH}_FeedbackMessage").feedback
+    assert [row.waypoint_status for row in feedback.waypoint_statuses] == [1, 0, 0]
+    assert [row.waypoint_pose.pose.position.x for row in feedback.waypoint_statuses] == [0, 1, 2]
+    assert feedback.number_of_poses_remaining == 2
+    core.get_result("/navigate_through_poses", THROUGH, 4)
+    reply, _ = core.status(end, reason=reason)
+    result = core.response(reply, f"{THROUGH}_GetResult").result
+    assert [row.waypoint_status for row in result.waypoint_statuses] == ending
+    assert max(row.error_code for row in result.waypoint_statuses) == (306 if reason else 0)
+
+
+def failed(core: Core, action: str, type_: str, ask: dict[str, Any], *causes: str) -> Any:
+    """The result of a goal whose recoveries have all causes but the last one, for which it fails."""
+    core.outcome(ask)
+    for cause in causes[:-1]:
+        core.status(NavState.RECOVERING, reason=cause)
+    core.get_result(action, type_, 4)
+    reply, _ = core.status(NavState.FAILED, reason=causes[-1])
+    return core.response(reply, f"{type_}_GetResult").result
+
+
+@pytest.mark.parametrize(
+    ("causes", "to_pose", "through"),
+    [
+        (("goal_outside",), 204, 304),
+        (("start_blocked",), 205, 305),
+        (("goal_blocked",), 206, 306),
+        (("goal_keep_out",), 206, 306),
+        (("no_map",), 207, 307),
+        (("unreachable",), 208, 308),
+        (("pose_lost",), 202, 302),
+        (("odom_old",), 102, 102),
+        (("no_progress",), 105, 105),
+        (("recoveries_used",), 105, 105),
+        (("blocked", "recoveries_used"), 106, 106),
+        (("blocked", "unreachable", "recoveries_used"), 208, 308),
+        (("scan_old",), 107, 107),
+        (("other_map",), 9000, 9100),
+    ],
+)
+@pytest.mark.parametrize("distro", [Distro.JAZZY, Distro.KILTED])
+def test_a_failure_has_the_code_of_nav2s_planner_or_controller(distro, causes, to_pose, through):
+    core = Core(distro=distro)
+    [ask] = core.send_goal(TO_POSE, TYPE, 1, pose=core.pose(Pose2(1, 2, 0.5)), behavior_tree="")
+    result = failed(core, TO_POSE, TYPE, ask, *causes)
+    assert result.error_code == to_pose
+    assert reason_text(causes[-1]) in result.error_msg
+    core = Core(distro=distro)
+    poses = [core.pose(Pose2(x, 0, 0)) for x in range(3)]
+    given = goals(core, poses, "map") if distro is Distro.KILTED else poses
+    [ask] = core.send_goal("/navigate_through_poses", THROUGH, 1, poses=given, behavior_tree="")
+    assert failed(core, "/navigate_through_poses", THROUGH, ask, *causes).error_code == through
 
 
 @pytest.mark.parametrize("distro", Distro)
@@ -209,3 +354,13 @@ def test_a_goal_with_a_behavior_tree_is_refused_in_words():
     [reply] = core.send_goal(TO_POSE, TYPE, 1, pose=core.pose(Pose2()), behavior_tree="/my_tree.xml")
     assert not core.response(reply, f"{TYPE}_SendGoal").accepted
     assert "there are no behavior trees here" in core.lines[-1]
+
+
+def test_the_table_of_the_docs_has_these_codes_and_every_reason_that_has_one():
+    text = (Path(__file__).parents[4] / "docs" / "ros2.md").read_text()
+    rows = re.findall(r"^\| (`.*`) \| (\d+) \| (\d+) \|", text, re.MULTILINE)
+    codes = {code: (int(a), int(b)) for cell, a, b in rows for code in re.findall(r"`(\w+)`", cell)}
+    kinds = "NavigateToPose", "NavigateThroughPoses"
+    known = {code: tuple(navigation_error(kind, code) for kind in kinds) for code in codes}
+    assert known == codes
+    assert codes.keys() == (PLANNER_ERRORS.keys() | CONTROLLER_ERRORS.keys()) - {"recoveries_used"}

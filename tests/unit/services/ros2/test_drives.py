@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.ros2.action_server import GoalState
+from services.ros2.action_goal import GoalState
 from services.ros2.ros_types import UUID, Distro, ros_types
 from shared import requests, sample_messages
 from shared.config import load_robot

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from services.ros2.action_server import GoalState
+from services.ros2.action_goal import GoalState
 from services.ros2.action_topics import NAMES
-from services.ros2.incoming_topics import CLEAR_COSTMAP
+from services.ros2.incoming_topics import CLEAR_AROUND, CLEAR_COSTMAP, CLEAR_EXCEPT
 from services.ros2.ros_types import Distro
 from shared import reasons
 from shared.geometry import Pose2
@@ -112,24 +112,57 @@ def test_a_failure_has_nav2s_code_and_the_stacks_reason(reason, code):
     assert reason.text in response.result.error_msg
 
 
-def clear(core: Core, name: str) -> Any:
-    """The order of the request to the stack."""
-    request = core.make.new(f"{CLEAR_COSTMAP}_Request", request=core.make.new("std_msgs/msg/Empty"))
-    [ask] = core.request(name, 4, request)
-    return ask
+LOCAL, GLOBAL = (f"/{part}_costmap/{{0}}_{part}_costmap" for part in ("local", "global"))
 
 
-@pytest.mark.parametrize("part", ["local", "global"])
-def test_a_costmap_is_cleared_and_the_reply_comes_when_it_is(part):
-    core = Core()
-    ask = clear(core, f"/{part}_costmap/clear_entirely_{part}_costmap")
-    assert isinstance(core.asked(ask), ClearCostmaps)
+def clear(core: Core, name: str, type_: str = CLEAR_COSTMAP, side: float | None = None) -> list[Any]:
+    """What follows from a request. side: m, of a square."""
+    empty = {"request": core.make.new("std_msgs/msg/Empty")}
+    request = core.make.new(f"{type_}_Request", **(empty if side is None else {"reset_distance": side}))
+    return core.request(name, 4, request)
+
+
+@pytest.mark.parametrize("distro", Distro)
+@pytest.mark.parametrize(
+    ("verb", "type_", "side", "asked"),
+    [
+        ("clear_entirely", CLEAR_COSTMAP, None, (0.0, False)),
+        ("clear_around", CLEAR_AROUND, 2.5, (2.5, False)),
+        ("clear_except", CLEAR_EXCEPT, 2.5, (2.5, True)),
+    ],
+)
+def test_the_local_costmap_is_cleared_and_the_reply_comes_when_it_is(distro, verb, type_, side, asked):
+    core = Core(distro=distro)
+    [ask] = clear(core, LOCAL.format(verb), type_, side)
+    request = core.asked(ask)
+    assert isinstance(request, ClearCostmaps)
+    assert (request.side, request.outside) == asked
     [reply] = core.outcome(ask)
-    assert core.response(reply, CLEAR_COSTMAP).__msgtype__ == f"{CLEAR_COSTMAP}_Response"
+    assert core.response(reply, type_).__msgtype__ == f"{type_}_Response"
+
+
+@pytest.mark.parametrize(
+    ("verb", "type_", "side"),
+    [("clear_entirely", CLEAR_COSTMAP, None), ("clear_around", CLEAR_AROUND, 2.5), ("clear_except", CLEAR_EXCEPT, 2.5)],
+)
+def test_the_global_costmap_has_nothing_to_clear_and_the_log_says_so(verb, type_, side):
+    core = Core()
+    [reply] = clear(core, GLOBAL.format(verb), type_, side)
+    assert core.response(reply, type_).__msgtype__ == f"{type_}_Response"
+    assert "nothing to clear" in core.lines[-1]
+
+
+@pytest.mark.parametrize("side", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_square_that_is_none_is_refused_in_words(side):
+    core = Core()
+    [reply] = clear(core, LOCAL.format("clear_around"), CLEAR_AROUND, side)
+    assert reply["data"] == b""
+    assert "reset_distance" in core.lines[-1]
 
 
 def test_a_costmap_that_is_not_cleared_gets_no_reply_and_a_log_line():
     core = Core()
-    [reply] = core.outcome(clear(core, "/local_costmap/clear_entirely_local_costmap"), accepted=False)
+    [ask] = clear(core, LOCAL.format("clear_entirely"))
+    [reply] = core.outcome(ask, accepted=False)
     assert reply["data"] == b""
     assert "clear_entirely" in core.lines[-1]

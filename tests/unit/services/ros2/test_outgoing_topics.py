@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from services.ros2.outgoing_markers import MARKERS, Place, place_markers
 from services.ros2.outgoing_topics import OUTGOING, OutgoingState, converted, keys_of
 from services.ros2.ros_types import Distro, ros_types
 from shared import messages as m
@@ -28,6 +29,10 @@ SAMPLES = {
     ),
     "debug/costmap": m.Costmap(STAMP, -1.0, -2.0, 0.05, np.full((4, 6), 99, np.int8)),
     "debug/global_costmap": m.Costmap(STAMP, -1.0, -2.0, 0.05, np.full((4, 6), 99, np.int8)),
+    "debug/moving_obstacles": m.MovingObstacles(
+        STAMP, *(np.array([row], np.float32) for row in (1, 2, 0.5, -0.5, 0.3))
+    ),
+    "map/state": m.MapState(STAMP, 1, "office", ()),
     "base/status": m.BaseStatus(STAMP, 12.5, 0.0, 0.0, True, "", ""),
     "guard/status": m.GuardStatus(STAMP, m.GuardState.STOPPED, "", "estop", "", 0.0),
     "nav/status": m.NavStatus(STAMP, 1, m.NavState.FAILED, "", "", "", Pose2(), 0.0, 0.0, 0, 1, 0),
@@ -53,8 +58,8 @@ def rows_with_sources():
 def test_a_message_comes_back_the_same_from_cdr(distro, row, topic):
     types = ros_types(distro)
     made = list(converted(state(distro), frozenset((row.name,)), topic, SAMPLES[topic.key], "mapper"))
-    if (row.name, topic) == ("/tf", topics.POSE):
-        assert made == []  # it is sent with odometry
+    if (row.name, topic) in (("/tf", topics.POSE), ("/places", topics.MAP_STATE)):
+        assert made == []  # it is sent with odometry, and with the places that are read
         return
     [(name, message)] = made
     assert name == row.name
@@ -102,6 +107,34 @@ def test_a_zone_is_a_closed_line_after_the_removal_of_the_former_ones():
     assert first.action == first.DELETEALL
     assert (zone.points[0].x, zone.points[0].y) == (zone.points[-1].x, zone.points[-1].y)
     assert len(zone.points) == 4
+
+
+def test_a_moving_obstacle_is_a_disc_with_the_way_of_a_second_and_disappears():
+    array = converted_one("/dynamic_obstacles", topics.MOVING, SAMPLES["debug/moving_obstacles"])
+    first, disc, arrow = array.markers
+    assert first.action == first.DELETEALL
+    assert (disc.type, disc.header.frame_id, disc.lifetime.sec) == (disc.CYLINDER, "odom", 1)
+    assert (disc.pose.position.x, disc.pose.position.y) == (1, 2)
+    assert (disc.scale.x, disc.scale.y) == pytest.approx((0.6, 0.6))
+    assert [(point.x, point.y) for point in arrow.points] == [(1, 2), (1.5, 1.5)]
+    none = m.MovingObstacles(STAMP, *[np.empty(0, np.float32)] * 5)
+    [gone] = converted_one("/dynamic_obstacles", topics.MOVING, none).markers
+    assert gone.action == gone.DELETEALL
+
+
+@pytest.mark.parametrize("distro", Distro)
+def test_a_place_has_its_name_and_its_heading_where_it_has_one(distro):
+    types = ros_types(distro)
+    make = RosMessages(types.types, FRAMES)
+    array = place_markers(make, (Place("kitchen", 1.0, 2.0, np.pi / 2), Place("hall", 3.0, 4.0, None)), STAMP)
+    first, *markers = array.markers
+    assert first.action == first.DELETEALL
+    assert [marker.text for marker in markers if marker.type == first.TEXT_VIEW_FACING] == ["kitchen", "hall"]
+    [arrow] = [marker for marker in markers if marker.type == first.ARROW]
+    assert (arrow.points[1].x, arrow.points[1].y) == pytest.approx((1.0, 2.4))
+    assert len({marker.id for marker in array.markers}) == len(array.markers)
+    data = types.encode(array)
+    assert types.encode(types.decode(data, MARKERS)) == data
 
 
 def test_only_the_keys_of_the_wanted_topics_are_listened_to():

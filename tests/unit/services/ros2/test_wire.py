@@ -10,13 +10,14 @@ import zenoh
 from zenoh.ext import HistoryConfig, declare_advanced_subscriber
 
 from services.ros2.bridge_device import zenoh_endpoint
+from services.ros2.outgoing_markers import MARKERS
 from services.ros2.outgoing_topics import OUTGOING
 from services.ros2.rmw_names import ATTACHMENT, Entity, Qos, RosName, RosNode, attachment, attachment_of, endpoint_of
 from shared import requests, sample_messages, topics
 from shared.codec import Envelope, encode
 from shared.config import UserError, load_robot
 from shared.geometry import Pose2
-from shared.messages import Path, Zone, ZoneKind, Zones
+from shared.messages import MapState, Path, Zone, ZoneKind, Zones
 from shared.requests import Cancel
 from tests.unit.services.ros2.network import GID, LIMIT_S, Bridge, bridged, free_port, repeated, router
 
@@ -154,6 +155,21 @@ def test_the_static_frames_that_the_core_sent_are_kept_for_late_subscribers(brid
 def test_other_topics_go_out(peer, stack, name, type_, message):
     peer.subscribe(name, type_)
     repeated(stack, lambda: message, lambda s: peer.wait(type_, limit=s))
+
+
+def test_the_places_of_the_map_go_out_by_their_names(peer, stack, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("ZENAV_MAP", raising=False)
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "places.yaml").write_text("kitchen: {x: 3.5, y: -1.2, yaw: 90}\n")
+    peer.subscribe("/places", MARKERS)
+
+    def has_kitchen(array):
+        return "kitchen" in [marker.text for marker in array.markers]
+
+    repeated(
+        stack, lambda: topics.MAP_STATE(MapState(stack.now(), 1, "", ())), lambda s: peer.wait(MARKERS, has_kitchen, s)
+    )
 
 
 def test_a_velocity_comes_in_with_its_publisher(bridge, peer):

@@ -96,18 +96,20 @@ class Node:
         )  # fmt: skip
 
     def subscribe(self, name: str, type_: str, hear: Callable[[Any], None]) -> list[Any]:
-        """The subscription, and the token of the DDS bridge that says its type."""
+        """The subscription, and the token that says its type."""
 
         def file(sample: zenoh.Sample) -> None:
             assert (sample.attachment is None) == (self.bridge == "dds")
             hear(self.types.decode(sample.payload.to_bytes(), type_))
 
         declared = [self.session.declare_subscriber(self.key(name, type_), file)]
+        zid = self.session.info.zid()
         if self.bridge == "dds":
-            written = type_.replace("/", "§")
-            token = f"@/{self.session.info.zid()}/@ros2_lv/MS/{name[1:]}/{written}/:1:0:0,10:"
-            declared.append(self.session.liveliness().declare_token(token))
-        return declared
+            token = f"@/{zid}/@ros2_lv/MS/{name[1:]}/{type_.replace('/', '§')}/:1:0:0,10:"
+        else:
+            written = "/".join(self.key(name, type_).split("/")[-2:])
+            token = f"@ros2_lv/0/{zid}/0/11/MS/%/%/robot/{name.replace('/', '%')}/{written}/::,10:,:,:,,"
+        return [*declared, self.session.liveliness().declare_token(token)]
 
     def call(self, name: str, type_: str, request: Any) -> Any:
         [reply] = list(

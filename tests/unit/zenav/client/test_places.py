@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Places by name: a saved place is read again, beside a map or in a file of its own; an invalid one gives an error."""
 
+import json
+
 import pytest
 
 from shared.config import UserError
@@ -26,6 +28,11 @@ def test_what_is_kept_is_a_goal_by_its_name_and_forgotten_it_is_none(capsys):
     assert [line.split() for line in capsys.readouterr().out.splitlines()] == [
         ["kitchen", "3.5", "-1.25", "90"],
         ["lab-2", "0", "2"],
+    ]
+    assert _status(["places", "list", "--json"]) == 0
+    assert [json.loads(line) for line in capsys.readouterr().out.splitlines()] == [
+        {"name": "kitchen", "x": 3.5, "y": -1.25, "yaw": 90.0},
+        {"name": "lab-2", "x": 0.0, "y": 2.0, "yaw": None},
     ]
     assert _status(["places", "remove", "kitchen"]) == 0
     with pytest.raises(UserError, match="'kitchen' is no pose and no place"):
