@@ -775,6 +775,15 @@ class Clock(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class RobotDiscs(Message):
+    """Where the other robots of a simulated world are, as discs in the world. Only a simulator reads it."""
+
+    x: Annotated[Float32s, Unit("m"), Shape("n"), Within(-1e6, 1e6)]
+    y: Annotated[Float32s, Unit("m"), Shape("n"), Within(-1e6, 1e6)]
+    radius: Annotated[Float32s, Unit("m"), Shape("n"), Within(0, 10)]
+
+
+@dataclass(frozen=True, slots=True)
 class Truth(Message):
     """What only the simulator knows. Never read by a service that a robot would run. `start` is `world_from_map`."""
 

@@ -123,6 +123,7 @@ HEALTH      = Topic("health",          m.Health,        by="*",                 
 LOG         = Topic("log",             m.LogLine,       by="*",                      hz=0,  keep="all",    within=0.100, people=True)
 JOURNAL     = Topic("journal",         m.Journal,       by="*",                      hz=1,  keep="all",    within=0.100, people=True)
 CLOCK       = Topic("sim/clock",       m.Clock,         by="sim",                    hz=50, keep="latest", within=0.002, people=True)
+OTHERS      = Topic("sim/others",      m.RobotDiscs,    by="operator",               hz=0,  keep="latest", within=0.005)
 TRUTH       = Topic("sim/truth",       m.Truth,         by="sim",                    hz=50, keep="all",    within=0.002, people=True)
 # fmt: on
 

@@ -33,6 +33,9 @@ class SimConfig(Section):
     start: StartPose | None = Field(None, description="where the robot starts; none: where the world says")
     clutter_jitter: float = Field(0.1, ge=0, le=1, description="m by which loose things move from seed to seed")
     people_react: bool = Field(True, description="whether people stop for the robot and walk around it")
+    other_discs: int = Field(
+        0, ge=0, le=2000, description="discs of other robots in this world, which `sim/others` places: docs/fleet.md"
+    )
     hardware: Literal["messages", "emulated"] = Field(
         "messages", description="messages: board and scan as such; emulated: byte streams on ports, as the robot's"
     )

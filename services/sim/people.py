@@ -181,6 +181,8 @@ def step_people(people: People, robot: Float64s, cells: Cells, dt: float) -> boo
     hit = False
     for i in range(len(people.state)):
         state = people.state[i]
+        if state[PAUSE] == inf:  # a disc of another robot: other_robots.py
+            continue
         steps_back = people.reacts and distance_to_polygon(robot, state[X], state[Y]) - state[RADIUS] < MIN_GAP_M
         if state[PAUSE] > 0.0 and not steps_back:
             state[PAUSE] -= dt

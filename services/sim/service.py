@@ -18,13 +18,15 @@ from services.sim.hardware.emulation import Emulation
 from services.sim.imu import SimulatedImu
 from services.sim.laser import simulated_lasers
 from services.sim.message_faults import MessageFaults
+from services.sim.other_robots import place_discs, with_discs
+from services.sim.truth import true_state
 from services.sim.velocity_base import rim_turns
 from services.sim.world import World
 from services.sim.world_loader import load_world
 from shared import requests, topics
 from shared.config import Robot, UserError
-from shared.geometry import Pose2, wrapped
-from shared.messages import BoardReport, Clock, Contacts, Imu, LaserScan, MotorCommand, SerialData, Truth, Velocity
+from shared.geometry import Pose2
+from shared.messages import BoardReport, Clock, Contacts, Imu, LaserScan, MotorCommand, RobotDiscs, SerialData, Velocity
 from shared.ports import PortConfig
 from shared.requests import Break, Reply
 from shared.service import Answer, Out, Service, answer, every, on
@@ -45,7 +47,7 @@ class SimService(Service):
         corners = robot.corners
         self.body = dyn.Body(corners, offset_polygon(corners, dyn.CONTACT_M), offset_polygon(corners, dyn.RELEASE_M))
         pose = self.world.start
-        self.people = self._people()
+        self.people = with_discs(self._people(), config.other_discs)
         middle = np.array([[pose.x, pose.y]])
         footprint = transform_polygon(corners, pose.x, pose.y, pose.yaw)
         if self.world.solid_at(middle)[0] or touches_world(footprint, self.cells):
@@ -64,7 +66,7 @@ class SimService(Service):
         self.emulation = Emulation(config.emulation, robot, config.seed) if emulated else None
         self.faults = MessageFaults(robot, config.seed)
         steps_back = ceil(max(laser.scan_time for laser in robot.all_lasers) / dyn.DT) + CATCH_UP_STEPS + 4
-        self.history = np.zeros((steps_back, 3 + 3 * len(self.world.people)))
+        self.history = np.zeros((steps_back, 3 + 3 * len(self.people.state)))
         self.epoch: int | None = None  # ns: time of step 0
         self.step, self.measured_at = 0, -1  # ns: time of the last reports
         self.lasers = simulated_lasers(robot, config.laser, config.seed)
@@ -116,6 +118,13 @@ class SimService(Service):
             yield from emulation.update_plugs(self.now)
         return reply
 
+    @on(topics.OTHERS)
+    def others(self, others: RobotDiscs) -> Out:
+        """Lets the laser see and the body touch what the other robots of this world are now."""
+        self._catch_up()
+        place_discs(self.people.state[len(self.world.people) :], others, self.body.footprint, self.state_now[:3])
+        return ()
+
     @on(topics.MOTORS)
     def motors(self, command: MotorCommand) -> Out:
         if self.emulation is None:
@@ -160,7 +169,7 @@ class SimService(Service):
             else:
                 yield from self._base_motion()
             yield from self.emulation.send_body(imu, contacts if self.robot.has_contacts else None, self.now)
-        yield topics.TRUTH(self._truth())
+        yield topics.TRUTH(true_state(self.time, self.state_now, self.world, self.people))
         yield topics.CLOCK(Clock(self.now, 1.0))
 
     def _body_sensors(self) -> Out:
@@ -231,20 +240,3 @@ class SimService(Service):
 
     def _base_motion(self) -> Out:
         yield topics.BASE_MOTION(self.board.odometry(self.time, self.epoch or 0, self.state_now, self._currents()))
-
-    def _truth(self) -> Truth:
-        s = self.state_now
-        pose = Pose2(float(s[dyn.X]), float(s[dyn.Y]), wrapped(float(s[dyn.YAW])))
-        at = self.people.state
-        return Truth(
-            stamp=self.time,
-            world_from_base=pose,
-            start=self.world.start,
-            v=float(s[dyn.V]),
-            w=float(s[dyn.W]),
-            contact=bool(s[dyn.CONTACT]),
-            n_contacts=int(s[dyn.N_CONTACTS]),
-            distance=float(s[dyn.DISTANCE]),
-            people_x=at[:, pedestrians.X].astype(np.float32),
-            people_y=at[:, pedestrians.Y].astype(np.float32),
-        )

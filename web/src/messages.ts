@@ -572,6 +572,18 @@ export interface Clock {
   readonly rate: number;
 }
 
+/** Where the other robots of a simulated world are, as discs in the world. Only a simulator reads it. */
+export interface RobotDiscs {
+  /** ns */
+  readonly stamp: number;
+  /** m */
+  readonly x: Float32Array;
+  /** m */
+  readonly y: Float32Array;
+  /** m */
+  readonly radius: Float32Array;
+}
+
 /** What only the simulator knows. Never read by a service that a robot would run. `start` is `world_from_map`. */
 export interface Truth {
   /** ns */
@@ -636,6 +648,7 @@ export interface MessageOf {
   "health": Health;
   "log": LogLine;
   "sim/clock": Clock;
+  "sim/others": RobotDiscs;
   "sim/truth": Truth;
 }
 
@@ -661,6 +674,7 @@ export const ARRAYS: { readonly [K in Key]?: Readonly<Record<string, string>> } 
   "debug/moving_obstacles": { "xs": "f4", "ys": "f4", "vxs": "f4", "vys": "f4", "radii": "f4" },
   "debug/graph": { "xs": "f4", "ys": "f4", "from_xs": "f4", "from_ys": "f4", "to_xs": "f4", "to_ys": "f4", "accepted": "i1" },
   "debug/global_costmap": { "cells": "i1 2" },
+  "sim/others": { "x": "f4", "y": "f4", "radius": "f4" },
   "sim/truth": { "people_x": "f4", "people_y": "f4" },
 };
 
@@ -702,5 +716,6 @@ export const FIELDS: Readonly<Record<string, Readonly<Record<string, string>>>> 
   Health: { stamp: "number", name: "string", pid: "number", state: "string", events: "number", bad_messages: "number", dropped: "number", intruders: "number", last_error: "string", cpu: "number", memory: "number", handler_ms: "number", rates: "list of (string, number, number)", rejected: "list of (string, string, number)" },
   LogLine: { stamp: "number", level: "string", text: "string" },
   Clock: { stamp: "number", rate: "number" },
+  RobotDiscs: { stamp: "number", x: "array f4 1", y: "array f4 1", radius: "array f4 1" },
   Truth: { stamp: "number", world_from_base: "pose", start: "pose", v: "number", w: "number", contact: "boolean", n_contacts: "number", distance: "number", people_x: "array f4 1", people_y: "array f4 1" },
 };

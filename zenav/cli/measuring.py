@@ -371,3 +371,22 @@ def bench_figures(
     from zenav.bench.figures import figures
 
     raise typer.Exit(figures(only, again, listed, directory, jobs, data))
+
+
+@bench.command("fleet", cls=Command)
+def bench_fleet(
+    robots: Annotated[int, typer.Option(min=1, max=20, help="Robots in the world.")] = 2,
+    seconds: Annotated[float, typer.Option(min=5, max=36000, help="s of virtual time.")] = 600.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of world, noise and goals.")] = 0,
+    out: Out = None,
+    robot: RobotName = "x80sv",
+    world: World = "office",
+    set_: Setting = None,
+) -> None:
+    """Several robots drive to random goals in one world: contacts, standstills, goals beside those of one robot.
+
+    Example: zenav bench fleet --robots 4 --seconds 120
+    """
+    from zenav.bench.fleet import fleet
+
+    raise typer.Exit(fleet(robot, world, robots, seconds, seed, out, set_ or []))

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`zenav bench fleet`: what one robot's goals count for, and a short run of two robots."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from shared.geometry import Pose2
+from shared.messages import NavState
+from zenav.__main__ import _status
+from zenav.bench.fleet import LOOK_S, FleetDriver, FleetRun, RobotRecord
+
+
+class Toy:
+    """A member whose status and truth a test sets, and places all over a square."""
+
+    def __init__(self):
+        self.name, self.asked = "red", []
+        self.lockstep = SimpleNamespace(now=0, ask=self._ask)
+        self.nav = SimpleNamespace(task_id=0, state=NavState.IDLE, reason="")
+        self.truth = SimpleNamespace(world_from_base=Pose2(), v=0.0, w=0.0, n_contacts=0, distance=0.0)
+
+    def _ask(self, request, message):
+        self.asked.append(message.poses[0])
+        self.nav.task_id, self.nav.state = len(self.asked), NavState.NAVIGATING
+        return SimpleNamespace(accepted=True, task_id=len(self.asked))
+
+    def random_pose(self, rng):
+        return Pose2(*rng.uniform(-6, 6, 2).tolist())
+
+
+@pytest.fixture
+def toy():
+    return Toy()
+
+
+@pytest.fixture
+def driver(toy):
+    return FleetDriver(toy, toy, np.random.default_rng(1))
+
+
+def test_each_goal_is_at_least_three_metres_away_and_comes_after_the_last_one_ended(toy, driver):
+    for _ in range(50):
+        driver.step()
+        driver.step()
+        toy.truth.world_from_base = toy.asked[-1]
+        toy.nav.state = NavState.REACHED
+    assert driver.record.n_reached == 49
+    ways = [a.distance(b) for a, b in zip([Pose2(), *toy.asked], toy.asked, strict=False)]
+    assert min(ways) >= 3.0
+
+
+def test_a_goal_that_fails_counts_with_its_reason_and_a_stand_is_the_longest_one_on_the_way(toy, driver):
+    driver.step()
+    for v in (0.0, 0.0, 0.0, 0.5, 0.0):
+        toy.truth.v = v
+        driver.step()
+    toy.nav.state, toy.nav.reason = NavState.FAILED, "no_plan"
+    driver.step()
+    assert driver.record.stands == pytest.approx(3 * LOOK_S)
+    assert (driver.record.n_failed, driver.record.n_reached, driver.record.reasons) == (1, 0, {"no_plan": 1})
+
+
+def test_a_run_is_the_sum_of_its_robots_and_its_longest_stand():
+    run = FleetRun([RobotRecord("a", 3, 0, 1, 5.0, 2.0), RobotRecord("b", 4, 1, 2, 6.0, 9.0)], 1.0)
+    assert (run.n_reached, run.n_contacts, run.stands) == (7, 3, 9.0)
+
+
+def test_two_robots_in_a_room_drive(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "fleet.json"
+    quick = ["--set", "local_ctrl.mppi.rollouts=200"]
+    assert _status(["bench", "fleet", "--world", "room", "--seconds", "5", "--out", str(out), *quick]) in (0, 1)
+    alone, both = json.loads(out.read_text())["runs"]
+    assert [len(run["robots"]) for run in (alone, both)] == [1, 2]
+    assert all(robot["distance"] > 0.5 for run in (alone, both) for robot in run["robots"])
+
+
+def test_more_robots_than_a_room_holds_is_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert _status(["bench", "fleet", "--world", "room", "--robots", "20", "--seconds", "5"]) == 2
+    assert "has room for" in capsys.readouterr().err

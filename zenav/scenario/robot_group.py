@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several robots in one world on the virtual clock, each with a stack of its own that hears nothing of the others."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+from shared import topics
+from shared.config import configured
+from shared.geometry import Pose2
+from shared.messages import NavStatus, Truth
+from shared.recording import CONFIG, Writer, about, sink
+from shared.runners.lockstep import START, Lockstep
+from shared.types import NS_PER_S
+from zenav.scenario.lockstep_run import lockstep_services
+from zenav.scenario.scenario import Scenario, load_scenario
+from zenav.scenario.shared_world import SharedWorld, start_poses
+from zenav.stack.hardware import simulated_world, wires
+
+STEP_S = 0.02  # s between two looks at each other: a tick of the simulator
+
+
+class GroupMember:
+    """One robot of a group: its scenario, its lockstep, and the newest of what its simulator and navigator said."""
+
+    def __init__(self, name: str, scenario: Scenario, record: Path | None) -> None:
+        self.name, self.scenario = name, scenario
+        self.truth: Truth | None = None
+        self.nav: NavStatus | None = None
+        self._writer: Writer | None = None
+        joined = wires(scenario.hardware, scenario.file)
+        if record is None:
+            self.lockstep = Lockstep(lockstep_services(scenario), wires=joined)
+        else:
+            self._writer = Writer(record, about(name), {CONFIG: scenario.file.text.encode()})
+            self.lockstep = Lockstep(lockstep_services(scenario), sink(self._writer), joined)
+        self.lockstep.watch(topics.TRUTH.key, self._keep_truth)
+        self.lockstep.watch(topics.NAV_STATUS.key, self._keep_status)
+
+    def close(self) -> None:
+        """Ends its recording."""
+        self.lockstep.flush()
+        if self._writer is not None:
+            self._writer.close()
+
+    def _keep_truth(self, truth: Truth) -> None:
+        self.truth = truth
+
+    def _keep_status(self, status: NavStatus) -> None:
+        self.nav = status
+
+
+class RobotGroup:
+    """Runs the robots step by step; between two steps each simulator is shown the others."""
+
+    def __init__(
+        self,
+        robot: str,
+        world: str,
+        names: Sequence[str],
+        seed: int = 0,
+        settings: Sequence[str] = (),
+        starts: Sequence[Pose2] = (),
+        folder: Path | None = None,
+    ) -> None:
+        """seed: of the world, and of every robot's noise.
+
+        starts: where the robots begin, in the world; without them around the world's own start.
+        folder: where NAME.mcap of each robot is written, if it is.
+        """
+        plain = configured(robot, [f"sim.world={world}", f"sim.seed={seed}", *settings])
+        self.world = simulated_world(plain)
+        starts = list(starts) or start_poses(self.world, len(names), plain.robot.circumscribed_radius)
+        self._shared = SharedWorld(dict.fromkeys(names, plain.robot))
+        self.members = []
+        for name, start in zip(names, starts, strict=True):
+            own = [f"sim.start={{x: {start.x!r}, y: {start.y!r}, yaw: {start.yaw!r}}}"]
+            own.append(f"sim.other_discs={self._shared.n_discs(name)}")
+            scenario = load_scenario(f"{name}@{robot}", world, seed, [*settings, *own])
+            self.members.append(GroupMember(name, scenario, folder / f"{name}.mcap" if folder else None))
+
+    @property
+    def now(self) -> float:
+        """s since the start."""
+        return (self.members[0].lockstep.now - START) / NS_PER_S
+
+    def run(self, seconds: float) -> None:
+        """Lets virtual time pass."""
+        end = self.now + seconds
+        while self.now < end - STEP_S / 2:
+            for member in self.members:
+                member.lockstep.run(STEP_S)
+                if member.truth is not None:
+                    self._shared.move(member.name, member.truth)
+            for member in self.members:
+                member.lockstep.publish(topics.OTHERS(self._shared.others(member.name, member.lockstep.now)))
+
+    def __enter__(self) -> "RobotGroup":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        for member in self.members:
+            member.close()
