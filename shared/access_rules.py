@@ -27,6 +27,8 @@ RECEIVE = ["declare_subscriber"]
 SERVE = ["reply", "declare_queryable"]
 EVERYTHING = [*PUT, *ASK, *RECEIVE, *SERVE, "liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
 OPERATOR = "operator"  # the publisher's name of a user's tool in the registry of topics
+SIMULATED_WORLD = "sim/"
+"""Begin of the keys by which a tool moves a simulated world. It runs on the simulator's computer."""
 
 REVOKED = "revoked"
 
@@ -68,7 +70,8 @@ def publishable_keys(kind: str) -> list[str]:
     publisher = kind if kind in SERVICES else OPERATOR
     if kind == Role.VIEWER:
         return []
-    return [key_of(topic, publisher) for topic in TOPICS if publisher in topic.publishers]
+    keys = [key_of(topic, publisher) for topic in TOPICS if publisher in topic.publishers]
+    return [key for key in keys if publisher != OPERATOR or not key.startswith(SIMULATED_WORLD)]
 
 
 def askable_keys(kind: str) -> list[str]:

@@ -12,6 +12,7 @@ from shared.messages import NavState
 from shared.requests import Break, Navigate
 from shared.robot_files import ROBOTS_DIR
 from shared.runners.lockstep import Lockstep
+from tests.lockstep.stack import QUICK
 from zenav.__main__ import _status
 from zenav.scenario.lockstep_run import lockstep_services
 from zenav.scenario.scenario import load_scenario
@@ -83,13 +84,11 @@ def test_the_robot_reaches_a_goal_without_contact(robot, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("robot", [*ROBOTS, "x80sv_xv11"])
+@pytest.mark.parametrize("robot", [*ROBOTS[1:], "x80sv_xv11"])  # test_emulated_hardware.py has the first one's
 def test_the_robot_explores_the_demos_room_and_drives_its_goals_without_contact(robot, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert (
-        _status(["demo", "--lockstep", "--headless", "--hardware", "emulated", "--world", "room", "--robot", robot])
-        == 0
-    )
+    command = f"demo --lockstep --headless --hardware emulated --world room --robot {robot} --set {QUICK[0]}"
+    assert _status(command.split()) == 0
     (written,) = tmp_path.glob("out/demo-*/summary.json")
     summary = json.loads(written.read_text())["summary"]
     assert (summary["goals_reached"], summary["collisions"]) == (summary["goals"], 0)
