@@ -247,7 +247,9 @@ def _write_results(
     place = new_run_folder("calibrate") / f"{name}.png"
     replace_file(place, charts_png(charts))
     report.print_line(f"plot: {place}")
-    sys.stdout.write(yaml_snippet(values, values_of(before, values)))
+    robot_section = before.get("robot")
+    lasers = robot_section.lasers if isinstance(robot_section, Robot) else ()
+    sys.stdout.write(yaml_snippet(values, values_of(before, values), tuple(laser.name for laser in lasers)))
     if writes and values:
         path = write(robot, values)
         sys.stderr.write(f"{path} is written; restart the stack to use it\n")
