@@ -11,16 +11,9 @@ import numpy as np
 
 from zenav.client import connect
 
-CLEARANCE = 0.5  # m between a place and all that is not free
 
-
-def places(grid, n):
-    """n places (x, y) far apart, each with free space around."""
-    r = round(CLEARANCE / grid.resolution)
-    bad = np.pad((grid.cells < 0) | (grid.cells > 30), r, constant_values=True)
-    near = np.lib.stride_tricks.sliding_window_view(bad, (2 * r + 1, 2 * r + 1)).any(axis=(2, 3))
-    rows, columns = np.nonzero(~near)
-    points = np.column_stack([grid.x + (columns + 0.5) * grid.resolution, grid.y + (rows + 0.5) * grid.resolution])
+def places(points, n):
+    """n of the points (x, y), far apart."""
     chosen = [np.zeros(2)]  # where the robot started
     for _ in range(n):
         distances = np.min([np.hypot(*(points - place).T) for place in chosen], axis=0)
@@ -33,7 +26,7 @@ def main():
         robot.on_status(lambda status: status.recovery and print(f"recovery: {status.recovery}"))
         print(f"explored: {robot.explore().text}")
         results = []
-        for x, y in places(robot.map(), 3):
+        for x, y in places(robot.map().free_points(clearance=0.5), 3):
             results.append(robot.goto(x, y))
             pose = robot.pose()
             print(f"({x:.2f}, {y:.2f}): {results[-1].text}; the robot is at ({pose.x:.2f}, {pose.y:.2f})")

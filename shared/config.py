@@ -19,12 +19,29 @@ from shared.robot_files import ROBOTS_DIR, manual_page, own_name_and_kind, robot
 from shared.section import Section, UserError
 
 __all__ = [
-    "Drive", "Laser", "Mount", "RangeSensor", "Robot", "RobotFile", "Section", "UserError",
-    "configured", "load_robot", "load_yaml", "nearest", "robot_path", "section_of", "yaml_value",
+    "LASER_KEYS",
+    "Drive",
+    "Laser",
+    "Mount",
+    "RangeSensor",
+    "Robot",
+    "RobotFile",
+    "Section",
+    "UserError",
+    "configured",
+    "load_robot",
+    "load_yaml",
+    "nearest",
+    "robot_path",
+    "section_of",
+    "yaml_value",
 ]  # fmt: skip
 
 _log = logging.getLogger("zenav.config")
 
+
+LASER_KEYS = ("laser", "laser_2")
+"""Names of the lasers in `robot.lasers` as sections, by their places."""
 
 T = TypeVar("T", bound=Section)
 
@@ -178,9 +195,8 @@ def configured(robot: str, overrides: list[str]) -> RobotFile:
 
 def section_of(node: Any, key: str) -> Any:
     """The section of a mapping under a key, made where there is none. `laser`, `laser_2` are places in `lasers`."""
-    place = {"laser": 0, "laser_2": 1}.get(key)
-    if place is not None and key not in node and len(node.get("lasers") or ()) > place:
-        return node["lasers"][place]
+    if key in LASER_KEYS and key not in node and len(node.get("lasers") or ()) > LASER_KEYS.index(key):
+        return node["lasers"][LASER_KEYS.index(key)]
     return node.setdefault(key, CommentedMap())
 
 

@@ -9,11 +9,12 @@ import numpy as np
 
 from services.odometry.dead_reckoning import DeadReckoningConfig
 from shared.config import Robot, Section, UserError, load_robot, nearest
+from shared.geometry import wrapped
 from shared.lasers import SCAN_TOPICS
 from shared.ros_map import replace_file
 from shared.types import Float64s
+from zenav.calibrate import imu, motor_response, motors, odometry, report
 from zenav.calibrate import laser as laser_
-from zenav.calibrate import motor_response, motors, odometry, report
 from zenav.calibrate.base_motion import BaseScales
 from zenav.calibrate.hand_eye import HandEyeSolution, uncertain_values
 from zenav.calibrate.log import CalibrationLog, read_calibration_log
@@ -116,6 +117,25 @@ def calibrate_laser(robot: str, recording: Path, name: str, writes: bool) -> int
     }
     picture = laser_.charts(log, known_robot, solution, pieces)
     return _write_results(robot, {"robot": whole_robot}, values, picture, "laser", writes)
+
+
+def calibrate_imu(robot: str, recording: Path, writes: bool) -> int:
+    """How the inertial sensor sits, of a recording with turns, starts and stops."""
+    known_robot = load_robot(robot).robot
+    if known_robot.imu is None:
+        raise UserError(f"{robot} has no inertial sensor", "add `imu: {}` to its section `robot`")
+    log = read_calibration_log(recording, known_robot)
+    solution, pieces, _ = odometry.by_scans(log, known_robot)
+    found = imu.solve(log.imus, pieces, log.rolled, solution.wheels)
+    report.print_imu(found)
+    if not found.has_right_axis:
+        raise UserError("the gyro does not turn as the robot does", "is its z axis upright? see docs/hardware.md")
+    values: dict[str, float | int] = {}
+    if found.is_upside_down:
+        values["robot.imu.upside_down"] = not known_robot.imu.upside_down
+    elif found.yaw is not None:
+        values["robot.imu.yaw"] = round(wrapped(known_robot.imu.yaw + found.yaw), 4) + 0.0  # no -0.0
+    return _write_results(robot, {"robot": known_robot}, values, imu.charts(found), "imu", writes)
 
 
 def _laser_place(robot: Robot, name: str) -> int:
@@ -247,7 +267,9 @@ def _write_results(
     place = new_run_folder("calibrate") / f"{name}.png"
     replace_file(place, charts_png(charts))
     report.print_line(f"plot: {place}")
-    sys.stdout.write(yaml_snippet(values, values_of(before, values)))
+    robot_section = before.get("robot")
+    lasers = robot_section.lasers if isinstance(robot_section, Robot) else ()
+    sys.stdout.write(yaml_snippet(values, values_of(before, values), tuple(laser.name for laser in lasers)))
     if writes and values:
         path = write(robot, values)
         sys.stderr.write(f"{path} is written; restart the stack to use it\n")

@@ -9,7 +9,17 @@ from shared import topics
 from shared.codec import CodecError, decode
 from shared.config import Drive, Laser, Robot, UserError
 from shared.geometry import Pose2
-from shared.messages import BaseOdometry, LaserScan, Message, MotorCommand, PoseEstimate, Truth, Velocity, WheelState
+from shared.messages import (
+    BaseOdometry,
+    Imu,
+    LaserScan,
+    Message,
+    MotorCommand,
+    PoseEstimate,
+    Truth,
+    Velocity,
+    WheelState,
+)
 from shared.recording import Recording
 from shared.topics import Topic
 from shared.types import NS_PER_S
@@ -18,6 +28,7 @@ from zenav.calibrate.rolling import WheelTravel
 
 TOPICS: tuple[Topic[Any], ...] = (
     topics.WHEELS, topics.BASE_ODOMETRY, topics.SCAN, topics.POSE, topics.TRUTH, topics.CMD_VEL, topics.MOTORS,
+    topics.IMU,
 )  # fmt: skip
 CLOCK_RESET_S = NS_PER_S  # ns that a stamp may lie before the last one's until it is another run of the clock
 
@@ -36,6 +47,7 @@ class CalibrationLog:
     truth: list[Truth] = field(default_factory=list)
     commands: list[Velocity] = field(default_factory=list)
     motors: list[MotorCommand] = field(default_factory=list)
+    imus: list[Imu] = field(default_factory=list)
     n_late: int = 0
 
     def __post_init__(self) -> None:
@@ -56,7 +68,7 @@ class CalibrationLog:
     def _place(self, message: Message) -> list[Any]:
         places: dict[type[Message], list[Any]] = {
             WheelState: self.wheels, LaserScan: self.scans, PoseEstimate: self.poses, Truth: self.truth,
-            Velocity: self.commands, MotorCommand: self.motors,
+            Velocity: self.commands, MotorCommand: self.motors, Imu: self.imus,
         }  # fmt: skip
         return places[type(message)]
 
@@ -72,7 +84,7 @@ class CalibrationLog:
     def during(self, begin: int, end: int) -> "CalibrationLog":
         """The part of the log from `begin` to `end` (ns), both included."""
         part = CalibrationLog()
-        for messages in (self.wheels, self.scans, self.poses, self.truth, self.commands, self.motors):
+        for messages in (self.wheels, self.scans, self.poses, self.truth, self.commands, self.motors, self.imus):
             for message in messages:
                 if begin <= message.stamp <= end:
                     part.add(message)

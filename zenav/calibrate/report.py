@@ -9,6 +9,7 @@ from shared.config import Drive, Robot, UserError
 from zenav.calibrate import laser, motor_response, motors, odometry
 from zenav.calibrate.base_motion import BaseScales
 from zenav.calibrate.hand_eye import HandEyeSolution, MotionIntervals, mount_difference, residuals
+from zenav.calibrate.imu import ImuSolution
 from zenav.calibrate.log import CalibrationLog
 from zenav.calibrate.odometry import BasePoses, Squares
 from zenav.calibrate.rolling import WheelGeometry
@@ -92,6 +93,20 @@ def print_laser(robot: Robot, solution: HandEyeSolution, pieces: MotionIntervals
     distance_after, turn_after = laser.rms(solution.residuals)
     print_line(f"scans less wheels, a piece: {1e3 * distance:.1f} mm, {degrees(turn):.2f} degrees before")
     print_line(f"                            {1e3 * distance_after:.1f} mm, {degrees(turn_after):.2f} degrees after")
+
+
+def print_imu(solution: ImuSolution) -> None:
+    """The gyro beside the scans, and the direction of the sensor."""
+    print_line(f"{len(solution.scans)} pieces of the way, each by the scans and by the gyro")
+    print_line(f"the gyro reads {solution.scale:.4f} +- {solution.sigma_scale:.4f} of a turn")
+    print_line(f"its bias is {degrees(solution.bias):.3f} degrees/s, which odometry measures whenever the robot stands")
+    if solution.is_upside_down:
+        print_line("it reads turns the other way round: after the change, record again for its direction")
+    elif solution.yaw is None:
+        print_line("the robot accelerated too little for the direction of the sensor, which no service needs")
+    else:
+        off, sigma = degrees(solution.yaw), degrees(solution.sigma_yaw)
+        print_line(f"it is turned by {off:.1f} +- {sigma:.1f} degrees against the configured direction")
 
 
 def print_motors(

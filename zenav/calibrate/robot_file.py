@@ -9,8 +9,8 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 
-from shared.config import Robot, RobotFile, Section, UserError, load_robot, section_of
-from shared.robot_files import is_installed
+from shared.config import LASER_KEYS, Robot, RobotFile, Section, UserError, load_robot, section_of
+from shared.robot_files import is_installed, own_name_and_kind
 from shared.ros_map import replace_file
 
 Values = Mapping[str, float | int]
@@ -32,17 +32,24 @@ def values_of(sections: Mapping[str, Section], keys: Iterable[str]) -> Values:
     return found
 
 
-def yaml_snippet(values: Values, before: Values) -> str:
-    """The settings as YAML, each with what it was."""
+def yaml_snippet(values: Values, before: Values, laser_names: tuple[str, ...] = ()) -> str:
+    """The settings as YAML, each with what it was. laser_names: of the list `robot.lasers`, where the file has that."""
+    items = {f"robot.{key}": name for key, name in zip(LASER_KEYS, laser_names, strict=False)}
     lines: list[str] = []
     open_: list[str] = []
     for key, value in values.items():
         *sections, name = key.split(".")
         n_same = next((i for i, (a, b) in enumerate(zip(open_, sections)) if a != b), min(len(open_), len(sections)))
-        for depth in range(n_same, len(sections)):
-            lines.append(f"{'  ' * depth}{sections[depth]}:")
+        depth = n_same + any(".".join(sections[:i]) in items for i in range(n_same + 1))
+        for i in range(n_same, len(sections)):
+            item = items.get(".".join(sections[: i + 1]))
+            lines.append(f"{'  ' * depth}{sections[i] if item is None else 'lasers'}:")
+            depth += 1
+            if item is not None:
+                lines.append(f"{'  ' * depth}- name: {item}")
+                depth += 1
         open_ = sections
-        lines.append(f"{'  ' * len(sections)}{name}: {value}  # was {before[key]:.6g}")
+        lines.append(f"{'  ' * depth}{name}: {value}  # was {before[key]:.6g}")
     return "".join(f"{line}\n" for line in lines)
 
 
@@ -51,7 +58,7 @@ def write(robot: str, values: Values) -> Path:
 
     Raises UserError where the values are not valid, or the file cannot be written or rewritten without a loss.
     """
-    file = load_robot(robot)
+    file = load_robot(own_name_and_kind(robot)[1])
     if is_installed(file.path):
         raise UserError(f"{file.path} belongs to the installed package", f"zenav robot new NAME --from {robot}")
     before = file.path.read_text(encoding="utf-8")

@@ -8,7 +8,7 @@ import typer
 
 from zenav.cli.parts import Command, RobotName, Stack, Write, Yes, group
 
-calibrate = group("Measure the robot: wheels, laser mount, motors. A report, a plot, and the YAML to paste.")
+calibrate = group("Measure the robot: wheels, laser, inertial sensor, motors. A report, a plot, and the YAML to paste.")
 
 
 @calibrate.command("odometry", cls=Command)
@@ -52,6 +52,21 @@ def calibrate_laser(
     from zenav.calibrate.commands import calibrate_laser
 
     raise typer.Exit(calibrate_laser(robot, recording, laser, write))
+
+
+@calibrate.command("imu", cls=Command)
+def calibrate_imu(
+    recording: Annotated[Path, typer.Argument(help="Of a drive with turns, starts and stops.", metavar="FILE.mcap")],
+    robot: RobotName = "x80sv",
+    write: Write = False,
+) -> None:
+    """Measure how the inertial sensor sits: the gyro's turns beside the scans', its direction by starts and stops.
+
+    Example: zenav calibrate imu recordings/x80.mcap --robot turtlebot2
+    """
+    from zenav.calibrate.commands import calibrate_imu
+
+    raise typer.Exit(calibrate_imu(robot, recording, write))
 
 
 @calibrate.command("motors", cls=Command)

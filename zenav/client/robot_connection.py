@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from math import degrees
 from types import TracebackType
 
+import numpy as np
+
 from shared import requests, topics
 from shared.config import UserError, load_robot
 from shared.grid import OccupancyGrid
@@ -16,7 +18,7 @@ from shared.reasons import ESTOP, NO_MAP, POSE_OLD, REASONS
 from shared.requests import Cancel, Explore, Reply
 from shared.runners.client import Client
 from shared.runners.transport import stack_address
-from shared.types import Int8s
+from shared.types import Float64s, Int8s
 from zenav.client.navigation_client import (
     FINAL_STATES,
     MAX_SILENCE_S,
@@ -29,6 +31,8 @@ from zenav.client.navigation_client import (
     task_result,
 )
 
+MAX_FREE = 30
+"""Highest value of a cell that counts as free."""
 START_S = 30.0  # s that `connect` waits for the stack
 
 
@@ -54,6 +58,15 @@ class MapArray:
     resolution: float
     x: float
     y: float
+
+    def free_points(self, clearance: float) -> Float64s:
+        """(n, 2) x, y, m in `map`: middles of cells with free cells alone within `clearance` m. n may be 0."""
+        from scipy.ndimage import distance_transform_edt
+
+        padded = np.pad((self.cells >= 0) & (self.cells <= MAX_FREE), 1)
+        distance = distance_transform_edt(padded)[1:-1, 1:-1] * self.resolution
+        rows, columns = np.nonzero(distance > clearance + self.resolution / 2)
+        return np.column_stack((self.x + (columns + 0.5) * self.resolution, self.y + (rows + 0.5) * self.resolution))
 
 
 class RobotConnection:

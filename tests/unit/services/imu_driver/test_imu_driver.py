@@ -19,8 +19,10 @@ from shared.config import UserError, load_robot
 from shared.messages import Imu, PortState, SerialData
 from shared.robot import ImuMount
 from shared.service import Log
+from tests.held_bytes import held_bytes
 
 MODELS = "bno055", "bno085"
+MAX_HELD_BYTES = 10_000
 TICK = 20_000_000  # ns
 MOUNTS = ImuMount(), ImuMount(yaw=pi / 2), ImuMount(yaw=-2.0, upside_down=True)
 
@@ -198,6 +200,17 @@ def test_any_bytes_are_survived_and_the_sensor_is_heard_again(model, chunks, at)
     bench.run(2.5, 0.1)
     assert bench.heard[-1].yaw_rate == pytest.approx(0.1, abs=0.01)
     assert all(abs(message.yaw_rate) <= 50 for message in bench.heard)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_megabyte_of_noise_leaves_no_megabyte_behind(model):
+    bench, random = Bench(model).run(0.3), np.random.default_rng(0)
+    for _ in range(250):
+        bench.now += TICK
+        bench.driver.now = bench.now
+        bench.take(bench.driver.receive(SerialData(bench.now, "imu", random.bytes(4096))))
+        bench.log.clear()
+    assert held_bytes(bench.driver.device) < MAX_HELD_BYTES
 
 
 def test_an_unknown_emulated_model_is_told_with_the_nearest():

@@ -3,6 +3,7 @@ import difflib
 from pathlib import Path
 
 import pytest
+from ruamel.yaml import YAML
 
 from shared.config import UserError, load_robot
 from shared.robot_files import ROBOTS_DIR
@@ -41,8 +42,6 @@ def test_only_the_lines_of_the_settings_change_and_comments_stay(robot, tmp_path
 
 
 def test_what_is_pasted_reads_as_what_is_written(tmp_path):
-    from ruamel.yaml import YAML
-
     robot = load_robot("x80sv").robot
     text = yaml_snippet(VALUES, values_of({"robot": robot}, VALUES))
     assert YAML(typ="safe").load(text) == {
@@ -52,6 +51,13 @@ def test_what_is_pasted_reads_as_what_is_written(tmp_path):
         }
     }
     assert "wheel_distance: 0.28572  # was 0.283\n" in text
+
+
+def test_the_own_name_of_a_robot_stays_out_of_the_file_of_its_kind(tmp_path):
+    path = copied(tmp_path, "x80sv")
+    write(f"red@{path}", VALUES)
+    assert load_robot(str(path)).robot.name == load_robot("x80sv").robot.name
+    assert load_robot(str(path)).robot.drive.wheel_radius == 0.0851
 
 
 def test_a_section_that_is_missing_is_made(tmp_path):
@@ -90,3 +96,12 @@ def test_a_link_to_the_file_stays_a_link(tmp_path):
     write(str(link), VALUES)
     assert link.is_symlink()
     assert load_robot(str(path)).robot.drive.wheel_radius == 0.0851
+
+
+def test_the_lines_of_a_laser_of_a_list_are_its_entry():
+    robot = load_robot("delivery").robot
+    values = {"robot.laser_2.mount.x": -0.37, "robot.laser_2.mount.yaw": -2.35, "robot.drive.wheel_radius": 0.08}
+    names = tuple(laser.name for laser in robot.lasers)
+    pasted = YAML(typ="safe").load(yaml_snippet(values, dict.fromkeys(values, 1.0), names))
+    entry = {"name": "rear", "mount": {"x": -0.37, "yaw": -2.35}}
+    assert pasted == {"robot": {"lasers": [entry], "drive": {"wheel_radius": 0.08}}}

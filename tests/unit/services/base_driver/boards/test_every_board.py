@@ -3,6 +3,7 @@
 
 from math import pi
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -14,9 +15,11 @@ from services.sim.hardware.faults import Fault
 from shared import topics
 from shared.config import UserError
 from shared.messages import EmergencyStop
+from tests.held_bytes import held_bytes
 from tests.unit.services.base_driver.boards.wired import MODELS, MS, WRAPS, WiredBoard, robot_of
 
 NEW = tuple(model for model in MODELS if model != "drrobot")
+MAX_HELD_BYTES = 10_000
 WITH_CHECKSUM = tuple(model for model in MODELS if model != "ros_arduino_bridge")
 every_board = pytest.mark.parametrize("model", MODELS)
 every_new_board = pytest.mark.parametrize("model", NEW)
@@ -223,6 +226,17 @@ def test_any_bytes_at_any_time_are_survived(model, sequence):
     wired.out.clear()
     wired.run(0.2, 0.0)
     assert wired.last(topics.REPORT) is not None
+
+
+@every_board
+def test_a_megabyte_of_noise_leaves_no_megabyte_behind(model):
+    wired, random = driving(model), np.random.default_rng(0)
+    before = held_bytes(wired.service.serial.device)
+    for _ in range(250):
+        wired.service.now += MS
+        wired.say(random.bytes(4096))
+        wired.out.clear()
+    assert held_bytes(wired.service.serial.device) < before + MAX_HELD_BYTES
 
 
 @every_new_board
