@@ -35,20 +35,20 @@ LOOK_S = 0.2  # s between two looks at the robots
 SETTLES_S = 1.0  # s until a mapper has its map
 MIN_WAY_M = 3.0  # m to a new goal
 MOVES_MPS, MOVES_RPS = 0.02, 0.05
-MAX_STAND_S = 60.0  # s without motion on the way to a goal: a deadlock
+MAX_STANDSTILL_S = 60.0  # s without motion on the way to a goal: a deadlock
 COLUMNS = "robots", "goals", "of N times one", "given up", "contacts", "longest stand, s", "driven, m", "CPU, s"
 
 
 @dataclass(slots=True)
 class RobotRecord:
-    """What one robot did. stands: s without motion on the way, the longest."""
+    """What one robot did. longest_standstill: s without motion on the way."""
 
     name: str
     n_reached: int = 0
     n_failed: int = 0
     n_contacts: int = 0
     distance: float = 0.0
-    stands: float = 0.0
+    longest_standstill: float = 0.0
     reasons: dict[str, int] = field(default_factory=dict)
 
 
@@ -69,12 +69,12 @@ class FleetRun:
         return sum(robot.n_contacts for robot in self.robots)
 
     @property
-    def stands(self) -> float:
-        return max(robot.stands for robot in self.robots)
+    def longest_standstill(self) -> float:
+        return max(robot.longest_standstill for robot in self.robots)
 
 
 def fleet(robot: str, world: str, n: int, seconds: float, seed: int, out: Path | None, settings: list[str]) -> int:
-    """Runs one robot, then n. 0 when nothing was touched, and none stood on its way for MAX_STAND_S."""
+    """Runs one robot, then n. 0 when nothing was touched, and none stood on its way for MAX_STANDSTILL_S."""
     check_writable(out)
     runs: list[FleetRun] = []
     for count in dict.fromkeys((1, n)):
@@ -86,7 +86,7 @@ def fleet(robot: str, world: str, n: int, seconds: float, seed: int, out: Path |
     for name, reasons in ((robot.name, robot.reasons) for run in runs for robot in run.robots if robot.reasons):
         sys.stdout.write(f"{name} gave up: {json.dumps(reasons)}\n")
     write_report(out, {"world": world, "seconds": seconds, "seed": seed, "runs": [asdict(run) for run in runs]})
-    return 0 if all(run.n_contacts == 0 and run.stands <= MAX_STAND_S for run in runs) else 1
+    return 0 if all(run.n_contacts == 0 and run.longest_standstill <= MAX_STANDSTILL_S for run in runs) else 1
 
 
 def drive(robot: str, world: str, n: int, seconds: float, seed: int, settings: list[str]) -> FleetRun:
@@ -116,7 +116,7 @@ class FleetDriver:
         self._member, self._paths, self._rng = member, paths, rng
         self.record = RobotRecord(member.name)
         self._task_id = -1
-        self._stands = 0.0
+        self._standstill = 0.0
 
     def give_map(self, content: bytes, wait: Callable[[float], None]) -> None:
         """Lets the mapper track the robot on the true map from its true pose."""
@@ -133,8 +133,8 @@ class FleetDriver:
         record.n_contacts, record.distance = truth.n_contacts, truth.distance
         if nav.task_id == self._task_id and nav.state not in FINAL_STATES:
             moves = abs(truth.v) > MOVES_MPS or abs(truth.w) > MOVES_RPS
-            self._stands = 0.0 if moves else self._stands + LOOK_S
-            record.stands = round(max(record.stands, self._stands), 1)
+            self._standstill = 0.0 if moves else self._standstill + LOOK_S
+            record.longest_standstill = round(max(record.longest_standstill, self._standstill), 1)
             return
         if nav.task_id == self._task_id:
             record.n_reached += nav.state is NavState.REACHED
@@ -151,7 +151,7 @@ class FleetDriver:
         lockstep = self._member.lockstep
         reply = lockstep.ask(requests.NAVIGATE, Navigate(lockstep.now, (goal,), 0.0, 1, True))
         if reply.accepted:
-            self._task_id, self._stands = reply.task_id, 0.0
+            self._task_id, self._standstill = reply.task_id, 0.0
 
 
 class _Asker:
@@ -182,7 +182,7 @@ def _row(run: FleetRun) -> tuple[str, ...]:
         "-" if run.share is None else f"{run.share:.0%}",
         str(sum(robot.n_failed for robot in run.robots)),
         str(run.n_contacts),
-        f"{run.stands:.1f}",
+        f"{run.longest_standstill:.1f}",
         f"{sum(robot.distance for robot in run.robots):.0f}",
         f"{run.cpu_s:.0f}",
     )

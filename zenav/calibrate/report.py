@@ -99,7 +99,7 @@ def print_imu(solution: ImuSolution) -> None:
     """The gyro beside the scans, and the direction of the sensor."""
     print_line(f"{len(solution.scans)} pieces of the way, each by the scans and by the gyro")
     print_line(f"the gyro reads {solution.scale:.4f} +- {solution.sigma_scale:.4f} of a turn")
-    print_line(f"its bias is {degrees(solution.bias):.3f} degrees/s, which odometry measures whenever the robot stands")
+    print_line(f"its bias is {degrees(solution.bias):.3f} degrees/s, which odometry measures at each standstill")
     if solution.is_upside_down:
         print_line("it reads turns the other way round: after the change, record again for its direction")
     elif solution.yaw is None:

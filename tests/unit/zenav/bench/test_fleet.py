@@ -59,13 +59,13 @@ def test_a_goal_that_fails_counts_with_its_reason_and_a_stand_is_the_longest_one
         driver.step()
     toy.nav.state, toy.nav.reason = NavState.FAILED, "no_plan"
     driver.step()
-    assert driver.record.stands == pytest.approx(3 * LOOK_S)
+    assert driver.record.longest_standstill == pytest.approx(3 * LOOK_S)
     assert (driver.record.n_failed, driver.record.n_reached, driver.record.reasons) == (1, 0, {"no_plan": 1})
 
 
 def test_a_run_is_the_sum_of_its_robots_and_its_longest_stand():
     run = FleetRun([RobotRecord("a", 3, 0, 1, 5.0, 2.0), RobotRecord("b", 4, 1, 2, 6.0, 9.0)], 1.0)
-    assert (run.n_reached, run.n_contacts, run.stands) == (7, 3, 9.0)
+    assert (run.n_reached, run.n_contacts, run.longest_standstill) == (7, 3, 9.0)
 
 
 def test_two_robots_in_a_room_drive(tmp_path, monkeypatch):
