@@ -609,6 +609,7 @@ class NavTask(Message):
     round: Count
     dwelling: Flag
     dwell: Seconds
+    pass_through: Flag = False
 
     def problem(self) -> str | None:
         if self.kind is not TaskKind.ROUTE:

@@ -34,6 +34,7 @@ class Navigate(Message):
     """Drive through these poses in `map`, at most 10 000, dwelling at each. NaN-free; `any_heading` ignores their yaw.
 
     A pose without a stay whose heading does not matter, and after which others follow, is passed without a stop.
+    `pass_through`: all but the last are passed so, whatever their headings are, and no stay counts.
     A tolerance of 0 is the navigator's own, as configured.
     """
 
@@ -44,6 +45,13 @@ class Navigate(Message):
     dwells: Annotated[tuple[m.Seconds, ...], Unit("s, one a pose; none: `dwell` at each")] = ()
     tolerance: Annotated[float, Unit("m to a pose at which it is reached"), m.Within(0, 5)] = 0.0
     yaw_tolerance: Annotated[float, Unit("rad to its heading"), m.Within(0, 3.15)] = 0.0
+    pass_through: Flag = False
+
+    @property
+    def stays(self) -> tuple[float, ...]:
+        """s at each pose."""
+        dwell = 0.0 if self.pass_through else self.dwell
+        return self.dwells if self.dwells and not self.pass_through else (dwell,) * len(self.poses)
 
     def problem(self) -> str | None:
         if self.dwells and len(self.dwells) != len(self.poses):

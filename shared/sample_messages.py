@@ -25,7 +25,19 @@ def odometry(stamp: int, odom_from_base: Pose2 = ORIGIN, v: float = 0.0) -> m.Od
 def base_odometry(stamp: int, odom_from_base: Pose2 = ORIGIN, v: float = 0.0) -> m.BaseOdometry:
     """Pose and twist of a base that does its own odometry, with a covariance of 1 mm and 1 mrad. v: m/s."""
     square = np.diag([1e-6, 1e-6, 1e-6]).ravel()
-    return m.BaseOdometry(stamp, stamp, True, odom_from_base, True, v, 0.0, 0.0, square, np.zeros(9), 12.0)
+    return m.BaseOdometry(
+        stamp=stamp,
+        epoch=stamp,
+        has_pose=True,
+        odom_from_base=odom_from_base,
+        has_twist=True,
+        v=v,
+        vy=0.0,
+        w=0.0,
+        covariance=square,
+        twist_covariance=np.zeros(9),
+        battery=12.0,
+    )
 
 
 def pose_estimate(stamp: int, map_from_base: Pose2 = ORIGIN) -> m.PoseEstimate:
@@ -55,7 +67,8 @@ def scan(stamp: int, laser: Laser, ranges: Float64s | float = 2.0) -> m.LaserSca
 
 def range_readings(stamp: int, n: int) -> m.RangeReadings:
     """n sensors that look back and see 0.5 m: an obstacle ahead would keep the controllers from their kernels."""
-    return m.RangeReadings(stamp, *(np.full(n, value, np.float32) for value in (-0.1, 0.0, pi, 0.5, 0.5)))
+    columns = {"x": -0.1, "y": 0.0, "yaw": pi, "field_of_view": 0.5, "ranges": 0.5}
+    return m.RangeReadings(stamp=stamp, **{name: np.full(n, value, np.float32) for name, value in columns.items()})
 
 
 def map_update(stamp: int, cells: Int8s, version: int = 1) -> m.MapUpdate:
@@ -75,7 +88,7 @@ def zones(stamp: int, x: float, y: float) -> m.Zones:
     """A keep-out zone of 0.3 m, its lower left corner at (x, y), and a speed zone of 2 m around the origin."""
     corners_x, corners_y = np.array([0.0, 1.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0, 1.0])
     keep_out = m.Zone(0, "keep out", m.ZoneKind.KEEP_OUT, x + 0.3 * corners_x, y + 0.3 * corners_y)
-    slow = m.Zone(0, "slow", m.ZoneKind.SLOW, 2.0 * corners_x - 1.0, 2.0 * corners_y - 1.0, 0.3)
+    slow = m.Zone(0, "slow", m.ZoneKind.SLOW, 2.0 * corners_x - 1.0, 2.0 * corners_y - 1.0, speed=0.3)
     return m.Zones(stamp, (keep_out, slow))
 
 
@@ -95,4 +108,14 @@ def goal(stamp: int, goal_id: int, map_from_goal: Pose2) -> m.Goal:
 def path(stamp: int, goal_id: int, x: float) -> m.Path:
     """Straight from the origin to (x, 0)."""
     xs = np.linspace(0.0, x, 5)
-    return m.Path(stamp, goal_id, 1, "", xs, np.zeros(5), np.zeros(5), abs(x), abs(x))
+    return m.Path(
+        stamp=stamp,
+        goal_id=goal_id,
+        map_version=1,
+        reason="",
+        xs=xs,
+        ys=np.zeros(5),
+        yaws=np.zeros(5),
+        length=abs(x),
+        cost=abs(x),
+    )

@@ -363,3 +363,14 @@ def test_importing_the_command_line_loads_nothing_heavy(command):
     code = f"import sys, {command}; sys.stdout.write(' '.join(sys.modules))"
     loaded = set(subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True).stdout.split())
     rule(not loaded & heavy, f"{command} loads {loaded & heavy}", "import late, where the work is done")
+
+
+@pytest.mark.parametrize("root", ["services", "shared", "zenav"])
+def test_constructors_with_over_five_arguments_are_called_with_keywords(root):
+    found = []
+    for path in sorted((ROOT / root).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            name = getattr(node.func, "id", getattr(node.func, "attr", "")) if isinstance(node, ast.Call) else ""
+            if name[:1].isupper() and len(node.args) > 5:
+                found.append(f"{path.relative_to(ROOT)}:{node.lineno}: {name} with {len(node.args)} arguments")
+    assert not found, "\n".join(found)

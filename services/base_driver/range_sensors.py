@@ -46,7 +46,8 @@ class RangeSensorMonitor:
             value = unused[sensor.kind].pop(0) if unused[sensor.kind] else np.nan
             if np.float32(sensor.range_min) <= value <= np.float32(sensor.range_max):
                 ranges[i] = value
-        return RangeReadings(report.stamp, *self._columns, ranges)
+        x, y, yaw, field_of_view = self._columns
+        return RangeReadings(stamp=report.stamp, x=x, y=y, yaw=yaw, field_of_view=field_of_view, ranges=ranges)
 
 
 def _sensor_columns(robot: Robot) -> tuple[Float32s, Float32s, Float32s, Float32s]:

@@ -17,7 +17,7 @@ from services.guard.stop_conditions import StopInputs, view_detail
 from shared import reasons
 from shared.config import Robot
 from shared.geometry import wrapped
-from shared.messages import GuardState, Velocity
+from shared.messages import GuardState, GuardStatus, Velocity
 from shared.odometry_buffer import OdometryBuffer
 from shared.reasons import Reason
 from shared.stamps import fresh
@@ -48,6 +48,18 @@ class GuardDecision:
     def moves(self) -> bool:
         """Whether the velocity is not zero."""
         return self.v != 0 or self.w != 0
+
+    def status(self, now: int, stopped_at: int) -> GuardStatus:
+        """`guard/status` of this decision. now, stopped_at: ns, the latter of the last e-stop or fault."""
+        return GuardStatus(
+            stamp=now,
+            state=self.state,
+            source=self.source,
+            reason=self.reason,
+            detail=self.detail,
+            speed_limit=self.speed_limit,
+            stopped=stopped_at,
+        )
 
 
 class VelocityLimiter:

@@ -224,8 +224,7 @@ class GuardService(Service):
         """Publishes `guard/status`."""
         decision = self.decision
         self.published = decision.state, decision.source, decision.reason
-        status = *self.published, decision.detail, decision.speed_limit, self.stopped_at
-        yield topics.GUARD(GuardStatus(self.now, *status))
+        yield topics.GUARD(decision.status(self.now, self.stopped_at))
 
     def _is_usable(self, topic: Topic[Velocity], command: Velocity, source: CommandSource) -> bool:
         """Whether a command's stamp is newer than the last one's and recent."""

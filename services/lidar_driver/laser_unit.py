@@ -4,6 +4,7 @@
 The order of these steps is our own.
 """
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -154,7 +155,15 @@ class LaserUnit:
             margin = self.config.footprint_margin
             ranges[on_robot(ranges, self.angles, laser.mount, self.robot.corners, margin)] = np.nan
         self.n_scans += 1
-        scan = (first - back, self.sweeps.angle_min, self.sweeps.increment, scan_time, laser.range_min, laser.range_max)
+        scan = LaserScan(
+            stamp=first - back,
+            angle_min=self.sweeps.angle_min,
+            angle_increment=self.sweeps.increment,
+            scan_time=scan_time,
+            range_min=laser.range_min,
+            range_max=laser.range_max,
+            ranges=ranges,
+        )
         if sweep.intensities is None or not self.config.intensities:
-            return LaserScan(*scan, ranges)
-        return LaserScan(*scan, ranges, np.where(np.isnan(ranges), 0, sweep.intensities).astype(np.float32))
+            return scan
+        return replace(scan, intensities=np.where(np.isnan(ranges), 0, sweep.intensities).astype(np.float32))

@@ -77,7 +77,15 @@ class LidarDriverService(Service):
             raise UserError(f"lidar_driver.laser_2 is set, but {NO_SECOND_LASER}", "list both in robot.lasers")
         configs = (PORT, "lidar_driver", config), (PORT_2, "lidar_driver.laser_2", config.laser_2)
         self.lasers = {
-            port: LaserUnit(port, section, settings, DEVICES[settings.model](settings, laser), topic, laser, robot)
+            port: LaserUnit(
+                name=port,
+                section=section,
+                config=settings,
+                device=DEVICES[settings.model](settings, laser),
+                topic=topic,
+                laser=laser,
+                robot=robot,
+            )
             for (port, section, settings), (topic, laser) in zip(configs, lasers_by_topic(robot).items(), strict=False)
             if settings is not None
         }

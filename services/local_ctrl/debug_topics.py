@@ -60,7 +60,7 @@ class DebugTopics(WatchedTopic):
 def moving_obstacles(now: int, discs: Float64s) -> MovingObstacles:
     """discs: (k, 6), see DynamicObstacles.discs.  now: ns."""
     xs, ys, vxs, vys, radii = (np.ascontiguousarray(column, np.float32) for column in discs.T[:5])
-    return MovingObstacles(now, xs, ys, vxs, vys, radii)
+    return MovingObstacles(stamp=now, xs=xs, ys=ys, vxs=vxs, vys=vys, radii=radii)
 
 
 def _polylines(velocities: NDArray[np.floating], start: Motion) -> tuple[Float32s, Float32s]:

@@ -16,6 +16,12 @@ class NavigatorConfig(Section):
 
     tolerance: float = Field(0.15, ge=0.01, le=5, description="m to the goal at which it is reached")
     yaw_tolerance: float = Field(0.25, ge=0.01, le=3.14, description="rad to the goal's heading at which it is reached")
+    pass_within: float = Field(
+        0.7,
+        ge=0.01,
+        le=10,
+        description="m of path to a pose that is passed through, at which the next one follows",
+    )
     zones: tuple[NamedZoneConfig, ...] = Field(
         (), max_length=MAX_ZONES, description="keep-out and speed zones on every map; those of one map: zenav zones"
     )

@@ -88,7 +88,7 @@ class Navigation:
         self._take(task)
         self.paused = paused
         if isinstance(task, Route) and dwell is None:
-            self.attempt = GoalAttempt(task.target, task.any_heading)
+            self.attempt = GoalAttempt(task.target, task.heading_free)
         self.dwell = dwell or 0.0
         if self.attempt and not paused:
             yield from self._drive(now, self.attempt)
@@ -138,7 +138,10 @@ class Navigation:
         pose, under_way = self.pose_tracker.map_from_base, follow.state is FollowState.FOLLOWING and not self.suspended
         if pose is None or not under_way or not isinstance(self.task, Route):
             return False
-        return self.task.passes and pose.distance(attempt.target) <= self.task.tolerance
+        if not self.task.passes:
+            return False
+        near = self.config.pass_within if self.task.pass_through else 0.0
+        return pose.distance(attempt.target) <= self.task.tolerance or follow.distance_left <= near
 
     def on_pose_jump(self, now: int) -> Out:
         """Sends the goal again after a jump of the pose, so that planning starts from the new pose."""
@@ -294,7 +297,7 @@ class Navigation:
             yield from self.end(now, NavState.REACHED, None)
 
     def _to_waypoint(self, route: Route, now: int) -> Out:
-        self.attempt = GoalAttempt(route.target, route.any_heading)
+        self.attempt = GoalAttempt(route.target, route.heading_free)
         yield from self._drive(now, self.attempt)
 
     def _drive(self, now: int, attempt: GoalAttempt, clear_costmap: bool = False) -> Out:

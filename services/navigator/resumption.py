@@ -154,6 +154,7 @@ def _message(navigation: Navigation, now: int) -> NavTask:
         round=route.round if route else 0,
         dwelling=dwelling,
         dwell=max(navigation.dwell, 0.0) if dwelling else 0.0,
+        pass_through=route.pass_through if route else False,
     )
 
 
@@ -177,6 +178,7 @@ def _task_of(before: NavTask, navigation: Navigation) -> Route | Exploration:
         any_heading=before.any_heading,
         tolerance=tolerance,
         yaw_tolerance=yaw_tolerance,
+        pass_through=before.pass_through,
         index=before.waypoint,
         round=before.round,
     )

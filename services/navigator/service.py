@@ -12,7 +12,7 @@ from services.navigator.goal_check import needs_check, refusal_reason
 from services.navigator.motion import SingleMotion, refusal, straight, turn
 from services.navigator.navigation import Navigation, Task
 from services.navigator.resumption import Resumption
-from services.navigator.route import Route
+from services.navigator.route import route_of
 from services.navigator.status_message import Speedometer, status
 from services.navigator.zones import ActiveZones
 from shared import reasons, requests, topics
@@ -154,10 +154,7 @@ class NavigatorService(Service):
             if doubts[number - 1] and (refusal := self._refused(request, number)):
                 where = f"pose {number} of {len(request.poses)}, at ({pose.x:.2f}, {pose.y:.2f}): {refusal.text}"
                 return replace(self._reply(refusal), detail=where)
-        dwells = request.dwells or (request.dwell,) * len(request.poses)
-        tolerances = request.tolerance or self.config.tolerance, request.yaw_tolerance or self.config.yaw_tolerance
-        route = Route(request.poses, dwells, request.loops, request.any_heading, *tolerances)
-        return (yield from self._begin(route))
+        return (yield from self._begin(route_of(request, self.config)))
 
     @answer(requests.SET_ZONES)
     def set_zones(self, request: SetZones) -> Answer[Reply]:

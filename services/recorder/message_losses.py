@@ -33,7 +33,10 @@ class MessageLosses:
 
     def take_drops(self, now: int) -> list[Drop]:
         """The messages missed since the last call, by reason and source, stamped `now` (ns)."""
-        drops = [Drop(now, reason, *source, first, n) for (reason, source), (first, n) in sorted(self._missed.items())]
+        drops = [
+            Drop(at=now, why=reason, key=key, session=session, first=first, n=n)
+            for (reason, (key, session)), (first, n) in sorted(self._missed.items())
+        ]
         self._missed = {}
         return drops
 

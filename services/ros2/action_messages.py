@@ -101,7 +101,8 @@ def navigate_request(now: int, action: Action, goal: Any, frame: str) -> Navigat
         if first >= len(poses) or n_poses > MAX_ROUTE_POSES:
             raise ValueError(f"goal_index {first} of {len(poses)} poses, {rounds} times")
         poses, rounds = poses[first:] + (rounds - 1) * poses, 1
-    request = Navigate(now, poses, 0.0, rounds, False)
+    passes = action.kind == "NavigateThroughPoses"
+    request = Navigate(now, poses, dwell=0.0, loops=rounds, any_heading=False, pass_through=passes)
     if (problem := request.problem()) is not None:
         raise ValueError(problem)
     return request

@@ -128,8 +128,15 @@ def _by_index(file: IO[bytes], size: int) -> Layout | None:
         elif opcode == Opcode.CHUNK_INDEX:
             begin, last, chunk, chunk_length, n_bytes = _CHUNK_INDEX.unpack_from(body)
             channels = body[_CHUNK_INDEX.size : _CHUNK_INDEX.size + n_bytes]
-            block = chunk + FRAME.size, chunk_length - FRAME.size
-            file_layout.blocks.append(Block(Opcode.CHUNK, *block, begin, last, channels or None))
+            block = Block(
+                opcode=Opcode.CHUNK,
+                place=chunk + FRAME.size,
+                length=chunk_length - FRAME.size,
+                begin=begin,
+                end=last,
+                channels=channels or None,
+            )
+            file_layout.blocks.append(block)
         elif opcode in (Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX):
             offset, whole = _TIMES.unpack_from(body)
             file.seek(offset)

@@ -86,9 +86,9 @@ class Client:
         """ns on the stack's clock."""
         return self._time.now(time.time_ns(), time.monotonic())
 
-    def publish(self, publication: Publication) -> None:
-        """Publishes as `operator`. Raises UserError where the message is too large."""
-        key = key_of(publication.topic, "operator")
+    def publish(self, publication: Publication, publisher: str = "operator") -> None:
+        """Publishes as `operator`, or in the place of a service. Raises UserError where the message is too large."""
+        key = key_of(publication.topic, publisher)
         if key not in self._publishers:
             self._publishers[key] = self.session.declare_publisher(
                 f"{self.robot}/{key}",
@@ -97,7 +97,7 @@ class Client:
                 express=True,
             )
         sequence = self._sequences[key] = self._sequences.get(key, -1) + 1
-        envelope = Envelope("operator", self.session_name, sequence, self.now())
+        envelope = Envelope(publisher, self.session_name, sequence, self.now())
         self._publishers[key].put(_sized(key, encode(publication.message, envelope)))
 
     def listen(self, topic: Topic[M], callback: Callback[M]) -> None:

@@ -69,7 +69,8 @@ def _event(entry: Any, sources: dict[int, tuple[str, str]]) -> Event | None:
         return None
     if kind in (MESSAGE, LATCHED):
         _, now, source, sequence = entry
-        return Event(kind, int(now), int(sequence), *sources[source])
+        key, session = sources[source]
+        return Event(kind, int(now), number=int(sequence), key=key, session=session)
     if kind in (TICK, DONE):
         _, now, number = entry
         return Event(kind, int(now), int(number))

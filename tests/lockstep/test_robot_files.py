@@ -33,6 +33,16 @@ boxes:
 goals:
   - {name: there, x: 2.2, y: 1.5}
 """
+ROOMS = """
+start: {x: 1.0, y: 1.0}
+walls:
+  - {points: [[0, 0], [5, 0], [5, 4], [0, 4]], closed: true}
+  - {points: [[2.5, 0], [2.5, 2.2]]}
+boxes:
+  - {x: 3.4, y: 3.2, size: [0.4, 0.3]}
+goals:
+  - {name: behind the wall, x: 4.0, y: 1.0}
+"""
 
 
 class RobotRun:
@@ -85,9 +95,10 @@ def test_the_robot_reaches_a_goal_without_contact(robot, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", [*ROBOTS[1:], "x80sv_xv11"])  # test_emulated_hardware.py has the first one's
-def test_the_robot_explores_the_demos_room_and_drives_its_goals_without_contact(robot, tmp_path, monkeypatch):
+def test_the_demo_explores_two_rooms_and_drives_behind_the_wall_and_back_without_contact(robot, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    command = f"demo --lockstep --headless --hardware emulated --world room --robot {robot} --set {QUICK[0]}"
+    (tmp_path / "rooms.yaml").write_text(ROOMS)
+    command = f"demo --lockstep --headless --hardware emulated --world rooms.yaml --robot {robot} --set {QUICK[0]}"
     assert _status(command.split()) == 0
     (written,) = tmp_path.glob("out/demo-*/summary.json")
     summary = json.loads(written.read_text())["summary"]

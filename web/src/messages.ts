@@ -439,6 +439,7 @@ export interface NavTask {
   readonly dwelling: boolean;
   /** s */
   readonly dwell: number;
+  readonly pass_through: boolean;
 }
 
 /** STOP, latched: it holds until an operator releases it; releasing never moves the robot. */
@@ -705,7 +706,7 @@ export const FIELDS: Readonly<Record<string, Readonly<Record<string, string>>>> 
   GoalLimits: { stamp: "number", margin: "number", least_margin: "number", reach: "number", beyond_map: "number" },
   FollowStatus: { stamp: "number", goal_id: "number", state: "enum FollowState", reason: "string", distance_left: "number" },
   NavStatus: { stamp: "number", task_id: "number", state: "enum NavState", recovery: "string", reason: "string", detail: "string", goal: "pose", distance_left: "number", time_left: "number", waypoint: "number", n_waypoints: "number", n_recoveries: "number", round: "number", n_rounds: "number" },
-  NavTask: { stamp: "number", task_id: "number", kind: "enum TaskKind", age: "number", map_id: "number", paused: "boolean", poses: "list of pose", dwells: "list of number", loops: "number", any_heading: "boolean", tolerance: "number", yaw_tolerance: "number", waypoint: "number", round: "number", dwelling: "boolean", dwell: "number" },
+  NavTask: { stamp: "number", task_id: "number", kind: "enum TaskKind", age: "number", map_id: "number", paused: "boolean", poses: "list of pose", dwells: "list of number", loops: "number", any_heading: "boolean", tolerance: "number", yaw_tolerance: "number", waypoint: "number", round: "number", dwelling: "boolean", dwell: "number", pass_through: "boolean" },
   EmergencyStop: { stamp: "number", pressed: "boolean", by: "string" },
   Costmap: { stamp: "number", x: "number", y: "number", resolution: "number", cells: "array i1 2" },
   Rollouts: { stamp: "number", xs: "array f4 2", ys: "array f4 2", costs: "array f4 1" },

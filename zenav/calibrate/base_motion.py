@@ -35,7 +35,14 @@ class BaseMotion:
                 forward, turn = (last.v + message.v) / 2 * known, (last.w + message.w) / 2 * known
             left, right = wheel_speeds(forward, turn, self.drive)
             self.left, self.right = self.left + left, self.right + right
-        return WheelState(message.stamp, message.epoch, self.left, self.right, 0.0, 0.0)
+        return WheelState(
+            stamp=message.stamp,
+            epoch=message.epoch,
+            left=self.left,
+            right=self.right,
+            left_speed=0.0,
+            right_speed=0.0,
+        )
 
 
 @dataclass(frozen=True, slots=True)

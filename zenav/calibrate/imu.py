@@ -70,7 +70,13 @@ def solve(imus: list[Imu], pieces: MotionIntervals, rolled: WheelTravel, wheels:
     variance = float(spread @ spread) / max(len(gyro) - 2, 1) * np.linalg.inv(design.T @ design)[0, 0]
     yaw, sigma_yaw = _direction(imus, stamps, rolled, wheels)
     return ImuSolution(
-        float(scale), float(np.sqrt(variance)), float(bias), yaw, sigma_yaw, scans, gyro - bias * seconds
+        scale=float(scale),
+        sigma_scale=float(np.sqrt(variance)),
+        bias=float(bias),
+        yaw=yaw,
+        sigma_yaw=sigma_yaw,
+        scans=scans,
+        gyro=gyro - bias * seconds,
     )
 
 

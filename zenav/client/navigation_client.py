@@ -51,11 +51,15 @@ def poses_from(texts: list[str]) -> list[Target]:
 
 @dataclass(frozen=True, slots=True)
 class ArrivalTolerance:
-    """When a target is reached: within m of it and degrees of its heading, 0 as configured; or at any heading."""
+    """When a target is reached: within m of it and degrees of its heading, 0 as configured; or at any heading.
+
+    pass_through: only the last target of a route is stopped at, and only its heading counts.
+    """
 
     tolerance: float = 0.0
     heading_tolerance: float = 0.0
     any_heading: bool = False
+    pass_through: bool = False
 
 
 AS_CONFIGURED = ArrivalTolerance()
@@ -72,6 +76,11 @@ def navigate(
 
     dwell: s at each target; stays: s at each where they differ.
     """
+    if arrival.pass_through:
+        if dwell or any(stays):
+            raise UserError("a pose that is passed has no stay", "leave out --pass-through, --dwell or @S")
+        heading = targets[-1][2] if targets else None  # the only one that counts
+        targets = [(x, y, heading) for x, y, _ in targets]
     if arrival.any_heading:
         if arrival.heading_tolerance:
             raise UserError("any heading has no tolerance", "leave out --any-heading or --heading-tolerance")
@@ -95,6 +104,7 @@ def navigate(
         dwells=stays,
         tolerance=arrival.tolerance,
         yaw_tolerance=radians(arrival.heading_tolerance),
+        pass_through=arrival.pass_through,
     )
     if problem := request.problem():
         raise UserError(problem, "tolerances are m from 0.01 on, and degrees from 0.6 on")

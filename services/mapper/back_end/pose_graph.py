@@ -68,10 +68,8 @@ class Graph:
     def subgraph_before(self, node: int) -> "Graph":
         """Returns the nodes with names below `node`, and the edges between them."""
         n, within = int(np.searchsorted(self.nodes, node)), (self.i < node) & (self.j < node)
-        return Graph(
-            self.nodes[:n].copy(), self.poses[:n].copy(), self.fixed[:n].copy(),
-            *(getattr(self, f.name)[within] for f in fields(self)[3:]),
-        )  # fmt: skip
+        nodes = {f.name: getattr(self, f.name)[:n].copy() for f in fields(self)[:3]}
+        return Graph(**nodes, **{f.name: getattr(self, f.name)[within] for f in fields(self)[3:]})
 
     def rows(self) -> tuple[Int64s, Int64s]:
         """Returns the rows of each edge's i and j in `nodes`: two (m,) int64."""
@@ -139,8 +137,10 @@ class PoseGraph:
 
     def __init__(self) -> None:
         names, flags, poses = np.zeros(0, np.int64), np.zeros(0, np.bool_), np.zeros((0, 3))
-        edges = names.copy(), names.copy(), names.copy(), poses.copy(), np.zeros((0, 3, 3)), flags.copy(), flags.copy()
-        self._set(Graph(names, poses, flags, *edges))
+        self._set(Graph(
+            nodes=names, poses=poses, fixed=flags, edges=names.copy(), i=names.copy(), j=names.copy(),
+            relative=poses.copy(), information=np.zeros((0, 3, 3)), loop=flags.copy(), on=flags.copy(),
+        ))  # fmt: skip
 
     @classmethod
     def of(cls, graph: Graph) -> "PoseGraph":
@@ -215,8 +215,9 @@ class PoseGraph:
     def snapshot(self) -> Graph:
         """Returns a copy of the present graph."""
         return Graph(
-            self._nodes["node"].copy(), self._nodes["pose"].copy(), self._nodes["fixed"].copy(),
-            *(self._edges[name].copy() for name in ("edge", "i", "j", "relative", "information", "loop", "on")),
+            nodes=self._nodes["node"].copy(), poses=self._nodes["pose"].copy(), fixed=self._nodes["fixed"].copy(),
+            edges=self._edges["edge"].copy(),
+            **{name: self._edges[name].copy() for name in ("i", "j", "relative", "information", "loop", "on")},
         )  # fmt: skip
 
     def apply(self, result: OptimizationResult) -> None:

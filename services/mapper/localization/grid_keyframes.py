@@ -134,8 +134,15 @@ def _keyframe(grid: OccupancyGrid, coarsest: float, k: int, pose: Pose2) -> Keyf
     points, normals = cell_surface(np.ascontiguousarray((cells[np.sort(first)] + 0.5) * size - (pose.x, pose.y)), size)
     silent = np.where(seen[:, None], np.nan, ends) if not seen.all() else np.zeros((0, 2))
     hit_ends = np.where(seen[:, None], ends, np.nan)
-    arrays = (array.astype(np.float32) for array in (np.zeros_like(hit_ends), hit_ends, points, normals, silent))
-    return Keyframe(k + 1, pose, *arrays)
+    return Keyframe(
+        stamp=k + 1,
+        local_from_base=pose,
+        origins=np.zeros_like(hit_ends, np.float32),
+        ends=hit_ends.astype(np.float32),
+        points=points.astype(np.float32),
+        normals=normals.astype(np.float32),
+        silent=silent.astype(np.float32),
+    )
 
 
 def _add_hidden_cells(keyframes: list[Keyframe], grid: OccupancyGrid) -> list[Keyframe]:

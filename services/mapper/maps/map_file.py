@@ -62,7 +62,7 @@ EDIT_KINDS = (EditKind.ERASE, EditKind.WALL)
 """By their number in `edit_kinds`."""
 
 SWEEP = ("origins", "ends", "points", "normals", "silent")
-"""Arrays of a keyframe, in the order of its fields."""
+"""Arrays of a keyframe, by the names of its fields."""
 COUNTS = {"beams": ("origins", "ends"), "silences": ("silent",), "surfaces": ("points", "normals")}
 """Array with the number of rows of each keyframe: the arrays that it counts."""
 
@@ -201,10 +201,18 @@ def _saved(arrays: dict[str, NDArray[Any]]) -> SavedMap:
                 raise ValueError(f"{name} are not as many as {count} says")
             parts[name] = np.split(arrays[name], ends[:-1])
     keyframes = tuple(
-        Keyframe(stamp, Pose2(*row), *(parts[name][k] for name in SWEEP))
+        Keyframe(
+            stamp=stamp,
+            local_from_base=Pose2(*row),
+            origins=parts["origins"][k],
+            ends=parts["ends"][k],
+            points=parts["points"][k],
+            normals=parts["normals"][k],
+            silent=parts["silent"][k],
+        )
         for k, (stamp, row) in enumerate(zip(arrays["stamps"].tolist(), arrays["local_from_base"].tolist()))
     )
-    graph = Graph(*(arrays[name] for name in Graph.__dataclass_fields__))
+    graph = Graph(**{name: arrays[name] for name in Graph.__dataclass_fields__})
     graph.check()
     return SavedMap(graph, keyframes, arrays["driven"], tiles, _edits(arrays) if "edit_ids" in arrays else ())
 

@@ -138,6 +138,28 @@ def test_a_pose_without_stay_or_heading_is_passed_and_the_last_is_stopped_at():
     assert (bench.status.state, bench.status.waypoint) == (NavState.NAVIGATING, 1)
 
 
+def test_a_route_that_passes_through_stops_at_its_last_pose_only_whose_heading_alone_counts():
+    bench = NavigatorBench()
+    bench.follow_state = FollowState.FOLLOWING
+    poses = (Pose2(2.0, 0.0, 1.5), Pose2(4.0, 0.0, -1.5))
+    bench.ask("navigate", Navigate(bench.now, poses, 3.0, 2, any_heading=False, dwells=(3.0, 3.0), pass_through=True))
+    within = NavigatorConfig().pass_within
+    orders = []
+    for target in (*poses, *poses):
+        bench.pose = Pose2(target.x - within - 0.1, 0.0)
+        bench.run(1)
+        orders.append((bench.goal.map_from_goal.x, bench.goal.yaw_tolerance))
+        bench.pose = Pose2(target.x - within + 0.1, 0.0)
+        bench.run(1)
+    assert [x for x, _ in orders] == [2.0, 4.0, 2.0, 4.0]
+    assert min(yaw for _, yaw in orders[:3]) > np.pi > orders[3][1]
+    assert all(order.active for order in bench.orders)
+    assert bench.status.state is NavState.NAVIGATING, "the last pose is stopped at"
+    bench.follow_state = FollowState.ARRIVED
+    bench.run(60, until=ENDS)
+    assert bench.status.state is NavState.REACHED
+
+
 def test_a_pose_that_wants_a_heading_and_a_patrol_of_one_place_are_not_passed():
     for poses, any_heading in (((Pose2(1.0, 0.0), Pose2(2.0, 0.0)), False), ((Pose2(1.0, 0.0),), True)):
         bench = NavigatorBench()
