@@ -1,13 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """`zenav fleet`: several robots. Only parsing; work is imported when it is due."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from zenav.cli.parts import Command, Json, MapName, group
 
-fleet = group("Several robots: see them all, stop them all, send one.")
+fleet = group("Several robots: see them all, stop them all, send one, give them tasks.")
+task = group("The queue of tasks that zenav fleet dispatch gives to robots.")
+fleet.add_typer(task, name="task")
+
+Queue = Annotated[
+    Path, typer.Option("--queue", metavar="FILE", envvar="ZENAV_QUEUE", help="The file with the tasks, an SQLite one.")
+]
 
 Stacks = Annotated[
     list[str] | None,
@@ -68,3 +75,69 @@ def goto(
     from zenav.fleet.commands import send_robot
 
     raise typer.Exit(send_robot(stack or [], name, where, map_))
+
+
+@fleet.command(cls=Command)
+def dispatch(
+    queue: Queue = Path("fleet.sqlite"),
+    map_: Annotated[
+        str,
+        typer.Option("--map", envvar="ZENAV_MAP", help="The robots' saved map: ways are compared on it, not straight."),
+    ] = "",
+    min_battery: Annotated[float, typer.Option(min=0, max=100, help="V that a robot needs to get a task.")] = 0.0,
+    lost_after: Annotated[
+        float, typer.Option(min=5, max=3600, help="s that a robot may be silent or stopped until another one drives.")
+    ] = 60.0,
+    stack: Stacks = None,
+) -> None:
+    """Give the queue's tasks to robots until Ctrl-C: the oldest first, to the nearest robot that is free.
+
+    Example: zenav fleet dispatch --map office --stack tcp/127.0.0.1:7447
+    """
+    from zenav.fleet.task_commands import dispatch
+
+    raise typer.Exit(dispatch(queue, stack or [], map_, min_battery, lost_after))
+
+
+@task.command("add", cls=Command)
+def task_add(
+    what: Annotated[str, typer.Argument(metavar="'PLACE|X,Y[,YAW] -> ...'", help="Where to drive, in order.")],
+    only: Annotated[str, typer.Option("--only", metavar="NAME", help="The robot that must do it.")] = "",
+    map_: MapName = "",
+    queue: Queue = Path("fleet.sqlite"),
+) -> None:
+    """Put a task into the queue. It stays there until a robot has done it, whatever ends meanwhile.
+
+    Example: zenav fleet task add '1,0 -> 4,-2,90'
+    """
+    from zenav.fleet.task_commands import add_task
+
+    raise typer.Exit(add_task(queue, what, only, map_))
+
+
+@task.command("list", cls=Command)
+def task_list(
+    every: Annotated[bool, typer.Option("--all", help="Also those that have ended.")] = False,
+    as_json: Json = False,
+    queue: Queue = Path("fleet.sqlite"),
+) -> None:
+    """List the tasks: state, robot, tries, and why the last try ended.
+
+    Example: zenav fleet task list --all
+    """
+    from zenav.fleet.task_commands import list_tasks
+
+    raise typer.Exit(list_tasks(queue, every, as_json))
+
+
+@task.command("cancel", cls=Command)
+def task_cancel(
+    number: Annotated[int, typer.Argument(min=1, help="The task.")], queue: Queue = Path("fleet.sqlite")
+) -> None:
+    """Cancel a task. A robot that drives it stands as soon as zenav fleet dispatch says so.
+
+    Example: zenav fleet task cancel 3
+    """
+    from zenav.fleet.task_commands import cancel_task
+
+    raise typer.Exit(cancel_task(queue, number))
