@@ -4,7 +4,7 @@
 import json
 import subprocess
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from select import select
 
 import psutil
@@ -41,9 +41,12 @@ def started(command):
 
 def listening_ports(stack):
     """TCP ports on which processes of the stack listen."""
-    family = psutil.Process().children(recursive=True)
-    rows = [row for process in family for row in process.net_connections("tcp")]
-    return sorted({row.laddr.port for row in rows if row.status == psutil.CONN_LISTEN})
+    ports = set()
+    for process in psutil.Process().children(recursive=True):
+        with suppress(psutil.NoSuchProcess):  # it has just ended, as a short-lived child of a service does
+            rows = process.net_connections("tcp")
+            ports |= {row.laddr.port for row in rows if row.status == psutil.CONN_LISTEN}
+    return sorted(ports)
 
 
 def test_from_another_computer_only_the_gateway_is_reached_and_only_with_credentials(tmp_path):
