@@ -22,6 +22,7 @@ from zenav.cli.zones import zones
 from zenav.cli.pages import page
 from zenav.cli.calibrating import calibrate
 from zenav.cli.recordings import recording
+from zenav.cli.batches import batch
 from zenav.cli.securing import secure
 from zenav.cli.measuring import bench
 
@@ -41,6 +42,7 @@ app.add_typer(page, name="page", rich_help_panel=LOOK)
 app.add_typer(config, name="config", rich_help_panel=LOOK)
 app.add_typer(calibrate, name="calibrate", rich_help_panel=DRIVE)
 app.add_typer(recording, name="recording", rich_help_panel=FILES)
+app.add_typer(batch, name="batch", rich_help_panel=FILES)
 app.add_typer(bench, name="bench", rich_help_panel=FILES)
 
 

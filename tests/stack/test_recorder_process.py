@@ -133,7 +133,7 @@ def test_a_full_disk_is_a_reason_in_its_health_and_recording_goes_on_with_room(t
         full = 40_000  # bytes: as a full disk, no file can grow beyond
         before = resource.prlimit(pid, resource.RLIMIT_FSIZE, (full, resource.RLIM_INFINITY))
         stack.until(lambda: publish(stack, 20, 2000) or health(stack).state.startswith(DISK_FULL.text))
-        assert any(DISK_FULL.hint in line for _, line in stack.told)
+        stack.until(lambda: any(DISK_FULL.hint in line for _, line in stack.told))  # the log line may come later
         assert stack.launcher.children["recorder"].n_restarts == 0
         resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
         stack.until(lambda: publish(stack, 1) or health(stack).state.startswith("recording"), 60)

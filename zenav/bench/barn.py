@@ -67,9 +67,12 @@ class BarnOptions:
 
 def barn(
     worlds: Path | None, robot: str, runs: int, jobs: int, chosen: str, out: Path | None, trajectories: Path | None,
-    noise: bool, crowd: bool, settings: list[str],
+    noise: bool, crowd: bool, settings: list[str], cluster: str = "",
 ) -> int:  # fmt: skip
-    """Runs every world `runs` times, shows the table, writes the JSON; 0 when all together reach what is asked."""
+    """Runs every world `runs` times, shows the table, writes the JSON; 0 when all together reach what is asked.
+
+    cluster: address of a Dask scheduler whose workers see the same folders; empty: `jobs` processes here.
+    """
     from zenav.bench.barn_run import BarnTrial, barn_robot_file
     from zenav.console.progress import progress_bar
 
@@ -84,17 +87,17 @@ def barn(
     changed = (*(NOISE if noise else ()), *settings)
     barn_robot_file(BarnTrial(course_at(path, names[0]), 0, robot, changed))  # a wrong setting is an error here
     options = BarnOptions(
-        path=path,
+        path=path.absolute() if path else None,
         robot=robot,
         settings=changed,
         delay=NOISE_DELAY if noise else 0.0,
-        trajectories=trajectories,
-        failures=new_run_folder("bench-barn"),
+        trajectories=trajectories.absolute() if trajectories else None,
+        failures=new_run_folder("bench-barn").absolute(),
     )
     items = [(name, seed) for seed in range(runs) for name in names]
     results: list[dict[str, Any]] = []
     with progress_bar(f"{len(names)} worlds, {runs} runs each") as progress:
-        for run in pool_results(partial(run_row, options), items, jobs):
+        for run in pool_results(partial(run_row, options), items, jobs, cluster):
             results.append(run)
             progress(len(results) / len(items))
             if run["status"] != "success" or not sys.stderr.isatty():  # where there is no bar

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calls a function once for each item, in several processes. An interrupt leaves no process behind."""
+"""Calls a function once for each item, in several processes or on a cluster. An interrupt leaves no process behind."""
 
 import multiprocessing
 import os
@@ -7,14 +7,25 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import TypeVar
 
+from shared.config import UserError
+from zenav.batch.engine import results
 from zenav.stack.process_guard import die_with_parent
 
 A = TypeVar("A")
 T = TypeVar("T")
 
 
-def pool_results(work: Callable[[A], T], items: Sequence[A], jobs: int) -> Iterator[T]:
-    """The results as they come; `work` and they go from process to process where there is more than one job."""
+def pool_results(work: Callable[[A], T], items: Sequence[A], jobs: int, cluster: str = "") -> Iterator[T]:
+    """The results as they come; `work` and they go from process to process where there is more than one job.
+
+    cluster: address of a Dask scheduler, in place of processes here. Raises UserError where an item has no result.
+    """
+    if cluster:
+        for item, outcome in results(work, items, jobs, cluster):
+            if outcome.ending != "done":
+                raise UserError(f"{item}: {outcome.detail}", "see the log of the cluster's workers")
+            yield outcome.value
+        return
     if jobs == 1:
         for item in items:
             yield work(item)

@@ -66,10 +66,26 @@ class PublishedRobot:
         self._publish(topics.ODOM(Odometry(now, pose, SPEED, w, covariance)), "odometry")
         if tick % ODOMETRY_A_SCAN == 0:
             still = Pose2(0.0, 0.0, 0.0)
-            self._publish(topics.POSE(PoseEstimate(now, pose, still, covariance, 1.0, Localization.GOOD)), "mapper")
+            estimate = PoseEstimate(
+                stamp=now,
+                map_from_base=pose,
+                map_from_odom=still,
+                covariance=covariance,
+                quality=1.0,
+                state=Localization.GOOD,
+            )
+            self._publish(topics.POSE(estimate), "mapper")
             angles = np.linspace(-math.pi, math.pi, BEAMS, endpoint=False)
             ranges = (3.0 + np.sin(5 * angles)).astype(np.float32)
-            scan = LaserScan(now, -math.pi, 2 * math.pi / BEAMS, 0.1, 0.1, 10.0, ranges)
+            scan = LaserScan(
+                stamp=now,
+                angle_min=-math.pi,
+                angle_increment=2 * math.pi / BEAMS,
+                scan_time=0.1,
+                range_min=0.1,
+                range_max=10.0,
+                ranges=ranges,
+            )
             self._publish(topics.SCAN(scan), "lidar_driver")
 
     def _publish_tiles(self, first: int, end: int) -> None:
@@ -101,4 +117,12 @@ def building(tiles: int) -> MapUpdate:
     cells[row, column] = random.integers(-1, 101, len(row))
     tiled = cells.reshape(tiles, TILE_CELLS, tiles, TILE_CELLS).swapaxes(1, 2).reshape(tiles * tiles, -1)
     rows, columns = np.divmod(np.arange(tiles * tiles, dtype=np.int32), np.int32(tiles))
-    return MapUpdate(1, 1, 1, RESOLUTION, rows - tiles // 2, columns - tiles // 2, np.ascontiguousarray(tiled))
+    return MapUpdate(
+        stamp=1,
+        map_id=1,
+        version=1,
+        resolution=RESOLUTION,
+        rows=rows - tiles // 2,
+        columns=columns - tiles // 2,
+        cells=np.ascontiguousarray(tiled),
+    )

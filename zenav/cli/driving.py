@@ -58,6 +58,10 @@ def route(
     tolerance: Tolerance = 0.0,
     heading_tolerance: HeadingTolerance = 0.0,
     any_heading: AnyHeading = False,
+    pass_through: Annotated[
+        bool,
+        typer.Option("--pass-through", help="Stop at the last pose only; no other heading counts."),
+    ] = False,
     map_: MapName = "",
     robot: RobotName = "x80sv",
     stack: Stack = "0",
@@ -72,7 +76,7 @@ def route(
     if pause or resume:
         raise typer.Exit(request_pause(robot, stack, pause and not resume))
     targets, stays = dwell_times(poses or [], dwell, map_)
-    arrival = ArrivalTolerance(tolerance, heading_tolerance, any_heading)
+    arrival = ArrivalTolerance(tolerance, heading_tolerance, any_heading, pass_through)
     raise typer.Exit(drive_route(robot, stack, targets, dwell, loops, stays, arrival))
 
 

@@ -108,6 +108,9 @@ def bench_barn(
         False
     ),
     crowd: Annotated[bool, typer.Option("--crowd", help="Through moving crowds, made by number, instead.")] = False,
+    cluster: Annotated[
+        str, typer.Option(help="A Dask scheduler whose workers see the same folders.", metavar="tcp://HOST:PORT")
+    ] = "",
     robot: RobotName = "jackal",
     set_: Setting = None,
 ) -> None:
@@ -117,7 +120,7 @@ def bench_barn(
     """
     from zenav.bench.barn import barn
 
-    raise typer.Exit(barn(worlds, robot, runs, jobs, chosen, out, trajectories, noise, crowd, set_ or []))
+    raise typer.Exit(barn(worlds, robot, runs, jobs, chosen, out, trajectories, noise, crowd, set_ or [], cluster))
 
 
 @bench.command("localise", cls=Command)

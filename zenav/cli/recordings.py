@@ -137,3 +137,22 @@ def recording_mark(
     from zenav.recording.mark import mark
 
     raise typer.Exit(mark(files, remove))
+
+
+@recording.command("find", cls=Command)
+def recording_find(
+    expression: Annotated[str, typer.Argument(help="Like 'contact and duration>60'; '' is all.", metavar="EXPR")],
+    place: Annotated[
+        str, typer.Argument(help="Folder or URL of recordings, which gets the catalogue too.")
+    ] = "recordings",
+    jobs: Annotated[int, typer.Option(min=1, help="Recordings that are read at a time.")] = 1,
+    as_it_is: Annotated[bool, typer.Option("--as-it-is", help="Do not look for new recordings.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Find recordings by robot, time, distance, contacts, stops and faults: the columns are in docs/batch.md.
+
+    Example: zenav recording find 'robot=red and contact and duration>60' recordings/
+    """
+    from zenav.batch.finding import find_recordings
+
+    raise typer.Exit(find_recordings(expression, place, jobs, as_it_is, as_json))

@@ -202,6 +202,17 @@ def test_a_goal_s_tolerances_and_any_heading_are_in_the_request():
     assert navigate([target], 0.0, 1) == navigate([target], 0.0, 1, (), ArrivalTolerance())
 
 
+def test_of_a_route_that_passes_through_only_the_last_heading_counts():
+    arrival = ArrivalTolerance(pass_through=True)
+    request = navigate([(1.0, 2.0, None), (3.0, 4.0, 90.0)], 0.0, 1, (), arrival)
+    assert request.pass_through
+    assert not request.any_heading
+    assert request.poses[1].yaw == pytest.approx(np.pi / 2)
+    assert navigate([(1.0, 2.0, 90.0), (3.0, 4.0, None)], 0.0, 1, (), arrival).any_heading
+    with pytest.raises(UserError, match="has no stay"):
+        navigate([(1.0, 2.0, None)], 5.0, 1, (), arrival)
+
+
 @pytest.mark.parametrize(
     ("yaw", "arrival", "words"),
     [

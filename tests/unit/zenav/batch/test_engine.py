@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+import psutil
+import pytest
+
+from shared.config import UserError
+from tests.unit.zenav.batch import works
+from zenav.batch.child_process import ChildProcess, TryLimits
+from zenav.batch.engine import results
+
+LIMITS = TryLimits(timeout=8.0, memory=400_000_000)
+
+
+@pytest.fixture
+def child():
+    child = ChildProcess()
+    yield child
+    child.close()
+
+
+@pytest.mark.parametrize(
+    ("item", "ending", "words"),
+    [
+        ("raise", "raised", "ValueError: bad data"),
+        ("die", "died", "killed by SIGKILL"),
+        ("eat", "memory", "more than 400 MB"),
+    ],
+)
+def test_a_try_that_fails_says_how_and_the_next_one_works(child, item, ending, words):
+    outcome = child.run(works.misbehave, item, LIMITS)
+    assert (outcome.ending, outcome.value) == (ending, None)
+    assert words in outcome.detail
+    assert child.run(works.misbehave, "well", LIMITS).value == "well"
+
+
+def test_a_try_that_hangs_ends_at_its_timeout(child):
+    outcome = child.run(works.misbehave, "hang", TryLimits(timeout=0.2))
+    assert (outcome.ending, outcome.detail) == ("timeout", "took more than 0.2 s")
+
+
+def test_one_process_works_on_many_items(child):
+    assert len({child.run(works.pid, i, LIMITS).value for i in range(3)}) == 1
+
+
+def test_a_worker_that_dies_costs_one_try(tmp_path):
+    marker = str(tmp_path / "died")
+    [(item, outcome)] = results(works.die_once, [marker], 1, limits=LIMITS)
+    assert (item, outcome.ending, outcome.value, outcome.n_tries) == (marker, "done", "came through", 2)
+
+
+def test_the_others_go_on_beside_a_recording_that_always_dies():
+    outcomes = dict(results(works.misbehave, ["a", "die", "b", "raise", "c"], 2, limits=LIMITS))
+    assert {item: outcome.ending for item, outcome in outcomes.items()} == {
+        "a": "done", "b": "done", "c": "done", "die": "died", "raise": "raised",
+    }  # fmt: skip
+    assert outcomes["die"].n_tries == 2
+    assert outcomes["raise"].n_tries == 1  # it would raise again
+
+
+def test_items_are_drawn_as_the_work_goes_on():
+    drawn = []
+
+    def items():
+        for i in range(40):
+            drawn.append(i)
+            yield i
+
+    found = results(works.double, items(), 1, limits=LIMITS)
+    item, outcome = next(found)
+    assert outcome.value == 2 * item
+    assert len(drawn) < 10
+    assert {item: outcome.value for item, outcome in found} == {i: 2 * i for i in range(40) if i != item}
+
+
+def test_a_cluster_that_does_not_answer_is_one_line_with_a_hint(monkeypatch):
+    monkeypatch.setattr("zenav.batch.engine.CONNECT_S", 0.5)
+    with pytest.raises(UserError, match="no scheduler of Dask answers at tcp:"):
+        list(results(works.double, [1], 1, cluster="tcp://127.0.0.1:9"))
+
+
+def test_a_local_run_is_reached_from_this_computer_alone():
+    run = results(works.double, [1, 2], 1)
+    assert next(run)[1].value == 2
+    listening = [row.laddr for row in psutil.Process().net_connections() if row.status == psutil.CONN_LISTEN]
+    assert {address.ip for address in listening} <= {"127.0.0.1"}
+    assert 8787 not in {address.port for address in listening}, "Dask's own: two runs would meet there"
+    run.close()

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files by path or URL, through fsspec: local folders, s3://, http(s):// and whatever else is installed for it."""
+
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from shared.config import UserError
+from shared.ros_map import replace_file
+from zenav.batch.cluster_extra import require_extra
+
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem
+
+ENDINGS = ".mcap", ".bag", ".log", ".log.gz"
+"""Of the recordings and logs that a folder is searched for."""
+BLOCK = 1 << 20  # bytes that are hashed at a time
+REMOTE_ERRORS = (OSError, ValueError, ImportError)
+
+
+class StoredLog(NamedTuple):
+    """A recording or log. size: bytes.  tag: changes with the content (an etag), empty where the store has none.
+
+    changed: when, in the store's words; empty where it does not say.
+    """
+
+    url: str
+    size: int
+    tag: str
+    changed: str = ""
+
+
+def file_system(url: str) -> tuple["AbstractFileSystem", str]:
+    """The file system of a URL, and the path in it. Raises UserError where it has none, or it lacks its package."""
+    require_extra()
+    import fsspec
+
+    try:
+        # no cached listing: another process may have written meanwhile
+        system, path = fsspec.core.url_to_fs(url, **({"use_listings_cache": False} if "://" in url else {}))
+    except REMOTE_ERRORS as error:
+        raise UserError(f"{url} cannot be opened: {error}", "a path, or a URL like s3://bucket/folder") from None
+    return system, str(path)
+
+
+@contextmanager
+def errors_of(url: str) -> Iterator[None]:
+    """An error of a store becomes a UserError that names the URL."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise UserError(f"there is no {url}", "give a path or URL of recordings, in quotes if it has a *") from None
+    except PermissionError as error:
+        raise UserError(f"{url}: {error or 'access is denied'}", "check the credentials in the environment") from None
+    except REMOTE_ERRORS as error:
+        raise UserError(f"{url}: {error}", "check the address and the network") from None
+
+
+def sources(patterns: list[str]) -> list[StoredLog]:
+    """The recordings that paths, URLs and their globs name, in order, each once; a folder is all recordings below it.
+
+    Raises UserError where a pattern names none.
+    """
+    found: dict[str, StoredLog] = {}
+    for pattern in patterns:
+        system, path = file_system(pattern)
+        with errors_of(pattern):
+            rows = list(_matching(system, path))
+        if not rows:
+            raise UserError(f"{pattern} names no recording", f"a folder is searched for *{', *'.join(ENDINGS)}")
+        for row in rows:
+            source = _source(system, row)
+            found.setdefault(source.url, source)
+    return [found[url] for url in sorted(found)]
+
+
+def _matching(system: "AbstractFileSystem", path: str) -> Iterator[dict[str, Any]]:
+    if any(sign in path for sign in "*?["):
+        yield from (row for row in system.glob(path, detail=True).values() if row["type"] == "file")
+        return
+    info = system.info(path)
+    if info["type"] == "file":
+        yield info
+        return
+    rows = system.find(path, detail=True).values()
+    yield from (row for row in rows if str(row["name"]).endswith(ENDINGS))
+
+
+def _source(system: "AbstractFileSystem", row: dict[str, Any]) -> StoredLog:
+    tag = row.get("ETag") or row.get("etag") or row.get("md5Hash") or ""
+    changed = str(row.get("mtime") or row.get("LastModified") or "")
+    return StoredLog(str(system.unstrip_protocol(row["name"])), int(row.get("size") or 0), str(tag).strip('"'), changed)
+
+
+def content_tag(source: StoredLog) -> str:
+    """What a result's key has of its input: the store's tag, or the SHA-256 of the content. Raises UserError."""
+    if source.tag:
+        return f"{source.tag} {source.size}"
+    system, path = file_system(source.url)
+    digest = hashlib.sha256()
+    with errors_of(source.url), system.open(path, "rb") as file:
+        while block := file.read(BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+@contextmanager
+def local_copy(url: str) -> Iterator[Path]:
+    """The file on this computer: itself, or a copy that exists within the block. Raises UserError."""
+    system, path = file_system(url)
+    if _is_local(system):
+        yield Path(path)
+        return
+    with TemporaryDirectory(prefix="zenav-") as folder:
+        copy = Path(folder) / path.rstrip("/").rsplit("/", 1)[-1]
+        with errors_of(url):
+            system.get_file(path, str(copy))
+        yield copy
+
+
+class Folder:
+    """A folder by path or URL, in which names are written whole or not at all."""
+
+    def __init__(self, url: str) -> None:
+        self.system, self.path = file_system(url)
+        if _is_local(self.system):
+            self.path = os.path.abspath(self.path)
+        self.url = str(self.system.unstrip_protocol(self.path))
+
+    def write(self, name: str, content: bytes) -> None:
+        """Replaces a file. Raises UserError."""
+        with errors_of(f"{self.url}/{name}"):
+            if _is_local(self.system):
+                path = Path(self.path) / name
+                path.parent.mkdir(parents=True, exist_ok=True)
+                replace_file(path, content)
+            else:
+                self.system.pipe_file(f"{self.path}/{name}", content)
+
+    def read(self, name: str) -> bytes | None:
+        """A file's content, None where there is none. Raises UserError."""
+        with errors_of(f"{self.url}/{name}"):
+            try:
+                return bytes(self.system.cat_file(f"{self.path}/{name}"))
+            except FileNotFoundError:
+                return None
+
+
+def _is_local(system: "AbstractFileSystem") -> bool:
+    return "file" in ((system.protocol,) if isinstance(system.protocol, str) else system.protocol)
