@@ -10,6 +10,7 @@ from shared.config import UserError
 from zenav.batch import comparison
 from zenav.batch.child_process import Outcome, TryLimits
 from zenav.batch.engine import results
+from zenav.batch.revision import commit_of, run_revision
 from zenav.batch.storage import Folder, StoredLog, sources
 from zenav.batch.table import Row, last_table, write_table
 from zenav.batch.work import Work, process
@@ -25,12 +26,19 @@ def batch(
     """Runs the work; 0 when every recording came through, and with `fails_worse` none became worse.
 
     inputs: paths, URLs and globs.  out: folder or URL.  cluster: address of a Dask scheduler, empty: `jobs` processes
-    here.  against: the output of an earlier run; empty: this one's last run. Raises UserError.
+    here.  against: the output of an earlier run, or a revision of the checkout, which then runs first; empty: this
+    one's last run. Raises UserError.
     """
     found, folder = sources(inputs), Folder(out)
-    before = last_table(Folder(against) if against else folder)
+    if commit := commit_of(against):
+        if cluster:
+            raise UserError("a revision runs on this computer", "name the --out of a run, or leave out --cluster")
+        against = run_revision(commit, work, inputs, folder.url, jobs, limits)
+    former = Folder(against) if against else folder
+    before = last_table(former)
     if against and not before:
-        raise UserError(f"{against} holds no table of a batch", "name the --out of an earlier run")
+        hint = "name the --out of an earlier run, or a tag or commit of this checkout"
+        raise UserError(f"{against} holds no table of a batch and is no revision", hint)
     rows: list[Row] = []
     for source, outcome in results(partial(process, work, folder.url), found, jobs, cluster, limits):
         rows.append(row_of(source, outcome))
@@ -38,11 +46,21 @@ def batch(
     write_table(folder, rows)
     changed = comparison.changes(before, rows)
     if before:
+        _copy_pictures(changed, former, folder)
         known = {row["recording"] for row in before}
         folder.write("changes.html", comparison.page(changed, sum(row["recording"] in known for row in rows)))
     _show(rows, changed, folder.url)
     is_worse = any(change.worse > 0 for change in changed)
     return 0 if all(row["state"] == DONE for row in rows) and not (fails_worse and is_worse) else 1
+
+
+def _copy_pictures(changed: list[comparison.Change], former: Folder, folder: Folder) -> None:
+    """The page needs the maps of the other output beside its own. They are no result there: it has no `row.json`."""
+    if former.url == folder.url:
+        return
+    for key in sorted({change.keys[0] for change in changed if change.keys[0]}):
+        if (picture := former.read(f"results/{key}/map.png")) is not None:
+            folder.write(f"results/{key}/map.png", picture)
 
 
 def row_of(source: StoredLog, outcome: Outcome) -> Row:

@@ -17,7 +17,8 @@ DONE = "done"
 class Change:
     """One figure of one recording. worse: share of the former value by which it became worse; negative: better.
 
-    A recording that does not come through any more is infinitely worse.
+    A recording that does not come through any more is infinitely worse. The figure `input` says that the recording
+    itself changed.
     """
 
     recording: str
@@ -39,6 +40,9 @@ def changes(before: list[Row], after: list[Row]) -> list[Change]:
 
 def _changes_of(before: Row, after: Row) -> list[Change]:
     recording, keys = str(after["recording"]), (str(before.get("key", "")), str(after.get("key", "")))
+    inputs = str(before.get("input")), str(after.get("input"))
+    if inputs[0] != inputs[1]:  # figures of another recording under the same name: not comparable
+        return [Change(recording, "input", before=inputs[0], after=inputs[1], worse=0.0, keys=keys)]
     states = str(before["state"]), str(after["state"])
     if states[0] != states[1]:
         worse = float("inf") if states[0] == DONE else float("-inf")

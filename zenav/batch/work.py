@@ -51,6 +51,10 @@ class Result(NamedTuple):
     files: dict[str, bytes]
 
 
+def _short_hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
 def result_key(tag: str, work: Work) -> str:
     """The name of a result: SHA-256 of input, code and configuration."""
     text = json.dumps([tag, code_hash(), type(work).__name__, asdict(work)])
@@ -63,13 +67,14 @@ def process(work: Work, out: str, source: StoredLog) -> Row:
     A recording that the work refuses is a result too: it is refused again until input, code or configuration change.
     Raises UserError where a store does not give or take a file.
     """
-    folder, key = Folder(out), result_key(content_tag(source), work)
+    folder, tag = Folder(out), content_tag(source)
+    key = result_key(tag, work)
     place = f"results/{key}"
     if (stored := folder.read(f"{place}/{ROW}")) is not None:
         row: Row = json.loads(stored)
         return {**row, "recording": source.url, "cached": True}
     begun, cpu = time.monotonic(), time.process_time()
-    row = {"recording": source.url, "key": key, "state": "done", "error": ""}
+    row = {"recording": source.url, "key": key, "input": _short_hash(tag.encode()), "state": "done", "error": ""}
     files: dict[str, bytes] = {}
     with local_copy(source.url) as path:
         try:
@@ -109,7 +114,7 @@ def run_slam(work: SlamWork, path: Path) -> Result:
         "keyframes": report["keyframes"],
         "slam_cpu_s": report["cpu_s"],
         "truncated": report["truncated"],
-        "digest": hashlib.sha256(files["trajectory.tum"]).hexdigest()[:16],
+        "digest": _short_hash(files["trajectory.tum"]),
     }
     return Result(figures, files)
 

@@ -16,7 +16,9 @@ Cluster = Annotated[str, typer.Option(help="A Dask scheduler, in place of this c
 Timeout = Annotated[float, typer.Option(min=0, help="s that one recording may take; 0: any.")]
 Memory = Annotated[float, typer.Option(min=0, help="MB that one recording may take; 0: any.")]
 Tries = Annotated[int, typer.Option(min=1, max=10, help="Times that a recording is tried whose process dies.")]
-Against = Annotated[str, typer.Option(help="Compare with the output of an earlier run.", metavar="PLACE")]
+Against = Annotated[
+    str, typer.Option(help="Compare with the --out of an earlier run, or with a revision.", metavar="PLACE|REVISION")
+]
 FailWorse = Annotated[bool, typer.Option("--fail-worse", help="Status 1 where a recording became worse.")]
 
 

@@ -31,3 +31,9 @@ def test_the_page_escapes_names():
 def test_a_table_keeps_its_rows_by_recording():
     rows = [row("b", quality=0.5), {"recording": "a", "state": "died", "error": "killed", "tries": 2}]
     assert rows_of(parquet(rows)) == [rows[1], rows[0]]
+
+
+def test_a_recording_whose_content_changed_is_named_and_not_compared():
+    before, after = [row("a", input="1", quality=1.0)], [row("a", input="2", quality=0.1)]
+    assert [(one.figure, one.worse) for one in changes(before, after)] == [("input", 0.0)]
+    assert changes(before, [row("a", input="1", quality=0.1)])[0].figure == "quality"
