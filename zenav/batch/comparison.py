@@ -40,9 +40,9 @@ def changes(before: list[Row], after: list[Row]) -> list[Change]:
 
 def _changes_of(before: Row, after: Row) -> list[Change]:
     recording, keys = str(after["recording"]), (str(before.get("key", "")), str(after.get("key", "")))
-    inputs = str(before.get("input")), str(after.get("input"))
-    if inputs[0] != inputs[1]:  # figures of another recording under the same name: not comparable
-        return [Change(recording, "input", before=inputs[0], after=inputs[1], worse=0.0, keys=keys)]
+    if "input" in before and before["input"] != after.get("input"):  # another content: figures are not comparable
+        texts = {"before": str(before["input"]), "after": str(after.get("input", ""))}
+        return [Change(recording, "input", **texts, worse=0.0, keys=keys)]
     states = str(before["state"]), str(after["state"])
     if states[0] != states[1]:
         worse = float("inf") if states[0] == DONE else float("-inf")
