@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-docker test-ros2 test-wheel mutants check fix lock verify-lock sbom docs figures record-references screenshots warm web web-check wheel clean
+.PHONY: help venv demo test test-docker test-ros2 test-systemd test-wheel mutants check fix lock verify-lock sbom docs figures record-references screenshots warm web web-check wheel clean
 
 PYTHON ?=
 JOBS ?= 3 # one more than two cores: who tests processes waits half of the time
@@ -39,7 +39,7 @@ demo: venv ## the whole stack explores an office and drives to its goals: make d
 	@$(BIN)/zenav demo $(ARGS)
 
 test: venv ## everything that needs no Docker: make test ARGS="-k planner"
-	@$(BIN)/python -m pytest -n $(JOBS) --ignore tests/docker --ignore tests/ros2 --ignore tests/wheel $(ARGS)
+	@$(BIN)/python -m pytest -n $(JOBS) --ignore tests/docker --ignore tests/ros2 --ignore tests/systemd --ignore tests/wheel $(ARGS)
 
 test-docker: venv ## the Compose file on a real engine
 	@$(BIN)/python -m pytest tests/docker -rs $(ARGS)
@@ -51,6 +51,9 @@ test-ros2: venv .venv-ros2/.made ## the bridge beside ROS 2's own decoder and an
 	@$(BIN)/python -m venv .venv-ros2
 	.venv-ros2/bin/python -m pip install -q --disable-pip-version-check $(ROS2_PEERS)
 	touch $@
+
+test-systemd: venv ## the installed service under a real systemd, in namespaces of its own; needs root
+	@$(BIN)/python -m pytest -n0 tests/systemd -rs $(ARGS)
 
 test-wheel: .venv/.made ## the wheel in an empty environment, some minutes; needs a package index
 	@$(BIN)/python -m pytest -n0 tests/wheel -rs $(ARGS)

@@ -10,12 +10,15 @@ Links of this computer (TCP on loopback) may do everything. A link over TLS may 
 | admin | topics of the operator | also all other requests |
 | service | its own topics | also all requests, and it answers its own |
 
+At a site (docs/fleet.md) the rules are others: `site_access_control`.
+
 Each member receives every topic. What is not allowed is dropped on arrival. Zenoh's certificate gives the name; a name
 without a row, as of a revoked member, may do nothing.
 """
 
 from typing import Any
 
+from shared.crossing import CROSSING_REQUESTS, INWARD_KEYS, OUTWARD_KEYS, PRESENCE, SERVED_KEYS, SHARED_KEYS
 from shared.requests import REQUESTS
 from shared.roles import REQUEST_ROLES, TOOL_REQUEST_ROLES, Role, may
 from shared.secure_folder import Member, MemberRole
@@ -25,7 +28,9 @@ PUT = ["put", "delete"]
 ASK = ["query"]
 RECEIVE = ["declare_subscriber"]
 SERVE = ["reply", "declare_queryable"]
-EVERYTHING = [*PUT, *ASK, *RECEIVE, *SERVE, "liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
+LIVELINESS = ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
+EVERYTHING = [*PUT, *ASK, *RECEIVE, *SERVE, *LIVELINESS]
+ANY_KEY = ["**", f"*/{PRESENCE}/**"]  # no wildcard matches a part that begins with @
 OPERATOR = "operator"  # the publisher's name of a user's tool in the registry of topics
 SIMULATED_WORLD = "sim/"
 """Begin of the keys by which a tool moves a simulated world. It runs on the simulator's computer."""
@@ -37,18 +42,36 @@ Rule = dict[str, Any]
 
 def access_control(robot: str, members: list[Member]) -> dict[str, Any]:
     """Zenoh's `access_control` for a robot (first part of every key) and the members that are not revoked."""
-    valid = [member for member in members if not member.revoked]
-    rules: list[Rule] = [_rule("local", ["ingress", "egress"], EVERYTHING, ["**"])]
+    people = [member for member in members if member.role is not MemberRole.ROBOT]
+    return _table(people, {kind: _rules_of(kind, robot) for kind in dict.fromkeys(map(member_kind, people))})
+
+
+def site_access_control(members: list[Member]) -> dict[str, Any]:
+    """Zenoh's `access_control` of a site's router. A robot speaks below its own name only, and hears only its orders.
+
+    A person receives what crosses, and gives orders by the role. A service has no place there.
+    """
+    known = [member for member in members if member.role is not MemberRole.SERVICE]
+    roles = [member.role for member in known if member.role is not MemberRole.ROBOT]
+    rules = {str(role): _person_rules(Role(role)) for role in dict.fromkeys(roles)}
+    robots = [member.name for member in known if member.role is MemberRole.ROBOT]
+    return _table(known, rules | {f"robot {name}": _robot_rules(name) for name in dict.fromkeys(robots)})
+
+
+def _table(members: list[Member], rules_of: dict[str, list[Rule]]) -> dict[str, Any]:
+    """The rules of this computer, of each kind of member, and of those that are revoked."""
+    rules: list[Rule] = [_rule("local", ["ingress", "egress"], EVERYTHING, ANY_KEY)]
     subjects: list[dict[str, Any]] = [{"id": "local", "link_protocols": ["tcp"]}]
     policies: list[dict[str, Any]] = [{"subjects": ["local"], "rules": ["local"]}]
-    for kind in dict.fromkeys(member_kind(member) for member in valid):
-        names = [member.common_name for member in valid if member_kind(member) == kind]  # none would mean: everybody
-        given = _rules_of(kind, robot)
+    for kind, given in rules_of.items():
+        names = [member.common_name for member in members if member_kind(member) == kind and not member.revoked]
+        if not names:
+            continue  # no name would mean: everybody
         rules += given
         subjects.append({"id": kind, "cert_common_names": names, "link_protocols": ["tls"]})
         policies.append({"subjects": [kind], "rules": [rule["id"] for rule in given]})
     if revoked := [member.common_name for member in members if member.revoked]:  # a rule, so that the log has the name
-        rules.append({**_rule(REVOKED, ["ingress", "egress"], EVERYTHING, ["**"]), "permission": "deny"})
+        rules.append({**_rule(REVOKED, ["ingress", "egress"], EVERYTHING, ANY_KEY), "permission": "deny"})
         subjects.append({"id": REVOKED, "cert_common_names": revoked, "link_protocols": ["tls"]})
         policies.append({"subjects": [REVOKED], "rules": [REVOKED]})
     return {
@@ -61,7 +84,9 @@ def access_control(robot: str, members: list[Member]) -> dict[str, Any]:
 
 
 def member_kind(member: Member) -> str:
-    """The role of a person, or the name of a service: what decides about access."""
+    """The role of a person, the name of a service, or `robot NAME`: what decides about access."""
+    if member.role is MemberRole.ROBOT:
+        return f"robot {member.name}"
     return member.name if member.role is MemberRole.SERVICE else str(member.role)
 
 
@@ -103,6 +128,44 @@ def _rules_of(kind: str, robot: str) -> list[Rule]:
         _rule(f"{kind} publishes", ["ingress"], PUT, on(publishable_keys(kind))),
         _rule(f"{kind} answers", ["ingress"], SERVE, on(served_keys(kind))),
         _rule(f"{kind} is asked", ["egress"], ASK, on(served_keys(kind))),
+    ]
+    return [rule for rule in rules if rule["key_exprs"]]
+
+
+def _robot_rules(name: str) -> list[Rule]:
+    """What a robot may do at a site."""
+
+    def on(keys: tuple[str, ...]) -> list[str]:
+        return [f"{name}/{key}" for key in keys]
+
+    kind, token, asked = f"robot {name}", [f"{name}/{PRESENCE}/**"], tuple(dict.fromkeys((*OUTWARD_KEYS, *SERVED_KEYS)))
+    return [
+        _rule(f"{kind} publishes", ["ingress"], PUT, on(OUTWARD_KEYS)),
+        _rule(f"{kind} answers", ["ingress"], SERVE, on(SERVED_KEYS)),
+        _rule(f"{kind} is asked", ["egress"], [*ASK, *RECEIVE], [*on(asked), *(f"*/{key}" for key in asked)]),
+        _rule(f"{kind} is heard", ["egress"], RECEIVE, [f"{name}/**", "**"]),
+        _rule(f"{kind} hears orders", ["ingress"], RECEIVE, on(INWARD_KEYS)),
+        _rule(f"{kind} hears other robots", ["ingress"], RECEIVE, [f"*/{key}" for key in SHARED_KEYS]),
+        _rule(f"{kind} gets what they say", ["egress"], PUT, [f"*/{key}" for key in SHARED_KEYS]),
+        _rule(f"{kind} gets orders", ["egress"], PUT, on(INWARD_KEYS)),
+        _rule(f"{kind} is present", ["ingress"], LIVELINESS, token),
+        _rule(f"{kind} sees its name", ["egress"], LIVELINESS, token),
+    ]
+
+
+def _person_rules(role: Role) -> list[Rule]:
+    """What a person may do at a site: of every robot."""
+    roles = REQUEST_ROLES | TOOL_REQUEST_ROLES
+    requests = [f"*/{row.key}" for row in CROSSING_REQUESTS if may(role, roles[row.key])]
+    shown, latched = [f"*/{key}" for key in OUTWARD_KEYS], [f"*/{key}" for key in SERVED_KEYS if key in LATCHED_KEYS]
+    orders = [f"*/{key}" for key in INWARD_KEYS if may(role, Role.OPERATOR)]
+    rules = [
+        _rule(f"{role} receives", ["egress"], [*PUT, *SERVE, *RECEIVE], [*shown, *requests, *orders]),
+        _rule(f"{role} subscribes", ["ingress"], RECEIVE, shown),
+        _rule(f"{role} asks", ["ingress"], ASK, [*latched, *requests]),
+        _rule(f"{role} orders", ["ingress"], PUT, orders),
+        _rule(f"{role} looks for robots", ["ingress"], LIVELINESS[1:], [f"*/{PRESENCE}/**"]),
+        _rule(f"{role} sees robots", ["egress"], LIVELINESS[:1], [f"*/{PRESENCE}/**"]),
     ]
     return [rule for rule in rules if rule["key_exprs"]]
 

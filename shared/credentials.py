@@ -78,7 +78,14 @@ def credentials_for(endpoint: str) -> Credentials:
     Raises UserError where there are none, or others may read them.
     """
     given = os.environ.get("ZENAV_CREDENTIALS", "")  # noqa: TID251  # a container has no configuration folder
-    file = Path(given) if given else credentials_file(endpoint_host(endpoint))
+    return read_credentials(Path(given) if given else credentials_file(endpoint_host(endpoint)), endpoint)
+
+
+def read_credentials(file: Path, endpoint: str = "the link") -> Credentials:
+    """The credentials in a file. endpoint: what asks for them.
+
+    Raises UserError where there are none, or others may read them.
+    """
     try:
         text = file.read_text()
     except (OSError, UnicodeDecodeError):
@@ -92,6 +99,15 @@ def credentials_for(endpoint: str) -> Credentials:
 def credentials_file(host: str) -> Path:
     """Where the credentials for a host are kept."""
     return configuration_folder() / "credentials" / f"{host}.pem"
+
+
+def tls_endpoint(device: str, setting: str, example: str) -> str:
+    """Zenoh's endpoint of a port's device tls://HOST:PORT. Raises UserError, which names `setting` and `example`."""
+    kind, _, address = device.partition("://")
+    host, _, port = address.rpartition(":")
+    if kind != "tls" or not host or not port.isdecimal():
+        raise UserError(f"{setting}: {device!r} is no address", f"write {example}")
+    return f"{TLS}{address}"
 
 
 def endpoint_host(endpoint: str) -> str:

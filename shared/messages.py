@@ -620,6 +620,36 @@ class NavTask(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class ExplorationShare(Message):
+    """The part of a robot in an exploration with others, for these. Positions are in the frame that all have in common.
+
+    `session` and `sequence` order the messages of one `robot`; a session is the time at which its exploration began.
+    `task_id` and `others`, the robots that it explores with, are for its navigator after a restart.
+    `active`: it has a frontier, or may get one. `claimed` is the frontier that it drives to, by its number, -1 without
+    one. `frontier_costs` are m of driving. `known` is 1 in the coarse cells that its map knows, in that map's frame:
+    the lower left cell is (`first_row`, `first_column`).
+    """
+
+    robot: Text
+    session: Stamp
+    sequence: Count
+    task_id: Count
+    others: Annotated[tuple[Text, ...], Unit("1")]
+    active: Flag
+    common_from_map: Pose
+    x: Metres
+    y: Metres
+    frontier_xs: Annotated[Float32s, Unit("m"), Shape("n"), Within(-1e6, 1e6)]
+    frontier_ys: Annotated[Float32s, Unit("m"), Shape("n"), Within(-1e6, 1e6)]
+    frontier_costs: Annotated[Float32s, Unit("m"), Shape("n"), Within(0, 1e6)]
+    claimed: Annotated[int, Unit("1"), Within(-1, 1000)]
+    cell: Annotated[float, Unit("m"), Within(0.01, 10)]
+    first_row: Annotated[int, Unit("1"), Within(-(2**31), 2**31 - 1)]
+    first_column: Annotated[int, Unit("1"), Within(-(2**31), 2**31 - 1)]
+    known: Annotated[Int8s, Unit("1"), Shape("h w"), Within(0, 1)]
+
+
+@dataclass(frozen=True, slots=True)
 class Velocity(Message):
     """A velocity in `base`. `reason` says why it is zero or slowed, empty when it is neither."""
 
@@ -713,6 +743,81 @@ class KeyframeGraph(Message):
     to_xs: Annotated[Float32s, Unit("m"), Shape("k"), Within(-1e6, 1e6)]
     to_ys: Annotated[Float32s, Unit("m"), Shape("k"), Within(-1e6, 1e6)]
     accepted: Annotated[Int8s, Unit("1"), Shape("k"), Within(0, 1)]
+
+
+# --- several robots --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class RobotIntent(Message):
+    """Where a robot is, where it will be, and which part of its path it holds, for the other robots on its map.
+
+    Robots on maps of one name share a frame. The path is the next part of the plan, point 0 beside the robot. The robot
+    holds points 0 .. held - 1, and wants those up to wanted - 1. `widths` is the free passage across the path.
+
+    The order of two robots is by priority, then the age of the task, then the name. `claim` counts what it asked for.
+    `heard` are the robots that it hears.
+    """
+
+    robot: Text
+    map: Text
+    map_from_base: Pose
+    v: Speed
+    w: TurnRate
+    radius: Annotated[float, Unit("m, circumscribed"), Within(0, 100)]
+    xs: Annotated[Float32s, Unit("m in map"), Shape("n"), Within(-1e6, 1e6)]
+    ys: Annotated[Float32s, Unit("m in map"), Shape("n"), Within(-1e6, 1e6)]
+    widths: Annotated[Float32s, Unit("m"), Shape("n"), Within(0, 1e3)]
+    held: Count
+    wanted: Count
+    priority: Count
+    since: Stamp
+    claim: Count
+    heard: Annotated[tuple[tuple[str, int], ...], Unit("robot, its newest claim")]
+    waits_for: Annotated[tuple[str, ...], Unit("names of the robots that keep it from its next claim")]
+    gives_way: Flag
+    stuck: Flag
+
+    def problem(self) -> str | None:
+        if self.held <= self.wanted <= len(self.xs):
+            return None
+        return f"it holds {self.held} and wants {self.wanted} of {len(self.xs)} points"
+
+
+@dataclass(frozen=True, slots=True)
+class RightOfWay(Message):
+    """How far this robot may drive, as far as other robots are concerned. Not `active`: none is heard on its map.
+
+    It may drive along the points, from its place on. `whole`: to the end of its plan. It waits for the robots of
+    `waits_for`. While it `gives_way` it drives to `refuge` in place of its goal. `closed` are robots that stand and do
+    not move by themselves: discs for the planner. `speed_share` is below 1 where a robot fell silent on its way.
+    """
+
+    active: Flag
+    xs: Annotated[Float32s, Unit("m in map"), Shape("n"), Within(-1e6, 1e6)]
+    ys: Annotated[Float32s, Unit("m in map"), Shape("n"), Within(-1e6, 1e6)]
+    whole: Flag
+    waits_for: Annotated[tuple[str, ...], Unit("names")]
+    gives_way: Flag
+    refuge: Pose
+    speed_share: Annotated[float, Unit("share of the top speed"), Within(0.01, 1)]
+    closed_xs: Annotated[Float32s, Unit("m in map"), Shape("k"), Within(-1e6, 1e6)]
+    closed_ys: Annotated[Float32s, Unit("m in map"), Shape("k"), Within(-1e6, 1e6)]
+    closed_radii: Annotated[Float32s, Unit("m"), Shape("k"), Within(0, 100)]
+
+
+@dataclass(frozen=True, slots=True)
+class OtherRobots(Message):
+    """The other robots on this robot's map as discs, at `stamp` and each `period` after it, on their paths."""
+
+    names: Annotated[tuple[str, ...], Unit("of the robots")]
+    radii: Annotated[Float32s, Unit("m"), Shape("k"), Within(0, 100)]
+    period: Annotated[float, Unit("s"), Within(0.01, 10)]
+    xs: Annotated[Float32s, Unit("m in map, robot by robot"), Shape("k t"), Within(-1e6, 1e6)]
+    ys: Annotated[Float32s, Unit("m in map, robot by robot"), Shape("k t"), Within(-1e6, 1e6)]
+
+    def problem(self) -> str | None:
+        return None if len(self.names) == len(self.radii) else "not one disc a name"
 
 
 # --- stack ----------------------------------------------------------------------------------------------------------

@@ -17,11 +17,23 @@ from importlib.metadata import version
 from pathlib import Path
 
 from shared.recordings.reader import ABOUT, CONFIG, Channel, Drop, Entry, Recording
-from shared.recordings.writer import Writer
+from shared.recordings.writer import Writer, is_finished
 from shared.repeatable import processor
 from shared.runners.host import Sent
 
-__all__ = ["ABOUT", "CONFIG", "Channel", "Drop", "Entry", "Recording", "Writer", "about", "arithmetic", "sink"]
+__all__ = [
+    "ABOUT",
+    "CONFIG",
+    "Channel",
+    "Drop",
+    "Entry",
+    "Recording",
+    "Writer",
+    "about",
+    "arithmetic",
+    "is_finished",
+    "sink",
+]
 
 
 def sink(writer: Writer) -> Callable[[Sent], None]:

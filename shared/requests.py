@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Requests with an answer: a key, the service that answers, a typed request and a typed reply. Zenoh queries, live."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Generic, TypeVar, cast
 
 from shared import messages as m
+from shared.geometry import Pose2
 from shared.messages import Count, Flag, Message, Pose, Text, Unit
 from shared.reasons import Reason
+from shared.recording_requests import FetchRecording, ListRecordings, RecordingList, RecordingPart
 from shared.topics import SERVICES
 
 Q = TypeVar("Q", bound=Message)
@@ -25,6 +27,8 @@ class Reply(Message):
 
 MAX_ROUTE_POSES = 10_000
 """poses of one route: some 0.4 MiB on the wire, which carries 4."""
+MAX_OTHERS = 20
+"""other robots that a robot explores with."""
 MIN_TOLERANCE = 0.01
 """m or rad: localization is not more exact."""
 
@@ -75,7 +79,17 @@ class SetZones(Message):
 
 @dataclass(frozen=True, slots=True)
 class Explore(Message):
-    """Explore until no reachable frontier is left."""
+    """Explore until no reachable frontier is left.
+
+    `others`: names of the robots that explore the same building; each frontier is left to one of them. Their messages
+    are in a frame that all have in common, in which the robot's `map` has this pose.
+    """
+
+    others: Annotated[tuple[Text, ...], Unit("1")] = ()
+    common_from_map: Pose = field(default_factory=Pose2)
+
+    def problem(self) -> str | None:
+        return f"more than {MAX_OTHERS} other robots" if len(self.others) > MAX_OTHERS else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,13 +315,14 @@ class SettingsReply(Message):
 class Request(Generic[Q, R]):
     """One row: `by` is the service that answers; "*" is every service: then the key ends in its name.
 
-    Each reply begins with `accepted`, `reason` and `detail`, so a refusal has one shape for all.
+    crosses: a site may ask it. Replies begin with `accepted`, `reason` and `detail`: a refusal has one shape for all.
     """
 
     key: str
     request: type[Q]
     reply: type[R]
     by: str
+    crosses: bool = False
 
     @property
     def services(self) -> tuple[str, ...]:
@@ -329,11 +344,11 @@ class Request(Generic[Q, R]):
         return cast(Message, reply(stamp, False, reason.code, detail))
 
 
-NAVIGATE = Request("request/navigate", Navigate, Reply, by="navigator")
-SET_ZONES = Request("request/set_zones", SetZones, Reply, by="navigator")
-EXPLORE = Request("request/explore", Explore, Reply, by="navigator")
-CANCEL = Request("request/cancel", Cancel, Reply, by="navigator")
-PAUSE = Request("request/pause", Pause, Reply, by="navigator")
+NAVIGATE = Request("request/navigate", Navigate, Reply, by="navigator", crosses=True)
+SET_ZONES = Request("request/set_zones", SetZones, Reply, by="navigator", crosses=True)
+EXPLORE = Request("request/explore", Explore, Reply, by="navigator", crosses=True)
+CANCEL = Request("request/cancel", Cancel, Reply, by="navigator", crosses=True)
+PAUSE = Request("request/pause", Pause, Reply, by="navigator", crosses=True)
 SPIN = Request("request/spin", Spin, Reply, by="navigator")
 DRIVE_STRAIGHT = Request("request/drive_straight", DriveStraight, Reply, by="navigator")
 CLEAR_COSTMAPS = Request("request/clear_costmaps", ClearCostmaps, Reply, by="local_ctrl")
@@ -347,6 +362,9 @@ GIVE_MAP = Request("request/give_map", GiveMap, Reply, by="mapper")
 START_MAP = Request("request/start_map", StartMap, Reply, by="mapper")
 NAME_MAP = Request("request/name_map", NameMap, Reply, by="mapper")
 EDIT_MAP = Request("request/edit_map", EditMap, Reply, by="mapper")
+WATCH_LINK = Request("request/watch_link", Watch, Reply, by="uplink", crosses=True)
+LIST_RECORDINGS = Request("request/list_recordings", ListRecordings, RecordingList, by="recorder", crosses=True)
+FETCH_RECORDING = Request("request/fetch_recording", FetchRecording, RecordingPart, by="recorder", crosses=True)
 FAULT = Request("request/fault", Break, Reply, by="sim")
 SET = Request("request/set", SetSettings, SettingsReply, by="*")
 

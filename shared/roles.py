@@ -33,6 +33,7 @@ FRAME_ROLES = {
     "name": Role.VIEWER,
     "ping": Role.VIEWER,
     "stop": Role.VIEWER,
+    "stop_all": Role.VIEWER,  # as each STOP
     "let_go": Role.VIEWER,
     "ask": Role.VIEWER,  # and the role of the request
     "do": Role.VIEWER,  # and the role of the operation
@@ -51,6 +52,7 @@ REQUEST_ROLES = {
     requests.EDIT_MAP.key: Role.OPERATOR,
     requests.WATCH.key: Role.OPERATOR,
     requests.WATCH_GRAPH.key: Role.OPERATOR,
+    requests.WATCH_LINK.key: Role.VIEWER,
     requests.FAULT.key: Role.ADMIN,
 }
 
@@ -63,6 +65,8 @@ TOOL_REQUEST_ROLES = {
     requests.LOAD_MAP.key: Role.OPERATOR,
     requests.GIVE_MAP.key: Role.OPERATOR,
     requests.NAME_MAP.key: Role.OPERATOR,
+    requests.LIST_RECORDINGS.key: Role.VIEWER,
+    requests.FETCH_RECORDING.key: Role.OPERATOR,  # as recording_download
     requests.SET.key: Role.ADMIN,  # Zenoh's access rules do not see which setting; a page's operation does
 }
 """Requests of tools alone: a page asks for an operation."""

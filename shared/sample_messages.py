@@ -105,6 +105,33 @@ def goal(stamp: int, goal_id: int, map_from_goal: Pose2) -> m.Goal:
     )
 
 
+def exploration_share(
+    stamp: int, robot: str, others: tuple[str, ...], common_from_map: Pose2 = ORIGIN
+) -> m.ExplorationShare:
+    """What a robot without frontiers and map says to the others that explore with it."""
+    none = np.zeros(0, np.float32)
+    return m.ExplorationShare(
+        stamp=stamp,
+        robot=robot,
+        session=1,
+        sequence=1,
+        task_id=1,
+        others=others,
+        active=True,
+        common_from_map=common_from_map,
+        x=0.0,
+        y=0.0,
+        frontier_xs=none,
+        frontier_ys=none,
+        frontier_costs=none,
+        claimed=-1,
+        cell=0.4,
+        first_row=0,
+        first_column=0,
+        known=np.zeros((0, 0), np.int8),
+    )
+
+
 def path(stamp: int, goal_id: int, x: float) -> m.Path:
     """Straight from the origin to (x, 0)."""
     xs = np.linspace(0.0, x, 5)

@@ -20,12 +20,16 @@ RENEWAL_DAYS = 30
 
 
 class MemberRole(StrEnum):
-    """What a member is: a person in one of the roles of shared/roles.py, or a service on another computer."""
+    """What a member is: a person in one of the roles of shared/roles.py, or a service on another computer.
+
+    Of a site's folder also a robot.
+    """
 
     VIEWER = Role.VIEWER
     OPERATOR = Role.OPERATOR
     ADMIN = Role.ADMIN
     SERVICE = "service"
+    ROBOT = "robot"  # of a site: its name is that of a robot
 
 
 @dataclass(frozen=True, slots=True)

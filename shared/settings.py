@@ -93,7 +93,7 @@ RUNTIME_SETTINGS: tuple[RuntimeSetting, ...] = (
     *_rows("navigator.exploration", "size_weight turn_weight switch_gain switch_after look_time max_visits patience"),
     *_rows("navigator.exploration", "max_recoveries settle_time blocked_time tolerance"),
     *_rows("navigator.exploration.frontier", "margin min_margin goal_margin min_size max_size"),
-    *_rows("recorder", "split_size split_time budget"),
+    *_rows("recorder", "split_size split_time budget upload_rate"),
 )
 """No row for the guard's settings, ages, what is measured (max_braking), or what hides scans from the guard (masks)."""
 

@@ -29,9 +29,25 @@ OWN_SERVICES = (
     "gateway",
     "ros2",
     "imu_driver",
+    "uplink",
+    "traffic",
 )
 SERVICES = (*OWN_SERVICES, *extension_services(packages()))
 """Fixed order: a service's index is its port offset, and the tie-break of the lockstep runner."""
+
+
+@dataclass(frozen=True, slots=True)
+class Crossing:
+    """How a topic crosses the robot's link to a site (services/uplink).
+
+    rest, driving, watched: the most messages a second on their way out in each state of the robot; 0 is none. watched:
+    a page of the site shows this robot. inward: the topic comes from the site instead.
+    """
+
+    rest: float = 0.0
+    driving: float = 0.0
+    watched: float = 0.0
+    inward: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +70,9 @@ class Topic(Generic[M]):
     - latched: a late subscriber gets the last value at once, merged where the message class can. A publisher that
       subscribes to its own latched topic gets its last value after a restart, and nothing else.
     - people: without a subscriber among the services, on purpose.
+    - crosses: how it crosses to a site; None: it stays on the robot.
+    - from_robots: a key of the other robots. The publisher's runner hears it from each of them. It publishes what it
+      heard here, for the recorder, and gives it to its service.
 
     RX and PORT are data and state of a service's own ports (shared/ports.py). Its runner publishes them and gives them to
     this service only. TX and PLUG are data and plugs that the service writes to its ports.
@@ -67,6 +86,8 @@ class Topic(Generic[M]):
     within: float
     latched: bool = False
     people: bool = False
+    crosses: Crossing | None = None
+    from_robots: str = ""
 
     @property
     def publishers(self) -> tuple[str, ...]:
@@ -91,37 +112,43 @@ PLUG        = Topic("port/plug",       m.PortState,     by="*",                 
 WHEELS      = Topic("base/wheels",     m.WheelState,    by="base_driver",            hz=50, keep="all",    within=0.002)
 BASE_ODOMETRY = Topic("base/odometry", m.BaseOdometry,  by="base_driver",            hz=50, keep="all",    within=0.002)
 RANGES      = Topic("base/ranges",     m.RangeReadings, by="base_driver",            hz=10, keep="latest", within=0.003)
-BASE_STATUS = Topic("base/status",     m.BaseStatus,    by="base_driver",            hz=2,  keep="latest", within=0.010, latched=True)
+BASE_STATUS = Topic("base/status",     m.BaseStatus,    by="base_driver",            hz=2,  keep="latest", within=0.010, latched=True, crosses=Crossing(0.2, 0.5, 1))
 REPORT      = Topic("base/report",     m.BoardReport,   by="base_driver",            hz=50, keep="all",    within=0.002, people=True)
 BOARD_IS    = Topic("base/board",      m.BoardStatus,   by="base_driver",            hz=2,  keep="latest", within=0.010, latched=True, people=True)
-SCAN        = Topic("scan",            m.LaserScan,     by="lidar_driver sim ros2",  hz=10, keep="latest", within=0.005)
+SCAN        = Topic("scan",            m.LaserScan,     by="lidar_driver sim ros2",  hz=10, keep="latest", within=0.005, crosses=Crossing(0, 0, 2))
 SCAN_2      = Topic("scan_2",          m.LaserScan,     by="lidar_driver sim",       hz=10, keep="latest", within=0.005)
-ODOM        = Topic("odom",            m.Odometry,      by="odometry",               hz=50, keep="all",    within=0.003)
-POSE        = Topic("pose",            m.PoseEstimate,  by="mapper",                 hz=10, keep="latest", within=0.025, latched=True)
-MAP         = Topic("map",             m.MapUpdate,     by="mapper",                 hz=2,  keep="all",    within=0.050, latched=True)
-MAP_STATE   = Topic("map/state",       m.MapState,      by="mapper",                 hz=0,  keep="latest", within=0.050, latched=True, people=True)
-GOAL        = Topic("goal",            m.Goal,          by="navigator",              hz=0,  keep="all",    within=0.005, latched=True)
+ODOM        = Topic("odom",            m.Odometry,      by="odometry",               hz=50, keep="all",    within=0.003, crosses=Crossing(0, 0, 5))
+POSE        = Topic("pose",            m.PoseEstimate,  by="mapper",                 hz=10, keep="latest", within=0.025, latched=True, crosses=Crossing(0.2, 2, 5))
+MAP         = Topic("map",             m.MapUpdate,     by="mapper",                 hz=2,  keep="all",    within=0.050, latched=True, crosses=Crossing(0, 0, 1))
+MAP_STATE   = Topic("map/state",       m.MapState,      by="mapper",                 hz=0,  keep="latest", within=0.050, latched=True, people=True, crosses=Crossing(0.5, 0.5, 1))
+GOAL        = Topic("goal",            m.Goal,          by="navigator",              hz=0,  keep="all",    within=0.005, latched=True, crosses=Crossing(0.5, 1, 2))
 RECOVERY = Topic("recovery",        m.Recovery,      by="navigator",              hz=0,  keep="all",    within=0.005, latched=True)
-ZONES       = Topic("zones",           m.Zones,         by="navigator",              hz=0,  keep="latest", within=0.010, latched=True)
-PLAN        = Topic("plan",            m.Path,          by="planner",                hz=2,  keep="latest", within=0.100, latched=True)
+ZONES       = Topic("zones",           m.Zones,         by="navigator",              hz=0,  keep="latest", within=0.010, latched=True, crosses=Crossing(0.1, 0.1, 1))
+PLAN        = Topic("plan",            m.Path,          by="planner",                hz=2,  keep="latest", within=0.100, latched=True, crosses=Crossing(0.1, 0.5, 1))
 LIMITS      = Topic("plan/limits",     m.GoalLimits,    by="planner",                hz=0,  keep="latest", within=0.010, latched=True)
 FOLLOW      = Topic("follow/status",   m.FollowStatus,  by="local_ctrl",             hz=20, keep="latest", within=0.005)
-NAV_STATUS  = Topic("nav/status",      m.NavStatus,     by="navigator",              hz=5,  keep="latest", within=0.010, latched=True, people=True)
+NAV_STATUS  = Topic("nav/status",      m.NavStatus,     by="navigator",              hz=5,  keep="latest", within=0.010, latched=True, people=True, crosses=Crossing(1, 2, 5))
 TASK        = Topic("nav/task",        m.NavTask,       by="navigator",              hz=0,  keep="latest", within=0.010, latched=True)
+SHARE       = Topic("explore/share",   m.ExplorationShare, by="navigator",           hz=0,  keep="latest", within=0.010, latched=True)
+OTHERS_SHARE = Topic("explore/others", m.ExplorationShare, by="operator",            hz=0,  keep="all",    within=0.010)
 CMD_NAV     = Topic("cmd/nav",         m.Velocity,      by="local_ctrl",             hz=20, keep="latest", within=0.030)
 TELEOP      = Topic("cmd/teleop",      m.Velocity,      by="operator dashboard ros2", hz=20, keep="latest", within=0.005)
-ESTOP       = Topic("estop",           m.EmergencyStop, by="operator dashboard ros2", hz=0,  keep="all",    within=0.005, latched=True)
+ESTOP       = Topic("estop",           m.EmergencyStop, by="operator dashboard ros2 uplink", hz=0,  keep="all",    within=0.005, latched=True, crosses=Crossing(inward=True))
 COSTMAP     = Topic("debug/costmap",   m.Costmap,       by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
 ROLLOUTS    = Topic("debug/rollouts",  m.Rollouts,      by="local_ctrl",             hz=0,  keep="latest", within=0.005, people=True)
 MOVING      = Topic("debug/moving_obstacles", m.MovingObstacles, by="local_ctrl",    hz=0,  keep="latest", within=0.005, people=True)
 GRAPH       = Topic("debug/graph",     m.KeyframeGraph, by="mapper",                 hz=0,  keep="latest", within=0.050, people=True)
 GLOBAL_COSTMAP = Topic("debug/global_costmap", m.Costmap, by="planner",              hz=0,  keep="latest", within=0.100, people=True)
-GUARD       = Topic("guard/status",    m.GuardStatus,   by="guard",                  hz=10, keep="latest", within=0.005, latched=True)
+GUARD       = Topic("guard/status",    m.GuardStatus,   by="guard",                  hz=10, keep="latest", within=0.005, latched=True, crosses=Crossing(0.5, 2, 5))
 CMD_VEL     = Topic("cmd/vel",         m.Velocity,      by="guard",                  hz=20, keep="latest", within=0.003)
 SETTINGS    = Topic("settings",        m.RuntimeSettings, by="*",                    hz=0,  keep="latest", within=0.100, latched=True, people=True)
-HEALTH      = Topic("health",          m.Health,        by="*",                      hz=1,  keep="latest", within=0.100, people=True)
-LOG         = Topic("log",             m.LogLine,       by="*",                      hz=0,  keep="all",    within=0.100, people=True)
+HEALTH      = Topic("health",          m.Health,        by="*",                      hz=1,  keep="latest", within=0.100, people=True, crosses=Crossing(0, 0, 0.2))
+LOG         = Topic("log",             m.LogLine,       by="*",                      hz=0,  keep="all",    within=0.100, people=True, crosses=Crossing(0, 0, 5))
 JOURNAL     = Topic("journal",         m.Journal,       by="*",                      hz=1,  keep="all",    within=0.100, people=True)
+INTENT      = Topic("traffic/intent",  m.RobotIntent,   by="traffic",                hz=0,  keep="latest", within=0.050, people=True, crosses=Crossing(1, 5, 5))
+HEARD       = Topic("traffic/heard",   m.RobotIntent,   by="traffic",                hz=0,  keep="all",    within=0.050, from_robots="traffic/intent")
+RIGHT_OF_WAY = Topic("traffic/right_of_way", m.RightOfWay, by="traffic",             hz=0,  keep="latest", within=0.010)
+OTHER_ROBOTS = Topic("traffic/others", m.OtherRobots,   by="traffic",                hz=0,  keep="latest", within=0.010)
 CLOCK       = Topic("sim/clock",       m.Clock,         by="sim",                    hz=50, keep="latest", within=0.002, people=True)
 OTHERS      = Topic("sim/others",      m.RobotDiscs,    by="operator",               hz=0,  keep="latest", within=0.005)
 TRUTH       = Topic("sim/truth",       m.Truth,         by="sim",                    hz=50, keep="all",    within=0.002, people=True)

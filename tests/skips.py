@@ -30,6 +30,7 @@ NEEDS = (
     Need(("network namespace",), "run them as root, with iproute2"),
     Need(("64-bit",), "run them on a 64-bit computer"),
     Need(("SCHED_RR",), "allow real-time scheduling: ulimit -r, or run them as root"),
+    Need(("control group", "needs root and systemd"), "run them as root, on a Linux with control groups and systemd"),
     Need(("systemd-analyze",), "install systemd, which has systemd-analyze"),
 )
 

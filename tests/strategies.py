@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from shared.geometry import Pose2
-from shared.messages import BaseOdometry, LaserScan, MapUpdate, Message, NonZero, Shape, Within
+from shared.messages import BaseOdometry, LaserScan, MapUpdate, Message, NonZero, RobotIntent, Shape, Within
 from shared.service import handlers
 from shared.topics import TOPICS
 
@@ -90,6 +90,9 @@ def _field(kind: Any, name: str, hint: Any, length: dict[str, int]) -> st.Search
         return st.floats(2, 250)
     if kind is BaseOdometry and name in ("vy", "has_pose"):  # no holonomic base; a pose or a twist
         return st.just(0.0 if name == "vy" else True)
+    if kind is RobotIntent and name in ("held", "wanted"):  # held <= wanted <= n
+        half = length["n"] // 2
+        return st.integers(0, half) if name == "held" else st.integers(half, length["n"])
     if kind is MapUpdate and name in ("rows", "columns"):  # near enough that a dense grid holds them
         return hnp.arrays(np.int32, length["k"], elements=st.integers(-3, 3))
     return _value(hint, length)

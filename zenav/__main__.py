@@ -24,6 +24,7 @@ from zenav.cli.calibrating import calibrate
 from zenav.cli.recordings import recording
 from zenav.cli.batches import batch
 from zenav.cli.securing import secure
+from zenav.cli.sites import site
 from zenav.cli.measuring import bench
 
 # isort: on
@@ -37,6 +38,7 @@ app.add_typer(topic, name="topic", rich_help_panel=LOOK)
 app.add_typer(map_, name="map", rich_help_panel=LOOK)
 app.add_typer(places, name="places", rich_help_panel=DRIVE)
 app.add_typer(fleet, name="fleet", rich_help_panel=DRIVE)
+app.add_typer(site, name="site", rich_help_panel=DRIVE)
 app.add_typer(zones, name="zones", rich_help_panel=DRIVE)
 app.add_typer(page, name="page", rich_help_panel=LOOK)
 app.add_typer(config, name="config", rich_help_panel=LOOK)

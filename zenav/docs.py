@@ -14,9 +14,10 @@ from typing import Any, Literal, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-from shared import messages, requests
+from shared import messages, recording_requests, requests
 from shared.codec import fields_of, schema
 from shared.config import Robot, Section
+from shared.crossing import crossing_text
 from shared.messages import Message
 from shared.reasons import REASONS
 from shared.requests import REQUESTS
@@ -65,11 +66,17 @@ def messages_page() -> str:
             f"{topic.hz:g}" if topic.hz else "event",
             topic.keep + (", latched" if topic.latched else ""),
             f"{topic.within * 1e3:g}",
+            crossing_text(topic),
         )
         for topic in TOPICS
     ]
-    lines += markdown_table(("key", "message", "published by", "Hz", "kept unread", "within, ms"), rows)
-    lines += ["", "`latched`: a late joiner gets the last value at once (of the map: all of it).\n"]
+    head = "key", "message", "published by", "Hz", "kept unread", "within, ms", "to a site, Hz"
+    lines += markdown_table(head, rows)
+    lines += [
+        "",
+        "`latched`: a late joiner gets the last value at once (of the map: all of it). `to a site`: the most that",
+    ]
+    lines += ["crosses a robot's link at rest / driving / watched ([fleet.md](fleet.md#a-site)); empty: it stays.\n"]
     lines += ["## Requests\n"]
     rows = [
         (
@@ -78,15 +85,16 @@ def messages_page() -> str:
             f"[{row.reply.__name__}](#{row.reply.__name__.lower()})",
             row.by,
             str(REQUEST_ROLES.get(row.key, "")),
+            "yes" if row.crosses else "",
         )
         for row in REQUESTS
     ]
-    lines += markdown_table(("key", "request", "reply", "answered by", "a page asks it as"), rows)
+    lines += markdown_table(("key", "request", "reply", "answered by", "a page asks it as", "a site asks it"), rows)
     lines += ["", "## Why the robot stands\n"]
     rows = [(f"`{code}`", reason.text, reason.hint, reason.severity) for code, reason in REASONS.items()]
     lines += markdown_table(("code", "text", "hint", "severity"), rows)
     lines += ["", "## Every message\n", "Each begins with `stamp`: when it was true, ns on the stack's clock.\n"]
-    for class_ in (*classes(messages), *classes(requests)):
+    for class_ in (*classes(messages), *classes(requests), *classes(recording_requests)):
         lines += message_section(class_)
     return "\n".join(lines).rstrip("\n") + "\n"
 

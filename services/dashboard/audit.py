@@ -13,7 +13,7 @@ from shared.types import NS_PER_S
 
 MAX_TEXT = 120  # characters of a command's arguments
 REFUSALS_EVERY_NS = 10 * NS_PER_S  # of one kind and page: a page that may not drive sends 20 frames a second
-QUIET_REQUESTS = (requests.WATCH.key, requests.WATCH_GRAPH.key)
+QUIET_REQUESTS = (requests.WATCH.key, requests.WATCH_GRAPH.key, requests.WATCH_LINK.key)
 """Requests that command nothing."""
 
 

@@ -27,6 +27,9 @@ class DashboardConfig(Section):
     hosts: tuple[str, ...] = Field(
         (), description="names and addresses by which browsers may reach the page, besides those of the certificate"
     )
+    fleet: bool = Field(
+        False, description="a page of a site: it shows each robot of its router, one at a time, and has none of its own"
+    )
     tools: str = Field(
         "zenav.page.tools",
         pattern=r"^([a-z_]+(\.[a-z_]+)*)?$",

@@ -14,17 +14,20 @@ from services.dashboard.outgoing import (
     frame,
     note,
     refusing_reply,
+    stop_order,
     want_order,
 )
 from services.dashboard.sessions import PageSession
-from shared import topics
+from shared import reasons, topics
 from shared.messages import Velocity
 from shared.roles import OPERATION_ROLES, REQUEST_ROLES, may, operation_role
 from shared.service import Log, Out
+from shared.types import NS_PER_S
 
 if TYPE_CHECKING:
     from services.dashboard.service import DashboardService
 
+STOP_LINES_NS = 3 * NS_PER_S  # between two lines of the audit for one STOP
 DEBUG_KEYS = frozenset((topics.COSTMAP.key, topics.ROLLOUTS.key, topics.GRAPH.key))
 
 
@@ -41,6 +44,8 @@ def want(service: "DashboardService", page: PageSession, fields: dict[str, Any])
 
 def teleop(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
     """A command of a page that drives, or wants to."""
+    if page.robot:
+        raise FrameError("a page of a site does not drive by hand")
     if fields["n"] <= page.n:
         return
     command = service.driving.take(page.client, page.name, fields["v"], fields["w"], service.now)
@@ -55,6 +60,9 @@ def let_go(service: "DashboardService", page: PageSession, fields: dict[str, Any
 
 def stop(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
     """STOP. Any page may."""
+    if page.robot:
+        yield from _order_stop(service, page, [page.robot], True)
+        return
     is_repeated = service.stop_button.is_pressing  # a page repeats it until it is confirmed
     yield topics.ESTOP(service.stop_button.set(True, page.name, service.now))
     if not is_repeated:
@@ -63,8 +71,16 @@ def stop(service: "DashboardService", page: PageSession, fields: dict[str, Any])
 
 def release(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
     """Releases STOP. The robot stands until its next command."""
+    if page.robot:
+        yield from _order_stop(service, page, [page.robot], False)
+        return
     yield topics.ESTOP(service.stop_button.set(False, page.name, service.now))
     yield audit(page, "release of STOP")
+
+
+def stop_all(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
+    """STOP of every robot that the page's process hears."""
+    yield from _order_stop(service, page, None, True)
 
 
 def ask(service: "DashboardService", page: PageSession, fields: dict[str, Any]) -> Out:
@@ -76,6 +92,9 @@ def ask(service: "DashboardService", page: PageSession, fields: dict[str, Any]) 
     if not may(page.role, needed):
         yield refusing_reply(service.now, page.client, fields["id"], "role", f"{row.key} needs the role {needed}")
         yield from _lines(refusal_line(page, row.key, service.now))
+        return
+    if page.robot and not row.crosses:
+        yield refusing_reply(service.now, page.client, fields["id"], reasons.NOT_RUNNING.code, "it does not cross")
         return
     payload = request_payload(row, fields.get("args", {}), service.now)
     if text := request_text(row.key, fields.get("args", {})):
@@ -115,6 +134,14 @@ def ping(service: "DashboardService", page: PageSession, fields: dict[str, Any])
     yield frame(service.now, page.client, {"t": "pong", "id": fields["id"], "now": service.now})
 
 
+def _order_stop(service: "DashboardService", page: PageSession, robots: list[str] | None, press: bool) -> Out:
+    who = "all robots" if robots is None else ", ".join(robots)
+    yield stop_order(service.now, page.client, robots, press, page.name)
+    if service.now - page.stopped_at.get((who, press), 0) > STOP_LINES_NS:  # a page repeats it until it is confirmed
+        page.stopped_at[who, press] = service.now
+        yield audit(page, f"{'STOP' if press else 'release of STOP'} of {who}")
+
+
 def _lines(line: Log | None) -> Out:
     if line is not None:
         yield line
@@ -131,6 +158,7 @@ FRAME_HANDLERS: dict[str, Callable[["DashboardService", PageSession, dict[str, A
     "teleop": teleop,
     "let_go": let_go,
     "stop": stop,
+    "stop_all": stop_all,
     "release": release,
     "ask": ask,
     "do": do,

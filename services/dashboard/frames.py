@@ -22,6 +22,7 @@ from services.dashboard.field_checks import (
 )
 from shared import topics
 from shared.codec import CodecError, Envelope, decode
+from shared.crossing import OUTWARD_KEYS
 from shared.requests import MAX_VALUE_LENGTH, REQUESTS, Request
 from shared.roles import REQUEST_ROLES
 from shared.topics import KEYS, topic_of
@@ -40,6 +41,8 @@ HIDDEN = (topics.JOURNAL, topics.RX, topics.TX, topics.PORT, topics.PLUG)
 """What a page cannot show: bytes of other services, and its own."""
 PAGE_KEYS = tuple(key for key in KEYS if topic_of(key) not in HIDDEN)
 """Keys (without the robot's name) that a page may want."""
+SITE_KEYS = tuple(key for key in PAGE_KEYS if key in OUTWARD_KEYS)
+"""The same of a page of a site: what crosses."""
 
 FRAMES = {
     "want": Fields({"keys": texts(len(PAGE_KEYS))}, {"debug": boolean}),
@@ -48,6 +51,7 @@ FRAMES = {
     ),
     "let_go": Fields(),
     "stop": Fields(),
+    "stop_all": Fields(),
     "release": Fields(),
     "ask": Fields({"id": identifier, "request": text(64)}, {"args": mapping}),
     "do": Fields({"id": identifier, "op": text(32)}, {"args": mapping}),

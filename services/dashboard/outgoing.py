@@ -5,7 +5,7 @@ from typing import Any
 
 import msgpack
 
-from services.dashboard.frames import PAGE_KEYS
+from services.dashboard.frames import PAGE_KEYS, SITE_KEYS
 from services.dashboard.sessions import PageSession
 from shared import topics
 from shared.config import Robot
@@ -51,7 +51,7 @@ def hello(now: int, page: PageSession, robot: Robot, simulated: bool, version: s
         "role": str(page.role),
         "login": page.is_login,
         "robot": {
-            "name": robot.name,
+            "name": page.robot or robot.name,
             "outline": robot.corners.tolist(),
             **laser_mounts(robot),
             "max_speed": robot.drive.max_speed,
@@ -60,9 +60,11 @@ def hello(now: int, page: PageSession, robot: Robot, simulated: bool, version: s
         },
         "simulated": simulated,
         "version": version,
-        "keys": PAGE_KEYS,
+        "keys": SITE_KEYS if page.robot else PAGE_KEYS,
         "reasons": {code: [row.text, row.hint, row.severity] for code, row in REASONS.items()},
     }
+    if page.robot:
+        fields["site"] = True
     return _out(now, {"client": page.client, "hello": fields})
 
 
@@ -74,6 +76,11 @@ def want_order(now: int, client: int, keys: list[str]) -> Publication:
 def ask_order(now: int, client: int | None, answered: Id | None, key: str, payload: bytes) -> Publication:
     """The order to send a request, and its reply to the page. client: None where no page waits for a reply."""
     return _out(now, {"client": client, "id": answered, "ask": key, "payload": payload})
+
+
+def stop_order(now: int, client: int, robots: list[str] | None, pressed: bool, by: str) -> Publication:
+    """The order to press or release STOP of robots until each confirms it; None: of all that are heard."""
+    return _out(now, {"client": client, "stop": robots, "pressed": pressed, "by": by})
 
 
 def do_order(now: int, client: int, answered: Id, op: str, arguments: dict[str, Any]) -> Publication:

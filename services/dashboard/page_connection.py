@@ -41,7 +41,7 @@ class PageConnection:
 
     def take(self, t: str, frame: bytes) -> None:
         """A frame of the core, of type `t`."""
-        if t in ("drivers", "clients"):
+        if t in ("drivers", "clients", "fleet"):
             self._outbox.set_latest(t, frame)
             self.wake()
         else:

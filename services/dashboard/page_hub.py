@@ -7,21 +7,22 @@ All methods run on the loop of the shell's thread, but for `deliver`, which Zeno
 import asyncio
 import threading
 from collections import deque
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from itertools import count
 from typing import Any, Protocol
 
 import msgpack
 
 from services.dashboard.map_tiles import MapTiles
 from services.dashboard.page_connection import EVENT_KEYS, PageConnection
-from services.dashboard.stack_link import Deliver
 from services.dashboard.web_guard import PageUser
 from shared import topics
 from shared.codec import CodecError, decode
 from shared.config import UserError
 from shared.reasons import BUSY
 from shared.runners.client import refusal
+from shared.runners.stack_listener import Deliver
 from shared.topics import topic_of
 
 SESSION_ENDED = "the login has ended"
@@ -39,7 +40,7 @@ class Link(Protocol):
 
     is_simulated: bool
 
-    def open(self) -> None: ...
+    def connect(self) -> object: ...
 
     def close(self) -> None: ...
 
@@ -69,7 +70,8 @@ class PageHub:
     """The open pages of a loop.
 
     to_core: takes an event for the core.  make_link: from `deliver` and `other_teleop`.  csrf: the token of the pages
-    of a session, by its digest.  version: of this program.
+    of a session, by its digest.  version: of this program.  robot: of a site, that its pages show.  numbers: of
+    connections, where there are several hubs.
     """
 
     def __init__(
@@ -80,6 +82,8 @@ class PageHub:
         sessions: Sessions,
         csrf: Callable[[str], str],
         version: str,
+        robot: str = "",
+        numbers: Iterator[int] | None = None,
     ) -> None:
         self.tools = tools
         self._sessions, self._csrf = sessions, csrf
@@ -87,7 +91,7 @@ class PageHub:
         self._to_core, self._version = to_core, version
         self._loop = asyncio.get_running_loop()
         self._pages: dict[int, PageConnection] = {}
-        self._n_opened = 0
+        self._robot, self._numbers = robot, numbers or count(1)
         self._tiles = MapTiles()
         self._last: dict[str, bytes] = {}  # by key: the frame of the newest message
         self._incoming: deque[tuple[str, bytes, bool]] = deque(maxlen=MAX_INCOMING)
@@ -110,13 +114,13 @@ class PageHub:
             self._closing = None
         trouble = ""
         try:
-            await self._loop.run_in_executor(self._one, self.link.open)
+            await self._loop.run_in_executor(self._one, self.link.connect)
         except UserError as error:
             trouble = f"{error.what}: {error.hint}"
-        self._n_opened += 1
-        page = self._pages[self._n_opened] = PageConnection(self._n_opened, self._tiles, user)
+        number = next(self._numbers)
+        page = self._pages[number] = PageConnection(number, self._tiles, user)
         event = {"event": "open", **_fields(user), "simulated": self.link.is_simulated, "version": self._version}
-        self._to_core({"client": page.client, **event})
+        self._to_core({"client": page.client, **event, **({"robot": self._robot} if self._robot else {})})
         if trouble:
             page.reply({"t": "note", "level": "error", "text": trouble, "hint": "reload the page when it runs"})
         if user.digest and self._watching is None:
@@ -182,6 +186,11 @@ class PageHub:
 
     # --- from the core --------------------------------------------------------------------------------------------
 
+    @property
+    def pages(self) -> list[PageConnection]:
+        """The open pages."""
+        return list(self._pages.values())
+
     def take(self, order: dict[str, Any]) -> None:
         """A frame or an order of the core (outgoing.py)."""
         client = order.get("client")
@@ -241,7 +250,7 @@ class PageHub:
 
     def _reply(self, client: int | None, answered: Any, reply: dict[str, Any]) -> None:
         page = self._pages.get(client) if client is not None else None
-        if page is not None:
+        if page is not None and answered is not None:
             page.reply({"t": "reply", "id": answered, **reply})
 
     def _start(self, work: Coroutine[Any, Any, None]) -> None:

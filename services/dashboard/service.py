@@ -135,6 +135,7 @@ class DashboardService(Service):
         given = event.get("role")
         role = Role(given) if given in tuple(Role) else None
         page = self.pages.open(client, str(event.get("host", "")), str(event.get("name", "")), role)
+        page.robot = str(event.get("robot", "")) if self.config.fleet else ""
         version = str(event.get("version", ""))
         yield hello(self.now, page, self.robot, event.get("simulated") is True, version)
         yield self.clients()
@@ -171,11 +172,16 @@ class DashboardService(Service):
     # --- what pages see -----------------------------------------------------------------------------------------------
 
     def watch(self) -> Out:
-        """Repeats the requests for debug topics while a page shows them."""
-        if not self.pages.is_watching:
+        """Repeats the requests for debug topics while a page shows them; at a site, that for what a page shows."""
+        if not self.pages.is_watching and not (self.config.fleet and len(self.pages)):
             self.watched_at = None
         elif self.watched_at is None or not 0 <= self.now - self.watched_at < WATCH_EVERY_NS:
             self.watched_at = self.now
+            for page in self.pages.of_each_robot():
+                payload = request_payload(requests.WATCH_LINK, {"seconds": WATCH_FOR_S}, self.now)
+                yield ask_order(self.now, page.client, None, requests.WATCH_LINK.key, payload)
+            if self.config.fleet:
+                return
             for row in (requests.WATCH, requests.WATCH_GRAPH):
                 payload = request_payload(row, {"seconds": WATCH_FOR_S}, self.now)
                 yield ask_order(self.now, None, None, row.key, payload)

@@ -12,8 +12,9 @@ from shared.roles import Role
 class PageSession:
     """One page. address: IP address of its computer.  is_login: it has logged in, so its name is that of the login.
 
-    keys: its topics.  debug: it also shows what local control sees.  n: its last teleop frame.  refused_at: ns, of the
-    last line of the audit for each command that it may not give.
+    robot: of a site, that it shows; empty where the process has one alone.  keys: its topics.  debug: it also shows
+    what local control sees.  n: its last teleop frame.  refused_at: ns, of the last line of the audit for each command
+    that it may not give.  stopped_at: the same for STOP and its release at a site.
     """
 
     client: int
@@ -21,10 +22,12 @@ class PageSession:
     role: Role
     address: str
     is_login: bool = False
+    robot: str = ""
     keys: frozenset[str] = frozenset()
     debug: bool = False
     n: int = -1
     refused_at: dict[str, int] = field(default_factory=dict)
+    stopped_at: dict[tuple[str, bool], int] = field(default_factory=dict)
 
 
 class PageSessions:
@@ -63,6 +66,10 @@ class PageSessions:
     def is_watching(self) -> bool:
         """Whether a page shows what local control sees."""
         return any(session.debug for session in self._sessions.values())
+
+    def of_each_robot(self) -> list[PageSession]:
+        """One page of each robot that is shown."""
+        return list({session.robot: session for session in self._sessions.values() if session.robot}.values())
 
     def listed(self) -> list[dict[str, Any]]:
         """The rows of the frame `clients`."""

@@ -9,7 +9,7 @@ import hmac
 import secrets
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
@@ -19,9 +19,11 @@ import msgpack
 
 from services.dashboard.address import page_address
 from services.dashboard.config import DashboardConfig
+from services.dashboard.fleet_feed import FleetFeed
 from services.dashboard.login_store import LoginStore
 from services.dashboard.outgoing import PORT
 from services.dashboard.page_hub import PageHub
+from services.dashboard.page_hubs import PageHubs
 from services.dashboard.stack_link import StackLink
 from services.dashboard.tool_process import ToolProcess
 from services.dashboard.web_guard import Access
@@ -55,7 +57,7 @@ class WebDevice:
         self._ready = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._ending: asyncio.Event | None = None
-        self._hub: PageHub | None = None
+        self._hubs: PageHubs | None = None
         self._state: tuple[bool, str] | None = None
 
     def start(self) -> None:
@@ -79,8 +81,8 @@ class WebDevice:
                 self._loop.call_soon_threadsafe(work)
 
     def _take(self, order: dict[str, Any]) -> None:
-        if self._hub is not None:
-            self._hub.take(order)
+        if self._hubs is not None:
+            self._hubs.take(order)
 
     def _run(self) -> None:
         asyncio.run(self._serve())
@@ -109,15 +111,28 @@ class WebDevice:
             return hmac.new(key, digest.encode(), "sha256").hexdigest()
 
         access = Access(self.address, self._section.login, store.session, csrf)
-        make_link = partial(StackLink, self._context.robot, self._context.where)
-        hub = self._hub = PageHub(
-            to_core=self._publish_event, make_link=make_link, tools=tools, sessions=store, csrf=csrf, version=_version()
-        )
-        server = WebServer(web_app(hub, access, store), listening, self._tls)
+        context, is_site = self._context, self._section.fleet
+
+        def make_hub(robot: str, numbers: Iterator[int]) -> PageHub:
+            return PageHub(
+                to_core=self._publish_event,
+                make_link=partial(StackLink, robot or context.robot, context.where),
+                tools=tools,
+                sessions=store,
+                csrf=csrf,
+                version=_version(),
+                robot=robot,
+                numbers=numbers,
+            )
+
+        router = context.where.router
+        make_feed = partial(FleetFeed, router) if router else None
+        hubs = self._hubs = PageHubs(context.robot if is_site else "", make_hub, make_feed)
+        server = WebServer(web_app(hubs, access, store), listening, self._tls)
         await server.start()
         if self._ending is not None:
             await self._ending.wait()
-        await hub.close()
+        await hubs.close()
         await server.stop()
 
     async def _listening(self) -> socket.socket | None:

@@ -16,6 +16,7 @@ from services.dashboard.field_checks import FrameError, item_name, recording_nam
 from services.dashboard.login_store import LoginStore
 from services.dashboard.page_connection import PageConnection
 from services.dashboard.page_hub import SESSION_ENDED, PageHub
+from services.dashboard.page_hubs import PageHubs
 from services.dashboard.web_guard import USER, Access, App, PageUser, WebGuard
 from services.dashboard.web_login import login_routes
 from shared.roles import ROUTE_ROLES, may
@@ -29,20 +30,21 @@ TOO_MANY, TOO_SLOW, GOING_AWAY = 1008, 1013, 1001  # RFC 6455, section 7.4
 NO_SESSION = 4401  # of the range for applications: the page shows its login
 
 
-def web_app(hub: PageHub, access: Access, store: LoginStore) -> App:
-    """The application of a hub's pages. store: of their logins."""
+def web_app(hubs: PageHubs, access: Access, store: LoginStore) -> App:
+    """The application of the hubs' pages. store: of their logins."""
+    hub = hubs.first
 
     async def index(request: Request) -> Response:
         return FileResponse(STATIC / "index.html", headers={"cache-control": "no-cache"})
 
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
-        page = await hub.opened(websocket.scope[USER])
+        own, page = await hubs.opened(websocket.scope[USER], websocket.query_params.get("robot", ""))
         sending = asyncio.create_task(_send(websocket, page))
         try:
-            await _receive(websocket, page, hub)
+            await _receive(websocket, page, own)
         finally:
-            hub.closed(page)
+            hubs.closed(own, page)
             page.end("the page is gone")
             await sending
 
@@ -82,7 +84,7 @@ def web_app(hub: PageHub, access: Access, store: LoginStore) -> App:
         Route("/recordings/{name}", recording),
         WebSocketRoute("/ws", socket),
         Mount("/static", StaticFiles(directory=STATIC)),
-        *login_routes(hub, store),
+        *login_routes(hub, hubs.end_session, store),
     ]
     return WebGuard(Starlette(routes=routes), access, hub.report_refusal)
 

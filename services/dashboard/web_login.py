@@ -6,6 +6,7 @@ The token of an invitation comes in the body of a POST, never in a path or a que
 
 import asyncio
 import json
+from collections.abc import Callable
 from math import ceil
 
 from starlette.requests import ClientDisconnect, Request
@@ -24,7 +25,7 @@ MAX_BODY = 1024
 BODY_LIMIT_S = 5.0
 
 
-def login_routes(hub: PageHub, store: LoginStore) -> list[Route]:
+def login_routes(hub: PageHub, end_session: Callable[[str, str], None], store: LoginStore) -> list[Route]:
     """GET /session, POST /login, POST /logout."""
     throttle = LoginThrottle()
     turn = asyncio.Lock()  # one login at a time: attempts side by side would not wait for each other's failure
@@ -78,7 +79,7 @@ def login_routes(hub: PageHub, store: LoginStore) -> list[Route]:
         if user is not None and user.digest:
             await asyncio.get_running_loop().run_in_executor(None, store.end, user.digest)
             hub.report("logout", user)
-            hub.end_session(user.digest, SESSION_ENDED)
+            end_session(user.digest, SESSION_ENDED)
 
     return [
         Route("/session", session),

@@ -5,22 +5,18 @@ The process is started again when the folder of credentials changes, so a revoke
 two. A fault in it, or its load, stays out of the robot's own traffic.
 """
 
-import json
-import os
-import subprocess
-import sys
 import threading
 from collections import Counter
-from contextlib import suppress
 from datetime import UTC, date, datetime
-from typing import IO
 
 import msgpack
 
-from services.gateway.log_lines import LOG_FILTER, LineReader, LinkEvent
+from services.gateway.log_lines import LinkEvent, LinkLine
+from services.gateway.router_process import END_LIMIT_S, RouterProcess
 from services.gateway.service import PORT, GatewayConfig
 from shared import topics
 from shared.config import UserError
+from shared.credentials import tls_endpoint
 from shared.messages import PortState, SerialData
 from shared.runners.devices import DeviceContext
 from shared.secure_folder import SecureFolder, secure_folder
@@ -28,7 +24,6 @@ from shared.secure_folder import SecureFolder, secure_folder
 LOOK_S = 1.0  # between two looks at process and folder
 AGAIN_S = 5.0  # between two starts of a process that ends by itself
 MAX_KINDS = 200  # of refused messages that one report distinguishes
-END_LIMIT_S = 2.0
 
 
 def gateway_device(context: DeviceContext) -> "GatewayDevice":
@@ -79,52 +74,30 @@ class GatewayDevice:
 
     def _serve(self) -> None:
         """Runs the process until it ends, the folder or the date changes, or the device closes."""
-        version, day = folder_version(self._folder), today()
-        process = self._started()
-        assert process.stdout is not None
-        reader = threading.Thread(target=self._read, args=(process.stdout,), daemon=True)
-        reader.start()
-        self._publish_state(True, "")
-        while not self._closing.wait(LOOK_S):
-            self._report()
-            if process.poll() is not None:
-                why = process.stderr.read().strip() if process.stderr is not None else ""
-                self._publish_state(False, why or f"the gateway's process ended with {process.returncode}")
-                self._closing.wait(AGAIN_S)
-                break
-            if folder_version(self._folder) != version or today() != day:
-                break
-        with suppress(OSError):
-            process.communicate(timeout=END_LIMIT_S)  # it ends with its stdin
-        process.kill()
-        reader.join(END_LIMIT_S)
-        self._report()
-
-    def _started(self) -> subprocess.Popen[str]:
-        environment = {**os.environ, "RUST_LOG": LOG_FILTER}  # noqa: TID251  # Zenoh reads its log's level from there
-        pipe = subprocess.PIPE
-        command = (sys.executable, "-P", "-m", "services.gateway.router")
-        process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=environment)
-        where = self._context.where
+        version, day, where = folder_version(self._folder), today(), self._context.where
         order = {
             "stack": where.router or str(where.domain),
             "listen": self.endpoint,
             "folder": str(self._folder.path),
             "robot": self._context.robot,
         }
-        assert process.stdin is not None
-        with suppress(BrokenPipeError):
-            process.stdin.write(json.dumps(order) + "\n")
-            process.stdin.flush()
-        return process
+        process = RouterProcess(order, self._count)
+        self._publish_state(True, "")
+        while not self._closing.wait(LOOK_S):
+            self._report()
+            if failure := process.failure():
+                self._publish_state(False, failure)
+                self._closing.wait(AGAIN_S)
+                break
+            if folder_version(self._folder) != version or today() != day:
+                break
+        process.end()
+        self._report()
 
-    def _read(self, stream: IO[str]) -> None:
-        lines = LineReader()
-        for line in stream:
-            if (event := lines.read(line)) is not None:
-                with self._lock:
-                    many = len(self._counts) >= MAX_KINDS
-                    self._counts[event.event, event.name, "other messages" if many else event.text] += 1
+    def _count(self, event: LinkLine) -> None:
+        with self._lock:
+            many = len(self._counts) >= MAX_KINDS
+            self._counts[event.event, event.name, "other messages" if many else event.text] += 1
 
     def _report(self) -> None:
         with self._lock:
@@ -159,11 +132,7 @@ class GatewayDevice:
 
 def gateway_endpoint(device: str) -> str:
     """Zenoh's endpoint of tls://HOST:PORT. Raises UserError where it is none."""
-    kind, _, address = device.partition("://")
-    host, _, port = address.rpartition(":")
-    if kind != "tls" or not host or not port.isdecimal():
-        raise UserError(f"gateway.port.device: {device!r} is no address", "write tls://0.0.0.0:7448")
-    return f"tls/{address}"
+    return tls_endpoint(device, "gateway.port.device", "tls://0.0.0.0:7448")
 
 
 def folder_version(folder: SecureFolder) -> tuple[tuple[int, int], ...]:

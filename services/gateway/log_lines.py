@@ -15,6 +15,7 @@ _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 _DENIED = re.compile(
     r"\+CertCommonName\((?P<name>[^)]*)\).* is unauthorized to (?P<action>\w+) \(ingress\) on (?P<key>\S+)"
 )
+_OUTWARD = re.compile(r"is unauthorized to \w+ \(egress\)")  # it is not sent out: no event
 _LINK = re.compile(LINK_MARK + r" (?P<event>joined|left) (?P<name>\S+) (?P<address>\S+)")
 _DROPPED = "interceptor: Msg intercepted!"
 _HANDSHAKE = re.compile(r"WARN.*zenoh_link_tls::unicast: (?P<why>.+?)\.? Hint:")
@@ -42,7 +43,7 @@ class LineReader:
     """Takes lines in order, and returns the event that one completes."""
 
     def __init__(self) -> None:
-        self._denied: dict[str, LinkLine] = {}  # by thread: said, but perhaps only to remember a decision
+        self._denied: dict[str, LinkLine | None] = {}  # by thread: said, but perhaps only to remember a decision
 
     def read(self, line: str) -> LinkLine | None:
         """The event of a line, or None."""
@@ -56,6 +57,8 @@ class LineReader:
             self._denied[thread] = LinkLine(
                 LinkEvent.REFUSED, match["name"], f"{match['action'].lower()} {match['key']}"
             )
+        elif _OUTWARD.search(line) is not None:
+            self._denied[thread] = None
         elif _DROPPED in line:
             return self._denied.pop(thread, LinkLine(LinkEvent.REFUSED, "", "a message"))
         else:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The gateway's process: one Zenoh session that lets members in. `python -m services.gateway.router`, JSON on stdin.
 
+With `local` in the place of `stack` it is the router of a site, for robots and people.
+
 It writes Zenoh's log, and a line for each link over TLS that begins or ends (log_lines.py). It ends with its stdin.
 """
 
@@ -14,7 +16,7 @@ from pathlib import Path
 import zenoh
 
 from services.gateway.log_lines import LINK_MARK, LinkEvent
-from shared.runners.transport import asks_for_realtime, gateway_configuration, stack_address
+from shared.runners.transport import asks_for_realtime, gateway_configuration, site_configuration, stack_address
 from shared.secure_folder import SecureFolder
 
 LOOK_S = 1.0  # between two looks at the threads
@@ -29,9 +31,7 @@ def main() -> None:
     folder = SecureFolder(Path(order["folder"]))
     is_realtime = asks_for_realtime(LINK_PRIORITY)  # Zenoh's first threads inherit it
     try:
-        session = zenoh.open(
-            gateway_configuration(stack_address(order["stack"]), order["listen"], folder, order["robot"])
-        )
+        session = zenoh.open(_configuration(order, folder))
     except zenoh.ZError as error:
         sys.stderr.write(f"cannot listen on {order['listen']}: {error}\n")
         os._exit(2)
@@ -40,6 +40,12 @@ def main() -> None:
         if is_realtime:
             _schedule_threads()
     os._exit(0)  # Zenoh's threads are not daemons
+
+
+def _configuration(order: dict[str, str], folder: SecureFolder) -> zenoh.Config:
+    if "local" in order:
+        return site_configuration(order["local"], order["listen"], folder)
+    return gateway_configuration(stack_address(order["stack"]), order["listen"], folder, order["robot"])
 
 
 def _schedule_threads() -> None:

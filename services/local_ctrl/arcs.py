@@ -10,7 +10,6 @@ from services.local_ctrl.controller import APPROACH_BRAKING_SHARE, ControlScene
 from services.local_ctrl.footprint import Footprint, clearance, touches
 from services.local_ctrl.manoeuvres import MAX_CLEARANCE_LOSS_M
 from services.local_ctrl.rollout import DT, Limits, arc_step, limited_turn_rate, speed_after, turn_rate_after
-from shared.types import Float64s
 
 END_CUT_DISTANCE_M = 0.5  # from the path's end within which an arc that leads away from it is cut
 
@@ -92,15 +91,3 @@ def max_speed_to_end(scene: ControlScene, limits: Limits) -> float:
     if not scene.ends:
         return inf
     return sqrt(2.0 * APPROACH_BRAKING_SHARE * limits.braking * hypot(scene.end_x - scene.x, scene.end_y - scene.y))
-
-
-@njit(cache=True, nogil=True)
-def fill_rollout(target_v: float, target_w: float, v: float, w: float, limits: Limits, velocities: Float64s) -> None:
-    """Fills velocities (steps, 2) float64, m/s and rad/s, with those of the drive from (v, w) on, towards the target.
-
-    target_v, v: m/s. target_w, w: rad/s.
-    """
-    for t in range(len(velocities)):
-        v, w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
-        w = limited_turn_rate(v, w, limits)
-        velocities[t, 0], velocities[t, 1] = v, w

@@ -16,6 +16,7 @@ from shared.types import Bools, Float32s, Float64s
 
 APPROACH_BRAKING_SHARE = 0.5  # of the drive's braking that stopping at the goal uses: the rest is reserve for delay
 NO_DYNAMIC_OBSTACLES = np.zeros((0, 6))
+NO_ROBOTS = np.zeros((1, 0, 3))
 
 
 class ControlScene(NamedTuple):
@@ -35,6 +36,7 @@ class ControlScene(NamedTuple):
     w: float  # rad/s
     path: Float64s  # (k, 2) m, k > 0: the plan from beside the robot to (end_x, end_y)
     dynamic_obstacles: Float64s = NO_DYNAMIC_OBSTACLES  # (k, 6) at the begin of the plan, see DynamicObstacles.discs
+    robots: Float64s = NO_ROBOTS  # (t, k, 3) x, y, radius m of other robots after 1, 2, ... steps of DT
 
 
 class ControlSolution(NamedTuple):

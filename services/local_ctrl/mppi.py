@@ -25,7 +25,15 @@ from services.local_ctrl.cost_to_go import carrot, to_go_at
 from services.local_ctrl.critics import Critics, Weights, dynamic_clearance, obstacle_cost, stopping_distance
 from services.local_ctrl.dynamic_obstacles import predicted_discs
 from services.local_ctrl.footprint import Footprint, circles_clearance, clearance, touches
-from services.local_ctrl.rollout import DT, Limits, arc_step, limited_turn_rate, speed_after, turn_rate_after
+from services.local_ctrl.rollout import (
+    DT,
+    Limits,
+    arc_step,
+    fill_rollout,
+    limited_turn_rate,
+    speed_after,
+    turn_rate_after,
+)
 from shared.config import Section
 from shared.types import Float32s, Float64s
 
@@ -95,7 +103,9 @@ class Mppi:
         shift = min(max(n_elapsed, 0), self.config.steps)
         self.mean = np.concatenate((self.mean[shift:], np.repeat(self.mean[-1:], shift, axis=0)))
         self.n_solved += 1
-        self.predicted_obstacles = predicted_discs(scene.dynamic_obstacles, self.config.steps)
+        robots = scene.robots[np.minimum(np.arange(self.config.steps), len(scene.robots) - 1)]
+        discs = predicted_discs(scene.dynamic_obstacles, self.config.steps)
+        self.predicted_obstacles = np.concatenate((discs, robots), axis=1) if robots.shape[1] else discs
         # a step that shares no factor with the pool's size visits every start before it repeats
         start = (self.n_solved * 7919) % len(self.noise)
         _explore(self.mean, self.noise, start, scene, self.limits, self.targets)
@@ -254,8 +264,8 @@ def _evaluate(
                 if hit:
                     # half of it depends on the time: the later, the cheaper
                     cost += weights.collision * (1.0 - 0.5 * t / steps)
-                    for rest in range(t + 1, steps):
-                        executed[k, rest, 0], executed[k, rest, 1] = 0.0, 0.0
+                    # beyond contact the plan brakes, as no drive stops within a step
+                    fill_rollout(0.0, 0.0, v, w, limits, executed[k, t + 1 :])
                     mean_to_go += to_go * (steps - t)
                     break
             cost += DT * obstacle_cost(

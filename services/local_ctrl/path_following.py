@@ -8,7 +8,7 @@ of a free direction and the report of a blocked path are our own. So is the path
 turning radius.
 """
 
-from math import atan2, copysign, hypot, isinf, pi, sqrt
+from math import atan2, copysign, hypot, inf, isinf, pi, sqrt
 
 import numpy as np
 from pydantic import Field
@@ -20,6 +20,7 @@ from services.local_ctrl.footprint import Footprint, bilinear
 from services.local_ctrl.local_costmap import LocalCostmap
 from services.local_ctrl.local_plan import MAX_ADVANCE_M, SPACING, LocalPlan, PathAhead, cut_at_turn
 from services.local_ctrl.manoeuvres import TURN_LOOKAHEAD_RAD, ControlOutcome, braking, free_angle, turn_command
+from services.local_ctrl.other_robots import STOP_SHORT_M, LocalTraffic, without_robots
 from services.local_ctrl.rollout import DT, Limits, Motion, speed_after
 from services.local_ctrl.zones import LocalZones
 from shared import reasons
@@ -39,6 +40,7 @@ ARC_OFF_PATH_COST = 4.0  # slowness per metre beside the plan, and at most, for 
 NO_POINTS: Float64s = np.empty((0, 2))
 HEADING_MISSED = FollowState.FAILED, reasons.HEADING_MISSED.code
 TURN_HYSTERESIS_RAD = 0.5  # over half a turn of remaining rotation: beyond it the direction is chosen again
+REFUGE_M = 0.2  # from the refuge at which a robot that makes way stands
 THREAT_TIME_S, THREAT_CLEARANCE_M = 2.0, 0.2  # s until something would be this near, m, if the robot stood
 WINDOW_MARGIN_M = 0.25  # between the path and the window's edge: the field around its end needs room
 
@@ -72,7 +74,7 @@ class PathFollower:
         footprint: Footprint,
         zones: LocalZones,
     ) -> None:
-        self.footprint, self.zones = footprint, zones
+        self.footprint, self.zones, self.traffic = footprint, zones, LocalTraffic()
         self.configure(config, cost_to_go, controller, limits)
         self.reset()
 
@@ -94,10 +96,17 @@ class PathFollower:
         self.n_stalled = 0
 
     def follow(
-        self, plan: LocalPlan, goal: Goal, costmap: LocalCostmap, motion: Motion, odom_from_map: Pose2, n_elapsed: int
+        self,
+        plan: LocalPlan,
+        goal: Goal,
+        costmap: LocalCostmap,
+        motion: Motion,
+        odom_from_map: Pose2,
+        n_elapsed: int,
+        now: int,
     ) -> ControlOutcome:
         """The command of one tick. motion: in `odom`, when the command acts. n_elapsed: steps of DT since the last
-        tick.
+        tick. now: ns.
         """
         window = costmap.resolution * len(costmap.field) / 2 - WINDOW_MARGIN_M
         arcs = not isinf(self.limits.curvature)
@@ -111,21 +120,33 @@ class PathFollower:
             self.reset()  # the plan lies outside the window: it starts elsewhere
             return braking(motion, self.limits, FollowState.BLOCKED, reasons.POSE_JUMPED.code)
         left = ahead.left + hypot(ahead.points[0, 0] - motion.pose.x, ahead.points[0, 1] - motion.pose.y)
-        if self._is_at_end(ahead, goal, motion, odom_from_map, plan):
+        cleared = self.traffic.cleared(ahead.points, odom_from_map)
+        if self.traffic.gives_way:
+            if ahead.ends and motion.pose.distance(ahead.end) < REFUGE_M:
+                return braking(motion, self.limits, FollowState.BLOCKED, reasons.GIVING_WAY.code, left)
+        elif self._is_at_end(ahead, goal, motion, odom_from_map, plan):
             return self._turn_to_goal(ahead.end.yaw, goal, costmap, motion)
         if not self.limits.spins and ahead.left == 0.0 and abs(self._bearing_error(ahead, motion)) > 0.5 * pi:
             self.missed = True  # it drove past
             return braking(motion, self.limits, *HEADING_MISSED)
+        if cleared < STOP_SHORT_M:
+            self.turning = 0.0
+            return braking(motion, self.limits, FollowState.BLOCKED, reasons.RIGHT_OF_WAY.code, left)
+        if cleared < ahead.left:
+            ahead = ahead._replace(points=ahead.points[: max(2, int(cleared / SPACING) + 1)], ends=True)
         if arcs:
             ahead = cut_at_turn(ahead, MAX_TURN_AHEAD_RAD)
         self.controller.limits = self.zones.limits_in_zones(self.limits, ahead.points, motion, odom_from_map)
         slow = reasons.SPEED_ZONE.code if self.controller.limits.v_max < self.limits.v_max else ""
-        extends_path = arcs and not self.limits.spins and ahead.ends and goal.yaw_tolerance <= pi
+        slow = self.traffic.reason() or slow
+        self.controller.limits = self.traffic.limits(self.controller.limits, cleared)
+        at_goal = ahead.ends and cleared == inf
+        extends_path = arcs and not self.limits.spins and at_goal and goal.yaw_tolerance <= pi
         beyond = self._extension(ahead, costmap) if extends_path else NO_POINTS
         if len(beyond):
             self.controller.limits = limits_to_stop(self.controller.limits, motion.pose.distance(ahead.end))
             ahead = ahead._replace(points=np.concatenate((ahead.points, beyond)), ends=False)
-        scene, closed = self._control_scene(ahead, costmap, motion)
+        scene, closed = self._control_scene(ahead, costmap, motion, self.traffic.places(now, odom_from_map))
         is_threatened = self._is_threatened(scene)
         if is_threatened:
             self.turning = 0.0
@@ -153,8 +174,13 @@ class PathFollower:
         fits = [bilinear(costmap.field, x, y) > self.footprint.circumscribed for x, y in cells.tolist()]
         return points[: fits.index(False) if False in fits else len(fits)]
 
-    def _control_scene(self, ahead: PathAhead, costmap: LocalCostmap, motion: Motion) -> tuple[ControlScene, bool]:
-        """The scene for the controller, and whether the robot stands where the path is blocked."""
+    def _control_scene(
+        self, ahead: PathAhead, costmap: LocalCostmap, motion: Motion, robots: Float64s
+    ) -> tuple[ControlScene, bool]:
+        """The scene for the controller, and whether the robot stands where the path is blocked.
+
+        robots: (t, k, 3) m in `odom`, see ControlScene.
+        """
         points = ahead.points - (costmap.x0, costmap.y0)
         x, y = motion.pose.x - costmap.x0, motion.pose.y - costmap.y0
         to_go = cost_to_go(
@@ -180,7 +206,9 @@ class PathFollower:
             v=motion.v,
             w=motion.w,
             path=points[: to_go.i_end + 1],
-            dynamic_obstacles=costmap.moving_discs - (costmap.x0, costmap.y0, 0.0, 0.0, 0.0, 0.0),
+            dynamic_obstacles=without_robots(costmap.moving_discs, robots)
+            - (costmap.x0, costmap.y0, 0.0, 0.0, 0.0, 0.0),
+            robots=robots - (costmap.x0, costmap.y0, 0.0),
         )
         return scene, to_go.closed and hypot(scene.end_x - x, scene.end_y - y) < self.config.closed_within
 

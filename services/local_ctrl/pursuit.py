@@ -11,11 +11,11 @@ import numpy as np
 from numba import njit
 from pydantic import Field
 
-from services.local_ctrl.arcs import Arc, fill_rollout, max_speed_to_end, simulated_arc
+from services.local_ctrl.arcs import Arc, max_speed_to_end, simulated_arc
 from services.local_ctrl.controller import Controller, ControlScene, ControlSolution, EvaluatedRollouts
 from services.local_ctrl.cost_to_go import to_go_at
 from services.local_ctrl.footprint import Footprint, clearance
-from services.local_ctrl.rollout import DT, Limits, speed_after
+from services.local_ctrl.rollout import DT, Limits, fill_rollout, speed_after
 from shared.config import Section
 from shared.types import Float64s
 

@@ -12,6 +12,7 @@ from numba import njit
 
 from shared.config import Drive
 from shared.geometry import Pose2, wrapped
+from shared.types import Float32s, Float64s
 
 DT = 0.05  # s a step of a rollout: the tick of 20 Hz
 MAX_STEP_NS = 20_000_000  # ns: accelerations are predicted this finely
@@ -106,6 +107,20 @@ def arc_step(v: float, w: float, dt: float) -> tuple[float, float, float, float]
         cosine = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0 * (1.0 - q / 56.0)))
         return v * dt * sinc, cosine, half * sinc, half
     return v * dt * sin(half) / half, cos(half), sin(half), half
+
+
+@njit(cache=True, nogil=True)
+def fill_rollout(
+    target_v: float, target_w: float, v: float, w: float, limits: Limits, velocities: Float64s | Float32s
+) -> None:
+    """Fills velocities (steps, 2), m/s and rad/s, with those of the drive from (v, w) on, towards the target.
+
+    target_v, v: m/s. target_w, w: rad/s.
+    """
+    for t in range(len(velocities)):
+        v, w = speed_after(v, target_v, limits, DT), turn_rate_after(w, target_w, limits, DT)
+        w = limited_turn_rate(v, w, limits)
+        velocities[t, 0], velocities[t, 1] = v, w
 
 
 def predicted_motion(

@@ -32,10 +32,12 @@ from shared.messages import (
     MapState,
     MapUpdate,
     Odometry,
+    OtherRobots,
     Path,
     PoseEstimate,
     RangeReadings,
     Recovery,
+    RightOfWay,
     Velocity,
     Zones,
 )
@@ -74,8 +76,7 @@ class LocalCtrlService(Service):
         self.manoeuvre: Manoeuvre | None = None
         self.plan = ReceivedPlan(config.ages)
         self.estimate = StateEstimate(self.limits, config.latency, config.speed_settling)
-        self.start = Motion(Pose2(), 0.0, 0.0)  # of the last rollouts
-        self.last_tick = 0  # ns
+        self.start, self.last_tick = Motion(Pose2(), 0.0, 0.0), 0  # of the last rollouts; ns
         self.ranges_wanted, self.ranges_limits = sensors_in_use(robot, config.costmap)
 
     def settings_changed(self, old: Configuration, new: Configuration) -> Out:
@@ -98,12 +99,10 @@ class LocalCtrlService(Service):
 
     @on(topics.SCAN)
     def scan(self, scan: LaserScan) -> Out:
-        """Takes a scan of the first laser into the costmap."""
         return self._take_scan(topics.SCAN.key, scan)
 
     @on(topics.SCAN_2)
     def scan_2(self, scan: LaserScan) -> Out:
-        """Takes a scan of the second laser into the costmap."""
         return self._take_scan(topics.SCAN_2.key, scan)
 
     def _take_scan(self, key: str, scan: LaserScan) -> Out:
@@ -114,7 +113,6 @@ class LocalCtrlService(Service):
 
     @on(topics.RANGES)
     def ranges(self, readings: RangeReadings) -> Out:
-        """Takes the echoes of the range sensors into the costmap."""
         if len(readings.ranges) == len(self.ranges_wanted) and self.inputs.odometry.latest is not None:
             here = self.inputs.odometry.odom_from_base
             self.costmap.recentre(here.x, here.y)
@@ -133,13 +131,11 @@ class LocalCtrlService(Service):
 
     @on(topics.MAP_STATE)
     def map_state(self, state: MapState) -> Out:
-        """Takes the virtual walls of the map."""
         self.zones.set_walls(state)
         return ()
 
     @on(topics.CONTACTS)
     def contacts(self, contacts: Contacts) -> Out:
-        """Takes the places of contacts as obstacles for a while."""
         if (pose := self.inputs.pose) is not None:
             self.zones.add_contacts(contacts, self.inputs.map_from_base(pose), self.now)
         return ()
@@ -147,6 +143,16 @@ class LocalCtrlService(Service):
     @on(topics.ZONES)
     def new_zones(self, zones: Zones) -> Out:
         self.zones.set_zones(zones)
+        return ()
+
+    @on(topics.RIGHT_OF_WAY)
+    def right_of_way(self, told: RightOfWay) -> Out:
+        self.path_follower.traffic.right_of_way = told
+        return ()
+
+    @on(topics.OTHER_ROBOTS)
+    def other_robots(self, others: OtherRobots) -> Out:
+        self.path_follower.traffic.others = others
         return ()
 
     @on(topics.GOAL)
@@ -167,7 +173,6 @@ class LocalCtrlService(Service):
 
     @on(topics.RECOVERY)
     def new_recovery(self, recovery: Recovery) -> Out:
-        """Begins a newer recovery."""
         if is_newer(recovery, self.order, self.now):
             self.order, self.manoeuvre = recovery, None
             self.path_follower.reset()
@@ -176,7 +181,6 @@ class LocalCtrlService(Service):
 
     @on(topics.PLAN)
     def new_plan(self, path: Path) -> Out:
-        """Takes the planner's message."""
         self.plan.set_message(path)
         return ()
 
@@ -189,8 +193,8 @@ class LocalCtrlService(Service):
         outcome = outcome._replace(w=self.robot.drive.bent(outcome.v, outcome.w))
         self.estimate.add_command(self.now, outcome.v, outcome.w)
         yield topics.CMD_NAV(Velocity(self.now, outcome.v, outcome.w, outcome.reason))
-        order_id = self.order.id if self.order is not None else 0
-        yield topics.FOLLOW(FollowStatus(self.now, order_id, outcome.state, outcome.reason, outcome.left))
+        order = 0 if self.order is None else self.order.id
+        yield topics.FOLLOW(FollowStatus(self.now, order, outcome.state, outcome.reason, outcome.left))
         if self.debug_topics.is_due(self.now) and self.inputs.odometry.latest is not None:
             costmap = deepcopy(self.costmap)  # the update changes it, and a spectator must not change the drive
             update_costmap(costmap, self.inputs, self.grid, self.zones, self.footprint, self.now)
@@ -212,7 +216,7 @@ class LocalCtrlService(Service):
             return ControlOutcome(0.0, 0.0, FollowState.IDLE)
         stop = self.inputs.stale_input(self.now, self.rejections)
         if stop is None and isinstance(order, Goal):
-            stop = self.inputs.localization_fault(self.now)
+            stop = self.inputs.localization_fault(self.now) or self.path_follower.traffic.fault(self.now)
         if stop is not None:
             self.path_follower.reset()
             return ControlOutcome(0.0, 0.0, FollowState.BLOCKED, stop.code)
@@ -229,7 +233,8 @@ class LocalCtrlService(Service):
         if reason is not None or plan is None:
             self.path_follower.reset()
             return braking(motion, self.limits, FollowState.BLOCKED, reason or reasons.NO_PLAN.code)
-        outcome = self.path_follower.follow(plan, order, self.costmap, motion, self.inputs.odom_from_map, n_elapsed)
+        odom_from_map = self.inputs.odom_from_map
+        outcome = self.path_follower.follow(plan, order, self.costmap, motion, odom_from_map, n_elapsed, self.now)
         if outcome.state in (FollowState.ARRIVED, FollowState.FAILED) and not self.plan.is_for(order):
             self.path_follower.missed = False
             outcome = outcome._replace(state=FollowState.FOLLOWING, reason="")  # the end of the plan before
@@ -237,9 +242,7 @@ class LocalCtrlService(Service):
 
     def warm_up(self) -> None:
         """Compiles the kernels: a second service with each controller follows, turns and backs up once."""
-        for controller in CONTROLLERS:
-            config = self.config.model_copy(update={"controller": controller})
-            warm_up.drive(LocalCtrlService(config, self.robot))
+        warm_up.drive_all(LocalCtrlService, self.config, self.robot)
 
     def state(self) -> str:
         if isinstance(self.order, Recovery):

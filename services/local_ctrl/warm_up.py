@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from services.local_ctrl.config import CONTROLLERS, LocalCtrlConfig
 from shared import sample_messages as sample
+from shared.config import Robot
 from shared.geometry import Pose2
 from shared.messages import TILE_CELLS, Recovery, RecoveryKind
 
@@ -13,6 +15,12 @@ if TYPE_CHECKING:
     from services.local_ctrl.service import LocalCtrlService
 
 NOW = 10**10  # ns
+
+
+def drive_all(service: type["LocalCtrlService"], config: LocalCtrlConfig, robot: Robot) -> None:
+    """Lets a service with each controller drive."""
+    for controller in CONTROLLERS:
+        drive(service(config.model_copy(update={"controller": controller}), robot))
 
 
 def drive(service: "LocalCtrlService") -> None:

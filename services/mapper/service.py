@@ -19,7 +19,7 @@ from services.mapper.warm_up import warm_up
 from shared import requests, topics
 from shared.config import Robot
 from shared.geometry import Pose2
-from shared.messages import LaserScan, MapEdit, MapMode, MapState, MapUpdate, Odometry, PoseEstimate
+from shared.messages import LaserScan, MapEdit, MapMode, MapState, MapUpdate, Odometry, OtherRobots, PoseEstimate
 from shared.reasons import BAD_REQUEST, BUSY, MAP_REFUSED
 from shared.requests import EditMap, FetchMap, GiveMap, LoadMap, MapPart, NameMap, Reply, StartMap, Watch
 from shared.service import Answer, Checkpoint, Job, Log, Out, Service, answer, every, on
@@ -84,7 +84,6 @@ class MapperService(Service):
         return ()
 
     def state(self) -> str:
-        """Returns the mode and the state of the pose, for the health message."""
         if self.slam.tracked is None:
             return "waiting for a scan"
         pose = str(self.slam.tracked.state) if self.slam.is_localized else "looking for the robot on the map"
@@ -113,40 +112,41 @@ class MapperService(Service):
         if self.scan_queue.is_covered:
             yield from self._process_scan()
 
+    @on(topics.OTHER_ROBOTS)
+    def other_robots(self, others: OtherRobots) -> Out:
+        self.scan_queue.robot_mask.others = others
+        return ()
+
     @on(topics.SCAN)
     def scan(self, scan: LaserScan) -> Out:
         yield from self.scan_queue.check_clock(self.now)
         if self.scan_queue.pending:
             yield from self._process_scan()
-        yield from self.scan_queue.add_scan(scan, self.now)
-        if self.scan_queue.is_covered or self.scan_queue.lacks_odometry:
+        yield from self.scan_queue.add_scan(scan, self.slam.map_from_base, self.now)
+        if self.scan_queue.is_covered or self.scan_queue.lacks_odometry(self.now):
             yield from self._process_scan()
 
     @on(topics.SCAN_2)
     def second_scan(self, scan: LaserScan) -> Out:
-        return self.scan_queue.add_second_scan(scan, self.now)
+        return self.scan_queue.add_second_scan(scan, self.slam.map_from_base, self.now)
 
     @on(topics.MAP)
     def remember_map(self, update: MapUpdate) -> Out:
-        """Restores the latched map of the run before a restart."""
         self.previous_run.map = update
         yield from self._resume()
 
     @on(topics.POSE)
     def remember_pose(self, estimate: PoseEstimate) -> Out:
-        """Restores the latched pose of the run before a restart."""
         self.previous_run.pose = estimate
         yield from self._resume()
 
     @on(topics.MAP_STATE)
     def remember_map_state(self, state: MapState) -> Out:
-        """Restores name and edits of the map of the run before a restart."""
         self.previous_run.map_state = state
         yield from self._resume()
 
     @every(hz=20)
     def release(self) -> Out:
-        """Processes a scan for which odometry is late."""
         if self.scan_queue.is_overdue(self.now):
             yield from self._process_scan()
 

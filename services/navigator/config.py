@@ -29,7 +29,10 @@ class NavigatorConfig(Section):
         2.0, ge=0, le=60, description="s for which the pose may be lost until the robot is stopped"
     )
     resume_within: float = Field(
-        5.0, ge=0, le=30, description="s that a restart of the navigator may take for its task to continue"
+        10.0,
+        ge=0,
+        le=30,
+        description="s that a restart of the navigator may take for its task to continue; a hang lasts over 5",
     )
     leg: GoalAttemptConfig = GoalAttemptConfig()
     recovery: RecoveryConfig = RecoveryConfig()

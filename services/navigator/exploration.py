@@ -7,11 +7,13 @@ import numpy as np
 from pydantic import Field
 
 from services.navigator.frontiers import Frontier, FrontierConfig, Frontiers, Snapshot, find_frontiers
+from services.navigator.shared_exploration import SharedExploration, SharingConfig
 from services.navigator.tour import tours
 from shared.config import Section
 from shared.geometry import Pose2, wrapped
+from shared.grid import OccupancyGrid
 from shared.messages import TILE_CELLS
-from shared.types import Float64s, Int64s
+from shared.types import Float64s, Int8s, Int64s
 
 Cell = tuple[int, int]
 
@@ -43,6 +45,7 @@ class ExplorationConfig(Section):
         10.0, ge=0, le=300, description="the same, s, where dynamic obstacles may block the path to some"
     )
     tolerance: float = Field(0.3, ge=0.05, le=2, description="m to the pose from which a frontier is seen")
+    sharing: SharingConfig = SharingConfig()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,10 +58,10 @@ class FrontierTarget:
 
 
 class Exploration:
-    """State of one exploration task."""
+    """State of one exploration task.  sharing: with other robots, or None."""
 
-    def __init__(self, config: ExplorationConfig) -> None:
-        self.config = config
+    def __init__(self, config: ExplorationConfig, sharing: SharedExploration | None = None) -> None:
+        self.config, self.sharing = config, sharing
         self.target: FrontierTarget | None = None
         self.looking: float | None = None  # s at the target; None on the way
         self._near = 0.0  # s close to the target
@@ -75,6 +78,32 @@ class Exploration:
     def dropped(self) -> Int64s:
         """(n, 2) int64 rows and columns of `map` that are no frontier any more."""
         return np.array(sorted(self._given_up | self._failed), np.int64).reshape(-1, 2)
+
+    def snapshot(self, grid: OccupancyGrid, cells: Int8s, pose: Pose2, robot_radius: float, now: int) -> Snapshot:
+        """Input of a search on the cells (h, w) of a grid.  robot_radius: m, inscribed.
+
+        Where others explore too, the cells have a margin of unknown ones, as what lies there may be known to them.
+        """
+        areas = self.sharing.areas(now) if self.sharing is not None else ()
+        margin = 1 if areas else 0
+        return Snapshot(
+            cells=np.pad(cells, margin, constant_values=np.int8(-1)),
+            first_row=grid.first_row * TILE_CELLS - margin,
+            first_column=grid.first_column * TILE_CELLS - margin,
+            resolution=grid.resolution,
+            x=pose.x,
+            y=pose.y,
+            robot_radius=robot_radius,
+            dropped=self.dropped,
+            areas=areas,
+        )
+
+    def own_part(self, found: Frontiers, now: int) -> Frontiers:
+        """The frontiers that are left to this robot; all, where it explores alone."""
+        if self.sharing is None:
+            return found
+        target = (self.target.frontier.x, self.target.frontier.y) if self.target is not None else None
+        return self.sharing.own_frontiers(found, target, now)
 
     def choose_target(self, result: Frontiers, pose: Pose2, resolution: float) -> FrontierTarget | None:
         """The target among the found frontiers: the same object, or another where it vanished or is worse."""
@@ -115,6 +144,7 @@ class Exploration:
 
     def arrived(self) -> None:
         """Begins the look at the target. Time spent close to it counts for up to half of the look."""
+        self._end_help()
         self.looking = min(self._near, self.config.look_time / 2)
 
     def failed(self, resolution: float) -> None:
@@ -123,6 +153,7 @@ class Exploration:
             into = self._given_up if self._last_try else self._failed
             self._give_up(self.target.frontier, self.target, resolution, into)
         self._forget()
+        self._end_help()
 
     def retry_failed(self) -> bool:
         """Makes failed frontiers valid again, once. Returns whether there were any."""
@@ -152,6 +183,10 @@ class Exploration:
             spot = _visit_cell(self.target)
             self._visits[spot] = self._visits.get(spot, 0) + 1
         self.target, self.looking, self._near, self._n_better = None, None, 0.0, 0
+
+    def _end_help(self) -> None:
+        if self.sharing is not None:
+            self.sharing.helps = False
 
     def _give_up(self, frontier: Frontier, target: FrontierTarget, resolution: float, into: set[Cell]) -> None:
         """Drops the frontier's cells around the target, and at least the nearest one."""

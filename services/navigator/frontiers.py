@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from pydantic import Field
 
+from services.navigator.known_area import KnownArea, known_elsewhere
 from shared.config import Section
 from shared.distance_field import distance_field
 from shared.grid import FREE_UP_TO, OCCUPIED_FROM
@@ -74,7 +75,7 @@ class Snapshot:
 
     `cells`: (h, w) int8, percent, -1 unknown; its lower left cell is (first_row, first_column) of `map`. `resolution`:
     m. `x`, `y`: m, the robot. `robot_radius`: m, inscribed. `dropped`: (n, 2) int64 cells of `map` that are no
-    frontiers, with their neighbours.
+    frontiers, with their neighbours. `areas`: what other robots know: it has no frontiers towards that.
     """
 
     cells: Int8s
@@ -85,6 +86,7 @@ class Snapshot:
     y: float
     robot_radius: float
     dropped: Int64s
+    areas: tuple[KnownArea, ...] = ()
 
 
 def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
@@ -113,6 +115,10 @@ def find_frontiers(snapshot: Snapshot, config: FrontierConfig) -> Frontiers:
     seen_from = _nearest_places(free, places & (travelled < _UNREACHED), n_steps)
     cut_off_from = _nearest_places(free, places & (travelled == _UNREACHED), n_steps)
     border = _border_cells(free, cells)
+    if snapshot.areas:
+        beside = ~free & (cells < OCCUPIED_FROM) & dilated(border)
+        elsewhere = known_elsewhere(beside, snapshot.first_row, snapshot.first_column, resolution, snapshot.areas)
+        border = _border_cells(free, np.where(elsewhere, np.int8(OCCUPIED_FROM), cells))
     dropped = snapshot.dropped - (snapshot.first_row, snapshot.first_column)
     dropped = dropped[((dropped >= 0) & (dropped < (h, w))).all(axis=1)]
     for dr in (-1, 0, 1):
@@ -158,6 +164,16 @@ def _distances_between(reached: Bools, snapshot: Snapshot, frontiers: list[Front
     for i, (row, column) in enumerate(zip(rows, columns)):
         between[i] = _travel_costs(coarse, nowhere, row, column, 0.0)[rows, columns] / _STRAIGHT * side
     return np.asarray(np.maximum(between, between.T))
+
+
+def dilated(cells: Bools) -> Bools:
+    """The cells, (h, w) bool, and their four neighbours: scipy.ndimage.binary_dilation without scipy's 12 MB."""
+    grown = cells.copy()
+    grown[1:] |= cells[:-1]
+    grown[:-1] |= cells[1:]
+    grown[:, 1:] |= cells[:, :-1]
+    grown[:, :-1] |= cells[:, 1:]
+    return grown
 
 
 def _map_cells(piece: Int32s, snapshot: Snapshot) -> Int64s:

@@ -36,6 +36,9 @@ class GoalAttemptConfig(Section):
     hold_time: float = Field(
         30.0, gt=0, le=3600, description="s that the guard holds for a missing input until the task fails"
     )
+    right_of_way_time: float = Field(
+        180.0, gt=0, le=3600, description="s that the robot waits for other robots until the task fails"
+    )
     detours: int = Field(
         4,
         ge=1,
@@ -127,7 +130,8 @@ class GoalAttempt:
         self, plan: Path | None, follow: FollowStatus | None, config: GoalAttemptConfig
     ) -> tuple[AttemptAction, Reason]:
         """The next action and its reason."""
-        if self.held_time > config.hold_time:
+        waits = self.hold_reason in (reasons.RIGHT_OF_WAY, reasons.GIVING_WAY)
+        if self.held_time > (config.right_of_way_time if waits else config.hold_time):
             return AttemptAction.FAIL, self.hold_reason
         if self.age > config.base_time + self.max_plan_length / config.min_speed:
             return AttemptAction.FAIL, reasons.NO_PROGRESS

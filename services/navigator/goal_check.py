@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the planner would refuse a goal in any case: outside the map, or without room for the robot."""
+"""Whether a goal is refused in any case: in a keep-out zone, outside the map, or without room for the robot."""
 
 from math import ceil
 
@@ -10,9 +10,10 @@ from shared.clearance import required_clearance
 from shared.distance_field import distance_field
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import GoalLimits
+from shared.messages import GoalLimits, Zone
 from shared.reasons import Reason
 from shared.types import Bools
+from shared.zones import forbidding
 
 MAX_SINGLE_CHECKS = 20  # poses for which single checks are faster than one of the whole map
 
@@ -70,3 +71,29 @@ def _distances(grid: OccupancyGrid, row: int, column: int, n: int) -> np.ndarray
         place = slice(r0 - row + n, r1 - row + n), slice(c0 - column + n, c1 - column + n)
         occupied[place] = grid.occupied[r0:r1, c0:c1]
     return distance_field(occupied, 1.0)
+
+
+def refused_pose(
+    poses: tuple[Pose2, ...],
+    grid: OccupancyGrid,
+    limits: GoalLimits | None,
+    inscribed_radius: float,
+    tolerance: float,
+    zones: tuple[Zone, ...],
+    map_grows: bool,
+) -> tuple[Reason, str] | None:
+    """Returns why the planner would refuse a pose of a route in any case, and which pose that is; None if it may not.
+
+    inscribed_radius, tolerance: m.  map_grows: a later pose may lie outside of it, as the robot drives there over the
+    poses before.
+    """
+    doubts = needs_check(grid, limits, inscribed_radius, poses) if limits is not None else np.zeros(len(poses), bool)
+    for number, pose in enumerate(poses, 1):
+        if zone := forbidding(zones, pose):
+            return reasons.GOAL_KEEP_OUT, f"pose {number} of {len(poses)} is in {zone.name}"
+        if limits is None or not doubts[number - 1]:
+            continue
+        refusal = refusal_reason(grid, limits, inscribed_radius, pose, tolerance)
+        if refusal is not None and not (refusal is reasons.GOAL_OUTSIDE and number > 1 and map_grows):
+            return refusal, f"pose {number} of {len(poses)}, at ({pose.x:.2f}, {pose.y:.2f}): {refusal.text}"
+    return None

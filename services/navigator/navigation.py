@@ -15,7 +15,7 @@ from shared import reasons, topics
 from shared.config import Robot
 from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
-from shared.messages import TILE_CELLS, FollowState, FollowStatus, Goal, NavState, Recovery, RecoveryKind
+from shared.messages import FollowState, FollowStatus, Goal, NavState, Recovery, RecoveryKind
 from shared.orders import Order
 from shared.pose_tracker import PoseTracker
 from shared.reasons import Reason
@@ -135,7 +135,8 @@ class Navigation:
 
     def _passes(self, follow: FollowStatus, attempt: GoalAttempt) -> bool:
         """Whether the robot passes a pose of its route at which it need not stop."""
-        pose, under_way = self.pose_tracker.map_from_base, follow.state is FollowState.FOLLOWING and not self.suspended
+        pose, to_refuge = self.pose_tracker.map_from_base, follow.reason == reasons.GIVING_WAY.code
+        under_way = follow.state is FollowState.FOLLOWING and not (self.suspended or to_refuge)
         if pose is None or not under_way or not isinstance(self.task, Route):
             return False
         if not self.task.passes:
@@ -188,6 +189,7 @@ class Navigation:
         if pose is None or self.paused or self.suspended or self.action:
             return
         before = exploration.target
+        result = exploration.own_part(result, now)
         target = exploration.choose_target(result, pose, self.grid.resolution)
         if target is None:
             if self.attempt:
@@ -359,22 +361,16 @@ class Navigation:
         due = self.searched >= _SEARCH_PERIOD_S and self.searching >= _SEARCH_TIMEOUT_S
         if due and not (self.action or self.suspended):
             self.keep_out.moved(pose)
-            snapshot = Snapshot(
-                cells=laid(grid, self.keep_out.holding),  # keep-out zones are not explored
-                first_row=grid.first_row * TILE_CELLS,
-                first_column=grid.first_column * TILE_CELLS,
-                resolution=grid.resolution,
-                x=pose.x,
-                y=pose.y,
-                robot_radius=self.robot.inscribed_radius,
-                dropped=exploration.dropped,
-            )
+            cells = laid(grid, self.keep_out.holding)  # keep-out zones are not explored
+            snapshot = exploration.snapshot(grid, cells, pose, self.robot.inscribed_radius, now)
             self.searching = 0.0
             arguments = self.task_id, grid.map_id, snapshot, self.config.exploration.frontier
             yield Job(search, arguments, done="frontiers_found", takes=0.05)
 
     def _without_frontier(self, exploration: Exploration, result: Frontiers, now: int) -> Out:
         config = self.config.exploration
+        if exploration.sharing is not None and exploration.sharing.waits(exploration.without > config.settle_time, now):
+            return
         uncertain = result.enclosed or bool(result.unreachable)
         if exploration.without < (config.blocked_time if uncertain else config.settle_time):
             return

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from services.navigator.exploration import Exploration
 from services.navigator.navigation import Navigation
 from services.navigator.route import Route
+from services.navigator.shared_exploration import SharedExploration
 from shared import reasons, topics
-from shared.messages import GuardState, NavState, NavTask, TaskKind
+from shared.messages import ExplorationShare, GuardState, NavState, NavTask, TaskKind
 from shared.reasons import Reason
 from shared.service import Out
 from shared.stamps import FUTURE, fresh
@@ -35,6 +36,7 @@ class Resumption:
     def __init__(self, navigation: Navigation) -> None:
         self.navigation = navigation
         self.before: NavTask | None = None  # until its resumption is decided
+        self.share: ExplorationShare | None = None  # the last one before the restart
         self._began = 0  # ns, when it was remembered
         self._published: NavTask | None = None
 
@@ -75,7 +77,7 @@ class Resumption:
         if before.dwelling:
             away = 0.0 if before.paused else (now - before.stamp) * 1e-9
             dwell = max(before.dwell - away, 0.0)
-        yield from navigation.resume(_task_of(before, navigation), dwell, before.paused, now)
+        yield from navigation.resume(_task_of(before, navigation, self.share), dwell, before.paused, now)
 
     def tell(self, now: int) -> Out:
         """Publishes the task where it changed or the period is over."""
@@ -166,9 +168,13 @@ def _key(task: NavTask) -> _Key:
 _NOTHING: _Key = (0, TaskKind.NONE, 0, False, 0, 0, False)
 
 
-def _task_of(before: NavTask, navigation: Navigation) -> Route | Exploration:
+def _task_of(before: NavTask, navigation: Navigation, share: ExplorationShare | None) -> Route | Exploration:
+    """The task.  share: the last one before the restart, perhaps of another task."""
     if before.kind is TaskKind.EXPLORE:
-        return Exploration(navigation.config.exploration)
+        config, sharing = navigation.config.exploration, None
+        if share is not None and share.task_id == before.task_id:
+            sharing = SharedExploration(config.sharing, share.robot, share.others, share.common_from_map)
+        return Exploration(config, sharing)
     tolerance = before.tolerance or navigation.config.tolerance
     yaw_tolerance = before.yaw_tolerance or navigation.config.yaw_tolerance
     return Route(

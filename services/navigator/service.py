@@ -3,22 +3,23 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from services.navigator.config import NavigatorConfig
 from services.navigator.exploration import Exploration, warm_up_search
 from services.navigator.frontiers import Frontiers
-from services.navigator.goal_check import needs_check, refusal_reason
+from services.navigator.goal_check import refused_pose
 from services.navigator.motion import SingleMotion, refusal, straight, turn
 from services.navigator.navigation import Navigation, Task
 from services.navigator.resumption import Resumption
 from services.navigator.route import route_of
+from services.navigator.share_publisher import SharePublisher
+from services.navigator.shared_exploration import SharedExploration
 from services.navigator.status_message import Speedometer, status
 from services.navigator.zones import ActiveZones
 from shared import reasons, requests, topics
 from shared.config import Robot
 from shared.messages import (
     MAX_ZONES,
+    ExplorationShare,
     FollowStatus,
     GoalLimits,
     GuardState,
@@ -30,14 +31,13 @@ from shared.messages import (
     Odometry,
     Path,
     PoseEstimate,
+    RightOfWay,
     Zones,
 )
 from shared.requests import Cancel, DriveStraight, Explore, Navigate, Pause, Reply, SetZones, Spin
 from shared.service import Answer, Log, Out, Service, answer, every, on
 from shared.settings import Configuration
 from shared.topics import Publication
-from shared.types import Bools
-from shared.zones import forbidding
 
 _MAX_TICK_S = 1.0  # a longer step is a jump of the clock
 _FIRST_TICK_S = 0.2  # s
@@ -52,7 +52,7 @@ class NavigatorService(Service):
     def __init__(self, config: NavigatorConfig, robot: Robot) -> None:
         super().__init__(config, robot)
         self.navigation = Navigation(config, robot)
-        self.resumption = Resumption(self.navigation)
+        self.resumption, self.shares = Resumption(self.navigation), SharePublisher(self.navigation)
         self.zones = ActiveZones(config.zones)
         self.speedometer = Speedometer(robot.drive.max_speed / 2)
         self.limits: GoalLimits | None = None
@@ -116,9 +116,24 @@ class NavigatorService(Service):
             yield from self.navigation.end(self.now, state, stopped)
             yield from self.resumption.tell(self.now)
 
+    @on(topics.RIGHT_OF_WAY)
+    def right_of_way(self, told: RightOfWay) -> Out:
+        self.navigation.statuses.add_right_of_way(told, self.now)
+        return ()
+
+    @on(topics.OTHERS_SHARE)
+    def other_explorer(self, share: ExplorationShare) -> Out:
+        self.shares.take(share, self.now)
+        return ()
+
     @on(topics.TASK)
     def task_before_the_restart(self, task: NavTask) -> Out:
         self.resumption.remember(task, self.now)
+        return ()
+
+    @on(topics.SHARE)
+    def share_before_the_restart(self, share: ExplorationShare) -> Out:
+        self.resumption.share = share
         return ()
 
     @on(topics.ZONES)
@@ -138,6 +153,7 @@ class NavigatorService(Service):
         if not self.resumption.pending:  # else its goal stays until its resumption is decided
             yield from self.navigation.passed(seconds, self.now)
         self.speedometer.passed(seconds, self.velocity)
+        yield from self.shares.publish(self.now)
         yield from self._publish_status()
 
     def frontiers_found(self, result: tuple[int, int, Frontiers]) -> Out:
@@ -146,14 +162,18 @@ class NavigatorService(Service):
 
     @answer(requests.NAVIGATE)
     def navigate(self, request: Navigate) -> Answer[Reply]:
-        doubts = self._doubts(request)
-        for number, pose in enumerate(request.poses, 1):
-            if zone := forbidding(self.zones.zones, pose):
-                where = f"pose {number} of {len(request.poses)} is in {zone.name}"
-                return replace(self._reply(reasons.GOAL_KEEP_OUT), detail=where)
-            if doubts[number - 1] and (refusal := self._refused(request, number)):
-                where = f"pose {number} of {len(request.poses)}, at ({pose.x:.2f}, {pose.y:.2f}): {refusal.text}"
-                return replace(self._reply(refusal), detail=where)
+        navigation, tolerance = self.navigation, request.tolerance or self.config.tolerance
+        refused = refused_pose(
+            poses=request.poses,
+            grid=navigation.grid,
+            limits=self.limits,
+            inscribed_radius=self.robot.inscribed_radius,
+            tolerance=tolerance,
+            zones=self.zones.zones,
+            map_grows=self.maps,
+        )
+        if refused is not None:
+            return replace(self._reply(refused[0]), detail=refused[1])
         return (yield from self._begin(route_of(request, self.config)))
 
     @answer(requests.SET_ZONES)
@@ -166,7 +186,9 @@ class NavigatorService(Service):
 
     @answer(requests.EXPLORE)
     def explore(self, request: Explore) -> Answer[Reply]:
-        return (yield from self._begin(Exploration(self.config.exploration)))
+        exploration = self.config.exploration
+        sharing = SharedExploration(exploration.sharing, self.robot.name, request.others, request.common_from_map)
+        return (yield from self._begin(Exploration(exploration, sharing if request.others else None)))
 
     @answer(requests.SPIN)
     def spin(self, request: Spin) -> Answer[Reply]:
@@ -196,24 +218,6 @@ class NavigatorService(Service):
         yield from self._publish_status()
         return self._reply(None)
 
-    def _doubts(self, request: Navigate) -> Bools:
-        """(n,) bool: which poses of a route need a single check."""
-        if self.limits is None:
-            return np.zeros(len(request.poses), bool)
-        return needs_check(self.navigation.grid, self.limits, self.robot.inscribed_radius, request.poses)
-
-    def _refused(self, request: Navigate, number: int) -> reasons.Reason | None:
-        """Why the planner would refuse a pose of a route, counted from 1, in any case; else None.
-
-        A later pose may lie outside a map that grows: the robot drives there over the poses before.
-        """
-        if self.limits is None:
-            return None
-        navigation, tolerance = self.navigation, request.tolerance or self.config.tolerance
-        radius, pose = self.robot.inscribed_radius, request.poses[number - 1]
-        refusal = refusal_reason(navigation.grid, self.limits, radius, pose, tolerance)
-        return None if refusal is reasons.GOAL_OUTSIDE and number > 1 and self.maps else refusal
-
     def _begin(self, task: Task) -> Answer[Reply]:
         unfit = refusal(task, self.robot.drive) if isinstance(task, SingleMotion) else None
         if refused := self.navigation.statuses.stop_reason(self.now) or unfit:
@@ -241,7 +245,4 @@ class NavigatorService(Service):
 
     def _publish_status(self) -> Out:
         yield from self.resumption.tell(self.now)
-        yield self._status()
-
-    def _status(self) -> Publication:
-        return topics.NAV_STATUS(status(self.navigation, self.speedometer, self.now))
+        yield topics.NAV_STATUS(status(self.navigation, self.speedometer, self.now))

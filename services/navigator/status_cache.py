@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The newest messages of planner, local control and guard, as far as they are recent and about the present goal."""
+"""The newest messages of planner, local control, guard and traffic: the recent ones about the present goal."""
 
 from shared import reasons
-from shared.messages import FollowState, FollowStatus, GuardState, GuardStatus, Path
+from shared.messages import FollowState, FollowStatus, GuardState, GuardStatus, Path, RightOfWay
 from shared.orders import Order
 from shared.reasons import REASONS, Reason
 
@@ -32,6 +32,7 @@ _WAIT_FOR_END = {
 }
 """Reasons of the guard that no recovery ends: the navigator waits."""
 
+_FOR_ROBOTS = {reasons.RIGHT_OF_WAY.code, reasons.GIVING_WAY.code}
 _CONTACTS = {reasons.BUMPER.code, reasons.CLIFF.code}
 
 
@@ -45,6 +46,7 @@ class StatusCache:
         self._plan: tuple[Path, int] | None = None
         self._follow: tuple[FollowStatus, int] | None = None
         self._guard: tuple[GuardStatus, int] | None = None
+        self._right_of_way: tuple[RightOfWay, int] | None = None
 
     def add_plan(self, plan: Path, now: int) -> None:
         self._plan = plan, now
@@ -54,6 +56,9 @@ class StatusCache:
 
     def add_guard(self, guard: GuardStatus, now: int) -> None:
         self._guard = guard, now
+
+    def add_right_of_way(self, told: RightOfWay, now: int) -> None:
+        self._right_of_way = told, now
 
     def plan_for(self, goal: Order, now: int) -> Path | None:
         """The plan for this goal, or None."""
@@ -87,11 +92,25 @@ class StatusCache:
     def hold_reason(self, now: int) -> Reason | None:
         """The reason why the robot stands, where neither the path nor local control is the cause; else None."""
         guard = self.recent_guard(now)
-        if guard is None:
-            return None
-        if guard.source == "teleop":
+        if guard is not None and guard.source == "teleop":
             return reasons.BY_HAND
-        return REASONS[guard.reason] if guard.state is GuardState.HOLD and guard.reason in _WAIT_FOR_END else None
+        if guard is not None and guard.state is GuardState.HOLD and guard.reason in _WAIT_FOR_END:
+            return REASONS[guard.reason]
+        return self._waiting_reason(now)
+
+    def waited_for(self, now: int) -> tuple[str, ...]:
+        """The robots for which this one waits or makes way."""
+        told = self._right_of_way
+        if told is None or abs(now - told[1]) > _MAX_FOLLOW_AGE_NS or not told[0].active:
+            return ()
+        return told[0].waits_for
+
+    def _waiting_reason(self, now: int) -> Reason | None:
+        """Whether the robot stands for other robots, or makes way for them."""
+        follow = self._follow
+        if follow is None or abs(now - follow[1]) > _MAX_FOLLOW_AGE_NS or not self.waited_for(now):
+            return None
+        return REASONS[follow[0].reason] if follow[0].reason in _FOR_ROBOTS else None
 
     def contact_reason(self, now: int) -> Reason | None:
         """The reason of a contact that holds the robot, which backing up ends; None without one."""

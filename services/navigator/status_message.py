@@ -41,6 +41,8 @@ def status(navigation: Navigation, speedometer: Speedometer, now: int) -> NavSta
     code = _reason_code(navigation, now)
     reason = REASONS.get(code)
     reason_detail = f"{reason.text}: {reason.hint}" if reason else ""
+    if reason in (reasons.RIGHT_OF_WAY, reasons.GIVING_WAY) and (robots := navigation.statuses.waited_for(now)):
+        reason_detail = f"{'waits' if reason is reasons.RIGHT_OF_WAY else 'makes way'} for {', '.join(robots)}"
     return NavStatus(
         stamp=now,
         task_id=navigation.task_id,

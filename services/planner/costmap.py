@@ -5,13 +5,13 @@ The cost by distance is that of Nav2's inflation layer over an exact distance (`
 narrow places, and the second costmap with a smaller margin, are our own.
 """
 
+from itertools import product
 from math import ceil, exp, hypot
 from typing import ClassVar, Literal
 
 import numpy as np
 from numba import njit
 from pydantic import Field
-from scipy import ndimage
 
 from services.planner.abstract_graph import AbstractGraph
 from services.planner.connected_components import ConnectedComponents
@@ -239,14 +239,32 @@ class GlobalCostmap:
 
 def _changed_windows(changed: Bools) -> list[Window]:
     """Windows that hold all changed cells, (h, w) bool: one for each group of adjacent tiles."""
-    tiles = _changed_tiles(changed.view(np.uint64))
-    groups = ndimage.find_objects(ndimage.label(tiles, np.ones((3, 3)))[0])
     windows = []
-    for rows, columns in groups:
-        r0, c0 = rows.start * TILE_CELLS, columns.start * TILE_CELLS
-        part = changed[r0 : rows.stop * TILE_CELLS, c0 : columns.stop * TILE_CELLS]
+    for first_row, first_column, rows_end, columns_end in tile_groups(_changed_tiles(changed.view(np.uint64))):
+        r0, c0 = first_row * TILE_CELLS, first_column * TILE_CELLS
+        part = changed[r0 : rows_end * TILE_CELLS, c0 : columns_end * TILE_CELLS]
         down, across = np.flatnonzero(part.any(axis=1)), np.flatnonzero(part.any(axis=0))
         windows.append((r0 + int(down[0]), c0 + int(across[0]), r0 + int(down[-1]) + 1, c0 + int(across[-1]) + 1))
+    return windows
+
+
+def tile_groups(tiles: Bools) -> list[Window]:
+    """The bounding window of each group of tiles, (h, w) bool, that touch by edge or corner; by their first tile.
+
+    As scipy.ndimage.label and find_objects, whose import costs every process of the stack 10 MB.
+    """
+    left = dict.fromkeys(zip(*(index.tolist() for index in np.nonzero(tiles)), strict=True))
+    windows = []
+    while left:
+        group = [next(iter(left))]
+        del left[group[0]]
+        for row, column in group:  # it grows meanwhile
+            for near in product((row - 1, row, row + 1), (column - 1, column, column + 1)):
+                if near in left:
+                    del left[near]
+                    group.append(near)
+        rows, columns = zip(*group, strict=True)
+        windows.append((min(rows), min(columns), max(rows) + 1, max(columns) + 1))
     return windows
 
 

@@ -25,7 +25,7 @@ class KeepOutLayer:
         """reach: circumscribed radius of the robot, m."""
         self._keep_out = KeepOut(reach)
         self._zones: tuple[Float64s, ...] = ()  # polygons, m in `map`
-        self._contacts: tuple[Float64s, ...] = ()  # the same, of contacts
+        self._temporary: tuple[Float64s, ...] = ()  # the same, of contacts and of robots that stand
         self._costmap: GlobalCostmap | None = None  # that the three masks at the end were made for
         self._grid_geometry: object = None  # shape, origin and resolution of the grid that they were made for
         self._blocked_cells: Int64s = np.zeros(0, np.int64)  # flat indices of the cells in zones
@@ -37,13 +37,13 @@ class KeepOutLayer:
         self._zones = keep_outs(zones)
         self._apply()
 
-    def set_contacts(self, polygons: tuple[Float64s, ...]) -> None:
-        """Replaces the places (n, 2) m in `map` where the robot touched something: they are zones, too."""
-        self._contacts = polygons
+    def set_temporary(self, polygons: tuple[Float64s, ...]) -> None:
+        """Replaces the polygons (n, 2) m in `map` of contacts, and of robots that stand: they are zones, too."""
+        self._temporary = polygons
         self._apply()
 
     def _apply(self) -> None:
-        self._keep_out.take_polygons((*self._zones, *self._contacts))
+        self._keep_out.take_polygons((*self._zones, *self._temporary))
         self._grid_geometry = self._costmap = None
 
     def update_pose(self, pose: Pose2) -> bool:

@@ -19,7 +19,7 @@ from services.planner.hybrid_astar import MAX_CHORD_CELLS, hybrid_astar_path
 from services.planner.ray_cost import line_cost, path_cost
 from services.planner.smoothing import resampled_path, smooth_path_in_map
 from shared import reasons
-from shared.config import Section
+from shared.config import Drive, Section
 from shared.geometry import Pose2, wrapped, wrapped_all
 from shared.reasons import Reason
 from shared.types import Float64s
@@ -78,6 +78,13 @@ class TurningLimits(NamedTuple):
     radius: float
     spins: bool
     any_heading: bool
+
+
+def turning_limits(drive: Drive, any_heading: bool) -> TurningLimits | None:
+    """The limits of a drive; None where it has no turning radius."""
+    if not drive.min_turning_radius:
+        return None
+    return TurningLimits(drive.min_turning_radius, drive.turns_in_place, any_heading)
 
 
 def plan_path(

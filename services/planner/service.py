@@ -11,9 +11,10 @@ from services.planner.costmap_topic import PERIOD_NS as COSTMAP_PERIOD_NS
 from services.planner.costmap_topic import costmap_message, separate_costmap
 from services.planner.hierarchical_search import HierarchicalSearch
 from services.planner.keep_out_layer import KeepOutLayer
+from services.planner.other_robots import PlannerTraffic
 from services.planner.plan_message import plan_message
 from services.planner.plan_monitor import PlanMonitor, PlanMonitorConfig, search_ahead
-from services.planner.planning import GlobalPlan, PlanningConfig, TurningLimits, no_plan, plan_path
+from services.planner.planning import GlobalPlan, PlanningConfig, no_plan, plan_path, turning_limits
 from shared import reasons, requests, topics
 from shared import sample_messages as sample
 from shared.config import Robot, Section
@@ -30,6 +31,7 @@ from shared.messages import (
     Odometry,
     PoseEstimate,
     Recovery,
+    RightOfWay,
     Zones,
 )
 from shared.orders import Order, is_newer
@@ -67,7 +69,7 @@ class PlannerService(Service):
         self.search = HierarchicalSearch()
         self.keep_out = KeepOutLayer(robot.circumscribed_radius)
         self.pose_tracker = PoseTracker()
-        self.contact_places = ContactPlaces(robot)
+        self.contact_places, self.traffic = ContactPlaces(robot), PlannerTraffic()
         self.monitor = PlanMonitor(config.replanning, search_ahead(robot.drive, 1e-9 * PERIOD_NS))
         self.goal: Goal | None = None  # that is planned to
         self.order: Order | None = None  # the one with the highest id
@@ -116,7 +118,7 @@ class PlannerService(Service):
         if (self.grid.map_id, self.grid.resolution) != (map_id, resolution):
             self.costmap = None
             self.contact_places.clear()
-            self.keep_out.set_contacts(())
+            self.keep_out.set_temporary(self.traffic.polygons)
             self.monitor.clear()
         same = self.costmap is not None and changed.shape == shape
         if self.is_costmap_current:
@@ -135,7 +137,6 @@ class PlannerService(Service):
 
     @on(topics.ZONES)
     def zones(self, zones: Zones) -> Out:
-        """Takes the zones, and plans again at once: the present plan may cross a new zone."""
         self.keep_out.set_zones(zones)
         yield from self._zones_changed()
 
@@ -149,12 +150,18 @@ class PlannerService(Service):
         """Takes the places of contacts as zones for a while, and plans around them at once."""
         pose = self.pose_tracker.map_from_base
         if pose is not None and self.contact_places.add(contacts, pose, self.now):
-            self.keep_out.set_contacts(self.contact_places.polygons)
+            self.keep_out.set_temporary((*self.contact_places.polygons, *self.traffic.polygons))
+            yield from self._zones_changed()
+
+    @on(topics.RIGHT_OF_WAY)
+    def right_of_way(self, told: RightOfWay) -> Out:
+        """Plans around robots that stand, and to the refuge while the robot makes way."""
+        if self.traffic.update(told):
+            self.keep_out.set_temporary((*self.contact_places.polygons, *self.traffic.polygons))
             yield from self._zones_changed()
 
     @on(topics.POSE)
     def pose(self, estimate: PoseEstimate) -> Out:
-        """Takes the pose, and plans again at once where the robot is off the plan."""
         self.pose_tracker.add_estimate(estimate)
         here = self.pose_tracker.map_from_base
         if self.goal and not self.pose_tracker.is_lost and here is not None and self.monitor.is_off_plan(here):
@@ -162,13 +169,11 @@ class PlannerService(Service):
 
     @on(topics.ODOM)
     def odometry(self, odometry: Odometry) -> Out:
-        """Takes odometry."""
         self.pose_tracker.add_odometry(odometry)
         return ()
 
     @on(topics.GOAL)
     def new_goal(self, goal: Goal) -> Out:
-        """Begins a newer goal."""
         if is_newer(goal, self.order, self.now):
             self.order, self.goal = goal, goal if goal.active else None
             self.monitor.clear()
@@ -176,7 +181,6 @@ class PlannerService(Service):
 
     @on(topics.RECOVERY)
     def new_recovery(self, recovery: Recovery) -> Out:
-        """Ends planning: a goal follows after a recovery."""
         if is_newer(recovery, self.order, self.now):
             self.order, self.goal = recovery, None
             self.monitor.clear()
@@ -204,7 +208,7 @@ class PlannerService(Service):
         if self.goal is None:
             return
         before = self.monitor.plan
-        self._update_plan(self.goal)
+        self._update_plan(self.traffic.goal(self.goal))
         if self.monitor.plan is not None and (always or self.monitor.plan is not before):
             yield topics.PLAN(plan_message(self.monitor, self.monitor.plan, self.goal, self.grid.version, self.now))
 
@@ -222,9 +226,7 @@ class PlannerService(Service):
             self.monitor.update(self._new_plan(costmap, pose, goal), costmap, pose, self.now)
 
     def _new_plan(self, costmap: GlobalCostmap, pose: Pose2, goal: Goal) -> GlobalPlan:
-        drive = self.robot.drive
-        arcs = TurningLimits(drive.min_turning_radius, drive.turns_in_place, goal.yaw_tolerance > pi)
-        turning = arcs if drive.min_turning_radius else None
+        arcs = turning_limits(self.robot.drive, goal.yaw_tolerance > pi)
         return plan_path(
             costmap=costmap,
             search=self.search,
@@ -232,7 +234,7 @@ class PlannerService(Service):
             goal=goal.map_from_goal,
             tolerance=goal.tolerance,
             config=self.config.path,
-            turning=turning,
+            turning=arcs,
         )
 
     def _present_costmap(self, pose: Pose2) -> GlobalCostmap:

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files of a recording: names, parts, retention. All disk access of the recorder is here."""
 
+import glob
+import json
 import os
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
@@ -13,7 +15,8 @@ from typing import Self
 
 from pydantic import Field, field_validator, model_validator
 
-from services.recorder.retention import KEEP_SUFFIX, StoredRecording, recordings_to_remove
+from services.recorder.retention import KEEP_SUFFIX, UPLOADED_SUFFIX, StoredRecording, recordings_to_remove
+from services.recorder.upload_process import UploadOrder, UploadProcess, check_upload
 from shared import recording
 from shared.codec import Envelope
 from shared.config import Section, UserError, nearest
@@ -21,6 +24,7 @@ from shared.file_modes import make_folder
 from shared.messages import Message
 from shared.recording import CONFIG, Drop
 from shared.recordings.latched_state import Value
+from shared.service import Log
 from shared.topics import KEYS
 
 MB = 1e6
@@ -44,8 +48,15 @@ class RecorderConfig(Section):
         10_000,
         gt=0,
         le=1e7,
-        description="MB for this robot's recordings in the folder; the oldest unmarked ones are removed",
+        description="MB for this robot's recordings in the folder; the oldest unmarked ones are removed, "
+        "uploaded ones before others",
     )
+    upload: str = Field(
+        "",
+        description="where finished parts are uploaded: s3://BUCKET/FOLDER, another URL of fsspec, or a folder; "
+        "empty: nowhere",
+    )
+    upload_rate: float = Field(0, ge=0, le=1e5, description="MB/s that an upload takes at most; 0: no limit")
 
     @field_validator("topics", "exclude")
     @classmethod
@@ -60,6 +71,11 @@ class RecorderConfig(Section):
         if self.split_size > self.budget / 2:
             raise ValueError("split_size is over half of the budget: there would be no older part to remove")
         return self
+
+    @property
+    def recordings_folder(self) -> Path:
+        """Where the files are."""
+        return Path(self.file).parent if self.file else Path(self.folder)
 
     def wanted(self) -> frozenset[str]:
         """The recorded keys: those of `topics` without those of `exclude`."""
@@ -77,7 +93,12 @@ class RecordingStore:
         self._n_parts = 0
         self._part_start = 0
         self._attachments = {Path(name).name: _read_attachment(Path(name)) for name in config.attach}
-        folder = Path(config.file).parent if config.file else Path(config.folder)
+        self._robot = ""
+        self._upload, self._pending_logs = UploadProcess(), list[Log]()
+        self.n_removed_before_upload = 0
+        if config.upload:
+            check_upload(config.upload)
+        folder = config.recordings_folder
         try:
             make_folder(folder)
         except OSError as error:
@@ -107,9 +128,27 @@ class RecordingStore:
             with suppress(OSError):
                 writer.path.unlink()  # the part is empty
             raise
-        self._writer, self._part_start = writer, now
+        self._writer, self._part_start, self._robot = writer, now, robot
         self._n_parts += 1
-        self._remove_old_recordings(robot)
+        self._remove_old_recordings()
+        self._wake_upload()
+
+    def configure(self, config: RecorderConfig) -> None:
+        """Takes other settings: the limits hold for the open part too, the budget from the next part on."""
+        self.config = config
+        if self._robot:
+            self._wake_upload()
+
+    def step_upload(self) -> Iterator[Log]:
+        """Keeps the uploader going, and returns what there is to say. Waits for nothing."""
+        logs, self._pending_logs = self._pending_logs, []
+        yield from logs
+        yield from self._upload.step()
+
+    @property
+    def upload_text(self) -> str:
+        """State of the uploads in a few words; empty without uploads."""
+        return self._upload.text if self.config.upload else ""
 
     def write(
         self, key: str, type_: type[Message], payload: bytes, log_time: int, envelope: Envelope, latched: bool = False
@@ -146,6 +185,7 @@ class RecordingStore:
     def close(self) -> None:
         """Closes the recording and writes its index. Raises UserError on a disk error."""
         path = self.path
+        self._upload.close()
         try:
             self.end()
         except OSError as error:
@@ -176,21 +216,45 @@ class RecordingStore:
                 self._stem = stem
             return writer
 
-    def _remove_old_recordings(self, robot: str) -> None:
+    def _remove_old_recordings(self) -> None:
         """Removes the oldest recordings over the budget; ignores disk errors."""
-        own = f"{self._stem}.part[0-9]*" if self.config.file else f"{robot}-[0-9]*"
+        own = f"{glob.escape(self._stem)}.part[0-9]*" if self.config.file else f"{self._robot}-[0-9]*"
         recordings = []
         with suppress(OSError):
             names = set(os.listdir(self._folder))
             for name in names:
                 path = self._folder / name
                 if path != self.path and path.suffix == ".mcap" and fnmatchcase(name, own):
-                    stat, marked = path.stat(), name + KEEP_SUFFIX in names
-                    recordings.append(StoredRecording(path, stat.st_size, stat.st_mtime_ns, marked))
+                    recordings.append(_stored_recording(path, names))
         reserved = min(self.config.split_size, self.config.budget) * MB  # maximum size of the open part
+        uploaded = {recording.path for recording in recordings if recording.uploaded}
         for path in recordings_to_remove(recordings, round(self.config.budget * MB - reserved)):
             with suppress(OSError):
                 path.unlink()
+                path.with_name(path.name + UPLOADED_SUFFIX).unlink(missing_ok=True)
+                if self.config.upload and path not in uploaded:
+                    self.n_removed_before_upload += 1
+                    text = f"{path} was removed before its upload: the recordings reached recorder.budget"
+                    self._pending_logs.append(Log("WARNING", text))
+
+    def _wake_upload(self) -> None:
+        if not self.config.upload:
+            return
+        suffix = Path(self.config.file).suffix or ".mcap"
+        stem = glob.escape(Path(self.config.file).stem)
+        names = (stem, f"{stem}-[0-9]*", f"{stem}.part[0-9]*") if self.config.file else (f"{self._robot}-[0-9]*",)
+        patterns = tuple(f"{name}{suffix}" for name in names)
+        self._upload.wake(UploadOrder(str(self._folder), self.config.upload, self.config.upload_rate, patterns))
+
+
+def _stored_recording(path: Path, names: set[str]) -> StoredRecording:
+    """A recording of a folder with these names. Raises OSError."""
+    stat, uploaded = path.stat(), False
+    if path.name + UPLOADED_SUFFIX in names:
+        with suppress(OSError, ValueError, KeyError, TypeError):  # half of it was written: it was not uploaded
+            record = json.loads(path.with_name(path.name + UPLOADED_SUFFIX).read_bytes())
+            uploaded = (record["size"], record["changed"]) == (stat.st_size, stat.st_mtime_ns)
+    return StoredRecording(path, stat.st_size, stat.st_mtime_ns, path.name + KEEP_SUFFIX in names, uploaded)
 
 
 def _read_attachment(path: Path) -> bytes:

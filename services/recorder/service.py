@@ -4,14 +4,16 @@
 import errno
 
 from services.recorder.message_losses import MessageLosses, MessageSource
+from services.recorder.recording_files import listed_recordings, read_part
 from services.recorder.recording_store import RecorderConfig, RecordingStore
-from shared import topics
+from shared import requests, topics
 from shared.codec import Envelope
 from shared.config import Robot
 from shared.messages import Message
-from shared.reasons import DISK_FULL, NOT_RECORDED, Reason
+from shared.reasons import DISK_FULL, NO_SUCH_FILE, NOT_RECORDED, Reason
+from shared.recording_requests import MAX_RECORDING_PART, FetchRecording, ListRecordings, RecordingList, RecordingPart
 from shared.recordings.latched_state import LatchedState
-from shared.service import Log, Out, Service, every
+from shared.service import Answer, Log, Out, Service, answer, every
 from shared.settings import Configuration
 from shared.topics import Topic
 from shared.types import NS_PER_S
@@ -28,6 +30,7 @@ class RecorderService(Service):
     """
 
     config_type = RecorderConfig
+    config: RecorderConfig
     robot_file = ""
 
     def __init__(self, config: RecorderConfig, robot: Robot, store: RecordingStore) -> None:
@@ -36,6 +39,7 @@ class RecorderService(Service):
         self._wanted = config.wanted()
         self._latched, self._losses = LatchedState(), MessageLosses()
         self._part_start: int | None = None  # ns, start of the open part
+        self._open_name = ""  # of the part that is written
         self._failure: Reason | None = None
         self._retry_at, self._retry_wait = 0, NS_PER_S  # ns: time of the next try, wait after the next disk error
         self._unflushed: list[tuple[MessageSource, int]] = []
@@ -67,9 +71,32 @@ class RecorderService(Service):
         self._latched.take(key, payload)
 
     def settings_changed(self, old: Configuration, new: Configuration) -> Out:
-        """The limits hold for the open part too; the budget is applied when the next part begins."""
-        self._store.config = new.config
+        """Sets the limits of parts, budget and uploads."""
+        self._store.configure(new.config)
         return ()
+
+    @answer(requests.LIST_RECORDINGS)
+    def list_recordings(self, request: ListRecordings) -> Answer[RecordingList]:
+        """Lists the recordings of the folder for a site."""
+        yield from ()
+        files = listed_recordings(self.config.recordings_folder)
+        rows = tuple((file.name, file.size, file.modified, file.name == self._open_name) for file in files)
+        return RecordingList(self.now, True, "", "", rows)
+
+    @answer(requests.FETCH_RECORDING)
+    def fetch_recording(self, request: FetchRecording) -> Answer[RecordingPart]:
+        """Reads a part of a recording for a site."""
+        yield from ()
+        length = request.length if request.digest else min(request.length, MAX_RECORDING_PART)
+        try:
+            part = read_part(self.config.recordings_folder, request.name, request.offset, length)
+        except OSError as error:
+            return RecordingPart(self.now, False, NO_SUCH_FILE.code, error.strerror or str(error))
+        if part is None:
+            return RecordingPart(self.now, False, NO_SUCH_FILE.code, request.name)
+        data, digest, size = part
+        data = b"" if request.digest else data
+        return RecordingPart(self.now, accepted=True, reason="", detail="", size=size, data=data, sha256=digest)
 
     @every(hz=2)
     def flush(self) -> Out:
@@ -88,6 +115,7 @@ class RecorderService(Service):
                 self._on_disk_error(error, self.now)
         logs, self._pending_logs = self._pending_logs, []
         yield from logs
+        yield from self._store.step_upload()
 
     def state(self) -> str:
         text = f"recording, {self._n_recorded} messages" if self._part_start is not None else "waiting for a message"
@@ -97,8 +125,10 @@ class RecorderService(Service):
             "not recorded": self._losses.n_unwritten,
             "missed": self._losses.n_missed,
             "of unknown topics left out": self._n_unknown,
+            "parts removed before their upload": self._store.n_removed_before_upload,
         }
-        return ", ".join([text, *(f"{n} {what}" for what, n in counts.items() if n)])
+        uploads = [self._store.upload_text] if self._store.upload_text else []
+        return ", ".join([text, *(f"{n} {what}" for what, n in counts.items() if n), *uploads])
 
     def _write(self, type_: type[Message], source: MessageSource, payload: bytes, envelope: Envelope, now: int) -> None:
         try:
@@ -125,6 +155,7 @@ class RecorderService(Service):
         self._part_start = None
         self._store.begin(now, self.robot.name, self.robot_file, self._latched.values())
         self._part_start = now
+        self._open_name = self._store.path.name if self._store.path is not None else ""
         self._failure = None
         self._write_losses(now)
         self._pending_logs.append(Log("INFO", f"recording to {self._store.path}"))

@@ -52,8 +52,11 @@ class SharedWall:
         return (self.x + along, self.y) if self.along_x else (self.x, self.y + along)
 
 
-def building(number: int) -> dict[str, Any]:
-    """The tree of the world's YAML, with every value plain."""
+def building(number: int, floor: int = 0) -> dict[str, Any]:
+    """The tree of the world's YAML, with every value plain.
+
+    floor: 0 is the ground floor; another one has the same walls, doors and people, with other furniture.
+    """
     rng = np.random.default_rng([number, 7])
     width, height = (round(float(rng.uniform(*side)), 1) for side in (WIDTH, HEIGHT))
     rooms, lines = _rooms(width, height, rng)
@@ -69,12 +72,14 @@ def building(number: int) -> dict[str, Any]:
     tree["people"] = _people(lines, gaps, rng)
     tree["start"] = _start(lines, rng)
     openings = gaps + _corridor_openings(rooms)
+    floors = [floor] if floor else []
+    rng = np.random.default_rng([number, 9, floor]) if floor else rng
     for i, room in enumerate(rooms):
         here = [opening for opening in gaps if on_walls(room.at, opening)]
         if room.corridor:
             tree["boxes"] += _cabinets(room.at, openings, rng)
             continue
-        taste = np.random.default_rng([number, 8, room.like]) if room.like >= 0 else rng
+        taste = np.random.default_rng([number, 8, room.like, *floors]) if room.like >= 0 else rng
         furniture = furnish_room(room.at, here, taste)
         tree["boxes"] += furniture.boxes
         tree["cylinders"] += furniture.cylinders

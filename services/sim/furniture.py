@@ -6,7 +6,7 @@ from math import cos, radians, sin
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, label
+import scipy
 
 from shared.geometry import Pose2
 from shared.types import Bools, Float64s
@@ -76,7 +76,7 @@ def furnish_room(room: Rectangle, gaps: list[tuple[float, float, float]], rng: n
             solid |= piece_area
             furniture.boxes += piece.boxes
             furniture.cylinders += piece.cylinders
-    room_left = distance_transform_edt(np.pad(~solid, 1))[1:-1, 1:-1]
+    room_left = scipy.ndimage.distance_transform_edt(np.pad(~solid, 1))[1:-1, 1:-1]
     row, column = np.unravel_index(int(np.argmax(room_left)), solid.shape)
     furniture.middle = float(x[row, column]), float(y[row, column])
     return furniture
@@ -97,12 +97,12 @@ def _area(x: Float64s, y: Float64s, boxes: list[dict[str, Any]], cylinders: list
 
 def _passable(solid: Bools, door_areas: list[Bools], walls: Bools) -> bool:
     """Whether a disc of ROOM m still gets from every door to every other and over much of the floor."""
-    clear = distance_transform_edt(np.pad(~solid, 1))[1:-1, 1:-1] * CELL > MIN_HALF_PASSAGE_M
-    parts, n = label(clear)
+    clear = scipy.ndimage.distance_transform_edt(np.pad(~solid, 1))[1:-1, 1:-1] * CELL > MIN_HALF_PASSAGE_M
+    parts, n = scipy.ndimage.label(clear)
     if not n:
         return False
     largest = parts == 1 + int(np.argmax(np.bincount(parts.ravel())[1:]))
-    covered = distance_transform_edt(~largest) * CELL <= MIN_HALF_PASSAGE_M
+    covered = scipy.ndimage.distance_transform_edt(~largest) * CELL <= MIN_HALF_PASSAGE_M
     meets = all((largest & door).any() for door in door_areas)
     return bool(meets and covered.sum() >= MIN_REACHABLE_SHARE * (~walls).sum())
 

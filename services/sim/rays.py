@@ -9,8 +9,8 @@ from math import ceil, floor, inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numba import njit
-from scipy.ndimage import distance_transform_cdt
 
 from shared.types import Bools, Float64s, Int16s, Int32s
 
@@ -58,7 +58,7 @@ def index_grid(segments: Float64s, circles: Float64s, solid: Bools, x0: float, y
     has_shapes = (np.diff(first) > 0).reshape(h, w)
     content = solid | has_shapes
     if content.any():
-        skip = np.minimum(distance_transform_cdt(~content, metric="chessboard"), 32000).astype(np.int16)
+        skip = np.minimum(scipy.ndimage.distance_transform_cdt(~content, metric="chessboard"), 32000).astype(np.int16)
     else:
         skip = np.full((h, w), min(max(h, w), 32000), np.int16)
     skip[solid] = SOLID

@@ -7,7 +7,7 @@ from functools import cached_property, partial
 from math import ceil, pi
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, label
+import scipy
 
 from services.sim.rays import Cells, extent, index_grid, index_shapes, shapes_by_cell
 from shared.geometry import Pose2
@@ -145,14 +145,14 @@ class World:
         centres = self.centres(resolution, radius)[0]
         if not centres.any():
             return centres, x0, y0
-        return (distance_transform_edt(~centres) * resolution <= radius) & ~occupied, x0, y0
+        return (scipy.ndimage.distance_transform_edt(~centres) * resolution <= radius) & ~occupied, x0, y0
 
     def centres(self, resolution: float, radius: float) -> tuple[Bools, float, float]:
         """Where the middle of a disc of `radius` m can get from the start: a grid as from `occupied`."""
         occupied, x0, y0 = self.occupied(resolution)
         walled = np.pad(occupied, 1, constant_values=True)
-        room = distance_transform_edt(~walled)[1:-1, 1:-1] * resolution
-        islands, _ = label(room > radius)
+        room = scipy.ndimage.distance_transform_edt(~walled)[1:-1, 1:-1] * resolution
+        islands, _ = scipy.ndimage.label(room > radius)
         row, column = int((self.start.y - y0) // resolution), int((self.start.x - x0) // resolution)
         h, w = occupied.shape
         if not (0 <= row < h and 0 <= column < w) or islands[row, column] == 0:

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+import scipy
 from pydantic import ConfigDict, Field, ValidationError
 from ruamel.yaml.comments import CommentedMap
-from scipy.ndimage import distance_transform_edt, label
 
 from services.sim.building import building
 from services.sim.crowd import crowd_world
+from services.sim.warehouse import warehouse
 from services.sim.world import Raster, World
 from services.sim.world_file import build_world
 from shared.config import RobotFile, Section, UserError, load_yaml, nearest
@@ -22,6 +23,7 @@ from shared.grid import FREE_UP_TO
 from shared.ros_map import read_ros_map
 
 WORLDS_DIR = Path(__file__).resolve().parent / "worlds"  # data of this package
+WAREHOUSE = "warehouse"
 START_CLEARANCE_M = 1.0  # m of free space around a start that no file gives
 MIN_PASSAGE_M = 0.35  # m: floors connected by less count as two
 
@@ -51,7 +53,8 @@ def load_world(
 ) -> World:
     """A world by name (`office`), by path (a world's or a ROS map's YAML), or by number, routes checked.
 
-    Numbers are `barn:N` of barn_file, `building:N` and `crowd:N`.
+    Numbers are `barn:N` of barn_file, `building:N`, its floors `building:N/F`, and `crowd:N`. `warehouse` is generated,
+    too.
 
     seed, jitter: where loose things stand, see `world_file.built`.  start: replaces the world's own.
     Raises UserError, naming file and line, where something is missing or wrong.
@@ -60,6 +63,9 @@ def load_world(
         loaded, has_start = _cylinders(world, barn_file), True
     elif world.startswith("building:"):
         loaded, has_start = _building(world, seed, jitter), True
+    elif world == WAREHOUSE:
+        loaded = build_world(world, RobotFile(Path(world), CommentedMap(warehouse())), None, seed, jitter)
+        has_start = True
     elif world.startswith("crowd:"):
         loaded, has_start = crowd_world(_number(world)), True
     else:
@@ -80,19 +86,25 @@ def load_world(
 def _path(world: str) -> Path:
     path = Path(world) if world.endswith((".yaml", ".yml")) else WORLDS_DIR / f"{world}.yaml"
     if not path.is_file():
-        names = (*(p.stem for p in sorted(WORLDS_DIR.glob("*.yaml"))), "barn:N", "building:N", "crowd:N")
+        names = (*(p.stem for p in sorted(WORLDS_DIR.glob("*.yaml"))), "barn:N", "building:N", "crowd:N", WAREHOUSE)
         raise UserError(f"there is no world {world}", nearest(world, names))
     return path
 
 
 def _building(world: str, seed: int, jitter: float) -> World:
-    return build_world(world, RobotFile(Path(world), CommentedMap(building(_number(world)))), None, seed, jitter)
+    name, slash, floor = world.partition("/")
+    tree = building(_number(name), _digits(floor, world, "building:3/1 is another floor of building:3") if slash else 0)
+    return build_world(world, RobotFile(Path(world), CommentedMap(tree)), None, seed, jitter)
 
 
 def _number(world: str) -> int:
     kind, _, number = world.partition(":")
+    return _digits(number, world, f"a number makes a {kind}, like {kind}:3")
+
+
+def _digits(number: str, world: str, hint: str) -> int:
     if not (number.isascii() and number.isdigit() and len(number) < 10):
-        raise UserError(f"there is no world {world}", f"a number makes a {kind}, like {kind}:3")
+        raise UserError(f"there is no world {world}", hint)
     return int(number)
 
 
@@ -136,8 +148,10 @@ def _most_open_pose(world: World) -> Pose2:
     """A pose on the largest floor with START_CLEARANCE_M, or with the largest clearance that exists."""
     resolution = world.raster.resolution if world.raster else 0.1
     occupied, x0, y0 = world.occupied(resolution)
-    room = np.minimum(distance_transform_edt(np.pad(~occupied, 1))[1:-1, 1:-1] * resolution, START_CLEARANCE_M)
-    floors, n_floors = label(room > min(MIN_PASSAGE_M, room.max() / 2))
+    room = np.minimum(
+        scipy.ndimage.distance_transform_edt(np.pad(~occupied, 1))[1:-1, 1:-1] * resolution, START_CLEARANCE_M
+    )
+    floors, n_floors = scipy.ndimage.label(room > min(MIN_PASSAGE_M, room.max() / 2))
     if n_floors:
         room[floors != 1 + np.argmax(np.bincount(floors.ravel())[1:])] = 0.0
     row, column = np.unravel_index(int(np.argmax(room)), room.shape)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writer of recordings (MCAP, by the `mcap` package), also onto a disk that is full or fails."""
 
+import fcntl
+import os
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from itertools import groupby
@@ -13,6 +15,7 @@ import mcap.writer
 from shared.codec import schema, schema_id
 from shared.file_modes import opener
 from shared.messages import Message
+from shared.recordings.frames import MAGIC
 from shared.recordings.reader import ABOUT, DROPS, ENCODING, LATCHED, Channel, Drop, Entry, drops_record
 
 _CHUNK_BYTES = 64 * 1024
@@ -146,11 +149,32 @@ class Writer:
         self.n_messages += 1
 
 
+def is_finished(file: IO[bytes]) -> bool:
+    """Whether no process writes the recording. Keeps a shared lock on it until the file is closed."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # the file system has no locks
+        return file.seek(0, os.SEEK_END) >= len(MAGIC) and _end_of(file) == MAGIC
+    return True
+
+
+def _end_of(file: IO[bytes]) -> bytes:
+    file.seek(-len(MAGIC), os.SEEK_END)
+    return file.read()
+
+
 class _File:
-    """An unbuffered file for mcap's writer, whose own buffering would keep failing bytes and try them again."""
+    """An unbuffered file for mcap's writer, whose own buffering would keep failing bytes and try them again.
+
+    The process holds a lock on it while it writes. The kernel releases the lock of a killed process, too.
+    """
 
     def __init__(self, path: Path, mode: str) -> None:
         self._raw = cast(IO[bytes], open(path, mode, buffering=0, opener=opener))  # noqa: SIM115  # as long as the writer
+        with suppress(OSError):  # of a file system without locks
+            fcntl.flock(self._raw, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self.size = self.flushed_size = 0
 
     @property

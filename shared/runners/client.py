@@ -32,6 +32,7 @@ Q = TypeVar("Q", bound=Message)
 R = TypeVar("R", bound=Message)
 Callback = Callable[[M, Envelope], None]
 
+SETTLING_S = 1.0  # within which a new session learns which services answer, on a busy machine too
 CLOCK_AGE = 2.0  # s without `sim/clock` after which the stack's clock is taken for the wall's again
 
 
@@ -76,6 +77,7 @@ class Client:
 
     def __enter__(self) -> "Client":
         self.session = transport.opened(self.where, self._instead_of)
+        self._settled = time.monotonic() + SETTLING_S
         self.listen(topics.CLOCK, lambda clock, _: self._hear_clock(clock))
         return self
 
@@ -99,6 +101,10 @@ class Client:
         sequence = self._sequences[key] = self._sequences.get(key, -1) + 1
         envelope = Envelope(publisher, self.session_name, sequence, self.now())
         self._publishers[key].put(_sized(key, encode(publication.message, envelope)))
+
+    def put_raw(self, key: str, payload: bytes) -> None:
+        """Publishes bytes as they are. key: with the robot's name."""
+        self.session.put(key, payload, congestion_control=zenoh.CongestionControl.DROP)
 
     def listen(self, topic: Topic[M], callback: Callback[M]) -> None:
         """Calls back with each message on a topic, all of a family's keys too; the kept value first, if it has one.
@@ -175,19 +181,26 @@ class Client:
         """
         service = service or request.by
         envelope = Envelope("operator", self.session_name, 0, self.now())
-        key = f"{self.robot}/{request.key_of(service)}"
-        words = b""
         payload = _sized(request.key, encode(message, envelope))
-        for reply in self.session.get(key, payload=payload, timeout=timeout):
-            if reply.ok is None:
-                words = reply.err.payload.to_bytes() if reply.err is not None else b""
-                continue
-            try:
-                return decode(request.reply, reply.ok.payload.to_bytes())[0]
-            except CodecError as error:
-                raise UserError(
-                    f"{service} sent a reply that cannot be read: {error}", "same version on both sides?"
-                ) from None
+        replied = self.ask_raw(request, payload, timeout, service)
+        try:
+            return decode(request.reply, replied)[0]
+        except CodecError as error:
+            raise UserError(
+                f"{service} sent a reply that cannot be read: {error}", "same version on both sides?"
+            ) from None
+
+    def ask_raw(self, request: Request[Any, Any], payload: bytes, timeout: float, service: str = "") -> bytes:
+        """The bytes of the reply to a request as its bytes. Raises UserError where none comes."""
+        service = service or request.by
+        unsettled = self._settled - time.monotonic()
+        if unsettled > 0:  # a query that finds no service ends at once
+            self.answers(request, unsettled, service)
+        words = b""
+        for reply in self.session.get(f"{self.robot}/{request.key_of(service)}", payload=payload, timeout=timeout):
+            if reply.ok is not None:
+                return reply.ok.payload.to_bytes()
+            words = reply.err.payload.to_bytes() if reply.err is not None else b""
         raise request_error(service, words)
 
     def answers(self, request: Request[Any, Any], timeout: float, service: str = "") -> bool:

@@ -132,7 +132,7 @@ class Host:
         self.service.rejections.reject(key, kind, words, now, n)
 
     def from_port(self, publication: Publication, now: int) -> list[Effect]:
-        """One of the service's ports spoke (topics.RX, topics.PORT): that, and what the service makes of it."""
+        """One of the service's ports spoke (topics.RX, topics.PORT), or another robot: that, and what comes of it."""
         sent = self._sent(publication, f"{self.session}-port", now)
         if sent.topic.key not in self.handlers.topics:
             return [sent]

@@ -21,7 +21,11 @@ class Slot:
 
 
 class Inbox:
-    """Items in the order of arrival. In a slot with keep="latest" a new item replaces an unread one."""
+    """Items in the order of arrival. In a slot with keep="latest" a new item replaces an unread one, and comes last.
+
+    In the place of the unread one it would overtake what arrived before it. After a pause of the process, a scan would
+    come before the odometry of a second.
+    """
 
     def __init__(self) -> None:
         self._ready = threading.Condition()
@@ -38,6 +42,8 @@ class Inbox:
             if slot.keep == "latest" and slot.items:
                 slot.items[0] = item
                 slot.dropped += 1
+                self._order.remove(slot)
+                self._order.append(slot)
                 return False
             if len(slot.items) >= slot.capacity:
                 slot.items.popleft()

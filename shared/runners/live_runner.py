@@ -27,6 +27,7 @@ from shared.runners.inbox import Inbox, Slot
 from shared.runners.latched_disk import LatchedDisk
 from shared.runners.latched_store import LatchedStore
 from shared.runners.link_stats import LinkStats
+from shared.runners.other_robots import OtherRobotsAdmission, key_of_others
 from shared.runners.port import Port
 from shared.runners.refusals import Refusals
 from shared.runners.tick_timer import TickTimer
@@ -70,6 +71,7 @@ class LiveRunner:
         self._latched_readers: dict[str, transport.LatchedReader] = {}
         self._from_ports = self.inbox.slot("ports", "all")
         self._slots: list[Slot] = [self._requests, self._from_ports]
+        self._others: dict[str, OtherRobotsAdmission] = {}  # by key
         self._workers = ThreadPoolExecutor(1, thread_name_prefix="job")
         self._latched = LatchedStore(disk, self._own_latched(), self._workers)
         self._checkpoints = CheckpointDisk(disk.folder, name, self._workers) if disk is not None else None
@@ -156,7 +158,9 @@ class LiveRunner:
             if self.name in topic.publishers:
                 self._declare_publisher(topic)
         for topic, _ in self.host.handlers.topics.values():
-            if self.name not in topic.publishers:
+            if topic.from_robots:
+                self._declare_listener(topic)
+            elif self.name not in topic.publishers:
                 self._declare_subscriber(topic)
         for request, _ in self.host.handlers.requests.values():
             answer = partial(self._file_request, request)
@@ -187,6 +191,17 @@ class LiveRunner:
                 reader = transport.LatchedReader(self.session, f"{self.robot}/{key}", partial(self._file_kept, kept))
                 self._latched_readers[key] = reader
 
+    def _declare_listener(self, topic: Topic[Message]) -> None:
+        """Subscribes to what the other robots publish."""
+        slot = self.inbox.slot(topic.key, topic.keep)
+        self._slots.append(slot)
+        self._others[topic.key] = OtherRobotsAdmission(topic, self.robot)
+        self._declared.append(self.session.declare_subscriber(key_of_others(topic), partial(self._file_heard, slot)))
+
+    def _file_heard(self, slot: Slot, sample: zenoh.Sample) -> None:
+        if not self._refusals.oversized(slot.key, sample.payload):
+            self.inbox.file(slot, (str(sample.key_expr), sample.payload.to_bytes()))
+
     def _file_sample(self, slot: Slot, sample: zenoh.Sample) -> None:
         if not self._refusals.oversized(slot.key, sample.payload):
             self.inbox.file(slot, sample.payload.to_bytes())
@@ -215,6 +230,8 @@ class LiveRunner:
             self._apply(self.host.done(order, future.result(), now))
         elif slot is self._from_ports:
             self._apply(self.host.from_port(item, now))
+        elif slot.key in self._others:
+            self._hear(slot.key, item[0], item[1], now)
         elif isinstance(item, tuple):
             self._message(slot.key, item[0], now, begun, latched=True)
         else:
@@ -251,6 +268,17 @@ class LiveRunner:
         for timer in self._timers:
             timer.follow(topic.key, now)
         self.stats.count_message(key, (now - message.stamp) / NS_PER_S, time.perf_counter() - begun)
+
+    def _hear(self, key: str, full_key: str, payload: bytes, now: int) -> None:
+        """Gives the service another robot's message, and publishes it for the recorder."""
+        try:
+            message = self._others[key].admitted(full_key, payload, now)
+        except CodecError as error:
+            self.stats.bad += 1
+            self.stats.record_error(f"{full_key}: a bad message was dropped: {error}", now)
+            return
+        if message is not None:
+            self._apply(self.host.from_port(topics.BY_KEY[key](message), now))
 
     def _take_raws(self) -> None:
         for full_key, payload, at, latched in self._everything.take_all() if self._everything is not None else ():

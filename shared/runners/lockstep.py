@@ -111,6 +111,11 @@ class Lockstep:
         """The running service object, for tests."""
         return self._hosts[name].service
 
+    @property
+    def n_waiting(self) -> int:
+        """Events that are to come: messages under way, ticks, results of jobs."""
+        return len(self._heap)
+
     def at(self, seconds: float, action: Callable[[], None]) -> None:
         """Calls `action` this many seconds from now."""
         self._push(self.now + round(seconds * 1e9), action)
@@ -249,6 +254,22 @@ class Lockstep:
             self._from_port(other, topics.PORT(PortState(self.now, other[1], message.open, detail)))
         elif not {end, other} & self._unplugged:
             self._from_port(other, topics.RX(SerialData(self.now, other[1], message.data)))
+
+    def runs(self, name: str) -> bool:
+        """Whether a service runs."""
+        return name in self._hosts
+
+    def hear(self, publication: Publication) -> None:
+        """Another robot's message on a topic with `from_robots` arrives `within` later."""
+        name = publication.topic.publishers[0]
+        life = self._lives.get(name, 0)
+
+        def arrive() -> None:
+            host = self._alive(name, life)
+            if host is not None:
+                self._take(host, host.from_port(publication, self.now))
+
+        self._push(self.now + round(publication.topic.within * 1e9), arrive)
 
     def _from_port(self, end: Port, publication: Publication) -> None:
         name, life = end[0], self._lives.get(end[0], 0)

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import zenoh
 
-from shared.access_rules import access_control
+from shared.access_rules import access_control, site_access_control
 from shared.config import UserError, nearest
 from shared.credentials import TLS, Credentials, credentials_for
 from shared.secure_folder import SecureFolder
@@ -31,7 +31,8 @@ MAX_DOMAIN = 200
 LOG = "error,zenoh::api::session=off"  # goes to stdout, where tools write data; a session logs errors while it closes
 MAX_PAYLOAD = 4 * 2**20  # bytes of a message, a request or a reply; a whole map of 1000 tiles
 MAX_MESSAGE = 4 * MAX_PAYLOAD  # bytes that Zenoh accepts; it drops larger messages silently, so we refuse them first
-RING = 50_000  # messages that wait for the recorder: 100 s of a stack, 13 MB
+RING = 12_000  # messages that wait for the recorder: 24 s of a stack, 3 MB
+COMPRESSION = "transport/unicast/compression/enabled"  # LZ4 of batches: tiles of a map become a tenth
 ONE_THREAD = "(rx: (handover: net))"  # the thread that waits for the sockets also reads them
 DATA_QUEUE = 16  # batches of 64 kB a link: two, the default, overflow when a process waits 40 ms for a busy CPU
 
@@ -117,23 +118,53 @@ def gateway_configuration(where: StackAddress, endpoint: str, folder: SecureFold
         config.insert_json5("connect/timeout_ms", "-1")
     listening = [endpoint] if where.router else ["tcp/127.0.0.1:0", endpoint]
     config.insert_json5("listen/endpoints", json.dumps(listening))
-    tls = {
+    config.insert_json5("transport/link/tls", json.dumps(_listening_tls(folder)))
+    config.insert_json5("access_control", json.dumps(access_control(robot, folder.members())))
+    return config
+
+
+def _listening_tls(folder: SecureFolder) -> dict[str, Any]:
+    """Zenoh's `transport/link/tls` of a session that lets members of a folder in."""
+    return {
         "enable_mtls": True,
         "close_link_on_expiration": True,
         "root_ca_certificate": str(folder.authority_certificate),
         "listen_certificate": str(folder.robot_certificate),
         "listen_private_key": str(folder.robot_key),
     }
-    config.insert_json5("transport/link/tls", json.dumps(tls))
-    config.insert_json5("access_control", json.dumps(access_control(robot, folder.members())))
+
+
+def site_configuration(local: str, endpoint: str, folder: SecureFolder) -> zenoh.Config:
+    """The router of a site: robots and people by TLS at `endpoint`, programs of this computer at `local`.
+
+    Raises UserError where the folder is incomplete.
+    """
+    config = router_configuration(local, endpoint)
+    config.insert_json5(COMPRESSION, "true")
+    config.insert_json5("transport/link/tls", json.dumps(_listening_tls(folder)))
+    config.insert_json5("access_control", json.dumps(site_access_control(folder.members())))
     return config
 
 
-def router_configuration(endpoint: str) -> zenoh.Config:
-    """A router that listens on `endpoint`, for stacks whose services are containers."""
+def opened_site(endpoint: str, credentials: Credentials) -> zenoh.Session:
+    """The session of a robot with its site. It finds a router that was away again. Raises UserError without one."""
+    config = configuration(StackAddress(router=endpoint, credentials=credentials))
+    config.insert_json5(COMPRESSION, "true")
+    retry = {"period_init_ms": 1000, "period_max_ms": 10_000, "period_increase_factor": 2}
+    config.insert_json5("connect/retry", json.dumps(retry))
+    zenoh.init_log_from_env_or(LOG)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        hint = "is it running, and is this robot a member? see zenav secure list at the site"
+        raise UserError(f"no router of a site answers at {endpoint}", hint) from error
+
+
+def router_configuration(*endpoints: str) -> zenoh.Config:
+    """A router that listens on `endpoints`, for stacks whose services are containers."""
     config = zenoh.Config()
     config.insert_json5("mode", '"router"')
-    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
+    config.insert_json5("listen/endpoints", json.dumps(endpoints))
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("transport/shared_memory/enabled", "false")
     config.insert_json5("transport/link/rx/max_message_size", json.dumps(MAX_MESSAGE))

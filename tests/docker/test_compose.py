@@ -25,7 +25,7 @@ from zenav.secure import members
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = f"zenavtest{os.getpid()}"
 SERVICES = {"router", "sim", "base_driver", "odometry", "mapper", "planner", "local_ctrl", "guard", "navigator"}
-SERVICES |= {"recorder", "dashboard"}
+SERVICES |= {"recorder", "dashboard", "traffic"}
 DIES = """
 import os, pathlib
 for process in pathlib.Path("/proc").glob("[0-9]*"):

@@ -11,10 +11,10 @@ from ssl import SSLContext
 from typing import Any
 
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
 from tests.protobuf import schema_of
+from tests.websocket import WebSocketClient
 
 SUBPROTOCOL = Subprotocol("foxglove.sdk.v1")
 CLOSING = 0.5  # s that the server's goodbye may take: it stands behind what was not read
@@ -28,8 +28,8 @@ class FakeApp:
         """token, tls: for a server that serves TLS."""
         self._open = ExitStack()
         address = f"ws://127.0.0.1:{port}" if tls is None else f"wss://127.0.0.1:{port}/?token={token}"
-        self.socket: ClientConnection = self._open.enter_context(
-            connect(address, ssl=tls, subprotocols=[SUBPROTOCOL], max_size=None, close_timeout=CLOSING)
+        self.socket = self._open.enter_context(
+            WebSocketClient(address, ssl=tls, subprotocols=[SUBPROTOCOL], max_size=None, close_timeout=CLOSING)
         )
         self.channels: dict[str, dict[str, Any]] = {}
         self.services: dict[str, int] = {}

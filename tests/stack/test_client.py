@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -282,7 +283,15 @@ def test_echo_and_hz_are_data(where, capsys):
         assert json.loads(capsys.readouterr().out)["hz"] > 1
 
 
-def test_a_request_that_nobody_answers_is_an_error_at_once(where):
+def test_the_first_request_of_a_session_waits_until_its_service_is_known(where, monkeypatch):
+    monkeypatch.setattr("shared.runners.client.SETTLING_S", 20.0)
+    with Client(ROBOT.name, where) as client, ThreadPoolExecutor() as asking:
+        asked = asking.submit(client.ask, requests.CANCEL, Cancel(client.now()))
+        with running(ReachingNavigator(), "navigator", where):
+            assert asked.result(20).accepted
+
+
+def test_a_request_that_nobody_answers_is_an_error(where):
     with Client(ROBOT.name, where) as client, pytest.raises(UserError, match="navigator does not run"):
         client.ask(requests.CANCEL, Cancel(client.now()))
 

@@ -3,7 +3,6 @@
 
 import os
 import signal
-import socket
 from collections.abc import Iterator
 
 import pytest
@@ -67,7 +66,7 @@ def test_a_page_whose_connection_is_cut_drives_no_more(stack):
     with page_of(stack) as page:
         page.first("hello")
         drive(stack, page)
-        page.socket.socket.shutdown(socket.SHUT_RDWR)  # no goodbye
+        page.socket.cut()  # no goodbye
         stack.until(lambda: commanded(stack, 0.0))
 
 

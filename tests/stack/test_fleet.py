@@ -12,12 +12,12 @@ from contextlib import ExitStack
 import pytest
 
 from shared.config import UserError
+from shared.runners.presence import announce, presences
 from shared.runners.transport import opened, stack_address
 from tests.stack.test_client import ReachingNavigator, StopGuard
 from tests.stack.test_live import running
 from zenav.__main__ import _status
 from zenav.stack.launch import free_stack
-from zenav.stack.presence import announce, presences
 
 
 class Robot:

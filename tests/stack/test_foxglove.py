@@ -153,7 +153,7 @@ def test_teleop_stands_at_once_when_its_client_is_gone(where):
         app.announce("/cmd_vel", "geometry_msgs/Twist")
         app.until(lambda: drives(guard, 0.3), meanwhile=lambda: app.publish("/cmd_vel", twist(0.3, 0.0)))
         app.publish("/cmd_vel", twist(0.3, 0.0))
-        app.socket.socket.close()  # no goodbye: a browser that was killed
+        app.socket.cut()  # no goodbye: a browser that was killed
         watcher.until(lambda: drives(guard, 0.0))
         watcher.until(lambda: watcher.told("the robot stands"))
         n_sent = len(guard.driven)
@@ -281,7 +281,7 @@ def test_a_client_that_does_not_read_holds_nobody_up(where):
         stuck.subscribe("/odom", "/tf", "/health/odometry")
         n_before = len(quick.messages.get("/odom", []))
         quick.until(lambda: len(quick.messages.get("/odom", [])) > n_before + 100)
-        stuck.socket.socket.close()
+        stuck.socket.cut()
     stamps = [at for at, _ in quick.messages["/odom"]]
     assert stamps == sorted(set(stamps))
 

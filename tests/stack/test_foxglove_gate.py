@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 from websockets.exceptions import InvalidMessage, InvalidStatus
-from websockets.sync.client import connect
 
 from shared.runners.transport import StackAddress
 from shared.secure_folder import MemberRole, SecureFolder
 from tests.stack.foxglove_app import SUBPROTOCOL, FakeApp, twist
 from tests.stack.test_client import StopGuard
 from tests.stack.test_live import ROBOT, running
+from tests.websocket import WebSocketClient
 from zenav.__main__ import _status
 from zenav.client import Client
 from zenav.console.shutdown import StopFlag
@@ -115,16 +115,16 @@ def test_a_viewer_sees_and_cannot_drive_and_an_operator_can(place, tls, where, p
 
 @pytest.mark.parametrize("path", ["", "/", "/?token=", "/?token=wrong", "/?token=" + "x" * 5000, "/?other=1"])
 def test_a_client_without_a_valid_token_is_refused_and_said(tls, port, path, capsys):
-    with pytest.raises(InvalidStatus, match="401"), connect(f"wss://127.0.0.1:{port}{path}", ssl=tls):
+    with pytest.raises(InvalidStatus, match="401"), WebSocketClient(f"wss://127.0.0.1:{port}{path}", ssl=tls):
         pass
     assert "refused a connection from 127.0.0.1: no valid token" in capsys.readouterr().err
 
 
 def test_plain_connections_and_heads_without_an_end_are_cut(place, tls, port, capsys):
-    with pytest.raises((InvalidMessage, OSError, EOFError)), connect(f"ws://127.0.0.1:{port}"):
+    with pytest.raises((InvalidMessage, OSError, EOFError)), WebSocketClient(f"ws://127.0.0.1:{port}"):
         pass
     foreign = ssl.create_default_context()  # trusts other authorities
-    with pytest.raises(ssl.SSLCertVerificationError), connect(f"wss://127.0.0.1:{port}", ssl=foreign):
+    with pytest.raises(ssl.SSLCertVerificationError), WebSocketClient(f"wss://127.0.0.1:{port}", ssl=foreign):
         pass
     with socket.create_connection(("127.0.0.1", port)) as raw, tls.wrap_socket(raw, server_hostname="127.0.0.1") as it:
         it.settimeout(10)
@@ -148,7 +148,7 @@ def test_a_token_ends_at_once_when_its_member_is_revoked_or_has_a_new_one(place,
     for token in (old, new):
         with (
             pytest.raises(InvalidStatus, match="401"),
-            connect(f"wss://127.0.0.1:{port}/?token={token}", ssl=tls, subprotocols=[SUBPROTOCOL]),
+            WebSocketClient(f"wss://127.0.0.1:{port}/?token={token}", ssl=tls, subprotocols=[SUBPROTOCOL]),
         ):
             pass
 

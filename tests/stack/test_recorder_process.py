@@ -127,6 +127,21 @@ def test_a_recorder_that_splits_publishes_and_closes_whole_parts(tmp_path):
     assert len(stops(found[-2])) > 0
 
 
+def test_parts_are_uploaded_beside_a_recorder_that_is_killed_and_started_again(tmp_path):
+    there = tmp_path / "there"
+    with recorder(tmp_path, "recorder.split_time=1", f"recorder.upload={there}") as stack:
+        stack.until(lambda: publish(stack, 1) or len(list(there.glob("*.mcap"))) >= 1)
+        stack.until(lambda: "upload: " in health(stack).state)
+        os.kill(stack.pid("recorder"), signal.SIGKILL)
+        killed = parts(tmp_path)[-1]
+        stack.until(lambda: publish(stack, 1) or (there / killed.name).exists(), 60)
+        stack.until(lambda: any(f"uploaded {killed.name}" in line for _, line in stack.told))
+    copies = sorted(there.glob("*.mcap"))
+    assert len(copies) >= 2
+    assert [copy.read_bytes() for copy in copies] == [(tmp_path / "recordings" / c.name).read_bytes() for c in copies]
+    assert _status(["recording", "find", "", str(there), "--json"]) == 0
+
+
 def test_a_full_disk_is_a_reason_in_its_health_and_recording_goes_on_with_room(tmp_path):
     with recorder(tmp_path) as stack:
         pid = stack.pid("recorder")

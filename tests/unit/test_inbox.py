@@ -48,3 +48,20 @@ def test_a_waiting_reader_wakes_when_something_is_filed():
     inbox.file(slot, 5)
     reader.join(5)
     assert found == [(slot, 5)]
+
+
+def drained(inbox):
+    return [(slot.key, item) for slot, item in iter(lambda: inbox.take(0), None)]
+
+
+def test_a_scan_that_replaces_an_unread_one_comes_after_the_odometry_that_arrived_before_it():
+    inbox = Inbox()
+    scan, odom = inbox.slot("scan", "latest"), inbox.slot("odom", "all")
+    for tick in range(100):  # s/50: the process pauses for 2 s
+        inbox.file(odom, tick)
+        if tick % 5 == 0:
+            inbox.file(scan, tick)
+    order = drained(inbox)
+    assert order.index(("scan", 95)) == order.index(("odom", 95)) + 1
+    assert [item for key, item in order if key == "odom"] == list(range(100))
+    assert scan.dropped == 19

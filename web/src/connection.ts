@@ -85,7 +85,7 @@ function open(): void {
   socket?.close();
   link.value = { ...link.peek(), state: "connecting" };
   const scheme = location.protocol === "https:" ? "wss" : "ws";
-  const mine = new WebSocket(`${scheme}://${location.host}/ws`);
+  const mine = new WebSocket(`${scheme}://${location.host}/ws${location.search}`);
   socket = mine;
   mine.binaryType = "arraybuffer";
   mine.onopen = () => {

@@ -8,6 +8,7 @@ import { liveTrack } from "./map/robot_pose";
 import { loadPlaces } from "./map/commands";
 import { type Health, type LogLine, type Odometry } from "./messages";
 import { notify } from "./notices";
+import { fleet } from "./fleet";
 import { DEBUG_LAYERS, layers, pageName } from "./preferences";
 import { type Hello, type ServerFrame } from "./protocol";
 import { appendLog, clients, connected, drivers, health, hello, latest, topicOf, type SingleKey } from "./state";
@@ -34,6 +35,7 @@ export function dispatcher(onTiles: (frame: TilesFrame) => void): (frame: Server
     else if (frame.t === "hello") onHello(frame);
     else if (frame.t === "drivers") drivers.value = frame;
     else if (frame.t === "clients") clients.value = frame.clients;
+    else if (frame.t === "fleet") fleet.value = frame.robots;
     else if (frame.t === "note") notify(frame.level, frame.text, frame.hint);
   };
 }
@@ -52,7 +54,7 @@ function onHello(frame: Hello): void {
   if (!frame.login && pageName.peek() !== "") send({ t: "name", name: pageName.peek() });
   drivers.value = null;
   document.title = `${frame.robot.name} · zenav`;
-  void loadPlaces();
+  if (frame.site !== true) void loadPlaces();
 }
 
 function onMessage(key: string, bytes: Uint8Array): void {

@@ -442,6 +442,37 @@ export interface NavTask {
   readonly pass_through: boolean;
 }
 
+/** The part of a robot in an exploration with others, for these. Positions are in the frame that all have in common. */
+export interface ExplorationShare {
+  /** ns */
+  readonly stamp: number;
+  readonly robot: string;
+  /** ns */
+  readonly session: number;
+  readonly sequence: number;
+  readonly task_id: number;
+  readonly others: readonly string[];
+  readonly active: boolean;
+  /** m, m, rad */
+  readonly common_from_map: Pose;
+  /** m */
+  readonly x: number;
+  /** m */
+  readonly y: number;
+  /** m */
+  readonly frontier_xs: Float32Array;
+  /** m */
+  readonly frontier_ys: Float32Array;
+  /** m */
+  readonly frontier_costs: Float32Array;
+  readonly claimed: number;
+  /** m */
+  readonly cell: number;
+  readonly first_row: number;
+  readonly first_column: number;
+  readonly known: Grid<Int8Array>;
+}
+
 /** STOP, latched: it holds until an operator releases it; releasing never moves the robot. */
 export interface EmergencyStop {
   /** ns */
@@ -566,6 +597,81 @@ export interface LogLine {
   readonly text: string;
 }
 
+/** Where a robot is, where it will be, and which part of its path it holds, for the other robots on its map. */
+export interface RobotIntent {
+  /** ns */
+  readonly stamp: number;
+  readonly robot: string;
+  readonly map: string;
+  /** m, m, rad */
+  readonly map_from_base: Pose;
+  /** m/s */
+  readonly v: number;
+  /** rad/s */
+  readonly w: number;
+  /** m, circumscribed */
+  readonly radius: number;
+  /** m in map */
+  readonly xs: Float32Array;
+  /** m in map */
+  readonly ys: Float32Array;
+  /** m */
+  readonly widths: Float32Array;
+  readonly held: number;
+  readonly wanted: number;
+  readonly priority: number;
+  /** ns */
+  readonly since: number;
+  readonly claim: number;
+  /** robot, its newest claim */
+  readonly heard: readonly (readonly [string, number])[];
+  /** names of the robots that keep it from its next claim */
+  readonly waits_for: readonly string[];
+  readonly gives_way: boolean;
+  readonly stuck: boolean;
+}
+
+/** How far this robot may drive, as far as other robots are concerned. Not `active`: none is heard on its map. */
+export interface RightOfWay {
+  /** ns */
+  readonly stamp: number;
+  readonly active: boolean;
+  /** m in map */
+  readonly xs: Float32Array;
+  /** m in map */
+  readonly ys: Float32Array;
+  readonly whole: boolean;
+  /** names */
+  readonly waits_for: readonly string[];
+  readonly gives_way: boolean;
+  /** m, m, rad */
+  readonly refuge: Pose;
+  /** share of the top speed */
+  readonly speed_share: number;
+  /** m in map */
+  readonly closed_xs: Float32Array;
+  /** m in map */
+  readonly closed_ys: Float32Array;
+  /** m */
+  readonly closed_radii: Float32Array;
+}
+
+/** The other robots on this robot's map as discs, at `stamp` and each `period` after it, on their paths. */
+export interface OtherRobots {
+  /** ns */
+  readonly stamp: number;
+  /** of the robots */
+  readonly names: readonly string[];
+  /** m */
+  readonly radii: Float32Array;
+  /** s */
+  readonly period: number;
+  /** m in map, robot by robot */
+  readonly xs: Grid<Float32Array>;
+  /** m in map, robot by robot */
+  readonly ys: Grid<Float32Array>;
+}
+
 /** The simulator's time; `rate` is how many simulated seconds pass in a real one. */
 export interface Clock {
   /** ns */
@@ -635,6 +741,8 @@ export interface MessageOf {
   "follow/status": FollowStatus;
   "nav/status": NavStatus;
   "nav/task": NavTask;
+  "explore/share": ExplorationShare;
+  "explore/others": ExplorationShare;
   "cmd/nav": Velocity;
   "cmd/teleop": Velocity;
   "estop": EmergencyStop;
@@ -648,6 +756,10 @@ export interface MessageOf {
   "settings": RuntimeSettings;
   "health": Health;
   "log": LogLine;
+  "traffic/intent": RobotIntent;
+  "traffic/heard": RobotIntent;
+  "traffic/right_of_way": RightOfWay;
+  "traffic/others": OtherRobots;
   "sim/clock": Clock;
   "sim/others": RobotDiscs;
   "sim/truth": Truth;
@@ -670,11 +782,17 @@ export const ARRAYS: { readonly [K in Key]?: Readonly<Record<string, string>> } 
   "map/state": { "edits[].xs": "f8", "edits[].ys": "f8" },
   "zones": { "zones[].xs": "f8", "zones[].ys": "f8" },
   "plan": { "xs": "f8", "ys": "f8", "yaws": "f8" },
+  "explore/share": { "frontier_xs": "f4", "frontier_ys": "f4", "frontier_costs": "f4", "known": "i1 2" },
+  "explore/others": { "frontier_xs": "f4", "frontier_ys": "f4", "frontier_costs": "f4", "known": "i1 2" },
   "debug/costmap": { "cells": "i1 2" },
   "debug/rollouts": { "xs": "f4 2", "ys": "f4 2", "costs": "f4" },
   "debug/moving_obstacles": { "xs": "f4", "ys": "f4", "vxs": "f4", "vys": "f4", "radii": "f4" },
   "debug/graph": { "xs": "f4", "ys": "f4", "from_xs": "f4", "from_ys": "f4", "to_xs": "f4", "to_ys": "f4", "accepted": "i1" },
   "debug/global_costmap": { "cells": "i1 2" },
+  "traffic/intent": { "xs": "f4", "ys": "f4", "widths": "f4" },
+  "traffic/heard": { "xs": "f4", "ys": "f4", "widths": "f4" },
+  "traffic/right_of_way": { "xs": "f4", "ys": "f4", "closed_xs": "f4", "closed_ys": "f4", "closed_radii": "f4" },
+  "traffic/others": { "radii": "f4", "xs": "f4 2", "ys": "f4 2" },
   "sim/others": { "x": "f4", "y": "f4", "radius": "f4" },
   "sim/truth": { "people_x": "f4", "people_y": "f4" },
 };
@@ -707,6 +825,7 @@ export const FIELDS: Readonly<Record<string, Readonly<Record<string, string>>>> 
   FollowStatus: { stamp: "number", goal_id: "number", state: "enum FollowState", reason: "string", distance_left: "number" },
   NavStatus: { stamp: "number", task_id: "number", state: "enum NavState", recovery: "string", reason: "string", detail: "string", goal: "pose", distance_left: "number", time_left: "number", waypoint: "number", n_waypoints: "number", n_recoveries: "number", round: "number", n_rounds: "number" },
   NavTask: { stamp: "number", task_id: "number", kind: "enum TaskKind", age: "number", map_id: "number", paused: "boolean", poses: "list of pose", dwells: "list of number", loops: "number", any_heading: "boolean", tolerance: "number", yaw_tolerance: "number", waypoint: "number", round: "number", dwelling: "boolean", dwell: "number", pass_through: "boolean" },
+  ExplorationShare: { stamp: "number", robot: "string", session: "number", sequence: "number", task_id: "number", others: "list of string", active: "boolean", common_from_map: "pose", x: "number", y: "number", frontier_xs: "array f4 1", frontier_ys: "array f4 1", frontier_costs: "array f4 1", claimed: "number", cell: "number", first_row: "number", first_column: "number", known: "array i1 2" },
   EmergencyStop: { stamp: "number", pressed: "boolean", by: "string" },
   Costmap: { stamp: "number", x: "number", y: "number", resolution: "number", cells: "array i1 2" },
   Rollouts: { stamp: "number", xs: "array f4 2", ys: "array f4 2", costs: "array f4 1" },
@@ -716,6 +835,9 @@ export const FIELDS: Readonly<Record<string, Readonly<Record<string, string>>>> 
   RuntimeSettings: { stamp: "number", names: "list of string", values: "list of string" },
   Health: { stamp: "number", name: "string", pid: "number", state: "string", events: "number", bad_messages: "number", dropped: "number", intruders: "number", last_error: "string", cpu: "number", memory: "number", handler_ms: "number", rates: "list of (string, number, number)", rejected: "list of (string, string, number)" },
   LogLine: { stamp: "number", level: "string", text: "string" },
+  RobotIntent: { stamp: "number", robot: "string", map: "string", map_from_base: "pose", v: "number", w: "number", radius: "number", xs: "array f4 1", ys: "array f4 1", widths: "array f4 1", held: "number", wanted: "number", priority: "number", since: "number", claim: "number", heard: "list of (string, number)", waits_for: "list of string", gives_way: "boolean", stuck: "boolean" },
+  RightOfWay: { stamp: "number", active: "boolean", xs: "array f4 1", ys: "array f4 1", whole: "boolean", waits_for: "list of string", gives_way: "boolean", refuge: "pose", speed_share: "number", closed_xs: "array f4 1", closed_ys: "array f4 1", closed_radii: "array f4 1" },
+  OtherRobots: { stamp: "number", names: "list of string", radii: "array f4 1", period: "number", xs: "array f4 2", ys: "array f4 2" },
   Clock: { stamp: "number", rate: "number" },
   RobotDiscs: { stamp: "number", x: "array f4 1", y: "array f4 1", radius: "array f4 1" },
   Truth: { stamp: "number", world_from_base: "pose", start: "pose", v: "number", w: "number", contact: "boolean", n_contacts: "number", distance: "number", people_x: "array f4 1", people_y: "array f4 1" },

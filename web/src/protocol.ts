@@ -28,6 +28,8 @@ export interface Hello {
   readonly simulated: boolean;
   readonly version: string;
   readonly csrf: string;
+  /** A page of a site: it shows one of several robots, and none is driven by hand. */
+  readonly site?: boolean;
   readonly keys: readonly string[];
   readonly reasons: Readonly<Record<string, readonly [text: string, hint: string, severity: Severity]>>;
 }
@@ -43,6 +45,25 @@ export interface PageClient {
   readonly client: number;
   readonly name: string;
   readonly role: Role;
+}
+
+/** One robot of the router, as `zenav fleet list` has it. x, y: m, yaw: rad, on its map; plan: x and y of its poses, m. */
+export interface FleetRobot {
+  readonly name: string;
+  readonly state: string;
+  readonly reason: string;
+  readonly task: string;
+  readonly battery: number | null;
+  readonly map: string;
+  readonly x: number | null;
+  readonly y: number | null;
+  readonly yaw: number | null;
+  readonly pose_state: string;
+  readonly received: number | null;
+  readonly delay: number | null;
+  readonly address: string;
+  readonly version: string;
+  readonly plan: readonly [] | readonly [readonly number[], readonly number[]];
 }
 
 export interface Reply {
@@ -69,6 +90,7 @@ export type ServerFrame =
   | Note
   | ({ readonly t: "tiles" } & TilesFrame)
   | { readonly t: "m"; readonly k: string; readonly b: Uint8Array }
+  | { readonly t: "fleet"; readonly robots: readonly FleetRobot[] }
   | { readonly t: "clients"; readonly clients: readonly PageClient[] }
   | { readonly t: "pong"; readonly id: number; readonly now: number };
 
@@ -77,13 +99,14 @@ export type ClientFrame =
   | { t: "teleop"; v: number; w: number; n: number }
   | { t: "let_go" }
   | { t: "stop" }
+  | { t: "stop_all" }
   | { t: "release" }
   | { t: "ask"; id: number; request: string; args: object }
   | { t: "do"; id: number; op: string; args: object }
   | { t: "name"; name: string }
   | { t: "ping"; id: number };
 
-const QUIET_FRAMES: ReadonlySet<string> = new Set(["want", "stop", "let_go", "name", "ping"]);
+const QUIET_FRAMES: ReadonlySet<string> = new Set(["want", "stop", "stop_all", "let_go", "name", "ping"]);
 const QUIET_OPERATIONS: ReadonlySet<string> = new Set(["replay_open", "replay_at", "recordings"]);
 
 /** Whether a frame may be sent while a recording is replayed: it commands nothing, or it stops the robot. */

@@ -4,6 +4,7 @@
 import { computed, effect, signal } from "@preact/signals";
 
 import { send } from "./connection";
+import { isSite } from "./fleet";
 import { connected, latest } from "./state";
 import { letGo } from "./driving";
 
@@ -11,7 +12,10 @@ const REPEAT_MS = 250;
 
 /** STOP was pressed here and the robot has not confirmed it. */
 export const stopPending = signal(false);
-export const stopPressed = computed(() => latest.estop.value?.message.pressed === true);
+/** Whether STOP holds. `estop` does not cross to a site: there the guard says it. */
+export const stopPressed = computed(() =>
+  isSite.value ? latest["guard/status"].value?.message.state === "stopped" : latest.estop.value?.message.pressed === true,
+);
 
 let pressedAt = 0;
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One try of an item's work in a process of its own: its result, or how it ended otherwise.
 
-A distributed engine runs tasks in threads of its workers. A thread cannot be stopped, and a worker that runs out of
+Tasks run in threads, here and on a cluster's workers. A thread cannot be stopped, and a worker that runs out of
 memory takes its other tasks along. So the engine's thread only watches this process. Our own.
 """
 
@@ -76,7 +76,7 @@ class ChildProcess:
         begun = time.monotonic()
         try:
             link.send((work, item))
-            while not link.poll(LOOK_S):
+            while not link.poll(LOOK_S if limits.timeout or limits.memory else None):
                 if limits.timeout and time.monotonic() - begun > limits.timeout:
                     return Outcome("timeout", detail=f"took more than {limits.timeout:g} s")
                 if limits.memory and (used := _resident(process.pid)) > limits.memory:

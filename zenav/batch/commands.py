@@ -9,6 +9,8 @@ from typing import Any
 from shared.config import UserError
 from zenav.batch import comparison
 from zenav.batch.child_process import Outcome, TryLimits
+from zenav.batch.cluster_extra import require_extra
+from zenav.batch.code_hash import code_hash
 from zenav.batch.engine import results
 from zenav.batch.revision import commit_of, run_revision
 from zenav.batch.storage import Folder, StoredLog, sources
@@ -29,6 +31,7 @@ def batch(
     here.  against: the output of an earlier run, or a revision of the checkout, which then runs first; empty: this
     one's last run. Raises UserError.
     """
+    require_extra()
     found, folder = sources(inputs), Folder(out)
     if commit := commit_of(against):
         if cluster:
@@ -40,7 +43,7 @@ def batch(
         hint = "name the --out of an earlier run, or a tag or commit of this checkout"
         raise UserError(f"{against} holds no table of a batch and is no revision", hint)
     rows: list[Row] = []
-    for source, outcome in results(partial(process, work, folder.url), found, jobs, cluster, limits):
+    for source, outcome in results(partial(process, work, folder.url, code_hash()), found, jobs, cluster, limits):
         rows.append(row_of(source, outcome))
         _say(rows[-1], len(rows), len(found))
     write_table(folder, rows)

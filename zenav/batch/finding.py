@@ -3,10 +3,11 @@
 
 import json
 import sys
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from shared.config import UserError
-from zenav.batch.catalogue import COLUMNS, FILE, stored, update
+from zenav.batch.catalogue import COLUMNS, FOLDER, Catalogue
 from zenav.batch.cluster_extra import require_extra
 from zenav.batch.query import condition
 from zenav.batch.storage import Folder
@@ -17,14 +18,15 @@ if TYPE_CHECKING:
     from pyarrow import Table
 
 
-def find_recordings(expression: str, place: str, jobs: int, is_old: bool, as_json: bool) -> int:
+def find_recordings(expression: str, place: str, jobs: int, refresh: bool | None, as_json: bool) -> int:
     """Shows the recordings that fulfil the expression, the newest last; 1 where there is none.
 
-    is_old: the catalogue is taken as it is. Raises UserError where the expression or the place is wrong.
+    refresh: whether the place is searched for recordings that the catalogue lacks; None: where recorders do not upload
+    to it. Raises UserError where the expression or the place is wrong.
     """
     require_extra()
     where = condition(expression)
-    found = query(_catalogue(place) if is_old else update(place, jobs), where)
+    found = query(_catalogue(place, jobs, refresh), where)
     for row in found if as_json else ():
         sys.stdout.write(json.dumps(row) + "\n")
     if not as_json:
@@ -49,11 +51,24 @@ def query(table: "Table", where: tuple[str, list[Any]]) -> list[Row]:
         return [dict(zip(COLUMNS, row, strict=True)) for row in found.fetchall()]
 
 
-def _catalogue(place: str) -> "Table":
-    table = stored(Folder(place))
-    if table is None:
-        raise UserError(f"{place} has no {FILE} of this version", "leave out --as-it-is: then it is made")
+def _catalogue(place: str, jobs: int, refresh: bool | None) -> "Table":
+    if refresh:
+        return _updated(place, jobs)
+    catalogue = Catalogue(Folder(place))
+    table, _ = catalogue.read()
+    if table is None and refresh is False:
+        raise UserError(f"{place} has no {FOLDER}", "leave out --as-it-is: then it is made")
+    if table is None or (refresh is None and table["sha256"].null_count == len(table)):
+        return _updated(place, jobs)
+    with suppress(UserError):  # a reader without the right to write finds too
+        catalogue.merge()
     return table
+
+
+def _updated(place: str, jobs: int) -> "Table":
+    from zenav.batch.catalogue_update import update  # loads what reads recordings
+
+    return update(place, jobs)
 
 
 def _cells(row: Row) -> tuple[str, ...]:

@@ -4,7 +4,7 @@
 import hashlib
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 ENDINGS = ".mcap", ".bag", ".log", ".log.gz"
 """Of the recordings and logs that a folder is searched for."""
 BLOCK = 1 << 20  # bytes that are hashed at a time
+STORE_LIBRARIES = ("botocore", "aiobotocore", "aiohttp", "gcsfs")  # their errors are of no common type
 REMOTE_ERRORS = (OSError, ValueError, ImportError)
 
 
@@ -34,14 +35,18 @@ class StoredLog(NamedTuple):
     changed: str = ""
 
 
-def file_system(url: str) -> tuple["AbstractFileSystem", str]:
-    """The file system of a URL, and the path in it. Raises UserError where it has none, or it lacks its package."""
-    require_extra()
+def file_system(url: str, **options: Any) -> tuple["AbstractFileSystem", str]:
+    """The file system of a URL, and the path in it. Raises UserError where it has none, or it lacks its package.
+
+    options: of that kind of file system.
+    """
+    require_extra("upload")
     import fsspec
 
+    if "://" in url:
+        options["use_listings_cache"] = False  # another process may have written meanwhile
     try:
-        # no cached listing: another process may have written meanwhile
-        system, path = fsspec.core.url_to_fs(url, **({"use_listings_cache": False} if "://" in url else {}))
+        system, path = fsspec.core.url_to_fs(url, **options)
     except REMOTE_ERRORS as error:
         raise UserError(f"{url} cannot be opened: {error}", "a path, or a URL like s3://bucket/folder") from None
     return system, str(path)
@@ -58,6 +63,10 @@ def errors_of(url: str) -> Iterator[None]:
         raise UserError(f"{url}: {error or 'access is denied'}", "check the credentials in the environment") from None
     except REMOTE_ERRORS as error:
         raise UserError(f"{url}: {error}", "check the address and the network") from None
+    except Exception as error:
+        if not type(error).__module__.startswith(STORE_LIBRARIES):
+            raise
+        raise UserError(f"{url}: {error}", "check credentials, address and network") from None
 
 
 def sources(patterns: list[str]) -> list[StoredLog]:
@@ -108,6 +117,11 @@ def content_tag(source: StoredLog) -> str:
     return digest.hexdigest()
 
 
+def content_version(source: StoredLog) -> str:
+    """Text that changes with the content of a recording: size, and the store's tag or time of change."""
+    return f"{source.size} {source.tag or source.changed}"
+
+
 @contextmanager
 def local_copy(url: str) -> Iterator[Path]:
     """The file on this computer: itself, or a copy that exists within the block. Raises UserError."""
@@ -125,16 +139,17 @@ def local_copy(url: str) -> Iterator[Path]:
 class Folder:
     """A folder by path or URL, in which names are written whole or not at all."""
 
-    def __init__(self, url: str) -> None:
-        self.system, self.path = file_system(url)
-        if _is_local(self.system):
+    def __init__(self, url: str, **options: Any) -> None:
+        self.system, self.path = file_system(url, **options)
+        self.is_local = _is_local(self.system)
+        if self.is_local:
             self.path = os.path.abspath(self.path)
         self.url = str(self.system.unstrip_protocol(self.path))
 
     def write(self, name: str, content: bytes) -> None:
         """Replaces a file. Raises UserError."""
         with errors_of(f"{self.url}/{name}"):
-            if _is_local(self.system):
+            if self.is_local:
                 path = Path(self.path) / name
                 path.parent.mkdir(parents=True, exist_ok=True)
                 replace_file(path, content)
@@ -148,6 +163,44 @@ class Folder:
                 return bytes(self.system.cat_file(f"{self.path}/{name}"))
             except FileNotFoundError:
                 return None
+
+    def read_all(self, names: list[str]) -> dict[str, bytes]:
+        """The content of files, read together; those that are gone are left out. Raises UserError."""
+        paths = {f"{self.path}/{name}": name for name in names}
+        with errors_of(self.url):
+            found = self.system.cat(list(paths), on_error="return") if paths else {}
+            contents = {}
+            for path, content in found.items():
+                if isinstance(content, bytes):
+                    contents[paths[path]] = content
+                elif not isinstance(content, FileNotFoundError):
+                    raise content
+        return contents
+
+    def names(self, folder: str) -> dict[str, int]:
+        """Names below a folder of this one, with that folder, and sizes in bytes. Raises UserError."""
+        with errors_of(self.url):
+            try:
+                rows = self.system.ls(f"{self.path}/{folder}", detail=True)
+            except FileNotFoundError:
+                return {}
+        return {
+            f"{folder}/{str(row['name']).rsplit('/', 1)[-1]}": int(row.get("size") or 0)
+            for row in rows
+            if row["type"] == "file"
+        }
+
+    def remove(self, names: list[str]) -> None:
+        """Removes files; those that are gone already do not matter. Raises UserError."""
+        with errors_of(self.url):
+            for name in names:
+                with suppress(FileNotFoundError):
+                    self.system.rm_file(f"{self.path}/{name}")
+
+    def source(self, name: str) -> StoredLog:
+        """What the store says of a file. Raises UserError."""
+        with errors_of(f"{self.url}/{name}"):
+            return _source(self.system, self.system.info(f"{self.path}/{name}"))
 
 
 def _is_local(system: "AbstractFileSystem") -> bool:

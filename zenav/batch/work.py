@@ -14,7 +14,6 @@ from tempfile import TemporaryDirectory
 from typing import Any, Literal, NamedTuple
 
 from shared.config import UserError
-from zenav.batch.code_hash import code_hash
 from zenav.batch.storage import Folder, StoredLog, content_tag, local_copy
 from zenav.batch.table import Row
 
@@ -55,20 +54,21 @@ def _short_hash(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:16]
 
 
-def result_key(tag: str, work: Work) -> str:
-    """The name of a result: SHA-256 of input, code and configuration."""
-    text = json.dumps([tag, code_hash(), type(work).__name__, asdict(work)])
+def result_key(tag: str, work: Work, code: str) -> str:
+    """The name of a result: SHA-256 of input, code (its hash) and configuration."""
+    text = json.dumps([tag, code, type(work).__name__, asdict(work)])
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def process(work: Work, out: str, source: StoredLog) -> Row:
+def process(work: Work, out: str, code: str, source: StoredLog) -> Row:
     """The row of a recording, from its result in `out`, or after the work, whose result is then stored there.
 
-    A recording that the work refuses is a result too: it is refused again until input, code or configuration change.
+    code: hash of this code. A recording that the work refuses is a result too: it is refused again until input, code or
+    configuration change.
     Raises UserError where a store does not give or take a file.
     """
     folder, tag = Folder(out), content_tag(source)
-    key = result_key(tag, work)
+    key = result_key(tag, work, code)
     place = f"results/{key}"
     if (stored := folder.read(f"{place}/{ROW}")) is not None:
         row: Row = json.loads(stored)

@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav bench batch`: what the engine costs beside bare processes, what a second job gains, and a run that is killed.
+"""`zenav bench batch`: what the engine costs beside bare processes, what a second job gains, and runs that are killed.
 
 The same made-up logs go through the mapper in bare processes and through `zenav batch slam`, in turn. Then many files
-that are no logs are scheduled. The command is killed at half of them, and a second run does the rest.
+that are no logs are worked on (batch_kill.py).
 """
 
 import os
-import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,8 +20,6 @@ from typing import Any
 import numpy as np
 
 from shared.config import UserError
-from zenav.batch.storage import Folder
-from zenav.batch.table import last_table
 from zenav.batch.work import SlamWork, run_slam
 from zenav.console.json_report import check_writable, write_report
 from zenav.console.table import show_table
@@ -32,7 +28,6 @@ MAX_OVERHEAD, MIN_SPEEDUP = 0.05, 1.9
 """CPU time more than bare processes, as a share; and how many times faster two jobs are than one."""
 MIN_GAIN_OF_BARE = 0.95  # of what two bare processes gain: a shared computer has no two whole cores
 ROOM = np.array([4.0, 3.0])  # m, half of its length and width
-LOOK_S = 0.05  # between two looks at how many results there are
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,28 +39,39 @@ class Used:
     peak_mb: float
 
 
-def batch(out: Path | None, recordings: int, scans: int, rounds: int, files: int) -> int:
+def batch(out: Path | None, recordings: int, scans: int, rounds: int, tiny: int) -> int:
     """`zenav bench batch`; 0 when the limits are kept.
 
-    recordings: made-up logs of `scans` scans each.  rounds: of bare processes and batch in turn.  files: of the run
-    that is killed. Raises UserError where a command fails.
+    recordings: made-up logs of `scans` scans each.  rounds: of bare processes and batch in turn.  tiny: files of the
+    runs that are killed. Raises UserError where a command fails.
     """
     check_writable(out)
     with tempfile.TemporaryDirectory(prefix="zenav-") as folder:
-        logs = made_up_logs(Path(folder) / "logs", recordings, scans)
-        bare(logs[:1])  # kernels are compiled and read before anything is measured
-        numbers, runs = count(), dict[str, list[Used]]()
-        for _ in range(rounds):
-            for jobs in (1, 2):
-                runs.setdefault(f"bare {jobs}", []).append(_bare_processes(logs, jobs))
-                place = Path(folder) / f"out{next(numbers)}"
-                runs.setdefault(f"batch {jobs}", []).append(ended(started(batch_command(logs[0].parent, place, jobs))))
-        report = figures(runs) | {"recordings": recordings, "scans": scans, "rounds": rounds}
-        report |= {"killed": killed_run(Path(folder), files)}
-    report["kept"] = report["kept"] and report["killed"]["again"] <= report["killed"]["in_flight"]
+        report: dict[str, Any] = {"kept": True}
+        if rounds:
+            report |= _in_turn(Path(folder), recordings, scans, rounds)
+        if tiny:
+            from zenav.bench.batch_kill import killed_run, killed_scheduler
+
+            report["killed"] = killed_run(Path(folder), tiny)
+            report["killed_scheduler"] = killed_scheduler(Path(folder), tiny)
+            for run in ("killed", "killed_scheduler"):
+                report["kept"] &= report[run]["again"] <= report[run]["in_flight"] and report[run]["rows"] == tiny
     show(report)
     write_report(out, report)
     return 0 if report["kept"] else 1
+
+
+def _in_turn(folder: Path, recordings: int, scans: int, rounds: int) -> dict[str, Any]:
+    logs = made_up_logs(folder / "logs", recordings, scans)
+    bare(logs[:1])  # kernels are compiled and read before anything is measured
+    numbers, runs = count(), dict[str, list[Used]]()
+    for _ in range(rounds):
+        for jobs in (1, 2):
+            runs.setdefault(f"bare {jobs}", []).append(_bare_processes(logs, jobs))
+            place = folder / f"out{next(numbers)}"
+            runs.setdefault(f"batch {jobs}", []).append(ended(started(batch_command(logs[0].parent, place, jobs))))
+    return figures(runs) | {"recordings": recordings, "scans": scans, "rounds": rounds}
 
 
 def made_up_logs(folder: Path, n: int, scans: int) -> list[Path]:
@@ -146,62 +152,29 @@ def figures(runs: dict[str, list[Used]]) -> dict[str, Any]:
         "wall_s": wall,
         "peak_mb": {name: max(run.peak_mb for run in of) for name, of in runs.items()},
         "overhead": overhead,
+        "overhead_s": cpu["batch 1"] - cpu["bare 1"],
         "speedup": speedup,
         "bare_speedup": bare_speedup,
         "kept": overhead <= MAX_OVERHEAD and is_fast,
     }
 
 
-def killed_run(folder: Path, n: int) -> dict[str, Any]:
-    """Files that are no logs: the command is killed at half of them, and a second one does the rest.
-
-    again: files that were computed twice, at most those in work at the kill (`in_flight`).
-    """
-    files, place = folder / "files", folder / "killed"
-    files.mkdir()
-    for number in range(n):
-        (files / f"{number:05}.log").write_text(f"no log, number {number}\n")
-    first = started(batch_command(files, place, jobs=2))
-    while _n_results(place) < n // 2:
-        if first.process.poll() is not None:
-            raise UserError(
-                "zenav batch ends before its files are done", "run it by hand: zenav batch slam LOGS --out PLACE"
-            )
-        threading.Event().wait(LOOK_S)
-    first.process.send_signal(signal.SIGKILL)
-    killed = ended(first, (-signal.SIGKILL,))
-    n_before = _n_results(place)
-    resumed = ended(started(batch_command(files, place, jobs=2)), (1,))  # 1: no file is a log
-    rows = last_table(Folder(str(place)))
-    n_cached = sum(bool(row["cached"]) for row in rows)
-    return {
-        "files": n,
-        "rows": len(rows),
-        "done_at_kill": n_before,
-        "again": max(n_before - n_cached, 0),
-        "in_flight": 2,
-        "seconds": [killed.wall, resumed.wall],
-        "ms_each": 1e3 * resumed.cpu / n,
-        "peak_mb": max(killed.peak_mb, resumed.peak_mb),
-    }
-
-
-def _n_results(place: Path) -> int:
-    return sum(1 for _ in place.glob("results/*/row.json"))
-
-
 def show(report: dict[str, Any]) -> None:
     """Prints the tables."""
-    rows = [
-        (name, f"{report['wall_s'][name]:.1f}", f"{cpu:.1f}", f"{report['peak_mb'][name]:.0f}")
-        for name, cpu in report["cpu_s"].items()
-    ]
-    title = f"{report['recordings']} logs of {report['scans']} scans, medians of {report['rounds']}"
-    show_table(title, ("processes", "wall, s", "CPU, s", "largest, MB"), rows)
-    sys.stdout.write(f"CPU beyond bare processes: {report['overhead']:.1%}; limit {MAX_OVERHEAD:.0%}\n")
-    sys.stdout.write(f"two jobs: {report['speedup']:.2f} times as fast; bare: {report['bare_speedup']:.2f}\n")
-    one = report["killed"]
-    sys.stdout.write(
-        f"{one['files']} files: killed with {one['done_at_kill']} done after {one['seconds'][0]:.1f} s; the next run "
-        f"computed {one['again']} of them again, {one['seconds'][1]:.1f} s; largest process {one['peak_mb']:.0f} MB\n"
-    )
+    if "cpu_s" in report:
+        rows = [
+            (name, f"{report['wall_s'][name]:.1f}", f"{cpu:.1f}", f"{report['peak_mb'][name]:.0f}")
+            for name, cpu in report["cpu_s"].items()
+        ]
+        title = f"{report['recordings']} logs of {report['scans']} scans, medians of {report['rounds']}"
+        show_table(title, ("processes", "wall, s", "CPU, s", "largest, MB"), rows)
+        beyond, each = report["overhead"], report["overhead_s"]
+        sys.stdout.write(f"CPU beyond bare processes: {beyond:.1%}, {each:.2f} s a run; limit {MAX_OVERHEAD:.0%}\n")
+        sys.stdout.write(f"two jobs: {report['speedup']:.2f} times as fast; bare: {report['bare_speedup']:.2f}\n")
+    for name in ("killed", "killed_scheduler"):
+        if name in report:
+            one, memory = report[name], ", ".join(f"{who} {mb:.0f}" for who, mb in report[name]["peak_mb"].items())
+            sys.stdout.write(
+                f"{name}: {one['rows']} files, killed with {one['done_at_kill']} done; {one['again']} of them computed "
+                f"again; {one['ms_each']:.1f} ms of CPU each; MB at most: {memory}\n"
+            )

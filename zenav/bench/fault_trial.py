@@ -70,7 +70,10 @@ class FaultTrial:
 
 @dataclass(slots=True)
 class FaultResult:
-    """What came of a trial; times in ms from the fault on, infinite where it never came. `trouble`: no trial at all."""
+    """What came of a trial; times in ms from the fault on, infinite where it never came. `trouble`: no trial at all.
+
+    lasts: s of the fault.
+    """
 
     fault: str
     mode: str
@@ -86,6 +89,7 @@ class FaultResult:
     wrong_while_good: float = 0.0  # s, the longest
     resumed: bool = False
     trouble: str = ""
+    lasts: float = inf
 
     def as_json(self) -> dict[str, Any]:
         """With null for what never came."""
@@ -200,8 +204,8 @@ def run_trial(stack: StackUnderTest, trial: FaultTrial) -> FaultResult:
         result.trouble = error.what
         return result
     meter, contacts = stack.meter, stack.meter.newest["sim/truth"].n_contacts
-    ends = _inject_fault(stack, row, random)
-    stack.run(ends)
+    result.lasts = _inject_fault(stack, row, random)
+    stack.run(result.lasts)
     stack.repeats_sequence = False
     fault_end: Truth = meter.newest["sim/truth"]
     if row.name.startswith("kill "):

@@ -64,15 +64,16 @@ def matrix(n: int, seed: int, rows: list[int]) -> list[FaultTrial]:
 
 
 def missed_targets(result: FaultResult, row: FaultRow) -> list[str]:
-    """Which targets a trial missed, in words."""
+    """Which targets a trial missed, in words. A fault that ends before the limit need not stop the robot."""
     if result.trouble:
         return [f"no trial: {result.trouble}"]
     missed = []
-    if (time := judged_ms(result, row)) is not None and time > row.limit:
+    time, was_too_short = judged_ms(result, row), result.lasts * 1e3 < row.limit
+    if time is not None and time > row.limit and not (time == inf and was_too_short):
         missed.append("never stood" if time == inf else f"{time:.0f} ms")
     if result.contacts:
         missed.append(f"{result.contacts} contacts")
-    if result.right is False and (result.mode in row.stops | row.creeps):
+    if result.right is False and (result.mode in row.stops | row.creeps) and not was_too_short:
         missed.append(f"told {', '.join(result.reasons) or 'nothing'}")
     if result.wrong_while_good > MAX_WRONG_S:
         missed.append(f"pose wrong but good for {result.wrong_while_good:.1f} s")

@@ -24,7 +24,6 @@ from zenav.console.table import markdown_table
 PAGES = "README.md", "docs/benchmarks.md"
 MARKED = re.compile(r"(<!-- figures: ([\w-]+) -->\n).*?(<!-- end -->\n)", re.DOTALL)
 MISSING = "not measured yet"
-BEFORE = "before `make figures`"
 
 PEERS: dict[str, tuple[str, ...]] = {
     "intel": ("0.025 - 0.027", "0.416", "0.0216 - 4.1", "1.03", "0.0229", "0.031", "0.070"),
@@ -156,7 +155,7 @@ def _measured(published: Published) -> list[str]:
 def when_measured(entry: PublishedFigure, n_parts: int = 1) -> str:
     """Commit, date and load of a row, in a cell."""
     parts = [f"`{entry.commit}`" + (" with uncommitted changes" if entry.dirty else ""), entry.ended[:10]]
-    parts += [BEFORE] if entry.entered else [f"load {entry.load[0]:.1f} to {entry.load[-1]:.1f}"]
+    parts.append(f"load {entry.load[0]:.1f} to {entry.load[-1]:.1f}")
     missed = "missed its target" if n_parts == 1 else "a part missed its target"
     return ", ".join([*parts, *([] if entry.kept else [missed])])
 

@@ -193,7 +193,7 @@ def measure_rows(bench: Bench, rows: Sequence[FigureRow], again: bool = False) -
 def current(bench: Bench, row: FigureRow, published: Published) -> bool:
     """Whether a row was measured by its present command on the present code, all of it committed."""
     entry = published.get(row.name)
-    if entry is None or entry.entered or entry.dirty or bench.state.dirty:
+    if entry is None or entry.dirty or bench.state.dirty:
         return False
     return entry.code == bench.state.code and entry.command == row.command
 

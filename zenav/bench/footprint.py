@@ -22,8 +22,8 @@ from shared.config import UserError
 from shared.messages import Health, Truth
 from shared.requests import Explore, Navigate, Reply
 from shared.runners.transport import StackAddress
+from shared.task_state import FINAL_STATES
 from zenav.client import Client
-from zenav.client.navigation_client import FINAL_STATES
 from zenav.console.json_report import check_writable, write_report
 from zenav.console.run_folder import new_run_folder
 from zenav.console.shutdown import stop_on_signal

@@ -27,11 +27,12 @@ from shared.config import Robot, UserError, configured
 from shared.geometry import Pose2, wrapped
 from shared.messages import Imu, Truth, Velocity, WheelState
 from shared.runners.lockstep import Lockstep
-from zenav.bench.ground_truth_driver import GroundTruthDriver, PathFinder
+from zenav.bench.ground_truth_driver import GroundTruthDriver
 from zenav.console.json_report import check_writable, write_report
 from zenav.console.table import show_table
 from zenav.convert.carmen import read_carmen
 from zenav.convert.records import LoggedScan
+from zenav.scenario.path_finder import PathFinder
 from zenav.slam.slam_error import read_tum
 
 LOGS = "intel-sparse", "aces-sparse", "fhw", "edmonton", "belgioioso"

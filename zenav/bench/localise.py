@@ -183,8 +183,8 @@ def ros_copy_of(saved: "SavedMap", cell: float, folder: Path) -> "SavedMap":
 
 def run_trial(robot: str, world_name: str, seed: int, saved: "SavedMap", settings: list[str]) -> LocalizationTrial:
     """Found from nowhere in a world with a saved map, then carried elsewhere and found again; all by the seed."""
-    from zenav.bench.ground_truth_driver import PathFinder
     from zenav.bench.sim_slam_harness import SimSlamHarness, harness_robot_file
+    from zenav.scenario.path_finder import PathFinder
     from zenav.stack.hardware import simulated_world
 
     begun, trial = process_time(), LocalizationTrial()

@@ -30,11 +30,11 @@ def member_namespace() -> Iterator[MemberNamespace]:
     name = f"zenav-{os.getpid()}"
     outer, inner = f"zb{os.getpid() % 10**6}a", f"zb{os.getpid() % 10**6}b"
     try:
-        if os.geteuid() or shutil.which("ip") is None or not _ip("netns", "add", name):
+        if os.geteuid() or shutil.which("ip") is None or not run_ip("netns", "add", name):
             yield MemberNamespace(LOOPBACK)
             return
         made = all(
-            _ip(*words)
+            run_ip(*words)
             for words in (
                 ("link", "add", outer, "type", "veth", "peer", "name", inner, "netns", name),
                 ("addr", "add", f"{NETWORK}.1/30", "dev", outer),
@@ -45,11 +45,12 @@ def member_namespace() -> Iterator[MemberNamespace]:
         )
         yield MemberNamespace(f"{NETWORK}.1", name) if made else MemberNamespace(LOOPBACK)
     finally:
-        _ip("link", "del", outer)
-        _ip("netns", "del", name)
+        run_ip("link", "del", outer)
+        run_ip("netns", "del", name)
 
 
-def _ip(*words: str) -> bool:
+def run_ip(*words: str) -> bool:
+    """Runs `ip` with these words. Returns whether it could."""
     with suppress(OSError):
         return subprocess.run(("ip", *words), capture_output=True).returncode == 0
     return False

@@ -35,8 +35,7 @@ class PublishedFigure:
     """One row as it was measured.
 
     began, ended: UTC.  load: the machine's load average of a minute, at the begin and at the end; seconds: of running,
-    all parts.  kept: whether every part met its own targets.  entered: taken over from a document that was written by
-    hand; commit and date are then that document's, and the rest is unknown.
+    all parts.  kept: whether every part met its own targets.
     """
 
     command: str
@@ -50,7 +49,6 @@ class PublishedFigure:
     machine: str = ""
     load: tuple[float, ...] = field(default=())
     kept: bool = True
-    entered: bool = False
 
 
 Published = dict[str, PublishedFigure]

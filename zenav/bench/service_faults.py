@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kills and freezes services of a live stack, one after the other, and measures what the robot does."""
+"""Kills and freezes services of a running stack, one after the other, and measures what the robot does."""
 
 import os
 import signal
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from math import inf
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from shared import topics
 from shared.messages import BaseStatus, GuardStatus, Message, MotorCommand, NavStatus, Truth
+from shared.topics import Topic
 from zenav.client import Client
 from zenav.stack.launch import Launcher
 
@@ -24,13 +26,74 @@ MOVES = 0.05  # m/s, or rad/s
 SETTLES = 20.0  # s of driving before the first fault
 ALL_BUT = ("sim", "recorder")
 """Not the hardware's stand-in; and the recorder's loss is no matter of driving."""
+TOPICS: tuple[Topic[Any], ...] = topics.TRUTH, topics.MOTORS, topics.GUARD, topics.NAV_STATUS, topics.BASE_STATUS
+"""What a fault is measured by."""
+
+Hear = Callable[[Message, int], None]
+"""(message, ns on the stack's clock when it was sent)"""
+
+
+class StackToBreak(Protocol):
+    """A running stack whose services are killed and frozen."""
+
+    freezes: bool
+    """Whether it can freeze a service."""
+
+    def now(self) -> int: ...
+
+    def listen(self, topic: Topic[Any], hear: Hear) -> None: ...
+
+    def kill(self, name: str) -> bool:
+        """Kills a service, which is then started again; False where it does not run."""
+
+    def freeze(self, name: str) -> bool:
+        """Stops a service's process; False where it does not run."""
+
+    def thaw(self) -> None:
+        """Lets the frozen service go on; without effect where none is."""
+
+
+class LaunchedStack:
+    """Processes of a launcher, over Zenoh."""
+
+    freezes = True
+
+    def __init__(self, client: Client, launcher: Launcher) -> None:
+        self._client, self._launcher = client, launcher
+        self._frozen: int | None = None  # pid
+
+    def now(self) -> int:
+        return self._client.now()
+
+    def listen(self, topic: Topic[Any], hear: Hear) -> None:
+        self._client.listen(topic, lambda message, envelope: hear(message, envelope.sent))
+
+    def kill(self, name: str) -> bool:
+        if not self._launcher.children[name].running:
+            return False
+        self._launcher.kill(name)
+        return True
+
+    def freeze(self, name: str) -> bool:
+        child = self._launcher.children[name]
+        if child.process is None or not child.running:
+            return False
+        self._frozen = child.process.pid
+        os.kill(self._frozen, signal.SIGSTOP)
+        return True
+
+    def thaw(self) -> None:
+        if self._frozen is not None:
+            with suppress(ProcessLookupError):
+                os.kill(self._frozen, signal.SIGCONT)
+            self._frozen = None
 
 
 @dataclass(slots=True)
 class FaultReport:
     """One fault. at: s since the run's start; lasts: s that it was frozen, 0 where it was killed.
 
-    zero_s: from the fault to the last motor command that moves.
+    zero_s: from the fault to the last motor command that moves.   blur_s: by which zero_s may be too large.
     resumed_s: from the fault's end to motion; inf where none came until the next fault.
     reasons: why the robot stood, by guard, navigator and base driver.
     """
@@ -41,6 +104,7 @@ class FaultReport:
     lasts: float
     was_driving: bool
     zero_s: float = 0.0
+    blur_s: float = 0.0
     resumed_s: float = inf
     reasons: tuple[str, ...] = ()
 
@@ -71,8 +135,8 @@ class Faults:
         self._names = [name for name in names if name not in ALL_BUT]
         self._every, self._random = every, random
         self._next: float | None = None
-        self._frozen: tuple[int, float] | None = None  # pid, until (s since the start)
-        self._client: Client | None = None
+        self._frozen_until = inf  # s since the start; inf: no service is frozen
+        self._stack: StackToBreak | None = None
         self._lock = threading.Lock()
         self._truth: Truth | None = None
         self._fault_ns = 0
@@ -81,45 +145,52 @@ class Faults:
         self._why: dict[str, None] = {}
         self._resumes_from = inf
 
-    def step(self, client: Client, launcher: Launcher, seconds: float, is_driving: bool) -> None:
+    @property
+    def has_begun(self) -> bool:
+        return self._stack is not None
+
+    def begin(self, stack: StackToBreak) -> None:
+        """The stack that is to be broken, before its first step."""
+        self._stack = stack
+        for topic in TOPICS:
+            stack.listen(topic, self._hear)
+
+    def step(self, seconds: float, is_driving: bool) -> None:
         """Lets the next fault begin, or the present one end, where its time has come."""
-        if self._client is None:
-            self._listen(client)
-        if self._frozen is not None and seconds >= self._frozen[1]:
+        if self._stack is None:
+            return
+        if seconds >= self._frozen_until:
             self.end()
             self._resumes_from = seconds
         if self._next is None:
             self._next = seconds + SETTLES if is_driving else None
         self._measure(seconds)
-        if self._next is not None and seconds >= self._next and self._frozen is None:
+        if self._next is not None and seconds >= self._next and self._frozen_until == inf:
             self._next = seconds + self._every
-            self._begin(client, launcher, seconds)
+            self._inject(self._stack, seconds)
 
     def end(self) -> None:
         """Lets a frozen process go on."""
-        if self._frozen is not None:
-            with suppress(ProcessLookupError):
-                os.kill(self._frozen[0], signal.SIGCONT)
-            self._frozen = None
+        if self._stack is not None:
+            self._stack.thaw()
+        self._frozen_until = inf
 
-    def _begin(self, client: Client, launcher: Launcher, seconds: float) -> None:
+    def _inject(self, stack: StackToBreak, seconds: float) -> None:
         name = str(self._random.choice(self._names))
-        lasts = float(self._random.uniform(*FREEZE)) if self._random.random() < 0.5 else 0.0
-        process = launcher.children[name].process
-        if process is None or not launcher.children[name].running:
+        freezes = self._random.random() < 0.5 and stack.freezes
+        lasts = float(self._random.uniform(*FREEZE)) if freezes else 0.0
+        begun = stack.now()
+        if not (stack.freeze(name) if freezes else stack.kill(name)):
             return
+        blur = (stack.now() - begun) * 1e-9  # this process waits for a busy CPU too
         with self._lock:
             driving = self._truth is not None and _moves(self._truth)
-            self._fault_ns = self._last_motion_command = client.now()
+            self._fault_ns = self._last_motion_command = begun
             self._why, self._goes_on = {}, True
-        self.reports.append(FaultReport(name, "freeze" if lasts else "kill", seconds, lasts, driving))
-        if lasts:
-            os.kill(process.pid, signal.SIGSTOP)
-            self._frozen = process.pid, seconds + lasts
-            self._resumes_from = inf
-        else:
-            launcher.kill(name)
-            self._resumes_from = seconds
+        kind = "freeze" if freezes else "kill"
+        self.reports.append(FaultReport(name, kind, seconds, lasts, driving, blur_s=round(blur, 3)))
+        self._frozen_until = seconds + lasts if freezes else inf
+        self._resumes_from = inf if freezes else seconds
 
     def _measure(self, seconds: float) -> None:
         if not self.reports:
@@ -133,14 +204,6 @@ class Faults:
             since = seconds - self._resumes_from
             if report.resumed_s == inf and since > 0.5 and self._truth is not None and _moves(self._truth):
                 report.resumed_s = round(since, 2)
-
-    def _listen(self, client: Client) -> None:
-        self._client = client
-        client.listen(topics.TRUTH, lambda message, envelope: self._hear(message, envelope.sent))
-        client.listen(topics.MOTORS, lambda message, envelope: self._hear(message, envelope.sent))
-        client.listen(topics.GUARD, lambda message, envelope: self._hear(message, envelope.sent))
-        client.listen(topics.NAV_STATUS, lambda message, envelope: self._hear(message, envelope.sent))
-        client.listen(topics.BASE_STATUS, lambda message, envelope: self._hear(message, envelope.sent))
 
     def _hear(self, message: Message, sent: int) -> None:
         with self._lock:

@@ -20,8 +20,9 @@ from shared.geometry import Pose2
 from shared.messages import PoseEstimate, Truth, Velocity
 from shared.runners.lockstep import Lockstep
 from shared.service import Service
-from zenav.bench.ground_truth_driver import MAX_GOAL_DISTANCE, GroundTruthDriver, PathFinder
+from zenav.bench.ground_truth_driver import MAX_GOAL_DISTANCE, GroundTruthDriver
 from zenav.metrics.evaluation import TRACK_TOPICS, RunTrack
+from zenav.scenario.path_finder import PathFinder
 from zenav.stack.config_report import read_sections
 from zenav.stack.hardware import Hardware, settings_for
 from zenav.stack.service_loader import build_service

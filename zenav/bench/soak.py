@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`zenav bench soak`: the live stack drives for a long time, also while its services are killed and frozen.
+"""`zenav bench soak`: the stack drives for a long time, also while its services are killed and frozen.
 
-Memory, file handles and threads of each process must not grow. The latency from scan to cmd/vel must not drift.
-It comes from the recording. What a fault does is measured from the simulator's truth and the motor commands.
+Live, as processes: memory, file handles and threads of each must not grow, nor the age of its messages, and no queue
+may overflow. In lockstep an hour takes minutes: the size of each service's state must not grow, nor the number of
+events that wait. What a fault does is measured from the simulator's truth and the motor commands.
 """
 
-import statistics
+import json
 import sys
-import threading
 from dataclasses import asdict, dataclass, replace
 from math import inf
 from pathlib import Path
@@ -15,201 +15,164 @@ from typing import Any
 
 import numpy as np
 
+from services.recorder.recording_store import RecorderConfig
+from shared.config import UserError
+from shared.types import Float64s
 from zenav.bench.service_faults import FaultReport, Faults
-from zenav.client import Client
+from zenav.bench.soak_runs import SoakRun, run_processes, run_virtual
+from zenav.bench.soak_samples import growths
 from zenav.console.json_report import check_writable, write_report
 from zenav.console.run_folder import new_run_folder
 from zenav.console.shutdown import stop_on_signal
 from zenav.console.table import show_table
-from zenav.metrics.latency import latency_chain
-from zenav.scenario.live_run import ProcessStats, RunView, run_live
-from zenav.scenario.mission import Mission
-from zenav.scenario.scenario import Scenario, ScenarioResult, load_scenario
-from zenav.stack.launch import Launcher
+from zenav.metrics.evaluation import RunTrack
+from zenav.scenario.scenario import load_scenario
 
-SAMPLE_EVERY = 5.0  # s
 WARM_UP = 600.0  # s: what grows is measured from then on; in shorter runs from a third of the time
 WINDOW = 600.0  # s at begin and end whose latencies are compared; in shorter runs a third of the time
-MAX_GROWTH = 0.05  # of a process's memory after WARM_UP
-MAX_DRIFT = 1.5  # times: p99 of scan to cmd/vel at the end to that at the begin
+MAX_DRIFT = 1.5  # times: p99 of scan to cmd/vel at the end to that at the begin; in lockstep CPU by stack second
 MAX_ZERO_S = 0.25  # from a fault in the velocity path to the last motor command that moves
 MAX_RESUME_S = 12.0  # from a fault's end to motion
+MAX_WAITING = 1.5  # times: events that wait in lockstep at the end to those at the begin
+MAX_MAP_RATIO = 1.10  # mean wall error to that of the run to compare with
+STANDS_M = 0.05  # m: within this distance, and STANDS_RAD, the robot stands
+STANDS_RAD = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class ProcessSample:
-    """One process at one time. at: s since the start; pss: MB, its share of the memory that it uses."""
+class SoakPlan:
+    """What the user asked for. every: s between two faults, 0: none.  against: report of a run to compare with."""
 
-    at: float
-    pid: int
-    pss: float
-    n_files: int
-    n_threads: int
-
-
-@dataclass(frozen=True, slots=True)
-class Growth:
-    """One process from WARM_UP to the end."""
-
-    name: str
-    pss_from: float
-    pss_to: float
-    files: int  # more at the end
-    threads: int  # more at the end
-
-    @property
-    def holds(self) -> bool:
-        return self.pss_to <= (1 + MAX_GROWTH) * self.pss_from and self.files <= 0 and self.threads <= 0
+    minutes: float
+    every: float
+    seed: int
+    lockstep: bool = False
+    against: Path | None = None
 
 
-class SoakView(RunView):
-    """Samples the processes, and lets faults happen; called ten times a second by the run."""
-
-    def __init__(self, faults: Faults | None) -> None:
-        self.samples: dict[str, list[ProcessSample]] = {}
-        self.faults = faults
-        self._launcher: Launcher | None = None
-        self._sampled = -inf
-        self._lock = threading.Lock()
-
-    def start(self, scenario: Scenario, launcher: Launcher, processes: ProcessStats) -> None:
-        self._launcher = launcher
-
-    def look(self, client: Client, mission: Mission, seconds: float) -> None:
-        if self._launcher is None:
-            return
-        if self.faults is not None:
-            self.faults.step(client, self._launcher, seconds, is_driving=bool(mission.legs[0].seconds))
-        if seconds - self._sampled >= SAMPLE_EVERY:
-            self._sampled = seconds
-            for name, child in self._launcher.children.items():
-                if child.running and child.process is not None:
-                    newest = sample(child.process.pid, seconds)
-                    if newest is not None:
-                        self.samples.setdefault(name, []).append(newest)
-
-    def end(self) -> None:
-        if self.faults is not None:
-            self.faults.end()
-
-
-def sample(pid: int, at: float) -> ProcessSample | None:
-    """A process's sample; None where it has ended."""
-    process = Path(f"/proc/{pid}")
-    try:
-        lines = (process / "smaps_rollup").read_text().splitlines()
-        pss = next(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
-        n_files, n_threads = (sum(1 for _ in (process / part).iterdir()) for part in ("fd", "task"))
-    except (OSError, StopIteration):
-        return None
-    return ProcessSample(at, pid, pss / 1024, n_files, n_threads)
-
-
-def growths(samples: dict[str, list[ProcessSample]], since: float) -> list[Growth]:
-    """What the last life of each process gained after `since` (s).
-
-    Medians of the first and of the last fifth of its samples; processes with under ten of them are left out.
-    """
-    growing = []
-    for name, rows in samples.items():
-        life = [row for row in rows if row.pid == rows[-1].pid and row.at >= since]
-        n = len(life) // 5
-        if n < 2:
-            continue
-        first, last = _medians(life[:n]), _medians(life[-n:])
-        files, threads = round(last[1] - first[1]), round(last[2] - first[2])
-        growing.append(Growth(name, round(first[0], 1), round(last[0], 1), files, threads))
-    return growing
-
-
-def _medians(rows: list[ProcessSample]) -> tuple[float, float, float]:
-    """PSS, file handles, threads."""
-    columns = zip(*((row.pss, float(row.n_files), float(row.n_threads)) for row in rows), strict=True)
-    pss, files, threads = (statistics.median(column) for column in columns)
-    return pss, files, threads
-
-
-def soak(robot: str, world: str, minutes: float, every: float, seed: int, out: Path | None, settings: list[str]) -> int:
-    """Runs for `minutes`; a fault `every` s, none where it is 0. 0 when everything held."""
+def soak(robot: str, world: str, plan: SoakPlan, out: Path | None, settings: list[str]) -> int:
+    """Runs for so long; 0 when everything held. Raises UserError where the report to compare with is none."""
     check_writable(out)
+    reference = map_error_of(plan.against) if plan.against is not None else None
     folder = new_run_folder("soak")
     recording = folder / "run.mcap"
-    chosen = load_scenario(robot, world, seed, settings)
-    tours = replace(chosen, goals=chosen.goals * max(1, int(minutes)))  # more than it can drive
-    view = SoakView(Faults(chosen.names, every, np.random.default_rng(seed)) if every else None)
+    chosen = load_scenario(robot, world, plan.seed, settings)
+    tours = replace(chosen, goals=chosen.goals * max(1, int(plan.minutes)))  # more than it can drive
+    faults = Faults(chosen.names, plan.every, np.random.default_rng(plan.seed)) if plan.every else None
+    run_tours = run_virtual if plan.lockstep else run_processes
     with stop_on_signal() as stop:
-        outcome = run_live(tours, 60 * minutes, folder, recording, stop, view)
+        run = run_tours(tours, 60 * plan.minutes, recording, stop, faults)
         if stop.is_set():
             return 130
-    report = report_of(outcome, view, recording, minutes)
+    report = report_of(run, recording, plan, reference)
     show_figures(report)
     write_report(out, report)
     sys.stdout.write(f"recording: {recording}\n")
     return 0 if not report["broken"] else 1
 
 
-def report_of(outcome: ScenarioResult, view: SoakView, recording: Path, minutes: float) -> dict[str, Any]:
+def map_error_of(path: Path) -> float:
+    """The mean wall error, m, of an earlier report. Raises UserError where the file has none."""
+    try:
+        return float(json.loads(path.read_text())["summary"]["map_error_mean_m"])
+    except (OSError, ValueError, KeyError, TypeError):
+        raise UserError(f"{path} is no report of zenav bench soak", "make one: zenav bench soak --out FILE") from None
+
+
+def report_of(run: SoakRun, recording: Path, plan: SoakPlan, reference: float | None) -> dict[str, Any]:
     """The figures, and under `broken` each promise that did not hold."""
-    since, window = min(WARM_UP, 20 * minutes), min(WINDOW, 20 * minutes)
-    growth = growths(view.samples, since)
-    p99 = latency_drift(recording, outcome, window)
-    faults = view.faults.reports if view.faults is not None else []
+    outcome = run.outcome
+    since, window = min(WARM_UP, 20 * plan.minutes), min(WINDOW, 20 * plan.minutes)
+    growth = growths(run.samples, since)
+    first, last = run.drift(recording, window)
     contacts = outcome.track.truth.n_contacts if outcome.track.truth is not None else 0
-    slow = [row for row in faults if row.in_velocity_path and row.zero_s > MAX_ZERO_S]
-    stood = [row for row in faults if row.resumed_s > MAX_RESUME_S]
+    figures = outcome.report()
+    budget = outcome.scenario.file.section("recorder", RecorderConfig).budget
+    recorded = sum(path.stat().st_size for path in recording.parent.glob(f"{recording.stem}*.mcap")) / 1e6
+    error = figures["summary"]["map_error_mean_m"]
+    ratio = error / reference if error is not None and reference else None
+    slow = [row for row in run.faults if row.in_velocity_path and row.zero_s - row.blur_s > MAX_ZERO_S]
+    stood = [row for row in run.faults if row.resumed_s > MAX_RESUME_S]
     broken = [
         *([f"{contacts} contacts"] if contacts else []),
-        *([] if view.faults else [f"{row.name} grows" for row in growth if not row.holds]),
-        *([f"latency p99 went from {p99[0]:.1f} to {p99[1]:.1f} ms"] if p99[1] > MAX_DRIFT * p99[0] > 0 else []),
+        *([] if run.faults else [f"{row.name} grows: {', '.join(row.faults)}" for row in growth if row.faults]),
+        *(
+            [f"{run.drifting.replace('_', ' ')} went from {first:.1f} to {last:.1f}"]
+            if last > MAX_DRIFT * first > 0
+            else []
+        ),
         *(f"{row.description} after {row.at:.0f} s: zero command after {row.zero_s:.2f} s" for row in slow),
         *(f"{row.description} after {row.at:.0f} s: the robot stood for {row.resumed_s:.1f} s" for row in stood),
-        *([f"the run ended: {outcome.trouble}"] if outcome.trouble not in ("", "out of time") else []),
+        *(f"{leg['name']} failed: {leg['reason']}" for leg in figures["legs"] if leg["state"] == "failed"),
+        *([f"recordings have {recorded:.0f} MB, their budget is {budget:g}"] if recorded > budget else []),
+        *([f"mean wall error is {ratio:.2f} times that without faults"] if ratio and ratio > MAX_MAP_RATIO else []),
+        *waiting_grows(run.waiting, since),
+        *([f"the run ended: {run.trouble}"] if run.trouble else []),
     ]
-    figures = outcome.report()
     return {
         "summary": {
-            "minutes": minutes,
+            "minutes": plan.minutes,
+            "lockstep": plan.lockstep,
             "goals_reached": outcome.mission.n_reached,
             "goals_failed": sum(str(leg.state) == "failed" for leg in outcome.mission.legs),
-            "faults": len(faults),
+            "faults": len(run.faults),
             "contacts": contacts,
-            "max_zero_s": max((row.zero_s for row in faults if row.in_velocity_path), default=None),
-            "max_resume_s": max((row.resumed_s for row in faults if row.resumed_s < inf), default=None),
+            "max_zero_s": max(
+                (round(row.zero_s - row.blur_s, 3) for row in run.faults if row.in_velocity_path), default=None
+            ),
+            "max_resume_s": max((row.resumed_s for row in run.faults if row.resumed_s < inf), default=None),
             "not_resumed": len(stood),
-            "latency_p99_ms_first": round(p99[0], 2),
-            "latency_p99_ms_last": round(p99[1], 2),
-            "map_error_mean_m": figures["summary"]["map_error_mean_m"],
+            "longest_standing_s": round(longest_standing(outcome.track), 1),
+            f"{run.drifting}_first": round(first, 2),
+            f"{run.drifting}_last": round(last, 2),
+            "map_error_mean_m": error,
+            "map_error_ratio": None if ratio is None else round(ratio, 3),
             "map_within_5_cm": figures["summary"]["map_within_5_cm"],
+            "map_completeness": figures["summary"]["map_completeness"],
             "pose_error_mean_m": figures["summary"]["pose_error_mean_m"],
+            "recordings_mb": round(recorded, 1),
         },
-        "growth": [asdict(row) for row in growth],
-        "faults": [row.as_json() for row in faults],
-        "legs": figures["legs"],
+        "growth": [asdict(row) | {"faults": row.faults} for row in growth],
+        "faults": [row.as_json() for row in run.faults],
+        "legs": [leg for leg in figures["legs"] if leg["state"] != "waiting"],
         "restarts": outcome.restarts,
         "broken": broken,
     }
 
 
-def latency_drift(recording: Path, outcome: ScenarioResult, window: float) -> tuple[float, float]:
-    """p99 of scan to cmd/vel, ms, over the first and the last `window` s of driving; zeros where there is none."""
-    first = outcome.track.first_motion
-    if first is None:
-        return 0.0, 0.0
-    chain = latency_chain(recording, first)
-    if not len(chain.latency):
-        return 0.0, 0.0
-    n = max(1, round(len(chain.latency) * min(0.5, window / max(outcome.wall_seconds, 1.0))))
-    first_ms, last_ms = (float(np.percentile(part, 99)) * 1e3 for part in (chain.latency[:n], chain.latency[-n:]))
-    return first_ms, last_ms
+def waiting_grows(waiting: list[tuple[float, int]], since: float) -> list[str]:
+    """Words where more events wait at the end than after the warm-up. waiting: (s, events)."""
+    counts = [n for at, n in waiting if at >= since]
+    n = len(counts) // 5
+    if n < 2:
+        return []
+    first, last = float(np.median(counts[:n])), float(np.median(counts[-n:]))
+    return [f"events that wait went from {first:.0f} to {last:.0f}"] if last > MAX_WAITING * first else []
+
+
+def longest_standing(track: RunTrack) -> float:
+    """s, the longest time after the first motion in which the robot stayed at one place."""
+    rows: Float64s = np.array([row for row in track.truths[::5] if row[0] >= (track.first_motion or inf)])
+    longest, since = 0.0, 0
+    for i in range(1, len(rows)):
+        moved = np.hypot(*(rows[i, 1:3] - rows[since, 1:3])) > STANDS_M
+        if moved or abs(np.angle(np.exp(1j * (rows[i, 3] - rows[since, 3])))) > STANDS_RAD:
+            since = i
+        longest = max(longest, (rows[i, 0] - rows[since, 0]) / 1e9)
+    return float(longest)
 
 
 def show_figures(report: dict[str, Any]) -> None:
     """The figures as tables."""
     rows = [
-        (g["name"], f"{g['pss_from']:.0f}", f"{g['pss_to']:.0f}", f"{g['files']:+d}", f"{g['threads']:+d}")
+        (
+            g["name"], f"{g['memory_from']:.1f}", f"{g['memory_to']:.1f}", f"{g['files']:+d}", f"{g['threads']:+d}",
+            f"{g['age_from'] * 1e3:.0f}", f"{g['age_to'] * 1e3:.0f}", str(g["dropped"]), ", ".join(g["faults"]),
+        )
         for g in report["growth"]
-    ]
-    show_table("processes after the warm-up", ("", "PSS, MB", "at the end", "file handles", "threads"), rows)
+    ]  # fmt: skip
+    columns = ("", "MB", "at the end", "file handles", "threads", "age, ms", "at the end", "dropped", "grows")
+    show_table("services after the warm-up", columns, rows)
     show_table("summary", ("", ""), [(name.replace("_", " "), str(value)) for name, value in report["summary"].items()])
     if report["faults"]:
         by_name: dict[str, list[dict[str, Any]]] = {}

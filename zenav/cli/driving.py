@@ -81,14 +81,24 @@ def route(
 
 
 @app.command(cls=Command, rich_help_panel=DRIVE)
-def explore(robot: RobotName = "x80sv", stack: Stack = "0") -> None:
+def explore(
+    others: Annotated[
+        list[str] | None,
+        typer.Option("--with", help="NAME or NAME@STACK of a robot that explores here too; repeat."),
+    ] = None,
+    origin: Annotated[
+        tuple[float, float, float], typer.Option(metavar="X Y YAW", help="m, m, degrees of `map` in the common frame.")
+    ] = (0.0, 0.0, 0.0),
+    robot: RobotName = "x80sv",
+    stack: Stack = "0",
+) -> None:
     """Explore until no reachable frontier is left. Ctrl-C cancels.
 
-    Example: zenav explore
+    Example: zenav explore --name red --with blue
     """
-    from zenav.client.navigation_client import explore
+    from zenav.client.shared_exploring import explore
 
-    raise typer.Exit(explore(robot, stack))
+    raise typer.Exit(explore(robot, stack, others or [], origin))
 
 
 @app.command(cls=Command, rich_help_panel=DRIVE)

@@ -27,6 +27,11 @@ Stacks = Annotated[
 ]
 
 
+Robot = Annotated[str, typer.Argument(help="The robot.", metavar="NAME")]
+Site = Annotated[str, typer.Option("--stack", metavar="STACK", help="The router of the site, or the robot's stack.")]
+SITE = "tcp/127.0.0.1:7447"
+
+
 @fleet.command("list", cls=Command)
 def list_(
     seconds: Annotated[float, typer.Option(min=0.5, max=3600, help="s to listen; the link is judged by them.")] = 2.0,
@@ -60,7 +65,7 @@ def stop(
 
 @fleet.command(cls=Command)
 def goto(
-    name: Annotated[str, typer.Argument(help="The robot.", metavar="NAME")],
+    name: Robot,
     where: Annotated[
         list[str],
         typer.Argument(metavar="X Y [YAW] | PLACE", help="m, m on its map, degrees; without YAW any heading will do."),
@@ -97,6 +102,33 @@ def dispatch(
     from zenav.fleet.task_commands import dispatch
 
     raise typer.Exit(dispatch(queue, stack or [], map_, min_battery, lost_after))
+
+
+@fleet.command(cls=Command)
+def recordings(name: Robot, stack: Site = SITE) -> None:
+    """List the recordings on a robot, over its link to the site.
+
+    Example: zenav fleet recordings red
+    """
+    from zenav.fleet.site_recordings import list_robot_recordings
+
+    raise typer.Exit(list_robot_recordings(name, stack))
+
+
+@fleet.command(cls=Command)
+def fetch(
+    name: Robot,
+    file: Annotated[str, typer.Argument(help="One of `zenav fleet recordings NAME`.", metavar="FILE.mcap")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where it goes.")] = Path(),
+    stack: Site = SITE,
+) -> None:
+    """Fetch a recording of a robot. One that was interrupted goes on where it ended.
+
+    Example: zenav fleet fetch red red-20261125-101500.mcap --out recordings
+    """
+    from zenav.fleet.site_recordings import fetch_recording
+
+    raise typer.Exit(fetch_recording(name, file, out, stack))
 
 
 @task.command("add", cls=Command)

@@ -175,3 +175,19 @@ def map_convert(
     from zenav.maps.conversion import convert
 
     convert(place, out, mode, negate, force)
+
+
+@map_.command(cls=Command)
+def merge(
+    names: Annotated[list[str], typer.Argument(help="Saved maps of one building; the frame of the first stays.")],
+    out: Annotated[str, typer.Option(help="Name below maps/, or a folder.")],
+    robot: RobotName = "x80sv",
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a map that is there.")] = False,
+) -> None:
+    """Join saved maps of one building, of one robot or several, into one map with their places, zones and edits.
+
+    Example: zenav map merge red blue --out office
+    """
+    from zenav.client.map_merge import merge as merge_maps
+
+    merge_maps(names, out, robot, force)

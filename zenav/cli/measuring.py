@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from zenav.cli.measuring_files import bench as bench  # with more commands below
+from zenav.cli.measuring_maps import bench as bench  # with more commands below
 from zenav.cli.parts import Command, Out, Registrar, RobotName, Seeds, Setting, World
 
 
@@ -186,23 +186,50 @@ def bench_footprint(
     raise typer.Exit(footprint(robot, world, seconds, saved_map, rounds, out, set_ or []))
 
 
+@bench.command("quota", cls=Command)
+def bench_quota(
+    cores: Annotated[float, typer.Option(min=0.05, max=64, help="Share of one core for all services together.")] = 0.5,
+    seconds: Annotated[float, typer.Option(min=30, help="s: give up after this long.")] = 1200.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the world's noise.")] = 0,
+    out: Out = None,
+    robot: RobotName = "x80sv",
+    world: World = "office",
+    set_: Setting = None,
+) -> None:
+    """The live scenario in a share of one core, as on a small computer; needs root.
+
+    Example: zenav bench quota --cores 0.5 --set local_ctrl.mppi.rollouts=400 --out quota.json
+    """
+    from zenav.bench.quota import quota
+
+    raise typer.Exit(quota(robot, world, cores, seconds, seed, out, set_ or []))
+
+
 @bench.command("soak", cls=Command)
 def bench_soak(
-    minutes: Annotated[float, typer.Option(min=1, max=600, help="min of real time.")] = 30.0,
+    minutes: Annotated[float, typer.Option(min=1, max=600, help="min of the stack's time.")] = 30.0,
+    hours: Annotated[float, typer.Option(min=0, max=100, help="h instead of --minutes.")] = 0.0,
     faults: Annotated[float, typer.Option(min=0, help="s between two kills or freezes of a service; 0: none.")] = 0.0,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="On the virtual clock: an hour takes minutes; services are only killed.")
+    ] = False,
+    against: Annotated[
+        Path | None, typer.Option(help="Report of a run without faults: the map must be as good.", metavar="FILE")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the world's noise and of the faults.")] = 0,
     out: Out = None,
     robot: RobotName = "x80sv",
     world: World = "office",
     set_: Setting = None,
 ) -> None:
-    """The live stack for a long time: what grows, what drifts, and what it does when services die or freeze.
+    """The stack for a long time: what grows, what drifts, and what it does when services die or freeze.
 
     Example: zenav bench soak --minutes 30 --faults 20 --out soak.json
     """
-    from zenav.bench.soak import soak
+    from zenav.bench.soak import SoakPlan, soak
 
-    raise typer.Exit(soak(robot, world, minutes, faults, seed, out, set_ or []))
+    plan = SoakPlan(minutes=60 * hours or minutes, every=faults, seed=seed, lockstep=lockstep, against=against)
+    raise typer.Exit(soak(robot, world, plan, out, set_ or []))
 
 
 @bench.command("plan", cls=Command)
@@ -335,6 +362,13 @@ def bench_figures(
 def bench_fleet(
     robots: Annotated[int, typer.Option(min=1, max=20, help="Robots in the world.")] = 2,
     seconds: Annotated[float, typer.Option(min=5, max=36000, help="s of virtual time.")] = 600.0,
+    coordination: Annotated[
+        Literal["on", "off", "both"], typer.Option(help="Whether the robots hear each other; both: two runs.")
+    ] = "both",
+    fault: Annotated[
+        Literal["none", "kill_in_door", "partition"],
+        typer.Option(help="A robot dies in a narrow place, or the robots hear each other in two halves only."),
+    ] = "none",
     seed: Annotated[int, typer.Option(min=0, help="Of world, noise and goals.")] = 0,
     out: Out = None,
     robot: RobotName = "x80sv",
@@ -343,8 +377,9 @@ def bench_fleet(
 ) -> None:
     """Several robots drive to random goals in one world: contacts, standstills, goals beside those of one robot.
 
-    Example: zenav bench fleet --robots 4 --seconds 120
+    Example: zenav bench fleet --robots 4 --seconds 120 --world warehouse
     """
-    from zenav.bench.fleet import fleet
+    from zenav.bench.fleet import Coordination, FleetFault, fleet
 
-    raise typer.Exit(fleet(robot, world, robots, seconds, seed, out, set_ or []))
+    kinds = Coordination(coordination), FleetFault(fault)
+    raise typer.Exit(fleet(robot, world, robots, seconds, seed, out, set_ or [], *kinds))

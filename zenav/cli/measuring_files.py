@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from zenav.cli.parts import Command, Out, group
+from zenav.cli.parts import Command, Out, RobotName, group
 
 bench = group("Measure: a table here, JSON in a file.")
 
@@ -40,6 +40,24 @@ def bench_gateway(
     raise typer.Exit(gateway(out, seconds))
 
 
+@bench.command("site", cls=Command)
+def bench_site(
+    robot: RobotName = "x80sv",
+    seconds: Annotated[float, typer.Option(min=5, max=3600, help="s: length of each phase.")] = 30.0,
+    cut: Annotated[float, typer.Option(min=5, max=7200, help="s for which the link is cut.")] = 30.0,
+    out: Out = None,
+) -> None:
+    """A robot drives while its link to a site is clear, cut, slow, back and watched: bytes, latency and motion.
+
+    It needs root: the site is in a network namespace behind a link of its own.
+
+    Example: zenav bench site --out site.json
+    """
+    from zenav.bench.site import site
+
+    raise typer.Exit(site(robot, seconds, cut, out))
+
+
 @bench.command("ros2", cls=Command)
 def bench_ros2(
     seconds: Annotated[float, typer.Option(min=1, max=600, help="s: length of the measurement.")] = 20.0,
@@ -58,14 +76,30 @@ def bench_ros2(
 def bench_batch(
     recordings: Annotated[int, typer.Option(min=2, help="Made-up logs.")] = 40,
     scans: Annotated[int, typer.Option(min=2, help="Scans of each.")] = 1000,
-    rounds: Annotated[int, typer.Option(min=1, help="Of bare processes and batch in turn.")] = 3,
-    files: Annotated[int, typer.Option(min=4, help="Files of the run that is killed.")] = 10_000,
+    rounds: Annotated[int, typer.Option(min=0, help="Of bare processes and batch in turn; 0: not measured.")] = 3,
+    tiny: Annotated[int, typer.Option(min=0, help="Files of the runs that are killed; 0: none.")] = 10_000,
     out: Out = None,
 ) -> None:
-    """What `zenav batch` costs beside bare processes, what a second job gains, and a run that is killed.
+    """What `zenav batch` costs beside bare processes, what a second job gains, and runs that are killed.
 
-    Example: zenav bench batch --out batch.json
+    Example: zenav bench batch --rounds 0 --tiny 10000
     """
     from zenav.bench.batch import batch
 
-    raise typer.Exit(batch(out, recordings, scans, rounds, files))
+    raise typer.Exit(batch(out, recordings, scans, rounds, tiny))
+
+
+@bench.command("archive", cls=Command)
+def bench_archive(
+    seconds: Annotated[float, typer.Option(min=5, max=3600, help="s: length of the drive.")] = 60.0,
+    url: Annotated[str, typer.Option(help="Where to upload to; without: a folder.", metavar="PLACE")] = "",
+    rows: Annotated[int, typer.Option(min=1000, max=10_000_000, help="Of the catalogue.")] = 100_000,
+    out: Out = None,
+) -> None:
+    """Bytes of a recording, its upload, CPU time of work on it, and a catalogue of many: for docs/scale.md.
+
+    Example: zenav bench archive --out archive.json
+    """
+    from zenav.bench.archive import archive
+
+    raise typer.Exit(archive(out, seconds, url, rows))

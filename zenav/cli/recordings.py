@@ -146,7 +146,14 @@ def recording_find(
         str, typer.Argument(help="Folder or URL of recordings, which gets the catalogue too.")
     ] = "recordings",
     jobs: Annotated[int, typer.Option(min=1, help="Recordings that are read at a time.")] = 1,
-    as_it_is: Annotated[bool, typer.Option("--as-it-is", help="Do not look for new recordings.")] = False,
+    refresh: Annotated[
+        bool | None,
+        typer.Option(
+            "--refresh/--as-it-is",
+            help="Look for new and removed recordings, or do not; without: where no recorder uploads to.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Find recordings by robot, time, distance, contacts, stops and faults: the columns are in docs/batch.md.
@@ -155,4 +162,33 @@ def recording_find(
     """
     from zenav.batch.finding import find_recordings
 
-    raise typer.Exit(find_recordings(expression, place, jobs, as_it_is, as_json))
+    raise typer.Exit(find_recordings(expression, place, jobs, refresh, as_json))
+
+
+@recording.command("upload", cls=Command)
+def recording_upload(
+    folder: Annotated[Path, typer.Argument(help="Folder of recordings.", metavar="FOLDER")],
+    url: Annotated[str, typer.Argument(help="s3://BUCKET/FOLDER, another URL, or a folder.", metavar="PLACE")],
+    rate: Annotated[float, typer.Option(min=0, help="MB/s at most; 0: any.")] = 0.0,
+) -> None:
+    """Upload what the recorder has not uploaded, as after a drive. It may be interrupted, and goes on from there.
+
+    Example: zenav recording upload recordings/ s3://robots/november
+    """
+    from zenav.batch.upload_command import upload
+
+    raise typer.Exit(upload(folder, url, rate))
+
+
+@recording.command("uploads", cls=Command)
+def recording_uploads(
+    folder: Annotated[Path, typer.Argument(help="Folder of recordings.", metavar="FOLDER")] = Path("recordings"),
+    as_json: Json = False,
+) -> None:
+    """Which recordings of a folder are uploaded, and where; 1 where one is not.
+
+    Example: zenav recording uploads recordings/
+    """
+    from zenav.batch.upload_command import show_uploads
+
+    raise typer.Exit(show_uploads(folder, as_json))

@@ -40,8 +40,8 @@ def init(hosts: Hosts = None, robot: RobotName = "x80sv", folder: Folder = "") -
 def add(
     name: Name,
     role: Annotated[
-        Literal["viewer", "operator", "admin", "service"],
-        typer.Option(help="A viewer sees; an operator also drives; an admin may do everything."),
+        Literal["viewer", "operator", "admin", "service", "robot"],
+        typer.Option(help="A viewer sees; an operator also drives; an admin may do everything; robot: of a site."),
     ] = "viewer",
     days: Days = 365,
     out: File = None,

@@ -44,6 +44,9 @@ def demo(
     lockstep: Annotated[
         bool, typer.Option("--lockstep", help="In one process on the virtual clock, repeatable.")
     ] = False,
+    robots: Annotated[
+        int, typer.Option(min=1, max=20, help="Robots in one world, which drive to random goals; live 4 at most.")
+    ] = 1,
     hardware: Annotated[
         Simulated, typer.Option(help="What the simulator stands behind: its messages, or ports that speak bytes.")
     ] = "messages",
@@ -59,6 +62,11 @@ def demo(
 
     Example: zenav demo --headless --seed 3
     """
+    if robots > 1:
+        from zenav.scenario.fleet_demo import fleet_demo
+
+        given = set_ or []
+        raise typer.Exit(fleet_demo(robot, world, robots, seed, seconds, lockstep, given, out, page, browser))
     from zenav.scenario.demo import demo
     from zenav.stack.hardware import Hardware
 
@@ -105,6 +113,9 @@ def up(
             "--ros2", help="Bridge to ROS 2 nodes by their router: tcp/HOST:7447, or tls/HOST:7447.", metavar="ROUTER"
         ),
     ] = "",
+    site: Annotated[
+        str, typer.Option(help="Link to a site's router: tls/HOST:7449. See zenav site.", metavar="ROUTER")
+    ] = "",
     stack: Stack = "0",
     set_: Setting = None,
 ) -> None:
@@ -132,6 +143,7 @@ def up(
         remote,
         [name for name in external.split(",") if name],
         ros2,
+        site,
     )
 
 

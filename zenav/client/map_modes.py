@@ -23,7 +23,7 @@ from zenav.client.navigation_client import RequestRefusedError, accepted
 from zenav.client.zones import RUNS, follow_map, zones_in
 from zenav.maps.atomic_folder import replace_together
 from zenav.maps.foreign_map import is_picture, read_map
-from zenav.maps.map_files import MAPS_FOLDER, find_map, picture_files
+from zenav.maps.map_files import MAPS_FOLDER, find_map, folder_for, picture_files
 from zenav.maps.saved_map import GRAPH, map_files
 
 At = tuple[float, float, float]
@@ -73,7 +73,7 @@ class OnMap:
 
 def save_map(robot: str, stack: str, place: str) -> None:
     """Writes the present map into a folder: see saved_map.py; without a pose graph, where the mapper keeps none."""
-    folder = MAPS_FOLDER / place if place.replace("_", "").replace("-", "").isalnum() else Path(place)
+    folder = folder_for(place)
     summary = ""
     with _client(robot, stack) as client:
         try:

@@ -10,17 +10,18 @@ from math import radians
 from shared import requests, topics
 from shared.config import UserError, load_robot
 from shared.geometry import Pose2, wrapped
-from shared.messages import EmergencyStop, GuardState, GuardStatus, NavState, NavStatus
+from shared.messages import NavState, NavStatus
 from shared.reasons import REASONS, reason_text
-from shared.requests import Cancel, Explore, MapPart, Navigate, Pause, Reply
+from shared.requests import Cancel, MapPart, Navigate, Pause, Reply
+from shared.runners.stop_confirmation import confirm_stop
 from shared.runners.transport import stack_address
+from shared.task_state import FINAL_STATES, stop_reason
 from zenav.client import Client
 from zenav.console.shutdown import stop_on_signal
 
 Target = tuple[float, float, float | None]
 """m, m, degrees or None for any heading."""
 
-FINAL_STATES = (NavState.REACHED, NavState.FAILED, NavState.CANCELED)
 MAX_SILENCE_S = 10.0  # s without a status after which the navigator counts as gone
 MAX_STACK_WAIT_S = 5.0  # s that a command waits for the service that it asks
 
@@ -122,7 +123,7 @@ def drive_route(
 ) -> int:
     """Drives through the targets; 0 when the last was reached."""
     request = navigate(targets, dwell, loops, stays, arrival)
-    return _task(
+    return run_task(
         robot, stack, lambda c: c.ask(requests.NAVIGATE, replace(request, stamp=c.now())), target_text(targets[-1])
     )
 
@@ -131,11 +132,6 @@ def target_text(target: Target) -> str:
     """A target for people."""
     x, y, yaw = target
     return f"({x:.2f}, {y:.2f})" if yaw is None else f"({x:.2f}, {y:.2f}, {yaw:.0f} degrees)"
-
-
-def explore(robot: str, stack: str) -> int:
-    """Explores; 0 when nothing reachable is left."""
-    return _task(robot, stack, lambda c: c.ask(requests.EXPLORE, Explore(c.now())))
 
 
 def cancel(robot: str, stack: str) -> int:
@@ -161,41 +157,6 @@ def estop(robot: str, stack: str, press: bool) -> int:
         confirm_stop(client, press, "zenav estop")
     sys.stdout.write("STOP is pressed\n" if press else "STOP is released; the robot waits for a new goal\n")
     return 0
-
-
-def confirm_stop(client: Client, press: bool, by: str) -> None:
-    """Presses or releases STOP, again and again until the guard confirms. The client follows topics.GUARD.
-
-    Raises UserError where the guard does not confirm within 3 s.
-    """
-
-    def confirmed(status: GuardStatus) -> bool:
-        return (status.state is GuardState.STOPPED) == press
-
-    limit = time.monotonic() + 3.0
-    while time.monotonic() < limit:
-        client.publish(topics.ESTOP(EmergencyStop(client.now(), press, by)))
-        if client.wait(topics.GUARD, lambda s: client.age(topics.GUARD) < 1 and confirmed(s), 0.1) is not None:
-            return
-    status = client.latest(topics.GUARD)
-    if status is None:
-        raise UserError(
-            "the guard does not answer: STOP is not confirmed", "is it running? switch the robot off by hand"
-        )
-    raise UserError(
-        f"the guard does not confirm: it is {status.state} ({reason_text(status.reason)})",
-        "switch the robot off by hand",
-    )
-
-
-def stop_reason(nav: NavStatus | None, guard: GuardStatus | None) -> str:
-    """Why the robot stands or is slow, in words; empty when it just drives."""
-    if guard is not None and guard.reason and guard.state is not GuardState.IDLE:
-        return reason_text(guard.reason) + (f" ({guard.detail})" if guard.detail else "")
-    if nav is None or not nav.reason:
-        return f"recovery: {nav.recovery}" if nav is not None and nav.recovery else ""
-    reason = reason_text(nav.reason)
-    return f"{reason}; recovery: {nav.recovery}" if nav.recovery else reason
 
 
 def task_result(nav: NavStatus, task_id: int) -> TaskResult | None:
@@ -246,7 +207,7 @@ def refusal_error(reply: Reply | MapPart) -> RequestRefusedError:
     return RequestRefusedError(reply.reason, what, reason.hint)
 
 
-def _task(robot: str, stack: str, start: Callable[[Client], Reply], where: str = "") -> int:
+def run_task(robot: str, stack: str, start: Callable[[Client], Reply], where: str = "") -> int:
     """Starts a task, shows its progress and returns the exit status. where: the goal's words for the last line."""
     with stop_on_signal() as stop, _connected(robot, stack) as client:
         client.follow(topics.NAV_STATUS, topics.GUARD)

@@ -17,16 +17,16 @@ from shared.messages import GuardState, NavStatus
 from shared.reasons import ESTOP, NO_MAP, POSE_OLD, REASONS
 from shared.requests import Cancel, Explore, Reply
 from shared.runners.client import Client
+from shared.runners.stop_confirmation import confirm_stop
 from shared.runners.transport import stack_address
+from shared.task_state import FINAL_STATES
 from shared.types import Float64s, Int8s
 from zenav.client.navigation_client import (
-    FINAL_STATES,
     MAX_SILENCE_S,
     RequestRefusedError,
     Target,
     TaskResult,
     accepted,
-    confirm_stop,
     navigate,
     task_result,
 )

@@ -13,9 +13,10 @@ from shared.messages import Velocity
 from shared.requests import Override
 from shared.runners.transport import stack_address
 from shared.stop_button import StopButton
+from shared.task_state import stop_reason
 from zenav.client import Client
 from zenav.client.gamepad_device import GamepadDevice
-from zenav.client.navigation_client import refusal_error, stop_reason
+from zenav.client.navigation_client import refusal_error
 from zenav.console.raw_terminal import raw_terminal
 from zenav.console.shutdown import stop_on_signal
 

@@ -13,7 +13,7 @@ from shared import topics
 from shared.distance_field import distance_field
 from shared.messages import GuardState, Localization
 from shared.reasons import reason_text
-from zenav.fleet.robot_view import NO_TASK, RobotView
+from shared.robot_view import NO_TASK, RobotView
 from zenav.fleet.task_queue import FleetTask
 from zenav.maps.map_files import grid_of
 

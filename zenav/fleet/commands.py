@@ -8,16 +8,16 @@ from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict
 
-from shared import topics
 from shared.config import UserError, nearest
+from shared.robot_view import FleetRow, RobotView
+from shared.runners.fleet_listener import FleetListener
+from shared.runners.stop_confirmation import confirm_stop_of
 from shared.runners.transport import stack_address
-from zenav.client import Client
-from zenav.client.navigation_client import confirm_stop, drive_route
+from zenav.client.navigation_client import drive_route
 from zenav.client.places import goal_from
 from zenav.console.shutdown import stop_on_signal
 from zenav.console.table import show_table
-from zenav.fleet.listener import FleetListener, chosen_stacks
-from zenav.fleet.robot_view import FleetRow, RobotView
+from zenav.fleet.stacks import chosen_stacks
 
 LOOK_S = 2.0  # s in which each robot that runs is heard: its status comes five times a second
 MAX_AT_ONCE = 64  # robots that are stopped at the same time
@@ -90,9 +90,7 @@ def send_robot(stacks: list[str], name: str, where: list[str], map_folder: str) 
 
 
 def _stop(name: str, stack: str) -> None:
-    with Client(name, stack_address(stack)) as client:
-        client.follow(topics.GUARD)
-        confirm_stop(client, True, "zenav fleet stop")
+    confirm_stop_of(name, stack_address(stack), True, "zenav fleet stop")
 
 
 def _errors(stops: dict[tuple[str, str], Future[None]]) -> list[tuple[tuple[str, str], str]]:

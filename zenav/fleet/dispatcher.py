@@ -11,11 +11,12 @@ from shared import requests, topics
 from shared.config import UserError
 from shared.messages import GuardState, NavStatus
 from shared.requests import Cancel, Navigate
+from shared.robot_view import SILENT_S, RobotView
 from shared.runners.transport import stack_address
+from shared.task_state import FINAL_STATES
 from zenav.client import Client
-from zenav.client.navigation_client import FINAL_STATES, accepted, navigate, task_result
+from zenav.client.navigation_client import accepted, navigate, task_result
 from zenav.fleet.assignment import FreeRobot, WayLength, assignments, refusal
-from zenav.fleet.robot_view import SILENT_S, RobotView
 from zenav.fleet.task_queue import FleetTask, TaskQueue, TaskState
 
 UNCLEAR_S = 10.0  # after which a task that no reply confirmed counts as not taken

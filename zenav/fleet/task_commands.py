@@ -7,14 +7,15 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
+from shared.runners.fleet_listener import FleetListener
 from zenav.client.navigation_client import navigate
 from zenav.client.places import target_from
 from zenav.console.shutdown import stop_on_signal
 from zenav.console.table import show_table
 from zenav.fleet.assignment import MapWays, straight
 from zenav.fleet.dispatcher import Dispatcher, RobotLink
-from zenav.fleet.listener import FleetListener, chosen_stacks
 from zenav.fleet.queue_lock import queue_lock
+from zenav.fleet.stacks import chosen_stacks
 from zenav.fleet.task_queue import ENDED, FleetTask, TaskQueue, TaskState, wall_clock
 from zenav.maps.map_files import find_map
 

@@ -23,8 +23,9 @@ from shared.config import UserError
 from shared.geometry import Pose2
 from shared.messages import MapMode
 from shared.requests import Cancel, Explore, Navigate, Pause, Reply, StartMap, Watch
+from shared.runners.stop_confirmation import confirm_stop
 from zenav.client import Client
-from zenav.client.navigation_client import confirm_stop, refusal_error, target_text
+from zenav.client.navigation_client import refusal_error, target_text
 from zenav.foxglove.commander import Commander
 from zenav.foxglove.inbound import Inlet, InvalidMessageError, inlet_of, pose_from, velocity_from
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from shared.codec import Field, fields_of
 from shared.geometry import Pose2
-from shared.messages import Health, Message
+from shared.messages import Health, Message, RobotIntent
 
 TIME = {
     "type": "object",
@@ -28,6 +28,7 @@ POSE = {"type": "object", "properties": {axis: {"type": "number"} for axis in ("
 COLUMNS: dict[tuple[type[Message], str], tuple[str, ...]] = {
     (Health, "rates"): ("topic", "hz", "age"),
     (Health, "rejected"): ("key", "why", "n"),
+    (RobotIntent, "heard"): ("robot", "claim"),
 }
 """What the parts of a tuple are called."""
 

@@ -48,6 +48,11 @@ def find_map(place: str) -> Path:
     )
 
 
+def folder_for(place: str) -> Path:
+    """The folder of a map to be written: a name is one below maps/, anything else a path."""
+    return MAPS_FOLDER / place if place.replace("_", "").replace("-", "").isalnum() else Path(place)
+
+
 def grid_of(path: Path) -> OccupancyGrid:
     """A saved map as a grid of whole tiles. Its lower left corner is moved to a whole cell."""
     return grid_from_update(update_of(path))

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 
 from services.recorder.recording_store import RecorderConfig
-from services.recorder.retention import KEEP_SUFFIX
+from services.recorder.retention import KEEP_SUFFIX, UPLOADED_SUFFIX
 from shared.config import UserError
 from zenav.page.target import PageTarget, Values
 
@@ -39,7 +39,8 @@ def delete(target: PageTarget, values: Values) -> None:
     if _is_current(path):
         raise UserError(f"{path.name} is being written", "stop the recorder, or wait for its next part")
     path.unlink()
-    path.with_name(path.name + KEEP_SUFFIX).unlink(missing_ok=True)
+    for suffix in (KEEP_SUFFIX, UPLOADED_SUFFIX):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
 
 
 @cache  # a replay asks ten times a second

@@ -9,8 +9,8 @@ from typing import Any
 from shared import topics
 from shared.messages import Health, NavStatus
 from shared.reasons import reason_text
+from shared.task_state import stop_reason
 from zenav.client import Client
-from zenav.client.navigation_client import stop_reason
 from zenav.scenario.live_run import ProcessStats, RunView
 from zenav.scenario.mission import LegState, Mission
 from zenav.scenario.scenario import Scenario

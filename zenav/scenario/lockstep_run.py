@@ -3,10 +3,14 @@
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
+from shared.config import UserError
 from shared.messages import NavStatus
 from shared.recording import CONFIG, Writer, about, sink
+from shared.requests import Reply, Request
 from shared.runners.lockstep import START, Lockstep
 from shared.service import Service
 from zenav.metrics.evaluation import TRACK_TOPICS, RunTrack
@@ -20,6 +24,8 @@ RECORDER = "recorder"  # records files by itself; here the runner's own sink doe
 
 OnStep = Callable[[float, Mission, NavStatus | None], bool]
 """(virtual s, mission, status) -> whether to go on."""
+OnStart = Callable[[Lockstep], None]
+"""Receives the stack before its first event."""
 
 
 def lockstep_services(scenario: Scenario) -> dict[str, Service]:
@@ -29,18 +35,23 @@ def lockstep_services(scenario: Scenario) -> dict[str, Service]:
 
 
 def run_lockstep(
-    scenario: Scenario, seconds: float, record: Path | None, tell: OnStep = lambda at, mission, nav: True
+    scenario: Scenario,
+    seconds: float,
+    record: Path | None,
+    tell: OnStep = lambda at, mission, nav: True,
+    begin: OnStart = lambda lockstep: None,
 ) -> ScenarioResult:
     """Runs the scenario for at most `seconds` of virtual time."""
     services, joined = lockstep_services(scenario), wires(scenario.hardware, scenario.file)
     if record is None:
-        return _run(scenario, Lockstep(services, wires=joined), seconds, tell)
+        return _run(scenario, Lockstep(services, wires=joined), seconds, tell, begin)
     with Writer(record, about(scenario.file.robot.name), {CONFIG: scenario.file.text.encode()}) as writer:
-        return _run(scenario, Lockstep(services, sink(writer), joined), seconds, tell)
+        return _run(scenario, Lockstep(services, sink(writer), joined), seconds, tell, begin)
 
 
-def _run(scenario: Scenario, lockstep: Lockstep, seconds: float, tell: OnStep) -> ScenarioResult:
+def _run(scenario: Scenario, lockstep: Lockstep, seconds: float, tell: OnStep, begin: OnStart) -> ScenarioResult:
     begun, cpu = time.monotonic(), time.process_time()
+    begin(lockstep)
     track, newest = RunTrack(), list[NavStatus]()
 
     def keep_newest(message: NavStatus) -> None:
@@ -49,7 +60,7 @@ def _run(scenario: Scenario, lockstep: Lockstep, seconds: float, tell: OnStep) -
     for key in TRACK_TOPICS:
         lockstep.watch(key, lambda message: track.add(message, lockstep.now))
     lockstep.watch("nav/status", keep_newest)
-    mission = Mission(scenario.goals, lockstep.ask, seconds=seconds)
+    mission = Mission(scenario.goals, partial(_ask, lockstep), seconds=seconds)
     goes_on = True
     while goes_on and mission.leg is not None and lockstep.now - START < seconds * 1e9:
         lockstep.run(STEP_S)
@@ -63,6 +74,13 @@ def _run(scenario: Scenario, lockstep: Lockstep, seconds: float, tell: OnStep) -
     if mission.leg is not None:
         outcome.trouble = f"not done after {seconds:g} s" if goes_on else "interrupted"
     return outcome
+
+
+def _ask(lockstep: Lockstep, request: Request[Any, Reply], message: Any) -> Reply:
+    try:
+        return lockstep.ask(request, message)
+    except KeyError:
+        raise UserError(f"{request.by} does not run", "it was killed, and starts again") from None
 
 
 def memory_mb() -> float:

@@ -11,7 +11,7 @@ from shared.config import UserError
 from shared.geometry import Pose2
 from shared.messages import NavState, NavStatus
 from shared.requests import Explore, Navigate, Reply
-from zenav.client.navigation_client import FINAL_STATES
+from shared.task_state import FINAL_STATES
 from zenav.render.floor_plan import GoalMark
 
 Ask = Callable[[requests.Request[Any, Reply], Any], Reply]

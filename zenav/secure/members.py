@@ -17,6 +17,7 @@ from zenav.console.table import show_table
 from zenav.secure.authority import ROBOT_DAYS, Authority, checked_host, fingerprint, host_names, new_authority
 
 NAME = re.compile(r"[a-z][a-z0-9_-]{0,39}")
+ROBOT_NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 
 def init_folder(robot: str, folder: str, hosts: list[str]) -> None:
@@ -44,6 +45,8 @@ def add_member(name: str, role: MemberRole, folder: str, out: Path | None, days:
         raise UserError(f"{name!r} is no name of a member", "a small letter first; then small letters, digits, - and _")
     if role is MemberRole.SERVICE and name not in SERVICES:
         raise UserError(f"{name} is not a service", nearest(name, SERVICES))
+    if role is MemberRole.ROBOT and not ROBOT_NAME.fullmatch(name):
+        raise UserError(f"{name!r} is no name of a robot", "a small letter first; then small letters, digits and _")
     if role is not MemberRole.SERVICE and name in SERVICES:
         raise UserError(f"{name} is the name of a service", "choose another one, or --role service")
     if any(member.name == name and not member.revoked for member in place.members()):

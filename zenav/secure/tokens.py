@@ -23,8 +23,8 @@ def issue_token(name: str, folder: str) -> None:
     """Prints a new token of a member, once; an older one ends. Raises UserError where the member can have none."""
     place = secure_folder(folder).require()
     member = valid_member(place, name)
-    if member.role is MemberRole.SERVICE:
-        raise UserError(f"{name} is a service", "a token is for a person: zenav secure add NAME --role viewer")
+    if member.role in (MemberRole.SERVICE, MemberRole.ROBOT):
+        raise UserError(f"{name} is a {member.role}", "a token is for a person: zenav secure add NAME --role viewer")
     token = secrets.token_urlsafe(TOKEN_BYTES)
     kept = {row.common_name for row in place.members() if not row.revoked}
     hashes = {key: value for key, value in _hashes(place).items() if key in kept}

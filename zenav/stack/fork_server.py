@@ -30,7 +30,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
-from zenav.stack.heap import limit_heap, release_free_memory
+from zenav.stack.heap import fill_holes, limit_heap, release_free_memory
 from zenav.stack.process_guard import die_with_parent
 
 MODULE = "zenav.stack.fork_server"
@@ -38,24 +38,17 @@ READY = b"ready"
 MAX_REQUEST = 2**17  # bytes: a command line; within the default size of a socket's buffer
 PR_SET_NAME = 15
 MADV_DONTNEED = 4
-NO_WARM_UP = ("sim",)  # builds its world, which costs more than the kernels that it would load
+NOT_PRELOADED = ("sim",)
+"""It is no part of a robot, its imports are its own, and its world costs more than the kernels that it would load."""
 MAX_NAME_BYTES = 15  # of a process
 
 
-def serve(connection: socket.socket, launcher: int, commands: dict[str, list[str]]) -> NoReturn:
-    """Preloads what the commands need, then forks services on request until the connection ends.
-
-    launcher: number of the process that becomes their parent.   commands: arguments by module, like `services.guard`.
-    """
+def serve(connection: socket.socket, launcher: int) -> NoReturn:
+    """Forks services on request until the connection ends. launcher: number of their parent process."""
     die_with_parent(launcher)
     os.setsid()  # a terminal's Ctrl-C is the launcher's affair
     _reset(connection.fileno())
     title(MODULE, [])
-    limit_heap()
-    preload(commands)
-    if not is_single_threaded():
-        os._exit(3)  # the launcher starts the services without this process
-    share_pages()
     try:
         connection.send(READY)
         while True:
@@ -71,10 +64,13 @@ def serve(connection: socket.socket, launcher: int, commands: dict[str, list[str
         os._exit(0)  # the launcher is gone
 
 
-def preload(commands: dict[str, list[str]]) -> None:
-    """Imports the services, and loads their kernels for their configuration. What is wrong, they say themselves."""
+def preload(commands: dict[str, list[str]]) -> bool:
+    """Imports the services, and loads their kernels for their configuration. What is wrong, they say themselves.
+
+    commands: arguments by module, like `services.guard`. Returns whether this process may fork.
+    """
     from shared.config import configured
-    from shared.kernel_cache import warm_up
+    from shared.kernel_cache import release_intermediate_code, warm_up
     from shared.runners import live  # noqa: F401  # Zenoh's library, without a session
     from shared.runners.arguments import PRELOADED
     from shared.runners.arguments import arguments as arguments_of
@@ -83,12 +79,10 @@ def preload(commands: dict[str, list[str]]) -> None:
     logging.disable(logging.CRITICAL)
     for module, arguments in commands.items():
         package, _, name = module.partition(".")
-        if package != "services":
+        if package != "services" or name in NOT_PRELOADED:
             continue
         try:
             import_module(f"{module}.service")
-            if name in NO_WARM_UP:
-                continue
             options, _ = arguments_of(name).parse_known_args(arguments)
             file = configured(options.robot, options.set)
             warm_up(build_service(name, file, file.robot))
@@ -96,11 +90,15 @@ def preload(commands: dict[str, list[str]]) -> None:
         except (Exception, SystemExit):  # it ends the same way in its own process, with its words
             continue
     logging.disable(logging.NOTSET)
+    release_intermediate_code()
+    share_pages()
+    return is_single_threaded()
 
 
 def share_pages() -> None:
     """Keeps memory shared with the processes that are forked from here on, and gives back what only loading needed."""
     release_free_memory()
+    fill_holes()
     gc.freeze()  # a collection would write to each object that it visits
     unmap_clean_pages()
 
@@ -212,7 +210,11 @@ def title(module: str, arguments: list[str]) -> None:
 def main() -> NoReturn:
     """The process of its own: `python -P -m zenav.stack.fork_server LAUNCHER_PID DESCRIPTOR COMMANDS`."""
     launcher, descriptor, commands = int(sys.argv[1]), int(sys.argv[2]), json.loads(sys.argv[3])
-    serve(socket.socket(fileno=descriptor), launcher, commands)
+    die_with_parent(launcher)
+    limit_heap()
+    if not preload(commands):
+        os._exit(3)  # the launcher starts the services without this process
+    serve(socket.socket(fileno=descriptor), launcher)
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ def _board_model(file: RobotFile) -> str:
 
 def services_for(hardware: Hardware, file: RobotFile) -> list[str]:
     """The services of a whole stack, in the registry's order; `up` adds those of its user's choice, as the page."""
-    wanted = set(existing_services()) - {"sim", "lidar_driver", "imu_driver", "dashboard", "gateway", "ros2"}
+    wanted = set(existing_services()) - {"sim", "lidar_driver", "imu_driver", "dashboard", "gateway", "ros2", "uplink"}
     if hardware is not Hardware.REAL:
         wanted.add("sim")
     if hardware is Hardware.EMULATED:

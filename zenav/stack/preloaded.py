@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from typing import BinaryIO
 
 from zenav.stack import fork_server
-from zenav.stack.heap import limit_heap, release_free_memory
+from zenav.stack.heap import limit_heap
 
 GUARD = (sys.executable, "-P", "-m", "zenav.stack.process_guard")
 """How a service's command begins; then come the launcher's number, the module and its arguments."""
@@ -109,14 +109,17 @@ class Preloaded:
         return self._process.pid if self._process is not None and self._process.poll() is None else None
 
     def start(self) -> None:
-        """Starts it, and returns before it is ready."""
+        """Starts it, and returns before it is ready.
+
+        A launcher with one thread preloads in its own process and forks: so it shares these pages with the services.
+        """
         if sys.platform != "linux" or not any(module.startswith("services.") for module in self._commands):
             return
         self.close()
         limit_heap()
         self._started = time.monotonic()
         here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        if fork_server.is_single_threaded():
+        if fork_server.is_single_threaded() and fork_server.preload(self._commands):
             self._process = self._forked(there)
         else:  # this process may not be copied: its threads hold locks
             command = [sys.executable, "-P", "-m", fork_server.MODULE, str(os.getpid()), str(there.fileno())]
@@ -185,15 +188,12 @@ class Preloaded:
         launcher = os.getpid()
         sys.stdout.flush()
         sys.stderr.flush()
-        release_free_memory()
-        gc.freeze()  # what both have stays shared, also when the launcher collects
         pid = os.fork()
         if pid == 0:
             try:
-                fork_server.serve(connection, launcher, self._commands)
+                fork_server.serve(connection, launcher)
             finally:
                 os._exit(1)
-        fork_server.unmap_clean_pages()
         return Adopted(pid)
 
     def _hear_ready(self, seconds: float) -> None:

@@ -35,8 +35,17 @@ def build_service(name: str, file: RobotFile, robot: Robot) -> Service:
     """The service with its section of a robot's file. Its sinks, if it has any, lead nowhere."""
     class_ = service_class(name)
     sinks = list(inspect.signature(class_.__init__).parameters)[3:]
-    return class_(file.section(name, class_.config_type), robot, **dict.fromkeys(sinks, _nowhere))
+    return class_(file.section(name, class_.config_type), robot, **dict.fromkeys(sinks, _Nowhere()))
 
 
-def _nowhere(*_: object) -> None:
-    return None
+class _Nowhere:
+    """A sink that takes everything and keeps nothing: each of its methods and values is empty."""
+
+    def __call__(self, *_: object) -> tuple[()]:
+        return ()
+
+    def __getattr__(self, name: str) -> "_Nowhere":
+        return self
+
+    def __bool__(self) -> bool:
+        return False

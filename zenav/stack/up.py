@@ -14,6 +14,7 @@ from shared.config import RobotFile, UserError, configured, nearest
 from shared.extensions import service_module
 from shared.messages import Health
 from shared.runners.clock import clock_from
+from shared.runners.presence import announce
 from shared.runners.transport import stack_address
 from shared.topics import SERVICES
 from zenav.client import Client
@@ -22,15 +23,16 @@ from zenav.console.run_folder import new_run_folder
 from zenav.console.shutdown import StopFlag, stop_on_signal
 from zenav.stack.config_report import read_sections
 from zenav.stack.external import ExternalWatch, expected_topics
+from zenav.stack.forked_check import check_apart
 from zenav.stack.gateway import GATEWAY, gateway_address, prepare_gateway, prepare_page, with_gateway
 from zenav.stack.hardware import Hardware, emulated_ports, services_for, settings_for, simulated_world
-from zenav.stack.heap import release_free_memory
+from zenav.stack.heap import limit_heap, release_free_memory
 from zenav.stack.launch import START_LIMIT, Launcher, claim_stack, service_command
 from zenav.stack.page import SERVICE, PageOpener, page_url, with_page
-from zenav.stack.presence import announce
 from zenav.stack.ros2 import ROS2, check_router, ros2_settings
 from zenav.stack.sd_notify import Notifier
 from zenav.stack.service_loader import existing_services
+from zenav.stack.uplink import UPLINK, check_uplink, uplink_settings
 from zenav.stack.warm import warm_first
 
 MAX_SILENCE_S = 5.0
@@ -77,6 +79,7 @@ def up(
     remote: bool = False,
     external: Sequence[str] = (),
     ros2: str = "",
+    site: str = "",
 ) -> None:
     """Runs the services until Ctrl-C. hardware: None is the simulator's messages with a world, else the real robot.
 
@@ -84,15 +87,17 @@ def up(
     whether a browser shows it in a desktop session.  remote: whether members reach the stack from other computers.
     external: services that are not started, because programs of the user take their place.
 
-    ros2: the router of ROS 2 nodes, as tcp/HOST:7447; empty: no bridge.
+    ros2: the router of ROS 2 nodes, as tcp/HOST:7447; empty: no bridge.  site: that of a site, as tls/HOST:7449.
     """
+    limit_heap()  # before the first thread
     hardware = _checked_hardware(hardware, world, speed, external)
     settings = [*settings, *([f"sim.world={world}"] if world else [])]
     where = stack_address(stack)
     settings = with_gateway(settings, where) if remote else settings
     settings = [*ros2_settings(ros2), *settings] if ros2 else settings
+    settings = [*uplink_settings(site), *settings] if site else settings
     file = configured(robot, settings)
-    read_sections(file)
+    check_apart(lambda: read_sections(file))
     names = selected_services(only, with_page(services_for(hardware, file), page), external)
     if remote:
         prepare_gateway(file)
@@ -100,8 +105,11 @@ def up(
     if ros2:
         check_router(file)
         names.append(ROS2)
+    if site:
+        check_uplink(file)
+        names.append(UPLINK)
     if "sim" in names:
-        simulated_world(file)  # a wrong world is an error before any process starts
+        check_apart(lambda: simulated_world(file))  # a wrong world is an error before any process starts
     saved = None if on_map is None else on_map.read(file)  # so is a damaged map
     if on_map is not None and not any(setting.startswith("recorder.attach=") for setting in settings):
         settings.append(f"recorder.attach={json.dumps(on_map.files())}")

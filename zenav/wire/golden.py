@@ -11,7 +11,7 @@ from shared import sample_messages as samples
 from shared.codec import Envelope, Field, encode, fields_of, wire_dtype
 from shared.config import load_robot
 from shared.geometry import Pose2
-from shared.messages import TILE_CELLS, Message, Within
+from shared.messages import TILE_CELLS, Message, OtherRobots, Within
 from shared.requests import REQUESTS, GiveMap
 from shared.topics import TOPICS
 from zenav.console.message_text import json_value
@@ -63,6 +63,7 @@ def _from_samples() -> tuple[Message, ...]:
         samples.zones(STAMP, 1.0, 2.0),
         samples.goal(STAMP, 3, POSE),
         samples.path(STAMP, 3, 2.0),
+        OtherRobots(STAMP, ("blue",), np.full(1, 0.3, np.float32), 0.25, *np.zeros((2, 1, 3), np.float32)),
         GiveMap(STAMP, 5, 0, 1, b"\x00\x01\xfe\xff"),
     )
 

@@ -14,6 +14,7 @@ from services.mapper.front_end.beams import Beams
 from services.mapper.front_end.continuous_odometry import ContinuousOdometry, OdometryConfig
 from services.mapper.front_end.deskew import deskew
 from services.mapper.front_end.odometry_error import OdometryError
+from services.mapper.front_end.robot_mask import RobotMask
 from services.mapper.front_end.scan_source import ScanSource, scan_end
 from services.mapper.grid.occupancy import OccupancyConfig
 from shared import topics
@@ -70,11 +71,12 @@ class ScanQueue:
         self.first = self.sources[0]
         self.max_apart = MAX_PERIODS_APART / min(laser.rate for laser in lasers)  # s
         self.odometry = ContinuousOdometry(config, robot.drive)
+        self.odometry_arrived = -1  # ns, when the last message was taken
         self.pending: tuple[int, LaserScan] | None = None  # ns, time of its arrival; the scan
         self.second_scan: LaserScan | None = None
         self.velocity = Pose2()
         self.is_blind = False
-        self.rejections = rejections
+        self.rejections, self.robot_mask = rejections, RobotMask()
 
     def restart(self) -> None:
         """Begins without a last scan: the map of a previous run is used."""
@@ -96,6 +98,7 @@ class ScanQueue:
             for source in self.sources:
                 source.repeats.restart()
             self.is_blind = True
+        self.odometry_arrived = now
         jumps = self.odometry.n_jumps
         self.odometry.add(odometry, is_restart=self.is_blind and self.odometry.newest <= self.last_end)
         if self.odometry.n_jumps > jumps:
@@ -114,18 +117,19 @@ class ScanQueue:
         for source in self.sources:
             source.last_end = -1
 
-    def add_scan(self, scan: LaserScan, now: int) -> Out:
+    def add_scan(self, scan: LaserScan, map_from_base: Pose2, now: int) -> Out:
         """Adds a scan of the first laser to the queue, or drops it and logs that. now: ns."""
         if self.first.is_usable(scan, self._base_pose, now):
-            self.pending = now, scan
+            self.pending = now, self.robot_mask.masked(scan, self.first.laser.mount, map_from_base, now)
         else:
             yield from self.first.drop_log()
 
-    def add_second_scan(self, scan: LaserScan, now: int) -> Out:
+    def add_second_scan(self, scan: LaserScan, map_from_base: Pose2, now: int) -> Out:
         """Keeps a scan of the second laser for the next one of the first, or drops it and logs that. now: ns."""
         for source in self.sources[1:]:
             if source.is_usable(scan, self._base_pose, now):
-                self.second_scan, source.last_end = scan, scan_end(scan)
+                masked = self.robot_mask.masked(scan, source.laser.mount, map_from_base, now)
+                self.second_scan, source.last_end = masked, scan_end(scan)
             else:
                 yield from source.drop_log()
 
@@ -155,10 +159,13 @@ class ScanQueue:
         """Whether odometry reaches the end of the waiting scan."""
         return self.pending is not None and self.odometry.newest >= scan_end(self.pending[1])
 
-    @property
-    def lacks_odometry(self) -> bool:
-        """Whether a scan waits for odometry that has stopped."""
-        return self.pending is not None and self._has_stopped(scan_end(self.pending[1]))
+    def lacks_odometry(self, now: int) -> bool:
+        """Whether a scan waits for odometry that has stopped. now: ns.
+
+        Odometry that arrives late has not stopped: after a pause of this process a scan may come before a second of it.
+        """
+        is_arriving = 0 <= now - self.odometry_arrived < self.config.max_wait * NS_PER_S
+        return self.pending is not None and not is_arriving and self._has_stopped(scan_end(self.pending[1]))
 
     def is_overdue(self, now: int) -> bool:
         """Whether a scan has waited for `max_wait`. now: ns."""

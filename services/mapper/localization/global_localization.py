@@ -134,6 +134,39 @@ class MapSurface:
         return self._cached
 
 
+@dataclass(frozen=True, slots=True)
+class KeyframeGroup:
+    """Keyframes of one place that are matched together.
+
+    newest: local_from_base of the newest one.
+    newest_from_each, surfaces: of each keyframe; points and normals (k, 2) m in its `base`.
+    points, normals: (n, 2) m of all of them, in the newest one's `base`.
+    """
+
+    keyframes: tuple[Keyframe, ...]
+    newest: Pose2
+    newest_from_each: list[Pose2]
+    surfaces: list[tuple[Float64s, Float64s]]
+    points: Float64s
+    normals: Float64s
+
+    @classmethod
+    def of(cls, keyframes: Sequence[Keyframe]) -> "KeyframeGroup":
+        """Returns the group; the last keyframe is the newest."""
+        newest = keyframes[-1].local_from_base
+        newest_from_each = [newest.inverse() @ keyframe.local_from_base for keyframe in keyframes]
+        surfaces = [keyframe.surface() for keyframe in keyframes]
+        points = np.concatenate([pose @ p for pose, (p, _) in zip(newest_from_each, surfaces)])
+        normals = np.concatenate([Pose2(0, 0, pose.yaw) @ n for pose, (_, n) in zip(newest_from_each, surfaces)])
+        return cls(tuple(keyframes), newest, newest_from_each, surfaces, points, normals)
+
+    def register(self, submap: Submap, start: Pose2) -> Match:
+        """Returns the match of at most MAX_POINTS with a submap.  start: map_from_base of the newest."""
+        stride = -(-len(self.points) // MAX_POINTS)
+        some, some_normals = np.ascontiguousarray(self.points[::stride]), np.ascontiguousarray(self.normals[::stride])
+        return submap.registrar.register(some, some_normals, start, Prior(start, 0.5, 0.2))
+
+
 def find_poses(
     surface: MapSurface,
     keyframes: Sequence[Keyframe],
@@ -149,15 +182,10 @@ def find_poses(
     part_about: map_from_local of a part; its surroundings are searched where the whole map is too large.
     """
     submap, pyramid = surface.submap_and_pyramid(config.search)
-    newest = keyframes[-1].local_from_base
-    newest_from_each = [newest.inverse() @ keyframe.local_from_base for keyframe in keyframes]
-    surfaces = [keyframe.surface() for keyframe in keyframes]
-    points = np.concatenate([pose @ p for pose, (p, _) in zip(newest_from_each, surfaces)])
-    normals = np.concatenate([Pose2(0, 0, pose.yaw) @ n for pose, (_, n) in zip(newest_from_each, surfaces)])
+    group = KeyframeGroup.of(keyframes)
+    points, newest = group.points, group.newest
     if len(points) < MIN_POINTS or submap.registrar.map.n < MIN_POINTS:
         return [], 0.0
-    stride = -(-len(points) // MAX_POINTS)
-    some, some_normals = np.ascontiguousarray(points[::stride]), np.ascontiguousarray(normals[::stride])
     height, width = pyramid.levels[0].shape
     centre = Pose2(width * pyramid.resolution / 2 + pyramid.x0, height * pyramid.resolution / 2 + pyramid.y0)
     reach, turn = max(width, height) * pyramid.resolution / 2, pi
@@ -178,31 +206,22 @@ def find_poses(
             break
     hypotheses: list[PoseHypothesis] = []
     for start in starts:
-        match = submap.registrar.register(some, some_normals, start, Prior(start, 0.5, 0.2))
-        hypothesis = _evaluate(match, submap, keyframes, newest_from_each, surfaces, newest, config)
+        hypothesis = _evaluate(group.register(submap, start), submap, group, config)
         if not any(is_same_pose(hypothesis.map_from_local, other.map_from_local, newest) for other in hypotheses):
             hypotheses.append(hypothesis)
     return sorted(hypotheses, key=lambda hypothesis: -hypothesis.margin), seconds
 
 
-def _evaluate(
-    match: Match,
-    submap: Submap,
-    keyframes: Sequence[Keyframe],
-    newest_from_each: Sequence[Pose2],
-    surfaces: Sequence[tuple[Float64s, Float64s]],
-    newest: Pose2,
-    config: GlobalLocalizationConfig,
-) -> PoseHypothesis:
+def _evaluate(match: Match, submap: Submap, group: KeyframeGroup, config: GlobalLocalizationConfig) -> PoseHypothesis:
     """Returns the hypothesis of a match of all keyframes, evaluated by each keyframe."""
     margins, inlier_ratios = [], []
-    for keyframe, newest_from_base, (points, normals) in zip(keyframes, newest_from_each, surfaces):
+    for keyframe, newest_from_base, (points, normals) in zip(group.keyframes, group.newest_from_each, group.surfaces):
         if len(points) < MIN_POINTS:
             continue
         measured = submap.registrar.evaluate(points, normals, match.map_from_base @ newest_from_base)
         margins.append(submap.inlier_margin(measured, keyframe.origin, points))
         inlier_ratios.append(measured.inlier_ratio)
-    map_from_local = match.map_from_base @ newest.inverse()
+    map_from_local = match.map_from_base @ group.newest.inverse()
     if not margins:
         return PoseHypothesis(map_from_local, 0.0, False)
     eigenvalues = np.linalg.eigvalsh(match.information[:2, :2])
@@ -238,7 +257,7 @@ class GlobalLocalizer:
         self.config = config
         self._settings = registration, occupancy, range_max
         self.epoch = 0
-        self.rests_until: int | None = None  # ns, of a keyframe's stamp
+        self.rest: tuple[int, int] | None = None  # ns, stamps of keyframes from which and until which no search begins
         self.load(None)
 
     def load(self, saved: SavedMap | None, rest_ratio: float = REST_RATIO) -> None:
@@ -282,8 +301,7 @@ class GlobalLocalizer:
 
     def _rests(self, stamp: int) -> bool:
         """Whether the next search waits because the last one was long; never after the clock was set back."""
-        until = self.rests_until
-        return until is not None and until - MAX_REST_NS <= stamp < until
+        return self.rest is not None and self.rest[0] <= stamp < self.rest[1]
 
     def accepted_pose(self, result: tuple[int, list[PoseHypothesis], float]) -> Pose2 | None:
         """Applies the result of a search; returns map_from_local once it is certain."""
@@ -291,7 +309,8 @@ class GlobalLocalizer:
         if epoch != self.epoch:
             return None
         self.has_job = False
-        self.rests_until = self.pending[-1][0].stamp + min(round(self.rest_ratio * seconds * 1e9), MAX_REST_NS)
+        stamp = self.pending[-1][0].stamp
+        self.rest = stamp, stamp + min(round(self.rest_ratio * seconds * 1e9), MAX_REST_NS)
         self.guesses = tuple(hypothesis.map_from_local for hypothesis in hypotheses[:4])
         local_from_base, before, self.tracks = self.pending[-1][0].local_from_base, self.tracks, []
         for pose in (hypothesis.map_from_local for hypothesis in hypotheses if hypothesis.is_plausible):

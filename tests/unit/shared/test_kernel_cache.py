@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled kernels of an installed package lie in the user's cache, and two processes may save at the same time."""
 
+import json
+import os
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -64,3 +68,80 @@ def test_signatures_that_are_saved_at_the_same_time_keep_their_own_code(tmp_path
     file = IndexDataCacheFile(str(tmp_path), "kernel-1.py311", "stamp")
     assert [file.load((p, i)) for p in "ab" for i in range(10)] == [f"code of {p} {i}" for p in "ab" for i in range(10)]
     assert len(list(Path(tmp_path).glob("*.nbc"))) == 20
+
+
+KERNELS = """
+from numba import njit
+
+@njit(cache=True)
+def halved(x):
+    return x / 2 + 1 if x > 3 else x * 0.3
+
+@njit
+def summed(xs):
+    total = 0.0
+    for x in xs:
+        total += halved(x)
+    return total
+"""
+COMPILE_CALLER = """
+import json, sys
+import numpy as np
+import kernels
+from shared.kernel_cache import release_intermediate_code
+
+kernels.halved(1.0)
+if "release" in sys.argv:
+    release_intermediate_code()
+    release_intermediate_code()
+    assert kernels.halved(8.0) == 5.0
+(compiled,) = kernels.halved.overloads.values()
+freed = compiled.library._shared_module is None
+value = kernels.summed(np.linspace(0, 7, 99))
+print(json.dumps([freed, value, kernels.summed.inspect_llvm(kernels.summed.signatures[0])]))
+"""
+
+
+def test_a_kernel_compiles_to_the_same_code_when_its_callee_was_released(tmp_path):
+    (tmp_path / "kernels.py").write_text(KERNELS)
+
+    def compiled(*words):
+        paths = f"{tmp_path}:{ROOT}"
+        command = [sys.executable, "-P", "-c", COMPILE_CALLER, *words]
+        done = subprocess.run(command, check=True, capture_output=True, env=dict(os.environ, PYTHONPATH=paths))  # noqa: TID251  # a child
+        return json.loads(done.stdout)
+
+    compiled()  # fills the cache
+    kept, released = compiled(), compiled("release")
+    assert kept[0] is False
+    assert released[0] is True
+    assert kept[1:] == released[1:]
+
+
+LOAD_ALONE = """
+import sys
+import numpy as np
+from shared.kernel_cache import load_without_compiler
+from kernels import extremes, summed
+
+load_without_compiler()
+assert extremes(np.array([3.0, -1.0, 2.0])) == [-1.0, 3.0]
+if "cached" in sys.argv:
+    assert not [name for name in sys.modules if name.startswith(("scipy.linalg", "numba.np.arraymath"))]
+    assert not extremes.stats.cache_misses
+assert summed(np.array([1.0, 8.0])) == 5.3
+assert "numba.np.arraymath" in sys.modules
+"""
+KERNEL_WITH_PARTS_OF_NUMBA = """
+@njit(cache=True)
+def extremes(xs):
+    first = np.sort(xs)
+    return [first.min(), np.max(first)]
+"""
+
+
+def test_a_kernel_loads_without_what_only_compiling_needs_and_another_one_compiles_after_it(tmp_path):
+    (tmp_path / "kernels.py").write_text("import numpy as np" + KERNELS + KERNEL_WITH_PARTS_OF_NUMBA)
+    environment = dict(os.environ, PYTHONPATH=f"{tmp_path}:{ROOT}")  # noqa: TID251  # a child
+    for words in ([], ["cached"]):
+        subprocess.run([sys.executable, "-P", "-c", LOAD_ALONE, *words], check=True, env=environment)

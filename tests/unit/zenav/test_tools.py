@@ -15,10 +15,11 @@ from shared.geometry import Pose2
 from shared.grid import OccupancyGrid
 from shared.messages import GuardState, GuardStatus, Health, LaserScan, NavState, NavStatus
 from shared.runners.client import CLOCK_AGE, Timekeeper, request_error
+from shared.task_state import stop_reason
 from shared.topics import TOPICS
 from tests.strategies import messages
 from zenav.bench.seeds import seeds_from
-from zenav.client.navigation_client import ArrivalTolerance, navigate, poses_from, stop_reason, target_text, task_result
+from zenav.client.navigation_client import ArrivalTolerance, navigate, poses_from, target_text, task_result
 from zenav.client.teleop import KEY_HOLD_S, TeleopKeys
 from zenav.client.topic import rates
 from zenav.console.message_text import json_value, message_text

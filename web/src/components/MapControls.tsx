@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Zoom, follow, north, whole map, layers; and the tools that draw on the map.
 
+import { isSite } from "../fleet";
 import { following } from "../map/following";
 import { view } from "../map/map_view";
 import { mapEdits, undoEdit } from "../map/map_edits";
@@ -67,7 +68,8 @@ function Layers() {
   );
 }
 
-const TOOLS: readonly Tool[] = ["look", "goal", "route", "place", "zone", "wall", "erase", "pose"];
+const SITE_TOOLS: readonly Tool[] = ["look", "goal", "route"];
+const TOOLS: readonly Tool[] = [...SITE_TOOLS, "place", "zone", "wall", "erase", "pose"];
 
 export function Toolbar() {
   if (!mayOperate.value) return null;
@@ -75,7 +77,7 @@ export function Toolbar() {
     <div class="tools">
       {tool.value !== "look" && <ToolHint />}
       <div class="card toolbar" role="toolbar" aria-label={t("tools")}>
-        {TOOLS.map((name) => (
+        {(isSite.value ? SITE_TOOLS : TOOLS).map((name) => (
           <button
             key={name}
             type="button"

@@ -4,6 +4,7 @@
 import { type ComponentType } from "preact";
 
 import { ChartsPanel } from "../panels/ChartsPanel";
+import { FleetPanel } from "../panels/FleetPanel";
 import { LogPanel } from "../panels/LogPanel";
 import { MapsPanel } from "../panels/MapsPanel";
 import { PlacesPanel } from "../panels/PlacesPanel";
@@ -12,13 +13,14 @@ import { ServicesPanel } from "../panels/ServicesPanel";
 import { SettingsPanel } from "../panels/SettingsPanel";
 import { TaskPanel } from "../panels/TaskPanel";
 import { t } from "../texts";
-import { panel, PANEL_ICONS, PANELS, type PanelName } from "../ui";
+import { panel, PANEL_ICONS, panels, type PanelName } from "../ui";
 import { IconButton } from "./controls";
 import { Icon } from "./Icon";
 import { RoleNote } from "./RoleNote";
 
 const CONTENT: Readonly<Record<PanelName, ComponentType>> = {
   task: TaskPanel,
+  fleet: FleetPanel,
   places: PlacesPanel,
   maps: MapsPanel,
   services: ServicesPanel,
@@ -27,6 +29,8 @@ const CONTENT: Readonly<Record<PanelName, ComponentType>> = {
   recordings: RecordingsPanel,
   settings: SettingsPanel,
 };
+
+const ON_RAIL: ReadonlySet<PanelName> = new Set(["task", "fleet", "places"]); // of a phone
 
 export function Panel() {
   const name = panel.value;
@@ -49,7 +53,7 @@ export function Panel() {
 function MoreMenu() {
   return (
     <div class="more-menu">
-      {PANELS.filter((name) => name !== "task" && name !== "places").map((name) => (
+      {panels.value.filter((name) => !ON_RAIL.has(name)).map((name) => (
         <button key={name} type="button" class="more-item" onClick={() => (panel.value = name)}>
           <Icon name={PANEL_ICONS[name]} size={22} />
           <span>{t(`panel_${name}`)}</span>

@@ -2,29 +2,32 @@
 // The page's navigation: at the left, or at the bottom of a phone, where rarely used panels are behind "more".
 
 import { armed } from "../driving";
+import { isSite } from "../fleet";
 import { hello, mayOperate } from "../state";
 import { t } from "../texts";
-import { layersOpen, panel, PANEL_ICONS, PANELS, togglePanel, type PanelName } from "../ui";
+import { layersOpen, panel, PANEL_ICONS, panels, togglePanel, type PanelName } from "../ui";
 import { Icon, type IconName } from "./Icon";
 
-const ON_PHONE: ReadonlySet<PanelName> = new Set(["task", "places"]);
+const ON_PHONE: ReadonlySet<PanelName> = new Set(["task", "fleet", "places"]);
 
 export function Rail() {
   return (
     <nav class="rail" aria-label={t("panels")}>
       <Item label={t("panel_task")} icon="task" pressed={panel.value === "task"} onClick={() => togglePanel("task")} />
-      <Item
-        label={t("panel_drive")}
-        icon="drive"
-        pressed={armed.value}
-        disabled={!mayOperate.value}
-        title={hello.value?.role === "viewer" ? t("viewer_note") : ""}
-        onClick={() => {
-          armed.value = !armed.value;
-          layersOpen.value = false; // they share the corner
-        }}
-      />
-      {PANELS.filter((name) => name !== "task").map((name) => (
+      {!isSite.value && (
+        <Item
+          label={t("panel_drive")}
+          icon="drive"
+          pressed={armed.value}
+          disabled={!mayOperate.value}
+          title={hello.value?.role === "viewer" ? t("viewer_note") : ""}
+          onClick={() => {
+            armed.value = !armed.value;
+            layersOpen.value = false; // they share the corner
+          }}
+        />
+      )}
+      {panels.value.filter((name) => name !== "task").map((name) => (
         <Item
           key={name}
           label={t(`panel_${name}`)}

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Mouse, fingers and keys on the map: move the view, or draw with the chosen tool.
 
+import { othersOnMap, robotAt, selectRobot } from "../fleet";
 import { type Point, type Pose } from "../geometry";
 import { panBy, pinch, rotateAt, toMap, toScreen } from "../view_transform";
 import { following } from "./following";
@@ -21,6 +22,8 @@ import {
 
 const MIN_DRAG_PX = 12; // shorter presses are clicks: the heading is the robot's choice
 const CORNER_PX = 22; // around a corner in which a press takes it
+const ROBOT_REACH_M = 0.4; // around a robot in which a press selects it
+const ROBOT_REACH_PX = 16;
 const WHEEL_FACTOR = 0.0015; // of the logarithm of the scale, a px of the wheel
 const MIN_STROKE_STEP_PX = 4; // between two points of the eraser's stroke
 const KEY_TURN_RAD = Math.PI / 12;
@@ -94,6 +97,7 @@ export function installGestures(map: MapView, canvas: HTMLCanvasElement): void {
     if (alone && anchor !== null && pose !== null) finish(pose, !clicked);
     else if (alone && draftStroke.peek().length > 0) finishStroke(clicked);
     else if (alone && clicked && event.button === 0 && tool.peek() === "zone") addCorner(map, here);
+    else if (alone && clicked && event.button === 0 && tool.peek() === "look") pickRobot(mapPoint(here));
     abort();
   });
   canvas.addEventListener("pointercancel", (event) => {
@@ -114,6 +118,12 @@ export function installGestures(map: MapView, canvas: HTMLCanvasElement): void {
     { passive: false },
   );
   canvas.addEventListener("keydown", (event) => onKey(map, event));
+}
+
+/** A press on another robot selects it. */
+function pickRobot([x, y]: Point): void {
+  const name = robotAt(othersOnMap.peek(), x, y, Math.max(ROBOT_REACH_M, ROBOT_REACH_PX / view.peek().scale));
+  if (name !== null) selectRobot(name);
 }
 
 /** Keys while the map has the focus. The tool acts on the middle of the view. */

@@ -3,6 +3,7 @@
 
 import { effect, signal } from "@preact/signals";
 
+import { othersOnMap, selected } from "../fleet";
 import { type Point } from "../geometry";
 import { isDark, layers } from "../preferences";
 import { link, mapId, now, replaying, replayStamp, shown as shownMessages } from "../state";
@@ -12,6 +13,7 @@ import { type Tile, type TilesFrame, TileStore } from "../tile_store";
 import { fit, panBy, rotateAt, toScreen, type Size, type View, zoomAt } from "../view_transform";
 import { DRAW, drawRobot } from "./data_layers";
 import { drawDrafts, drawEdits, drawGoal, drawGrid, drawPlaces, drawZoneNames, drawZones } from "./edit_layers";
+import { drawFleet } from "./fleet_layer";
 import { following } from "./following";
 import { DARK, LIGHT } from "./palette";
 import { Pen } from "./pen";
@@ -75,6 +77,7 @@ export class MapView {
     effect(() => {
       for (const key of Object.values(shownMessages)) void key.value;
       for (const drawn of [tool, draftPose, draftCorners, draftStroke, closedPolygon, newPlace, places, route]) void drawn.value;
+      void [othersOnMap.value, selected.value];
       void [following.value, layers.value, editedZone.value, link.value, now.value, replaying.value, replayStamp.value];
       this.invalidate(false);
     });
@@ -152,6 +155,12 @@ export class MapView {
   pan(dx: number, dy: number): void {
     following.value = false;
     view.value = panBy(view.peek(), this.size, dx, dy);
+  }
+
+  /** Moves a point of the map to the middle. */
+  show(point: Point): void {
+    following.value = false;
+    view.value = { ...view.peek(), x: point[0], y: point[1] };
   }
 
   get middle(): Point {
@@ -237,6 +246,7 @@ export class MapView {
     if (shown.has("places") && !replaying.peek()) drawPlaces(pen);
     drawGoal(pen);
     if (shown.has("zones")) drawZoneNames(pen);
+    if (!replaying.peek()) drawFleet(pen);
     drawRobot(pen, at, (age) => t("age_seconds", { n: age.toFixed(age < 10 ? 1 : 0) }));
     if (!replaying.peek()) drawDrafts(pen);
   }

@@ -7,6 +7,7 @@ import { send } from "../connection";
 import { language, pageName, theme } from "../preferences";
 import { hello } from "../state";
 import { t } from "../texts";
+import { isSite } from "../fleet";
 import { ConfigurationSection } from "./ConfigurationSection";
 
 const MAX_NAME = 40; // characters, as the server takes it
@@ -49,7 +50,7 @@ export function SettingsPanel() {
         </Field>
         <Account />
       </Section>
-      <ConfigurationSection />
+      {!isSite.value && <ConfigurationSection />}
       <Section title={t("keys")}>
         <dl class="keys">
           {KEYS.map(([keys, text]) => (

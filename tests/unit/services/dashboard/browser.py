@@ -11,7 +11,6 @@ from typing import Any
 
 import msgpack
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import ClientConnection, connect
 
 from services.dashboard.outgoing import PORT
 from services.dashboard.service import DashboardConfig, DashboardService
@@ -26,6 +25,7 @@ from shared.runners.transport import StackAddress
 from shared.service import Log
 from shared.topics import Publication
 from tests.unit.services.dashboard.pages import ROBOT
+from tests.websocket import WebSocketClient
 
 SOON = 20.0  # s that a busy machine may take
 DEVICE = "web://127.0.0.1:0"
@@ -36,8 +36,7 @@ class Browser:
 
     def __init__(self, port: int, host: str = "127.0.0.1", read: bool = True, **options: Any) -> None:
         scheme = "wss" if "ssl" in options else "ws"
-        self._opening = connect(f"{scheme}://{host}:{port}/ws", proxy=None, **options)
-        self.socket: ClientConnection = self._opening.__enter__()
+        self.socket = WebSocketClient(f"{scheme}://{host}:{port}/ws", **options)
         self.frames: list[dict[str, Any]] = []
         self.closed: tuple[int, str] | None = None
         self._changed = threading.Condition()
@@ -50,7 +49,7 @@ class Browser:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._opening.__exit__(kind, error, at)
+        self.socket.__exit__(kind, error, at)
 
     def send(self, t: str, **fields: Any) -> None:
         self.socket.send(msgpack.packb({"t": t, **fields}))
@@ -90,7 +89,7 @@ class Browser:
         except ConnectionClosed:
             pass
         with self._changed:
-            self.closed = self.socket.close_code or 0, self.socket.close_reason or ""
+            self.closed = self.socket.closed
             self._changed.notify_all()
 
 
@@ -105,7 +104,7 @@ class FakeLink:
         self.asked: list[str] = []
         self._n = 0
 
-    def open(self) -> None:
+    def connect(self) -> None:
         self.is_open = True
 
     def close(self) -> None:

@@ -211,7 +211,7 @@ def test_the_page_that_drives_and_is_gone_leaves_zero(served):
     with Browser(served.port) as page:
         page.first("hello")
         page.until(lambda: Velocity in map(type, served.published) or page.teleop(0.3))
-        page.socket.socket.shutdown(socket.SHUT_RDWR)
+        page.socket.cut()
         page.until(lambda: isinstance(served.published[-1], Velocity) and served.published[-1].v == 0)
 
 
@@ -275,7 +275,7 @@ def test_a_page_that_does_not_read_gets_the_latest_later_and_holds_up_no_other(s
         for page in (quick, slow):
             page.send("want", keys=["odom", "scan"])
         quick.until(lambda: len(served.link.keys) == 2)
-        quick.until(lambda: len(served.device._hub._pages) == 2)
+        quick.until(lambda: len(served.device._hubs.first._pages) == 2)
         for i in range(150):
             served.link.publish("scan", scan)
             served.link.publish("odom", odometry(float(i)))

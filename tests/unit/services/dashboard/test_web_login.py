@@ -245,7 +245,7 @@ def test_a_session_that_expires_is_closed(served, monkeypatch):
     computer = logged_in(served, Role.OPERATOR)
     with computer.page() as page:
         page.first("hello")
-        monkeypatch.setattr(served.device._hub._sessions, "_now", lambda: 4e9)
+        monkeypatch.setattr(served.device._hubs.first._sessions, "_now", lambda: 4e9)
         page.until(lambda: page.closed)
     assert computer.request("GET", "/session")[0] == 401
 

@@ -233,7 +233,7 @@ def followed(comes: bool) -> tuple[float, float]:
     follower = PathFollower(PathFollowingConfig(), CostToGoConfig(), controller, limits, footprint, zones)
     xs = np.linspace(0.0, -3.0, 31)
     goal = Goal(0, 1, True, Pose2(-3.0, 0.0, pi), 0.2, 0.2, False)
-    outcome = follower.follow(LocalPlan(xs, 0 * xs, pi), goal, costmap, Motion(Pose2(), 0.0, 0.0), Pose2(), 1)
+    outcome = follower.follow(LocalPlan(xs, 0 * xs, pi), goal, costmap, Motion(Pose2(), 0.0, 0.0), Pose2(), 1, 0)
     return outcome.v, outcome.w
 
 

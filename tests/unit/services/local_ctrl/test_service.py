@@ -47,7 +47,7 @@ def last(loop: ControlLoop) -> tuple[m.Velocity, m.FollowStatus]:
 def test_it_listens_and_ticks_as_the_registry_says() -> None:
     found = handlers(LocalCtrlService)
     inputs = {"scan", "base/ranges", "odom", "pose", "map", "map/state", "plan", "goal", "recovery", "zones"}
-    inputs |= {"hardware/contacts", "scan_2"}
+    inputs |= {"hardware/contacts", "scan_2", "traffic/others", "traffic/right_of_way"}
     assert set(found.topics) == inputs | {"settings"}  # its own, after a restart
     assert found.ticks == ((topics.CMD_NAV.hz, "tick", "scan"),)
 

@@ -253,6 +253,39 @@ def test_a_restarted_mapper_goes_on_with_its_pose_graph(mapped, mode):
         assert (joins & graph.loop).any()  # closures between what was mapped before and after
 
 
+@pytest.mark.parametrize("turn", [1.3, -2.6])
+def test_a_robot_that_turns_while_the_mapper_is_away_is_followed_by_odometry(turn):
+    lap = Lap()
+    lap.go(40)
+    lap.driven.now += 1_600_000_000
+    lap.driven.true = lap.driven.true @ Pose2(0.1, 0.0, turn)
+    again = restarted(lap)
+    again.driven.step(Pose2())
+    assert again.state is GOOD
+    assert again.off(lap.driven.first)[0] < 0.1
+    assert again.off(lap.driven.first)[1] < 0.05
+
+
+@pytest.mark.parametrize("turn", [1.5, -2.5])
+def test_a_scan_that_comes_before_the_odometry_of_a_pause_of_the_process_waits_for_it(turn):
+    lap = Lap()
+    lap.go(40)
+    driven, begin, start = lap.driven, lap.driven.now, lap.driven.true
+    driven.true = start @ Pose2(0.0, 0.0, turn)
+    scan = driven.scan([driven.true] * 11, begin + 2_500_000_000)
+    driven.now = begin + 2_600_000_000  # the process goes on, and takes what has come meanwhile
+    waiting = [(begin + i * 20_000_000, start @ Pose2(0.0, 0.0, turn * min(i / 50, 1.0))) for i in range(1, 131)]
+    for stamp, pose in waiting[:40]:
+        driven.odometry(stamp, pose, w=turn)
+    driven.take(driven.mapper.scan(scan))
+    for stamp, pose in waiting[40:]:
+        driven.odometry(stamp, pose)
+    assert driven.poses[-1].stamp >= begin + 2_500_000_000
+    assert lap.state is GOOD
+    assert lap.off()[0] < 0.1
+    assert lap.off()[1] < 0.05
+
+
 def test_the_graph_of_another_map_is_not_taken_up():
     lap, other = Lap(), Lap()
     lap.go(20)

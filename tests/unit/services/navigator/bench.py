@@ -12,6 +12,7 @@ from shared import topics
 from shared.config import load_robot
 from shared.geometry import Pose2
 from shared.messages import (
+    ExplorationShare,
     FollowState,
     FollowStatus,
     Goal,
@@ -38,13 +39,14 @@ COVARIANCE = np.zeros(9)
 class NavigatorBench:
     """Steps of 50 ms. What the planner, local control and the guard say can be set between them."""
 
-    def __init__(self, config=None, speed=0.5):
-        self.navigator = NavigatorService(config or NavigatorConfig(), X80)
+    def __init__(self, config=None, speed=0.5, name="x80sv"):
+        self.navigator = NavigatorService(config or NavigatorConfig(), X80.model_copy(update={"name": name}))
         self.now = 1000 * S
         self.pose, self.speed, self.moved = Pose2(), speed, 0.0
         self.orders: list[Goal | Recovery] = []
         self.statuses: list[NavStatus] = []
         self.tasks: list[NavTask] = []
+        self.shares: list[ExplorationShare] = []
         self.jobs: list[tuple[int, Job]] = []
         self.refusal = ""  # the planner's
         self.follow_state: FollowState | None = None  # instead of what it would be
@@ -83,6 +85,8 @@ class NavigatorBench:
                 self.orders.append(effect.message)
             elif effect.topic is topics.TASK:
                 self.tasks.append(effect.message)
+            elif effect.topic is topics.SHARE:
+                self.shares.append(effect.message)
             else:
                 self.statuses.append(effect.message)
 
@@ -102,8 +106,8 @@ class NavigatorBench:
     def go(self, *poses, dwell=0.0, loops=1, any_heading=False):
         return self.ask("navigate", Navigate(self.now, poses, dwell, loops, any_heading))
 
-    def explore(self):
-        return self.ask("explore", Explore(self.now))
+    def explore(self, *others, common_from_map=None):
+        return self.ask("explore", Explore(self.now, others, common_from_map or Pose2()))
 
     def cancel(self):
         return self.ask("cancel", Cancel(self.now))

@@ -40,8 +40,8 @@ OFFICE = """
 class Explorer(NavigatorBench):
     """A robot that sees 3 m around itself in a building it does not know, and plans on the true one."""
 
-    def __init__(self, text, x, y, sees=3.0, config=None):
-        super().__init__(config, speed=1.0)
+    def __init__(self, text, x, y, sees=3.0, config=None, name="x80sv"):
+        super().__init__(config, speed=1.0, name=name)
         self.truth = drawn(text, 5) > 0
         self.passable = distance_field(self.truth, R) >= 0.25
         self.known = np.full(self.truth.shape, -1, np.int8)

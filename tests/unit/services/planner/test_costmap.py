@@ -3,8 +3,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from scipy import ndimage
 
-from services.planner.costmap import UNIT_COST, CostConfig, GlobalCostmap
+from services.planner.costmap import UNIT_COST, CostConfig, GlobalCostmap, tile_groups
 from services.planner.search import GridSearch
 from shared.config import load_robot
 from tests.unit.services.maps import drawn, grid_of, message, room
@@ -127,3 +129,12 @@ def test_updating_by_changes_equals_starting_from_the_start(changes, share, robo
         assert (one.components.labels_in(*whole) == other.components.labels_in(*whole)).all()
         for name in ("parts", "representatives", "crossing", "edges"):
             assert (getattr(one.graph, name) == getattr(other.graph, name)).all(), name
+
+
+@given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=9)))
+def test_groups_of_tiles_and_their_order_are_those_of_scipy(tiles):
+    expected = [
+        (rows.start, columns.start, rows.stop, columns.stop)
+        for rows, columns in ndimage.find_objects(ndimage.label(tiles, np.ones((3, 3)))[0])
+    ]
+    assert tile_groups(tiles) == expected

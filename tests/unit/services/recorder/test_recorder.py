@@ -2,6 +2,9 @@
 """The recorder takes every payload, flushes each second, and says what it could not record."""
 
 import errno
+import json
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -350,6 +353,7 @@ recordings = st.lists(
         st.integers(0, 100),
         st.integers(0, 9),
         st.booleans(),
+        st.booleans(),
     ),
     unique_by=lambda kept: kept.path,
 )
@@ -364,8 +368,50 @@ def test_what_is_left_fits_the_budget_and_nothing_goes_needlessly(found, budget)
     assert left <= budget
     if gone:
         assert left + own[gone[-1]].size > budget
-        newest_gone = max(own[path].changed for path in gone)
-        assert all(kept.changed >= newest_gone for kept in own.values() if kept.path not in gone)
+        last_gone = max((not own[path].uploaded, own[path].changed) for path in gone)
+        assert all((not r.uploaded, r.changed) >= last_gone for r in own.values() if r.path not in gone)
+
+
+def test_uploaded_parts_go_first_and_one_that_is_not_is_reported(recorder, tmp_path):
+    service = recorder(folder=str(tmp_path / "here"), split_size=0.05, budget=0.3, upload=str(tmp_path / "there"))
+    service._store._upload.wake = lambda order: None  # no uploader: the test writes what it would
+    logs = []
+    for second in range(5):
+        shout(service, 60, 60 * second, START + second * NS_PER_S)
+        logs += flushed(service)
+    first, second_part, *_ = sorted((tmp_path / "here").glob("*.mcap"), key=lambda path: path.stat().st_mtime_ns)
+    stat = second_part.stat()
+    record = {"size": stat.st_size, "changed": stat.st_mtime_ns}
+    (tmp_path / "here" / f"{second_part.name}.uploaded").write_text(json.dumps(record))
+    (tmp_path / "here" / f"{first.name}.uploaded").write_text(json.dumps({**record, "size": 1}))  # of another content
+    for second in range(5, 7):
+        shout(service, 60, 60 * second, START + second * NS_PER_S)
+        logs += flushed(service)
+    assert not second_part.exists()
+    assert not (tmp_path / "here" / f"{second_part.name}.uploaded").exists()
+    n_forced = service._store.n_removed_before_upload
+    assert n_forced == sum("was removed before its upload" in log.text for log in logs)
+    if n_forced:
+        assert f"{n_forced} parts removed before their upload" in service.state()
+
+
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [("https://example.com/logs", "cannot be written to"), ("s3://logs", "not installed: s3fs"),
+     ("gs://logs", "not installed: gcsfs")],
+)  # fmt: skip
+def test_an_upload_that_cannot_be_is_one_line_at_the_start(monkeypatch, tmp_path, url, words):
+    monkeypatch.setattr("services.recorder.upload_process.find_spec", lambda name: name == "fsspec" or None)
+    with pytest.raises(UserError, match=words) as error:
+        RecordingStore(RecorderConfig(folder=str(tmp_path), upload=url))
+    assert error.value.hint
+
+
+def test_the_recorder_loads_no_library_of_a_store():
+    code = "import sys, services.recorder.__main__; sys.stdout.write(' '.join(sys.modules))"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert "services.recorder.upload_process" in loaded
+    assert not {"fsspec", "s3fs", "botocore", "pyarrow"} & set(loaded)
 
 
 def test_a_part_that_is_over_half_of_the_budget_is_refused():

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`zenav batch` against a server of S3."""
 
-from urllib.request import urlopen
-
 import pytest
 
 from shared.config import UserError
@@ -14,30 +12,6 @@ from zenav.batch.table import last_table
 from zenav.batch.work import SlamWork, result_key
 
 OUT = "s3://results/today"
-
-
-@pytest.fixture
-def s3(monkeypatch):
-    from moto.server import ThreadedMotoServer
-
-    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    server.start()
-    host, port = server.get_host_and_port()
-    urlopen(f"http://{host}:{port}/moto-api/reset", data=b"").close()  # its buckets outlive a server
-    for name, value in (
-        ("AWS_ENDPOINT_URL", f"http://{host}:{port}"), ("AWS_ACCESS_KEY_ID", "test"),
-        ("AWS_SECRET_ACCESS_KEY", "test"), ("AWS_DEFAULT_REGION", "us-east-1"),
-    ):  # fmt: skip
-        monkeypatch.setenv(name, value)
-    import s3fs
-
-    s3fs.S3FileSystem.clear_instance_cache()
-    files = s3fs.S3FileSystem()
-    files.mkdir("logs")
-    files.mkdir("results")
-    yield files
-    s3fs.S3FileSystem.clear_instance_cache()
-    server.stop()
 
 
 def slam(*inputs, against=""):
@@ -77,10 +51,11 @@ def test_an_input_or_a_former_run_that_is_not_there_is_one_line(s3):
         slam("s3://logs/a.log", against="s3://results/never")
 
 
-def test_the_key_depends_on_input_and_configuration():
-    keys = {result_key("a", SlamWork()), result_key("b", SlamWork()), result_key("a", SlamWork("kiss"))}
-    assert len(keys) == 3
-    assert result_key("a", SlamWork()) in keys
+def test_the_key_depends_on_input_configuration_and_code():
+    asked = [("a", SlamWork(), "1"), ("b", SlamWork(), "1"), ("a", SlamWork("kiss"), "1"), ("a", SlamWork(), "2")]
+    keys = {result_key(*one) for one in asked}
+    assert len(keys) == 4
+    assert result_key("a", SlamWork(), "1") in keys
 
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch):
@@ -88,3 +63,19 @@ def test_without_the_extra_it_says_what_to_install(monkeypatch):
     with pytest.raises(UserError) as error:
         slam("logs")
     assert error.value.hint == 'pip install "zenav[cluster]"'
+
+
+def test_without_credentials_or_connection_it_is_one_line(s3, monkeypatch):
+    import s3fs
+
+    for name, value, words in (
+        ("AWS_ENDPOINT_URL", "http://127.0.0.1:9", "Could not connect"),
+        ("AWS_ACCESS_KEY_ID", "", "locate credentials"),
+    ):
+        monkeypatch.setenv(name, value)
+        monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")
+        monkeypatch.setattr(s3fs.S3FileSystem, "retries", 1)
+        s3fs.S3FileSystem.clear_instance_cache()
+        with pytest.raises(UserError, match=words) as error:
+            slam("s3://logs/*.log")
+        assert error.value.hint

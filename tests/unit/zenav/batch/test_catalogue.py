@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from shared.config import UserError
 from tests.replay.record import path_of
 from zenav.__main__ import _status
-from zenav.batch.catalogue import COLUMNS, FILE, table_of, update
+from zenav.batch.catalogue import COLUMNS, FOLDER, table_of
+from zenav.batch.catalogue_update import update
 from zenav.batch.finding import query
 from zenav.batch.query import condition
 
@@ -125,5 +126,5 @@ def test_the_catalogue_says_what_was_recorded_and_only_what_changed_is_read_agai
     assert len(update(str(tmp_path), 1)) == 2
     assert capsys.readouterr().err.count("driving.mcap") == 1
     assert _status(["recording", "find", "robot=green", str(tmp_path), "--as-it-is"]) == 1
-    (tmp_path / FILE).unlink()
+    shutil.rmtree(tmp_path / FOLDER)
     assert _status(["recording", "find", "robot=green", str(tmp_path), "--as-it-is"]) == 2

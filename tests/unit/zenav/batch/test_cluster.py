@@ -7,37 +7,94 @@ import sys
 import threading
 import time
 from contextlib import ExitStack
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import dask
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import NameOID
 
 from shared.config import UserError
 from tests.replay.record import path_of
 from tests.unit.zenav.batch.works import double, misbehave
+from tests.unit.zenav.logs import room_log
 from zenav.__main__ import _status
+from zenav.batch.engine import results
 from zenav.batch.storage import Folder
 from zenav.batch.table import last_table
+from zenav.batch.work import SlamWork, run_slam
 from zenav.bench.process_pool import pool_results
 
-LIMIT_S = 60.0
+LIMIT_S = 100.0
+pytestmark = pytest.mark.timeout(300)  # each starts several programs that load much
 ROOT = Path(__file__).parents[4]  # workers import works.py
 
 
+class Cluster:
+    """A scheduler and workers, each a process; may be killed and started again at its address."""
+
+    def __init__(self, folder, n_workers=1, certificate=None):
+        with socket.create_server(("127.0.0.1", 0)) as probe:
+            self.port = probe.getsockname()[1]
+        self.address = f"{'tls' if certificate else 'tcp'}://127.0.0.1:{self.port}"
+        self._folder, self._n_workers, self._processes = folder, n_workers, []
+        names = ("ca-file", "cert", "key")
+        self._tls = [f"--tls-{name}={path}" for name, path in zip(names, certificate or (), strict=False)]
+
+    def start(self):
+        scheduler = ["dask_scheduler", "--host", self.address, "--no-dashboard"]
+        worker = ["dask_worker", self.address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
+        worker += ["--host", "127.0.0.1", "--local-directory", str(self._folder)]
+        with (self._folder / "cluster.log").open("a") as log:
+            for program, *options in (scheduler, *([worker] * self._n_workers)):
+                command = [sys.executable, "-m", f"distributed.cli.{program}", *options, *self._tls]
+                self._processes.append(subprocess.Popen(command, stdout=log, stderr=log, cwd=ROOT))
+
+    def kill(self):
+        for process in self._processes:
+            process.kill()
+            process.wait()
+        self._processes.clear()
+
+
 @pytest.fixture
-def cluster(tmp_path):
+def make_cluster(tmp_path):
+    """Starts clusters, which end with the test."""
+    with ExitStack() as made:
+
+        def make(**options):
+            cluster = Cluster(tmp_path, **options)
+            made.callback(cluster.kill)
+            cluster.start()
+            return cluster
+
+        yield make
+
+
+@pytest.fixture
+def cluster(make_cluster):
     """The address of a scheduler with one worker."""
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        address = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
-    scheduler = ["dask_scheduler", "--host", address, "--no-dashboard"]
-    worker = ["dask_worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny", "--host", "127.0.0.1"]
-    worker += ["--local-directory", str(tmp_path)]
-    with ExitStack() as open_things, (tmp_path / "cluster.log").open("w") as log:
-        for program, *options in (scheduler, worker):
-            command = [sys.executable, "-m", f"distributed.cli.{program}", *options]
-            process = subprocess.Popen(command, stdout=log, stderr=log, cwd=ROOT)
-            open_things.enter_context(process)
-            open_things.callback(process.kill)
-        yield address
+    return make_cluster().address
+
+
+def certificate_files(folder):
+    """A certificate that is its own authority, twice, and its key."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    name, now = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "cluster")]), datetime.now(UTC)  # noqa: TID251  # of the wall clock
+    made = (
+        x509.CertificateBuilder(name, name, key.public_key(), x509.random_serial_number())
+        .not_valid_before(now - timedelta(days=1)).not_valid_after(now + timedelta(days=1))
+        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True).sign(key, hashes.SHA256())
+    )  # fmt: skip
+    certificate, private = folder / "own.pem", folder / "own-key.pem"
+    certificate.write_bytes(made.public_bytes(serialization.Encoding.PEM))
+    private.write_bytes(
+        key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+    )
+    return certificate, certificate, private
 
 
 def test_a_replay_on_a_cluster_is_equal_and_the_second_run_computes_nothing(cluster, tmp_path, capsys):
@@ -67,3 +124,44 @@ def test_a_benchmark_s_items_have_the_same_results_on_a_cluster_and_a_dead_one_i
     assert sorted(there) == here
     with pytest.raises(UserError, match="killed by SIGKILL"):
         list(pool_results(misbehave, ["die"], 1, cluster))
+
+
+def test_slam_over_tls_on_two_workers_gives_the_maps_of_this_computer(make_cluster, tmp_path, capsys):
+    logs, files = tmp_path / "logs", certificate_files(tmp_path)
+    logs.mkdir()
+    for n in (20, 21):
+        (logs / f"{n}.log").write_text("\n".join(room_log(n)))
+    cluster = make_cluster(n_workers=2, certificate=files)
+    command = ["batch", "slam", str(logs), "--out", str(tmp_path / "there"), "--cluster", cluster.address]
+    assert _status(command) == 2, "without a certificate"
+    assert "certificates configured" in capsys.readouterr().err
+    tls = dict(zip(("ca-file", "client.cert", "client.key"), map(str, files), strict=True))
+    with dask.config.set({f"distributed.comm.tls.{name}": path for name, path in tls.items()}):
+        limit = time.monotonic() + LIMIT_S
+        while _status(command) == 2:  # until a worker is there
+            assert time.monotonic() < limit, capsys.readouterr().err
+            threading.Event().wait(0.5)
+    there = {row["recording"]: row for row in last_table(Folder(str(tmp_path / "there")))}
+    assert len(there) == 2
+    for path in logs.iterdir():
+        assert there[path.as_uri()]["digest"] == run_slam(SlamWork(), path).figures["digest"]
+
+
+def test_a_run_goes_on_by_itself_when_scheduler_and_workers_were_killed(make_cluster, capsys):
+    cluster, limit = make_cluster(n_workers=2), time.monotonic() + LIMIT_S
+    while True:
+        try:
+            run = results(double, range(40), 1, cluster.address)
+            first = next(run)
+            break
+        except UserError:  # until a worker is there
+            assert time.monotonic() < limit
+            threading.Event().wait(0.5)
+    cluster.kill()
+    again = threading.Timer(1.0, cluster.start)
+    again.start()
+    found = [first, *run]
+    again.join()
+    assert sorted(item for item, _ in found) == list(range(40)), "each once"
+    assert all(outcome.value == 2 * item for item, outcome in found)
+    assert "was lost; what was in work is done again" in capsys.readouterr().err

@@ -1,4 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
+import subprocess
+import sys
+from pathlib import Path
+
 import psutil
 import pytest
 
@@ -7,7 +11,8 @@ from tests.unit.zenav.batch import works
 from zenav.batch.child_process import ChildProcess, TryLimits
 from zenav.batch.engine import results
 
-LIMITS = TryLimits(timeout=8.0, memory=400_000_000)
+ROOT = Path(__file__).parents[4]
+LIMITS = TryLimits(timeout=60.0, memory=400_000_000)
 
 
 @pytest.fixture
@@ -72,15 +77,27 @@ def test_items_are_drawn_as_the_work_goes_on():
 
 
 def test_a_cluster_that_does_not_answer_is_one_line_with_a_hint(monkeypatch):
-    monkeypatch.setattr("zenav.batch.engine.CONNECT_S", 0.5)
+    monkeypatch.setattr("zenav.batch.cluster.CONNECT_S", 0.5)
     with pytest.raises(UserError, match="no scheduler of Dask answers at tcp:"):
         list(results(works.double, [1], 1, cluster="tcp://127.0.0.1:9"))
 
 
-def test_a_local_run_is_reached_from_this_computer_alone():
+def listening_ports() -> set[int]:
+    return {row.laddr.port for row in psutil.Process().net_connections() if row.status == psutil.CONN_LISTEN}
+
+
+def test_a_local_run_opens_no_port_and_loads_no_dask():
+    code = "import sys; from tests.unit.zenav.batch.works import double; from zenav.batch.engine import results; "
+    code += "print(sorted(o.value for _, o in results(double, range(4), 2)), 'distributed' in sys.modules)"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT).stdout
+    assert said == "[0, 2, 4, 6] False\n"
+    before = listening_ports()
     run = results(works.double, [1, 2], 1)
     assert next(run)[1].value == 2
-    listening = [row.laddr for row in psutil.Process().net_connections() if row.status == psutil.CONN_LISTEN]
-    assert {address.ip for address in listening} <= {"127.0.0.1"}
-    assert 8787 not in {address.port for address in listening}, "Dask's own: two runs would meet there"
+    assert listening_ports() == before
     run.close()
+
+
+def test_an_item_that_cannot_be_sent_is_one_row():
+    [(_, outcome)] = results(works.double, [lambda: None], 1)
+    assert (outcome.ending, outcome.n_tries) == ("raised", 1)

@@ -4,7 +4,8 @@
 import pytest
 
 from zenav.batch.work import SlamWork, run_slam
-from zenav.bench.batch import Used, figures, killed_run, made_up_logs
+from zenav.bench.batch import Used, figures, made_up_logs
+from zenav.bench.batch_kill import killed_run, killed_scheduler
 
 
 def runs(bare_1, bare_2, batch_1, batch_2):
@@ -41,3 +42,12 @@ def test_what_was_done_before_the_kill_is_not_computed_again(tmp_path):
     assert report["rows"] == 60
     assert 30 <= report["done_at_kill"] < 60
     assert report["again"] == 0
+
+
+@pytest.mark.timeout(300)  # it starts two clusters
+def test_a_run_whose_scheduler_is_killed_goes_on_and_computes_nothing_again_that_is_there(tmp_path):
+    report = killed_scheduler(tmp_path, 40)
+    assert report["rows"] == 40
+    assert 20 <= report["done_at_kill"] <= 40
+    assert report["again"] <= report["in_flight"]
+    assert set(report["peak_mb"]) == {"command", "scheduler", "worker"}

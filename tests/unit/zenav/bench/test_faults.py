@@ -79,6 +79,13 @@ def test_each_target_that_is_missed_is_named(change, words):
     assert table_row(ROW, [result])[-2] == ("1 not good" if words else "good")
 
 
+def test_a_fault_that_ends_before_the_limit_need_not_stop_the_robot():
+    went_on = replace(GOOD, zero_ms=inf, right=False)
+    assert missed_targets(replace(went_on, lasts=0.2), ROW) == []
+    assert missed_targets(replace(went_on, lasts=0.3), ROW) == ["never stood", "told scan_old"]
+    assert missed_targets(replace(GOOD, zero_ms=900.0, lasts=0.2), ROW) == ["900 ms"]
+
+
 def test_where_nothing_has_to_stand_time_is_not_judged_and_a_hand_may_creep():
     by_hand = replace(GOOD, mode=DriveMode.TELEOP, zero_ms=inf)
     creeps = replace(ROW, stops=frozenset({DriveMode.NAVIGATION}), creeps=frozenset({DriveMode.TELEOP}))

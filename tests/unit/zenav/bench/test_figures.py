@@ -27,7 +27,7 @@ from zenav.bench.figure_pages import (
     write_pages,
 )
 from zenav.bench.figure_rows import ROWS, FigureRow
-from zenav.bench.figures import Bench, current, measure_rows, selected_rows
+from zenav.bench.figures import Bench, measure_rows, selected_rows
 from zenav.bench.localise import LocalizationTrial
 from zenav.bench.published import ROOT, CheckoutState, PublishedFigure, checkout_state, load_published, save_published
 from zenav.metrics.latency import LatencyChain, latency_figures
@@ -74,7 +74,7 @@ def test_the_parts_of_a_row_make_one_entry(tmp_path):
     assert measure_rows(bench(tmp_path, commands), [THREE])
     entry = load_published(tmp_path / "figures.json")["three"]
     assert entry.cells == {README: [["1110"]]}
-    assert (entry.commit, entry.command, entry.dirty, entry.entered) == ("abc1234", "zenav bench sim", False, False)
+    assert (entry.commit, entry.command, entry.dirty) == ("abc1234", "zenav bench sim", False)
     assert len(entry.load) == 2
     assert "core" in entry.machine
     assert entry.began <= entry.ended
@@ -211,13 +211,6 @@ def test_a_damaged_part_is_run_again(tmp_path):
     commands = Commands()
     measure_rows(bench(tmp_path, commands), [THREE])
     assert [asked[3] for asked in commands.asked] == ["2"]
-
-
-def test_an_entered_row_counts_as_not_measured(tmp_path):
-    there = bench(tmp_path, Commands())
-    entry = PublishedFigure("zenav bench serial", {README: [["7"]]}, "abc1234", "2026-11-20", code="c0de", entered=True)
-    assert not current(there, ONE, {"one": entry})
-    assert current(there, ONE, {"one": replace(entry, entered=False)})
 
 
 def test_the_pages_are_written_after_each_row(tmp_path):

@@ -10,7 +10,8 @@ import pytest
 from shared.geometry import Pose2
 from shared.messages import NavState
 from zenav.__main__ import _status
-from zenav.bench.fleet import LOOK_S, FleetDriver, FleetRun, RobotRecord
+from zenav.bench.fleet import FleetRun
+from zenav.scenario.random_goals import LOOK_S, RandomGoals, RobotRecord
 
 
 class Toy:
@@ -18,11 +19,13 @@ class Toy:
 
     def __init__(self):
         self.name, self.asked = "red", []
-        self.lockstep = SimpleNamespace(now=0, ask=self._ask)
         self.nav = SimpleNamespace(task_id=0, state=NavState.IDLE, reason="")
         self.truth = SimpleNamespace(world_from_base=Pose2(), v=0.0, w=0.0, n_contacts=0, distance=0.0)
 
-    def _ask(self, request, message):
+    def now(self):
+        return 0
+
+    def ask(self, request, message):
         self.asked.append(message.poses[0])
         self.nav.task_id, self.nav.state = len(self.asked), NavState.NAVIGATING
         return SimpleNamespace(accepted=True, task_id=len(self.asked))
@@ -38,7 +41,7 @@ def toy():
 
 @pytest.fixture
 def driver(toy):
-    return FleetDriver(toy, toy, np.random.default_rng(1))
+    return RandomGoals(toy, toy, np.random.default_rng(1))
 
 
 def test_each_goal_is_at_least_three_metres_away_and_comes_after_the_last_one_ended(toy, driver):
@@ -64,18 +67,20 @@ def test_a_goal_that_fails_counts_with_its_reason_and_a_stand_is_the_longest_one
 
 
 def test_a_run_is_the_sum_of_its_robots_and_its_longest_stand():
-    run = FleetRun([RobotRecord("a", 3, 0, 1, 5.0, 2.0), RobotRecord("b", 4, 1, 2, 6.0, 9.0)], 1.0)
+    run = FleetRun([RobotRecord("a", 3, 0, 1, 5.0, 2.0), RobotRecord("b", 4, 1, 2, 6.0, 9.0)], True, 100.0, 1.0)
     assert (run.n_reached, run.n_contacts, run.longest_standstill) == (7, 3, 9.0)
+    assert not run.is_good
 
 
 def test_two_robots_in_a_room_drive(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     out = tmp_path / "fleet.json"
-    quick = ["--set", "local_ctrl.mppi.rollouts=200"]
+    quick = ["--coordination", "on", "--set", "local_ctrl.mppi.rollouts=200"]
     assert _status(["bench", "fleet", "--world", "room", "--seconds", "5", "--out", str(out), *quick]) in (0, 1)
     alone, both = json.loads(out.read_text())["runs"]
     assert [len(run["robots"]) for run in (alone, both)] == [1, 2]
     assert all(robot["distance"] > 0.5 for run in (alone, both) for robot in run["robots"])
+    assert 100 < alone["traffic"] < 1000 < both["traffic"], "bytes a second: alone it says only that it is there"
 
 
 def test_more_robots_than_a_room_holds_is_one_line(tmp_path, monkeypatch, capsys):

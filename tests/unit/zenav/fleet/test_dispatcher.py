@@ -11,9 +11,9 @@ from shared.codec import Envelope
 from shared.config import UserError
 from shared.geometry import Pose2
 from shared.messages import BaseStatus, GuardState, GuardStatus, Localization, NavState, NavStatus
+from shared.robot_view import RobotView
 from zenav.fleet.assignment import RETRY_S, straight
 from zenav.fleet.dispatcher import UNCLEAR_S, Dispatcher
-from zenav.fleet.robot_view import RobotView
 from zenav.fleet.task_queue import TaskQueue, TaskState
 
 LAB = (5.0, 0.0, None)

@@ -4,7 +4,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zenav.stack.presence import Presence, own_presence, presence_of
+from shared.runners.presence import Presence, own_presence, presence_of
 
 WORD = st.text(st.characters(codec="ascii", categories=("L", "N"), include_characters="-._"), min_size=1)
 

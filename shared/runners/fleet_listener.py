@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sessions of a fleet's tool: one for each stack or router, that hears every robot there."""
 
-import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from types import TracebackType
 from typing import Any
@@ -13,37 +12,21 @@ from typing import Any
 import zenoh
 
 from shared.codec import CodecError, decode
-from shared.config import UserError
+from shared.robot_view import FLEET_TOPICS, RobotView
 from shared.runners import transport
-from shared.runners.transport import MAX_DOMAIN, StackAddress, stack_address
+from shared.runners.presence import presences
+from shared.runners.transport import stack_address
 from shared.topics import Topic
-from zenav.fleet.robot_view import FLEET_TOPICS, RobotView
-from zenav.stack.presence import presences
 
 Sample = tuple[str, Topic[Any], str, bytes, float, int]
 """stack, topic, key, payload, s (monotonic), ns (wall clock)"""
 
 
-def running_stacks() -> list[str]:
-    """The numbers of this computer's stacks in which a guard or a navigator listens."""
-    return [str(domain) for domain in range(MAX_DOMAIN + 1) if _listens(StackAddress(domain))]
-
-
-def chosen_stacks(given: list[str]) -> list[str]:
-    """The stacks that a user named, else those that run here. Raises UserError where there is none, or one is wrong."""
-    stacks = list(dict.fromkeys(given)) or running_stacks()
-    if not stacks:
-        raise UserError("no stack runs on this computer", "name the robots' router: --stack tcp/HOST:7447")
-    for stack in stacks:
-        stack_address(stack)
-    return stacks
-
-
 class FleetListener:
     """Hears every robot of some stacks while its `with` block runs. Zenoh's threads only file bytes."""
 
-    def __init__(self, stacks: list[str]) -> None:
-        self._stacks = stacks
+    def __init__(self, stacks: list[str], topics: Sequence[Topic[Any]] = FLEET_TOPICS) -> None:
+        self._stacks, self._topics = stacks, topics
         self._sessions: dict[str, zenoh.Session] = {}
         self._waiting: deque[Sample] = deque()
         self._changed = threading.Event()
@@ -53,7 +36,7 @@ class FleetListener:
     def __enter__(self) -> "FleetListener":
         for stack in self._stacks:
             session = self._sessions[stack] = transport.opened(stack_address(stack))
-            for topic in FLEET_TOPICS:
+            for topic in self._topics:
                 self._readers.append(session.declare_subscriber(f"*/{topic.key}", partial(self._file, stack, topic)))
                 if topic.latched:
                     session.get(
@@ -114,11 +97,3 @@ class FleetListener:
                 continue  # the robot's own services count it
             if envelope.publisher in topic.publishers:
                 self._view(key.partition("/")[0], stack).add(topic, message, envelope, at, now)
-
-
-def _listens(where: StackAddress) -> bool:
-    for service in ("guard", "navigator"):
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", where.port(service))) == 0:
-                return True
-    return False

@@ -13,8 +13,8 @@ from importlib.metadata import version
 import zenoh
 
 from shared.config import UserError
+from shared.crossing import PRESENCE
 
-MARK = "@up"
 ANSWER_S = 1.0  # s that a router has to send the tokens of others
 
 
@@ -30,7 +30,7 @@ class Presence:
 
     @property
     def key(self) -> str:
-        return f"{self.name}/{MARK}/{self.start}/{self.host}/{self.pid}/{self.version}"
+        return f"{self.name}/{PRESENCE}/{self.start}/{self.host}/{self.pid}/{self.version}"
 
     @property
     def address(self) -> str:
@@ -41,7 +41,7 @@ class Presence:
 def presence_of(key: str) -> Presence | None:
     """What a token's key says; None where it is no such token."""
     parts = key.split("/")
-    if len(parts) != 6 or parts[1] != MARK or not (parts[2].isdecimal() and parts[4].isdecimal()):
+    if len(parts) != 6 or parts[1] != PRESENCE or not (parts[2].isdecimal() and parts[4].isdecimal()):
         return None
     return Presence(int(parts[2]), parts[3], int(parts[4]), parts[5], parts[0])
 
@@ -54,7 +54,7 @@ def own_presence(name: str) -> Presence:
 
 def presences(session: zenoh.Session, name: str = "*") -> list[Presence]:
     """Every `zenav up` of a name that this session can see, in the order of their starts."""
-    replies = session.liveliness().get(f"{name}/{MARK}/**", timeout=ANSWER_S)
+    replies = session.liveliness().get(f"{name}/{PRESENCE}/**", timeout=ANSWER_S)
     found = (presence_of(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None)
     return sorted(presence for presence in found if presence is not None)
 

@@ -8,7 +8,7 @@ from shared import topics
 from shared.codec import Envelope
 from shared.geometry import Pose2
 from shared.messages import BaseStatus, GuardState, GuardStatus, NavState, NavStatus
-from zenav.fleet.robot_view import SILENT_S, RobotView
+from shared.robot_view import SILENT_S, RobotView
 
 MS = 1_000_000
 

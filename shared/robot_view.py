@@ -8,8 +8,8 @@ from typing import Any, TypeVar
 from shared import topics
 from shared.codec import Envelope
 from shared.messages import GuardState, Message, NavState
+from shared.task_state import FINAL_STATES, stop_reason
 from shared.topics import Topic
-from zenav.client.navigation_client import FINAL_STATES, stop_reason
 
 FLEET_TOPICS: tuple[Topic[Any], ...] = (
     topics.NAV_STATUS,

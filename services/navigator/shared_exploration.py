@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Exploring with other robots: each one leaves the frontiers to the robot whose tour reaches them first.
+
+Every robot sends the others its position, the area that it knows, its frontiers and the one that it drives to. All
+decide by the same rule, and there is no central process. Frontiers are dealt out one by one. The next one goes to the
+robot that reaches it first, after those that this robot has (list scheduling, Graham 1969). Burgard et al., T-RO 2005,
+share frontiers by travel cost too, one to each robot. A robot that falls silent loses its frontiers after a lease.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import hypot, inf
+
+import numpy as np
+from pydantic import Field
+
+from services.navigator.frontiers import Frontier, Frontiers
+from services.navigator.known_area import BLOCK_CELLS, MAX_BLOCKS, KnownArea, blocks_per_tile, known_blocks
+from shared.config import Section
+from shared.geometry import Pose2
+from shared.grid import OccupancyGrid
+from shared.messages import ExplorationShare
+from shared.types import Float64s
+
+_DETOUR = 1.4  # m of driving per m of straight line, where no path is known
+_KEEP_M = 1.0  # m by which another robot must be nearer to take a frontier that is driven to
+_MAX_FRONTIERS = 40  # in a message, the nearest
+
+Point = tuple[float, float]
+
+
+class SharingConfig(Section):
+    """Exploring with other robots."""
+
+    lease: float = Field(
+        5.0, ge=0.5, le=120, description="s without a message of another robot until its frontiers are released"
+    )
+    period: float = Field(0.5, ge=0.1, le=10, description="s between two messages to the others")
+    same_frontier: float = Field(
+        1.5, ge=0.1, le=10, description="m between the frontiers of two maps that count as one"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Teammate:
+    """The newest message of another robot, with when it arrived, ns."""
+
+    share: ExplorationShare
+    arrived: int
+
+    def point(self, map_from_common: Pose2) -> Point:
+        """Where it is, m in the own `map`."""
+        pose = map_from_common @ Pose2(self.share.x, self.share.y)
+        return pose.x, pose.y
+
+    def frontiers(self, map_from_common: Pose2) -> Float64s:
+        """(n, 2) m in the own `map`."""
+        points = np.column_stack((self.share.frontier_xs, self.share.frontier_ys)).astype(np.float64)
+        return np.asarray(map_from_common @ points)
+
+
+class SharedExploration:
+    """What the other robots of one exploration said, and the own part of the frontiers.
+
+    name: of this robot.  others: their names.  common_from_map: the own `map` in the frame that all have in common.
+    """
+
+    def __init__(self, config: SharingConfig, name: str, others: Sequence[str], common_from_map: Pose2) -> None:
+        self.config, self.name, self.others, self.common_from_map = config, name, tuple(others), common_from_map
+        self.found: Frontiers | None = None  # by the last search
+        self.helps = False  # no frontier of its own is left: it drives to those of others, through what they know
+        self.is_done = False  # there is none of theirs to drive to
+        self._searched_with_others = False
+        self._teammates: dict[str, Teammate] = {}
+        self._sequence = 0
+        self._sent: int | None = None  # ns, of the last message
+        self._sent_active = False
+        self._session: int | None = None
+
+    def take(self, share: ExplorationShare, now: int) -> None:
+        """Takes the message of another robot, unless it is older than the last one, or of no robot that is known."""
+        before = self._teammates.get(share.robot)
+        order = (share.session, share.sequence)
+        if share.robot in self.others and (before is None or order > (before.share.session, before.share.sequence)):
+            self._teammates[share.robot] = Teammate(share, now)
+
+    def alive(self, now: int) -> list[Teammate]:
+        """The robots that explore and were heard within the lease."""
+        lease = round(self.config.lease * 1e9)
+        return [mate for mate in self._teammates.values() if mate.share.active and now - mate.arrived <= lease]
+
+    def areas(self, now: int) -> tuple[KnownArea, ...]:
+        """What the others know: those that are alive, and those that have finished. Nothing counts while it helps."""
+        alive = {mate.share.robot for mate in self.alive(now)}
+        self._searched_with_others = bool(alive)
+        if self.helps:
+            return ()
+        mates = [mate for name, mate in self._teammates.items() if name in alive or not mate.share.active]
+        return tuple(
+            KnownArea(
+                mate.share.common_from_map.inverse() @ self.common_from_map,
+                mate.share.cell,
+                mate.share.first_row,
+                mate.share.first_column,
+                mate.share.known,
+            )
+            for mate in mates
+        )
+
+    def own_frontiers(self, found: Frontiers, target: Point | None, now: int) -> Frontiers:
+        """Returns the part of the found frontiers that this robot is to explore.
+
+        target: the frontier that it drives to.  Where it helps, that is one frontier towards theirs.
+        """
+        if not self.helps:
+            self.found = found
+        alive = self.alive(now)
+        map_from_common = self.common_from_map.inverse()
+        if self.helps and target is not None:
+            k = _nearest([(frontier.x, frontier.y) for frontier in found.frontiers], target, self.config.same_frontier)
+            return subset(found, [] if k is None else [k])
+        if self.helps:
+            towards = self._towards_others(found, alive, map_from_common)
+            self.is_done = self.is_done and not towards
+            return subset(found, towards)
+        dealt = self._dealt(found, target, alive, map_from_common)
+        self.is_done = self.is_done and not dealt
+        return subset(found, dealt)
+
+    def waits(self, settled: bool, now: int) -> bool:
+        """Whether to wait for the others, as no frontier is left to this robot.  settled: for long enough.
+
+        Then every other search is for frontiers that they have not begun. While there are none, this robot is done.
+        """
+        if not self.alive(now):
+            self.helps = False
+            return self._searched_with_others  # what a robot knew that fell silent is searched first
+        self.is_done, self.helps = self.is_done or (settled and self.helps), settled and not self.helps
+        return True
+
+    def _dealt(
+        self, found: Frontiers, target: Point | None, alive: list[Teammate], map_from_common: Pose2
+    ) -> list[int]:
+        """Returns the indices of the frontiers that are dealt to this robot."""
+        own = [(frontier.x, frontier.y) for frontier in found.frontiers]
+        places, same = list(own), self.config.same_frontier
+        bids: dict[str, dict[int, float]] = {}  # of each robot, by place
+        for mate in alive:
+            bids[mate.share.robot] = {}
+            theirs = mate.frontiers(map_from_common).tolist()
+            for (x, y), cost in zip(theirs, mate.share.frontier_costs.tolist(), strict=True):
+                k = _nearest(places, (x, y), same)
+                if k is None:
+                    k = len(places)
+                    places.append((x, y))
+                bids[mate.share.robot][k] = cost
+        costs = {self.name: [frontier.distance for frontier in found.frontiers] + [inf] * (len(places) - len(own))}
+        for mate in alive:
+            here, bid = mate.point(map_from_common), bids[mate.share.robot]
+            costs[mate.share.robot] = [bid.get(k, _DETOUR * _apart(here, place)) for k, place in enumerate(places)]
+        claims = {mate.share.robot: _claim(mate, map_from_common) for mate in alive} | {self.name: target}
+        return [k for k in deal(places, costs, claims, same)[self.name] if k < len(own)]
+
+    def _towards_others(self, found: Frontiers, alive: list[Teammate], map_from_common: Pose2) -> list[int]:
+        """Returns the index of the frontier by which one of theirs that no robot drives to is reached soonest."""
+        free = []
+        for mate in alive:
+            claim = _claim(mate, map_from_common)
+            theirs = [(x, y) for x, y in mate.frontiers(map_from_common).tolist()]
+            free += [place for place in theirs if claim is None or _apart(place, claim) > self.config.same_frontier]
+        costs = [
+            frontier.distance + min(_DETOUR * _apart((frontier.x, frontier.y), place) for place in free)
+            for frontier in found.frontiers
+            if free
+        ]
+        return [int(np.argmin(costs))] if costs else []
+
+    def message(
+        self, pose: Pose2, target: Point | None, grid: OccupancyGrid, explores: bool, task_id: int, now: int
+    ) -> ExplorationShare | None:
+        """Returns the message for the others, when it is due; None before.
+
+        explores: it is on its way, or will be.  target: the frontier that it drives to.
+        """
+        active = explores and not self.is_done
+        is_due = self._sent is None or not 0 <= now - self._sent < round(self.config.period * 1e9)
+        if not is_due and active is self._sent_active:
+            return None
+        self._sent_active = active
+        self._session = now if self._session is None else self._session
+        self._sent, self._sequence = now, self._sequence + 1
+        here = self.common_from_map @ pose
+        frontiers = list(self.found.frontiers if self.found is not None else ())[:_MAX_FRONTIERS]
+        points = self.common_from_map @ np.array([(f.x, f.y) for f in frontiers], np.float64).reshape(-1, 2)
+        known = known_blocks(grid.cells)
+        return ExplorationShare(
+            stamp=now,
+            robot=self.name,
+            session=self._session,
+            sequence=self._sequence,
+            task_id=task_id,
+            others=self.others,
+            active=active,
+            common_from_map=self.common_from_map,
+            x=here.x,
+            y=here.y,
+            frontier_xs=points[:, 0].astype(np.float32),
+            frontier_ys=points[:, 1].astype(np.float32),
+            frontier_costs=np.array([f.distance for f in frontiers], np.float32),
+            claimed=-1 if target is None else _index_of(frontiers, target, self.config.same_frontier),
+            cell=grid.resolution * BLOCK_CELLS,
+            first_row=grid.first_row * blocks_per_tile(),
+            first_column=grid.first_column * blocks_per_tile(),
+            known=known if known.size <= MAX_BLOCKS else known[:0, :0],
+        )
+
+
+def deal(
+    places: Sequence[Point],
+    first_costs: dict[str, list[float]],
+    claims: dict[str, Point | None],
+    same: float,
+) -> dict[str, list[int]]:
+    """Returns the places of each robot, in the order of its tour.
+
+    The next place goes to the robot that reaches it first, behind the places that it has. Of equal times the robot with
+    the first name gets it.  places: (x, y) m.  first_costs: m of driving from each robot to each place, inf if unknown.
+    claims: the place that each robot drives to. It keeps it unless one that drives nowhere is nearer by over a metre.
+    Of two robots that drive to one place, the nearer one keeps it.
+    """
+    tours: dict[str, list[int]] = {name: [] for name in first_costs}
+    length = dict.fromkeys(first_costs, 0.0)
+    left = set(range(len(places)))
+    claimed = {name: None if claim is None else _nearest(places, claim, same) for name, claim in claims.items()}
+    free = [name for name, k in claimed.items() if k is None]
+    bids = sorted((first_costs[name][k], name, k) for name, k in claimed.items() if k is not None)
+    for cost, name, k in bids:
+        if k in left and not any(first_costs[other][k] < cost - _KEEP_M for other in free):
+            tours[name], length[name] = [k], cost
+            left.discard(k)
+    while left:
+        arrivals = [
+            (length[name] + (first_costs[name][k] if not tours[name] else _leg(places, tours[name][-1], k)), name, k)
+            for name in sorted(first_costs)
+            for k in sorted(left)
+        ]
+        arrival, name, k = min(arrivals)
+        tours[name].append(k)
+        length[name] = arrival
+        left.discard(k)
+    return tours
+
+
+def subset(found: Frontiers, indices: Sequence[int]) -> Frontiers:
+    """Returns only these frontiers, in their order."""
+    chosen = sorted(indices)
+    measured = [k for k in chosen if k < len(found.between)]
+    between = found.between[np.ix_(measured, measured)]
+    return replace(found, frontiers=tuple(found.frontiers[k] for k in chosen), between=between)
+
+
+def _claim(mate: Teammate, map_from_common: Pose2) -> Point | None:
+    k = mate.share.claimed
+    if not 0 <= k < len(mate.share.frontier_xs):
+        return None
+    x, y = mate.frontiers(map_from_common)[k].tolist()
+    return x, y
+
+
+def _index_of(frontiers: Sequence[Frontier], target: Point, same: float) -> int:
+    k = _nearest([(frontier.x, frontier.y) for frontier in frontiers], target, same)
+    return -1 if k is None else k
+
+
+def _nearest(places: Sequence[Point], place: Point, within: float) -> int | None:
+    apart = [_apart(other, place) for other in places]
+    k = int(np.argmin(apart)) if apart else 0
+    return k if apart and apart[k] <= within else None
+
+
+def _leg(places: Sequence[Point], a: int, b: int) -> float:
+    return _DETOUR * _apart(places[a], places[b])
+
+
+def _apart(a: Point, b: Point) -> float:
+    return hypot(a[0] - b[0], a[1] - b[1])

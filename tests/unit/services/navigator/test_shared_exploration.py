@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robots that explore together: each frontier is left to one of them, and a robot that falls silent loses its own."""
+
+from dataclasses import replace
+from math import hypot
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.navigator.frontiers import Frontier, FrontierConfig, Frontiers, Snapshot, find_frontiers
+from services.navigator.known_area import KnownArea, known_blocks, known_elsewhere
+from services.navigator.shared_exploration import SharedExploration, SharingConfig, deal, subset
+from shared import reasons
+from shared.geometry import Pose2
+from shared.grid import FREE_UP_TO, OccupancyGrid
+from shared.messages import NavState
+from tests.unit.services.maps import drawn, message
+from tests.unit.services.navigator.bench import OK, NavigatorBench, S, stopped
+from tests.unit.services.navigator.test_exploring import ENDS, OFFICE, Explorer
+
+CONFIG = SharingConfig()
+LEASE = round(CONFIG.lease * S)
+places = st.lists(st.tuples(st.floats(-20, 20), st.floats(-20, 20)), max_size=8)
+poses = st.builds(Pose2, st.floats(-9, 9), st.floats(-9, 9), st.floats(-3, 3))
+
+
+def frontiers(*rows):
+    """From x, y and m to drive."""
+    cells = np.zeros((1, 2), np.int64)
+    made = tuple(Frontier(x, y, 0.0, 1.0, distance, cells) for x, y, distance in rows)
+    return Frontiers(made, (), False, np.ones((len(made), len(made))))
+
+
+def share_of(name, x, y, rows, claimed=-1, sequence=1, **fields):
+    """What a robot at x, y with these frontiers says."""
+    sharing = SharedExploration(CONFIG, name, ("red",), Pose2())
+    sharing.found = frontiers(*rows)
+    share = sharing.message(Pose2(x, y), None, OccupancyGrid(), True, 1, S)
+    return replace(share, claimed=claimed, sequence=sequence, **fields)
+
+
+def own(sharing, found, target=None, now=S):
+    return [(f.x, f.y) for f in sharing.own_frontiers(found, target, now).frontiers]
+
+
+@given(places, st.dictionaries(st.sampled_from("abcd"), st.tuples(st.floats(-20, 20), st.floats(-20, 20)), min_size=1))
+def test_each_place_is_dealt_to_one_robot_and_every_robot_deals_alike(points, robots):
+    costs = {name: [hypot(x - px, y - py) for px, py in points] for name, (x, y) in robots.items()}
+    tours = deal(points, costs, dict.fromkeys(robots), 1.5)
+    assert sorted(k for tour in tours.values() for k in tour) == list(range(len(points)))
+    other_way = dict(reversed(costs.items()))
+    assert deal(points, other_way, dict.fromkeys(robots), 1.5) == tours
+
+
+def test_a_place_goes_to_the_robot_whose_tour_reaches_it_first():
+    points = [(1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (8.0, 0.0)]
+    costs = {"red": [1.0, 2.0, 3.0, 8.0], "blue": [9.0, 8.0, 7.0, 2.0]}
+    assert deal(points, costs, {"red": None, "blue": None}, 1.5) == {"red": [0, 1, 2], "blue": [3]}
+
+
+@pytest.mark.parametrize(("blue_m", "keeper"), [(5.5, "red"), (4.0, "blue")])
+def test_a_robot_keeps_the_place_that_it_drives_to_unless_another_is_a_metre_nearer(blue_m, keeper):
+    costs = {"red": [6.0, 50.0], "blue": [blue_m, 50.0]}
+    tours = deal([(0.0, 0.0), (40.0, 0.0)], costs, {"red": (0.0, 0.0), "blue": None}, 1.5)
+    assert tours[keeper][0] == 0
+
+
+def test_a_nearer_robot_takes_its_frontiers_until_its_lease_ends():
+    sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
+    found = frontiers((1.0, 0.0, 1.0), (9.0, 0.0, 9.0))
+    assert own(sharing, found) == [(1.0, 0.0), (9.0, 0.0)]
+    sharing.take(share_of("blue", 10.0, 0.0, [(9.2, 0.0, 1.0)]), S)
+    assert own(sharing, found) == [(1.0, 0.0)]
+    assert own(sharing, found, now=S + LEASE) == [(1.0, 0.0)]
+    assert own(sharing, found, now=S + LEASE + 1) == [(1.0, 0.0), (9.0, 0.0)]
+
+
+@given(poses, poses)
+def test_the_frames_of_the_maps_do_not_matter(common_from_red, common_from_blue):
+    """Both robots in one room: red's frontiers are given in its map, and what blue says in the common frame."""
+    sharing = SharedExploration(CONFIG, "red", ("blue",), common_from_red)
+    place = common_from_red @ Pose2(9.0, 0.0)
+    here = common_from_red @ Pose2(10.0, 0.0)
+    share = share_of("blue", here.x, here.y, [(place.x, place.y, 1.0)], common_from_map=common_from_blue)
+    sharing.take(share, S)
+    assert own(sharing, frontiers((1.0, 0.0, 1.0), (9.0, 0.0, 9.0))) == [(1.0, 0.0)]
+
+
+def test_old_messages_and_those_of_other_robots_are_ignored():
+    sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
+    found = frontiers((1.0, 0.0, 1.0), (9.0, 0.0, 9.0))
+    newest, older = (
+        share_of("blue", 10.0, 0.0, [(9.0, 0.0, 1.0)], sequence=5),
+        share_of("blue", 0.0, 0.0, [], sequence=4),
+    )
+    for share in (newest, older, share_of("green", 0.5, 0.0, [(1.0, 0.0, 0.1)])):
+        sharing.take(share, S)
+    assert own(sharing, found) == [(1.0, 0.0)]
+    sharing.take(replace(older, session=newest.session + 1, sequence=1, active=False), S)  # it was restarted
+    assert own(sharing, found) == [(1.0, 0.0), (9.0, 0.0)]
+
+
+@given(poses, st.integers(0, 2**32))
+def test_the_known_area_covers_what_brute_force_says(area_from_map, seed):
+    rng = np.random.default_rng(seed)
+    area = KnownArea(area_from_map, 0.4, -3, 5, rng.integers(0, 2, (6, 7)).astype(np.int8))
+    wanted = rng.random((9, 8)) < 0.7
+    covered = known_elsewhere(wanted, -4, 2, 0.3, (area,))
+    for row, column in np.ndindex(wanted.shape):
+        point = area_from_map @ Pose2((column + 2 + 0.5) * 0.3, (row - 4 + 0.5) * 0.3)
+        r, c = int(np.floor(point.y / 0.4)) + 3, int(np.floor(point.x / 0.4)) - 5
+        inside = 0 <= r < 6 and 0 <= c < 7
+        assert covered[row, column] == bool(wanted[row, column] and inside and area.known[r, c])
+
+
+@pytest.mark.parametrize("beside", [-1, FREE_UP_TO + 1])  # unknown, or seen once and uncertain
+def test_there_is_no_frontier_towards_what_another_robot_knows(beside):
+    cells = drawn(
+        """
+        ####################
+        #.....??????......??
+        #.....??????......??
+        #.....??????......??
+        ####################
+        """,
+        8,
+    )
+    mine = cells.copy()
+    mine[:, 6 * 8 :] = -1
+    mine[8:-8, 6 * 8] = beside
+    snapshot = Snapshot(mine, 0, 0, 0.05, 1.0, 1.0, 0.2, np.zeros((0, 2), np.int64))
+    assert find_frontiers(snapshot, FrontierConfig()).frontiers
+    theirs = np.full(cells.shape, -1, np.int8)
+    theirs[:, 5 * 8 :] = 0
+    area = KnownArea(Pose2(), 0.4, 0, 0, known_blocks(theirs))
+    assert not find_frontiers(replace(snapshot, areas=(area,)), FrontierConfig()).frontiers
+
+
+def test_a_subset_keeps_the_distances_between_its_frontiers():
+    found = replace(frontiers((0, 0, 1), (1, 0, 2), (2, 0, 3)), between=np.arange(9.0).reshape(3, 3))
+    some = subset(found, [2, 0])
+    assert [f.x for f in some.frontiers] == [0, 2]
+    np.testing.assert_array_equal(some.between, [[0, 2], [6, 8]])
+
+
+class Team:
+    """Robots in one building, each with its own map, that hear each other a step later."""
+
+    def __init__(self, *starts):
+        names = ["red", "blue"][: len(starts)]
+        self.robots = [Explorer(OFFICE, x, y, name=name) for name, (x, y) in zip(names, starts, strict=True)]
+        self.silent: set[Explorer] = set()
+        for robot in self.robots:
+            robot.explore(*(name for name in names if name != robot.navigator.robot.name))
+
+    def run(self, seconds, lost=()):
+        """Runs until all have ended; returns s. lost: robots that stand still and say nothing."""
+        begun = self.robots[0].now
+        while self.robots[0].now - begun < seconds * S:
+            going = [robot for robot in self.robots if robot not in lost]
+            for robot in going:
+                robot.step()
+            for robot in going:
+                for share in robot.shares:
+                    for other in going:
+                        if other is not robot:
+                            other.call("other_explorer", share)
+                robot.shares.clear()
+            if all(robot.statuses and robot.status.state in ENDS for robot in going):
+                break
+        return (self.robots[0].now - begun) / S
+
+    @property
+    def covered(self):
+        """The share of the floor that one of them has seen."""
+        known = np.max([robot.known for robot in self.robots], axis=0)
+        return float((known[self.robots[0].reachable(self.robots[0].pose)] == 0).mean())
+
+
+@pytest.fixture(scope="module")
+def alone():
+    team = Team((7.0, 3.3))
+    seconds = team.run(300)
+    return seconds, team.robots[0].moved
+
+
+def test_two_robots_explore_an_office_in_much_less_than_the_time_of_one(alone):
+    team = Team((7.0, 3.3), (7.6, 3.3))
+    seconds = team.run(300)
+    assert {robot.status.reason for robot in team.robots} == {reasons.NO_FRONTIER.code}
+    assert team.covered > 0.98
+    assert seconds < 0.7 * alone[0]
+    assert min(robot.moved for robot in team.robots) > 0.25 * alone[1]
+
+
+def test_where_one_robot_falls_silent_the_other_explores_everything():
+    team = Team((7.0, 3.3), (7.6, 3.3))
+    team.run(8)
+    red, blue = team.robots
+    team.run(300, lost=(blue,))
+    assert red.status.reason == reasons.NO_FRONTIER.code
+    known = red.known[red.reachable(red.pose)] == 0
+    assert known.mean() > 0.98, "it does not count on what the silent robot knew"
+
+
+def test_a_robot_that_waits_for_the_others_stands_and_ends_after_them():
+    robot = NavigatorBench(name="red")
+    robot.call("map", message(drawn("#####\n#...#\n#...#\n#####", 20)))
+    robot.pose = Pose2(2.0, 2.0)
+    robot.explore("blue")
+    for _ in range(8):
+        robot.call("other_explorer", share_of("blue", 9.0, 9.0, [(9.5, 9.0, 1.0)], sequence=robot.n_steps + 1))
+        robot.run(2.5)
+    assert robot.status.state is NavState.EXPLORING
+    assert stopped(robot)
+    assert not robot.shares[-1].active, "no robot waits for a robot that waits"
+    robot.call("other_explorer", share_of("blue", 9.0, 9.0, [], sequence=10_000, active=False))
+    robot.run(15, until=ENDS)
+    assert (robot.status.state, robot.status.reason) == (NavState.REACHED, reasons.NO_FRONTIER.code)
+
+
+def test_a_robot_that_is_paused_or_has_ended_releases_its_frontiers():
+    robot = Explorer(OFFICE, 7.0, 3.3, name="red")
+    robot.explore("blue")
+    robot.run(3)
+    assert robot.shares[-1].active
+    robot.pause()
+    robot.run(0.5)
+    assert not robot.shares[-1].active
+    robot.pause(False)
+    robot.run(0.5)
+    assert robot.shares[-1].active
+    robot.cancel()
+    robot.run(0.5)
+    assert not robot.shares[-1].active
+    n = len(robot.shares)
+    robot.run(3)
+    assert len(robot.shares) == n
+
+
+def test_a_restarted_navigator_goes_on_exploring_with_the_same_robots():
+    origin = Pose2(3.0, 1.0, 0.5)
+    before, after = Explorer(OFFICE, 7.0, 3.3, name="red"), Explorer(OFFICE, 7.0, 3.3, name="red")
+    before.explore("blue", common_from_map=origin)
+    before.run(2)
+    after.now = before.now + S // 2
+    after.guarded(OK, source="")
+    after.call("task_before_the_restart", before.tasks[-1])
+    after.call("share_before_the_restart", before.shares[-1])
+    after.run(3)
+    assert after.status.state is NavState.EXPLORING
+    share = after.shares[-1]
+    assert (share.others, share.common_from_map, share.task_id) == (("blue",), origin, before.shares[-1].task_id)
+    assert share.session > before.shares[-1].session, "the others take its messages although it counts from 1"
+
+
+def test_a_robot_without_frontiers_drives_towards_one_that_no_robot_has_begun():
+    sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
+    known = {"cell": 0.4, "known": np.ones((2, 2), np.int8)}
+    sharing.take(share_of("blue", 10.0, 0.0, [(9.0, 0.0, 1.0), (5.0, 5.0, 8.0)], claimed=0, **known), S)
+    borders = frontiers((0.0, -5.0, 2.0), (0.0, 5.0, 2.5))  # of what blue knows
+    assert sharing.areas(S)
+    assert sharing.waits(True, S)
+    assert not sharing.areas(S), "it drives through what only blue knows"
+    assert own(sharing, borders) == [(0.0, 5.0)]
+    assert own(sharing, borders, target=(0.0, 5.0)) == [(0.0, 5.0)]
+    assert not sharing.is_done
+
+
+def test_a_robot_is_done_while_every_frontier_is_begun_and_helps_when_another_is_found():
+    sharing = SharedExploration(CONFIG, "red", ("blue",), Pose2())
+    borders = frontiers((0.0, -5.0, 2.0), (0.0, 5.0, 2.5))
+    sharing.take(share_of("blue", 10.0, 0.0, [(9.0, 0.0, 1.0)], claimed=0), S)
+    for _ in range(4):
+        assert sharing.waits(True, S)
+        assert own(sharing, borders if sharing.helps else frontiers()) == []
+    assert sharing.is_done
+    sharing.take(share_of("blue", 10.0, 0.0, [(9.0, 0.0, 1.0), (5.0, 5.0, 8.0)], claimed=0, sequence=2), S)
+    while not sharing.helps:
+        sharing.waits(True, S)
+    assert own(sharing, borders) == [(0.0, 5.0)]
+    assert not sharing.is_done

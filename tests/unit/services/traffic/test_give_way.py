@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a robot that makes way stands, and what it does when the other's path changes."""
+
+import numpy as np
+import pytest
+
+from services.traffic.conflicts import Clearances, TrafficRobot, order_of, reach_of
+from services.traffic.give_way import CIRCLE_NS, MIN_REST_NS, SLACK_M, GivingWay, refuge
+from shared import sample_messages as sample
+from shared.grid import OccupancyGrid
+from shared.messages import TILE_CELLS
+
+S = 1_000_000_000
+CLEARANCES = Clearances(beside=0.1, passing=0.1)
+ALONG = [(x, 1.6) for x in np.arange(2.6, 0.2, -0.3)]
+
+
+def floor():
+    """A free map of 3.2 x 3.2 m."""
+    built = OccupancyGrid()
+    built.apply(sample.map_update(0, np.zeros((TILE_CELLS, TILE_CELLS), np.int8)))
+    return built
+
+
+def robot(name, x, y, path=(), since=1, **more):
+    points = np.array(path, float).reshape(-1, 2)
+    return TrafficRobot(
+        name, x, y, 0.2, order_of(name, 0, since, False), path=points, widths=np.zeros(len(points)), **more
+    )
+
+
+def test_a_refuge_is_farther_from_a_path_than_the_tolerance_of_arriving_takes_away():
+    red, blue = robot("red", 1.6, 1.6), robot("blue", 2.6, 1.6, ALONG, held=1)
+    found = refuge(floor(), red, [blue], CLEARANCES)
+    apart = np.hypot(blue.path[:, 0] - found.x, blue.path[:, 1] - found.y).min()
+    assert apart >= reach_of(red, blue, CLEARANCES) + SLACK_M
+
+
+@pytest.fixture
+def giving():
+    """Red makes way for blue, and stands at its refuge."""
+    state = GivingWay()
+    red = robot("red", 1.6, 1.6, since=2, waits_for=("blue",))
+    blue = robot("blue", 2.6, 1.6, ALONG, held=1, waits_for=("red",))
+    for now in (S, S + CIRCLE_NS):
+        state.update(red, [blue], floor(), CLEARANCES, now)
+    assert state.refuge is not None
+    return state
+
+
+def test_a_robot_whose_refuge_is_on_a_new_path_of_the_other_takes_another_refuge(giving):
+    first = giving.refuge
+    resting = robot("red", first.x, first.y, since=2)
+    stays = robot("blue", 2.6, 1.6, ALONG, held=1)
+    for now in (5 * S, 5 * S + MIN_REST_NS):
+        giving.update(resting, [stays], floor(), CLEARANCES, now)
+    assert giving.refuge == first
+    through = robot("blue", 2.6, 1.6, [*ALONG[:3], (first.x, first.y), (0.4, 1.6)], held=1)
+    giving.update(resting, [through], floor(), CLEARANCES, 6 * S + MIN_REST_NS)
+    assert giving.refuge != first
+    apart = np.hypot(through.path[:, 0] - giving.refuge.x, through.path[:, 1] - giving.refuge.y).min()
+    assert apart >= reach_of(resting, through, CLEARANCES) + SLACK_M

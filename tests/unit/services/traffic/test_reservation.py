@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robots on narrow paths never hold excluding places, whatever the delays, and all of them arrive."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.traffic.conflicts import Clearances, TrafficRobot, exclusions, order_of
+from services.traffic.give_way import circle, yielder
+from services.traffic.reservation import Reservation
+from shared.types import NS_PER_S
+
+RADIUS = 0.1
+CLEARANCES = Clearances(beside=0.05, passing=0.2)  # points of SPACING_M apart do not exclude each other
+TICK_NS = NS_PER_S // 5
+CELL = 0.3  # m; a path has a point in each cell
+NARROW, WIDE = 0.0, 10.0
+
+
+class Car:
+    """A robot that drives a point a tick, as far as it holds its path."""
+
+    def __init__(self, name, cells, since=0, width=NARROW):
+        self.name, self.since, self.width = name, since, width
+        self.reservation = Reservation(name, RADIUS, CLEARANCES, reach=3 * CELL)
+        self.heard = {}  # by name: the newest message
+        self.x, self.y = CELL * np.array(cells[0], float)
+        self.go(cells, 0)
+
+    def go(self, cells, now):
+        path = CELL * np.array(cells, float)
+        self.reservation.set_path(path, np.full(len(path), self.width), self.x, self.y, now)
+
+    @property
+    def order(self):
+        return order_of(self.name, 0, self.since, False)
+
+    def decide(self, now):
+        self.reservation.move(self.x, self.y)
+        self.reservation.update(self.x, self.y, self.order, sorted(self.heard.values(), key=lambda c: c.name), now)
+
+    def drive(self):
+        if self.reservation.held > 1:
+            self.x, self.y = self.reservation.ahead[1].tolist()
+            self.reservation.move(self.x, self.y)
+
+    def message(self):
+        told = self.reservation.told(self.x, self.y, self.order)
+        return replace(told, heard={name: other.claim for name, other in self.heard.items()})
+
+    @property
+    def arrived(self):
+        return len(self.reservation.path) - self.reservation.at <= 1
+
+    @property
+    def taken(self):
+        return {
+            tuple(np.round(point / CELL).astype(int).tolist())
+            for point in self.reservation.ahead[: self.reservation.held]
+        }
+
+
+def run(cars, ticks, delay=lambda: 1, when_arrived=lambda car, now: None):
+    """Steps the cars, which know of each other. Returns the tick at which all had arrived, or None.
+
+    delay: ticks of a message, or None where it is lost.
+    """
+    on_the_way, newest = [], {}
+    for car in cars:
+        car.heard = {other.name: other.message() for other in cars if other is not car}
+    for tick in range(ticks):
+        now = (tick + 1) * TICK_NS
+        for _, sent, listener, message in [entry for entry in on_the_way if entry[0] <= tick]:
+            if sent > newest.get((listener.name, message.name), -1):  # as the runner admits them
+                newest[listener.name, message.name] = sent
+                listener.heard[message.name] = message
+        on_the_way = [entry for entry in on_the_way if entry[0] > tick]
+        for car in cars:
+            car.decide(now)
+            car.drive()
+            when_arrived(car, now)
+        for a, b in combinations(cars, 2):
+            assert not a.taken & b.taken, f"tick {tick}: {a.name} and {b.name} hold the same place"
+        for car in cars:
+            for listener in cars:
+                wait = delay()
+                if listener is not car and wait is not None:
+                    on_the_way.append((tick + wait, tick, listener, car.message()))
+        if all(car.arrived for car in cars):
+            return tick
+    return None
+
+
+def line(x0, x1, y=0):
+    step = 1 if x1 >= x0 else -1
+    return [(x, y) for x in range(x0, x1 + step, step)]
+
+
+def test_two_robots_in_a_corridor_drive_one_after_the_other():
+    """The corridor is y = 0, x = 0 .. 9. Each robot comes from a place beside it and leaves to another one."""
+    red = Car("red", [(0, 1), *line(0, 9), (9, -1)], since=2)
+    blue = Car("blue", [(9, 1), *line(9, 0), (0, -1)], since=1)
+    assert run([red, blue], 80) is not None
+
+
+def test_the_older_task_goes_first_through_a_door():
+    entered = []
+    red = Car("red", [(-4, 2), *line(-4, 4), (4, 2)], since=5)
+    blue = Car("blue", [(4, -2), *line(4, -4), (-4, -2)], since=3)
+
+    def note(car, now):
+        if (0, 0) in car.taken and car.name not in entered:
+            entered.append(car.name)
+
+    assert run([red, blue], 100, when_arrived=note) is not None
+    assert entered == ["blue", "red"]
+
+
+def test_a_robot_follows_another_through_a_corridor_without_waiting_for_its_end():
+    red, blue = Car("red", line(3, 40), since=1), Car("blue", line(0, 36), since=2)
+    apart = []
+    assert run([red, blue], 200, when_arrived=lambda car, now: apart.append(red.x - blue.x)) is not None
+    assert max(apart) < 12 * CELL
+
+
+def test_where_it_is_wide_robots_pass_each_other():
+    """The second one waits until the first has driven around it: here it does so through it."""
+    red = Car("red", line(0, 20), since=1, width=WIDE)
+    blue = Car("blue", line(20, 0), since=2, width=WIDE)
+    blue.decide(0)
+    red.heard, blue.heard = {"blue": blue.message()}, {"red": red.message()}
+    pair = exclusions(red.message(), blue.message(), CLEARANCES)
+    assert pair.near.any()
+    assert not pair.narrow.any()
+    assert not pair.on_path.any(), "each place is a waiting place"
+
+
+def test_no_robot_drives_a_new_path_before_the_others_have_heard_of_it():
+    red, blue = Car("red", line(0, 9)), Car("blue", line(20, 12))
+    red.heard = {"blue": blue.message()}
+    red.decide(TICK_NS)
+    assert red.reservation.held == 1
+    red.heard = {"blue": replace(blue.message(), heard={"red": red.reservation.number})}
+    red.decide(2 * TICK_NS)
+    assert red.reservation.held > 1
+
+
+def test_a_robot_that_does_not_answer_does_not_stop_the_others_for_ever():
+    red, blue = Car("red", line(0, 9)), Car("blue", line(20, 12))
+    red.heard = {"blue": blue.message()}
+    for tick in range(1, 20):
+        red.decide(tick * TICK_NS)
+    assert red.reservation.held > 1
+    assert red.reservation.deaf == ("blue",)
+
+
+def test_a_new_plan_along_the_held_way_keeps_what_is_held_and_no_more():
+    red = Car("red", line(0, 9))
+    red.decide(TICK_NS)
+    held = red.taken
+    red.go([*line(0, 2), (2, 1), (2, 2), (2, 3)], TICK_NS)
+    assert red.taken <= held | {(0, 0)}
+    assert len(red.taken) > 1
+
+
+@st.composite
+def crossings(draw):
+    """Streets of a town of one-lane streets: each robot has parking places of its own at both ends of its path."""
+    n = draw(st.integers(2, 5))
+    size = 4
+    cars = []
+    for i in range(n):
+        column, row = draw(st.integers(0, size - 1)), draw(st.integers(0, size - 1))
+        end_column, end_row = draw(st.integers(0, size - 1)), draw(st.integers(0, size - 1))
+        start, goal = (1000 + 10 * i, 0), (1000 + 10 * i, 5)
+        street = [(3 * column, y) for y in _steps(3 * row, 3 * end_row)]
+        street += [(x, 3 * end_row) for x in _steps(3 * column, 3 * end_column)][1:]
+        cars.append((f"r{i}", [start, *street, goal], draw(st.integers(0, 3))))
+    return cars
+
+
+def _steps(a, b):
+    return range(a, b + 1) if b >= a else range(a, b - 1, -1)
+
+
+@settings(max_examples=40, deadline=None)
+@given(crossings(), st.randoms(use_true_random=False))
+def test_robots_between_free_places_all_arrive_and_never_hold_one_place(town, random):
+    """Freedom from deadlock, with messages that are late by up to three ticks, in any order, or lost."""
+    cars = [Car(*args) for args in town]
+    choices = [1, 1, 1, 2, 3, None]
+    assert run(cars, 900, delay=lambda: random.choice(choices)) is not None
+
+
+def test_robots_that_wait_for_each_other_are_a_circle_and_its_last_one_makes_way():
+    waits = {"a": ("b",), "b": ("c",), "c": ("a",), "d": ("a",)}
+    assert circle("a", waits) == {"a", "b", "c"}
+    assert circle("d", waits) == set()
+    robots = [
+        TrafficRobot(name, 0.0, 0.0, RADIUS, order_of(name, 0, since, False)) for name, since in zip("abc", (3, 9, 5))
+    ]
+    assert yielder(robots, circle("a", waits)) == "b"
+    assert yielder([robots[0], replace(robots[1], stuck=True), robots[2]], circle("a", waits)) == "c"
+    assert yielder([replace(robot, stuck=True) for robot in robots], circle("a", waits)) == ""
+
+
+@pytest.mark.parametrize(("priority", "first"), [(0, "a"), (5, "b")])
+def test_a_priority_counts_before_the_age_of_the_task(priority, first):
+    orders = {"a": order_of("a", 0, 1, False), "b": order_of("b", priority, 2, False)}
+    assert min(orders, key=orders.__getitem__) == first
+    assert order_of("c", 0, 9, True) < orders[first], "a robot that makes way goes before all"

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of other robots count in their order, one process a robot, and never this robot's own."""
+
+import pytest
+
+from shared import topics
+from shared.codec import CodecError, Envelope, encode
+from shared.runners.other_robots import OtherRobotsAdmission, key_of_others
+from tests.unit.services.traffic.intents import intent
+
+NOW = 10**13
+KEY = "blue/traffic/intent"
+
+
+def payload(sequence, name="blue", session="s1", sent=NOW):
+    return encode(intent(NOW, name), Envelope("traffic", session, sequence, sent))
+
+
+def test_each_robot_is_heard_in_the_order_of_its_messages():
+    admission = OtherRobotsAdmission(topics.HEARD, "red")
+    assert key_of_others(topics.HEARD) == "*/traffic/intent"
+    assert admission.admitted(KEY, payload(0), NOW) is not None
+    assert admission.admitted(KEY, payload(0), NOW) is None, "repeated"
+    assert admission.admitted(KEY, payload(7), NOW) is not None
+    assert admission.admitted(KEY, payload(3), NOW) is None, "old"
+    assert admission.admitted("green/traffic/intent", payload(0, "green"), NOW) is not None
+    assert admission.admitted(KEY, payload(0, session="s2", sent=NOW + 1), NOW) is not None, "it was restarted"
+
+
+def test_the_own_messages_and_those_under_a_wrong_name_do_not_count():
+    admission = OtherRobotsAdmission(topics.HEARD, "red")
+    assert admission.admitted("red/traffic/intent", payload(0, "red"), NOW) is None
+    with pytest.raises(CodecError, match="another robot"):
+        admission.admitted("green/traffic/intent", payload(0), NOW)
+    with pytest.raises(CodecError):
+        admission.admitted(KEY, b"nonsense", NOW)

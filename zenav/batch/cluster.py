@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The queue of a Dask cluster by its address. With tls:// Dask's own settings name the certificates: docs/batch.md."""
+
+import logging
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any
+
+from shared.config import UserError
+from zenav.batch.child_process import Outcome
+from zenav.batch.cluster_extra import require_extra
+from zenav.batch.engine import SAME_VERSION, BatchTask, ClusterLostError, OtherCodeError, WorkQueue, run_in_child
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+CONNECT_S = 10.0  # until a scheduler must have answered
+RETURN_S = 120.0  # until a scheduler that was lost must be back, with a worker
+LOOK_S = 1.0  # between two looks for it
+
+
+class _ClusterQueue:
+    def __init__(self, task: BatchTask, client: "Client", address: str) -> None:
+        from distributed import as_completed
+
+        self.n_threads = sum(client.nthreads().values())
+        self._task, self._client, self._address = task, client, address
+        self._finished = as_completed(loop=client.loop)
+        self._numbers: dict[Future, int] = {}
+
+    def submit(self, number: int, item: Any) -> None:
+        future = self._client.submit(run_in_child, self._task, item, pure=False)
+        self._numbers[future] = number
+        self._finished.add(future)
+
+    def wait(self) -> tuple[int, Outcome]:
+        future = next(self._finished)
+        number, outcome = self._numbers.pop(future), self._outcome_of(future)
+        future.release()
+        return number, outcome
+
+    def _outcome_of(self, future: "Future") -> Outcome:
+        """The outcome of a try. A worker that died with its child is an outcome too."""
+        from distributed.scheduler import KilledWorker
+
+        if future.status == "finished":
+            try:
+                outcome: Outcome = future.result(timeout=CONNECT_S)
+            except Exception:  # its scheduler or worker has just gone
+                raise ClusterLostError from None
+            return outcome
+        error = future.exception() if future.status == "error" else None
+        if isinstance(error, KilledWorker):
+            return Outcome("died", detail="the cluster's worker died")
+        if isinstance(error, OtherCodeError):
+            raise UserError(str(error), SAME_VERSION)
+        if isinstance(error, RuntimeError) and "deserialization" in str(error):  # Dask's words
+            raise UserError(
+                f"the scheduler or a worker of {self._address} lacks packages of this computer", SAME_VERSION
+            )
+        if error is not None:
+            raise error
+        raise ClusterLostError
+
+
+@contextmanager
+def cluster_queue(task: BatchTask, address: str, is_awaited: bool) -> Iterator[WorkQueue]:
+    """The queue of a cluster; is_awaited: it was there before, and may come back. Raises UserError."""
+    require_extra()
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # each lost worker is reported in our words
+    limit = time.monotonic() + (RETURN_S if is_awaited else 0.0)
+    while True:
+        try:
+            client = _connected(address)
+            break
+        except UserError:
+            if time.monotonic() > limit:
+                raise
+            threading.Event().wait(LOOK_S)
+    try:
+        yield _ClusterQueue(task, client, address)
+    finally:
+        with suppress(Exception):
+            client.close()
+
+
+def _connected(address: str) -> "Client":
+    from distributed import Client
+
+    try:
+        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TimeoutError, TypeError) as error:  # TypeError: tls:// without certificates
+        hint = "start one: dask scheduler, and on each computer: dask worker ADDRESS"
+        if address.startswith("tls://"):
+            hint = "are Dask's certificates configured here? see docs/batch.md"
+        raise UserError(f"no scheduler of Dask answers at {address}: {type(error).__name__}", hint) from None
+    if not client.nthreads():
+        client.close()
+        raise UserError(f"the cluster {address} has no workers", f"on each computer: dask worker {address}")
+    return client
