@@ -4,6 +4,7 @@
 import signal
 import subprocess
 import sys
+import tracemalloc
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -115,6 +116,27 @@ def test_the_reference_reader_reads_it_with_its_index_and_schemas(tmp_path):
     assert {(s.name, s.data, c.message_encoding) for s, c, _ in found if s is not None} == {
         (schema_id(LogLine), schema(LogLine), "msgpack")
     }
+
+
+def test_a_long_recording_needs_no_more_memory_for_its_index_than_the_index_has_bytes(tmp_path):
+    keys, n_chunks = [topic.key for topic in topics.TOPICS][:40], 300
+    writer = Writer(tmp_path / "a.mcap")
+    write_on(writer, [(key, b"x", 0) for key in keys])
+    writer.flush()
+    tracemalloc.start()
+    try:
+        for i in range(n_chunks):
+            write_on(writer, [(key, b"x", i) for key in keys])
+            writer.flush()
+        grown = tracemalloc.get_traced_memory()[0] / n_chunks
+    finally:
+        tracemalloc.stop()
+    writer.close()
+    with (tmp_path / "a.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert [len(chunk.message_index_offsets) for chunk in summary.chunk_indexes] == [40] * (n_chunks + 1)
+    assert grown < 1000  # bytes a chunk, of which the index has 10 for each channel
 
 
 def test_the_same_input_gives_the_same_file(tmp_path):
