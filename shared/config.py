@@ -52,6 +52,7 @@ class RobotFile:
     def __init__(self, path: Path, tree: CommentedMap) -> None:
         self.path, self.tree = path, tree
         self.overridden: dict[tuple[str, ...], str] = {}  # path of a setting -> where its value comes from
+        self.has_former_names = False  # of settings, in a section that was read
 
     def section(self, name: str, model: type[T]) -> T:
         """The section `name` as `model`; a missing one is the model's defaults. Raises UserError on the first fault."""
@@ -138,6 +139,7 @@ class RobotFile:
         for key, value in values.items():
             here, name = (*location, key), renamed.get(key, key)
             if name != key:
+                self.has_former_names = True
                 _log.warning("%s: %s is now `%s`", self.place(here), ".".join(map(str, here)), name)
             field = getattr(model, "model_fields", {}).get(name)
             if field is not None:
@@ -170,6 +172,15 @@ def robot_path(robot: str) -> Path:
         names = tuple(sorted(robot_files()))
         raise UserError(f"there is no robot {robot}", nearest(robot, names))
     return path
+
+
+def robot_source(robot: str) -> str:
+    """Path and text of a robot's file; empty where it cannot be read: `load_robot` says what is wrong."""
+    try:
+        path = robot_path(robot)
+        return f"{path}\n{path.read_text(encoding='utf-8')}"
+    except (OSError, ValueError, UserError):
+        return ""
 
 
 def load_robot(robot: str) -> RobotFile:

@@ -4,7 +4,6 @@
 It ends within milliseconds on SIGINT and SIGTERM. An exception ends it with the traceback and status 1.
 """
 
-import argparse
 import gc
 import logging
 import os
@@ -15,16 +14,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from shared.config import UserError, configured
+from shared.config import UserError
 from shared.extensions import service_name
 from shared.kernel_cache import warm_up
 from shared.runners import transport
-from shared.runners.arguments import PRELOADED, arguments
 from shared.runners.blackbox import BlackBox
 from shared.runners.clock import clock_from
 from shared.runners.devices import NO_DEVICES, Devices, device_opener
 from shared.runners.latched_disk import LatchedDisk
 from shared.runners.live_runner import LiveRunner
+from shared.runners.service_start import PRELOADED, ServiceStart, parser_of, service_start
 from shared.service import Service
 
 VELOCITY_PATH = ("base_driver", "odometry", "local_ctrl", "guard")
@@ -38,11 +37,15 @@ def main(service_class: type[Service], devices: Devices = NO_DEVICES, **sinks: C
     devices: by kind, like `web` of web://127.0.0.1, the devices that the service brings for its ports.
     """
     name = service_name(service_class.__module__)
-    options = arguments(name).parse_args()
+    preloaded = PRELOADED.get(name)
+    start = preloaded if preloaded is not None and preloaded.is_of(tuple(sys.argv[1:])) else None
+    options = start.options if start is not None else parser_of(name).parse_args()
     logging.basicConfig(level=options.log, stream=sys.stderr, format=f"%(asctime)s {name} %(levelname)s %(message)s")
     status = 1
     try:
-        _serve(service_class, name, options, devices, sinks)
+        if start is None:
+            start = service_start(name, service_class, sys.argv[1:], options)
+        _serve(service_class, name, start, devices, sinks)
         status = 0
     except UserError as error:
         sys.stderr.write(f"{name}: {error.what}\nhint: {error.hint}\n")
@@ -58,15 +61,14 @@ def main(service_class: type[Service], devices: Devices = NO_DEVICES, **sinks: C
 
 
 def _serve(
-    service_class: type[Service], name: str, options: argparse.Namespace, devices: Devices, sinks: dict[str, Any]
+    service_class: type[Service], name: str, start: ServiceStart, devices: Devices, sinks: dict[str, Any]
 ) -> None:
-    file = configured(options.robot, options.set)
-    config, robot = file.section(name, service_class.config_type), file.robot
+    options, config, robot = start.options, start.config, start.robot
     where, clock = transport.stack_address(options.stack), clock_from(options.clock)
     opened = {key: sink(config) for key, sink in sinks.items()}
     service = service_class(config, robot, **opened)
     if hasattr(service, "robot_file"):
-        service.robot_file = file.text
+        service.robot_file = start.robot_file
     if name not in PRELOADED:
         warm_up(service)
     if name in VELOCITY_PATH and not transport.asks_for_realtime():
@@ -76,7 +78,7 @@ def _serve(
     sys.setswitchinterval(0.0005)
     with transport.opened(where, name, everything=hasattr(service, "raw")) as session:
         disk = LatchedDisk(Path(options.memory), name) if options.memory else None
-        box = None if hasattr(service, "raw") else BlackBox(Path(options.crashes), name, robot.name, file.text)
+        box = None if hasattr(service, "raw") else BlackBox(Path(options.crashes), name, robot.name, start.robot_file)
         open_device = device_opener(devices, config, robot.name, where, options)
         runner = LiveRunner(
             service=service,

@@ -26,7 +26,6 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -65,16 +64,14 @@ def serve(connection: socket.socket, launcher: int) -> NoReturn:
 
 
 def preload(commands: dict[str, list[str]]) -> bool:
-    """Imports the services, and loads their kernels for their configuration. What is wrong, they say themselves.
+    """Imports the services, and loads their inputs and kernels. What is wrong, they say themselves.
 
     commands: arguments by module, like `services.guard`. Returns whether this process may fork.
     """
-    from shared.config import configured
     from shared.kernel_cache import release_intermediate_code, warm_up
     from shared.runners import live  # noqa: F401  # Zenoh's library, without a session
-    from shared.runners.arguments import PRELOADED
-    from shared.runners.arguments import arguments as arguments_of
-    from zenav.stack.service_loader import build_service
+    from shared.runners.service_start import PRELOADED, parser_of, service_start
+    from zenav.stack.service_loader import build_service, service_class
 
     logging.disable(logging.CRITICAL)
     for module, arguments in commands.items():
@@ -82,11 +79,12 @@ def preload(commands: dict[str, list[str]]) -> bool:
         if package != "services" or name in NOT_PRELOADED:
             continue
         try:
-            import_module(f"{module}.service")
-            options, _ = arguments_of(name).parse_known_args(arguments)
-            file = configured(options.robot, options.set)
-            warm_up(build_service(name, file, file.robot))
-            PRELOADED.add(name)
+            options, unknown = parser_of(name).parse_known_args(arguments)
+            if unknown:
+                continue
+            start = service_start(name, service_class(name), arguments, options)
+            warm_up(build_service(name, start.file, start.robot))
+            PRELOADED[name] = start
         except (Exception, SystemExit):  # it ends the same way in its own process, with its words
             continue
     logging.disable(logging.NOTSET)

@@ -14,18 +14,21 @@ from pathlib import Path
 import psutil
 import pytest
 
+from shared.robot_files import ROBOTS_DIR
+from shared.runners.service_start import parser_of, service_start
 from tests.unit.zenav.stack.test_launch import alive, code, until
 from zenav.stack import preloaded
 from zenav.stack.launch import ROOT, Launcher, free_stack, service_command
 from zenav.stack.preloaded import Adopted, Preloaded, split
+from zenav.stack.service_loader import service_class
 
 
 @contextmanager
-def guarded(folder: Path):
+def guarded(folder: Path, robot: str = "x80sv"):
     """A launcher whose guard runs as a fork, and its lines."""
     told: list[tuple[str, str]] = []
     with free_stack() as claim:
-        command = service_command("guard", "x80sv", str(claim.where.domain), [])
+        command = service_command("guard", robot, str(claim.where.domain), [])
         with Launcher({"guard": command}, folder, lambda *line: told.append(line)) as launcher:
             launcher.start_all()
             until(lambda: any("started" in line for _, line in told), launcher.step, 60)
@@ -78,6 +81,40 @@ def test_a_killed_fork_is_told_with_its_signal_and_forked_again(tmp_path):
         assert isinstance(child.process, Adopted)
         assert not psutil.pid_exists(first)
     assert any("killed by SIGKILL" in line for _, line in told)
+
+
+def test_a_service_that_comes_back_has_the_robot_s_file_of_now(tmp_path):
+    robot = tmp_path / "bot.yaml"
+    text = (ROBOTS_DIR / "x80sv.yaml").read_text()
+    robot.write_text(text)
+    with guarded(tmp_path, str(robot)) as (launcher, told):
+        robot.write_text(text + "\nguard: {nonsense: 1}\n")
+        os.kill(launcher.children["guard"].process.pid, signal.SIGKILL)
+        until(lambda: any("guard.nonsense is not a setting" in line for _, line in told), launcher.step)
+
+
+def test_what_was_preloaded_holds_for_the_same_arguments_and_the_same_file_alone(tmp_path):
+    robot = tmp_path / "bot.yaml"
+    text = (ROBOTS_DIR / "x80sv.yaml").read_text()
+    robot.write_text(text)
+    asked = ["--robot", str(robot)]
+    start = service_start("guard", service_class("guard"), asked, parser_of("guard").parse_args(asked))
+    assert start.is_of(tuple(asked))
+    assert not start.is_of((*asked, "--set", "guard.period=0.1"))
+    robot.write_text(text + "\n")
+    assert not start.is_of(tuple(asked))
+    robot.unlink()
+    assert not start.is_of(tuple(asked))
+    robot.write_text(text)
+    assert start.is_of(tuple(asked))
+
+
+def test_a_file_that_is_warned_of_is_read_at_each_start(tmp_path):
+    robot = tmp_path / "bot.yaml"
+    robot.write_text((ROBOTS_DIR / "x80sv.yaml").read_text() + "\nplanner: {upkeep: {}}\n")
+    asked = ["--robot", str(robot)]
+    start = service_start("planner", service_class("planner"), asked, parser_of("planner").parse_args(asked))
+    assert not start.is_of(tuple(asked))
 
 
 def test_services_outlive_the_preloaded_parent_which_is_replaced(tmp_path, monkeypatch):
