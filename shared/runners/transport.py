@@ -31,7 +31,7 @@ MAX_DOMAIN = 200
 LOG = "error,zenoh::api::session=off"  # goes to stdout, where tools write data; a session logs errors while it closes
 MAX_PAYLOAD = 4 * 2**20  # bytes of a message, a request or a reply; a whole map of 1000 tiles
 MAX_MESSAGE = 4 * MAX_PAYLOAD  # bytes that Zenoh accepts; it drops larger messages silently, so we refuse them first
-RING = 12_000  # messages that wait for the recorder: 24 s of a stack, 3 MB
+RING = 6_000  # messages that wait for the recorder: 12 s of a stack, 1.5 MB
 COMPRESSION = "transport/unicast/compression/enabled"  # LZ4 of batches: tiles of a map become a tenth
 ONE_THREAD = "(rx: (handover: net))"  # the thread that waits for the sockets also reads them
 DATA_QUEUE = 16  # batches of 64 kB a link: two, the default, overflow when a process waits 40 ms for a busy CPU

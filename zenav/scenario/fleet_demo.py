@@ -176,7 +176,7 @@ class LiveFleet:
         for name, start in zip(names, starts, strict=True):
             own = [f"sim.start={{x: {start.x!r}, y: {start.y!r}, yaw: {start.yaw!r}}}"]
             own.append(f"sim.other_discs={self._shared.n_discs(name)}")
-            self._scenarios[name] = load_scenario(f"{name}@{robot}", world, seed, [*settings, *own])
+            self._scenarios[name] = load_scenario(f"{name}@{robot}", world, seed, [*settings, *own], meets_robots=True)
         self._robots: list[LiveRobot] = []
         self._launchers: list[Launcher] = []
 

@@ -108,7 +108,7 @@ class RobotGroup:
         for name, start in zip(names, starts, strict=True):
             own = [f"sim.start={{x: {start.x!r}, y: {start.y!r}, yaw: {start.yaw!r}}}"]
             own.append(f"sim.other_discs={self._shared.n_discs(name)}")
-            scenario = load_scenario(f"{name}@{robot}", world, seed, [*settings, *own])
+            scenario = load_scenario(f"{name}@{robot}", world, seed, [*settings, *own], meets_robots=True)
             member = GroupMember(name, scenario, folder / f"{name}.mcap" if folder else None)
             member.lockstep.watch(topics.INTENT.key, partial(self._carry, name))
             self.members.append(member)

@@ -37,9 +37,17 @@ class Scenario:
 
 
 def load_scenario(
-    robot: str, world: str, seed: int, settings: list[str], hardware: Hardware = Hardware.MESSAGES
+    robot: str,
+    world: str,
+    seed: int,
+    settings: list[str],
+    hardware: Hardware = Hardware.MESSAGES,
+    meets_robots: bool = False,
 ) -> Scenario:
-    """Reads robot and world. Raises UserError where they are wrong, or the world names no goals."""
+    """Reads robot and world. Raises UserError where they are wrong, or the world names no goals.
+
+    meets_robots: whether other robots drive in this world.
+    """
     settings = [f"sim.world={json.dumps(world)}", f"sim.seed={seed}", *settings]
     file = configured(robot, settings)
     settings += settings_for(hardware, file, None)
@@ -49,7 +57,7 @@ def load_scenario(
     if not built.goals:
         raise UserError(f"world {world} names no goals", "add some under `goals:`, or take --world office")
     goals = [(name, built.start.inverse() @ pose) for name, pose in built.goals.items()]
-    names = services_for(hardware, file)
+    names = services_for(hardware, file, meets_robots)
     return Scenario(
         robot=robot,
         settings=settings,

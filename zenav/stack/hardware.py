@@ -21,6 +21,9 @@ DRIVERS = {"board": "base_driver", "laser": "lidar_driver", "laser_2": "lidar_dr
 """By port: the driver that opens it."""
 PORT_SETTINGS = {port: f"{driver}.port" for port, driver in DRIVERS.items()} | {"laser_2": "lidar_driver.laser_2.port"}
 """By port: its section in a robot's file."""
+CHOSEN = frozenset(
+    {"sim", "lidar_driver", "imu_driver", "dashboard", "gateway", "ros2", "traffic", "uplink"}
+)  # services that not every stack has
 WIRED = "wired"
 """The device of a port whose other end is in the same process."""
 
@@ -50,9 +53,14 @@ def _board_model(file: RobotFile) -> str:
     return file.section("base_driver", BaseDriverConfig).board.model
 
 
-def services_for(hardware: Hardware, file: RobotFile) -> list[str]:
-    """The services of a whole stack, in the registry's order; `up` adds those of its user's choice, as the page."""
-    wanted = set(existing_services()) - {"sim", "lidar_driver", "imu_driver", "dashboard", "gateway", "ros2", "uplink"}
+def services_for(hardware: Hardware, file: RobotFile, meets_robots: bool = False) -> list[str]:
+    """The services of a whole stack, in the registry's order; `up` adds those of its user's choice, as the page.
+
+    meets_robots: whether the stack can hear other robots, so that it needs `traffic`.
+    """
+    wanted = set(existing_services()) - CHOSEN
+    if meets_robots:
+        wanted.add("traffic")
     if hardware is not Hardware.REAL:
         wanted.add("sim")
     if hardware is Hardware.EMULATED:

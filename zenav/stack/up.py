@@ -98,7 +98,8 @@ def up(
     settings = [*uplink_settings(site), *settings] if site else settings
     file = configured(robot, settings)
     check_apart(lambda: read_sections(file))
-    names = selected_services(only, with_page(services_for(hardware, file), page), external)
+    whole = services_for(hardware, file, meets_robots=bool(where.router or site))
+    names = selected_services(only, with_page(whole, page), external)
     if remote:
         prepare_gateway(file)
         names.append(GATEWAY)

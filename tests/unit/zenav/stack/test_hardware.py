@@ -40,6 +40,13 @@ def test_a_simulated_stack_opens_none_of_the_robot_s_devices(ports, hardware):
     assert "sim" in services_for(hardware, file)
 
 
+def test_only_a_stack_that_can_hear_other_robots_has_traffic():
+    file = configured("x80sv", [])
+    alone, among = (services_for(Hardware.MESSAGES, file, meets) for meets in (False, True))
+    assert set(among) - set(alone) == {"traffic"}
+    assert set(alone) <= set(among)
+
+
 GYRO = ("base_driver.port.device=/dev/ttyUSB0", "imu_driver.port.device=/dev/ttyUSB2")
 
 
