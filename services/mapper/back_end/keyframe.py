@@ -85,6 +85,11 @@ class Keyframe:
         )
 
     @property
+    def n_bytes(self) -> int:
+        """Memory of the arrays, bytes."""
+        return sum(array.nbytes for array in (self.origins, self.ends, self.points, self.normals, self.silent))
+
+    @property
     def origin(self) -> Float64s:
         """Mean origin of the beams, (2,) m in `base`."""
         return np.asarray(np.nanmean(self.origins, axis=0, dtype=np.float64))

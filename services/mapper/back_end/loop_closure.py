@@ -83,7 +83,8 @@ class SubmapCache:
     range_max: m, of the laser.
     """
 
-    MAX_BYTES = 60_000_000  # about 60 submaps in a room, 8 in a hall
+    MAX_BYTES = 60_000_000  # with the keyframes, so that memory stays as these become more
+    MIN_BYTES = 16_000_000  # about 16 submaps in a room, 2 in a hall
 
     def __init__(
         self, registration: RegistrationConfig, occupancy: OccupancyConfig, range_max: float, config: LoopClosureConfig
@@ -112,7 +113,8 @@ class SubmapCache:
             entry = submap, build_pyramid(np.ascontiguousarray(points), self._config.search)
         if is_complete:
             self._cached[block] = entry
-            while len(self._cached) > 1 and self.n_bytes > self.MAX_BYTES:
+            limit = max(self.MIN_BYTES, self.MAX_BYTES - len(keyframes) * keyframes[row].n_bytes)
+            while len(self._cached) > 1 and self.n_bytes > limit:
                 del self._cached[next(iter(self._cached))]
         return entry
 

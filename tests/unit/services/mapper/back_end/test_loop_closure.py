@@ -237,13 +237,30 @@ def test_blocks_are_kept_within_their_memory_and_are_the_same_when_made_again(mo
     graph, keyframes, _, blocks, *_ = robot.back_end.search_arguments()
     rows = range(5, 120, 10)
     kept = [blocks.around(graph.nodes, keyframes, row) for row in rows]
-    monkeypatch.setattr(SubmapCache, "MAX_BYTES", blocks.n_bytes // 3)
-    for row, (submap, pyramid) in zip(rows, kept):
-        again, drawn_again = blocks.around(graph.nodes, keyframes, row)
-        assert_array_equal(again.registrar.map.points, submap.registrar.map.points)
-        assert_array_equal(drawn_again.levels, pyramid.levels)
-        assert blocks.n_bytes <= SubmapCache.MAX_BYTES
-    assert blocks.n_bytes > 0
+    taken = sum(keyframe.n_bytes for keyframe in keyframes)
+    for least, most in ((blocks.n_bytes // 3, 0), (0, taken + blocks.n_bytes // 3)):
+        monkeypatch.setattr(SubmapCache, "MIN_BYTES", least)
+        monkeypatch.setattr(SubmapCache, "MAX_BYTES", most)
+        for row, (submap, pyramid) in zip(rows, kept):
+            again, drawn_again = blocks.around(graph.nodes, keyframes, row)
+            assert_array_equal(again.registrar.map.points, submap.registrar.map.points)
+            assert_array_equal(drawn_again.levels, pyramid.levels)
+            assert blocks.n_bytes <= max(least, 1.05 * (most - taken))
+        assert blocks.n_bytes > 0
+
+
+def test_the_memory_of_a_map_stays_when_its_keyframes_become_more(monkeypatch):
+    monkeypatch.setattr(SubmapCache, "MIN_BYTES", 0)
+    robot = DriftingRobot(drift=Pose2())
+    robot.drives(islice(laps(), LAP))
+    graph, keyframes, _, blocks, *_ = robot.back_end.search_arguments()
+    monkeypatch.setattr(SubmapCache, "MAX_BYTES", sum(keyframe.n_bytes for keyframe in keyframes) + blocks.n_bytes)
+    sums = []
+    for n in range(60, len(keyframes), 20):
+        for row in range(5, n - 25, 10):
+            blocks.around(graph.nodes[:n], keyframes[:n], row)
+        sums.append(blocks.n_bytes + sum(keyframe.n_bytes for keyframe in keyframes[:n]))
+    assert max(sums) <= 1.05 * SubmapCache.MAX_BYTES
 
 
 def test_who_turns_on_the_spot_for_ever_keeps_a_graph_of_one_size():
