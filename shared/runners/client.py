@@ -33,6 +33,7 @@ R = TypeVar("R", bound=Message)
 Callback = Callable[[M, Envelope], None]
 
 SETTLING_S = 1.0  # within which a new session learns which services answer, on a busy machine too
+ASK_AGAIN_S = 0.05
 CLOCK_AGE = 2.0  # s without `sim/clock` after which the stack's clock is taken for the wall's again
 
 
@@ -160,7 +161,17 @@ class Client:
             return self.changed.wait_for(newest_that_holds, timeout)
 
     def latched_value(self, topic: Topic[M], timeout: float = 3.0) -> M | None:
-        """The value that a latched topic's publisher keeps for late joiners; None where none has one in `timeout` s."""
+        """The value that a latched topic's publisher keeps for late joiners; None where none has one in `timeout` s.
+
+        A new session asks again until it knows the services: a query that finds none ends at once.
+        """
+        found = self._kept_value(topic, timeout)
+        while found is None and time.monotonic() < self._settled:
+            threading.Event().wait(ASK_AGAIN_S)
+            found = self._kept_value(topic, timeout)
+        return found
+
+    def _kept_value(self, topic: Topic[M], timeout: float) -> M | None:
         best: tuple[int, M] | None = None
         for reply in self.session.get(f"{self.robot}/{topic.key}", timeout=timeout):
             if reply.ok is None:

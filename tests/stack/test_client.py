@@ -274,6 +274,14 @@ def test_a_tool_that_comes_late_gets_the_whole_map(where):
             assert len(late.latched_value(topics.MAP).rows) == 3
 
 
+def test_a_new_session_waits_for_a_kept_value_until_its_service_is_known(where, monkeypatch):
+    monkeypatch.setattr("shared.runners.client.SETTLING_S", 20.0)
+    with Client(ROBOT.name, where) as client, ThreadPoolExecutor() as asking:
+        asked = asking.submit(client.latched_value, topics.MAP)
+        with running(TileMapper(), "mapper", where):
+            assert asked.result(30) is not None
+
+
 def test_echo_and_hz_are_data(where, capsys):
     with running(StopGuard(), "guard", where):
         assert _status(["topic", "echo", "guard/status", "-n", "3", "--json", "--stack", str(where.domain)]) == 0

@@ -127,23 +127,25 @@ def up(
     from zenav.client.map_modes import OnMap
     from zenav.stack.hardware import Hardware
     from zenav.stack.page import host_settings
-    from zenav.stack.up import up
+    from zenav.stack.up import UpOptions, up
 
     up(
-        robot,
-        world,
-        Hardware(hardware) if hardware else None,
-        [name for name in only.split(",") if name],
-        speed,
-        stack,
-        [*(set_ or []), *host_settings(page_host)],
-        OnMap.of(saved_map, MapMode(mode), at) if saved_map else None,
-        page,
-        browser,
-        remote,
-        [name for name in external.split(",") if name],
-        ros2,
-        site,
+        UpOptions(
+            robot=robot,
+            world=world,
+            hardware=Hardware(hardware) if hardware else None,
+            only=[name for name in only.split(",") if name],
+            speed=speed,
+            stack=stack,
+            settings=[*(set_ or []), *host_settings(page_host)],
+            on_map=OnMap.of(saved_map, MapMode(mode), at) if saved_map else None,
+            page=page,
+            browser=browser,
+            remote=remote,
+            external=[name for name in external.split(",") if name],
+            ros2=ros2,
+            site=site,
+        )
     )
 
 

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 from shared import requests, topics
@@ -15,7 +16,7 @@ from shared.extensions import service_module
 from shared.messages import Health
 from shared.runners.clock import clock_from
 from shared.runners.presence import announce
-from shared.runners.transport import stack_address
+from shared.runners.transport import StackAddress, stack_address
 from shared.topics import SERVICES
 from zenav.client import Client
 from zenav.client.map_modes import OnMap
@@ -53,7 +54,7 @@ def run_service(service: str, robot: str, stack: str, settings: list[str], clock
     runpy.run_module(service_module(service), run_name="__main__", alter_sys=True)
 
 
-def selected_services(only: list[str], whole: list[str], external: Sequence[str] = ()) -> list[str]:
+def selected_services(only: Sequence[str], whole: list[str], external: Sequence[str] = ()) -> list[str]:
     """The services to start, in the registry's order, without the external ones. Raises UserError on a wrong name."""
     names = tuple(existing_services())
     for name in (*only, *external):
@@ -65,91 +66,134 @@ def selected_services(only: list[str], whole: list[str], external: Sequence[str]
     return selected
 
 
-def up(
-    robot: str,
-    world: str,
-    hardware: Hardware | None,
-    only: list[str],
-    speed: float,
-    stack: str,
-    settings: list[str],
-    on_map: OnMap | None,
-    page: bool = True,
-    browser: bool = True,
-    remote: bool = False,
-    external: Sequence[str] = (),
-    ros2: str = "",
-    site: str = "",
-) -> None:
-    """Runs the services until Ctrl-C. hardware: None is the simulator's messages with a world, else the real robot.
+@dataclass(frozen=True, kw_only=True)
+class UpOptions:
+    """What a user asks of `zenav up`. Defaults: the whole stack of x80sv on the real robot, with a page.
 
-    on_map: what the mapper begins with; a new map without it.  page: whether the page's server runs, and `browser`:
-    whether a browser shows it in a desktop session.  remote: whether members reach the stack from other computers.
-    external: services that are not started, because programs of the user take their place.
+    hardware: None is the simulator's messages with a world, else the real robot.
+    only, external: services; external ones are not started, because programs of the user take their place.
+    on_map: what the mapper begins with; a new map without it.
+    page, browser: whether the page is served, and a browser shows it in a desktop session.
+    remote: whether members reach the stack from other computers.
 
-    ros2: the router of ROS 2 nodes, as tcp/HOST:7447; empty: no bridge.  site: that of a site, as tls/HOST:7449.
+    ros2, site: routers of ROS 2 nodes and of a site, as tcp/HOST:7447 and tls/HOST:7449; empty: none.
     """
+
+    robot: str = "x80sv"
+    world: str = ""
+    hardware: Hardware | None = None
+    only: Sequence[str] = ()
+    speed: float = 1.0
+    stack: str = "0"
+    settings: Sequence[str] = ()
+    on_map: OnMap | None = None
+    page: bool = True
+    browser: bool = True
+    remote: bool = False
+    external: Sequence[str] = ()
+    ros2: str = ""
+    site: str = ""
+
+
+@dataclass(slots=True)
+class _StackPlan:
+    """The checked options: services to start, with their settings, and the map to begin with until it is given."""
+
+    options: UpOptions
+    hardware: Hardware
+    where: StackAddress
+    file: RobotFile
+    names: list[str]
+    settings: list[str]
+    saved: bytes | None
+    url: str  # of the page; empty: none
+
+
+def up(options: UpOptions) -> None:
+    """Runs the services until Ctrl-C. Raises UserError where the options are wrong, before any process starts."""
     limit_heap()  # before the first thread
-    hardware = _checked_hardware(hardware, world, speed, external)
-    settings = [*settings, *([f"sim.world={world}"] if world else [])]
-    where = stack_address(stack)
-    settings = with_gateway(settings, where) if remote else settings
-    settings = [*ros2_settings(ros2), *settings] if ros2 else settings
-    settings = [*uplink_settings(site), *settings] if site else settings
-    file = configured(robot, settings)
-    check_apart(lambda: read_sections(file))
-    whole = services_for(hardware, file, meets_robots=bool(where.router or site))
-    names = selected_services(only, with_page(whole, page), external)
-    if remote:
-        prepare_gateway(file)
-        names.append(GATEWAY)
-    if ros2:
-        check_router(file)
-        names.append(ROS2)
-    if site:
-        check_uplink(file)
-        names.append(UPLINK)
-    if "sim" in names:
-        check_apart(lambda: simulated_world(file))  # a wrong world is an error before any process starts
-    saved = None if on_map is None else on_map.read(file)  # so is a damaged map
-    if on_map is not None and not any(setting.startswith("recorder.attach=") for setting in settings):
-        settings.append(f"recorder.attach={json.dumps(on_map.files())}")
-    warm_first(robot, [*settings, *settings_for(hardware, file, None)], names)
-    url = page_url(file, where) if SERVICE in names else ""
-    prepare_page(url)
-    clock = "" if speed == 1.0 else f"{time.time_ns()}:{speed:g}"
+    plan = _planned(options)
+    clock = "" if options.speed == 1.0 else f"{time.time_ns()}:{options.speed:g}"
     clock_from(clock)
     with stop_on_signal() as stop, ExitStack() as open_things:
-        if not where.router:
-            open_things.enter_context(claim_stack(where.domain))
+        if not plan.where.router:
+            open_things.enter_context(claim_stack(plan.where.domain))
         folder = new_run_folder("up")
-        settings += settings_for(hardware, file, folder)
-        commands = {name: service_command(name, robot, stack, settings, clock, folder / "memory") for name in names}
-        _print_zenav(f"{', '.join(names)}; logs in {folder}; Ctrl-C ends them")
-        if url:
-            _print_zenav(f"the page is at {url}")
-        if remote:
-            _print_zenav(f"members connect to {gateway_address(file)}")
-        _print_hardware(hardware, file, folder, is_whole=not only)
-        launcher = open_things.enter_context(Launcher(commands, folder, _print_line, 1 / speed))
-        client = open_things.enter_context(Client(file.robot.name, where))
-        token = announce(client.session, file.robot.name, is_shared=bool(where.router))
+        settings = [*plan.settings, *settings_for(plan.hardware, plan.file, folder)]
+        commands = {
+            name: service_command(name, options.robot, options.stack, settings, clock, folder / "memory")
+            for name in plan.names
+        }
+        _print_start(plan, folder)
+        launcher = open_things.enter_context(Launcher(commands, folder, _print_line, 1 / options.speed))
+        client = open_things.enter_context(Client(plan.file.robot.name, plan.where))
+        token = announce(client.session, plan.file.robot.name, is_shared=bool(plan.where.router))
         open_things.callback(token.undeclare)
-        expected = expected_topics(names, external, file) if external or not only else []
-        watch = ExternalWatch(client, expected, file.robot, _print_zenav)
-        if external:
-            keys = ", ".join(topic.key for topic in expected) or "no messages"
-            _print_zenav(f"{', '.join(external)}: not started here; waits for {keys}")
-        running = _RunningStack(launcher, watch, PageOpener(url, browser), folder)
+        watch = _external_watch(plan, client)
+        running = _RunningStack(launcher, watch, PageOpener(plan.url, options.browser), folder)
         client.listen(topics.HEALTH, lambda health, _: running.hear(health))
         launcher.start_all(lambda name: name in running.ready, stop.is_set)
-        if on_map is not None and saved is not None and not stop.is_set():
-            client.answers(requests.GIVE_MAP, START_LIMIT)
-            on_map.give(client, saved)
-            saved = None
-            release_free_memory()
-            _print_zenav(f"the mapper has the map of {on_map.folder}: {on_map.mode}")
+        if not stop.is_set():
+            _give_map(plan, client)
         running.run_until(stop)
+
+
+def _planned(options: UpOptions) -> _StackPlan:
+    """Checks the options. Raises UserError."""
+    hardware = chosen_hardware(options)
+    where = stack_address(options.stack)
+    settings = [*options.settings, *([f"sim.world={options.world}"] if options.world else [])]
+    settings = with_gateway(settings, where) if options.remote else settings
+    settings = [*ros2_settings(options.ros2), *settings] if options.ros2 else settings
+    settings = [*uplink_settings(options.site), *settings] if options.site else settings
+    file = configured(options.robot, settings)
+    check_apart(lambda: read_sections(file))
+    whole = services_for(hardware, file, meets_robots=bool(where.router or options.site))
+    names = selected_services(options.only, with_page(whole, options.page), options.external)
+    names += _checked_links(options, file)
+    if "sim" in names:
+        check_apart(lambda: simulated_world(file))
+    saved = None if options.on_map is None else options.on_map.read(file)
+    if options.on_map is not None and not any(setting.startswith("recorder.attach=") for setting in settings):
+        settings = [*settings, f"recorder.attach={json.dumps(options.on_map.files())}"]
+    warm_first(options.robot, [*settings, *settings_for(hardware, file, None)], names)
+    url = page_url(file, where) if SERVICE in names else ""
+    prepare_page(url)
+    return _StackPlan(
+        options=options,
+        hardware=hardware,
+        where=where,
+        file=file,
+        names=names,
+        settings=settings,
+        saved=saved,
+        url=url,
+    )
+
+
+def _checked_links(options: UpOptions, file: RobotFile) -> list[str]:
+    """The services that link the stack to others, as the user asked. Raises UserError where they cannot run."""
+    names = []
+    if options.remote:
+        prepare_gateway(file)
+        names.append(GATEWAY)
+    if options.ros2:
+        check_router(file)
+        names.append(ROS2)
+    if options.site:
+        check_uplink(file)
+        names.append(UPLINK)
+    return names
+
+
+def _external_watch(plan: _StackPlan, client: Client) -> ExternalWatch:
+    """Watches the messages of programs that take the place of services."""
+    external = plan.options.external
+    expected = expected_topics(plan.names, external, plan.file) if external or not plan.options.only else []
+    if external:
+        keys = ", ".join(topic.key for topic in expected) or "no messages"
+        _print_zenav(f"{', '.join(external)}: not started here; waits for {keys}")
+    return ExternalWatch(client, expected, plan.file.robot, _print_zenav)
 
 
 class _RunningStack:
@@ -191,6 +235,27 @@ class _RunningStack:
         return len(self.ready) == len(self.launcher.commands)
 
 
+def _give_map(plan: _StackPlan, client: Client) -> None:
+    """Lets the mapper begin with the saved map, if there is one."""
+    on_map = plan.options.on_map
+    if on_map is not None and plan.saved is not None:
+        client.answers(requests.GIVE_MAP, START_LIMIT)
+        on_map.give(client, plan.saved)
+        plan.saved = None
+        release_free_memory()
+        _print_zenav(f"the mapper has the map of {on_map.folder}: {on_map.mode}")
+
+
+def _print_start(plan: _StackPlan, folder: Path) -> None:
+    """Says what starts, and where the user finds it."""
+    _print_zenav(f"{', '.join(plan.names)}; logs in {folder}; Ctrl-C ends them")
+    if plan.url:
+        _print_zenav(f"the page is at {plan.url}")
+    if plan.options.remote:
+        _print_zenav(f"members connect to {gateway_address(plan.file)}")
+    _print_hardware(plan.hardware, plan.file, folder, is_whole=not plan.options.only)
+
+
 def _print_hardware(hardware: Hardware, file: RobotFile, folder: Path, is_whole: bool) -> None:
     """Says what the stack expects of a real robot, or where emulated ports are."""
     if hardware is Hardware.REAL and is_whole:
@@ -211,13 +276,14 @@ def _print_line(name: str, line: str) -> None:
     sys.stderr.flush()
 
 
-def _checked_hardware(hardware: Hardware | None, world: str, speed: float, external: Sequence[str]) -> Hardware:
-    """The hardware that fits the other arguments. Raises UserError where none does."""
-    if "sim" in external:
-        if world or hardware is not None or speed != 1.0:
+def chosen_hardware(options: UpOptions) -> Hardware:
+    """The hardware that fits the other options. Raises UserError where none does."""
+    world, speed = options.world, options.speed
+    if "sim" in options.external:
+        if world or options.hardware is not None or speed != 1.0:
             raise UserError("an external simulator has its own world", "leave out --world, --hardware and --speed")
         return Hardware.MESSAGES
-    chosen = hardware or (Hardware.MESSAGES if world else Hardware.REAL)
+    chosen = options.hardware or (Hardware.MESSAGES if world else Hardware.REAL)
     if (chosen is Hardware.REAL) == bool(world):
         hint = "leave out --world" if world else "name one: --world office"
         raise UserError(f"{chosen} hardware is {'not ' if world else ''}in a simulated world", hint)

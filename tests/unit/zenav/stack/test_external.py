@@ -13,7 +13,7 @@ from shared.config import UserError, configured, load_robot
 from shared.messages import BoardReport
 from zenav.stack.external import ALL_RUN, PERIOD_S, ExternalWatch, expected_topics
 from zenav.stack.hardware import Hardware
-from zenav.stack.up import _checked_hardware, selected_services
+from zenav.stack.up import UpOptions, chosen_hardware, selected_services
 
 FILE = load_robot("x80sv")
 NOW = 1_700_000_000_000_000_000
@@ -88,8 +88,8 @@ def test_a_wrong_external_service_is_an_error_with_a_hint():
         selected_services([], ["guard"], ["simm"])
     with pytest.raises(UserError, match="no service is left"):
         selected_services(["sim"], [], ["sim"])
-    assert _checked_hardware(None, "", 1.0, ["sim"]) is Hardware.MESSAGES
-    assert _checked_hardware(None, "", 1.0, ["base_driver"]) is Hardware.REAL
-    for arguments in ((None, "office", 1.0), (Hardware.EMULATED, "", 1.0), (None, "", 2.0)):
+    assert chosen_hardware(UpOptions(external=["sim"])) is Hardware.MESSAGES
+    assert chosen_hardware(UpOptions(external=["base_driver"])) is Hardware.REAL
+    for wrong in ({"world": "office"}, {"hardware": Hardware.EMULATED}, {"speed": 2.0}):
         with pytest.raises(UserError, match="own world"):
-            _checked_hardware(*arguments, ["sim"])
+            chosen_hardware(UpOptions(external=["sim"], **wrong))
