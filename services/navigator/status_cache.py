@@ -106,7 +106,7 @@ class StatusCache:
         return told[0].waits_for
 
     def _waiting_reason(self, now: int) -> Reason | None:
-        """Whether the robot stands for other robots, or makes way for them."""
+        """Whether the robot waits for other robots, or makes way for them."""
         follow = self._follow
         if follow is None or abs(now - follow[1]) > _MAX_FOLLOW_AGE_NS or not self.waited_for(now):
             return None

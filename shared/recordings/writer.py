@@ -212,7 +212,7 @@ class _File:
 class _ChunkIndexes:
     """Takes the place of mcap's list of chunk indexes, and keeps their bytes alone.
 
-    An index is an object of 4 kB with 40 channels, and 0.5 kB in the file. A recording of two hours has 20,000 of them.
+    An index with 40 channels is an object of 2.7 kB, and 0.5 kB in the file. A recording has two or more a second.
     """
 
     def __init__(self) -> None:

@@ -3,6 +3,7 @@
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Hashable
 from dataclasses import replace
 from typing import Any
@@ -45,7 +46,7 @@ class Latencies:
             self.ms.append((at - sent) * 1e3)
 
 
-class BridgeTraffic:
+class BridgeTraffic(ABC):
     """What both directions have in common: its publishers, and a tick 50 times a second."""
 
     def __init__(self, stack: Client, node: zenoh.Session, types: RosTypes) -> None:
@@ -67,9 +68,9 @@ class BridgeTraffic:
             due += TICK_S
             threading.Event().wait(max(0.0, due - time.monotonic()))
 
+    @abstractmethod
     def tick(self, i: int) -> None:
         """Publishes what is due."""
-        raise NotImplementedError
 
     def clear(self) -> None:
         """Forgets what was measured so far."""

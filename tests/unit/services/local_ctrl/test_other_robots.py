@@ -10,35 +10,23 @@ import pytest
 from services.local_ctrl.local_plan import SPACING
 from services.local_ctrl.other_robots import LocalTraffic, without_robots
 from services.local_ctrl.rollout import limits_of
+from services.traffic.outgoing import no_other_robot
 from shared import reasons
 from shared.config import load_robot
 from shared.geometry import Pose2
-from shared.messages import OtherRobots, RightOfWay
+from shared.messages import OtherRobots
 from shared.types import NS_PER_S
 
 NOW = 10**13
-NONE = np.zeros(0, np.float32)
 PATH = np.column_stack((SPACING * np.arange(100), np.zeros(100)))
 LIMITS = limits_of(load_robot("x80sv").robot.drive, 10.0, 0.15)
 
 
 def told(n, **changes):
     """The right of way along n points of PATH, 0.3 m apart."""
-    message = RightOfWay(
-        stamp=NOW,
-        active=True,
-        xs=(0.3 * np.arange(n)).astype(np.float32),
-        ys=np.zeros(n, np.float32),
-        whole=False,
-        waits_for=("blue",),
-        gives_way=False,
-        refuge=Pose2(),
-        speed_share=1.0,
-        closed_xs=NONE,
-        closed_ys=NONE,
-        closed_radii=NONE,
-    )
-    return replace(message, **changes)
+    xs, ys = (0.3 * np.arange(n)).astype(np.float32), np.zeros(n, np.float32)
+    held = replace(no_other_robot(NOW), active=True, xs=xs, ys=ys, whole=False, waits_for=("blue",))
+    return replace(held, **changes)
 
 
 def traffic(message):

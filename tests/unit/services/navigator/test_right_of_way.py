@@ -1,37 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot that waits for another one, or makes way for it, is not stuck: no recovery, and it says for which robot."""
 
-import numpy as np
+from dataclasses import replace
+
 import pytest
 
 from services.navigator.config import NavigatorConfig
 from services.navigator.goal_attempt import GoalAttemptConfig
+from services.traffic.outgoing import no_other_robot
 from shared import reasons
 from shared.geometry import Pose2
-from shared.messages import FollowState, NavState, RightOfWay
+from shared.messages import FollowState, NavState
 from shared.requests import Navigate
 from tests.unit.services.navigator.bench import NavigatorBench
-
-NONE = np.zeros(0, np.float32)
 
 
 def tell(bench, gives_way=False):
     bench.call(
         "right_of_way",
-        RightOfWay(
-            stamp=bench.now,
-            active=True,
-            xs=NONE,
-            ys=NONE,
-            whole=False,
-            waits_for=("blue",),
-            gives_way=gives_way,
-            refuge=Pose2(),
-            speed_share=1.0,
-            closed_xs=NONE,
-            closed_ys=NONE,
-            closed_radii=NONE,
-        ),
+        replace(no_other_robot(bench.now), active=True, whole=False, waits_for=("blue",), gives_way=gives_way),
     )
 
 
