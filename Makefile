@@ -149,11 +149,13 @@ sbom: venv ## the list of software of requirements.hashes.txt, CycloneDX 1.6: di
 	list environment .venv -o "$$work/environment.json"
 	$(BIN)/python -m tests.sbom "$$work/requirements.json" "$$work/environment.json" dist/zenav.cdx.json
 
-wheel: .venv/.made ## the wheel and the source distribution, in dist/
-	@rm -rf dist build
+wheel: venv ## the wheel, with the kernels of this kind of computer, and the source distribution: in dist/
+	@rm -rf dist build zenav/prebuilt_kernels.zip
+	trap 'rm -rf build zenav/prebuilt_kernels.zip zenav.egg-info' EXIT
 	# setuptools of .venv, as pinned; a warning of it is an error's first half, so it is shown
-	$(BIN)/python -c 'from setuptools.build_meta import build_sdist, build_wheel; build_sdist("dist"); build_wheel("dist")' > /dev/null
-	rm -rf build zenav.egg-info
+	$(BIN)/python -c 'from setuptools.build_meta import build_sdist; build_sdist("dist")' > /dev/null
+	env -u NUMBA_CACHE_DIR $(BIN)/python -m zenav.stack.warm zenav/prebuilt_kernels.zip
+	$(BIN)/python -c 'from setuptools.build_meta import build_wheel; build_wheel("dist")' > /dev/null
 	ls dist
 
 clean: ## remove all that was made, .venv too

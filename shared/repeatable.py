@@ -56,6 +56,11 @@ def processor() -> str:
     return f"{platform.machine()} {os.environ.get('NUMBA_CPU_NAME', 'as it is')}"  # noqa: TID251
 
 
+def is_portable() -> bool:
+    """Whether that target is a kind of processor, and not this one alone."""
+    return "NUMBA_CPU_NAME" in os.environ  # noqa: TID251
+
+
 def _numpy_version() -> tuple[int, int]:
     """Major and minor, from numpy's own file: importing numpy, or importlib.metadata, costs a command its answer."""
     spec = find_spec("numpy")

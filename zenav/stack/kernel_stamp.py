@@ -86,7 +86,7 @@ def code_digest(root: Path = ROOT) -> CodeDigest:
             source = path.read_bytes()
             if package != "zenav":  # no service's code
                 sources.update(source)
-            if b"@njit" in source or b"@numba" in source:
+            if b"\n@njit" in source:
                 kernels.update(source)
     return CodeDigest(kernels.hexdigest(), sources.hexdigest())
 
@@ -99,9 +99,13 @@ def warm_key(service: str, file: RobotFile, section: dict[str, Any]) -> str:
     """
     robot = file.robot.model_dump(mode="json", exclude={"name"})
     form = json.dumps([_form(robot), _form(section)], sort_keys=True)
-    python = f"py{sys.version_info[0]}.{sys.version_info[1]}"
     digest = hashlib.sha256(form.encode()).hexdigest()[:12]
-    return f"{service} {digest} {python} numba {version('numba')} {processor()}"
+    return f"{service} {digest} {kernel_target()}"
+
+
+def kernel_target() -> str:
+    """The computers that kernels compiled here serve: versions and processor."""
+    return f"py{sys.version_info[0]}.{sys.version_info[1]} numba {version('numba')} {processor()}"
 
 
 def _stamp(cache: Path) -> dict[str, Any]:

@@ -2,7 +2,8 @@
 """Compiles kernels into numba's cache, so that none compiles while the robot drives.
 
 `zenav up` and `zenav demo` call `warm_first`. `zenav warm` does it ahead. `python -m zenav.stack.warm` warms all that
-the built-in robots drive by, which is what tests and the image need.
+the built-in robots drive by, which is what tests and the image need. With a path it writes these kernels into that
+archive, for a wheel.
 """
 
 import shared.repeatable  # noqa: F401  # before numpy; numba compiles for the machine that it names
@@ -16,7 +17,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -24,6 +25,7 @@ from typing import Any
 
 from shared.config import RobotFile, UserError, configured
 from shared.kernel_cache import ROOT
+from shared.robot_files import ROBOTS_DIR
 from shared.topics import SERVICES
 from zenav.stack.kernel_stamp import (
     cache_lock,
@@ -34,6 +36,7 @@ from zenav.stack.kernel_stamp import (
     warm_key,
     write_stamp,
 )
+from zenav.stack.prebuilt_kernels import collect, copy_prebuilt
 from zenav.stack.service_loader import service_class
 
 ROBOTS: tuple[tuple[str, list[str]], ...] = (
@@ -68,12 +71,19 @@ class Times:
     wall: float = 0.0
 
 
-def main() -> None:
-    """Warms every service with every robot, and says how long each took."""
-    times = warm([task for robot, settings in ROBOTS for task in tasks_for(robot, settings, SERVICES)])
+def main(arguments: Sequence[str]) -> None:
+    """Warms every service, and says how long each took. arguments: an archive for all robots' kernels, or none."""
+    on_hardware = ["base_driver.port.device=/dev/ttyUSB0"]
+    names = [path.stem for path in sorted(ROBOTS_DIR.glob("*.yaml"))] if arguments else []
+    built_in = [(name, settings) for name in names for settings in ([], on_hardware)]
+    tasks = [task for robot, settings in (*ROBOTS, *built_in) for task in tasks_for(robot, settings, SERVICES)]
+    times = warm(tasks)
     for name, seconds in times.services.items():
         sys.stdout.write(f"{name:<16}{seconds:6.1f} s\n")
     sys.stdout.write(f"{len(times.kernels)} kernels compiled in {times.wall:.1f} s\n")
+    for archive in arguments:
+        n = collect({task.key for task in tasks}, Path(archive))
+        sys.stdout.write(f"{n} kernels in {archive}\n" if n else "kernels compiled here serve no other processor\n")
 
 
 def report(robot: str, settings: list[str], every: bool, again: bool, times_too: bool) -> None:
@@ -116,6 +126,8 @@ def warm(tasks: list[Task], again: bool = False) -> Times:
     with cache_lock(cache):
         clear_stale(cache, code, again)
         warmed = read_stamp(cache, code)  # another process may have compiled while this one waited
+        if not warmed and not again and (warmed := copy_prebuilt(cache)):
+            write_stamp(cache, code, warmed)
         due = list({task.key: task for task in tasks if task.key not in warmed}.values())
         if due:
             begun = time.monotonic()
@@ -242,4 +254,4 @@ def _section(name: str, file: RobotFile) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -159,7 +159,7 @@ def test_the_digest_tells_files_with_kernels_from_those_that_call_them(tmp_path)
     for package in ("services", "shared", "zenav"):
         (tmp_path / package).mkdir()
     kernel, caller, tool = (tmp_path / name for name in ("shared/a.py", "services/b.py", "zenav/c.py"))
-    kernel.write_text("@njit\ndef f(): ...\n")
+    kernel.write_text("import numba\n@njit\ndef f(): ...\n")
     first = code_digest(tmp_path)
     tool.write_text("x = 1\n")
     assert code_digest(tmp_path) == first
@@ -167,5 +167,5 @@ def test_the_digest_tells_files_with_kernels_from_those_that_call_them(tmp_path)
     second = code_digest(tmp_path)
     assert second.kernels == first.kernels
     assert second.sources != first.sources
-    kernel.write_text("@njit\ndef g(): ...\n")
+    kernel.write_text("import numba\n@njit\ndef g(): ...\n")
     assert code_digest(tmp_path).kernels != first.kernels
