@@ -34,8 +34,9 @@ class Admission:
         self._sequence = -1
         self._sent = 0
         self._heard = 0
+        self._arrived = -1  # the last sequence that came as a message, not as a kept value
         self.words = ""
-        """Fault of the last message that was OLD."""
+        """Fault of the last message that was OLD; none where a kept value had brought it already."""
         self.complete = True
         """Whether no message of the publisher's session is missing since its first one, or since a latched value."""
 
@@ -51,6 +52,8 @@ class Admission:
             heard = envelope.sequence == self._sequence and (self.complete or not kept)
             if envelope.sequence < self._sequence or heard:
                 self.words = "the sequence stands still" if heard else "the sequence goes back"
+                if not kept and envelope.sequence > self._arrived:
+                    self._arrived, self.words = envelope.sequence, ""
                 return Verdict.OLD
             gap = envelope.sequence > self._sequence + 1
             self.complete = kept or (self.complete and not gap)
@@ -68,6 +71,9 @@ class Admission:
             gap = False
         if envelope.session != self._session:
             self.complete = kept or envelope.sequence == 0
+            self._arrived = -1
+        if not kept:
+            self._arrived = envelope.sequence
         self._session, self._sequence, self._heard = envelope.session, envelope.sequence, now
         self._sent = min(envelope.sent, now)  # a clock that is ahead must not make later messages old
         return Verdict.GAP if gap else Verdict.TAKE

@@ -256,9 +256,9 @@ class LiveRunner:
         if topic.latched and not latched and not self._admissions[key].complete:  # an answer asks for no other
             self._latched_readers[key].refresh()
         if verdict is Verdict.OLD:
-            if not latched:
+            if not latched and (words := self._admissions[key].words):
                 self.stats.old += 1
-                self._refusals.sequence(key, self._admissions[key].words)
+                self._refusals.sequence(key, words)
             return
         if self._senders.get(key) != envelope.session:
             self._senders[key] = envelope.session

@@ -76,6 +76,21 @@ def test_what_is_kept_is_taken_where_its_last_part_was_overheard():
     assert admission.complete
 
 
+@given(st.integers(0, 4), st.integers(0, 4), st.sets(st.integers(0, 8)))
+def test_a_message_that_a_kept_value_overtook_is_no_fault_but_its_repetition_is(position, overtaken, lost):
+    admission = Admission(topics.MAP)
+    mapper = [at(n, n, publisher="mapper") for n in range(10)]
+    for envelope in mapper:
+        if envelope.sequence == position:
+            admission.judge(mapper[position + overtaken], 10, kept=True)
+        if envelope.sequence not in lost and admission.judge(envelope, 10) is Verdict.OLD:
+            assert admission.words == ""
+            assert envelope.sequence <= position + overtaken
+    for envelope in mapper:
+        assert admission.judge(envelope, 11) is Verdict.OLD
+        assert admission.words
+
+
 @given(st.lists(st.tuples(st.integers(0, 12), st.booleans()), max_size=30))
 def test_complete_means_that_nothing_is_missing(arrivals):
     admission, have = Admission(topics.MAP), set[int]()

@@ -75,6 +75,10 @@ class LockstepStack:
     def kill(self, name: str) -> None:
         self.lockstep.kill(name)
 
+    def is_back(self, name: str) -> bool:
+        """Never by itself."""
+        return False
+
     def start(self, name: str) -> None:
         self.lockstep.start(name, build_service(name, self.file, self.file.robot))
 
@@ -138,14 +142,14 @@ class LiveStack:
             self._killed = process.pid
             os.kill(process.pid, signal.SIGKILL)
 
-    def start(self, name: str) -> None:
-        """Waits until the launcher has started it again, and it is heard."""
+    def is_back(self, name: str) -> bool:
+        """Whether the launcher has started it again, and it is heard."""
         child = self.launcher.children[name]
+        return child.heard > 0 and child.process is not None and child.process.pid != self._killed
 
-        def back() -> bool:
-            return child.heard > 0 and child.process is not None and child.process.pid != self._killed
-
-        self.run(MAX_START_S, back)
+    def start(self, name: str) -> None:
+        """Waits until it is back."""
+        self.run(MAX_START_S, partial(self.is_back, name))
 
 
 @contextmanager

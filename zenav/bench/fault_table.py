@@ -28,7 +28,7 @@ class FaultRow:
     reasons: any of these codes is true; none: not judged.
     limit: ms to the zero command in the modes `stops`; in others of `creeps`, to at most the guard's blind speed.
     detail: a pattern that the reason's detail must hold.   resumes: whether work must go on after the fault;
-    a fault of the hardware ends the task.
+    a fault of the hardware ends the task.   hand: m/s and rad/s by which a hand goes on after it.
     live_only: lockstep has nothing that it could break.
     """
 
@@ -39,7 +39,13 @@ class FaultRow:
     creeps: frozenset[DriveMode] = frozenset()
     detail: str = ""
     resumes: bool = True
+    hand: tuple[float, float] = 0.0, 0.5
     live_only: bool = False
+
+    @property
+    def killed(self) -> str:
+        """The service that the fault kills, or nothing."""
+        return self.name.removeprefix("kill ") if self.name.startswith("kill ") else ""
 
 
 def _blind(name: str, limit: float = SOON) -> FaultRow:
@@ -81,7 +87,9 @@ FAULT_ROWS: tuple[FaultRow, ...] = (
     FaultRow("encoder_jumps", frozenset({"encoders_jump"}), SOON),
     FaultRow("sonar_dead", frozenset({"sensor_dead"}), SOON, resumes=False),
     FaultRow("ranges_missing", frozenset({"wrong_ranges"}), SOON, resumes=False),
-    FaultRow("bumper", frozenset({"bumper"}), AT_ONCE, detail="front"),
+    FaultRow(
+        "bumper", frozenset({"bumper"}), AT_ONCE, detail="front", hand=(-0.2, 0.0)
+    ),  # what was touched stays there
     FaultRow("cliff", frozenset({"cliff"}), AT_ONCE, detail="ahead"),
     FaultRow("estop_input", frozenset({"estop_input"}), AT_ONCE, resumes=False),
     FaultRow("contacts_silent", frozenset({"contacts_old"}), SOON),

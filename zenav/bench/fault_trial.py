@@ -7,6 +7,7 @@ import tempfile
 import threading
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from math import inf, pi
 from pathlib import Path
 from typing import Any, Protocol
@@ -72,7 +73,7 @@ class FaultTrial:
 class FaultResult:
     """What came of a trial; times in ms from the fault on, infinite where it never came. `trouble`: no trial at all.
 
-    lasts: s of the fault.
+    lasts: s of the fault; of a kill, until the service is heard again.
     """
 
     fault: str
@@ -171,6 +172,8 @@ class StackUnderTest(Protocol):
 
     def kill(self, name: str) -> None: ...
 
+    def is_back(self, name: str) -> bool: ...
+
     def start(self, name: str) -> None: ...
 
 
@@ -204,15 +207,16 @@ def run_trial(stack: StackUnderTest, trial: FaultTrial) -> FaultResult:
         result.trouble = error.what
         return result
     meter, contacts = stack.meter, stack.meter.newest["sim/truth"].n_contacts
-    result.lasts = _inject_fault(stack, row, random)
-    stack.run(result.lasts)
+    begun, lasts, killed = stack.now, _inject_fault(stack, row, random), row.killed
+    stack.run(lasts, until=partial(stack.is_back, killed) if killed else None)
+    result.lasts = (stack.now - begun) * 1e-9
     stack.repeats_sequence = False
     fault_end: Truth = meter.newest["sim/truth"]
-    if row.name.startswith("kill "):
-        stack.start(row.name.removeprefix("kill "))
+    if killed:
+        stack.start(killed)
     stack.run(HEARS_WITHIN)
     meter.is_recording_reasons = False
-    result.resumed = _resumes_work(stack, trial)
+    result.resumed = _resumes_work(stack, trial.mode, row.hand)
     _fill_in(result, row, meter, fault_end)
     result.contacts = meter.newest["sim/truth"].n_contacts - contacts
     return result
@@ -245,10 +249,10 @@ def _accepted(reply: Any) -> None:
 
 
 def _inject_fault(stack: StackUnderTest, row: FaultRow, random: np.random.Generator) -> float:
-    """The fault begins; for how many s."""
-    if row.name.startswith("kill "):
+    """The fault begins; for how many s at most."""
+    if row.killed:
         stack.meter.begin(stack.now)
-        stack.kill(row.name.removeprefix("kill "))
+        stack.kill(row.killed)
         return float(random.uniform(*KILLED_FOR))
     stack.meter.begin(stack.now)
     name = "scan_silent" if row.name == SEQUENCE else row.name
@@ -257,15 +261,15 @@ def _inject_fault(stack: StackUnderTest, row: FaultRow, random: np.random.Genera
     return LASTS
 
 
-def _resumes_work(stack: StackUnderTest, trial: FaultTrial) -> bool:
-    """Whether work goes on by itself: the robot moves for its task, or has ended it well; a hand may turn it."""
-    if trial.mode is DriveMode.TELEOP:
-        stack.hand = 0.0, 0.5
+def _resumes_work(stack: StackUnderTest, mode: DriveMode, hand: tuple[float, float]) -> bool:
+    """Whether work goes on by itself: the robot moves for its task, or has ended it well; or as a hand commands."""
+    if mode is DriveMode.TELEOP:
+        stack.hand = hand
 
     def works() -> bool:
         truth, nav = stack.meter.newest["sim/truth"], stack.meter.newest["nav/status"]
         moves = bool(abs(truth.v) > MOVES or abs(truth.w) > MOVES)
-        if trial.mode is DriveMode.TELEOP:
+        if mode is DriveMode.TELEOP:
             return moves
         if stack.now - nav.stamp > POSE_AGE * 1e9:
             return False  # from a navigator that is no more

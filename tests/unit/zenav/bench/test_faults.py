@@ -24,6 +24,7 @@ from shared.messages import (
 from shared.topics import SERVICES
 from zenav.__main__ import _status
 from zenav.bench import fault_trial
+from zenav.bench.fault_rigs import LockstepStack
 from zenav.bench.fault_table import FAULT_ROWS, SEQUENCE, DriveMode, FaultRow
 from zenav.bench.fault_trial import SPEEDS, FaultMeter, FaultResult, FaultTrial
 from zenav.bench.faults import fault_summary, matrix, missed_targets, selected_rows, table_row
@@ -36,9 +37,9 @@ GOOD = FaultResult("scan_nan", DriveMode.NAVIGATION, 0.5, 0, 120.0, 60.0, 0.1, 0
 def test_every_row_breaks_what_there_is():
     names = {row.name for row in FAULT_ROWS}
     assert len(names) == len(FAULT_ROWS)
-    assert {name for name in names if not name.startswith("kill ")} == {*MessageFault, SEQUENCE}
+    assert {row.name for row in FAULT_ROWS if not row.killed} == {*MessageFault, SEQUENCE}
     assert {FAULT_ROWS[i].name for i in selected_rows("", live=False)} == names - {SEQUENCE}
-    assert {name.removeprefix("kill ") for name in names if name.startswith("kill ")} < set(SERVICES)
+    assert {row.killed for row in FAULT_ROWS if row.killed} < set(SERVICES)
 
 
 def test_each_fault_comes_equally_often_and_in_every_mode_and_speed():
@@ -162,3 +163,33 @@ def test_a_trial_in_lockstep_gives_the_same_twice_and_the_command_its_json(tmp_p
     assert status == (0 if report["summary"]["good"] == 1 else 1)
     assert report["trials"][0]["fault"] == "scan_silent"
     assert "scan_silent" in capsys.readouterr().out
+
+
+class RestartingStack(LockstepStack):
+    """A killed service is back after 0.4 s, as where a launcher starts it again."""
+
+    killed_at: int | None = None
+
+    def kill(self, name: str) -> None:
+        super().kill(name)
+        self.killed_at = self.now
+
+    def is_back(self, name: str) -> bool:
+        if self.killed_at is not None and self.now - self.killed_at >= 400 * MS:
+            super().start(name)
+            self.killed_at = None
+        return self.killed_at is None
+
+    def start(self, name: str) -> None:
+        assert self.is_back(name)
+
+
+@pytest.mark.timeout(600)
+def test_a_killed_service_that_is_back_at_once_need_not_stop_the_robot(tmp_path):
+    row = next(i for i, row in enumerate(FAULT_ROWS) if row.killed == "mapper")
+    trial = FaultTrial(row, DriveMode.NAVIGATION, 0.5, 3)
+    result = fault_trial.run_trial(RestartingStack("x80sv", fault_trial.settings_of("x80sv", trial, tmp_path)), trial)
+    assert result.lasts == pytest.approx(0.4, abs=0.05)
+    assert missed_targets(result, FAULT_ROWS[row]) == []
+    stood_late = replace(result, lasts=2.0, zero_ms=inf)
+    assert "never stood" in missed_targets(stood_late, FAULT_ROWS[row])
