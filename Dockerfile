@@ -20,17 +20,22 @@ COPY docs src/docs
 COPY shared src/shared
 COPY services src/services
 COPY zenav src/zenav
-# what nothing needs at run time is left out, a quarter of the packages; libraries in numpy, scipy and *.libs do not survive strip
-ARG STRIP="llvmlite foxglove zenoh zstandard lz4 apsw pydantic_core"
+# what nothing needs at run time is left out, a third of the packages; libraries in numpy, scipy and *.libs do not survive strip
+ARG STRIP="llvmlite foxglove zenoh zstandard lz4 apsw pydantic_core cryptography"
+ARG UNUSED="scipy/cluster scipy/datasets scipy/differentiate scipy/fftpack scipy/integrate scipy/interpolate scipy/io scipy/misc \
+      scipy/odr scipy/signal scipy/stats numba/cuda apsw/sqlite_extra_binaries PIL/_avif* pillow.libs/libavif*"
 RUN .venv/bin/pip install --no-deps --no-build-isolation --disable-pip-version-check -q ./src \
  && rm -rf src && .venv/bin/pip uninstall -q -y setuptools pip \
  && { command -v strip > /dev/null || { apt-get update -qq && apt-get install -y -qq --no-install-recommends binutils; }; } \
  && cd .venv/lib/python3*/site-packages \
+ && rm -rf $UNUSED \
  && find $STRIP -name '*.so' -exec strip --strip-unneeded {} + \
+ && for library in scipy.libs/*; do same=numpy.libs/${library#*/}; if cmp -s $library $same; then ln -sf ../$same $library; fi; done \
  && find . -type d \( -name tests -o -name test -o -name __pycache__ \) -prune -exec rm -rf {} + \
  && find . -type f \( -name '*.pyi' -o -name '*.h' -o -name '*.pxd' -o -name '*.a' \) -delete
-# compiles the kernels, and the bytecode of what is imported
-RUN .venv/bin/python -P -m compileall -q .venv/lib/python3*/site-packages/services .venv/lib/python3*/site-packages/shared \
+# compiles the kernels, and the bytecode of what is imported; every module can be imported without what was left out
+RUN .venv/bin/python -P -c 'import scipy.linalg, scipy.ndimage, scipy.optimize, scipy.spatial, kiss_icp.kiss_icp, rosbags.highlevel' \
+ && .venv/bin/python -P -m compileall -q .venv/lib/python3*/site-packages/services .venv/lib/python3*/site-packages/shared \
       .venv/lib/python3*/site-packages/zenav \
  && NUMBA_CACHE_DIR=/opt/zenav/kernels .venv/bin/python -P -m zenav.stack.warm \
  && .venv/bin/python -P -m zenav --help > /dev/null

@@ -210,10 +210,12 @@ def first_order(asked: Float64s, gain: float, delay: float, lag: float) -> Float
     late = np.concatenate((np.full(whole + 1, asked[0]), asked))
     late = (1 - share) * late[1 : len(asked) + 1] + share * late[: len(asked)]
     keep = exp(-GRID / lag)
-    from scipy.signal import lfilter
+    from scipy.linalg import solve_banded
 
-    answer, _ = lfilter([gain * (1 - keep)], [1, -keep], late, zi=[keep * gain * asked[0]])
-    return np.asarray(answer)
+    pushed = gain * (1 - keep) * late  # answer[i] - keep * answer[i - 1]
+    pushed[0] += keep * gain * asked[0]
+    ones, kept = np.ones(len(late)), np.full(len(late), -keep)
+    return np.asarray(solve_banded((1, 0), np.stack((ones, kept)), pushed))
 
 
 def _steady_state(rolled: WheelTravel, phase: MotorPhase, wheel: int, drive: Drive) -> tuple[float, float]:

@@ -83,7 +83,7 @@ class SubmapCache:
     range_max: m, of the laser.
     """
 
-    MAX_BYTES = 60_000_000  # with the keyframes, so that memory stays as these become more
+    MAX_BYTES = 44_000_000  # with the keyframes, so that memory stays as these become more
     MIN_BYTES = 16_000_000  # about 16 submaps in a room, 2 in a hall
 
     def __init__(
