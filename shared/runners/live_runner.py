@@ -22,6 +22,7 @@ from shared.runners.blackbox import BlackBox, Taken, crash_line
 from shared.runners.checkpoint_disk import CheckpointDisk
 from shared.runners.clock import StackClock
 from shared.runners.devices import DeviceOpener
+from shared.runners.heap_trim import HeapTrimmer
 from shared.runners.host import Effect, Host, JobOrder, Sent
 from shared.runners.inbox import Inbox, Slot
 from shared.runners.latched_disk import LatchedDisk
@@ -58,7 +59,7 @@ class LiveRunner:
     ) -> None:
         self.clock, self.session, self.name, self.robot = clock, session, name, robot
         self.host = Host(service, name, f"{time.time_ns():x}-{os.getpid():x}")
-        self.inbox, self.stats = Inbox(), LinkStats()
+        self.inbox, self.stats, self._heap = Inbox(), LinkStats(), HeapTrimmer()
         self._stopping, self._box = False, box
         self.host.before_port = lambda sent: self._boxed(sent.key, sent.payload, sent.envelope, sent.envelope.sent)
         self._everything = transport.Everything(session, robot) if hasattr(service, "raw") else None
@@ -370,6 +371,7 @@ class LiveRunner:
         self.stats.log_rejections(rejections, now)
         health = self.stats.health(self.name, self.host.service.state(), self.host.n_events, dropped, rejections, now)
         self._publish(self.host.publish(topics.HEALTH(health), now))
+        self._heap.look(health.memory)
 
     def _publish_journals(self, now: int) -> None:
         while (journal := self.host.journal(now)) is not None:

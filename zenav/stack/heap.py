@@ -5,6 +5,8 @@ import ctypes
 import gc
 import mmap
 
+from shared.runners.heap_trim import trim_heap
+
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8  # malloc.h
 MAX_HEAP_BLOCK = 2**19  # bytes: a larger block goes back to the system when it is freed
 FILLED_BLOCKS = *(2**n for n in range(18, 9, -1)), *range(512, 8, -16)
@@ -30,9 +32,7 @@ def limit_heap() -> None:
 def release_free_memory() -> None:
     """Gives back what is free, after a phase that needed much more memory than the next one."""
     gc.collect()
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
+    trim_heap()
 
 
 def fill_holes() -> None:
