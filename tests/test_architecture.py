@@ -2,7 +2,6 @@
 """The architecture as a test: which package may import, open, publish and read what. A failure has a hint."""
 
 import ast
-import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -297,22 +296,6 @@ def test_no_service_but_the_simulator_uses_scipy():
             f"{short(path)} imports {uses - allowed}",
             "use numpy: scipy costs a stack 12 MB; the simulator writes `import scipy`, whose parts load late",
         )
-
-
-def test_the_image_keeps_every_part_of_scipy_that_is_used():
-    left_out = set(re.findall(r"scipy/(\w+)", (ROOT / "Dockerfile").read_text(encoding="utf-8")))
-    used = {
-        name
-        for path in files("services", "shared", "zenav")
-        for name in re.findall(r"scipy\.(\w+)", path.read_text(encoding="utf-8"))
-    }
-    assert left_out
-    assert {"ndimage", "optimize", "spatial", "linalg"} <= used
-    rule(
-        not left_out & used,
-        f"the image has no scipy.{' '.join(left_out & used)}",
-        "take it out of UNUSED in Dockerfile",
-    )
 
 
 def test_only_the_shell_of_the_page_loads_a_web_library():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Compose file: restarts after a reboot, and settings that the services take."""
+"""The Compose file: restarts after a reboot, settings that the services take; and what the image leaves out."""
 
 import re
 from pathlib import Path
@@ -10,7 +10,8 @@ from ruamel.yaml import YAML
 from shared.config import UserError, configured
 from zenav.stack.service_loader import build_service
 
-SERVICES = YAML(typ="safe").load(Path(__file__).resolve().parents[2] / "docker-compose.yml")["services"]
+ROOT = Path(__file__).resolve().parents[2]
+SERVICES = YAML(typ="safe").load(ROOT / "docker-compose.yml")["services"]
 ENDS = {"map": "on-failure", "cli": "no"}
 
 
@@ -43,3 +44,14 @@ def test_the_second_lasers_device_is_refused_on_a_robot_with_one():
     file = configured("x80sv", settings("lidar_driver", {"ZENAV_LASER_2": "/dev/b"}))
     with pytest.raises(UserError, match="has no second laser"):
         build_service("lidar_driver", file, file.robot)
+
+
+def test_the_image_keeps_every_part_of_scipy_that_is_used():
+    left_out = set(re.findall(r"scipy/(\w+)", (ROOT / "Dockerfile").read_text(encoding="utf-8")))
+    sources = [
+        path.read_text() for package in ("services", "shared", "zenav") for path in (ROOT / package).rglob("*.py")
+    ]
+    used = {name for source in sources for name in re.findall(r"scipy\.(\w+)", source)}
+    assert {"ndimage", "optimize", "spatial", "linalg"} <= used
+    assert left_out
+    assert not left_out & used
