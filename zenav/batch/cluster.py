@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The queue of a Dask cluster by its address. With tls:// Dask's own settings name the certificates: docs/batch.md."""
 
+import concurrent.futures
 import logging
 import threading
 import time
@@ -87,10 +88,8 @@ def cluster_queue(task: BatchTask, address: str, is_awaited: bool) -> Iterator[W
 
 
 def _connected(address: str) -> "Client":
-    from distributed import Client
-
     try:
-        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+        client = _made_client(address)
     except (OSError, ValueError, TimeoutError, TypeError) as error:  # TypeError: tls:// without certificates
         hint = "start one: dask scheduler, and on each computer: dask worker ADDRESS"
         if address.startswith("tls://"):
@@ -100,3 +99,19 @@ def _connected(address: str) -> "Client":
         client.close()
         raise UserError(f"the cluster {address} has no workers", f"on each computer: dask worker {address}")
     return client
+
+
+def _made_client(address: str) -> "Client":
+    """Raises TimeoutError where the scheduler says nothing after the handshake, for which Dask waits for ever."""
+    from distributed import Client
+
+    made: concurrent.futures.Future[Client] = concurrent.futures.Future()
+
+    def make() -> None:
+        try:
+            made.set_result(Client(address, timeout=CONNECT_S, set_as_default=False))
+        except BaseException as error:
+            made.set_exception(error)
+
+    threading.Thread(target=make, daemon=True).start()
+    return made.result(3 * CONNECT_S)

@@ -22,6 +22,7 @@ from tests.replay.record import path_of
 from tests.unit.zenav.batch.works import double, misbehave
 from tests.unit.zenav.logs import room_log
 from zenav.__main__ import _status
+from zenav.batch import cluster as module
 from zenav.batch.engine import results
 from zenav.batch.storage import Folder
 from zenav.batch.table import last_table
@@ -124,6 +125,16 @@ def test_a_benchmark_s_items_have_the_same_results_on_a_cluster_and_a_dead_one_i
     assert sorted(there) == here
     with pytest.raises(UserError, match="killed by SIGKILL"):
         list(pool_results(misbehave, ["die"], 1, cluster))
+
+
+def test_a_scheduler_that_falls_silent_after_the_handshake_does_not_hold_the_command(monkeypatch):
+    """Dask's client waits for its first message for ever."""
+    over = threading.Event()
+    monkeypatch.setattr(module, "CONNECT_S", 0.1)
+    monkeypatch.setattr("distributed.Client", lambda *arguments, **options: over.wait(60))
+    with pytest.raises(UserError, match="no scheduler of Dask answers"):
+        list(pool_results(double, range(5), 1, "tcp://127.0.0.1:9"))
+    over.set()
 
 
 def test_slam_over_tls_on_two_workers_gives_the_maps_of_this_computer(make_cluster, tmp_path, capsys):
