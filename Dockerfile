@@ -33,7 +33,7 @@ RUN .venv/bin/pip install --no-deps --no-build-isolation --disable-pip-version-c
  && for library in scipy.libs/*; do same=numpy.libs/${library#*/}; if cmp -s $library $same; then ln -sf ../$same $library; fi; done \
  && find . -type d \( -name tests -o -name test -o -name __pycache__ \) -prune -exec rm -rf {} + \
  && find . -type f \( -name '*.pyi' -o -name '*.h' -o -name '*.pxd' -o -name '*.a' \) -delete
-# compiles the kernels, and the bytecode of what is imported; every module can be imported without what was left out
+# what was left out is not missed by these imports; compiles the kernels, and the bytecode of what is imported
 RUN .venv/bin/python -P -c 'import scipy.linalg, scipy.ndimage, scipy.optimize, scipy.spatial, kiss_icp.kiss_icp, rosbags.highlevel' \
  && .venv/bin/python -P -m compileall -q .venv/lib/python3*/site-packages/services .venv/lib/python3*/site-packages/shared \
       .venv/lib/python3*/site-packages/zenav \

@@ -8,6 +8,7 @@ computers the kernels are compiled.
 
 import json
 import os
+import zlib
 from collections.abc import Callable, Iterable
 from pathlib import Path, PurePosixPath
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
@@ -68,7 +69,7 @@ def copy_prebuilt(cache: Path, root: Path = ROOT) -> set[str]:
                     part.write_bytes(file.read(name))
                     os.replace(part, place / path.name)
             return {str(key) for key in contents["warmed"]}
-    except (BadZipFile, ValueError, KeyError, TypeError):
+    except (BadZipFile, zlib.error, ValueError, KeyError, TypeError):
         return set()  # damaged: what is missing is compiled
     except OSError as error:
         raise UserError(f"cannot copy kernels into {cache}: {error.strerror}", "check the disk") from None

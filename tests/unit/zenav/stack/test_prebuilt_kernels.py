@@ -70,6 +70,18 @@ def test_a_damaged_archive_is_none(checkout, tmp_path, damage):
     assert copy_prebuilt(tmp_path / "cache", checkout) == set()
 
 
+def test_a_kernel_that_was_damaged_in_the_archive_leaves_the_rest_to_the_compiler(checkout, tmp_path):
+    path = checkout / "services" / "planner" / "__pycache__" / "search.f-1.py311.1.nbc"
+    path.write_bytes(bytes(range(256)) * 100)
+    collect(["planner"], checkout / ARCHIVE, checkout)
+    whole = (checkout / ARCHIVE).read_bytes()
+    with ZipFile(checkout / ARCHIVE) as file:
+        begin = next(info.header_offset for info in file.infolist() if info.filename.endswith(".nbc")) + 80
+    (checkout / ARCHIVE).write_bytes(whole[:begin] + b"\xff" * 150 + whole[begin + 150 :])
+    assert copy_prebuilt(tmp_path / "cache", checkout) == set()
+    assert not list((tmp_path / "cache").rglob("*.nb[ic]"))
+
+
 def test_a_checkout_never_takes_its_own_archive(checkout):
     collect(["planner"], checkout / ARCHIVE, checkout)
     assert copy_prebuilt(checkout, checkout) == set()
